@@ -1,0 +1,76 @@
+# make demo | test | bench | study | lint | clean. Each sets up its own environment; `SEED=3 make demo` passes a seed.
+SHELL := /bin/sh
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+MAKEFLAGS += --no-print-directory
+
+BIN := .venv/bin
+PIP := $(BIN)/pip --quiet --disable-pip-version-check --no-input
+# --no-compile: Python compiles the few modules that are used when they are first used, which is sooner done.
+# --only-binary: a package that has no wheel for this platform is named at once instead of failing in a compiler.
+LOCKED := --no-compile --only-binary :all: --require-hashes -r constraints.txt
+SEED_OPTION = $(if $(SEED),--seed $(SEED))
+WORKERS ?= 2
+PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
+
+.PHONY: help demo test bench study lint lock clean
+
+help:
+	@echo "make demo    the whole loop on mock devices, to a report"
+	@echo "make test    every check: ruff, mypy, import contracts, pytest"
+	@echo "make lint    the checks without pytest"
+	@echo "make bench   speed, accuracy and loss, side by side with peers"
+	@echo "make study   known truth in, same truth out: bias, coverage, detection rates"
+	@echo "make lock    resolve constraints.txt anew (needs uv)"
+	@echo "make clean   remove the environment, builds and caches"
+
+# The stamp is taken away first and written last: with it the environment is brought up to date in place, without it
+# (new, or interrupted half-way) it is made from nothing.
+.venv/ready: constraints.txt pyproject.toml
+	@if [ -e $@ ]; then \
+	    echo "bringing .venv up to date"; \
+	else \
+	    for python in $(PYTHONS) none; do \
+	        if $$python -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1; then break; fi; \
+	    done; \
+	    if [ $$python = none ]; then \
+	        echo "seatrial needs Python 3.11 or newer: install it, or name it with make PYTHON=..." >&2; exit 1; \
+	    fi; \
+	    echo "setting up .venv with $$python (first time, about half a minute)"; \
+	    $$python -m venv --clear .venv || \
+	        { echo "$$python makes no environments: install its venv module (python3-venv)" >&2; exit 1; }; \
+	fi
+	@rm -f $@
+	@$(PIP) install $(LOCKED)
+	@echo "installing seatrial into .venv"
+	@$(PIP) install --no-compile --no-deps --no-build-isolation --editable .
+	@touch $@
+
+demo: .venv/ready
+	@$(BIN)/seatrial demo $(SEED_OPTION)
+
+test: lint
+	@echo "pytest"
+	@$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup
+
+lint: .venv/ready
+	@echo "ruff"
+	@$(BIN)/ruff check .
+	@echo "mypy"
+	@$(BIN)/mypy
+	@echo "import contracts"
+	@$(BIN)/lint-imports --no-logo
+
+bench: .venv/ready
+	@$(BIN)/python -m benchmarks $(SEED_OPTION)
+
+study: .venv/ready
+	@$(BIN)/python -m tests.recovery.study $(SEED_OPTION)
+
+lock:
+	@uv pip compile --quiet --universal --python-version 3.11 --upgrade --generate-hashes --no-emit-index-url \
+	    --no-annotate --no-header --extra dev --output-file constraints.txt pyproject.toml
+
+clean:
+	@rm -rf .venv build dist *.egg-info .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	@find . -name __pycache__ -type d -prune -exec rm -rf {} +

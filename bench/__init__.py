@@ -1,0 +1,1 @@
+"""Excite: plans and missions to thrusters, safely, while daq records."""

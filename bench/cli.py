@@ -1,0 +1,137 @@
+"""The commands `seatrial bench`, `seatrial mission` and `seatrial check`."""
+
+from __future__ import annotations
+
+import re
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from bench import plans
+from bench.mission import Mission, load_mission, save_mission
+from bench.sketch import describe
+from daq.errors import SeatrialError
+from daq.rig import Rig, load_rig
+
+FILE = click.Path(path_type=Path)
+N_MAX_BENCH = 0.9
+
+
+@click.group(epilog="Example: seatrial bench all bench-rig.toml -o bench.mcap")
+def bench() -> None:
+    """Characterise one thruster on the bench: command, rpm and force into a log."""
+
+
+@click.group(epilog="Example: seatrial mission run mission.toml boat-rig.toml -o run.mcap")
+def mission() -> None:
+    """Make, show and run missions."""
+
+
+def _bench_command(kind: str, text: str) -> None:
+    """Add `seatrial bench KIND` to the group; all kinds take the same options."""
+
+    @bench.command(kind, help=text, epilog=f"Example: seatrial bench {kind} bench-rig.toml -o {kind}.mcap")
+    @click.argument("rig_path", metavar="RIG", type=FILE)
+    @click.option("-o", "--out", type=FILE, help="The log to write [default: by date in the rig's log directory].")
+    @click.option("--thruster", help="Which thruster, when the rig has more than one.")
+    @click.option(
+        "--n-max", type=click.FloatRange(0, 1, min_open=True), help=f"Largest command [default: {N_MAX_BENCH}]."
+    )
+    def command(rig_path: Path, out: Path | None, thruster: str | None, n_max: float | None) -> None:
+        rig = load_rig(rig_path)
+        largest = min(N_MAX_BENCH, rig.limits.n_max) if n_max is None else n_max
+        _run(plans.bench_plan(kind, _one_thruster(rig, thruster), largest), rig, out)
+
+
+_bench_command("static", "Ten seconds at rest: the load cell's zero and the sensors' noise.")
+_bench_command("steps", "Progressively increasing steps, up and down, ahead and astern.")
+_bench_command("chirp", "A chirp ahead and a chirp astern.")
+_bench_command("all", "Rest, steps, chirps of each sign, rest: about two minutes.")
+
+
+def _one_thruster(rig: Rig, name: str | None) -> str:
+    if name is not None:
+        return rig.thruster(name).name
+    if len(rig.thrusters) != 1:
+        there = ", ".join(thruster.name for thruster in rig.thrusters) or "none"
+        raise SeatrialError(f"{rig.path}: which thruster? name one with --thruster; there is: {there}")
+    return rig.thrusters[0].name
+
+
+def _run(plan: Mission, rig: Rig, out: Path | None) -> None:
+    """Run a plan and say where its log is."""
+    # Imported late: --help needs none of it.
+    from bench.display import make_display
+    from bench.run import run_mission
+
+    stem = re.sub(r"[^A-Za-z0-9]+", "-", plan.name).strip("-").lower() or "mission"
+    path = rig.log_directory / f"{time.strftime('%Y%m%dT%H%M%S')}-{stem}.mcap" if out is None else out
+    start = time.monotonic()
+    run_mission(plan, rig, path, make_display(), {"command": " ".join(["seatrial", *sys.argv[1:]])})
+    click.echo(f"done: {plan.name}, {plan.end:g} s in {time.monotonic() - start:.1f} s; log {path}")
+
+
+@mission.command(epilog="Example: seatrial mission run mission.toml boat-rig.toml -o run.mcap")
+@click.argument("mission_path", metavar="MISSION", type=FILE)
+@click.argument("rig_path", metavar="RIG", type=FILE)
+@click.option("-o", "--out", type=FILE, help="The log to write [default: by date in the rig's log directory].")
+def run(mission_path: Path, rig_path: Path, out: Path | None) -> None:
+    """Run a mission and record it; Ctrl-C ends it at zero thrust."""
+    _run(load_mission(mission_path), load_rig(rig_path), out)
+
+
+@mission.command(epilog="Example: seatrial mission show mission.toml")
+@click.argument("mission_path", metavar="MISSION", type=FILE)
+def show(mission_path: Path) -> None:
+    """Show a mission as text: its segments and a sketch of what each thruster is told."""
+    click.echo(describe(load_mission(mission_path)))
+
+
+@mission.command(epilog="Example: seatrial mission make --kind mixed --seconds 300 --seed 1 -o mission.toml")
+@click.option("--kind", type=click.Choice(plans.MISSION_KINDS), default="mixed", show_default=True)
+@click.option("--seconds", type=click.FloatRange(30.0, 7200.0), default=300.0, show_default=True)
+@click.option("--seed", type=click.IntRange(min=0), required=True, help="The same seed makes the same mission.")
+@click.option("--n-max", type=click.FloatRange(0, 1, min_open=True), default=1.0, show_default=True)
+@click.option("--slew", type=click.FloatRange(0, min_open=True), help="Largest change of a command, 1/s.")
+@click.option(
+    "--thrusters",
+    nargs=2,
+    default=("left", "right"),
+    show_default=True,
+    help="Names in the rig of the left and the right thruster.",
+)
+@click.option("-o", "--out", type=FILE, required=True, help="The mission file to write; it must not exist.")
+def make(
+    kind: str, seconds: float, seed: int, n_max: float, slew: float | None, thrusters: tuple[str, str], out: Path
+) -> None:
+    """Make a random mission that excites what a diagnosis needs; see `show` for how it looks.
+
+    mixed: a quarter each of surge steps, zigzag, random steps of both thrusters, and chirps.
+    """
+    if out.exists():
+        raise SeatrialError(f"{out} exists; give another name with -o")
+    plan = plans.make_mission(kind, seconds, seed, thrusters, n_max)
+    if slew is not None:
+        plan = replace(plan, slew_per_s=slew, made_by=f"{plan.made_by} --slew {slew:g}")
+    save_mission(plan, out)
+    click.echo(f"{out}: {plan.name}, {len(plan.segments)} segments, {plan.end:g} s")
+
+
+@click.command(epilog="Example: seatrial check boat-rig.toml")
+@click.argument("rig_path", metavar="RIG", type=FILE)
+@click.option("--seconds", type=click.FloatRange(0.5, 600.0), default=3.0, show_default=True, help="Wall seconds.")
+def check(rig_path: Path, seconds: float) -> None:
+    """Listen to every device of the rig: alive, at its rate, understood? Nothing moves."""
+    from bench.check import check_rig
+
+    rig = load_rig(rig_path)
+    found = check_rig(rig, seconds)
+    for row in found:
+        word = "bad " if row.problem else "good"
+        click.echo(f"{word}  {row.device.name:<12} {row.rate_hz:7.1f} Hz  {row.problem or row.device.port}")
+    bad = [row.device.name for row in found if row.problem]
+    if bad:
+        raise SeatrialError(f"{rig.path}: {', '.join(bad)} not as the rig says (see the lines above)")

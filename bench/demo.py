@@ -1,0 +1,172 @@
+"""`seatrial demo`: the whole loop on mock devices, from a bench run to the sealed answer, by the public commands."""
+
+from __future__ import annotations
+
+import json
+import math
+import random
+import re
+import time
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bench.demo_steps import StepFailed, Steps
+from daq.errors import SeatrialError
+
+ESTIMATION_S, VALIDATION_S = 400.0, 250.0  # run seconds of the two missions
+ANSWER, SEALED = "diagnosis/result.json", "sealed.json"
+EPILOG = "Example: seatrial demo --seed 3 --out /tmp/demo"
+
+
+@click.command(epilog=EPILOG)
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of everything random; drawn and printed when not given.")
+@click.option("--out", type=click.Path(path_type=Path), help="New folder to work in [default: seatrial-demo-SEED].")
+@click.option(
+    "--speed", type=click.FloatRange(1.0, 50.0), default=20.0, show_default=True, help="Run seconds a wall second."
+)
+def demo(seed: int | None, out: Path | None, speed: float) -> None:
+    """Bench run, thruster model, two missions, vehicle model, diagnosis: all on mock devices.
+
+    The mock boat has one effect that the model knows nothing of, drawn from the seed and written to a sealed file.
+    The diagnosis has to find it; the sealed file is opened last.
+    """
+    seed = random.SystemRandom().randrange(1, 10_000) if seed is None else seed
+    folder = fresh_folder(out, seed)
+    click.echo(f"demo: seed {seed}, {speed:g} times real time, in {folder}")
+    for name in ("bench", "boat"):
+        write_rig(name, folder, speed)
+    start = time.monotonic()
+    steps = Steps(folder)
+    with steps.signals():
+        missing = run_steps(steps, seed)
+    click.echo(f"total: {time.monotonic() - start:.1f} s")
+    if missing:
+        raise SeatrialError(f"demo: this installation has no {', '.join(missing)}; the logs are in {folder}")
+    tell(folder)
+
+
+def fresh_folder(out: Path | None, seed: int) -> Path:
+    """Make the folder that the demo works in; raises SeatrialError when it holds anything."""
+    folder = Path(f"seatrial-demo-{seed}") if out is None else out
+    if out is None and folder.exists():
+        folder = Path(time.strftime(f"seatrial-demo-{seed}-%Y%m%dT%H%M%S"))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()):
+            raise SeatrialError(f"demo: {folder} is not empty; name another folder with --out")
+    except OSError as error:
+        raise SeatrialError(f"demo: {folder}: {error.strerror}; name another folder with --out") from error
+    return folder
+
+
+def write_rig(name: str, folder: Path, speed: float) -> None:
+    """Copy the mocks' rig file into the folder, with the demo's clock speed in it."""
+    text = (files("mocks") / "rigs" / f"{name}.toml").read_text(encoding="utf-8")
+    text, count = re.subn(r"(?m)^speed\s*=\s*[0-9.]+", f"speed = {speed!r}", text)
+    if count != 1:
+        raise SeatrialError(f"demo: the packaged rig {name}.toml has no clock speed; install seatrial again")
+    (folder / f"{name}-rig.toml").write_text(text, encoding="utf-8")
+
+
+def run_steps(steps: Steps, seed: int) -> list[str]:
+    """Run the whole loop; returns the commands that this installation does not have."""
+    missing: list[str] = []
+    with steps.mock("mock", "bench", "bench-rig.toml", "--seed", str(seed)):
+        steps.run("bench run", "bench", "all", "bench-rig.toml", "-o", "bench.mcap")
+    _explain(steps, missing, "thruster model", "ident", "thruster", "bench.mcap", "--out", "thruster")
+    _mission(steps, seed, 1, ESTIMATION_S, "estimation")
+    _mission(steps, seed, 2, VALIDATION_S, "validation")
+    data = ("estimation.mcap", "--validate", "validation.mcap")
+    model = ("--thruster", "thruster/model.toml")
+    _explain(steps, missing, "vehicle model", "ident", "vehicle", data[0], *model, *data[1:], "--out", "vehicle")
+    _explain(steps, missing, "diagnosis", "ident", "diagnose", "vehicle/model.toml", *data, "--out", "diagnosis")
+    return missing
+
+
+def _mission(steps: Steps, seed: int, run: int, seconds: float, name: str) -> None:
+    """Make and run one mission on a mock boat started anew: the same boat and effect, other noise."""
+    plan, mission_seed = f"{name}.toml", str(100 * seed + run)
+    steps.run(
+        f"{name} mission",
+        *("mission", "make", "--kind", "mixed", "--seconds", f"{seconds:g}", "--seed", mission_seed, "-o", plan),
+    )
+    boat = ("mock", "boat", "boat-rig.toml", "--seed", str(seed), "--effect", "draw", "--sealed", SEALED)
+    with steps.mock(*boat, "--run", str(run)):
+        steps.run(f"{name} run", "mission", "run", plan, "boat-rig.toml", "-o", f"{name}.mcap")
+
+
+def _explain(steps: Steps, missing: list[str], name: str, *words: str) -> None:
+    """Run one step of ident, or note that it is not installed; later steps need the earlier ones."""
+    if not missing:
+        try:
+            steps.run(name, *words)
+            return
+        except StepFailed:
+            if steps.has(*words[:2]):
+                raise
+    click.echo(f"  left out: {' '.join(words[:2])}")
+    missing.append(f"`seatrial {' '.join(words[:2])}`")
+
+
+def tell(folder: Path) -> None:
+    """Print the answer, the errors before and after, the report's path, and at the very end the sealed truth."""
+    result = _read_json(folder / ANSWER)
+    click.echo()
+    click.secho(f"answer: {result.get('answer', 'none')}", bold=True)
+    for line in error_lines(result):
+        click.echo(line)
+    click.echo(f"report: {folder / 'diagnosis' / 'report.html'}")
+    sealed = _read_json(folder / SEALED)
+    truth = sealed.get("effect")
+    if not isinstance(truth, str):
+        raise SeatrialError(f"demo: {folder / SEALED} does not say the effect")
+    named = found_effects(result)
+    match = "match" if truth in named or (truth == "none" and not named) else "do not match"
+    click.echo(f"diagnosis said: {', '.join(named) or 'none'}; that and the sealed effect {match}")
+    click.echo(f"sealed: the plant's undeclared effect was {truth}{_detail(sealed)}")
+
+
+def _detail(sealed: dict[str, Any]) -> str:
+    """What the sealed file says beside the name: its sentence and its parameters."""
+    parameters = sealed.get("parameters", {}).items()
+    numbers = [f"{key} = {value:.4g}" if isinstance(value, float) else f"{key} = {value}" for key, value in parameters]
+    parts = [part for part in (sealed.get("sentence", ""), ", ".join(numbers)) if part]
+    return f" ({'; '.join(parts)})" if parts else ""
+
+
+def found_effects(result: dict[str, Any]) -> list[str]:
+    """Names of the effects that the diagnosis has added, in their order."""
+    effects = result.get("effects", [])
+    return [str(effect["name"] if isinstance(effect, dict) else effect) for effect in effects]
+
+
+def error_lines(result: dict[str, Any]) -> list[str]:
+    """The free-running error (root mean square) on validation data before and after, a line a channel."""
+    try:
+        channels = result["before_after"]["validation"]["free_run"]
+        return [_error_line(name, row) for name, row in channels.items()]
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise SeatrialError(f"demo: {ANSWER} does not say the error before and after ({error!r})") from error
+
+
+def _error_line(name: str, row: dict[str, Any]) -> str:
+    unit, scale = str(row["unit"]), 1.0
+    if unit.startswith("rad"):  # degrees are for people
+        unit, scale = unit.replace("rad", "deg", 1), math.degrees(1.0)
+    before, after = scale * row["before"], scale * row["after"]
+    return f"  {name:<6} free-running error on validation data {before:.3g} {unit} before, {after:.3g} {unit} after"
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SeatrialError(f"demo: {path}: {error.strerror}") from error
+    except ValueError as error:
+        raise SeatrialError(f"demo: {path}: not JSON ({error})") from error
+    if not isinstance(content, dict):
+        raise SeatrialError(f"demo: {path}: not a JSON object")
+    return content

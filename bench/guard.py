@@ -1,0 +1,128 @@
+"""The guard: limits on what the devices say, checked at every status. It reads no clock and drives nothing.
+
+It stands beside two nets that need no program of ours: the acquisition process commands zero when the runner falls
+silent, and every ESC times out by itself when the acquisition process does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from daq.acquire import Status
+from daq.errors import SafetyStop
+from daq.rig import Rig
+from daq.samples import Esc, Gnss, LoadCell
+
+EARTH_RADIUS_M = 6_371_008.8  # IUGG mean radius
+SATURATED, SPIKE = 1, 2  # LoadCell.flags
+STALE_S = 1.0  # run seconds a device may be silent, at least
+STALE_PERIODS = 5.0
+# Wall seconds, at least. With real devices this is the same second; against mocks at 20 run seconds a wall second,
+# one run second is 50 ms, and a busy machine makes longer pauses by itself.
+STALE_WALL_S = 1.0
+STUCK_WALL_S = 3.0  # the log's file must grow within this; it is flushed every 0.25 s
+
+
+class Guard:
+    """Checks each status against the rig's limits; remembers the start position and the log's growth."""
+
+    def __init__(self, rig: Rig, speed: float, thrusters: tuple[str, ...]) -> None:
+        self._rig = rig
+        self._speed = speed
+        self._thrusters = [rig.thruster(name) for name in thrusters]
+        self._home: tuple[float, float] | None = None  # rad
+        self._size = -1
+        self._grown_at = math.nan
+        self._saturated_at = math.nan
+
+    def check(self, status: Status) -> None:
+        """Raise SafetyStop with the reason, in one line, at the first limit that is passed."""
+        for reason in self._reasons(status):
+            raise SafetyStop(reason)
+
+    def _reasons(self, status: Status) -> Iterator[str]:
+        yield from self._stale(status)
+        yield from self._recorder(status)
+        for source, latest in status.latest.items():
+            sample = latest.sample
+            if isinstance(sample, Esc):
+                yield from self._esc(sample)
+            elif isinstance(sample, LoadCell):
+                yield from self._force(sample, latest.t)
+            elif isinstance(sample, Gnss):
+                yield from self._position(source[0], sample)
+
+    def _patience(self, rate_hz: float) -> float:
+        return max(STALE_S, STALE_PERIODS / rate_hz, STALE_WALL_S * self._speed)
+
+    def _stale(self, status: Status) -> Iterator[str]:
+        for device in self._rig.devices:
+            port = status.ports.get(device.name)
+            age = math.inf if port is None else port.age
+            # `not <=`: an age that is NaN is no sign of life.
+            if not age <= self._patience(device.rate_hz):
+                yield f"{device.name} ({device.port}) is silent{_since(age)}"
+        yield from self._silent_thrusters(status)
+
+    def _silent_thrusters(self, status: Status) -> Iterator[str]:
+        for thruster in self._thrusters:
+            device = self._rig.device(thruster.device)
+            nodes = sum(other.device == device.name for other in self._rig.thrusters)
+            latest = status.latest.get((device.name, thruster.node))
+            age = math.inf if latest is None else status.t - latest.t
+            if not age <= self._patience(device.rate_hz / nodes):
+                yield f"thruster {thruster.name} (node {thruster.node} on {device.name}) is silent{_since(age)}"
+
+    def thrusters_heard(self, status: Status) -> bool:
+        """Whether every thruster's port is in order and its controller answers, so that a zero will have reached it."""
+        ports = [status.ports.get(thruster.device) for thruster in self._thrusters]
+        in_order = all(port is not None and not port.message for port in ports)
+        return in_order and not any(self._silent_thrusters(status))
+
+    def _recorder(self, status: Status) -> Iterator[str]:
+        if status.bytes != self._size:
+            self._size, self._grown_at = status.bytes, status.t
+        elif status.t - self._grown_at > STUCK_WALL_S * self._speed:
+            yield f"the log {status.path} does not grow any more; is the disk full?"
+
+    def _esc(self, esc: Esc) -> Iterator[str]:
+        limits = self._rig.limits
+        if limits.current_a is not None and abs(esc.current) > limits.current_a:
+            yield f"current of node {esc.node} is {esc.current:.1f} A, limit {limits.current_a:g} A"
+        if limits.temperature_c is not None and esc.temperature > limits.temperature_c:
+            yield f"temperature of node {esc.node} is {esc.temperature:.0f} deg C, limit {limits.temperature_c:g}"
+        if limits.voltage_min_v is not None and esc.voltage < limits.voltage_min_v:
+            yield f"voltage of node {esc.node} is {esc.voltage:.1f} V, least {limits.voltage_min_v:g} V"
+
+    def _force(self, cell: LoadCell, t: float) -> Iterator[str]:
+        limit = self._rig.limits.force_n
+        if limit is None:
+            return
+        if cell.flags & SATURATED:
+            # One saturated reading is a glitch of the converter; the next one decides.
+            if t > self._saturated_at:
+                yield "the load cell is saturated, its force cannot be watched"
+            self._saturated_at = t if math.isnan(self._saturated_at) else self._saturated_at
+            return
+        self._saturated_at = math.nan
+        if not cell.flags & SPIKE and abs(cell.force) > limit:
+            yield f"force is {cell.force:.1f} N, limit {limit:g} N"
+
+    def _position(self, name: str, gnss: Gnss) -> Iterator[str]:
+        radius = self._rig.limits.radius_m
+        if radius is None or gnss.fix < 2 or not math.isfinite(gnss.lat + gnss.lon):
+            return
+        lat, lon = math.radians(gnss.lat), math.radians(gnss.lon)
+        if self._home is None:
+            self._home = (lat, lon)
+        north = lat - self._home[0]
+        # The shorter way round, so that a start beside the date line is a start like any other.
+        east = math.remainder(lon - self._home[1], 2 * math.pi) * math.cos(lat)
+        distance = EARTH_RADIUS_M * math.hypot(north, east)
+        if distance > radius:
+            yield f"{distance:.0f} m from the start by {name}, limit {radius:g} m"
+
+
+def _since(age: float) -> str:
+    return f" for {age:.1f} s" if math.isfinite(age) else " since the start"

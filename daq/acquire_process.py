@@ -1,0 +1,259 @@
+"""The acquisition process: owns every port and the log, and brings thrust to zero when its parent falls silent.
+
+Started by `daq.acquire.Acquisition` as `python -m daq.acquire_process FD`; no user code runs here, so nothing but
+the operating system can hold it up. One thread a port, one writer; the main thread listens to the parent.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import gc
+import select
+import signal
+import socket
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+
+from daq.clock import RunClock
+from daq.device import DeviceLoop, make_decoder
+from daq.errors import SeatrialError
+from daq.link import Link, Message
+from daq.recorder import Recorder
+from daq.rig import Rig, parse_rig
+from daq.samples import NAN, Event, Frame, PortHealth
+from daq.setpoints import Setpoints
+from daq.status import Status, to_json
+from daq.transport import make_port
+from daq.writer import WRITE_S, Item, Sink, Writer
+
+STATUS_S = 0.05  # wall, as all of these
+SILENCE_S = 0.25  # the parent, while thrust is commanded
+RECORD_ON_S = 1.0  # after a stop that nobody asked for
+
+
+class Process:
+    """The ports, the writer, and the parent's wishes."""
+
+    def __init__(self, link: Link, rig: Rig, recorder: Recorder, clock: RunClock) -> None:
+        self._link, self._rig, self._clock = link, rig, clock
+        self._path = str(recorder.path)
+        self._sink = Sink()
+        self._setpoints = {device.name: Setpoints() for device in rig.devices if device.protocol == "vesc"}
+        self._loops = {device.name: self._loop(device.name) for device in rig.devices}
+        self._writer = Writer(recorder, self._sink, self._health, clock)
+        self._begun = clock.now()
+        self._heard = self._alive = time.monotonic()
+        self._terminated = False
+        self._stopped = ""  # set when thrust was ended here; then only the parent's zero lets it start again
+        self._said: set[str] = set()
+        self._wishes: dict[str, Callable[[Message], None]] = {
+            "heartbeat": self._on_heartbeat,
+            "schedule": self._on_schedule,
+            "zero": self._on_zero,
+            "mark": self._on_mark,
+            "stop": self._on_stop,
+        }
+        self._end_reason = ""
+        self._unasked = False
+
+    def terminate(self, number: int, frame: FrameType | None) -> None:
+        """SIGTERM: end as if the parent had asked."""
+        self._terminated = True
+
+    def run(self) -> None:
+        """Until told to stop, abandoned or failed; then zero thrust and close the log."""
+        self._writer.start()
+        for loop in self._loops.values():
+            loop.start()
+        try:
+            self._serve()
+        except Exception as error:  # a programming error must not leave thrust on
+            self._end(f"internal error ({type(error).__name__}: {error})", unasked=True)
+        self._finish()
+
+    def _serve(self) -> None:
+        status_at = 0.0
+        while not self._end_reason:
+            now = time.monotonic()
+            if now >= status_at:
+                status_at = now + STATUS_S
+                self._report()
+            ready, _, _ = select.select([self._link], [], [], max(status_at - time.monotonic(), 0.0))
+            if ready:
+                self._listen()
+            self._judge()
+
+    def _loop(self, name: str) -> DeviceLoop:
+        device = self._rig.device(name)
+        here = [thruster for thruster in self._rig.thrusters if thruster.device == name]
+        return DeviceLoop(
+            device,
+            make_port(device),
+            make_decoder(device, self._rig),
+            self._clock,
+            self._sink,
+            self._setpoints.get(name),
+            frozenset(thruster.node for thruster in here if thruster.reversed),
+            self._stop_thrust,
+        )
+
+    def _listen(self) -> None:
+        try:
+            messages = self._link.receive()
+        except EOFError:
+            self._end("the parent process is gone", unasked=True)
+            return
+        for message in messages:
+            self._heard = time.monotonic()
+            self._wishes[message["op"]](message)
+
+    def _judge(self) -> None:
+        """End what has to end. Called after listening: a pause of our own is not held against the parent."""
+        now = time.monotonic()
+        if self._terminated:
+            self._end("SIGTERM", unasked=False)
+        if self._writer.failure:
+            self._end(self._writer.failure, unasked=False)
+        if any(setpoints.active for setpoints in self._setpoints.values()):
+            if now - self._heard > SILENCE_S:
+                self._end(f"no heartbeat of the parent for {SILENCE_S} s", unasked=True)
+            elif now - self._alive > SILENCE_S:
+                self._end(f"no sign of life of the runner for {SILENCE_S} s", unasked=True)
+
+    def _end(self, reason: str, unasked: bool) -> None:
+        if not self._end_reason:
+            self._end_reason, self._unasked = reason, unasked
+
+    def _on_heartbeat(self, message: Message) -> None:
+        if message["alive"]:
+            self._alive = self._heard
+
+    def _on_schedule(self, message: Message) -> None:
+        if self._stopped:
+            return  # rows that were under way when thrust was ended
+        self._alive = self._heard
+        nodes = {thruster.name: (thruster.device, thruster.node) for thruster in self._rig.thrusters}
+        rows: dict[str, list[tuple[float, dict[int, float]]]] = {}
+        for t, row in message["rows"]:
+            by_device: dict[str, dict[int, float]] = {}
+            for name, n in row.items():
+                device, node = nodes[name]
+                by_device.setdefault(device, {})[node] = n
+            for device, part in by_device.items():
+                rows.setdefault(device, []).append((t, part))
+        for device, wanted in rows.items():
+            self._setpoints[device].append(wanted)
+            self._loops[device].wake()
+
+    def _on_zero(self, message: Message) -> None:
+        self._zero()
+        self._stopped = ""
+        self._event("zero", message["reason"])
+
+    def _on_mark(self, message: Message) -> None:
+        self._event(message["kind"], message["text"])
+
+    def _on_stop(self, message: Message) -> None:
+        self._end("asked to stop", unasked=False)
+
+    def _health(self) -> dict[str, PortHealth]:
+        return {name: loop.health() for name, loop in self._loops.items()}
+
+    def _zero(self) -> None:
+        for name, setpoints in self._setpoints.items():
+            setpoints.zero(time.monotonic())
+            self._loops[name].wake()
+
+    def _stop_thrust(self, reason: str) -> None:
+        """End thrust by our own decision and keep recording."""
+        self._stopped = reason
+        self._zero()
+        self._event("stop", reason)
+
+    def _event(self, kind: str, text: str) -> None:
+        t = self._clock.now()
+        self._sink.put(Item("", "", b"", t, [(Frame(Event(kind, text), t, NAN), t)]))
+
+    def _finish(self) -> None:
+        self._zero()
+        self._event("stop" if self._unasked else "end", self._end_reason)
+        if self._unasked:
+            until = time.monotonic() + RECORD_ON_S
+            while (left := until - time.monotonic()) > 0.0 and not self._writer.failure:
+                time.sleep(min(left, WRITE_S))
+        for loop in self._loops.values():
+            loop.end()
+        for loop in self._loops.values():
+            loop.join()
+        self._writer.end()
+        self._writer.join()
+        self._report()
+        with contextlib.suppress(OSError):  # nobody may be there to be told
+            why = self._writer.failure
+            self._link.send({"op": "failed", "why": why} if why else {"op": "closed", "why": self._end_reason})
+
+    def _report(self) -> None:
+        status = self._status()
+        for warning in status.warnings:
+            if warning not in self._said:
+                self._said.add(warning)
+                self._event("warning", warning)
+        try:
+            self._link.send({"op": "status", "status": to_json(status)})
+        except OSError:
+            self._end("the parent process is gone", unasked=True)
+
+    def _status(self) -> Status:
+        now = self._clock.now()
+        ports = {name: loop.status(now) for name, loop in self._loops.items()}
+        warnings = [f"{port.name} ({port.port}): {port.message}" for port in ports.values() if port.message]
+        if self._stopped:
+            warnings.append(f"thrust was stopped: {self._stopped}")
+        held = {name: setpoints.held for name, setpoints in self._setpoints.items()}
+        return Status(
+            t=now,
+            ports=ports,
+            latest={source: latest for loop in self._loops.values() for source, latest in loop.latest().items()},
+            commanded={t.name: held[t.device].get(t.node, 0.0) for t in self._rig.thrusters},
+            pending=sum(setpoints.pending for setpoints in self._setpoints.values()),
+            path=self._path,
+            bytes=self._writer.size,
+            messages=self._writer.messages,
+            duration=now - self._begun,
+            stopped=self._stopped or (self._end_reason if self._unasked else ""),
+            warnings=tuple(warnings),
+        )
+
+
+def main() -> None:
+    """Take the configuration from the parent, then run."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    link = Link(socket.socket(fileno=int(sys.argv[1])))
+    config = link.receive()
+    while not config:
+        config = link.receive()
+    begin = config[0]
+    clock = RunClock(begin["speed"], (begin["origin"][0], begin["origin"][1]))
+    rig = parse_rig(begin["rig_text"], Path(begin["rig_path"]))
+    attachments = {name: base64.b64decode(data) for name, data in begin["attachments"].items()}
+    try:
+        recorder = Recorder(
+            Path(begin["path"]), rig=rig, clock=clock, attachments=attachments, metadata=begin["metadata"]
+        )
+    except SeatrialError as error:
+        link.send({"op": "failed", "why": str(error)})
+        return
+    process = Process(link, rig, recorder, clock)
+    signal.signal(signal.SIGTERM, process.terminate)
+    # Threads take turns often enough for set-points a millisecond apart, and the collector has less to walk through.
+    sys.setswitchinterval(0.0005)
+    gc.freeze()
+    process.run()
+
+
+if __name__ == "__main__":
+    main()

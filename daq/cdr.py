@@ -1,0 +1,158 @@
+"""CDR (little endian, XCDR1) of the messages in daq/msg: layouts from the definitions, packing, unpacking.
+
+A message is a fixed-size part and then, for a few types, strings or bytes. The header's `frame_id` counts as fixed,
+since a channel never changes it; so one precompiled `struct` writes that part and one numpy dtype reads it.
+Source: OMG DDS-XTypes 1.3, 7.4.1 (PLAIN_CDR); alignment counts from behind the four encapsulation bytes.
+"""
+
+from __future__ import annotations
+
+import struct
+from functools import cache
+from importlib import resources
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+ENCAPSULATION = b"\x00\x01\x00\x00"
+NANO = 1_000_000_000
+_CODES = {
+    "int8": "b",
+    "uint8": "B",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "uint64": "Q",
+    "float64": "d",
+}
+_FRAME_LENGTH = 12  # where the length of frame_id stands, behind encapsulation and stamp
+HEAD = np.dtype(
+    {"names": ["endian", "n_frame"], "formats": ["<u2", "<u4"], "offsets": [0, _FRAME_LENGTH], "itemsize": 16}
+)
+
+
+class Field(NamedTuple):
+    """One flattened field: dotted name, primitive type, length (0: the message says)."""
+
+    name: str
+    primitive: str
+    length: int = 1
+
+    @property
+    def variable(self) -> bool:
+        """Whether its size differs from message to message."""
+        return self.primitive == "string" or self.length == 0
+
+
+@cache
+def definition(type_name: str) -> str:
+    """The text of a `package/msg/Name` from daq/msg."""
+    package, _, name = type_name.split("/")
+    return resources.files("daq").joinpath("msg", package, f"{name}.msg").read_text(encoding="utf-8")
+
+
+def _fields(type_name: str) -> list[tuple[str, str]]:
+    lines = (line.partition("#")[0] for line in definition(type_name).splitlines())
+    pairs = [line.split(maxsplit=1) for line in lines if line.strip() and "=" not in line]
+    return [(kind, name.strip()) for kind, name in pairs]
+
+
+def _nested(kind: str) -> str | None:
+    return "/msg/".join(kind.split("/")) if "/" in kind else None
+
+
+@cache
+def full_definition(type_name: str) -> str:
+    """The definition with all it depends on, as the `ros2msg` encoding wants it."""
+    parts, todo, seen = [definition(type_name)], [type_name], {type_name}
+    while todo:
+        for kind, _ in _fields(todo.pop(0)):
+            nested = _nested(kind)
+            if nested is not None and nested not in seen:
+                seen.add(nested)
+                todo.append(nested)
+                parts.append(f"{'=' * 80}\nMSG: {kind}\n{definition(nested)}")
+    return "".join(parts)
+
+
+def flatten(type_name: str, prefix: str = "") -> list[Field]:
+    """All fields of a type in wire order, nested ones with dotted names."""
+    found: list[Field] = []
+    for kind, name in _fields(type_name):
+        nested = _nested(kind)
+        base, bracket, size = kind.partition("[")
+        if nested is not None:
+            found += flatten(nested, f"{prefix}{name}.")
+        else:
+            found.append(Field(prefix + name, base, int(size.rstrip("]") or 0) if bracket else 1))
+    return found
+
+
+class Layout:
+    """How one message type looks on the wire for one `frame_id`.
+
+    `dtype` is the fixed part, encapsulation included; `tail` are the variable fields behind it.
+    """
+
+    def __init__(self, type_name: str, frame_id: bytes) -> None:
+        fields = flatten(type_name)
+        if [field.name for field in fields[:3]] != [
+            "header.stamp.sec",
+            "header.stamp.nanosec",
+            "header.frame_id",
+        ]:
+            raise ValueError(f"{type_name} does not begin with a header")
+        body = fields[3:]
+        n_fixed = next((i for i, field in enumerate(body) if field.variable), len(body))
+        self.type_name, self.fixed, self.tail = type_name, body[:n_fixed], body[n_fixed:]
+        frame = frame_id + b"\0"
+        names, formats, offsets = ["sec", "nanosec", "n_frame"], ["<i4", "<u4", "<u4"], [4, 8, 12]
+        code, end = f"<4siII{len(frame)}s", 16 + len(frame)
+        for field in self.fixed:
+            size = struct.calcsize(f"<{_CODES[field.primitive]}")
+            pad = -(end - len(ENCAPSULATION)) % size
+            code += f"{pad}x{field.length}{_CODES[field.primitive]}"
+            names.append(field.name)
+            numpy_code = f"<{_CODES[field.primitive]}" if size > 1 else _CODES[field.primitive]
+            formats.append(numpy_code if field.length == 1 else f"({field.length},){numpy_code}")
+            offsets.append(end + pad)
+            end += pad + size * field.length
+        self._struct, self._frame = struct.Struct(code), (len(frame), frame)
+        self.dtype = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": end})
+
+    def pack(self, stamp_ns: int, *values: float, tail: tuple[bytes, ...] = ()) -> bytes:
+        """One message: the fixed fields' values flat and in order, then the variable fields' bytes."""
+        sec, nanosec = divmod(stamp_ns, NANO)
+        message = self._struct.pack(ENCAPSULATION, sec, nanosec, *self._frame, *values)
+        for field, data in zip(self.tail, tail, strict=True):
+            text = data + b"\0" if field.primitive == "string" else data
+            message += b"\0" * (-len(message) % 4) + struct.pack("<I", len(text)) + text
+        return message
+
+    def unpack_tail(self, message: bytes | memoryview) -> tuple[bytes, ...]:
+        """The variable fields' bytes of one message. Raises ValueError where it is cut."""
+        found, at = [], self.dtype.itemsize
+        for field in self.tail:
+            at += -at % 4
+            if at + 4 > len(message):
+                raise ValueError("message is cut")
+            (length,) = struct.unpack_from("<I", message, at)
+            at += 4
+            if at + length > len(message):
+                raise ValueError("message is cut")
+            data = bytes(message[at : at + length])
+            found.append(data.removesuffix(b"\0") if field.primitive == "string" else data)
+            at += length
+        return tuple(found)
+
+
+@cache
+def layout(type_name: str, frame_id: bytes) -> Layout:
+    """The layout of a type for a frame_id (computed once)."""
+    return Layout(type_name, frame_id)
+
+
+def stamps(rows: NDArray[np.void]) -> NDArray[np.float64]:
+    """`header.stamp` of decoded rows as seconds since 1970, shape (n,)."""
+    return np.asarray(rows["sec"] + rows["nanosec"] / NANO, dtype=np.float64)

@@ -1,0 +1,170 @@
+"""Time: the run clock that every part shares, and device clocks mapped onto it.
+
+Run time is seconds since 1970 that never step: one reading of the wall clock, then the monotonic clock. Against
+mocks the run clock may go faster than the wall (`speed` run seconds a wall second); with real devices it is 1.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+
+Origin = tuple[float, float]
+
+
+class RunClock:
+    """Run seconds since 1970, monotonic. Another process given the same `origin` and `speed` agrees with it.
+
+    `origin` is (monotonic seconds, run seconds) of the same instant. The monotonic clock is that of the machine,
+    not of the process, so a plain tuple is all that two processes need to share.
+    """
+
+    def __init__(self, speed: float = 1.0, origin: Origin | None = None) -> None:
+        if not (math.isfinite(speed) and speed > 0.0):
+            raise ValueError(f"clock speed must be a positive number, not {speed}")
+        self.speed = speed
+        self.origin: Origin = (time.monotonic(), time.time()) if origin is None else (origin[0], origin[1])
+
+    def now(self) -> float:
+        """Run time now [s since 1970]."""
+        monotonic, run = self.origin
+        return run + (time.monotonic() - monotonic) * self.speed
+
+    def wall(self, dt_run: float) -> float:
+        """Wall seconds that `dt_run` run seconds take."""
+        return dt_run / self.speed
+
+    def sleep_until(self, t_run: float) -> None:
+        """Sleep until run time `t_run`; returns at once when it has passed."""
+        while (left := self.wall(t_run - self.now())) > 0.0:
+            time.sleep(left)
+
+
+class _Hull:
+    """Lower convex hull of (device time, offset) points that arrive in the order of device time."""
+
+    __slots__ = ("offset", "start", "x")
+
+    def __init__(self, start: float) -> None:
+        self.start = start  # device time of the first point
+        self.x: list[float] = []
+        self.offset: list[float] = []
+
+    def push(self, x: float, offset: float) -> None:
+        """Add the newest point; drops the points that no longer are on the lower hull. O(1) amortised."""
+        xs, ys = self.x, self.offset
+        while len(xs) > 1 and (ys[-1] - ys[-2]) * (x - xs[-2]) >= (offset - ys[-2]) * (xs[-1] - xs[-2]):
+            xs.pop()
+            ys.pop()
+        xs.append(x)
+        ys.append(offset)
+
+    def slope(self) -> float:
+        """Slope of the hull's segment over the middle of its window: the longest support there is."""
+        xs, ys = self.x, self.offset
+        middle = 0.5 * (xs[0] + xs[-1])
+        for i in range(1, len(xs)):
+            if xs[i] >= middle:
+                return (ys[i] - ys[i - 1]) / (xs[i] - xs[i - 1])
+        return 0.0
+
+
+class ClockMap:
+    """Maps a device's clock to run time, online, by the lower convex hull of (device time, delay).
+
+    A byte can arrive late, never early, so the true offset between both clocks runs along the lower edge of the
+    cloud of (receive time minus device time); averaging or least squares would keep the mean delay as a bias.
+    Two hulls of staggered age follow a slow change of skew; the older one answers (the switching convex hull
+    filter of Sikarwar and de Kok, "Convex hull filter" in cuckoo_time_translator, ETH Zurich). The smallest delay
+    itself cannot be told from an offset: it stays in the estimate.
+
+    A device that restarts, or whose clock jumps, starts a new map (`resets` counts them).
+    """
+
+    SKEW_MAX = 300e-6  # two crystals are closer than this; bounds what a short hull may believe
+    JUMP = 0.5  # s, device time ahead of the map by more: its clock was set
+    LATE = 1.0  # s, behind the map by more, for LATE_FOR: its clock was stopped or set back
+    LATE_FOR = 10.0
+
+    def __init__(self, window: float = 100.0) -> None:
+        self.window = window
+        self.resets = 0
+        self._old: _Hull | None = None
+        self._young: _Hull | None = None
+        self._last_device = -math.inf
+        self._last_run = -math.inf
+        self._late_since = math.inf
+        self._skew = 0.0
+        self._base = 0.0  # offset of the line at device time zero of the map
+        self._zero = 0.0  # device time of the map's first point
+        self._first_offset = 0.0
+        self._count = 0
+        self._mean = 0.0
+        self._m2 = 0.0
+
+    def update(self, t_device: float, t_rx: float) -> float:
+        """Take one message's times [s] and return its estimated run time, never above `t_rx`, never decreasing.
+
+        A device time that is not finite gives `t_rx` and leaves the map alone.
+        """
+        if not math.isfinite(t_device):
+            return t_rx
+        if self._old is not None and self._jumped(t_device, t_rx):
+            self._old = self._young = None
+            self.resets += 1
+        if t_device > self._last_device or self._old is None:
+            self._push(t_device, t_rx)
+        self._last_device = t_device
+        x = t_device - self._zero
+        t = min(t_device + self._base + self._skew * x, t_rx)
+        t = min(max(t, self._last_run), t_rx)
+        self._last_run = t
+        self._note(t_rx - t)
+        return t
+
+    @property
+    def bias(self) -> float:
+        """Mean of receive time minus estimated time [s] since the last `forget_statistics`."""
+        return self._mean if self._count else math.nan
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of receive time minus estimated time [s]."""
+        return math.sqrt(self._m2 / (self._count - 1)) if self._count > 1 else math.nan
+
+    def forget_statistics(self) -> None:
+        """Start `bias` and `spread` anew; the map stays."""
+        self._count, self._mean, self._m2 = 0, 0.0, 0.0
+
+    def _jumped(self, t_device: float, t_rx: float) -> bool:
+        late = t_rx - (t_device + self._base + self._skew * (t_device - self._zero))
+        if t_device < self._last_device or late < -self.JUMP:
+            return True
+        if late < self.LATE:
+            self._late_since = math.inf
+        elif t_rx - self._late_since > self.LATE_FOR:
+            return True
+        else:
+            self._late_since = min(self._late_since, t_rx)
+        return False
+
+    def _push(self, t_device: float, t_rx: float) -> None:
+        if self._old is None or self._young is None:
+            # Offsets are taken relative to the first point, so that doubles keep their digits.
+            self._zero, self._first_offset = t_device, t_rx - t_device
+            self._late_since = math.inf
+            self._old, self._young = _Hull(0.0), _Hull(0.0)
+        x, offset = t_device - self._zero, t_rx - t_device - self._first_offset
+        if x - self._young.start > 0.5 * self.window:
+            self._old, self._young = self._young, _Hull(x)
+        self._old.push(x, offset)
+        self._young.push(x, offset)
+        skew = min(max(self._old.slope(), -self.SKEW_MAX), self.SKEW_MAX)
+        lowest = min(y - skew * x for x, y in zip(self._old.x, self._old.offset, strict=True))
+        self._skew, self._base = skew, lowest + self._first_offset
+
+    def _note(self, delay: float) -> None:
+        self._count += 1
+        step = delay - self._mean
+        self._mean += step / self._count
+        self._m2 += step * (delay - self._mean)

@@ -1,0 +1,19 @@
+"""The errors that a user is meant to read."""
+
+from __future__ import annotations
+
+
+class SeatrialError(Exception):
+    """The work failed for a reason that the user can act on.
+
+    The message is ONE clear line: what failed, where, and what to do about it. The front door prints it after
+    `seatrial: ` and leaves with `exit_status`; a part that has more to say derives a class of its own.
+    """
+
+    exit_status = 1
+
+
+class SafetyStop(SeatrialError):
+    """A safety limit ended the run: the thrusters are at zero and the log so far is kept."""
+
+    exit_status = 3

@@ -1,0 +1,88 @@
+"""What a log holds, as tables for people: `seatrial info`."""
+
+from __future__ import annotations
+
+import math
+from datetime import UTC, datetime
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from daq.errors import SeatrialError
+from daq.log import Log
+from daq.samples import PortHealth, Scalar
+
+MAX_EVENTS = 40
+_ABOUT = ("rig", "operator", "host", "git", "command_line", "speed", "import.map")
+
+
+def show(log: Log, console: Console) -> None:
+    """Print duration, topics with rates, health counters, events and warnings."""
+    state = "complete" if log.complete else "cut off"
+    begin = datetime.fromtimestamp(log.start, UTC).isoformat(sep=" ", timespec="milliseconds")
+    console.print(f"[bold]{escape(str(log.path))}[/]  {log.path.stat().st_size / 1e6:.2f} MB, {state}")
+    console.print(f"from {begin}, {log.duration:.3f} s, {sum(log.counts.values())} messages")
+    for key in _ABOUT:
+        if log.metadata.get(key):
+            console.print(f"  {key}: {escape(log.metadata[key])}")
+    for name, data in log.attachments.items():
+        console.print(f"  attached: {escape(name)} ({len(data)} bytes)")
+    console.print(_topics(log))
+    if log.sources(PortHealth):
+        console.print(_health(log))
+    _events(log, console)
+    for warning in log.warnings:
+        console.print(f"[bold]warning:[/] {escape(warning)}")
+
+
+def _topics(log: Log) -> Table:
+    table = Table("topic", "type", "messages", "rate [Hz]", "longest gap [s]", "", title_justify="left")
+    for column in table.columns[2:5]:
+        column.justify = "right"
+    signals = {f"/signal/{name}": name for name in log.sources(Scalar)}
+    for topic, type_name in log.types().items():
+        rate, gap = log.rate_and_gap(topic)
+        note = ""
+        if topic in signals:
+            name = signals[topic]
+            note = f"{log.role(name)} [{log.unit(name)}], hold {log.hold(name)}"
+        count = str(log.counts[topic])
+        table.add_row(escape(topic), type_name, count, _number(rate, 2), _number(gap, 4), escape(note))
+    return table
+
+
+def _health(log: Log) -> Table:
+    heads = ("port", "bytes in", "frames", "checksum errors", "unparsed bytes", "dropped", "reconnects", "delay [ms]")
+    table = Table("device", *heads)
+    for column in table.columns[2:]:
+        column.justify = "right"
+    for device in log.sources(PortHealth):
+        _, last = log.health(device)[-1]
+        counters = (
+            last.bytes_in,
+            last.frames,
+            last.checksum_errors,
+            last.unparsed_bytes,
+            last.dropped,
+            last.reconnects,
+        )
+        delay = f"{_number(last.clock_bias * 1e3, 2)} ± {_number(last.clock_spread * 1e3, 2)}"
+        table.add_row(device, escape(last.port), *(str(counter) for counter in counters), delay)
+    return table
+
+
+def _events(log: Log, console: Console) -> None:
+    try:
+        events = log.events()
+    except SeatrialError as error:
+        console.print(f"[bold]warning:[/] {escape(str(error))}")
+        return
+    for t, kind, text in events[:MAX_EVENTS]:
+        console.print(f"{t - log.start:10.3f} s  [bold]{escape(kind)}[/]  {escape(text)}")
+    if len(events) > MAX_EVENTS:
+        console.print(f"... and {len(events) - MAX_EVENTS} more events")
+
+
+def _number(value: float, digits: int) -> str:
+    return "-" if math.isnan(value) else f"{value:.{digits}f}"

@@ -1,0 +1,65 @@
+"""slcan: CAN frames as lines of text on a serial port (Lawicel CAN232, canable, usb-can adapters).
+
+Our own rather than python-can's: that one reads byte by byte, fails on one byte that is not ASCII until its buffer
+is thrown away, and takes a line that lost a character for a frame. Here a line whose length does not fit its
+length digit is no frame, and every byte that is in no frame is counted.
+"""
+
+from __future__ import annotations
+
+import re
+
+from daq.protocol.framing import StreamDecoder
+from daq.protocol.vesc import CAN_FRAME, EXTENDED
+
+BITRATES = {
+    10_000: "S0", 20_000: "S1", 50_000: "S2", 100_000: "S3", 125_000: "S4",
+    250_000: "S5", 500_000: "S6", 750_000: "S7", 1_000_000: "S8",
+}  # fmt: skip
+_LINE_MAX = 1 + 8 + 1 + 16 + 4  # T, identifier, length, data, time stamp
+_NOT_HEX = re.compile(rb"[^0-9A-Fa-f]")
+
+
+class Decoder(StreamDecoder[bytes]):
+    """Lines -> 16-byte `struct can_frame`s, of data frames with identifiers of 29 (`T`) and 11 bits (`t`).
+
+    The adapter's acknowledgements are passed over. A time stamp behind the data is ignored: it wraps each minute.
+    """
+
+    sync = re.compile(rb"[Tt]")
+    between = b"\r\n\azZ"
+
+    def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
+        digits = 8 if buffer[start] == ord("T") else 3
+        stop = _NOT_HEX.search(buffer, start + 1, start + _LINE_MAX + 1)
+        if stop is None:
+            return 0 if len(buffer) < start + _LINE_MAX + 1 else -1
+        end = stop.start()
+        if buffer[end] not in b"\r\n" or end < start + 2 + digits:
+            return -1
+        data_at = start + 2 + digits
+        length = int(buffer[data_at - 1 : data_at], 16)
+        if length > 8 or end - data_at not in (2 * length, 2 * length + 4):
+            return -1
+        identifier = int(buffer[start + 1 : data_at - 1], 16)
+        if identifier >= 1 << (29 if digits == 8 else 11):
+            return -1
+        data = bytes.fromhex(buffer[data_at : data_at + 2 * length].decode("ascii"))
+        self.frames += 1
+        self._out.append(CAN_FRAME.pack(identifier | EXTENDED if digits == 8 else identifier, length, data))
+        return end + 1 - start
+
+
+def encode(arbitration_id: int, data: bytes) -> bytes:
+    """A data frame with a 29-bit identifier."""
+    return b"T%08X%d%b\r" % (arbitration_id, len(data), data.hex().upper().encode("ascii"))
+
+
+def open_channel(bitrate: int) -> bytes:
+    """What opens the channel at `bitrate`, closing it first; ValueError if slcan has no such bit rate."""
+    if bitrate not in BITRATES:
+        raise ValueError(f"slcan has no bit rate {bitrate}; it has {', '.join(map(str, BITRATES))}")
+    return f"\rC\r{BITRATES[bitrate]}\rO\r".encode("ascii")
+
+
+CLOSE_CHANNEL = b"C\r"

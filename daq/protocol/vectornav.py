@@ -1,0 +1,217 @@
+"""VectorNav VN-100/200/300: ASCII sentences and binary messages.
+
+Source: VN-100 User Manual UM001 (and VN-300 UM005): asynchronous ASCII outputs, "Binary Output Messages" with the
+tables of groups 1 to 7. On the wire angles are degrees in ASCII and binary alike, magnetic fields Gauss; the
+quaternion has its scalar last. Acceleration is specific force in body axes (FRD): at rest about (0, 0, -9.8).
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+import struct
+from typing import NamedTuple
+
+from daq.protocol.framing import StreamDecoder, crc16, sentence, take_sentence
+from daq.samples import NAN, Ahrs, Frame
+
+SYNC = 0xFA
+GAUSS = 1e-4  # T
+DEG = math.pi / 180.0
+
+# Bytes of each field, bit 0 first; 0 where the manual has no field: a message that asks for one is no message.
+GROUP_FIELDS: tuple[tuple[int, ...], ...] = (
+    (8, 8, 8, 12, 16, 12, 24, 12, 12, 24, 20, 28, 2, 4, 8),  # 1 common
+    (8, 8, 8, 2, 8, 8, 8, 4, 4, 1),  # 2 time
+    (2, 12, 12, 12, 4, 4, 16, 12, 12, 12, 12, 2),  # 3 IMU
+    (8, 8, 2, 1, 1, 24, 24, 12, 12, 12, 4, 4, 2, 28),  # 4 GNSS
+    (2, 12, 16, 36, 12, 12, 12, 12, 12, 12, 28, 24),  # 5 attitude
+    (2, 24, 24, 12, 12, 12, 12, 12, 12, 4, 4),  # 6 INS
+    (8, 8, 2, 1, 1, 24, 24, 12, 12, 12, 4, 4, 2, 28),  # 7 GNSS 2
+)
+# What is kept: (group, bit) -> (what, offset in the field). Where a message carries one thing twice (compensated
+# and uncompensated), the earlier line wins.
+KEPT: tuple[tuple[int, int, str, int], ...] = (
+    (0, 0, "startup", 0), (1, 0, "startup", 0),
+    (0, 3, "ypr", 0), (4, 1, "ypr", 0),
+    (0, 4, "quaternion", 0), (4, 2, "quaternion", 0),
+    (0, 5, "rate", 0), (2, 10, "rate", 0), (0, 9, "rate", 12), (2, 3, "rate", 0),
+    (0, 8, "accel", 0), (2, 9, "accel", 0), (0, 9, "accel", 0), (2, 2, "accel", 0),
+    (0, 10, "mag", 0), (2, 8, "mag", 0), (2, 1, "mag", 0),
+)  # fmt: skip
+_FORMAT = {"startup": "<Q", "ypr": "<3f", "quaternion": "<4f", "rate": "<3f", "accel": "<3f", "mag": "<3f"}
+
+# Sentence -> its leading fields; more may follow (temperature, pressure, counters).
+ASCII_FIELDS: dict[bytes, tuple[tuple[str, int], ...]] = {
+    b"VNYMR": (("ypr", 3), ("mag", 3), ("accel", 3), ("rate", 3)),
+    b"VNQMR": (("quaternion", 4), ("mag", 3), ("accel", 3), ("rate", 3)),
+    b"VNIMU": (("mag", 3), ("accel", 3), ("rate", 3)),
+    b"VNMAR": (("mag", 3), ("accel", 3), ("rate", 3)),
+    b"VNYPR": (("ypr", 3),),
+    b"VNQTN": (("quaternion", 4),),
+}
+_NUMBER = re.compile(rb"[+-]?\d+(\.\d*)?\Z")
+
+Values = dict[str, tuple[float, ...]]
+
+
+class Layout(NamedTuple):
+    """Where things are in a binary message: header and total length, and (what, struct, offset) of what is kept."""
+
+    header: int
+    length: int
+    fields: tuple[tuple[str, struct.Struct, int], ...]
+
+
+@functools.lru_cache(maxsize=256)
+def layout(header: bytes) -> Layout | None:
+    """Layout of the message whose bytes after the sync byte are `header` (groups, then a word for each).
+
+    None if the header asks for a field that does not exist, or for none at all.
+    """
+    places: dict[tuple[int, int], int] = {}
+    offset = 1 + len(header)
+    words = iter(struct.unpack(f"<{(len(header) - 1) // 2}H", header[1:]))
+    for group, fields in enumerate(GROUP_FIELDS):
+        if header[0] >> group & 1:
+            word = next(words)
+            for bit in range(16):
+                if word >> bit & 1:
+                    if bit >= len(fields):
+                        return None
+                    places[group, bit] = offset
+                    offset += fields[bit]
+    if not places:
+        return None
+    kept: dict[str, tuple[str, struct.Struct, int]] = {}
+    for group, bit, what, inside in KEPT:
+        if (group, bit) in places and what not in kept:
+            kept[what] = (what, struct.Struct(_FORMAT[what]), places[group, bit] + inside)
+    return Layout(1 + len(header), offset + 2, tuple(kept.values()))
+
+
+class Decoder(StreamDecoder[Frame]):
+    """ASCII and binary, mixed with each other and with anything else. Samples are `Ahrs`.
+
+    `t_device` is TimeStartup [s] where a binary message carries it, NaN otherwise.
+    """
+
+    sync = re.compile(rb"[$\xfa]")
+
+    def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
+        return (
+            self._take_binary(buffer, start, t_rx) if buffer[start] == SYNC else self._take_ascii(buffer, start, t_rx)
+        )
+
+    def _take_binary(self, buffer: bytearray, start: int, t_rx: float) -> int:
+        if len(buffer) < start + 2:
+            return 0
+        groups = buffer[start + 1]
+        if groups == 0 or groups & 0x80:
+            return -1
+        header_end = start + 2 + 2 * groups.bit_count()
+        if len(buffer) < header_end:
+            return 0
+        found = layout(bytes(buffer[start + 1 : header_end]))
+        if found is None:
+            return -1
+        if len(buffer) < start + found.length:
+            return 0
+        message = bytes(buffer[start : start + found.length])
+        if crc16(message[1:]) != 0:  # the CRC over a message and its CRC is zero
+            self.checksum_errors += 1
+            return -1
+        self.frames += 1
+        values: Values = {what: form.unpack_from(message, at) for what, form, at in found.fields}
+        t_device = values.pop("startup", (NAN,))[0] * 1e-9
+        if values:
+            self._out.append(Frame(_ahrs(values), t_rx, t_device))
+        return found.length
+
+    def _take_ascii(self, buffer: bytearray, start: int, t_rx: float) -> int:
+        length, body, bad = take_sentence(buffer, start)
+        self.checksum_errors += bad
+        if body is None:
+            return length
+        words = body.split(b",")
+        fields = ASCII_FIELDS.get(words[0])
+        if fields is not None:
+            values = _numbers(words[1:], fields)
+            if values is None:
+                return -1
+            self._out.append(Frame(_ahrs(values), t_rx, NAN))
+        self.frames += 1
+        return length
+
+
+def _numbers(words: list[bytes], fields: tuple[tuple[str, int], ...]) -> Values | None:
+    """The words as numbers by name; None where one is missing or none."""
+    values: Values = {}
+    at = 0
+    for what, count in fields:
+        part = words[at : at + count]
+        if len(part) < count or not all(_NUMBER.match(word) for word in part):
+            return None
+        values[what] = tuple(map(float, part))
+        at += count
+    return values
+
+
+_NAN3 = (NAN, NAN, NAN)
+
+
+def _ahrs(values: Values) -> Ahrs:
+    if "ypr" in values:
+        yaw, pitch, roll = (angle * DEG for angle in values["ypr"])
+    elif "quaternion" in values:
+        yaw, pitch, roll = _angles(*values["quaternion"])
+    else:
+        yaw, pitch, roll = _NAN3
+    p, q, r = values.get("rate", _NAN3)
+    ax, ay, az = values.get("accel", _NAN3)
+    mx, my, mz = (b * GAUSS for b in values.get("mag", _NAN3))
+    return Ahrs(yaw, pitch, roll, p, q, r, ax, ay, az, mx, my, mz)
+
+
+def _angles(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
+    """Yaw, pitch, roll [rad] of a quaternion with its scalar last (UM001, attitude transformations)."""
+    yaw = math.atan2(2.0 * (x * y + w * z), w * w + x * x - y * y - z * z)
+    pitch = math.asin(min(max(-2.0 * (x * z - w * y), -1.0), 1.0))
+    roll = math.atan2(2.0 * (y * z + w * x), w * w - x * x - y * y + z * z)
+    return yaw, pitch, roll
+
+
+def encode_ascii(ahrs: Ahrs) -> bytes:
+    """`ahrs` as $VNYMR, rounded as the device rounds it. NaN is sent as zero: the sentence has no void field."""
+    yaw, pitch, roll = (_or_zero(angle) / DEG for angle in (ahrs.yaw, ahrs.pitch, ahrs.roll))
+    mag = [_or_zero(b) / GAUSS for b in (ahrs.mx, ahrs.my, ahrs.mz)]
+    accel = [_or_zero(a) for a in (ahrs.ax, ahrs.ay, ahrs.az)]
+    rate = [_or_zero(w) for w in (ahrs.p, ahrs.q, ahrs.r)]
+    words = [f"{angle:+08.3f}" for angle in (yaw, pitch, roll)]
+    words += [f"{b:+08.4f}" for b in mag] + [f"{a:+07.3f}" for a in accel] + [f"{w:+010.6f}" for w in rate]
+    return sentence("VNYMR," + ",".join(words))
+
+
+# Common group: TimeStartup, YawPitchRoll, AngularRate, Accel, and MagPres where there is a field to send.
+_BINARY = (1 << 0) | (1 << 3) | (1 << 5) | (1 << 8)
+_BINARY_MAG = _BINARY | (1 << 10)
+
+
+def encode_binary(ahrs: Ahrs, t_device: float) -> bytes:
+    """`ahrs` as a binary message of the common group, sent at `t_device` [s, since the device's start, >= 0].
+
+    Carries the magnetic field (in MagPres, temperature and pressure zero) unless it is NaN.
+    """
+    with_mag = not math.isnan(ahrs.mx)
+    body = struct.pack("<BH", 1, _BINARY_MAG if with_mag else _BINARY)
+    body += struct.pack("<Q", round(t_device * 1e9))
+    body += struct.pack("<3f", ahrs.yaw / DEG, ahrs.pitch / DEG, ahrs.roll / DEG)
+    body += struct.pack("<6f", ahrs.p, ahrs.q, ahrs.r, ahrs.ax, ahrs.ay, ahrs.az)
+    if with_mag:
+        body += struct.pack("<5f", ahrs.mx / GAUSS, ahrs.my / GAUSS, ahrs.mz / GAUSS, 0.0, 0.0)
+    return bytes([SYNC]) + body + struct.pack(">H", crc16(body))
+
+
+def _or_zero(value: float) -> float:
+    return 0.0 if math.isnan(value) else value

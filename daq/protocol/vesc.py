@@ -1,0 +1,170 @@
+"""VESC speed controllers on CAN: status frames to `Esc`, duty commands to frames.
+
+Source: vedderb/bldc, documentation/comm_can.md. Identifiers are 29 bits: packet << 8 | controller. The signals stand
+in vesc.dbc. Raw CAN is logged as SocketCAN's 16-byte `struct can_frame`, and that is what `Decoder.feed` takes.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import struct
+from pathlib import Path
+from typing import Any
+
+from daq.samples import NAN, Esc, Frame
+
+SET_DUTY, STATUS_1, STATUS_4, STATUS_5 = 0, 9, 16, 27  # packets: bits 8 to 15 of the identifier
+EXTENDED = 0x8000_0000  # CAN_EFF_FLAG
+REMOTE = 0x4000_0000  # CAN_RTR_FLAG
+ERROR = 0x2000_0000  # CAN_ERR_FLAG
+CAN_FRAME = struct.Struct("=IB3x8s")
+FRAME_BYTES = CAN_FRAME.size
+STALE = 2.0  # s; temperature and voltage come in frames of their own and are not repeated for longer than this
+
+
+@functools.cache
+def _messages() -> dict[int, Any]:
+    """DBC messages by packet."""
+    import cantools  # takes a while to import, and only CAN needs it
+
+    database = cantools.database.load_file(Path(__file__).with_name("vesc.dbc"))
+    return {message.frame_id >> 8: message for message in database.messages}  # type: ignore[union-attr]
+
+
+def pack_can(arbitration_id: int, data: bytes) -> bytes:
+    """A CAN frame with a 29-bit identifier as the 16 bytes of `struct can_frame`."""
+    return CAN_FRAME.pack(arbitration_id | EXTENDED, len(data), data)
+
+
+def unpack_can(frame: bytes) -> tuple[int, bytes] | None:
+    """Identifier and data of a `struct can_frame`; None if it is no data frame with a 29-bit identifier."""
+    word, length, data = CAN_FRAME.unpack(frame)
+    if not word & EXTENDED or word & (REMOTE | ERROR):
+        return None
+    return word & ~EXTENDED, data[:length]
+
+
+class Decoder:
+    """Status frames -> `Esc`, one sample for each STATUS 1; current, duty and rpm are of that frame.
+
+    Temperature (STATUS 4) and voltage (STATUS 5) are the newest heard, NaN when older than `STALE`. `pole_pairs` says
+    which controllers there are; frames of others are counted in `other_nodes` and otherwise left alone. The rpm and
+    duty of `reversed_nodes` change their sign, as their commands do: positive is ahead.
+    """
+
+    def __init__(self, pole_pairs: dict[int, int], reversed_nodes: frozenset[int] = frozenset()) -> None:
+        _messages()  # loads the DBC now, not when the first frame has come
+        self.frames = 0
+        self.checksum_errors = 0  # CAN checks in hardware; kept for the table
+        self.unparsed_bytes = 0
+        self.other_nodes: dict[int, int] = {}
+        self._pole_pairs = dict(pole_pairs)
+        self._reversed = reversed_nodes
+        self._temperature: dict[int, tuple[float, float]] = {}  # node -> (value, t_rx)
+        self._voltage: dict[int, tuple[float, float]] = {}
+        self._buffer = bytearray()
+
+    def feed(self, data: bytes, t_rx: float) -> list[Frame]:
+        """Take raw CAN as logged: 16-byte `struct can_frame`s, in any pieces."""
+        self._buffer += data
+        whole = len(self._buffer) - len(self._buffer) % FRAME_BYTES
+        out: list[Frame] = []
+        for at in range(0, whole, FRAME_BYTES):
+            raw = bytes(self._buffer[at : at + FRAME_BYTES])
+            if raw[4] > 8:  # the length: this is no CAN frame
+                self.unparsed_bytes += FRAME_BYTES
+            elif (frame := unpack_can(raw)) is not None:
+                out += self.feed_frame(*frame, t_rx)
+        del self._buffer[:whole]
+        return out
+
+    def feed_frame(self, arbitration_id: int, data: bytes, t_rx: float) -> list[Frame]:
+        """Take one received frame with a 29-bit identifier."""
+        node, packet = arbitration_id & 0xFF, arbitration_id >> 8
+        if packet not in (STATUS_1, STATUS_4, STATUS_5):
+            return []
+        message = _messages()[packet]
+        if len(data) < message.length - 2 * (packet == STATUS_5):  # STATUS 5 was 6 bytes in older firmware
+            self.unparsed_bytes += FRAME_BYTES
+            return []
+        self.frames += 1
+        if node not in self._pole_pairs:
+            self.other_nodes[node] = self.other_nodes.get(node, 0) + 1
+            return []
+        values = message.decode(data.ljust(8, b"\0"), decode_choices=False)
+        if packet == STATUS_4:
+            self._temperature[node] = (float(values["temperature"]), t_rx)
+        elif packet == STATUS_5:
+            self._voltage[node] = (float(values["voltage"]), t_rx)
+        else:
+            return [Frame(self._esc(node, values, t_rx), t_rx, NAN)]
+        return []
+
+    def reset(self) -> None:
+        """Forget a half-read frame and what was heard (the port was reopened). Counters stay."""
+        self.unparsed_bytes += len(self._buffer)
+        self._buffer.clear()
+        self._temperature.clear()
+        self._voltage.clear()
+
+    def _esc(self, node: int, values: dict[str, float], t_rx: float) -> Esc:
+        sign = -1.0 if node in self._reversed else 1.0
+        return Esc(
+            node=node,
+            rpm=sign * values["erpm"] / self._pole_pairs[node],
+            current=float(values["current"]),
+            duty=sign * values["duty"],
+            voltage=_fresh(self._voltage.get(node), t_rx),
+            temperature=_fresh(self._temperature.get(node), t_rx),
+        )
+
+
+def _fresh(heard: tuple[float, float] | None, t_rx: float) -> float:
+    return heard[0] if heard is not None and t_rx - heard[1] <= STALE else NAN
+
+
+def encode_status(esc: Esc, pole_pairs: int) -> list[tuple[int, bytes]]:
+    """The frames (identifier, data) of a controller in state `esc`: STATUS 1, and 4 and 5 for what is not NaN."""
+    frames = [_encode(STATUS_1, esc.node, erpm=_or_zero(esc.rpm) * pole_pairs, current=esc.current, duty=esc.duty)]
+    if not math.isnan(esc.temperature):
+        frames.append(
+            _encode(
+                STATUS_4,
+                esc.node,
+                temperature=esc.temperature,
+                temperature_motor=-38.0,
+                current_in=0.0,
+                pid_position=0.0,
+            )
+        )
+    if not math.isnan(esc.voltage):
+        frames.append(_encode(STATUS_5, esc.node, tachometer=0.0, voltage=esc.voltage))
+    return frames
+
+
+def encode_duty(node: int, n: float) -> tuple[int, bytes]:
+    """The frame (identifier, data) that tells controller `node` the duty `n`, -1..1; ValueError if it is outside."""
+    if not -1.0 <= n <= 1.0:
+        raise ValueError(f"a duty is between -1 and 1, not {n}")
+    return _encode(SET_DUTY, node, duty=n)
+
+
+def decode_command(arbitration_id: int, data: bytes) -> tuple[int, float] | None:
+    """Controller and duty of a command frame; None if the frame is none."""
+    if arbitration_id >> 8 != SET_DUTY or len(data) < 4:
+        return None
+    return arbitration_id & 0xFF, float(_messages()[SET_DUTY].decode(data[:4])["duty"])
+
+
+def _encode(packet: int, node: int, **values: float) -> tuple[int, bytes]:
+    message = _messages()[packet]
+    held = {}
+    for signal in message.signals:  # a value that does not fit is sent as the nearest that does
+        limit = (1 << signal.length - 1) - 1
+        held[signal.name] = min(max(_or_zero(values[signal.name]), -limit * signal.scale), limit * signal.scale)
+    return packet << 8 | node, bytes(message.encode(held, strict=False)).ljust(message.length, b"\0")
+
+
+def _or_zero(value: float) -> float:
+    return 0.0 if math.isnan(value) else value

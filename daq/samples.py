@@ -1,0 +1,119 @@
+"""The typed measurements: what a device said, in SI units and radians, one class a kind.
+
+Frames: body axes are forward, starboard, down (FRD); the local frame is north, east, down (NED);
+yaw is positive clockwise seen from above, zero at true north. Latitude and longitude are the one
+exception to radians: degrees, as in every GNSS message and in ``sensor_msgs/NavSatFix``.
+A value that the device did not report is NaN (or -1 for a count).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+NAN = float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class Ahrs:
+    """Attitude, body rates, specific force and magnetic field of an AHRS or IMU."""
+
+    yaw: float  # rad, NED
+    pitch: float  # rad
+    roll: float  # rad
+    p: float = NAN  # rad/s, body rates
+    q: float = NAN
+    r: float = NAN
+    ax: float = NAN  # m/s2, specific force (at rest and level: 0, 0, -9.81)
+    ay: float = NAN
+    az: float = NAN
+    mx: float = NAN  # T
+    my: float = NAN
+    mz: float = NAN
+
+
+@dataclass(frozen=True, slots=True)
+class Gnss:
+    """One epoch of a GNSS receiver."""
+
+    utc: float  # s since 1970-01-01 UTC
+    lat: float  # deg
+    lon: float  # deg
+    alt: float = NAN  # m above mean sea level
+    vel_n: float = NAN  # m/s over ground
+    vel_e: float = NAN
+    vel_d: float = NAN
+    fix: int = 0  # 0 none, 1 dead reckoning, 2 2D, 3 3D, 4 differential, 5 RTK fixed, 6 RTK float
+    n_sat: int = -1
+    hdop: float = NAN
+    sigma_h: float = NAN  # m, standard deviation of the horizontal position per axis
+
+
+@dataclass(frozen=True, slots=True)
+class Esc:
+    """State of one thruster's speed controller."""
+
+    node: int  # controller id on the bus
+    rpm: float = NAN  # rev/min of the shaft (pole pairs taken out), signed
+    current: float = NAN  # A, motor
+    duty: float = NAN  # -1..1
+    voltage: float = NAN  # V, supply
+    temperature: float = NAN  # deg C, controller
+
+
+@dataclass(frozen=True, slots=True)
+class LoadCell:
+    """One reading of a load cell. ``force`` follows from counts by the rig's calibration."""
+
+    counts: float  # raw, as sent
+    force: float = NAN  # N, along the thrust axis, positive for thrust ahead
+    flags: int = 0  # bit 0 saturated, bit 1 spike
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What a thruster was told, at the moment the frame left."""
+
+    node: int
+    n_cmd: float  # normalised shaft speed or duty, -1..1, sign as in the rig (positive ahead)
+
+
+@dataclass(frozen=True, slots=True)
+class Scalar:
+    """One named signal, from an imported file; the topic carries its name, the channel its unit."""
+
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened: a plan's step, a tare, a stop and its reason."""
+
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class PortHealth:
+    """Counters of one port since the start of the log."""
+
+    port: str
+    bytes_in: int
+    frames: int
+    checksum_errors: int
+    unparsed_bytes: int
+    dropped: int
+    reconnects: int
+    clock_bias: float  # s, mean of receive time minus estimated sample time
+    clock_spread: float  # s
+
+
+Sample = Ahrs | Gnss | Esc | LoadCell | Command | Scalar | Event | PortHealth
+
+
+class Frame(NamedTuple):
+    """A decoded sample with its times; ``Decoder.feed`` yields these."""
+
+    sample: Sample
+    t_rx: float  # s, run time at which the last byte's read returned
+    t_device: float  # s, the device's own clock (any origin), NaN when it has none

@@ -1,0 +1,98 @@
+"""Set-points of the thrusters on one bus: when to send which, and when to send it again. Reads no clock.
+
+Thread-safe: the control thread appends and zeroes, the port's thread asks what is due.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from collections.abc import Iterable
+from typing import NamedTuple
+
+REPEAT_S = 0.020  # wall
+ZERO_FOR_S = 0.5  # wall; zero is repeated for so long, since one frame may be lost
+
+
+class Due(NamedTuple):
+    """One frame to send. `fresh` is False for a repetition."""
+
+    node: int
+    n: float
+    fresh: bool
+
+
+class Setpoints:
+    """A schedule of rows (run time, {node: n}) and the set-points that hold now."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._rows: deque[tuple[float, dict[int, float]]] = deque()
+        self._held: dict[int, float] = {}
+        self._zeroed: set[int] = set()  # nodes that must be told zero at once
+        self._next_repeat = -math.inf
+        self._repeat_until = -math.inf
+        self.skipped = 0  # set-points that were overtaken by a later one before they could be sent
+
+    def append(self, rows: Iterable[tuple[float, dict[int, float]]]) -> None:
+        """Add set-points; rows may come in any order of time."""
+        with self._lock:
+            merged = [*self._rows, *((t, dict(row)) for t, row in rows)]
+            merged.sort(key=lambda item: item[0])  # stable: of two rows at one time the later appended one counts
+            self._rows = deque(merged)
+
+    def zero(self, now_wall: float) -> None:
+        """Clear the schedule; every thruster ever told anything is told zero at once, and for a while."""
+        with self._lock:
+            self._rows.clear()
+            self._held = dict.fromkeys(self._held, 0.0)
+            self._zeroed = set(self._held)
+            self._repeat_until = now_wall + ZERO_FOR_S
+
+    @property
+    def active(self) -> bool:
+        """Whether thrust is commanded, or will be."""
+        with self._lock:
+            return self._active()
+
+    @property
+    def pending(self) -> int:
+        """Rows that have not been sent."""
+        return len(self._rows)
+
+    @property
+    def held(self) -> dict[int, float]:
+        """What each node was told last."""
+        with self._lock:
+            return dict(self._held)
+
+    def due(self, now_run: float, now_wall: float) -> list[Due]:
+        """What to send now; the schedule moves on."""
+        with self._lock:
+            fresh: dict[int, float] = dict.fromkeys(self._zeroed, 0.0)
+            self._zeroed = set()
+            while self._rows and self._rows[0][0] <= now_run:
+                _, row = self._rows.popleft()
+                self.skipped += len(fresh.keys() & row.keys())
+                fresh |= row
+            self._held |= fresh
+            if fresh or self._active():
+                self._repeat_until = now_wall + ZERO_FOR_S
+            out = [Due(node, n, True) for node, n in fresh.items()]
+            if now_wall >= self._next_repeat and now_wall < self._repeat_until:
+                out += [Due(node, n, False) for node, n in self._held.items() if node not in fresh]
+                self._next_repeat = now_wall + REPEAT_S
+            return out
+
+    def wait(self, now_run: float, now_wall: float, speed: float) -> float:
+        """Wall seconds until something may be due; infinite when nothing is."""
+        with self._lock:
+            if self._zeroed:
+                return 0.0
+            row = (self._rows[0][0] - now_run) / speed if self._rows else math.inf
+            repeat = self._next_repeat - now_wall if self._held and now_wall < self._repeat_until else math.inf
+            return max(min(row, repeat), 0.0)
+
+    def _active(self) -> bool:
+        return bool(self._rows) or any(n != 0.0 for n in self._held.values())

@@ -1,0 +1,1 @@
+"""Explain: arrays to models, residuals, effects and reports, and the design of the next experiment."""

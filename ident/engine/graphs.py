@@ -1,0 +1,208 @@
+"""From a model to CasADi graphs: rates, outputs, one step of time, and the stages of a filter.
+
+The state that is carried from row to row is ``s``: the mean, followed by the upper triangle of the covariance
+by rows; or the mean alone, where there is no covariance (output error).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ident.engine.kernel import MAX_BITS
+from ident.model import Model, Sensor
+
+ca.GlobalOptions.setNumpyMode(-1)  # plain numpy functions on symbols stay symbolic
+
+
+@dataclass(frozen=True)
+class Update:
+    """What a sensor's sample does: the state after it, log-likelihood, innovations and their variances."""
+
+    s: Any
+    ll: Any
+    e: Any
+    S: Any
+
+
+def pack(P: Any) -> Any:
+    """Upper triangle by rows, as a column."""
+    n = P.shape[0]
+    return ca.vertcat(*[P[i, j] for i in range(n) for j in range(i, n)])
+
+
+def unpack(p: Any, n: int) -> Any:
+    """The symmetric matrix of an upper triangle."""
+    P = ca.SX(n, n)
+    for k, (i, j) in enumerate(zip(*np.triu_indices(n), strict=True)):
+        P[int(i), int(j)] = P[int(j), int(i)] = p[k]
+    return P
+
+
+class Graphs:
+    """A model's graphs. ``covariance=False``: no process noise and a certain initial state."""
+
+    def __init__(self, model: Model, *, covariance: bool = True, joseph: bool = False) -> None:
+        if len(model.sensors) > MAX_BITS:
+            raise ValueError(f"model {model.name} has {len(model.sensors)} sensors; the engine takes {MAX_BITS}")
+        self.model, self.covariance, self.joseph = model, covariance, joseph
+        self.n = len(model.states)
+        n_s = self.n + self.n * (self.n + 1) // 2 if covariance else self.n
+        sym = ca.SX.sym
+        self.s, self.p, self.h = sym("s", n_s), sym("p", len(model.parameters)), sym("h")
+        self.u, self.u_next = sym("u", len(model.inputs)), sym("u_next", len(model.inputs))
+        self.y = sym("y", len(model.outputs))
+        self.rate, self.output = _trace(model)
+        self.inputs = {"s": self.s, "u": self.u, "u_next": self.u_next, "y": self.y, "p": self.p, "h": self.h}
+
+    @cached_property
+    def key(self) -> str:
+        """Two models with the same key have the same kernels (values of parameters are not part of it)."""
+        model = self.model
+        noise = ([s.noise for s in model.states], [(s.name, s.outputs) for s in model.sensors])
+        names = [p.name for p in model.parameters]
+        holds = [i.hold for i in model.inputs]
+        what = (self.rate.serialize(), self.output.serialize(), noise, names, holds, self.covariance, self.joseph)
+        return hashlib.sha256(repr(what).encode()).hexdigest()
+
+    @property
+    def mean(self) -> Any:
+        return self.s[:self.n]
+
+    @cached_property
+    def P(self) -> Any:
+        return unpack(self.s[self.n:], self.n)
+
+    @property
+    def end_inputs(self) -> Any:
+        """Inputs at the end of an interval; those with a zero-order hold have not changed."""
+        held = [i.hold == "zero" for i in self.model.inputs]
+        return ca.vertcat(*[self.u[j] if zero else self.u_next[j] for j, zero in enumerate(held)])
+
+    def step(self, x: Any) -> tuple[Any, Any, Any]:
+        """Runge-Kutta 4 over one interval: the mean at its end, and state and inputs in its middle."""
+        h, end = self.h, self.end_inputs
+        middle = ca.vertcat(*[a if ca.is_equal(a, b) else (a + b) / 2
+                              for a, b in zip(ca.vertsplit(self.u), ca.vertsplit(end), strict=True)])
+        k1 = self.rate(x, self.u, self.p)
+        k2 = self.rate(x + h / 2 * k1, middle, self.p)
+        x3 = x + h / 2 * k2
+        k3 = self.rate(x3, middle, self.p)
+        k4 = self.rate(x + h * k3, end, self.p)
+        return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), x3, middle
+
+    @cached_property
+    def predict(self) -> tuple[Any, Any]:
+        """The state at the end of the interval, and the transition matrix of the mean.
+
+        Phi is the Taylor series of third order of the Jacobian in the middle of the interval, and the process
+        noise is integrated by Simpson's rule (a trapezoid would move the estimates by a standard error).
+        """
+        end, x3, middle = self.step(self.mean)
+        if not self.covariance:
+            return end, None
+        x = ca.SX.sym("x", self.n)
+        A = self.h * ca.substitute(ca.jacobian(self.rate(x, middle, self.p), x), x, x3)
+        identity, A2 = ca.SX.eye(self.n), A @ A
+        Phi = identity + A + A2 / 2 + A @ A2 / 6
+        half = identity + A / 2 + A2 / 8
+        Q = self.h / 6 * ca.diag(self._diffusion)
+        P = Phi @ (self.P + Q) @ Phi.T + 4 * half @ Q @ half.T + Q
+        return ca.vertcat(end, pack(P)), Phi
+
+    @property
+    def _diffusion(self) -> Any:
+        return ca.vertcat(*[self._parameter(s.noise) ** 2 for s in self.model.states])
+
+    def _parameter(self, named: float | str) -> Any:
+        if not isinstance(named, str):
+            return ca.SX(float(named))
+        return self.p[[p.name for p in self.model.parameters].index(named)]
+
+    @property
+    def residual(self) -> Any:
+        """Measured minus predicted, all outputs; angles between -pi and pi."""
+        e = self.y - self.output(self.mean, self.u, self.p)
+        return ca.vertcat(*[_wrap(e[i]) if o.angle else e[i] for i, o in enumerate(self.model.outputs)])
+
+    @cached_property
+    def updates(self) -> tuple[Update, ...]:
+        """One for each sensor, in order."""
+        z = self.output(self.mean, self.u, self.p)
+        H = ca.jacobian(z, self.mean) if self.covariance else None
+        found, first = [], 0
+        for sensor in self.model.sensors:
+            rows = slice(first, first + len(sensor.outputs))
+            found.append(self._update(sensor, self.y[rows], z[rows], None if H is None else H[rows, :]))
+            first = rows.stop
+        return tuple(found)
+
+    def _update(self, sensor: Sensor, y: Any, z: Any, H: Any) -> Update:
+        """One scalar after the other: exact for independent noises, and no matrix is inverted."""
+        P, dx, ll, innovations, variances = self.P if self.covariance else None, 0 * self.mean, 0, [], []
+        for i, output in enumerate(sensor.outputs):
+            R = self._parameter(output.noise) ** 2
+            e, S = y[i] - z[i], R
+            if H is not None:
+                e = e - H[i, :] @ dx
+            if output.angle:
+                e = _wrap(e)
+            if H is not None:
+                PH = P @ H[i, :].T
+                S = H[i, :] @ PH + R
+                K = PH / S
+                dx = dx + K * e
+                P = self._reduced(P, K, PH, H[i, :], R)
+            innovations.append(e)
+            variances.append(S)
+            ll = ll - 0.5 * (e**2 / S + ca.log(2 * math.pi * S))
+        s = ca.vertcat(self.mean + dx, pack(P)) if H is not None else self.mean
+        return Update(s, ll, ca.vertcat(*innovations), ca.vertcat(*variances))
+
+    def _reduced(self, P: Any, K: Any, PH: Any, H: Any, R: Any) -> Any:
+        if not self.joseph:
+            return P - K @ PH.T
+        rest = ca.SX.eye(self.n) - K @ H
+        return rest @ P @ rest.T + R * K @ K.T
+
+
+def _wrap(angle: Any) -> Any:
+    return angle - 2 * math.pi * ca.floor(angle / (2 * math.pi) + 0.5)
+
+
+def _trace(model: Model) -> tuple[Any, Any]:
+    """The model's rates and outputs as functions of (x, u, p)."""
+    x, u, p = (ca.SX.sym(name, len(of)) for name, of in
+               (("x", model.states), ("u", model.inputs), ("p", model.parameters)))
+    signals = model.signals(*[ca.vertsplit(v) if v.numel() else [] for v in (x, u, p)])
+    rates = _collect(model, signals.rate, [s.name for s in model.states], "rate of the state")
+    outputs = _collect(model, signals.y, [o.name for o in model.outputs], "value of the output")
+    return ca.Function("rate", [x, u, p], [rates]), ca.Function("output", [x, u, p], [outputs])
+
+
+def _collect(model: Model, values: Mapping[str, Any], names: list[str], what: str) -> Any:
+    column = []
+    for name in names:
+        if name not in values:
+            raise ValueError(f"model {model.name} gives no {what} {name}")
+        value = ca.SX(values[name])
+        if value.numel() != 1:
+            raise ValueError(f"model {model.name}: the {what} {name} is not a scalar")
+        if _has_nan(value):
+            raise ValueError(f"model {model.name}: the {what} {name} has lost its symbols (math.sin, float() and "
+                             "filling np.zeros make numbers of them; numpy's functions do not)")
+        column.append(ca.densify(value))
+    return ca.densify(ca.vertcat(*column))
+
+
+def _has_nan(expression: Any) -> bool:
+    f = ca.Function("f", ca.symvar(expression), [expression])
+    return any(f.instruction_id(k) == ca.OP_CONST and math.isnan(f.instruction_constant(k))
+               for k in range(f.n_instructions()))

@@ -1,0 +1,58 @@
+"""The loop of a kernel without machine code: CasADi evaluates every stage, row by row. Slow; an oracle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ident.engine.plan import Gram, Plan, Stage
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.uint32]
+
+
+def interpret(plan: Plan, n_rows: int, groups: int, mask: Mask, arrays: Mapping[str, Array],
+              per_row: AbstractSet[str]) -> None:
+    """Do what the compiled kernel does, in place."""
+    shaped = {name: a.reshape(plan.shape(name, n_rows, groups, name in per_row)) for name, a in arrays.items()}
+    order = range(n_rows - 1, -1, -1) if plan.backward else range(n_rows)
+    for row in order:
+        now = {name: a[row] if name in plan.rows or name in per_row else a for name, a in shaped.items()}
+        for part in plan.stages:
+            if part.bit is not None and not int(mask[row]) >> part.bit & 1:
+                continue
+            if isinstance(part, Gram):
+                _gram(part, now, groups)
+            else:
+                _stage(plan, part, now, groups)
+
+
+def _stage(plan: Plan, part: Stage, now: Mapping[str, Array], groups: int) -> None:
+    f = part.function
+    names_in, names_out = f.name_in(), f.name_out()
+    if plan.lanes.isdisjoint([*names_in, *names_out]):
+        for name, value in zip(names_out, f.call([now[name] for name in names_in]), strict=True):
+            _store(plan, name, now[name], np.array(value).ravel())
+        return
+    for group in range(groups):
+        for lane in range(plan.width):
+            spot = {name: now[name][group, :, lane] if name in plan.lanes else now[name] for name in now}
+            for name, value in zip(names_out, f.call([spot[name] for name in names_in]), strict=True):
+                _store(plan, name, spot[name], np.array(value).ravel())
+
+
+def _store(plan: Plan, name: str, target: Array, value: Array) -> None:
+    if name in plan.summed:
+        target += value
+    else:
+        target[...] = value
+
+
+def _gram(part: Gram, now: Mapping[str, Array], groups: int) -> None:
+    v = now[part.source]
+    for first in range(groups):
+        for second in range(first, groups):
+            now[part.result][first, second] += v[first].T @ v[second]

@@ -1,0 +1,141 @@
+"""A plan made to run, by machine code or without, and the arrays it runs on.
+
+The loop is compiled (``emitter``) where llvmlite is there and interpreted (``interpreter``) where it is not.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ident.engine import jit
+from ident.engine.emitter import Emitter
+from ident.engine.interpreter import interpret
+from ident.engine.plan import Plan
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.uint32]
+LINE = 8  # doubles in a cache line
+ALL_BITS = 0xFFFFFFFF
+MAX_BITS = 32
+
+
+def allocate(shape: Sequence[int], zero: bool = True) -> Array:
+    """An array that starts at a cache line."""
+    size = math.prod(shape)
+    a = (np.zeros if zero else np.empty)(size + LINE)
+    first = -a.ctypes.data // 8 % LINE
+    return a[first:first + size].reshape(tuple(shape))
+
+
+@dataclass
+class Arena:
+    """Arrays that are kept from call to call, so that their pages are mapped only once."""
+
+    kept: dict[str, Array] = field(default_factory=dict)
+
+    def take(self, name: str, shape: Sequence[int], zero: bool = True) -> Array:
+        size = math.prod(shape)
+        if name not in self.kept or self.kept[name].size < size:
+            self.kept[name] = allocate((size,), zero=False)
+        a = self.kept[name][:size].reshape(tuple(shape))
+        if zero:
+            a[...] = 0.0
+        return a
+
+
+class ArenaPool:
+    """Arenas for as many threads as work at a time."""
+
+    def __init__(self) -> None:
+        self._free: list[Arena] = []
+        self._lock = threading.Lock()
+
+    @contextmanager
+    def borrow(self) -> Iterator[Arena]:
+        with self._lock:
+            arena = self._free.pop() if self._free else Arena()
+        try:
+            yield arena
+        finally:
+            with self._lock:
+                self._free.append(arena)
+
+
+Loop = Callable[[int, int, Mask, Mapping[str, Array], AbstractSet[str]], None]
+_warned: list[str] = []
+
+
+class Kernel:
+    """A plan that can be run. ``compiled=False`` interprets it, slowly: the oracle of the tests."""
+
+    def __init__(self, plan: Plan, compiled: bool | None = None) -> None:
+        self.plan = plan
+        if compiled is None:
+            compiled = jit.AVAILABLE
+            if not compiled and not _warned:
+                _warned.append("said")
+                warnings.warn("llvmlite is not installed: estimation works, but some thousand times slower",
+                              RuntimeWarning, stacklevel=2)
+        self._loop: Loop = self._compile() if compiled else self._interpret()
+
+    def __call__(self, n_rows: int, mask: Mask | None, given: Mapping[str, Array], *, groups: int = 1,
+                 per_row: AbstractSet[str] = frozenset(), arena: Arena | None = None) -> dict[str, Array]:
+        """Run over ``n_rows``; returns all arrays by name.
+
+        mask (n_rows,) uint32, all set if None. Arrays that are not given start from zero and, with an arena, are
+        valid until its next use; results among those given (carried, summed, in rows) are written in place.
+        Summed results named in ``per_row`` are not summed but have a line for each row.
+        """
+        plan, take = self.plan, (arena or Arena()).take
+        mask = np.full(n_rows, ALL_BITS, np.uint32) if mask is None else mask
+        if n_rows < 1 or mask.dtype != np.uint32 or mask.shape != (n_rows,) or not mask.flags.c_contiguous:
+            raise ValueError(f"mask: {n_rows} contiguous uint32 wanted, at least one")
+        arrays: dict[str, Array] = {}
+        for name in plan.sizes:
+            shape = plan.shape(name, n_rows, groups, name in per_row)
+            a = given[name] if name in given else take(name, shape, name not in plan.rows)
+            if a.dtype != np.float64 or a.size != math.prod(shape) or not a.flags.c_contiguous:
+                raise ValueError(f"{name}: contiguous doubles of shape {shape} wanted, got {a.dtype} {a.shape}")
+            arrays[name] = a
+        self._loop(n_rows, groups, mask, arrays, per_row)
+        return arrays
+
+    def seeds(self, size: int, chosen: Sequence[int], groups: int | None = None) -> Array:
+        """Unit vectors (groups, size, width): lane j belongs to entry ``chosen[j]``."""
+        width = self.plan.width
+        groups = groups or self.groups(len(chosen))
+        unit = np.zeros((groups, size, width))
+        lane = np.arange(len(chosen))
+        unit[lane // width, list(chosen), lane % width] = 1.0
+        return unit
+
+    def groups(self, n_lanes: int) -> int:
+        return max(1, -(-n_lanes // self.plan.width))
+
+    def _compile(self) -> Loop:
+        plan = self.plan
+        library, address = jit.load(Emitter(plan).ir(), "kernel")
+        pointers = [ctypes.c_void_p] * (1 + len(plan.sizes))
+        entry = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64, *pointers,
+                                 *[ctypes.c_int64] * len(plan.summed))(address)
+
+        def run(n_rows: int, groups: int, mask: Mask, arrays: Mapping[str, Array], per_row: AbstractSet[str]) -> None:
+            assert library is not None  # the code lives as long as its library
+            entry(n_rows, groups, mask.ctypes.data, *[a.ctypes.data for a in arrays.values()],
+                  *[int(name in per_row) for name in plan.summed])
+
+        return run
+
+    def _interpret(self) -> Loop:
+        plan = self.plan
+        return lambda n_rows, groups, mask, arrays, per_row: interpret(plan, n_rows, groups, mask, arrays, per_row)

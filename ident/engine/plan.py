@@ -1,0 +1,110 @@
+"""What a kernel computes: a loop over rows whose body is a list of CasADi SX functions, the stages.
+
+Arguments and results are bound by name. A name that is both an argument and a result is *carried* from row
+to row; one in ``rows`` has a line of its own for each row; other arguments are *constant*; other results are
+*summed*, over all rows or, where a call asks for it, each row for itself. A name in ``lanes`` holds ``width``
+numbers for each entry, one a lane (a parameter to differentiate by, for one), and there may be any number of
+groups of lanes: a stage that touches lanes runs once for each group.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+
+from ident.engine import jit
+
+
+@dataclass(frozen=True)
+class Stage:
+    """``function`` runs in rows whose mask has ``bit`` set, or in every row."""
+
+    function: Any
+    bit: int | None = None
+
+
+@dataclass(frozen=True)
+class Gram:
+    """Adds ``v v'`` over all lanes to ``result`` for each of the ``entries`` v of the lanes ``source``.
+
+    ``result`` is (groups, groups, width, width), of which only blocks on and above the diagonal are written.
+    """
+
+    source: str
+    result: str
+    entries: int
+    bit: int | None = None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a kernel computes, before it is compiled."""
+
+    stages: tuple[Stage | Gram, ...]
+    rows: frozenset[str] = frozenset()
+    lanes: frozenset[str] = frozenset()
+    width: int = jit.WIDTH
+    backward: bool = False
+
+    @cached_property
+    def sizes(self) -> dict[str, int]:
+        """Entries of every argument and result, in the order of first use."""
+        sizes: dict[str, int] = {}
+        for f in self.functions:
+            sizes |= {f.name_in(i): f.nnz_in(i) for i in range(f.n_in())}
+            sizes |= {f.name_out(i): f.nnz_out(i) for i in range(f.n_out())}
+        for gram in self.stages:
+            if isinstance(gram, Gram):
+                sizes[gram.result] = self.width
+        return sizes
+
+    @cached_property
+    def carried(self) -> frozenset[str]:
+        arguments = {name for f in self.functions for name in f.name_in()}
+        arguments |= {s.source for s in self.stages if isinstance(s, Gram)}
+        return frozenset(arguments & {name for f in self.functions for name in f.name_out()}) - self.rows
+
+    @cached_property
+    def summed(self) -> tuple[str, ...]:
+        results = {name for f in self.functions for name in f.name_out()}
+        return tuple(name for name in self.sizes if name in results and name not in self.rows | self.carried)
+
+    @property
+    def functions(self) -> tuple[Any, ...]:
+        return tuple(s.function for s in self.stages if isinstance(s, Stage))
+
+    @property
+    def grams(self) -> frozenset[str]:
+        return frozenset(s.result for s in self.stages if isinstance(s, Gram))
+
+    def shape(self, name: str, n_rows: int, groups: int, per_row: bool = False) -> tuple[int, ...]:
+        """(rows if it has them, groups and width if it is in lanes, entries in between)."""
+        if name in self.grams:
+            return (groups, groups, self.width, self.width)
+        row = (n_rows,) if name in self.rows or per_row else ()
+        lane = name in self.lanes
+        return (*row, *((groups,) * lane), self.sizes[name], *((self.width,) * lane))
+
+
+def stage(inputs: Mapping[str, Any], results: Mapping[str, Any], bit: int | None = None) -> Stage:
+    """A stage from SX expressions by name."""
+    expressions = [ca.densify(e) for e in ca.cse(list(results.values()))]
+    function = ca.Function("stage", list(inputs.values()), expressions, list(inputs), list(results),
+                           {"allow_duplicate_io_names": True})
+    return Stage(function, bit)
+
+
+def split(inputs: Mapping[str, Any], results: Mapping[str, Any], seeds: Mapping[str, Any],
+          tangents: Mapping[str, Any], bit: int | None, name: str) -> tuple[Stage, Stage]:
+    """Two stages: ``results`` without lanes and ``tangents`` with; ``name`` holds what the second needs of the
+    first, so that it is computed once and not in every group of lanes."""
+    both = ca.cse([*results.values(), *tangents.values()])
+    values, rest = both[:len(results)], both[len(results):]
+    rest, symbols, needed = ca.extract_parametric(rest, ca.vertcat(*inputs.values()), {"extract_trivial": True})
+    first = stage(inputs, dict(zip(results, values, strict=True)) | {name: ca.vertcat(*needed)}, bit)
+    second = stage({**seeds, name: ca.vertcat(*symbols)}, dict(zip(tangents, rest, strict=True)), bit)
+    return first, second

@@ -1,0 +1,220 @@
+"""A model: named states, inputs, sensors and parameters, and the functions between them.
+
+The functions are plain Python over scalars (numpy functions work; the engine calls them with symbols).
+They are ordered in stages, each reading and writing one bag of signals:
+
+    shaft -> thrust -> force -> rate -> output
+
+An effect is a part that hooks in behind a stage; ``model + effect`` is a model again. A model of one's
+own needs no stages: ``plain_model`` takes ``f(x, u, p)`` and ``h(x, u, p)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any, Literal
+
+from ident.params import Parameter
+
+STAGES = ("shaft", "thrust", "force", "rate", "output")
+Stage = Callable[["Signals"], None]
+
+
+class Signals(SimpleNamespace):
+    """What the stages share: ``x``, ``u``, ``p`` by name, ``rate`` and ``y`` as dictionaries, and the rest
+    as each model names it (vehicle models: ``n`` and ``f`` by thruster, ``X``, ``Y``, ``N``)."""
+
+    x: Any
+    u: Any
+    p: Any
+    rate: dict[str, Any]
+    y: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class State:
+    """``noise``: diffusion in unit/sqrt(s), a number or the name of the parameter that holds it.
+    ``x0`` and ``sd0``: mean and standard deviation at the start of a record, numbers or, for the mean, the
+    name of a parameter; ``from_output`` starts it at the first measurement of that output."""
+
+    name: str
+    unit: str = ""
+    meaning: str = ""
+    noise: float | str = 0.0
+    x0: float | str = 0.0
+    sd0: float | str = 1.0
+    from_output: str = ""
+
+
+@dataclass(frozen=True)
+class Input:
+    name: str
+    unit: str = ""
+    hold: Literal["zero", "linear"] = "zero"
+
+
+@dataclass(frozen=True)
+class Output:
+    """``noise``: standard deviation of the white measurement noise, the name of a parameter."""
+
+    name: str
+    unit: str = ""
+    noise: str = ""
+    angle: bool = False  # innovations are wrapped to (-pi, pi]
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Outputs that arrive together; a sample of a sensor is there as a whole or not at all."""
+
+    name: str
+    outputs: tuple[Output, ...]
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A part that changes a model: a candidate for what the model lacks, or a disturbance it needs.
+
+    ``hooks`` maps a stage to a function that runs after it. At the parameters' given values the effect does
+    nothing. ``requires`` names signals a model must provide (``f``: thrust by thruster, ...).
+    """
+
+    name: str
+    title: str
+    hooks: Mapping[str, Stage]
+    parameters: tuple[Parameter, ...] = ()
+    states: tuple[State, ...] = ()
+    inputs: tuple[Input, ...] = ()
+    place: Literal["actuator", "hull", "environment", "sensor", "bench"] = "hull"
+    formula: str = ""
+    source: str = ""
+    experiment: str = ""
+    requires: tuple[str, ...] = ()
+    one_sided: bool = False  # the first parameter cannot be negative
+    rivals: tuple[str, ...] = ()
+    scan: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # values to try where there is no gradient
+
+
+@dataclass(frozen=True)
+class Model:
+    """Continuous time, ``dx = f(x, u; p) dt + noise``, and ``y_k = h(x(t_k), u(t_k); p) + e_k``."""
+
+    name: str
+    states: tuple[State, ...]
+    inputs: tuple[Input, ...]
+    sensors: tuple[Sensor, ...]
+    parameters: tuple[Parameter, ...]
+    stages: tuple[tuple[str, Stage], ...]
+    provides: tuple[str, ...] = ()  # signals that effects may require
+    effects: tuple[Effect, ...] = field(default=())
+    source: str = ""  # how to make it again: "horizontal", "FILE.py:NAME"
+
+    def __post_init__(self) -> None:
+        for kind, names in (
+            ("state", [s.name for s in self.states]),
+            ("input", [i.name for i in self.inputs]),
+            ("output", [o.name for o in self.outputs]),
+            ("parameter", [p.name for p in self.parameters]),
+        ):
+            twice = sorted({n for n in names if names.count(n) > 1})
+            if twice:
+                raise ValueError(f"model {self.name}: {kind} {twice[0]} is defined twice")
+        known = {p.name for p in self.parameters}
+        for owner, name in [(s.name, s.noise) for s in self.states] + [(o.name, o.noise) for o in self.outputs]:
+            if isinstance(name, str) and name not in known:
+                raise ValueError(f"model {self.name}: the noise of {owner} names no parameter: {name!r}")
+
+    @property
+    def outputs(self) -> tuple[Output, ...]:
+        return tuple(o for s in self.sensors for o in s.outputs)
+
+    @property
+    def values(self) -> dict[str, float]:
+        return {p.name: p.value for p in self.parameters}
+
+    def parameter(self, name: str) -> Parameter:
+        for p in self.parameters:
+            if p.name == name:
+                return p
+        raise KeyError(f"model {self.name} has no parameter {name!r}; it has {', '.join(self.values)}")
+
+    def signals(self, x: Any, u: Any, p: Any) -> Signals:
+        """Run all stages on scalars or symbols in the order of states, inputs and parameters."""
+        s = Signals(
+            x=SimpleNamespace(**dict(zip([v.name for v in self.states], x, strict=True))),
+            u=SimpleNamespace(**dict(zip([v.name for v in self.inputs], u, strict=True))),
+            p=SimpleNamespace(**dict(zip([v.name for v in self.parameters], p, strict=True))),
+            rate={},
+            y={},
+        )
+        for label, stage in self.stages:
+            stage(s)
+            for effect in self.effects:
+                if label in effect.hooks:
+                    effect.hooks[label](s)
+        return s
+
+    def with_values(self, values: Mapping[str, float]) -> Model:
+        """The same model with other parameter values; unknown names are an error."""
+        unknown = set(values) - set(self.values)
+        if unknown:
+            raise KeyError(f"model {self.name} has no parameter {sorted(unknown)[0]!r}")
+        return replace(self, parameters=tuple(p.at(values.get(p.name, p.value)) for p in self.parameters))
+
+    def with_free(self, names: Iterable[str]) -> Model:
+        """Free exactly the named parameters and fix all others."""
+        wanted = set(names)
+        unknown = wanted - set(self.values)
+        if unknown:
+            raise KeyError(f"model {self.name} has no parameter {sorted(unknown)[0]!r}")
+        return replace(self, parameters=tuple(replace(p, free=p.name in wanted) for p in self.parameters))
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        return tuple(p.name for p in self.parameters if p.free)
+
+    def replace_parameters(self, *new: Parameter) -> Model:
+        by_name = {p.name: p for p in new}
+        return replace(self, parameters=tuple(by_name.get(p.name, p) for p in self.parameters))
+
+    def __add__(self, effect: Effect) -> Model:
+        missing = set(effect.requires) - set(self.provides)
+        if missing:
+            raise ValueError(
+                f"effect {effect.name} needs the signal {sorted(missing)[0]!r}, which model {self.name} has not"
+            )
+        inputs = {i.name for i in self.inputs}
+        return replace(
+            self,
+            states=self.states + effect.states,
+            inputs=self.inputs + tuple(i for i in effect.inputs if i.name not in inputs),
+            parameters=self.parameters + effect.parameters,
+            effects=(*self.effects, effect),
+        )
+
+    def accepts(self, effect: Effect) -> bool:
+        return set(effect.requires) <= set(self.provides) and effect.name not in {e.name for e in self.effects}
+
+
+def plain_model(
+    name: str,
+    *,
+    f: Callable[[Any, Any, Any], Mapping[str, Any]],
+    h: Callable[[Any, Any, Any], Mapping[str, Any]],
+    states: tuple[State, ...],
+    inputs: tuple[Input, ...],
+    sensors: tuple[Sensor, ...],
+    parameters: tuple[Parameter, ...],
+    source: str = "",
+) -> Model:
+    """A model from ``f(x, u, p) -> {state: rate}`` and ``h(x, u, p) -> {output: value}``."""
+
+    def rate(s: Signals) -> None:
+        s.rate.update(f(s.x, s.u, s.p))
+
+    def output(s: Signals) -> None:
+        s.y.update(h(s.x, s.u, s.p))
+
+    return Model(name, states, inputs, sensors, parameters, (("rate", rate), ("output", output)), source=source)

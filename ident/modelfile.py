@@ -1,0 +1,129 @@
+"""model.toml: a fitted model with everything needed to use it elsewhere. See docs/formats/model.md."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+from numpy.typing import NDArray
+
+from daq.errors import SeatrialError
+from ident.effects import catalogue
+from ident.fit import Fit
+from ident.model import Effect, Model
+from ident.models import make_model
+from ident.models.disturbance import disturbance, sensor_bias
+from ident.shapes import unknown_effect
+
+FORMAT = "seatrial-model 1"
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SavedModel:
+    """A model read back. ``errors``: standard errors by name (NaN: none); ``validity``: ranges by signal."""
+
+    model: Model
+    errors: Mapping[str, float]
+    validity: Mapping[str, tuple[float, float]]
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+def save_model(
+    path: Path,
+    fit: Fit,
+    *,
+    validity: Mapping[str, tuple[float, float]],
+    provenance: Mapping[str, Any],
+    spans: Mapping[str, tuple[float, float]] | None = None,
+) -> None:
+    """Write the model of a fit. ``spans``: for unknown effects, the range of their variable."""
+    model, document = fit.model, tomlkit.document()
+    document["format"] = FORMAT
+    document["name"] = model.name
+    document["source"] = model.source
+    document["sensors"] = [s.name for s in model.sensors]
+    document["effects"] = [e.name for e in model.effects]
+    if spans:
+        document["spans"] = {name: list(span) for name, span in spans.items()}
+    document["provenance"] = {k: v for k, v in provenance.items() if v is not None}
+    document["validity"] = {k: [float(a), float(b)] for k, (a, b) in validity.items()}
+    flags = dict(fit.flags)
+    parameters = tomlkit.aot()
+    for p in model.parameters:
+        value, error = fit.estimate(p.name)
+        row: dict[str, Any] = {
+            "name": p.name,
+            "value": float(value if not p.per_record else p.value),
+            "unit": p.unit,
+            "meaning": p.meaning,
+            "free": p.free,
+        }
+        if np.isfinite(error):
+            row["se"] = float(error)
+        if p.per_record:
+            row["per_record"] = True
+        if p.name in flags:
+            row["flag"] = flags[p.name]
+        table = tomlkit.table()
+        table.update(row)
+        parameters.append(table)
+    document["parameter"] = parameters
+    document["correlation"] = {"names": list(fit.names), "matrix": np.round(np.nan_to_num(fit.correlation), 6).tolist()}
+    path.write_text(tomlkit.dumps(document), encoding="utf-8")
+
+
+def load_model(path: Path) -> SavedModel:
+    """Read a model.toml. Raises SeatrialError with what is wrong and where."""
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as problem:
+        raise SeatrialError(f"{path}: cannot be read: {problem}") from problem
+    except tomllib.TOMLDecodeError as problem:
+        raise SeatrialError(f"{path}: not a TOML file: {problem}") from problem
+    if table.get("format") != FORMAT:
+        raise SeatrialError(f"{path}: format is {table.get('format')!r}, not {FORMAT!r}: give a model.toml of seatrial")
+    try:
+        model = _build(table)
+        errors = {row["name"]: float(row.get("se", np.nan)) for row in table["parameter"]}
+        validity = {k: (float(a), float(b)) for k, (a, b) in table.get("validity", {}).items()}
+    except (KeyError, TypeError, ValueError) as problem:
+        raise SeatrialError(f"{path}: not a complete model: {problem}") from problem
+    return SavedModel(model, errors, validity, table.get("provenance", {}))
+
+
+def _build(table: Mapping[str, Any]) -> Model:
+    model = make_model(table["source"], table["sensors"])
+    for name in table["effects"]:
+        if name not in {e.name for e in model.effects}:
+            model = model + _effect(name, table["sensors"], table.get("spans", {}))
+    rows = {row["name"]: row for row in table["parameter"]}
+    unknown = set(rows) - set(model.values)
+    if unknown:
+        raise ValueError(f"model {model.name} has no parameter {sorted(unknown)[0]!r}")
+    return model.replace_parameters(
+        *(
+            replace(p, value=float(rows[p.name]["value"]), free=bool(rows[p.name]["free"]))
+            for p in model.parameters
+            if p.name in rows
+        )
+    )
+
+
+def _effect(name: str, sensors: Sequence[str], spans: Mapping[str, Any]) -> Effect:
+    if name == "disturbance":
+        return disturbance()
+    if name == "sensor-bias":
+        return sensor_bias(sensors)
+    if name.startswith("unknown "):
+        force, variable = name.removeprefix("unknown ").rstrip(")").split("(")
+        low, high = spans.get(name, (-np.pi, np.pi))
+        return unknown_effect(force, variable, (float(low), float(high)))
+    if name not in catalogue():
+        raise ValueError(f"there is no effect {name!r} in the catalogue")
+    return catalogue()[name]

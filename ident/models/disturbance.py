@@ -1,0 +1,93 @@
+"""What keeps the estimate honest while something is missing: unexplained forces and walking sensor offsets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ident.model import Effect, Model, Signals, State
+from ident.params import Parameter
+
+
+def disturbance(sd: tuple[float, float, float] = (1.0, 1.0, 0.15)) -> Effect:
+    """Ornstein-Uhlenbeck forces on surge, sway and yaw: what the model does not explain, to be smoothed out.
+
+    ``sd``: rough stationary standard deviations [N, N, N m], where the estimate starts. They keep the
+    estimate honest while something is missing, and the smoother turns them into residual forces with
+    covariance (Kristensen, Madsen and Jorgensen 2004).
+    """
+    tau = 1.5
+    names = ("X", "Y", "N")
+    units = ("N/sqrt(s)", "N/sqrt(s)", "N m/sqrt(s)")
+
+    def add(s: Signals) -> None:
+        s.X, s.Y, s.N = s.X + s.x.b_X, s.Y + s.x.b_Y, s.N + s.x.b_N
+
+    def decay(s: Signals) -> None:
+        for name in names:
+            s.rate[f"b_{name}"] = -getattr(s.x, f"b_{name}") / s.p.tau_b
+
+    return Effect(
+        "disturbance",
+        "unexplained forces",
+        {"force": add, "rate": decay},
+        parameters=(
+            *(
+                Parameter(
+                    f"q_{n}",
+                    s0 * float(np.sqrt(2 / tau)),
+                    unit,
+                    f"diffusion of the unexplained {n}",
+                    "log",
+                    prior=(s0 * float(np.sqrt(2 / tau)), 3 * s0 * float(np.sqrt(2 / tau))),
+                )
+                for n, s0, unit in zip(names, sd, units, strict=True)
+            ),
+            Parameter(
+                "tau_b", tau, "s", "memory of the unexplained forces", "log", prior=(tau, tau), bounds=(0.2, 60.0)
+            ),
+        ),
+        states=tuple(
+            State(f"b_{n}", u.split("/")[0], f"unexplained {n}", f"q_{n}", sd0=s0)
+            for n, s0, u in zip(names, sd, units, strict=True)
+        ),
+        place="environment",
+        requires=("hull",),
+    )
+
+
+def sensor_bias(sensors: Sequence[str]) -> Effect:
+    """Slowly walking offsets of gyro, heading and accelerometers (white plus random walk, thesis 4.1)."""
+    table: dict[str, tuple[tuple[str, str, float, float], ...]] = {
+        "attitude": (("psi", "rad", 0.005, 1.7e-4),),
+        "gyro": (("r", "rad/s", 0.01, 1e-5),),
+        "accelerometer": (("ax", "m/s2", 0.1, 1e-4), ("ay", "m/s2", 0.1, 1e-4)),
+    }
+    rows = [row for s in sensors for row in table.get(s, ())]
+
+    def add(s: Signals) -> None:
+        for name, *_ in rows:
+            s.y[name] = s.y[name] + getattr(s.x, f"bias_{name}")
+
+    def still(s: Signals) -> None:
+        for name, *_ in rows:
+            s.rate[f"bias_{name}"] = 0.0
+
+    return Effect(
+        "sensor-bias",
+        "offsets of the sensors",
+        {"rate": still, "output": add},
+        states=tuple(State(f"bias_{n}", unit, f"offset of {n}", walk, sd0=sd) for n, unit, sd, walk in rows),
+        place="sensor",
+    )
+
+
+def for_diagnosis(model: Model) -> Model:
+    """The model with unexplained forces and sensor offsets as states; velocities get no white noise of their own."""
+    out: Model = model + disturbance()
+    present = [s.name for s in model.sensors]
+    if {"attitude", "gyro", "accelerometer"} & set(present):
+        out = out + sensor_bias(present)
+    quiet = [p.at(1e-4).fixed() for p in out.parameters if p.name in ("s_u", "s_v", "s_r")]
+    return out.replace_parameters(*quiet)

@@ -1,0 +1,156 @@
+"""Horizontal motion, three degrees of freedom, with a constant current (thesis eq. 3.2 and 3.3, corrected).
+
+States ``u, v`` are velocities through the water; ``x, y`` move over ground by those and the current. For a
+current that is constant and irrotational in NED this is exact with the total masses in the Coriolis terms
+(Fossen 2011, property 8.1), so no split into rigid-body and added mass is needed:
+
+    m_u u' = X + m_v v r - d_u u - d_uu |u| u
+    m_v v' = Y - m_u u r - d_v v - d_vv |v| v
+    m_r r' = N + (m_u - m_v) u v - d_r r - d_rr |r| r
+
+Thrust: ``f = c1 n|n| + c2 n^2`` with n normalised to [-1, 1] (thesis section 4.2), at ``y_L`` and ``y_R``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from ident.model import Input, Model, Output, Sensor, Signals, State
+from ident.params import INF, Parameter
+
+Propulsion = Literal["shaft", "force", "general"]
+SIDES = ("left", "right")
+
+HULL = (
+    Parameter("m_u", 37.0, "kg", "surge mass with added mass", "log"),
+    Parameter("m_v", 47.0, "kg", "sway mass with added mass", "log"),
+    Parameter("m_r", 9.69, "kg m2", "yaw inertia with added inertia", "log"),
+    Parameter("d_u", 0.2, "kg/s", "linear surge damping", bounds=(0, INF), step=0.3),
+    Parameter("d_v", 50.0, "kg/s", "linear sway damping", bounds=(0, INF), step=0.5),
+    Parameter("d_r", 4.14, "kg m2/s", "linear yaw damping", bounds=(0, INF), step=0.1),
+    Parameter("d_uu", 25.0, "kg/m", "quadratic surge damping", bounds=(0, INF), step=0.3),
+    Parameter("d_vv", 0.01, "kg/m", "quadratic sway damping", bounds=(0, INF), step=0.5),
+    Parameter("d_rr", 6.23, "kg m2", "quadratic yaw damping", bounds=(0, INF), step=0.1),
+)
+THRUST = (
+    Parameter("c1", 40.05, "N", "thrust at full speed, odd part", "log", free=False),
+    Parameter("c2", 1.11, "N", "thrust at full speed, even part", free=False, step=0.1),
+)
+ARMS = (
+    Parameter("y_left", -0.15, "m", "left thruster, to starboard", free=False, step=0.01),
+    Parameter("y_right", 0.15, "m", "right thruster, to starboard", free=False, step=0.01),
+)
+DIFFUSION = (
+    Parameter("s_u", 0.01, "m/s/sqrt(s)", "process noise of surge speed", "log"),
+    Parameter("s_v", 0.01, "m/s/sqrt(s)", "process noise of sway speed", "log"),
+    Parameter("s_r", 0.01, "rad/s/sqrt(s)", "process noise of yaw rate", "log"),
+)
+CURRENT = (
+    Parameter("V_x", 0.0, "m/s", "current to the north", prior=(0.0, 0.5), per_record=True, step=0.01),
+    Parameter("V_y", 0.0, "m/s", "current to the east", prior=(0.0, 0.5), per_record=True, step=0.01),
+)
+SENSORS = {
+    "attitude": Sensor("attitude", (Output("psi", "rad", "e_psi", angle=True),)),
+    "gyro": Sensor("gyro", (Output("r", "rad/s", "e_r"),)),
+    "accelerometer": Sensor("accelerometer", (Output("ax", "m/s2", "e_a"), Output("ay", "m/s2", "e_a"))),
+    "position": Sensor("position", (Output("x", "m", "e_xy"), Output("y", "m", "e_xy"))),
+    "ground_velocity": Sensor("ground_velocity", (Output("vx", "m/s", "e_vxy"), Output("vy", "m/s", "e_vxy"))),
+    "body_velocity": Sensor("body_velocity", (Output("u", "m/s", "e_uv"), Output("v", "m/s", "e_uv"))),
+}
+NOISE = {
+    "attitude": Parameter("e_psi", 0.01, "rad", "noise of the heading", "log"),
+    "gyro": Parameter("e_r", 0.005, "rad/s", "noise of the yaw gyro", "log"),
+    "accelerometer": Parameter("e_a", 0.05, "m/s2", "noise of the accelerometers", "log"),
+    "position": Parameter("e_xy", 0.05, "m", "noise of the position, per axis", "log"),
+    "ground_velocity": Parameter("e_vxy", 0.05, "m/s", "noise of the velocity over ground, per axis", "log"),
+    "body_velocity": Parameter("e_uv", 0.03, "m/s", "noise of the body velocity, per axis", "log"),
+}
+
+
+def horizontal(
+    propulsion: Propulsion = "shaft",
+    sensors: Sequence[str] = ("attitude", "gyro", "accelerometer", "position", "ground_velocity"),
+    *,
+    current: bool = True,
+    hold: Literal["zero", "linear"] = "linear",
+) -> Model:
+    """The horizontal model.
+
+    propulsion: ``shaft`` takes the measured shaft speeds ``n_left``, ``n_right`` (normalised), ``force`` the
+    thrusts ``f_left``, ``f_right`` [N], ``general`` the force ``X`` [N] and the moment ``N`` [N m].
+    """
+    names = {"shaft": ["n_left", "n_right"], "force": ["f_left", "f_right"], "general": ["X", "N"]}[propulsion]
+    units = {"shaft": ["", ""], "force": ["N", "N"], "general": ["N", "N m"]}[propulsion]
+    states = (
+        State("x", "m", "north", from_output="x", sd0=1.0),
+        State("y", "m", "east", from_output="y", sd0=1.0),
+        State("psi", "rad", "heading", from_output="psi", sd0=0.1),
+        State("u", "m/s", "surge through the water", "s_u", sd0=0.3),
+        State("v", "m/s", "sway through the water", "s_v", sd0=0.3),
+        State("r", "rad/s", "yaw rate", "s_r", sd0=0.1),
+    )
+    parameters = HULL + (CURRENT if current else ())
+    parameters += {"shaft": THRUST + ARMS, "force": ARMS, "general": ()}[propulsion]
+    parameters += DIFFUSION + tuple(NOISE[s] for s in sensors)
+    stages = {"shaft": (("shaft", shaft), ("thrust", thrust)), "force": (("thrust", given_thrust),), "general": ()}
+    return Model(
+        "horizontal",
+        states,
+        tuple(Input(n, unit, hold) for n, unit in zip(names, units, strict=True)),
+        tuple(SENSORS[s] for s in sensors),
+        parameters,
+        (*stages[propulsion], ("force", force), ("rate", rate), ("output", output)),
+        provides={"shaft": ("n", "f", "hull"), "force": ("f", "f_input", "hull"), "general": ("hull",)}[propulsion],
+        source=f"horizontal:{propulsion}" + ("" if current else ":still"),
+    )
+
+
+def shaft(s: Signals) -> None:
+    s.n = {side: getattr(s.u, f"n_{side}") for side in SIDES}
+
+
+def thrust(s: Signals) -> None:
+    s.f = {side: s.p.c1 * n * abs(n) + s.p.c2 * n * n for side, n in s.n.items()}
+    s.arm = {side: getattr(s.p, f"y_{side}") for side in SIDES}
+
+
+def given_thrust(s: Signals) -> None:
+    s.f = {side: getattr(s.u, f"f_{side}") for side in SIDES}
+    s.arm = {side: getattr(s.p, f"y_{side}") for side in SIDES}
+
+
+def force(s: Signals) -> None:
+    """External forces less damping: X, Y [N] and N [N m]; effects add to them."""
+    x, p = s.x, s.p
+    if hasattr(s, "f"):
+        s.X_thrust, s.N_thrust = sum(s.f.values()), sum(-s.arm[side] * f for side, f in s.f.items())
+    else:
+        s.X_thrust, s.N_thrust = s.u.X, s.u.N
+    s.X = s.X_thrust - p.d_u * x.u - p.d_uu * abs(x.u) * x.u
+    s.Y = -p.d_v * x.v - p.d_vv * abs(x.v) * x.v
+    s.N = s.N_thrust - p.d_r * x.r - p.d_rr * abs(x.r) * x.r
+
+
+def rate(s: Signals) -> None:
+    x, p = s.x, s.p
+    cos, sin = np.cos(x.psi), np.sin(x.psi)
+    s.rate["x"] = cos * x.u - sin * x.v + getattr(p, "V_x", 0.0)
+    s.rate["y"] = sin * x.u + cos * x.v + getattr(p, "V_y", 0.0)
+    s.rate["psi"] = x.r
+    s.rate["u"] = (s.X + p.m_v * x.v * x.r) / p.m_u
+    s.rate["v"] = (s.Y - p.m_u * x.u * x.r) / p.m_v
+    s.rate["r"] = (s.N + (p.m_u - p.m_v) * x.u * x.v) / p.m_r
+
+
+def output(s: Signals) -> None:
+    """All that a sensor could see; the model's sensors pick theirs."""
+    x, y = s.x, s.y
+    cos, sin = np.cos(x.psi), np.sin(x.psi)
+    current_x, current_y = getattr(s.p, "V_x", 0.0), getattr(s.p, "V_y", 0.0)
+    y["x"], y["y"], y["psi"], y["r"] = x.x, x.y, x.psi, x.r
+    y["vx"], y["vy"] = s.rate["x"], s.rate["y"]
+    y["u"], y["v"] = x.u + cos * current_x + sin * current_y, x.v - sin * current_x + cos * current_y
+    y["ax"], y["ay"] = s.rate["u"] - x.v * x.r, s.rate["v"] + x.u * x.r

@@ -1,0 +1,70 @@
+"""Straight-line motion (thesis section 6): ``m_u u' + d_u u + d_uu |u| u = X``, nominal values of its Table 1."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from ident.model import Input, Model, Output, Sensor, Signals, State
+from ident.params import INF, Parameter
+
+HULL = (
+    Parameter("m_u", 37.0, "kg", "surge mass with added mass", "log"),
+    Parameter("d_u", 0.2, "kg/s", "linear surge damping", bounds=(0, INF), step=0.3),
+    Parameter("d_uu", 25.0, "kg/m", "quadratic surge damping", bounds=(0, INF), step=0.3),
+)
+THRUST = (
+    Parameter("c1", 80.1, "N", "thrust of both thrusters at full speed, odd part", "log", free=False),
+    Parameter("c2", 2.22, "N", "thrust of both thrusters at full speed, even part", free=False, step=0.1),
+)
+NOISE = Parameter("s_u", 0.01, "m/s/sqrt(s)", "process noise of surge speed", "log")
+
+
+def surge(
+    propulsion: Literal["force", "shaft"] = "force",
+    measured: Literal["position", "speed", "both"] = "position",
+    *,
+    hold: Literal["zero", "linear"] = "zero",
+) -> Model:
+    """States x [m] and u [m/s]; input X [N], or n (normalised shaft speed, both thrusters alike)."""
+    sensors, noise = [], []
+    if measured != "speed":
+        sensors.append(Sensor("position", (Output("x", "m", "e_x"),)))
+        noise.append(Parameter("e_x", 0.05, "m", "noise of the position", "log"))
+    if measured != "position":
+        sensors.append(Sensor("speed", (Output("u", "m/s", "e_u"),)))
+        noise.append(Parameter("e_u", 0.03, "m/s", "noise of the speed", "log"))
+    shaft = propulsion == "shaft"
+    return Model(
+        "surge",
+        (
+            State("x", "m", "distance made good", from_output="x", sd0=1.0),
+            State("u", "m/s", "surge", "s_u", from_output="u", sd0=0.3),
+        ),
+        (Input("n", "", hold) if shaft else Input("X", "N", hold),),
+        tuple(sensors),
+        (*HULL, *(THRUST if shaft else ()), NOISE, *noise),
+        (("force", _shaft_force if shaft else _given_force), ("rate", _rate), ("output", _output)),
+        source=f"surge:{propulsion}:{measured}",
+    )
+
+
+def _shaft_force(s: Signals) -> None:
+    s.X_thrust = s.p.c1 * s.u.n * abs(s.u.n) + s.p.c2 * s.u.n**2
+    _drag(s)
+
+
+def _given_force(s: Signals) -> None:
+    s.X_thrust = s.u.X
+    _drag(s)
+
+
+def _drag(s: Signals) -> None:
+    s.X = s.X_thrust - s.p.d_u * s.x.u - s.p.d_uu * abs(s.x.u) * s.x.u
+
+
+def _rate(s: Signals) -> None:
+    s.rate["x"], s.rate["u"] = s.x.u, s.X / s.p.m_u
+
+
+def _output(s: Signals) -> None:
+    s.y["x"], s.y["u"] = s.x.x, s.x.u

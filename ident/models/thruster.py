@@ -1,0 +1,129 @@
+"""A thruster on the bench: command, shaft speed and force (thesis section 4.2, nominal values of its Table 2).
+
+    n' = a (n_ref - n),   f = c1 n|n| + c2 n^2 + bias + b_f
+
+``n_ref`` is the command, delayed by ``tau`` and zero inside the dead zone ``|n_cmd| < d``. The delay works on
+copies of the command that the data set delays by multiples of a step (``delayed_channels``): the model mixes the
+two or four next to ``tau`` by cubic convolution (Keys 1981), which keeps mean and variance of the delay exact and
+has a continuous derivative by it. No states are needed, and every copy of a step stays a step. ``b_f`` is an
+Ornstein-Uhlenbeck force, so that a load cell that swings does not pass for white noise.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ident.dataset import Channel
+from ident.model import Input, Model, Output, Sensor, Signals, State
+from ident.params import Parameter
+
+DELAY_STEP = 0.025  # s
+N_DELAYS = 25
+EDGE = 0.005  # of the command: over which the dead zone ends
+
+SHAFT = (
+    Parameter("a", 2.794, "1/s", "pole of the shaft speed", "log"),
+    Parameter("d", 0.0, "", "dead zone of the command", bounds=(0.0, 0.5), free=False, step=0.005),
+    Parameter("s_n", 0.01, "1/sqrt(s)", "process noise of the shaft speed", "log"),
+    Parameter("e_n", 0.005, "", "noise of the shaft speed", "log"),
+)
+FORCE = (
+    Parameter("c1", 40.05, "N", "thrust at full speed, odd part", "log"),
+    Parameter("c2", 1.11, "N", "thrust at full speed, even part", step=0.1),
+    Parameter("bias", 0.0, "N", "offset of the load cell", per_record=True, step=0.1),
+    Parameter("e_f", 0.5, "N", "noise of the load cell", "log"),
+)
+SWING = (
+    Parameter("q_f", 0.5, "N/sqrt(s)", "diffusion of the unexplained force", "log"),
+    Parameter("tau_f", 0.5, "s", "memory of the unexplained force", "log", prior=(0.5, 0.5), bounds=(0.05, 20.0)),
+)
+
+
+def delayed_channels(
+    channel: Channel, step: float = DELAY_STEP, n: int = N_DELAYS, name: str = "n_cmd"
+) -> dict[str, Channel]:
+    """Copies of a command, ``NAME_0`` to ``NAME_n-1``, each delayed by ``step`` [s] more, with its steps as sharp.
+
+    Before its first sample the command is taken to be what it is then.
+    """
+    copies = {}
+    for k in range(n):
+        t = np.append(channel.t[:1], channel.t + k * step)
+        copies[f"{name}_{k}"] = Channel(t, np.append(channel.value[:1], channel.value), channel.unit, channel.source)
+    return copies
+
+
+def thruster(
+    *, force: bool = True, swing: bool = True, step: float = DELAY_STEP, n_delays: int = N_DELAYS
+) -> Model:
+    """The bench model. force: a load cell is there; swing: with the unexplained force ``b_f``."""
+    top = step * (n_delays - 1)
+    delay = Parameter("tau", min(0.1, top / 2), "s", "delay of the command", bounds=(0.0, top), step=0.005)
+    states = [State("n", "", "shaft speed, normalised", "s_n", from_output="n", sd0=0.1)]
+    sensors, parameters = [Sensor("rpm", (Output("n", "", "e_n"),))], [delay, *SHAFT]
+    if force:
+        sensors.append(Sensor("load_cell", (Output("force", "N", "e_f"),)))
+        parameters += FORCE
+    if force and swing:
+        states.append(State("b_f", "N", "unexplained force", "q_f", sd0=1.0))
+        parameters += SWING
+
+    def shaft(s: Signals) -> None:
+        commands = [past_dead_zone(getattr(s.u, f"n_cmd_{k}"), s.p.d) for k in range(n_delays)]
+        s.n_ref = sum(w * c for w, c in zip(delay_weights(s.p.tau / step, n_delays), commands, strict=True))
+        s.n = s.x.n
+
+    return Model(
+        "thruster",
+        tuple(states),
+        tuple(Input(f"n_cmd_{k}") for k in range(n_delays)),
+        tuple(sensors),
+        tuple(parameters),
+        (("shaft", shaft), ("thrust", _thrust), ("rate", _rate), ("output", _output)),
+        provides=("bench",),
+        source="thruster",
+    )
+
+
+def past_dead_zone(command: Any, d: Any) -> Any:
+    """The command where it exceeds d, else zero; a smooth step of width ``EDGE`` between."""
+    along = np.minimum(np.maximum((abs(command) - d) / EDGE + 0.5, 0.0), 1.0)
+    return command * along * along * (3.0 - 2.0 * along)
+
+
+def delay_weights(position: Any, n: int) -> list[Any]:
+    """Weights of n samples for the value at ``position`` (0 to n - 1) between them: cubic convolution.
+
+    Beyond the ends the samples are continued in a straight line.
+    """
+    weights = [_keys(abs(position - k)) for k in range(n)]
+    before, after = _keys(position + 1.0), _keys(float(n) - position)
+    weights[0], weights[1] = weights[0] + 2.0 * before, weights[1] - before
+    weights[-1], weights[-2] = weights[-1] + 2.0 * after, weights[-2] - after
+    return weights
+
+
+def _keys(s: Any) -> Any:
+    """Kernel of cubic convolution at a distance s >= 0 (Keys 1981, eq. 15)."""
+    near = 1.0 + s * s * (1.5 * s - 2.5)
+    far = 2.0 + s * (-4.0 + s * (2.5 - 0.5 * s))
+    return (s < 1.0) * near + (s >= 1.0) * (s < 2.0) * far
+
+
+def _thrust(s: Signals) -> None:
+    if hasattr(s.p, "c1"):
+        s.force = s.p.c1 * s.n * abs(s.n) + s.p.c2 * s.n * s.n
+
+
+def _rate(s: Signals) -> None:
+    s.rate["n"] = s.p.a * (s.n_ref - s.x.n)
+    if hasattr(s.x, "b_f"):
+        s.rate["b_f"] = -s.x.b_f / s.p.tau_f
+
+
+def _output(s: Signals) -> None:
+    s.y["n"] = s.x.n
+    if hasattr(s, "force"):
+        s.y["force"] = s.force + s.p.bias + getattr(s.x, "b_f", 0.0)

@@ -1,0 +1,50 @@
+"""Turning on the spot (thesis section 6): ``m_r r' + d_r r + d_rr |r| r = N``, nominal values of its Table 1."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from ident.model import Input, Model, Output, Sensor, Signals, State
+from ident.params import INF, Parameter
+
+HULL = (
+    Parameter("m_r", 9.69, "kg m2", "yaw inertia with added inertia", "log"),
+    Parameter("d_r", 4.14, "kg m2/s", "linear yaw damping", bounds=(0, INF), step=0.1),
+    Parameter("d_rr", 6.23, "kg m2", "quadratic yaw damping", bounds=(0, INF), step=0.1),
+    Parameter("s_r", 0.01, "rad/s/sqrt(s)", "process noise of yaw rate", "log"),
+)
+GYRO = Parameter("e_r", 0.005, "rad/s", "noise of the yaw gyro", "log")
+COMPASS = Parameter("e_psi", 0.01, "rad", "noise of the heading", "log")
+
+
+def yaw(measured: Literal["rate", "both"] = "rate", *, hold: Literal["zero", "linear"] = "zero") -> Model:
+    """State r [rad/s], and psi [rad] where the heading is measured too; input N [N m]."""
+    heading = measured == "both"
+    states = [State("r", "rad/s", "yaw rate", "s_r", from_output="r", sd0=0.1)]
+    sensors = [Sensor("gyro", (Output("r", "rad/s", "e_r"),))]
+    if heading:
+        states.append(State("psi", "rad", "heading", from_output="psi", sd0=0.1))
+        sensors.append(Sensor("attitude", (Output("psi", "rad", "e_psi", angle=True),)))
+    return Model(
+        "yaw",
+        tuple(states),
+        (Input("N", "N m", hold),),
+        tuple(sensors),
+        (*HULL, GYRO, *((COMPASS,) if heading else ())),
+        (("force", _force), ("rate", _rate), ("output", _output)),
+        source=f"yaw:{measured}",
+    )
+
+
+def _force(s: Signals) -> None:
+    s.N = s.u.N - s.p.d_r * s.x.r - s.p.d_rr * abs(s.x.r) * s.x.r
+
+
+def _rate(s: Signals) -> None:
+    s.rate["r"] = s.N / s.p.m_r
+    s.rate["psi"] = s.x.r
+
+
+def _output(s: Signals) -> None:
+    s.y["r"] = s.x.r
+    s.y["psi"] = getattr(s.x, "psi", 0.0)

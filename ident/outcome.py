@@ -1,0 +1,149 @@
+"""From fits and diagnoses to result.json: the numbers, no drawing. Keys: docs/formats/result.md."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ident.dataset import Record
+from ident.fit import Fit
+from ident.model import Model
+from ident.params import Parameter
+from ident.residuals import cross_correlation, whiteness
+
+Array = NDArray[np.float64]
+Json = dict[str, Any]
+FORCE_UNITS = {"X": "N", "Y": "N", "N": "N m"}
+
+
+def fit_part(fit: Fit, start: Mapping[str, float]) -> Json:
+    """``fit``: parameters with errors, correlation, how the estimate went."""
+    flags = dict(fit.flags)
+    rows = []
+    for p in fit.model.parameters:
+        names = [f"{p.name}@{i}" for i in range(len(fit.records))] if p.per_record and p.free else [p.name]
+        for i, name in enumerate(names):
+            value, error = fit.estimate(p.name, i)
+            known = name in fit.names
+            rows.append(
+                {
+                    "name": p.name,
+                    "meaning": p.meaning,
+                    "unit": p.unit,
+                    "value": value,
+                    "se": error,
+                    "free": p.free,
+                    "prior_share": float(fit.prior_weight[fit.names.index(name)]) if known else None,
+                    "start": start.get(p.name),
+                    "flag": flags.get(name),
+                    "record": fit.records[i] if p.per_record and p.free and len(names) > 1 else None,
+                }
+            )
+    return {
+        "model": " + ".join([fit.model.name, *(e.name for e in fit.model.effects)]),
+        "method": fit.method.upper(),
+        "converged": fit.converged,
+        "message": fit.message,
+        "log_likelihood": fit.log_likelihood,
+        "iterations": fit.iterations,
+        "cpu": fit.cpu_seconds,
+        "parameters": rows,
+        "correlation": {"names": list(fit.names), "matrix": fit.correlation},
+    }
+
+
+def input_traces(model: Model, record: Record) -> list[Json]:
+    """The inputs as the model saw them; an input's own past is left out."""
+    return [
+        {"record": record.name, "name": i.name, "unit": i.unit, "t": record.t, "value": record.u[:, j]}
+        for j, i in enumerate(model.inputs)
+        if "~" not in i.name and i.name not in ("t", "work")
+    ]
+
+
+def residual_part(model: Model, record: Record, eps: Array) -> tuple[list[Json], list[Json]]:
+    """``residuals`` and ``cross`` of one record from its standardised innovations (n_rows, n_outputs)."""
+    residuals, cross = [], []
+    inputs = [(j, i) for j, i in enumerate(model.inputs) if "~" not in i.name and i.name not in ("t", "work")]
+    for j, o in enumerate(model.outputs):
+        good = np.isfinite(eps[:, j])
+        if good.sum() < 60:
+            continue
+        t, e = record.t[good], eps[good, j]
+        w = whiteness(o.name, t, e)
+        dt = float(np.median(np.diff(t)))
+        residuals.append(
+            {
+                "record": record.name,
+                "channel": o.name,
+                "unit": o.unit,
+                "t": t,
+                "e": e,
+                "lags": dt * np.arange(1, w.acf.size + 1),
+                "acf": w.acf,
+                "band": w.band,
+                "ljung_box_p": w.ljung_box,
+                "periodogram_p": w.periodogram,
+                "frequency": w.frequency,
+                "cumulative": w.cumulative,
+                "normal_p": w.normal,
+                "white": w.white,
+                "after": None,
+            }
+        )
+        for k, i in inputs:
+            c = cross_correlation(o.name, t, e, i.name, record.t, record.u[:, k])
+            cross.append(
+                {
+                    "record": record.name,
+                    "channel": o.name,
+                    "input": i.name,
+                    "lags": c.lags,
+                    "z": c.z,
+                    "p": c.p,
+                    "after": None,
+                }
+            )
+    return residuals, cross
+
+
+def join_after(before: list[Json], after: list[Json], keys: Sequence[str], kept: Sequence[str]) -> list[Json]:
+    """Put what changed under ``after`` into the rows of ``before`` with the same keys."""
+    later = {tuple(row[k] for k in keys): row for row in after}
+    for row in before:
+        match = later.get(tuple(row[k] for k in keys))
+        if match is not None:
+            row["after"] = {k: match[k] for k in kept}
+    return before
+
+
+def parameter_row(p: Parameter, value: float, error: float) -> Json:
+    return {"name": p.name, "meaning": p.meaning, "unit": p.unit, "value": value, "se": error}
+
+
+def write_result(result: Json, path: Path) -> None:
+    """NaN and infinities become null: JSON has no others."""
+    path.write_text(json.dumps(plain(result), separators=(",", ":"), allow_nan=False), encoding="utf-8")
+
+
+def plain(value: Any) -> Any:
+    """Arrays to lists, NaN to null; numbers keep seven significant digits."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(f"{value:.7g}") if math.isfinite(value) else None
+    return value

@@ -1,0 +1,71 @@
+"""Parameters: a value, and apart from it what is known of it (unit, transform, prior, free or fixed)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+INF = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter of a model.
+
+    ``transform="log"`` estimates the logarithm of a positive parameter. ``prior`` is (mean, standard
+    deviation) in the parameter's own unit: normal, or normal in the logarithm with the relative standard
+    deviation. ``per_record`` parameters (current, biases) take a value of their own in each record.
+    ``neutral`` says that at ``value`` the parameter does nothing (an effect's parameters).
+    """
+
+    name: str
+    value: float
+    unit: str = ""
+    meaning: str = ""
+    transform: Literal["none", "log"] = "none"
+    prior: tuple[float, float] | None = None
+    bounds: tuple[float, float] = (-INF, INF)
+    free: bool = True
+    per_record: bool = False
+    step: float = 0.0  # a change that is small but felt; 0: a hundredth of the value
+
+    def __post_init__(self) -> None:
+        low, high = self.bounds
+        if self.transform == "log" and self.value <= 0:
+            raise ValueError(f"parameter {self.name}: {self.value} is not positive, but its transform is log")
+        if not low <= self.value <= high:
+            raise ValueError(f"parameter {self.name}: {self.value} is outside its bounds [{low}, {high}]")
+
+    def to_free(self, value: float) -> float:
+        """The coordinate in which the estimator moves."""
+        return math.log(value) if self.transform == "log" else value
+
+    def from_free(self, coordinate: float) -> float:
+        return math.exp(coordinate) if self.transform == "log" else coordinate
+
+    def slope(self, value: float) -> float:
+        """d value / d coordinate."""
+        return value if self.transform == "log" else 1.0
+
+    def free_prior(self) -> tuple[float, float] | None:
+        """Prior mean and standard deviation in the estimator's coordinate."""
+        if self.prior is None:
+            return None
+        mean, sd = self.prior
+        return (math.log(mean), sd / mean) if self.transform == "log" else (mean, sd)
+
+    def free_bounds(self) -> tuple[float, float]:
+        low, high = self.bounds
+        if self.transform == "log":
+            return (math.log(low) if low > 0 else -INF, math.log(high) if high < INF else INF)
+        return low, high
+
+    def at(self, value: float) -> Parameter:
+        return replace(self, value=float(value))
+
+    def fixed(self) -> Parameter:
+        return replace(self, free=False)
+
+    def freed(self) -> Parameter:
+        return replace(self, free=True)

@@ -1,0 +1,114 @@
+"""How well a model predicts: one step, ten seconds and free-running, per channel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ident.dataset import Record
+from ident.engine.rowwise import Rowwise
+from ident.model import Model
+from ident.oe import predict_ahead
+from ident.pe import FilterRun, Likelihood
+
+Array = NDArray[np.float64]
+HORIZON = 10.0  # s
+THIN = 2  # ten-second predictions start from every second row
+WARM_UP = 15.0  # s of measurements that a free run starts from
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of one channel: their times (n,) and measured less predicted (n,)."""
+
+    t: Array
+    e: Array
+
+    @property
+    def rms(self) -> float:
+        return float(np.sqrt(np.mean(self.e**2))) if self.e.size else float("nan")
+
+
+@dataclass(frozen=True)
+class FreeRun:
+    """Predicted from the inputs alone after the first 15 s: y, sd (n_rows, n_outputs), errors per channel."""
+
+    y: Array
+    sd: Array
+    errors: Mapping[str, Errors]
+
+
+def one_step(model: Model, record: Record, run: FilterRun) -> dict[str, Errors]:
+    """Innovations, in the unit of each channel."""
+    found = {o.name: _errors(record.t, run.e[:, j]) for j, o in enumerate(model.outputs)}
+    return {name: e for name, e in found.items() if e.e.size}
+
+
+def ten_seconds(model: Model, record: Record, values: Array, run: FilterRun) -> dict[str, Errors]:
+    """Errors ten seconds ahead, from the filtered states; the unexplained forces decay."""
+    rows = np.arange(0, record.n_rows, THIN)
+    ahead = predict_ahead(model, record, values, run.x_filt, seconds=HORIZON, rows=rows)
+    found = {}
+    for j, o in enumerate(model.outputs):
+        found[o.name] = _errors(record.t[ahead.end], wrap(record.y[ahead.end, j] - ahead.y[:, j], o.angle))
+    return {name: e for name, e in found.items() if e.e.size}
+
+
+def free_run(model: Model, record: Record, values: Array, likelihood: Likelihood | None = None) -> FreeRun:
+    """The filter gets 15 s of measurements and then the inputs only; its covariance is the prediction's own band."""
+    blind = record.t > record.t[0] + WARM_UP
+    y = record.y.copy()
+    y[blind] = np.nan
+    run = (likelihood or Likelihood(model)).filter(replace(record, y=y), values)
+    rowwise = Rowwise(model)
+    n = len(model.states)
+    predicted = rowwise(run.x_pred, record.u, values)[:, n:]
+    H = rowwise.output_jacobian(run.x_pred, record.u, values)
+    variance = np.einsum("kij,kjl,kil->ki", H, run.P_pred, H) + run.R
+    errors = {}
+    for j, o in enumerate(model.outputs):
+        e = _errors(record.t[blind], wrap(record.y[blind, j] - predicted[blind, j], o.angle))
+        if e.e.size:
+            errors[o.name] = e
+    return FreeRun(predicted, np.sqrt(np.maximum(variance, 0)), errors)
+
+
+def pooled(parts: list[Mapping[str, Errors]]) -> dict[str, Errors]:
+    """Errors of several records as one, their times one after the other."""
+    found: dict[str, Errors] = {}
+    for name in dict.fromkeys(n for p in parts for n in p):
+        t, e, offset = [], [], 0.0
+        for p in parts:
+            if name in p:
+                t.append(p[name].t + offset)
+                e.append(p[name].e)
+                offset = float(t[-1][-1]) + 1e3
+        found[name] = Errors(np.concatenate(t), np.concatenate(e))
+    return found
+
+
+def ratio_interval(
+    before: Errors, after: Errors, *, block: float = 10.0, n: int = 400, seed: int = 0
+) -> tuple[float, float]:
+    """95 % interval of rms(after) / rms(before) by a block bootstrap over the same blocks of time."""
+    index = np.unique(np.floor(before.t / block), return_inverse=True)[1]
+    n_blocks = int(index.max(initial=-1)) + 1
+    if n_blocks < 4 or before.e.size != after.e.size:
+        return float("nan"), float("nan")
+    sums = np.array([np.bincount(index, e**2, n_blocks) for e in (before.e, after.e)])
+    pick = np.random.default_rng(seed).integers(0, n_blocks, (n, n_blocks))
+    ratio = np.sqrt(sums[1][pick].sum(1) / np.maximum(sums[0][pick].sum(1), 1e-300))
+    low, high = np.percentile(ratio, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def wrap(e: Array, angle: bool) -> Array:
+    return np.mod(e + np.pi, 2 * np.pi) - np.pi if angle else e
+
+
+def _errors(t: Array, e: Array) -> Errors:
+    good = np.isfinite(e)
+    return Errors(t[good], e[good])

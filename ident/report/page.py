@@ -1,0 +1,99 @@
+"""One self-contained page from a result: everything inside it, nothing fetched."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from ident.report import sections
+from ident.report.access import rows, text
+from ident.report.blocks import Canvas
+from ident.report.drawing import TEMPLATE, Budget
+
+KINDS = {
+    "thruster": "Thruster identification",
+    "vehicle": "Vehicle identification",
+    "diagnosis": "Diagnosis",
+    "noise": "Sensor noise",
+}
+
+
+def write_report(result: Mapping[str, Any], path: Path) -> None:
+    """Write ``result`` (the content of result.json) as one HTML page that opens without a network.
+
+    Sections without data are left out. Raises OSError where ``path`` cannot be written.
+    """
+    path.write_text(render(result), encoding="utf-8", newline="\n")
+
+
+def render(result: Mapping[str, Any]) -> str:
+    """The page's text."""
+    canvas = Canvas(result, Budget.for_traces(_count_traces(result)))
+    opening, body = sections.opening(canvas), sections.body(canvas)
+    scripts = [_plotly(), _asset("report.js")] if canvas.figures else [_asset("report.js")]
+    return (
+        _environment()
+        .get_template("report.html.j2")
+        .render(
+            kind=KINDS.get(text(result, "kind"), "Report"),
+            answer=text(result, "answer"),
+            created=text(result, "created").replace("T", " "),
+            version=text(result, "seatrial"),
+            opening=opening,
+            sections=body,
+            style=Markup(_asset("style.css")),
+            scripts=[Markup(script) for script in scripts],
+            policy=_policy(scripts),
+            figures=Markup(_embedded({"template": TEMPLATE, "figures": canvas.figures})),
+        )
+    )
+
+
+@cache
+def _environment() -> Environment:
+    return Environment(
+        loader=PackageLoader("ident.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def _count_traces(result: Mapping[str, Any]) -> int:
+    """About how many long traces the page will hold."""
+    weights = {"traces": 4, "track": 3, "inputs": 1, "residuals": 2, "residual_forces": 4, "noise": 2}
+    return sum(weight * len(rows(result, key)) for key, weight in weights.items())
+
+
+def _embedded(value: Any) -> str:
+    """JSON that cannot end the script element it stands in."""
+    written = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    for character in "<>&\u2028\u2029":
+        written = written.replace(character, f"\\u{ord(character):04x}")
+    return written
+
+
+def _policy(scripts: list[str]) -> str:
+    """A content security policy: only these scripts run, and nothing is loaded from anywhere."""
+    hashes = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
+    allowed = " ".join(f"'sha256-{digest}'" for digest in hashes)
+    return f"default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; script-src {allowed}"
+
+
+def _asset(name: str) -> str:
+    return (Path(__file__).parent / "templates" / name).read_text(encoding="utf-8").strip()
+
+
+def _plotly() -> str:
+    from plotly.offline import get_plotlyjs  # a second of import, for this alone
+
+    return str(get_plotlyjs()).replace("\r\n", "\n").replace("\r", "\n").strip()

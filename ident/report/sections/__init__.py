@@ -1,0 +1,29 @@
+"""The page's sections in their order, each built from result.json's content alone."""
+
+from __future__ import annotations
+
+from ident.report.blocks import Canvas, Section
+from ident.report.sections import answer, errors, parameters, residuals, runs, search
+
+
+def opening(canvas: Canvas) -> Section:
+    """What stands under the answer."""
+    return answer.section(canvas)
+
+
+def body(canvas: Canvas) -> list[Section]:
+    """The sections that have something to show."""
+    makers = (
+        answer.static_section,
+        answer.noise_section,
+        runs.run_section,
+        runs.traces_section,
+        parameters.section,
+        residuals.section,
+        search.section,
+        errors.section,
+        errors.next_section,
+        errors.notes_section,
+        errors.made_section,
+    )
+    return [section for make in makers if (section := make(canvas)).blocks]

@@ -1,0 +1,72 @@
+"""Error before and after, and the end of the page: next experiment, notes, how it was made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ident.report import wording
+from ident.report.access import ROLES, Row, group, number, text, texts
+from ident.report.blocks import Canvas, Cell, Facts, Lines, Prose, Section, Table, tabbed
+
+HORIZONS = (("one_step", "One step ahead"), ("ten_seconds", "10 s ahead"), ("free_run", "Free-running"))
+
+
+def section(canvas: Canvas) -> Section:
+    """One table for validation and one for estimation data."""
+    both = group(canvas.result, "before_after")
+    tabs = [(f"{role} data", _table(group(both, role))) for role in ROLES]
+    lead = "Root mean square of measured less predicted. A ratio below 1 is an improvement."
+    blocks = tabbed(tabs)
+    return Section("errors", "Error before and after", blocks, lead)
+
+
+def _table(data: Row) -> list[Any]:
+    columns = (("channel", ""), ("before", "num"), ("after", "num"), ("unit", ""), ("ratio", "num"), ("95 %", "num"))
+    lines: list[list[Cell | str]] = []
+    for key, title in HORIZONS:
+        table = group(data, key)
+        found = [_row(str(name), row) for name, row in table.items() if isinstance(row, Mapping)]
+        lines += [[Cell(title, "group")], *found] if found else []
+    return [Table(columns, lines)] if lines else []
+
+
+def _row(channel: str, row: Row) -> list[Cell | str]:
+    factor, unit = wording.degrees_for(text(row, "unit"))
+    before, after = (None if v is None else factor * v for v in (number(row, "before"), number(row, "after")))
+    low, high = number(row, "low"), number(row, "high")
+    ratio = after / before if before and after is not None else None
+    sure = "" if ratio is None else "good" if high is not None and high < 1 else "bad" if low and low > 1 else ""
+    mark = {"good": "▼ ", "bad": "▲ ", "": ""}[sure]
+    return [
+        wording.named(channel),
+        Cell(wording.plain(before), "num"),
+        Cell(wording.plain(after), "num"),
+        Cell(unit, "nowrap"),
+        Cell("–" if ratio is None else f"{mark}{ratio:.2f}", f"num {sure}".strip()),
+        Cell("–" if low is None or high is None else f"{low:.2f} to {high:.2f}", "num"),
+    ]
+
+
+def next_section(canvas: Canvas) -> Section:
+    """What to run next."""
+    words = text(canvas.result, "next_experiment")
+    return Section("next", "Next experiment", [Prose(words, "callout")] if words else [])
+
+
+def notes_section(canvas: Canvas) -> Section:
+    """What was left out, what failed, what to know."""
+    lines = texts(canvas.result, "notes")
+    return Section("notes", "Notes", [Lines(lines)] if lines else [])
+
+
+def made_section(canvas: Canvas) -> Section:
+    """Command, version, time."""
+    result = canvas.result
+    facts = (
+        ("Command", text(result, "command")),
+        ("seatrial", text(result, "seatrial")),
+        ("Time", text(result, "created").replace("T", " ")),
+    )
+    found = [(label, value) for label, value in facts if value]
+    return Section("made", "How it was made", [Facts(found, "made")] if found else [])

@@ -1,0 +1,158 @@
+"""What was run, and measured against model: logs, inputs, channels over time, track."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ident.report import drawing, wording
+from ident.report.access import Array, Row, Take, along, array, number, of_take, rows, takes, text, texts
+from ident.report.blocks import Canvas, Cell, Grid, Key, Lines, Section, Table, tabbed
+
+TIME = "time [s]"
+
+
+def run_section(canvas: Canvas) -> Section:
+    """Logs with their roles, and what the thrusters were told."""
+    logs = rows(canvas.result, "logs")
+    columns = (("log", ""), ("role", ""), ("duration", "num"), ("rig", ""), ("mission", ""), ("SHA-256", ""))
+    blocks: list[Any] = [Table(columns, [_log_row(row) for row in logs])] if logs else []
+    warnings = [f"{_log_name(row)}: {line}" for row in logs for line in texts(row, "warnings")]
+    if warnings:
+        blocks.append(Lines(warnings, "warning"))
+    blocks += tabbed([(take.title, _inputs(canvas, take)) for take in takes(canvas.result, "inputs")])
+    return Section("run", "What was run", blocks)
+
+
+def _log_name(row: Row) -> str:
+    return text(row, "name") or text(row, "path").replace("\\", "/").rsplit("/", 1)[-1] or "log"
+
+
+def _log_row(row: Row) -> list[Cell | str]:
+    role = text(row, "role")
+    return [
+        Cell(_log_name(row), "strong"),
+        Cell(role, f"badge {role}" if role in ("validation", "estimation") else ""),
+        Cell(wording.duration(number(row, "duration")), "num"),
+        text(row, "rig") or "–",
+        text(row, "mission") or "–",
+        Cell(text(row, "sha256")[:10] or "–", "code"),
+    ]
+
+
+def _inputs(canvas: Canvas, take: Take) -> list[Any]:
+    by_unit: dict[str, list[Row]] = {}
+    for row in of_take(canvas.result, "inputs", take):
+        by_unit.setdefault(text(row, "unit"), []).append(row)
+    panels = []
+    for unit, members in by_unit.items():
+        factor, shown = wording.degrees_for(unit)
+        traces, names = [], []
+        for i, row in enumerate(members):
+            found = along(row, "t", "value")
+            if found and found[1][0] is not None:
+                style = {"color": drawing.LINES[i % 6], "dash": ("solid", "dot")[i % 2]}
+                name = wording.symbol(text(row, "name")) if len(members) > 1 else wording.titled(text(row, "name"))
+                traces.append(drawing.line(found[0], factor * found[1][0], name, canvas.budget.points, **style))
+                names.append(f"{name} ({('solid', 'dotted')[i % 2]})" if len(members) > 1 else name)
+        if traces:
+            panels.append(drawing.Panel(" · ".join(names) + wording.bracket(shown), traces))
+    if not panels:
+        return []
+    figure, height = drawing.stacked(panels, TIME)
+    return [Grid([canvas.plot(figure, height, f"Inputs over time, {take.title}")], 320)]
+
+
+def traces_section(canvas: Canvas) -> Section:
+    """Every channel measured and free-running, and the track, one tab a record."""
+    result = canvas.result
+    both = {take: None for key in ("traces", "track") for take in takes(result, key)}
+    tabs = [(take.title, _channels(canvas, take) + _track(canvas, take)) for take in both]
+    if not any(blocks for _, blocks in tabs):
+        return Section("traces", "", [])
+    before = any(array(row, "before") is not None for row in rows(result, "traces"))
+    sure = any(array(row, "sd") is not None for row in rows(result, "traces"))
+    return Section("traces", "Measured against model", [_key(before, sure), *tabbed(tabs)])
+
+
+def _key(before: bool, sure: bool) -> Key:
+    items = [
+        ("measured", "measured"),
+        ("after", "model, free-running, with 95 % band") if sure else ("line", "model, free-running"),
+    ]
+    return Key([*items, ("before", "before the effects were added")] if before else items)
+
+
+def _channels(canvas: Canvas, take: Take) -> list[Any]:
+    panels = [panel for row in of_take(canvas.result, "traces", take) if (panel := _channel(canvas, row))]
+    if not panels:
+        return []
+    figure, height = drawing.stacked(panels, TIME)
+    return [Grid([canvas.plot(figure, height, f"Measured and model over time, {take.title}")], 320)]
+
+
+def _channel(canvas: Canvas, row: Row) -> drawing.Panel | None:
+    found = along(row, "t", "measured", "model", "sd", "before")
+    if found is None:
+        return None
+    t, limit = found[0], canvas.budget.points
+    factor, unit = wording.degrees_for(text(row, "unit"))
+    measured, model, sd, before = (None if a is None else factor * a for a in found[1])
+    if row.get("angle") is True and text(row, "unit") == "rad":
+        measured, model, before = _one_turn([measured, model, before])
+    traces = []
+    if model is not None and sd is not None:
+        traces.append(drawing.band(t, model, drawing.Z95 * sd, limit))
+    if measured is not None:
+        traces.append(drawing.dots(t, measured, "measured", limit))
+    if before is not None:
+        traces.append(drawing.line(t, before, "before", limit, color=drawing.BEFORE, dash="dash"))
+    if model is not None:
+        traces.append(drawing.line(t, model, "model", limit))
+    return drawing.Panel(wording.titled(text(row, "channel")) + wording.bracket(unit), traces) if traces else None
+
+
+def _one_turn(curves: list[Array | None]) -> list[Array | None]:
+    """Angles [deg] without jumps at the half turn, all starting on the same turn."""
+    start: float | None = None
+    shown: list[Array | None] = []
+    for curve in curves:
+        if curve is None:
+            shown.append(None)
+            continue
+        good, smooth = np.isfinite(curve), curve.copy()
+        smooth[good] = np.unwrap(curve[good], period=360.0)
+        first = float(smooth[good][0])
+        start = first if start is None else start
+        shown.append(smooth - 360.0 * round((first - start) / 360.0))
+    return shown
+
+
+def _track(canvas: Canvas, take: Take) -> list[Any]:
+    plots = []
+    for row in of_take(canvas.result, "track", take):
+        traces = [t for style in ("measured", "before", "model") for t in _path(row, style, canvas.budget.points)]
+        if traces:
+            equal = {"scaleanchor": "x", "scaleratio": 1, "nticks": 7}
+            figure = drawing.single(traces, "east [m]", "north [m]", hovermode="closest", yaxis=equal)
+            plots.append(canvas.plot(figure, 420, f"Track, {take.title}", "Track, north up"))
+    return [Grid(plots, 320)] if plots else []
+
+
+def _path(row: Row, style: str, limit: int) -> list[drawing.Trace]:
+    north, east = array(row, f"x_{style}"), array(row, f"y_{style}")
+    if north is None or east is None or north.size != east.size:
+        return []
+    good = np.isfinite(north) & np.isfinite(east)
+    at = np.flatnonzero(good)[drawing.strided(int(good.sum()), limit)]
+    line = {
+        "measured": {"color": drawing.MEASURED, "width": 1.2},
+        "before": {"color": drawing.BEFORE, "width": 1.6, "dash": "dash"},
+        "model": {"color": drawing.MODEL, "width": 1.8},
+    }[style]
+    where = {"x": drawing.packed(east[at]), "y": drawing.packed(north[at])}
+    start = {"type": "scatter", "mode": "markers", "x": [float(east[at[0]])], "y": [float(north[at[0]])]}
+    marker = {"symbol": "circle-open", "size": 9, "color": line["color"], "line": {"width": 2}}
+    path = {"type": "scatter", "mode": "lines", "name": style, **where, "line": line}
+    return [path, {**start, "name": f"{style}, start", "marker": marker}]

@@ -1,0 +1,83 @@
+"use strict";
+(function () {
+  const page = JSON.parse(document.getElementById("figures").textContent);
+  const touch = window.matchMedia("(pointer: coarse)").matches;
+  const config = {
+    displaylogo: false,
+    responsive: true,
+    scrollZoom: false,
+    displayModeBar: touch ? false : "hover",
+    modeBarButtons: [["zoom2d", "pan2d", "resetScale2d", "toImage"]],
+  };
+  const places = Array.from(document.querySelectorAll(".plot")).filter((place) => page.figures[place.id]);
+
+  function draw(place) {
+    if (place.dataset.drawn) return;
+    place.dataset.drawn = "yes";
+    const figure = page.figures[place.id];
+    const layout = Object.assign({ template: page.template }, figure.layout);
+    // a finger must be able to scroll the page across a figure
+    if (touch) layout.dragmode = false;
+    Plotly.newPlot(place, figure.data, layout, config);
+  }
+
+  // figures are drawn shortly before they come into view; those in hidden tabs when their tab opens
+  const watcher = new IntersectionObserver(
+    (entries) => entries.filter((entry) => entry.isIntersecting).forEach((entry) => {
+      watcher.unobserve(entry.target);
+      draw(entry.target);
+    }),
+    { rootMargin: "600px" },
+  );
+  places.forEach((place) => watcher.observe(place));
+
+  function choose(tab) {
+    for (const other of tab.parentElement.children) {
+      const chosen = other === tab;
+      other.setAttribute("aria-selected", String(chosen));
+      other.tabIndex = chosen ? 0 : -1;
+      const panel = document.getElementById(other.getAttribute("aria-controls"));
+      panel.classList.toggle("away", !chosen);
+      if (chosen) resize(panel);
+    }
+  }
+  function resize(root) {
+    root.querySelectorAll(".plot[data-drawn]").forEach((place) => place.offsetParent && Plotly.Plots.resize(place));
+  }
+  document.querySelectorAll("[role=tablist]").forEach((list) => {
+    list.addEventListener("click", (event) => {
+      const tab = event.target.closest("[role=tab]");
+      if (tab) choose(tab);
+    });
+    list.addEventListener("keydown", (event) => {
+      const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+      const tabs = Array.from(list.children);
+      if (!step) return;
+      const next = tabs[(tabs.indexOf(event.target) + step + tabs.length) % tabs.length];
+      choose(next);
+      next.focus();
+    });
+  });
+
+  window.addEventListener("beforeprint", () => {
+    const hidden = Array.from(document.querySelectorAll(".away"));
+    hidden.forEach((panel) => panel.classList.remove("away"));
+    document.body.classList.add("printing");
+    places.forEach(draw);
+    resize(document);
+    window.addEventListener("afterprint", () => {
+      hidden.forEach((panel) => panel.classList.add("away"));
+      document.body.classList.remove("printing");
+      resize(document);
+    }, { once: true });
+  });
+
+  const links = new Map(Array.from(document.querySelectorAll(".contents a")).map((a) => [a.hash.slice(1), a]));
+  const reader = new IntersectionObserver(
+    (entries) => entries.filter((entry) => entry.isIntersecting).forEach((entry) => {
+      links.forEach((link, id) => link.classList.toggle("here", id === (entry.target.id || "top")));
+    }),
+    { rootMargin: "-15% 0px -75% 0px" },
+  );
+  document.querySelectorAll("main > header, main > section").forEach((part) => reader.observe(part));
+})();

@@ -1,0 +1,145 @@
+"""A result in about forty lines of a terminal, 80 columns wide."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from ident.report import wording
+from ident.report.access import ROLES, Row, flag, group, number, rows, text
+from ident.report.sections.errors import HORIZONS
+from ident.report.sections.search import threshold
+
+MOST_PARAMETERS, MOST_CANDIDATES, MOST_CHANNELS = 9, 6, 8
+
+
+def print_result(result: Mapping[str, Any], console: Console) -> None:
+    """Print the answer, the parameters, the ranked candidates, and the error before and after."""
+    console.print()
+    console.print(Padding(Text(text(result, "answer"), style="bold"), (0, 1)))
+    for table in (_parameters(result), _noise(result), _candidates(result), _errors(result)):
+        if table is not None:
+            console.print()
+            console.print(Padding(table, (0, 0, 0, 1)))
+    console.print()
+
+
+def _table(title: str) -> Table:
+    style = {"title_justify": "left", "title_style": "bold cyan", "header_style": "dim", "border_style": "dim"}
+    return Table(title=Text(title), box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, **style)  # type: ignore[arg-type]
+
+
+def _scaled(row: Row, *keys: str) -> tuple[list[float | None], str]:
+    factor, unit = wording.degrees_for(text(row, "unit"))
+    values = [number(row, key) for key in keys]
+    return [None if v is None else factor * v for v in values], unit
+
+
+def _parameters(result: Row) -> Table | None:
+    """The effects' parameters first, then those of the dynamics; noise and fixed ones are for the report."""
+    effects = [row for effect in rows(result, "effects") for row in rows(effect, "parameters")]
+    own = {text(row, "name") for row in effects}
+    fitted = [
+        row
+        for row in rows(group(result, "fit"), "parameters")
+        if flag(row, "free") is not False and text(row, "name") not in own and "noise" not in text(row, "meaning")
+    ]
+    found = effects + fitted
+    if not found:
+        return None
+    shown = found[:MOST_PARAMETERS]
+    more = f" ({len(found) - len(shown)} more in the report)" if len(found) > len(shown) else ""
+    table = _table(f"Parameters{more}")
+    table.add_column("", no_wrap=True)
+    table.add_column("value ± s.e.", justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    table.add_column("", style="dim", no_wrap=True, overflow="ellipsis", ratio=1)
+    for row in shown:
+        (value, se), unit = _scaled(row, "value", "se")
+        name = Text(text(row, "name"), style="bold green" if text(row, "name") in own else "bold")
+        words = f"⚠ {text(row, 'flag')}" if text(row, "flag") else text(row, "meaning")
+        table.add_row(name, Text(wording.with_error(value, se)), Text(unit), Text(words))
+    return table
+
+
+def _noise(result: Row) -> Table | None:
+    found = rows(result, "noise")
+    if not found:
+        return None
+    table = _table("Noise")
+    table.add_column("", no_wrap=True, overflow="ellipsis")
+    for title in ("white", "random walk, per √s"):
+        table.add_column(title, justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    table.add_column("p", justify="right", no_wrap=True)
+    table.add_column("model", no_wrap=True)
+    for row in found[:12]:
+        (white, se_white, walk, se_walk), unit = _scaled(row, "white", "se_white", "walk", "se_walk")
+        verdict = {True: Text("holds", "green"), False: Text("fails", "bold red"), None: Text("–")}[
+            flag(row, "accepted")
+        ]
+        texts = (text(row, "channel"), wording.with_error(white, se_white), wording.with_error(walk, se_walk))
+        more = (unit, wording.probability(number(row, "p")))
+        table.add_row(*(Text(words) for words in texts + more), verdict)
+    return table
+
+
+def _candidates(result: Row) -> Table | None:
+    found = [row for row in rows(result, "rounds") if rows(row, "candidates")]
+    if not found:
+        return None
+    every = rows(found[0], "candidates")
+    chosen = [text(row, "chosen") for row in found if text(row, "chosen")]
+    table = _table(f"Candidates, first round ({min(len(every), MOST_CANDIDATES)} of {len(every)})")
+    table.add_column("", no_wrap=True)
+    table.add_column("", no_wrap=True, overflow="ellipsis", ratio=1)
+    for title in ("score", "threshold", "p by blocks"):
+        table.add_column(title, justify="right", no_wrap=True)
+    for row in every[:MOST_CANDIDATES]:
+        won, passed = text(row, "name") in chosen, flag(row, "passed") is True
+        style = "bold green" if won else "" if passed else "dim"
+        numbers = (
+            wording.plain(number(row, "lm")),
+            wording.plain(threshold(row, len(every))),
+            wording.probability(number(row, "p_block")),
+        )
+        mark = "✓" if won else "·" if passed else " "
+        words = (mark, text(row, "title") or text(row, "name"), *numbers)
+        table.add_row(*(Text(part) for part in words), style=style)
+    return table
+
+
+def _errors(result: Row) -> Table | None:
+    both = group(result, "before_after")
+    role = next((role for role in ROLES if group(both, role)), None)
+    if role is None:
+        return None
+    data = group(both, role)
+    horizons = [(title, group(data, key)) for key, title in HORIZONS if group(data, key)]
+    channels = list(dict.fromkeys(str(name) for _, table in horizons for name in table))[:MOST_CHANNELS]
+    if not channels:
+        return None
+    table = _table(f"Error before → after, {role} data")
+    table.add_column("", no_wrap=True)
+    table.add_column("", no_wrap=True, style="dim")
+    for title, _ in horizons:
+        table.add_column(title.lower(), justify="right", no_wrap=True)
+    for channel in channels:
+        found = [group(table_, channel) for _, table_ in horizons]
+        unit = next((_scaled(row)[1] for row in found if text(row, "unit")), "")
+        table.add_row(Text(channel, style="bold"), Text(unit), *(_step(row) for row in found))
+    return table
+
+
+def _step(row: Row) -> Text:
+    (before, after), _ = _scaled(row, "before", "after")
+    if before is None or after is None:
+        return Text("–")
+    color = "green" if after < 0.98 * before else "red" if after > 1.02 * before else ""
+    return Text.assemble(f"{wording.plain(before)} → ", (wording.plain(after), color))

@@ -1,0 +1,153 @@
+"""Numbers, units and names as people read them: degrees, a few digits, a true minus sign."""
+
+from __future__ import annotations
+
+import math
+import re
+
+SUPER = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+DEGREES = 180.0 / math.pi
+_RADIANS = re.compile(r"^(\(?)rad(\^?2|²)?(?![A-Za-z])")
+_POWER = re.compile(r"(?<=[A-Za-z)])\^?(-?\d)")
+MEANINGS = {
+    "u": "surge speed",
+    "v": "sway speed",
+    "r": "yaw rate",
+    "psi": "heading",
+    "x": "position north",
+    "y": "position east",
+    "vx": "velocity north",
+    "vy": "velocity east",
+    "ax": "acceleration ahead",
+    "ay": "acceleration to starboard",
+    "X": "surge force",
+    "Y": "sway force",
+    "N": "yaw moment",
+    "n_left": "shaft speed left",
+    "n_right": "shaft speed right",
+    "n_cmd_left": "command left",
+    "n_cmd_right": "command right",
+    "n_sum": "mean shaft speed",
+    "n_diff": "difference of shaft speeds",
+    "f_left": "thrust left",
+    "f_right": "thrust right",
+    "t": "time",
+    "n": "shaft speed",
+    "force": "force",
+    "rpm": "shaft speed",
+}
+SYMBOLS = {"psi": "ψ"}
+
+
+def degrees_for(unit: str) -> tuple[float, str]:
+    """Factor from the file's unit to the shown one, and the shown unit: rad, rad/s, rad2/Hz become degrees."""
+    found = _RADIANS.match(unit)
+    if found is None:
+        return 1.0, tidy(unit)
+    square = bool(found.group(2))
+    shown = unit[: found.end(1)] + ("deg2" if square else "deg") + unit[found.end() :]
+    return DEGREES**2 if square or unit.startswith("(rad)^2") else DEGREES, tidy(shown)
+
+
+def tidy(unit: str) -> str:
+    """``kg m2/s`` -> ``kg m²/s``, ``sqrt(s)`` -> ``√s``; no unit is an empty text."""
+    if unit.strip() in ("", "1", "-"):
+        return ""
+    roots = re.sub(r"sqrt\(([^()]+)\)", r"√\1", unit)
+    return _POWER.sub(lambda m: m.group(1).translate(SUPER), roots).replace("*", "·")
+
+
+def bracket(unit: str) -> str:
+    """`` [deg/s]`` for the end of a label; empty without a unit."""
+    return f" [{unit}]" if unit else ""
+
+
+def named(name: str) -> str:
+    """``heading ψ``: meaning and symbol of a channel; a name that is not known stays as it is."""
+    meaning = MEANINGS.get(name)
+    return f"{meaning} {SYMBOLS.get(name, name)}" if meaning and meaning != name else name
+
+
+def symbol(name: str) -> str:
+    """The short form of a channel: ``ψ``, ``n_left``."""
+    return SYMBOLS.get(name, name)
+
+
+def titled(name: str) -> str:
+    """``Heading ψ``; a name that is not known stays as it is."""
+    words = named(name)
+    return words[0].upper() + words[1:] if words != name else name
+
+
+def count(value: float | None) -> str:
+    """A number of things."""
+    return "–" if value is None else f"{value:g}"
+
+
+def plain(value: float | None, digits: int = 3) -> str:
+    """A number with ``digits`` significant digits; a dash for none."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    if value == 0.0:
+        return "0"
+    size = math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
+    if -4 <= size < 6:
+        return f"{round(value, digits - 1 - size):.{max(digits - 1 - size, 0)}f}".replace("-", "−")
+    return _scientific(value, size, digits - 1)
+
+
+def with_error(value: float | None, se: float | None, unit: str = "") -> str:
+    """``40.05 ± 0.12 N``: as many digits as two of the standard error; without one, four digits."""
+    value_text, se_text = pair(value, se)
+    joined = f"{value_text} ± {se_text}" if se_text else value_text
+    if "×" in joined and se_text:
+        joined = f"({joined.split(' ×')[0]} ± {se_text.split(' ×')[0]}) ×{joined.rsplit('×', 1)[1]}"
+    return f"{joined} {unit}".strip()
+
+
+def pair(value: float | None, se: float | None) -> tuple[str, str]:
+    """Value and standard error as texts of the same precision; the second is empty where there is none."""
+    if value is None or se is None or not se > 0:
+        return short(plain(value, 4)), ""
+    size = math.floor(math.log10(float(f"{se:.1e}")))
+    top = max(math.floor(math.log10(abs(value))) if value else size, size)
+    if size >= -4 and top < 6:
+        decimals = 1 - size
+        shown, error = (f"{round(v, decimals):.{max(decimals, 0)}f}".replace("-", "−") for v in (value, se))
+        return shown, error
+    return _scientific(value, top, top - size + 1), _scientific(se, top, top - size + 1)
+
+
+def short(number: str) -> str:
+    """``0.4000`` -> ``0.4``."""
+    return number.rstrip("0").rstrip(".") if re.fullmatch(r"−?\d+\.\d+", number) else number
+
+
+def _scientific(value: float, size: int, decimals: int) -> str:
+    return f"{value / 10.0**size:.{max(decimals, 0)}f} ×10{str(size).translate(SUPER)}".replace("-", "−")
+
+
+def probability(p: float | None) -> str:
+    """A p value: two digits, or a power of ten where it is small."""
+    if p is None:
+        return "–"
+    if p < 1e-300:
+        return "< 10⁻³⁰⁰"
+    if p < 1e-3:
+        return f"< 10{str(math.floor(math.log10(p)) + 1).translate(SUPER)}"
+    return f"{p:.3f}" if p < 0.1 else f"{p:.2f}"
+
+
+def percent(share: float | None, digits: int = 0) -> str:
+    """0.34 -> ``34 %``."""
+    return "–" if share is None else f"{100 * share:.{digits}f} %".replace("-", "−")
+
+
+def duration(seconds: float | None) -> str:
+    """``9 min 58 s``."""
+    if seconds is None:
+        return "–"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    parts = ((hours, "h"), (minutes, "min"), (rest, "s"))
+    return " ".join(f"{n} {unit}" for n, unit in parts if n) or f"{seconds:.1f} s"

@@ -1,0 +1,131 @@
+"""A model fitted to some runs and shown others: the step that a diagnosis repeats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ident.dataset import Channel, Record, build_record
+from ident.fit import Fit, fit
+from ident.model import Effect, Model
+from ident.models.disturbance import for_diagnosis
+from ident.pe import FilterRun, Likelihood
+from ident.smooth import Smoothed, smooth
+
+Array = NDArray[np.float64]
+Progress = Callable[[str], None]
+BLOCK = 10.0  # s, over which the gain on validation data is summed
+
+
+@dataclass(frozen=True)
+class Run:
+    """One log: its signals by name, and which part of it to use."""
+
+    name: str
+    channels: Mapping[str, Channel]
+    t_from: float | None = None
+    t_to: float | None = None
+    meta: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class View:
+    """A fitted model on one record: the filter's account of it and the smoother's."""
+
+    record: Record
+    values: Array
+    run: FilterRun
+    smoothed: Smoothed
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A model fitted to the estimation data, and what it does on both sets. Nuisances that each record has for
+    itself (current) are estimated on the validation data too; nothing else is."""
+
+    model: Model
+    fit: Fit
+    estimation: tuple[View, ...]
+    validation: tuple[View, ...]
+
+
+def first_stage(
+    model: Model,
+    estimation: Sequence[Run],
+    validation: Sequence[Run],
+    *,
+    rate: float = 10.0,
+    progress: Progress = lambda line: None,
+) -> Stage:
+    """The model fitted as it is, with unexplained forces and sensor offsets as states; no search."""
+    full = nominal(model)
+    records = [record(full, r, rate) for r in estimation]
+    unseen = [record(full, r, rate) for r in validation]
+    progress(f"fitting {full.name} to {len(records)} run(s)")
+    return make_stage(without_absent_sensors(full, records + unseen), records, unseen)
+
+
+def make_stage(model: Model, records: Sequence[Record], unseen: Sequence[Record]) -> Stage:
+    """Fit to the records; on the unseen ones adapt only what each record has for itself."""
+    fitted = fit(model, [r.for_model(model) for r in records])
+    own = [p.name for p in fitted.model.parameters if p.free and p.per_record]
+    views = tuple(_view(fitted.model, r, fitted.record_values[i]) for i, r in enumerate(records))
+    if not unseen:
+        return Stage(model, fitted, views, ())
+    if not own:
+        values = fitted.record_values[0]
+        return Stage(model, fitted, views, tuple(_view(fitted.model, r, values) for r in unseen))
+    adapted = fit(fitted.model.with_free(own), [r.for_model(model) for r in unseen])
+    judged = [_view(adapted.model, r, adapted.record_values[i]) for i, r in enumerate(unseen)]
+    return Stage(model, fitted, views, tuple(judged))
+
+
+def _view(model: Model, record: Record, values: Array) -> View:
+    own = record.for_model(model)
+    run = Likelihood(model).filter(own, values)
+    return View(own, values, run, smooth(run))
+
+
+def validation_gain(before: Stage, after: Stage) -> tuple[float, float]:
+    """Gain in log-likelihood on the validation data: its sum, and t over blocks of ten seconds."""
+    gains = []
+    for a, b in zip(before.validation, after.validation, strict=True):
+        block = np.floor(a.record.t / BLOCK).astype(int)
+        gains.append(np.bincount(block, b.run.ll - a.run.ll))
+    if not gains:
+        return 0.0, 0.0
+    per_block = np.concatenate(gains)
+    error = per_block.std(ddof=1) / np.sqrt(per_block.size)
+    return float(per_block.sum()), float(per_block.mean() / (error + 1e-12))
+
+
+def nominal(model: Model) -> Model:
+    """With unexplained forces and sensor offsets, unless it has them."""
+    return model if "disturbance" in {e.name for e in model.effects} else for_diagnosis(model)
+
+
+def record(model: Model, run: Run, rate: float) -> Record:
+    """One run as rows for a model (ident.dataset)."""
+    return build_record(model, run.channels, name=run.name, t_from=run.t_from, t_to=run.t_to, rate=rate, meta=run.meta)
+
+
+def superset(nominal: Model, candidates: Mapping[str, Effect], runs: Sequence[Run]) -> tuple[Model, dict[str, Effect]]:
+    """The model with every candidate whose inputs all runs have, so that one record serves them all."""
+    derived = {"t", "work"} if nominal.provides and "n" in nominal.provides else {"t"}
+    everything, kept = nominal, {}
+    for name, effect in candidates.items():
+        wanted = {i.name.partition("~")[0] for i in effect.inputs} - derived
+        if all(wanted <= set(run.channels) for run in runs):
+            everything, kept[name] = everything + effect, effect
+    return everything, kept
+
+
+def without_absent_sensors(model: Model, records: Sequence[Record]) -> Model:
+    """Fix the noise of sensors that no record has: nothing can be said about it."""
+    columns = {n: j for j, n in enumerate(records[0].outputs)}
+    seen = {o.name for o in model.outputs if any(np.isfinite(r.y[:, columns[o.name]]).any() for r in records)}
+    absent = {o.noise for o in model.outputs} - {o.noise for o in model.outputs if o.name in seen}
+    return model.replace_parameters(*[model.parameter(n).fixed() for n in absent if n])

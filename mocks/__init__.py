@@ -1,0 +1,1 @@
+"""Pretend: a simulated boat and a simulated bench behind real ports."""

@@ -1,0 +1,185 @@
+"""`seatrial mock boat RIG` and `seatrial mock bench RIG`: simulated devices at the ports of a rig."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from daq.errors import SeatrialError
+from daq.rig import Calibration, Rig, Thruster, load_rig
+from mocks import bench_plant, undeclared
+from mocks.bench_plant import Bench, draw_bench
+from mocks.devices import by_side, speaker
+from mocks.faults import KINDS, Faults, parse_fault
+from mocks.noise import FAULT, stream
+from mocks.plant import Boat, draw_boat
+from mocks.ports import Port
+from mocks.sealed import contents, write_sealed
+from mocks.sensors import CellSpec
+from mocks.server import Server
+from mocks.thruster import draw_thruster
+from mocks.world import EscSpec, Gear, World, bench_world, boat_world
+
+LATE = 0.1  # wall s of lag from which the last line is a warning
+_FAULT_HELP = "; ".join(f"{name}: {kind.text}" for name, kind in KINDS.items())
+
+Command = Callable[..., None]
+
+
+def _options(effects: Sequence[str]) -> Callable[[Command], Command]:
+    """The options of both commands; ``effects`` are the names that --effect knows."""
+    choice = click.Choice(["none", "draw", *effects])
+
+    def decorate(command: Command) -> Command:
+        for option in reversed(
+            (
+                click.argument("rig", type=click.Path(path_type=Path)),
+                click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True,
+                             help="Which one: parameters, current, effect."),
+                click.option("--run", type=click.IntRange(min=0), default=0, show_default=True,
+                             help="Which run of the same one: the noise."),
+                click.option("--effect", type=choice, default="none", show_default=True, metavar="NAME",
+                             help=f"none, draw (the seed draws) or one of {', '.join(effects)}."),
+                click.option("--sealed", type=click.Path(path_type=Path), metavar="FILE",
+                             help="Write effect and true parameters there; nothing else tells."),
+                click.option("--trace", type=click.Path(path_type=Path), metavar="FILE",
+                             help="Write a JSON line for every change of a thruster's effective command."),
+                click.option("--fault", "faults", multiple=True, metavar="NAME[/TARGET]@T[:SECONDS]",
+                             help=f"At run second T, or at signal USR1 with T = usr1. {_FAULT_HELP}."),
+                click.option("--ascii", "ascii_", is_flag=True, help="The AHRS sends $VNYMR instead of binary."),
+            )
+        ):  # fmt: skip
+            command = option(command)
+        return command
+
+    return decorate
+
+
+@click.group()
+def mock() -> None:
+    """Mock devices for a rig, until Ctrl-C: a boat or a bench behind real ports.
+
+    \b
+    Example: seatrial mock boat boat.toml --seed 7 --effect draw --sealed truth.json
+    """
+
+
+@mock.command()
+@_options(list(undeclared.EFFECTS))
+def boat(rig: Path, seed: int, run: int, effect: str, sealed: Path | None, **how: Any) -> None:
+    """A simulated boat with two thrusters at the ports of RIG.
+
+    Prints `ready` when all ports are there.
+
+    \b
+    Example: seatrial mock boat boat.toml --seed 7 --effect wind --fault pull/gnss@60:5
+    """
+    loaded = load_rig(rig)
+    name = undeclared.draw_name(seed) if effect == "draw" else effect
+    effects = [] if name == "none" else [undeclared.make_effect(name, seed)]
+    plant = draw_boat(seed, effects, draw_thruster(seed))  # the thruster that the bench of this seed has
+    utc = float(round(time.time()))
+    world = boat_world(plant, run, _gear(loaded, by_side(loaded)), utc=utc)
+    _serve(loaded, plant, world, run, sealed, **how)
+
+
+@mock.command()
+@_options(list(bench_plant.EFFECTS))
+def bench(rig: Path, seed: int, run: int, effect: str, sealed: Path | None, **how: Any) -> None:
+    """A simulated bench, one thruster on a load cell, at the ports of RIG.
+
+    Prints `ready` when all ports are there.
+
+    \b
+    Example: seatrial mock bench bench.toml --seed 7 --effect rod-flex
+    """
+    loaded = load_rig(rig)
+    if len(loaded.thrusters) != 1:
+        raise SeatrialError(f"{rig}: a mock bench has one thruster; this rig has {len(loaded.thrusters)}")
+    name = bench_plant.draw_name(seed) if effect == "draw" else effect
+    plant = draw_bench(seed, bench_plant.NONE if name == "none" else bench_plant.make_effect(name, seed))
+    world = bench_world(plant, run, _gear(loaded, loaded.thrusters), utc=float(round(time.time())))
+    _serve(loaded, plant, world, run, sealed, **how)
+
+
+def _gear(rig: Rig, thrusters: Sequence[Thruster]) -> Gear:
+    """The devices of a rig as a world wants them; the rate of a bus is shared by its controllers."""
+    rates: dict[str, dict[str, float]] = {"vectornav": {}, "nmea": {}}
+    cells, escs = [], []
+    for device in rig.devices:
+        if device.protocol in rates:
+            rates[device.protocol][device.name] = device.rate_hz
+        elif device.protocol == "loadcell":
+            of = device.calibration or Calibration(0.001)
+            gain, top = of.newton_per_count * of.lever_ratio, device.saturation or 8388607.0
+            cells.append(CellSpec(device.name, device.rate_hz, gain, of.zero_counts, top))
+    for t in thrusters:
+        rate = rig.device(t.device).rate_hz / sum(other.device == t.device for other in thrusters)
+        escs.append(EscSpec(t.device, t.node, rate, t.rpm_max, t.reversed, t.timeout_s, t.name))
+    return Gear(rates["vectornav"], rates["nmea"], cells, escs)
+
+
+def _serve(
+    rig: Rig,
+    plant: Boat | Bench,
+    world: World,
+    run: int,
+    sealed: Path | None,
+    trace: Path | None,
+    faults: Sequence[str],
+    ascii_: bool,
+) -> None:
+    """Open the ports, say so, and serve until a signal comes."""
+    names, thrusters = [d.name for d in rig.devices], [t.name for t in rig.thrusters]
+    schedule = Faults([parse_fault(text, names, thrusters) for text in faults], stream(plant.seed, FAULT, run))
+    with contextlib.ExitStack() as stack:
+        speakers = {}
+        for device in rig.devices:
+            controllers = {c.spec.node: c for c in world.controllers if c.spec.device == device.name}
+            speakers[device.name] = speaker(rig, device, controllers, ascii_)
+        ports = {}
+        for device in rig.devices:
+            ports[device.name] = Port(Path(device.port.removeprefix("slcan:")))
+            stack.callback(ports[device.name].close)
+        if sealed is not None:
+            write_sealed(sealed, contents(plant, run))
+        file = stack.enter_context(trace.open("w", encoding="utf-8")) if trace is not None else None
+        server = Server(world, speakers, ports, rig.speed, schedule, file)
+        stack.enter_context(_signals(server))
+        click.echo("ready")
+        sys.stdout.flush()
+        server.run()
+        _report(server)
+
+
+@contextlib.contextmanager
+def _signals(server: Server) -> Iterator[None]:
+    """Ctrl-C and SIGTERM stop the server, SIGUSR1 triggers the faults that wait for it."""
+
+    def stop(number: int, frame: object) -> None:
+        server.stopping = True
+
+    def trigger(number: int, frame: object) -> None:
+        server.triggered = True
+
+    wanted = {signal.SIGINT: stop, signal.SIGTERM: stop, signal.SIGUSR1: trigger}
+    before = {number: signal.signal(number, handler) for number, handler in wanted.items()}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _report(server: Server) -> None:
+    """One line on how well the mock kept up with the wall clock."""
+    word = "FELL BEHIND the wall clock by up to" if server.max_lag > LATE else "samples left at most"
+    late = f"{1e3 * server.max_lag:.1f} ms"
+    click.echo(f"mock: {server.t:.1f} s of run time, {word} {late}{'' if server.max_lag > LATE else ' late'}", err=True)

@@ -1,0 +1,124 @@
+"""Samples -> bytes of each device, and bytes of the host -> what the device does. No I/O, no clock."""
+
+from __future__ import annotations
+
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import final
+
+from daq.errors import SeatrialError
+from daq.protocol import loadcell, nmea, vectornav, vesc
+from daq.rig import Device, Rig, Thruster
+from daq.samples import NAN, Ahrs, Esc, Gnss, LoadCell
+from mocks.slcan import Adapter, CanFrame
+from mocks.world import Controller, Sample
+
+SLOW_STATUS_S = 0.2  # between STATUS 4 and 5 of one controller
+
+
+class Speaker(ABC):
+    """What sits at the far end of one port."""
+
+    @abstractmethod
+    def encode(self, sample: Sample, t: float) -> bytes:
+        """The bytes of a sample that the device takes at its own time ``t`` (s)."""
+
+    def receive(self, data: bytes, t: float) -> bytes:
+        """The answer to bytes that arrive at ``t`` (s); most devices only talk."""
+        return b""
+
+
+@final
+class VectorNav(Speaker):
+    """Binary messages with the device's time, or $VNYMR."""
+
+    def __init__(self, ascii_: bool) -> None:
+        self._ascii = ascii_
+
+    def encode(self, sample: Sample, t: float) -> bytes:
+        """One message."""
+        assert isinstance(sample, Ahrs)
+        return vectornav.encode_ascii(sample) if self._ascii else vectornav.encode_binary(sample, t)
+
+
+@final
+class Nmea(Speaker):
+    """The sentences of an epoch."""
+
+    def encode(self, sample: Sample, t: float) -> bytes:
+        """GGA, RMC, VTG and GST."""
+        assert isinstance(sample, Gnss)
+        return nmea.encode(sample)
+
+
+@final
+class LoadCellLine(Speaker):
+    """One line a reading."""
+
+    def encode(self, sample: Sample, t: float) -> bytes:
+        """The counts."""
+        assert isinstance(sample, LoadCell)
+        return loadcell.encode(sample.counts)
+
+
+@final
+class VescBus(Speaker):
+    """Speed controllers on a CAN bus behind an slcan adapter."""
+
+    def __init__(self, controllers: Mapping[int, Controller], pole_pairs: Mapping[int, int]) -> None:
+        """Both by node."""
+        self._controllers = controllers
+        self._pole_pairs = pole_pairs
+        self._adapter = Adapter()
+        self._slow_due: dict[int, float] = {}
+        vesc.encode_duty(0, 0.0)  # loads the library behind it now and not when the first sample is due
+
+    def encode(self, sample: Sample, t: float) -> bytes:
+        """STATUS 1, and STATUS 4 and 5 five times a second."""
+        assert isinstance(sample, Esc)
+        if t < self._slow_due.get(sample.node, 0.0):
+            sample = replace(sample, temperature=NAN, voltage=NAN)
+        else:
+            self._slow_due[sample.node] = t + SLOW_STATUS_S - 1e-6
+        frames = vesc.encode_status(sample, self._pole_pairs[sample.node])
+        return b"".join(self._adapter.encode(CanFrame(*frame)) for frame in frames)
+
+    def receive(self, data: bytes, t: float) -> bytes:
+        """The adapter's answers; duty commands reach their controllers."""
+        answers, frames = self._adapter.feed(data)
+        for frame in frames:
+            command = vesc.decode_command(frame.arbitration_id, frame.data) if frame.extended else None
+            if command is not None and command[0] in self._controllers:
+                self._controllers[command[0]].command(t, max(-1.0, min(1.0, command[1])))
+        return answers
+
+
+def speaker(rig: Rig, device: Device, controllers: Mapping[int, Controller], ascii_: bool = False) -> Speaker:
+    """What speaks at ``device``. Raises SeatrialError for a rig that no mock can serve."""
+    if device.protocol == "vectornav":
+        return VectorNav(ascii_)
+    if device.protocol == "nmea":
+        return Nmea()
+    if device.protocol == "loadcell":
+        if re.search(device.pattern, loadcell.encode(-123.0).decode().rstrip()) is None:
+            raise SeatrialError(
+                f"{rig.path}: device {device.name}: the mock sends lines like -123, which the pattern does not match"
+            )
+        return LoadCellLine()
+    if not device.port.startswith("slcan:"):
+        raise SeatrialError(f"{rig.path}: device {device.name}: a mock speaks CAN as slcan:PORT, not {device.port}")
+    return VescBus(controllers, {t.node: t.pole_pairs for t in rig.thrusters if t.device == device.name})
+
+
+def by_side(rig: Rig) -> tuple[Thruster, Thruster]:
+    """The left and the right thruster of a boat. Raises SeatrialError unless there is one on each side."""
+    left = [t for t in rig.thrusters if t.position_m[1] < 0.0]
+    right = [t for t in rig.thrusters if t.position_m[1] > 0.0]
+    if len(left) != 1 or len(right) != 1 or len(rig.thrusters) != 2:
+        raise SeatrialError(
+            f"{rig.path}: a mock boat has two thrusters, one at position_m y < 0 and one at y > 0; "
+            f"this rig has {len(left)} and {len(right)} there"
+        )
+    return left[0], right[0]

@@ -1,0 +1,129 @@
+"""What can go wrong, on a schedule: `NAME[/TARGET]@T[:SECONDS]`."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from daq.errors import SeatrialError
+from daq.samples import Ahrs, Gnss, LoadCell
+from mocks.world import Sample
+
+SIGNAL = "usr1"
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of fault: how long it lasts unless told (s), and what it does."""
+
+    seconds: float
+    text: str
+
+
+KINDS = {
+    "pull": Kind(5.0, "the port vanishes and returns"),
+    "silence": Kind(5.0, "the device says nothing"),
+    "garbage": Kind(2.0, "random bytes in place of the device's"),
+    "stuck": Kind(5.0, "the last reading over and over"),
+    "spike": Kind(0.0, "a reading far off: one, or one a second for SECONDS"),
+    "esc-dead": Kind(math.inf, "a thruster's controller dies: no thrust, no word"),
+}
+_FORM = re.compile(r"(?P<kind>[a-z-]+)(?:/(?P<target>\w+))?@(?P<t>usr1|\d+(?:\.\d*)?)(?::(?P<seconds>\d+(?:\.\d*)?))?")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault on the schedule."""
+
+    kind: str
+    target: str  # a device, for esc-dead a thruster; empty for every one
+    start: float | None  # s since the run's start; None until the signal comes
+    seconds: float
+
+    def active(self, t: float) -> bool:
+        """Whether it lasts at ``t`` (s)."""
+        return self.start is not None and self.start <= t < self.start + self.seconds
+
+    def hits(self, target: str) -> bool:
+        """Whether it is meant for ``target``."""
+        return self.target in ("", target)
+
+
+def parse_fault(text: str, devices: Sequence[str] = (), thrusters: Sequence[str] = ()) -> Fault:
+    """The fault that ``text`` describes. Raises SeatrialError that says what is wrong with it."""
+    found = _FORM.fullmatch(text)
+    if found is None:
+        raise SeatrialError(
+            f"--fault {text}: must read NAME[/TARGET]@T[:SECONDS], T in run seconds or {SIGNAL}, like pull/gnss@30:5"
+        )
+    kind, target = found["kind"], found["target"] or ""
+    if kind not in KINDS:
+        raise SeatrialError(f"--fault {text}: no fault '{kind}'; there is: {', '.join(KINDS)}")
+    known = thrusters if kind == "esc-dead" else devices
+    if target and target not in known:
+        what = "thruster" if kind == "esc-dead" else "device"
+        raise SeatrialError(f"--fault {text}: the rig has no {what} '{target}'; there is: {', '.join(known)}")
+    start = None if found["t"] == SIGNAL else float(found["t"])
+    return Fault(kind, target, start, float(found["seconds"] or KINDS[kind].seconds))
+
+
+class Faults:
+    """The schedule, and what it makes of readings and bytes."""
+
+    def __init__(self, faults: Sequence[Fault], rng: np.random.Generator) -> None:
+        self._faults = list(faults)
+        self._on_signal = [index for index, fault in enumerate(faults) if fault.start is None]
+        self._rng = rng
+        self._last: dict[tuple[str, int], Sample] = {}
+        self._spikes: dict[tuple[int, str], int] = {}  # (fault, device) -> spikes so far
+
+    def trigger(self, t: float) -> None:
+        """The signal came at ``t`` (s): what waits for it starts, or starts again when it is over."""
+        for index in self._on_signal:
+            if not self._faults[index].active(t):
+                self._faults[index] = replace(self._faults[index], start=t)
+                self._spikes = {key: count for key, count in self._spikes.items() if key[0] != index}
+
+    def active(self, kind: str, target: str, t: float) -> bool:
+        """Whether a fault of that kind lasts at ``t`` (s) for a device or thruster."""
+        return any(f.kind == kind and f.hits(target) and f.active(t) for f in self._faults)
+
+    def reading(self, device: str, sample: Sample, t: float) -> Sample | None:
+        """What the device makes of its sample: the same, a stuck or a spiked one, or None."""
+        if not self._faults:
+            return sample
+        if self.active("silence", device, t):
+            return None
+        key = (device, getattr(sample, "node", 0))
+        if self.active("stuck", device, t):
+            return self._last.setdefault(key, sample)
+        self._last[key] = sample
+        return _spiked(sample) if self._spike_due(device, t) else sample
+
+    def bytes(self, device: str, data: bytes, t: float) -> bytes:
+        """What the wire makes of the device's bytes."""
+        return self._rng.bytes(len(data)) if self._faults and self.active("garbage", device, t) else data
+
+    def _spike_due(self, device: str, t: float) -> bool:
+        for index, fault in enumerate(self._faults):
+            if fault.kind == "spike" and fault.hits(device) and fault.start is not None and t >= fault.start:
+                done = self._spikes.get((index, device), 0)
+                if done <= fault.seconds and t >= fault.start + done:
+                    self._spikes[index, device] = done + 1
+                    return True
+        return False
+
+
+def _spiked(sample: Sample) -> Sample:
+    """The sample with one value far off, as such devices fail: HX711 with ones shifted in, a jump, a slip of 1 km."""
+    if isinstance(sample, LoadCell):
+        return replace(sample, counts=float(2**22 - 1))
+    if isinstance(sample, Ahrs):
+        return replace(sample, r=sample.r + 5.0, ax=sample.ax + 30.0)
+    if isinstance(sample, Gnss):
+        return replace(sample, lat=sample.lat + 0.01)
+    return sample

@@ -1,0 +1,158 @@
+"""Plant -> samples: what the sensors of the boat and of the bench say, with their noise.
+
+Noise is white plus a random walk (thesis, section 4.1), sized like a VN-100, an RTK-float receiver and an HX711.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from daq.samples import NAN, Ahrs, Esc, Gnss, LoadCell
+from mocks.hull import GRAVITY
+from mocks.noise import AHRS, ESC, GNSS, LOADCELL, WhiteWalk, normals, stream
+from mocks.plant import Motion
+from mocks.undeclared import Effect
+
+DEG = math.pi / 180.0
+STOPPED = 0.005  # normalised shaft speed below which a sensorless controller reports none
+FIELD_NORTH, FIELD_DOWN = 26.4e-6, 35.6e-6  # T, near Lisbon
+LATITUDE, LONGITUDE = 38.765852, -9.09281873  # of the plant's origin (mred_sim.yaml)
+_A, _E2 = 6378137.0, 6.69437999014e-3  # WGS 84
+
+
+def wrap(angle: float) -> float:
+    """``angle`` (rad) in -pi..pi."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def geodetic(north: float, east: float) -> tuple[float, float]:
+    """Latitude and longitude (deg) of a point on the tangent plane at the origin (WGS 84 radii of curvature)."""
+    w2 = 1.0 - _E2 * math.sin(LATITUDE * DEG) ** 2
+    meridian, prime = _A * (1.0 - _E2) / w2**1.5, _A / math.sqrt(w2)
+    return LATITUDE + north / meridian / DEG, LONGITUDE + east / (prime * math.cos(LATITUDE * DEG)) / DEG
+
+
+class AhrsSensor:
+    """Attitude, rates and specific force; the boat is level but for the noise of roll and pitch."""
+
+    def __init__(self, seed: int, run: int, rate: float, effects: Sequence[Effect] = (), index: int = 0) -> None:
+        """``rate`` in Hz, ``index`` of several; of the effects, only a compass deviation is the sensor's."""
+        self._compasses: list[Callable[[float], float]] = [e.compass for e in effects if e.compass is not None]
+        draw = normals(stream(seed, AHRS, run, index))
+        dt = 1.0 / rate
+        self._yaw = WhiteWalk(draw, dt, 0.5 * DEG, 0.01 * DEG)
+        self._tilt = [WhiteWalk(draw, dt, 0.05 * DEG) for _ in range(2)]
+        self._rates = [WhiteWalk(draw, dt, 0.01, 1e-5, bias=0.003) for _ in range(3)]
+        self._accels = [WhiteWalk(draw, dt, 0.1, 1e-4, bias=0.05) for _ in range(3)]
+        self._field = WhiteWalk(draw, dt, 0.15e-6)
+
+    def read(self, m: Motion) -> Ahrs:
+        """The sample of the motion ``m``."""
+        psi = m.psi + sum(deviation(m.psi) for deviation in self._compasses)
+        pitch, roll = self._tilt
+        p, q, r = self._rates
+        ax, ay, az = self._accels
+        field = self._field
+        return Ahrs(
+            wrap(psi + self._yaw()),
+            pitch(),
+            roll(),
+            p(),
+            q(),
+            m.r + r(),
+            m.ax + ax(),
+            m.ay + ay(),
+            -GRAVITY + az(),
+            FIELD_NORTH * math.cos(psi) + field(),
+            -FIELD_NORTH * math.sin(psi) + field(),
+            FIELD_DOWN + field(),
+        )
+
+
+class GnssSensor:
+    """Position and velocity of the antenna."""
+
+    def __init__(self, seed: int, run: int, rate: float, sigma: float = 0.15, index: int = 0) -> None:
+        """``rate`` in Hz, ``sigma`` (m) the white part of each horizontal axis, ``index`` of several."""
+        draw = normals(stream(seed, GNSS, run, index))
+        dt = 1.0 / rate
+        self._sigma = sigma
+        self._position = [WhiteWalk(draw, dt, sigma, 0.003) for _ in range(2)]
+        self._velocity = [WhiteWalk(draw, dt, 0.05) for _ in range(2)]
+        self._height = WhiteWalk(draw, dt, 2.0 * sigma)
+
+    def read(self, m: Motion, utc: float) -> Gnss:
+        """The fix of the motion ``m``, stamped ``utc`` (s since 1970)."""
+        north, east = self._position
+        vel_n, vel_e = self._velocity
+        lat, lon = geodetic(m.fix_x + north(), m.fix_y + east())
+        return Gnss(
+            utc,
+            lat,
+            lon,
+            self._height(),
+            m.fix_vel_n + vel_n(),
+            m.fix_vel_e + vel_e(),
+            NAN,
+            6,
+            17,
+            0.8,
+            self._sigma,
+        )
+
+
+class EscSensor:
+    """Shaft speed with 5 rev/min of noise; current and temperature follow the thrust, voltage the battery."""
+
+    def __init__(self, seed: int, run: int, node: int, rpm_max: float) -> None:
+        self._draw = normals(stream(seed, ESC, run, node))
+        self._node = node
+        self._rpm_max = rpm_max
+        self._heat = 0.0
+
+    def read(self, n: float, force: float, duty: float, energy: float, dt: float) -> Esc:
+        """State at shaft speed ``n`` and thrust ``force`` (N), ``dt`` (s) after the last one; signs as on the wire.
+
+        ``energy`` (s) is the integral of abs(n)^3 over the thrusters, which empties the battery.
+        """
+        draw = self._draw
+        n = n if abs(n) > STOPPED else 0.0
+        current = 0.4 * (n != 0.0) + 0.55 * abs(force) * (0.3 + 0.7 * abs(n))
+        self._heat += dt / 60.0 * (0.02 * current**2 - self._heat)
+        return Esc(
+            self._node,
+            n * self._rpm_max + (5.0 * draw() if n else 0.0),
+            math.copysign(current, n) + 0.1 * draw(),
+            duty,
+            16.4 - 0.008 * energy - 0.02 * current + 0.02 * draw(),
+            24.0 + self._heat + 0.1 * draw(),
+        )
+
+
+@dataclass(frozen=True)
+class CellSpec:
+    """A load cell and how its counts are calibrated."""
+
+    name: str
+    rate_hz: float
+    newton_per_count: float = 0.001  # at the thruster
+    zero_counts: float = 84210.0
+    saturation: float = 8388607.0
+
+
+class LoadCellSensor:
+    """Counts of a cell with a slow drift and a true zero 0.3 N or so off the calibrated one."""
+
+    def __init__(self, seed: int, run: int, spec: CellSpec, index: int = 0) -> None:
+        """``index`` of several."""
+        draw = normals(stream(seed, LOADCELL, run, index))
+        self._noise = WhiteWalk(draw, 1.0 / spec.rate_hz, 0.3, 0.003, bias=0.3)
+        self._spec = spec
+
+    def read(self, force: float) -> LoadCell:
+        """The reading of ``force`` (N)."""
+        spec = self._spec
+        counts = round(spec.zero_counts + (force + self._noise()) / spec.newton_per_count)
+        return LoadCell(float(max(-spec.saturation - 1.0, min(spec.saturation, counts))))

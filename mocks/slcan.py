@@ -1,0 +1,97 @@
+"""The adapter's side of the LAWICEL protocol: what a CAN-to-serial adapter says on its serial port.
+
+Source: LAWICEL CANUSB manual, ASCII command set. Sans I/O: bytes from the host in, answers and CAN frames out.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+OK, ERROR = b"\r", b"\a"
+LINE_MAX = 64
+_CLOSED_ONLY = b"sSUWMm"  # set-up commands, refused while the channel is open
+
+
+class CanFrame(NamedTuple):
+    """A data frame."""
+
+    arbitration_id: int
+    data: bytes
+    extended: bool = True
+
+
+class Adapter:
+    """One adapter; it passes frames while its channel is open."""
+
+    def __init__(self, version: str = "1013", serial_number: str = "A001") -> None:
+        self.open = False
+        self.listen_only = False
+        self._version = version
+        self._serial_number = serial_number
+        self._line = bytearray()
+
+    def feed(self, data: bytes) -> tuple[bytes, list[CanFrame]]:
+        """Take bytes from the host: what the adapter answers, and the frames it puts on the bus."""
+        answers = bytearray()
+        frames: list[CanFrame] = []
+        for byte in data:
+            if byte != 0x0D:
+                self._line.append(byte)
+                if len(self._line) > LINE_MAX:
+                    self._line.clear()
+                    answers += ERROR
+                continue
+            line, self._line = bytes(self._line), bytearray()
+            frame = self._frame(line) if line[:1] in (b"t", b"T") else None
+            if frame is not None:
+                frames.append(frame)
+                answers += b"Z\r" if frame.extended else b"z\r"
+            else:
+                answers += self._answer(line)
+        return bytes(answers), frames
+
+    def encode(self, frame: CanFrame) -> bytes:
+        """A frame from the bus as the host sees it; nothing while the channel is closed."""
+        if not self.open:
+            return b""
+        digits = f"T{frame.arbitration_id:08X}" if frame.extended else f"t{frame.arbitration_id:03X}"
+        return f"{digits}{len(frame.data)}{frame.data.hex().upper()}\r".encode()
+
+    def _frame(self, line: bytes) -> CanFrame | None:
+        """The frame of a ``t`` or ``T`` command; None if it is malformed or may not be sent."""
+        if not self.open or self.listen_only:
+            return None
+        extended = line[:1] == b"T"
+        width = 8 if extended else 3
+        try:
+            arbitration_id, length = int(line[1 : 1 + width], 16), int(line[1 + width : 2 + width])
+            data = bytes.fromhex(line[2 + width :].decode("ascii"))
+        except ValueError:
+            return None
+        if length > 8 or len(data) != length or arbitration_id >> (29 if extended else 11):
+            return None
+        return CanFrame(arbitration_id, data, extended)
+
+    def _answer(self, line: bytes) -> bytes:
+        """The answer to any other command."""
+        command = line[:1]
+        if command in (b"", b"X") or (command == b"Z" and line == b"Z0"):
+            return OK  # a lone CR clears the line; auto-poll is always on, time stamps are always off
+        if command == b"V":
+            return f"V{self._version}\r".encode()
+        if command == b"v":
+            return f"v{self._version}\r".encode()
+        if command == b"N":
+            return f"N{self._serial_number}\r".encode()
+        if command == b"F":
+            return b"F00\r" if self.open else ERROR
+        if command in (b"O", b"L"):
+            was_open, self.open = self.open, True
+            self.listen_only = self.listen_only if was_open else command == b"L"
+            return ERROR if was_open else OK
+        if command == b"C":
+            was_open, self.open = self.open, False
+            return OK if was_open else ERROR
+        if command in (b"r", b"R"):
+            return (b"Z\r" if command == b"R" else b"z\r") if self.open and not self.listen_only else ERROR
+        return OK if command in _CLOSED_ONLY and not self.open else ERROR

@@ -1,0 +1,140 @@
+"""The front door: the command tree and nothing else.
+
+Each part is imported only when one of its commands runs, so `seatrial --help` is instant. What the user sees
+of a failure is decided here too, once for all commands: one line on stderr and an exit status.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import click
+
+from daq.errors import SeatrialError
+
+OK, FAILED, WRONG_USAGE, INTERRUPTED = 0, 1, 2, 130
+
+
+class Row(NamedTuple):
+    """One command: where it lives (`module:attribute`) and its line in the list of commands."""
+
+    target: str
+    short_help: str
+
+
+COMMANDS = {
+    "demo": Row("bench.demo:demo", "The whole loop on mock devices, to a report."),
+    "log": Row("daq.live:log", "Acquire until Ctrl-C, with a live table."),
+    "check": Row("bench.cli:check", "Preflight: devices, rates, clocks, signs, limits."),
+    "bench": Row("bench.cli:bench", "Characterise thrusters: static, steps, chirp, all."),
+    "mission": Row("bench.cli:mission", "Run or show a mission."),
+    "import": Row("daq.cli:import_", "Turn foreign logs into MCAP."),
+    "info": Row("daq.cli:info", "Say what a log holds."),
+    "salvage": Row("daq.cli:salvage", "Recover the log of a killed run."),
+    "ident": Row("ident.cli:ident", "Fit, and explain: noise, thruster, vehicle, diagnose."),
+    "mock": Row("mocks.cli:mock", "Mock devices for a rig, until Ctrl-C: bench or boat."),
+}
+
+
+class LazyGroup(click.Group):
+    """A group whose commands are imported when they are asked for, and listed without any import."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names in the order of the work, which is the order of the table."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import and return the command, or None where the table has no such name."""
+        row = COMMANDS.get(cmd_name)
+        return None if row is None else _load(cmd_name, row.target)
+
+    def invoke(self, ctx: click.Context) -> None:
+        """Run the command and drop what it returns: only `ctx.exit(status)` may set the exit status."""
+        super().invoke(ctx)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the commands from the table: click's own way would import every part."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, row.short_help) for name, row in COMMANDS.items()])
+
+
+def _load(name: str, target: str) -> click.Command:
+    """Import `module:attribute`; raises SeatrialError when this installation has no such command."""
+    module_name, attribute = target.split(":")
+    try:
+        module = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        missing = error.name or module_name
+        if f"{module_name}.".startswith(f"{missing}."):
+            raise SeatrialError(f"`{name}` is not part of this installation (no module {missing})") from error
+        raise SeatrialError(
+            f"`{name}` needs the Python module {missing}, which is not installed; install seatrial again"
+        ) from error
+    command = getattr(module, attribute, None)
+    if not isinstance(command, click.Command):
+        raise SeatrialError(f"`{name}` is not part of this installation (no command {target})")
+    return command
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="seatrial", message="seatrial %(version)s")
+@click.option("--debug", is_flag=True, help="Show the traceback of an error; may stand anywhere in the line.")
+def cli(debug: bool) -> None:
+    """Measure a boat and its thrusters, excite them, and explain what was measured."""
+
+
+def _explain(error: BaseException) -> tuple[str, int]:
+    """The one line for stderr and the exit status of a failure that is no matter of usage."""
+    if isinstance(error, SeatrialError):
+        line, status = str(error), error.exit_status
+    elif isinstance(error, (KeyboardInterrupt, click.Abort)):
+        line, status = "interrupted", INTERRUPTED
+    elif isinstance(error, OSError) and error.filename is not None:
+        line, status = f"{error.filename}: {error.strerror}", FAILED
+    else:
+        line = f"internal error ({type(error).__name__}: {error}); run again with --debug to see where"
+        status = FAILED
+    return " ".join(line.split()), status
+
+
+def _run(args: Sequence[str]) -> int:
+    """Run one command line and return its exit status; raises whatever the command raises."""
+    try:
+        result = cli.main(args=list(args), prog_name="seatrial", standalone_mode=False)
+        sys.stdout.flush()
+    except click.ClickException as error:  # UsageError is 2, the rest of click's own errors 1
+        if isinstance(error, click.UsageError):
+            error.show()
+            return WRONG_USAGE
+        raise SeatrialError(error.format_message()) from error
+    return OK if result is None else int(result)  # a number here is the status of `ctx.exit(status)`
+
+
+def main(args: Sequence[str] | None = None) -> None:
+    """Run the command line and leave with its status: 0 done, 1 failed, 2 wrong usage, 3 safety stop."""
+    words = list(sys.argv[1:] if args is None else args)
+    # People add --debug to the end of the line that failed, so it is taken from anywhere before a `--`.
+    own = words[: words.index("--")] if "--" in words else words
+    debug = "--debug" in own
+    words = [word for word in own if word != "--debug"] + words[len(own) :]
+    try:
+        status = _run(words)
+    except BrokenPipeError:
+        # The reader left (`| head`): nobody is there to be told, not even by the interpreter's last flush.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        status = FAILED
+    except (Exception, KeyboardInterrupt) as error:
+        if debug:
+            traceback.print_exc()
+        line, status = _explain(error)
+        print(f"seatrial: {line}", file=sys.stderr)
+    sys.exit(status)
+
+
+if __name__ == "__main__":
+    main()

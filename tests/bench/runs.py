@@ -1,0 +1,96 @@
+"""Short missions as processes of their own, so that they can be interrupted, stopped and killed."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from bench.mission import Mission, Segment, save_mission
+from daq.log import open_log
+from tests.bench.standin import StandIn, until
+
+SPEED = 4.0
+# Wall seconds from a stop to the last command: a poll, a message to the acquisition, a frame; the machine is shared.
+AT_ONCE_S = 0.5
+DEADMAN_S = 0.25
+
+
+def short_mission(folder: Path, n: float = 0.6, seconds: float = 8.0) -> Mission:
+    """Rest, two steps, rest; by default 14 run seconds."""
+    segments = (
+        Segment("static", np.array([0.0]), np.zeros((1, 1))),
+        Segment("steps", np.array([3.0, 3.0 + seconds / 2]), np.array([[n], [-n / 2]])),
+        Segment("static", np.array([3.0 + seconds]), np.zeros((1, 1))),
+    )
+    mission = Mission("short", "steps", ("left",), segments, 6.0 + seconds, n_max=0.9)
+    save_mission(mission, folder / "mission.toml")
+    return mission
+
+
+class Run:
+    """One `seatrial mission run` as a process."""
+
+    def __init__(self, folder: Path) -> None:
+        self.log = folder / "run.mcap"
+        words = ["mission", "run", "mission.toml", "bench-rig.toml", "-o", "run.mcap"]
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "seatrial", *words],
+            cwd=folder,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        self.out, self.err = "", ""
+
+    def end(self, seconds: float = 40.0) -> int:
+        """Wait for the end; returns the exit status."""
+        self.out, self.err = self.process.communicate(timeout=seconds)
+        return self.process.returncode
+
+    def until_turning(self, standin: StandIn) -> None:
+        """Wait until the thruster turns; fails with what the run said when it ends before."""
+        until(lambda: standin.n != 0.0 or self.process.poll() is not None, 20.0)
+        assert self.process.poll() is None, self.process.communicate()
+
+    def line(self) -> str:
+        """What was said on stderr: exactly one line and no traceback."""
+        assert self.err.count("\n") == 1, self.err
+        assert "Traceback" not in self.err
+        return self.err.strip()
+
+
+@contextmanager
+def running(folder: Path) -> Iterator[Run]:
+    run = Run(folder)
+    try:
+        yield run
+    finally:
+        if run.process.poll() is None:
+            run.process.kill()
+        run.process.wait()
+        for stream in (run.process.stdout, run.process.stderr):
+            if stream is not None:
+                stream.close()
+
+
+def acquisition_of(runner: int) -> int:
+    """Process id of the runner's only child."""
+    out = subprocess.run(["ps", "-eo", "pid=,ppid="], capture_output=True, text=True, check=True).stdout
+    children = [int(pid) for pid, parent in (line.split() for line in out.splitlines()) if int(parent) == runner]
+    assert len(children) == 1
+    return children[0]
+
+
+def kinds(log: Path) -> list[str]:
+    return [kind for _, kind, _ in open_log(log).events()]
+
+
+def is_alive(pid: int) -> bool:
+    out = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True, check=False).stdout
+    return bool(out.strip()) and not out.strip().startswith("Z")

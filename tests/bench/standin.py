@@ -1,0 +1,207 @@
+"""A bench behind real ptys that a test has in its hand: it can pull a port, send garbage, push the load cell.
+
+The mock devices of `seatrial mock` are the real thing; this one is small and does as it is told at once. It keeps a
+trace of what the ESC was told and of what the thruster did, with its own time-out.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import threading
+import time
+import tty
+from pathlib import Path
+from typing import Self
+
+from daq.protocol import loadcell, vesc
+from daq.samples import Esc
+
+NODE, POLE_PAIRS, RPM_MAX = 1, 7, 4500.0
+ZERO_COUNTS, NEWTON_PER_COUNT = 84210.0, 0.001
+TIMEOUT_S = 4.0  # run seconds, the ESC's own
+
+RIG = """
+format = "seatrial-rig 1"
+name = "stand-in bench"
+[clock]
+speed = {speed}
+[[device]]
+name = "esc"
+protocol = "vesc"
+port = "slcan:ports/can"
+rate_hz = 40.0
+[[device]]
+name = "loadcell"
+protocol = "loadcell"
+port = "ports/loadcell"
+rate_hz = 80.0
+[device.calibration]
+newton_per_count = 0.001
+zero_counts = 84210.0
+[[thruster]]
+name = "left"
+device = "esc"
+node = 1
+position_m = [0.0, 0.0, 0.0]
+pole_pairs = 7
+rpm_max = 4500.0
+timeout_s = 4.0
+[limits]
+n_max = 0.9
+force_n = 60.0
+current_a = 40.0
+temperature_c = 80.0
+voltage_min_v = 10.0
+"""
+
+
+class Port:
+    """One pty with a symlink to it, and what was last seen on it."""
+
+    def __init__(self, link: Path) -> None:
+        self.link = link
+        self.master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self.master, False)
+        link.parent.mkdir(exist_ok=True)
+        link.symlink_to(os.ttyname(self._slave))
+        self.open = True
+
+    def write(self, data: bytes) -> None:
+        """Send; a full pty loses it, as a serial line without flow control does."""
+        with contextlib.suppress(BlockingIOError, OSError):
+            os.write(self.master, data)
+
+    def read(self) -> bytes:
+        """Whatever has come."""
+        with contextlib.suppress(BlockingIOError, OSError):
+            return os.read(self.master, 65536)
+        return b""
+
+    def pull(self) -> None:
+        """Pull the plug: the other side gets a hang-up and finds no port any more."""
+        if self.open:
+            self.open = False
+            self.link.unlink()
+            os.close(self._slave)
+            os.close(self.master)
+
+
+class StandIn:
+    """ESC and load cell; a context manager that runs them on a thread."""
+
+    def __init__(self, folder: Path, speed: float = 4.0) -> None:
+        self.rig = folder / "bench-rig.toml"
+        self.rig.write_text(RIG.format(speed=speed), encoding="utf-8")
+        self.speed = speed
+        self.can, self.cell = Port(folder / "ports" / "can"), Port(folder / "ports" / "loadcell")
+        self.commands: list[tuple[float, float]] = []  # (monotonic s, n) as received
+        self.motion: list[tuple[float, float]] = [(time.monotonic(), 0.0)]  # changes of what the thruster does
+        self.extra_force = 0.0
+        self.current_per_n = 20.0
+        self._garbage = b""
+        self._pull: Port | None = None
+        self._stop = False
+        self._line = b""
+        self._thread = threading.Thread(target=self._loop, name="stand-in")
+
+    def __enter__(self) -> Self:
+        """Start the devices."""
+        self._thread.start()
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        """Stop them and take the ports away."""
+        self._stop = True
+        self._thread.join()
+        for port in (self.can, self.cell):
+            port.pull()
+
+    @property
+    def n(self) -> float:
+        """What the thruster does now."""
+        return self.motion[-1][1]
+
+    def garble(self, data: bytes) -> None:
+        """Send these bytes on both ports, in between."""
+        self._garbage = data
+
+    def pull(self, port: Port) -> None:
+        """Pull a port's plug and wait until it is out."""
+        self._pull = port
+        until(lambda: not port.open, 5.0)
+
+    def zero_after(self, t: float) -> float:
+        """Monotonic time from which the thruster stood still for good, `t` at the earliest; inf while it turns."""
+        if self.n != 0.0:
+            return float("inf")
+        return max(t, self.motion[-1][0])
+
+    def _loop(self) -> None:
+        start = time.monotonic()
+        sent_esc = sent_cell = 0
+        while not self._stop:
+            if self._pull is not None:
+                self._pull.pull()
+                self._pull = None
+            watched = [port.master for port in (self.can, self.cell) if port.open]
+            select.select(watched, [], [], 0.002)
+            self._listen()
+            if self.commands and time.monotonic() - self.commands[-1][0] > TIMEOUT_S / self.speed:
+                self._move(0.0)
+            if self._garbage:
+                data, self._garbage = self._garbage, b""
+                for port in (self.can, self.cell):
+                    if port.open:
+                        port.write(data)
+            run_s = (time.monotonic() - start) * self.speed
+            sent_esc = self._send(run_s * 40.0, sent_esc, self._say_esc)
+            sent_cell = self._send(run_s * 80.0, sent_cell, self._say_cell)
+
+    def _send(self, due: float, sent: int, say: object) -> int:
+        assert callable(say)
+        if due > sent:
+            say()
+        return max(sent, int(due) + 1)
+
+    def _listen(self) -> None:
+        if self.cell.open:
+            self.cell.read()
+        if not self.can.open:
+            return
+        *lines, self._line = (self._line + self.can.read()).split(b"\r")
+        for line in lines:
+            if line[:1] != b"T":
+                continue
+            command = vesc.decode_command(int(line[1:9], 16), bytes.fromhex(line[10:].decode()))
+            if command is not None and command[0] == NODE:
+                self.commands.append((time.monotonic(), command[1]))
+                self._move(command[1])
+
+    def _move(self, n: float) -> None:
+        if n != self.n:
+            self.motion.append((time.monotonic(), n))
+
+    def _say_esc(self) -> None:
+        if not self.can.open:
+            return
+        n = self.n
+        esc = Esc(NODE, n * RPM_MAX, self.current_per_n * abs(n), n, 24.0, 30.0)
+        for identifier, data in vesc.encode_status(esc, POLE_PAIRS):
+            self.can.write(b"T%08X%d%s\r" % (identifier, len(data), data.hex().upper().encode()))
+
+    def _say_cell(self) -> None:
+        if self.cell.open:
+            force = 40.0 * self.n * abs(self.n) + self.extra_force
+            self.cell.write(loadcell.encode(round(ZERO_COUNTS + force / NEWTON_PER_COUNT)))
+
+
+def until(condition: object, seconds: float) -> None:
+    """Wait until `condition()` holds; fails the test when it does not within `seconds` wall seconds."""
+    assert callable(condition)
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen in time"
+        time.sleep(0.002)

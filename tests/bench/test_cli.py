@@ -1,0 +1,122 @@
+"""The commands of bench as a user types them: help with an example, files made, one line for what is wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import seatrial
+from bench.mission import load_mission
+from bench.plans import make_mission
+from tests.bench.standin import RIG
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    """Exit status, stdout and stderr of one command line."""
+    with pytest.raises(SystemExit) as left:
+        seatrial.main(words)
+    said = capsys.readouterr()
+    return int(left.value.code or 0), said.out, said.err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *(["bench", kind] for kind in ("static", "steps", "chirp", "all")),
+        *(["mission", name] for name in ("run", "show", "make")),
+        ["bench"],
+        ["mission"],
+        ["check"],
+        ["demo"],
+    ],
+    ids=" ".join,
+)
+def test_every_command_helps_with_an_example(capsys: pytest.CaptureFixture[str], words: list[str]) -> None:
+    status, out, _ = run(capsys, *words, "--help")
+    assert status == 0
+    assert f"Example: seatrial {words[0]}" in out
+
+
+def test_make_and_show_a_mission(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "m.toml"
+    words = ["--kind", "zigzag", "--seconds", "60", "--seed", "4", "--thrusters", "port", "starboard", "-o", str(path)]
+    status, out, _ = run(capsys, "mission", "make", *words)
+    assert status == 0
+    assert "60 s" in out
+    mission = load_mission(path)
+    assert mission.thrusters == ("port", "starboard")
+    assert mission.segments == make_mission("zigzag", 60.0, 4).segments
+    assert mission.made_by.startswith("seatrial mission make --kind zigzag --seconds 60 --seed 4")
+    status, out, _ = run(capsys, "mission", "show", str(path))
+    assert status == 0
+    assert "n_cmd starboard" in out
+    before = path.read_bytes()
+    status, _, err = run(capsys, "mission", "make", *words)
+    assert status == 1
+    assert err == f"seatrial: {path} exists; give another name with -o\n"
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["mission", "make", "--kind", "tour", "--seed", "1", "-o", "m.toml"],
+        ["mission", "make", "--seed", "1"],
+        ["mission", "make", "-o", "m.toml"],
+        ["mission", "run", "m.toml"],
+        ["bench", "steps"],
+        ["bench", "steps", "rig.toml", "--n-max", "1.5"],
+        ["demo", "--speed", "0"],
+    ],
+)
+def test_wrong_usage_is_status_2(capsys: pytest.CaptureFixture[str], words: list[str]) -> None:
+    status, _, err = run(capsys, *words)
+    assert status == 2
+    assert "Error: " in err
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    path = tmp_path / "rig.toml"
+    path.write_text(RIG.format(speed=1.0), encoding="utf-8")
+    return path
+
+
+def test_errors_are_one_line_and_name_the_key(capsys: pytest.CaptureFixture[str], tmp_path: Path, rig: Path) -> None:
+    bad = tmp_path / "bad.toml"
+    bad.write_text('format = "seatrial-mission 1"\nthrusters = ["left"]\nname = 3\n', encoding="utf-8")
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    for path, words in ((bad, "end: missing"), (binary, "UTF-8"), (tmp_path / "none.toml", "No such file")):
+        status, out, err = run(capsys, "mission", "run", str(path), str(rig), "-o", str(tmp_path / "x.mcap"))
+        assert (status, out) == (1, "")
+        assert err.startswith(f"seatrial: {path}: ")
+        assert words in err
+        assert err.count("\n") == 1
+    assert not (tmp_path / "x.mcap").exists()
+
+
+def test_a_thruster_has_to_be_named_when_there_are_two(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, rig: Path
+) -> None:
+    text = rig.read_text(encoding="utf-8")
+    block = text[text.index("[[thruster]]") : text.index("[limits]")]
+    second = block.replace('"left"', '"right"').replace("node = 1", "node = 2")
+    rig.write_text(text.replace("[limits]", second + "[limits]"), encoding="utf-8")
+    status, _, err = run(capsys, "bench", "steps", str(rig))
+    assert status == 1
+    assert "which thruster? name one with --thruster; there is: left, right" in err
+    status, _, err = run(capsys, "bench", "steps", str(rig), "--thruster", "middle")
+    assert status == 1
+    assert "no thruster 'middle'" in err
+
+
+def test_a_larger_command_than_the_rig_allows_is_refused_before_anything_opens(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, rig: Path
+) -> None:
+    log = tmp_path / "x.mcap"
+    status, _, err = run(capsys, "bench", "chirp", str(rig), "--n-max", "0.95", "-o", str(log))
+    assert status == 1
+    assert "limits.n_max is 0.9" in err
+    assert not log.exists()

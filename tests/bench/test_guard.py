@@ -1,0 +1,160 @@
+"""The guard on statuses made by hand: silent within the limits, one clear reason beyond each of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from bench.guard import Guard
+from daq.acquire import Latest, PortStatus, Status
+from daq.errors import SafetyStop
+from daq.rig import Rig, parse_rig
+from daq.samples import Esc, Gnss, LoadCell, Sample
+from tests.bench.standin import RIG
+
+GNSS = """
+[[device]]
+name = "gnss"
+protocol = "nmea"
+port = "ports/gnss"
+rate_hz = 5.0
+"""
+T = 1_763_616_000.0
+GOOD: dict[tuple[str, int | None], Sample] = {
+    ("esc", 1): Esc(1, 900.0, 5.0, 0.2, 24.0, 30.0),
+    ("loadcell", None): LoadCell(85000.0, 0.8),
+    ("gnss", None): Gnss(T, 41.18, -8.70, fix=3),
+}
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Rig:
+    text = RIG.format(speed=1.0).replace("[[thruster]]", GNSS + "[[thruster]]") + "radius_m = 100.0\n"
+    return parse_rig(text, tmp_path / "rig.toml")
+
+
+def port(name: str, age: float = 0.01) -> PortStatus:
+    return PortStatus(name, "", f"ports/{name}", 1.0, 1.0, age, 9, 9, 0, 0, 0, 0, 99, 0.0, 0.0, "")
+
+
+def status(t: float, size: int = 1000, **samples: Sample) -> Status:
+    latest = {source: Latest(samples.get(source[0], sample), T + t - 0.01) for source, sample in GOOD.items()}
+    ports = {name: port(name) for name in ("esc", "loadcell", "gnss")}
+    return Status(T + t, ports, latest, {"left": 0.2}, 3, "run.mcap", size, 10, t, "", ())
+
+
+def reason(guard: Guard, now: Status) -> str:
+    with pytest.raises(SafetyStop) as caught:
+        guard.check(now)
+    assert caught.value.exit_status == 3
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.fixture
+def guard(rig: Rig) -> Guard:
+    guard = Guard(rig, 1.0, ("left",))
+    guard.check(status(0.0))
+    return guard
+
+
+def test_nothing_is_said_within_the_limits(guard: Guard) -> None:
+    for k in range(1, 200):
+        guard.check(status(0.05 * k, 1000 + k))
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("name", "sample", "words"),
+    [
+        ("esc", Esc(1, 900.0, 40.5), "current of node 1 is 40.5 A, limit 40 A"),
+        ("esc", Esc(1, 900.0, -40.5), "current of node 1 is -40.5 A, limit 40 A"),
+        ("esc", Esc(1, 900.0, 5.0, temperature=81.0), "temperature of node 1 is 81 deg C, limit 80"),
+        ("esc", Esc(1, 900.0, 5.0, voltage=9.9), "voltage of node 1 is 9.9 V, least 10 V"),
+        ("loadcell", LoadCell(0.0, 60.1), "force is 60.1 N, limit 60 N"),
+        ("loadcell", LoadCell(0.0, -60.1), "force is -60.1 N, limit 60 N"),
+        ("gnss", Gnss(T, 41.18 + 101 / 111_195, -8.70, fix=3), "101 m from the start by gnss, limit 100 m"),
+        ("gnss", Gnss(T, 41.18, -8.70 + 101 / 83_690, fix=3), "101 m from the start by gnss, limit 100 m"),
+    ],
+)
+def test_each_limit_stops_with_its_reason(guard: Guard, name: str, sample: Sample, words: str) -> None:
+    assert reason(guard, status(0.1, **{name: sample})) == words
+
+
+@pytest.mark.parametrize(
+    ("name", "sample"),
+    [
+        ("esc", Esc(1, 900.0, 39.9, 0.2, 10.1, 79.9)),
+        ("esc", Esc(1)),  # nothing reported but that it is there
+        ("loadcell", LoadCell(9e6, 9000.0, 2)),  # a spike that the decoder has flagged
+        ("loadcell", LoadCell(8388607, 8300.0, 1)),  # saturated once
+        ("gnss", Gnss(T, 41.18 + 99 / 111_195, -8.70, fix=3)),
+        ("gnss", Gnss(T, NAN, NAN, fix=0)),
+        ("gnss", Gnss(T, 10.0, 10.0, fix=0)),
+    ],
+)
+def test_what_is_no_danger_does_not_stop(guard: Guard, name: str, sample: Sample) -> None:
+    guard.check(status(0.1, **{name: sample}))
+
+
+def test_a_cell_that_stays_saturated_stops(guard: Guard) -> None:
+    saturated = LoadCell(8388607, 8300.0, 1)
+    guard.check(status(0.1, 1001, loadcell=saturated))
+    assert "saturated" in reason(guard, status(0.2, 1002, loadcell=saturated))
+
+
+def test_the_same_saturated_reading_seen_twice_does_not_stop(guard: Guard) -> None:
+    once = status(0.1, 1001, loadcell=LoadCell(8388607, 8300.0, 1))
+    guard.check(once)
+    guard.check(replace(once, t=once.t + 0.02))
+
+
+@pytest.mark.parametrize(("speed", "patience"), [(1.0, 1.0), (20.0, 20.0)])
+@pytest.mark.parametrize("name", ["esc", "loadcell", "gnss"])
+def test_a_silent_device_stops(rig: Rig, name: str, speed: float, patience: float) -> None:
+    guard = Guard(rig, speed, ("left",))
+    now = status(0.0)
+    guard.check(replace(now, ports={**now.ports, name: port(name, patience - 0.01)}))
+    late = replace(now, ports={**now.ports, name: port(name, patience + 0.01)})
+    assert reason(guard, late).startswith(f"{name} (")
+
+
+def test_a_slow_device_has_five_periods(rig: Rig) -> None:
+    slow = replace(rig.device("gnss"), rate_hz=0.5)
+    others = tuple(device for device in rig.devices if device.name != "gnss")
+    guard = Guard(replace(rig, devices=(*others, slow)), 1.0, ("left",))
+    now = status(0.0)
+    guard.check(replace(now, ports={**now.ports, "gnss": port("gnss", 9.9)}))
+    assert "for 10.1 s" in reason(guard, replace(now, ports={**now.ports, "gnss": port("gnss", 10.1)}))
+
+
+@pytest.mark.parametrize("age", [float("inf"), NAN])
+def test_an_age_that_is_no_number_is_silence(guard: Guard, age: float) -> None:
+    now = status(0.1)
+    assert reason(guard, replace(now, ports={**now.ports, "esc": port("esc", age)})).startswith("esc (")
+
+
+def test_a_silent_controller_on_a_busy_bus_stops(guard: Guard) -> None:
+    now = status(0.1)
+    latest = {**now.latest, ("esc", 1): Latest(GOOD["esc", 1], now.t - 1.1)}
+    said = reason(guard, replace(now, latest=latest))
+    assert said == "thruster left (node 1 on esc) is silent for 1.1 s"
+    assert not guard.thrusters_heard(replace(now, latest=latest))
+    assert guard.thrusters_heard(now)
+
+
+def test_a_log_that_does_not_grow_stops(guard: Guard) -> None:
+    guard.check(status(2.9))
+    assert "does not grow" in reason(guard, status(3.1))
+
+
+def test_a_rig_without_limits_has_the_two_that_need_none(rig: Rig) -> None:
+    bare = replace(rig, limits=replace(rig.limits, force_n=None, current_a=None, temperature_c=None, radius_m=None))
+    guard = Guard(bare, 1.0, ("left",))
+    guard.check(status(0.0, loadcell=LoadCell(0.0, 1e6), esc=Esc(1, 0.0, 1e6, temperature=1e6)))
+    guard.check(status(0.1, 1001, gnss=Gnss(T, 10.0, 10.0, fix=3)))
+    assert "does not grow" in reason(guard, status(3.2, 1001))

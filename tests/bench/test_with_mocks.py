@@ -1,0 +1,127 @@
+"""The public commands against the real mock devices: a bench run, kill -9 with the mock's trace, the preflight."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.demo import write_rig
+from daq.log import open_log
+from daq.samples import Command, Esc, LoadCell
+from tests.bench.standin import until
+
+SPEED = 10.0
+SEATRIAL = [sys.executable, "-m", "seatrial"]
+
+
+@contextmanager
+def mock(folder: Path, kind: str, *words: str) -> Iterator[subprocess.Popen[str]]:
+    """A mock of `kind` in `folder` at SPEED, ready."""
+    write_rig(kind, folder, SPEED)
+    command = [*SEATRIAL, "mock", kind, f"{kind}-rig.toml", "--seed", "5", "--trace", "trace.jsonl", *words]
+    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "ready\n"
+            yield process
+        finally:
+            process.terminate()
+            process.wait(timeout=10)
+
+
+def trace(folder: Path) -> list[dict[str, Any]]:
+    """Changes of a thruster's effective command so far."""
+    lines = (folder / "trace.jsonl").read_text(encoding="utf-8").splitlines()
+    return [json.loads(line) for line in lines if line.endswith("}")]
+
+
+def run_bench(folder: Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [*SEATRIAL, "bench", "steps", "bench-rig.toml", "-o", "run.mcap"],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def turning(folder: Path) -> bool:
+    rows = trace(folder)
+    return bool(rows) and rows[-1]["n"] != 0.0
+
+
+def test_bench_steps_end_to_end(tmp_path: Path) -> None:
+    with mock(tmp_path, "bench"):
+        run = run_bench(tmp_path)
+        out, err = run.communicate(timeout=60)
+        assert run.returncode == 0, err
+        assert not turning(tmp_path)
+    assert "tare: loadcell zero at the start" in out
+    assert "done: bench steps thruster" in out
+    log = open_log(tmp_path / "run.mcap")
+    assert not log.warnings
+    command = log.table(Command, "esc", node=1)
+    assert command["n_cmd"].max() == pytest.approx(0.9, abs=1e-3)
+    assert command["n_cmd"].min() == pytest.approx(-0.9, abs=1e-3)
+    assert log.table(Esc, "esc", node=1)["rpm"].max() > 3500.0
+    force = log.table(LoadCell, "loadcell")["force"]
+    assert force.max() > 20.0
+    assert force.min() < -15.0
+    spacing = log.table(Esc, "esc", node=1)["t"]
+    assert len(spacing) == pytest.approx(50.0 * log.duration, rel=0.15)  # a busy machine starts late
+
+
+@pytest.mark.parametrize("everything", [False, True])
+def test_kill_9_stops_the_mock_thruster(tmp_path: Path, everything: bool) -> None:
+    with mock(tmp_path, "bench") as devices:
+        run = run_bench(tmp_path)
+        until(lambda: (tmp_path / "trace.jsonl").exists() and turning(tmp_path), 30.0)
+        if everything:
+            out = subprocess.run(["ps", "-eo", "pid=,ppid="], capture_output=True, text=True, check=True).stdout
+            children = [int(a) for a, b in (line.split() for line in out.splitlines()) if int(b) == run.pid]
+            for pid in (run.pid, *children):
+                os.kill(pid, signal.SIGKILL)
+        else:
+            run.kill()
+        killed = time.monotonic()
+        until(lambda: not turning(tmp_path), 5.0)
+        # The ESC's own time-out is 10 run seconds, 1 s here; the deadman's is 0.25 s.
+        assert time.monotonic() - killed < (1.0 if everything else 0.25) + 0.5
+        run.communicate()
+        assert devices.poll() is None
+    log = open_log(tmp_path / "run.mcap")
+    assert len(log.table(LoadCell, "loadcell")) > 100
+
+
+def test_check_says_good_and_bad(tmp_path: Path) -> None:
+    with mock(tmp_path, "boat", "--fault", "pull/gnss@0.1:10000"):
+        # At ten run seconds a wall second a 3 s check hears half a minute.
+        done = subprocess.run(
+            [*SEATRIAL, "check", "boat-rig.toml"], cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+    assert done.returncode == 1
+    lines = {line.split()[1]: line for line in done.stdout.splitlines()}
+    assert lines["ahrs"].startswith("good")
+    assert lines["esc"].startswith("good")
+    assert lines["gnss"].startswith("bad")
+    assert done.stderr.count("\n") == 1
+    assert "gnss not as the rig says" in done.stderr
+
+
+def test_check_of_a_healthy_boat(tmp_path: Path) -> None:
+    with mock(tmp_path, "boat"):
+        done = subprocess.run(
+            [*SEATRIAL, "check", "boat-rig.toml"], cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+    assert done.returncode == 0, done.stdout + done.stderr

@@ -1,0 +1,103 @@
+"""Ways to feed a decoder the same bytes, and what must not depend on the way."""
+
+from __future__ import annotations
+
+import math
+import os
+import random
+from collections.abc import Callable, Iterator
+from dataclasses import astuple
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from daq.protocol import Decoder
+from daq.samples import Frame
+
+# Of what a serial line brings that is no frame: text, starts of frames, every byte value.
+GARBAGE = (
+    b"",
+    b"boot: ok\r\n",
+    b"$",
+    b"\xfa",
+    b"\xfa\x01\x29\x01",
+    b"$GPGGA,12*",
+    b"T00000901",
+    bytes(range(256)),
+)
+
+
+def data_file(name: str) -> Path:
+    """A measured or independently made file; the test is skipped where there is none."""
+    folder = os.environ.get("SEATRIAL_DATA")
+    if not folder:
+        pytest.skip("SEATRIAL_DATA does not say where the measured data sets are")
+    path = Path(folder) / name
+    if not path.exists():
+        pytest.skip(f"SEATRIAL_DATA has no {name}")
+    return path
+
+
+def said(frames: list[Frame]) -> list[tuple[Any, ...]]:
+    """The frames as values that compare equal where both are NaN."""
+    return [tuple(map(repr, (type(f.sample), astuple(f.sample), f.t_rx, f.t_device))) for f in frames]
+
+
+def counters(decoder: Decoder) -> tuple[int, int, int]:
+    """All that a decoder counts."""
+    return decoder.frames, decoder.checksum_errors, decoder.unparsed_bytes
+
+
+def cuts(data: bytes, seed: int) -> Iterator[bytes]:
+    """`data` in random pieces."""
+    rng = random.Random(seed)
+    at = 0
+    while at < len(data):
+        size = rng.choice((1, 2, 3, 7, 20, 90, 300))
+        yield data[at : at + size]
+        at += size
+
+
+def check_splits(make: Callable[[], Decoder], data: bytes) -> list[Frame]:
+    """Feed whole, byte by byte and in random pieces: same samples and counters each time. Returns the samples."""
+    whole = make()
+    frames = whole.feed(data, 5.0)
+    ways = [[data[i : i + 1] for i in range(len(data))], *(list(cuts(data, seed)) for seed in range(5))]
+    for pieces in ways:
+        decoder = make()
+        found = [frame for piece in pieces for frame in decoder.feed(piece, 5.0)]
+        assert said(found) == said(frames)
+        assert counters(decoder) == counters(whole)
+    return frames
+
+
+def check_garbage(make: Callable[[], Decoder], messages: list[bytes], expected: int, ending: bytes = b"") -> None:
+    """Garbage before, between and after the messages: the samples are those of the clean stream.
+
+    `expected` is the number of samples; `ending` ends garbage where a protocol cannot tell it from a message else.
+    """
+    clean = make().feed(b"".join(messages), 5.0)
+    assert len(clean) == expected
+    for garbage in GARBAGE:
+        for where in ("before", "between", "after"):
+            parts = list(messages)
+            junk = garbage + ending
+            if where == "before":
+                parts.insert(0, junk)
+            elif where == "after":
+                parts.append(junk)
+            else:
+                parts = [part for message in messages for part in (message, junk)]
+            decoder = make()
+            frames = check_splits(make, b"".join(parts))
+            decoder.feed(b"".join(parts), 5.0)
+            assert said(frames) == said(clean), (garbage, where)
+
+
+def is_close(a: object, b: object, rel: float = 1e-9, tolerance: float = 1e-9) -> bool:
+    """Whether two samples agree field by field, NaN with NaN."""
+    pairs = zip(astuple(a), astuple(b), strict=True)  # type: ignore[call-overload]
+    return all(
+        (math.isnan(x) and math.isnan(y)) or math.isclose(x, y, rel_tol=rel, abs_tol=tolerance) for x, y in pairs
+    )

@@ -1,0 +1,115 @@
+"""The run clock, and device clocks mapped onto it: known skew and delays in, the same times out."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from daq.clock import ClockMap, RunClock
+
+
+def test_the_run_clock_starts_at_the_wall_clock_and_goes_at_its_speed() -> None:
+    clock = RunClock(speed=50.0)
+    assert abs(clock.now() - time.time()) < 5.0
+    before, wall = clock.now(), time.monotonic()
+    clock.sleep_until(before + 2.5)
+    passed = time.monotonic() - wall
+    assert passed >= clock.wall(2.5) - 1e-3
+    assert clock.now() >= before + 2.5
+    assert clock.now() - before == pytest.approx(50.0 * (time.monotonic() - wall), rel=0.2)
+    clock.sleep_until(before)  # has passed: returns at once
+
+
+def test_another_process_with_the_same_origin_agrees() -> None:
+    clock = RunClock(speed=3.0)
+    code = f"from daq.clock import RunClock; print(RunClock({clock.speed!r}, {clock.origin!r}).now())"
+    before = clock.now()
+    there = float(subprocess.run([sys.executable, "-c", code], check=True, capture_output=True).stdout)
+    assert before < there < clock.now()
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, math.nan, math.inf])
+def test_a_clock_that_does_not_go(speed: float) -> None:
+    with pytest.raises(ValueError, match="positive"):
+        RunClock(speed)
+
+
+def run_map(skew: float, delays: np.ndarray, rate: float = 200.0) -> tuple[np.ndarray, np.ndarray, ClockMap]:
+    """Errors of the estimate [s], receive times, and the map, for a device clock that is off by `skew`."""
+    truth = 1.7e9 + np.arange(len(delays)) / rate
+    device = 12.5 + (truth - 1.7e9) * (1.0 - skew)
+    clock_map = ClockMap()
+    received = np.maximum.accumulate(truth + delays)
+    estimates = np.array([clock_map.update(d, r) for d, r in zip(device, received, strict=True)])
+    assert np.all(estimates <= received)
+    assert np.all(np.diff(estimates) >= 0)
+    return estimates - truth, received - truth, clock_map
+
+
+def test_latency_of_a_usb_adapter_is_taken_out() -> None:
+    rng = np.random.default_rng(1)
+    n = 60_000  # 300 s at 200 Hz
+    # The adapter hands over what it has every 16 ms.
+    truth = np.arange(n) / 200.0
+    delays = np.ceil(truth / 0.016) * 0.016 - truth + rng.exponential(50e-6, n)
+    errors, arrival, clock_map = run_map(30e-6, delays)
+    settled = errors[2000:]
+    assert abs(arrival[2000:].mean()) > 7e-3  # what arrival time would have been off by
+    assert abs(settled.mean()) < 150e-6
+    assert settled.std() < 100e-6
+    assert clock_map.bias == pytest.approx(arrival.mean(), abs=1e-3)
+    assert clock_map.resets == 0
+
+
+@pytest.mark.parametrize("skew", [-100e-6, 0.0, 100e-6])
+def test_skew_is_followed(skew: float) -> None:
+    rng = np.random.default_rng(2)
+    errors, _, _ = run_map(skew, 1e-4 + rng.exponential(2e-3, 40_000))
+    assert np.max(np.abs(errors[4000:])) < 1e-3
+
+
+def test_from_the_first_sample_on_it_is_no_worse_than_arrival() -> None:
+    rng = np.random.default_rng(3)
+    errors, arrival, _ = run_map(30e-6, rng.uniform(0.0, 0.016, 400))
+    assert np.all(errors <= arrival)
+    assert np.all(errors > -2e-3)
+
+
+def test_a_device_that_restarts_starts_a_new_map() -> None:
+    clock_map = ClockMap()
+    for k in range(100):
+        clock_map.update(500.0 + 0.01 * k, 1000.0 + 0.01 * k)
+    for k in range(100):
+        assert clock_map.update(0.01 * k, 1010.0 + 0.01 * k) == pytest.approx(1010.0 + 0.01 * k, abs=1e-6)
+    assert clock_map.resets == 1
+
+
+@pytest.mark.parametrize("jump", [3600.0, 2.0])
+def test_a_clock_that_is_set_forward_or_stood_still(jump: float) -> None:
+    forward, behind = ClockMap(), ClockMap()
+    for k in range(3000):
+        t = 0.02 * k
+        late = jump if k > 1000 else 0.0
+        ahead = forward.update(t + late, 1000.0 + t)
+        slow = behind.update(t, 1000.0 + t + late)
+    assert ahead == pytest.approx(1000.0 + t, abs=0.02)
+    assert slow == pytest.approx(1000.0 + t + jump, abs=0.02)
+    assert forward.resets == behind.resets == 1
+
+
+def test_a_pause_of_the_reader_is_no_jump() -> None:
+    clock_map = ClockMap()
+    estimates = [clock_map.update(0.01 * k, 1000.0 + max(0.01 * k, 5.0 if 300 < k < 500 else 0.0)) for k in range(2000)]
+    assert clock_map.resets == 0
+    assert estimates == pytest.approx([1000.0 + 0.01 * k for k in range(2000)], abs=1e-6)
+
+
+def test_no_device_time_is_receive_time() -> None:
+    clock_map = ClockMap()
+    assert clock_map.update(math.nan, 7.0) == 7.0
+    assert math.isnan(clock_map.bias)

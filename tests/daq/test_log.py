@@ -1,0 +1,388 @@
+from __future__ import annotations
+
+import random
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+from click.testing import CliRunner
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
+
+from daq import cli, schema
+from daq.cdr import full_definition, layout
+from daq.errors import SeatrialError
+from daq.log import Log, open_log
+from daq.mcap_read import RawLog
+from daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, PortHealth, Scalar
+from tests.daq.logs import HEALTH, T0, recorder, write_everything
+
+N_ROUNDS = 12
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("whole") / "run.mcap"
+    write_everything(path, N_ROUNDS)
+    return path
+
+
+def tables(log: Log) -> dict[str, list[tuple[object, ...]]]:
+    """Everything that a log gives, as rows that can be compared."""
+    found: dict[str, list[tuple[object, ...]]] = {"events": list(log.events())}
+    for kind in (Ahrs, Gnss, LoadCell, Scalar):
+        for source in log.sources(kind):
+            found[f"{kind.__name__} {source}"] = [tuple(row) for row in log.table(kind, source)]
+    for kind in (Esc, Command):
+        for source in log.sources(kind):
+            for node in log.nodes(kind, source):
+                found[f"{kind.__name__} {source} {node}"] = [tuple(row) for row in log.table(kind, source, node)]
+    for device in log.sources(PortHealth):
+        found[f"health {device}"] = list(log.health(device))
+    for device in ("ahrs",):
+        if f"/raw/{device}" in log.counts:
+            found[f"raw {device}"] = list(log.raw(device))
+    return found
+
+
+def same(one: tuple[object, ...], other: tuple[object, ...]) -> bool:
+    return repr(one) == repr(other)  # NaN and all
+
+
+def is_prefix(part: dict[str, list[tuple[object, ...]]], all_of_it: dict[str, list[tuple[object, ...]]]) -> bool:
+    return all(
+        len(rows) <= len(all_of_it[name]) and all(map(same, rows, all_of_it[name])) for name, rows in part.items()
+    )
+
+
+def test_what_a_whole_log_says_of_itself(whole: Path) -> None:
+    log = open_log(whole)
+    assert (log.complete, log.warnings) == (True, [])
+    assert log.sources(Ahrs) == ["ahrs", "imu"]
+    assert log.sources(Gnss) == ["gnss"]
+    assert log.sources(Esc) == log.sources(Command) == ["esc"]
+    assert (log.nodes(Esc, "esc"), log.nodes(Command, "esc")) == ([1, 2], [1])
+    assert log.sources(LoadCell) == ["loadcell"]
+    assert log.sources(Scalar) == ["surge"]
+    assert log.sources(PortHealth) == ["ahrs"]
+    assert log.duration == pytest.approx(N_ROUNDS - 1 + 0.7 - 0.001, abs=1e-6)
+    assert log.events()[0] == (pytest.approx(T0 + 0.6), "mark", "round 0: Trondheimsfjorden, blåsende")
+    assert [health for _, health in log.health("ahrs")] == [HEALTH] * N_ROUNDS
+    raw = list(log.raw("ahrs"))
+    assert [(direction, len(data)) for _, direction, data in raw] == [("rx", 256), ("tx", 0)] * N_ROUNDS
+    assert len(log.sha256) == 64
+    assert log.table(Command, "esc")["n_cmd"].tolist() == [-0.5] * N_ROUNDS
+    assert log.table(Esc, "esc", node=2)["rpm"].tolist() == [77.0] * N_ROUNDS
+
+
+def test_asking_for_what_is_not_there(whole: Path) -> None:
+    log = open_log(whole)
+    with pytest.raises(SeatrialError, match=r"no messages on /gps/gnss; there is: .*/gnss/gnss"):
+        log.table(Gnss, "gps")
+    with pytest.raises(SeatrialError, match=r"esc has nodes \[1, 2\]: say which one"):
+        log.table(Esc, "esc")
+    with pytest.raises(SeatrialError, match="no messages on /signal/sway"):
+        log.unit("sway")
+
+
+def test_time_never_decreases(tmp_path: Path) -> None:
+    log = recorder(tmp_path / "a.mcap")
+    for k, t in enumerate((0.0, 0.2, 0.1, 0.3)):
+        log.write("surge", Frame(Scalar(k), T0 + 1.0, float("nan")), T0 + t)
+    log.close()
+    table = open_log(tmp_path / "a.mcap").table(Scalar, "surge")
+    np.testing.assert_allclose(table["t"] - T0, [0.0, 0.2, 0.2, 0.3], atol=1e-6)
+    assert table["value"].tolist() == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_cut_anywhere(whole: Path, tmp_path: Path) -> None:
+    data, everything = whole.read_bytes(), tables(open_log(whole))
+    rng = random.Random(1)
+    before = 0
+    for size in sorted([*range(0, 60, 7), *(rng.randrange(60, len(data)) for _ in range(60)), len(data) - 1]):
+        path = tmp_path / "cut.mcap"
+        path.write_bytes(data[:size])
+        if size < len(MCAP0_MAGIC):
+            with pytest.raises(SeatrialError, match=r"cut\.mcap: (not an MCAP log|the file is empty)"):
+                open_log(path)
+            continue
+        with open_log(path) as log:
+            assert log.warnings or log.complete
+            assert is_prefix(tables(log), everything)
+            n = sum(log.counts.values())
+        assert n >= before  # a longer file never gives less
+        before = n
+    assert before == sum(len(rows) for rows in everything.values()) + sum(
+        n
+        for topic, n in open_log(whole).counts.items()
+        if topic.endswith(("mag", "device_time", "fix", "wrench", "velocity"))
+    )
+
+
+def test_one_wrong_bit_anywhere(whole: Path, tmp_path: Path) -> None:
+    """A flipped bit ends in one line, or in rows that were written: never in a wrong number or a traceback."""
+    data, everything = whole.read_bytes(), tables(open_log(whole))
+    rng = random.Random(2)
+    n_read, n_all = 0, 150
+    for _ in range(n_all):
+        at = rng.randrange(len(data))
+        path = tmp_path / "flip.mcap"
+        path.write_bytes(data[:at] + bytes([data[at] ^ 1 << rng.randrange(8)]) + data[at + 1 :])
+        try:
+            with open_log(path) as log:
+                found = tables(log)
+        except SeatrialError:
+            continue
+        n_read += 1
+        for name, rows in found.items():
+            known = {repr(row) for row in everything[name]}
+            # a sample may lose its companion (device time, field), which stood in the chunk before
+            assert all(repr(row) in known for row in rows), (at, name)
+    assert n_read > 0.9 * n_all
+
+
+def test_any_damage_is_one_line_or_a_log(whole: Path, tmp_path: Path) -> None:
+    data, path, everything = whole.read_bytes(), tmp_path / "damaged.mcap", repr(tables(open_log(whole)))
+    rng = random.Random(3)
+    for k in range(160):
+        at, length = rng.randrange(8, len(data)), rng.randrange(1, 400)
+        other = rng.randrange(8, len(data))
+        middle = [
+            b"",
+            rng.randbytes(length) + data[at : at + length],
+            rng.randbytes(length),
+            data[other : other + length],
+        ]
+        path.write_bytes(data[:at] + middle[k % 4] + data[at + length :])
+        found = ""
+        try:
+            with open_log(path) as log:
+                lines = log.warnings
+                found = repr(tables(log))
+                log.rig()
+        except SeatrialError as error:
+            lines = [str(error)]
+        assert lines or found == everything, (k, at)  # what is only there a second time may be damaged in silence
+        assert not any("\n" in line for line in lines)
+
+
+def test_a_damaged_chunk_costs_only_itself(whole: Path, tmp_path: Path) -> None:
+    raw = RawLog(whole)
+    at = raw._chunks[N_ROUNDS // 2]
+    data = bytearray(whole.read_bytes())
+    data[(at.start + at.stop) // 2] ^= 0xFF
+    (tmp_path / "hole.mcap").write_bytes(data)
+    log = open_log(tmp_path / "hole.mcap")
+    assert len(log.table(Gnss, "gnss")) == 2 * (N_ROUNDS - 1)
+    assert [("damaged and left out" in warning) for warning in log.warnings] == [True]
+
+
+def test_a_wrong_length_costs_only_its_chunk(whole: Path, tmp_path: Path) -> None:
+    at = RawLog(whole)._chunks[N_ROUNDS // 2].start
+    data = bytearray(whole.read_bytes())
+    record = data.rindex(b"\x06", 0, at - 45)
+    for wrong in (2**50, 0):
+        struct.pack_into("<Q", data, record + 1, wrong)
+        (tmp_path / "hole.mcap").write_bytes(data)
+        log = open_log(tmp_path / "hole.mcap")
+        assert len(log.table(Gnss, "gnss")) == 2 * (N_ROUNDS - 1)
+        assert log.warnings
+    (tmp_path / "hole.mcap").write_bytes(data[:-100])  # and without the footer
+    assert len(open_log(tmp_path / "hole.mcap").table(Gnss, "gnss")) == 2 * (N_ROUNDS - 1)
+
+
+def test_part_of_a_cut_chunk_is_used(tmp_path: Path) -> None:
+    path = tmp_path / "big.mcap"
+    log = recorder(path)
+    rng = np.random.default_rng(5)
+    for i in range(250):
+        log.write_raw("ahrs", "rx", rng.bytes(1000), T0 + i)
+    log.close()
+    at = RawLog(path)._chunks[0]
+    data = path.read_bytes()
+    expected = list(open_log(path).raw("ahrs"))
+    path.write_bytes(data[: at.start + (at.stop - at.start) * 3 // 4])
+    found = list(open_log(path).raw("ahrs"))
+    assert 100 < len(found) < 250
+    assert found == expected[: len(found)]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"\x89MCA", b"PK\x03\x04" * 100, b"time,x\n1,2\n", b"\0" * 4096],
+    ids=["0", "4", "zip", "csv", "zeros"],
+)
+def test_no_log_at_all(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "what.mcap"
+    path.write_bytes(content)
+    with pytest.raises(SeatrialError, match=r"what\.mcap: (not an MCAP log|the file is empty)"):
+        open_log(path)
+    with pytest.raises(SeatrialError, match="cannot be read: No such file"):
+        open_log(tmp_path / "none.mcap")
+
+
+def chunk_record(packed: bytes, size: int, compression: bytes = b"zstd", checksum: int = 0) -> bytes:
+    head = struct.pack("<QQQII", 0, 0, size, checksum, len(compression)) + compression
+    content = head + struct.pack("<Q", len(packed)) + packed
+    return struct.pack("<BQ", 6, len(content)) + content
+
+
+HOSTILE = {
+    "record of 2^60 bytes": struct.pack("<BQ", 5, 2**60),
+    "record of 2^64 - 1 bytes": struct.pack("<BQ", 5, 2**64 - 1),
+    "chunk that says 2^62": chunk_record(zstandard.compress(b"x" * 100), 2**62),
+    "bomb that says little": chunk_record(zstandard.compress(bytes(200 * 2**20)), 100),
+    "frame that says 2^40": chunk_record(
+        b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 2**40) + b"\x01\0\0", 2**40 % 2**26
+    ),
+    "message of no length": chunk_record(struct.pack("<BQ", 5, 3) + b"abc", 12, b""),
+    "name of 4 GB": struct.pack("<BQ", 4, 12) + struct.pack("<HHII", 1, 1, 2**32 - 1, 0),
+    "metadata that goes on": struct.pack("<BQ", 12, 12) + struct.pack("<III", 0, 2**32 - 1, 2**31),
+    "zeros": b"\0" * 500,
+    "index of nothing": struct.pack("<BQ", 7, 22) + struct.pack("<HIQQ", 1, 16, 5, 2**63),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_lengths_cost_no_memory(whole: Path, tmp_path: Path, name: str) -> None:
+    import resource
+
+    data = whole.read_bytes()
+    end = RawLog(whole)._chunks[0].stop
+    path = tmp_path / "hostile.mcap"
+    path.write_bytes(data[:end] + HOSTILE[name] + data[end:])
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    log = open_log(path)
+    assert repr(tables(log)) == repr(tables(open_log(whole)))  # what is whole is found again behind it
+    assert log.complete
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 150_000  # kB
+
+
+def write_with(path: Path, **options: object) -> None:
+    """A log by mcap's own writer: 5 scalars."""
+    with path.open("wb") as file:
+        writer = Writer(file, **options)  # type: ignore[arg-type]
+        writer.start(profile="ros2")
+        name = schema.TYPES[Scalar]
+        channel = writer.register_channel(
+            "/signal/x", "cdr", writer.register_schema(name, "ros2msg", full_definition(name).encode())
+        )
+        for i in range(5):
+            stamp = (10 + i) * 10**9
+            # frame ids of two lengths on one channel, as a foreign program might write
+            data = layout(name, b"ab" if i % 2 else b"abcdefghijk").pack(stamp, 1.0, 2.0, float(i))
+            writer.add_message(channel, stamp, data, stamp)
+        writer.finish()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"use_chunking": False},
+        {"compression": CompressionType.NONE},
+        {"compression": CompressionType.LZ4},
+        {"compression": CompressionType.ZSTD, "chunk_size": 10},
+        {"index_types": 0, "use_statistics": False, "repeat_channels": False},
+    ],
+    ids=["unchunked", "plain", "lz4", "zstd", "no index"],
+)
+def test_files_of_other_writers(tmp_path: Path, options: dict[str, object]) -> None:
+    if "index_types" in options:
+        from mcap.writer import IndexType
+
+        options = {**options, "index_types": IndexType.NONE}
+    write_with(tmp_path / "other.mcap", **options)
+    log = open_log(tmp_path / "other.mcap")
+    assert (log.complete, log.warnings) == (True, [])
+    table = log.table(Scalar, "x")
+    assert table["value"].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert table["t"].tolist() == [10.0, 11.0, 12.0, 13.0, 14.0]
+    assert log.rig() is None
+
+
+def break_messages(data: bytes) -> bytes:
+    return b"\x00\x00\x00\x00" + data[4:]
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (break_messages, "no seatrial_msgs/msg/Scalar in little-endian CDR"),
+        (lambda data: data[:20], "no seatrial_msgs/msg/Scalar"),
+        (lambda data: data[:8], "no seatrial_msgs/msg/Scalar"),
+        (lambda data: data[:12] + b"\xff\xff\xff\xff" + data[16:], "no seatrial_msgs/msg/Scalar"),
+        (lambda data: data[:12] + b"\0\0\0\0" + data[16:], "no seatrial_msgs/msg/Scalar"),
+    ],
+)
+def test_messages_that_are_none(tmp_path: Path, change: Callable[[bytes], bytes], line: str) -> None:
+    path = tmp_path / "odd.mcap"
+    name = schema.TYPES[Scalar]
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        channel = writer.register_channel("/signal/x", "cdr", writer.register_schema(name, "ros2msg", b"float64 x"))
+        data = layout(name, b"x").pack(10**9, 1.0, 2.0, 3.0)
+        writer.add_message(channel, 1, change(data), 1)
+        writer.finish()
+    with pytest.raises(SeatrialError, match=line):
+        open_log(path).table(Scalar, "x")
+
+
+def test_a_topic_of_another_type(tmp_path: Path) -> None:
+    path = tmp_path / "odd.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        channel = writer.register_channel("/signal/x", "json", writer.register_schema("Thing", "jsonschema", b"{}"))
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()
+    with pytest.raises(SeatrialError, match=r"/signal/x is Thing \(json\), not seatrial_msgs/msg/Scalar \(cdr\)"):
+        open_log(path).table(Scalar, "x")
+
+
+def test_salvage_makes_a_whole_file(whole: Path, tmp_path: Path) -> None:
+    data = whole.read_bytes()
+    killed, out = tmp_path / "killed.mcap", tmp_path / "whole.mcap"
+    killed.write_bytes(data[: len(data) * 2 // 3])
+    done = CliRunner().invoke(cli.salvage, [str(killed), "-o", str(out)], catch_exceptions=False)
+    assert done.exit_code == 0
+    assert "cut off" in done.stderr
+    again, before = open_log(out), open_log(killed)
+    assert again.complete
+    assert f"{out}: {sum(again.counts.values())} messages" in done.stdout
+    assert repr(tables(again)) == repr(tables(before))
+    assert (again.metadata, again.attachments) == (before.metadata, before.attachments)
+    with pytest.raises(SeatrialError, match="there is such a file already"):
+        CliRunner().invoke(cli.salvage, [str(killed), "-o", str(out)], catch_exceptions=False)
+    with pytest.raises(SeatrialError, match="there is such a file already"):  # never onto itself
+        CliRunner().invoke(cli.salvage, [str(killed), "-o", str(killed), "--force"], catch_exceptions=False)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["killed.mcap", "whole.mcap"]
+
+
+def test_info(whole: Path, tmp_path: Path) -> None:
+    done = CliRunner().invoke(cli.info, [str(whole)], catch_exceptions=False)
+    assert done.exit_code == 0
+    for text in ("complete", "test rig", "Ada", "/gnss/gnss", "/dev/ttyUSB0", "mission.toml", "round 0: Trondheim"):
+        assert text in done.stdout
+    killed = tmp_path / "killed.mcap"
+    killed.write_bytes(whole.read_bytes()[:-500])
+    done = CliRunner().invoke(cli.info, [str(killed)], catch_exceptions=False)
+    assert "cut off" in done.stdout
+    assert "warning: the recording was cut off" in done.stdout
+
+
+def test_the_index_is_only_believed_where_it_is_right(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    log = recorder(path)
+    for i in range(20):
+        log.write("surge", Frame(Scalar(i), T0, float("nan")), T0 + i)
+    log.close()
+    data = bytearray(path.read_bytes())
+    at = RawLog(path)._chunks[0].stop
+    assert data[at] == 7  # message index
+    for wrong in (1, 2**40, 2**63 + 5):
+        struct.pack_into("<Q", data, at + 9 + 6 + 8, wrong)
+        path.write_bytes(data)
+        assert open_log(path).table(Scalar, "surge")["value"].tolist() == list(range(20))

@@ -1,0 +1,287 @@
+"""NMEA: epochs whatever the order of sentences, receivers of gpsd's collection, and streams that are cut and dirty."""
+
+from __future__ import annotations
+
+import datetime
+import itertools
+import json
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from daq.protocol.framing import sentence
+from daq.protocol.nmea import Decoder, encode
+from daq.samples import NAN, Gnss
+from tests.daq.streams import check_garbage, check_splits, counters, data_file, is_close
+
+T = 1_700_000_000.0  # 2023-11-14 22:13:20 UTC
+GNSS = Gnss(T, 41.1, -8.6, 12.3, 0.5, -0.25, fix=5, n_sat=12, hdop=0.8, sigma_h=0.015)
+GGA = "GPGGA,{time},4106.0000,N,00836.0000,W,{quality},09,1.1,5.0,M,,M,,"
+RMC = "GPRMC,{time},A,4106.0000,N,00836.0000,W,1.0,90.0,{date},,,A"
+
+
+def gga(time: str, quality: int = 1) -> bytes:
+    return sentence(GGA.format(time=time, quality=quality))
+
+
+def rmc(time: str, date: str = "141123") -> bytes:
+    return sentence(RMC.format(time=time, date=date))
+
+
+def read(data: bytes, t_rx: float = T) -> list[Gnss]:
+    decoder = Decoder()
+    frames = decoder.feed(data, t_rx) + decoder.flush()
+    return [frame.sample for frame in frames if isinstance(frame.sample, Gnss)]
+
+
+def at(hour: int, minute: int, second: float, day: int = 14) -> float:
+    return datetime.datetime(2023, 11, day, hour, minute, 0, tzinfo=datetime.UTC).timestamp() + second
+
+
+def epochs(count: int, rate: float = 5.0) -> list[bytes]:
+    return [
+        encode(Gnss(T + k / rate, 41.0 + 1e-6 * k, -8.6, 1.0, 0.1, 0.0, fix=3, n_sat=9, hdop=1.0)) for k in range(count)
+    ]
+
+
+def test_one_epoch_as_the_standard_lays_it_out() -> None:
+    data = (
+        b"$GPGGA,092725.00,4717.11399,N,00833.91590,E,1,08,1.01,499.6,M,48.0,M,,*5B\r\n"
+        b"$GPRMC,092725.00,A,4717.11437,N,00833.91522,E,0.004,77.52,091202,,,A*57\r\n"
+    )
+    decoder = Decoder()
+    assert decoder.feed(data.replace(b"*57", b"*5F"), 3.0) == []
+    assert decoder.checksum_errors == 1  # RMC with a checksum that is not its own
+    (frame,) = decoder.flush()
+    assert isinstance(frame.sample, Gnss)
+    assert frame.sample.lat == pytest.approx(47 + 17.11399 / 60, abs=1e-9)
+    assert frame.sample.lon == pytest.approx(8 + 33.91590 / 60, abs=1e-9)
+    assert (frame.sample.alt, frame.sample.hdop, frame.sample.n_sat, frame.sample.fix) == (499.6, 1.01, 8, 3)
+    assert math.isnan(frame.sample.vel_n)
+    assert math.isnan(frame.sample.sigma_h)
+
+
+@pytest.mark.parametrize("order", ["gga first", "rmc first"])
+def test_sentences_are_grouped_by_time_not_by_order(order: str) -> None:
+    stream = b""
+    for k in range(5):
+        pair = [gga(f"22132{k}.00"), rmc(f"22132{k}.00")]
+        stream += b"".join(pair if order == "gga first" else reversed(pair))
+    samples = read(stream)
+    assert [sample.utc for sample in samples] == [T + k for k in range(5)]
+    for sample in samples:
+        assert sample.n_sat == 9  # GGA's
+        assert sample.vel_e == pytest.approx(1852 / 3600)  # RMC's
+        assert abs(sample.vel_n) < 1e-12
+
+
+def test_an_epoch_is_complete_when_the_kinds_of_the_last_ones_have_come() -> None:
+    decoder = Decoder()
+    first, second, third = epochs(3)
+    assert decoder.feed(first, 1.0) == []  # what comes in an epoch is not known yet
+    assert [frame.t_rx for frame in decoder.feed(second, 2.0)] == [1.0, 2.0]
+    lines = third.splitlines(keepends=True)
+    assert [len(decoder.feed(line, 3.0 + k)) for k, line in enumerate(lines)] == [0, 0, 0, 1]
+    assert decoder.flush() == []
+
+
+def test_a_sentence_that_comes_only_now_and_then_is_not_lost() -> None:
+    stream = b""
+    for k in range(20):
+        time = f"22132{k // 10}.{k % 10}0"
+        stream += gga(time) + rmc(time) + (sentence(f"GPGST,{time},,,,,3.0,4.0,") if k % 5 == 0 else b"")
+    sigmas = [sample.sigma_h for sample in read(stream)]
+    assert [k for k, sigma in enumerate(sigmas) if sigma == pytest.approx(5.0 / math.sqrt(2))] == [0, 5, 10, 15]
+
+
+def test_the_time_of_a_sample_is_that_of_its_first_sentence() -> None:
+    decoder = Decoder()
+    decoder.feed(gga("221320.00"), 1.0)
+    decoder.feed(rmc("221320.00"), 1.1)
+    (frame,) = decoder.feed(gga("221321.00"), 2.0)
+    assert (frame.t_rx, frame.t_device) == (1.0, T)
+
+
+def test_without_a_date_the_day_is_the_last_one_said_or_the_one_near_the_clock() -> None:
+    assert [s.utc for s in read(rmc("235959.00") + gga("000000.00") + gga("000001.00"))] == [
+        at(23, 59, 59.0),
+        at(0, 0, 0.0, day=15),
+        at(0, 0, 1.0, day=15),
+    ]
+    assert read(gga("235959.50"), t_rx=at(0, 0, 1.0, day=15))[0].utc == at(23, 59, 59.5)
+    assert read(gga("000001.00"), t_rx=at(23, 59, 59.0))[0].utc == at(0, 0, 1.0, day=15)
+
+
+def test_a_leap_second_has_a_time() -> None:
+    assert read(gga("221260.00") + rmc("221260.00"))[0].utc == T - 20.0
+
+
+def test_zda_gives_the_date() -> None:
+    data = gga("221320.00") + sentence("GPZDA,221320.00,14,11,2023,00,00")
+    assert read(data, t_rx=0.0)[0].utc == T
+
+
+def test_void_fixes_have_no_position_and_a_zda_alone_is_no_sample() -> None:
+    void = sentence("GPGGA,221320.00,,,,,0,00,99.9,,M,,M,,") + sentence("GPRMC,221320.00,V,,,,,,,141123,,,N")
+    (sample,) = read(void)
+    assert is_close(sample, Gnss(T, NAN, NAN, n_sat=0))
+    assert read(sentence("GPZDA,221320.00,14,11,2023,00,00")) == []
+    assert read(sentence("GPGGA,,,,,,0,00,99.9,,,,,,")) == []
+
+
+@pytest.mark.parametrize(("quality", "fix"), [(1, 3), (2, 4), (4, 5), (5, 6), (6, 1), (3, 3)])
+def test_fix_kinds(quality: int, fix: int) -> None:
+    assert read(gga("221320.00", quality))[0].fix == fix
+
+
+def test_gsa_tells_a_2d_fix() -> None:
+    two = sentence("GPGSA,A,2,23,29,07,,,,,,,,,,1.94,1.18,1.54")
+    assert read(two + gga("221320.00"))[0].fix == 2
+    assert read(two + gga("221320.00", 4))[0].fix == 5
+
+
+def test_vtg_is_used_where_there_is_no_rmc() -> None:
+    vtg = sentence("GPVTG,180.0,T,,M,1.0,N,3.6,K,A")
+    assert read(gga("221320.00") + vtg)[0].vel_n == pytest.approx(-1.0)
+    assert read(gga("221320.00") + vtg + rmc("221320.00"))[0].vel_e == pytest.approx(1852 / 3600)
+
+
+def test_a_receiver_at_rest_has_a_velocity() -> None:
+    still = sentence("GPRMC,221320.00,A,4106.0000,N,00836.0000,W,0.0,,141123,,,A")
+    assert (read(still)[0].vel_n, read(still)[0].vel_e) == (0.0, 0.0)
+    slow = sentence("GPRMC,221320.00,A,4106.0000,N,00836.0000,W,0.1,,141123,,,A")
+    assert math.isnan(read(slow)[0].vel_n)
+
+
+def test_two_dollars_and_sentences_of_others() -> None:
+    decoder = Decoder()
+    ais = b"!AIVDM,1,1,,A,14eG;o@034o8sd<L9i:a;WF>062D,0*7D\r\n"
+    decoder.feed(b"$" + gga("221320.00") + sentence("PUBX,00,1") + sentence("GPGSV,1,1,00") + ais, 0.0)
+    assert counters(decoder) == (3, 0, 1 + len(ais) - 2)
+
+
+def test_fields_that_are_no_numbers_make_no_fix() -> None:
+    bad = sentence("GPGGA,221320.00,41xx.0000,N,00836.0000,W,1,09,1.1,5.0,M,,M,,")
+    first, second = read(bad + gga("221321.00"))
+    assert math.isnan(first.lat)
+    assert first.fix == 0
+    assert second.lat == pytest.approx(41.1)
+
+
+@given(
+    st.floats(0, 2e9),
+    st.floats(-90, 90),
+    st.floats(-180, 180),
+    st.floats(-500, 9000),
+    st.floats(-30, 30),
+    st.floats(-30, 30),
+    st.sampled_from((1, 3, 4, 5, 6)),
+)
+@settings(max_examples=500, deadline=None)
+def test_round_trip(utc: float, lat: float, lon: float, alt: float, vel_n: float, vel_e: float, fix: int) -> None:
+    sample = Gnss(utc, lat, lon, alt, vel_n, vel_e, fix=fix, n_sat=11, hdop=1.25, sigma_h=0.5)
+    (back,) = read(encode(sample))
+    assert back.utc == pytest.approx(utc, abs=0.00051)
+    assert back.lat == pytest.approx(lat, abs=1e-9)
+    assert back.lon == pytest.approx(lon, abs=1e-9)
+    assert back.alt == pytest.approx(alt, abs=0.00051)
+    assert math.hypot(back.vel_n - vel_n, back.vel_e - vel_e) < 1e-4
+    assert (back.fix, back.n_sat, back.hdop, back.sigma_h) == (fix, 11, 1.25, pytest.approx(0.5))
+
+
+def test_round_trip_of_a_receiver_without_a_fix() -> None:
+    (back,) = read(encode(Gnss(T, NAN, NAN)))
+    assert is_close(back, Gnss(T, NAN, NAN))
+
+
+def test_splits_and_garbage() -> None:
+    assert len(check_splits(Decoder, b"".join(epochs(4)))) == 4
+    check_garbage(Decoder, epochs(4), 4)
+
+
+@given(
+    st.lists(
+        st.one_of(
+            st.binary(max_size=80), st.sampled_from(epochs(2)), st.text("$GPGARMC,*0123456789.\r\n").map(str.encode)
+        )
+    )
+)
+@settings(max_examples=2000, deadline=None)
+def test_anything_may_be_fed(pieces: list[bytes]) -> None:
+    decoder = Decoder()
+    for piece in pieces:
+        decoder.feed(piece, T)
+    decoder.flush()
+    assert decoder.unparsed_bytes <= sum(map(len, pieces))
+
+
+@given(
+    st.sampled_from(["GGA", "RMC", "VTG", "GST", "ZDA", "GLL", "GNS", "GSA"]),
+    st.text("0123456789.,-ANSEW", max_size=70),
+)
+@settings(max_examples=3000, deadline=None)
+def test_any_fields_may_stand_behind_a_right_checksum(kind: str, fields: str) -> None:
+    decoder = Decoder()
+    frames = decoder.feed(sentence(f"GP{kind},{fields}"), T) + decoder.flush()
+    for frame in frames:
+        assert isinstance(frame.sample, Gnss)
+        assert not abs(frame.sample.lat) > 90.0
+
+
+@pytest.mark.measured
+@pytest.mark.parametrize("name", ["nmea.bin", "gnmea.bin"])
+def test_ardupilots_simulated_receivers(name: str) -> None:
+    decoder = Decoder()
+    frames = decoder.feed(data_file(f"ardurover/{name}").read_bytes(), 0.0) + decoder.flush()
+    times = [frame.t_device for frame in frames]
+    assert len(times) > 40
+    assert all(0.05 < b - a < 0.45 for a, b in itertools.pairwise(times))
+    fixes = [frame.sample for frame in frames if isinstance(frame.sample, Gnss) and frame.sample.fix]
+    assert len(fixes) > 40
+    for sample in fixes:
+        assert sample.lat == pytest.approx(42.358, abs=0.001)
+        assert sample.lon == pytest.approx(-71.08705, abs=0.001)
+
+
+# Receivers whose NMEA gpsd reads too: RMC first and GGA first, one and several talkers, with and without GST.
+RECEIVERS = (
+    "bt-q818", "gr601-w", "hemi", "iTrek", "mtk-3301", "neo-m8n", "nl551e", "nokia-ld-4w", "rx210",
+    "quectel-l76k-nmea", "sirfstarv-nmea", "skytraq-fix", "telit-pls83-w", "tn204", "venus634lp",
+)  # fmt: skip
+
+
+@pytest.mark.measured
+@pytest.mark.parametrize("name", RECEIVERS)
+def test_positions_are_those_that_gpsd_reads(name: str) -> None:
+    log = data_file(f"gpsd/daemon/{name}.log")
+    lines = log.read_bytes().splitlines(keepends=True)
+    raw = b"".join(line for line in lines if not line.startswith(b"#"))
+    decoder = Decoder()
+    frames = decoder.feed(raw, 0.0) + decoder.flush()
+    ours = {
+        (round(f.sample.lat, 7), round(f.sample.lon, 7)) for f in frames if isinstance(f.sample, Gnss) and f.sample.fix
+    }
+    theirs = gpsd_positions(log.with_name(log.name + ".chk"))
+    assert theirs
+    found = sum(any(near(a, b, 2e-7) for b in ours) for a in theirs)
+    # gpsd reports some positions from half an epoch, of which RMC may have fewer digits than GGA.
+    assert found >= 0.8 * len(theirs), f"{found} of {len(theirs)}"
+    assert all(any(near(a, b, 2e-3) for b in theirs) for a in ours)
+
+
+def gpsd_positions(path: Path) -> set[tuple[float, float]]:
+    """Latitude and longitude of every TPV report."""
+    positions = set()
+    for line in path.read_bytes().splitlines():
+        if line.startswith(b'{"class":"TPV"'):
+            report = json.loads(line)
+            if "lat" in report and "lon" in report:
+                positions.add((report["lat"], report["lon"]))
+    return positions
+
+
+def near(a: tuple[float, float], b: tuple[float, float], degrees: float) -> bool:
+    return abs(a[0] - b[0]) < degrees and abs(a[1] - b[1]) < degrees

@@ -1,0 +1,149 @@
+"""Output error against simulation, finite differences and the spread of its estimates."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from ident.dataset import Record
+from ident.fit import fit
+from ident.models.yaw import yaw
+from ident.oe import output_error, predict_ahead, simulate, with_initial_state
+from ident.pe import Likelihood
+from tests.ident.toys import turning, turning_record, values_of
+
+
+def steps(n_rows: int = 600, seed: int = 0) -> Record:
+    """A yaw experiment without measurements yet: moments that change every three seconds."""
+    t = np.arange(n_rows) * 0.1
+    u = np.repeat(np.random.default_rng(seed).uniform(-8, 8, n_rows // 30 + 1), 30)[:n_rows, None]
+    return Record("steps", t, u, u, np.full((n_rows, 1), np.nan), ("N",), ("r",))
+
+
+def test_simulation_agrees_with_scipy() -> None:
+    record, model = turning_record(), turning()
+    p = model.values
+    x0 = np.array([3.0, 0.4])
+    simulated = simulate(model, record, x0=x0)
+
+    def rate(t: float, x: np.ndarray) -> list[float]:
+        moment = np.interp(t, record.t, record.u[:, 0])
+        return [x[1], (moment - p["d"] * x[1] - p["dd"] * abs(x[1]) * x[1]) / p["m"]]
+
+    exact = solve_ivp(rate, record.t[[0, -1]], x0, t_eval=record.t, rtol=1e-10, atol=1e-10, max_step=0.01)
+    np.testing.assert_allclose(simulated.x, exact.y.T, atol=2e-6)
+    np.testing.assert_allclose(simulated.y[:, 2], 2 * simulated.x[:, 1] + 0.1 * record.u[:, 0])
+
+
+def test_likelihood_is_that_of_the_simulations_errors() -> None:
+    record, model = turning_record(), turning()
+    v = values_of(model)
+    e = record.y - simulate(model, record, v).y
+    e[:, 0] = (e[:, 0] + np.pi) % (2 * np.pi) - np.pi
+    S = np.array([v[5], v[6], v[6]]) ** 2
+    wanted = np.nansum(-0.5 * (e**2 / S + np.log(2 * np.pi * S)))
+    assert output_error(model).value(record, v) == pytest.approx(wanted, rel=1e-10)
+
+
+def test_sensitivities_to_parameters_and_initial_state_are_exact() -> None:
+    model = with_initial_state(yaw())
+    record = steps()
+    simulated = simulate(model, record, x0=np.array([0.3]))
+    record = replace(record, y=simulated.y + 0.01 * np.random.default_rng(0).normal(size=simulated.y.shape))
+    v, likelihood = values_of(model), output_error(model)
+    names = ("m_r", "d_r", "d_rr", "e_r", "x0_r")
+    scores = likelihood.scores(record, v, names)
+    value, gradient = likelihood.gradient(record, v)
+    assert value == scores.value
+    for i, name in enumerate(names):
+        column = list(model.values).index(name)
+        np.testing.assert_allclose(scores.gradient[i], gradient[column], rtol=1e-9, atol=1e-9)
+        d = np.zeros(v.size)
+        d[column] = 1e-5
+        wanted = (likelihood.value(record, v + d) - likelihood.value(record, v - d)) / 2e-5
+        assert scores.gradient[i] == pytest.approx(wanted, rel=1e-5, abs=1e-4), name
+    # the information of the mean's parameters is that of the outputs' sensitivities over the noise
+    d = np.zeros(v.size)
+    d[0] = 1e-4
+    sensitivity = (simulate(model, record, v + d).y - simulate(model, record, v - d).y) / 2e-4
+    assert scores.information[0, 0] == pytest.approx(float(np.sum(sensitivity**2)) / v[4] ** 2, rel=1e-6)
+
+
+def test_errors_are_the_spread_of_the_estimates() -> None:
+    model = yaw().with_values({"e_r": 0.02})
+    record, rng, z = steps(), np.random.default_rng(1), []
+    clean = simulate(model, record, x0=np.zeros(1)).y
+    model = replace(model, states=tuple(replace(s, from_output="") for s in model.states))
+    for _ in range(40):
+        noisy = replace(record, y=clean + 0.02 * rng.normal(size=clean.shape))
+        found = fit(model, [noisy], method="oe", start={"m_r": 7.0, "d_rr": 10.0})
+        assert found.converged
+        assert "s_r" not in found.names  # output error knows no process noise
+        names = ("m_r", "d_r", "d_rr", "e_r")
+        z.append([(found.estimate(n)[0] - model.values[n]) / found.estimate(n)[1] for n in names])
+    assert (np.abs(np.mean(z, axis=0)) < 4 / np.sqrt(40)).all()
+    np.testing.assert_allclose(np.std(z, axis=0), 1.0, atol=0.45)
+
+
+def test_the_sandwich_sees_coloured_residuals() -> None:
+    """With process noise in the data, output error's own errors are too small; the robust ones are not."""
+    model = yaw().with_values({"e_r": 0.005})
+    model = replace(model, states=tuple(replace(s, from_output="") for s in model.states))
+    record, rng, z, robust = steps(1200), np.random.default_rng(2), [], []
+    p = model.values
+    for _ in range(30):
+        r, y = 0.0, np.empty((record.n_rows, 1))
+        for k in range(record.n_rows):
+            y[k] = r + 0.005 * rng.normal()
+            for _ in range(5):
+                r += 0.02 * (record.u[k, 0] - p["d_r"] * r - p["d_rr"] * abs(r) * r) / p["m_r"]
+                r += 0.03 * np.sqrt(0.02) * rng.normal()
+        found = fit(model, [replace(record, y=y)], method="oe")
+        i = found.names.index("m_r")
+        z.append((found.values[i] - p["m_r"]) / found.errors[i])
+        robust.append((found.values[i] - p["m_r"]) / found.robust_errors[i])
+    assert np.std(z) > 1.5
+    assert 0.6 < np.std(robust) < 1.5
+
+
+def test_predictions_ahead_are_pieces_of_a_simulation() -> None:
+    model, record = turning(), turning_record()
+    simulated = simulate(model, record)
+    for how in ({"steps": 1}, {"steps": 7}, {"seconds": 1.5}):
+        ahead = predict_ahead(model, record, None, simulated.x, **how)  # type: ignore[arg-type]
+        np.testing.assert_allclose(ahead.y, simulated.y[ahead.end], rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(ahead.x, simulated.x[ahead.end], rtol=1e-12, atol=1e-12)
+        if "seconds" in how:
+            late = record.t[ahead.end] - record.t[ahead.start]
+            assert (late >= 1.5 - 1e-6).all()
+            assert (late < 1.7).all()
+        else:
+            assert (ahead.end - ahead.start == how["steps"]).all()
+    few = predict_ahead(model, record, None, simulated.x, steps=5, rows=np.array([3, 50, 118]))
+    assert few.start.tolist() == [3, 50]
+    with pytest.raises(ValueError, match="either seconds or steps"):
+        predict_ahead(model, record, None, simulated.x)
+
+
+def test_one_step_from_filtered_states_is_the_filters_prediction() -> None:
+    model, record = turning(), turning_record()
+    run = Likelihood(model).filter(record, values_of(model))
+    ahead = predict_ahead(model, record, None, run.x_filt, steps=1)
+    np.testing.assert_allclose(ahead.x, run.x_pred[1:], rtol=1e-12, atol=1e-12)
+
+
+def test_initial_states_become_parameters() -> None:
+    model = with_initial_state(turning(), ["r"])
+    assert model.parameter("x0_r").per_record
+    assert (model.states[1].x0, model.states[1].sd0) == ("x0_r", 0.0)
+    assert model.states[0].x0 == "psi0"
+    with pytest.raises(KeyError, match="no state 'q'"):
+        with_initial_state(turning(), ["q"])
+
+
+def test_output_error_has_no_filter() -> None:
+    with pytest.raises(ValueError, match="output error has no filter"):
+        output_error(turning()).filter(turning_record(), values_of(turning()))

@@ -1,0 +1,332 @@
+"""The report: whole, safe and self-contained whatever the result holds or lacks."""
+
+from __future__ import annotations
+
+import base64
+import copy
+import hashlib
+import io
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from ident.report import drawing, print_result, wording, write_report
+from tests.ident import report_example
+
+MEGABYTE = 1_000_000
+KINDS = {
+    "diagnosis": report_example.diagnosis,
+    "thruster": report_example.thruster,
+    "noise": report_example.noise,
+}
+HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(2)>\"'&"
+
+
+class Page(HTMLParser):
+    """What a browser would make of a page: elements, their text, and everything it would load."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.scripts: list[tuple[dict[str, str | None], str]] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.words = ""
+        self._inside: str = ""
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        self._inside = tag
+        if tag == "script":
+            self.scripts.append((dict(attrs), ""))
+
+    def handle_endtag(self, tag: str) -> None:
+        self._inside = ""
+
+    def handle_data(self, data: str) -> None:
+        if self._inside == "script":
+            attrs, text = self.scripts[-1]
+            self.scripts[-1] = (attrs, text + data)
+        elif self._inside != "style":
+            self.words += data
+
+    def figures(self) -> dict[str, Any]:
+        found = [text for attrs, text in self.scripts if attrs.get("id") == "figures"]
+        return dict(json.loads(found[0])["figures"])
+
+    def headings(self) -> list[str]:
+        return [str(attrs["id"]) for tag, attrs in self.tags if tag == "section"]
+
+
+@pytest.fixture(scope="module")
+def diagnosis() -> dict[str, Any]:
+    return report_example.diagnosis()
+
+
+@pytest.fixture(scope="module")
+def small(diagnosis: dict[str, Any]) -> dict[str, Any]:
+    """The same result with short series."""
+    return shortened(copy.deepcopy(diagnosis))
+
+
+def shortened(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: shortened(item) for key, item in value.items()}
+    if isinstance(value, list):
+        rows = bool(value) and isinstance(value[0], dict | list)
+        return [shortened(item) for item in value[:3]] if rows else value[:20]
+    return value
+
+
+def written(result: dict[str, Any], folder: Path) -> str:
+    write_report(result, folder / "report.html")
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def printed(result: dict[str, Any]) -> str:
+    console = Console(file=io.StringIO(), width=80, color_system=None)
+    print_result(result, console)
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nothing_is_loaded_from_anywhere(kind: str, tmp_path: Path) -> None:
+    text = written(KINDS[kind](), tmp_path)
+    page = Page(text)
+    loading = {"src", "srcset", "poster", "data", "action", "background", "ping"}
+    assert not [(tag, attrs) for tag, attrs in page.tags if loading & attrs.keys()]
+    assert not [attrs for tag, attrs in page.tags if tag in ("link", "iframe", "object", "embed", "base")]
+    links = [attrs["href"] for tag, attrs in page.tags if "href" in attrs]
+    assert all(str(link).startswith("#") for link in links)
+    style = text[text.index("<style>") : text.index("</style>")]
+    assert "url(" not in style
+    assert "@import" not in style
+
+
+def test_one_plotly_and_only_the_known_scripts_may_run(small: dict[str, Any], tmp_path: Path) -> None:
+    page = Page(written(small, tmp_path))
+    running = [text for attrs, text in page.scripts if attrs.get("type") != "application/json"]
+    assert len([text for text in running if "plotly.js v" in text]) == 1
+    assert len(running) == 2
+    [policy] = [attrs["content"] for _, attrs in page.tags if attrs.get("http-equiv") == "Content-Security-Policy"]
+    digests = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in running]
+    assert policy is not None
+    assert policy.startswith("default-src 'none'")
+    assert set(re.findall(r"sha256-([^']+)'", policy)) == set(digests)
+
+
+@pytest.mark.parametrize(
+    ("kind", "sections"),
+    [
+        ("diagnosis", ["run", "traces", "parameters", "residuals", "search", "errors", "next", "notes", "made"]),
+        ("thruster", ["static", "run", "traces", "parameters", "made"]),
+        ("noise", ["noise", "run", "made"]),
+    ],
+)
+def test_every_section_that_has_data_is_there(kind: str, sections: list[str], tmp_path: Path) -> None:
+    page = Page(written(KINDS[kind](), tmp_path))
+    assert page.headings() == sections
+    places = [attrs["id"] for tag, attrs in page.tags if tag == "div" and attrs.get("class") == "plot"]
+    assert sorted(map(str, places)) == sorted(page.figures())
+    ids = [attrs["id"] for _, attrs in page.tags if "id" in attrs]
+    assert len(ids) == len(set(ids))
+
+
+def test_the_answer_and_its_figures_come_first(diagnosis: dict[str, Any], tmp_path: Path) -> None:
+    words = " ".join(Page(written(diagnosis, tmp_path)).words.split())
+    first = words[: words.index("What was run", words.index(diagnosis["answer"]))]
+    row = diagnosis["before_after"]["validation"]["free_run"]["psi"]
+    assert f"{np.degrees(row['before']):.1f} → {np.degrees(row['after']):.2f} deg" in first
+    assert "f_i -= k_J |n_i| (u - y_i r)" in first
+    assert "6.08 ± 0.27 kg/s" in first
+    assert "72 %" in first
+
+
+def test_figures_are_json_of_sound_arrays(diagnosis: dict[str, Any], tmp_path: Path) -> None:
+    figures = Page(written(diagnosis, tmp_path)).figures()
+    traces = [trace for figure in figures.values() for trace in figure["data"]]
+    sizes = [len(numbers(trace["x"])) for trace in traces]
+    assert sizes == [len(numbers(trace["y"])) for trace in traces]
+    assert min(sizes) > 0
+    assert max(sizes) <= 3100
+
+
+def numbers(packed: Any) -> Any:
+    return np.frombuffer(base64.b64decode(packed["bdata"]), "<f4") if isinstance(packed, dict) else packed
+
+
+def test_angles_are_shown_in_degrees_without_jumps(diagnosis: dict[str, Any], tmp_path: Path) -> None:
+    figures = Page(written(diagnosis, tmp_path)).figures()
+    [heading] = [t for f in figures.values() for t in f["data"] if t.get("name") == "model" and "yaxis" in t][:1]
+    y = numbers(heading["y"])
+    assert np.abs(np.diff(y)).max() < 30
+    assert np.ptp(y) > 180
+
+
+def test_a_long_result_stays_small(diagnosis: dict[str, Any], tmp_path: Path) -> None:
+    many = copy.deepcopy(diagnosis)
+    for key in ("traces", "residuals", "residual_forces", "inputs", "track", "cross"):
+        many[key] = [{**row, "record": f"{row['record']} {i}"} for i in range(3) for row in diagnosis[key]]
+    for result in (diagnosis, many):
+        assert len(written(result, tmp_path).encode()) < 8 * MEGABYTE
+
+
+def hostile(value: Any) -> Any:
+    """Every text of a result replaced, but those that say what is what."""
+    if isinstance(value, dict):
+        keep = ("format", "kind", "role")
+        return {k: v if k in keep else hostile(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [hostile(item) for item in value]
+    return HOSTILE if isinstance(value, str) else value
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_text_from_a_log_is_data(kind: str, tmp_path: Path) -> None:
+    result = hostile(shortened(KINDS[kind]()))
+    result["before_after"] = {"validation": {"free_run": {HOSTILE: {"before": 2.0, "after": 1.0, "unit": HOSTILE}}}}
+    text = written(result, tmp_path)
+    page = Page(text)
+    assert "<script>alert" not in text
+    assert not [tag for tag, attrs in page.tags if tag == "img" or "onerror" in attrs]
+    assert len(page.scripts) == 3
+    assert HOSTILE in page.words
+    shown = json.dumps(page.figures(), ensure_ascii=False)
+    assert "<script" not in shown.replace("\\u003c", "<")
+    assert printed(result)
+
+
+def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Every key of a result, and of the first row of every list in it."""
+    if isinstance(value, dict):
+        return [p for key, item in value.items() for p in [(*path, key), *places(item, (*path, key))]]
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        return places(value[0], (*path, 0))
+    return []
+
+
+def changed(result: dict[str, Any], changes: list[tuple[tuple[Any, ...], Any]]) -> dict[str, Any]:
+    """A copy with values replaced; KeyError takes the key away; what is gone already stays so."""
+    new = copy.deepcopy(result)
+    for path, value in changes:
+        owner: Any = new
+        try:
+            for step in path[:-1]:
+                owner = owner[step]
+            owner.pop(path[-1]) if value is KeyError else owner.update({path[-1]: copy.copy(value)})
+        except (KeyError, IndexError, TypeError, AttributeError):
+            continue
+    return new
+
+
+POOR = (KeyError, None, [], {}, "text", float("nan"), True, -1)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_whatever_is_missing_is_left_out(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ident.report.page._plotly", lambda: "plotly")
+    result = shortened(KINDS[kind]())
+    every, rng = places(result), np.random.default_rng(7)
+    alone = [[(path, value)] for path in every if len(path) == 1 for value in POOR]
+    deep = [[(path, POOR[rng.integers(len(POOR))])] for path in every if len(path) > 1]
+    mixed = [[(path, POOR[rng.integers(len(POOR))]) for path in every if rng.random() < 0.1] for _ in range(20)]
+    for changes in alone + deep + mixed:
+        poorer = changed(result, changes)
+        try:
+            assert "</html>" in written(poorer, tmp_path)
+            assert printed(poorer)
+        except Exception as error:
+            raise AssertionError(f"fails on {changes}") from error
+
+
+def test_the_least_result_is_a_page(tmp_path: Path) -> None:
+    page = Page(written({"format": "seatrial-result 1", "kind": "vehicle", "answer": "Nothing.", "logs": []}, tmp_path))
+    assert "Nothing." in page.words
+    assert page.headings() == []
+    assert page.figures() == {}
+    assert printed({"answer": "Nothing."}).split() == ["Nothing."]
+
+
+def test_the_terminal_has_the_key_figures(diagnosis: dict[str, Any]) -> None:
+    text = printed(diagnosis)
+    lines = text.splitlines()
+    assert len(lines) <= 42
+    assert max(map(len, lines)) <= 80
+    for words in ("6.08 ± 0.27", "loss of thrust with forward speed", "15.1 → 4.75", "deg/s", "free-running"):
+        assert words in text
+
+
+@pytest.mark.parametrize(
+    ("value", "se", "shown"),
+    [
+        (40.0512, 0.1234, "40.05 ± 0.12"),
+        (12345.0, 234.0, "12340 ± 230"),
+        (-3.2e-6, 4.4e-7, "(−3.20 ± 0.44) ×10⁻⁶"),
+        (0.0, 0.05, "0.000 ± 0.050"),
+        (9.96, 0.0996, "9.96 ± 0.10"),
+        (0.4, None, "0.4"),
+        (100.0, None, "100"),
+        (None, None, "–"),
+    ],
+)
+def test_the_standard_error_sets_the_digits(value: float | None, se: float | None, shown: str) -> None:
+    assert wording.with_error(value, se) == shown
+
+
+@pytest.mark.parametrize(
+    ("unit", "shown", "factor"),
+    [
+        ("rad", "deg", 180 / np.pi),
+        ("rad/s", "deg/s", 180 / np.pi),
+        ("rad/s/sqrt(s)", "deg/s/√s", 180 / np.pi),
+        ("rad2/Hz", "deg²/Hz", (180 / np.pi) ** 2),
+        ("kg m2/s", "kg m²/s", 1.0),
+        ("N m/rad", "N m/rad", 1.0),
+        ("radish", "radish", 1.0),
+        ("1", "", 1.0),
+    ],
+)
+def test_radians_become_degrees(unit: str, shown: str, factor: float) -> None:
+    assert wording.degrees_for(unit) == (pytest.approx(factor), shown)
+
+
+def test_thinning_keeps_the_extremes() -> None:
+    y = np.random.default_rng(1).standard_normal(100_003)
+    y[70_001], y[500] = 40.0, np.nan
+    at = drawing.thinned(y, 1000)
+    assert at.size <= 1002
+    assert (at[0], at[-1]) == (0, y.size - 1)
+    assert np.nanmax(y[at]) == 40.0
+    assert np.nanmin(y[at]) == np.nanmin(y)
+
+
+CHROMIUM = next((name for name in ("chromium", "chromium-browser", "google-chrome") if shutil.which(name)), None)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium on PATH")
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_browser_draws_every_figure_without_complaint(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    write_report(KINDS[kind](), path)
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"]
+    options += [f"--user-data-dir={tmp_path / 'profile'}", "--window-size=1200,20000", "--virtual-time-budget=60000"]
+    command = [str(CHROMIUM), *options, "--enable-logging=stderr", "--dump-dom", path.as_uri()]
+    for _ in range(3):  # a busy machine may run out the browser's virtual time before its first frame
+        run = subprocess.run(command, capture_output=True, text=True, timeout=90, check=True)
+        assert "CONSOLE" not in run.stderr, run.stderr
+        page = Page(run.stdout)
+        drawn = [attrs for _, attrs in page.tags if "js-plotly-plot" in str(attrs.get("class"))]
+        if drawn:
+            break
+    assert drawn
+    if 'class="away"' not in run.stdout:
+        assert len(drawn) == len(page.figures())

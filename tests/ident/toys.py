@@ -1,0 +1,143 @@
+"""Small models, records and an independent extended Kalman filter for the tests of the estimators."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ident.dataset import Record
+from ident.model import Input, Model, Output, Sensor, State, plain_model
+from ident.params import INF, Parameter
+
+
+def measured_folder(name: str) -> Path:
+    """A folder of the measured data sets; skips the test where there is none."""
+    folder = os.environ.get("SEATRIAL_DATA")
+    if not folder:
+        pytest.skip("SEATRIAL_DATA does not say where the measured data sets are")
+    if not (Path(folder) / name).is_dir():
+        pytest.skip(f"SEATRIAL_DATA has no {name}")
+    return Path(folder) / name
+
+
+def turning() -> Model:
+    """Heading and yaw rate with quadratic damping: two sensors at rates of their own, one of them an angle."""
+    return plain_model(
+        "turning",
+        f=lambda x, u, p: {"psi": x.r, "r": (u.N - p.d * x.r - p.dd * abs(x.r) * x.r) / p.m},
+        h=lambda x, u, p: {"psi": x.psi, "gyro": x.r + p.bias, "second": 2.0 * x.r + 0.1 * u.N},
+        states=(
+            State("psi", "rad", noise=0.02, x0="psi0", sd0=0.1),
+            State("r", "rad/s", noise="q", x0=0.1, sd0="sd0"),
+        ),
+        inputs=(Input("N", "N m", hold="linear"),),
+        sensors=(
+            Sensor("compass", (Output("psi", "rad", "e_psi", angle=True),)),
+            Sensor("gyros", (Output("gyro", "rad/s", "e_r"), Output("second", "rad/s", "e_r"))),
+        ),
+        parameters=(
+            Parameter("m", 9.7, transform="log"),
+            Parameter("d", 4.0, bounds=(0, INF)),
+            Parameter("dd", 6.0, bounds=(0, INF)),
+            Parameter("bias", 0.02, per_record=True),
+            Parameter("q", 0.05, transform="log"),
+            Parameter("e_psi", 0.02, transform="log"),
+            Parameter("e_r", 0.01, transform="log"),
+            Parameter("psi0", 3.0),
+            Parameter("sd0", 0.3),
+        ),
+    )
+
+
+def values_of(model: Model) -> np.ndarray:
+    return np.array([p.value for p in model.parameters])
+
+
+def turning_record(seed: int = 0, n_rows: int = 120, name: str = "run") -> Record:
+    """Irregular rows, samples of both sensors missing here and there, a heading that passes pi."""
+    rng = np.random.default_rng(seed)
+    t = np.cumsum(rng.uniform(0.02, 0.15, n_rows))
+    u = 4.0 * np.sin(0.9 * t + seed)[:, None] + 2.0
+    model = turning()
+    p = dict(zip(model.values, values_of(model), strict=True))
+    psi, r, y = p["psi0"], 0.3, np.full((n_rows, 3), np.nan)
+    for k in range(n_rows):
+        if rng.random() < 0.5:
+            y[k, 0] = math.remainder(psi + p["e_psi"] * rng.normal(), 2 * math.pi)
+        if rng.random() < 0.7:
+            y[k, 1:] = r + p["bias"] + 0.01 * rng.normal(), 2 * r + 0.1 * u[k, 0] + 0.01 * rng.normal()
+        h = t[k + 1] - t[k] if k + 1 < n_rows else 0.0
+        for _ in range(10):
+            r += h / 10 * (u[k, 0] - p["d"] * r - p["dd"] * abs(r) * r) / p["m"]
+            r += p["q"] * math.sqrt(h / 10) * rng.normal()
+            psi += h / 10 * r + 0.02 * math.sqrt(h / 10) * rng.normal()
+    u_next = np.vstack([u[1:], u[-1:]])
+    return Record(name, t, u, u_next, y, ("N",), ("psi", "gyro", "second"))
+
+
+class NumpyFilter:
+    """The extended Kalman filter once more, with plain numpy, joint updates and finite-difference Jacobians.
+
+    f(x, u) and h(x, u) are the model's; the sensors of a row come one after the other, as they do in ``ident.pe``.
+    """
+
+    def __init__(
+        self,
+        f: Callable[[Any, Any], Any],
+        h: Callable[[Any, Any], Any],
+        Q: np.ndarray,
+        R: np.ndarray,
+        sensors: list[list[int]],
+        angles: set[int],
+    ) -> None:
+        self.f, self.h, self.Q, self.R, self.sensors, self.angles = f, h, Q, R, sensors, angles
+
+    @staticmethod
+    def jacobian(f: Callable[[Any], Any], x: np.ndarray) -> np.ndarray:
+        """Central differences with a complex-free step, Richardson-extrapolated."""
+        def central(e: float) -> np.ndarray:
+            return np.column_stack([(f(x + e * d) - f(x - e * d)) / (2 * e) for d in np.eye(x.size)])
+
+        return (4 * central(5e-4) - central(1e-3)) / 3
+
+    def value(self, record: Record, x: np.ndarray, P: np.ndarray) -> float:
+        total = 0.0
+        for k in range(record.n_rows):
+            for sensor in self.sensors:
+                if np.isfinite(record.y[k, sensor]).all():
+                    x, P, ll = self.update(x, P, record.y[k, sensor], record.u[k], sensor)
+                    total += ll
+            if k + 1 < record.n_rows:
+                x, P = self.predict(x, P, record.u[k], record.u_next[k], record.t[k + 1] - record.t[k])
+        return total
+
+    def update(self, x: Any, P: Any, y: Any, u: Any, sensor: list[int]) -> tuple[np.ndarray, np.ndarray, float]:
+        e = y - self.h(x, u)[sensor]
+        for i, output in enumerate(sensor):
+            if output in self.angles:
+                e[i] = math.remainder(e[i], 2 * math.pi)
+        H = self.jacobian(lambda z: self.h(z, u)[sensor], x)
+        S = H @ P @ H.T + np.diag(self.R[sensor])
+        K = np.linalg.solve(S, H @ P).T
+        ll = -0.5 * (e @ np.linalg.solve(S, e) + np.linalg.slogdet(S)[1] + e.size * math.log(2 * math.pi))
+        return x + K @ e, P - K @ S @ K.T, ll
+
+    def predict(self, x: Any, P: Any, u: Any, u_next: Any, h: float) -> tuple[np.ndarray, np.ndarray]:
+        middle = (u + u_next) / 2
+        k1 = self.f(x, u)
+        k2 = self.f(x + h / 2 * k1, middle)
+        x3 = x + h / 2 * k2
+        k3 = self.f(x3, middle)
+        k4 = self.f(x + h * k3, u_next)
+        A = h * self.jacobian(lambda z: self.f(z, middle), x3)
+        identity = np.eye(x.size)
+        Phi = identity + A + A @ A / 2 + A @ A @ A / 6
+        half = identity + A / 2 + A @ A / 8
+        Q = h / 6 * (Phi @ self.Q @ Phi.T + 4 * half @ self.Q @ half.T + self.Q)
+        return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), Phi @ P @ Phi.T + Q

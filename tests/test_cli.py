@@ -1,0 +1,168 @@
+"""The front door: what it imports, and what a user sees of each kind of failure."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+import types
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+import pytest
+
+import seatrial
+from daq.errors import SafetyStop, SeatrialError
+
+HEAVY = {"numpy", "scipy", "casadi", "llvmlite", "plotly", "mcap", "can", "pymavlink", "rich", "jinja2"}
+PARTS = {"bench", "ident", "mocks"}
+
+Outcome = tuple[int, str, str]  # exit status, stdout, stderr
+
+
+def seatrial_process(*args: str, before: str = "") -> subprocess.CompletedProcess[str]:
+    """Run the front door in an interpreter of its own, as `python -m seatrial` does."""
+    code = f"import sys\n{before}\nimport seatrial\nseatrial.main(sys.argv[1:])"
+    return subprocess.run([sys.executable, "-c", code, *args], capture_output=True, text=True, timeout=60)
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
+    """Run a command line whose command `info` does what the test says."""
+
+    def run(action: Callable[[], object], *args: str) -> Outcome:
+        part = types.ModuleType("part_of_the_test")
+        part.command = click.command("info")(lambda: action())  # type: ignore[attr-defined]
+        monkeypatch.setitem(sys.modules, part.__name__, part)
+        monkeypatch.setitem(seatrial.COMMANDS, "info", seatrial.Row(f"{part.__name__}:command", "A test."))
+        with pytest.raises(SystemExit) as leaving:
+            seatrial.main(args or ["info"])
+        out, err = capsys.readouterr()
+        return int(leaving.value.code or 0), out, err
+
+    return run
+
+
+def raising(error: BaseException) -> Callable[[], object]:
+    def action() -> object:
+        raise error
+
+    return action
+
+
+@pytest.mark.parametrize("option", ["--help", "-h", "--version"])
+def test_help_imports_no_part_and_nothing_heavy(option: str) -> None:
+    report = "import atexit\natexit.register(lambda: print(sorted({m.split('.')[0] for m in sys.modules})))"
+    done = seatrial_process(option, before=report)
+    assert done.returncode == 0, done.stderr
+    imported = set(ast.literal_eval(done.stdout.splitlines()[-1]))
+    assert not imported & (HEAVY | PARTS)
+
+
+def test_help_lists_every_command_with_its_line() -> None:
+    text = seatrial_process("--help").stdout
+    for name, row in seatrial.COMMANDS.items():
+        assert any(line.split() == [name, *row.short_help.split()] for line in text.splitlines())
+
+
+def test_runs_as_a_module() -> None:
+    words = [sys.executable, "-m", "seatrial", "--version"]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "seatrial 0.1.0\n", "")
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "line"),
+    [
+        (SeatrialError("rig.toml: no key `port`; add it"), 1, "rig.toml: no key `port`; add it"),
+        (SeatrialError("two\n  lines"), 1, "two lines"),
+        (SafetyStop("left motor above 80 degC; let it cool"), 3, "left motor above 80 degC; let it cool"),
+        (click.ClickException("no such thing"), 1, "no such thing"),
+        (FileNotFoundError(2, "No such file or directory", "a.mcap"), 1, "a.mcap: No such file or directory"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+)
+def test_a_failure_is_one_line_and_a_status(run, error: BaseException, status: int, line: str) -> None:
+    # After Ctrl-C an empty line first closes the ^C that the terminal shows.
+    start = "\n" if status == 130 else ""
+    assert run(raising(error)) == (status, "", f"{start}seatrial: {line}\n")
+
+
+def test_an_unexpected_exception_is_one_line_that_names_debug(run) -> None:
+    status, out, err = run(raising(ValueError("bad\nshape")))
+    assert (status, out) == (1, "")
+    assert err.startswith("seatrial: internal error (ValueError: bad shape); run again with --debug")
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("args", [("--debug", "info"), ("info", "--debug")])
+@pytest.mark.parametrize(("error", "status"), [(ZeroDivisionError("oh"), 1), (SafetyStop("too hot"), 3)])
+def test_debug_adds_the_traceback_and_keeps_the_status(run, args, error: Exception, status: int) -> None:
+    got_status, _, err = run(raising(error), *args)
+    assert got_status == status
+    assert err.startswith("Traceback (most recent call last):")
+    assert err.splitlines()[-1].startswith("seatrial: ")
+
+
+def test_debug_after_a_double_dash_belongs_to_the_command(run) -> None:
+    status, _, err = run(lambda: None, "info", "--", "--debug")
+    assert status == 2
+    assert "unexpected extra argument (--debug)" in err
+
+
+@pytest.mark.parametrize("args", [("wrong",), ("--wrong",), ("info", "--wrong"), ("info", "too many")])
+def test_wrong_usage_is_2(run, args) -> None:
+    status, out, err = run(lambda: None, *args)
+    assert (status, out) == (2, "")
+    assert "Usage: seatrial" in err
+
+
+def test_a_returned_value_is_no_exit_status_but_ctx_exit_is(run) -> None:
+    assert run(lambda: 7) == (0, "", "")
+    assert run(lambda: click.get_current_context().exit(7)) == (7, "", "")
+
+
+@pytest.mark.parametrize(
+    ("target", "says"),
+    [
+        ("no_such_part.cli:x", "`info` is not part of this installation (no module no_such_part)"),
+        ("daq.no_such_file:x", "`info` is not part of this installation (no module daq.no_such_file)"),
+        ("daq.errors:x", "`info` is not part of this installation (no command daq.errors:x)"),
+        ("needs_a_library:x", "`info` needs the Python module no_such_library, which is not installed"),
+    ],
+)
+def test_a_missing_part_is_one_line(monkeypatch, tmp_path: Path, capsys, target: str, says: str) -> None:
+    (tmp_path / "needs_a_library.py").write_text("import no_such_library\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(seatrial.COMMANDS, "info", seatrial.Row(target, "A test."))
+    with pytest.raises(SystemExit) as leaving:
+        seatrial.main(["info", "some.mcap"])
+    err = capsys.readouterr().err
+    assert leaving.value.code == 1
+    assert err.startswith(f"seatrial: {says}")
+    assert err.count("\n") == 1
+
+
+@pytest.mark.skipif(os.name != "posix", reason="closes a pipe the POSIX way")
+@pytest.mark.parametrize("command", ["--help", "info"])
+def test_a_reader_that_left_is_no_error(tmp_path: Path, command: str) -> None:
+    # `print` keeps the text until the last flush, where click's own output is flushed at once.
+    (tmp_path / "prints.py").write_text("import click\ncommand = click.command()(lambda: print('text'))\n")
+    code = f"""
+import sys
+sys.path.append({str(tmp_path)!r})
+import seatrial
+seatrial.COMMANDS["info"] = seatrial.Row("prints:command", "A test.")
+seatrial.main(sys.argv[1:])
+"""
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", code, command], stdout=writer, stderr=subprocess.PIPE, timeout=60
+        )
+    finally:
+        os.close(writer)
+    assert done.stderr == b""

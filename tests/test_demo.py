@@ -1,0 +1,148 @@
+"""The demo: its folder, its last line, its interruption, and once the whole loop."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from bench import demo
+from bench.demo_steps import StepFailed, Steps
+from daq.errors import SeatrialError
+from daq.rig import load_rig
+
+RESULT = {
+    "answer": "The residual is explained by advance-ratio loss.",
+    "effects": [{"name": "advance-ratio"}],
+    "before_after": {
+        "validation": {
+            "free_run": {
+                "x": {"before": 0.21, "after": 0.034, "unit": "m"},
+                "r": {"before": 0.1, "after": 0.01, "unit": "rad/s"},
+            }
+        }
+    },
+}
+SEALED = {"effect": "advance-ratio", "parameters": {"k_J": 12.5}, "sentence": "thrust falls with speed"}
+
+
+def filled(folder: Path, result: object, sealed: object) -> Path:
+    (folder / "diagnosis").mkdir()
+    (folder / demo.ANSWER).write_text(json.dumps(result), encoding="utf-8")
+    (folder / demo.SEALED).write_text(json.dumps(sealed), encoding="utf-8")
+    return folder
+
+
+def test_the_sealed_truth_is_the_very_last_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    demo.tell(filled(tmp_path, RESULT, SEALED))
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == "sealed: the plant's undeclared effect was advance-ratio (thrust falls with speed; k_J = 12.5)"
+    assert lines[-2].endswith("and the sealed effect match")
+    assert not any("advance-ratio (" in line for line in lines[:-1])
+    assert any("5.73 deg/s before, 0.573 deg/s after" in line for line in lines)
+    assert any("x      free-running error on validation data 0.21 m before, 0.034 m after" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("effects", "truth", "match"),
+    [
+        (["delay"], "advance-ratio", False),
+        ([], "advance-ratio", False),
+        (["delay", "advance-ratio"], "advance-ratio", True),
+        ([], "none", True),
+        (["delay"], "none", False),
+    ],
+)
+def test_a_match_is_said_only_when_there_is_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], effects: list[str], truth: str, match: bool
+) -> None:
+    demo.tell(filled(tmp_path, {**RESULT, "effects": effects}, {"effect": truth}))
+    assert ("do not match" not in capsys.readouterr().out) == match
+
+
+def test_a_result_without_errors_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(SeatrialError, match="does not say the error before and after"):
+        demo.tell(filled(tmp_path, {"answer": "x"}, SEALED))
+
+
+def test_the_folder_is_new_or_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert demo.fresh_folder(None, 5) == Path("seatrial-demo-5")
+    second = demo.fresh_folder(None, 5)
+    assert second.is_dir()
+    assert second != Path("seatrial-demo-5")
+    (second / "log.mcap").write_bytes(b"precious")
+    with pytest.raises(SeatrialError, match="is not empty"):
+        demo.fresh_folder(second, 5)
+    assert (second / "log.mcap").read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize("name", ["bench", "boat"])
+def test_the_packaged_rigs_get_the_speed(tmp_path: Path, name: str) -> None:
+    demo.write_rig(name, tmp_path, 7.5)
+    assert load_rig(tmp_path / f"{name}-rig.toml").speed == 7.5
+
+
+def test_a_failing_step_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    steps = Steps(tmp_path)
+    with pytest.raises(StepFailed, match=r"`seatrial mission show` failed with exit status 1"):
+        steps.run("show", "mission", "show", "nowhere.toml")
+    assert "$ seatrial mission show nowhere.toml" in capfd.readouterr().out
+    assert not steps.has("ident", "no-such-command")
+    assert steps.has("mission", "show")
+
+
+def descendants(pid: int) -> list[int]:
+    """Live processes below `pid`, from ps."""
+    out = subprocess.run(["ps", "-eo", "pid=,ppid=,stat="], capture_output=True, text=True, check=True).stdout
+    rows = [line.split() for line in out.splitlines()]
+    below = {pid}
+    for _ in range(6):
+        below |= {int(row[0]) for row in rows if int(row[1]) in below and not row[2].startswith("Z")}
+    return sorted(below - {pid})
+
+
+def alive(pid: int) -> bool:
+    """Whether a process runs (a zombie that nobody has reaped does not)."""
+    out = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True, check=False).stdout
+    return bool(out.strip()) and not out.strip().startswith("Z")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("after", ["devices ready", "steps ahead"])
+def test_ctrl_c_stops_everything(tmp_path: Path, after: str) -> None:
+    command = [sys.executable, "-u", "-m", "seatrial", "demo", "--seed", "3", "--out", str(tmp_path / "demo")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        assert process.stdout is not None
+        said = ""
+        while after not in said:
+            line = process.stdout.readline()
+            assert line, said
+            said += line
+        running = descendants(process.pid)
+        assert running
+        process.send_signal(signal.SIGINT)
+        rest = process.communicate(timeout=30)[0]
+    assert process.returncode == 130
+    assert rest.splitlines()[-1].startswith("seatrial: demo: interrupted")
+    assert "Traceback" not in rest
+    deadline = time.monotonic() + 5.0
+    while any(alive(pid) for pid in running) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(alive(pid) for pid in running)
+
+
+@pytest.mark.slow
+def test_the_whole_loop(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "seatrial", "demo", "--seed", "1", "--out", str(tmp_path / "demo")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=280, env=dict(os.environ))
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.splitlines()[-1].startswith("sealed: the plant's undeclared effect was ")
+    for name in ("bench.mcap", "estimation.mcap", "validation.mcap", "diagnosis/report.html"):
+        assert (tmp_path / "demo" / name).stat().st_size > 1000
