@@ -6,16 +6,21 @@ of a failure is decided here too, once for all commands: one line on stderr and 
 
 from __future__ import annotations
 
-import importlib
-import os
 import sys
-import traceback
-from collections.abc import Sequence
-from typing import NamedTuple
 
-import click
+try:
+    import importlib
+    import os
+    import traceback
+    from collections.abc import Sequence
+    from typing import NamedTuple
 
-from daq.errors import SeatrialError
+    import click
+
+    from daq.errors import SeatrialError
+except KeyboardInterrupt:  # Ctrl-C before there is a command to take it
+    sys.stderr.write("\nseatrial: interrupted\n")
+    raise SystemExit(130) from None
 
 OK, FAILED, WRONG_USAGE, INTERRUPTED = 0, 1, 2, 130
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import selectors
 import signal
 import subprocess
@@ -18,6 +19,7 @@ import click
 from daq.errors import SeatrialError
 
 READY_WITHIN_S = 30.0  # wall seconds for a mock to open its ports; it may have to be compiled first
+LATE = re.compile(r"(?:at most|up to) ([0-9.]+) ms")
 PATIENCE_S = 10.0  # wall seconds between a polite signal and the next one
 
 
@@ -37,6 +39,7 @@ class Steps:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.seconds: list[tuple[str, float]] = []
+        self.late_ms = 0.0  # wall ms by which the last mock's samples left late, at most
         self._running: list[subprocess.Popen[bytes]] = []
         self._signalled = False
 
@@ -62,24 +65,38 @@ class Steps:
 
     @contextmanager
     def mock(self, *words: str) -> Iterator[None]:
-        """Run a mock in the background for the body of a `with`, from its word `ready` on."""
+        """Run a mock in the background for the body of a `with`, from its word `ready` on.
+
+        Afterwards `late_ms` says whether the machine could keep up.
+        """
         click.secho(f"$ seatrial {' '.join(words)} &", bold=True)
         start = time.monotonic()
-        process = self._start(words, stdout=subprocess.PIPE)
+        process = self._start(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
         try:
             self._await_ready(process, start + READY_WITHIN_S)
             click.echo(f"  devices ready after {time.monotonic() - start:.1f} s")
             yield
         finally:
             self._end(process)
+            assert process.stderr is not None
+            said = process.stderr.read().decode(errors="replace")
+            process.stderr.close()
+            click.echo(said, nl=False, err=True)
+            found = LATE.search(said)
+            self.late_ms = float(found[1]) if found else 0.0
 
-    def _start(self, words: Sequence[str], stdout: int | None) -> subprocess.Popen[bytes]:
+    def _start(self, words: Sequence[str], stdout: int | None, stderr: int | None = None) -> subprocess.Popen[bytes]:
         # A session of its own: a Ctrl-C at the terminal reaches the demo alone, which then ends the runner before
         # the mock, so that the runner can still command zero.
         sys.stdout.flush()
         command = [sys.executable, "-m", "seatrial", *words]
         process = subprocess.Popen(
-            command, cwd=self.folder, stdin=subprocess.DEVNULL, stdout=stdout, start_new_session=True
+            command,
+            cwd=self.folder,
+            stdin=subprocess.DEVNULL,
+            stdout=stdout,
+            stderr=stderr,
+            start_new_session=True,
         )
         self._running.append(process)
         return process

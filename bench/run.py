@@ -92,6 +92,7 @@ class _Runner:
                 self._acquisition.zero("end of the mission")
                 tares = self._tare(start)
                 self._acquisition.stop()
+                self._say_skipped()
             except BaseException as error:
                 self._end_at_zero(error)
                 raise
@@ -120,6 +121,15 @@ class _Runner:
         if now - status.t > SILENCE_S * self._clock.speed:
             raise SafetyStop(f"the acquisition process has not answered for {SILENCE_S:g} s")
         self._guard.check(status)
+
+    def _say_skipped(self) -> None:
+        """Tell of set-points that this machine was too busy to send in time; the log holds what was sent."""
+        skipped, planned = self._acquisition.status().skipped, self._n.size
+        if skipped:
+            self._display.say(
+                f"skipped: {skipped} of {planned} set-points, overtaken by later ones before they could be sent "
+                "(a busy machine, or rows too close for the clock's speed); the log says what was sent and when"
+            )
 
     def _wait(self, wall_s: float) -> None:
         """Wait, unless a signal comes: that raises Interrupted."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import gc
+import os
 import select
 import signal
 import socket
@@ -30,6 +31,7 @@ from daq.status import Status, to_json
 from daq.transport import make_port
 from daq.writer import WRITE_S, Item, Sink, Writer
 
+PRIORITY = -10  # niceness, where the system lets us
 STATUS_S = 0.05  # wall, as all of these
 SILENCE_S = 0.25  # the parent, while thrust is commanded
 RECORD_ON_S = 1.0  # after a stop that nobody asked for
@@ -50,6 +52,7 @@ class Process:
         self._terminated = False
         self._stopped = ""  # set when thrust was ended here; then only the parent's zero lets it start again
         self._said: set[str] = set()
+        self._skipped = 0  # set-points whose loss stands in the log
         self._wishes: dict[str, Callable[[Message], None]] = {
             "heartbeat": self._on_heartbeat,
             "schedule": self._on_schedule,
@@ -189,6 +192,7 @@ class Process:
             loop.end()
         for loop in self._loops.values():
             loop.join()
+        self._note_skipped()
         self._writer.end()
         self._writer.join()
         self._report()
@@ -202,10 +206,21 @@ class Process:
             if warning not in self._said:
                 self._said.add(warning)
                 self._event("warning", warning)
+        self._note_skipped()
         try:
             self._link.send({"op": "status", "status": to_json(status)})
         except OSError:
             self._end("the parent process is gone", unasked=True)
+
+    def _note_skipped(self) -> None:
+        """An event for the set-points that were overtaken since the last one: the plan was not run as it stands."""
+        total = self._count_skipped()
+        if total > self._skipped:
+            self._event("skipped", f"{total - self._skipped} set-points: later ones were due before they could be sent")
+            self._skipped = total
+
+    def _count_skipped(self) -> int:
+        return sum(setpoints.skipped for setpoints in self._setpoints.values())
 
     def _status(self) -> Status:
         now = self._clock.now()
@@ -226,6 +241,7 @@ class Process:
             duration=now - self._begun,
             stopped=self._stopped or (self._end_reason if self._unasked else ""),
             warnings=tuple(warnings),
+            skipped=self._count_skipped(),
         )
 
 
@@ -252,6 +268,8 @@ def main() -> None:
     # Threads take turns often enough for set-points a millisecond apart, and the collector has less to walk through.
     sys.setswitchinterval(0.0005)
     gc.freeze()
+    with contextlib.suppress(OSError):  # where we may: a busy machine must not hold up receive times and set-points
+        os.setpriority(os.PRIO_PROCESS, 0, PRIORITY)
     process.run()
 
 

@@ -85,3 +85,25 @@ def import_csv(map_: Path, files: tuple[Path, ...], out: Path | None, out_dir: P
         raise click.UsageError("give -o or --out-dir, not both")
     for path in run(map_, files, out=out, out_dir=out_dir, force=force):
         click.echo(str(path))
+
+
+@import_.command("raw")
+@click.argument("protocol", type=click.Choice(["vectornav", "nmea", "loadcell"]))
+@click.argument("file", type=_EXISTING)
+@click.option("--rate", type=click.FloatRange(min=0.0, min_open=True), help="Samples a second, for the times.")
+@click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
+@click.option("--force", is_flag=True, help="Replace the log where it exists.")
+def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, force: bool) -> None:
+    """Decode FILE, the bytes that a device once sent, as PROTOCOL.
+
+    A capture says nothing of when its bytes came: with --rate the samples are put evenly apart; without it they
+    get the times that the device itself sends, where it sends any.
+
+    \b
+    Example:
+      seatrial import raw vectornav standing_still.txt --rate 40 -o still.mcap
+    """
+    from daq.imports.raw_import import import_raw as run
+
+    path, said = run(protocol, file, rate=rate, out=out, force=force)
+    click.echo(f"{path}: {said}")

@@ -33,7 +33,9 @@ class Setpoints:
         self._zeroed: set[int] = set()  # nodes that must be told zero at once
         self._next_repeat = -math.inf
         self._repeat_until = -math.inf
-        self.skipped = 0  # set-points that were overtaken by a later one before they could be sent
+        # Set-points that were overtaken by a later one before they could be sent: this thread was held up, and an old
+        # command must never follow a newer one. Whoever made the plan has to be told.
+        self.skipped = 0
 
     def append(self, rows: Iterable[tuple[float, dict[int, float]]]) -> None:
         """Add set-points; rows may come in any order of time."""
@@ -72,9 +74,11 @@ class Setpoints:
         with self._lock:
             fresh: dict[int, float] = dict.fromkeys(self._zeroed, 0.0)
             self._zeroed = set()
+            due_at: dict[int, float] = {}
             while self._rows and self._rows[0][0] <= now_run:
-                _, row = self._rows.popleft()
-                self.skipped += len(fresh.keys() & row.keys())
+                t, row = self._rows.popleft()
+                self.skipped += sum(due_at.get(node, t) < t for node in row)  # of equal times the later one replaces
+                due_at |= dict.fromkeys(row, t)
                 fresh |= row
             self._held |= fresh
             if fresh or self._active():

@@ -58,6 +58,7 @@ class Status:
     duration: float  # run seconds since the log was begun
     stopped: str  # why the acquisition process ended thrust by itself; empty while it has not
     warnings: tuple[str, ...]
+    skipped: int = 0  # set-points that a later one overtook before they could be sent
 
 
 def to_json(status: Status) -> dict[str, Any]:

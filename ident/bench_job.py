@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import SeatrialError
+from ident.curve_job import is_static, static_curve
 from ident.dataset import Record, build_record
 from ident.fit import Fit, fit
-from ident.jobs import Loaded, Say, envelope, load_run, write_all
+from ident.jobs import Say, write_all
+from ident.loading import Loaded, envelope, load_run
 from ident.model import Model
 from ident.models.thruster import delayed_channels, thruster
 from ident.outcome import Json, fit_part, residual_part
@@ -22,12 +24,14 @@ from ident.predict import FreeRun, free_run, one_step
 Array = NDArray[np.float64]
 DEAD_ZONES = tuple(0.0025 * k for k in range(81))  # up to a fifth of full command
 RATE = 50.0  # rows a second for the load cell and the shaft speed
-SETTLED, AVERAGED = 1.5, 1.0  # s that a command must have lasted, and over which it is averaged
+SETTLED, AVERAGED = 1.0, 0.6  # s that a command must have lasted, and over which it is then averaged
 
 
-def bench(logs: Sequence[Path], out: Path, *, name: str | None, command: str, say: Say) -> Json:
-    """Fit the thruster model to bench logs of one thruster."""
+def bench(logs: Sequence[Path], out: Path, *, name: str | None, settle: float = 1.5, command: str, say: Say) -> Json:
+    """Fit the thruster model to bench logs of one thruster, or a static curve where nobody measured the shaft."""
     loaded = [load_run(path, "estimation") for path in logs]
+    if is_static(loaded, name):
+        return static_curve(loaded, out, name=name, settle=settle, command=command, say=say)
     name = name or _thruster_name(loaded[0])
     has_force = all("force" in x.run.channels for x in loaded)
     model = thruster(force=has_force)
@@ -179,4 +183,4 @@ def _answer(fitted: Fit, has_force: bool) -> str:
         return shaft[0].upper() + shaft[1:] + "; without a load cell nothing is known of its thrust."
     (c1, s1), (c2, s2) = fitted.estimate("c1"), fitted.estimate("c2")
     s = float(np.hypot(s1, s2))
-    return f"The thruster gives {c1 + c2:.1f} N ahead and {c1 - c2:.1f} N astern at full speed (± {s:.1f} N); {shaft}."
+    return f"The thruster gives {c1 + c2:.1f} N ahead and {c1 - c2:.1f} N astern at full speed (± {s:.2g} N); {shaft}."

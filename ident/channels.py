@@ -2,11 +2,13 @@
 
 | name | from |
 |---|---|
-| psi, r, ax, ay | AHRS (heading unwrapped by whoever averages it) |
+| psi, phi, theta | AHRS: yaw, roll and pitch (unwrapped by whoever averages them) |
+| p, q, r, ax, ay | AHRS: body rates, specific force |
 | x, y, vx, vy | GNSS: metres north and east of the first fix, velocity over ground |
 | n_left, n_right | shaft speed over the rig's rpm_max, positive ahead |
 | n_cmd_left, n_cmd_right | commands |
 | force | load cell, tared by the static segments of the plan |
+| speed | along the track, from velocity over ground (imported speed_x and speed_y, or vx and vy) |
 | any other | imported signals, by their own names |
 """
 
@@ -24,6 +26,7 @@ from ident.dataset import Channel
 Array = NDArray[np.float64]
 # WGS 84
 SEMI_MAJOR, ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3
+TRACK = 20.0  # s
 
 
 def channels(log: Log) -> dict[str, Channel]:
@@ -37,6 +40,10 @@ def channels(log: Log) -> dict[str, Channel]:
         table = log.table(Ahrs, source)
         for name, column, unit in (
             ("psi", "yaw", "rad"),
+            ("phi", "roll", "rad"),
+            ("theta", "pitch", "rad"),
+            ("p", "p", "rad/s"),
+            ("q", "q", "rad/s"),
             ("r", "r", "rad/s"),
             ("ax", "ax", "m/s2"),
             ("ay", "ay", "m/s2"),
@@ -48,6 +55,34 @@ def channels(log: Log) -> dict[str, Channel]:
         _thruster(log, thruster, found)
     for source in log.sources(LoadCell):
         found.setdefault("force", _channel(_good(log.table(LoadCell, source)), "force", "N", source))
+    found = {name: c for name, c in found.items() if c.t.size > 1}
+    for pair in (("speed_x", "speed_y"), ("vx", "vy")):
+        if "speed" not in found and all(n in found for n in pair):
+            x, y = (found[n] for n in pair)
+            if np.array_equal(x.t, y.t):
+                found["speed"] = Channel(x.t, along_track(x.t, x.value, y.value), x.unit, x.source)
+    return found
+
+
+def along_track(t: Array, vx: Array, vy: Array) -> Array:
+    """Speed [m/s] along the direction of travel (n,), negative astern.
+
+    The direction is that of the velocity within ``TRACK`` seconds either way, weighted by speed: a boat that drifts
+    at rest before a run has the run's direction. The magnitude alone would turn drift and noise into speed ahead.
+    """
+    speed = np.hypot(vx, vy)
+    a, b = np.searchsorted(t, t - TRACK), np.searchsorted(t, t + TRACK, side="right")
+    sums = [np.append(0.0, np.cumsum(speed * v)) for v in (vx, vy)]
+    dx, dy = (s[b] - s[a] for s in sums)
+    length = np.hypot(dx, dy)
+    return np.asarray(np.divide(vx * dx + vy * dy, length, out=np.zeros_like(speed), where=length > 0))
+
+
+def ahrs_channels(table: Any, source: str) -> dict[str, Channel]:
+    """Every axis of an AHRS that it reported."""
+    names = {"yaw": "psi", "pitch": "theta", "roll": "phi"}
+    rows = (("rad", ("yaw", "pitch", "roll")), ("rad/s", ("p", "q", "r")), ("m/s2", ("ax", "ay", "az")))
+    found = {names.get(c, c): _channel(table, c, unit, source) for unit, columns in rows for c in columns}
     return {name: c for name, c in found.items() if c.t.size > 1}
 
 

@@ -1,7 +1,8 @@
-"""Commands of ident: noise, thruster, vehicle, diagnose."""
+"""Commands of ident: noise, thruster, vehicle, diagnose, export."""
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -10,6 +11,10 @@ from typing import Any
 import click
 
 from daq.errors import SeatrialError
+
+# All matrices here are small: threads of the linear algebra library would only wait for each other. Before numpy.
+for _library in ("OPENBLAS", "OMP", "MKL"):
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 LOG = click.Path(exists=True, dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)
@@ -51,6 +56,26 @@ def _rate(f: Callable[..., Any]) -> Callable[..., Any]:
     )(f)
 
 
+def _robust(f: Callable[..., Any]) -> Callable[..., Any]:
+    return click.option("--robust", is_flag=True, help="Allow outliers in all sensors, and count them.")(f)
+
+
+@ident.command()
+@click.argument("logs", nargs=-1, required=True, type=LOG)
+@click.option("--signal", "signals", multiple=True, metavar="NAME", help="Only this signal; may be repeated.")
+@_out("noise")
+def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
+    """Estimate white noise and random walk of each channel from LOGS of sensors at rest.
+
+    \b
+    Example:
+      seatrial ident noise standing_still.mcap --signal psi --signal r --out noise
+    """
+    from ident import noise_job
+
+    _run(lambda say: noise_job.noise(logs, out, signals=signals, command=_command(), say=say), out)
+
+
 @ident.command()
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option(
@@ -59,11 +84,17 @@ def _rate(f: Callable[..., Any]) -> Callable[..., Any]:
     default="auto",
     show_default=True,
     help="horizontal:shaft, horizontal:force, horizontal:general (each also with :still for no current), "
-    "or FILE.py:NAME for your own.",
+    "kinematic:shaft|force (measured attitude; :yaw with the yaw equation), "
+    "surge:force|shaft:position|speed|both, yaw:rate|both, or FILE.py:NAME for your own.",
 )
-@click.option("--thruster", type=LOG, help="model.toml of the bench: thrust coefficients c1, c2 are taken from it.")
+@click.option(
+    "--thruster", type=LOG, help="model.toml of the bench: c1 and c2, or the static curve from command to thrust."
+)
 @click.option("--fix", multiple=True, callback=_known, help="NAME=VALUE: a parameter that is known; may be repeated.")
 @click.option("--start", "begin", multiple=True, callback=_known, help="NAME=VALUE: where the estimate starts.")
+@click.option("--agree", multiple=True, metavar="NAME", help="Test whether the logs agree on this parameter.")
+@click.option("--profile", "profiles", multiple=True, metavar="NAME", help="Profile likelihood of this parameter.")
+@_robust
 @click.option("--as-is", is_flag=True, help="Do not swap the sides of the thrusters where the data say they are.")
 @_validate
 @_rate
@@ -74,6 +105,9 @@ def vehicle(
     thruster: Path | None,
     fix: dict[str, float],
     begin: dict[str, float],
+    agree: tuple[str, ...],
+    profiles: tuple[str, ...],
+    robust: bool,
     as_is: bool,
     validate: tuple[Path, ...],
     rate: float,
@@ -97,6 +131,9 @@ def vehicle(
             fix=fix,
             begin=begin,
             as_is=as_is,
+            agree=agree,
+            profiles=profiles,
+            robust=robust,
             rate=rate,
             command=_command(),
             say=say,
@@ -108,9 +145,18 @@ def vehicle(
 @ident.command()
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option("--thruster", "name", help="The thruster's name in the rig file, where the log has several.")
+@click.option(
+    "--settle",
+    type=click.FloatRange(0.0),
+    default=1.5,
+    show_default=True,
+    help="Seconds left out after each change of command, where only force and command were logged.",
+)
 @_out("thruster")
-def thruster(logs: tuple[Path, ...], name: str | None, out: Path) -> None:
+def thruster(logs: tuple[Path, ...], name: str | None, settle: float, out: Path) -> None:
     """Fit shaft response and thrust curve to bench LOGS of one thruster.
+
+    A log of force and command without shaft speed gives the static curve alone, as a table.
 
     \b
     Example:
@@ -118,18 +164,27 @@ def thruster(logs: tuple[Path, ...], name: str | None, out: Path) -> None:
     """
     from ident import bench_job
 
-    _run(lambda say: bench_job.bench(logs, out, name=name, command=_command(), say=say), out)
+    _run(lambda say: bench_job.bench(logs, out, name=name, settle=settle, command=_command(), say=say), out)
 
 
 @ident.command()
 @click.argument("model", type=LOG)
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @_validate
+@click.option("--effects", "effects_file", type=LOG, help="FILE.py with EFFECT or EFFECTS: candidates of your own.")
 @click.option("--max-effects", type=click.IntRange(1, 6), default=3, show_default=True, help="Stop after so many.")
+@_robust
 @_rate
 @_out("diagnosis")
 def diagnose(
-    model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], max_effects: int, rate: float, out: Path
+    model: Path,
+    logs: tuple[Path, ...],
+    validate: tuple[Path, ...],
+    effects_file: Path | None,
+    max_effects: int,
+    robust: bool,
+    rate: float,
+    out: Path,
 ) -> None:
     """Find what MODEL lacks to explain LOGS, add it, and show the error before and after.
 
@@ -141,10 +196,79 @@ def diagnose(
 
     _run(
         lambda say: jobs.diagnosis(
-            model, logs, validate, out, rate=rate, max_effects=max_effects, command=_command(), say=say
+            model,
+            logs,
+            validate,
+            out,
+            rate=rate,
+            max_effects=max_effects,
+            effects_file=effects_file,
+            robust=robust,
+            command=_command(),
+            say=say,
         ),
         out,
     )
+
+
+@ident.command()
+@click.argument("model", type=LOG)
+@click.option("--to", "target", type=click.Choice(("python", "casadi", "c", "ros2")), required=True, help="For what.")
+@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="File to write; else the screen.")
+@click.option("--name", help="Prefix of the functions, or name of the node, in place of the model's own name.")
+@click.option("--with-nuisance", is_flag=True, help="Keep unexplained forces and sensor offsets as states.")
+def export(model: Path, target: str, output: Path | None, name: str | None, with_nuisance: bool) -> None:
+    """Write the fitted MODEL for other programs: equations, parameters, noise, names and units.
+
+    \b
+    Example:
+      seatrial ident export diagnosis/model.toml --to c -o boat.h
+    """
+    from ident.export import export as written
+    from ident.modelfile import load_model
+
+    try:
+        text = written(load_model(model), target, name=name, nuisance=with_nuisance)
+    except ValueError as problem:
+        raise SeatrialError(f"{model}: {problem}") from problem
+    if output is None:
+        click.echo(text, nl=False)
+    else:
+        output.write_text(text, encoding="utf-8")
+        click.echo(f"wrote {output}")
+
+
+@ident.command()
+@click.argument("models", metavar="MODEL...", nargs=-1, required=True)
+@click.option("--replicates", type=click.IntRange(3), default=100, show_default=True, help="Missions to simulate.")
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True)
+@click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes.")
+@click.option("--method", type=click.Choice(("pe", "oe")), default="pe", show_default=True, help="The estimator.")
+@click.option("--truth", multiple=True, callback=_known, help="NAME=VALUE: another true value; may be repeated.")
+@click.option("--free", multiple=True, metavar="NAME", help="Estimate only this parameter; may be repeated.")
+@click.option("--seconds", type=click.FloatRange(10.0), help="Length of the mission.")
+@click.option("--unbounded", is_flag=True, help="Let damping be estimated below zero.")
+@click.option("--docs", is_flag=True, help="Print the page of docs/study.md instead of the table.")
+@_out("study")
+def study(
+    models: tuple[str, ...], replicates: int, seed: int, jobs: int, method: Any, truth: dict[str, float],
+    free: tuple[str, ...], seconds: float | None, unbounded: bool, docs: bool, out: Path,
+) -> None:
+    """Monte Carlo of the estimator on simulated missions of MODELs: surge, yaw, horizontal, thruster.
+
+    Bias, variance and coverage of the intervals. What was interrupted goes on where it was.
+
+    \b
+    Example:
+      seatrial ident study surge yaw --replicates 500 --jobs 2 --out study
+    """
+    from ident import study_job
+
+    result = study_job.run_studies(
+        models, replicates, seed, out, truth=truth, free=free, seconds=seconds, bounded=not unbounded, method=method,
+        jobs=jobs, command=_command(), say=lambda line: click.echo(f"  {line}", err=True),
+    )
+    click.echo(study_job.page(result) if docs else study_job.as_text(result), nl=False)
 
 
 def _run(work: Callable[[Callable[[str], None]], dict[str, Any]], out: Path) -> None:

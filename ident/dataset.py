@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 TIME_INPUT = "t"  # an input of this name is the time since the start of the record
 WORK_INPUT = "work"  # an input of this name is the integral of the cubed shaft speeds, over WORK_UNIT
 WORK_UNIT = 150.0  # s
+SAME_TIME = 1e-6  # s; times closer than this are one row (seconds since 1970 have steps of 0.24 us)
 HISTORY_STEP = 0.1  # s; an input NAME~k is the input NAME that many steps ago
 
 
@@ -94,7 +95,7 @@ class Record:
 
 def sample_and_hold(channel: Channel, t: Array) -> Array:
     """The latest value at or before each time; the first value before that."""
-    at = np.searchsorted(channel.t, t + 1e-9, side="right") - 1
+    at = np.searchsorted(channel.t, t + SAME_TIME, side="right") - 1
     return channel.value[np.clip(at, 0, None)]
 
 
@@ -155,7 +156,7 @@ def build_record(
     names = [o.name for o in model.outputs]
     for sensor in present:
         times, values = samples[sensor.name]
-        rows = np.searchsorted(t, times - 1e-6)
+        rows = np.searchsorted(t, times - SAME_TIME)
         y[rows[:, None], [names.index(o.name) for o in sensor.outputs]] = values
     missing = tuple(s.name for s in model.sensors if s not in present)
     return Record(
@@ -210,7 +211,7 @@ def _sensor_samples(
 def _rows(measured: Sequence[Array], switches: Sequence[Array], start: float, end: float, max_step: float) -> Array:
     """Union of all times; times closer than a microsecond are one row."""
     t: Array = np.sort(np.concatenate([*measured, *[s[(s > start) & (s < end)] for s in switches], [start, end]]))
-    t = t[np.append(True, np.diff(t) > 1e-6)]
+    t = t[np.append(True, np.diff(t) > SAME_TIME)]
     gaps: Array = np.diff(t)
     pieces = np.maximum(np.ceil(gaps / max_step - 1e-6), 1).astype(int)
     if pieces.max(initial=1) == 1:
@@ -225,7 +226,8 @@ def _inputs(model: Model, channels: Mapping[str, Channel], t: Array, start: floa
         if signal.name == TIME_INPUT:
             at = t - start
         elif signal.hold == "linear":
-            at = np.interp(t, channels[signal.name].t, channels[signal.name].value)
+            value = channels[signal.name].value
+            at = np.interp(t, channels[signal.name].t, np.unwrap(value) if signal.angle else value)
         else:
             u[:, j] = u_next[:, j] = sample_and_hold(channels[signal.name], t)
             continue

@@ -35,6 +35,8 @@ P_BLOCK = 0.01  # of the version that holds for coloured innovations
 P_OVERWHELMING, P_BLOCK_OVERWHELMING = 1e-12, 0.1
 T_VALIDATION = 2.0
 N_REFITS, N_UNKNOWN = 4, 2
+# what an effect's true form has beyond ours looks like other effects, smaller by orders; those are not added
+SMALL = 0.02  # of the largest gain so far
 
 
 @dataclass(frozen=True)
@@ -86,8 +88,12 @@ def diagnose(
 ) -> Diagnosis:
     """What does ``model`` lack to explain the runs? ``effects``: the candidates, by default the whole catalogue.
 
-    Raises ValueError, naming the run, where a run lacks a signal that the model needs.
+    Raises ValueError, naming the run, where a run lacks a signal that the model needs; or the model, where it has no
+    hull whose forces X, Y, N could lack anything.
     """
+    if "hull" not in model.provides:
+        raise ValueError(f"model {model.name} cannot be diagnosed: it lacks a hull with the forces X, Y and N; fit "
+                         "the horizontal model instead")
     full = nominal(model)
     candidates = {n: e for n, e in (catalogue() if effects is None else effects).items() if full.accepts(e)}
     everything, candidates = superset(full, candidates, [*estimation, *validation])
@@ -104,7 +110,8 @@ def diagnose(
         if done or not passed:
             break
         progress(f"round {len(rounds) + 1}: {len(passed)} of {len(scores)} candidates pass, best {passed[0].name}")
-        one = _round(current, records, unseen, candidates, scores, passed, progress)
+        largest = max((r.chosen.criterion for r in rounds if r.chosen is not None), default=0.0)
+        one = _round(current, records, unseen, candidates, scores, passed, largest, progress)
         rounds.append(one)
         if one.chosen is None:
             break
@@ -161,6 +168,7 @@ def _round(
     candidates: Mapping[str, Effect],
     scores: list[Score],
     passed: list[Score],
+    largest: float,
     progress: Progress,
 ) -> Round:
     n = sum(r.n_rows for r in records)
@@ -174,10 +182,18 @@ def _round(
     refits.sort(key=lambda r: -r.criterion)
     names = tuple(s.name for s in passed)
     for r in refits[:3]:
-        if r.accepted and r.criterion > 0.25 * refits[0].criterion:
-            why = f"the log-likelihood of the validation data rises by {r.validation_gain:.0f} (t = {r.t:.1f})"
-            return Round(tuple(scores), names, tuple(refits), r, why)
-    return Round(tuple(scores), names, tuple(refits), None, "no candidate predicts the validation data better")
+        if r.accepted and r.criterion > max(0.25 * refits[0].criterion, SMALL * largest):
+            return Round(tuple(scores), names, tuple(refits), r, _why(r))
+    why = "no candidate predicts the validation data better"
+    if any(r.accepted for r in refits):
+        why = f"what is left is small beside what was found: {refits[0].effect.title} would gain {refits[0].gain:.0f}"
+    return Round(tuple(scores), names, tuple(refits), None, why)
+
+
+def _why(r: Refit) -> str:
+    if r.validation_gain > 0:
+        return f"the log-likelihood of the validation data rises by {r.validation_gain:.0f} (t = {r.t:.1f})"
+    return f"the log-likelihood rises in most blocks of the validation data (t = {r.t:.1f}); a few outlying ones fall"
 
 
 def _refit_all(

@@ -9,14 +9,20 @@ import numpy as np
 from scipy import stats
 
 from ident.diagnose import ALPHA, Diagnosis, Refit, Round
-from ident.model import Model
-from ident.outcome import FORCE_UNITS, Json, fit_part, input_traces, join_after, parameter_row, residual_part
-from ident.pe import Likelihood
-from ident.predict import Errors, FreeRun, free_run, one_step, pooled, ratio_interval, ten_seconds
+from ident.judged import Judged, before_after, traces
+from ident.outcome import (
+    FORCE_UNITS,
+    Json,
+    fit_part,
+    join_after,
+    parameter_row,
+    residual_part,
+    said,
+)
+from ident.predict import pooled
 from ident.score import Score
 from ident.stage import Stage, View
 
-KINDS = ("one_step", "ten_seconds", "free_run")
 NAMES = {
     "x": "north",
     "y": "east",
@@ -31,41 +37,18 @@ NAMES = {
 }
 
 
-class Judged:
-    """Prediction errors of a stage on every record, computed once."""
-
-    def __init__(self, stage: Stage) -> None:
-        self.stage = stage
-        likelihood = Likelihood(stage.model)
-        self.free = {
-            role: [free_run(stage.model, v.record, v.values, likelihood) for v in views]
-            for role, views in (("estimation", stage.estimation), ("validation", stage.validation))
-        }
-
-    def views(self, role: str) -> Sequence[View]:
-        return self.stage.estimation if role == "estimation" else self.stage.validation
-
-    def errors(self, role: str) -> dict[str, dict[str, Errors]]:
-        model, views = self.stage.model, self.views(role)
-        return {
-            "one_step": pooled([one_step(model, v.record, v.run) for v in views]),
-            "ten_seconds": pooled([ten_seconds(model, v.record, v.values, v.run) for v in views]),
-            "free_run": pooled([f.errors for f in self.free[role]]),
-        }
-
-
 def diagnosis_result(diagnosis: Diagnosis) -> Json:
     """All keys of result.json but those of how it was made (logs, command)."""
     before, after = Judged(diagnosis.before), Judged(diagnosis.after)
     roles = ["estimation"] + (["validation"] if diagnosis.after.validation else [])
-    table = {role: _before_after(before.errors(role), after.errors(role), diagnosis.after.model) for role in roles}
+    table = {role: before_after(before.errors(role), after.errors(role), diagnosis.after.model) for role in roles}
     judged = table[roles[-1]]
     start = diagnosis.before.model.values
     return {
         "kind": "diagnosis",
         "answer": answer(diagnosis, judged, roles[-1]),
         "fit": fit_part(diagnosis.after.fit, start),
-        **_traces(before, after, roles, bool(diagnosis.effects)),
+        **traces(before, after, roles, bool(diagnosis.effects)),
         **_residuals(diagnosis),
         "rounds": [_round(r, diagnosis) for r in diagnosis.rounds] or [_quiet_round(diagnosis)],
         "effects": _effects(diagnosis, before, roles[-1]),
@@ -86,23 +69,6 @@ def diagnosis_result(diagnosis: Diagnosis) -> Json:
         "next_experiment": next_experiment(diagnosis),
         "notes": _notes(diagnosis),
     }
-
-
-def judged_alone(judged: Judged) -> Json:
-    """Traces and errors of one fitted model, with nothing before it."""
-    roles = ["estimation"] + (["validation"] if judged.stage.validation else [])
-    units = {o.name: o.unit for o in judged.stage.model.outputs}
-    table = {
-        role: {
-            kind: {
-                name: {"before": None, "after": e.rms, "unit": units[name], "low": None, "high": None}
-                for name, e in rows.items()
-            }
-            for kind, rows in judged.errors(role).items()
-        }
-        for role in roles
-    }
-    return {"before_after": table, **_traces(judged, judged, roles, False)}
 
 
 def answer(diagnosis: Diagnosis, judged: dict[str, Any], role: str) -> str:
@@ -126,72 +92,13 @@ def answer(diagnosis: Diagnosis, judged: dict[str, Any], role: str) -> str:
     unit = row["unit"].replace("rad", "deg")
     return (
         f"The model lacks {lacks}; with it the free-running error on {role} data falls from "
-        f"{row['before'] * scale:.2g} to {row['after'] * scale:.2g} {unit} ({NAMES.get(best, best)})."
+        f"{said(row['before'] * scale)} to {said(row['after'] * scale)} {unit} ({NAMES.get(best, best)})."
     )
 
 
 def most_improved(rows: dict[str, Any]) -> str | None:
     ratios = {n: r["after"] / r["before"] for n, r in rows.items() if r["before"] and n not in ("ax", "ay")}
     return min(ratios, key=lambda n: ratios[n]) if ratios else None
-
-
-def _before_after(before: dict[str, dict[str, Errors]], after: dict[str, dict[str, Errors]], model: Model) -> Json:
-    units = {o.name: o.unit for o in model.outputs}
-    table: Json = {}
-    for kind in KINDS:
-        table[kind] = {}
-        for name, old in before[kind].items():
-            new = after[kind][name]
-            low, high = ratio_interval(old, new)
-            table[kind][name] = {"before": old.rms, "after": new.rms, "unit": units[name], "low": low, "high": high}
-    return table
-
-
-def _traces(before: Judged, after: Judged, roles: Sequence[str], changed: bool) -> Json:
-    traces, tracks, inputs = [], [], []
-    for role in roles:
-        for view, old, new in zip(after.views(role), before.free[role], after.free[role], strict=True):
-            model, record = after.stage.model, view.record
-            inputs += input_traces(model, record)
-            for j, o in enumerate(model.outputs):
-                seen = np.isfinite(record.y[:, j])
-                if seen.any():
-                    traces.append(
-                        {
-                            "record": record.name,
-                            "role": role,
-                            "channel": o.name,
-                            "unit": o.unit,
-                            "angle": o.angle,
-                            "t": record.t[seen],
-                            "measured": record.y[seen, j],
-                            "model": new.y[seen, j],
-                            "sd": new.sd[seen, j],
-                            "before": old.y[seen, j] if changed else None,
-                        }
-                    )
-            tracks += _track(model, view, role, old if changed else None, new)
-    return {"traces": traces, "track": tracks, "inputs": inputs}
-
-
-def _track(model: Model, view: View, role: str, old: FreeRun | None, new: FreeRun) -> list[Json]:
-    names = [o.name for o in model.outputs]
-    if "x" not in names or not np.isfinite(view.record.y[:, names.index("x")]).any():
-        return []
-    i, j = names.index("x"), names.index("y")
-    seen = np.isfinite(view.record.y[:, i])
-    return [
-        {
-            "record": view.record.name,
-            "role": role,
-            "x_measured": view.record.y[seen, i],
-            "y_measured": view.record.y[seen, j],
-            "x_model": new.y[seen, i],
-            "y_model": new.y[seen, j],
-            "x_before": old.y[seen, i] if old else None,
-            "y_before": old.y[seen, j] if old else None,
-        }
-    ]
 
 
 def _residuals(diagnosis: Diagnosis) -> Json:
@@ -348,6 +255,9 @@ def _notes(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.left:
         names = ", ".join(s.name for s in diagnosis.left[:4])
         notes.append(f"After the last effect these tests still pass: {names}. Something smaller remains.")
+    if diagnosis.effects and diagnosis.rounds[-1].chosen is None:
+        why = diagnosis.rounds[-1].why
+        notes.append(f"{why[0].upper()}{why[1:]}.")
     if not diagnosis.after.validation:
         notes.append("No validation data were given: nothing here was tested on data that the fit has not seen.")
     notes += [f"{name}: {what}" for name, what in diagnosis.after.fit.flags]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ident.dataset import Record
 from ident.model import Model
 from ident.pe import Likelihood
+from ident.robust import robust as with_outliers
 from ident.scoring import Bounds, Evaluation, Optimum, climb, maximise
 from ident.uncertainty import Uncertainty, assess, sandwich
 
@@ -183,6 +184,7 @@ def fit(
     *,
     method: Literal["pe", "oe"] = "pe",
     start: Mapping[str, float] | None = None,
+    robust: bool = False,
     max_iterations: int = 60,
     progress: Progress | None = None,
     threads: int = 2,
@@ -190,13 +192,16 @@ def fit(
     """Estimate the free parameters of ``model`` from ``records``.
 
     method: prediction error (extended Kalman filter), or output error (no process noise). start: values to begin
-    with instead of the model's. progress: called with the iteration and the log-posterior. Raises ValueError,
-    naming the record, where a record does not fit the model or cannot be evaluated.
+    with instead of the model's. robust: allow outliers in all sensors (``ident.robust`` allows them in some).
+    progress: called with the iteration and the log-posterior. Raises ValueError, naming the record, where a record
+    does not fit the model or cannot be evaluated.
     """
     began = time.process_time()
     if not records:
         raise ValueError("no records to estimate from")
     model = model.with_values(start or {})
+    if robust:
+        model = _with_outliers(model, records, method, max_iterations, threads)
     likelihood = Likelihood(model, process_noise=method == "pe")
     problem = Problem(likelihood, records, _estimable(model, method), threads)
     if not problem.names:
@@ -206,9 +211,26 @@ def fit(
     optimum = _search(problem, max_iterations, progress)
     mean, weight = problem.prior
     known = assess(optimum.at, optimum.z, problem.bounds, problem.names, problem.slopes(optimum.z), weight)
-    robust = sandwich(known, problem.by_row(optimum.z), problem.slopes(optimum.z))
+    coloured = sandwich(known, problem.by_row(optimum.z), problem.slopes(optimum.z))
     prior_part = -0.5 * float(weight @ (optimum.z - mean) ** 2)
-    return _report(problem, optimum, known, robust, method, prior_part, time.process_time() - began)
+    return _report(problem, optimum, known, coloured, method, prior_part, time.process_time() - began)
+
+
+def _with_outliers(model: Model, records: Sequence[Record], method: Literal["pe", "oe"], max_iterations: int,
+                   threads: int) -> Model:
+    """The model with outliers allowed, at the better of two starts: its own values, or those of a plain fit.
+
+    Wild samples are told from good ones by the noise, so its scale must be about right first, which a plain fit
+    sees to; but one very wild sample can spoil that fit, or make it impossible.
+    """
+    own = with_outliers(model)
+    try:
+        plain = fit(model, records, method=method, max_iterations=max_iterations, threads=threads).model
+    except ValueError:
+        return own
+    likelihood, starts = Likelihood(own, process_noise=method == "pe"), (own, with_outliers(plain))
+    totals = [sum(likelihood.value(r, np.array(list(m.values.values()))) for r in records) for m in starts]
+    return starts[1] if totals[1] > totals[0] or not np.isfinite(totals[0]) else own
 
 
 def _estimable(model: Model, method: str) -> tuple[str, ...]:

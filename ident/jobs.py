@@ -3,84 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime
-from importlib.metadata import version
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from daq.errors import SeatrialError
-from daq.log import Log, open_log
-from ident.channels import channels
-from ident.dataset import Channel
+from ident.agreement import agreement, agreement_part, sentence
+from ident.curve_file import ThrustCurve, load_curve
 from ident.diagnose import diagnose, spans
-from ident.diagnosis_result import Judged, diagnosis_result, judged_alone
+from ident.diagnosis_result import diagnosis_result
+from ident.effects import catalogue
 from ident.fit import Fit
+from ident.job_inputs import complete
+from ident.judged import Judged, judged_alone
+from ident.loading import Loaded, envelope, load_all
 from ident.model import Input, Model
 from ident.modelfile import load_model, save_model
 from ident.models import make_model
 from ident.models.horizontal import SENSORS, SIDES
 from ident.outcome import Json, fit_part, plain, residual_part, write_result
+from ident.own import own_effects
 from ident.params import Parameter
+from ident.profile import check_names, profile, profile_part
 from ident.report import write_report
+from ident.robust import robust as with_outliers
 from ident.sides import check_sides, swap
-from ident.stage import Run, Stage, first_stage
+from ident.stage import Stage, first_stage, nominal, outliers
+from ident.vehicle_answer import vehicle_answer
 
 Say = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class Loaded:
-    """A log in memory: its signals, and what the report says of it."""
-
-    run: Run
-    about: Json
-    holds: Mapping[str, str]
-    rig: Any
-
-
-def load_run(path: Path, role: str, t_from: float | None = None, t_to: float | None = None) -> Loaded:
-    """Times ``t_from`` and ``t_to`` count from the start of the log."""
-    with open_log(path) as log:
-        found = channels(log)
-        rig = log.rig()
-        if not found:
-            raise SeatrialError(f"{path}: no signal that ident knows; see what it holds with `seatrial info {path}`")
-        start = min(c.t[0] for c in found.values())
-        moved = {n: Channel(c.t - start, c.value, c.unit, c.source) for n, c in found.items()}
-        about = {
-            "path": path.name,
-            "sha256": log.sha256,
-            "role": role,
-            "name": path.stem,
-            "duration": log.duration,
-            "rig": rig.name if rig else None,
-            "mission": _mission_name(log),
-            "warnings": list(log.warnings),
-        }
-        holds = {n: _hold(log, n) for n in found}
-        return Loaded(Run(path.stem, moved, t_from, t_to), about, holds, rig)
-
-
-def _hold(log: Log, name: str) -> str:
-    try:
-        return str(log.hold(name))
-    except (KeyError, SeatrialError):
-        return ""
-
-
-def _mission_name(log: Log) -> str | None:
-    import tomllib
-
-    text = log.attachments.get("mission.toml")
-    if text is None:
-        return None
-    try:
-        return str(tomllib.loads(text.decode()).get("name"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError):
-        return None
 
 
 def choose_model(source: str, loaded: Sequence[Loaded]) -> Model:
@@ -140,37 +93,48 @@ def vehicle(
     fix: Mapping[str, float],
     begin: Mapping[str, float],
     as_is: bool,
+    agree: Sequence[str] = (),
+    profiles: Sequence[str] = (),
+    robust: bool = False,
     rate: float,
     command: str,
     say: Say,
 ) -> Json:
-    """Fit a vehicle model and judge it on the validation logs."""
-    loaded, unseen = _load(logs, validate)
-    model = choose_model(source, [*loaded, *unseen])
+    """Fit a vehicle model and judge it on the validation logs. ``agree``: parameters to test for one value in all;
+    ``profiles``: parameters that get a profile likelihood; ``robust``: allow outliers."""
+    curve = load_curve(thruster) if thruster is not None else None
+    if curve is not None:
+        thruster, source = None, "horizontal:force" if source == "auto" else source
+    loaded, unseen = ([_completed(x, source, curve) for x in part] for part in load_all(logs, validate))
+    model = _with_start(choose_model(source, [*loaded, *unseen]), begin)
+    model = with_known(model, loaded[0].rig, thruster, fix)
+    sides = check_sides([(x.run.name, x.run.channels) for x in loaded]) if "y_left" in model.values else None
+    model = swap(model) if sides is not None and sides.swapped and not as_is else model
+    check_names(nominal(model), profiles)
+    stage = first_stage(model, [x.run for x in loaded], [x.run for x in unseen], rate=rate, robust=robust, progress=say)
+    result = envelope([*loaded, *unseen], command) | judged_alone(Judged(stage)) | _residuals(stage)
+    result |= {"kind": "vehicle", "fit": fit_part(stage.fit, model.values), "notes": outliers(stage)}
+    said = [vehicle_answer(result, searchable="hull" in model.provides)]
+    if sides is not None and sides.swapped:
+        said.insert(0, sides.line if not as_is else sides.line.removesuffix(" Fitted with the sides swapped."))
+        say(said[0])
+    records = [v.record for v in stage.estimation]
+    if profiles:
+        result["profiles"] = [profile_part(profile(stage.fit, records, name)) for name in profiles]
+    if agree:
+        found = [agreement(stage.fit, records, name) for name in agree]
+        result["agreement"] = [agreement_part(a) for a in found]
+        said += [sentence(a) for a in found]
+    result["answer"] = " ".join(said)
+    write_all(out, result, stage.fit, validity(stage))
+    return result
+
+
+def _with_start(model: Model, begin: Mapping[str, float]) -> Model:
     unknown = set(begin) - set(model.values)
     if unknown:
         raise SeatrialError(f"--start {sorted(unknown)[0]}: model {model.name} has {', '.join(model.values)}")
-    model = with_known(model.with_values(begin), loaded[0].rig, thruster, fix)
-    sides = check_sides([(x.run.name, x.run.channels) for x in loaded]) if "y_left" in model.values else None
-    swapped = sides is not None and sides.swapped and not as_is
-    if swapped:
-        model = swap(model)
-    start = model.values
-    stage = first_stage(model, [x.run for x in loaded], [x.run for x in unseen], rate=rate, progress=say)
-    judged = Judged(stage)
-    result = (
-        envelope([*loaded, *unseen], command)
-        | judged_alone(judged)
-        | {"kind": "vehicle", "fit": fit_part(stage.fit, start)}
-    )
-    result |= _residuals(stage)
-    result["answer"] = _vehicle_answer(result)
-    if sides is not None and sides.swapped:
-        line = sides.line if swapped else sides.line.removesuffix(" Fitted with the sides swapped.")
-        say(line)
-        result["answer"] = f"{line} {result['answer']}"
-    write_all(out, result, stage.fit, validity(stage))
-    return result
+    return model.with_values(begin)
 
 
 def diagnosis(
@@ -181,12 +145,16 @@ def diagnosis(
     *,
     rate: float,
     max_effects: int,
+    effects_file: Path | None,
+    robust: bool = False,
     command: str,
     say: Say,
 ) -> Json:
-    """Find what the model lacks, and write the model that has it."""
-    loaded, unseen = _load(logs, validate)
+    """Find what the model lacks, and write the model that has it. ``effects_file``: candidates of the user's own;
+    ``robust``: allow outliers."""
+    loaded, unseen = load_all(logs, validate)
     saved = load_model(model_path)
+    candidates = catalogue() | (own_effects(effects_file) if effects_file else {})
     present = [
         n
         for n, s in SENSORS.items()
@@ -195,30 +163,27 @@ def diagnosis(
     lost = [s.name for s in saved.model.sensors if s.name in SENSORS and s.name not in present]
     if len(lost) == len(saved.model.sensors):
         raise SeatrialError(f"{logs[0]}: none of the sensors of {model_path} is in the log: {', '.join(lost)}")
+    model = replace(
+        saved.model, inputs=tuple(_as_logged(i, loaded[0].holds.get(i.name, "")) for i in saved.model.inputs)
+    )
     found = diagnose(
-        saved.model, [x.run for x in loaded], [x.run for x in unseen], rate=rate, max_effects=max_effects, progress=say
+        with_outliers(model) if robust else model,
+        [x.run for x in loaded],
+        [x.run for x in unseen],
+        effects=candidates,
+        rate=rate,
+        max_effects=max_effects,
+        progress=say,
     )
     result = envelope([*loaded, *unseen], command) | diagnosis_result(found)
-    write_all(out, result, found.after.fit, validity(found.after), spans(found))
+    result["notes"] = outliers(found.after) + result["notes"]
+    write_all(out, result, found.after.fit, validity(found.after), spans(found), effects_file)
     return result
 
 
-def _load(logs: Sequence[Path], validate: Sequence[Path]) -> tuple[list[Loaded], list[Loaded]]:
-    same = {p.resolve() for p in logs} & {p.resolve() for p in validate}
-    if same:
-        raise SeatrialError(f"{sorted(same)[0].name}: the same log to fit and to validate proves nothing; give another")
-    return [load_run(p, "estimation") for p in logs], [load_run(p, "validation") for p in validate]
-
-
-def envelope(loaded: Sequence[Loaded], command: str) -> Json:
-    """What every result says of where it came from."""
-    return {
-        "format": "seatrial-result 1",
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "seatrial": version("seatrial"),
-        "command": command,
-        "logs": [x.about for x in loaded],
-    }
+def _completed(one: Loaded, source: str, curve: ThrustCurve | None) -> Loaded:
+    found, holds = complete(one.run.channels, one.holds, source, curve, one.about["path"])
+    return replace(one, run=replace(one.run, channels=found), holds=holds)
 
 
 def _residuals(stage: Stage) -> Json:
@@ -230,32 +195,13 @@ def _residuals(stage: Stage) -> Json:
     return {"residuals": residuals, "cross": cross}
 
 
-def _vehicle_answer(result: Json) -> str:
-    roles = result["before_after"]
-    role = "validation" if "validation" in roles else "estimation"
-    rows = roles[role]["ten_seconds"]
-    words = {"x": "position", "vx": "velocity", "psi": "heading", "u": "surge speed", "r": "yaw rate"}
-    said = []
-    for name, word in words.items():
-        if name in rows:
-            degrees = rows[name]["unit"].startswith("rad")
-            value, unit = rows[name]["after"], rows[name]["unit"].replace("rad", "deg")
-            said.append(f"{word} {value * 180 / np.pi if degrees else value:.2g} {unit}")
-    correlated = sorted({c["input"] for c in result["cross"] if c["p"] is not None and c["p"] < 1e-3})
-    coloured = sorted({r["channel"] for r in result["residuals"] if not r["white"]})
-    end = "The residuals are white and know nothing of the inputs"
-    if correlated or coloured:
-        end = "The residuals still know the inputs" if correlated else "The residuals are not white"
-        end += ": run `seatrial ident diagnose` to find what is missing"
-    return f"Ten seconds ahead on {role} data the model errs by {', '.join(said)} (rms). {end}."
-
-
 def write_all(
     out: Path,
     result: Json,
     fit: Fit,
     ranges: Mapping[str, tuple[float, float]],
     spans: Mapping[str, tuple[float, float]] | None = None,
+    effects_file: Path | None = None,
 ) -> None:
     """model.toml, result.json and report.html into a folder."""
     out.mkdir(parents=True, exist_ok=True)
@@ -266,7 +212,7 @@ def write_all(
         "seatrial": result["seatrial"],
         "logs": logs,
     }
-    save_model(out / "model.toml", fit, validity=ranges, provenance=provenance, spans=spans)
+    save_model(out / "model.toml", fit, validity=ranges, provenance=provenance, spans=spans, effects_file=effects_file)
     content = plain(result)
     write_result(content, out / "result.json")
     write_report(content, out / "report.html")

@@ -53,6 +53,7 @@ class Input:
     name: str
     unit: str = ""
     hold: Literal["zero", "linear"] = "zero"
+    angle: bool = False  # unwrapped before it is interpolated
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,7 @@ class Output:
     unit: str = ""
     noise: str = ""
     angle: bool = False  # innovations are wrapped to (-pi, pi]
+    robust: bool = False  # outliers are allowed (ident.robust)
 
 
 @dataclass(frozen=True)

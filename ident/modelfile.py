@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,9 @@ from ident.effects import catalogue
 from ident.fit import Fit
 from ident.model import Effect, Model
 from ident.models import make_model
-from ident.models.disturbance import disturbance, sensor_bias
+from ident.models.disturbance import disturbance, forces_of, sensor_bias
+from ident.own import own_effects
+from ident.robust import robust, robust_sensors
 from ident.shapes import unknown_effect
 
 FORMAT = "seatrial-model 1"
@@ -41,16 +43,22 @@ def save_model(
     validity: Mapping[str, tuple[float, float]],
     provenance: Mapping[str, Any],
     spans: Mapping[str, tuple[float, float]] | None = None,
+    effects_file: Path | None = None,
 ) -> None:
-    """Write the model of a fit. ``spans``: for unknown effects, the range of their variable."""
+    """Write the model of a fit. ``spans``: for unknown effects, the range of their variable; ``effects_file``: where
+    effects that are not in the catalogue come from."""
     model, document = fit.model, tomlkit.document()
     document["format"] = FORMAT
     document["name"] = model.name
     document["source"] = model.source
     document["sensors"] = [s.name for s in model.sensors]
     document["effects"] = [e.name for e in model.effects]
+    if robust_sensors(model):
+        document["robust"] = list(robust_sensors(model))
     if spans:
         document["spans"] = {name: list(span) for name, span in spans.items()}
+    if effects_file is not None:
+        document["effects_file"] = str(effects_file)
     document["provenance"] = {k: v for k, v in provenance.items() if v is not None}
     document["validity"] = {k: [float(a), float(b)] for k, (a, b) in validity.items()}
     flags = dict(fit.flags)
@@ -99,9 +107,11 @@ def load_model(path: Path) -> SavedModel:
 
 def _build(table: Mapping[str, Any]) -> Model:
     model = make_model(table["source"], table["sensors"])
+    own = own_effects(Path(table["effects_file"])) if "effects_file" in table else {}
     for name in table["effects"]:
         if name not in {e.name for e in model.effects}:
-            model = model + _effect(name, table["sensors"], table.get("spans", {}))
+            model = model + (own[name] if name in own else _effect(name, model, table.get("spans", {})))
+    model = robust(model, table.get("robust", []))
     rows = {row["name"]: row for row in table["parameter"]}
     unknown = set(rows) - set(model.values)
     if unknown:
@@ -115,11 +125,11 @@ def _build(table: Mapping[str, Any]) -> Model:
     )
 
 
-def _effect(name: str, sensors: Sequence[str], spans: Mapping[str, Any]) -> Effect:
+def _effect(name: str, model: Model, spans: Mapping[str, Any]) -> Effect:
     if name == "disturbance":
-        return disturbance()
+        return disturbance(forces_of(model))
     if name == "sensor-bias":
-        return sensor_bias(sensors)
+        return sensor_bias([s.name for s in model.sensors])
     if name.startswith("unknown "):
         force, variable = name.removeprefix("unknown ").rstrip(")").split("(")
         low, high = spans.get(name, (-np.pi, np.pi))

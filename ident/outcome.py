@@ -127,6 +127,11 @@ def parameter_row(p: Parameter, value: float, error: float) -> Json:
     return {"name": p.name, "meaning": p.meaning, "unit": p.unit, "value": value, "se": error}
 
 
+def said(value: float) -> str:
+    """Two digits for a sentence: 113, 8.4, 0.66."""
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:#.2g}".rstrip(".")
+
+
 def write_result(result: Json, path: Path) -> None:
     """NaN and infinities become null: JSON has no others."""
     path.write_text(json.dumps(plain(result), separators=(",", ":"), allow_nan=False), encoding="utf-8")

@@ -20,6 +20,7 @@ from ident.engine.kernel import ArenaPool, Kernel
 from ident.engine.programs import Programs, programs_for
 from ident.model import Model
 from ident.prepared import Prepared, Preparer, Start, start_of
+from ident.robust import LIKELY, weight
 
 Array = NDArray[np.float64]
 
@@ -43,7 +44,8 @@ class FilterRun:
     covariances before and after the row's samples; Phi (n_rows, n_states, n_states) to the next row;
     e (n_rows, n_outputs) measured minus predicted, NaN where nothing was measured; R (n_outputs,) variances of
     the measurement noise; eps, S (n_rows, n_outputs): innovations and variances one after the other, each given
-    those before it in its row, so that eps / sqrt(S) is white; ll (n_rows,) what the row adds to ln L.
+    those before it in its row, so that eps / sqrt(S) is white; ll (n_rows,) what the row adds to ln L; allowed
+    (n_outputs,): where outliers are allowed, None: nowhere.
     """
 
     t: Array
@@ -57,6 +59,7 @@ class FilterRun:
     eps: Array
     S: Array
     ll: Array
+    allowed: NDArray[np.bool_] | None = None
 
     @property
     def value(self) -> float:
@@ -64,8 +67,17 @@ class FilterRun:
 
     @property
     def standardised(self) -> Array:
-        """Innovations in units of their standard deviation (n_rows, n_outputs): white if the model is right."""
-        return self.eps / np.sqrt(self.S)
+        """Innovations in units of their standard deviation (n_rows, n_outputs): white if the model is right.
+
+        Outliers are NaN: they are not the model's."""
+        return np.where(self.outliers, np.nan, self.eps / np.sqrt(self.S))
+
+    @cached_property
+    def outliers(self) -> NDArray[np.bool_]:
+        """Samples that the filter took for outliers (n_rows, n_outputs)."""
+        if self.allowed is None:
+            return np.zeros(self.eps.shape, dtype=bool)
+        return np.asarray(self.allowed & (weight(self.eps / np.sqrt(self.S)) < LIKELY))
 
 
 class Likelihood:
@@ -150,7 +162,8 @@ class Likelihood:
         return FilterRun(
             record.t, *_mean_and_covariance(done["predicted"], n), *_mean_and_covariance(done["filtered"], n),
             done["Phi"].reshape(n_rows, n, n).swapaxes(1, 2), done["e"], R,
-            np.hstack([rows[f"e{b}"] for b in bits]), np.hstack([rows[f"S{b}"] for b in bits]), done["ll"][:, 0])
+            np.hstack([rows[f"e{b}"] for b in bits]), np.hstack([rows[f"S{b}"] for b in bits]), done["ll"][:, 0],
+            np.array([o.robust for o in self.model.outputs]))
 
     def measured(self, record: Record) -> int:
         """How many numbers were measured in a record."""

@@ -22,10 +22,12 @@ WARM_UP = 15.0  # s of measurements that a free run starts from
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of one channel: their times (n,) and measured less predicted (n,)."""
+    """Errors of one channel: their times (n,) and measured less predicted (n,); ``spread``: the standard deviation
+    of what was measured then, about its mean in each record (NaN where it was not asked for)."""
 
     t: Array
     e: Array
+    spread: float = float("nan")
 
     @property
     def rms(self) -> float:
@@ -72,7 +74,8 @@ def free_run(model: Model, record: Record, values: Array, likelihood: Likelihood
     for j, o in enumerate(model.outputs):
         e = _errors(record.t[blind], wrap(record.y[blind, j] - predicted[blind, j], o.angle))
         if e.e.size:
-            errors[o.name] = e
+            seen = record.y[blind, j][np.isfinite(record.y[blind, j])]
+            errors[o.name] = replace(e, spread=float((np.unwrap(seen) if o.angle else seen).std()))
     return FreeRun(predicted, np.sqrt(np.maximum(variance, 0)), errors)
 
 
@@ -80,13 +83,15 @@ def pooled(parts: list[Mapping[str, Errors]]) -> dict[str, Errors]:
     """Errors of several records as one, their times one after the other."""
     found: dict[str, Errors] = {}
     for name in dict.fromkeys(n for p in parts for n in p):
-        t, e, offset = [], [], 0.0
+        t, e, spread, offset = [], [], 0.0, 0.0
         for p in parts:
             if name in p:
                 t.append(p[name].t + offset)
                 e.append(p[name].e)
+                spread += p[name].spread ** 2 * p[name].e.size
                 offset = float(t[-1][-1]) + 1e3
-        found[name] = Errors(np.concatenate(t), np.concatenate(e))
+        errors = np.concatenate(e)
+        found[name] = Errors(np.concatenate(t), errors, float(np.sqrt(spread / errors.size)))
     return found
 
 

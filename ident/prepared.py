@@ -12,6 +12,8 @@ from ident.dataset import Record
 from ident.model import Model
 
 Array = NDArray[np.float64]
+N_AGREE = 5  # samples of a sensor with outliers that the first is chosen from
+FAR = 4.0  # times the least median distance; in steady motion the first is at twice that
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class Preparer:
             mask |= np.where(whole, np.uint32(1 << bit), np.uint32(0))
         rows = {"u": record.u, "u_next": record.u_next, "y": record.y, "h": record.h}
         contiguous = {name: np.ascontiguousarray(a, dtype=np.float64) for name, a in rows.items()}
-        return Prepared(record.n_rows, contiguous, mask, _first(record.y, there), int(there.sum()))
+        return Prepared(record.n_rows, contiguous, mask, _first(model, record.y, there), int(there.sum()))
 
     def _check(self, record: Record) -> None:
         model, n = self.model, record.n_rows
@@ -85,11 +87,22 @@ class Preparer:
                                  f"model {model.name} holds it")
 
 
-def _first(y: Array, there: NDArray[np.bool_]) -> Array:
+def _first(model: Model, y: Array, there: NDArray[np.bool_]) -> Array:
     found = np.full(y.shape[1], np.nan)
     for j in np.flatnonzero(there.any(axis=0)):
-        found[j] = y[np.argmax(there[:, j]), j]
+        output = model.outputs[j]
+        samples = y[np.flatnonzero(there[:, j])[: N_AGREE if output.robust else 1], j]
+        found[j] = samples[_agreeing(samples, output.angle)]
     return found
+
+
+def _agreeing(samples: Array, angle: bool) -> int:
+    """The first sample that is not far from most: a filter that begins at an outlier takes the rest for outliers."""
+    apart = samples[:, None] - samples
+    if angle:
+        apart = np.mod(apart + np.pi, 2 * np.pi) - np.pi
+    distance = np.median(np.abs(apart), axis=1)
+    return int(np.argmax(distance <= FAR * distance.min()))
 
 
 @dataclass(frozen=True)

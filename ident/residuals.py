@@ -81,9 +81,11 @@ def cross_correlation(
     z = np.zeros(n_lags)
     for k, lag in enumerate(lags):
         past = np.interp(t - lag, t_u, u)
+        size = float(np.abs(past).max(initial=0.0))
         past = past - past.mean()
-        norm = np.sqrt(past @ past) * sd
-        z[k] = (e @ past) / norm if norm > 0 else 0.0
+        norm = np.sqrt(past @ past)
+        moves = norm > 1e-9 * size * np.sqrt(past.size)  # else it is the rounding of a constant
+        z[k] = (e @ past) / (norm * sd) if moves and sd > 0 else 0.0
     independent = max(1.0, n_lags / 3)  # neighbouring lags share most of their samples
     p = min(1.0, float(2 * stats.norm.sf(np.abs(z).max()) * independent))
     return CrossCorrelation(channel, input_name, lags, z, p)

@@ -94,8 +94,9 @@ def whitened_sensitivities(run: FilterRun, record: Record, jacobian: Array, delt
     n_states, n_columns, h = run.x_pred.shape[1], delta.shape[2], record.h
     dx = np.zeros((n_states, n_columns))
     g, e, t = [], [], []
+    wild = run.outliers
     for k in range(record.n_rows):
-        seen = np.flatnonzero(np.isfinite(record.y[k]))
+        seen = np.flatnonzero(np.isfinite(record.y[k]) & ~wild[k])
         if seen.size:
             H = jacobian[k][seen]
             cross = run.P_pred[k] @ H.T

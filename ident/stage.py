@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from ident.dataset import Channel, Record, build_record
 from ident.fit import Fit, fit
 from ident.model import Effect, Model
-from ident.models.disturbance import for_diagnosis
+from ident.models.disturbance import for_diagnosis, forces_of
 from ident.pe import FilterRun, Likelihood
+from ident.robust import outlier_notes
+from ident.robust import robust as with_outliers
 from ident.smooth import Smoothed, smooth
 
 Array = NDArray[np.float64]
@@ -58,19 +60,22 @@ def first_stage(
     validation: Sequence[Run],
     *,
     rate: float = 10.0,
+    robust: bool = False,
     progress: Progress = lambda line: None,
 ) -> Stage:
-    """The model fitted as it is, with unexplained forces and sensor offsets as states; no search."""
+    """The model fitted as it is, with unexplained forces and sensor offsets as states; no search. ``robust``: with
+    outliers allowed in all sensors."""
     full = nominal(model)
     records = [record(full, r, rate) for r in estimation]
     unseen = [record(full, r, rate) for r in validation]
     progress(f"fitting {full.name} to {len(records)} run(s)")
-    return make_stage(without_absent_sensors(full, records + unseen), records, unseen)
+    return make_stage(without_absent_sensors(full, records + unseen), records, unseen, robust=robust)
 
 
-def make_stage(model: Model, records: Sequence[Record], unseen: Sequence[Record]) -> Stage:
+def make_stage(model: Model, records: Sequence[Record], unseen: Sequence[Record], *, robust: bool = False) -> Stage:
     """Fit to the records; on the unseen ones adapt only what each record has for itself."""
-    fitted = fit(model, [r.for_model(model) for r in records])
+    fitted = fit(model, [r.for_model(model) for r in records], robust=robust)
+    model = with_outliers(model) if robust else model
     own = [p.name for p in fitted.model.parameters if p.free and p.per_record]
     views = tuple(_view(fitted.model, r, fitted.record_values[i]) for i, r in enumerate(records))
     if not unseen:
@@ -89,22 +94,41 @@ def _view(model: Model, record: Record, values: Array) -> View:
     return View(own, values, run, smooth(run))
 
 
+def outliers(stage: Stage) -> list[str]:
+    """What was taken for outliers in the estimation data, a line for each channel where they are allowed."""
+    views = stage.estimation
+    return outlier_notes(stage.model, [v.run.outliers for v in views], [np.isfinite(v.record.y) for v in views])
+
+
 def validation_gain(before: Stage, after: Stage) -> tuple[float, float]:
-    """Gain in log-likelihood on the validation data: its sum, and t over blocks of ten seconds."""
+    """Gain in log-likelihood on the validation data: its sum, and t over blocks of ten seconds.
+
+    t is the larger of the plain one, which counts evidence that sits in few blocks, and of one with the blocks
+    drawn in to three robust standard deviations, so that one glitch of a clock or a sensor, which no model
+    foresees, does not outvote all the rest.
+    """
     gains = []
     for a, b in zip(before.validation, after.validation, strict=True):
         block = np.floor(a.record.t / BLOCK).astype(int)
         gains.append(np.bincount(block, b.run.ll - a.run.ll))
     if not gains:
         return 0.0, 0.0
-    per_block = np.concatenate(gains)
-    error = per_block.std(ddof=1) / np.sqrt(per_block.size)
-    return float(per_block.sum()), float(per_block.mean() / (error + 1e-12))
+    per_block: Array = np.concatenate(gains).astype(np.float64)
+    middle = np.median(per_block)
+    reach = 3 * 1.4826 * np.median(np.abs(per_block - middle))
+    drawn_in = np.clip(per_block, middle - reach, middle + reach)
+    return float(per_block.sum()), max(_t(per_block), _t(drawn_in))
+
+
+def _t(x: Array) -> float:
+    return float(x.mean() / (x.std(ddof=1) / np.sqrt(x.size) + 1e-12)) if x.size > 1 else 0.0
 
 
 def nominal(model: Model) -> Model:
-    """With unexplained forces and sensor offsets, unless it has them."""
-    return model if "disturbance" in {e.name for e in model.effects} else for_diagnosis(model)
+    """With unexplained forces and sensor offsets, unless it has them; a model without a hull stays as it is."""
+    if not forces_of(model) or "disturbance" in {e.name for e in model.effects}:
+        return model
+    return for_diagnosis(model)
 
 
 def record(model: Model, run: Run, rate: float) -> Record:

@@ -13,7 +13,7 @@ from mocks.thruster import Shaft, ThrusterTruth, draw_thruster, thrust
 
 STEP = 0.0025  # s
 DISTURBANCE_EVERY = 4  # steps: 100 Hz
-SIGMA, TAU = 0.4, 0.3  # N, s: the pool
+SIGMA, TAU = 0.1, 0.3  # N, s: a pool at rest
 
 
 @dataclass(frozen=True)

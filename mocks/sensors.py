@@ -148,7 +148,7 @@ class LoadCellSensor:
     def __init__(self, seed: int, run: int, spec: CellSpec, index: int = 0) -> None:
         """``index`` of several."""
         draw = normals(stream(seed, LOADCELL, run, index))
-        self._noise = WhiteWalk(draw, 1.0 / spec.rate_hz, 0.3, 0.003, bias=0.3)
+        self._noise = WhiteWalk(draw, 1.0 / spec.rate_hz, 0.1, 0.001, bias=0.3)
         self._spec = spec
 
     def read(self, force: float) -> LoadCell:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import os
+import signal
 import subprocess
 import sys
 import types
@@ -143,6 +144,24 @@ def test_a_missing_part_is_one_line(monkeypatch, tmp_path: Path, capsys, target:
     assert leaving.value.code == 1
     assert err.startswith(f"seatrial: {says}")
     assert err.count("\n") == 1
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends a signal the POSIX way")
+@pytest.mark.parametrize("module", ["click", "numpy"])  # imported by the front door, and by the part of a command
+def test_ctrl_c_while_still_importing_is_one_line(tmp_path: Path, module: str) -> None:
+    (tmp_path / f"{module}.py").write_text("import time\nprint('importing', flush=True)\ntime.sleep(60)\n")
+    root = str(Path(seatrial.__file__).parent)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), root])}
+    command = [sys.executable, "-m", "seatrial", "info", __file__]
+    with subprocess.Popen(
+        command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "importing\n"
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert err == "\nseatrial: interrupted\n"  # the empty line closes the ^C that the terminal shows
 
 
 @pytest.mark.skipif(os.name != "posix", reason="closes a pipe the POSIX way")

@@ -25,6 +25,7 @@ class CsvStyle:
     columns: tuple[str, ...] = ()  # names, where the file has no header of its own
     nan: str = "error"  # error | drop | keep
     time_order: str = "error"  # error | drop
+    repeats: str = "keep"  # keep | drop: rows whose signals all repeat the row before
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,7 @@ class Signal:
     role: str  # input | output
     hold: str  # zero | linear
     nan: str
+    timeout: float = 0.0  # s after which an input that nobody repeats is zero; 0: never
 
 
 @dataclass(frozen=True)
@@ -133,6 +135,7 @@ def _style(table: Table | None) -> CsvStyle:
         columns,
         table.text("nan", "error", choices=("error", "drop", "keep")),
         table.text("time_order", "error", choices=("error", "drop")),
+        table.text("repeats", "keep", choices=("keep", "drop")),
     )
     table.done()
     return found
@@ -183,6 +186,10 @@ def _signal(table: Table, style: CsvStyle) -> Signal:
     angle = table.text("angle", "keep", choices=("keep", "wrap", "unwrap"))
     if angle != "keep" and UNITS[unit][0] != "rad":
         raise table.error("angle", f"goes with deg and rad, not with {unit}")
+    hold = table.text("hold", "zero" if role == "input" else "linear", choices=("zero", "linear"))
+    timeout = table.number("timeout", positive=True) if table.has("timeout") else 0.0
+    if timeout and hold != "zero":
+        raise table.error("timeout", "goes with hold = 'zero': a value that is held until somebody repeats it")
     found = Signal(
         name,
         table.text("column"),
@@ -192,8 +199,9 @@ def _signal(table: Table, style: CsvStyle) -> Signal:
         float(sign),
         angle,
         role,
-        table.text("hold", "zero" if role == "input" else "linear", choices=("zero", "linear")),
+        hold,
         table.text("nan", style.nan, choices=("error", "drop", "keep")),
+        timeout,
     )
     table.done()
     return found

@@ -120,6 +120,8 @@ def read_csv(path: Path, source: Source) -> FileData:
     cells = _Cells(path, source.style, list(dict.fromkeys([*clock, *(s.column for s in source.signals)])))
     t = _times(cells, source.time, source.style)
     kept = _order(cells, t, source)
+    if source.style.repeats == "drop":
+        kept &= _news(cells, [s.column for s in source.signals])
     n_dropped = len(t) - int(kept.sum())
     signals = []
     for signal in source.signals:
@@ -131,7 +133,8 @@ def read_csv(path: Path, source: Source) -> FileData:
             raise cells.error(int(bad[0]), signal.column, 'no number; nan = "drop" or "keep" would allow that')
         unit, factor = UNITS[signal.unit]
         values = signal.sign * (signal.scale * raw[rows] + signal.offset) * factor
-        signals.append(SignalData(signal, unit, t[rows], _angle(values, signal.angle)))
+        t_signal, values = _expire(t[rows], _angle(values, signal.angle), signal.timeout)
+        signals.append(SignalData(signal, unit, t_signal, values))
     return FileData(path, _sha256(path), tuple(signals), n_dropped)
 
 
@@ -149,6 +152,24 @@ def _angle(values: Column, how: str) -> Column:
         found[known] = np.unwrap(values[known])
         return found
     return values
+
+
+def _news(cells: _Cells, columns: list[str]) -> NDArray[np.bool_]:
+    """Rows in which any of the columns says something else than in the row before, shape (n,)."""
+    new = np.zeros(len(cells.lines), bool)
+    new[0] = True
+    for column in columns:
+        text = np.array(cells.text[column])
+        new[1:] |= text[1:] != text[:-1]
+    return new
+
+
+def _expire(t: Column, values: Column, timeout: float) -> tuple[Column, Column]:
+    """The signal with a zero `timeout` seconds after each sample that the next one does not follow sooner."""
+    if not timeout or not len(t):
+        return t, values
+    last = np.append(np.flatnonzero(np.diff(t) > timeout), len(t) - 1)
+    return np.insert(t, last + 1, t[last] + timeout), np.insert(values, last + 1, 0.0)
 
 
 def _times(cells: _Cells, time: TimeColumn, style: CsvStyle) -> Column:

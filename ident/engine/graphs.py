@@ -16,6 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ident import robust
 from ident.engine.kernel import MAX_BITS
 from ident.model import Model, Sensor
 
@@ -24,12 +25,18 @@ ca.GlobalOptions.setNumpyMode(-1)  # plain numpy functions on symbols stay symbo
 
 @dataclass(frozen=True)
 class Update:
-    """What a sensor's sample does: the state after it, log-likelihood, innovations and their variances."""
+    """What a sensor's sample does: the state after it, log-likelihood, innovations and their variances.
+
+    ``slope``: -d ll / d e of each, which is e / S but where outliers are allowed; ``known``: what a sample tells of
+    its mean and of its scale, over what a normal one tells (n_outputs, 2).
+    """
 
     s: Any
     ll: Any
     e: Any
     S: Any
+    slope: Any = None
+    known: Any = None
 
 
 def pack(P: Any) -> Any:
@@ -147,6 +154,7 @@ class Graphs:
     def _update(self, sensor: Sensor, y: Any, z: Any, H: Any) -> Update:
         """One scalar after the other: exact for independent noises, and no matrix is inverted."""
         P, dx, ll, innovations, variances = self.P if self.covariance else None, 0 * self.mean, 0, [], []
+        slopes: list[Any] = []
         for i, output in enumerate(sensor.outputs):
             R = self._parameter(output.noise) ** 2
             e, S = y[i] - z[i], R
@@ -158,19 +166,27 @@ class Graphs:
                 PH = P @ H[i, :].T
                 S = H[i, :] @ PH + R
                 K = PH / S
-                dx = dx + K * e
-                P = self._reduced(P, K, PH, H[i, :], R)
+            scaled = e / ca.sqrt(S)
+            slope = robust.score(scaled) / ca.sqrt(S) if output.robust else e / S
+            ll = ll + (robust.log_density(scaled) - 0.5 * ca.log(S) if output.robust else
+                       -0.5 * (e**2 / S + ca.log(2 * math.pi * S)))
+            if H is not None:
+                dx = dx + (PH * slope if output.robust else K * e)
+                P = self._reduced(P, K, PH, H[i, :], R, robust.score_slope(scaled) if output.robust else None)
             innovations.append(e)
             variances.append(S)
-            ll = ll - 0.5 * (e**2 / S + ca.log(2 * math.pi * S))
+            slopes.append(slope)
         s = ca.vertcat(self.mean + dx, pack(P)) if H is not None else self.mean
-        return Update(s, ll, ca.vertcat(*innovations), ca.vertcat(*variances))
+        known = ca.DM([[*robust.INFORMATION] if o.robust else [1.0, 1.0] for o in sensor.outputs])
+        return Update(s, ll, ca.vertcat(*innovations), ca.vertcat(*variances), ca.vertcat(*slopes), known)
 
-    def _reduced(self, P: Any, K: Any, PH: Any, H: Any, R: Any) -> Any:
+    def _reduced(self, P: Any, K: Any, PH: Any, H: Any, R: Any, part: Any) -> Any:
+        """The covariance after a sample, or after as much of its news as ``part`` says."""
         if not self.joseph:
-            return P - K @ PH.T
+            return P - (K if part is None else part * K) @ PH.T
         rest = ca.SX.eye(self.n) - K @ H
-        return rest @ P @ rest.T + R * K @ K.T
+        whole = rest @ P @ rest.T + R * K @ K.T
+        return whole if part is None else P + part * (whole - P)
 
 
 def _wrap(angle: Any) -> Any:

@@ -69,7 +69,8 @@ class Programs:
     def tangent(self) -> Kernel:
         """One lane for each chosen parameter: ``ds`` carried, ``dp`` constant; ``dll`` and ``fisher`` summed.
 
-        The Fisher information of Gaussian innovations: ``de de' / S + dS dS' / (2 S^2)``.
+        The Fisher information of Gaussian innovations: ``de de' / S + dS dS' / (2 S^2)``; a little less of both
+        where outliers are allowed.
         """
         with _lock:
             g, lanes = self.graphs, {"ds", "dp", "dll"}
@@ -80,8 +81,10 @@ class Programs:
                 results = {"ds": _tangent(g, u.s, ds, dp)}
                 if u.e is not None:
                     de, dS = _tangent(g, u.e, ds, dp), _tangent(g, u.S, ds, dp)
-                    results["dll"] = ca.sum1((0.5 * dS * (u.e**2 / u.S - 1) - u.e * de) / u.S)
-                    results[f"v{q}"] = ca.vertcat(de / ca.sqrt(u.S), np.sqrt(0.5) * dS / u.S)
+                    results["dll"] = ca.sum1(0.5 * dS * (u.e * u.slope - 1) / u.S - u.slope * de)
+                    part = ca.sqrt(u.known)
+                    results[f"v{q}"] = ca.vertcat(part[:, 0] * de / ca.sqrt(u.S),
+                                                  np.sqrt(0.5) * part[:, 1] * dS / u.S)
                     lanes.add(f"v{q}")
                 stages += split(g.inputs, self._effect(u), seeds, results, bit, f"w{q}")
                 if u.e is not None:

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from daq.errors import SeatrialError
 from ident.model import Model
+from ident.own import load_python
 
-BUILT_IN = ("horizontal", "surge", "yaw", "thruster")
+BUILT_IN = ("horizontal", "kinematic", "surge", "yaw", "thruster")
+# What may follow the name, each in its place: surge:shaft:speed, yaw:both.
+OPTIONS: dict[str, tuple[tuple[str, ...], ...]] = {
+    "surge": (("force", "shaft"), ("position", "speed", "both")),
+    "yaw": (("rate", "both"),),
+    "thruster": (),
+}
 
 
 def make_model(source: str, sensors: Sequence[str] | None = None) -> Model:
-    """A model by name: ``horizontal:shaft``, ``horizontal:force:still``, ``surge``, or ``FILE.py:NAME``, where NAME
-    is a Model or a function that returns one. ``sensors`` leaves out those that a log does not have.
+    """A model by name: ``horizontal:shaft``, ``horizontal:force:still``, ``kinematic:shaft:yaw``, ``surge``, or
+    ``FILE.py:NAME``, where NAME is a Model or a function that returns one. ``sensors`` leaves out those that a log
+    does not have.
 
     Raises SeatrialError when there is no such model.
     """
@@ -35,24 +44,37 @@ def make_model(source: str, sensors: Sequence[str] | None = None) -> Model:
             if chosen
             else horizontal(propulsion, current=current)
         )
+    if kind == "kinematic":
+        return _kinematic(source, options, sensors)
     module = importlib.import_module(f"ident.models.{kind}")
     maker: Callable[..., Model] = getattr(module, kind)
-    return maker()
+    for place, option in enumerate(options):
+        allowed = OPTIONS[kind][place] if place < len(OPTIONS[kind]) else ()
+        if option not in allowed:
+            known = f"there is {', '.join(allowed)}" if allowed else "it takes no more"
+            raise SeatrialError(f"no model {source!r}: {kind} has no option {option!r} there; {known}")
+    return maker(*options)
+
+
+def _kinematic(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
+    from ident.models.kinematic import SEEN, kinematic
+
+    unknown = [o for k, o in enumerate(options) if o not in (("shaft", "force"), ("yaw", "still"))[k > 0]]
+    if unknown:
+        raise SeatrialError(f"no model {source!r}: it is kinematic:shaft|force, then :yaw and :still as wanted")
+    chosen = SEEN if sensors is None else [s for s in SEEN if s in sensors] or SEEN
+    propulsion: Any = options[0] if options else "shaft"
+    return kinematic(propulsion, chosen, current="still" not in options, yaw="yaw" in options)
 
 
 def _own_model(source: str) -> Model:
     file, _, name = source.rpartition(":")
-    path = Path(file)
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if not path.is_file() or spec is None or spec.loader is None:
-        raise SeatrialError(f"{file}: no such file for --model {source}")
-    module = importlib.util.module_from_spec(spec)
+    module = load_python(Path(file))
     try:
-        spec.loader.exec_module(module)
         found = getattr(module, name)
         model = found() if callable(found) else found
     except Exception as problem:
         raise SeatrialError(f"{file}: {name} cannot be loaded: {problem}") from problem
     if not isinstance(model, Model):
         raise SeatrialError(f"{file}: {name} is no ident.model.Model but {type(model).__name__}")
-    return model
+    return replace(model, source=source)  # so that model.toml finds it again

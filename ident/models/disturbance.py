@@ -9,20 +9,23 @@ import numpy as np
 from ident.model import Effect, Model, Signals, State
 from ident.params import Parameter
 
+SIZES = {"X": (1.0, "N/sqrt(s)"), "Y": (1.0, "N/sqrt(s)"), "N": (0.15, "N m/sqrt(s)")}
 
-def disturbance(sd: tuple[float, float, float] = (1.0, 1.0, 0.15)) -> Effect:
+
+def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
     """Ornstein-Uhlenbeck forces on surge, sway and yaw: what the model does not explain, to be smoothed out.
 
-    ``sd``: rough stationary standard deviations [N, N, N m], where the estimate starts. They keep the
-    estimate honest while something is missing, and the smoother turns them into residual forces with
-    covariance (Kristensen, Madsen and Jorgensen 2004).
+    ``forces``: those that the model has (``forces_of``). Their stationary standard deviations start at ``SIZES``
+    [N, N, N m]. They keep the estimate honest while something is missing, and the smoother turns them into residual
+    forces with covariance (Kristensen, Madsen and Jorgensen 2004).
     """
     tau = 1.5
-    names = ("X", "Y", "N")
-    units = ("N/sqrt(s)", "N/sqrt(s)", "N m/sqrt(s)")
+    names = tuple(forces)
+    sd, units = zip(*(SIZES[n] for n in names), strict=True)
 
     def add(s: Signals) -> None:
-        s.X, s.Y, s.N = s.X + s.x.b_X, s.Y + s.x.b_Y, s.N + s.x.b_N
+        for name in names:
+            setattr(s, name, getattr(s, name) + getattr(s.x, f"b_{name}"))
 
     def decay(s: Signals) -> None:
         for name in names:
@@ -53,8 +56,14 @@ def disturbance(sd: tuple[float, float, float] = (1.0, 1.0, 0.15)) -> Effect:
             for n, s0, u in zip(names, sd, units, strict=True)
         ),
         place="environment",
-        requires=("hull",),
     )
+
+
+def forces_of(model: Model) -> tuple[str, ...]:
+    """The forces of a model that unexplained ones are added to; none where it has no hull."""
+    if {"hull", "turn"} & set(model.provides):
+        return ("X", "Y", "N")
+    return ("X", "Y") if "plane" in model.provides else ()
 
 
 def sensor_bias(sensors: Sequence[str]) -> Effect:
@@ -85,7 +94,7 @@ def sensor_bias(sensors: Sequence[str]) -> Effect:
 
 def for_diagnosis(model: Model) -> Model:
     """The model with unexplained forces and sensor offsets as states; velocities get no white noise of their own."""
-    out: Model = model + disturbance()
+    out: Model = model + disturbance(forces_of(model))
     present = [s.name for s in model.sensors]
     if {"attitude", "gyro", "accelerometer"} & set(present):
         out = out + sensor_bias(present)

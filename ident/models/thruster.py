@@ -19,8 +19,8 @@ from ident.dataset import Channel
 from ident.model import Input, Model, Output, Sensor, Signals, State
 from ident.params import Parameter
 
-DELAY_STEP = 0.025  # s
-N_DELAYS = 25
+DELAY_STEP = 0.0125  # s
+N_DELAYS = 49
 EDGE = 0.005  # of the command: over which the dead zone ends
 
 SHAFT = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,8 @@ from markupsafe import Markup
 
 from ident.report import sections
 from ident.report.access import rows, text
-from ident.report.blocks import Canvas
-from ident.report.drawing import TEMPLATE, Budget
+from ident.report.blocks import Canvas, Section
+from ident.report.drawing import TEMPLATE, Budget, Figure
 
 KINDS = {
     "thruster": "Thruster identification",
@@ -38,21 +38,43 @@ def render(result: Mapping[str, Any]) -> str:
     """The page's text."""
     canvas = Canvas(result, Budget.for_traces(_count_traces(result)))
     opening, body = sections.opening(canvas), sections.body(canvas)
-    scripts = [_plotly(), _asset("report.js")] if canvas.figures else [_asset("report.js")]
+    return compose(
+        KINDS.get(text(result, "kind"), "Report"),
+        text(result, "answer"),
+        opening,
+        body,
+        canvas.figures,
+        version=text(result, "seatrial"),
+        created=text(result, "created").replace("T", " "),
+    )
+
+
+def compose(
+    kind: str,
+    answer: str,
+    opening: Section,
+    body: Sequence[Section],
+    figures: Mapping[str, Figure],
+    *,
+    version: str,
+    created: str = "",
+) -> str:
+    """A page of sections and the figures that they point at; ``answer`` is its headline."""
+    scripts = [_plotly(), _asset("report.js")] if figures else [_asset("report.js")]
     return (
         _environment()
         .get_template("report.html.j2")
         .render(
-            kind=KINDS.get(text(result, "kind"), "Report"),
-            answer=text(result, "answer"),
-            created=text(result, "created").replace("T", " "),
-            version=text(result, "seatrial"),
+            kind=kind,
+            answer=answer,
+            created=created,
+            version=version,
             opening=opening,
             sections=body,
             style=Markup(_asset("style.css")),
             scripts=[Markup(script) for script in scripts],
             policy=_policy(scripts),
-            figures=Markup(_embedded({"template": TEMPLATE, "figures": canvas.figures})),
+            figures=Markup(_embedded({"template": TEMPLATE, "figures": figures})),
         )
     )
 

@@ -98,7 +98,7 @@ def _candidates(result: Row) -> Table | None:
     chosen = [text(row, "chosen") for row in found if text(row, "chosen")]
     table = _table(f"Candidates, first round ({min(len(every), MOST_CANDIDATES)} of {len(every)})")
     table.add_column("", no_wrap=True)
-    table.add_column("", no_wrap=True, overflow="ellipsis", ratio=1)
+    table.add_column("", no_wrap=True, overflow="ellipsis", max_width=38)
     for title in ("score", "threshold", "p by blocks"):
         table.add_column(title, justify="right", no_wrap=True)
     for row in every[:MOST_CANDIDATES]:
@@ -125,7 +125,8 @@ def _errors(result: Row) -> Table | None:
     channels = list(dict.fromkeys(str(name) for _, table in horizons for name in table))[:MOST_CHANNELS]
     if not channels:
         return None
-    table = _table(f"Error before → after, {role} data")
+    compared = any(number(group(t, c), "before") is not None for _, t in horizons for c in channels)
+    table = _table(f"Error before → after, {role} data" if compared else f"Prediction error (rms), {role} data")
     table.add_column("", no_wrap=True)
     table.add_column("", no_wrap=True, style="dim")
     for title, _ in horizons:
@@ -140,6 +141,6 @@ def _errors(result: Row) -> Table | None:
 def _step(row: Row) -> Text:
     (before, after), _ = _scaled(row, "before", "after")
     if before is None or after is None:
-        return Text("–")
+        return Text(wording.plain(after))
     color = "green" if after < 0.98 * before else "red" if after > 1.02 * before else ""
     return Text.assemble(f"{wording.plain(before)} → ", (wording.plain(after), color))

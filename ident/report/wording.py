@@ -111,7 +111,7 @@ def pair(value: float | None, se: float | None) -> tuple[str, str]:
         return short(plain(value, 4)), ""
     size = math.floor(math.log10(float(f"{se:.1e}")))
     top = max(math.floor(math.log10(abs(value))) if value else size, size)
-    if size >= -4 and top < 6:
+    if -4 <= top < 6 and size >= -8:
         decimals = 1 - size
         shown, error = (f"{round(v, decimals):.{max(decimals, 0)}f}".replace("-", "−") for v in (value, se))
         return shown, error

@@ -12,6 +12,7 @@ import numpy as np
 
 from bench.mission import Mission, Segment, save_mission
 from daq.log import open_log
+from daq.samples import Command
 from tests.bench.standin import StandIn, until
 
 SPEED = 4.0
@@ -85,6 +86,26 @@ def acquisition_of(runner: int) -> int:
     children = [int(pid) for pid, parent in (line.split() for line in out.splitlines()) if int(parent) == runner]
     assert len(children) == 1
     return children[0]
+
+
+def assert_plan_was_run(log: Path, mission: Mission, node: int = 1) -> int:
+    """Every set-point of a plan of one thruster was sent in its turn or is told of as skipped; how many were."""
+    with open_log(log) as opened:
+        sent = opened.table(Command, "esc", node=node)["n_cmd"].tolist()
+        skipped = sum(int(text.split()[0]) for _, kind, text in opened.events() if kind == "skipped")
+    planned = mission.setpoints()[1][:, 0].tolist()
+    ahead, missed = iter(sent), 0
+    n = next(ahead)
+    for k, level in enumerate(planned):
+        if abs(n - level) < 1e-4:
+            n = next(ahead, np.nan)
+        else:
+            missed += 1
+            assert k < len(planned) - 1, "the zero at the end was not sent"
+    rest = [n, *ahead]
+    assert missed == skipped, f"{missed} set-points were not sent, {skipped} are told of"
+    assert not any(level > 0 or level < 0 for level in rest), "more was sent than planned"
+    return missed
 
 
 def kinds(log: Path) -> list[str]:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import random
+import signal
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bench.mission import parse_mission
+from bench.mission import Mission, Segment, parse_mission, save_mission
 from daq.log import open_log
 from daq.samples import Command, Esc, LoadCell
-from tests.bench.runs import SPEED, running, short_mission
+from tests.bench.runs import SPEED, acquisition_of, assert_plan_was_run, running, short_mission
 from tests.bench.standin import RPM_MAX, StandIn
 
 
@@ -23,6 +25,8 @@ def test_a_mission_is_driven_recorded_and_tared(standin: StandIn, tmp_path: Path
     assert standin.n == 0.0
     levels = [n for _, n in standin.motion]
     np.testing.assert_allclose(levels, [0.0, 0.6, -0.3, 0.0], atol=1e-4)
+    assert assert_plan_was_run(run.log, mission) == 0  # rows are a second of wall time apart
+    assert "skipped" not in run.out
     hold = np.diff([t for t, _ in standin.motion[1:]]) * SPEED
     np.testing.assert_allclose(hold, 4.0, atol=0.6)
 
@@ -50,6 +54,26 @@ def test_a_mission_is_driven_recorded_and_tared(standin: StandIn, tmp_path: Path
     for text in tares:
         assert f"tare: {text}" in run.out
     assert "guard ok" in run.out
+
+
+def test_a_plan_whose_set_points_were_overtaken_says_so(standin: StandIn, tmp_path: Path) -> None:
+    levels = 0.3 + 0.01 * np.arange(30.0)
+    segments = (Segment("rows", 2.0 + 0.4 * np.arange(30.0), levels[:, None]),)  # every 0.1 s of wall time
+    mission = Mission("rows", "steps", ("left",), segments, 15.0, n_max=0.9)
+    save_mission(mission, tmp_path / "mission.toml")
+    with running(tmp_path) as run:
+        run.until_turning(standin)
+        child = acquisition_of(run.process.pid)
+        os.kill(child, signal.SIGSTOP)
+        time.sleep(0.45)  # less than the second after which the runner gives it up
+        os.kill(child, signal.SIGCONT)
+        assert run.end() == 0, run.err
+    skipped = assert_plan_was_run(run.log, mission)
+    assert skipped >= 3
+    assert f"skipped: {skipped} of 31 set-points" in run.out
+    sent = [n for _, n in standin.commands]
+    told = [n for k, n in enumerate(sent) if k == 0 or n != sent[k - 1]]
+    assert told == [*sorted(told[:-1]), 0.0]  # an old one never after a newer one
 
 
 def test_garbage_on_the_lines_is_counted_and_the_run_goes_on(standin: StandIn, tmp_path: Path) -> None:

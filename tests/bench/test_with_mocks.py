@@ -16,8 +16,10 @@ from typing import Any
 import pytest
 
 from bench.demo import write_rig
+from bench.mission import parse_mission
 from daq.log import open_log
 from daq.samples import Command, Esc, LoadCell
+from tests.bench.runs import assert_plan_was_run
 from tests.bench.standin import until
 
 SPEED = 10.0
@@ -71,10 +73,17 @@ def test_bench_steps_end_to_end(tmp_path: Path) -> None:
     assert "done: bench steps thruster" in out
     log = open_log(tmp_path / "run.mcap")
     assert not log.warnings
-    command = log.table(Command, "esc", node=1)
-    assert command["n_cmd"].max() == pytest.approx(0.9, abs=1e-3)
-    assert command["n_cmd"].min() == pytest.approx(-0.9, abs=1e-3)
-    assert log.table(Esc, "esc", node=1)["rpm"].max() > 3500.0
+    # A set-point of this plan holds for 0.18 s of wall time: a busy machine may miss one, and then it says so.
+    plan = parse_mission(log.attachments["mission.toml"].decode(), "log")
+    levels = plan.setpoints()[1]
+    assert (levels.max(), levels.min()) == (0.9, -0.9)
+    skipped = assert_plan_was_run(tmp_path / "run.mcap", plan)
+    assert (f"skipped: {skipped} of" in out) == (skipped > 0)
+    assert skipped <= 3
+    command = log.table(Command, "esc", node=1)["n_cmd"]
+    rpm = log.table(Esc, "esc", node=1)["rpm"]
+    assert rpm.max() == pytest.approx(4500.0 * command.max(), rel=0.03)
+    assert rpm.min() == pytest.approx(4500.0 * command.min(), rel=0.03)
     force = log.table(LoadCell, "loadcell")["force"]
     assert force.max() > 20.0
     assert force.min() < -15.0

@@ -146,6 +146,7 @@ class TestBoat:
         self.silent: set[str] = set()
         self._speed = speed
         self._lock = threading.Lock()
+        self._rounds = 0
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
@@ -154,6 +155,7 @@ class TestBoat:
         return self
 
     def __exit__(self, *error: object) -> None:
+        self.catch_up()
         self._ending.set()
         self._thread.join()
         for port in self.ports.values():
@@ -169,6 +171,13 @@ class TestBoat:
         with self._lock:
             self.ports[name].plug()
 
+    def catch_up(self) -> None:
+        """Wait until all that the host has written so far has been read, however busy the machine is."""
+        if not self._thread.is_alive():
+            return
+        rounds = self._rounds
+        wait_for(lambda: self._rounds >= rounds + 2, 30.0, "the devices' next round")
+
     def write(self, name: str, data: bytes) -> None:
         """Send something else on a port."""
         with self._lock:
@@ -182,6 +191,7 @@ class TestBoat:
                 self._send(k)
                 for port in self.ports.values():
                     port.read()
+                self._rounds += 1
             k += 1
 
     def _send(self, k: int) -> None:

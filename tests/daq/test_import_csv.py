@@ -265,6 +265,41 @@ def test_merged_files_must_each_have_their_part(folder: Path) -> None:
         import_csv(path, [one, two, other], force=True)
 
 
+def test_values_that_only_repeat_are_left_out(folder: Path) -> None:
+    rows = "t,cmd,heading\n0.0,0.5,10\n0.1,0.5,10\n0.2,0.5,11\n0.3,0.6,11\n0.4,0.6,11\n0.5,0.6,10\n"
+    csv_map, files = write(folder, rows, csv='repeats = "drop"')
+    (out,) = import_csv(csv_map, files)
+    assert values(out, "n_left") == ([0.0, 0.2, 0.3, 0.5], [0.5, 0.5, 0.6, 0.6])
+    assert open_log(out).metadata["source.1.dropped"] == "2"
+    csv_map, files = write(folder, rows)
+    (out,) = import_csv(csv_map, files, force=True)
+    assert len(values(out, "n_left")[0]) == 6
+
+
+def test_a_command_that_nobody_repeats_times_out(folder: Path) -> None:
+    rows = "t,cmd,heading\n0.0,0.5,1\n0.1,0.5,1\n2.0,0.6,1\n2.1,0.7,1\n"
+    csv_map, files = write(folder, rows)
+    csv_map.write_text(csv_map.read_text() + "timeout = 0.25\n")
+    (out,) = import_csv(csv_map, files)
+    assert values(out, "n_left") == ([0.0, 0.1, 0.35, 2.0, 2.1, 2.35], [0.5, 0.5, 0.0, 0.6, 0.7, 0.0])
+    assert len(values(out, "psi")[0]) == 4
+    csv_map, files = write(folder, rows, signal="timeout = 0.25")
+    with pytest.raises(SeatrialError, match=r"timeout.* goes with hold"):
+        import_csv(csv_map, files, force=True)
+
+
+def test_a_piece_knows_what_holds_at_both_ends(folder: Path) -> None:
+    csv_map, files = write(folder, "t,cmd,heading\n" + "".join(f"{k},{k},{k}\n" for k in range(10)))
+    csv_map.write_text(csv_map.read_text() + '[[log]]\nname = "a"\nt_from = 2.5\nt_to = 4.5\n')
+    (out,) = import_csv(csv_map, files)
+    assert values(out, "n_left") == ([2.5, 3.0, 4.0, 4.5], [2.0, 3.0, 4.0, 4.0])
+    assert values(out, "psi")[0] == [3.0, 4.0]
+    # Behind the last command nobody knows what holds.
+    csv_map.write_text(csv_map.read_text().replace("t_to = 4.5", "t_to = 20.0"))
+    (out,) = import_csv(csv_map, files, force=True)
+    assert values(out, "n_left")[0][-1] == 9.0
+
+
 def test_the_command(folder: Path) -> None:
     path, files = write(folder)
     run = CliRunner()
@@ -338,7 +373,12 @@ def test_kingfisher(folder: Path, measured: Path) -> None:
     assert (len(values(out, "n_left")[0]), len(values(out, "speed_x")[0])) == (14669, 22716)
     steps = import_csv(EXAMPLES / "kingfisher" / "surge_steps.toml", files)
     assert [path.stem for path in steps] == [f"surge_steps_step{i}" for i in (1, 2, 3, 4)]
-    assert open_log(steps[0]).duration == pytest.approx(215.0 - 178.9, abs=0.15)
+    assert open_log(steps[0]).duration == pytest.approx(215.0 - 171.0, abs=0.15)
+    t, _ = values(steps[3], "speed_x")
+    assert np.median(np.diff(t)) == pytest.approx(0.25, abs=0.06)  # the receiver's rate, not the logger's
+    t, n = map(np.array, values(steps[2], "n_left"))
+    assert set(n) == {0.0, 0.4}  # at rest until the step's first command
+    assert t[n > 0][0] == pytest.approx(402.69, abs=0.01)
     (bollard,) = import_csv(
         EXAMPLES / "kingfisher" / "bollard.toml", [measured / "kingfisher" / "bollard_loadcell_raw_20files.csv"]
     )

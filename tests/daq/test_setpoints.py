@@ -62,6 +62,20 @@ def test_of_rows_that_are_late_only_the_newest_is_sent() -> None:
     assert setpoints.pending == 1
 
 
+def test_only_what_a_later_row_overtook_counts_as_skipped() -> None:
+    setpoints = Setpoints()
+    setpoints.append([(1.0, {1: 0.1}), (1.0, {1: 0.2}), (1.5, {2: 0.3})])  # at one time the later one replaces
+    assert setpoints.due(2.0, 0.0) == [Due(1, 0.2, True), Due(2, 0.3, True)]
+    assert setpoints.skipped == 0
+    setpoints.zero(1.0)
+    setpoints.append([(3.0, {1: 0.4})])
+    assert setpoints.due(3.0, 2.0) == [Due(1, 0.4, True), Due(2, 0.0, True)]  # zero is no row of the plan
+    assert setpoints.skipped == 0
+    setpoints.append([(4.0, {1: 0.5, 2: 0.5}), (5.0, {1: 0.6}), (6.0, {1: 0.7})])
+    assert setpoints.due(7.0, 3.0) == [Due(1, 0.7, True), Due(2, 0.5, True)]
+    assert setpoints.skipped == 2
+
+
 def test_rows_in_any_order() -> None:
     setpoints = Setpoints()
     setpoints.append([(3.0, {1: 0.3})])

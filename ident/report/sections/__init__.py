@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ident.report.blocks import Canvas, Section
-from ident.report.sections import answer, errors, parameters, residuals, runs, search
+from ident.report.sections import answer, errors, parameters, profiles, residuals, runs, search
 
 
 def opening(canvas: Canvas) -> Section:
@@ -19,6 +19,7 @@ def body(canvas: Canvas) -> list[Section]:
         runs.run_section,
         runs.traces_section,
         parameters.section,
+        profiles.section,
         residuals.section,
         search.section,
         errors.section,

@@ -138,11 +138,18 @@ def static_section(canvas: Canvas) -> Section:
             traces[-1]["error_y"] = {**bars, "color": drawing.INK}
     if not traces:
         return Section("static", "", [])
-    unit = wording.bracket(wording.tidy(text(static, "n_unit")))
-    figure = drawing.single(traces, f"shaft speed n{unit}", "force [N]", hovermode="closest")
-    plot = canvas.plot(figure, 380, "Steady force against shaft speed")
+    quadratic = array(static, "force_quadratic")
     lead = "Circles: means of steady stretches with 95 % bars. Line: the fitted curve with its 95 % band."
-    return Section("static", "Force against shaft speed", [Grid([plot], 320)], lead)
+    if quadratic is not None and model_n is not None and quadratic.size == model_n.size:
+        style = {"color": drawing.BEFORE, "dash": "dash"}
+        traces.append(drawing.line(model_n, quadratic, "quadratic", 600, **style))
+        lead += " Dashed: c1 n|n| + c2 n²."
+    unit = wording.bracket(wording.tidy(text(static, "n_unit")))
+    along = text(static, "abscissa") or "shaft speed n"
+    figure = drawing.single(traces, f"{along}{unit}", "force [N]", hovermode="closest")
+    title = f"orce against {along.removesuffix(' n')}"
+    plot = canvas.plot(figure, 380, f"Steady f{title}")
+    return Section("static", f"F{title}", [Grid([plot], 320)], lead)
 
 
 def noise_section(canvas: Canvas) -> Section:

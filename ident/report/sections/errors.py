@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from ident.report import wording
@@ -15,20 +15,51 @@ HORIZONS = (("one_step", "One step ahead"), ("ten_seconds", "10 s ahead"), ("fre
 def section(canvas: Canvas) -> Section:
     """One table for validation and one for estimation data."""
     both = group(canvas.result, "before_after")
-    tabs = [(f"{role} data", _table(group(both, role))) for role in ROLES]
-    lead = "Root mean square of measured less predicted. A ratio below 1 is an improvement."
-    blocks = tabbed(tabs)
-    return Section("errors", "Error before and after", blocks, lead)
+    compared = any(
+        number(row, "before") is not None
+        for role in ROLES
+        for key, _ in HORIZONS
+        for row in group(group(both, role), key).values()
+        if isinstance(row, Mapping)
+    )
+    tabs = [(f"{role} data", _table(group(both, role)) if compared else _alone(group(both, role))) for role in ROLES]
+    lead = "Root mean square of measured less predicted."
+    if compared:
+        lead += " A ratio below 1 is an improvement."
+    return Section("errors", "Error before and after" if compared else "Prediction error", tabbed(tabs), lead)
 
 
 def _table(data: Row) -> list[Any]:
     columns = (("channel", ""), ("before", "num"), ("after", "num"), ("unit", ""), ("ratio", "num"), ("95 %", "num"))
+    return _grouped(data, columns, _row)
+
+
+def _alone(data: Row) -> list[Any]:
+    """Of one model: its error, and how much of what was measured it explains."""
+    return _grouped(data, (("channel", ""), ("error", "num"), ("unit", ""), ("fit", "num")), _single)
+
+
+def _grouped(
+    data: Row, columns: tuple[tuple[str, str], ...], cells: Callable[[str, Row], list[Cell | str]]
+) -> list[Any]:
     lines: list[list[Cell | str]] = []
     for key, title in HORIZONS:
         table = group(data, key)
-        found = [_row(str(name), row) for name, row in table.items() if isinstance(row, Mapping)]
+        found = [cells(str(name), row) for name, row in table.items() if isinstance(row, Mapping)]
         lines += [[Cell(title, "group")], *found] if found else []
     return [Table(columns, lines)] if lines else []
+
+
+def _single(channel: str, row: Row) -> list[Cell | str]:
+    factor, unit = wording.degrees_for(text(row, "unit"))
+    error, spread = number(row, "after"), number(row, "spread")
+    fit = None if error is None or not spread else 1 - error / spread
+    return [
+        wording.named(channel),
+        Cell("–" if error is None else wording.plain(factor * error), "num"),
+        Cell(unit, "nowrap"),
+        Cell("–" if fit is None else f"{100 * fit:.0f} %", "num"),
+    ]
 
 
 def _row(channel: str, row: Row) -> list[Cell | str]:

@@ -1,0 +1,1 @@
+"""Speed, accuracy and loss of seatrial on this machine, beside what others reach: ``python -m benchmarks``."""

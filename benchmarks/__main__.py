@@ -1,0 +1,52 @@
+"""python -m benchmarks [--seed S] [--only sde,diagnosis,logging] [--json FILE]"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import platform
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+for _library in ("OPENBLAS", "OMP", "MKL"):  # as in `seatrial ident`: small matrices; before numpy
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+
+import importlib  # noqa: E402
+
+from benchmarks.measure import Figure, table  # noqa: E402
+
+PARTS = ("sde", "diagnosis", "logging")
+
+
+def main() -> int:
+    """Measure, print the table, write the JSON."""
+    parser = argparse.ArgumentParser("python -m benchmarks", description=__doc__)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", default=",".join(PARTS), help="comma-separated parts: " + ", ".join(PARTS))
+    parser.add_argument("--json", type=Path, help="write the figures here, too")
+    given = parser.parse_args()
+    wanted = given.only.split(",")
+    if set(wanted) - set(PARTS):
+        parser.error(f"no part {sorted(set(wanted) - set(PARTS))[0]!r}; there are {', '.join(PARTS)}")
+    began, figures = time.monotonic(), list[Figure]()
+    for part in wanted:
+        print(f"measuring: {part}", file=sys.stderr, flush=True)
+        figures += importlib.import_module(f"benchmarks.{part}").figures(given.seed)
+    took = time.monotonic() - began
+    print(table(figures))
+    print(f"\n{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}; {took:.0f} s")
+    if given.json:
+        rows = [{k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(f).items()}
+                for f in figures]
+        about = {"machine": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()}
+        document = {"format": "seatrial-benchmarks 1", "seed": given.seed, **about, "figures": rows}
+        given.json.write_text(json.dumps(document, indent=1), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,128 @@
+"""Estimation: a horizontal model with process noise on 12,000 rows, simulated here and, where they are, by others."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.measure import Figure, best_ms
+from ident.dataset import Record
+from ident.fit import Fit, fit
+from ident.model import Model
+from ident.models.horizontal import horizontal
+from ident.pe import Likelihood
+
+Array = NDArray[np.float64]
+N_ROWS, H, SUBSTEPS = 12_000, 0.05, 20
+DIFFUSION = 0.01  # m/s/sqrt(s), rad/s/sqrt(s)
+NOISE = {"psi": 0.01, "r": 0.005, "x": 0.05, "y": 0.05}
+# ctsmTMB 1.1.1 on data/sde_bench/horizontal.csv, other processor: ms, ms, s of the optimiser, s cold, optimum
+PEER = {"value": 93.0, "gradient": 288.0, "estimate": 58.0, "cold": 197.0, "optimum": -119375.3959}
+NAMES = {"value": "likelihood", "gradient": "likelihood and gradient", "scores": "likelihood, gradient, information"}
+START = {"m_u": 60.0, "d_v": 30.0}  # away from the optimum
+
+
+def model() -> Model:
+    """Start known, current off, inputs held over a row; 15 free parameters."""
+    base = horizontal("general", ("attitude", "gyro", "position"), current=False, hold="zero")
+    return replace(base, states=tuple(replace(s, from_output="", x0=0.0, sd0=0.01) for s in base.states))
+
+
+def simulated(seed: int) -> Record:
+    """Thesis Table 1 by Euler-Maruyama, random steps of force and moment."""
+    rng = np.random.default_rng(seed)
+    p = model().values
+    X = np.repeat(rng.uniform(-20.0, 60.0, N_ROWS // 100), 100)
+    N = np.repeat(rng.uniform(-6.0, 6.0, N_ROWS // 60), 60)
+    s, y, h = np.zeros(6), np.empty((N_ROWS, 4)), H / SUBSTEPS
+    shake = DIFFUSION * np.sqrt(h) * rng.normal(size=(N_ROWS, SUBSTEPS, 3))
+    for k in range(N_ROWS):
+        y[k] = s[2], s[5], s[0], s[1]
+        for j in range(SUBSTEPS):
+            s = s + h * rates(p, s, X[k], N[k])
+            s[3:] += shake[k, j]
+    y += rng.normal(size=y.shape) * list(NOISE.values())
+    u = np.column_stack([X, N])
+    t: Array = H * np.arange(N_ROWS, dtype=np.float64)
+    return Record("simulated", t, u, u, y, ("X", "N"), tuple(NOISE))
+
+
+def rates(p: dict[str, float], s: Array, X: float, N: float) -> Array:
+    """Equations of motion written out once more, so that the model is not its own witness."""
+    _, _, psi, u, v, r = s.tolist()
+    cos, sin = np.cos(psi), np.sin(psi)
+    return np.array([
+        cos * u - sin * v, sin * u + cos * v, r,
+        (X + p["m_v"] * v * r - p["d_u"] * u - p["d_uu"] * abs(u) * u) / p["m_u"],
+        (-p["m_u"] * u * r - p["d_v"] * v - p["d_vv"] * abs(v) * v) / p["m_v"],
+        (N + (p["m_u"] - p["m_v"]) * u * v - p["d_r"] * r - p["d_rr"] * abs(r) * r) / p["m_r"],
+    ])
+
+
+def measured() -> Record | None:
+    """sde_bench, simulated by an independent program; None where SEATRIAL_DATA does not say where it is."""
+    path = Path(os.environ.get("SEATRIAL_DATA", "")) / "sde_bench" / "horizontal.csv"
+    if not os.environ.get("SEATRIAL_DATA") or not path.is_file():
+        return None
+    data = np.genfromtxt(path, delimiter=",", names=True)
+    u, y = (np.column_stack([data[n] for n in names.split()]) for names in ("X N", "ypsi yr yx yy"))
+    return Record("sde_bench", data["t"], u, u, y, ("X", "N"), ("psi", "r", "x", "y"))
+
+
+def figures(seed: int) -> Iterator[Figure]:
+    """Times of one evaluation and of an estimate, and the optimum; the peer's beside it."""
+    for record, peer in ((simulated(seed), {}), (measured(), PEER)):
+        if record is None:
+            continue
+        group = f"estimation, {record.name}: {N_ROWS} rows, 6 states, 15 parameters"
+        likelihood = Likelihood(model())
+        values = np.array(list(model().values.values()))
+        for name in ("value", "gradient", "scores"):
+            took = best_ms(partial(getattr(likelihood, name), record, values))
+            yield Figure(group, NAMES[name], took, "ms", peer.get(name))
+        found = fit(model(), [record], start=START)  # compiles what is not at hand
+        found = fit(model(), [record], start=START)
+        yield Figure(group, "estimate, kernels at hand", found.cpu_seconds, "s CPU", peer.get("estimate"))
+        yield Figure(group, "-ln L at the optimum", -found.log_likelihood, "", peer.get("optimum"))
+        if record.name == "simulated":
+            yield Figure(group, "farthest parameter from the truth", farthest(found), "std. errors")
+    yield from cold_and_warm(seed)
+
+
+def farthest(found: Fit) -> float:
+    """Of the masses and dampings that have a standard error."""
+    known = {n: v for n, v in model().values.items() if n[:2] in ("m_", "d_")}
+    errors = {n: found.estimate(n) for n in known}
+    return max(abs(value - known[n]) / error for n, (value, error) in errors.items() if np.isfinite(error))
+
+
+def cold_and_warm(seed: int) -> Iterator[Figure]:
+    """From the start of a process to its result, first with an empty cache of kernels, then with a full one."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "record.npz"
+        record = measured() or simulated(seed)
+        np.savez(file, t=record.t, u=record.u, y=record.y)
+        environment = {**os.environ, "SEATRIAL_CACHE": str(Path(folder) / "cache")}
+        for name in ("cold", "warm"):
+            began = time.perf_counter()
+            subprocess.run([sys.executable, "-m", "benchmarks.sde", str(file)], env=environment, check=True,
+                           stdout=subprocess.DEVNULL, cwd=Path(__file__).parents[1])
+            yield Figure("process start to result", f"{name} ({record.name})", time.perf_counter() - began, "s",
+                         PEER.get(name) if record.name == "sde_bench" else None)
+
+
+if __name__ == "__main__":
+    given = np.load(sys.argv[1])
+    names = tuple(NOISE)
+    own = Record("given", given["t"], given["u"], given["u"], given["y"], ("X", "N"), names)
+    print(fit(model(), [own], start=START).log_likelihood)

@@ -1,0 +1,26 @@
+#!/bin/sh
+# The measured Kingfisher through public commands: sh docs/examples/kingfisher/run.sh [OUT], from the repository's top.
+# SEATRIAL_DATA says where the data sets are; seatrial is the one on the PATH. About three minutes of CPU time.
+set -eu
+: "${SEATRIAL_DATA:?says where the measured data sets are}"
+here=$(CDPATH= cd -- "$(dirname -- "$0")" && pwd)
+out=${1:-out/kingfisher}
+data=$(CDPATH= cd -- "$SEATRIAL_DATA/kingfisher" && pwd)
+mkdir -p "$out"
+cd "$out"
+
+seatrial import csv "$here/bollard.toml" "$data/bollard_loadcell_raw_20files.csv" --out-dir logs --force
+seatrial import csv "$here/surge_steps.toml" "$data"/surge_*.csv --out-dir logs --force
+seatrial import csv "$here/surge_rest.toml" "$data"/surge_*.csv --out-dir logs --force
+seatrial ident thruster logs/bollard_loadcell_raw_20files.mcap --settle 0 --out thruster
+
+unseen=""
+for log in logs/surge_rest_*.mcap; do unseen="$unseen --validate $log"; done
+curve="--thruster thruster/model.toml --agree m_u"
+# The lists are meant to be split into words.
+# shellcheck disable=SC2086
+for name in immediate delayed lagged loss cubic both shifted; do
+    seatrial ident vehicle logs/surge_steps_*.mcap --model "$here/surge_model.py:$name" $curve $unseen --out $name
+done
+# shellcheck disable=SC2086
+seatrial ident vehicle logs/surge_*.mcap --model "$here/surge_model.py:both" $curve --out all

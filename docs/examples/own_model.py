@@ -1,0 +1,33 @@
+"""A model of one's own: a boat with one propeller and a rudder behind it (docs/how-to/own-model.md)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ident.model import Input, Model, Signals
+from ident.models.horizontal import horizontal
+from ident.params import Parameter
+
+
+def rudder_boat() -> Model:
+    """Hull and sensors of the built-in horizontal model; force and moment from n (-1..1) and the rudder angle [rad]."""
+    boat = horizontal("general")
+    return replace(
+        boat,
+        inputs=(Input("n_main"), Input("rudder", "rad")),
+        parameters=(
+            *boat.parameters,
+            Parameter("c_t", 60.0, "N", "thrust at full speed", "log"),
+            Parameter("l_r", 0.3, "m", "side force of the rudder over thrust, times its lever"),
+        ),
+        stages=(("thrust", push), *boat.stages),
+        source=f"{__file__}:rudder_boat",
+    )
+
+
+def push(s: Signals) -> None:
+    """The hull's force stage takes the force X [N] and the moment N [N m]; positive rudder turns to starboard."""
+    s.u.X = s.p.c_t * s.u.n_main * abs(s.u.n_main)
+    s.u.N = s.p.l_r * s.u.X * np.sin(s.u.rudder)

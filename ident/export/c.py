@@ -1,0 +1,84 @@
+"""C99: one header with static inline functions that needs nothing but math.h."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ident.engine.lines import Program
+from ident.engine.lines import write as write_lines
+from ident.engine.syntaxes import C
+from ident.export.content import Content, comment, header
+
+# Words of the language, of math.h, and of the functions written here.
+WORDS = """x u p y dx dt x_next at k1 k2 k3 k4 i
+auto break case char const continue default do double else enum extern float for goto if inline int long register
+restrict return short signed sizeof static struct switch typedef union unsigned void volatile while
+sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh sqrt exp log log1p expm1 erf atan2 hypot fmod remainder
+copysign pow fabs fmin fmax floor ceil y0 y1 yn j0 j1 jn gamma signgam NAN INFINITY HUGE_VAL"""
+TAKEN = frozenset(WORDS.split())
+STEP = """
+/* The states after dt [s] with the inputs held: one step of Runge-Kutta 4; take dt no longer than 0.1 s.
+ * x_next may be x. */
+static inline void NAME_step(const double x[], const double u[], const double p[], double dt, double x_next[])
+{
+    double k1[NAME_NX], k2[NAME_NX], k3[NAME_NX], k4[NAME_NX], at[NAME_NX];
+    int i;
+    NAME_f(x, u, p, k1);
+    for (i = 0; i < NAME_NX; i++) at[i] = x[i] + dt / 2.0 * k1[i];
+    NAME_f(at, u, p, k2);
+    for (i = 0; i < NAME_NX; i++) at[i] = x[i] + dt / 2.0 * k2[i];
+    NAME_f(at, u, p, k3);
+    for (i = 0; i < NAME_NX; i++) at[i] = x[i] + dt * k3[i];
+    NAME_f(at, u, p, k4);
+    for (i = 0; i < NAME_NX; i++) x_next[i] = x[i] + dt / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i]);
+}
+"""
+
+
+def write(c: Content) -> str:
+    """The file."""
+    guard = f"{c.name.upper()}_MODEL_H"
+    said = [line.replace("*/", "* /").replace("/*", "/ *") for line in header(c, "C99")]
+    return "\n".join([
+        "/*", *(f" * {line}".rstrip() for line in said), " */", f"#ifndef {guard}", f"#define {guard}", "",
+        "#include <math.h>", "", *_names(c), "",
+        *_table(c, "parameters", [(v, comment(c, i)) for i, v in enumerate(c.values)], "what to give for p"),
+        *_table(c, "state_noise", [(v, n) for n, v in zip(c.states, c.state_noise, strict=True)],
+                "diffusion of each state [unit/sqrt(s)]"),
+        *_table(c, "output_noise", [(v, n) for n, v in zip(c.outputs, c.output_noise, strict=True)],
+                "standard deviation of each output's white noise [unit]"),
+        _function(c, "f", "dx", c.programs[0], "Rates of the states [unit/s]."),
+        _function(c, "h", "y", c.programs[1], "Outputs, as the sensors would have them without noise."),
+        STEP.replace("NAME", c.name), "#endif", ""])
+
+
+def _names(c: Content) -> list[str]:
+    """Indices: NAME_x_STATE and so on, and the sizes NAME_NX, NAME_NU, NAME_NY, NAME_NP."""
+    lines = []
+    for letter, names in (("x", c.states), ("u", c.inputs), ("y", c.outputs), ("p", c.parameters)):
+        members = [f"    {c.name}_{letter}_{n}," for n in names]
+        lines += ["enum {", *members, f"    {c.name}_N{letter.upper()}", "};"]
+    return lines
+
+
+def _table(c: Content, name: str, rows: Sequence[tuple[float, str]], says: str) -> list[str]:
+    """An array; C has none without elements."""
+    values = [f"    {C.number(v)}, /* {text.replace('*/', '* /').replace('/*', '/ *')} */" for v, text in rows]
+    return [f"/* {says} */", f"static const double {c.name}_{name}[] = {{", *(values or ["    0.0"]), "};"]
+
+
+def _function(c: Content, name: str, result: str, program: Program, says: str) -> str:
+    lines, ends = write_lines(program, C, [*TAKEN, *program.used])
+    given = [(s, f"x[{c.name}_x_{n}]") for s, n in zip(c.symbols[0], c.states, strict=True)]
+    given += [(s, f"u[{c.name}_u_{n}]") for s, n in zip(c.symbols[1], c.inputs, strict=True)]
+    ids = dict(zip([p.name for p in c.own], c.parameters, strict=True))
+    given += [(s, f"p[{c.name}_p_{ids[p.name]}]") for s, p in zip(c.symbols[2], c.model.parameters, strict=True)
+              if p.name in ids]
+    used = [f"    const double {s} = {value};" for s, value in given if s in program.used]
+    idle = [f"    (void){letter};" for letter in "xup" if not any(v.startswith(f"{letter}[") and s in program.used
+                                                                 for s, v in given)]
+    letter, names = ("x", c.states) if name == "f" else ("y", c.outputs)
+    out = [f"    {result}[{c.name}_{letter}_{n}] = {end};" for n, end in zip(names, ends, strict=True)]
+    return "\n".join(["", f"/* {says} */",
+                      f"static inline void {c.name}_{name}(const double x[], const double u[], const double p[], "
+                      f"double {result}[])", "{", *used, *idle, *("    " + line for line in lines), *out, "}"])

@@ -1,0 +1,58 @@
+"""CasADi: a Python file that rebuilds ``casadi.Function``s, and saves them for ``casadi.Function.load``."""
+
+from __future__ import annotations
+
+from ident.engine.lines import Program
+from ident.engine.lines import write as write_lines
+from ident.engine.syntaxes import CASADI
+from ident.export.content import Content, header
+from ident.export.python import constants, unpacked
+
+RESERVED = {"x", "u", "p", "dt", "f", "h", "step", "ca"}
+END = '''
+_x, _u, _p, _dt = ca.SX.sym("x", len(STATES)), ca.SX.sym("u", len(INPUTS)), ca.SX.sym("p", len(P)), ca.SX.sym("dt")
+f = ca.Function("NAME_f", [_x, _u, _p], [ca.SX(ca.vertcat(*_f(_x, _u, _p)))], ["x", "u", "p"], ["dx"])
+h = ca.Function("NAME_h", [_x, _u, _p], [ca.SX(ca.vertcat(*_h(_x, _u, _p)))], ["x", "u", "p"], ["y"])
+
+
+def _step(x, u, dt, p):
+    """One step of Runge-Kutta 4 with the inputs held; take dt no longer than 0.1 s."""
+    k1 = f(x, u, p)
+    k2 = f(x + dt / 2 * k1, u, p)
+    k3 = f(x + dt / 2 * k2, u, p)
+    k4 = f(x + dt * k3, u, p)
+    return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+step = ca.Function("NAME_step", [_x, _u, _dt, _p], [_step(_x, _u, _dt, _p)], ["x", "u", "dt", "p"], ["x_next"])
+DEFAULTS = list(P.values())  # what to give for p
+
+
+def save(folder="."):
+    """Write NAME_f.casadi, NAME_h.casadi and NAME_step.casadi, for casadi.Function.load."""
+    for function in (f, h, step):
+        function.save(os.path.join(folder, function.name() + ".casadi"))
+
+
+if __name__ == "__main__":
+    save(*sys.argv[1:2])
+'''
+
+
+def write(c: Content) -> str:
+    """The file."""
+    said = header(c, "CasADi")
+    said += ["", "f(x, u, p), h(x, u, p) and step(x, u, dt, p) are casadi.Functions; DEFAULTS is p in the order of P.",
+             f"Run this file to save them: python FILE [FOLDER] writes {c.name}_f.casadi, {c.name}_h.casadi and",
+             f"{c.name}_step.casadi, which casadi.Function.load reads without this file, also in C++ and Matlab."]
+    return "\n".join([
+        *("# " + line if line else "#" for line in said), "", "import os", "import sys", "", "import casadi as ca", "",
+        *constants(c), "", _function(c, "_f", c.programs[0]), _function(c, "_h", c.programs[1]),
+        END.replace("NAME", c.name)])
+
+
+def _function(c: Content, name: str, program: Program) -> str:
+    lines, results = write_lines(program, CASADI, [*RESERVED, *program.used])
+    named = ["    p = dict(zip(P, ca.vertsplit(p)))"] if any(s in program.used for s in c.symbols[2]) else []
+    return "\n".join(["", f"def {name}(x, u, p):", *named, *unpacked(c, program), *("    " + line for line in lines),
+                      "    return [", *(f"        {r}," for r in results), "    ]", ""])

@@ -1,0 +1,33 @@
+"""Signals that a model needs and a log does not have as such: thrust from a static curve, total thrust, speed ahead."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from daq.errors import SeatrialError
+from ident.curve_file import ThrustCurve, thrust_channels, total
+from ident.dataset import Channel
+
+
+def complete(
+    channels: Mapping[str, Channel], holds: Mapping[str, str], source: str, curve: ThrustCurve | None, path: str | Path
+) -> tuple[dict[str, Channel], dict[str, str]]:
+    """Channels and holds of one log with what follows from them for a model ``source``.
+
+    ``f_left``, ``f_right`` and ``X`` from commands by a curve; ``X`` from thrusts; for motion in a straight line
+    ``u`` from the speed over ground. What is in the log stays, except that a curve's thrust goes before it.
+    """
+    found, held = dict(channels), dict(holds)
+    if curve is not None:
+        try:
+            found |= thrust_channels(channels, curve)
+        except ValueError as problem:
+            raise SeatrialError(f"{path}: {problem}; the log has {', '.join(sorted(channels))}") from problem
+        held |= dict.fromkeys(("f_left", "f_right", "X", "X_n"), "zero")
+    if "X" not in found and {"f_left", "f_right"} <= set(found):
+        found["X"] = total(found["f_left"], found["f_right"])
+        held["X"] = "zero"
+    if "u" not in found and "speed" in found and source.partition(":")[0] == "surge":
+        found["u"] = found["speed"]
+    return found, held

@@ -1,0 +1,130 @@
+"""How well a fitted model predicts every record, as the content of result.json: errors, traces, tracks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ident.model import Model
+from ident.outcome import Json, input_traces
+from ident.pe import Likelihood
+from ident.predict import Errors, FreeRun, free_run, one_step, pooled, ratio_interval, ten_seconds
+from ident.stage import Stage, View
+
+KINDS = ("one_step", "ten_seconds", "free_run")
+
+
+class Judged:
+    """Prediction errors of a stage on every record, computed once."""
+
+    def __init__(self, stage: Stage) -> None:
+        self.stage = stage
+        likelihood = Likelihood(stage.model)
+        self.free = {
+            role: [free_run(stage.model, v.record, v.values, likelihood) for v in views]
+            for role, views in (("estimation", stage.estimation), ("validation", stage.validation))
+        }
+
+    def views(self, role: str) -> Sequence[View]:
+        return self.stage.estimation if role == "estimation" else self.stage.validation
+
+    def errors(self, role: str) -> dict[str, dict[str, Errors]]:
+        model, views = self.stage.model, self.views(role)
+        return {
+            "one_step": pooled([one_step(model, v.record, v.run) for v in views]),
+            "ten_seconds": pooled([ten_seconds(model, v.record, v.values, v.run) for v in views]),
+            "free_run": pooled([f.errors for f in self.free[role]]),
+        }
+
+
+def judged_alone(judged: Judged) -> Json:
+    """Traces and errors of one fitted model, with nothing before it."""
+    roles = ["estimation"] + (["validation"] if judged.stage.validation else [])
+    units = {o.name: o.unit for o in judged.stage.model.outputs}
+    table = {
+        role: {
+            kind: {
+                name: {
+                    "before": None,
+                    "after": e.rms,
+                    "unit": units[name],
+                    "low": None,
+                    "high": None,
+                    "spread": e.spread,
+                }
+                for name, e in rows.items()
+            }
+            for kind, rows in judged.errors(role).items()
+        }
+        for role in roles
+    }
+    return {"before_after": table, **traces(judged, judged, roles, False)}
+
+
+def before_after(before: dict[str, dict[str, Errors]], after: dict[str, dict[str, Errors]], model: Model) -> Json:
+    """Root mean square errors by horizon and channel, with the interval of their ratio."""
+    units = {o.name: o.unit for o in model.outputs}
+    table: Json = {}
+    for kind in KINDS:
+        table[kind] = {}
+        for name, old in before[kind].items():
+            new = after[kind][name]
+            low, high = ratio_interval(old, new)
+            table[kind][name] = {
+                "before": old.rms,
+                "after": new.rms,
+                "unit": units[name],
+                "low": low,
+                "high": high,
+                "spread": old.spread,
+            }
+    return table
+
+
+def traces(before: Judged, after: Judged, roles: Sequence[str], changed: bool) -> Json:
+    """``traces``, ``track`` and ``inputs`` of every record; ``changed``: before is another model than after."""
+    rows, tracks, inputs = [], [], []
+    for role in roles:
+        for view, old, new in zip(after.views(role), before.free[role], after.free[role], strict=True):
+            model, record = after.stage.model, view.record
+            inputs += input_traces(model, record)
+            for j, o in enumerate(model.outputs):
+                seen = np.isfinite(record.y[:, j])
+                if seen.any():
+                    rows.append(
+                        {
+                            "record": record.name,
+                            "role": role,
+                            "channel": o.name,
+                            "unit": o.unit,
+                            "angle": o.angle,
+                            "t": record.t[seen],
+                            "measured": record.y[seen, j],
+                            "model": new.y[seen, j],
+                            "sd": new.sd[seen, j],
+                            "before": old.y[seen, j] if changed else None,
+                        }
+                    )
+            tracks += _track(model, view, role, old if changed else None, new)
+    return {"traces": rows, "track": tracks, "inputs": inputs}
+
+
+def _track(model: Model, view: View, role: str, old: FreeRun | None, new: FreeRun) -> list[Json]:
+    names = [o.name for o in model.outputs]
+    if "x" not in names or not np.isfinite(view.record.y[:, names.index("x")]).any():
+        return []
+    i, j = names.index("x"), names.index("y")
+    seen = np.isfinite(view.record.y[:, i])
+    return [
+        {
+            "record": view.record.name,
+            "role": role,
+            "x_measured": view.record.y[seen, i],
+            "y_measured": view.record.y[seen, j],
+            "x_model": new.y[seen, i],
+            "y_model": new.y[seen, j],
+            "x_before": old.y[seen, i] if old else None,
+            "y_before": old.y[seen, j] if old else None,
+        }
+    ]

@@ -1,0 +1,159 @@
+"""Surge and sway alone, with measured attitude and turn rates: the paper's "6DOF K" (section 6).
+
+A boat that rolls and pitches shows its accelerometers gravity, and turns by more than its yaw moment. Here heading,
+roll, pitch and body rates are inputs, interpolated between samples, in place of their equations of motion. With
+u, v, w through the water along the body's axes, and a hull that stays on the surface (Fossen 2011, 2.18: z' = 0),
+
+    w = (tan(theta) u - sin(phi) v) / cos(phi)
+    [x', y'] = [V_x, V_y] + the first two rows of R(phi, theta, psi) [u, v, w]
+    m_u u' = X + m_v (v r - w q) - d_u u - d_uu |u| u
+    m_v v' = Y - m_u u r + m_v w p - d_v v - d_vv |v| v
+    ax = u' + w q - v r + g sin(theta)
+    ay = v' + u r - w p - g cos(theta) sin(phi)
+
+so that level motion is ``ident.models.horizontal`` without its yaw. The added mass in heave is taken to be that in
+sway, as of a body of revolution; its terms are of second order in roll and pitch. Heading and yaw gyro have walking
+offsets, which are subtracted; that of the gyro is seen only through ``v r`` and ``u r``, so its prior counts.
+The noise of these inputs is not modelled; it goes to the unexplained forces and to the accelerometers' noise.
+
+The yaw equation is left out and with it m_r, d_r and d_rr. With ``yaw`` it is there as a state that is seen by the
+gyro and driven by the estimated u and v, while everything else goes on turning with the gyro itself:
+
+    m_r r' = N + (m_u - m_v) u v - d_r r - d_rr |r| r
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from ident.model import Input, Model, Output, Sensor, Signals, State
+from ident.models.horizontal import (
+    ARMS,
+    CURRENT,
+    DIFFUSION,
+    HULL,
+    NOISE,
+    SENSORS,
+    SIDES,
+    THRUST,
+    given_thrust,
+    shaft,
+    thrust,
+)
+
+G = 9.81  # m/s2
+TURN = Sensor("turn_rate", (Output("r", "rad/s", "e_r"),))
+SEEN = ("accelerometer", "position", "ground_velocity")
+ATTITUDE = (
+    *(Input(n, "rad", "linear", angle=True) for n in ("phi", "theta", "psi")),
+    *(Input(n, "rad/s", "linear") for n in ("p", "q", "r")),
+)
+OFFSETS = (
+    State("bias_psi", "rad", "offset of the measured heading", 1.7e-4, sd0=0.005),
+    State("bias_r", "rad/s", "offset of the yaw gyro", 1e-5, sd0=0.01),
+)
+
+
+def kinematic(
+    propulsion: Literal["shaft", "force"] = "shaft",
+    sensors: Sequence[str] = SEEN,
+    *,
+    current: bool = True,
+    yaw: bool = False,
+    hold: Literal["zero", "linear"] = "linear",
+) -> Model:
+    """The model with measured attitude.
+
+    propulsion: ``shaft`` takes the measured shaft speeds ``n_left``, ``n_right`` (normalised), ``force`` the thrusts
+    ``f_left``, ``f_right`` [N]. sensors: of those that it can have, the ones to use. yaw: with the yaw equation.
+    """
+    letter, unit = ("n", "") if propulsion == "shaft" else ("f", "N")
+    chosen = [SENSORS[s] for s in SEEN if s in sensors]
+    noise = [NOISE[s.name] for s in chosen]
+    states = [
+        State("x", "m", "north", from_output="x", sd0=1.0),
+        State("y", "m", "east", from_output="y", sd0=1.0),
+        State("u", "m/s", "surge through the water", "s_u", sd0=0.3),
+        State("v", "m/s", "sway through the water", "s_v", sd0=0.3),
+    ]
+    if yaw:
+        states.append(State("r", "rad/s", "yaw rate", "s_r", from_output="r", sd0=0.1))
+        chosen, noise = [*chosen, TURN], [*noise, NOISE["gyro"]]
+    unused = () if yaw else ("m_r", "d_r", "d_rr", "s_r")
+    own = HULL + (CURRENT if current else ()) + (THRUST if propulsion == "shaft" else ()) + ARMS + DIFFUSION
+    first = (("shaft", _shaft), ("thrust", thrust))
+    if propulsion == "force":
+        first = (("shaft", attitude), ("thrust", given_thrust))
+    options = [propulsion, *(["yaw"] if yaw else []), *([] if current else ["still"])]
+    return Model(
+        "kinematic",
+        (*states, *OFFSETS),
+        (*(Input(f"{letter}_{side}", unit, hold) for side in SIDES), *ATTITUDE),
+        tuple(chosen),
+        (*(p for p in own if p.name not in unused), *noise),
+        (*first, ("force", turning if yaw else force), ("rate", rate), ("output", output)),
+        provides=("plane", "turn") if yaw else ("plane",),
+        source=":".join(["kinematic", *options]),
+    )
+
+
+def attitude(s: Signals) -> None:
+    """phi, theta, psi [rad] and p, q, r [rad/s], offsets subtracted."""
+    u, x = s.u, s.x
+    s.phi, s.theta, s.psi = u.phi, u.theta, u.psi - x.bias_psi
+    s.p_rate, s.q_rate, s.r_rate = u.p, u.q, u.r - x.bias_r
+    s.w = (np.sin(s.theta) / np.cos(s.theta) * x.u - np.sin(s.phi) * x.v) / np.cos(s.phi)
+
+
+def _shaft(s: Signals) -> None:
+    shaft(s)
+    attitude(s)
+
+
+def force(s: Signals) -> None:
+    """External forces less damping: X, Y [N]; unexplained ones are added to them."""
+    x, p = s.x, s.p
+    s.X_thrust = sum(s.f.values())
+    s.X = s.X_thrust - p.d_u * x.u - p.d_uu * abs(x.u) * x.u
+    s.Y = -p.d_v * x.v - p.d_vv * abs(x.v) * x.v
+
+
+def turning(s: Signals) -> None:
+    """The same with N [N m]."""
+    force(s)
+    x, p = s.x, s.p
+    s.N_thrust = sum(-s.arm[side] * f for side, f in s.f.items())
+    s.N = s.N_thrust - p.d_r * x.r - p.d_rr * abs(x.r) * x.r
+
+
+def rate(s: Signals) -> None:
+    x, p = s.x, s.p
+    forward, sideways = _over_ground(s)
+    s.rate["x"], s.rate["y"] = forward + getattr(p, "V_x", 0.0), sideways + getattr(p, "V_y", 0.0)
+    s.rate["u"] = (s.X + p.m_v * (x.v * s.r_rate - s.w * s.q_rate)) / p.m_u
+    s.rate["v"] = (s.Y - p.m_u * x.u * s.r_rate + p.m_v * s.w * s.p_rate) / p.m_v
+    if hasattr(s, "N"):
+        s.rate["r"] = (s.N + (p.m_u - p.m_v) * x.u * x.v) / p.m_r
+    s.rate["bias_psi"] = s.rate["bias_r"] = 0.0
+
+
+def _over_ground(s: Signals) -> tuple[Any, Any]:
+    """North and east of the velocity through the water: zyx angles (Fossen 2011, eq. 2.18)."""
+    x = s.x
+    (c_f, s_f), (c_t, s_t), (c_p, s_p) = ((np.cos(a), np.sin(a)) for a in (s.phi, s.theta, s.psi))
+    level = c_t * x.u + s_t * (s_f * x.v + c_f * s.w)  # along the heading
+    abeam = c_f * x.v - s_f * s.w
+    return c_p * level - s_p * abeam, s_p * level + c_p * abeam
+
+
+def output(s: Signals) -> None:
+    x, y = s.x, s.y
+    y["x"], y["y"] = x.x, x.y
+    y["vx"], y["vy"] = s.rate["x"], s.rate["y"]
+    y["ax"] = s.rate["u"] + s.w * s.q_rate - x.v * s.r_rate + G * np.sin(s.theta)
+    y["ay"] = s.rate["v"] + x.u * s.r_rate - s.w * s.p_rate - G * np.cos(s.theta) * np.sin(s.phi)
+    if hasattr(s, "N"):
+        y["r"] = x.r + x.bias_r

@@ -1,0 +1,198 @@
+"""Does the estimator do what its standard errors say? Monte Carlo on data of the model itself.
+
+Each replicate is simulated with process and measurement noise (``ident.euler``, plain numpy) and estimated by
+``ident.fit``. Everything is judged in the coordinate in which the estimator moves (the logarithm of a positive
+parameter), since there its standard error is meant:
+
+    bias     = mean(d) / sd(d),  d = estimate - truth
+    ratio    = var(d) / mean(variance that each fit reported);  bound: the same with the Cramer-Rao bound at the truth
+    coverage = share of |d| < 1.96 standard errors
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from ident.dataset import Record
+from ident.euler import Inputs, simulate_noisy
+from ident.fit import Fit, Problem, fit
+from ident.model import Model
+from ident.pe import Likelihood
+
+Array = NDArray[np.float64]
+Method = Literal["pe", "oe"]
+Row = dict[str, Any]
+Z95 = 1.96
+APART = 0.4  # a fit starts within a factor exp(+-APART) of the truth
+BIAS, COVERAGE, VARIANCE = 0.15, (0.93, 0.97), 0.1  # what is wanted
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is simulated and estimated: a model at the true values of its parameters, and a mission.
+
+    ``every``: a sensor's samples are this many rows apart (1 by default).
+    """
+
+    name: str
+    model: Model
+    inputs: Inputs
+    every: Mapping[str, int]
+    about: str = ""
+
+    def at(self, truth: Mapping[str, float]) -> Case:
+        """The same with other true values."""
+        return replace(self, model=self.model.with_values(truth))
+
+
+def replicates(case: Case, numbers: Sequence[int], seed: int, method: Method = "pe") -> list[Row]:
+    """Simulate and estimate the replicates of these numbers, a row each; they do not depend on each other."""
+    rngs = [np.random.default_rng([seed, k]) for k in numbers]
+    truths = np.array([_draw(case.model, rng) for rng in rngs])
+    began = time.process_time()
+    _, y = simulate_noisy(case.model, case.inputs, truths, rngs)
+    simulation = (time.process_time() - began) / len(numbers)
+    rows = []
+    for k, rng, truth, measured in zip(numbers, rngs, truths, y, strict=True):
+        record = make_record(case, measured, f"{case.name} {k}")
+        row: Row = {"k": k, "simulation": simulation}
+        try:
+            row |= estimate(case.model, record, truth, rng, method)
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as problem:  # counted, and the study goes on
+            row |= {"error": f"{type(problem).__name__}: {problem}"}
+        rows.append(row)
+    return rows
+
+
+def make_record(case: Case, y: Array, name: str) -> Record:
+    """Measurements at the rows at which the sensors sample."""
+    model, inputs, seen, column = case.model, case.inputs, np.full(y.shape, np.nan), 0
+    for sensor in model.sensors:
+        rows, columns = np.s_[:: case.every.get(sensor.name, 1)], np.s_[column : column + len(sensor.outputs)]
+        seen[rows, columns] = y[rows, columns]
+        column = columns.stop
+    names = tuple(i.name for i in model.inputs), tuple(o.name for o in model.outputs)
+    return Record(name, inputs.t, inputs.u, inputs.u_next, seen, *names)
+
+
+def estimate(model: Model, record: Record, truth: Array, rng: np.random.Generator, method: Method) -> Row:
+    """A fit that starts away from the truth, and its errors; names are those of ``model.free``."""
+    named = dict(zip([p.name for p in model.parameters], truth.tolist(), strict=True))
+    shared = [p for p in model.parameters if p.free and not p.per_record]
+    start = {p.name: p.value * float(np.exp(rng.uniform(-APART, APART))) for p in shared}
+    start |= {p.name: p.value for p in model.parameters if p.per_record}
+    began = time.process_time()
+    found = fit(model, [record], method=method, start=start, threads=1)
+    cpu = time.process_time() - began
+    names = [n.partition("@")[0] for n in found.names]
+    parameters = [model.parameter(n) for n in names]
+    z = np.array([p.to_free(v) for p, v in zip(parameters, found.values, strict=True)])
+    slope = np.array([p.slope(v) for p, v in zip(parameters, found.values, strict=True)])
+    true = np.array([p.to_free(named[p.name]) for p in parameters])
+    return {
+        "converged": found.converged,
+        "iterations": found.iterations,
+        "cpu": cpu,
+        "d": dict(zip(names, (z - true).tolist(), strict=True)),
+        "se": _finite(names, found.errors / slope),
+        "bound": _finite(names, cramer_rao(model.with_values(named), record, found, method)),
+        "flags": {n.partition("@")[0]: what for n, what in found.flags},
+    }
+
+
+def cramer_rao(truth: Model, record: Record, found: Fit, method: Method) -> Array:
+    """Standard deviations from the information at the truth, with the priors', in the estimator's coordinates."""
+    names = [n.partition("@")[0] for n in found.names]
+    problem = Problem(Likelihood(truth, process_noise=method == "pe"), [record], names, 1)
+    information = problem.evaluate(problem.start).information
+    scale = np.sqrt(np.diag(information))
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(information / np.outer(scale, scale)))) / scale)
+
+
+def _draw(model: Model, rng: np.random.Generator) -> Array:
+    """The true values; what each record has for itself comes from its prior."""
+    return np.array([
+        p.prior[0] + p.prior[1] * rng.standard_normal() if p.free and p.per_record and p.prior else p.value
+        for p in model.parameters
+    ])
+
+
+def _finite(names: Sequence[str], values: Array) -> dict[str, float | None]:
+    return {n: float(v) if np.isfinite(v) else None for n, v in zip(names, values, strict=True)}
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One parameter over all replicates; intervals are 95 %. ``n``: those with a standard error, ``at_bound`` the
+    rest. ``factor``: 1 standard deviation in the parameter's own unit (relative for a logarithm)."""
+
+    name: str
+    n: int
+    at_bound: int
+    sd: float
+    bias: float
+    bias_error: float
+    ratio: float
+    ratio_interval: tuple[float, float]
+    bound_ratio: float
+    coverage: float
+    coverage_interval: tuple[float, float]
+
+    @property
+    def misses(self) -> tuple[str, ...]:
+        """What is beyond the aim; by more than chance where the 95 % interval excludes the aim as well."""
+        bias = abs(self.bias) - Z95 * self.bias_error
+        low, high = self.ratio_interval
+        found = [
+            _miss("bias", abs(self.bias) > BIAS, bias > BIAS),
+            _miss("variance", abs(self.ratio - 1) > VARIANCE, low > 1 + VARIANCE or high < 1 - VARIANCE),
+            _miss("coverage", not COVERAGE[0] <= self.coverage <= COVERAGE[1],
+                  self.coverage_interval[1] < COVERAGE[0] or self.coverage_interval[0] > COVERAGE[1]),
+        ]
+        return tuple(f for f in found if f)
+
+
+def _miss(what: str, beyond: bool, surely: bool) -> str:
+    return "" if not beyond else what if surely else f"{what} (chance?)"
+
+
+def judge(rows: Iterable[Row]) -> list[Judged]:
+    """The parameters in order; failed and unconverged replicates are left out (``counts`` has them)."""
+    good = [r for r in rows if r.get("converged")]
+    names = dict.fromkeys(n for r in good for n in r["d"])
+    return [j for n in names if (j := _judge(n, [r for r in good if n in r["d"]])) is not None]
+
+
+def _judge(name: str, rows: Sequence[Row]) -> Judged | None:
+    known = [r for r in rows if r["se"][name] is not None and r["bound"][name] is not None]
+    n = len(known)
+    if n < 3:
+        return None
+    d, se, bound = (np.array([r[key][name] for r in known]) for key in ("d", "se", "bound"))
+    variance, inside = float(d.var(ddof=1)), int(np.sum(np.abs(d) < Z95 * se))
+    ratio = variance / float(np.mean(se**2))
+    low, high = ((n - 1) / stats.chi2.ppf(q, n - 1) for q in (0.975, 0.025))
+    interval = stats.binomtest(inside, n).proportion_ci(method="exact")
+    return Judged(
+        name, n, len(rows) - n, float(np.sqrt(variance)), float(d.mean() / np.sqrt(variance)), 1 / float(np.sqrt(n)),
+        ratio, (ratio * float(low), ratio * float(high)), variance / float(np.mean(bound**2)),
+        inside / n, (float(interval.low), float(interval.high)))
+
+
+def counts(rows: Sequence[Row]) -> dict[str, float]:
+    """How many there are, failed, did not converge; median CPU seconds of a fit and mean of a simulation."""
+    good = [r for r in rows if "error" not in r]
+    return {
+        "replicates": len(rows),
+        "failed": len(rows) - len(good),
+        "unconverged": sum(not r["converged"] for r in good),
+        "cpu_fit": float(np.median([r["cpu"] for r in good])) if good else float("nan"),
+        "cpu_simulation": float(np.mean([r["simulation"] for r in rows])) if rows else float("nan"),
+    }

@@ -1,0 +1,115 @@
+"""The missions and truths of ``seatrial ident study``: steps as in the paper's section 5, the boat of its Table 5."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.errors import SeatrialError
+from ident.euler import Inputs
+from ident.model import Model
+from ident.models.horizontal import horizontal
+from ident.models.surge import surge
+from ident.models.thruster import DELAY_STEP, thruster
+from ident.models.yaw import yaw
+from ident.params import INF
+from ident.study import Case
+
+Array = NDArray[np.float64]
+MISSION_SEED = 20  # the mission is the same for all replicates
+A_SHAFT = 2.794  # 1/s, Table 2
+# Table 5, 3 DOF: the boat as it was identified. Table 1's d_u and d_vv are at their bound of zero for any such record.
+HULL = {"m_u": 43.0775, "m_v": 49.8655, "m_r": 13.5756, "d_u": 8.4193, "d_v": 81.3337, "d_r": 6.4794,
+        "d_uu": 27.8441, "d_vv": 11.7343, "d_rr": 19.9464}
+N_DELAYS = 9
+
+
+def steps(t: Array, levels: Callable[[np.random.Generator], Array], hold: tuple[float, float], seed: int) -> Array:
+    """A sequence of random levels (n_rows, n_inputs), each held for a random time within ``hold`` [s]."""
+    rng = np.random.default_rng(seed)
+    u, until = np.zeros((t.size, len(levels(np.random.default_rng(0))))), 0.0
+    while until < t[-1]:
+        u[t >= until - 1e-9] = levels(rng)
+        until += rng.uniform(*hold)
+    return u
+
+
+def lagged(t: Array, command: Array, a: float = A_SHAFT) -> Array:
+    """Shaft speeds behind held commands: ``n' = a (n_ref - n)`` from rest, (n_rows, n)."""
+    n = np.zeros_like(command)
+    for k in range(t.size - 1):
+        n[k + 1] = command[k] + (n[k] - command[k]) * np.exp(-a * (t[k + 1] - t[k]))
+    return n
+
+
+def surge_case(seconds: float = 300.0) -> Case:
+    """Thrust ahead and astern in steps, position at 10 Hz."""
+    t = _clock(seconds, 0.1)
+    force = steps(t, lambda rng: rng.uniform(-30.0, 80.0, 1), (5.0, 15.0), MISSION_SEED)
+    model = _at(surge(), HULL | {"s_u": 0.02, "e_x": 0.05})
+    return Case("surge", model, Inputs.held(t, force), {}, f"{seconds:g} s, thrust in steps of 5-15 s, position 10 Hz")
+
+
+def yaw_case(seconds: float = 300.0) -> Case:
+    """Differential thrust in steps, gyro at 20 Hz."""
+    t = _clock(seconds, 0.05)
+    moment = steps(t, lambda rng: rng.uniform(-12.0, 12.0, 1), (2.0, 8.0), MISSION_SEED)
+    model = _at(yaw(), HULL | {"s_r": 0.02, "e_r": 0.01})
+    return Case("yaw", model, Inputs.held(t, moment), {}, f"{seconds:g} s, moment in steps of 2-8 s, gyro 20 Hz")
+
+
+def horizontal_case(seconds: float = 400.0) -> Case:
+    """Both thrusters in steps; heading, gyro and accelerometers at 10 Hz, position and velocity at 5 Hz."""
+    t = _clock(seconds, 0.1)
+    n = lagged(t, steps(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED))
+    model = _at(horizontal(), HULL | {"s_u": 0.02, "s_v": 0.02, "s_r": 0.01})
+    return Case("horizontal", model, Inputs.linear(t, n), {"position": 2, "ground_velocity": 2},
+                f"{seconds:g} s, both thrusters in steps of 3-10 s, AHRS 10 Hz, GNSS 5 Hz, unknown current")
+
+
+def thruster_case(seconds: float = 100.0) -> Case:
+    """Steps on the bench; command, shaft speed and force at 50 Hz."""
+    t = _clock(seconds, 0.02)
+    command = steps(t, lambda rng: rng.uniform(-1.0, 1.0, 1), (1.0, 4.0), MISSION_SEED)[:, 0]
+    whole = [np.searchsorted(t, t - k * DELAY_STEP + 1e-9, side="right") - 1 for k in range(N_DELAYS)]
+    u = np.column_stack([command[np.maximum(at, 0)] for at in whole])
+    model = thruster(n_delays=N_DELAYS).with_values({"tau": 0.1, "s_n": 0.02, "e_n": 0.005})
+    return Case("thruster", model, Inputs.held(t, u), {}, f"{seconds:g} s, command in steps of 1-4 s, all at 50 Hz")
+
+
+CASES: dict[str, Callable[..., Case]] = {
+    "surge": surge_case, "yaw": yaw_case, "horizontal": horizontal_case, "thruster": thruster_case}
+
+
+def make_case(
+    name: str, truth: Mapping[str, float] | None = None, free: Sequence[str] = (), seconds: float | None = None,
+    *, bounded: bool = True,
+) -> Case:
+    """A case by name; at other true values, with only the parameters ``free`` estimated, of another length, if given.
+    Not ``bounded``: damping may be estimated below zero.
+
+    Raises SeatrialError when there is none, or no such parameter.
+    """
+    if name not in CASES:
+        raise SeatrialError(f"no study of {name!r}: there are {', '.join(CASES)}")
+    case = CASES[name](**({} if seconds is None else {"seconds": seconds}))
+    try:
+        case = case.at(truth or {})
+        case = replace(case, model=case.model.with_free(free)) if free else case
+    except (KeyError, ValueError) as problem:
+        raise SeatrialError(str(problem).strip("'\"")) from problem
+    if bounded:
+        return case
+    apart = [replace(p, bounds=(-INF, INF)) for p in case.model.parameters if p.transform == "none"]
+    return replace(case, model=case.model.replace_parameters(*apart))
+
+
+def _clock(seconds: float, step: float) -> Array:
+    return np.asarray(np.arange(round(seconds / step) + 1) * step)
+
+
+def _at(model: Model, values: Mapping[str, float]) -> Model:
+    return model.with_values({n: v for n, v in values.items() if n in model.values})

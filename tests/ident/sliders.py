@@ -1,0 +1,110 @@
+"""A mass that slides: a linear model small enough for Monte Carlo, with records of it and candidates it may lack."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import expm
+
+from ident.candidates import Path
+from ident.dataset import Record
+from ident.fit import Fit, fit
+from ident.model import Effect, Input, Model, Output, Sensor, Signals, State, plain_model
+from ident.params import Parameter
+from ident.pe import Likelihood
+from ident.score import Columns, Normal, Score, block_index, score_tests, whitened_sensitivities
+
+H = 0.1  # s
+M, D, Q, E_V, E_S = 2.0, 1.0, 0.05, 0.05, 0.1
+
+
+def slider() -> Model:
+    """Position s and speed v of a mass m with damping d under a force w; both are measured."""
+    return plain_model(
+        "slider",
+        f=lambda x, u, p: {"s": x.v, "v": (u.w - p.d * x.v) / p.m},
+        h=lambda x, u, p: {"speed": x.v, "place": x.s},
+        states=(State("s", "m", noise=0.0, sd0=0.3), State("v", "m/s", noise="q", sd0=0.3)),
+        inputs=(Input("w", "N"),),
+        sensors=(Sensor("log", (Output("speed", "m/s", "e_v"),)), Sensor("tape", (Output("place", "m", "e_s"),))),
+        parameters=(
+            Parameter("m", M, "kg"),
+            Parameter("d", D, "kg/s"),
+            Parameter("q", Q, free=False),
+            Parameter("e_v", E_V, free=False),
+            Parameter("e_s", E_S, free=False),
+        ),
+    )
+
+
+def _rate(name: str, change: str) -> Effect:
+    def hook(s: Signals) -> None:
+        v, k = s.x.v, getattr(s.p, f"k_{name}")
+        s.rate["v"] = s.rate["v"] + k * {"push": 1.0, "drag": -abs(v) * v, "cube": v * v * v}[change]
+
+    return Effect(name, name, {"rate": hook}, (Parameter(f"k_{name}", 0.0, step=0.01),))
+
+
+def _output(name: str) -> Effect:
+    def hook(s: Signals) -> None:
+        s.y["place"] = s.y["place"] + getattr(s.p, f"k_{name}")
+
+    return Effect(name, name, {"output": hook}, (Parameter(f"k_{name}", 0.0, step=0.01),))
+
+
+PUSH, DRAG, CUBE, TAPE = _rate("push", "push"), _rate("drag", "drag"), _rate("cube", "cube"), _output("tape")
+
+
+def slide(seed: int, n_rows: int = 300, push: float = 0.0, drag: float = 0.0) -> Record:
+    """The slider at 10 Hz, its speed always and its place every fifth row measured.
+
+    push, drag: sizes of these effects, the latter by 50 substeps a row.
+    """
+    rng = np.random.default_rng(seed)
+    A = np.array([[0.0, 1.0], [0.0, -D / M]])
+    n_sub = 50 if drag else 1
+    h = H / n_sub
+    Phi = expm(A * h)
+    gain = expm(np.block([[A, np.eye(2)], [np.zeros((2, 4))]]) * h)[:2, 2:]
+    L = np.diag([0.0, Q * Q])
+    # the covariance of what the process noise adds in one step (Van Loan 1978)
+    block = expm(np.block([[-A, L], [np.zeros((2, 2)), A.T]]) * h)
+    root = np.linalg.cholesky(block[2:, 2:].T @ block[:2, 2:] + 1e-18 * np.eye(2))
+    w = np.repeat(rng.uniform(-2, 2, n_rows // 10 + 1), 10)[:n_rows]
+    x = rng.normal(size=2) * 0.3
+    y = np.full((n_rows, 2), np.nan)
+    for k in range(n_rows):
+        y[k, 0] = x[1] + E_V * rng.normal()
+        if k % 5 == 0:
+            y[k, 1] = x[0] + E_S * rng.normal()
+        for _ in range(n_sub):
+            force = np.array([0.0, w[k] / M + push - drag * abs(x[1]) * x[1]])
+            x = Phi @ x + gain @ force + root @ rng.normal(size=2)
+    t = H * np.arange(n_rows)
+    return Record(f"slide {seed}", t, w[:, None], w[:, None], y, ("w",), ("speed", "place"))
+
+
+def score_of(record: Record, effects: list[Effect], model: Model | None = None) -> tuple[Fit, list[Score]]:
+    """Fit the slider to one record and test the effects."""
+    fitted = fit(model or slider(), [record], threads=1)
+    return fitted, scores_at(fitted, record, effects)
+
+
+def scores_at(fitted: Fit, record: Record, effects: list[Effect]) -> list[Score]:
+    values = fitted.record_values[0]
+    run = Likelihood(fitted.model).filter(record, values)
+    path = Path(fitted.model, values, record, run.x_pred)
+    columns = [c for effect in effects for c in path.effect(effect)]
+    return scores_of_columns(path, run, [path.parameter(n) for n in fitted.names], columns)
+
+
+def scores_of_columns(path: Path, run: object, fitted: list[np.ndarray], columns: list[Columns]) -> list[Score]:
+    """Scores of given columns with the fitted parameters' columns (n_rows, n_states + n_outputs) projected out."""
+    delta = np.concatenate([np.stack(fitted, 2)] + [c.delta for c in columns], axis=2)
+    normal = Normal([str(k) for k in range(delta.shape[2])])
+    g, e, t = whitened_sensitivities(run, path.own, path.jacobian, delta)  # type: ignore[arg-type]
+    normal.add(range(delta.shape[2]), g, e, block_index(t))
+    at, placed = len(fitted), []
+    for c in columns:
+        placed.append((c, list(range(at, at + c.delta.shape[2]))))
+        at += c.delta.shape[2]
+    return score_tests(normal, len(fitted), np.zeros(len(fitted)), placed)

@@ -1,0 +1,73 @@
+"""What the jobs decide before they fit: which model, which sensors, what is known, and what a log is asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from daq.errors import SeatrialError
+from ident.dataset import Channel
+from ident.jobs import choose_model, with_known
+from ident.loading import Loaded, load_run
+from ident.models.horizontal import horizontal
+from ident.stage import Run
+from tests.missions import boat_log, boat_with, rig_of
+
+AHRS = ("psi", "r", "ax", "ay")
+GNSS = ("x", "y", "vx", "vy")
+
+
+def loaded(*names: str, holds: dict[str, str] | None = None) -> Loaded:
+    t = np.arange(5.0)
+    return Loaded(Run("run", {n: Channel(t, t) for n in names}), {"path": "run.mcap"}, holds or {}, None)
+
+
+@pytest.mark.parametrize(
+    ("names", "inputs"),
+    [
+        (("n_left", "n_right"), ("n_left", "n_right")),
+        (("f_left", "f_right"), ("f_left", "f_right")),
+        (("X", "N"), ("X", "N")),
+        (("n_left", "n_right", "f_left", "f_right"), ("n_left", "n_right")),
+    ],
+)
+def test_the_model_follows_the_inputs_and_the_sensors(names: tuple[str, ...], inputs: tuple[str, ...]) -> None:
+    model = choose_model("auto", [loaded(*names, *AHRS), loaded(*names, "x", "y")])
+    assert tuple(i.name for i in model.inputs) == inputs
+    assert [s.name for s in model.sensors] == ["attitude", "gyro", "accelerometer", "position"]
+
+
+def test_an_input_keeps_the_hold_it_was_logged_with() -> None:
+    names = ("f_left", "f_right", *AHRS, *GNSS)
+    holds = {"f_left": "zero", "f_right": "linear"}
+    model = choose_model("auto", [loaded(*names, holds=holds)])
+    assert {i.name: i.hold for i in model.inputs} == holds
+
+
+def test_inputs_that_only_some_logs_have_are_none() -> None:
+    with pytest.raises(SeatrialError, match=r"run\.mcap: no inputs for the horizontal model .*; the log has psi, r"):
+        choose_model("auto", [loaded("n_left", "n_right", "psi", "r"), loaded("psi", "r")])
+
+
+def test_what_is_known_is_taken_and_fixed() -> None:
+    model = with_known(horizontal(), rig_of("boat"), None, {"d_uu": 30.0})
+    assert (model.values["d_vv"], model.values["d_uu"]) == (20.0, 30.0)
+    assert model.parameter("d_vv").free
+    assert not model.parameter("d_uu").free
+    assert (model.values["y_left"], model.values["y_right"]) == (-0.15, 0.15)
+    with pytest.raises(SeatrialError, match="--fix mass: model horizontal has no such parameter; it has m_u"):
+        with_known(horizontal(), None, None, {"mass": 1.0})
+
+
+def test_a_log_is_loaded_with_times_from_its_own_start(tmp_path: Path) -> None:
+    path = boat_log(tmp_path / "a.mcap", boat_with(None, 1), 20.0, 7)
+    found = load_run(path, "estimation", 3.0, 9.0)
+    assert (found.run.t_from, found.run.t_to, found.run.name) == (3.0, 9.0, "a")
+    assert min(c.t[0] for c in found.run.channels.values()) == 0.0
+    about: Any = found.about
+    assert (about["role"], about["rig"], about["mission"]) == ("estimation", "mock boat", "mixed, seed 7")
+    assert about["duration"] == pytest.approx(20.0, abs=0.1)
+    assert about["warnings"] == []

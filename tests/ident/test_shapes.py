@@ -1,0 +1,114 @@
+"""Unknown effects: the table of a force over a variable, what it adds to a model, and the curve with its band."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ident.engine.rowwise import Rowwise
+from ident.models.horizontal import horizontal
+from ident.shapes import N_KNOTS, basis, read_variable, shape, unknown_effect
+
+SPAN = (-0.4, 1.2)
+
+
+def hats(z: np.ndarray) -> np.ndarray:
+    return np.column_stack([b * np.ones(z.size) for b in basis(z, "u", SPAN)])
+
+
+def test_the_hats_are_a_partition_of_one_and_constant_beyond_the_span() -> None:
+    z = np.linspace(-2, 3, 1001)
+    B = hats(z)
+    assert B.shape == (1001, N_KNOTS)
+    np.testing.assert_allclose(B.sum(1), 1.0, atol=1e-12)
+    assert (B >= 0).all()
+    np.testing.assert_allclose(B[z < SPAN[0]], np.eye(N_KNOTS)[[0] * int((z < SPAN[0]).sum())], atol=1e-12)
+    np.testing.assert_allclose(B[z > SPAN[1]], np.eye(N_KNOTS)[[-1] * int((z > SPAN[1]).sum())], atol=1e-12)
+
+
+def test_the_hats_interpolate_between_knots() -> None:
+    knots = np.linspace(*SPAN, N_KNOTS)
+    values = np.array([1.0, -2.0, 0.5, 3.0, 0.0, 1.0, -1.0])
+    z = np.linspace(*SPAN, 333)
+    np.testing.assert_allclose(hats(z) @ values, np.interp(z, knots, values), atol=1e-9)
+
+
+def forces(force: str, variable: str, coefficients: list[float], x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """What an unknown effect adds to X, Y and N, (n, 3), from the rates of the horizontal model with and without it."""
+    base = horizontal()
+    effect = unknown_effect(force, variable, SPAN)
+    model = base + effect
+    names = [p.name for p in effect.parameters]
+    model = model.with_values(dict(zip(names, coefficients, strict=True)))
+    p = base.values
+    more = [Rowwise(m)(x, u[:, : len(m.inputs)], np.array(list(m.values.values())))[:, 3:6] for m in (model, base)]
+    return np.asarray((more[0] - more[1]) * [p["m_u"], p["m_v"], p["m_r"]])
+
+
+def test_an_unknown_effect_adds_its_table_to_one_force() -> None:
+    rng = np.random.default_rng(1)
+    x, u = rng.normal(size=(40, 6)), rng.uniform(-1, 1, (40, 3))
+    table = rng.normal(size=N_KNOTS).tolist()
+    z = x[:, 3]
+    added = forces("Y", "u", table, x, u)
+    np.testing.assert_allclose(added[:, 1], hats(z) @ table, atol=1e-9)
+    np.testing.assert_allclose(added[:, [0, 2]], 0.0, atol=1e-9)
+    psi = forces("N", "psi", [1.0, -0.5, 0.25, 2.0], x, u)[:, 2]
+    h = x[:, 2]
+    np.testing.assert_allclose(psi, np.sin(h) - 0.5 * np.cos(h) + 0.25 * np.sin(2 * h) + 2 * np.cos(2 * h), atol=1e-9)
+    a, b = x[:, 3], x[:, 5]
+    product = forces("X", "u, r", [1.0, 2.0, -3.0], x, u)[:, 0]
+    np.testing.assert_allclose(product, a * b + 2 * np.abs(a) * b - 3 * a * np.abs(b), atol=1e-9)
+    mean = forces("X", "n_sum", table, x, u)[:, 0]
+    np.testing.assert_allclose(mean, hats((u[:, 0] + u[:, 1]) / 2) @ table, atol=1e-9)
+    late = forces("X", "t", table, x, u)[:, 0]
+    np.testing.assert_allclose(late, hats(u[:, 2]) @ table, atol=1e-9)
+
+
+def test_an_unknown_effect_does_nothing_at_zero_and_says_what_it_is() -> None:
+    rng = np.random.default_rng(2)
+    x, u = rng.normal(size=(10, 6)), rng.uniform(-1, 1, (10, 3))
+    assert not forces("X", "v", [0.0] * N_KNOTS, x, u).any()
+    effect = unknown_effect("N", "u, r", SPAN)
+    assert effect.name == "unknown N(u, r)"
+    assert [p.name for p in effect.parameters] == ["N_ur_0", "N_ur_1", "N_ur_2"]
+    assert {p.unit for p in effect.parameters} == {"N m"}
+    assert unknown_effect("X", "t", SPAN).inputs[0].name == "t"
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted"), [("psi", 0.3), ("t", 7.0), ("n_sum", 0.4), ("n_diff", 0.6), ("f_sum", 15.0), ("f_diff", -10.0)]
+)
+def test_variables_are_read_where_they_stand(name: str, wanted: float) -> None:
+    s: Any = SimpleNamespace(
+        x=SimpleNamespace(psi=0.3), u=SimpleNamespace(t=7.0, n_left=0.7, n_right=0.1, f_left=10.0, f_right=20.0)
+    )
+    assert read_variable(s, name) == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize("variable", ["u", "psi"])
+def test_the_curve_is_centred_and_its_band_comes_from_the_covariance(variable: str) -> None:
+    effect = unknown_effect("X", variable, SPAN)
+    names = ["d_u", *(p.name for p in effect.parameters)]
+    rng = np.random.default_rng(3)
+    root = 0.2 * rng.normal(size=(len(names), len(names)))
+    P = root @ root.T
+    values = dict(zip(names, rng.normal(size=len(names)), strict=True))
+    drawn = shape(effect, SPAN, values, names, P)
+    assert drawn is not None
+    assert (drawn.force, drawn.variable, drawn.unit) == ("X", variable, "N")
+    assert drawn.value.mean() == pytest.approx(0.0, abs=1e-12)
+    table = np.column_stack([b * np.ones(drawn.grid.size) for b in basis(drawn.grid, variable, SPAN)])
+    mean = table @ [values[n] for n in names[1:]]
+    np.testing.assert_allclose(drawn.value, mean - mean.mean(), atol=1e-12)
+    samples = rng.multivariate_normal([values[n] for n in names], P, size=20000)[:, 1:] @ table.T
+    np.testing.assert_allclose(drawn.sd, (samples - samples.mean(1, keepdims=True)).std(0), rtol=0.03)
+
+
+def test_products_have_no_curve() -> None:
+    effect = unknown_effect("X", "u, r", SPAN)
+    names = [p.name for p in effect.parameters]
+    assert shape(effect, SPAN, dict.fromkeys(names, 1.0), names, np.eye(3)) is None

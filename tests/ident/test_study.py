@@ -1,0 +1,197 @@
+"""The Monte Carlo study: its simulation against known truths, its arithmetic on made-up rows, and its command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import seatrial
+from ident import study_job
+from ident.dataset import Record
+from ident.euler import Inputs, simulate_noisy
+from ident.model import Input, Model, Output, Sensor, State, plain_model
+from ident.oe import simulate
+from ident.params import Parameter
+from ident.study import Row, counts, judge, replicates
+from ident.study_cases import CASES, make_case
+
+
+def values_of(model: Model, n: int = 1) -> np.ndarray:
+    return np.tile(list(model.values.values()), (n, 1))
+
+
+def drifting() -> Model:
+    """An Ornstein-Uhlenbeck state that is integrated, and pushed."""
+    return plain_model(
+        "drifting",
+        f=lambda x, u, p: {"v": (u.w - x.v) / p.tau, "s": x.v},
+        h=lambda x, u, p: {"y": x.s},
+        states=(State("v", noise="q", sd0=0.4), State("s", sd0=0.0)),
+        inputs=(Input("w", hold="linear"),),
+        sensors=(Sensor("one", (Output("y", noise="e"),)),),
+        parameters=(Parameter("tau", 2.0), Parameter("q", 0.3), Parameter("e", 0.05)),
+    )
+
+
+def test_simulated_noise_has_the_variance_of_the_equation() -> None:
+    """Ornstein-Uhlenbeck: mean, stationary variance, and that of its integral (Gardiner 2009, 3.8.4)."""
+    model, t, n = drifting(), np.arange(0.0, 12.05, 0.1), 1500
+    inputs = Inputs.linear(t, np.ones((t.size, 1)))
+    rngs = [np.random.default_rng([1, k]) for k in range(n)]
+    x, y = simulate_noisy(model, inputs, values_of(model, n), rngs, x0=np.zeros((n, 2)))
+    assert x.shape == (n, t.size, 2)
+    k, tau, q = 60, 2.0, 0.3
+    decay = np.exp(-t[k] / tau)
+    variance = q**2 * tau / 2 * (1 - decay**2)
+    assert x[:, k, 0].mean() == pytest.approx(1 - decay, abs=4 * np.sqrt(variance / n))
+    assert x[:, k, 0].var() == pytest.approx(variance, rel=4 * np.sqrt(2 / n))
+    travelled = q**2 * tau**2 * (t[k] - 2 * tau * (1 - decay) + tau / 2 * (1 - decay**2))
+    assert x[:, k, 1].var() == pytest.approx(travelled, rel=4 * np.sqrt(2 / n))
+    assert (y[:, k, 0] - x[:, k, 1]).std() == pytest.approx(0.05, rel=0.1)
+    started, _ = simulate_noisy(model, inputs, values_of(model, n), rngs)
+    assert started[:, 0, 0].std() == pytest.approx(0.4, rel=0.1)
+
+
+@pytest.mark.parametrize("name", ["surge", "yaw", "horizontal"])
+def test_without_noise_it_is_the_engines_simulation(name: str) -> None:
+    """Two integrators that have nothing in common."""
+    case = make_case(name, seconds=40.0)
+    model = case.model.with_values({p: 1e-12 for p in case.model.values if p[:2] in ("s_", "e_")})
+    x0 = np.zeros((1, len(model.states)))
+    x, y = simulate_noisy(model, case.inputs, values_of(model), [np.random.default_rng(0)], x0=x0)
+    record = Record(name, case.inputs.t, case.inputs.u, case.inputs.u_next, np.full(y[0].shape, np.nan),
+                    tuple(i.name for i in model.inputs), tuple(o.name for o in model.outputs))
+    engine = simulate(model, record, x0=x0[0])
+    np.testing.assert_allclose(x[0], engine.x, atol=2e-4)
+    np.testing.assert_allclose(y[0], engine.y, atol=1e-3)
+
+
+def test_a_replicate_does_not_depend_on_its_neighbours() -> None:
+    case = make_case("yaw", seconds=60.0)
+    together, alone = replicates(case, [0, 1, 2], 7), replicates(case, [2], 7)
+    assert together[2]["k"] == 2
+    assert together[2]["d"] == pytest.approx(alone[0]["d"], abs=1e-9)
+    assert together[1]["d"] != together[2]["d"]
+    assert replicates(case, [2], 8)[0]["d"] != alone[0]["d"]
+
+
+def test_estimates_of_the_models_own_data_are_right_and_output_errors_are_not() -> None:
+    case = make_case("yaw", seconds=120.0)
+    right = {j.name: j for j in judge(replicates(case, range(80), 3))}
+    for name in ("m_r", "d_r", "d_rr"):
+        j = right[name]
+        assert abs(j.bias) < 4 * j.bias_error, name
+        assert j.ratio_interval[0] < 1.1, name
+        assert j.ratio_interval[1] > 0.9, name
+        assert j.coverage_interval[1] > 0.95, name
+    wrong = {j.name: j for j in judge(replicates(case, range(60), 3, "oe"))}
+    assert wrong["m_r"].ratio > 3
+    assert {"variance", "coverage"} <= set(wrong["m_r"].misses)
+
+
+def made_up(d: np.ndarray, se: float) -> list[Row]:
+    return [{"converged": True, "cpu": 1.0, "simulation": 2.0, "d": {"a": float(x), "b": 0.0},
+             "se": {"a": se, "b": None}, "bound": {"a": 2 * se, "b": None}} for x in d]
+
+
+def test_the_numbers_of_a_study() -> None:
+    d = np.array([-1.0, 0.0, 1.0, 2.0, 3.0])
+    (j,) = judge([*made_up(d, 1.0), {"converged": False, "cpu": 1.0, "simulation": 2.0}])
+    assert (j.name, j.n, j.at_bound) == ("a", 5, 0)
+    assert j.sd == pytest.approx(np.sqrt(2.5))
+    assert j.bias == pytest.approx(1 / np.sqrt(2.5))
+    assert j.ratio == pytest.approx(2.5)
+    assert j.bound_ratio == pytest.approx(2.5 / 4)
+    assert j.coverage == pytest.approx(3 / 5)
+    assert j.coverage_interval == pytest.approx((0.1466, 0.9473), abs=1e-3)  # Clopper and Pearson's table
+    assert j.ratio_interval == pytest.approx((2.5 * 4 / 11.143, 2.5 * 4 / 0.4844), rel=1e-3)
+    assert j.misses == ("bias (chance?)", "variance (chance?)", "coverage (chance?)")
+    rows = [*made_up(d, 1.0), {"converged": False, "cpu": 1.0, "simulation": 2.0}, {"error": "no", "simulation": 2.0}]
+    found = counts(rows)
+    assert (found["replicates"], found["failed"], found["unconverged"]) == (7, 1, 1)
+
+
+def test_what_misses_beyond_chance_is_said() -> None:
+    rng = np.random.default_rng(4)
+    (fine,) = judge(made_up(rng.normal(size=20_000), 1.0))
+    assert fine.misses == ()
+    (poor,) = judge(made_up(0.5 + 1.5 * rng.normal(size=2000), 1.0))
+    assert poor.misses == ("bias", "variance", "coverage")
+
+
+def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    case, out = make_case("surge", seconds=60.0), tmp_path / "surge.jsonl"
+    first = study_job.study(case, 4, 2, out, jobs=1)
+    lines = out.read_text().splitlines()
+    out.write_text("\n".join([lines[0], lines[1], json.dumps({**json.loads(lines[2]), "error": "x"}), lines[3][:50]]))
+    done: list[int] = []
+    monkeypatch.setattr(study_job, "replicates", lambda case, numbers, *rest: done.extend(numbers)
+                        or replicates(case, numbers, *rest))
+    out.write_text(out.read_text() + "\n")
+    again = study_job.study(case, 4, 2, out, jobs=1)
+    assert done == [2, 3]
+    for a, b in zip(first, again, strict=True):
+        assert a["d"] == pytest.approx(b["d"], abs=1e-9)
+    done.clear()
+    study_job.study(case, 4, 3, out, jobs=1)  # another seed is another study
+    assert done == [0, 1, 2, 3]
+
+
+def test_any_backend_of_joblib_does_it(tmp_path: Path) -> None:
+    import joblib
+
+    case = make_case("surge", seconds=30.0)
+    with joblib.parallel_config(backend="threading", n_jobs=2):
+        rows = study_job.study(case, 3, 2, tmp_path / "a.jsonl")
+    alone = study_job.study(case, 3, 2, tmp_path / "b.jsonl", jobs=1)
+    assert [r["d"] for r in rows] == [r["d"] for r in alone]
+
+
+def test_cases_and_their_options() -> None:
+    for name in CASES:
+        case = make_case(name, seconds=20.0)
+        assert case.inputs.t[-1] == pytest.approx(20.0)
+        assert case.inputs.u.shape == (case.inputs.t.size, len(case.model.inputs))
+    assert make_case("surge", {"d_u": 3.0}).model.values["d_u"] == 3.0
+    assert make_case("surge", free=["s_u"]).model.free == ("s_u",)
+    assert make_case("surge", bounded=False).model.parameter("d_u").bounds[0] == -np.inf
+
+
+def test_the_command_writes_result_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["ident", "study", "surge", "--replicates", "6", "--seconds", "60", "--out", str(tmp_path)]
+    outputs = []
+    for more in ([], ["--docs"]):
+        with pytest.raises(SystemExit) as leaving:
+            seatrial.main([*words, *more])
+        assert not leaving.value.code
+        outputs.append(capsys.readouterr())
+    assert "surge, PE: 60 s" in outputs[0].out
+    assert "6 of 6 replicates" in outputs[0].err
+    assert "6 replicates are there already" in outputs[1].err
+    assert outputs[1].out == (tmp_path / "study.md").read_text()
+    assert outputs[1].out.startswith("# Monte Carlo study")
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert (result["kind"], result["seed"]) == ("study", 1)
+    (one,) = result["studies"]
+    assert [p["name"] for p in one["parameters"]] == ["m_u", "d_u", "d_uu", "s_u", "e_x"]
+    assert len((tmp_path / "surge.jsonl").read_text().splitlines()) == 6
+
+
+@pytest.mark.parametrize(("words", "says"), [
+    ("boat", "no study of 'boat': there are surge, yaw, horizontal, thruster"),
+    ("surge --truth m_x=1", "has no parameter 'm_x'"),
+    ("surge --truth d_u=-1", "outside its bounds"),
+    ("surge --free nothing", "has no parameter 'nothing'"),
+])
+def test_what_cannot_be_done_is_one_line(
+    words: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        seatrial.main(["ident", "study", *words.split(), "--out", str(tmp_path)])
+    err = capsys.readouterr().err
+    assert leaving.value.code == 1
+    assert err.count("\n") == 1
+    assert says in err

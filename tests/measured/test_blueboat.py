@@ -1,0 +1,76 @@
+"""The measured BlueBoat by public commands, as docs/examples/blueboat/README.md goes: the inequalities that matter."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import seatrial
+
+pytestmark = [pytest.mark.measured, pytest.mark.slow, pytest.mark.xdist_group("blueboat")]
+
+HERE = Path(__file__).resolve().parents[2] / "docs/examples/blueboat"
+FITTED = (218, 220, 222, 224, 230, 233)
+UNUSED = (221, 223, 226, 228, 232)
+BOAT = {"--start": ("m_u=15", "m_v=20", "m_r=1.7"), "--fix": ("y_left=-0.285", "y_right=0.285")}
+NOISE = ("e_uv=0.05", "e_r=0.02", "e_psi=0.03", "e_xy=0.3")
+
+
+def run(*words: str) -> None:
+    with pytest.raises(SystemExit) as left:
+        seatrial.main(words)
+    assert left.value.code == 0, words
+
+
+def percent(result: dict[str, Any], channel: str, when: str) -> float:
+    row = result["before_after"]["validation"]["free_run"][channel]
+    return float(100.0 * (1.0 - row[when] / row["spread"]))
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
+    """result.json of the fit and of the diagnosis."""
+    data = os.environ.get("SEATRIAL_DATA")
+    if not data:
+        pytest.skip("SEATRIAL_DATA does not say where the measured data sets are")
+    files = sorted(Path(data, "blueboat").glob("fixed_00000*.csv"))
+    if not files:
+        pytest.skip("SEATRIAL_DATA has no blueboat")
+    folder = tmp_path_factory.mktemp("blueboat")
+    run("import", "csv", str(HERE / "blueboat.toml"), *map(str, files), "--out-dir", str(folder))
+    logs = [str(folder / f"fixed_00000{n}.mcap") for n in FITTED]
+    for n in UNUSED:
+        logs += ["--validate", str(folder / f"fixed_00000{n}.mcap")]
+    given = [word for option, values in BOAT.items() for v in values for word in (option, v)]
+    given += [word for v in NOISE for word in ("--fix", v)]
+    run("ident", "vehicle", *logs, *given, "--out", str(folder / "vehicle"))
+    run("ident", "diagnose", str(folder / "vehicle/model.toml"), *logs, "--out", str(folder / "diagnosis"))
+    return {k: json.loads((folder / k / "result.json").read_text()) for k in ("vehicle", "diagnosis")}
+
+
+def test_swapped_sides_are_reported(results: dict[str, dict[str, Any]]) -> None:
+    assert "left and right are swapped in the data" in results["vehicle"]["answer"]
+
+
+def test_the_diagnosis_finds_something_that_predicts_the_unused_runs_better(
+    results: dict[str, dict[str, Any]],
+) -> None:
+    found = results["diagnosis"]
+    assert found["effects"]
+    for channel in ("r", "v"):
+        assert percent(found, channel, "after") > percent(found, channel, "before") + 5.0
+    assert found["before_after"]["validation"]["free_run"]["r"]["high"] < 1.0  # also of its 95 % interval
+
+
+def test_the_yaw_rate_of_the_unused_runs_is_predicted(results: dict[str, dict[str, Any]]) -> None:
+    assert percent(results["diagnosis"], "r", "after") > 30.0
+
+
+def test_surge_is_not_paid_for_it(results: dict[str, dict[str, Any]]) -> None:
+    found = results["diagnosis"]
+    assert percent(found, "u", "after") > 40.0
+    assert percent(found, "u", "after") > percent(found, "u", "before") - 5.0

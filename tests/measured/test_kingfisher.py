@@ -1,0 +1,111 @@
+"""The measured Kingfisher by public commands, as docs/examples/kingfisher/README.md goes: the numbers it states."""
+
+from __future__ import annotations
+
+import json
+import os
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import seatrial
+
+pytestmark = [pytest.mark.measured, pytest.mark.slow]
+
+HERE = Path(__file__).resolve().parents[2] / "docs/examples/kingfisher"
+MODELS = ("immediate", "delayed", "both", "shifted")
+
+
+def run(*words: str) -> None:
+    with pytest.raises(SystemExit) as left:
+        seatrial.main(words)
+    assert left.value.code == 0, words
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What run.sh writes, of the models that the README draws its conclusions from."""
+    where = os.environ.get("SEATRIAL_DATA")
+    if not where:
+        pytest.skip("SEATRIAL_DATA does not say where the measured data sets are")
+    data = Path(where) / "kingfisher"
+    if not data.is_dir():
+        pytest.skip("SEATRIAL_DATA has no kingfisher")
+    out = tmp_path_factory.mktemp("kingfisher")
+    surge = [str(path) for path in sorted(data.glob("surge_*.csv"))]
+    bollard = str(data / "bollard_loadcell_raw_20files.csv")
+    run("import", "csv", str(HERE / "bollard.toml"), bollard, "-o", str(out / "bollard.mcap"))
+    for name in ("surge_steps", "surge_rest"):
+        run("import", "csv", str(HERE / f"{name}.toml"), *surge, "--out-dir", str(out))
+    run("ident", "thruster", str(out / "bollard.mcap"), "--settle", "0", "--out", str(out / "thruster"))
+    steps = [str(path) for path in sorted(out.glob("surge_steps_*.mcap"))]
+    unseen = [word for path in sorted(out.glob("surge_rest_*.mcap")) for word in ("--validate", str(path))]
+    assert (len(steps), len(unseen)) == (4, 28)
+    for name in MODELS:
+        model = ["--model", f"{HERE / 'surge_model.py'}:{name}", "--thruster", str(out / "thruster/model.toml")]
+        run("ident", "vehicle", *steps, *model, *unseen, "--agree", "m_u", "--out", str(out / name))
+    return out
+
+
+@pytest.fixture(scope="module")
+def results(folder: Path) -> dict[str, dict[str, Any]]:
+    return {name: json.loads((folder / name / "result.json").read_text()) for name in MODELS}
+
+
+def agreement(result: dict[str, Any]) -> dict[str, Any]:
+    (row,) = result["agreement"]
+    found: dict[str, Any] = row
+    return found
+
+
+def free_run(result: dict[str, Any]) -> float:
+    return float(result["before_after"]["validation"]["free_run"]["speed"]["after"])
+
+
+def test_the_quadratic_does_not_describe_the_bench(folder: Path) -> None:
+    table = tomllib.loads((folder / "thruster/model.toml").read_text())
+    assert table["thrusters"] == 2
+    assert len(table["measured"]["n"]) == 20
+    assert not table["quadratic"]["adequate"]
+    assert table["quadratic"]["rms"] == pytest.approx(5.6, abs=0.1)
+    assert table["quadratic"]["largest"] == pytest.approx(-14.2, abs=0.2)
+    assert table["curve"]["force"][-1] == pytest.approx(41.1, abs=0.1)
+    assert table["curve"]["force"][0] == pytest.approx(-12.25, abs=0.05)
+    assert all(0.05 < s < 0.7 for n, s in zip(table["curve"]["n"], table["curve"]["se"], strict=True) if n >= 0.3)
+
+
+def test_one_mass_and_its_interval(results: dict[str, dict[str, Any]]) -> None:
+    row = agreement(results["both"])
+    assert row["value"] == pytest.approx(45.7, abs=0.5)
+    assert row["se"] == pytest.approx(1.7, abs=0.2)
+    assert row["mean"] == pytest.approx(45.3, abs=0.5)
+    assert row["scatter"] == pytest.approx(3.0, abs=0.5)
+    assert (row["low"], row["high"]) == pytest.approx((38.3, 52.4), abs=1.0)
+
+
+def test_the_steps_do_not_agree_to_within_their_errors(results: dict[str, dict[str, Any]]) -> None:
+    row = agreement(results["both"])
+    assert not row["agree"]
+    assert row["lr"] == pytest.approx(19.1, abs=1.5)
+    assert row["values"] == pytest.approx([55.4, 48.1, 42.5, 42.7], abs=1.0)
+    assert agreement(results["delayed"])["lr"] == pytest.approx(44.5, abs=2.0)
+
+
+def test_the_delay_is_certain_and_without_it_they_agree_on_a_wrong_mass(results: dict[str, dict[str, Any]]) -> None:
+    likelihood = {name: r["fit"]["log_likelihood"] for name, r in results.items()}
+    assert likelihood["delayed"] - likelihood["immediate"] > 100
+    assert agreement(results["immediate"])["agree"]
+    assert agreement(results["immediate"])["value"] == pytest.approx(62.1, abs=0.5)
+    tau = next(p for p in results["both"]["fit"]["parameters"] if p["name"] == "tau")
+    assert tau["value"] == pytest.approx(0.63, abs=0.02)
+
+
+def test_unseen_runs_tell_the_models_apart(results: dict[str, dict[str, Any]]) -> None:
+    assert free_run(results["both"]) == pytest.approx(0.040, abs=0.003)
+    assert free_run(results["delayed"]) == pytest.approx(0.107, abs=0.005)
+    assert free_run(results["shifted"]) == pytest.approx(0.054, abs=0.004)
+    # Although it makes the steps agree, and fits them better.
+    assert agreement(results["shifted"])["agree"]
+    assert results["shifted"]["fit"]["log_likelihood"] > results["both"]["fit"]["log_likelihood"] + 5

@@ -1,0 +1,160 @@
+"""The documentation is executed: links lead somewhere, command lines parse, files in it are read."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import pytest
+
+import seatrial
+from bench.mission import parse_mission
+from daq.imports.csv_map import load_csv_map
+from daq.log import Log
+from daq.rig import parse_rig
+from ident.modelfile import load_model
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")])
+SCRIPTS = sorted((ROOT / "docs").rglob("*.sh"))
+FOLDERS = ("daq/", "bench/", "ident/", "mocks/", "tests/", "docs/")
+# What a reader of a how-to is to write, and what the commands of the docs write.
+YOURS = {"ident/effects/weed.py", "tests/ident/test_weed.py", "daq/protocol/os5000.py"}
+
+
+def name(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def blocks(path: Path, language: str) -> list[str]:
+    """The fenced blocks of a language, in order."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", path.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+def how_to(title: str) -> Path:
+    return ROOT / "docs/how-to" / f"{title}.md"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_links_and_files_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    links = [target.partition("#")[0] for target in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in target]
+    missing = [link for link in links if link and not (page.parent / link).exists()]
+    assert not missing
+    quoted = [word for word in re.findall(r"`([\w./-]+)`", text) if word.startswith(FOLDERS) and word not in YOURS]
+    assert not [word for word in quoted if not (ROOT / word).exists()]
+
+
+def shell_lines() -> Iterator[tuple[str, str]]:
+    """(where, command line) of everything that a reader may copy."""
+    for page in PAGES:
+        for block in blocks(page, "sh"):
+            for line in block.replace("\\\n", " ").splitlines():
+                if line.startswith("seatrial "):
+                    yield name(page), line
+    for script in SCRIPTS:
+        for line in script.read_text(encoding="utf-8").replace("\\\n", " ").splitlines():
+            if line.strip().startswith("seatrial "):
+                yield name(script), line.strip()
+
+
+@pytest.fixture
+def no_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let click take paths of files that are not there."""
+    monkeypatch.setattr(click.Path, "convert", lambda self, value, param, ctx: Path(value))
+
+
+@pytest.mark.parametrize(("where", "line"), sorted(set(shell_lines())))
+def test_command_lines_parse(where: str, line: str, no_files: None) -> None:
+    words = [word for word in shlex.split(line, comments=True) if word != "&"]
+    command, rest = resolve(words[1:])
+    assert not isinstance(command, click.Group), f"{where}: {line} names no command"
+    command.make_context("seatrial", rest)  # raises on an unknown option, a value out of range, a missing argument
+
+
+def resolve(words: list[str]) -> tuple[click.Command, list[str]]:
+    """The command that the words lead to, and the words behind its name."""
+    command: click.Command = seatrial.cli
+    context = click.Context(command)
+    while isinstance(command, click.Group) and words and not words[0].startswith("-"):
+        found = command.get_command(context, words[0])
+        assert found is not None, f"no command {words[0]!r} in {' '.join(words)}"
+        command, words = found, words[1:]
+    return command, words
+
+
+def mentions() -> list[tuple[str, str]]:
+    """(where, words) of commands quoted in the text; `a|b` stands for two commands."""
+    found = set()
+    for page in PAGES:
+        text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+        for quoted in re.findall(r"`seatrial ([^`]+)`", text):
+            words = quoted.split()
+            for k, word in enumerate(words[:2]):
+                if "|" in word:
+                    found |= {(name(page), " ".join([*words[:k], one, *words[k + 1 :]])) for one in word.split("|")}
+                    break
+            else:
+                found.add((name(page), " ".join(words)))
+    return sorted(found)
+
+
+@pytest.mark.parametrize(("where", "words"), mentions())
+def test_commands_in_the_text_exist(where: str, words: str) -> None:
+    if words == "...":
+        return
+    command, rest = resolve([word for word in words.split() if word != "..."])
+    known = {option for p in command.params for option in (*p.opts, *p.secondary_opts)}
+    known |= {"--help", "--debug", "--version"}
+    unknown = [word for word in rest if word.startswith("-") and word.partition("=")[0] not in known]
+    assert not unknown, f"{where}: `seatrial {words}`"
+
+
+def test_the_rig_files_of_the_docs_are_rigs() -> None:
+    for page in (ROOT / "docs/formats/rig.md", how_to("own-boat")):
+        (text, *_) = blocks(page, "toml")
+        rig = parse_rig(text, ROOT / "rig.toml")
+        assert rig.devices
+        assert rig.thrusters
+    (part,) = blocks(ROOT / "README.md", "toml")
+    assert parse_rig(f'format = "seatrial-rig 1"\nname = "readme"\n{part}', ROOT / "rig.toml").device("ahrs")
+
+
+def test_the_mission_of_the_docs_is_a_mission() -> None:
+    (text,) = blocks(ROOT / "docs/formats/mission.md", "toml")
+    mission = parse_mission(text, "mission.md")
+    assert mission.end == 300.0
+    assert [segment.name for segment in mission.segments] == ["static", "steps up"]
+
+
+def test_the_maps_of_the_docs_are_maps(tmp_path: Path) -> None:
+    for k, text in enumerate(blocks(ROOT / "docs/formats/import-csv.md", "toml")):
+        path = tmp_path / f"map{k}.toml"
+        path.write_text(text, encoding="utf-8")
+        load_csv_map(path)
+    for path in sorted((ROOT / "docs/examples").rglob("*.toml")):
+        if "seatrial-import-csv" in path.read_text(encoding="utf-8"):
+            load_csv_map(path)
+
+
+def test_the_model_of_the_docs_is_a_model(tmp_path: Path) -> None:
+    text, spans = blocks(ROOT / "docs/formats/model.md", "toml")
+    path = tmp_path / "model.toml"
+    path.write_text(text, encoding="utf-8")
+    saved = load_model(path)
+    assert saved.model.parameter("m_u").value == 35.53
+    assert saved.errors["m_u"] == 0.19
+    assert [e.name for e in saved.model.effects] == ["disturbance", "sensor-bias", "cubic-drag"]
+    path.write_text(text.replace('"cubic-drag"', '"unknown X(u)"').replace("[provenance]", f"{spans}\n[provenance]"))
+    assert load_model(path).model.effects[-1].name == "unknown X(u)"
+
+
+def test_what_the_docs_say_of_a_log_is_there() -> None:
+    (text,) = blocks(ROOT / "docs/formats/log.md", "python")
+    words = set(re.findall(r"\blog\.(\w+)", text.replace("daq.log.open_log", "")))
+    assert {"table", "sources", "rig"} <= words
+    known = set(dir(Log)) | set(Log.__init__.__code__.co_names) | set(getattr(Log, "__annotations__", ()))
+    assert not words - known

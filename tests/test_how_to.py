@@ -1,0 +1,191 @@
+"""The code of the how-tos runs: an effect, a sensor and a model, each as a reader would add it."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import re
+import sys
+import types
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import daq.protocol
+import ident.effects
+import seatrial
+from ident.dataset import Channel, Record
+from ident.diagnose import diagnose
+from ident.effects import catalogue
+from ident.model import Model
+from ident.modelfile import load_model
+from ident.models.horizontal import horizontal
+from ident.oe import simulate
+from ident.stage import Run
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def blocks(title: str, language: str) -> list[str]:
+    """The fenced blocks of a language in a how-to, in order."""
+    text = how_to(title).read_text(encoding="utf-8")
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+
+
+def how_to(title: str) -> Path:
+    return ROOT / "docs/how-to" / f"{title}.md"
+
+
+def module_from(text: str, title: str, folder: Path, package: types.ModuleType, patch: pytest.MonkeyPatch) -> None:
+    """Put a file into a package as its reader would, for as long as the test lasts."""
+    (folder / f"{title}.py").write_text(text, encoding="utf-8")
+    patch.setattr(package, "__path__", [*package.__path__, str(folder)])
+    patch.delitem(sys.modules, f"{package.__name__}.{title}", raising=False)
+    importlib.invalidate_caches()
+
+
+def run_tests(text: str) -> int:
+    """Run the test functions of a code block; how many there were."""
+    space: dict[str, object] = {"__name__": "docs"}
+    exec(compile(text, "how-to", "exec"), space)
+    tests = [f for title, f in space.items() if title.startswith("test_") and callable(f)]
+    for test in tests:
+        test()
+    return len(tests)
+
+
+@pytest.fixture
+def weed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The effect of the how-to, in the catalogue."""
+    module_from(blocks("add-an-effect", "python")[0], "weed", tmp_path, ident.effects, monkeypatch)
+    catalogue.cache_clear()
+    yield
+    sys.modules.pop("ident.effects.weed", None)
+    catalogue.cache_clear()
+
+
+def test_the_effect_of_the_how_to_does_what_its_test_says(weed: None) -> None:
+    assert set(catalogue()["weed"].rivals) <= set(catalogue())
+    assert run_tests(blocks("add-an-effect", "python")[1]) == 1
+
+
+def steps(rng: np.random.Generator, t: np.ndarray, low: float, high: float) -> np.ndarray:
+    """A step every five seconds."""
+    step = (t // 5.0).astype(int)
+    return np.asarray(rng.uniform(low, high, step[-1] + 1)[step])
+
+
+def voyage(model: Model, seed: int, seconds: float = 300.0) -> Run:
+    """A run of a model with two thrusts [N] as inputs, and the noise of its sensors."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, seconds, 0.1)
+    push, turn = steps(rng, t, -15.0, 40.0), steps(rng, t, -12.0, 12.0)
+    columns = {"f_left": push + turn, "f_right": push - turn, "t": t}
+    u = np.column_stack([columns[i.name] for i in model.inputs])
+    names = tuple(o.name for o in model.outputs)
+    blank = np.full((t.size, len(names)), np.nan)
+    y = simulate(model, Record("voyage", t, u, u, blank, tuple(i.name for i in model.inputs), names)).y
+    noise = [model.parameter(o.noise).value for o in model.outputs]
+    y = y + rng.normal(size=y.shape) * noise
+    found = {n: Channel(t, columns[n]) for n in ("f_left", "f_right")}
+    return Run(f"seed {seed}", found | {n: Channel(t, y[:, j]) for j, n in enumerate(names)})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("d_weed", [0.0, 15.0])
+def test_the_effect_of_the_how_to_is_found_if_and_only_if_it_is_there(weed: None, d_weed: float) -> None:
+    base = horizontal("force", ("attitude", "gyro", "position"), hold="zero")
+    truth = (base + catalogue()["weed"]).with_values({"d_weed": d_weed})
+    candidates = {n: catalogue()[n] for n in ("weed", "cubic-drag", "coulomb", "turning-resistance")}
+    known = base.replace_parameters(*(base.parameter(n).fixed() for n in ("d_vv", "d_v")))
+    found = diagnose(known, [voyage(truth, 1)], [voyage(truth, 2)], effects=candidates)
+    assert [r.effect.name for r in found.effects] == (["weed"] if d_weed else [])
+    if d_weed:
+        value, error = found.after.fit.estimate("d_weed")
+        assert abs(value - d_weed) < 4.0 * error < 0.5 * d_weed
+
+
+def test_the_sensor_of_the_how_to_passes_its_tests(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    protocol, tests = blocks("add-a-sensor", "python")
+    module_from(protocol, "os5000", tmp_path, daq.protocol, monkeypatch)
+    try:
+        assert run_tests(tests) == 3
+    finally:
+        sys.modules.pop("daq.protocol.os5000", None)
+    (capture,) = blocks("add-a-sensor", "text")
+    for line in [line for line in capture.splitlines() if not line.startswith("# ")]:
+        assert line in tests
+
+
+def test_the_tables_that_a_new_sensor_goes_into_are_as_the_how_to_says() -> None:
+    text = how_to("add-a-sensor").read_text(encoding="utf-8")
+    (row,) = re.findall(r"^    (PROTOCOLS = .*)$", text, re.MULTILINE)
+    assert row in (ROOT / "daq/rig.py").read_text(encoding="utf-8")
+    assert "def make_decoder" in (ROOT / "daq/device.py").read_text(encoding="utf-8")
+
+
+def test_the_model_of_the_how_to_is_the_example() -> None:
+    (text,) = blocks("own-model", "python")
+    example = (ROOT / "docs/examples/own_model.py").read_text(encoding="utf-8")
+    assert text.strip() in example
+
+
+def sail(path: Path, seed: int, seconds: float = 120.0) -> None:
+    """A CSV of the rudder boat, simulated by its own model, with sensor noise."""
+    spec = importlib.util.spec_from_file_location("own_model", ROOT / "docs/examples/own_model.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    model = module.rudder_boat()
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, seconds, 0.1)
+    u = np.column_stack([steps(rng, t, -0.5, 1.0), steps(rng, t, -0.6, 0.6)])
+    names = [o.name for o in model.outputs]
+    record = Record("sail", t, u, u, np.full((t.size, len(names)), np.nan), ("n_main", "rudder"), tuple(names))
+    y = simulate(model, record).y
+    noise = {"psi": 0.01, "r": 0.005, "x": 0.05, "y": 0.05}
+    columns = [y[:, names.index(c)] + sd * rng.normal(size=t.size) for c, sd in noise.items()]
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["t", "n_main", "rudder", *noise])
+        writer.writerows(np.column_stack([t, u, *columns]).round(6).tolist())
+
+
+MAP = 'format = "seatrial-import-csv 1"\n[time]\ncolumn = "t"\n' + "".join(
+    f'[[signal]]\nname = "{signal}"\ncolumn = "{signal}"\nunit = "{unit}"\nrole = "{role}"\n'
+    for signal, unit, role in (
+        ("n_main", "1", "input"),
+        ("rudder", "rad", "input"),
+        ("psi", "rad", "output"),
+        ("r", "rad/s", "output"),
+        ("x", "m", "output"),
+        ("y", "m", "output"),
+    )
+)
+
+
+@pytest.mark.slow
+def test_a_model_of_ones_own_goes_through_the_commands(tmp_path: Path) -> None:
+    (tmp_path / "map.toml").write_text(MAP)
+    for seed, run in enumerate(("run1", "run2")):
+        sail(tmp_path / f"{run}.csv", seed)
+
+    def call(*words: str) -> None:
+        with pytest.raises(SystemExit) as left:
+            seatrial.main(words)
+        assert left.value.code == 0, words
+
+    files = [str(tmp_path / f"run{k}.csv") for k in (1, 2)]
+    call("import", "csv", str(tmp_path / "map.toml"), *files, "--out-dir", str(tmp_path))
+    logs = (str(tmp_path / "run1.mcap"), "--validate", str(tmp_path / "run2.mcap"))
+    own = f"{ROOT / 'docs/examples/own_model.py'}:rudder_boat"
+    call("ident", "vehicle", *logs, "--model", own, "--fix", "c_t=60", "--out", str(tmp_path / "vehicle"))
+    saved = load_model(tmp_path / "vehicle/model.toml")
+    assert [i.name for i in saved.model.inputs] == ["n_main", "rudder"]
+    for title, truth in (("m_u", 37.0), ("m_r", 9.69), ("l_r", 0.3)):
+        error = saved.errors[title]
+        assert 0.0 < error < 0.1 * truth
+        assert abs(saved.model.parameter(title).value - truth) < 4.0 * error
