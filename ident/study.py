@@ -86,7 +86,8 @@ def estimate(model: Model, record: Record, truth: Array, rng: np.random.Generato
     """A fit that starts away from the truth, and its errors; names are those of ``model.free``."""
     named = dict(zip([p.name for p in model.parameters], truth.tolist(), strict=True))
     shared = [p for p in model.parameters if p.free and not p.per_record]
-    start = {p.name: p.value * float(np.exp(rng.uniform(-APART, APART))) for p in shared}
+    apart = {p.name: p.value * float(np.exp(rng.uniform(-APART, APART))) for p in shared}
+    start = {p.name: float(np.clip(apart[p.name], *p.bounds)) for p in shared}
     start |= {p.name: p.value for p in model.parameters if p.per_record}
     began = time.process_time()
     found = fit(model, [record], method=method, start=start, threads=1)

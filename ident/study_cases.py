@@ -24,7 +24,7 @@ A_SHAFT = 2.794  # 1/s, Table 2
 # Table 5, 3 DOF: the boat as it was identified. Table 1's d_u and d_vv are at their bound of zero for any such record.
 HULL = {"m_u": 43.0775, "m_v": 49.8655, "m_r": 13.5756, "d_u": 8.4193, "d_v": 81.3337, "d_r": 6.4794,
         "d_uu": 27.8441, "d_vv": 11.7343, "d_rr": 19.9464}
-N_DELAYS = 9
+N_DELAYS = round(0.2 / DELAY_STEP) + 1  # up to twice the true delay
 
 
 def steps(t: Array, levels: Callable[[np.random.Generator], Array], hold: tuple[float, float], seed: int) -> Array:
@@ -71,13 +71,13 @@ def horizontal_case(seconds: float = 400.0) -> Case:
 
 
 def thruster_case(seconds: float = 100.0) -> Case:
-    """Steps on the bench; command, shaft speed and force at 50 Hz."""
-    t = _clock(seconds, 0.02)
+    """Steps on the bench; command, shaft speed and force at 80 Hz."""
+    t = _clock(seconds, DELAY_STEP)  # so that the delayed commands change at rows
     command = steps(t, lambda rng: rng.uniform(-1.0, 1.0, 1), (1.0, 4.0), MISSION_SEED)[:, 0]
     whole = [np.searchsorted(t, t - k * DELAY_STEP + 1e-9, side="right") - 1 for k in range(N_DELAYS)]
     u = np.column_stack([command[np.maximum(at, 0)] for at in whole])
     model = thruster(n_delays=N_DELAYS).with_values({"tau": 0.1, "s_n": 0.02, "e_n": 0.005})
-    return Case("thruster", model, Inputs.held(t, u), {}, f"{seconds:g} s, command in steps of 1-4 s, all at 50 Hz")
+    return Case("thruster", model, Inputs.held(t, u), {}, f"{seconds:g} s, command in steps of 1-4 s, all at 80 Hz")
 
 
 CASES: dict[str, Callable[..., Case]] = {
@@ -100,7 +100,7 @@ def make_case(
         case = case.at(truth or {})
         case = replace(case, model=case.model.with_free(free)) if free else case
     except (KeyError, ValueError) as problem:
-        raise SeatrialError(str(problem).strip("'\"")) from problem
+        raise SeatrialError(str(problem.args[0])) from problem
     if bounded:
         return case
     apart = [replace(p, bounds=(-INF, INF)) for p in case.model.parameters if p.transform == "none"]

@@ -24,13 +24,13 @@ WAVES = 4  # tasks a worker between two looks at what is done
 HEAD = ("parameter", "n", "at bound", "bias, sd", "variance/reported", "variance/bound", "coverage", "")
 
 
-def study(case: Case, n: int, seed: int, out: Path, *, method: Method = "pe", jobs: int | None = None,
+def study(case: Case, n: int, seed: int, out: Path | str, *, method: Method = "pe", jobs: int | None = None,
           say: Say = lambda line: None) -> list[Row]:
     """All replicates of a case, those of earlier runs from ``out``, a file of JSON lines.
 
     ``jobs`` processes, or what ``joblib.parallel_config`` says where it is None: any backend of joblib will do.
     """
-    key = _key(case, seed, method)
+    key, out = _key(case, seed, method), Path(out)
     done = {r["k"]: r for r in read(out) if r["key"] == key and r["k"] < n}
     todo = [k for k in range(n) if k not in done]
     if done:

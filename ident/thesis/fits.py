@@ -80,8 +80,8 @@ def surge_experiment(seed: int) -> Both:
 
 
 def bench_experiment(seed: int) -> Both:
-    """Table 2: steps that grow, then a chirp of each sign; command, shaft speed and force at 50 Hz."""
-    t = np.arange(0.0, 90.0, 0.02)
+    """Table 2: steps that grow, then a chirp of each sign; command, shaft speed and force at 80 Hz."""
+    t: Array = np.asarray(np.arange(round(90.0 / DELAY_STEP)) * DELAY_STEP)
     command = np.where(t < 50, np.ceil(t % 50 / 5) / 10 * (1 - 2 * (np.floor(t / 2.5) % 2)), 0.0)
     sweep = np.maximum(t - 50, 0.0) % 20
     wave = 0.5 - 0.4 * np.cos(2 * np.pi * (0.1 * sweep + 0.9 / 20 * sweep**2 / 2))
@@ -93,13 +93,13 @@ def bench_experiment(seed: int) -> Both:
 
 
 def bench_log(path: Path) -> tuple[dict[str, tuple[float, float]], str]:
-    """Estimates and standard errors from a log of `seatrial bench`, and what to say of it."""
+    """Estimates and standard errors from a log of `seatrial bench`, and the name of the log."""
     from ident.bench_job import bench
 
     with tempfile.TemporaryDirectory() as folder:
         result = bench([path], Path(folder), name=None, command="", say=lambda line: None)
     rows = {r["name"]: (r["value"], r["se"]) for r in result["fit"]["parameters"]}
-    return {n: rows[n] for n in printed.TABLE_2}, f"from {path.name}"
+    return {n: rows[n] for n in printed.TABLE_2}, path.name
 
 
 @dataclass(frozen=True)

@@ -71,13 +71,13 @@ def _thruster_part(simulated: Both, bench: Path | None) -> list[str]:
     columns = {label: {n: f.estimate(n) for n in names} for label, f in (("OE", simulated.oe), ("PE", simulated.pe))}
     lines = [
         "## Table 2: the thruster", "",
-        "Steps that grow, then a chirp of each sign; 90 s, command, shaft speed and force at 50 Hz, a load cell that",
+        "Steps that grow, then a chirp of each sign; 90 s, command, shaft speed and force at 80 Hz, a load cell that",
         "swings. Beside a, c1 and c2 the delay of the command is estimated, which the paper does not have.", "",
         *tables.table_2(columns, simulated.truth), "",
     ]
     if bench is not None:
         found, where = bench_log(bench)
-        lines += [f"The same {where}:", "", *tables.table_2({"PE": found}, None), ""]
+        lines += [f"The thruster of the log {where}:", "", *tables.table_2({"PE": found}, None), ""]
     return lines
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -195,3 +196,18 @@ def test_what_cannot_be_done_is_one_line(
     assert leaving.value.code == 1
     assert err.count("\n") == 1
     assert says in err
+
+
+def test_the_snippet_of_the_how_to_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On threads in place of a cluster, and with fewer replicates."""
+    text = (Path(__file__).parents[2] / "docs/how-to/study.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    lines = [line for line in block.splitlines() if "distributed" not in line and "Client(" not in line]
+    code = "\n".join(lines).replace('"dask", n_jobs=32', '"threading", n_jobs=1')
+    code = code.replace("study(case, 500", "study(case, 4")
+    assert code.count("threading") == code.count("study(case, 4") == 1
+    monkeypatch.chdir(tmp_path)
+    found: dict[str, object] = {}
+    exec(compile(code, "study.md", "exec"), found)
+    assert len(found["rows"]) == 4
+    assert (tmp_path / "mine.jsonl").exists()

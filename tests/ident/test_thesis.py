@@ -51,7 +51,7 @@ def test_both_pages(tmp_path: Path) -> None:
     text = (tmp_path / "thesis.md").read_text(encoding="utf-8")
     for k in (2, 3, 4, 5):
         assert f"## Table {k}" in text
-    assert "from bench.mcap" in text
+    assert "log bench.mcap" in text
     assert str(tmp_path) not in text
     (distances,) = re.findall(r"3DOF ([\d.]+), 6DOF K ([\d.]+), 3DOF with forces", text)
     assert float(distances[1]) < 4 < float(distances[0])
@@ -75,7 +75,8 @@ def test_a_page_of_figures_holds_its_curves(tmp_path: Path) -> None:
     x = np.linspace(1.0, 10.0, 30)
     charts = [Chart("one <b>", [Curve("a", x, x, "measured"), Curve("b", x, -x, "band", x)]),
               Chart("two", [Curve("a", x, x**2)], log=True)]
-    write_figures(tmp_path / "a.html", "kind", "what it shows", "lead", [Part("p", "Part", [Drawing("d", "s", charts)])])
+    parts = [Part("p", "Part", [Drawing("d", "s", charts)])]
+    write_figures(tmp_path / "a.html", "kind", "what it shows", "lead", parts)
     page = (tmp_path / "a.html").read_text(encoding="utf-8")
     (found,) = re.findall(r'<script type="application/json" id="figures">(.*?)</script>', page, re.DOTALL)
     (figure,) = json.loads(found)["figures"].values()
