@@ -105,14 +105,21 @@ def _record(steps: Steps, rig: str, mock: tuple[str, ...], name: str, *words: st
     At 20 times real time a pause of 50 ms is a second of the boat's time, in which the shaft speeds, which have no
     clock of their own, are stamped late. Such a log is kept under another name; it is not a fair one to explain.
     """
-    with steps.mock(*mock):
-        steps.run(name, *words)
+    failed: StepFailed | None = None
+    try:
+        with steps.mock(*mock):
+            steps.run(name, *words)
+    except StepFailed as problem:  # a device that paused for a second is silent, and the guard rightly ends the run
+        failed = problem
     speed = _speed(steps.folder / f"{rig}-rig.toml")
     if steps.late_ms <= LATE_MS or speed <= SLOWEST:
+        if failed is not None:
+            raise failed
         return
     click.echo(f"  this machine was too busy for {speed:g} times real time; once more at {speed / 2:g} times")
     log = steps.folder / words[-1]
-    log.rename(log.with_name(f"{log.stem}-late.mcap"))
+    if log.exists():
+        log.rename(log.with_name(f"{log.stem}-late.mcap"))
     write_rig(rig, steps.folder, speed / 2)
     with steps.mock(*mock):
         steps.run(name, *words)

@@ -70,7 +70,7 @@ def _leaning(
 ) -> list[tuple[str, str]]:
     """Parameters whose error is small only because a neighbour stands at its bound: if it did not, it would be larger.
 
-    Their intervals cover less than they say (85 % of 95 in a study of sway damping, `docs/how-to/study.md`).
+    Their intervals cover less than they say (89 % instead of 95 % in a study of sway damping, `docs/how-to/study.md`).
     """
     bound = [i for i in np.flatnonzero(at_bound).tolist() if information[i, i] > 0]
     flags: dict[str, str] = {}

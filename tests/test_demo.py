@@ -8,6 +8,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -146,3 +148,46 @@ def test_the_whole_loop(tmp_path: Path) -> None:
     assert done.stdout.splitlines()[-1].startswith("sealed: the plant's undeclared effect was ")
     for name in ("bench.mcap", "estimation.mcap", "validation.mcap", "diagnosis/report.html"):
         assert (tmp_path / "demo" / name).stat().st_size > 1000
+
+
+class Rehearsal:
+    """Stands in for the demo's steps: says how late its mock was, and whether the run failed."""
+
+    def __init__(self, folder: Path, late: list[float], fails: bool = False) -> None:
+        self.folder, self._late, self._fails = folder, late, fails
+        self.late_ms = 0.0
+        self.speeds: list[str] = []
+
+    @contextmanager
+    def mock(self, *words: str) -> Iterator[None]:
+        try:
+            yield
+        finally:
+            self.late_ms = self._late[len(self.speeds) - 1]
+
+    def run(self, name: str, *words: str) -> None:
+        self.speeds.append(
+            next(x for x in (self.folder / "boat-rig.toml").read_text().splitlines() if x.startswith("speed"))
+            .partition("#")[0]
+            .strip()
+        )
+        (self.folder / words[-1]).write_text("log")
+        if self._fails and len(self.speeds) == 1:
+            raise StepFailed("demo: `seatrial mission run` failed with exit status 3 (see above)")
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_recording_that_a_busy_machine_spoilt_is_repeated_at_half_the_speed(tmp_path: Path, fails: bool) -> None:
+    demo.write_rig("boat", tmp_path, 20.0)
+    steps = Rehearsal(tmp_path, [90.0, 3.0], fails)
+    demo._record(steps, "boat", ("mock", "boat"), "run", "mission", "run", "-o", "a.mcap")
+    assert steps.speeds == ["speed = 20.0", "speed = 10.0"]
+    assert (tmp_path / "a-late.mcap").exists()
+    assert "speed = 20.0" in (tmp_path / "boat-rig.toml").read_text()
+
+
+def test_a_run_that_failed_on_a_machine_with_time_to_spare_is_a_failure(tmp_path: Path) -> None:
+    demo.write_rig("boat", tmp_path, 20.0)
+    steps = Rehearsal(tmp_path, [3.0], fails=True)
+    with pytest.raises(StepFailed, match="exit status 3"):
+        demo._record(steps, "boat", ("mock", "boat"), "run", "mission", "run", "-o", "a.mcap")
