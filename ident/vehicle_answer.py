@@ -31,8 +31,8 @@ def vehicle_answer(result: Json, *, searchable: bool) -> str:
     correlated = any(c["p"] is not None and c["p"] < 1e-3 for c in result["cross"])
     coloured = any(not r["white"] for r in result["residuals"])
     if not correlated and not coloured:
-        hidden = "; whether the unexplained forces hide an effect, `seatrial ident diagnose` tells" if searchable else ""
-        return f"{ahead}The residuals are white and know nothing of the inputs{hidden}."
+        hidden = "; whether the unexplained forces hide an effect, `seatrial ident diagnose` tells"
+        return f"{ahead}The residuals are white and know nothing of the inputs{hidden if searchable else ''}."
     end = "The residuals still know the inputs" if correlated else "The residuals are not white"
     how = ": run `seatrial ident diagnose` to find what is missing" if searchable else ": the model lacks something"
     return f"{ahead}{end}{how}."
