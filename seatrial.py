@@ -41,7 +41,7 @@ COMMANDS = {
     "import": Row("daq.cli:import_", "Turn foreign logs into MCAP."),
     "info": Row("daq.cli:info", "Say what a log holds."),
     "salvage": Row("daq.cli:salvage", "Recover the log of a killed run."),
-    "ident": Row("ident.cli:ident", "Fit, and explain: noise, thruster, vehicle, diagnose."),
+    "ident": Row("ident.cli:ident", "Fit and explain: noise, thruster, vehicle, diagnose, ..."),
     "mock": Row("mocks.cli:mock", "Mock devices for a rig, until Ctrl-C: bench or boat."),
 }
 
