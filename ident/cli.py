@@ -83,7 +83,8 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     "source",
     default="auto",
     show_default=True,
-    help="horizontal:shaft, horizontal:force, horizontal:general (each also with :still for no current), "
+    help="horizontal:shaft, horizontal:force, horizontal:general (each also with :still for no current, "
+    ":walk for one that wanders), "
     "kinematic:shaft|force (measured attitude; :yaw with the yaw equation), "
     "surge:force|shaft:position|speed|both, yaw:rate|both, or FILE.py:NAME for your own.",
 )

@@ -23,6 +23,7 @@ from ident.model import Input, Model
 from ident.modelfile import load_model, save_model
 from ident.models import make_model
 from ident.models.horizontal import SENSORS, SIDES
+from ident.models.known import antenna
 from ident.outcome import Json, fit_part, plain, residual_part, write_result
 from ident.own import own_effects
 from ident.params import Parameter
@@ -69,6 +70,7 @@ def with_known(model: Model, rig: Any, thruster: Path | None, given: Mapping[str
         for t in rig.thrusters:
             if f"y_{t.name}" in model.values and t.name in SIDES:
                 known[f"y_{t.name}"] = model.parameter(f"y_{t.name}").at(t.position_m[1]).fixed()
+        model = _with_antenna(model, rig)
     if thruster is not None:
         bench = load_model(thruster).model
         for name in ("c1", "c2"):
@@ -81,6 +83,12 @@ def with_known(model: Model, rig: Any, thruster: Path | None, given: Mapping[str
             )
         known[name] = model.parameter(name).at(value).fixed()
     return model.replace_parameters(*known.values())
+
+
+def _with_antenna(model: Model, rig: Any) -> Model:
+    arms = [d.lever_arm_m for d in rig.devices if d.lever_arm_m is not None and any(d.lever_arm_m[:2])]
+    part = antenna(*arms[0][:2]) if arms else None
+    return model + part if part is not None and model.accepts(part) else model
 
 
 def vehicle(

@@ -18,6 +18,7 @@ from ident.fit import Fit
 from ident.model import Effect, Model
 from ident.models import make_model
 from ident.models.disturbance import disturbance, forces_of, sensor_bias
+from ident.models.known import ANTENNA, CURRENT_WALK, antenna, current_walk
 from ident.own import own_effects
 from ident.robust import robust, robust_sensors
 from ident.shapes import unknown_effect
@@ -130,6 +131,10 @@ def _effect(name: str, model: Model, spans: Mapping[str, Any]) -> Effect:
         return disturbance(forces_of(model))
     if name == "sensor-bias":
         return sensor_bias([s.name for s in model.sensors])
+    if name == ANTENNA:
+        return antenna()
+    if name == CURRENT_WALK:
+        return current_walk()
     if name.startswith("unknown "):
         force, variable = name.removeprefix("unknown ").rstrip(")").split("(")
         low, high = spans.get(name, (-np.pi, np.pi))

@@ -10,6 +10,7 @@ from typing import Any
 
 from daq.errors import SeatrialError
 from ident.model import Model
+from ident.models.known import current_walk
 from ident.own import load_python
 
 BUILT_IN = ("horizontal", "kinematic", "surge", "yaw", "thruster")
@@ -36,14 +37,19 @@ def make_model(source: str, sensors: Sequence[str] | None = None) -> Model:
     if kind == "horizontal":
         from ident.models.horizontal import SENSORS, horizontal
 
-        propulsion: Any = next((o for o in options if o in ("shaft", "force", "general")), "shaft")
+        kinds, currents = ("shaft", "force", "general"), ("still", "walk")
+        wrong = [o for o in options if o not in (*kinds, *currents)]
+        if wrong:
+            raise SeatrialError(f"no model {source!r}: horizontal has {', '.join(kinds)}, and {' or '.join(currents)}")
+        propulsion: Any = next((o for o in options if o in kinds), "shaft")
         chosen = [s for s in SENSORS if s in sensors] if sensors is not None else None
         current = "still" not in options
-        return (
+        model = (
             horizontal(propulsion, tuple(chosen), current=current)
             if chosen
             else horizontal(propulsion, current=current)
         )
+        return replace(model + current_walk(), source=source) if "walk" in options else model
     if kind == "kinematic":
         return _kinematic(source, options, sensors)
     module = importlib.import_module(f"ident.models.{kind}")
