@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import product
 
 import numpy as np
@@ -86,9 +86,9 @@ class Path:
             z[k + 1] = transition @ z[k] + weight @ (drive[k] + drive[k + 1]) / 2
         return z
 
-    def generic(self) -> Iterator[Columns]:
-        """Each residual force as a smooth function of each variable, and of products."""
-        table = generic_features(self.model, self.own, self.x)
+    def generic(self, among: Mapping[str, Array] | None = None) -> Iterator[Columns]:
+        """Each residual force as a smooth function of each variable, and of products; ``among``: see splines."""
+        table = generic_features(self.model, self.own, self.x, among)
         for force in FORCES:
             direction = self.state(f"b_{force}")
             for name, feature in table.items():
@@ -117,11 +117,19 @@ def variables(model: Model, record: Record, x: Array) -> dict[str, Array]:
     return found
 
 
-def generic_features(model: Model, record: Record, x: Array) -> dict[str, Array]:
-    """Regressors by name: splines of single variables, harmonics of heading, products of velocities."""
+def generic_features(
+    model: Model, record: Record, x: Array, among: Mapping[str, Array] | None = None
+) -> dict[str, Array]:
+    """Regressors by name: splines of single variables, harmonics of heading, products of velocities.
+
+    ``among``: the variables of all records together, so that a column means the same in each of them.
+    """
     v = variables(model, record, x)
+    among = v if among is None else among
     psi = v.pop("psi")
-    table = {name: feature for name, z in v.items() if (feature := splines(z, 6 if name != "u" else 7)).size}
+    table = {
+        name: feature for name, z in v.items() if (feature := splines(z, 6 if name != "u" else 7, among[name])).size
+    }
     table["psi"] = np.column_stack([np.sin(psi), np.cos(psi), np.sin(2 * psi), np.cos(2 * psi)])
     for a, b in (("u", "r"), ("u", "v"), ("v", "r")):
         za, zb = v[a], v[b]
@@ -129,24 +137,28 @@ def generic_features(model: Model, record: Record, x: Array) -> dict[str, Array]
     return table
 
 
-def splines(z: Array, n_functions: int) -> Array:
-    """Centred cubic B-splines over the middle 99 % of z; empty where z does not vary."""
-    low, high = np.percentile(z, [0.5, 99.5])
+def splines(z: Array, n_functions: int, among: Array | None = None) -> Array:
+    """Cubic B-splines of z over the middle 99 % of ``among`` (z itself by default), centred there; empty where that
+    does not vary."""
+    among = z if among is None else among
+    low, high = np.percentile(among, [0.5, 99.5])
     if high - low < 1e-6:
         return np.zeros((z.size, 0))
     inner = np.linspace(0, 1, n_functions - 2)
     knots = np.concatenate([[0] * 3, inner, [1] * 3])
-    basis = BSpline.design_matrix(np.clip((z - low) / (high - low), 0, 1 - 1e-9), knots, 3).toarray()
-    return np.asarray(basis[:, 1:] - basis[:, 1:].mean(0))
+    basis, all_ = (
+        BSpline.design_matrix(np.clip((w - low) / (high - low), 0, 1 - 1e-9), knots, 3).toarray() for w in (z, among)
+    )
+    return np.asarray(basis[:, 1:] - all_[:, 1:].mean(0))
 
 
-def all_columns(path: Path, effects: Iterable[Effect]) -> list[Columns]:
-    """Every candidate along one record."""
+def all_columns(path: Path, effects: Iterable[Effect], among: Mapping[str, Array] | None = None) -> list[Columns]:
+    """Every candidate along one record, in the same order along each; ``among``: see generic_features."""
     chosen = [e for e in effects if path.model.accepts(e) and _has_inputs(path, e)]
     specific = [c for e in chosen for c in path.effect(e)]
     # the same regressors under a name of their own
     named = {"N(psi)"} if "heading-moment" in {e.name for e in [*chosen, *path.model.effects]} else set()
-    return specific + [c for c in path.generic() if c.name not in named]
+    return specific + [c for c in path.generic(among) if c.name not in named]
 
 
 def _has_inputs(path: Path, effect: Effect) -> bool:

@@ -92,8 +92,10 @@ def diagnose(
     hull whose forces X, Y, N could lack anything.
     """
     if "hull" not in model.provides:
-        raise ValueError(f"model {model.name} cannot be diagnosed: it lacks a hull with the forces X, Y and N; fit "
-                         "the horizontal model instead")
+        raise ValueError(
+            f"model {model.name} cannot be diagnosed: it lacks a hull with the forces X, Y and N; fit "
+            "the horizontal model instead"
+        )
     full = nominal(model)
     candidates = {n: e for n, e in (catalogue() if effects is None else effects).items() if full.accepts(e)}
     everything, candidates = superset(full, candidates, [*estimation, *validation])
@@ -126,23 +128,25 @@ def score_all(
     """All score tests on a fitted model, best first, and those that pass; of a scanned effect the best only."""
     model = stage.model
     names = fitted_names(model, len(records))
+    paths = [Path(model, v.values, r, v.run.x_pred) for r, v in zip(records, stage.estimation, strict=True)]
+    seen = [variables(model, p.own, p.x) for p in paths]
+    among = {name: np.concatenate([v[name] for v in seen]) for name in seen[0]}
     normal: Normal | None = None
-    columns: list[list[Columns]] = []
-    for i, (one, view) in enumerate(zip(records, stage.estimation, strict=True)):
-        path = Path(model, view.values, one, view.run.x_pred)
-        columns.append(all_columns(path, candidates.values()))
+    placed: list[tuple[Columns, list[int]]] = []
+    for i, (path, view) in enumerate(zip(paths, stage.estimation, strict=True)):
+        columns = all_columns(path, candidates.values(), among)
+        if normal is None:
+            at = len(names)
+            for c in columns:
+                placed.append((c, list(range(at, at + c.delta.shape[2]))))
+                at += c.delta.shape[2]
+            normal = Normal([str(k) for k in range(at)])
         own = [j for j, n in enumerate(names) if "@" not in n or n.endswith(f"@{i}")]
         fitted = [path.parameter(names[j].split("@")[0]) for j in own]
-        delta = np.concatenate([np.stack(fitted, 2)] + [c.delta for c in columns[-1]], axis=2)
-        if normal is None:
-            normal = Normal(names + [str(k) for k in range(delta.shape[2] - len(own))])
+        delta = np.concatenate([np.stack(fitted, 2)] + [c.delta for c in columns], axis=2)
         g, e, t = whitened_sensitivities(view.run, path.own, path.jacobian, delta)
         normal.add(own + list(range(len(names), len(normal.names))), g, e, block_index(t))
     assert normal is not None
-    at, placed = len(names), []
-    for c in columns[0]:
-        placed.append((c, list(range(at, at + c.delta.shape[2]))))
-        at += c.delta.shape[2]
     priors = [model.parameter(n.split("@")[0]).prior for n in names]
     scores = score_tests(normal, len(names), np.array([1 / p[1] ** 2 if p else 0.0 for p in priors]), placed)
     n = sum(r.n_rows for r in records)

@@ -223,3 +223,16 @@ def test_all_columns_leave_out_what_a_record_cannot_drive_and_what_has_a_name() 
     present = model + catalogue()["cubic-drag"]
     again = Path(present, np.array(list(present.values.values())), bare, x)
     assert "cubic-drag" not in [c.name for c in all_columns(again, catalogue().values())]
+
+
+def test_a_column_means_the_same_in_every_record() -> None:
+    """A run in which a variable stands still keeps its columns, on the knots and about the mean of all runs."""
+    whole = np.random.default_rng(5).normal(size=400)
+    still = np.full(50, 0.3)
+    among = np.concatenate([whole, still])
+    at_rest = splines(still, 6, among)
+    assert at_rest.shape == (50, 5)
+    together = splines(among, 6)
+    np.testing.assert_allclose(at_rest, together[400:])
+    np.testing.assert_allclose(splines(whole, 6, among), together[:400])
+    assert splines(still, 6).shape == (50, 0)  # alone it says nothing
