@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.linalg import expm
 
-from ident.dataset import Record
+from ident.dataset import TIME_INPUT, Record
 from ident.engine.rowwise import Rowwise
 from ident.model import Effect, Model
+from ident.models.unexplained import products_of, residuals_of, variables_of
 from ident.score import Columns
 
 Array = NDArray[np.float64]
-FORCES = ("X", "Y", "N")
 
 
 class Path:
@@ -56,11 +56,13 @@ class Path:
         larger = self.model + effect
         n, m = len(self.model.states), len(effect.states)
         u, rowwise = self.record.for_model(larger).u, Rowwise(larger)
-        for scan in product(*effect.scan.values()):
-            tried = dict(zip(effect.scan, scan, strict=True))
-            own = np.array([tried.get(p.name, p.value) for p in effect.parameters])
-            values = np.append(self.values, own)
-            x = np.column_stack([self.x, self._driven(rowwise, effect, values, u)]) if m else self.x
+        scans = [dict(zip(effect.scan, scan, strict=True)) for scan in product(*effect.scan.values())]
+        all_values = [
+            np.append(self.values, [tried.get(p.name, p.value) for p in effect.parameters]) for tried in scans
+        ]
+        driven = self._driven(rowwise, m, all_values, u) if m else [np.zeros((len(self.x), 0))] * len(scans)
+        for tried, values, z in zip(scans, all_values, driven, strict=True):
+            x = np.column_stack([self.x, z])
             base, delta, names = rowwise(x, u, values), [], []
             for j, p in enumerate(effect.parameters):
                 if p.transform == "log" or p.name in tried or (j > 0 and p.value != 0.0):
@@ -72,68 +74,75 @@ class Path:
                 names.append(p.name)
             yield Columns(effect.name, np.stack(delta, axis=2), tuple(names), tried, one_sided=effect.one_sided)
 
-    def _driven(self, rowwise: Rowwise, effect: Effect, values: Array, u: Array) -> Array:
-        """The effect's own states, driven along the path while it is at zero (linear, constant coefficients)."""
-        n, m = len(self.model.states), len(effect.states)
+    def _driven(self, rowwise: Rowwise, m: int, all_values: list[Array], u: Array) -> list[Array]:
+        """An effect's own m states, driven along the path while it is at zero (linear, constant coefficients);
+        (n_rows, m) for each set of values, all of them in one pass over the rows."""
+        n = len(self.model.states)
         x = np.column_stack([self.x, np.zeros((len(self.x), m))])
-        drive = rowwise(x, u, values)[:, n : n + m]
-        A = rowwise.rate_jacobian(x[:1], u[:1], values)[0, n:, n:]
-        z = np.zeros((len(x), m))
+        drive = np.stack([rowwise(x, u, values)[:, n : n + m] for values in all_values], axis=1)
+        A = [rowwise.rate_jacobian(x[:1], u[:1], values)[0, n:, n:] for values in all_values]
         h = np.round(self.record.h, 9)
         steps = {step: _discrete(A, step) for step in np.unique(h)}
+        z = np.zeros((len(x), len(all_values), m))
         for k in range(len(x) - 1):
             transition, weight = steps[h[k]]
-            z[k + 1] = transition @ z[k] + weight @ (drive[k] + drive[k + 1]) / 2
-        return z
+            mean = (drive[k] + drive[k + 1]) / 2
+            z[k + 1] = (transition @ z[k, :, :, None] + weight @ mean[:, :, None])[:, :, 0]
+        return list(z.swapaxes(0, 1))
 
     def generic(self, among: Mapping[str, Array] | None = None) -> Iterator[Columns]:
         """Each residual force as a smooth function of each variable, and of products; ``among``: see splines."""
-        table = generic_features(self.model, self.own, self.x, among)
-        for force in FORCES:
-            direction = self.state(f"b_{force}")
+        table = generic_features(self.model, self.own, self.x, among, self.values)
+        for residual in residuals_of(self.model):
+            direction = self.state(residual.state)
             for name, feature in table.items():
                 delta = direction[:, :, None] * feature[:, None, :]
-                yield Columns(f"{force}({name})", delta, generic=True)
+                yield Columns(f"{residual.name}({name})", delta, generic=True)
 
 
-def _discrete(A: Array, step: float) -> tuple[Array, Array]:
-    m = len(A)
-    block = expm(np.block([[A, np.eye(m)], [np.zeros((m, 2 * m))]]) * step)
-    return block[:m, :m], block[:m, m:]
+def _discrete(A: list[Array], step: float) -> tuple[Array, Array]:
+    m = len(A[0])
+    blocks = [expm(np.block([[a, np.eye(m)], [np.zeros((m, 2 * m))]]) * step) for a in A]
+    return np.stack([b[:m, :m] for b in blocks]), np.stack([b[:m, m:] for b in blocks])
 
 
-def variables(model: Model, record: Record, x: Array) -> dict[str, Array]:
-    """What a residual force may depend on, (n_rows,) each."""
-    names = [s.name for s in model.states]
-    found = {name: x[:, names.index(name)] for name in ("u", "v", "r")}
-    found["psi"] = np.mod(x[:, names.index("psi")] + np.pi, 2 * np.pi) - np.pi
-    found["t"] = record.t
-    for letter in ("n", "f"):
-        pair = [f"{letter}_left", f"{letter}_right"]
-        if all(n in record.inputs for n in pair):
-            left, right = (record.u[:, record.inputs.index(n)] for n in pair)
-            found[f"{letter}_sum"], found[f"{letter}_diff"] = (left + right) / 2, left - right
-            break
+def variables(model: Model, record: Record, x: Array, values: Array | None = None) -> dict[str, Array]:
+    """What a residual force may depend on, (n_rows,) each; ``values``: of the parameters, by default the model's."""
+    p = list(model.values.values()) if values is None else values.tolist()
+    bag = model.bag(list(x.T), list(record.u.T), p)
+    found = {}
+    for v in variables_of(model):
+        z = record.t if v.name == TIME_INPUT else np.asarray(v.read(bag), dtype=np.float64)
+        found[v.name] = np.mod(z + np.pi, 2 * np.pi) - np.pi if v.angle else z
     return found
 
 
 def generic_features(
-    model: Model, record: Record, x: Array, among: Mapping[str, Array] | None = None
+    model: Model,
+    record: Record,
+    x: Array,
+    among: Mapping[str, Array] | None = None,
+    values: Array | None = None,
 ) -> dict[str, Array]:
-    """Regressors by name: splines of single variables, harmonics of heading, products of velocities.
+    """Regressors by name: splines of single variables, harmonics of an angle, products of two of them.
 
     ``among``: the variables of all records together, so that a column means the same in each of them.
     """
-    v = variables(model, record, x)
-    among = v if among is None else among
-    psi = v.pop("psi")
+    z = variables(model, record, x, values)
+    among = z if among is None else among
+    known = variables_of(model)
     table = {
-        name: feature for name, z in v.items() if (feature := splines(z, 6 if name != "u" else 7, among[name])).size
+        v.name: feature
+        for v in known
+        if not v.angle and (feature := splines(z[v.name], v.functions, among[v.name])).size
     }
-    table["psi"] = np.column_stack([np.sin(psi), np.cos(psi), np.sin(2 * psi), np.cos(2 * psi)])
-    for a, b in (("u", "r"), ("u", "v"), ("v", "r")):
-        za, zb = v[a], v[b]
-        table[f"{a}, {b}"] = np.column_stack([za * zb, np.abs(za) * zb, za * np.abs(zb)])
+    for v in known:
+        if v.angle:
+            a = z[v.name]
+            table[v.name] = np.column_stack([np.sin(a), np.cos(a), np.sin(2 * a), np.cos(2 * a)])
+    for one, other in products_of(model):
+        za, zb = z[one], z[other]
+        table[f"{one}, {other}"] = np.column_stack([za * zb, np.abs(za) * zb, za * np.abs(zb)])
     return table
 
 
