@@ -1,4 +1,5 @@
-# make demo | test | bench | study | lint | clean. Each sets up its own environment; `SEED=3 make demo` passes a seed.
+# make demo | test | bench | study | docs | dist | lint | clean. Each sets up its own environment.
+# `SEED=3 make demo` passes a seed.
 SHELL := /bin/sh
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
@@ -13,7 +14,7 @@ SEED_OPTION = $(if $(SEED),--seed $(SEED))
 WORKERS ?= 2
 PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
 
-.PHONY: help demo test bench study lint lock clean
+.PHONY: help demo test bench study docs dist lint lock clean
 
 help:
 	@echo "make demo    the whole loop on mock devices, to a report"
@@ -21,6 +22,8 @@ help:
 	@echo "make lint    the checks without pytest"
 	@echo "make bench   speed, accuracy and loss, side by side with peers"
 	@echo "make study   known truth in, same truth out: bias, coverage, detection rates"
+	@echo "make docs    the documentation as a site, in build/site"
+	@echo "make dist    wheel and sdist, in dist"
 	@echo "make lock    resolve constraints.txt anew (needs uv)"
 	@echo "make clean   remove the environment, builds and caches"
 
@@ -64,8 +67,23 @@ lint: .venv/ready
 bench: .venv/ready
 	@$(BIN)/python -m benchmarks $(SEED_OPTION)
 
+# First what takes minutes rather than hours: the wheel in an empty environment, the tutorials as they are written.
 study: .venv/ready
-	@$(BIN)/python -m tests.recovery.study $(SEED_OPTION)
+	@$(BIN)/python -m pytest -q -m study
+	@$(BIN)/python -m tests.recovery.study $(SEED_OPTION) --docs
+	@$(BIN)/python -m tests.bench.fault_trials --n $(or $(N),20) $(SEED_OPTION)
+
+docs: .venv/ready
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+	@echo "docs: build/site/index.html"
+
+# build/lib is taken away first: what lies there goes into a wheel, whether it is still in the tree or not.
+dist: .venv/ready
+	@rm -rf build/lib build/bdist.*
+	@mkdir -p build
+	@$(BIN)/python -c "from setuptools import build_meta as b; b.build_sdist('dist'); b.build_wheel('dist')" \
+	    >build/dist.log 2>&1 || { cat build/dist.log >&2; exit 1; }
+	@ls dist/*
 
 lock:
 	@uv pip compile --quiet --universal --python-version 3.11 --upgrade --generate-hashes --no-emit-index-url \

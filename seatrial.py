@@ -16,6 +16,7 @@ try:
     from typing import NamedTuple
 
     import click
+    from click.shell_completion import CompletionItem
 
     from daq.errors import SeatrialError
 except KeyboardInterrupt:  # Ctrl-C before there is a command to take it
@@ -34,16 +35,21 @@ class Row(NamedTuple):
 
 COMMANDS = {
     "demo": Row("bench.demo:demo", "The whole loop on mock devices, to a report."),
+    "devices": Row("daq.cli_ports:devices", "Find ports and recognise what speaks there."),
     "log": Row("daq.live:log", "Acquire until Ctrl-C, with a live table."),
     "check": Row("bench.cli:check", "Preflight: devices, rates, clocks, signs, limits."),
     "bench": Row("bench.cli:bench", "Characterise thrusters: static, steps, chirp, all."),
-    "mission": Row("bench.cli:mission", "Run or show a mission."),
+    "mission": Row("bench.cli:mission", "Design, make, show and run missions."),
     "import": Row("daq.cli:import_", "Turn foreign logs into MCAP."),
+    "export": Row("daq.cli_ports:export", "Write a log's tables as CSV or Parquet."),
     "info": Row("daq.cli:info", "Say what a log holds."),
     "salvage": Row("daq.cli:salvage", "Recover the log of a killed run."),
+    "replay": Row("daq.cli_ports:replay", "Send a log's raw bytes again, on ports."),
     "ident": Row("ident.cli:ident", "Fit and explain: noise, thruster, vehicle, diagnose, ..."),
     "mock": Row("mocks.cli:mock", "Mock devices for a rig, until Ctrl-C: bench or boat."),
 }
+# Commands of one part in the group of another: the parts do not import each other.
+ATTACHED = {"mission": {"design": "ident.design_cli:design"}}
 
 
 class LazyGroup(click.Group):
@@ -56,16 +62,37 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import and return the command, or None where the table has no such name."""
         row = COMMANDS.get(cmd_name)
-        return None if row is None else _load(cmd_name, row.target)
+        if row is None:
+            return None
+        command = _load(cmd_name, row.target)
+        for name, target in ATTACHED.get(cmd_name, {}).items():
+            if isinstance(command, click.Group) and name not in command.commands:
+                command.add_command(_load(f"{cmd_name} {name}", target), name)
+        return command
 
     def invoke(self, ctx: click.Context) -> None:
         """Run the command and drop what it returns: only `ctx.exit(status)` may set the exit status."""
         super().invoke(ctx)
 
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Names from the table, then options: click's own way would import every part for a Tab."""
+        names = [
+            CompletionItem(name, help=row.short_help) for name, row in COMMANDS.items() if name.startswith(incomplete)
+        ]
+        return names + click.Command.shell_complete(self, ctx, incomplete)
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands from the table: click's own way would import every part."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, row.short_help) for name, row in COMMANDS.items()])
+
+
+def _needs(what: str, missing: str) -> str:
+    """The line for a library that this installation lacks, as a lean one does."""
+    return (
+        f"{what} needs the Python module {missing}, which is not installed; "
+        "a lean installation only logs and runs: install seatrial with all its dependencies"
+    )
 
 
 def _load(name: str, target: str) -> click.Command:
@@ -77,9 +104,7 @@ def _load(name: str, target: str) -> click.Command:
         missing = error.name or module_name
         if f"{module_name}.".startswith(f"{missing}."):
             raise SeatrialError(f"`{name}` is not part of this installation (no module {missing})") from error
-        raise SeatrialError(
-            f"`{name}` needs the Python module {missing}, which is not installed; install seatrial again"
-        ) from error
+        raise SeatrialError(_needs(f"`{name}`", missing)) from error
     command = getattr(module, attribute, None)
     if not isinstance(command, click.Command):
         raise SeatrialError(f"`{name}` is not part of this installation (no command {target})")
@@ -101,6 +126,8 @@ def _explain(error: BaseException) -> tuple[str, int]:
         line, status = "interrupted", INTERRUPTED
     elif isinstance(error, OSError) and error.filename is not None:
         line, status = f"{error.filename}: {error.strerror}", FAILED
+    elif isinstance(error, ModuleNotFoundError) and error.name:
+        line, status = _needs("this command", error.name), FAILED
     else:
         line = f"internal error ({type(error).__name__}: {error}); run again with --debug to see where"
         status = FAILED

@@ -18,6 +18,10 @@ from daq.rig import Rig, load_rig
 
 FILE = click.Path(path_type=Path)
 N_MAX_BENCH = 0.9
+_ARM = click.option("--arm", is_flag=True, help="Put an autopilot into MANUAL, arm it, and disarm it at the end.")
+_RETRY = click.option(
+    "--retry", type=click.IntRange(0, 100), default=0, show_default=True, help="Repeat spoilt steps, so often in all."
+)
 
 
 @click.group(epilog="Example: seatrial bench all bench-rig.toml -o bench.mcap")
@@ -40,10 +44,14 @@ def _bench_command(kind: str, text: str) -> None:
     @click.option(
         "--n-max", type=click.FloatRange(0, 1, min_open=True), help=f"Largest command [default: {N_MAX_BENCH}]."
     )
-    def command(rig_path: Path, out: Path | None, thruster: str | None, n_max: float | None) -> None:
+    @_ARM
+    @_RETRY
+    def command(
+        rig_path: Path, out: Path | None, thruster: str | None, n_max: float | None, arm: bool, retry: int
+    ) -> None:
         rig = load_rig(rig_path)
         largest = min(N_MAX_BENCH, rig.limits.n_max) if n_max is None else n_max
-        _run(plans.bench_plan(kind, _one_thruster(rig, thruster), largest), rig, out)
+        _run(plans.bench_plan(kind, _one_thruster(rig, thruster), largest), rig, out, arm, retry)
 
 
 _bench_command("static", "Ten seconds at rest: the load cell's zero and the sensors' noise.")
@@ -61,7 +69,7 @@ def _one_thruster(rig: Rig, name: str | None) -> str:
     return rig.thrusters[0].name
 
 
-def _run(plan: Mission, rig: Rig, out: Path | None) -> None:
+def _run(plan: Mission, rig: Rig, out: Path | None, arm: bool, retry: int) -> None:
     """Run a plan and say where its log is."""
     # Imported late: --help needs none of it.
     from bench.display import make_display
@@ -70,7 +78,7 @@ def _run(plan: Mission, rig: Rig, out: Path | None) -> None:
     stem = re.sub(r"[^A-Za-z0-9]+", "-", plan.name).strip("-").lower() or "mission"
     path = rig.log_directory / f"{time.strftime('%Y%m%dT%H%M%S')}-{stem}.mcap" if out is None else out
     start = time.monotonic()
-    run_mission(plan, rig, path, make_display(), {"command": " ".join(["seatrial", *sys.argv[1:]])})
+    run_mission(plan, rig, path, make_display(), {"command": " ".join(["seatrial", *sys.argv[1:]])}, arm, retry)
     click.echo(f"done: {plan.name}, {plan.end:g} s in {time.monotonic() - start:.1f} s; log {path}")
 
 
@@ -78,9 +86,11 @@ def _run(plan: Mission, rig: Rig, out: Path | None) -> None:
 @click.argument("mission_path", metavar="MISSION", type=FILE)
 @click.argument("rig_path", metavar="RIG", type=FILE)
 @click.option("-o", "--out", type=FILE, help="The log to write [default: by date in the rig's log directory].")
-def run(mission_path: Path, rig_path: Path, out: Path | None) -> None:
+@_ARM
+@_RETRY
+def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: int) -> None:
     """Run a mission and record it; Ctrl-C ends it at zero thrust."""
-    _run(load_mission(mission_path), load_rig(rig_path), out)
+    _run(load_mission(mission_path), load_rig(rig_path), out, arm, retry)
 
 
 @mission.command(epilog="Example: seatrial mission show mission.toml")

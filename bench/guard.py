@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from bench.fence import Fence
 from daq.acquire import Status
 from daq.errors import SafetyStop
 from daq.rig import Rig
-from daq.samples import Esc, Gnss, LoadCell
+from daq.samples import Ahrs, Battery, Esc, Gnss, LoadCell
 
-EARTH_RADIUS_M = 6_371_008.8  # IUGG mean radius
 SATURATED, SPIKE = 1, 2  # LoadCell.flags
 STALE_S = 1.0  # run seconds a device may be silent, at least
 STALE_PERIODS = 5.0
@@ -31,7 +31,7 @@ class Guard:
         self._rig = rig
         self._speed = speed
         self._thrusters = [rig.thruster(name) for name in thrusters]
-        self._home: tuple[float, float] | None = None  # rad
+        self._fence = None if rig.limits.radius_m is None else Fence(rig.limits.radius_m, rig.vehicle)
         self._size = -1
         self._grown_at = math.nan
         self._saturated_at = math.nan
@@ -51,7 +51,16 @@ class Guard:
             elif isinstance(sample, LoadCell):
                 yield from self._force(sample, latest.t)
             elif isinstance(sample, Gnss):
-                yield from self._position(source[0], sample)
+                if self._fence is not None and (reason := self._fence.reason(source[0].partition("/")[0], sample)):
+                    yield reason
+            elif isinstance(sample, Ahrs):
+                yield from self._attitude(source[0], sample)
+            elif isinstance(sample, Battery):
+                yield from self._battery(source[0].partition("/")[0], sample)
+
+    def patience(self, device: str) -> float:
+        """How long [run s] a device may be silent."""
+        return self._patience(self._rig.device(device).rate_hz)
 
     def _patience(self, rate_hz: float) -> float:
         return max(STALE_S, STALE_PERIODS / rate_hz, STALE_WALL_S * self._speed)
@@ -88,12 +97,27 @@ class Guard:
 
     def _esc(self, esc: Esc) -> Iterator[str]:
         limits = self._rig.limits
+        if limits.rpm is not None and abs(esc.rpm) > limits.rpm:
+            yield f"speed of node {esc.node} is {esc.rpm:.0f} rpm, limit {limits.rpm:g}"
         if limits.current_a is not None and abs(esc.current) > limits.current_a:
             yield f"current of node {esc.node} is {esc.current:.1f} A, limit {limits.current_a:g} A"
         if limits.temperature_c is not None and esc.temperature > limits.temperature_c:
             yield f"temperature of node {esc.node} is {esc.temperature:.0f} deg C, limit {limits.temperature_c:g}"
         if limits.voltage_min_v is not None and esc.voltage < limits.voltage_min_v:
             yield f"voltage of node {esc.node} is {esc.voltage:.1f} V, least {limits.voltage_min_v:g} V"
+
+    def _attitude(self, name: str, ahrs: Ahrs) -> Iterator[str]:
+        limits = self._rig.limits
+        for word, angle, limit in (("roll", ahrs.roll, limits.roll_deg), ("pitch", ahrs.pitch, limits.pitch_deg)):
+            if limit is not None and abs(math.degrees(angle)) > limit:
+                yield f"{word} is {math.degrees(angle):.0f} deg by {name}, limit {limit:g}"
+
+    def _battery(self, name: str, battery: Battery) -> Iterator[str]:
+        limits = self._rig.limits
+        if limits.voltage_min_v is not None and battery.voltage < limits.voltage_min_v:
+            yield f"battery of {name} is at {battery.voltage:.1f} V, least {limits.voltage_min_v:g} V"
+        if limits.battery_min is not None and battery.remaining < limits.battery_min:
+            yield f"battery of {name} has {100 * battery.remaining:.0f} % left, least {100 * limits.battery_min:g} %"
 
     def _force(self, cell: LoadCell, t: float) -> Iterator[str]:
         limit = self._rig.limits.force_n
@@ -108,20 +132,6 @@ class Guard:
         self._saturated_at = math.nan
         if not cell.flags & SPIKE and abs(cell.force) > limit:
             yield f"force is {cell.force:.1f} N, limit {limit:g} N"
-
-    def _position(self, name: str, gnss: Gnss) -> Iterator[str]:
-        radius = self._rig.limits.radius_m
-        if radius is None or gnss.fix < 2 or not math.isfinite(gnss.lat + gnss.lon):
-            return
-        lat, lon = math.radians(gnss.lat), math.radians(gnss.lon)
-        if self._home is None:
-            self._home = (lat, lon)
-        north = lat - self._home[0]
-        # The shorter way round, so that a start beside the date line is a start like any other.
-        east = math.remainder(lon - self._home[1], 2 * math.pi) * math.cos(lat)
-        distance = EARTH_RADIUS_M * math.hypot(north, east)
-        if distance > radius:
-            yield f"{distance:.0f} m from the start by {name}, limit {radius:g} m"
 
 
 def _since(age: float) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import tomlkit
 
+from bench.prediction import Prediction, dump_prediction, parse_prediction
 from daq.errors import SeatrialError
 from daq.toml_table import Table, parse_toml, read_text
 
@@ -62,6 +63,7 @@ class Mission:
     made_by: str = ""
     seed: int | None = None
     predicted_errors: Mapping[str, float] = field(default_factory=dict)
+    prediction: Prediction | None = None  # of a design
 
     def starts(self) -> list[tuple[float, float, str]]:
         """Start [s], end [s] and name of each segment, in order."""
@@ -129,6 +131,7 @@ def parse_mission(text: str, source: Path | str) -> Mission:
         made_by=provenance.text("made_by", ""),
         seed=provenance.integer("seed") if provenance.has("seed") else None,
         predicted_errors=_predicted(provenance.table("predicted_errors")),
+        prediction=parse_prediction(root.table("prediction")),
     )
     for table in (root, provenance, limits, end):
         table.done()
@@ -208,6 +211,7 @@ def dump_mission(mission: Mission) -> str:
     lines += [f"predicted_errors = {{{errors}}}", "", "[limits]", f"n_max = {float(mission.n_max)!r}"]
     if math.isfinite(mission.slew_per_s):
         lines.append(f"slew_per_s = {float(mission.slew_per_s)!r}")
+    lines += dump_prediction(mission.prediction) if mission.prediction is not None else []
     for segment in mission.segments:
         lines += ["", "[[segment]]", f"name = {quoted(segment.name)}"]
         lines += [f"t = {_row(segment.t)}", "n = ["]

@@ -8,11 +8,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bench.check import await_devices, dry_run
+from bench.course import Course
 from bench.display import Display, View
 from bench.guard import Guard
+from bench.keys import HELP, Keys
 from bench.mission import Mission, dump_mission
 from bench.signals import WORDS, StopSignals
-from bench.tare import Tare, describe_tares, measure_tares, static_windows
+from bench.tare import Tare, describe_tares, measure_tares
+from bench.timeline import Timeline
+from bench.vehicle import Vehicles
 from daq.acquire import Acquisition, Status
 from daq.clock import RunClock
 from daq.errors import SafetyStop, SeatrialError
@@ -35,10 +39,18 @@ class Interrupted(SeatrialError):
 
 
 def run_mission(
-    mission: Mission, rig: Rig, path: Path, display: Display, metadata: dict[str, str] | None = None
+    mission: Mission,
+    rig: Rig,
+    path: Path,
+    display: Display,
+    metadata: dict[str, str] | None = None,
+    arm: bool = False,
+    retries: int = 0,
 ) -> list[Tare]:
     """Run `mission` on `rig` and record it at `path`; returns the load cell's zeros at start and end.
 
+    An autopilot between us and the thrusters is armed only with `arm`, and then disarmed again. Steps in which
+    set-points or samples were lost are run again, `retries` times in all. Keys (bench.keys) pause, repeat and mark.
     Raises SafetyStop when the guard ends it, Interrupted on Ctrl-C, SIGTERM or SIGHUP, and SeatrialError when a
     device or the acquisition fails; in every case thrust is zero and the log is closed first. Call it from the
     main thread: it takes the signals while it runs.
@@ -49,9 +61,12 @@ def run_mission(
     attachments = {"mission.toml": dump_mission(mission).encode()}
     with (
         StopSignals() as signals,
-        Acquisition(rig, path, clock=clock, attachments=attachments, metadata=metadata or {}) as acquisition,
+        Keys() as keys,
+        Acquisition(
+            rig, path, clock=clock, attachments=attachments, metadata=metadata or {}, drive=True
+        ) as acquisition,
     ):
-        return _Runner(mission, rig, path, clock, acquisition, signals, display).run()
+        return _Runner(mission, rig, path, clock, acquisition, signals, display).run(arm, retries, keys)
 
 
 def new_log_file(path: Path) -> None:
@@ -80,17 +95,17 @@ class _Runner:
         self._mission, self._rig, self._path = mission, rig, path
         self._clock, self._acquisition, self._signals, self._display = clock, acquisition, signals, display
         self._guard = Guard(rig, clock.speed, mission.thrusters)
-        self._t, self._n = mission.setpoints()
-        self._sent = 0
-        self._segment = -1
+        self._vehicles = Vehicles(rig, mission.thrusters, acquisition, clock, self._wait, display.say)
+        self._segment = mission.segments[0].name
 
-    def run(self) -> list[Tare]:
+    def run(self, arm: bool, retries: int, keys: Keys) -> list[Tare]:
         """From waiting for the devices to the closed log."""
         with self._display:
             try:
-                start = self._excite()
+                timeline = self._excite(arm, retries, keys)
                 self._acquisition.zero("end of the mission")
-                tares = self._tare(start)
+                self._vehicles.release()
+                tares = self._tare(timeline)
                 self._acquisition.stop()
                 self._say_skipped()
             except BaseException as error:
@@ -98,21 +113,27 @@ class _Runner:
                 raise
         return tares
 
-    def _excite(self) -> float:
-        """Wait for the devices, then send every set-point in time; returns the run time of the start."""
+    def _excite(self, arm: bool, retries: int, keys: Keys) -> Timeline:
+        """Wait for the devices, then send every set-point in time; returns when what was run."""
         names = await_devices(self._rig, self._acquisition, self._mission.thrusters, self._wait)
         self._display.say(f"devices: {', '.join(names)}; recording {self._path}")
-        start = self._clock.now() + LEAD_S * self._clock.speed
+        self._vehicles.prepare(arm)
+        if keys.there:
+            self._display.say(HELP)
+        lead, ahead = LEAD_S * self._clock.speed, AHEAD_S * self._clock.speed
+        start = self._clock.now() + lead
         self._acquisition.mark("start", f"{self._mission.name} at {start:.6f}")
-        while (now := self._clock.now()) < start + self._mission.end:
-            self._send(start, now + AHEAD_S * self._clock.speed)
-            self._acquisition.alive()
+        patience = self._guard.patience
+        course = Course(self._mission, start, lead, self._acquisition, patience, self._display.say, retries)
+        while not course.is_over(now := self._clock.now()):
             status = self._acquisition.status()
             self._check(status, now)
-            self._mark(now - start)
-            self._display.show(self._view(status, now - start))
+            course.step(now, ahead, status, keys.take())
+            self._acquisition.alive()
+            self._segment = course.segment or self._segment
+            self._display.show(self._view(status, course.timeline.elapsed(now)))
             self._wait(POLL_S)
-        return start
+        return course.timeline
 
     def _check(self, status: Status, now: float) -> None:
         """Raise SafetyStop when the acquisition has ended thrust, falls silent, or the guard finds a limit passed."""
@@ -120,11 +141,12 @@ class _Runner:
             raise SafetyStop(status.stopped)
         if now - status.t > SILENCE_S * self._clock.speed:
             raise SafetyStop(f"the acquisition process has not answered for {SILENCE_S:g} s")
+        self._vehicles.check(status)
         self._guard.check(status)
 
     def _say_skipped(self) -> None:
         """Tell of set-points that this machine was too busy to send in time; the log holds what was sent."""
-        skipped, planned = self._acquisition.status().skipped, self._n.size
+        skipped, planned = self._acquisition.status().skipped, self._mission.setpoints()[1].size
         if skipped:
             self._display.say(
                 f"skipped: {skipped} of {planned} set-points, overtaken by later ones before they could be sent "
@@ -137,23 +159,6 @@ class _Runner:
             number = self._signals.caught
             raise Interrupted(f"stopped by {WORDS[number]}", number)
 
-    def _send(self, start: float, until: float) -> None:
-        """Append the set-points before run time `until`."""
-        rows: list[tuple[float, dict[str, float]]] = []
-        while self._sent < len(self._t) and start + self._t[self._sent] < until:
-            row = self._n[self._sent].tolist()
-            rows.append((start + float(self._t[self._sent]), dict(zip(self._mission.thrusters, row, strict=True))))
-            self._sent += 1
-        if rows:
-            self._acquisition.schedule(rows)
-
-    def _mark(self, elapsed: float) -> None:
-        """Write an event for each segment that has begun."""
-        spans = self._mission.starts()
-        while self._segment + 1 < len(spans) and elapsed >= spans[self._segment + 1][0]:
-            self._segment += 1
-            self._acquisition.mark("segment", spans[self._segment][2])
-
     def _view(self, status: Status, elapsed: float) -> View:
         force = speed = math.nan
         rpm = {}
@@ -164,10 +169,10 @@ class _Runner:
             elif isinstance(sample, Gnss):
                 speed = math.hypot(sample.vel_n, sample.vel_e)
             elif isinstance(sample, Esc):
-                rpm[device, node] = sample.rpm
+                rpm[device.partition("/")[0], node] = sample.rpm
         thrusters = [self._rig.thruster(name) for name in self._mission.thrusters]
         return View(
-            segment=self._mission.segments[max(self._segment, 0)].name,
+            segment=self._segment,
             elapsed=max(elapsed, 0.0),
             total=self._mission.end,
             n_cmd=tuple(status.commanded.get(thruster.name, 0.0) for thruster in thrusters),
@@ -177,9 +182,9 @@ class _Runner:
             warning=status.warnings[-1] if status.warnings else "",
         )
 
-    def _tare(self, start: float) -> list[Tare]:
+    def _tare(self, timeline: Timeline) -> list[Tare]:
         """The load cell's zero from the static segments, said and written as events."""
-        windows = static_windows(self._mission, start)
+        windows = timeline.static_windows()
         if not windows or not any(device.protocol == "loadcell" for device in self._rig.devices):
             return []
         self._wait(FLUSH_S)
@@ -196,9 +201,12 @@ class _Runner:
     def _end_at_zero(self, error: BaseException) -> None:
         """Command zero, note the reason, close the log, and add to the error's line where that log is."""
         reason = " ".join(str(error).split()) or type(error).__name__
+        decided = self._clock.now()
         told = self._tried(lambda: self._acquisition.zero(reason))
         zero = self._thrusters_heard(told)
+        self._tried(self._vehicles.disarm)
         self._tried(lambda: self._acquisition.mark("stop", reason))
+        self._tried(lambda: self._acquisition.mark("decided", f"{decided:.6f} to stop"))
         closed = self._tried(self._acquisition.stop)
         thrust = "thrust is zero" if zero else "each ESC goes to zero by its own time-out"
         log = f"the log is {self._path}" if closed else f"the log so far is {self._path} (it opens as it is)"

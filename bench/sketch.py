@@ -1,16 +1,17 @@
-"""A mission as text: its segments and a sketch of each thruster's command over time."""
+"""A mission as text: its segments, a sketch of each thruster's command over time, and what a design predicted."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from bench.mission import FloatArray, Mission
+from bench.prediction import describe_errors, describe_track
 
 HEIGHT = 9  # rows of a sketch, odd so that zero has one
 
 
 def describe(mission: Mission, width: int = 96) -> str:
-    """Name, limits, segments and one sketch a thruster; lines of at most about `width` characters."""
+    """Name, limits, segments, a sketch a thruster, what was predicted; lines of at most about `width` characters."""
     slew = f", slew at most {mission.slew_per_s:g} 1/s" if np.isfinite(mission.slew_per_s) else ""
     lines = [
         f"{mission.name} ({mission.kind}), {mission.end:g} s, n_max {mission.n_max:g}{slew}",
@@ -20,6 +21,9 @@ def describe(mission: Mission, width: int = 96) -> str:
     t, n = mission.setpoints()
     for column, thruster in enumerate(mission.thrusters):
         lines += ["", f"n_cmd {thruster}", *sketch(t, n[:, column], mission.end, width - 6)]
+    expected = mission.prediction
+    lines += describe_errors(mission.predicted_errors, expected.errors_before if expected else {})
+    lines += describe_track(expected, width - 6) if expected else []
     return "\n".join(lines)
 
 

@@ -30,13 +30,17 @@ class Tare(NamedTuple):
 
 def static_windows(mission: Mission, start: float) -> list[tuple[str, float, float]]:
     """Place, begin and end [run s] of the rest at the start and at the end of a mission."""
-    spans = mission.starts()
+    return windows_of([(start + begin, start + end, name) for begin, end, name in mission.starts()])
+
+
+def windows_of(spans: Sequence[tuple[float, float, str]]) -> list[tuple[str, float, float]]:
+    """The same of segments (begin, end, name) as they were run."""
     windows = []
     if spans[0][2] == STATIC:
-        windows.append(("start", start + spans[0][0], start + spans[0][1]))
+        windows.append(("start", spans[0][0], spans[0][1]))
     if len(spans) > 1 and spans[-1][2] == STATIC:
         begin, end, _ = spans[-1]
-        windows.append(("end", start + min(begin + SETTLE_S, (begin + end) / 2), start + end))
+        windows.append(("end", min(begin + SETTLE_S, (begin + end) / 2), end))
     return windows
 
 

@@ -53,16 +53,42 @@ def record_and_read(folder: Path) -> Iterator[Figure]:
         recorder.tick()
         n += 3 + (k % 10 == 0)
     recorder.close()
+    took = time.process_time() - began
+    with open_log(path) as log:
+        n_messages = sum(log.counts.values())
     group = "log"
-    yield Figure(group, "recorder", 1e6 * (time.process_time() - began) / n, "us a sample")
+    yield Figure(group, "recorder", 1e6 * took / n, "us a sample")
     yield Figure(group, "file", path.stat().st_size / n, "bytes a sample")
+    yield Figure(group, "recorder, a message", 1e6 * took / n_messages, "us")
+    yield from read_all(path, n_messages)
+
+
+def read_all(path: Path, n_messages: int) -> Iterator[Figure]:
+    """Every message of the log as numbers: our reader, mcap's own (bytes only) and rosbags', in one run."""
+    from mcap.reader import make_reader
+    from rosbags.highlevel import AnyReader
+
     began = time.process_time()
     with open_log(path) as log:
-        for kind, device in ((Ahrs, "ahrs"), (Gnss, "gnss"), (LoadCell, "loadcell")):
-            assert len(log.table(kind, device)) >= N_ROUNDS // 10
-        assert len(log.table(Esc, "esc", node=1)) == N_ROUNDS
-        messages = sum(log.counts.values())
-    yield Figure(group, "reader, all tables", messages / (time.process_time() - began), "messages/s")
+        rows = sum(len(log.table(kind, device)) for kind, device in ((Ahrs, "ahrs"), (Gnss, "gnss")))
+        rows += len(log.table(LoadCell, "loadcell")) + len(log.table(Esc, "esc", node=1))
+        assert sum(log.counts.values()) == n_messages
+    ours = n_messages / (time.process_time() - began)
+    began = time.process_time()
+    with path.open("rb") as file:
+        assert sum(1 for _ in make_reader(file).iter_messages(log_time_order=False)) == n_messages
+    mcap = n_messages / (time.process_time() - began)
+    began, n_read = time.process_time(), 0
+    with AnyReader([path]) as reader:
+        for connection, _, data in reader.messages():
+            reader.deserialize(data, connection.msgtype)
+            n_read += 1
+            if n_read >= n_messages // 5:
+                break
+    yield Figure(
+        "log", "reader, all tables", ours, "messages/s", n_read / (time.process_time() - began), "peer: rosbags"
+    )
+    yield Figure("log", "reader, all tables", ours, "messages/s", mcap, "peer: mcap's own, undecoded")
 
 
 def acquire(folder: Path, seed: int) -> Iterator[Figure]:

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
-import tempfile
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -96,7 +92,6 @@ def figures(seed: int) -> Iterator[Figure]:
         yield Figure(group, "-ln L at the optimum", -found.log_likelihood, "", peer.get("optimum"))
         if record.name == "simulated":
             yield Figure(group, "farthest parameter from the truth", farthest(found), "std. errors")
-    yield from cold_and_warm(seed)
 
 
 def farthest(found: Fit) -> float:
@@ -104,25 +99,3 @@ def farthest(found: Fit) -> float:
     known = {n: v for n, v in model().values.items() if n[:2] in ("m_", "d_")}
     errors = {n: found.estimate(n) for n in known}
     return max(abs(value - known[n]) / error for n, (value, error) in errors.items() if np.isfinite(error))
-
-
-def cold_and_warm(seed: int) -> Iterator[Figure]:
-    """From the start of a process to its result, first with an empty cache of kernels, then with a full one."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "record.npz"
-        record = measured() or simulated(seed)
-        np.savez(file, t=record.t, u=record.u, y=record.y)
-        environment = {**os.environ, "SEATRIAL_CACHE": str(Path(folder) / "cache")}
-        for name in ("cold", "warm"):
-            began = time.perf_counter()
-            subprocess.run([sys.executable, "-m", "benchmarks.sde", str(file)], env=environment, check=True,
-                           stdout=subprocess.DEVNULL, cwd=Path(__file__).parents[1])
-            yield Figure("process start to result", f"{name} ({record.name})", time.perf_counter() - began, "s",
-                         PEER.get(name) if record.name == "sde_bench" else None)
-
-
-if __name__ == "__main__":
-    given = np.load(sys.argv[1])
-    names = tuple(NOISE)
-    own = Record("given", given["t"], given["u"], given["u"], given["y"], ("X", "N"), names)
-    print(fit(model(), [own], start=START).log_likelihood)

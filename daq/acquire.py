@@ -22,12 +22,14 @@ from daq.errors import SeatrialError
 from daq.link import Link, Message
 from daq.rig import Rig
 from daq.status import Latest, PortStatus, Status, from_json
+from daq.stop_note import read_note
 
 __all__ = ["Acquisition", "Latest", "PortStatus", "Status"]
 
 HEARTBEAT_S = 0.05  # wall, as all of these
 START_S = 30.0
 STOP_S = 15.0
+WATCHDOG_S = 5.0  # it opens ports for 3 s at most, and says zero for 1
 
 
 class Acquisition:
@@ -35,7 +37,8 @@ class Acquisition:
 
     The process is safe against whatever happens here: when this process dies or stops answering, or when thrust is
     commanded and `alive` is not called for 0.25 s (wall), it commands zero, records one second more and closes the
-    log. All methods may be called from any thread; all but `alive` raise SeatrialError when the process has failed.
+    log. With `drive` a watchdog process stands behind it (daq.watchdog); nothing is to be driven without.
+    All methods may be called from any thread; all but `alive` raise SeatrialError when the process has failed.
     """
 
     def __init__(
@@ -46,7 +49,9 @@ class Acquisition:
         clock: RunClock,
         attachments: Mapping[str, bytes] | None = None,
         metadata: Mapping[str, str] | None = None,
+        drive: bool = False,
     ) -> None:
+        self._drive = drive
         self.rig, self.path, self.clock = rig, Path(path), clock
         self._attachments, self._metadata = dict(attachments or {}), dict(metadata or {})
         self._changed = threading.Condition()
@@ -57,21 +62,19 @@ class Acquisition:
         self._alive = threading.Event()
         self._stopping = threading.Event()
         self._stopped = False
+        self._watchdog: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> Acquisition:
         """Start the process; returns when the log is open. Raises SeatrialError when it cannot be."""
         ours, theirs = socket.socketpair()
         self._stderr: IO[bytes] = tempfile.TemporaryFile()
-        with theirs:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "daq.acquire_process", str(theirs.fileno())],
-                pass_fds=[theirs.fileno()],
-                stdin=subprocess.DEVNULL,
-                stdout=self._stderr,
-                stderr=self._stderr,
-                env={**os.environ, "PYTHONPATH": _search_path()},
-                start_new_session=True,  # Ctrl-C is for us; the process ends when we say so
-            )
+        with theirs, contextlib.ExitStack() as stack:
+            ends = [theirs]
+            if self._drive:
+                watched, watching = (stack.enter_context(sock) for sock in socket.socketpair())
+                self._watchdog = self._start("daq.watchdog", [watching])
+                ends.append(watched)
+            self._process = self._start("daq.acquire_process", ends)
         self._link = Link(ours)
         self._threads = [
             threading.Thread(target=self._listen, name="acquisition status", daemon=True),
@@ -86,6 +89,19 @@ class Acquisition:
             self._abandon()
             raise
         return self
+
+    def _start(self, module: str, ends: Sequence[socket.socket]) -> subprocess.Popen[bytes]:
+        """A process of our own that gets these sockets."""
+        numbers = [end.fileno() for end in ends]
+        return subprocess.Popen(
+            [sys.executable, "-m", module, *map(str, numbers)],
+            pass_fds=numbers,
+            stdin=subprocess.DEVNULL,
+            stdout=self._stderr,
+            stderr=self._stderr,
+            env={**os.environ, "PYTHONPATH": _search_path()},
+            start_new_session=True,  # Ctrl-C is for us; the process ends when we say so
+        )
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -119,6 +135,11 @@ class Acquisition:
     def mark(self, kind: str, text: str) -> None:
         """Write an event to the log."""
         self._send({"op": "mark", "kind": kind, "text": text})
+
+    def wish(self, device: str, wish: str, value: float = 0.0) -> None:
+        """Ask the autopilot of a device to `arm`, `disarm` or change its `mode`; the answer is in `Status.links`."""
+        self.rig.device(device)
+        self._send({"op": "wish", "device": device, "wish": wish, "value": value})
 
     def alive(self) -> None:
         """The runner lives: to be called every 0.1 s (wall) while thrust is commanded."""
@@ -201,6 +222,10 @@ class Acquisition:
         self._stderr.seek(0)
         lines = self._stderr.read().decode(errors="replace").strip().splitlines()
         said = f": {lines[-1].strip()}" if lines else ""
+        if self._watchdog is not None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._watchdog.wait(timeout=WATCHDOG_S)
+            said += f"; {note}" if (note := read_note(self.path)) else ""
         return f"the acquisition process ended by itself (status {code}{said}); the log so far is {self.path}"
 
     def _raise_failure(self) -> None:
@@ -223,6 +248,9 @@ class Acquisition:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        if self._watchdog is not None:
+            with contextlib.suppress(subprocess.TimeoutExpired):  # it still says zero: it is not to be hurried
+                self._watchdog.wait(timeout=WATCHDOG_S)
         for thread in self._threads:
             if thread.ident is not None:
                 thread.join()

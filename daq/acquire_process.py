@@ -20,15 +20,18 @@ from pathlib import Path
 from types import FrameType
 
 from daq.clock import RunClock
-from daq.device import DeviceLoop, make_decoder
+from daq.device import DeviceLoop
+from daq.device_table import make_decoder
 from daq.errors import SeatrialError
 from daq.link import Link, Message
-from daq.recorder import Recorder
-from daq.rig import Rig, parse_rig
+from daq.recorder import Recorder, check_room
+from daq.rig import DRIVES, Rig, parse_rig
 from daq.samples import NAN, Event, Frame, PortHealth
 from daq.setpoints import Setpoints
 from daq.status import Status, to_json
+from daq.talkers import make_talker
 from daq.transport import make_port
+from daq.watchdog import Pulse
 from daq.writer import WRITE_S, Item, Sink, Writer
 
 PRIORITY = -10  # niceness, where the system lets us
@@ -40,11 +43,11 @@ RECORD_ON_S = 1.0  # after a stop that nobody asked for
 class Process:
     """The ports, the writer, and the parent's wishes."""
 
-    def __init__(self, link: Link, rig: Rig, recorder: Recorder, clock: RunClock) -> None:
-        self._link, self._rig, self._clock = link, rig, clock
+    def __init__(self, link: Link, rig: Rig, recorder: Recorder, clock: RunClock, pulse: Pulse | None = None) -> None:
+        self._link, self._rig, self._clock, self._pulse = link, rig, clock, pulse
         self._path = str(recorder.path)
         self._sink = Sink()
-        self._setpoints = {device.name: Setpoints() for device in rig.devices if device.protocol == "vesc"}
+        self._setpoints = {device.name: Setpoints() for device in rig.devices if device.protocol in DRIVES}
         self._loops = {device.name: self._loop(device.name) for device in rig.devices}
         self._writer = Writer(recorder, self._sink, self._health, clock)
         self._begun = clock.now()
@@ -58,6 +61,7 @@ class Process:
             "schedule": self._on_schedule,
             "zero": self._on_zero,
             "mark": self._on_mark,
+            "wish": self._on_wish,
             "stop": self._on_stop,
         }
         self._end_reason = ""
@@ -89,18 +93,19 @@ class Process:
             if ready:
                 self._listen()
             self._judge()
+            self._beat()
 
     def _loop(self, name: str) -> DeviceLoop:
         device = self._rig.device(name)
-        here = [thruster for thruster in self._rig.thrusters if thruster.device == name]
+        decoder = make_decoder(device, self._rig)
         return DeviceLoop(
             device,
             make_port(device),
-            make_decoder(device, self._rig),
+            decoder,
             self._clock,
             self._sink,
             self._setpoints.get(name),
-            frozenset(thruster.node for thruster in here if thruster.reversed),
+            make_talker(device, self._rig, decoder),
             self._stop_thrust,
         )
 
@@ -114,6 +119,16 @@ class Process:
             self._heard = time.monotonic()
             self._wishes[message["op"]](message)
 
+    def _beat(self, at_once: bool = False) -> None:
+        """The watchdog's pulse, unless a port's thread hangs: then it is left to the watchdog."""
+        now = time.monotonic()
+        if self._pulse is None or any(loop.is_stuck(now) for loop in self._loops.values()):
+            return
+        active = any(setpoints.active for setpoints in self._setpoints.values())
+        self._pulse.beat(active, now, at_once)
+        if self._pulse.lost and active and not self._stopped:
+            self._stop_thrust("the watchdog is gone")
+
     def _judge(self) -> None:
         """End what has to end. Called after listening: a pause of our own is not held against the parent."""
         now = time.monotonic()
@@ -121,6 +136,8 @@ class Process:
             self._end("SIGTERM", unasked=False)
         if self._writer.failure:
             self._end(self._writer.failure, unasked=False)
+        if self._writer.alarm and not self._stopped and any(s.active for s in self._setpoints.values()):
+            self._stop_thrust(self._writer.alarm)  # a run that is not recorded is not worth its risk
         if any(setpoints.active for setpoints in self._setpoints.values()):
             if now - self._heard > SILENCE_S:
                 self._end(f"no heartbeat of the parent for {SILENCE_S} s", unasked=True)
@@ -160,6 +177,9 @@ class Process:
     def _on_mark(self, message: Message) -> None:
         self._event(message["kind"], message["text"])
 
+    def _on_wish(self, message: Message) -> None:
+        self._loops[message["device"]].request(message["wish"], message["value"])
+
     def _on_stop(self, message: Message) -> None:
         self._end("asked to stop", unasked=False)
 
@@ -183,15 +203,21 @@ class Process:
 
     def _finish(self) -> None:
         self._zero()
+        self._beat(at_once=True)
         self._event("stop" if self._unasked else "end", self._end_reason)
+        for loop in self._loops.values():
+            loop.request("leave", 0.0)
         if self._unasked:
             until = time.monotonic() + RECORD_ON_S
             while (left := until - time.monotonic()) > 0.0 and not self._writer.failure:
                 time.sleep(min(left, WRITE_S))
+                self._beat()
         for loop in self._loops.values():
             loop.end()
         for loop in self._loops.values():
             loop.join()
+        if self._pulse is not None:
+            self._pulse.end()
         self._note_skipped()
         self._writer.end()
         self._writer.join()
@@ -226,6 +252,8 @@ class Process:
         now = self._clock.now()
         ports = {name: loop.status(now) for name, loop in self._loops.items()}
         warnings = [f"{port.name} ({port.port}): {port.message}" for port in ports.values() if port.message]
+        if self._writer.alarm:
+            warnings.insert(0, self._writer.alarm)
         if self._stopped:
             warnings.append(f"thrust was stopped: {self._stopped}")
         held = {name: setpoints.held for name, setpoints in self._setpoints.items()}
@@ -242,7 +270,17 @@ class Process:
             stopped=self._stopped or (self._end_reason if self._unasked else ""),
             warnings=tuple(warnings),
             skipped=self._count_skipped(),
+            links={name: link for name, loop in self._loops.items() if (link := loop.link()) is not None},
         )
+
+
+def _pulse(rig: Rig, path: Path) -> Pulse:
+    """The line to the watchdog; no thrust without it."""
+    try:
+        return Pulse(socket.socket(fileno=int(sys.argv[2])), rig, path)
+    except (OSError, EOFError) as error:
+        why = str(error) or "it ended"
+        raise SeatrialError(f"the watchdog did not start ({why}); nothing is driven without it") from error
 
 
 def main() -> None:
@@ -257,13 +295,16 @@ def main() -> None:
     rig = parse_rig(begin["rig_text"], Path(begin["rig_path"]))
     attachments = {name: base64.b64decode(data) for name, data in begin["attachments"].items()}
     try:
+        path = Path(begin["path"])
+        check_room(path, rig.segments.free_megabytes)
         recorder = Recorder(
-            Path(begin["path"]), rig=rig, clock=clock, attachments=attachments, metadata=begin["metadata"]
+            path, rig=rig, clock=clock, attachments=attachments, metadata=begin["metadata"], patient=True
         )
+        pulse = _pulse(rig, path) if len(sys.argv) > 2 else None
+        process = Process(link, rig, recorder, clock, pulse)
     except SeatrialError as error:
         link.send({"op": "failed", "why": str(error)})
         return
-    process = Process(link, rig, recorder, clock)
     signal.signal(signal.SIGTERM, process.terminate)
     # Threads take turns often enough for set-points a millisecond apart, and the collector has less to walk through.
     sys.setswitchinterval(0.0005)

@@ -125,6 +125,8 @@ class Layout:
         """One message: the fixed fields' values flat and in order, then the variable fields' bytes."""
         sec, nanosec = divmod(stamp_ns, NANO)
         message = self._struct.pack(ENCAPSULATION, sec, nanosec, *self._frame, *values)
+        if not (tail or self.tail):
+            return message
         for field, data in zip(self.tail, tail, strict=True):
             text = data + b"\0" if field.primitive == "string" else data
             message += b"\0" * (-len(message) % 4) + struct.pack("<I", len(text)) + text

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from daq.device_table import SERIAL_PROTOCOLS
+
 _EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
 _NEW = click.Path(dir_okay=False, path_type=Path)
 _FOLDER = click.Path(file_okay=False, path_type=Path)
@@ -87,8 +89,31 @@ def import_csv(map_: Path, files: tuple[Path, ...], out: Path | None, out_dir: P
         click.echo(str(path))
 
 
+@import_.command("mavlink")
+@click.argument("file", type=_EXISTING)
+@click.option("--rig", "rig_path", type=_EXISTING, help="Names the thrusters and scales their outputs.")
+@click.option("--system", type=click.IntRange(1, 255), help="Which system (default: the first autopilot).")
+@click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
+@click.option("--force", is_flag=True, help="Replace the log where it exists.")
+def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: Path | None, force: bool) -> None:
+    """Turn FILE, a ground station's tlog or an ArduPilot DataFlash log (BIN), into a log.
+
+    With --rig the outputs become the thrusters' n; without it they stay pulses in us, servo_1, servo_2, ...
+
+    \b
+    Example:
+      seatrial import mavlink steps.tlog --rig boat.toml -o steps.mcap
+    """
+    from daq.imports.mavlink_import import import_mavlink as run
+    from daq.rig import load_rig
+
+    rig = None if rig_path is None else load_rig(rig_path)
+    path, said = run(file, rig=rig, system=system, out=out, force=force)
+    click.echo(f"{path}: {said}")
+
+
 @import_.command("raw")
-@click.argument("protocol", type=click.Choice(["vectornav", "nmea", "loadcell"]))
+@click.argument("protocol", type=click.Choice(SERIAL_PROTOCOLS))
 @click.argument("file", type=_EXISTING)
 @click.option("--rate", type=click.FloatRange(min=0.0, min_open=True), help="Samples a second, for the times.")
 @click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
@@ -106,4 +131,46 @@ def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, 
     from daq.imports.raw_import import import_raw as run
 
     path, said = run(protocol, file, rate=rate, out=out, force=force)
+    click.echo(f"{path}: {said}")
+
+
+@import_.command("ros2")
+@click.argument("bag", type=click.Path(exists=True, path_type=Path))
+@click.option("--topic", "topics", multiple=True, metavar="TOPIC[=NAME]", help="Take this one only; may be repeated.")
+@click.option(
+    "--axes", type=click.Choice(["ros", "ned"]), default="ros", show_default=True,
+    help="ros: forward, left, up and east, north, up (REP-103); ned: ours.",
+)  # fmt: skip
+@click.option("-o", "--out", type=_NEW, help="The log to write (default: named after BAG, here).")
+@click.option("--force", is_flag=True, help="Replace the log where it exists.")
+def import_ros2(bag: Path, topics: tuple[str, ...], axes: str, out: Path | None, force: bool) -> None:
+    """Turn BAG, a ROS 2 bag (a file or a folder, MCAP or sqlite3), into a log.
+
+    Imu becomes attitude and rates, NavSatFix positions; of all else every number becomes a signal.
+
+    \b
+    Example:
+      seatrial import ros2 run1 --topic /imu/data=ahrs --topic /fix=gnss -o run1.mcap
+    """
+    from daq.imports.ros2_import import import_ros2 as run
+
+    wanted = dict(word.partition("=")[::2] for word in topics)
+    path, said = run(bag, topics=wanted or None, axes=axes, out=out, force=force)
+    click.echo(f"{path}: {said}")
+
+
+@import_.command("ulog")
+@click.argument("file", type=_EXISTING)
+@click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
+@click.option("--force", is_flag=True, help="Replace the log where it exists.")
+def import_ulog(file: Path, out: Path | None, force: bool) -> None:
+    """Turn FILE, a flight log of PX4 (.ulg), into a log.
+
+    \b
+    Example:
+      seatrial import ulog log_5.ulg -o run5.mcap
+    """
+    from daq.imports.ulog_import import import_ulog as run
+
+    path, said = run(file, out=out, force=force)
     click.echo(f"{path}: {said}")

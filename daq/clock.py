@@ -122,6 +122,15 @@ class ClockMap:
         self._note(t_rx - t)
         return t
 
+    def estimate(self, t_device: float, t_rx: float, unordered: bool = False) -> float:
+        """As `update`; of an `unordered` device, a time up to `LATE` behind the newest only asks the map.
+
+        Such a device sends things of different age over one link: an attitude of now, then a fix of a while ago.
+        """
+        if unordered and self._old is not None and 0.0 < self._last_device - t_device < self.LATE:
+            return min(t_device + self._base + self._skew * (t_device - self._zero), t_rx)
+        return self.update(t_device, t_rx)
+
     @property
     def bias(self) -> float:
         """Mean of receive time minus estimated time [s] since the last `forget_statistics`."""

@@ -11,42 +11,34 @@ import time
 from collections.abc import Callable
 
 from daq.clock import ClockMap, RunClock
-from daq.protocol import Decoder, loadcell, nmea, vectornav, vesc
-from daq.rig import Device, Rig
-from daq.samples import NAN, Command, Esc, Frame, PortHealth
+from daq.protocol import Decoder
+from daq.rig import Device
+from daq.samples import NAN, Ahrs, Command, Esc, Event, Frame, PortHealth, Sample, Servo
 from daq.setpoints import Due, Setpoints
-from daq.status import Latest, PortStatus, RateMeter, Source
+from daq.status import Latest, LinkStatus, PortStatus, RateMeter, Source
+from daq.talker import Talker
 from daq.transport import Port, PortError
+from daq.watch import Watch
 from daq.writer import Item, Sink
 
 IDLE_S = 0.5  # wall; longest wait for bytes
 RETRY_S = (0.05, 0.1, 0.2, 0.5, 1.0)  # wall; waits between attempts to open
 MUTE_BYTES = 2000  # so many without a valid frame are no start-up noise
+STUCK_S = 0.25  # wall; a thread that commands thrust has a turn every 20 ms
 JOIN_BYTES = 256  # as much may be the rest of a frame
 RATE_WINDOW_S = 2.0  # wall
 
 
-def make_decoder(device: Device, rig: Rig) -> Decoder:
-    """The decoder for a device of the rig."""
-    if device.protocol == "vectornav":
-        return vectornav.Decoder()
-    if device.protocol == "nmea":
-        return nmea.Decoder()
-    if device.protocol == "loadcell":
-        force = device.calibration.force if device.calibration else None
-        return loadcell.Decoder(device.pattern, device.saturation, force, skip_first=True)
-    here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
-    return vesc.Decoder(
-        {thruster.node: thruster.pole_pairs for thruster in here},
-        frozenset(thruster.node for thruster in here if thruster.reversed),
-    )
+def _is_attitude(sample: Sample) -> bool:
+    return isinstance(sample, Ahrs) and not math.isnan(sample.yaw)
 
 
 class DeviceLoop(threading.Thread):
     """The thread of one port, its counters, and the last it heard.
 
-    `setpoints` makes it an actuator too: due set-points are sent from this thread. When the port is lost while
-    thrust is commanded, `on_lost(reason)` is called from this thread.
+    `setpoints` makes it an actuator too: due set-points are sent from this thread, in the words of `talker`, which
+    may also speak for itself. When the port is lost while thrust is commanded, `on_lost(reason)` is called from
+    this thread.
     """
 
     def __init__(
@@ -57,24 +49,27 @@ class DeviceLoop(threading.Thread):
         clock: RunClock,
         sink: Sink,
         setpoints: Setpoints | None = None,
-        reversed_nodes: frozenset[int] = frozenset(),
+        talker: Talker | None = None,
         on_lost: Callable[[str], None] = lambda reason: None,
     ) -> None:
         super().__init__(name=f"port {device.name}", daemon=True)
         self.device = device
         self._port, self._decoder, self._clock, self._sink = port, decoder, clock, sink
-        self._setpoints, self._reversed, self._on_lost = setpoints, reversed_nodes, on_lost
+        self._setpoints, self._talker, self._on_lost = setpoints, talker, on_lost
+        self._many = device.protocol == "mavlink"  # kinds of samples over one port; its rate is that of the attitude
         self._clock_map = ClockMap()
+        self._watch = Watch()
         self._has_clock = False
         self._ending = False
         self._wake_read, self._wake_write = os.pipe()
         os.set_blocking(self._wake_write, False)
         self._latest: dict[Source, Latest] = {}
         self._t_last = -math.inf
-        self._samples = self._dropped = self._opened = self._mute_bytes = 0
+        self._samples = self._rated = self._dropped = self._opened = self._mute_bytes = 0
         self._unforgiven = self._forgiven = 0  # unparsed bytes: when the port was opened, and those not held against it
         self._joining = False
         self._open = False
+        self._stepped = time.monotonic()
         self._problem = ""
         self._rate = RateMeter(max(RATE_WINDOW_S * clock.speed, 10.0 / device.rate_hz))
 
@@ -112,6 +107,8 @@ class DeviceLoop(threading.Thread):
         self._mute_bytes = 0
         self._decoder.reset()
         self._joining, self._unforgiven = True, self._unparsed()
+        if self._talker is not None:
+            self._talker.opened(time.monotonic())
         if self._setpoints is not None and self._setpoints.held:
             self._setpoints.zero(time.monotonic())  # what it was told before it was lost is not what holds now
 
@@ -123,17 +120,31 @@ class DeviceLoop(threading.Thread):
             self._on_lost(f"{self.device.name} ({self.device.port}) {why}")
 
     def _step(self) -> None:
+        self._stepped = time.monotonic()
         wait = IDLE_S
         if self._setpoints is not None:
             wait = min(wait, self._setpoints.wait(self._clock.now(), time.monotonic(), self._clock.speed))
+        if self._talker is not None:
+            wait = min(wait, self._talker.wait(time.monotonic()))
         if self._wait(self._port.fileno(), wait):
             data = self._port.read()
             t_rx = self._clock.now()
             if data:
                 self._received(data, t_rx)
         if self._setpoints is not None:
-            for due in self._setpoints.due(self._clock.now(), time.monotonic()):
-                self._send(due)
+            self._send(self._setpoints.due(self._clock.now(), time.monotonic()))
+        if self._talker is not None:
+            self._talk(self._talker)
+
+    def _talk(self, talker: Talker) -> None:
+        """Send what the talker has to say, and log what it has to tell."""
+        data = talker.poll(time.monotonic())
+        t = self._clock.now()
+        if data:
+            self._port.write(data)
+            self._sink.put(Item(self.device.name, "tx", data, t, []))
+        if events := talker.events():
+            self._sink.put(Item(self.device.name, "", b"", t, [(Frame(event, t, NAN), t) for event in events]))
 
     def _wait(self, fd: int, seconds: float) -> bool:
         """Wait for bytes at `fd` (none if negative), for a wake-up or for the time; whether there are bytes."""
@@ -147,10 +158,13 @@ class DeviceLoop(threading.Thread):
         frames_before = self._decoder.frames
         frames = [(frame, self._estimate(frame)) for frame in self._decoder.feed(data, t_rx)]
         for frame, t in frames:
-            node = frame.sample.node if isinstance(frame.sample, Esc) else None
-            self._latest[self.device.name, node] = Latest(frame.sample, t)
-            self._t_last = frame.t_rx
+            if not isinstance(frame.sample, Event):
+                self._latest[self._source(frame.sample)] = Latest(frame.sample, t)
+                self._t_last = frame.t_rx
+                self._rated += not self._many or _is_attitude(frame.sample)
+            self._watch.take(frame)
         self._samples += len(frames)
+        self._watch.count(t_rx, self._decoder.frames, self._decoder.checksum_errors, self._clock_map.resets)
         if self._decoder.frames > frames_before:
             self._mute_bytes = 0
             self._join()
@@ -158,6 +172,16 @@ class DeviceLoop(threading.Thread):
             self._mute_bytes += len(data)
         if not self._sink.put(Item(self.device.name, "rx", data, t_rx, frames)):
             self._dropped += max(len(frames), 1)
+
+    def _source(self, sample: Sample) -> Source:
+        name = self.device.name
+        if not self._many:
+            return name, sample.node if isinstance(sample, Esc) else None
+        if isinstance(sample, Servo):
+            return name, sample.node
+        if _is_attitude(sample):
+            return name, None
+        return f"{name}/{type(sample).__name__.lower()}", sample.node if isinstance(sample, Esc) else None
 
     def _join(self) -> None:
         """The first valid frame: a port is opened in the middle of a frame, which is nobody's error."""
@@ -173,16 +197,18 @@ class DeviceLoop(threading.Thread):
         if math.isnan(frame.t_device):
             return frame.t_rx
         self._has_clock = True
-        return self._clock_map.update(frame.t_device, frame.t_rx)
+        return self._clock_map.estimate(frame.t_device, frame.t_rx, self._many)
 
-    def _send(self, due: Due) -> None:
-        n = -due.n if due.node in self._reversed else due.n
-        raw = vesc.pack_can(*vesc.encode_duty(due.node, n))
-        t = self._clock.now()
-        self._port.write(raw)
-        frames = [(Frame(Command(due.node, due.n), t, NAN), t)] if due.fresh else []
-        if not self._sink.put(Item(self.device.name, "tx", raw, t, frames)):
-            self._dropped += max(len(frames), 1)
+    def _send(self, dues: list[Due]) -> None:
+        """Write the set-points that are due."""
+        if self._talker is None or self._setpoints is None or not dues:
+            return
+        for raw, carried in self._talker.command(dues, self._setpoints.held, time.monotonic()):
+            t = self._clock.now()
+            self._port.write(raw)
+            frames = [(Frame(Command(due.node, due.n), t, NAN), t) for due in carried if due.fresh]
+            if not self._sink.put(Item(self.device.name, "tx", raw, t, frames)):
+                self._dropped += max(len(frames), 1)
 
     def _finish(self) -> None:
         """Leave every thruster at zero, as well as the port lets us."""
@@ -190,13 +216,30 @@ class DeviceLoop(threading.Thread):
             if self._setpoints is not None and self._open:
                 for _ in range(3):
                     self._setpoints.zero(time.monotonic())
-                    for due in self._setpoints.due(self._clock.now(), time.monotonic()):
-                        self._send(due)
+                    self._send(self._setpoints.due(self._clock.now(), time.monotonic()))
+            if self._talker is not None and self._open and (last := self._talker.farewell(time.monotonic())):
+                self._port.write(last)
+                self._sink.put(Item(self.device.name, "tx", last, self._clock.now(), []))
         self._port.close()
 
     def latest(self) -> dict[Source, Latest]:
         """The newest samples, by device and node."""
         return dict(self._latest)
+
+    def request(self, wish: str, value: float) -> None:
+        """Hand a wish (`arm`, `disarm`, `mode`) to whoever is at the other end."""
+        if self._talker is not None:
+            self._talker.request(wish, value)
+            self.wake()
+
+    def is_stuck(self, now: float) -> bool:
+        """Whether set-points that are due every 20 ms have not been looked at for `STUCK_S`."""
+        commanded = self._setpoints is not None and self._setpoints.active
+        return commanded and self._open and now - self._stepped > STUCK_S
+
+    def link(self) -> LinkStatus | None:
+        """What is known of the other end; None where nobody is there to talk with."""
+        return None if self._talker is None else self._talker.link_at(time.monotonic())
 
     def health(self) -> PortHealth:
         """The counters, for the log."""
@@ -221,7 +264,7 @@ class DeviceLoop(threading.Thread):
             protocol=self.device.protocol,
             port=health.port,
             expected=self.device.rate_hz,
-            rate=self._rate.rate(now, self._samples),
+            rate=self._rate.rate(now, self._rated),
             age=max(now - self._t_last, 0.0),
             samples=self._samples,
             frames=health.frames,
@@ -238,10 +281,8 @@ class DeviceLoop(threading.Thread):
     def _message(self) -> str:
         if self._problem:
             return self._problem
+        if self._talker is not None and (said := self._talker.message()):
+            return said
         if self._mute_bytes >= MUTE_BYTES:
             return f"no valid frame in {MUTE_BYTES} bytes: wrong baud rate or protocol?"
-        others = self._decoder.other_nodes if isinstance(self._decoder, vesc.Decoder) else {}
-        if others:
-            nodes = ", ".join(str(node) for node in sorted(others))
-            return f"frames of node {nodes}, which no thruster of the rig has"
-        return ""
+        return self._watch.message() or self._decoder.remark

@@ -19,9 +19,11 @@ _ABOUT = ("rig", "operator", "host", "git", "command_line", "speed", "import.map
 
 def show(log: Log, console: Console) -> None:
     """Print duration, topics with rates, health counters, events and warnings."""
+    size = sum(path.stat().st_size for path in log.paths)
+    pieces = f" in {len(log.paths)} segments" if len(log.paths) > 1 else ""
     state = "complete" if log.complete else "cut off"
     begin = datetime.fromtimestamp(log.start, UTC).isoformat(sep=" ", timespec="milliseconds")
-    console.print(f"[bold]{escape(str(log.path))}[/]  {log.path.stat().st_size / 1e6:.2f} MB, {state}")
+    console.print(f"[bold]{escape(str(log.path))}[/]  {size / 1e6:.2f} MB{pieces}, {state}")
     console.print(f"from {begin}, {log.duration:.3f} s, {sum(log.counts.values())} messages")
     for key in _ABOUT:
         if log.metadata.get(key):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import signal
 import threading
@@ -50,7 +51,8 @@ GOOD, BAD, DIM = "bright_blue", "bold orange1", "dim"
     metavar="FILE",
     help="The log; a name made of rig and date if not given.",
 )
-def log(rig: Path, duration: float | None, output: Path | None) -> None:
+@click.option("--live", "serve", is_flag=True, help="Serve the samples to Foxglove, too (see [live] in the rig).")
+def log(rig: Path, duration: float | None, output: Path | None, serve: bool) -> None:
     """Record every device of RIG until Ctrl-C, with a live table.
 
     Devices may be plugged in and out meanwhile; what is missing or silent is said. Commands no thrust.
@@ -64,7 +66,12 @@ def log(rig: Path, duration: float | None, output: Path | None) -> None:
     stop = threading.Event()
     before = {number: signal.signal(number, _setter(stop)) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        with Acquisition(loaded, path, clock=clock) as acquisition:
+        with Acquisition(loaded, path, clock=clock) as acquisition, contextlib.ExitStack() as stack:
+            if serve:
+                from daq.live_server import LiveServer
+
+                server = stack.enter_context(LiveServer(loaded, acquisition.status))
+                console.print(f"live at {server.address}", markup=False)
             deadline = math.inf if duration is None else clock.now() + duration
             watch(acquisition, loaded, clock, deadline, stop, console)
         status = acquisition.status()

@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 from daq import schema
 from daq.cdr import ENCAPSULATION, HEAD, NANO, layout, stamps
 from daq.errors import SeatrialError
-from daq.mcap_read import RawLog
+from daq.mcap_set import open_raw
 from daq.rig import Rig, parse_rig
-from daq.samples import Ahrs, Command, Esc, PortHealth, Scalar
+from daq.samples import Ahrs, Command, Esc, PortHealth, Scalar, Servo
 from daq.schema import Measured
+from daq.stop_note import read_note
 
 _COUNTERS = ("bytes_in", "frames", "checksum_errors", "unparsed_bytes", "dropped", "reconnects")
 _DIRECTIONS = ("rx", "tx")
@@ -32,7 +33,7 @@ MAX_FRAME_ID = 256
 
 
 def open_log(path: Path | str) -> Log:
-    """Open a log, whole or killed. Raises SeatrialError where it is no log at all."""
+    """Open a log, whole or killed, with all its segments. Raises SeatrialError where it is no log at all."""
     return Log(Path(path))
 
 
@@ -41,8 +42,11 @@ class Log:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._file = RawLog(path)
+        self._file = open_raw(path)
+        self.paths = [raw.path for raw in self._file.files]  # more than one where the log has segments
         self.warnings = self._file.warnings
+        if note := read_note(path):
+            self.warnings.append(note)
         self.complete = self._file.complete
         self.metadata: dict[str, str] = {}
         for record in self._file.metadata:
@@ -70,9 +74,13 @@ class Log:
 
     @cached_property
     def sha256(self) -> str:
-        """Of the file as it is now."""
-        with self.path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        """Of the file as it is now; of several segments, of all their bytes in order."""
+        digest = hashlib.sha256()
+        for path in self.paths:
+            with path.open("rb") as file:
+                while block := file.read(1 << 20):
+                    digest.update(block)
+        return digest.hexdigest()
 
     def rig(self) -> Rig | None:
         """The rig that stands in the log; its relative paths count from the log's folder. None for an import."""
@@ -115,18 +123,18 @@ class Log:
             return [name.split("/")[2] for name in self.counts if name.startswith("/health/")]
         if kind is Scalar:
             return [name.removeprefix("/signal/") for name in self.counts if name.startswith("/signal/")]
-        if kind is Esc or kind is Command:
+        if kind in schema.NODE_TOPICS:
             return list(dict.fromkeys(source for source, _ in self._nodes(kind)))
         last = schema.topic(kind, "*").rsplit("/", 1)[1]  # type: ignore[arg-type]
         pairs = [name.split("/")[1:] for name in self.counts]
         return [pair[0] for pair in pairs if len(pair) == 2 and pair[1] == last and pair[0] not in ("raw", "health")]
 
-    def nodes(self, kind: type[Esc] | type[Command], source: str) -> list[int]:
+    def nodes(self, kind: type[Esc] | type[Command] | type[Servo], source: str) -> list[int]:
         """Controller ids on the bus of a device that have samples of this kind."""
         return sorted(node for name, node in self._nodes(kind) if name == source)
 
     def _nodes(self, kind: type[Measured] | type[PortHealth]) -> list[tuple[str, int]]:
-        last = "state" if kind is Esc else "command"
+        last = schema.NODE_TOPICS[kind]
         parts = [name.split("/")[1:] for name in self.counts]
         return [(p[0], int(p[1])) for p in parts if len(p) == 3 and p[2] == last and p[1].isdecimal()]
 
@@ -136,7 +144,7 @@ class Log:
         `t` is the estimated time of the sample in s since 1970 and never decreases. Raises SeatrialError where the
         log has no such samples.
         """
-        if kind is Esc or kind is Command:
+        if kind is Esc or kind is Command or kind is Servo:
             node = self._only_node(kind, source, node)
         topic = schema.topic(kind, source, node)
         if kind is Ahrs:
@@ -144,7 +152,7 @@ class Log:
         _, rows = self._rows(topic, schema.TYPES[kind])
         return _table(kind, stamps(rows), schema.own_columns(kind, rows))
 
-    def _only_node(self, kind: type[Esc] | type[Command], source: str, node: int | None) -> int:
+    def _only_node(self, kind: type[Esc] | type[Command] | type[Servo], source: str, node: int | None) -> int:
         nodes = self.nodes(kind, source)
         if node is None and len(nodes) == 1:
             return nodes[0]

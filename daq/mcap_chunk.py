@@ -149,7 +149,7 @@ def _read_gap(view: memoryview, at: int, stop: int, register: Callable[[int, byt
     while at + HEADER <= stop:
         opcode, length = RECORD.unpack_from(view, at)
         end = at + HEADER + length
-        if end > stop or (opcode == Opcode.MESSAGE and length < 22):
+        if opcode == 0 or end > stop or (opcode == Opcode.MESSAGE and length < 22):
             break
         if opcode == Opcode.MESSAGE:
             found.append(at)

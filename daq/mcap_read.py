@@ -45,6 +45,7 @@ from daq.mcap_chunk import (
 
 CACHE_BYTES = 256 * 2**20  # uncompressed chunks kept for the next table
 MAX_WARNINGS = 20
+FEW_MESSAGES = 2_000_000  # so many any file may have
 _BLOCK = 2**20
 _ZSTD = b"\x04\0\0\0zstd"  # what every zstd chunk has at CHUNK_NAME
 Record = TypeVar("Record")
@@ -98,6 +99,16 @@ class RawLog:
             return os.pread(self._fd, max(stop - start, 0), start)
         except OSError as error:
             raise SeatrialError(f"{self.path}: cannot be read at byte {start}: {error.strerror}") from error
+
+    @property
+    def files(self) -> list[RawLog]:
+        """This file alone; a log of several segments has more."""
+        return [self]
+
+    @property
+    def n_chunks(self) -> int:
+        """Chunks, one that the file holds in part included."""
+        return len(self._chunks) + (self._partial is not None)
 
     def close(self) -> None:
         """Let go of the file and of what was unpacked; harmless when it is closed already."""
@@ -214,8 +225,11 @@ class RawLog:
 
     def _gather(self) -> NDArray[np.void]:
         """Positions of all messages in file order, shape (n,), dtype MESSAGE."""
-        parts = []
-        for number in range(len(self._chunks) + (self._partial is not None)):
+        parts, n_rows = [], 0
+        for number in range(self.n_chunks):
+            if n_rows > max(FEW_MESSAGES, self._size):  # a message takes some bytes, however well it is packed
+                self._warn(f"more messages than {self._size} bytes can hold in earnest: what follows is left out")
+                break
             try:
                 buffer = self.chunk(number)
                 found = scan(buffer, self._indexes[number] if number < len(self._indexes) else [], self._register)
@@ -225,6 +239,7 @@ class RawLog:
                 continue
             found["chunk"] = number
             parts.append(found)
+            n_rows += len(found)
         self._indexes.clear()
         return np.concatenate(parts) if parts else np.zeros(0, MESSAGE)
 

@@ -7,6 +7,7 @@ last whole record when a write fails; and a ballast file whose space pays for th
 from __future__ import annotations
 
 import contextlib
+import errno
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -21,11 +22,20 @@ from daq.safe_stream import BALLAST_BYTES, Syncer, WholeRecordStream
 CHUNK_BYTES = 256 * 1024
 FLUSH_S = 0.25  # wall; each flush ends a chunk, and a chunk is what a killed run keeps
 SYNC_S = 1.0  # wall
+FULL = (errno.ENOSPC, errno.EDQUOT)
 QOS = (
     "- {history: 1, depth: 10, reliability: 1, durability: 2, deadline: {sec: 2147483647, nsec: 4294967295}, "
     "lifespan: {sec: 2147483647, nsec: 4294967295}, liveliness: 1, "
     "liveliness_lease_duration: {sec: 2147483647, nsec: 4294967295}, avoid_ros_namespace_conventions: false}"
 )
+
+
+class DiskFull(SeatrialError):
+    """There was no room for more. `complete`: everything added so far is in the file, which has its end."""
+
+    def __init__(self, text: str, complete: bool) -> None:
+        super().__init__(text)
+        self.complete = complete
 
 
 class LogWriter:
@@ -55,7 +65,8 @@ class LogWriter:
         except FileExistsError as error:
             raise SeatrialError(f"{path}: there is such a file already; a log is never overwritten") from error
         except OSError as error:
-            raise SeatrialError(f"{path}: the log cannot be made: {error.strerror}") from error
+            text = f"{path}: the log cannot be made: {error.strerror}"
+            raise (DiskFull(text, complete=True) if error.errno in FULL else SeatrialError(text)) from error
         self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
         self._syncer = Syncer(self._stream)
         self._syncer.start()
@@ -91,9 +102,14 @@ class LogWriter:
 
     def add(self, channel: int, log_ns: int, stamp_ns: int, sequence: int, data: bytes) -> None:
         """Append one message; it is on disk after the next `tick` that flushes."""
-        self._check()
-        with self._guard():
+        if self._closed:
+            self._check()
+        try:  # `_guard` written out: this is called for every message
             self._writer.add_message(channel, log_ns, data, stamp_ns, sequence)
+        except OSError as error:
+            self._fail(error, complete=False)
+        if self._stream.failure is not None:
+            self._end_saved()
 
     def tick(self) -> None:
         """Flush every 0.25 s and sync every second of wall time; call it often."""
@@ -140,13 +156,18 @@ class LogWriter:
             yield
         except OSError as error:  # records are lost: what the writer remembers no longer fits the file
             self._fail(error, complete=False)
-        if self._stream.failure is not None:  # saved by the ballast: nothing is lost, but this is the end
-            complete = True
-            try:
-                self._writer.finish()  # type: ignore[no-untyped-call]
-            except OSError:
-                complete = False
-            self._fail(self._stream.failure, complete)
+        if self._stream.failure is not None:
+            self._end_saved()
+
+    def _end_saved(self) -> NoReturn:
+        """A write that failed was saved by the ballast: nothing is lost, but this is the end."""
+        assert self._stream.failure is not None
+        complete = True
+        try:
+            self._writer.finish()  # type: ignore[no-untyped-call]
+        except OSError:
+            complete = False
+        self._fail(self._stream.failure, complete)
 
     def _fail(self, error: OSError, complete: bool) -> NoReturn:
         """Close and raise; `complete` when the footer is written."""
@@ -167,7 +188,8 @@ class LogWriter:
 
     def _explain(self, error: OSError, complete: bool) -> SeatrialError:
         state = "closed and complete up to there" if complete else "whole up to its last record, without its end"
-        return SeatrialError(
+        text = (
             f"{self.path}: writing failed ({error.strerror}) after {self.size} bytes; the log is {state}; "
             "free disk space and start a new one"
         )
+        return DiskFull(text, complete) if error.errno in FULL else SeatrialError(text)

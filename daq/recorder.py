@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
-from collections.abc import Mapping
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from daq import schema
 from daq.cdr import NANO, layout
-from daq.mcap_write import LogWriter
+from daq.errors import SeatrialError
+from daq.mcap_write import DiskFull, LogWriter
 from daq.provenance import collect
 from daq.rig import Rig
 from daq.samples import Event, Frame, PortHealth
 
 LOG_FORMAT = "seatrial-log 1"
+RETRY_S = 0.25  # wall; how often a full disk is looked at
+ROOM_BYTES = 2 * 2**20  # a segment's ballast, and something to write
 _DIRECTIONS = {"rx": 0, "tx": 1}
 
 
@@ -35,7 +41,12 @@ class Clock(Protocol):
 
 
 class Recorder:
-    """Writes one log. `log_time` is the receive time, but never before that of the message written last."""
+    """Writes one log, in as many files as the rig says: NAME.mcap, NAME.1.mcap, NAME.2.mcap, ...
+
+    Each holds all that a reader needs. `log_time` is the receive time, but never before that of the message written
+    last. A `patient` recorder does not fail when the disk is full: it ends its file, keeps what it is given
+    (`paused` says why), and goes on in a new file when there is room; who calls it should give it no more meanwhile.
+    """
 
     def __init__(
         self,
@@ -45,18 +56,29 @@ class Recorder:
         clock: Clock,
         attachments: Mapping[str, bytes] | None = None,
         metadata: Mapping[str, str] | None = None,
+        patient: bool = False,
     ) -> None:
         origin = json.dumps(clock.origin)
         about = {"format": LOG_FORMAT, "rig": rig.name, "speed": repr(clock.speed), "origin": origin}
         self._metadata = {**collect(), **about, **(metadata or {})}
         self._attachments = {"rig.toml": rig.text.encode(), **(attachments or {})}
         self._log_ns = self._ns(clock.now(), 0)
-        self._open(Path(path))
+        self._segments, self._patient = rig.segments, patient
+        self.first_path = Path(path)
+        self.paused = ""  # why nothing is written now
+        self._kept: list[_Message] = []  # since then
+        self._retry_at = self._paused_at = 0.0
+        self._lost_some = False
+        self._sequences: dict[str, int] = {}
+        self._packers: dict[str, Callable[..., bytes]] = {}
+        self._number = self._size_before = 0
+        self._open(self.first_path)
 
     def _open(self, path: Path) -> None:
         """Begin a segment: everything that a reader needs stands in each."""
+        self._metadata["segment"] = str(self._number)
+        self._begun_ns = self._log_ns
         self._channels: dict[str, int] = {}
-        self._sequences: dict[str, int] = {}
         self._writer = LogWriter(path, metadata=self._metadata, attachments=self._attachments, time_ns=self._log_ns)
 
     @property
@@ -66,8 +88,8 @@ class Recorder:
 
     @property
     def size(self) -> int:
-        """Bytes on disk."""
-        return self._writer.size
+        """Bytes on disk, of all segments."""
+        return self._size_before + self._writer.size
 
     def write(self, device: str, frame: Frame, t: float) -> None:
         """One sample of a device (or of a signal, for Scalar); t is its estimated time, run seconds since 1970."""
@@ -85,7 +107,10 @@ class Recorder:
             if not key:
                 key = message.topic
                 self._sequences[key] = (self._sequences.get(key, 0) + 1) & 0xFFFFFFFF
-            data = layout(message.type_name, message.frame_id.encode()).pack(stamp_ns, *message.values)
+            pack = self._packers.get(message.topic)  # a topic has one type and one frame_id
+            if pack is None:
+                pack = self._packers[message.topic] = layout(message.type_name, message.frame_id.encode()).pack
+            data = pack(stamp_ns, *message.values)
             self._add(message.topic, message.type_name, log_ns, stamp_ns, self._sequences[key], data)
 
     def write_raw(self, device: str, direction: str, data: bytes, t: float) -> None:
@@ -118,12 +143,70 @@ class Recorder:
         self._add(f"/health/{device}", schema.HEALTH, log_ns, stamp_ns, 0, message)
 
     def tick(self) -> None:
-        """Flush and sync when the wall clock says so; call it at least every 50 ms."""
-        self._writer.tick()
+        """Flush, sync, begin the next segment, look for room again when it is time; call it at least every 50 ms."""
+        if self.paused:
+            if time.monotonic() >= self._retry_at:
+                self._resume()
+            return
+        with self._waiting():
+            self._writer.tick()
+        limits, age = self._segments, (self._log_ns - self._begun_ns) / NANO
+        by_size = limits.megabytes is not None and self._writer.size >= limits.megabytes * 1e6
+        if not self.paused and (by_size or (limits.seconds is not None and age >= limits.seconds)):
+            with self._waiting():
+                self._writer.close()
+                self._next()
 
     def close(self) -> None:
         """End the log. Raises SeatrialError where its end could not be written."""
+        if self.paused:
+            self._resume()
+        if self.paused:
+            raise SeatrialError(f"{self.paused}; {len(self._kept)} messages that came since could not be written")
         self._writer.close()
+
+    @contextlib.contextmanager
+    def _waiting(self) -> Iterator[None]:
+        """A full disk within the block pauses a patient recorder."""
+        try:
+            yield
+        except DiskFull as error:
+            if not self._patient:
+                raise
+            self._pause(error)
+
+    def _pause(self, error: DiskFull) -> None:
+        self.paused = self.paused or f"{self._writer.path.parent}: the disk is full, nothing is written now"
+        self._lost_some = not error.complete
+        self._paused_at = time.monotonic()
+        self._retry_at = self._paused_at + RETRY_S
+
+    def _resume(self) -> None:
+        """Go on in a new segment where there is room for one."""
+        self._retry_at = time.monotonic() + RETRY_S
+        if free_bytes(self.first_path) < ROOM_BYTES:
+            return
+        try:
+            self._next()
+        except SeatrialError:
+            return  # somebody else was quicker to take the room
+        kept, self._kept, self.paused = self._kept, [], ""
+        for message in kept:
+            self._add(*message)
+        seconds = time.monotonic() - self._paused_at
+        loss = "; what came in the last moment before is lost" if self._lost_some else ""
+        self.event(self._log_ns / NANO, "disk", f"full for {seconds:.1f} s; {len(kept)} messages were kept{loss}")
+
+    def _next(self) -> None:
+        """Begin the next segment; a name that is taken is passed over."""
+        before = self._size_before + self._writer.size
+        while True:
+            self._number += 1
+            path = self.first_path.with_suffix(f".{self._number}{self.first_path.suffix}")
+            if not path.exists():
+                break
+        self._open(path)
+        self._size_before = before
 
     def _times(self, t_log: float, t_stamp: float) -> tuple[int, int]:
         self._log_ns = max(self._log_ns, self._ns(t_log, self._log_ns))
@@ -135,10 +218,47 @@ class Recorder:
         return round(t * NANO) if math.isfinite(t) and 0.0 <= t < 2**31 else otherwise
 
     def _add(self, topic: str, type_name: str, log_ns: int, stamp_ns: int, sequence: int, data: bytes) -> None:
-        channel = self._channels.get(topic)
-        if channel is None:
-            channel = self._channels[topic] = self._writer.channel(topic, type_name)
-        self._writer.add(channel, log_ns, stamp_ns, sequence, data)
+        if self.paused:
+            self._kept.append(_Message(topic, type_name, log_ns, stamp_ns, sequence, data))
+            return
+        try:
+            channel = self._channels.get(topic)
+            if channel is None:
+                channel = self._channels[topic] = self._writer.channel(topic, type_name)
+            self._writer.add(channel, log_ns, stamp_ns, sequence, data)
+        except DiskFull as error:
+            if not self._patient:
+                raise
+            self._pause(error)
+            if not error.complete:  # else this message is in the file, too
+                self._kept.append(_Message(topic, type_name, log_ns, stamp_ns, sequence, data))
+
+
+class _Message(NamedTuple):
+    """What `Recorder._add` takes."""
+
+    topic: str
+    type_name: str
+    log_ns: int
+    stamp_ns: int
+    sequence: int
+    data: bytes
+
+
+def free_bytes(path: Path) -> int:
+    """Room on the disk that holds the nearest folder above `path` that there is."""
+    folder = next((parent for parent in path.absolute().parents if parent.is_dir()), Path("/"))
+    return shutil.disk_usage(folder).free
+
+
+def check_room(path: Path, megabytes: float) -> None:
+    """Raises SeatrialError where the disk has less than that."""
+    free = free_bytes(path) / 1e6
+    if free < megabytes:
+        raise SeatrialError(
+            f"{path.parent}: only {free:.0f} MB free and the rig asks for {megabytes:.0f} to begin a log; "
+            "free disk space or lower free_mb in [log]"
+        )
 
 
 def _line(text: str) -> bytes:

@@ -2,37 +2,24 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
+from daq.device_table import CAN, DEVICES
 from daq.errors import SeatrialError
+from daq.rig_mavlink import NET_KINDS, MavlinkSettings, Output, read_output
+from daq.rig_options import DEFAULT_PATTERN, DbcSignal, read_options
+from daq.rig_options import Calibration as Calibration
 from daq.toml_table import Table, parse_toml, read_text
 
 FORMAT = "seatrial-rig 1"
-PROTOCOLS = ("vectornav", "nmea", "vesc", "loadcell")
-DEFAULT_PATTERN = r"^(?P<counts>-?\d+)$"
+PROTOCOLS = tuple(DEVICES)
+DRIVES = ("vesc", "mavlink")  # what a thruster may hang on
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-
-Counts = TypeVar("Counts", float, NDArray[np.float64])
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """Load cell: counts -> force at the thruster."""
-
-    newton_per_count: float
-    zero_counts: float = 0.0
-    lever_ratio: float = 1.0
-
-    def force(self, counts: Counts) -> Counts:
-        """Force at the thruster, N, of raw counts; a number or an array of any shape."""
-        return (counts - self.zero_counts) * (self.newton_per_count * self.lever_ratio)
 
 
 @dataclass(frozen=True)
@@ -49,6 +36,11 @@ class Device:
     pattern: str = DEFAULT_PATTERN
     saturation: float | None = None
     calibration: Calibration | None = None
+    mavlink: MavlinkSettings | None = None
+    declination: float | None = None  # rad, east positive: true heading minus magnetic; None: magnetic is not taken
+    dbc: str = ""  # absolute path
+    signals: tuple[DbcSignal, ...] = ()
+    query: str = ""  # what a device that speaks only when asked is asked for each reading
 
 
 @dataclass(frozen=True)
@@ -63,6 +55,7 @@ class Thruster:
     rpm_max: float  # n = rpm / rpm_max
     reversed: bool = False  # a positive command drives astern
     timeout_s: float = 1.0  # the ESC's own, run seconds
+    output: Output | None = None  # behind an autopilot
 
 
 @dataclass(frozen=True)
@@ -75,6 +68,27 @@ class Limits:
     temperature_c: float | None = None
     voltage_min_v: float | None = None
     radius_m: float | None = None
+    rpm: float | None = None
+    roll_deg: float | None = None
+    pitch_deg: float | None = None
+    battery_min: float | None = None  # 0..1 of the charge
+
+
+@dataclass(frozen=True)
+class Segments:
+    """When a log goes on in a new file, and how much room there has to be to begin one."""
+
+    megabytes: float | None = None  # 1e6 bytes; None: never
+    seconds: float | None = None  # run seconds
+    free_megabytes: float = 50.0
+
+
+@dataclass(frozen=True)
+class Live:
+    """Where the live view listens: for this machine alone, unless the rig says otherwise."""
+
+    host: str = "127.0.0.1"
+    port: int = 8765
 
 
 @dataclass(frozen=True)
@@ -90,6 +104,8 @@ class Rig:
     thrusters: tuple[Thruster, ...] = ()
     limits: Limits = field(default_factory=Limits)
     vehicle: Mapping[str, float] = field(default_factory=dict)  # nominal model parameters by name
+    segments: Segments = field(default_factory=Segments)
+    live: Live = field(default_factory=Live)
 
     def device(self, name: str) -> Device:
         """The device of that name. Raises SeatrialError that lists those there are."""
@@ -124,7 +140,9 @@ def parse_rig(text: str, source: Path | str) -> Rig:
     root = parse_toml(text, path)
     root.text("format", choices=(FORMAT,))
     name = root.text("name")
-    speed, directory = _clock_and_log(root)
+    speed = _speed(root)
+    directory, segments = _log(root)
+    live = _live(root.table("live"))
     devices = tuple(_device(table, folder) for table in root.tables("device"))
     if not devices:
         raise root.error("device", "missing; a rig needs at least one [[device]]")
@@ -135,18 +153,38 @@ def parse_rig(text: str, source: Path | str) -> Rig:
     limits = _limits(root.table("limits"))
     vehicle = _vehicle(root.table("vehicle"))
     root.done()
-    return Rig(name, path, text, speed, folder / directory, devices, thrusters, limits, vehicle)
+    return Rig(name, path, text, speed, folder / directory, devices, thrusters, limits, vehicle, segments, live)
 
 
-def _clock_and_log(root: Table) -> tuple[float, str]:
-    speed, directory = 1.0, "logs"
-    if (clock := root.table("clock")) is not None:
-        speed = clock.number("speed", 1.0, positive=True)
-        clock.done()
-    if (log := root.table("log")) is not None:
-        directory = log.text("directory", directory)
-        log.done()
-    return speed, directory
+def _speed(root: Table) -> float:
+    clock = root.table("clock")
+    if clock is None:
+        return 1.0
+    speed = clock.number("speed", 1.0, positive=True)
+    clock.done()
+    return speed
+
+
+def _log(root: Table) -> tuple[str, Segments]:
+    log = root.table("log")
+    if log is None:
+        return "logs", Segments()
+    directory = log.text("directory", "logs")
+    segments = Segments(
+        log.maybe_number("segment_mb", low=1.0),
+        log.maybe_number("segment_s", low=1.0),
+        log.number("free_mb", Segments.free_megabytes, low=0.0),
+    )
+    log.done()
+    return directory, segments
+
+
+def _live(table: Table | None) -> Live:
+    if table is None:
+        return Live()
+    found = Live(table.text("host", Live.host), table.integer("port", Live.port, low=0, high=65535))
+    table.done()
+    return found
 
 
 def _device(table: Table, folder: Path) -> Device:
@@ -157,15 +195,9 @@ def _device(table: Table, folder: Path) -> Device:
     rate = table.number("rate_hz", positive=True)
     forward, starboard, down = table.numbers("lever_arm_m", (0.0, 0.0, 0.0), length=3)
     lever_arm = (forward, starboard, down)
-    bitrate, pattern, saturation, calibration = 0, DEFAULT_PATTERN, None, None
-    if protocol == "vesc":
-        bitrate = table.integer("bitrate", 500_000, low=10_000)
-    if protocol == "loadcell":
-        pattern = _pattern(table)
-        saturation = table.maybe_number("saturation", low=1.0)
-        calibration = _calibration(table.table("calibration"))
+    options = {"bitrate": 0, **read_options(table, DEVICES[protocol].options, folder)}
     table.done()
-    return Device(name, protocol, port, baud, bitrate, rate, lever_arm, pattern, saturation, calibration)
+    return Device(name, protocol, port, baud, rate_hz=rate, lever_arm_m=lever_arm, **options)
 
 
 def _name(table: Table) -> str:
@@ -178,54 +210,44 @@ def _name(table: Table) -> str:
 def _port(table: Table, protocol: str, folder: Path) -> str:
     port = table.text("port")
     kind, colon, rest = port.partition(":")
-    if protocol == "vesc":
+    if DEVICES[protocol].bus == CAN:
         if kind not in ("slcan", "socketcan") or not rest:
             raise table.error("port", f"must be slcan:SERIAL or socketcan:NAME, not '{port}'")
         return port if kind == "socketcan" else f"slcan:{folder / rest}"
+    if protocol == "mavlink" and kind in NET_KINDS:
+        return _address(table, port)
     if not port or (colon and kind in ("slcan", "socketcan")):
         raise table.error("port", f"must be a serial device for protocol {protocol}, not '{port}'")
     return str(folder / port)
 
 
-def _pattern(table: Table) -> str:
-    pattern = table.text("pattern", DEFAULT_PATTERN)
-    try:
-        groups = re.compile(pattern).groupindex
-    except re.error as error:
-        raise table.error("pattern", f"not a regular expression: {error}") from error
-    if "counts" not in groups:
-        raise table.error("pattern", "must have a group (?P<counts>...) around the reading")
-    return pattern
-
-
-def _calibration(table: Table | None) -> Calibration | None:
-    if table is None:
-        return None
-    gain = table.number("newton_per_count")
-    if gain == 0.0:
-        raise table.error("newton_per_count", "must not be zero")
-    zero, ratio = table.number("zero_counts", 0.0), table.number("lever_ratio", 1.0, positive=True)
-    found = Calibration(gain, zero, ratio)
-    table.done()
-    return found
+def _address(table: Table, port: str) -> str:
+    host, _, number = port.partition(":")[2].rpartition(":")
+    if not host or not (number.isascii() and number.isdigit() and 0 < int(number) < 65536):
+        raise table.error("port", f"must be udp:HOST:PORT, udpin:, udpout: or tcp: the same way, not '{port}'")
+    return port
 
 
 def _thruster(table: Table, devices: Sequence[Device]) -> Thruster:
     name = _name(table)
     device = table.text("device")
-    buses = [row.name for row in devices if row.protocol == "vesc"]
+    buses = {row.name: row.protocol for row in devices if row.protocol in DRIVES}
     if device not in buses:
-        raise table.error("device", f"no vesc device '{device}'; there is: {', '.join(buses) or 'none'}")
+        there = ", ".join(buses) or "none"
+        raise table.error("device", f"no {' or '.join(DRIVES)} device '{device}'; there is: {there}")
     forward, starboard, down = table.numbers("position_m", length=3)
+    node = table.integer("node", low=0, high=255)
+    autopilot = buses[device] == "mavlink"  # it reports the shaft's own speed, or none
     found = Thruster(
         name,
         device,
-        table.integer("node", low=0, high=255),
+        node,
         (forward, starboard, down),
-        table.integer("pole_pairs", low=1, high=100),
-        table.number("rpm_max", positive=True),
+        1 if autopilot else table.integer("pole_pairs", low=1, high=100),
+        math.nan if autopilot and not table.has("rpm_max") else table.number("rpm_max", positive=True),
         table.flag("reversed", False),
         table.number("timeout_s", 1.0, positive=True),
+        read_output(table, node) if autopilot else None,
     )
     table.done()
     return found
@@ -241,6 +263,10 @@ def _limits(table: Table | None) -> Limits:
         table.maybe_number("temperature_c"),
         table.maybe_number("voltage_min_v", low=0.0),
         table.maybe_number("radius_m", low=0.0),
+        table.maybe_number("rpm", low=0.0),
+        table.maybe_number("roll_deg", low=0.0),
+        table.maybe_number("pitch_deg", low=0.0),
+        table.number("battery_min", low=0.0, high=1.0) if table.has("battery_min") else None,
     )
     table.done()
     return found

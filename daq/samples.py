@@ -79,6 +79,34 @@ class Command:
 
 
 @dataclass(frozen=True, slots=True)
+class Servo:
+    """One output of an autopilot: the pulse it sent to a speed controller, after its own limits and mixing."""
+
+    node: int  # output number, from 1
+    pwm: float  # us; 0 while there is no pulse
+    n: float = NAN  # -1..1 by the rig's pulse widths, positive ahead; NaN without a rig
+
+
+@dataclass(frozen=True, slots=True)
+class Battery:
+    """State of a battery."""
+
+    voltage: float = NAN  # V
+    current: float = NAN  # A, positive when it discharges
+    remaining: float = NAN  # 0..1
+
+
+@dataclass(frozen=True, slots=True)
+class Autopilot:
+    """State of an autopilot."""
+
+    armed: int  # 1 armed, 0 not
+    mode: int  # its own number of the mode (ArduPilot Rover: 0 MANUAL, 4 HOLD)
+    state: int  # MAV_STATE: 3 standby, 4 active, 5 critical, 6 emergency
+    ekf: int = -1  # flags of EKF_STATUS_REPORT; -1 before the first
+
+
+@dataclass(frozen=True, slots=True)
 class Scalar:
     """One named signal, from an imported file; the topic carries its name, the channel its unit."""
 
@@ -108,7 +136,7 @@ class PortHealth:
     clock_spread: float  # s
 
 
-Sample = Ahrs | Gnss | Esc | LoadCell | Command | Scalar | Event | PortHealth
+Sample = Ahrs | Gnss | Esc | LoadCell | Command | Servo | Battery | Autopilot | Scalar | Event | PortHealth
 
 
 class Frame(NamedTuple):

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, Scalar
+from daq.samples import Ahrs, Autopilot, Battery, Command, Esc, Frame, Gnss, LoadCell, Scalar, Servo
 
 IMU = "sensor_msgs/msg/Imu"
 MAG = "sensor_msgs/msg/MagneticField"
@@ -30,13 +30,26 @@ TYPES = {  # samples whose message has the sample's own fields behind t_rx and t
     Esc: "seatrial_msgs/msg/Esc",
     Command: "seatrial_msgs/msg/Command",
     LoadCell: "seatrial_msgs/msg/LoadCell",
+    Servo: "seatrial_msgs/msg/Servo",
+    Battery: "seatrial_msgs/msg/Battery",
+    Autopilot: "seatrial_msgs/msg/Autopilot",
     Scalar: "seatrial_msgs/msg/Scalar",
 }
-Measured = Ahrs | Gnss | Esc | Command | LoadCell | Scalar
+Measured = Ahrs | Gnss | Esc | Command | LoadCell | Servo | Battery | Autopilot | Scalar
+NODE_TOPICS: dict[type, str] = {Esc: "state", Command: "command", Servo: "servo"}  # kinds with a topic for each node
+_TOPICS: dict[type, str] = {
+    Ahrs: "imu",
+    Gnss: "gnss",
+    LoadCell: "counts",
+    Battery: "battery",
+    Autopilot: "autopilot",
+}
 Columns = dict[str, NDArray[np.float64] | NDArray[np.int64]]
 
 _ZERO9 = (0.0,) * 9  # "covariance unknown" in sensor_msgs
 _NONE9 = (-1.0,) + (0.0,) * 8  # "no estimate of this quantity"
+_WILD = 1e6  # rad2, the variance of an angle that a compass does not know; a level attitude stands in for it
+_YAW9 = (_WILD, 0.0, 0.0, 0.0, _WILD, 0.0, 0.0, 0.0, 0.0)
 
 
 class Message(NamedTuple):
@@ -63,9 +76,9 @@ def topic(kind: type[Measured], source: str, node: int | None = None) -> str:
     """The topic that holds every field of a kind of sample."""
     if kind is Scalar:
         return f"/signal/{source}"
-    if kind is Esc or kind is Command:
-        return f"/{source}/{node}/{'state' if kind is Esc else 'command'}"
-    return f"/{source}/{ {Ahrs: 'imu', Gnss: 'gnss', LoadCell: 'counts'}[kind] }"
+    if kind in NODE_TOPICS:
+        return f"/{source}/{node}/{NODE_TOPICS[kind]}"
+    return f"/{source}/{_TOPICS[kind]}"
 
 
 def messages(device: str, frame: Frame) -> Iterable[Message]:
@@ -76,7 +89,7 @@ def messages(device: str, frame: Frame) -> Iterable[Message]:
     own = TYPES.get(type(sample))
     if own is None:
         raise TypeError(f"{type(sample).__name__} is not a measurement")
-    node = sample.node if isinstance(sample, (Esc, Command)) else None
+    node = sample.node if isinstance(sample, (Esc, Command, Servo)) else None
     values = (frame.t_rx, frame.t_device, *_GETTERS[type(sample)](sample))
     first = Message(topic(type(sample), device, node), own, device, values)  # type: ignore[arg-type]
     if isinstance(sample, Gnss):
@@ -89,15 +102,16 @@ def messages(device: str, frame: Frame) -> Iterable[Message]:
 def _ahrs(device: str, s: Ahrs, times: tuple[float, float]) -> Iterable[Message]:
     frame_id = f"{device}_frd_ned"
     yield Message(f"/{device}/device_time", DEVICE_TIME, frame_id, times)
-    attitude = quaternion(s.yaw, s.pitch, s.roll)
-    known = not math.isnan(attitude[0])
+    known = not math.isnan(s.yaw)
+    level = known and math.isnan(s.pitch + s.roll)
+    attitude = quaternion(s.yaw, 0.0, 0.0) if level else quaternion(s.yaw, s.pitch, s.roll)
     yield Message(
         f"/{device}/imu",
         IMU,
         frame_id,
         (
             *(attitude if known else (0.0, 0.0, 0.0, 1.0)),
-            *(_ZERO9 if known else _NONE9),
+            *(_YAW9 if level else _ZERO9 if known else _NONE9),
             *(s.p, s.q, s.r),
             *(_NONE9 if math.isnan(s.p + s.q + s.r) else _ZERO9),
             *(s.ax, s.ay, s.az),
@@ -152,6 +166,9 @@ def imu_columns(rows: NDArray[np.void]) -> Columns:
     columns: Columns = {"yaw": yaw, "pitch": pitch, "roll": roll}
     for column in columns.values():
         column[unknown] = np.nan
+    level = rows["orientation_covariance"][:, 0] >= _WILD
+    for name in ("pitch", "roll"):
+        columns[name][level] = np.nan
     for names, vector in (("pqr", "angular_velocity"), (("ax", "ay", "az"), "linear_acceleration")):
         for name, axis in zip(names, "xyz", strict=True):
             columns[name] = rows[f"{vector}.{axis}"]

@@ -40,7 +40,24 @@ class PortStatus:
     message: str  # what is wrong with it, in one line; empty when nothing is
 
 
+# Device and node; a device of several kinds has `DEVICE/KIND` for those behind the first.
 Source = tuple[str, int | None]
+
+
+@dataclass(frozen=True)
+class LinkStatus:
+    """What is known of the autopilot at the other end of a link."""
+
+    heard: bool = False
+    age: float = math.inf  # wall s since its last heartbeat
+    armed: bool = False
+    mode: str = ""
+    ekf: int = -1  # flags of EKF_STATUS_REPORT; -1 before the first
+    parameters: dict[str, float] = dataclasses.field(default_factory=dict)  # those asked for that it has
+    asking: bool = True  # answers to questions for parameters are still awaited
+    refused: tuple[str, ...] = ()  # rates that it does not give, one line each
+    answer: str = ""  # to the last wish: "arm: accepted", "arm: failed (PreArm: ...)"; empty while it is awaited
+    alarm: str = ""  # the last text of severity critical or above
 
 
 @dataclass(frozen=True)
@@ -59,12 +76,14 @@ class Status:
     stopped: str  # why the acquisition process ended thrust by itself; empty while it has not
     warnings: tuple[str, ...]
     skipped: int = 0  # set-points that a later one overtook before they could be sent
+    links: dict[str, LinkStatus] = dataclasses.field(default_factory=dict)  # by device
 
 
 def to_json(status: Status) -> dict[str, Any]:
     """`status` as JSON can carry it (NaN and Infinity included, as Python's json does)."""
     out = {field.name: getattr(status, field.name) for field in dataclasses.fields(status)}
     out["ports"] = [dataclasses.asdict(port) for port in status.ports.values()]
+    out["links"] = {name: dataclasses.asdict(link) for name, link in status.links.items()}
     out["latest"] = [
         [device, node, type(latest.sample).__name__, dataclasses.astuple(latest.sample), latest.t]
         for (device, node), latest in status.latest.items()
@@ -78,7 +97,8 @@ def from_json(data: dict[str, Any]) -> Status:
     latest: dict[Source, Latest] = {}
     for device, node, kind, values, t in data["latest"]:
         latest[device, node] = Latest(getattr(samples, kind)(*values), t)
-    return Status(**{**data, "ports": ports, "latest": latest, "warnings": tuple(data["warnings"])})
+    links = {name: LinkStatus(**{**link, "refused": tuple(link["refused"])}) for name, link in data["links"].items()}
+    return Status(**{**data, "links": links, "ports": ports, "latest": latest, "warnings": tuple(data["warnings"])})
 
 
 class RateMeter:

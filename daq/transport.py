@@ -1,5 +1,7 @@
 """Ports: serial, slcan on a serial port, SocketCAN. The only file that knows pyserial and python-can.
 
+Sockets are in daq.net_port.
+
 A port is opened, waited for through its file descriptor, read and written; whatever the operating system or a
 library raises becomes a PortError of one line.
 """
@@ -20,8 +22,9 @@ from typing import Any
 import serial
 
 from daq.protocol import slcan
-from daq.protocol.vesc import CAN_FRAME, EXTENDED
+from daq.protocol.canframe import CAN_FRAME, EXTENDED
 from daq.rig import Device
+from daq.rig_mavlink import NET_KINDS
 
 READ_BYTES = 65536
 WRITE_S = 0.05  # wall; a port that takes no bytes for longer is as good as gone
@@ -76,7 +79,7 @@ class SerialPort(Port):
                 raise PortError("is no serial device")
             self._serial = serial.Serial(self._path, self._baud, timeout=0, exclusive=True)
         except (OSError, termios.error, ValueError) as error:  # serial.SerialException is an OSError
-            raise PortError(_why(error)) from error
+            raise PortError(why(error)) from error
         self._fd = self._serial.fileno()
         _set_latency_timer(self._path)
 
@@ -178,7 +181,7 @@ class SocketCanPort(Port):
         try:
             self._bus = self._can.Bus(interface="socketcan", channel=self._channel)
         except (OSError, self._can.CanError) as error:
-            raise PortError(_why(error)) from error
+            raise PortError(why(error)) from error
 
     def fileno(self) -> int:
         """What to wait on."""
@@ -193,7 +196,7 @@ class SocketCanPort(Port):
                     word = message.arbitration_id | (EXTENDED if message.is_extended_id else 0)
                     frames.append(CAN_FRAME.pack(word, message.dlc, bytes(message.data)))
         except (OSError, self._can.CanError) as error:
-            raise PortError(_why(error)) from error
+            raise PortError(why(error)) from error
         self.bytes_in += CAN_FRAME.size * len(frames)
         return b"".join(frames)
 
@@ -204,7 +207,7 @@ class SocketCanPort(Port):
                 message = self._can.Message(arbitration_id=word & ~EXTENDED, is_extended_id=True, data=body[:length])
                 self._bus.send(message, timeout=WRITE_S)
         except (OSError, self._can.CanError) as error:
-            raise PortError(_why(error)) from error
+            raise PortError(why(error)) from error
 
     def close(self) -> None:
         """Close the socket."""
@@ -220,10 +223,18 @@ def make_port(device: Device) -> Port:
         return SlcanPort(device.port.removeprefix("slcan:"), device.baud, device.bitrate)
     if device.port.startswith("socketcan:"):
         return SocketCanPort(device.port.removeprefix("socketcan:"))
+    if device.port.partition(":")[0] in NET_KINDS:
+        from daq.net_port import make_net_port  # which needs this file
+
+        return make_net_port(device.port)
     return SerialPort(device.port, device.baud)
 
 
 _REASONS = {
+    errno.ECONNREFUSED: "refuses the connection: nobody listens there",
+    errno.ECONNRESET: "closed the connection",
+    errno.EADDRINUSE: "is in use by another program",
+    errno.EADDRNOTAVAIL: "is no address of this machine",
     errno.ENOENT: "is not there",
     errno.ENODEV: "is not there",
     errno.ENXIO: "is not there",
@@ -236,10 +247,17 @@ _REASONS = {
 }
 
 
-def _why(error: BaseException) -> str:
+def why(error: BaseException) -> str:
     """One line for an error of the operating system or of a library."""
     number = getattr(error, "errno", None) or getattr(error, "error_code", None)
     return _REASONS.get(number or 0) or " ".join(str(error).split()) or type(error).__name__
+
+
+def list_serial_ports() -> list[tuple[str, str]]:
+    """The serial ports of this machine: path and what the system says of each."""
+    from serial.tools import list_ports  # takes a while to import, and only a search needs it
+
+    return sorted((port.device, port.description) for port in list_ports.comports())
 
 
 def _set_latency_timer(path: str) -> None:

@@ -64,17 +64,20 @@ class Writer(threading.Thread):
         self.messages = 0
         self.size = recorder.size
         self.failure = ""
+        self.alarm = ""  # why nothing is written now, though it may be again
 
     def run(self) -> None:
         """Until `end`: write what there is, every 10 ms, and the counters every second."""
         health_at = time.monotonic() + HEALTH_S
         try:
             while not self._ending.wait(WRITE_S):
-                self._write()
+                if not self._recorder.paused:  # while it is, what comes waits in the queue
+                    self._write()
                 if time.monotonic() >= health_at:
                     health_at += HEALTH_S
                     self._health()
                 self._recorder.tick()
+                self.alarm = self._recorder.paused
                 self.size = self._recorder.size
             self._write()
             self._health()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,34 +10,60 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import SeatrialError
+from ident.bench_runs import RATE, thruster_channels, thruster_name
+from ident.bench_start import first_guess, shaft_guess
 from ident.curve_job import is_static, static_curve
 from ident.dataset import Record, build_record
 from ident.fit import Fit, fit
 from ident.jobs import Say, write_all
 from ident.loading import Loaded, envelope, load_run
 from ident.model import Model
-from ident.models.thruster import delayed_channels, thruster
+from ident.models.thruster import delay_step, on_a_copy, thruster
 from ident.outcome import Json, fit_part, residual_part
 from ident.pe import FilterRun, Likelihood
 from ident.predict import FreeRun, free_run, one_step
+from ident.profile import check_names, profile, profile_part
+from ident.robust import outlier_notes
 
 Array = NDArray[np.float64]
 DEAD_ZONES = tuple(0.0025 * k for k in range(81))  # up to a fifth of full command
-RATE = 50.0  # rows a second for the load cell and the shaft speed
+N_SEARCHES = 3
 SETTLED, AVERAGED = 1.0, 0.6  # s that a command must have lasted, and over which it is then averaged
 
 
-def bench(logs: Sequence[Path], out: Path, *, name: str | None, settle: float = 1.5, command: str, say: Say) -> Json:
-    """Fit the thruster model to bench logs of one thruster, or a static curve where nobody measured the shaft."""
+def bench(
+    logs: Sequence[Path],
+    out: Path,
+    *,
+    name: str | None,
+    settle: float = 1.5,
+    profiles: Sequence[str] = (),
+    robust: bool = False,
+    command: str,
+    say: Say,
+) -> Json:
+    """Fit the thruster model to bench logs of one thruster, or a static curve where nobody measured the shaft.
+
+    ``profiles``: parameters that get a profile likelihood; ``robust``: allow outliers.
+    """
     loaded = [load_run(path, "estimation") for path in logs]
     if is_static(loaded, name):
+        if profiles or robust:
+            raise SeatrialError(
+                f"{logs[0]}: has no shaft speed, so there is a static curve alone, which {'--robust' if robust else ''}"
+                f"{' and ' if robust and profiles else ''}{'--profile' if profiles else ''} cannot change; leave it out"
+            )
         return static_curve(loaded, out, name=name, settle=settle, command=command, say=say)
-    name = name or _thruster_name(loaded[0])
+    name = name or thruster_name(loaded[0])
     has_force = all("force" in x.run.channels for x in loaded)
     model = thruster(force=has_force)
+    check_names(model, profiles)
     records = [_record(model, x, name) for x in loaded]
+    if shaft_guess(records)[0] > model.parameter("tau").bounds[1]:
+        model = thruster("slow", force=has_force)
+        records = [_record(model, x, name) for x in loaded]
     say(f"fitting the thruster to {len(records)} run(s), {sum(r.n_rows for r in records)} rows")
-    fitted = _fit(model, records, first_guess(records, has_force))
+    fitted, records = fit_on_a_copy(model, records, lambda m: [_record(m, x, name) for x in loaded], robust=robust)
     likelihood = Likelihood(fitted.model)
     runs = [likelihood.filter(r, v) for r, v in zip(records, fitted.record_values, strict=True)]
     frees = [free_run(fitted.model, r, v, likelihood) for r, v in zip(records, fitted.record_values, strict=True)]
@@ -45,62 +71,59 @@ def bench(logs: Sequence[Path], out: Path, *, name: str | None, settle: float = 
     result |= _evidence(fitted.model, records, runs, frees)
     if has_force:
         result["static"] = _static(fitted, loaded, name)
+    if profiles:
+        say(f"profile likelihood of {', '.join(profiles)}")
+        result["profiles"] = [profile_part(profile(fitted, records, p)) for p in profiles]
+    result["notes"] = outlier_notes(fitted.model, [r.outliers for r in runs], [np.isfinite(r.y) for r in records])
     result["answer"] = _answer(fitted, has_force)
     ranges = {"n_cmd": _range(np.concatenate([r.u[:, 0] for r in records]))}
     write_all(out, result, fitted, ranges)
     return result
 
 
-def _fit(model: Model, records: Sequence[Record], guess: Mapping[str, float]) -> Fit:
-    """The end of the dead zone is felt only within it, so it is looked for on a grid before it is estimated."""
-    first = fit(model, records, start=guess)
-    likelihood, at = Likelihood(first.model), [p.name for p in model.parameters].index("d")
+def fit_on_a_copy(
+    model: Model, records: list[Record], again: Callable[[Model], list[Record]], *, robust: bool = False
+) -> tuple[Fit, list[Record]]:
+    """``fit_thruster``, and once more with the delay on one of the command's copies.
 
-    def value(d: float) -> float:
-        tried = first.record_values.copy()
-        tried[:, at] = d
-        return sum(likelihood.value(r, v) for r, v in zip(records, tried, strict=True))
+    ``again``: the records for a model with other copies. Returns the records that belong to the fit, too.
+    """
+    fitted = fit_thruster(model, records, robust=robust)
+    pace = on_a_copy(fitted.model.values["tau"], delay_step(model))
+    if not pace:
+        return fitted, records
+    exact = thruster(pace, force="thrust" in model.provides)
+    records = again(exact)
+    values = {n: v for n, v in fitted.model.values.items() if n in exact.values}
+    return fit(exact.with_values(values).replace_parameters(exact.parameter("d").at(values["d"]).freed()), records,
+               robust=robust), records
 
-    d = max(DEAD_ZONES, key=value)
-    return fit(first.model.replace_parameters(model.parameter("d").at(d).freed()), records)
 
+def fit_thruster(model: Model, records: Sequence[Record], *, robust: bool = False) -> Fit:
+    """The model fitted from least squares. The end of the dead zone is felt only within it, so it is looked for on a
+    grid, and again with what the fit then says of all else, until it stays. ``robust``: allow outliers."""
+    guess = first_guess(records, "thrust" in model.provides)
+    guess["tau"] = min(guess["tau"], 0.95 * model.parameter("tau").bounds[1])
+    fitted = fit(model, records, start=guess, robust=robust)
+    at, found = [p.name for p in model.parameters].index("d"), -1.0
+    for _ in range(N_SEARCHES):
+        likelihood, values = Likelihood(fitted.model), fitted.record_values
 
-def _thruster_name(loaded: Loaded) -> str:
-    names = [n.removeprefix("n_cmd_") for n in loaded.run.channels if n.startswith("n_cmd_")]
-    moved = [
-        n for n in names if f"n_{n}" in loaded.run.channels and np.ptp(loaded.run.channels[f"n_cmd_{n}"].value) > 0
-    ]
-    if len(moved) != 1:
-        said = ", ".join(moved) if moved else "none"
-        raise SeatrialError(
-            f"{loaded.about['path']}: thrusters with commands and shaft speed: {said}; name one with --thruster"
-        )
-    return moved[0]
+        def value(d: float, likelihood: Likelihood = likelihood, values: Array = values) -> float:
+            tried = values.copy()
+            tried[:, at] = d
+            return sum(likelihood.value(r, v) for r, v in zip(records, tried, strict=True))
+
+        before, found = found, max(DEAD_ZONES, key=value)
+        if abs(found - before) < 2 * DEAD_ZONES[1]:
+            break
+        fitted = fit(fitted.model.replace_parameters(fitted.model.parameter("d").at(found).freed()), records)
+    return fitted
 
 
 def _record(model: Model, loaded: Loaded, name: str) -> Record:
-    found = loaded.run.channels
-    for needed in (f"n_cmd_{name}", f"n_{name}"):
-        if needed not in found:
-            raise SeatrialError(f"{loaded.about['path']}: no signal {needed!r}; it has {', '.join(sorted(found))}")
-    channels = delayed_channels(found[f"n_cmd_{name}"]) | {"n": found[f"n_{name}"]}
-    if "force" in found:
-        channels["force"] = found["force"]
+    channels = thruster_channels(loaded, model, name)
     return build_record(model, channels, name=loaded.run.name, rate=RATE)
-
-
-def first_guess(records: Sequence[Record], has_force: bool) -> dict[str, float]:
-    """Thrust coefficients by least squares of force on measured shaft speed; the shaft's pole from its steps."""
-    if not has_force:
-        return {}
-    rows = []
-    for r in records:
-        seen = np.isfinite(r.y[:, 1])
-        n = np.interp(r.t[seen], r.t[np.isfinite(r.y[:, 0])], r.y[np.isfinite(r.y[:, 0]), 0])
-        rows.append(np.column_stack([n * np.abs(n), n * n, np.ones(n.size), r.y[seen, 1]]))
-    table = np.concatenate(rows)
-    c1, c2, bias = np.linalg.lstsq(table[:, :3], table[:, 3], rcond=None)[0]
-    return {"c1": max(float(c1), 0.1), "c2": float(c2), "bias": float(bias)}
 
 
 def _evidence(model: Model, records: Sequence[Record], runs: Sequence[FilterRun], frees: Sequence[FreeRun]) -> Json:
@@ -128,7 +151,7 @@ def _evidence(model: Model, records: Sequence[Record], runs: Sequence[FilterRun]
             )
         residuals, cross = residual_part(model, record, run.standardised)
         part["residuals"] += residuals
-        part["cross"] += [c for c in cross if c["input"] == "n_cmd_0"]
+        part["cross"] += cross
         for kind, found in (("one_step", one_step(model, record, run)), ("free_run", free.errors)):
             for name, e in found.items():
                 unit = next(o.unit for o in model.outputs if o.name == name)

@@ -8,13 +8,14 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_banded
 
 from ident.dataset import TIME_INPUT, Record
 from ident.engine.rowwise import Rowwise
 from ident.model import Effect, Model
 from ident.models.unexplained import products_of, residuals_of, variables_of
 from ident.score import Columns
+from ident.shapes import harmonics
 
 Array = NDArray[np.float64]
 
@@ -72,23 +73,24 @@ class Path:
                 change = (rowwise(x, u, moved) - base) / p.step
                 delta.append(np.delete(change, np.s_[n : n + m], axis=1))
                 names.append(p.name)
-            yield Columns(effect.name, np.stack(delta, axis=2), tuple(names), tried, one_sided=effect.one_sided)
+            own = all(p.per_record for p in effect.parameters)
+            yield Columns(effect.name, np.stack(delta, axis=2), tuple(names), tried, False, effect.one_sided, own)
 
     def _driven(self, rowwise: Rowwise, m: int, all_values: list[Array], u: Array) -> list[Array]:
         """An effect's own m states, driven along the path while it is at zero (linear, constant coefficients);
-        (n_rows, m) for each set of values, all of them in one pass over the rows."""
+        (n_rows, m) for each set of values."""
         n = len(self.model.states)
         x = np.column_stack([self.x, np.zeros((len(self.x), m))])
-        drive = np.stack([rowwise(x, u, values)[:, n : n + m] for values in all_values], axis=1)
-        A = [rowwise.rate_jacobian(x[:1], u[:1], values)[0, n:, n:] for values in all_values]
-        h = np.round(self.record.h, 9)
-        steps = {step: _discrete(A, step) for step in np.unique(h)}
-        z = np.zeros((len(x), len(all_values), m))
-        for k in range(len(x) - 1):
-            transition, weight = steps[h[k]]
-            mean = (drive[k] + drive[k + 1]) / 2
-            z[k + 1] = (transition @ z[k, :, :, None] + weight @ mean[:, :, None])[:, :, 0]
-        return list(z.swapaxes(0, 1))
+        steps, step_of = np.unique(np.round(self.record.h[:-1], 9), return_inverse=True)
+        found = []
+        for values in all_values:
+            drive = rowwise(x, u, values)[:, n : n + m]
+            A = rowwise.rate_jacobian(x[:1], u[:1], values)[0, n:, n:]
+            known = [_discrete(A, step) for step in steps]
+            transition, weight = (np.stack([pair[i] for pair in known])[step_of] for i in (0, 1))
+            mean = (drive[:-1] + drive[1:]) / 2
+            found.append(_recursion(transition, np.einsum("kij,kj->ki", weight, mean)))
+        return found
 
     def generic(self, among: Mapping[str, Array] | None = None) -> Iterator[Columns]:
         """Each residual force as a smooth function of each variable, and of products; ``among``: see splines."""
@@ -100,10 +102,22 @@ class Path:
                 yield Columns(f"{residual.name}({name})", delta, generic=True)
 
 
-def _discrete(A: list[Array], step: float) -> tuple[Array, Array]:
-    m = len(A[0])
-    blocks = [expm(np.block([[a, np.eye(m)], [np.zeros((m, 2 * m))]]) * step) for a in A]
-    return np.stack([b[:m, :m] for b in blocks]), np.stack([b[:m, m:] for b in blocks])
+def _discrete(A: Array, step: float) -> tuple[Array, Array]:
+    m = len(A)
+    block = expm(np.block([[A, np.eye(m)], [np.zeros((m, 2 * m))]]) * step)
+    return block[:m, :m], block[:m, m:]
+
+
+def _recursion(transition: Array, drive: Array) -> Array:
+    """``z_k+1 = transition_k z_k + drive_k`` from zero, (n + 1, m): a banded system with ones on its diagonal."""
+    n, m = drive.shape
+    band = np.zeros((2 * m, (n + 1) * m))
+    band[0] = 1.0
+    for i in range(m):
+        for j in range(m):
+            band[m + i - j, j : n * m : m] = -transition[:, i, j]
+    right = np.concatenate([np.zeros(m), drive.ravel()])
+    return np.asarray(solve_banded((2 * m - 1, 0), band, right)).reshape(n + 1, m)
 
 
 def variables(model: Model, record: Record, x: Array, values: Array | None = None) -> dict[str, Array]:
@@ -138,8 +152,7 @@ def generic_features(
     }
     for v in known:
         if v.angle:
-            a = z[v.name]
-            table[v.name] = np.column_stack([np.sin(a), np.cos(a), np.sin(2 * a), np.cos(2 * a)])
+            table[v.name] = np.column_stack(harmonics(z[v.name]))
     for one, other in products_of(model):
         za, zb = z[one], z[other]
         table[f"{one}, {other}"] = np.column_stack([za * zb, np.abs(za) * zb, za * np.abs(zb)])
@@ -161,13 +174,14 @@ def splines(z: Array, n_functions: int, among: Array | None = None) -> Array:
     return np.asarray(basis[:, 1:] - all_[:, 1:].mean(0))
 
 
-def all_columns(path: Path, effects: Iterable[Effect], among: Mapping[str, Array] | None = None) -> list[Columns]:
+def all_columns(
+    path: Path, effects: Iterable[Effect], among: Mapping[str, Array] | None = None
+) -> Iterator[Columns]:
     """Every candidate along one record, in the same order along each; ``among``: see generic_features."""
     chosen = [e for e in effects if path.model.accepts(e) and _has_inputs(path, e)]
-    specific = [c for e in chosen for c in path.effect(e)]
-    # the same regressors under a name of their own
-    named = {"N(psi)"} if "heading-moment" in {e.name for e in [*chosen, *path.model.effects]} else set()
-    return specific + [c for c in path.generic(among) if c.name not in named]
+    for e in chosen:
+        yield from path.effect(e)
+    yield from path.generic(among)
 
 
 def _has_inputs(path: Path, effect: Effect) -> bool:

@@ -5,8 +5,9 @@
 | psi, phi, theta | AHRS: yaw, roll and pitch (unwrapped by whoever averages them) |
 | p, q, r, ax, ay | AHRS: body rates, specific force |
 | x, y, vx, vy | GNSS: metres north and east of the first fix, velocity over ground |
-| n_left, n_right | shaft speed over the rig's rpm_max, positive ahead |
-| n_cmd_left, n_cmd_right | commands |
+| n_left, n_right | shaft speed over the rig's rpm_max, positive ahead; else what the autopilot's output said |
+| n_cmd_left, n_cmd_right | commands; where an autopilot is between, its output instead |
+| servo_1, servo_2, ... | pulses of an autopilot's outputs (us), where no rig names thrusters |
 | force | load cell, tared by the static segments of the plan |
 | speed | along the track, from velocity over ground (imported speed_x and speed_y, or vx and vy) |
 | any other | imported signals, by their own names |
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.log import Log
-from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar
+from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar, Servo
 from ident.dataset import Channel
 
 Array = NDArray[np.float64]
@@ -53,6 +54,10 @@ def channels(log: Log) -> dict[str, Channel]:
         found = _gnss(log.table(Gnss, source), source) | found
     for thruster in rig.thrusters if rig else ():
         _thruster(log, thruster, found)
+    if rig is None:
+        for source in log.sources(Servo):
+            for node in log.nodes(Servo, source):
+                found.setdefault(f"servo_{node}", _channel(log.table(Servo, source, node), "pwm", "us", source))
     for source in log.sources(LoadCell):
         found.setdefault("force", _channel(_good(log.table(LoadCell, source)), "force", "N", source))
     found = {name: c for name, c in found.items() if c.t.size > 1}
@@ -87,14 +92,21 @@ def ahrs_channels(table: Any, source: str) -> dict[str, Channel]:
 
 
 def _thruster(log: Log, thruster: Any, found: dict[str, Channel]) -> None:
-    state = log.table(Esc, thruster.device, node=thruster.node)
-    if len(state):
-        shaft = _channel(state, "rpm", "", thruster.device)
-        found[f"n_{thruster.name}"] = Channel(shaft.t, shaft.value / thruster.rpm_max, "", thruster.device)
-        found[f"voltage_{thruster.name}"] = _channel(state, "voltage", "V", thruster.device)
-    command = log.table(Command, thruster.device, node=thruster.node)
-    if len(command):
-        found[f"n_cmd_{thruster.name}"] = _channel(command, "n_cmd", "", thruster.device)
+    device, node = thruster.device, thruster.node
+    shaft = None
+    if node in log.nodes(Esc, device):
+        state = log.table(Esc, device, node=node)
+        shaft = _channel(state, "rpm", "", device)
+        found[f"voltage_{thruster.name}"] = _channel(state, "voltage", "V", device)
+    if shaft is not None and shaft.t.size > 1 and np.isfinite(thruster.rpm_max):
+        found[f"n_{thruster.name}"] = Channel(shaft.t, shaft.value / thruster.rpm_max, "", device)
+    if node in log.nodes(Servo, device):
+        # What the autopilot put out is what the thruster was told: between it and our command are its own delays.
+        output = _channel(log.table(Servo, device, node=node), "n", "", device)
+        found[f"n_cmd_{thruster.name}"] = output
+        found.setdefault(f"n_{thruster.name}", output)
+    elif node in log.nodes(Command, device):
+        found[f"n_cmd_{thruster.name}"] = _channel(log.table(Command, device, node=node), "n_cmd", "", device)
 
 
 def _gnss(table: Any, source: str) -> dict[str, Channel]:

@@ -1,23 +1,24 @@
-"""Commands of ident: noise, thruster, vehicle, diagnose, export."""
+"""Commands of ident: noise, thruster, vehicle, diagnose, navigate, export, study."""
 
 from __future__ import annotations
 
-import os
-import sys
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
-from daq.errors import SeatrialError
-
-# All matrices here are small: threads of the linear algebra library would only wait for each other. Before numpy.
-for _library in ("OPENBLAS", "OMP", "MKL"):
-    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
-
-LOG = click.Path(exists=True, dir_okay=False, path_type=Path)
-FOLDER = click.Path(file_okay=False, path_type=Path)
+from ident.cli_common import (
+    LOG,
+    command_line,
+    known,
+    out_option,
+    priors,
+    rate_option,
+    robust_option,
+    run,
+    validate_option,
+)
+from ident.cli_use import export, navigate
 
 
 @click.group()
@@ -25,45 +26,14 @@ def ident() -> None:
     """Fit models to logs, and find what they lack."""
 
 
-def _known(_context: click.Context, _parameter: click.Parameter, given: Sequence[str]) -> dict[str, float]:
-    found = {}
-    for item in given:
-        name, _, value = item.partition("=")
-        try:
-            found[name] = float(value)
-        except ValueError:
-            raise click.BadParameter(f"{item!r} is not NAME=NUMBER") from None
-    return found
-
-
-def _validate(f: Callable[..., Any]) -> Callable[..., Any]:
-    return click.option(
-        "--validate", multiple=True, type=LOG, help="A log that the fit does not see; may be repeated."
-    )(f)
-
-
-def _out(default: str) -> Callable[..., Any]:
-    return click.option("--out", type=FOLDER, default=Path(default), show_default=True, help="Folder for the results.")
-
-
-def _rate(f: Callable[..., Any]) -> Callable[..., Any]:
-    return click.option(
-        "--rate",
-        type=click.FloatRange(1.0, 200.0),
-        default=10.0,
-        show_default=True,
-        help="Faster sensors are averaged to this many rows a second.",
-    )(f)
-
-
-def _robust(f: Callable[..., Any]) -> Callable[..., Any]:
-    return click.option("--robust", is_flag=True, help="Allow outliers in all sensors, and count them.")(f)
+ident.add_command(navigate)
+ident.add_command(export)
 
 
 @ident.command()
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option("--signal", "signals", multiple=True, metavar="NAME", help="Only this signal; may be repeated.")
-@_out("noise")
+@out_option("noise")
 def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     """Estimate white noise and random walk of each channel from LOGS of sensors at rest.
 
@@ -73,7 +43,7 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     """
     from ident import noise_job
 
-    _run(lambda say: noise_job.noise(logs, out, signals=signals, command=_command(), say=say), out)
+    run(lambda say: noise_job.noise(logs, out, signals=signals, command=command_line(), say=say), out)
 
 
 @ident.command()
@@ -91,21 +61,28 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
 @click.option(
     "--thruster", type=LOG, help="model.toml of the bench: c1 and c2, or the static curve from command to thrust."
 )
-@click.option("--fix", multiple=True, callback=_known, help="NAME=VALUE: a parameter that is known; may be repeated.")
-@click.option("--start", "begin", multiple=True, callback=_known, help="NAME=VALUE: where the estimate starts.")
+@click.option("--fix", multiple=True, callback=known, help="NAME=VALUE: a parameter that is known; may be repeated.")
+@click.option("--start", "begin", multiple=True, callback=known, help="NAME=VALUE: where the estimate starts.")
+@click.option(
+    "--prior",
+    multiple=True,
+    callback=priors,
+    help="NAME=MEAN:SD: what is known of a parameter before, in this fit; may be repeated.",
+)
 @click.option("--agree", multiple=True, metavar="NAME", help="Test whether the logs agree on this parameter.")
 @click.option("--profile", "profiles", multiple=True, metavar="NAME", help="Profile likelihood of this parameter.")
-@_robust
+@robust_option
 @click.option("--as-is", is_flag=True, help="Do not swap the sides of the thrusters where the data say they are.")
-@_validate
-@_rate
-@_out("vehicle")
+@validate_option
+@rate_option
+@out_option("vehicle")
 def vehicle(
     logs: tuple[Path, ...],
     source: str,
     thruster: Path | None,
     fix: dict[str, float],
     begin: dict[str, float],
+    prior: dict[str, tuple[float, float]],
     agree: tuple[str, ...],
     profiles: tuple[str, ...],
     robust: bool,
@@ -122,7 +99,7 @@ def vehicle(
     """
     from ident import jobs
 
-    _run(
+    run(
         lambda say: jobs.vehicle(
             logs,
             validate,
@@ -131,12 +108,13 @@ def vehicle(
             thruster=thruster,
             fix=fix,
             begin=begin,
+            prior=prior,
             as_is=as_is,
             agree=agree,
             profiles=profiles,
             robust=robust,
             rate=rate,
-            command=_command(),
+            command=command_line(),
             say=say,
         ),
         out,
@@ -153,8 +131,12 @@ def vehicle(
     show_default=True,
     help="Seconds left out after each change of command, where only force and command were logged.",
 )
-@_out("thruster")
-def thruster(logs: tuple[Path, ...], name: str | None, settle: float, out: Path) -> None:
+@click.option("--profile", "profiles", multiple=True, metavar="NAME", help="Profile likelihood of this parameter.")
+@robust_option
+@out_option("thruster")
+def thruster(
+    logs: tuple[Path, ...], name: str | None, settle: float, profiles: tuple[str, ...], robust: bool, out: Path
+) -> None:
     """Fit shaft response and thrust curve to bench LOGS of one thruster.
 
     A log of force and command without shaft speed gives the static curve alone, as a table.
@@ -165,37 +147,51 @@ def thruster(logs: tuple[Path, ...], name: str | None, settle: float, out: Path)
     """
     from ident import bench_job
 
-    _run(lambda say: bench_job.bench(logs, out, name=name, settle=settle, command=_command(), say=say), out)
+    run(
+        lambda say: bench_job.bench(
+            logs, out, name=name, settle=settle, profiles=profiles, robust=robust, command=command_line(), say=say
+        ),
+        out,
+    )
 
 
 @ident.command()
 @click.argument("model", type=LOG)
 @click.argument("logs", nargs=-1, required=True, type=LOG)
-@_validate
+@validate_option
 @click.option("--effects", "effects_file", type=LOG, help="FILE.py with EFFECT or EFFECTS: candidates of your own.")
 @click.option("--max-effects", type=click.IntRange(1, 6), default=3, show_default=True, help="Stop after so many.")
-@_robust
-@_rate
-@_out("diagnosis")
+@click.option("--thruster", "name", help="Where MODEL is a thruster's and the logs have several: its name in the rig.")
+@robust_option
+@click.option(
+    "--rate",
+    type=click.FloatRange(1.0, 200.0),
+    help="Faster sensors are averaged to this many rows a second.  [default: 10, on the bench 50]",
+)
+@out_option("diagnosis")
 def diagnose(
     model: Path,
     logs: tuple[Path, ...],
     validate: tuple[Path, ...],
     effects_file: Path | None,
     max_effects: int,
+    name: str | None,
     robust: bool,
-    rate: float,
+    rate: float | None,
     out: Path,
 ) -> None:
     """Find what MODEL lacks to explain LOGS, add it, and show the error before and after.
 
+    MODEL is a boat's, or a thruster's with logs from the bench.
+
     \b
     Example:
       seatrial ident diagnose vehicle/model.toml estimation.mcap --validate validation.mcap --out diagnosis
+      seatrial ident diagnose thruster/model.toml bench1.mcap --validate bench2.mcap --out diagnosis
     """
     from ident import jobs
 
-    _run(
+    run(
         lambda say: jobs.diagnosis(
             model,
             logs,
@@ -204,39 +200,13 @@ def diagnose(
             rate=rate,
             max_effects=max_effects,
             effects_file=effects_file,
+            thruster=name,
             robust=robust,
-            command=_command(),
+            command=command_line(),
             say=say,
         ),
         out,
     )
-
-
-@ident.command()
-@click.argument("model", type=LOG)
-@click.option("--to", "target", type=click.Choice(("python", "casadi", "c", "ros2")), required=True, help="For what.")
-@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="File to write; else the screen.")
-@click.option("--name", help="Prefix of the functions, or name of the node, in place of the model's own name.")
-@click.option("--with-nuisance", is_flag=True, help="Keep unexplained forces and sensor offsets as states.")
-def export(model: Path, target: str, output: Path | None, name: str | None, with_nuisance: bool) -> None:
-    """Write the fitted MODEL for other programs: equations, parameters, noise, names and units.
-
-    \b
-    Example:
-      seatrial ident export diagnosis/model.toml --to c -o boat.h
-    """
-    from ident.export import export as written
-    from ident.modelfile import load_model
-
-    try:
-        text = written(load_model(model), target, name=name, nuisance=with_nuisance)
-    except ValueError as problem:
-        raise SeatrialError(f"{model}: {problem}") from problem
-    if output is None:
-        click.echo(text, nl=False)
-    else:
-        output.write_text(text, encoding="utf-8")
-        click.echo(f"wrote {output}")
 
 
 @ident.command()
@@ -245,17 +215,18 @@ def export(model: Path, target: str, output: Path | None, name: str | None, with
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True)
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes.")
 @click.option("--method", type=click.Choice(("pe", "oe")), default="pe", show_default=True, help="The estimator.")
-@click.option("--truth", multiple=True, callback=_known, help="NAME=VALUE: another true value; may be repeated.")
+@click.option("--truth", multiple=True, callback=known, help="NAME=VALUE: another true value; may be repeated.")
 @click.option("--free", multiple=True, metavar="NAME", help="Estimate only this parameter; may be repeated.")
 @click.option("--seconds", type=click.FloatRange(10.0), help="Length of the mission.")
 @click.option("--unbounded", is_flag=True, help="Let damping be estimated below zero.")
 @click.option("--docs", is_flag=True, help="Print the page of docs/study.md instead of the table.")
-@_out("study")
+@out_option("study")
 def study(
     models: tuple[str, ...], replicates: int, seed: int, jobs: int, method: Any, truth: dict[str, float],
     free: tuple[str, ...], seconds: float | None, unbounded: bool, docs: bool, out: Path,
 ) -> None:
-    """Monte Carlo of the estimator on simulated missions of MODELs: surge, yaw, horizontal, thruster.
+    """Monte Carlo of the estimator on simulated missions of MODELs: surge, yaw, horizontal, thruster; a fitted
+    model.toml; or FILE.py:NAME, a Case of your own.
 
     Bias, variance and coverage of the intervals. What was interrupted goes on where it was.
 
@@ -267,29 +238,6 @@ def study(
 
     result = study_job.run_studies(
         models, replicates, seed, out, truth=truth, free=free, seconds=seconds, bounded=not unbounded, method=method,
-        jobs=jobs, command=_command(), say=lambda line: click.echo(f"  {line}", err=True),
+        jobs=jobs, command=command_line(), say=lambda line: click.echo(f"  {line}", err=True),
     )
     click.echo(study_job.page(result) if docs else study_job.as_text(result), nl=False)
-
-
-def _run(work: Callable[[Callable[[str], None]], dict[str, Any]], out: Path) -> None:
-    """Do the work with a live line of what it is doing; then show the result and where it is."""
-    from rich.console import Console
-
-    console = Console(highlight=False)
-    try:
-        if console.is_terminal:
-            with console.status("reading logs") as status:
-                result = work(lambda line: status.update(line))
-        else:
-            result = work(lambda line: click.echo(f"  {line}"))
-    except (ValueError, KeyError) as problem:
-        raise SeatrialError(str(problem).strip("'\"")) from problem
-    from ident.report import print_result
-
-    print_result(result, console)
-    click.echo(f"report: {out / 'report.html'}")
-
-
-def _command() -> str:
-    return " ".join(["seatrial", *sys.argv[1:]])

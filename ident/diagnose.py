@@ -13,67 +13,47 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ident.adequacy import judge
 from ident.candidates import Path, all_columns, variables
 from ident.dataset import Record
 from ident.effects import catalogue
+from ident.engine.jit import quickly
+from ident.findings import Diagnosis, Judgement, Refit, Round
 from ident.model import Effect, Model
+from ident.models.unexplained import residuals_of, variables_of
 from ident.params import Parameter
-from ident.score import Columns, Normal, Score, block_index, fitted_names, score_tests, whitened_sensitivities
+from ident.peaks import wave_score
+from ident.score import Normal, Place, Score, block_index, carry, fitted_names, place, score_tests
 from ident.shapes import Shape, shape, unknown_effect
-from ident.stage import Progress, Run, Stage, make_stage, nominal, superset, validation_gain, without_absent_sensors
+from ident.size import size_of, sized
+from ident.stage import (
+    Progress,
+    Run,
+    Stage,
+    make_stage,
+    nominal,
+    nominal_stage,
+    superset,
+    validation_gain,
+    without_absent_sensors,
+)
 from ident.stage import record as make_record
+from ident.uncertainty import AT_BOUND, VAGUE
 
 Array = NDArray[np.float64]
 ALPHA = 0.05  # chance that anything passes the score tests in a clean data set
 P_BLOCK = 0.01  # of the version that holds for coloured innovations
 # evidence that sits in few blocks caps that version; overwhelming evidence may then pass, and validation decides
 P_OVERWHELMING, P_BLOCK_OVERWHELMING = 1e-12, 0.1
-T_VALIDATION = 2.0
 N_REFITS, N_UNKNOWN = 4, 2
+ROUGHLY = 0.02  # in the log-likelihood, to which a refit is made; that of the chosen effect is made exactly
 # what an effect's true form has beyond ours looks like other effects, smaller by orders; those are not added
 SMALL = 0.02  # of the largest gain so far
-
-
-@dataclass(frozen=True)
-class Refit:
-    effect: Effect
-    stage: Stage
-    gain: float  # 2 d ln L (with priors)
-    df: int
-    criterion: float
-    validation_gain: float  # d ln L
-    t: float
-
-    @property
-    def accepted(self) -> bool:
-        return self.criterion > 0 and self.t > T_VALIDATION
-
-
-@dataclass(frozen=True)
-class Round:
-    scores: tuple[Score, ...]
-    passed: tuple[str, ...]
-    refits: tuple[Refit, ...]
-    chosen: Refit | None
-    why: str
-
-
-@dataclass(frozen=True)
-class Diagnosis:
-    before: Stage
-    after: Stage
-    rounds: tuple[Round, ...]
-    left: tuple[Score, ...]  # what still passes the tests at the end
-    shapes: tuple[Shape, ...]
-
-    @property
-    def effects(self) -> tuple[Refit, ...]:
-        return tuple(r.chosen for r in self.rounds if r.chosen is not None)
 
 
 def diagnose(
@@ -89,21 +69,26 @@ def diagnose(
     """What does ``model`` lack to explain the runs? ``effects``: the candidates, by default the whole catalogue.
 
     Raises ValueError, naming the run, where a run lacks a signal that the model needs; or the model, where it has no
-    hull whose forces X, Y, N could lack anything.
+    hull whose forces X, Y, N could lack anything, and is no thruster on the bench either.
     """
-    if "hull" not in model.provides:
+    if not residuals_of(model):
         raise ValueError(
             f"model {model.name} cannot be diagnosed: it lacks a hull with the forces X, Y and N; fit "
             "the horizontal model instead"
         )
     full = nominal(model)
     candidates = {n: e for n, e in (catalogue() if effects is None else effects).items() if full.accepts(e)}
+    wanted = set(candidates)
     everything, candidates = superset(full, candidates, [*estimation, *validation])
+    untested = wanted - set(candidates)
     records = [make_record(everything, r, rate) for r in estimation]
     unseen = [make_record(everything, r, rate) for r in validation]
     full = without_absent_sensors(full, records + unseen)
     progress(f"fitting {full.name} with unexplained forces to {len(records)} run(s)")
-    before = current = make_stage(full, records, unseen)
+    before = current = nominal_stage(full, records, unseen)
+    size, known = size_of(before.fit.model), catalogue()
+    # the users' own effects have the priors that they gave them
+    candidates = {n: sized(e, size) if known.get(n) is e else e for n, e in candidates.items()}
     rounds: list[Round] = []
     unknown = False
     while True:
@@ -119,7 +104,9 @@ def diagnose(
             break
         current, unknown = one.chosen.stage, one.chosen.effect.name.startswith("unknown")
         candidates.pop(one.chosen.effect.name, None)
-    return Diagnosis(before, current, tuple(rounds), tuple(passed), tuple(_shapes(rounds)))
+    judgements = judge(rounds, passed, sum(r.n_rows for r in records), untested)
+    shapes = _shapes(before, rounds, judgements, records)
+    return Diagnosis(before, current, tuple(rounds), tuple(passed), tuple(shapes), judgements)
 
 
 def score_all(
@@ -127,28 +114,28 @@ def score_all(
 ) -> tuple[list[Score], list[Score]]:
     """All score tests on a fitted model, best first, and those that pass; of a scanned effect the best only."""
     model = stage.model
-    names = fitted_names(model, len(records))
+    # a parameter that stands at its bound cannot give way to take up what a candidate would explain
+    stuck = {n for n, what in stage.fit.flags if what in (AT_BOUND, VAGUE)}
+    names = [n for n in fitted_names(model, len(records)) if n not in stuck]
     paths = [Path(model, v.values, r, v.run.x_pred) for r, v in zip(records, stage.estimation, strict=True)]
-    seen = [variables(model, p.own, p.x) for p in paths]
+    seen = [variables(model, p.own, p.x, p.values) for p in paths]
     among = {name: np.concatenate([v[name] for v in seen]) for name in seen[0]}
     normal: Normal | None = None
-    placed: list[tuple[Columns, list[int]]] = []
+    places: list[Place] = []
     for i, (path, view) in enumerate(zip(paths, stage.estimation, strict=True)):
-        columns = all_columns(path, candidates.values(), among)
-        if normal is None:
-            at = len(names)
-            for c in columns:
-                placed.append((c, list(range(at, at + c.delta.shape[2]))))
-                at += c.delta.shape[2]
-            normal = Normal([str(k) for k in range(at)])
         own = [j for j, n in enumerate(names) if "@" not in n or n.endswith(f"@{i}")]
-        fitted = [path.parameter(names[j].split("@")[0]) for j in own]
-        delta = np.concatenate([np.stack(fitted, 2)] + [c.delta for c in columns], axis=2)
-        g, e, t = whitened_sensitivities(view.run, path.own, path.jacobian, delta)
-        normal.add(own + list(range(len(names), len(normal.names))), g, e, block_index(t))
+        fitted = np.stack([path.parameter(names[j].split("@")[0]) for j in own], axis=2)
+        columns = all_columns(path, candidates.values(), among)
+        g, e, t, slim = carry(view.run, path.own, path.jacobian, fitted, columns)
+        if normal is None:
+            places, total = place(slim, len(names), len(records))
+            normal = Normal([str(k) for k in range(total)])
+        normal.add(own + [k for where in places for k in where.of_record(i)], g, e, block_index(t, model.block))
     assert normal is not None
     priors = [model.parameter(n.split("@")[0]).prior for n in names]
-    scores = score_tests(normal, len(names), np.array([1 / p[1] ** 2 if p else 0.0 for p in priors]), placed)
+    scores = score_tests(normal, len(names), np.array([1 / p[1] ** 2 if p else 0.0 for p in priors]), places)
+    waves = wave_score(stage) if "waves" in candidates else None
+    scores += [] if waves is None else [waves]
     n = sum(r.n_rows for r in records)
     scores.sort(key=lambda s: -s.criterion(n))
     first: dict[str, Score] = {}
@@ -187,7 +174,9 @@ def _round(
     names = tuple(s.name for s in passed)
     for r in refits[:3]:
         if r.accepted and r.criterion > max(0.25 * refits[0].criterion, SMALL * largest):
-            return Round(tuple(scores), names, tuple(refits), r, _why(r))
+            exact = replace(r, stage=make_stage(r.stage.fit.model, records, unseen))
+            refits[refits.index(r)] = exact
+            return Round(tuple(scores), names, tuple(refits), exact, _why(r))
     why = "no candidate predicts the validation data better"
     if any(r.accepted for r in refits):
         why = f"what is left is small beside what was found: {refits[0].effect.title} would gain {refits[0].gain:.0f}"
@@ -214,7 +203,7 @@ def _refit_all(
         start = replace(effect, parameters=tuple(_start(p, score) for p in effect.parameters))
         larger = current.fit.model + start
         try:
-            stage = make_stage(larger, records, unseen)
+            stage = make_stage(larger, records, unseen, tolerance=ROUGHLY)
         except (ValueError, np.linalg.LinAlgError):
             return None  # a candidate that cannot be fitted is no candidate
         gain = 2 * (stage.fit.log_posterior - current.fit.log_posterior)
@@ -222,7 +211,7 @@ def _refit_all(
         total, t = validation_gain(current, stage)
         return Refit(effect, stage, gain, df, gain - df * float(np.log(n)), total, t)
 
-    with ThreadPoolExecutor(2) as pool:
+    with ThreadPoolExecutor(2) as pool, quickly():
         return [r for r in pool.map(refit, tried) if r is not None]
 
 
@@ -238,28 +227,45 @@ def _start(parameter: Parameter, score: Score) -> Parameter:
 
 def _unknown(score: Score, stage: Stage, records: Sequence[Record]) -> Effect:
     force, variable = score.name.rstrip(")").split("(")
-    return unknown_effect(force, variable, _span(stage, records, variable))
+    table = unknown_effect(stage.model, force, variable, _span(stage, records, variable))
+    return sized(table, size_of(stage.fit.model))
 
 
 def _span(stage: Stage, records: Sequence[Record], variable: str) -> tuple[float, float]:
-    if variable == "psi" or ", " in variable:
+    if variable in {v.name for v in variables_of(stage.model) if v.angle} or ", " in variable:
         return -np.pi, np.pi
-    z = np.concatenate([variables(stage.model, v.record, v.run.x_filt)[variable] for v in stage.estimation])
+    z = np.concatenate([variables(stage.model, v.record, v.run.x_filt, v.values)[variable] for v in stage.estimation])
     low, high = np.percentile(z, [1, 99])
     return float(low), float(high)
 
 
-def _shapes(rounds: Sequence[Round]) -> list[Shape]:
-    found = []
-    for r in rounds:
-        if r.chosen is not None and r.chosen.effect.name.startswith("unknown"):
-            effect, stage = r.chosen.effect, r.chosen.stage
-            variable = effect.name.rstrip(")").split("(")[1]
-            f = stage.fit
-            drawn = shape(effect, _span(stage, [], variable), f.model.values, f.names, f.covariance)
-            if drawn is not None:
-                found.append(drawn)
-    return found
+def _shapes(
+    before: Stage, rounds: Sequence[Round], judgements: Sequence[Judgement], records: Sequence[Record]
+) -> list[Shape]:
+    """The tables of unknown effects; and of the first effect that only resembles what is missing, the residual as a
+    table in its place."""
+    found, current = [], before
+    chosen = [r for r in rounds if r.chosen is not None]
+    first = next((j.effect for j in judgements if j.certainty == "resembles"), None)
+    for one, r in ((one, one.chosen) for one in chosen if one.chosen is not None):
+        if r.unknown:
+            found.append(_drawn(r.effect, r.stage))
+        elif r.effect.name == first and (likely := _likely_table(one)):
+            effect = _unknown(likely, current, records)
+            found.append(_drawn(effect, make_stage(current.fit.model + effect, records, ())))
+        current = r.stage
+    return [s for s in found if s is not None]
+
+
+def _likely_table(one: Round) -> Score | None:
+    """The best of the residuals as functions of one variable."""
+    tables = (s for s in one.scores if s.generic and s.name in one.passed and ", " not in s.name)
+    return next(tables, None)
+
+
+def _drawn(effect: Effect, stage: Stage) -> Shape | None:
+    f, variable = stage.fit, effect.name.rstrip(")").split("(")[1]
+    return shape(f.model, effect, _span(stage, [], variable), f.model.values, f.names, f.covariance)
 
 
 def spans(diagnosis: Diagnosis) -> dict[str, tuple[float, float]]:

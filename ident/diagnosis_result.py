@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from ident.diagnose import ALPHA, Diagnosis, Refit, Round
-from ident.judged import Judged, before_after, traces
+from ident.advice import next_experiment
+from ident.diagnose import ALPHA
+from ident.findings import Diagnosis, Refit, Round
+from ident.judged import Judged, before_after, calibration_notes, calibration_part, traces
+from ident.models.unexplained import residuals_of
 from ident.outcome import (
-    FORCE_UNITS,
     Json,
     fit_part,
     join_after,
@@ -23,6 +25,7 @@ from ident.predict import pooled
 from ident.score import Score
 from ident.stage import Stage, View
 
+HARDLY = 1e-6  # p value of a score test that a data set with nothing missing may well bring forth
 NAMES = {
     "x": "north",
     "y": "east",
@@ -44,6 +47,7 @@ def diagnosis_result(diagnosis: Diagnosis) -> Json:
     table = {role: before_after(before.errors(role), after.errors(role), diagnosis.after.model) for role in roles}
     judged = table[roles[-1]]
     start = diagnosis.before.model.values
+    calibrated = calibration_part(after, roles)
     return {
         "kind": "diagnosis",
         "answer": answer(diagnosis, judged, roles[-1]),
@@ -65,15 +69,19 @@ def diagnosis_result(diagnosis: Diagnosis) -> Json:
             for s in diagnosis.shapes
         ],
         "before_after": table,
+        "calibration": calibrated,
         "parameters_before_after": _moved(diagnosis),
         "next_experiment": next_experiment(diagnosis),
-        "notes": _notes(diagnosis),
+        "notes": _notes(diagnosis) + calibration_notes(calibrated),
     }
 
 
 def answer(diagnosis: Diagnosis, judged: dict[str, Any], role: str) -> str:
     """What is missing, and what it changes, in one sentence."""
     if not diagnosis.effects:
+        if diagnosis.rounds and min(s.p for s in diagnosis.rounds[-1].scores) > HARDLY:
+            one = diagnosis.rounds[-1]
+            return f"Nothing is missing that these data can show: {_passed(one)} passed the first test, but {one.why}."
         if diagnosis.rounds:
             return (
                 "The residuals are not what the model predicts, but no candidate explains them: "
@@ -81,19 +89,48 @@ def answer(diagnosis: Diagnosis, judged: dict[str, Any], role: str) -> str:
                 + "."
             )
         return "Nothing is missing: no effect in the catalogue, and no unknown one, is seen in these data."
-    titles = [r.effect.title for r in diagnosis.effects]
-    lacks = titles[0] if len(titles) == 1 else ", ".join(titles[:-1]) + " and " + titles[-1]
+    lacks, doubt = what_is_lacking(diagnosis)
     best = most_improved(judged["free_run"])
     if best is None:
-        return f"The model lacks {lacks}."
+        return f"{lacks}.{doubt}"
     row = judged["free_run"][best]
     degrees = row["unit"].startswith("rad")
     scale = 180 / np.pi if degrees else 1.0
     unit = row["unit"].replace("rad", "deg")
     return (
-        f"The model lacks {lacks}; with it the free-running error on {role} data falls from "
-        f"{said(row['before'] * scale)} to {said(row['after'] * scale)} {unit} ({NAMES.get(best, best)})."
+        f"{lacks}; with it the free-running error on {role} data falls from "
+        f"{said(row['before'] * scale)} to {said(row['after'] * scale)} {unit} ({NAMES.get(best, best)}).{doubt}"
     )
+
+
+def _passed(one: Round) -> str:
+    """Which candidates passed the score tests, in few words."""
+    titles = {r.effect.name: r.effect.title for r in one.refits}
+    names = [titles.get(name, name) for name in one.passed]
+    return names[0] if len(names) == 1 else f"{len(names)} candidates"
+
+
+def what_is_lacking(diagnosis: Diagnosis) -> tuple[str, str]:
+    """The beginning of the answer, and what is in doubt about the names: a sentence, or nothing."""
+    by_name = {j.effect: j for j in diagnosis.judgements}
+    sure, near, doubts = [], [], []
+    for r in diagnosis.effects:
+        judged = by_name.get(r.effect.name)
+        if judged is not None and judged.certainty == "resembles":
+            near.append(r.effect.title)
+            doubts += [reason for reason in judged.reasons if reason not in doubts]
+        else:
+            sure.append(r.effect.title)
+    if not near:
+        return f"The model lacks {_listed(sure)}", ""
+    doubt = f" The name is not sure: {doubts[0]}."
+    if not sure:
+        return f"What the model lacks resembles {_listed(near)}", doubt
+    return f"The model lacks {_listed(sure)}, and something that resembles {_listed(near)}", doubt
+
+
+def _listed(titles: Sequence[str]) -> str:
+    return titles[0] if len(titles) == 1 else ", ".join(titles[:-1]) + " and " + titles[-1]
 
 
 def most_improved(rows: dict[str, Any]) -> str | None:
@@ -119,15 +156,15 @@ def _residuals(diagnosis: Diagnosis) -> Json:
 
 def _forces(diagnosis: Diagnosis, old: View, new: View) -> list[Json]:
     rows = []
-    for force, unit in FORCE_UNITS.items():
-        i = [s.name for s in diagnosis.before.model.states].index(f"b_{force}")
-        k = [s.name for s in diagnosis.after.model.states].index(f"b_{force}")
+    for residual in residuals_of(diagnosis.before.model):
+        i = [s.name for s in diagnosis.before.model.states].index(residual.state)
+        k = [s.name for s in diagnosis.after.model.states].index(residual.state)
         changed = bool(diagnosis.effects)
         rows.append(
             {
                 "record": old.record.name,
-                "force": force,
-                "unit": unit,
+                "force": residual.name,
+                "unit": residual.unit,
                 "t": old.record.t,
                 "mean": old.smoothed.x[:, i],
                 "sd": old.smoothed.sd[:, i],
@@ -190,7 +227,7 @@ def _own(r: Refit, stage: Stage) -> list[Json]:
 def _effects(diagnosis: Diagnosis, before: Judged, role: str) -> list[Json]:
     """Each effect with its estimate in the final model, and the part of the free-run error that it removes."""
     rows, last = [], _free_size(before, role)
-    first = last
+    first, judgements = last, {j.effect: j for j in diagnosis.judgements}
     for one in diagnosis.rounds:
         if one.chosen is None:
             continue
@@ -211,6 +248,9 @@ def _effects(diagnosis: Diagnosis, before: Judged, role: str) -> list[Json]:
                 "place": e.place,
                 "experiment": e.experiment,
                 "rivals": behind,
+                "certainty": judgements[e.name].certainty,
+                "reasons": list(judgements[e.name].reasons),
+                "not_excluded": list(judgements[e.name].rivals),
                 "parameters": _own(r, diagnosis.after),
                 "share": float((last - now) / first),
             }
@@ -235,19 +275,6 @@ def _moved(diagnosis: Diagnosis) -> list[Json]:
             (a, sa), (b, sb) = before.estimate(p.name), after.estimate(p.name)
             rows.append({"name": p.name, "unit": p.unit, "before": a, "before_se": sa, "after": b, "after_se": sb})
     return rows
-
-
-def next_experiment(diagnosis: Diagnosis) -> str | None:
-    """What would settle what is still open: for the closest rival of each effect, the experiment that shows it."""
-    lines = []
-    for one in diagnosis.rounds:
-        if one.chosen is None:
-            continue
-        close = [q for q in one.refits if q is not one.chosen and q.criterion > one.chosen.criterion - 10]
-        lines += [
-            f"To tell {one.chosen.effect.title} from {q.effect.title}: {one.chosen.effect.experiment}." for q in close
-        ]
-    return " ".join(lines) or None
 
 
 def _notes(diagnosis: Diagnosis) -> list[str]:

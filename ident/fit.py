@@ -186,6 +186,7 @@ def fit(
     start: Mapping[str, float] | None = None,
     robust: bool = False,
     max_iterations: int = 60,
+    tolerance: float = TOLERANCE,
     progress: Progress | None = None,
     threads: int = 2,
 ) -> Fit:
@@ -193,8 +194,8 @@ def fit(
 
     method: prediction error (extended Kalman filter), or output error (no process noise). start: values to begin
     with instead of the model's. robust: allow outliers in all sensors (``ident.robust`` allows them in some).
-    progress: called with the iteration and the log-posterior. Raises ValueError, naming the record, where a record
-    does not fit the model or cannot be evaluated.
+    tolerance: gain in log-likelihood below which the search ends. progress: called with the iteration and the
+    log-posterior. Raises ValueError, naming the record, where a record does not fit the model or cannot be evaluated.
     """
     began = time.process_time()
     if not records:
@@ -208,7 +209,7 @@ def fit(
         raise ValueError(f"model {model.name} has no free parameters")
     for record in records:
         likelihood.measured(record)
-    optimum = _search(problem, max_iterations, progress)
+    optimum = _search(problem, max_iterations, tolerance, progress)
     mean, weight = problem.prior
     known = assess(optimum.at, optimum.z, problem.bounds, problem.names, problem.slopes(optimum.z), weight)
     coloured = sandwich(known, problem.by_row(optimum.z), problem.slopes(optimum.z))
@@ -241,13 +242,13 @@ def _estimable(model: Model, method: str) -> tuple[str, ...]:
     return tuple(n for n in model.free if n not in ignored)
 
 
-def _search(problem: Problem, max_iterations: int, progress: Progress | None) -> Optimum:
+def _search(problem: Problem, max_iterations: int, tolerance: float, progress: Progress | None) -> Optimum:
     z = problem.bounds.clip(problem.start)
     if not problem.evaluate(z).finite:
         problem.check(z)
-    optimum = maximise(problem.evaluate, z, problem.bounds, max_iterations=max_iterations, tolerance=TOLERANCE,
+    optimum = maximise(problem.evaluate, z, problem.bounds, max_iterations=max_iterations, tolerance=tolerance,
                        progress=progress)
-    if abs(optimum.gain_left) > TOLERANCE and optimum.iterations < max_iterations:
+    if abs(optimum.gain_left) > tolerance and optimum.iterations < max_iterations:
         optimum = climb(problem.value_and_gradient, optimum, problem.bounds, problem.evaluate)
     return optimum
 

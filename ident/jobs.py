@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from daq.errors import SeatrialError
+from ident import bench_runs
 from ident.agreement import agreement, agreement_part, sentence
 from ident.curve_file import ThrustCurve, load_curve
 from ident.diagnose import diagnose, spans
@@ -17,14 +18,14 @@ from ident.diagnosis_result import diagnosis_result
 from ident.effects import catalogue
 from ident.fit import Fit
 from ident.job_inputs import complete
-from ident.judged import Judged, judged_alone
+from ident.judged import Judged, calibration_notes, judged_alone
 from ident.loading import Loaded, envelope, load_all
 from ident.model import Input, Model
 from ident.modelfile import load_model, save_model
 from ident.models import make_model
 from ident.models.horizontal import SENSORS, SIDES
 from ident.models.known import antenna
-from ident.outcome import Json, fit_part, plain, residual_part, write_result
+from ident.outcome import Json, fit_part, plain, residual_part, shown_inputs, write_result
 from ident.own import own_effects
 from ident.params import Parameter
 from ident.profile import check_names, profile, profile_part
@@ -52,10 +53,10 @@ def choose_model(source: str, loaded: Sequence[Loaded]) -> Model:
         source = f"horizontal:{fitting[0]}"
     sensors = [n for n, s in SENSORS.items() if all(o.name in anywhere for o in s.outputs)]
     model = make_model(source, sensors)
-    return replace(model, inputs=tuple(_as_logged(i, loaded[0].holds.get(i.name, "")) for i in model.inputs))
+    return replace(model, inputs=tuple(as_logged(i, loaded[0].holds.get(i.name, "")) for i in model.inputs))
 
 
-def _as_logged(signal: Input, hold: str) -> Input:
+def as_logged(signal: Input, hold: str) -> Input:
     if hold == "zero":
         return replace(signal, hold="zero")
     return replace(signal, hold="linear") if hold == "linear" else signal
@@ -100,6 +101,7 @@ def vehicle(
     thruster: Path | None,
     fix: Mapping[str, float],
     begin: Mapping[str, float],
+    prior: Mapping[str, tuple[float, float]] | None = None,
     as_is: bool,
     agree: Sequence[str] = (),
     profiles: Sequence[str] = (),
@@ -108,20 +110,22 @@ def vehicle(
     command: str,
     say: Say,
 ) -> Json:
-    """Fit a vehicle model and judge it on the validation logs. ``agree``: parameters to test for one value in all;
-    ``profiles``: parameters that get a profile likelihood; ``robust``: allow outliers."""
+    """Fit a vehicle model and judge it on the validation logs. ``prior``: mean and standard deviation of parameters;
+    ``agree``: parameters to test for one value in all; ``profiles``: parameters that get a profile likelihood;
+    ``robust``: allow outliers."""
     curve = load_curve(thruster) if thruster is not None else None
     if curve is not None:
         thruster, source = None, "horizontal:force" if source == "auto" else source
     loaded, unseen = ([_completed(x, source, curve) for x in part] for part in load_all(logs, validate))
-    model = _with_start(choose_model(source, [*loaded, *unseen]), begin)
+    model = _with_start(_with_priors(choose_model(source, [*loaded, *unseen]), prior or {}), begin)
     model = with_known(model, loaded[0].rig, thruster, fix)
     sides = check_sides([(x.run.name, x.run.channels) for x in loaded]) if "y_left" in model.values else None
     model = swap(model) if sides is not None and sides.swapped and not as_is else model
     check_names(nominal(model), profiles)
     stage = first_stage(model, [x.run for x in loaded], [x.run for x in unseen], rate=rate, robust=robust, progress=say)
     result = envelope([*loaded, *unseen], command) | judged_alone(Judged(stage)) | _residuals(stage)
-    result |= {"kind": "vehicle", "fit": fit_part(stage.fit, model.values), "notes": outliers(stage)}
+    result |= {"kind": "vehicle", "fit": fit_part(stage.fit, model.values)}
+    result["notes"] = outliers(stage) + calibration_notes(result["calibration"])
     said = [vehicle_answer(result, searchable="hull" in model.provides)]
     if sides is not None and sides.swapped:
         said.insert(0, sides.line if not as_is else sides.line.removesuffix(" Fitted with the sides swapped."))
@@ -138,6 +142,19 @@ def vehicle(
     return result
 
 
+def _with_priors(model: Model, prior: Mapping[str, tuple[float, float]]) -> Model:
+    """The model with means and standard deviations that are known before; the estimate starts from the means."""
+    given = []
+    for name, (mean, sd) in prior.items():
+        if name not in model.values:
+            raise SeatrialError(f"--prior {name}: model {model.name} has {', '.join(model.values)}")
+        try:
+            given.append(replace(model.parameter(name), value=mean, prior=(mean, sd), free=True))
+        except ValueError as problem:
+            raise SeatrialError(f"--prior {name}={mean:g}:{sd:g}: {problem}") from problem
+    return model.replace_parameters(*given)
+
+
 def _with_start(model: Model, begin: Mapping[str, float]) -> Model:
     unknown = set(begin) - set(model.values)
     if unknown:
@@ -151,42 +168,55 @@ def diagnosis(
     validate: Sequence[Path],
     out: Path,
     *,
-    rate: float,
+    rate: float | None = None,
     max_effects: int,
     effects_file: Path | None,
+    thruster: str | None = None,
     robust: bool = False,
     command: str,
     say: Say,
 ) -> Json:
-    """Find what the model lacks, and write the model that has it. ``effects_file``: candidates of the user's own;
-    ``robust``: allow outliers."""
+    """Find what the model lacks, and write the model that has it.
+
+    ``effects_file``: candidates of the user's own; ``thruster``: which one, where the model is a thruster's and the
+    log has several; ``robust``: allow outliers; ``rate``: 10 rows a second by default, 50 on the bench.
+    """
     loaded, unseen = load_all(logs, validate)
     saved = load_model(model_path)
     candidates = catalogue() | (own_effects(effects_file) if effects_file else {})
-    present = [
-        n
-        for n, s in SENSORS.items()
-        if any(all(o.name in x.run.channels for o in s.outputs) for x in [*loaded, *unseen])
-    ]
-    lost = [s.name for s in saved.model.sensors if s.name in SENSORS and s.name not in present]
-    if len(lost) == len(saved.model.sensors):
-        raise SeatrialError(f"{logs[0]}: none of the sensors of {model_path} is in the log: {', '.join(lost)}")
-    model = replace(
-        saved.model, inputs=tuple(_as_logged(i, loaded[0].holds.get(i.name, "")) for i in saved.model.inputs)
-    )
+    if "bench" in saved.model.provides:
+        model, rate = saved.model, rate or bench_runs.RATE
+        runs, others = (bench_runs.thruster_runs(part, model, thruster) for part in (loaded, unseen))
+    else:
+        model, rate = _sensed(saved.model, model_path, loaded, unseen), rate or 10.0
+        runs, others = [x.run for x in loaded], [x.run for x in unseen]
     found = diagnose(
         with_outliers(model) if robust else model,
-        [x.run for x in loaded],
-        [x.run for x in unseen],
+        runs,
+        others,
         effects=candidates,
         rate=rate,
         max_effects=max_effects,
         progress=say,
     )
     result = envelope([*loaded, *unseen], command) | diagnosis_result(found)
+    if result["next_experiment"]:
+        result["next_experiment"] = result["next_experiment"].replace("MODEL", str(model_path))
     result["notes"] = outliers(found.after) + result["notes"]
     write_all(out, result, found.after.fit, validity(found.after), spans(found), effects_file)
     return result
+
+
+def _sensed(model: Model, path: Path, loaded: Sequence[Loaded], unseen: Sequence[Loaded]) -> Model:
+    """A vehicle's model with its inputs held as in the logs; SeatrialError where they have none of its sensors."""
+    logs = [*loaded, *unseen]
+    present = [n for n, s in SENSORS.items() if any(all(o.name in x.run.channels for o in s.outputs) for x in logs)]
+    lost = [s.name for s in model.sensors if s.name in SENSORS and s.name not in present]
+    if len(lost) == len(model.sensors):
+        raise SeatrialError(
+            f"{loaded[0].about['path']}: none of the sensors of {path} is in the log: {', '.join(lost)}"
+        )
+    return replace(model, inputs=tuple(as_logged(i, loaded[0].holds.get(i.name, "")) for i in model.inputs))
 
 
 def _completed(one: Loaded, source: str, curve: ThrustCurve | None) -> Loaded:
@@ -234,8 +264,7 @@ def validity(stage: Stage) -> dict[str, tuple[float, float]]:
         if state.name in ("u", "v", "r"):
             z = np.concatenate([v.run.x_filt[:, i] for v in views])
             found[state.name] = (float(np.percentile(z, 1)), float(np.percentile(z, 99)))
-    for j, signal in enumerate(stage.model.inputs):
-        if "~" not in signal.name and signal.name not in ("t", "work"):
-            z = np.concatenate([v.record.u[:, j] for v in views])
-            found[signal.name] = (float(z.min()), float(z.max()))
+    for j, name, _ in shown_inputs(stage.model):
+        z = np.concatenate([v.record.u[:, j] for v in views])
+        found[name] = (float(z.min()), float(z.max()))
     return found

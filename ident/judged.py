@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ident import calibration
+from ident.calibration import Calibration
 from ident.model import Model
 from ident.outcome import Json, input_traces
 from ident.pe import Likelihood
@@ -20,9 +22,9 @@ class Judged:
 
     def __init__(self, stage: Stage) -> None:
         self.stage = stage
-        likelihood = Likelihood(stage.model)
+        self.likelihood = Likelihood(stage.model)
         self.free = {
-            role: [free_run(stage.model, v.record, v.values, likelihood) for v in views]
+            role: [free_run(stage.model, v.record, v.values, self.likelihood) for v in views]
             for role, views in (("estimation", stage.estimation), ("validation", stage.validation))
         }
 
@@ -36,6 +38,43 @@ class Judged:
             "ten_seconds": pooled([ten_seconds(model, v.record, v.values, v.run) for v in views]),
             "free_run": pooled([f.errors for f in self.free[role]]),
         }
+
+
+    def calibration(self, role: str) -> dict[str, dict[str, Calibration]]:
+        """Whether the errors are as large as the model says they are, by horizon and channel."""
+        model, views = self.stage.model, self.views(role)
+        ahead = [calibration.ten_seconds(model, v.record, v.values, v.run, self.likelihood) for v in views]
+        free = [calibration.free_run(model, v.record, f) for v, f in zip(views, self.free[role], strict=True)]
+        return {
+            "one_step": calibration.pooled([calibration.one_step(model, v.run) for v in views]),
+            "ten_seconds": calibration.pooled(ahead),
+            "free_run": calibration.pooled(free, together=True),
+        }
+
+
+def calibration_part(judged: Judged, roles: Sequence[str]) -> Json:
+    """``calibration``: role -> horizon -> channel."""
+    return {
+        role: {
+            kind: {name: vars(c) | {"verdict": c.verdict} for name, c in channels.items()}
+            for kind, channels in judged.calibration(role).items()
+        }
+        for role in roles
+    }
+
+
+def calibration_notes(part: Json) -> list[str]:
+    """A line for each horizon whose bands are wrong, on data that the fit has not seen where there are some."""
+    role = "validation" if "validation" in part else "estimation"
+    words = {"one_step": "one step ahead", "ten_seconds": "10 s ahead", "free_run": "free-running"}
+    notes = []
+    for verdict, what in (("too sure", "larger"), ("too cautious", "smaller")):
+        for kind, channels in part[role].items():
+            wrong = [f"{n} {c['scale']:.2g}" for n, c in channels.items() if c["verdict"] == verdict]
+            if wrong:
+                notes.append(f"On {role} data, {words[kind]}, errors are {what} than the model says, by these factors: "
+                             f"{', '.join(wrong)}.")
+    return notes
 
 
 def judged_alone(judged: Judged) -> Json:
@@ -59,7 +98,8 @@ def judged_alone(judged: Judged) -> Json:
         }
         for role in roles
     }
-    return {"before_after": table, **traces(judged, judged, roles, False)}
+    calibrated = calibration_part(judged, roles)
+    return {"before_after": table, "calibration": calibrated, **traces(judged, judged, roles, False)}
 
 
 def before_after(before: dict[str, dict[str, Errors]], after: dict[str, dict[str, Errors]], model: Model) -> Json:

@@ -100,6 +100,35 @@ class Effect:
 
 
 @dataclass(frozen=True)
+class Residual:
+    """Where something unexplained may enter a model: a force on the hull, a force on the load cell.
+
+    ``state``: the disturbance that stands for it (``ident.models.disturbance``); ``scale``: what an unknown table of
+    it may reach, one standard deviation of the prior; ``add``: how an extra of its unit enters, behind ``stage``.
+    """
+
+    name: str
+    unit: str
+    state: str
+    scale: float
+    title: str
+    add: Callable[[Signals, Any], None]
+    stage: str = "force"
+
+
+@dataclass(frozen=True)
+class Variable:
+    """What a residual may depend on, read from the signals of a row. ``angle``: wrapped, and described by harmonics;
+    ``functions``: how many splines describe it else."""
+
+    name: str
+    unit: str
+    read: Callable[[Signals], Any]
+    angle: bool = False
+    functions: int = 6
+
+
+@dataclass(frozen=True)
 class Model:
     """Continuous time, ``dx = f(x, u; p) dt + noise``, and ``y_k = h(x(t_k), u(t_k); p) + e_k``."""
 
@@ -112,6 +141,11 @@ class Model:
     provides: tuple[str, ...] = ()  # signals that effects may require
     effects: tuple[Effect, ...] = field(default=())
     source: str = ""  # how to make it again: "horizontal", "FILE.py:NAME"
+    # what a diagnosis looks for: unexplained quantities, what they may depend on, and products of two of these
+    residuals: tuple[Residual, ...] = ()
+    variables: tuple[Variable, ...] = ()
+    products: tuple[tuple[str, str], ...] = ()
+    block: float = 5.0  # s, several times the memory of what is unexplained: scores are summed over blocks as long
 
     def __post_init__(self) -> None:
         for kind, names in (
@@ -142,15 +176,19 @@ class Model:
                 return p
         raise KeyError(f"model {self.name} has no parameter {name!r}; it has {', '.join(self.values)}")
 
-    def signals(self, x: Any, u: Any, p: Any) -> Signals:
-        """Run all stages on scalars or symbols in the order of states, inputs and parameters."""
-        s = Signals(
+    def bag(self, x: Any, u: Any, p: Any) -> Signals:
+        """States, inputs and parameters by name, before any stage has run; scalars, symbols or columns."""
+        return Signals(
             x=SimpleNamespace(**dict(zip([v.name for v in self.states], x, strict=True))),
             u=SimpleNamespace(**dict(zip([v.name for v in self.inputs], u, strict=True))),
             p=SimpleNamespace(**dict(zip([v.name for v in self.parameters], p, strict=True))),
             rate={},
             y={},
         )
+
+    def signals(self, x: Any, u: Any, p: Any) -> Signals:
+        """Run all stages on scalars or symbols in the order of states, inputs and parameters."""
+        s = self.bag(x, u, p)
         for label, stage in self.stages:
             stage(s)
             for effect in self.effects:

@@ -17,7 +17,7 @@ from ident.effects import catalogue
 from ident.fit import Fit
 from ident.model import Effect, Model
 from ident.models import make_model
-from ident.models.disturbance import disturbance, forces_of, sensor_bias
+from ident.models.disturbance import disturbance_of, sensor_bias
 from ident.models.known import ANTENNA, CURRENT_WALK, antenna, current_walk
 from ident.own import own_effects
 from ident.robust import robust, robust_sensors
@@ -29,12 +29,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SavedModel:
-    """A model read back. ``errors``: standard errors by name (NaN: none); ``validity``: ranges by signal."""
+    """A model read back. ``errors``: standard errors by name (NaN: none); ``validity``: ranges by signal;
+    ``correlation`` (n, n): of the estimates ``names``."""
 
     model: Model
     errors: Mapping[str, float]
     validity: Mapping[str, tuple[float, float]]
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    names: tuple[str, ...] = ()
+    correlation: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def save_model(
@@ -101,9 +104,12 @@ def load_model(path: Path) -> SavedModel:
         model = _build(table)
         errors = {row["name"]: float(row.get("se", np.nan)) for row in table["parameter"]}
         validity = {k: (float(a), float(b)) for k, (a, b) in table.get("validity", {}).items()}
+        between = table.get("correlation", {})
+        names = tuple(str(n) for n in between.get("names", ()))
+        correlation = np.asarray(between.get("matrix", ()), dtype=float).reshape(len(names), len(names))
     except (KeyError, TypeError, ValueError) as problem:
         raise SeatrialError(f"{path}: not a complete model: {problem}") from problem
-    return SavedModel(model, errors, validity, table.get("provenance", {}))
+    return SavedModel(model, errors, validity, table.get("provenance", {}), names, correlation)
 
 
 def _build(table: Mapping[str, Any]) -> Model:
@@ -128,7 +134,7 @@ def _build(table: Mapping[str, Any]) -> Model:
 
 def _effect(name: str, model: Model, spans: Mapping[str, Any]) -> Effect:
     if name == "disturbance":
-        return disturbance(forces_of(model))
+        return disturbance_of(model)
     if name == "sensor-bias":
         return sensor_bias([s.name for s in model.sensors])
     if name == ANTENNA:
@@ -138,7 +144,7 @@ def _effect(name: str, model: Model, spans: Mapping[str, Any]) -> Effect:
     if name.startswith("unknown "):
         force, variable = name.removeprefix("unknown ").rstrip(")").split("(")
         low, high = spans.get(name, (-np.pi, np.pi))
-        return unknown_effect(force, variable, (float(low), float(high)))
+        return unknown_effect(model, force, variable, (float(low), float(high)))
     if name not in catalogue():
         raise ValueError(f"there is no effect {name!r} in the catalogue")
     return catalogue()[name]

@@ -19,7 +19,6 @@ from ident.residuals import cross_correlation, whiteness
 
 Array = NDArray[np.float64]
 Json = dict[str, Any]
-FORCE_UNITS = {"X": "N", "Y": "N", "N": "N m"}
 
 
 def fit_part(fit: Fit, start: Mapping[str, float]) -> Json:
@@ -58,19 +57,31 @@ def fit_part(fit: Fit, start: Mapping[str, float]) -> Json:
     }
 
 
+def shown_inputs(model: Model) -> list[tuple[int, str, str]]:
+    """Column, name and unit of the inputs that people look at: not an input's own past, and of the delayed copies of a
+    thruster's command the command itself."""
+    shown = []
+    for j, i in enumerate(model.inputs):
+        if "~" in i.name or i.name in ("t", "work"):
+            continue
+        if "bench" not in model.provides:
+            shown.append((j, i.name, i.unit))
+        elif i.name == "n_cmd_0":
+            shown.append((j, "n_cmd", i.unit))
+    return shown
+
+
 def input_traces(model: Model, record: Record) -> list[Json]:
-    """The inputs as the model saw them; an input's own past is left out."""
+    """The inputs as the model saw them."""
     return [
-        {"record": record.name, "name": i.name, "unit": i.unit, "t": record.t, "value": record.u[:, j]}
-        for j, i in enumerate(model.inputs)
-        if "~" not in i.name and i.name not in ("t", "work")
+        {"record": record.name, "name": name, "unit": unit, "t": record.t, "value": record.u[:, j]}
+        for j, name, unit in shown_inputs(model)
     ]
 
 
 def residual_part(model: Model, record: Record, eps: Array) -> tuple[list[Json], list[Json]]:
     """``residuals`` and ``cross`` of one record from its standardised innovations (n_rows, n_outputs)."""
     residuals, cross = [], []
-    inputs = [(j, i) for j, i in enumerate(model.inputs) if "~" not in i.name and i.name not in ("t", "work")]
     for j, o in enumerate(model.outputs):
         good = np.isfinite(eps[:, j])
         if good.sum() < 60:
@@ -97,13 +108,13 @@ def residual_part(model: Model, record: Record, eps: Array) -> tuple[list[Json],
                 "after": None,
             }
         )
-        for k, i in inputs:
-            c = cross_correlation(o.name, t, e, i.name, record.t, record.u[:, k])
+        for k, name, _ in shown_inputs(model):
+            c = cross_correlation(o.name, t, e, name, record.t, record.u[:, k])
             cross.append(
                 {
                     "record": record.name,
                     "channel": o.name,
-                    "input": i.name,
+                    "input": name,
                     "lags": c.lags,
                     "z": c.z,
                     "p": c.p,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 INF = math.inf
+LARGEST = 700.0  # logarithm of a number that can still be written; a search may ask for more
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +43,7 @@ class Parameter:
         return math.log(value) if self.transform == "log" else value
 
     def from_free(self, coordinate: float) -> float:
-        return math.exp(coordinate) if self.transform == "log" else coordinate
+        return math.exp(min(coordinate, LARGEST)) if self.transform == "log" else coordinate
 
     def slope(self, value: float) -> float:
         """d value / d coordinate."""

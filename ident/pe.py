@@ -130,7 +130,7 @@ class Likelihood:
         data, start = self._start(record, values)
         kernel = self._programs.tangent
         chosen = [self._index[name] for name in free]
-        groups, width, n = kernel.groups(len(free)), kernel.plan.width, len(free)
+        groups, width, n = kernel.groups(len(free)), kernel.layout.width, len(free)
         lane_of = {parameter: lane for lane, parameter in enumerate(chosen)}
         with self._arenas.borrow() as arena:
             ds = arena.take("ds", (groups, start.s.size, width))
@@ -165,6 +165,18 @@ class Likelihood:
             np.hstack([rows[f"e{b}"] for b in bits]), np.hstack([rows[f"S{b}"] for b in bits]), done["ll"][:, 0],
             np.array([o.robust for o in self.model.outputs]))
 
+    def forecast(self, record: Record, values: Array, x: Array, P: Array, first: int, last: int) -> tuple[Array, Array]:
+        """From ``x`` (n_states,) and ``P`` (n_states, n_states) at the row ``first`` and the inputs alone: means
+        (n, n_states) and covariances (n, n_states, n_states) from there to the row ``last``."""
+        data, kernel, n = self._prepare(record), self._programs.filter, len(self.model.states)
+        n_rows = last + 1 - first
+        rows = {name: a[first:last + 1] for name, a in _inputs(kernel, data).items()}
+        rows |= {f"{kind}{bit}": np.full((n_rows, len(sensor.outputs)), np.nan)
+                 for bit, sensor in enumerate(self.model.sensors) for kind in "eS"}
+        s = np.append(x, P[np.triu_indices(n)])
+        done = kernel(n_rows, np.zeros(n_rows, np.uint32), rows | {"p": _own(values), "s": s})
+        return _mean_and_covariance(done["predicted"], n)
+
     def measured(self, record: Record) -> int:
         """How many numbers were measured in a record."""
         return self._prepare(record).n_measured
@@ -181,7 +193,7 @@ def _own(values: Array) -> Array:
 
 
 def _inputs(kernel: Kernel, data: Prepared) -> dict[str, Array]:
-    return {name: a for name, a in data.rows.items() if name in kernel.plan.sizes}
+    return {name: a for name, a in data.rows.items() if name in kernel.layout.sizes}
 
 
 def _symmetric(blocks: Array) -> Array:

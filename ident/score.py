@@ -5,13 +5,13 @@ each fitted parameter and each candidate's parameter at zero, is carried through
 whitened sensitivities of the innovations and e the whitened innovations, the score is ``-G' e`` and its
 information ``G' G``; the fitted parameters are projected out of both (Schur complement), which is what
 keeps a clean data set clean. ``LM = s' I^-1 s`` is chi-squared. A second version takes the covariance of the
-score from sums over blocks of five seconds, and stays valid when the innovations are not white.
+score from sums over blocks of five seconds (two on the bench), and stays valid when the innovations are not white.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from ident.pe import FilterRun
 
 Array = NDArray[np.float64]
 BLOCK = 5.0  # s
+WIDTH = 40  # columns that are carried through the filter at once: what the processor keeps at hand
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,39 @@ class Columns:
     scan: dict[str, float] = field(default_factory=dict)
     generic: bool = False
     one_sided: bool = False
+    per_record: bool = False  # each record has these parameters for itself
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a candidate's columns are among all: ``at``, in each record or, per record, one record after another."""
+
+    columns: Columns
+    at: tuple[int, ...]
+
+    def of_record(self, i: int) -> tuple[int, ...]:
+        """The places that the columns of record i add to."""
+        if not self.columns.per_record:
+            return self.at
+        size = self.columns.delta.shape[2]
+        return self.at[i * size : (i + 1) * size]
+
+    @property
+    def names(self) -> list[str]:
+        """Of the parameters; ``NAME@i`` where each record has its own."""
+        c, size = self.columns, self.columns.delta.shape[2]
+        names = list(c.parameters) or [f"{c.name}[{i}]" for i in range(size)]
+        return [f"{n}@{i}" for i in range(len(self.at) // size) for n in names] if c.per_record else names
+
+
+def place(columns: Sequence[Columns], first: int, n_records: int) -> tuple[list[Place], int]:
+    """A place for every candidate, from ``first`` on, and how many columns there are in all."""
+    places = []
+    for c in columns:
+        size = c.delta.shape[2] * (n_records if c.per_record else 1)
+        places.append(Place(c, tuple(range(first, first + size))))
+        first += size
+    return places, first
 
 
 @dataclass(frozen=True)
@@ -92,30 +126,51 @@ def whitened_sensitivities(run: FilterRun, record: Record, jacobian: Array, delt
     innovations (n_samples,) and the time of each (n_samples,).
     """
     n_states, n_columns, h = run.x_pred.shape[1], delta.shape[2], record.h
+    seen = np.isfinite(record.y) & ~run.outliers
+    H = np.where(seen[:, :, None], jacobian, 0.0)
+    cross = run.P_pred @ H.swapaxes(1, 2)
+    S = H @ cross
+    each = np.arange(S.shape[1])
+    S[:, each, each] += np.where(seen, run.R, 1.0)  # what was not measured stands apart, with a gain of nought
+    root = np.linalg.cholesky(S)
+    gain = np.linalg.solve(S, cross.swapaxes(1, 2)).swapaxes(1, 2)
+    change = -np.where(seen[:, :, None], delta[:, n_states:], 0.0)
     dx = np.zeros((n_states, n_columns))
-    g, e, t = [], [], []
-    wild = run.outliers
+    half = h / 2
+    measured: NDArray[np.bool_] = np.asarray(seen.any(axis=1))
     for k in range(record.n_rows):
-        seen = np.flatnonzero(np.isfinite(record.y[k]) & ~wild[k])
-        if seen.size:
-            H = jacobian[k][seen]
-            cross = run.P_pred[k] @ H.T
-            S = H @ cross
-            S[np.diag_indices_from(S)] += run.R[seen]
-            root = np.linalg.cholesky(S)
-            d_innovation = -(delta[k, n_states + seen] + H @ dx)
-            white = np.linalg.solve(root, np.column_stack([d_innovation, run.e[k, seen]]))
-            g.append(white[:, :-1])
-            e.append(white[:, -1])
-            t.append(np.full(seen.size, record.t[k]))
-            dx += cross @ np.linalg.solve(root.T, white[:, :-1])
+        if measured[k]:
+            change[k] -= H[k] @ dx
+            dx = dx + gain[k] @ change[k]
         if h[k] > 0:
-            dx = run.Phi[k] @ (dx + h[k] / 2 * delta[k, :n_states]) + h[k] / 2 * delta[k + 1, :n_states]
-    return np.concatenate(g), np.concatenate(e), np.concatenate(t)
+            dx = run.Phi[k] @ (dx + half[k] * delta[k, :n_states]) + half[k] * delta[k + 1, :n_states]
+    e = np.where(seen, run.e, 0.0)
+    white = np.linalg.solve(root, np.concatenate([change, e[:, :, None]], axis=2))[seen]
+    return white[:, :-1], white[:, -1], np.repeat(record.t, seen.sum(axis=1))
+
+
+def carry(
+    run: FilterRun, record: Record, jacobian: Array, fitted: Array, columns: Iterable[Columns]
+) -> tuple[Array, Array, Array, list[Columns]]:
+    """``whitened_sensitivities`` of the fitted parameters' columns and then of every candidate's, some at a time.
+
+    The candidates come back without their columns: those of the whole catalogue together would fill the memory.
+    """
+    parts, slim = [], []
+    waiting, width = [fitted], fitted.shape[2]
+    for c in columns:
+        if width >= WIDTH:
+            parts.append(whitened_sensitivities(run, record, jacobian, np.concatenate(waiting, axis=2))[0])
+            waiting, width = [], 0
+        waiting.append(c.delta)
+        width += c.delta.shape[2]
+        slim.append(replace(c, delta=c.delta[:0].copy()))
+    g, e, t = whitened_sensitivities(run, record, jacobian, np.concatenate(waiting, axis=2))
+    return np.concatenate([*parts, g], axis=1), e, t, slim
 
 
 def score_tests(
-    normal: Normal, n_fitted: int, prior: Array, candidates: Sequence[tuple[Columns, list[int]]]
+    normal: Normal, n_fitted: int, prior: Array, candidates: Sequence[Place]
 ) -> list[Score]:
     """One score for each candidate; the first ``n_fitted`` columns are the fitted parameters.
 
@@ -131,15 +186,12 @@ def score_tests(
     score = normal.score - gain.T @ normal.score[:n_fitted]
     blocks = np.concatenate(normal.blocks)
     blocks = blocks - blocks[:, :n_fitted] @ gain
-    scores = [_one(c, at, information, score, blocks, normal.information) for c, at in candidates]
+    scores = [_one(c, information, score, blocks, normal.information) for c in candidates]
     return [s for s in scores if s is not None]
 
 
-def _one(
-    candidate: Columns, at: list[int], information: Array, score: Array, blocks: Array, before: Array
-) -> Score | None:
-    names = np.array(candidate.parameters or [f"{candidate.name}[{i}]" for i in range(len(at))])
-    index = np.asarray(at)
+def _one(placed: Place, information: Array, score: Array, blocks: Array, before: Array) -> Score | None:
+    candidate, names, index = placed.columns, np.array(placed.names), np.asarray(placed.at)
     # what the fitted parameters can imitate to 1e-8 cannot be tested
     alive = np.diag(information)[index] > 1e-8 * np.diag(before)[index]
     if not alive.any():
@@ -168,8 +220,8 @@ def _one(
     )
 
 
-def block_index(t: Array) -> NDArray[np.int64]:
-    return np.floor(t / BLOCK).astype(np.int64)
+def block_index(t: Array, block: float = BLOCK) -> NDArray[np.int64]:
+    return np.floor(t / block).astype(np.int64)
 
 
 def fitted_names(model: Model, n_records: int) -> list[str]:

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -114,8 +113,11 @@ def solve_step(at: Evaluation, H: Array, z: Array, bounds: Bounds, damping: floa
         crossing = free & ((z + step < bounds.low) | (z + step > bounds.high))
         if not crossing.any():
             break
-        step[crossing] = bounds.clip(z + step)[crossing] - z[crossing]
-        fixed |= crossing
+        # only the bound that is met first: without its coordinate the others may not cross theirs
+        room = np.where(step < 0, z - bounds.low, bounds.high - z)
+        first = int(np.argmin(np.where(crossing, room / np.maximum(np.abs(step), 1e-300), np.inf)))
+        step[first] = bounds.clip(z + step)[first] - z[first]
+        fixed[first] = True
     largest = np.abs(step[bounds.logarithmic]).max(initial=0.0)
     return step * min(1.0, LARGEST_STEP / largest) if largest > 0 else step
 
@@ -166,6 +168,8 @@ def maximise(evaluate: Evaluate, z: Array, bounds: Bounds, *, max_iterations: in
 def climb(value_and_gradient: Callable[[Array], tuple[float, Array]], start: Optimum, bounds: Bounds,
           evaluate: Evaluate) -> Optimum:
     """L-BFGS-B with the exact gradient, scaled by the information: where scoring stands still."""
+    from scipy import optimize  # half a second of import, and scoring seldom stands still
+
     size = np.sqrt(np.maximum(np.diag(start.at.hessian), 1e-12))
 
     def negative(w: Array) -> tuple[float, Array]:

@@ -49,6 +49,16 @@ def smooth(run: FilterRun) -> Smoothed:
     return Smoothed(run.t, x, P, P[1:] @ G.swapaxes(1, 2))
 
 
+def smoothed_mean(run: FilterRun) -> Array:
+    """The means of ``smooth`` alone (n_rows, n_states), in a third of the time."""
+    G = _gains(run.Phi[:-1], run.P_filt[:-1], run.P_pred[1:])
+    x, back = run.x_filt.copy(), run.x_filt[-1]
+    shift = run.x_filt[:-1] - np.einsum("kij,kj->ki", G, run.x_pred[1:])
+    for k in range(len(G) - 1, -1, -1):
+        x[k] = back = shift[k] + G[k] @ back
+    return x
+
+
 def _own_part(G: Array, Phi: Array, P_filt: Array, P_next: Array) -> Array:
     """``P - G P_next G'``, what the rows to come cannot tell, in Joseph's form."""
     Q = P_next - Phi @ P_filt @ Phi.swapaxes(1, 2)

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ident.dataset import Channel, Record, build_record
-from ident.fit import Fit, fit
+from ident.fit import TOLERANCE, Fit, fit
 from ident.model import Effect, Model
 from ident.models.disturbance import for_diagnosis, forces_of
+from ident.models.unexplained import residuals_of
 from ident.pe import FilterRun, Likelihood
 from ident.robust import outlier_notes
 from ident.robust import robust as with_outliers
+from ident.size import resized, size_of
 from ident.smooth import Smoothed, smooth
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
-BLOCK = 10.0  # s, over which the gain on validation data is summed
+NOUGHT = 1e-2  # of the white noise that the samples show
+OTHER_SIZE = 2.0  # times the force or moment that was assumed
 
 
 @dataclass(frozen=True)
@@ -35,12 +39,15 @@ class Run:
 
 @dataclass(frozen=True)
 class View:
-    """A fitted model on one record: the filter's account of it and the smoother's."""
+    """A fitted model on one record: the filter's account of it and, once asked for, the smoother's."""
 
     record: Record
     values: Array
     run: FilterRun
-    smoothed: Smoothed
+
+    @cached_property
+    def smoothed(self) -> Smoothed:
+        return smooth(self.run)
 
 
 @dataclass(frozen=True)
@@ -69,12 +76,28 @@ def first_stage(
     records = [record(full, r, rate) for r in estimation]
     unseen = [record(full, r, rate) for r in validation]
     progress(f"fitting {full.name} to {len(records)} run(s)")
-    return make_stage(without_absent_sensors(full, records + unseen), records, unseen, robust=robust)
+    return nominal_stage(without_absent_sensors(full, records + unseen), records, unseen, robust=robust)
 
 
-def make_stage(model: Model, records: Sequence[Record], unseen: Sequence[Record], *, robust: bool = False) -> Stage:
+def nominal_stage(full: Model, records: Sequence[Record], unseen: Sequence[Record], *, robust: bool = False) -> Stage:
+    """The model of ``nominal`` fitted; once more where the boat turns out to be of another size than its start said."""
+    stage = make_stage(full, records, unseen, robust=robust)
+    assumed, found = size_of(full), size_of(stage.fit.model)
+    if all(1 / OTHER_SIZE < b / a < OTHER_SIZE for a, b in zip(astuple(assumed), astuple(found), strict=True)):
+        return stage
+    return make_stage(resized(full, found), records, unseen, robust=robust)
+
+
+def make_stage(
+    model: Model,
+    records: Sequence[Record],
+    unseen: Sequence[Record],
+    *,
+    robust: bool = False,
+    tolerance: float = TOLERANCE,
+) -> Stage:
     """Fit to the records; on the unseen ones adapt only what each record has for itself."""
-    fitted = fit(model, [r.for_model(model) for r in records], robust=robust)
+    fitted = fit(revived(model, records), [r.for_model(model) for r in records], robust=robust, tolerance=tolerance)
     model = with_outliers(model) if robust else model
     own = [p.name for p in fitted.model.parameters if p.free and p.per_record]
     views = tuple(_view(fitted.model, r, fitted.record_values[i]) for i, r in enumerate(records))
@@ -83,15 +106,31 @@ def make_stage(model: Model, records: Sequence[Record], unseen: Sequence[Record]
     if not own:
         values = fitted.record_values[0]
         return Stage(model, fitted, views, tuple(_view(fitted.model, r, values) for r in unseen))
-    adapted = fit(fitted.model.with_free(own), [r.for_model(model) for r in unseen])
+    adapted = fit(fitted.model.with_free(own), [r.for_model(model) for r in unseen], tolerance=tolerance)
     judged = [_view(adapted.model, r, adapted.record_values[i]) for i, r in enumerate(unseen)]
     return Stage(model, fitted, views, tuple(judged))
+
+
+def revived(model: Model, records: Sequence[Record]) -> Model:
+    """With a start for noise that an earlier fit put to nought, from where no search comes back: the median second
+    difference of what was measured, as white noise has it."""
+    new, names = [], records[0].outputs
+    for o in model.outputs:
+        p = model.parameter(o.noise) if o.noise else None
+        if p is None or not p.free or o.name not in names:
+            continue
+        parts = [r.y[np.isfinite(r.y[:, names.index(o.name)]), names.index(o.name)] for r in records]
+        bends = np.concatenate([np.abs(np.diff(np.unwrap(y) if o.angle else y, 2)) for y in parts])
+        white = 1.4826 * float(np.median(bends)) / np.sqrt(6.0) if bends.size else 0.0
+        if p.value < NOUGHT * white:
+            new.append(p.at(white))
+    return model.replace_parameters(*new)
 
 
 def _view(model: Model, record: Record, values: Array) -> View:
     own = record.for_model(model)
     run = Likelihood(model).filter(own, values)
-    return View(own, values, run, smooth(run))
+    return View(own, values, run)
 
 
 def outliers(stage: Stage) -> list[str]:
@@ -101,7 +140,7 @@ def outliers(stage: Stage) -> list[str]:
 
 
 def validation_gain(before: Stage, after: Stage) -> tuple[float, float]:
-    """Gain in log-likelihood on the validation data: its sum, and t over blocks of ten seconds.
+    """Gain in log-likelihood on the validation data: its sum, and t over blocks of ten seconds (four on the bench).
 
     t is the larger of the plain one, which counts evidence that sits in few blocks, and of one with the blocks
     drawn in to three robust standard deviations, so that one glitch of a clock or a sensor, which no model
@@ -109,7 +148,7 @@ def validation_gain(before: Stage, after: Stage) -> tuple[float, float]:
     """
     gains = []
     for a, b in zip(before.validation, after.validation, strict=True):
-        block = np.floor(a.record.t / BLOCK).astype(int)
+        block = np.floor(a.record.t / (2 * before.model.block)).astype(int)
         gains.append(np.bincount(block, b.run.ll - a.run.ll))
     if not gains:
         return 0.0, 0.0
@@ -126,9 +165,10 @@ def _t(x: Array) -> float:
 
 def nominal(model: Model) -> Model:
     """With unexplained forces and sensor offsets, unless it has them; a model without a hull stays as it is."""
-    if not forces_of(model) or "disturbance" in {e.name for e in model.effects}:
+    if not (forces_of(model) or residuals_of(model)):
         return model
-    return for_diagnosis(model)
+    present = "disturbance" in {e.name for e in model.effects}
+    return resized(model if present else for_diagnosis(model), size_of(model))
 
 
 def record(model: Model, run: Run, rate: float) -> Record:

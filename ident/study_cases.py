@@ -9,7 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import SeatrialError
+from ident import design_repeats
+from ident.design import design
+from ident.design_task import GRID, Task
 from ident.euler import Inputs
+from ident.excitation import Steps
 from ident.model import Model
 from ident.models.horizontal import horizontal
 from ident.models.surge import surge
@@ -17,6 +21,7 @@ from ident.models.thruster import DELAY_STEP, thruster
 from ident.models.yaw import yaw
 from ident.params import INF
 from ident.study import Case
+from ident.study_own import is_own, own_case
 
 Array = NDArray[np.float64]
 MISSION_SEED = 20  # the mission is the same for all replicates
@@ -80,22 +85,35 @@ def thruster_case(seconds: float = 100.0) -> Case:
     return Case("thruster", model, Inputs.held(t, u), {}, f"{seconds:g} s, command in steps of 1-4 s, all at 80 Hz")
 
 
+def designed_case(seconds: float = 300.0) -> Case:
+    """The mission that ``ident.design`` finds for the nine parameters of Table 1: do fits reach what it promises?"""
+    rates = {"position": 5.0, "ground_velocity": 5.0}
+    task = Task(horizontal(current=False), Steps(round(seconds / 5.0), 2, seconds, 1.0, GRID), rates=rates)
+    case = design_repeats.designed_case(design(task, evaluations=2000))
+    return replace(case, about=f"{seconds:g} s, designed steps of at least 1 s, AHRS 10 Hz, GNSS 5 Hz, no current")
+
+
 CASES: dict[str, Callable[..., Case]] = {
-    "surge": surge_case, "yaw": yaw_case, "horizontal": horizontal_case, "thruster": thruster_case}
+    "surge": surge_case, "yaw": yaw_case, "horizontal": horizontal_case, "thruster": thruster_case,
+    "designed": designed_case}
 
 
 def make_case(
     name: str, truth: Mapping[str, float] | None = None, free: Sequence[str] = (), seconds: float | None = None,
     *, bounded: bool = True,
 ) -> Case:
-    """A case by name; at other true values, with only the parameters ``free`` estimated, of another length, if given.
-    Not ``bounded``: damping may be estimated below zero.
+    """A case by name or file; at other true values, with only the parameters ``free`` estimated, of another length, if
+    given. Not ``bounded``: damping may be estimated below zero.
 
     Raises SeatrialError when there is none, or no such parameter.
     """
-    if name not in CASES:
-        raise SeatrialError(f"no study of {name!r}: there are {', '.join(CASES)}")
-    case = CASES[name](**({} if seconds is None else {"seconds": seconds}))
+    if is_own(name):
+        case = own_case(name, seconds, MISSION_SEED)
+    elif name not in CASES:
+        known = ", ".join(CASES)
+        raise SeatrialError(f"no study of {name!r}: there are {known}, a model.toml, or FILE.py:NAME of a Case")
+    else:
+        case = CASES[name](**({} if seconds is None else {"seconds": seconds}))
     try:
         case = case.at(truth or {})
         case = replace(case, model=case.model.with_free(free)) if free else case

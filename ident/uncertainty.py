@@ -17,6 +17,8 @@ FACTOR = 5.0  # standard error of a logarithm beyond which nothing is known: a f
 LEAN = 1.5  # times that its error would be larger
 N_BLOCKS = 40  # of a record, for the sandwich: more rows in one than the residuals remember
 
+AT_BOUND, VAGUE = "at its bound", "the data do not tell its order of magnitude"  # flags of a parameter that ended low
+
 
 @dataclass(frozen=True)
 class Uncertainty:
@@ -39,7 +41,7 @@ def assess(at: Evaluation, z: Array, bounds: Bounds, names: Sequence[str], slope
     """
     n = z.size
     at_bound = (z <= bounds.low) | (z >= bounds.high)
-    flags = [(names[i], "at its bound") for i in np.flatnonzero(at_bound).tolist()]
+    flags = [(names[i], AT_BOUND) for i in np.flatnonzero(at_bound).tolist()]
     P = np.full((n, n), np.nan)
     inside: list[int] = np.flatnonzero(~at_bound).tolist()
     labels = [f"ln {names[i]}" if bounds.logarithmic[i] else names[i] for i in inside]
@@ -49,7 +51,7 @@ def assess(at: Evaluation, z: Array, bounds: Bounds, names: Sequence[str], slope
     P[np.ix_(good, good)] = _inverse(at.information[np.ix_(good, good)])
     vague = [i for i in good if bounds.logarithmic[i] and P[i, i] > FACTOR**2]
     for i in vague:
-        flags.append((names[i], "the data do not tell its order of magnitude"))
+        flags.append((names[i], VAGUE))
     P[vague, :] = P[:, vague] = np.nan
     flags += _leaning(at.information, good, at_bound, P, slopes, names)
     variance = np.diag(P)

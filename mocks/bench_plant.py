@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from mocks.bench_shaft import AS_TOLD, BenchShaft, ShaftEffect
 from mocks.noise import DISTURBANCE, EFFECT_NAME, EFFECT_SIZE, OrnsteinUhlenbeck, normals, stream
 from mocks.thruster import Shaft, ThrusterTruth, draw_thruster, thrust
 
@@ -18,63 +19,100 @@ SIGMA, TAU = 0.1, 0.3  # N, s: a pool at rest
 
 @dataclass(frozen=True)
 class BenchEffect:
-    """One effect on the bench, or none; a size of zero switches its line in ``BenchPlant.advance`` off."""
+    """One effect on the bench, or none; a size of zero switches its line in ``BenchPlant`` off."""
 
     name: str
     sentence: str
     flex_hz: float = 0.0  # rod: resonance of the mount
     flex_damping: float = 0.04
+    flex_share: float = 1.0  # of the force that goes through what swings
     wash: float = 0.0  # recirculation: fraction of thrust lost in a pool in full motion
     wash_s: float = 4.0  # s, to set the pool in motion
     drift: float = 0.0  # N/min^1/2 of the cell
+    smooth_s: float = 0.0  # s, of the cell's filter, two equal poles
     astern: float = 0.0  # fraction of thrust lost astern at full speed
-    sag: float = 0.0  # fraction of thrust lost with an empty battery
+    slow_loss: float = 0.0  # fraction of thrust lost at the slowest speeds
+    band: float = 0.0  # shaft speed below which there is next to no thrust
+    shaft: ShaftEffect = AS_TOLD
 
     @property
     def parameters(self) -> dict[str, float]:
         """The sizes that belong to this effect."""
-        values = asdict(self)
-        return {name: values[name] for name in _PARAMETERS[self.name]}
+        values = asdict(self) | asdict(self.shaft)
+        return {name: float(values[name]) for name in _PARAMETERS[self.name]}
 
 
 _PARAMETERS: dict[str, tuple[str, ...]] = {
     "none": (),
-    "rod-flex": ("flex_hz", "flex_damping"),
+    "rod-flex": ("flex_hz", "flex_damping", "flex_share"),
     "recirculation": ("wash", "wash_s"),
     "cell-drift": ("drift",),
+    "cell-lag": ("smooth_s",),
     "reverse-loss": ("astern",),
-    "battery-sag": ("sag",),
+    "thrust-exponent": ("slow_loss",),
+    "thrust-dead-band": ("band",),
+    "supply-sag": ("sag",),
+    "speed-curve": ("droop",),
+    "second-lag": ("late",),
+    "spin-up": ("brisk",),
+    "slew-limit": ("slew",),
 }
 NONE = BenchEffect("none", "nothing but what the nominal model has")
 
 
-def _around(rng: np.random.Generator, size: float) -> float:
-    return float(size * rng.uniform(0.85, 1.15))
+def _around(rng: np.random.Generator, size: float, *, signed: bool = False) -> float:
+    return float(size * rng.uniform(0.85, 1.15)) * (1 - 2 * (signed and rng.uniform() < 0.5))
 
 
-EFFECTS: dict[str, Callable[[np.random.Generator], BenchEffect]] = {
-    "rod-flex": lambda rng: BenchEffect(
-        "rod-flex", "the rod swings in its mount when thrust changes", flex_hz=_around(rng, 6.0)
+def _shaft(name: str, sentence: str, **sizes: float) -> BenchEffect:
+    return BenchEffect(name, sentence, shaft=ShaftEffect(**sizes))
+
+
+EFFECTS: dict[str, Callable[[np.random.Generator, float], BenchEffect]] = {
+    "rod-flex": lambda rng, scale: BenchEffect(
+        "rod-flex", "the rod swings in its mount when thrust changes", flex_hz=_around(rng, 6.0), flex_share=scale
     ),
-    "recirculation": lambda rng: BenchEffect(
-        "recirculation", "the jet sets the pool in motion and loses thrust to it", wash=_around(rng, 0.12)
+    "recirculation": lambda rng, scale: BenchEffect(
+        "recirculation", "the jet sets the pool in motion and loses thrust to it", wash=scale * _around(rng, 0.12)
     ),
-    "cell-drift": lambda rng: BenchEffect(
-        "cell-drift", "the load cell creeps as it warms up", drift=_around(rng, 1.0) * (1 - 2 * (rng.uniform() < 0.5))
+    "cell-drift": lambda rng, scale: BenchEffect(
+        "cell-drift", "the load cell creeps as it warms up", drift=scale * _around(rng, 1.0, signed=True)
     ),
-    "reverse-loss": lambda rng: BenchEffect(
-        "reverse-loss", "astern the propeller is less than its coefficients say", astern=_around(rng, 0.15)
+    "reverse-loss": lambda rng, scale: BenchEffect(
+        "reverse-loss", "astern the propeller is less than its coefficients say", astern=scale * _around(rng, 0.15)
     ),
-    "battery-sag": lambda rng: BenchEffect(
-        "battery-sag", "thrust fades as the battery is used up", sag=_around(rng, 0.12)
+    "supply-sag": lambda rng, scale: _shaft(
+        "supply-sag", "the shaft slows down as the battery is used up", sag=scale * _around(rng, 0.08)
     ),
-}
+    "second-lag": lambda rng, scale: _shaft(
+        "second-lag", "the speed controller smooths its commands", late=scale * _around(rng, 0.08)
+    ),
+    "spin-up": lambda rng, scale: _shaft(
+        "spin-up", "the shaft speeds up faster than it slows down", brisk=scale * _around(rng, 0.24)
+    ),
+    "slew-limit": lambda rng, scale: _shaft(
+        "slew-limit", "the motor's current is limited, and so is the acceleration of the shaft",
+        slew=scale * _around(rng, 0.8),
+    ),
+    "speed-curve": lambda rng, scale: _shaft(
+        "speed-curve", "the shaft falls behind its command the more it is told", droop=scale * _around(rng, 0.08)
+    ),
+    "thrust-dead-band": lambda rng, scale: BenchEffect(
+        "thrust-dead-band", "at slow speed the propeller hardly pushes", band=scale * _around(rng, 0.04)
+    ),
+    "thrust-exponent": lambda rng, scale: BenchEffect(
+        "thrust-exponent", "slow blades lose thrust to viscosity", slow_loss=scale * _around(rng, 0.3)
+    ),
+    "cell-lag": lambda rng, scale: BenchEffect(
+        "cell-lag", "the amplifier of the load cell smooths", smooth_s=scale * _around(rng, 0.06)
+    ),
+}  # fmt: skip
 DEMO = ("rod-flex", "recirculation", "cell-drift")
 
 
-def make_effect(name: str, seed: int) -> BenchEffect:
-    """The effect ``name`` (KeyError if there is none) as ``seed`` draws it."""
-    return EFFECTS[name](stream(seed, EFFECT_SIZE, index=100 + list(EFFECTS).index(name)))
+def make_effect(name: str, seed: int, scale: float = 1.0) -> BenchEffect:
+    """The effect ``name`` (KeyError if there is none) as ``seed`` draws it, ``scale`` times its full size."""
+    return EFFECTS[name](stream(seed, EFFECT_SIZE, index=100 + list(EFFECTS).index(name)), scale)
 
 
 def draw_name(seed: int) -> str:
@@ -109,7 +147,10 @@ class BenchPlant:
         self.step_s = step
         self.steps = 0
         self.energy = 0.0
-        self.shafts = (Shaft(bench.thruster, step),)
+        told = bench.effect.shaft
+        self.shafts: tuple[Shaft | BenchShaft] = (
+            BenchShaft(bench.thruster, told, step) if told.any else Shaft(bench.thruster, step),
+        )
         self._pool = 0.0
         self._disturbance: OrnsteinUhlenbeck | None = None
         if disturbed:
@@ -117,6 +158,7 @@ class BenchPlant:
             self._disturbance = OrnsteinUhlenbeck(draw, DISTURBANCE_EVERY * step, SIGMA, TAU)
         self._wash = 0.0
         self._rod = _Rod(bench.effect.flex_hz, bench.effect.flex_damping, step)
+        self._cell = [0.0, 0.0]
 
     @property
     def t(self) -> float:
@@ -137,24 +179,42 @@ class BenchPlant:
             self._wash += self.step_s / self.bench.effect.wash_s * (n * n - self._wash)
         if self.bench.effect.flex_hz:
             self._rod.advance(self.thrust())
+        if self.bench.effect.smooth_s:
+            self._smooth()
         self.steps += 1
 
     def thrust(self, thruster: int = 0) -> float:
         """Force of the propeller on its shaft, N, positive ahead."""
         effect, n = self.bench.effect, self.shafts[thruster].n
+        if effect.band:
+            n -= effect.band * math.tanh(n / effect.band)
         force = thrust(self.bench.thruster, n)
         if effect.wash:
             force *= 1.0 - effect.wash * math.sqrt(self._wash)
         if effect.astern and n < 0.0:
-            force *= 1.0 - effect.astern * abs(n)
-        if effect.sag:
-            force *= 1.0 - effect.sag * (1.0 - math.exp(-self.energy / 30.0))
+            force *= 1.0 - effect.astern * abs(n) ** 1.4
+        if effect.slow_loss:
+            force *= 1.0 - effect.slow_loss * math.exp(-2.5 * abs(n))
         return force
 
     def force(self) -> float:
         """Force on the cell, N."""
-        force = self._rod.force if self.bench.effect.flex_hz else self.thrust()
-        return force + self._pool + self.bench.effect.drift * math.sqrt(self.t / 60.0)
+        effect = self.bench.effect
+        if effect.smooth_s:
+            return self._cell[1] + effect.drift * math.sqrt(self.t / 60.0)
+        return self._pushed() + effect.drift * math.sqrt(self.t / 60.0)
+
+    def _pushed(self) -> float:
+        """Force on the rod's end, N."""
+        effect, force = self.bench.effect, self.thrust()
+        if effect.flex_hz:
+            force += effect.flex_share * (self._rod.force - force)
+        return force + self._pool
+
+    def _smooth(self) -> None:
+        keep, force = math.exp(-2.0 * self.step_s / self.bench.effect.smooth_s), self._pushed()
+        for k in range(2):
+            force = self._cell[k] = force + (self._cell[k] - force) * keep
 
 
 class _Rod:

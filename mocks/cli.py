@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import signal
 import sys
 import time
@@ -15,9 +16,11 @@ import click
 from daq.errors import SeatrialError
 from daq.rig import Calibration, Rig, Thruster, load_rig
 from mocks import bench_plant, undeclared
+from mocks.autopilot import LOOP_HZ
 from mocks.bench_plant import Bench, draw_bench
 from mocks.devices import by_side, speaker
 from mocks.faults import KINDS, Faults, parse_fault
+from mocks.net_ports import NetPort
 from mocks.noise import FAULT, stream
 from mocks.plant import Boat, draw_boat
 from mocks.ports import Port
@@ -27,6 +30,8 @@ from mocks.server import Server
 from mocks.thruster import draw_thruster
 from mocks.world import EscSpec, Gear, World, bench_world, boat_world
 
+GPS_HZ, ESC_HZ = 5.0, 10.0  # of an autopilot
+RPM_MAX = 4500.0  # of a thruster whose rig does not say
 LATE = 0.1  # wall s of lag from which the last line is a warning
 _FAULT_HELP = "; ".join(f"{name}: {kind.text}" for name, kind in KINDS.items())
 
@@ -72,7 +77,7 @@ def mock() -> None:
 
 
 @mock.command()
-@_options(list(undeclared.EFFECTS))
+@_options([*undeclared.EFFECTS, *undeclared.OUTSIDE])
 def boat(rig: Path, seed: int, run: int, effect: str, sealed: Path | None, **how: Any) -> None:
     """A simulated boat with two thrusters at the ports of RIG.
 
@@ -120,9 +125,13 @@ def _gear(rig: Rig, thrusters: Sequence[Thruster]) -> Gear:
             of = device.calibration or Calibration(0.001)
             gain, top = of.newton_per_count * of.lever_ratio, device.saturation or 8388607.0
             cells.append(CellSpec(device.name, device.rate_hz, gain, of.zero_counts, top))
+        elif device.protocol == "mavlink":
+            rates["vectornav"][device.name], rates["nmea"][device.name] = LOOP_HZ, GPS_HZ
     for t in thrusters:
         rate = rig.device(t.device).rate_hz / sum(other.device == t.device for other in thrusters)
-        escs.append(EscSpec(t.device, t.node, rate, t.rpm_max, t.reversed, t.timeout_s, t.name))
+        rate = rate if t.output is None else ESC_HZ
+        rpm_max = RPM_MAX if math.isnan(t.rpm_max) else t.rpm_max
+        escs.append(EscSpec(t.device, t.node, rate, rpm_max, t.reversed, t.timeout_s, t.name))
     return Gear(rates["vectornav"], rates["nmea"], cells, escs)
 
 
@@ -144,9 +153,9 @@ def _serve(
         for device in rig.devices:
             controllers = {c.spec.node: c for c in world.controllers if c.spec.device == device.name}
             speakers[device.name] = speaker(rig, device, controllers, ascii_)
-        ports = {}
+        ports: dict[str, Port | NetPort] = {}
         for device in rig.devices:
-            ports[device.name] = Port(Path(device.port.removeprefix("slcan:")))
+            ports[device.name] = _port(device.port)
             stack.callback(ports[device.name].close)
         if sealed is not None:
             write_sealed(sealed, contents(plant, run))
@@ -157,6 +166,12 @@ def _serve(
         sys.stdout.flush()
         server.run()
         _report(server)
+
+
+def _port(port: str) -> Port | NetPort:
+    if port.partition(":")[0] in ("udp", "udpin", "udpout", "tcp"):
+        return NetPort(port)
+    return Port(Path(port.removeprefix("slcan:")))
 
 
 @contextlib.contextmanager

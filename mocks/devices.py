@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
@@ -107,6 +108,10 @@ def speaker(rig: Rig, device: Device, controllers: Mapping[int, Controller], asc
                 f"{rig.path}: device {device.name}: the mock sends lines like -123, which the pattern does not match"
             )
         return LoadCellLine()
+    if device.protocol == "mavlink":
+        from mocks.autopilot import Autopilot  # brings pymavlink with it
+
+        return Autopilot(rig, device, controllers, time.time())
     if not device.port.startswith("slcan:"):
         raise SeatrialError(f"{rig.path}: device {device.name}: a mock speaks CAN as slcan:PORT, not {device.port}")
     return VescBus(controllers, {t.node: t.pole_pairs for t in rig.thrusters if t.device == device.name})

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from daq.errors import SeatrialError
-from daq.samples import Ahrs, Gnss, LoadCell
+from daq.samples import Ahrs, Esc, Gnss, LoadCell
 from mocks.world import Sample
 
 SIGNAL = "usr1"
+LATE_S = 1.0
+NOISY = (math.radians(5.0), 0.1, 1.0, 1.0)  # rad, rad/s, m/s2, m/s2
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,16 @@ KINDS = {
     "garbage": Kind(2.0, "random bytes in place of the device's"),
     "stuck": Kind(5.0, "the last reading over and over"),
     "spike": Kind(0.0, "a reading far off: one, or one a second for SECONDS"),
+    "overload": Kind(5.0, "force and current far beyond any limit"),
+    "hot": Kind(5.0, "a controller at 150 deg C"),
+    "flat": Kind(5.0, "the voltage of an empty battery"),
+    "away": Kind(5.0, "a position a kilometre off"),
+    "capsize": Kind(5.0, "a roll of 120 degrees"),
     "esc-dead": Kind(math.inf, "a thruster's controller dies: no thrust, no word"),
+    "slow": Kind(math.inf, "every other reading is lost"),
+    "late": Kind(math.inf, "readings come a second late, stamped as if they were new"),
+    "degrees": Kind(math.inf, "body rates in degrees a second"),
+    "noisy": Kind(math.inf, "ten times the noise of an AHRS"),
 }
 _FORM = re.compile(r"(?P<kind>[a-z-]+)(?:/(?P<target>\w+))?@(?P<t>usr1|\d+(?:\.\d*)?)(?::(?P<seconds>\d+(?:\.\d*)?))?")
 
@@ -80,6 +92,8 @@ class Faults:
         self._rng = rng
         self._last: dict[tuple[str, int], Sample] = {}
         self._spikes: dict[tuple[int, str], int] = {}  # (fault, device) -> spikes so far
+        self._count: dict[tuple[str, int], int] = {}
+        self._past: dict[tuple[str, int], deque[tuple[float, Sample]]] = {}
 
     def trigger(self, t: float) -> None:
         """The signal came at ``t`` (s): what waits for it starts, or starts again when it is over."""
@@ -102,11 +116,32 @@ class Faults:
         if self.active("stuck", device, t):
             return self._last.setdefault(key, sample)
         self._last[key] = sample
+        if self.active("slow", device, t):
+            self._count[key] = self._count.get(key, 0) + 1
+            if self._count[key] % 2 == 0:
+                return None
+        if self.active("late", device, t):
+            past = self._past.setdefault(key, deque())
+            past.append((t, sample))
+            while len(past) > 1 and past[1][0] <= t - LATE_S:
+                past.popleft()
+            sample = past[0][1]
+        if self.active("noisy", device, t):
+            sample = self._noisy(sample)
+        for kind, change in _CHANGES.items():
+            if self.active(kind, device, t):
+                sample = change(sample)
         return _spiked(sample) if self._spike_due(device, t) else sample
 
     def bytes(self, device: str, data: bytes, t: float) -> bytes:
         """What the wire makes of the device's bytes."""
         return self._rng.bytes(len(data)) if self._faults and self.active("garbage", device, t) else data
+
+    def _noisy(self, sample: Sample) -> Sample:
+        if not isinstance(sample, Ahrs):
+            return sample
+        yaw, r, ax, ay = self._rng.normal(0.0, NOISY).tolist()
+        return replace(sample, yaw=sample.yaw + yaw, r=sample.r + r, ax=sample.ax + ax, ay=sample.ay + ay)
 
     def _spike_due(self, device: str, t: float) -> bool:
         for index, fault in enumerate(self._faults):
@@ -116,6 +151,26 @@ class Faults:
                     self._spikes[index, device] = done + 1
                     return True
         return False
+
+
+def _overloaded(sample: Sample) -> Sample:
+    if isinstance(sample, LoadCell):
+        return replace(sample, counts=sample.counts + 500_000.0)
+    return replace(sample, current=sample.current + 200.0) if isinstance(sample, Esc) else sample
+
+
+_CHANGES: dict[str, Callable[[Sample], Sample]] = {
+    "overload": _overloaded,
+    "hot": lambda s: replace(s, temperature=150.0) if isinstance(s, Esc) else s,
+    "flat": lambda s: replace(s, voltage=6.0) if isinstance(s, Esc) else s,
+    "away": lambda s: replace(s, lat=s.lat + 0.009) if isinstance(s, Gnss) else s,
+    "degrees": lambda s: _in_degrees(s) if isinstance(s, Ahrs) else s,
+    "capsize": lambda s: replace(s, roll=math.radians(120.0)) if isinstance(s, Ahrs) else s,
+}
+
+
+def _in_degrees(sample: Ahrs) -> Ahrs:
+    return replace(sample, p=math.degrees(sample.p), q=math.degrees(sample.q), r=math.degrees(sample.r))
 
 
 def _spiked(sample: Sample) -> Sample:

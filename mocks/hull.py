@@ -72,15 +72,19 @@ def draw_current(seed: int) -> tuple[float, float]:
     return speed * math.cos(toward), speed * math.sin(toward)
 
 
-def make_rhs(hull: Hull, thruster: ThrusterTruth, current: tuple[float, float], effects: Sequence[Effect] = ()) -> Rhs:
-    """The right-hand side as one closure over plain floats: it runs some 16,000 times a second at speed 20."""
+def make_rhs(hull: Hull, thruster: ThrusterTruth, current: Sequence[float], effects: Sequence[Effect] = ()) -> Rhs:
+    """The right-hand side as one closure over plain floats: it runs some 16,000 times a second at speed 20.
+
+    ``current`` (north, east, m/s) may change between steps, slowly: its own acceleration is left out.
+    """
     sin, cos = math.sin, math.cos
     c1, c2 = thruster.c1, thruster.c2
-    v_n, v_e = current
     m, xa, ya = hull.mass, hull.added_u, hull.added_v
     d_u, d_uu, d_v, d_vv, d_r, d_rr = hull.d_u, hull.d_uu, hull.d_v, hull.d_vv, hull.d_r, hull.d_rr
     thrust_hooks = [e.thrust for e in effects if e.thrust is not None]
     force_hooks = [e.force for e in effects if e.force is not None]
+    jets = [e.jet for e in effects if e.jet is not None]
+    tethers = [e.tether for e in effects if e.tether is not None]
     x_g = sum(e.x_g for e in effects)
     m_u, m_v, m_r = m + xa, m + ya, hull.inertia + m * x_g * x_g + hull.added_r
     m_xg = m * x_g
@@ -89,8 +93,9 @@ def make_rhs(hull: Hull, thruster: ThrusterTruth, current: tuple[float, float], 
     bob_mass, bob_length, bob_damping = bob if bob is not None else (0.0, 1.0, 0.0)
 
     def rhs(s: State, n_l: float, n_r: float, energy: float, x_force: float, y_force: float, n_moment: float) -> State:
-        _, _, psi, u, v, r, angle, rate = s
+        x, y, psi, u, v, r, angle, rate = s
         c, si = cos(psi), sin(psi)
+        v_n, v_e = current
         u_c, v_c = c * v_n + si * v_e, c * v_e - si * v_n
         u_w, v_w = u - u_c, v - v_c  # through the water
         f_l, f_r = (c1 * abs(n_l) + c2 * n_l) * n_l, (c1 * abs(n_r) + c2 * n_r) * n_r
@@ -103,6 +108,11 @@ def make_rhs(hull: Hull, thruster: ThrusterTruth, current: tuple[float, float], 
         for extra in force_hooks:
             x_extra, y_extra, n_extra = extra(c, si, u_w, v_w, r, vel_n, vel_e)
             x_force, y_force, n_moment = x_force + x_extra, y_force + y_extra, n_moment + n_extra
+        for jet in jets:
+            y_force += jet(n_l, n_r)
+        for tether in tethers:
+            pull_n, pull_e = tether(x, y, vel_n, vel_e)
+            x_force, y_force = x_force + c * pull_n + si * pull_e, y_force + c * pull_e - si * pull_n
         if bob_mass:
             x_force += bob_mass * (GRAVITY * sin(angle) * cos(angle) + bob_damping * bob_length * rate)
         u_dot = (x_force + m * (v + x_g * r) * r + xa * r * v_c + ya * v_w * r) / m_u

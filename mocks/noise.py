@@ -11,7 +11,7 @@ Draw = Callable[[], float]
 
 # Names of the streams. Those of the boat depend on the seed alone, those of a run on the seed and the run.
 PARAMETERS, CURRENT, EFFECT_NAME, EFFECT_SIZE, THRUSTER = range(5)
-START, DISTURBANCE, AHRS, GNSS, ESC, LOADCELL, FAULT = range(5, 12)
+START, DISTURBANCE, AHRS, GNSS, ESC, LOADCELL, FAULT, WAVES, GUSTS, COLOUR, OUTLIERS = range(5, 16)
 
 
 def stream(seed: int, name: int, run: int | None = None, index: int = 0) -> np.random.Generator:

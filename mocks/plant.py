@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 from mocks.hull import ARM, AT_REST, Hull, State, draw_current, draw_hull, make_rhs, rk4
 from mocks.noise import DISTURBANCE, START, OrnsteinUhlenbeck, normals, stream
-from mocks.thruster import Shaft, ThrusterTruth, thrust
+from mocks.sea import Weather
+from mocks.thruster import Inflow, Shaft, ThrusterTruth, thrust
 from mocks.undeclared import ENERGY_UNIT, Effect
 
 STEP = 0.005  # s
@@ -57,6 +58,7 @@ class Motion(NamedTuple):
     fix_y: float
     fix_vel_n: float
     fix_vel_e: float
+    push: float = 0.0  # N, thrust of both thrusters as their shafts turn
 
 
 class BoatPlant:
@@ -78,7 +80,12 @@ class BoatPlant:
         self.steps = 0
         self.energy = 0.0
         self.shafts = (Shaft(boat.thruster, 0.5 * step, n), Shaft(boat.thruster, 0.5 * step, n))
-        self._rhs = make_rhs(boat.hull, boat.thruster, boat.current, boat.effects)
+        self._water = list(boat.current)  # what the right-hand side sees of the current
+        self._rhs = make_rhs(boat.hull, boat.thruster, self._water, boat.effects)
+        self._n = (n, n)  # shaft speeds that the water answers to
+        self._inflows = self._make_inflows(n)
+        self._drifts = [e.current for e in boat.effects if e.current is not None]
+        self._weather = Weather(boat.effects, boat.seed, run, DISTURBANCE_EVERY * step)
         self.state = self._first_state(run) if state is None else state
         self._forces = (0.0, 0.0, 0.0)
         self._disturbances: list[OrnsteinUhlenbeck] = []
@@ -87,6 +94,11 @@ class BoatPlant:
             self._disturbances = [OrnsteinUhlenbeck(draw, DISTURBANCE_EVERY * step, s, TAU) for s in SIGMA]
         arm = next((e.lever_arm for e in boat.effects if e.lever_arm is not None), (0.0, 0.0))
         self._antenna = Antenna(arm, sum(e.latency for e in boat.effects), step)
+
+    def _make_inflows(self, n: float) -> list[Inflow]:
+        """One for each thruster where thrust is late, none else."""
+        delay, lag = (sum(e.inflow[k] for e in self.boat.effects) for k in (0, 1))
+        return [Inflow(delay, lag, 0.5 * self.step_s, n) for _ in range(2)] if delay or lag else []
 
     def _first_state(self, run: int) -> State:
         """Adrift with the current, on a heading drawn for the run."""
@@ -106,29 +118,47 @@ class BoatPlant:
 
     def advance(self) -> None:
         """One step. The antenna is where it is at the step's start until the step is done."""
-        if self._disturbances and self.steps % DISTURBANCE_EVERY == 0:
-            d_x, d_y, d_n = self._disturbances
-            self._forces = (d_x.step(), d_y.step(), d_n.step())
+        if self.steps % DISTURBANCE_EVERY == 0:
+            self._disturb()
         left, right = self.shafts
-        n_l, n_r = left.n, right.n
         energy = self.energy / ENERGY_UNIT
-        k1 = self._rhs(self.state, n_l, n_r, energy, *self._forces)
+        k1 = self._rhs(self.state, *self._n, energy, *self._forces)
         n_mid = (left.advance(), right.advance())
         n_end = (left.advance(), right.advance())
-        self.state = rk4(self._rhs, self.state, k1, self.step_s, (*n_mid, *n_end), energy, self._forces)
+        f_mid, self._n = self._felt(n_mid), self._felt(n_end)
+        self.state = rk4(self._rhs, self.state, k1, self.step_s, (*f_mid, *self._n), energy, self._forces)
         self.energy += self.step_s * (abs(n_mid[0]) ** 3 + abs(n_mid[1]) ** 3)
         self.steps += 1
         if self._antenna.latency:
             self._antenna.push(self.state)
 
+    def _felt(self, n: tuple[float, float]) -> tuple[float, float]:
+        """Of shaft speeds half a step after the last ones, what the water answers to."""
+        if not self._inflows:
+            return n
+        left, right = self._inflows
+        return left.advance(n[0]), right.advance(n[1])
+
+    def _disturb(self) -> None:
+        """Forces and current of the next few steps."""
+        x, y, n = (d.step() for d in self._disturbances) if self._disturbances else (0.0, 0.0, 0.0)
+        if self._weather:
+            more = self._weather.forces(self.t, self.state[2])
+            x, y, n = x + more[0], y + more[1], n + more[2]
+        self._forces = (x, y, n)
+        if self._drifts:
+            changes = [drift(self.t) for drift in self._drifts]
+            self._water[:] = (v + sum(c[k] for c in changes) for k, v in enumerate(self.boat.current))
+
     def motion(self) -> Motion:
         """What the sensors see now."""
         s = self.state
         x, y, psi, u, v, r = s[:6]
-        left, right = self.shafts
-        rate = self._rhs(s, left.n, right.n, self.energy / ENERGY_UNIT, *self._forces)
+        rate = self._rhs(s, *self._n, self.energy / ENERGY_UNIT, *self._forces)
         vel_n, vel_e = rate[0], rate[1]
-        return Motion(self.t, x, y, psi, r, rate[3] - v * r, rate[4] + u * r, vel_n, vel_e, *self._antenna.place(s))
+        ax, ay = rate[3] - v * r, rate[4] + u * r
+        push = self.thrust(0) + self.thrust(1)
+        return Motion(self.t, x, y, psi, r, ax, ay, vel_n, vel_e, *self._antenna.place(s), push)
 
     def thrust(self, thruster: int) -> float:
         """Force (N) that the shaft speed of a thruster would make at rest; what its motor current follows."""

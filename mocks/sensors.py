@@ -6,12 +6,12 @@ Noise is white plus a random walk (thesis, section 4.1), sized like a VN-100, an
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from daq.samples import NAN, Ahrs, Esc, Gnss, LoadCell
 from mocks.hull import GRAVITY
-from mocks.noise import AHRS, ESC, GNSS, LOADCELL, WhiteWalk, normals, stream
+from mocks.noise import AHRS, COLOUR, ESC, GNSS, LOADCELL, OUTLIERS, OrnsteinUhlenbeck, WhiteWalk, normals, stream
 from mocks.plant import Motion
 from mocks.undeclared import Effect
 
@@ -38,19 +38,20 @@ class AhrsSensor:
     """Attitude, rates and specific force; the boat is level but for the noise of roll and pitch."""
 
     def __init__(self, seed: int, run: int, rate: float, effects: Sequence[Effect] = (), index: int = 0) -> None:
-        """``rate`` in Hz, ``index`` of several; of the effects, only a compass deviation is the sensor's."""
-        self._compasses: list[Callable[[float], float]] = [e.compass for e in effects if e.compass is not None]
+        """``rate`` in Hz, ``index`` of several; ``effects``: those of the boat, of which some are the sensor's."""
+        self._errors = AhrsErrors(effects)
+        gain = _noise_gain(effects)
         draw = normals(stream(seed, AHRS, run, index))
         dt = 1.0 / rate
-        self._yaw = WhiteWalk(draw, dt, 0.5 * DEG, 0.01 * DEG)
-        self._tilt = [WhiteWalk(draw, dt, 0.05 * DEG) for _ in range(2)]
-        self._rates = [WhiteWalk(draw, dt, 0.01, 1e-5, bias=0.003) for _ in range(3)]
-        self._accels = [WhiteWalk(draw, dt, 0.1, 1e-4, bias=0.05) for _ in range(3)]
+        self._yaw = WhiteWalk(draw, dt, gain * 0.5 * DEG, 0.01 * DEG)
+        self._tilt = [WhiteWalk(draw, dt, gain * 0.05 * DEG) for _ in range(2)]
+        self._rates = [WhiteWalk(draw, dt, gain * 0.01, 1e-5, bias=0.003) for _ in range(3)]
+        self._accels = [WhiteWalk(draw, dt, gain * 0.1, 1e-4, bias=0.05) for _ in range(3)]
         self._field = WhiteWalk(draw, dt, 0.15e-6)
 
     def read(self, m: Motion) -> Ahrs:
         """The sample of the motion ``m``."""
-        psi = m.psi + sum(deviation(m.psi) for deviation in self._compasses)
+        psi, rate, accel_x, accel_y = self._errors.apply(m)
         pitch, roll = self._tilt
         p, q, r = self._rates
         ax, ay, az = self._accels
@@ -61,9 +62,9 @@ class AhrsSensor:
             roll(),
             p(),
             q(),
-            m.r + r(),
-            m.ax + ax(),
-            m.ay + ay(),
+            rate + r(),
+            accel_x + ax(),
+            accel_y + ay(),
             -GRAVITY + az(),
             FIELD_NORTH * math.cos(psi) + field(),
             -FIELD_NORTH * math.sin(psi) + field(),
@@ -71,23 +72,54 @@ class AhrsSensor:
         )
 
 
+class AhrsErrors:
+    """What the undeclared effects do to heading, yaw rate and accelerations, before there is any noise."""
+
+    def __init__(self, effects: Sequence[Effect]) -> None:
+        self._compasses = [e.compass for e in effects if e.compass is not None]
+        self._gyros = [e.gyro for e in effects if e.gyro is not None]
+        self._accelerometers = [e.accelerometer for e in effects if e.accelerometer is not None]
+        self._mount = sum(e.mount for e in effects)
+
+    def apply(self, m: Motion) -> tuple[float, float, float, float]:
+        """Heading (rad), yaw rate (rad/s) and accelerations (m/s2) that the sensor has of the motion ``m``."""
+        u = math.cos(m.psi) * m.vel_n + math.sin(m.psi) * m.vel_e
+        psi = m.psi + sum(deviation(m.psi) for deviation in self._compasses) + self._mount
+        rate = m.r + sum(error(m.r) for error in self._gyros)
+        ax, ay = m.ax, m.ay
+        for accelerometer in self._accelerometers:
+            ax, ay = accelerometer(ax, ay, m.push, u, m.r)
+        if self._mount:
+            c, s = math.cos(self._mount), math.sin(self._mount)
+            ax, ay = c * ax + s * ay, c * ay - s * ax
+        return psi, rate, ax, ay
+
+
+def _noise_gain(effects: Sequence[Effect]) -> float:
+    return math.prod(e.noise.gain for e in effects if e.noise is not None)
+
+
 class GnssSensor:
     """Position and velocity of the antenna."""
 
-    def __init__(self, seed: int, run: int, rate: float, sigma: float = 0.15, index: int = 0) -> None:
+    def __init__(
+        self, seed: int, run: int, rate: float, effects: Sequence[Effect] = (), sigma: float = 0.15, index: int = 0
+    ) -> None:
         """``rate`` in Hz, ``sigma`` (m) the white part of each horizontal axis, ``index`` of several."""
-        draw = normals(stream(seed, GNSS, run, index))
+        draw, gain = normals(stream(seed, GNSS, run, index)), _noise_gain(effects)
         dt = 1.0 / rate
         self._sigma = sigma
-        self._position = [WhiteWalk(draw, dt, sigma, 0.003) for _ in range(2)]
-        self._velocity = [WhiteWalk(draw, dt, 0.05) for _ in range(2)]
-        self._height = WhiteWalk(draw, dt, 2.0 * sigma)
+        self._position = [WhiteWalk(draw, dt, gain * sigma, 0.003) for _ in range(2)]
+        self._velocity = [WhiteWalk(draw, dt, gain * 0.05) for _ in range(2)]
+        self._height = WhiteWalk(draw, dt, 2.0 * gain * sigma)
+        self._stray = Stray(effects, seed, run, dt, index)
 
     def read(self, m: Motion, utc: float) -> Gnss:
         """The fix of the motion ``m``, stamped ``utc`` (s since 1970)."""
         north, east = self._position
         vel_n, vel_e = self._velocity
-        lat, lon = geodetic(m.fix_x + north(), m.fix_y + east())
+        stray_n, stray_e = self._stray.step()
+        lat, lon = geodetic(m.fix_x + north() + stray_n, m.fix_y + east() + stray_e)
         return Gnss(
             utc,
             lat,
@@ -101,6 +133,31 @@ class GnssSensor:
             0.8,
             self._sigma,
         )
+
+
+class Stray:
+    """Errors of the fix beyond its white noise: a wandering one, and now and then a fix that is plainly wrong."""
+
+    def __init__(self, effects: Sequence[Effect], seed: int, run: int, dt: float, index: int) -> None:
+        noises = [e.noise for e in effects if e.noise is not None]
+        draw = normals(stream(seed, COLOUR, run, index))
+        self._wander = [
+            (OrnsteinUhlenbeck(draw, dt, *n.colour), OrnsteinUhlenbeck(draw, dt, *n.colour))
+            for n in noises
+            if n.colour[0]
+        ]
+        self._wild = [n.outliers for n in noises if n.outliers[0]]
+        self._rng = stream(seed, OUTLIERS, run, index)
+
+    def step(self) -> tuple[float, float]:
+        """Error to the north and to the east (m) of the next fix."""
+        north = sum(pair[0].step() for pair in self._wander)
+        east = sum(pair[1].step() for pair in self._wander)
+        for share, far in self._wild:
+            if self._rng.uniform() < share:
+                wrong_n, wrong_e = self._rng.normal(0.0, far, 2)
+                north, east = north + float(wrong_n), east + float(wrong_e)
+        return north, east
 
 
 class EscSensor:

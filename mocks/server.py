@@ -13,6 +13,7 @@ from typing import IO
 
 from mocks.devices import Speaker
 from mocks.faults import Faults
+from mocks.net_ports import NetPort
 from mocks.ports import Port
 from mocks.world import World
 
@@ -29,7 +30,7 @@ class Server:
         self,
         world: World,
         speakers: Mapping[str, Speaker],
-        ports: Mapping[str, Port],
+        ports: Mapping[str, Port | NetPort],
         speed: float,
         faults: Faults,
         trace: IO[str] | None = None,

@@ -78,6 +78,24 @@ class Shaft:
         self.n = self._ref + (self.n - self._ref) * math.exp(-self._truth.pole * dt)
 
 
+class Inflow:
+    """Shaft speed as the water answers to it: some time later, and a first-order lag behind."""
+
+    def __init__(self, delay: float, lag: float, dt: float, n: float = 0.0) -> None:
+        """``delay`` and ``lag`` in s; the lag is a fifth longer where the shaft slows down. Advances by ``dt`` (s)."""
+        self._queue = deque([n] * round(delay / dt))
+        self._rise, self._fall = (math.exp(-dt / (k * lag)) if lag else 0.0 for k in (1.0, 1.2))
+        self._n = n
+
+    def advance(self, n: float) -> float:
+        """What the water has, one ``dt`` later, of a shaft that then turns at ``n``."""
+        self._queue.append(n)
+        late = self._queue.popleft()
+        keep = self._rise if abs(late) > abs(self._n) else self._fall
+        self._n = late + keep * (self._n - late)
+        return self._n
+
+
 def thrust(truth: ThrusterTruth, n: float) -> float:
     """Force (N) of a thruster at rest in still water (thesis, section 4.2)."""
     return truth.c1 * n * abs(n) + truth.c2 * n * n

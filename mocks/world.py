@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol
 
 from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell
 from mocks.bench_plant import Bench, BenchPlant
+from mocks.bench_shaft import BenchShaft
 from mocks.plant import Boat, BoatPlant, Motion
 from mocks.sensors import AhrsSensor, CellSpec, EscSensor, GnssSensor, LoadCellSensor
 from mocks.thruster import Shaft
@@ -32,7 +33,7 @@ class Plant(Protocol):
     energy: float
 
     @property
-    def shafts(self) -> Sequence[Shaft]: ...
+    def shafts(self) -> Sequence[Shaft | BenchShaft]: ...
     def command(self, thruster: int, t: float, n_cmd: float) -> None: ...
     def thrust(self, thruster: int) -> float: ...
     def advance(self) -> None: ...
@@ -208,7 +209,8 @@ def boat_world(boat: Boat, run: int, gear: Gear, *, utc: float = 0.0, disturbed:
     for index, (name, rate) in enumerate(gear.ahrs.items()):
         world.add(name, rate, _ahrs_reader(AhrsSensor(boat.seed, run, rate, boat.effects, index), plant.motion))
     for index, (name, rate) in enumerate(gear.gnss.items()):
-        world.add(name, rate, _gnss_reader(GnssSensor(boat.seed, run, rate, index=index), plant.motion, utc))
+        gnss = GnssSensor(boat.seed, run, rate, boat.effects, index=index)
+        world.add(name, rate, _gnss_reader(gnss, plant.motion, utc))
     for index, cell in enumerate(gear.cells):
         world.add(cell.name, cell.rate_hz, _cell_reader(LoadCellSensor(boat.seed, run, cell, index), lambda: 0.0))
     world.add_escs(gear.escs, boat.seed, run)

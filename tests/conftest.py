@@ -12,18 +12,34 @@ import pytest
 
 # Real ports with deadlines of some milliseconds: two of these at a time would only measure each other.
 PORTS = (
+    "tests/bench/test_course.py",
+    "tests/bench/test_fault_trials.py",
+    "tests/bench/test_mavlink.py",
     "tests/bench/test_run.py",
     "tests/bench/test_stops.py",
+    "tests/bench/test_watchdog.py",
     "tests/bench/test_with_mocks.py",
     "tests/daq/test_acquire.py",
+    "tests/daq/test_acquire_thrust.py",
+    "tests/daq/test_find_devices.py",
     "tests/daq/test_live.py",
+    "tests/daq/test_load.py",
+    "tests/daq/test_poll_talker.py",
+    "tests/daq/test_replay.py",
+    "tests/daq/test_segments.py",
     "tests/daq/test_transport.py",
     "tests/mocks/test_cli.py",
     "tests/mocks/test_ports.py",
     "tests/mocks/test_slcan.py",
 )
 # Fixtures that are expensive and belong to a module: one worker makes them, once.
-TOGETHER = ("tests/ident/test_score.py", "tests/ident/test_sides.py", "tests/ident/test_ident_cli.py")
+TOGETHER = (
+    "tests/ident/test_ident_cli.py",
+    "tests/ident/test_score.py",
+    "tests/ident/test_sides.py",
+    "tests/test_package.py",
+    "tests/test_site.py",
+)
 
 
 def group_of(nodeid: str) -> str:

@@ -55,6 +55,10 @@ def shell_lines() -> Iterator[tuple[str, str]]:
             for line in block.replace("\\\n", " ").splitlines():
                 if line.startswith("seatrial "):
                     yield name(page), line
+        for block in blocks(page, "console"):
+            for line in block.splitlines():
+                if line.startswith("$ seatrial "):
+                    yield name(page), line.removeprefix("$ ")
     for script in SCRIPTS:
         for line in script.read_text(encoding="utf-8").replace("\\\n", " ").splitlines():
             if line.strip().startswith("seatrial "):

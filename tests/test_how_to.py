@@ -6,6 +6,7 @@ import csv
 import importlib.util
 import re
 import sys
+import textwrap
 import types
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,6 +17,7 @@ import pytest
 import daq.protocol
 import ident.effects
 import seatrial
+from daq import device_table
 from ident.dataset import Channel, Record
 from ident.diagnose import diagnose
 from ident.effects import catalogue
@@ -119,11 +121,15 @@ def test_the_sensor_of_the_how_to_passes_its_tests(tmp_path: Path, monkeypatch: 
         assert line in tests
 
 
-def test_the_tables_that_a_new_sensor_goes_into_are_as_the_how_to_says() -> None:
+def test_the_row_of_the_new_sensor_is_one_of_the_table_of_devices() -> None:
     text = how_to("add-a-sensor").read_text(encoding="utf-8")
-    (row,) = re.findall(r"^    (PROTOCOLS = .*)$", text, re.MULTILINE)
-    assert row in (ROOT / "daq/rig.py").read_text(encoding="utf-8")
-    assert "def make_decoder" in (ROOT / "daq/device.py").read_text(encoding="utf-8")
+    (row,) = re.findall(r'^    "os5000": (Row\(.*\)),$', text, re.MULTILINE)
+    (function,) = re.findall(r"^    (def _os5000.*?)^\S", text, re.MULTILINE | re.DOTALL)
+    scope = dict(vars(device_table))
+    exec(textwrap.dedent("    " + function), scope)
+    row_of = eval(row, scope)
+    assert row_of.bus == device_table.SERIAL
+    assert row_of.make is scope["_os5000"]
 
 
 def test_the_model_of_the_how_to_is_the_example() -> None:

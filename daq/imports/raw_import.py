@@ -4,25 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from daq import schema
-from daq.cdr import NANO, layout
+from daq.device_table import plain_decoder
 from daq.errors import SeatrialError
-from daq.imports.write import replacing
-from daq.mcap_write import LogWriter
-from daq.protocol import Decoder, loadcell, nmea, vectornav
-from daq.provenance import collect
-from daq.recorder import LOG_FORMAT
-from daq.samples import Frame
+from daq.imports.frames import Row, write_frames
+from daq.protocol import Decoder, nmea, ubx
+from daq.samples import Ahrs, Frame, Gnss, LoadCell
 
-# VESC frames are not here: their rpm and sign need the rig.
-DECODERS: dict[str, tuple[str, Callable[[], Decoder]]] = {
-    "vectornav": ("ahrs", vectornav.Decoder),
-    "nmea": ("gnss", nmea.Decoder),
-    "loadcell": ("load_cell", loadcell.Decoder),
-}
+_NAMES: dict[type, str] = {Ahrs: "ahrs", Gnss: "gnss", LoadCell: "load_cell"}
 _CHUNK = 1 << 16
 
 
@@ -34,15 +25,15 @@ def import_raw(
     A capture has no times of its own. With `rate` [Hz] the samples are put 1/rate apart, beginning in 1970; without
     it each carries the device's own time. Raises SeatrialError.
     """
-    device, make = DECODERS[protocol]
-    decoder = make()
+    decoder = plain_decoder(protocol)
     frames, sha256 = _decode(decoder, path)
     if not frames:
         raise SeatrialError(
             f"{path}: no {protocol} samples among {decoder.frames} whole frames "
             f"({decoder.checksum_errors} checksum errors, {decoder.unparsed_bytes} bytes unparsed)"
         )
-    times = [k / rate for k in range(len(frames))] if rate else [_device_time(path, f) for f in frames]
+    device = _NAMES[type(frames[0].sample)]
+    times = [k / rate for k in range(len(frames))] if rate else _device_times(path, frames)
     said = (
         f"{len(frames)} samples of {decoder.frames} {protocol} frames; "
         f"{decoder.checksum_errors} checksum errors, {decoder.unparsed_bytes} bytes unparsed"
@@ -51,7 +42,10 @@ def import_raw(
     metadata = {"import": "raw", "import.protocol": protocol, "source.1.name": path.name, "source.1.sha256": sha256}
     if rate:
         metadata["import.rate_hz"] = repr(rate)
-    _write(target, device, frames, times, metadata, f"{path.name} as {protocol}: {said}", force)
+    rows = [Row(t, device, frame._replace(t_rx=t)) for t, frame in zip(times, frames, strict=True)]
+    if min(times) < 0.0 or max(times) >= 2**31:
+        raise SeatrialError(f"{target}: the device's times do not lie between 1970 and 2038; give --rate instead")
+    write_frames(target, rows, metadata=metadata, note=f"{path.name} as {protocol}: {said}", force=force)
     return target, said
 
 
@@ -65,42 +59,18 @@ def _decode(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
                 frames += decoder.feed(chunk, 0.0)
     except OSError as error:
         raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
+    if isinstance(decoder, (nmea.Decoder, ubx.Decoder)):
+        frames += decoder.flush()
     decoder.reset()  # what is left half-read counts as unparsed
     return frames, digest.hexdigest()
 
 
-def _device_time(path: Path, frame: Frame) -> float:
-    if not math.isfinite(frame.t_device):
+def _device_times(path: Path, frames: Sequence[Frame]) -> list[float]:
+    """The device's own times [s]; a sample without one (a heading between two fixes) has that of the one before."""
+    times = [frame.t_device for frame in frames]
+    last = next((t for t in times if math.isfinite(t)), math.nan)
+    if math.isnan(last):
         raise SeatrialError(f"{path}: its samples carry no time; say how many there are a second with --rate")
-    return frame.t_device
-
-
-def _write(
-    out: Path,
-    device: str,
-    frames: Sequence[Frame],
-    times: Sequence[float],
-    metadata: dict[str, str],
-    note: str,
-    force: bool,
-) -> None:
-    order = sorted(range(len(times)), key=times.__getitem__)
-    if times[order[0]] < 0.0 or times[order[-1]] >= 2**31:
-        raise SeatrialError(f"{out}: the device's times do not lie between 1970 and 2038; give --rate instead")
-    first = round(times[order[0]] * NANO)
-    about = {**collect(), "format": LOG_FORMAT, "speed": "1.0", **metadata}
-    with replacing(out, force) as part:
-        writer = LogWriter(part, metadata=about, attachments={}, time_ns=first)
-        try:
-            event = writer.channel("/event", schema.EVENT)
-            writer.add(event, first, first, 0, layout(schema.EVENT, b"").pack(first, tail=(b"import", note.encode())))
-            channels: dict[str, int] = {}
-            for sequence, k in enumerate(order, start=1):
-                t_ns = round(times[k] * NANO)
-                for message in schema.messages(device, frames[k]._replace(t_rx=times[k])):
-                    if message.topic not in channels:
-                        channels[message.topic] = writer.channel(message.topic, message.type_name)
-                    data = layout(message.type_name, message.frame_id.encode()).pack(t_ns, *message.values)
-                    writer.add(channels[message.topic], t_ns, t_ns, sequence, data)
-        finally:
-            writer.close()
+    for k, t in enumerate(times):
+        last = times[k] = t if math.isfinite(t) else last
+    return times

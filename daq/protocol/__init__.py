@@ -18,6 +18,7 @@ class Decoder(Protocol):
     frames: int  # frames on the wire that were whole and had the right checksum
     checksum_errors: int  # frames that were whole and had a wrong one
     unparsed_bytes: int  # bytes in no valid frame; line ends between frames do not count
+    remark: str  # what a user has to know of the stream, in one line; empty when nothing
 
     def feed(self, data: bytes, t_rx: float) -> list[Frame]:
         """Take the bytes of one read that returned at run time `t_rx`; returns the samples they complete."""

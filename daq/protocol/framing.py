@@ -27,6 +27,7 @@ class StreamDecoder(ABC, Generic[T]):
         self.frames = 0
         self.checksum_errors = 0
         self.unparsed_bytes = 0
+        self.remark = ""
         self._buffer = bytearray()
         self._out: list[T] = []
 
@@ -106,6 +107,11 @@ def xor(body: bytes) -> int:
 def crc16(data: bytes) -> int:
     """CRC-16/XMODEM, which VectorNav uses (polynomial 0x1021, initial value 0)."""
     return binascii.crc_hqx(data, 0)
+
+
+def crc16_ccitt(data: bytes, seed: int = 0xFFFF) -> int:
+    """CRC-16/CCITT-FALSE, which DroneCAN uses (polynomial 0x1021, initial value 0xFFFF)."""
+    return binascii.crc_hqx(data, seed)
 
 
 def sentence(body: str) -> bytes:

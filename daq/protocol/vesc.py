@@ -8,18 +8,15 @@ from __future__ import annotations
 
 import functools
 import math
-import struct
 from pathlib import Path
 from typing import Any
 
+from daq.protocol.canframe import CAN_FRAME, EXTENDED, FRAME_BYTES, FrameDecoder, pack_can, unpack_can
 from daq.samples import NAN, Esc, Frame
 
+__all__ = ["CAN_FRAME", "EXTENDED", "FRAME_BYTES", "Decoder", "pack_can", "unpack_can"]
+
 SET_DUTY, STATUS_1, STATUS_4, STATUS_5 = 0, 9, 16, 27  # packets: bits 8 to 15 of the identifier
-EXTENDED = 0x8000_0000  # CAN_EFF_FLAG
-REMOTE = 0x4000_0000  # CAN_RTR_FLAG
-ERROR = 0x2000_0000  # CAN_ERR_FLAG
-CAN_FRAME = struct.Struct("=IB3x8s")
-FRAME_BYTES = CAN_FRAME.size
 STALE = 2.0  # s; temperature and voltage come in frames of their own and are not repeated for longer than this
 
 
@@ -32,20 +29,7 @@ def _messages() -> dict[int, Any]:
     return {message.frame_id >> 8: message for message in database.messages}  # type: ignore[union-attr]
 
 
-def pack_can(arbitration_id: int, data: bytes) -> bytes:
-    """A CAN frame with a 29-bit identifier as the 16 bytes of `struct can_frame`."""
-    return CAN_FRAME.pack(arbitration_id | EXTENDED, len(data), data)
-
-
-def unpack_can(frame: bytes) -> tuple[int, bytes] | None:
-    """Identifier and data of a `struct can_frame`; None if it is no data frame with a 29-bit identifier."""
-    word, length, data = CAN_FRAME.unpack(frame)
-    if not word & EXTENDED or word & (REMOTE | ERROR):
-        return None
-    return word & ~EXTENDED, data[:length]
-
-
-class Decoder:
+class Decoder(FrameDecoder):
     """Status frames -> `Esc`, one sample for each STATUS 1; current, duty and rpm are of that frame.
 
     Temperature (STATUS 4) and voltage (STATUS 5) are the newest heard, NaN when older than `STALE`. `pole_pairs` says
@@ -54,30 +38,16 @@ class Decoder:
     """
 
     def __init__(self, pole_pairs: dict[int, int], reversed_nodes: frozenset[int] = frozenset()) -> None:
+        super().__init__()
         _messages()  # loads the DBC now, not when the first frame has come
-        self.frames = 0
-        self.checksum_errors = 0  # CAN checks in hardware; kept for the table
-        self.unparsed_bytes = 0
         self.other_nodes: dict[int, int] = {}
         self._pole_pairs = dict(pole_pairs)
         self._reversed = reversed_nodes
         self._temperature: dict[int, tuple[float, float]] = {}  # node -> (value, t_rx)
         self._voltage: dict[int, tuple[float, float]] = {}
-        self._buffer = bytearray()
 
-    def feed(self, data: bytes, t_rx: float) -> list[Frame]:
-        """Take raw CAN as logged: 16-byte `struct can_frame`s, in any pieces."""
-        self._buffer += data
-        whole = len(self._buffer) - len(self._buffer) % FRAME_BYTES
-        out: list[Frame] = []
-        for at in range(0, whole, FRAME_BYTES):
-            raw = bytes(self._buffer[at : at + FRAME_BYTES])
-            if raw[4] > 8:  # the length: this is no CAN frame
-                self.unparsed_bytes += FRAME_BYTES
-            elif (frame := unpack_can(raw)) is not None:
-                out += self.feed_frame(*frame, t_rx)
-        del self._buffer[:whole]
-        return out
+    def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
+        return self.feed_frame(identifier, data, t_rx) if extended else []
 
     def feed_frame(self, arbitration_id: int, data: bytes, t_rx: float) -> list[Frame]:
         """Take one received frame with a 29-bit identifier."""
@@ -91,6 +61,9 @@ class Decoder:
         self.frames += 1
         if node not in self._pole_pairs:
             self.other_nodes[node] = self.other_nodes.get(node, 0) + 1
+            if self.other_nodes[node] == 1:
+                nodes = ", ".join(str(other) for other in sorted(self.other_nodes))
+                self.remark = f"frames of node {nodes}, which no thruster of the rig has"
             return []
         values = message.decode(data.ljust(8, b"\0"), decode_choices=False)
         if packet == STATUS_4:
@@ -101,10 +74,7 @@ class Decoder:
             return [Frame(self._esc(node, values, t_rx), t_rx, NAN)]
         return []
 
-    def reset(self) -> None:
-        """Forget a half-read frame and what was heard (the port was reopened). Counters stay."""
-        self.unparsed_bytes += len(self._buffer)
-        self._buffer.clear()
+    def _forget(self) -> None:
         self._temperature.clear()
         self._voltage.clear()
 

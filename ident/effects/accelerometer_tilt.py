@@ -26,4 +26,5 @@ EFFECT = Effect(
     source="IEEE Std 1293; metacentric stability",
     experiment="steps ahead and astern on a straight line, then turns at speed",
     requires=("hull",),
+    rivals=("accelerometer-scale", "cg-offset"),
 )

@@ -25,5 +25,5 @@ EFFECT = Effect(
     experiment="steps of both thrusters at several speeds, then full astern while still moving ahead",
     requires=("n", "f"),
     one_sided=True,
-    rivals=("cubic-drag", "turning-resistance"),
+    rivals=("cubic-drag", "turning-resistance", "thruster-interaction"),
 )

@@ -39,5 +39,5 @@ EFFECT = Effect(
     source="compass adjusters' coefficients B to E; Bowditch, chapter 6",
     experiment="swinging slowly through all headings, both ways round",
     requires=("hull",),
-    rivals=("mount", "gyro-scale"),
+    rivals=("mount", "gyro-scale", "wind"),
 )

@@ -22,5 +22,5 @@ EFFECT = Effect(
     experiment="slow runs ahead and astern, and coasting to rest",
     requires=("hull",),
     one_sided=True,
-    rivals=("cubic-drag",),
+    rivals=("cubic-drag", "dead-band", "hump"),
 )

@@ -23,5 +23,5 @@ EFFECT = Effect(
     source="Norrbin 1970; Fedyaevsky and Sobolev 1963",
     experiment="tight turns at high and at low speed",
     requires=("hull",),
-    rivals=("sway-yaw", "turning-resistance"),
+    rivals=("sway-yaw", "lift", "turning-resistance"),
 )

@@ -19,5 +19,5 @@ EFFECT = Effect(
     source="residuary resistance near hull speed (Froude)",
     experiment="long straight runs at five or more speeds up to the highest",
     requires=("hull",),
-    rivals=("advance-ratio",),
+    rivals=("advance-ratio", "hump", "coulomb"),
 )

@@ -53,7 +53,7 @@ SAID: dict[str, Any] = {
     "source": "Groves 2013, section 10.5",
     "experiment": "fast straight runs with hard stops, and turns at speed",
     "one_sided": True,
-    "rivals": ("lever-arm",),
+    "rivals": ("lever-arm", "delay"),
 }
 PAST = tuple(Input(f"n_{side}~{k}", "", "linear") for side in ("left", "right") for k in range(1, N_PAST + 1))
 EFFECTS = (
@@ -72,6 +72,6 @@ EFFECTS = (
         {"output": delay_force},
         (TAU,),
         requires=("hull", "f_input"),
-        **SAID,
+        **(SAID | {"rivals": ("lever-arm", "force-delay")}),
     ),
 )

@@ -28,5 +28,5 @@ EFFECT = Effect(
     source="wind and waves on an asymmetric hull; Fossen 2011, section 8.2",
     experiment="turning slowly through all headings, both ways round",
     requires=("hull",),
-    rivals=("wind", "yaw-bias"),
+    rivals=("wind", "yaw-bias", "compass"),
 )

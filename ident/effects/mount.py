@@ -28,5 +28,5 @@ EFFECT = Effect(
     source="boresight alignment, Groves 2013, section 5.6",
     experiment="straight runs on opposite headings, with and against the current",
     requires=("hull",),
-    rivals=("compass",),
+    rivals=("compass", "wind"),
 )

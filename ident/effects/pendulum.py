@@ -39,4 +39,5 @@ EFFECT = Effect(
     experiment="chirp of equal thrust through 0.2 to 1.5 Hz",
     requires=("hull",),
     one_sided=True,
+    rivals=("waves", "lag"),
 )

@@ -21,5 +21,5 @@ EFFECT = Effect(
     source="four-quadrant open-water data; the hull in the race of a thruster running astern",
     experiment="steps astern of several sizes, and turning on the spot",
     requires=("n", "f"),
-    rivals=("mismatch", "thruster-interaction"),
+    rivals=("dead-band", "mismatch", "thruster-interaction"),
 )

@@ -77,7 +77,7 @@ DELAY = {
     "formula": "n_eff(t) = n(t - tau)",
     "source": "links and speed controllers; MEDUSA's simulator has 0.345 s",
     "experiment": "chirp of both thrusters: a delay turns the phase without limit, a lag by at most 90 degrees",
-    "rivals": ("lag",),
+    "rivals": ("lag", "gnss-latency"),
 }
 SLOW = {
     "formula": "T n_eff' = n - n_eff",
@@ -88,6 +88,6 @@ SLOW = {
 EFFECTS = (
     _effect("delay", "a delay of the thrust", "n", TAU, N_DELAY, delayed, **DELAY),
     _effect("lag", "a lag of the thrust behind the shaft", "n", LAG, N_LAG, lagged, **SLOW),
-    _effect("force-delay", "a delay of the thrust", "f", TAU, N_DELAY, delayed, **DELAY),
-    _effect("force-lag", "a lag of the thrust", "f", LAG, N_LAG, lagged, **SLOW),
+    _effect("force-delay", "a delay of the thrust", "f", TAU, N_DELAY, delayed, **(DELAY | {"rivals": ("force-lag",)})),
+    _effect("force-lag", "a lag of the thrust", "f", LAG, N_LAG, lagged, **(SLOW | {"rivals": ("force-delay",)})),
 )

@@ -43,5 +43,5 @@ EFFECT = Effect(
     source="Isherwood 1972; Blendermann 1994; Fossen 2011, section 8.1",
     experiment="drifting without thrust on several headings, and straight runs on opposite headings",
     requires=("hull",),
-    rivals=("current-drift", "heading-moment"),
+    rivals=("current-drift", "heading-moment", "mount"),
 )

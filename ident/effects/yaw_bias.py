@@ -19,5 +19,5 @@ EFFECT = Effect(
     source="an asymmetric hull, a bent keel or a trailing line",
     experiment="coasting without thrust, and runs on opposite headings",
     requires=("hull",),
-    rivals=("mismatch", "heading-moment"),
+    rivals=("mismatch", "heading-moment", "sway-yaw"),
 )

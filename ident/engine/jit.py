@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,10 @@ except ImportError:  # no wheel for this machine: kernels are interpreted then
 AVAILABLE = llvm is not None
 OPTIMISE = 1  # of the IR passes; -O2 takes longer and its code is slower
 CODEGEN = 2
+QUICK = 0  # of CODEGEN: a third of the time, and code that runs a third slower
 DIGEST_BYTES = 32
+LARGEST_CACHE = 400_000_000  # bytes; beyond that what was not used for longest goes
+KEPT = 0.7  # of it
 
 
 def _host() -> tuple[str, str, int]:
@@ -39,22 +44,61 @@ def cache_folder() -> Path:
     return Path(chosen) if chosen else Path.home() / ".cache" / "seatrial" / "kernels"
 
 
+_quickly: list[object] = []
+
+
+@contextmanager
+def quickly() -> Iterator[None]:
+    """Kernels compiled meanwhile, in whatever thread, are made in a hurry: for models that are fitted once."""
+    token = object()
+    _quickly.append(token)
+    try:
+        yield
+    finally:
+        _quickly.remove(token)
+
+
+def _codegen() -> int:
+    return QUICK if _quickly else CODEGEN
+
+
+def target() -> tuple[Any, ...]:
+    """What machine code depends on beside the IR."""
+    return (llvm.llvm_version_info if AVAILABLE else None, CPU, FEATURES, OPTIMISE, CODEGEN)
+
+
+def key_of(ir: str) -> str:
+    """The name of the machine code of ``ir``."""
+    return hashlib.sha256(repr((*target(), _codegen(), ir)).encode()).hexdigest()
+
+
 def load(ir: str, symbol: str) -> tuple[Any, int]:
     """The library made of ``ir`` (keep it as long as the code is used) and the address of ``symbol``."""
     if not AVAILABLE:
         raise RuntimeError("llvmlite is not installed, so nothing can be compiled")
-    key = hashlib.sha256(repr((llvm.llvm_version_info, CPU, FEATURES, OPTIMISE, CODEGEN, ir)).encode()).hexdigest()
-    machine_code = _read(key)
-    if machine_code is None:
-        machine_code = _compile(ir)
-        _write(key, machine_code)
+    key = key_of(ir)
+    known = load_known(key, symbol)
+    if known is not None:
+        return known
+    machine_code = _compile(ir)
+    write(f"{key}.o", machine_code)
+    return _link(machine_code, key, symbol)
+
+
+def load_known(key: str, symbol: str) -> tuple[Any, int] | None:
+    """The same by the name of the machine code; None where it is not at hand."""
+    machine_code = read(f"{key}.o") if AVAILABLE else None
+    return None if machine_code is None else _link(machine_code, key, symbol)
+
+
+def _link(machine_code: bytes, key: str, symbol: str) -> tuple[Any, int]:
     builder = llvm.JITLibraryBuilder().add_object_img(machine_code).add_current_process().export_symbol(symbol)
     library = builder.link(llvm.create_lljit_compiler(_machine()), key)
     return library, int(library[symbol])
 
 
 def _machine() -> Any:
-    return llvm.Target.from_default_triple().create_target_machine(CPU, FEATURES, CODEGEN, jit=True)
+    return llvm.Target.from_default_triple().create_target_machine(CPU, FEATURES, _codegen(), jit=True)
 
 
 def _compile(ir: str) -> bytes:
@@ -66,23 +110,39 @@ def _compile(ir: str) -> bytes:
     return bytes(machine.emit_object(module))
 
 
-def _read(key: str) -> bytes | None:
-    """Machine code from the cache; None if it is not there, or not as it was written."""
+def read(name: str) -> bytes | None:
+    """A file of the cache; None if it is not there, or not as it was written."""
     try:
-        content = (cache_folder() / f"{key}.o").read_bytes()
+        path = cache_folder() / name
+        content = path.read_bytes()
+        os.utime(path)  # so that what is used stays
     except (OSError, RuntimeError):  # RuntimeError: the user has no home
         return None
-    digest, machine_code = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
-    return machine_code if hashlib.sha256(machine_code).digest() == digest else None
+    digest, kept = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
+    return kept if hashlib.sha256(kept).digest() == digest else None
 
 
-def _write(key: str, machine_code: bytes) -> None:
-    """Keep machine code for the next process. A cache that cannot be written is not an error."""
+def write(name: str, content: bytes) -> None:
+    """Keep a file for the next process. A cache that cannot be written is not an error."""
     try:
         folder = cache_folder()
         folder.mkdir(parents=True, exist_ok=True)
-        scratch = folder / f"{key}.{os.getpid()}"
-        scratch.write_bytes(hashlib.sha256(machine_code).digest() + machine_code)
-        scratch.replace(folder / f"{key}.o")
+        scratch = folder / f"{name}.{os.getpid()}"
+        scratch.write_bytes(hashlib.sha256(content).digest() + content)
+        scratch.replace(folder / name)
+        _prune(folder)
     except (OSError, RuntimeError):
         return
+
+
+def _prune(folder: Path) -> None:
+    """Unknown effects and models of one's own are compiled anew each time: without a limit they would fill the disk."""
+    files = [(f.stat().st_mtime, f.stat().st_size, f) for f in folder.iterdir()]
+    total = sum(size for _, size, _ in files)
+    if total <= LARGEST_CACHE:
+        return
+    for _, size, path in sorted(files):
+        path.unlink(missing_ok=True)
+        total -= size
+        if total <= KEPT * LARGEST_CACHE:
+            return

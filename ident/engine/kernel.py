@@ -13,14 +13,17 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ident.engine import jit
-from ident.engine.emitter import Emitter
-from ident.engine.interpreter import interpret
-from ident.engine.plan import Plan
+from ident.engine.layout import Layout
+
+if TYPE_CHECKING:  # CasADi comes with it, and a kernel that is at hand does not need CasADi
+    from ident.engine.plan import Plan
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.uint32]
@@ -76,10 +79,14 @@ _warned: list[str] = []
 
 
 class Kernel:
-    """A plan that can be run. ``compiled=False`` interprets it, slowly: the oracle of the tests."""
+    """A plan that can be run. ``compiled=False`` interprets it, slowly: the oracle of the tests.
+
+    ``code``: the name of its machine code.
+    """
 
     def __init__(self, plan: Plan, compiled: bool | None = None) -> None:
-        self.plan = plan
+        self.layout, self.code = plan.layout, ""
+        self._make: Callable[[], Plan] = lambda: plan
         if compiled is None:
             compiled = jit.AVAILABLE
             if not compiled and not _warned:
@@ -87,6 +94,22 @@ class Kernel:
                 warnings.warn("llvmlite is not installed: estimation works, but some thousand times slower",
                               RuntimeWarning, stacklevel=2)
         self._loop: Loop = self._compile() if compiled else self._interpret()
+
+    @classmethod
+    def at_hand(cls, layout: Layout, code: str, make: Callable[[], Plan]) -> Kernel | None:
+        """A kernel whose machine code is there already; None where it is not. ``make``: its plan, should it be
+        asked for."""
+        found = jit.load_known(code, "kernel")
+        if found is None:
+            return None
+        self = cls.__new__(cls)
+        self.layout, self._make, self.code = layout, make, code
+        self._loop = self._linked(*found)
+        return self
+
+    @cached_property
+    def plan(self) -> Plan:
+        return self._make()
 
     def __call__(self, n_rows: int, mask: Mask | None, given: Mapping[str, Array], *, groups: int = 1,
                  per_row: AbstractSet[str] = frozenset(), arena: Arena | None = None) -> dict[str, Array]:
@@ -96,14 +119,14 @@ class Kernel:
         valid until its next use; results among those given (carried, summed, in rows) are written in place.
         Summed results named in ``per_row`` are not summed but have a line for each row.
         """
-        plan, take = self.plan, (arena or Arena()).take
+        layout, take = self.layout, (arena or Arena()).take
         mask = np.full(n_rows, ALL_BITS, np.uint32) if mask is None else mask
         if n_rows < 1 or mask.dtype != np.uint32 or mask.shape != (n_rows,) or not mask.flags.c_contiguous:
             raise ValueError(f"mask: {n_rows} contiguous uint32 wanted, at least one")
         arrays: dict[str, Array] = {}
-        for name in plan.sizes:
-            shape = plan.shape(name, n_rows, groups, name in per_row)
-            a = given[name] if name in given else take(name, shape, name not in plan.rows)
+        for name in layout.sizes:
+            shape = layout.shape(name, n_rows, groups, name in per_row)
+            a = given[name] if name in given else take(name, shape, name not in layout.rows)
             if a.dtype != np.float64 or a.size != math.prod(shape) or not a.flags.c_contiguous:
                 raise ValueError(f"{name}: contiguous doubles of shape {shape} wanted, got {a.dtype} {a.shape}")
             arrays[name] = a
@@ -112,7 +135,7 @@ class Kernel:
 
     def seeds(self, size: int, chosen: Sequence[int], groups: int | None = None) -> Array:
         """Unit vectors (groups, size, width): lane j belongs to entry ``chosen[j]``."""
-        width = self.plan.width
+        width = self.layout.width
         groups = groups or self.groups(len(chosen))
         unit = np.zeros((groups, size, width))
         lane = np.arange(len(chosen))
@@ -120,22 +143,30 @@ class Kernel:
         return unit
 
     def groups(self, n_lanes: int) -> int:
-        return max(1, -(-n_lanes // self.plan.width))
+        return max(1, -(-n_lanes // self.layout.width))
 
     def _compile(self) -> Loop:
-        plan = self.plan
-        library, address = jit.load(Emitter(plan).ir(), "kernel")
-        pointers = [ctypes.c_void_p] * (1 + len(plan.sizes))
+        from ident.engine.emitter import Emitter
+
+        ir = Emitter(self.plan).ir()
+        self.code = jit.key_of(ir)
+        return self._linked(*jit.load(ir, "kernel"))
+
+    def _linked(self, library: Any, address: int) -> Loop:
+        summed, n_arrays = self.layout.summed, len(self.layout.sizes)
+        pointers = [ctypes.c_void_p] * (1 + n_arrays)
         entry = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64, *pointers,
-                                 *[ctypes.c_int64] * len(plan.summed))(address)
+                                 *[ctypes.c_int64] * len(summed))(address)
 
         def run(n_rows: int, groups: int, mask: Mask, arrays: Mapping[str, Array], per_row: AbstractSet[str]) -> None:
             assert library is not None  # the code lives as long as its library
             entry(n_rows, groups, mask.ctypes.data, *[a.ctypes.data for a in arrays.values()],
-                  *[int(name in per_row) for name in plan.summed])
+                  *[int(name in per_row) for name in summed])
 
         return run
 
     def _interpret(self) -> Loop:
+        from ident.engine.interpreter import interpret
+
         plan = self.plan
         return lambda n_rows, groups, mask, arrays, per_row: interpret(plan, n_rows, groups, mask, arrays, per_row)

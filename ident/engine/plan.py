@@ -17,6 +17,7 @@ from typing import Any
 import casadi as ca
 
 from ident.engine import jit
+from ident.engine.layout import Layout
 
 
 @dataclass(frozen=True)
@@ -81,13 +82,13 @@ class Plan:
     def grams(self) -> frozenset[str]:
         return frozenset(s.result for s in self.stages if isinstance(s, Gram))
 
+    @cached_property
+    def layout(self) -> Layout:
+        return Layout(self.sizes, self.rows, self.lanes, self.carried, self.summed, self.grams, self.width)
+
     def shape(self, name: str, n_rows: int, groups: int, per_row: bool = False) -> tuple[int, ...]:
-        """(rows if it has them, groups and width if it is in lanes, entries in between)."""
-        if name in self.grams:
-            return (groups, groups, self.width, self.width)
-        row = (n_rows,) if name in self.rows or per_row else ()
-        lane = name in self.lanes
-        return (*row, *((groups,) * lane), self.sizes[name], *((self.width,) * lane))
+        """As ``Layout.shape``."""
+        return self.layout.shape(name, n_rows, groups, per_row)
 
 
 def stage(inputs: Mapping[str, Any], results: Mapping[str, Any], bit: int | None = None) -> Stage:

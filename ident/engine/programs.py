@@ -1,135 +1,99 @@
-"""The kernels of a filter: likelihood, its adjoint, its tangents, all it knows row by row, and simulation."""
+"""The kernels of a filter, each made when it is first asked for, or found as an earlier process made it."""
 
 from __future__ import annotations
 
 import threading
+from collections import deque
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
+from weakref import WeakValueDictionary
 
-import casadi as ca
-import numpy as np
-
-from ident.engine.graphs import Graphs, Update
-from ident.engine.kernel import Kernel
-from ident.engine.plan import Gram, Plan, Stage, split, stage
+from ident.engine import jit, recall
+from ident.engine.kernel import MAX_BITS, Kernel
 from ident.model import Model
 
-ROWS = frozenset({"u", "u_next", "y", "h"})
-_known: dict[str, Programs] = {}
+if TYPE_CHECKING:
+    from ident.engine.graphs import Graphs
+    from ident.engine.plan import Plan
+    from ident.engine.plans import Plans
+
+_known: WeakValueDictionary[str, Programs] = WeakValueDictionary()
+_recent: deque[Programs] = deque(maxlen=12)  # kept alive: a search that refits makes hundreds, of some megabytes each
 _lock = threading.RLock()  # CasADi and LLVM build one kernel at a time
 
 
 def programs_for(model: Model, *, covariance: bool = True, joseph: bool = False) -> Programs:
     """The kernels of a model, shared by all models that differ only in their values."""
     with _lock:
-        graphs = Graphs(model, covariance=covariance, joseph=joseph)
-        return _known.setdefault(graphs.key, Programs(graphs))
+        made = Programs(model, covariance, joseph)
+        found = _known.setdefault(made.key, made)
+        if found in _recent:
+            _recent.remove(found)
+        _recent.append(found)
+        return found
 
 
 class Programs:
-    """Kernels, each made when it is first asked for."""
+    """Kernels of a model by name: what each does is said in ``plans.Plans``."""
 
-    def __init__(self, graphs: Graphs) -> None:
-        self.graphs = graphs
-        self.n_s = int(graphs.s.numel())
-        self.n_parameters = int(graphs.p.numel())
+    def __init__(self, model: Model, covariance: bool, joseph: bool) -> None:
+        self._model, self._covariance, self._joseph = model, covariance, joseph
+        written = recall.key_of(model, covariance, joseph) if len(model.sensors) <= MAX_BITS else None
+        self._kept = written if jit.AVAILABLE else None
+        self.key = written or self.graphs.key
+
+    @cached_property
+    def graphs(self) -> Graphs:
+        from ident.engine.graphs import Graphs
+
+        return Graphs(self._model, covariance=self._covariance, joseph=self._joseph)
+
+    @cached_property
+    def _plans(self) -> Plans:
+        from ident.engine.plans import Plans
+
+        return Plans(self.graphs)
 
     @cached_property
     def value(self) -> Kernel:
-        """s carried, p constant; ll summed."""
-        with _lock:
-            g = self.graphs
-            updates = [stage(g.inputs, self._effect(u), bit) for bit, u in enumerate(g.updates)]
-            return Kernel(Plan((*updates, stage(g.inputs, {"s": g.predict[0]})), ROWS))
+        return self._kernel("value")
 
     @cached_property
     def forward(self) -> Kernel:
-        """Like ``value``; it keeps the state before every stage in the rows tape0, tape1, ..."""
-        with _lock:
-            g = self.graphs
-            stages = [stage(g.inputs, self._effect(u) | {tape: g.s}, bit) for tape, u, bit in self._sweep()]
-            return Kernel(Plan(tuple(stages), ROWS | self.tapes))
+        return self._kernel("forward")
 
     @cached_property
     def backward(self) -> Kernel:
-        """The adjoints of the stages in reverse: ``g`` by the parameters, ``bar`` by the state at the start."""
-        with _lock:
-            g = self.graphs
-            stages: list[Stage] = []
-            bar = ca.SX.sym("bar", self.n_s)
-            for tape, u, bit in self._sweep():
-                effect = self._effect(u)
-                weight = ca.vertcat(bar, *[1] * ("ll" in effect))
-                both = ca.jtimes(ca.vertcat(*effect.values()), ca.vertcat(g.s, g.p), weight, True)
-                inputs = {tape if name == "s" else name: v for name, v in g.inputs.items()} | {"bar": bar}
-                stages.append(stage(inputs, {"bar": both[:self.n_s], "g": both[self.n_s:]}, bit))
-            return Kernel(Plan(tuple(stages[::-1]), ROWS | self.tapes, backward=True))
+        return self._kernel("backward")
 
     @cached_property
     def tangent(self) -> Kernel:
-        """One lane for each chosen parameter: ``ds`` carried, ``dp`` constant; ``dll`` and ``fisher`` summed.
-
-        The Fisher information of Gaussian innovations: ``de de' / S + dS dS' / (2 S^2)``; a little less of both
-        where outliers are allowed.
-        """
-        with _lock:
-            g, lanes = self.graphs, {"ds", "dp", "dll"}
-            stages: list[Stage | Gram] = []
-            ds, dp = ca.SX.sym("ds", self.n_s), ca.SX.sym("dp", self.n_parameters)
-            for q, (_, u, bit) in enumerate(self._sweep()):
-                seeds = {"ds": ds, "dp": dp}
-                results = {"ds": _tangent(g, u.s, ds, dp)}
-                if u.e is not None:
-                    de, dS = _tangent(g, u.e, ds, dp), _tangent(g, u.S, ds, dp)
-                    results["dll"] = ca.sum1(0.5 * dS * (u.e * u.slope - 1) / u.S - u.slope * de)
-                    part = ca.sqrt(u.known)
-                    results[f"v{q}"] = ca.vertcat(part[:, 0] * de / ca.sqrt(u.S),
-                                                  np.sqrt(0.5) * part[:, 1] * dS / u.S)
-                    lanes.add(f"v{q}")
-                stages += split(g.inputs, self._effect(u), seeds, results, bit, f"w{q}")
-                if u.e is not None:
-                    stages.append(Gram(f"v{q}", "fisher", int(results[f"v{q}"].numel()), bit))
-            return Kernel(Plan(tuple(stages), ROWS, frozenset(lanes)))
+        return self._kernel("tangent")
 
     @cached_property
     def filter(self) -> Kernel:
-        """Everything in rows: predicted and filtered state, Phi (by columns), e (all outputs, by the prediction),
-        then by sensor, given those before it, e0, S0, e1, ... ; ll summed."""
-        with _lock:
-            g, rows = self.graphs, {"predicted", "filtered", "Phi", "e"}
-            s, Phi = g.predict
-            stages = [stage(g.inputs, {"predicted": g.s, "e": g.residual})]
-            for bit, u in enumerate(g.updates):
-                stages.append(stage(g.inputs, self._effect(u) | {f"e{bit}": u.e, f"S{bit}": u.S}, bit))
-                rows |= {f"e{bit}", f"S{bit}"}
-            stages.append(stage(g.inputs, {"filtered": g.s, "s": s, "Phi": ca.vec(Phi)}))
-            return Kernel(Plan(tuple(stages), ROWS | rows))
+        return self._kernel("filter")
 
     @cached_property
     def simulate(self) -> Kernel:
-        """Rows ``x`` and ``z`` (outputs), s carried; of graphs without a covariance."""
-        with _lock:
-            g = self.graphs
-            z = g.output(g.s, g.u, g.p)
-            inputs = {name: v for name, v in g.inputs.items() if name != "y"}
-            return Kernel(Plan((stage(inputs, {"x": g.s, "z": z, "s": g.step(g.s)[0]}),),
-                               ROWS - {"y"} | {"x", "z"}))
+        return self._kernel("simulate")
 
     @property
     def tapes(self) -> frozenset[str]:
-        return frozenset(f"tape{q}" for q in range(len(self.graphs.updates) + 1))
+        """Rows in which ``forward`` keeps the states that ``backward`` needs."""
+        return frozenset(f"tape{q}" for q in range(len(self._model.sensors) + 1))
 
-    def _sweep(self) -> list[tuple[str, Update, int | None]]:
-        """Tape, what happens, and the mask's bit, for each stage in order."""
-        g = self.graphs
-        steps: list[tuple[Update, int | None]] = [(u, bit) for bit, u in enumerate(g.updates)]
-        steps.append((Update(g.predict[0], None, None, None), None))
-        return [(f"tape{q}", u, bit) for q, (u, bit) in enumerate(steps)]
+    def _kernel(self, name: str) -> Kernel:
+        with _lock:
+            def plan() -> Plan:
+                with _lock:
+                    made: Any = getattr(self._plans, name)()
+                    return made  # type: ignore[no-any-return]
 
-    @staticmethod
-    def _effect(u: Update) -> dict[str, Any]:
-        return {"s": u.s} if u.ll is None else {"s": u.s, "ll": u.ll}
-
-
-def _tangent(g: Graphs, expression: Any, ds: Any, dp: Any) -> Any:
-    return ca.jtimes(expression, ca.vertcat(g.s, g.p), ca.vertcat(ds, dp))
+            known = recall.recall(self._kept, name) if self._kept else None
+            kernel = Kernel.at_hand(*known, plan) if known else None
+            if kernel is None:
+                kernel = Kernel(plan())
+                if self._kept:
+                    recall.remember(self._kept, name, kernel.layout, kernel.code)
+            return kernel

@@ -18,7 +18,7 @@ BUILT_IN = ("horizontal", "kinematic", "surge", "yaw", "thruster")
 OPTIONS: dict[str, tuple[tuple[str, ...], ...]] = {
     "surge": (("force", "shaft"), ("position", "speed", "both")),
     "yaw": (("rate", "both"),),
-    "thruster": (),
+    "thruster": (("slow",),),
 }
 
 
@@ -50,6 +50,10 @@ def make_model(source: str, sensors: Sequence[str] | None = None) -> Model:
             else horizontal(propulsion, current=current)
         )
         return replace(model + current_walk(), source=source) if "walk" in options else model
+    if kind == "thruster" and (options in ([], ["slow"]) or _is_step(options)):
+        from ident.models.thruster import thruster
+
+        return thruster(*options, force=sensors is None or "load_cell" in sensors)
     if kind == "kinematic":
         return _kinematic(source, options, sensors)
     module = importlib.import_module(f"ident.models.{kind}")
@@ -60,6 +64,14 @@ def make_model(source: str, sensors: Sequence[str] | None = None) -> Model:
             known = f"there is {', '.join(allowed)}" if allowed else "it takes no more"
             raise SeatrialError(f"no model {source!r}: {kind} has no option {option!r} there; {known}")
     return maker(*options)
+
+
+def _is_step(options: Sequence[str]) -> bool:
+    """The delay from one copy of a thruster's command to the next, s."""
+    try:
+        return len(options) == 1 and 1e-4 < float(options[0]) < 1.0
+    except ValueError:
+        return False
 
 
 def _kinematic(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:

@@ -66,6 +66,36 @@ def forces_of(model: Model) -> tuple[str, ...]:
     return ("X", "Y") if "plane" in model.provides else ()
 
 
+def shaft_disturbance() -> Effect:
+    """An Ornstein-Uhlenbeck acceleration ``b_n`` of a shaft on the bench [1/s], beside the force ``b_f`` that its model
+    has: what the first-order response to the command does not explain."""
+    tau, sd = 0.3, 0.03
+    q = sd * float(np.sqrt(2 / tau))
+
+    def add(s: Signals) -> None:
+        s.rate["n"] = s.rate["n"] + s.x.b_n
+        s.rate["b_n"] = -s.x.b_n / s.p.tau_n
+
+    return Effect(
+        "disturbance",
+        "an unexplained acceleration of the shaft",
+        {"rate": add},
+        parameters=(
+            Parameter("q_n", q, "1/s/sqrt(s)", "diffusion of the unexplained acceleration", "log", prior=(q, 3 * q)),
+            Parameter(
+                "tau_n", tau, "s", "memory of the unexplained acceleration", "log", prior=(tau, tau), bounds=(0.05, 5.0)
+            ),
+        ),
+        states=(State("b_n", "1/s", "unexplained acceleration of the shaft", "q_n", sd0=sd),),
+        place="bench",
+    )
+
+
+def disturbance_of(model: Model) -> Effect:
+    """The unexplained forces of a vehicle, or the unexplained acceleration of a shaft."""
+    return shaft_disturbance() if "bench" in model.provides else disturbance(forces_of(model))
+
+
 def sensor_bias(sensors: Sequence[str]) -> Effect:
     """Slowly walking offsets of gyro, heading and accelerometers (white plus random walk, thesis 4.1)."""
     table: dict[str, tuple[tuple[str, str, float, float], ...]] = {
@@ -94,9 +124,9 @@ def sensor_bias(sensors: Sequence[str]) -> Effect:
 
 def for_diagnosis(model: Model) -> Model:
     """The model with unexplained forces and sensor offsets as states; velocities get no white noise of their own."""
-    out: Model = model + disturbance(forces_of(model))
+    out: Model = model + disturbance_of(model)
     present = [s.name for s in model.sensors]
     if {"attitude", "gyro", "accelerometer"} & set(present):
         out = out + sensor_bias(present)
-    quiet = [p.at(1e-4).fixed() for p in out.parameters if p.name in ("s_u", "s_v", "s_r")]
+    quiet = [p.at(1e-4).fixed() for p in out.parameters if p.name in ("s_u", "s_v", "s_r", "s_n")]
     return out.replace_parameters(*quiet)

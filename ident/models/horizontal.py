@@ -103,7 +103,8 @@ def horizontal(
         tuple(SENSORS[s] for s in sensors),
         parameters,
         (*stages[propulsion], ("force", force), ("rate", rate), ("output", output)),
-        provides={"shaft": ("n", "f", "hull"), "force": ("f", "f_input", "hull"), "general": ("hull",)}[propulsion],
+        provides={"shaft": ("n", "f", "hull"), "force": ("f", "f_input", "hull"), "general": ("hull",)}[propulsion]
+        + (("body_velocity",) if "body_velocity" in sensors else ()),
         source=f"horizontal:{propulsion}" + ("" if current else ":still"),
     )
 

@@ -16,10 +16,12 @@ from typing import Any
 import numpy as np
 
 from ident.dataset import Channel
-from ident.model import Input, Model, Output, Sensor, Signals, State
+from ident.model import Input, Model, Output, Residual, Sensor, Signals, State, Variable
+from ident.models.unexplained import TIME, adder
 from ident.params import Parameter
 
 DELAY_STEP = 0.0125  # s
+SLOW_STEP = 0.1  # s, of ``thruster:slow``: delays up to 4.8 s, over links that poll
 N_DELAYS = 49
 EDGE = 0.005  # of the command: over which the dead zone ends
 
@@ -41,6 +43,14 @@ SWING = (
 )
 
 
+def _accelerate(s: Signals, extra: Any) -> None:
+    s.rate["n"] = s.rate["n"] + extra
+
+
+UNEXPLAINED_FORCE = Residual("F", "N", "b_f", 5.0, "the force on the load cell", adder("force"), "thrust")
+UNEXPLAINED_RATE = Residual("n_dot", "1/s", "b_n", 0.5, "the acceleration of the shaft", _accelerate, "rate")
+
+
 def delayed_channels(
     channel: Channel, step: float = DELAY_STEP, n: int = N_DELAYS, name: str = "n_cmd"
 ) -> dict[str, Channel]:
@@ -55,10 +65,27 @@ def delayed_channels(
     return copies
 
 
+def delay_step(model: Model) -> float:
+    """s, by which each copy of the command is later than the one before."""
+    return model.parameter("tau").bounds[1] / (sum(i.name.startswith("n_cmd_") for i in model.inputs) - 1)
+
+
+def on_a_copy(tau: float, step: float) -> str:
+    """The ``pace`` of a model whose copies of the command have this delay among them.
+
+    Between two copies a step of the command comes in two parts, half of the time between them too early and too late,
+    which looks like a lag of the shaft; on a copy it is exact. Empty where the delay is shorter than any step.
+    """
+    k = round(tau / step)
+    return f"{tau / k:.6g}" if k > 0 else ""
+
+
 def thruster(
-    *, force: bool = True, swing: bool = True, step: float = DELAY_STEP, n_delays: int = N_DELAYS
+    pace: str = "", *, force: bool = True, swing: bool = True, step: float = DELAY_STEP, n_delays: int = N_DELAYS
 ) -> Model:
-    """The bench model. force: a load cell is there; swing: with the unexplained force ``b_f``."""
+    """The bench model. pace: ``slow`` for delays beyond 0.6 s, or the ``step`` itself [s] as text (``on_a_copy``);
+    force: a load cell is there; swing: with the unexplained force ``b_f``."""
+    step = SLOW_STEP if pace == "slow" else float(pace or step)
     top = step * (n_delays - 1)
     delay = Parameter("tau", min(0.1, top / 2), "s", "delay of the command", bounds=(0.0, top), step=0.005)
     states = [State("n", "", "shaft speed, normalised", "s_n", from_output="n", sd0=0.1)]
@@ -70,10 +97,17 @@ def thruster(
         states.append(State("b_f", "N", "unexplained force", "q_f", sd0=1.0))
         parameters += SWING
 
+    def reference(s: Signals) -> Any:
+        weights = enumerate(delay_weights(s.p.tau / step, n_delays))
+        # of numbers all but two or four are nought; of symbols none is known to be
+        return sum(
+            w * past_dead_zone(getattr(s.u, f"n_cmd_{k}"), s.p.d)
+            for k, w in weights
+            if not (isinstance(w, float) and w == 0.0)
+        )
+
     def shaft(s: Signals) -> None:
-        commands = [past_dead_zone(getattr(s.u, f"n_cmd_{k}"), s.p.d) for k in range(n_delays)]
-        s.n_ref = sum(w * c for w, c in zip(delay_weights(s.p.tau / step, n_delays), commands, strict=True))
-        s.n = s.x.n
+        s.n_ref, s.n = reference(s), s.x.n
 
     return Model(
         "thruster",
@@ -82,8 +116,16 @@ def thruster(
         tuple(sensors),
         tuple(parameters),
         (("shaft", shaft), ("thrust", _thrust), ("rate", _rate), ("output", _output)),
-        provides=("bench",),
-        source="thruster",
+        provides=("bench", "thrust") if force else ("bench",),
+        source=f"thruster:{pace}" if pace else "thruster",
+        residuals=(UNEXPLAINED_FORCE, UNEXPLAINED_RATE) if force and swing else (UNEXPLAINED_RATE,),
+        variables=(
+            Variable("n", "", lambda s: s.x.n),
+            Variable("n_ref", "", reference),
+            Variable("slip", "", lambda s: reference(s) - s.x.n),
+            TIME,
+        ),
+        block=2.0,
     )
 
 

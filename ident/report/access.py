@@ -96,7 +96,7 @@ class Take:
     @property
     def title(self) -> str:
         """What stands on the tab."""
-        return " · ".join(part for part in (self.role, self.name) if part) or "record"
+        return " · ".join(dict.fromkeys(part for part in (self.role, self.name) if part)) or "record"
 
 
 def takes(result: Row, key: str) -> list[Take]:

@@ -23,6 +23,7 @@ KINDS = {
     "vehicle": "Vehicle identification",
     "diagnosis": "Diagnosis",
     "noise": "Sensor noise",
+    "navigation": "Navigation",
 }
 
 
@@ -92,7 +93,7 @@ def _environment() -> Environment:
 
 def _count_traces(result: Mapping[str, Any]) -> int:
     """About how many long traces the page will hold."""
-    weights = {"traces": 4, "track": 3, "inputs": 1, "residuals": 2, "residual_forces": 4, "noise": 2}
+    weights = {"traces": 4, "track": 3, "inputs": 1, "residuals": 2, "residual_forces": 4, "noise": 2, "navigation": 40}
     return sum(weight * len(rows(result, key)) for key, weight in weights.items())
 
 

@@ -16,14 +16,14 @@ from ident.report.access import ROLES, Row, flag, group, number, rows, text
 from ident.report.sections.errors import HORIZONS
 from ident.report.sections.search import threshold
 
-MOST_PARAMETERS, MOST_CANDIDATES, MOST_CHANNELS = 9, 6, 8
+MOST_PARAMETERS, MOST_CANDIDATES, MOST_CHANNELS, MOST_OUTAGES = 9, 6, 8, 8
 
 
 def print_result(result: Mapping[str, Any], console: Console) -> None:
     """Print the answer, the parameters, the ranked candidates, and the error before and after."""
     console.print()
     console.print(Padding(Text(text(result, "answer"), style="bold"), (0, 1)))
-    for table in (_parameters(result), _noise(result), _candidates(result), _errors(result)):
+    for table in (_parameters(result), _noise(result), _outages(result), _candidates(result), _errors(result)):
         if table is not None:
             console.print()
             console.print(Padding(table, (0, 0, 0, 1)))
@@ -59,7 +59,8 @@ def _parameters(result: Row) -> Table | None:
     table.add_column("", no_wrap=True)
     table.add_column("value ± s.e.", justify="right", no_wrap=True)
     table.add_column("", no_wrap=True)
-    table.add_column("", style="dim", no_wrap=True, overflow="ellipsis", ratio=1)
+    # A flag may be a sentence; without a limit it would take its room from the numbers.
+    table.add_column("", style="dim", no_wrap=True, overflow="ellipsis", max_width=40)
     for row in shown:
         (value, se), unit = _scaled(row, "value", "se")
         name = Text(text(row, "name"), style="bold green" if text(row, "name") in own else "bold")
@@ -87,6 +88,23 @@ def _noise(result: Row) -> Table | None:
         texts = (text(row, "channel"), wording.with_error(white, se_white), wording.with_error(walk, se_walk))
         more = (unit, wording.probability(number(row, "p")))
         table.add_row(*(Text(words) for words in texts + more), verdict)
+    return table
+
+
+def _outages(result: Row) -> Table | None:
+    found = rows(result, "outages")
+    if not found:
+        return None
+    shown = sorted(found, key=lambda row: -(number(group(row, "at_end"), "radius") or 0.0))[:MOST_OUTAGES]
+    table = _table("GNSS outages" if len(shown) == len(found) else f"GNSS outages ({len(shown)} worst of {len(found)})")
+    table.add_column("", no_wrap=True, overflow="ellipsis")
+    for title in ("from [s]", "for [s]", "95 % radius [m]", "off by [m]", "allowed [m]"):
+        table.add_column(title, justify="right", no_wrap=True)
+    for row in shown:
+        values = (number(row, "start"), number(row, "duration"), number(group(row, "at_end"), "radius"))
+        words = [wording.plain(value) for value in (*values, number(row, "error"), number(row, "allowed"))]
+        outside = flag(row, "inside") is False
+        table.add_row(Text(text(row, "record")), *(Text(word) for word in words), style="bold red" if outside else "")
     return table
 
 

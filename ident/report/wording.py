@@ -35,6 +35,11 @@ MEANINGS = {
     "n": "shaft speed",
     "force": "force",
     "rpm": "shaft speed",
+    "F": "force on the load cell",
+    "n_dot": "acceleration of the shaft",
+    "n_cmd": "command",
+    "n_ref": "command after delay and dead zone",
+    "slip": "command less shaft speed",
 }
 SYMBOLS = {"psi": "ψ"}
 

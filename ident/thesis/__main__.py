@@ -21,9 +21,12 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("docs"), help="folder")
     parser.add_argument("--bench", type=Path, metavar="LOG", help="log of a bench run, for table 2")
+    parser.add_argument("--evaluations", type=int, default=15_000, help="work of the search for designs, chapter 5")
+    parser.add_argument("--repeats", type=int, default=50, help="fits of the designed experiment, chapter 5")
     given = parser.parse_args(words)
     try:
-        write(given.out, given.seed, given.bench, lambda line: print(line, file=sys.stderr, flush=True))
+        write(given.out, given.seed, given.bench, lambda line: print(line, file=sys.stderr, flush=True),
+              evaluations=given.evaluations, repeats=given.repeats)
     except (SeatrialError, OSError) as problem:
         print(f"seatrial: {problem}", file=sys.stderr)
         return 1

@@ -9,6 +9,7 @@ from ident.fit import Fit
 from ident.report.figures import write_figures
 from ident.thesis import printed, tables
 from ident.thesis.drawings import bench_part, innovation_part, noise_part, predictor_part
+from ident.thesis.experiments import chapter_5
 from ident.thesis.fits import (
     Both,
     at_rest,
@@ -30,11 +31,15 @@ The data of the paper (*Nonlinear system identification of autonomous marine veh
 public. Here its estimates are made the truth, missions are simulated with process noise by the models themselves (in
 plain numpy, `ident/euler.py`), and estimated again. So the columns "paper" and "truth" say what boat it is, and the
 rest whether these estimators find it. One realisation of one seed: for bias and coverage see [study.md](study.md).
-The figures are in [thesis.html](thesis.html), which opens without a network. ± is one standard error.
+± is one standard error.
+
+The figures are in [thesis.html](thesis.html), which opens without a network: 4.1 and 4.2 (accelerometer and
+magnetometer at rest), 4.3 (the thruster's response), 5.1 to 5.3 (designed experiments), 6.1 (yaw rate), 6.2 (position
+and its differences), 6.3 to 6.6 (innovations of acceleration and position, 3DOF and 6DOF K).
 """
 
 
-def write(out: Path, seed: int, bench: Path | None, say: Say) -> None:
+def write(out: Path, seed: int, bench: Path | None, say: Say, *, evaluations: int = 15_000, repeats: int = 50) -> None:
     """thesis.md and thesis.html into a folder. Raises SeatrialError where the log of a bench cannot be used."""
     say("thruster")
     thruster = bench_experiment(seed)
@@ -57,11 +62,15 @@ def write(out: Path, seed: int, bench: Path | None, say: Say) -> None:
         "Innovations, in units of the channel (figures 6.3-6.6): a right model leaves them white.", "",
         *tables.innovations(three, six),
     ]
+    designed, figures_5 = chapter_5(seed, evaluations, repeats, say)
+    lines += ["", *designed[:-1]]
     out.mkdir(parents=True, exist_ok=True)
     (out / "thesis.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     say("sensors at rest, figures")
-    parts = [noise_part(at_rest(seed)), bench_part(thruster), predictor_part(turn, run), innovation_part(three, six)]
-    write_figures(out / "thesis.html", "The paper's figures once more", "Figures 4.1-4.3 and 6.1-6.6 on simulated data",
+    parts = [noise_part(at_rest(seed)), bench_part(thruster), figures_5, predictor_part(turn, run),
+             innovation_part(three, six)]
+    write_figures(out / "thesis.html", "The paper's figures once more",
+                  "Figures 4.1-4.3, 5.1-5.3 and 6.1-6.6 on simulated data",
                   f"Made by `{command}`; numbers and words in thesis.md.", parts)
     say(f"written: {out / 'thesis.md'}, {out / 'thesis.html'}")
 

@@ -81,11 +81,20 @@ def running(folder: Path) -> Iterator[Run]:
 
 
 def acquisition_of(runner: int) -> int:
-    """Process id of the runner's only child."""
-    out = subprocess.run(["ps", "-eo", "pid=,ppid="], capture_output=True, text=True, check=True).stdout
-    children = [int(pid) for pid, parent in (line.split() for line in out.splitlines()) if int(parent) == runner]
-    assert len(children) == 1
-    return children[0]
+    """Process id of the runner's child that acquires."""
+    return _child_of(runner, "daq.acquire_process")
+
+
+def watchdog_of(runner: int) -> int:
+    """Process id of the runner's child that watches the other one."""
+    return _child_of(runner, "daq.watchdog")
+
+
+def _child_of(runner: int, module: str) -> int:
+    out = subprocess.run(["ps", "-eo", "pid=,ppid=,args="], capture_output=True, text=True, check=True).stdout
+    rows = [line.split(maxsplit=2) for line in out.splitlines()]
+    (child,) = [int(pid) for pid, parent, args in rows if int(parent) == runner and f"-m {module}" in args]
+    return child
 
 
 def assert_plan_was_run(log: Path, mission: Mission, node: int = 1) -> int:

@@ -21,6 +21,7 @@ from daq.samples import Esc
 NODE, POLE_PAIRS, RPM_MAX = 1, 7, 4500.0
 ZERO_COUNTS, NEWTON_PER_COUNT = 84210.0, 0.001
 TIMEOUT_S = 4.0  # run seconds, the ESC's own
+SLOW_ESC_S = 40.0  # one that nobody has set
 
 RIG = """
 format = "seatrial-rig 1"
@@ -92,7 +93,8 @@ class Port:
 class StandIn:
     """ESC and load cell; a context manager that runs them on a thread."""
 
-    def __init__(self, folder: Path, speed: float = 4.0) -> None:
+    def __init__(self, folder: Path, speed: float = 4.0, timeout_s: float = TIMEOUT_S) -> None:
+        self._timeout_s = timeout_s
         self.rig = folder / "bench-rig.toml"
         self.rig.write_text(RIG.format(speed=speed), encoding="utf-8")
         self.speed = speed
@@ -149,7 +151,7 @@ class StandIn:
             watched = [port.master for port in (self.can, self.cell) if port.open]
             select.select(watched, [], [], 0.002)
             self._listen()
-            if self.commands and time.monotonic() - self.commands[-1][0] > TIMEOUT_S / self.speed:
+            if self.commands and time.monotonic() - self.commands[-1][0] > self._timeout_s / self.speed:
                 self._move(0.0)
             if self._garbage:
                 data, self._garbage = self._garbage, b""

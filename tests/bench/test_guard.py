@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from bench.fence import STOPPED, stopping_distance
 from bench.guard import Guard
 from daq.acquire import Latest, PortStatus, Status
 from daq.errors import SafetyStop
 from daq.rig import Rig, parse_rig
-from daq.samples import Esc, Gnss, LoadCell, Sample
+from daq.samples import Ahrs, Battery, Esc, Gnss, LoadCell, Sample
 from tests.bench.standin import RIG
 
 GNSS = """
@@ -20,18 +22,36 @@ name = "gnss"
 protocol = "nmea"
 port = "ports/gnss"
 rate_hz = 5.0
+[[device]]
+name = "ahrs"
+protocol = "vectornav"
+port = "ports/ahrs"
+rate_hz = 50.0
+"""
+LIMITS = """
+radius_m = 100.0
+rpm = 4000.0
+roll_deg = 30.0
+pitch_deg = 20.0
+battery_min = 0.2
+[vehicle]
+m_u = 37.0
+d_u = 0.2
+d_uu = 25.0
 """
 T = 1_763_616_000.0
 GOOD: dict[tuple[str, int | None], Sample] = {
     ("esc", 1): Esc(1, 900.0, 5.0, 0.2, 24.0, 30.0),
     ("loadcell", None): LoadCell(85000.0, 0.8),
     ("gnss", None): Gnss(T, 41.18, -8.70, fix=3),
+    ("ahrs", None): Ahrs(1.0, 0.1, -0.1),
+    ("ahrs/battery", None): Battery(15.0, 3.0, 0.8),
 }
 
 
 @pytest.fixture
 def rig(tmp_path: Path) -> Rig:
-    text = RIG.format(speed=1.0).replace("[[thruster]]", GNSS + "[[thruster]]") + "radius_m = 100.0\n"
+    text = RIG.format(speed=1.0).replace("[[thruster]]", GNSS + "[[thruster]]") + LIMITS
     return parse_rig(text, tmp_path / "rig.toml")
 
 
@@ -41,7 +61,7 @@ def port(name: str, age: float = 0.01) -> PortStatus:
 
 def status(t: float, size: int = 1000, **samples: Sample) -> Status:
     latest = {source: Latest(samples.get(source[0], sample), T + t - 0.01) for source, sample in GOOD.items()}
-    ports = {name: port(name) for name in ("esc", "loadcell", "gnss")}
+    ports = {name: port(name) for name in ("esc", "loadcell", "gnss", "ahrs")}
     return Status(T + t, ports, latest, {"left": 0.2}, 3, "run.mcap", size, 10, t, "", ())
 
 
@@ -79,6 +99,16 @@ NAN = float("nan")
         ("loadcell", LoadCell(0.0, -60.1), "force is -60.1 N, limit 60 N"),
         ("gnss", Gnss(T, 41.18 + 101 / 111_195, -8.70, fix=3), "101 m from the start by gnss, limit 100 m"),
         ("gnss", Gnss(T, 41.18, -8.70 + 101 / 83_690, fix=3), "101 m from the start by gnss, limit 100 m"),
+        (
+            "gnss",
+            Gnss(T, 41.18 + 96 / 111_195, -8.70, vel_n=1.0, vel_e=0.5, fix=3),
+            "96 m from the start by gnss and 4 m to stop from 1.0 m/s, limit 100 m",
+        ),
+        ("esc", Esc(1, -4001.0), "speed of node 1 is -4001 rpm, limit 4000"),
+        ("ahrs", Ahrs(0.0, 0.0, math.radians(-31.0)), "roll is -31 deg by ahrs, limit 30"),
+        ("ahrs", Ahrs(0.0, math.radians(21.0), 0.0), "pitch is 21 deg by ahrs, limit 20"),
+        ("ahrs/battery", Battery(9.9), "battery of ahrs is at 9.9 V, least 10 V"),
+        ("ahrs/battery", Battery(12.0, 1.0, 0.19), "battery of ahrs has 19 % left, least 20 %"),
     ],
 )
 def test_each_limit_stops_with_its_reason(guard: Guard, name: str, sample: Sample, words: str) -> None:
@@ -95,6 +125,9 @@ def test_each_limit_stops_with_its_reason(guard: Guard, name: str, sample: Sampl
         ("gnss", Gnss(T, 41.18 + 99 / 111_195, -8.70, fix=3)),
         ("gnss", Gnss(T, NAN, NAN, fix=0)),
         ("gnss", Gnss(T, 10.0, 10.0, fix=0)),
+        ("gnss", Gnss(T, 41.18 + 96 / 111_195, -8.70, vel_n=-1.0, vel_e=0.0, fix=3)),  # on its way back
+        ("ahrs", Ahrs(NAN, NAN, NAN, r=1.0)),
+        ("ahrs/battery", Battery()),
     ],
 )
 def test_what_is_no_danger_does_not_stop(guard: Guard, name: str, sample: Sample) -> None:
@@ -150,6 +183,17 @@ def test_a_silent_controller_on_a_busy_bus_stops(guard: Guard) -> None:
 def test_a_log_that_does_not_grow_stops(guard: Guard) -> None:
     guard.check(status(2.9))
     assert "does not grow" in reason(guard, status(3.1))
+
+
+def test_the_way_to_a_stop_is_that_of_the_boats_own_drag() -> None:
+    """Against the equation stepped by hand."""
+    vehicle = {"m_u": 37.0, "d_u": 2.0, "d_uu": 25.0}
+    u, x, dt = 1.4, 0.0, 1e-4
+    while u > STOPPED:
+        u, x = u - dt * (2.0 * u + 25.0 * u * u) / 37.0, x + dt * u
+    assert stopping_distance(1.4, vehicle) == pytest.approx(x, rel=1e-3)
+    assert stopping_distance(1.4, {}) == 0.0
+    assert stopping_distance(1.0, {"m_u": 10.0, "d_u": 5.0}) == pytest.approx(10.0 / 5.0 * 0.95)
 
 
 def test_a_rig_without_limits_has_the_two_that_need_none(rig: Rig) -> None:

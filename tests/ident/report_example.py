@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from tests.ident.calibration_example import calibration
+
 STEP = 0.1  # s
 SHAFTS = ("n_left", "n_right")
 CHANNELS = (
@@ -209,6 +211,9 @@ def effect() -> dict[str, Any]:
         "place": "actuator",
         "experiment": "steps of both thrusters at several speeds, then full astern while still moving ahead",
         "rivals": [{"name": "cubic-drag", "criterion_behind": 129.0}],
+        "certainty": "named",
+        "reasons": [],
+        "not_excluded": [],
         "parameters": [k_J],
         "share": 0.72,
     }
@@ -248,6 +253,7 @@ def diagnosis() -> dict[str, Any]:
     shape = {"force": "X", "variable": "u", "unit": "N", "variable_unit": "m/s", "grid": listed(grid)}
     result["shapes"] = [{**shape, "value": listed(2 - 5 * grid**2), "sd": listed(0.4 + 0.6 * (grid - 0.6) ** 2)}]
     result["before_after"] = {"validation": errors(rng, 1.0), "estimation": errors(rng, 0.9)}
+    result["calibration"] = calibration()
     result["next_experiment"] = "Full astern while still moving ahead: it tells advance-ratio from cubic-drag."
     result["notes"] = ["Sway damping rests on its prior in part.", "GNSS was lost for 12 s in each record."]
     return result

@@ -11,7 +11,7 @@ from ident.fit import Fit, fit
 from ident.model import Effect, Input, Model, Output, Sensor, Signals, State, plain_model
 from ident.params import Parameter
 from ident.pe import Likelihood
-from ident.score import Columns, Normal, Score, block_index, score_tests, whitened_sensitivities
+from ident.score import Columns, Normal, Score, block_index, place, score_tests, whitened_sensitivities
 
 H = 0.1  # s
 M, D, Q, E_V, E_S = 2.0, 1.0, 0.05, 0.05, 0.1
@@ -103,8 +103,5 @@ def scores_of_columns(path: Path, run: object, fitted: list[np.ndarray], columns
     normal = Normal([str(k) for k in range(delta.shape[2])])
     g, e, t = whitened_sensitivities(run, path.own, path.jacobian, delta)  # type: ignore[arg-type]
     normal.add(range(delta.shape[2]), g, e, block_index(t))
-    at, placed = len(fitted), []
-    for c in columns:
-        placed.append((c, list(range(at, at + c.delta.shape[2]))))
-        at += c.delta.shape[2]
+    placed, _ = place(columns, len(fitted), 1)
     return score_tests(normal, len(fitted), np.zeros(len(fitted)), placed)

@@ -10,15 +10,11 @@ import pytest
 from ident.effects import catalogue
 from ident.effects.thrust_history import delayed, lagged
 from ident.engine.rowwise import Rowwise
-from ident.model import Effect, Model
-from ident.models.disturbance import for_diagnosis
+from ident.model import Model
 from ident.models.horizontal import horizontal
+from tests.ident.carriers import carrier
 
 RNG = np.random.default_rng(7)
-
-
-def base_for(effect: Effect) -> Model:
-    return for_diagnosis(horizontal("force" if "f_input" in effect.requires else "shaft"))
 
 
 def points(model: Model, n: int = 40) -> tuple[np.ndarray, np.ndarray]:
@@ -39,7 +35,7 @@ def evaluate(model: Model, x: np.ndarray, u: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", catalogue())
 def test_an_effect_is_neutral_at_its_given_values(name: str) -> None:
     effect = catalogue()[name]
-    base = base_for(effect)
+    base = carrier(effect)
     model = base + effect
     x, u = points(model)
     n, m = len(base.states), len(effect.states)
@@ -51,7 +47,7 @@ def test_an_effect_is_neutral_at_its_given_values(name: str) -> None:
 @pytest.mark.parametrize("name", catalogue())
 def test_an_effect_changes_something_and_says_what(name: str) -> None:
     effect = catalogue()[name]
-    model = base_for(effect) + effect
+    model = carrier(effect) + effect
     x, u = points(model)
     u = RNG.uniform(-1, 1, size=u.shape)  # with a past of its own
     first = effect.parameters[0]
@@ -76,7 +72,7 @@ def test_a_delay_interpolates_the_past_and_a_lag_integrates_it() -> None:
 
 def test_a_dead_band_has_a_gradient_beyond_it() -> None:
     effect = catalogue()["dead-band"]
-    model = base_for(effect) + replace(effect, parameters=(effect.parameters[0].at(0.1),))
+    model = carrier(effect) + replace(effect, parameters=(effect.parameters[0].at(0.1),))
     x, u = np.zeros((3, len(model.states))), np.array([[0.05, 0.05], [0.3, 0.3], [-0.3, -0.3]])
     surge = evaluate(model, x, u)[:, 3]
     thrust = 2 * (40.05 * np.sign(u[:, 0]) * np.maximum(np.abs(u[:, 0]) - 0.1, 0) ** 2

@@ -32,6 +32,7 @@ from ident.models.yaw import yaw
 from ident.oe import simulate
 from ident.params import Parameter
 from ident.shapes import unknown_effect
+from tests.ident.carriers import vehicle_for
 from tests.test_docs import ROOT, blocks
 
 CLOSE = 1e-12
@@ -56,7 +57,7 @@ def with_effects(propulsion: Any) -> Model:
         if model.accepts(effect):
             model = model + effect
     for force, variable in (("X", "u"), ("N", "psi"), ("Y", "u, r"), ("X", "t")):
-        model = model + unknown_effect(force, variable, (-1.0, 1.5))
+        model = model + unknown_effect(model, force, variable, (-1.0, 1.5))
     return model
 
 
@@ -83,8 +84,7 @@ MODELS = {
     "general": horizontal("general"), "as fitted": for_diagnosis(horizontal("shaft")) + catalogue()["pendulum"],
     "thruster": thruster(), "surge": surge("shaft", "both"), "yaw": yaw("both"), "odd": odd(),
 }
-ALONE = {n: horizontal("force" if "f_input" in e.requires else "shaft") + e for n, e in catalogue().items()
-         if "bench" not in e.requires}
+ALONE = {n: vehicle_for(e) + e for n, e in catalogue().items() if "bench" not in e.requires}
 
 
 def saved(model: Model) -> SavedModel:

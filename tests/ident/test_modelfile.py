@@ -88,7 +88,7 @@ def test_effects_come_back_with_their_values(tmp_path: Path, found: Fit, propuls
 
 @pytest.mark.parametrize("variable", ["u", "psi", "u, r", "n_diff", "t"])
 def test_unknown_tables_come_back_with_their_span(tmp_path: Path, found: Fit, variable: str) -> None:
-    effect = unknown_effect("X", variable, SPAN)
+    effect = unknown_effect(horizontal(), "X", variable, SPAN)
     model = horizontal() + effect
     model = model.with_values({p.name: 0.3 * (k + 1) for k, p in enumerate(effect.parameters)})
     path = saved(tmp_path / "model.toml", with_model(found, model), spans={effect.name: SPAN})

@@ -19,13 +19,14 @@ import pytest
 from rich.console import Console
 
 from ident.report import drawing, print_result, wording, write_report
-from tests.ident import report_example
+from tests.ident import navigation_example, report_example
 
 MEGABYTE = 1_000_000
 KINDS = {
     "diagnosis": report_example.diagnosis,
     "thruster": report_example.thruster,
     "noise": report_example.noise,
+    "navigation": navigation_example.navigation,
 }
 HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(2)>\"'&"
 
@@ -126,9 +127,13 @@ def test_one_plotly_and_only_the_known_scripts_may_run(small: dict[str, Any], tm
 @pytest.mark.parametrize(
     ("kind", "sections"),
     [
-        ("diagnosis", ["run", "traces", "parameters", "residuals", "search", "errors", "next", "notes", "made"]),
+        (
+            "diagnosis",
+            ["run", "traces", "parameters", "residuals", "search", "errors", "calibration", "next", "notes", "made"],
+        ),
         ("thruster", ["static", "run", "traces", "parameters", "made"]),
         ("noise", ["noise", "run", "made"]),
+        ("navigation", ["outages", "navigation", "run", "notes", "made"]),
     ],
 )
 def test_every_section_that_has_data_is_there(kind: str, sections: list[str], tmp_path: Path) -> None:

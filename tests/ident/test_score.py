@@ -13,7 +13,7 @@ from ident.dataset import Record
 from ident.engine.rowwise import Rowwise
 from ident.fit import fit
 from ident.pe import FilterRun, Likelihood
-from ident.score import BLOCK, Columns, Normal, block_index, score_tests, whitened_sensitivities
+from ident.score import BLOCK, Columns, Normal, Place, block_index, place, score_tests, whitened_sensitivities
 from tests.ident.sliders import CUBE, DRAG, PUSH, TAPE, Q, score_of, scores_at, scores_of_columns, slide, slider
 
 N_SETS = 100
@@ -186,9 +186,30 @@ def test_a_prior_counts_as_information_of_a_fitted_parameter() -> None:
     normal = Normal(["fitted", "new"])
     normal.add([0, 1], g, e, block_index(np.arange(400) * 0.1))
     column = Columns("new", np.zeros((1, 1, 1)), ("k",))
-    (free,) = score_tests(normal, 1, np.array([0.0]), [(column, [1])])
-    (held,) = score_tests(normal, 1, np.array([1e12]), [(column, [1])])
+    (free,) = score_tests(normal, 1, np.array([0.0]), [Place(column, (1,))])
+    (held,) = score_tests(normal, 1, np.array([1e12]), [Place(column, (1,))])
     rest = g[:, 1] - g[:, 0] * (g[:, 0] @ g[:, 1]) / (g[:, 0] @ g[:, 0])
     # the score of the fitted parameter is not zero here, so its part is taken from both
     assert free.lm == pytest.approx((rest @ e) ** 2 / (rest @ rest), rel=1e-9)
     assert held.lm == pytest.approx((g[:, 1] @ e) ** 2 / (g[:, 1] @ g[:, 1]), rel=1e-6)
+
+
+def test_an_effect_of_each_records_own_may_have_opposite_signs() -> None:
+    """Two records pushed in opposite directions: one shared push sees nothing, one push a record sees both."""
+    rng = np.random.default_rng(3)
+    g = [rng.normal(size=(300, 2)) for _ in range(2)]
+    e = [rng.normal(size=300) - sign * 0.5 * one[:, 1] for sign, one in zip((1, -1), g, strict=True)]
+    shared = Columns("shared", np.zeros((1, 1, 1)), ("k",))
+    own = Columns("own", np.zeros((1, 1, 1)), ("k",), per_record=True)
+    places, total = place([shared, own], 1, 2)
+    assert [p.at for p in places] == [(1,), (2, 3)]
+    normal = Normal([str(k) for k in range(total)])
+    for i in range(2):
+        at = [0] + [k for p in places for k in p.of_record(i)]
+        normal.add(at, np.column_stack([g[i], g[i][:, 1]]), e[i], block_index(np.arange(300) * 0.1))
+    one, two = score_tests(normal, 1, np.zeros(1), places)
+    assert (one.df, two.df) == (1, 2)
+    assert one.p > 0.01
+    assert two.p < 1e-20
+    assert two.step["k@0"] == pytest.approx(0.5, abs=0.2)
+    assert two.step["k@1"] == pytest.approx(-0.5, abs=0.2)

@@ -10,13 +10,14 @@ import pytest
 
 from ident.engine.rowwise import Rowwise
 from ident.models.horizontal import horizontal
-from ident.shapes import N_KNOTS, basis, read_variable, shape, unknown_effect
+from ident.models.unexplained import variables_of
+from ident.shapes import N_KNOTS, basis, between_knots, shape, unknown_effect
 
 SPAN = (-0.4, 1.2)
 
 
 def hats(z: np.ndarray) -> np.ndarray:
-    return np.column_stack([b * np.ones(z.size) for b in basis(z, "u", SPAN)])
+    return np.column_stack([b * np.ones(z.size) for b in basis(z, False, SPAN)])
 
 
 def test_the_hats_are_a_partition_of_one_and_constant_beyond_the_span() -> None:
@@ -39,7 +40,7 @@ def test_the_hats_interpolate_between_knots() -> None:
 def forces(force: str, variable: str, coefficients: list[float], x: np.ndarray, u: np.ndarray) -> np.ndarray:
     """What an unknown effect adds to X, Y and N, (n, 3), from the rates of the horizontal model with and without it."""
     base = horizontal()
-    effect = unknown_effect(force, variable, SPAN)
+    effect = unknown_effect(base, force, variable, SPAN)
     model = base + effect
     names = [p.name for p in effect.parameters]
     model = model.with_values(dict(zip(names, coefficients, strict=True)))
@@ -56,9 +57,10 @@ def test_an_unknown_effect_adds_its_table_to_one_force() -> None:
     added = forces("Y", "u", table, x, u)
     np.testing.assert_allclose(added[:, 1], hats(z) @ table, atol=1e-9)
     np.testing.assert_allclose(added[:, [0, 2]], 0.0, atol=1e-9)
-    psi = forces("N", "psi", [1.0, -0.5, 0.25, 2.0], x, u)[:, 2]
+    psi = forces("N", "psi", [1.0, -0.5, 0.25, 2.0, 0.5, -1.0], x, u)[:, 2]
     h = x[:, 2]
-    np.testing.assert_allclose(psi, np.sin(h) - 0.5 * np.cos(h) + 0.25 * np.sin(2 * h) + 2 * np.cos(2 * h), atol=1e-9)
+    wanted = np.sin(h) - 0.5 * np.cos(h) + 0.25 * np.sin(2 * h) + 2 * np.cos(2 * h)
+    np.testing.assert_allclose(psi, wanted + 0.5 * np.sin(3 * h) - np.cos(3 * h), atol=1e-9)
     a, b = x[:, 3], x[:, 5]
     product = forces("X", "u, r", [1.0, 2.0, -3.0], x, u)[:, 0]
     np.testing.assert_allclose(product, a * b + 2 * np.abs(a) * b - 3 * a * np.abs(b), atol=1e-9)
@@ -72,11 +74,11 @@ def test_an_unknown_effect_does_nothing_at_zero_and_says_what_it_is() -> None:
     rng = np.random.default_rng(2)
     x, u = rng.normal(size=(10, 6)), rng.uniform(-1, 1, (10, 3))
     assert not forces("X", "v", [0.0] * N_KNOTS, x, u).any()
-    effect = unknown_effect("N", "u, r", SPAN)
+    effect = unknown_effect(horizontal(), "N", "u, r", SPAN)
     assert effect.name == "unknown N(u, r)"
     assert [p.name for p in effect.parameters] == ["N_ur_0", "N_ur_1", "N_ur_2"]
     assert {p.unit for p in effect.parameters} == {"N m"}
-    assert unknown_effect("X", "t", SPAN).inputs[0].name == "t"
+    assert unknown_effect(horizontal(), "X", "t", SPAN).inputs[0].name == "t"
 
 
 @pytest.mark.parametrize(
@@ -86,29 +88,47 @@ def test_variables_are_read_where_they_stand(name: str, wanted: float) -> None:
     s: Any = SimpleNamespace(
         x=SimpleNamespace(psi=0.3), u=SimpleNamespace(t=7.0, n_left=0.7, n_right=0.1, f_left=10.0, f_right=20.0)
     )
-    assert read_variable(s, name) == pytest.approx(wanted)
+    model = horizontal("force" if name.startswith("f_") else "shaft")
+    assert next(v for v in variables_of(model) if v.name == name).read(s) == pytest.approx(wanted)
+
+
+def test_what_a_model_has_not_cannot_be_unknown() -> None:
+    with pytest.raises(ValueError, match="no 'F' for an unknown effect; it has X, Y, N"):
+        unknown_effect(horizontal(), "F", "u", SPAN)
 
 
 @pytest.mark.parametrize("variable", ["u", "psi"])
 def test_the_curve_is_centred_and_its_band_comes_from_the_covariance(variable: str) -> None:
-    effect = unknown_effect("X", variable, SPAN)
+    effect = unknown_effect(horizontal(), "X", variable, SPAN)
     names = ["d_u", *(p.name for p in effect.parameters)]
     rng = np.random.default_rng(3)
     root = 0.2 * rng.normal(size=(len(names), len(names)))
     P = root @ root.T
     values = dict(zip(names, rng.normal(size=len(names)), strict=True))
-    drawn = shape(effect, SPAN, values, names, P)
+    drawn = shape(horizontal(), effect, SPAN, values, names, P)
     assert drawn is not None
     assert (drawn.force, drawn.variable, drawn.unit) == ("X", variable, "N")
     assert drawn.value.mean() == pytest.approx(0.0, abs=1e-12)
-    table = np.column_stack([b * np.ones(drawn.grid.size) for b in basis(drawn.grid, variable, SPAN)])
+    table = np.column_stack([b * np.ones(drawn.grid.size) for b in basis(drawn.grid, variable == "psi", SPAN)])
     mean = table @ [values[n] for n in names[1:]]
     np.testing.assert_allclose(drawn.value, mean - mean.mean(), atol=1e-12)
     samples = rng.multivariate_normal([values[n] for n in names], P, size=20000)[:, 1:] @ table.T
-    np.testing.assert_allclose(drawn.sd, (samples - samples.mean(1, keepdims=True)).std(0), rtol=0.03)
+    missed = 0.0 if variable == "psi" else between_knots(np.array([values[n] for n in names[1:]]), drawn.grid, SPAN)
+    expected = np.hypot((samples - samples.mean(1, keepdims=True)).std(0), missed)
+    np.testing.assert_allclose(drawn.sd, expected, rtol=0.03)
+
+
+def test_a_smooth_curve_stays_near_the_lines_between_its_knots() -> None:
+    knots, grid = np.linspace(*SPAN, N_KNOTS), np.linspace(*SPAN, 500)
+    for bend in (lambda z: z**2, np.sin, lambda z: np.exp(-z)):
+        allowed = between_knots(bend(knots), grid, SPAN)
+        missed = np.abs(bend(grid) - np.interp(grid, knots, bend(knots)))
+        assert (missed <= 1.5 * allowed + 0.2 * allowed.max()).all()
+        assert allowed.max() < 3 * missed.max()
+    assert between_knots(2 * knots, grid, SPAN).max() < 1e-12
 
 
 def test_products_have_no_curve() -> None:
-    effect = unknown_effect("X", "u, r", SPAN)
+    effect = unknown_effect(horizontal(), "X", "u, r", SPAN)
     names = [p.name for p in effect.parameters]
-    assert shape(effect, SPAN, dict.fromkeys(names, 1.0), names, np.eye(3)) is None
+    assert shape(horizontal(), effect, SPAN, dict.fromkeys(names, 1.0), names, np.eye(3)) is None

@@ -12,7 +12,7 @@ from ident.dataset import Record
 from ident.model import Input, Model, Output, Sensor, State, plain_model
 from ident.params import Parameter
 from ident.pe import FilterRun, Likelihood
-from ident.smooth import smooth
+from ident.smooth import smooth, smoothed_mean
 from tests.ident.toys import turning, turning_record, values_of
 
 
@@ -120,3 +120,9 @@ def test_six_thousand_rows_of_fifteen_states_take_less_than_a_second() -> None:
     began = time.process_time()
     smooth(run)
     assert time.process_time() - began < 2.0  # a third of a second on an idle machine
+
+
+def test_the_means_alone_are_those_of_the_whole_smoother() -> None:
+    model, record = turning(), turning_record()
+    run = Likelihood(model).filter(record, values_of(model))
+    np.testing.assert_allclose(smoothed_mean(run), smooth(run).x, rtol=1e-9, atol=1e-11)

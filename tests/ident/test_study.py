@@ -201,7 +201,10 @@ def test_what_cannot_be_done_is_one_line(
 def test_the_snippet_of_the_how_to_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On threads in place of a cluster, and with fewer replicates."""
     text = (Path(__file__).parents[2] / "docs/how-to/study.md").read_text(encoding="utf-8")
-    (block,) = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    own, block = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    file = (Path(__file__).parents[2] / "docs/examples/own_study.py").read_text(encoding="utf-8")
+    assert own.split() == re.sub("  # .*", "", file.partition('"""\n')[2]).split()
+    assert make_case("docs/examples/own_study.py:calm").name == "calm"
     lines = [line for line in block.splitlines() if "distributed" not in line and "Client(" not in line]
     code = "\n".join(lines).replace('"dask", n_jobs=32', '"threading", n_jobs=1')
     code = code.replace("study(case, 500", "study(case, 4")

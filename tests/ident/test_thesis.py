@@ -47,17 +47,20 @@ def test_noise_at_rest_is_what_was_put_in() -> None:
 @pytest.mark.slow
 def test_both_pages(tmp_path: Path) -> None:
     log = bench_log(tmp_path / "bench.mcap", draw_bench(2))
-    assert main(["--seed", "2", "--out", str(tmp_path), "--bench", str(log)]) == 0
+    quick = ["--evaluations", "300", "--repeats", "8"]
+    assert main(["--seed", "2", "--out", str(tmp_path), "--bench", str(log), *quick]) == 0
     text = (tmp_path / "thesis.md").read_text(encoding="utf-8")
     for k in (2, 3, 4, 5):
         assert f"## Table {k}" in text
+    assert "8 simulated repeats" in text
+    assert text.index("## Table 5") < text.index("## Chapter 5")
     assert "log bench.mcap" in text
     assert str(tmp_path) not in text
     (distances,) = re.findall(r"3DOF ([\d.]+), 6DOF K ([\d.]+), 3DOF with forces", text)
     assert float(distances[1]) < 4 < float(distances[0])
     page = (tmp_path / "thesis.html").read_text(encoding="utf-8")
     assert len(page.encode()) < LIMIT
-    for figure in ("4.1", "4.2", "4.3", "6.1", "6.2", "6.3", "6.4", "6.5", "6.6"):
+    for figure in ("4.1", "4.2", "4.3", "5.1", "5.2", "5.3", "6.1", "6.2", "6.3", "6.4", "6.5", "6.6"):
         assert f"Figure {figure}" in page
     assert "http://" not in re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
 

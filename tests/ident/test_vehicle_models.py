@@ -208,18 +208,19 @@ def test_what_is_wrong_is_one_line(logs: Path, tmp_path: Path, capsys: pytest.Ca
 
 @pytest.mark.parametrize(("source", "problem"), [("surge:steam", "there is force, shaft"),
                                                  ("surge:force:speed:more", "it takes no more"),
-                                                 ("thruster:x", "it takes no more")])  # fmt: skip
+                                                 ("thruster:x", "there is slow")])  # fmt: skip
 def test_options_of_models(source: str, problem: str) -> None:
     with pytest.raises(SeatrialError, match=problem):
         make_model(source)
 
 
 def test_only_a_hull_gets_unexplained_forces() -> None:
-    for source in ("surge:shaft:both", "yaw:both", "thruster"):
+    for source in ("surge:shaft:both", "yaw:both"):
         model = make_model(source)
         assert nominal(model) is model
         assert make_model(model.source).values == model.values
     assert "disturbance" in {e.name for e in nominal(horizontal()).effects}
+    assert "b_n" in {s.name for s in nominal(make_model("thruster")).states}  # on the bench, of the shaft
 
 
 def test_speed_along_the_track_has_a_sign() -> None:

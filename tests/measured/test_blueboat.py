@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 from pathlib import Path
@@ -32,8 +33,8 @@ def percent(result: dict[str, Any], channel: str, when: str) -> float:
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
-    """result.json of the fit and of the diagnosis."""
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The runs as logs."""
     data = os.environ.get("SEATRIAL_DATA")
     if not data:
         pytest.skip("SEATRIAL_DATA does not say where the measured data sets are")
@@ -42,10 +43,17 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any
         pytest.skip("SEATRIAL_DATA has no blueboat")
     folder = tmp_path_factory.mktemp("blueboat")
     run("import", "csv", str(HERE / "blueboat.toml"), *map(str, files), "--out-dir", str(folder))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def results(folder: Path) -> dict[str, dict[str, Any]]:
+    """result.json of the fit and of the diagnosis."""
     logs = [str(folder / f"fixed_00000{n}.mcap") for n in FITTED]
     for n in UNUSED:
         logs += ["--validate", str(folder / f"fixed_00000{n}.mcap")]
-    given = [word for option, values in BOAT.items() for v in values for word in (option, v)]
+    given = ["--model", "horizontal:force"]
+    given += [word for option, values in BOAT.items() for v in values for word in (option, v)]
     given += [word for v in NOISE for word in ("--fix", v)]
     run("ident", "vehicle", *logs, *given, "--out", str(folder / "vehicle"))
     run("ident", "diagnose", str(folder / "vehicle/model.toml"), *logs, "--out", str(folder / "diagnosis"))
@@ -74,3 +82,31 @@ def test_surge_is_not_paid_for_it(results: dict[str, dict[str, Any]]) -> None:
     found = results["diagnosis"]
     assert percent(found, "u", "after") > 40.0
     assert percent(found, "u", "after") > percent(found, "u", "before") - 5.0
+
+
+@pytest.fixture(scope="module")
+def left_out(folder: Path) -> dict[str, dict[str, Any]]:
+    """Scores on the runs left out one by one, by the example's own script."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(HERE))
+        script, models = importlib.import_module("leave_one_out"), importlib.import_module("boat")
+    logs = sorted(folder.glob("fixed_*.mcap"))
+    assert len(logs) == len(FITTED) + len(UNUSED)
+    made = {name: getattr(models, name)() for name in ("authors", "boat")}
+    return {name: script.score(model, script.records_of(model, logs), left_out=True) for name, model in made.items()}
+
+
+def test_runs_that_no_fit_has_seen_are_predicted_from_their_inputs(left_out: dict[str, dict[str, Any]]) -> None:
+    boat, authors = left_out["boat"]["pooled"], left_out["authors"]["pooled"]
+    for channel, least in (("u", 80.0), ("v", 20.0), ("r", 60.0)):
+        assert boat[channel] > least
+        assert boat[channel] > authors[channel] + 10.0
+
+
+def test_the_explanation_is_physical(left_out: dict[str, dict[str, Any]]) -> None:
+    found = left_out["boat"]["parameters"]
+    assert 12.0 < found["m_u"][0] < 22.0  # a boat of 15 kg and the water it takes along
+    assert found["m_r"][0] < 12.0  # 27 kg m2 by the authors' force
+    assert abs(found["b_y"][0]) < 0.5  # the point that is measured is on board
+    drawn, error = found["dev_mc"]
+    assert drawn < -5 * error  # the compass is drawn aside while the motors run

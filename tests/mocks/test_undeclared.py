@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from mocks.hull import Hull, State
 from mocks.plant import STEP, Boat, BoatPlant
+from mocks.sea import Sea
 from mocks.sensors import AhrsSensor
 from mocks.thruster import ThrusterTruth
-from mocks.undeclared import DEMO, EFFECTS, Effect, draw_name, make_effect
+from mocks.undeclared import DEMO, EFFECTS, OUTSIDE, Effect, draw_name, make_effect
+from tests.mocks.sailing import REST, run
 
 SIGNED = {
     "mismatch": "eps",
@@ -21,26 +22,13 @@ SIGNED = {
     "compass": "b_sin",
     "lever-arm": "l_x",
     "yaw-bias": "n_0",
+    "mount": "psi_0",
+    "gyro-scale": "k",
+    "current-drift": "change_n",
 }
-ON_SENSORS = {"compass", "lever-arm", "gnss-latency"}
-REST: State = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-
-def run(
-    effects: tuple[Effect, ...],
-    n: tuple[float, float],
-    seconds: float = 40.0,
-    state: State = REST,
-    each: Callable[[BoatPlant], object] | None = None,
-) -> BoatPlant:
-    plant = BoatPlant(Boat(Hull(), ThrusterTruth(), (0.0, 0.0), effects, 0), state=state, disturbed=False)
-    plant.command(0, 0.0, n[0])
-    plant.command(1, 0.0, n[1])
-    for _ in range(round(seconds / STEP)):
-        plant.advance()
-        if each is not None:
-            each(plant)
-    return plant
+ON_SENSORS = {
+    *("compass", "lever-arm", "gnss-latency", "mount", "gyro-scale", "accelerometer-tilt", "accelerometer-scale")
+}
 
 
 def surge(name: str, n: float, seconds: float = 40.0) -> float:
@@ -48,7 +36,7 @@ def surge(name: str, n: float, seconds: float = 40.0) -> float:
     return run(effects, (n, n), seconds).state[3]
 
 
-@pytest.mark.parametrize("name", sorted(set(EFFECTS) - ON_SENSORS))
+@pytest.mark.parametrize("name", sorted({*EFFECTS, *OUTSIDE} - ON_SENSORS))
 def test_every_effect_bends_the_track(name: str) -> None:
     """By more than the GNSS noise, which is what an analysis has to see it through."""
     track: dict[bool, list[State]] = {False: [], True: []}
@@ -70,9 +58,9 @@ def test_every_effect_bends_the_track(name: str) -> None:
 
 
 def test_scale_zero_is_no_effect() -> None:
-    plain = run((), (0.7, 0.4)).motion()
-    for name in EFFECTS:
-        assert run((make_effect(name, 2, scale=0.0),), (0.7, 0.4)).motion() == pytest.approx(plain, abs=1e-9), name
+    plain = run((), (0.7, 0.4), 8.0).motion()
+    for name in (*EFFECTS, *OUTSIDE):
+        assert run((make_effect(name, 2, scale=0.0),), (0.7, 0.4), 8.0).motion() == pytest.approx(plain, abs=1e-9), name
 
 
 @pytest.mark.parametrize(("name", "key"), SIGNED.items())
@@ -184,6 +172,81 @@ def test_the_pendulum_swings_at_its_frequency_and_keeps_momentum() -> None:
     measured = 1.0 / (STEP * float(np.diff(ups).mean()))
     free = effect.parameters["frequency_hz"] * math.sqrt(1.0 + mass / hull.lumped()["m_u"])  # the boat recoils
     assert measured == pytest.approx(free, rel=0.01)
+
+
+def test_a_dead_band_takes_slow_thrust_and_little_else() -> None:
+    hook = make_effect("dead-band", 1).thrust
+    assert hook is not None
+    slow, fast = (hook(n, -n, 0.0, 0.0, 1.0, -1.0, 0.0) for n in (0.05, 0.9))
+    assert slow[0] == -slow[1]
+    assert 0.0 < slow[0] < 0.2
+    assert 0.8 < fast[0] < 1.0
+    assert hook(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("name", ["delay", "lag"])
+def test_thrust_comes_late(name: str) -> None:
+    """Half way up the ramp of a start, the speed is what it was without the effect some time before."""
+    effect = make_effect(name, 3)
+    speed: dict[bool, list[float]] = {False: [], True: []}
+    for told in (False, True):
+        run((effect,) if told else (), (0.7, 0.7), 5.0, each=lambda p, to=told: speed[to].append(p.state[3]))
+    t = STEP * np.arange(1, len(speed[True]) + 1)
+    late = np.interp(0.3, speed[True], t) - np.interp(0.3, speed[False], t)
+    assert late == pytest.approx(effect.parameters[name], rel=0.25)
+
+
+def test_the_tide_turns_smoothly() -> None:
+    effect = make_effect("current-drift", 1)
+    assert effect.current is not None
+    early, late = effect.current(0.0), effect.current(400.0)
+    assert early == pytest.approx((-late[0], -late[1]), rel=1e-9)
+    assert math.hypot(late[0] - early[0], late[1] - early[1]) == pytest.approx(0.18, abs=0.04)
+    m = run((effect,), (0.0, 0.0), 400.0).motion()
+    assert math.hypot(m.vel_n - late[0], m.vel_e - late[1]) < 0.3 * math.hypot(*late)  # the boat is taken along
+
+
+def test_a_line_holds_back_more_the_farther_it_reaches() -> None:
+    effect = make_effect("tether", 1)
+    assert effect.tether is not None
+    near, far = (effect.tether(x, 0.0, 1.0, 0.0) for x in (5.0, 80.0))
+    assert far[0] < 10.0 * near[0] < 0.0
+    assert run((effect,), (0.7, 0.7), 120.0).state[3] < 0.9 * run((), (0.7, 0.7), 120.0).state[3]
+
+
+def test_waves_have_their_peak_and_their_size() -> None:
+    wave = make_effect("waves", 1).wave
+    assert wave is not None
+    sea = Sea(wave, np.random.default_rng(1))
+    t = np.arange(0.0, 1200.0, 0.1)
+    surge = np.array([sea.forces(float(at), wave.toward)[0] for at in t])
+    sway = np.array([sea.forces(float(at), wave.toward + math.pi / 2)[1] for at in t])
+    assert surge.std() == pytest.approx(wave.surge, rel=0.1)
+    assert sway.std() == pytest.approx(wave.sway, rel=0.1)
+    power = np.abs(np.fft.rfft(surge)) ** 2
+    assert np.fft.rfftfreq(t.size, 0.1)[power.argmax()] == pytest.approx(wave.frequency, rel=0.15)
+
+
+def test_a_turned_ahrs_turns_heading_and_accelerations() -> None:
+    effect = make_effect("mount", 2)
+    turn = effect.parameters["psi_0"]
+    m = run((effect,), (0.8, 0.4), 3.0).motion()._replace(psi=0.3, ax=1.0, ay=0.0)
+    told, plain = AhrsSensor(1, 0, 50.0, (effect,)).read(m), AhrsSensor(1, 0, 50.0).read(m)
+    assert told.yaw - plain.yaw == pytest.approx(turn)
+    assert (told.ax - plain.ax, told.ay - plain.ay) == pytest.approx((math.cos(turn) - 1.0, -math.sin(turn)))
+
+
+def test_the_inertial_sensors_err_as_they_say() -> None:
+    plain, m = AhrsSensor(1, 0, 50.0), run((), (0.9, 0.3), 20.0).motion()
+    true = plain.read(m)
+    for name, field, moved in (("gyro-scale", "r", m.r), ("accelerometer-scale", "ay", m.ay)):
+        effect = make_effect(name, 4)
+        error = getattr(AhrsSensor(1, 0, 50.0, (effect,)).read(m), field) - getattr(true, field)
+        assert error == pytest.approx(effect.parameters["k"] * moved, rel=0.2), name
+    tilt = make_effect("accelerometer-tilt", 4)
+    leaked = AhrsSensor(1, 0, 50.0, (tilt,)).read(m)
+    assert leaked.ax - true.ax == pytest.approx(9.81 * tilt.parameters["pitch"] * m.push, rel=0.2)
+    assert leaked.ay - true.ay > 0.0
 
 
 def test_the_demo_draws_from_all_of_its_list() -> None:

@@ -5,39 +5,29 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ident.diagnose import Diagnosis, diagnose
-from ident.models.horizontal import horizontal
-from ident.predict import Errors, free_run, pooled, ten_seconds
+from bench.plans import make_mission
+from ident.diagnose import diagnose
+from ident.diagnosis_result import answer
+from ident.effects import catalogue
+from ident.findings import Diagnosis
+from ident.judged import before_after
+from ident.predict import Errors, free_run, one_step, pooled, ten_seconds
 from ident.stage import Run, Stage
-from mocks.undeclared import EFFECTS
-from tests.missions import boat_with, channels_of, sail
+from mocks.offline import simulate
+from tests.missions import boat_with, channels_of
+from tests.recovery.kinds import Case, boat_of, model_of, with_gaps
+from tests.recovery.oracle import oracle, shape_share
 
-NONE = "none"
-NAMES = (NONE, *EFFECTS)
-SECONDS, VALIDATION_SECONDS = 400.0, 250.0  # as in the demo
 CHANNELS = ("x", "y", "psi", "r", "vx", "vy")
 Row = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Case:
-    """An effect (or ``none``) of a size, on the boat of a seed."""
-
-    effect: str
-    seed: int
-    scale: float = 1.0
-
-    @property
-    def key(self) -> str:
-        """By which a case is found again among the results."""
-        return f"{self.effect}/{self.seed}/{self.scale:g}"
+AllErrors = dict[str, dict[str, Errors]]
 
 
 def truth_of(case: Case) -> dict[str, float]:
@@ -47,15 +37,23 @@ def truth_of(case: Case) -> dict[str, float]:
         "V_x": true["current_n"], "V_y": true["current_e"]}
 
 
-def diagnose_case(case: Case) -> Diagnosis:
-    """Both missions sailed, and the diagnosis of the nominal model."""
-    boat = boat_with(None if case.effect == NONE else case.effect, case.seed, case.scale)
-    runs = [
-        Run(name, channels_of(sail(boat, seconds, mission + case.seed, run)[0]))
-        for name, seconds, mission, run in (
-            ("estimation", SECONDS, 100, 1), ("validation", VALIDATION_SECONDS, 200, 2))
-    ]
-    return diagnose(horizontal(), runs[:1], runs[1:])
+def runs_of(case: Case) -> list[Run]:
+    """The estimation mission and the validation mission, sailed."""
+    boat, how = boat_of(case), case.how
+    runs = []
+    for name, seconds, mission_seed, run in zip(("estimation", "validation"), how.seconds, (100, 200), (1, 2),
+                                                strict=True):
+        t, n = make_mission("mixed", seconds, mission_seed + case.seed).setpoints()
+        channels = channels_of(simulate(boat, t, how.gain * np.asarray(n), seconds, run))
+        runs.append(Run(name, with_gaps(channels, 10 * case.seed + run) if how.gaps else channels))
+    return runs
+
+
+def diagnose_case(case: Case, runs: Sequence[Run] | None = None) -> Diagnosis:
+    """The diagnosis of the nominal model on both missions."""
+    runs = runs_of(case) if runs is None else runs
+    effects = {n: e for n, e in catalogue().items() if n != case.effect} if case.how.left_out else None
+    return diagnose(model_of(case), runs[:1], runs[1:], effects=effects)
 
 
 def run_case(case: Case) -> Row:
@@ -63,18 +61,49 @@ def run_case(case: Case) -> Row:
     began = time.process_time()
     row: Row = asdict(case) | {"key": case.key, "code": code_state()}
     try:
-        found = diagnose_case(case)
+        runs = runs_of(case)
+        found = diagnose_case(case, runs)
+        row["cpu"] = round(time.process_time() - began, 2)
+        return row | told(found) | judged(case, runs, found)
     except Exception as problem:  # the study goes on, and counts it
         return row | {"error": f"{type(problem).__name__}: {problem}"}
-    row["cpu"] = round(time.process_time() - began, 2)
-    return row | {
-        "found": [r.effect.name for r in found.effects],
+
+
+def told(found: Diagnosis) -> Row:
+    """What the diagnosis says."""
+    return {
+        "found": row_names(found),
+        "certainty": [j.certainty for j in found.judgements],
+        "rivals": [list(j.rivals) for j in found.judgements],
+        "reasons": [list(j.reasons) for j in found.judgements],
+        "shapes": [f"{s.force}({s.variable})" for s in found.shapes],
         "left": [s.name for s in found.left],
         "t": [round(r.t, 2) for r in found.effects],
-        "z": z_scores(found.after, truth_of(case)),
-        "before": validation_errors(found.before),
-        "after": validation_errors(found.after),
     }
+
+
+def judged(case: Case, runs: Sequence[Run], found: Diagnosis) -> Row:
+    """How good that is: errors on validation data against those of the true structure, estimates, shapes."""
+    before, after = errors(found.before), errors(found.after)
+    rows = before_after(before, after, found.after.model)
+    row: Row = {
+        "answer": answer(found, rows, "validation"),
+        "z": z_scores(found.after, truth_of(case)),
+        "before": rms(before),
+        "after": rms(after),
+    }
+    # with the true structure found, the answer is the oracle
+    true = found.after if set(row_names(found)) == set(case.truths) else oracle(case, runs)
+    if true is not None:
+        best = row["after"] if true is found.after else rms(errors(true))
+        row |= {"oracle": best, "ratio": ratio(row["after"], best)}
+    share = shape_share(case, found)
+    return row if share is None else row | {"shape": round(share, 3)}
+
+
+def row_names(found: Diagnosis) -> list[str]:
+    """The effects that were added, in their order."""
+    return [r.effect.name for r in found.effects]
 
 
 def z_scores(stage: Stage, truth: Mapping[str, float]) -> dict[str, float]:
@@ -87,16 +116,29 @@ def z_scores(stage: Stage, truth: Mapping[str, float]) -> dict[str, float]:
     return found
 
 
-def validation_errors(stage: Stage) -> dict[str, dict[str, float]]:
-    """Root mean square errors on the validation data, ten seconds ahead and free-running, by channel."""
+def errors(stage: Stage) -> AllErrors:
+    """Prediction errors on the validation data by horizon and channel."""
     model, views = stage.model, stage.validation
-    parts: dict[str, Sequence[Mapping[str, Errors]]] = {
-        "ten_seconds": [ten_seconds(model, v.record, v.values, v.run) for v in views],
-        "free_run": [free_run(model, v.record, v.values).errors for v in views],
-    }
     return {
-        kind: {n: float(f"{e.rms:.4g}") for n, e in pooled(list(found)).items() if n in CHANNELS}
-        for kind, found in parts.items()
+        "one_step": pooled([one_step(model, v.record, v.run) for v in views]),
+        "ten_seconds": pooled([ten_seconds(model, v.record, v.values, v.run) for v in views]),
+        "free_run": pooled([dict(free_run(model, v.record, v.values).errors) for v in views]),
+    }
+
+
+def rms(found: AllErrors) -> dict[str, dict[str, float]]:
+    """Root mean squares of the channels that are compared, ten seconds ahead and free-running."""
+    return {
+        kind: {n: float(f"{e.rms:.4g}") for n, e in found[kind].items() if n in CHANNELS}
+        for kind in ("ten_seconds", "free_run")
+    }
+
+
+def ratio(after: Mapping[str, Mapping[str, float]], best: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+    """By horizon, the geometric mean over channels of the error over the oracle's."""
+    return {
+        kind: round(float(np.exp(np.mean([np.log(after[kind][n] / e) for n, e in rows.items()]))), 4)
+        for kind, rows in best.items()
     }
 
 

@@ -1,4 +1,4 @@
-"""What the lines of a study say together: who was named for whom, how often, and how good the estimates are."""
+"""What the lines of a study say together: who was named for whom, and how good the estimates are."""
 
 from __future__ import annotations
 
@@ -7,79 +7,48 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tests.recovery.cases import NAMES, NONE, Row
+from tests.recovery.cases import Row
+from tests.recovery.kinds import NONE
+from tests.recovery.verdict import UNKNOWN, all_right, extra, first_answer, first_right, likened, wrong_as_sure
 
 Lines = list[list[str]]
-UNKNOWN = "unknown"
-
-
-def first_answer(row: Row) -> str:
-    """The effect named first; ``none``, or ``unknown`` for a drawn shape."""
-    if not row["found"]:
-        return NONE
-    return UNKNOWN if row["found"][0].startswith("unknown ") else str(row["found"][0])
 
 
 def by_effect(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """The lines of each effect, in the order of the catalogue of the mocks; failed cases are left out."""
-    found = {name: [r for r in rows if r["effect"] == name and "error" not in r] for name in NAMES}
+    """The lines of each truth, in the order in which they came; failed cases are left out."""
+    names = dict.fromkeys(r["effect"] for r in rows)
+    found = {name: [r for r in rows if r["effect"] == name and "error" not in r] for name in names}
     return {name: cases for name, cases in found.items() if cases}
 
 
 def rates(rows: Sequence[Row]) -> Lines:
     """One line an effect: named first, among all named, nothing, unknown, another; extra names; errors; CPU."""
-    lines = [["truth", "cases", "first", "among", "none", "unknown", "wrong", "extra a case",
-              "10 s position error, m", "free heading error, deg", "CPU s"]]
+    lines = [["truth", "cases", "first", "among", "none", "unknown", "likened", "wrong", "extra a case",
+              "10 s position error, m", "free heading error, deg", "oracle ratio", "CPU s"]]
     for name, cases in by_effect(rows).items():
         answers = [first_answer(r) for r in cases]
         n = len(cases)
-        wrong = sum(a not in (name, NONE, UNKNOWN) for a in answers)
-        extra = sum(len(r["found"]) - (name in r["found"]) for r in cases) / n
+        ratios = [r["ratio"]["free_run"] for r in cases if "ratio" in r]
         lines.append([
-            name, str(n), share(answers.count(name), n), share(sum(right(r) for r in cases), n),
-            share(answers.count(NONE), n), share(answers.count(UNKNOWN), n), share(wrong, n), f"{extra:.2f}",
+            name, str(n), share(sum(map(first_right, cases)), n), share(sum(map(all_right, cases)), n),
+            share(answers.count(NONE), n), share(answers.count(UNKNOWN), n), share(sum(map(likened, cases)), n),
+            share(sum(map(wrong_as_sure, cases)), n), f"{sum(map(extra, cases)) / n:.2f}",
             change([position(r["before"]) for r in cases], [position(r["after"]) for r in cases]),
             change([heading(r["before"]) for r in cases], [heading(r["after"]) for r in cases]),
-            f"{np.median([r['cpu'] for r in cases]):.1f}",
+            f"{np.median(ratios):.3f}" if ratios else "", f"{np.median([r['cpu'] for r in cases]):.1f}",
         ])
     return lines
 
 
-def right(row: Row) -> bool:
-    """The truth is among what was named; for a clean boat: nothing was."""
-    return not row["found"] if row["effect"] == NONE else row["effect"] in row["found"]
-
-
 def confusion(rows: Sequence[Row]) -> Lines:
-    """Truth by line, first answer by column, counts; a dot for none."""
+    """Truth by line, first answer by column, counts; a dot for zero."""
     table = {name: Counter(first_answer(r) for r in cases) for name, cases in by_effect(rows).items()}
     seen = {answer for counter in table.values() for answer in counter}
-    columns = [n for n in (*NAMES, UNKNOWN) if n in seen] + sorted(seen - {*NAMES, UNKNOWN})
+    columns = [n for n in (NONE, *table) if n in seen]
+    columns = list(dict.fromkeys([*columns, *sorted(seen - {*columns, UNKNOWN}), *({UNKNOWN} & seen)]))
     short = [f"{k}" for k in range(1, len(columns) + 1)]
     head = ["truth", *(f"{s} {c}" for s, c in zip(short, columns, strict=True))]
     return [head, *([name, *(str(counter[c] or ".") for c in columns)] for name, counter in table.items())]
-
-
-def summary(rows: Sequence[Row]) -> Lines:
-    """The few numbers that matter most."""
-    good = [r for r in rows if "error" not in r]
-    lacking, clean = [r for r in good if r["effect"] != NONE], [r for r in good if r["effect"] == NONE]
-    extra = sum(len(r["found"]) - (r["effect"] in r["found"]) for r in lacking)
-    lines = [["", ""]]
-    if lacking:
-        n = len(lacking)
-        named = [first_answer(r) for r in lacking]
-        lines += [
-            ["named first", share(sum(a == r["effect"] for a, r in zip(named, lacking, strict=True)), n)],
-            ["among the named", share(sum(right(r) for r in lacking), n)],
-            ["another name first", share(sum(a not in (r["effect"], NONE, UNKNOWN)
-                                             for a, r in zip(named, lacking, strict=True)), n)],
-            ["extra names a case", f"{extra / n:.2f}"],
-        ]
-    if clean:
-        lines.append(["false alarms on clean boats", share(sum(bool(r["found"]) for r in clean), len(clean))])
-    lines.append(["cases that failed", str(len(rows) - len(good))])
-    return lines
 
 
 def coverage(rows: Sequence[Row]) -> Lines:

@@ -3,26 +3,31 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ident import bench_job
-from ident.bench_job import first_guess
+from ident.bench_runs import RATE
 from ident.dataset import build_record
 from ident.models.thruster import delayed_channels, thruster
+from ident.shapes import Shape
 from mocks.bench_plant import draw_bench
+from mocks.undeclared import EFFECTS, OUTSIDE
 from tests.missions import bench_channels_of, push
-from tests.recovery import study, tables
-from tests.recovery.cases import NAMES, Case, Row, diagnose_case, run_case, truth_of, z_scores
+from tests.recovery import study, tables, targets, verdict
+from tests.recovery.cases import Row, diagnose_case, ratio, run_case, runs_of, truth_of, z_scores
+from tests.recovery.kinds import KINDS, Case, all_pairs, boat_of, with_gaps
+from tests.recovery.oracle import _beyond
 
 IDENTIFIABLE = {"m_u", "m_v", "m_r", "d_v", "d_r", "d_uu", "d_vv", "d_rr", "V_x", "V_y"}
 
 
 @pytest.mark.slow
 def test_a_clean_boat_lacks_nothing_and_its_parameters_are_true() -> None:
-    case = Case("none", 2)
+    case = Case("none", 2, "clean")
     found = diagnose_case(case)
     assert found.effects == ()
     assert found.rounds == ()
@@ -37,6 +42,9 @@ def test_an_effect_is_named_first_and_makes_the_model_better(effect: str) -> Non
     row = run_case(Case(effect, 2))
     assert row.get("error") is None
     assert row["found"][:1] == [effect]
+    assert verdict.first_right(row)
+    assert row["answer"].startswith("The model lacks ")
+    assert 0.9 < row["ratio"]["free_run"] < 1.1
     assert tables.position(row["after"]) < tables.position(row["before"])
     assert row["after"]["ten_seconds"]["r"] <= 1.01 * row["before"]["ten_seconds"]["r"]
 
@@ -48,8 +56,8 @@ def test_the_bench_finds_its_thruster(seed: int) -> None:
     found = bench_channels_of(push(bench, run=1)[0])
     channels = delayed_channels(found["n_cmd_thruster"]) | {"n": found["n_thruster"], "force": found["force"]}
     model = thruster()
-    record = build_record(model, channels, name="bench", rate=bench_job.RATE)
-    fitted = bench_job._fit(model, [record], first_guess([record], has_force=True))
+    record = build_record(model, channels, name="bench", rate=RATE)
+    fitted = bench_job.fit_thruster(model, [record])
     truth = bench.truth()
     assert fitted.converged
     for name, true in (("a", "pole"), ("c1", "c1"), ("c2", "c2")):
@@ -59,11 +67,14 @@ def test_the_bench_finds_its_thruster(seed: int) -> None:
     assert fitted.estimate("tau")[0] == pytest.approx(truth["delay"], rel=0.05)
 
 
-def fake(effect: str, seed: int, found: list[str], **more: object) -> Row:
+def fake(effect: str, seed: int, found: list[str], kind: str = "single", **more: object) -> Row:
     errors = {"ten_seconds": dict.fromkeys(("x", "y", "r"), 3.0), "free_run": {"psi": 0.1}}
+    sure = ["unknown" if name.startswith("unknown") else "named" for name in found]
     return {
-        "key": Case(effect, seed).key, "effect": effect, "seed": seed, "scale": 1.0, "found": found, "left": [],
-        "z": {"m_u": 2.5}, "before": errors, "after": errors, "cpu": 1.0, "code": study.code_state(), **more,
+        "key": Case(effect, seed, kind).key, "effect": effect, "seed": seed, "kind": kind, "found": found, "left": [],
+        "certainty": sure, "shapes": [n.removeprefix("unknown ") for n in found if n.startswith("unknown")],
+        "z": {"m_u": 2.5}, "before": errors, "after": errors, "cpu": 1.0, "code": study.code_state(),
+        "ratio": {"ten_seconds": 1.0, "free_run": 1.02}, **more,
     }
 
 
@@ -72,53 +83,112 @@ def test_a_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.Monkey
 
     def pretend(case: Case) -> Row:
         ran.append(case.key)
-        if case.key == "wind/2/1":
-            return {"key": case.key, "effect": "wind", "code": study.code_state(), "error": "ValueError: no"}
-        return fake(case.effect, case.seed, [] if case.effect == "none" else [case.effect])
+        if case.key == "single/wind/2":
+            return {"key": case.key, "effect": "wind", "kind": "single", "code": study.code_state(),
+                    "error": "ValueError: no"}
+        return fake(case.effect, case.seed, list(case.truths), case.kind)
 
     monkeypatch.setattr(study, "run_case", pretend)
-    words = ["--effects", "none,wind", "--seed", "1", "--out", str(out), "--jobs", "1"]
+    words = ["--kinds", "single,clean", "--effects", "none,wind", "--seed", "1", "--out", str(out), "--jobs", "1"]
     assert study.main([*words, "--seeds", "1"]) == 0
-    assert ran == ["none/1/1", "wind/1/1"]
+    assert ran == ["single/wind/1", "clean/none/1"]
     with out.open("a", encoding="utf-8") as file:
         file.write('{"key": "none/2/1", "eff')  # killed while it wrote
         file.write("\n")
     assert study.main([*words, "--seeds", "2"]) == 1
-    assert ran[2:] == ["none/2/1", "wind/2/1"]
+    assert ran[2:] == ["single/wind/2", "clean/none/2"]
     assert study.main([*words, "--seeds", "2"]) == 1
-    assert ran[4:] == ["wind/2/1"]  # what failed is tried again
+    assert ran[4:] == ["single/wind/2"]  # what failed is tried again
     text = capsys.readouterr().out
-    assert "wind/1/1: wind (right" in text
-    assert "wind/2/1: failed: ValueError: no" in text
+    assert "single/wind/1: wind (right" in text
+    assert "single/wind/2: failed: ValueError: no" in text
+    assert "1 of 4 cases failed" in text
     assert len([json.loads(x) for x in out.read_text().splitlines() if x.endswith("}")]) == 5
+    assert study.main([*words, "--report"]) == 0
+    assert len(ran) == 5
 
 
 def test_the_tables_count_what_was_named() -> None:
     rows = [
         fake("wind", 1, ["wind"]), fake("wind", 2, ["compass", "wind"]), fake("wind", 3, []),
-        fake("wind", 4, ["unknown N(psi)"]), fake("none", 1, []), fake("none", 2, ["wind"]),
+        fake("wind", 4, ["unknown N(psi)"]), fake("wind", 5, ["wind"], certainty=["resembles"]),
     ]
-    head, *lines = tables.rates(rows)
-    clean, wind = (dict(zip(head, x, strict=True)) for x in lines)
-    assert (wind["truth"], wind["first"], wind["among"]) == ("wind", "1/4", "2/4")
-    assert (wind["none"], wind["unknown"], wind["wrong"], wind["extra a case"]) == ("1/4", "1/4", "1/4", "0.50")
-    assert (clean["first"], clean["wrong"]) == ("1/2", "1/2")
+    head, line = tables.rates(rows)
+    wind = dict(zip(head, line, strict=True))
+    assert (wind["truth"], wind["first"], wind["among"], wind["likened"]) == ("wind", "1/5", "3/5", "1/5")
+    assert (wind["none"], wind["unknown"], wind["wrong"], wind["extra a case"]) == ("1/5", "1/5", "1/5", "0.20")
     assert wind["10 s position error, m"] == f"{np.hypot(3, 3):.3g} -> {np.hypot(3, 3):.3g}"
-    together = dict(map(tuple, tables.summary(rows)))
-    assert together["named first"] == "1/4"
-    assert together["false alarms on clean boats"] == "1/2"
-    assert together["extra names a case"] == "0.50"
     head, *lines = tables.confusion(rows)
     assert [h.split()[-1] for h in head] == ["truth", "none", "wind", "compass", "unknown"]
-    assert lines[1] == ["wind", "1", "1", "1", "1"]
-    assert tables.coverage(rows)[1] == ["m_u", "2", "+2.50", "0.00", "0/2"]
-    assert "| wind | 4 |" in study.report(rows, tables.as_markdown)
-    assert NAMES[0] == "none"
-    assert len(NAMES) == 16
+    assert lines == [["wind", "1", "2", "1", "1"]]
+    assert tables.coverage([fake("none", 1, [], "clean")])[1] == ["m_u", "1", "+2.50", "0.00", "0/1"]
+    assert "| wind | 5 |" in study.report(rows, tables.as_markdown)
 
 
-def test_an_unknown_effect_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_targets_are_shares_of_the_right_cases() -> None:
+    rows = [
+        fake("none", 1, [], "clean"), fake("none", 2, ["wind"], "clean"), fake("none", 3, [], "noise-gps"),
+        fake("wind+lag", 1, ["lag", "wind"], "pair"), fake("wind+lag", 2, ["lag"], "pair"),
+        fake("yaw-saddle", 1, ["unknown N(u)"], "outside", shape=0.95), fake("yaw-saddle", 2, ["lift"], "outside"),
+        fake("surge-step", 1, ["hump", "unknown X(u)"], "outside", certainty=["resembles", "unknown"]),
+        fake("wind", 1, ["current-drift"], "leave-one-out"),
+        fake("wind", 2, ["current-drift"], "leave-one-out", certainty=["resembles"]),
+    ]
+    head, *lines = targets.targets(rows)
+    found = {(line[0], line[1]): line[head.index("cases")] for line in lines}
+    assert found[("clean", "anything found on a clean boat")] == "1/2"
+    assert found[("noise-gps", "anything found under misspecified noise")] == "0/1"
+    assert found[("pair", "both found")] == "1/2"
+    assert found[("outside", "unknown, right force and variable first")] == "1/3"
+    assert found[("outside", "right force drawn over the right variable, no name as sure")] == "2/3"
+    assert found[("outside", "true curve within the band")] == "1/3"
+    assert found[("leave-one-out", "a wrong name first, as sure")] == "1/2"
+    assert [line[-1] for line in lines if line[0] == "noise-gps"] == ["yes"]
+    power = targets.power([fake("wind", 1, ["wind"]), fake("wind", 1, [], "half")])
+    assert power[1] == ["wind", "0/1", "1/1"]
+    assert targets.oracles(rows)[1][1:] == ["2", "1.000", "1.000", "1.020", "1.020"]
+    assert targets.shapes(rows)[1] == ["yaw-saddle", "2", "1/2", "1", "0.95"]
+    assert verdict.extra(fake("wind", 1, ["wind", "lag"])) == 1
+    assert verdict.extra(fake("wind", 1, ["wind", "lag"], "mixture")) == 0
+
+
+def test_kinds_are_what_they_say() -> None:
+    assert set(KINDS) >= {"single", "half", "mixture", "pair", "outside", "clean", "timid", "short", "dropout"}
+    pairs = all_pairs(1)
+    assert len(pairs) == len(EFFECTS) // 2
+    assert len({name for pair in pairs for name in pair.split("+")}) == 2 * len(pairs)
+    assert pairs != all_pairs(2)
+    assert [e.name for e in boat_of(Case("wind+lag", 1, "pair")).effects] == ["wind", "lag"]
+    assert len(boat_of(Case("wind", 1, "mixture")).effects) == len(EFFECTS)
+    assert [e.name for e in boat_of(Case("none", 1, "noise-gps")).effects] == ["noise-gps"]
+    assert len(study.cases_of(["outside", "clean"], 1, 2, [])) == 2 * (len(OUTSIDE) + 1)
+    half = boat_of(Case("cubic-drag", 1, "half")).effects[0].parameters["k"]
+    assert half == pytest.approx(0.5 * boat_of(Case("cubic-drag", 1)).effects[0].parameters["k"])
+
+
+def test_drop_outs_leave_holes_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(KINDS, "short", replace(KINDS["short"], seconds=(70.0, 65.0)))
+    whole = runs_of(Case("none", 1, "short"))[0].channels
+    holed = with_gaps(dict(whole), 1)
+    for name, channel in holed.items():
+        kept = np.isin(whole[name].t, channel.t)
+        assert 0.5 < kept.mean() < 0.96
+        np.testing.assert_array_equal(channel.value, whole[name].value[kept])
+    assert np.diff(holed["x"].t).max() > 5.0
+    assert np.diff(holed["n_left"].t).max() < 1.0
+
+
+def test_ratios_and_bands() -> None:
+    assert ratio({"free_run": {"x": 2.0, "y": 0.5}}, {"free_run": {"x": 1.0, "y": 1.0}}) == {"free_run": 1.0}
+    grid = np.linspace(-1.0, 1.0, 41)
+    drag = Shape("X", "u", grid, grid, grid, "N", "m/s")
+    np.testing.assert_allclose(_beyond(drag, 3.0 + 2.0 * grid - grid * np.abs(grid)), 0.0, atol=1e-12)
+    assert np.abs(_beyond(replace(drag, force="N"), 2.0 * grid)).max() > 1.0
+
+
+@pytest.mark.parametrize("words", [["--effects", "kraken"], ["--kinds", "kraken"]])
+def test_an_unknown_effect_is_wrong_usage(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as leaving:
-        study.main(["--effects", "kraken"])
+        study.main(words)
     assert leaving.value.code == 2
-    assert "no effect 'kraken'; there are none, advance-ratio" in capsys.readouterr().err
+    assert f"no {words[0][2:-1]} 'kraken'; there are " in capsys.readouterr().err

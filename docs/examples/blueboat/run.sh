@@ -1,6 +1,6 @@
 #!/bin/sh
 # The measured BlueBoat through public commands: sh docs/examples/blueboat/run.sh [OUT], from the repository's top.
-# SEATRIAL_DATA says where the data sets are; seatrial and python are those on the PATH. About a minute of CPU time.
+# SEATRIAL_DATA says where the data sets are; seatrial and python are those on the PATH. A few minutes of CPU time.
 set -eu
 : "${SEATRIAL_DATA:?says where the measured data sets are}"
 here=$(CDPATH= cd -- "$(dirname -- "$0")" && pwd)
@@ -14,7 +14,7 @@ fitted=""
 for run in 218 220 222 224 230 233; do fitted="$fitted logs/fixed_00000$run.mcap"; done
 unused=""
 for run in 221 223 226 228 232; do unused="$unused --validate logs/fixed_00000$run.mcap"; done
-boat="--start m_u=15 --start m_v=20 --start m_r=1.7 --fix y_left=-0.285 --fix y_right=0.285"
+boat="--model horizontal:force --start m_u=15 --start m_v=20 --start m_r=1.7 --fix y_left=-0.285 --fix y_right=0.285"
 noise="--fix e_uv=0.05 --fix e_r=0.02 --fix e_psi=0.03 --fix e_xy=0.3"
 
 # The lists are meant to be split into words.
@@ -23,5 +23,13 @@ noise="--fix e_uv=0.05 --fix e_r=0.02 --fix e_psi=0.03 --fix e_xy=0.3"
     seatrial ident vehicle $fitted $unused $boat --out trusting
     seatrial ident vehicle $fitted $unused $boat $noise --out vehicle
     seatrial ident diagnose vehicle/model.toml $fitted $unused --out diagnosis
+    # the commands as shaft speeds, in place of the authors' force
+    few="" && for run in 218 221 224 232 233; do few="$few logs/fixed_00000$run.mcap"; done
+    other="--validate logs/fixed_00000220.mcap --validate logs/fixed_00000230.mcap"
+    start="--fix c1=41.4 --fix c2=13.8 --start m_u=15 --start m_v=20 --prior m_r=3:2"
+    seatrial ident vehicle $few $other --model horizontal:shaft:still $start $noise --out shaft
+    seatrial ident diagnose shaft/model.toml $few $other --max-effects 1 --out compass
 }
 for kind in trusting vehicle diagnosis; do python "$here/fit.py" $kind/result.json; done
+python "$here/leave_one_out.py" logs/*.mcap --out leave_one_out.json
+python "$here/figures.py" leave_one_out.json .

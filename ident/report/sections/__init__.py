@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ident.report.blocks import Canvas, Section
-from ident.report.sections import answer, errors, parameters, profiles, residuals, runs, search
+from ident.report.sections import answer, calibration, errors, navigation, parameters, profiles, residuals, runs, search
 
 
 def opening(canvas: Canvas) -> Section:
@@ -16,6 +16,8 @@ def body(canvas: Canvas) -> list[Section]:
     makers = (
         answer.static_section,
         answer.noise_section,
+        navigation.outages_section,
+        navigation.section,
         runs.run_section,
         runs.traces_section,
         parameters.section,
@@ -23,6 +25,7 @@ def body(canvas: Canvas) -> list[Section]:
         residuals.section,
         search.section,
         errors.section,
+        calibration.section,
         errors.next_section,
         errors.notes_section,
         errors.made_section,

@@ -91,6 +91,7 @@ def effect_card(effect: Row) -> EffectCard:
         ("Source", text(effect, "source")),
         ("Shown by", text(effect, "experiment")),
         ("Rivals", ", ".join(rivals)),
+        ("How sure", how_sure(effect)),
     )
     share = number(effect, "share")
     return EffectCard(
@@ -101,6 +102,17 @@ def effect_card(effect: Row) -> EffectCard:
         [(label, value) for label, value in facts if value],
         "" if share is None else wording.percent(share),
     )
+
+
+def how_sure(effect: Row) -> str:
+    """In words: a name that stands alone, or what speaks against it."""
+    reasons = [str(reason) for reason in effect.get("reasons") or ()]
+    certainty = text(effect, "certainty")
+    if certainty == "resembles":
+        others = [wording.titled(str(name)) for name in effect.get("not_excluded") or ()]
+        return "it resembles this; " + "; ".join(reasons + ([f"not excluded: {', '.join(others)}"] if others else []))
+    return {"named": "nothing is left that this should explain, and no rival comes close",
+            "unknown": "no known effect explains it; the curve is what the data draw"}.get(certainty, "")
 
 
 def key_parameters(result: Row) -> list[Any]:

@@ -168,4 +168,4 @@ def _shapes(canvas: Canvas) -> list[Any]:
         figure = drawing.single(traces, variable + wording.bracket(unit), y_title)
         plots.append(canvas.plot(figure, 280, f"{force} over {variable}", f"{force} over {variable}"))
     note = "a force as a function of one variable, as the data draw it, with 95 % bands"
-    return [Heading("Unknown effects", note), Grid(plots, 320)] if plots else []
+    return [Heading("What the data draw", note), Grid(plots, 320)] if plots else []

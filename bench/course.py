@@ -1,0 +1,135 @@
+"""The way through a mission: set-points in time, pauses, marks, steps repeated by hand or because they were invalid."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from bench.mission import Mission
+from bench.timeline import Row, Span, Timeline
+from daq.status import Status
+
+GAP_PART = 0.5  # of the guard's patience: so long a silence spoils a step without ending the run
+
+
+class Recorder(Protocol):
+    """What is asked of the acquisition."""
+
+    def schedule(self, rows: list[Row]) -> None:
+        """Append set-points."""
+
+    def zero(self, reason: str) -> None:
+        """Zero at once."""
+
+    def mark(self, kind: str, text: str) -> None:
+        """An event for the log."""
+
+
+class Course:
+    """Steers through one mission. `step` is called at every look at the status; reads no clock."""
+
+    def __init__(
+        self,
+        mission: Mission,
+        start: float,
+        lead: float,
+        acquisition: Recorder,
+        patience: Callable[[str], float],
+        say: Callable[[str], None],
+        retries: int = 0,
+    ) -> None:
+        """`lead` [run s] from a decision to the first set-point; `patience` [run s] of the guard by device."""
+        self.timeline = Timeline(mission, start)
+        self.paused = False
+        self._acquisition, self._lead, self._patience, self._say = acquisition, lead, patience, say
+        self._retries = retries
+        self._span: Span | None = None
+        self._before: tuple[int, ...] = ()
+        self._gap = ""
+        self._marks = 0
+
+    @property
+    def segment(self) -> str:
+        """The name of the step under way; empty before the first."""
+        return "" if self._span is None else self._span.name
+
+    def is_over(self, now: float) -> bool:
+        """Whether the mission has been run to its end."""
+        return not self.paused and now >= self.timeline.end
+
+    def step(self, now: float, ahead: float, status: Status, keys: str = "") -> None:
+        """Look at the status and at the keys pressed, then send the set-points up to `now + ahead`."""
+        for key in keys:
+            self._press(key, now)
+        if self.paused:
+            return
+        self._watch(status)
+        self._enter(now, status)
+        if rows := self.timeline.rows(now + ahead):
+            self._acquisition.schedule(rows)
+
+    def _press(self, key: str, now: float) -> None:
+        name = "" if self._span is None else self._span.name
+        if key in " p" and not self.paused:
+            self.paused = True
+            self._acquisition.zero("pause")
+            self._acquisition.mark("pause", name)
+            self._say("paused: thrust is zero; space resumes with the step's beginning")
+        elif key in " p":
+            self.paused = False
+            self._acquisition.mark("resume", name)
+            self._again(now)
+        elif key == "r" and not self.paused:
+            self._acquisition.zero("repeat")
+            self._acquisition.mark("repeat", name)
+            self._say(f"repeating {name}")
+            self._again(now)
+        elif key == "m":
+            self._marks += 1
+            self._acquisition.mark("mark", f"operator mark {self._marks}")
+            self._say(f"mark {self._marks}")
+
+    def _again(self, now: float) -> None:
+        """Take up the present step from its beginning."""
+        segment = 0 if self._span is None else self._span.segment
+        self.timeline.restart(segment, now + self._lead)
+        self._span = None
+
+    def _watch(self, status: Status) -> None:
+        """Remember the first sensor that was silent for too long in this step."""
+        for name, port in status.ports.items():
+            if not self._gap and not port.age <= GAP_PART * self._patience(name):
+                self._gap = f"{name} was silent for {port.age:.1f} s"
+
+    def _enter(self, now: float, status: Status) -> None:
+        """A step has begun, or the mission ended: judge the one before, and mark the new one."""
+        begun, ended = self.timeline.begun(now), now >= self.timeline.end
+        if self._span is not None and (ended or begun[-1] != self._span):
+            fault = self._fault(status)
+            if fault and self._retries > 0:
+                self._retries -= 1
+                self._acquisition.zero("retry")
+                self._acquisition.mark("retry", f"{self._span.name}: {fault}")
+                self._say(f"repeating {self._span.name}: {fault}")
+                self._again(now)
+                return
+            if fault:
+                self._acquisition.mark("invalid", f"{self._span.name}: {fault}")
+        last = -1 if self._span is None else self._span.segment
+        for span in begun:
+            if span.segment > last and not ended:
+                self._acquisition.mark("segment", span.name)
+                self._span, self._before, self._gap = span, _counts(status), ""
+
+    def _fault(self, status: Status) -> str:
+        """Why the step that has just ended is not worth its place in a fit; empty when it is."""
+        words = ("set-points were skipped", "samples were dropped", "ports were lost")
+        for before, after, what in zip(self._before, _counts(status), words, strict=True):
+            if after > before:
+                return f"{after - before} {what}"
+        return self._gap
+
+
+def _counts(status: Status) -> tuple[int, ...]:
+    ports = status.ports.values()
+    return status.skipped, sum(port.dropped for port in ports), sum(port.reconnects for port in ports)

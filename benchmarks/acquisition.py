@@ -1,0 +1,183 @@
+"""Acquisition: jitter beside a busy program, loss at full rate, device time behind a slow adapter, kill -9.
+
+`python -m benchmarks.acquisition --seconds 600 --kills 50` measures for as long as the acceptance asks for.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.measure import Figure, table
+from daq.acquire import Acquisition
+from daq.clock import ClockMap, RunClock
+from daq.log import open_log
+from daq.rig import Rig, parse_rig
+from daq.samples import Ahrs
+
+ROOT = Path(__file__).parents[1]
+JITTER_S, LOSS_S = 10.0, 20.0
+LOSS_RATE = 1250.0  # frames a second and device
+RECORD = """
+import os, struct, sys, time
+from pathlib import Path
+from daq.clock import RunClock
+from daq.recorder import Recorder
+from daq.samples import Ahrs, Frame
+from tests.daq.logs import rig
+clock, period = RunClock(), 1.0 / float(sys.argv[2])
+log = Recorder(Path(sys.argv[1]), rig=rig(), clock=clock, attachments={"mission.toml": b"n = 1"})
+due = time.monotonic()
+while True:
+    t = clock.now()
+    log.write("ahrs", Frame(Ahrs(0.0, 0.0, 0.0), t, 0.0), t)
+    os.write(1, struct.pack("<d", t))
+    due += period
+    while True:
+        log.tick()
+        left = due - time.monotonic()
+        if left <= 0.0:
+            break
+        time.sleep(min(left, 0.02))
+"""
+
+
+def figures(seed: int) -> list[Figure]:
+    """All of them, for a short time each."""
+    return [*jitter(JITTER_S), *loss(LOSS_S), *device_time(seed), *kills(2, seed)]
+
+
+def rig_of(folder: Path, n_devices: int, rate: float) -> Rig:
+    """VectorNavs d0, d1, ... at ptys in the folder."""
+    devices = "".join(
+        f'[[device]]\nname = "d{k}"\nprotocol = "vectornav"\nport = "d{k}"\nrate_hz = {rate}\n'
+        for k in range(n_devices)
+    )
+    return parse_rig(f'format = "seatrial-rig 1"\nname = "bench"\n{devices}', folder / "rig.toml")
+
+
+def record(folder: Path, n_devices: int, rate: float, seconds: float, busy: bool) -> tuple[dict[str, float], int]:
+    """Record senders; what they say of themselves, and how many samples the acquisition counts as dropped."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    words = [sys.executable, "-m", "benchmarks.sender", str(folder), str(n_devices), str(rate), str(seconds)]
+    ended = threading.Event()
+
+    def hog() -> None:
+        while not ended.is_set():
+            sum(k * k for k in range(1000))
+
+    with subprocess.Popen(
+        words, env=environment, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as sender:
+        assert sender.stdin is not None
+        assert sender.stdout is not None
+        sender.stdout.readline()
+        rig = rig_of(folder, n_devices, rate)
+        with Acquisition(rig, folder / "log.mcap", clock=RunClock()) as acquisition:
+            time.sleep(0.5)
+            thread = threading.Thread(target=hog)
+            if busy:
+                thread.start()
+            sender.stdin.write("go\n")
+            sender.stdin.flush()
+            said: dict[str, float] = json.loads(sender.stdout.readline())
+            ended.set()
+            dropped = sum(port.dropped for port in acquisition.status().ports.values())
+        sender.stdin.write("end\n")
+    return said, dropped
+
+
+def jitter(seconds: float) -> Iterator[Figure]:
+    """One device at 1 kHz while a pure-Python loop holds the interpreter of the process that runs the experiment."""
+    with tempfile.TemporaryDirectory() as name:
+        record(Path(name), 1, 1000.0, seconds, busy=True)
+        with open_log(Path(name) / "log.mcap") as log:
+            rows = log.table(Ahrs, "d0")
+            monotonic, run = json.loads(log.metadata["origin"])
+    delay = 1e6 * (rows["t_rx"] - run + monotonic - rows["t_device"])
+    group = f"receive time at 1 kHz beside a busy Python program, {seconds:g} s"
+    yield Figure(group, "delay, median", float(np.median(delay)), "us")
+    yield Figure(group, "delay, 99 %", float(np.quantile(delay, 0.99)), "us", note="sender and scheduler included")
+    yield Figure(group, "delay, largest", float(delay.max()), "us")
+
+
+def loss(seconds: float) -> Iterator[Figure]:
+    """Four devices, 5,000 frames a second in all."""
+    with tempfile.TemporaryDirectory() as name:
+        said, dropped = record(Path(name), 4, LOSS_RATE, seconds, busy=False)
+        with open_log(Path(name) / "log.mcap") as log:
+            logged = sum(len(log.table(Ahrs, f"d{k}")) for k in range(4))
+    group = f"four devices, {4 * LOSS_RATE:,.0f} frames/s for {seconds:g} s"
+    yield Figure(group, "sent", said["sent"], "frames")
+    yield Figure(group, "not in the log", said["sent"] - logged, "frames", note=f"{dropped} counted as dropped")
+    yield Figure(group, "not taken by the port", said["refused"], "frames", note=f"sender {said['late']:.3f} s late")
+
+
+def device_time(seed: int, minutes: float = 5.0) -> Iterator[Figure]:
+    """200 Hz behind an adapter that hands over every 16 ms, with a clock that is 30 ppm off."""
+    rng = np.random.default_rng(seed)
+    truth = np.arange(round(60.0 * minutes * 200)) / 200.0
+    received = np.maximum.accumulate(np.ceil(truth / 0.016) * 0.016 + rng.exponential(50e-6, truth.size))
+    clock_map = ClockMap()
+    estimates = [clock_map.update(d, r) for d, r in zip(12.5 + truth * (1.0 - 30e-6), received, strict=True)]
+    error = 1e6 * (np.array(estimates) - truth)[truth > 10.0]
+    group = "device time behind a 16 ms adapter, 30 ppm"
+    yield Figure(group, "bias", float(error.mean()), "us", note="from 10 s after the start")
+    yield Figure(group, "spread", float(error.std()), "us")
+    yield Figure(group, "bias of the receive time", 1e6 * float((received - truth).mean()), "us")
+
+
+def kills(count: int, seed: int) -> Iterator[Figure]:
+    """kill -9 at random moments, `count` times at 5 Hz and at 1 kHz."""
+    rng = random.Random(seed)
+    for rate in (5.0, 1000.0):
+        lost = [_killed(rate, rng.uniform(0.8, 3.0)) for _ in range(count)]
+        group = f"kill -9, {count} times at {rate:g} Hz"
+        yield Figure(group, "lost, most", max(lost), "s", note="and nothing but the last moment; metadata whole")
+
+
+def _killed(rate: float, after: float) -> float:
+    """Seconds of the recording that a kill costs. Raises where anything but the end is missing."""
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "run.mcap"
+        words = [sys.executable, "-c", RECORD, str(path), str(rate)]
+        with subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE) as process:
+            assert process.stdout is not None
+            told = process.stdout.read(8)
+            threading.Timer(after, os.kill, (process.pid, signal.SIGKILL)).start()
+            told += process.stdout.read()
+        written = np.frombuffer(told[: len(told) // 8 * 8], "<f8")
+        with open_log(path) as log:
+            kept = log.table(Ahrs, "ahrs")["t"]
+            assert set(log.attachments) == {"rig.toml", "mission.toml"}
+            assert {"git", "host", "operator"} <= set(log.metadata)
+        np.testing.assert_allclose(kept, written[: len(kept)], atol=1e-6)
+        return float(written[-1] - kept[-1])
+
+
+def main() -> int:
+    """Measure for as long as is asked for."""
+    parser = argparse.ArgumentParser("python -m benchmarks.acquisition", description=__doc__)
+    parser.add_argument("--seconds", type=float, default=LOSS_S, help="of the loss measurement")
+    parser.add_argument("--kills", type=int, default=2, help="at each rate")
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    found = [*jitter(JITTER_S), *loss(given.seconds), *device_time(given.seed), *kills(given.kills, given.seed)]
+    print(table(found))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

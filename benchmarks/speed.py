@@ -1,0 +1,120 @@
+"""Likelihood with gradient beside a plain numpy filter and CasADi's own evaluation, in one run; what a large model
+takes to compile, and what a process takes from its start to a result."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from benchmarks.measure import Figure, child, peak_mb
+from benchmarks.sde import N_ROWS, NOISE, PEER, START, measured, model, simulated
+from ident.dataset import Record
+from ident.fit import fit
+from ident.model import Model
+from ident.models.disturbance import for_diagnosis
+from ident.models.horizontal import horizontal
+from ident.pe import Likelihood
+
+T = TypeVar("T")
+ROOT = Path(__file__).parents[1]
+
+
+def figures(seed: int) -> Iterator[Figure]:
+    """The ratios, then compile time, CPU and memory."""
+    record = measured() or simulated(seed)
+    yield from ratios(record)
+    yield from processes(record)
+
+
+def ratios(record: Record) -> Iterator[Figure]:
+    """CPU of one likelihood with gradient by all 15 parameters; who is compared computes the same numbers."""
+    from benchmarks.peers import casadi_gradient, numpy_value  # the children of this module do without CasADi
+
+    group = f"likelihood with gradient, {record.name}: {N_ROWS} rows, 6 states, 15 parameters, one thread"
+    likelihood, names = Likelihood(model()), list(model().values)
+    values = np.array(list(model().values.values()))
+    value, gradient = likelihood.gradient(record, values)
+    peer = casadi_gradient(model(), record)
+    by_casadi, slopes = peer(values)
+    given = dict(zip(names, values.tolist(), strict=True))
+    by_numpy, by_hand = timed(lambda: numpy_value(given, record), 2)
+    any_model = timed(lambda: numpy_value(given, record, by_hand=False), 1)[1]
+    casadi_ms = timed(lambda: peer(values), 3)[1]
+    ours = timed(lambda: likelihood.gradient(record, values), 30)[1]
+    yield Figure(group, "this engine", ours, "ms CPU")
+    yield Figure(group, "CasADi's own evaluation", casadi_ms, "ms CPU", note="reverse gradient of mapped rows")
+    yield Figure(group, "faster than CasADi", casadi_ms / ours, "times", note="wanted: 50")
+    n = 1 + len(names)  # forward differences: the likelihood once, and once more for each parameter
+    for filter_ms, how in ((any_model, "Jacobians by differences"), (by_hand, "Jacobians by hand")):
+        note = f"{n} likelihoods of {filter_ms:,.0f} ms each, of which one was timed"
+        yield Figure(group, f"numpy, {how}", n * filter_ms, "ms CPU", note=note)
+        yield Figure(group, "faster than that", n * filter_ms / ours, "times", note="wanted: 4000")
+    apart = max(abs(by_numpy - value), abs(by_casadi - value))
+    yield Figure(group, "values apart", apart, "", note=f"of {value:.4f}")
+    yield Figure(group, "gradients apart", float(np.abs(slopes - gradient).max() / np.abs(gradient).max()), "relative")
+
+
+def timed(call: Callable[[], T], repeats: int) -> tuple[T, float]:
+    """What a call returns, and its least CPU time in ms: what else the machine does does not count."""
+    best = np.inf
+    for _ in range(repeats):
+        began = time.process_time()
+        result = call()
+        best = min(best, time.process_time() - began)
+    return result, 1e3 * best
+
+
+def large() -> Model:
+    """13 states, 27 parameters: the plane with current, unexplained forces and sensor offsets."""
+    full = for_diagnosis(horizontal("shaft"))
+    return full.with_free(full.values)
+
+
+def processes(record: Record) -> Iterator[Figure]:
+    """Each in a process of its own, with an empty cache of kernels and then with a full one."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "record.npz"
+        np.savez(file, t=record.t, u=record.u, y=record.y)
+        for work, group in (
+            ("estimate", f"process start to estimate ({record.name})"),
+            ("compile", f"process start to scores of {len(large().states)} states, {len(large().values)} parameters"),
+        ):
+            environment = {**os.environ, "SEATRIAL_CACHE": str(Path(folder) / work)}
+            for name in ("cold", "warm"):
+                words = [sys.executable, "-m", "benchmarks.speed", work, str(file)]
+                runs = [child(words, ROOT, environment) for _ in range(1 if name == "cold" else 3)]
+                best = min(runs, key=lambda r: r.cpu)
+                peer = PEER.get(name) if record.name == "sde_bench" and work == "estimate" else None
+                yield Figure(group, f"{name}: CPU", best.cpu, "s CPU", peer)
+                yield Figure(group, f"{name}: peak memory", best.report["peak_mb"], "MB")
+                if work == "compile" and name == "cold":
+                    yield Figure(group, "of it to compile", best.report["compile"], "s CPU", note="wanted: 3")
+
+
+def main() -> None:
+    """The work of a child: estimate, or compile and evaluate once; prints what only it can know."""
+    work, file = sys.argv[1:]
+    began, given = time.process_time(), np.load(file)
+    if work == "estimate":
+        own = Record("given", given["t"], given["u"], given["u"], given["y"], ("X", "N"), tuple(NOISE))
+        found: dict[str, float] = {"optimum": fit(model(), [own], start=START).log_likelihood}
+    else:
+        full, n = large(), 50
+        names = tuple(i.name for i in full.inputs), tuple(o.name for o in full.outputs)
+        u, y = np.zeros((n, 2)), np.zeros((n, len(names[1])))
+        few = Record("few", np.linspace(0.0, 5.0, n), u, u, y, names[0], names[1])
+        Likelihood(full).scores(few, np.array(list(full.values.values())))
+        found = {"compile": time.process_time() - began}
+    print(json.dumps(found | {"peak_mb": peak_mb()}))
+
+
+if __name__ == "__main__":
+    main()

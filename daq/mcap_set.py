@@ -1,0 +1,125 @@
+"""The segments of a log, NAME.mcap, NAME.1.mcap, NAME.2.mcap, ..., read as one.
+
+A segment belongs to the first one when it says the same run clock, rig and host in its metadata: a name alone may be
+chance. Numbers may be missing, and each segment may be cut off or damaged for itself.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from mcap.records import Attachment, Channel, Metadata, Schema
+from numpy.typing import NDArray
+
+from daq.errors import SeatrialError
+from daq.mcap_chunk import MESSAGE, Buffer, by_chunk, rows_at
+from daq.mcap_read import RawLog
+
+SAME = ("origin", "rig", "host")  # what segments of one log have in common
+
+
+def open_raw(path: Path) -> RawLog | RawSet:
+    """The log at `path` with all its segments. Raises SeatrialError as `RawLog` does."""
+    first = RawLog(path)
+    origin = _about(first).get("origin")
+    later = segments(path)
+    if not later or not origin:
+        return first
+    files, warnings = [first], []
+    for other in later:
+        try:
+            raw = RawLog(other)
+        except SeatrialError as error:
+            warnings.append(f"a segment is left out: {error}")
+            continue
+        if all(_about(raw).get(key) == _about(first).get(key) for key in SAME):
+            files.append(raw)
+        else:
+            raw.close()
+            warnings.append(f"{other.name} is of another run and left out")
+    return RawSet(files, warnings) if len(files) > 1 or warnings else first
+
+
+def segments(path: Path) -> list[Path]:
+    """The files beside `path` that are named as its later segments, by their number."""
+    name = re.compile(re.escape(path.stem) + r"\.(\d{1,6})" + re.escape(path.suffix))
+    try:
+        found = [(int(match[1]), other) for other in path.parent.iterdir() if (match := name.fullmatch(other.name))]
+    except OSError:
+        return []
+    return [other for _, other in sorted(found)]
+
+
+def _about(raw: RawLog) -> dict[str, str]:
+    return next((dict(record.metadata) for record in raw.metadata if record.name == "seatrial"), {})
+
+
+class RawSet:
+    """Several files with the face of one `RawLog`: chunks are numbered through, channels that are alike are one."""
+
+    def __init__(self, files: list[RawLog], warnings: list[str]) -> None:
+        self.files = files
+        self.path = files[0].path
+        self.warnings = [f"{raw.path.name}: {text}" for raw in files for text in raw.warnings] + warnings
+        self.complete = all(raw.complete for raw in files)
+        self.profile = files[0].profile
+        self.metadata: list[Metadata] = files[0].metadata
+        self.attachments: list[Attachment] = files[0].attachments
+        self.channels: dict[int, Channel] = {}
+        self.schemas: dict[int, Schema] = {}
+        self._first_chunks: list[int] = []
+        self._known: dict[tuple[object, ...], int] = {}
+        parts, n_chunks = [], 0
+        for raw in files:
+            self._first_chunks.append(n_chunks)
+            parts.append(self._renumbered(raw, n_chunks))
+            n_chunks += raw.n_chunks
+        self.messages: NDArray[np.void] = np.concatenate(parts) if parts else np.zeros(0, MESSAGE)
+
+    def _renumbered(self, raw: RawLog, first_chunk: int) -> NDArray[np.void]:
+        rows = raw.messages.copy()
+        new = np.zeros(1 << 16, np.uint16)
+        for number, channel in raw.channels.items():
+            new[number] = self._number(channel, raw.schemas.get(channel.schema_id))
+        rows["channel"] = new[rows["channel"]]
+        rows["chunk"] += first_chunk
+        return rows
+
+    def _number(self, channel: Channel, schema: Schema | None) -> int:
+        """The number of this channel in the set; new ones are given in the order of the files."""
+        what = ("", b"") if schema is None else (schema.name, schema.data)
+        key = (channel.topic, channel.message_encoding, tuple(sorted(channel.metadata.items())), what)
+        if key not in self._known:
+            number = self._known[key] = len(self._known) + 1
+            if schema is not None:
+                self.schemas[number] = Schema(id=number, name=schema.name, encoding=schema.encoding, data=schema.data)
+            self.channels[number] = Channel(
+                id=number,
+                topic=channel.topic,
+                message_encoding=channel.message_encoding,
+                metadata=channel.metadata,
+                schema_id=number if schema is not None else 0,
+            )
+        return self._known[key]
+
+    def chunk(self, number: int) -> Buffer:
+        """The uncompressed bytes of a chunk, numbered through the set."""
+        k = int(np.searchsorted(self._first_chunks, number, side="right")) - 1
+        return self.files[k].chunk(number - self._first_chunks[k])
+
+    def rows(self, messages: NDArray[np.void], dtype: np.dtype[np.void]) -> NDArray[np.void]:
+        """As `RawLog.rows`."""
+        parts = [rows_at(self.chunk(number), part["offset"], dtype) for number, part in by_chunk(messages)]
+        return np.concatenate(parts) if parts else np.zeros(0, dtype)
+
+    def payload(self, message: np.void) -> memoryview:
+        """As `RawLog.payload`."""
+        start = int(message["offset"])
+        return memoryview(self.chunk(int(message["chunk"])).data)[start : start + int(message["length"])]
+
+    def close(self) -> None:
+        """Let go of all files."""
+        for raw in self.files:
+            raw.close()

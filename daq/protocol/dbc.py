@@ -1,0 +1,123 @@
+"""Shaft speed, current, voltage and temperature from any CAN bus, as a DBC file lays its messages out.
+
+The fields are unpacked by cantools. NMEA 2000 and J1939 identifiers hold a priority and the sender beside the number
+of the message (PGN), so there a message is known by its PGN (SAE J1939-21, 5.2); there, too, a field of all ones is
+"not available" (SAE J1939-71, 5.1). One PGN ships with seatrial: nmea2000.dbc, 127488, engine parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from daq.errors import SeatrialError
+from daq.protocol.canframe import FRAME_BYTES, FrameDecoder
+from daq.rig_options import SOURCE, DbcSignal
+from daq.samples import NAN, Esc, Frame
+
+STALE = 2.0  # s; what another message said is not repeated for longer than this
+_PDU_1 = 0x03FF_0000  # PGN below 0xF000: its low byte is an address
+_PDU_2 = 0x03FF_FF00
+
+
+class _Wanted(NamedTuple):
+    """A message and what is taken from it."""
+
+    message: Any  # cantools.database.can.Message
+    signals: tuple[DbcSignal, ...]
+
+
+def load(path: str) -> Any:
+    """The database in a DBC file. Raises SeatrialError where it is none."""
+    import cantools  # takes a while to import, and only CAN needs it
+
+    try:
+        return cantools.database.load_file(path, database_format="dbc")
+    except OSError as error:
+        raise SeatrialError(f"{path}: {error.strerror}") from error
+    except Exception as error:  # cantools' parser has errors of many kinds
+        raise SeatrialError(f"{path}: no DBC file: {' '.join(str(error).split())}") from error
+
+
+def is_j1939(message: Any) -> bool:
+    """Whether a message is known by its PGN rather than by its whole identifier."""
+    return bool(message.protocol == "j1939")
+
+
+def pgn_bits(identifier: int) -> int:
+    """The bits of a 29-bit identifier that say which message it is, without priority, sender and destination."""
+    return identifier & (_PDU_1 if identifier >> 16 & 0xFF < 0xF0 else _PDU_2)
+
+
+class Decoder(FrameDecoder):
+    """CAN frames -> `Esc`, by `signals`: one sample for each message that holds an rpm.
+
+    Where none does, each message that is asked for gives one. What other messages said of the same node (current,
+    voltage, temperature, duty) is the newest heard, NaN when older than `STALE`. Raises SeatrialError for a message
+    or signal that `database` has not.
+    """
+
+    def __init__(self, database: Any, signals: Sequence[DbcSignal]) -> None:
+        super().__init__()
+        self._exact: dict[tuple[int, bool], _Wanted] = {}
+        self._by_pgn: dict[int, _Wanted] = {}
+        self._heard: dict[int, dict[str, tuple[float, float]]] = {}  # node -> field -> value, t_rx
+        self._has_rpm = any(signal.field == "rpm" for signal in signals)
+        for name in dict.fromkeys(signal.message for signal in signals):
+            message = _find(name, database.messages, "message")
+            mine = tuple(signal for signal in signals if signal.message == name)
+            for signal in mine:
+                for wanted in [signal.signal, *([signal.node] if isinstance(signal.node, str) else [])]:
+                    if wanted != SOURCE:
+                        _find(wanted, message.signals, f"signal of {name}")
+            if is_j1939(message):
+                self._by_pgn[pgn_bits(message.frame_id)] = _Wanted(message, mine)
+            else:
+                self._exact[message.frame_id, message.is_extended_frame] = _Wanted(message, mine)
+
+    def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
+        wanted = self._exact.get((identifier, extended))
+        if wanted is None and extended:
+            wanted = self._by_pgn.get(pgn_bits(identifier))
+        if wanted is None:
+            return []
+        try:
+            raw = wanted.message.decode(data, decode_choices=False, scaling=False)
+        except Exception:  # too short, or a multiplexer that the DBC does not know
+            self.unparsed_bytes += FRAME_BYTES
+            return []
+        self.frames += 1
+        nodes: dict[int, None] = {}
+        for signal in wanted.signals:
+            node = identifier & 0xFF if signal.node == SOURCE else raw.get(signal.node, signal.node)
+            value = self._value(wanted.message, signal, raw)
+            if isinstance(node, int) and value is not None:
+                self._heard.setdefault(node, {})[signal.field] = (value, t_rx)
+                if signal.field == "rpm" or not self._has_rpm:
+                    nodes[node] = None
+        return [Frame(self._esc(node, t_rx), t_rx, NAN) for node in nodes]
+
+    def _value(self, message: Any, signal: DbcSignal, raw: dict[str, Any]) -> float | None:
+        if signal.signal not in raw:  # of another multiplexer
+            return None
+        number, about = raw[signal.signal], message.get_signal_by_name(signal.signal)
+        if is_j1939(message) and not about.is_float:
+            highest = (1 << about.length - about.is_signed) - 1
+            if number > highest - (2 if about.length >= 4 else 0):
+                return NAN
+        return signal.scale * float(about.raw_to_scaled(number, decode_choices=False)) + signal.offset
+
+    def _esc(self, node: int, t_rx: float) -> Esc:
+        heard = self._heard[node].items()
+        return Esc(node, **{name: value for name, (value, t) in heard if t_rx - t <= STALE})
+
+    def _forget(self) -> None:
+        self._heard.clear()
+
+
+def _find(name: str | int, rows: Sequence[Any], what: str) -> Any:
+    for row in rows:
+        if row.name == name:
+            return row
+    there = ", ".join(row.name for row in rows) or "none"
+    raise SeatrialError(f"the DBC file has no {what} '{name}'; there is: {there}")

@@ -1,0 +1,158 @@
+"""MicroStrain (Parker, LORD) inertial sensors: MIP packets of the sensor, filter and GNSS data.
+
+Source: MicroStrain MIP documentation, "MIP packets" and the data sets 0x80 (sensor), 0x82 (filter), 0x81 and 0x91
+(GNSS): big-endian fields, each behind its length and descriptor; body axes FRD, attitude from NED. Acceleration is
+specific force in g.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+import struct
+
+from daq.protocol.framing import StreamDecoder
+from daq.protocol.ubx_epoch import GPS_EPOCH, WEEK, gps_to_utc
+from daq.samples import NAN, Ahrs, Frame, Gnss
+
+SYNC = b"\x75\x65"
+G = 9.80665  # m/s2, by which the sensor divides
+GAUSS = 1e-4  # T
+SENSOR, GNSS, FILTER, GNSS_1 = 0x80, 0x81, 0x82, 0x91
+_NAN3 = (NAN, NAN, NAN)
+_V3, _Q4 = struct.Struct(">3f"), struct.Struct(">4f")
+_LLH, _INFO, _TIME = struct.Struct(">4d2fH"), struct.Struct(">BBHH"), struct.Struct(">dHH")
+_VELOCITY, _DOP = struct.Struct(">8fH"), struct.Struct(">7fH")
+_FIX = {0: 3, 1: 2, 5: 6, 6: 5, 7: 4}  # fix type -> Gnss.fix; 2 is time only, 3 and 4 are none
+Fields = dict[int, bytes]
+
+
+def checksum(packet: bytes) -> bytes:
+    """The two bytes of Fletcher's checksum over all that stands before them."""
+    return bytes((sum(packet) & 0xFF, sum(itertools.accumulate(packet)) & 0xFF))
+
+
+def packet(data_set: int, fields: Fields) -> bytes:
+    """A packet on the wire."""
+    payload = b"".join(bytes((len(data) + 2, kind)) + data for kind, data in fields.items())
+    body = SYNC + bytes((data_set, len(payload))) + payload
+    return body + checksum(body)
+
+
+class Decoder(StreamDecoder[Frame]):
+    """Packets -> `Ahrs` and `Gnss`.
+
+    There is an `Ahrs` for each filter packet that has an attitude, with the newest rates and accelerations of the
+    sensor; before the first of these, one for each sensor packet. `t_device` of a fix is its UTC; an `Ahrs` has none.
+    """
+
+    sync = re.compile(rb"\x75")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._filter = False
+        self._vectors: dict[str, tuple[float, ...]] = {}
+
+    def reset(self) -> None:
+        """Forget a half-read packet and what was heard (the port was reopened). Counters stay."""
+        super().reset()
+        self._filter = False
+        self._vectors.clear()
+
+    def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
+        if len(buffer) < start + 4:
+            return 0 if SYNC.startswith(buffer[start : start + 2]) else -1
+        if buffer[start + 1] != SYNC[1]:
+            return -1
+        length = 6 + buffer[start + 3]
+        if len(buffer) < start + length:
+            return 0
+        body = bytes(buffer[start : start + length - 2])
+        if buffer[start + length - 2 : start + length] != checksum(body):
+            self.checksum_errors += 1
+            return -1
+        fields = _fields(body[4:])
+        if fields is None:
+            return -1
+        self.frames += 1
+        if body[2] == SENSOR:
+            self._sensor(fields, t_rx)
+        elif body[2] == FILTER:
+            self._estimate(fields, t_rx)
+        elif body[2] in (GNSS, GNSS_1) and len(fields.get(0x03, b"")) == _LLH.size:
+            sample = _gnss(fields)
+            self._out.append(Frame(sample, t_rx, sample.utc))
+        return length
+
+    def _sensor(self, fields: Fields, t_rx: float) -> None:
+        for name, kind in (("accel", 0x04), ("rate", 0x05), ("mag", 0x06)):
+            self._vectors[name] = _unpack(_V3, fields.get(kind)) or _NAN3
+        if not self._filter:
+            self._emit(_attitude(fields, quaternion=0x0A, euler=0x0C), t_rx)
+
+    def _estimate(self, fields: Fields, t_rx: float) -> None:
+        angles = _attitude(fields, quaternion=0x03, euler=0x05)
+        if angles != _NAN3:
+            self._filter = True
+            self._emit(angles, t_rx)
+
+    def _emit(self, angles: tuple[float, ...], t_rx: float) -> None:
+        roll, pitch, yaw = angles
+        ax, ay, az = (G * a for a in self._vectors.get("accel", _NAN3))
+        mx, my, mz = (GAUSS * b for b in self._vectors.get("mag", _NAN3))
+        p, q, r = self._vectors.get("rate", _NAN3)
+        self._out.append(Frame(Ahrs(yaw, pitch, roll, p, q, r, ax, ay, az, mx, my, mz), t_rx, NAN))
+
+
+def _fields(payload: bytes) -> Fields | None:
+    """The fields of a payload by descriptor; None where their lengths make no sense."""
+    found: Fields = {}
+    at = 0
+    while at < len(payload):
+        length = payload[at]
+        if length < 2 or at + length > len(payload):
+            return None
+        found[payload[at + 1]] = payload[at + 2 : at + length]
+        at += length
+    return found
+
+
+def _unpack(form: struct.Struct, data: bytes | None) -> tuple[float, ...] | None:
+    """The numbers at the beginning of a field; None where it is not there, too short, or says that it is not valid."""
+    if data is None or len(data) < form.size:
+        return None
+    if len(data) == form.size + 2 and not data[-1] & 1:
+        return None
+    return form.unpack_from(data)
+
+
+def _attitude(fields: Fields, quaternion: int, euler: int) -> tuple[float, ...]:
+    """Roll, pitch, yaw [rad]; NaN where the packet has neither."""
+    if (angles := _unpack(_V3, fields.get(euler))) is not None:
+        return angles
+    if (turn := _unpack(_Q4, fields.get(quaternion))) is None:
+        return _NAN3
+    w, x, y, z = turn
+    pitch = math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)) if y == y else NAN
+    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    return roll, pitch, math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def _gnss(fields: Fields) -> Gnss:
+    lat, lon, _, height, h_acc, _, valid = _LLH.unpack(fields[0x03])
+    kind, n_sat, _, _ = _INFO.unpack(fields[0x0B]) if len(fields.get(0x0B, b"")) == _INFO.size else (3, 255, 0, 0)
+    has_place = bool(valid & 1) and abs(lat) <= 90.0 and abs(lon) <= 180.0
+    velocity = _unpack(_VELOCITY, fields.get(0x05)) or ()
+    moves = len(velocity) == 9 and int(velocity[8]) & 1
+    north, east, down = velocity[:3] if moves else _NAN3
+    dilution = _unpack(_DOP, fields.get(0x07)) or ()
+    tow, week, time_valid = _TIME.unpack(fields[0xD3]) if len(fields.get(0xD3, b"")) == _TIME.size else (0.0, 0, 0)
+    utc = gps_to_utc(GPS_EPOCH + WEEK * week + tow) if time_valid & 3 == 3 and 0.0 <= tow < WEEK else NAN
+    if not has_place:
+        return Gnss(utc, NAN, NAN, n_sat=-1 if n_sat == 255 else n_sat)
+    return Gnss(
+        utc, lat, lon, height, north, east, down, _FIX.get(kind, 0), -1 if n_sat == 255 else n_sat,
+        dilution[2] if len(dilution) == 8 and int(dilution[7]) & 4 else NAN,
+        h_acc / math.sqrt(2.0) if valid & 8 else NAN,
+    )  # fmt: skip

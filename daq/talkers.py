@@ -1,0 +1,32 @@
+"""Which talker a device of the rig needs."""
+
+from __future__ import annotations
+
+import time
+
+from daq.poll_talker import PollTalker
+from daq.protocol import Decoder, mantracourt
+from daq.rig import Device, Rig
+from daq.talker import Talker, VescTalker
+
+
+def make_talker(device: Device, rig: Rig, decoder: Decoder) -> Talker | None:
+    """The talker of a device, None for one that is only listened to. Raises SeatrialError for a bad signing key."""
+    here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
+    if device.protocol == "vesc":
+        return VescTalker(frozenset(thruster.node for thruster in here if thruster.reversed))
+    if isinstance(decoder, mantracourt.Decoder):
+        return PollTalker(decoder.request, 1.0 / (device.rate_hz * rig.speed))
+    if device.mavlink is None:
+        return None
+    from daq.mavlink_talker import MavlinkTalker  # brings pymavlink with it
+    from daq.protocol import mavlink, mavlink_wire
+
+    assert isinstance(decoder, mavlink.Decoder)
+    settings = device.mavlink
+    key = None if settings.key_file is None else mavlink_wire.read_key(settings.key_file)
+    codec = mavlink_wire.Codec(settings.own_system_id, settings.own_component_id, key, time.time())
+    talker = MavlinkTalker(device, here, codec)
+    decoder.secure(codec)
+    decoder.listener = lambda message: talker.hear(message, time.monotonic())
+    return talker

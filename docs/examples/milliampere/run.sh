@@ -1,0 +1,18 @@
+#!/bin/sh
+# The measured ferry's thrusters through public commands: sh docs/examples/milliampere/run.sh [OUT], from the top of the
+# repository. SEATRIAL_DATA says where the data sets are; seatrial and python are those on the PATH.
+set -eu
+: "${SEATRIAL_DATA:?says where the measured data sets are}"
+here=$(CDPATH= cd -- "$(dirname -- "$0")" && pwd)
+data="$SEATRIAL_DATA/milliampere/thruster_data_test"
+out=${1:-out/milliampere}
+mkdir -p "$out"
+
+for k in 3 4; do
+    seatrial import csv "$here/thruster$k.toml" "$data/actuator_ref_$k.csv" "$data/motor_state_$k.csv" \
+        -o "$out/thruster$k.mcap" --force
+done
+cd "$out"
+seatrial ident thruster thruster3.mcap --robust --out thruster
+seatrial ident diagnose thruster/model.toml thruster3.mcap --validate thruster4.mcap --out diagnosis
+python "$here/figures.py" thruster3.mcap thruster4.mcap

@@ -1,0 +1,11 @@
+"""A study of one's own: `seatrial ident study docs/examples/own_study.py:calm --out study` (docs/how-to/study.md)."""
+
+import numpy as np
+
+from ident.euler import Inputs
+from ident.models.surge import surge
+from ident.study import Case
+
+t = np.arange(0.0, 200.0, 0.1)
+push = 40.0 * np.sign(np.sin(2 * np.pi * t / 25))[:, None]  # N, ahead and astern
+calm = Case("calm", surge().with_values({"d_u": 6.0}), Inputs.held(t, push), every={"position": 2})

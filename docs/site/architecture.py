@@ -1,0 +1,171 @@
+"""Draw docs/architecture.md's picture and tables from the import contracts: ``python docs/site/architecture.py``.
+
+The contracts are those of pyproject.toml, which `make lint` holds the code to. What no contract forbids is allowed.
+"""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+from html import escape
+from pathlib import Path
+from typing import Any, NamedTuple
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs/architecture.md"
+PICTURE = ROOT / "docs/pictures/architecture.svg"
+BEGIN, END = "<!-- contracts: python docs/site/architecture.py -->", "<!-- end -->"
+PARTS = ("seatrial", "bench", "ident", "mocks", "daq")
+VERBS = {"seatrial": "the commands", "bench": "excite", "ident": "explain", "mocks": "pretend", "daq": "measure"}
+# Where the boxes stand: x and y of the upper left corner, width.
+BOXES = {
+    "seatrial": (20, 20, 720),
+    "bench": (20, 170, 200),
+    "ident": (280, 170, 200),
+    "mocks": (540, 170, 200),
+    "daq": (20, 350, 720),
+}
+HEIGHT = 56
+BLUE, ORANGE, INK = "#0072b2", "#d55e00", "#1b1f24"
+
+
+class Arrow(NamedTuple):
+    """`source` may import `target`: all of it, or only the modules named."""
+
+    source: str
+    target: str
+    only: tuple[str, ...]
+
+
+class Kept(NamedTuple):
+    """A library that the contracts keep out of some parts."""
+
+    library: str
+    out_of: tuple[str, ...]
+    but: tuple[str, ...]  # the modules in them that may use it
+
+
+def contracts() -> list[dict[str, Any]]:
+    """The contracts as they stand in pyproject.toml."""
+    table = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    return list(table["tool"]["importlinter"]["contracts"])
+
+
+def arrows(rules: list[dict[str, Any]]) -> list[Arrow]:
+    """Who may import whom, in the order of the boxes."""
+    found = []
+    for source in PARTS:
+        for target in PARTS:
+            if source == target or target == "seatrial":
+                continue
+            only: tuple[str, ...] | None = ()
+            for rule in rules:
+                if source in rule["source_modules"] and target in rule["forbidden_modules"]:
+                    only = _exceptions(rule, target) or None
+            if only is not None:
+                found.append(Arrow(source, target, only))
+    return found
+
+
+def _exceptions(rule: dict[str, Any], target: str) -> tuple[str, ...]:
+    """The modules of `target` that a rule lets pass after all."""
+    right = {line.partition("->")[2].strip().removesuffix(".**") for line in rule.get("ignore_imports", ())}
+    return tuple(sorted(module for module in right if module.partition(".")[0] == target))
+
+
+def kept(rules: list[dict[str, Any]]) -> list[Kept]:
+    """The libraries of the contracts, in order of name."""
+    found = []
+    for rule in rules:
+        for library in rule["forbidden_modules"]:
+            if library in PARTS:
+                continue
+            left = {line.partition("->")[0].strip() for line in rule.get("ignore_imports", ()) if library in line}
+            but = tuple(sorted({module.removesuffix(".**") for module in left}))
+            found.append(Kept(library, tuple(rule["source_modules"]), but))
+    return sorted(found)
+
+
+def tables() -> str:
+    """The contracts as two tables in Markdown."""
+    rules = contracts()
+    lines = ["| part | may import |", "|---|---|"]
+    for part in PARTS:
+        mine = [arrow for arrow in arrows(rules) if arrow.source == part]
+        told = [", ".join(f"`{module}`" for module in arrow.only) or f"all of `{arrow.target}`" for arrow in mine]
+        lines.append(f"| `{part}` | {'; '.join(told) or 'none of the others'} |")
+    lines += ["", "| library | kept out of | but for |", "|---|---|---|"]
+    for library, out_of, but in kept(rules):
+        names = ", ".join(f"`{part}`" for part in out_of)
+        lines.append(f"| {library} | {names} | {', '.join(f'`{module}`' for module in but) or '-'} |")
+    return "\n".join(lines)
+
+
+def svg() -> str:
+    """The picture: a box a part, an arrow where one may import the other; dashed where only some modules."""
+    width, height = 760, BOXES["daq"][1] + HEIGHT + 20
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="sans-serif" role="img">',
+        "<title>Who may import whom</title>",
+        f'<rect width="{width}" height="{height}" fill="#ffffff"/>',
+    ]
+    for colour, name in ((BLUE, "all"), (ORANGE, "some")):
+        parts.append(
+            f'<marker id="{name}" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="8" markerHeight="8" orient="auto">'
+            f'<path d="M0 0 8 4 0 8z" fill="{colour}"/></marker>'
+        )
+    parts += [_arrow(arrow) for arrow in arrows(contracts())]
+    parts += [_box(part) for part in PARTS]
+    return "\n".join([*parts, "</svg>"]) + "\n"
+
+
+def _box(part: str) -> str:
+    x, y, width = BOXES[part]
+    middle = x + width / 2
+    title = "seatrial.py" if part == "seatrial" else f"{part}/"
+    return (
+        f'<rect x="{x}" y="{y}" width="{width}" height="{HEIGHT}" rx="8" fill="#eef3f7" stroke="{INK}"/>'
+        f'<text x="{middle:g}" y="{y + 24}" text-anchor="middle" font-size="17" fill="{INK}">{title}</text>'
+        f'<text x="{middle:g}" y="{y + 43}" text-anchor="middle" font-size="13" fill="#4a5560">{VERBS[part]}</text>'
+    )
+
+
+def _arrow(arrow: Arrow) -> str:
+    """From the lower edge of a box down to the upper edge of the other; past the middle row on its left."""
+    x0, y0, w0 = BOXES[arrow.source]
+    x1, y1, w1 = BOXES[arrow.target]
+    past = arrow.source == "seatrial" and arrow.target == "daq"
+    x = 250.0 if past else (x0 if w0 < w1 else x1) + min(w0, w1) / 2
+    style, end = (BLUE, "all") if not arrow.only else (ORANGE, "some")
+    dash = ' stroke-dasharray="6 4"' if arrow.only else ""
+    line = (
+        f'<line x1="{x:g}" y1="{y0 + HEIGHT}" x2="{x:g}" y2="{y1 - 2}" stroke="{style}" stroke-width="2"{dash} '
+        f'marker-end="url(#{end})"/>'
+    )
+    words = [module.partition(".")[2] for module in arrow.only]
+    if not words:
+        return line
+    start = (y0 + HEIGHT + y1) / 2 - 8 * len(words) + 10
+    return line + "".join(
+        f'<text x="{x + 10:g}" y="{start + 16 * k:g}" font-size="13" fill="{INK}">{escape(word)}</text>'
+        for k, word in enumerate(words)
+    )
+
+
+def page(text: str) -> str:
+    """The page with the tables between its marks made anew."""
+    before, _, rest = text.partition(BEGIN)
+    _, _, after = rest.partition(END)
+    return f"{before}{BEGIN}\n\n{tables()}\n\n{END}{after}"
+
+
+def main() -> int:
+    """Write both files."""
+    PICTURE.write_text(svg(), encoding="utf-8")
+    PAGE.write_text(page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    print(f"written: {PICTURE.relative_to(ROOT)}, {PAGE.relative_to(ROOT)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,90 @@
+"""Is the effect that was added the one that is missing, or only its nearest relative in the catalogue?
+
+An effect may improve a model a great deal and still be the wrong one: with the true one out of reach, its neighbour
+takes its place. What tells them apart is what is left: the right effect leaves nothing but the small difference
+between its true form and ours. So the tests are made once more after the last effect, and a name is given as sure
+only if what they find is small beside what the effects explain, no table was needed beside it, and no rival comes
+close. Otherwise the answer is that the effect resembles the missing one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+from ident.findings import Judgement, Refit, Round
+from ident.model import Effect
+from ident.score import Score
+
+# What may be left beside a right name: its true form is not exactly ours. In units of 2 ln L after paying for the
+# parameters, absolutely and of all that the effects explain (tests/recovery: leave-one-out against the full catalogue)
+LEFT, LEFT_SHARE = 20.0, 0.03
+CLOSE, CLOSE_SHARE = 10.0, 0.05  # a rival that is no further behind than this is not excluded
+
+
+def judge(
+    rounds: Sequence[Round], left: Sequence[Score], n: int, untested: Collection[str] = ()
+) -> tuple[Judgement, ...]:
+    """One judgement for each effect that was added.
+
+    left: what passes the tests after the last effect; n: rows of the estimation data; untested: effects of the
+    catalogue that could not take part, since the data lack an input of theirs.
+    """
+    chosen = [r.chosen for r in rounds if r.chosen is not None]
+    total = sum(max(c.criterion, 0.0) for c in chosen)
+    rest = [s for s in left if s.criterion(n) > max(LEFT, LEFT_SHARE * total)]
+    found = []
+    for one in rounds:
+        if one.chosen is None:
+            continue
+        if one.chosen.unknown:
+            found.append(Judgement(one.chosen.effect.name, "unknown", (), tuple(q.effect.name for q in _close(one))))
+            continue
+        reasons = [*_left(rest, n), *_tables(chosen, one), *_rivals(one), *_untested(one.chosen.effect, untested)]
+        rivals = [q.effect.name for q in _close(one)]
+        rivals += [name for name in one.chosen.effect.rivals if name in untested and name not in rivals]
+        name = one.chosen.effect.name
+        found.append(Judgement(name, "resembles" if reasons else "named", tuple(reasons), tuple(rivals)))
+    return tuple(found)
+
+
+def _left(rest: Sequence[Score], n: int) -> list[str]:
+    if not rest:
+        return []
+    best = max(rest, key=lambda s: s.criterion(n))
+    return [f"with it the tests still find {_worded(best)}, worth {best.criterion(n):.0f} more in 2 ln L"]
+
+
+def _worded(score: Score) -> str:
+    if not score.generic:
+        return score.name
+    force, of = score.name.rstrip(")").split("(")
+    return f"that {force} depends on {of.replace(', ', ' and ')}"
+
+
+def _tables(chosen: Sequence[Refit], one: Round) -> list[str]:
+    """A table that had to be added beside a name, or that gains more than the name does."""
+    assert one.chosen is not None
+    reasons = [f"{c.effect.title} had to be added beside it" for c in chosen if c.unknown]
+    better = [q for q in one.refits if q.unknown and q.accepted and q.criterion > one.chosen.criterion]
+    return reasons + [f"{q.effect.title} would explain more" for q in better[:1]]
+
+
+def _close(one: Round) -> list[Refit]:
+    """Other effects that come close to the chosen one, best first."""
+    assert one.chosen is not None
+    least = one.chosen.criterion - max(CLOSE, CLOSE_SHARE * one.chosen.criterion)
+    others = [q for q in one.refits if q is not one.chosen and not q.unknown and q.criterion > max(least, 0.0)]
+    return sorted(others, key=lambda q: -q.criterion)
+
+
+def _rivals(one: Round) -> list[str]:
+    assert one.chosen is not None
+    return [
+        f"{q.effect.title} explains nearly as much ({one.chosen.criterion - q.criterion:.0f} less in 2 ln L)"
+        for q in _close(one)[:1]
+    ]
+
+
+def _untested(effect: Effect, untested: Collection[str]) -> list[str]:
+    return [f"its rival {name} could not be tested on these data" for name in effect.rivals if name in untested]
+

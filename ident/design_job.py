@@ -1,0 +1,247 @@
+"""`seatrial mission design`: from a model to mission.toml, its numbers (JSON) and its page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.errors import SeatrialError
+from ident.criteria import Kind
+from ident.design import Design, Track, design, predicted_errors, predicted_track
+from ident.design_task import BOX, Belief, Limits, Task, dynamic_parameters
+from ident.discriminate import Discrimination, discriminate, separation
+from ident.effects import catalogue
+from ident.excitation import Actuation, Steps
+from ident.mission_file import mission_text, write_new
+from ident.model import Model
+from ident.modelfile import SavedModel, load_model
+from ident.models import make_model
+from ident.outcome import Json, said, write_result
+from ident.report.design_page import write_design_page
+from ident.rivals import Rival, Robustness, monte_carlo, rivals
+
+Array = NDArray[np.float64]
+Say = Callable[[str], None]
+N_SHOWN = 24  # sampled tracks on the page
+NAMED = 3  # parameters in the answer
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What the user asks for, as the options of the command say it."""
+
+    duration: float = 600.0
+    steps: int | None = None
+    criterion: Kind = "D"
+    chosen: tuple[str, ...] = ()
+    limits: Limits = field(default_factory=Limits)
+    shortest: float = 1.0
+    n_max: float = 1.0
+    slew: float = np.inf
+    rates: Mapping[str, float] = field(default_factory=dict)
+    robust: int = 0
+    spread: float = BOX
+    process_noise: bool = True
+    seed: int = 1
+    evaluations: int = 20_000
+    between: tuple[str, ...] = ()
+    thrusters: tuple[str, ...] = ()
+
+
+def make_design(source: str, wish: Wish, out: Path, command: str, say: Say) -> Json:
+    """Search, compare, and write ``out`` (mission.toml) with .json and .html beside it; returns what the JSON holds.
+
+    Raises SeatrialError where the model or the wish cannot be used, before anything is written.
+    """
+    beside = {kind: out.with_suffix(kind) for kind in (".json", ".html")}
+    for path in (out, *beside.values()):
+        if path.exists():
+            raise SeatrialError(f"{path} exists; give another name with --out")
+    task = make_task(source, wish)
+    own = task.actuation.thrusters
+    thrusters = wish.thrusters or own
+    if len(thrusters) != len(own):
+        raise SeatrialError(f"a mission for model {task.model.name} commands {len(own)} thrusters ({', '.join(own)}); "
+                            f"--thrusters names {len(thrusters)}")
+    task.measure  # noqa: B018  # a wrong --for is said before the search
+    say(f"design: {task.steps.n_steps} steps in {task.steps.duration:g} s for {', '.join(_chosen(task))}")
+    told: Json = {}
+    if wish.between:
+        made, told = _between(task, wish, say)
+    else:
+        made = design(task, evaluations=wish.evaluations,
+                      progress=lambda n, merit: say(f"design: {n} simulations, {wish.criterion} {merit:.2f}"))
+    say("rivals, Monte Carlo, track")
+    found = rivals(task, seed=wish.seed)
+    samples = monte_carlo(task, {"design": made.command} | {k: r.command for k, r in found.items()}, seed=wish.seed,
+                          box=wish.spread)
+    track = predicted_track(made)
+    result = _result(made, found, samples, track, command, source) | told
+    result["answer"] = _answer(made, result)
+    title = " against ".join(wish.between) or f"{wish.criterion}-optimal for {', '.join(_chosen(task))}"
+    text = mission_text(f"steps, {title}", thrusters, task.actuation.for_thrusters(made.levels), made.durations,
+                        n_max=wish.n_max, slew=wish.slew, made_by=command, seed=wish.seed, predicted=made.predicted,
+                        before=made.before, model=source, track=track)
+    write_new(out, text)
+    write_result(result, beside[".json"])
+    write_design_page(result, beside[".html"])
+    return result
+
+
+def make_task(source: str, wish: Wish) -> Task:
+    """The frame of the design. ``source``: a model.toml, a name, or FILE.py:NAME."""
+    saved = load_model(Path(source)) if source.endswith(".toml") else None
+    model = saved.model if saved is not None else make_model(source)
+    unknown = set(wish.rates) - {s.name for s in model.sensors}
+    if unknown:
+        raise SeatrialError(f"model {model.name} has no sensor {sorted(unknown)[0]!r}; it has "
+                            f"{', '.join(s.name for s in model.sensors)}")
+    n_channels = len(Actuation(model, np.array([0.0, 1.0])).channels)
+    n_steps = wish.steps or max(8, round(wish.duration / 5.0))
+    task = Task(
+        model, Steps(n_steps, n_channels, wish.duration, wish.shortest, 0.2, wish.n_max), wish.criterion, wish.chosen,
+        wish.rates, wish.limits, wish.slew, robust=wish.robust, process_noise=wish.process_noise, seed=wish.seed,
+    )
+    if not dynamic_parameters(model):
+        raise SeatrialError(f"model {model.name} has no free parameters to learn")
+    if saved is None:
+        return replace(task, belief=Belief(task.learned, wish.spread))
+    belief = believed(saved)
+    return replace(task, belief=belief, earlier=_inverse(belief.covariance) if belief.covariance is not None else None)
+
+
+def believed(saved: SavedModel) -> Belief:
+    """What a fit has told of the shared parameters: those with a standard error."""
+    wanted = dynamic_parameters(saved.model)
+    known = [n for n in saved.names if n in wanted and np.isfinite(saved.errors.get(n, np.nan))]
+    at = [saved.names.index(n) for n in known]
+    se = np.array([saved.errors[n] for n in known])
+    correlation = saved.correlation[np.ix_(at, at)].copy()
+    np.fill_diagonal(correlation, 1.0)
+    return Belief(tuple(known), covariance=correlation * np.outer(se, se))
+
+
+def _inverse(covariance: Array) -> Array:
+    size = np.sqrt(np.diag(covariance))
+    return np.asarray(np.linalg.pinv(covariance / np.outer(size, size), hermitian=True) / np.outer(size, size))
+
+
+def _chosen(task: Task) -> tuple[str, ...]:
+    return task.chosen or task.learned
+
+
+def _between(task: Task, wish: Wish, say: Say) -> tuple[Design, Json]:
+    """The design that tells two effects apart, judged as any other, and how far apart it puts them."""
+    a, b = (with_effect(task.model, name) for name in wish.between)
+    made: Discrimination = discriminate(
+        a, b, task, evaluations=max(wish.evaluations // 8, 500),
+        progress=lambda n, merit: say(f"design: {n} comparisons, T {np.exp(merit):.3g}"))
+    told = task.experiments(task.actuation.inputs(made.command[:, :, None])).information
+    value = float(task.measure(told + task.prior)[0])
+    rng = np.random.default_rng([wish.seed, 31])
+    random = [task.commands(z)[:, :, 0] for z in task.steps.random(8, rng)[:, None]]
+    others = [min(separation(a, b, task, c)) for c in random]
+    row = {"effects": list(wish.between), "if_second": made.apart[0], "if_first": made.apart[1], "clear": made.clear,
+           "random": others}
+    return Design(task, made.levels, made.durations, value, told[0], made.found), {"apart": row}
+
+
+def with_effect(model: Model, name: str) -> Model:
+    """The model with an effect of a size that matters: half of its prior, or five felt steps; as fitted where the model
+    has it already."""
+    if name in {e.name for e in model.effects}:
+        return model
+    if name not in catalogue():
+        raise SeatrialError(f"there is no effect {name!r}; there is {', '.join(catalogue())}")
+    effect = catalogue()[name]
+    if not model.accepts(effect):
+        raise SeatrialError(f"effect {name!r} does not apply to model {model.name}")
+    sizes = {}
+    for p in effect.parameters:
+        size = 0.5 * p.prior[1] if p.prior is not None else 5.0 * p.step
+        sizes[p.name] = float(np.clip(p.value + size, *p.bounds))
+    return (model + effect).with_values(sizes)
+
+
+def _result(made: Design, found: Mapping[str, Rival], samples: Robustness, track: Track | None, command: str,
+            source: str) -> Json:
+    """The content of the JSON file; keys: docs/formats/mission.md."""
+    task = made.task
+    best = max(found, key=lambda k: found[k].value)
+    fine = found[best].command[np.minimum(_rows(task), len(task.t) - 1)]
+    return {
+        "format": "seatrial-result 1", "kind": "design", "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "seatrial": version("seatrial"), "command": command, "model": source, "criterion": task.criterion,
+        "chosen": list(_chosen(task)), "form": "prediction error" if task.process_noise else "output error",
+        "value": made.value, "evaluations": made.found.evaluations,
+        "parameters": _parameters(made, predicted_errors(task, fine)),
+        "rivals": [{"name": k, "value": r.value, "bandwidth": r.bandwidth, "seeds": r.values}
+                   for k, r in found.items()],
+        "rival": best, "limited": task.limits != Limits(), "samples": dict(samples.values),
+        "share_won": samples.share_won(),
+        "inputs": [{"name": c, "t": task.t, "value": made.command[:, k]}
+                   for k, c in enumerate(task.actuation.channels)],
+        "track": None if track is None else {
+            "t": track.t, "x": track.x, "y": track.y, "radius": track.radius, "inside": track.inside,
+            "others": track.others[:N_SHOWN], "corner": track.corner, "area": task.limits.area},
+    }
+
+
+def _rows(task: Task) -> NDArray[np.intp]:
+    """For each row of the finer task, the row of the task that holds."""
+    return np.asarray(np.searchsorted(task.t, task.finer.t + 1e-9, side="right") - 1)
+
+
+def _parameters(made: Design, rival: Mapping[str, float]) -> list[Json]:
+    model, before, after = made.task.model, made.before, made.predicted
+    chosen = _chosen(made.task)
+    return [{"name": n, "meaning": model.parameter(n).meaning, "unit": model.parameter(n).unit,
+             "value": model.parameter(n).value, "before": before[n], "after": after[n], "form": made.errors[n],
+             "rival": rival[n], "chosen": n in chosen} for n in made.task.learned]
+
+
+def _answer(made: Design, result: Json) -> str:
+    """One sentence."""
+    if "apart" in result:
+        row = result["apart"]
+        first, second = row["effects"]
+        least = min(row["if_first"], row["if_second"])
+        verdict = "tells them apart" if row["clear"] else "may not tell them apart: T should be above 30"
+        return (f"This mission {verdict}: {first} against {second} differ by at least T = {said(least)} "
+                f"(random missions: {said(float(np.median(row['random'])))})")
+    parts = []
+    rows = [r for r in result["parameters"] if r["chosen"]]
+    for row in rows[:NAMED]:
+        share = abs(row["after"] / row["value"]) if row["value"] else np.inf
+        parts.append(f"{row['name']} ±{said(row['after'])} {row['unit']}"
+                     + (f" ({100 * share:.2g} %)" if share < 1 else ""))
+    more = f", and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
+    return f"After this mission of {made.task.steps.duration:g} s a fit should know {', '.join(parts)}{more}"
+
+
+def summary(result: Json) -> Sequence[str]:
+    """Lines for the terminal: the answer, and a line for each parameter."""
+    lines = [result["answer"], ""]
+    for row in result["parameters"]:
+        before = f"{row['before']:.3g}" if np.isfinite(row["before"]) else "–"
+        lines.append(f"  {row['name']:<8} {row['value']:10.4g} {row['unit']:<8} ± {before:>8} -> {row['after']:.3g}"
+                     f"   ({result['rival']}: {row['rival']:.3g})")
+    best = max(r["value"] for r in result["rivals"])
+    lines.append("")
+    if "apart" not in result:
+        free = " (which keep to no limits)" if result["limited"] else ""
+        gain = f"{result['value'] - best:+.1f} against the best of 20 {result['rival']}{free}"
+        lines.append(f"{result['criterion']} {result['value']:.1f}, {gain}; better than all rivals in "
+                     f"{100 * result['share_won']:.1f} % of 1000 parameter samples")
+    track = result["track"]
+    if track is not None and track["inside"] is not None:
+        lines.append(f"stays inside the area for {100 * track['inside']:.0f} % of disturbed boats; no current assumed")
+    return lines
+
+

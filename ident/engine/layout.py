@@ -1,0 +1,27 @@
+"""The arrays that a kernel works on: their names, sizes and kinds, without the functions that are between them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Layout:
+    """sizes: entries of every array, in the order of the kernel's arguments; the rest as in ``plan.Plan``."""
+
+    sizes: Mapping[str, int]
+    rows: frozenset[str]
+    lanes: frozenset[str]
+    carried: frozenset[str]
+    summed: tuple[str, ...]
+    grams: frozenset[str]
+    width: int
+
+    def shape(self, name: str, n_rows: int, groups: int, per_row: bool = False) -> tuple[int, ...]:
+        """(rows if it has them, groups and width if it is in lanes, entries in between)."""
+        if name in self.grams:
+            return (groups, groups, self.width, self.width)
+        row = (n_rows,) if name in self.rows or per_row else ()
+        lane = name in self.lanes
+        return (*row, *((groups,) * lane), self.sizes[name], *((self.width,) * lane))

@@ -1,0 +1,78 @@
+"""Are the predicted bands right: the share of the errors inside them, and their size over the claimed one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ident.report import drawing, wording
+from ident.report.access import ROLES, Row, array, group, number, text
+from ident.report.blocks import Canvas, Cell, Grid, Plot, Prose, Section, Table, tabbed
+from ident.report.sections.errors import HORIZONS
+
+COLUMNS = (("channel", ""), ("inside 50 %", "num"), ("inside 95 %", "num"), ("error / claimed", "num"),
+           ("95 %", "num"), ("independent", "num"), ("", ""))
+VERDICTS = {
+    "right": Cell("✓ right", "good"),
+    "too sure": Cell("▲ too sure", "bad"),
+    "too cautious": Cell("▼ too cautious", "weak"),
+    "few": Cell("too few to say", "weak"),
+}
+
+
+def section(canvas: Canvas) -> Section:
+    """A table and three small reliability plots for each set of data."""
+    both = group(canvas.result, "calibration")
+    tabs = [(f"{role} data", _tables(canvas, role, group(both, role))) for role in ROLES]
+    lead = (
+        "The model says how far off its predictions may be; here is whether they are. Right: as many errors inside the "
+        "bands as they promise, and error over claimed error about 1."
+    )
+    return Section("calibration", "Are the predicted bands right?", tabbed(tabs), lead)
+
+
+def _tables(canvas: Canvas, role: str, data: Row) -> list[Any]:
+    lines: list[list[Cell | str]] = []
+    plots = []
+    for key, title in HORIZONS:
+        found = {str(n): row for n, row in group(data, key).items() if isinstance(row, Mapping)}
+        lines += [[Cell(title, "group")], *(_line(n, row) for n, row in found.items())] if found else []
+        plot = _reliability(canvas, f"{title}, {role} data", found)
+        plots += [plot] if plot is not None else []
+    if not lines:
+        return []
+    note = "A free run is one experiment: its errors hang together, and few of them are independent."
+    drawn = "Shares of the errors inside the predicted bands against those promised; below the diagonal is too sure."
+    return [Table(COLUMNS, lines), Prose(note, "quiet"), *([Prose(drawn, "quiet"), Grid(plots, 220)] if plots else [])]
+
+
+def _line(channel: str, row: Row) -> list[Cell | str]:
+    low, high = number(row, "low"), number(row, "high")
+    return [
+        wording.named(channel),
+        Cell(wording.percent(number(row, "inside_50")), "num"),
+        Cell(wording.percent(number(row, "inside_95"), 1), "num"),
+        Cell(wording.plain(number(row, "scale")), "num"),
+        Cell("–" if low is None or high is None else f"{wording.plain(low)} to {wording.plain(high)}", "num"),
+        Cell(wording.plain(number(row, "effective"), 2), "num"),
+        VERDICTS.get(text(row, "verdict"), Cell("–")),
+    ]
+
+
+def _reliability(canvas: Canvas, title: str, found: Mapping[str, Row]) -> Plot | None:
+    """Central bands of 20, 40, ... 100 %, from the tenths of the predicted distribution."""
+    promised: Any = 0.2 * np.arange(6)
+    traces = [drawing.line(promised, promised, "promised", 10, color=drawing.FAINT, dash="dot")]
+    for i, (channel, row) in enumerate(found.items()):
+        pit = array(row, "pit")
+        if pit is not None and pit.size == 10:
+            inside = np.append(0.0, np.cumsum((pit[:5] + pit[:4:-1])[::-1]))
+            style = {"color": drawing.LINES[i % 6], "dash": drawing.DASHES[i // 6 % 6]}
+            traces.append(drawing.line(promised, inside, wording.symbol(channel), 10, **style))
+    if len(traces) == 1:
+        return None
+    axis = {"range": [0, 1], "tickformat": ".0%"}
+    figure = drawing.single(traces, "promised", "inside", xaxis=axis, yaxis=axis, showlegend=True)
+    return canvas.plot(figure, 260, f"Reliability, {title}", title)

@@ -1,0 +1,90 @@
+"""A ground station and a mock autopilot joined without a port: what either says, the other hears at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from daq.mavlink_talker import MavlinkTalker
+from daq.protocol.mavlink import Decoder, make_decoder
+from daq.protocol.mavlink_wire import Codec, read_key
+from daq.rig import Rig, parse_rig
+from daq.samples import Ahrs, Esc, Frame, Gnss
+from mocks.autopilot import LOOP_HZ, Autopilot
+from mocks.bench_plant import draw_bench
+from mocks.world import Controller, EscSpec, Gear, bench_world
+
+RIG = """
+format = "seatrial-rig 1"
+name = "mav"
+[[device]]
+name = "autopilot"
+protocol = "mavlink"
+port = "{port}"
+rate_hz = {rate}
+{more}
+[[thruster]]
+name = "left"
+device = "autopilot"
+node = 1
+rc_channel = 1
+position_m = [0.0, -0.15, 0.0]
+rpm_max = 4500.0
+[[thruster]]
+name = "right"
+device = "autopilot"
+node = 3
+rc_channel = 3
+position_m = [0.0, 0.15, 0.0]
+reversed = true
+"""
+LEVEL = Ahrs(0.3, 0.01, -0.02, 0.1, 0.2, 0.3, 0.4, 0.5, -9.8)
+
+
+def rig_text(port: str = "udp:127.0.0.1:14550", rate: float = 25.0, more: str = "") -> str:
+    return RIG.format(port=port, rate=rate, more=more)
+
+
+def mav_rig(folder: Path | None = None, **how: object) -> Rig:
+    return parse_rig(rig_text(**how), (folder or Path()) / "rig.toml")  # type: ignore[arg-type]
+
+
+class Ends:
+    """Both ends on one clock; `run` moves it on."""
+
+    def __init__(self, rig: Rig, key: Path | None = None) -> None:
+        device = rig.device("autopilot")
+        assert device.mavlink is not None
+        codec = Codec(device.mavlink.own_system_id, 190, None if key is None else read_key(key), 1_800_000_000.0)
+        self.decoder: Decoder = make_decoder(device, rig)
+        self.decoder.secure(codec)
+        self.talker = MavlinkTalker(device, rig.thrusters, codec)
+        plant = bench_world(draw_bench(1), 0, Gear({}, {}, [], []))
+        self.controllers = {
+            t.node: Controller(EscSpec("autopilot", t.node, 10.0, timeout_s=1.0), plant.plant, 0) for t in rig.thrusters
+        }
+        self.autopilot = Autopilot(rig, device, self.controllers, 1_800_000_000.0)
+        self.t = 0.0
+        self.deaf = False  # the ground station's words are lost
+        self.frames: list[Frame] = []
+        self.decoder.listener = lambda message: self.talker.hear(message, self.t)
+
+    def to_ground(self, data: bytes) -> None:
+        self.frames += self.decoder.feed(data, self.t)
+
+    def to_vehicle(self, data: bytes) -> None:
+        if not self.deaf:
+            self.to_ground(self.autopilot.receive(data, self.t))
+
+    def run(self, seconds: float) -> None:
+        """Loop by loop of the autopilot."""
+        for _ in range(round(seconds * LOOP_HZ)):
+            self.t += 1.0 / LOOP_HZ
+            for controller in self.controllers.values():
+                controller.check(self.t)
+            self.to_ground(self.autopilot.encode(LEVEL, self.t))
+            for node in self.controllers:
+                self.autopilot.encode(Esc(node, -1200.0, 2.0, 0.0, 15.0, 30.0), self.t)
+            if round(self.t * LOOP_HZ) % 10 == 0:
+                fix = Gnss(1_800_000_000.0 + self.t, 38.7, -9.1, 2.0, 0.3, 0.4, 0.0, 5, 12, 0.8, 0.02)
+                self.autopilot.encode(fix, self.t - 0.1)
+            self.to_vehicle(self.talker.poll(self.t))

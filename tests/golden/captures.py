@@ -1,0 +1,141 @@
+"""The captures that are not gpsd's: what each has to give, checked against what others made of it."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from daq.protocol import Decoder, dbc, mip, nmea, ubx, vectornav, vesc
+from daq.protocol.canframe import pack_can
+from daq.rig_options import DbcSignal
+from daq.samples import Ahrs, Esc, Frame, Gnss
+
+GAUSS, DEG = 1e-4, math.pi / 180.0
+# The logger's own parser left this one of its 99 frames out.
+LOST = 78
+KEPT = {
+    "mx": ("MagX", GAUSS), "my": ("MagY", GAUSS), "mz": ("MagZ", GAUSS),
+    "ax": ("AccX", 1.0), "ay": ("AccY", 1.0), "az": ("AccZ", 1.0),
+    "p": ("GyroX", 1.0), "q": ("GyroY", 1.0), "r": ("GyroZ", 1.0),
+    "yaw": ("Yaw", DEG), "pitch": ("Pitch", DEG), "roll": ("Roll", DEG),
+}  # fmt: skip
+NMEA2000 = (DbcSignal("EngineParametersRapid", "EngineSpeed", "rpm", "EngineInstance"),)
+
+
+class Result(NamedTuple):
+    """One capture: what was read, and whether that is right."""
+
+    name: str
+    samples: int
+    checksum_errors: int
+    unparsed_bytes: int
+    said: str
+    right: bool
+
+
+def results(folder: Path) -> Iterator[Result]:
+    """Every capture below `folder` (what SEATRIAL_DATA names)."""
+    yield _vn100(folder / "vectornav")
+    yield _simulated(folder, "vn.bin", vectornav.Decoder, _gravity)
+    yield _simulated(folder, "ms7.bin", mip.Decoder, _facing_east)
+    for name in ("ubx.bin", "nmea.bin", "gnmea.bin"):
+        yield _simulated(folder, name, ubx.Decoder if name == "ubx.bin" else nmea.Decoder, _place)
+    yield _vesc(folder / "can/vesc_forum_frames.log")
+    yield _engine(folder / "can/susteranna-actisense-serial.raw")
+
+
+def _read(path: Path, decoder: Decoder) -> list[Frame]:
+    frames = decoder.feed(path.read_bytes(), 0.0)
+    return frames + (decoder.flush() if isinstance(decoder, (nmea.Decoder, ubx.Decoder)) else [])
+
+
+def _result(path: Path, decoder: Decoder, frames: list[Frame], said: str, right: bool) -> Result:
+    name = f"{path.parent.name}/{path.name}"
+    right = right and decoder.checksum_errors == 0
+    return Result(name, len(frames), decoder.checksum_errors, decoder.unparsed_bytes, said, right)
+
+
+def _vn100(folder: Path) -> Result:
+    """A real VN-100 beside its logger's decoding: the largest difference relative to the value (1e-6 in Gauss)."""
+    decoder = vectornav.Decoder()
+    frames = _read(folder / "F00294", decoder)
+    samples = [frame.sample for k, frame in enumerate(frames) if k != LOST]
+    with (folder / "parsed/F00294_B").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file, skipinitialspace=True))
+    worst = 0.0
+    for sample, row in zip(samples, rows, strict=True):
+        for name, (column, scale) in KEPT.items():
+            theirs = float(row[column])
+            ours = getattr(sample, name) / scale
+            worst = max(worst, abs(ours - theirs) / max(abs(theirs), 1e-6))
+    return _result(folder / "F00294", decoder, frames, f"largest relative difference {worst:.1e}", worst <= 1e-6)
+
+
+def _simulated(
+    folder: Path, name: str, make: Callable[[], Decoder], check: Callable[[list[Frame]], tuple[str, bool]]
+) -> Result:
+    decoder = make()
+    frames = _read(folder / "ardurover" / name, decoder)
+    times = [frame.t_device for frame in frames if math.isfinite(frame.t_device)]
+    said, right = check(frames)
+    right = right and all(b >= a for a, b in itertools.pairwise(times))
+    return _result(folder / "ardurover" / name, decoder, frames, said, right)
+
+
+def _gravity(frames: list[Frame]) -> tuple[str, bool]:
+    found = [f.sample.az for f in frames if isinstance(f.sample, Ahrs) and f.sample.az == f.sample.az]
+    mean = sum(found) / len(found)
+    return f"specific force down {mean:.3f} m/s2", abs(mean + 9.81) < 0.05
+
+
+def _facing_east(frames: list[Frame]) -> tuple[str, bool]:
+    """ArduPilot's simulated boat lies still, bow to the east."""
+    found = [f.sample for f in frames if isinstance(f.sample, Ahrs)]
+    yaw, down = math.degrees(found[0].yaw), sum(s.az for s in found) / len(found)
+    right = abs(yaw - 90.0) < 1.0 and abs(down + 9.81) < 0.05 and len(found) > 180
+    return f"bow at {yaw:.2f} degrees, specific force down {down:.3f} m/s2", right
+
+
+def _place(frames: list[Frame]) -> tuple[str, bool]:
+    """ArduPilot's simulated boat stays within 60 m of where it begins."""
+    fixes = [f.sample for f in frames if isinstance(f.sample, Gnss) and f.sample.fix >= 2]
+    north = max(abs(s.lat - 42.358) for s in fixes) * 111e3
+    east = max(abs(s.lon + 71.08705) for s in fixes) * 82e3
+    return f"{len(fixes)} fixes, {max(north, east):.0f} m from home at most", max(north, east) < 60.0 and len(
+        fixes
+    ) > 40
+
+
+def _vesc(path: Path) -> Result:
+    """Five frames of a motor at rest, its supply at 23.9 V and its controller at 25.3 degrees."""
+    decoder = vesc.Decoder({4: 7})
+    frames: list[Frame] = []
+    for line in [*path.read_text(encoding="ascii").splitlines()] * 2:  # voltage comes behind the state it belongs to
+        identifier, data = line.split()[2].split("#")
+        frames += decoder.feed(pack_can(int(identifier, 16), bytes.fromhex(data)), 0.0)
+    last = frames[-1].sample
+    assert isinstance(last, Esc)
+    said = f"{last.rpm:.0f} rpm, {last.voltage:.1f} V, {last.temperature:.1f} deg C"
+    return _result(path, decoder, frames, said, said == "0 rpm, 23.9 V, 25.3 deg C")
+
+
+def _engine(path: Path) -> Result:
+    """NMEA 2000 of a ship under way: canboat says 781 to 818 rpm in its 314 messages of PGN 127488."""
+    decoder = dbc.Decoder(dbc.load(str(Path(dbc.__file__).with_name("nmea2000.dbc"))), NMEA2000)
+    frames: list[Frame] = []
+    for line in path.read_text(encoding="ascii").splitlines():
+        words = line.split(",")
+        priority, pgn, source, target, length = map(int, words[1:6])
+        if pgn >= 1 << 18 or length > 8:
+            continue  # the adapter's own, and what takes several frames
+        address = pgn | (target if pgn >> 8 & 0xFF < 0xF0 else 0)
+        frames += decoder.feed(pack_can(priority << 26 | address << 8 | source, bytes.fromhex("".join(words[6:]))), 0.0)
+    speeds = [f.sample.rpm for f in frames if isinstance(f.sample, Esc)]
+    said = f"{min(speeds):.0f} to {max(speeds):.0f} rpm"
+    return _result(
+        path, decoder, frames, said, (len(speeds), round(min(speeds)), round(max(speeds))) == (314, 781, 818)
+    )

@@ -1,0 +1,168 @@
+"""Every decoder on damaged input: `python -m tests.golden.fuzz --n 1000000`.
+
+An input is a few messages of the protocol with bytes flipped, cut out, doubled and put in. It is fed whole and in
+random pieces, every tenth byte by byte too: nothing may be raised, and samples and counters may not depend on the way.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import struct
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from daq.protocol import (
+    Decoder,
+    dbc,
+    dronecan,
+    loadcell,
+    mantracourt,
+    mip,
+    nmea,
+    openscale,
+    slcan,
+    ubx,
+    vectornav,
+    vesc,
+)
+from daq.protocol.canframe import pack_can
+from daq.protocol.framing import sentence
+from daq.rig_options import DbcSignal
+from daq.samples import Ahrs, Esc, Gnss
+from tests.daq.streams import counters, said
+
+NMEA2000 = (DbcSignal("EngineParametersRapid", "EngineSpeed", "rpm", "EngineInstance"),)
+_FIX = Gnss(1.7e9, 41.1, -8.6, 12.0, 0.5, -0.2, 0.1, 3, 11, 0.9, 0.4)
+_ESC = Esc(3, 1234.0, 2.5, 0.3, 16.2, 31.0)
+_AHRS = Ahrs(0.1, 0.2, -0.3, 0.01, 0.02, 0.03, 0.1, 0.2, -9.8, 1e-5, 2e-5, 4e-5)
+
+
+class Subject(NamedTuple):
+    """A decoder and what it understands."""
+
+    make: Callable[[], Decoder]
+    messages: tuple[bytes, ...]
+
+
+def _can(frames: list[tuple[int, bytes]]) -> tuple[bytes, ...]:
+    return tuple(pack_can(*frame) for frame in frames)
+
+
+def subjects() -> dict[str, Subject]:
+    """Every decoder of the table of devices that can be made without a rig."""
+    n2k = dbc.load(str(Path(dbc.__file__).with_name("nmea2000.dbc")))
+    headings = (
+        "GPHDT,123.4,T",
+        "SDHDG,10.1,,,1.3,E",
+        "GNTHS,77.5,A",
+        "APROT,0.1,A",
+        "PASHR,085335.000,224.1,T,-1.2,0.8,0",
+    )
+    compass = tuple(sentence(body) for body in headings)
+    engine = tuple(pack_can(0x09F20011, bytes((k, 0x10 * k, 0x0C, 0xFF, 0xFF, 0x7F, 0xFF, 0xFF))) for k in range(3))
+    return {
+        "vectornav": Subject(vectornav.Decoder, (vectornav.encode_ascii(_AHRS), vectornav.encode_binary(_AHRS, 3.0))),
+        "mip": Subject(mip.Decoder, _mip()),
+        "nmea": Subject(lambda: nmea.Decoder(0.1), (*nmea.encode(_FIX).splitlines(keepends=True), *compass)),
+        "ubx": Subject(lambda: ubx.Decoder(0.1), (ubx.encode(_FIX), _velned(), nmea.encode(_FIX), compass[0])),
+        "loadcell": Subject(lambda: loadcell.Decoder(saturation=8388607), (loadcell.encode(2049), b"16383\n")),
+        "openscale": Subject(openscale.Decoder, (openscale.encode(4.11, "kg", 21024, 8421504), b"4.11,lbs,\r\n")),
+        "mantracourt": Subject(mantracourt.Decoder, (mantracourt.encode(123.456), b"?\r")),
+        "slcan": Subject(slcan.Decoder, tuple(slcan.encode(*f) for f in vesc.encode_status(_ESC, 7))),  # type: ignore[arg-type]
+        "vesc": Subject(lambda: vesc.Decoder({3: 7}), _can(vesc.encode_status(_ESC, 7))),
+        "dronecan": Subject(dronecan.Decoder, (b"".join(_can(dronecan.encode(_ESC, 42, 7))),)),
+        "dbc": Subject(lambda: dbc.Decoder(n2k, NMEA2000), engine),
+    }
+
+
+def _mip() -> tuple[bytes, ...]:
+    sensor = {k: struct.pack(">3f", 0.1, 0.2, -1.0) for k in (0x04, 0x05, 0x06)}
+    place = struct.pack(">4d2fH", 41.0, -8.0, 60.0, 5.0, 0.5, 0.9, 0x1F)
+    motion = struct.pack(">8fH", 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0x1F)
+    return (
+        mip.packet(mip.SENSOR, {**sensor, 0x0A: struct.pack(">4f", 0.7, 0.0, 0.0, 0.7)}),
+        mip.packet(mip.FILTER, {0x05: struct.pack(">3fH", 0.01, 0.02, 0.5, 1)}),
+        mip.packet(mip.GNSS_1, {0xD3: struct.pack(">dHH", 1e5, 2288, 3), 0x03: place, 0x05: motion}),
+    )
+
+
+def _velned() -> bytes:
+    return ubx.message((0x01, 0x12), bytes(36))
+
+
+def damaged(messages: tuple[bytes, ...], rng: random.Random) -> bytes:
+    """Up to three messages with up to four wounds."""
+    data = bytearray(b"".join(rng.choices(messages, k=rng.randint(1, 3))))
+    for _ in range(rng.randint(0, 4)):
+        if not data:
+            break
+        at, kind = rng.randrange(len(data)), rng.random()
+        if kind < 0.4:
+            data[at] ^= 1 << rng.randrange(8)
+        elif kind < 0.6:
+            del data[at : at + rng.randint(1, 12)]
+        elif kind < 0.75:
+            data[at:at] = data[at : at + rng.randint(1, 12)]
+        elif kind < 0.9:
+            data[at:at] = rng.randbytes(rng.randint(1, 8))
+        else:
+            data[at:at] = bytes((rng.choice(b"$\xfa\xb5\x62T*,\r\n"),))
+    return bytes(data)
+
+
+def _fed(make: Callable[[], Decoder], pieces: list[bytes]) -> tuple[object, ...]:
+    decoder = make()
+    frames = [frame for piece in pieces for frame in decoder.feed(piece, 5.0)]
+    if isinstance(decoder, (nmea.Decoder, ubx.Decoder)):
+        frames += decoder.flush()
+    samples = frames if isinstance(decoder, slcan.Decoder) else said(frames)
+    return samples, counters(decoder)
+
+
+def _pieces(data: bytes, rng: random.Random) -> list[bytes]:
+    cuts = sorted(rng.randrange(len(data) + 1) for _ in range(rng.randint(1, 5)))
+    return [data[a:b] for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True)]
+
+
+def fuzz(subject: Subject, n: int, seed: int) -> int:
+    """Feed `n` damaged inputs; returns how many samples came of them. AssertionError names the input that fails."""
+    rng = random.Random(seed)
+    n_samples = 0
+    for k in range(n):
+        data = damaged(subject.messages, rng)
+        try:
+            whole = _fed(subject.make, [data])
+            ways = [_pieces(data, rng)] + ([[data[i : i + 1] for i in range(len(data))]] if k % 10 == 0 else [])
+            same = all(_fed(subject.make, pieces) == whole for pieces in ways)
+        except Exception as error:
+            raise AssertionError(f"input {k}, {data.hex()}: {type(error).__name__}: {error}") from error
+        assert same, f"input {k}, {data.hex()}: the samples depend on how the bytes were cut"
+        n_samples += len(whole[0])  # type: ignore[arg-type]
+    return n_samples
+
+
+def main() -> int:
+    """Fuzz all decoders, or those that are named."""
+    parser = argparse.ArgumentParser(description=__doc__, epilog="Example: python -m tests.golden.fuzz --n 10000 ubx")
+    parser.add_argument("names", nargs="*", help="decoders (default: all)")
+    parser.add_argument("--n", type=int, default=100_000, help="inputs for each")
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    every = subjects()
+    for name in options.names or every:
+        if name not in every:
+            parser.error(f"no decoder {name}; there is: {', '.join(every)}")
+        began = time.process_time()
+        n_samples = fuzz(every[name], options.n, options.seed)
+        print(
+            f"{name:12s} {options.n} inputs, {n_samples} samples, {time.process_time() - began:.1f} s CPU", flush=True
+        )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,53 @@
+"""The captures of other people's devices, decoded by other people's programs, beside our own decoding."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.daq.streams import data_file
+from tests.golden.captures import results
+from tests.golden.fuzz import fuzz, subjects
+from tests.golden.gpsd import Fix, _difference, compare, receiver_bytes
+
+N_FUZZ = 400  # `python -m tests.golden.fuzz` does a million
+
+
+@pytest.mark.measured
+def test_positions_and_times_are_those_that_gpsd_reads() -> None:
+    folder = data_file("gpsd/daemon")
+    found = [compare(path) for path in sorted(folder.glob("*.log"))]
+    assert len(found) == 69
+    fixes = sum(row.fixes for row in found)
+    assert fixes > 1600
+    assert sum(row.agreeing for row in found) >= 0.98 * fixes
+    # neo-m8n: gpsd takes 2015 for 2034; lea-4t: gpsd has not heard of the leap seconds yet.
+    assert {row.name for row in found if row.misses} == {"neo-m8n", "ublox-lea-4t"}
+
+
+@pytest.mark.measured
+def test_all_other_captures_are_read_as_they_have_to_be() -> None:
+    found = list(results(data_file("gpsd").parent))
+    assert [row.name for row in found if not row.right] == []
+    assert len(found) == 8
+
+
+def test_a_difference_is_named() -> None:
+    ours = [Fix(1000.0, 41.0, -8.0)]
+    assert _difference(Fix(1000.0, 41.0, -8.0), 5e-10, ours) == ""
+    assert _difference(Fix(1000.0, 41.000001, -8.0), 5e-10, ours) == "same time, below 1 m apart"
+    assert _difference(Fix(1000.0, 41.1, -8.0), 5e-10, ours) == "same time, above 1 m apart"
+    assert _difference(Fix(1001.0, 41.0, -8.0), 5e-10, ours) == "same place, 1.000 s apart"
+    assert _difference(Fix(1000.0 + 1024 * 604800, 41.0, -8.0), 5e-10, ours) == "same place, another date"
+    assert _difference(Fix(1001.0, 42.0, -8.0), 5e-10, ours) == "no sample of ours at this time"
+
+
+@pytest.mark.measured
+def test_the_header_of_a_capture_is_not_the_receivers() -> None:
+    data = receiver_bytes(data_file("gpsd/daemon/ublox-neo-m8u.log"))
+    assert not data.startswith(b"#")
+    assert b"\xb5\x62" in data[:5000]
+
+
+@pytest.mark.parametrize("name", list(subjects()))
+def test_a_decoder_survives_damaged_input(name: str) -> None:
+    assert fuzz(subjects()[name], N_FUZZ, seed=2) > 0

@@ -1,0 +1,25 @@
+"""Calibration to look at: right, too sure, too cautious and too few, from seeded numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ident.calibration import calibrate
+
+
+def calibration(seed: int = 6) -> dict[str, Any]:
+    """The key ``calibration`` of a result."""
+    rng = np.random.default_rng(seed)
+    sizes = {"psi": 1.0, "r": 1.4, "x": 0.8, "y": 1.05}
+    found: dict[str, Any] = {}
+    for role in ("estimation", "validation"):
+        found[role] = {}
+        for kind, n in (("one_step", 2000), ("ten_seconds", 150), ("free_run", 12)):
+            found[role][kind] = {}
+            for channel, size in sizes.items():
+                one = calibrate([size * rng.normal(size=n)], effective=5.0 if kind == "free_run" else None)
+                assert one is not None
+                found[role][kind][channel] = vars(one) | {"verdict": one.verdict}
+    return found

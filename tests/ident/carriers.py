@@ -1,0 +1,19 @@
+"""A model that can carry an effect, whatever the effect needs."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Model
+from ident.models.disturbance import for_diagnosis
+from ident.models.horizontal import SENSORS, horizontal
+from ident.models.thruster import thruster
+
+
+def vehicle_for(effect: Effect) -> Model:
+    """The horizontal model with the inputs and sensors that the effect wants."""
+    sensors = tuple(SENSORS)[: len(SENSORS) if "body_velocity" in effect.requires else -1]
+    return horizontal("force" if "f_input" in effect.requires else "shaft", sensors)
+
+
+def carrier(effect: Effect) -> Model:
+    """The same with unexplained forces; a bench for what is found on one."""
+    return for_diagnosis(thruster(n_delays=9) if "bench" in effect.requires else vehicle_for(effect))

@@ -1,0 +1,82 @@
+"""How sure a name is: what is left, tables beside it, rivals close to it, rivals that could not be tested."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import pytest
+
+from ident.adequacy import LEFT, judge
+from ident.findings import Judgement, Refit, Round
+from ident.model import Effect
+from ident.score import Score
+
+N = 4000  # rows
+
+
+def refit(name: str, criterion: float, t: float = 5.0, rivals: tuple[str, ...] = ()) -> Refit:
+    """A refit with an effect of this name; what the judgement does not read is left out."""
+    effect = Effect(name, name.replace("-", " "), {}, rivals=rivals)
+    return Refit(effect, cast(Any, None), criterion + 8.3, 1, criterion, 50.0, t)
+
+
+def one_round(chosen: Refit, *others: Refit) -> Round:
+    return Round((), (), (chosen, *others), chosen, "")
+
+
+def score(name: str, criterion: float) -> Score:
+    return Score(name, criterion + 8.294, 1, 20.0, {}, {}, "(" in name)
+
+
+def of(*rounds: Round, left: tuple[Score, ...] = (), untested: tuple[str, ...] = ()) -> tuple[Judgement, ...]:
+    return judge(rounds, left, N, untested)
+
+
+def test_a_name_that_leaves_nothing_is_sure() -> None:
+    (found,) = of(one_round(refit("wind", 800.0), refit("heading-moment", 300.0)))
+    assert found == Judgement("wind", "named")
+
+
+@pytest.mark.parametrize(("worth", "certainty"), [(LEFT - 1, "named"), (LEFT + 1, "resembles")])
+def test_what_is_left_counts_beyond_a_little(worth: float, certainty: str) -> None:
+    (found,) = of(one_round(refit("lever-arm", 500.0)), left=(score("N(u, r)", worth),))
+    assert found.certainty == certainty
+    if found.reasons:
+        assert found.reasons == ("with it the tests still find that N depends on u and r, worth 21 more in 2 ln L",)
+
+
+def test_a_little_is_a_share_of_what_was_explained() -> None:
+    """A strong effect whose true form is not quite ours leaves more than a weak one."""
+    (strong,) = of(one_round(refit("lever-arm", 5000.0)), left=(score("accelerometer-tilt", 100.0),))
+    (weak,) = of(one_round(refit("lever-arm", 600.0)), left=(score("accelerometer-tilt", 100.0),))
+    assert (strong.certainty, weak.certainty) == ("named", "resembles")
+
+
+def test_a_table_beside_a_name_puts_the_name_in_doubt() -> None:
+    wind, table = of(one_round(refit("heading-moment", 700.0)), one_round(refit("unknown Y(psi)", 1000.0)))
+    assert (wind.certainty, table.certainty) == ("resembles", "unknown")
+    assert "unknown Y(psi) had to be added beside it" in wind.reasons
+
+
+def test_a_table_that_explains_more_puts_the_name_in_doubt_unless_validation_refused_it() -> None:
+    (doubted,) = of(one_round(refit("dead-band", 110.0), refit("unknown N(n_diff)", 150.0)))
+    (kept,) = of(one_round(refit("dead-band", 110.0), refit("unknown N(n_diff)", 150.0, t=1.0)))
+    assert (doubted.certainty, kept.certainty) == ("resembles", "named")
+
+
+def test_a_rival_that_comes_close_is_listed() -> None:
+    (found,) = of(one_round(refit("delay", 400.0), refit("lag", 385.0), refit("filter-lag", 395.0), refit("lift", 9.0)))
+    assert found.certainty == "resembles"
+    assert found.rivals == ("filter-lag", "lag")
+    assert found.reasons == ("filter lag explains nearly as much (5 less in 2 ln L)",)
+
+
+def test_a_rival_that_could_not_be_tested_is_not_excluded() -> None:
+    sag = refit("current-drift", 200.0, rivals=("wind", "battery-sag"))
+    (found,) = of(one_round(sag), untested=("battery-sag",))
+    assert (found.certainty, found.rivals) == ("resembles", ("battery-sag",))
+
+
+def test_two_effects_of_which_nothing_is_left_are_both_sure() -> None:
+    assert [j.certainty for j in of(one_round(refit("lever-arm", 9000.0)), one_round(refit("yaw-bias", 120.0)))] == [
+        "named", "named"]

@@ -1,0 +1,79 @@
+"""A tlog of ArduPilot Rover's own simulator by public commands, against the truth of that simulator."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import seatrial
+from daq.log import open_log
+from daq.samples import Ahrs, Autopilot, Gnss, Servo
+from tests.daq.streams import data_file
+
+pytestmark = [pytest.mark.measured, pytest.mark.slow]
+
+HERE = Path(__file__).resolve().parents[2] / "docs/examples/ardurover"
+
+
+def run(*words: str) -> None:
+    with pytest.raises(SystemExit) as left:
+        seatrial.main(words)
+    assert left.value.code == 0, words
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("ardurover") / "steps.mcap"
+    tlog = str(data_file("ardurover/steps_boat.tlog"))
+    run("import", "mavlink", tlog, "--rig", str(HERE / "rig.toml"), "-o", str(out))
+    return out
+
+
+def test_every_message_is_decoded_and_each_fix_once(log: Path) -> None:
+    with open_log(log) as opened:
+        # Counted with pymavlink's own reader: 7249 ATTITUDE, 1449 GPS_RAW_INT with every fix sent about twice.
+        assert np.isfinite(opened.table(Ahrs, "autopilot")["yaw"]).sum() == 7249
+        fixes = opened.table(Gnss, "autopilot")
+        assert len(fixes) == 688
+        assert np.all(np.diff(fixes["t_device"]) > 0)
+        assert "0 bytes not understood" in opened.events()[0][2]
+        texts = [text for _, kind, text in opened.events() if kind == "statustext"]
+        assert "info: Throttle armed" in texts
+        armed = opened.table(Autopilot, "autopilot")["armed"]
+        assert set(armed) == {0, 1}
+
+
+def test_outputs_follow_the_commands_by_a_few_milliseconds(log: Path) -> None:
+    with data_file("ardurover/steps_boat_cmd.csv").open() as file:
+        rows = [(float(row["t_cmd"]), int(row["left"]), int(row["right"])) for row in csv.DictReader(file)]
+    delays = []
+    with open_log(log) as opened:
+        outputs = {side: opened.table(Servo, "autopilot", node) for side, node in (("left", 1), ("right", 3))}
+        for t, left, right in rows[1:]:
+            for side, pwm in (("left", left), ("right", right)):
+                table = outputs[side]
+                reached = (table["t"] > t) & (np.abs(table["pwm"] - pwm) < 2.0)
+                assert reached.any(), (t, side, pwm)
+                delays.append(float(table["t"][np.argmax(reached)] - t))
+                n = table["n"][np.argmax(reached)]
+                assert n == pytest.approx((pwm - 1500) / 400, abs=0.005)
+    assert max(delays) < 0.03
+
+
+def test_surge_and_yaw_are_those_of_the_simulator(log: Path, tmp_path: Path) -> None:
+    model = f"{HERE / 'steered_boat.py'}:boat"
+    run("ident", "vehicle", str(log), "--model", model, "--rate", "25", "--out", str(tmp_path))
+    fit = json.loads((tmp_path / "result.json").read_text())["fit"]
+    found = {row["name"]: (row["value"], row["se"]) for row in fit["parameters"]}
+    m_u, se = found["m_u"]
+    assert m_u == pytest.approx(2.0, rel=0.03)
+    assert se < 0.03
+    d_uu, se = found["d_uu"]
+    assert d_uu == pytest.approx(0.5, rel=0.015)
+    assert se < 0.005
+    assert found["T"][0] < 0.1  # no inertia in yaw
+    assert found["tau"][0] == pytest.approx(0.07, abs=0.03)

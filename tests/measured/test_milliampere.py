@@ -1,0 +1,72 @@
+"""The measured ferry's thrusters by public commands, as docs/examples/milliampere/README.md goes."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import seatrial
+from ident.dataset import sample_and_hold
+from ident.loading import load_run
+
+pytestmark = [pytest.mark.measured, pytest.mark.slow]
+
+HERE = Path(__file__).resolve().parents[2] / "docs/examples/milliampere"
+
+
+def run(*words: str) -> None:
+    with pytest.raises(SystemExit) as left:
+        seatrial.main(words)
+    assert left.value.code == 0, words
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Both logs, and the fit of thruster 3."""
+    where = os.environ.get("SEATRIAL_DATA")
+    if not where:
+        pytest.skip("SEATRIAL_DATA does not say where the measured data sets are")
+    data = Path(where) / "milliampere" / "thruster_data_test"
+    if not data.is_dir():
+        pytest.skip("SEATRIAL_DATA has no milliampere")
+    out = tmp_path_factory.mktemp("milliampere")
+    for k in (3, 4):
+        files = [str(data / f"{name}_{k}.csv") for name in ("actuator_ref", "motor_state")]
+        run("import", "csv", str(HERE / f"thruster{k}.toml"), *files, "-o", str(out / f"thruster{k}.mcap"))
+    run("ident", "thruster", str(out / "thruster3.mcap"), "--robust", "--out", str(out / "thruster"))
+    return out
+
+
+@pytest.mark.parametrize("k", [3, 4])
+def test_the_time_stamps_are_mended_and_only_news_is_kept(folder: Path, k: int) -> None:
+    found = load_run(folder / f"thruster{k}.mcap", "estimation").run.channels
+    n = found["n_pod"]
+    assert 680 < n.t[-1] - n.t[0] < 710
+    assert (np.diff(n.t) > 0).all()
+    assert 100 < n.t.size < 250  # of 6101 rows
+
+
+@pytest.mark.parametrize("k", [3, 4])
+def test_the_speed_is_the_command_up_to_its_limit(folder: Path, k: int) -> None:
+    found = load_run(folder / f"thruster{k}.mcap", "estimation").run.channels
+    told, n = found["n_cmd_pod"], found["n_pod"]
+    now, before = sample_and_hold(told, n.t), sample_and_hold(told, n.t - 10.0)
+    settled = (now == before) & (n.value != 0) & (np.abs(now) > 0.05)
+    below = settled & (np.abs(now) < 0.75)
+    assert np.abs(np.median(n.value[below] / now[below]) - 1) < 0.01
+    above = settled & (np.abs(now) > 0.75)
+    assert above.sum() > 5
+    assert np.abs(np.median(np.abs(n.value[above])) - 0.75) < 0.002
+
+
+def test_a_first_order_shaft_is_not_enough(folder: Path) -> None:
+    result = json.loads((folder / "thruster/result.json").read_text())
+    error = result["before_after"]["estimation"]["free_run"]["n"]["after"]
+    assert error > 0.05  # of full command, where every steady speed is known to 0.003
+    assert "without a load cell nothing is known of its thrust" in result["answer"]
+    delay = next(p for p in result["fit"]["parameters"] if p["name"] == "tau")
+    assert delay["value"] < 2.0  # what news there is after a command shows the new speed

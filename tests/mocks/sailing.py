@@ -1,0 +1,29 @@
+"""A plant without noise, sailed straight on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from mocks.hull import Hull, State
+from mocks.plant import STEP, Boat, BoatPlant
+from mocks.thruster import ThrusterTruth
+from mocks.undeclared import Effect
+
+REST: State = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def run(
+    effects: tuple[Effect, ...],
+    n: tuple[float, float],
+    seconds: float = 40.0,
+    state: State = REST,
+    each: Callable[[BoatPlant], object] | None = None,
+) -> BoatPlant:
+    plant = BoatPlant(Boat(Hull(), ThrusterTruth(), (0.0, 0.0), effects, 0), state=state, disturbed=False)
+    plant.command(0, 0.0, n[0])
+    plant.command(1, 0.0, n[1])
+    for _ in range(round(seconds / STEP)):
+        plant.advance()
+        if each is not None:
+            each(plant)
+    return plant

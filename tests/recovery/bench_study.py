@@ -1,0 +1,269 @@
+"""The recovery study of the bench: a thruster with something undeclared, is it named?
+
+    python -m tests.recovery.bench_study [--seed S] [--seeds N] [--jobs 2] [--effects a,b] [--scales 1,0.5]
+                                         [--out FILE] [--report] [--docs]
+
+Every effect of ``mocks.bench_plant``, and none, on benches of N seeds and at full and half size: one run of the plan
+`all` to fit the thruster and to diagnose it, another to validate. Each case is a line in the out file as soon as it is
+done; a study that was interrupted goes on where it was. Nothing is run again with --report.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from joblib import Parallel, delayed
+
+from ident.bench_job import fit_on_a_copy
+from ident.bench_runs import RATE
+from ident.dataset import Channel, Record, build_record
+from ident.diagnose import diagnose
+from ident.findings import Diagnosis
+from ident.model import Model
+from ident.models.thruster import delay_step, delayed_channels, thruster
+from ident.predict import free_run, pooled
+from ident.stage import Run, Stage
+from mocks.bench_plant import EFFECTS, NONE, Bench, draw_bench, make_effect
+from tests.missions import bench_channels_of, push
+from tests.recovery.cases import code_state
+from tests.recovery.tables import as_markdown, as_text
+
+OUT = Path("build/bench_recovery.jsonl")
+DOCS = Path(__file__).parents[2] / "docs" / "recovery-bench.md"
+NAMES = ("none", *EFFECTS)
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class BenchCase:
+    """An effect (or ``none``) of a size, on the bench of a seed."""
+
+    effect: str
+    seed: int
+    scale: float = 1.0
+
+    @property
+    def key(self) -> str:
+        """By which a case is found again among the results."""
+        return f"{self.effect}/{self.seed}/{self.scale:g}"
+
+
+def bench_of(case: BenchCase) -> Bench:
+    """The bench with its effect."""
+    none = case.effect == "none"
+    return draw_bench(case.seed, NONE if none else make_effect(case.effect, case.seed, case.scale))
+
+
+def bench_run(found: Mapping[str, Channel], run: int, model: Model) -> Run:
+    """Channels as `seatrial ident diagnose` makes them from a log."""
+    own = {"n": found["n_thruster"], "force": found["force"]}
+    return Run(f"run {run}", delayed_channels(found["n_cmd_thruster"], delay_step(model)) | own)
+
+
+def diagnose_bench(case: BenchCase) -> Diagnosis:
+    """The thruster fitted to one run, and the diagnosis of that model."""
+    found = [bench_channels_of(push(bench_of(case), run)[0]) for run in (1, 2)]  # the plan `all`, twice
+
+    def records(model: Model) -> list[Record]:
+        return [build_record(model, bench_run(found[0], 1, model).channels, name="run 1", rate=RATE)]
+
+    model = fit_on_a_copy(thruster(), records(thruster()), records)[0].model
+    return diagnose(model, [bench_run(found[0], 1, model)], [bench_run(found[1], 2, model)], rate=RATE)
+
+
+def run_case(case: BenchCase) -> Row:
+    """One line of the study; a case that fails is a line too."""
+    began = time.process_time()
+    row: Row = asdict(case) | {"key": case.key, "code": code_state()}
+    try:
+        found = diagnose_bench(case)
+    except Exception as problem:  # the study goes on, and counts it
+        return row | {"error": f"{type(problem).__name__}: {problem}"}
+    return row | {
+        "cpu": round(time.process_time() - began, 2),
+        "found": [r.effect.name for r in found.effects],
+        "certainty": [j.certainty for j in found.judgements],
+        "left": [s.name for s in found.left],
+        "before": free_errors(found.before),
+        "after": free_errors(found.after),
+    }
+
+
+def free_errors(stage: Stage) -> dict[str, float]:
+    """Free-running root mean square errors on the validation data, by channel."""
+    parts = pooled([dict(free_run(stage.model, v.record, v.values).errors) for v in stage.validation])
+    return {name: float(f"{e.rms:.4g}") for name, e in parts.items()}
+
+
+def study(cases: Sequence[BenchCase], jobs: int, out: Path) -> list[Row]:
+    """The lines of all cases, those of earlier runs of the same code from the file."""
+    done = read(out)
+    todo = [c for c in cases if c.key not in done]
+    out.parent.mkdir(parents=True, exist_ok=True)
+    began = time.monotonic()
+    with out.open("a", encoding="utf-8") as file:
+        results = Parallel(n_jobs=jobs, return_as="generator_unordered")(delayed(run_case)(case) for case in todo)
+        for k, row in enumerate(results, start=1):
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+            done[row["key"]] = row
+            left = (time.monotonic() - began) / k * (len(todo) - k)
+            print(f"{k}/{len(todo)}  {line(row)}  ({left / 60:.0f} min to go)", flush=True)
+    return [done[c.key] for c in cases]
+
+
+def read(out: Path) -> dict[str, Row]:
+    """Lines of earlier runs by key; a line that was cut short is left out, and so is a case that failed."""
+    done: dict[str, Row] = {}
+    for text in out.read_text(encoding="utf-8").splitlines() if out.exists() else ():
+        try:
+            row = json.loads(text)
+        except json.JSONDecodeError:
+            continue
+        if "error" not in row:
+            done[row["key"]] = row
+    return done
+
+
+def line(row: Row) -> str:
+    """A case in a few words."""
+    if "error" in row:
+        return f"{row['key']}: failed: {row['error']}"
+    return f"{row['key']}: {', '.join(row['found']) or 'none'} ({verdict(row)}, {row['cpu']:.0f} s)"
+
+
+def verdict(row: Row) -> str:
+    """exact: this and nothing else; first: named first, with more; missed: nothing; unknown: a table first; likened:
+    another name, said not to be sure; wrong: another name, given as sure."""
+    truth, found = row["effect"], row["found"]
+    if truth == "none" or not found:
+        return "exact" if (truth == "none") == (not found) else "missed" if not found else "wrong"
+    if found[0] == truth:
+        return "exact" if found == [truth] else "first"
+    if found[0].startswith("unknown "):
+        return "unknown"
+    return "likened" if row["certainty"][0] != "named" else "wrong"
+
+
+VERDICTS = ("exact", "first", "likened", "unknown", "missed", "wrong")
+
+
+def rates(rows: Sequence[Row]) -> list[list[str]]:
+    """One line an effect."""
+    lines = [["truth", "cases", *VERDICTS, "force error before -> after, N", "shaft error before -> after", "CPU s"]]
+    for name in [n for n in NAMES if any(r["effect"] == n and "error" not in r for r in rows)]:
+        cases = [r for r in rows if r["effect"] == name and "error" not in r]
+        counts = [sum(verdict(r) == v for r in cases) for v in VERDICTS]
+        errors = [
+            f"{middle([r['before'][c] for r in cases]):.3g} -> {middle([r['after'][c] for r in cases]):.3g}"
+            for c in ("force", "n")
+        ]
+        cpu = f"{middle([r['cpu'] for r in cases]):.0f}"
+        lines.append([name, str(len(cases)), *(str(c or ".") for c in counts), *errors, cpu])
+    return lines
+
+
+def middle(values: Sequence[float]) -> float:
+    """Median."""
+    kept = sorted(values)
+    return (kept[(len(kept) - 1) // 2] + kept[len(kept) // 2]) / 2
+
+
+def summary(rows: Sequence[Row]) -> list[list[str]]:
+    """The few numbers that matter most."""
+    good = [r for r in rows if "error" not in r]
+    lines = [["", ""]]
+    for scale in sorted({r["scale"] for r in good}, reverse=True):
+        some = [r for r in good if r["scale"] == scale and r["effect"] != "none"]
+        for what, kinds in (("named first", ("exact", "first")), ("that and nothing else", ("exact",)),
+                            ("another name as sure", ("wrong",))):
+            if some:
+                lines.append([f"{what}, size {scale:g}", f"{sum(verdict(r) in kinds for r in some)}/{len(some)}"])
+    clean = [r for r in good if r["effect"] == "none"]
+    if clean:
+        lines.append(["false alarms on clean benches", f"{sum(bool(r['found']) for r in clean)}/{len(clean)}"])
+    return [*lines, ["cases that failed", str(len(rows) - len(good))]]
+
+
+def report(rows: Sequence[Row], form: Any) -> str:
+    """All tables."""
+    head = "## " if form is as_markdown else ""
+    parts = [("Together", summary(rows))]
+    for scale in sorted({r["scale"] for r in rows}, reverse=True):
+        parts.append((f"By effect, size {scale:g} (errors: medians, free-running on validation data)",
+                      rates([r for r in rows if r["scale"] == scale])))
+    text = "\n\n".join(f"{head}{title}\n\n{form(lines)}" for title, lines in parts)
+    words = (
+        "exact: this name and no other; first: this name first, and others; likened: another name, not as sure; "
+        "unknown: a table first; missed: nothing; wrong: another name, given as sure."
+    )
+    return f"{text}\n\n{words}"
+
+
+def document(rows: Sequence[Row], command: str) -> str:
+    """docs/recovery-bench.md."""
+    return (
+        "# Recovery study of the bench\n\n"
+        "Mock benches with one undeclared effect each (`mocks/bench_plant.py`, `mocks/bench_shaft.py`, in other "
+        "forms than the catalogue of `ident`), and clean ones; two runs of the plan `all` (126 s), one to fit and to "
+        "diagnose, one to validate. Every bench has its own thrust coefficients, pool and noise.\n\n"
+        f"    {command}\n\n" + report(rows, as_markdown) + "\n"
+    )
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run what is not yet there, then print the tables."""
+    given = _parser().parse_args(words)
+    seeds = range(given.seed, given.seed + given.seeds)
+    # one clean bench a seed and scale, all of them different ones
+    cases = [
+        BenchCase(e, s + (1000 * k if e == "none" else 0), scale)
+        for s in seeds for k, scale in enumerate(given.scales) for e in given.effects
+    ]
+    try:
+        rows = list(read(given.out).values()) if given.report else study(cases, given.jobs, given.out)
+    except KeyboardInterrupt:
+        print(f"interrupted; run the same again to go on ({given.out})", file=sys.stderr)
+        return 130
+    print(report(rows, as_text))
+    if given.docs:
+        scales = ",".join(f"{s:g}" for s in given.scales)
+        command = f"python -m tests.recovery.bench_study --seed {given.seed} --seeds {given.seeds} --scales {scales}"
+        DOCS.write_text(document(rows, f"{command} --docs"), encoding="utf-8")
+        print(f"written: {DOCS.name}")
+    return 1 if any("error" in r for r in rows) else 0
+
+
+def _effects(text: str) -> list[str]:
+    for name in text.split(","):
+        if name not in NAMES:
+            raise argparse.ArgumentTypeError(f"no effect {name!r}; there are {', '.join(NAMES)}")
+    return text.split(",")
+
+
+def _scales(text: str) -> list[float]:
+    return [float(s) for s in text.split(",")]
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser("python -m tests.recovery.bench_study", description="Is it named?")
+    parser.add_argument("--seed", type=int, default=1, help="the first bench's")
+    parser.add_argument("--seeds", type=int, default=3, help="how many benches for each effect")
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--effects", type=_effects, default=list(NAMES), help="comma-separated, `none` among them")
+    parser.add_argument("--scales", type=_scales, default=[1.0, 0.5], help="sizes of the effects, comma-separated")
+    parser.add_argument("--out", type=Path, default=OUT, help="results, a JSON line a case")
+    parser.add_argument("--report", action="store_true", help="only print what is in the out file")
+    parser.add_argument("--docs", action="store_true", help="write docs/recovery-bench.md")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,128 @@
+"""The kinds of cases of the recovery study: what the boat has, how it is sailed and what is logged of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ident.dataset import Channel
+from ident.model import Model
+from ident.models.horizontal import horizontal
+from mocks.plant import Boat, draw_boat
+from mocks.undeclared import EFFECTS, NOISE, OUTSIDE, SMALL, make_effect
+
+NONE = "none"
+SECONDS, VALIDATION_SECONDS = 400.0, 250.0  # as in the demo
+# The noise of the mocks' sensors as their data sheets have it, for ten rows a second (mocks.sensors)
+DECLARED = {"e_psi": np.radians(0.5) / 5**0.5, "e_r": 0.01 / 5**0.5, "e_a": 0.1 / 5**0.5, "e_xy": 0.15, "e_vxy": 0.05}
+
+
+def all_effects(seed: int) -> list[str]:
+    """What a catalogue can be expected to list."""
+    return list(EFFECTS)
+
+
+def all_pairs(seed: int) -> list[str]:
+    """Two at a time, each effect once: other pairs with each seed."""
+    names = np.random.default_rng([seed, 77]).permutation(list(EFFECTS)).tolist()
+    return [f"{a}+{b}" for a, b in zip(names[::2], names[1::2], strict=False)]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """``truths``: what is tried at a seed; ``seeds``: how many seeds by default; ``gain``: on the commands;
+    ``others``: size of every other effect; ``noise``: one of mocks.undeclared.NOISE."""
+
+    says: str
+    truths: Callable[[int], list[str]]
+    seeds: int
+    scale: float = 1.0
+    seconds: tuple[float, float] = (SECONDS, VALIDATION_SECONDS)
+    gain: float = 1.0
+    gaps: bool = False
+    others: float = 0.0
+    noise: str = ""
+    left_out: bool = False  # the truth is not in the catalogue
+
+
+def _none(seed: int) -> list[str]:
+    return [NONE]
+
+
+def _all_and_none(seed: int) -> list[str]:
+    return [NONE, *EFFECTS]
+
+
+KINDS: dict[str, Kind] = {
+    "single": Kind("one effect at full size", all_effects, 10),
+    "half": Kind("one effect at half its size", all_effects, 5, scale=0.5),
+    "quarter": Kind("one effect at a quarter of its size", all_effects, 3, scale=0.25),
+    "mixture": Kind("one effect, and every other one at 5 % of its size", all_effects, 5, others=SMALL),
+    "pair": Kind("two effects at full size", all_pairs, 4),
+    "outside": Kind("an effect that the catalogue does not list", lambda seed: list(OUTSIDE), 10),
+    "clean": Kind("no effect", _none, 120),
+    "timid": Kind("all commands at 35 %", _all_and_none, 3, gain=0.35),
+    "short": Kind("120 s to estimate, 80 s to validate", _all_and_none, 3, seconds=(120.0, 80.0)),
+    "dropout": Kind("gaps in every device, and lost samples", _all_and_none, 3, gaps=True),
+    **{name: Kind(f"no effect; {make_effect(name, 1).sentence}", _none, 25, noise=name) for name in NOISE},
+    "leave-one-out": Kind("one effect at full size, taken out of the catalogue", all_effects, 3, left_out=True),
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """An effect (``none``, or two as ``a+b``) on the boat of a seed, in one of KINDS."""
+
+    effect: str
+    seed: int
+    kind: str = "single"
+
+    @property
+    def key(self) -> str:
+        """By which a case is found again among the results."""
+        return f"{self.kind}/{self.effect}/{self.seed}"
+
+    @property
+    def how(self) -> Kind:
+        return KINDS[self.kind]
+
+    @property
+    def truths(self) -> tuple[str, ...]:
+        """The names of the effects that an analysis should find."""
+        return () if self.effect == NONE else tuple(self.effect.split("+"))
+
+
+def boat_of(case: Case) -> Boat:
+    """With all it has: the effects, the rest of a mixture, and noise that is not what was assumed."""
+    how = case.how
+    effects = [make_effect(name, case.seed, how.scale) for name in case.truths]
+    if how.others:
+        effects += [make_effect(name, case.seed, how.others) for name in EFFECTS if name not in case.truths]
+    if how.noise:
+        effects.append(make_effect(how.noise, case.seed))
+    return draw_boat(case.seed, effects)
+
+
+def model_of(case: Case) -> Model:
+    """The nominal model; its measurement noise is fixed at the data sheets' where those are what is wrong."""
+    model = horizontal()
+    if case.kind != "noise-small-r":
+        return model
+    return model.replace_parameters(*(model.parameter(n).at(float(v)).fixed() for n, v in DECLARED.items()))
+
+
+def with_gaps(channels: dict[str, Channel], seed: int) -> dict[str, Channel]:
+    """The GNSS silent for up to 20 s and the AHRS for up to 3 s, about once a minute; one sample in twenty lost."""
+    rng = np.random.default_rng([seed, 78])
+    found = dict(channels)
+    for names, longest in ((("x", "y", "vx", "vy"), 20.0), (("psi", "r", "ax", "ay"), 3.0), (("n_left",), 0.5),
+                           (("n_right",), 0.5)):
+        t = channels[names[0]].t
+        keep = rng.uniform(size=t.size) > 0.05
+        for start in np.arange(30.0, t[-1] - longest, 60.0) + rng.uniform(0.0, 20.0):
+            keep &= ~((t > start) & (t < start + rng.uniform(0.3, 1.0) * longest))
+        for name in names:
+            found[name] = Channel(t[keep].copy(), channels[name].value[keep].copy())
+    return found

@@ -1,0 +1,71 @@
+"""What the best answer could have been: the model with the true structure, and the true curve of an unknown effect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ident.effects import catalogue
+from ident.findings import Diagnosis
+from ident.model import Effect
+from ident.shapes import Shape
+from ident.stage import Run, Stage, make_stage, nominal, record, superset, without_absent_sensors
+from mocks.undeclared import make_effect
+from tests.recovery.kinds import Case, boat_of, model_of
+
+Array = NDArray[np.float64]
+BAND = 1.96  # standard deviations
+RATE = 10.0  # Hz
+
+
+def oracle(case: Case, runs: Sequence[Run]) -> Stage | None:
+    """The catalogue's effects of the true names, fitted; None where the catalogue lacks one of them."""
+    known = catalogue()
+    if any(name not in known for name in case.truths):
+        return None
+    effects = {name: _near_the_truth(known[name], case) for name in case.truths}
+    base = nominal(model_of(case))
+    everything, kept = superset(base, effects, runs)
+    records = [record(everything, r, RATE) for r in runs]
+    model = without_absent_sensors(base, records)
+    for effect in kept.values():
+        model = model + effect
+    return make_stage(model, records[:1], records[1:])
+
+
+def _near_the_truth(effect: Effect, case: Case) -> Effect:
+    """Where a size of zero has no gradient, or a frequency has several optima, start near the truth: it may know."""
+    true = make_effect(effect.name, case.seed, case.how.scale).parameters
+    known = {"f_p": true.get("frequency_hz"), "f_wave": true.get("frequency_hz"), "A_X": true.get("surge"),
+             "A_Y": true.get("sway"), "A_N": true.get("yaw")}
+    start = [p.at(value) if (value := known.get(p.name)) is not None else p for p in effect.parameters]
+    return replace(effect, parameters=tuple(start))
+
+
+def shape_share(case: Case, found: Diagnosis) -> float | None:
+    """The share of the drawn curve whose band holds the true one; None without a drawn curve of the right kind.
+
+    What the model's own parameters can take up is compared with neither: a constant, and for X(u) the drag.
+    """
+    answer = next((e.answer for e in boat_of(case).effects if e.answer is not None), None)
+    if answer is None:
+        return None
+    drawn = next((s for s in found.shapes if (s.force, s.variable) == (answer.force, answer.variable)), None)
+    if drawn is None:
+        return None
+    true = np.array([answer.curve(float(z)) for z in drawn.grid])
+    apart = _beyond(drawn, drawn.value - true)
+    return float(np.mean(np.abs(apart) < BAND * drawn.sd))
+
+
+def _beyond(drawn: Shape, difference: Array) -> Array:
+    """What is left of a difference of curves without what the hull's own damping could take up."""
+    z = drawn.grid
+    columns = [np.ones(z.size)]
+    if (drawn.force, drawn.variable) in {("X", "u"), ("Y", "v"), ("N", "r")}:
+        columns += [z, z * np.abs(z)]
+    basis = np.column_stack(columns)
+    return np.asarray(difference - basis @ np.linalg.lstsq(basis, difference, rcond=None)[0])

@@ -1,0 +1,154 @@
+"""How often each kind of case came out right, beside what is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocks.undeclared import NOISE
+from tests.recovery.cases import Row
+from tests.recovery.kinds import KINDS
+from tests.recovery.verdict import all_right, drawn_right, first_right, truths, wrong_as_sure
+
+Lines = list[list[str]]
+SMALL_SIZES = (("quarter", 0.25), ("half", 0.5), ("single", 1.0))
+
+
+@dataclass(frozen=True)
+class Target:
+    """A share of the cases of some kinds; ``least``: the share should not be smaller, else not larger."""
+
+    kinds: tuple[str, ...]
+    says: str
+    counts: Callable[[Row], bool]
+    share: float
+    least: bool = True
+    lacking: bool = True  # of boats with an effect, else of those without
+
+
+def false_alarm(row: Row) -> bool:
+    return bool(row["found"])
+
+
+def shape_holds(row: Row) -> bool:
+    """At least nine tenths of the drawn curve have the true one in their band."""
+    return bool(row.get("shape", 0.0) >= 0.9)
+
+
+TARGETS = (
+    Target(("single",), "named first, as sure", first_right, 0.95),
+    Target(("half",), "named first, as sure", first_right, 0.85),
+    Target(("half",), "a wrong name first, as sure", wrong_as_sure, 0.03, least=False),
+    Target(("mixture",), "named first, as sure", first_right, 0.85),
+    Target(("mixture",), "among the chosen", all_right, 0.92),
+    Target(("pair",), "both found", all_right, 0.90),
+    Target(("outside",), "unknown, right force and variable first", first_right, 0.80),
+    Target(("outside",), "right force drawn over the right variable, no name as sure", drawn_right, 0.80),
+    Target(("outside",), "true curve within the band", shape_holds, 0.80),
+    Target(("clean", "timid", "short", "dropout"), "anything found on a clean boat", false_alarm, 0.02, False, False),
+    Target(tuple(NOISE), "anything found under misspecified noise", false_alarm, 0.05, False, False),
+    Target(("leave-one-out",), "a wrong name first, as sure", wrong_as_sure, 0.15, least=False),
+)
+
+
+def good(rows: Sequence[Row], *kinds: str, lacking: bool | None = None) -> list[Row]:
+    """The cases of some kinds that did not fail; only those with an effect, or only those without."""
+    return [
+        r for r in rows
+        if r["kind"] in kinds and "error" not in r and (lacking is None or bool(truths(r)) == lacking)
+    ]
+
+
+def targets(rows: Sequence[Row]) -> Lines:
+    """One line a target: what is asked for, what came out, of how many cases."""
+    lines = [["kind", "share", "asked for", "found", "cases", "met"]]
+    for target in TARGETS:
+        cases = good(rows, *target.kinds, lacking=target.lacking)
+        if not cases:
+            continue
+        count = sum(target.counts(r) for r in cases)
+        share = count / len(cases)
+        met = share >= target.share if target.least else share <= target.share
+        sign = ">=" if target.least else "<="
+        kind = ", ".join(k for k in target.kinds if good(rows, k, lacking=target.lacking))
+        lines.append([kind, target.says, f"{sign} {target.share:.0%}", f"{share:.1%}", f"{count}/{len(cases)}",
+                      "yes" if met else "no"])
+    return lines + _oracle_line(rows)
+
+
+def _oracle_line(rows: Sequence[Row]) -> Lines:
+    ratios = [r["ratio"]["free_run"] for r in good(rows, "single") if "ratio" in r]
+    if not ratios:
+        return []
+    middle = float(np.median(ratios))
+    return [["single", "validation error over the oracle's, free-running, median", "<= 1.03", f"{middle:.3f}",
+             f"{len(ratios)}", "yes" if middle <= 1.03 else "no"]]
+
+
+def kinds(rows: Sequence[Row]) -> Lines:
+    """One line a kind: what was said, over all its cases with an effect, and over those without."""
+    lines = [["kind", "what it is", "cases", "first", "all found", "wrong as sure", "unknown", "nothing",
+              "clean cases", "false alarms"]]
+    for name, kind in KINDS.items():
+        some, none = good(rows, name, lacking=True), good(rows, name, lacking=False)
+        if not some and not none:
+            continue
+        lines.append([
+            name, kind.says, str(len(some)), _share(some, first_right), _share(some, all_right),
+            _share(some, wrong_as_sure), _share(some, _unknown), _share(some, lambda r: not r["found"]),
+            str(len(none)), _share(none, false_alarm),
+        ])
+    return lines
+
+
+def _unknown(row: Row) -> bool:
+    return bool(row["found"]) and row["certainty"][0] == "unknown"
+
+
+def _share(rows: Sequence[Row], counts: Callable[[Row], bool]) -> str:
+    return f"{sum(map(counts, rows)) / len(rows):.0%}" if rows else ""
+
+
+def power(rows: Sequence[Row]) -> Lines:
+    """Named first by effect and size, and over the oracle's error at full size."""
+    sizes = [(kind, size) for kind, size in SMALL_SIZES if good(rows, kind)]
+    if len(sizes) < 2:
+        return [[]]
+    lines = [["truth", *(f"at {size:g}" for _, size in sizes)]]
+    names = dict.fromkeys(r["effect"] for r in rows if r["kind"] in dict(sizes))
+    for name in names:
+        line = [str(name)]
+        for kind, _ in sizes:
+            cases = [r for r in good(rows, kind) if r["effect"] == name]
+            line.append(f"{sum(map(first_right, cases))}/{len(cases)}" if cases else "")
+        lines.append(line)
+    every = ["all", *(_share(good(rows, kind), first_right) for kind, _ in sizes)]
+    wrong = ["wrong as sure", *(_share(good(rows, kind), wrong_as_sure) for kind, _ in sizes)]
+    return [*lines, every, wrong]
+
+
+def oracles(rows: Sequence[Row]) -> Lines:
+    """Error over the oracle's (geometric mean over channels): median, and the worst of ten."""
+    lines = [["kind", "cases", "10 s ahead, median", "90 %", "free-running, median", "90 %"]]
+    for name in KINDS:
+        found = [r["ratio"] for r in good(rows, name, lacking=True) if "ratio" in r]
+        if found:
+            cells = []
+            for horizon in ("ten_seconds", "free_run"):
+                values = [r[horizon] for r in found]
+                cells += [f"{np.median(values):.3f}", f"{np.quantile(values, 0.9):.3f}"]
+            lines.append([name, str(len(found)), *cells])
+    return lines
+
+
+def shapes(rows: Sequence[Row]) -> Lines:
+    """Outside the catalogue: how much of the drawn curve has the true one in its 95 % band."""
+    lines = [["truth", "cases", "right force and variable", "curve drawn", "share of the curve in the band, median"]]
+    for name in dict.fromkeys(r["effect"] for r in good(rows, "outside")):
+        cases = [r for r in good(rows, "outside") if r["effect"] == name]
+        held = [r["shape"] for r in cases if "shape" in r]
+        lines.append([name, str(len(cases)), f"{sum(map(first_right, cases))}/{len(cases)}", str(len(held)),
+                      f"{np.median(held):.2f}" if held else ""])
+    return lines

@@ -1,0 +1,92 @@
+"""A small fixed sample of the bench's recovery study, and the study's own book-keeping."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.recovery import bench_study
+from tests.recovery.bench_study import BenchCase, Row, diagnose_bench, line, verdict
+from tests.recovery.tables import as_markdown
+
+
+@pytest.mark.slow
+def test_a_clean_bench_lacks_nothing() -> None:
+    found = diagnose_bench(BenchCase("none", 1))
+    assert found.effects == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("effect", "channel"), [("recirculation", "force"), ("spin-up", "n")])
+def test_an_effect_is_named_alone_and_makes_the_model_better(effect: str, channel: str) -> None:
+    row = bench_study.run_case(BenchCase(effect, 1))
+    assert row.get("error") is None
+    assert verdict(row) == "exact"
+    assert row["after"][channel] < 0.9 * row["before"][channel]
+
+
+def fake(effect: str, seed: int, found: list[str], *certainty: str, scale: float = 1.0) -> Row:
+    key = BenchCase(effect, seed, scale).key
+    errors = {"n": 0.002, "force": 0.5}
+    return {
+        "key": key, "effect": effect, "seed": seed, "scale": scale, "found": found, "certainty": list(certainty),
+        "left": [], "cpu": 9.0, "before": errors, "after": errors, "code": "x",
+    }  # fmt: skip
+
+
+ROWS = [
+    (fake("none", 1, []), "exact"),
+    (fake("none", 2, ["spin-up"], "named"), "wrong"),
+    (fake("spin-up", 1, ["spin-up"], "named"), "exact"),
+    (fake("spin-up", 2, ["spin-up", "cell-lag"], "named", "named"), "first"),
+    (fake("spin-up", 3, [], scale=0.5), "missed"),
+    (fake("spin-up", 4, ["unknown n_dot(slip)"], "unknown"), "unknown"),
+    (fake("spin-up", 5, ["slew-limit"], "resembles"), "likened"),
+    (fake("spin-up", 6, ["slew-limit"], "named"), "wrong"),
+]
+
+
+@pytest.mark.parametrize(("row", "wanted"), ROWS)
+def test_a_line_is_judged(row: Row, wanted: str) -> None:
+    assert verdict(row) == wanted
+    assert wanted in line(row)
+
+
+def test_the_tables_count_what_was_named() -> None:
+    rows = [row for row, _ in ROWS]
+    together = {one[0]: one[1] for one in bench_study.summary(rows)}
+    assert together["named first, size 1"] == "2/5"
+    assert together["that and nothing else, size 1"] == "1/5"
+    assert together["another name as sure, size 1"] == "1/5"
+    assert together["named first, size 0.5"] == "0/1"
+    assert together["false alarms on clean benches"] == "1/2"
+    head, *lines = bench_study.rates([r for r in rows if r["scale"] == 1.0])
+    spin = dict(zip(head, lines[1], strict=True))
+    assert [spin[v] for v in ("truth", "cases", "exact", "first", "likened", "unknown", "missed", "wrong")] == [
+        "spin-up", "5", "1", "1", "1", "1", ".", "1"]  # fmt: skip
+    assert "| spin-up | 5 |" in bench_study.document(rows, "the command")
+
+
+def test_a_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out, ran = tmp_path / "new" / "bench.jsonl", []
+
+    def pretend(case: BenchCase) -> Row:
+        ran.append(case.key)
+        return fake(case.effect, case.seed, [], scale=case.scale)
+
+    monkeypatch.setattr(bench_study, "run_case", pretend)
+    words = ["--effects", "none,spin-up", "--out", str(out), "--jobs", "1", "--scales", "1"]
+    assert bench_study.main([*words, "--seeds", "1"]) == 0
+    assert bench_study.main([*words, "--seeds", "2"]) == 0
+    assert ran == ["none/1/1", "spin-up/1/1", "none/2/1", "spin-up/2/1"]
+    assert [json.loads(x)["key"] for x in out.read_text().splitlines()] == ran
+    assert "## Together" in bench_study.report(list(bench_study.read(out).values()), as_markdown)
+
+
+def test_an_unknown_effect_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        bench_study.main(["--effects", "kraken"])
+    assert leaving.value.code == 2
+    assert "no effect 'kraken'; there are none, rod-flex" in capsys.readouterr().err

@@ -1,0 +1,75 @@
+"""What one line of the study is worth: right, wrong, unknown or nothing; said as sure, or only as a likeness."""
+
+from __future__ import annotations
+
+from mocks.undeclared import EFFECTS, OUTSIDE, make_effect
+from tests.recovery.cases import Row
+from tests.recovery.kinds import KINDS, NONE
+
+UNKNOWN = "unknown"
+
+
+def truths(row: Row) -> list[str]:
+    """What the boat had, one effect, two or none."""
+    return [] if row["effect"] == NONE else str(row["effect"]).split("+")
+
+
+def first_answer(row: Row) -> str:
+    """The effect named first; ``none``, or ``unknown`` for a drawn shape."""
+    if not row["found"]:
+        return NONE
+    return UNKNOWN if row["found"][0].startswith("unknown ") else str(row["found"][0])
+
+
+def is_outside(row: Row) -> bool:
+    return row["effect"] in OUTSIDE
+
+
+def expected(row: Row) -> str:
+    """The right answer to an effect outside the catalogue: ``unknown F(v)``."""
+    right = make_effect(row["effect"], row["seed"]).answer
+    assert right is not None
+    return f"unknown {right.force}({right.variable})"
+
+
+def first_right(row: Row) -> bool:
+    """The truth stands first, as sure; of a boat that lacks nothing, nothing is said."""
+    if not truths(row):
+        return not row["found"]
+    if not row["found"]:
+        return False
+    if is_outside(row):
+        return bool(row["found"][0] == expected(row))
+    return row["found"][0] in truths(row) and row["certainty"][0] == "named"
+
+
+def all_right(row: Row) -> bool:
+    """Every truth is among what was named or likened; of a boat that lacks nothing, nothing is said."""
+    if not truths(row):
+        return not row["found"]
+    if is_outside(row):
+        return expected(row) in row["found"]
+    return set(truths(row)) <= set(row["found"])
+
+
+def wrong_as_sure(row: Row) -> bool:
+    """Something that the boat has not is named as sure, first."""
+    return bool(row["found"]) and row["certainty"][0] == "named" and row["found"][0] not in truths(row)
+
+
+def likened(row: Row) -> bool:
+    """The first answer is a likeness: several effects that the data do not tell apart."""
+    return bool(row["found"]) and row["certainty"][0] == "resembles"
+
+
+def extra(row: Row) -> int:
+    """Names said as sure of what is not there, not even at the 5 % of a mixture."""
+    sure = [n for n, c in zip(row["found"], row["certainty"], strict=True) if c == "named"]
+    there = {*truths(row), *(EFFECTS if KINDS[row["kind"]].others else ())}
+    return sum(n not in there for n in sure)
+
+
+def drawn_right(row: Row) -> bool:
+    """Of an effect outside the catalogue: the right force is drawn over the right variable, and no name is given as
+    sure; it may be said to resemble one."""
+    return expected(row).removeprefix("unknown ") in row.get("shapes", []) and not wrong_as_sure(row)

@@ -1,0 +1,93 @@
+"""The command tree as a whole: each command helps with an example, and the shell completes it."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import pytest
+
+import seatrial
+
+PARTS = ("numpy", "rich", "bench.", "ident.", "mocks.", "daq.log")
+
+
+def commands(command: click.Command, context: click.Context) -> Iterator[tuple[str, click.Command]]:
+    """(words, command) of every command that is no group."""
+    if not isinstance(command, click.Group):
+        yield context.command_path, command
+        return
+    for name in command.list_commands(context):
+        found = command.get_command(context, name)
+        assert found is not None, name
+        yield from commands(found, click.Context(found, parent=context, info_name=name))
+
+
+EVERY = dict(commands(seatrial.cli, click.Context(seatrial.cli, info_name="seatrial")))
+
+
+@pytest.mark.parametrize("words", EVERY)
+def test_every_command_helps_with_an_example_that_parses(words: str) -> None:
+    command = EVERY[words]
+    context = click.Context(command, info_name=words)
+    text = " ".join(command.get_help(context).split())
+    assert re.search(rf"Examples?: ((?!Example).)*{re.escape(words)}", text), f"{words} --help has no example of itself"
+    assert command.help, words
+    # An option says what it is for, unless its choices or its default do.
+    for option in command.params:
+        if isinstance(option, click.Option) and not option.hidden:
+            assert option.help or option.type.name == "choice" or option.show_default, f"{words} {option.opts[0]}"
+
+
+def complete(words: str) -> subprocess.CompletedProcess[str]:
+    """What bash gets for the last word; the modules that were imported for it go to stderr."""
+    environment = os.environ | {
+        "_SEATRIAL_COMPLETE": "bash_complete",
+        "COMP_WORDS": words,
+        "COMP_CWORD": str(len(words.split(" ")) - 1),
+    }
+    report = "import atexit, sys\natexit.register(lambda: print(*sys.modules, file=sys.stderr))\n"
+    code = f"{report}import seatrial\nseatrial.main()"
+    return subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+def offered(words: str) -> list[str]:
+    return [line.partition(",")[2] for line in complete(words).stdout.splitlines()]
+
+
+def test_the_shell_completes_commands_without_importing_a_part() -> None:
+    done = complete("seatrial ")
+    assert [line.partition(",")[2] for line in done.stdout.splitlines()] == list(seatrial.COMMANDS)
+    assert not [name for name in done.stderr.split() if name.startswith(PARTS)]
+
+
+def test_the_shell_completes_what_is_below(tmp_path: Path) -> None:
+    assert offered("seatrial mi") == ["mission"]
+    assert {"design", "make", "run", "show"} <= set(offered("seatrial mission "))
+    assert offered("seatrial mission make --ki") == ["--kind"]
+    assert "zigzag" in offered("seatrial mission make --kind ")
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_scripts_of_the_docs_are_there(shell: str) -> None:
+    page = (Path(__file__).parents[1] / "docs/how-to/install.md").read_text(encoding="utf-8")
+    assert f"_SEATRIAL_COMPLETE={shell}_source seatrial" in page
+    code = "import seatrial; seatrial.main()"
+    # click asks bash for its version; where there is no such shell, it only warns.
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"_SEATRIAL_COMPLETE": f"{shell}_source"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0
+    assert "_SEATRIAL_COMPLETE=" in done.stdout

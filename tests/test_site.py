@@ -1,0 +1,111 @@
+"""The site of the docs: it builds without a warning, asks the network for nothing, and its picture is of today."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+# What a browser fetches by itself when it opens a page.
+FETCHES = {"script": "src", "link": "href", "img": "src", "iframe": "src", "source": "src", "video": "src"}
+NO_FETCH = {"canonical", "next", "prev", "edit"}
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The built site; the fixture fails where MkDocs has anything to complain of."""
+    out = tmp_path_factory.mktemp("site")
+    words = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(out)]
+    environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=200, check=False)
+    assert done.returncode == 0, done.stderr
+    assert not done.stderr.strip()
+    return out
+
+
+class Fetched(HTMLParser):
+    """Collects what a page fetches, and where it links."""
+
+    def __init__(self, page: Path) -> None:
+        super().__init__()
+        self.fetched: list[str] = []
+        self.links: list[str] = []
+        self.feed(page.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = dict(attrs)
+        if tag in FETCHES and values.get("rel") not in NO_FETCH:
+            self.fetched.append(values.get(FETCHES[tag]) or "")
+        if tag == "a":
+            self.links.append(values.get("href") or "")
+
+
+def test_no_page_asks_the_network(site: Path) -> None:
+    pages = [page for page in site.rglob("*.html") if page.name != "thesis-figures.html"]
+    assert len(pages) > 40
+    for page in pages:
+        outside = [address for address in Fetched(page).fetched if re.match(r"(https?:)?//", address)]
+        assert not outside, page.relative_to(site)
+
+
+def test_every_page_of_the_docs_is_in_the_navigation(site: Path) -> None:
+    links = {
+        (site / link.partition("#")[0]).resolve() for link in Fetched(site / "index.html").links if "://" not in link
+    }
+    for page in (ROOT / "docs").rglob("*.md"):
+        built = site / page.relative_to(ROOT / "docs").with_suffix(".html")
+        if page.name == "README.md":
+            built = built.with_name("index.html")
+        assert built.is_file(), page.name
+        assert built.resolve() in links, f"{page.name} is not in the navigation"
+
+
+def test_the_page_of_figures_and_the_page_of_tables_are_both_there(site: Path) -> None:
+    assert (site / "thesis-figures.html").read_bytes() == (ROOT / "docs/thesis.html").read_bytes()
+    assert "thesis-figures.html" in Fetched(site / "thesis.html").links
+
+
+@pytest.fixture(scope="module")
+def architecture() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("architecture", ROOT / "docs/site/architecture.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["architecture"] = module  # the named tuples in it look for their module
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_architecture_page_is_drawn_from_the_contracts_of_today(architecture: ModuleType) -> None:
+    advice = "run `python docs/site/architecture.py`"
+    assert architecture.PICTURE.read_text(encoding="utf-8") == architecture.svg(), advice
+    text = architecture.PAGE.read_text(encoding="utf-8")
+    assert text == architecture.page(text), advice
+
+
+def test_arrows_are_what_no_contract_forbids(architecture: ModuleType) -> None:
+    rules = [
+        {"source_modules": ["daq", "mocks"], "forbidden_modules": ["bench", "ident", "seatrial"]},
+        {"source_modules": ["daq"], "forbidden_modules": ["mocks"]},
+        {
+            "source_modules": ["ident"],
+            "forbidden_modules": ["daq"],
+            "ignore_imports": ["ident -> daq.log", "ident.** -> daq.log", "ident.** -> daq.protocol.**"],
+        },
+    ]
+    found = {(arrow.source, arrow.target): arrow.only for arrow in architecture.arrows(rules)}
+    assert found["ident", "daq"] == ("daq.log", "daq.protocol")
+    assert found["seatrial", "daq"] == ()
+    assert found["mocks", "daq"] == ()
+    assert not [pair for pair in found if pair[0] == "daq"]
+    assert ("mocks", "ident") not in found
+    rules = [{"source_modules": ["daq"], "forbidden_modules": ["plotly"], "ignore_imports": ["daq.x.** -> plotly"]}]
+    assert architecture.kept(rules) == [("plotly", ("daq",), ("daq.x",))]

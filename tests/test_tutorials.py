@@ -1,0 +1,116 @@
+"""The tutorials, as they are written: quick commands in every run of the suite, everything in `make study`."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.test_docs import blocks
+
+ROOT = Path(__file__).resolve().parents[1]
+TUTORIALS = ROOT / "docs/tutorials"
+QUICK = ("cp ", "sed ", "seatrial mission make", "seatrial mission show")
+
+
+def lines(title: str) -> list[str]:
+    """Every command line of a tutorial, in order."""
+    return lines_of(blocks(TUTORIALS / f"{title}.md", "sh"))
+
+
+def lines_of(found: list[str]) -> list[str]:
+    return [line for line in "".join(found).replace("\\\n", " ").splitlines() if line]
+
+
+@pytest.fixture
+def environment() -> dict[str, str]:
+    """The reader's shell: `seatrial` and `python` are those of this environment."""
+    home = Path(sys.executable).parent
+    return os.environ | {"PATH": f"{home}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+
+
+def run(line: str, folder: Path, environment: dict[str, str]) -> str:
+    """Run one line in a shell, and return what it printed."""
+    done = subprocess.run(
+        ["sh", "-c", line], cwd=folder, env=environment, capture_output=True, text=True, timeout=900, check=False
+    )
+    assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
+    return done.stdout
+
+
+@pytest.mark.parametrize("title", ["bench-run", "mission"])
+def test_the_quick_commands_run(title: str, tmp_path: Path, environment: dict[str, str]) -> None:
+    quick = [line for line in lines(title) if line.startswith(QUICK)]
+    assert quick
+    for line in quick:
+        run(line, tmp_path, environment)
+    rigs = list(tmp_path.glob("*.toml"))
+    assert any("speed = 4.0" in rig.read_text(encoding="utf-8") for rig in rigs), "the sed of the tutorial does nothing"
+
+
+@contextmanager
+def mock(line: str, folder: Path, environment: dict[str, str]) -> Iterator[None]:
+    """The tutorial's other terminal, from its `ready` to its Ctrl-C."""
+    words = line.split()
+    with subprocess.Popen(words, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            assert process.stdout.readline() == "ready\n"
+            yield
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.wait(30)
+
+
+def follow(every: list[str], folder: Path, environment: dict[str, str]) -> str:
+    """Run every line, with the mock in the background; returns what was printed."""
+    (background,) = [line for line in every if line.startswith("seatrial mock ")]
+    before, after = every[: every.index(background)], every[every.index(background) + 1 :]
+    said = [run(line, folder, environment) for line in before]
+    with mock(background, folder, environment):
+        said += [run(line, folder, environment) for line in after]
+    return " ".join("".join(said).split())
+
+
+@pytest.mark.study
+@pytest.mark.timeout(1800)
+def test_a_reader_reaches_what_the_tutorials_show(tmp_path: Path, environment: dict[str, str]) -> None:
+    """One folder, as the reader has: the mission takes the thrust curve of the bench run."""
+    said = follow(lines("bench-run"), tmp_path, environment)
+    assert re.search(r"The thruster gives \d\d\.\d N ahead and \d\d\.\d N astern", said)
+    truth = json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))["true_parameters"]
+    fitted = json.loads((tmp_path / "thruster/result.json").read_text(encoding="utf-8"))
+    values = {row["name"]: row["value"] for row in fitted["fit"]["parameters"]}
+    assert abs(values["c1"] - truth["c1"]) < 0.5
+    assert abs(values["a"] - truth["pole"]) < 0.3
+    assert 0.0 < values["tau"] - truth["delay"] < 0.04  # the ports are on the way, four times as slow
+    said = follow(lines("mission"), tmp_path, environment)
+    assert "The model lacks an offset of the GNSS antenna" in said
+    sealed = json.loads((tmp_path / "sealed.json").read_text(encoding="utf-8"))
+    assert sealed["effect"] == "lever-arm"
+
+
+@pytest.mark.study
+@pytest.mark.timeout(1800)
+def test_the_way_of_the_readme_leads_to_a_report(tmp_path: Path, environment: dict[str, str]) -> None:
+    """Its ten lines, at a speed that a busy machine keeps up with."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    _, _, section = text.partition("## The whole way, on mocks")
+    page = tmp_path / "way.md"
+    page.write_text(section.partition("## The same on hardware")[0], encoding="utf-8")
+    copy, *others = lines_of(blocks(page, "sh"))
+    slower = "sed -i.bak 's/^speed = 20.0/speed = 5.0/' boat.toml"
+    assert len(others) < 10
+    said = follow([copy, slower, *others], tmp_path, environment)
+    sealed = json.loads((tmp_path / "sealed.json").read_text(encoding="utf-8"))
+    assert sealed["effect"] == "wind"
+    assert "The model lacks steady wind" in said
+    assert (tmp_path / "diagnosis/report.html").is_file()
