@@ -149,6 +149,8 @@ def tell(folder: Path) -> None:
     result = _read_json(folder / ANSWER)
     click.echo()
     click.secho(f"answer: {result.get('answer', 'none')}", bold=True)
+    if result.get("doubt"):
+        click.echo(result["doubt"])
     for line in error_lines(result):
         click.echo(line)
     click.echo(f"report: {folder / 'diagnosis' / 'report.html'}")

@@ -18,6 +18,7 @@ from ident.score import Score
 # What may be left beside a right name: its true form is not exactly ours. In units of 2 ln L after paying for the
 # parameters, absolutely and of all that the effects explain (tests/recovery: leave-one-out against the full catalogue)
 LEFT, LEFT_SHARE = 20.0, 0.03
+MANY = 5  # tests that may still pass, however little each is worth: one small difference shows in a few of them
 CLOSE, CLOSE_SHARE = 10.0, 0.05  # a rival that is no further behind than this is not excluded
 
 
@@ -39,7 +40,8 @@ def judge(
         if one.chosen.unknown:
             found.append(Judgement(one.chosen.effect.name, "unknown", (), tuple(q.effect.name for q in _close(one))))
             continue
-        reasons = [*_left(rest, n), *_tables(chosen, one), *_rivals(one), *_untested(one.chosen.effect, untested)]
+        reasons = [*_left(rest, n), *_many(left), *_tables(chosen, one), *_rivals(one)]
+        reasons += _untested(one.chosen.effect, untested)
         rivals = [q.effect.name for q in _close(one)]
         rivals += [name for name in one.chosen.effect.rivals if name in untested and name not in rivals]
         name = one.chosen.effect.name
@@ -52,6 +54,10 @@ def _left(rest: Sequence[Score], n: int) -> list[str]:
         return []
     best = max(rest, key=lambda s: s.criterion(n))
     return [f"with it the tests still find {_worded(best)}, worth {best.criterion(n):.0f} more in 2 ln L"]
+
+
+def _many(left: Sequence[Score]) -> list[str]:
+    return [f"with it {len(left)} tests still pass, of {_worded(left[0])} first"] if len(left) > MANY else []
 
 
 def _worded(score: Score) -> str:
@@ -79,12 +85,17 @@ def _close(one: Round) -> list[Refit]:
 
 def _rivals(one: Round) -> list[str]:
     assert one.chosen is not None
-    return [
-        f"{q.effect.title} explains nearly as much ({one.chosen.criterion - q.criterion:.0f} less in 2 ln L)"
-        for q in _close(one)[:1]
-    ]
+    return [_compared(q, one.chosen.criterion - q.criterion) for q in _close(one)[:1]]
+
+
+def _compared(rival: Refit, behind: float) -> str:
+    if behind < 0:
+        return (
+            f"{rival.effect.title} explains the fitted data better (by {-behind:.0f} in 2 ln L), "
+            "though not the validation data"
+        )
+    return f"{rival.effect.title} explains nearly as much ({behind:.0f} less in 2 ln L)"
 
 
 def _untested(effect: Effect, untested: Collection[str]) -> list[str]:
     return [f"its rival {name} could not be tested on these data" for name in effect.rivals if name in untested]
-

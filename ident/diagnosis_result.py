@@ -51,6 +51,7 @@ def diagnosis_result(diagnosis: Diagnosis) -> Json:
     return {
         "kind": "diagnosis",
         "answer": answer(diagnosis, judged, roles[-1]),
+        "doubt": doubt(diagnosis),
         "fit": fit_part(diagnosis.after.fit, start),
         **traces(before, after, roles, bool(diagnosis.effects)),
         **_residuals(diagnosis),
@@ -89,17 +90,17 @@ def answer(diagnosis: Diagnosis, judged: dict[str, Any], role: str) -> str:
                 + "."
             )
         return "Nothing is missing: no effect in the catalogue, and no unknown one, is seen in these data."
-    lacks, doubt = what_is_lacking(diagnosis)
+    lacks = what_is_lacking(diagnosis)
     best = most_improved(judged["free_run"])
     if best is None:
-        return f"{lacks}.{doubt}"
+        return f"{lacks}."
     row = judged["free_run"][best]
     degrees = row["unit"].startswith("rad")
     scale = 180 / np.pi if degrees else 1.0
     unit = row["unit"].replace("rad", "deg")
     return (
         f"{lacks}; with it the free-running error on {role} data falls from "
-        f"{said(row['before'] * scale)} to {said(row['after'] * scale)} {unit} ({NAMES.get(best, best)}).{doubt}"
+        f"{said(row['before'] * scale)} to {said(row['after'] * scale)} {unit} ({NAMES.get(best, best)})."
     )
 
 
@@ -110,23 +111,22 @@ def _passed(one: Round) -> str:
     return names[0] if len(names) == 1 else f"{len(names)} candidates"
 
 
-def what_is_lacking(diagnosis: Diagnosis) -> tuple[str, str]:
-    """The beginning of the answer, and what is in doubt about the names: a sentence, or nothing."""
-    by_name = {j.effect: j for j in diagnosis.judgements}
-    sure, near, doubts = [], [], []
-    for r in diagnosis.effects:
-        judged = by_name.get(r.effect.name)
-        if judged is not None and judged.certainty == "resembles":
-            near.append(r.effect.title)
-            doubts += [reason for reason in judged.reasons if reason not in doubts]
-        else:
-            sure.append(r.effect.title)
-    if not near:
-        return f"The model lacks {_listed(sure)}", ""
-    doubt = f" The name is not sure: {doubts[0]}."
+def what_is_lacking(diagnosis: Diagnosis) -> str:
+    """The beginning of the answer."""
+    near = {j.effect for j in diagnosis.judgements if j.certainty == "resembles"}
+    alike = [r.effect.title for r in diagnosis.effects if r.effect.name in near]
+    sure = [r.effect.title for r in diagnosis.effects if r.effect.name not in near]
+    if not alike:
+        return f"The model lacks {_listed(sure)}"
     if not sure:
-        return f"What the model lacks resembles {_listed(near)}", doubt
-    return f"The model lacks {_listed(sure)}, and something that resembles {_listed(near)}", doubt
+        return f"What the model lacks resembles {_listed(alike)}"
+    return f"The model lacks {_listed(sure)}, and something that resembles {_listed(alike)}"
+
+
+def doubt(diagnosis: Diagnosis) -> str | None:
+    """Why a name is not sure, in a sentence; None where all are."""
+    reasons = [reason for j in diagnosis.judgements if j.certainty == "resembles" for reason in j.reasons]
+    return f"The name is not sure: {reasons[0]}." if reasons else None
 
 
 def _listed(titles: Sequence[str]) -> str:

@@ -23,6 +23,8 @@ def print_result(result: Mapping[str, Any], console: Console) -> None:
     """Print the answer, the parameters, the ranked candidates, and the error before and after."""
     console.print()
     console.print(Padding(Text(text(result, "answer"), style="bold"), (0, 1)))
+    if text(result, "doubt"):
+        console.print(Padding(Text(text(result, "doubt"), style="yellow"), (0, 1)))
     for table in (_parameters(result), _noise(result), _outages(result), _candidates(result), _errors(result)):
         if table is not None:
             console.print()

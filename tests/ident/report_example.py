@@ -254,6 +254,7 @@ def diagnosis() -> dict[str, Any]:
     result["shapes"] = [{**shape, "value": listed(2 - 5 * grid**2), "sd": listed(0.4 + 0.6 * (grid - 0.6) ** 2)}]
     result["before_after"] = {"validation": errors(rng, 1.0), "estimation": errors(rng, 0.9)}
     result["calibration"] = calibration()
+    result["doubt"] = None
     result["next_experiment"] = "Full astern while still moving ahead: it tells advance-ratio from cubic-drag."
     result["notes"] = ["Sway damping rests on its prior in part.", "GNSS was lost for 12 s in each record."]
     return result

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from io import StringIO
+from pathlib import Path
 from typing import Any, cast
 
 import pytest
+from rich.console import Console
 
-from ident.adequacy import LEFT, judge
+from ident.adequacy import LEFT, MANY, judge
 from ident.findings import Judgement, Refit, Round
 from ident.model import Effect
+from ident.report import print_result, write_report
 from ident.score import Score
+from tests.ident.report_example import diagnosis
 
 N = 4000  # rows
 
@@ -52,6 +57,14 @@ def test_a_little_is_a_share_of_what_was_explained() -> None:
     assert (strong.certainty, weak.certainty) == ("named", "resembles")
 
 
+@pytest.mark.parametrize(("n_left", "certainty"), [(MANY, "named"), (MANY + 1, "resembles")])
+def test_many_small_rests_are_a_rest(n_left: int, certainty: str) -> None:
+    """A lag in the place of a delay: no test finds much, but a great many find something."""
+    left = tuple(score(f"candidate-{k}", 3.0) for k in range(n_left))
+    (found,) = of(one_round(refit("lag", 4000.0)), left=left)
+    assert found.certainty == certainty
+
+
 def test_a_table_beside_a_name_puts_the_name_in_doubt() -> None:
     wind, table = of(one_round(refit("heading-moment", 700.0)), one_round(refit("unknown Y(psi)", 1000.0)))
     assert (wind.certainty, table.certainty) == ("resembles", "unknown")
@@ -71,6 +84,12 @@ def test_a_rival_that_comes_close_is_listed() -> None:
     assert found.reasons == ("filter lag explains nearly as much (5 less in 2 ln L)",)
 
 
+def test_a_rival_that_only_fits_better_is_said_so() -> None:
+    (found,) = of(one_round(refit("pendulum", 400.0), refit("compass", 439.0, t=1.0)))
+    said = "compass explains the fitted data better (by 39 in 2 ln L), though not the validation data"
+    assert found.reasons == (said,)
+
+
 def test_a_rival_that_could_not_be_tested_is_not_excluded() -> None:
     sag = refit("current-drift", 200.0, rivals=("wind", "battery-sag"))
     (found,) = of(one_round(sag), untested=("battery-sag",))
@@ -80,3 +99,17 @@ def test_a_rival_that_could_not_be_tested_is_not_excluded() -> None:
 def test_two_effects_of_which_nothing_is_left_are_both_sure() -> None:
     assert [j.certainty for j in of(one_round(refit("lever-arm", 9000.0)), one_round(refit("yaw-bias", 120.0)))] == [
         "named", "named"]
+
+
+def test_a_doubt_stands_under_the_answer(tmp_path: Path) -> None:
+    result = diagnosis()
+    result["doubt"] = "The name is not sure: a lag explains nearly as much."
+    result["effects"][0] |= {"certainty": "resembles", "reasons": ["a lag explains nearly as much"],
+                             "not_excluded": ["lag"]}
+    write_report(result, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert page.count("The name is not sure: a lag explains nearly as much.") == 1
+    assert "it resembles this; a lag explains nearly as much; not excluded: lag" in page
+    console = Console(width=80, record=True, file=StringIO())
+    print_result(result, console)
+    assert "The name is not sure: a lag explains nearly as much." in console.export_text()

@@ -17,7 +17,7 @@ KEY_PARAMETERS = 9
 def section(canvas: Canvas) -> Section:
     """Without a title: it follows the answer itself."""
     result = canvas.result
-    blocks: list[Any] = []
+    blocks: list[Any] = [Prose(text(result, "doubt"), "callout")] if text(result, "doubt") else []
     if rows(result, "effects") or rows(result, "rounds"):
         blocks += headline(result) + [effect_card(effect) for effect in rows(result, "effects")]
     else:
@@ -70,6 +70,13 @@ def _dumbbell(name: str, row: Row, ratio: float, scale: float) -> Dumbbell:
     )
 
 
+def _behind(criterion: float) -> str:
+    """A rival may be ahead on the fitted data and yet not hold on the others."""
+    if criterion < 0:
+        return f"{wording.plain(-criterion)} ahead, but not on the validation data"
+    return f"{wording.plain(criterion)} behind"
+
+
 def effect_card(effect: Row) -> EffectCard:
     """Formula, parameters with standard errors, source, and the experiment that shows it."""
     parameters = []
@@ -82,7 +89,7 @@ def effect_card(effect: Row) -> EffectCard:
         + (
             ""
             if number(row, "criterion_behind") is None
-            else f" ({wording.plain(number(row, 'criterion_behind'))} behind)"
+            else f" ({_behind(number(row, 'criterion_behind') or 0.0)})"
         )
         for row in rows(effect, "rivals")
     ]
