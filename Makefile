@@ -72,6 +72,8 @@ study: .venv/ready
 	@$(BIN)/python -m pytest -q -m study
 	@$(BIN)/python -m tests.recovery.study $(SEED_OPTION) --docs
 	@$(BIN)/python -m tests.bench.fault_trials --n $(or $(N),20) $(SEED_OPTION)
+	@$(BIN)/python -m tests.bench.check_study --each 10 $(SEED_OPTION)
+	@$(BIN)/python -m tests.bench.check_study --each 10 --actuators $(SEED_OPTION)
 
 docs: .venv/ready
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict

@@ -37,7 +37,7 @@ COMMANDS = {
     "demo": Row("bench.demo:demo", "The whole loop on mock devices, to a report."),
     "devices": Row("daq.cli_ports:devices", "Find ports and recognise what speaks there."),
     "log": Row("daq.live:log", "Acquire until Ctrl-C, with a live table."),
-    "check": Row("bench.cli:check", "Preflight: devices, rates, clocks, signs, limits."),
+    "check": Row("bench.check_cli:check", "Preflight of a rig, or the same questions to a log."),
     "bench": Row("bench.cli:bench", "Characterise thrusters: static, steps, chirp, all."),
     "mission": Row("bench.cli:mission", "Design, make, show and run missions."),
     "import": Row("daq.cli:import_", "Turn foreign logs into MCAP."),

@@ -13,7 +13,7 @@ STAIRS, STAIR_S = 6, 0.8  # levels up to the test's, s each: where the shaft beg
 
 
 def actuator_plan(rig: Rig, n: float = N_TEST) -> Mission:
-    """Ahead, astern and a staircase for each thruster of the rig, then all together. Raises SeatrialError without any."""
+    """Ahead, astern and a staircase for each thruster, then all together. Raises SeatrialError where there is none."""
     if not rig.thrusters:
         raise SeatrialError(f"{rig.path}: --actuators needs a [[thruster]], and the rig has none")
     n = min(n, rig.limits.n_max)

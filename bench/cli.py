@@ -1,4 +1,4 @@
-"""The commands `seatrial bench`, `seatrial mission` and `seatrial check`."""
+"""The commands `seatrial bench` and `seatrial mission`."""
 
 from __future__ import annotations
 
@@ -128,20 +128,3 @@ def make(
         plan = replace(plan, slew_per_s=slew, made_by=f"{plan.made_by} --slew {slew:g}")
     save_mission(plan, out)
     click.echo(f"{out}: {plan.name}, {len(plan.segments)} segments, {plan.end:g} s")
-
-
-@click.command(epilog="Example: seatrial check boat-rig.toml")
-@click.argument("rig_path", metavar="RIG", type=FILE)
-@click.option("--seconds", type=click.FloatRange(0.5, 600.0), default=3.0, show_default=True, help="Wall seconds.")
-def check(rig_path: Path, seconds: float) -> None:
-    """Listen to every device of the rig: alive, at its rate, understood? Nothing moves."""
-    from bench.check import check_rig
-
-    rig = load_rig(rig_path)
-    found = check_rig(rig, seconds)
-    for row in found:
-        word = "bad " if row.problem else "good"
-        click.echo(f"{word}  {row.device.name:<12} {row.rate_hz:7.1f} Hz  {row.problem or row.device.port}")
-    bad = [row.device.name for row in found if row.problem]
-    if bad:
-        raise SeatrialError(f"{rig.path}: {', '.join(bad)} not as the rig says (see the lines above)")

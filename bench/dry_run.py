@@ -40,7 +40,9 @@ def _fence(mission: Mission, rig: Rig, radius: float) -> Finding:
         by = f"the design, by model {p.model}"
     elif missing := [name for name in NEEDED if name not in rig.vehicle]:
         text = f"its way is not predicted: [vehicle] of the rig has no {', '.join(missing)}"
-        return Finding(WARNING, "fence", mission.name, text, "a model's c1 (N at full speed) there, or a designed mission")
+        return Finding(
+            WARNING, "fence", mission.name, text, "a model's c1 (N at full speed) there, or a designed mission"
+        )
     else:
         t, x, y = track(mission, rig)
         far, by = np.hypot(x, y), "the rig's nominal vehicle in still water"
@@ -48,7 +50,9 @@ def _fence(mission: Mission, rig: Rig, radius: float) -> Finding:
     text = f"up to {far[k]:.0f} m from the start by {by}, fence {radius:g} m"
     if far[k] > radius:
         left = float(t[int(np.flatnonzero(far > radius)[0])])
-        return Finding(FAULT, "fence", mission.name, f"{text}, left after {left:.0f} s", "shorter, slower, or more room")
+        return Finding(
+            FAULT, "fence", mission.name, f"{text}, left after {left:.0f} s", "shorter, slower, or more room"
+        )
     if far[k] > CLOSE * radius:
         return Finding(WARNING, "fence", mission.name, text, "wind and current add to it")
     return Finding(OK, "fence", mission.name, text)
@@ -66,7 +70,8 @@ def track(mission: Mission, rig: Rig) -> tuple[FloatArray, FloatArray, FloatArra
     n = n_cmd[np.clip(np.searchsorted(t_cmd, t, side="right") - 1, 0, None)] * (t >= t_cmd[0])[:, None]
     f = p["c1"] * n * np.abs(n) + p["c2"] * n * n
     forces, moments = f.sum(axis=1).tolist(), (-f @ np.array(places)).tolist()
-    state, rows = (0.0,) * 6, []
+    state: tuple[float, ...] = (0.0,) * 6
+    rows = []
     for push, moment in zip(forces, moments, strict=True):
         rows.append(state[:2])
         state = _step(state, push, moment, p)

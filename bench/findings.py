@@ -42,4 +42,9 @@ def lines(findings: Sequence[Finding]) -> list[str]:
 def summary(findings: Sequence[Finding]) -> str:
     """How many of each."""
     count = {level: sum(f.level == level for f in findings) for level in (FAULT, WARNING, OK)}
-    return f"{count[FAULT]} faults, {count[WARNING]} warnings, {count[OK]} in order"
+    return f"{counted(count[FAULT], 'fault')}, {counted(count[WARNING], 'warning')}, {count[OK]} in order"
+
+
+def counted(number: int, word: str) -> str:
+    """1 fault, 2 faults."""
+    return f"{number} {word}{'' if number == 1 else 's'}"

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from ident.check_cli import check
 from ident.cli_common import (
     LOG,
     command_line,
@@ -26,6 +27,7 @@ def ident() -> None:
     """Fit models to logs, and find what they lack."""
 
 
+ident.add_command(check)
 ident.add_command(navigate)
 ident.add_command(export)
 
@@ -161,7 +163,12 @@ def thruster(
 @validate_option
 @click.option("--effects", "effects_file", type=LOG, help="FILE.py with EFFECT or EFFECTS: candidates of your own.")
 @click.option("--max-effects", type=click.IntRange(1, 6), default=3, show_default=True, help="Stop after so many.")
-@click.option("--thruster", "name", help="Where MODEL is a thruster's and the logs have several: its name in the rig.")
+@click.option(
+    "--thruster",
+    metavar="CURVE|NAME",
+    help="The static curve (model.toml) that the boat's MODEL was fitted with; where MODEL is a thruster's and the "
+    "logs have several, its name in the rig.",
+)
 @robust_option
 @click.option(
     "--rate",
@@ -175,7 +182,7 @@ def diagnose(
     validate: tuple[Path, ...],
     effects_file: Path | None,
     max_effects: int,
-    name: str | None,
+    thruster: str | None,
     robust: bool,
     rate: float | None,
     out: Path,
@@ -187,6 +194,7 @@ def diagnose(
     \b
     Example:
       seatrial ident diagnose vehicle/model.toml estimation.mcap --validate validation.mcap --out diagnosis
+      seatrial ident diagnose vehicle/model.toml one.mcap --thruster curve/model.toml --validate two.mcap
       seatrial ident diagnose thruster/model.toml bench1.mcap --validate bench2.mcap --out diagnosis
     """
     from ident import jobs
@@ -200,7 +208,7 @@ def diagnose(
             rate=rate,
             max_effects=max_effects,
             effects_file=effects_file,
-            thruster=name,
+            thruster=thruster,
             robust=robust,
             command=command_line(),
             say=say,

@@ -11,11 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from daq.samples import Command, Esc
 from mocks.bench_plant import Bench, BenchPlant
+from mocks.faults import Faults
 from mocks.plant import Boat, BoatPlant
 from mocks.sensors import CellSpec
 from mocks.world import EscSpec, Gear, Reading, World, bench_world, boat_world
 
-BOAT = Gear({"ahrs": 50.0}, {"gnss": 5.0}, (), (EscSpec("esc", 1, 25.0), EscSpec("esc", 2, 25.0)))
+BOAT = Gear(
+    {"ahrs": 50.0},
+    {"gnss": 5.0},
+    (),
+    tuple(EscSpec("esc", k, 25.0, name=side) for k, side in ((1, "left"), (2, "right"))),
+)
 BENCH = Gear({}, {}, (CellSpec("loadcell", 80.0),), (EscSpec("esc", 1, 50.0),))
 TRUTH_HZ = 10.0
 
@@ -38,18 +44,21 @@ def simulate(
     *,
     utc: float = 0.0,
     disturbed: bool = True,
+    gear: Gear = BOAT,
+    faults: Faults | None = None,
 ) -> Recording:
     """Run a boat through commands ``t`` (k,) s, ``n`` (k, 2) left and right, for ``duration`` s.
 
     A command holds until the next. ``run`` names the noise: the same boat with another run is a second mission.
-    ``utc`` is the GNSS time at the start. Raises ValueError for commands of the wrong shape.
+    ``utc`` is the GNSS time at the start; ``gear`` what is on board and how it is wired; ``faults`` (mocks.faults) what
+    goes wrong of devices and controllers. Raises ValueError for commands of the wrong shape.
     """
-    world = boat_world(boat, run, BOAT, utc=utc, disturbed=disturbed)
+    world = boat_world(boat, run, gear, utc=utc, disturbed=disturbed)
     plant = world.plant
     assert isinstance(plant, BoatPlant)
     left, right = plant.shafts
     names = ("t", "x", "y", "psi", "u", "v", "r", "n_left", "n_right")
-    readings, rows = _run(world, t, n, duration, lambda: (world.t, *plant.state[:6], left.n, right.n))
+    readings, rows = _run(world, t, n, duration, lambda: (world.t, *plant.state[:6], left.n, right.n), faults)
     return Recording(readings, _columns(names, rows))
 
 
@@ -65,7 +74,12 @@ def simulate_bench(
 
 
 def _run(
-    world: World, t: ArrayLike, n: ArrayLike, duration: float, truth: Callable[[], tuple[float, ...]]
+    world: World,
+    t: ArrayLike,
+    n: ArrayLike,
+    duration: float,
+    truth: Callable[[], tuple[float, ...]],
+    faults: Faults | None = None,
 ) -> tuple[list[Reading], list[tuple[float, ...]]]:
     """Step the world through the commands; the readings and the rows of truth."""
     schedule = _schedule(t, n, len(world.controllers))
@@ -75,18 +89,31 @@ def _run(
     rows = []
     position = 0
     for k in range(round(duration / step) + 1):
+        if faults is not None:
+            _kill(world, faults)
         while position < len(schedule) and schedule[position][0] < (k + 1) * step:
             t_cmd, row = schedule[position]
             position += 1
             for controller, value in zip(world.controllers, row, strict=True):
                 controller.command(t_cmd, value)
                 readings.append(Reading(controller.spec.device, Command(controller.spec.node, value), t_cmd))
-        readings += world.readings()
+        readings += world.readings() if faults is None else _spoilt(world.readings(), faults)
         if k % every == 0:
             rows.append(truth())
         world.advance()
     readings.sort(key=lambda reading: reading.t)
     return readings, rows
+
+
+def _kill(world: World, faults: Faults) -> None:
+    for controller in world.controllers:
+        if not controller.dead and faults.active("esc-dead", controller.spec.name, world.t):
+            controller.die(world.t)
+
+
+def _spoilt(readings: Sequence[Reading], faults: Faults) -> list[Reading]:
+    told = [(r, faults.reading(r.device, r.sample, r.t)) for r in readings]
+    return [Reading(r.device, sample, r.t) for r, sample in told if sample is not None]
 
 
 def _schedule(t: ArrayLike, n: ArrayLike, thrusters: int) -> list[tuple[float, list[float]]]:

@@ -12,6 +12,7 @@ import pytest
 
 # Real ports with deadlines of some milliseconds: two of these at a time would only measure each other.
 PORTS = (
+    "tests/bench/test_check_live.py",
     "tests/bench/test_course.py",
     "tests/bench/test_fault_trials.py",
     "tests/bench/test_mavlink.py",

@@ -1,0 +1,199 @@
+"""Does the boat go where its thrusters push? Plain regressions on a log, no model but first-order lags.
+
+Yaw rate and speed ahead are regressed on each thruster's push passed through a first-order lag, whose time constant
+is searched. A boat that an autopilot steers oscillates: a free delay would let a push explain the turn before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from ident.check_sensors import Channels, Finding
+from ident.dataset import Channel, block_mean
+
+Array = NDArray[np.float64]
+RATE = 10.0  # Hz
+YAW_LAGS, SURGE_LAGS = (0.3, 0.6, 1.0, 1.7, 3.0), (1.0, 2.0, 4.0, 8.0)  # s
+LEAST_S = 15.0  # of a log
+CLEAR = 4.5  # t statistic from which an effect has a sign
+NONE = 0.4  # of the strongest thruster's effect: one that is surely less, and has no sign, is none
+OWN = 0.1  # part of a thruster's variation that the others do not share, from which it is judged by itself
+
+
+class Effect(NamedTuple):
+    """Effect of each thruster's push on one motion and its t statistics; t is 0 where it cannot be told apart."""
+
+    size: Array
+    t: Array
+
+
+class Pushes(NamedTuple):
+    """Effects on yaw rate and on speed ahead, and the t statistic of the turning moment as a whole on yaw."""
+
+    names: tuple[str, ...]
+    yaw: Effect
+    surge: Effect
+    moment_t: float
+
+
+def motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] = ()) -> Iterator[Finding]:
+    """Whether the boat moves as its thrusters push; ``sides``: thruster -> position to starboard [m].
+
+    Nothing more is said of thrusters that are known to be ``dead``.
+    """
+    found = pushes(c, sides)
+    if found is None:
+        return
+    side = _side(sides, found.names)
+    yaw = np.where(np.abs(found.yaw.t) > CLEAR, np.sign(found.yaw.size) * side, 0.0)
+    surge = np.where(np.abs(found.surge.t) > CLEAR, np.sign(found.surge.size), 0.0)
+    faults = [f for f in _verdict(found, yaw, surge) if f.where not in dead]
+    yield from faults
+    if not faults and not dead and ((yaw > 0).any() or found.moment_t > CLEAR):
+        yield Finding("ok", "sides", " and ".join(found.names), "the boat turns as they push")
+
+
+def _side(sides: Mapping[str, float], names: Sequence[str]) -> Array:
+    """+1 for a thruster on the left, whose push turns the bow to starboard, -1 on the right, 0 in the middle."""
+    return np.array([-np.sign(sides[n]) if abs(sides[n]) > 0.02 else 0.0 for n in names])
+
+
+def _verdict(found: Pushes, yaw: Array, surge: Array) -> Iterator[Finding]:
+    # One that pushes ahead as it should and turns the boat the wrong way is on the other side.
+    against = (yaw < 0).any() if (yaw != 0).any() else found.moment_t < -CLEAR
+    if against and not (yaw > 0).any() and not (surge < 0).any():
+        yield Finding(
+            "fault", "sides", " and ".join(found.names),
+            "left and right are swapped: the boat turns against its thrust difference",
+            "exchange the nodes in the rig or the plugs; else the sign of one thruster or of the yaw rate",
+        )  # fmt: skip
+        return
+    most = np.minimum(_most(found.yaw), _most(found.surge))
+    for k, name in enumerate(found.names):
+        if surge[k] < 0 or (yaw[k] < 0 and not surge[k] > 0):
+            yield Finding(
+                "fault", "sign", name, "it pushes astern when it is told ahead",
+                "`reversed` of the rig, two of the motor's phases, or a propeller of the other hand",
+            )  # fmt: skip
+        elif most[k] < NONE and not (yaw[k] > 0 or surge[k] > 0):
+            yield Finding(
+                "fault", "dead", name, "the boat does not feel it: no thrust in yaw or surge",
+                "propeller lost or fouled, or the shaft does not turn",
+            )  # fmt: skip
+
+
+def _most(effect: Effect) -> Array:
+    """Upper bound (two standard errors) of each effect as a part of the largest; 1 where nothing can be said."""
+    clear = np.abs(effect.t) > 1.5 * CLEAR
+    if not clear.any():
+        return np.ones(effect.size.size)
+    size = np.abs(effect.size)
+    bound = size + 2.0 * size / np.maximum(np.abs(effect.t), 1e-12)
+    return np.where(effect.t != 0, bound / size[clear].max(), 1.0)
+
+
+def pushes(c: Channels, sides: Mapping[str, float]) -> Pushes | None:
+    """Regressions of yaw rate and speed ahead on each thruster's push; None without push or yaw rate."""
+    forces = {n: s for n in sides if (s := _push(c, n)) is not None}
+    if not forces or "r" not in c:
+        return None
+    used = [*forces.values(), c["r"]]
+    start, end = max(s.t[0] for s in used), min(s.t[-1] for s in used)
+    edges = np.arange(start, end, 1.0 / RATE)
+    if edges.size < LEAST_S * RATE:
+        return None
+    t = edges[:-1] + 0.5 / RATE
+    f = np.column_stack([np.interp(t, s.t, s.value) for s in forces.values()])
+    names = tuple(forces)
+    side = _side(sides, names)
+    r = _filled(t, block_mean(c["r"], edges)[0])
+    moment = _effect(r, (f @ side)[:, None], [], YAW_LAGS).t[0] if side.any() else 0.0
+    return Pushes(names, _effect(r, f, [], YAW_LAGS), _surge(c, t, edges, f), float(moment))
+
+
+def _surge(c: Channels, t: Array, edges: Array, f: Array) -> Effect:
+    """On speed ahead over ground, or on the accelerometer where that says more."""
+    found = Effect(np.zeros(f.shape[1]), np.zeros(f.shape[1]))
+    drift = []
+    if "psi" in c:  # a current shows in the speed over ground, ahead on one heading and astern on the other
+        psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value))
+        drift = [np.cos(psi), np.sin(psi)]
+    if (u := _ahead(c, t)) is not None:
+        found = _effect(u, f, drift, SURGE_LAGS)
+    if "ax" in c and np.abs(found.t).max() < 2 * CLEAR:
+        ax = _filled(t, block_mean(c["ax"], edges)[0])
+        other = _effect(ax, f, [], SURGE_LAGS, washed=True)
+        if np.abs(other.t).sum() > np.abs(found.t).sum():
+            return other
+    return found
+
+
+def _push(c: Channels, name: str) -> Channel | None:
+    if f"f_{name}" in c:
+        return c[f"f_{name}"]
+    shaft, told = c.get(f"n_{name}"), c.get(f"n_cmd_{name}")
+    if shaft is None or (told is not None and shaft.t[-1] < told.t[-1] - 3.0):
+        shaft = told  # without telemetry, or with one that ended
+    if shaft is None:
+        return None
+    return Channel(shaft.t, shaft.value * np.abs(shaft.value))
+
+
+def _ahead(c: Channels, t: Array) -> Array | None:
+    """Speed ahead [m/s] at the times t, over ground."""
+    if "u" in c:
+        return np.interp(t, c["u"].t, c["u"].value)
+    if {"vx", "vy", "psi"} <= set(c):
+        psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value))
+        vx, vy = (np.interp(t, c[n].t, c[n].value) for n in ("vx", "vy"))
+        return np.asarray(np.cos(psi) * vx + np.sin(psi) * vy)
+    return None
+
+
+def _filled(t: Array, values: Array) -> Array:
+    good = np.isfinite(values)
+    return np.interp(t, t[good], values[good])
+
+
+def _effect(y: Array, f: Array, others: Sequence[Array], lags: Sequence[float], *, washed: bool = False) -> Effect:
+    """Factors of the lagged columns of f in y (with ``washed`` of what the lag leaves over), at the lag that fits best.
+
+    Neighbouring samples are not independent: one in two time constants counts.
+    """
+    free = _own_part(f)
+    columns = np.flatnonzero(free > OWN)
+    size, t = np.zeros(f.shape[1]), np.zeros(f.shape[1])
+    if not columns.size:
+        return Effect(size, t)
+    best = np.inf
+    for lag in lags:
+        keep = np.exp(-1.0 / RATE / lag)
+        past = lfilter([0.0, 1.0 - keep], [1.0, -keep], f, axis=0)
+        X = np.column_stack([f - past if washed else past, *others, np.ones(y.size)])
+        beta, *_ = np.linalg.lstsq(X, y, rcond=None)
+        e = y - X @ beta
+        error = float(e @ e) / y.size
+        if error < best:
+            best, count = error, max(y.size / RATE / (2.0 * lag) - X.shape[1], 1.0)
+            spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(X.T @ X / y.size)) * error / count, 1e-300))
+            size[columns] = beta[columns]
+            t[columns] = beta[columns] / spread[columns]
+    return Effect(size, t)
+
+
+def _own_part(f: Array) -> Array:
+    """Part of each column's spread that the others do not share; 0 for one that does not vary."""
+    centred = f - f.mean(axis=0)
+    spread = centred.std(axis=0)
+    found = np.zeros(f.shape[1])
+    for k in np.flatnonzero(spread > 1e-9):
+        rest = np.delete(centred, k, axis=1)
+        column = centred[:, k]
+        shared = rest @ np.linalg.lstsq(rest, column, rcond=None)[0] if rest.size else np.zeros_like(column)
+        found[k] = (column - shared).std() / spread[k]
+    return found

@@ -1,0 +1,92 @@
+"""Logs of mock boats with one fault each, and healthy ones: what a preflight has to find, and has to leave alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from bench.actuator_test import actuator_plan
+from bench.check_devices import check_devices
+from bench.findings import Finding, from_dict
+from bench.mission import Mission
+from bench.plans import make_mission
+from daq.log import open_log
+from ident.check_log import as_dicts
+from mocks.faults import Faults, parse_fault
+from mocks.noise import FAULT, stream
+from mocks.offline import BOAT, Recording, simulate
+from mocks.plant import draw_boat
+from mocks.thruster import ThrusterTruth
+from tests.missions import rig_of, write_log
+
+SECONDS = 120.0
+DEVICES, THRUSTERS = ("ahrs", "gnss", "esc"), ("left", "right")
+
+
+class Case(NamedTuple):
+    """A fault: how the mocks make it, and the words of the finding that names it (check, where)."""
+
+    name: str
+    check: str
+    where: str
+    fault: str = ""  # for mocks.faults
+    thruster: ThrusterTruth | None = None
+    swapped: bool = False
+    reversed: bool = False
+
+
+CASES = (
+    Case("swapped sides", "sides", "left and right", swapped=True),
+    Case("reversed sign", "sign", "left", reversed=True),
+    Case("dead thruster", "dead", "right", "esc-dead/right@20"),
+    Case("stuck sensor", "stuck", "ahrs", "stuck/ahrs@25:5"),
+    Case("wrong rate", "rate", "gnss", "slow/gnss@0"),
+    Case("late sensor", "late", "gnss", "late/gnss@0"),
+    Case("wrong units", "units", "ahrs", "degrees/ahrs@0"),
+    Case("dead zone", "dead band", "left", thruster=ThrusterTruth(dead_zone=0.25)),
+    Case("delay", "delay", "left", thruster=ThrusterTruth(delay=1.0)),
+    Case("noisy AHRS", "noise", "ahrs", "noisy/ahrs@0"),
+)
+
+
+def mission(seed: int, actuators: bool = False) -> Mission:
+    """The mission of a seed, or the actuator test of the packaged boat."""
+    return actuator_plan(rig_of("boat")) if actuators else make_mission("mixed", SECONDS, seed)
+
+
+def sailed(seed: int, case: Case | None = None, actuators: bool = False) -> Recording:
+    """The mission of a seed by the boat of that seed, with a fault or none."""
+    plan, boat = mission(seed, actuators), draw_boat(seed, (), case.thruster if case else None)
+    t, n = plan.setpoints()
+    gear, faults = BOAT, None
+    if case is not None and case.swapped:  # each plug in the other one's socket
+        gear, n = replace(BOAT, escs=tuple(reversed(BOAT.escs))), n[:, ::-1]
+    if case is not None and case.reversed:
+        left, right = BOAT.escs
+        gear = replace(BOAT, escs=(replace(left, reversed=True), right))
+    if case is not None and case.fault:
+        faults = Faults([parse_fault(case.fault, DEVICES, THRUSTERS)], stream(seed, FAULT))
+    return simulate(boat, t, n, plan.end, seed, gear=gear, faults=faults)
+
+
+def logged(path: Path, seed: int, case: Case | None = None, actuators: bool = False) -> Path:
+    """The same as a log of the packaged rig."""
+    return write_log(path, "boat", sailed(seed, case, actuators).readings, mission(seed, actuators))
+
+
+def findings(path: Path) -> list[Finding]:
+    """What `seatrial check LOG` tells."""
+    with open_log(path) as log:
+        of_devices = list(check_devices(log))
+    return [*of_devices, *(from_dict(values) for values in as_dicts(path))]
+
+
+def named(case: Case, found: list[Finding]) -> bool:
+    """Whether a fault of that name at that place is among them."""
+    return any(f.level == "fault" and f.check == case.check and case.where in f.where for f in found)
+
+
+def alarms(found: list[Finding]) -> list[Finding]:
+    """Everything that is not in order."""
+    return [f for f in found if f.level != "ok"]

@@ -1,0 +1,84 @@
+"""`seatrial check LOG` on measured data: the faults that are in them, and none that is not."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+import seatrial
+from bench.findings import Finding
+from tests.bench.check_cases import findings
+
+pytestmark = [pytest.mark.measured]
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "docs/examples"
+
+
+def data(name: str) -> Path:
+    """The folder of a data set, or a skip that says why."""
+    where = os.environ.get("SEATRIAL_DATA")
+    if not where:
+        pytest.skip("SEATRIAL_DATA does not say where the measured data sets are")
+    if not Path(where, name).is_dir():
+        pytest.skip(f"SEATRIAL_DATA has no {name}")
+    return Path(where, name)
+
+
+def run(*words: str) -> None:
+    with pytest.raises(SystemExit) as left:
+        seatrial.main(words)
+    assert left.value.code == 0, words
+
+
+def test_the_swapped_sides_of_the_blueboat(tmp_path: Path) -> None:
+    files = sorted(data("blueboat").glob("fixed_*.csv"))
+    run("import", "csv", str(EXAMPLES / "blueboat/blueboat.toml"), *map(str, files), "--out-dir", str(tmp_path))
+    swapped = {}
+    for path in sorted(tmp_path.glob("*.mcap")):
+        of_sides = [f for f in findings(path) if f.check == "sides"]
+        swapped[path.stem] = [f.level for f in of_sides]
+    # Not every run turns enough to say; those that do agree.
+    assert sum(levels == ["fault"] for levels in swapped.values()) >= 6, swapped
+    assert not [name for name, levels in swapped.items() if levels == ["ok"]], swapped
+
+
+def ferry(tmp_path: Path, thruster: int, **changes: str) -> list[Finding]:
+    """The findings of a thruster's log, imported by the example's map with some of its lines changed."""
+    folder = data("milliampere") / "thruster_data_test"
+    text = (EXAMPLES / f"milliampere/thruster{thruster}.toml").read_text(encoding="utf-8")
+    lines = text.splitlines()
+    for begin, line in changes.items():
+        lines = [line if old.startswith(begin) else old for old in lines]
+    path = tmp_path / "map.toml"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    files = [str(folder / f"{name}_{thruster}.csv") for name in ("actuator_ref", "motor_state")]
+    run("import", "csv", str(path), *files, "-o", str(tmp_path / "log.mcap"))
+    return findings(tmp_path / "log.mcap")
+
+
+@pytest.mark.parametrize("thruster", [3, 4])
+def test_the_ferrys_delay_limit_and_drop_outs(tmp_path: Path, thruster: int) -> None:
+    found = {(f.check, f.where): f for f in reversed(ferry(tmp_path, thruster, csv="", missing=""))}
+    delay = found["delay", "pod"]
+    assert delay.level == "fault"
+    assert 1.5 < float(delay.text.split("shows ")[1].split()[0]) < 3.0
+    assert "beyond 0.75" in found["limit", "pod"].text
+    assert found["drop-out", "pod"].level == "warning"
+    assert "put right by the import's map" in found["time", "log.mcap"].text
+    # The smallest command that was tried, 0.1, is followed: there is nothing to find (docs/examples/milliampere).
+    assert ("dead band", "pod") not in found
+
+
+@pytest.mark.parametrize("thruster", [3, 4])
+def test_the_ferrys_broken_time_stamps(tmp_path: Path, thruster: int) -> None:
+    # As somebody maps them who has not noticed: a decimal fraction, and what runs back left out.
+    time = 'time = { column = "time", format = "%Y/%m/%d %H:%M:%S", fraction = "decimal" }'
+    found = ferry(tmp_path, thruster, time=time, csv='csv = { time_order = "drop" }', missing="")
+    (stamps,) = [f for f in found if f.check == "time" and f.where == "n_pod"]
+    assert stamps.level == "fault"
+    assert "leading zeros were lost" in stamps.text
+    assert "unpadded-ns" in stamps.advice
+    (rows,) = [f for f in found if f.check == "time" and f.where.startswith("motor_state")]
+    assert int(rows.text.split()[0]) > 2000
