@@ -6,8 +6,18 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from daq.errors import SeatrialError
-from ident.curve_file import ThrustCurve, thrust_channels, total
+from ident.curve_file import ThrustCurve, load_curve, thrust_channels, total
 from ident.dataset import Channel
+
+CURVE_INPUTS = ("f_left", "f_right", "X", "X_n")  # what a static curve makes of commands
+
+
+def known_curve(thruster: Path | None) -> ThrustCurve | None:
+    """The static curve of a file. Raises SeatrialError where it holds something else."""
+    curve = load_curve(thruster) if thruster is not None else None
+    if thruster is not None and curve is None:
+        raise SeatrialError(f"{thruster}: holds no static curve; a model on shaft speeds has its thrust in itself")
+    return curve
 
 
 def complete(
@@ -24,7 +34,7 @@ def complete(
             found |= thrust_channels(channels, curve)
         except ValueError as problem:
             raise SeatrialError(f"{path}: {problem}; the log has {', '.join(sorted(channels))}") from problem
-        held |= dict.fromkeys(("f_left", "f_right", "X", "X_n"), "zero")
+        held |= dict.fromkeys(CURVE_INPUTS, "zero")
     if "X" not in found and {"f_left", "f_right"} <= set(found):
         found["X"] = total(found["f_left"], found["f_right"])
         held["X"] = "zero"

@@ -17,7 +17,7 @@ from ident.diagnose import diagnose, spans
 from ident.diagnosis_result import diagnosis_result
 from ident.effects import catalogue
 from ident.fit import Fit
-from ident.job_inputs import complete
+from ident.job_inputs import CURVE_INPUTS, complete, known_curve
 from ident.judged import Judged, calibration_notes, judged_alone
 from ident.loading import Loaded, envelope, load_all
 from ident.model import Input, Model
@@ -178,8 +178,9 @@ def diagnosis(
 ) -> Json:
     """Find what the model lacks, and write the model that has it.
 
-    ``effects_file``: candidates of the user's own; ``thruster``: which one, where the model is a thruster's and the
-    log has several; ``robust``: allow outliers; ``rate``: 10 rows a second by default, 50 on the bench.
+    ``effects_file``: candidates of the user's own; ``thruster``: the static curve's file that a vehicle's model was
+    fitted with, or which one, where the model is a thruster's and the log has several; ``robust``: allow outliers;
+    ``rate``: 10 rows a second by default, 50 on the bench.
     """
     loaded, unseen = load_all(logs, validate)
     saved = load_model(model_path)
@@ -188,7 +189,9 @@ def diagnosis(
         model, rate = saved.model, rate or bench_runs.RATE
         runs, others = (bench_runs.thruster_runs(part, model, thruster) for part in (loaded, unseen))
     else:
-        model, rate = _sensed(saved.model, model_path, loaded, unseen), rate or 10.0
+        curve, rate = known_curve(_curve_path(thruster, model_path)), rate or 10.0
+        loaded, unseen = ([_completed(x, saved.model.source, curve) for x in part] for part in (loaded, unseen))
+        model = _sensed(_pushed(saved.model, model_path, loaded, unseen), model_path, loaded, unseen)
         runs, others = [x.run for x in loaded], [x.run for x in unseen]
     found = diagnose(
         with_outliers(model) if robust else model,
@@ -205,6 +208,29 @@ def diagnosis(
     result["notes"] = outliers(found.after) + result["notes"]
     write_all(out, result, found.after.fit, validity(found.after), spans(found), effects_file)
     return result
+
+
+def _curve_path(thruster: str | None, model: Path) -> Path | None:
+    if thruster is None:
+        return None
+    if not Path(thruster).is_file():
+        raise SeatrialError(
+            f"--thruster {thruster}: no such file; {model} is a boat's model, so give the static curve of its thrusters"
+        )
+    return Path(thruster)
+
+
+def _pushed(model: Model, path: Path, loaded: Sequence[Loaded], unseen: Sequence[Loaded]) -> Model:
+    """The model, whose thrust all logs have; SeatrialError where one lacks what a static curve would give."""
+    thrusts = [i.name for i in model.inputs if i.name in CURVE_INPUTS]
+    for one in (*loaded, *unseen):
+        lost = [n for n in thrusts if n not in one.run.channels]
+        if lost:
+            raise SeatrialError(
+                f"{one.about['path']}: no signal for the input {lost[0]!r} of {path}; where that was fitted with a "
+                "static thrust curve, give it with --thruster CURVE"
+            )
+    return model
 
 
 def _sensed(model: Model, path: Path, loaded: Sequence[Loaded], unseen: Sequence[Loaded]) -> Model:

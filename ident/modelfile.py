@@ -20,6 +20,7 @@ from ident.models import make_model
 from ident.models.disturbance import disturbance_of, sensor_bias
 from ident.models.known import ANTENNA, CURRENT_WALK, antenna, current_walk
 from ident.own import own_effects
+from ident.params import Parameter
 from ident.robust import robust, robust_sensors
 from ident.shapes import unknown_effect
 
@@ -66,6 +67,9 @@ def save_model(
     document["provenance"] = {k: v for k, v in provenance.items() if v is not None}
     document["validity"] = {k: [float(a), float(b)] for k, (a, b) in validity.items()}
     flags = dict(fit.flags)
+    # unexplained forces get the size of the boat whenever a fit begins (ident.size); a prior of that size would get
+    # it twice
+    sized_anew = {p.name for e in model.effects if e.name == "disturbance" for p in e.parameters}
     parameters = tomlkit.aot()
     for p in model.parameters:
         value, error = fit.estimate(p.name)
@@ -78,6 +82,8 @@ def save_model(
         }
         if np.isfinite(error):
             row["se"] = float(error)
+        if p.prior is not None and p.name not in sized_anew:
+            row["prior"] = [float(z) for z in p.prior]
         if p.per_record:
             row["per_record"] = True
         if p.name in flags:
@@ -123,13 +129,19 @@ def _build(table: Mapping[str, Any]) -> Model:
     unknown = set(rows) - set(model.values)
     if unknown:
         raise ValueError(f"model {model.name} has no parameter {sorted(unknown)[0]!r}")
-    return model.replace_parameters(
-        *(
-            replace(p, value=float(rows[p.name]["value"]), free=bool(rows[p.name]["free"]))
-            for p in model.parameters
-            if p.name in rows
-        )
-    )
+    return model.replace_parameters(*(_parameter(p, rows[p.name]) for p in model.parameters if p.name in rows))
+
+
+def _parameter(p: Parameter, row: Mapping[str, Any]) -> Parameter:
+    """The structure's parameter with what its row says; without a prior there, the structure's own stays."""
+    p = replace(p, value=float(row["value"]), free=bool(row["free"]))
+    if "prior" not in row:
+        return p
+    mean, sd = (float(z) for z in row["prior"])
+    if not (sd > 0 and (mean > 0 or p.transform != "log")):
+        what = "a positive mean and standard deviation" if p.transform == "log" else "a positive standard deviation"
+        raise ValueError(f"parameter {p.name}: its prior [{mean:g}, {sd:g}] needs {what}")
+    return replace(p, prior=(mean, sd))
 
 
 def _effect(name: str, model: Model, spans: Mapping[str, Any]) -> Effect:

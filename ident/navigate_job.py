@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import SeatrialError
-from ident.curve_file import load_curve
-from ident.job_inputs import complete
+from ident.job_inputs import complete, known_curve
 from ident.jobs import as_logged
 from ident.loading import Loaded, envelope, load_run
 from ident.model import Model
@@ -45,9 +44,7 @@ def run_navigation(
     """Navigate every log; all times [s] count from the start of a log. ``thruster``: the static curve that the model
     was fitted with."""
     saved = load_model(model_path)
-    curve = load_curve(thruster) if thruster is not None else None
-    if thruster is not None and curve is None:
-        raise SeatrialError(f"{thruster}: holds no static curve; a model on shaft speeds has its thrust in itself")
+    curve = known_curve(thruster)
     known = Known.of(saved.errors, saved.names, saved.correlation)
     names = [p.stem for p in logs]
     twice = sorted({n for n in names if names.count(n) > 1})

@@ -27,6 +27,7 @@ WIDTH = 20.0  # c: how far they are, in standard deviations, within a factor of 
 # What a sample tells of its mean and of its scale, E[psi^2] and E[(z psi - 1)^2] / 2, over what a normal one tells.
 INFORMATION = (0.9834999, 0.9596000)
 LIKELY = 0.5  # a sample that is more likely wild than good counts as an outlier
+MANY = 0.1  # of the samples; where more are wild, it is not the samples that are wrong
 
 
 def log_density(z: Any) -> Any:
@@ -93,5 +94,7 @@ def outlier_notes(
         n, total = (sum(int(one[:, j].sum()) for one in kind) for kind in (outliers, measured))
         if output.robust and total:
             share = f" ({100 * n / total:.2g} %)" if n else ""
-            notes.append(f"{output.name}: {n} of {total} samples were taken for outliers{share}")
+            doubt = ", too many for wild samples: the model lacks something there, which --robust hides"
+            many = doubt if n > MANY * total else ""
+            notes.append(f"{output.name}: {n} of {total} samples were taken for outliers{share}{many}")
     return notes

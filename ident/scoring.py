@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 LARGEST_STEP = 1.5  # in a logarithm: a factor 4.5
+UNFELT = 0.5  # change of the objective by such a step that is hardly one
 HOPELESS = 1e12  # damping
 NEAR = 3.0  # gain of a step below which the objective is about quadratic
 KEPT = 12  # pairs
@@ -97,7 +98,15 @@ class Memory:
 
 
 def solve_step(at: Evaluation, H: Array, z: Array, bounds: Bounds, damping: float) -> Array:
-    """The damped step, ending on the bounds where it would cross them; ``H`` (n, n): minus the Hessian."""
+    """The damped step, ending on the bounds where it would cross them; ``H`` (n, n): minus the Hessian.
+
+    No logarithm moves by more than ``LARGEST_STEP``: the whole step is shortened. But one that is hardly felt does not
+    hold up the rest: a noise that the data do not inform asks for a step of thousands, beside which all others would
+    stand still. It alone is held, and the rest is solved for it.
+    """
+    felt = LARGEST_STEP * np.abs(at.gradient) + 0.5 * LARGEST_STEP**2 * np.diag(H)
+    reach = np.where(bounds.logarithmic & (felt < UNFELT), LARGEST_STEP, np.inf)
+    low, high = np.maximum(bounds.low - z, -reach), np.minimum(bounds.high - z, reach)
     size = np.maximum(np.diag(H), 1e-300)
     H = H + damping * np.diag(size)
     fixed = bounds.held(z, at.gradient)
@@ -110,13 +119,13 @@ def solve_step(at: Evaluation, H: Array, z: Array, bounds: Bounds, damping: floa
         scale = np.sqrt(size[free])
         scaled = H[np.ix_(free, free)] / np.outer(scale, scale)
         step[free] = np.linalg.lstsq(scaled, right / scale, rcond=1e-13)[0] / scale
-        crossing = free & ((z + step < bounds.low) | (z + step > bounds.high))
+        crossing = free & ((step < low) | (step > high))
         if not crossing.any():
             break
         # only the bound that is met first: without its coordinate the others may not cross theirs
-        room = np.where(step < 0, z - bounds.low, bounds.high - z)
+        room = np.where(step < 0, -low, high)
         first = int(np.argmin(np.where(crossing, room / np.maximum(np.abs(step), 1e-300), np.inf)))
-        step[first] = bounds.clip(z + step)[first] - z[first]
+        step[first] = np.clip(step[first], low[first], high[first])
         fixed[first] = True
     largest = np.abs(step[bounds.logarithmic]).max(initial=0.0)
     return step * min(1.0, LARGEST_STEP / largest) if largest > 0 else step

@@ -54,6 +54,7 @@ class Signal:
     hold: str  # zero | linear
     nan: str
     timeout: float = 0.0  # s after which an input that nobody repeats is zero; 0: never
+    missing: float | None = None  # the cell that stands for no measurement
 
 
 @dataclass(frozen=True)
@@ -202,6 +203,7 @@ def _signal(table: Table, style: CsvStyle) -> Signal:
         hold,
         table.text("nan", style.nan, choices=("error", "drop", "keep")),
         timeout,
+        table.maybe_number("missing"),
     )
     table.done()
     return found

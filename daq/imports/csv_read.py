@@ -127,6 +127,7 @@ def read_csv(path: Path, source: Source) -> FileData:
     for signal in source.signals:
         raw = cells.numbers(signal.column, source.style.decimal)
         rows = kept & ~(np.isnan(raw) if signal.nan == "drop" else np.zeros(len(raw), bool))
+        rows &= raw != (math.nan if signal.missing is None else signal.missing)
         n_dropped += int(kept.sum()) - int(rows.sum())
         bad = np.flatnonzero(np.isnan(raw) & kept)
         if signal.nan == "error" and len(bad):

@@ -11,7 +11,8 @@ from ident.params import Parameter
 def cap(s: Signals) -> None:
     square = (s.n_ref / s.p.n_top) * (s.n_ref / s.p.n_top)
     eighth = square * square * square * square
-    held = s.n_ref / np.sqrt(np.sqrt(np.sqrt(np.sqrt(1 + eighth * eighth))))  # a corner would stop the search
+    power = eighth * eighth * eighth * eighth
+    held = s.n_ref / np.sqrt(np.sqrt(np.sqrt(np.sqrt(np.sqrt(1 + power)))))  # a corner would stop the search
     s.n_ref = s.n_ref + s.p.k_top * (held - s.n_ref)
 
 
@@ -28,7 +29,7 @@ EFFECT = Effect(
         Parameter("n_top", 0.8, "", "the limit", "log", prior=(0.8, 0.4), bounds=(0.1, 1.5)),
     ),
     scan={"n_top": (0.3, 0.45, 0.6, 0.75, 0.85)},
-    formula="n_ref -> n_ref / (1 + (n_ref / n_top)^16)^(1/16)",
+    formula="n_ref -> n_ref / (1 + (n_ref / n_top)^32)^(1/32)",
     source="governors, power limits and end points of speed controllers",
     experiment="steady commands in small steps up to the highest",
     requires=("bench",),

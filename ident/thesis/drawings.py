@@ -67,18 +67,19 @@ def predictor_part(turn: Both, run: Both) -> Part:
     yaw = Drawing("Figure 6.1: yaw rate, measured and predicted", "s", [
         Chart("yaw rate [rad/s]", [Curve("measured", t, r, "measured"), Curve("OE: from the moment alone", t,
               turn.simulated.y[:, 0], "other"), Curve("PE: one sample ahead", t, ahead)]),
-        Chart("measured less OE [rad/s]", [Curve("measured less OE", t, r - turn.simulated.y[:, 0], "other"),
-                                           Curve("measured less PE", t, r - ahead)]),
+        Chart("measured less predicted [rad/s]", [Curve("OE: from the moment alone", t, r - turn.simulated.y[:, 0],
+              "other"), Curve("PE: one sample ahead", t, r - ahead)]),
     ], "What is left of output error is coloured: process noise that it has no place for.")
     t, x = run.record.t, run.record.y[:, 0]
     oe, pe = run.simulated.y[:, 0], x - run.filtered.e[:, 0]
     h = np.diff(t)
     speed = [Curve("measured", t[1:], np.diff(x) / h, "measured"), Curve("OE", t[1:], np.diff(oe) / h, "other"),
-             Curve("PE", t[1:], np.diff(pe) / h)]
+             Curve("PE: one sample ahead", t[1:], np.diff(pe) / h)]
     surge = Drawing("Figure 6.2: position, and its first differences", "s", [
         Chart("position [m]", [Curve("measured", t, x, "measured"), Curve("OE", t, oe, "other"),
                                Curve("PE: one sample ahead", t, pe)]),
-        Chart("measured less predicted [m]", [Curve("OE", t, x - oe, "other"), Curve("PE", t, x - pe)]),
+        Chart("measured less predicted [m]", [Curve("OE", t, x - oe, "other"),
+                                              Curve("PE: one sample ahead", t, x - pe)]),
         Chart("first differences [m/s]", speed),
     ])
     return Part("predictors", "Output error and prediction error", [yaw, surge])

@@ -71,7 +71,7 @@ def write(out: Path, seed: int, bench: Path | None, say: Say, *, evaluations: in
              innovation_part(three, six)]
     write_figures(out / "thesis.html", "The paper's figures once more",
                   "Figures 4.1-4.3, 5.1-5.3 and 6.1-6.6 on simulated data",
-                  f"Made by `{command}`; numbers and words in thesis.md.", parts)
+                  f"Made by {command}; numbers and words in thesis.md.", parts)
     say(f"written: {out / 'thesis.md'}, {out / 'thesis.html'}")
 
 

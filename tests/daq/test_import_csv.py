@@ -120,6 +120,14 @@ def test_cells_without_a_number(folder: Path) -> None:
     assert (len(values(out, "psi")[0]), len(values(out, "n_left")[0])) == (4, 3)
 
 
+def test_a_number_that_stands_for_no_measurement(folder: Path) -> None:
+    text = "t,cmd,heading\n0.0,1,10\n0.1,2,-999\n0.2,-999,30\n"
+    (out,) = import_csv(*write(folder, text, signal="missing = -999"))
+    assert len(values(out, "psi")[0]) == 2
+    assert values(out, "n_left") == ([0.0, 0.1, 0.2], [1.0, 2.0, -999.0])  # of its own column only
+    assert open_log(out).metadata["source.1.dropped"] == "1"
+
+
 def test_time_that_repeats_or_runs_backwards(folder: Path) -> None:
     repeats = "t,cmd,heading\n0.0,1,1\n0.1,2,2\n0.1,3,3\n0.2,4,4\n"
     with pytest.raises(SeatrialError, match=r"line 4, column 't': time repeats; csv\.time_order = \"drop\""):

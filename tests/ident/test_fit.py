@@ -203,6 +203,22 @@ def test_scoring_stays_inside_bounds_and_away_from_nan() -> None:
     np.testing.assert_allclose(top.z, [0.7, -1.0], atol=1e-5)  # the top of the bowl along the bound
 
 
+def shallow(z: np.ndarray) -> scoring.Evaluation:
+    """The top is at 10 in z[0]; z[1], a logarithm that the data hardly inform, asks for a step of -100000."""
+    H = np.diag([4.0, 1e-9])
+    value = -2.0 * (z[0] - 10.0) ** 2 - 1e-4 * z[1]
+    return scoring.Evaluation(float(value), np.array([-4.0 * (z[0] - 10.0), -1e-4]), H, np.zeros(2))
+
+
+def test_a_logarithm_without_information_does_not_hold_up_the_rest() -> None:
+    bounds = scoring.Bounds(np.full(2, -INF), np.full(2, INF), np.array([False, True]))
+    z = np.zeros(2)
+    step = scoring.solve_step(shallow(z), shallow(z).hessian, z, bounds, 0.0)
+    np.testing.assert_allclose(step, [10.0, -scoring.LARGEST_STEP])
+    top = scoring.maximise(shallow, z, bounds, max_iterations=20, tolerance=1e-2)
+    assert top.z[0] == pytest.approx(10.0, abs=1e-2)
+
+
 def test_best_start_finds_the_hill() -> None:
     assert best_start(turning(), records(1), {"m": [1.0, 4.0, 10.0, 30.0], "d": [4.0, 40.0]}) == {"m": 10.0, "d": 4.0}
 

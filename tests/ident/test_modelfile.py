@@ -21,6 +21,7 @@ from ident.models import make_model
 from ident.models.disturbance import for_diagnosis
 from ident.models.horizontal import horizontal
 from ident.shapes import unknown_effect
+from ident.size import Size, resized, sized
 from tests.missions import boat_with, channels_of, sail
 
 SPAN = (-0.3, 1.1)
@@ -110,6 +111,24 @@ def test_a_model_of_ones_own_comes_back(tmp_path: Path, found: Fit) -> None:
     assert [s.name for s in back.states] == ["r"]
 
 
+def test_priors_come_back(tmp_path: Path, found: Fit) -> None:
+    """Those that a user gave, and those of an effect for a large boat; unexplained forces get their size anew."""
+    size = Size(20.0, 60.0)
+    model = for_diagnosis(horizontal()) + sized(catalogue()["yaw-bias"], size)
+    given = replace(model.parameter("m_r"), prior=(600.0, 50.0)), replace(model.parameter("d_u"), prior=(0.5, 2.0))
+    model = resized(model.replace_parameters(*given), size)
+    path = saved(tmp_path / "model.toml", with_model(found, model))
+    back = load_model(path).model
+    unexplained = {"q_X", "q_Y", "q_N", "tau_b"}
+    wanted = {p.name: p.prior for p in model.parameters if p.name not in unexplained}
+    assert {n: back.parameter(n).prior for n in wanted} == wanted
+    assert wanted["m_r"] == (600.0, 50.0)
+    assert wanted["N_0"] == tuple(60.0 * z for z in catalogue()["yaw-bias"].parameters[0].prior or ())
+    again = resized(back, size)
+    for name in unexplained:
+        assert again.parameter(name).prior == pytest.approx(model.parameter(name).prior), name
+
+
 def change(**keys: object) -> object:
     def apply(document: tomlkit.TOMLDocument) -> None:
         for key, value in keys.items():
@@ -127,6 +146,13 @@ def rename_parameter(document: tomlkit.TOMLDocument) -> None:
 
 def word_for_value(document: tomlkit.TOMLDocument) -> None:
     document["parameter"][0]["value"] = "heavy"  # type: ignore[index]
+
+
+def prior(*numbers: float) -> object:
+    def apply(document: tomlkit.TOMLDocument) -> None:
+        next(p for p in document["parameter"] if p["name"] == "m_u")["prior"] = list(numbers)  # type: ignore[union-attr]
+
+    return apply
 
 
 def value_beyond_bounds(document: tomlkit.TOMLDocument) -> None:
@@ -148,6 +174,9 @@ def value_beyond_bounds(document: tomlkit.TOMLDocument) -> None:
         (rename_parameter, "has no parameter 'm_x'"),
         (word_for_value, "not a complete model"),
         (value_beyond_bounds, "d_uu: -3.0 is outside its bounds"),
+        (prior(30.0), "not a complete model"),
+        (prior(30.0, 0.0), "m_u: its prior [30, 0] needs a positive mean and standard deviation"),
+        (prior(-30.0, 2.0), "m_u: its prior [-30, 2] needs"),
     ],
 )
 def test_a_damaged_file_is_one_line(tmp_path: Path, found: Fit, damage: object, says: str) -> None:

@@ -10,6 +10,7 @@ from click.testing import CliRunner
 
 from daq.errors import SeatrialError
 from ident.cli import ident
+from ident.modelfile import load_model
 from tests.missions import boat_log, boat_with
 
 
@@ -26,6 +27,8 @@ def test_a_prior_weighs_as_much_as_it_says(log: Path) -> None:
         CliRunner().invoke(ident, words, catch_exceptions=False)
         fitted = json.loads((out / "result.json").read_text(encoding="utf-8"))["fit"]["parameters"]
         found[said] = next(p["value"] for p in fitted if p["name"] == "m_u")
+        mean, _, sd = said.removeprefix("m_u=").partition(":")
+        assert load_model(out / "model.toml").model.parameter("m_u").prior == (float(mean), float(sd))
     assert found["m_u=60:0.1"] == pytest.approx(60.0, abs=1.0)
     assert found["m_u=60:40"] < 50.0  # the boat has 37 kg
 

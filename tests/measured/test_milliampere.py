@@ -37,14 +37,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for k in (3, 4):
         files = [str(data / f"{name}_{k}.csv") for name in ("actuator_ref", "motor_state")]
         run("import", "csv", str(HERE / f"thruster{k}.toml"), *files, "-o", str(out / f"thruster{k}.mcap"))
-    run("ident", "thruster", str(out / "thruster3.mcap"), "--robust", "--out", str(out / "thruster"))
+    run("ident", "thruster", str(out / "thruster3.mcap"), "--out", str(out / "thruster"))
     return out
 
 
 @pytest.mark.parametrize("k", [3, 4])
 def test_the_time_stamps_are_mended_and_only_news_is_kept(folder: Path, k: int) -> None:
     found = load_run(folder / f"thruster{k}.mcap", "estimation").run.channels
-    n = found["n_pod"]
+    n = found["reported"]
+    assert (n.value == 0).any()
+    assert not (found["n_pod"].value == 0).any()
     assert 680 < n.t[-1] - n.t[0] < 710
     assert (np.diff(n.t) > 0).all()
     assert 100 < n.t.size < 250  # of 6101 rows
@@ -70,3 +72,15 @@ def test_a_first_order_shaft_is_not_enough(folder: Path) -> None:
     assert "without a load cell nothing is known of its thrust" in result["answer"]
     delay = next(p for p in result["fit"]["parameters"] if p["name"] == "tau")
     assert delay["value"] < 2.0  # what news there is after a command shows the new speed
+
+
+def test_the_diagnosis_finds_the_limit_of_the_speed(folder: Path) -> None:
+    logs = [str(folder / "thruster3.mcap"), "--validate", str(folder / "thruster4.mcap")]
+    run("ident", "diagnose", str(folder / "thruster/model.toml"), *logs, "--out", str(folder / "diagnosis"))
+    result = json.loads((folder / "diagnosis/result.json").read_text())
+    (effect,) = result["effects"]
+    assert (effect["name"], effect["certainty"]) == ("speed-limit", "named")
+    limit = next(p for p in effect["parameters"] if p["name"] == "n_top")
+    assert abs(limit["value"] - 0.75) < 0.02
+    error = result["before_after"]["validation"]["free_run"]["n"]
+    assert error["after"] < 0.2 * error["before"]

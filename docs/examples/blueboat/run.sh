@@ -1,6 +1,6 @@
 #!/bin/sh
 # The measured BlueBoat through public commands: sh docs/examples/blueboat/run.sh [OUT], from the repository's top.
-# SEATRIAL_DATA says where the data sets are; seatrial and python are those on the PATH. A few minutes of CPU time.
+# SEATRIAL_DATA says where the data sets are; seatrial and python are those on the PATH. About three minutes of CPU time.
 set -eu
 : "${SEATRIAL_DATA:?says where the measured data sets are}"
 here=$(CDPATH= cd -- "$(dirname -- "$0")" && pwd)
@@ -32,4 +32,8 @@ noise="--fix e_uv=0.05 --fix e_r=0.02 --fix e_psi=0.03 --fix e_xy=0.3"
 }
 for kind in trusting vehicle diagnosis; do python "$here/fit.py" $kind/result.json; done
 python "$here/leave_one_out.py" logs/*.mcap --out leave_one_out.json
+for e in 0.2 0.15 0.1 0.07 0.05; do # how sway depends on the weight of the heading in the fit
+    echo "e_drift $e"
+    python "$here/leave_one_out.py" logs/*.mcap --model boat --fix e_drift=$e | grep "boat, left out"
+done
 python "$here/figures.py" leave_one_out.json .

@@ -1,6 +1,6 @@
 #!/bin/sh
 # The measured Kingfisher through public commands: sh docs/examples/kingfisher/run.sh [OUT], from the repository's top.
-# SEATRIAL_DATA says where the data sets are; seatrial is the one on the PATH. About three minutes of CPU time.
+# SEATRIAL_DATA says where the data sets are; seatrial is the one on the PATH. About half a minute of CPU time.
 set -eu
 : "${SEATRIAL_DATA:?says where the measured data sets are}"
 here=$(CDPATH= cd -- "$(dirname -- "$0")" && pwd)

@@ -17,7 +17,7 @@ def main() -> None:
     """News of the shaft speed, the speed that each command settles at, and how long news of it takes."""
     for path in map(Path, sys.argv[1:]):
         found = load_run(path, "estimation").run.channels
-        told, n = found["n_cmd_pod"], found["n_pod"]
+        told, n = found["n_cmd_pod"], found["reported"]
         gaps = np.diff(n.t)
         print(f"{path.stem}: {n.t.size} news in {n.t[-1] - n.t[0]:.0f} s, {np.median(gaps):.1f} s apart in the median, "
               f"{np.percentile(gaps, 95):.1f} s in one of twenty")

@@ -13,6 +13,6 @@ for k in 3 4; do
         -o "$out/thruster$k.mcap" --force
 done
 cd "$out"
-seatrial ident thruster thruster3.mcap --robust --out thruster
+seatrial ident thruster thruster3.mcap --out thruster
 seatrial ident diagnose thruster/model.toml thruster3.mcap --validate thruster4.mcap --out diagnosis
 python "$here/figures.py" thruster3.mcap thruster4.mcap
