@@ -145,7 +145,10 @@ def probability(p: float | None) -> str:
 
 def percent(share: float | None, digits: int = 0) -> str:
     """0.34 -> ``34 %``."""
-    return "–" if share is None else f"{100 * share:.{digits}f} %".replace("-", "−")
+    if share is None:
+        return "–"
+    rounded = round(100 * share, digits) + 0.0  # no minus before a nought
+    return f"{rounded:.{digits}f} %".replace("-", "−")
 
 
 def duration(seconds: float | None) -> str:

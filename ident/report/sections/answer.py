@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ident.report import drawing, wording
-from ident.report.access import Row, array, flag, group, number, rows, text
+from ident.report.access import Row, array, flag, group, number, rows, text, texts
 from ident.report.blocks import Canvas, Cell, Dumbbell, Dumbbells, EffectCard, Facts, Grid, Prose, Section, Table
 
 KEY_PARAMETERS = 9
@@ -113,10 +113,10 @@ def effect_card(effect: Row) -> EffectCard:
 
 def how_sure(effect: Row) -> str:
     """In words: a name that stands alone, or what speaks against it."""
-    reasons = [str(reason) for reason in effect.get("reasons") or ()]
+    reasons = texts(effect, "reasons")
     certainty = text(effect, "certainty")
     if certainty == "resembles":
-        others = [wording.titled(str(name)) for name in effect.get("not_excluded") or ()]
+        others = [wording.titled(name) for name in texts(effect, "not_excluded")]
         return "it resembles this; " + "; ".join(reasons + ([f"not excluded: {', '.join(others)}"] if others else []))
     return {"named": "nothing is left that this should explain, and no rival comes close",
             "unknown": "no known effect explains it; the curve is what the data draw"}.get(certainty, "")
