@@ -11,15 +11,12 @@ done; a study that was interrupted goes on where it was. Nothing is run again wi
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
-
-from joblib import Parallel, delayed
 
 from ident.bench_job import fit_on_a_copy
 from ident.bench_runs import RATE
@@ -33,6 +30,7 @@ from ident.stage import Run, Stage
 from mocks.bench_plant import EFFECTS, NONE, Bench, draw_bench, make_effect
 from tests.missions import bench_channels_of, push
 from tests.recovery.cases import code_state
+from tests.recovery.resumable import read, resume
 from tests.recovery.tables import as_markdown, as_text
 
 OUT = Path("build/bench_recovery.jsonl")
@@ -100,36 +98,6 @@ def free_errors(stage: Stage) -> dict[str, float]:
     """Free-running root mean square errors on the validation data, by channel."""
     parts = pooled([dict(free_run(stage.model, v.record, v.values).errors) for v in stage.validation])
     return {name: float(f"{e.rms:.4g}") for name, e in parts.items()}
-
-
-def study(cases: Sequence[BenchCase], jobs: int, out: Path) -> list[Row]:
-    """The lines of all cases, those of earlier runs of the same code from the file."""
-    done = read(out)
-    todo = [c for c in cases if c.key not in done]
-    out.parent.mkdir(parents=True, exist_ok=True)
-    began = time.monotonic()
-    with out.open("a", encoding="utf-8") as file:
-        results = Parallel(n_jobs=jobs, return_as="generator_unordered")(delayed(run_case)(case) for case in todo)
-        for k, row in enumerate(results, start=1):
-            file.write(json.dumps(row) + "\n")
-            file.flush()
-            done[row["key"]] = row
-            left = (time.monotonic() - began) / k * (len(todo) - k)
-            print(f"{k}/{len(todo)}  {line(row)}  ({left / 60:.0f} min to go)", flush=True)
-    return [done[c.key] for c in cases]
-
-
-def read(out: Path) -> dict[str, Row]:
-    """Lines of earlier runs by key; a line that was cut short is left out, and so is a case that failed."""
-    done: dict[str, Row] = {}
-    for text in out.read_text(encoding="utf-8").splitlines() if out.exists() else ():
-        try:
-            row = json.loads(text)
-        except json.JSONDecodeError:
-            continue
-        if "error" not in row:
-            done[row["key"]] = row
-    return done
 
 
 def line(row: Row) -> str:
@@ -228,7 +196,8 @@ def main(words: Sequence[str] | None = None) -> int:
         for s in seeds for k, scale in enumerate(given.scales) for e in given.effects
     ]
     try:
-        rows = list(read(given.out).values()) if given.report else study(cases, given.jobs, given.out)
+        rows = list(read(given.out).values()) if given.report else resume(
+            cases, run_case, line, given.jobs, given.out)
     except KeyboardInterrupt:
         print(f"interrupted; run the same again to go on ({given.out})", file=sys.stderr)
         return 130

@@ -11,19 +11,16 @@ as soon as it is done; a study that was interrupted goes on where it was. Nothin
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from joblib import Parallel, delayed
-
 from mocks.undeclared import EFFECTS, OUTSIDE
 from tests.recovery import tables, targets
-from tests.recovery.cases import Row, code_state, run_case
+from tests.recovery.cases import Row, run_case
 from tests.recovery.kinds import KINDS, NONE, Case
+from tests.recovery.resumable import read, resume
 from tests.recovery.verdict import all_right, first_right, likened, wrong_as_sure
 
 OUT = Path("build/recovery.jsonl")
@@ -37,8 +34,10 @@ def main(words: Sequence[str] | None = None) -> int:
     given = _parser().parse_args(words)
     cases = cases_of(given.kinds, given.seed, given.seeds, given.effects)
     try:
-        rows = [r for r in read(given.out).values() if r.get("kind") in given.kinds] if given.report else study(
-            cases, given.jobs, given.out)
+        if given.report:
+            rows = [r for r in read(given.out).values() if r.get("kind") in given.kinds]
+        else:
+            rows = resume(cases, run_case, line, given.jobs, given.out)
     except KeyboardInterrupt:
         print(f"interrupted; run the same again to go on ({given.out})", file=sys.stderr)
         return 130
@@ -60,40 +59,6 @@ def cases_of(kinds: Sequence[str], seed: int, seeds: int | None, effects: Sequen
         for truth in KINDS[kind].truths(s)
         if not effects or set(truth.split("+")) & set(effects)
     ]
-
-
-def study(cases: Sequence[Case], jobs: int, out: Path) -> list[Row]:
-    """The lines of all cases, those of earlier runs from the file."""
-    done = read(out)
-    old = sum(done[c.key]["code"] != code_state() for c in cases if c.key in done)
-    if old:
-        print(f"note: {old} cases in {out} were run with another state of the code; give another --out to run anew")
-    todo = [c for c in cases if c.key not in done]
-    out.parent.mkdir(parents=True, exist_ok=True)
-    began = time.monotonic()
-    with out.open("a", encoding="utf-8") as file:
-        run = Parallel(n_jobs=jobs, return_as="generator_unordered")
-        results = run(delayed(run_case)(case) for case in todo)
-        for k, row in enumerate(results, start=1):
-            file.write(json.dumps(row) + "\n")
-            file.flush()
-            done[row["key"]] = row
-            left = (time.monotonic() - began) / k * (len(todo) - k)
-            print(f"{k}/{len(todo)}  {line(row)}  ({left / 60:.0f} min to go)", flush=True)
-    return [done[c.key] for c in cases]
-
-
-def read(out: Path) -> dict[str, Row]:
-    """Lines of earlier runs by key; a line that was cut short is left out, and so is a case that failed."""
-    done: dict[str, Row] = {}
-    for text in out.read_text(encoding="utf-8").splitlines() if out.exists() else ():
-        try:
-            row = json.loads(text)
-        except json.JSONDecodeError:
-            continue
-        if "error" not in row:
-            done[row["key"]] = row
-    return done
 
 
 def line(row: Row) -> str:

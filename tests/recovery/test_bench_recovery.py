@@ -9,6 +9,7 @@ import pytest
 
 from tests.recovery import bench_study
 from tests.recovery.bench_study import BenchCase, Row, diagnose_bench, line, verdict
+from tests.recovery.resumable import read
 from tests.recovery.tables import as_markdown
 
 
@@ -82,7 +83,7 @@ def test_a_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.Monkey
     assert bench_study.main([*words, "--seeds", "2"]) == 0
     assert ran == ["none/1/1", "spin-up/1/1", "none/2/1", "spin-up/2/1"]
     assert [json.loads(x)["key"] for x in out.read_text().splitlines()] == ran
-    assert "## Together" in bench_study.report(list(bench_study.read(out).values()), as_markdown)
+    assert "## Together" in bench_study.report(list(read(out).values()), as_markdown)
 
 
 def test_an_unknown_effect_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:

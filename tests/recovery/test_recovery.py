@@ -18,7 +18,7 @@ from mocks.bench_plant import draw_bench
 from mocks.undeclared import EFFECTS, OUTSIDE
 from tests.missions import bench_channels_of, push
 from tests.recovery import study, tables, targets, verdict
-from tests.recovery.cases import Row, diagnose_case, ratio, run_case, runs_of, truth_of, z_scores
+from tests.recovery.cases import Row, code_state, diagnose_case, ratio, run_case, runs_of, truth_of, z_scores
 from tests.recovery.kinds import KINDS, Case, all_pairs, boat_of, with_gaps
 from tests.recovery.oracle import _beyond
 
@@ -73,7 +73,7 @@ def fake(effect: str, seed: int, found: list[str], kind: str = "single", **more:
     return {
         "key": Case(effect, seed, kind).key, "effect": effect, "seed": seed, "kind": kind, "found": found, "left": [],
         "certainty": sure, "shapes": [n.removeprefix("unknown ") for n in found if n.startswith("unknown")],
-        "z": {"m_u": 2.5}, "before": errors, "after": errors, "cpu": 1.0, "code": study.code_state(),
+        "z": {"m_u": 2.5}, "before": errors, "after": errors, "cpu": 1.0, "code": code_state(),
         "ratio": {"ten_seconds": 1.0, "free_run": 1.02}, **more,
     }
 
@@ -84,7 +84,7 @@ def test_a_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.Monkey
     def pretend(case: Case) -> Row:
         ran.append(case.key)
         if case.key == "single/wind/2":
-            return {"key": case.key, "effect": "wind", "kind": "single", "code": study.code_state(),
+            return {"key": case.key, "effect": "wind", "kind": "single", "code": code_state(),
                     "error": "ValueError: no"}
         return fake(case.effect, case.seed, list(case.truths), case.kind)
 

@@ -1,0 +1,57 @@
+"""A study goes on where it was: a JSON line a case, cases that are there are not run again."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from joblib import Parallel, delayed
+
+from tests.recovery.cases import code_state
+
+Row = dict[str, Any]
+
+
+class Keyed(Protocol):
+    """A case that is found again by its key."""
+
+    @property
+    def key(self) -> str: ...
+
+
+def resume(
+    cases: Sequence[Keyed], run_case: Callable[[Any], Row], line: Callable[[Row], str], jobs: int, out: Path
+) -> list[Row]:
+    """The lines of all cases, those of earlier runs from the file; each new one is printed by ``line``."""
+    done = read(out)
+    old = sum(done[c.key]["code"] != code_state() for c in cases if c.key in done)
+    if old:
+        print(f"note: {old} cases in {out} were run with another state of the code; give another --out to run anew")
+    todo = [c for c in cases if c.key not in done]
+    out.parent.mkdir(parents=True, exist_ok=True)
+    began = time.monotonic()
+    with out.open("a", encoding="utf-8") as file:
+        results = Parallel(n_jobs=jobs, return_as="generator_unordered")(delayed(run_case)(case) for case in todo)
+        for k, row in enumerate(results, start=1):
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+            done[row["key"]] = row
+            left = (time.monotonic() - began) / k * (len(todo) - k)
+            print(f"{k}/{len(todo)}  {line(row)}  ({left / 60:.0f} min to go)", flush=True)
+    return [done[c.key] for c in cases]
+
+
+def read(out: Path) -> dict[str, Row]:
+    """Lines of earlier runs by key; a line that was cut short is left out, and so is a case that failed."""
+    done: dict[str, Row] = {}
+    for text in out.read_text(encoding="utf-8").splitlines() if out.exists() else ():
+        try:
+            row = json.loads(text)
+        except json.JSONDecodeError:
+            continue
+        if "error" not in row:
+            done[row["key"]] = row
+    return done
