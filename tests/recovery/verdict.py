@@ -43,6 +43,11 @@ def first_right(row: Row) -> bool:
     return row["found"][0] in truths(row) and row["certainty"][0] == "named"
 
 
+def leads(row: Row) -> bool:
+    """The truth stands first, as sure or as a likeness."""
+    return bool(row["found"]) and row["found"][0] in truths(row)
+
+
 def all_right(row: Row) -> bool:
     """Every truth is among what was named or likened; of a boat that lacks nothing, nothing is said."""
     if not truths(row):
