@@ -173,3 +173,21 @@ def by_chunk(messages: NDArray[np.void]) -> list[tuple[int, NDArray[np.void]]]:
         return []
     borders = np.flatnonzero(np.diff(messages["chunk"])) + 1
     return [(int(part["chunk"][0]), part) for part in np.split(messages, borders)]
+
+
+class Chunked:
+    """What is read by position from whatever has chunks: a file, or a set of them."""
+
+    def chunk(self, number: int) -> Buffer:
+        """The uncompressed bytes of a chunk."""
+        raise NotImplementedError
+
+    def rows(self, messages: NDArray[np.void], dtype: np.dtype[np.void]) -> NDArray[np.void]:
+        """Payloads of `messages` (MESSAGE rows in file order), each at least as long as `dtype`; shape (n,)."""
+        parts = [rows_at(self.chunk(number), part["offset"], dtype) for number, part in by_chunk(messages)]
+        return np.concatenate(parts) if parts else np.zeros(0, dtype)
+
+    def payload(self, message: np.void) -> memoryview:
+        """The bytes of one message (a MESSAGE row)."""
+        start = int(message["offset"])
+        return memoryview(self.chunk(int(message["chunk"])).data)[start : start + int(message["length"])]

@@ -34,10 +34,9 @@ from daq.mcap_chunk import (
     RECORD,
     Buffer,
     ChunkAt,
+    Chunked,
     Offsets,
-    by_chunk,
     chunk_at,
-    rows_at,
     scan,
     unpack,
     unpack_cut,
@@ -51,7 +50,7 @@ _ZSTD = b"\x04\0\0\0zstd"  # what every zstd chunk has at CHUNK_NAME
 Record = TypeVar("Record")
 
 
-class RawLog:
+class RawLog(Chunked):
     """Every message of a file by position, with channels, schemas, metadata, attachments and warnings.
 
     Raises SeatrialError where the file cannot be opened or is no MCAP at all.
@@ -248,16 +247,6 @@ class RawLog:
         if not known.all():
             self._warn(f"{int((~known).sum())} messages are left out: their channel stood in a damaged part")
         return rows[known]
-
-    def rows(self, messages: NDArray[np.void], dtype: np.dtype[np.void]) -> NDArray[np.void]:
-        """Payloads of `messages` (MESSAGE rows in file order), each at least as long as `dtype`; shape (n,)."""
-        parts = [rows_at(self.chunk(number), part["offset"], dtype) for number, part in by_chunk(messages)]
-        return np.concatenate(parts) if parts else np.zeros(0, dtype)
-
-    def payload(self, message: np.void) -> memoryview:
-        """The bytes of one message (a MESSAGE row)."""
-        start = int(message["offset"])
-        return memoryview(self.chunk(int(message["chunk"])).data)[start : start + int(message["length"])]
 
     def _warn(self, text: str) -> None:
         if len(self.warnings) < MAX_WARNINGS:

@@ -14,7 +14,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from numpy.typing import NDArray
 
 from daq.errors import SeatrialError
-from daq.mcap_chunk import MESSAGE, Buffer, by_chunk, rows_at
+from daq.mcap_chunk import MESSAGE, Buffer, Chunked
 from daq.mcap_read import RawLog
 
 SAME = ("origin", "rig", "host")  # what segments of one log have in common
@@ -56,7 +56,7 @@ def _about(raw: RawLog) -> dict[str, str]:
     return next((dict(record.metadata) for record in raw.metadata if record.name == "seatrial"), {})
 
 
-class RawSet:
+class RawSet(Chunked):
     """Several files with the face of one `RawLog`: chunks are numbered through, channels that are alike are one."""
 
     def __init__(self, files: list[RawLog], warnings: list[str]) -> None:
@@ -108,16 +108,6 @@ class RawSet:
         """The uncompressed bytes of a chunk, numbered through the set."""
         k = int(np.searchsorted(self._first_chunks, number, side="right")) - 1
         return self.files[k].chunk(number - self._first_chunks[k])
-
-    def rows(self, messages: NDArray[np.void], dtype: np.dtype[np.void]) -> NDArray[np.void]:
-        """As `RawLog.rows`."""
-        parts = [rows_at(self.chunk(number), part["offset"], dtype) for number, part in by_chunk(messages)]
-        return np.concatenate(parts) if parts else np.zeros(0, dtype)
-
-    def payload(self, message: np.void) -> memoryview:
-        """As `RawLog.payload`."""
-        start = int(message["offset"])
-        return memoryview(self.chunk(int(message["chunk"])).data)[start : start + int(message["length"])]
 
     def close(self) -> None:
         """Let go of all files."""

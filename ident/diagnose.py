@@ -102,7 +102,7 @@ def diagnose(
         rounds.append(one)
         if one.chosen is None:
             break
-        current, unknown = one.chosen.stage, one.chosen.effect.name.startswith("unknown")
+        current, unknown = one.chosen.stage, one.chosen.unknown
         candidates.pop(one.chosen.effect.name, None)
     judgements = judge(rounds, passed, sum(r.n_rows for r in records), untested)
     shapes = _shapes(before, rounds, judgements, records)
@@ -168,7 +168,7 @@ def _round(
     best = max((r.criterion for r in refits), default=-np.inf)
     # a table competes only where no named effect comes close to what the scores promise for it
     unknown = [s for s in passed if s.generic and s.criterion(n) > max(0.5 * best, best - 50)][:N_UNKNOWN]
-    drawn = [(_unknown(s, current, records), s) for s in unknown]
+    drawn = [(_unknown(s, current), s) for s in unknown]
     refits += _refit_all(current, records, unseen, drawn, n, progress)
     refits.sort(key=lambda r: -r.criterion)
     names = tuple(s.name for s in passed)
@@ -225,13 +225,13 @@ def _start(parameter: Parameter, score: Score) -> Parameter:
     return parameter.at(value)
 
 
-def _unknown(score: Score, stage: Stage, records: Sequence[Record]) -> Effect:
+def _unknown(score: Score, stage: Stage) -> Effect:
     force, variable = score.name.rstrip(")").split("(")
-    table = unknown_effect(stage.model, force, variable, _span(stage, records, variable))
+    table = unknown_effect(stage.model, force, variable, _span(stage, variable))
     return sized(table, size_of(stage.fit.model))
 
 
-def _span(stage: Stage, records: Sequence[Record], variable: str) -> tuple[float, float]:
+def _span(stage: Stage, variable: str) -> tuple[float, float]:
     if variable in {v.name for v in variables_of(stage.model) if v.angle} or ", " in variable:
         return -np.pi, np.pi
     z = np.concatenate([variables(stage.model, v.record, v.run.x_filt, v.values)[variable] for v in stage.estimation])
@@ -251,7 +251,7 @@ def _shapes(
         if r.unknown:
             found.append(_drawn(r.effect, r.stage))
         elif r.effect.name == first and (likely := _likely_table(one)):
-            effect = _unknown(likely, current, records)
+            effect = _unknown(likely, current)
             found.append(_drawn(effect, make_stage(current.fit.model + effect, records, ())))
         current = r.stage
     return [s for s in found if s is not None]
@@ -264,14 +264,5 @@ def _likely_table(one: Round) -> Score | None:
 
 
 def _drawn(effect: Effect, stage: Stage) -> Shape | None:
-    f, variable = stage.fit, effect.name.rstrip(")").split("(")[1]
-    return shape(f.model, effect, _span(stage, [], variable), f.model.values, f.names, f.covariance)
-
-
-def spans(diagnosis: Diagnosis) -> dict[str, tuple[float, float]]:
-    """For each unknown effect that was added, the range of its variable."""
-    found = {}
-    for r in diagnosis.effects:
-        if r.effect.name.startswith("unknown"):
-            found[r.effect.name] = _span(r.stage, [], r.effect.name.rstrip(")").split("(")[1])
-    return found
+    f = stage.fit
+    return shape(f.model, effect, f.model.values, f.names, f.covariance)

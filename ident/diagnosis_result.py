@@ -56,7 +56,7 @@ def diagnosis_result(diagnosis: Diagnosis) -> Json:
         **traces(before, after, roles, bool(diagnosis.effects)),
         **_residuals(diagnosis),
         "rounds": [_round(r, diagnosis) for r in diagnosis.rounds] or [_quiet_round(diagnosis)],
-        "effects": _effects(diagnosis, before, roles[-1]),
+        "effects": _effects(diagnosis, before, after, roles[-1]),
         "shapes": [
             {
                 "force": s.force,
@@ -224,7 +224,7 @@ def _own(r: Refit, stage: Stage) -> list[Json]:
     return [parameter_row(p, *stage.fit.estimate(p.name)) for p in r.effect.parameters]
 
 
-def _effects(diagnosis: Diagnosis, before: Judged, role: str) -> list[Json]:
+def _effects(diagnosis: Diagnosis, before: Judged, after: Judged, role: str) -> list[Json]:
     """Each effect with its estimate in the final model, and the part of the free-run error that it removes."""
     rows, last = [], _free_size(before, role)
     first, judgements = last, {j.effect: j for j in diagnosis.judgements}
@@ -232,7 +232,7 @@ def _effects(diagnosis: Diagnosis, before: Judged, role: str) -> list[Json]:
         if one.chosen is None:
             continue
         r = one.chosen
-        now = _free_size(Judged(r.stage), role)
+        now = _free_size(after if r.stage is diagnosis.after else Judged(r.stage), role)
         behind = [
             {"name": q.effect.name, "title": q.effect.title, "criterion_behind": r.criterion - q.criterion}
             for q in one.refits

@@ -13,7 +13,7 @@ from daq.errors import SeatrialError
 from ident import bench_runs
 from ident.agreement import agreement, agreement_part, sentence
 from ident.curve_file import ThrustCurve, load_curve
-from ident.diagnose import diagnose, spans
+from ident.diagnose import diagnose
 from ident.diagnosis_result import diagnosis_result
 from ident.effects import catalogue
 from ident.fit import Fit
@@ -206,7 +206,7 @@ def diagnosis(
     if result["next_experiment"]:
         result["next_experiment"] = result["next_experiment"].replace("MODEL", str(model_path))
     result["notes"] = outliers(found.after) + result["notes"]
-    write_all(out, result, found.after.fit, validity(found.after), spans(found), effects_file)
+    write_all(out, result, found.after.fit, validity(found.after), effects_file)
     return result
 
 
@@ -264,7 +264,6 @@ def write_all(
     result: Json,
     fit: Fit,
     ranges: Mapping[str, tuple[float, float]],
-    spans: Mapping[str, tuple[float, float]] | None = None,
     effects_file: Path | None = None,
 ) -> None:
     """model.toml, result.json and report.html into a folder."""
@@ -276,7 +275,7 @@ def write_all(
         "seatrial": result["seatrial"],
         "logs": logs,
     }
-    save_model(out / "model.toml", fit, validity=ranges, provenance=provenance, spans=spans, effects_file=effects_file)
+    save_model(out / "model.toml", fit, validity=ranges, provenance=provenance, effects_file=effects_file)
     content = plain(result)
     write_result(content, out / "result.json")
     write_report(content, out / "report.html")

@@ -97,6 +97,7 @@ class Effect:
     one_sided: bool = False  # the first parameter cannot be negative
     rivals: tuple[str, ...] = ()
     scan: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # values to try where there is no gradient
+    span: tuple[float, float] | None = None  # of an unknown effect: the range of its variable that the table covers
 
 
 @dataclass(frozen=True)

@@ -47,11 +47,9 @@ def save_model(
     *,
     validity: Mapping[str, tuple[float, float]],
     provenance: Mapping[str, Any],
-    spans: Mapping[str, tuple[float, float]] | None = None,
     effects_file: Path | None = None,
 ) -> None:
-    """Write the model of a fit. ``spans``: for unknown effects, the range of their variable; ``effects_file``: where
-    effects that are not in the catalogue come from."""
+    """Write the model of a fit. ``effects_file``: where effects that are not in the catalogue come from."""
     model, document = fit.model, tomlkit.document()
     document["format"] = FORMAT
     document["name"] = model.name
@@ -60,8 +58,9 @@ def save_model(
     document["effects"] = [e.name for e in model.effects]
     if robust_sensors(model):
         document["robust"] = list(robust_sensors(model))
+    spans = {e.name: list(e.span) for e in model.effects if e.span is not None}
     if spans:
-        document["spans"] = {name: list(span) for name, span in spans.items()}
+        document["spans"] = spans
     if effects_file is not None:
         document["effects_file"] = str(effects_file)
     document["provenance"] = {k: v for k, v in provenance.items() if v is not None}

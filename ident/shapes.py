@@ -86,13 +86,13 @@ def unknown_effect(model: Model, force: str, variable: str, span: tuple[float, f
         source="the residual itself",
         experiment=f"runs that vary {variable} slowly over its whole range, with all else held",
         requires=tuple(n for n in ("hull", "bench") if n in model.provides),
+        span=span,
     )
 
 
 def shape(
     model: Model,
     effect: Effect,
-    span: tuple[float, float],
     values: Mapping[str, float],
     names: Sequence[str],
     covariance: Array,
@@ -101,7 +101,8 @@ def shape(
     """The fitted curve with its band, without its mean (a constant belongs to other parameters); None for products."""
     force, variable = effect.name.removeprefix("unknown ").rstrip(")").split("(")
     residual, of = parts(model, force, variable)
-    if len(of) == 2:
+    span = effect.span
+    if len(of) == 2 or span is None:
         return None
     grid = np.linspace(-np.pi, np.pi, n) if of[0].angle else np.linspace(*span, n)
     B = np.column_stack([b * np.ones(n) for b in basis(grid, of[0].angle, span)])

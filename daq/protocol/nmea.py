@@ -66,8 +66,12 @@ class Decoder(StreamDecoder[Frame]):
             return -1
         self.frames += 1
         self.remark = self._sentences.headings.remark
-        self._out += found
+        self._out += self._kept(found)
         return length
+
+    def _kept(self, found: list[Frame]) -> list[Frame]:
+        """What is passed on of the samples that the sentences gave."""
+        return found
 
 
 def encode(gnss: Gnss) -> bytes:

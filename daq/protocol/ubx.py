@@ -13,8 +13,7 @@ import re
 import struct
 import time
 
-from daq.protocol.framing import StreamDecoder, take_sentence
-from daq.protocol.nmea import Sentences
+from daq.protocol import nmea
 from daq.protocol.ubx_epoch import LENGTHS, Epochs
 from daq.samples import Frame, Gnss
 
@@ -35,7 +34,7 @@ def message(kind: tuple[int, int], payload: bytes) -> bytes:
     return SYNC + body + checksum(body)
 
 
-class Decoder(StreamDecoder[Frame]):
+class Decoder(nmea.Decoder):
     """UBX and NMEA -> `Gnss` and `Ahrs`.
 
     Where the receiver sends its solution in UBX, that is what is taken, and the positions that the same stream has in
@@ -45,34 +44,22 @@ class Decoder(StreamDecoder[Frame]):
     sync = re.compile(rb"[$\xb5]")
 
     def __init__(self, declination: float | None = None) -> None:
-        super().__init__()
-        self._sentences = Sentences(declination)
+        super().__init__(declination)
         self._epochs = Epochs()
 
     def flush(self) -> list[Frame]:
         """End of the stream: the sample of the epoch that has not been emitted, if there is one."""
-        return self._epochs.flush() or self._kept(self._sentences.epochs.flush())
+        return self._epochs.flush() or self._kept(super().flush())
 
     def reset(self) -> None:
         """Forget a half-read message and epoch (the port was reopened). Counters stay."""
         super().reset()
-        self._sentences.forget()
         self._epochs.forget()
 
     def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
         if buffer[start] == SYNC[0]:
             return self._take_ubx(buffer, start, t_rx)
-        length, body, bad = take_sentence(buffer, start)
-        self.checksum_errors += bad
-        if body is None:
-            return length
-        found = self._sentences.take(body, t_rx)
-        if found is None:
-            return -1
-        self.frames += 1
-        self.remark = self._sentences.headings.remark
-        self._out += self._kept(found)
-        return length
+        return super()._take(buffer, start, t_rx)
 
     def _take_ubx(self, buffer: bytearray, start: int, t_rx: float) -> int:
         if len(buffer) < start + HEAD:
@@ -96,8 +83,8 @@ class Decoder(StreamDecoder[Frame]):
             self._out += self._epochs.take(kind, body[4:], t_rx)
         return length
 
-    def _kept(self, frames: list[Frame]) -> list[Frame]:
-        return [f for f in frames if not (self._epochs.heard and isinstance(f.sample, Gnss))]
+    def _kept(self, found: list[Frame]) -> list[Frame]:
+        return [f for f in found if not (self._epochs.heard and isinstance(f.sample, Gnss))]
 
 
 def encode(gnss: Gnss) -> bytes:

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import math
-import os
 import random
 from collections.abc import Callable, Iterator
 from dataclasses import astuple
-from pathlib import Path
 from typing import Any
-
-import pytest
 
 from daq.protocol import Decoder
 from daq.samples import Frame
@@ -26,17 +22,6 @@ GARBAGE = (
     b"T00000901",
     bytes(range(256)),
 )
-
-
-def data_file(name: str) -> Path:
-    """A measured or independently made file; the test is skipped where there is none."""
-    folder = os.environ.get("SEATRIAL_DATA")
-    if not folder:
-        pytest.skip("SEATRIAL_DATA does not say where the measured data sets are")
-    path = Path(folder) / name
-    if not path.exists():
-        pytest.skip(f"SEATRIAL_DATA has no {name}")
-    return path
 
 
 def said(frames: list[Frame]) -> list[tuple[Any, ...]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
 import re
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from daq.imports.csv_map import load_csv_map
 from daq.imports.units import UNITS
 from daq.log import open_log
 from tests.daq.csv_files import DOCS, EXAMPLES, values
+from tests.measured import data
 
 
 @pytest.fixture
@@ -49,10 +49,7 @@ def test_the_documented_map_is_valid(folder: Path) -> None:
 
 @pytest.fixture
 def measured() -> Path:
-    where = os.environ.get("SEATRIAL_DATA")
-    if not where:
-        pytest.skip("SEATRIAL_DATA does not say where the measured data are")
-    return Path(where)
+    return data.measured()
 
 
 def column(path: Path, name: str) -> list[float]:

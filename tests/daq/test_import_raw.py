@@ -14,7 +14,7 @@ from daq.imports.raw_import import import_raw
 from daq.log import open_log
 from daq.protocol import nmea, vectornav
 from daq.samples import Ahrs, Gnss, LoadCell
-from tests.daq.streams import data_file
+from tests.measured.data import measured
 
 SAMPLES = [Ahrs(0.1 * k, 0.01, -0.02, 0.001, 0.002, 0.003 * k, 0.1, 0.2, -9.8) for k in range(40)]
 
@@ -97,7 +97,7 @@ def test_the_command(ascii_capture: Path, tmp_path: Path, monkeypatch: pytest.Mo
 
 @pytest.mark.measured
 def test_a_vectornav_standing_still(tmp_path: Path) -> None:
-    capture = data_file("static/vn100_stationary_40Hz_vnymr.txt")
+    capture = measured("static/vn100_stationary_40Hz_vnymr.txt")
     out, said = import_raw("vectornav", capture, rate=40.0, out=tmp_path / "vn.mcap")
     assert said == "30178 samples of 30178 vectornav frames; 0 checksum errors, 0 bytes unparsed"
     first = [float(word) for word in capture.read_text().splitlines()[0].split("*")[0].split(",")[1:]]

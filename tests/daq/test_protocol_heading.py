@@ -12,7 +12,8 @@ from daq.protocol import nmea
 from daq.protocol.framing import sentence
 from daq.samples import Ahrs, Frame
 from tests.daq.logs import T0, recorder
-from tests.daq.streams import check_splits, data_file
+from tests.daq.streams import check_splits
+from tests.measured.data import measured
 
 
 def read(*bodies: str, declination: float | None = None) -> list[Ahrs]:
@@ -77,7 +78,7 @@ def test_splits() -> None:
 @pytest.mark.parametrize(("name", "n", "low", "high"), [("bundg_zeus_9", 1457, 210, 250), ("hemi", 2, 0, 360)])
 def test_headings_of_gpsds_captures(name: str, n: int, low: float, high: float) -> None:
     decoder = nmea.Decoder()
-    frames = decoder.feed(data_file(f"gpsd/daemon/{name}.log").read_bytes(), 0.0)
+    frames = decoder.feed(measured(f"gpsd/daemon/{name}.log").read_bytes(), 0.0)
     found = [math.degrees(f.sample.yaw) % 360.0 for f in frames if isinstance(f.sample, Ahrs)]
     assert len(found) >= n
     assert low < min(found) <= max(found) < high

@@ -15,7 +15,8 @@ from daq.protocol.mavlink_wire import Codec, EscStatus, crc16, dialect, encode_e
 from daq.rig_mavlink import Output
 from daq.samples import Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, Servo
 from tests.daq.mavlink_ends import Ends, mav_rig
-from tests.daq.streams import check_garbage, check_splits, counters, data_file
+from tests.daq.streams import check_garbage, check_splits, counters
+from tests.measured.data import measured
 
 OUTPUTS = {1: Output(1, (1000, 1500, 2000), (1100, 1500, 1900)), 3: Output(3, (1000, 1500, 2000), (1000, 1600, 1900))}
 PLUG = bytes(300)  # behind garbage: a header cut short is told from a long frame by what follows
@@ -234,7 +235,7 @@ def test_a_mock_of_the_whole_link_decodes_without_an_error() -> None:
 
 @pytest.mark.measured
 def test_a_tlog_as_pymavlinks_own_reader_counts_it() -> None:
-    path = data_file("ardurover/steps_boat.tlog")
+    path = measured("ardurover/steps_boat.tlog")
     from pymavlink import mavutil
 
     theirs: Counter[str] = Counter()

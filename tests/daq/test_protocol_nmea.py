@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from daq.protocol.framing import sentence
 from daq.protocol.nmea import Decoder, encode
 from daq.samples import NAN, Gnss
-from tests.daq.streams import check_garbage, check_splits, counters, data_file, is_close
+from tests.daq.streams import check_garbage, check_splits, counters, is_close
+from tests.measured.data import measured
 
 T = 1_700_000_000.0  # 2023-11-14 22:13:20 UTC
 GNSS = Gnss(T, 41.1, -8.6, 12.3, 0.5, -0.25, fix=5, n_sat=12, hdop=0.8, sigma_h=0.015)
@@ -235,7 +236,7 @@ def test_any_fields_may_stand_behind_a_right_checksum(kind: str, fields: str) ->
 @pytest.mark.parametrize("name", ["nmea.bin", "gnmea.bin"])
 def test_ardupilots_simulated_receivers(name: str) -> None:
     decoder = Decoder()
-    frames = decoder.feed(data_file(f"ardurover/{name}").read_bytes(), 0.0) + decoder.flush()
+    frames = decoder.feed(measured(f"ardurover/{name}").read_bytes(), 0.0) + decoder.flush()
     times = [frame.t_device for frame in frames]
     assert len(times) > 40
     assert all(0.05 < b - a < 0.45 for a, b in itertools.pairwise(times))
@@ -256,7 +257,7 @@ RECEIVERS = (
 @pytest.mark.measured
 @pytest.mark.parametrize("name", RECEIVERS)
 def test_positions_are_those_that_gpsd_reads(name: str) -> None:
-    log = data_file(f"gpsd/daemon/{name}.log")
+    log = measured(f"gpsd/daemon/{name}.log")
     lines = log.read_bytes().splitlines(keepends=True)
     raw = b"".join(line for line in lines if not line.startswith(b"#"))
     decoder = Decoder()

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from daq.protocol.framing import crc16, sentence
 from daq.protocol.vectornav import SYNC, Decoder, encode_ascii, encode_binary, layout
 from daq.samples import NAN, Ahrs
-from tests.daq.streams import check_garbage, check_splits, counters, data_file, is_close
+from tests.daq.streams import check_garbage, check_splits, counters, is_close
+from tests.measured.data import measured
 
 AHRS = Ahrs(1.0, 0.1, -0.2, 0.01, 0.02, 0.03, 0.1, 0.2, -9.8, 2e-5, 1e-6, 4e-5)
 angle = st.floats(-3.1, 3.1)
@@ -161,8 +162,8 @@ LOST = 78  # the logger's own parser left this one of its 99 frames out
 
 @pytest.mark.measured
 def test_the_log_of_a_real_vn100_is_decoded_as_its_logger_did() -> None:
-    raw = data_file("vectornav/F00294").read_bytes()
-    text = data_file("vectornav/parsed/F00294_B").read_text().splitlines()
+    raw = measured("vectornav/F00294").read_bytes()
+    text = measured("vectornav/parsed/F00294_B").read_text().splitlines()
     columns = [name.strip() for name in text[0].split(",") if name.strip()]
     rows = [
         dict(zip(columns, map(float, filter(None, map(str.strip, row.split(",")))), strict=True)) for row in text[1:]
@@ -188,7 +189,7 @@ def test_the_log_of_a_real_vn100_is_decoded_as_its_logger_did() -> None:
 @pytest.mark.measured
 def test_the_lines_that_others_recorded_are_all_read() -> None:
     decoder = Decoder()
-    frames = decoder.feed(data_file("vectornav/ascii_samples.txt").read_bytes(), 0.0)
+    frames = decoder.feed(measured("vectornav/ascii_samples.txt").read_bytes(), 0.0)
     assert len(frames) == 11
     assert counters(decoder) == (11, 0, 0)
 
@@ -196,7 +197,7 @@ def test_the_lines_that_others_recorded_are_all_read() -> None:
 @pytest.mark.measured
 def test_twelve_minutes_of_a_vn100_standing_still() -> None:
     decoder = Decoder()
-    frames = decoder.feed(data_file("static/vn100_stationary_40Hz_vnymr.txt").read_bytes(), 0.0)
+    frames = decoder.feed(measured("static/vn100_stationary_40Hz_vnymr.txt").read_bytes(), 0.0)
     assert counters(decoder) == (len(frames), 0, 0)
     assert len(frames) > 30_000
     gravity = np.array(
@@ -209,7 +210,7 @@ def test_twelve_minutes_of_a_vn100_standing_still() -> None:
 @pytest.mark.measured
 def test_ardupilots_simulated_vn300() -> None:
     decoder = Decoder()
-    frames = decoder.feed(data_file("ardurover/vn.bin").read_bytes(), 0.0)
+    frames = decoder.feed(measured("ardurover/vn.bin").read_bytes(), 0.0)
     assert decoder.checksum_errors == 0
     assert decoder.unparsed_bytes < 200  # the capture's cut end
     times = [frame.t_device for frame in frames]

@@ -21,7 +21,8 @@ from daq.protocol.vesc import (
     unpack_can,
 )
 from daq.samples import NAN, Esc
-from tests.daq.streams import check_splits, counters, data_file, is_close
+from tests.daq.streams import check_splits, counters, is_close
+from tests.measured.data import measured
 
 ESC = Esc(1, 1234.0, -3.0, 0.25, 15.9, 31.0)
 RAW = b"".join(pack_can(*frame) for frame in encode_status(ESC, 7))
@@ -133,7 +134,7 @@ def test_anything_may_be_fed(pieces: list[bytes]) -> None:
 
 @pytest.mark.measured
 def test_frames_of_a_real_vesc_at_rest() -> None:
-    text = data_file("can/vesc_forum_frames.log").read_text()
+    text = measured("can/vesc_forum_frames.log").read_text()
     frames = [(int(name, 16), bytes.fromhex(data)) for name, data in re.findall(r"([0-9A-F]{8})#([0-9A-F]+)", text)]
     assert len(frames) == 5
     decoder = Decoder({4: 7})

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import pytest
 
-from tests.daq.streams import data_file
 from tests.golden.captures import results
 from tests.golden.fuzz import fuzz, subjects
 from tests.golden.gpsd import Fix, _difference, compare, receiver_bytes
+from tests.measured.data import measured
 
 N_FUZZ = 400  # `python -m tests.golden.fuzz` does a million
 
 
 @pytest.mark.measured
 def test_positions_and_times_are_those_that_gpsd_reads() -> None:
-    folder = data_file("gpsd/daemon")
+    folder = measured("gpsd/daemon")
     found = [compare(path) for path in sorted(folder.glob("*.log"))]
     assert len(found) == 69
     fixes = sum(row.fixes for row in found)
@@ -26,7 +26,7 @@ def test_positions_and_times_are_those_that_gpsd_reads() -> None:
 
 @pytest.mark.measured
 def test_all_other_captures_are_read_as_they_have_to_be() -> None:
-    found = list(results(data_file("gpsd").parent))
+    found = list(results(measured("gpsd").parent))
     assert [row.name for row in found if not row.right] == []
     assert len(found) == 8
 
@@ -43,7 +43,7 @@ def test_a_difference_is_named() -> None:
 
 @pytest.mark.measured
 def test_the_header_of_a_capture_is_not_the_receivers() -> None:
-    data = receiver_bytes(data_file("gpsd/daemon/ublox-neo-m8u.log"))
+    data = receiver_bytes(measured("gpsd/daemon/ublox-neo-m8u.log"))
     assert not data.startswith(b"#")
     assert b"\xb5\x62" in data[:5000]
 

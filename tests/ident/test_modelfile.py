@@ -92,9 +92,12 @@ def test_unknown_tables_come_back_with_their_span(tmp_path: Path, found: Fit, va
     effect = unknown_effect(horizontal(), "X", variable, SPAN)
     model = horizontal() + effect
     model = model.with_values({p.name: 0.3 * (k + 1) for k, p in enumerate(effect.parameters)})
-    path = saved(tmp_path / "model.toml", with_model(found, model), spans={effect.name: SPAN})
+    path = saved(tmp_path / "model.toml", with_model(found, model))
     back = load_model(path).model
     np.testing.assert_allclose(rates(back), rates(model), rtol=1e-12)
+    assert back.effects[0].span == SPAN
+    again = load_model(saved(tmp_path / "again.toml", with_model(found, back))).model  # by a command that only refits
+    np.testing.assert_allclose(rates(again), rates(model), rtol=1e-12)
     assert back.effects[0].parameters[0].prior == effect.parameters[0].prior
 
 

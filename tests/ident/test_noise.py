@@ -9,7 +9,7 @@ import pytest
 
 from ident.dataset import Channel
 from ident.noise import NoiseFit, estimate_noise, innovation_form, ljung_box, welch
-from tests.ident.toys import measured_folder
+from tests.measured.data import measured
 
 
 def drawn(white: float, walk: float, n: int = 6000, dt: float = 0.02, seed: int = 0, gap: bool = False) -> Channel:
@@ -108,7 +108,7 @@ def test_missing_samples_and_short_records() -> None:
 
 
 def gps(name: str) -> list[NoiseFit]:
-    (file,) = measured_folder("static").glob(f"gps_{name}_*.csv")
+    (file,) = measured("static").glob(f"gps_{name}_*.csv")
     data = np.genfromtxt(file, delimiter=",", names=True, dtype=None, encoding="utf-8")
     return [estimate_noise(Channel(data["Time"], data[axis]), axis) for axis in ("UTM_easting", "UTM_northing")]
 
@@ -130,7 +130,7 @@ def test_rtk_gps_is_white_noise_and_a_random_walk() -> None:
 
 @pytest.mark.measured
 def test_a_vectornavs_heading_at_rest_is_a_random_walk() -> None:
-    lines = (measured_folder("static") / "vn100_stationary_40Hz_vnymr.txt").read_text().splitlines()
+    lines = (measured("static") / "vn100_stationary_40Hz_vnymr.txt").read_text().splitlines()
     yaw = np.array([float(line.split(",")[1]) for line in lines if line.startswith("$VNYMR") and line.count(",") == 12])
     found = estimate_noise(Channel(np.arange(yaw.size) / 40.0, yaw), "yaw")
     assert found.walk == pytest.approx(0.0104, rel=0.05)  # degrees per root second

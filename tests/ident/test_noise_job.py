@@ -14,7 +14,7 @@ import pytest
 import seatrial
 from daq.protocol import vectornav
 from daq.samples import Ahrs
-from tests.ident.toys import measured_folder
+from tests.measured.data import measured
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs/examples/static"
 MAP = """
@@ -100,7 +100,7 @@ def test_every_axis_of_an_ahrs(tmp_path: Path) -> None:
 
 @pytest.mark.measured
 def test_gps_at_rest(tmp_path: Path) -> None:
-    folder = measured_folder("static")
+    folder = measured("static")
     logs = []
     for name, pattern in (("single", "gps_LAB1_*.csv"), ("rtk", "gps_LAB2_*.csv")):
         (file,) = folder.glob(pattern)
@@ -116,7 +116,7 @@ def test_gps_at_rest(tmp_path: Path) -> None:
 
 @pytest.mark.measured
 def test_a_vectornav_at_rest(tmp_path: Path) -> None:
-    capture = measured_folder("static") / "vn100_stationary_40Hz_vnymr.txt"
+    capture = measured("static") / "vn100_stationary_40Hz_vnymr.txt"
     run("import", "raw", "vectornav", capture, "--rate", "40", "-o", tmp_path / "vn.mcap")
     run("ident", "noise", tmp_path / "vn.mcap", "--signal", "psi", "--out", tmp_path / "noise")
     (psi,) = read(tmp_path / "noise")[1].values()

@@ -6,9 +6,11 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 import pytest
@@ -124,3 +126,33 @@ def test_all_models_and_effects_can_be_found_again() -> None:
     full = for_diagnosis(horizontal())
     without = [e.name for e in catalogue().values() if full.accepts(e) and key(full + e) is None]
     assert without == []
+
+
+@needs_llvm
+def test_a_kernel_made_in_a_hurry_gives_the_same_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    record, values = turning_record(), values_of(turning())
+    found = []
+    for place, manner in (("careful", nullcontext), ("quick", jit.quickly)):
+        monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path / place))
+        monkeypatch.setattr(programs, "_known", WeakValueDictionary())
+        with manner():
+            found.append(Likelihood(turning()).scores(record, values))
+    careful, quick = found
+    np.testing.assert_allclose(quick.value, careful.value, rtol=1e-12)
+    np.testing.assert_allclose(quick.gradient, careful.gradient, rtol=1e-9, atol=1e-9)
+    codes = [{p.read_bytes() for p in (tmp_path / place).glob("*.o")} for place in ("careful", "quick")]
+    assert not codes[0] & codes[1]  # it is other machine code, under another name
+
+
+def test_the_cache_has_a_limit_and_what_was_used_last_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path))
+    monkeypatch.setattr(jit, "LARGEST_CACHE", 10_000)
+    for k in range(9):
+        jit.write(f"{k}.o", bytes(1000))
+        os.utime(tmp_path / f"{k}.o", (k, k))
+    assert jit.read("0.o") == bytes(1000)  # the oldest, but used now
+    jit.write("9.o", bytes(1000))
+    kept = {p.name for p in tmp_path.iterdir()}
+    assert {"0.o", "9.o"} <= kept
+    assert "1.o" not in kept
+    assert sum(p.stat().st_size for p in tmp_path.iterdir()) <= 7_000

@@ -18,7 +18,7 @@ from ident.model import Model
 from ident.models.horizontal import horizontal
 from ident.models.yaw import yaw
 from ident.pe import Likelihood
-from tests.ident.toys import measured_folder
+from tests.measured.data import measured
 
 pytestmark = pytest.mark.measured
 # estimate, standard error and what half a unit of the last printed digit is
@@ -35,7 +35,7 @@ def known_start(model: Model) -> Model:
 
 
 def columns(file: str, inputs: str, outputs: str) -> tuple[np.ndarray, ...]:
-    data = np.genfromtxt(measured_folder("sde_bench") / file, delimiter=",", names=True)
+    data = np.genfromtxt(measured("sde_bench") / file, delimiter=",", names=True)
     return data["t"], np.column_stack([data[n] for n in inputs.split()]), np.column_stack(
         [data[n] for n in outputs.split()])
 

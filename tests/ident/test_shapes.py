@@ -105,7 +105,7 @@ def test_the_curve_is_centred_and_its_band_comes_from_the_covariance(variable: s
     root = 0.2 * rng.normal(size=(len(names), len(names)))
     P = root @ root.T
     values = dict(zip(names, rng.normal(size=len(names)), strict=True))
-    drawn = shape(horizontal(), effect, SPAN, values, names, P)
+    drawn = shape(horizontal(), effect, values, names, P)
     assert drawn is not None
     assert (drawn.force, drawn.variable, drawn.unit) == ("X", variable, "N")
     assert drawn.value.mean() == pytest.approx(0.0, abs=1e-12)
@@ -131,4 +131,4 @@ def test_a_smooth_curve_stays_near_the_lines_between_its_knots() -> None:
 def test_products_have_no_curve() -> None:
     effect = unknown_effect(horizontal(), "X", "u, r", SPAN)
     names = [p.name for p in effect.parameters]
-    assert shape(horizontal(), effect, SPAN, dict.fromkeys(names, 1.0), names, np.eye(3)) is None
+    assert shape(horizontal(), effect, dict.fromkeys(names, 1.0), names, np.eye(3)) is None

@@ -3,27 +3,14 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from ident.dataset import Record
 from ident.model import Input, Model, Output, Sensor, State, plain_model
 from ident.params import INF, Parameter
-
-
-def measured_folder(name: str) -> Path:
-    """A folder of the measured data sets; skips the test where there is none."""
-    folder = os.environ.get("SEATRIAL_DATA")
-    if not folder:
-        pytest.skip("SEATRIAL_DATA does not say where the measured data sets are")
-    if not (Path(folder) / name).is_dir():
-        pytest.skip(f"SEATRIAL_DATA has no {name}")
-    return Path(folder) / name
 
 
 def turning() -> Model:

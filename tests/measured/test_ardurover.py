@@ -9,26 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import seatrial
 from daq.log import open_log
 from daq.samples import Ahrs, Autopilot, Gnss, Servo
-from tests.daq.streams import data_file
+from tests.measured.data import measured, run
 
 pytestmark = [pytest.mark.measured, pytest.mark.slow]
 
 HERE = Path(__file__).resolve().parents[2] / "docs/examples/ardurover"
 
 
-def run(*words: str) -> None:
-    with pytest.raises(SystemExit) as left:
-        seatrial.main(words)
-    assert left.value.code == 0, words
-
-
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("ardurover") / "steps.mcap"
-    tlog = str(data_file("ardurover/steps_boat.tlog"))
+    tlog = str(measured("ardurover/steps_boat.tlog"))
     run("import", "mavlink", tlog, "--rig", str(HERE / "rig.toml"), "-o", str(out))
     return out
 
@@ -48,7 +41,7 @@ def test_every_message_is_decoded_and_each_fix_once(log: Path) -> None:
 
 
 def test_outputs_follow_the_commands_by_a_few_milliseconds(log: Path) -> None:
-    with data_file("ardurover/steps_boat_cmd.csv").open() as file:
+    with measured("ardurover/steps_boat_cmd.csv").open() as file:
         rows = [(float(row["t_cmd"]), int(row["left"]), int(row["right"])) for row in csv.DictReader(file)]
     delays = []
     with open_log(log) as opened:

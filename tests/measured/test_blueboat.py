@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import importlib
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-import seatrial
+from tests.measured.data import measured, run
 
 pytestmark = [pytest.mark.measured, pytest.mark.slow, pytest.mark.xdist_group("blueboat")]
 
@@ -21,12 +20,6 @@ BOAT = {"--start": ("m_u=15", "m_v=20", "m_r=1.7"), "--fix": ("y_left=-0.285", "
 NOISE = ("e_uv=0.05", "e_r=0.02", "e_psi=0.03", "e_xy=0.3")
 
 
-def run(*words: str) -> None:
-    with pytest.raises(SystemExit) as left:
-        seatrial.main(words)
-    assert left.value.code == 0, words
-
-
 def percent(result: dict[str, Any], channel: str, when: str) -> float:
     row = result["before_after"]["validation"]["free_run"][channel]
     return float(100.0 * (1.0 - row[when] / row["spread"]))
@@ -35,12 +28,7 @@ def percent(result: dict[str, Any], channel: str, when: str) -> float:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The runs as logs."""
-    data = os.environ.get("SEATRIAL_DATA")
-    if not data:
-        pytest.skip("SEATRIAL_DATA does not say where the measured data sets are")
-    files = sorted(Path(data, "blueboat").glob("fixed_00000*.csv"))
-    if not files:
-        pytest.skip("SEATRIAL_DATA has no blueboat")
+    files = sorted(measured("blueboat").glob("fixed_00000*.csv"))
     folder = tmp_path_factory.mktemp("blueboat")
     run("import", "csv", str(HERE / "blueboat.toml"), *map(str, files), "--out-dir", str(folder))
     return folder

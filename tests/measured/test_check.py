@@ -2,38 +2,21 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import pytest
 
-import seatrial
 from bench.findings import Finding
 from tests.bench.check_cases import findings
+from tests.measured.data import measured, run
 
 pytestmark = [pytest.mark.measured]
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs/examples"
 
 
-def data(name: str) -> Path:
-    """The folder of a data set, or a skip that says why."""
-    where = os.environ.get("SEATRIAL_DATA")
-    if not where:
-        pytest.skip("SEATRIAL_DATA does not say where the measured data sets are")
-    if not Path(where, name).is_dir():
-        pytest.skip(f"SEATRIAL_DATA has no {name}")
-    return Path(where, name)
-
-
-def run(*words: str) -> None:
-    with pytest.raises(SystemExit) as left:
-        seatrial.main(words)
-    assert left.value.code == 0, words
-
-
 def test_the_swapped_sides_of_the_blueboat(tmp_path: Path) -> None:
-    files = sorted(data("blueboat").glob("fixed_*.csv"))
+    files = sorted(measured("blueboat").glob("fixed_*.csv"))
     run("import", "csv", str(EXAMPLES / "blueboat/blueboat.toml"), *map(str, files), "--out-dir", str(tmp_path))
     swapped = {}
     for path in sorted(tmp_path.glob("*.mcap")):
@@ -46,7 +29,7 @@ def test_the_swapped_sides_of_the_blueboat(tmp_path: Path) -> None:
 
 def ferry(tmp_path: Path, thruster: int, **changes: str) -> list[Finding]:
     """The findings of a thruster's log, imported by the example's map with some of its lines changed."""
-    folder = data("milliampere") / "thruster_data_test"
+    folder = measured("milliampere") / "thruster_data_test"
     text = (EXAMPLES / f"milliampere/thruster{thruster}.toml").read_text(encoding="utf-8")
     lines = text.splitlines()
     for begin, line in changes.items():

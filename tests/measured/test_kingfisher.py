@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-import seatrial
+from tests.measured.data import measured, run
 
 pytestmark = [pytest.mark.measured, pytest.mark.slow]
 
@@ -18,21 +17,10 @@ HERE = Path(__file__).resolve().parents[2] / "docs/examples/kingfisher"
 MODELS = ("immediate", "delayed", "both", "shifted")
 
 
-def run(*words: str) -> None:
-    with pytest.raises(SystemExit) as left:
-        seatrial.main(words)
-    assert left.value.code == 0, words
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What run.sh writes, of the models that the README draws its conclusions from."""
-    where = os.environ.get("SEATRIAL_DATA")
-    if not where:
-        pytest.skip("SEATRIAL_DATA does not say where the measured data sets are")
-    data = Path(where) / "kingfisher"
-    if not data.is_dir():
-        pytest.skip("SEATRIAL_DATA has no kingfisher")
+    data = measured("kingfisher")
     out = tmp_path_factory.mktemp("kingfisher")
     surge = [str(path) for path in sorted(data.glob("surge_*.csv"))]
     bollard = str(data / "bollard_loadcell_raw_20files.csv")

@@ -3,36 +3,24 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-import seatrial
 from ident.dataset import sample_and_hold
 from ident.loading import load_run
+from tests.measured.data import measured, run
 
 pytestmark = [pytest.mark.measured, pytest.mark.slow]
 
 HERE = Path(__file__).resolve().parents[2] / "docs/examples/milliampere"
 
 
-def run(*words: str) -> None:
-    with pytest.raises(SystemExit) as left:
-        seatrial.main(words)
-    assert left.value.code == 0, words
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Both logs, and the fit of thruster 3."""
-    where = os.environ.get("SEATRIAL_DATA")
-    if not where:
-        pytest.skip("SEATRIAL_DATA does not say where the measured data sets are")
-    data = Path(where) / "milliampere" / "thruster_data_test"
-    if not data.is_dir():
-        pytest.skip("SEATRIAL_DATA has no milliampere")
+    data = measured("milliampere/thruster_data_test")
     out = tmp_path_factory.mktemp("milliampere")
     for k in (3, 4):
         files = [str(data / f"{name}_{k}.csv") for name in ("actuator_ref", "motor_state")]
