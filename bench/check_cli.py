@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import contextlib
-import json
+import shutil
 import sys
 import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 
-from bench.findings import FAULT, OK, WARNING, Finding, from_dict, lines, summary, worst_first
+from bench.findings import FAULT, OK, WARNING, Finding, from_dict, lines, paragraphs, summary, worst_first
 from daq.errors import SeatrialError
 from daq.rig import Rig, load_rig
 
 FILE = click.Path(path_type=Path)
-FORMAT = "seatrial-check 1"
+# Colours of a terminal; click leaves them out elsewhere. The words say the same.
+STYLES: dict[str, dict[str, Any]] = {FAULT: {"fg": "red", "bold": True}, WARNING: {"fg": "yellow"}, OK: {"fg": "green"}}
 
 
 @click.command(epilog="Example: seatrial check boat-rig.toml --mission mission.toml --actuators")
@@ -35,6 +36,7 @@ FORMAT = "seatrial-check 1"
 @click.option("--arm", is_flag=True, help="Put an autopilot into MANUAL, arm it, and disarm it at the end.")
 @click.option("-o", "--out", type=FILE, help="Log of the actuator test [default: by date in the rig's log directory].")
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON.")
+@click.option("--report", type=click.Path(dir_okay=False, path_type=Path), help="Write a page (HTML) with plots there.")
 @click.pass_context
 def check(
     context: click.Context,
@@ -47,6 +49,7 @@ def check(
     arm: bool,
     out: Path | None,
     as_json: bool,
+    report: Path | None,
 ) -> None:
     """Look for what would spoil a run, and say what to do about it.
 
@@ -61,55 +64,86 @@ def check(
         raise click.UsageError("--mission, --actuators, --thrust, --arm and -o need a RIG")
     if not actuators and (arm or out or thrust):
         raise click.UsageError("--thrust, --arm and -o belong to --actuators")
-    if rigs:
-        rig = load_rig(paths[0])
-        plan = _agreed(rig, thrust, yes) if actuators else None
-        found = _rig(rig, seconds, mission_path)
-        if plan is not None:
-            # Its log answers the questions about devices once more, and about the same devices.
-            tested = _actuators(context, rig, plan, found, out, arm, as_json)
-            known = {(finding.check, finding.where) for finding in tested}
-            found = [*(finding for finding in found if (finding.check, finding.where) not in known), *tested]
-    else:
-        found = _logs(context, paths)
-    _tell(found, ", ".join(str(path) for path in paths), as_json)
+    with tempfile.TemporaryDirectory(prefix="seatrial-check-") as folder:
+        about: dict[str, Any] = {}
+        if rigs:
+            from bench.check_report import about_rig
+            from bench.mission import load_mission
 
+            rig = load_rig(paths[0])
+            mission = None if mission_path is None else load_mission(mission_path)
+            test = _Test(_agreed(rig, thrust, yes), out, arm) if actuators else None
+            found, logs = _rig(context, rig, seconds, mission, test, Path(folder), as_json)
+            about = about_rig(rig, mission) if report else {}
+        else:
+            found, logs = _logs(context, paths), list(paths)
+        _show(found, as_json)
+        faults = list(dict.fromkeys(finding.where for finding in worst_first(found) if finding.level == FAULT))
+        if not (as_json or faults):
+            click.echo(summary(found))
+        if report is not None:
+            from bench.check_report import write_report
 
-def _tell(found: Sequence[Finding], where: str, as_json: bool) -> None:
-    """Print the findings, and leave with an error where there is a fault."""
-    found = worst_first(found)
-    if as_json:
-        click.echo(json.dumps({"format": FORMAT, "findings": [finding._asdict() for finding in found]}, indent=2))
-    else:
-        for line in lines(found):
-            click.echo(line)
-    faults = list(dict.fromkeys(finding.where for finding in found if finding.level == FAULT))
+            write_report(context, worst_first(found), logs, report, about)
+            click.echo(f"report: {report}", err=as_json)
     if faults:
+        where = ", ".join(str(path) for path in paths)
         raise SeatrialError(
             f"{where}: {summary(found)}; not as it should be: {', '.join(faults)} (see the lines above)"
         )
-    if not as_json:
-        click.echo(summary(found))
 
 
-def _rig(rig: Rig, seconds: float, mission_path: Path | None) -> list[Finding]:
-    """Listen; nothing moves."""
+def _show(found: Sequence[Finding], as_json: bool) -> None:
+    """Print the findings, worst first; a line each, and wrapped in a terminal."""
+    found = worst_first(found)
+    if as_json:
+        from bench.check_report import as_json as written
+
+        click.echo(written(found))
+        return
+    width = shutil.get_terminal_size().columns
+    for line in paragraphs(found, width) if sys.stdout.isatty() else lines(found):
+        level = line.split(" ", 1)[0]
+        click.echo(click.style(level, **STYLES[level]) + line[len(level) :] if level in STYLES else line)
+
+
+class _Test(NamedTuple):
+    """The actuator test that somebody has agreed to: its plan, where its log goes, and whether to arm."""
+
+    plan: Any
+    out: Path | None
+    arm: bool
+
+
+def _rig(
+    context: click.Context, rig: Rig, seconds: float, mission: Any, test: _Test | None, folder: Path, as_json: bool
+) -> tuple[list[Finding], list[Path]]:
+    """Findings of a rig and the log that shows them; nothing moves without a ``test``."""
+    path = folder / "check.mcap"
+    found = _listened(rig, seconds, mission, path)
+    if test is None:
+        return found, [path]
+    out = test.out or rig.log_directory / f"{time.strftime('%Y%m%dT%H%M%S')}-actuator-test.mcap"
+    tested = _actuators(context, rig, test._replace(out=out), found, as_json)
+    # Its log answers the questions about devices once more, and about the same devices.
+    known = {(finding.check, finding.where) for finding in tested}
+    return [*(f for f in found if (f.check, f.where) not in known), *tested], [out if out.exists() else path]
+
+
+def _listened(rig: Rig, seconds: float, mission: Any, path: Path) -> list[Finding]:
+    """Listen, recording at ``path``; nothing moves."""
     from bench.check import check_computer, check_ports, listen
     from bench.check_devices import check_devices
     from bench.dry_run import check_mission
-    from bench.mission import load_mission
     from daq.log import open_log
 
-    planned = None if mission_path is None else load_mission(mission_path)
-    with tempfile.TemporaryDirectory(prefix="seatrial-check-") as folder:
-        path = Path(folder) / "check.mcap"
-        status = listen(rig, seconds, path)
-        found = list(check_ports(rig, status))
-        silent = {finding.where for finding in found if finding.check == "alive"}
-        with open_log(path) as log:
-            found += [finding for finding in check_devices(log) if finding.where not in silent]
+    status = listen(rig, seconds, path)
+    found = list(check_ports(rig, status))
+    silent = {finding.where for finding in found if finding.check == "alive"}
+    with open_log(path) as log:
+        found += [finding for finding in check_devices(log) if finding.where not in silent]
     found += check_computer(rig, status)
-    return found if planned is None else [*found, *check_mission(planned, rig)]
+    return found if mission is None else [*found, *check_mission(mission, rig)]
 
 
 def _agreed(rig: Rig, thrust: float | None, yes: bool) -> Any:
@@ -125,7 +159,7 @@ def _agreed(rig: Rig, thrust: float | None, yes: bool) -> Any:
 
 
 def _actuators(
-    context: click.Context, rig: Rig, plan: Any, before: Sequence[Finding], out: Path | None, arm: bool, as_json: bool
+    context: click.Context, rig: Rig, test: _Test, before: Sequence[Finding], as_json: bool
 ) -> list[Finding]:
     """Run the plan as any mission is run, guard and watchdog included, then look at its log."""
     faults = [finding.where for finding in before if finding.level == FAULT]
@@ -135,13 +169,13 @@ def _actuators(
     from bench.display import PlainDisplay, make_display
     from bench.run import run_mission
 
-    for line in () if as_json else lines(worst_first(before)):  # said now: the run may end in a stop
-        click.echo(line)
-    path = rig.log_directory / f"{time.strftime('%Y%m%dT%H%M%S')}-actuator-test.mcap" if out is None else out
+    assert test.out is not None
+    if not as_json:
+        _show(before, False)  # said now: the run may end in a stop
     with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
         display = PlainDisplay() if as_json else make_display()
-        run_mission(plan, rig, path, display, {"command": " ".join(["seatrial", *sys.argv[1:]])}, arm)
-        return _logs(context, [path])
+        run_mission(test.plan, rig, test.out, display, {"command": " ".join(["seatrial", *sys.argv[1:]])}, test.arm)
+        return _logs(context, [test.out])
 
 
 def _logs(context: click.Context, paths: Sequence[Path]) -> list[Finding]:

@@ -93,14 +93,20 @@ def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: 
     _run(load_mission(mission_path), load_rig(rig_path), out, arm, retry)
 
 
-@mission.command(epilog="Example: seatrial mission show mission.toml")
+@mission.command(
+    short_help="Show the segments and what each thruster is told.",
+    epilog="Example: seatrial mission show mission.toml",
+)
 @click.argument("mission_path", metavar="MISSION", type=FILE)
 def show(mission_path: Path) -> None:
     """Show a mission as text: its segments and a sketch of what each thruster is told."""
     click.echo(describe(load_mission(mission_path)))
 
 
-@mission.command(epilog="Example: seatrial mission make --kind mixed --seconds 300 --seed 1 -o mission.toml")
+@mission.command(
+    short_help="Make a random mission that excites what a diagnosis needs.",
+    epilog="Example: seatrial mission make --kind mixed --seconds 300 --seed 1 -o mission.toml",
+)
 @click.option("--kind", type=click.Choice(plans.MISSION_KINDS), default="mixed", show_default=True)
 @click.option("--seconds", type=click.FloatRange(30.0, 7200.0), default=300.0, show_default=True)
 @click.option("--seed", type=click.IntRange(min=0), required=True, help="The same seed makes the same mission.")

@@ -55,7 +55,9 @@ class Steps:
         self._note(name, time.monotonic() - start)
         if status != 0:
             said = " ".join(words[:2])
-            raise StepFailed(f"demo: `seatrial {said}` failed with exit status {status} (see above)")
+            live = said.endswith("run") or said.startswith("bench")
+            slower = "; was the machine too busy? --speed 5 asks less of it" if live else ""
+            raise StepFailed(f"demo: `seatrial {said}` failed with exit status {status} (see above){slower}")
 
     def has(self, *words: str) -> bool:
         """Whether this installation has the command, by its --help."""

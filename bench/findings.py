@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 OK, WARNING, FAULT = "ok", "warning", "fault"
+LEVEL = 8  # columns of the level
 
 
 class Finding(NamedTuple):
@@ -31,12 +33,29 @@ def worst_first(findings: Iterable[Finding]) -> list[Finding]:
 
 def lines(findings: Sequence[Finding]) -> list[str]:
     """A table, one line a finding, columns as wide as they have to be."""
+    both = zip(_heads(findings), findings, strict=True)
+    return [f"{head}{f.text}{f': {f.advice}' if f.advice else ''}" for head, f in both]
+
+
+def paragraphs(findings: Sequence[Finding], width: int) -> list[str]:
+    """The same for a terminal of ``width`` columns: wrapped, and what to do on a line of its own."""
+    heads = _heads(findings)
+    beside = len(heads[0]) <= width // 2 if heads else True
+    indent = len(heads[0]) if heads and beside else LEVEL + 1
+    found = []
+    for head, f in zip(heads, findings, strict=True):
+        texts = [f.text, *([f"→ {f.advice}"] if f.advice else [])]
+        wrapped = [line for text in texts for line in textwrap.wrap(text, max(width - indent, 24))]
+        rest = [" " * indent + line for line in wrapped]
+        found += [head + wrapped[0], *rest[1:]] if beside else [head.rstrip(), *rest]
+    return found
+
+
+def _heads(findings: Sequence[Finding]) -> list[str]:
+    """Level, where and check of each, all of one length."""
     wide = max((len(f.where) for f in findings), default=0)
     what = max((len(f.check) for f in findings), default=0)
-    return [
-        f"{f.level:<8} {f.where:<{wide}}  {f.check:<{what}}  {f.text}{f': {f.advice}' if f.advice else ''}"
-        for f in findings
-    ]
+    return [f"{f.level:<{LEVEL}} {f.where:<{wide}}  {f.check:<{what}}  " for f in findings]
 
 
 def summary(findings: Sequence[Finding]) -> str:

@@ -20,6 +20,7 @@ from bench.vehicle import Vehicles
 from daq.acquire import Acquisition, Status
 from daq.clock import RunClock
 from daq.errors import SafetyStop, SeatrialError
+from daq.priority import in_front
 from daq.rig import Rig
 from daq.samples import Esc, Gnss, LoadCell
 
@@ -65,6 +66,7 @@ def run_mission(
         Acquisition(
             rig, path, clock=clock, attachments=attachments, metadata=metadata or {}, drive=True
         ) as acquisition,
+        in_front(),  # whoever watches the limits
     ):
         return _Runner(mission, rig, path, clock, acquisition, signals, display).run(arm, retries, keys)
 

@@ -1,4 +1,7 @@
-"""One diagnosis from channels to the answer: 400 s for estimation, 250 s for validation, at ten rows a second."""
+"""`seatrial ident diagnose` from two logs to the report: 400 s for estimation, 250 s for validation, ten rows a second.
+
+Each command is a process of its own; kernels that were not compiled before are compiled by it.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +14,14 @@ EFFECTS = ("none", "cubic-drag")
 
 
 def figures(seed: int) -> Iterator[Figure]:
-    """CPU, whether it was right, and what the answer does to the error; kernels are compiled by the first."""
+    """CPU, whether it was right, and what the answer does to the error."""
     for effect in EFFECTS:
         row = run_case(Case(effect, seed))
         group = f"diagnosis, {effect}"
         if "error" in row:
             raise RuntimeError(f"{row['key']}: {row['error']}")
         found = ", ".join(row["found"]) or "none"
-        yield Figure(group, "missions, fit and search", row["cpu"], "s CPU", note=f"found: {found}")
+        yield Figure(group, "logs to report", row["cpu"], "s CPU", note=f"found: {found}")
         for channel, unit in (("x", "m"), ("r", "rad/s")):
             after, before = row["after"]["ten_seconds"][channel], row["before"]["ten_seconds"][channel]
             yield Figure(group, f"10 s ahead, {channel}, validation", after, unit, note=f"before: {before:.4g}")

@@ -115,9 +115,9 @@ def acquire(folder: Path, seed: int) -> Iterator[Figure]:
             mock.terminate()
     messages = last.messages - first.messages
     group = f"acquisition process, mock boat at speed {SPEED:g}"
-    yield Figure(group, "messages", messages / took, "1/s wall")
+    yield Figure(group, "samples", messages / took, "1/s wall")
     yield Figure(group, "CPU", 100 * cpu / took, "% of a core")
-    yield Figure(group, "CPU a message", 1e6 * cpu / max(messages, 1), "us")
+    yield Figure(group, "CPU a sample", 1e6 * cpu / max(messages, 1), "us", note="reading, decoding, writing, status")
     yield Figure(group, "samples lost", float(sum(port.dropped for port in last.ports.values())), "")
 
 

@@ -20,6 +20,7 @@ import daq
 from daq.clock import RunClock
 from daq.errors import SeatrialError
 from daq.link import Link, Message
+from daq.priority import get_in_front
 from daq.rig import Rig
 from daq.status import Latest, PortStatus, Status, from_json
 from daq.stop_note import read_note
@@ -189,6 +190,7 @@ class Acquisition:
             raise SeatrialError(f"the acquisition process ended{why}; the log is {self.path}") from None
 
     def _beat(self) -> None:
+        get_in_front()  # this thread: what it says keeps thrust on, and a busy machine must not end it
         while not self._stopping.wait(HEARTBEAT_S):
             alive = self._alive.is_set()
             self._alive.clear()

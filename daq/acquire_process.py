@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import contextlib
 import gc
-import os
 import select
 import signal
 import socket
@@ -24,17 +23,17 @@ from daq.device import DeviceLoop
 from daq.device_table import make_decoder
 from daq.errors import SeatrialError
 from daq.link import Link, Message
+from daq.priority import get_in_front
 from daq.recorder import Recorder, check_room
+from daq.reporter import Reporter
 from daq.rig import DRIVES, Rig, parse_rig
 from daq.samples import NAN, Event, Frame, PortHealth
 from daq.setpoints import Setpoints
-from daq.status import Status, to_json
 from daq.talkers import make_talker
 from daq.transport import make_port
 from daq.watchdog import Pulse
 from daq.writer import WRITE_S, Item, Sink, Writer
 
-PRIORITY = -10  # niceness, where the system lets us
 STATUS_S = 0.05  # wall, as all of these
 SILENCE_S = 0.25  # the parent, while thrust is commanded
 RECORD_ON_S = 1.0  # after a stop that nobody asked for
@@ -45,17 +44,15 @@ class Process:
 
     def __init__(self, link: Link, rig: Rig, recorder: Recorder, clock: RunClock, pulse: Pulse | None = None) -> None:
         self._link, self._rig, self._clock, self._pulse = link, rig, clock, pulse
-        self._path = str(recorder.path)
         self._sink = Sink()
         self._setpoints = {device.name: Setpoints() for device in rig.devices if device.protocol in DRIVES}
         self._loops = {device.name: self._loop(device.name) for device in rig.devices}
         self._writer = Writer(recorder, self._sink, self._health, clock)
-        self._begun = clock.now()
+        path = str(recorder.path)
+        self._reporter = Reporter(link, rig, path, clock, self._loops, self._setpoints, self._writer, self._event)
         self._heard = self._alive = time.monotonic()
         self._terminated = False
         self._stopped = ""  # set when thrust was ended here; then only the parent's zero lets it start again
-        self._said: set[str] = set()
-        self._skipped = 0  # set-points whose loss stands in the log
         self._wishes: dict[str, Callable[[Message], None]] = {
             "heartbeat": self._on_heartbeat,
             "schedule": self._on_schedule,
@@ -218,7 +215,7 @@ class Process:
             loop.join()
         if self._pulse is not None:
             self._pulse.end()
-        self._note_skipped()
+        self._reporter.note_skipped()
         self._writer.end()
         self._writer.join()
         self._report()
@@ -227,51 +224,10 @@ class Process:
             self._link.send({"op": "failed", "why": why} if why else {"op": "closed", "why": self._end_reason})
 
     def _report(self) -> None:
-        status = self._status()
-        for warning in status.warnings:
-            if warning not in self._said:
-                self._said.add(warning)
-                self._event("warning", warning)
-        self._note_skipped()
         try:
-            self._link.send({"op": "status", "status": to_json(status)})
+            self._reporter.report(self._stopped, self._end_reason if self._unasked else "")
         except OSError:
             self._end("the parent process is gone", unasked=True)
-
-    def _note_skipped(self) -> None:
-        """An event for the set-points that were overtaken since the last one: the plan was not run as it stands."""
-        total = self._count_skipped()
-        if total > self._skipped:
-            self._event("skipped", f"{total - self._skipped} set-points: later ones were due before they could be sent")
-            self._skipped = total
-
-    def _count_skipped(self) -> int:
-        return sum(setpoints.skipped for setpoints in self._setpoints.values())
-
-    def _status(self) -> Status:
-        now = self._clock.now()
-        ports = {name: loop.status(now) for name, loop in self._loops.items()}
-        warnings = [f"{port.name} ({port.port}): {port.message}" for port in ports.values() if port.message]
-        if self._writer.alarm:
-            warnings.insert(0, self._writer.alarm)
-        if self._stopped:
-            warnings.append(f"thrust was stopped: {self._stopped}")
-        held = {name: setpoints.held for name, setpoints in self._setpoints.items()}
-        return Status(
-            t=now,
-            ports=ports,
-            latest={source: latest for loop in self._loops.values() for source, latest in loop.latest().items()},
-            commanded={t.name: held[t.device].get(t.node, 0.0) for t in self._rig.thrusters},
-            pending=sum(setpoints.pending for setpoints in self._setpoints.values()),
-            path=self._path,
-            bytes=self._writer.size,
-            messages=self._writer.messages,
-            duration=now - self._begun,
-            stopped=self._stopped or (self._end_reason if self._unasked else ""),
-            warnings=tuple(warnings),
-            skipped=self._count_skipped(),
-            links={name: link for name, loop in self._loops.items() if (link := loop.link()) is not None},
-        )
 
 
 def _pulse(rig: Rig, path: Path) -> Pulse:
@@ -309,8 +265,7 @@ def main() -> None:
     # Threads take turns often enough for set-points a millisecond apart, and the collector has less to walk through.
     sys.setswitchinterval(0.0005)
     gc.freeze()
-    with contextlib.suppress(OSError):  # where we may: a busy machine must not hold up receive times and set-points
-        os.setpriority(os.PRIO_PROCESS, 0, PRIORITY)
+    get_in_front()  # a busy machine must not hold up receive times and set-points
     process.run()
 
 

@@ -107,24 +107,26 @@ class Layout:
         n_fixed = next((i for i, field in enumerate(body) if field.variable), len(body))
         self.type_name, self.fixed, self.tail = type_name, body[:n_fixed], body[n_fixed:]
         frame = frame_id + b"\0"
-        names, formats, offsets = ["sec", "nanosec", "n_frame"], ["<i4", "<u4", "<u4"], [4, 8, 12]
+        names, formats = ["endian", "sec", "nanosec", "n_frame"], ["<u2", "<i4", "<u4", "<u4"]
+        offsets = [0, 4, 8, 12]
         code, end = f"<4siII{len(frame)}s", 16 + len(frame)
         for field in self.fixed:
             size = struct.calcsize(f"<{_CODES[field.primitive]}")
             pad = -(end - len(ENCAPSULATION)) % size
-            code += f"{pad}x{field.length}{_CODES[field.primitive]}"
+            # An array is given as its bytes: a covariance that never changes is packed once for all messages.
+            code += f"{pad}x{_CODES[field.primitive]}" if field.length == 1 else f"{pad}x{size * field.length}s"
             names.append(field.name)
             numpy_code = f"<{_CODES[field.primitive]}" if size > 1 else _CODES[field.primitive]
             formats.append(numpy_code if field.length == 1 else f"({field.length},){numpy_code}")
             offsets.append(end + pad)
             end += pad + size * field.length
-        self._struct, self._frame = struct.Struct(code), (len(frame), frame)
+        self._pack, self._n_frame, self._frame = struct.Struct(code).pack, len(frame), frame
         self.dtype = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": end})
 
-    def pack(self, stamp_ns: int, *values: float, tail: tuple[bytes, ...] = ()) -> bytes:
-        """One message: the fixed fields' values flat and in order, then the variable fields' bytes."""
+    def pack(self, stamp_ns: int, *values: float | bytes, tail: tuple[bytes, ...] = ()) -> bytes:
+        """One message: the fixed fields in order, arrays as bytes (`doubles`), then the variable fields' bytes."""
         sec, nanosec = divmod(stamp_ns, NANO)
-        message = self._struct.pack(ENCAPSULATION, sec, nanosec, *self._frame, *values)
+        message = self._pack(ENCAPSULATION, sec, nanosec, self._n_frame, self._frame, *values)
         if not (tail or self.tail):
             return message
         for field, data in zip(self.tail, tail, strict=True):
@@ -147,6 +149,11 @@ class Layout:
             found.append(data.removesuffix(b"\0") if field.primitive == "string" else data)
             at += length
         return tuple(found)
+
+
+def doubles(*values: float) -> bytes:
+    """An array of float64 as `Layout.pack` takes it."""
+    return struct.pack(f"<{len(values)}d", *values)
 
 
 @cache

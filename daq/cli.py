@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from daq.cli_log import LOG
 from daq.device_table import SERIAL_PROTOCOLS
 
 _EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
@@ -14,9 +15,11 @@ _FOLDER = click.Path(file_okay=False, path_type=Path)
 
 
 @click.command()
-@click.argument("log", type=_EXISTING)
+@click.argument("log", type=LOG)
 def info(log: Path) -> None:
-    """Say what a LOG holds: topics and rates, health counters, events, warnings.
+    """Say what a LOG holds, all its segments: topics and rates, health counters, events, warnings.
+
+    LOG may be the folder of a single log, too.
 
     \b
     Example:
@@ -35,11 +38,11 @@ def info(log: Path) -> None:
 
 
 @click.command()
-@click.argument("log", type=_EXISTING)
+@click.argument("log", type=LOG)
 @click.option("-o", "--out", type=_NEW, help="The whole log to write (default: LOG with -salvaged in its name).")
 @click.option("--force", is_flag=True, help="Replace OUT where it exists.")
 def salvage(log: Path, out: Path | None, force: bool) -> None:
-    """Recover the LOG of a killed run or a damaged disk into a whole file.
+    """Recover the LOG of a killed run or a damaged disk, all its segments, into one whole file.
 
     Every other command opens a killed log as it is; this is for tools that do not. LOG itself is left alone.
 
@@ -50,10 +53,11 @@ def salvage(log: Path, out: Path | None, force: bool) -> None:
     from daq.salvage import salvage as run
 
     target = out or log.with_name(f"{log.stem}-salvaged.mcap")
-    n_messages, warnings = run(log, target, force)
-    for warning in warnings:
+    done = run(log, target, force)
+    for warning in done.warnings:
         click.echo(f"warning: {warning}", err=True)
-    click.echo(f"{target}: {n_messages} messages")
+    pieces = f" of {done.files} segments" if done.files > 1 else ""
+    click.echo(f"{target}: {done.messages} messages{pieces}{'' if done.warnings else '; nothing was wrong with it'}")
 
 
 @click.group("import")
@@ -66,7 +70,7 @@ def import_() -> None:
     """
 
 
-@import_.command("csv")
+@import_.command("csv", short_help="CSV files, by a map that says which column is what.")
 @click.argument("map_", metavar="MAP", type=_EXISTING)
 @click.argument("files", metavar="FILE...", type=_EXISTING, nargs=-1, required=True)
 @click.option("-o", "--out", type=_NEW, help="The log to write, where it is a single one.")
@@ -89,7 +93,7 @@ def import_csv(map_: Path, files: tuple[Path, ...], out: Path | None, out_dir: P
         click.echo(str(path))
 
 
-@import_.command("mavlink")
+@import_.command("mavlink", short_help="A tlog of a ground station or a DataFlash log of ArduPilot.")
 @click.argument("file", type=_EXISTING)
 @click.option("--rig", "rig_path", type=_EXISTING, help="Names the thrusters and scales their outputs.")
 @click.option("--system", type=click.IntRange(1, 255), help="Which system (default: the first autopilot).")
@@ -112,7 +116,7 @@ def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: P
     click.echo(f"{path}: {said}")
 
 
-@import_.command("raw")
+@import_.command("raw", short_help="Bytes that a device once sent, decoded by its protocol.")
 @click.argument("protocol", type=click.Choice(SERIAL_PROTOCOLS))
 @click.argument("file", type=_EXISTING)
 @click.option("--rate", type=click.FloatRange(min=0.0, min_open=True), help="Samples a second, for the times.")
@@ -134,7 +138,7 @@ def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, 
     click.echo(f"{path}: {said}")
 
 
-@import_.command("ros2")
+@import_.command("ros2", short_help="A ROS 2 bag, a file or a folder, MCAP or sqlite3.")
 @click.argument("bag", type=click.Path(exists=True, path_type=Path))
 @click.option("--topic", "topics", multiple=True, metavar="TOPIC[=NAME]", help="Take this one only; may be repeated.")
 @click.option(
@@ -159,7 +163,7 @@ def import_ros2(bag: Path, topics: tuple[str, ...], axes: str, out: Path | None,
     click.echo(f"{path}: {said}")
 
 
-@import_.command("ulog")
+@import_.command("ulog", short_help="A flight log of PX4 (.ulg).")
 @click.argument("file", type=_EXISTING)
 @click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
 @click.option("--force", is_flag=True, help="Replace the log where it exists.")

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import click
 
+from daq.cli_log import LOG
 from daq.errors import SeatrialError
 
-_EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
 _FOLDER = click.Path(file_okay=False, path_type=Path)
 
 
@@ -32,6 +32,7 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
       seatrial devices /dev/ttyUSB0 --toml
     """
     from daq.find_devices import find, recognise
+    from daq.latency import UDEV_RULE
 
     def say(text: str) -> None:
         click.echo(text, err=True)
@@ -46,6 +47,10 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
             at = f"{one.protocol} at {one.baud} baud, {one.rate:.4g}/s" if one.protocol else "-"
             about = f" ({one.description})" if one.description and one.description != "n/a" else ""
             click.echo(f"{one.port}{about}: {at}: {one.says}")
+        if one.hint:
+            click.echo(f"hint: {one.port}: {one.hint}", err=True)
+    if any("latency_timer" in one.hint for one in found):
+        click.echo(f"hint: for good, in a file of /etc/udev/rules.d: {UDEV_RULE}", err=True)
     if not any(one.protocol or one.port.startswith("socketcan:") for one in found):
         raise SeatrialError("no device was recognised; is it powered, and is its output switched on?")
 
@@ -57,7 +62,7 @@ def _rig_protocols() -> tuple[str, ...]:
 
 
 @click.command()
-@click.argument("log", type=_EXISTING)
+@click.argument("log", type=LOG)
 @click.option("--dir", "folder", type=_FOLDER, default="ports", show_default=True, help="Where the ports are made.")
 @click.option("--device", "names", multiple=True, help="Only this device; may be repeated.")
 @click.option(
@@ -67,8 +72,8 @@ def _rig_protocols() -> tuple[str, ...]:
 def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> None:
     """Send the raw bytes of LOG again, on ports DIR/DEVICE, at the times at which they came.
 
-    Begins when every port has a reader: a rig whose ports are these records the log anew. A CAN bus comes back as an
-    slcan adapter. Ctrl-C ends it.
+    Begins when every port has a reader: `seatrial log DIR/replay.toml`, which is the log's own rig with these ports,
+    records the log anew. A CAN bus comes back as an slcan adapter. Ctrl-C ends it.
 
     \b
     Example:
@@ -90,7 +95,7 @@ def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> Non
 
 @click.command()
 @click.argument("form", type=click.Choice(["csv", "parquet"]))
-@click.argument("log", type=_EXISTING)
+@click.argument("log", type=LOG)
 @click.option("-o", "--out", type=_FOLDER, required=True, help="Folder for the files; made where it is not there.")
 @click.option("--force", is_flag=True, help="Replace files that exist.")
 def export(form: str, log: Path, out: Path, force: bool) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from daq.clock import ClockMap, RunClock
 from daq.protocol import Decoder
 from daq.rig import Device
-from daq.samples import NAN, Ahrs, Command, Esc, Event, Frame, PortHealth, Sample, Servo
+from daq.samples import NAN, Ahrs, Command, Esc, Event, Frame, Gnss, PortHealth, Sample, Servo
 from daq.setpoints import Due, Setpoints
 from daq.status import Latest, LinkStatus, PortStatus, RateMeter, Source
 from daq.talker import Talker
@@ -27,6 +27,7 @@ MUTE_BYTES = 2000  # so many without a valid frame are no start-up noise
 STUCK_S = 0.25  # wall; a thread that commands thrust has a turn every 20 ms
 JOIN_BYTES = 256  # as much may be the rest of a frame
 RATE_WINDOW_S = 2.0  # wall
+MANY = ("mavlink", "nmea2000")  # several kinds of samples over one port, and not all count for its rate
 
 
 def _is_attitude(sample: Sample) -> bool:
@@ -56,7 +57,7 @@ class DeviceLoop(threading.Thread):
         self.device = device
         self._port, self._decoder, self._clock, self._sink = port, decoder, clock, sink
         self._setpoints, self._talker, self._on_lost = setpoints, talker, on_lost
-        self._many = device.protocol == "mavlink"  # kinds of samples over one port; its rate is that of the attitude
+        self._many, self._attitudes = device.protocol in MANY, False
         self._clock_map = ClockMap()
         self._watch = Watch()
         self._has_clock = False
@@ -161,7 +162,7 @@ class DeviceLoop(threading.Thread):
             if not isinstance(frame.sample, Event):
                 self._latest[self._source(frame.sample)] = Latest(frame.sample, t)
                 self._t_last = frame.t_rx
-                self._rated += not self._many or _is_attitude(frame.sample)
+                self._rated += self._is_rated(frame.sample)
             self._watch.take(frame)
         self._samples += len(frames)
         self._watch.count(t_rx, self._decoder.frames, self._decoder.checksum_errors, self._clock_map.resets)
@@ -172,6 +173,13 @@ class DeviceLoop(threading.Thread):
             self._mute_bytes += len(data)
         if not self._sink.put(Item(self.device.name, "rx", data, t_rx, frames)):
             self._dropped += max(len(frames), 1)
+
+    def _is_rated(self, sample: Sample) -> bool:
+        """Whether it counts for the rate: all do, but of several kinds the attitude, or fixes where there is none."""
+        if not self._many or _is_attitude(sample):
+            self._attitudes = True
+            return True
+        return self.device.protocol == "nmea2000" and not self._attitudes and isinstance(sample, Gnss)
 
     def _source(self, sample: Sample) -> Source:
         name = self.device.name
@@ -240,6 +248,11 @@ class DeviceLoop(threading.Thread):
     def link(self) -> LinkStatus | None:
         """What is known of the other end; None where nobody is there to talk with."""
         return None if self._talker is None else self._talker.link_at(time.monotonic())
+
+    @property
+    def hint(self) -> str:
+        """What could be better about the port, in one line; empty when nothing could."""
+        return self._port.hint
 
     def health(self) -> PortHealth:
         """The counters, for the log."""

@@ -95,7 +95,14 @@ def _dbc(device: Device, rig: Rig) -> Decoder:
 def _dronecan(device: Device, rig: Rig) -> Decoder:
     from daq.protocol import dronecan
 
-    return dronecan.Decoder()
+    here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
+    return dronecan.Decoder(frozenset(thruster.node for thruster in here if thruster.reversed))
+
+
+def _nmea2000(device: Device, rig: Rig) -> Decoder:
+    from daq.protocol import nmea2000
+
+    return nmea2000.Decoder(device.declination)
 
 
 GNSS_BAUDS = (9600, 38400, 115200, 4800, 57600, 460800, 230400, 921600)
@@ -117,7 +124,8 @@ DEVICES: dict[str, Row] = {
     ),
     "vesc": Row("VESC speed controllers", CAN, _vesc, ("bitrate",)),
     "dbc": Row("shaft speed from any CAN bus, by a DBC file", CAN, _dbc, ("bitrate", "dbc")),
-    "dronecan": Row("DroneCAN speed controllers (esc.Status)", CAN, _dronecan, ("bitrate",)),
+    "dronecan": Row("DroneCAN speed controllers", CAN, _dronecan, ("bitrate", "own_node")),
+    "nmea2000": Row("ship's bus: compass, attitude, GNSS", CAN, _nmea2000, ("bitrate", "declination_deg")),
     "mavlink": Row("autopilot: AHRS, GNSS, outputs, battery", NET, _mavlink, ("mavlink",), (57600, 115200, 921600)),
 }  # fmt: skip
 SERIAL_PROTOCOLS = tuple(name for name, row in DEVICES.items() if row.bus == SERIAL)

@@ -33,6 +33,7 @@ class Found:
     baud: int = 0
     rate: float = math.nan  # samples a second
     says: str = ""  # for people: what it is, or why it is not known
+    hint: str = ""  # what could be better about the port
 
     def toml(self, name: str) -> str:
         """A [[device]] for the rig file."""
@@ -87,9 +88,10 @@ class _Ear:
 
     def rate(self) -> float:
         """Samples a second, from their times of arrival."""
-        span = self.times[-1] - self.times[0] if self.times else 0.0
-        n_reads = len(set(self.times))
-        return self.samples * (n_reads - 1) / (n_reads * span) if n_reads > 1 and span > 0.0 else math.nan
+        if not self.times or self.times[-1] == self.times[0]:
+            return math.nan
+        # The first read may hold what had waited; from there on as much came as is said.
+        return (len(self.times) - self.times.count(self.times[0])) / (self.times[-1] - self.times[0])
 
 
 def find(
@@ -103,7 +105,8 @@ def find(
     for folder in sorted(Path("/sys/class/net").glob("*")) if Path("/sys/class/net").is_dir() else []:
         kind = folder / "type"
         if kind.is_file() and kind.read_text().strip() == str(CAN_TYPE):
-            found.append(Found(f"socketcan:{folder.name}", "CAN interface", says="CAN bus: vesc, dronecan or dbc"))
+            says = "CAN bus: vesc, dronecan, nmea2000 or dbc"
+            found.append(Found(f"socketcan:{folder.name}", "CAN interface", says=says))
     return found
 
 
@@ -122,22 +125,25 @@ def baud_rates(wanted: Sequence[int] = ()) -> list[int]:
 def recognise(path: str, description: str = "", *, bauds: Sequence[int] = (), listen: float = LISTEN_S) -> Found:
     """Listen on a port at one baud rate after the other. Nothing is ever sent: who knows what is there."""
     heard_at: list[int] = []
+    hint = ""
     for baud in baud_rates(bauds):
         ears = [_Ear(name) for name, row in DEVICES.items() if baud in row.bauds]
         ears += [_Ear(SLCAN)] if baud in SLCAN_BAUDS else []
+        port = SerialPort(path, baud)
         try:
-            heard = _listen(SerialPort(path, baud), ears, listen, silent=SILENT_S if not heard_at else listen)
+            heard = _listen(port, ears, listen, silent=SILENT_S if not heard_at else listen)
         except PortError as error:
             return Found(path, description, says=str(error))
+        hint = port.hint
         if heard == 0 and not heard_at:
-            return Found(path, description, says="silent; what speaks only when asked is not found")
+            return Found(path, description, says="silent; what speaks only when asked is not found", hint=hint)
         heard_at.append(baud)
         best = max(ears, key=_Ear.score, default=None)
         if best is not None and best.score() > (0.0, 0):
             says = "CAN adapter (slcan), its channel open" if best.protocol == SLCAN else DEVICES[best.protocol].says
-            return Found(path, description, best.protocol, baud, best.rate(), says)
+            return Found(path, description, best.protocol, baud, best.rate(), says, hint)
     tried = ", ".join(map(str, heard_at))
-    return Found(path, description, says=f"bytes that no protocol explains at {tried} baud")
+    return Found(path, description, says=f"bytes that no protocol explains at {tried} baud", hint=hint)
 
 
 def _listen(port: SerialPort, ears: Sequence[_Ear], seconds: float, silent: float) -> int:

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from daq.errors import SeatrialError
 from daq.log import Log
+from daq.mcap_set import first_of
 from daq.samples import PortHealth, Scalar
 
 MAX_EVENTS = 40
@@ -21,16 +22,24 @@ def show(log: Log, console: Console) -> None:
     """Print duration, topics with rates, health counters, events and warnings."""
     size = sum(path.stat().st_size for path in log.paths)
     pieces = f" in {len(log.paths)} segments" if len(log.paths) > 1 else ""
-    state = "complete" if log.complete else "cut off"
-    begin = datetime.fromtimestamp(log.start, UTC).isoformat(sep=" ", timespec="milliseconds")
-    console.print(f"[bold]{escape(str(log.path))}[/]  {size / 1e6:.2f} MB{pieces}, {state}")
-    console.print(f"from {begin}, {log.duration:.3f} s, {sum(log.counts.values())} messages")
+    state = "complete" if log.complete else "cut off, or still being written"
+    console.print(f"[bold]{escape(str(log.path))}[/]  {_size(size)}{pieces}, {state}")
+    if log.counts:
+        begin = datetime.fromtimestamp(log.start, UTC).isoformat(sep=" ", timespec="milliseconds")
+        console.print(f"from {begin}, {log.duration:.3f} s, {sum(log.counts.values())} messages")
+    else:
+        console.print("no messages")
+    first = first_of(log.path)
+    if first is not None and log.metadata.get("segment", "0") != "0":
+        number = escape(log.metadata["segment"])
+        console.print(f"  segment {number} of {escape(first.name)}, which opens with all of them")
     for key in _ABOUT:
         if log.metadata.get(key):
             console.print(f"  {key}: {escape(log.metadata[key])}")
     for name, data in log.attachments.items():
         console.print(f"  attached: {escape(name)} ({len(data)} bytes)")
-    console.print(_topics(log))
+    if log.counts:
+        console.print(_topics(log))
     if log.sources(PortHealth):
         console.print(_health(log))
     _events(log, console)
@@ -39,18 +48,19 @@ def show(log: Log, console: Console) -> None:
 
 
 def _topics(log: Log) -> Table:
-    table = Table("topic", "type", "messages", "rate [Hz]", "longest gap [s]", "", title_justify="left")
+    signals = {f"/signal/{name}": name for name in log.sources(Scalar)}
+    notes = [""] if signals else []
+    table = Table("topic", "type", "messages", "rate [Hz]", "longest gap [s]", *notes, title_justify="left")
     for column in table.columns[2:5]:
         column.justify = "right"
-    signals = {f"/signal/{name}": name for name in log.sources(Scalar)}
     for topic, type_name in log.types().items():
         rate, gap = log.rate_and_gap(topic)
-        note = ""
+        notes = [""] if signals else []
         if topic in signals:
             name = signals[topic]
-            note = f"{log.role(name)} [{log.unit(name)}], hold {log.hold(name)}"
+            notes = [f"{log.role(name)} [{log.unit(name)}], hold {log.hold(name)}"]
         count = str(log.counts[topic])
-        table.add_row(escape(topic), type_name, count, _number(rate, 2), _number(gap, 4), escape(note))
+        table.add_row(escape(topic), type_name, count, _number(rate, 2), _number(gap, 4), *map(escape, notes))
     return table
 
 
@@ -69,7 +79,9 @@ def _health(log: Log) -> Table:
             last.dropped,
             last.reconnects,
         )
-        delay = f"{_number(last.clock_bias * 1e3, 2)} ± {_number(last.clock_spread * 1e3, 2)}"
+        delay = "-"
+        if math.isfinite(last.clock_bias):
+            delay = f"{last.clock_bias * 1e3:.2f} ± {_number(last.clock_spread * 1e3, 2)}"
         table.add_row(device, escape(last.port), *(str(counter) for counter in counters), delay)
     return table
 
@@ -84,6 +96,10 @@ def _events(log: Log, console: Console) -> None:
         console.print(f"{t - log.start:10.3f} s  [bold]{escape(kind)}[/]  {escape(text)}")
     if len(events) > MAX_EVENTS:
         console.print(f"... and {len(events) - MAX_EVENTS} more events")
+
+
+def _size(n_bytes: int) -> str:
+    return f"{n_bytes / 1e6:.2f} MB" if n_bytes >= 1e6 else f"{n_bytes / 1e3:.1f} kB"
 
 
 def _number(value: float, digits: int) -> str:

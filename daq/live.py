@@ -97,10 +97,14 @@ def watch(
 ) -> None:
     """Show the status until run time `deadline` or until `stop` is set: a table on a terminal, lines elsewhere."""
     if not console.is_terminal:
-        line_at = time.monotonic() + FIRST_LINE_S
+        line_at, told = time.monotonic() + FIRST_LINE_S, set[str]()
         while not stop.wait(_pause(clock, deadline, line_at)) and clock.now() < deadline:
             if time.monotonic() >= line_at:
-                console.print(line(acquisition.status()), soft_wrap=True, markup=False)
+                status = acquisition.status()
+                for hint in set(status.hints) - told:  # once; a table has room to say it all the time
+                    console.print(f"hint: {hint}", soft_wrap=True, markup=False)
+                told.update(status.hints)
+                console.print(line(status), soft_wrap=True, markup=False)
                 line_at += LINE_S
         return
     with Live(console=console, auto_refresh=False, screen=False) as live:
@@ -155,6 +159,7 @@ def table(status: Status, rig: Rig, width: int) -> Group:
             rows.add_row(*[""] * (len(columns) - 1), value)
     parts: list[Table | Text] = [_header(status, rig), Text(), rows, Text()]
     parts += [Text(f"! {warning}", style=BAD) for warning in status.warnings]
+    parts += [Text(f"hint: {hint}", style=DIM) for hint in status.hints]
     parts.append(Text("Ctrl-C ends the log", style=DIM))
     return Group(*parts)
 

@@ -19,7 +19,7 @@ from mcap.records import Channel
 from numpy.typing import NDArray
 
 from daq import schema
-from daq.cdr import ENCAPSULATION, HEAD, NANO, layout, stamps
+from daq.cdr import ENCAPSULATION, HEAD, NANO, Layout, layout, stamps
 from daq.errors import SeatrialError
 from daq.mcap_set import open_raw
 from daq.rig import Rig, parse_rig
@@ -30,6 +30,7 @@ from daq.stop_note import read_note
 _COUNTERS = ("bytes_in", "frames", "checksum_errors", "unparsed_bytes", "dropped", "reconnects")
 _DIRECTIONS = ("rx", "tx")
 MAX_FRAME_ID = 256
+_LITTLE = int.from_bytes(ENCAPSULATION[:2], "little")
 
 
 def open_log(path: Path | str) -> Log:
@@ -245,16 +246,22 @@ class Log:
     def _rows(self, topic: str, type_name: str) -> tuple[NDArray[np.void], NDArray[np.void]]:
         """Positions (dtype MESSAGE) and decoded fixed parts of a topic's messages, both shape (n,)."""
         messages = self._messages(topic, type_name)
-        rows = np.zeros(len(messages), layout(type_name, b"").dtype)
         wrong = self._error(f"a message on {topic} is no {type_name} in little-endian CDR")
         if np.any(messages["length"] < HEAD.itemsize):
             raise wrong
+        # Our own logs have one frame_id a topic: what the first message has is tried for all.
+        found = _layout(type_name, self._file.rows(messages[:1], HEAD)["n_frame"][0])
+        if found is not None and np.all(messages["length"] >= found.dtype.itemsize):
+            rows = self._file.rows(messages, found.dtype)
+            if np.all(rows["n_frame"] == rows["n_frame"][0]) and np.all(rows["endian"] == _LITTLE):
+                return messages, rows
+        rows = np.zeros(len(messages), layout(type_name, b"").dtype)
         heads = self._file.rows(messages, HEAD)
-        if np.any(heads["endian"] != int.from_bytes(ENCAPSULATION[:2], "little")):
+        if np.any(heads["endian"] != _LITTLE):
             raise wrong
-        for n_frame in np.unique(heads["n_frame"]):  # our own logs have one frame_id a topic
+        for n_frame in np.unique(heads["n_frame"]):
             part = np.flatnonzero(heads["n_frame"] == n_frame)
-            found = layout(type_name, b"\0" * (int(n_frame) - 1)) if 1 <= n_frame <= MAX_FRAME_ID else None
+            found = _layout(type_name, n_frame)
             if found is None or np.any(messages["length"][part] < found.dtype.itemsize):
                 raise wrong
             decoded = self._file.rows(messages[part], found.dtype)
@@ -272,6 +279,11 @@ class Log:
             except ValueError as error:
                 raise self._error(f"a message on {topic} is no {type_name}") from error
             yield float(t), row, tail
+
+
+def _layout(type_name: str, n_frame: int) -> Layout | None:
+    """The layout for a frame_id of so many bytes, its end included; None where that makes no sense."""
+    return layout(type_name, b"\0" * (int(n_frame) - 1)) if 1 <= n_frame <= MAX_FRAME_ID else None
 
 
 def _table(kind: type[Measured], t: NDArray[np.float64], columns: schema.Columns) -> NDArray[np.void]:

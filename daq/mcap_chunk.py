@@ -10,6 +10,7 @@ import struct
 import zlib
 from collections.abc import Callable, Sequence
 from io import BytesIO
+from itertools import pairwise
 from typing import NamedTuple
 
 import lz4.frame
@@ -25,7 +26,7 @@ HEADER = RECORD.size
 _CHUNK = struct.Struct("<QQQII")  # start, end, uncompressed size, checksum, length of the compression's name
 CHUNK_NAME = _CHUNK.size - 4  # where the length of the compression's name stands
 CHUNK_HEAD = _CHUNK.size + 16  # bytes that hold all of a chunk's header
-_HEAD = np.dtype(
+MESSAGE_HEAD = np.dtype(  # of a message record, up to its data
     {
         "names": ["opcode", "length", "channel", "sequence", "log_ns", "stamp_ns"],
         "formats": ["u1", "<u8", "<u2", "<u4", "<u8", "<u8"],
@@ -120,8 +121,8 @@ def scan(buffer: Buffer, index: Sequence[Offsets], register: Callable[[int, byte
     `index` are the offsets that the message indexes give; schemas and channels go to `register(opcode, content)`.
     """
     offsets = np.unique(np.concatenate(index)) if index else np.zeros(0, np.int64)
-    offsets = offsets[(offsets >= 0) & (offsets <= len(buffer) - _HEAD.itemsize)]
-    heads = rows_at(buffer, offsets, _HEAD)
+    offsets = offsets[(offsets >= 0) & (offsets <= len(buffer) - MESSAGE_HEAD.itemsize)]
+    heads = rows_at(buffer, offsets, MESSAGE_HEAD)
     good = (heads["opcode"] == Opcode.MESSAGE) & (heads["length"] >= 22) & (heads["length"] <= len(buffer))
     ends = offsets + HEADER + np.minimum(heads["length"], len(buffer)).astype(np.int64)
     good &= ends <= len(buffer)
@@ -135,9 +136,9 @@ def scan(buffer: Buffer, index: Sequence[Offsets], register: Callable[[int, byte
         found += _read_gap(view, int(starts[i]), int(stops[i]), register)
     if found:
         offsets = np.sort(np.append(offsets, np.asarray(found, np.int64)))
-    heads = rows_at(buffer, offsets, _HEAD)
+    heads = rows_at(buffer, offsets, MESSAGE_HEAD)
     rows = np.zeros(len(offsets), MESSAGE)
-    rows["offset"] = offsets + _HEAD.itemsize
+    rows["offset"] = offsets + MESSAGE_HEAD.itemsize
     rows["length"] = heads["length"].astype(np.int64) - 22
     for name in ("channel", "sequence", "log_ns", "stamp_ns"):
         rows[name] = heads[name]
@@ -161,10 +162,13 @@ def _read_gap(view: memoryview, at: int, stop: int, register: Callable[[int, byt
 
 def rows_at(buffer: Buffer, offsets: Offsets, dtype: np.dtype[np.void]) -> NDArray[np.void]:
     """Structures of `dtype` at these offsets, all within the buffer; shape (n,)."""
-    if not len(offsets):
-        return np.zeros(0, dtype)
-    starts = np.ndarray((len(buffer) - dtype.itemsize + 1,), f"V{dtype.itemsize}", buffer.data, strides=(1,))
-    return starts[offsets].view(dtype)
+    return _records_at(buffer, offsets, dtype.itemsize).view(dtype) if len(offsets) else np.zeros(0, dtype)
+
+
+def _records_at(buffer: Buffer, offsets: Offsets, size: int) -> NDArray[np.void]:
+    """As `rows_at`, without the fields: those make numpy slow."""
+    starts: NDArray[np.void] = np.ndarray((len(buffer) - size + 1,), f"V{size}", buffer.data, strides=(1,))
+    return starts[offsets]
 
 
 def by_chunk(messages: NDArray[np.void]) -> list[tuple[int, NDArray[np.void]]]:
@@ -172,7 +176,8 @@ def by_chunk(messages: NDArray[np.void]) -> list[tuple[int, NDArray[np.void]]]:
     if not len(messages):
         return []
     borders = np.flatnonzero(np.diff(messages["chunk"])) + 1
-    return [(int(part["chunk"][0]), part) for part in np.split(messages, borders)]
+    parts = [messages[a:b] for a, b in pairwise([0, *borders.tolist(), len(messages)])]
+    return [(int(part["chunk"][0]), part) for part in parts]
 
 
 class Chunked:
@@ -184,8 +189,9 @@ class Chunked:
 
     def rows(self, messages: NDArray[np.void], dtype: np.dtype[np.void]) -> NDArray[np.void]:
         """Payloads of `messages` (MESSAGE rows in file order), each at least as long as `dtype`; shape (n,)."""
-        parts = [rows_at(self.chunk(number), part["offset"], dtype) for number, part in by_chunk(messages)]
-        return np.concatenate(parts) if parts else np.zeros(0, dtype)
+        size = dtype.itemsize
+        parts = [_records_at(self.chunk(number), part["offset"], size) for number, part in by_chunk(messages)]
+        return np.concatenate(parts).view(dtype) if parts else np.zeros(0, dtype)
 
     def payload(self, message: np.void) -> memoryview:
         """The bytes of one message (a MESSAGE row)."""

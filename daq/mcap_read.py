@@ -143,7 +143,7 @@ class RawLog(Chunked):
             if opcode == Opcode.FOOTER:
                 self.complete = True
                 return
-        self._warn("the recording was cut off (no footer): everything up to there is used")
+        self._warn("the recording was cut off or still goes on (no footer): everything up to there is used")
 
     def _next_chunk(self, at: int) -> int | None:
         """Where the next whole zstd chunk begins, at or behind `at`: damage need not cost all that follows."""

@@ -15,20 +15,25 @@ from numpy.typing import NDArray
 
 from daq.errors import SeatrialError
 from daq.mcap_chunk import MESSAGE, Buffer, Chunked
-from daq.mcap_read import RawLog
+from daq.mcap_read import MAX_WARNINGS, RawLog
 
 SAME = ("origin", "rig", "host")  # what segments of one log have in common
 
 
 def open_raw(path: Path) -> RawLog | RawSet:
     """The log at `path` with all its segments. Raises SeatrialError as `RawLog` does."""
-    first = RawLog(path)
-    origin = _about(first).get("origin")
     later = segments(path)
-    if not later or not origin:
+    try:
+        first = RawLog(path)
+    except SeatrialError as error:
+        if not later:
+            raise
+        names = ", ".join(other.name for other in later.values())
+        raise SeatrialError(f"{error}; what may be its later segments opens by itself: {names}") from error
+    if not later or not _about(first).get("origin"):
         return first
-    files, warnings = [first], []
-    for other in later:
+    files, warnings, last = [first], [], 0
+    for number, other in later.items():
         try:
             raw = RawLog(other)
         except SeatrialError as error:
@@ -36,20 +41,42 @@ def open_raw(path: Path) -> RawLog | RawSet:
             continue
         if all(_about(raw).get(key) == _about(first).get(key) for key in SAME):
             files.append(raw)
+            last = number
         else:
             raw.close()
             warnings.append(f"{other.name} is of another run and left out")
+    gone = [segment_path(path, number).name for number in range(1, last) if number not in later]
+    warnings += [f"a segment is missing: {name}" for name in gone[:MAX_WARNINGS]]
     return RawSet(files, warnings) if len(files) > 1 or warnings else first
 
 
-def segments(path: Path) -> list[Path]:
-    """The files beside `path` that are named as its later segments, by their number."""
+def segment_path(first: Path, number: int) -> Path:
+    """Where segment `number`, 1 and up, of the log that begins at `first` lies."""
+    return first.with_suffix(f".{number}{first.suffix}")
+
+
+def segments(path: Path) -> dict[int, Path]:
+    """The files beside `path` that are named as its later segments, by their number, ascending."""
     name = re.compile(re.escape(path.stem) + r"\.(\d{1,6})" + re.escape(path.suffix))
     try:
         found = [(int(match[1]), other) for other in path.parent.iterdir() if (match := name.fullmatch(other.name))]
     except OSError:
-        return []
-    return [other for _, other in sorted(found)]
+        return {}
+    return dict(sorted(found))
+
+
+def first_segments(folder: Path) -> list[Path]:
+    """The logs in a folder, each by its first segment, in the order of their names."""
+    paths = sorted(folder.glob("*.mcap"))
+    later = {other for path in paths for other in segments(path).values()}
+    return [path for path in paths if path not in later]
+
+
+def first_of(path: Path) -> Path | None:
+    """The first segment of the log that `path` is named as a later segment of, where it is there."""
+    match = re.fullmatch(r"(.+)\.\d{1,6}", path.stem)
+    first = path.with_name(f"{match[1]}{path.suffix}") if match else path
+    return first if first != path and first.is_file() else None
 
 
 def _about(raw: RawLog) -> dict[str, str]:

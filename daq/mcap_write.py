@@ -1,7 +1,7 @@
 """One MCAP segment on disk, written so that a kill, a power cut or a full disk costs at most the last moment.
 
-The writer is mcap's own. What is ours is the stream below it: raw file descriptor, nothing buffered, cut back to the
-last whole record when a write fails; and a ballast file whose space pays for the footer when the disk is full.
+Below the records (daq.mcap_build) is a stream of our own: raw file descriptor, nothing buffered, cut back to the last
+whole record when a write fails; and a ballast file whose space pays for the footer when the disk is full.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NoReturn
 
-from mcap.writer import CompressionType, Writer
-
 from daq.cdr import full_definition
 from daq.errors import SeatrialError
+from daq.mcap_build import RecordWriter
 from daq.safe_stream import BALLAST_BYTES, Syncer, WholeRecordStream
 
 CHUNK_BYTES = 256 * 1024
 FLUSH_S = 0.25  # wall; each flush ends a chunk, and a chunk is what a killed run keeps
+FEW, FEW_S = 16, 0.1  # so few messages wait no longer than this: where they are rare, each counts
 SYNC_S = 1.0  # wall
 FULL = (errno.ENOSPC, errno.EDQUOT)
 QOS = (
@@ -67,20 +67,18 @@ class LogWriter:
         except OSError as error:
             text = f"{path}: the log cannot be made: {error.strerror}"
             raise (DiskFull(text, complete=True) if error.errno in FULL else SeatrialError(text)) from error
-        self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
         self._syncer = Syncer(self._stream)
         self._syncer.start()
         self._failed: SeatrialError | None = None
         self._closed = False
         self._schemas: dict[str, int] = {}
-        self._n_channels = self._n_flushes = 0
-        self._flushed = self._synced = time.monotonic()
+        self._waits = self._synced = time.monotonic()
         with self._guard():
             self._begin(metadata, attachments, time_ns)
 
     def _begin(self, metadata: Mapping[str, str], attachments: Mapping[str, bytes], time_ns: int) -> None:
-        self._writer.start(profile="ros2", library="seatrial")
-        self._writer.add_metadata("seatrial", dict(metadata))
+        self._writer = RecordWriter(self._stream, chunk_bytes=CHUNK_BYTES, profile="ros2", library="seatrial")
+        self._writer.add_metadata("seatrial", metadata)
         for name, data in attachments.items():
             kind = "application/toml" if name.endswith(".toml") else "application/octet-stream"
             self._writer.add_attachment(time_ns, time_ns, name, kind, data)
@@ -96,7 +94,6 @@ class LogWriter:
         if type_name not in self._schemas:
             data = full_definition(type_name).encode()
             self._schemas[type_name] = self._writer.register_schema(type_name, "ros2msg", data)
-        self._n_channels += 1
         extra = {"offered_qos_profiles": QOS, **(metadata or {})}
         return self._writer.register_channel(topic, "cdr", self._schemas[type_name], extra)
 
@@ -112,11 +109,17 @@ class LogWriter:
             self._end_saved()
 
     def tick(self) -> None:
-        """Flush every 0.25 s and sync every second of wall time; call it often."""
+        """Flush what has waited for 0.25 s, or 0.1 s where it is little, and sync every second of wall time.
+
+        To be called often.
+        """
         self._check()
         now = time.monotonic()
-        if now - self._flushed >= FLUSH_S:
-            self._flushed = now
+        n_waiting = self._writer.n_waiting
+        if not n_waiting:
+            self._waits = now
+        elif now - self._waits >= (FLUSH_S if n_waiting > FEW else FEW_S):
+            self._waits = now
             self.flush()
         if now - self._synced >= SYNC_S:
             self._synced = now
@@ -127,13 +130,10 @@ class LogWriter:
     def flush(self) -> None:
         """End the chunk and hand it to the operating system."""
         self._check()
-        self._n_flushes += 1
         with self._guard():
-            self._writer.flush()  # type: ignore[no-untyped-call]
-        # The footer repeats about 80 bytes and 10 a channel for every chunk: the ballast has to pay for all of them.
-        n_chunks = self._n_flushes + self.size // CHUNK_BYTES
-        footer = n_chunks * (80 + 10 * self._n_channels)
-        steps = -(-(2 * footer) // BALLAST_BYTES)
+            self._writer.flush()
+        # The end of the file has about 80 bytes and 10 a channel for every chunk: the ballast has to pay for it.
+        steps = -(-(2 * self._writer.summary_bytes) // BALLAST_BYTES)
         with contextlib.suppress(OSError):  # nearly full: the write that fails will say so
             self._stream.ballast.grow((1 + steps) * BALLAST_BYTES)
 
@@ -142,7 +142,7 @@ class LogWriter:
         if self._closed:
             return
         try:
-            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._writer.finish()
             self._stream.sync()
         except OSError as error:
             self._fail(error, complete=False)
@@ -164,7 +164,7 @@ class LogWriter:
         assert self._stream.failure is not None
         complete = True
         try:
-            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._writer.finish()
         except OSError:
             complete = False
         self._fail(self._stream.failure, complete)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -14,6 +13,7 @@ from typing import NamedTuple, Protocol
 from daq import schema
 from daq.cdr import NANO, layout
 from daq.errors import SeatrialError
+from daq.mcap_set import segment_path
 from daq.mcap_write import DiskFull, LogWriter
 from daq.provenance import collect
 from daq.rig import Rig
@@ -71,15 +71,15 @@ class Recorder:
         self._lost_some = False
         self._sequences: dict[str, int] = {}
         self._packers: dict[str, Callable[..., bytes]] = {}
-        self._number = self._size_before = 0
-        self._open(self.first_path)
+        self._size_before = 0
+        self._open(self.first_path, 0)
 
-    def _open(self, path: Path) -> None:
+    def _open(self, path: Path, number: int) -> None:
         """Begin a segment: everything that a reader needs stands in each."""
-        self._metadata["segment"] = str(self._number)
-        self._begun_ns = self._log_ns
+        about = {**self._metadata, "segment": str(number)}
+        self._writer = LogWriter(path, metadata=about, attachments=self._attachments, time_ns=self._log_ns)
+        self._number, self._begun_ns = number, self._log_ns
         self._channels: dict[str, int] = {}
-        self._writer = LogWriter(path, metadata=self._metadata, attachments=self._attachments, time_ns=self._log_ns)
 
     @property
     def path(self) -> Path:
@@ -101,17 +101,15 @@ class Recorder:
             self.health(device, sample, t)
             return
         log_ns, stamp_ns = self._times(frame.t_rx, t)
-        key = ""
-        for message in schema.messages(device, frame):
-            # All messages of one sample carry the sequence number of the first: the reader joins them by it.
-            if not key:
-                key = message.topic
-                self._sequences[key] = (self._sequences.get(key, 0) + 1) & 0xFFFFFFFF
-            pack = self._packers.get(message.topic)  # a topic has one type and one frame_id
+        messages = schema.messages(device, frame)
+        # All messages of one sample carry the sequence number of the first: the reader joins them by it.
+        key = messages[0].topic
+        sequence = self._sequences[key] = (self._sequences.get(key, 0) + 1) & 0xFFFFFFFF
+        for topic, type_name, frame_id, values in messages:
+            pack = self._packers.get(topic)  # a topic has one type and one frame_id
             if pack is None:
-                pack = self._packers[message.topic] = layout(message.type_name, message.frame_id.encode()).pack
-            data = pack(stamp_ns, *message.values)
-            self._add(message.topic, message.type_name, log_ns, stamp_ns, self._sequences[key], data)
+                pack = self._packers[topic] = layout(type_name, frame_id.encode()).pack
+            self._add(topic, type_name, log_ns, stamp_ns, sequence, pack(stamp_ns, *values))
 
     def write_raw(self, device: str, direction: str, data: bytes, t: float) -> None:
         """Bytes as read from ("rx") or written to ("tx") a port at t."""
@@ -199,13 +197,10 @@ class Recorder:
 
     def _next(self) -> None:
         """Begin the next segment; a name that is taken is passed over."""
-        before = self._size_before + self._writer.size
-        while True:
-            self._number += 1
-            path = self.first_path.with_suffix(f".{self._number}{self.first_path.suffix}")
-            if not path.exists():
-                break
-        self._open(path)
+        before, number = self._size_before + self._writer.size, self._number + 1
+        while (path := segment_path(self.first_path, number)).exists():
+            number += 1
+        self._open(path, number)
         self._size_before = before
 
     def _times(self, t_log: float, t_stamp: float) -> tuple[int, int]:
@@ -215,7 +210,7 @@ class Recorder:
     @staticmethod
     def _ns(t: float, otherwise: int) -> int:
         # A clock estimate may be NaN before its first sample; the header's seconds end in 2038 (int32).
-        return round(t * NANO) if math.isfinite(t) and 0.0 <= t < 2**31 else otherwise
+        return round(t * NANO) if 0.0 <= t < 2**31 else otherwise
 
     def _add(self, topic: str, type_name: str, log_ns: int, stamp_ns: int, sequence: int, data: bytes) -> None:
         if self.paused:

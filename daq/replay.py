@@ -13,6 +13,7 @@ from pathlib import Path
 from daq.errors import SeatrialError
 from daq.log import Log
 from daq.protocol.canframe import CAN_FRAME, EXTENDED, FRAME_BYTES
+from daq.replay_rig import write_rig
 from daq.samples import PortHealth
 
 SETTLE_S = 0.1  # a host sets its end up after it has opened it
@@ -110,17 +111,19 @@ def replay(
     said: Callable[[str], None] = lambda text: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> int:
-    """Serve the ports FOLDER/DEVICE, wait for a host on each, and send; returns the bytes sent.
+    """Serve the ports FOLDER/DEVICE and a rig for them, wait for a host on each, send; returns the bytes sent.
 
     `speed` is recorded seconds a second. `said` is told what it waits for, `stopped` is asked often.
     """
     names = recorded(log, devices)
     folder.mkdir(parents=True, exist_ok=True)
     ports: dict[str, ReplayPort] = {}
+    rig = write_rig(log, names, folder, speed)
     try:
         for name in names:
             ports[name] = ReplayPort(folder / name)
-        said(f"waiting for a reader of {', '.join(str(port.path) for port in ports.values())}")
+        again = f"; `seatrial log {rig}` records them anew" if rig else ""
+        said(f"waiting for a reader of {', '.join(str(port.path) for port in ports.values())}{again}")
         while {port.has_host() for port in ports.values()} != {True}:  # each is asked: that is what holds it open
             if stopped():
                 return 0
@@ -128,6 +131,8 @@ def replay(
         said(f"replaying {log.duration:.1f} s at speed {speed:g}")
         return _send(chunks(log, names), ports, speed, stopped)
     finally:
+        if rig is not None:
+            rig.unlink(missing_ok=True)
         for port in ports.values():
             port.close()
 

@@ -12,13 +12,14 @@ from typing import TypeVar
 from daq.device_table import CAN, DEVICES
 from daq.errors import SeatrialError
 from daq.rig_mavlink import NET_KINDS, MavlinkSettings, Output, read_output
-from daq.rig_options import DEFAULT_PATTERN, DbcSignal, read_options
+from daq.rig_options import DEFAULT_PATTERN, OWN_NODE, DbcSignal, read_options
 from daq.rig_options import Calibration as Calibration
 from daq.toml_table import Table, parse_toml, read_text
 
 FORMAT = "seatrial-rig 1"
 PROTOCOLS = tuple(DEVICES)
-DRIVES = ("vesc", "mavlink")  # what a thruster may hang on
+DRIVES = ("vesc", "dronecan", "mavlink")  # what a thruster may hang on
+HIGHEST_NODE = {"dronecan": 19}  # a command has room for so many
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
@@ -41,6 +42,7 @@ class Device:
     dbc: str = ""  # absolute path
     signals: tuple[DbcSignal, ...] = ()
     query: str = ""  # what a device that speaks only when asked is asked for each reading
+    own_node: int = OWN_NODE  # ours on a DroneCAN bus
 
 
 @dataclass(frozen=True)
@@ -236,14 +238,16 @@ def _thruster(table: Table, devices: Sequence[Device]) -> Thruster:
         there = ", ".join(buses) or "none"
         raise table.error("device", f"no {' or '.join(DRIVES)} device '{device}'; there is: {there}")
     forward, starboard, down = table.numbers("position_m", length=3)
-    node = table.integer("node", low=0, high=255)
-    autopilot = buses[device] == "mavlink"  # it reports the shaft's own speed, or none
+    node = table.integer("node", low=0, high=HIGHEST_NODE.get(buses[device], 255))
+    autopilot = buses[device] == "mavlink"
+    # Who reports the shaft's own speed, or none, has no use for the motor's poles.
+    no_poles = autopilot or (buses[device] == "dronecan" and not table.has("pole_pairs"))
     found = Thruster(
         name,
         device,
         node,
         (forward, starboard, down),
-        1 if autopilot else table.integer("pole_pairs", low=1, high=100),
+        1 if no_poles else table.integer("pole_pairs", low=1, high=100),
         math.nan if autopilot and not table.has("rpm_max") else table.number("rpm_max", positive=True),
         table.flag("reversed", False),
         table.number("timeout_s", 1.0, positive=True),

@@ -7,20 +7,22 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from daq.rig_mavlink import read_settings
 from daq.toml_table import Table
 
+if TYPE_CHECKING:  # the watchdog has no other use for it, and it takes longer to load than all the rest
+    import numpy as np
+    from numpy.typing import NDArray
+
 DEFAULT_PATTERN = r"^(?P<counts>-?\d+)$"
 DEFAULT_QUERY = "!001:SYS?"
 ESC_FIELDS = ("rpm", "current", "duty", "voltage", "temperature")
+OWN_NODE = 100  # ours on a DroneCAN bus; 10 is an autopilot's, 126 and 127 are for tools
 SOURCE = "source"  # a signal's node is the sender's address (J1939, NMEA 2000)
 
-Counts = TypeVar("Counts", float, NDArray[np.float64])
+Counts = TypeVar("Counts", float, "NDArray[np.float64]")
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,12 @@ def read_options(table: Table, names: Sequence[str], folder: Path) -> dict[str, 
 
 
 def _bitrate(table: Table, folder: Path) -> dict[str, Any]:
-    return {"bitrate": table.integer("bitrate", 500_000, low=10_000)}
+    usual = 250_000 if table.values.get("protocol") == "nmea2000" else 500_000
+    return {"bitrate": table.integer("bitrate", usual, low=10_000)}
+
+
+def _own_node(table: Table, folder: Path) -> dict[str, Any]:
+    return {"own_node": table.integer("own_node", OWN_NODE, low=1, high=127)}
 
 
 def _pattern(table: Table, folder: Path) -> dict[str, Any]:
@@ -132,7 +139,7 @@ def _mavlink(table: Table, folder: Path) -> dict[str, Any]:
 
 
 _READ: dict[str, Callable[[Table, Path], dict[str, Any]]] = {
-    "mavlink": _mavlink,
+    "mavlink": _mavlink, "own_node": _own_node,
     "bitrate": _bitrate, "pattern": _pattern, "saturation": _saturation, "calibration": _calibration,
     "declination_deg": _declination, "query": _query, "dbc": _dbc,
 }  # fmt: skip

@@ -5,38 +5,53 @@ from __future__ import annotations
 import contextlib
 import os
 from pathlib import Path
-
-from mcap.writer import CompressionType, Writer
+from typing import NamedTuple
 
 from daq.errors import SeatrialError
+from daq.mcap_build import RecordWriter
 from daq.mcap_chunk import by_chunk
 from daq.mcap_read import RawLog
+from daq.mcap_set import RawSet, open_raw
+
+CHUNK_BYTES = 1024 * 1024
 
 
-def salvage(path: Path, out: Path, force: bool = False) -> tuple[int, list[str]]:
-    """Copy everything readable to `out`; returns how many messages and what was found wrong. Raises SeatrialError."""
-    log = RawLog(path)
-    if not len(log.messages):
-        raise SeatrialError(f"{path}: no message is readable; there is nothing to salvage")
-    if out.exists() and (not force or out.samefile(path)):
-        raise SeatrialError(f"{out}: there is such a file already; -o names another")
-    part = out.with_name(f".{out.name}.{os.getpid()}.part")
+class Salvaged(NamedTuple):
+    """What came of it."""
+
+    messages: int
+    files: int  # segments that it was read from
+    warnings: list[str]  # what is wrong with them; nothing where the log was whole
+
+
+def salvage(path: Path, out: Path, force: bool = False) -> Salvaged:
+    """Copy everything readable of the log that begins at `path`, all its segments, to `out`. Raises SeatrialError."""
+    log = open_raw(path)
     try:
-        _copy(log, part)
-        os.replace(part, out)
-    except OSError as error:
-        raise SeatrialError(f"{out}: cannot be written: {error.strerror}") from error
+        if not len(log.messages):
+            raise SeatrialError(f"{path}: no message is readable; there is nothing to salvage")
+        if out.exists() and any(out.samefile(raw.path) for raw in log.files):
+            raise SeatrialError(f"{out}: is the log itself, which is left alone; -o names another")
+        if out.exists() and not force:
+            raise SeatrialError(f"{out}: there is such a file already; --force replaces it, -o names another")
+        part = out.with_name(f".{out.name}.{os.getpid()}.part")
+        try:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            _copy(log, part)
+            os.replace(part, out)
+        except OSError as error:
+            raise SeatrialError(f"{out}: cannot be written: {error.strerror}") from error
+        finally:
+            with contextlib.suppress(OSError):
+                part.unlink(missing_ok=True)
+        return Salvaged(len(log.messages), len(log.files), log.warnings)
     finally:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
         log.close()
-    return len(log.messages), log.warnings
 
 
-def _copy(log: RawLog, part: Path) -> None:
+def _copy(log: RawLog | RawSet, part: Path) -> None:
     with part.open("xb") as file:
-        writer = Writer(file, compression=CompressionType.ZSTD)
-        writer.start(profile=log.profile, library="seatrial")
+        writer = RecordWriter(file, chunk_bytes=CHUNK_BYTES, profile=log.profile, library="seatrial")
         for record in log.metadata:
             writer.add_metadata(record.name, record.metadata)
         for one in log.attachments:
@@ -55,6 +70,6 @@ def _copy(log: RawLog, part: Path) -> None:
                     int(message["stamp_ns"]) % 2**64,
                     int(message["sequence"]),
                 )
-        writer.finish()  # type: ignore[no-untyped-call]
+        writer.finish()
         file.flush()
         os.fsync(file.fileno())

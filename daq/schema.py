@@ -6,14 +6,16 @@ The table of topics is docs/formats/log.md; the definitions of the messages are 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import fields
+from functools import cache
 from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.cdr import doubles
 from daq.samples import Ahrs, Autopilot, Battery, Command, Esc, Frame, Gnss, LoadCell, Scalar, Servo
 
 IMU = "sensor_msgs/msg/Imu"
@@ -37,7 +39,7 @@ TYPES = {  # samples whose message has the sample's own fields behind t_rx and t
 }
 Measured = Ahrs | Gnss | Esc | Command | LoadCell | Servo | Battery | Autopilot | Scalar
 NODE_TOPICS: dict[type, str] = {Esc: "state", Command: "command", Servo: "servo"}  # kinds with a topic for each node
-_TOPICS: dict[type, str] = {
+_LAST: dict[type, str] = {
     Ahrs: "imu",
     Gnss: "gnss",
     LoadCell: "counts",
@@ -46,19 +48,20 @@ _TOPICS: dict[type, str] = {
 }
 Columns = dict[str, NDArray[np.float64] | NDArray[np.int64]]
 
-_ZERO9 = (0.0,) * 9  # "covariance unknown" in sensor_msgs
-_NONE9 = (-1.0,) + (0.0,) * 8  # "no estimate of this quantity"
+_ZERO9 = doubles(*(0.0,) * 9)  # "covariance unknown" in sensor_msgs
+_NONE9 = doubles(-1.0, *(0.0,) * 8)  # "no estimate of this quantity"
 _WILD = 1e6  # rad2, the variance of an angle that a compass does not know; a level attitude stands in for it
-_YAW9 = (_WILD, 0.0, 0.0, 0.0, _WILD, 0.0, 0.0, 0.0, 0.0)
+_LEVEL = (0.0, 0.0, 0.0, 1.0)  # the quaternion where no attitude is known
+_YAW9 = doubles(_WILD, 0.0, 0.0, 0.0, _WILD, 0.0, 0.0, 0.0, 0.0)
 
 
 class Message(NamedTuple):
-    """One message to write: topic, type, frame_id and the values of the fixed fields in order."""
+    """One message to write: topic, type, frame_id and the fixed fields as `cdr.Layout.pack` takes them."""
 
     topic: str
     type_name: str
     frame_id: str
-    values: tuple[float, ...]
+    values: tuple[float | bytes, ...]
 
 
 def field_names(kind: type[Measured]) -> list[str]:
@@ -78,10 +81,10 @@ def topic(kind: type[Measured], source: str, node: int | None = None) -> str:
         return f"/signal/{source}"
     if kind in NODE_TOPICS:
         return f"/{source}/{node}/{NODE_TOPICS[kind]}"
-    return f"/{source}/{_TOPICS[kind]}"
+    return f"/{source}/{_LAST[kind]}"
 
 
-def messages(device: str, frame: Frame) -> Iterable[Message]:
+def messages(device: str, frame: Frame) -> list[Message]:
     """What one sample becomes, the message with the times first. Raises TypeError for what is no measurement."""
     sample = frame.sample
     if isinstance(sample, Ahrs):
@@ -99,41 +102,43 @@ def messages(device: str, frame: Frame) -> Iterable[Message]:
     return [first]
 
 
-def _ahrs(device: str, s: Ahrs, times: tuple[float, float]) -> Iterable[Message]:
-    frame_id = f"{device}_frd_ned"
-    yield Message(f"/{device}/device_time", DEVICE_TIME, frame_id, times)
-    known = not math.isnan(s.yaw)
+@cache
+def _names(device: str) -> tuple[str, str, str, str]:
+    """Of an AHRS: frame_id and topics."""
+    return f"{device}_frd_ned", f"/{device}/device_time", f"/{device}/imu", f"/{device}/mag"
+
+
+def _ahrs(device: str, s: Ahrs, times: tuple[float, float]) -> list[Message]:
+    frame_id, time, imu, mag = _names(device)
+    known = s.yaw == s.yaw  # not NaN; this is done for every sample
     level = known and math.isnan(s.pitch + s.roll)
-    attitude = quaternion(s.yaw, 0.0, 0.0) if level else quaternion(s.yaw, s.pitch, s.roll)
-    yield Message(
-        f"/{device}/imu",
-        IMU,
-        frame_id,
-        (
-            *(attitude if known else (0.0, 0.0, 0.0, 1.0)),
-            *(_YAW9 if level else _ZERO9 if known else _NONE9),
-            *(s.p, s.q, s.r),
-            *(_NONE9 if math.isnan(s.p + s.q + s.r) else _ZERO9),
-            *(s.ax, s.ay, s.az),
-            *(_NONE9 if math.isnan(s.ax + s.ay + s.az) else _ZERO9),
-        ),
+    values = (
+        *(quaternion(s.yaw, 0.0, 0.0) if level else quaternion(s.yaw, s.pitch, s.roll) if known else _LEVEL),
+        _YAW9 if level else _ZERO9 if known else _NONE9,
+        *(s.p, s.q, s.r),
+        _NONE9 if math.isnan(s.p + s.q + s.r) else _ZERO9,
+        *(s.ax, s.ay, s.az),
+        _NONE9 if math.isnan(s.ax + s.ay + s.az) else _ZERO9,
     )
-    if not (math.isnan(s.mx) and math.isnan(s.my) and math.isnan(s.mz)):
-        yield Message(f"/{device}/mag", MAG, frame_id, (s.mx, s.my, s.mz, *_ZERO9))
+    found = [Message(time, DEVICE_TIME, frame_id, times), Message(imu, IMU, frame_id, values)]
+    if s.mx == s.mx or s.my == s.my or s.mz == s.mz:
+        found.append(Message(mag, MAG, frame_id, (s.mx, s.my, s.mz, _ZERO9)))
+    return found
 
 
-def _gnss(device: str, s: Gnss) -> Iterable[Message]:
+def _gnss(device: str, s: Gnss) -> list[Message]:
     # NavSatStatus: -1 no fix, 0 fix, 2 ground-based augmentation (differential and RTK); service 1 is GPS.
     status = -1 if s.fix < 2 else 2 if s.fix >= 4 else 0
     variance = s.sigma_h * s.sigma_h
     if math.isnan(variance):
         covariance, kind = _ZERO9, 0
     else:  # the vertical one is not reported; twice the horizontal is the usual rule
-        covariance, kind = (variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, 4.0 * variance), 1
-    yield Message(f"/{device}/fix", FIX, device, (status, 1, s.lat, s.lon, s.alt, *covariance, kind))
+        covariance, kind = doubles(variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, 4.0 * variance), 1
+    found = [Message(f"/{device}/fix", FIX, device, (status, 1, s.lat, s.lon, s.alt, covariance, kind))]
     if not (math.isnan(s.vel_n) or math.isnan(s.vel_e)):
         down = 0.0 if math.isnan(s.vel_d) else s.vel_d
-        yield Message(f"/{device}/velocity", TWIST, f"{device}_ned", (s.vel_n, s.vel_e, down, 0.0, 0.0, 0.0))
+        found.append(Message(f"/{device}/velocity", TWIST, f"{device}_ned", (s.vel_n, s.vel_e, down, 0.0, 0.0, 0.0)))
+    return found
 
 
 def quaternion(yaw: float, pitch: float, roll: float) -> tuple[float, float, float, float]:

@@ -77,6 +77,7 @@ class Status:
     warnings: tuple[str, ...]
     skipped: int = 0  # set-points that a later one overtook before they could be sent
     links: dict[str, LinkStatus] = dataclasses.field(default_factory=dict)  # by device
+    hints: tuple[str, ...] = ()  # what is no fault but could be better, a line each
 
 
 def to_json(status: Status) -> dict[str, Any]:
@@ -98,7 +99,8 @@ def from_json(data: dict[str, Any]) -> Status:
     for device, node, kind, values, t in data["latest"]:
         latest[device, node] = Latest(getattr(samples, kind)(*values), t)
     links = {name: LinkStatus(**{**link, "refused": tuple(link["refused"])}) for name, link in data["links"].items()}
-    return Status(**{**data, "links": links, "ports": ports, "latest": latest, "warnings": tuple(data["warnings"])})
+    lines = {"warnings": tuple(data["warnings"]), "hints": tuple(data["hints"])}
+    return Status(**{**data, **lines, "links": links, "ports": ports, "latest": latest})
 
 
 class RateMeter:
@@ -116,4 +118,6 @@ class RateMeter:
         while len(self._seen) > 2 and self._seen[1][0] <= t - self._window:
             del self._seen[0]
         t_0, count_0 = self._seen[0]
+        if count == count_0 and t - t_0 < self._window:
+            return math.nan
         return (count - count_0) / (t - t_0) if t > t_0 else math.nan

@@ -15,6 +15,13 @@ def make_talker(device: Device, rig: Rig, decoder: Decoder) -> Talker | None:
     here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
     if device.protocol == "vesc":
         return VescTalker(frozenset(thruster.node for thruster in here if thruster.reversed))
+    if device.protocol == "dronecan":
+        if not here:
+            return None
+        from daq.dronecan_talker import DronecanTalker
+
+        reversed_nodes = frozenset(thruster.node for thruster in here if thruster.reversed)
+        return DronecanTalker(frozenset(thruster.node for thruster in here), reversed_nodes, device.own_node)
     if isinstance(decoder, mantracourt.Decoder):
         return PollTalker(decoder.request, 1.0 / (device.rate_hz * rig.speed))
     if device.mavlink is None:

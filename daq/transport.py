@@ -11,16 +11,17 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import select
 import stat
 import termios
 import time
 from abc import ABC, abstractmethod
-from pathlib import Path
 from typing import Any
 
 import serial
 
+from daq.latency import set_latency_timer
 from daq.protocol import slcan
 from daq.protocol.canframe import CAN_FRAME, EXTENDED
 from daq.rig import Device
@@ -40,6 +41,7 @@ class Port(ABC):
     def __init__(self) -> None:
         self.bytes_in = 0
         self.unparsed_bytes = 0
+        self.hint = ""  # what could be better about it, in one line; known when it is open
 
     @abstractmethod
     def open(self) -> None:
@@ -81,7 +83,7 @@ class SerialPort(Port):
         except (OSError, termios.error, ValueError) as error:  # serial.SerialException is an OSError
             raise PortError(why(error)) from error
         self._fd = self._serial.fileno()
-        _set_latency_timer(self._path)
+        self.hint = set_latency_timer(self._path)
 
     def fileno(self) -> int:
         """What to wait on."""
@@ -138,6 +140,7 @@ class SlcanPort(Port):
         except ValueError as error:
             raise PortError(str(error)) from error
         self._serial.open()
+        self.hint = self._serial.hint
         self._decoder.reset()
         self._serial.write(commands)
 
@@ -243,6 +246,7 @@ _REASONS = {
     errno.EPERM: "may not be opened by this user (group dialout?)",
     errno.EBUSY: "is in use by another program",
     errno.EAGAIN: "is in use by another program",
+    errno.ENOTTY: "is no serial device",
     errno.ENETDOWN: "is down (ip link set ... up)",
 }
 
@@ -250,6 +254,8 @@ _REASONS = {
 def why(error: BaseException) -> str:
     """One line for an error of the operating system or of a library."""
     number = getattr(error, "errno", None) or getattr(error, "error_code", None)
+    if number is None and (inner := re.search(r"\((\d+), '", str(error))):  # pyserial quotes the one below it
+        number = int(inner[1])
     return _REASONS.get(number or 0) or " ".join(str(error).split()) or type(error).__name__
 
 
@@ -258,11 +264,3 @@ def list_serial_ports() -> list[tuple[str, str]]:
     from serial.tools import list_ports  # takes a while to import, and only a search needs it
 
     return sorted((port.device, port.description) for port in list_ports.comports())
-
-
-def _set_latency_timer(path: str) -> None:
-    """FTDI adapters bunch bytes for 16 ms unless told otherwise; this needs the right to write there."""
-    timer = Path("/sys/bus/usb-serial/devices") / Path(os.path.realpath(path)).name / "latency_timer"
-    if timer.exists():
-        with contextlib.suppress(OSError):
-            timer.write_text("1")

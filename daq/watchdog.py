@@ -19,6 +19,7 @@ import time
 from pathlib import Path
 
 from daq.link import Link
+from daq.priority import get_in_front
 from daq.protocol import vesc
 from daq.rig import DRIVES, Device, Rig, parse_rig
 from daq.stop_note import note_path
@@ -31,7 +32,6 @@ PULSE_S = 0.02  # between pulses, at least
 READY_S = 20.0
 OPEN_S = 3.0  # for a port to be free again
 ZERO_S = 1.0  # zero is said for so long
-PRIORITY = -10
 ACTIVE, IDLE, GOODBYE = b"1", b"0", b"q"
 
 
@@ -102,7 +102,7 @@ class Rescuer(threading.Thread):
         self.outcome = "not tried"
         self._port: Port = make_port(device)
         self._talker = None
-        if device.mavlink is not None:
+        if device.protocol != "vesc":
             from daq.device_table import make_decoder
             from daq.talkers import make_talker
 
@@ -163,8 +163,7 @@ def main() -> None:
     rig = parse_rig(config["rig_text"], Path(config["rig_path"]))
     driven = [d for d in rig.devices if d.protocol in DRIVES and any(t.device == d.name for t in rig.thrusters)]
     rescuers = [Rescuer(device, rig) for device in driven]
-    with contextlib.suppress(OSError):  # where we may
-        os.setpriority(os.PRIO_PROCESS, 0, PRIORITY)
+    get_in_front()  # all of its life it waits, and when it does not it is urgent
     link.send({"op": "ready"})
     reason = _watch(sock)
     if reason:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from daq.clock import RunClock
 from daq.errors import SeatrialError
+from daq.priority import get_in_front
 from daq.recorder import Recorder
 from daq.samples import Event, Frame, PortHealth
 
@@ -68,6 +69,7 @@ class Writer(threading.Thread):
 
     def run(self) -> None:
         """Until `end`: write what there is, every 10 ms, and the counters every second."""
+        get_in_front(behind=1)  # it compresses: the ports and the set-points come first
         health_at = time.monotonic() + HEALTH_S
         try:
             while not self._ending.wait(WRITE_S):

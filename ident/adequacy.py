@@ -18,7 +18,7 @@ from ident.score import Score
 # What may be left beside a right name: its true form is not exactly ours. In units of 2 ln L after paying for the
 # parameters, absolutely and of all that the effects explain (tests/recovery: leave-one-out against the full catalogue)
 LEFT, LEFT_SHARE = 20.0, 0.03
-MANY = 5  # tests that may still pass, however little each is worth: one small difference shows in a few of them
+MANY = 8  # tests that may still pass, however little each is worth: one small difference shows in a few of them
 CLOSE, CLOSE_SHARE = 10.0, 0.05  # a rival that is no further behind than this is not excluded
 
 
@@ -40,7 +40,8 @@ def judge(
         if one.chosen.unknown:
             found.append(Judgement(one.chosen.effect.name, "unknown", (), tuple(q.effect.name for q in _close(one))))
             continue
-        reasons = [*_left(rest, n), *_many(left), *_tables(chosen, one), *_rivals(one)]
+        reasons = [*_left(rest, n), *_many(left), *_kin(one.chosen.effect, left, len(chosen)), *_tables(chosen, one)]
+        reasons += _rivals(one)
         reasons += _untested(one.chosen.effect, untested)
         rivals = [q.effect.name for q in _close(one)]
         rivals += [name for name in one.chosen.effect.rivals if name in untested and name not in rivals]
@@ -60,17 +61,29 @@ def _many(left: Sequence[Score]) -> list[str]:
     return [f"with it {len(left)} tests still pass, of {_worded(left[0])} first"] if len(left) > MANY else []
 
 
+def _kin(effect: Effect, left: Sequence[Score], n_added: int) -> list[str]:
+    """Where several effects were added: a rival of this one that still passes, however little it is worth, since one
+    effect may then do the work of all."""
+    kin = [s.name for s in left if s.name in effect.rivals] if n_added > 1 else []
+    return [f"with it the tests still find its rival {kin[0]}"] if kin else []
+
+
 def _worded(score: Score) -> str:
     if not score.generic:
         return score.name
     force, of = score.name.rstrip(")").split("(")
-    return f"that {force} depends on {of.replace(', ', ' and ')}"
+    if " after " in of or " of " in of:
+        way, _, variable = of.rpartition(" ")
+        return f"that {force} {'swings after' if 'after' in way else 'follows'} {variable}"
+    what = force if force.isupper() or "_" in force else f"the error of {force}"
+    return f"that {what} depends on {of.replace(', ', ' and ')}"
 
 
 def _tables(chosen: Sequence[Refit], one: Round) -> list[str]:
     """A table that had to be added beside a name, or that gains more than the name does."""
     assert one.chosen is not None
-    reasons = [f"{c.effect.title} had to be added beside it" for c in chosen if c.unknown]
+    own = f"unknown {one.chosen.effect.any_of}"
+    reasons = [f"{c.effect.title} had to be added beside it" for c in chosen if c.unknown and c.effect.name != own]
     better = [q for q in one.refits if q.unknown and q.accepted and q.criterion > one.chosen.criterion]
     return reasons + [f"{q.effect.title} would explain more" for q in better[:1]]
 

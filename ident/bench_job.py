@@ -14,6 +14,7 @@ from ident.bench_runs import RATE, thruster_channels, thruster_name
 from ident.bench_start import first_guess, shaft_guess
 from ident.curve_job import is_static, static_curve
 from ident.dataset import Record, build_record
+from ident.doubt import doubt_of
 from ident.fit import Fit, fit
 from ident.jobs import Say, write_all
 from ident.loading import Loaded, envelope, load_run
@@ -48,11 +49,7 @@ def bench(
     """
     loaded = [load_run(path, "estimation") for path in logs]
     if is_static(loaded, name):
-        if profiles or robust:
-            raise SeatrialError(
-                f"{logs[0]}: has no shaft speed, so there is a static curve alone, which {'--robust' if robust else ''}"
-                f"{' and ' if robust and profiles else ''}{'--profile' if profiles else ''} cannot change; leave it out"
-            )
+        _refuse(logs[0], [*(["--robust"] if robust else []), *(["--profile"] if profiles else [])])
         return static_curve(loaded, out, name=name, settle=settle, command=command, say=say)
     name = name or thruster_name(loaded[0])
     has_force = all("force" in x.run.channels for x in loaded)
@@ -62,11 +59,13 @@ def bench(
     if shaft_guess(records)[0] > model.parameter("tau").bounds[1]:
         model = thruster("slow", force=has_force)
         records = [_record(model, x, name) for x in loaded]
-    say(f"fitting the thruster to {len(records)} run(s), {sum(r.n_rows for r in records)} rows")
+    runs_of = f"{len(records)} run{'' if len(records) == 1 else 's'}"
+    say(f"fitting the thruster to {runs_of}, {sum(r.n_rows for r in records)} rows")
     fitted, records = fit_on_a_copy(model, records, lambda m: [_record(m, x, name) for x in loaded], robust=robust)
     likelihood = Likelihood(fitted.model)
     runs = [likelihood.filter(r, v) for r, v in zip(records, fitted.record_values, strict=True)]
-    frees = [free_run(fitted.model, r, v, likelihood) for r, v in zip(records, fitted.record_values, strict=True)]
+    frees = [free_run(fitted.model, r, v, likelihood, doubt_of(fitted, i))
+             for i, (r, v) in enumerate(zip(records, fitted.record_values, strict=True))]
     result = envelope(loaded, command) | {"kind": "thruster", "fit": fit_part(fitted, model.values)}
     result |= _evidence(fitted.model, records, runs, frees)
     if has_force:
@@ -79,6 +78,15 @@ def bench(
     ranges = {"n_cmd": _range(np.concatenate([r.u[:, 0] for r in records]))}
     write_all(out, result, fitted, ranges)
     return result
+
+
+def _refuse(path: Path, options: Sequence[str]) -> None:
+    """Options that a static curve does not know; raises SeatrialError where there is one."""
+    if options:
+        raise SeatrialError(
+            f"{path}: has no shaft speed, so there is a static curve alone, which {' and '.join(options)} cannot "
+            "change; leave it out"
+        )
 
 
 def fit_on_a_copy(

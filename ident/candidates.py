@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -13,7 +14,8 @@ from scipy.linalg import expm, solve_banded
 from ident.dataset import TIME_INPUT, Record
 from ident.engine.rowwise import Rowwise
 from ident.model import Effect, Model
-from ident.models.unexplained import products_of, residuals_of, variables_of
+from ident.models.unexplained import products_of, readings_of, residuals_of, variables_of
+from ident.past import past_effects
 from ident.score import Columns
 from ident.shapes import harmonics
 
@@ -93,13 +95,19 @@ class Path:
         return found
 
     def generic(self, among: Mapping[str, Array] | None = None) -> Iterator[Columns]:
-        """Each residual force as a smooth function of each variable, and of products; ``among``: see splines."""
+        """Each residual force as a smooth function of each variable, and of products, or of an input's past; each
+        sensor's error as one of some variables; ``among``: see splines."""
         table = generic_features(self.model, self.own, self.x, among, self.values)
-        for residual in residuals_of(self.model):
+        for residual in (*residuals_of(self.model), *readings_of(self.model)):
             direction = self.state(residual.state)
             for name, feature in table.items():
+                if residual.of and name not in residual.of:
+                    continue
                 delta = direction[:, :, None] * feature[:, None, :]
                 yield Columns(f"{residual.name}({name})", delta, generic=True)
+        for name, effect in past_effects(self.model).items():
+            for columns in self.effect(effect):
+                yield replace(columns, name=name, generic=True)
 
 
 def _discrete(A: Array, step: float) -> tuple[Array, Array]:

@@ -21,7 +21,7 @@ def check_log(path: Path | str) -> list[Finding]:
     """Findings of one log. Raises SeatrialError where it is no log at all."""
     with open_log(path) as log:
         found = channels(log)
-        return [*_mute(log), *findings(found, _sides(log))]
+        return [*_mute(log), *findings(found, sides_of(log))]
 
 
 def findings(found: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
@@ -34,7 +34,8 @@ def findings(found: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     yield from motion(found, sides, {f.where for f in of_shafts if f.check == "dead"})
 
 
-def _sides(log: Log) -> dict[str, float]:
+def sides_of(log: Log) -> dict[str, float]:
+    """Thruster -> position to starboard [m] by the log's rig; of an imported log only the side is known."""
     rig = log.rig()
     return {t.name: t.position_m[1] for t in rig.thrusters} if rig else IMPORTED
 

@@ -41,6 +41,16 @@ class Pushes(NamedTuple):
     moment_t: float
 
 
+class Forces(NamedTuple):
+    """Each thruster's push f (n, n_thrusters) on common times t (n,) [s] between ``edges`` (n + 1,), and its side."""
+
+    names: tuple[str, ...]
+    t: Array
+    edges: Array
+    f: Array
+    side: Array
+
+
 def motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] = ()) -> Iterator[Finding]:
     """Whether the boat moves as its thrusters push; ``sides``: thruster -> position to starboard [m].
 
@@ -97,23 +107,46 @@ def _most(effect: Effect) -> Array:
     return np.where(effect.t != 0, bound / size[clear].max(), 1.0)
 
 
-def pushes(c: Channels, sides: Mapping[str, float]) -> Pushes | None:
-    """Regressions of yaw rate and speed ahead on each thruster's push; None without push or yaw rate."""
-    forces = {n: s for n in sides if (s := _push(c, n)) is not None}
-    if not forces or "r" not in c:
+def forces(c: Channels, sides: Mapping[str, float]) -> Forces | None:
+    """The thrusters' pushes on common times; None without push or yaw rate, or where the log is too short."""
+    found = {n: s for n in sides if (s := _push(c, n)) is not None}
+    if not found or "r" not in c:
         return None
-    used = [*forces.values(), c["r"]]
+    used = [*found.values(), c["r"]]
     start, end = max(s.t[0] for s in used), min(s.t[-1] for s in used)
     edges = np.arange(start, end, 1.0 / RATE)
     if edges.size < LEAST_S * RATE:
         return None
     t = edges[:-1] + 0.5 / RATE
-    f = np.column_stack([np.interp(t, s.t, s.value) for s in forces.values()])
-    names = tuple(forces)
-    side = _side(sides, names)
-    r = _filled(t, block_mean(c["r"], edges)[0])
+    f = np.column_stack([np.interp(t, s.t, s.value) for s in found.values()])
+    return Forces(tuple(found), t, edges, f, _side(sides, tuple(found)))
+
+
+def pushes(c: Channels, sides: Mapping[str, float]) -> Pushes | None:
+    """Regressions of yaw rate and speed ahead on each thruster's push; None as for `forces`."""
+    given = forces(c, sides)
+    if given is None:
+        return None
+    names, t, edges, f, side = given
+    r = filled(t, block_mean(c["r"], edges)[0])
     moment = _effect(r, (f @ side)[:, None], [], YAW_LAGS).t[0] if side.any() else 0.0
     return Pushes(names, _effect(r, f, [], YAW_LAGS), _surge(c, t, edges, f), float(moment))
+
+
+def as_pushed(y: Array, push: Array, lags: Sequence[float]) -> Array:
+    """What a push (n,) does to y (n,) through the first-order lag that fits best, with the sign that it should have.
+
+    Where y goes the other way the two are mirror images: that is what swapped sides look like.
+    """
+    found, best = np.full(y.size, np.nan), np.inf
+    for lag in lags:
+        past = _lagged(push[:, None], lag)[:, 0]
+        X = np.column_stack([past, np.ones(y.size)])
+        beta, *_ = np.linalg.lstsq(X, y, rcond=None)
+        error = float(np.sum((y - X @ beta) ** 2))
+        if error < best:
+            best, found = error, abs(beta[0]) * (past - past.mean()) + y.mean()
+    return found
 
 
 def _surge(c: Channels, t: Array, edges: Array, f: Array) -> Effect:
@@ -123,10 +156,10 @@ def _surge(c: Channels, t: Array, edges: Array, f: Array) -> Effect:
     if "psi" in c:  # a current shows in the speed over ground, ahead on one heading and astern on the other
         psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value))
         drift = [np.cos(psi), np.sin(psi)]
-    if (u := _ahead(c, t)) is not None:
+    if (u := ahead(c, t)) is not None:
         found = _effect(u, f, drift, SURGE_LAGS)
     if "ax" in c and np.abs(found.t).max() < 2 * CLEAR:
-        ax = _filled(t, block_mean(c["ax"], edges)[0])
+        ax = filled(t, block_mean(c["ax"], edges)[0])
         other = _effect(ax, f, [], SURGE_LAGS, washed=True)
         if np.abs(other.t).sum() > np.abs(found.t).sum():
             return other
@@ -144,7 +177,7 @@ def _push(c: Channels, name: str) -> Channel | None:
     return Channel(shaft.t, shaft.value * np.abs(shaft.value))
 
 
-def _ahead(c: Channels, t: Array) -> Array | None:
+def ahead(c: Channels, t: Array) -> Array | None:
     """Speed ahead [m/s] at the times t, over ground."""
     if "u" in c:
         return np.interp(t, c["u"].t, c["u"].value)
@@ -155,9 +188,15 @@ def _ahead(c: Channels, t: Array) -> Array | None:
     return None
 
 
-def _filled(t: Array, values: Array) -> Array:
+def filled(t: Array, values: Array) -> Array:
+    """Values (n,) at t (n,) with NaN filled in between the others."""
     good = np.isfinite(values)
     return np.interp(t, t[good], values[good])
+
+
+def _lagged(f: Array, lag: float) -> Array:
+    keep = np.exp(-1.0 / RATE / lag)
+    return np.asarray(lfilter([0.0, 1.0 - keep], [1.0, -keep], f, axis=0))
 
 
 def _effect(y: Array, f: Array, others: Sequence[Array], lags: Sequence[float], *, washed: bool = False) -> Effect:
@@ -172,8 +211,7 @@ def _effect(y: Array, f: Array, others: Sequence[Array], lags: Sequence[float], 
         return Effect(size, t)
     best = np.inf
     for lag in lags:
-        keep = np.exp(-1.0 / RATE / lag)
-        past = lfilter([0.0, 1.0 - keep], [1.0, -keep], f, axis=0)
+        past = _lagged(f, lag)
         X = np.column_stack([f - past if washed else past, *others, np.ones(y.size)])
         beta, *_ = np.linalg.lstsq(X, y, rcond=None)
         e = y - X @ beta

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from ident.check_cli import check
+from ident.check_cli import check, check_page
 from ident.cli_common import (
     LOG,
     command_line,
@@ -19,7 +19,7 @@ from ident.cli_common import (
     run,
     validate_option,
 )
-from ident.cli_use import export, navigate
+from ident.cli_use import export, information, navigate
 
 
 @click.group()
@@ -28,11 +28,13 @@ def ident() -> None:
 
 
 ident.add_command(check)
+ident.add_command(check_page)
 ident.add_command(navigate)
 ident.add_command(export)
+ident.add_command(information)
 
 
-@ident.command()
+@ident.command(short_help="White noise and random walk of sensors at rest.")
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option("--signal", "signals", multiple=True, metavar="NAME", help="Only this signal; may be repeated.")
 @out_option("noise")
@@ -48,7 +50,7 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     run(lambda say: noise_job.noise(logs, out, signals=signals, command=command_line(), say=say), out)
 
 
-@ident.command()
+@ident.command(short_help="Fit a model of the boat to logs and judge it on others.")
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option(
     "--model",
@@ -123,7 +125,7 @@ def vehicle(
     )
 
 
-@ident.command()
+@ident.command(short_help="Fit shaft response and thrust curve to logs of the bench.")
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option("--thruster", "name", help="The thruster's name in the rig file, where the log has several.")
 @click.option(
@@ -157,7 +159,7 @@ def thruster(
     )
 
 
-@ident.command()
+@ident.command(short_help="Find what a model lacks, add it, and show before and after.")
 @click.argument("model", type=LOG)
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @validate_option
@@ -217,7 +219,7 @@ def diagnose(
     )
 
 
-@ident.command()
+@ident.command(short_help="Monte Carlo of the estimator: bias, variance, coverage.")
 @click.argument("models", metavar="MODEL...", nargs=-1, required=True)
 @click.option("--replicates", type=click.IntRange(3), default=100, show_default=True, help="Missions to simulate.")
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True)
@@ -243,9 +245,14 @@ def study(
       seatrial ident study surge yaw --replicates 500 --jobs 2 --out study
     """
     from ident import study_job
+    from ident.report.study_page import write_study_page
+    from ident.study import BIAS, COVERAGE, VARIANCE
 
     result = study_job.run_studies(
         models, replicates, seed, out, truth=truth, free=free, seconds=seconds, bounded=not unbounded, method=method,
         jobs=jobs, command=command_line(), say=lambda line: click.echo(f"  {line}", err=True),
     )
+    aims = {"bias": (-BIAS, BIAS), "ratio": (1.0 - VARIANCE, 1.0 + VARIANCE), "coverage": COVERAGE}
+    write_study_page(result, aims, out / "report.html")
     click.echo(study_job.page(result) if docs else study_job.as_text(result), nl=False)
+    click.echo(f"report: {out / 'report.html'}", err=docs)

@@ -32,6 +32,11 @@ def known(_context: click.Context, _parameter: click.Parameter, given: Sequence[
     return found
 
 
+def names(_context: click.Context, _parameter: click.Parameter, given: str | None) -> tuple[str, ...]:
+    """Callback of options NAME,NAME."""
+    return tuple(n.strip() for n in given.split(",") if n.strip()) if given else ()
+
+
 def priors(
     _context: click.Context, _parameter: click.Parameter, given: Sequence[str]
 ) -> dict[str, tuple[float, float]]:

@@ -1,4 +1,4 @@
-"""Commands of ident that use a fitted model: navigate, export."""
+"""Commands of ident that use a fitted model: navigate, export, information."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from daq.errors import SeatrialError
-from ident.cli_common import LOG, command_line, out_option, rate_option, run
+from ident.cli_common import LOG, command_line, names, out_option, rate_option, run
 
 
 def _stretches(_context: click.Context, _parameter: click.Parameter, given: Sequence[str]) -> list[tuple[float, float]]:
@@ -28,7 +28,7 @@ def _stretch(text: str) -> tuple[float, float]:
     return begin, end
 
 
-@click.command()
+@click.command(short_help="Where the boat was, and how sure that is, by a fitted model.")
 @click.argument("model", type=LOG)
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option("--smooth/--filter", "smoothed", default=True, show_default=True, help="By all samples, or those so far.")
@@ -63,7 +63,36 @@ def navigate(
     )
 
 
-@click.command()
+@click.command(short_help="Which stretches of logs tell of which parameter.")
+@click.argument("model", type=LOG)
+@click.argument("logs", nargs=-1, required=True, type=LOG)
+@click.option("--seconds", type=click.FloatRange(2.0), default=30.0, show_default=True, help="Length of a stretch.")
+@click.option("--for", "chosen", metavar="NAMES", callback=names, help="Only these parameters, d_v,m_v.")
+@click.option("--thruster", type=LOG, help="The static curve from command to thrust that the model was fitted with.")
+@rate_option
+@out_option("information")
+def information(
+    model: Path, logs: tuple[Path, ...], seconds: float, chosen: tuple[str, ...], thruster: Path | None, rate: float,
+    out: Path,
+) -> None:
+    """Which stretches of LOGS tell of which parameter of a fitted MODEL, and what none of them tells.
+
+    \b
+    Example:
+      seatrial ident information vehicle/model.toml estimation.mcap --seconds 20 --out information
+    """
+    from ident import information_job
+
+    run(
+        lambda say: information_job.information(
+            model, logs, out, seconds=seconds, chosen=chosen, thruster=thruster, rate=rate, command=command_line(),
+            say=say,
+        ),
+        out,
+    )
+
+
+@click.command(short_help="Write a fitted model for Python, CasADi, C or ROS 2.")
 @click.argument("model", type=LOG)
 @click.option("--to", "target", type=click.Choice(("python", "casadi", "c", "ros2")), required=True, help="For what.")
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="File to write; else the screen.")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.model import Model
+from ident.model import Model, Sensor
 
 Array = NDArray[np.float64]
 TIME_INPUT = "t"  # an input of this name is the time since the start of the record
@@ -131,18 +131,8 @@ def build_record(
     is left out, and said in ``meta["missing"]``.
     """
     channels = {**channels, **_derived_inputs(model, channels)}
-    inputs = [i for i in model.inputs if i.name != TIME_INPUT]
-    lost = [i.name for i in inputs if i.name not in channels]
-    if lost:
-        have = ", ".join(sorted(channels)) or "nothing"
-        raise ValueError(f"{name}: no signal for the input {lost[0]!r} of model {model.name}; the log has {have}")
-    present = [s for s in model.sensors if all(o.name in channels for o in s.outputs)]
-    if not present:
-        raise ValueError(
-            f"{name}: none of the sensors of model {model.name} is in the log: "
-            + ", ".join(s.name for s in model.sensors)
-        )
-    own = [i for i in inputs if "~" not in i.name]
+    present = _present(model, channels, name)
+    own = [i for i in model.inputs if i.name != TIME_INPUT and "~" not in i.name]
     used = [channels[o.name] for s in present for o in s.outputs] + [channels[i.name] for i in own]
     start = max(c.t[0] for c in used) if t_from is None else t_from
     end = min(c.t[-1] for c in used) if t_to is None else t_to
@@ -151,24 +141,40 @@ def build_record(
     samples = {s.name: _sensor_samples(s, channels, start, end, rate) for s in present}
     switches = [channels[i.name].t for i in own if i.hold == "zero"]
     t = _rows([times for times, _ in samples.values()], switches, start, end, max_step)
-    u, u_next = _inputs(model, channels, t, start)
-    y = np.full((t.size, len(model.outputs)), np.nan)
-    names = [o.name for o in model.outputs]
-    for sensor in present:
-        times, values = samples[sensor.name]
-        rows = np.searchsorted(t, times - SAME_TIME)
-        y[rows[:, None], [names.index(o.name) for o in sensor.outputs]] = values
-    missing = tuple(s.name for s in model.sensors if s not in present)
+    missing = tuple(s.name for s in model.sensors if s.name not in samples)
     return Record(
         name,
         t - start,
-        u,
-        u_next,
-        y,
+        *_inputs(model, channels, t, start),
+        _measured(model, samples, t),
         tuple(i.name for i in model.inputs),
-        tuple(names),
+        tuple(o.name for o in model.outputs),
         {"missing": missing, "t0": start, **(meta or {})},
     )
+
+
+def _present(model: Model, channels: Mapping[str, Channel], name: str) -> list[Sensor]:
+    """The sensors of which every channel is there. Raises ValueError where there is none, or an input is missing."""
+    lost = [i.name for i in model.inputs if i.name not in channels and i.name != TIME_INPUT]
+    if lost:
+        have = ", ".join(sorted(channels)) or "nothing"
+        raise ValueError(f"{name}: no signal for the input {lost[0]!r} of model {model.name}; the log has {have}")
+    present = [s for s in model.sensors if all(o.name in channels for o in s.outputs)]
+    if not present:
+        names = ", ".join(s.name for s in model.sensors)
+        raise ValueError(f"{name}: none of the sensors of model {model.name} is in the log: {names}")
+    return present
+
+
+def _measured(model: Model, samples: Mapping[str, tuple[Array, Array]], t: Array) -> Array:
+    """Samples of the sensors, by their names, at the rows at which they came (n_rows, n_outputs)."""
+    y, names = np.full((t.size, len(model.outputs)), np.nan), [o.name for o in model.outputs]
+    for sensor in model.sensors:
+        if sensor.name in samples:
+            times, values = samples[sensor.name]
+            rows = np.searchsorted(t, times - SAME_TIME)
+            y[rows[:, None], [names.index(o.name) for o in sensor.outputs]] = values
+    return y
 
 
 def _derived_inputs(model: Model, channels: Mapping[str, Channel]) -> dict[str, Channel]:
@@ -190,7 +196,7 @@ def _derived_inputs(model: Model, channels: Mapping[str, Channel]) -> dict[str, 
 
 
 def _sensor_samples(
-    sensor: Any, channels: Mapping[str, Channel], start: float, end: float, rate: float
+    sensor: Sensor, channels: Mapping[str, Channel], start: float, end: float, rate: float
 ) -> tuple[Array, Array]:
     first = channels[sensor.outputs[0].name]
     inside = (first.t >= start) & (first.t <= end)

@@ -108,7 +108,7 @@ def predicted_track(made: Design, points: int = 61) -> Track | None:
     u = task.actuation.inputs(made.command[:, :, None])[:, :, 0]
     nominal = simulate(task.model, planned_record(task.model, task.t, u)).x[:, columns]
     rngs = [np.random.default_rng([task.seed, 20, k]) for k in range(N_BAND)]
-    others = simulate_noisy(task.model, Inputs.linear(task.t, u), task.samples(N_BAND, 3), rngs,
+    others = simulate_noisy(task.model, Inputs.linear(task.t, u), task.boats(N_BAND, 3), rngs,
                             x0=np.zeros((N_BAND, len(names))), substep=task.grid / 2)[0][:, :, columns]
     inside, corner = None, task.corner(u)
     if corner is not None and task.limits.area is not None:

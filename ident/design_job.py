@@ -183,13 +183,14 @@ def _result(made: Design, found: Mapping[str, Rival], samples: Robustness, track
         "parameters": _parameters(made, predicted_errors(task, fine)),
         "rivals": [{"name": k, "value": r.value, "bandwidth": r.bandwidth, "seeds": r.values}
                    for k, r in found.items()],
-        "rival": best, "limited": task.limits != Limits(), "samples": dict(samples.values),
+        "rival": best, "limited": task.limits.bind, "samples": dict(samples.values),
         "share_won": samples.share_won(),
         "inputs": [{"name": c, "t": task.t, "value": made.command[:, k]}
                    for k, c in enumerate(task.actuation.channels)],
         "track": None if track is None else {
             "t": track.t, "x": track.x, "y": track.y, "radius": track.radius, "inside": track.inside,
-            "others": track.others[:N_SHOWN], "corner": track.corner, "area": task.limits.area},
+            "others": track.others[:N_SHOWN], "corner": track.corner, "area": task.limits.area,
+            "current": task.limits.current},
     }
 
 
@@ -241,7 +242,8 @@ def summary(result: Json) -> Sequence[str]:
                      f"{100 * result['share_won']:.1f} % of 1000 parameter samples")
     track = result["track"]
     if track is not None and track["inside"] is not None:
-        lines.append(f"stays inside the area for {100 * track['inside']:.0f} % of disturbed boats; no current assumed")
+        water = f"in a current of up to {track['current']:g} m/s" if track["current"] else "no current assumed"
+        lines.append(f"stays inside the area for {100 * track['inside']:.0f} % of disturbed boats; {water}")
     return lines
 
 

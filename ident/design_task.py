@@ -14,6 +14,7 @@ from ident.criteria import Criterion, Kind, felt_steps
 from ident.excitation import Actuation, Steps
 from ident.information import Experiments, prior_information
 from ident.model import Model
+from ident.reach import Reach, in_current
 
 Array = NDArray[np.float64]
 GRID = 0.2  # s between rows of a search
@@ -28,11 +29,17 @@ NUISANCE_EFFECTS = ("disturbance", "sensor-bias")
 class Limits:
     """What a mission must keep to. area: sides (north, east) [m] of the rectangle that holds the whole track, wherever
     in it the boats have to begin, heading north; speed through the water [m/s]; energy: mean of ``|n|^3``, the share of
-    full power."""
+    full power. current: the largest [m/s], from anywhere, that the track is to be reckoned with."""
 
     area: tuple[float, float] | None = None
     speed: float | None = None
     energy: float | None = None
+    current: float = 0.0
+
+    @property
+    def bind(self) -> bool:
+        """Whether a mission has to keep to anything."""
+        return self.energy is not None or self.concern_the_track
 
     @property
     def concern_the_track(self) -> bool:
@@ -176,9 +183,16 @@ class Task:
     def _robust_samples(self) -> Array:
         return self.samples(self.robust, 1)
 
+    def boats(self, n: int, purpose: int) -> Array:
+        """The same, each in a current of its own."""
+        rng = np.random.default_rng([self.seed, 40 + purpose])
+        return in_current(self.experiments.model, self.samples(n, purpose), self.limits.current, rng)
+
     @cached_property
-    def _track_samples(self) -> Array:
-        return self.samples(N_TRACKS, 2)
+    def reach(self) -> Reach:
+        """How far the nominal boat gets, and sampled ones with process noise, which all start at the same place."""
+        nominal = self.experiments.values
+        return Reach(self.model, self.t, np.vstack([nominal, self.boats(N_TRACKS, 2)]), [self.seed, 30])
 
     def commands(self, z: Array) -> Array:
         """(n_rows, n_channels, n) of points of the search."""
@@ -201,27 +215,24 @@ class Task:
             broken = np.maximum(self.actuation.energy(command) / self.limits.energy - 1.0, 0.0)
         if not self.limits.concern_the_track:
             return broken
-        return broken + self._violation(*self.reach(self.actuation.inputs(command) if u is None else u))
+        return broken + self._violation(*self.extents(self.actuation.inputs(command) if u is None else u))
 
     def _expected(self, u: Array) -> Array:
         n, k = u.shape[2], len(self._robust_samples)
         outcome = self.experiments(np.repeat(u, k, axis=2), np.tile(self._robust_samples, (n, 1)))
         return np.asarray(self.measure(outcome.information + self.prior).reshape(n, k).mean(axis=1))
 
-    def reach(self, u: Array) -> tuple[Array, Array]:
-        """Least and largest (n, k) of ``experiments.extremes`` over the nominal boat and the sampled ones, which all
-        start at the same place: inputs u (n_rows, n_inputs, n)."""
-        n, samples = u.shape[2], np.vstack([self.experiments.values, self._track_samples])
-        low, high = self.experiments.extents(np.repeat(u, len(samples), axis=2), np.tile(samples, (n, 1)))
-        shape = (n, len(samples), low.shape[1])
-        return low.reshape(shape).min(axis=1), high.reshape(shape).max(axis=1)
+    def extents(self, u: Array) -> tuple[Array, Array]:
+        """Least and largest (n, k) of ``experiments.extremes`` over all boats: inputs u (n_rows, n_inputs, n)."""
+        low, high = self.reach(u)
+        return low.min(axis=1), high.max(axis=1)
 
     def corner(self, u: Array) -> Array | None:
         """South-west corner (2,) of the area from the start [m], so that what one input (n_rows, n_inputs) reaches lies
         in its middle; None without an area."""
         if self.limits.area is None:
             return None
-        low, high = self.reach(u[:, :, None])
+        low, high = self.extents(u[:, :, None])
         at = [self.experiments.extremes.index(name) for name in ("x", "y")]
         return np.asarray((low[0, at] + high[0, at] - np.array(self.limits.area)) / 2)
 

@@ -27,11 +27,13 @@ from ident.findings import Diagnosis, Judgement, Refit, Round
 from ident.model import Effect, Model
 from ident.models.unexplained import residuals_of, variables_of
 from ident.params import Parameter
+from ident.past import past_effects
 from ident.peaks import wave_score
 from ident.score import Normal, Place, Score, block_index, carry, fitted_names, place, score_tests
 from ident.shapes import Shape, shape, unknown_effect
 from ident.size import size_of, sized
 from ident.stage import (
+    ROUGHLY,
     Progress,
     Run,
     Stage,
@@ -44,6 +46,7 @@ from ident.stage import (
 )
 from ident.stage import record as make_record
 from ident.uncertainty import AT_BOUND, VAGUE
+from ident.weight import weigh
 
 Array = NDArray[np.float64]
 ALPHA = 0.05  # chance that anything passes the score tests in a clean data set
@@ -51,7 +54,7 @@ P_BLOCK = 0.01  # of the version that holds for coloured innovations
 # evidence that sits in few blocks caps that version; overwhelming evidence may then pass, and validation decides
 P_OVERWHELMING, P_BLOCK_OVERWHELMING = 1e-12, 0.1
 N_REFITS, N_UNKNOWN = 4, 2
-ROUGHLY = 0.02  # in the log-likelihood, to which a refit is made; that of the chosen effect is made exactly
+HOPELESS = 0.05  # of the best score: a refit gains up to ten times what its score promises, not twenty times
 # what an effect's true form has beyond ours looks like other effects, smaller by orders; those are not added
 SMALL = 0.02  # of the largest gain so far
 
@@ -104,9 +107,13 @@ def diagnose(
             break
         current, unknown = one.chosen.stage, one.chosen.unknown
         candidates.pop(one.chosen.effect.name, None)
+    progress("weighing what was found")
+    weights = weigh(before, rounds, records, unseen)
+    order = [w.effect for w in weights]
     judgements = judge(rounds, passed, sum(r.n_rows for r in records), untested)
+    judgements = tuple(sorted(judgements, key=lambda j: order.index(j.effect)))
     shapes = _shapes(before, rounds, judgements, records)
-    return Diagnosis(before, current, tuple(rounds), tuple(passed), tuple(shapes), judgements)
+    return Diagnosis(before, current, tuple(rounds), tuple(passed), tuple(shapes), judgements, weights)
 
 
 def score_all(
@@ -164,10 +171,14 @@ def _round(
 ) -> Round:
     n = sum(r.n_rows for r in records)
     specific = [s for s in passed if not s.generic][:N_REFITS]
+    specific = [s for s in specific if s.criterion(n) > HOPELESS * specific[0].criterion(n)]
     refits = _refit_all(current, records, unseen, [(candidates[s.name], s) for s in specific], n, progress)
-    best = max((r.criterion for r in refits), default=-np.inf)
-    # a table competes only where no named effect comes close to what the scores promise for it
-    unknown = [s for s in passed if s.generic and s.criterion(n) > max(0.5 * best, best - 50)][:N_UNKNOWN]
+    first = max((r for r in refits if r.accepted), key=lambda r: r.criterion, default=None)
+    best, curve = (-np.inf, "") if first is None else (first.criterion, first.effect.one_of)
+    # a table competes only where no name that holds comes close to what the scores promise for it, or where the name
+    # is no more than one shape of the table's curve
+    least = max(0.5 * best, best - 50)
+    unknown = [s for s in passed if s.generic and (s.criterion(n) > least or s.name == curve)][:N_UNKNOWN]
     drawn = [(_unknown(s, current), s) for s in unknown]
     refits += _refit_all(current, records, unseen, drawn, n, progress)
     refits.sort(key=lambda r: -r.criterion)
@@ -226,6 +237,9 @@ def _start(parameter: Parameter, score: Score) -> Parameter:
 
 
 def _unknown(score: Score, stage: Stage) -> Effect:
+    past = past_effects(stage.model)
+    if score.name in past:
+        return sized(past[score.name], size_of(stage.fit.model))
     force, variable = score.name.rstrip(")").split("(")
     table = unknown_effect(stage.model, force, variable, _span(stage, variable))
     return sized(table, size_of(stage.fit.model))
@@ -254,13 +268,16 @@ def _shapes(
             effect = _unknown(likely, current)
             found.append(_drawn(effect, make_stage(current.fit.model + effect, records, ())))
         current = r.stage
-    return [s for s in found if s is not None]
+    drawn: dict[tuple[str, str], Shape] = {}
+    for s in found:
+        if s is not None:  # of one curve the whole, not what is left of it beside a name
+            drawn.setdefault((s.force, s.variable), s)
+    return list(drawn.values())
 
 
 def _likely_table(one: Round) -> Score | None:
     """The best of the residuals as functions of one variable."""
-    tables = (s for s in one.scores if s.generic and s.name in one.passed and ", " not in s.name)
-    return next(tables, None)
+    return next((s for s in one.scores if s.generic and s.name in one.passed and " " not in s.name), None)
 
 
 def _drawn(effect: Effect, stage: Stage) -> Shape | None:

@@ -21,7 +21,6 @@ from ident.outcome import (
     residual_part,
     said,
 )
-from ident.predict import pooled
 from ident.score import Score
 from ident.stage import Stage, View
 
@@ -56,7 +55,8 @@ def diagnosis_result(diagnosis: Diagnosis) -> Json:
         **traces(before, after, roles, bool(diagnosis.effects)),
         **_residuals(diagnosis),
         "rounds": [_round(r, diagnosis) for r in diagnosis.rounds] or [_quiet_round(diagnosis)],
-        "effects": _effects(diagnosis, before, after, roles[-1]),
+        "effects": _effects(diagnosis),
+        "left": [{"name": s.name, "lm": s.lm, "df": s.df, "p": s.p} for s in diagnosis.left],
         "shapes": [
             {
                 "force": s.force,
@@ -66,6 +66,7 @@ def diagnosis_result(diagnosis: Diagnosis) -> Json:
                 "grid": s.grid,
                 "value": s.value,
                 "sd": s.sd,
+                "band": s.band,
             }
             for s in diagnosis.shapes
         ],
@@ -100,7 +101,7 @@ def answer(diagnosis: Diagnosis, judged: dict[str, Any], role: str) -> str:
     unit = row["unit"].replace("rad", "deg")
     return (
         f"{lacks}; with it the free-running error on {role} data falls from "
-        f"{said(row['before'] * scale)} to {said(row['after'] * scale)} {unit} ({NAMES.get(best, best)})."
+        f"{said(row['before'] * scale)} to {said(row['after'] * scale)}{unit and ' '}{unit} ({NAMES.get(best, best)})."
     )
 
 
@@ -112,15 +113,22 @@ def _passed(one: Round) -> str:
 
 
 def what_is_lacking(diagnosis: Diagnosis) -> str:
-    """The beginning of the answer."""
-    near = {j.effect for j in diagnosis.judgements if j.certainty == "resembles"}
-    alike = [r.effect.title for r in diagnosis.effects if r.effect.name in near]
-    sure = [r.effect.title for r in diagnosis.effects if r.effect.name not in near]
-    if not alike:
-        return f"The model lacks {_listed(sure)}"
-    if not sure:
-        return f"What the model lacks resembles {_listed(alike)}"
-    return f"The model lacks {_listed(sure)}, and something that resembles {_listed(alike)}"
+    """The beginning of the answer: names that are sure, then likenesses, then what has no name, unless that leads."""
+    titles: dict[str, list[str]] = {"named": [], "resembles": [], "unknown": []}
+    for r, judged in zip(diagnosis.effects, diagnosis.judgements, strict=True):
+        titles[judged.certainty].append(r.effect.title)
+    sure, alike, unknown = titles.values()
+    if unknown and diagnosis.judgements[0].certainty == "unknown":
+        found = f"The model lacks {_listed(unknown)}"
+        rest = [*sure, *(f"something that resembles {title}" for title in alike)]
+        return f"{found}, and beside it {_listed(rest)}" if rest else found
+    if sure and alike:
+        found = f"The model lacks {_listed(sure)}, and something that resembles {_listed(alike)}"
+    elif sure:
+        found = f"The model lacks {_listed(sure)}"
+    else:
+        found = f"What the model lacks resembles {_listed(alike)}"
+    return f"{found}, and beside it {_listed(unknown)}" if unknown else found
 
 
 def doubt(diagnosis: Diagnosis) -> str | None:
@@ -224,18 +232,14 @@ def _own(r: Refit, stage: Stage) -> list[Json]:
     return [parameter_row(p, *stage.fit.estimate(p.name)) for p in r.effect.parameters]
 
 
-def _effects(diagnosis: Diagnosis, before: Judged, after: Judged, role: str) -> list[Json]:
-    """Each effect with its estimate in the final model, and the part of the free-run error that it removes."""
-    rows, last = [], _free_size(before, role)
-    first, judgements = last, {j.effect: j for j in diagnosis.judgements}
-    for one in diagnosis.rounds:
-        if one.chosen is None:
-            continue
-        r = one.chosen
-        now = _free_size(after if r.stage is diagnosis.after else Judged(r.stage), role)
+def _effects(diagnosis: Diagnosis) -> list[Json]:
+    """Each effect with its estimate in the final model and its weight, the weightiest first."""
+    rows = []
+    rounds = {one.chosen.effect.name: one for one in diagnosis.rounds if one.chosen is not None}
+    for r, judged, weight in zip(diagnosis.effects, diagnosis.judgements, diagnosis.weights, strict=True):
         behind = [
             {"name": q.effect.name, "title": q.effect.title, "criterion_behind": r.criterion - q.criterion}
-            for q in one.refits
+            for q in rounds[r.effect.name].refits
             if q is not r
         ]
         e = r.effect
@@ -248,23 +252,15 @@ def _effects(diagnosis: Diagnosis, before: Judged, after: Judged, role: str) -> 
                 "place": e.place,
                 "experiment": e.experiment,
                 "rivals": behind,
-                "certainty": judgements[e.name].certainty,
-                "reasons": list(judgements[e.name].reasons),
-                "not_excluded": list(judgements[e.name].rivals),
+                "certainty": judged.certainty,
+                "reasons": list(judged.reasons),
+                "not_excluded": list(judged.rivals),
                 "parameters": _own(r, diagnosis.after),
-                "share": float((last - now) / first),
+                "weight": weight.error,
+                "gain_last": weight.gain,
             }
         )
-        last = now
     return rows
-
-
-def _free_size(judged: Judged, role: str) -> float:
-    """One number for the free-run error: the mean over channels of the error over the channel's noise."""
-    parts = pooled([f.errors for f in judged.free[role]])
-    views = judged.views(role)
-    noise = {o.name: float(views[0].run.R[j]) ** 0.5 for j, o in enumerate(judged.stage.model.outputs)}
-    return float(np.mean([e.rms / noise[name] for name, e in parts.items()]))
 
 
 def _moved(diagnosis: Diagnosis) -> list[Json]:

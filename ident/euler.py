@@ -68,16 +68,22 @@ def simulate_noisy(
             outputs[:, k, j] = y[output.name]
         if k == step.size:
             break
-        h = step[k] / n_sub[k]
-        for i in range(n_sub[k]):
-            a, b = (inputs.u[k] + (inputs.u_next[k] - inputs.u[k]) * (i + e) / n_sub[k] for e in (0, 1))
-            noise = diffusion * np.sqrt(h) * dw[done]
-            first = _rates(model, z, a, p)
-            z = z + h / 2 * (first + _rates(model, z + h * first + noise, b, p)) + noise
-            done += 1
+        noise = diffusion * np.sqrt(step[k] / n_sub[k]) * dw[done : done + n_sub[k]]
+        z, done = _heun(model, z, (inputs.u[k], inputs.u_next[k]), p, step[k], noise), done + n_sub[k]
     noise_sd = np.array([_named(model, values, o.noise) for o in model.outputs])
     white = np.stack([r.standard_normal(outputs.shape[1:]) for r in rngs])
     return states, outputs + white * noise_sd.T[:, None, :]
+
+
+def _heun(model: Model, z: Array, ends: tuple[Array, Array], p: Sequence[Array], step: float, noise: Array) -> Array:
+    """Over one interval in as many substeps as there are ``noise`` (n, n_states, n_replicates); ends: its inputs."""
+    n, (begin, end) = len(noise), ends
+    h = step / n
+    for i in range(n):
+        a, b = (begin + (end - begin) * (i + e) / n for e in (0, 1))
+        first = _rates(model, z, a, p)
+        z = z + h / 2 * (first + _rates(model, z + h * first + noise[i], b, p)) + noise[i]
+    return z
 
 
 def _rates(model: Model, x: Array, u: Array, p: Sequence[Array]) -> Array:

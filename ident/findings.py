@@ -65,9 +65,21 @@ class Judgement:
 
 
 @dataclass(frozen=True)
+class Weight:
+    """effect: its name; gain: 2 d ln L on the estimation data that it brings when it comes last; error: what the
+    inputs alone predict three seconds ahead (``ident.weight``) is off by without it, over that with it; the geometric
+    mean over the channels of the validation data, of the estimation data where there are none."""
+
+    effect: str
+    gain: float
+    error: float
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """before, after: the model without and with the effects; left: what still passes the tests at the end, best
-    first; shapes: the tables of unknown effects, and of what only resembles a known one."""
+    first; shapes: the tables of unknown effects, and of what only resembles a known one; weights and judgements: one
+    for each effect, the weightiest first."""
 
     before: Stage
     after: Stage
@@ -75,10 +87,13 @@ class Diagnosis:
     left: tuple[Score, ...]
     shapes: tuple[Shape, ...]
     judgements: tuple[Judgement, ...] = ()
+    weights: tuple[Weight, ...] = ()
 
     @property
     def effects(self) -> tuple[Refit, ...]:
-        return tuple(r.chosen for r in self.rounds if r.chosen is not None)
+        """What was added, the weightiest first."""
+        chosen = {r.chosen.effect.name: r.chosen for r in self.rounds if r.chosen is not None}
+        return tuple(chosen[w.effect] for w in self.weights)
 
     @property
     def sure(self) -> bool:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ident.dataset import Record
 from ident.model import Model
 from ident.pe import Likelihood
+from ident.restricted import restrict
 from ident.robust import robust as with_outliers
 from ident.scoring import Bounds, Evaluation, Optimum, climb, maximise
 from ident.uncertainty import Uncertainty, assess, sandwich
@@ -31,11 +32,13 @@ class Fit:
     """An estimate and what is known of it, in the parameters' own units.
 
     names (n,): ``m_u`` for shared parameters, ``V_x@0`` for those of record 0; values, errors (n,): errors are
-    NaN for parameters at a bound or not informed, which ``flags`` names; covariance, correlation (n, n);
+    NaN for parameters at a bound or not informed, which ``flags`` names; limits (n,): of a parameter at its bound,
+    the far end of its 95 % interval, NaN for all others; covariance, correlation (n, n);
     prior_weight (n,): the part of a parameter's information that its prior gave (1: the data said nothing);
     robust_errors (n,): from the sandwich covariance, valid when the residuals are coloured; record_values
-    (n_records, n_parameters): over ``model.parameters`` in order. The log-posterior leaves out the constants of
-    the priors. ``gain_left``: what one more step would gain.
+    (n_records, n_parameters): over ``model.parameters`` in order. The log-likelihood is the largest, also where the
+    noise was then restricted; the log-posterior leaves out the constants of the priors. ``gain_left``: what one more
+    step would gain.
     """
 
     model: Model
@@ -44,6 +47,7 @@ class Fit:
     names: tuple[str, ...]
     values: Array
     errors: Array
+    limits: Array
     covariance: Array
     correlation: Array
     prior_weight: Array
@@ -145,6 +149,20 @@ class Problem:
         value -= 0.5 * float(weight @ (z - mean) ** 2)
         return Evaluation(value, gradient - weight * (z - mean), information + np.diag(weight), curvature)
 
+    def information(self, z: Array, which: NDArray[np.intp]) -> Array:
+        """Of some of the coordinates alone, with their priors' (n_which, n_which): less work than all of it."""
+        slope, wanted, n = self.slopes(z), set(which.tolist()), len(self.free)
+        total = np.diag(self.prior[1])
+
+        def chosen(i: int) -> list[int]:
+            return [k for k in range(n) if self.places[i][k] in wanted]
+
+        rows = self._map(lambda i, v: self.likelihood.scores(self.records[i], v, [self.free[k] for k in chosen(i)]), z)
+        for i, scores in enumerate(rows):
+            at = [self.places[i][k] for k in chosen(i)]
+            total[np.ix_(at, at)] += np.outer(slope[at], slope[at]) * scores.information
+        return total[np.ix_(which, which)]
+
     def value_and_gradient(self, z: Array) -> tuple[float, Array]:
         """Log-posterior and gradient by the adjoint."""
         mean, weight = self.prior
@@ -185,6 +203,7 @@ def fit(
     method: Literal["pe", "oe"] = "pe",
     start: Mapping[str, float] | None = None,
     robust: bool = False,
+    restricted: bool = False,
     max_iterations: int = 60,
     tolerance: float = TOLERANCE,
     progress: Progress | None = None,
@@ -194,6 +213,7 @@ def fit(
 
     method: prediction error (extended Kalman filter), or output error (no process noise). start: values to begin
     with instead of the model's. robust: allow outliers in all sensors (``ident.robust`` allows them in some).
+    restricted: estimate noise without the bias that the dynamics give it (``ident.restricted``; not in output error).
     tolerance: gain in log-likelihood below which the search ends. progress: called with the iteration and the
     log-posterior. Raises ValueError, naming the record, where a record does not fit the model or cannot be evaluated.
     """
@@ -211,9 +231,10 @@ def fit(
         likelihood.measured(record)
     optimum = _search(problem, max_iterations, tolerance, progress)
     mean, weight = problem.prior
+    prior_part = -0.5 * float(weight @ (optimum.z - mean) ** 2)
+    optimum = restrict(problem, optimum) if restricted and method == "pe" else optimum
     known = assess(optimum.at, optimum.z, problem.bounds, problem.names, problem.slopes(optimum.z), weight)
     coloured = sandwich(known, problem.by_row(optimum.z), problem.slopes(optimum.z))
-    prior_part = -0.5 * float(weight @ (optimum.z - mean) ** 2)
     return _report(problem, optimum, known, coloured, method, prior_part, time.process_time() - began)
 
 
@@ -263,8 +284,9 @@ def _report(problem: Problem, optimum: Optimum, known: Uncertainty, robust: Arra
                f"stopped after {optimum.iterations} iterations with {optimum.gain_left:.3g} left to gain")
     return Fit(
         model=model, method=method, records=tuple(r.name for r in problem.records), names=problem.names,
-        values=problem.own(optimum.z), errors=known.errors, covariance=known.covariance, correlation=known.correlation,
-        prior_weight=known.prior_weight, robust_errors=robust, record_values=record_values,
+        values=problem.own(optimum.z), errors=known.errors, limits=problem.own(known.limits),
+        covariance=known.covariance, correlation=known.correlation, prior_weight=known.prior_weight,
+        robust_errors=robust, record_values=record_values,
         log_likelihood=optimum.at.value - prior_part, log_posterior=optimum.at.value,
         n_measured=sum(problem.likelihood.measured(r) for r in problem.records),
         gradient_norm=known.gradient_norm, gain_left=optimum.gain_left, iterations=optimum.iterations,

@@ -237,7 +237,8 @@ def errors_of(information: Array) -> Array:
 @dataclass(frozen=True)
 class Stretch:
     """A segment of a log. ``weight`` (q,): by how much each parameter's standard error would grow without it (1: not at
-    all; inf: only this segment tells); ``alone`` (q,): the standard errors from this segment alone."""
+    all; inf: only this segment tells); ``alone``, ``whole`` (q,): standard errors from this segment alone, and from all
+    segments of all records."""
 
     record: str
     t_from: float
@@ -245,6 +246,7 @@ class Stretch:
     information: Array
     weight: Array
     alone: Array
+    whole: Array
 
 
 def segment_information(model: Model, records: Sequence[Record], names: Sequence[str], *, seconds: float = 30.0,
@@ -271,7 +273,8 @@ def segment_information(model: Model, records: Sequence[Record], names: Sequence
             parts[-1][-1][places] = F
     whole = np.sum([F for *_, F in parts], axis=0) + prior
     best = errors_of(whole)[:q]
-    return [Stretch(name, a, b, F[:q, :q], errors_of(whole - F)[:q] / best, errors_of(F + prior)[:q])
+    return [Stretch(name, a, b, F[:q, :q], errors_of(whole - F)[:q] / best, errors_of(F + prior)[:q],
+                    best)
             for name, a, b, F in parts]
 
 

@@ -130,16 +130,20 @@ def vehicle(
     if sides is not None and sides.swapped:
         said.insert(0, sides.line if not as_is else sides.line.removesuffix(" Fitted with the sides swapped."))
         say(said[0])
-    records = [v.record for v in stage.estimation]
-    if profiles:
-        result["profiles"] = [profile_part(profile(stage.fit, records, name)) for name in profiles]
-    if agree:
-        found = [agreement(stage.fit, records, name) for name in agree]
-        result["agreement"] = [agreement_part(a) for a in found]
-        said += [sentence(a) for a in found]
-    result["answer"] = " ".join(said)
+    more, sentences = _asked(stage, profiles, agree)
+    result |= more | {"answer": " ".join(said + sentences)}
     write_all(out, result, stage.fit, validity(stage))
     return result
+
+
+def _asked(stage: Stage, profiles: Sequence[str], agree: Sequence[str]) -> tuple[Json, list[str]]:
+    """Profile likelihoods and tests of agreement: their parts of the result, and sentences for the answer."""
+    records = [v.record for v in stage.estimation]
+    part: Json = {"profiles": [profile_part(profile(stage.fit, records, n)) for n in profiles]} if profiles else {}
+    found = [agreement(stage.fit, records, name) for name in agree]
+    if found:
+        part["agreement"] = [agreement_part(a) for a in found]
+    return part, [sentence(a) for a in found]
 
 
 def _with_priors(model: Model, prior: Mapping[str, tuple[float, float]]) -> Model:

@@ -8,6 +8,7 @@ import numpy as np
 
 from ident import calibration
 from ident.calibration import Calibration
+from ident.doubt import doubt_of
 from ident.model import Model
 from ident.outcome import Json, input_traces
 from ident.pe import Likelihood
@@ -24,8 +25,11 @@ class Judged:
         self.stage = stage
         self.likelihood = Likelihood(stage.model)
         self.free = {
-            role: [free_run(stage.model, v.record, v.values, self.likelihood) for v in views]
-            for role, views in (("estimation", stage.estimation), ("validation", stage.validation))
+            role: [
+                free_run(stage.model, v.record, v.values, self.likelihood, doubt_of(stage.fit, i if fitted else None))
+                for i, v in enumerate(views)
+            ]
+            for role, views, fitted in (("estimation", stage.estimation, True), ("validation", stage.validation, False))
         }
 
     def views(self, role: str) -> Sequence[View]:

@@ -26,6 +26,7 @@ class Loaded:
     about: Json
     holds: Mapping[str, str]
     rig: Any
+    segments: tuple[tuple[float, str], ...] = ()  # steps of its mission: when each began [s of the log], and its name
 
 
 def load_run(path: Path, role: str, t_from: float | None = None, t_to: float | None = None) -> Loaded:
@@ -48,7 +49,8 @@ def load_run(path: Path, role: str, t_from: float | None = None, t_to: float | N
             "warnings": list(log.warnings),
         }
         holds = {n: _hold(log, n) for n in found}
-        return Loaded(Run(path.stem, moved, t_from, t_to), about, holds, rig)
+        segments = tuple((t - start, text) for t, kind, text in log.events() if kind == "segment")
+        return Loaded(Run(path.stem, moved, t_from, t_to), about, holds, rig, segments)
 
 
 def _hold(log: Log, name: str) -> str:

@@ -97,15 +97,18 @@ class Effect:
     one_sided: bool = False  # the first parameter cannot be negative
     rivals: tuple[str, ...] = ()
     scan: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # values to try where there is no gradient
+    one_of: str = ""  # the curve "X(u)" that it is one shape of: others of the kind differ from it in shape only
+    any_of: str = ""  # the curve "N(psi)" that it is in any shape: its name says no more
     span: tuple[float, float] | None = None  # of an unknown effect: the range of its variable that the table covers
 
 
 @dataclass(frozen=True)
 class Residual:
-    """Where something unexplained may enter a model: a force on the hull, a force on the load cell.
+    """Where something unexplained may enter a model: a force on the hull, a force on the load cell, a reading.
 
     ``state``: the disturbance that stands for it (``ident.models.disturbance``); ``scale``: what an unknown table of
-    it may reach, one standard deviation of the prior; ``add``: how an extra of its unit enters, behind ``stage``.
+    it may reach, one standard deviation of the prior; ``add``: how an extra of its unit enters, behind ``stage``;
+    ``of``: the variables that it may depend on, all of the model's where none are named.
     """
 
     name: str
@@ -115,6 +118,7 @@ class Residual:
     title: str
     add: Callable[[Signals, Any], None]
     stage: str = "force"
+    of: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

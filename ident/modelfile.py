@@ -65,34 +65,37 @@ def save_model(
         document["effects_file"] = str(effects_file)
     document["provenance"] = {k: v for k, v in provenance.items() if v is not None}
     document["validity"] = {k: [float(a), float(b)] for k, (a, b) in validity.items()}
-    flags = dict(fit.flags)
     # unexplained forces get the size of the boat whenever a fit begins (ident.size); a prior of that size would get
     # it twice
     sized_anew = {p.name for e in model.effects if e.name == "disturbance" for p in e.parameters}
     parameters = tomlkit.aot()
     for p in model.parameters:
-        value, error = fit.estimate(p.name)
-        row: dict[str, Any] = {
-            "name": p.name,
-            "value": float(value if not p.per_record else p.value),
-            "unit": p.unit,
-            "meaning": p.meaning,
-            "free": p.free,
-        }
-        if np.isfinite(error):
-            row["se"] = float(error)
-        if p.prior is not None and p.name not in sized_anew:
-            row["prior"] = [float(z) for z in p.prior]
-        if p.per_record:
-            row["per_record"] = True
-        if p.name in flags:
-            row["flag"] = flags[p.name]
         table = tomlkit.table()
-        table.update(row)
+        table.update(_row(p, fit, with_prior=p.name not in sized_anew))
         parameters.append(table)
     document["parameter"] = parameters
     document["correlation"] = {"names": list(fit.names), "matrix": np.round(np.nan_to_num(fit.correlation), 6).tolist()}
     path.write_text(tomlkit.dumps(document), encoding="utf-8")
+
+
+def _row(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, Any]:
+    """A parameter's table: what does not apply is left out."""
+    value, error = fit.estimate(p.name)
+    row: dict[str, Any] = {
+        "name": p.name,
+        "value": float(value if not p.per_record else p.value),
+        "unit": p.unit,
+        "meaning": p.meaning,
+        "free": p.free,
+    }
+    if np.isfinite(error):
+        row["se"] = float(error)
+    if p.prior is not None and with_prior:
+        row["prior"] = [float(z) for z in p.prior]
+    if p.per_record:
+        row["per_record"] = True
+    flag = dict(fit.flags).get(p.name)
+    return row if flag is None else row | {"flag": flag}
 
 
 def load_model(path: Path) -> SavedModel:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import SeatrialError
+from ident.curve_file import ThrustCurve
 from ident.job_inputs import complete, known_curve
 from ident.jobs import as_logged
 from ident.loading import Loaded, envelope, load_run
@@ -53,11 +54,8 @@ def run_navigation(
     loaded, parts, tables = [], [], []
     for path in logs:
         say(f"navigating {path.name}")
-        one = load_run(path, "navigated", t_from, t_to)
-        found, held = complete(one.run.channels, one.holds, saved.model.source, curve, path.name)
-        one = replace(one, run=replace(one.run, channels=found), holds=held)
-        done, t0 = _navigate(saved.model, one, known, smoothed, without_gnss, rate)
-        loaded.append(one)
+        loaded.append(_completed(load_run(path, "navigated", t_from, t_to), saved.model.source, curve))
+        done, t0 = _navigate(saved.model, loaded[-1], known, smoothed, without_gnss, rate)
         parts.append((done, t0, outages(done)))
         tables.append(_columns(done, t0))
     result = envelope(loaded, command) | {
@@ -68,13 +66,24 @@ def run_navigation(
         "inputs": [row | {"t": row["t"] + t0} for d, t0, _ in parts for row in input_traces(d.model, d.record)],
         "notes": _notes(parts, known),
     }
+    _write(out, result, dict(zip(names, tables, strict=True)))
+    return result
+
+
+def _completed(one: Loaded, source: str, curve: ThrustCurve | None) -> Loaded:
+    """With the thrust that a static curve gives, where the model needs it."""
+    found, held = complete(one.run.channels, one.holds, source, curve, Path(one.about["path"]).name)
+    return replace(one, run=replace(one.run, channels=found), holds=held)
+
+
+def _write(out: Path, result: Json, tables: Mapping[str, Columns]) -> None:
+    """NAME.csv for each table, result.json and report.html."""
     out.mkdir(parents=True, exist_ok=True)
-    for name, table in zip(names, tables, strict=True):
+    for name, table in tables.items():
         write_csv(out / f"{name}.csv", table)
     content = plain(result)
     write_result(content, out / "result.json")
     write_report(content, out / "report.html")
-    return result
 
 
 def _navigate(

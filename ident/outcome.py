@@ -87,27 +87,7 @@ def residual_part(model: Model, record: Record, eps: Array) -> tuple[list[Json],
         if good.sum() < 60:
             continue
         t, e = record.t[good], eps[good, j]
-        w = whiteness(o.name, t, e)
-        dt = float(np.median(np.diff(t)))
-        residuals.append(
-            {
-                "record": record.name,
-                "channel": o.name,
-                "unit": o.unit,
-                "t": t,
-                "e": e,
-                "lags": dt * np.arange(1, w.acf.size + 1),
-                "acf": w.acf,
-                "band": w.band,
-                "ljung_box_p": w.ljung_box,
-                "periodogram_p": w.periodogram,
-                "frequency": w.frequency,
-                "cumulative": w.cumulative,
-                "normal_p": w.normal,
-                "white": w.white,
-                "after": None,
-            }
-        )
+        residuals.append({"record": record.name, "channel": o.name, "unit": o.unit, **_whiteness_row(o.name, t, e)})
         for k, name, _ in shown_inputs(model):
             c = cross_correlation(o.name, t, e, name, record.t, record.u[:, k])
             cross.append(
@@ -122,6 +102,24 @@ def residual_part(model: Model, record: Record, eps: Array) -> tuple[list[Json],
                 }
             )
     return residuals, cross
+
+
+def _whiteness_row(name: str, t: Array, e: Array) -> Json:
+    w = whiteness(name, t, e)
+    return {
+        "t": t,
+        "e": e,
+        "lags": float(np.median(np.diff(t))) * np.arange(1, w.acf.size + 1),
+        "acf": w.acf,
+        "band": w.band,
+        "ljung_box_p": w.ljung_box,
+        "periodogram_p": w.periodogram,
+        "frequency": w.frequency,
+        "cumulative": w.cumulative,
+        "normal_p": w.normal,
+        "white": w.white,
+        "after": None,
+    }
 
 
 def join_after(before: list[Json], after: list[Json], keys: Sequence[str], kept: Sequence[str]) -> list[Json]:
@@ -153,7 +151,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, np.ndarray):
-        return plain(value.tolist())
+        return _rounded(value) if value.dtype.kind == "f" else plain(value.tolist())
     if isinstance(value, (list, tuple)):
         return [plain(v) for v in value]
     if isinstance(value, (bool, np.bool_)):
@@ -163,3 +161,17 @@ def plain(value: Any) -> Any:
     if isinstance(value, (float, np.floating)):
         return float(f"{value:.7g}") if math.isfinite(value) else None
     return value
+
+
+def _rounded(value: NDArray[np.floating[Any]]) -> Any:
+    """As ``plain``, all at once: traces are a million numbers."""
+    finite = np.isfinite(value)
+    exact = np.where(finite, value, 0.0).astype(np.float64)
+    digits = 6 - np.floor(np.log10(np.where(exact != 0, np.abs(exact), 1.0)))
+    far = np.abs(digits) > 22  # powers of ten are exact up to there
+    digits = np.where(far, 0, digits)
+    up, down = 10.0 ** np.maximum(digits, 0), 10.0 ** np.maximum(-digits, 0)
+    found = np.round(exact * up / down) / up * down
+    found[far] = [float(f"{v:.7g}") for v in exact[far]]
+    numbers: Any = found if finite.all() else np.where(finite, found, None)
+    return numbers.tolist()

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ident.dataset import Record
+from ident.doubt import Doubt, added_variance
 from ident.engine.rowwise import Rowwise
 from ident.model import Model
 from ident.oe import predict_ahead
@@ -60,17 +61,25 @@ def ten_seconds(model: Model, record: Record, values: Array, run: FilterRun) -> 
     return {name: e for name, e in found.items() if e.e.size}
 
 
-def free_run(model: Model, record: Record, values: Array, likelihood: Likelihood | None = None) -> FreeRun:
-    """The filter gets 15 s of measurements and then the inputs only; its covariance is the prediction's own band."""
+def free_run(
+    model: Model, record: Record, values: Array, likelihood: Likelihood | None = None, doubt: Doubt | None = None
+) -> FreeRun:
+    """The filter gets 15 s of measurements and then the inputs only; its covariance is the prediction's own band.
+
+    ``doubt``: of the parameters (``ident.doubt``), which widens the band; None takes them for known.
+    """
+    likelihood = likelihood or Likelihood(model)
     blind = record.t > record.t[0] + WARM_UP
     y = record.y.copy()
     y[blind] = np.nan
-    run = (likelihood or Likelihood(model)).filter(replace(record, y=y), values)
+    run = likelihood.filter(replace(record, y=y), values)
     rowwise = Rowwise(model)
     n = len(model.states)
     predicted = rowwise(run.x_pred, record.u, values)[:, n:]
     H = rowwise.output_jacobian(run.x_pred, record.u, values)
     variance = np.einsum("kij,kjl,kil->ki", H, run.P_pred, H) + run.R
+    if doubt is not None and blind.any():
+        variance += added_variance(doubt, model, record, values, int(np.argmax(blind)), likelihood)
     errors = {}
     for j, o in enumerate(model.outputs):
         e = _errors(record.t[blind], wrap(record.y[blind, j] - predicted[blind, j], o.angle))

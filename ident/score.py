@@ -118,55 +118,63 @@ class Normal:
         self.blocks.append(sums)
 
 
-def whitened_sensitivities(run: FilterRun, record: Record, jacobian: Array, delta: Array) -> tuple[Array, Array, Array]:
-    """Carry the columns through the filter.
+class Carrier:
+    """Carries columns of small changes through the filter of one record.
 
-    jacobian (n_rows, n_outputs, n_states): of the outputs at the predicted states; delta (n_rows, n_states +
-    n_outputs, n_columns). Returns whitened sensitivities of the innovations (n_samples, n_columns), whitened
-    innovations (n_samples,) and the time of each (n_samples,).
+    run: the filter's account of the record; jacobian (n_rows, n_outputs, n_states): of the outputs at the predicted
+    states. ``e``, ``t`` (n_samples,): whitened innovations and their times.
     """
-    n_states, n_columns, h = run.x_pred.shape[1], delta.shape[2], record.h
-    seen = np.isfinite(record.y) & ~run.outliers
-    H = np.where(seen[:, :, None], jacobian, 0.0)
-    cross = run.P_pred @ H.swapaxes(1, 2)
-    S = H @ cross
-    each = np.arange(S.shape[1])
-    S[:, each, each] += np.where(seen, run.R, 1.0)  # what was not measured stands apart, with a gain of nought
-    root = np.linalg.cholesky(S)
-    gain = np.linalg.solve(S, cross.swapaxes(1, 2)).swapaxes(1, 2)
-    change = -np.where(seen[:, :, None], delta[:, n_states:], 0.0)
-    dx = np.zeros((n_states, n_columns))
-    half = h / 2
-    measured: NDArray[np.bool_] = np.asarray(seen.any(axis=1))
-    for k in range(record.n_rows):
-        if measured[k]:
-            change[k] -= H[k] @ dx
-            dx = dx + gain[k] @ change[k]
-        if h[k] > 0:
-            dx = run.Phi[k] @ (dx + half[k] * delta[k, :n_states]) + half[k] * delta[k + 1, :n_states]
-    e = np.where(seen, run.e, 0.0)
-    white = np.linalg.solve(root, np.concatenate([change, e[:, :, None]], axis=2))[seen]
-    return white[:, :-1], white[:, -1], np.repeat(record.t, seen.sum(axis=1))
+
+    def __init__(self, run: FilterRun, record: Record, jacobian: Array) -> None:
+        self.run, self.h = run, record.h
+        self.seen = np.isfinite(record.y) & ~run.outliers
+        self.H = np.where(self.seen[:, :, None], jacobian, 0.0)
+        cross = run.P_pred @ self.H.swapaxes(1, 2)
+        S = self.H @ cross
+        each = np.arange(S.shape[1])
+        S[:, each, each] += np.where(self.seen, run.R, 1.0)  # what was not measured stands apart, with a gain of nought
+        self.gain = np.linalg.solve(S, cross.swapaxes(1, 2)).swapaxes(1, 2)
+        self.whiten = np.linalg.inv(np.linalg.cholesky(S))
+        self.e = (self.whiten @ np.where(self.seen, run.e, 0.0)[:, :, None])[self.seen][:, 0]
+        self.t = np.repeat(record.t, self.seen.sum(axis=1))
+
+    def __call__(self, delta: Array) -> Array:
+        """Whitened sensitivities of the innovations (n_samples, n_columns) to delta (n_rows, n_states + n_outputs,
+        n_columns)."""
+        n_states, h, H = self.run.x_pred.shape[1], self.h, self.H
+        change = -np.where(self.seen[:, :, None], delta[:, n_states:], 0.0)
+        dx = np.zeros((n_states, delta.shape[2]))
+        half = h / 2
+        measured: NDArray[np.bool_] = np.asarray(self.seen.any(axis=1))
+        for k in range(h.size):
+            if measured[k]:
+                change[k] -= H[k] @ dx
+                dx = dx + self.gain[k] @ change[k]
+            if h[k] > 0:
+                dx = self.run.Phi[k] @ (dx + half[k] * delta[k, :n_states]) + half[k] * delta[k + 1, :n_states]
+        return np.asarray((self.whiten @ change)[self.seen])
 
 
 def carry(
     run: FilterRun, record: Record, jacobian: Array, fitted: Array, columns: Iterable[Columns]
 ) -> tuple[Array, Array, Array, list[Columns]]:
-    """``whitened_sensitivities`` of the fitted parameters' columns and then of every candidate's, some at a time.
+    """Whitened sensitivities of the fitted parameters' columns and then of every candidate's, some at a time, with
+    whitened innovations and their times (``Carrier``).
 
     The candidates come back without their columns: those of the whole catalogue together would fill the memory.
     """
+    carried = Carrier(run, record, jacobian)
     parts, slim = [], []
     waiting, width = [fitted], fitted.shape[2]
     for c in columns:
         if width >= WIDTH:
-            parts.append(whitened_sensitivities(run, record, jacobian, np.concatenate(waiting, axis=2))[0])
+            parts.append(carried(np.concatenate(waiting, axis=2)))
             waiting, width = [], 0
         waiting.append(c.delta)
         width += c.delta.shape[2]
         slim.append(replace(c, delta=c.delta[:0].copy()))
-    g, e, t = whitened_sensitivities(run, record, jacobian, np.concatenate(waiting, axis=2))
-    return np.concatenate([*parts, g], axis=1), e, t, slim
+    parts.append(carried(np.concatenate(waiting, axis=2)))
+    return np.concatenate(parts, axis=1), carried.e, carried.t, slim
 
 
 def score_tests(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ident.model import Effect, Input, Model, Residual, Signals, Variable
-from ident.models.unexplained import TIME, residuals_of, variables_of
+from ident.models.unexplained import TIME, readings_of, residuals_of, variables_of
 from ident.params import Parameter
 
 Array = NDArray[np.float64]
@@ -19,13 +19,15 @@ N_KNOTS, N_HARMONICS = 7, 3
 
 @dataclass(frozen=True)
 class Shape:
-    """A fitted unknown: the force over the variable's grid, with its standard deviation."""
+    """A fitted unknown: the force over the variable's grid, with its standard deviation and the half width of the band
+    that holds the whole of the curve with 95 % probability."""
 
     force: str
     variable: str
     grid: Array
     value: Array
     sd: Array
+    band: Array
     unit: str
     variable_unit: str
 
@@ -48,7 +50,7 @@ def basis(z: Any, angle: bool, span: tuple[float, float]) -> list[Any]:
 
 def parts(model: Model, force: str, variable: str) -> tuple[Residual, list[Variable]]:
     """The residual and the variable, or the two of a product ("u, r"). Raises ValueError for what the model has not."""
-    residuals = {r.name: r for r in residuals_of(model)}
+    residuals = {r.name: r for r in (*residuals_of(model), *readings_of(model))}
     variables = {v.name: v for v in (*variables_of(model), TIME)}
     wanted = [(force, list(residuals)), *((v, list(variables)) for v in variable.split(", "))]
     for name, known in wanted:
@@ -98,12 +100,15 @@ def shape(
     covariance: Array,
     n: int = 60,
 ) -> Shape | None:
-    """The fitted curve with its band, without its mean (a constant belongs to other parameters); None for products."""
+    """The fitted curve with its band, without its mean (a constant belongs to other parameters).
+
+    None for products, and for what depends on an input's past.
+    """
+    span = effect.span
+    if span is None or ", " in effect.name:
+        return None
     force, variable = effect.name.removeprefix("unknown ").rstrip(")").split("(")
     residual, of = parts(model, force, variable)
-    span = effect.span
-    if len(of) == 2 or span is None:
-        return None
     grid = np.linspace(-np.pi, np.pi, n) if of[0].angle else np.linspace(*span, n)
     B = np.column_stack([b * np.ones(n) for b in basis(grid, of[0].angle, span)])
     B = B - B.mean(0)
@@ -111,11 +116,21 @@ def shape(
     at = [list(names).index(name) for name in own]
     P = covariance[np.ix_(at, at)]
     value = B @ np.array([values[name] for name in own])
-    variance = np.maximum(np.einsum("ij,jk,ik->i", B, P, B), 0)
+    sd = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", B, P, B), 0))
+    band = whole_band(B, P) * sd
     if not of[0].angle:
-        variance = variance + between_knots(np.array([values[name] for name in own]), grid, span) ** 2
-    sd = np.sqrt(variance)
-    return Shape(force, variable, grid, value, sd, residual.unit, of[0].unit)
+        band = band + between_knots(np.array([values[name] for name in own]), grid, span)
+    return Shape(force, variable, grid, value, sd, band, residual.unit, of[0].unit)
+
+
+def whole_band(B: Array, P: Array, n: int = 4000) -> float:
+    """How many standard deviations the whole of a curve ``B t`` stays within with 95 % probability, t having the
+    covariance P (Ruppert, Wand and Carroll 2003, section 6.5): from n draws, always the same ones."""
+    w, V = np.linalg.eigh(P)
+    curves = B @ (V * np.sqrt(np.maximum(w, 0.0))) @ np.random.default_rng(0).standard_normal((len(P), n))
+    sd = curves.std(axis=1, keepdims=True)
+    drawn = np.abs(curves) / np.where(sd > 0, sd, np.inf)
+    return float(np.quantile(drawn.max(axis=0), 0.95))
 
 
 def between_knots(knots: Array, grid: Array, span: tuple[float, float]) -> Array:

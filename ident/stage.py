@@ -22,6 +22,7 @@ from ident.smooth import Smoothed, smooth
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
+ROUGHLY = 0.02  # in the log-likelihood, to which a candidate is fitted; the model that is kept is fitted exactly
 NOUGHT = 1e-2  # of the white noise that the samples show
 OTHER_SIZE = 2.0  # times the force or moment that was assumed
 

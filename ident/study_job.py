@@ -20,7 +20,9 @@ from ident.study_cases import make_case
 
 Say = Callable[[str], None]
 BATCH = 25  # replicates a task: they are simulated together
+ROWS = 2  # version of what a line holds
 WAVES = 4  # tasks a worker between two looks at what is done
+OWN = ("euler", "study", "fit", "restricted", "scoring", "pe", "prepared", "uncertainty")  # files that results hang on
 HEAD = ("parameter", "n", "at bound", "bias, sd", "variance/reported", "variance/bound", "coverage", "")
 
 
@@ -115,7 +117,8 @@ def _row(j: Judged, truth: float, unit: str) -> Json:
     return {
         "name": j.name, "unit": unit, "truth": truth, "n": j.n, "at_bound": j.at_bound, "sd": j.sd, "bias": j.bias,
         "bias_error": j.bias_error, "ratio": j.ratio, "ratio_low": j.ratio_interval[0],
-        "ratio_high": j.ratio_interval[1], "bound_ratio": j.bound_ratio, "coverage": j.coverage,
+        "ratio_high": j.ratio_interval[1], "bound_ratio": j.bound_ratio, "bound_ratio_low": j.bound_interval[0],
+        "bound_ratio_high": j.bound_interval[1], "coverage": j.coverage,
         "coverage_low": j.coverage_interval[0], "coverage_high": j.coverage_interval[1], "misses": list(j.misses),
     }
 
@@ -142,7 +145,7 @@ def table(one: Json) -> list[tuple[str, ...]]:
 def _line(r: Json) -> tuple[str, ...]:
     return (
         r["name"], str(r["n"]), str(r["at_bound"]), f"{r['bias']:+.2f} ± {r['bias_error']:.2f}",
-        f"{r['ratio']:.2f} ({r['ratio_low']:.2f} to {r['ratio_high']:.2f})", f"{r['bound_ratio']:.2f}",
+        f"{r['ratio']:.2f}", f"{r['bound_ratio']:.2f} ({r['bound_ratio_low']:.2f} to {r['bound_ratio_high']:.2f})",
         f"{100 * r['coverage']:.1f} % ({100 * r['coverage_low']:.1f} to {100 * r['coverage_high']:.1f})",
         ", ".join(r["misses"]),
     )
@@ -168,8 +171,10 @@ def page(result: Json) -> str:
         f"each fit starts within a factor {2.718281828**APART:.1f} of the truth. Errors are those of the coordinate in "
         "which the estimator moves: the logarithm of a positive parameter. `bias, sd`: mean error over the standard "
         "deviation of the estimates, with its own standard error. `variance/reported`: variance of the estimates over "
-        "the mean of the variances that the fits reported; `variance/bound`: over the Cramer-Rao bound at the truth. "
-        "`coverage`: of 95 % intervals. In brackets, 95 % intervals of these numbers themselves. The last column names "
+        "the mean of the variances that the fits reported; `variance/bound`: over the Cramer-Rao bound at the truth, "
+        "or the least variance where parameters are near their bounds (`ident/study.py`). `coverage`: of 95 % "
+        "intervals, which are one-sided for estimates `at bound`. Noise is estimated by restricted likelihood "
+        "(`ident/restricted.py`). In brackets, 95 % intervals of these numbers themselves. The last column names "
         f"what is beyond the aim (|bias| < {BIAS}, variance within {100 * VARIANCE:.0f} %, coverage "
         f"{100 * COVERAGE[0]:.0f}-{100 * COVERAGE[1]:.0f} %), with `chance?` where the number's own interval reaches "
         "into the aim.",
@@ -189,7 +194,7 @@ def page(result: Json) -> str:
 def _key(case: Case, seed: int, method: Method) -> str:
     """Replicates with the same key are of the same study: mission, model, truth, seed and method."""
     parameters = [(p.name, p.value, p.bounds, p.free) for p in case.model.parameters]
-    values: Any = (case.name, parameters, sorted(case.every.items()), seed, method, case.model.source)
+    values: Any = (case.name, parameters, sorted(case.every.items()), seed, method, case.model.source, ROWS)
     inputs = case.inputs
     digest = hashlib.sha256(repr(values).encode())
     for array in (inputs.t, inputs.u, inputs.u_next):
@@ -201,7 +206,7 @@ def _key(case: Case, seed: int, method: Method) -> str:
 def code_state() -> str:
     """A hash of what a result depends on."""
     digest, root = hashlib.sha256(), Path(__file__).parent
-    own = [root / f"{name}.py" for name in ("euler", "study", "fit", "scoring", "pe", "prepared", "uncertainty")]
+    own = [root / f"{name}.py" for name in OWN]
     for path in sorted([*own, *(root / "engine").glob("*.py"), *(root / "models").glob("*.py")]):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:12]

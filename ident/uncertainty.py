@@ -13,6 +13,7 @@ from ident.scoring import Bounds, Evaluation
 Array = NDArray[np.float64]
 BLIND = 1e-10  # eigenvalue of the scaled information below which a combination is not identified
 NAMED = 0.1  # weight with which a parameter is part of that combination
+Z95, DROP = 1.959964, 1.9207294  # quantile of a normal, and half of chi2(1), at 95 %
 FACTOR = 5.0  # standard error of a logarithm beyond which nothing is known: a factor 150
 LEAN = 1.5  # times that its error would be larger
 N_BLOCKS = 40  # of a record, for the sandwich: more rows in one than the residuals remember
@@ -22,7 +23,9 @@ AT_BOUND, VAGUE = "at its bound", "the data do not tell its order of magnitude" 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """In own units, except ``P`` (n, n): the covariance of the coordinates, NaN where nothing is known."""
+    """In own units, except of the coordinates: ``P`` (n, n), their covariance with those at a bound held there, NaN
+    where nothing is known; ``spread`` (n, n), what these add to it (``_beside_bounds``); ``limits`` (n,): of a
+    coordinate at its bound, the far end of its 95 % interval, NaN for all others."""
 
     errors: Array
     covariance: Array
@@ -31,6 +34,8 @@ class Uncertainty:
     gradient_norm: float
     flags: tuple[tuple[str, str], ...]
     P: Array
+    spread: Array
+    limits: Array
 
 
 def assess(at: Evaluation, z: Array, bounds: Bounds, names: Sequence[str], slopes: Array, prior: Array
@@ -53,40 +58,53 @@ def assess(at: Evaluation, z: Array, bounds: Bounds, names: Sequence[str], slope
     for i in vague:
         flags.append((names[i], VAGUE))
     P[vague, :] = P[:, vague] = np.nan
-    flags += _leaning(at.information, good, at_bound, P, slopes, names)
-    variance = np.diag(P)
-    covariance = P * np.outer(slopes, slopes)
+    spread, limits, leaning = _beside_bounds(at, z, bounds, P, names)
+    flags += leaning
+    variance = np.diag(P + spread)
+    covariance = (P + spread) * np.outer(slopes, slopes)
     root = np.sqrt(variance)
-    gradient = np.where(np.isfinite(variance), at.gradient, 0.0)
     known = np.isfinite(variance)
-    norm = float(np.sqrt(max(gradient[known] @ P[np.ix_(known, known)] @ gradient[known], 0.0)))
-    weight = np.where(np.isfinite(variance), prior * np.where(np.isfinite(variance), variance, 0.0), 0.0)
+    norm = float(np.sqrt(max(at.gradient[known] @ P[np.ix_(known, known)] @ at.gradient[known], 0.0)))
+    weight = np.where(known, prior * np.where(known, variance, 0.0), 0.0)
     for i in np.flatnonzero(weight > 0.9).tolist():
         flags.append((names[i], f"{100 * weight[i]:.0f} % of what is known of it is its prior"))
-    return Uncertainty(np.abs(slopes) * root, covariance, P / np.outer(root, root), np.minimum(weight, 1.0), norm,
-                       tuple(flags), P)
+    correlation = (P + spread) / np.outer(root, root)
+    return Uncertainty(np.abs(slopes) * root, covariance, correlation, np.minimum(weight, 1.0), norm, tuple(flags), P,
+                       spread, limits)
 
 
-def _leaning(
-    information: Array, good: Sequence[int], at_bound: NDArray[np.bool_], P: Array, slopes: Array, names: Sequence[str]
-) -> list[tuple[str, str]]:
-    """Parameters whose error is small only because a neighbour stands at its bound: if it did not, it would be larger.
+def _beside_bounds(
+    at: Evaluation, z: Array, bounds: Bounds, P: Array, names: Sequence[str]
+) -> tuple[Array, Array, list[tuple[str, str]]]:
+    """What a parameter at its bound adds to its neighbours' covariance, the far end of its own interval, and flags.
 
-    Their intervals cover less than they say (89 % instead of 95 % in a study of sway damping, `docs/how-to/study.md`).
+    To take the bound for granted makes the neighbours' intervals too short (a quadratic damping at zero: 89 % of those
+    of the linear one held); to leave it out, as if it could be crossed, makes them too long. The profile likelihood of
+    a parameter b that the data push against its bound with the gradient g, of curvature c, drops by
+
+        g d + c d^2 / 2     at the distance d from it,     so that d95 = 2 * 1.92 / (g + sqrt(g^2 + 2 * 1.92 c))
+
+    is the end of its 95 % interval (Pawitan 2001, section 2.6; one-sided: Self and Liang 1987). Over d95 the others
+    follow by ``f d95``, ``f = -I_oo^-1 I_ob``, and their 95 % intervals have to reach as far: the covariance is widened
+    by ``f f' (d95 / 1.96)^2``, nothing if the bound is pushed against hard, and all that a free b would add if hardly.
     """
-    bound = [i for i in np.flatnonzero(at_bound).tolist() if information[i, i] > 0]
+    n = z.size
+    spread, limits = np.zeros((n, n)), np.full(n, np.nan)
+    good = np.flatnonzero(np.isfinite(np.diag(P)))
     flags: dict[str, str] = {}
-    for b in bound:
-        free = [*good, b]
-        try:
-            wider = np.sqrt(np.abs(np.diag(_inverse(information[np.ix_(free, free)]))))
-        except np.linalg.LinAlgError:  # with it free, they could not be told apart at all
-            continue
-        for i, error in zip(good, wider[:-1].tolist(), strict=True):
-            if error > LEAN * np.sqrt(P[i, i]) and np.isfinite(error):
-                flags[names[i]] = (f"its error takes {names[b]} at its bound for granted; without that it would be "
-                                   f"{abs(slopes[i]) * error:.2g}")
-    return list(flags.items())
+    for b in np.flatnonzero(((z <= bounds.low) | (z >= bounds.high)) & (np.diag(at.information) > 0)).tolist():
+        inward, room = (1.0, bounds.high[b] - z[b]) if z[b] <= bounds.low[b] else (-1.0, z[b] - bounds.low[b])
+        follow = -P[np.ix_(good, good)] @ at.information[good, b]
+        curvature = max(at.information[b, b] + at.information[b, good] @ follow, BLIND * at.information[b, b])
+        push = max(-inward * at.gradient[b], 0.0)
+        reach = min(2 * DROP / (push + np.sqrt(push**2 + 2 * DROP * curvature)), room)
+        limits[b] = z[b] + inward * reach
+        added = np.outer(follow, follow) * (reach / Z95) ** 2
+        spread[np.ix_(good, good)] += added
+        wider = np.sqrt(1.0 + np.diag(added) / np.diag(P)[good])
+        for k in np.flatnonzero(wider > LEAN).tolist():
+            flags[names[good[k]]] = f"its error allows for {names[b]} off its bound: {wider[k]:.1f} times that at it"
+    return spread, limits, list(flags.items())
 
 
 def _blind(
@@ -120,7 +138,8 @@ def _inverse(information: Array) -> Array:
 def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes: Array) -> Array:
     """Standard errors that stay valid when residuals are coloured (White 1982), in own units (n,).
 
-    The covariance of the score comes from sums over blocks of each record, ``P (sum s s') P``.
+    The covariance of the score comes from sums over blocks of each record, ``P (sum s s') P``; what parameters at their
+    bounds add to the errors is added to these, too.
     """
     P = np.nan_to_num(known.P)
     n = len(P)
@@ -130,5 +149,5 @@ def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes
         sums = np.zeros((starts.size, n))
         sums[:, places] = np.add.reduceat(by_row, starts, axis=0)
         middle += sums.T @ sums
-    variance = np.diag(P @ middle @ P)
+    variance = np.diag(P @ middle @ P + known.spread)
     return np.where(np.isfinite(known.errors), np.abs(slopes) * np.sqrt(np.maximum(variance, 0.0)), np.nan)

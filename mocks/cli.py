@@ -16,7 +16,7 @@ import click
 from daq.errors import SeatrialError
 from daq.rig import Calibration, Rig, Thruster, load_rig
 from mocks import bench_plant, undeclared
-from mocks.autopilot import LOOP_HZ
+from mocks.autopilot_reports import LOOP_HZ
 from mocks.bench_plant import Bench, draw_bench
 from mocks.devices import by_side, speaker
 from mocks.faults import KINDS, Faults, parse_fault
@@ -76,7 +76,7 @@ def mock() -> None:
     """
 
 
-@mock.command()
+@mock.command(short_help="A simulated boat with two thrusters.")
 @_options([*undeclared.EFFECTS, *undeclared.OUTSIDE])
 def boat(rig: Path, seed: int, run: int, effect: str, sealed: Path | None, **how: Any) -> None:
     """A simulated boat with two thrusters at the ports of RIG.
@@ -95,7 +95,7 @@ def boat(rig: Path, seed: int, run: int, effect: str, sealed: Path | None, **how
     _serve(loaded, plant, world, run, sealed, **how)
 
 
-@mock.command()
+@mock.command(short_help="A simulated thruster on a load cell.")
 @_options(list(bench_plant.EFFECTS))
 def bench(rig: Path, seed: int, run: int, effect: str, sealed: Path | None, **how: Any) -> None:
     """A simulated bench, one thruster on a load cell, at the ports of RIG.

@@ -10,12 +10,14 @@ from dataclasses import replace
 from typing import final
 
 from daq.errors import SeatrialError
-from daq.protocol import loadcell, nmea, vectornav, vesc
+from daq.protocol import dronecan, loadcell, nmea, vectornav, vesc
+from daq.protocol.dronecan_transfer import NUMBERS, Assembler
 from daq.rig import Device, Rig, Thruster
 from daq.samples import NAN, Ahrs, Esc, Gnss, LoadCell
 from mocks.slcan import Adapter, CanFrame
 from mocks.world import Controller, Sample
 
+FIRST_ESC_NODE = 20  # of DroneCAN controllers
 SLOW_STATUS_S = 0.2  # between STATUS 4 and 5 of one controller
 
 
@@ -96,6 +98,37 @@ class VescBus(Speaker):
         return answers
 
 
+@final
+class DronecanBus(Speaker):
+    """DroneCAN speed controllers behind an slcan adapter; the controller of index k is node 20 + k of the bus."""
+
+    def __init__(self, controllers: Mapping[int, Controller]) -> None:
+        """By index."""
+        self._controllers = controllers
+        self._adapter = Adapter()
+        self._commands = Assembler(dronecan.RAW_COMMAND)
+        self._sent: dict[int, int] = {}
+
+    def encode(self, sample: Sample, t: float) -> bytes:
+        """An esc.Status."""
+        assert isinstance(sample, Esc)
+        number = self._sent[sample.node] = (self._sent.get(sample.node, -1) + 1) % NUMBERS
+        frames = dronecan.encode(sample, FIRST_ESC_NODE + sample.node, number)
+        return b"".join(self._adapter.encode(CanFrame(*frame)) for frame in frames)
+
+    def receive(self, data: bytes, t: float) -> bytes:
+        """The adapter's answers; each controller takes its own part of a command, if it has one."""
+        answers, frames = self._adapter.feed(data)
+        for frame in frames:
+            if not frame.extended:
+                continue
+            for payload, _ in self._commands.take(frame.arbitration_id, frame.data, t):
+                for index, n in enumerate(dronecan.decode_command(payload)):
+                    if index in self._controllers:
+                        self._controllers[index].command(t, n)
+        return answers
+
+
 def speaker(rig: Rig, device: Device, controllers: Mapping[int, Controller], ascii_: bool = False) -> Speaker:
     """What speaks at ``device``. Raises SeatrialError for a rig that no mock can serve."""
     if device.protocol == "vectornav":
@@ -114,6 +147,8 @@ def speaker(rig: Rig, device: Device, controllers: Mapping[int, Controller], asc
         return Autopilot(rig, device, controllers, time.time())
     if not device.port.startswith("slcan:"):
         raise SeatrialError(f"{rig.path}: device {device.name}: a mock speaks CAN as slcan:PORT, not {device.port}")
+    if device.protocol == "dronecan":
+        return DronecanBus(controllers)
     return VescBus(controllers, {t.node: t.pole_pairs for t in rig.thrusters if t.device == device.name})
 
 

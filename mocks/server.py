@@ -17,7 +17,7 @@ from mocks.net_ports import NetPort
 from mocks.ports import Port
 from mocks.world import World
 
-PRIORITY = -10  # niceness, where the system lets us
+PRIORITY, REAL_TIME = -10, 2  # niceness, and of 99: where the system lets us
 NAP = 0.05  # wall s, the longest sleep: signals and ports that return are noticed within it
 STALL = 0.005  # wall s; a longer gap in the loop is our own pause and no silence of the host
 BURST = 400  # steps before the ports are looked at again when we are behind
@@ -39,6 +39,7 @@ class Server:
         self.stopping = False
         self.triggered = False  # a signal asks for the faults that wait for it
         self.max_lag = 0.0  # wall s by which a sample left late
+        self._forgiven = 0.0  # wall s by which time-outs were put off for pauses of our own
         self._world = world
         self._speakers = speakers
         self._ports = ports
@@ -55,6 +56,8 @@ class Server:
         """Serve until ``stopping``."""
         with contextlib.suppress(OSError):  # where we may: devices do not wait for a busy machine
             os.setpriority(os.PRIO_PROCESS, 0, PRIORITY)
+            if hasattr(os, "sched_setscheduler"):
+                os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(REAL_TIME))
         gc.freeze()
         self._start = self._listened = time.monotonic()
         while not self.stopping:
@@ -76,6 +79,7 @@ class Server:
         gap = wall - self._listened - self._nap
         self._listened = wall
         if gap > STALL:
+            self._forgiven += gap
             for controller in self._world.controllers:
                 controller.deadline += gap * self._speed
 
@@ -135,4 +139,5 @@ class Server:
     def _changed(self, t: float, node: int, n: float, why: str) -> None:
         if self._trace is not None:
             line = {"t": round(t, 6), "wall": time.monotonic(), "node": node, "n": round(n, 6), "why": why}
+            line["forgiven"] = round(self._forgiven, 6)
             print(json.dumps(line), file=self._trace, flush=True)

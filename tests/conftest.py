@@ -14,6 +14,7 @@ import pytest
 PORTS = (
     "tests/bench/test_check_live.py",
     "tests/bench/test_course.py",
+    "tests/bench/test_dronecan.py",
     "tests/bench/test_fault_trials.py",
     "tests/bench/test_mavlink.py",
     "tests/bench/test_run.py",

@@ -1,96 +1,73 @@
-"""DroneCAN (UAVCAN v0): `uavcan.equipment.esc.Status` of speed controllers -> `Esc`.
+"""DroneCAN (UAVCAN v0) speed controllers: esc.Status -> `Esc`, and esc.RawCommand from commands.
 
-Source: the DroneCAN specification, "CAN bus transport layer" and "Data structure description language", and
-dsdl/uavcan/equipment/esc/1034.Status.uavcan. The message is longer than a CAN frame: three frames make a transfer,
-with a checksum over all of it. One message of fixed layout needs no library.
+Source: the DroneCAN specification, "Data structure description language", and dsdl/uavcan: equipment/esc/1034.Status,
+equipment/esc/1030.RawCommand, protocol/341.NodeStatus. Three messages of fixed layout need no library.
 """
 
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 
-from daq.protocol.canframe import FRAME_BYTES, FrameDecoder
-from daq.protocol.framing import crc16_ccitt
+from daq.protocol.canframe import FrameDecoder
+from daq.protocol.dronecan_transfer import Assembler, MessageType, frames_of
 from daq.samples import NAN, Esc, Frame
 
-STATUS = 1034  # data type id
-SIGNATURE = 0xA9AF28AEA2FBB254  # of the data type; goes into the checksum
-SIZE = 14  # bytes of the message
+STATUS = MessageType(1034, 0xA9AF28AEA2FBB254, 14)
+RAW_COMMAND = MessageType(1030, 0x217F5C87D7EC951D, 35)
+NODE_STATUS = MessageType(341, 0x0F0868D0C1A7C6F1, 7)
 KELVIN = 273.15
-PRIORITY = 16
-_SEED = crc16_ccitt(struct.pack("<Q", SIGNATURE))
+FULL = 8191  # full ahead in 14 bits; full astern is its negative, so that zero is the middle
+MOST = 20  # controllers in one command
+URGENT = 8  # priority of commands: before the reports of everybody else
 _HEAD = struct.Struct("<I3eH")  # error count, voltage, current, temperature, low bits of the rpm
-_SERVICE = 1 << 7
-
-
-@dataclass
-class _Transfer:
-    """A transfer that is under way."""
-
-    number: int  # 5 bits
-    t_rx: float  # of its first frame
-    toggle: int = 0
-    data: bytearray = field(default_factory=bytearray)
+_BITS = 14
 
 
 class Decoder(FrameDecoder):
     """esc.Status -> `Esc`, the index of the controller as its node.
 
-    rpm is the shaft's (the controller knows its motor's poles); duty is not in the message. `t_rx` is that of the
-    transfer's first frame. A transfer that lacks a frame counts as unparsed bytes, one whose checksum is wrong as a
-    checksum error.
+    rpm is the shaft's (the controller knows its motor's poles), with its sign changed for `reversed_nodes`; duty is not
+    in the message. `t_rx` is that of the transfer's first frame. A transfer that lacks a frame counts as unparsed
+    bytes, one whose checksum is wrong as a checksum error.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, reversed_nodes: frozenset[int] = frozenset()) -> None:
         super().__init__()
-        self._transfers: dict[int, _Transfer] = {}  # by the node that sends
+        self._reversed = reversed_nodes
+        self._assembler = Assembler(STATUS)
 
     def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
-        if not extended or identifier >> 8 & 0xFFFF != STATUS or identifier & _SERVICE or not data:
+        if not extended:
             return []
-        source, tail = identifier & 0x7F, data[-1]
-        number, toggle, ends, begins = tail & 0x1F, tail >> 5 & 1, tail & 0x40, tail & 0x80
-        if begins:
-            self._drop(source)
-            self._transfers[source] = _Transfer(number, t_rx)
-        transfer = self._transfers.get(source)
-        if transfer is None:
-            self.unparsed_bytes += FRAME_BYTES
-            return []
-        if (number, toggle) != (transfer.number, transfer.toggle) or len(transfer.data) > SIZE + 2:
-            self._drop(source)
-            self.unparsed_bytes += FRAME_BYTES
-            return []
-        transfer.data += data[:-1]
-        transfer.toggle ^= 1
-        return self._complete(source, transfer) if ends else []
+        out = []
+        for payload, t_first in self._assembler.take(identifier, data, t_rx):
+            if len(payload) != STATUS.longest:
+                self.checksum_errors += 1
+                continue
+            self.frames += 1
+            out.append(Frame(unpack(payload, self._reversed), t_first, NAN))
+        self._count()
+        return out
 
-    def _complete(self, source: int, transfer: _Transfer) -> list[Frame]:
-        del self._transfers[source]
-        checksum, payload = transfer.data[:2], bytes(transfer.data[2:])
-        if len(payload) != SIZE or int.from_bytes(checksum, "little") != crc16_ccitt(payload, _SEED):
-            self.checksum_errors += 1
-            return []
-        self.frames += 1
-        return [Frame(unpack(payload), transfer.t_rx, NAN)]
-
-    def _drop(self, source: int) -> None:
-        """Give up the transfer of a node; what it had counts."""
-        if (transfer := self._transfers.pop(source, None)) is not None:
-            self.unparsed_bytes += FRAME_BYTES * -(-len(transfer.data) // 7)
+    def _count(self) -> None:
+        """Take over what the assembler has counted."""
+        self.unparsed_bytes += self._assembler.unparsed_bytes
+        self.checksum_errors += self._assembler.checksum_errors
+        self._assembler.unparsed_bytes = self._assembler.checksum_errors = 0
 
     def _forget(self) -> None:
-        for source in list(self._transfers):
-            self._drop(source)
+        self._assembler.forget()
+        self._count()
 
 
-def unpack(payload: bytes) -> Esc:
-    """The 14 bytes of a message. rpm has 18 bits, the rating 7 and the index 5, in this order."""
+def unpack(payload: bytes, reversed_nodes: frozenset[int] = frozenset()) -> Esc:
+    """The 14 bytes of an esc.Status. rpm has 18 bits, the rating 7 and the index 5, in this order."""
     _, voltage, current, kelvin, low = _HEAD.unpack_from(payload)
+    node = payload[13] >> 2 & 0x1F
     rpm = low | payload[12] >> 6 << 16
     rpm -= (rpm & 0x20000) << 1
-    return Esc(payload[13] >> 2 & 0x1F, float(rpm), current, NAN, voltage, kelvin - KELVIN)
+    return Esc(node, float(-rpm if node in reversed_nodes else rpm), current, NAN, voltage, kelvin - KELVIN)
 
 
 def encode(esc: Esc, source: int, number: int) -> list[tuple[int, bytes]]:
@@ -98,10 +75,38 @@ def encode(esc: Esc, source: int, number: int) -> list[tuple[int, bytes]]:
     values = [0.0 if value != value else value for value in (esc.voltage, esc.current, esc.temperature + KELVIN)]
     rpm = round(0.0 if esc.rpm != esc.rpm else min(max(esc.rpm, -131072), 131071)) & 0x3FFFF
     payload = _HEAD.pack(0, *values, rpm & 0xFFFF) + bytes((rpm >> 16 << 6, (esc.node & 0x1F) << 2))
-    body = struct.pack("<H", crc16_ccitt(payload, _SEED)) + payload
-    parts = [body[at : at + 7] for at in range(0, len(body), 7)]
-    identifier = PRIORITY << 24 | STATUS << 8 | source
-    return [
-        (identifier, part + bytes(((k == 0) << 7 | (k == len(parts) - 1) << 6 | (k & 1) << 5 | number & 0x1F,)))
-        for k, part in enumerate(parts)
-    ]
+    return frames_of(STATUS, payload, source, number)
+
+
+def encode_command(commands: Mapping[int, float], source: int, number: int) -> list[tuple[int, bytes]]:
+    """The frames of an esc.RawCommand: -1..1 by the controllers' indices, 0..19; zero for those between them.
+
+    Raises ValueError for a command or an index beyond these.
+    """
+    for index, n in commands.items():
+        if not (-1.0 <= n <= 1.0 and 0 <= index < MOST):
+            raise ValueError(f"controller {index}: {n} is no command, -1 to 1, of the controllers 0 to {MOST - 1}")
+    bits = "".join(_scalar(round(FULL * commands.get(k, 0.0))) for k in range(max(commands, default=-1) + 1))
+    padded = bits.ljust(-(-len(bits) // 8) * 8, "0")
+    payload = bytes(int(padded[at : at + 8], 2) for at in range(0, len(padded), 8))
+    return frames_of(RAW_COMMAND, payload, source, number, URGENT)
+
+
+def _scalar(value: int) -> str:
+    """14 bits as they go onto the bus: the low byte first, each byte from its highest bit."""
+    word = value & (1 << _BITS) - 1
+    return f"{word & 0xFF:08b}{word >> 8:06b}"
+
+
+def decode_command(payload: bytes) -> list[float]:
+    """The commands, -1..1, in an esc.RawCommand, by the controllers' indices."""
+    bits = "".join(f"{byte:08b}" for byte in payload)
+    words = [bits[at : at + _BITS] for at in range(0, len(bits) - _BITS + 1, _BITS)]
+    values = [int(word[8:] + word[:8], 2) for word in words]
+    return [max(-1.0, (value - ((value & 0x2000) << 1)) / FULL) for value in values]
+
+
+def encode_node_status(uptime_s: float, source: int, number: int) -> list[tuple[int, bytes]]:
+    """The frame by which a node says once a second that it is there and well."""
+    payload = struct.pack("<IBH", int(uptime_s) & 0xFFFFFFFF, 0, 0)
+    return frames_of(NODE_STATUS, payload, source, number)

@@ -22,5 +22,6 @@ EFFECT = Effect(
     experiment="slow runs ahead and astern, and coasting to rest",
     requires=("hull",),
     one_sided=True,
+    one_of="X(u)",
     rivals=("cubic-drag", "dead-band", "hump"),
 )

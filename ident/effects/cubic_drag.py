@@ -19,5 +19,6 @@ EFFECT = Effect(
     source="residuary resistance near hull speed (Froude)",
     experiment="long straight runs at five or more speeds up to the highest",
     requires=("hull",),
+    one_of="X(u)",
     rivals=("advance-ratio", "hump", "coulomb"),
 )

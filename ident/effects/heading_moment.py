@@ -28,5 +28,6 @@ EFFECT = Effect(
     source="wind and waves on an asymmetric hull; Fossen 2011, section 8.2",
     experiment="turning slowly through all headings, both ways round",
     requires=("hull",),
+    any_of="N(psi)",
     rivals=("wind", "yaw-bias", "compass"),
 )

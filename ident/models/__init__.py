@@ -35,21 +35,7 @@ def make_model(source: str, sensors: Sequence[str] | None = None) -> Model:
     if kind not in BUILT_IN:
         raise SeatrialError(f"no model {source!r}: there are {', '.join(BUILT_IN)}, or FILE.py:NAME for your own")
     if kind == "horizontal":
-        from ident.models.horizontal import SENSORS, horizontal
-
-        kinds, currents = ("shaft", "force", "general"), ("still", "walk")
-        wrong = [o for o in options if o not in (*kinds, *currents)]
-        if wrong:
-            raise SeatrialError(f"no model {source!r}: horizontal has {', '.join(kinds)}, and {' or '.join(currents)}")
-        propulsion: Any = next((o for o in options if o in kinds), "shaft")
-        chosen = [s for s in SENSORS if s in sensors] if sensors is not None else None
-        current = "still" not in options
-        model = (
-            horizontal(propulsion, tuple(chosen), current=current)
-            if chosen
-            else horizontal(propulsion, current=current)
-        )
-        return replace(model + current_walk(), source=source) if "walk" in options else model
+        return _horizontal(source, options, sensors)
     if kind == "thruster" and (options in ([], ["slow"]) or _is_step(options)):
         from ident.models.thruster import thruster
 
@@ -72,6 +58,20 @@ def _is_step(options: Sequence[str]) -> bool:
         return len(options) == 1 and 1e-4 < float(options[0]) < 1.0
     except ValueError:
         return False
+
+
+def _horizontal(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
+    from ident.models.horizontal import SENSORS, STANDARD, horizontal
+
+    kinds, currents = ("shaft", "force", "general"), ("still", "walk")
+    wrong = [o for o in options if o not in (*kinds, *currents)]
+    if wrong:
+        raise SeatrialError(f"no model {source!r}: horizontal has {', '.join(kinds)}, and {' or '.join(currents)}")
+    propulsion: Any = next((o for o in options if o in kinds), "shaft")
+    chosen = [s for s in SENSORS if s in sensors] if sensors is not None else None
+    current = "still" not in options
+    model = horizontal(propulsion, tuple(chosen or STANDARD), current=current)
+    return replace(model + current_walk(), source=source) if "walk" in options else model
 
 
 def _kinematic(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:

@@ -36,17 +36,7 @@ def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
         "unexplained forces",
         {"force": add, "rate": decay},
         parameters=(
-            *(
-                Parameter(
-                    f"q_{n}",
-                    s0 * float(np.sqrt(2 / tau)),
-                    unit,
-                    f"diffusion of the unexplained {n}",
-                    "log",
-                    prior=(s0 * float(np.sqrt(2 / tau)), 3 * s0 * float(np.sqrt(2 / tau))),
-                )
-                for n, s0, unit in zip(names, sd, units, strict=True)
-            ),
+            *(_diffusion(n, s0 * float(np.sqrt(2 / tau)), unit) for n, s0, unit in zip(names, sd, units, strict=True)),
             Parameter(
                 "tau_b", tau, "s", "memory of the unexplained forces", "log", prior=(tau, tau), bounds=(0.2, 60.0)
             ),
@@ -57,6 +47,10 @@ def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
         ),
         place="environment",
     )
+
+
+def _diffusion(force: str, q: float, unit: str) -> Parameter:
+    return Parameter(f"q_{force}", q, unit, f"diffusion of the unexplained {force}", "log", prior=(q, 3 * q))
 
 
 def forces_of(model: Model) -> tuple[str, ...]:

@@ -60,6 +60,7 @@ SENSORS = {
     "ground_velocity": Sensor("ground_velocity", (Output("vx", "m/s", "e_vxy"), Output("vy", "m/s", "e_vxy"))),
     "body_velocity": Sensor("body_velocity", (Output("u", "m/s", "e_uv"), Output("v", "m/s", "e_uv"))),
 }
+STANDARD = ("attitude", "gyro", "accelerometer", "position", "ground_velocity")
 NOISE = {
     "attitude": Parameter("e_psi", 0.01, "rad", "noise of the heading", "log"),
     "gyro": Parameter("e_r", 0.005, "rad/s", "noise of the yaw gyro", "log"),
@@ -72,7 +73,7 @@ NOISE = {
 
 def horizontal(
     propulsion: Propulsion = "shaft",
-    sensors: Sequence[str] = ("attitude", "gyro", "accelerometer", "position", "ground_velocity"),
+    sensors: Sequence[str] = STANDARD,
     *,
     current: bool = True,
     hold: Literal["zero", "linear"] = "linear",
@@ -150,8 +151,8 @@ def output(s: Signals) -> None:
     """All that a sensor could see; the model's sensors pick theirs."""
     x, y = s.x, s.y
     cos, sin = np.cos(x.psi), np.sin(x.psi)
-    current_x, current_y = getattr(s.p, "V_x", 0.0), getattr(s.p, "V_y", 0.0)
     y["x"], y["y"], y["psi"], y["r"] = x.x, x.y, x.psi, x.r
     y["vx"], y["vy"] = s.rate["x"], s.rate["y"]
-    y["u"], y["v"] = x.u + cos * current_x + sin * current_y, x.v - sin * current_x + cos * current_y
+    # over ground, in the axes of the body: whatever moves the water (a current that wanders or drifts) is in it
+    y["u"], y["v"] = cos * y["vx"] + sin * y["vy"], cos * y["vy"] - sin * y["vx"]
     y["ax"], y["ay"] = s.rate["u"] - x.v * x.r, s.rate["v"] + x.u * x.r

@@ -88,14 +88,7 @@ def thruster(
     step = SLOW_STEP if pace == "slow" else float(pace or step)
     top = step * (n_delays - 1)
     delay = Parameter("tau", min(0.1, top / 2), "s", "delay of the command", bounds=(0.0, top), step=0.005)
-    states = [State("n", "", "shaft speed, normalised", "s_n", from_output="n", sd0=0.1)]
-    sensors, parameters = [Sensor("rpm", (Output("n", "", "e_n"),))], [delay, *SHAFT]
-    if force:
-        sensors.append(Sensor("load_cell", (Output("force", "N", "e_f"),)))
-        parameters += FORCE
-    if force and swing:
-        states.append(State("b_f", "N", "unexplained force", "q_f", sd0=1.0))
-        parameters += SWING
+    states, sensors, parameters = _parts(force, force and swing)
 
     def reference(s: Signals) -> Any:
         weights = enumerate(delay_weights(s.p.tau / step, n_delays))
@@ -111,10 +104,10 @@ def thruster(
 
     return Model(
         "thruster",
-        tuple(states),
+        states,
         tuple(Input(f"n_cmd_{k}") for k in range(n_delays)),
-        tuple(sensors),
-        tuple(parameters),
+        sensors,
+        (delay, *parameters),
         (("shaft", shaft), ("thrust", _thrust), ("rate", _rate), ("output", _output)),
         provides=("bench", "thrust") if force else ("bench",),
         source=f"thruster:{pace}" if pace else "thruster",
@@ -127,6 +120,19 @@ def thruster(
         ),
         block=2.0,
     )
+
+
+def _parts(force: bool, swing: bool) -> tuple[tuple[State, ...], tuple[Sensor, ...], tuple[Parameter, ...]]:
+    """States, sensors and parameters with a load cell or without, and with an unexplained force on it."""
+    states = [State("n", "", "shaft speed, normalised", "s_n", from_output="n", sd0=0.1)]
+    sensors, parameters = [Sensor("rpm", (Output("n", "", "e_n"),))], [*SHAFT]
+    if force:
+        sensors.append(Sensor("load_cell", (Output("force", "N", "e_f"),)))
+        parameters += FORCE
+    if swing:
+        states.append(State("b_f", "N", "unexplained force", "q_f", sd0=1.0))
+        parameters += SWING
+    return tuple(states), tuple(sensors), tuple(parameters)
 
 
 def past_dead_zone(command: Any, d: Any) -> Any:

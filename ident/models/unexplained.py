@@ -1,4 +1,5 @@
-"""Where unexplained forces act on a hull, and what they may depend on: the hull's part of a diagnosis."""
+"""Where unexplained forces act on a hull, and what they and the errors of its sensors may depend on: the hull's part of
+a diagnosis."""
 
 from __future__ import annotations
 
@@ -13,6 +14,15 @@ def adder(name: str) -> Callable[[Signals, Any], None]:
 
     def add(s: Signals, extra: Any) -> None:
         setattr(s, name, getattr(s, name) + extra)
+
+    return add
+
+
+def _reader(name: str) -> Callable[[Signals, Any], None]:
+    """Adds an extra to the reading of this channel."""
+
+    def add(s: Signals, extra: Any) -> None:
+        s.y[name] = s.y[name] + extra
 
     return add
 
@@ -34,6 +44,16 @@ HULL = tuple(
     Residual(name, unit, f"b_{name}", scale, f"the force {name}", adder(name))
     for name, unit, scale in (("X", "N", 10.0), ("Y", "N", 10.0), ("N", "N m", 2.0))
 )
+# What a sensor may get wrong: a compass by the heading and by the motors' currents, the others by what shakes or turns
+READINGS = tuple(
+    Residual(name, unit, f"bias_{name}", scale, f"the reading of {name}", _reader(name), "output", of)
+    for name, unit, scale, of in (
+        ("psi", "rad", 0.1, ("psi", "n_sum", "n_diff")),
+        ("r", "rad/s", 0.05, ("r",)),
+        ("ax", "m/s2", 0.3, ("u", "r")),
+        ("ay", "m/s2", 0.3, ("v", "r")),
+    )
+)
 MOTION = (
     Variable("u", "m/s", _state("u"), functions=7),
     Variable("v", "m/s", _state("v")),
@@ -49,6 +69,12 @@ PRODUCTS = (("u", "r"), ("u", "v"), ("v", "r"))
 def residuals_of(model: Model) -> tuple[Residual, ...]:
     """Where something unexplained may enter; none for a model that cannot be diagnosed."""
     return model.residuals or (HULL if "hull" in model.provides else ())
+
+
+def readings_of(model: Model) -> tuple[Residual, ...]:
+    """The sensors whose readings may be off by more than the offsets that the model has for them."""
+    states = {s.name for s in model.states}
+    return tuple(r for r in READINGS if r.state in states) if "hull" in model.provides else ()
 
 
 def variables_of(model: Model) -> tuple[Variable, ...]:

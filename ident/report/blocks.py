@@ -135,7 +135,8 @@ class EffectCard:
     formula: str
     parameters: Sequence[tuple[str, str, str]]
     facts: Sequence[tuple[str, str]]
-    share: str
+    weight: str
+    weight_says: str
     kind: str = "effect"
 
 
@@ -161,6 +162,25 @@ class Ranking:
     ticks: Sequence[tuple[float, str]]
     caption: str
     kind: str = "ranking"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One finding of a check: ``level`` is fault, warning or ok; what was found where, and what to do about it."""
+
+    level: str
+    where: str
+    check: str
+    words: str
+    advice: str
+
+
+@dataclass(frozen=True)
+class Verdicts:
+    """Findings below each other."""
+
+    items: Sequence[Verdict]
+    kind: str = "verdicts"
 
 
 @dataclass(frozen=True)

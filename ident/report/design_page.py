@@ -25,7 +25,7 @@ def write_design_page(result: Mapping[str, Any], path: Path) -> None:
     opening = Section("top", "", [Prose(_lead(result), "lead"), Facts(_facts(result))])
     body = [_errors(result), _inputs(canvas), _track(canvas), _rivals(canvas), _made(result)]
     page = compose("Mission design", text(result, "answer"), opening, [s for s in body if s.blocks], canvas.figures,
-                   version=text(result, "seatrial"), created=text(result, "created").replace("T", " "))
+                   version=text(result, "seatrial"), created=text(result, "created"))
     path.write_text(page, encoding="utf-8", newline="\n")
 
 
@@ -90,7 +90,9 @@ def _track(canvas: Canvas) -> Section:
                       | {"opacity": 0.35, "showlegend": k == 0, "hoverinfo": "skip"})
     traces.append(line(y, x, "nominal boat", 400) | {"showlegend": True})
     traces.append(_dot(y[:1], x[:1]))
-    words = "The boat starts at 0, 0, at rest, heading north, without current. Nobody steers: small errors of the "
+    current = number(track, "current")
+    water = f"the others in currents of up to {wording.plain(current)} m/s" if current else "without current"
+    words = f"The boat starts at 0, 0, at rest, heading north, {water}. Nobody steers: small errors of the "
     words += "model add up, so watch the geofence of the rig file."
     corner, area, inside = track.get("corner"), track.get("area"), number(track, "inside")
     if corner is not None and area is not None and inside is not None:
@@ -102,7 +104,7 @@ def _track(canvas: Canvas) -> Section:
     figure = single(traces, "east [m]", "north [m]", yaxis={"scaleanchor": "x"}, showlegend=True, hovermode="closest",
                     legend={"orientation": "h", "y": 1.08})
     return Section("track", "Where the boat goes", [
-        Grid([canvas.plot(figure, 520, "Predicted track with sampled boats")], 520), Prose(words, "caption")])
+        Grid([canvas.plot(figure, 560, "Predicted track with sampled boats")], 320, "narrow"), Prose(words, "caption")])
 
 
 def _dot(x: Array, y: Array) -> Trace:

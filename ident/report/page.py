@@ -13,7 +13,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from ident.report import sections
+from ident.report import sections, wording
 from ident.report.access import rows, text
 from ident.report.blocks import Canvas, Section
 from ident.report.drawing import TEMPLATE, Budget, Figure
@@ -24,6 +24,7 @@ KINDS = {
     "diagnosis": "Diagnosis",
     "noise": "Sensor noise",
     "navigation": "Navigation",
+    "information": "Information in logs",
 }
 
 
@@ -46,7 +47,7 @@ def render(result: Mapping[str, Any]) -> str:
         body,
         canvas.figures,
         version=text(result, "seatrial"),
-        created=text(result, "created").replace("T", " "),
+        created=text(result, "created"),
     )
 
 
@@ -67,8 +68,8 @@ def compose(
         .get_template("report.html.j2")
         .render(
             kind=kind,
-            answer=answer,
-            created=created,
+            answer=wording.tied(answer),
+            created=wording.moment(created),
             version=version,
             opening=opening,
             sections=body,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,11 +13,14 @@ from rich.table import Table
 from rich.text import Text
 
 from ident.report import wording
-from ident.report.access import ROLES, Row, flag, group, number, rows, text
+from ident.report.access import ROLES, Row, array, flag, group, number, rows, text, texts
 from ident.report.sections.errors import HORIZONS
+from ident.report.sections.information import place
 from ident.report.sections.search import threshold
 
-MOST_PARAMETERS, MOST_CANDIDATES, MOST_CHANNELS, MOST_OUTAGES = 9, 6, 8, 8
+MOST_PARAMETERS, MOST_CANDIDATES, MOST_CHANNELS, MOST_OUTAGES, MOST_STRETCHES = 9, 6, 8, 8, 24
+MOST_NOISES = 12
+EVEN = 1.05  # a standard error that grows by less without a stretch does not hang on it
 
 
 def print_result(result: Mapping[str, Any], console: Console) -> None:
@@ -25,7 +29,8 @@ def print_result(result: Mapping[str, Any], console: Console) -> None:
     console.print(Padding(Text(text(result, "answer"), style="bold"), (0, 1)))
     if text(result, "doubt"):
         console.print(Padding(Text(text(result, "doubt"), style="yellow"), (0, 1)))
-    for table in (_parameters(result), _noise(result), _outages(result), _candidates(result), _errors(result)):
+    tables = (_parameters, _noise, _known, _stretches, _outages, _candidates, _errors)
+    for table in (make(result) for make in tables):
         if table is not None:
             console.print()
             console.print(Padding(table, (0, 0, 0, 1)))
@@ -75,14 +80,16 @@ def _noise(result: Row) -> Table | None:
     found = rows(result, "noise")
     if not found:
         return None
-    table = _table("Noise")
+    shown = sorted(found, key=lambda row: flag(row, "accepted") is not False)[:MOST_NOISES]
+    left = f" ({len(found) - len(shown)} more in the report)" if len(found) > len(shown) else ""
+    table = _table(f"Noise{left}")
     table.add_column("", no_wrap=True, overflow="ellipsis")
     for title in ("white", "random walk, per √s"):
         table.add_column(title, justify="right", no_wrap=True)
     table.add_column("", no_wrap=True)
     table.add_column("p", justify="right", no_wrap=True)
     table.add_column("model", no_wrap=True)
-    for row in found[:12]:
+    for row in shown:
         (white, se_white, walk, se_walk), unit = _scaled(row, "white", "se_white", "walk", "se_walk")
         verdict = {True: Text("holds", "green"), False: Text("fails", "bold red"), None: Text("–")}[
             flag(row, "accepted")
@@ -108,6 +115,56 @@ def _outages(result: Row) -> Table | None:
         outside = flag(row, "inside") is False
         table.add_row(Text(text(row, "record")), *(Text(word) for word in words), style="bold red" if outside else "")
     return table
+
+
+def _known(result: Row) -> Table | None:
+    """What logs already taken tell of each parameter, and the stretch that it hangs on."""
+    found = rows(group(result, "information"), "parameters")
+    if not found:
+        return None
+    table = _table("What these logs tell")
+    table.add_column("", no_wrap=True)
+    table.add_column("value ± s.e.", justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    table.add_column("hangs most on", style="dim", no_wrap=True, overflow="ellipsis", max_width=32)
+    table.add_column("× without", justify="right", no_wrap=True)
+    for row in found:
+        (value, se), unit = _scaled(row, "value", "se")
+        shown = wording.with_error(value, se) if se is not None else "nothing"
+        where = place(row) if se is not None else ""
+        weight = _times(row.get("weight"))
+        table.add_row(Text(text(row, "name"), style="bold"), Text(shown), Text(unit), Text(where), Text(weight))
+    return table
+
+
+def _stretches(result: Row) -> Table | None:
+    """How many times as large each standard error would be without each stretch."""
+    part = group(result, "information")
+    names, found = texts(part, "names"), rows(part, "stretches")
+    if not found:
+        return None
+    weights = [array(row, "weight") for row in found]
+    shown = names[:MOST_PARAMETERS]
+    title = "Without a stretch, standard errors grow by ×"
+    if len(found) > MOST_STRETCHES or len(names) > len(shown):
+        title += f" (first {min(len(found), MOST_STRETCHES)} of {len(found)}; all in the report)"
+    table = _table(title)
+    table.padding = (0, 1, 0, 0)
+    table.add_column("", style="dim", no_wrap=True, overflow="ellipsis", max_width=26)
+    for name in shown:
+        table.add_column(name, justify="right", no_wrap=True, min_width=4)
+    for row, weight in list(zip(found, weights, strict=True))[:MOST_STRETCHES]:
+        values = [None] * len(shown) if weight is None else weight[: len(shown)].tolist()
+        cells = [Text(_times(v), style="dim" if v is not None and v < EVEN else "bold green") for v in values]
+        table.add_row(Text(place(row)), *cells)
+    return table
+
+
+def _times(weight: float | None) -> str:
+    """``all``: only this stretch tells; a dash: nothing tells."""
+    if weight is None or math.isnan(weight):
+        return "–"
+    return "all" if math.isinf(weight) else "·" if weight < EVEN else wording.plain(weight, 2)
 
 
 def _candidates(result: Row) -> Table | None:

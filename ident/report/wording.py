@@ -18,8 +18,14 @@ MEANINGS = {
     "y": "position east",
     "vx": "velocity north",
     "vy": "velocity east",
+    "p": "roll rate",
+    "q": "pitch rate",
+    "phi": "roll",
+    "theta": "pitch",
+    "speed": "speed along the track",
     "ax": "acceleration ahead",
     "ay": "acceleration to starboard",
+    "az": "acceleration down",
     "X": "surge force",
     "Y": "sway force",
     "N": "yaw moment",
@@ -31,6 +37,8 @@ MEANINGS = {
     "n_diff": "difference of shaft speeds",
     "f_left": "thrust left",
     "f_right": "thrust right",
+    "voltage_left": "voltage left",
+    "voltage_right": "voltage right",
     "t": "time",
     "n": "shaft speed",
     "force": "force",
@@ -41,7 +49,7 @@ MEANINGS = {
     "n_ref": "command after delay and dead zone",
     "slip": "command less shaft speed",
 }
-SYMBOLS = {"psi": "ψ"}
+SYMBOLS = {"psi": "ψ", "phi": "φ", "theta": "θ"}
 
 
 def degrees_for(unit: str) -> tuple[float, str]:
@@ -70,7 +78,9 @@ def bracket(unit: str) -> str:
 def named(name: str) -> str:
     """``heading ψ``: meaning and symbol of a channel; a name that is not known stays as it is."""
     meaning = MEANINGS.get(name)
-    return f"{meaning} {SYMBOLS.get(name, name)}" if meaning and meaning != name else name
+    if not meaning or name in meaning.split():
+        return meaning or name
+    return f"{meaning} {SYMBOLS.get(name, name)}"
 
 
 def symbol(name: str) -> str:
@@ -81,7 +91,17 @@ def symbol(name: str) -> str:
 def titled(name: str) -> str:
     """``Heading ψ``; a name that is not known stays as it is."""
     words = named(name)
-    return words[0].upper() + words[1:] if words != name else name
+    return words[0].upper() + words[1:] if name in MEANINGS else name
+
+
+def moment(created: str) -> str:
+    """``2026-05-06T07:08:09+00:00`` -> ``2026-05-06 07:08:09 UTC``."""
+    return created.replace("T", " ").replace("+00:00", " UTC")
+
+
+def tied(words: str) -> str:
+    """A text in which no line begins with a lonely percent sign or unit."""
+    return re.sub(r"(?<=\d) (?=(%|ms?|s|N|kg|deg|Hz|V)\b|%)", "\u00a0", words)
 
 
 def count(value: float | None) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ident.design import Design, design, predicted_errors, predicted_track
+from ident.design_bound import Bound, upper_bound
 from ident.design_repeats import Delivered, repeats
 from ident.design_task import Task
 from ident.excitation import Steps
@@ -96,9 +97,22 @@ def chapter_5(seed: int, evaluations: int, n_repeats: int, say: Say) -> tuple[li
     oe = experiment("output error", process_noise=False, seed=seed, evaluations=evaluations * 8 // 5)
     say("design of experiments, prediction error")
     pe = experiment("prediction error", process_noise=True, seed=seed, evaluations=evaluations)
+    say("an upper bound for prediction error")
+    bound = upper_bound(pe.made, evaluations=evaluations, seed=seed)
     say("repeats of the designed experiment")
     delivered = repeats(pe.made, n_repeats, seed)
-    return [*_words(oe, pe), *_errors(oe, pe), *_delivered(delivered, n_repeats)], _part(oe, pe)
+    words = [*_words(oe, pe), *bound_words(pe, bound), *_errors(oe, pe), *_delivered(delivered, n_repeats)]
+    return words, _part(oe, pe)
+
+
+def bound_words(pe: Experiment, bound: Bound) -> list[str]:
+    """How much more there could be by prediction error."""
+    best = max(pe.found.values(), key=lambda r: r.value)
+    return [
+        "How much more could there be? log det is concave, which bounds it (`ident/design_bound.py`): by prediction",
+        f"error no input of these 600 s has more than {bound.value:.1f}, {bound.value - pe.value:.1f} above this",
+        f"design and {bound.value - best.value:.1f} above its best rival.", "",
+    ]
 
 
 def _words(oe: Experiment, pe: Experiment) -> list[str]:

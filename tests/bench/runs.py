@@ -122,5 +122,11 @@ def kinds(log: Path) -> list[str]:
 
 
 def is_alive(pid: int) -> bool:
+    if Path("/proc/self/stat").exists():  # to ask `ps` again and again keeps a busy machine busy
+        try:
+            state = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2]
+        except OSError:
+            return False
+        return state.split()[0] not in ("Z", "X")
     out = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True, check=False).stdout
     return bool(out.strip()) and not out.strip().startswith("Z")

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from pathlib import Path
+
 import pytest
 
-from tests.bench.fault_trials import KINDS, row, trials
+from tests.bench.fault_kinds import KINDS
+from tests.bench.fault_runs import Trial, trials
+from tests.bench.fault_trials import NOT_TRIED, PART, Store, page, parts, row, table
 
 SAMPLE = ("AHRS lost", "capsized")
 
@@ -13,6 +18,23 @@ SAMPLE = ("AHRS lost", "capsized")
 @pytest.mark.parametrize("name", SAMPLE)
 def test_thrust_is_zero_in_time_and_the_log_says_why(name: str) -> None:
     (kind,) = [kind for kind in KINDS if kind.name == name]
-    (found,) = trials(kind, 1, seed=7)
+    (found,) = trials(kind, [7])
     assert not found.wrong, row(kind, [found])
     assert found.said
+
+
+def test_what_was_interrupted_goes_on_where_it_was(tmp_path: Path) -> None:
+    path, kinds = tmp_path / "trials.jsonl", KINDS[:2]
+    store = Store(path)
+    assert parts(kinds, PART + 1, 1, store.results) == [
+        *((kind, list(range(1, PART + 1))) for kind in kinds),
+        *((kind, [PART + 1]) for kind in kinds),
+    ]
+    store.put(kinds[0], 1, Trial(0.3, math.nan, "why"))
+    store.put(kinds[0], 2, Trial(0.4, 0.05, "", ["the log does not say why"]))
+    again = Store(path)
+    assert again.results[kinds[0].name][2] == store.results[kinds[0].name][2]
+    assert parts(kinds, 2, 1, again.results) == [(kinds[1], [1, 2])]
+    assert "1/2    350    400" in table(again.results, kinds)
+    assert table(again.results, kinds).endswith(NOT_TRIED)
+    assert page(again.results, kinds).endswith("| runner killed | 1/2 | 350 ms | 400 ms | 350 ms | 50 ms |")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+from daq.log import Log
 from daq.recorder import Recorder
 from daq.rig import Rig, parse_rig
 from daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, PortHealth, Sample, Scalar
@@ -70,3 +71,33 @@ def write_everything(path: Path, n_rounds: int = 1) -> None:
         log.health("ahrs", HEALTH, T0 + i + 0.7)
         log._writer.flush()
     log.close()
+
+
+def tables(log: Log) -> dict[str, list[tuple[object, ...]]]:
+    """Everything that a log gives, as rows that can be compared."""
+    found: dict[str, list[tuple[object, ...]]] = {"events": list(log.events())}
+    for kind in (Ahrs, Gnss, LoadCell, Scalar):
+        for source in log.sources(kind):
+            found[f"{kind.__name__} {source}"] = [tuple(row) for row in log.table(kind, source)]
+    for kind in (Esc, Command):
+        for source in log.sources(kind):
+            for node in log.nodes(kind, source):
+                found[f"{kind.__name__} {source} {node}"] = [tuple(row) for row in log.table(kind, source, node)]
+    for device in log.sources(PortHealth):
+        found[f"health {device}"] = list(log.health(device))
+    for device in ("ahrs",):
+        if f"/raw/{device}" in log.counts:
+            found[f"raw {device}"] = list(log.raw(device))
+    return found
+
+
+def same(one: tuple[object, ...], other: tuple[object, ...]) -> bool:
+    """Whether two rows are equal, NaN and all."""
+    return repr(one) == repr(other)
+
+
+def is_prefix(part: dict[str, list[tuple[object, ...]]], all_of_it: dict[str, list[tuple[object, ...]]]) -> bool:
+    """Whether every table is the beginning of the one in ``all_of_it``."""
+    return all(
+        len(rows) <= len(all_of_it[name]) and all(map(same, rows, all_of_it[name])) for name, rows in part.items()
+    )

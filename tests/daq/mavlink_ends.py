@@ -9,7 +9,8 @@ from daq.protocol.mavlink import Decoder, make_decoder
 from daq.protocol.mavlink_wire import Codec, read_key
 from daq.rig import Rig, parse_rig
 from daq.samples import Ahrs, Esc, Frame, Gnss
-from mocks.autopilot import LOOP_HZ, Autopilot
+from mocks.autopilot import Autopilot
+from mocks.autopilot_reports import LOOP_HZ
 from mocks.bench_plant import draw_bench
 from mocks.world import Controller, EscSpec, Gear, bench_world
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import importlib.util
 import math
+import sys
 from pathlib import Path
 
 import pytest
@@ -68,8 +69,10 @@ def test_a_name_from_a_foreign_log_stays_in_the_folder(tmp_path: Path) -> None:
     assert sorted(path.name for path in (tmp_path / "deep").rglob("*.csv")) == names
 
 
-@pytest.mark.skipif(importlib.util.find_spec("pyarrow") is not None, reason="pyarrow is installed")
-def test_parquet_without_its_library_is_one_line(log: Path, tmp_path: Path) -> None:
+def test_parquet_without_its_library_is_one_line(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
     with open_log(log) as opened, pytest.raises(SeatrialError, match=r"pip install 'seatrial\[parquet\]'"):
         export(opened, "parquet", tmp_path / "out")
 

@@ -16,7 +16,7 @@ from click.testing import CliRunner
 from pymavlink.dialects.v20.ardupilotmega import MAVLink
 
 from daq import cli_ports
-from daq.find_devices import baud_rates, recognise
+from daq.find_devices import _Ear, baud_rates, recognise
 from daq.protocol import loadcell, nmea, openscale, slcan, ubx, vectornav, vesc
 from daq.rig import parse_rig
 from daq.samples import Ahrs, Esc, Gnss
@@ -57,6 +57,7 @@ def device(baud: int, say: Callable[[int], bytes]) -> Iterator[str]:
     tty.setraw(slave)
     os.set_blocking(master, False)
     ending = threading.Event()
+    say(0)  # what it has to load is loaded before anybody listens
 
     def run() -> None:
         rng, k = random.Random(1), 0
@@ -84,6 +85,16 @@ def test_a_device_is_recognised_with_its_baud_rate(name: str) -> None:
         found = recognise(port, bauds=(115200, 9600, 57600, 38400), listen=0.8)
     assert (found.protocol, found.baud) == (name, baud)
     assert 0.0 < found.rate < 200.0
+
+
+@pytest.mark.parametrize(("name", "each"), [("nmea", 1), ("vectornav", 1), ("loadcell", 1), ("mavlink", 2)])
+def test_the_rate_is_that_of_the_samples(name: str, each: int) -> None:
+    """A receiver's last fix is only taken as complete when the next begins, or at the end."""
+    ear = _Ear(name)
+    for k in range(6):
+        ear.hear(SAYS[name][1](k), 0.2 * k)
+    ear.close()
+    assert ear.rate() == pytest.approx(5.0 * each)
 
 
 def test_what_is_not_known_is_said() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import math
 import struct
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -80,8 +81,8 @@ def test_a_file_that_is_none(tmp_path: Path) -> None:
         import_ulog(tmp_path / "x.ulg", out=tmp_path / "x.mcap")
 
 
-@pytest.mark.skipif(HAS_PYULOG, reason="pyulog is installed")
-def test_without_its_library_it_is_one_line(tmp_path: Path) -> None:
+def test_without_its_library_it_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyulog", None)
     write_ulog(tmp_path / "flight.ulg")
     with pytest.raises(SeatrialError, match=r"pip install 'seatrial\[ulog\]'"):
         import_ulog(tmp_path / "flight.ulg", out=tmp_path / "x.mcap")

@@ -8,6 +8,7 @@ import math
 import os
 import socket
 import struct
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -118,8 +119,8 @@ def test_a_port_that_is_taken_is_one_line() -> None:
             pass
 
 
-@pytest.mark.skipif(importlib.util.find_spec("foxglove") is not None, reason="foxglove-sdk is installed")
-def test_without_its_library_it_is_one_line() -> None:
+def test_without_its_library_it_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "foxglove", None)
     with pytest.raises(SeatrialError, match=r"pip install 'seatrial\[live\]'"), LiveServer(rig(), lambda: status(T0)):
         pass
 

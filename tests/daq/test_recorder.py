@@ -13,6 +13,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import MCAP0_MAGIC
 
+from daq import mcap_write
 from daq.errors import SeatrialError
 from daq.log import open_log
 from daq.samples import Ahrs, Frame, Scalar
@@ -126,6 +127,26 @@ def test_a_time_that_is_none_takes_the_time_of_the_log(tmp_path: Path, t: float)
     log.close()
     table = open_log(tmp_path / "run.mcap").table(Scalar, "surge")
     np.testing.assert_allclose(table["t"], [T0, T0], atol=1e-6)
+
+
+def test_what_is_rare_does_not_wait_for_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mcap_write, "FEW_S", 0.0)
+    monkeypatch.setattr(mcap_write, "FLUSH_S", 1000.0)
+    path = tmp_path / "run.mcap"
+    log = recorder(path)
+
+    def on_disk() -> int:
+        log.tick()
+        return sum(open_log(path).counts.values())
+
+    log.event(T0, "mark", "alone")
+    assert on_disk() == 1
+    for k in range(mcap_write.FEW + 1):
+        log.event(T0 + k, "mark", "one of many")
+    assert on_disk() == 1
+    monkeypatch.setattr(mcap_write, "FLUSH_S", 0.0)
+    assert on_disk() == mcap_write.FEW + 2
+    log.close()
 
 
 def test_the_chunks_stay_small_without_a_tick(tmp_path: Path) -> None:

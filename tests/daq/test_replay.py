@@ -19,7 +19,7 @@ from daq.log import open_log
 from daq.protocol import slcan, vesc
 from daq.protocol.canframe import CAN_FRAME
 from daq.replay import as_slcan, replay
-from daq.rig import parse_rig
+from daq.rig import Rig, load_rig, parse_rig
 from daq.samples import Ahrs, Esc
 from tests.daq.logs import T0, recorder
 from tests.daq.ptys import RIG, TestBoat, wait_for
@@ -32,7 +32,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with TestBoat(folder) as boat:
         rig = parse_rig(boat.rig_path.read_text(), boat.rig_path)
         with Acquisition(rig, folder / "log.mcap", clock=RunClock()) as acquisition:
-            wait_for(lambda: acquisition.status().ports["ahrs"].samples > 100, 30.0, "a hundred samples")
+            for port in ("ahrs", "esc"):
+                wait_for(lambda port=port: acquisition.status().ports[port].samples > 120, 30.0, "a hundred samples")
     return folder / "log.mcap"
 
 
@@ -84,6 +85,31 @@ def test_an_acquisition_records_the_same_samples_again(recorded: Path, tmp_path:
             assert np.array_equal(first["t_device"], second["t_device"])
             escs = [len(one.table(Esc, "esc", node=1)) for one in (log, again)]
             assert escs[0] == escs[1] > 100
+
+
+def test_the_logs_own_rig_stands_beside_the_ports_while_they_are_there(recorded: Path, tmp_path: Path) -> None:
+    seen: list[tuple[str, Rig]] = []
+
+    def stopped() -> bool:
+        seen.append((said[0], load_rig(tmp_path / "ports/replay.toml")))
+        return True
+
+    said: list[str] = []
+    with open_log(recorded) as log:
+        assert replay(log, ["ahrs", "esc"], tmp_path / "ports", speed=2.0, said=said.append, stopped=stopped) == 0
+        own = log.rig()
+    assert own is not None
+    ((line, rig),) = seen
+    assert f"`seatrial log {tmp_path}/ports/replay.toml` records them anew" in line
+    ports = {device.name: device.port for device in rig.devices}
+    assert ports == {"ahrs": str(tmp_path / "ports/ahrs"), "esc": f"slcan:{tmp_path}/ports/esc"}
+    assert [thruster.device for thruster in rig.thrusters] == ["esc"] * len(own.thrusters)
+    assert (rig.speed, rig.log_directory, rig.name) == (2.0, recorded.parent, own.name)
+    assert list((tmp_path / "ports").iterdir()) == []
+    (tmp_path / "ports/replay.toml").write_text("mine")
+    with open_log(recorded) as log, pytest.raises(SeatrialError, match=r"replay\.toml: exists and is of no replay"):
+        replay(log, [], tmp_path / "ports")
+    assert (tmp_path / "ports/replay.toml").read_text() == "mine"
 
 
 def test_frames_of_both_kinds_become_slcan_lines() -> None:

@@ -65,7 +65,7 @@ def test_absolute_and_socketcan_ports_stay_as_they_are(example: str) -> None:
         (r"(?P<counts>-?\d+)", r"(-?\d+)", r"device\[4\]\.pattern: must have a group"),
         (r"(?P<counts>-?\d+)", r"(?P<counts>-?\d+", r"device\[4\]\.pattern: not a regular expression"),
         ("node = 1", "node = 1.5", r"thruster\[1\]\.node: must be a whole number, not 1\.5"),
-        ('device = "esc"', 'device = "ahrs"', r"thruster\[1\].device: no vesc or mavlink device 'ahrs'; there is: esc"),
+        ('device = "esc"', 'device = "ahrs"', r"thruster\[1\].device: no vesc or dronecan or mavlink device 'ahrs'"),
         ("[-0.25, -0.15, 0.0]", "[-0.25, -0.15]", r"position_m: must have 3 numbers, not 2"),
         ("n_max = 1.0", "n_max = 1.5", r"limits\.n_max: must be within 0\.0 \.\. 1\.0"),
         ("[limits]", "[limit]", r"limit: unknown key; known here: format, name"),

@@ -36,6 +36,8 @@ def test_a_file_is_no_port(tmp_path: Path) -> None:
     with pytest.raises(PortError, match="is no serial device"):
         SerialPort(str(tmp_path / "file"), 9600).open()
     assert (tmp_path / "file").read_text() == "mine"
+    with pytest.raises(PortError, match=r"^is no serial device$"):
+        SerialPort("/dev/null", 9600).open()
 
 
 def test_a_port_that_another_program_has(tmp_path: Path) -> None:

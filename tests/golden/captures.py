@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from daq.protocol import Decoder, dbc, mip, nmea, ubx, vectornav, vesc
+from daq.protocol import Decoder, dbc, mip, nmea, nmea2000, ubx, vectornav, vesc
 from daq.protocol.canframe import pack_can
 from daq.rig_options import DbcSignal
 from daq.samples import Ahrs, Esc, Frame, Gnss
@@ -46,6 +46,7 @@ def results(folder: Path) -> Iterator[Result]:
         yield _simulated(folder, name, ubx.Decoder if name == "ubx.bin" else nmea.Decoder, _place)
     yield _vesc(folder / "can/vesc_forum_frames.log")
     yield _engine(folder / "can/susteranna-actisense-serial.raw")
+    yield _bus(folder / "can/susteranna-actisense-serial.raw")
 
 
 def _read(path: Path, decoder: Decoder) -> list[Frame]:
@@ -139,3 +140,47 @@ def _engine(path: Path) -> Result:
     return _result(
         path, decoder, frames, said, (len(speeds), round(min(speeds)), round(max(speeds))) == (314, 781, 818)
     )
+
+
+# What the package nmea2000 2026.10.3, which reads by canboat's database, makes of the capture: count and sums.
+N2K_HEADINGS, N2K_RATES = (619, 3077.1234), (628, 0.02511749999999999)  # address 15, from the first variation on
+N2K_FIXES = (31, (45266822604.0, 1629.128736, 169.30805016666667, -207.319997, 372.0, 19.6))  # address 18
+N2K_FIELDS = ("utc", "lat", "lon", "alt", "n_sat", "hdop")
+
+
+def _bus(path: Path) -> Result:
+    """The same ship's compasses and receivers; the adapter has joined the fast packets, which are taken apart again."""
+    decoder = nmea2000.Decoder(settle=0.0)
+    frames: list[Frame] = []
+    variation: list[float] = []  # that was added to each heading
+    for number, line in enumerate(path.read_text(encoding="ascii").splitlines()):
+        words = line.split(",")
+        pgn, source, data = int(words[2]), int(words[3]), bytes.fromhex("".join(words[6:]))
+        if pgn >= 1 << 18 or (len(data) > 8 and pgn != nmea2000.FIX) or (pgn, source) == (nmea2000.HEADING, 128):
+            continue  # the second compass is heard only until there is a variation for the first
+        parts = [(nmea2000.identifier(pgn, source), data)]
+        if len(data) > 8:
+            size = bytes((len(data),))
+            parts = [
+                (parts[0][0], bytes((number % 8 << 5 | k,)) + (size + data)[7 * k : 7 * k + 7].ljust(7, b"\xff"))
+                for k in range(len(data) // 7 + 1)
+            ]
+        for part in parts:
+            found = decoder.feed(pack_can(*part), float(words[0][17:-1]))
+            variation += [decoder._bus_variation] * len(_yaws(found))
+            frames += found
+    yaws = _yaws(frames)
+    headings = math.fsum((yaw - east) % math.tau for yaw, east in zip(yaws, variation, strict=True))
+    rates = [f.sample.r for f in frames if isinstance(f.sample, Ahrs) and math.isfinite(f.sample.r)]
+    fixes = [f.sample for f in frames if isinstance(f.sample, Gnss) and f.sample.n_sat == 12]
+    sums = [math.fsum(getattr(fix, name) for fix in fixes) for name in N2K_FIELDS]
+    right = (len(yaws), len(rates), len(fixes)) == (N2K_HEADINGS[0], N2K_RATES[0], N2K_FIXES[0])
+    right = right and math.isclose(headings, N2K_HEADINGS[1], rel_tol=1e-12)
+    right = right and math.isclose(math.fsum(rates), N2K_RATES[1], rel_tol=1e-9)
+    right = right and all(math.isclose(a, b, rel_tol=1e-12) for a, b in zip(sums, N2K_FIXES[1], strict=True))
+    said = f"{len(yaws)} headings, {len(rates)} rates of turn, {len(fixes)} fixes"
+    return _result(path, decoder, frames, said, right)
+
+
+def _yaws(frames: list[Frame]) -> list[float]:
+    return [f.sample.yaw for f in frames if isinstance(f.sample, Ahrs) and math.isfinite(f.sample.yaw)]

@@ -15,14 +15,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from daq.mavlink_talker import MavlinkTalker
 from daq.protocol import (
     Decoder,
     dbc,
     dronecan,
     loadcell,
     mantracourt,
+    mavlink,
     mip,
     nmea,
+    nmea2000,
     openscale,
     slcan,
     ubx,
@@ -31,8 +34,11 @@ from daq.protocol import (
 )
 from daq.protocol.canframe import pack_can
 from daq.protocol.framing import sentence
+from daq.protocol.mavlink_wire import Codec, EscStatus, crc16, dialect, encode_esc_status
+from daq.rig import parse_rig
 from daq.rig_options import DbcSignal
 from daq.samples import Ahrs, Esc, Gnss
+from tests.daq.mavlink_ends import rig_text
 from tests.daq.streams import counters, said
 
 NMEA2000 = (DbcSignal("EngineParametersRapid", "EngineSpeed", "rpm", "EngineInstance"),)
@@ -64,6 +70,7 @@ def subjects() -> dict[str, Subject]:
     )
     compass = tuple(sentence(body) for body in headings)
     engine = tuple(pack_can(0x09F20011, bytes((k, 0x10 * k, 0x0C, 0xFF, 0xFF, 0x7F, 0xFF, 0xFF))) for k in range(3))
+    ship = _can([*nmea2000.encode(_AHRS), *nmea2000.encode(_FIX)])
     return {
         "vectornav": Subject(vectornav.Decoder, (vectornav.encode_ascii(_AHRS), vectornav.encode_binary(_AHRS, 3.0))),
         "mip": Subject(mip.Decoder, _mip()),
@@ -76,6 +83,8 @@ def subjects() -> dict[str, Subject]:
         "vesc": Subject(lambda: vesc.Decoder({3: 7}), _can(vesc.encode_status(_ESC, 7))),
         "dronecan": Subject(dronecan.Decoder, (b"".join(_can(dronecan.encode(_ESC, 42, 7))),)),
         "dbc": Subject(lambda: dbc.Decoder(n2k, NMEA2000), engine),
+        "nmea2000": Subject(lambda: nmea2000.Decoder(settle=0.0), ship),
+        "mavlink": Subject(_autopilot_link, _mavlink()),
     }
 
 
@@ -88,6 +97,47 @@ def _mip() -> tuple[bytes, ...]:
         mip.packet(mip.FILTER, {0x05: struct.pack(">3fH", 0.01, 0.02, 0.5, 1)}),
         mip.packet(mip.GNSS_1, {0xD3: struct.pack(">dHH", 1e5, 2288, 3), 0x03: place, 0x05: motion}),
     )
+
+
+RIG = parse_rig(rig_text(), Path("rig.toml"))
+
+
+def _autopilot_link() -> Decoder:
+    """The decoder of a link with the talker that hears everything it decodes."""
+    decoder = mavlink.make_decoder(RIG.devices[0], RIG)
+    codec = Codec(255, 190)
+    decoder.secure(codec)
+    talker = MavlinkTalker(RIG.devices[0], RIG.thrusters, codec)
+
+    def hear(message: object) -> None:
+        talker.hear(message, 5.0)
+        talker.poll(5.0)
+
+    decoder.listener = hear
+    return decoder
+
+
+def _mavlink() -> tuple[bytes, ...]:
+    """Right messages, and whole frames of every message that is listened to with anything for a content."""
+    codec, rng = Codec(1, 1), random.Random(5)
+    right = [
+        ("HEARTBEAT", 11, 3, 193, 0, 4, 3), ("ATTITUDE", 1020, 0.1, -0.2, 3.0, 0.01, 0.02, 0.03),
+        ("RAW_IMU", 1_020_000, 1000, 0, -1000, 0, 0, 0, 100, 200, 300),
+        ("GPS_RAW_INT", 1_020_000, 6, 423_580_000, -710_856_831, 1500, 121, 200, 445, 8998, 10, 0, 300, 300),
+        ("SYSTEM_TIME", 1_795_144_521_000_000, 1020), ("SERVO_OUTPUT_RAW", 1_020_000, 0, 1900, 0, 1300, *[0] * 13),
+        ("STATUSTEXT", 2, b"a" * 50, 7, 0), ("STATUSTEXT", 2, b"end", 7, 1), ("COMMAND_ACK", 511, 2),
+        ("PARAM_VALUE", b"SERVO1_MIN", 1100.0, 9, 800, 20),
+    ]  # fmt: skip
+    status = EscStatus(5_000_000, (700, 0, -650, 0), (15.5, 0.0, 15.25, 0.0), (1.5, 0.0, 2.5, 0.0), 0)
+    found = 8 * [*(codec.encode(*message) for message in right), encode_esc_status(1, 1, 9, status)]
+    heard = {*mavlink.make_samples(RIG.devices[0], RIG).wanted, *mavlink.SERVICE} - {"ESC_STATUS"}
+    for name in sorted(heard):
+        kind = dialect().mavlink_map[getattr(dialect(), f"MAVLINK_MSG_ID_{name}")]
+        for _ in range(3):
+            content = rng.randbytes(rng.randint(1, kind.unpacker.size))
+            body = struct.pack("<BBBBBBHB", len(content), 0, 0, 0, 1, 1, kind.id & 0xFFFF, kind.id >> 16) + content
+            found.append(b"\xfd" + body + crc16(body + bytes([kind.crc_extra])).to_bytes(2, "little"))
+    return tuple(found)
 
 
 def _velned() -> bytes:

@@ -28,7 +28,7 @@ def test_positions_and_times_are_those_that_gpsd_reads() -> None:
 def test_all_other_captures_are_read_as_they_have_to_be() -> None:
     found = list(results(measured("gpsd").parent))
     assert [row.name for row in found if not row.right] == []
-    assert len(found) == 8
+    assert len(found) == 9
 
 
 def test_a_difference_is_named() -> None:

@@ -215,7 +215,7 @@ def effect() -> dict[str, Any]:
         "reasons": [],
         "not_excluded": [],
         "parameters": [k_J],
-        "share": 0.72,
+        "weight": 1.72,
     }
 
 
@@ -251,7 +251,8 @@ def diagnosis() -> dict[str, Any]:
     result["effects"] = [effect()]
     grid = np.linspace(-0.4, 1.6, 60)
     shape = {"force": "X", "variable": "u", "unit": "N", "variable_unit": "m/s", "grid": listed(grid)}
-    result["shapes"] = [{**shape, "value": listed(2 - 5 * grid**2), "sd": listed(0.4 + 0.6 * (grid - 0.6) ** 2)}]
+    result["shapes"] = [{**shape, "value": listed(2 - 5 * grid**2), "sd": listed(0.4 + 0.6 * (grid - 0.6) ** 2),
+                         "band": listed(1.0 + 1.6 * (grid - 0.6) ** 2)}]
     result["before_after"] = {"validation": errors(rng, 1.0), "estimation": errors(rng, 0.9)}
     result["calibration"] = calibration()
     result["doubt"] = None
@@ -278,48 +279,3 @@ def fit(rng: Any, table: list[dict[str, Any]] | None = None) -> dict[str, Any]:
 def base(kind: str, answer: str) -> dict[str, Any]:
     common = {"format": "seatrial-result 1", "kind": kind, "answer": answer, "created": "2025-05-06T07:08:09Z"}
     return {**common, "seatrial": "0.1.0", "command": f"seatrial ident {kind} morning.mcap --validate afternoon.mcap"}
-
-
-def thruster() -> dict[str, Any]:
-    """A thruster on the bench: steady points and a step sequence."""
-    rng = np.random.default_rng(5)
-    table = [
-        parameter("a", 2.794, 0.021, "1/s", "inverse time constant of the shaft"),
-        parameter("c1", 40.05, 0.12, "N", "thrust at full speed, odd part"),
-        parameter("c2", 1.11, 0.09, "N", "thrust at full speed, even part"),
-        parameter("tau", 0.041, 0.003, "s", "delay from command to shaft"),
-    ]
-    result = base("thruster", "f = 40.05 n|n| + 1.11 n² (N), with a time constant of 0.358 s and a delay of 41 ms.")
-    n, fine = np.linspace(-1, 1, 11), np.linspace(-1, 1, 101)
-    steady = 40.05 * n * abs(n) + 1.11 * n**2 + 0.5 * rng.standard_normal(11)
-    static = {"n": n, "force": steady, "sd": np.full(11, 0.5), "n_model": fine}
-    static |= {"force_model": 40.05 * fine * abs(fine) + 1.11 * fine**2, "force_sd": 0.2 + 0.6 * fine**2}
-    t = np.arange(0, 120, 0.02)
-    command = commands(t, rng)[0]
-    model = 40 * command * abs(command)
-    common = {"record": "pool", "role": "estimation", "channel": "force", "unit": "N", "angle": False, "t": listed(t)}
-    curves = {"measured": listed(model + rng.standard_normal(t.size)), "model": listed(model)}
-    result |= {"logs": [log("pool", "estimation", 120.0)], "fit": {**fit(rng, table), "method": "OE"}}
-    result |= {"traces": [{**common, **curves, "sd": None, "before": None}]}
-    result |= {"static": {key: listed(a) for key, a in static.items()}}
-    result |= {"inputs": [{"record": "pool", "name": "n_cmd", "unit": "", "t": listed(t), "value": listed(command)}]}
-    return result
-
-
-def noise() -> dict[str, Any]:
-    """Three channels at rest, of which one is not white plus random walk."""
-    rng = np.random.default_rng(3)
-    result = base("noise", "White noise plus a random walk describes gyro and heading; the position needs more.")
-    frequency = np.geomspace(1e-3, 25, 4000)
-    channels = []
-    for channel, unit, white, walk, accepted in (
-        ("r", "rad/s", 2.1e-3, 3.4e-6, True),
-        ("psi", "rad", 8e-3, None, True),
-        ("x", "m", 0.9, 0.02, False),
-    ):
-        model = white**2 / 25 + ((walk or 0.0) / (2 * np.pi * frequency)) ** 2
-        curves = {"frequency": frequency, "psd": model * rng.chisquare(2, 4000) / 2, "psd_model": model}
-        row = {"channel": channel, "unit": unit, "white": white, "walk": walk, "se_white": white / 90}
-        row |= {"se_walk": walk / 8 if walk else None, "p": 0.37 if accepted else 1e-12, "accepted": accepted}
-        channels.append(row | {key: listed(a) for key, a in curves.items()})
-    return result | {"logs": [log("quay", "estimation", 3600.0)], "noise": channels}

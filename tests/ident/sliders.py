@@ -11,7 +11,7 @@ from ident.fit import Fit, fit
 from ident.model import Effect, Input, Model, Output, Sensor, Signals, State, plain_model
 from ident.params import Parameter
 from ident.pe import Likelihood
-from ident.score import Columns, Normal, Score, block_index, place, score_tests, whitened_sensitivities
+from ident.score import Carrier, Columns, Normal, Score, block_index, place, score_tests
 
 H = 0.1  # s
 M, D, Q, E_V, E_S = 2.0, 1.0, 0.05, 0.05, 0.1
@@ -101,7 +101,8 @@ def scores_of_columns(path: Path, run: object, fitted: list[np.ndarray], columns
     """Scores of given columns with the fitted parameters' columns (n_rows, n_states + n_outputs) projected out."""
     delta = np.concatenate([np.stack(fitted, 2)] + [c.delta for c in columns], axis=2)
     normal = Normal([str(k) for k in range(delta.shape[2])])
-    g, e, t = whitened_sensitivities(run, path.own, path.jacobian, delta)  # type: ignore[arg-type]
+    carrier = Carrier(run, path.own, path.jacobian)  # type: ignore[arg-type]
+    g, e, t = carrier(delta), carrier.e, carrier.t
     normal.add(range(delta.shape[2]), g, e, block_index(t))
     placed, _ = place(columns, len(fitted), 1)
     return score_tests(normal, len(fitted), np.zeros(len(fitted)), placed)

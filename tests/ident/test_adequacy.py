@@ -19,9 +19,9 @@ from tests.ident.report_example import diagnosis
 N = 4000  # rows
 
 
-def refit(name: str, criterion: float, t: float = 5.0, rivals: tuple[str, ...] = ()) -> Refit:
+def refit(name: str, criterion: float, t: float = 5.0, **more: Any) -> Refit:
     """A refit with an effect of this name; what the judgement does not read is left out."""
-    effect = Effect(name, name.replace("-", " "), {}, rivals=rivals)
+    effect = Effect(name, name.replace("-", " "), {}, **more)
     return Refit(effect, cast(Any, None), criterion + 8.3, 1, criterion, 50.0, t)
 
 
@@ -94,6 +94,34 @@ def test_a_rival_that_could_not_be_tested_is_not_excluded() -> None:
     sag = refit("current-drift", 200.0, rivals=("wind", "battery-sag"))
     (found,) = of(one_round(sag), untested=("battery-sag",))
     assert (found.certainty, found.rivals) == ("resembles", ("battery-sag",))
+
+
+def test_a_name_that_only_says_what_depends_on_what_keeps_with_another_shape() -> None:
+    moment = refit("heading-moment", 700.0, any_of="N(psi)")
+    name, _ = of(one_round(moment), one_round(refit("unknown N(psi)", 200.0)), left=(score("N(psi)", 1.0),))
+    assert name == Judgement("heading-moment", "named")
+    doubted, _ = of(one_round(moment), one_round(refit("unknown Y(psi)", 200.0)))
+    assert doubted.certainty == "resembles"
+
+
+def test_of_several_effects_one_may_do_the_work_of_all() -> None:
+    """A centre of gravity ahead couples sway and yaw and resists turning: two names do as well as the right one."""
+    pair = (one_round(refit("sway-yaw", 670.0, rivals=("cg-offset", "cross-flow"))),
+            one_round(refit("turning-resistance", 80.0, rivals=("cg-offset",))))
+    coupled, turning = of(*pair, left=(score("cross-flow", -1.0),))
+    assert (coupled.certainty, turning.certainty) == ("resembles", "named")
+    (alone,) = of(pair[0], left=(score("cross-flow", -1.0),))
+    assert alone.certainty == "named"
+
+
+@pytest.mark.parametrize(("name", "said"), [
+    ("N(u, r)", "that N depends on u and r"), ("X(past of n_sum)", "that X follows n_sum"),
+    ("X(swing after n_sum)", "that X swings after n_sum"), ("psi(n_diff)", "that the error of psi depends on n_diff"),
+    ("F(t)", "that F depends on t"), ("n_dot(slip)", "that n_dot depends on slip"), ("lag", "lag"),
+])
+def test_what_is_left_is_said_in_words(name: str, said: str) -> None:
+    (found,) = of(one_round(refit("lever-arm", 500.0)), left=(score(name, LEFT + 1),))
+    assert found.reasons[0].startswith(f"with it the tests still find {said}, worth ")
 
 
 def test_two_effects_of_which_nothing_is_left_are_both_sure() -> None:

@@ -185,7 +185,12 @@ def test_generic_columns_push_the_boat_along_one_force() -> None:
     path = path_for(base_for())
     states, p = [s.name for s in path.model.states], path.model.values
     found = {c.name: c for c in path.generic()}
-    assert len(found) == 3 * 10
+    curves = {n for n in found if " " not in n or "," in n}
+    assert len([n for n in curves if n[0] in "XYN"]) == 3 * 10
+    assert curves - {n for n in curves if n[0] in "XYN"} == {
+        "psi(psi)", "psi(n_sum)", "psi(n_diff)", "r(r)", "ax(u)", "ax(r)", "ay(v)", "ay(r)"}
+    assert set(found) - curves == {f"{force}({how} {of})" for force, of in (("X", "n_sum"), ("N", "n_diff"))
+                                   for how in ("past of", "swing after")}
     table = generic_features(path.model, path.own, path.x)
     for force, state, mass in (("X", "u", p["m_u"]), ("Y", "v", p["m_v"]), ("N", "r", p["m_r"])):
         column = found[f"{force}(u)"].delta
@@ -193,6 +198,16 @@ def test_generic_columns_push_the_boat_along_one_force() -> None:
         assert found[f"{force}(u)"].generic
         rest = [states.index(n) for n in ("u", "v", "r", "x", "y", "psi", "b_X", "b_Y", "b_N") if n != state]
         assert not column[:, rest].any()
+
+
+def test_a_sensors_error_touches_its_reading_alone() -> None:
+    path = path_for(base_for())
+    n, outputs = len(path.model.states), [o.name for o in path.model.outputs]
+    found = {c.name: c for c in path.generic()}
+    column = found["psi(psi)"].delta
+    z = generic_features(path.model, path.own, path.x)["psi"]
+    np.testing.assert_allclose(column[:, n + outputs.index("psi")], z, atol=1e-9)
+    assert not np.delete(column, n + outputs.index("psi"), axis=1).any()
 
 
 def test_splines_follow_a_smooth_function_and_leave_out_what_does_not_vary() -> None:

@@ -17,7 +17,8 @@ from ident.jobs import with_known
 from ident.modelfile import load_model, save_model
 from ident.models import make_model
 from ident.models.disturbance import for_diagnosis
-from ident.models.known import antenna
+from ident.models.horizontal import horizontal
+from ident.models.known import antenna, current_walk
 from ident.pe import Likelihood
 from tests.missions import boat_with, channels_of, sail
 
@@ -68,3 +69,20 @@ def test_both_come_back_from_a_model_file(tmp_path: Path) -> None:
     model = load_model(path).model
     assert {"antenna", "current-walk"} <= {e.name for e in model.effects}
     assert model.values["antenna_x"] == pytest.approx(0.3)
+
+
+def test_whatever_moves_the_water_is_in_the_velocity_over_ground_of_the_body() -> None:
+    """A current that wanders or drifts, by the velocity over ground turned into the body's axes."""
+    sensors = ("attitude", "ground_velocity", "body_velocity")
+    for part in (current_walk(), catalogue()["current-drift"]):
+        model = (horizontal("shaft", sensors) + part).with_values({"V_x": 0.2})
+        at = {n: i for i, n in enumerate(v.name for v in model.states)}
+        y = {o.name: len(model.states) + j for j, o in enumerate(model.outputs)}
+        x = np.random.default_rng(3).normal(size=(20, len(model.states)))
+        values = np.array([0.1 if n == "V_dx" else v for n, v in model.values.items()])
+        found = Rowwise(model)(x, np.full((20, len(model.inputs)), 0.4), values)
+        psi, vx, vy = x[:, at["psi"]], found[:, y["vx"]], found[:, y["vy"]]
+        still = np.cos(psi) * x[:, at["u"]] - np.sin(psi) * x[:, at["v"]]
+        assert np.abs(vx - still - 0.2).max() > 0.01, part.name
+        np.testing.assert_allclose(found[:, y["u"]], np.cos(psi) * vx + np.sin(psi) * vy, atol=1e-12)
+        np.testing.assert_allclose(found[:, y["v"]], np.cos(psi) * vy - np.sin(psi) * vx, atol=1e-12)

@@ -5,65 +5,19 @@ from __future__ import annotations
 import base64
 import copy
 import hashlib
-import io
 import json
 import re
-import shutil
-import subprocess
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from rich.console import Console
 
-from ident.report import drawing, print_result, wording, write_report
-from tests.ident import navigation_example, report_example
+from ident.report import drawing, wording
+from tests.ident import report_example
+from tests.ident.pages import HOSTILE, KINDS, Page, numbers, printed, shortened, written
 
 MEGABYTE = 1_000_000
-KINDS = {
-    "diagnosis": report_example.diagnosis,
-    "thruster": report_example.thruster,
-    "noise": report_example.noise,
-    "navigation": navigation_example.navigation,
-}
-HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(2)>\"'&"
-
-
-class Page(HTMLParser):
-    """What a browser would make of a page: elements, their text, and everything it would load."""
-
-    def __init__(self, page: str) -> None:
-        super().__init__()
-        self.scripts: list[tuple[dict[str, str | None], str]] = []
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.words = ""
-        self._inside: str = ""
-        self.feed(page)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append((tag, dict(attrs)))
-        self._inside = tag
-        if tag == "script":
-            self.scripts.append((dict(attrs), ""))
-
-    def handle_endtag(self, tag: str) -> None:
-        self._inside = ""
-
-    def handle_data(self, data: str) -> None:
-        if self._inside == "script":
-            attrs, text = self.scripts[-1]
-            self.scripts[-1] = (attrs, text + data)
-        elif self._inside != "style":
-            self.words += data
-
-    def figures(self) -> dict[str, Any]:
-        found = [text for attrs, text in self.scripts if attrs.get("id") == "figures"]
-        return dict(json.loads(found[0])["figures"])
-
-    def headings(self) -> list[str]:
-        return [str(attrs["id"]) for tag, attrs in self.tags if tag == "section"]
 
 
 @pytest.fixture(scope="module")
@@ -75,27 +29,6 @@ def diagnosis() -> dict[str, Any]:
 def small(diagnosis: dict[str, Any]) -> dict[str, Any]:
     """The same result with short series."""
     return shortened(copy.deepcopy(diagnosis))
-
-
-def shortened(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: shortened(item) for key, item in value.items()}
-    if isinstance(value, list):
-        rows = bool(value) and isinstance(value[0], dict | list)
-        return [shortened(item) for item in value[:3]] if rows else value[:20]
-    return value
-
-
-def written(result: dict[str, Any], folder: Path) -> str:
-    write_report(result, folder / "report.html")
-    return (folder / "report.html").read_text(encoding="utf-8")
-
-
-def printed(result: dict[str, Any]) -> str:
-    console = Console(file=io.StringIO(), width=80, color_system=None)
-    print_result(result, console)
-    assert isinstance(console.file, io.StringIO)
-    return console.file.getvalue()
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -162,10 +95,6 @@ def test_figures_are_json_of_sound_arrays(diagnosis: dict[str, Any], tmp_path: P
     assert sizes == [len(numbers(trace["y"])) for trace in traces]
     assert min(sizes) > 0
     assert max(sizes) <= 3100
-
-
-def numbers(packed: Any) -> Any:
-    return np.frombuffer(base64.b64decode(packed["bdata"]), "<f4") if isinstance(packed, dict) else packed
 
 
 def test_angles_are_shown_in_degrees_without_jumps(diagnosis: dict[str, Any], tmp_path: Path) -> None:
@@ -311,27 +240,3 @@ def test_thinning_keeps_the_extremes() -> None:
     assert (at[0], at[-1]) == (0, y.size - 1)
     assert np.nanmax(y[at]) == 40.0
     assert np.nanmin(y[at]) == np.nanmin(y)
-
-
-CHROMIUM = next((name for name in ("chromium", "chromium-browser", "google-chrome") if shutil.which(name)), None)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="no chromium on PATH")
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_browser_draws_every_figure_without_complaint(kind: str, tmp_path: Path) -> None:
-    path = tmp_path / "report.html"
-    write_report(KINDS[kind](), path)
-    options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"]
-    options += [f"--user-data-dir={tmp_path / 'profile'}", "--window-size=1200,20000", "--virtual-time-budget=60000"]
-    command = [str(CHROMIUM), *options, "--enable-logging=stderr", "--dump-dom", path.as_uri()]
-    for _ in range(3):  # a busy machine may run out the browser's virtual time before its first frame
-        run = subprocess.run(command, capture_output=True, text=True, timeout=90, check=True)
-        assert "CONSOLE" not in run.stderr, run.stderr
-        page = Page(run.stdout)
-        drawn = [attrs for _, attrs in page.tags if "js-plotly-plot" in str(attrs.get("class"))]
-        if drawn:
-            break
-    assert drawn
-    if 'class="away"' not in run.stdout:
-        assert len(drawn) == len(page.figures())

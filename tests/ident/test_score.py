@@ -13,7 +13,7 @@ from ident.dataset import Record
 from ident.engine.rowwise import Rowwise
 from ident.fit import fit
 from ident.pe import FilterRun, Likelihood
-from ident.score import BLOCK, Columns, Normal, Place, block_index, place, score_tests, whitened_sensitivities
+from ident.score import BLOCK, Carrier, Columns, Normal, Place, block_index, place, score_tests
 from tests.ident.sliders import CUBE, DRAG, PUSH, TAPE, Q, score_of, scores_at, scores_of_columns, slide, slider
 
 N_SETS = 100
@@ -139,7 +139,8 @@ def test_whitened_sensitivities_are_the_derivatives_of_the_innovations() -> None
     H = Rowwise(model).output_jacobian(run.x_pred, record.u, values)
     path = Path(slider(), values[:5], record, run.x_pred)
     delta = np.concatenate([next(path.effect(e)).delta for e in (PUSH, TAPE)], axis=2)
-    g, e, t = whitened_sensitivities(run, record, path.jacobian, delta)
+    carrier = Carrier(run, record, path.jacobian)
+    g, e, t = carrier(delta), carrier.e, carrier.t
     np.testing.assert_allclose(e, whitened(run, run.e, H), atol=1e-9)
     assert t.size == e.size == np.isfinite(record.y).sum()
     for column, name in enumerate(("k_push", "k_tape")):

@@ -16,7 +16,8 @@ from ident.euler import Inputs, simulate_noisy
 from ident.model import Input, Model, Output, Sensor, State, plain_model
 from ident.oe import simulate
 from ident.params import Parameter
-from ident.study import Row, counts, judge, replicates
+from ident.scoring import Bounds
+from ident.study import Row, counts, drawn_in, judge, replicates
 from ident.study_cases import CASES, make_case
 
 
@@ -93,14 +94,14 @@ def test_estimates_of_the_models_own_data_are_right_and_output_errors_are_not() 
     assert {"variance", "coverage"} <= set(wrong["m_r"].misses)
 
 
-def made_up(d: np.ndarray, se: float) -> list[Row]:
+def made_up(d: np.ndarray, se: float, bound: float = 1.0) -> list[Row]:
     return [{"converged": True, "cpu": 1.0, "simulation": 2.0, "d": {"a": float(x), "b": 0.0},
-             "se": {"a": se, "b": None}, "bound": {"a": 2 * se, "b": None}} for x in d]
+             "se": {"a": se, "b": None}, "far": {"a": None, "b": None}, "bound": {"a": bound, "b": None}} for x in d]
 
 
 def test_the_numbers_of_a_study() -> None:
     d = np.array([-1.0, 0.0, 1.0, 2.0, 3.0])
-    (j,) = judge([*made_up(d, 1.0), {"converged": False, "cpu": 1.0, "simulation": 2.0}])
+    (j,) = judge([*made_up(d, 1.0, 2.0), {"converged": False, "cpu": 1.0, "simulation": 2.0}])
     assert (j.name, j.n, j.at_bound) == ("a", 5, 0)
     assert j.sd == pytest.approx(np.sqrt(2.5))
     assert j.bias == pytest.approx(1 / np.sqrt(2.5))
@@ -109,6 +110,7 @@ def test_the_numbers_of_a_study() -> None:
     assert j.coverage == pytest.approx(3 / 5)
     assert j.coverage_interval == pytest.approx((0.1466, 0.9473), abs=1e-3)  # Clopper and Pearson's table
     assert j.ratio_interval == pytest.approx((2.5 * 4 / 11.143, 2.5 * 4 / 0.4844), rel=1e-3)
+    assert j.bound_interval == pytest.approx((0.625 * 4 / 11.143, 0.625 * 4 / 0.4844), rel=1e-3)
     assert j.misses == ("bias (chance?)", "variance (chance?)", "coverage (chance?)")
     rows = [*made_up(d, 1.0), {"converged": False, "cpu": 1.0, "simulation": 2.0}, {"error": "no", "simulation": 2.0}]
     found = counts(rows)
@@ -121,6 +123,32 @@ def test_what_misses_beyond_chance_is_said() -> None:
     assert fine.misses == ()
     (poor,) = judge(made_up(0.5 + 1.5 * rng.normal(size=2000), 1.0))
     assert poor.misses == ("bias", "variance", "coverage")
+
+
+def test_an_estimate_at_its_bound_has_a_one_sided_interval() -> None:
+    """Normal estimates of a truth 1.3 standard deviations above a bound: the interval of those at it ends at 1.96 less
+    what they were drawn in by, and so it is judged."""
+    rng, rows = np.random.default_rng(2), []
+    for free in rng.normal(size=4000):
+        stuck = free < -1.3
+        far = -1.3 + 3.8415 / (-(free + 1.3) + np.sqrt((free + 1.3) ** 2 + 3.8415)) if stuck else None
+        rows.append({"converged": True, "cpu": 1.0, "simulation": 2.0, "d": {"a": max(float(free), -1.3)},
+                     "se": {"a": None if stuck else 1.0}, "far": {"a": far}, "bound": {"a": 0.918}})
+    (j,) = judge(rows)
+    assert (j.n, j.at_bound) == (4000, sum(r["se"]["a"] is None for r in rows))
+    assert j.misses == ()
+    assert j.ratio < 0.95  # what is reported is not the variance of an estimate that is drawn in
+
+
+def test_the_least_variance_near_a_bound_is_that_of_a_truncated_normal() -> None:
+    """Beside a bound 1.3 standard deviations away; far from it, it is the bound of Cramer and Rao."""
+    P = np.array([[1.0, -0.9], [-0.9, 1.0]])
+    bounds = Bounds(np.array([-np.inf, 0.0]), np.full(2, np.inf), np.zeros(2, dtype=bool))
+    taken = [drawn_in(np.linalg.inv(P), P, np.array([0.0, 1.3]), bounds, np.random.default_rng(k)) for k in range(40)]
+    least = 1.0 + np.mean(taken, axis=0)
+    assert least[1] == pytest.approx(0.842, abs=0.02)  # E max(z, -1.3)^2 - (E max(z, -1.3))^2
+    assert least[0] == pytest.approx(1 - 0.81 * (1 - 0.842), abs=0.02)
+    assert (drawn_in(np.linalg.inv(P), P, np.array([0.0, 9.0]), bounds, np.random.default_rng(1)) == 0.0).all()
 
 
 def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

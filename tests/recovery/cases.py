@@ -4,25 +4,28 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from bench.plans import make_mission
 from ident.diagnose import diagnose
-from ident.diagnosis_result import answer
+from ident.diagnosis_result import diagnosis_result
 from ident.effects import catalogue
 from ident.findings import Diagnosis
-from ident.judged import before_after
+from ident.outcome import Json
 from ident.predict import Errors, free_run, one_step, pooled, ten_seconds
+from ident.shapes import Shape
 from ident.stage import Run, Stage
-from mocks.offline import simulate
+from mocks.offline import Recording, simulate
 from tests.missions import boat_with, channels_of
 from tests.recovery.kinds import Case, boat_of, model_of, with_gaps
+from tests.recovery.logged import diagnosed, write_logs
 from tests.recovery.oracle import oracle, shape_share
 
 CHANNELS = ("x", "y", "psi", "r", "vx", "vy")
@@ -37,15 +40,22 @@ def truth_of(case: Case) -> dict[str, float]:
         "V_x": true["current_n"], "V_y": true["current_e"]}
 
 
-def runs_of(case: Case) -> list[Run]:
+def recordings_of(case: Case) -> list[Recording]:
     """The estimation mission and the validation mission, sailed."""
     boat, how = boat_of(case), case.how
-    runs = []
-    for name, seconds, mission_seed, run in zip(("estimation", "validation"), how.seconds, (100, 200), (1, 2),
-                                                strict=True):
+    found = []
+    for seconds, mission_seed, run in zip(how.seconds, (100, 200), (1, 2), strict=True):
         t, n = make_mission("mixed", seconds, mission_seed + case.seed).setpoints()
-        channels = channels_of(simulate(boat, t, how.gain * np.asarray(n), seconds, run))
-        runs.append(Run(name, with_gaps(channels, 10 * case.seed + run) if how.gaps else channels))
+        found.append(simulate(boat, t, how.gain * np.asarray(n), seconds, run))
+    return found
+
+
+def runs_of(case: Case) -> list[Run]:
+    """Both missions in memory."""
+    runs = []
+    for name, run, recording in zip(("estimation", "validation"), (1, 2), recordings_of(case), strict=True):
+        channels = channels_of(recording)
+        runs.append(Run(name, with_gaps(channels, 10 * case.seed + run) if case.how.gaps else channels))
     return runs
 
 
@@ -58,61 +68,67 @@ def diagnose_case(case: Case, runs: Sequence[Run] | None = None) -> Diagnosis:
 
 def run_case(case: Case) -> Row:
     """One line of the study; a case that fails is a line too."""
-    began = time.process_time()
     row: Row = asdict(case) | {"key": case.key, "code": code_state()}
     try:
-        runs = runs_of(case)
-        found = diagnose_case(case, runs)
-        row["cpu"] = round(time.process_time() - began, 2)
-        return row | told(found) | judged(case, runs, found)
+        if not case.how.logged:
+            began = time.process_time()
+            runs = runs_of(case)
+            result = diagnosis_result(diagnose_case(case, runs))
+            return row | {"cpu": round(time.process_time() - began, 2)} | told(result) | judged(case, runs, result)
+        with TemporaryDirectory() as folder:
+            runs = write_logs(Path(folder), recordings_of(case))
+            result = diagnosed(Path(folder))
+            return row | {"cpu": round(result["cpu"], 2)} | told(result) | judged(case, runs, result)
     except Exception as problem:  # the study goes on, and counts it
         return row | {"error": f"{type(problem).__name__}: {problem}"}
 
 
-def told(found: Diagnosis) -> Row:
+def told(result: Json) -> Row:
     """What the diagnosis says."""
+    effects = result["effects"]
+    t = {q["name"]: q["t"] for one in result["rounds"] for q in one["refits"] if q["name"] == one["chosen"]}
     return {
-        "found": row_names(found),
-        "certainty": [j.certainty for j in found.judgements],
-        "rivals": [list(j.rivals) for j in found.judgements],
-        "reasons": [list(j.reasons) for j in found.judgements],
-        "shapes": [f"{s.force}({s.variable})" for s in found.shapes],
-        "left": [s.name for s in found.left],
-        "t": [round(r.t, 2) for r in found.effects],
+        "found": [e["name"] for e in effects],
+        "certainty": [e["certainty"] for e in effects],
+        "rivals": [e["not_excluded"] for e in effects],
+        "reasons": [e["reasons"] for e in effects],
+        "weight": [round(e["weight"], 3) for e in effects],
+        "t": [round(t[e["name"]], 2) for e in effects],
+        "shapes": [f"{s['force']}({s['variable']})" for s in result["shapes"]],
+        "left": [s["name"] for s in result["left"]],
+        "answer": result["answer"],
     }
 
 
-def judged(case: Case, runs: Sequence[Run], found: Diagnosis) -> Row:
+def judged(case: Case, runs: Sequence[Run], result: Json) -> Row:
     """How good that is: errors on validation data against those of the true structure, estimates, shapes."""
-    before, after = errors(found.before), errors(found.after)
-    rows = before_after(before, after, found.after.model)
+    table = result["before_after"]["validation"]
     row: Row = {
-        "answer": answer(found, rows, "validation"),
-        "z": z_scores(found.after, truth_of(case)),
-        "before": rms(before),
-        "after": rms(after),
+        "z": z_scores(result["fit"]["parameters"], truth_of(case)),
+        "before": rms(table, lambda cell: cell["before"]),
+        "after": rms(table, lambda cell: cell["after"]),
     }
-    # with the true structure found, the answer is the oracle
-    true = found.after if set(row_names(found)) == set(case.truths) else oracle(case, runs)
-    if true is not None:
-        best = row["after"] if true is found.after else rms(errors(true))
+    if {e["name"] for e in result["effects"]} == set(case.truths):
+        best = row["after"]  # with the true structure found, the answer is the oracle
+    else:
+        true = oracle(case, runs)
+        best = None if true is None else rms(errors(true), lambda e: e.rms)
+    if best is not None:
         row |= {"oracle": best, "ratio": ratio(row["after"], best)}
-    share = shape_share(case, found)
+    share = shape_share(case, [Shape(**{k: _array(v) for k, v in s.items()}) for s in result["shapes"]])
     return row if share is None else row | {"shape": round(share, 3)}
 
 
-def row_names(found: Diagnosis) -> list[str]:
-    """The effects that were added, in their order."""
-    return [r.effect.name for r in found.effects]
+def _array(value: Any) -> Any:
+    return np.asarray(value, dtype=np.float64) if isinstance(value, list) else value
 
 
-def z_scores(stage: Stage, truth: Mapping[str, float]) -> dict[str, float]:
-    """(estimate - truth) / standard error, of the parameters that have one."""
-    found = {}
-    for name, true in truth.items():
-        value, error = stage.fit.estimate(name)
-        if np.isfinite(error):
-            found[name] = round((value - true) / error, 3)
+def z_scores(parameters: Sequence[Json], truth: Mapping[str, float]) -> dict[str, float]:
+    """(estimate - truth) / standard error, of the parameters that have one; those of the estimation log."""
+    found: dict[str, float] = {}
+    for p in parameters:
+        if p["name"] in truth and p["se"] is not None and np.isfinite(p["se"]):
+            found.setdefault(p["name"], round((p["value"] - truth[p["name"]]) / p["se"], 3))
     return found
 
 
@@ -126,10 +142,11 @@ def errors(stage: Stage) -> AllErrors:
     }
 
 
-def rms(found: AllErrors) -> dict[str, dict[str, float]]:
-    """Root mean squares of the channels that are compared, ten seconds ahead and free-running."""
+def rms(table: Mapping[str, Mapping[str, Any]], of: Callable[[Any], float]) -> dict[str, dict[str, float]]:
+    """Root mean squares of the channels that are compared, ten seconds ahead and free-running; ``of``: where a cell of
+    the table has it."""
     return {
-        kind: {n: float(f"{e.rms:.4g}") for n, e in found[kind].items() if n in CHANNELS}
+        kind: {n: float(f"{of(cell):.4g}") for n, cell in table[kind].items() if n in CHANNELS}
         for kind in ("ten_seconds", "free_run")
     }
 

@@ -45,6 +45,7 @@ class Kind:
     others: float = 0.0
     noise: str = ""
     left_out: bool = False  # the truth is not in the catalogue
+    logged: bool = False  # through logs and the commands a user types; else in memory, by the Python call
 
 
 def _none(seed: int) -> list[str]:
@@ -56,15 +57,15 @@ def _all_and_none(seed: int) -> list[str]:
 
 
 KINDS: dict[str, Kind] = {
-    "single": Kind("one effect at full size", all_effects, 10),
-    "half": Kind("one effect at half its size", all_effects, 5, scale=0.5),
+    "single": Kind("one effect at full size", all_effects, 10, logged=True),
+    "half": Kind("one effect at half its size", all_effects, 5, scale=0.5, logged=True),
     "quarter": Kind("one effect at a quarter of its size", all_effects, 3, scale=0.25),
-    "mixture": Kind("one effect, and every other one at 5 % of its size", all_effects, 5, others=SMALL),
-    "pair": Kind("two effects at full size", all_pairs, 4),
-    "outside": Kind("an effect that the catalogue does not list", lambda seed: list(OUTSIDE), 10),
-    "clean": Kind("no effect", _none, 120),
-    "timid": Kind("all commands at 35 %", _all_and_none, 3, gain=0.35),
-    "short": Kind("120 s to estimate, 80 s to validate", _all_and_none, 3, seconds=(120.0, 80.0)),
+    "mixture": Kind("one effect, and every other one at 5 % of its size", all_effects, 5, others=SMALL, logged=True),
+    "pair": Kind("two effects at full size", all_pairs, 4, logged=True),
+    "outside": Kind("an effect that the catalogue does not list", lambda seed: list(OUTSIDE), 10, logged=True),
+    "clean": Kind("no effect", _none, 120, logged=True),
+    "timid": Kind("all commands at 35 %", _all_and_none, 3, gain=0.35, logged=True),
+    "short": Kind("120 s to estimate, 80 s to validate", _all_and_none, 3, seconds=(120.0, 80.0), logged=True),
     "dropout": Kind("gaps in every device, and lost samples", _all_and_none, 3, gaps=True),
     **{name: Kind(f"no effect; {make_effect(name, 1).sentence}", _none, 25, noise=name) for name in NOISE},
     "leave-one-out": Kind("one effect at full size, taken out of the catalogue", all_effects, 3, left_out=True),

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ident.effects import catalogue
-from ident.findings import Diagnosis
 from ident.model import Effect
 from ident.shapes import Shape
 from ident.stage import Run, Stage, make_stage, nominal, record, superset, without_absent_sensors
@@ -17,7 +16,6 @@ from mocks.undeclared import make_effect
 from tests.recovery.kinds import Case, boat_of, model_of
 
 Array = NDArray[np.float64]
-BAND = 1.96  # standard deviations
 RATE = 10.0  # Hz
 
 
@@ -45,27 +43,28 @@ def _near_the_truth(effect: Effect, case: Case) -> Effect:
     return replace(effect, parameters=tuple(start))
 
 
-def shape_share(case: Case, found: Diagnosis) -> float | None:
+def shape_share(case: Case, shapes: Sequence[Shape]) -> float | None:
     """The share of the drawn curve whose band holds the true one; None without a drawn curve of the right kind.
 
-    What the model's own parameters can take up is compared with neither: a constant, and for X(u) the drag.
+    What the model's own parameters can take up is compared with neither: a constant, for X(u) the drag, for X(n_sum)
+    the thrust.
     """
     answer = next((e.answer for e in boat_of(case).effects if e.answer is not None), None)
     if answer is None:
         return None
-    drawn = next((s for s in found.shapes if (s.force, s.variable) == (answer.force, answer.variable)), None)
+    drawn = next((s for s in shapes if (s.force, s.variable) == (answer.force, answer.variable)), None)
     if drawn is None:
         return None
     true = np.array([answer.curve(float(z)) for z in drawn.grid])
     apart = _beyond(drawn, drawn.value - true)
-    return float(np.mean(np.abs(apart) < BAND * drawn.sd))
+    return float(np.mean(np.abs(apart) < drawn.band))
 
 
 def _beyond(drawn: Shape, difference: Array) -> Array:
-    """What is left of a difference of curves without what the hull's own damping could take up."""
+    """What is left of a difference of curves without what the hull's own damping or thrusters could take up."""
     z = drawn.grid
     columns = [np.ones(z.size)]
-    if (drawn.force, drawn.variable) in {("X", "u"), ("Y", "v"), ("N", "r")}:
+    if (drawn.force, drawn.variable) in {("X", "u"), ("Y", "v"), ("N", "r"), ("X", "n_sum"), ("N", "n_diff")}:
         columns += [z, z * np.abs(z)]
     basis = np.column_stack(columns)
     return np.asarray(difference - basis @ np.linalg.lstsq(basis, difference, rcond=None)[0])

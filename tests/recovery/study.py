@@ -100,14 +100,20 @@ def document(rows: Sequence[Row], given: argparse.Namespace) -> str:
     seeds = f" --seeds {given.seeds}" if given.seeds is not None else ""
     chosen = "" if set(given.kinds) == set(KINDS) else f" --kinds {','.join(given.kinds)}"
     states = sorted({str(r["code"]) for r in rows})
+    every = len(cases_of(given.kinds, given.seed, given.seeds, given.effects))
+    ran = f"{len(rows)} cases" if len(rows) >= every else (
+        f"{len(rows)} of its {every} cases so far, seed by seed (it goes on where it was)"
+    )
     return (
         "# Recovery study\n\n"
         "Mock boats with undeclared effects (`mocks/undeclared/`, written in other forms than the catalogue of "
         "`ident`), and clean ones: two missions each, one to estimate and one to validate. Every boat has its own "
-        "parameters, current and noise. An answer counts as right only where it is given as sure; the oracle is the "
-        "model with the true effect of the catalogue, fitted to the same data.\n\n"
+        "parameters, current and noise. Where the catalogue and the data are whole, the missions are recorded as logs, "
+        "and `seatrial ident vehicle` and `seatrial ident diagnose` run on them. An answer counts as right only where "
+        "it is given as sure; the oracle is the model with the true effect of the catalogue, fitted to the same data."
+        "\n\n"
         f"    python -m tests.recovery.study --seed {given.seed}{seeds}{chosen} --docs\n\n"
-        f"{len(rows)} cases, states of the code: {', '.join(states)}.\n\n" + report(rows, tables.as_markdown) + "\n"
+        f"{ran}; states of the code: {', '.join(states)}.\n\n" + report(rows, tables.as_markdown) + "\n"
     )
 
 

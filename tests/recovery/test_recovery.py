@@ -13,6 +13,7 @@ from ident import bench_job
 from ident.bench_runs import RATE
 from ident.dataset import build_record
 from ident.models.thruster import delayed_channels, thruster
+from ident.outcome import fit_part
 from ident.shapes import Shape
 from mocks.bench_plant import draw_bench
 from mocks.undeclared import EFFECTS, OUTSIDE
@@ -31,7 +32,7 @@ def test_a_clean_boat_lacks_nothing_and_its_parameters_are_true() -> None:
     found = diagnose_case(case)
     assert found.effects == ()
     assert found.rounds == ()
-    z = z_scores(found.after, truth_of(case))
+    z = z_scores(fit_part(found.after.fit, {})["parameters"], truth_of(case))
     assert set(z) >= IDENTIFIABLE
     assert {n: s for n, s in z.items() if abs(s) > 3.0} == {}
 
@@ -42,11 +43,34 @@ def test_an_effect_is_named_first_and_makes_the_model_better(effect: str) -> Non
     row = run_case(Case(effect, 2))
     assert row.get("error") is None
     assert row["found"][:1] == [effect]
+    assert row["weight"][0] > 1.0
     assert verdict.first_right(row)
     assert row["answer"].startswith("The model lacks ")
     assert 0.9 < row["ratio"]["free_run"] < 1.1
     assert tables.position(row["after"]) < tables.position(row["before"])
     assert row["after"]["ten_seconds"]["r"] <= 1.01 * row["before"]["ten_seconds"]["r"]
+
+
+@pytest.mark.slow
+def test_what_a_mixture_would_miss_most_comes_first() -> None:
+    """The small delays of all effects together gain most of the likelihood; the boat goes astray by another."""
+    found = diagnose_case(Case("turning-resistance", 1, "mixture"))
+    first = next(r.chosen for r in found.rounds if r.chosen is not None)
+    assert first.effect.name == "delay"
+    assert found.effects[0].effect.name == "turning-resistance"
+    assert [w.effect for w in found.weights] == [r.effect.name for r in found.effects]
+    assert found.weights[0].error > found.weights[1].error
+    assert {j.effect for j in found.judgements} == {r.effect.name for r in found.effects}
+
+
+@pytest.mark.slow
+def test_a_sensor_that_no_catalogue_explains_is_drawn() -> None:
+    """Without the compass' deviation in the catalogue: the error of the heading over the heading, and no name."""
+    row = run_case(Case("compass", 2, "leave-one-out"))
+    assert row.get("error") is None
+    assert (row["found"][0], row["certainty"][0]) == ("unknown psi(psi)", "unknown")
+    assert row["shapes"][0] == "psi(psi)"
+    assert row["ratio"]["ten_seconds"] < 1.1
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -181,7 +205,7 @@ def test_drop_outs_leave_holes_and_nothing_else(monkeypatch: pytest.MonkeyPatch)
 def test_ratios_and_bands() -> None:
     assert ratio({"free_run": {"x": 2.0, "y": 0.5}}, {"free_run": {"x": 1.0, "y": 1.0}}) == {"free_run": 1.0}
     grid = np.linspace(-1.0, 1.0, 41)
-    drag = Shape("X", "u", grid, grid, grid, "N", "m/s")
+    drag = Shape("X", "u", grid, grid, grid, grid, "N", "m/s")
     np.testing.assert_allclose(_beyond(drag, 3.0 + 2.0 * grid - grid * np.abs(grid)), 0.0, atol=1e-12)
     assert np.abs(_beyond(replace(drag, force="N"), 2.0 * grid)).max() > 1.0
 

@@ -1,4 +1,7 @@
-"""The pictures of README.md from what run.sh wrote: python figures.py out/kingfisher. Needs matplotlib."""
+"""The pictures of README.md from what run.sh wrote: python figures.py out/kingfisher FOLDER.
+
+Writes curve.html, prediction.html and masses.html; the pictures are what a browser shows of them.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +10,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
 
-mpl.use("Agg")
-import matplotlib.pyplot as plt
-
-HERE = Path(__file__).parent
-MEASURED, MODEL, POOR = "#202020", "#0072b2", "#d55e00"
+MEASURED, MODEL, POOR, PLAIN = "#202020", "#0072b2", "#d55e00", "#8a93a0"  # Okabe and Ito's colours, and grey
 SOURCE = (40.4, 82.2, 62.6)  # kg, what the source of the data got from one step at a time; a fourth gave nothing
+STEPS = ("step 1", "step 2", "step 3", "step 4")
+RUNS = {"run01": "0.1", "after2": "0.3, then none", "run05": "0.5", "run06": "0.6", "run08": "0.8", "run10": "1.0"}
 
 
 def load(folder: Path, name: str) -> dict[str, Any]:
@@ -28,62 +30,90 @@ def traces(result: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return {t["record"].removeprefix("surge_").removeprefix("rest_"): t for t in result["traces"]}
 
 
-def curve(folder: Path) -> None:
+def line(x: Any, y: Any, name: str, colour: str, dash: str = "solid", **more: Any) -> go.Scatter:
+    return go.Scatter(x=x, y=y, name=name, mode="lines", line={"color": colour, "width": 1.8, "dash": dash}, **more)
+
+
+def dots(x: Any, y: Any, name: str, colour: str, symbol: str = "circle", size: float = 7, **more: Any) -> go.Scatter:
+    marker = {"color": colour, "symbol": symbol, "size": size}
+    return go.Scatter(x=x, y=y, name=name, mode="markers", marker=marker, **more)
+
+
+def page(figure: go.Figure, path: Path, width: int, height: int) -> None:
+    legend = {"orientation": "h", "yanchor": "bottom", "y": 1.07}
+    figure.update_layout(template="plotly_white", width=width, height=height, font={"size": 13}, legend=legend,
+                         margin={"l": 70, "r": 20, "t": 70, "b": 55})
+    figure.write_html(path, include_plotlyjs=True, config={"displayModeBar": False})
+
+
+def curve(folder: Path, path: Path) -> None:
+    """Force against command: levels of the load cell, the quadratic and the monotone curve."""
     static = load(folder, "thruster")["static"]
-    figure, axes = plt.subplots(figsize=(6.5, 3.6))
-    axes.plot(static["n_model"], static["force_quadratic"], "--", color=POOR, label="c1 n|n| + c2 n²")
-    axes.plot(static["n_model"], static["force_model"], color=MODEL, label="monotone curve")
-    axes.errorbar(static["n"], static["force"], 2 * np.array(static["sd"]), fmt="o", ms=4, color=MEASURED,
-                  label="levels, ± 2 s.e.")  # fmt: skip
-    axes.set(xlabel="command", ylabel="force of both thrusters [N]")
-    finish(figure, [axes], "curve.png")
+    bars = {"type": "data", "array": 2 * np.array(static["sd"]), "thickness": 1.2, "width": 0}
+    figure = go.Figure([
+        line(static["n_model"], static["force_quadratic"], "c1 n|n| + c2 n²", POOR, "dash"),
+        line(static["n_model"], static["force_model"], "monotone curve", MODEL),
+        dots(static["n"], static["force"], "levels, ± 2 s.e.", MEASURED, error_y=bars)])
+    figure.update_xaxes(title_text="command, part of full")
+    figure.update_yaxes(title_text="force of both thrusters [N]")
+    page(figure, path, 720, 420)
 
 
-def prediction(folder: Path) -> None:
+def prediction(folder: Path, path: Path) -> None:
+    """Speed on runs that no fit has seen: measured, with a delay alone, and with loss of thrust and cubic drag."""
     good, poor = traces(load(folder, "both")), traces(load(folder, "delayed"))
-    figure, axes = plt.subplots(2, 3, figsize=(11, 5.4))
-    names = {"run01": "0.1", "after2": "0.3, then none", "run05": "0.5", "run06": "0.6", "run08": "0.8", "run10": "1.0"}
-    for at, (name, said) in zip(axes.flat, names.items(), strict=True):
-        at.plot(good[name]["t"], good[name]["measured"], ".", ms=2, color=MEASURED, label="measured")
-        for one, colour, label in ((poor[name], POOR, "delayed"), (good[name], MODEL, "both")):
+    figure = make_subplots(2, 3, subplot_titles=[f"{run}: command {said}" for run, said in RUNS.items()],
+                           vertical_spacing=0.2, horizontal_spacing=0.07)
+    for k, run in enumerate(RUNS):
+        one, first = good[run], k == 0
+        found = [dots(one["t"], one["measured"], "measured", MEASURED, size=2.5, showlegend=first)]
+        for one, colour, dash, label in ((poor[run], POOR, "dash", "delayed"), (good[run], MODEL, "solid", "both")):
             t = np.array(one["t"])
-            at.plot(t[t > 15], np.array(one["model"])[t > 15], color=colour, lw=1.3, label=label)
-        at.set(title=f"{name}: command {said}", xlabel="t [s]", ylabel="speed [m/s]")
-    finish(figure, axes.flat, "prediction.png")
+            after = t > 15
+            found.append(line(t[after], np.array(one["model"])[after], label, colour, dash, showlegend=first))
+        figure.add_traces(found, rows=1 + k // 3, cols=1 + k % 3)
+    figure.update_xaxes(title_text="time [s]")
+    figure.update_yaxes(title_text="speed [m/s]", col=1)
+    page(figure, path, 1100, 600)
 
 
-def masses(folder: Path) -> None:
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 3.8))
-    for shift, (name, colour) in enumerate((("immediate", "#999999"), ("delayed", POOR), ("both", MODEL))):
+def masses(folder: Path, path: Path) -> None:
+    """The mass by each step alone; and what is left after the thrust ends, run by run and in the mean."""
+    figure = make_subplots(1, 2, horizontal_spacing=0.1)
+    looks = {"immediate": (PLAIN, "square"), "delayed": (POOR, "diamond"), "both": (MODEL, "circle")}
+    for shift, (name, (colour, symbol)) in enumerate(looks.items()):
         row = load(folder, name)["agreement"][0]
-        steps = np.arange(1, 5) + 0.15 * (shift - 1)
-        left.errorbar(steps, row["values"], 2 * np.array(row["ses"]), fmt="o", ms=4, color=colour, label=name)
-    left.plot([5] * len(SOURCE), SOURCE, "kx", label="the source, step by step")
-    left.set(ylabel="mass, one a step ± 2 s.e. [kg]", xticks=[1, 2, 3, 4, 5], ylim=(20, 105))
-    left.set_xticklabels(["step 1", "step 2", "step 3", "step 4", "source"])
-    result = load(folder, "both")
+        bars = {"type": "data", "array": 2 * np.array(row["ses"]), "thickness": 1.6, "width": 0}
+        at = np.arange(1, 5) + 0.15 * (shift - 1)
+        figure.add_trace(dots(at, row["values"], f"{name}, ± 2 s.e.", colour, symbol, error_y=bars), 1, 1)
+    figure.add_trace(dots([5] * len(SOURCE), SOURCE, "the source, step by step", MEASURED, "x"), 1, 1)
+    figure.update_xaxes(tickvals=[1, 2, 3, 4, 5], ticktext=[*STEPS, "source"], col=1)
+    figure.update_yaxes(title_text="mass [kg]", range=[20, 105], col=1)
+    grid = np.arange(-8.0, 20.0, 0.1)
+    left = _left(load(folder, "both"), grid)
+    for k, (_, error) in enumerate(left):
+        figure.add_trace(line(grid, error, f"each of {len(left)} runs", PLAIN, opacity=0.45, showlegend=k == 0), 1, 2)
+    figure.add_trace(line(grid, np.nanmean([error for _, error in left], axis=0), "their mean", MODEL), 1, 2)
+    figure.update_xaxes(title_text="time after the last command [s]", col=2)
+    figure.update_yaxes(title_text="measured less free-running [m/s]", col=2)
+    page(figure, path, 1100, 460)
+
+
+def _left(result: dict[str, Any], grid: Any) -> list[tuple[str, Any]]:
+    """Measured less free-running speed around the end of the thrust, of the runs with more than 25 N."""
     inputs = {i["record"]: i for i in result["inputs"] if i["name"] == "X"}
+    found = []
     for trace in result["traces"]:
         thrust = inputs[trace["record"]]
         pushed = np.array(thrust["t"])[np.array(thrust["value"]) > 25.0]
         if pushed.size:
-            t = np.array(trace["t"]) - pushed[-1]
-            keep = (t > -8) & (t < 20)
-            error = np.array(trace["measured"]) - np.array(trace["model"])
-            right.plot(t[keep], error[keep], lw=0.8, label=trace["record"].removeprefix("surge_rest_"))
-    right.set(xlabel="time after the last command [s]", ylabel="measured less free-running [m/s]")
-    finish(figure, [left, right], "masses.png")
-
-
-def finish(figure: Any, axes: Any, name: str) -> None:
-    for k, at in enumerate(axes):
-        at.grid(alpha=0.3)
-        if k == 0 or name == "masses.png":
-            at.legend(fontsize=8)
-    figure.tight_layout()
-    figure.savefig(HERE / name, dpi=80)
+            t, measured = np.array(trace["t"]) - pushed[-1], np.array(trace["measured"], float)
+            error, known = measured - np.array(trace["model"], float), np.isfinite(measured)
+            found.append((trace["record"], np.interp(grid, t[known], error[known], left=np.nan, right=np.nan)))
+    return found
 
 
 if __name__ == "__main__":
+    results, pictures = Path(sys.argv[1]), Path(sys.argv[2])
     for draw in (curve, prediction, masses):
-        draw(Path(sys.argv[1]))
+        draw(results, pictures / f"{draw.__name__}.html")

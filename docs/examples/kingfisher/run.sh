@@ -1,6 +1,6 @@
 #!/bin/sh
 # The measured Kingfisher through public commands: sh docs/examples/kingfisher/run.sh [OUT], from the repository's top.
-# SEATRIAL_DATA says where the data sets are; seatrial is the one on the PATH. About half a minute of CPU time.
+# SEATRIAL_DATA says where the data sets are; seatrial and python are those on the PATH. About half a minute of CPU time.
 set -eu
 : "${SEATRIAL_DATA:?says where the measured data sets are}"
 here=$(CDPATH= cd -- "$(dirname -- "$0")" && pwd)
@@ -24,3 +24,4 @@ for name in immediate delayed lagged loss cubic both shifted; do
 done
 # shellcheck disable=SC2086
 seatrial ident vehicle logs/surge_*.mcap --model "$here/surge_model.py:both" $curve --out all
+python "$here/figures.py" . .

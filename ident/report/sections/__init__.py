@@ -3,7 +3,18 @@
 from __future__ import annotations
 
 from ident.report.blocks import Canvas, Section
-from ident.report.sections import answer, calibration, errors, navigation, parameters, profiles, residuals, runs, search
+from ident.report.sections import (
+    answer,
+    calibration,
+    errors,
+    information,
+    navigation,
+    parameters,
+    profiles,
+    residuals,
+    runs,
+    search,
+)
 
 
 def opening(canvas: Canvas) -> Section:
@@ -16,6 +27,8 @@ def body(canvas: Canvas) -> list[Section]:
     makers = (
         answer.static_section,
         answer.noise_section,
+        information.parameters_section,
+        information.stretches_section,
         navigation.outages_section,
         navigation.section,
         runs.run_section,

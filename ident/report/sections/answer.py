@@ -100,15 +100,24 @@ def effect_card(effect: Row) -> EffectCard:
         ("Rivals", ", ".join(rivals)),
         ("How sure", how_sure(effect)),
     )
-    share = number(effect, "share")
     return EffectCard(
         text(effect, "title") or text(effect, "name"),
         text(effect, "name"),
         text(effect, "formula"),
         parameters,
         [(label, value) for label, value in facts if value],
-        "" if share is None else wording.percent(share),
+        *_weight(number(effect, "weight")),
     )
+
+
+def _weight(factor: float | None) -> tuple[str, str]:
+    """How much larger the prediction error is without the effect (ident.weight): the figure, and the words after it."""
+    if factor is None:
+        return "", ""
+    if factor >= 2.0:
+        return f"{wording.plain(factor)} times", "as large a prediction error without it"
+    larger = "larger" if factor >= 1.0 else "smaller"
+    return wording.percent(abs(factor - 1.0)), f"{larger} prediction error without it"
 
 
 def how_sure(effect: Row) -> str:
@@ -165,7 +174,7 @@ def static_section(canvas: Canvas) -> Section:
         lead += " Dashed: c1 n|n| + c2 n²."
     unit = wording.bracket(wording.tidy(text(static, "n_unit")))
     along = text(static, "abscissa") or "shaft speed n"
-    figure = drawing.single(traces, f"{along}{unit}", "force [N]", hovermode="closest")
+    figure = drawing.single(traces, f"{along}{unit or ', part of full'}", "force [N]", hovermode="closest")
     title = f"orce against {along.removesuffix(' n')}"
     plot = canvas.plot(figure, 380, f"Steady f{title}")
     return Section("static", f"F{title}", [Grid([plot], 320)], lead)
@@ -178,7 +187,7 @@ def noise_section(canvas: Canvas) -> Section:
     columns = (("channel", ""), ("white noise", "num"), ("random walk", "num"), ("model holds", ""), ("p", "num"))
     plots = [_density(canvas, row) for row in found]
     grid = [Grid([p for p in plots if p], 320)] if any(plots) else []
-    key = "Densities: grey measured, blue the fitted model; a channel that the model does not fit is said so."
+    key = "Power spectral densities: grey measured, blue the fitted model."
     blocks = [Table(columns, lines), *([Prose(key, "quiet"), *grid] if grid else [])] if lines else []
     return Section("noise", "Noise of each channel", blocks)
 
@@ -213,7 +222,19 @@ def _density(canvas: Canvas, row: Row) -> Any:
         return None
     log = {"type": "log", "exponentformat": "power", "nticks": 6}
     square = f"({unit})²" if not unit.isalpha() else f"{unit}²"
-    shown = f"density [{square}/Hz]" if unit else "density [1/Hz]"
-    figure = drawing.single(traces, "frequency [Hz]", shown, xaxis=log, yaxis=log)
     title = wording.named(text(row, "channel"))
-    return canvas.plot(figure, 230, f"Power spectral density of {title}", title)
+    shown = f"{title} [{square}/Hz]" if unit else f"{title} [1/Hz]"
+    figure = drawing.single(traces, "frequency [Hz]", xaxis=_ticks(frequency), yaxis=log | {"automargin": True})
+    return canvas.plot(figure, 230, f"Power spectral density of {title}", shown)
+
+
+def _ticks(frequency: Any) -> dict[str, Any]:
+    """A logarithmic axis with 1, 2 and 5 of each decade where it has few of them, else with its powers of ten."""
+    there = frequency[frequency > 0]
+    if not there.size:
+        return {"type": "log"}
+    low, high = np.log10(there.min()), np.log10(there.max())
+    steps = (1, 2, 5) if high - low < 2.5 else (1,)
+    values = [m * 10.0**k for k in range(int(np.floor(low)), int(np.ceil(high)) + 1) for m in steps]
+    shown = [v for v in values if low <= np.log10(v) <= high]
+    return {"type": "log", "tickvals": shown, "ticktext": [f"{v:g}" for v in shown]}

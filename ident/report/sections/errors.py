@@ -97,7 +97,7 @@ def made_section(canvas: Canvas) -> Section:
     facts = (
         ("Command", text(result, "command")),
         ("seatrial", text(result, "seatrial")),
-        ("Time", text(result, "created").replace("T", " ")),
+        ("Time", wording.moment(text(result, "created"))),
     )
     found = [(label, value) for label, value in facts if value]
     return Section("made", "How it was made", [Facts(found, "made")] if found else [])

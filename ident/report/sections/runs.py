@@ -8,7 +8,7 @@ import numpy as np
 
 from ident.report import drawing, wording
 from ident.report.access import Array, Row, Take, along, array, number, of_take, rows, takes, text, texts
-from ident.report.blocks import Canvas, Cell, Grid, Key, Lines, Section, Table, tabbed
+from ident.report.blocks import Canvas, Cell, Grid, Key, Lines, Prose, Section, Table, tabbed
 
 TIME = "time [s]"
 
@@ -89,7 +89,9 @@ def _channels(canvas: Canvas, take: Take) -> list[Any]:
     if not panels:
         return []
     figure, height = drawing.stacked(panels, TIME)
-    return [Grid([canvas.plot(figure, height, f"Measured and model over time, {take.title}")], 320)]
+    plots = [Grid([canvas.plot(figure, height, f"Measured and model over time, {take.title}")], 320)]
+    cut = "Cut where a band or a curve leaves the frame; a double click shows all of it."
+    return [*plots, Prose(cut, "caption")] if any(panel.y for panel in panels) else plots
 
 
 def _channel(canvas: Canvas, row: Row) -> drawing.Panel | None:
@@ -110,7 +112,28 @@ def _channel(canvas: Canvas, row: Row) -> drawing.Panel | None:
         traces.append(drawing.line(t, before, "before", limit, color=drawing.BEFORE, dash="dash"))
     if model is not None:
         traces.append(drawing.line(t, model, "model", limit))
-    return drawing.Panel(wording.titled(text(row, "channel")) + wording.bracket(unit), traces) if traces else None
+    if not traces:
+        return None
+    edges = [] if model is None or sd is None else [model - drawing.Z95 * sd, model + drawing.Z95 * sd]
+    frame = _frame([measured, model], [before, *edges])
+    title = wording.titled(text(row, "channel")) + wording.bracket(unit)
+    return drawing.Panel(title, traces, {"range": frame} if frame else {})
+
+
+def _frame(shown: list[Array | None], wide: list[Array | None]) -> list[float] | None:
+    """Limits of y where curves that ran away would squeeze what is shown to a line; None where they do not."""
+    least, most = _span(shown)
+    room = 0.5 * (most - least)
+    low, high = _span([*shown, *wide])
+    if not room > 0.0 or (low >= least - 2.0 * room and high <= most + 2.0 * room):
+        return None
+    return [max(low, least - room), min(high, most + room)]
+
+
+def _span(curves: list[Array | None]) -> tuple[float, float]:
+    finite = [curve[np.isfinite(curve)] for curve in curves if curve is not None]
+    every = np.concatenate(finite) if finite else np.empty(0)
+    return (float(every.min()), float(every.max())) if every.size else (np.nan, np.nan)
 
 
 def _one_turn(curves: list[Array | None]) -> list[Array | None]:
@@ -137,7 +160,7 @@ def _track(canvas: Canvas, take: Take) -> list[Any]:
             equal = {"scaleanchor": "x", "scaleratio": 1, "nticks": 7}
             figure = drawing.single(traces, "east [m]", "north [m]", hovermode="closest", yaxis=equal)
             plots.append(canvas.plot(figure, 420, f"Track, {take.title}", "Track, north up"))
-    return [Grid(plots, 320)] if plots else []
+    return [Grid(plots, 320, "narrow" if len(plots) == 1 else "")] if plots else []
 
 
 def _path(row: Row, style: str, limit: int) -> list[drawing.Trace]:

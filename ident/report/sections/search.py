@@ -155,17 +155,20 @@ def _force_panel(canvas: Canvas, row: Row) -> drawing.Panel | None:
 def _shapes(canvas: Canvas) -> list[Any]:
     plots = []
     for row in rows(canvas.result, "shapes"):
-        found = along(row, "grid", "value", "sd")
+        found = along(row, "grid", "value", "band")
         if found is None or found[1][0] is None:
             continue
-        value, sd = found[1][0], found[1][1]
+        scale, y_unit = wording.degrees_for(text(row, "unit"))
+        value, half = scale * found[1][0], None if found[1][1] is None else scale * found[1][1]
         factor, unit = wording.degrees_for(text(row, "variable_unit"))
         x = factor * found[0]
-        traces = [drawing.band(x, value, drawing.Z95 * sd, 600)] if sd is not None else []
+        traces = [drawing.band(x, value, half, 600)] if half is not None else []
         traces.append(drawing.line(x, value, text(row, "force"), 600))
         force, variable = wording.named(text(row, "force")), wording.named(text(row, "variable"))
-        y_title = force + wording.bracket(wording.tidy(text(row, "unit")))
+        if text(row, "force") in ("psi", "r", "ax", "ay"):
+            force = f"error of the {force}"
+        y_title = force + wording.bracket(y_unit)
         figure = drawing.single(traces, variable + wording.bracket(unit), y_title)
         plots.append(canvas.plot(figure, 280, f"{force} over {variable}", f"{force} over {variable}"))
-    note = "a force as a function of one variable, as the data draw it, with 95 % bands"
+    note = "what is unexplained over one variable, as the data draw it; 95 % bands hold the whole curve"
     return [Heading("What the data draw", note), Grid(plots, 320)] if plots else []

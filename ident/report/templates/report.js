@@ -41,8 +41,14 @@
       if (chosen) resize(panel);
     }
   }
+  // at once: Plotly.Plots.resize waits a tenth of a second, and by then the page is printed
   function resize(root) {
-    root.querySelectorAll(".plot[data-drawn]").forEach((place) => place.offsetParent && Plotly.Plots.resize(place));
+    root.querySelectorAll(".plot[data-drawn]").forEach((place) => {
+      if (!place.offsetParent) return;
+      delete place.layout.width;
+      delete place.layout.height;
+      Plotly.relayout(place, { autosize: true });
+    });
   }
   document.querySelectorAll("[role=tablist]").forEach((list) => {
     list.addEventListener("click", (event) => {

@@ -1,0 +1,275 @@
+"""NMEA 2000: heading, rate of turn, attitude and GNSS from a ship's bus -> `Ahrs` and `Gnss`.
+
+What each message holds is canboat's finding (canboat.github.io/canboat/canboat.html); identifiers and addresses are
+ISO 11783-3's. A message longer than a CAN frame goes over the bus as a fast packet: the first byte of each frame
+numbers packet (3 bits) and frame (5 bits), the second byte of the first is the length.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from daq.protocol.canframe import FRAME_BYTES, FrameDecoder
+from daq.samples import NAN, Ahrs, Frame, Gnss
+
+HEADING, TURN, ATTITUDE, VARIATION, COURSE, FIX = 127250, 127251, 127257, 127258, 129026, 129029
+STALE_S = 2.0  # attitude and course go with a heading or a fix for no longer; a sender that is silent is not waited for
+SETTLE_S = 1.2  # who speaks on the bus is heard out for so long: most say everything once a second
+MAGNETIC = 1  # direction reference; 0 is true, 2 an error
+_HEADING = struct.Struct("<xHhhB")  # heading, deviation, variation, reference
+_TURN = struct.Struct("<xi")
+_ATTITUDE = struct.Struct("<xhhh")  # yaw, pitch, roll
+_VARIATION = struct.Struct("<xBHh")  # source, age, variation
+_COURSE = struct.Struct("<xBHH")  # reference, course, speed over ground
+# Date, time, latitude, longitude, altitude, type and method, integrity, satellites, HDOP, PDOP, height of the geoid.
+_FIX = struct.Struct("<xHIqqqBBBhhi")
+_ANGLE, _SPEED, _RATE, _PLACE, _HEIGHT, _TICK = 1e-4, 0.01, 1e-6 / 32.0, 1e-16, 1e-6, 1e-4
+_DAY = 86400.0
+_METHOD = {0: 0, 1: 3, 2: 4, 3: 3, 4: 5, 5: 6, 6: 1, 7: 1, 8: 3}  # -> Gnss.fix
+_PRIORITY = {HEADING: 2, TURN: 2, ATTITUDE: 3, VARIATION: 7, COURSE: 2, FIX: 3}
+
+
+def identifier(pgn: int, source: int) -> int:
+    """The CAN identifier of a message that goes to all."""
+    return _PRIORITY.get(pgn, 6) << 26 | pgn << 8 | source
+
+
+def split_identifier(word: int) -> tuple[int, int]:
+    """PGN and source address of a CAN identifier."""
+    pgn = word >> 8 & 0x3FFFF
+    return (pgn if pgn >> 8 & 0xFF >= 0xF0 else pgn & ~0xFF), word & 0xFF
+
+
+@dataclass
+class _Packet:
+    """A fast packet under way."""
+
+    sequence: int
+    length: int
+    frames: int
+    data: bytearray
+
+
+class Decoder(FrameDecoder):
+    """Headings -> `Ahrs` with the newest pitch and roll; rates of turn -> `Ahrs` of their own; fixes -> `Gnss`.
+
+    Where several on the bus send the same, a true heading goes before a magnetic one, a fix that counts its satellites
+    before one that does not, and a lower address before a higher; the others are heard when that one is silent.
+    Magnetic headings become true ones by the variation that they or the bus say, else by `declination` [rad, east
+    positive]; without any they give no sample, and `remark` says so. A fix takes its velocity from the newest course
+    over ground.
+    """
+
+    def __init__(self, declination: float | None = None, settle: float = SETTLE_S) -> None:
+        """`settle` [s]: no samples of a kind for so long after it was first heard, until it is known who sends it."""
+        super().__init__()
+        self._declination, self._settle = declination, settle
+        self._take_message: dict[int, tuple[int, Callable[[int, bytes, float], list[Frame]]]] = {
+            HEADING: (_HEADING.size, self._heading),
+            TURN: (_TURN.size, self._turn),
+            ATTITUDE: (_ATTITUDE.size, self._attitude),
+            VARIATION: (_VARIATION.size, self._variation),
+            COURSE: (_COURSE.size, self._course),
+            FIX: (_FIX.size, self._fix),
+        }
+        self._forget()
+
+    def _forget(self) -> None:
+        self._packets: dict[int, _Packet] = {}  # of fixes, by source
+        self._leaders: dict[int, tuple[tuple[int, int], float]] = {}  # by PGN: rank and source, when heard
+        self._since: dict[int, float] = {}  # when each PGN was first heard
+        self._level = (NAN, NAN, -math.inf)  # pitch, roll, when
+        self._velocity = (NAN, NAN, -math.inf)  # north, east, when
+        self._bus_variation = NAN
+
+    def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
+        pgn, source = split_identifier(identifier)
+        if not extended or pgn not in self._take_message:
+            return []
+        size, take = self._take_message[pgn]
+        content: bytes | None = data
+        if pgn == FIX:
+            content = self._joined(source, data)
+            if content is None:
+                return []
+        elif len(data) < size:
+            self.unparsed_bytes += FRAME_BYTES
+            return []
+        assert content is not None
+        self.frames += 1
+        return take(source, content, t_rx)
+
+    def _joined(self, source: int, data: bytes) -> bytes | None:
+        """The message that this frame completes; frames of one that is not completed are counted as unparsed."""
+        if len(data) < 2:
+            self._drop(source, 1)
+            return None
+        sequence, number = data[0] >> 5, data[0] & 0x1F
+        packet = self._packets.get(source)
+        if number == 0:
+            self._drop(source)
+            packet = self._packets[source] = _Packet(sequence, data[1], 1, bytearray(data[2:]))
+        elif packet is None or (packet.sequence, packet.frames) != (sequence, number):
+            self._drop(source, 1)
+            return None
+        else:
+            packet.data += data[1:]
+            packet.frames += 1
+        if len(packet.data) < packet.length:
+            return None
+        if packet.length < _FIX.size:
+            self._drop(source)
+            return None
+        del self._packets[source]
+        return bytes(packet.data[: packet.length])
+
+    def _drop(self, source: int, frames: int = 0) -> None:
+        packet = self._packets.pop(source, None)
+        self.unparsed_bytes += FRAME_BYTES * (frames + (packet.frames if packet is not None else 0))
+
+    def _settled(self, pgn: int, t_rx: float) -> bool:
+        return t_rx - self._since.setdefault(pgn, t_rx) >= self._settle
+
+    def _leads(self, pgn: int, rank: int, source: int, t_rx: float) -> bool:
+        leader = self._leaders.get(pgn)
+        if leader is not None and (rank, source) > leader[0] and t_rx - leader[1] <= STALE_S:
+            return False
+        self._leaders[pgn] = (rank, source), t_rx
+        return True
+
+    def _heading(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
+        raw, deviation, variation, reference = _HEADING.unpack_from(data)
+        yaw, magnetic = _unsigned16(raw, _ANGLE), reference & 3 == MAGNETIC
+        if not yaw <= math.tau + _ANGLE or reference & 3 > MAGNETIC:
+            return []
+        settled = self._settled(HEADING, t_rx)
+        if magnetic:
+            east = self._east(_signed16(variation, _ANGLE))
+            if math.isnan(east):
+                if settled and HEADING not in self._leaders:
+                    self.remark = "magnetic headings are left out: the rig has no declination_deg for this device"
+                return []
+            turned = _signed16(deviation, _ANGLE)
+            yaw += east + (0.0 if math.isnan(turned) else turned)
+        if not self._leads(HEADING, int(magnetic), source, t_rx) or not settled:
+            return []
+        self.remark = ""
+        pitch, roll, when = self._level
+        if t_rx - when > STALE_S:
+            pitch = roll = NAN
+        return [Frame(Ahrs(math.remainder(yaw, math.tau), pitch, roll), t_rx, NAN)]
+
+    def _east(self, own: float) -> float:
+        """What turns magnetic into true, rad; NaN where nobody says."""
+        for value in (own, self._bus_variation, self._declination):
+            if value is not None and not math.isnan(value):
+                return value
+        return NAN
+
+    def _turn(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
+        (raw,) = _TURN.unpack_from(data)
+        rate = raw * _RATE if raw < 2**31 - 3 else NAN
+        if math.isnan(rate) or not self._leads(TURN, 0, source, t_rx) or not self._settled(TURN, t_rx):
+            return []
+        return [Frame(Ahrs(NAN, NAN, NAN, r=rate), t_rx, NAN)]
+
+    def _attitude(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
+        _, pitch, roll = (_signed16(raw, _ANGLE) for raw in _ATTITUDE.unpack_from(data))
+        if not math.isnan(pitch + roll) and self._leads(ATTITUDE, 0, source, t_rx):
+            self._level = pitch, roll, t_rx
+        return []
+
+    def _variation(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
+        variation = _signed16(_VARIATION.unpack_from(data)[2], _ANGLE)
+        if not math.isnan(variation) and self._leads(VARIATION, 0, source, t_rx):
+            self._bus_variation = variation
+        return []
+
+    def _course(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
+        reference, raw, knots = _COURSE.unpack_from(data)
+        course, speed = _unsigned16(raw, _ANGLE), _unsigned16(knots, _SPEED)
+        if reference & 3:
+            course += self._east(NAN) if reference & 3 == MAGNETIC else NAN
+        if speed == 0.0 and math.isnan(course):
+            course = 0.0  # at rest there is none, and it does not matter
+        if not math.isnan(course + speed) and self._leads(COURSE, reference & 3, source, t_rx):
+            self._velocity = speed * math.cos(course), speed * math.sin(course), t_rx
+        return []
+
+    def _fix(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
+        day, ticks, lat, lon, alt, method, _, n_sat, hdop, _, _ = _FIX.unpack_from(data)
+        counts = 0 < n_sat < 0xFD  # who passes on the fixes of others often leaves the satellites out
+        if not self._leads(FIX, 0 if counts else 1, source, t_rx) or not self._settled(FIX, t_rx):
+            return []
+        place = lat * _PLACE, lon * _PLACE
+        if not (abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0):
+            place = NAN, NAN
+        utc = day * _DAY + ticks * _TICK if day < 0xFFFD and ticks * _TICK < _DAY + 2.0 else NAN
+        north, east, when = self._velocity
+        if t_rx - when > STALE_S:
+            north = east = NAN
+        sample = Gnss(
+            utc,
+            *place,
+            alt=alt * _HEIGHT if alt < 2**63 - 3 else NAN,  # above the sea: receivers send that of their GGA
+            vel_n=north,
+            vel_e=east,
+            fix=_METHOD.get(method >> 4, 0) if not math.isnan(place[0]) else 0,
+            n_sat=n_sat if n_sat < 0xFD else -1,
+            hdop=_signed16(hdop, 0.01),
+        )
+        return [Frame(sample, t_rx, utc)]
+
+
+def _unsigned16(raw: int, scale: float) -> float:
+    return raw * scale if raw < 0xFFFD else NAN  # the last three values say that there is none
+
+
+def _signed16(raw: int, scale: float) -> float:
+    return raw * scale if raw < 0x7FFD else NAN
+
+
+def encode(sample: Ahrs | Gnss, sid: int = 0, source: int = 35) -> list[tuple[int, bytes]]:
+    """The CAN frames (identifier, data) that say a sample, as a compass or a receiver sends them; `sid` below 253."""
+    if isinstance(sample, Gnss):
+        return _encode_gnss(sample, sid, source)
+    out: list[tuple[int, bytes]] = []
+    if not math.isnan(sample.r):
+        out.append((TURN, struct.pack("<Bi3s", sid, round(sample.r / _RATE), b"\xff" * 3)))
+    if not math.isnan(sample.pitch + sample.roll):
+        angles = (0x7FFF, round(sample.pitch / _ANGLE), round(sample.roll / _ANGLE))
+        out.append((ATTITUDE, struct.pack("<B3hB", sid, *angles, 0xFF)))
+    if not math.isnan(sample.yaw):
+        yaw = round(sample.yaw % math.tau / _ANGLE)
+        out.append((HEADING, struct.pack("<BHhhB", sid, yaw, 0x7FFF, 0x7FFF, 0xFC)))
+    return [(identifier(pgn, source), data) for pgn, data in out]
+
+
+def _encode_gnss(fix: Gnss, sid: int, source: int) -> list[tuple[int, bytes]]:
+    out = []
+    if not math.isnan(fix.vel_n + fix.vel_e):
+        course = round(math.atan2(fix.vel_e, fix.vel_n) % math.tau / _ANGLE)
+        speed = round(math.hypot(fix.vel_n, fix.vel_e) / _SPEED)
+        out.append((identifier(COURSE, source), struct.pack("<BBHHH", sid, 0xFC, course, speed, 0xFFFF)))
+    day, seconds = divmod(fix.utc, _DAY)
+    method = {3: 1, 4: 2, 5: 4, 6: 5, 1: 6}.get(fix.fix, 0)
+    body = struct.pack(
+        "<BHIqqqBBBhhiB", sid, int(day), round(seconds / _TICK),
+        *(round(value / _PLACE) if math.isfinite(value) else 2**63 - 1 for value in (fix.lat, fix.lon)),
+        round(fix.alt / _HEIGHT) if math.isfinite(fix.alt) else 2**63 - 1,
+        method << 4, 0xFC, fix.n_sat if fix.n_sat >= 0 else 0xFF,
+        round(fix.hdop / 0.01) if math.isfinite(fix.hdop) else 0x7FFF, 0x7FFF, 0, 0,
+    )  # fmt: skip
+    return out + fast_packet(FIX, body, sid % 8, source)
+
+
+def fast_packet(pgn: int, body: bytes, sequence: int, source: int = 35) -> list[tuple[int, bytes]]:
+    """The frames of a message of up to 223 bytes; `sequence` is 0 to 7."""
+    pieces = [bytes((len(body),)) + body[:6], *(body[at : at + 7] for at in range(6, len(body), 7))]
+    return [
+        (identifier(pgn, source), bytes((sequence << 5 | number,)) + piece.ljust(7, b"\xff"))
+        for number, piece in enumerate(pieces)
+    ]

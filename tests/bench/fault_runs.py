@@ -1,0 +1,230 @@
+"""One run that fails: the mock boat, the runner in a process of its own, the fault, and what came of it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import multiprocessing
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from daq.log import open_log
+from daq.stop_note import read_note
+from tests.bench.fault_kinds import AFTER_DECISION_S, DISK, Kind, write_files
+from tests.bench.runs import acquisition_of, is_alive, watchdog_of
+
+PATIENCE_S = 20.0
+POLL_S = 0.005
+MEMORY = "/dev/shm"  # a file system in memory, on Linux
+
+
+@dataclass
+class Trial:
+    """What came of one."""
+
+    zero_s: float  # wall, from the fault to the last thruster at zero
+    decided_s: float  # wall, from the decision to it; NaN where the decision is not in the log
+    said: str
+    wrong: list[str] = field(default_factory=list)
+    spoilt: str = ""  # why the run had ended before anything failed: a machine so busy that a deadman struck
+
+    def as_row(self) -> dict[str, Any]:
+        """As JSON can carry it."""
+        return asdict(self)
+
+
+class Boat:
+    """The mock's trace, read as it grows; and when it was struck last."""
+
+    def __init__(self, trace: Path) -> None:
+        self._file = trace.open(encoding="utf-8")
+        self.n: dict[int, float] = {}
+        self.zero_at = self.struck_at = 0.0
+        self.forgiven = 0.0  # wall s, pauses of the mock's own process, which it makes good to its controllers
+
+    def close(self) -> None:
+        """Let go of the trace."""
+        self._file.close()
+
+    def turning(self) -> bool:
+        """Whether any thruster has thrust now."""
+        for line in self._file:
+            row = json.loads(line)
+            self.n[row["node"]] = row["n"]
+            self.zero_at, self.forgiven = row["wall"], row["forgiven"]
+        return any(self.n.values())
+
+
+@dataclass
+class Running:
+    """The processes of one run."""
+
+    folder: Path
+    pid: int
+    acquisition: int
+    watchdog: int
+
+
+def until(condition: Callable[[], bool]) -> bool:
+    """Wait for it; whether it came."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(POLL_S)
+    return True
+
+
+@contextlib.contextmanager
+def mock(folder: Path, kind: Kind, trace: Path) -> Iterator[subprocess.Popen[str]]:
+    """A mock boat for any number of trials of one kind."""
+    command = [sys.executable, "-m", "seatrial", "mock", "boat", "rig.toml", "--trace", str(trace)]
+    command += ["--fault", kind.fault] if kind.fault else []
+    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "ready\n"
+            yield process
+        finally:
+            process.terminate()
+            process.wait(timeout=10)
+
+
+@contextlib.contextmanager
+def small_disk(folder: Path, wanted: bool) -> Iterator[bool]:
+    """A file system of 6 MB; False where this machine does not let us mount one."""
+    if not wanted:
+        yield True
+        return
+    disk = folder / DISK
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=6m", "tmpfs", str(disk)]
+    if subprocess.run(mount, stderr=subprocess.DEVNULL, check=False).returncode:
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
+def trials(kind: Kind, seeds: list[int]) -> Iterator[Trial]:
+    """One trial a seed, with one mock boat; none where this machine does not let us."""
+    # The mock writes its trace from the loop that is measured, and a disk that is busy may hold up a write.
+    memory = MEMORY if os.access(MEMORY, os.W_OK) else None
+    with tempfile.TemporaryDirectory(prefix="seatrial-faults-") as name, tempfile.TemporaryDirectory(dir=memory) as shm:
+        folder, trace = Path(name), Path(shm) / "trace.jsonl"
+        write_files(folder, kind)
+        with (
+            small_disk(folder, kind.full) as there,
+            mock(folder, kind, trace) as devices,
+            contextlib.closing(Boat(trace)) as boat,
+        ):
+            for seed in seeds if there else ():
+                yield trial(kind, folder, devices, boat, seed)
+                time.sleep(max(boat.struck_at + kind.lasts_s + POLL_S - time.monotonic(), 0.0))  # for it to be over
+
+
+def trial(kind: Kind, folder: Path, devices: subprocess.Popen[str], boat: Boat, seed: int) -> Trial:
+    """One run that fails at a moment drawn from `seed`."""
+    log = folder / (DISK if kind.full else "") / f"run-{seed}.mcap"
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["bench.run", "bench.cli", "bench.display", "daq.log", "seatrial"])
+    words = ["mission", "run", "mission.toml", "rig.toml", "-o", str(log), *kind.words]
+    process = context.Process(target=_run, args=(str(folder), words))
+    (folder / "out.txt").write_text("")
+    process.start()
+    assert process.pid is not None
+    try:
+        if not until(lambda: boat.turning() or not process.is_alive()) or not process.is_alive():
+            return _no_trial(f"it never turned: {_last_line(folder)}")
+        running = _processes(folder, process.pid)
+        if running is None:
+            process.join(PATIENCE_S)
+            return _no_trial(f"it was over: {_last_line(folder)}")
+        forgiven = boat.forgiven
+        time.sleep(random.Random(seed).uniform(0.0, 0.3))  # the moment is the point
+        boat.struck_at = begun = time.monotonic()
+        if kind.fault:
+            devices.send_signal(signal.SIGUSR1)
+        elif kind.strike is not None:
+            kind.strike(running)
+        wrong = [] if until(lambda: not boat.turning()) else ["thrust did not end"]
+        if kind.name == "runner hangs":
+            os.kill(process.pid, signal.SIGCONT)
+        process.join(PATIENCE_S)
+        ended = until(lambda: not is_alive(running.acquisition) and not is_alive(running.watchdog))
+        wrong += [] if ended and process.exitcode is not None else ["a process stayed"]
+    finally:
+        if process.is_alive():
+            process.kill()
+            process.join()
+    line = _last_line(folder) if kind.full else ""  # no log can say that its disk is full
+    found = _judged(kind, log, begun, boat, boat.forgiven - forgiven if kind.cut_off else 0.0, [line, *wrong])
+    for path in [*log.parent.glob(f"{log.stem}*"), log.parent / "filler"]:
+        path.unlink(missing_ok=True)
+    return found
+
+
+def _run(folder: str, words: list[str]) -> None:
+    """The runner, in a process that has everything imported."""
+    import seatrial
+
+    os.chdir(folder)
+    os.setsid()
+    sys.stdout = sys.stderr = open("out.txt", "w", encoding="utf-8")  # noqa: SIM115 (for the life of the process)
+    seatrial.main(words)
+
+
+def _no_trial(why: str) -> Trial:
+    return Trial(float("nan"), float("nan"), "", [], why)
+
+
+def _last_line(folder: Path) -> str:
+    lines = (folder / "out.txt").read_text(encoding="utf-8").splitlines()
+    return lines[-1] if lines else ""
+
+
+def _processes(folder: Path, pid: int) -> Running | None:
+    """Those of a run; None where it is on its way out."""
+    try:
+        return Running(folder, pid, acquisition_of(pid), watchdog_of(pid))
+    except ValueError:
+        return None
+
+
+def _judged(kind: Kind, log: Path, begun: float, boat: Boat, forgiven: float, found: list[str]) -> Trial:
+    line, *wrong = found
+    if boat.turning():
+        wrong.append("thrust came back")
+    with open_log(log) as opened:
+        events = opened.events()
+        origin, speed = json.loads(opened.metadata["origin"]), float(opened.metadata["speed"])
+
+    def wall(t: float) -> float:
+        return float(origin[0] + (t - origin[1]) / speed)
+
+    before = [text for t, event, text in events if event == "stop" and wall(t) < begun]
+    if before:
+        return _no_trial(before[0])
+    texts = [text for _, event, text in events if event == "stop"] + [read_note(log), line]
+    said = next((text for text in texts if re.search(kind.says, text)), "")
+    decided = [float(text.split()[0]) for _, event, text in events if event == "decided"]
+    after = boat.zero_at - wall(decided[0]) if decided else float("nan")
+    zero = boat.zero_at - begun - forgiven
+    wrong += [] if said else [f"the log does not say why: {texts}"]
+    if zero > kind.within_s + AFTER_DECISION_S:
+        wrong.append(f"zero after {zero:.3f} s")
+    if after > AFTER_DECISION_S and not kind.cut_off:
+        wrong.append(f"zero {after:.3f} s after the decision")
+    return Trial(zero, after, said, wrong)

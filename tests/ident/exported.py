@@ -1,0 +1,186 @@
+"""Models to export, and what runs an exported model: Python, CasADi, and a C compiler."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from ident.effects import catalogue
+from ident.engine.rowwise import Rowwise
+from ident.export.content import without_nuisance
+from ident.model import Input, Model, Output, Sensor, State, plain_model
+from ident.modelfile import SavedModel
+from ident.models.disturbance import for_diagnosis
+from ident.models.horizontal import horizontal
+from ident.models.surge import surge
+from ident.models.thruster import thruster
+from ident.models.yaw import yaw
+from ident.params import Parameter
+from ident.shapes import unknown_effect
+from tests.ident.carriers import vehicle_for
+
+CLOSE = 1e-12
+# f(x, u, p), h(x, u, p), step(x, u, dt, p)
+Functions = tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any]]
+
+
+def moved(model: Model, seed: int) -> Model:
+    """Random values of the parameters, none where its effect would do nothing."""
+    rng = np.random.default_rng(seed)
+    values = {}
+    for p in model.parameters:
+        away = p.value * rng.uniform(0.8, 1.25) + (3 * p.step * rng.uniform(0.3, 1) if p.value == 0 else 0.0)
+        values[p.name] = float(np.clip(away, *p.bounds))
+    return model.with_values(values)
+
+
+def with_effects(propulsion: Any) -> Model:
+    """The horizontal model with every effect of the catalogue that it takes, and a table of each kind."""
+    model = horizontal(propulsion)
+    for effect in catalogue().values():
+        if model.accepts(effect):
+            model = model + effect
+    for force, variable in (("X", "u"), ("N", "psi"), ("Y", "u, r"), ("X", "t")):
+        model = model + unknown_effect(model, force, variable, (-1.0, 1.5))
+    return model
+
+
+def odd() -> Model:
+    """Names that are no identifiers, or are taken, and every kind of operation."""
+    def f(x: Any, u: Any, p: Any) -> dict[str, Any]:
+        a, lam = x.a, getattr(p, "lambda")
+        wild = np.sign(a) * np.minimum(a * a, 2.0) - np.maximum(np.floor(3 * a), -5.0) + np.arctan2(a, 2.0) / (1 + a)
+        logic = ca.logic_and(a > 0, x.x > 0) + ca.logic_or(a > 0, x.x > 0) + ca.logic_not(a > 0) + (a == 0) + (a != 0)
+        return {"a": lam - (a - (u.N - lam)) + (a <= 0.3) * wild - (-a) / (a * a + 1) - 1 / (2 + a * a),
+                "x": np.sqrt(1 + abs(a)) ** 1.5 + np.hypot(a, x.x) + np.log1p(a * a) + np.tanh(x.x) * np.cosh(0.1 * a),
+                "k1": (a * a + 0.1) ** p.int + np.fmod(a, 0.7) + ca.if_else(a > 0.1, a * a, -a) + logic}
+
+    return plain_model(
+        "odd boat 2!", f=f, h=lambda x, u, p: {"y 1": 2.0, "y~1": x.a * getattr(u, "N~2"), "y-1": u.N},
+        states=(State("a"), State("x"), State("k1")), inputs=(Input("N"), Input("N~2")),
+        sensors=(Sensor("s", (Output("y 1", noise="e"), Output("y~1", noise="e"), Output("y-1", noise="e"))),),
+        parameters=(Parameter("lambda", 0.7, meaning='odd */ /* "name"\nin C'), Parameter("int", 1.3),
+                    Parameter("e", 0.1)))
+
+
+MODELS = {
+    "shaft with every effect": with_effects("shaft"), "force with every effect": with_effects("force"),
+    "general": horizontal("general"), "as fitted": for_diagnosis(horizontal("shaft")) + catalogue()["pendulum"],
+    "thruster": thruster(), "surge": surge("shaft", "both"), "yaw": yaw("both"), "odd": odd(),
+}
+ALONE = {n: vehicle_for(e) + e for n, e in catalogue().items() if "bench" not in e.requires}
+
+
+def saved(model: Model) -> SavedModel:
+    return SavedModel(model, {p.name: 0.1 for p in model.parameters[:2]}, {"u": (-0.5, 1.2), "gone": (0.0, 1.0)}, {
+        "made_by": "seatrial ident vehicle a.mcap\n--x", "created": "2026-05-01", "logs": ["a.mcap sha256:12"]})
+
+
+def points(model: Model, n: int = 12) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(5)
+    x, u = rng.normal(0.0, 0.8, (n, len(model.states))), rng.uniform(-1, 1, (n, len(model.inputs)))
+    x[0], u[0] = 0.0, 0.0
+    return x, u
+
+
+def compare(model: Model, functions: Functions, values: list[float], nuisance: bool) -> None:
+    """Exported functions against CasADi's evaluation of the model, Runge-Kutta written once more."""
+    f, h, step = functions
+    kept = model if nuisance else without_nuisance(model)[0]
+    p = np.array(list(kept.values.values()))
+    rowwise, n = Rowwise(kept), len(kept.states)
+    for x, u in zip(*points(kept), strict=True):
+        def rate(z: np.ndarray, u: np.ndarray = u) -> np.ndarray:
+            return rowwise(z[None], u[None], p)[0, :n]
+
+        both = rowwise(x[None], u[None], p)[0]
+        close(f(x, u, values), both[:n])
+        close(h(x, u, values), both[n:])
+        dt = 0.07
+        k1 = rate(x)
+        k2 = rate(x + dt / 2 * k1)
+        k3 = rate(x + dt / 2 * k2)
+        close(step(x, u, dt, values), x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + dt * k3)))
+
+
+def close(got: Any, wanted: np.ndarray) -> None:
+    np.testing.assert_allclose(np.asarray(got, dtype=float).ravel(), wanted, rtol=CLOSE, atol=CLOSE)
+
+
+def run_python(text: str, folder: Path) -> tuple[Functions, dict[str, Any]]:
+    space: dict[str, Any] = {"__name__": "boat"}
+    exec(compile(text, "boat.py", "exec"), space)
+
+    def named(values: list[float]) -> dict[str, float]:
+        return dict(zip(space["P"], values, strict=True))
+
+    return (lambda x, u, p: space["f"](x.tolist(), u.tolist(), named(p)),
+            lambda x, u, p: space["h"](x.tolist(), u.tolist(), named(p)),
+            lambda x, u, dt, p: space["step"](x.tolist(), u.tolist(), dt, named(p))), space
+
+
+def run_casadi(text: str, folder: Path) -> tuple[Functions, dict[str, Any]]:
+    """As saved and loaded by CasADi itself."""
+    space: dict[str, Any] = {"__name__": "boat"}
+    exec(compile(text, "boat.py", "exec"), space)
+    space["save"](str(folder))
+    f, h, step = (ca.Function.load(str(folder / f"{space[n].name()}.casadi")) for n in ("f", "h", "step"))
+    assert (f.name_in(), f.name_out()) == (["x", "u", "p"], ["dx"])
+    assert step.name_in() == ["x", "u", "dt", "p"]
+    return (f, h, step), space
+
+
+MAIN = """
+#include <stdio.h>
+#include "boat.h"
+int main(void)
+{
+    double x[NAME_NX + 1], u[NAME_NU + 1], p[NAME_NP + 1], dt, out[NAME_NX + NAME_NY];
+    int i, kind;
+    while (scanf("%d", &kind) == 1) {
+        for (i = 0; i < NAME_NX; i++) if (scanf("%lf", &x[i]) != 1) return 1;
+        for (i = 0; i < NAME_NU; i++) if (scanf("%lf", &u[i]) != 1) return 1;
+        for (i = 0; i < NAME_NP; i++) if (scanf("%lf", &p[i]) != 1) return 1;
+        if (scanf("%lf", &dt) != 1) return 1;
+        if (kind == 0) NAME_f(x, u, p, out);
+        if (kind == 1) NAME_h(x, u, p, out);
+        if (kind == 2) { NAME_step(x, u, p, dt, x); for (i = 0; i < NAME_NX; i++) out[i] = x[i]; }
+        for (i = 0; i < (kind == 1 ? NAME_NY : NAME_NX); i++) printf("%.17g ", out[i]);
+        printf("\\n");
+    }
+    for (i = 0; i < NAME_NP; i++) fprintf(stderr, "%.17g ", NAME_parameters[i]);
+    return NAME_state_noise[0] < 0.0 || NAME_output_noise[0] < 0.0;
+}
+"""
+
+
+def compiler() -> str:
+    found = shutil.which("gcc") or shutil.which("cc")
+    if not found:
+        pytest.skip("no C compiler on PATH")
+    return found
+
+
+def run_c(text: str, folder: Path, name: str) -> tuple[Functions, list[float]]:
+    (folder / "boat.h").write_text(text, encoding="utf-8")
+    (folder / "main.c").write_text(MAIN.replace("NAME", name), encoding="utf-8")
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O0"]
+    command = [compiler(), *flags, "main.c", "-o", "boat", "-lm"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+    def call(kind: int, x: Any, u: Any, p: Any, dt: float = 0.0) -> list[float]:
+        line = " ".join([str(kind), *(repr(float(v)) for v in [*x, *u, *p, dt])])
+        ran = subprocess.run([folder / "boat"], input=line, capture_output=True, text=True, check=True)
+        return [float(word) for word in ran.stdout.split()]
+
+    defaults = subprocess.run([folder / "boat"], input="", capture_output=True, text=True, check=True).stderr.split()
+    return (lambda x, u, p: call(0, x, u, p), lambda x, u, p: call(1, x, u, p),
+            lambda x, u, dt, p: call(2, x, u, p, dt)), [float(word) for word in defaults]

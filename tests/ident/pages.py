@@ -1,0 +1,141 @@
+"""Reports for tests: a page of every kind, what a browser would make of one, and a browser."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from ident.report import print_result, write_report
+from ident.report.check_page import write_check_page
+from ident.report.design_page import write_design_page
+from ident.report.figures import Chart, Curve, Drawing, Part, write_figures
+from ident.report.study_page import write_study_page
+from tests.ident import navigation_example, page_examples, report_example, report_example_bench
+
+KINDS = {
+    "diagnosis": report_example.diagnosis,
+    "thruster": report_example_bench.thruster,
+    "noise": report_example_bench.noise,
+    "navigation": navigation_example.navigation,
+}
+HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(2)>\"'&"
+
+
+class Page(HTMLParser):
+    """What a browser would make of a page: elements, their text, and everything it would load."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.scripts: list[tuple[dict[str, str | None], str]] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.words = ""
+        self._inside: str = ""
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        self._inside = tag
+        if tag == "script":
+            self.scripts.append((dict(attrs), ""))
+
+    def handle_endtag(self, tag: str) -> None:
+        self._inside = ""
+
+    def handle_data(self, data: str) -> None:
+        if self._inside == "script":
+            attrs, text = self.scripts[-1]
+            self.scripts[-1] = (attrs, text + data)
+        elif self._inside != "style":
+            self.words += data
+
+    def figures(self) -> dict[str, Any]:
+        found = [text for attrs, text in self.scripts if attrs.get("id") == "figures"]
+        return dict(json.loads(found[0])["figures"])
+
+    def headings(self) -> list[str]:
+        return [str(attrs["id"]) for tag, attrs in self.tags if tag == "section"]
+
+
+def shortened(value: Any) -> Any:
+    """The same result with short lists."""
+    if isinstance(value, dict):
+        return {key: shortened(item) for key, item in value.items()}
+    if isinstance(value, list):
+        rows = bool(value) and isinstance(value[0], dict | list)
+        return [shortened(item) for item in value[:3]] if rows else value[:20]
+    return value
+
+
+def written(result: dict[str, Any], folder: Path) -> str:
+    """The text of a result's page."""
+    write_report(result, folder / "report.html")
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def printed(result: dict[str, Any]) -> str:
+    """What a terminal of 80 columns gets."""
+    console = Console(file=io.StringIO(), width=80, color_system=None)
+    print_result(result, console)
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+def numbers(packed: Any) -> Any:
+    """The values of a figure's array."""
+    return np.frombuffer(base64.b64decode(packed["bdata"]), "<f4") if isinstance(packed, dict) else packed
+
+
+def check(path: Path) -> None:
+    """A preflight with swapped sides and a mission that is run dry."""
+    write_check_page(page_examples.check(), path)
+
+
+def design(path: Path) -> None:
+    """A designed mission."""
+    write_design_page(page_examples.design(), path)
+
+
+def study(path: Path) -> None:
+    """Two studies, of which one has parameters that miss."""
+    write_study_page(page_examples.study(), page_examples.AIMS, path)
+
+
+def figures(path: Path) -> None:
+    """Curves by groups, as the page of the paper's figures has them."""
+    x = np.linspace(1.0, 10.0, 200)
+    charts = [Chart("linear [N]", [Curve("measured", x, x, "measured"), Curve("95 %", x, x - 1, "band", x + 1)]),
+              Chart("logarithmic", [Curve("axis", x, x**2, "axis"), Curve("truth", x, x**3, "truth")], log=True)]
+    drawings = [Drawing("A drawing", "frequency [Hz]", charts, "Its caption.")]
+    write_figures(path, "Figures", "What they show.", "And how.", [Part("one", "One part", drawings)])
+
+
+def _of(make: Callable[[], dict[str, Any]]) -> Callable[[Path], None]:
+    return lambda path: write_report(make(), path)
+
+
+# Every kind of page, as what writes it at a path.
+PAGES: dict[str, Callable[[Path], None]] = {kind: _of(make) for kind, make in KINDS.items()}
+PAGES |= {"check": check, "design": design, "study": study, "figures": figures}
+
+CHROMIUM = next((name for name in ("chromium", "chromium-browser", "google-chrome") if shutil.which(name)), None)
+browser = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on PATH")
+
+
+def chromium(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """Headless Chromium, without a network; its profile is in ``folder``."""
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"]
+    options += [f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=30000"]
+    options += ["--allow-file-access-from-files", "--enable-logging=stderr"]
+    command = [str(CHROMIUM), *options, *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=240, check=True)

@@ -1,0 +1,39 @@
+"""In which order the effects that were found are told."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import pytest
+
+from ident.findings import Refit, Weight
+from ident.model import Effect
+from ident.weight import in_order
+
+
+def chosen(name: str, **more: Any) -> Refit:
+    return Refit(Effect(name, name, {}, **more), cast(Any, None), 100.0, 1, 90.0, 50.0, 5.0)
+
+
+HUMP = chosen("hump", one_of="X(u)")
+MOMENT = chosen("heading-moment", any_of="N(psi)")
+
+
+@pytest.mark.parametrize(
+    ("found", "told"),
+    [
+        # the search took the delay first; without the other the prediction loses more
+        ([(chosen("delay"), 1.02), (chosen("yaw-bias"), 1.4)], ["yaw-bias", "delay"]),
+        ([(chosen("unknown N(u)"), 1.9), (chosen("yaw-bias"), 1.0), (chosen("delay"), 1.1)],
+         ["delay", "yaw-bias", "unknown N(u)"]),
+        ([(HUMP, 1.1), (chosen("unknown X(u)"), 1.2), (chosen("wind"), 3.0)], ["wind", "unknown X(u)", "hump"]),
+        ([(HUMP, 1.1), (chosen("unknown N(u)"), 1.2)], ["hump", "unknown N(u)"]),
+        ([(MOMENT, 1.1), (chosen("unknown N(psi)"), 1.2)], ["heading-moment", "unknown N(psi)"]),
+        ([], []),
+    ],
+)
+def test_what_the_prediction_would_miss_most_comes_first_and_tables_last(
+    found: list[tuple[Refit, float]], told: list[str]
+) -> None:
+    weights = [Weight(c.effect.name, 10.0, error) for c, error in found]
+    assert [w.effect for w in in_order(weights, [c for c, _ in found])] == told

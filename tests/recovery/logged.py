@@ -1,0 +1,49 @@
+"""The user's way: both missions as logs of daq's recorder, then the commands of the tutorial, each a process."""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ident.loading import load_run
+from ident.stage import Run
+from mocks.offline import Recording
+from tests.missions import write_log
+
+ESTIMATION, VALIDATION = "estimation.mcap", "validation.mcap"
+
+
+def write_logs(folder: Path, recordings: Sequence[Recording]) -> list[Run]:
+    """``estimation.mcap`` and ``validation.mcap`` in the folder, and what ident reads from them."""
+    paths = [folder / name for name in (ESTIMATION, VALIDATION)]
+    for path, recording in zip(paths, recordings, strict=True):
+        write_log(path, "boat", recording.readings)
+    return [load_run(path, path.stem).run for path in paths]
+
+
+def diagnosed(folder: Path) -> dict[str, Any]:
+    """result.json of `seatrial ident diagnose` with the model of `seatrial ident vehicle`, and the CPU seconds of the
+    diagnosis. Raises RuntimeError with the command's own line where it fails."""
+    _seatrial(folder, "ident", "vehicle", ESTIMATION, "--validate", VALIDATION, "--out", "vehicle")
+    before = _cpu()
+    _seatrial(folder, "ident", "diagnose", "vehicle/model.toml", ESTIMATION, "--validate", VALIDATION, "--out", "found")
+    result: dict[str, Any] = json.loads((folder / "found" / "result.json").read_text(encoding="utf-8"))
+    return result | {"cpu": _cpu() - before}
+
+
+def _seatrial(folder: Path, *words: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "seatrial", *words], cwd=folder, capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        raise RuntimeError(f"seatrial {' '.join(words[:2])}: {(done.stderr.strip() or 'no message').splitlines()[-1]}")
+
+
+def _cpu() -> float:
+    spent = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return spent.ru_utime + spent.ru_stime
