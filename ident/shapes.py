@@ -14,7 +14,7 @@ from ident.models.unexplained import TIME, readings_of, residuals_of, variables_
 from ident.params import Parameter
 
 Array = NDArray[np.float64]
-N_KNOTS, N_HARMONICS = 7, 3
+N_KNOTS, N_HARMONICS = 9, 3
 
 
 @dataclass(frozen=True)
