@@ -59,11 +59,22 @@ def parts(model: Model, force: str, variable: str) -> tuple[Residual, list[Varia
     return residuals[force], [variables[name] for name in variable.split(", ")]
 
 
+def _terms(of: Sequence[Variable]) -> list[str]:
+    """What each coefficient of a table belongs to, in words."""
+    a = of[0].name
+    if len(of) == 2:
+        b = of[1].name
+        return [f"with {a} {b}", f"with |{a}| {b}", f"with {a} |{b}|"]
+    if of[0].angle:
+        return [f"with {f} {k if k > 1 else ''}{a}" for k in range(1, N_HARMONICS + 1) for f in ("sin", "cos")]
+    return [f"at knot {k} of {a}" for k in range(N_KNOTS)]
+
+
 def unknown_effect(model: Model, force: str, variable: str, span: tuple[float, float]) -> Effect:
     """``force += sum_k t_k basis_k(variable)``, or coefficients of the products of two variables ("u, r")."""
     residual, of = parts(model, force, variable)
-    size = 3 if len(of) == 2 else 2 * N_HARMONICS if of[0].angle else N_KNOTS
-    names = [f"{force}_{variable.replace(', ', '')}_{k}" for k in range(size)]
+    terms_of = _terms(of)
+    names = [f"{force}_{variable.replace(', ', '')}_{k}" for k in range(len(terms_of))]
 
     def add(s: Signals) -> None:
         if len(of) == 2:
@@ -79,11 +90,12 @@ def unknown_effect(model: Model, force: str, variable: str, span: tuple[float, f
         {residual.stage: add},
         parameters=tuple(
             Parameter(
-                n, 0.0, residual.unit, f"{force} at knot {k}", prior=(0.0, residual.scale), step=0.03 * residual.scale
+                n, 0.0, residual.unit, f"{force} {what}", prior=(0.0, residual.scale), step=0.03 * residual.scale
             )
-            for k, n in enumerate(names)
+            for n, what in zip(names, terms_of, strict=True)
         ),
         inputs=(Input("t", "s", "linear"),) if variable == "t" else (),
+        place="sensor" if residual.stage == "output" else "bench" if "bench" in model.provides else "hull",
         formula=f"{force} += g({variable}), a table",
         source="the residual itself",
         experiment=f"runs that vary {variable} slowly over its whole range, with all else held",

@@ -46,12 +46,12 @@ HULL = tuple(
 )
 # What a sensor may get wrong: a compass by the heading and by the motors' currents, the others by what shakes or turns
 READINGS = tuple(
-    Residual(name, unit, f"bias_{name}", scale, f"the reading of {name}", _reader(name), "output", of)
-    for name, unit, scale, of in (
-        ("psi", "rad", 0.1, ("psi", "n_sum", "n_diff")),
-        ("r", "rad/s", 0.05, ("r",)),
-        ("ax", "m/s2", 0.3, ("u", "r")),
-        ("ay", "m/s2", 0.3, ("v", "r")),
+    Residual(name, unit, f"bias_{name}", scale, f"the reading of the {what}", _reader(name), "output", of)
+    for name, what, unit, scale, of in (
+        ("psi", "heading", "rad", 0.1, ("psi", "n_sum", "n_diff")),
+        ("r", "yaw rate", "rad/s", 0.05, ("r",)),
+        ("ax", "surge acceleration", "m/s2", 0.3, ("u", "r")),
+        ("ay", "sway acceleration", "m/s2", 0.3, ("v", "r")),
     )
 )
 MOTION = (
