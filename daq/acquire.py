@@ -161,8 +161,9 @@ class Acquisition:
             return
         self._stopped = True
         try:
-            if not self._gone:
-                self._send({"op": "stop"})
+            with contextlib.suppress(OSError):  # it is ending by itself; whether in good order is seen below
+                if not self._gone:
+                    self._link.send({"op": "stop"})
             self._await(lambda: self._gone, STOP_S, "did not close the log")
         finally:
             self._abandon()
