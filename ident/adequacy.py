@@ -13,6 +13,7 @@ from collections.abc import Collection, Sequence
 
 from ident.findings import Judgement, Refit, Round
 from ident.model import Effect
+from ident.models.unexplained import READINGS
 from ident.score import Score
 
 # What may be left beside a right name: its true form is not exactly ours. In units of 2 ln L after paying for the
@@ -75,7 +76,7 @@ def _worded(score: Score) -> str:
     if " after " in of or " of " in of:
         way, _, variable = of.rpartition(" ")
         return f"that {force} {'swings after' if 'after' in way else 'follows'} {variable}"
-    what = force if force.isupper() or "_" in force else f"the error of {force}"
+    what = f"the error of {force}" if force in {r.name for r in READINGS} else force
     return f"that {what} depends on {of.replace(', ', ' and ')}"
 
 

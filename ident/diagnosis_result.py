@@ -60,6 +60,7 @@ def diagnosis_result(diagnosis: Diagnosis) -> Json:
         "shapes": [
             {
                 "force": s.force,
+                "reading": s.reading,
                 "variable": s.variable,
                 "unit": s.unit,
                 "variable_unit": s.variable_unit,

@@ -14,7 +14,7 @@ from ident.dataset import Record
 from ident.design_task import dynamic_parameters
 from ident.fit import fit
 from ident.information import Stretch, segment_information
-from ident.job_inputs import complete, known_curve
+from ident.job_inputs import completed, known_curve
 from ident.jobs import as_logged
 from ident.loading import Loaded, envelope, load_run
 from ident.model import Model
@@ -48,7 +48,8 @@ def information(
     """
     saved = load_model(model_path)
     names = _names(saved.model, chosen, model_path)
-    loaded = _load(logs, saved.model.source, thruster)
+    curve = known_curve(thruster)
+    loaded = [completed(load_run(path, "judged"), saved.model.source, curve) for path in logs]
     holds = loaded[0].holds
     model = replace(saved.model, inputs=tuple(as_logged(i, holds.get(i.name, "")) for i in saved.model.inputs))
     records = [record(model, one.run, rate) for one in loaded]
@@ -65,16 +66,6 @@ def information(
     write_result(content, out / "result.json")
     write_report(content, out / "report.html")
     return result
-
-
-def _load(logs: Sequence[Path], source: str, thruster: Path | None) -> list[Loaded]:
-    """The logs with what follows from their signals for a model ``source``."""
-    curve, loaded = known_curve(thruster), []
-    for path in logs:
-        one = load_run(path, "judged")
-        found, held = complete(one.run.channels, one.holds, source, curve, path.name)
-        loaded.append(replace(one, run=replace(one.run, channels=found), holds=held))
-    return loaded
 
 
 def _names(model: Model, chosen: Sequence[str], path: Path) -> tuple[str, ...]:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from daq.errors import SeatrialError
 from ident.curve_file import ThrustCurve, load_curve, thrust_channels, total
 from ident.dataset import Channel
+from ident.loading import Loaded
 
 CURVE_INPUTS = ("f_left", "f_right", "X", "X_n")  # what a static curve makes of commands
 
@@ -41,3 +43,9 @@ def complete(
     if "u" not in found and "speed" in found and source.partition(":")[0] == "surge":
         found["u"] = found["speed"]
     return found, held
+
+
+def completed(one: Loaded, source: str, curve: ThrustCurve | None) -> Loaded:
+    """A log with what follows from its signals for a model ``source`` (``complete``)."""
+    found, held = complete(one.run.channels, one.holds, source, curve, one.about["path"])
+    return replace(one, run=replace(one.run, channels=found), holds=held)

@@ -12,12 +12,12 @@ import numpy as np
 from daq.errors import SeatrialError
 from ident import bench_runs
 from ident.agreement import agreement, agreement_part, sentence
-from ident.curve_file import ThrustCurve, load_curve
+from ident.curve_file import load_curve
 from ident.diagnose import diagnose
 from ident.diagnosis_result import diagnosis_result
 from ident.effects import catalogue
 from ident.fit import Fit
-from ident.job_inputs import CURVE_INPUTS, complete, known_curve
+from ident.job_inputs import CURVE_INPUTS, completed, known_curve
 from ident.judged import Judged, calibration_notes, judged_alone
 from ident.loading import Loaded, envelope, load_all
 from ident.model import Input, Model
@@ -116,7 +116,7 @@ def vehicle(
     curve = load_curve(thruster) if thruster is not None else None
     if curve is not None:
         thruster, source = None, "horizontal:force" if source == "auto" else source
-    loaded, unseen = ([_completed(x, source, curve) for x in part] for part in load_all(logs, validate))
+    loaded, unseen = ([completed(x, source, curve) for x in part] for part in load_all(logs, validate))
     model = _with_start(_with_priors(choose_model(source, [*loaded, *unseen]), prior or {}), begin)
     model = with_known(model, loaded[0].rig, thruster, fix)
     sides = check_sides([(x.run.name, x.run.channels) for x in loaded]) if "y_left" in model.values else None
@@ -194,7 +194,7 @@ def diagnosis(
         runs, others = (bench_runs.thruster_runs(part, model, thruster) for part in (loaded, unseen))
     else:
         curve, rate = known_curve(_curve_path(thruster, model_path)), rate or 10.0
-        loaded, unseen = ([_completed(x, saved.model.source, curve) for x in part] for part in (loaded, unseen))
+        loaded, unseen = ([completed(x, saved.model.source, curve) for x in part] for part in (loaded, unseen))
         model = _sensed(_pushed(saved.model, model_path, loaded, unseen), model_path, loaded, unseen)
         runs, others = [x.run for x in loaded], [x.run for x in unseen]
     found = diagnose(
@@ -247,11 +247,6 @@ def _sensed(model: Model, path: Path, loaded: Sequence[Loaded], unseen: Sequence
             f"{loaded[0].about['path']}: none of the sensors of {path} is in the log: {', '.join(lost)}"
         )
     return replace(model, inputs=tuple(as_logged(i, loaded[0].holds.get(i.name, "")) for i in model.inputs))
-
-
-def _completed(one: Loaded, source: str, curve: ThrustCurve | None) -> Loaded:
-    found, holds = complete(one.run.channels, one.holds, source, curve, one.about["path"])
-    return replace(one, run=replace(one.run, channels=found), holds=holds)
 
 
 def _residuals(stage: Stage) -> Json:

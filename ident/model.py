@@ -220,6 +220,12 @@ class Model:
     def free(self) -> tuple[str, ...]:
         return tuple(p.name for p in self.parameters if p.free)
 
+    @property
+    def noises(self) -> frozenset[str]:
+        """Parameters that only set covariances: standard deviations and diffusions."""
+        named = [o.noise for o in self.outputs] + [s.noise for s in self.states] + [s.sd0 for s in self.states]
+        return frozenset(n for n in named if isinstance(n, str))
+
     def replace_parameters(self, *new: Parameter) -> Model:
         by_name = {p.name: p for p in new}
         return replace(self, parameters=tuple(by_name.get(p.name, p) for p in self.parameters))

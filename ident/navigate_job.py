@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import SeatrialError
-from ident.curve_file import ThrustCurve
-from ident.job_inputs import complete, known_curve
+from ident.job_inputs import completed, known_curve
 from ident.jobs import as_logged
 from ident.loading import Loaded, envelope, load_run
 from ident.model import Model
@@ -54,7 +53,7 @@ def run_navigation(
     loaded, parts, tables = [], [], []
     for path in logs:
         say(f"navigating {path.name}")
-        loaded.append(_completed(load_run(path, "navigated", t_from, t_to), saved.model.source, curve))
+        loaded.append(completed(load_run(path, "navigated", t_from, t_to), saved.model.source, curve))
         done, t0 = _navigate(saved.model, loaded[-1], known, smoothed, without_gnss, rate)
         parts.append((done, t0, outages(done)))
         tables.append(_columns(done, t0))
@@ -68,12 +67,6 @@ def run_navigation(
     }
     _write(out, result, dict(zip(names, tables, strict=True)))
     return result
-
-
-def _completed(one: Loaded, source: str, curve: ThrustCurve | None) -> Loaded:
-    """With the thrust that a static curve gives, where the model needs it."""
-    found, held = complete(one.run.channels, one.holds, source, curve, Path(one.about["path"]).name)
-    return replace(one, run=replace(one.run, channels=found), holds=held)
 
 
 def _write(out: Path, result: Json, tables: Mapping[str, Columns]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,12 +53,17 @@ def one_step(model: Model, record: Record, run: FilterRun) -> dict[str, Errors]:
 
 def ten_seconds(model: Model, record: Record, values: Array, run: FilterRun) -> dict[str, Errors]:
     """Errors ten seconds ahead, from the filtered states; the unexplained forces decay."""
+    return ahead(model, record, values, run.x_filt, HORIZON)
+
+
+def ahead(model: Model, record: Record, values: Array, x: Array, seconds: float) -> dict[str, Errors]:
+    """Errors of predictions from the states x (n_rows, n_states) and the inputs, by channel."""
     rows = np.arange(0, record.n_rows, max(THIN, record.n_rows // MOST))
-    ahead = predict_ahead(model, record, values, run.x_filt, seconds=HORIZON, rows=rows)
-    found = {}
-    for j, o in enumerate(model.outputs):
-        found[o.name] = _errors(record.t[ahead.end], wrap(record.y[ahead.end, j] - ahead.y[:, j], o.angle))
-    return {name: e for name, e in found.items() if e.e.size}
+    found = predict_ahead(model, record, values, x, seconds=seconds, rows=rows)
+    t = record.t[found.end]
+    errors = {o.name: _errors(t, wrap(record.y[found.end, j] - found.y[:, j], o.angle))
+              for j, o in enumerate(model.outputs)}
+    return {name: e for name, e in errors.items() if e.e.size}
 
 
 def free_run(
@@ -89,7 +94,7 @@ def free_run(
     return FreeRun(predicted, np.sqrt(np.maximum(variance, 0)), errors)
 
 
-def pooled(parts: list[Mapping[str, Errors]]) -> dict[str, Errors]:
+def pooled(parts: Sequence[Mapping[str, Errors]]) -> dict[str, Errors]:
     """Errors of several records as one, their times one after the other."""
     found: dict[str, Errors] = {}
     for name in dict.fromkeys(n for p in parts for n in p):

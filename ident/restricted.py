@@ -35,8 +35,7 @@ SHARE = 1e-9  # of a scaled eigenvalue: less is no information
 def noise_names(model: Model) -> frozenset[str]:
     """Parameters of the noise alone: its standard deviations and diffusions, and what else no prediction of the mean
     depends on, such as the memory of a disturbance that is nought on average."""
-    named = [o.noise for o in model.outputs] + [s.noise for s in model.states] + [s.sd0 for s in model.states]
-    known = frozenset(n for n in named if isinstance(n, str))
+    known = model.noises
     try:
         return known | _unfelt(model, known)
     except (TypeError, ValueError):  # a model of one's own that takes symbols but no columns

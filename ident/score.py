@@ -234,14 +234,8 @@ def block_index(t: Array, block: float = BLOCK) -> NDArray[np.int64]:
 
 def fitted_names(model: Model, n_records: int) -> list[str]:
     """Names of the fitted dynamic parameters: shared, then ``name@record`` for those per record."""
-    mean = [p for p in model.parameters if p.free and p.name not in noise_names(model)]
+    noise = model.noises  # their score does not mix with that of the mean
+    mean = [p for p in model.parameters if p.free and p.name not in noise]
     return [p.name for p in mean if not p.per_record] + [
         f"{p.name}@{i}" for i in range(n_records) for p in mean if p.per_record
     ]
-
-
-def noise_names(model: Model) -> set[str]:
-    """Parameters that only set covariances: their score does not mix with that of the mean."""
-    named = [s.noise for s in model.states] + [o.noise for o in model.outputs]
-    named += [s.sd0 for s in model.states]
-    return {n for n in named if isinstance(n, str)}

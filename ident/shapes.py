@@ -30,6 +30,7 @@ class Shape:
     band: Array
     unit: str
     variable_unit: str
+    reading: bool = False  # not a force: the error of a sensor
 
 
 def harmonics(z: Any) -> list[Any]:
@@ -132,7 +133,7 @@ def shape(
     band = whole_band(B, P) * sd
     if not of[0].angle:
         band = band + between_knots(np.array([values[name] for name in own]), grid, span)
-    return Shape(force, variable, grid, value, sd, band, residual.unit, of[0].unit)
+    return Shape(force, variable, grid, value, sd, band, residual.unit, of[0].unit, residual.stage == "output")
 
 
 def whole_band(B: Array, P: Array, n: int = 4000) -> float:

@@ -13,20 +13,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ident.dataset import Record
 from ident.engine.jit import quickly
 from ident.findings import Refit, Round, Weight
 from ident.model import Model
 from ident.models.unexplained import residuals_of
-from ident.oe import predict_ahead
-from ident.predict import wrap
+from ident.predict import ahead, pooled
 from ident.stage import ROUGHLY, Stage, make_stage
 
-Array = NDArray[np.float64]
 HORIZON = 0.6  # of the block of the score tests: 3 s for a boat, 1.2 s on the bench
-THIN = 2  # from every second row
 
 
 def weigh(
@@ -95,14 +91,9 @@ def _log_error(stage: Stage) -> float:
     """The mean over channels of the logarithm of the error ``HORIZON`` blocks ahead, without unexplained forces."""
     model = stage.model
     forces = [i for i, s in enumerate(model.states) if s.name in {r.state for r in residuals_of(model)}]
-    errors: dict[str, list[Array]] = {}
+    parts = []
     for v in stage.validation or stage.estimation:
         x = v.run.x_filt.copy()
         x[:, forces] = 0.0
-        rows = np.arange(0, v.record.n_rows, THIN)
-        ahead = predict_ahead(model, v.record, v.values, x, seconds=HORIZON * model.block, rows=rows)
-        for j, o in enumerate(model.outputs):
-            e = wrap(v.record.y[ahead.end, j] - ahead.y[:, j], o.angle)
-            errors.setdefault(o.name, []).append(e[np.isfinite(e)])
-    every = [np.concatenate(parts) for parts in errors.values()]
-    return float(np.mean([0.5 * np.log(np.mean(e**2)) for e in every if e.size]))
+        parts.append(ahead(model, v.record, v.values, x, HORIZON * model.block))
+    return float(np.mean([np.log(e.rms) for e in pooled(parts).values()]))

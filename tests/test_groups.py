@@ -24,7 +24,7 @@ def test_groups_are_by_file() -> None:
 
 def test_a_group_runs_on_one_worker() -> None:
     """Six cheap tests of one group on two workers; without groups both would have some."""
-    pytest.importorskip("xdist")
+    pytest.importorskip("xdist", reason="runs the tests on two workers, which pytest-xdist does")
     words = ["-n", "2", "--dist", "loadgroup", "-v", "-p", "no:cacheprovider", "tests/daq/test_transport.py"]
     done = subprocess.run(
         [sys.executable, "-m", "pytest", *words], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
@@ -35,7 +35,9 @@ def test_a_group_runs_on_one_worker() -> None:
     assert len(set(workers)) == 1
 
 
-OPENS_PORTS = re.compile(r"\bopenpty\(|tests\.daq\.ptys|standin import .*\b(StandIn|until)\b|import mocks\.ports")
+OPENS_PORTS = re.compile(
+    r"\bopenpty\(|tests\.daq\.ptys|tests\.bench\.mock_process|standin import .*\b(StandIn|until)\b|import mocks\.ports"
+)
 
 
 def test_every_test_that_opens_real_ports_is_in_the_group() -> None:

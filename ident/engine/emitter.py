@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from ident.engine import elementary
-from ident.engine.operations import COMPARISONS, FAST, LIBRARY, TEMPLATES, rewritten
+from ident.engine.operations import COMPARISONS, FAST, LIBRARY, STRICT, TEMPLATES, rewritten
 from ident.engine.plan import Gram, Plan, Stage
 
 FRAME = '"frame-pointer"="all"'  # so that LLVM can align the stack for the vectors it keeps there
@@ -182,12 +181,11 @@ class Emitter:
         if code in (ca.OP_DIV, ca.OP_INV):  # by the reciprocal, which is shared, and hoisted if it is constant
             r = self._op("fdiv {F} {T} {0}, {1}", ONE, a[-1])
             return self._apply(ca.OP_MUL, a[0], r) if code == ca.OP_DIV else r
-        if code in (ca.OP_SIN, ca.OP_COS):
-            return elementary.sine(self, a[0], _literal, quarter=int(code == ca.OP_COS))
-        if code == ca.OP_LOG:
-            return elementary.logarithm(self, a[0], _literal)
         if code in rewritten():
-            return self._inline(rewritten()[code], lambda i, j: a[i])[0][0]
+            self.flags = STRICT  # the range reduction of sin and cos relies on the order of its operations
+            result = self._inline(rewritten()[code], lambda i, j: a[i])[0][0]
+            self.flags = FAST
+            return result
         if code in COMPARISONS:
             return self._select(COMPARISONS[code], a[0], a[1], ONE)
         if code == ca.OP_IF_ELSE_ZERO:

@@ -26,7 +26,7 @@ def _templates() -> dict[int, str]:
         ca.OP_NEG: "fneg {T} {0}",
         ca.OP_FMOD: "frem {T} {0}, {1}",
     }
-    one = "sqrt exp fabs floor ceil tan asin acos atan sinh cosh tanh"
+    one = "sqrt exp log fabs floor ceil tan asin acos atan sinh cosh tanh"
     two = "pow constpow copysign atan2 fmin fmax"
     renamed = {"constpow": "pow", "fmin": "minnum", "fmax": "maxnum"}
     for operands, names in (("{0}", one), ("{0}, {T} {1}", two)):
@@ -48,10 +48,31 @@ LIBRARY = {
 def rewritten() -> dict[int, Any]:
     """Operations that are replaced by expressions of others, as functions of x and y."""
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    sine, cosine = _sine_and_cosine(x)
     table = {
+        ca.OP_SIN: sine,
+        ca.OP_COS: cosine,
         ca.OP_SIGN: (x > 0) - (x < 0),
         ca.OP_NOT: x == 0,
         ca.OP_AND: (x != 0) * (y != 0),
         ca.OP_OR: (x != 0) + (y != 0) > 0,
     }
     return {code: ca.Function("f", [x, y], [ca.cse(expression)]) for code, expression in table.items()}
+
+
+def _sine_and_cosine(x: Any) -> tuple[Any, Any]:
+    """Reduction to +-pi/4 in two parts of pi/2 and the polynomials of fdlibm; for |x| below 1e5."""
+    k = ca.floor(x * 0.6366197723675814 + 0.5)
+    r = x - k * 1.5707963267948966 - k * 6.123233995736766e-17
+    z = r * r
+    s = r + r * z * ca.polyval([
+        1.58969099521155010221e-10, -2.50507602534068634195e-08, 2.75573137070700676789e-06,
+        -1.98412698298579493134e-04, 8.33333333332248946124e-03, -1.66666666666666324348e-01], z)
+    c = 1 - z / 2 + z * z * ca.polyval([
+        -1.13596475577881948265e-11, 2.08757232129817482790e-09, -2.75573143513906633035e-07,
+        2.48015872894767294178e-05, -1.38888888888741095749e-03, 4.16666666666666019037e-02], z)
+    odd = k / 2 != ca.floor(k / 2)
+    quarter = k - 4 * ca.floor(k / 4)  # quarter turns, 0 to 3
+    sine = ca.if_else(odd, c, s) * (1 - 2 * (quarter > 1.5))
+    cosine = ca.if_else(odd, s, c) * (1 - 2 * (ca.fabs(quarter - 1.5) < 1))
+    return sine, cosine

@@ -21,6 +21,7 @@ from typing import Any
 from daq.log import open_log
 from daq.stop_note import read_note
 from tests.bench.fault_kinds import AFTER_DECISION_S, DISK, Kind, write_files
+from tests.bench.mock_process import mock_process
 from tests.bench.runs import acquisition_of, is_alive, watchdog_of
 
 PATIENCE_S = 20.0
@@ -85,19 +86,10 @@ def until(condition: Callable[[], bool]) -> bool:
     return True
 
 
-@contextlib.contextmanager
-def mock(folder: Path, kind: Kind, trace: Path) -> Iterator[subprocess.Popen[str]]:
+def mock(folder: Path, kind: Kind, trace: Path) -> contextlib.AbstractContextManager[subprocess.Popen[str]]:
     """A mock boat for any number of trials of one kind."""
-    command = [sys.executable, "-m", "seatrial", "mock", "boat", "rig.toml", "--trace", str(trace)]
-    command += ["--fault", kind.fault] if kind.fault else []
-    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
-        try:
-            assert process.stdout is not None
-            assert process.stdout.readline() == "ready\n"
-            yield process
-        finally:
-            process.terminate()
-            process.wait(timeout=10)
+    fault = ["--fault", kind.fault] if kind.fault else []
+    return mock_process(folder, "boat", "rig.toml", "--trace", str(trace), *fault)
 
 
 @contextlib.contextmanager

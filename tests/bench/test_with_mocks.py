@@ -19,6 +19,7 @@ from bench.demo import write_rig
 from bench.mission import parse_mission
 from daq.log import open_log
 from daq.samples import Command, Esc, LoadCell
+from tests.bench.mock_process import mock_process
 from tests.bench.runs import assert_plan_was_run
 from tests.bench.standin import until
 
@@ -31,15 +32,8 @@ SEATRIAL = [sys.executable, "-m", "seatrial"]
 def mock(folder: Path, kind: str, *words: str, speed: float = SPEED) -> Iterator[subprocess.Popen[str]]:
     """A mock of `kind` in `folder`, ready."""
     write_rig(kind, folder, speed)
-    command = [*SEATRIAL, "mock", kind, f"{kind}-rig.toml", "--seed", "5", "--trace", "trace.jsonl", *words]
-    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
-        try:
-            assert process.stdout is not None
-            assert process.stdout.readline() == "ready\n"
-            yield process
-        finally:
-            process.terminate()
-            process.wait(timeout=10)
+    with mock_process(folder, kind, f"{kind}-rig.toml", "--seed", "5", "--trace", "trace.jsonl", *words) as process:
+        yield process
 
 
 def trace(folder: Path) -> list[dict[str, Any]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.reader import make_reader
@@ -27,10 +28,8 @@ def some_messages(count: int, seed: int) -> list[Message]:
     ]
 
 
-def write_ours(parts: list[list[Message]]) -> bytes:
-    """A file by us, a flush behind each part."""
-    stream = BytesIO()
-    writer = RecordWriter(stream, chunk_bytes=CHUNK_BYTES, profile="ros2", library="seatrial")
+def write(writer: Any, parts: list[list[Message]]) -> None:
+    """The same calls for ours and mcap's own: a flush behind each part."""
     writer.add_metadata("about", {"boat": "medusa", "operator": "Ada"})
     writer.add_attachment(5, 6, "rig.toml", "application/toml", b"name = 1\n")
     schemas = [writer.register_schema(f"test/msg/{name}", "ros2msg", b"float64 x") for name in "AB"]
@@ -41,24 +40,21 @@ def write_ours(parts: list[list[Message]]) -> bytes:
             writer.add_message(*message)
         writer.flush()
     writer.finish()
+
+
+def write_ours(parts: list[list[Message]]) -> bytes:
+    """A file by us."""
+    stream = BytesIO()
+    write(RecordWriter(stream, chunk_bytes=CHUNK_BYTES, profile="ros2", library="seatrial"), parts)
     return stream.getvalue()
 
 
 def write_theirs(parts: list[list[Message]]) -> bytes:
-    """The same calls of mcap's own writer."""
+    """The same by mcap's own writer."""
     stream = BytesIO()
     writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
     writer.start(profile="ros2", library="seatrial")
-    writer.add_metadata("about", {"boat": "medusa", "operator": "Ada"})
-    writer.add_attachment(5, 6, "rig.toml", "application/toml", b"name = 1\n")
-    schemas = [writer.register_schema(f"test/msg/{name}", "ros2msg", b"float64 x") for name in "AB"]
-    for k, topic in enumerate(("/a", "/b", "/c")):
-        writer.register_channel(topic, "cdr", schemas[k % 2], {"unit": "N"})
-    for part in parts:
-        for message in part:
-            writer.add_message(*message)
-        writer.flush()
-    writer.finish()
+    write(writer, parts)
     return stream.getvalue()
 
 

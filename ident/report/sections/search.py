@@ -165,7 +165,7 @@ def _shapes(canvas: Canvas) -> list[Any]:
         traces = [drawing.band(x, value, half, 600)] if half is not None else []
         traces.append(drawing.line(x, value, text(row, "force"), 600))
         force, variable = wording.named(text(row, "force")), wording.named(text(row, "variable"))
-        if text(row, "force") in ("psi", "r", "ax", "ay"):
+        if flag(row, "reading"):
             force = f"error of the {force}"
         y_title = force + wording.bracket(y_unit)
         figure = drawing.single(traces, variable + wording.bracket(unit), y_title)
