@@ -116,12 +116,12 @@ class Graphs:
         if not self.covariance:
             return end, None
         x = ca.SX.sym("x", self.n)
-        A = self.h * ca.substitute(ca.jacobian(self.rate(x, middle, self.p), x), x, x3)
+        A = self.h / 2 * ca.substitute(ca.jacobian(self.rate(x, middle, self.p), x), x, x3)
         identity, A2 = ca.SX.eye(self.n), A @ A
-        Phi = identity + A + A2 / 2 + A @ A2 / 6
-        half = identity + A / 2 + A2 / 8
+        twice = 2 * identity + 2 * A + A2  # the transition from the middle to the end; few factors: they take the time
+        Phi = twice - identity + A2 + 4 / 3 * (A @ A2)
         Q = self.h / 6 * ca.diag(self._diffusion)
-        P = Phi @ (self.P + Q) @ Phi.T + 4 * half @ Q @ half.T + Q
+        P = Phi @ (self.P + Q) @ Phi.T + twice @ Q @ twice.T + Q
         return ca.vertcat(end, pack(P)), Phi
 
     @property

@@ -18,6 +18,10 @@ AVAILABLE = llvm is not None
 OPTIMISE = 1  # of the IR passes; -O2 takes longer and its code is slower
 CODEGEN = 2
 QUICK = 0  # of CODEGEN: a third of the time, and code that runs a third slower
+# Of the instructions in a block. The default asks what the processor could do at once, and in stages of some thousand
+# instructions, which leave the registers full, a tenth more of them then only put values away and fetch them again.
+# An option that LLVM does not know would end the process, so none is given to an LLVM that it was not tried with.
+ORDER = "--pre-RA-sched=fast" if AVAILABLE and llvm.llvm_version_info[0] <= 22 else ""
 DIGEST_BYTES = 32
 LARGEST_CACHE = 400_000_000  # bytes; beyond that what was not used for longest goes
 KEPT = 0.7  # of it
@@ -27,6 +31,8 @@ def _host() -> tuple[str, str, int]:
     """Processor, its features, and how many doubles its vector registers hold."""
     if not AVAILABLE:
         return "", "", 8
+    if ORDER:
+        llvm.set_option("", ORDER)
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     host = llvm.get_host_cpu_features()
@@ -64,7 +70,7 @@ def _codegen() -> int:
 
 def target() -> tuple[Any, ...]:
     """What machine code depends on beside the IR."""
-    return (llvm.llvm_version_info if AVAILABLE else None, CPU, FEATURES, OPTIMISE, CODEGEN)
+    return (llvm.llvm_version_info if AVAILABLE else None, CPU, FEATURES, OPTIMISE, CODEGEN, ORDER)
 
 
 def key_of(ir: str) -> str:

@@ -44,6 +44,10 @@ LIBRARY = {
 }
 
 
+_SLOW = "sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh atanh exp expm1 log log1p erf pow constpow hypot"
+SLOW = frozenset(getattr(ca, "OP_" + name.upper()) for name in _SLOW.split())  # to do again takes longer than to read
+
+
 @cache
 def rewritten() -> dict[int, Any]:
     """Operations that are replaced by expressions of others, as functions of x and y."""
@@ -71,8 +75,8 @@ def _sine_and_cosine(x: Any) -> tuple[Any, Any]:
     c = 1 - z / 2 + z * z * ca.polyval([
         -1.13596475577881948265e-11, 2.08757232129817482790e-09, -2.75573143513906633035e-07,
         2.48015872894767294178e-05, -1.38888888888741095749e-03, 4.16666666666666019037e-02], z)
-    odd = k / 2 != ca.floor(k / 2)
     quarter = k - 4 * ca.floor(k / 4)  # quarter turns, 0 to 3
+    odd = ca.fabs(quarter - 2) == 1
     sine = ca.if_else(odd, c, s) * (1 - 2 * (quarter > 1.5))
     cosine = ca.if_else(odd, s, c) * (1 - 2 * (ca.fabs(quarter - 1.5) < 1))
     return sine, cosine

@@ -18,6 +18,7 @@ import casadi as ca
 
 from ident.engine import jit
 from ident.engine.layout import Layout
+from ident.engine.operations import SLOW
 
 
 @dataclass(frozen=True)
@@ -109,3 +110,32 @@ def split(inputs: Mapping[str, Any], results: Mapping[str, Any], seeds: Mapping[
     first = stage(inputs, dict(zip(results, values, strict=True)) | {name: ca.vertcat(*needed)}, bit)
     second = stage({**seeds, name: ca.vertcat(*symbols)}, dict(zip(tangents, rest, strict=True)), bit)
     return first, second
+
+
+def without_slow(expression: Any, constant: Any, early: Any, late: Any) -> tuple[Any, list[Any], list[Any]]:
+    """The expression (a column) with symbols for the slow operations that depend on ``early`` and not on ``late``;
+    these symbols, and their values. ``constant``: what else the expression depends on."""
+    given = (ca.vertcat(constant, early), late)
+    f = ca.Function("f", given, [ca.densify(ca.cse(expression))])
+    result = ca.SX.zeros(expression.numel())
+    work: dict[int, list[Any]] = {}
+    symbols: list[Any] = []
+    values: list[Any] = []
+    for k in range(f.n_instructions()):
+        code, i, o = f.instruction_id(k), f.instruction_input(k), f.instruction_output(k)
+        if code == ca.OP_OUTPUT:
+            result[o[1]] = work[i[0]][1]
+            continue
+        if code == ca.OP_INPUT:
+            both = [given[i[0]][i[1]]] * 2
+        elif code == ca.OP_CONST:
+            both = [ca.SX(f.instruction_constant(k))] * 2
+        else:  # as it was, and without slow operations
+            make = ca.SX.unary if len(i) == 1 else ca.SX.binary
+            both = [make(code, *[work[j][way] for j in i]) for way in (0, 1)]
+            if code in SLOW and ca.depends_on(both[0], early) and not ca.depends_on(both[0], late):
+                values.append(both[0])
+                symbols.append(ca.SX.sym(f"slow{len(symbols)}"))
+                both[1] = symbols[-1]
+        work[o[0]] = both
+    return result, symbols, values

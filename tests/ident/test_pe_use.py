@@ -9,8 +9,10 @@ from threading import Thread
 import numpy as np
 import pytest
 
+from ident.dataset import Record
 from ident.engine import jit, kernel, programs
-from ident.model import Input
+from ident.model import Input, Output, Sensor, State, plain_model
+from ident.params import Parameter
 from ident.pe import Likelihood
 from tests.ident.toys import turning, turning_record, values_of
 
@@ -90,3 +92,22 @@ def test_columns_are_found_by_name() -> None:
     likelihood, record, v = Likelihood(turning()), turning_record(), values_of(turning())
     other = replace(record, y=record.y[:, [2, 0, 1]], outputs=("second", "psi", "gyro"))
     assert likelihood.value(other, v) == likelihood.value(record, v)
+
+
+@pytest.mark.parametrize("process_noise", [True, False])
+def test_the_gradient_of_a_model_whose_rates_do_not_depend_on_its_state(process_noise: bool) -> None:
+    """Nothing of the state is kept for the adjoint of such a step."""
+    model = plain_model(
+        "integrator", f=lambda x, u, p: {"a": p.k * u.w}, h=lambda x, u, p: {"y": x.a},
+        states=(State("a", noise="q", x0=0.1),), inputs=(Input("w"),),
+        sensors=(Sensor("s", (Output("y", noise="e"),)),),
+        parameters=(Parameter("k", 1.0), Parameter("q", 0.1), Parameter("e", 0.2)))
+    rng = np.random.default_rng(3)
+    w, t = rng.normal(size=(29, 1)), 0.1 * np.arange(29.0)
+    record = Record("record", t, w, w, rng.normal(size=(29, 1)), ("w",), ("y",))
+    likelihood, v = Likelihood(model, process_noise=process_noise), np.array([1.1, 0.1, 0.2])
+    gradient = likelihood.gradient(record, v)[1]
+    for i in range(v.size):
+        d = 1e-5 * np.eye(v.size)[i]
+        wanted = (likelihood.value(record, v + d) - likelihood.value(record, v - d)) / 2e-5
+        assert gradient[i] == pytest.approx(wanted, rel=1e-6, abs=1e-6)
