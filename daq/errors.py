@@ -1,4 +1,4 @@
-"""The errors that a user is meant to read."""
+"""The errors that a user is meant to read, and how a line counts."""
 
 from __future__ import annotations
 
@@ -17,3 +17,8 @@ class SafetyStop(SeatrialError):
     """A safety limit ended the run: the thrusters are at zero and the log so far is kept."""
 
     exit_status = 3
+
+
+def counted(number: int, word: str) -> str:
+    """1 fault, 2 faults."""
+    return f"{number} {word}{'' if number == 1 else 's'}"

@@ -66,17 +66,19 @@ class Path:
         driven = self._driven(rowwise, m, all_values, u) if m else [np.zeros((len(self.x), 0))] * len(scans)
         for tried, values, z in zip(scans, all_values, driven, strict=True):
             x = np.column_stack([self.x, z])
-            base, delta, names = rowwise(x, u, values), [], []
+            base, changes, names = rowwise(x, u, values), [], []
             for j, p in enumerate(effect.parameters):
                 if p.transform == "log" or p.name in tried or (j > 0 and p.value != 0.0):
                     continue  # shapes of the effect, not its size
                 moved = values.copy()
                 moved[len(self.values) + j] += p.step
                 change = (rowwise(x, u, moved) - base) / p.step
-                delta.append(np.delete(change, np.s_[n : n + m], axis=1))
+                changes.append(np.delete(change, np.s_[n : n + m], axis=1) if m else change)
                 names.append(p.name)
             own = all(p.per_record for p in effect.parameters)
-            yield Columns(effect.name, np.stack(delta, axis=2), tuple(names), tried, False, effect.one_sided, own)
+            touched = np.flatnonzero(np.any([c.any(axis=0) for c in changes], axis=0))
+            delta = np.stack([c[:, touched] for c in changes], axis=2)
+            yield Columns(effect.name, delta, tuple(names), tried, False, effect.one_sided, own, touched)
 
     def _driven(self, rowwise: Rowwise, m: int, all_values: list[Array], u: Array) -> list[Array]:
         """An effect's own m states, driven along the path while it is at zero (linear, constant coefficients);
@@ -100,11 +102,13 @@ class Path:
         table = generic_features(self.model, self.own, self.x, among, self.values)
         for residual in (*residuals_of(self.model), *readings_of(self.model)):
             direction = self.state(residual.state)
+            touched = np.flatnonzero(direction.any(axis=0))
+            direction = direction[:, touched]
             for name, feature in table.items():
                 if residual.of and name not in residual.of:
                     continue
                 delta = direction[:, :, None] * feature[:, None, :]
-                yield Columns(f"{residual.name}({name})", delta, generic=True)
+                yield Columns(f"{residual.name}({name})", delta, generic=True, touched=touched)
         for name, effect in past_effects(self.model).items():
             for columns in self.effect(effect):
                 yield replace(columns, name=name, generic=True)

@@ -22,8 +22,9 @@ from ident.mission_file import mission_text, write_new
 from ident.model import Model
 from ident.modelfile import SavedModel, load_model
 from ident.models import make_model
-from ident.outcome import Json, said, write_result
+from ident.outcome import Json, plain, said, write_result
 from ident.report.design_page import write_design_page
+from ident.report.wording import tidy
 from ident.rivals import Rival, Robustness, monte_carlo, rivals
 
 Array = NDArray[np.float64]
@@ -89,7 +90,7 @@ def make_design(source: str, wish: Wish, out: Path, command: str, say: Say) -> J
                         n_max=wish.n_max, slew=wish.slew, made_by=command, seed=wish.seed, predicted=made.predicted,
                         before=made.before, model=source, track=track)
     write_new(out, text)
-    write_result(result, beside[".json"])
+    write_result(plain(result), beside[".json"])
     write_design_page(result, beside[".html"])
     return result
 
@@ -220,7 +221,7 @@ def _answer(made: Design, result: Json) -> str:
     rows = [r for r in result["parameters"] if r["chosen"]]
     for row in rows[:NAMED]:
         share = abs(row["after"] / row["value"]) if row["value"] else np.inf
-        parts.append(f"{row['name']} ±{said(row['after'])} {row['unit']}"
+        parts.append(f"{row['name']} ±{said(row['after'])} {tidy(row['unit'])}"
                      + (f" ({100 * share:.2g} %)" if share < 1 else ""))
     more = f", and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
     return f"After this mission of {made.task.steps.duration:g} s a fit should know {', '.join(parts)}{more}"
@@ -231,7 +232,8 @@ def summary(result: Json) -> Sequence[str]:
     lines = [result["answer"], ""]
     for row in result["parameters"]:
         before = f"{row['before']:.3g}" if np.isfinite(row["before"]) else "–"
-        lines.append(f"  {row['name']:<8} {row['value']:10.4g} {row['unit']:<8} ± {before:>8} -> {row['after']:.3g}"
+        unit = tidy(row["unit"])
+        lines.append(f"  {row['name']:<8} {row['value']:10.4g} {unit:<8} ± {before:>8} -> {row['after']:.3g}"
                      f"   ({result['rival']}: {row['rival']:.3g})")
     best = max(r["value"] for r in result["rivals"])
     lines.append("")

@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.errors import counted
 from ident.adequacy import judge
 from ident.candidates import Path, all_columns, variables
 from ident.dataset import Record
@@ -87,7 +88,7 @@ def diagnose(
     records = [make_record(everything, r, rate) for r in estimation]
     unseen = [make_record(everything, r, rate) for r in validation]
     full = without_absent_sensors(full, records + unseen)
-    progress(f"fitting {full.name} with unexplained forces to {len(records)} run(s)")
+    progress(f"fitting {full.name} with unexplained forces to {counted(len(records), 'run')}")
     before = current = nominal_stage(full, records, unseen)
     size, known = size_of(before.fit.model), catalogue()
     # the users' own effects have the priors that they gave them

@@ -35,10 +35,10 @@ class Fit:
     NaN for parameters at a bound or not informed, which ``flags`` names; limits (n,): of a parameter at its bound,
     the far end of its 95 % interval, NaN for all others; covariance, correlation (n, n);
     prior_weight (n,): the part of a parameter's information that its prior gave (1: the data said nothing);
-    robust_errors (n,): from the sandwich covariance, valid when the residuals are coloured; record_values
-    (n_records, n_parameters): over ``model.parameters`` in order. The log-likelihood is the largest, also where the
-    noise was then restricted; the log-posterior leaves out the constants of the priors. ``gain_left``: what one more
-    step would gain.
+    robust_errors (n,): from the sandwich covariance, valid when the residuals are coloured, NaN where they
+    were not asked for; record_values (n_records, n_parameters): over ``model.parameters`` in order. The log-likelihood
+    is the largest, also where the noise was then restricted; the log-posterior leaves out the constants of the priors.
+    ``gain_left``: what one more step would gain.
     """
 
     model: Model
@@ -206,6 +206,7 @@ def fit(
     restricted: bool = False,
     max_iterations: int = 60,
     tolerance: float = TOLERANCE,
+    coloured: bool = True,
     progress: Progress | None = None,
     threads: int = 2,
 ) -> Fit:
@@ -214,8 +215,9 @@ def fit(
     method: prediction error (extended Kalman filter), or output error (no process noise). start: values to begin
     with instead of the model's. robust: allow outliers in all sensors (``ident.robust`` allows them in some).
     restricted: estimate noise without the bias that the dynamics give it (``ident.restricted``; not in output error).
-    tolerance: gain in log-likelihood below which the search ends. progress: called with the iteration and the
-    log-posterior. Raises ValueError, naming the record, where a record does not fit the model or cannot be evaluated.
+    tolerance: gain in log-likelihood below which the search ends. coloured: work out ``robust_errors``. progress:
+    called with the iteration and the log-posterior. Raises ValueError, naming the record, where a record does not fit
+    the model or cannot be evaluated.
     """
     began = time.process_time()
     if not records:
@@ -234,8 +236,10 @@ def fit(
     prior_part = -0.5 * float(weight @ (optimum.z - mean) ** 2)
     optimum = restrict(problem, optimum) if restricted and method == "pe" else optimum
     known = assess(optimum.at, optimum.z, problem.bounds, problem.names, problem.slopes(optimum.z), weight)
-    coloured = sandwich(known, problem.by_row(optimum.z), problem.slopes(optimum.z))
-    return _report(problem, optimum, known, coloured, method, prior_part, time.process_time() - began)
+    robust_errors = np.full(optimum.z.size, np.nan)
+    if coloured:
+        robust_errors = sandwich(known, problem.by_row(optimum.z), problem.slopes(optimum.z))
+    return _report(problem, optimum, known, robust_errors, method, prior_part, time.process_time() - began)
 
 
 def _with_outliers(model: Model, records: Sequence[Record], method: Literal["pe", "oe"], max_iterations: int,

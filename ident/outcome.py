@@ -141,13 +141,13 @@ def said(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:#.2g}".rstrip(".")
 
 
-def write_result(result: Json, path: Path) -> None:
-    """NaN and infinities become null: JSON has no others."""
-    path.write_text(json.dumps(plain(result), separators=(",", ":"), allow_nan=False), encoding="utf-8")
+def write_result(content: Json, path: Path) -> None:
+    """``content``: as of ``plain``."""
+    path.write_text(json.dumps(content, separators=(",", ":"), allow_nan=False), encoding="utf-8")
 
 
 def plain(value: Any) -> Any:
-    """Arrays to lists, NaN to null; numbers keep seven significant digits."""
+    """Arrays to lists, NaN and infinities to null, JSON having no others; numbers keep seven significant digits."""
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, np.ndarray):

@@ -147,6 +147,15 @@ class Likelihood:
             value = float(done["ll"][0])
         return Scores(value, dll.sum(axis=0), information, dll if by_row else None)
 
+    def value_by_row(self, record: Record, values: Array) -> Array:
+        """What each row adds to the log-likelihood (n_rows,), by the machine code that a search has used already."""
+        data, start = self._start(record, values)
+        kernel = self._programs.tangent
+        with self._arenas.borrow() as arena:
+            given = {**_inputs(kernel, data), "p": _own(values), "s": start.s}
+            done = kernel(data.n_rows, data.mask, given, arena=arena, per_row={"ll"})
+            return done["ll"][:, 0].copy()
+
     def filter(self, record: Record, values: Array) -> FilterRun:
         """Everything the filter knew."""
         if not self.process_noise:

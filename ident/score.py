@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,13 +24,16 @@ from ident.pe import FilterRun
 
 Array = NDArray[np.float64]
 BLOCK = 5.0  # s
-WIDTH = 40  # columns that are carried through the filter at once: what the processor keeps at hand
+WIDTH, LENGTH = 96, 256  # columns and rows that are carried through the filter at once: as the processor has at hand
 
 
 @dataclass(frozen=True)
 class Columns:
-    """A candidate's small changes along one record: d(rates, outputs) per unit of each of its parameters,
-    (n_rows, n_states + n_outputs, n_parameters), zero for what it does not touch."""
+    """A candidate's small changes along one record: d(rates, outputs) per unit of each of its parameters.
+
+    delta (n_rows, n_touched, n_parameters) of those of the model's rates and then outputs that it touches;
+    touched (n_touched,): which these are, in order, None: all.
+    """
 
     name: str
     delta: Array
@@ -38,6 +42,7 @@ class Columns:
     generic: bool = False
     one_sided: bool = False
     per_record: bool = False  # each record has these parameters for itself
+    touched: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True)
@@ -126,33 +131,56 @@ class Carrier:
     """
 
     def __init__(self, run: FilterRun, record: Record, jacobian: Array) -> None:
-        self.run, self.h = run, record.h
+        self.half = np.asarray(record.h / 2)[:, None, None]
         self.seen = np.isfinite(record.y) & ~run.outliers
         self.H = np.where(self.seen[:, :, None], jacobian, 0.0)
         cross = run.P_pred @ self.H.swapaxes(1, 2)
         S = self.H @ cross
         each = np.arange(S.shape[1])
         S[:, each, each] += np.where(self.seen, run.R, 1.0)  # what was not measured stands apart, with a gain of nought
-        self.gain = np.linalg.solve(S, cross.swapaxes(1, 2)).swapaxes(1, 2)
+        gain = np.linalg.solve(S, cross.swapaxes(1, 2)).swapaxes(1, 2)
+        self.Phi = np.where(self.half > 0, run.Phi, np.eye(cross.shape[1]))
+        self.Phi_gain = self.Phi @ gain
+        self.transition = self.Phi - self.Phi_gain @ self.H  # from one prediction to the next
         self.whiten = np.linalg.inv(np.linalg.cholesky(S))
         self.e = (self.whiten @ np.where(self.seen, run.e, 0.0)[:, :, None])[self.seen][:, 0]
         self.t = np.repeat(record.t, self.seen.sum(axis=1))
 
-    def __call__(self, delta: Array) -> Array:
-        """Whitened sensitivities of the innovations (n_samples, n_columns) to delta (n_rows, n_states + n_outputs,
-        n_columns)."""
-        n_states, h, H = self.run.x_pred.shape[1], self.h, self.H
-        change = -np.where(self.seen[:, :, None], delta[:, n_states:], 0.0)
-        dx = np.zeros((n_states, delta.shape[2]))
-        half = h / 2
-        measured: NDArray[np.bool_] = np.asarray(self.seen.any(axis=1))
-        for k in range(h.size):
-            if measured[k]:
-                change[k] -= H[k] @ dx
-                dx = dx + self.gain[k] @ change[k]
-            if h[k] > 0:
-                dx = self.run.Phi[k] @ (dx + half[k] * delta[k, :n_states]) + half[k] * delta[k + 1, :n_states]
-        return np.asarray((self.whiten @ change)[self.seen])
+    def __call__(self, columns: Sequence[Columns]) -> Array:
+        """Whitened sensitivities of the innovations (n_samples, n_columns), of all the candidates' parameters."""
+        delta, touched = self._together(columns)
+        n_rows, n_states, n_outputs = len(delta), self.Phi.shape[1], self.H.shape[1]
+        rates, outputs = touched < n_states, touched[touched >= n_states] - n_states
+        read = np.where(self.seen[:, outputs, None], delta[:, ~rates], 0.0)
+        delta = delta[:, rates]
+        found, dx = [], np.zeros((LENGTH + 1, n_states, delta.shape[2]))
+        for first, last in pairwise([*range(0, n_rows, LENGTH), n_rows]):
+            rows, n = slice(first, last), last - first
+            drive = self.Phi[rows][:, :, touched[rates]] @ (self.half[rows] * delta[rows])
+            drive -= self.Phi_gain[rows][:, :, outputs] @ read[rows]
+            end = delta[first + 1 : last + 1]  # the record's last row leads nowhere
+            drive[: len(end), touched[rates]] += self.half[rows][: len(end)] * end
+            for k, A in enumerate(self.transition[rows]):
+                np.matmul(A, dx[k], out=dx[k + 1])
+                dx[k + 1] += drive[k]
+            change = np.zeros((n, n_outputs, delta.shape[2]))
+            change[:, outputs] = -read[rows]
+            change -= self.H[rows] @ dx[:n]
+            found.append((self.whiten[rows] @ change)[self.seen[rows]])
+            dx[0] = dx[n]
+        return np.concatenate(found)
+
+    def _together(self, columns: Sequence[Columns]) -> tuple[Array, NDArray[np.int64]]:
+        """The candidates' changes side by side (n_rows, n_touched, n_columns), and what they touch between them."""
+        every = np.arange(self.Phi.shape[1] + self.H.shape[1])
+        each = [every if c.touched is None else c.touched for c in columns]
+        touched = np.unique(np.concatenate(each))
+        widths = [c.delta.shape[2] for c in columns]
+        delta, first = np.zeros((len(self.H), touched.size, sum(widths))), 0
+        for c, own, width in zip(columns, each, widths, strict=True):
+            delta[:, np.searchsorted(touched, own), first : first + width] = c.delta
+            first += width
+        return delta, touched
 
 
 def carry(
@@ -165,15 +193,15 @@ def carry(
     """
     carried = Carrier(run, record, jacobian)
     parts, slim = [], []
-    waiting, width = [fitted], fitted.shape[2]
+    waiting, width = [Columns("fitted", fitted)], fitted.shape[2]
     for c in columns:
         if width >= WIDTH:
-            parts.append(carried(np.concatenate(waiting, axis=2)))
+            parts.append(carried(waiting))
             waiting, width = [], 0
-        waiting.append(c.delta)
+        waiting.append(c)
         width += c.delta.shape[2]
         slim.append(replace(c, delta=c.delta[:0].copy()))
-    parts.append(carried(np.concatenate(waiting, axis=2)))
+    parts.append(carried(waiting))
     return np.concatenate(parts, axis=1), carried.e, carried.t, slim
 
 

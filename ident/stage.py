@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.errors import counted
 from ident.dataset import Channel, Record, build_record
 from ident.fit import TOLERANCE, Fit, fit
 from ident.model import Effect, Model
@@ -40,11 +41,20 @@ class Run:
 
 @dataclass(frozen=True)
 class View:
-    """A fitted model on one record: the filter's account of it and, once asked for, the smoother's."""
+    """A fitted model on one record: once asked for, the filter's account of it and the smoother's."""
 
+    model: Model
     record: Record
     values: Array
-    run: FilterRun
+
+    @cached_property
+    def run(self) -> FilterRun:
+        return Likelihood(self.model).filter(self.record, self.values)
+
+    @cached_property
+    def ll(self) -> Array:
+        """What each row adds to ln L (n_rows,): of most candidates nothing else is ever asked."""
+        return Likelihood(self.model).value_by_row(self.record, self.values)
 
     @cached_property
     def smoothed(self) -> Smoothed:
@@ -69,24 +79,33 @@ def first_stage(
     *,
     rate: float = 10.0,
     robust: bool = False,
+    restricted: bool = False,
     progress: Progress = lambda line: None,
 ) -> Stage:
     """The model fitted as it is, with unexplained forces and sensor offsets as states; no search. ``robust``: with
-    outliers allowed in all sensors."""
+    outliers allowed in all sensors; ``restricted``: noise by restricted likelihood (``ident.restricted``)."""
     full = nominal(model)
     records = [record(full, r, rate) for r in estimation]
     unseen = [record(full, r, rate) for r in validation]
-    progress(f"fitting {full.name} to {len(records)} run(s)")
-    return nominal_stage(without_absent_sensors(full, records + unseen), records, unseen, robust=robust)
+    progress(f"fitting {full.name} to {counted(len(records), 'run')}")
+    full = without_absent_sensors(full, records + unseen)
+    return nominal_stage(full, records, unseen, robust=robust, restricted=restricted)
 
 
-def nominal_stage(full: Model, records: Sequence[Record], unseen: Sequence[Record], *, robust: bool = False) -> Stage:
+def nominal_stage(
+    full: Model,
+    records: Sequence[Record],
+    unseen: Sequence[Record],
+    *,
+    robust: bool = False,
+    restricted: bool = False,
+) -> Stage:
     """The model of ``nominal`` fitted; once more where the boat turns out to be of another size than its start said."""
-    stage = make_stage(full, records, unseen, robust=robust)
+    stage = make_stage(full, records, unseen, robust=robust, restricted=restricted)
     assumed, found = size_of(full), size_of(stage.fit.model)
     if all(1 / OTHER_SIZE < b / a < OTHER_SIZE for a, b in zip(astuple(assumed), astuple(found), strict=True)):
         return stage
-    return make_stage(resized(full, found), records, unseen, robust=robust)
+    return make_stage(resized(full, found), records, unseen, robust=robust, restricted=restricted)
 
 
 def make_stage(
@@ -95,10 +114,19 @@ def make_stage(
     unseen: Sequence[Record],
     *,
     robust: bool = False,
+    restricted: bool = False,
     tolerance: float = TOLERANCE,
 ) -> Stage:
-    """Fit to the records; on the unseen ones adapt only what each record has for itself."""
-    fitted = fit(revived(model, records), [r.for_model(model) for r in records], robust=robust, tolerance=tolerance)
+    """Fit to the records; on the unseen ones adapt only what each record has for itself. Errors that hold for coloured
+    residuals go only with a fit to the full ``tolerance``."""
+    fitted = fit(
+        revived(model, records),
+        [r.for_model(model) for r in records],
+        robust=robust,
+        restricted=restricted,
+        tolerance=tolerance,
+        coloured=tolerance <= TOLERANCE,
+    )
     model = with_outliers(model) if robust else model
     own = [p.name for p in fitted.model.parameters if p.free and p.per_record]
     views = tuple(_view(fitted.model, r, fitted.record_values[i]) for i, r in enumerate(records))
@@ -107,7 +135,8 @@ def make_stage(
     if not own:
         values = fitted.record_values[0]
         return Stage(model, fitted, views, tuple(_view(fitted.model, r, values) for r in unseen))
-    adapted = fit(fitted.model.with_free(own), [r.for_model(model) for r in unseen], tolerance=tolerance)
+    others = [r.for_model(model) for r in unseen]
+    adapted = fit(fitted.model.with_free(own), others, tolerance=tolerance, coloured=False)
     judged = [_view(adapted.model, r, adapted.record_values[i]) for i, r in enumerate(unseen)]
     return Stage(model, fitted, views, tuple(judged))
 
@@ -129,9 +158,7 @@ def revived(model: Model, records: Sequence[Record]) -> Model:
 
 
 def _view(model: Model, record: Record, values: Array) -> View:
-    own = record.for_model(model)
-    run = Likelihood(model).filter(own, values)
-    return View(own, values, run)
+    return View(model, record.for_model(model), values)
 
 
 def outliers(stage: Stage) -> list[str]:
@@ -150,7 +177,7 @@ def validation_gain(before: Stage, after: Stage) -> tuple[float, float]:
     gains = []
     for a, b in zip(before.validation, after.validation, strict=True):
         block = np.floor(a.record.t / (2 * before.model.block)).astype(int)
-        gains.append(np.bincount(block, b.run.ll - a.run.ll))
+        gains.append(np.bincount(block, b.ll - a.ll))
     if not gains:
         return 0.0, 0.0
     per_block: Array = np.concatenate(gains).astype(np.float64)

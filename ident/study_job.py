@@ -14,7 +14,7 @@ from typing import Any
 import joblib
 
 from daq.errors import SeatrialError
-from ident.outcome import Json, write_result
+from ident.outcome import Json, plain, write_result
 from ident.study import APART, BIAS, COVERAGE, VARIANCE, Case, Judged, Method, Row, counts, judge, replicates
 from ident.study_cases import make_case
 
@@ -96,7 +96,7 @@ def run_studies(
         "seed": seed,
         "studies": parts,
     }
-    write_result(result, out / "result.json")
+    write_result(plain(result), out / "result.json")
     (out / "study.md").write_text(page(result), encoding="utf-8")
     return result
 

@@ -6,16 +6,15 @@ Each trial runs a mission on the mock boat behind real ports, waits until it tur
 moment, and looks at when the thrusters stood (the mock's own trace) and at what the log says. Prints a table; exit
 status 1 when one trial was not as it has to be. With --out the trials are kept, one line of JSON each, and what is
 there is not run again; --docs prints the table of docs/safety.md. Jobs wait most of the time, but their deadlines are
-real: more of them than the machine has idle cores measure the machine.
+real: more of them than the machine has idle cores measure the machine. What is judged, and the mock that measures, get
+ahead of other programs by themselves; what only begins or ends does not, or two jobs would hold up each other.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import math
-import os
 import signal
 import sys
 import threading
@@ -25,7 +24,6 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.priority import REAL_TIME
 from tests.bench.fault_kinds import AFTER_DECISION_S, KINDS, Kind
 from tests.bench.fault_runs import Trial, trials
 
@@ -158,10 +156,6 @@ def main() -> None:
     options = parser.parse_args()
     kinds = [kind for kind in KINDS if any(part in kind.name for part in options.only)]
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    # What is judged gets in front by itself as soon as it runs. Who measures must not be late either, nor what is only
-    # beginning take minutes on a busy machine: in front of others, but behind what runs already.
-    with contextlib.suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(REAL_TIME - 1))
     store = Store(options.out)
     try:
         run_all(kinds, options.n, options.seed, options.jobs, store, lambda s: print(s, file=sys.stderr, flush=True))

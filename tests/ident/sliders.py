@@ -99,10 +99,19 @@ def scores_at(fitted: Fit, record: Record, effects: list[Effect]) -> list[Score]
 
 def scores_of_columns(path: Path, run: object, fitted: list[np.ndarray], columns: list[Columns]) -> list[Score]:
     """Scores of given columns with the fitted parameters' columns (n_rows, n_states + n_outputs) projected out."""
-    delta = np.concatenate([np.stack(fitted, 2)] + [c.delta for c in columns], axis=2)
-    normal = Normal([str(k) for k in range(delta.shape[2])])
+    own = np.stack(fitted, 2)
     carrier = Carrier(run, path.own, path.jacobian)  # type: ignore[arg-type]
-    g, e, t = carrier(delta), carrier.e, carrier.t
-    normal.add(range(delta.shape[2]), g, e, block_index(t))
+    g, e, t = carrier([Columns("fitted", own), *columns]), carrier.e, carrier.t
+    normal = Normal([str(k) for k in range(g.shape[1])])
+    normal.add(range(g.shape[1]), g, e, block_index(t))
     placed, _ = place(columns, len(fitted), 1)
     return score_tests(normal, len(fitted), np.zeros(len(fitted)), placed)
+
+
+def whole(path: Path, columns: Columns) -> np.ndarray:
+    """All rates and outputs (n_rows, n_states + n_outputs, n_parameters), what a candidate leaves alone too."""
+    assert columns.touched is not None
+    n, m = len(path.model.states), len(path.model.outputs)
+    found = np.zeros((len(columns.delta), n + m, columns.delta.shape[2]))
+    found[:, columns.touched] = columns.delta
+    return found

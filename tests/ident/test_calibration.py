@@ -31,7 +31,7 @@ def with_values(one: Stage, factors: dict[str, float]) -> Stage:
 
     def view(old: View) -> View:
         values = old.values * [factors.get(n, 1.0) for n in names]
-        return replace(old, values=values, run=Likelihood(one.model).filter(old.record, values))
+        return replace(old, values=values)
 
     return replace(one, validation=tuple(view(v) for v in one.validation))
 

@@ -16,6 +16,7 @@ from ident.model import Effect, Model
 from ident.models.disturbance import for_diagnosis
 from ident.models.horizontal import horizontal
 from tests.ident.carriers import carrier
+from tests.ident.sliders import whole
 
 N_ROWS = 60
 
@@ -81,12 +82,12 @@ def test_the_columns_of_simple_effects_by_hand() -> None:
     states = [s.name for s in path.model.states]
     u, p = path.x[:, states.index("u")], path.model.values
     found = {name: next(path.effect(catalogue()[name])) for name in ("cubic-drag", "yaw-bias", "mismatch")}
-    cubic = found["cubic-drag"].delta[:, states.index("u"), 0]
+    cubic = whole(path, found["cubic-drag"])[:, states.index("u"), 0]
     np.testing.assert_allclose(cubic, -(u**3) / p["m_u"], atol=1e-9)
-    np.testing.assert_allclose(found["yaw-bias"].delta[:, states.index("r"), 0], 1 / p["m_r"], atol=1e-9)
+    np.testing.assert_allclose(whole(path, found["yaw-bias"])[:, states.index("r"), 0], 1 / p["m_r"], atol=1e-9)
     n = {side: path.own.u[:, path.own.inputs.index(f"n_{side}")] for side in ("left", "right")}
     f = {side: p["c1"] * z * np.abs(z) + p["c2"] * z * z for side, z in n.items()}
-    mismatch = found["mismatch"].delta[:, :, 0]
+    mismatch = whole(path, found["mismatch"])[:, :, 0]
     np.testing.assert_allclose(mismatch[:, states.index("u")], (f["left"] - f["right"]) / p["m_u"], atol=1e-9)
     np.testing.assert_allclose(mismatch[:, states.index("r")], 0.15 * (f["left"] + f["right"]) / p["m_r"], atol=1e-9)
 
@@ -106,7 +107,8 @@ def test_every_effects_columns_are_differences_of_the_model_with_it(name: str) -
         values = np.append(path.values, [columns.scan.get(p.name, p.value) for p in effect.parameters])
         own = driven(larger, effect, path, values, u) if m else np.zeros((12, 0))
         x = np.column_stack([path.x, own])
-        assert columns.delta.shape == (12, n + len(path.model.outputs), len(columns.parameters))
+        delta = whole(path, columns)
+        assert delta.shape == (12, n + len(path.model.outputs), len(columns.parameters))
         assert columns.parameters[0] == effect.parameters[0].name
         for j, parameter in enumerate(columns.parameters):
             at = len(path.values) + [p.name for p in effect.parameters].index(parameter)
@@ -116,7 +118,7 @@ def test_every_effects_columns_are_differences_of_the_model_with_it(name: str) -
             for k in range(12):
                 change = (in_floats(larger, x[k], u[k], moved) - in_floats(larger, x[k], u[k], values)) / step
                 wanted = np.delete(change, np.s_[n : n + m])
-                np.testing.assert_allclose(columns.delta[k, :, j], wanted, atol=1e-6 * (1 + np.abs(wanted).max()))
+                np.testing.assert_allclose(delta[k, :, j], wanted, atol=1e-6 * (1 + np.abs(wanted).max()))
 
 
 def driven(larger: Model, effect: Effect, path: Path, values: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -162,7 +164,7 @@ def test_the_driven_pendulum_against_an_independent_integration(frequency: float
     ).y
     force = 2 * zeta * omega * swing[1] + omega**2 * swing[0]
     wanted = force / p["m_u"]
-    np.testing.assert_allclose(columns.delta[:, states.index("u"), 0], wanted, atol=0.01 * np.abs(wanted).max())
+    np.testing.assert_allclose(whole(path, columns)[:, states.index("u"), 0], wanted, atol=0.01 * np.abs(wanted).max())
 
 
 def test_generic_features_are_smooth_functions_of_single_variables_and_products() -> None:
@@ -193,7 +195,7 @@ def test_generic_columns_push_the_boat_along_one_force() -> None:
                                    for how in ("past of", "swing after")}
     table = generic_features(path.model, path.own, path.x)
     for force, state, mass in (("X", "u", p["m_u"]), ("Y", "v", p["m_v"]), ("N", "r", p["m_r"])):
-        column = found[f"{force}(u)"].delta
+        column = whole(path, found[f"{force}(u)"])
         np.testing.assert_allclose(column[:, states.index(state)], table["u"] / mass, atol=1e-9)
         assert found[f"{force}(u)"].generic
         rest = [states.index(n) for n in ("u", "v", "r", "x", "y", "psi", "b_X", "b_Y", "b_N") if n != state]
@@ -204,7 +206,7 @@ def test_a_sensors_error_touches_its_reading_alone() -> None:
     path = path_for(base_for())
     n, outputs = len(path.model.states), [o.name for o in path.model.outputs]
     found = {c.name: c for c in path.generic()}
-    column = found["psi(psi)"].delta
+    column = whole(path, found["psi(psi)"])
     z = generic_features(path.model, path.own, path.x)["psi"]
     np.testing.assert_allclose(column[:, n + outputs.index("psi")], z, atol=1e-9)
     assert not np.delete(column, n + outputs.index("psi"), axis=1).any()

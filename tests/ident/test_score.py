@@ -13,8 +13,8 @@ from ident.dataset import Record
 from ident.engine.rowwise import Rowwise
 from ident.fit import fit
 from ident.pe import FilterRun, Likelihood
-from ident.score import BLOCK, Carrier, Columns, Normal, Place, block_index, place, score_tests
-from tests.ident.sliders import CUBE, DRAG, PUSH, TAPE, Q, score_of, scores_at, scores_of_columns, slide, slider
+from ident.score import BLOCK, LENGTH, Carrier, Columns, Normal, Place, block_index, place, score_tests
+from tests.ident.sliders import CUBE, DRAG, PUSH, TAPE, Q, score_of, scores_at, scores_of_columns, slide, slider, whole
 
 N_SETS = 100
 Linearised = tuple[Path, FilterRun, list[np.ndarray]]
@@ -41,7 +41,7 @@ def null_scores() -> dict[str, np.ndarray]:
     for seed in range(N_SETS):
         path, run, own = path_of(slide(seed))
         columns = [next(path.effect(e)) for e in (PUSH, DRAG, TAPE)]
-        columns.append(Columns("push and drag", np.concatenate([c.delta for c in columns[:2]], axis=2)))
+        columns.append(Columns("push and drag", np.concatenate([whole(path, c) for c in columns[:2]], axis=2)))
         for s in scores_of_columns(path, run, own, columns):
             assert s.df == (2 if s.name == "push and drag" else 1)
             found.setdefault(s.name, []).append((s.p, s.p_block))
@@ -78,7 +78,7 @@ def test_a_fitted_parameter_cannot_be_found_missing() -> None:
     """What the fitted parameters can imitate is dropped, and adding it to a candidate changes nothing."""
     record = slide(5, 400, push=0.05)
     path, run, own = path_of(record)
-    push = next(path.effect(PUSH)).delta
+    push = whole(path, next(path.effect(PUSH)))
     mixed = push + 3.0 * own[0][:, :, None] - 0.7 * own[1][:, :, None]
     same = Columns("damping", own[1][:, :, None])
     one, two = scores_of_columns(path, run, own, [Columns("push", push), Columns("mixed", mixed)])
@@ -90,8 +90,8 @@ def test_a_fitted_parameter_cannot_be_found_missing() -> None:
 def test_scores_do_not_depend_on_units_and_copies_add_no_freedom() -> None:
     record = slide(6, 400, drag=0.1)
     path, run, own = path_of(record)
-    drag = next(path.effect(DRAG)).delta
-    cube = next(path.effect(CUBE)).delta
+    drag = whole(path, next(path.effect(DRAG)))
+    cube = whole(path, next(path.effect(CUBE)))
     thousand, twice, plain = scores_of_columns(path, run, own, [
         Columns("thousand", np.concatenate([1e3 * drag, 1e-3 * cube], axis=2), ("a", "b")),
         Columns("twice", np.concatenate([drag, cube, drag], axis=2)),
@@ -130,7 +130,7 @@ def whitened(run: FilterRun, e: np.ndarray, H: np.ndarray) -> np.ndarray:
 
 def test_whitened_sensitivities_are_the_derivatives_of_the_innovations() -> None:
     """The effects are linear, so the gains do not move and differences of whole filter runs are exact."""
-    record = slide(8, 200)
+    record = slide(8, 2 * LENGTH + 50)  # more than is carried at once
     record = replace(record, t=np.cumsum(np.random.default_rng(8).uniform(0.05, 0.15, record.n_rows)))
     model = slider() + PUSH + TAPE
     values = np.array(list(model.values.values()))
@@ -138,9 +138,8 @@ def test_whitened_sensitivities_are_the_derivatives_of_the_innovations() -> None
     run = likelihood.filter(record, values)
     H = Rowwise(model).output_jacobian(run.x_pred, record.u, values)
     path = Path(slider(), values[:5], record, run.x_pred)
-    delta = np.concatenate([next(path.effect(e)).delta for e in (PUSH, TAPE)], axis=2)
     carrier = Carrier(run, record, path.jacobian)
-    g, e, t = carrier(delta), carrier.e, carrier.t
+    g, e, t = carrier([next(path.effect(e)) for e in (PUSH, TAPE)]), carrier.e, carrier.t
     np.testing.assert_allclose(e, whitened(run, run.e, H), atol=1e-9)
     assert t.size == e.size == np.isfinite(record.y).sum()
     for column, name in enumerate(("k_push", "k_tape")):

@@ -56,6 +56,9 @@ def _all_and_none(seed: int) -> list[str]:
     return [NONE, *EFFECTS]
 
 
+TIMID, SHORT = 0.35, (120.0, 80.0)
+
+
 KINDS: dict[str, Kind] = {
     "single": Kind("one effect at full size", all_effects, 10, logged=True),
     "half": Kind("one effect at half its size", all_effects, 5, scale=0.5, logged=True),
@@ -63,9 +66,11 @@ KINDS: dict[str, Kind] = {
     "mixture": Kind("one effect, and every other one at 5 % of its size", all_effects, 5, others=SMALL, logged=True),
     "pair": Kind("two effects at full size", all_pairs, 4, logged=True),
     "outside": Kind("an effect that the catalogue does not list", lambda seed: list(OUTSIDE), 10, logged=True),
-    "clean": Kind("no effect", _none, 120, logged=True),
-    "timid": Kind("all commands at 35 %", _all_and_none, 3, gain=0.35, logged=True),
-    "short": Kind("120 s to estimate, 80 s to validate", _all_and_none, 3, seconds=(120.0, 80.0), logged=True),
+    "clean": Kind("no effect", _none, 120),
+    "clean-timid": Kind("no effect, all commands at 35 %", _none, 40, gain=TIMID),
+    "clean-short": Kind("no effect, 120 s to estimate, 80 s to validate", _none, 40, seconds=SHORT),
+    "timid": Kind("all commands at 35 %", all_effects, 3, gain=TIMID, logged=True),
+    "short": Kind("120 s to estimate, 80 s to validate", all_effects, 3, seconds=SHORT, logged=True),
     "dropout": Kind("gaps in every device, and lost samples", _all_and_none, 3, gaps=True),
     **{name: Kind(f"no effect; {make_effect(name, 1).sentence}", _none, 25, noise=name) for name in NOISE},
     "leave-one-out": Kind("one effect at full size, taken out of the catalogue", all_effects, 3, left_out=True),

@@ -100,10 +100,10 @@ def document(rows: Sequence[Row], given: argparse.Namespace) -> str:
     seeds = f" --seeds {given.seeds}" if given.seeds is not None else ""
     chosen = "" if set(given.kinds) == set(KINDS) else f" --kinds {','.join(given.kinds)}"
     states = sorted({str(r["code"]) for r in rows})
-    every = len(cases_of(given.kinds, given.seed, given.seeds, given.effects))
-    ran = f"{len(rows)} cases" if len(rows) >= every else (
-        f"{len(rows)} of its {every} cases so far, seed by seed (it goes on where it was)"
-    )
+    its = {case.key for case in cases_of(given.kinds, given.seed, given.seeds, given.effects)}
+    own = sum(r["key"] in its for r in rows)
+    ran = f"{own} cases" if own == len(its) else f"{own} of its {len(its)} cases so far (it goes on where it was)"
+    ran += f", and {len(rows) - own} of earlier runs with other seeds, which the second table names" * (own < len(rows))
     return (
         "# Recovery study\n\n"
         "Mock boats with undeclared effects (`mocks/undeclared/`, written in other forms than the catalogue of "
