@@ -134,14 +134,24 @@ def _explain(error: BaseException) -> tuple[str, int]:
     return " ".join(line.split()), status
 
 
+def _usage(error: click.UsageError) -> str:
+    """The one line for words that make no command."""
+    path = "seatrial" if error.ctx is None else error.ctx.command_path
+    said = " ".join(error.format_message().split()).rstrip(".")
+    return f"{path}: {said}{'' if said.endswith(('?', ')')) else ';'} `{path} --help` shows how"
+
+
 def _run(args: Sequence[str]) -> int:
     """Run one command line and return its exit status; raises whatever the command raises."""
     try:
         result = cli.main(args=list(args), prog_name="seatrial", standalone_mode=False)
         sys.stdout.flush()
     except click.ClickException as error:  # UsageError is 2, the rest of click's own errors 1
-        if isinstance(error, click.UsageError):
+        if isinstance(error, click.exceptions.NoArgsIsHelpError):
             error.show()
+            return WRONG_USAGE
+        if isinstance(error, click.UsageError):
+            print(_usage(error), file=sys.stderr)
             return WRONG_USAGE
         raise SeatrialError(error.format_message()) from error
     return OK if result is None else int(result)  # a number here is the status of `ctx.exit(status)`

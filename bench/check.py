@@ -37,7 +37,7 @@ def dry_run(mission: Mission, rig: Rig) -> None:
             k = int(beyond[0])
             raise SeatrialError(
                 f"{rig.path}: the plan tells {name} n = {n[k, column]:+.3f} at {t[k]:.2f} s, and limits.n_max is"
-                f" {rig.limits.n_max:g}; lower the plan or the limit was wrong"
+                f" {rig.limits.n_max:g}; make the plan with a smaller --n-max, or raise the limit"
             )
 
 

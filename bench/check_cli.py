@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import click
 
 from bench.findings import FAULT, OK, WARNING, Finding, from_dict, lines, paragraphs, summary, worst_first
+from daq.cli_log import LOG
 from daq.errors import SeatrialError
 from daq.rig import Rig, load_rig
 
@@ -23,10 +24,13 @@ STYLES: dict[str, dict[str, Any]] = {FAULT: {"fg": "red", "bold": True}, WARNING
 
 
 @click.command(epilog="Example: seatrial check boat-rig.toml --mission mission.toml --actuators")
-@click.argument("paths", metavar="RIG | LOG...", nargs=-1, required=True, type=FILE)
+@click.argument("paths", metavar="RIG | LOG...", nargs=-1, required=True, type=LOG)
 @click.option("--seconds", type=click.FloatRange(0.5, 600.0), default=3.0, show_default=True, help="Wall s to listen.")
 @click.option(
-    "--mission", "mission_path", type=FILE, help="Dry run: limits, duration, and whether it leaves the fence."
+    "--mission",
+    "mission_path",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Dry run: limits, duration, and whether it leaves the fence.",
 )
 @click.option("--actuators", is_flag=True, help="THRUSTERS TURN: each at low thrust; which one answers, and how?")
 @click.option(
@@ -57,16 +61,10 @@ def check(
     run; nothing moves but with --actuators. LOG: the same from recorded data, and whether sensors and thrusters
     agree: sides, signs, units, delays, dead bands. Exit status 1 where there is a fault.
     """
-    rigs = [path for path in paths if path.suffix == ".toml"]
-    if rigs and len(paths) > 1:
-        raise click.UsageError("give one RIG, or one or more LOGs")
-    if not rigs and (mission_path or actuators or arm or out or thrust):
-        raise click.UsageError("--mission, --actuators, --thrust, --arm and -o need a RIG")
-    if not actuators and (arm or out or thrust):
-        raise click.UsageError("--thrust, --arm and -o belong to --actuators")
+    _consistent(paths, mission_path, actuators, bool(arm or out or thrust))
     with tempfile.TemporaryDirectory(prefix="seatrial-check-") as folder:
         about: dict[str, Any] = {}
-        if rigs:
+        if _is_rig(paths[0]):
             from bench.check_report import about_rig
             from bench.mission import load_mission
 
@@ -77,10 +75,7 @@ def check(
             about = about_rig(rig, mission) if report else {}
         else:
             found, logs = _logs(context, paths), list(paths)
-        _show(found, as_json)
-        faults = list(dict.fromkeys(finding.where for finding in worst_first(found) if finding.level == FAULT))
-        if not (as_json or faults):
-            click.echo(summary(found))
+        faults = _tell(found, as_json)
         if report is not None:
             from bench.check_report import write_report
 
@@ -91,6 +86,30 @@ def check(
         raise SeatrialError(
             f"{where}: {summary(found)}; not as it should be: {', '.join(faults)} (see the lines above)"
         )
+
+
+def _is_rig(path: Path) -> bool:
+    return path.suffix == ".toml"
+
+
+def _consistent(paths: Sequence[Path], mission: Path | None, actuators: bool, of_actuators: bool) -> None:
+    """Raise UsageError where what was given does not belong together."""
+    rig = any(_is_rig(path) for path in paths)
+    if rig and len(paths) > 1:
+        raise click.UsageError("give one RIG, or one or more LOGs")
+    if not rig and (mission or actuators or of_actuators):
+        raise click.UsageError("--mission, --actuators, --thrust, --arm and -o need a RIG")
+    if of_actuators and not actuators:
+        raise click.UsageError("--thrust, --arm and -o belong to --actuators")
+
+
+def _tell(found: Sequence[Finding], as_json: bool) -> list[str]:
+    """Show the findings; returns where there is a fault."""
+    _show(found, as_json)
+    faults = list(dict.fromkeys(finding.where for finding in worst_first(found) if finding.level == FAULT))
+    if not (as_json or faults):
+        click.echo(summary(found))
+    return faults
 
 
 def _show(found: Sequence[Finding], as_json: bool) -> None:

@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from bench.findings import FAULT, OK, WARNING, Finding, counted
+from bench.findings import FAULT, OK, WARNING, Finding
+from daq.errors import counted
 
 FloatArray = npt.NDArray[np.float64]
 REPEATED = 0.02  # part of the samples that may share their time with the one before
 BUNCHED = 0.1  # the same of a device without a clock of its own
 GAP_S, GAP_PERIODS = 1.0, 10.0  # a pause longer than both is a section that is missing
 SILENT_S = 5.0  # a device that ends so long before the log has fallen silent
+TICK_S = 1e-3  # two messages of one moment may say it in ms and in us; a clock that restarts goes back further
 BLOCK_S = 2.0  # the earliest arrival in each block carries the device's clock
 JUMP_S, SPREAD_S, DRIFT = 0.1, 0.1, 500e-6  # s, s, 1
 WALL_JITTER_S = 0.05  # wall s by which a busy machine is late at the best of times
@@ -62,8 +64,8 @@ def _clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
     if np.count_nonzero(known) < 50:
         return
     device, received = table["t_device"][known], table["t_rx"][known]
-    if np.any(np.diff(device) < 0.0):
-        text = f"its clock ran back {np.count_nonzero(np.diff(device) < 0.0)} times"
+    if back := int(np.count_nonzero(np.diff(device) < -TICK_S)):
+        text = f"its clock ran back {counted(back, 'time')}"
         yield Finding(FAULT, "clock", name, text, "it restarted: power? a clock set by GNSS in the middle of the run?")
         return
     offset = received - device

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from bench.check_clock import lost_zeros, stamps
 from bench.findings import FAULT, OK, WARNING, Finding
+from daq.errors import counted
 from daq.log import Log
 from daq.rig import Rig
 from daq.samples import Ahrs, Battery, Command, Esc, Gnss, LoadCell, PortHealth, Scalar
@@ -221,9 +222,11 @@ def _port(source: str, log: Log) -> Iterator[Finding]:
         text = f"{last.unparsed_bytes} of {last.bytes_in} bytes not understood"
         yield Finding(WARNING, "link", source, text, "baud rate; output that nobody asked for")
     if last.dropped:
-        yield Finding(WARNING, "link", source, f"{last.dropped} samples dropped", "a slower disk than the devices need")
+        text = f"{counted(last.dropped, 'sample')} dropped"
+        yield Finding(WARNING, "link", source, text, "a slower disk than the devices need")
     if last.reconnects:
-        yield Finding(WARNING, "link", source, f"its port was lost {last.reconnects} times", "plug and cable")
+        text = f"its port was lost {counted(last.reconnects, 'time')}"
+        yield Finding(WARNING, "link", source, text, "plug and cable")
 
 
 def _imported(log: Log) -> Iterator[Finding]:
@@ -235,7 +238,7 @@ def _imported(log: Log) -> Iterator[Finding]:
         dropped = int(log.metadata.get(f"source.{k}.dropped", "0"))
         k += 1
         if dropped and not meant:
-            text = f"{dropped} rows were left out: times that ran back or repeated, or no number"
+            text = f"{counted(dropped, 'row')} left out: times that ran back or repeated, or no number"
             yield Finding(WARNING, "time", name, text, "look at its clock; `fraction` of the map mends lost zeros")
     if b"unpadded-ns" in by_map:
         text = "time stamps whose nanoseconds had lost their zeros, put right by the import's map"

@@ -13,10 +13,11 @@ import click
 from bench import plans
 from bench.mission import Mission, load_mission, save_mission
 from bench.sketch import describe
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, counted
 from daq.rig import Rig, load_rig
 
 FILE = click.Path(path_type=Path)
+EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
 N_MAX_BENCH = 0.9
 _ARM = click.option("--arm", is_flag=True, help="Put an autopilot into MANUAL, arm it, and disarm it at the end.")
 _RETRY = click.option(
@@ -38,7 +39,7 @@ def _bench_command(kind: str, text: str) -> None:
     """Add `seatrial bench KIND` to the group; all kinds take the same options."""
 
     @bench.command(kind, help=text, epilog=f"Example: seatrial bench {kind} bench-rig.toml -o {kind}.mcap")
-    @click.argument("rig_path", metavar="RIG", type=FILE)
+    @click.argument("rig_path", metavar="RIG", type=EXISTING)
     @click.option("-o", "--out", type=FILE, help="The log to write [default: by date in the rig's log directory].")
     @click.option("--thruster", help="Which thruster, when the rig has more than one.")
     @click.option(
@@ -83,8 +84,8 @@ def _run(plan: Mission, rig: Rig, out: Path | None, arm: bool, retry: int) -> No
 
 
 @mission.command(epilog="Example: seatrial mission run mission.toml boat-rig.toml -o run.mcap")
-@click.argument("mission_path", metavar="MISSION", type=FILE)
-@click.argument("rig_path", metavar="RIG", type=FILE)
+@click.argument("mission_path", metavar="MISSION", type=EXISTING)
+@click.argument("rig_path", metavar="RIG", type=EXISTING)
 @click.option("-o", "--out", type=FILE, help="The log to write [default: by date in the rig's log directory].")
 @_ARM
 @_RETRY
@@ -97,7 +98,7 @@ def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: 
     short_help="Show the segments and what each thruster is told.",
     epilog="Example: seatrial mission show mission.toml",
 )
-@click.argument("mission_path", metavar="MISSION", type=FILE)
+@click.argument("mission_path", metavar="MISSION", type=EXISTING)
 def show(mission_path: Path) -> None:
     """Show a mission as text: its segments and a sketch of what each thruster is told."""
     click.echo(describe(load_mission(mission_path)))
@@ -133,4 +134,4 @@ def make(
     if slew is not None:
         plan = replace(plan, slew_per_s=slew, made_by=f"{plan.made_by} --slew {slew:g}")
     save_mission(plan, out)
-    click.echo(f"{out}: {plan.name}, {len(plan.segments)} segments, {plan.end:g} s")
+    click.echo(f"{out}: {plan.name}, {counted(len(plan.segments), 'segment')}, {plan.end:g} s")

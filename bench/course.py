@@ -7,6 +7,7 @@ from typing import Protocol
 
 from bench.mission import Mission
 from bench.timeline import Row, Span, Timeline
+from daq.errors import counted
 from daq.status import Status
 
 GAP_PART = 0.5  # of the guard's patience: so long a silence spoils a step without ending the run
@@ -40,7 +41,8 @@ class Course:
     ) -> None:
         """`lead` [run s] from a decision to the first set-point; `patience` [run s] of the guard by device."""
         self.timeline = Timeline(mission, start)
-        self.paused = False
+        self.told = 0  # set-points given to the acquisition
+        self._paused_at: float | None = None
         self._acquisition, self._lead, self._patience, self._say = acquisition, lead, patience, say
         self._retries = retries
         self._span: Span | None = None
@@ -52,6 +54,15 @@ class Course:
     def segment(self) -> str:
         """The name of the step under way; empty before the first."""
         return "" if self._span is None else self._span.name
+
+    @property
+    def paused(self) -> bool:
+        """Whether the operator holds the mission at zero thrust."""
+        return self._paused_at is not None
+
+    def elapsed(self, now: float) -> float:
+        """The mission's own time; it stands still in a pause."""
+        return self.timeline.elapsed(now if self._paused_at is None else self._paused_at)
 
     def is_over(self, now: float) -> bool:
         """Whether the mission has been run to its end."""
@@ -67,17 +78,19 @@ class Course:
         self._enter(now, status)
         if rows := self.timeline.rows(now + ahead):
             self._acquisition.schedule(rows)
+            self.told += sum(len(values) for _, values in rows)
 
     def _press(self, key: str, now: float) -> None:
         name = "" if self._span is None else self._span.name
         if key in " p" and not self.paused:
-            self.paused = True
+            self._paused_at = now
             self._acquisition.zero("pause")
             self._acquisition.mark("pause", name)
             self._say("paused: thrust is zero; space resumes with the step's beginning")
         elif key in " p":
-            self.paused = False
+            self._paused_at = None
             self._acquisition.mark("resume", name)
+            self._say(f"resumed with the beginning of {name}" if name else "resumed with the beginning")
             self._again(now)
         elif key == "r" and not self.paused:
             self._acquisition.zero("repeat")
@@ -115,6 +128,7 @@ class Course:
                 return
             if fault:
                 self._acquisition.mark("invalid", f"{self._span.name}: {fault}")
+                self._say(f"invalid: {self._span.name}: {fault} (--retry N runs up to N such steps again)")
         last = -1 if self._span is None else self._span.segment
         for span in begun:
             if span.segment > last and not ended:
@@ -123,10 +137,10 @@ class Course:
 
     def _fault(self, status: Status) -> str:
         """Why the step that has just ended is not worth its place in a fit; empty when it is."""
-        words = ("set-points were skipped", "samples were dropped", "ports were lost")
-        for before, after, what in zip(self._before, _counts(status), words, strict=True):
+        words = (("set-point", "skipped"), ("sample", "dropped"), ("port", "lost"))
+        for before, after, (what, how) in zip(self._before, _counts(status), words, strict=True):
             if after > before:
-                return f"{after - before} {what}"
+                return f"{counted(after - before, what)} {'was' if after - before == 1 else 'were'} {how}"
         return self._gap
 
 

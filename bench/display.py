@@ -8,8 +8,11 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
 
 PLAIN_EVERY_S = 2.0  # wall seconds between plain lines within a segment
 LIVE_EVERY_S = 0.1
@@ -65,45 +68,42 @@ class Display(Protocol):
 
 
 class LiveDisplay:
-    """One bar and one line of values that are drawn over again."""
+    """Two lines that are drawn over again, of 80 columns: where the plan is, and what the devices say."""
 
     def __init__(self, console: Console) -> None:
-        self._progress = Progress(
-            TextColumn("{task.fields[segment]:<16.16}"),
-            BarColumn(bar_width=24),
-            TextColumn("{task.completed:6.1f}/{task.total:.0f} s"),
-            TextColumn("{task.fields[values]}"),
-            console=console,
-            auto_refresh=False,  # no thread of its own: a stuck terminal shall be seen by the deadman
-            transient=True,
-        )
-        self._task = self._progress.add_task("run", total=1.0, segment="", values="")
+        # No thread of its own: a stuck terminal shall be seen by the deadman.
+        self._live = Live(console=console, auto_refresh=False, transient=True)
         self._last = -math.inf
 
     def __enter__(self) -> Self:
         """Start to draw."""
-        self._progress.start()
+        self._live.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Take the bar away."""
-        self._progress.stop()
+        """Take the lines away."""
+        self._live.stop()
 
     def show(self, view: View) -> None:
         """Draw at most ten times a second."""
         if time.monotonic() - self._last < LIVE_EVERY_S:
             return
         self._last = time.monotonic()
-        done, values = min(max(view.elapsed, 0.0), view.total), view.values()
-        self._progress.update(
-            self._task, completed=done, total=view.total, segment=view.segment, values=values, refresh=True
-        )
+        self._live.update(_drawn(view), refresh=True)
 
     def say(self, line: str) -> None:
-        """Print above the bar."""
-        self._progress.console.print(line, markup=False, highlight=False, soft_wrap=True)
+        """Print above the lines."""
+        self._live.console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _drawn(view: View) -> Group:
+    done = min(max(view.elapsed, 0.0), view.total)
+    head = Table.grid(padding=(0, 1))
+    bar = ProgressBar(total=view.total, completed=done, width=28)
+    head.add_row(Text(f"{view.segment:<24.24}"), bar, Text(f"{done:6.1f}/{view.total:.0f} s"))
+    return Group(head, Text(f"  {view.values()}", style="bold red" if view.warning else ""))
 
 
 class PlainDisplay:

@@ -6,6 +6,8 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
+from daq.errors import counted
+
 OK, WARNING, FAULT = "ok", "warning", "fault"
 LEVEL = 8  # columns of the level
 
@@ -62,8 +64,3 @@ def summary(findings: Sequence[Finding]) -> str:
     """How many of each."""
     count = {level: sum(f.level == level for f in findings) for level in (FAULT, WARNING, OK)}
     return f"{counted(count[FAULT], 'fault')}, {counted(count[WARNING], 'warning')}, {count[OK]} in order"
-
-
-def counted(number: int, word: str) -> str:
-    """1 fault, 2 faults."""
-    return f"{number} {word}{'' if number == 1 else 's'}"

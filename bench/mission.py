@@ -16,7 +16,7 @@ import numpy.typing as npt
 import tomlkit
 
 from bench.prediction import Prediction, dump_prediction, parse_prediction
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, counted
 from daq.toml_table import Table, parse_toml, read_text
 
 FORMAT = "seatrial-mission 1"
@@ -166,7 +166,7 @@ def _segment(table: Table, n_thrusters: int) -> Segment:
     n = np.array([items.numbers(item, length=n_thrusters) for item in items.values], dtype=np.float64)
     table.done()
     if len(t) != len(n):
-        raise table.error("n", f"has {len(n)} rows for {len(t)} times in t; give one row a time")
+        raise table.error("n", f"has {counted(len(n), 'row')} for {counted(len(t), 'time')} in t; give one row a time")
     falling = np.flatnonzero(np.diff(t) <= 0)
     if falling.size:
         k = int(falling[0]) + 1

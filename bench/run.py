@@ -104,19 +104,19 @@ class _Runner:
         """From waiting for the devices to the closed log."""
         with self._display:
             try:
-                timeline = self._excite(arm, retries, keys)
+                course = self._excite(arm, retries, keys)
                 self._acquisition.zero("end of the mission")
                 self._vehicles.release()
-                tares = self._tare(timeline)
+                tares = self._tare(course.timeline)
                 self._acquisition.stop()
-                self._say_skipped()
+                self._say_skipped(course.told)
             except BaseException as error:
                 self._end_at_zero(error)
                 raise
         return tares
 
-    def _excite(self, arm: bool, retries: int, keys: Keys) -> Timeline:
-        """Wait for the devices, then send every set-point in time; returns when what was run."""
+    def _excite(self, arm: bool, retries: int, keys: Keys) -> Course:
+        """Wait for the devices, then send every set-point in time; returns how it went."""
         names = await_devices(self._rig, self._acquisition, self._mission.thrusters, self._wait)
         self._display.say(f"devices: {', '.join(names)}; recording {self._path}")
         self._vehicles.prepare(arm)
@@ -133,9 +133,9 @@ class _Runner:
             course.step(now, ahead, status, keys.take())
             self._acquisition.alive()
             self._segment = course.segment or self._segment
-            self._display.show(self._view(status, course.timeline.elapsed(now)))
+            self._display.show(self._view(status, course, now))
             self._wait(POLL_S)
-        return course.timeline
+        return course
 
     def _check(self, status: Status, now: float) -> None:
         """Raise SafetyStop when the acquisition has ended thrust, falls silent, or the guard finds a limit passed."""
@@ -146,12 +146,12 @@ class _Runner:
         self._vehicles.check(status)
         self._guard.check(status)
 
-    def _say_skipped(self) -> None:
+    def _say_skipped(self, told: int) -> None:
         """Tell of set-points that this machine was too busy to send in time; the log holds what was sent."""
-        skipped, planned = self._acquisition.status().skipped, self._mission.setpoints()[1].size
+        skipped = self._acquisition.status().skipped
         if skipped:
             self._display.say(
-                f"skipped: {skipped} of {planned} set-points, overtaken by later ones before they could be sent "
+                f"skipped: {skipped} of {told} set-points, overtaken by later ones before they could be sent "
                 "(a busy machine, or rows too close for the clock's speed); the log says what was sent and when"
             )
 
@@ -161,7 +161,7 @@ class _Runner:
             number = self._signals.caught
             raise Interrupted(f"stopped by {WORDS[number]}", number)
 
-    def _view(self, status: Status, elapsed: float) -> View:
+    def _view(self, status: Status, course: Course, now: float) -> View:
         force = speed = math.nan
         rpm = {}
         for (device, node), latest in status.latest.items():
@@ -174,8 +174,8 @@ class _Runner:
                 rpm[device.partition("/")[0], node] = sample.rpm
         thrusters = [self._rig.thruster(name) for name in self._mission.thrusters]
         return View(
-            segment=self._segment,
-            elapsed=max(elapsed, 0.0),
+            segment="paused" if course.paused else self._segment,
+            elapsed=max(course.elapsed(now), 0.0),
             total=self._mission.end,
             n_cmd=tuple(status.commanded.get(thruster.name, 0.0) for thruster in thrusters),
             rpm=tuple(rpm.get((thruster.device, thruster.node), math.nan) for thruster in thrusters),

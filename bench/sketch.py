@@ -39,7 +39,7 @@ def sketch(t: FloatArray, n: FloatArray, end: float, width: int) -> list[str]:
             grid[row][column] = "█" if (high, low) != (0.0, 0.0) else "─"
     labels = {0: "+1", half: " 0", HEIGHT - 1: "-1"}
     lines = [f"{labels.get(row, ''):>3} |{''.join(cells)}" for row, cells in enumerate(grid)]
-    return [*lines, f"    0{'s':<{max(1, width - len(f'{end:g} s'))}}{end:g} s"]
+    return [*lines, f"    {'0 s':<{max(4, width + 1 - len(f'{end:g} s'))}}{end:g} s"]
 
 
 def _extent(t: FloatArray, n: FloatArray, start: float, stop: float) -> tuple[float, float]:

@@ -87,9 +87,8 @@ class Vehicles:
             self._say(f"{device.name} refuses {line}")
         fatal = [str(finding) for finding in found if finding.fatal]
         if fatal:
-            raise SeatrialError(
-                f"{device.name}: {len(fatal)} parameters forbid to drive (set them yourself): {'; '.join(fatal)}"
-            )
+            forbid = "parameter forbids" if len(fatal) == 1 else "parameters forbid"
+            raise SeatrialError(f"{device.name}: {len(fatal)} {forbid} to drive, yours to set: {'; '.join(fatal)}")
 
     def _await_estimator(self, device: Device) -> None:
         def ready(link: LinkStatus) -> bool:

@@ -178,7 +178,7 @@ class Process:
         self._loops[message["device"]].request(message["wish"], message["value"])
 
     def _on_stop(self, message: Message) -> None:
-        self._end("asked to stop", unasked=False)
+        self._end("closed as asked", unasked=False)
 
     def _health(self) -> dict[str, PortHealth]:
         return {name: loop.health() for name, loop in self._loops.items()}

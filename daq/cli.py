@@ -8,6 +8,7 @@ import click
 
 from daq.cli_log import LOG
 from daq.device_table import SERIAL_PROTOCOLS
+from daq.errors import counted
 
 _EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
 _NEW = click.Path(dir_okay=False, path_type=Path)
@@ -57,7 +58,8 @@ def salvage(log: Path, out: Path | None, force: bool) -> None:
     for warning in done.warnings:
         click.echo(f"warning: {warning}", err=True)
     pieces = f" of {done.files} segments" if done.files > 1 else ""
-    click.echo(f"{target}: {done.messages} messages{pieces}{'' if done.warnings else '; nothing was wrong with it'}")
+    fine = "" if done.warnings else "; nothing was wrong with it"
+    click.echo(f"{target}: {counted(done.messages, 'message')}{pieces}{fine}")
 
 
 @click.group("import")

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from daq.cli_log import LOG
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, counted
 
 _FOLDER = click.Path(file_okay=False, path_type=Path)
 
@@ -90,7 +90,7 @@ def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> Non
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    click.echo(f"{n} bytes sent")
+    click.echo(f"{counted(n, 'byte')} sent")
 
 
 @click.command()

@@ -19,7 +19,7 @@ from rich.text import Text
 
 from daq.acquire import Acquisition, PortStatus, Status
 from daq.clock import RunClock
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, counted
 from daq.rig import Rig, load_rig
 from daq.samples import Ahrs, Esc, Gnss, LoadCell, Sample
 
@@ -237,8 +237,9 @@ def line(status: Status) -> str:
         rate = "-" if math.isnan(port.rate) else f"{port.rate:.1f}"
         rate = "silent" if math.isinf(port.age) else f"{rate}/{port.expected:g} Hz"
         counts = (port.checksum_errors, port.unparsed_bytes, port.dropped, port.reconnects)
-        names = ("checksum errors", "unparsed bytes", "dropped", "reopened")
-        wrong = "".join(f" {count} {name}" for count, name in zip(counts, names, strict=True) if count)
+        errors = counted(counts[0], "checksum error"), counted(counts[1], "unparsed byte")
+        said = (*errors, f"{counts[2]} dropped", f"{counts[3]} reopened")
+        wrong = "".join(f" {word}" for count, word in zip(counts, said, strict=True) if count)
         ports.append(f"{port.name} {rate}{wrong}")
     warnings = "".join(f"; {warning}" for warning in status.warnings)
     return f"{duration_text(status.duration)} {size_text(status.bytes)}: {', '.join(ports)}{warnings}"
@@ -248,7 +249,7 @@ def summary(status: Status, path: Path) -> str:
     """The last line: file, duration, messages, and what went wrong on the way."""
     lost = sum(port.dropped for port in status.ports.values())
     silent = [port.name for port in status.ports.values() if port.samples == 0]
-    text = f"{path}: {duration_text(status.duration)}, {status.messages} messages, {size_text(status.bytes)}"
+    text = f"{path}: {duration_text(status.duration)}, {counted(status.messages, 'message')}, {size_text(status.bytes)}"
     text += f", {lost} lost" if lost else ""
     return text + (f"; nothing from {', '.join(silent)}" if silent else "")
 

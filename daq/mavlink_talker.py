@@ -27,7 +27,6 @@ TRIES = 4
 PARAMETER_S = 0.5
 PARAMETER_TRIES = 5
 NEUTRAL_S = 0.05  # between neutral overrides while nothing is commanded
-LOST_S = 3.0  # without a heartbeat
 SET_INTERVAL, SET_MODE, ARM = 511, 176, 400  # MAV_CMD
 ACCEPTED, TEMPORARILY_REJECTED, IN_PROGRESS = 0, 1, 5  # MAV_RESULT
 RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress", "cancelled")

@@ -23,7 +23,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, counted
 from daq.mcap_chunk import (
     CHUNK_HEAD,
     CHUNK_NAME,
@@ -245,7 +245,7 @@ class RawLog(Chunked):
     def _known(self, rows: NDArray[np.void]) -> NDArray[np.void]:
         known = np.isin(rows["channel"], list(self.channels))
         if not known.all():
-            self._warn(f"{int((~known).sum())} messages are left out: their channel stood in a damaged part")
+            self._warn(f"left out: {counted(int((~known).sum()), 'message')} whose channel stood in a damaged part")
         return rows[known]
 
     def _warn(self, text: str) -> None:

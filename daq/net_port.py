@@ -21,11 +21,6 @@ CONNECT_S = 2.0  # wall
 BUFFER_BYTES = 1 << 20  # for bursts while this process waits for its turn
 
 
-def is_address(port: str) -> bool:
-    """Whether a rig's port is one of these."""
-    return port.partition(":")[0] in ("udp", "udpin", "udpout", "tcp")
-
-
 def make_net_port(port: str) -> Port:
     """The port of `udp:HOST:PORT` and its relatives; not open yet."""
     kind, _, address = port.partition(":")

@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 
 from daq import schema
 from daq.cdr import NANO, layout
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, counted
 from daq.mcap_set import segment_path
 from daq.mcap_write import DiskFull, LogWriter
 from daq.provenance import collect
@@ -160,7 +160,8 @@ class Recorder:
         if self.paused:
             self._resume()
         if self.paused:
-            raise SeatrialError(f"{self.paused}; {len(self._kept)} messages that came since could not be written")
+            lost = counted(len(self._kept), "message")
+            raise SeatrialError(f"{self.paused}; {lost} that came since could not be written")
         self._writer.close()
 
     @contextlib.contextmanager
@@ -193,7 +194,7 @@ class Recorder:
             self._add(*message)
         seconds = time.monotonic() - self._paused_at
         loss = "; what came in the last moment before is lost" if self._lost_some else ""
-        self.event(self._log_ns / NANO, "disk", f"full for {seconds:.1f} s; {len(kept)} messages were kept{loss}")
+        self.event(self._log_ns / NANO, "disk", f"full for {seconds:.1f} s; kept {counted(len(kept), 'message')}{loss}")
 
     def _next(self) -> None:
         """Begin the next segment; a name that is taken is passed over."""

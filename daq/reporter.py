@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 
 from daq.clock import RunClock
 from daq.device import DeviceLoop
+from daq.errors import counted
 from daq.link import Link
 from daq.rig import Rig
 from daq.setpoints import Setpoints
@@ -51,7 +52,8 @@ class Reporter:
         """An event for the set-points that were overtaken since the last one: the plan was not run as it stands."""
         total = self._count_skipped()
         if total > self._skipped:
-            self._event("skipped", f"{total - self._skipped} set-points: later ones were due before they could be sent")
+            lost = counted(total - self._skipped, "set-point")
+            self._event("skipped", f"{lost}: overtaken by later ones before they could be sent")
             self._skipped = total
 
     def _count_skipped(self) -> int:

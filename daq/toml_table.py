@@ -7,7 +7,7 @@ import tomllib
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, counted
 
 _MISSING = object()
 
@@ -25,6 +25,8 @@ def read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
+        if b"\0" in error.object:
+            raise SeatrialError(f"{path}: not a text file, and a TOML file is wanted here") from error
         raise SeatrialError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from error
     except OSError as error:
         raise SeatrialError(f"{path}: {error.strerror or error}") from error
@@ -64,7 +66,8 @@ class Table:
         if not isinstance(value, str):
             raise self.error(key, f"must be text in quotes, not {_kind(value)}")
         if choices and value not in choices:
-            raise self.error(key, f"must be one of {', '.join(choices)}, not '{value}'")
+            one = f"must be '{next(iter(choices))}'" if len(choices) == 1 else f"must be one of {', '.join(choices)}"
+            raise self.error(key, f"{one}, not '{value}'")
         return value
 
     def flag(self, key: str, default: object = _MISSING) -> bool:
@@ -108,7 +111,7 @@ class Table:
         if not isinstance(value, (list, tuple)):
             raise self.error(key, f"must be a list of numbers, not {_kind(value)}")
         if length is not None and len(value) != length:
-            raise self.error(key, f"must have {length} numbers, not {len(value)}")
+            raise self.error(key, f"must have {counted(length, 'number')}, not {len(value)}")
         return tuple(self._finite(key, item) for item in value)
 
     def texts(self, key: str, default: object = _MISSING) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, counted
 from ident.bench_runs import RATE, thruster_channels, thruster_name
 from ident.bench_start import first_guess, shaft_guess
 from ident.curve_job import is_static, static_curve
@@ -59,21 +59,15 @@ def bench(
     if shaft_guess(records)[0] > model.parameter("tau").bounds[1]:
         model = thruster("slow", force=has_force)
         records = [_record(model, x, name) for x in loaded]
-    runs_of = f"{len(records)} run{'' if len(records) == 1 else 's'}"
-    say(f"fitting the thruster to {runs_of}, {sum(r.n_rows for r in records)} rows")
+    say(f"fitting the thruster to {counted(len(records), 'run')}, {sum(r.n_rows for r in records)} rows")
     fitted, records = fit_on_a_copy(model, records, lambda m: [_record(m, x, name) for x in loaded], robust=robust)
-    likelihood = Likelihood(fitted.model)
-    runs = [likelihood.filter(r, v) for r, v in zip(records, fitted.record_values, strict=True)]
-    frees = [free_run(fitted.model, r, v, likelihood, doubt_of(fitted, i))
-             for i, (r, v) in enumerate(zip(records, fitted.record_values, strict=True))]
     result = envelope(loaded, command) | {"kind": "thruster", "fit": fit_part(fitted, model.values)}
-    result |= _evidence(fitted.model, records, runs, frees)
+    result |= _judged(fitted, records)
     if has_force:
         result["static"] = _static(fitted, loaded, name)
     if profiles:
         say(f"profile likelihood of {', '.join(profiles)}")
         result["profiles"] = [profile_part(profile(fitted, records, p)) for p in profiles]
-    result["notes"] = outlier_notes(fitted.model, [r.outliers for r in runs], [np.isfinite(r.y) for r in records])
     result["answer"] = _answer(fitted, has_force)
     ranges = {"n_cmd": _range(np.concatenate([r.u[:, 0] for r in records]))}
     write_all(out, result, fitted, ranges)
@@ -132,6 +126,16 @@ def fit_thruster(model: Model, records: Sequence[Record], *, robust: bool = Fals
 def _record(model: Model, loaded: Loaded, name: str) -> Record:
     channels = thruster_channels(loaded, model, name)
     return build_record(model, channels, name=loaded.run.name, rate=RATE)
+
+
+def _judged(fitted: Fit, records: Sequence[Record]) -> Json:
+    """What the fit leaves, one step ahead and running freely, and which samples it took for outliers."""
+    model, likelihood = fitted.model, Likelihood(fitted.model)
+    each = list(zip(records, fitted.record_values, strict=True))
+    runs = [likelihood.filter(r, v) for r, v in each]
+    frees = [free_run(model, r, v, likelihood, doubt_of(fitted, i)) for i, (r, v) in enumerate(each)]
+    notes = outlier_notes(model, [r.outliers for r in runs], [np.isfinite(r.y) for r in records])
+    return _evidence(model, records, runs, frees) | {"notes": notes}
 
 
 def _evidence(model: Model, records: Sequence[Record], runs: Sequence[FilterRun], frees: Sequence[FreeRun]) -> Json:

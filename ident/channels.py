@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from daq.log import Log
 from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar, Servo
 from ident.dataset import Channel
+from ident.shaft_sign import follows_command, with_sign
 
 Array = NDArray[np.float64]
 # WGS 84
@@ -97,6 +98,10 @@ def _thruster(log: Log, thruster: Any, found: dict[str, Channel]) -> None:
     if node in log.nodes(Esc, device):
         state = log.table(Esc, device, node=node)
         shaft = _channel(state, "rpm", "", device)
+        if node in log.nodes(Servo, device) and follows_command(state["rpm"], state["duty"]):
+            # Telemetry has no sign, and the shaft follows its output late.
+            output = _channel(log.table(Servo, device, node=node), "n", "", device)
+            shaft = Channel(shaft.t, with_sign(shaft.t, shaft.value, output.t, output.value), "", device)
         found[f"voltage_{thruster.name}"] = _channel(state, "voltage", "V", device)
     if shaft is not None and shaft.t.size > 1 and np.isfinite(thruster.rpm_max):
         found[f"n_{thruster.name}"] = Channel(shaft.t, shaft.value / thruster.rpm_max, "", device)

@@ -25,7 +25,6 @@ GAIN = 0.3  # of the error, from which a lag is one and no chance
 CLEAR = 0.6  # R2 below which two sensors have too little in common to compare their times
 TURNED = 0.02  # rad/s, spread of the yaw rate below which the boat has hardly turned
 MOVED = 0.1  # m/s, the same of the velocity
-PER_DEG = np.pi / 180.0
 
 
 class Finding(NamedTuple):

@@ -76,25 +76,14 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
 @click.option("--agree", multiple=True, metavar="NAME", help="Test whether the logs agree on this parameter.")
 @click.option("--profile", "profiles", multiple=True, metavar="NAME", help="Profile likelihood of this parameter.")
 @robust_option
+@click.option(
+    "--restricted", is_flag=True, help="Estimate noise without the bias that fitted dynamics give it (REML)."
+)
 @click.option("--as-is", is_flag=True, help="Do not swap the sides of the thrusters where the data say they are.")
 @validate_option
 @rate_option
 @out_option("vehicle")
-def vehicle(
-    logs: tuple[Path, ...],
-    source: str,
-    thruster: Path | None,
-    fix: dict[str, float],
-    begin: dict[str, float],
-    prior: dict[str, tuple[float, float]],
-    agree: tuple[str, ...],
-    profiles: tuple[str, ...],
-    robust: bool,
-    as_is: bool,
-    validate: tuple[Path, ...],
-    rate: float,
-    out: Path,
-) -> None:
+def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how: Any) -> None:
     """Fit a model of the boat to LOGS and judge it on others.
 
     \b
@@ -103,26 +92,7 @@ def vehicle(
     """
     from ident import jobs
 
-    run(
-        lambda say: jobs.vehicle(
-            logs,
-            validate,
-            out,
-            source=source,
-            thruster=thruster,
-            fix=fix,
-            begin=begin,
-            prior=prior,
-            as_is=as_is,
-            agree=agree,
-            profiles=profiles,
-            robust=robust,
-            rate=rate,
-            command=command_line(),
-            say=say,
-        ),
-        out,
-    )
+    run(lambda say: jobs.vehicle(logs, validate, out, command=command_line(), say=say, **how), out)
 
 
 @ident.command(short_help="Fit shaft response and thrust curve to logs of the bench.")
@@ -138,9 +108,7 @@ def vehicle(
 @click.option("--profile", "profiles", multiple=True, metavar="NAME", help="Profile likelihood of this parameter.")
 @robust_option
 @out_option("thruster")
-def thruster(
-    logs: tuple[Path, ...], name: str | None, settle: float, profiles: tuple[str, ...], robust: bool, out: Path
-) -> None:
+def thruster(logs: tuple[Path, ...], out: Path, **how: Any) -> None:
     """Fit shaft response and thrust curve to bench LOGS of one thruster.
 
     A log of force and command without shaft speed gives the static curve alone, as a table.
@@ -151,12 +119,7 @@ def thruster(
     """
     from ident import bench_job
 
-    run(
-        lambda say: bench_job.bench(
-            logs, out, name=name, settle=settle, profiles=profiles, robust=robust, command=command_line(), say=say
-        ),
-        out,
-    )
+    run(lambda say: bench_job.bench(logs, out, command=command_line(), say=say, **how), out)
 
 
 @ident.command(short_help="Find what a model lacks, add it, and show before and after.")
@@ -178,17 +141,7 @@ def thruster(
     help="Faster sensors are averaged to this many rows a second.  [default: 10, on the bench 50]",
 )
 @out_option("diagnosis")
-def diagnose(
-    model: Path,
-    logs: tuple[Path, ...],
-    validate: tuple[Path, ...],
-    effects_file: Path | None,
-    max_effects: int,
-    thruster: str | None,
-    robust: bool,
-    rate: float | None,
-    out: Path,
-) -> None:
+def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how: Any) -> None:
     """Find what MODEL lacks to explain LOGS, add it, and show the error before and after.
 
     MODEL is a boat's, or a thruster's with logs from the bench.
@@ -201,22 +154,7 @@ def diagnose(
     """
     from ident import jobs
 
-    run(
-        lambda say: jobs.diagnosis(
-            model,
-            logs,
-            validate,
-            out,
-            rate=rate,
-            max_effects=max_effects,
-            effects_file=effects_file,
-            thruster=thruster,
-            robust=robust,
-            command=command_line(),
-            say=say,
-        ),
-        out,
-    )
+    run(lambda say: jobs.diagnosis(model, logs, validate, out, command=command_line(), say=say, **how), out)
 
 
 @ident.command(short_help="Monte Carlo of the estimator: bias, variance, coverage.")
@@ -235,8 +173,8 @@ def study(
     models: tuple[str, ...], replicates: int, seed: int, jobs: int, method: Any, truth: dict[str, float],
     free: tuple[str, ...], seconds: float | None, unbounded: bool, docs: bool, out: Path,
 ) -> None:
-    """Monte Carlo of the estimator on simulated missions of MODELs: surge, yaw, horizontal, thruster; a fitted
-    model.toml; or FILE.py:NAME, a Case of your own.
+    """Monte Carlo of the estimator on simulated missions of MODELs: surge, yaw, horizontal, thruster,
+    designed; a fitted model.toml; or FILE.py:NAME, a Case of your own.
 
     Bias, variance and coverage of the intervals. What was interrupted goes on where it was.
 

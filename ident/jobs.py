@@ -32,7 +32,7 @@ from ident.profile import check_names, profile, profile_part
 from ident.report import write_report
 from ident.robust import robust as with_outliers
 from ident.sides import check_sides, swap
-from ident.stage import Stage, first_stage, nominal, outliers
+from ident.stage import Run, Stage, first_stage, nominal, outliers
 from ident.vehicle_answer import vehicle_answer
 
 Say = Callable[[str], None]
@@ -106,13 +106,14 @@ def vehicle(
     agree: Sequence[str] = (),
     profiles: Sequence[str] = (),
     robust: bool = False,
+    restricted: bool = False,
     rate: float,
     command: str,
     say: Say,
 ) -> Json:
     """Fit a vehicle model and judge it on the validation logs. ``prior``: mean and standard deviation of parameters;
     ``agree``: parameters to test for one value in all; ``profiles``: parameters that get a profile likelihood;
-    ``robust``: allow outliers."""
+    ``robust``: allow outliers; ``restricted``: noise by restricted likelihood."""
     curve = load_curve(thruster) if thruster is not None else None
     if curve is not None:
         thruster, source = None, "horizontal:force" if source == "auto" else source
@@ -122,7 +123,8 @@ def vehicle(
     sides = check_sides([(x.run.name, x.run.channels) for x in loaded]) if "y_left" in model.values else None
     model = swap(model) if sides is not None and sides.swapped and not as_is else model
     check_names(nominal(model), profiles)
-    stage = first_stage(model, [x.run for x in loaded], [x.run for x in unseen], rate=rate, robust=robust, progress=say)
+    runs, others = [x.run for x in loaded], [x.run for x in unseen]
+    stage = first_stage(model, runs, others, rate=rate, robust=robust, restricted=restricted, progress=say)
     result = envelope([*loaded, *unseen], command) | judged_alone(Judged(stage)) | _residuals(stage)
     result |= {"kind": "vehicle", "fit": fit_part(stage.fit, model.values)}
     result["notes"] = outliers(stage) + calibration_notes(result["calibration"])
@@ -187,22 +189,14 @@ def diagnosis(
     ``rate``: 10 rows a second by default, 50 on the bench.
     """
     loaded, unseen = load_all(logs, validate)
-    saved = load_model(model_path)
     candidates = catalogue() | (own_effects(effects_file) if effects_file else {})
-    if "bench" in saved.model.provides:
-        model, rate = saved.model, rate or bench_runs.RATE
-        runs, others = (bench_runs.thruster_runs(part, model, thruster) for part in (loaded, unseen))
-    else:
-        curve, rate = known_curve(_curve_path(thruster, model_path)), rate or 10.0
-        loaded, unseen = ([completed(x, saved.model.source, curve) for x in part] for part in (loaded, unseen))
-        model = _sensed(_pushed(saved.model, model_path, loaded, unseen), model_path, loaded, unseen)
-        runs, others = [x.run for x in loaded], [x.run for x in unseen]
+    model, runs, others, usual = _posed(model_path, loaded, unseen, thruster)
     found = diagnose(
         with_outliers(model) if robust else model,
         runs,
         others,
         effects=candidates,
-        rate=rate,
+        rate=rate or usual,
         max_effects=max_effects,
         progress=say,
     )
@@ -212,6 +206,20 @@ def diagnosis(
     result["notes"] = outliers(found.after) + result["notes"]
     write_all(out, result, found.after.fit, validity(found.after), effects_file)
     return result
+
+
+def _posed(
+    model_path: Path, loaded: Sequence[Loaded], unseen: Sequence[Loaded], thruster: str | None
+) -> tuple[Model, list[Run], list[Run], float]:
+    """The saved model as these logs can ask it; its runs to estimate and to validate; its usual rows a second."""
+    model = load_model(model_path).model
+    if "bench" in model.provides:
+        runs, others = (bench_runs.thruster_runs(part, model, thruster) for part in (loaded, unseen))
+        return model, runs, others, bench_runs.RATE
+    curve = known_curve(_curve_path(thruster, model_path))
+    loaded, unseen = ([completed(x, model.source, curve) for x in part] for part in (loaded, unseen))
+    model = _sensed(_pushed(model, model_path, loaded, unseen), model_path, loaded, unseen)
+    return model, [x.run for x in loaded], [x.run for x in unseen], 10.0
 
 
 def _curve_path(thruster: str | None, model: Path) -> Path | None:

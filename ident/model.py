@@ -18,7 +18,6 @@ from typing import Any, Literal
 
 from ident.params import Parameter
 
-STAGES = ("shaft", "thrust", "force", "rate", "output")
 Stage = Callable[["Signals"], None]
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, counted
+from ident.dataset import Record
 from ident.job_inputs import completed, known_curve
 from ident.jobs import as_logged
 from ident.loading import Loaded, envelope, load_run
@@ -89,16 +89,23 @@ def _navigate(
         begin = one.run.t_from or 0.0
         raise SeatrialError(f"{one.about['path']}: is {last:.0f} s long, so nothing is left from {begin:g} s on")
     rows = record(model, replace(one.run, t_to=min(one.run.t_to or last, last)) if one.run.t_to else one.run, rate)
-    if POSITION[0] in rows.outputs and not np.isfinite(rows.y[:, rows.outputs.index(POSITION[0])]).any():
-        raise SeatrialError(f"{one.about['path']}: no GNSS position in it; a track needs at least one fix")
     t0 = float(rows.meta["t0"])
+    _has_fixes(rows, t0, without, one.about["path"])
     stretches = [(a - t0, b - t0) for a, b in without]
-    fixes = rows.t[np.isfinite(rows.y[:, rows.outputs.index(POSITION[0])])] if POSITION[0] in rows.outputs else rows.t
-    for (a, b), (begin, end) in zip(without, stretches, strict=True):
-        if not ((fixes >= begin) & (fixes < end)).any():
-            raise SeatrialError(f"{one.about['path']}: no GNSS position between {a:g} s and {b:g} s to do without; it "
-                                f"has them from {fixes[0] + t0:.0f} s to {fixes[-1] + t0:.0f} s")
     return navigate(model, rows, smoothed=smoothed, without_gnss=stretches, known=known), t0
+
+
+def _has_fixes(rows: Record, t0: float, without: Sequence[tuple[float, float]], path: str) -> None:
+    """Raise SeatrialError where there is no position at all, or none in a stretch that is to do without."""
+    if POSITION[0] not in rows.outputs:  # the model has no position, as ``navigate`` says
+        return
+    fixes = rows.t[np.isfinite(rows.y[:, rows.outputs.index(POSITION[0])])] + t0
+    if not fixes.size:
+        raise SeatrialError(f"{path}: no GNSS position in it; a track needs at least one fix")
+    for begin, end in without:
+        if not ((fixes >= begin) & (fixes < end)).any():
+            raise SeatrialError(f"{path}: no GNSS position between {begin:g} s and {end:g} s to do without; it "
+                                f"has them from {fixes[0]:.0f} s to {fixes[-1]:.0f} s")
 
 
 def _columns(done: Navigation, t0: float) -> Columns:
@@ -159,7 +166,7 @@ def answer(found: Sequence[Outage], done: Sequence[Navigation]) -> str:
         radius = max(float(np.median(np.hypot(*n.best.sd[:, [n.states.index(p) for p in POSITION]].T))) for n in done)
         return f"No GNSS outage; the {done[0].kind} position is good to {said(radius)} m (standard deviation)."
     worst = max(found, key=lambda o: o.at_end.radius)
-    many = f"{len(found)} GNSS outage{'s' if len(found) > 1 else ''}"
+    many = counted(len(found), "GNSS outage")
     words = (f"{many}, the worst of {worst.duration:.0f} s: at its end the position may be "
              f"{said(worst.at_end.radius)} m off (95 %)")
     judged = [o for o in found if o.error is not None]
@@ -189,10 +196,3 @@ def _notes(parts: Sequence[tuple[Navigation, float, list[Outage]]], known: Known
     if not known.names:
         notes.append("The model carries no standard errors: its parameters count as exact.")
     return notes
-
-
-def table_of(path: Path) -> dict[str, Any]:
-    """A CSV of ``write_csv`` read back: column name -> (n_rows,)."""
-    with path.open(encoding="utf-8") as file:
-        names = file.readline().strip().split(",")
-        return dict(zip(names, np.loadtxt(file, delimiter=",", ndmin=2).T, strict=True))

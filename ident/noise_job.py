@@ -117,6 +117,8 @@ def _answer(found: Sequence[ChannelNoise]) -> str:
     kind = "white noise plus a random walk"
     if not bad:
         return f"{'The channel is' if good == 1 else f'All {good} channels are'} {kind}."
+    if len(found) == 1:
+        return f"The channel is not {kind}: {bad[0].reason}."
     named = "; ".join(f"{x.label}: {x.reason}" for x in bad[:MOST_SAID])
     more = f"; and {len(bad) - MOST_SAID} more" if len(bad) > MOST_SAID else ""
     return f"{good} of {len(found)} channels are {kind}. Not so: {named}{more}."

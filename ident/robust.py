@@ -96,5 +96,6 @@ def outlier_notes(
             share = f" ({100 * n / total:.2g} %)" if n else ""
             doubt = ", too many for wild samples: the model lacks something there, which --robust hides"
             many = doubt if n > MANY * total else ""
-            notes.append(f"{output.name}: {n} of {total} samples were taken for outliers{share}{many}")
+            were = "was" if n == 1 else "were"
+            notes.append(f"{output.name}: {n} of {total} samples {were} taken for outliers{share}{many}")
     return notes

@@ -45,7 +45,7 @@ def _options(effects: Sequence[str]) -> Callable[[Command], Command]:
     def decorate(command: Command) -> Command:
         for option in reversed(
             (
-                click.argument("rig", type=click.Path(path_type=Path)),
+                click.argument("rig", type=click.Path(exists=True, dir_okay=False, path_type=Path)),
                 click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True,
                              help="Which one: parameters, current, effect."),
                 click.option("--run", type=click.IntRange(min=0), default=0, show_default=True,

@@ -114,3 +114,17 @@ def test_the_way_of_the_readme_leads_to_a_report(tmp_path: Path, environment: di
     assert sealed["effect"] == "wind"
     assert "The model lacks steady wind" in said
     assert (tmp_path / "diagnosis/report.html").is_file()
+
+
+@pytest.mark.study
+@pytest.mark.timeout(1800)
+def test_the_way_over_mavlink_leads_to_the_boats_model(tmp_path: Path, environment: dict[str, str]) -> None:
+    """Through an autopilot whose ESCs report speeds without a sign; the scale is that of the fixed thrust curve."""
+    page = blocks(ROOT / "docs/how-to/mavlink.md", "sh")
+    follow(lines_of([block for block in page if "seatrial import" not in block]), tmp_path, environment)
+    truth = json.loads((tmp_path / "sealed.json").read_text(encoding="utf-8"))["true_parameters"]
+    fitted = json.loads((tmp_path / "vehicle/result.json").read_text(encoding="utf-8"))
+    values = {row["name"]: row["value"] for row in fitted["fit"]["parameters"]}
+    scale = values["c1"] / truth["c1"]
+    for name in ("m_u", "m_v", "d_v"):
+        assert values[name] == pytest.approx(scale * truth[name], rel=0.1), name

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, counted
 from daq.imports.csv_map import TIME_UNITS, CsvStyle, Signal, Source, TimeColumn
 from daq.imports.units import UNITS
 
@@ -76,7 +76,7 @@ class _Cells:
             if len(row) != len(header):
                 line = rows.line_num + style.skip_rows
                 raise SeatrialError(
-                    f"{self.path}: line {line}: {len(row)} cells where the header has {len(header)}; "
+                    f"{self.path}: line {line}: {counted(len(row), 'cell')} where the header has {len(header)}; "
                     "is the delimiter right, is the last line whole?"
                 )
             self.lines.append(rows.line_num + style.skip_rows)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, counted
 from daq.imports.mavlink_import import Timed
 from daq.protocol.mavlink_samples import FIXES, mode_name
 from daq.rig import Device, Rig
@@ -111,7 +111,7 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
             raise SeatrialError(f"{path}: is no DataFlash log that can be read ({error})") from error
     if not rows:
         raise SeatrialError(f"{path}: a DataFlash log without attitude, GPS or outputs")
-    return rows, f"{n_messages} messages"
+    return rows, counted(n_messages, "message")
 
 
 @contextlib.contextmanager

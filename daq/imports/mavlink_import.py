@@ -13,7 +13,7 @@ from typing import NamedTuple
 from daq import schema
 from daq.cdr import NANO, layout
 from daq.clock import ClockMap
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, counted
 from daq.imports.write import replacing
 from daq.mcap_write import LogWriter
 from daq.protocol.mavlink import Decoder, make_samples
@@ -97,7 +97,8 @@ def read_tlog(
             f"is it a tlog or a BIN? {_others(decoder)}"
         )
     delay = f"device times {1e3 * clock.bias:.1f} ms before their arrival, spread {1e3 * clock.spread:.1f} ms"
-    return rows, f"system {system}, {decoder.frames} frames, {skipped} bytes not understood, {delay}"
+    read = f"{counted(decoder.frames, 'frame')}, {counted(skipped, 'byte')} not understood"
+    return rows, f"system {system}, {read}, {delay}"
 
 
 def _others(decoder: Decoder) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from daq.device_table import plain_decoder
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, counted
 from daq.imports.frames import Row, write_frames
 from daq.protocol import Decoder, nmea, ubx
 from daq.samples import Ahrs, Frame, Gnss, LoadCell
@@ -27,17 +27,12 @@ def import_raw(
     """
     decoder = plain_decoder(protocol)
     frames, sha256 = _decode(decoder, path)
+    wrong = f"{counted(decoder.checksum_errors, 'checksum error')}, {counted(decoder.unparsed_bytes, 'byte')} unparsed"
     if not frames:
-        raise SeatrialError(
-            f"{path}: no {protocol} samples among {decoder.frames} whole frames "
-            f"({decoder.checksum_errors} checksum errors, {decoder.unparsed_bytes} bytes unparsed)"
-        )
+        raise SeatrialError(f"{path}: no {protocol} samples among {decoder.frames} whole frames ({wrong})")
     device = _NAMES[type(frames[0].sample)]
     times = [k / rate for k in range(len(frames))] if rate else _device_times(path, frames)
-    said = (
-        f"{len(frames)} samples of {decoder.frames} {protocol} frames; "
-        f"{decoder.checksum_errors} checksum errors, {decoder.unparsed_bytes} bytes unparsed"
-    )
+    said = f"{counted(len(frames), 'sample')} of {counted(decoder.frames, f'{protocol} frame')}; {wrong}"
     target = out or Path(f"{path.stem}.mcap")
     metadata = {"import": "raw", "import.protocol": protocol, "source.1.name": path.name, "source.1.sha256": sha256}
     if rate:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from daq import schema
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, counted
 from daq.imports.frames import Row, write_frames
 from daq.samples import NAN, Ahrs, Frame, Gnss, Scalar
 
@@ -51,7 +51,7 @@ def import_ros2(
         rows += found
         if not found:
             left_out[topic] += 1
-    said = f"{len(rows)} samples" + (f"; nothing to take in {', '.join(left_out)}" if left_out else "")
+    said = counted(len(rows), "sample") + (f"; nothing to take in {', '.join(left_out)}" if left_out else "")
     if not rows:
         raise SeatrialError(f"{path}: no messages with numbers in them{' on these topics' if topics else ''}")
     target = out or Path(f"{path.stem}-seatrial.mcap")

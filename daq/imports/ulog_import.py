@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from daq import schema
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, counted
 from daq.imports.frames import Row, write_frames
 from daq.samples import NAN, Ahrs, Frame, Gnss, Scalar
 
@@ -33,7 +33,7 @@ def import_ulog(path: Path, *, out: Path | None = None, force: bool = False) -> 
     for name, columns in data.items():
         t = 1e-6 * np.asarray(columns["timestamp"], dtype=np.float64) + offset
         rows += list(_CONVERT.get(name, _signals)(name, columns, t, data))
-    said = f"{len(rows)} samples of {len(data)} topics"
+    said = f"{counted(len(rows), 'sample')} of {counted(len(data), 'topic')}"
     target = out or Path(f"{path.stem}.mcap")
     sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
     metadata = {"import": "ulog", "source.1.name": path.name, "source.1.sha256": sha256}

@@ -45,6 +45,13 @@ from ident.models.horizontal import (
 )
 
 G = 9.81  # m/s2
+STATES = (
+    State("x", "m", "north", from_output="x", sd0=1.0),
+    State("y", "m", "east", from_output="y", sd0=1.0),
+    State("u", "m/s", "surge through the water", "s_u", sd0=0.3),
+    State("v", "m/s", "sway through the water", "s_v", sd0=0.3),
+)
+YAW_RATE = State("r", "rad/s", "yaw rate", "s_r", from_output="r", sd0=0.1)
 TURN = Sensor("turn_rate", (Output("r", "rad/s", "e_r"),))
 SEEN = ("accelerometer", "position", "ground_velocity")
 ATTITUDE = (
@@ -73,14 +80,7 @@ def kinematic(
     letter, unit = ("n", "") if propulsion == "shaft" else ("f", "N")
     chosen = [SENSORS[s] for s in SEEN if s in sensors]
     noise = [NOISE[s.name] for s in chosen]
-    states = [
-        State("x", "m", "north", from_output="x", sd0=1.0),
-        State("y", "m", "east", from_output="y", sd0=1.0),
-        State("u", "m/s", "surge through the water", "s_u", sd0=0.3),
-        State("v", "m/s", "sway through the water", "s_v", sd0=0.3),
-    ]
     if yaw:
-        states.append(State("r", "rad/s", "yaw rate", "s_r", from_output="r", sd0=0.1))
         chosen, noise = [*chosen, TURN], [*noise, NOISE["gyro"]]
     unused = () if yaw else ("m_r", "d_r", "d_rr", "s_r")
     own = HULL + (CURRENT if current else ()) + (THRUST if propulsion == "shaft" else ()) + ARMS + DIFFUSION
@@ -90,7 +90,7 @@ def kinematic(
     options = [propulsion, *(["yaw"] if yaw else []), *([] if current else ["still"])]
     return Model(
         "kinematic",
-        (*states, *OFFSETS),
+        (*STATES, *((YAW_RATE,) if yaw else ()), *OFFSETS),
         (*(Input(f"{letter}_{side}", unit, hold) for side in SIDES), *ATTITUDE),
         tuple(chosen),
         (*(p for p in own if p.name not in unused), *noise),

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.errors import counted
 from ident.report import drawing, wording
 from ident.report.access import Array, Row, array, group, number, rows, text, texts
 from ident.report.blocks import Canvas, Facts, Grid, Key, Prose, Section, Verdict, Verdicts, tabbed
@@ -32,7 +33,7 @@ def write_check_page(content: Mapping[str, Any], path: Path) -> None:
     body = [_mission(canvas), *_evidence(canvas)]
     body.append(Section("all", "Every question", [_verdicts(found)] if found else []))
     command = text(content, "command")
-    body.append(Section("made", "How this was made", [Facts([("command", command)], "made")] if command else []))
+    body.append(Section("made", "How it was made", [Facts([("command", command)], "made")] if command else []))
     page = compose(
         "Preflight" if group(content, "rig") else "Check of a log",
         answer(content),
@@ -58,7 +59,7 @@ def answer(content: Row) -> str:
         return f"{fine}; look first at {_named(warnings)}."
     if not found:
         return f"{subject}: there was nothing to check."
-    return f"{subject} is {'ready' if rig else 'in order'}: {len(found)} checks, nothing wrong."
+    return f"{subject} is {'ready' if rig else 'in order'}: {counted(len(found), 'check')}, nothing wrong."
 
 
 def _phrase(finding: Row) -> str:

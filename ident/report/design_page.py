@@ -51,16 +51,16 @@ def _facts(result: Row) -> list[tuple[str, str]]:
 
 def _errors(result: Row) -> Section:
     columns = (("parameter", ""), ("value", "num"), ("unit", ""), ("± before", "num"), ("± after", "num"),
-               ("of the value", "num"), (f"± after the best {text(result, 'rival')}", "num"))
+               ("of the value", "num"), (f"± after the best {text(result, 'rival')}", "num"), ("meaning", ""))
     lines: list[list[Cell | str]] = []
     for row in rows(result, "parameters"):
         value, after = number(row, "value"), number(row, "after")
         share = None if not value or after is None else abs(after / value)
-        lines.append([Cell(f"{text(row, 'name')}  {text(row, 'meaning')}", "strong" if row.get("chosen") else ""),
-                      Cell(wording.plain(value), "num"), wording.tidy(text(row, "unit")),
+        lines.append([Cell(text(row, "name"), "symbol strong" if row.get("chosen") else "symbol"),
+                      Cell(wording.plain(value), "num"), Cell(wording.tidy(text(row, "unit")), "nowrap"),
                       Cell(wording.plain(number(row, "before")), "num"), Cell(wording.plain(after), "num"),
                       Cell("> 100 %" if share is not None and share > 1 else wording.percent(share, 1), "num"),
-                      Cell(wording.plain(number(row, "rival")), "num")])
+                      Cell(wording.plain(number(row, "rival")), "num"), Cell(text(row, "meaning"), "wide")])
     return Section("errors", "What will be known", [Table(columns, lines)] if lines else [],
                    "Standard errors; a dash before: nothing is known yet.")
 
@@ -142,4 +142,4 @@ def _histogram(name: str, values: Array, edges: Array) -> Trace:
 
 def _made(result: Row) -> Section:
     facts = [("command", text(result, "command")), ("simulations", text(result, "evaluations"))]
-    return Section("made", "How this was made", [Facts(facts)])
+    return Section("made", "How it was made", [Facts(facts, "made")])

@@ -29,7 +29,7 @@ def write_study_page(result: Mapping[str, Any], aims: Aims, path: Path) -> None:
     canvas = Canvas(result, Budget())
     body = [_study(canvas, study, aims) for study in rows(result, "studies")]
     opening = Section("top", "", [Prose(_lead(aims), "lead")])
-    made = Section("made", "How this was made",
+    made = Section("made", "How it was made",
                    [Facts([("command", text(result, "command")), ("seed", text(result, "seed"))], "made")])
     page = compose("Study of an estimator", text(result, "answer"), opening,
                    [*(s for s in body if s.blocks), made], canvas.figures, version=text(result, "seatrial"),
@@ -53,7 +53,7 @@ def _study(canvas: Canvas, study: Row, aims: Aims) -> Section:
         ("bias", "bias [standard deviations]", 1.0), ("ratio", "variance over the least possible", 1.0),
         ("coverage", "coverage of 95 % intervals [%]", 100.0))]
     key = Key([("after", "as wanted: estimate with its own 95 % interval; the band is the aim"),
-               ("before-dots", "diamonds miss the aim, open ones perhaps by chance")])
+               ("diamond", "diamonds miss the aim, open ones perhaps by chance")])
     return Section(f"study-{name}", f"{name}: {text(study, 'about')}",
                    [Facts(_facts(study)), Heading("Against what is wanted"), key, Grid(plots, 290),
                     Heading("The numbers"), Table(COLUMNS, [_row(row) for row in found])])
@@ -122,7 +122,7 @@ def _row(row: Row) -> list[Cell | str]:
     misses = texts(row, "misses")
     sure = [miss for miss in misses if "chance" not in miss]
     return [Cell(text(row, "name"), "symbol"), Cell(value, "num"), *(Cell(words, "num") for words in shown),
-            Cell(", ".join(misses) or "–", "bad" if sure else "" if misses else "quiet")]
+            Cell(", ".join(misses) or "–", "bad wide" if sure else "wide" if misses else "quiet")]
 
 
 def _between(row: Row, key: str, factor: float, digits: int) -> str:

@@ -108,7 +108,7 @@ def _outages(result: Row) -> Table | None:
     table = _table("GNSS outages" if len(shown) == len(found) else f"GNSS outages ({len(shown)} worst of {len(found)})")
     table.add_column("", no_wrap=True, overflow="ellipsis")
     for title in ("from [s]", "for [s]", "95 % radius [m]", "off by [m]", "allowed [m]"):
-        table.add_column(title, justify="right", no_wrap=True)
+        table.add_column(Text(title), justify="right", no_wrap=True)
     for row in shown:
         values = (number(row, "start"), number(row, "duration"), number(group(row, "at_end"), "radius"))
         words = [wording.plain(value) for value in (*values, number(row, "error"), number(row, "allowed"))]

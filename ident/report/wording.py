@@ -78,7 +78,7 @@ def bracket(unit: str) -> str:
 def named(name: str) -> str:
     """``heading ψ``: meaning and symbol of a channel; a name that is not known stays as it is."""
     meaning = MEANINGS.get(name)
-    if not meaning or name in meaning.split():
+    if not meaning or name in meaning.split() or name.replace("_", " ") == meaning:
         return meaning or name
     return f"{meaning} {SYMBOLS.get(name, name)}"
 

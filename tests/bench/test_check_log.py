@@ -79,8 +79,12 @@ def test_the_command_on_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     ],
 )
 def test_what_does_not_go_together_is_wrong_usage(
-    capsys: pytest.CaptureFixture[str], words: list[str], said: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], said: str
 ) -> None:
+    monkeypatch.chdir(tmp_path)
+    for word in words:
+        if not word.startswith("-"):
+            Path(word).touch()
     status, _, err = run(capsys, "check", *words)
     assert status == 2
     assert said in err
@@ -172,6 +176,9 @@ def test_clocks_that_jump_run_back_drift_or_lag() -> None:
         (found,) = clocks(device, received)
         assert word in found.text
         assert found.level != "ok"
+    rounded = t.copy()
+    rounded[1] = np.nextafter(t[0], -1.0)  # one moment, once in ms and once in us: an autopilot's attitude and IMU
+    assert [f.level for f in clocks(rounded, received)] == ["ok"]
     bunched = np.ceil(t / 0.4) * 0.4 + 0.003
     assert any("late" in f.text for f in clocks(t, bunched))
     lost = (t < 30.0) | (t > 42.0)

@@ -73,7 +73,8 @@ def test_make_and_show_a_mission(capsys: pytest.CaptureFixture[str], tmp_path: P
 def test_wrong_usage_is_status_2(capsys: pytest.CaptureFixture[str], words: list[str]) -> None:
     status, _, err = run(capsys, *words)
     assert status == 2
-    assert "Error: " in err
+    assert err.startswith(f"seatrial {words[0]}")
+    assert err.count("\n") == 1
 
 
 @pytest.fixture
@@ -88,13 +89,27 @@ def test_errors_are_one_line_and_name_the_key(capsys: pytest.CaptureFixture[str]
     bad.write_text('format = "seatrial-mission 1"\nthrusters = ["left"]\nname = 3\n', encoding="utf-8")
     binary = tmp_path / "binary.toml"
     binary.write_bytes(b"\xff\xfe\x00")
-    for path, words in ((bad, "end: missing"), (binary, "UTF-8"), (tmp_path / "none.toml", "No such file")):
+    latin = tmp_path / "latin.toml"
+    latin.write_bytes("name = 'Tromsø'".encode("latin-1"))
+    for path, words in ((bad, "end: missing"), (binary, "not a text file"), (latin, "UTF-8")):
         status, out, err = run(capsys, "mission", "run", str(path), str(rig), "-o", str(tmp_path / "x.mcap"))
         assert (status, out) == (1, "")
         assert err.startswith(f"seatrial: {path}: ")
         assert words in err
         assert err.count("\n") == 1
     assert not (tmp_path / "x.mcap").exists()
+
+
+@pytest.mark.parametrize("words", [["mission", "show"], ["bench", "all"], ["check"], ["mock", "boat"], ["log"]])
+def test_a_file_that_is_not_there_is_wrong_usage_in_one_line(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, words: list[str]
+) -> None:
+    for path in (tmp_path / "none.toml", tmp_path):
+        status, out, err = run(capsys, *words, str(path))
+        assert (status, out) == (2, "")
+        assert err.startswith(f"seatrial {' '.join(words)}: ")
+        assert str(path) in err
+        assert err.count("\n") == 1
 
 
 def test_a_thruster_has_to_be_named_when_there_are_two(

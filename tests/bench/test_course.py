@@ -93,7 +93,10 @@ def test_a_pause_is_zero_and_resumes_with_the_beginning_of_the_step() -> None:
     drive.until(110.0, " ")
     assert drive.n(105.0) == 0.0
     assert not drive.course.is_over(500.0)
+    assert drive.course.paused
+    assert drive.course.elapsed(110.0) == pytest.approx(3.5, abs=0.1)  # the mission's clock stands still
     drive.until(200.0, " ")
+    assert drive.said[-1] == "resumed with the beginning of one"
     assert drive.n(110.1) == 0.0
     assert [drive.n(110.2 + dt) for dt in (0.1, 1.1, 2.1, 4.1)] == [0.4, 0.8, -0.4, 0.0]
     assert drive.names("segment") == ["static", "one", "one", "two", "static"]
@@ -119,8 +122,9 @@ def test_a_step_is_repeated_and_a_moment_is_marked() -> None:
     ("fault", "words"),
     [
         ({"skipped": 2}, "2 set-points were skipped"),
+        ({"skipped": 1}, "1 set-point was skipped"),
         ({"ports": {"esc": replace(PORT, dropped=3)}}, "3 samples were dropped"),
-        ({"ports": {"esc": replace(PORT, reconnects=1)}}, "1 ports were lost"),
+        ({"ports": {"esc": replace(PORT, reconnects=1)}}, "1 port was lost"),
         ({"ports": {"esc": replace(PORT, age=0.7)}}, "esc was silent for 0.7 s"),
     ],
 )
@@ -138,6 +142,7 @@ def test_a_spoilt_step_is_run_again_as_often_as_was_allowed(fault: dict[str, obj
     again.status = replace(GOOD, **fault)  # type: ignore[arg-type]
     again.until(200.0)
     assert f"one: {words}" in again.names("invalid")
+    assert any(f"invalid: one: {words}" in line and "--retry" in line for line in again.said)
     assert again.names("segment") == ["static", "one", "two", "static"]
 
 

@@ -47,6 +47,18 @@ def test_live_display_draws_the_view_and_keeps_what_is_said() -> None:
     assert "tare: [zero]" in text
 
 
+def test_a_terminal_of_80_columns_loses_nothing() -> None:
+    out = io.StringIO()
+    console = Console(file=out, force_terminal=True, width=80, color_system=None)
+    warning = "autopilot: no heartbeat for 3.1 s, and the antenna's plug is in the water"
+    with LiveDisplay(console) as display:
+        display.show(View("random steps", 12.0, 3600.0, (0.5, -0.25), (1e3, -1e3), speed=1.2, warning=warning))
+    text = " ".join(out.getvalue().split())
+    assert "…" not in text
+    for words in ("random steps", "12.0/3600 s", "n +0.50 -0.25", "speed 1.20 m/s", warning):
+        assert words in text
+
+
 def test_a_pipe_gets_plain_lines() -> None:
     assert isinstance(make_display(), PlainDisplay)  # pytest's captured output is no terminal
 

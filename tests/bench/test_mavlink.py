@@ -143,7 +143,7 @@ def test_a_wrong_parameter_forbids_to_drive_and_is_not_changed(tmp_path: Path) -
     with mock(tmp_path), running(tmp_path, "--arm") as run:
         _, err = run.communicate(timeout=60)
         assert run.returncode == 1
-    assert "1 parameters forbid to drive" in err
+    assert "1 parameter forbids to drive" in err
     assert "RC_OVERRIDE_TIME is 3, wanted above 0, at most 1 s" in err
     assert trace(tmp_path) == []
 

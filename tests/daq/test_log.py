@@ -97,6 +97,46 @@ def test_info(whole: Path, tmp_path: Path) -> None:
     assert "warning: the recording was cut off" in done.stdout
 
 
+def test_info_of_many_events_shows_how_the_run_ended(tmp_path: Path) -> None:
+    log = recorder(tmp_path / "run.mcap")
+    for k in range(60):
+        log.event(T0 + k, "segment", f"step {k}")
+    log.event(T0 + 60.0, "stop", "force is 61.2 N, limit 60 N")
+    log.close()
+    out = CliRunner().invoke(cli.info, [str(tmp_path / "run.mcap")], catch_exceptions=False).stdout
+    lines = out.splitlines()
+    assert "step 0" in out
+    assert lines[-1].endswith("stop  force is 61.2 N, limit 60 N")
+    (gap,) = [line for line in lines if "left out" in line]
+    shown = sum("segment  step" in line for line in lines)
+    assert f"... {60 - shown} events left out" in gap
+
+
+def test_info_says_a_swarm_of_events_in_one_line(tmp_path: Path) -> None:
+    log = recorder(tmp_path / "run.mcap")
+    for k in range(30):
+        log.event(T0 + k, "skipped", f"{k + 1} set-points")
+    log.event(T0 + 30.0, "mark", "operator mark 1")
+    log.event(T0 + 31.0, "skipped", "7 set-points")
+    log.close()
+    lines = CliRunner().invoke(cli.info, [str(tmp_path / "run.mcap")], catch_exceptions=False).stdout.splitlines()
+    assert [line.split("  ")[-1] for line in lines[-3:]] == [
+        "1 set-points (and 29 more until 29.000 s later)",
+        "operator mark 1",
+        "7 set-points",
+    ]
+
+
+def test_info_counts_one_as_one(tmp_path: Path) -> None:
+    log = recorder(tmp_path / "run.mcap", attachments={"note": b"1"})
+    log.event(T0, "mark", "alone")
+    log.close()
+    out = CliRunner().invoke(cli.info, [str(tmp_path / "run.mcap")], catch_exceptions=False).stdout
+    assert "1 message\n" in out
+    assert "longest gap [s]" in " ".join(out.split())
+    assert "note (1 byte)" in out
+
+
 def test_the_index_is_only_believed_where_it_is_right(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     log = recorder(path)

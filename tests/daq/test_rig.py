@@ -50,7 +50,7 @@ def test_absolute_and_socketcan_ports_stay_as_they_are(example: str) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "line"),
     [
-        ('format = "seatrial-rig 1"', 'format = "seatrial-rig 9"', r"format: must be one of seatrial-rig 1"),
+        ('format = "seatrial-rig 1"', 'format = "seatrial-rig 9"', r"format: must be 'seatrial-rig 1', not '"),
         ("speed = 20.0", "sped = 20.0", r"clock\.sped: unknown key; known here: speed"),
         ("speed = 20.0", "speed = nan", r"clock\.speed: must be a finite number"),
         ("speed = 20.0", "speed = true", r"clock\.speed: must be a number, not true"),

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from daq.log import open_log
+from daq.samples import Command, Esc, Servo
 from ident.channels import channels, local_ned
 from ident.dataset import Channel
 from mocks.bench_plant import draw_bench
@@ -71,6 +72,29 @@ def test_a_saturated_reading_and_a_lost_fix_are_left_out(tmp_path: Path, boat: R
         found = channels(log)
     assert found["x"].t.size == found["vy"].t.size == len(fixes) - 20
     assert np.diff(found["x"].t).max() == pytest.approx(21 * 0.2)
+
+
+def test_telemetry_without_a_sign_gets_that_of_the_shaft_not_of_the_output(tmp_path: Path) -> None:
+    """As an autopilot logs it: outputs, and rev/min with the output's sign of that moment."""
+    run = sail(boat_with(None, 4), 120.0, 3)[0]
+    told, readings = {1: 0.0, 2: 0.0}, []
+    for r in run.readings:
+        if isinstance(r.sample, Command):
+            told[r.sample.node] = r.sample.n_cmd
+            readings.append(r._replace(sample=Servo(r.sample.node, 1500.0, r.sample.n_cmd)))
+        elif isinstance(r.sample, Esc):
+            n = told[r.sample.node]
+            rpm = math.copysign(r.sample.rpm, n) if n else abs(r.sample.rpm)
+            r = r._replace(sample=replace(r.sample, rpm=rpm, duty=n))
+        readings.append(r)
+    with open_log(write_log(tmp_path / "a.mcap", "boat", readings)) as log:
+        found = channels(log)
+    for side in ("left", "right"):
+        c = found[f"n_{side}"]
+        truth = np.interp(c.t - T0, run.truth["t"], run.truth[f"n_{side}"])
+        naive = np.copysign(c.value, np.interp(c.t, found[f"n_cmd_{side}"].t, found[f"n_cmd_{side}"].value))
+        assert np.sqrt(np.mean((naive - truth) ** 2)) > 0.1
+        assert np.sqrt(np.mean((c.value - truth) ** 2)) < 0.03
 
 
 def test_local_ned_is_metres_on_the_ellipsoid() -> None:

@@ -43,6 +43,8 @@ def test_a_design_is_a_mission_that_bench_reads_and_shows(tmp_path: Path, capsys
     status, said, _ = run(capsys, *words, "--out", str(out))
     assert status == 0
     assert "m_u ±" in said
+    assert "kg m²" in said
+    assert "kg m2" not in said
     mission = load_mission(out)
     assert parse_mission(dump_mission(mission), "again") == mission
     assert mission.thrusters == ("left", "right")
@@ -66,6 +68,7 @@ def test_a_design_is_a_mission_that_bench_reads_and_shows(tmp_path: Path, capsys
     at = np.searchsorted(t, np.array(result["inputs"][0]["t"][:-1]) + STATIC_S + 1e-6, side="right") - 1
     assert np.abs(n[at, 0] - np.array(result["inputs"][0]["value"][:-1])).max() < 0.45  # within a row of the same ramps
     page = out.with_suffix(".html").read_text(encoding="utf-8")
+    assert re.search(r'<td class="symbol[^"]*">m_u</td>', page)  # alone: beside its meaning it is five lines on a phone
     for words_ in ("What will be known", "Where the boat goes", "Against random sequences", "PRBS"):
         assert words_ in page
     assert "http://" not in re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)

@@ -14,8 +14,7 @@ from ident.fit import Fit, Problem, fit
 from ident.model import Input, Model, Output, Sensor, State, plain_model
 from ident.params import INF, Parameter
 from ident.pe import Likelihood
-from ident.starts import best_start
-from tests.ident.toys import turning, turning_record, values_of
+from tests.ident.toys import best_start, turning, turning_record, values_of
 
 FREE = ("m", "d", "dd", "bias", "q", "e_psi", "e_r")
 

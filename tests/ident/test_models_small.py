@@ -14,7 +14,7 @@ from ident.models.surge import surge
 from ident.models.thruster import DELAY_STEP, N_DELAYS, delay_weights, delayed_channels, past_dead_zone, thruster
 from ident.models.yaw import yaw
 from ident.oe import simulate
-from ident.starts import best_start
+from tests.ident.toys import best_start
 
 A, C1, C2, BIAS = 2.794, 40.05, 1.11, 0.3
 DT = 1e-3  # s, of the simulation: delays and command times are multiples of it

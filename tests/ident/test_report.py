@@ -198,6 +198,16 @@ def test_the_terminal_has_the_key_figures(diagnosis: dict[str, Any]) -> None:
         assert words in text
 
 
+def test_the_terminal_says_the_units_of_outages() -> None:
+    words = " ".join(printed(KINDS["navigation"]()).split())
+    assert "from [s] for [s] 95 % radius [m] off by [m] allowed [m]" in words
+
+
+def test_a_name_that_says_it_all_is_not_said_twice() -> None:
+    assert wording.named("voltage_left") == "voltage left"
+    assert wording.named("n_left") == "shaft speed left n_left"
+
+
 @pytest.mark.parametrize(
     ("value", "se", "shown"),
     [

@@ -16,6 +16,8 @@ def test_what_misses_stands_out(tmp_path: Path) -> None:
     write_study_page(page_examples.study(), page_examples.AIMS, path)
     page = Page(path.read_text(encoding="utf-8"))
     assert page.headings() == ["study-surge", "study-yaw", "study-none", "made"]
+    styles = [str(attrs.get("class")) for tag, attrs in page.tags if tag == "td"]
+    assert {style for style in styles if "bad" in style} == {"bad wide"}  # a sentence, in a row of numbers
     words = " ".join(page.words.split())
     assert "in 93 % to 97 % of the fits" in words
     assert "No replicate can be judged." in words

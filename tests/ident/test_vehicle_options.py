@@ -1,4 +1,4 @@
-"""--robust and --profile through the commands, to model.toml, result.json and the report."""
+"""--robust, --restricted and --profile through the commands, to model.toml, result.json and the report."""
 
 from __future__ import annotations
 
@@ -71,3 +71,17 @@ def test_a_profile_that_cannot_be_is_said_before_the_fit(name: str, says: str, l
     assert isinstance(done.exception, SeatrialError)
     assert says in str(done.exception)
     assert "fitting" not in done.output
+
+
+def test_restricted_noise_leaves_the_dynamics_and_makes_their_errors_larger(logs: tuple[Path, Path]) -> None:
+    """A dozen parameters of the dynamics took a part of what disturbs the boat with them."""
+    fits = []
+    for name, words in (("plain", []), ("reml", ["--restricted"])):
+        folder = logs[0].parent / name
+        CliRunner().invoke(ident, ["vehicle", str(logs[0]), *words, "--out", str(folder)], catch_exceptions=False)
+        fits.append(json.loads((folder / "result.json").read_text(encoding="utf-8"))["fit"]["parameters"])
+    plain, reml = ({p["name"]: (p["value"], p["se"]) for p in parameters} for parameters in fits)
+    for name in ("m_u", "m_v", "m_r", "d_v", "d_r"):
+        (value, error), (other, larger) = plain[name], reml[name]
+        assert other == pytest.approx(value, abs=0.5 * error)
+        assert 1.005 < larger / error < 1.1

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from ident.dataset import Record
 from ident.model import Input, Model, Output, Sensor, State, plain_model
 from ident.params import INF, Parameter
+from ident.pe import Likelihood
 
 
 def turning() -> Model:
@@ -128,3 +130,22 @@ class NumpyFilter:
         half = identity + A / 2 + A @ A / 8
         Q = h / 6 * (Phi @ self.Q @ Phi.T + 4 * half @ self.Q @ half.T + self.Q)
         return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), Phi @ P @ Phi.T + Q
+
+
+def best_start(model: Model, records: Sequence[Record], grid: Mapping[str, Sequence[float]]) -> dict[str, float]:
+    """The point of a grid with the largest likelihood, everything else at the model's values.
+
+    A likelihood costs milliseconds; the product of the grid's axes should stay below some hundred points.
+    """
+    likelihood = Likelihood(model)
+    base = np.array([p.value for p in model.parameters])
+    names = [p.name for p in model.parameters]
+    columns = [names.index(name) for name in grid]
+    best, found = -np.inf, {name: model.parameter(name).value for name in grid}
+    for point in product(*grid.values()):
+        values = base.copy()
+        values[columns] = point
+        total = sum(likelihood.value(record, values) for record in records)
+        if total > best:
+            best, found = total, dict(zip(grid, point, strict=True))
+    return found

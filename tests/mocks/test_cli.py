@@ -202,7 +202,7 @@ def test_two_mocks_do_not_share_a_port(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "status", "says"),
     [
-        (("boat", "nowhere.toml"), 1, r"seatrial: nowhere\.toml: .*\n"),
+        (("boat", "nowhere.toml"), 2, r"seatrial mock boat: .*nowhere\.toml' does not exist.*\n"),
         (("boat", "{bench}"), 1, r"seatrial: .*a mock boat has two thrusters.*\n"),
         (("bench", "{boat}"), 1, r"seatrial: .*a mock bench has one thruster; this rig has 2\n"),
         (("boat", "{boat}", "--fault", "fire@3"), 1, r"seatrial: --fault fire@3: no fault 'fire'.*\n"),
