@@ -10,7 +10,7 @@ import numpy as np
 from mocks.undeclared import NOISE
 from tests.recovery.cases import Row
 from tests.recovery.kinds import KINDS
-from tests.recovery.verdict import all_right, drawn_right, first_right, leads, truths, wrong_as_sure
+from tests.recovery.verdict import all_right, drawn_right, exactly, first_right, leads, truths, wrong_as_sure
 
 Lines = list[list[str]]
 CLEAN = ("clean", "clean-timid", "clean-short", "dropout")
@@ -40,6 +40,7 @@ def shape_holds(row: Row) -> bool:
 
 TARGETS = (
     Target(("single",), "named first, as sure", first_right, 0.95),
+    Target(("single",), "that, and nothing beside it", exactly, 0.95),
     Target(("half",), "named first, as sure", first_right, 0.85),
     Target(("half",), "a wrong name first, as sure", wrong_as_sure, 0.03, least=False),
     Target(("mixture",), "right first, a likeness too", leads, 0.85),

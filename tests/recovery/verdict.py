@@ -43,6 +43,11 @@ def first_right(row: Row) -> bool:
     return row["found"][0] in truths(row) and row["certainty"][0] == "named"
 
 
+def exactly(row: Row) -> bool:
+    """The truth as sure, and nothing else: no further name, no table of what is left."""
+    return first_right(row) and len(row["found"]) == len(truths(row))
+
+
 def leads(row: Row) -> bool:
     """The truth stands first, as sure or as a likeness."""
     return bool(row["found"]) and row["found"][0] in truths(row)
