@@ -93,7 +93,7 @@ def test_the_packaged_rigs_get_the_speed(tmp_path: Path, name: str) -> None:
 
 def test_a_failing_step_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     steps = Steps(tmp_path)
-    with pytest.raises(StepFailed, match=r"`seatrial mission show` failed with exit status 1"):
+    with pytest.raises(StepFailed, match=r"`seatrial mission show` failed with exit status 2"):
         steps.run("show", "mission", "show", "nowhere.toml")
     assert "$ seatrial mission show nowhere.toml" in capfd.readouterr().out
     assert not steps.has("ident", "no-such-command")

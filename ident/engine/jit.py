@@ -17,7 +17,7 @@ except ImportError:  # no wheel for this machine: kernels are interpreted then
 AVAILABLE = llvm is not None
 OPTIMISE = 1  # of the IR passes; -O2 takes longer and its code is slower
 CODEGEN = 2
-QUICK = 0  # of CODEGEN: a third of the time, and code that runs a third slower
+QUICK = 0  # of both: a third of the time, and code that takes three quarters longer to run
 # Of the instructions in a block. The default asks what the processor could do at once, and in stages of some thousand
 # instructions, which leave the registers full, a tenth more of them then only put values away and fetch them again.
 # An option that LLVM does not know would end the process, so none is given to an LLVM that it was not tried with.
@@ -64,8 +64,9 @@ def quickly() -> Iterator[None]:
         _quickly.remove(token)
 
 
-def _codegen() -> int:
-    return QUICK if _quickly else CODEGEN
+def _levels() -> tuple[int, int]:
+    """Of the passes and of the code generation."""
+    return (QUICK, QUICK) if _quickly else (OPTIMISE, CODEGEN)
 
 
 def target() -> tuple[Any, ...]:
@@ -75,7 +76,7 @@ def target() -> tuple[Any, ...]:
 
 def key_of(ir: str) -> str:
     """The name of the machine code of ``ir``."""
-    return hashlib.sha256(repr((*target(), _codegen(), ir)).encode()).hexdigest()
+    return hashlib.sha256(repr((*target(), _levels(), ir)).encode()).hexdigest()
 
 
 def load(ir: str, symbol: str) -> tuple[Any, int]:
@@ -104,14 +105,14 @@ def _link(machine_code: bytes, key: str, symbol: str) -> tuple[Any, int]:
 
 
 def _machine() -> Any:
-    return llvm.Target.from_default_triple().create_target_machine(CPU, FEATURES, _codegen(), jit=True)
+    return llvm.Target.from_default_triple().create_target_machine(CPU, FEATURES, _levels()[1], jit=True)
 
 
 def _compile(ir: str) -> bytes:
     machine = _machine()
     module = llvm.parse_assembly(ir)
     module.verify()
-    passes = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=OPTIMISE))
+    passes = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=_levels()[0]))
     passes.getModulePassManager().run(module, passes)
     return bytes(machine.emit_object(module))
 
