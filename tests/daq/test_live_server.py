@@ -101,7 +101,7 @@ def test_a_client_gets_the_messages_of_the_log() -> None:
                 if opcode == 2:
                     binary = data
                     break
-                if json.loads(data).get("op") == "status":  # "unknown channel": it is told of a moment before it is there
+                if json.loads(data).get("op") == "status":  # told of a moment before it can be subscribed to
                     client.send(subscription)
         finally:
             client.close()
