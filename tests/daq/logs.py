@@ -11,6 +11,7 @@ from daq.rig import Rig, parse_rig
 from daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, PortHealth, Sample, Scalar
 
 NAN = math.nan
+N_ROUNDS = 12  # of everything, in the log `whole`
 T0 = 1_700_000_000.0  # run time at which these logs begin
 RIG = """
 format = "seatrial-rig 1"

@@ -14,16 +14,7 @@ from daq.errors import SeatrialError
 from daq.log import open_log
 from daq.mcap_read import RawLog
 from daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, PortHealth, Scalar
-from tests.daq.logs import HEALTH, T0, recorder, tables, write_everything
-
-N_ROUNDS = 12
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("whole") / "run.mcap"
-    write_everything(path, N_ROUNDS)
-    return path
+from tests.daq.logs import HEALTH, N_ROUNDS, T0, recorder, tables
 
 
 def test_what_a_whole_log_says_of_itself(whole: Path) -> None:

@@ -15,16 +15,7 @@ from daq.errors import SeatrialError
 from daq.log import open_log
 from daq.mcap_read import RawLog
 from daq.samples import Gnss
-from tests.daq.logs import T0, is_prefix, recorder, tables, write_everything
-
-N_ROUNDS = 12
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("whole") / "run.mcap"
-    write_everything(path, N_ROUNDS)
-    return path
+from tests.daq.logs import N_ROUNDS, T0, is_prefix, recorder, tables
 
 
 def test_cut_anywhere(whole: Path, tmp_path: Path) -> None:

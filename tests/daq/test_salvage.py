@@ -19,13 +19,6 @@ from daq.samples import Ahrs, Frame
 from tests.daq.logs import T0, StoppedClock, rig, tables, write_everything
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("whole") / "run.mcap"
-    write_everything(path, 12)
-    return path
-
-
 @pytest.fixture
 def killed_set(tmp_path: Path) -> Path:
     """A run of 35 s in segments of 10 s, killed in the fourth; the first of them."""
