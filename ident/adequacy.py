@@ -21,6 +21,7 @@ from ident.score import Score
 LEFT, LEFT_SHARE = 20.0, 0.03
 MANY = 8  # tests that may still pass, however little each is worth: one small difference shows in a few of them
 CLOSE, CLOSE_SHARE = 10.0, 0.05  # a rival that is no further behind than this is not excluded
+FORM = 0.1  # a rival worth less than this share of the effect it stands beside may be that one's true form
 
 
 def judge(
@@ -42,7 +43,7 @@ def judge(
             found.append(Judgement(one.chosen.effect.name, "unknown", (), tuple(q.effect.name for q in _close(one))))
             continue
         reasons = [*_left(rest, n), *_many(left), *_kin(one.chosen.effect, left, len(chosen)), *_tables(chosen, one)]
-        reasons += _rivals(one)
+        reasons += [*_form(chosen, one.chosen), *_rivals(one)]
         reasons += _untested(one.chosen.effect, untested)
         rivals = [q.effect.name for q in _close(one)]
         rivals += [name for name in one.chosen.effect.rivals if name in untested and name not in rivals]
@@ -67,6 +68,14 @@ def _kin(effect: Effect, left: Sequence[Score], n_added: int) -> list[str]:
     effect may then do the work of all."""
     kin = [s.name for s in left if s.name in effect.rivals] if n_added > 1 else []
     return [f"with it the tests still find its rival {kin[0]}"] if kin else []
+
+
+def _form(chosen: Sequence[Refit], one: Refit) -> list[str]:
+    """Where this one is a small rival of a strong one: what a true form has beyond ours looks like its nearest relative
+    (a shaft that falls behind by a power of the command that is not ours, like a limit to its speed)."""
+    strong = [c.effect for c in chosen if one.criterion < FORM * c.criterion]
+    kin = [e for e in strong if e.name in one.effect.rivals or one.effect.name in e.rivals]
+    return [f"it may be no more than what {kin[0].title} has beyond its formula"] if kin else []
 
 
 def _worded(score: Score) -> str:

@@ -114,6 +114,18 @@ def test_of_several_effects_one_may_do_the_work_of_all() -> None:
     assert alone.certainty == "named"
 
 
+@pytest.mark.parametrize(("criterion", "certainty"), [(172.0, "resembles"), (800.0, "named")])
+def test_a_small_rival_beside_a_strong_effect_may_be_that_ones_true_form(criterion: float, certainty: str) -> None:
+    """The shaft's speed bends by a power of the command that is not ours: at the top that looks like a small limit."""
+    curve, limit = of(one_round(refit("speed-curve", 4357.0)),
+                      one_round(refit("speed-limit", criterion, rivals=("speed-curve",))))
+    assert (curve.certainty, limit.certainty) == ("named", certainty)
+    if limit.reasons:
+        assert limit.reasons == ("it may be no more than what speed curve has beyond its formula",)
+    (_, other) = of(one_round(refit("speed-curve", 4357.0)), one_round(refit("rod-flex", criterion)))
+    assert other.certainty == "named"
+
+
 @pytest.mark.parametrize(("name", "said"), [
     ("N(u, r)", "that N depends on u and r"), ("X(past of n_sum)", "that X follows n_sum"),
     ("X(swing after n_sum)", "that X swings after n_sum"), ("psi(n_diff)", "that the error of psi depends on n_diff"),

@@ -120,6 +120,12 @@ def verdict(row: Row) -> str:
     return "likened" if row["certainty"][0] != "named" else "wrong"
 
 
+def false_name(row: Row) -> bool:
+    """Was anything given as sure that is not there?"""
+    found = zip(row["found"], row["certainty"], strict=True)
+    return any(certainty == "named" and name != row["effect"] for name, certainty in found)
+
+
 VERDICTS = ("exact", "first", "likened", "unknown", "missed", "wrong")
 
 
@@ -151,9 +157,12 @@ def summary(rows: Sequence[Row]) -> list[list[str]]:
     for scale in sorted({r["scale"] for r in good}, reverse=True):
         some = [r for r in good if r["scale"] == scale and r["effect"] != "none"]
         for what, kinds in (("named first", ("exact", "first")), ("that and nothing else", ("exact",)),
-                            ("another name as sure", ("wrong",))):
+                            ("another name first, as sure", ("wrong",))):
             if some:
                 lines.append([f"{what}, size {scale:g}", f"{sum(verdict(r) in kinds for r in some)}/{len(some)}"])
+        if some:
+            false = sum(map(false_name, some))
+            lines.append([f"another name anywhere, as sure, size {scale:g}", f"{false}/{len(some)}"])
     clean = [r for r in good if r["effect"] == "none"]
     if clean:
         lines.append(["false alarms on clean benches", f"{sum(bool(r['found']) for r in clean)}/{len(clean)}"])

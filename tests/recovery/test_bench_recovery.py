@@ -60,7 +60,8 @@ def test_the_tables_count_what_was_named() -> None:
     together = {one[0]: one[1] for one in bench_study.summary(rows)}
     assert together["named first, size 1"] == "2/5"
     assert together["that and nothing else, size 1"] == "1/5"
-    assert together["another name as sure, size 1"] == "1/5"
+    assert together["another name first, as sure, size 1"] == "1/5"
+    assert together["another name anywhere, as sure, size 1"] == "2/5"
     assert together["named first, size 0.5"] == "0/1"
     assert together["false alarms on clean benches"] == "1/2"
     head, *lines = bench_study.rates([r for r in rows if r["scale"] == 1.0])
