@@ -79,6 +79,9 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
 @click.option(
     "--restricted", is_flag=True, help="Estimate noise without the bias that fitted dynamics give it (REML)."
 )
+@click.option(
+    "--second-order", is_flag=True, help="Let the filter's mean go with the curvature of drag: less bias, more time."
+)
 @click.option("--as-is", is_flag=True, help="Do not swap the sides of the thrusters where the data say they are.")
 @validate_option
 @rate_option

@@ -107,19 +107,21 @@ def vehicle(
     profiles: Sequence[str] = (),
     robust: bool = False,
     restricted: bool = False,
+    second_order: bool = False,
     rate: float,
     command: str,
     say: Say,
 ) -> Json:
     """Fit a vehicle model and judge it on the validation logs. ``prior``: mean and standard deviation of parameters;
     ``agree``: parameters to test for one value in all; ``profiles``: parameters that get a profile likelihood;
-    ``robust``: allow outliers; ``restricted``: noise by restricted likelihood."""
+    ``robust``: allow outliers; ``restricted``: noise by restricted likelihood; ``second_order``: the
+    filter's mean goes with the curvature of the rates."""
     curve = load_curve(thruster) if thruster is not None else None
     if curve is not None:
         thruster, source = None, "horizontal:force" if source == "auto" else source
     loaded, unseen = ([completed(x, source, curve) for x in part] for part in load_all(logs, validate))
     model = _with_start(_with_priors(choose_model(source, [*loaded, *unseen]), prior or {}), begin)
-    model = with_known(model, loaded[0].rig, thruster, fix)
+    model = replace(with_known(model, loaded[0].rig, thruster, fix), second_order=second_order)
     sides = check_sides([(x.run.name, x.run.channels) for x in loaded]) if "y_left" in model.values else None
     model = swap(model) if sides is not None and sides.swapped and not as_is else model
     check_names(nominal(model), profiles)

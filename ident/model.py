@@ -150,6 +150,7 @@ class Model:
     variables: tuple[Variable, ...] = ()
     products: tuple[tuple[str, str], ...] = ()
     block: float = 5.0  # s, several times the memory of what is unexplained: scores are summed over blocks as long
+    second_order: bool = False  # the filter's mean goes with the curvature of the rates (engine.graphs)
 
     def __post_init__(self) -> None:
         for kind, names in (

@@ -58,6 +58,8 @@ def save_model(
     document["effects"] = [e.name for e in model.effects]
     if robust_sensors(model):
         document["robust"] = list(robust_sensors(model))
+    if model.second_order:
+        document["second_order"] = True
     spans = {e.name: list(e.span) for e in model.effects if e.span is not None}
     if spans:
         document["spans"] = spans
@@ -126,7 +128,7 @@ def _build(table: Mapping[str, Any]) -> Model:
     for name in table["effects"]:
         if name not in {e.name for e in model.effects}:
             model = model + (own[name] if name in own else _effect(name, model, table.get("spans", {})))
-    model = robust(model, table.get("robust", []))
+    model = replace(robust(model, table.get("robust", [])), second_order=bool(table.get("second_order", False)))
     rows = {row["name"]: row for row in table["parameter"]}
     unknown = set(rows) - set(model.values)
     if unknown:

@@ -99,6 +99,7 @@ def estimate(model: Model, record: Record, truth: Array, rng: np.random.Generato
     start = {p.name: float(np.clip(apart[p.name], *p.bounds)) for p in shared}
     start |= {p.name: p.value for p in model.parameters if p.per_record}
     began = time.process_time()
+    model = replace(model, second_order=method == "pe")
     found = fit(model, [record], method=method, start=start, threads=1, restricted=True)
     cpu = time.process_time() - began
     names = [n.partition("@")[0] for n in found.names]

@@ -174,7 +174,8 @@ def page(result: Json) -> str:
         "the mean of the variances that the fits reported; `variance/bound`: over the Cramer-Rao bound at the truth, "
         "or the least variance where parameters are near their bounds (`ident/study.py`). `coverage`: of 95 % "
         "intervals, which are one-sided for estimates `at bound`. Noise is estimated by restricted likelihood "
-        "(`ident/restricted.py`). In brackets, 95 % intervals of these numbers themselves. The last column names "
+        "(`ident/restricted.py`), and the filter's mean is of second order (`ident/engine/graphs.py`). In brackets, "
+        "95 % intervals of these numbers themselves. The last column names "
         f"what is beyond the aim (|bias| < {BIAS}, variance within {100 * VARIANCE:.0f} %, coverage "
         f"{100 * COVERAGE[0]:.0f}-{100 * COVERAGE[1]:.0f} %), with `chance?` where the number's own interval reaches "
         "into the aim.",

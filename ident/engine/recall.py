@@ -121,7 +121,8 @@ def key_of(model: Model, covariance: bool, joseph: bool) -> str | None:
         return None
     noise = ([s.noise for s in model.states], [(s.name, s.outputs) for s in model.sensors])
     names = [p.name for p in model.parameters]
-    what = (lines, noise, names, [i.hold for i in model.inputs], covariance, joseph, _code())
+    holds = [i.hold for i in model.inputs]
+    what = (lines, noise, names, holds, covariance, joseph, model.second_order, _code())
     return hashlib.sha256(repr(what).encode()).hexdigest()
 
 

@@ -17,7 +17,7 @@ from tests.ident.toys import NumpyFilter, turning, turning_record, values_of
 FREE = ("m", "d", "dd", "bias", "q", "e_psi", "e_r", "psi0", "sd0")
 
 
-def numpy_value(record: Record, v: np.ndarray) -> float:
+def numpy_value(record: Record, v: np.ndarray, *, second_order: bool = False) -> float:
     p = dict(zip(FREE, v, strict=True))
     reference = NumpyFilter(
         f=lambda x, u: np.array([x[1], (u[0] - p["d"] * x[1] - p["dd"] * abs(x[1]) * x[1]) / p["m"]]),
@@ -26,6 +26,7 @@ def numpy_value(record: Record, v: np.ndarray) -> float:
         R=np.array([p["e_psi"], p["e_r"], p["e_r"]]) ** 2,
         sensors=[[0], [1, 2]],
         angles={0},
+        second_order=second_order,
     )
     return reference.value(record, np.array([p["psi0"], 0.1]), np.diag([0.1**2, p["sd0"] ** 2]))
 
@@ -34,6 +35,31 @@ def numpy_value(record: Record, v: np.ndarray) -> float:
 def test_value_agrees_with_a_filter_in_plain_numpy(joseph: bool) -> None:
     record, v = turning_record(), values_of(turning())
     assert Likelihood(turning(), joseph=joseph).value(record, v) == pytest.approx(numpy_value(record, v), rel=1e-9)
+
+
+def test_a_mean_of_second_order_agrees_with_plain_numpy() -> None:
+    record, v = turning_record(), values_of(turning())
+    bent = Likelihood(replace(turning(), second_order=True)).value(record, v)
+    assert bent == pytest.approx(numpy_value(record, v, second_order=True), rel=1e-8)
+    assert abs(bent - Likelihood(turning()).value(record, v)) > 1e-3
+
+
+def test_a_mean_of_second_order_is_that_of_many_boats() -> None:
+    """Quadratic drag slows the mean of a cloud of boats down by its spread, which a filter of first order misses."""
+    model, x, P = replace(turning(), second_order=True), np.array([0.0, 1.5]), np.diag([1e-4, 0.04])
+    N = np.full((11, 1), 3.0)
+    record = Record("free", np.arange(11) * 0.05, N, N, np.full((11, 3), np.nan), ("N",), ("psi", "gyro", "second"))
+    v = values_of(model)
+    bent, plain = (Likelihood(m).forecast(record, v, x, P, 0, 10)[0][-1, 1] for m in (model, turning()))
+    rng, r = np.random.default_rng(2), 1.5 + 0.2 * np.random.default_rng(1).normal(size=400_000)
+    for _ in range(100):
+        kick = 0.05 * math.sqrt(0.005) * rng.normal(size=r.size)
+        slope = (3.0 - 4.0 * r - 6.0 * abs(r) * r) / 9.7
+        ahead = r + 0.005 * slope + kick
+        r = r + 0.0025 * (slope + (3.0 - 4.0 * ahead - 6.0 * abs(ahead) * ahead) / 9.7) + kick
+    chance = r.std() / math.sqrt(r.size)
+    assert plain - r.mean() > 20 * chance
+    assert abs(bent - r.mean()) < 4 * chance + 0.1 * (plain - r.mean())
 
 
 def linear() -> Model:
@@ -98,8 +124,10 @@ def test_a_linear_model_is_a_joint_gaussian() -> None:
     assert Likelihood(linear()).value(record, v) == pytest.approx(joint_gaussian(record, v), rel=1e-9)
 
 
-def test_gradient_agrees_with_finite_differences() -> None:
-    likelihood, record, v = Likelihood(turning()), turning_record(), values_of(turning())
+@pytest.mark.parametrize("second_order", [False, True])
+def test_gradient_agrees_with_finite_differences(second_order: bool) -> None:
+    model = replace(turning(), second_order=second_order)
+    likelihood, record, v = Likelihood(model), turning_record(), values_of(model)
     value, gradient = likelihood.gradient(record, v)
     assert value == pytest.approx(likelihood.value(record, v), rel=1e-13)
     for i, name in enumerate(FREE):

@@ -1,4 +1,4 @@
-"""--robust, --restricted and --profile through the commands, to model.toml, result.json and the report."""
+"""--robust, --restricted, --second-order and --profile: through the commands to model.toml, result and report."""
 
 from __future__ import annotations
 
@@ -85,3 +85,12 @@ def test_restricted_noise_leaves_the_dynamics_and_makes_their_errors_larger(logs
         (value, error), (other, larger) = plain[name], reml[name]
         assert other == pytest.approx(value, abs=0.5 * error)
         assert 1.005 < larger / error < 1.1
+
+
+def test_a_mean_of_second_order_stays_with_the_model(logs: tuple[Path, Path]) -> None:
+    folder = logs[0].parent / "bent"
+    CliRunner().invoke(ident, ["vehicle", str(logs[0]), "--second-order", "--out", str(folder)], catch_exceptions=False)
+    assert load_model(folder / "model.toml").model.second_order
+    jobs.diagnosis(folder / "model.toml", logs[:1], logs[1:], folder / "diagnosis", rate=10.0, max_effects=1,
+                   effects_file=None, command="test", say=lambda line: None)
+    assert load_model(folder / "diagnosis/model.toml").model.second_order

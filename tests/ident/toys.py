@@ -84,8 +84,10 @@ class NumpyFilter:
         R: np.ndarray,
         sensors: list[list[int]],
         angles: set[int],
+        second_order: bool = False,
     ) -> None:
         self.f, self.h, self.Q, self.R, self.sensors, self.angles = f, h, Q, R, sensors, angles
+        self.second_order = second_order
 
     @staticmethod
     def jacobian(f: Callable[[Any], Any], x: np.ndarray) -> np.ndarray:
@@ -129,7 +131,18 @@ class NumpyFilter:
         Phi = identity + A + A @ A / 2 + A @ A @ A / 6
         half = identity + A / 2 + A @ A / 8
         Q = h / 6 * (Phi @ self.Q @ Phi.T + 4 * half @ self.Q @ half.T + self.Q)
-        return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), Phi @ P @ Phi.T + Q
+        end, P_end = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), Phi @ P @ Phi.T + Q
+        if self.second_order:
+            end = end + h * self.curvature(lambda z: self.f(z, middle), x3, (P + P_end) / 2)
+        return end, P_end
+
+    @staticmethod
+    def curvature(f: Callable[[Any], Any], x: np.ndarray, P: np.ndarray) -> np.ndarray:
+        """Half the trace of P with the second derivatives of f, along the principal axes of P."""
+        w, V = np.linalg.eigh(P)
+        e = 1e-3
+        bent = [(f(x + e * v) - 2 * f(x) + f(x - e * v)) / e**2 for v in V.T]
+        return np.asarray(sum(a * b for a, b in zip(w, bent, strict=True)) / 2)
 
 
 def best_start(model: Model, records: Sequence[Record], grid: Mapping[str, Sequence[float]]) -> dict[str, float]:
