@@ -4,7 +4,7 @@
 2. Score tests of every candidate at once, specific and generic (``ident.score``).
 3. Refit with the best few, everything free; compare by ``2 d ln L - df ln n``.
 4. Validation data decide: the gain in log-likelihood there, block by block, has to be significant.
-5. Add the effect and go round again.
+5. Add the effect and go round again; behind a table only names that are worth much beside it take part.
 
 Kristensen, Madsen and Jorgensen 2004; Engle 1984.
 """
@@ -58,6 +58,8 @@ N_REFITS, N_UNKNOWN = 4, 2
 HOPELESS = 0.05  # of the best score: a refit gains up to ten times what its score promises, not twenty times
 # what an effect's true form has beyond ours looks like other effects, smaller by orders; those are not added
 SMALL = 0.02  # of the largest gain so far
+# so does what a curve has beyond its table, up to a fifteenth of it; what else is missing has been found at a third
+BEHIND_TABLE = 0.1  # of the largest gain so far
 
 
 def diagnose(
@@ -94,24 +96,25 @@ def diagnose(
     # the users' own effects have the priors that they gave them
     candidates = {n: sized(e, size) if known.get(n) is e else e for n, e in candidates.items()}
     rounds: list[Round] = []
-    unknown = False
+    unknown, n = False, sum(r.n_rows for r in records)
     while True:
         scores, passed = score_all(current, records, candidates)
-        done = len(rounds) >= max_effects or unknown
-        if done or not passed:
-            break
-        progress(f"round {len(rounds) + 1}: {len(passed)} of {len(scores)} candidates pass, best {passed[0].name}")
         largest = max((r.chosen.criterion for r in rounds if r.chosen is not None), default=0.0)
-        one = _round(current, records, unseen, candidates, scores, passed, largest, progress)
+        least = BEHIND_TABLE * largest
+        tried = [s for s in passed if not s.generic and s.criterion(n) > least] if unknown else passed
+        if len(rounds) >= max_effects or not tried:
+            break
+        progress(f"round {len(rounds) + 1}: {len(passed)} of {len(scores)} candidates pass, best {tried[0].name}")
+        one = _round(current, records, unseen, candidates, scores, tried, largest, progress)
         rounds.append(one)
         if one.chosen is None:
             break
-        current, unknown = one.chosen.stage, one.chosen.unknown
+        current, unknown = one.chosen.stage, unknown or one.chosen.unknown
         candidates.pop(one.chosen.effect.name, None)
     progress("weighing what was found")
     weights = weigh(before, rounds, records, unseen)
     order = [w.effect for w in weights]
-    judgements = judge(rounds, passed, sum(r.n_rows for r in records), untested)
+    judgements = judge(rounds, passed, n, untested)
     judgements = tuple(sorted(judgements, key=lambda j: order.index(j.effect)))
     shapes = _shapes(before, rounds, judgements, records)
     return Diagnosis(before, current, tuple(rounds), tuple(passed), tuple(shapes), judgements, weights)

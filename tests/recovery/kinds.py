@@ -30,6 +30,12 @@ def all_pairs(seed: int) -> list[str]:
     return [f"{a}+{b}" for a, b in zip(names[::2], names[1::2], strict=False)]
 
 
+def all_beside(seed: int) -> list[str]:
+    """Each that no catalogue lists beside one that ours does: others with each seed."""
+    names = np.random.default_rng([seed, 79]).permutation(list(EFFECTS)).tolist()
+    return [f"{a}+{b}" for a, b in zip(OUTSIDE, names, strict=False)]
+
+
 @dataclass(frozen=True)
 class Kind:
     """``truths``: what is tried at a seed; ``seeds``: how many seeds by default; ``gain``: on the commands;
@@ -66,6 +72,7 @@ KINDS: dict[str, Kind] = {
     "mixture": Kind("one effect, and every other one at 5 % of its size", all_effects, 5, others=SMALL, logged=True),
     "pair": Kind("two effects at full size", all_pairs, 4, logged=True),
     "outside": Kind("an effect that the catalogue does not list", lambda seed: list(OUTSIDE), 10, logged=True),
+    "beside": Kind("an effect that the catalogue does not list, and one that it does", all_beside, 4, logged=True),
     "clean": Kind("no effect", _none, 120),
     "clean-timid": Kind("no effect, all commands at 35 %", _none, 40, gain=TIMID),
     "clean-short": Kind("no effect, 120 s to estimate, 80 s to validate", _none, 40, seconds=SHORT),

@@ -49,6 +49,8 @@ TARGETS = (
     Target(("outside",), "unknown, right force and variable first", first_right, 0.80),
     Target(("outside",), "right force drawn over the right variable, no name as sure", drawn_right, 0.80),
     Target(("outside",), "true curve within the band", shape_holds, 0.80),
+    Target(("beside",), "both found, the table and the name", all_right, 0.80),
+    Target(("beside",), "a wrong name first, as sure", wrong_as_sure, 0.03, least=False),
     Target(CLEAN, "anything found on a clean boat", false_alarm, 0.02, False, False),
     Target(tuple(NOISE), "anything found under misspecified noise", false_alarm, 0.05, False, False),
     Target(("leave-one-out",), "a wrong name first, as sure", wrong_as_sure, 0.15, least=False),

@@ -64,6 +64,16 @@ def test_what_a_mixture_would_miss_most_comes_first() -> None:
 
 
 @pytest.mark.slow
+def test_a_name_is_found_behind_a_table() -> None:
+    """What throws the boat about by three cycles of heading gains most; the dead band is found once that is drawn."""
+    row = run_case(Case("heading-third+dead-band", 51, "beside"))
+    assert row.get("error") is None
+    assert row["certainty"] == ["resembles", "unknown"]
+    assert verdict.all_right(row)
+    assert row["left"] == []
+
+
+@pytest.mark.slow
 def test_a_sensor_that_no_catalogue_explains_is_drawn() -> None:
     """Without the compass' deviation in the catalogue: the error of the heading over the heading, and no name."""
     row = run_case(Case("compass", 2, "leave-one-out"))
@@ -155,6 +165,8 @@ def test_the_targets_are_shares_of_the_right_cases() -> None:
         fake("wind+lag", 1, ["lag", "wind"], "pair"), fake("wind+lag", 2, ["lag"], "pair"),
         fake("yaw-saddle", 1, ["unknown N(u)"], "outside", shape=0.95), fake("yaw-saddle", 2, ["lift"], "outside"),
         fake("surge-step", 1, ["hump", "unknown X(u)"], "outside", certainty=["resembles", "unknown"]),
+        fake("yaw-saddle+lag", 1, ["lag", "unknown N(u)"], "beside", certainty=["resembles", "unknown"]),
+        fake("yaw-saddle+lag", 2, ["unknown N(u)"], "beside"), fake("yaw-saddle+lag", 3, ["lag"], "beside"),
         fake("wind", 1, ["current-drift"], "leave-one-out"),
         fake("wind", 2, ["current-drift"], "leave-one-out", certainty=["resembles"]),
     ]
@@ -166,6 +178,7 @@ def test_the_targets_are_shares_of_the_right_cases() -> None:
     assert found[("outside", "unknown, right force and variable first")] == "1/3"
     assert found[("outside", "right force drawn over the right variable, no name as sure")] == "2/3"
     assert found[("outside", "true curve within the band")] == "1/3"
+    assert found[("beside", "both found, the table and the name")] == "1/3"
     assert found[("leave-one-out", "a wrong name first, as sure")] == "1/2"
     assert [line[-1] for line in lines if line[0] == "noise-gps"] == ["yes"]
     power = targets.power([fake("wind", 1, ["wind"]), fake("wind", 1, [], "half")])
