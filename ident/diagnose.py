@@ -226,7 +226,7 @@ def _refit_all(
         total, t = validation_gain(current, stage)
         return Refit(effect, stage, gain, df, gain - df * float(np.log(n)), total, t)
 
-    with ThreadPoolExecutor(2) as pool, quickly():
+    with ThreadPoolExecutor(2) as pool, quickly(n):
         return [r for r in pool.map(refit, tried) if r is not None]
 
 

@@ -274,7 +274,8 @@ def _search(problem: Problem, max_iterations: int, tolerance: float, progress: P
     optimum = maximise(problem.evaluate, z, problem.bounds, max_iterations=max_iterations, tolerance=tolerance,
                        progress=progress)
     if abs(optimum.gain_left) > tolerance and optimum.iterations < max_iterations:
-        optimum = climb(problem.value_and_gradient, optimum, problem.bounds, problem.evaluate)
+        optimum = climb(problem.value_and_gradient, optimum, problem.bounds, problem.evaluate,
+                        tolerance)
     return optimum
 
 

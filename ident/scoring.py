@@ -18,6 +18,7 @@ Flags = NDArray[np.bool_]
 LARGEST_STEP = 1.5  # in a logarithm: a factor 4.5
 UNFELT = 0.5  # change of the objective by such a step that is hardly one
 HOPELESS = 1e12  # damping
+SLIGHT = 0.05  # of the tolerance: what a step gains that is not worth the next one
 NEAR = 3.0  # gain of a step below which the objective is about quadratic
 KEPT = 12  # pairs
 
@@ -175,8 +176,9 @@ def maximise(evaluate: Evaluate, z: Array, bounds: Bounds, *, max_iterations: in
 
 
 def climb(value_and_gradient: Callable[[Array], tuple[float, Array]], start: Optimum, bounds: Bounds,
-          evaluate: Evaluate) -> Optimum:
-    """L-BFGS-B with the exact gradient, scaled by the information: where scoring stands still."""
+          evaluate: Evaluate, tolerance: float) -> Optimum:
+    """L-BFGS-B with the exact gradient, scaled by the information: where scoring stands still. It ends where a step
+    gains next to nothing of the ``tolerance``: a rough fit need not crawl on for a hundred steps."""
     from scipy import optimize  # half a second of import, and scoring seldom stands still
 
     size = np.sqrt(np.maximum(np.diag(start.at.hessian), 1e-12))
@@ -186,9 +188,10 @@ def climb(value_and_gradient: Callable[[Array], tuple[float, Array]], start: Opt
         finite = np.isfinite(value) and bool(np.isfinite(gradient).all())
         return (-value, -gradient / size) if finite else (1e30, np.zeros(size.size))
 
+    least = max(1e-14, SLIGHT * tolerance / max(abs(start.at.value), 1.0))  # of the value, as L-BFGS-B wants it
     limits = optimize.Bounds(bounds.low * size, bounds.high * size)
     found = optimize.minimize(negative, start.z * size, jac=True, method="L-BFGS-B", bounds=limits,
-                              options={"maxiter": 200, "maxcor": 30, "ftol": 1e-14, "gtol": 1e-6})
+                              options={"maxiter": 200, "maxcor": 30, "ftol": least, "gtol": 1e-6})
     z = bounds.clip(found.x / size)
     at = evaluate(z)
     spent = start.evaluations + int(found.nfev) + 1

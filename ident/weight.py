@@ -81,7 +81,7 @@ def _with(
         model = model + other.effect
     model = model.with_values({n: last.values[n] for n in model.values if n in last.values})
     try:
-        with quickly():
+        with quickly(sum(r.n_rows for r in records)):
             return make_stage(model, records, unseen, tolerance=ROUGHLY)
     except (ValueError, np.linalg.LinAlgError):
         return before

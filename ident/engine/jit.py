@@ -18,6 +18,7 @@ AVAILABLE = llvm is not None
 OPTIMISE = 1  # of the IR passes; -O2 takes longer and its code is slower
 CODEGEN = 2
 QUICK = 0  # of both: a third of the time, and code that takes three quarters longer to run
+FEW = 10_000  # rows, beyond which that costs more than it saves
 # Of the instructions in a block. The default asks what the processor could do at once, and in stages of some thousand
 # instructions, which leave the registers full, a tenth more of them then only put values away and fetch them again.
 # An option that LLVM does not know would end the process, so none is given to an LLVM that it was not tried with.
@@ -54,8 +55,12 @@ _quickly: list[object] = []
 
 
 @contextmanager
-def quickly() -> Iterator[None]:
-    """Kernels compiled meanwhile, in whatever thread, are made in a hurry: for models that are fitted once."""
+def quickly(n_rows: int) -> Iterator[None]:
+    """Kernels compiled meanwhile, in whatever thread, are made in a hurry: for models that are fitted once, to as many
+    rows, if these are few."""
+    if n_rows > FEW:
+        yield
+        return
     token = object()
     _quickly.append(token)
     try:

@@ -170,7 +170,7 @@ def test_climbing_takes_over_where_scoring_stands_still() -> None:
     z = problem.start
     z[0] += 0.4
     start = scoring.Optimum(z, problem.evaluate(z), 0, 1, 1.0)
-    top = scoring.climb(problem.value_and_gradient, start, problem.bounds, problem.evaluate)
+    top = scoring.climb(problem.value_and_gradient, start, problem.bounds, problem.evaluate, 1e-6)
     best = scoring.maximise(problem.evaluate, z, problem.bounds, max_iterations=60, tolerance=1e-8)
     assert top.at.value == pytest.approx(best.at.value, abs=1e-3)
 
