@@ -10,7 +10,7 @@ missing, and carry it along.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -50,8 +50,9 @@ def weigh(
 def in_order(found: Sequence[Weight], chosen: Sequence[Refit]) -> tuple[Weight, ...]:
     """The weightiest first.
 
-    Tables, which take up what no name explains, come last; but the table of the very curve that a name is one shape of
-    comes before that name, which is then no more than a part of it.
+    A table takes up what no name explains: it comes behind the names that were there before it, and before the lighter
+    ones that were found behind it. The table of the very curve that a name is one shape of comes before that name,
+    which is then no more than a part of it.
     """
     tables = {c.effect.name for c in chosen if c.unknown}
     whole = {f"unknown {c.effect.one_of}": c.effect.name for c in chosen}
@@ -59,8 +60,19 @@ def in_order(found: Sequence[Weight], chosen: Sequence[Refit]) -> tuple[Weight, 
     order = [w.effect for w in found if w.effect not in tables]
     for w in found:
         if w.effect in tables:
-            order.insert(order.index(whole[w.effect]) if w.effect in whole else len(order), w.effect)
+            order.insert(_place(w, found, order, [c.effect.name for c in chosen], whole), w.effect)
     return tuple(sorted(found, key=lambda w: order.index(w.effect)))
+
+
+def _place(
+    table: Weight, found: Sequence[Weight], order: Sequence[str], search: Sequence[str], whole: Mapping[str, str]
+) -> int:
+    """Where a table stands in the order of the names. ``search``: the order in which all were found."""
+    if table.effect in whole:
+        return order.index(whole[table.effect])
+    behind = set(search[search.index(table.effect) + 1 :]) & set(order)
+    lighter = [order.index(w.effect) for w in found if w.effect in behind and w.error < table.error]
+    return min(lighter, default=len(order))
 
 
 def _added(before: Stage, stage: Stage) -> set[str]:
