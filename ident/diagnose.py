@@ -58,7 +58,7 @@ N_REFITS, N_UNKNOWN = 4, 2
 HOPELESS = 0.05  # of the best score: a refit gains up to ten times what its score promises, not twenty times
 # what an effect's true form has beyond ours looks like other effects, smaller by orders; those are not added
 SMALL = 0.02  # of the largest gain so far
-# so does what a curve has beyond its table, up to a fifteenth of it; what else is missing has been found at a third
+# so does what a curve has beyond its table, up to a fifteenth of it; what else is missing is mostly worth a third
 BEHIND_TABLE = 0.1  # of the largest gain so far
 
 
