@@ -121,7 +121,8 @@ def vehicle(
         thruster, source = None, "horizontal:force" if source == "auto" else source
     loaded, unseen = ([completed(x, source, curve) for x in part] for part in load_all(logs, validate))
     model = _with_start(_with_priors(choose_model(source, [*loaded, *unseen]), prior or {}), begin)
-    model = replace(with_known(model, loaded[0].rig, thruster, fix), second_order=second_order)
+    model = with_known(model, loaded[0].rig, thruster, fix)
+    model = replace(model, second_order=True) if second_order else model
     sides = check_sides([(x.run.name, x.run.channels) for x in loaded]) if "y_left" in model.values else None
     model = swap(model) if sides is not None and sides.swapped and not as_is else model
     check_names(nominal(model), profiles)

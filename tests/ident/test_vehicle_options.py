@@ -94,3 +94,12 @@ def test_a_mean_of_second_order_stays_with_the_model(logs: tuple[Path, Path]) ->
     jobs.diagnosis(folder / "model.toml", logs[:1], logs[1:], folder / "diagnosis", rate=10.0, max_effects=1,
                    effects_file=None, command="test", say=lambda line: None)
     assert load_model(folder / "diagnosis/model.toml").model.second_order
+
+
+def test_a_model_of_ones_own_keeps_its_mean_of_second_order(logs: tuple[Path, Path], tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(
+        "from dataclasses import replace\nfrom ident.models.horizontal import horizontal\n\n\n"
+        "def bent():\n    return replace(horizontal(), second_order=True)\n", encoding="utf-8")
+    words = ["vehicle", str(logs[0]), "--model", f"{tmp_path / 'own.py'}:bent", "--out", str(tmp_path / "out")]
+    CliRunner().invoke(ident, words, catch_exceptions=False)
+    assert 'second_order = true' in (tmp_path / "out/model.toml").read_text(encoding="utf-8")

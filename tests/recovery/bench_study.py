@@ -156,13 +156,12 @@ def summary(rows: Sequence[Row]) -> list[list[str]]:
     lines = [["", ""]]
     for scale in sorted({r["scale"] for r in good}, reverse=True):
         some = [r for r in good if r["scale"] == scale and r["effect"] != "none"]
+        if not some:
+            continue
         for what, kinds in (("named first", ("exact", "first")), ("that and nothing else", ("exact",)),
                             ("another name first, as sure", ("wrong",))):
-            if some:
-                lines.append([f"{what}, size {scale:g}", f"{sum(verdict(r) in kinds for r in some)}/{len(some)}"])
-        if some:
-            false = sum(map(false_name, some))
-            lines.append([f"another name anywhere, as sure, size {scale:g}", f"{false}/{len(some)}"])
+            lines.append([f"{what}, size {scale:g}", f"{sum(verdict(r) in kinds for r in some)}/{len(some)}"])
+        lines.append([f"another name anywhere, as sure, size {scale:g}", f"{sum(map(false_name, some))}/{len(some)}"])
     clean = [r for r in good if r["effect"] == "none"]
     if clean:
         lines.append(["false alarms on clean benches", f"{sum(bool(r['found']) for r in clean)}/{len(clean)}"])
