@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -18,7 +18,8 @@ import numpy as np
 
 from ident import robust
 from ident.engine.kernel import MAX_BITS
-from ident.model import Model, Sensor
+from ident.engine.walk import simplified
+from ident.model import Model, Output, Sensor
 
 ca.GlobalOptions.setNumpyMode(-1)  # plain numpy functions on symbols stay symbolic
 
@@ -37,6 +38,45 @@ class Update:
     S: Any
     slope: Any = None
     known: Any = None
+    samples: tuple[Sample, ...] = ()
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One scalar of a sensor. e: measured minus predicted; H: the slopes of the prediction by the state (1, n), None
+    without a covariance; R: variance of the noise."""
+
+    output: Output
+    e: Any
+    H: Any
+    R: Any
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What a scalar does: e, S, slope and ll as in ``Update``; dx, what the mean has moved by since the prediction, and
+    the covariance P, after it: P - news PH PH', with PH = P H'."""
+
+    sample: Sample
+    e: Any
+    S: Any
+    slope: Any
+    ll: Any
+    dx: Any = None
+    P: Any = None
+    PH: Any = None
+    news: Any = None
+
+
+@dataclass(frozen=True)
+class Moved:
+    """Matrices of one interval: A, half of it times the Jacobian in its middle; T, twice the transition from the middle
+    to the end, of second order in A; Phi, the whole transition, of third; Q, a sixth of the process noise."""
+
+    A: Any
+    T: Any
+    Phi: Any
+    Q: Any
 
 
 def pack(P: Any) -> Any:
@@ -114,20 +154,41 @@ class Graphs:
         noise is integrated by Simpson's rule (a trapezoid would move the estimates by a standard error). A mean of
         second order goes with ``1/2 tr(P f_xx)`` in the middle as well (Jazwinski 1970): E u |u| is more than u |u|.
         """
-        end, x3, middle = self.step(self.mean)
+        end = self.stepped[0]
         if not self.covariance:
             return end, None
-        x = ca.SX.sym("x", self.n)
-        slopes = ca.jacobian(self.rate(x, middle, self.p), x)
-        A = self.h / 2 * ca.substitute(slopes, x, x3)
-        identity, A2 = ca.SX.eye(self.n), A @ A
-        twice = 2 * identity + 2 * A + A2  # the transition from the middle to the end; few factors: they take the time
-        Phi = twice - identity + A2 + 4 / 3 * (A @ A2)
-        Q = self.h / 6 * ca.diag(self._diffusion)
-        P = Phi @ (self.P + Q) @ Phi.T + twice @ Q @ twice.T + Q
+        m = self.moved
+        P = m.Phi @ (self.P + m.Q) @ m.Phi.T + m.T @ m.Q @ m.T.T + m.Q
         if self.model.second_order:
-            end = end + self.h * ca.substitute(_bent(slopes, x, (self.P + P) / 2), x, x3)
-        return ca.vertcat(end, pack(P)), Phi
+            end = end + self.h * self._bend((self.P + P) / 2)
+        return ca.vertcat(end, pack(P)), m.Phi
+
+    @cached_property
+    def stepped(self) -> tuple[Any, Any, Any]:
+        """The step of the mean, once: a derivative that met it twice would go back through it twice."""
+        return self.step(self.mean)
+
+    @cached_property
+    def moved(self) -> Moved:
+        """What the interval does to the covariance."""
+        A = self.h / 2 * self._in_the_middle(lambda slopes, _: slopes)
+        identity, A2 = ca.SX.eye(self.n), A @ A
+        T = 2 * identity + 2 * A + A2  # few factors: they take the time
+        Phi = T - identity + A2 + 4 / 3 * (A @ A2)
+        Q = self.h / 6 * ca.diag(self._diffusion)
+        return Moved(A, T, Phi, Q)
+
+    def _bend(self, P: Any) -> Any:
+        """``1/2 tr(P f_xx)``, what a spread of covariance P adds to the mean of the rates."""
+        return self._in_the_middle(lambda slopes, x: ca.vertcat(*[
+            ca.sum1(ca.sum2(ca.jacobian(slopes[i, :].T, x) * P)) / 2 for i in range(self.n)]))
+
+    def _in_the_middle(self, of: Callable[[Any, Any], Any]) -> Any:
+        """An expression of the Jacobian of the rates and of the state x, in the middle of the interval."""
+        x, (_, x3, middle) = ca.SX.sym("x", self.n), self.stepped
+        slopes: Any = ca.jacobian(self.rate(x, middle, self.p), x)
+        slopes = ca.SX(slopes.sparsity(), simplified(ca.vertcat(ca.SX(0, 1), *slopes.nonzeros())))
+        return ca.substitute(of(slopes, x), x, x3)
 
     @property
     def _diffusion(self) -> Any:
@@ -158,46 +219,44 @@ class Graphs:
 
     def _update(self, sensor: Sensor, y: Any, z: Any, H: Any) -> Update:
         """One scalar after the other: exact for independent noises, and no matrix is inverted."""
-        P, dx, ll, innovations, variances = self.P if self.covariance else None, 0 * self.mean, 0, [], []
-        slopes: list[Any] = []
+        dx, P, ll, steps = 0 * self.mean, self.P if self.covariance else None, 0, []
         for i, output in enumerate(sensor.outputs):
-            R = self._parameter(output.noise) ** 2
-            e, S = y[i] - z[i], R
-            if H is not None:
-                e = e - H[i, :] @ dx
-            if output.angle:
-                e = _wrap(e)
-            if H is not None:
-                PH = P @ H[i, :].T
-                S = H[i, :] @ PH + R
-                K = PH / S
-            scaled = e / ca.sqrt(S)
-            slope = robust.score(scaled) / ca.sqrt(S) if output.robust else e / S
-            ll = ll + (robust.log_density(scaled) - 0.5 * ca.log(S) if output.robust else
-                       -0.5 * (e**2 / S + ca.log(2 * math.pi * S)))
-            if H is not None:
-                dx = dx + (PH * slope if output.robust else K * e)
-                P = self._reduced(P, K, PH, H[i, :], R, robust.score_slope(scaled) if output.robust else None)
-            innovations.append(e)
-            variances.append(S)
-            slopes.append(slope)
+            sample = Sample(output, y[i] - z[i], None if H is None else H[i, :], self._parameter(output.noise) ** 2)
+            steps.append(self.correct(sample, dx, P))
+            dx, P, ll = steps[-1].dx, steps[-1].P, ll + steps[-1].ll
         s = ca.vertcat(self.mean + dx, pack(P)) if H is not None else self.mean
         known = ca.DM([[*robust.INFORMATION] if o.robust else [1.0, 1.0] for o in sensor.outputs])
-        return Update(s, ll, ca.vertcat(*innovations), ca.vertcat(*variances), ca.vertcat(*slopes), known)
+        e, S, slope = (ca.vertcat(*column) for column in zip(*[(c.e, c.S, c.slope) for c in steps], strict=True))
+        return Update(s, ll, e, S, slope, known, tuple(c.sample for c in steps))
 
-    def _reduced(self, P: Any, K: Any, PH: Any, H: Any, R: Any, part: Any) -> Any:
-        """The covariance after a sample, or after as much of its news as ``part`` says."""
+    def correct(self, sample: Sample, dx: Any, P: Any) -> Correction:
+        """What one scalar does to the mean, moved by dx since the prediction, and to its covariance P (both None
+        without a covariance)."""
+        output, e, H, S = sample.output, sample.e, sample.H, sample.R
+        PH = None
+        if H is not None:
+            e, PH = e - H @ dx, P @ H.T
+            S = H @ PH + S
+        if output.angle:
+            e = _wrap(e)
+        scaled, news = e / ca.sqrt(S), 1 / S
+        slope = robust.score(scaled) / ca.sqrt(S) if output.robust else e / S
+        ll = (robust.log_density(scaled) - 0.5 * ca.log(S) if output.robust else
+              -0.5 * (e * slope + ca.log(2 * math.pi * S)))
+        if output.robust:
+            news = robust.score_slope(scaled) / S
+        if H is None:
+            return Correction(sample, e, S, slope, ll)
+        return Correction(sample, e, S, slope, ll, dx + PH * slope, self._reduced(sample, P, PH, S, news), PH, news)
+
+    def _reduced(self, sample: Sample, P: Any, PH: Any, S: Any, news: Any) -> Any:
+        """The covariance after a sample, or after as much of its news as there is."""
         if not self.joseph:
-            return P - (K if part is None else part * K) @ PH.T
-        rest = ca.SX.eye(self.n) - K @ H
-        whole = rest @ P @ rest.T + R * K @ K.T
-        return whole if part is None else P + part * (whole - P)
-
-
-def _bent(slopes: Any, x: Any, P: Any) -> Any:
-    """``1/2 tr(P f_xx)``, what a spread of covariance P adds to the mean of the rates; ``slopes``: f_x."""
-    curvatures = [ca.jacobian(slopes[i, :].T, x) for i in range(slopes.shape[0])]
-    return ca.vertcat(*[ca.sum1(ca.sum2(f_xx * P)) / 2 for f_xx in curvatures])
+            return P - (PH * news) @ PH.T
+        K = PH / S
+        rest = ca.SX.eye(self.n) - K @ sample.H
+        whole = rest @ P @ rest.T + sample.R * K @ K.T
+        return P + news * S * (whole - P) if sample.output.robust else whole
 
 
 def _wrap(angle: Any) -> Any:
@@ -211,7 +270,8 @@ def _trace(model: Model) -> tuple[Any, Any]:
     signals = model.signals(*[ca.vertsplit(v) if v.numel() else [] for v in (x, u, p)])
     rates = _collect(model, signals.rate, [s.name for s in model.states], "rate of the state")
     outputs = _collect(model, signals.y, [o.name for o in model.outputs], "value of the output")
-    return ca.Function("rate", [x, u, p], [rates]), ca.Function("output", [x, u, p], [outputs])
+    return (ca.Function("rate", [x, u, p], [simplified(rates)]),
+            ca.Function("output", [x, u, p], [simplified(outputs)]))
 
 
 def _collect(model: Model, values: Mapping[str, Any], names: list[str], what: str) -> Any:

@@ -8,7 +8,7 @@ from collections.abc import Set as AbstractSet
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.engine.plan import Gram, Plan, Stage
+from ident.engine.plan import Gram, Plan, Product, Stage
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.uint32]
@@ -26,6 +26,8 @@ def interpret(plan: Plan, n_rows: int, groups: int, mask: Mask, arrays: Mapping[
                 continue
             if isinstance(part, Gram):
                 _gram(part, now, groups)
+            elif isinstance(part, Product):
+                _product(part, now)
             else:
                 _stage(plan, part, now, groups)
 
@@ -56,3 +58,8 @@ def _gram(part: Gram, now: Mapping[str, Array], groups: int) -> None:
     for first in range(groups):
         for second in range(first, groups):
             now[part.result][first, second] += v[first].T @ v[second]
+
+
+def _product(part: Product, now: Mapping[str, Array]) -> None:
+    left = [[(1 + factor.twice) * now[factor.array][factor.place] for factor in line] for line in part.left]
+    now[part.result][:] = (np.array(left) @ now[part.right].reshape(-1, part.stride)).ravel()

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+ROWS = frozenset({"u", "u_next", "y", "h"})  # the data, as graphs name them
+
 
 @dataclass(frozen=True)
 class Layout:

@@ -12,13 +12,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 
 from ident.engine import jit
 from ident.engine.layout import Layout
 from ident.engine.operations import SLOW
+from ident.engine.walk import operation, walk
 
 
 @dataclass(frozen=True)
@@ -42,11 +43,32 @@ class Gram:
     bit: int | None = None
 
 
+class Factor(NamedTuple):
+    """Entry ``place`` of an array, or twice that."""
+
+    array: str
+    place: int
+    twice: bool = False
+
+
+@dataclass(frozen=True)
+class Product:
+    """``result = left right``: a matrix of factors (n, m) by one that stands in the array ``right`` (m, stride) by
+    rows, done with vectors of ``width`` where stages have scalars."""
+
+    left: tuple[tuple[Factor, ...], ...]
+    right: str
+    result: str
+    stride: int
+    width: int
+    bit: int | None = None
+
+
 @dataclass(frozen=True)
 class Plan:
     """What a kernel computes, before it is compiled."""
 
-    stages: tuple[Stage | Gram, ...]
+    stages: tuple[Stage | Gram | Product, ...]
     rows: frozenset[str] = frozenset()
     lanes: frozenset[str] = frozenset()
     width: int = jit.WIDTH
@@ -59,16 +81,20 @@ class Plan:
         for f in self.functions:
             sizes |= {f.name_in(i): f.nnz_in(i) for i in range(f.n_in())}
             sizes |= {f.name_out(i): f.nnz_out(i) for i in range(f.n_out())}
-        for gram in self.stages:
-            if isinstance(gram, Gram):
-                sizes[gram.result] = self.width
+        for part in self.stages:
+            if isinstance(part, Gram):
+                sizes[part.result] = self.width
+            elif isinstance(part, Product):
+                sizes |= {part.right: len(part.left[0]) * part.stride, part.result: len(part.left) * part.stride}
         return sizes
 
     @cached_property
     def carried(self) -> frozenset[str]:
         arguments = {name for f in self.functions for name in f.name_in()}
         arguments |= {s.source for s in self.stages if isinstance(s, Gram)}
-        return frozenset(arguments & {name for f in self.functions for name in f.name_out()}) - self.rows
+        results = {name for f in self.functions for name in f.name_out()}
+        results |= {s.result for s in self.stages if isinstance(s, Product)}
+        return frozenset(arguments & results) - self.rows
 
     @cached_property
     def summed(self) -> tuple[str, ...]:
@@ -117,25 +143,17 @@ def without_slow(expression: Any, constant: Any, early: Any, late: Any) -> tuple
     these symbols, and their values. ``constant``: what else the expression depends on."""
     given = (ca.vertcat(constant, early), late)
     f = ca.Function("f", given, [ca.densify(ca.cse(expression))])
-    result = ca.SX.zeros(expression.numel())
-    work: dict[int, list[Any]] = {}
     symbols: list[Any] = []
     values: list[Any] = []
-    for k in range(f.n_instructions()):
-        code, i, o = f.instruction_id(k), f.instruction_input(k), f.instruction_output(k)
-        if code == ca.OP_OUTPUT:
-            result[o[1]] = work[i[0]][1]
-            continue
-        if code == ca.OP_INPUT:
-            both = [given[i[0]][i[1]]] * 2
-        elif code == ca.OP_CONST:
-            both = [ca.SX(f.instruction_constant(k))] * 2
-        else:  # as it was, and without slow operations
-            make = ca.SX.unary if len(i) == 1 else ca.SX.binary
-            both = [make(code, *[work[j][way] for j in i]) for way in (0, 1)]
-            if code in SLOW and ca.depends_on(both[0], early) and not ca.depends_on(both[0], late):
-                values.append(both[0])
-                symbols.append(ca.SX.sym(f"slow{len(symbols)}"))
-                both[1] = symbols[-1]
-        work[o[0]] = both
-    return result, symbols, values
+
+    def apply(code: int, *x: tuple[Any, Any]) -> tuple[Any, Any]:
+        """As it was, and without slow operations."""
+        was, now = (operation(code, *[pair[way] for pair in x]) for way in (0, 1))
+        if code in SLOW and ca.depends_on(was, early) and not ca.depends_on(was, late):
+            values.append(was)
+            now = ca.SX.sym(f"slow{len(symbols)}")
+            symbols.append(now)
+        return was, now
+
+    (ends,) = walk(f, lambda i, j: (given[i][j],) * 2, lambda x: (ca.SX(x),) * 2, apply)
+    return ca.vertcat(*[now for _, now in ends]), symbols, values

@@ -8,10 +8,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ident.engine.adjoint import Adjoint, of_prediction, of_update
 from ident.engine.graphs import Graphs, Update
-from ident.engine.plan import Gram, Plan, Stage, split, stage, without_slow
-
-ROWS = frozenset({"u", "u_next", "y", "h"})
+from ident.engine.layout import ROWS
+from ident.engine.plan import Gram, Plan, Product, Stage, split, stage
 
 
 class Plans:
@@ -30,37 +30,23 @@ class Plans:
         return Plan((*updates, stage(g.inputs, {"s": g.predict[0]})), ROWS)
 
     def forward(self) -> Plan:
-        """Like ``value``; rows tape0, tape1, ... keep what the adjoint of each stage needs of the state before it."""
-        stages = [stage(self.graphs.inputs, self._effect(u) | {tape: kept}, bit)
-                  for (tape, u, bit), (_, _, kept) in zip(self._sweep(), self._adjoints, strict=True)]
+        """Like ``value``; rows tape0, tape1, ... and others keep what the adjoint of each stage needs of it."""
+        stages = [stage(self.graphs.inputs, self._effect(u) | dict(adjoint.keeps), bit)
+                  for (_, u, bit), adjoint in zip(self._sweep(), self._adjoints, strict=True)]
         return Plan(tuple(stages), ROWS | self.tapes)
 
     def backward(self) -> Plan:
         """The adjoints of the stages in reverse: ``g`` by the parameters, ``bar`` by the state at the start."""
-        stages: list[Stage] = []
-        for (tape, _, bit), (both, needed, _) in zip(self._sweep(), self._adjoints, strict=True):
-            inputs = self.graphs.inputs | {tape: needed, "bar": self._bar}
-            del inputs["s"]
-            stages.append(stage(inputs, {"bar": both[:self.n_s], "g": both[self.n_s:]}, bit))
-        return Plan(tuple(stages[::-1]), ROWS | self.tapes, backward=True)
+        stages: list[Stage | Gram | Product] = []
+        for (_, _, bit), adjoint in zip(self._sweep(), self._adjoints, strict=True):
+            stages = [*adjoint.stages(self.graphs, self._bar, bit), *stages]
+        return Plan(tuple(stages), ROWS | self.tapes, backward=True)
 
     @cached_property
-    def _adjoints(self) -> list[tuple[Any, Any, Any]]:
-        """Of each stage: adjoint by state and parameters; the symbols on its tape, and what they stand for.
-
-        On the tape are sines and the like, and the entries of the state that the adjoint depends on: in a filter less
-        than half of them, and a tape of all of them costs a sixth of the way forward in memory alone.
-        """
-        g, found = self.graphs, []
-        for _, u, _ in self._sweep():
-            effect = self._effect(u)
-            weight = ca.vertcat(self._bar, *[1] * ("ll" in effect))
-            both = ca.jtimes(ca.vertcat(*effect.values()), ca.vertcat(g.s, g.p), weight, True)
-            early = ca.vertcat(*[v for name, v in g.inputs.items() if name != "p"])
-            both, symbols, values = without_slow(both, g.p, early, self._bar)
-            kept = [entry for entry, used in zip(ca.vertsplit(g.s), ca.which_depends(both, g.s), strict=True) if used]
-            found.append((both, *(ca.vertcat(ca.SX(0, 1), *kept, *more) for more in (symbols, values))))
-        return found
+    def _adjoints(self) -> list[Adjoint]:
+        g, bar = self.graphs, self._bar
+        return [of_prediction(g, tape, bar) if u.ll is None else of_update(g, u, tape, bar)
+                for tape, u, _ in self._sweep()]
 
     def tangent(self) -> Plan:
         """One lane for each chosen parameter: ``ds`` carried, ``dp`` constant; ``dll`` and ``fisher`` summed.
@@ -107,7 +93,7 @@ class Plans:
 
     @property
     def tapes(self) -> frozenset[str]:
-        return frozenset(f"tape{q}" for q in range(len(self.graphs.updates) + 1))
+        return frozenset(name for adjoint in self._adjoints for name in adjoint.keeps)
 
     def _sweep(self) -> list[tuple[str, Update, int | None]]:
         """Tape, what happens, and the mask's bit, for each stage in order."""

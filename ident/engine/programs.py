@@ -10,6 +10,7 @@ from weakref import WeakValueDictionary
 
 from ident.engine import jit, recall
 from ident.engine.kernel import MAX_BITS, Kernel
+from ident.engine.layout import ROWS
 from ident.model import Model
 
 if TYPE_CHECKING:
@@ -80,8 +81,9 @@ class Programs:
 
     @property
     def tapes(self) -> frozenset[str]:
-        """Rows in which ``forward`` keeps the states that ``backward`` needs."""
-        return frozenset(f"tape{q}" for q in range(len(self._model.sensors) + 1))
+        """Rows in which ``forward`` keeps what ``backward`` needs of it."""
+        layout = self.backward.layout
+        return (layout.rows - ROWS).intersection(layout.sizes)
 
     def _kernel(self, name: str) -> Kernel:
         with _lock:
