@@ -27,7 +27,7 @@ class Emitter(Writer):
         super().__init__(plan)
         self.functions: list[str] = []
         self.held = {name: [Value(f"%held.{name}.{j}", False, False) for j in range(plan.sizes[name])]
-                     for name in plan.carried if not self._in_memory(name)}
+                     for name in plan.sizes if name in plan.carried and not self._in_memory(name)}
 
     def ir(self) -> str:
         for number, part in enumerate(self.plan.stages):

@@ -85,6 +85,31 @@ def test_a_kernel_that_was_found_again_still_has_its_plan(tmp_path: Path, monkey
     assert found.plan.sizes == made.plan.sizes
 
 
+IR = """
+import casadi as ca
+from ident.engine.emitter import Emitter
+from ident.engine.graphs import Graphs
+from ident.engine.plan import Plan, stage
+from ident.engine.plans import Plans
+from tests.ident.toys import turning
+plans = Plans(Graphs(turning()))
+names = [f"carried{k}" for k in range(5)]
+around = dict(zip(names, [ca.SX.sym(name) for name in names[1:] + names[:1]]))
+made = [getattr(plans, name)() for name in ("value", "forward", "backward", "tangent", "filter")]
+for plan in [*made, Plan((stage({str(v): v for v in around.values()}, around),))]:
+    print(Emitter(plan).ir())
+"""
+
+
+def test_every_process_writes_the_same_code() -> None:
+    """Or none would find another's in the cache: sets come in another order in each."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    runs = {subprocess.run([sys.executable, "-c", IR], env={**environment, "PYTHONHASHSEED": seed}, cwd=ROOT,
+                           capture_output=True, text=True, check=True).stdout for seed in "123"}
+    assert len(runs) == 1
+    assert "held.carried4" in runs.pop()
+
+
 def test_two_models_share_a_key_only_if_they_do_the_same() -> None:
     base = one(lambda x, u, p: p.k * x.a + 3.0 * np.sin(u.w))
     assert key(base) is not None
