@@ -9,18 +9,24 @@ close. Otherwise the answer is that the effect resembles the missing one.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 
+import numpy as np
+
 from ident.findings import Judgement, Refit, Round
+from ident.fit import Fit
 from ident.model import Effect
 from ident.models.unexplained import READINGS
 from ident.score import Score
+from ident.uncertainty import AT_BOUND
 
 # What may be left beside a right name: its true form is not exactly ours. In units of 2 ln L after paying for the
 # parameters, absolutely and of all that the effects explain (tests/recovery: leave-one-out against the full catalogue)
 LEFT, LEFT_SHARE = 20.0, 0.03
 MANY = 8  # tests that may still pass, however little each is worth: one small difference shows in a few of them
 CLOSE, CLOSE_SHARE = 10.0, 0.05  # a rival that is no further behind than this is not excluded
+TOLD = 4.0  # standard errors that an effect's size is from nothing; right names are farther even at half their size
 FORM = 0.1  # a rival worth less than this share of the effect it stands beside may be that one's true form
 
 
@@ -44,7 +50,7 @@ def judge(
             continue
         reasons = [*_left(rest, n), *_many(left), *_kin(one.chosen.effect, left, len(chosen)), *_tables(chosen, one)]
         reasons += [*_form(chosen, one.chosen), *_rivals(one)]
-        reasons += _untested(one.chosen.effect, untested)
+        reasons += [*_own(one.chosen), *_untested(one.chosen.effect, untested)]
         rivals = [q.effect.name for q in _close(one)]
         rivals += [name for name in one.chosen.effect.rivals if name in untested and name not in rivals]
         name = one.chosen.effect.name
@@ -76,6 +82,30 @@ def _form(chosen: Sequence[Refit], one: Refit) -> list[str]:
     strong = [c.effect for c in chosen if one.criterion < FORM * c.criterion]
     kin = [e for e in strong if e.name in one.effect.rivals or one.effect.name in e.rivals]
     return [f"it may be no more than what {kin[0].title} has beyond its formula"] if kin else []
+
+
+def _own(one: Refit) -> list[str]:
+    """What its own parameters say against it when it was added: a shape that is bent into another's place ends at a
+    bound, or is so much at odds with the rest of the model that its size is anyone's guess."""
+    fit = one.stage.fit
+    own = {fit.names.index(p.name): p for p in one.effect.parameters if p.name in fit.names}
+    stuck = {name for name, what in fit.flags if what == AT_BOUND}
+    for i, p in own.items():
+        if p.name in stuck:
+            return [f"its parameter {p.name} ({p.meaning}) is at its bound, {fit.values[i]:.3g} {p.unit}".rstrip()]
+    sizes = [i for i, p in own.items() if p.value == 0.0 and fit.errors[i] > 0]
+    if not sizes or _from_nothing(fit, sizes) >= TOLD:
+        return []
+    at = sizes[0]
+    value = f"{fit.names[at]} = {fit.values[at]:.3g} ± {fit.errors[at]:.3g} {own[at].unit}".rstrip()
+    return [f"the data do not tell its size: {value}"]
+
+
+def _from_nothing(fit: Fit, sizes: Sequence[int]) -> float:
+    """How far the estimates are from zero together, in standard errors: each may be told of the others only."""
+    values = fit.values[list(sizes)]
+    squared = float(values @ np.linalg.lstsq(fit.covariance[np.ix_(sizes, sizes)], values)[0])
+    return math.sqrt(max(squared, 0.0))
 
 
 def _worded(score: Score) -> str:

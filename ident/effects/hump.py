@@ -28,6 +28,7 @@ EFFECT = Effect(
     source="residuary resistance at a Froude number of 0.3 to 0.5 (Froude; Faltinsen 2005, section 2.2)",
     experiment="long straight runs at speeds in fine steps around the hump, up and down again",
     requires=("hull",),
+    one_sided=True,
     one_of="X(u)",
     rivals=("cubic-drag", "coulomb", "advance-ratio"),
 )

@@ -4,25 +4,30 @@ from __future__ import annotations
 
 from io import StringIO
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 from rich.console import Console
 
 from ident.adequacy import LEFT, MANY, judge
 from ident.findings import Judgement, Refit, Round
 from ident.model import Effect
+from ident.params import Parameter
 from ident.report import print_result, write_report
 from ident.score import Score
+from ident.uncertainty import AT_BOUND
 from tests.ident.report_example import diagnosis
 
 N = 4000  # rows
 
 
-def refit(name: str, criterion: float, t: float = 5.0, **more: Any) -> Refit:
+def refit(name: str, criterion: float, t: float = 5.0, fit: object = None, **more: Any) -> Refit:
     """A refit with an effect of this name; what the judgement does not read is left out."""
     effect = Effect(name, name.replace("-", " "), {}, **more)
-    return Refit(effect, cast(Any, None), criterion + 8.3, 1, criterion, 50.0, t)
+    stage = SimpleNamespace(fit=fit or SimpleNamespace(names=(), flags=()))
+    return Refit(effect, cast(Any, stage), criterion + 8.3, 1, criterion, 50.0, t)
 
 
 def one_round(chosen: Refit, *others: Refit) -> Round:
@@ -153,3 +158,41 @@ def test_a_doubt_stands_under_the_answer(tmp_path: Path) -> None:
     console = Console(width=80, record=True, file=StringIO())
     print_result(result, console)
     assert "The name is not sure: a lag explains nearly as much." in console.export_text()
+
+
+HUMP = (Parameter("A", 0.0, "N", "height of the hump"), Parameter("w", 0.2, "m/s", "its width"))
+
+
+@pytest.mark.parametrize(("height", "width", "flags", "reason"), [
+    (6.0, 0.13, (), None),
+    (-6.0, 0.13, (), None),
+    (6.0, 1.0, (("w", AT_BOUND),), "its parameter w (its width) is at its bound, 1 m/s"),
+    (6.0, 0.13, (("d_u", AT_BOUND), ("w", "half of what is known of it is its prior")), None),
+    (-3.1, 0.37, (), "the data do not tell its size: A = -3.1 ± 1 N"),
+])
+def test_a_shape_that_was_bent_into_anothers_place_shows_it(
+    height: float, width: float, flags: tuple[tuple[str, str], ...], reason: str | None
+) -> None:
+    """A hump in the place of another resistance: as wide as it may be, or of any height."""
+    fit = SimpleNamespace(names=("d_u", "A", "w"), values=np.array([9.0, height, width]),
+                          errors=np.array([0.1, 1.0, 0.05]), covariance=np.diag([0.01, 1.0, 0.0025]), flags=flags)
+    (found,) = of(one_round(refit("hump", 800.0, fit=fit, parameters=HUMP)))
+    assert found.certainty == ("resembles" if reason else "named")
+    assert found.reasons == ((reason,) if reason else ())
+
+
+@pytest.mark.parametrize(("sizes", "errors", "correlation", "certainty"), [
+    ((9.0, 0.1), (1.0, 1.0), 0.0, "named"),  # of a wind the part across may be nothing
+    ((0.5, 0.1), (1.0, 1.0), 0.0, "resembles"),
+    ((0.5, 9.0), (1.0, np.nan), 0.0, "resembles"),  # one without a standard error says nothing
+    ((0.5, -0.5), (1.0, 1.0), 0.999, "named"),  # their sum is not told, but their difference is
+])
+def test_sizes_are_told_together(
+    sizes: tuple[float, float], errors: tuple[float, float], correlation: float, certainty: str
+) -> None:
+    both = np.array(errors)
+    covariance = np.outer(both, both) * np.array([[1.0, correlation], [correlation, 1.0]])
+    fit = SimpleNamespace(names=("F_x", "F_y"), values=np.array(sizes), errors=both, covariance=covariance, flags=())
+    across = (Parameter("F_x", 0.0, "N"), Parameter("F_y", 0.0, "N"))
+    (found,) = of(one_round(refit("wind", 800.0, fit=fit, parameters=across)))
+    assert found.certainty == certainty
