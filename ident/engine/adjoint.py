@@ -56,18 +56,13 @@ def of_stage(g: Graphs, effect: Mapping[str, Any], tape: str, bar: Any) -> Adjoi
 def of_update(g: Graphs, update: Update, tape: str, bar: Any) -> Adjoint:
     """Of a sensor's sample, from its last scalar to its first."""
     if not g.covariance or g.joseph:
-        effect = {"s": update.s, "ll": update.ll} if g.covariance else {"s": g.mean, "ll": update.ll}
-        return of_stage(g, effect, tape, bar)
+        return of_stage(g, {"s": update.s, "ll": update.ll}, tape, bar)
     n, n_s = g.n, g.s.numel()
-    before, dx, P = [], 0 * g.mean, g.P
-    for sample in update.samples:
-        before.append(ca.vertcat(dx, pack(P)))
-        done = g.correct(sample, dx, P)
-        dx, P = done.dx, done.P
+    before = [ca.vertcat(0 * g.mean, pack(g.P)), *[ca.vertcat(c.dx, pack(c.P)) for c in update.corrections[:-1]]]
     moved, direct = bar, ca.SX(n + g.p.numel(), 1)  # slopes by dx and P; and by mean and parameters
-    for sample, values in zip(update.samples[::-1], before[::-1], strict=True):
+    for done, values in zip(update.corrections[::-1], before[::-1], strict=True):
         s = ca.SX.sym("s", n_s)
-        c = g.correct(sample, s[:n], unpack(s[n:], n))
+        c = g.correct(done.sample, s[:n], unpack(s[n:], n))
         turned = _doubled(unpack(moved[n:], n)) @ c.PH
         weight = ca.vertcat(moved[:n], 1, -c.news * turned, -ca.dot(c.PH, turned) / 2)
         slopes = reverse(ca.vertcat(c.dx, c.ll, c.PH, c.news), ca.vertcat(s, g.mean, g.p), weight)

@@ -29,7 +29,7 @@ class Update:
     """What a sensor's sample does: the state after it, log-likelihood, innovations and their variances.
 
     ``slope``: -d ll / d e of each, which is e / S but where outliers are allowed; ``known``: what a sample tells of
-    its mean and of its scale, over what a normal one tells (n_outputs, 2).
+    its mean and of its scale, over what a normal one tells (n_outputs, 2); ``corrections``: one scalar after the other.
     """
 
     s: Any
@@ -38,7 +38,7 @@ class Update:
     S: Any
     slope: Any = None
     known: Any = None
-    samples: tuple[Sample, ...] = ()
+    corrections: tuple[Correction, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -227,11 +227,11 @@ class Graphs:
         s = ca.vertcat(self.mean + dx, pack(P)) if H is not None else self.mean
         known = ca.DM([[*robust.INFORMATION] if o.robust else [1.0, 1.0] for o in sensor.outputs])
         e, S, slope = (ca.vertcat(*column) for column in zip(*[(c.e, c.S, c.slope) for c in steps], strict=True))
-        return Update(s, ll, e, S, slope, known, tuple(c.sample for c in steps))
+        return Update(s, ll, e, S, slope, known, tuple(steps))
 
     def correct(self, sample: Sample, dx: Any, P: Any) -> Correction:
-        """What one scalar does to the mean, moved by dx since the prediction, and to its covariance P (both None
-        without a covariance)."""
+        """What one scalar does to the mean, moved by dx since the prediction, and to its covariance P; without a
+        covariance nothing."""
         output, e, H, S = sample.output, sample.e, sample.H, sample.R
         PH = None
         if H is not None:
