@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, TypeVar
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ident.dataset import Record
 from ident.model import Model
 from ident.pe import Likelihood
+from ident.plateau import informed, plateaus
 from ident.restricted import restrict
 from ident.robust import robust as with_outliers
 from ident.scoring import Bounds, Evaluation, Optimum, climb, maximise
@@ -235,10 +236,16 @@ def fit(
     mean, weight = problem.prior
     prior_part = -0.5 * float(weight @ (optimum.z - mean) ** 2)
     optimum = restrict(problem, optimum) if restricted and method == "pe" else optimum
-    known = assess(optimum.at, optimum.z, problem.bounds, problem.names, problem.slopes(optimum.z), weight)
+    flat = plateaus(lambda z: problem.value_and_gradient(z)[0], optimum.z, problem.parameters, optimum.at.information,
+                    problem.bounds)
+    slopes = problem.slopes(optimum.z)
+    known = assess(informed(optimum.at, flat), optimum.z, problem.bounds, problem.names, slopes, weight)
+    known = replace(known, flags=(*known.flags, *[(problem.names[p.at], p.remark) for p in flat]))
     robust_errors = np.full(optimum.z.size, np.nan)
     if coloured:
-        robust_errors = sandwich(known, problem.by_row(optimum.z), problem.slopes(optimum.z))
+        robust_errors = sandwich(known, problem.by_row(optimum.z), slopes)
+        for p in flat:
+            robust_errors[p.at] = known.errors[p.at]  # no row has a part in it
     return _report(problem, optimum, known, robust_errors, method, prior_part, time.process_time() - began)
 
 

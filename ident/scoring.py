@@ -18,6 +18,7 @@ Flags = NDArray[np.bool_]
 LARGEST_STEP = 1.5  # in a logarithm: a factor 4.5
 UNFELT = 0.5  # change of the objective by such a step that is hardly one
 HOPELESS = 1e12  # damping
+FADED = 1e-4  # of the largest information a coordinate ever had: what its damping is at least measured by
 SLIGHT = 0.05  # of the tolerance: what a step gains that is not worth the next one
 NEAR = 3.0  # gain of a step below which the objective is about quadratic
 KEPT = 12  # pairs
@@ -78,11 +79,17 @@ Progress = Callable[[int, float], None]
 @dataclass
 class Memory:
     """Steps and the changes of the gradient they brought, near the optimum: what the expected information does
-    not know of the Hessian. Each turns a direction of it by a BFGS update (Nocedal and Wright 2006, eq. 6.19)."""
+    not know of the Hessian. Each turns a direction of it by a BFGS update (Nocedal and Wright 2006, eq. 6.19).
 
+    largest (n,): of the Hessian's diagonal so far. At a kink (the end of a dead zone between two samples) a coordinate
+    loses its information, and with a damping by what is left of it would be flung to its bounds (Moré 1978, section 5).
+    """
+
+    largest: Array
     pairs: list[tuple[Array, Array]] = field(default_factory=list)
 
     def add(self, step: Array, before: Evaluation, after: Evaluation) -> None:
+        self.largest = np.maximum(self.largest, np.diag(after.hessian))
         if after.value - before.value > NEAR:
             self.pairs.clear()
             return
@@ -98,8 +105,9 @@ class Memory:
         return H
 
 
-def solve_step(at: Evaluation, H: Array, z: Array, bounds: Bounds, damping: float) -> Array:
-    """The damped step, ending on the bounds where it would cross them; ``H`` (n, n): minus the Hessian.
+def solve_step(at: Evaluation, H: Array, z: Array, bounds: Bounds, damping: float, least: Array | float = 0.0) -> Array:
+    """The damped step, ending on the bounds where it would cross them; ``H`` (n, n): minus the Hessian; ``least`` (n,):
+    what its diagonal counts for in the damping at least. What the data do not inform at all stays where it is.
 
     No logarithm moves by more than ``LARGEST_STEP``: the whole step is shortened. But one that is hardly felt does not
     hold up the rest: a noise that the data do not inform asks for a step of thousands, beside which all others would
@@ -108,9 +116,9 @@ def solve_step(at: Evaluation, H: Array, z: Array, bounds: Bounds, damping: floa
     felt = LARGEST_STEP * np.abs(at.gradient) + 0.5 * LARGEST_STEP**2 * np.diag(H)
     reach = np.where(bounds.logarithmic & (felt < UNFELT), LARGEST_STEP, np.inf)
     low, high = np.maximum(bounds.low - z, -reach), np.minimum(bounds.high - z, reach)
+    fixed = bounds.held(z, at.gradient) | (np.diag(H) <= 0.0)
     size = np.maximum(np.diag(H), 1e-300)
-    H = H + damping * np.diag(size)
-    fixed = bounds.held(z, at.gradient)
+    H = H + damping * np.diag(np.maximum(size, least))
     step = np.zeros(z.size)
     for _ in range(z.size + 1):
         free = ~fixed
@@ -148,7 +156,8 @@ def maximise(evaluate: Evaluate, z: Array, bounds: Bounds, *, max_iterations: in
     ``evaluate(z)`` must be finite at the start.
     """
     z = bounds.clip(z)
-    at, memory = evaluate(z), Memory()
+    at = evaluate(z)
+    memory = Memory(np.diag(at.hessian))
     evaluations, damping, growth = 1, 1e-3, 2.0
     for iteration in range(max_iterations):
         if progress is not None:
@@ -158,7 +167,7 @@ def maximise(evaluate: Evaluate, z: Array, bounds: Bounds, *, max_iterations: in
         if abs(left) < tolerance:
             return Optimum(z, at, iteration, evaluations, left)
         while True:
-            step = solve_step(at, H, z, bounds, damping)
+            step = solve_step(at, H, z, bounds, damping, FADED * memory.largest)
             expected = expected_gain(at, H, step)
             trial = evaluate(bounds.clip(z + step))
             evaluations += 1

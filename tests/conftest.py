@@ -6,9 +6,14 @@ mark that it writes into the tests' names, which pytest 9.2 no longer takes (pyt
 
 from __future__ import annotations
 
+import signal
 from typing import Any
 
 import pytest
+
+# Whoever starts the tests in the background of a script has them ignore Ctrl-C, and every process that they start.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Real ports with deadlines of some milliseconds: two of these at a time would only measure each other.
 PORTS = (

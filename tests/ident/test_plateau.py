@@ -1,0 +1,94 @@
+"""A parameter whose likelihood is flat where it stands and falls a little further off: how well it is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ident import scoring
+from ident.dataset import Channel, build_record
+from ident.fit import Fit, fit
+from ident.models.thruster import delayed_channels, thruster
+from ident.params import INF, Parameter
+from ident.plateau import plateaus
+
+LEVELS = np.array([0.0, 0.3, 0.06, -0.5, 0.12, 0.4, -0.06, -0.12, 0.8, 0.06])  # nothing between 0.06 and 0.12
+FREE = scoring.Bounds(np.full(2, -INF), np.full(2, INF), np.zeros(2, dtype=bool))
+STEPPED = (Parameter("x", 0.3, step=0.1), Parameter("y", 0.0, step=0.1))
+
+
+def steps(dead_zone: float, seed: int = 1) -> Fit:
+    """A fit with the end of the dead zone free, to set-points of a few levels."""
+    rng = np.random.default_rng(seed)
+    t_cmd, n, rows = np.arange(0.0, 60.0, 2.0), 0.0, []
+    held = np.tile(LEVELS, 3)
+    for k in range(1500):
+        t = 0.04 * k
+        command = held[np.searchsorted(t_cmd, t - 0.119, side="right") - 1] if t >= 0.119 else 0.0
+        rows.append((t, n, 40.0 * n * abs(n)))
+        n += (1.0 - np.exp(-3.0 * 0.04)) * (command * (abs(command) > dead_zone) - n)
+    log = np.array(rows)
+    channels = delayed_channels(Channel(t_cmd, held), 0.0125) | {
+        "n": Channel(log[:, 0], log[:, 1] + 0.004 * rng.standard_normal(len(log))),
+        "force": Channel(log[:, 0], log[:, 2] + 0.2 * rng.standard_normal(len(log))),
+    }
+    model = thruster()
+    record = build_record(model, channels, rate=50.0)
+    return fit(model.with_free([*model.free, "d"]), [record], start={"d": 0.09, "tau": 0.1, "a": 3.0, "c1": 40.0})
+
+
+@pytest.mark.parametrize("dead_zone", [0.07, 0.11])
+def test_an_end_between_two_levels_has_an_error_that_reaches_both(dead_zone: float) -> None:
+    found = steps(dead_zone)
+    assert found.converged
+    d, error = found.estimate("d")
+    assert d - 1.96 * error == pytest.approx(0.06, abs=0.005)
+    assert d + 1.96 * error == pytest.approx(0.12, abs=0.005)
+    assert found.robust_errors[found.names.index("d")] == error
+    (remark,) = [text for name, text in found.flags if name == "d"]
+    assert remark.startswith("flat here: the likelihood falls at 0.06")
+    for name, truth in {"tau": 0.12, "a": 3.0, "c1": 40.0}.items():
+        value, s = found.estimate(name)
+        assert abs(value - truth) < 4 * s, name
+
+
+def trough(z: np.ndarray) -> float:
+    """Flat for 0.2 < z[0] < 0.7, and everywhere in z[1]."""
+    return -1e4 * max(0.2 - z[0], z[0] - 0.7, 0.0)
+
+
+def test_the_ends_of_a_plateau() -> None:
+    (found,) = plateaus(trough, np.array([0.3, 0.0]), STEPPED, np.zeros((2, 2)), FREE)
+    assert (found.at, found.low, found.high) == (0, pytest.approx(0.2, abs=1e-3), pytest.approx(0.7, abs=5e-3))
+    assert found.information == pytest.approx((2 * 1.96 / 0.5) ** 2, rel=0.02)
+
+
+def test_a_bound_ends_a_plateau_but_makes_none() -> None:
+    bounds = scoring.Bounds(np.array([0.25, -0.1]), np.array([INF, 0.1]), np.zeros(2, dtype=bool))
+    (found,) = plateaus(trough, np.array([0.3, 0.0]), STEPPED, np.zeros((2, 2)), bounds)
+    assert (found.at, found.low) == (0, 0.25)
+
+
+def test_where_the_information_tells_the_truth_there_is_none() -> None:
+    def bowl(z: np.ndarray) -> float:
+        return float(-0.5 * (z[0] ** 2 + 1e4 * z[1] ** 2))
+
+    parameters = (Parameter("x", 0.0, step=0.1), Parameter("y", 0.0, step=0.1))
+    assert plateaus(bowl, np.zeros(2), parameters, np.diag([1.0, 1e4]), FREE) == []
+
+
+def kinked(z: np.ndarray) -> scoring.Evaluation:
+    """A narrow curved valley, and a third coordinate that is felt below 1 alone: beyond it is a plateau, and far off an
+    abyss."""
+    J = np.array([[-20.0 * z[0], 10.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 3.0 * float(z[2] < 1.0)]])
+    r = np.array([10.0 * (z[1] - z[0] ** 2), 1.0 - z[0], 3.0 * min(z[2] - 1.0, 0.0)])
+    value = -0.5 * float(r @ r) - (1e6 if abs(z[2] - 1.0) > 3.0 else 0.0)
+    return scoring.Evaluation(value, -J.T @ r, J.T @ J, np.zeros(3))
+
+
+def test_a_coordinate_that_loses_its_information_does_not_end_the_search() -> None:
+    bounds = scoring.Bounds(np.full(3, -50.0), np.full(3, 50.0), np.zeros(3, dtype=bool))
+    top = scoring.maximise(kinked, np.array([-1.2, 1.0, 0.0]), bounds, max_iterations=60, tolerance=1e-10)
+    np.testing.assert_allclose(top.z[:2], [1.0, 1.0], atol=1e-3)
+    assert 1.0 <= top.z[2] < 1.1
+    assert top.gain_left < 1e-10
