@@ -4,28 +4,28 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Literal, TypeVar
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ident.dataset import Record
 from ident.model import Model
+from ident.oe import free_start
 from ident.pe import Likelihood
 from ident.plateau import informed, plateaus
+from ident.problem import Problem
 from ident.restricted import restrict
 from ident.robust import robust as with_outliers
-from ident.scoring import Bounds, Evaluation, Optimum, climb, maximise
-from ident.uncertainty import Uncertainty, assess, sandwich
+from ident.sandwich import TOO_LONG, sandwich
+from ident.scoring import Optimum, climb, maximise
+from ident.uncertainty import Uncertainty, assess
 
 Array = NDArray[np.float64]
 TOLERANCE = 1e-6  # of the log-likelihood: parameters within about a thousandth of a standard error
 CLOSE_ENOUGH = 1e-2  # what may be left to gain where no step gains more
 Progress = Callable[[int, float], None]
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -80,128 +80,12 @@ class Fit:
         return float(len(self.names) * np.log(self.n_measured) - 2.0 * self.log_likelihood)
 
 
-class Problem:
-    """The free coordinates of a fit, and the objective over them."""
-
-    def __init__(self, likelihood: Likelihood, records: Sequence[Record], free: Sequence[str], threads: int) -> None:
-        self.likelihood, self.records = likelihood, tuple(records)
-        model = self.model = likelihood.model
-        index = {p.name: i for i, p in enumerate(model.parameters)}
-        shared = [n for n in free if not model.parameter(n).per_record]
-        own = [n for n in free if model.parameter(n).per_record]
-        self.free = (*shared, *own)
-        self.names = (*shared, *[f"{n}@{i}" for i in range(len(records)) for n in own])
-        self.parameters = [model.parameter(n.partition("@")[0]) for n in self.names]
-        self.columns = [index[p.name] for p in self.parameters]
-        # places[i]: where record i's free parameters stand among the coordinates
-        first = len(shared)
-        self.places = [[*range(first), *range(first + i * len(own), first + (i + 1) * len(own))]
-                       for i in range(len(records))]
-        self.base = np.array([p.value for p in model.parameters])
-        self.threads = max(1, min(threads, len(records)))
-
-    @cached_property
-    def bounds(self) -> Bounds:
-        low, high = np.array([p.free_bounds() for p in self.parameters]).reshape(-1, 2).T
-        return Bounds(low, high, np.array([p.transform == "log" for p in self.parameters], dtype=bool))
-
-    @property
-    def start(self) -> Array:
-        return np.array([p.to_free(p.value) for p in self.parameters])
-
-    @cached_property
-    def prior(self) -> tuple[Array, Array]:
-        """Mean and information of each coordinate's prior; no prior has no information."""
-        given = [p.free_prior() for p in self.parameters]
-        mean = np.array([g[0] if g else 0.0 for g in given])
-        return mean, np.array([1.0 / g[1] ** 2 if g else 0.0 for g in given])
-
-    def values(self, z: Array) -> Array:
-        """(n_records, n_parameters) in own units."""
-        own = self.own(z)
-        out = np.tile(self.base, (len(self.records), 1))
-        for i, places in enumerate(self.places):
-            out[i, [self.columns[k] for k in places]] = own[places]
-        return out
-
-    def own(self, z: Array) -> Array:
-        """The coordinates' values in own units (n,); the bounds once more, for the rounding of logarithms."""
-        return np.array([np.clip(p.from_free(float(c)), *p.bounds) for p, c in zip(self.parameters, z, strict=True)])
-
-    def slopes(self, z: Array) -> Array:
-        """d value / d coordinate."""
-        return np.array([p.slope(p.from_free(float(c))) for p, c in zip(self.parameters, z, strict=True)])
-
-    def evaluate(self, z: Array) -> Evaluation:
-        """Log-posterior, gradient and information with the priors', by the coordinates."""
-        mean, weight = self.prior
-        value = 0.0
-        gradient, information = np.zeros(z.size), np.zeros((z.size, z.size))
-        rows = self._map(lambda i, v: self.likelihood.scores(self.records[i], v, self.free), z)
-        slope = self.slopes(z)
-        for places, scores in zip(self.places, rows, strict=True):
-            value += scores.value
-            gradient[places] += slope[places] * scores.gradient
-            information[np.ix_(places, places)] += np.outer(slope[places], slope[places]) * scores.information
-        # A logarithm of a standard deviation s that goes to zero: ln L ~ -c s^2, whose second derivative is twice
-        # its first, while the expected information is of the order s^4 and would let the prior overshoot.
-        twice = np.where(self.bounds.logarithmic, 2.0 * np.maximum(-gradient, 0.0), 0.0)
-        curvature = np.maximum(twice - np.diag(information), 0.0)
-        value -= 0.5 * float(weight @ (z - mean) ** 2)
-        return Evaluation(value, gradient - weight * (z - mean), information + np.diag(weight), curvature)
-
-    def information(self, z: Array, which: NDArray[np.intp]) -> Array:
-        """Of some of the coordinates alone, with their priors' (n_which, n_which): less work than all of it."""
-        slope, wanted, n = self.slopes(z), set(which.tolist()), len(self.free)
-        total = np.diag(self.prior[1])
-
-        def chosen(i: int) -> list[int]:
-            return [k for k in range(n) if self.places[i][k] in wanted]
-
-        rows = self._map(lambda i, v: self.likelihood.scores(self.records[i], v, [self.free[k] for k in chosen(i)]), z)
-        for i, scores in enumerate(rows):
-            at = [self.places[i][k] for k in chosen(i)]
-            total[np.ix_(at, at)] += np.outer(slope[at], slope[at]) * scores.information
-        return total[np.ix_(which, which)]
-
-    def value_and_gradient(self, z: Array) -> tuple[float, Array]:
-        """Log-posterior and gradient by the adjoint."""
-        mean, weight = self.prior
-        value, gradient = -0.5 * float(weight @ (z - mean) ** 2), -weight * (z - mean)
-        slope = self.slopes(z)
-        rows = self._map(lambda i, v: self.likelihood.gradient(self.records[i], v), z)
-        for places, (ll, by_parameter) in zip(self.places, rows, strict=True):
-            value += ll
-            gradient[places] += slope[places] * by_parameter[[self.columns[k] for k in places]]
-        return value, gradient
-
-    def by_row(self, z: Array) -> list[tuple[list[int], Array]]:
-        """For each record: its coordinates, and what each row adds to the gradient."""
-        slope = self.slopes(z)
-        rows = self._map(lambda i, v: self.likelihood.scores(self.records[i], v, self.free, by_row=True), z)
-        return [(places, slope[places] * scores.by_row) for places, scores in zip(self.places, rows, strict=True)
-                if scores.by_row is not None]
-
-    def check(self, z: Array) -> None:
-        """Raise ValueError naming the first record that cannot be evaluated."""
-        for record, values in zip(self.records, self.values(z), strict=True):
-            if not np.isfinite(self.likelihood.value(record, values)):
-                raise ValueError(f"record {record.name}: the likelihood of model {self.model.name} cannot be "
-                                 "evaluated at the starting values")
-
-    def _map(self, work: Callable[[int, Array], T], z: Array) -> list[T]:
-        values = self.values(z)
-        if self.threads == 1:
-            return [work(i, v) for i, v in enumerate(values)]
-        with ThreadPoolExecutor(self.threads) as pool:  # the kernels leave Python's lock
-            return list(pool.map(work, range(len(values)), values))
-
-
 def fit(
     model: Model,
     records: Sequence[Record],
     *,
     method: Literal["pe", "oe"] = "pe",
+    initial: Literal["free", "given"] = "free",
     start: Mapping[str, float] | None = None,
     robust: bool = False,
     restricted: bool = False,
@@ -213,21 +97,28 @@ def fit(
 ) -> Fit:
     """Estimate the free parameters of ``model`` from ``records``.
 
-    method: prediction error (extended Kalman filter), or output error (no process noise). start: values to begin
-    with instead of the model's. robust: allow outliers in all sensors (``ident.robust`` allows them in some).
-    restricted: estimate noise without the bias that the dynamics give it (``ident.restricted``; not in output error).
-    tolerance: gain in log-likelihood below which the search ends. coloured: work out ``robust_errors``. progress:
-    called with the iteration and the log-posterior. Raises ValueError, naming the record, where a record does not fit
-    the model or cannot be evaluated.
+    method: prediction error (extended Kalman filter), or output error (no process noise). initial: of output error
+    alone: the start of each record is estimated too (``ident.oe.free_start``), or taken for exact as the model gives
+    it. start: values to begin with instead of the model's, ``V_x@0`` those of a record. robust: allow outliers in all
+    sensors (``ident.robust`` allows them in some). restricted: estimate noise without the bias that the dynamics give
+    it (``ident.restricted``; not in output error). tolerance: gain in log-likelihood below which the search ends.
+    coloured: work out ``robust_errors``. progress: called with the iteration and the log-posterior. Raises ValueError,
+    naming the record, where a record does not fit the model or cannot be evaluated.
     """
     began = time.process_time()
     if not records:
         raise ValueError("no records to estimate from")
-    model = model.with_values(start or {})
+    if method not in ("pe", "oe") or initial not in ("free", "given"):
+        raise ValueError(f'no method {method!r} with initial {initial!r}: "pe" or "oe", "free" or "given"')
+    begin: dict[str, float] = {}
+    if method == "oe" and initial == "free":
+        model, begin = free_start(model, records)
+    begin |= {n: v for n, v in (start or {}).items() if "@" in n}
+    model = model.with_values({n: v for n, v in (start or {}).items() if "@" not in n})
     if robust:
-        model = _with_outliers(model, records, method, max_iterations, threads)
+        model = _with_outliers(model, records, method, begin, max_iterations, threads)
     likelihood = Likelihood(model, process_noise=method == "pe")
-    problem = Problem(likelihood, records, _estimable(model, method), threads)
+    problem = Problem(likelihood, records, _estimable(model, method), threads, begin)
     if not problem.names:
         raise ValueError(f"model {model.name} has no free parameters")
     for record in records:
@@ -240,17 +131,19 @@ def fit(
                     problem.bounds)
     slopes = problem.slopes(optimum.z)
     known = assess(informed(optimum.at, flat), optimum.z, problem.bounds, problem.names, slopes, weight)
-    known = replace(known, flags=(*known.flags, *[(problem.names[p.at], p.remark) for p in flat]))
-    robust_errors = np.full(optimum.z.size, np.nan)
+    robust_errors, flags = np.full(optimum.z.size, np.nan), [(problem.names[p.at], p.remark) for p in flat]
     if coloured:
         robust_errors = sandwich(known, problem.by_row(optimum.z), slopes)
         for p in flat:
             robust_errors[p.at] = known.errors[p.at]  # no row has a part in it
+        lost = np.isfinite(known.errors) & np.isnan(robust_errors)
+        flags += [(problem.names[i], TOO_LONG) for i in np.flatnonzero(lost).tolist()]
+    known = replace(known, flags=(*known.flags, *flags))
     return _report(problem, optimum, known, robust_errors, method, prior_part, time.process_time() - began)
 
 
-def _with_outliers(model: Model, records: Sequence[Record], method: Literal["pe", "oe"], max_iterations: int,
-                   threads: int) -> Model:
+def _with_outliers(model: Model, records: Sequence[Record], method: Literal["pe", "oe"], begin: Mapping[str, float],
+                   max_iterations: int, threads: int) -> Model:
     """The model with outliers allowed, at the better of two starts: its own values, or those of a plain fit.
 
     Wild samples are told from good ones by the noise, so its scale must be about right first, which a plain fit
@@ -258,7 +151,7 @@ def _with_outliers(model: Model, records: Sequence[Record], method: Literal["pe"
     """
     own = with_outliers(model)
     try:
-        plain = fit(model, records, method=method, max_iterations=max_iterations, threads=threads).model
+        plain = fit(model, records, method=method, start=begin, max_iterations=max_iterations, threads=threads).model
     except ValueError:
         return own
     likelihood, starts = Likelihood(own, process_noise=method == "pe"), (own, with_outliers(plain))

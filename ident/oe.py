@@ -69,6 +69,30 @@ def with_initial_state(model: Model, names: Sequence[str] | None = None, *, per_
     return replace(model, states=tuple(states), parameters=model.parameters + tuple(new))
 
 
+def free_start(model: Model, records: Sequence[Record]) -> tuple[Model, dict[str, float]]:
+    """What output error estimates: the model with the start of each record free, and where to begin with it.
+
+    Without process noise a start that is taken for exact, the noise of a first sample included, is an error that the
+    whole record carries, and the dynamics bend to it. A state that starts from a measurement becomes the parameter
+    ``x0_NAME`` of each record, which begins at its first sample; one that starts from a number has that as its prior,
+    with ``sd0``; what is known exactly (``sd0`` zero) or is a parameter already stays. Returns ``x0_NAME@RECORD`` with
+    the first samples.
+    """
+    spread = {s.name: model.values[s.sd0] if isinstance(s.sd0, str) else s.sd0 for s in model.states}
+    unknown = [s for s in model.states if not isinstance(s.x0, str) and (s.from_output or spread[s.name] > 0)]
+    extended = with_initial_state(model, [s.name for s in unknown])
+    outputs, begin, given = [o.name for o in model.outputs], {}, []
+    for state in unknown:
+        name = f"x0_{state.name}"
+        if state.from_output not in outputs:
+            given.append(replace(extended.parameter(name), prior=(float(state.x0), spread[state.name])))
+            continue
+        for i, record in enumerate(records):
+            first = Preparer(model)(record).first[outputs.index(state.from_output)]
+            begin[f"{name}@{i}"] = float(first) if np.isfinite(first) else float(state.x0)
+    return extended.replace_parameters(*given), begin
+
+
 def simulate(model: Model, record: Record, values: Array | None = None, x0: Array | None = None) -> Simulation:
     """Run the model through a record's inputs, from ``x0`` (n_states,) or the model's own initial state.
 

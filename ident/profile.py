@@ -19,9 +19,10 @@ from scipy.interpolate import PchipInterpolator
 
 from daq.errors import SeatrialError
 from ident.dataset import Record
-from ident.fit import TOLERANCE, Fit, Problem
+from ident.fit import TOLERANCE, Fit
 from ident.model import Model
 from ident.pe import Likelihood
+from ident.problem import Problem
 from ident.scoring import Evaluation, maximise
 
 Array = NDArray[np.float64]

@@ -23,7 +23,7 @@ from ident.model import Model
 from ident.scoring import Evaluation, Optimum, solve_step
 
 if TYPE_CHECKING:
-    from ident.fit import Problem
+    from ident.problem import Problem
 
 Array = NDArray[np.float64]
 STEP = 0.05  # of a logarithm, for the differences; the determinant is nearly linear in it

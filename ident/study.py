@@ -28,10 +28,12 @@ from scipy import stats
 
 from ident.dataset import Record
 from ident.euler import Inputs, simulate_noisy
-from ident.fit import Fit, Problem, fit
+from ident.fit import Fit, fit
 from ident.model import Model
+from ident.oe import free_start
 from ident.params import Parameter
 from ident.pe import Likelihood
+from ident.problem import Problem
 from ident.scoring import Bounds, Evaluation, solve_step
 
 Array = NDArray[np.float64]
@@ -66,14 +68,14 @@ def replicates(case: Case, numbers: Sequence[int], seed: int, method: Method = "
     rngs = [np.random.default_rng([seed, k]) for k in numbers]
     truths = np.array([_draw(case.model, rng) for rng in rngs])
     began = time.process_time()
-    _, y = simulate_noisy(case.model, case.inputs, truths, rngs)
+    states, y = simulate_noisy(case.model, case.inputs, truths, rngs)
     simulation = (time.process_time() - began) / len(numbers)
     rows = []
-    for k, rng, truth, measured in zip(numbers, rngs, truths, y, strict=True):
+    for k, rng, truth, x, measured in zip(numbers, rngs, truths, states, y, strict=True):
         record = make_record(case, measured, f"{case.name} {k}")
         row: Row = {"k": k, "simulation": simulation}
         try:
-            row |= estimate(case.model, record, truth, rng, method)
+            row |= estimate(case.model, record, truth, x[0], rng, method)
         except (ValueError, ArithmeticError, np.linalg.LinAlgError) as problem:  # counted, and the study goes on
             row |= {"error": f"{type(problem).__name__}: {problem}"}
         rows.append(row)
@@ -91,8 +93,9 @@ def make_record(case: Case, y: Array, name: str) -> Record:
     return Record(name, inputs.t, inputs.u, inputs.u_next, seen, *names)
 
 
-def estimate(model: Model, record: Record, truth: Array, rng: np.random.Generator, method: Method) -> Row:
-    """A fit that starts away from the truth, and its errors; names are those of ``model.free``."""
+def estimate(model: Model, record: Record, truth: Array, x0: Array, rng: np.random.Generator, method: Method) -> Row:
+    """A fit that starts away from the truth, and its errors; names are those of ``model.free``, and of output error
+    those of the state at the start, ``x0_NAME``, whose truth is ``x0`` (n_states,)."""
     named = dict(zip([p.name for p in model.parameters], truth.tolist(), strict=True))
     shared = [p for p in model.parameters if p.free and not p.per_record]
     apart = {p.name: p.value * float(np.exp(rng.uniform(-APART, APART))) for p in shared}
@@ -100,6 +103,10 @@ def estimate(model: Model, record: Record, truth: Array, rng: np.random.Generato
     start |= {p.name: p.value for p in model.parameters if p.per_record}
     began = time.process_time()
     model = replace(model, second_order=method == "pe")
+    if method == "oe":
+        named |= {f"x0_{s.name}": float(x) for s, x in zip(model.states, x0, strict=True)}
+        model = free_start(model, [record])[0]
+    named = {n: named[n] for n in model.values}
     found = fit(model, [record], method=method, start=start, threads=1, restricted=True)
     cpu = time.process_time() - began
     names = [n.partition("@")[0] for n in found.names]

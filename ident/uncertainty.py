@@ -16,7 +16,6 @@ NAMED = 0.1  # weight with which a parameter is part of that combination
 Z95, DROP = 1.959964, 1.9207294  # quantile of a normal, and half of chi2(1), at 95 %
 FACTOR = 5.0  # standard error of a logarithm beyond which nothing is known: a factor 150
 LEAN = 1.5  # times that its error would be larger
-N_BLOCKS = 40  # of a record, for the sandwich: more rows in one than the residuals remember
 
 AT_BOUND, VAGUE = "at its bound", "the data do not tell its order of magnitude"  # flags of a parameter that ended low
 
@@ -133,21 +132,3 @@ def _inverse(information: Array) -> Array:
         return information
     scale = np.sqrt(np.diag(information))
     return np.asarray(np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale))
-
-
-def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes: Array) -> Array:
-    """Standard errors that stay valid when residuals are coloured (White 1982), in own units (n,).
-
-    The covariance of the score comes from sums over blocks of each record, ``P (sum s s') P``; what parameters at their
-    bounds add to the errors is added to these, too.
-    """
-    P = np.nan_to_num(known.P)
-    n = len(P)
-    middle = np.zeros((n, n))
-    for places, by_row in rows:
-        starts = np.unique(np.linspace(0, len(by_row), N_BLOCKS, endpoint=False).astype(int))
-        sums = np.zeros((starts.size, n))
-        sums[:, places] = np.add.reduceat(by_row, starts, axis=0)
-        middle += sums.T @ sums
-    variance = np.diag(P @ middle @ P + known.spread)
-    return np.where(np.isfinite(known.errors), np.abs(slopes) * np.sqrt(np.maximum(variance, 0.0)), np.nan)

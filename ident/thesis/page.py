@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ident.fit import Fit
 from ident.report.figures import write_figures
+from ident.sandwich import TOO_LONG
 from ident.thesis import printed, tables
 from ident.thesis.drawings import bench_part, innovation_part, noise_part, predictor_part
 from ident.thesis.experiments import chapter_5
@@ -102,9 +103,13 @@ def _yaw_and_surge(turn: Both, run: Both) -> list[str]:
 
 
 def _said(truth: Mapping[str, float], fits: Mapping[str, Fit]) -> list[str]:
-    """How far each is from the truth, in its own standard errors."""
+    """How far each is from the truth, in its own standard errors, and where no error can be told."""
     parts = []
     for label, fit in fits.items():
         known = [n for n in fit.names if n in printed.UNITS]
         parts.append(f"{label} {tables.distance(fit, truth, known):.1f}")
-    return [f"Largest distance from the truth, in reported standard errors: {', '.join(parts)}."]
+    lines = [f"Largest distance from the truth, in reported standard errors: {', '.join(parts)}."]
+    if any(what == TOO_LONG for fit in fits.values() for _, what in fit.flags if fit.method == "oe"):
+        lines += ["What process noise moved the boat by stays in OE's residuals until the end of the record: no error",
+                  "allows for that, and a robust error is not given. Those of PE hold."]
+    return lines

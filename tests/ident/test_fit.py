@@ -10,10 +10,11 @@ import pytest
 
 from ident import scoring
 from ident.dataset import Record
-from ident.fit import Fit, Problem, fit
+from ident.fit import Fit, fit
 from ident.model import Input, Model, Output, Sensor, State, plain_model
 from ident.params import INF, Parameter
 from ident.pe import Likelihood
+from ident.problem import Problem
 from tests.ident.toys import best_start, turning, turning_record, values_of
 
 FREE = ("m", "d", "dd", "bias", "q", "e_psi", "e_r")

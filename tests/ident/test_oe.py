@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from scipy.integrate import solve_ivp
 from ident.dataset import Record
 from ident.fit import fit
 from ident.models.yaw import yaw
-from ident.oe import output_error, predict_ahead, simulate, with_initial_state
+from ident.oe import free_start, output_error, predict_ahead, simulate, with_initial_state
 from ident.pe import Likelihood
 from tests.ident.toys import turning, turning_record, values_of
 
@@ -92,7 +93,7 @@ def test_the_sandwich_sees_coloured_residuals() -> None:
     """With process noise in the data, output error's own errors are too small; the robust ones are not."""
     model = yaw().with_values({"e_r": 0.005})
     model = replace(model, states=tuple(replace(s, from_output="") for s in model.states))
-    record, rng, z, robust = steps(1200), np.random.default_rng(2), [], []
+    record, rng, z, robust = steps(4800), np.random.default_rng(2), [], []
     p = model.values
     for _ in range(30):
         r, y = 0.0, np.empty((record.n_rows, 1))
@@ -107,6 +108,58 @@ def test_the_sandwich_sees_coloured_residuals() -> None:
         robust.append((found.values[i] - p["m_r"]) / found.robust_errors[i])
     assert np.std(z) > 1.5
     assert 0.6 < np.std(robust) < 1.5
+
+
+def test_a_noisy_first_sample_is_not_the_start() -> None:
+    """The start is estimated with the rest, and errors hold; taken for exact, the whole record carries its noise."""
+    model = turning().with_values({"e_psi": 0.05, "e_r": 0.05}).with_free(("d", "dd", "e_psi", "e_r"))
+    record, rng, z = turning_record(n_rows=400), np.random.default_rng(3), []
+    model = replace(model, states=tuple(replace(s, x0=0.0, from_output="psi" if s.name == "psi" else "")
+                                        for s in model.states))
+    noise, seen = np.array([0.05, 0.05, 0.05]), np.isfinite(record.y)
+    for _ in range(40):
+        clean = simulate(model, record, x0=np.array([3.0, rng.normal(0.0, 0.3)])).y
+        noisy = np.where(seen, clean + noise * rng.normal(size=clean.shape), np.nan)
+        found = fit(model, [replace(record, y=noisy)], method="oe", start={"d": 6.0, "dd": 3.0})
+        given = fit(model, [replace(record, y=noisy)], method="oe", initial="given")
+        assert "x0_psi@0" in found.names
+        assert "x0_psi@0" not in given.names
+        z.append([[(f.estimate(n)[0] - model.values[n]) / f.estimate(n)[1] for n in ("d", "dd", "e_r")]
+                  for f in (found, given)])
+    spread = np.sqrt(np.mean(np.square(z), axis=0))
+    np.testing.assert_allclose(spread[0], 1.0, atol=0.35)
+    assert np.nanmax(spread[1]) > 2.0
+
+
+def test_starts_of_each_record_begin_at_its_first_samples() -> None:
+    """Headings on both sides of pi: a search from one start for all would end a turn off in one of them."""
+    model = turning().with_free(("d",))
+    model = replace(model, states=tuple(replace(s, x0=0.0, from_output="psi" if s.name == "psi" else "")
+                                        for s in model.states))
+    records = [turning_record(k, name=f"run {k}") for k in range(2)]
+    shifted = replace(records[1], y=records[1].y - [1.5, 0.0, 0.0])
+    found = fit(model, [records[0], shifted], method="oe")
+    one, two = found.estimate("x0_psi", 0)[0], found.estimate("x0_psi", 1)[0]
+    assert found.converged
+    assert abs((one - np.nanmean(records[0].y[:4, 0]) + np.pi) % (2 * np.pi) - np.pi) < 0.3
+    assert abs((two - np.nanmean(shifted.y[:4, 0]) + np.pi) % (2 * np.pi) - np.pi) < 0.3
+    again = fit(model, [records[0], shifted], method="oe", start={"x0_psi@0": one, "x0_psi@1": two})
+    assert again.log_likelihood == pytest.approx(found.log_likelihood, abs=1e-4)
+
+
+def test_a_start_that_is_known_stays_and_a_guess_is_a_prior() -> None:
+    known = replace(turning(), states=tuple(replace(s, sd0=0.0, x0=0.2, from_output="") for s in turning().states))
+    assert free_start(known, []) == (known, {})
+    guessed = replace(turning(), states=(turning().states[0], replace(turning().states[1], x0=0.2, sd0="sd0")))
+    model, begin = free_start(guessed, [])
+    assert (model.parameter("x0_r").prior, begin) == ((0.2, 0.3), {})
+    assert "x0_psi" not in model.values  # a parameter of the model's own already
+
+
+@pytest.mark.parametrize("words", [{"method": "PE"}, {"method": "oe", "initial": "guessed"}])
+def test_a_method_that_there_is_not(words: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match='"pe" or "oe"'):
+        fit(turning(), [turning_record()], **words)
 
 
 def test_predictions_ahead_are_pieces_of_a_simulation() -> None:

@@ -2,10 +2,10 @@
 
     python leave_one_out.py LOG... [--model NAME ...] [--fix NAME=VALUE ...] [--out FILE.json]
 
-The fit is output error (``ident.fit``, method "oe"). The prediction starts at the first sample of the run from the
-speeds and the heading measured there and sees nothing but the commands after it. The score is that of compare() in
-MATLAB, which the data's authors use, 100 (1 - |y - y_hat| / |y - mean(y)|) per cent: for each run, and pooled, with
-the squares of all runs summed and every run's own mean taken away.
+The fit is output error (``ident.fit``, method "oe"). Fit and prediction start at the first sample of the run from the
+speeds and the heading measured there, and the prediction sees nothing but the commands after it. The score is that of
+compare() in MATLAB, which the data's authors use, 100 (1 - |y - y_hat| / |y - mean(y)|) per cent: for each run, and
+pooled, with the squares of all runs summed and every run's own mean taken away.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
 from ident.dataset import Channel, Record, build_record
-from ident.fit import fit
+from ident.fit import Fit, fit
 from ident.loading import load_run
 from ident.model import Model
 from ident.oe import simulate
@@ -55,6 +55,11 @@ def sums(record: Record, predicted: Array) -> Array:
     return np.array([((y - predicted[seen][:, columns]) ** 2).sum(0), ((y - y.mean(0)) ** 2).sum(0)])
 
 
+def fitted_from_first_samples(model: Model, records: Sequence[Record], start: Mapping[str, float]) -> Fit:
+    """Output error from the first samples, taken for exact as the prediction takes them."""
+    return fit(model, records, method="oe", initial="given", start=start, threads=1)
+
+
 def percent(squares: Array) -> list[float]:
     error, spread = squares
     return [float(x) for x in 100.0 * (1.0 - np.sqrt(error / spread))]
@@ -62,11 +67,11 @@ def percent(squares: Array) -> list[float]:
 
 def score(model: Model, records: Sequence[Record], *, left_out: bool) -> dict[str, Any]:
     """Fit in per cent per run and pooled: on the runs left out one by one, or on those that were fitted."""
-    everything = fit(model, records, method="oe", threads=1)
+    everything = fitted_from_first_samples(model, records, {})
     start, parts, predicted = everything.model.values, [], []
     for k, record in enumerate(records):
         others = [*records[:k], *records[k + 1 :]]
-        fitted = fit(model, others, method="oe", start=start, threads=1).model if left_out else everything.model
+        fitted = fitted_from_first_samples(model, others, start).model if left_out else everything.model
         y = simulate(fitted, record).y
         predicted.append(trace(record, y))
         parts.append(sums(record, y))
