@@ -4,7 +4,7 @@
 
 In innovation form ``n_k = (1 + c q^-1) / (1 - q^-1) e_k``. The filter is that of ``ident.pe``, so gaps in time
 are no matter. A sensor whose innovations are not white under this model does not have this noise, and
-``NoiseFit.rejected`` says so: the filtered output of a single-point GPS receiver, for one.
+``NoiseFit.rejected`` says so (``ident.departures``): the filtered output of a single-point GPS receiver, for one.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import signal, stats
 
 from ident.dataset import Channel, Record
+from ident.departures import Departures, departures
 from ident.fit import fit
 from ident.model import Model, Output, Sensor, State, plain_model
 from ident.params import INF, Parameter
@@ -24,8 +25,6 @@ from ident.pe import Likelihood
 
 Array = NDArray[np.float64]
 FLOOR = 1e-4  # of the channel's scale: a standard deviation below this is none
-LEVEL = 1e-3  # p value below which the model is rejected
-SUBSTANTIAL = 0.2  # correlation below which only some 4 % of the innovations' variance could be predicted
 N_LAGS = 20
 
 
@@ -33,7 +32,8 @@ N_LAGS = 20
 class NoiseFit:
     """One axis. white [unit] and walk [unit/sqrt(s)] with standard errors (NaN: none was found, see ``flags``);
     bias [unit] at the start; interval [s] the median between samples; c, sd_innovation of the innovation form at
-    that interval; innovations (n,) standardised; ljung_box: p value; largest_correlation of the innovations."""
+    that interval; innovations (n,) standardised; ljung_box: p value; largest_correlation of the innovations;
+    departures: by how much they are not white."""
 
     name: str
     n: int
@@ -50,12 +50,13 @@ class NoiseFit:
     innovations: Array
     ljung_box: float
     largest_correlation: float
+    departures: Departures
     flags: tuple[str, ...]
 
     @property
     def rejected(self) -> bool:
-        """The innovations are correlated, significantly and by enough to matter."""
-        return self.ljung_box < LEVEL and abs(self.largest_correlation) > SUBSTANTIAL
+        """The innovations are not white, significantly and by enough to matter."""
+        return self.departures.matter
 
     def psd(self, frequency: Array) -> Array:
         """One-sided density [unit^2/Hz] of the sampled noise: white plus a random walk, aliasing included."""
@@ -89,7 +90,8 @@ def estimate_noise(channel: Channel, name: str = "") -> NoiseFit:
     return NoiseFit(
         name, t.size, dt, white * scale, white_error * scale, walk * scale, walk_error * scale,
         bias * scale + float(channel.value[good][0]), bias_error * scale, c, sd * scale,
-        found.log_likelihood - t.size * float(np.log(scale)), eps, p, largest, flags)
+        found.log_likelihood - t.size * float(np.log(scale)), eps, p, largest, departures(eps),
+        flags)
 
 
 def innovation_form(white: float, walk: float, dt: float) -> tuple[float, float]:

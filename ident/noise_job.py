@@ -16,12 +16,16 @@ from ident.channels import ahrs_channels
 from ident.dataset import Channel
 from ident.jobs import Say
 from ident.loading import Loaded, envelope, load_run
-from ident.noise import LEVEL, NoiseFit, estimate_noise, welch
+from ident.noise import NoiseFit, estimate_noise, welch
 from ident.outcome import Json, plain, write_result
 from ident.report import write_report
 
 FORMAT = "seatrial-noise 1"
+WARNING = "Such numbers do not describe the noise, so do not put them into a filter."
 MOST_SAID = 6  # rejected channels that the answer names
+HUM = "Find what turns or hums at that rate, or at one that the sampling folds there, and take the record without it."
+DRIFT = "A drift that is steady or has bounds is no walk: let the sensor warm up, or give a filter a state for it."
+COLOUR = "Take the raw output of a sensor that filters, stop what shakes it, or let a filter have it at a lower rate."
 
 
 @dataclass(frozen=True)
@@ -37,9 +41,28 @@ class ChannelNoise:
     @property
     def reason(self) -> str:
         """Why the model is rejected; empty where it is not."""
-        if not self.fit.rejected:
-            return ""
-        return f"its innovations are correlated by {self.fit.largest_correlation:+.2f} (Ljung-Box {_p(self.fit)})"
+        return " and ".join(words for words, _ in self._said())
+
+    @property
+    def remedy(self) -> str:
+        """What to do about that."""
+        return self._said()[-1][1]
+
+    def _said(self) -> list[tuple[str, str]]:
+        """What is wrong and what to do: of a line alone where it is the half of it, else also of the lowest band."""
+        predictable, line, band = self.fit.departures
+        rate = 1.0 / self.fit.interval
+        if line.matters and line.share > predictable.share / 2:
+            return [(f"a line at {line.frequency * rate:.3g} Hz holds {_percent(line.share)} of its innovations", HUM)]
+        said = []
+        if predictable.matters:
+            correlated = f"its innovations are correlated by {self.fit.largest_correlation:+.2f}"
+            said += [(f"{correlated}, {_percent(predictable.share)} of their variance could be predicted", COLOUR)]
+        if band.matters and (band.low == 0 or not said):
+            span = f"{band.low * rate:.2g} to {band.high * rate:.2g} Hz"
+            words = f"at {span} its density is {band.ratio:.2g} times the model's"
+            said += [(words, COLOUR if band.low else DRIFT)]
+        return said
 
 
 def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: str, say: Say) -> Json:
@@ -105,6 +128,8 @@ def _row(one: ChannelNoise) -> Json:
         "se_walk": f.walk_error,
         "accepted": not f.rejected,
         "p": f.ljung_box,
+        "predictable": f.departures.share,
+        "reason": one.reason or None,
         "frequency": frequency,
         "psd": density,
         "psd_model": f.psd(frequency),
@@ -118,23 +143,25 @@ def _answer(found: Sequence[ChannelNoise]) -> str:
     if not bad:
         return f"{'The channel is' if good == 1 else f'All {good} channels are'} {kind}."
     if len(found) == 1:
-        return f"The channel is not {kind}: {bad[0].reason}."
+        return f"The channel is not {kind}: {bad[0].reason}. {WARNING}"
     named = "; ".join(f"{x.label}: {x.reason}" for x in bad[:MOST_SAID])
     more = f"; and {len(bad) - MOST_SAID} more" if len(bad) > MOST_SAID else ""
-    return f"{good} of {len(found)} channels are {kind}. Not so: {named}{more}."
+    return f"{good} of {len(found)} channels are {kind}. Not so: {named}{more}. {WARNING}"
 
 
-def _p(f: NoiseFit) -> str:
-    return f"p = {f.ljung_box:.2g}" if f.ljung_box > 1e-12 else "p < 1e-12"
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %"
 
 
 def _notes(found: Sequence[ChannelNoise]) -> list[str]:
-    lines = [f"{x.label}: not white noise plus a random walk: {x.reason}." for x in found if x.fit.rejected]
+    lines = [
+        f"{x.label}: not white noise plus a random walk: {x.reason}. {x.remedy}" for x in found if x.fit.rejected
+    ]
     lines += [
-        f"{x.label}: the innovations are not quite white ({_p(x.fit)}), but correlated by no more than "
-        f"{abs(x.fit.largest_correlation):.2f}: that part of the noise is too small to matter."
+        f"{x.label}: the innovations are not quite white, but no more than {_percent(x.fit.departures.share)} of their "
+        "variance could be predicted and their density is nowhere off by a factor of two: let pass."
         for x in found
-        if not x.fit.rejected and x.fit.ljung_box < LEVEL
+        if not x.fit.rejected and x.fit.departures.significant
     ]
     return lines + [f"{x.label}: {flag}" for x in found for flag in x.fit.flags]
 
@@ -160,6 +187,7 @@ def save_noise(path: Path, found: Sequence[ChannelNoise], result: Json) -> None:
             "interval": f.interval,
             "p": f.ljung_box,
             "largest_correlation": f.largest_correlation,
+            "predictable": f.departures.share,
         }
         table = tomlkit.table()
         table.update({"log": one.log, "name": one.name, "unit": one.channel.unit, "n": f.n})

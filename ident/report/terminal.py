@@ -87,7 +87,7 @@ def _noise(result: Row) -> Table | None:
     for title in ("white", "random walk, per √s"):
         table.add_column(title, justify="right", no_wrap=True)
     table.add_column("", no_wrap=True)
-    table.add_column("p", justify="right", no_wrap=True)
+    table.add_column("R²", justify="right", no_wrap=True)
     table.add_column("model", no_wrap=True)
     for row in shown:
         (white, se_white, walk, se_walk), unit = _scaled(row, "white", "se_white", "walk", "se_walk")
@@ -95,7 +95,7 @@ def _noise(result: Row) -> Table | None:
             flag(row, "accepted")
         ]
         texts = (text(row, "channel"), wording.with_error(white, se_white), wording.with_error(walk, se_walk))
-        more = (unit, wording.probability(number(row, "p")))
+        more = (unit, wording.percent(number(row, "predictable"), 1))
         table.add_row(*(Text(words) for words in texts + more), verdict)
     return table
 

@@ -50,5 +50,6 @@ def noise() -> dict[str, Any]:
         curves = {"frequency": frequency, "psd": model * rng.chisquare(2, 4000) / 2, "psd_model": model}
         row = {"channel": channel, "unit": unit, "white": white, "walk": walk, "se_white": white / 90}
         row |= {"se_walk": walk / 8 if walk else None, "p": 0.37 if accepted else 1e-12, "accepted": accepted}
+        row |= {"predictable": 0.0 if accepted else 0.42}
         channels.append(row | {key: listed(a) for key, a in curves.items()})
     return result | {"logs": [log("quay", "estimation", 3600.0)], "noise": channels}

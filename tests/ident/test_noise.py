@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from ident.dataset import Channel
+from ident.departures import predictable
 from ident.noise import NoiseFit, estimate_noise, innovation_form, ljung_box, welch
 from tests.measured.data import measured
 
@@ -88,6 +91,56 @@ def test_filtered_noise_is_rejected() -> None:
     found = estimate_noise(Channel(np.arange(3000) * 1.0, smooth))
     assert found.rejected
     assert found.ljung_box < 1e-6
+
+
+def rejections(make: Callable[[np.random.Generator, int], np.ndarray], trials: int, n: int) -> list[NoiseFit]:
+    rng = np.random.default_rng(n)
+    fits = [estimate_noise(Channel(0.1 * np.arange(n), make(rng, n))) for _ in range(trials)]
+    return [f for f in fits if f.rejected]
+
+
+@pytest.mark.parametrize("n", [60, 600, 2000])
+@pytest.mark.parametrize("walk", [0.0, 0.1, 1.0])
+def test_the_right_model_is_not_rejected(walk: float, n: int) -> None:
+    """At 0.1 % a way to depart, 200 trials reject 0.6; five have one chance in 2500."""
+    found = rejections(lambda rng, n: rng.normal(size=n) + walk * np.cumsum(rng.normal(size=n)), 200, n)
+    assert len(found) < 5
+
+
+SLOW = {
+    "a sine": lambda rng, n: 0.1 * rng.normal(size=n) + np.sin(2 * np.pi * np.arange(n) / 200),
+    "a trend": lambda rng, n: 0.1 * rng.normal(size=n) + 0.01 * np.arange(n),
+    "bounded": lambda rng, n: signal.lfilter([1.0], [1.0, -0.9], rng.normal(size=n)),
+}
+
+
+@pytest.mark.parametrize("kind", SLOW)
+def test_what_is_slow_and_no_walk_is_rejected(kind: str) -> None:
+    """Each correlation is small: the regression on many lags and the lowest octave see it."""
+    found = rejections(SLOW[kind], 20, 2000)
+    assert len(found) == 20
+    assert all(f.departures.band.matters and f.departures.band.low == 0 for f in found)
+    if kind != "bounded":
+        assert all(f.departures.predictable.matters for f in found)
+        assert all(abs(f.largest_correlation) < 0.2 for f in found)
+
+
+def test_a_line_is_found_where_it_is() -> None:
+    found = rejections(lambda rng, n: rng.normal(size=n) + 0.5 * np.sin(2 * np.pi * 0.17 * np.arange(n)), 20, 2000)
+    assert len(found) == 20
+    assert all(f.departures.line.frequency == pytest.approx(0.17, abs=1e-3) for f in found)
+    assert np.mean([f.departures.line.share for f in found]) == pytest.approx(0.125 / 1.125, abs=0.02)
+
+
+def test_the_share_that_is_predictable_is_that_of_the_truth() -> None:
+    """An AR(1) of coefficient phi can be predicted to phi^2 of its variance; a mean to its square's share."""
+    rng = np.random.default_rng(9)
+    e = signal.lfilter([1.0], [1.0, -0.4], rng.normal(size=20_000))
+    assert predictable(e).share == pytest.approx(0.16, abs=0.015)
+    assert predictable(rng.normal(size=20_000) + 0.5).share == pytest.approx(0.25 / 1.25, abs=0.015)
+    small = predictable(signal.lfilter([1.0], [1.0, -0.1], rng.normal(size=20_000)))
+    assert small.p < 1e-9
+    assert not small.matters  # significant, and 1 % of the variance
 
 
 def test_white_noise_has_uniform_p_values() -> None:

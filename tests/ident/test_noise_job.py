@@ -69,6 +69,9 @@ def test_known_noise_is_found(still: Path, tmp_path: Path, capsys: pytest.Captur
     assert not channels["smooth"]["accepted"]
     assert channels["smooth"]["reason"].startswith("its innovations are correlated by +0.")
     assert "2 of 3 channels are white noise plus a random walk. Not so: smooth: its innovations" in said
+    assert channels["smooth"]["predictable"] > 0.3
+    assert "do not put them into a filter" in said
+    assert any(line.startswith("smooth: not white") and line.endswith("at a lower rate.") for line in result["notes"])
     assert any("dead: all samples are the same" in line for line in result["notes"])
     assert {r["channel"]: r["accepted"] for r in result["noise"]} == {"r": True, "psi": True, "smooth": False}
     report = (tmp_path / "noise/report.html").read_text()
@@ -98,6 +101,19 @@ def test_every_axis_of_an_ahrs(tmp_path: Path) -> None:
     assert channels["az"]["interval"] == pytest.approx(0.025)
 
 
+def test_a_hum_is_told_by_its_frequency(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    t = 0.05 * np.arange(4000)
+    hum = rng.normal(size=4000) + np.sin(2 * np.pi * 3.2 * t)
+    np.savetxt(tmp_path / "hum.csv", hum, "%.8f", header="r", comments="")
+    (tmp_path / "map.toml").write_text(MAP + SIGNAL.format("r", "rad/s"))
+    run("import", "csv", tmp_path / "map.toml", tmp_path / "hum.csv", "-o", tmp_path / "hum.mcap")
+    run("ident", "noise", tmp_path / "hum.mcap", "--out", tmp_path / "noise")
+    result, channels = read(tmp_path / "noise")
+    assert channels["r"]["reason"].startswith("a line at 3.2 Hz holds 3")
+    assert "Find what turns or hums" in result["notes"][0]
+
+
 @pytest.mark.measured
 def test_gps_at_rest(tmp_path: Path) -> None:
     folder = measured("static")
@@ -122,3 +138,14 @@ def test_a_vectornav_at_rest(tmp_path: Path) -> None:
     (psi,) = read(tmp_path / "noise")[1].values()
     assert math.degrees(psi["walk"]) == pytest.approx(0.0104, rel=0.05)
     assert "white_se" not in psi  # nearly a pure random walk
+    assert psi["accepted"]
+
+
+@pytest.mark.measured
+def test_a_vectornavs_shaken_channels_are_told(tmp_path: Path) -> None:
+    capture = measured("static") / "vn100_stationary_40Hz_vnymr.txt"
+    run("import", "raw", "vectornav", capture, "--rate", "40", "-o", tmp_path / "vn.mcap")
+    run("ident", "noise", tmp_path / "vn.mcap", "--out", tmp_path / "noise")
+    channels = read(tmp_path / "noise")[1]
+    assert {n for n, c in channels.items() if c["accepted"]} == {"psi", "r", "ax", "ay"}
+    assert channels["az"]["predictable"] == pytest.approx(0.12, abs=0.01)  # of 31 lags, none above 0.17

@@ -184,7 +184,8 @@ def noise_section(canvas: Canvas) -> Section:
     """White noise and random walk of each channel, and whether that model holds."""
     found = rows(canvas.result, "noise")
     lines = [_noise_row(row) for row in found]
-    columns = (("channel", ""), ("white noise", "num"), ("random walk", "num"), ("model holds", ""), ("p", "num"))
+    columns = (("channel", ""), ("white noise", "num"), ("random walk", "num"), ("model holds", ""),
+               ("predictable", "num"), ("p", "num"))
     plots = [_density(canvas, row) for row in found]
     grid = [Grid([p for p in plots if p], 320)] if any(plots) else []
     key = "Power spectral densities: grey measured, blue the fitted model."
@@ -200,7 +201,8 @@ def _noise_row(row: Row) -> list[Cell | str]:
         cells.append(Cell(wording.with_error(value, se, shown if value is not None else ""), "num"))
     accepted = flag(row, "accepted")
     verdict = {True: Cell("✓ yes", "good"), False: Cell("✗ no", "bad"), None: Cell("–")}[accepted]
-    return [*cells, verdict, Cell(wording.probability(number(row, "p")), "num")]
+    share = Cell(wording.percent(number(row, "predictable"), 1), "num")
+    return [*cells, verdict, share, Cell(wording.probability(number(row, "p")), "num")]
 
 
 def _density(canvas: Canvas, row: Row) -> Any:
