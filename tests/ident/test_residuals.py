@@ -86,9 +86,39 @@ def test_cross_correlation_bands_hold_for_independent_innovations() -> None:
     z = np.array(z)
     assert z.std() == pytest.approx(1.0, abs=0.05)
     assert np.mean(np.abs(z) > 1.96) == pytest.approx(0.05, abs=0.015)
-    # p is corrected for as many independent lags as there may be: it may be too careful, never too bold
     for level in (0.05, 0.2):
-        assert np.mean(np.array(p) < level) <= bounds(level)[1]
+        assert 0.25 * level < np.mean(np.array(p) < level) <= bounds(level)[1]
+
+
+LIVELY = {
+    "white": lambda rng, n: rng.normal(size=n),
+    "chirp": lambda rng, n: np.sin(0.6 * np.cumsum(np.linspace(0.02, rng.uniform(0.3, 3), n)) + rng.uniform(0, 6)),
+    "long holds": lambda rng, n: rng.choice([-1.0, 1.0], n // 100 + 1).repeat(100)[:n],
+}
+
+
+@pytest.mark.parametrize("kind", LIVELY)
+def test_a_correlation_with_an_input_is_as_rare_as_its_p_says(kind: str) -> None:
+    """Whether 31 lags are 31 looks or three hangs on the input: no bolder than by a quarter, no more than four times
+    too careful, and chance on top of either."""
+    rng, trials = np.random.default_rng(8), 2500
+    p = np.array([
+        cross_correlation("r", T, rng.normal(size=N), "n", T, LIVELY[kind](rng, N)).p for _ in range(trials)
+    ])  # fmt: skip
+    for level in (0.05, 0.01):
+        rare, often = (stats.binom.interval(0.999, trials, level * by) for by in (0.25, 1.25))
+        assert rare[0] <= np.sum(p < level) <= often[1]
+
+
+@pytest.mark.parametrize("n", [60, 80, 200, 1000])
+def test_short_channels_are_not_found_coloured_more_often(n: int) -> None:
+    rng, trials = np.random.default_rng(n), 2000
+    found = [whiteness("x", T[:n], rng.normal(size=n)) for _ in range(trials)]
+    for level in (0.01, 0.05):
+        assert np.mean([w.ljung_box < level for w in found]) < 1.25 * level + 3 * np.sqrt(level / trials)
+    assert np.mean([not w.white for w in found]) < 0.0125 + 3 * np.sqrt(0.01 / trials)
+    coloured = [whiteness("x", T[:n], signal.lfilter([1.0], [1.0, -0.6], rng.normal(size=n))) for _ in range(100)]
+    assert np.mean([not w.white for w in coloured]) > 0.7
 
 
 def test_what_an_input_leaves_in_the_innovations_is_found_at_its_lag() -> None:
