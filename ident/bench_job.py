@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from daq.errors import SeatrialError, counted
 from ident.bench_runs import RATE, thruster_channels, thruster_name
 from ident.bench_start import first_guess, shaft_guess
+from ident.cautions import cautions
 from ident.curve_job import is_static, static_curve
 from ident.dataset import Record, build_record
 from ident.doubt import doubt_of
@@ -62,7 +63,7 @@ def bench(
     say(f"fitting the thruster to {counted(len(records), 'run')}, {sum(r.n_rows for r in records)} rows")
     fitted, records = fit_on_a_copy(model, records, lambda m: [_record(m, x, name) for x in loaded], robust=robust)
     result = envelope(loaded, command) | {"kind": "thruster", "fit": fit_part(fitted, model.values)}
-    result |= _judged(fitted, records)
+    result |= _judged(fitted, records) | {"cautions": cautions(fitted, records)}
     if has_force:
         result["static"] = _static(fitted, loaded, name)
     if profiles:

@@ -121,8 +121,11 @@ def fit(
     problem = Problem(likelihood, records, _estimable(model, method), threads, begin)
     if not problem.names:
         raise ValueError(f"model {model.name} has no free parameters")
-    for record in records:
-        likelihood.measured(record)
+    told = sum(likelihood.measured(record) for record in records)
+    unknown = int(np.sum(problem.prior[1] == 0))
+    if told < unknown:
+        raise ValueError(f"{', '.join(r.name for r in records)}: {told} measured samples for {unknown} free parameters "
+                         f"of model {model.name} without a prior; give more data, or fix some of them")
     optimum = _search(problem, max_iterations, tolerance, progress)
     mean, weight = problem.prior
     prior_part = -0.5 * float(weight @ (optimum.z - mean) ** 2)

@@ -12,6 +12,7 @@ import numpy as np
 from daq.errors import SeatrialError
 from ident import bench_runs
 from ident.agreement import agreement, agreement_part, sentence
+from ident.cautions import cautions
 from ident.curve_file import load_curve
 from ident.diagnose import diagnose
 from ident.diagnosis_result import diagnosis_result
@@ -130,6 +131,7 @@ def vehicle(
     stage = first_stage(model, runs, others, rate=rate, robust=robust, restricted=restricted, progress=say)
     result = envelope([*loaded, *unseen], command) | judged_alone(Judged(stage)) | _residuals(stage)
     result |= {"kind": "vehicle", "fit": fit_part(stage.fit, model.values)}
+    result["cautions"] = cautions(stage.fit, [v.record for v in stage.estimation])
     result["notes"] = outliers(stage) + calibration_notes(result["calibration"])
     said = [vehicle_answer(result, searchable="hull" in model.provides)]
     if sides is not None and sides.swapped:
@@ -207,6 +209,7 @@ def diagnosis(
     if result["next_experiment"]:
         result["next_experiment"] = result["next_experiment"].replace("MODEL", str(model_path))
     result["notes"] = outliers(found.after) + result["notes"]
+    result["cautions"] = cautions(found.after.fit, [v.record for v in found.after.estimation])
     write_all(out, result, found.after.fit, validity(found.after), effects_file)
     return result
 

@@ -19,6 +19,7 @@ from ident.residuals import cross_correlation, whiteness
 
 Array = NDArray[np.float64]
 Json = dict[str, Any]
+FEWEST = 60  # samples of a channel whose residuals are tested
 
 
 def fit_part(fit: Fit, start: Mapping[str, float]) -> Json:
@@ -80,11 +81,12 @@ def input_traces(model: Model, record: Record) -> list[Json]:
 
 
 def residual_part(model: Model, record: Record, eps: Array) -> tuple[list[Json], list[Json]]:
-    """``residuals`` and ``cross`` of one record from its standardised innovations (n_rows, n_outputs)."""
+    """``residuals`` and ``cross`` of one record from its standardised innovations (n_rows, n_outputs). A channel of
+    fewer than 60 samples, or whose innovations are all the same, is left out."""
     residuals, cross = [], []
     for j, o in enumerate(model.outputs):
         good = np.isfinite(eps[:, j])
-        if good.sum() < 60:
+        if good.sum() < FEWEST or not np.ptp(eps[good, j]):
             continue
         t, e = record.t[good], eps[good, j]
         residuals.append({"record": record.name, "channel": o.name, "unit": o.unit, **_whiteness_row(o.name, t, e)})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ident.outcome import Json
+from ident.outcome import FEWEST, Json
 
 WORDS = {
     "x": "position",
@@ -14,6 +14,8 @@ WORDS = {
     "r": "yaw rate",
     "speed": "speed over ground",
 }
+LEVEL = 0.01
+MEASURED = {"phi", "theta", "psi", "p", "q", "r"}  # inputs that are a sensor's output, with its noise
 
 
 def vehicle_answer(result: Json, *, searchable: bool) -> str:
@@ -28,11 +30,34 @@ def vehicle_answer(result: Json, *, searchable: bool) -> str:
         value, unit = rows[name]["after"], rows[name]["unit"].replace("rad", "deg")
         said.append(f"{word} {value * 180 / np.pi if degrees else value:.2g} {unit}".rstrip())
     ahead = f"Ten seconds ahead on {role} data the model errs by {', '.join(said)} (rms). " if said else ""
-    correlated = any(c["p"] is not None and c["p"] < 1e-3 for c in result["cross"])
-    coloured = any(not r["white"] for r in result["residuals"])
-    if not correlated and not coloured:
+    return f"{ahead}{_residuals(result, searchable)}"
+
+
+def _residuals(result: Json, searchable: bool) -> str:
+    """Each at 1 % over all channels, tests and inputs together (Bonferroni)."""
+    tests = [p for r in result["residuals"] for p in (r["ljung_box_p"], r["periodogram_p"])]
+    cross = [(c["p"], c["input"]) for c in result["cross"] if c["p"] is not None]
+    known = {name for p, name in cross if p * len(cross) < LEVEL}
+    coloured = any(p is not None and p * len(tests) < LEVEL for p in tests)
+    if not tests:
+        least = f"that takes {FEWEST} samples of a channel"
+        return f"Too little was measured to tell whether the residuals are white: {least}."
+    if not known and not coloured:
         hidden = "; whether the unexplained forces hide an effect, `seatrial ident diagnose` tells"
-        return f"{ahead}The residuals are white and know nothing of the inputs{hidden if searchable else ''}."
-    end = "The residuals still know the inputs" if correlated else "The residuals are not white"
+        return f"The residuals are white and know nothing of the inputs{hidden if searchable else ''}{_unseen(result)}."
+    if known and known <= MEASURED:
+        named = " and ".join(sorted(known))
+        return (
+            f"The residuals still know {named}, which the model takes as measured: that may be the noise of these "
+            f"measurements and need not be a lack of the model{'. They are not white' if coloured else ''}."
+        )
+    end = "The residuals still know the inputs" if known else "The residuals are not white"
     how = ": run `seatrial ident diagnose` to find what is missing" if searchable else ": the model lacks something"
-    return f"{ahead}{end}{how}."
+    return f"{end}{how}."
+
+
+def _unseen(result: Json) -> str:
+    """Channels of the estimation data with too few samples to say so."""
+    seen = {r["channel"] for r in result["residuals"]}
+    left = [n for n in result["before_after"].get("estimation", {}).get("one_step", {}) if n not in seen]
+    return f" (of {', '.join(left)} there are too few to tell)" if left else ""

@@ -16,6 +16,7 @@ from ident.report import wording
 from ident.report.access import ROLES, Row, array, flag, group, number, rows, text, texts
 from ident.report.sections.errors import HORIZONS
 from ident.report.sections.information import place
+from ident.report.sections.profiles import interval
 from ident.report.sections.search import threshold
 
 MOST_PARAMETERS, MOST_CANDIDATES, MOST_CHANNELS, MOST_OUTAGES, MOST_STRETCHES = 9, 6, 8, 8, 24
@@ -29,7 +30,9 @@ def print_result(result: Mapping[str, Any], console: Console) -> None:
     console.print(Padding(Text(text(result, "answer"), style="bold"), (0, 1)))
     if text(result, "doubt"):
         console.print(Padding(Text(text(result, "doubt"), style="yellow"), (0, 1)))
-    tables = (_parameters, _noise, _known, _stretches, _outages, _candidates, _errors)
+    for line in texts(result, "cautions"):
+        console.print(Padding(Text(f"⚠ {line}", style="yellow"), (0, 1)))
+    tables = (_parameters, _profiles, _noise, _known, _stretches, _outages, _candidates, _errors)
     for table in (make(result) for make in tables):
         if table is not None:
             console.print()
@@ -66,13 +69,31 @@ def _parameters(result: Row) -> Table | None:
     table.add_column("", no_wrap=True)
     table.add_column("value ± s.e.", justify="right", no_wrap=True)
     table.add_column("", no_wrap=True)
-    # A flag may be a sentence; without a limit it would take its room from the numbers.
-    table.add_column("", style="dim", no_wrap=True, overflow="ellipsis", max_width=40)
+    table.add_column("", style="dim", overflow="fold")  # a flag may be a sentence: it wraps, the numbers do not
     for row in shown:
         (value, se), unit = _scaled(row, "value", "se")
         name = Text(text(row, "name"), style="bold green" if text(row, "name") in own else "bold")
         words = f"⚠ {text(row, 'flag')}" if text(row, "flag") else text(row, "meaning")
         table.add_row(name, Text(wording.with_error(value, se)), Text(unit), Text(words))
+    return table
+
+
+def _profiles(result: Row) -> Table | None:
+    """The intervals that were asked for; the curves are for the report."""
+    found = rows(result, "profiles")
+    if not found:
+        return None
+    table = _table("Profile likelihood")
+    table.add_column("", no_wrap=True, style="bold")
+    for title in ("value", "95 % by profile", "95 % by s.e."):
+        table.add_column(title, justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    table.add_column("", style="dim", overflow="fold")
+    for row in found:
+        (value, *ends), unit = _scaled(row, "value", "low", "high", "wald_low", "wald_high")
+        spans = [interval(*pair) for pair in (ends[:2], ends[2:])]
+        words = [text(row, "name"), wording.plain(value), *spans, unit, "; ".join(texts(row, "notes"))]
+        table.add_row(*(Text(word) for word in words))
     return table
 
 

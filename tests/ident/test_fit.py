@@ -153,6 +153,8 @@ def test_a_record_that_cannot_be_evaluated_names_itself() -> None:
         fit(model, [records(1)[0], replace(records(1)[0], name="odd", inputs=("M",))])
     with pytest.raises(ValueError, match="no records"):
         fit(model, [])
+    with pytest.raises(ValueError, match=r"^run 0: \d measured samples for 7 free parameters of model turning without"):
+        fit(model, [turning_record(0, 2, "run 0")])
     with pytest.raises(ValueError, match="no free parameters"):
         fit(model.with_free(()), records(1))
     with pytest.raises(KeyError, match="mass"):

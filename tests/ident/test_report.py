@@ -203,6 +203,29 @@ def test_the_terminal_says_the_units_of_outages() -> None:
     assert "from [s] for [s] 95 % radius [m] off by [m] allowed [m]" in words
 
 
+def test_what_an_estimate_must_not_be_read_without_comes_before_it() -> None:
+    result = {"answer": "Done.", "cautions": ["The fit did not converge.", "gauge: a stuck sensor?"]}
+    words = printed(result)
+    assert words.index("⚠ The fit did not converge.") < words.index("⚠ gauge: a stuck sensor?")
+    assert words.index("Done.") < words.index("⚠ The fit")
+
+
+def test_a_flag_wraps_and_the_numbers_do_not() -> None:
+    flag = "not identified: the data do not see a change of -1 c1 +1 c2 and of five more that go with them"
+    row = {"name": "c1", "value": 0.45, "se": 0.031, "unit": "m", "flag": flag}
+    text = printed({"answer": "Done.", "fit": {"parameters": [row]}})
+    assert "0.450 ± 0.031" in text
+    assert flag in " ".join(re.sub(r"c1 +0.450 ± 0.031 +m", "", text).split())
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_the_terminal_has_the_intervals_that_were_asked_for() -> None:
+    row = {"name": "psi_0", "unit": "rad", "value": 0.1, "low": 0.05, "high": None, "wald_low": 0.04, "wald_high": 0.2}
+    lines = printed({"answer": "Done.", "profiles": [row | {"notes": ["upper side: no end"]}]}).splitlines()
+    (line,) = [" ".join(text.split()) for text in lines if "psi_0" in text]
+    assert line == "psi_0 5.73 2.86 to open 2.29 to 11.5 deg upper side: no end"
+
+
 def test_a_name_that_says_it_all_is_not_said_twice() -> None:
     assert wording.named("voltage_left") == "voltage left"
     assert wording.named("n_left") == "shaft speed left n_left"

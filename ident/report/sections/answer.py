@@ -17,7 +17,8 @@ KEY_PARAMETERS = 9
 def section(canvas: Canvas) -> Section:
     """Without a title: it follows the answer itself."""
     result = canvas.result
-    blocks: list[Any] = [Prose(text(result, "doubt"), "callout")] if text(result, "doubt") else []
+    told = [text(result, "doubt"), *texts(result, "cautions")]
+    blocks: list[Any] = [Prose(line, "callout") for line in told if line]
     if rows(result, "effects") or rows(result, "rounds"):
         blocks += headline(result) + [effect_card(effect) for effect in rows(result, "effects")]
     else:

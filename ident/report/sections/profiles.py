@@ -37,17 +37,22 @@ def _row(row: Row, noted: bool) -> list[Cell | str]:
     cells: list[Cell | str] = [
         Cell(text(row, "name"), "symbol"),
         Cell("–" if value is None else wording.plain(factor * value), "num"),
-        Cell(_interval(number(row, "low"), number(row, "high"), factor), "num"),
-        Cell(_interval(number(row, "wald_low"), number(row, "wald_high"), factor), "num"),
+        *(Cell(interval(*(_times(number(row, key), factor) for key in ends)), "num")
+          for ends in (("low", "high"), ("wald_low", "wald_high"))),
         Cell(unit, "nowrap"),
     ]
     return [*cells, Cell("; ".join(texts(row, "notes")), "wide")] if noted else cells
 
 
-def _interval(low: float | None, high: float | None, factor: float) -> str:
+def _times(value: float | None, factor: float) -> float | None:
+    return None if value is None else factor * value
+
+
+def interval(low: float | None, high: float | None) -> str:
+    """``1.2 to 3.4``; an end that the data do not close is open."""
     if low is None and high is None:
         return "–"
-    ends = ["open" if end is None else wording.plain(factor * end) for end in (low, high)]
+    ends = ["open" if end is None else wording.plain(end) for end in (low, high)]
     return f"{ends[0]} to {ends[1]}"
 
 

@@ -21,7 +21,8 @@ def section(canvas: Canvas) -> Section:
     if not any(blocks for _, blocks in tabs):
         return Section("residuals", "", [])
     lead = "One-step prediction errors in units of their predicted standard deviation. Of a complete model they are "
-    lead += "white: inside the grey bands in 95 of 100 cases."
+    lead += "white: inside the grey bands in 95 of 100 cases. Each channel is judged alone, at 1 %; the answer "
+    lead += "weighs all of them together."
     two = any(group(row, "after") for key in ("residuals", "cross") for row in rows(result, key))
     key = [Key([("before-dots", "before"), ("after-dots", "after the effects were added")])] if two else []
     return Section("residuals", "Residuals", [*key, *tabbed(tabs)], lead)
