@@ -12,13 +12,14 @@ try:
     import importlib
     import os
     import traceback
-    from collections.abc import Sequence
-    from typing import NamedTuple
+    import warnings
+    from collections.abc import Callable, Sequence
+    from typing import Any, NamedTuple
 
     import click
     from click.shell_completion import CompletionItem
 
-    from daq.errors import SeatrialError
+    from daq.errors import SeatrialError, SeatrialWarning
 except KeyboardInterrupt:  # Ctrl-C before there is a command to take it
     sys.stderr.write("\nseatrial: interrupted\n")
     raise SystemExit(130) from None
@@ -141,10 +142,24 @@ def _usage(error: click.UsageError) -> str:
     return f"{path}: {said}{'' if said.endswith(('?', ')')) else ';'} `{path} --help` shows how"
 
 
+def _shown(otherwise: Callable[..., None]) -> Callable[..., None]:
+    """Our own warnings as one line, without the place in the code that all others have."""
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        if issubclass(category, SeatrialWarning):
+            print(f"seatrial: {message}", file=sys.stderr)
+        else:
+            otherwise(message, category, *where, **more)
+
+    return show
+
+
 def _run(args: Sequence[str]) -> int:
     """Run one command line and return its exit status; raises whatever the command raises."""
     try:
-        result = cli.main(args=list(args), prog_name="seatrial", standalone_mode=False)
+        with warnings.catch_warnings():
+            warnings.showwarning = _shown(warnings.showwarning)
+            result = cli.main(args=list(args), prog_name="seatrial", standalone_mode=False)
         sys.stdout.flush()
     except click.ClickException as error:  # UsageError is 2, the rest of click's own errors 1
         if isinstance(error, click.exceptions.NoArgsIsHelpError):

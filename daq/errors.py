@@ -1,4 +1,4 @@
-"""The errors that a user is meant to read, and how a line counts."""
+"""The errors and warnings that a user is meant to read, and how a line counts."""
 
 from __future__ import annotations
 
@@ -17,6 +17,10 @@ class SafetyStop(SeatrialError):
     """A safety limit ended the run: the thrusters are at zero and the log so far is kept."""
 
     exit_status = 3
+
+
+class SeatrialWarning(RuntimeWarning):
+    """The work goes on, but not as the user may expect. ONE clear line, which the front door prints like an error's."""
 
 
 def counted(number: int, word: str) -> str:

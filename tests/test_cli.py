@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import types
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import click
 import pytest
 
 import seatrial
-from daq.errors import SafetyStop, SeatrialError
+from daq.errors import SafetyStop, SeatrialError, SeatrialWarning
 
 HEAVY = {"numpy", "scipy", "casadi", "llvmlite", "plotly", "mcap", "can", "pymavlink", "rich", "jinja2"}
 PARTS = {"bench", "ident", "mocks"}
@@ -187,3 +188,15 @@ seatrial.main(sys.argv[1:])
     finally:
         os.close(writer)
     assert done.stderr == b""
+
+
+@pytest.mark.filterwarnings("always")
+def test_our_own_warnings_are_one_line_and_others_keep_their_place(run: Callable[..., Outcome]) -> None:
+    def action() -> None:
+        warnings.warn("the engine is slow", SeatrialWarning, stacklevel=1)
+        warnings.warn("of a library", RuntimeWarning, stacklevel=1)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, category, *where: print(f"{category.__name__}: {message}")
+        status, out, err = run(action)
+    assert (status, out, err) == (0, "RuntimeWarning: of a library\n", "seatrial: the engine is slow\n")

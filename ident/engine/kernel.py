@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.errors import SeatrialWarning
 from ident.engine import jit
 from ident.engine.layout import Layout
 
@@ -92,7 +93,7 @@ class Kernel:
             if not compiled and not _warned:
                 _warned.append("said")
                 warnings.warn("llvmlite is not installed: estimation works, but some thousand times slower",
-                              RuntimeWarning, stacklevel=2)
+                              SeatrialWarning, stacklevel=2)
         self._loop: Loop = self._compile() if compiled else self._interpret()
 
     @classmethod
