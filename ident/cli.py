@@ -59,7 +59,7 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     show_default=True,
     help="horizontal:shaft, horizontal:force, horizontal:general (each also with :still for no current, "
     ":walk for one that wanders), "
-    "kinematic:shaft|force (measured attitude; :yaw with the yaw equation), "
+    "kinematic:shaft|force (measured attitude; :yaw with the yaw equation, :still and :walk), "
     "surge:force|shaft:position|speed|both, yaw:rate|both, or FILE.py:NAME for your own.",
 )
 @click.option(
@@ -75,6 +75,10 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
 )
 @click.option("--agree", multiple=True, metavar="NAME", help="Test whether the logs agree on this parameter.")
 @click.option("--profile", "profiles", multiple=True, metavar="NAME", help="Profile likelihood of this parameter.")
+@click.option(
+    "--with", "effects", multiple=True, metavar="EFFECT",
+    help="Add an effect of the catalogue, its parameters free (lever-arm, mount, ...); may be repeated.",
+)
 @robust_option
 @click.option(
     "--restricted", is_flag=True, help="Estimate noise without the bias that fitted dynamics give it (REML)."

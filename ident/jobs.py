@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,17 +17,16 @@ from ident.diagnose import diagnose
 from ident.diagnosis_result import diagnosis_result
 from ident.effects import catalogue
 from ident.fit import Fit
+from ident.given import with_effects, with_known, with_priors, with_rig, with_start
 from ident.job_inputs import CURVE_INPUTS, completed, known_curve
 from ident.judged import Judged, calibration_notes, judged_alone
 from ident.loading import Loaded, envelope, load_all
 from ident.model import Input, Model
 from ident.modelfile import load_model, save_model
 from ident.models import make_model
-from ident.models.horizontal import SENSORS, SIDES
-from ident.models.known import antenna
+from ident.models.horizontal import SENSORS
 from ident.outcome import Json, fit_part, plain, residual_part, shown_inputs, write_result
 from ident.own import own_effects
-from ident.params import Parameter
 from ident.profile import check_names, profile, profile_part
 from ident.report import write_report
 from ident.robust import robust as with_outliers
@@ -63,36 +61,6 @@ def as_logged(signal: Input, hold: str) -> Input:
     return replace(signal, hold="linear") if hold == "linear" else signal
 
 
-def with_known(model: Model, rig: Any, thruster: Path | None, given: Mapping[str, float]) -> Model:
-    """Parameters that are known before: from the rig, from the bench, from the command line (fixed)."""
-    known: dict[str, Parameter] = {}
-    if rig is not None:
-        values = {n: v for n, v in rig.vehicle.items() if n in model.values}
-        model = model.with_values(values)
-        for t in rig.thrusters:
-            if f"y_{t.name}" in model.values and t.name in SIDES:
-                known[f"y_{t.name}"] = model.parameter(f"y_{t.name}").at(t.position_m[1]).fixed()
-        model = _with_antenna(model, rig)
-    if thruster is not None:
-        bench = load_model(thruster).model
-        for name in ("c1", "c2"):
-            if name in model.values:
-                known[name] = model.parameter(name).at(bench.parameter(name).value).fixed()
-    for name, value in given.items():
-        if name not in model.values:
-            raise SeatrialError(
-                f"--fix {name}: model {model.name} has no such parameter; it has {', '.join(model.values)}"
-            )
-        known[name] = model.parameter(name).at(value).fixed()
-    return model.replace_parameters(*known.values())
-
-
-def _with_antenna(model: Model, rig: Any) -> Model:
-    arms = [d.lever_arm_m for d in rig.devices if d.lever_arm_m is not None and any(d.lever_arm_m[:2])]
-    part = antenna(*arms[0][:2]) if arms else None
-    return model + part if part is not None and model.accepts(part) else model
-
-
 def vehicle(
     logs: Sequence[Path],
     validate: Sequence[Path],
@@ -109,6 +77,7 @@ def vehicle(
     robust: bool = False,
     restricted: bool = False,
     second_order: bool = False,
+    effects: Sequence[str] = (),
     rate: float,
     command: str,
     say: Say,
@@ -116,13 +85,16 @@ def vehicle(
     """Fit a vehicle model and judge it on the validation logs. ``prior``: mean and standard deviation of parameters;
     ``agree``: parameters to test for one value in all; ``profiles``: parameters that get a profile likelihood;
     ``robust``: allow outliers; ``restricted``: noise by restricted likelihood; ``second_order``: the
-    filter's mean goes with the curvature of the rates."""
+    filter's mean goes with the curvature of the rates; ``effects``: added by name, their parameters free."""
     curve = load_curve(thruster) if thruster is not None else None
     if curve is not None:
         thruster, source = None, "horizontal:force" if source == "auto" else source
     loaded, unseen = ([completed(x, source, curve) for x in part] for part in load_all(logs, validate))
-    model = _with_start(_with_priors(choose_model(source, [*loaded, *unseen]), prior or {}), begin)
-    model = with_known(model, loaded[0].rig, thruster, fix)
+    model, notes = with_rig(choose_model(source, [*loaded, *unseen]), loaded[0].rig)
+    for note in notes:
+        say(note)
+    model = with_start(with_priors(with_effects(model, effects), prior or {}), begin)
+    model = with_known(model, thruster, fix)
     model = replace(model, second_order=True) if second_order else model
     sides = check_sides([(x.run.name, x.run.channels) for x in loaded]) if "y_left" in model.values else None
     model = swap(model) if sides is not None and sides.swapped and not as_is else model
@@ -132,7 +104,7 @@ def vehicle(
     result = envelope([*loaded, *unseen], command) | judged_alone(Judged(stage)) | _residuals(stage)
     result |= {"kind": "vehicle", "fit": fit_part(stage.fit, model.values)}
     result["cautions"] = cautions(stage.fit, [v.record for v in stage.estimation])
-    result["notes"] = outliers(stage) + calibration_notes(result["calibration"])
+    result["notes"] = notes + outliers(stage) + calibration_notes(result["calibration"])
     said = [vehicle_answer(result, searchable="hull" in model.provides)]
     if sides is not None and sides.swapped:
         said.insert(0, sides.line if not as_is else sides.line.removesuffix(" Fitted with the sides swapped."))
@@ -151,26 +123,6 @@ def _asked(stage: Stage, profiles: Sequence[str], agree: Sequence[str]) -> tuple
     if found:
         part["agreement"] = [agreement_part(a) for a in found]
     return part, [sentence(a) for a in found]
-
-
-def _with_priors(model: Model, prior: Mapping[str, tuple[float, float]]) -> Model:
-    """The model with means and standard deviations that are known before; the estimate starts from the means."""
-    given = []
-    for name, (mean, sd) in prior.items():
-        if name not in model.values:
-            raise SeatrialError(f"--prior {name}: model {model.name} has {', '.join(model.values)}")
-        try:
-            given.append(replace(model.parameter(name), value=mean, prior=(mean, sd), free=True))
-        except ValueError as problem:
-            raise SeatrialError(f"--prior {name}={mean:g}:{sd:g}: {problem}") from problem
-    return model.replace_parameters(*given)
-
-
-def _with_start(model: Model, begin: Mapping[str, float]) -> Model:
-    unknown = set(begin) - set(model.values)
-    if unknown:
-        raise SeatrialError(f"--start {sorted(unknown)[0]}: model {model.name} has {', '.join(model.values)}")
-    return model.with_values(begin)
 
 
 def diagnosis(

@@ -231,7 +231,7 @@ class Model:
         return replace(self, parameters=tuple(by_name.get(p.name, p) for p in self.parameters))
 
     def __add__(self, effect: Effect) -> Model:
-        missing = set(effect.requires) - set(self.provides)
+        missing = self._missing(effect)
         if missing:
             raise ValueError(
                 f"effect {effect.name} needs the signal {sorted(missing)[0]!r}, which model {self.name} has not"
@@ -246,7 +246,12 @@ class Model:
         )
 
     def accepts(self, effect: Effect) -> bool:
-        return set(effect.requires) <= set(self.provides) and effect.name not in {e.name for e in self.effects}
+        return not self._missing(effect) and effect.name not in {e.name for e in self.effects}
+
+    def _missing(self, effect: Effect) -> set[str]:
+        """Signals that an effect requires and the model does not provide; a hull moves in the plane."""
+        provided = {*self.provides, *(["plane"] if "hull" in self.provides else [])}
+        return set(effect.requires) - provided
 
 
 def plain_model(

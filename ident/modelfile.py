@@ -18,7 +18,7 @@ from ident.fit import Fit
 from ident.model import Effect, Model
 from ident.models import make_model
 from ident.models.disturbance import disturbance_of, sensor_bias
-from ident.models.known import ANTENNA, CURRENT_WALK, antenna, current_walk
+from ident.models.known import ANTENNA, CURRENT_WALK, antenna_of, current_walk
 from ident.own import own_effects
 from ident.params import Parameter
 from ident.robust import robust, robust_sensors
@@ -154,7 +154,7 @@ def _effect(name: str, model: Model, spans: Mapping[str, Any]) -> Effect:
     if name == "sensor-bias":
         return sensor_bias([s.name for s in model.sensors])
     if name == ANTENNA:
-        return antenna()
+        return antenna_of(model)
     if name == CURRENT_WALK:
         return current_walk()
     if name.startswith("unknown "):

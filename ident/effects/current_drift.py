@@ -25,6 +25,6 @@ EFFECT = Effect(
     formula="V(t) = V + V_d (t / 600 s - 1/2)",
     source="tide and eddies; Fossen 2011, section 8.3",
     experiment="drifting without thrust at the start, in the middle and at the end",
-    requires=("hull",),
+    requires=("plane",),
     rivals=("wind", "battery-sag", "tether"),
 )

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from ident.model import Effect, Signals
+from ident.models import attitude
 from ident.models.known import shift
 from ident.params import Parameter
 
@@ -11,18 +14,40 @@ def move(s: Signals) -> None:
     shift(s, s.p.l_x, s.p.l_y)
 
 
-EFFECT = Effect(
-    name="lever-arm",
-    title="an offset of the GNSS antenna",
-    place="sensor",
-    hooks={"output": move},
-    parameters=(
-        Parameter("l_x", 0.0, "m", "antenna ahead of the origin", prior=(0.0, 1.5), step=0.05),
-        Parameter("l_y", 0.0, "m", "antenna to starboard of the origin", prior=(0.0, 1.0), step=0.05),
+def move_tilted(s: Signals) -> None:
+    attitude.shift(s, (s.p.l_x, s.p.l_y, s.p.l_z))
+
+
+ARM = (
+    Parameter("l_x", 0.0, "m", "antenna ahead of the origin", prior=(0.0, 1.5), step=0.05),
+    Parameter("l_y", 0.0, "m", "antenna to starboard of the origin", prior=(0.0, 1.0), step=0.05),
+)
+HEIGHT = Parameter("l_z", 0.0, "m", "antenna below the origin", prior=(0.0, 1.0), step=0.05)
+SAID: dict[str, Any] = {
+    "place": "sensor",
+    "source": "Groves 2013, section 2.5",
+    "rivals": ("gnss-latency", "cg-offset"),
+}
+TITLE = "an offset of the GNSS antenna"
+EFFECTS = (
+    Effect(
+        "lever-arm",
+        TITLE,
+        {"output": move},
+        ARM,
+        formula="p_measured = p + R(psi) l, v_measured = v + r x R(psi) l",
+        experiment="spinning on the spot, both ways round",
+        requires=("hull",),
+        **SAID,
     ),
-    formula="p_measured = p + R(psi) l, v_measured = v + r x R(psi) l",
-    source="Groves 2013, section 2.5",
-    experiment="spinning on the spot, both ways round",
-    requires=("hull",),
-    rivals=("gnss-latency", "cg-offset"),
+    Effect(
+        "lever-arm-attitude",
+        TITLE,
+        {"output": move_tilted},
+        (*ARM, HEIGHT),
+        formula="p_measured = p + R l, v_measured = v + R (omega x l), R and omega measured",
+        experiment="spinning on the spot, both ways round; rolling and pitching for its height",
+        requires=("attitude",),
+        **SAID,
+    ),
 )

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ident.effects.compass import turn_body_velocity
 from ident.model import Effect, Signals
+from ident.models import attitude
 from ident.params import Parameter
 
 
@@ -16,17 +19,47 @@ def turn(s: Signals) -> None:
     s.y["ax"], s.y["ay"] = cos * s.y["ax"] + sin * s.y["ay"], -sin * s.y["ax"] + cos * s.y["ay"]
 
 
-EFFECT = Effect(
-    name="mount",
-    title="a turn of the AHRS about the vertical",
-    place="sensor",
-    hooks={"output": turn},
-    parameters=(
-        Parameter("psi_mount", 0.0, "rad", "turn of the AHRS, clockwise from above", prior=(0.0, 0.15), step=0.01),
+def _mount(s: Signals) -> attitude.Matrix:
+    return attitude.rotation(s.p.phi_mount, s.p.theta_mount, s.p.psi_mount)
+
+
+def unturn(s: Signals) -> None:
+    attitude.unmount(s, _mount(s))
+
+
+def feel(s: Signals) -> None:
+    attitude.mounted(s, _mount(s))
+
+
+PSI = Parameter("psi_mount", 0.0, "rad", "turn of the AHRS, clockwise from above", prior=(0.0, 0.15), step=0.01)
+TILT = tuple(
+    Parameter(f"{angle}_mount", 0.0, "rad", f"turn of the AHRS in {what}", prior=(0.0, 0.05), step=0.01)
+    for angle, what in (("phi", "roll"), ("theta", "pitch"))
+)
+SAID: dict[str, Any] = {
+    "place": "sensor",
+    "source": "boresight alignment, Groves 2013, section 5.6",
+    "rivals": ("compass", "wind"),
+}
+EFFECTS = (
+    Effect(
+        "mount",
+        "a turn of the AHRS about the vertical",
+        {"output": turn},
+        (PSI,),
+        experiment="straight runs on opposite headings, with and against the current",
+        formula="psi_measured = psi + psi_0; accelerations turned by psi_0",
+        requires=("hull",),
+        **SAID,
     ),
-    formula="psi_measured = psi + psi_0; accelerations turned by psi_0",
-    source="boresight alignment, Groves 2013, section 5.6",
-    experiment="straight runs on opposite headings, with and against the current",
-    requires=("hull",),
-    rivals=("compass", "wind"),
+    Effect(
+        "mount-attitude",
+        "a turn of the AHRS",
+        {"shaft": unturn, "output": feel},
+        (PSI, *TILT),
+        formula="R_measured = R R_m; body rates and accelerations turned by R_m', R_m of roll, pitch and psi_0",
+        experiment="straight runs on opposite headings, with and against the current; turns while it rolls and pitches",
+        requires=("attitude",),
+        **SAID,
+    ),
 )

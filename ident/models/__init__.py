@@ -77,12 +77,13 @@ def _horizontal(source: str, options: Sequence[str], sensors: Sequence[str] | No
 def _kinematic(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
     from ident.models.kinematic import SEEN, kinematic
 
-    unknown = [o for k, o in enumerate(options) if o not in (("shaft", "force"), ("yaw", "still"))[k > 0]]
+    unknown = [o for k, o in enumerate(options) if o not in (("shaft", "force"), ("yaw", "still", "walk"))[k > 0]]
     if unknown:
-        raise SeatrialError(f"no model {source!r}: it is kinematic:shaft|force, then :yaw and :still as wanted")
+        raise SeatrialError(f"no model {source!r}: it is kinematic:shaft|force, then :yaw, :still and :walk as wanted")
     chosen = SEEN if sensors is None else [s for s in SEEN if s in sensors] or SEEN
     propulsion: Any = options[0] if options else "shaft"
-    return kinematic(propulsion, chosen, current="still" not in options, yaw="yaw" in options)
+    model = kinematic(propulsion, chosen, current="still" not in options, yaw="yaw" in options)
+    return replace(model + current_walk(), source=source) if "walk" in options else model
 
 
 def _own_model(source: str) -> Model:

@@ -25,11 +25,10 @@ gyro and driven by the estimated u and v, while everything else goes on turning 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal
-
-import numpy as np
+from typing import Literal
 
 from ident.model import Input, Model, Output, Sensor, Signals, State
+from ident.models.attitude import G, oriented, rotation, turned
 from ident.models.horizontal import (
     ARMS,
     CURRENT,
@@ -44,7 +43,6 @@ from ident.models.horizontal import (
     thrust,
 )
 
-G = 9.81  # m/s2
 STATES = (
     State("x", "m", "north", from_output="x", sd0=1.0),
     State("y", "m", "east", from_output="y", sd0=1.0),
@@ -95,17 +93,16 @@ def kinematic(
         tuple(chosen),
         (*(p for p in own if p.name not in unused), *noise),
         (*first, ("force", turning if yaw else force), ("rate", rate), ("output", output)),
-        provides=("plane", "turn") if yaw else ("plane",),
+        provides=("plane", "attitude", *(["turn"] if yaw else [])),
         source=":".join(["kinematic", *options]),
     )
 
 
 def attitude(s: Signals) -> None:
-    """phi, theta, psi [rad] and p, q, r [rad/s], offsets subtracted."""
+    """Orientation and body rates as measured, offsets subtracted; a model for other programs has no offsets."""
     u, x = s.u, s.x
-    s.phi, s.theta, s.psi = u.phi, u.theta, u.psi - x.bias_psi
-    s.p_rate, s.q_rate, s.r_rate = u.p, u.q, u.r - x.bias_r
-    s.w = (np.sin(s.theta) / np.cos(s.theta) * x.u - np.sin(s.phi) * x.v) / np.cos(s.phi)
+    psi, r = u.psi - getattr(x, "bias_psi", 0.0), u.r - getattr(x, "bias_r", 0.0)
+    oriented(s, rotation(u.phi, u.theta, psi), (u.p, u.q, r))
 
 
 def _shaft(s: Signals) -> None:
@@ -131,8 +128,8 @@ def turning(s: Signals) -> None:
 
 def rate(s: Signals) -> None:
     x, p = s.x, s.p
-    forward, sideways = _over_ground(s)
-    s.rate["x"], s.rate["y"] = forward + getattr(p, "V_x", 0.0), sideways + getattr(p, "V_y", 0.0)
+    north, east, _ = turned(s.R, (x.u, x.v, s.w))
+    s.rate["x"], s.rate["y"] = north + getattr(p, "V_x", 0.0), east + getattr(p, "V_y", 0.0)
     s.rate["u"] = (s.X + p.m_v * (x.v * s.r_rate - s.w * s.q_rate)) / p.m_u
     s.rate["v"] = (s.Y - p.m_u * x.u * s.r_rate + p.m_v * s.w * s.p_rate) / p.m_v
     if hasattr(s, "N"):
@@ -140,20 +137,11 @@ def rate(s: Signals) -> None:
     s.rate["bias_psi"] = s.rate["bias_r"] = 0.0
 
 
-def _over_ground(s: Signals) -> tuple[Any, Any]:
-    """North and east of the velocity through the water: zyx angles (Fossen 2011, eq. 2.18)."""
-    x = s.x
-    (c_f, s_f), (c_t, s_t), (c_p, s_p) = ((np.cos(a), np.sin(a)) for a in (s.phi, s.theta, s.psi))
-    level = c_t * x.u + s_t * (s_f * x.v + c_f * s.w)  # along the heading
-    abeam = c_f * x.v - s_f * s.w
-    return c_p * level - s_p * abeam, s_p * level + c_p * abeam
-
-
 def output(s: Signals) -> None:
     x, y = s.x, s.y
     y["x"], y["y"] = x.x, x.y
     y["vx"], y["vy"] = s.rate["x"], s.rate["y"]
-    y["ax"] = s.rate["u"] + s.w * s.q_rate - x.v * s.r_rate + G * np.sin(s.theta)
-    y["ay"] = s.rate["v"] + x.u * s.r_rate - s.w * s.p_rate - G * np.cos(s.theta) * np.sin(s.phi)
+    y["ax"] = s.rate["u"] + s.w * s.q_rate - x.v * s.r_rate - G * s.R[2][0]
+    y["ay"] = s.rate["v"] + x.u * s.r_rate - s.w * s.p_rate - G * s.R[2][1]
     if hasattr(s, "N"):
-        y["r"] = x.r + x.bias_r
+        y["r"] = x.r + getattr(x, "bias_r", 0.0)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from ident.model import Effect, Signals, State
+from ident.model import Effect, Model, Signals, State
+from ident.models import attitude
 from ident.params import Parameter
 
 ANTENNA, CURRENT_WALK = "antenna", "current-walk"
@@ -21,19 +23,35 @@ def shift(s: Signals, l_x: Any, l_y: Any) -> None:
     s.y["vy"] = s.y["vy"] + s.x.r * (cos * l_x - sin * l_y)
 
 
-def antenna(x: float = 0.0, y: float = 0.0) -> Effect:
-    """The GNSS antenna where the rig file says [m, ahead, to starboard]; an error in that is the effect lever-arm."""
+def antenna(x: float = 0.0, y: float = 0.0, z: float | None = None) -> Effect:
+    """The GNSS antenna where the rig file says [m, ahead, to starboard, down]; an error in that is the effect
+    lever-arm. ``z``: for a model with measured attitude; in a level one the height of the antenna does not count."""
+    places = [("x", x, "antenna ahead of the origin"), ("y", y, "antenna to starboard")]
+    places += [] if z is None else [("z", z, "antenna below the origin")]
     return Effect(
         ANTENNA,
         "the antenna where the rig file says",
-        {"output": lambda s: shift(s, s.p.antenna_x, s.p.antenna_y)},
-        parameters=(
-            Parameter("antenna_x", x, "m", "antenna ahead of the origin, by the rig file", free=False, step=0.01),
-            Parameter("antenna_y", y, "m", "antenna to starboard, by the rig file", free=False, step=0.01),
+        {"output": _level if z is None else _tilted},
+        parameters=tuple(
+            Parameter(f"antenna_{axis}", value, "m", f"{meaning}, by the rig file", free=False, step=0.01)
+            for axis, value, meaning in places
         ),
         place="sensor",
-        requires=("hull",),
+        requires=("hull",) if z is None else ("attitude",),
     )
+
+
+def antenna_of(model: Model, arm: Sequence[float] = (0.0, 0.0, 0.0)) -> Effect:
+    """The same as this model can have it; arm (3,) m, ahead, to starboard and down."""
+    return antenna(*arm) if "attitude" in model.provides else antenna(*arm[:2])
+
+
+def _level(s: Signals) -> None:
+    shift(s, s.p.antenna_x, s.p.antenna_y)
+
+
+def _tilted(s: Signals) -> None:
+    attitude.shift(s, (s.p.antenna_x, s.p.antenna_y, s.p.antenna_z))
 
 
 def current_walk() -> Effect:
@@ -53,5 +71,5 @@ def current_walk() -> Effect:
             State("drift_y", "m/s", "current to the east, beyond V_y", "q_V", sd0=0.0),
         ),
         place="environment",
-        requires=("hull",),
+        requires=("plane",),
     )

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ident.dataset import Channel
 from ident.euler import Inputs, simulate_noisy
 from ident.model import Input, Model, Output, Sensor, Signals, State
+from ident.models.attitude import oriented, rotation
 from ident.models.horizontal import ARMS, CURRENT, HULL, NOISE, SIDES, THRUST, shaft, thrust
 from ident.models.kinematic import output as kinematic_output
 from ident.models.kinematic import rate as kinematic_rate
@@ -62,8 +63,7 @@ def rolling_boat(truth: Mapping[str, float]) -> Model:
 
 def _force(s: Signals) -> None:
     x = s.x
-    s.phi, s.theta, s.psi, s.p_rate, s.q_rate, s.r_rate = x.phi, x.theta, x.psi, x.p, x.q, x.r
-    s.w = (np.tan(x.theta) * x.u - np.sin(x.phi) * x.v) / np.cos(x.phi)
+    oriented(s, rotation(x.phi, x.theta, x.psi), (x.p, x.q, x.r))
     turning(s)
 
 

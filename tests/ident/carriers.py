@@ -5,11 +5,14 @@ from __future__ import annotations
 from ident.model import Effect, Model
 from ident.models.disturbance import for_diagnosis
 from ident.models.horizontal import SENSORS, horizontal
+from ident.models.kinematic import kinematic
 from ident.models.thruster import thruster
 
 
 def vehicle_for(effect: Effect) -> Model:
-    """The horizontal model with the inputs and sensors that the effect wants."""
+    """The horizontal model with the inputs and sensors that the effect wants, or the one with measured attitude."""
+    if "attitude" in effect.requires:
+        return kinematic(yaw=True)
     sensors = tuple(SENSORS)[: len(SENSORS) if "body_velocity" in effect.requires else -1]
     return horizontal("force" if "f_input" in effect.requires else "shaft", sensors)
 

@@ -10,7 +10,8 @@ import pytest
 
 from daq.errors import SeatrialError
 from ident.dataset import Channel
-from ident.jobs import choose_model, with_known
+from ident.given import with_known, with_rig
+from ident.jobs import choose_model
 from ident.loading import Loaded, load_run
 from ident.models.horizontal import horizontal
 from ident.stage import Run
@@ -53,13 +54,13 @@ def test_inputs_that_only_some_logs_have_are_none() -> None:
 
 
 def test_what_is_known_is_taken_and_fixed() -> None:
-    model = with_known(horizontal(), rig_of("boat"), None, {"d_uu": 30.0})
+    model = with_known(with_rig(horizontal(), rig_of("boat"))[0], None, {"d_uu": 30.0})
     assert (model.values["d_vv"], model.values["d_uu"]) == (20.0, 30.0)
     assert model.parameter("d_vv").free
     assert not model.parameter("d_uu").free
     assert (model.values["y_left"], model.values["y_right"]) == (-0.15, 0.15)
     with pytest.raises(SeatrialError, match="--fix mass: model horizontal has no such parameter; it has m_u"):
-        with_known(horizontal(), None, None, {"mass": 1.0})
+        with_known(horizontal(), None, {"mass": 1.0})
 
 
 def test_a_log_is_loaded_with_times_from_its_own_start(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from ident.dataset import build_record
 from ident.effects import catalogue
 from ident.engine.rowwise import Rowwise
 from ident.fit import fit
-from ident.jobs import with_known
+from ident.given import with_rig
 from ident.modelfile import load_model, save_model
 from ident.models import make_model
 from ident.models.disturbance import for_diagnosis
@@ -39,7 +39,8 @@ def test_the_antenna_of_the_rig_is_the_effect_lever_arm_at_a_known_place() -> No
 def test_the_rig_file_places_the_antenna_and_leaves_its_error_to_be_found() -> None:
     device = SimpleNamespace(lever_arm_m=(0.4, 0.0, -0.5))
     rig = SimpleNamespace(vehicle={}, thrusters=(), devices=(SimpleNamespace(lever_arm_m=None), device))
-    model = with_known(make_model("horizontal:shaft"), rig, None, {})
+    model, said = with_rig(make_model("horizontal:shaft"), rig)
+    assert not said
     assert model.values["antenna_x"] == 0.4
     assert "antenna_x" not in model.free
     assert model.accepts(catalogue()["lever-arm"])

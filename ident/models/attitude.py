@@ -1,0 +1,73 @@
+"""A boat whose attitude is measured: a lever arm and a turned AHRS by rotation matrices of zyx angles.
+
+Fossen 2011, eq. 2.18. Scalars or symbols; a matrix is a list of its rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ident.model import Signals
+
+G = 9.81  # m/s2
+Matrix = list[list[Any]]
+
+
+def rotation(phi: Any, theta: Any, psi: Any) -> Matrix:
+    """From the turned axes to the others: R(psi) R(theta) R(phi), angles in rad."""
+    (c_f, s_f), (c_t, s_t), (c_p, s_p) = ((np.cos(a), np.sin(a)) for a in (phi, theta, psi))
+    return [
+        [c_p * c_t, c_p * s_t * s_f - s_p * c_f, c_p * s_t * c_f + s_p * s_f],
+        [s_p * c_t, s_p * s_t * s_f + c_p * c_f, s_p * s_t * c_f - c_p * s_f],
+        [-s_t, c_t * s_f, c_t * c_f],
+    ]
+
+
+def turned(R: Matrix, z: Sequence[Any]) -> list[Any]:
+    """R z."""
+    return [sum(a * b for a, b in zip(row, z, strict=True)) for row in R]
+
+
+def transposed(R: Matrix) -> Matrix:
+    return [list(column) for column in zip(*R, strict=True)]
+
+
+def oriented(s: Signals, R: Matrix, omega: Sequence[Any]) -> None:
+    """Body to NED R, body rates p, q, r [rad/s]; and w [m/s], by which the hull stays on the surface (z' = 0)."""
+    s.R = R
+    s.p_rate, s.q_rate, s.r_rate = omega
+    s.w = -(R[2][0] * s.x.u + R[2][1] * s.x.v) / R[2][2]
+
+
+def shift(s: Signals, arm: Sequence[Any]) -> None:
+    """Position and velocity over ground of a point ``arm`` ahead, to starboard and down (Groves 2013, 2.5)."""
+    (x, y, z), (p, q, r) = arm, (s.p_rate, s.q_rate, s.r_rate)
+    about = (q * z - r * y, r * x - p * z, p * y - q * x)
+    for axis, row in zip("xy", turned(s.R, arm), strict=False):
+        s.y[axis] = s.y[axis] + row
+    for axis, row in zip(("vx", "vy"), turned(s.R, about), strict=False):
+        s.y[axis] = s.y[axis] + row
+
+
+def unmount(s: Signals, mount: Matrix) -> None:
+    """Attitude and body rates of the boat from those of an AHRS, whose axes ``mount`` turns to the boat's."""
+    oriented(s, _product(s.R, transposed(mount)), turned(mount, (s.p_rate, s.q_rate, s.r_rate)))
+
+
+def mounted(s: Signals, mount: Matrix) -> None:
+    """What the accelerometers and the gyro of that AHRS show of the boat. The hull has no vertical acceleration, which
+    gives its third specific force."""
+    R, ax, ay = s.R, s.y["ax"], s.y["ay"]
+    az = -(G + R[2][0] * ax + R[2][1] * ay) / R[2][2]
+    own = transposed(mount)
+    s.y["ax"], s.y["ay"], _ = turned(own, (ax, ay, az))
+    if "r" in s.y:
+        s.y["r"] = s.y["r"] - s.x.r + turned(own, (s.p_rate, s.q_rate, s.x.r))[2]
+
+
+def _product(A: Matrix, B: Matrix) -> Matrix:
+    columns = transposed(B)
+    return [turned(columns, row) for row in A]
