@@ -26,7 +26,7 @@ from ident.modelfile import load_model, save_model
 from ident.models import make_model
 from ident.models.horizontal import SENSORS
 from ident.outcome import Json, fit_part, plain, residual_part, shown_inputs, write_result
-from ident.own import own_effects
+from ident.own import own_effects, tried
 from ident.profile import check_names, profile, profile_part
 from ident.report import write_report
 from ident.robust import robust as with_outliers
@@ -146,13 +146,16 @@ def diagnosis(
     ``rate``: 10 rows a second by default, 50 on the bench.
     """
     loaded, unseen = load_all(logs, validate)
-    candidates = catalogue() | (own_effects(effects_file) if effects_file else {})
+    own = own_effects(effects_file) if effects_file else {}
     model, runs, others, usual = _posed(model_path, loaded, unseen, thruster)
+    for effect in own.values():
+        if effects_file is not None and model.accepts(effect):
+            tried(model + effect, effects_file)
     found = diagnose(
         with_outliers(model) if robust else model,
         runs,
         others,
-        effects=candidates,
+        effects=catalogue() | own,
         rate=rate or usual,
         max_effects=max_effects,
         progress=say,

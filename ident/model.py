@@ -13,23 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from types import SimpleNamespace
+from functools import update_wrapper
 from typing import Any, Literal
 
 from ident.params import Parameter
+from ident.signals import Inputs, Parameters, States
+from ident.signals import Signals as Signals
 
-Stage = Callable[["Signals"], None]
-
-
-class Signals(SimpleNamespace):
-    """What the stages share: ``x``, ``u``, ``p`` by name, ``rate`` and ``y`` as dictionaries, and the rest
-    as each model names it (vehicle models: ``n`` and ``f`` by thruster, ``X``, ``Y``, ``N``)."""
-
-    x: Any
-    u: Any
-    p: Any
-    rate: dict[str, Any]
-    y: dict[str, Any]
+Stage = Callable[[Signals], None]
 
 
 @dataclass(frozen=True)
@@ -162,10 +153,19 @@ class Model:
             twice = sorted({n for n in names if names.count(n) > 1})
             if twice:
                 raise ValueError(f"model {self.name}: {kind} {twice[0]} is defined twice")
-        known = {p.name for p in self.parameters}
-        for owner, name in [(s.name, s.noise) for s in self.states] + [(o.name, o.noise) for o in self.outputs]:
+        known, seen = {p.name for p in self.parameters}, {o.name for o in self.outputs}
+        for what, name in (
+            *((f"the noise of {s.name}", s.noise) for s in self.states),
+            *((f"the noise of {o.name}", o.noise) for o in self.outputs),
+            *((f"x0 of the state {s.name}", s.x0) for s in self.states),
+            *((f"sd0 of the state {s.name}", s.sd0) for s in self.states),
+        ):
             if isinstance(name, str) and name not in known:
-                raise ValueError(f"model {self.name}: the noise of {owner} names no parameter: {name!r}")
+                raise ValueError(f"model {self.name}: {what} names no parameter: {name!r}")
+        for s in self.states:
+            if s.from_output and s.from_output not in seen:
+                raise ValueError(f"model {self.name}: from_output of the state {s.name} names no output: "
+                                 f"{s.from_output!r}; there is {', '.join(sorted(seen))}")
 
     @property
     def outputs(self) -> tuple[Output, ...]:
@@ -184,9 +184,9 @@ class Model:
     def bag(self, x: Any, u: Any, p: Any) -> Signals:
         """States, inputs and parameters by name, before any stage has run; scalars, symbols or columns."""
         return Signals(
-            x=SimpleNamespace(**dict(zip([v.name for v in self.states], x, strict=True))),
-            u=SimpleNamespace(**dict(zip([v.name for v in self.inputs], u, strict=True))),
-            p=SimpleNamespace(**dict(zip([v.name for v in self.parameters], p, strict=True))),
+            x=States(**dict(zip([v.name for v in self.states], x, strict=True))),
+            u=Inputs(**dict(zip([v.name for v in self.inputs], u, strict=True))),
+            p=Parameters(**dict(zip([v.name for v in self.parameters], p, strict=True))),
             rate={},
             y={},
         )
@@ -268,9 +268,23 @@ def plain_model(
     """A model from ``f(x, u, p) -> {state: rate}`` and ``h(x, u, p) -> {output: value}``."""
 
     def rate(s: Signals) -> None:
-        s.rate.update(f(s.x, s.u, s.p))
+        s.rate.update(_by_name(f(s.x, s.u, s.p), "f", "{state: rate}"))
 
     def output(s: Signals) -> None:
-        s.y.update(h(s.x, s.u, s.p))
+        s.y.update(_by_name(h(s.x, s.u, s.p), "h", "{output: value}"))
 
+    for stage, own in ((rate, f), (output, h)):
+        update_wrapper(stage, own)  # so that an error is found in the user's own lines
     return Model(name, states, inputs, sensors, parameters, (("rate", rate), ("output", output)), source=source)
+
+
+def _by_name(found: Any, function: str, wanted: str) -> Mapping[str, Any]:
+    if not isinstance(found, Mapping):
+        raise TypeError(f"{function} returns a {type(found).__name__}, not a dictionary {wanted}")
+    return found
+
+
+def begun(states: Iterable[State], sensors: Iterable[Sensor]) -> tuple[State, ...]:
+    """The states; those that begin at an output that none of the sensors has begin at their ``x0``."""
+    seen = {o.name for s in sensors for o in s.outputs}
+    return tuple(s if s.from_output in seen else replace(s, from_output="") for s in states)

@@ -15,7 +15,7 @@ from ident.dataset import TIME_INPUT
 from ident.euler import Inputs
 from ident.model import Model
 from ident.modelfile import load_model
-from ident.own import load_python
+from ident.own import own_object, tried
 from ident.study import Case
 
 Array = NDArray[np.float64]
@@ -43,18 +43,14 @@ def own_case(source: str, seconds: float | None, seed: int) -> Case:
         saved = load_model(path)
         return _marked(_of_model(saved.model, saved.validity, source, seconds or SECONDS, seed), path)
     file, _, name = source.rpartition(":")
-    module = load_python(Path(file))
-    try:
-        found = getattr(module, name)
-        case = found() if callable(found) else found
-    except Exception as problem:
-        raise SeatrialError(f"{file}: {name} cannot be loaded: {problem}") from problem
+    case = own_object(source)
     if isinstance(case, Model):
         raise SeatrialError(f"{file}: {name} is a Model; a study needs its mission, too: make it an ident.study.Case")
     if not isinstance(case, Case):
         raise SeatrialError(f"{file}: {name} is no ident.study.Case but {type(case).__name__}")
     if seconds is not None:
         raise SeatrialError(f"--seconds: {file} says how long {name} is")
+    tried(case.model, Path(file))
     return _marked(case, Path(file))
 
 

@@ -132,10 +132,10 @@ def test_the_row_of_the_new_sensor_is_one_of_the_table_of_devices() -> None:
     assert row_of.make is scope["_os5000"]
 
 
-def test_the_model_of_the_how_to_is_the_example() -> None:
-    (text,) = blocks("own-model", "python")
-    example = (ROOT / "docs/examples/own_model.py").read_text(encoding="utf-8")
-    assert text.strip() in example
+def test_the_models_of_the_how_to_are_the_examples() -> None:
+    for text, name in zip(blocks("own-model", "python"), ("own_model", "rolling"), strict=True):
+        example = (ROOT / f"docs/examples/{name}.py").read_text(encoding="utf-8")
+        assert text.strip() in example
 
 
 def sail(path: Path, seed: int, seconds: float = 120.0) -> None:

@@ -278,7 +278,7 @@ def _collect(model: Model, values: Mapping[str, Any], names: list[str], what: st
     column = []
     for name in names:
         if name not in values:
-            raise ValueError(f"model {model.name} gives no {what} {name}")
+            raise ValueError(f"model {model.name} gives no {what} {name}; it gives {', '.join(values) or 'none'}")
         value = ca.SX(values[name])
         if value.numel() != 1:
             raise ValueError(f"model {model.name}: the {what} {name} is not a scalar")

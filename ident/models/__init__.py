@@ -11,7 +11,7 @@ from typing import Any
 from daq.errors import SeatrialError
 from ident.model import Model
 from ident.models.known import current_walk
-from ident.own import load_python
+from ident.own import own_object, tried
 
 BUILT_IN = ("horizontal", "kinematic", "surge", "yaw", "thruster")
 # What may follow the name, each in its place: surge:shaft:speed, yaw:both.
@@ -88,12 +88,7 @@ def _kinematic(source: str, options: Sequence[str], sensors: Sequence[str] | Non
 
 def _own_model(source: str) -> Model:
     file, _, name = source.rpartition(":")
-    module = load_python(Path(file))
-    try:
-        found = getattr(module, name)
-        model = found() if callable(found) else found
-    except Exception as problem:
-        raise SeatrialError(f"{file}: {name} cannot be loaded: {problem}") from problem
+    model = own_object(source)
     if not isinstance(model, Model):
         raise SeatrialError(f"{file}: {name} is no ident.model.Model but {type(model).__name__}")
-    return replace(model, source=source)  # so that model.toml finds it again
+    return tried(replace(model, source=source), Path(file))  # by its source model.toml finds it again

@@ -18,7 +18,7 @@ from typing import Literal
 
 import numpy as np
 
-from ident.model import Input, Model, Output, Sensor, Signals, State
+from ident.model import Input, Model, Output, Sensor, Signals, State, begun
 from ident.params import INF, Parameter
 
 Propulsion = Literal["shaft", "force", "general"]
@@ -99,7 +99,7 @@ def horizontal(
     stages = {"shaft": (("shaft", shaft), ("thrust", thrust)), "force": (("thrust", given_thrust),), "general": ()}
     return Model(
         "horizontal",
-        states,
+        begun(states, (SENSORS[s] for s in sensors)),
         tuple(Input(n, unit, hold) for n, unit in zip(names, units, strict=True)),
         tuple(SENSORS[s] for s in sensors),
         parameters,

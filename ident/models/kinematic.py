@@ -27,7 +27,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
-from ident.model import Input, Model, Output, Sensor, Signals, State
+from ident.model import Input, Model, Output, Sensor, Signals, State, begun
 from ident.models.attitude import G, oriented, rotation, turned
 from ident.models.horizontal import (
     ARMS,
@@ -88,7 +88,7 @@ def kinematic(
     options = [propulsion, *(["yaw"] if yaw else []), *([] if current else ["still"])]
     return Model(
         "kinematic",
-        (*STATES, *((YAW_RATE,) if yaw else ()), *OFFSETS),
+        begun((*STATES, *((YAW_RATE,) if yaw else ()), *OFFSETS), chosen),
         (*(Input(f"{letter}_{side}", unit, hold) for side in SIDES), *ATTITUDE),
         tuple(chosen),
         (*(p for p in own if p.name not in unused), *noise),

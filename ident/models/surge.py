@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from ident.model import Input, Model, Output, Sensor, Signals, State
+from ident.model import Input, Model, Output, Sensor, Signals, State, begun
 from ident.params import INF, Parameter
 
 HULL = (
@@ -15,6 +15,10 @@ HULL = (
 THRUST = (
     Parameter("c1", 80.1, "N", "thrust of both thrusters at full speed, odd part", "log", free=False),
     Parameter("c2", 2.22, "N", "thrust of both thrusters at full speed, even part", free=False, step=0.1),
+)
+STATES = (
+    State("x", "m", "distance made good", from_output="x", sd0=1.0),
+    State("u", "m/s", "surge", "s_u", from_output="u", sd0=0.3),
 )
 NOISE = Parameter("s_u", 0.01, "m/s/sqrt(s)", "process noise of surge speed", "log")
 
@@ -36,10 +40,7 @@ def surge(
     shaft = propulsion == "shaft"
     return Model(
         "surge",
-        (
-            State("x", "m", "distance made good", from_output="x", sd0=1.0),
-            State("u", "m/s", "surge", "s_u", from_output="u", sd0=0.3),
-        ),
+        begun(STATES, sensors),
         (Input("n", "", hold) if shaft else Input("X", "N", hold),),
         tuple(sensors),
         (*HULL, *(THRUST if shaft else ()), NOISE, *noise),
