@@ -147,7 +147,8 @@ def diagnosis(
     """
     loaded, unseen = load_all(logs, validate)
     own = own_effects(effects_file) if effects_file else {}
-    model, runs, others, usual = _posed(model_path, loaded, unseen, thruster)
+    saved = load_model(model_path)
+    model, runs, others, usual = _posed(saved.model, model_path, loaded, unseen, thruster)
     for effect in own.values():
         if effects_file is not None and model.accepts(effect):
             tried(model + effect, effects_file)
@@ -165,15 +166,14 @@ def diagnosis(
         result["next_experiment"] = result["next_experiment"].replace("MODEL", str(model_path))
     result["notes"] = outliers(found.after) + result["notes"]
     result["cautions"] = cautions(found.after.fit, [v.record for v in found.after.estimation])
-    write_all(out, result, found.after.fit, validity(found.after), effects_file)
+    write_all(out, result, found.after.fit, validity(found.after), effects_file or saved.effects_file)
     return result
 
 
 def _posed(
-    model_path: Path, loaded: Sequence[Loaded], unseen: Sequence[Loaded], thruster: str | None
+    model: Model, model_path: Path, loaded: Sequence[Loaded], unseen: Sequence[Loaded], thruster: str | None
 ) -> tuple[Model, list[Run], list[Run], float]:
     """The saved model as these logs can ask it; its runs to estimate and to validate; its usual rows a second."""
-    model = load_model(model_path).model
     if "bench" in model.provides:
         runs, others = (bench_runs.thruster_runs(part, model, thruster) for part in (loaded, unseen))
         return model, runs, others, bench_runs.RATE

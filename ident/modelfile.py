@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
+import sys
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -39,6 +42,7 @@ class SavedModel:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     names: tuple[str, ...] = ()
     correlation: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    effects_file: Path | None = None  # where effects that are not in the catalogue come from
 
 
 def save_model(
@@ -53,7 +57,11 @@ def save_model(
     model, document = fit.model, tomlkit.document()
     document["format"] = FORMAT
     document["name"] = model.name
-    document["source"] = model.source
+    file, _, own = model.source.rpartition(":")
+    if file.endswith(".py") and Path(file).is_file():
+        document["source"], document["source_sha256"] = f"{_beside(path, Path(file))}:{own}", _digest(Path(file))
+    else:
+        document["source"] = model.source
     document["sensors"] = [s.name for s in model.sensors]
     document["effects"] = [e.name for e in model.effects]
     if robust_sensors(model):
@@ -64,7 +72,7 @@ def save_model(
     if spans:
         document["spans"] = spans
     if effects_file is not None:
-        document["effects_file"] = str(effects_file)
+        document["effects_file"], document["effects_sha256"] = _beside(path, effects_file), _digest(effects_file)
     document["provenance"] = {k: v for k, v in provenance.items() if v is not None}
     document["validity"] = {k: [float(a), float(b)] for k, (a, b) in validity.items()}
     # unexplained forces get the size of the boat whenever a fit begins (ident.size); a prior of that size would get
@@ -78,6 +86,18 @@ def save_model(
     document["parameter"] = parameters
     document["correlation"] = {"names": list(fit.names), "matrix": np.round(np.nan_to_num(fit.correlation), 6).tolist()}
     path.write_text(tomlkit.dumps(document), encoding="utf-8")
+
+
+def _beside(path: Path, file: Path) -> str:
+    """The file as seen from the model's folder, wherever both are moved to."""
+    try:
+        return Path(os.path.relpath(file.resolve(), path.parent.resolve())).as_posix()
+    except ValueError:  # on another drive
+        return file.resolve().as_posix()
+
+
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
 
 
 def _row(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, Any]:
@@ -100,8 +120,15 @@ def _row(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, Any]:
     return row if flag is None else row | {"flag": flag}
 
 
-def load_model(path: Path) -> SavedModel:
-    """Read a model.toml. Raises SeatrialError with what is wrong and where."""
+def _to_the_screen(line: str) -> None:
+    print(f"seatrial: {line}", file=sys.stderr)
+
+
+def load_model(path: Path, say: Callable[[str], None] = _to_the_screen) -> SavedModel:
+    """Read a model.toml. ``say``: is told where a Python file of the user's own has changed since.
+
+    Raises SeatrialError with what is wrong and where.
+    """
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as problem:
@@ -111,7 +138,8 @@ def load_model(path: Path) -> SavedModel:
     if table.get("format") != FORMAT:
         raise SeatrialError(f"{path}: format is {table.get('format')!r}, not {FORMAT!r}: give a model.toml of seatrial")
     try:
-        model = _build(table)
+        source, effects_file = _own_files(table, path, say)
+        model = _build(table, source, own_effects(effects_file) if effects_file is not None else {})
         errors = {row["name"]: float(row.get("se", np.nan)) for row in table["parameter"]}
         validity = {k: (float(a), float(b)) for k, (a, b) in table.get("validity", {}).items()}
         between = table.get("correlation", {})
@@ -119,12 +147,35 @@ def load_model(path: Path) -> SavedModel:
         correlation = np.asarray(between.get("matrix", ()), dtype=float).reshape(len(names), len(names))
     except (KeyError, TypeError, ValueError) as problem:
         raise SeatrialError(f"{path}: not a complete model: {problem}") from problem
-    return SavedModel(model, errors, validity, table.get("provenance", {}), names, correlation)
+    return SavedModel(model, errors, validity, table.get("provenance", {}), names, correlation, effects_file)
 
 
-def _build(table: Mapping[str, Any]) -> Model:
-    model = make_model(table["source"], table["sensors"])
-    own = own_effects(Path(table["effects_file"])) if "effects_file" in table else {}
+def _own_files(table: Mapping[str, Any], path: Path, say: Callable[[str], None]) -> tuple[str, Path | None]:
+    """The source of the structure and the file of effects, as they are found from here."""
+    source, effects = str(table["source"]), None
+    file, _, name = source.rpartition(":")
+    if file.endswith(".py"):
+        source = f"{_found(path, file, table.get('source_sha256'), say)}:{name}"
+    if "effects_file" in table:
+        effects = _found(path, str(table["effects_file"]), table.get("effects_sha256"), say)
+    return source, effects
+
+
+def _found(path: Path, file: str, digest: str | None, say: Callable[[str], None]) -> Path:
+    """A Python file that a model names: from the model's folder, or, in files without its hash, which are older, from
+    where the command was typed, often the folder above."""
+    places = [path.parent / file] if digest is not None else [Path(file), path.parent / file, path.parent.parent / file]
+    there = [Path(os.path.normpath(p)) for p in places if p.is_file()]
+    if not there:
+        place = os.path.normpath(path.parent / file)
+        raise SeatrialError(f"{path}: {place}: no such Python file; the model was made with it, so put it there")
+    if digest is not None and _digest(there[0]) != digest:
+        say(f"{there[0]} has changed since {path} was written; fit again where that matters")
+    return there[0]
+
+
+def _build(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> Model:
+    model = make_model(source, table["sensors"])
     for name in table["effects"]:
         if name not in {e.name for e in model.effects}:
             model = model + (own[name] if name in own else _effect(name, model, table.get("spans", {})))
