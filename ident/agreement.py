@@ -61,7 +61,7 @@ def agreement(one: Fit, records: Sequence[Record], name: str) -> Agreement:
     if len(records) < 2:
         raise SeatrialError(f"--agree {name}: it takes two logs or more")
     model = one.model.replace_parameters(replace(one.model.parameter(name), per_record=True))
-    each = fit(model, records)
+    each = fit(model, records, restricted=one.restricted)
     values, errors = np.array([each.estimate(name, i) for i in range(len(records))]).T
     lr, df = max(0.0, 2.0 * (each.log_posterior - one.log_posterior)), len(records) - 1
     at = [each.names.index(f"{name}@{i}") for i in range(len(records))]

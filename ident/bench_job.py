@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -41,12 +42,14 @@ def bench(
     settle: float = 1.5,
     profiles: Sequence[str] = (),
     robust: bool = False,
+    restricted: bool = True,
     command: str,
     say: Say,
 ) -> Json:
     """Fit the thruster model to bench logs of one thruster, or a static curve where nobody measured the shaft.
 
-    ``profiles``: parameters that get a profile likelihood; ``robust``: allow outliers.
+    ``profiles``: parameters that get a profile likelihood; ``robust``: allow outliers; ``restricted``:
+    noise by restricted likelihood.
     """
     loaded = [load_run(path, "estimation") for path in logs]
     if is_static(loaded, name):
@@ -61,7 +64,8 @@ def bench(
         model = thruster("slow", force=has_force)
         records = [_record(model, x, name) for x in loaded]
     say(f"fitting the thruster to {counted(len(records), 'run')}, {sum(r.n_rows for r in records)} rows")
-    fitted, records = fit_on_a_copy(model, records, lambda m: [_record(m, x, name) for x in loaded], robust=robust)
+    fitted, records = fit_on_a_copy(model, records, lambda m: [_record(m, x, name) for x in loaded],
+                                    robust=robust, restricted=restricted)
     result = envelope(loaded, command) | {"kind": "thruster", "fit": fit_part(fitted, model.values)}
     result |= _judged(fitted, records) | {"cautions": cautions(fitted, records)}
     if has_force:
@@ -85,21 +89,31 @@ def _refuse(path: Path, options: Sequence[str]) -> None:
 
 
 def fit_on_a_copy(
-    model: Model, records: list[Record], again: Callable[[Model], list[Record]], *, robust: bool = False
+    model: Model, records: list[Record], again: Callable[[Model], list[Record]], *, robust: bool = False,
+    restricted: bool = False,
 ) -> tuple[Fit, list[Record]]:
     """``fit_thruster``, and once more with the delay on one of the command's copies.
 
-    ``again``: the records for a model with other copies. Returns the records that belong to the fit, too.
+    ``again``: the records for a model with other copies; ``restricted``: noise by restricted likelihood. Returns the
+    records that belong to the fit, too.
     """
     fitted = fit_thruster(model, records, robust=robust)
     pace = on_a_copy(fitted.model.values["tau"], delay_step(model))
-    if not pace:
-        return fitted, records
-    exact = thruster(pace, force="thrust" in model.provides)
-    records = again(exact)
-    values = {n: v for n, v in fitted.model.values.items() if n in exact.values}
-    return fit(exact.with_values(values).replace_parameters(exact.parameter("d").at(values["d"]).freed()), records,
-               robust=robust), records
+    if pace:
+        exact = thruster(pace, force="thrust" in model.provides)
+        records = again(exact)
+        values = {n: v for n, v in fitted.model.values.items() if n in exact.values}
+        start = exact.with_values(values).replace_parameters(exact.parameter("d").at(values["d"]).freed())
+        fitted = fit(start, records, robust=robust)
+    return _restricted(fitted, records) if restricted else fitted, records
+
+
+def _restricted(top: Fit, records: Sequence[Record]) -> Fit:
+    """From the maximum of the likelihood to that of the restricted one; what it took to get there counts."""
+    found = fit(top.model, records, restricted=True)
+    return replace(found, iterations=top.iterations + found.iterations, evaluations=top.evaluations + found.evaluations,
+                   cpu_seconds=top.cpu_seconds + found.cpu_seconds,
+                   message=top.message if found.converged else found.message)
 
 
 def fit_thruster(model: Model, records: Sequence[Record], *, robust: bool = False) -> Fit:

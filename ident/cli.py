@@ -15,8 +15,10 @@ from ident.cli_common import (
     out_option,
     priors,
     rate_option,
+    restricted_option,
     robust_option,
     run,
+    second_order_option,
     validate_option,
 )
 from ident.cli_use import export, information, navigate
@@ -80,12 +82,8 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     help="Add an effect of the catalogue, its parameters free (lever-arm, mount, ...); may be repeated.",
 )
 @robust_option
-@click.option(
-    "--restricted", is_flag=True, help="Estimate noise without the bias that fitted dynamics give it (REML)."
-)
-@click.option(
-    "--second-order", is_flag=True, help="Let the filter's mean go with the curvature of drag: less bias, more time."
-)
+@restricted_option()
+@second_order_option()
 @click.option("--as-is", is_flag=True, help="Do not swap the sides of the thrusters where the data say they are.")
 @validate_option
 @rate_option
@@ -114,6 +112,7 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how
 )
 @click.option("--profile", "profiles", multiple=True, metavar="NAME", help="Profile likelihood of this parameter.")
 @robust_option
+@restricted_option()
 @out_option("thruster")
 def thruster(logs: tuple[Path, ...], out: Path, **how: Any) -> None:
     """Fit shaft response and thrust curve to bench LOGS of one thruster.

@@ -82,6 +82,26 @@ def robust_option(f: Callable[..., Any]) -> Callable[..., Any]:
     return click.option("--robust", is_flag=True, help="Allow outliers in all sensors, and count them.")(f)
 
 
+def restricted_option(default: bool | None = True) -> Callable[..., Any]:
+    """``--restricted/--no-restricted``; None: as what is studied was fitted."""
+    return click.option(
+        "--restricted/--no-restricted",
+        default=default,
+        show_default=bool(default),
+        help="Estimate noise without the bias that fitted dynamics give it (REML).",
+    )
+
+
+def second_order_option(default: bool | None = True) -> Callable[..., Any]:
+    """``--second-order/--no-second-order``; None: as what is studied was fitted."""
+    return click.option(
+        "--second-order/--no-second-order",
+        default=default,
+        show_default=bool(default),
+        help="Let the filter's mean go with the curvature of drag: less bias.",
+    )
+
+
 def run(work: Callable[[Callable[[str], None]], dict[str, Any]], out: Path) -> None:
     """Do the work with a live line of what it is doing; then show the result and where it is."""
     from rich.console import Console

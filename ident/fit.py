@@ -39,7 +39,7 @@ class Fit:
     robust_errors (n,): from the sandwich covariance, valid when the residuals are coloured, NaN where they
     were not asked for; record_values (n_records, n_parameters): over ``model.parameters`` in order. The log-likelihood
     is the largest, also where the noise was then restricted; the log-posterior leaves out the constants of the priors.
-    ``gain_left``: what one more step would gain.
+    ``gain_left``: what one more step would gain; ``restricted``: whether that was asked for.
     """
 
     model: Model
@@ -65,6 +65,7 @@ class Fit:
     flags: tuple[tuple[str, str], ...]
     converged: bool
     message: str
+    restricted: bool = False
 
     def estimate(self, name: str, record: int = 0) -> tuple[float, float]:
         """Value and standard error (NaN: fixed, at a bound, or not informed) of a parameter in a record."""
@@ -142,7 +143,8 @@ def fit(
         lost = np.isfinite(known.errors) & np.isnan(robust_errors)
         flags += [(problem.names[i], TOO_LONG) for i in np.flatnonzero(lost).tolist()]
     known = replace(known, flags=(*known.flags, *flags))
-    return _report(problem, optimum, known, robust_errors, method, prior_part, time.process_time() - began)
+    found = _report(problem, optimum, known, robust_errors, method, prior_part, time.process_time() - began)
+    return replace(found, restricted=restricted and method == "pe")
 
 
 def _with_outliers(model: Model, records: Sequence[Record], method: Literal["pe", "oe"], begin: Mapping[str, float],

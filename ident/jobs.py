@@ -75,8 +75,8 @@ def vehicle(
     agree: Sequence[str] = (),
     profiles: Sequence[str] = (),
     robust: bool = False,
-    restricted: bool = False,
-    second_order: bool = False,
+    restricted: bool = True,
+    second_order: bool = True,
     effects: Sequence[str] = (),
     rate: float,
     command: str,
@@ -95,7 +95,7 @@ def vehicle(
         say(note)
     model = with_start(with_priors(with_effects(model, effects), prior or {}), begin)
     model = with_known(model, thruster, fix)
-    model = replace(model, second_order=True) if second_order else model
+    model = replace(model, second_order=second_order)
     sides = check_sides([(x.run.name, x.run.channels) for x in loaded]) if "y_left" in model.values else None
     model = swap(model) if sides is not None and sides.swapped and not as_is else model
     check_names(nominal(model), profiles)

@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 class SavedModel:
     """A model read back. ``errors``: standard errors by name (NaN: none); ``validity``: ranges by signal;
-    ``correlation`` (n, n): of the estimates ``names``."""
+    ``correlation`` (n, n): of the estimates ``names``; ``restricted``: noise by restricted likelihood."""
 
     model: Model
     errors: Mapping[str, float]
@@ -43,6 +43,7 @@ class SavedModel:
     names: tuple[str, ...] = ()
     correlation: Array = field(default_factory=lambda: np.zeros((0, 0)))
     effects_file: Path | None = None  # where effects that are not in the catalogue come from
+    restricted: bool = False
 
 
 def save_model(
@@ -68,6 +69,8 @@ def save_model(
         document["robust"] = list(robust_sensors(model))
     if model.second_order:
         document["second_order"] = True
+    if fit.restricted:
+        document["restricted"] = True
     spans = {e.name: list(e.span) for e in model.effects if e.span is not None}
     if spans:
         document["spans"] = spans
@@ -147,7 +150,9 @@ def load_model(path: Path, say: Callable[[str], None] = _to_the_screen) -> Saved
         correlation = np.asarray(between.get("matrix", ()), dtype=float).reshape(len(names), len(names))
     except (KeyError, TypeError, ValueError) as problem:
         raise SeatrialError(f"{path}: not a complete model: {problem}") from problem
-    return SavedModel(model, errors, validity, table.get("provenance", {}), names, correlation, effects_file)
+    restricted = bool(table.get("restricted", False))
+    made = table.get("provenance", {})
+    return SavedModel(model, errors, validity, made, names, correlation, effects_file, restricted)
 
 
 def _own_files(table: Mapping[str, Any], path: Path, say: Callable[[str], None]) -> tuple[str, Path | None]:

@@ -48,6 +48,8 @@ def fit_part(fit: Fit, start: Mapping[str, float]) -> Json:
     return {
         "model": " + ".join([fit.model.name, *(e.name for e in fit.model.effects)]),
         "method": fit.method.upper(),
+        "restricted": fit.restricted,
+        "second_order": fit.model.second_order,
         "converged": fit.converged,
         "message": fit.message,
         "log_likelihood": fit.log_likelihood,

@@ -1,4 +1,4 @@
-"""--robust and --profile of the thruster's command, on a bench whose load cell has wild readings."""
+"""--robust, --restricted and --profile of the thruster's command, on a bench whose load cell has wild readings."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from daq.errors import SeatrialError
 from daq.samples import LoadCell
 from ident.cli import ident
+from ident.modelfile import load_model
 from mocks.bench_plant import draw_bench
 from mocks.world import Reading
 from tests.missions import push, write_log
@@ -55,3 +56,17 @@ def test_a_profile_of_nothing_is_said_before_the_fit(log: Path) -> None:
     assert isinstance(done.exception, SeatrialError)
     assert "--profile mass: model thruster has" in str(done.exception)
     assert "fitting" not in done.output
+
+
+def test_noise_is_restricted_unless_told_otherwise(log: Path) -> None:
+    """The curve took part of the force's noise with it, and it stays; model.toml says how it was fitted."""
+    fits = {}
+    for name, words in (("plain", ["--no-restricted"]), ("reml", [])):
+        folder = log.parent / name
+        CliRunner().invoke(ident, ["thruster", str(log), *words, "--out", str(folder)], catch_exceptions=False)
+        fitted = json.loads((folder / "result.json").read_text(encoding="utf-8"))["fit"]
+        assert fitted["restricted"] is load_model(folder / "model.toml").restricted is (name == "reml")
+        fits[name] = {p["name"]: p["value"] for p in fitted["parameters"]}
+    assert 1.0001 < fits["reml"]["e_f"] / fits["plain"]["e_f"] < 1.01
+    for name in ("tau", "a", "c1", "c2"):
+        assert fits["reml"][name] == pytest.approx(fits["plain"][name], rel=1e-3)

@@ -76,10 +76,13 @@ def test_a_profile_that_cannot_be_is_said_before_the_fit(name: str, says: str, l
 def test_restricted_noise_leaves_the_dynamics_and_makes_their_errors_larger(logs: tuple[Path, Path]) -> None:
     """A dozen parameters of the dynamics took a part of what disturbs the boat with them."""
     fits = []
-    for name, words in (("plain", []), ("reml", ["--restricted"])):
+    for name, words in (("plain", ["--no-restricted"]), ("reml", [])):
         folder = logs[0].parent / name
         CliRunner().invoke(ident, ["vehicle", str(logs[0]), *words, "--out", str(folder)], catch_exceptions=False)
-        fits.append(json.loads((folder / "result.json").read_text(encoding="utf-8"))["fit"]["parameters"])
+        fitted = json.loads((folder / "result.json").read_text(encoding="utf-8"))["fit"]
+        restricted = name == "reml"
+        assert fitted["restricted"] is load_model(folder / "model.toml").restricted is restricted
+        fits.append(fitted["parameters"])
     plain, reml = ({p["name"]: (p["value"], p["se"]) for p in parameters} for parameters in fits)
     for name in ("m_u", "m_v", "m_r", "d_v", "d_r"):
         (value, error), (other, larger) = plain[name], reml[name]
@@ -89,17 +92,19 @@ def test_restricted_noise_leaves_the_dynamics_and_makes_their_errors_larger(logs
 
 def test_a_mean_of_second_order_stays_with_the_model(logs: tuple[Path, Path]) -> None:
     folder = logs[0].parent / "bent"
-    CliRunner().invoke(ident, ["vehicle", str(logs[0]), "--second-order", "--out", str(folder)], catch_exceptions=False)
+    CliRunner().invoke(ident, ["vehicle", str(logs[0]), "--out", str(folder)], catch_exceptions=False)
     assert load_model(folder / "model.toml").model.second_order
+    assert json.loads((folder / "result.json").read_text(encoding="utf-8"))["fit"]["second_order"]
     jobs.diagnosis(folder / "model.toml", logs[:1], logs[1:], folder / "diagnosis", rate=10.0, max_effects=1,
                    effects_file=None, command="test", say=lambda line: None)
     assert load_model(folder / "diagnosis/model.toml").model.second_order
 
 
-def test_a_model_of_ones_own_keeps_its_mean_of_second_order(logs: tuple[Path, Path], tmp_path: Path) -> None:
+def test_a_mean_of_second_order_is_left_out_of_a_model_of_ones_own(logs: tuple[Path, Path], tmp_path: Path) -> None:
     (tmp_path / "own.py").write_text(
         "from dataclasses import replace\nfrom ident.models.horizontal import horizontal\n\n\n"
         "def bent():\n    return replace(horizontal(), second_order=True)\n", encoding="utf-8")
     words = ["vehicle", str(logs[0]), "--model", f"{tmp_path / 'own.py'}:bent", "--out", str(tmp_path / "out")]
-    CliRunner().invoke(ident, words, catch_exceptions=False)
-    assert 'second_order = true' in (tmp_path / "out/model.toml").read_text(encoding="utf-8")
+    for more, there in ([], True), (["--no-second-order"], False):
+        CliRunner().invoke(ident, [*words, *more], catch_exceptions=False)
+        assert ("second_order = true" in (tmp_path / "out/model.toml").read_text(encoding="utf-8")) is there
