@@ -70,6 +70,8 @@ bench: .venv/ready
 # First what takes minutes rather than hours: the wheel in an empty environment, the tutorials as they are written.
 study: .venv/ready
 	@$(BIN)/python -m pytest -q -m study
+	@$(BIN)/seatrial ident study surge yaw horizontal kinematic thruster noise --replicates 500 --out build/study \
+	    --docs docs/study.md $(SEED_OPTION)
 	@$(BIN)/python -m tests.recovery.study $(SEED_OPTION) --docs
 	@$(BIN)/python -m tests.recovery.bench_study $(SEED_OPTION) --docs
 	@$(BIN)/python -m tests.golden.fuzz --n 1000000 $(SEED_OPTION)

@@ -9,11 +9,13 @@ import click
 
 from ident.check_cli import check, check_page
 from ident.cli_common import (
+    FILE,
     LOG,
     command_line,
     known,
     out_option,
     priors,
+    processes,
     rate_option,
     restricted_option,
     robust_option,
@@ -167,36 +169,39 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
 @click.argument("models", metavar="MODEL...", nargs=-1, required=True)
 @click.option("--replicates", type=click.IntRange(3), default=100, show_default=True, help="Missions to simulate.")
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True)
-@click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes.")
+@click.option("--jobs", type=int, default=-1, callback=processes, help="Processes.  [default: one a core, -1]")
 @click.option("--method", type=click.Choice(("pe", "oe")), default="pe", show_default=True, help="The estimator.")
 @click.option("--truth", multiple=True, callback=known, help="NAME=VALUE: another true value; may be repeated.")
 @click.option("--free", multiple=True, metavar="NAME", help="Estimate only this parameter; may be repeated.")
 @click.option("--seconds", type=click.FloatRange(10.0), help="Length of the mission.")
 @click.option("--unbounded", is_flag=True, help="Let damping be estimated below zero.")
-@click.option("--docs", is_flag=True, help="Print the page of docs/study.md instead of the table.")
+@restricted_option(None)
+@second_order_option(None)
+@click.option("--docs", type=FILE, help="Write the page of tables as this file, too, its pictures beside it.")
 @out_option("study")
 def study(
-    models: tuple[str, ...], replicates: int, seed: int, jobs: int, method: Any, truth: dict[str, float],
-    free: tuple[str, ...], seconds: float | None, unbounded: bool, docs: bool, out: Path,
+    models: tuple[str, ...], replicates: int, unbounded: bool, docs: Path | None, out: Path, **how: Any
 ) -> None:
-    """Monte Carlo of the estimator on simulated missions of MODELs: surge, yaw, horizontal, thruster,
-    designed; a fitted model.toml; or FILE.py:NAME, a Case of your own.
+    """Monte Carlo of the estimator on simulated missions of MODELs: surge, yaw, horizontal, kinematic, thruster,
+    noise, designed; a fitted model.toml; or FILE.py:NAME, a Case of your own.
 
-    Bias, variance and coverage of the intervals. What was interrupted goes on where it was.
+    Bias, variance and coverage of the intervals. The estimator is that of the commands, or what made the model.toml,
+    unless told otherwise. What was interrupted goes on where it was.
 
     \b
     Example:
-      seatrial ident study surge yaw --replicates 500 --jobs 2 --out study
+      seatrial ident study surge yaw --replicates 500 --out study
     """
     from ident import study_job
+    from ident.report.study_docs import as_text, write_study_docs
     from ident.report.study_page import write_study_page
-    from ident.study import BIAS, COVERAGE, VARIANCE
+    from ident.study import AIMS
 
-    result = study_job.run_studies(
-        models, replicates, seed, out, truth=truth, free=free, seconds=seconds, bounded=not unbounded, method=method,
-        jobs=jobs, command=command_line(), say=lambda line: click.echo(f"  {line}", err=True),
-    )
-    aims = {"bias": (-BIAS, BIAS), "ratio": (1.0 - VARIANCE, 1.0 + VARIANCE), "coverage": COVERAGE}
-    write_study_page(result, aims, out / "report.html")
-    click.echo(study_job.page(result) if docs else study_job.as_text(result), nl=False)
-    click.echo(f"report: {out / 'report.html'}", err=docs)
+    result = study_job.run_studies(models, replicates, out=out, bounded=not unbounded, command=command_line(),
+                                   say=lambda line: click.echo(f"  {line}", err=True), **how)
+    write_study_page(result, AIMS, out / "report.html")
+    click.echo(as_text(result), nl=False)
+    if docs is not None:
+        write_study_docs(result, docs)
+        click.echo(f"written: {docs}")
+    click.echo(f"report: {out / 'report.html'}")

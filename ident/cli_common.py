@@ -18,6 +18,7 @@ for _library in ("OPENBLAS", "OMP", "MKL"):
 
 LOG = click.Path(exists=True, dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)
+FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 def known(_context: click.Context, _parameter: click.Parameter, given: Sequence[str]) -> dict[str, float]:
@@ -30,6 +31,13 @@ def known(_context: click.Context, _parameter: click.Parameter, given: Sequence[
         except ValueError:
             raise click.BadParameter(f"{item!r} is not NAME=NUMBER") from None
     return found
+
+
+def processes(_context: click.Context, _parameter: click.Parameter, given: int) -> int:
+    """Callback of ``--jobs``: a number of processes, or -1 for one a core."""
+    if given < 1 and given != -1:
+        raise click.BadParameter(f"{given} is neither a number of processes nor -1, for one a core")
+    return given
 
 
 def names(_context: click.Context, _parameter: click.Parameter, given: str | None) -> tuple[str, ...]:

@@ -34,11 +34,13 @@ class Delivered:
 
 
 def designed_case(made: Design, name: str = "designed") -> Case:
-    """The mission as a case of ``ident.study``, with damping not bounded at zero (a bound makes errors one-sided)."""
+    """The mission as a case of ``ident.study``, estimated as `ident vehicle` does, with damping not bounded at zero (a
+    bound makes errors one-sided)."""
     fine = made.task.finer
     apart = [replace(p, bounds=(-INF, INF)) for p in fine.model.parameters if p.transform == "none"]
     u = fine.actuation.inputs(made.command_on(fine)[:, :, None])[:, :, 0]
-    return Case(name, fine.model.replace_parameters(*apart), Inputs.linear(fine.t, u), fine.every)
+    model = replace(fine.model.replace_parameters(*apart), second_order=True)
+    return Case(name, model, Inputs.linear(fine.t, u), fine.every)
 
 
 def repeats(made: Design, n: int, seed: int) -> list[Delivered]:

@@ -129,11 +129,12 @@ def _start(y: Array, dt: float) -> Model:
     white = np.sqrt(np.clip(-covariance, 1e-4 * variance, 0.4999 * variance))
     walk = np.sqrt(max(variance - 2 * white**2, 1e-5 * variance) / dt)
     low = FLOOR / np.sqrt(dt)
-    return _model(low).with_values({"white": float(white), "walk": float(max(walk, 2 * low))})
+    return noise_model(low).with_values({"white": float(white), "walk": float(max(walk, 2 * low))})
 
 
 @cache
-def _model(low_walk: float) -> Model:
+def noise_model(low_walk: float) -> Model:
+    """One axis at rest, in units of its scale; ``low_walk`` [1/sqrt(s)]: a random walk below this is none."""
     return plain_model(
         "noise",
         f=lambda x, u, p: {"b": 0.0},

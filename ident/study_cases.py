@@ -16,9 +16,11 @@ from ident.euler import Inputs
 from ident.excitation import Steps
 from ident.model import Model
 from ident.models.horizontal import horizontal
+from ident.models.kinematic import kinematic
 from ident.models.surge import surge
 from ident.models.thruster import DELAY_STEP, thruster
 from ident.models.yaw import yaw
+from ident.noise import noise_model
 from ident.params import INF
 from ident.study import Case
 from ident.study_own import is_own, own_case
@@ -85,6 +87,46 @@ def thruster_case(seconds: float = 100.0) -> Case:
     return Case("thruster", model, Inputs.held(t, u), {}, f"{seconds:g} s, command in steps of 1-4 s, all at 80 Hz")
 
 
+def kinematic_case(seconds: float = 400.0) -> Case:
+    """The same with measured attitude and rates, on a boat that rolls by 3 and pitches by 2 degrees."""
+    t = _clock(seconds, 0.1)
+    n = lagged(t, steps(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED))
+    model = _at(kinematic(), HULL | {"s_u": 0.02, "s_v": 0.02})
+    inputs = Inputs.linear(t, np.column_stack([n, attitude(t, turned(t, n))]))
+    return Case("kinematic", model, inputs, {"position": 2, "ground_velocity": 2},
+                f"{seconds:g} s, both thrusters in steps of 3-10 s, attitude and accelerometers 10 Hz, GNSS 5 Hz, "
+                "unknown current")
+
+
+def turned(t: Array, n: Array) -> Array:
+    """Heading [rad] (n_rows,) of the boat under shaft speeds (n_rows, 2), by the yaw equation without noise."""
+    model = horizontal()
+    force = model.values["c1"] * n * np.abs(n) + model.values["c2"] * n**2
+    moment = force @ [-model.values["y_left"], -model.values["y_right"]]
+    psi, r = np.zeros(t.size), 0.0
+    for k, step in enumerate(np.diff(t)):
+        psi[k + 1] = psi[k] + step * r
+        r += step * (moment[k] - HULL["d_r"] * r - HULL["d_rr"] * abs(r) * r) / HULL["m_r"]
+    return psi
+
+
+def attitude(t: Array, psi: Array) -> Array:
+    """phi, theta, psi [rad] and the body rates p, q, r [rad/s] that go with them (n_rows, 6); Fossen 2011, eq. 2.27."""
+    phi, theta = 0.052 * np.sin(2 * np.pi * t / 2.3), 0.035 * np.sin(2 * np.pi * t / 3.1)
+    d_phi, d_theta, d_psi = (np.gradient(angle, t) for angle in (phi, theta, psi))
+    rates = (d_phi - np.sin(theta) * d_psi, np.cos(phi) * d_theta + np.sin(phi) * np.cos(theta) * d_psi,
+             np.cos(phi) * np.cos(theta) * d_psi - np.sin(phi) * d_theta)
+    return np.column_stack([phi, theta, psi, *rates])
+
+
+def noise_case(seconds: float = 300.0) -> Case:
+    """One axis at rest: white noise and a random walk, as `seatrial ident noise` fits them."""
+    t = _clock(seconds, 0.05)
+    model = noise_model(1e-3).with_values({"white": 1.0, "walk": 0.3})
+    return Case("noise", model, Inputs.held(t, np.empty((t.size, 0))), {}, f"{seconds:g} s at rest, 20 Hz",
+                restricted=False)
+
+
 def designed_case(seconds: float = 300.0) -> Case:
     """The mission that ``ident.design`` finds for the nine parameters of Table 1: do fits reach what it promises?"""
     rates = {"position": 5.0, "ground_velocity": 5.0}
@@ -94,16 +136,17 @@ def designed_case(seconds: float = 300.0) -> Case:
 
 
 CASES: dict[str, Callable[..., Case]] = {
-    "surge": surge_case, "yaw": yaw_case, "horizontal": horizontal_case, "thruster": thruster_case,
-    "designed": designed_case}
+    "surge": surge_case, "yaw": yaw_case, "horizontal": horizontal_case, "kinematic": kinematic_case,
+    "thruster": thruster_case, "noise": noise_case, "designed": designed_case}
 
 
 def make_case(
     name: str, truth: Mapping[str, float] | None = None, free: Sequence[str] = (), seconds: float | None = None,
-    *, bounded: bool = True,
+    *, bounded: bool = True, restricted: bool | None = None, second_order: bool | None = None,
 ) -> Case:
     """A case by name or file; at other true values, with only the parameters ``free`` estimated, of another length, if
-    given. Not ``bounded``: damping may be estimated below zero.
+    given. Not ``bounded``: damping may be estimated below zero. ``restricted``, ``second_order``: how it is estimated,
+    by default as the commands do, or did where the file says so.
 
     Raises SeatrialError when there is none, or no such parameter.
     """
@@ -119,6 +162,10 @@ def make_case(
         case = replace(case, model=case.model.with_free(free)) if free else case
     except (KeyError, ValueError) as problem:
         raise SeatrialError(str(problem.args[0])) from problem
+    if restricted is not None:
+        case = replace(case, restricted=restricted)
+    if second_order is not None:
+        case = replace(case, model=replace(case.model, second_order=second_order))
     if bounded:
         return case
     apart = [replace(p, bounds=(-INF, INF)) for p in case.model.parameters if p.transform == "none"]
@@ -130,4 +177,5 @@ def _clock(seconds: float, step: float) -> Array:
 
 
 def _at(model: Model, values: Mapping[str, float]) -> Model:
-    return model.with_values({n: v for n, v in values.items() if n in model.values})
+    """At these of the values that it has, and estimated as `ident vehicle` does."""
+    return replace(model.with_values({n: v for n, v in values.items() if n in model.values}), second_order=True)

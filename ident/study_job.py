@@ -1,13 +1,15 @@
-"""The study's job: replicates in parallel, a JSON line each, and from them result.json and a page of tables."""
+"""The study's job: replicates in parallel, a JSON line each, and from them result.json and a page."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +17,15 @@ import joblib
 
 from daq.errors import SeatrialError
 from ident.outcome import Json, plain, write_result
-from ident.study import APART, BIAS, COVERAGE, VARIANCE, Case, Judged, Method, Row, counts, judge, replicates
+from ident.report.study_docs import write_study_docs
+from ident.study import Case, Judged, Method, Row, counts, judge, replicates
 from ident.study_cases import make_case
 
 Say = Callable[[str], None]
-BATCH = 25  # replicates a task: they are simulated together
-ROWS = 2  # version of what a line holds
-WAVES = 4  # tasks a worker between two looks at what is done
+BATCH = 25  # replicates a task at most: they are simulated together
+TASK_S = 10.0  # s that a task may take: so long a line waits, and so much is lost when the study is stopped
+ROWS = 3  # version of what a line holds
 OWN = ("euler", "study", "fit", "restricted", "scoring", "pe", "prepared", "uncertainty")  # files that results hang on
-HEAD = ("parameter", "n", "at bound", "bias, sd", "variance/reported", "variance/bound", "coverage", "")
 
 
 def study(case: Case, n: int, seed: int, out: Path | str, *, method: Method = "pe", jobs: int | None = None,
@@ -41,7 +43,7 @@ def study(case: Case, n: int, seed: int, out: Path | str, *, method: Method = "p
             say(f"note: some of {out} were made by another state of the code; give another --out to begin anew")
     out.parent.mkdir(parents=True, exist_ok=True)
     with out.open("a", encoding="utf-8") as file:
-        for rows in _batches(case, todo, seed, method, jobs):
+        for rows in _results(case, todo, seed, method, jobs):
             for row in rows:
                 done[row["k"]] = row | {"key": key, "code": code_state()}
                 file.write(json.dumps(done[row["k"]]) + "\n")
@@ -50,13 +52,46 @@ def study(case: Case, n: int, seed: int, out: Path | str, *, method: Method = "p
     return [done[k] for k in sorted(done)]
 
 
-def _batches(case: Case, todo: Sequence[int], seed: int, method: Method, jobs: int | None) -> Iterator[list[Row]]:
-    """What each task returns; in waves, since not every backend can give results as they come."""
-    tasks = [todo[i : i + BATCH] for i in range(0, len(todo), BATCH)]
-    with joblib.Parallel(n_jobs=jobs) as run:
-        wave = WAVES * joblib.effective_n_jobs(-1 if jobs is None else jobs)
-        for i in range(0, len(tasks), wave):
-            yield from run(joblib.delayed(replicates)(case, task, seed, method) for task in tasks[i : i + wave])
+def _results(case: Case, todo: Sequence[int], seed: int, method: Method, jobs: int | None) -> Iterator[list[Row]]:
+    """What each task returns, as soon as it is done; in waves where the backend gives nothing before all are done."""
+    pace = _Pace(todo)
+    calls = (joblib.delayed(_timed)(case, task, seed, method) for task in pace.tasks())
+    try:
+        run = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", pre_dispatch="n_jobs", batch_size=1)
+    except ValueError:  # Dask's and Ray's, for example
+        run = joblib.Parallel(n_jobs=jobs)
+        wave = joblib.effective_n_jobs(-1 if jobs is None else jobs)
+        found = (done for first in calls for done in run([first, *islice(calls, wave - 1)]))
+    else:
+        found = run(calls)
+    for seconds, rows in found:
+        pace.took(len(rows), seconds)
+        yield rows
+
+
+class _Pace:
+    """How many replicates make a task: one at first, then what takes about ``TASK_S`` by what the last one took."""
+
+    def __init__(self, todo: Sequence[int]) -> None:
+        self.todo, self.size = todo, 1
+
+    def tasks(self) -> Iterator[Sequence[int]]:
+        """Asked for one by one, as workers become free."""
+        at = 0
+        while at < len(self.todo):
+            task = self.todo[at : at + self.size]
+            at += len(task)
+            yield task
+
+    def took(self, n: int, seconds: float) -> None:
+        """A task of ``n`` took so long."""
+        self.size = int(min(max(n * TASK_S / max(seconds, 1e-6), 1), 2 * n, BATCH))
+
+
+def _timed(case: Case, numbers: Sequence[int], seed: int, method: Method) -> tuple[float, list[Row]]:
+    began = time.monotonic()
+    rows = replicates(case, numbers, seed, method)
+    return time.monotonic() - began, rows
 
 
 def read(out: Path) -> list[Row]:
@@ -74,11 +109,15 @@ def read(out: Path) -> list[Row]:
 
 def run_studies(
     names: Sequence[str], n: int, seed: int, out: Path, *, truth: Mapping[str, float], free: Sequence[str] = (),
-    seconds: float | None = None, bounded: bool = True, method: Method = "pe", jobs: int | None = None, command: str,
-    say: Say,
+    seconds: float | None = None, bounded: bool = True, method: Method = "pe", restricted: bool | None = None,
+    second_order: bool | None = None, jobs: int | None = None, command: str, say: Say,
 ) -> Json:
-    """The studies of the named models; writes NAME.jsonl for each, result.json and study.md into ``out``."""
-    cases = [make_case(name, truth, free, seconds, bounded=bounded) for name in dict.fromkeys(names)]
+    """The studies of the named models; writes NAME.jsonl for each, result.json and study.md into ``out``.
+
+    ``restricted``, ``second_order``: how it is estimated, by default as the commands do (``make_case``).
+    """
+    cases = [make_case(name, truth, free, seconds, bounded=bounded, restricted=restricted, second_order=second_order)
+             for name in dict.fromkeys(names)]
     if out.exists() and not out.is_dir():
         raise SeatrialError(f"{out}: is a file; give a folder")
     parts = []
@@ -97,7 +136,7 @@ def run_studies(
         "studies": parts,
     }
     write_result(plain(result), out / "result.json")
-    (out / "study.md").write_text(page(result), encoding="utf-8")
+    write_study_docs(result, out / "study.md")
     return result
 
 
@@ -108,9 +147,19 @@ def part(case: Case, rows: Sequence[Row], method: Method) -> Json:
         "model": case.name,
         "about": case.about,
         "method": method.upper(),
+        "estimator": estimator(case, method),
         **counts(rows),
         "parameters": [_row(j, truth[j.name], case.model.parameter(j.name).unit) for j in judge(rows)],
     }
+
+
+def estimator(case: Case, method: Method) -> str:
+    """What is studied, in words."""
+    if method == "oe":
+        return "output error"
+    noise = "restricted" if case.restricted else "maximum"
+    order = "second" if case.model.second_order else "first"
+    return f"prediction error, noise by {noise} likelihood, filter's mean of {order} order"
 
 
 def _row(j: Judged, truth: float, unit: str) -> Json:
@@ -137,65 +186,11 @@ def answer(one: Json) -> str:
     return ", ".join([*parts, *([f"these do not hold: {', '.join(worst)}"] if worst else [])]) + "."
 
 
-def table(one: Json) -> list[tuple[str, ...]]:
-    """Lines of a study, the head first."""
-    return [HEAD, *(_line(r) for r in one["parameters"])]
-
-
-def _line(r: Json) -> tuple[str, ...]:
-    return (
-        r["name"], str(r["n"]), str(r["at_bound"]), f"{r['bias']:+.2f} ± {r['bias_error']:.2f}",
-        f"{r['ratio']:.2f}", f"{r['bound_ratio']:.2f} ({r['bound_ratio_low']:.2f} to {r['bound_ratio_high']:.2f})",
-        f"{100 * r['coverage']:.1f} % ({100 * r['coverage_low']:.1f} to {100 * r['coverage_high']:.1f})",
-        ", ".join(r["misses"]),
-    )
-
-
-def as_text(result: Json) -> str:
-    """The answer and the tables, for a terminal."""
-    lines = []
-    for one in result["studies"]:
-        rows = table(one)
-        width = [max(len(row[k]) for row in rows) for k in range(len(HEAD))]
-        lines += ["", f"{one['model']}, {one['method']}: {one['about']}", ""]
-        lines += ["  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)).rstrip() for row in rows]
-    return "\n".join([*lines[1:], "", result["answer"], ""])
-
-
-def page(result: Json) -> str:
-    """The studies in Markdown: what was done, and a table each."""
-    lines = [
-        "# Monte Carlo study of the estimators", "",
-        f"    {result['command']}", "",
-        "Data of each model itself, with process noise, simulated in plain numpy by steps of Heun (`ident/euler.py`); "
-        f"each fit starts within a factor {2.718281828**APART:.1f} of the truth. Errors are those of the coordinate in "
-        "which the estimator moves: the logarithm of a positive parameter. `bias, sd`: mean error over the standard "
-        "deviation of the estimates, with its own standard error. `variance/reported`: variance of the estimates over "
-        "the mean of the variances that the fits reported; `variance/bound`: over the Cramer-Rao bound at the truth, "
-        "or the least variance where parameters are near their bounds (`ident/study.py`). `coverage`: of 95 % "
-        "intervals, which are one-sided for estimates `at bound`. Noise is estimated by restricted likelihood "
-        "(`ident/restricted.py`), and the filter's mean is of second order (`ident/engine/graphs.py`). In brackets, "
-        "95 % intervals of these numbers themselves. The last column names "
-        f"what is beyond the aim (|bias| < {BIAS}, variance within {100 * VARIANCE:.0f} %, coverage "
-        f"{100 * COVERAGE[0]:.0f}-{100 * COVERAGE[1]:.0f} %), with `chance?` where the number's own interval reaches "
-        "into the aim.",
-    ]
-    for one in result["studies"]:
-        head, *rows = table(one)
-        lines += [
-            "", f"## {one['model']}, {one['method']}", "",
-            f"{one['about']}; {one['replicates']} replicates, {one['failed']} failed, {one['unconverged']} did not "
-            f"converge; {1e3 * one['cpu_fit']:.0f} ms CPU a fit, {1e3 * one['cpu_simulation']:.0f} ms a simulation.",
-            "",
-            "| " + " | ".join(head) + " |", "|" + "---|" * len(head), *("| " + " | ".join(r) + " |" for r in rows),
-        ]
-    return "\n".join(lines) + "\n"
-
-
 def _key(case: Case, seed: int, method: Method) -> str:
-    """Replicates with the same key are of the same study: mission, model, truth, seed and method."""
+    """Replicates with the same key are of the same study: mission, model, truth, seed and estimator."""
     parameters = [(p.name, p.value, p.bounds, p.free) for p in case.model.parameters]
-    values: Any = (case.name, parameters, sorted(case.every.items()), seed, method, case.model.source, ROWS)
+    values: Any = (case.name, parameters, sorted(case.every.items()), seed, estimator(case, method), case.model.source,
+                   ROWS)
     inputs = case.inputs
     digest = hashlib.sha256(repr(values).encode())
     for array in (inputs.t, inputs.u, inputs.u_next):

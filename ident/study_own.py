@@ -32,7 +32,8 @@ def is_own(source: str) -> bool:
 
 
 def own_case(source: str, seconds: float | None, seed: int) -> Case:
-    """``model.toml``: random levels within the inputs' ranges that its data covered; or ``FILE.py:NAME``, a ``Case``.
+    """``model.toml``: random levels within the inputs' ranges that its data covered, estimated as it was fitted; or
+    ``FILE.py:NAME``, a ``Case``, estimated as `ident vehicle` does.
 
     Raises SeatrialError where there is no such file, or a mission cannot be made of it.
     """
@@ -41,7 +42,8 @@ def own_case(source: str, seconds: float | None, seed: int) -> Case:
         if not path.is_file():
             raise SeatrialError(f"{source}: no such file")
         saved = load_model(path)
-        return _marked(_of_model(saved.model, saved.validity, source, seconds or SECONDS, seed), path)
+        case = _of_model(saved.model, saved.validity, source, seconds or SECONDS, seed)
+        return _marked(replace(case, restricted=saved.restricted), path)
     file, _, name = source.rpartition(":")
     case = own_object(source)
     if isinstance(case, Model):
@@ -51,7 +53,7 @@ def own_case(source: str, seconds: float | None, seed: int) -> Case:
     if seconds is not None:
         raise SeatrialError(f"--seconds: {file} says how long {name} is")
     tried(case.model, Path(file))
-    return _marked(case, Path(file))
+    return _marked(replace(case, model=replace(case.model, second_order=True)), Path(file))  # as `ident vehicle` does
 
 
 def _marked(case: Case, path: Path) -> Case:

@@ -61,8 +61,7 @@ def _study(canvas: Canvas, study: Row, aims: Aims) -> Section:
 
 def _facts(study: Row) -> list[tuple[str, str]]:
     fit, simulation = number(study, "cpu_fit"), number(study, "cpu_simulation")
-    method = {"PE": "prediction error", "OE": "output error"}.get(text(study, "method"), text(study, "method"))
-    facts = [("estimator", method), *((word, text(study, key)) for key, word in (
+    facts = [("estimator", text(study, "estimator")), *((word, text(study, key)) for key, word in (
         ("replicates", "replicates"), ("failed", "failed"), ("unconverged", "did not converge")))]
     times = [f"{1e3 * t:.0f} ms a {what}" for t, what in ((fit, "fit"), (simulation, "simulation")) if t is not None]
     return [*facts, *([("CPU time", ", ".join(times))] if times else [])]
@@ -72,9 +71,9 @@ def _forest(
     canvas: Canvas, found: Sequence[Row], key: str, title: str, factor: float, aim: tuple[float, float]
 ) -> Plot:
     """One number of every parameter with its own interval, against the aim."""
-    value, low, high = factor * np.array([_interval(row, key) for row in found]).T
+    value, low, high = factor * np.array([interval(row, key) for row in found]).T
     place = np.arange(len(found))[::-1]
-    verdicts = [_verdict(row, key) for row in found]
+    verdicts = [verdict_of(row, key) for row in found]
     color = [MODEL if verdict == "fine" else BEFORE for verdict in verdicts]
     symbol = [{"fine": "circle", "chance": "diamond-open", "miss": "diamond"}[verdict] for verdict in verdicts]
     bars = {"type": "data", "symmetric": False, "array": (high - value).tolist(), "arrayminus": (value - low).tolist(),
@@ -94,7 +93,8 @@ def _forest(
     return canvas.plot(figure, REST_PX + ROW_PX * len(found), f"{title} of every parameter")
 
 
-def _interval(row: Row, key: str) -> tuple[float, float, float]:
+def interval(row: Row, key: str) -> tuple[float, float, float]:
+    """A parameter's bias, ratio or coverage with the ends of its own 95 % interval; NaN where there is none."""
     column = "bound_ratio" if key == "ratio" else key  # the variance is judged by what is possible
     value = number(row, column)
     middle = np.nan if value is None else value
@@ -106,7 +106,8 @@ def _interval(row: Row, key: str) -> tuple[float, float, float]:
     return middle, low, high
 
 
-def _verdict(row: Row, key: str) -> str:
+def verdict_of(row: Row, key: str) -> str:
+    """``fine``, ``chance`` (beyond the aim, but perhaps by chance) or ``miss``."""
     word = {"bias": "bias", "ratio": "variance", "coverage": "coverage"}[key]
     misses = [miss for miss in texts(row, "misses") if miss.startswith(word)]
     if not misses:
@@ -126,5 +127,5 @@ def _row(row: Row) -> list[Cell | str]:
 
 
 def _between(row: Row, key: str, factor: float, digits: int) -> str:
-    middle, low, high = (factor * number_ for number_ in _interval(row, key))
+    middle, low, high = (factor * number_ for number_ in interval(row, key))
     return f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"

@@ -78,8 +78,8 @@ def study() -> dict[str, Any]:
     fine = [_parameter("m_u", "kg", -0.04, 1.05, 0.942, ()), _parameter("d_u", "kg/s", 0.01, 0.98, 0.95, ())]
     poor = [_parameter("d_v", "kg/s", 0.04, 0.93, 0.89, ("coverage",)),
             _parameter("s_u", "m/s/sqrt(s)", -0.17, 1.02, 0.944, ("bias (chance?)",))]
-    common = {"method": "PE", "replicates": 500, "failed": 0, "unconverged": 1, "cpu_fit": 0.006,
-              "cpu_simulation": 0.02}
+    common = {"method": "PE", "estimator": "prediction error", "replicates": 500, "failed": 0, "unconverged": 1,
+              "cpu_fit": 0.006, "cpu_simulation": 0.02}
     return MADE | {
         "kind": "study", "command": "seatrial ident study surge yaw", "seed": 1, "logs": [],
         "answer": "surge, 500 replicates: 2 of 2 parameters are as wanted. yaw: these do not hold: d_v (coverage).",

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -57,11 +61,13 @@ def test_simulated_noise_has_the_variance_of_the_equation() -> None:
     assert started[:, 0, 0].std() == pytest.approx(0.4, rel=0.1)
 
 
-@pytest.mark.parametrize("name", ["surge", "yaw", "horizontal"])
+@pytest.mark.parametrize("name", ["surge", "yaw", "horizontal", "kinematic"])
 def test_without_noise_it_is_the_engines_simulation(name: str) -> None:
     """Two integrators that have nothing in common."""
     case = make_case(name, seconds=40.0)
     model = case.model.with_values({p: 1e-12 for p in case.model.values if p[:2] in ("s_", "e_")})
+    still = [replace(s, noise=s.noise if isinstance(s.noise, str) else 0.0) for s in model.states]
+    model = replace(model, states=tuple(still))
     x0 = np.zeros((1, len(model.states)))
     x, y = simulate_noisy(model, case.inputs, values_of(model), [np.random.default_rng(0)], x0=x0)
     record = Record(name, case.inputs.t, case.inputs.u, case.inputs.u_next, np.full(y[0].shape, np.nan),
@@ -169,11 +175,48 @@ def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.Monkey
     assert done == [0, 1, 2, 3]
 
 
-def test_any_backend_of_joblib_does_it(tmp_path: Path) -> None:
+def test_a_study_that_is_killed_leaves_what_it_has_done(tmp_path: Path) -> None:
+    """Lines come within seconds, not when a hundred replicates are done."""
+    out = tmp_path / "yaw.jsonl"
+    words = ["ident", "study", "yaw", "--replicates", "2000", "--jobs", "1", "--out", str(tmp_path)]
+    running = subprocess.Popen([sys.executable, "-m", "seatrial", *words], stderr=subprocess.DEVNULL)
+    try:
+        until = time.monotonic() + 120.0
+        while not study_job.read(out):
+            assert time.monotonic() < until
+            assert running.poll() is None
+            time.sleep(0.02)
+    finally:
+        running.kill()
+        running.wait()
+    found = study_job.read(out)
+    assert 1 <= len(found) < 20
+    assert [r["k"] for r in found] == list(range(len(found)))
+    lines: list[str] = []
+    study_job.study(make_case("yaw"), len(found), 1, out, jobs=1, say=lines.append)
+    assert lines == [f"yaw: {len(found)} replicates are there already"]
+
+
+def test_tasks_are_sized_by_the_time_they_take() -> None:
+    pace, sizes = study_job._Pace(range(200)), []
+    for task in pace.tasks():
+        sizes.append(len(task))
+        pace.took(len(task), 1.5 * len(task))
+    assert sizes[:4] == [1, 2, 4, 6]  # 10 s each
+    assert sum(sizes) == 200
+    pace.took(6, 1000.0)
+    assert pace.size == 1
+    pace.took(100, 0.001)
+    assert pace.size == study_job.BATCH
+
+
+@pytest.mark.parametrize("backend", ["threading", "multiprocessing"])
+def test_any_backend_of_joblib_does_it(backend: str, tmp_path: Path) -> None:
+    """One gives results as they come, the other when a wave is done."""
     import joblib
 
     case = make_case("surge", seconds=30.0)
-    with joblib.parallel_config(backend="threading", n_jobs=2):
+    with joblib.parallel_config(backend=backend, n_jobs=2):
         rows = study_job.study(case, 3, 2, tmp_path / "a.jsonl")
     alone = study_job.study(case, 3, 2, tmp_path / "b.jsonl", jobs=1)
     assert [r["d"] for r in rows] == [r["d"] for r in alone]
@@ -189,10 +232,57 @@ def test_cases_and_their_options() -> None:
     assert make_case("surge", bounded=False).model.parameter("d_u").bounds[0] == -np.inf
 
 
+def test_it_is_the_estimator_of_the_commands_unless_told_otherwise(tmp_path: Path) -> None:
+    for name in ("surge", "yaw", "horizontal", "kinematic"):
+        case = make_case(name, seconds=20.0)
+        assert case.restricted
+        assert case.model.second_order
+    noise = make_case("noise", seconds=20.0)  # as `ident noise`
+    assert not noise.restricted
+    assert not noise.model.second_order
+    how = {"first": {"second_order": False}, "both": {}, "plain": {"restricted": False, "second_order": False}}
+    cases = {name: make_case("surge", seconds=60.0, **flags) for name, flags in how.items()}
+    done = {name: study_job.study(case, 3, 1, tmp_path / "one.jsonl", jobs=1) for name, case in cases.items()}
+    assert len((tmp_path / "one.jsonl").read_text().splitlines()) == 9  # none was taken for another
+    s_u = {name: [r["d"]["s_u"] for r in rows] for name, rows in done.items()}
+    assert all(a > b + 0.01 for a, b in zip(s_u["first"], s_u["plain"], strict=True))
+    d_u = {name: [r["d"]["d_u"] for r in rows] for name, rows in done.items()}
+    assert all(abs(a - b) > 1e-5 for a, b in zip(d_u["first"], d_u["both"], strict=True))
+    assert study_job.estimator(cases["both"], "pe").endswith("by restricted likelihood, filter's mean of second order")
+    assert study_job.estimator(cases["plain"], "pe").endswith("by maximum likelihood, filter's mean of first order")
+
+
+def test_noise_at_rest_and_measured_attitude_can_be_studied() -> None:
+    """Estimates of the data of each model itself are about the truth, and their intervals hold it."""
+    for name, n, seconds in (("noise", 40, 100.0), ("kinematic", 12, 120.0)):
+        case = make_case(name, seconds=seconds)
+        rows = replicates(case, range(n), 3)
+        assert counts(rows)["failed"] == counts(rows)["unconverged"] == 0
+        found = judge(rows)
+        assert {j.name for j in found} == set(case.model.free)
+        for j in found:
+            assert abs(j.bias) < 4 * j.bias_error, j.name
+            assert j.coverage_interval[1] > 0.94, j.name
+            assert j.bound_interval[0] < 1.2, j.name
+
+
+def test_the_attitude_of_a_case_is_that_of_its_rates() -> None:
+    """Euler's angles integrated from the body rates (Fossen 2011, eq. 2.28)."""
+    case = make_case("kinematic", seconds=60.0)
+    t, u = case.inputs.t, case.inputs.u
+    phi, theta, psi, p, q, r = u[:, 2:].T
+    rates = (p + np.tan(theta) * (np.sin(phi) * q + np.cos(phi) * r), np.cos(phi) * q - np.sin(phi) * r,
+             (np.sin(phi) * q + np.cos(phi) * r) / np.cos(theta))
+    for angle, rate in zip((phi, theta, psi), rates, strict=True):
+        travelled = np.append(0.0, np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(t)))
+        np.testing.assert_allclose(travelled, angle - angle[0], atol=0.02 * np.ptp(angle) + 0.005)
+    assert np.ptp(psi) > 1.0
+
+
 def test_the_command_writes_result_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["ident", "study", "surge", "--replicates", "6", "--seconds", "60", "--out", str(tmp_path)]
-    outputs = []
-    for more in ([], ["--docs"]):
+    words = ["ident", "study", "surge", "--replicates", "6", "--seconds", "60", "--jobs", "1", "--out", str(tmp_path)]
+    outputs, page = [], tmp_path / "docs/study.md"
+    for more in ([], ["--docs", str(page)]):
         with pytest.raises(SystemExit) as leaving:
             seatrial.main([*words, *more])
         assert not leaving.value.code
@@ -200,8 +290,13 @@ def test_the_command_writes_result_and_page(tmp_path: Path, capsys: pytest.Captu
     assert "surge, PE: 60 s" in outputs[0].out
     assert "6 of 6 replicates" in outputs[0].err
     assert "6 replicates are there already" in outputs[1].err
-    assert outputs[1].out == (tmp_path / "study.md").read_text()
-    assert outputs[1].out.startswith("# Monte Carlo study")
+    assert "noise by restricted likelihood, filter's mean of second order" in outputs[0].out
+    assert page.read_text().startswith("# Monte Carlo study")
+    assert "](pictures/study-surge.svg)" in page.read_text()
+    assert page.read_text().replace(f" --docs {page}", "") == (tmp_path / "study.md").read_text().replace(
+        f" --docs {page}", "")
+    drawn = (tmp_path / "docs/pictures/study-surge.svg").read_text()
+    assert drawn == (tmp_path / "pictures/study-surge.svg").read_text()
     result = json.loads((tmp_path / "result.json").read_text())
     assert (result["kind"], result["seed"]) == ("study", 1)
     (one,) = result["studies"]
@@ -210,7 +305,7 @@ def test_the_command_writes_result_and_page(tmp_path: Path, capsys: pytest.Captu
 
 
 @pytest.mark.parametrize(("words", "says"), [
-    ("boat", "no study of 'boat': there are surge, yaw, horizontal, thruster"),
+    ("boat", "no study of 'boat': there are surge, yaw, horizontal, kinematic, thruster, noise"),
     ("surge --truth m_x=1", "has no parameter 'm_x'"),
     ("surge --truth d_u=-1", "outside its bounds"),
     ("surge --free nothing", "has no parameter 'nothing'"),
@@ -224,6 +319,22 @@ def test_what_cannot_be_done_is_one_line(
     assert leaving.value.code == 1
     assert err.count("\n") == 1
     assert says in err
+
+
+@pytest.mark.parametrize("jobs", ["0", "-2"])
+def test_a_number_of_processes_is_one_or_all(
+    jobs: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        seatrial.main(["ident", "study", "surge", "--jobs", jobs, "--out", str(tmp_path)])
+    assert leaving.value.code == 2
+    assert "is neither a number of processes nor -1" in capsys.readouterr().err
+    asked: list[int] = []
+    monkeypatch.setattr(study_job, "study", lambda *args, jobs, **more: asked.append(jobs) or [])
+    for words in ([], ["--jobs", "-1"], ["--jobs", "3"]):
+        with pytest.raises(SystemExit):
+            seatrial.main(["ident", "study", "surge", *words, "--out", str(tmp_path)])
+    assert asked == [-1, -1, 3]
 
 
 def test_the_snippet_of_the_how_to_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

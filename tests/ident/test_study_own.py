@@ -59,6 +59,27 @@ def test_a_fitted_model_is_studied_within_the_ranges_of_its_inputs(saved: Path, 
     assert np.array_equal(case.inputs.u, again.inputs.u)
 
 
+def test_a_fitted_model_is_studied_as_it_was_fitted(saved: Path) -> None:
+    case = make_case(str(saved), seconds=60.0)
+    assert not case.restricted
+    assert case.model.second_order
+    told = make_case(str(saved), seconds=60.0, restricted=True, second_order=False)
+    assert told.restricted
+    assert not told.model.second_order
+    text = saved.read_text(encoding="utf-8")
+    saved.write_text(text.replace("second_order = true", "restricted = true"), encoding="utf-8")
+    other = make_case(str(saved), seconds=60.0)
+    assert other.restricted
+    assert not other.model.second_order
+
+
+def test_a_case_of_ones_own_is_studied_as_the_commands_fit(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(OWN, encoding="utf-8")
+    case = make_case(f"{tmp_path / 'mine.py'}:mine")
+    assert case.restricted
+    assert case.model.second_order
+
+
 def test_a_changed_file_is_another_study(tmp_path: Path) -> None:
     file, out = tmp_path / "mine.py", tmp_path / "out"
     lines: list[str] = []

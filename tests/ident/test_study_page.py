@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 from ident.report.study_page import write_study_page
+from ident.report.study_picture import by_chance, picture
 from tests.ident import page_examples
 from tests.ident.pages import Page, numbers
+
+SVG = "{http://www.w3.org/2000/svg}"
 
 
 def test_what_misses_stands_out(tmp_path: Path) -> None:
@@ -33,3 +38,28 @@ def test_what_misses_stands_out(tmp_path: Path) -> None:
     (band,) = coverage["layout"]["shapes"]
     assert (round(band["x0"]), round(band["x1"])) == (93, 97)
     assert coverage["layout"]["yaxis"]["ticktext"] == ["d_v", "s_u"]
+
+
+def test_the_picture_has_a_mark_for_every_number_and_the_bands() -> None:
+    fine, poor, _ = page_examples.study()["studies"]
+    drawn = ElementTree.fromstring(picture(fine, page_examples.AIMS))
+    assert len(drawn.findall(f"{SVG}circle")) == 2 * 3 + 1  # and the key's
+    assert len(drawn.findall(f"{SVG}path")) == 2
+    drawn = ElementTree.fromstring(picture(poor, page_examples.AIMS))
+    fills = [path.get("fill") for path in drawn.findall(f"{SVG}path")]
+    assert sorted(fills) == ["#D55E00", "#D55E00", "#ffffff", "#ffffff"]  # one surely, one perhaps, and the key
+    dashed = [line for line in drawn.findall(f"{SVG}line") if line.get("stroke-dasharray")]
+    assert len(dashed) == 2 * 3
+    words = [text.text for text in drawn.findall(f"{SVG}text")]
+    assert words[:2] == ["d_v", "s_u"]
+    assert {"bias, standard deviations", "variance / bound", "coverage of 95 % intervals, %"} < set(words)
+
+
+def test_the_bands_of_chance_hold_what_chance_makes() -> None:
+    rng, n = np.random.default_rng(3), 200
+    z = rng.normal(size=(4000, n))
+    found = {"bias": z.mean(axis=1) / z.std(axis=1, ddof=1), "ratio": z.var(axis=1, ddof=1),
+             "coverage": np.mean(np.abs(z) < 1.96, axis=1)}
+    for key, values in found.items():
+        low, high = by_chance(key, n)
+        assert np.mean((low <= values) & (values <= high)) == pytest.approx(0.95, abs=0.02), key
