@@ -6,35 +6,12 @@ import numpy as np
 import pytest
 
 from ident import scoring
-from ident.dataset import Channel, build_record
-from ident.fit import Fit, fit
-from ident.models.thruster import delayed_channels, thruster
 from ident.params import INF, Parameter
 from ident.plateau import plateaus
+from tests.ident.stepped import steps
 
-LEVELS = np.array([0.0, 0.3, 0.06, -0.5, 0.12, 0.4, -0.06, -0.12, 0.8, 0.06])  # nothing between 0.06 and 0.12
 FREE = scoring.Bounds(np.full(2, -INF), np.full(2, INF), np.zeros(2, dtype=bool))
 STEPPED = (Parameter("x", 0.3, step=0.1), Parameter("y", 0.0, step=0.1))
-
-
-def steps(dead_zone: float, seed: int = 1) -> Fit:
-    """A fit with the end of the dead zone free, to set-points of a few levels."""
-    rng = np.random.default_rng(seed)
-    t_cmd, n, rows = np.arange(0.0, 60.0, 2.0), 0.0, []
-    held = np.tile(LEVELS, 3)
-    for k in range(1500):
-        t = 0.04 * k
-        command = held[np.searchsorted(t_cmd, t - 0.119, side="right") - 1] if t >= 0.119 else 0.0
-        rows.append((t, n, 40.0 * n * abs(n)))
-        n += (1.0 - np.exp(-3.0 * 0.04)) * (command * (abs(command) > dead_zone) - n)
-    log = np.array(rows)
-    channels = delayed_channels(Channel(t_cmd, held), 0.0125) | {
-        "n": Channel(log[:, 0], log[:, 1] + 0.004 * rng.standard_normal(len(log))),
-        "force": Channel(log[:, 0], log[:, 2] + 0.2 * rng.standard_normal(len(log))),
-    }
-    model = thruster()
-    record = build_record(model, channels, rate=50.0)
-    return fit(model.with_free([*model.free, "d"]), [record], start={"d": 0.09, "tau": 0.1, "a": 3.0, "c1": 40.0})
 
 
 @pytest.mark.parametrize("dead_zone", [0.07, 0.11])
@@ -75,6 +52,17 @@ def test_where_the_information_tells_the_truth_there_is_none() -> None:
 
     parameters = (Parameter("x", 0.0, step=0.1), Parameter("y", 0.0, step=0.1))
     assert plateaus(bowl, np.zeros(2), parameters, np.diag([1.0, 1e4]), FREE) == []
+    assert plateaus(lambda z: 1e-8 * bowl(z), np.zeros(2), parameters, np.diag([1e-8, 1e-4]), FREE) == []
+
+
+def test_a_far_fall_is_found_but_the_end_of_the_numbers_is_none() -> None:
+    """One that acts by its square, with hardly any information where it stands; and one that ends in no number."""
+    def even(z: np.ndarray) -> float:
+        return float(-1e-8 * z[0] ** 4 if abs(z[1]) < 300.0 else np.nan)
+
+    (found,) = plateaus(even, np.zeros(2), STEPPED, np.diag([1e-12, 1e-12]), FREE)
+    end = (1.9207 * 1e8) ** 0.25  # 118, of steps of 0.1
+    assert (found.at, found.low, found.high) == (0, pytest.approx(-end, rel=0.01), pytest.approx(end, rel=0.01))
 
 
 def kinked(z: np.ndarray) -> scoring.Evaluation:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,8 +20,10 @@ from ident.model import Model, Output, Sensor, State, plain_model
 from ident.oe import output_error
 from ident.outcome import plain
 from ident.params import Parameter
-from ident.profile import DROP, Profile, check_names, profile, profile_part
+from ident.profile import Profile, check_names, profile, profile_part
 from ident.report.page import render
+from ident.uncertainty import DROP
+from tests.ident.stepped import stepped_record, steps
 from tests.ident.toys import turning, turning_record
 
 FREE = ("m", "d", "dd", "bias", "q", "e_psi", "e_r")
@@ -109,7 +113,94 @@ def test_what_the_data_do_not_limit_is_open() -> None:
     one = profile(fit(walk, [record]), [record], "q")
     assert math.isnan(one.low)
     assert one.high > one.value
-    assert "lower side: the data set no limit" in one.notes
+    (note,) = one.notes
+    assert note.startswith("lower side: the data set no limit as far as was looked, to ")
+    assert float(note.rpartition(" ")[2]) == pytest.approx(one.grid[0], rel=1e-3)
+
+
+def curve(mean: Callable[[Any], Any], *parameters: Parameter) -> Model:
+    """A constant that is a function of parameters, measured with noise."""
+    return plain_model(
+        "curve", f=lambda x, u, p: {"a": 0.0 * x.a}, h=lambda x, u, p: {"y": x.a + mean(p)},
+        states=(State("a", x0=0.0, sd0=0.0),), inputs=(), sensors=(Sensor("one", (Output("y", noise="e"),)),),
+        parameters=(*parameters, Parameter("e", 1.5, transform="log")))
+
+
+def scattered(mean: float, s: float, n: int = 9) -> tuple[Record, float]:
+    """Samples of that mean and standard deviation, and how far a mean may be from it before the data object."""
+    y = np.random.default_rng(1).normal(0.0, 1.0, n)
+    y = (mean + s * (y - y.mean()) / y.std())[:, None]
+    record = Record("few", 0.1 * np.arange(n), np.zeros((n, 0)), np.zeros((n, 0)), y, (), ("y",))
+    return record, s * math.sqrt(math.exp(2 * DROP / n) - 1)
+
+
+@pytest.mark.parametrize(("power", "start"), [(2, 0.01), (2, 3.0), (6, 0.2)])
+def test_a_parameter_without_slope_at_its_estimate_has_its_interval(power: int, start: float) -> None:
+    """An even power, best at zero: neither gradient nor information there."""
+    record, half = scattered(0.0, 1.0)
+    found = fit(curve(lambda p: p.b**power, Parameter("b", start)), [record])
+    one = profile(found, [record], "b")
+    end = half ** (1 / power)
+    assert (one.low, one.high) == (pytest.approx(-end, rel=0.01), pytest.approx(end, rel=0.01))
+    assert one.notes == ()
+    assert one.grid.size <= 33
+
+
+def test_one_of_two_that_only_their_sum_is_known_of_goes_as_far_as_the_other_can() -> None:
+    record, half = scattered(0.7, 0.02)
+    model = curve(lambda p: p.b1 + p.b2, Parameter("b1", 0.5), Parameter("b2", 0.3, bounds=(0.0, 5.0)))
+    found = fit(model, [record])
+    one = profile(found, [record], "b1")
+    assert (one.low, one.high) == (pytest.approx(-4.3 - half, rel=1e-3), pytest.approx(0.7 + half, abs=0.004))
+    assert one.drop.max() < 4 * DROP  # what only closed a bracket is not drawn
+    other = profile(found, [record], "b2")
+    assert (other.low, other.high) == (0.0, 5.0)
+    assert other.notes == ("lower side: reaches its bound", "upper side: reaches its bound")
+
+
+def test_where_the_likelihood_is_not_a_number_it_says_so() -> None:
+    record, half = scattered(0.2, 1.0)
+    one = profile(fit(curve(lambda p: np.sqrt(p.b), Parameter("b", 0.5)), [record]), [record], "b")
+    assert math.isnan(one.low)
+    assert one.high == pytest.approx((0.2 + half) ** 2, rel=0.01)
+    (note,) = one.notes
+    assert note.startswith("lower side: the likelihood cannot be evaluated beyond ")
+    assert float(note.rpartition(" ")[2]) == pytest.approx(0.0, abs=0.02)
+
+
+@pytest.mark.parametrize(("y", "z", "s"), [(-1.0, -0.3, 1.5), (-0.8, -0.3, 1.2)])  # the second leaps over the summit
+def test_a_better_optimum_on_the_way_takes_its_place(y: float, z: float, s: float) -> None:
+    """Two summits, the fit on the lower one; between them the likelihood drops by less than 1.92."""
+    model = plain_model(
+        "summits", f=lambda x, u, p: {"a": 0.0 * x.a},
+        h=lambda x, u, p: {"y": x.a + 0.6 * np.cos(3 * p.b), "z": x.a + p.b},
+        states=(State("a", x0=0.0, sd0=0.0),), inputs=(),
+        sensors=(Sensor("one", (Output("y", noise="e"), Output("z", noise="e"))),),
+        parameters=(Parameter("b", 0.9), Parameter("e", 1.5, transform="log")))
+    few, _ = scattered(y, s)
+    record = replace(few, y=np.hstack([few.y, few.y[::-1] - y + z]), outputs=("y", "z"))
+    found, other = (fit(model, [record], start={"b": b}) for b in (0.9, -0.9))
+    assert found.converged
+    assert other.converged
+    assert found.estimate("b")[0] > 0.6 > -0.7 > other.estimate("b")[0]
+    one, same = (profile(f, [record], "b") for f in (found, other))
+    assert one.value == pytest.approx(same.value, abs=1e-3)
+    assert (one.low, one.high) == pytest.approx((same.low, same.high), rel=0.02)
+    assert one.drop.min() == 0.0
+    gain = other.log_likelihood - found.log_likelihood
+    assert one.notes == (f"a better fit was found on the way, by {gain:.2g}, and the profile is of that: fit again "
+                         "from there",)
+    assert same.notes == ()
+
+
+@pytest.mark.parametrize("name", ["c2", "c1", "d"])
+def test_beside_and_along_a_plateau(name: str) -> None:
+    """The end of the dead zone stands between two set-points; nothing tells where, so nothing may follow it."""
+    found, record = steps(0.07), stepped_record(0.07)
+    one = profile(found, [record], name)
+    value, error = found.estimate(name)
+    assert one.low == pytest.approx(value - 1.96 * error, abs=0.2 * error)
+    assert one.high == pytest.approx(value + 1.96 * error, abs=0.2 * error)
 
 
 def test_what_was_not_estimated_is_named(few: tuple[Fit, Record]) -> None:
