@@ -23,7 +23,7 @@ from ident.study_cases import make_case
 
 Say = Callable[[str], None]
 BATCH = 25  # replicates a task at most: they are simulated together
-TASK_S = 10.0  # s that a task may take: so long a line waits, and so much is lost when the study is stopped
+TASK_S = 10.0  # s of CPU that a task takes: so long a line waits, and so much is lost when the study is stopped
 ROWS = 3  # version of what a line holds
 OWN = ("euler", "study", "fit", "restricted", "scoring", "pe", "prepared", "uncertainty")  # files that results hang on
 
@@ -65,12 +65,13 @@ def _results(case: Case, todo: Sequence[int], seed: int, method: Method, jobs: i
     else:
         found = run(calls)
     for seconds, rows in found:
-        pace.took(len(rows), seconds)
+        pace.took(rows, seconds)
         yield rows
 
 
 class _Pace:
-    """How many replicates make a task: one at first, then what takes about ``TASK_S`` by what the last one took."""
+    """How many replicates make a task: one at first, then what takes ``TASK_S`` by what the last one took, and at least
+    as many as need as long to be estimated as to be simulated, which one does not do much sooner than many."""
 
     def __init__(self, todo: Sequence[int]) -> None:
         self.todo, self.size = todo, 1
@@ -83,15 +84,18 @@ class _Pace:
             at += len(task)
             yield task
 
-    def took(self, n: int, seconds: float) -> None:
-        """A task of ``n`` took so long."""
-        self.size = int(min(max(n * TASK_S / max(seconds, 1e-6), 1), 2 * n, BATCH))
+    def took(self, rows: Sequence[Row], seconds: float) -> None:
+        """A task took so much CPU."""
+        simulation = sum(r["simulation"] for r in rows)
+        each = max((seconds - simulation) / len(rows), 1e-6)
+        self.size = int(min(max(max(TASK_S - simulation, simulation) / each, 1), 2 * len(rows), BATCH))
 
 
 def _timed(case: Case, numbers: Sequence[int], seed: int, method: Method) -> tuple[float, list[Row]]:
-    began = time.monotonic()
+    """CPU seconds and rows of a task."""
+    began = time.process_time()
     rows = replicates(case, numbers, seed, method)
-    return time.monotonic() - began, rows
+    return time.process_time() - began, rows
 
 
 def read(out: Path) -> list[Row]:

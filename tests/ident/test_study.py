@@ -198,16 +198,19 @@ def test_a_study_that_is_killed_leaves_what_it_has_done(tmp_path: Path) -> None:
 
 
 def test_tasks_are_sized_by_the_time_they_take() -> None:
-    pace, sizes = study_job._Pace(range(200)), []
-    for task in pace.tasks():
-        sizes.append(len(task))
-        pace.took(len(task), 1.5 * len(task))
-    assert sizes[:4] == [1, 2, 4, 6]  # 10 s each
-    assert sum(sizes) == 200
-    pace.took(6, 1000.0)
-    assert pace.size == 1
-    pace.took(100, 0.001)
-    assert pace.size == study_job.BATCH
+    def sizes(simulation: float, fit: float) -> list[int]:
+        pace, found = study_job._Pace(range(200)), []
+        for task in pace.tasks():
+            found.append(len(task))
+            rows: list[Row] = [{"k": k, "simulation": simulation / len(task)} for k in task]
+            pace.took(rows, simulation + fit * len(task))
+        assert sum(found) == 200
+        return found
+
+    assert sizes(1.0, 1.5)[:4] == [1, 2, 4, 6]  # 10 s each
+    assert set(sizes(1.0, 1000.0)) == {1}
+    assert sizes(0.1, 0.001)[:6] == [1, 2, 4, 8, 16, study_job.BATCH]
+    assert sizes(20.0, 2.0)[3:6] == [8, 10, 10]  # one at a time would be ten times the simulations
 
 
 @pytest.mark.parametrize("backend", ["threading", "multiprocessing"])
