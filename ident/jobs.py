@@ -259,5 +259,5 @@ def validity(stage: Stage) -> dict[str, tuple[float, float]]:
             found[state.name] = (float(np.percentile(z, 1)), float(np.percentile(z, 99)))
     for j, name, _ in shown_inputs(stage.model):
         z = np.concatenate([v.record.u[:, j] for v in views])
-        found[name] = (float(z.min()), float(z.max()))
+        found.setdefault(name, (float(z.min()), float(z.max())))  # a yaw rate that is an input, too, is the state's
     return found

@@ -15,6 +15,7 @@ from ident.engine.lines import Program, parameters_of, programs
 from ident.engine.rowwise import Rowwise
 from ident.model import Model, State
 from ident.modelfile import SavedModel
+from ident.models.kinematic import OFFSETS
 from ident.models.thruster import DELAY_STEP
 from ident.params import Parameter
 
@@ -114,6 +115,8 @@ def without_nuisance(model: Model) -> tuple[Model, tuple[State, ...]]:
     effects = [e for e in model.effects if e.name in NUISANCE]
     swing = "bench" in model.provides
     states = {s.name for e in effects for s in e.states} | ({SWING} if swing else set())
+    if "attitude" in model.provides:
+        states |= {s.name for s in OFFSETS}
     parameters = {p.name for e in effects for p in e.parameters} | ({"q_f", "tau_f"} if swing else set())
     smaller = replace(
         model,

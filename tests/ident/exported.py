@@ -19,6 +19,7 @@ from ident.model import Input, Model, Output, Sensor, State, plain_model
 from ident.modelfile import SavedModel
 from ident.models.disturbance import for_diagnosis
 from ident.models.horizontal import horizontal
+from ident.models.kinematic import kinematic
 from ident.models.surge import surge
 from ident.models.thruster import thruster
 from ident.models.yaw import yaw
@@ -73,6 +74,7 @@ def odd() -> Model:
 MODELS = {
     "shaft with every effect": with_effects("shaft"), "force with every effect": with_effects("force"),
     "general": horizontal("general"), "as fitted": for_diagnosis(horizontal("shaft")) + catalogue()["pendulum"],
+    "measured attitude": for_diagnosis(kinematic(yaw=True)),
     "thruster": thruster(), "surge": surge("shaft", "both"), "yaw": yaw("both"), "odd": odd(),
 }
 ALONE = {n: vehicle_for(e) + e for n, e in catalogue().items() if "bench" not in e.requires}

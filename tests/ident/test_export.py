@@ -20,6 +20,7 @@ from ident.export.content import content, identifiers, prefix
 from ident.model import Output, Sensor, State, plain_model
 from ident.models.disturbance import for_diagnosis
 from ident.models.horizontal import horizontal
+from ident.models.kinematic import kinematic
 from ident.models.thruster import thruster
 from ident.oe import simulate
 from ident.params import Parameter
@@ -134,6 +135,16 @@ def test_unexplained_forces_left_out_are_process_noise_of_the_same_strength() ->
     found = speed.std() / math.sqrt(n * dt)
     assert c.state_noise[c.states.index("u")] == pytest.approx(found, rel=0.05)
     assert content(saved(model), nuisance=True).state_noise[3] == 1e-4
+
+
+def test_offsets_of_a_measured_attitude_are_left_out_like_all_others() -> None:
+    model = for_diagnosis(kinematic(yaw=True))
+    assert content(saved(model)).states == ("x", "y", "u", "v", "r")
+    text = export(saved(model), "python")
+    left = "Left out, since a controller wants the boat: bias_psi, bias_r, b_X, b_Y, b_N, bias_ax, bias_ay"
+    assert left in text
+    assert "bias" not in text.replace(left, "")
+    assert {"bias_psi", "bias_r", "bias_ax"} <= set(content(saved(model), nuisance=True).states)
 
 
 def test_identifiers_are_valid_and_different() -> None:

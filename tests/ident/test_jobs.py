@@ -11,10 +11,13 @@ import pytest
 from daq.errors import SeatrialError
 from ident.dataset import Channel
 from ident.given import with_known, with_rig
-from ident.jobs import choose_model
+from ident.jobs import choose_model, validity
 from ident.loading import Loaded, load_run
+from ident.models import make_model
 from ident.models.horizontal import horizontal
-from ident.stage import Run
+from ident.stage import Run, first_stage
+from tests.ident.rolling import Fitted
+from tests.ident.rolling import sail as rolling_sail
 from tests.missions import boat_log, boat_with, rig_of
 
 AHRS = ("psi", "r", "ax", "ay")
@@ -61,6 +64,18 @@ def test_what_is_known_is_taken_and_fixed() -> None:
     assert (model.values["y_left"], model.values["y_right"]) == (-0.15, 0.15)
     with pytest.raises(SeatrialError, match="--fix mass: model horizontal has no such parameter; it has m_u"):
         with_known(horizontal(), None, {"mass": 1.0})
+
+
+def test_the_range_of_a_state_is_its_own_where_an_input_has_its_name() -> None:
+    """The yaw rate of ``kinematic:shaft:yaw``: 1 % to 99 % of the filtered one, not all that the gyro showed."""
+    channels, _ = rolling_sail(Fitted(), 40.0, 4)
+    stage = first_stage(make_model("kinematic:shaft:yaw"), [Run("run", channels)], [], rate=20.0)
+    (view,) = stage.estimation
+    r = view.run.x_filt[:, [s.name for s in stage.model.states].index("r")]
+    ranges = validity(stage)
+    assert ranges["r"] == pytest.approx(tuple(np.percentile(r, (1, 99))))
+    assert ranges["r"][1] < view.record.u[:, list(view.record.inputs).index("r")].max()
+    assert {"u", "v", "n_left", "phi", "q"} <= set(ranges)
 
 
 def test_a_log_is_loaded_with_times_from_its_own_start(tmp_path: Path) -> None:

@@ -183,25 +183,39 @@ def _drawn(record: Record, v: np.ndarray, rng: np.random.Generator) -> np.ndarra
     return y
 
 
+def with_rows_between(record: Record) -> Record:
+    """The same samples, and three rows without any in each interval, on the line between its inputs."""
+    between = [record.t[:-1] + share * np.diff(record.t) for share in (0.21, 0.5, 0.83)]
+    t = np.sort(np.concatenate([record.t, *between]))
+    y = np.full((t.size, record.y.shape[1]), np.nan)
+    y[np.searchsorted(t, record.t)] = record.y
+    u = np.column_stack([np.interp(t, record.t, column) for column in record.u.T])
+    return replace(record, t=t, y=y, u=u, u_next=np.vstack([u[1:], u[-1:]]))
+
+
 def test_a_row_without_samples_changes_nothing() -> None:
-    """Rows of NaN in a linear system with a constant input are the same as no rows."""
-    base = linear_record()
-    base = replace(base, u=np.full_like(base.u, 0.3), u_next=np.full_like(base.u, 0.3))
-    fine = np.linspace(base.t[0], base.t[-1], 2001)
-    t = np.union1d(base.t, fine)
-    y = np.full((t.size, 2), np.nan)
-    y[np.searchsorted(t, base.t)] = base.y
-    dense = replace(base, t=t, y=y, u=np.full((t.size, 1), 0.3), u_next=np.full((t.size, 1), 0.3))
-    sparse_y = y.copy()
-    sparse_y[::2] = np.where(np.isin(t[::2], base.t)[:, None], y[::2], np.nan)
-    v, likelihood = values_of(linear()), Likelihood(linear())
-    assert likelihood.value(dense, v) == likelihood.value(replace(dense, y=sparse_y), v)
-    assert likelihood.value(base, v) == pytest.approx(likelihood.value(dense, v), rel=2e-4)
-    without_rows = np.isfinite(base.y).any(axis=1)
-    without_rows[[0, -1]] = True
-    kept = replace(base, t=base.t[without_rows], u=base.u[without_rows], u_next=base.u_next[without_rows],
-                   y=base.y[without_rows])
-    assert likelihood.value(kept, v) == pytest.approx(likelihood.value(base, v), rel=2e-3)
+    """Of a system that every step integrates exactly; twice as many such rows, and rows with one sample of two."""
+    model, record = linear(), linear_record()
+    v, likelihood = values_of(model), Likelihood(model)
+    once = with_rows_between(record)
+    assert np.isfinite(once.y).any(axis=1).sum() == np.isfinite(record.y).any(axis=1).sum() < once.t.size / 3
+    value = likelihood.value(record, v)
+    for denser in (once, with_rows_between(once)):
+        assert likelihood.value(denser, v) == pytest.approx(value, rel=1e-13)
+        np.testing.assert_allclose(likelihood.gradient(denser, v)[1], likelihood.gradient(record, v)[1], rtol=1e-10)
+    seen = likelihood.filter(once, v).x_filt[np.searchsorted(once.t, record.t)]
+    np.testing.assert_allclose(seen, likelihood.filter(record, v).x_filt, rtol=1e-12)
+
+
+def test_a_row_without_samples_changes_a_nonlinear_system_by_the_error_of_its_steps_alone() -> None:
+    """Which vanishes as they are divided by four and more, again and again."""
+    model, records = turning(), [turning_record()]
+    for _ in range(4):
+        records.append(with_rows_between(records[-1]))
+    values = [Likelihood(model).value(r, values_of(model)) for r in records]
+    changes = np.abs(np.diff(values))
+    assert np.all(changes[1:] < changes[:-1] / 8)
+    assert changes[-1] < 1e-8 * abs(values[-1])
 
 
 def test_an_absent_sensor_is_a_model_without_it() -> None:
