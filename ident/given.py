@@ -30,16 +30,18 @@ def with_rig(model: Model, rig: Any) -> tuple[Model, list[str]]:
 
 
 def _with_antenna(model: Model, rig: Any) -> tuple[Model, list[str]]:
-    arms = [d.lever_arm_m for d in rig.devices if d.lever_arm_m is not None and any(d.lever_arm_m)]
+    felt = slice(2 if "hull" in model.provides else 3)  # a level boat does not feel the height
+    arms = [d.lever_arm_m for d in rig.devices if d.lever_arm_m is not None and any(d.lever_arm_m[felt])]
     seen = sorted(GNSS & {o.name for o in model.outputs})
-    if not arms or not seen or ("hull" in model.provides and not any(arms[0][:2])):
+    if not arms or not seen:
         return model, []
-    part = antenna_of(model, arms[0])
-    if model.accepts(part):
-        return model + part, []
     where = ", ".join(f"{a:g} m {way}" for a, way in zip(arms[0], ("ahead", "to starboard", "down"), strict=True))
-    return model, [f"the rig's antenna ({where}) is not in model {model.name}, which takes "
-                   f"{', '.join(seen)} as that of the origin"]
+    part = antenna_of(model, arms[0])
+    if not model.accepts(part):
+        return model, [f"the rig's antenna ({where}) is not in model {model.name}, which takes "
+                       f"{', '.join(seen)} as that of the origin"]
+    first = f"the rig places {len(arms)} antennas; model {model.name} takes the first of them ({where}) for all GNSS"
+    return model + part, [first] if len(set(arms)) > 1 else []
 
 
 def with_effects(model: Model, names: Sequence[str]) -> Model:

@@ -117,6 +117,15 @@ def test_what_the_rig_says_of_the_antenna_is_in_the_model_or_said(source: str, p
     assert lines == ([said] if said else [])
 
 
+def test_of_two_antennas_it_is_said_which_is_taken() -> None:
+    rig = rig_with(ARM)
+    rig.devices += rig_with((1.0, 0.0, 0.0)).devices
+    model, lines = with_rig(horizontal(), rig)
+    assert model.values["antenna_x"] == 0.5
+    assert lines == ["the rig places 2 antennas; model horizontal takes the first of them (0.5 m ahead, -0.3 m to "
+                     "starboard, -0.8 m down) for all GNSS"]
+
+
 @pytest.mark.parametrize(("source", "name", "said"), [
     ("kinematic:shaft", "wind", "--with wind: model kinematic cannot take it into account; it can have current-drift"),
     ("horizontal:shaft", "sail", "--with sail: model horizontal knows no such effect; it can have accelerometer-scale"),
