@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ident.uncertainty import Uncertainty
 
 Array = NDArray[np.float64]
-MOST, FEWEST = 40, 12  # blocks of all records; or 4 and 2 of each parameter, where that is more
+MOST, FEWEST = 40, 12  # blocks of all records
 LONG = 9.0  # times the memory: blocks that miss a twentieth of the variance, which is given back
 WINDOW = 5.0  # times the memory, over which it is summed (Sokal 1997, section 3)
 TOO_LONG = "its residuals remember too long for an error that allows for it"
@@ -36,27 +36,31 @@ def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes
 def _variance(parts: Sequence[Array], n_parameters: int) -> float:
     """Of the sum of all rows of all records; what as many parameters have taken of it is given back."""
     n = sum(part.size for part in parts)
-    remembered = max(memory(part) for part in parts)
+    remembered = memory(parts)
     length = max(LONG * remembered, n / max(MOST, 4 * n_parameters))
     counts = [max(int(part.size / length), 1) for part in parts]
-    if sum(counts) < max(FEWEST, 2 * n_parameters):
+    n_blocks = sum(counts)
+    if n_blocks < FEWEST:
         return np.nan
     total = 0.0
     for part, count in zip(parts, counts, strict=True):
         starts = np.linspace(0, part.size, count, endpoint=False).astype(int)
         total += float(np.sum(np.add.reduceat(part, starts) ** 2))
     missed = 0.5 * (remembered - 1.0) / length  # by blocks that cut an exponential memory
-    return total * sum(counts) / (sum(counts) - n_parameters) / (1.0 - missed)
+    taken = min(n_parameters, n_blocks // 2)  # as if each had fitted a block: a little too careful
+    return total * n_blocks / (n_blocks - taken) / (1.0 - missed)
 
 
-def memory(x: Array) -> float:
-    """Rows that x (n,) remembers: the sum of its autocorrelations from lag 0 on, both sides; 1 for white noise."""
-    x = x - x.mean()
-    size = 1 << (2 * x.size - 1).bit_length()
-    power = np.abs(np.fft.rfft(x, size)) ** 2
-    covariance = np.fft.irfft(power, size)[: x.size]
+def memory(parts: Sequence[Array]) -> float:
+    """Rows that series (n,) of one kind remember: the sum of their autocorrelations, both sides; 1 for white noise."""
+    longest = max(part.size for part in parts)
+    covariance = np.zeros(longest)
+    for part in parts:
+        size = 1 << (2 * part.size - 1).bit_length()
+        power = np.abs(np.fft.rfft(part - part.mean(), size)) ** 2
+        covariance[: part.size] += np.fft.irfft(power, size)[: part.size]
     if not covariance[0] > 0.0:
         return 1.0
     tau = 2.0 * np.cumsum(covariance / covariance[0]) - 1.0
-    enough = np.flatnonzero(np.arange(x.size) >= WINDOW * tau)
-    return float(max(tau[enough[0]] if enough.size else x.size, 1.0))
+    enough = np.flatnonzero(np.arange(longest) >= WINDOW * tau)
+    return float(max(tau[enough[0]] if enough.size else longest, 1.0))

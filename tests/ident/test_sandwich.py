@@ -38,11 +38,11 @@ def regression(keep: float, seed: int) -> tuple[float, float]:
 
 
 def test_memory_of_first_order_noise() -> None:
-    assert memory(np.random.default_rng(0).standard_normal(N)) == pytest.approx(1.0, abs=0.3)
-    found = np.mean([memory(coloured(0.9, k)) for k in range(20)])
+    assert memory([np.random.default_rng(0).standard_normal(N)]) == pytest.approx(1.0, abs=0.3)
+    found = np.mean([memory([coloured(0.9, k)]) for k in range(20)])
     assert found == pytest.approx((1 + 0.9) / (1 - 0.9), rel=0.15)
-    assert memory(np.zeros(50)) == 1.0
-    assert memory(np.linspace(-1.0, 1.0, 500)) > 50.0
+    assert memory([np.zeros(50)]) == 1.0
+    assert memory([np.linspace(-1.0, 1.0, 500)]) > 50.0
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.8, 0.95])

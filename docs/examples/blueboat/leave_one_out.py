@@ -66,19 +66,22 @@ def percent(squares: Array) -> list[float]:
 
 
 def score(model: Model, records: Sequence[Record], *, left_out: bool) -> dict[str, Any]:
-    """Fit in per cent per run and pooled: on the runs left out one by one, or on those that were fitted."""
+    """Fit in per cent per run and pooled: on the runs left out one by one, or on those that were fitted; and the
+    parameters of all runs with two standard errors, that for coloured residuals and that of the jackknife over runs."""
     everything = fitted_from_first_samples(model, records, {})
-    start, parts, predicted = everything.model.values, [], []
+    start, parts, predicted, each = everything.model.values, [], [], []
     for k, record in enumerate(records):
         others = [*records[:k], *records[k + 1 :]]
         fitted = fitted_from_first_samples(model, others, start).model if left_out else everything.model
+        each.append([fitted.values[n] for n in everything.names])
         y = simulate(fitted, record).y
         predicted.append(trace(record, y))
         parts.append(sums(record, y))
     rows = {r.name: dict(zip(CHANNELS, percent(p), strict=True)) for r, p in zip(records, parts, strict=True)}
     pooled = dict(zip(CHANNELS, percent(np.sum(parts, axis=0)), strict=True))
-    names = zip(everything.names, everything.values, everything.robust_errors, strict=True)
-    parameters = {n: [float(v), float(e)] for n, v, e in names}
+    jackknife = np.sqrt((len(each) - 1) * np.var(each, axis=0))
+    names = zip(everything.names, everything.values, everything.robust_errors, jackknife, strict=True)
+    parameters = {n: [float(v), float(e), float(j)] for n, v, e, j in names}
     return {"runs": rows, "pooled": pooled, "parameters": parameters, "traces": predicted}
 
 
@@ -123,8 +126,8 @@ def main(words: Sequence[str] | None = None) -> int:
     last = found[f"{given.model[-1]}, left out"]
     for run, row in last["runs"].items():
         print(line(f"  {run}", row))
-    for name, (value, error) in last["parameters"].items():
-        print(f"  {name:<12}{value:10.3f} +- {error:.3f}")
+    for name, (value, error, jackknife) in last["parameters"].items():
+        print(f"  {name:<12}{value:10.3f} +- {error:.3f}, by the jackknife {jackknife:.3f}")
     if given.out:
         given.out.write_text(json.dumps(found), encoding="utf-8")
     return 0
