@@ -104,3 +104,12 @@ def test_what_cannot_be_tested_is_said() -> None:
     fixed = replace(one, names=tuple(n for n in one.names if n != "m"))
     with pytest.raises(SeatrialError, match="no free parameter"):
         agreement(fixed, data, "m")
+
+
+def test_a_restricted_fit_is_compared_with_restricted_ones() -> None:
+    """Its errors are larger by what the dynamics took of the noise; the likelihood ratio is of the maxima."""
+    data, model = records((40.0, 41.0), 3), pushed()
+    model = replace(model, states=(replace(model.states[0], noise=0.0),))
+    plain, restricted = (agreement(fit(model, data, restricted=r), data, "m") for r in (False, True))
+    assert (restricted.errors > 1.0005 * plain.errors).all()
+    assert restricted.lr == pytest.approx(plain.lr, abs=1e-3)
