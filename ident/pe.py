@@ -45,7 +45,8 @@ class FilterRun:
     e (n_rows, n_outputs) measured minus predicted, NaN where nothing was measured; R (n_outputs,) variances of
     the measurement noise; eps, S (n_rows, n_outputs): innovations and variances one after the other, each given
     those before it in its row, so that eps / sqrt(S) is white; ll (n_rows,) what the row adds to ln L; allowed
-    (n_outputs,): where outliers are allowed, None: nowhere.
+    (n_outputs,): where outliers are allowed, None: nowhere; left (n_rows, n_outputs): outliers at the start that the
+    filter did not get to see.
     """
 
     t: Array
@@ -60,6 +61,7 @@ class FilterRun:
     S: Array
     ll: Array
     allowed: NDArray[np.bool_] | None = None
+    left: NDArray[np.bool_] | None = None
 
     @property
     def value(self) -> float:
@@ -74,10 +76,9 @@ class FilterRun:
 
     @cached_property
     def outliers(self) -> NDArray[np.bool_]:
-        """Samples that the filter took for outliers (n_rows, n_outputs)."""
-        if self.allowed is None:
-            return np.zeros(self.eps.shape, dtype=bool)
-        return np.asarray(self.allowed & (weight(self.eps / np.sqrt(self.S)) < LIKELY))
+        """Samples that were taken for outliers (n_rows, n_outputs)."""
+        left = np.zeros(self.eps.shape, dtype=bool) if self.left is None else self.left
+        return left if self.allowed is None else left | self.allowed & (weight(self.eps / np.sqrt(self.S)) < LIKELY)
 
 
 class Likelihood:
@@ -172,7 +173,7 @@ class Likelihood:
             record.t, *_mean_and_covariance(done["predicted"], n), *_mean_and_covariance(done["filtered"], n),
             done["Phi"].reshape(n_rows, n, n).swapaxes(1, 2), done["e"], R,
             np.hstack([rows[f"e{b}"] for b in bits]), np.hstack([rows[f"S{b}"] for b in bits]), done["ll"][:, 0],
-            np.array([o.robust for o in self.model.outputs]))
+            np.array([o.robust for o in self.model.outputs]), data.wild)
 
     def forecast(self, record: Record, values: Array, x: Array, P: Array, first: int, last: int) -> tuple[Array, Array]:
         """From ``x`` (n_states,) and ``P`` (n_states, n_states) at the row ``first`` and the inputs alone: means
@@ -187,7 +188,7 @@ class Likelihood:
         return _mean_and_covariance(done["predicted"], n)
 
     def measured(self, record: Record) -> int:
-        """How many numbers were measured in a record."""
+        """How many measured numbers of a record the likelihood is of."""
         return self._prepare(record).n_measured
 
     def _start(self, record: Record, values: Array) -> tuple[Prepared, Start]:

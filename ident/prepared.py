@@ -12,20 +12,23 @@ from ident.dataset import Record
 from ident.model import Model
 
 Array = NDArray[np.float64]
-N_AGREE = 5  # samples of a sensor with outliers that the first is chosen from
-FAR = 4.0  # times the least median distance; in steady motion the first is at twice that
+N_AGREE = 7  # samples of a sensor with outliers that the first is chosen from
+FAR = 4.0  # times the least median distance from a straight line
+WILD = 4.0  # times the typical second difference of all samples: about eight standard deviations of white noise
 
 
 @dataclass(frozen=True)
 class Prepared:
     """rows: ``u``, ``u_next`` (n_rows, n_inputs), ``y`` (n_rows, n_outputs), ``h`` (n_rows,); mask (n_rows,) uint32
-    with a bit for each sensor; first: the first measurement of each output, NaN where there is none."""
+    with a bit for each sensor; first: the first measurement of each output, NaN where there is none; wild (n_rows,
+    n_outputs): outliers before it, of which the mask knows nothing."""
 
     n_rows: int
     rows: dict[str, Array]
     mask: NDArray[np.uint32]
     first: Array
     n_measured: int
+    wild: NDArray[np.bool_]
 
 
 class Preparer:
@@ -53,6 +56,7 @@ class Preparer:
             record = record.for_model(model)
         self._check(record)
         there = np.isfinite(record.y)
+        first, wild = _first(model, record, there)
         mask = np.zeros(record.n_rows, np.uint32)
         first_output = 0
         for bit, sensor in enumerate(model.sensors):
@@ -63,10 +67,12 @@ class Preparer:
             if partly.size:
                 raise ValueError(f"record {record.name}: a sample of {sensor.name} at {record.t[partly[0]]:g} s has "
                                  "some of its outputs and lacks others")
-            mask |= np.where(whole, np.uint32(1 << bit), np.uint32(0))
+            of_it = wild[:, first_output - len(sensor.outputs):first_output]
+            of_it |= of_it.any(axis=1, keepdims=True)  # a sample is taken or left as a whole
+            mask |= np.where(whole & ~of_it[:, 0], np.uint32(1 << bit), np.uint32(0))
         rows = {"u": record.u, "u_next": record.u_next, "y": record.y, "h": record.h}
         contiguous = {name: np.ascontiguousarray(a, dtype=np.float64) for name, a in rows.items()}
-        return Prepared(record.n_rows, contiguous, mask, _first(model, record.y, there), int(there.sum()))
+        return Prepared(record.n_rows, contiguous, mask, first, int((there & ~wild).sum()), wild)
 
     def _check(self, record: Record) -> None:
         model, n = self.model, record.n_rows
@@ -87,22 +93,55 @@ class Preparer:
                                  f"model {model.name} holds it")
 
 
-def _first(model: Model, y: Array, there: NDArray[np.bool_]) -> Array:
-    found = np.full(y.shape[1], np.nan)
+def _first(model: Model, record: Record, there: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
+    """The first measurement of each output (n_outputs,), and the outliers before it (n_rows, n_outputs).
+
+    To begin elsewhere is not enough: while the state is uncertain any sample is likely, so the filter would take an
+    outlier in full, be sure of it, and take the good ones after it for outliers.
+    """
+    found, wild = np.full(there.shape[1], np.nan), np.zeros(there.shape, dtype=bool)
     for j in np.flatnonzero(there.any(axis=0)):
         output = model.outputs[j]
-        samples = y[np.flatnonzero(there[:, j])[: N_AGREE if output.robust else 1], j]
-        found[j] = samples[_agreeing(samples, output.angle)]
-    return found
+        rows = np.flatnonzero(there[:, j])
+        k = _agreeing(record.t[rows], record.y[rows, j], output.angle) if output.robust else 0
+        found[j], wild[rows[:k], j] = record.y[rows[k], j], True
+    return found, wild
 
 
-def _agreeing(samples: Array, angle: bool) -> int:
-    """The first sample that is not far from most: a filter that begins at an outlier takes the rest for outliers."""
-    apart = samples[:, None] - samples
-    if angle:
-        apart = np.mod(apart + np.pi, 2 * np.pi) - np.pi
-    distance = np.median(np.abs(apart), axis=1)
-    return int(np.argmax(distance <= FAR * distance.min()))
+def _agreeing(t: Array, samples: Array, angle: bool) -> int:
+    """The first sample that is not far from where most of those at the start are, along a straight line through them
+    (Siegel 1982: its slope is the median of each sample's median slope to all others), or one before it that the next
+    two lead to, as in a curve.
+
+    Far is several times what second differences typically are; where they are nought, as they often are of a sensor of
+    coarse resolution, they do not count.
+    """
+    bend = np.abs(_apart(np.diff(_apart(np.diff(samples), angle)), angle))
+    bend = bend[bend > 0.0]
+    if not bend.size:
+        return 0
+    reach = WILD * float(np.median(bend))
+    t, y = t[:N_AGREE], samples[:N_AGREE]
+    y = _apart(y - y[np.argmin(_distances(y, angle))], angle)
+    dt = t[:, None] - t + np.diag(np.full(t.size, np.nan))
+    slope = np.median(np.nanmedian((y[:, None] - y) / dt, axis=1))
+    distance = _distances(y - slope * t, False)
+    k = int(np.argmax(distance <= max(FAR * distance.min(), reach)))
+    while 0 < k < y.size - 1:
+        led = y[k] + (y[k + 1] - y[k]) / (t[k + 1] - t[k]) * (t[k - 1] - t[k])
+        if abs(y[k - 1] - led) > reach:
+            break
+        k -= 1
+    return k
+
+
+def _distances(samples: Array, angle: bool) -> Array:
+    """Of each sample, the median of how far it is from all."""
+    return np.asarray(np.median(np.abs(_apart(samples[:, None] - samples, angle)), axis=1))
+
+
+def _apart(difference: Array, angle: bool) -> Array:
+    return np.mod(difference + np.pi, 2 * np.pi) - np.pi if angle else difference
 
 
 @dataclass(frozen=True)

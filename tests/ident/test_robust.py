@@ -17,7 +17,7 @@ from ident.models.horizontal import horizontal
 from ident.oe import output_error
 from ident.params import Parameter
 from ident.pe import Likelihood
-from ident.prepared import Preparer
+from ident.prepared import Preparer, _agreeing
 from ident.stage import Run, first_stage, outliers
 from tests.ident.toys import turning, turning_record, values_of
 from tests.missions import boat_with, channels_of, sail
@@ -205,6 +205,61 @@ def test_a_record_does_not_start_from_an_outlier() -> None:
     assert Preparer(robust.robust(model))(record).first[0] == 3.10
     steady = replace(record, y=np.where(np.isfinite(y), y[::-1].copy(), y))
     assert Preparer(robust.robust(model))(steady).first[0] == -3.06
+
+
+@pytest.fixture(scope="module")
+def uncertain() -> tuple[Model, Record, Fit]:
+    """A heading that starts from the compass and is hardly known before it, a record, and its fit."""
+    heading = replace(turning().states[0], from_output="psi", sd0=1.0)
+    model = replace(turning(), states=(heading, turning().states[1])).with_free(FREE)
+    record = turning_record(11, 600)
+    return model, record, fit(model, [record], robust=True)
+
+
+@pytest.mark.parametrize("hit", [(0,), (1,), (2,), (3,), (4,), (0, 1), (0, 2), (0, 4)])
+def test_outliers_among_the_first_samples_do_not_matter(uncertain: tuple[Model, Record, Fit], hit: tuple[int, ...]
+                                                        ) -> None:
+    """While nothing is known an outlier looks likely: taken in full, it would make outliers of the good ones."""
+    model, record, clean = uncertain
+    y, rows = record.y.copy(), np.flatnonzero(np.isfinite(record.y[:, 0]))[list(hit)]
+    y[rows, 0] += 0.5 * np.array([1.0, 1.7])[: len(hit)]
+    spoilt = replace(record, y=y)
+    found = fit(model, [spoilt], robust=True)
+    assert np.abs((found.values - clean.values) / clean.errors).max() < 0.3
+    run = Likelihood(found.model).filter(spoilt, found.record_values[0])
+    assert np.flatnonzero(run.outliers[:, 0]).tolist() == rows.tolist()
+    assert np.isnan(run.standardised[rows, 0]).all()
+    notes = robust.outlier_notes(found.model, [run.outliers], [np.isfinite(y)])
+    assert notes[0].startswith(f"psi: {len(hit)} of ")
+    assert found.n_measured == int(np.isfinite(y).sum()) - (hit[0] == 0) * (2 if hit == (0, 1) else 1)
+
+
+def test_a_sample_at_the_start_is_left_as_a_whole() -> None:
+    """One output of two is wild: the sensor's sample says nothing of either; a sensor without outliers is believed."""
+    record = turning_record(11, 600)
+    first = np.flatnonzero(np.isfinite(record.y[:, 1]))[0]
+    y = record.y.copy()
+    y[first, 2] += 3.0
+    spoilt = replace(record, y=y)
+    wild = Preparer(robust.robust(turning()))(spoilt).wild
+    assert np.argwhere(wild).tolist() == [[first, 1], [first, 2]]
+    assert not Preparer(turning())(spoilt).wild.any()
+    model = robust.robust(turning())
+    gone = replace(spoilt, y=np.where(wild, np.nan, y))
+    assert Likelihood(model).value(spoilt, values_of(model)) == Likelihood(model).value(gone, values_of(model))
+
+
+def test_good_samples_at_the_start_are_kept() -> None:
+    """Noise, steady and accelerated motion, coarse resolution, a turn through pi, too few samples."""
+    rng, t = np.random.default_rng(3), 0.1 * np.arange(200)
+    noise = rng.standard_normal((300, 200))
+    for moved in (0.0 * t, 50.0 * t, 20.0 * t**2, 20.0 * np.sin(2.0 * t), np.cumsum(noise[0])):
+        assert not any(_agreeing(t, moved + one, False) for one in noise)
+    assert not any(_agreeing(t, 3.0 * np.sin(3.0 * t + k) + 0.05 * one, False) for k, one in enumerate(noise))
+    assert not any(_agreeing(t, np.round(0.3 * one), False) for one in noise)
+    assert not any(_agreeing(t, np.mod(3.1 + 2.0 * t + 0.02 * one + np.pi, 2 * np.pi) - np.pi, True) for one in noise)
+    assert _agreeing(t[:2], np.array([0.0, 9.0]), False) == 0
+    assert _agreeing(t, np.append(9.0, np.round(0.3 * noise[0][1:])), False) == 1
 
 
 def test_an_unknown_sensor_is_named() -> None:
