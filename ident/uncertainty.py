@@ -109,7 +109,7 @@ def _beside_bounds(
 def _blind(
     information: Array, names: Sequence[str], labels: Sequence[str]
 ) -> tuple[NDArray[np.bool_], list[tuple[str, str]]]:
-    """Parameters that take part in a combination the data do not see, and that combination."""
+    """Parameters that take part in a combination the data do not see, and each such combination."""
     blind = np.diag(information) <= 0
     flags = [(names[i], "the data do not depend on it") for i in np.flatnonzero(blind).tolist()]
     seen: list[int] = np.flatnonzero(~blind).tolist()
@@ -117,14 +117,27 @@ def _blind(
         return blind, flags
     scale = np.sqrt(np.diag(information)[seen])
     w, V = np.linalg.eigh(information[np.ix_(seen, seen)] / np.outer(scale, scale))
-    for k in np.flatnonzero(w < BLIND):
-        part = V[:, k] / scale  # in the coordinates themselves
+    for direction in _apart(V[:, w < BLIND]):
+        part = direction / scale  # in the coordinates themselves
         part = part / part[np.argmax(np.abs(part))]
-        members: list[int] = np.flatnonzero(np.abs(V[:, k]) > NAMED).tolist()
+        members: list[int] = np.flatnonzero(np.abs(direction) > NAMED).tolist()
         blind[[seen[m] for m in members]] = True
         terms = " ".join(f"{part[m]:+.2g} {labels[seen[m]]}" for m in members)
         flags += [(names[seen[m]], f"not identified: the data do not see a change of {terms}") for m in members]
     return blind, flags
+
+
+def _apart(V: Array) -> Array:
+    """A basis (n_null, n) of what the columns of V (n, n_null) span, each of unit length and of few parameters:
+    eigenvectors of equal eigenvalues are any mixture. By Gauss and Jordan, the largest pivot first."""
+    rows = V.T.copy()
+    for i in range(len(rows)):
+        row, pivot = divmod(int(np.argmax(np.abs(rows[i:]))), V.shape[0])
+        rows[[i, i + row]] = rows[[i + row, i]]
+        rows[i] /= rows[i, pivot]
+        others = np.arange(len(rows)) != i
+        rows[others] -= np.outer(rows[others, pivot], rows[i])
+    return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
 
 
 def _inverse(information: Array) -> Array:

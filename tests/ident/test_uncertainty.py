@@ -59,3 +59,28 @@ def test_intervals_cover_wherever_the_truth_lies(correlation: float, true_b: flo
         hits[1] += abs(z[1] - true_b) < 1.96 * found.errors[1] if z[1] > 0 else true_b <= found.limits[1]
     assert (hits / n > 0.925).all()
     assert (hits / n < 0.99).all()
+
+
+@pytest.mark.parametrize("size", [np.ones(6), np.array([1.0, 2.0, 0.5, 3.0, 1.0, 0.01])])
+@pytest.mark.parametrize(("unseen", "said"), [
+    ([[1, -1, 0, 0, 0, 0], [0, 0, 1, 2, 0, 0]], {"a": {"a", "b"}, "b": {"a", "b"}, "c": {"c", "d"}, "d": {"c", "d"}}),
+    ([[1, 1, 1, 0, 0, 0], [0, 0, 0, 0, 1, -1], [0, 0, 0, 0, 0, 1]], {n: {"a", "b", "c"} for n in "abc"}),
+])
+def test_each_combination_that_is_not_seen_is_named_by_itself(unseen: list[list[int]], said: dict[str, set[str]],
+                                                              size: np.ndarray) -> None:
+    """Eigenvectors of a null space of several dimensions are any mixture; what is said must not depend on it."""
+    rng = np.random.default_rng(5)
+    J = np.linalg.svd(np.array(unseen) * size)[2][len(unseen):] * size  # nothing but the unseen gives J z = 0
+    J = rng.standard_normal((9, len(J))) @ J
+    information = J.T @ J
+    free = Bounds(np.full(6, -np.inf), np.full(6, np.inf), np.zeros(6, dtype=bool))
+    information[np.abs(information) < 1e-12 * np.abs(information).max()] = 0.0
+    found = assess(Evaluation(0.0, np.zeros(6), information, np.zeros(6)), np.zeros(6), free, tuple("abcdef"),
+                   np.ones(6), np.zeros(6))
+    combinations = {name: set(text.rpartition(" of ")[2].split()[1::2]) for name, text in found.flags
+                    if text.startswith("not identified")}
+    assert combinations == said
+    lost = {name for name, _ in found.flags}
+    assert np.isnan(found.errors).tolist() == [name in lost for name in "abcdef"]
+    if "d" in said:
+        assert dict(found.flags)["d"].endswith("a change of +0.5 c +1 d")
