@@ -93,6 +93,7 @@ def fit(
     max_iterations: int = 60,
     tolerance: float = TOLERANCE,
     coloured: bool = True,
+    joseph: bool = False,
     progress: Progress | None = None,
     threads: int = 2,
 ) -> Fit:
@@ -103,8 +104,9 @@ def fit(
     it. start: values to begin with instead of the model's, ``V_x@0`` those of a record. robust: allow outliers in all
     sensors (``ident.robust`` allows them in some). restricted: estimate noise without the bias that the dynamics give
     it (``ident.restricted``; not in output error). tolerance: gain in log-likelihood below which the search ends.
-    coloured: work out ``robust_errors``. progress: called with the iteration and the log-posterior. Raises ValueError,
-    naming the record, where a record does not fit the model or cannot be evaluated.
+    coloured: work out ``robust_errors``. joseph: the longer form of the covariance update, for a start that is
+    uncertain by many orders. progress: called with the iteration and the log-posterior. Raises ValueError, naming the
+    record, where a record does not fit the model or cannot be evaluated.
     """
     began = time.process_time()
     if not records:
@@ -118,7 +120,7 @@ def fit(
     model = model.with_values({n: v for n, v in (start or {}).items() if "@" not in n})
     if robust:
         model = _with_outliers(model, records, method, begin, max_iterations, threads)
-    likelihood = Likelihood(model, process_noise=method == "pe")
+    likelihood = Likelihood(model, joseph=joseph, process_noise=method == "pe")
     problem = Problem(likelihood, records, _estimable(model, method), threads, begin)
     if not problem.names:
         raise ValueError(f"model {model.name} has no free parameters")

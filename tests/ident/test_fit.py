@@ -145,6 +145,24 @@ def test_noise_that_is_not_there_goes_to_zero_and_is_flagged() -> None:
     assert result.estimate("q2")[0] < 0.01
 
 
+def test_josephs_form_survives_a_start_that_is_hardly_known() -> None:
+    """Uncertain by nine orders more than the sensor: the shorter form loses the difference to rounding."""
+    def slide(sd0: float) -> Model:
+        return plain_model(
+            "slide", f=lambda x, u, p: {"s": x.v, "v": -p.d * x.v}, h=lambda x, u, p: {"y": x.s},
+            states=(State("s", sd0=sd0), State("v", sd0=sd0, noise="q")), inputs=(),
+            sensors=(Sensor("one", (Output("y", noise="e"),)),),
+            parameters=(Parameter("d", 0.5, transform="log"), Parameter("q", 0.01, free=False),
+                        Parameter("e", 0.001, free=False)))
+
+    t = 0.1 * np.arange(100)
+    y = 3.0 + (1.0 - np.exp(-0.3 * t)) / 0.3 + 0.001 * np.random.default_rng(0).normal(size=100)
+    record = Record("slide", t, np.zeros((100, 0)), np.zeros((100, 0)), y[:, None], (), ("y",))
+    known, joseph = fit(slide(1e3), [record]), fit(slide(1e6), [record], joseph=True)
+    assert joseph.converged
+    assert joseph.estimate("d") == pytest.approx(known.estimate("d"), rel=0.05)
+
+
 def test_a_record_that_cannot_be_evaluated_names_itself() -> None:
     model = turning().with_free(FREE)
     with pytest.raises(ValueError, match="record run 0: the likelihood of model turning cannot be evaluated"):
