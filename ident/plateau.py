@@ -21,6 +21,7 @@ from ident.uncertainty import DROP, Z95
 Array = NDArray[np.float64]
 TRIED = 10.0 ** np.arange(-2.0, 5.0)  # times a step of the parameter that is small but felt
 N_HALVINGS = 12
+Fallen = Callable[[float], bool | None]
 
 
 @dataclass(frozen=True)
@@ -53,37 +54,50 @@ def plateaus(value: Callable[[Array], float], z: Array, parameters: Sequence[Par
         step = p.step or 0.01 * abs(p.value) or 1.0
         if bounds.logarithmic[i] or not bounds.low[i] < z[i] < bounds.high[i] or error < step:
             continue
-        tried = np.unique(np.minimum(step * TRIED, Z95 * error))  # beyond that, a fall is no news
-        low, high = (_fall(value, z, i, sign * tried, bounds) for sign in (-1.0, 1.0))
-        if np.isfinite([low, high]).any():
-            low, high = max(low, bounds.low[i]), min(high, bounds.high[i])
-            if high - low < Z95 * error:
-                found.append(Plateau(i, float(low), float(high)))
+        tried, fallen = np.unique(np.minimum(step * TRIED, Z95 * error)), _fallen(value, z, i)
+        sides = [_bracket(fallen, np.clip(z[i] + sign * tried, bounds.low[i], bounds.high[i]), float(z[i]))
+                 for sign in (-1.0, 1.0)]
+        if not any(np.isfinite(outer) for _, outer in sides) or sides[1][0] - sides[0][0] > Z95 * error:
+            continue
+        low, high = (_narrowed(fallen, *side) for side in sides)
+        low, high = max(low, bounds.low[i]), min(high, bounds.high[i])
+        if high - low < Z95 * error:
+            found.append(Plateau(i, float(low), float(high)))
     return found
 
 
-def _fall(value: Callable[[Array], float], z: Array, i: int, tried: Array, bounds: Bounds) -> float:
-    """Where along coordinate i the likelihood has fallen, looked for at the distances ``tried`` (either sign);
-    infinite where it does not, or where it ends before it has."""
+def _fallen(value: Callable[[Array], float], z: Array, i: int) -> Fallen:
+    """Whether the likelihood has fallen where coordinate i has another value; None where it is no number."""
     top = value(z)
 
-    def there(x: float) -> float:
+    def fallen(x: float) -> bool | None:
         moved = z.copy()
         moved[i] = x
-        return value(moved)
+        there = value(moved)
+        return bool(there < top - DROP) if np.isfinite(there) else None
 
-    def fallen(x: float) -> bool:
-        return not there(x) > top - DROP
+    return fallen
 
-    inner = float(z[i])
-    for outer in np.clip(z[i] + tried, bounds.low[i], bounds.high[i]).tolist():
-        if fallen(outer):
-            for _ in range(N_HALVINGS):
-                middle = 0.5 * (inner + outer)
-                inner, outer = (inner, middle) if fallen(middle) else (middle, outer)
-            return float(outer if np.isfinite(there(outer)) else np.copysign(np.inf, tried[0]))
+
+def _bracket(fallen: Fallen, tried: Array, z: float) -> tuple[float, float]:
+    """The last of the tried that has not fallen and the first that has; infinite where none has."""
+    inner = z
+    for outer in tried.tolist():
+        if fallen(outer) is not False:
+            return inner, outer
         inner = outer
-    return float(np.copysign(np.inf, tried[0]))
+    return inner, float(np.copysign(np.inf, tried[-1] - z))
+
+
+def _narrowed(fallen: Fallen, inner: float, outer: float) -> float:
+    """Where in between it falls; infinite where it ends before it has fallen."""
+    if not np.isfinite(outer):
+        return outer
+    side = outer - inner
+    for _ in range(N_HALVINGS):
+        middle = 0.5 * (inner + outer)
+        inner, outer = (inner, middle) if fallen(middle) is not False else (middle, outer)
+    return outer if fallen(outer) else float(np.copysign(np.inf, side))
 
 
 def informed(at: Evaluation, found: Sequence[Plateau]) -> Evaluation:
