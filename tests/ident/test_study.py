@@ -356,3 +356,23 @@ def test_the_snippet_of_the_how_to_runs(tmp_path: Path, monkeypatch: pytest.Monk
     exec(compile(code, "study.md", "exec"), found)
     assert len(found["rows"]) == 4
     assert (tmp_path / "mine.jsonl").exists()
+
+
+def test_make_study_and_its_page_have_every_model() -> None:
+    root = Path(__file__).parents[2]
+    recipe = (root / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
+    words = next(line for line in recipe if " ident study " in line).split()
+    assert set(CASES) - {"designed"} <= set(words)
+    replicates = words[words.index("--replicates") + 1]
+    assert int(replicates) >= 500
+    page = root / words[words.index("--docs") + 1]
+    text = page.read_text(encoding="utf-8")
+    assert f"--replicates {replicates} " in text.splitlines()[2]
+    for name in set(CASES) - {"designed"}:
+        section = text.partition(f"## {name}, PE\n")[2].partition("\n## ")[0]
+        assert f"; {replicates} replicates, 0 failed, " in section
+        assert f"](pictures/study-{name}.svg)" in section
+        drawn = (page.parent / f"pictures/study-{name}.svg").read_text(encoding="utf-8")
+        told = re.findall(r"^\| (\w+) \| \d", section, re.MULTILINE)
+        assert set(told) == set(make_case(name, seconds=20.0).model.free)
+        assert all(f">{parameter}</text>" in drawn for parameter in told)
