@@ -18,6 +18,7 @@ Flags = NDArray[np.bool_]
 LARGEST_STEP = 1.5  # in a logarithm: a factor 4.5
 UNFELT = 0.5  # change of the objective by such a step that is hardly one
 HOPELESS = 1e12  # damping
+RUN_AWAY = 1e30  # information that no data give
 FADED = 1e-4  # of the largest information a coordinate ever had: what its damping is at least measured by
 SLIGHT = 0.05  # of the tolerance: what a step gains that is not worth the next one
 NEAR = 3.0  # gain of a step below which the objective is about quadratic
@@ -43,8 +44,10 @@ class Evaluation:
 
     @property
     def finite(self) -> bool:
+        """Whether it can be gone on from. Where the simulation is about to run away the value may still be a number, but
+        the sensitivities have run away already, and seem to leave nothing to gain."""
         return bool(np.isfinite(self.value) and np.isfinite(self.gradient).all()
-                    and np.isfinite(self.information).all())
+                    and np.isfinite(self.information).all() and np.diag(self.information).max(initial=0.0) < RUN_AWAY)
 
 
 @dataclass(frozen=True)

@@ -80,3 +80,17 @@ def test_a_coordinate_that_loses_its_information_does_not_end_the_search() -> No
     np.testing.assert_allclose(top.z[:2], [1.0, 1.0], atol=1e-3)
     assert 1.0 <= top.z[2] < 1.1
     assert top.gain_left < 1e-10
+
+
+def running_away(z: np.ndarray) -> scoring.Evaluation:
+    """A bowl about 1, but beyond 3, where a simulation would run away: better than the slope it was reached from, and
+    with sensitivities of another world."""
+    if z[0] > 3.0:
+        return scoring.Evaluation(-20.0, np.array([1e24]), np.array([[1e48]]), np.zeros(1))
+    return scoring.Evaluation(float(-2.0 * (z[0] - 1.0) ** 2), -4.0 * (z - 1.0), np.array([[1.0]]), np.zeros(1))
+
+
+def test_a_search_does_not_go_where_the_simulation_runs_away() -> None:
+    bounds = scoring.Bounds(np.full(1, -INF), np.full(1, INF), np.zeros(1, dtype=bool))
+    top = scoring.maximise(running_away, np.array([-4.0]), bounds, max_iterations=60, tolerance=1e-10)
+    assert top.z[0] == pytest.approx(1.0, abs=1e-4)
