@@ -44,6 +44,7 @@ def run_navigation(
     """Navigate every log; all times [s] count from the start of a log. ``thruster``: the static curve that the model
     was fitted with."""
     saved = load_model(model_path)
+    model = replace(saved.model, second_order=False)  # in a long outage a heading may be spread too widely for it
     curve = known_curve(thruster)
     known = Known.of(saved.errors, saved.names, saved.correlation)
     names = [p.stem for p in logs]
@@ -54,7 +55,7 @@ def run_navigation(
     for path in logs:
         say(f"navigating {path.name}")
         loaded.append(completed(load_run(path, "navigated", t_from, t_to), saved.model.source, curve))
-        done, t0 = _navigate(saved.model, loaded[-1], known, smoothed, without_gnss, rate)
+        done, t0 = _navigate(model, loaded[-1], known, smoothed, without_gnss, rate)
         parts.append((done, t0, outages(done)))
         tables.append(_columns(done, t0))
     result = envelope(loaded, command) | {

@@ -44,8 +44,8 @@ class Evaluation:
 
     @property
     def finite(self) -> bool:
-        """Whether it can be gone on from. Where the simulation is about to run away the value may still be a number, but
-        the sensitivities have run away already, and seem to leave nothing to gain."""
+        """Whether it can be gone on from. Where the simulation is about to run away the value may still be a number,
+        but the sensitivities have run away already, and seem to leave nothing to gain."""
         return bool(np.isfinite(self.value) and np.isfinite(self.gradient).all()
                     and np.isfinite(self.information).all() and np.diag(self.information).max(initial=0.0) < RUN_AWAY)
 
