@@ -69,10 +69,13 @@ def ahead(model: Model, record: Record, values: Array, x: Array, seconds: float)
 def free_run(
     model: Model, record: Record, values: Array, likelihood: Likelihood | None = None, doubt: Doubt | None = None
 ) -> FreeRun:
-    """The filter gets 15 s of measurements and then the inputs only; its covariance is the prediction's own band.
+    """The filter gets 15 s of measurements and then the inputs only; its covariance is the prediction's own band, and
+    its mean is of first order.
 
     ``doubt``: of the parameters (``ident.doubt``), which widens the band; None takes them for known.
     """
+    if model.second_order:  # far ahead a heading is spread too widely for a series of second order in it
+        model, likelihood = replace(model, second_order=False), None
     likelihood = likelihood or Likelihood(model)
     blind = record.t > record.t[0] + WARM_UP
     y = record.y.copy()

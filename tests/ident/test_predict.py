@@ -9,6 +9,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from ident.dataset import Record
+from ident.model import Output, Sensor, State, plain_model
+from ident.params import Parameter
 from ident.pe import Likelihood
 from ident.predict import HORIZON, WARM_UP, Errors, free_run, one_step, pooled, ratio_interval, ten_seconds, wrap
 from tests.ident.sliders import D, M, slide, slider
@@ -71,6 +73,26 @@ def test_a_free_run_knows_only_its_first_seconds() -> None:
     assert free.errors["speed"].e[-1] == pytest.approx(record.y[-1, 0] - x[1], abs=1e-6)
     seen = record.y[blind, 0]
     assert free.errors["speed"].spread == pytest.approx(seen[np.isfinite(seen)].std())
+
+
+def test_a_free_run_goes_no_faster_than_the_boat_when_its_heading_is_lost() -> None:
+    """Of the cosine of a heading that is spread over the whole circle a series of second order makes any speed."""
+    model = plain_model(
+        "adrift",
+        f=lambda x, u, p: {"x": np.cos(x.psi), "psi": p.turn},
+        h=lambda x, u, p: {"x": x.x, "psi": x.psi},
+        states=(State("x", "m", from_output="x", sd0=0.1), State("psi", "rad", "", "s", from_output="psi", sd0=0.1)),
+        inputs=(),
+        sensors=(Sensor("all", (Output("x", "m", "e"), Output("psi", "rad", "e", angle=True))),),
+        parameters=(Parameter("s", 0.5), Parameter("e", 0.05), Parameter("turn", 0.1)),
+    )
+    t, psi = np.arange(0.0, 200.0, 0.1), 0.1 * np.arange(0.0, 200.0, 0.1)
+    y, none = np.column_stack([np.sin(psi) / 0.1, psi]), np.empty((t.size, 0))
+    record = Record("lost", t, none, none, y, (), ("x", "psi"))
+    bent = replace(model, second_order=True)
+    free = free_run(bent, record, values_of(bent), Likelihood(bent))
+    assert np.abs(np.diff(free.y[:, 0])).max() < 0.11
+    assert free.errors["x"].rms < 25.0  # a circle of 10 m, its centre off by the last heading that was seen
 
 
 def test_the_band_of_a_free_run_covers() -> None:
