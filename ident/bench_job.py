@@ -16,17 +16,16 @@ from ident.bench_start import first_guess, shaft_guess
 from ident.cautions import cautions
 from ident.curve_job import is_static, static_curve
 from ident.dataset import Record, build_record
-from ident.doubt import doubt_of
 from ident.fit import Fit, fit
 from ident.jobs import Say, write_all
-from ident.loading import Loaded, envelope, load_run
+from ident.judged import Judged, calibration_notes, judged_alone
+from ident.loading import Loaded, check_ahead, envelope, load_run
 from ident.model import Model
 from ident.models.thruster import delay_step, on_a_copy, thruster
-from ident.outcome import Json, fit_part, residual_part
-from ident.pe import FilterRun, Likelihood
-from ident.predict import FreeRun, free_run, one_step
+from ident.outcome import Json, fit_part
+from ident.pe import Likelihood
 from ident.profile import check_names, profile, profile_part
-from ident.robust import outlier_notes
+from ident.stage import Stage, View, outliers
 
 Array = NDArray[np.float64]
 DEAD_ZONES = tuple(0.0025 * k for k in range(81))  # up to a fifth of full command
@@ -43,18 +42,21 @@ def bench(
     profiles: Sequence[str] = (),
     robust: bool = False,
     restricted: bool = True,
+    horizon: float | None = None,
     command: str,
     say: Say,
 ) -> Json:
     """Fit the thruster model to bench logs of one thruster, or a static curve where nobody measured the shaft.
 
     ``profiles``: parameters that get a profile likelihood; ``robust``: allow outliers; ``restricted``:
-    noise by restricted likelihood.
+    noise by restricted likelihood; ``horizon``: s ahead that predictions are judged, one by default.
     """
     loaded = [load_run(path, "estimation") for path in logs]
     if is_static(loaded, name):
-        _refuse(logs[0], [*(["--robust"] if robust else []), *(["--profile"] if profiles else [])])
+        asked = {"--robust": robust, "--profile": profiles, "--ahead": horizon is not None}
+        _refuse(logs[0], [option for option, given in asked.items() if given])
         return static_curve(loaded, out, name=name, settle=settle, command=command, say=say)
+    check_ahead(horizon, loaded)
     name = name or thruster_name(loaded[0])
     has_force = all("force" in x.run.channels for x in loaded)
     model = thruster(force=has_force)
@@ -67,7 +69,10 @@ def bench(
     fitted, records = fit_on_a_copy(model, records, lambda m: [_record(m, x, name) for x in loaded],
                                     robust=robust, restricted=restricted)
     result = envelope(loaded, command) | {"kind": "thruster", "fit": fit_part(fitted, model.values)}
-    result |= _judged(fitted, records) | {"cautions": cautions(fitted, records)}
+    views = tuple(View(fitted.model, r, v) for r, v in zip(records, fitted.record_values, strict=True))
+    stage = Stage(fitted.model, fitted, views, ())
+    result |= judged_alone(Judged(stage, horizon)) | {"cautions": cautions(fitted, records)}
+    result["notes"] = outliers(stage) + calibration_notes(result["calibration"], result["horizon"])
     if has_force:
         result["static"] = _static(fitted, loaded, name)
     if profiles:
@@ -141,50 +146,6 @@ def fit_thruster(model: Model, records: Sequence[Record], *, robust: bool = Fals
 def _record(model: Model, loaded: Loaded, name: str) -> Record:
     channels = thruster_channels(loaded, model, name)
     return build_record(model, channels, name=loaded.run.name, rate=RATE)
-
-
-def _judged(fitted: Fit, records: Sequence[Record]) -> Json:
-    """What the fit leaves, one step ahead and running freely, and which samples it took for outliers."""
-    model, likelihood = fitted.model, Likelihood(fitted.model)
-    each = list(zip(records, fitted.record_values, strict=True))
-    runs = [likelihood.filter(r, v) for r, v in each]
-    frees = [free_run(model, r, v, likelihood, doubt_of(fitted, i)) for i, (r, v) in enumerate(each)]
-    notes = outlier_notes(model, [r.outliers for r in runs], [np.isfinite(r.y) for r in records])
-    return _evidence(model, records, runs, frees) | {"notes": notes}
-
-
-def _evidence(model: Model, records: Sequence[Record], runs: Sequence[FilterRun], frees: Sequence[FreeRun]) -> Json:
-    part: Json = {"traces": [], "inputs": [], "residuals": [], "cross": []}
-    errors: Json = {"one_step": {}, "free_run": {}}
-    for record, run, free in zip(records, runs, frees, strict=True):
-        part["inputs"].append(
-            {"record": record.name, "name": "n_cmd", "unit": "", "t": record.t, "value": record.u[:, 0]}
-        )
-        for j, o in enumerate(model.outputs):
-            seen = np.isfinite(record.y[:, j])
-            part["traces"].append(
-                {
-                    "record": record.name,
-                    "role": "estimation",
-                    "channel": o.name,
-                    "unit": o.unit,
-                    "angle": False,
-                    "t": record.t[seen],
-                    "measured": record.y[seen, j],
-                    "model": free.y[seen, j],
-                    "sd": free.sd[seen, j],
-                    "before": None,
-                }
-            )
-        residuals, cross = residual_part(model, record, run.standardised)
-        part["residuals"] += residuals
-        part["cross"] += cross
-        for kind, found in (("one_step", one_step(model, record, run)), ("free_run", free.errors)):
-            for name, e in found.items():
-                unit = next(o.unit for o in model.outputs if o.name == name)
-                errors[kind][name] = {"before": None, "after": e.rms, "unit": unit, "low": None, "high": None}
-    part["before_after"] = {"estimation": errors}
-    return part
 
 
 def _static(fitted: Fit, loaded: Sequence[Loaded], name: str) -> Json:

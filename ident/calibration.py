@@ -21,11 +21,11 @@ from ident.dataset import Record
 from ident.engine.rowwise import Rowwise
 from ident.model import Model
 from ident.pe import FilterRun, Likelihood
-from ident.predict import HORIZON, WARM_UP, FreeRun, wrap
+from ident.predict import MOST, WARM_UP, FreeRun, wrap
 
 Array = NDArray[np.float64]
-STRIDE = 2.0  # s between the starts of ten-second predictions
-LATE = 2.0  # s after the horizon within which a sample must come
+STRIDE = 0.2  # of the horizon, between the starts of predictions over it
+LATE = 0.2  # of the horizon, or a row where that is longer: within which after its end a sample must come
 HALF, NEARLY_ALL = 0.6744898, 1.9599640  # quantiles of 50 % and 95 %
 BINS = 10
 TOLERANCE = 1.1  # times that the errors may be larger or smaller than claimed
@@ -92,16 +92,21 @@ def one_step(model: Model, run: FilterRun) -> dict[str, Array]:
     return {o.name: run.standardised[:, j] for j, o in enumerate(model.outputs)}
 
 
-def ten_seconds(
-    model: Model, record: Record, values: Array, run: FilterRun, likelihood: Likelihood | None = None
+def ahead(
+    model: Model, record: Record, values: Array, run: FilterRun, seconds: float, likelihood: Likelihood | None = None
 ) -> dict[str, Array]:
-    """Ten seconds ahead of filtered states, every two seconds; the sample is the first one after the horizon."""
+    """``seconds`` ahead of filtered states, from five starts in that time, or fewer in a long record; the sample is
+    the first one after the horizon."""
     likelihood = likelihood or Likelihood(model)
     t, n_rows = record.t, record.n_rows
-    starts = np.unique(np.searchsorted(t, np.arange(t[0], t[-1] - HORIZON, STRIDE)))
-    due = np.searchsorted(t, t[starts] + HORIZON - 1e-6)
+    starts = np.unique(np.searchsorted(t, np.arange(t[0], t[-1] - seconds, STRIDE * seconds)))
+    if not starts.size:
+        return {}
+    starts = starts[:: -(-starts.size // MOST)]
+    due = np.searchsorted(t, t[starts] + seconds - 1e-6)
     ends = np.array([_next(np.isfinite(record.y[:, j]), due) for j in range(len(model.outputs))])
-    late = (ends >= n_rows) | (t[np.minimum(ends, n_rows - 1)] > t[starts] + HORIZON + LATE)
+    latest = t[starts] + seconds + max(LATE * seconds, 1.01 * float(np.median(np.diff(t))))
+    late = (ends >= n_rows) | (t[np.minimum(ends, n_rows - 1)] > latest)
     ends[late] = -1
     x = np.full((*ends.shape, len(model.states)), np.nan)
     P = np.full((*x.shape, len(model.states)), np.nan)

@@ -11,6 +11,7 @@ from ident.check_cli import check, check_page
 from ident.cli_common import (
     FILE,
     LOG,
+    ahead_option,
     command_line,
     known,
     out_option,
@@ -88,6 +89,7 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
 @second_order_option()
 @click.option("--as-is", is_flag=True, help="Do not swap the sides of the thrusters where the data say they are.")
 @validate_option
+@ahead_option
 @rate_option
 @out_option("vehicle")
 def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how: Any) -> None:
@@ -113,6 +115,7 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how
     help="Seconds left out after each change of command, where only force and command were logged.",
 )
 @click.option("--profile", "profiles", multiple=True, metavar="NAME", help="Profile likelihood of this parameter.")
+@ahead_option
 @robust_option
 @restricted_option()
 @out_option("thruster")
@@ -134,6 +137,7 @@ def thruster(logs: tuple[Path, ...], out: Path, **how: Any) -> None:
 @click.argument("model", type=LOG)
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @validate_option
+@ahead_option
 @click.option("--effects", "effects_file", type=LOG, help="FILE.py with EFFECT or EFFECTS: candidates of your own.")
 @click.option("--max-effects", type=click.IntRange(1, 6), default=3, show_default=True, help="Stop after so many.")
 @click.option(

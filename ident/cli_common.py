@@ -85,6 +85,17 @@ def rate_option(f: Callable[..., Any]) -> Callable[..., Any]:
     )(f)
 
 
+def ahead_option(f: Callable[..., Any]) -> Callable[..., Any]:
+    """``--ahead``; None where it is not given."""
+    return click.option(
+        "--ahead",
+        "horizon",
+        type=click.FloatRange(0.02, 3600.0),
+        metavar="SECONDS",
+        help="How far ahead predictions are judged, beside one step and the free run.  [default: 10, on the bench 1]",
+    )(f)
+
+
 def robust_option(f: Callable[..., Any]) -> Callable[..., Any]:
     """``--robust``."""
     return click.option("--robust", is_flag=True, help="Allow outliers in all sensors, and count them.")(f)

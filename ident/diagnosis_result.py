@@ -39,11 +39,11 @@ NAMES = {
 }
 
 
-def diagnosis_result(diagnosis: Diagnosis) -> Json:
-    """All keys of result.json but those of how it was made (logs, command)."""
-    before, after = Judged(diagnosis.before), Judged(diagnosis.after)
+def diagnosis_result(diagnosis: Diagnosis, horizon: float | None = None) -> Json:
+    """All keys of result.json but those of how it was made (logs, command); ``horizon``: s, of ``ident.judged``."""
+    before, after = Judged(diagnosis.before, horizon), Judged(diagnosis.after, horizon)
     roles = ["estimation"] + (["validation"] if diagnosis.after.validation else [])
-    table = {role: before_after(before.errors(role), after.errors(role), diagnosis.after.model) for role in roles}
+    table = {role: before_after(before, after, role) for role in roles}
     judged = table[roles[-1]]
     start = diagnosis.before.model.values
     calibrated = calibration_part(after, roles)
@@ -71,11 +71,12 @@ def diagnosis_result(diagnosis: Diagnosis) -> Json:
             }
             for s in diagnosis.shapes
         ],
+        "horizon": after.horizon,
         "before_after": table,
         "calibration": calibrated,
         "parameters_before_after": _moved(diagnosis),
         "next_experiment": next_experiment(diagnosis),
-        "notes": _notes(diagnosis) + calibration_notes(calibrated),
+        "notes": _notes(diagnosis) + calibration_notes(calibrated, after.horizon),
     }
 
 

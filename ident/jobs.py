@@ -20,12 +20,12 @@ from ident.fit import Fit
 from ident.given import with_effects, with_known, with_priors, with_rig, with_start
 from ident.job_inputs import CURVE_INPUTS, completed, known_curve
 from ident.judged import Judged, calibration_notes, judged_alone
-from ident.loading import Loaded, envelope, load_all
+from ident.loading import Loaded, check_ahead, envelope, load_all
 from ident.model import Input, Model
 from ident.modelfile import load_model, save_model
 from ident.models import make_model
 from ident.models.horizontal import SENSORS
-from ident.outcome import Json, fit_part, plain, residual_part, shown_inputs, write_result
+from ident.outcome import Json, fit_part, plain, shown_inputs, write_result
 from ident.own import own_effects, tried
 from ident.profile import check_names, profile, profile_part
 from ident.report import write_report
@@ -78,6 +78,7 @@ def vehicle(
     restricted: bool = True,
     second_order: bool = True,
     effects: Sequence[str] = (),
+    horizon: float | None = None,
     rate: float,
     command: str,
     say: Say,
@@ -85,11 +86,13 @@ def vehicle(
     """Fit a vehicle model and judge it on the validation logs. ``prior``: mean and standard deviation of parameters;
     ``agree``: parameters to test for one value in all; ``profiles``: parameters that get a profile likelihood;
     ``robust``: allow outliers; ``restricted``: noise by restricted likelihood; ``second_order``: the
-    filter's mean goes with the curvature of the rates; ``effects``: added by name, their parameters free."""
+    filter's mean goes with the curvature of the rates; ``effects``: added by name, their parameters free;
+    ``horizon``: s ahead that predictions are judged, ten by default."""
     curve = load_curve(thruster) if thruster is not None else None
     if curve is not None:
         thruster, source = None, "horizontal:force" if source == "auto" else source
     loaded, unseen = ([completed(x, source, curve) for x in part] for part in load_all(logs, validate))
+    check_ahead(horizon, loaded, unseen)
     model, notes = with_rig(choose_model(source, [*loaded, *unseen]), loaded[0].rig)
     for note in notes:
         say(note)
@@ -101,10 +104,10 @@ def vehicle(
     check_names(nominal(model), profiles)
     runs, others = [x.run for x in loaded], [x.run for x in unseen]
     stage = first_stage(model, runs, others, rate=rate, robust=robust, restricted=restricted, progress=say)
-    result = envelope([*loaded, *unseen], command) | judged_alone(Judged(stage)) | _residuals(stage)
+    result = envelope([*loaded, *unseen], command) | judged_alone(Judged(stage, horizon))
     result |= {"kind": "vehicle", "fit": fit_part(stage.fit, model.values)}
     result["cautions"] = cautions(stage.fit, [v.record for v in stage.estimation])
-    result["notes"] = notes + outliers(stage) + calibration_notes(result["calibration"])
+    result["notes"] = notes + outliers(stage) + calibration_notes(result["calibration"], result["horizon"])
     said = [vehicle_answer(result, searchable="hull" in model.provides)]
     if sides is not None and sides.swapped:
         said.insert(0, sides.line if not as_is else sides.line.removesuffix(" Fitted with the sides swapped."))
@@ -136,6 +139,7 @@ def diagnosis(
     effects_file: Path | None,
     thruster: str | None = None,
     robust: bool = False,
+    horizon: float | None = None,
     command: str,
     say: Say,
 ) -> Json:
@@ -143,9 +147,11 @@ def diagnosis(
 
     ``effects_file``: candidates of the user's own; ``thruster``: the static curve's file that a vehicle's model was
     fitted with, or which one, where the model is a thruster's and the log has several; ``robust``: allow outliers;
-    ``rate``: 10 rows a second by default, 50 on the bench.
+    ``rate``: 10 rows a second by default, 50 on the bench; ``horizon``: s ahead that predictions are judged, 10 by
+    default, 1 on the bench (the search does not look at it).
     """
     loaded, unseen = load_all(logs, validate)
+    check_ahead(horizon, loaded, unseen)
     own = own_effects(effects_file) if effects_file else {}
     saved = load_model(model_path)
     # Maxima of the plain likelihood are compared, by a filter of first order: neither changes what is found, and on
@@ -164,7 +170,7 @@ def diagnosis(
         max_effects=max_effects,
         progress=say,
     )
-    result = envelope([*loaded, *unseen], command) | diagnosis_result(found)
+    result = envelope([*loaded, *unseen], command) | diagnosis_result(found, horizon)
     if result["next_experiment"]:
         result["next_experiment"] = result["next_experiment"].replace("MODEL", str(model_path))
     result["notes"] = outliers(found.after) + result["notes"]
@@ -219,15 +225,6 @@ def _sensed(model: Model, path: Path, loaded: Sequence[Loaded], unseen: Sequence
             f"{loaded[0].about['path']}: none of the sensors of {path} is in the log: {', '.join(lost)}"
         )
     return replace(model, inputs=tuple(as_logged(i, loaded[0].holds.get(i.name, "")) for i in model.inputs))
-
-
-def _residuals(stage: Stage) -> Json:
-    residuals: list[Json] = []
-    cross: list[Json] = []
-    for view in stage.estimation:
-        r, c = residual_part(stage.model, view.record, view.run.standardised)
-        residuals, cross = residuals + r, cross + c
-    return {"residuals": residuals, "cross": cross}
 
 
 def write_all(

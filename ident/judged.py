@@ -10,19 +10,20 @@ from ident import calibration
 from ident.calibration import Calibration
 from ident.doubt import doubt_of
 from ident.model import Model
-from ident.outcome import Json, input_traces
+from ident.outcome import Json, input_traces, residual_part
 from ident.pe import Likelihood
-from ident.predict import Errors, FreeRun, free_run, one_step, pooled, ratio_interval, ten_seconds
+from ident.predict import BLOCK, Errors, FreeRun, ahead, free_run, one_step, pooled, ratio_interval, usual_horizon
 from ident.stage import Stage, View
 
-KINDS = ("one_step", "ten_seconds", "free_run")
+KINDS = ("one_step", "ten_seconds", "free_run")  # the second is over the result's horizon, however long that is
 
 
 class Judged:
-    """Prediction errors of a stage on every record, computed once."""
+    """Prediction errors of a stage on every record, computed once. ``horizon``: s that predictions go ahead between
+    one step and the free run, by default the model's usual one."""
 
-    def __init__(self, stage: Stage) -> None:
-        self.stage = stage
+    def __init__(self, stage: Stage, horizon: float | None = None) -> None:
+        self.stage, self.horizon = stage, horizon or usual_horizon(stage.model)
         self.likelihood = Likelihood(stage.model)
         self.free = {
             role: [
@@ -39,19 +40,18 @@ class Judged:
         model, views = self.stage.model, self.views(role)
         return {
             "one_step": pooled([one_step(model, v.record, v.run) for v in views]),
-            "ten_seconds": pooled([ten_seconds(model, v.record, v.values, v.run) for v in views]),
+            "ten_seconds": pooled([ahead(model, v.record, v.values, v.run.x_filt, self.horizon) for v in views]),
             "free_run": pooled([f.errors for f in self.free[role]]),
         }
-
 
     def calibration(self, role: str) -> dict[str, dict[str, Calibration]]:
         """Whether the errors are as large as the model says they are, by horizon and channel."""
         model, views = self.stage.model, self.views(role)
-        ahead = [calibration.ten_seconds(model, v.record, v.values, v.run, self.likelihood) for v in views]
+        far = [calibration.ahead(model, v.record, v.values, v.run, self.horizon, self.likelihood) for v in views]
         free = [calibration.free_run(model, v.record, f) for v, f in zip(views, self.free[role], strict=True)]
         return {
             "one_step": calibration.pooled([calibration.one_step(model, v.run) for v in views]),
-            "ten_seconds": calibration.pooled(ahead),
+            "ten_seconds": calibration.pooled(far),
             "free_run": calibration.pooled(free, together=True),
         }
 
@@ -67,10 +67,11 @@ def calibration_part(judged: Judged, roles: Sequence[str]) -> Json:
     }
 
 
-def calibration_notes(part: Json) -> list[str]:
-    """A line for each horizon whose bands are wrong, on data that the fit has not seen where there are some."""
+def calibration_notes(part: Json, horizon: float) -> list[str]:
+    """A line for each kind of prediction whose bands are wrong, on data that the fit has not seen where there are some;
+    ``horizon``: s."""
     role = "validation" if "validation" in part else "estimation"
-    words = {"one_step": "one step ahead", "ten_seconds": "10 s ahead", "free_run": "free-running"}
+    words = {"one_step": "one step ahead", "ten_seconds": f"{horizon:g} s ahead", "free_run": "free-running"}
     notes = []
     for verdict, what in (("too sure", "larger"), ("too cautious", "smaller")):
         for kind, channels in part[role].items():
@@ -82,7 +83,7 @@ def calibration_notes(part: Json) -> list[str]:
 
 
 def judged_alone(judged: Judged) -> Json:
-    """Traces and errors of one fitted model, with nothing before it."""
+    """Traces, errors and residuals of one fitted model, with nothing before it."""
     roles = ["estimation"] + (["validation"] if judged.stage.validation else [])
     units = {o.name: o.unit for o in judged.stage.model.outputs}
     table = {
@@ -103,18 +104,33 @@ def judged_alone(judged: Judged) -> Json:
         for role in roles
     }
     calibrated = calibration_part(judged, roles)
-    return {"before_after": table, "calibration": calibrated, **traces(judged, judged, roles, False)}
+    return {
+        "horizon": judged.horizon,
+        "before_after": table,
+        "calibration": calibrated,
+        **traces(judged, judged, roles, False),
+        **_residuals(judged.stage),
+    }
 
 
-def before_after(before: dict[str, dict[str, Errors]], after: dict[str, dict[str, Errors]], model: Model) -> Json:
-    """Root mean square errors by horizon and channel, with the interval of their ratio."""
-    units = {o.name: o.unit for o in model.outputs}
+def _residuals(stage: Stage) -> Json:
+    parts = [residual_part(stage.model, v.record, v.run.standardised) for v in stage.estimation]
+    residuals, cross = ([row for part in parts for row in part[k]] for k in (0, 1))
+    return {"residuals": residuals, "cross": cross}
+
+
+def before_after(before: Judged, after: Judged, role: str) -> Json:
+    """Root mean square errors by kind and channel, with the interval of their ratio."""
+    units = {o.name: o.unit for o in after.stage.model.outputs}
+    old_errors, new_errors = before.errors(role), after.errors(role)
     table: Json = {}
     for kind in KINDS:
         table[kind] = {}
-        for name, old in before[kind].items():
-            new = after[kind][name]
-            low, high = ratio_interval(old, new)
+        # errors over a horizon hang together for as long as it lasts
+        block = max(BLOCK, after.horizon) if kind == "ten_seconds" else BLOCK
+        for name, old in old_errors[kind].items():
+            new = new_errors[kind][name]
+            low, high = ratio_interval(old, new, block=block)
             table[kind][name] = {
                 "before": old.rms,
                 "after": new.rms,

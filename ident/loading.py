@@ -78,6 +78,16 @@ def load_all(logs: Sequence[Path], validate: Sequence[Path]) -> tuple[list[Loade
     return [load_run(p, "estimation") for p in logs], [load_run(p, "validation") for p in validate]
 
 
+def check_ahead(horizon: float | None, loaded: Sequence[Loaded], unseen: Sequence[Loaded] = ()) -> None:
+    """Raises SeatrialError where no log of those that judge is as long as predictions shall go ahead [s]."""
+    longest = max(unseen or loaded, key=lambda x: float(x.about["duration"])).about
+    if horizon is not None and not horizon < longest["duration"]:
+        raise SeatrialError(
+            f"--ahead {horizon:g}: {longest['path']}, the longest log to judge by, lasts {longest['duration']:.1f} s; "
+            "give fewer seconds"
+        )
+
+
 def envelope(loaded: Sequence[Loaded], command: str) -> Json:
     """What every result says of where it came from."""
     return {

@@ -14,12 +14,13 @@ WORDS = {
     "r": "yaw rate",
     "speed": "speed over ground",
 }
+SPELLED = {1.0: "One second", 10.0: "Ten seconds"}
 LEVEL = 0.01
 MEASURED = {"phi", "theta", "psi", "p", "q", "r"}  # inputs that are a sensor's output, with its noise
 
 
 def vehicle_answer(result: Json, *, searchable: bool) -> str:
-    """The error ten seconds ahead, and what the residuals know. ``searchable``: `ident diagnose` can search further."""
+    """The error over the horizon, and what the residuals know. ``searchable``: `ident diagnose` can search further."""
     roles = result["before_after"]
     role = "validation" if "validation" in roles else "estimation"
     rows = roles[role]["ten_seconds"]
@@ -29,7 +30,8 @@ def vehicle_answer(result: Json, *, searchable: bool) -> str:
         degrees = rows[name]["unit"].startswith("rad")
         value, unit = rows[name]["after"], rows[name]["unit"].replace("rad", "deg")
         said.append(f"{word} {value * 180 / np.pi if degrees else value:.2g} {unit}".rstrip())
-    ahead = f"Ten seconds ahead on {role} data the model errs by {', '.join(said)} (rms). " if said else ""
+    horizon = SPELLED.get(result["horizon"], f"{result['horizon']:g} s")
+    ahead = f"{horizon} ahead on {role} data the model errs by {', '.join(said)} (rms). " if said else ""
     return f"{ahead}{_residuals(result, searchable)}"
 
 

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from ident.report import wording
 from ident.report.access import ROLES, Row, array, flag, group, number, rows, text, texts
-from ident.report.sections.errors import HORIZONS
+from ident.report.sections.errors import horizons
 from ident.report.sections.information import place
 from ident.report.sections.profiles import interval
 from ident.report.sections.search import threshold
@@ -219,18 +219,18 @@ def _errors(result: Row) -> Table | None:
     if role is None:
         return None
     data = group(both, role)
-    horizons = [(title, group(data, key)) for key, title in HORIZONS if group(data, key)]
-    channels = list(dict.fromkeys(str(name) for _, table in horizons for name in table))[:MOST_CHANNELS]
+    kinds = [(title, group(data, key)) for key, title in horizons(result) if group(data, key)]
+    channels = list(dict.fromkeys(str(name) for _, table in kinds for name in table))[:MOST_CHANNELS]
     if not channels:
         return None
-    compared = any(number(group(t, c), "before") is not None for _, t in horizons for c in channels)
+    compared = any(number(group(t, c), "before") is not None for _, t in kinds for c in channels)
     table = _table(f"Error before → after, {role} data" if compared else f"Prediction error (rms), {role} data")
     table.add_column("", no_wrap=True)
     table.add_column("", no_wrap=True, style="dim")
-    for title, _ in horizons:
+    for title, _ in kinds:
         table.add_column(title.lower(), justify="right", no_wrap=True)
     for channel in channels:
-        found = [group(table_, channel) for _, table_ in horizons]
+        found = [group(table_, channel) for _, table_ in kinds]
         unit = next((_scaled(row)[1] for row in found if text(row, "unit")), "")
         table.add_row(Text(channel, style="bold"), Text(unit), *(_step(row) for row in found))
     return table

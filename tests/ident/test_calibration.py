@@ -48,7 +48,7 @@ def test_the_bands_are_right_where_the_model_is() -> None:
             assert c.pit.sum() == pytest.approx(1.0)
     assert all(c.verdict != "too sure" for c in found["free_run"].values())
     assert found["ten_seconds"]["x"].n > 100
-    assert calibration_notes(calibration_part(Judged(stage()), ["validation"])) == []
+    assert calibration_notes(calibration_part(Judged(stage()), ["validation"]), 10.0) == []
 
 
 def test_too_little_noise_is_too_sure_at_once() -> None:
@@ -56,7 +56,7 @@ def test_too_little_noise_is_too_sure_at_once() -> None:
     found = judged.calibration("validation")["one_step"]
     assert {n for n, c in found.items() if c.verdict == "too sure"} >= {"x", "y", "psi"}
     assert found["x"].inside_95 < 0.85
-    notes = calibration_notes(calibration_part(judged, ["validation"]))
+    notes = calibration_notes(calibration_part(judged, ["validation"]), 10.0)
     assert any("one step ahead, errors are larger than the model says" in line for line in notes)
 
 

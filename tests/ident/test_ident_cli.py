@@ -104,6 +104,7 @@ def test_vehicle(fitted: Path) -> None:
     assert vehicle["d_vv"]["start"] == 20.0
     assert set(result["before_after"]) == {"estimation", "validation"}
     assert result["before_after"]["validation"]["ten_seconds"]["r"]["after"] < 0.1
+    assert result["horizon"] == 10.0
     assert result["answer"].startswith("Ten seconds ahead on validation data the model errs by position")
     saved = load_model(fitted / "vehicle" / "model.toml")
     low, high = saved.validity["u"]

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from ident.cautions import cautions, stuck
 from ident.dataset import Record
@@ -25,7 +26,15 @@ def said(residuals: list[float], cross: list[tuple[str, float]], channels: str =
     rows = [{"channel": "x", "ljung_box_p": p, "periodogram_p": 0.5} for p in residuals]
     with_inputs = [{"input": name, "p": p} for name, p in cross]
     errors = {"estimation": {"ten_seconds": {}, "one_step": dict.fromkeys(channels)}}
-    return vehicle_answer({"residuals": rows, "cross": with_inputs, "before_after": errors}, searchable=False)
+    told: dict[str, Any] = {"residuals": rows, "cross": with_inputs, "before_after": errors, "horizon": 10.0}
+    return vehicle_answer(told, searchable=False)
+
+
+@pytest.mark.parametrize(("horizon", "words"), [(10.0, "Ten seconds"), (1.0, "One second"), (2.5, "2.5 s")])
+def test_the_horizon_is_told(horizon: float, words: str) -> None:
+    errors = {"estimation": {"ten_seconds": {"x": {"after": 1.5, "unit": "m"}}}}
+    answer = vehicle_answer({"residuals": [], "cross": [], "before_after": errors, "horizon": horizon}, searchable=True)
+    assert answer.startswith(f"{words} ahead on estimation data the model errs by position 1.5 m (rms).")
 
 
 def test_nothing_tested_is_not_white() -> None:
@@ -57,7 +66,7 @@ def test_the_right_model_is_called_so() -> None:
         record = make_record(case, y[k], "r")
         residuals, cross = residual_part(case.model, record, likelihood.filter(record, values[k]).standardised)
         errors = {"estimation": {"ten_seconds": {}}}
-        result: dict[str, Any] = {"residuals": residuals, "cross": cross, "before_after": errors}
+        result: dict[str, Any] = {"residuals": residuals, "cross": cross, "before_after": errors, "horizon": 10.0}
         answers.append(vehicle_answer(result, searchable=False))
     assert len(residuals) == 8
     assert sum(not a.startswith(WHITE) for a in answers) <= 4  # 1.2 expected; more have one chance in 150

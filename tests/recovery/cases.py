@@ -19,7 +19,7 @@ from ident.diagnosis_result import diagnosis_result
 from ident.effects import catalogue
 from ident.findings import Diagnosis
 from ident.outcome import Json
-from ident.predict import Errors, free_run, one_step, pooled, ten_seconds
+from ident.predict import HORIZON, Errors, ahead, free_run, one_step, pooled
 from ident.shapes import Shape
 from ident.stage import Run, Stage
 from mocks.offline import Recording, simulate
@@ -137,7 +137,7 @@ def errors(stage: Stage) -> AllErrors:
     model, views = stage.model, stage.validation
     return {
         "one_step": pooled([one_step(model, v.record, v.run) for v in views]),
-        "ten_seconds": pooled([ten_seconds(model, v.record, v.values, v.run) for v in views]),
+        "ten_seconds": pooled([ahead(model, v.record, v.values, v.run.x_filt, HORIZON) for v in views]),
         "free_run": pooled([dict(free_run(model, v.record, v.values).errors) for v in views]),
     }
 

@@ -10,6 +10,7 @@ import numpy as np
 from ident.report import drawing, wording
 from ident.report.access import Row, array, flag, group, number, rows, text, texts
 from ident.report.blocks import Canvas, Cell, Dumbbell, Dumbbells, EffectCard, Facts, Grid, Prose, Section, Table
+from ident.report.sections.errors import horizon
 
 KEY_PARAMETERS = 9
 
@@ -29,13 +30,13 @@ def section(canvas: Canvas) -> Section:
 def headline(result: Row) -> list[Any]:
     """Free-running error before and after on validation data, else the best there is."""
     sets = (("validation", "free_run"), ("validation", "ten_seconds"), ("estimation", "free_run"))
-    words = {"free_run": "free-running", "ten_seconds": "over 10 s"}
-    for data, horizon in sets:
-        table = group(group(group(result, "before_after"), data), horizon)
+    words = {"free_run": "free-running", "ten_seconds": f"over {horizon(result)}"}
+    for data, kind in sets:
+        table = group(group(group(result, "before_after"), data), kind)
         items = [(str(name), row) for name, row in table.items() if isinstance(row, Mapping) and _both(row)]
         if items:
             caption = (
-                f"Error of the model {words[horizon]} on {data} data, before → after "
+                f"Error of the model {words[kind]} on {data} data, before → after "
                 "(root mean square; the axis is relative to before, the thin line a 95 % interval)"
             )
             return [Dumbbells(_dumbbells(items), caption)]

@@ -10,7 +10,7 @@ import numpy as np
 from ident.report import drawing, wording
 from ident.report.access import ROLES, Row, array, group, number, text
 from ident.report.blocks import Canvas, Cell, Grid, Plot, Prose, Section, Table, tabbed
-from ident.report.sections.errors import HORIZONS
+from ident.report.sections.errors import horizons
 
 COLUMNS = (("channel", ""), ("inside 50 %", "num"), ("inside 95 %", "num"), ("error / claimed", "num"),
            ("95 %", "num"), ("independent", "num"), ("", ""))
@@ -36,7 +36,7 @@ def section(canvas: Canvas) -> Section:
 def _tables(canvas: Canvas, role: str, data: Row) -> list[Any]:
     lines: list[list[Cell | str]] = []
     plots = []
-    for key, title in HORIZONS:
+    for key, title in horizons(canvas.result):
         found = {str(n): row for n, row in group(data, key).items() if isinstance(row, Mapping)}
         lines += [[Cell(title, "group")], *(_line(n, row) for n, row in found.items())] if found else []
         plot = _reliability(canvas, f"{title}, {role} data", found)

@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from ident.report import wording
 from ident.report.access import ROLES, Row, group, number, text, texts
 from ident.report.blocks import Canvas, Cell, Facts, Lines, Prose, Section, Table, tabbed
 
-HORIZONS = (("one_step", "One step ahead"), ("ten_seconds", "10 s ahead"), ("free_run", "Free-running"))
+KINDS = ("one_step", "ten_seconds", "free_run")
+Titles = Sequence[tuple[str, str]]
+
+
+def horizon(result: Row) -> str:
+    """``10 s``: how far ahead predictions were judged, which they were where a result does not say."""
+    return f"{number(result, 'horizon') or 10.0:g} s"
+
+
+def horizons(result: Row) -> Titles:
+    """Key and title of each kind of prediction."""
+    return list(zip(KINDS, ("One step ahead", f"{horizon(result)} ahead", "Free-running"), strict=True))
 
 
 def section(canvas: Canvas) -> Section:
@@ -18,32 +29,33 @@ def section(canvas: Canvas) -> Section:
     compared = any(
         number(row, "before") is not None
         for role in ROLES
-        for key, _ in HORIZONS
+        for key in KINDS
         for row in group(group(both, role), key).values()
         if isinstance(row, Mapping)
     )
-    tabs = [(f"{role} data", _table(group(both, role)) if compared else _alone(group(both, role))) for role in ROLES]
+    titles, table = horizons(canvas.result), _table if compared else _alone
+    tabs = [(f"{role} data", table(group(both, role), titles)) for role in ROLES]
     lead = "Root mean square of measured less predicted."
     if compared:
         lead += " A ratio below 1 is an improvement."
     return Section("errors", "Error before and after" if compared else "Prediction error", tabbed(tabs), lead)
 
 
-def _table(data: Row) -> list[Any]:
+def _table(data: Row, titles: Titles) -> list[Any]:
     columns = (("channel", ""), ("before", "num"), ("after", "num"), ("unit", ""), ("ratio", "num"), ("95 %", "num"))
-    return _grouped(data, columns, _row)
+    return _grouped(data, titles, columns, _row)
 
 
-def _alone(data: Row) -> list[Any]:
+def _alone(data: Row, titles: Titles) -> list[Any]:
     """Of one model: its error, and how much of what was measured it explains."""
-    return _grouped(data, (("channel", ""), ("error", "num"), ("unit", ""), ("fit", "num")), _single)
+    return _grouped(data, titles, (("channel", ""), ("error", "num"), ("unit", ""), ("fit", "num")), _single)
 
 
 def _grouped(
-    data: Row, columns: tuple[tuple[str, str], ...], cells: Callable[[str, Row], list[Cell | str]]
+    data: Row, titles: Titles, columns: tuple[tuple[str, str], ...], cells: Callable[[str, Row], list[Cell | str]]
 ) -> list[Any]:
     lines: list[list[Cell | str]] = []
-    for key, title in HORIZONS:
+    for key, title in titles:
         table = group(data, key)
         found = [cells(str(name), row) for name, row in table.items() if isinstance(row, Mapping)]
         lines += [[Cell(title, "group")], *found] if found else []
