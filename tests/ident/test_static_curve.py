@@ -215,6 +215,8 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "<html" in (tmp_path / "thruster/report.html").read_text()
     run("ident", "thruster", log, "--thruster", "right", "--settle", "0", "--out", str(tmp_path / "one"))
     assert tomllib.loads((tmp_path / "one/model.toml").read_text())["thrusters"] == 1
+    run("ident", "thruster", log, "--robust", "--ahead", "2", "--out", str(tmp_path / "no"), status=1)
+    assert "which --robust and --ahead cannot change" in capsys.readouterr().err
 
 
 def test_commands_that_differ_have_to_be_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
