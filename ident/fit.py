@@ -122,31 +122,43 @@ def fit(
         model = _with_outliers(model, records, method, begin, max_iterations, threads)
     likelihood = Likelihood(model, joseph=joseph, process_noise=method == "pe")
     problem = Problem(likelihood, records, _estimable(model, method), threads, begin)
-    if not problem.names:
-        raise ValueError(f"model {model.name} has no free parameters")
-    told = sum(likelihood.measured(record) for record in records)
-    unknown = int(np.sum(problem.prior[1] == 0))
-    if told < unknown:
-        raise ValueError(f"{', '.join(r.name for r in records)}: {told} measured samples for {unknown} free parameters "
-                         f"of model {model.name} without a prior; give more data, or fix some of them")
+    _check_enough(problem)
     optimum = _search(problem, max_iterations, tolerance, progress)
     mean, weight = problem.prior
     prior_part = -0.5 * float(weight @ (optimum.z - mean) ** 2)
     optimum = restrict(problem, optimum) if restricted and method == "pe" else optimum
-    flat = plateaus(lambda z: problem.value_and_gradient(z)[0], optimum.z, problem.parameters, optimum.at.information,
-                    problem.bounds)
-    slopes = problem.slopes(optimum.z)
-    known = assess(informed(optimum.at, flat), optimum.z, problem.bounds, problem.names, slopes, weight)
-    robust_errors, flags = np.full(optimum.z.size, np.nan), [(problem.names[p.at], p.remark) for p in flat]
-    if coloured:
-        robust_errors = sandwich(known, problem.by_row(optimum.z), slopes)
-        for p in flat:
-            robust_errors[p.at] = known.errors[p.at]  # no row has a part in it
+    known, robust_errors = _known(problem, optimum, coloured)
+    if method == "oe" and coloured:  # by prediction error they are seldom looked at
         lost = np.isfinite(known.errors) & np.isnan(robust_errors)
-        flags += [(problem.names[i], TOO_LONG) for i in np.flatnonzero(lost).tolist()]
-    known = replace(known, flags=(*known.flags, *flags))
+        too_long = [(problem.names[i], TOO_LONG) for i in np.flatnonzero(lost).tolist()]
+        known = replace(known, flags=(*known.flags, *too_long))
     found = _report(problem, optimum, known, robust_errors, method, prior_part, time.process_time() - began)
     return replace(found, restricted=restricted and method == "pe")
+
+
+def _check_enough(problem: Problem) -> None:
+    """Raises ValueError where there is nothing to estimate, or less to do it from."""
+    if not problem.names:
+        raise ValueError(f"model {problem.model.name} has no free parameters")
+    told = sum(problem.likelihood.measured(record) for record in problem.records)
+    unknown = int(np.sum(problem.prior[1] == 0))
+    if told < unknown:
+        names = ", ".join(r.name for r in problem.records)
+        raise ValueError(f"{names}: {told} measured samples for {unknown} free parameters of model "
+                         f"{problem.model.name} without a prior; give more data, or fix some of them")
+
+
+def _known(problem: Problem, optimum: Optimum, coloured: bool) -> tuple[Uncertainty, Array]:
+    """What is known of the estimates, and errors that allow for coloured residuals (n,), NaN where not asked for."""
+    z, slopes = optimum.z, problem.slopes(optimum.z)
+    flat = plateaus(lambda x: problem.value_and_gradient(x)[0], z, problem.parameters, optimum.at.information,
+                    problem.bounds)
+    known = assess(informed(optimum.at, flat), z, problem.bounds, problem.names, slopes, problem.prior[1])
+    known = replace(known, flags=(*known.flags, *[(problem.names[p.at], p.remark) for p in flat]))
+    robust_errors = sandwich(known, problem.by_row(z), slopes) if coloured else np.full(z.size, np.nan)
+    for p in flat if coloured else ():
+        robust_errors[p.at] = known.errors[p.at]  # no row has a part in it
+    return known, robust_errors
 
 
 def _with_outliers(model: Model, records: Sequence[Record], method: Literal["pe", "oe"], begin: Mapping[str, float],
