@@ -33,7 +33,8 @@ N_RESTARTS = 4  # from better optima
 class Profile:
     """A parameter's profile in its own unit; ``name`` as in ``Fit.names`` (``V_x@0``: of record 0).
 
-    value: the estimate, or that of a better fit met on the way, which a note then tells; grid (n,) increasing, drop
+    value: the estimate (where noise was restricted, that of the likelihood's own maximum), or that of a better fit met
+    on the way, which a note then tells; grid (n,) increasing, drop
     (n,) of the log-likelihood there (zero at ``value``); low, high: the 95 % interval, to about a hundredth, NaN where
     a side is open; wald_low, wald_high: the fit's value +- 1.96 standard errors (of the logarithm for a parameter that
     is estimated as one), NaN where there is none; notes: what to know.
@@ -66,6 +67,9 @@ def profile(fit: Fit, records: Sequence[Record], name: str, *, threads: int = 2)
     estimate = problem.bounds.clip(np.array([p.to_free(v) for p, v in zip(problem.parameters, fit.values,
                                                                           strict=True)]))
     line = Line(problem, fit.names.index(full), estimate)
+    if fit.restricted:  # its noise is not that of the maximum, and the profile is of the likelihood
+        line.release(estimate)
+        line.restart()
     before, sides = line.top, _sides(line)
     for _ in range(N_RESTARTS):
         if not line.restart():

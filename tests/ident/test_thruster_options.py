@@ -42,7 +42,8 @@ def test_outliers_are_counted_and_a_profile_is_drawn(log: Path) -> None:
     result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
     (row,) = result["profiles"]
     (c1,) = [p for p in result["fit"]["parameters"] if p["name"] == "c1"]
-    assert row["low"] < row["value"] == c1["value"] < row["high"]
+    assert row["low"] < c1["value"] < row["high"]
+    assert abs(row["value"] - c1["value"]) < 0.1 * c1["se"]  # the maximum's, without the restricted noise
     assert abs(c1["value"] - draw_bench(4).thruster.c1) < 5 * c1["se"]
     (force,) = [line for line in result["notes"] if line.startswith("force:")]
     counted, total = int(force.split()[1]), int(force.split()[3])
