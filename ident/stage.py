@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import counted
+from ident.bench_tops import has_several, highest
 from ident.dataset import Channel, Record, build_record
 from ident.fit import TOLERANCE, Fit, fit
 from ident.model import Effect, Model
@@ -119,14 +120,15 @@ def make_stage(
 ) -> Stage:
     """Fit to the records; on the unseen ones adapt only what each record has for itself. Errors that hold for coloured
     residuals go only with a fit to the full ``tolerance``."""
-    fitted = fit(
-        revived(model, records),
-        [r.for_model(model) for r in records],
-        robust=robust,
-        restricted=restricted,
-        tolerance=tolerance,
-        coloured=tolerance <= TOLERANCE,
-    )
+    begun, rows = revived(model, records), [r.for_model(model) for r in records]
+
+    def fitted_from(start: Mapping[str, float]) -> Fit:
+        return fit(begun, rows, start=start, robust=robust, restricted=restricted, tolerance=tolerance,
+                   coloured=tolerance <= TOLERANCE)
+
+    fitted = fitted_from({})
+    if has_several(model) and tolerance <= TOLERANCE:
+        fitted = highest(fitted, records, fitted_from)
     model = with_outliers(model) if robust else model
     own = [p.name for p in fitted.model.parameters if p.free and p.per_record]
     views = tuple(_view(fitted.model, r, fitted.record_values[i]) for i, r in enumerate(records))
