@@ -1,4 +1,4 @@
-"""A shaft that is heard of every two seconds: a long delay and a quick shaft say nearly what a short one and a slow do."""
+"""A shaft heard of every two seconds: a long delay and a quick shaft say nearly what a short one and a slow do."""
 
 from __future__ import annotations
 
