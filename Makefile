@@ -70,7 +70,7 @@ bench: .venv/ready
 # First what takes minutes rather than hours: the wheel in an empty environment, the tutorials as they are written.
 study: .venv/ready
 	@$(BIN)/python -m pytest -q -m study
-	@$(BIN)/seatrial ident study surge yaw horizontal kinematic thruster noise --replicates 1000 --out build/study \
+	@$(BIN)/seatrial ident study surge yaw horizontal kinematic thruster noise --replicates 2000 --out build/study \
 	    --docs docs/study.md $(SEED_OPTION)
 	@$(BIN)/python -m tests.recovery.study $(SEED_OPTION) --docs
 	@$(BIN)/python -m tests.recovery.bench_study $(SEED_OPTION) --docs

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from ident.model import Model
 from ident.scoring import Evaluation, Optimum, solve_step
+from ident.uncertainty import DROP
 
 if TYPE_CHECKING:
     from ident.problem import Problem
@@ -74,7 +75,7 @@ def restrict(problem: Problem, top: Optimum) -> Optimum:
 
     Noise that is not estimated by its logarithm, that stands at a bound or that the data do not inform stays as it is.
     ``at`` of what is returned has the gradient of the restricted likelihood, but the value of the likelihood at its
-    maximum. Where there is no noise to be estimated, or the step leads nowhere, ``top`` itself is returned.
+    maximum. Where there is no noise to be estimated, or the step leads nowhere (``_errors``), ``top`` is returned.
     """
     names = noise_names(problem.model)
     inside = (top.z > problem.bounds.low) & (top.z < problem.bounds.high) & (np.diag(top.at.information) > 0)
@@ -93,12 +94,24 @@ def restrict(problem: Problem, top: Optimum) -> Optimum:
     if not np.isfinite(slope).all():
         return top
     pushed = replace(top.at, gradient=top.at.gradient + slope)
-    z = problem.bounds.clip(top.z + solve_step(pushed, pushed.hessian, top.z, problem.bounds, 0.0))
+    step = solve_step(pushed, pushed.hessian, top.z, problem.bounds, 0.0)
+    if (np.abs(step) > _errors(top.at.hessian)).any():
+        return top
+    z = problem.bounds.clip(top.z + step)
     at = problem.evaluate(z)
-    if not at.finite:
+    if not at.finite or at.value < top.at.value - DROP:
         return top
     there = Evaluation(top.at.value, at.gradient + slope, at.information, at.curvature)
     return Optimum(z, there, top.iterations, top.evaluations + noise.size + 2, top.gain_left)
+
+
+def _errors(H: Array) -> Array:
+    """Standard errors (n,), of what the data see. One step leads to a maximum that lies well within them; where it is
+    longer, a combination is hardly seen, and the step is no Newton step but leads anywhere."""
+    scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    w, V = np.linalg.eigh(H / np.outer(scale, scale))
+    seen = w > SHARE
+    return np.asarray(np.sqrt((V[:, seen] ** 2 / w[seen]).sum(axis=1)) / scale)
 
 
 def _log_det(problem: Problem, z: Array, which: NDArray[np.intp]) -> float:

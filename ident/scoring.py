@@ -19,6 +19,7 @@ LARGEST_STEP = 1.5  # in a logarithm: a factor 4.5
 UNFELT = 0.5  # change of the objective by such a step that is hardly one
 HOPELESS = 1e12  # damping
 RUN_AWAY = 1e30  # information that no data give
+LEAP = 1e6  # of the information on most coordinates in one step, which no step does to a model that holds
 FADED = 1e-4  # of the largest information a coordinate ever had: what its damping is at least measured by
 SLIGHT = 0.05  # of the tolerance: what a step gains that is not worth the next one
 NEAR = 3.0  # gain of a step below which the objective is about quadratic
@@ -44,8 +45,7 @@ class Evaluation:
 
     @property
     def finite(self) -> bool:
-        """Whether it can be gone on from. Where the simulation is about to run away the value may still be a number,
-        but the sensitivities have run away already, and seem to leave nothing to gain."""
+        """Whether it can be gone on from."""
         return bool(np.isfinite(self.value) and np.isfinite(self.gradient).all()
                     and np.isfinite(self.information).all() and np.diag(self.information).max(initial=0.0) < RUN_AWAY)
 
@@ -97,6 +97,12 @@ class Memory:
             self.pairs.clear()
             return
         self.pairs = [*self.pairs[1 - KEPT:], (step, before.gradient - after.gradient)]
+
+    def holds(self, trial: Evaluation) -> bool:
+        """Whether the sensitivities are of the order that they were: where a simulation is about to run away its value
+        may be a number, and better, but they have run away already, and seem to leave nothing to gain."""
+        known = self.largest > 0.0
+        return bool(np.median(np.diag(trial.information)[known] / self.largest[known]) < LEAP) if known.any() else True
 
     def hessian(self, at: Evaluation) -> Array:
         H = at.hessian
@@ -174,7 +180,7 @@ def maximise(evaluate: Evaluate, z: Array, bounds: Bounds, *, max_iterations: in
             expected = expected_gain(at, H, step)
             trial = evaluate(bounds.clip(z + step))
             evaluations += 1
-            gained = trial.value - at.value if trial.finite else -np.inf
+            gained = trial.value - at.value if trial.finite and memory.holds(trial) else -np.inf
             if gained > max(1e-4 * expected, 0.0):
                 ratio = min(gained / max(expected, 1e-300), 1.0)
                 damping, growth = max(damping * max(1 / 10, 1 - (2 * ratio - 1) ** 3), 1e-12), 2.0

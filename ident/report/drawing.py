@@ -31,6 +31,7 @@ INK, GRID, FAINT = "#1c2430", "#e6e9ee", "#8a93a0"
 LINES = (MODEL, AMBER, GREEN, PURPLE, SKY, BEFORE)
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "solid")
 Z95 = 1.96
+LARGEST = float(np.finfo(np.float32).max)  # of what a figure can hold
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
 TEMPLATE: Figure = {
     "layout": {
@@ -90,8 +91,10 @@ def sampled(y: Array, limit: int, n_extreme: int = 40) -> Index:
 
 
 def packed(values: Any) -> Any:
-    """Numbers for a figure: short ones as a list, long ones as little-endian 32-bit floats in base64."""
+    """Numbers for a figure: short ones as a list, long ones as little-endian 32-bit floats in base64. What is too large
+    for these, of a model that ran away, is left out."""
     a = np.asarray(values, dtype=float)
+    a = np.where(np.abs(a) < LARGEST, a, np.nan)
     if a.size <= 64:
         return [float(f"{v:.6g}") if np.isfinite(v) else None for v in a]
     return {"dtype": "f4", "bdata": base64.b64encode(a.astype("<f4").tobytes()).decode("ascii")}

@@ -8,7 +8,7 @@ import pytest
 from ident.dataset import Record
 from ident.euler import simulate_noisy
 from ident.fit import fit
-from ident.model import Model, Output, Sensor, State, plain_model
+from ident.model import Input, Model, Output, Sensor, State, plain_model
 from ident.models.disturbance import for_diagnosis
 from ident.models.horizontal import horizontal
 from ident.models.thruster import thruster
@@ -95,3 +95,30 @@ def test_the_process_noise_of_short_missions_has_no_bias_left() -> None:
         bias[restricted] = error.mean() / error.std(ddof=1)
     assert bias[False] < -0.4
     assert abs(bias[True]) < 0.35  # known to 0.13
+
+
+def scaled() -> Model:
+    """A force and a mass with one scale between them, which a faint prior alone tells."""
+    return plain_model(
+        "scaled", f=lambda x, u, p: {"v": (p.c * u.n - p.d * x.v) / p.m}, h=lambda x, u, p: {"v": x.v},
+        states=(State("v", noise="q", sd0=0.1),), inputs=(Input("n"),),
+        sensors=(Sensor("one", (Output("v", noise="e"),)),),
+        parameters=(Parameter("m", 20.0, transform="log"), Parameter("d", 8.0, transform="log"),
+                    Parameter("c", 10.0, transform="log", prior=(10.0, 30.0)), Parameter("q", 0.05, transform="log"),
+                    Parameter("e", 0.05, transform="log")))
+
+
+def test_noise_is_not_restricted_along_what_the_data_hardly_see() -> None:
+    rng, t = np.random.default_rng(2), 0.1 * np.arange(300)
+    u = np.repeat(rng.uniform(-1, 1, 15), 20)[:, None]
+    v = np.zeros(300)
+    for k in range(299):
+        v[k + 1] = v[k] + 0.1 * (10.0 * u[k, 0] - 8.0 * v[k]) / 20.0 + 0.05 * np.sqrt(0.1) * rng.standard_normal()
+    record = Record("scale", t, u, u, v[:, None] + 0.05 * rng.standard_normal((300, 1)), ("n",), ("v",))
+    plain, found = (fit(scaled(), [record], restricted=r) for r in (False, True))
+    for name in ("m", "c"):
+        value, error = plain.estimate(name)
+        assert error > value  # the scale is not known
+        assert abs(found.estimate(name)[0] - value) < 0.5 * error
+    ratio, known = plain.model.values["c"] / plain.model.values["m"], found.model.values["c"] / found.model.values["m"]
+    assert known == pytest.approx(ratio, rel=0.02)
