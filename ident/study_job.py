@@ -153,7 +153,8 @@ def part(case: Case, rows: Sequence[Row], method: Method) -> Json:
         "method": method.upper(),
         "estimator": estimator(case, method),
         **counts(rows),
-        "parameters": [_row(j, truth[j.name], case.model.parameter(j.name).unit) for j in judge(rows)],
+        "parameters": [_row(j, truth[j.name], case.model.parameter(j.name).unit) for j in judge(rows)
+                       if j.name in truth],  # the starts, which output error estimates too, have no truth of their own
     }
 
 

@@ -105,6 +105,18 @@ def made_up(d: np.ndarray, se: float, bound: float = 1.0) -> list[Row]:
              "se": {"a": se, "b": None}, "far": {"a": None, "b": None}, "bound": {"a": bound, "b": None}} for x in d]
 
 
+def test_output_error_holds_where_nothing_disturbs_the_boat(tmp_path: Path) -> None:
+    """With the first sample taken for the exact start, three of four intervals missed."""
+    result = study_job.run_studies(["surge"], 60, 1, tmp_path, truth={"s_u": 1e-9, "d_u": 8.4}, method="oe", jobs=1,
+                                   command="test", say=lambda line: None)
+    (one,) = result["studies"]
+    assert [p["name"] for p in one["parameters"]] == ["m_u", "d_u", "d_uu", "e_x"]
+    for p in one["parameters"]:
+        assert p["n"] == 60
+        assert p["coverage_high"] > 0.95, p["name"]
+        assert p["ratio_low"] < 1.1, p["name"]
+
+
 def test_the_numbers_of_a_study() -> None:
     d = np.array([-1.0, 0.0, 1.0, 2.0, 3.0])
     (j,) = judge([*made_up(d, 1.0, 2.0), {"converged": False, "cpu": 1.0, "simulation": 2.0}])
