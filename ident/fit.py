@@ -104,9 +104,9 @@ def fit(
     it. start: values to begin with instead of the model's, ``V_x@0`` those of a record. robust: allow outliers in all
     sensors (``ident.robust`` allows them in some). restricted: estimate noise without the bias that the dynamics give
     it (``ident.restricted``; not in output error). tolerance: gain in log-likelihood below which the search ends.
-    coloured: work out ``robust_errors``. joseph: the longer form of the covariance update, for a start that is
-    uncertain by many orders. progress: called with the iteration and the log-posterior. Raises ValueError, naming the
-    record, where a record does not fit the model or cannot be evaluated.
+    coloured: work out ``robust_errors``, and errors on plateaus. joseph: the longer covariance update, for a start that
+    is uncertain by many orders. progress: called with the iteration and the log-posterior. Raises ValueError, naming
+    the record, where a record does not fit the model or cannot be evaluated.
     """
     began = time.process_time()
     if not records:
@@ -151,12 +151,13 @@ def _check_enough(problem: Problem) -> None:
 def _known(problem: Problem, optimum: Optimum, coloured: bool) -> tuple[Uncertainty, Array]:
     """What is known of the estimates, and errors that allow for coloured residuals (n,), NaN where not asked for."""
     z, slopes = optimum.z, problem.slopes(optimum.z)
+    # A search's many rough fits need neither: both cost evaluations.
     flat = plateaus(lambda x: problem.value_and_gradient(x)[0], z, problem.parameters, optimum.at.information,
-                    problem.bounds)
+                    problem.bounds) if coloured else []
     known = assess(informed(optimum.at, flat), z, problem.bounds, problem.names, slopes, problem.prior[1])
     known = replace(known, flags=(*known.flags, *[(problem.names[p.at], p.remark) for p in flat]))
     robust_errors = sandwich(known, problem.by_row(z), slopes) if coloured else np.full(z.size, np.nan)
-    for p in flat if coloured else ():
+    for p in flat:
         robust_errors[p.at] = known.errors[p.at]  # no row has a part in it
     return known, robust_errors
 
