@@ -22,6 +22,7 @@ from ident.engine.rowwise import Rowwise
 from ident.model import Model
 from ident.pe import FilterRun, Likelihood
 from ident.predict import MOST, WARM_UP, FreeRun, wrap
+from ident.sandwich import autocovariance
 
 Array = NDArray[np.float64]
 STRIDE = 0.2  # of the horizon, between the starts of predictions over it
@@ -79,9 +80,7 @@ def independent(z: Array) -> float:
     n, power = z.size, float(z @ z)
     if n < 3 or power == 0.0:
         return float(n)
-    size = 1 << (2 * n - 1).bit_length()
-    spectrum = np.abs(np.fft.rfft(z, size)) ** 2
-    rho = np.fft.irfft(spectrum, size)[1:n] / power
+    rho = autocovariance(z)[1:] / power
     small = np.flatnonzero(np.abs(rho) < 2.0 / np.sqrt(n))
     rho = rho[:small[0]] if small.size else rho
     return float(max(n / (1.0 + 2.0 * np.sum(rho**2)), 1.0))

@@ -56,11 +56,15 @@ def memory(parts: Sequence[Array]) -> float:
     longest = max(part.size for part in parts)
     covariance = np.zeros(longest)
     for part in parts:
-        size = 1 << (2 * part.size - 1).bit_length()
-        power = np.abs(np.fft.rfft(part - part.mean(), size)) ** 2
-        covariance[: part.size] += np.fft.irfft(power, size)[: part.size]
+        covariance[: part.size] += autocovariance(part - part.mean())
     if not covariance[0] > 0.0:
         return 1.0
     tau = 2.0 * np.cumsum(covariance / covariance[0]) - 1.0
     enough = np.flatnonzero(np.arange(longest) >= WINDOW * tau)
     return float(max(tau[enough[0]] if enough.size else longest, 1.0))
+
+
+def autocovariance(x: Array) -> Array:
+    """Sums of x_k x_k+lag for lags 0 to n - 1 (n,), of a series (n,) whose mean is zero."""
+    size = 1 << (2 * x.size - 1).bit_length()
+    return np.asarray(np.fft.irfft(np.abs(np.fft.rfft(x, size)) ** 2, size)[: x.size])
