@@ -36,21 +36,21 @@ class Row(NamedTuple):
 
 COMMANDS = {
     "demo": Row("bench.demo:demo", "The whole loop on mock devices, to a report."),
-    "devices": Row("daq.cli_ports:devices", "Find ports and recognise what speaks there."),
-    "log": Row("daq.live:log", "Acquire until Ctrl-C, with a live table."),
-    "check": Row("bench.check_cli:check", "Preflight of a rig, or the same questions to a log."),
+    "devices": Row("daq.cli:devices", "Find ports and recognise what speaks there."),
+    "log": Row("daq.tools.live_table:log", "Acquire until Ctrl-C, with a live table."),
+    "check": Row("bench.preflight.cli:check", "Preflight of a rig, or the same questions to a log."),
     "bench": Row("bench.cli:bench", "Characterise thrusters: static, steps, chirp, all."),
     "mission": Row("bench.cli:mission", "Design, make, show and run missions."),
     "import": Row("daq.cli:import_", "Turn foreign logs into MCAP."),
-    "export": Row("daq.cli_ports:export", "Write a log's tables as CSV or Parquet."),
+    "export": Row("daq.cli:export", "Write a log's tables as CSV or Parquet."),
     "info": Row("daq.cli:info", "Say what a log holds."),
-    "salvage": Row("daq.cli:salvage", "Recover the log of a killed run."),
-    "replay": Row("daq.cli_ports:replay", "Send a log's raw bytes again, on ports."),
-    "ident": Row("ident.cli:ident", "Fit and explain: noise, thruster, vehicle, diagnose, ..."),
+    "recover": Row("daq.cli:recover", "Recover the log of a killed run."),
+    "replay": Row("daq.cli:replay", "Send a log's raw bytes again, on ports."),
+    "ident": Row("ident.cli.commands:ident", "Fit and explain: noise, thruster, vehicle, diagnose, ..."),
     "mock": Row("mocks.cli:mock", "Mock devices for a rig, until Ctrl-C: bench or boat."),
 }
 # Commands of one part in the group of another: the parts do not import each other.
-ATTACHED = {"mission": {"design": "ident.design_cli:design"}}
+ATTACHED = {"mission": {"design": "ident.cli.commands:design"}}
 
 
 class LazyGroup(click.Group):

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import click
 
-from bench import plans
-from bench.mission import Mission, load_mission, save_mission
-from bench.sketch import describe
+from bench import mission_generators
+from bench.mission_text import describe
+from daq.config import Mission, load_mission, load_rig, save_mission
 from daq.errors import SeatrialError, counted
-from daq.rig import Rig, load_rig
+from daq.rig import Rig
 
 FILE = click.Path(path_type=Path)
 EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
@@ -52,7 +52,7 @@ def _bench_command(kind: str, text: str) -> None:
     ) -> None:
         rig = load_rig(rig_path)
         largest = min(N_MAX_BENCH, rig.limits.n_max) if n_max is None else n_max
-        _run(plans.bench_plan(kind, _one_thruster(rig, thruster), largest), rig, out, arm, retry)
+        _run(mission_generators.bench_plan(kind, _one_thruster(rig, thruster), largest), rig, out, arm, retry)
 
 
 _bench_command("static", "Ten seconds at rest: the load cell's zero and the sensors' noise.")
@@ -73,8 +73,7 @@ def _one_thruster(rig: Rig, name: str | None) -> str:
 def _run(plan: Mission, rig: Rig, out: Path | None, arm: bool, retry: int) -> None:
     """Run a plan and say where its log is."""
     # Imported late: --help needs none of it.
-    from bench.display import make_display
-    from bench.run import run_mission
+    from bench.execution import make_display, run_mission
 
     stem = re.sub(r"[^A-Za-z0-9]+", "-", plan.name).strip("-").lower() or "mission"
     path = rig.log_directory / f"{time.strftime('%Y%m%dT%H%M%S')}-{stem}.mcap" if out is None else out
@@ -106,9 +105,9 @@ def show(mission_path: Path) -> None:
 
 @mission.command(
     short_help="Make a random mission that excites what a diagnosis needs.",
-    epilog="Example: seatrial mission make --kind mixed --seconds 300 --seed 1 -o mission.toml",
+    epilog="Example: seatrial mission generate --kind mixed --seconds 300 --seed 1 -o mission.toml",
 )
-@click.option("--kind", type=click.Choice(plans.MISSION_KINDS), default="mixed", show_default=True)
+@click.option("--kind", type=click.Choice(mission_generators.MISSION_KINDS), default="mixed", show_default=True)
 @click.option("--seconds", type=click.FloatRange(30.0, 7200.0), default=300.0, show_default=True)
 @click.option("--seed", type=click.IntRange(min=0), required=True, help="The same seed makes the same mission.")
 @click.option("--n-max", type=click.FloatRange(0, 1, min_open=True), default=1.0, show_default=True)
@@ -121,7 +120,7 @@ def show(mission_path: Path) -> None:
     help="Names in the rig of the left and the right thruster.",
 )
 @click.option("-o", "--out", type=FILE, required=True, help="The mission file to write; it must not exist.")
-def make(
+def generate(
     kind: str, seconds: float, seed: int, n_max: float, slew: float | None, thrusters: tuple[str, str], out: Path
 ) -> None:
     """Make a random mission that excites what a diagnosis needs; see `show` for how it looks.
@@ -130,7 +129,7 @@ def make(
     """
     if out.exists():
         raise SeatrialError(f"{out} exists; give another name with -o")
-    plan = plans.make_mission(kind, seconds, seed, thrusters, n_max)
+    plan = mission_generators.make_mission(kind, seconds, seed, thrusters, n_max)
     if slew is not None:
         plan = replace(plan, slew_per_s=slew, made_by=f"{plan.made_by} --slew {slew:g}")
     save_mission(plan, out)

@@ -21,10 +21,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.measure import Figure, table
-from daq.acquire import Acquisition
+from daq.acquisition.session import Acquisition
 from daq.clock import ClockMap, RunClock
-from daq.log import open_log
-from daq.rig import Rig, parse_rig
+from daq.config.rig_file import parse_rig
+from daq.log.reader import open_log
+from daq.rig import Rig
 from daq.samples import Ahrs
 
 ROOT = Path(__file__).parents[1]
@@ -34,7 +35,7 @@ RECORD = """
 import os, struct, sys, time
 from pathlib import Path
 from daq.clock import RunClock
-from daq.recorder import Recorder
+from daq.log.recorder import Recorder
 from daq.samples import Ahrs, Frame
 from tests.daq.logs import rig
 clock, period = RunClock(), 1.0 / float(sys.argv[2])

@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from benchmarks.measure import Figure
-from tests.recovery.cases import Case, run_case
+from tests.recovery.cases import run_case
+from tests.recovery.kinds import Case
 
 EFFECTS = ("none", "cubic-drag")
 

@@ -13,11 +13,11 @@ from pathlib import Path
 
 from bench.demo import write_rig
 from benchmarks.measure import Figure
-from daq.acquire import Acquisition
+from daq.acquisition.session import Acquisition
 from daq.clock import RunClock
-from daq.log import open_log
-from daq.recorder import Recorder
-from daq.rig import load_rig
+from daq.config.rig_file import load_rig
+from daq.log.reader import open_log
+from daq.log.recorder import Recorder
 from daq.samples import NAN, Ahrs, Esc, Frame, Gnss, LoadCell, Sample
 from tests.missions import T0, StandingClock, rig_of
 

@@ -16,9 +16,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.dataset import Record
-from ident.engine.graphs import Graphs
-from ident.model import Model
+from ident.data.record import Record
+from ident.engine.ekf_graph import EkfGraphs
+from ident.model.structure import Model
 
 Array = NDArray[np.float64]
 SD0 = 0.01  # of all states at the start, as in benchmarks.sde
@@ -90,7 +90,7 @@ def _jacobian(p: dict[str, float], s: Array) -> Array:
 
 def casadi_gradient(model: Model, record: Record) -> Callable[[Array], tuple[float, Array]]:
     """ln L and its gradient as a CasADi function of the parameters, run by CasADi's virtual machine."""
-    g, n = Graphs(model), record.n_rows
+    g, n = EkfGraphs(model), record.n_rows
     s, ll = g.s, ca.SX(0)
     for update in g.updates:
         s, part = ca.Function("update", [g.s, g.u, g.y, g.p], [update.s, update.ll])(s, g.u, g.y, g.p)

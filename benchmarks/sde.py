@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measure import Figure, best_ms
-from ident.dataset import Record
-from ident.fit import Fit, fit
-from ident.model import Model
-from ident.models.horizontal import horizontal
-from ident.pe import Likelihood
+from ident.data.record import Record
+from ident.estimation.likelihood import Likelihood
+from ident.estimation.maximum_likelihood import Fit, fit
+from ident.model.structure import Model
+from ident.models.horizontal import horizontal_model
 
 Array = NDArray[np.float64]
 N_ROWS, H, SUBSTEPS = 12_000, 0.05, 20
@@ -30,7 +30,7 @@ START = {"m_u": 60.0, "d_v": 30.0}  # away from the optimum
 
 def model() -> Model:
     """Start known, current off, inputs held over a row; 15 free parameters."""
-    base = horizontal("general", ("attitude", "gyro", "position"), current=False, hold="zero")
+    base = horizontal_model("general", ("attitude", "gyro", "position"), current=False, hold="zero")
     return replace(base, states=tuple(replace(s, from_output="", x0=0.0, sd0=0.01) for s in base.states))
 
 

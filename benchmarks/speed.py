@@ -15,12 +15,12 @@ import numpy as np
 
 from benchmarks.measure import Figure, child, peak_mb
 from benchmarks.sde import N_ROWS, NOISE, PEER, START, measured, model, simulated
-from ident.dataset import Record
-from ident.fit import fit
-from ident.model import Model
-from ident.models.disturbance import for_diagnosis
-from ident.models.horizontal import horizontal
-from ident.pe import Likelihood
+from ident.data.record import Record
+from ident.estimation.likelihood import Likelihood
+from ident.estimation.maximum_likelihood import fit
+from ident.model.structure import Model
+from ident.models.disturbances import for_diagnosis
+from ident.models.horizontal import horizontal_model
 
 ROOT = Path(__file__).parents[1]
 
@@ -34,7 +34,7 @@ def figures(seed: int) -> Iterator[Figure]:
 
 def ratios(record: Record) -> Iterator[Figure]:
     """CPU of one likelihood with gradient by all 15 parameters; who is compared computes the same numbers."""
-    from benchmarks.peers import casadi_gradient, numpy_value  # the children of this module do without CasADi
+    from benchmarks.peers import casadi_gradient, numpy_value
 
     group = f"likelihood with gradient, {record.name}: {N_ROWS} rows, 6 states, 15 parameters, one thread"
     likelihood, names = Likelihood(model()), list(model().values)
@@ -97,7 +97,7 @@ def saved(record: Record, folder: Path) -> Path:
 
 def large() -> Model:
     """13 states, 27 parameters: the plane with current, unexplained forces and sensor offsets."""
-    full = for_diagnosis(horizontal("shaft"))
+    full = for_diagnosis(horizontal_model("shaft"))
     return full.with_free(full.values)
 
 

@@ -1,18 +1,51 @@
-"""Commands of daq: info, salvage, import (log is in daq.live)."""
+"""Commands of daq: info, salvage, import (log is in daq.tools.live_table).
+
+Commands of daq: devices, replay and export.
+The LOG of a command line: a file, or the folder of the one log that it holds.
+"""
 
 from __future__ import annotations
 
+import signal
+import threading
 from pathlib import Path
+from typing import final
 
 import click
 
-from daq.cli_log import LOG
-from daq.device_table import SERIAL_PROTOCOLS
-from daq.errors import counted
+from daq.errors import SeatrialError, counted
+from daq.protocol import SERIAL_PROTOCOLS
 
 _EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
 _NEW = click.Path(dir_okay=False, path_type=Path)
 _FOLDER = click.Path(file_okay=False, path_type=Path)
+MAX_NAMED = 8
+
+
+@final
+class LogPath(click.Path):
+    """A log that is there; of a folder the log in it, where there is only one (its segments count as one)."""
+
+    def __init__(self) -> None:
+        super().__init__(exists=True, path_type=Path)
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """The file to open. Fails, as wrong usage, where there is none or more than one."""
+        path = Path(super().convert(value, param, ctx))  # type: ignore[arg-type]
+        if not path.is_dir():
+            return path
+        from daq.log import first_segments  # takes numpy along, which --help can do without
+
+        found = first_segments(path)
+        if not found:
+            self.fail(f"{path} is a folder without a log (*.mcap) in it", param, ctx)
+        if len(found) > 1:
+            names = ", ".join(one.name for one in found[:MAX_NAMED]) + (", ..." if len(found) > MAX_NAMED else "")
+            self.fail(f"{path} is a folder of {len(found)} logs: name one of {names}", param, ctx)
+        return found[0]
+
+
+LOG = LogPath()
 
 
 @click.command()
@@ -28,8 +61,8 @@ def info(log: Path) -> None:
     """
     from rich.console import Console
 
-    from daq.info import show
     from daq.log import open_log
+    from daq.tools import show
 
     console = Console(highlight=False)
     if not console.is_terminal:
@@ -42,16 +75,16 @@ def info(log: Path) -> None:
 @click.argument("log", type=LOG)
 @click.option("-o", "--out", type=_NEW, help="The whole log to write (default: LOG with -salvaged in its name).")
 @click.option("--force", is_flag=True, help="Replace OUT where it exists.")
-def salvage(log: Path, out: Path | None, force: bool) -> None:
+def recover(log: Path, out: Path | None, force: bool) -> None:
     """Recover the LOG of a killed run or a damaged disk, all its segments, into one whole file.
 
     Every other command opens a killed log as it is; this is for tools that do not. LOG itself is left alone.
 
     \b
     Example:
-      seatrial salvage logs/run.mcap -o logs/run-whole.mcap
+      seatrial recover logs/run.mcap -o logs/run-whole.mcap
     """
-    from daq.salvage import salvage as run
+    from daq.log import recover_log as run
 
     target = out or log.with_name(f"{log.stem}-salvaged.mcap")
     done = run(log, target, force)
@@ -87,7 +120,7 @@ def import_csv(map_: Path, files: tuple[Path, ...], out: Path | None, out_dir: P
     Example:
       seatrial import csv docs/examples/blueboat/blueboat.toml runs/*.csv --out-dir logs
     """
-    from daq.imports.csv_import import import_csv as run
+    from daq.importers import import_csv as run
 
     if out is not None and out_dir is not None:
         raise click.UsageError("give -o or --out-dir, not both")
@@ -110,8 +143,8 @@ def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: P
     Example:
       seatrial import mavlink steps.tlog --rig boat.toml -o steps.mcap
     """
-    from daq.imports.mavlink_import import import_mavlink as run
-    from daq.rig import load_rig
+    from daq.config import load_rig
+    from daq.importers import import_mavlink as run
 
     rig = None if rig_path is None else load_rig(rig_path)
     path, said = run(file, rig=rig, system=system, out=out, force=force)
@@ -134,7 +167,7 @@ def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, 
     Example:
       seatrial import raw vectornav standing_still.txt --rate 40 -o still.mcap
     """
-    from daq.imports.raw_import import import_raw as run
+    from daq.importers import import_raw as run
 
     path, said = run(protocol, file, rate=rate, out=out, force=force)
     click.echo(f"{path}: {said}")
@@ -158,7 +191,7 @@ def import_ros2(bag: Path, topics: tuple[str, ...], axes: str, out: Path | None,
     Example:
       seatrial import ros2 run1 --topic /imu/data=ahrs --topic /fix=gnss -o run1.mcap
     """
-    from daq.imports.ros2_import import import_ros2 as run
+    from daq.importers import import_ros2 as run
 
     wanted = dict(word.partition("=")[::2] for word in topics)
     path, said = run(bag, topics=wanted or None, axes=axes, out=out, force=force)
@@ -176,7 +209,110 @@ def import_ulog(file: Path, out: Path | None, force: bool) -> None:
     Example:
       seatrial import ulog log_5.ulg -o run5.mcap
     """
-    from daq.imports.ulog_import import import_ulog as run
+    from daq.importers import import_ulog as run
 
     path, said = run(file, out=out, force=force)
     click.echo(f"{path}: {said}")
+
+
+@click.command()
+@click.argument("ports", nargs=-1, metavar="[PORT]...")
+@click.option("--baud", "bauds", type=click.IntRange(min=1), multiple=True, help="Try this rate only; may be repeated.")
+@click.option(
+    "--seconds", type=click.FloatRange(min=0.1), default=1.3, show_default=True, help="To listen at each baud rate."
+)
+@click.option("--toml", is_flag=True, help="Print [[device]] tables for the rig file.")
+def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml: bool) -> None:
+    """Find the serial ports and CAN buses of this machine, or look at PORTs, and recognise what speaks there.
+
+    Only listens: nothing is sent to a port. Each is tried at one baud rate after the other.
+
+    \b
+    Example:
+      seatrial devices
+      seatrial devices /dev/ttyUSB0 --toml
+    """
+    from daq.tools import find, identify_protocol
+    from daq.transport import UDEV_RULE
+
+    def say(text: str) -> None:
+        click.echo(text, err=True)
+
+    found = (
+        [identify_protocol(port, bauds=bauds, listen=seconds) for port in ports] if ports else find(seconds, bauds, say)
+    )
+    if not found:
+        raise SeatrialError("there is no serial port and no CAN bus; plug the device in, or name its port")
+    for k, one in enumerate(found, start=1):
+        if toml and one.protocol in _rig_protocols():
+            click.echo(one.toml(f"{one.protocol}{k}"))
+        elif not toml:
+            at = f"{one.protocol} at {one.baud} baud, {one.rate:.4g}/s" if one.protocol else "-"
+            about = f" ({one.description})" if one.description and one.description != "n/a" else ""
+            click.echo(f"{one.port}{about}: {at}: {one.says}")
+        if one.hint:
+            click.echo(f"hint: {one.port}: {one.hint}", err=True)
+    if any("latency_timer" in one.hint for one in found):
+        click.echo(f"hint: for good, in a file of /etc/udev/rules.d: {UDEV_RULE}", err=True)
+    if not any(one.protocol or one.port.startswith("socketcan:") for one in found):
+        raise SeatrialError("no device was recognised; is it powered, and is its output switched on?")
+
+
+def _rig_protocols() -> tuple[str, ...]:
+    from daq.protocol import DEVICES
+
+    return tuple(DEVICES)
+
+
+@click.command()
+@click.argument("log", type=LOG)
+@click.option("--dir", "folder", type=_FOLDER, default="ports", show_default=True, help="Where the ports are made.")
+@click.option("--device", "names", multiple=True, help="Only this device; may be repeated.")
+@click.option(
+    "--speed", type=click.FloatRange(min=0.0, min_open=True), default=1.0, show_default=True,
+    help="Recorded seconds a second.",
+)  # fmt: skip
+def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> None:
+    """Send the raw bytes of LOG again, on ports DIR/DEVICE, at the times at which they came.
+
+    Begins when every port has a reader: `seatrial log DIR/replay.toml`, which is the log's own rig with these ports,
+    records the log anew. A CAN bus comes back as an slcan adapter. Ctrl-C ends it.
+
+    \b
+    Example:
+      seatrial replay logs/run.mcap --dir ports --speed 2
+    """
+    from daq.log import open_log
+    from daq.tools import replay_log as run
+
+    stop = threading.Event()
+    before = {number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        with open_log(log) as opened:
+            n = run(opened, names, folder, speed=speed, said=lambda text: click.echo(text), stopped=stop.is_set)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    click.echo(f"{counted(n, 'byte')} sent")
+
+
+@click.command()
+@click.argument("form", type=click.Choice(["csv", "parquet"]))
+@click.argument("log", type=LOG)
+@click.option("-o", "--out", type=_FOLDER, required=True, help="Folder for the files; made where it is not there.")
+@click.option("--force", is_flag=True, help="Replace files that exist.")
+def export(form: str, log: Path, out: Path, force: bool) -> None:
+    """Write the tables of LOG as files of FORM, csv or parquet: one a device and kind, and the events.
+
+    \b
+    Example:
+      seatrial export csv logs/run.mcap --out run-csv
+    """
+    from daq.log import open_log
+    from daq.tools import export_log as run
+
+    with open_log(log) as opened:
+        for warning in opened.warnings:
+            click.echo(f"warning: {warning}", err=True)
+        for path in run(opened, form, out, force):
+            click.echo(str(path))

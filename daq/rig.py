@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-from daq.device_table import CAN, DEVICES
 from daq.errors import SeatrialError
-from daq.rig_mavlink import NET_KINDS, MavlinkSettings, Output, read_output
-from daq.rig_options import DEFAULT_PATTERN, OWN_NODE, DbcSignal, read_options
-from daq.rig_options import Calibration as Calibration
-from daq.toml_table import Table, parse_toml, read_text
 
-FORMAT = "seatrial-rig 1"
-PROTOCOLS = tuple(DEVICES)
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
 DRIVES = ("vesc", "dronecan", "mavlink")  # what a thruster may hang on
-HIGHEST_NODE = {"dronecan": 19}  # a command has room for so many
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+DEFAULT_PATTERN = r"^(?P<counts>-?\d+)$"
+OWN_NODE = 100  # ours on a DroneCAN bus; 10 is an autopilot's, 126 and 127 are for tools
 
 
 @dataclass(frozen=True)
@@ -58,6 +53,35 @@ class Thruster:
     reversed: bool = False  # a positive command drives astern
     timeout_s: float = 1.0  # the ESC's own, run seconds
     output: Output | None = None  # behind an autopilot
+
+
+Named = TypeVar("Named", Device, Thruster)
+DEFAULT_QUERY = "!001:SYS?"
+ESC_FIELDS = ("rpm", "current", "duty", "voltage", "temperature")
+SOURCE = "source"  # a signal's node is the sender's address (J1939, NMEA 2000)
+Counts = TypeVar("Counts", float, "NDArray[np.float64]")
+NET_KINDS = ("udp", "udpin", "udpout", "tcp")
+# Messages that are asked for, with their rate [Hz]; None is the device's rate_hz. In the order of their weight, so
+# that the last ones are refused on a link that cannot carry all.
+RATES: dict[str, float | None] = {
+    "ATTITUDE": None,
+    "SERVO_OUTPUT_RAW": None,
+    "RAW_IMU": None,
+    "GPS_RAW_INT": 5.0,
+    "EKF_STATUS_REPORT": 2.0,
+    "SYSTEM_TIME": 1.0,
+    "BATTERY_STATUS": 2.0,
+    "ESC_TELEMETRY_1_TO_4": 10.0,
+}
+OTHER_RATES = (
+    "SCALED_IMU",
+    "HIGHRES_IMU",
+    "GLOBAL_POSITION_INT",
+    "SYS_STATUS",
+    "ESC_TELEMETRY_5_TO_8",
+    "ESC_STATUS",
+)
+HIGHEST_ID = 255
 
 
 @dataclass(frozen=True)
@@ -118,9 +142,6 @@ class Rig:
         return _named(name, self.thrusters, "thruster", self.path)
 
 
-Named = TypeVar("Named", Device, Thruster)
-
-
 def _named(name: str, rows: Sequence[Named], what: str, path: Path) -> Named:
     for row in rows:
         if row.name == name:
@@ -129,159 +150,69 @@ def _named(name: str, rows: Sequence[Named], what: str, path: Path) -> Named:
     raise SeatrialError(f"{path}: no {what} '{name}'; there is: {there}")
 
 
-def load_rig(path: Path | str) -> Rig:
-    """Read and check a rig file. Raises SeatrialError that names file and key of whatever is wrong."""
-    path = Path(path)
-    return parse_rig(read_text(path), path)
+@dataclass(frozen=True)
+class Calibration:
+    """Load cell: counts -> force at the thruster."""
+
+    newton_per_count: float
+    zero_counts: float = 0.0
+    lever_ratio: float = 1.0
+
+    def force(self, counts: Counts) -> Counts:
+        """Force at the thruster, N, of raw counts; a number or an array of any shape."""
+        return (counts - self.zero_counts) * (self.newton_per_count * self.lever_ratio)
 
 
-def parse_rig(text: str, source: Path | str) -> Rig:
-    """As `load_rig`, from text; relative paths in it count from the folder of `source`."""
-    path = Path(source)
-    folder = path.absolute().parent
-    root = parse_toml(text, path)
-    root.text("format", choices=(FORMAT,))
-    name = root.text("name")
-    speed = _speed(root)
-    directory, segments = _log(root)
-    live = _live(root.table("live"))
-    devices = tuple(_device(table, folder) for table in root.tables("device"))
-    if not devices:
-        raise root.error("device", "missing; a rig needs at least one [[device]]")
-    _unique(root, "device", [device.name for device in devices])
-    thrusters = tuple(_thruster(table, devices) for table in root.tables("thruster"))
-    _unique(root, "thruster", [thruster.name for thruster in thrusters])
-    _unique(root, "thruster", [f"{t.device} node {t.node}" for t in thrusters])
-    limits = _limits(root.table("limits"))
-    vehicle = _vehicle(root.table("vehicle"))
-    root.done()
-    return Rig(name, path, text, speed, folder / directory, devices, thrusters, limits, vehicle, segments, live)
+@dataclass(frozen=True)
+class DbcSignal:
+    """One signal of a DBC file and the field of `Esc` that it is: value = scale * (what the DBC says) + offset."""
+
+    message: str
+    signal: str
+    field: str
+    node: int | str  # a number, the signal that holds it, or SOURCE
+    scale: float = 1.0
+    offset: float = 0.0
 
 
-def _speed(root: Table) -> float:
-    clock = root.table("clock")
-    if clock is None:
-        return 1.0
-    speed = clock.number("speed", 1.0, positive=True)
-    clock.done()
-    return speed
+@dataclass(frozen=True)
+class MavlinkSettings:
+    """How to talk to an autopilot: who it is, who we are, what it is asked for."""
+
+    system_id: int = 1
+    component_id: int = 1
+    own_system_id: int = 255
+    own_component_id: int = 190
+    key_file: Path | None = None  # 32 bytes or 64 hexadecimal digits; signs what we send, and unsigned is ignored
+    gnss: str = "raw"  # raw: the receiver's fixes; fused: the autopilot's estimate
+    rates: Mapping[str, float] = field(default_factory=dict)  # Hz by message name, other than RATES
+
+    def requested(self, rate_hz: float) -> dict[str, float]:
+        """What is asked for [Hz], by message name, in the order of RATES."""
+        rates = {name: rate_hz if rate is None else rate for name, rate in RATES.items()}
+        if self.gnss == "fused":
+            rates["GLOBAL_POSITION_INT"] = rates.pop("GPS_RAW_INT")
+        return {name: rate for name, rate in (rates | dict(self.rates)).items() if rate > 0.0}
 
 
-def _log(root: Table) -> tuple[str, Segments]:
-    log = root.table("log")
-    if log is None:
-        return "logs", Segments()
-    directory = log.text("directory", "logs")
-    segments = Segments(
-        log.maybe_number("segment_mb", low=1.0),
-        log.maybe_number("segment_s", low=1.0),
-        log.number("free_mb", Segments.free_megabytes, low=0.0),
-    )
-    log.done()
-    return directory, segments
+@dataclass(frozen=True)
+class Output:
+    """How a thruster hangs on an autopilot: the channel that commands it and the pulses of both ends."""
 
+    rc_channel: int  # RC_CHANNELS_OVERRIDE, from 1
+    rc_us: tuple[float, float, float]  # full astern, neutral, full ahead: RCn_MIN, RCn_TRIM, RCn_MAX
+    pwm_us: tuple[float, float, float]  # of the servo output: SERVOn_MIN, SERVOn_TRIM, SERVOn_MAX
 
-def _live(table: Table | None) -> Live:
-    if table is None:
-        return Live()
-    found = Live(table.text("host", Live.host), table.integer("port", Live.port, low=0, high=65535))
-    table.done()
-    return found
+    def command(self, n: float) -> int:
+        """The pulse [us] that commands n, -1..1; neutral for what is no number."""
+        low, neutral, high = self.rc_us
+        if not -1.0 <= n <= 1.0:
+            return round(neutral)
+        return round(neutral + n * (high - neutral if n > 0.0 else neutral - low))
 
-
-def _device(table: Table, folder: Path) -> Device:
-    name = _name(table)
-    protocol = table.text("protocol", choices=PROTOCOLS)
-    port = _port(table, protocol, folder)
-    baud = table.integer("baud", 115200, low=1)
-    rate = table.number("rate_hz", positive=True)
-    forward, starboard, down = table.numbers("lever_arm_m", (0.0, 0.0, 0.0), length=3)
-    lever_arm = (forward, starboard, down)
-    options = {"bitrate": 0, **read_options(table, DEVICES[protocol].options, folder)}
-    table.done()
-    return Device(name, protocol, port, baud, rate_hz=rate, lever_arm_m=lever_arm, **options)
-
-
-def _name(table: Table) -> str:
-    name = table.text("name")
-    if not _NAME.fullmatch(name):
-        raise table.error("name", f"'{name}' becomes a topic of the log: a letter, then letters, digits or _")
-    return name
-
-
-def _port(table: Table, protocol: str, folder: Path) -> str:
-    port = table.text("port")
-    kind, colon, rest = port.partition(":")
-    if DEVICES[protocol].bus == CAN:
-        if kind not in ("slcan", "socketcan") or not rest:
-            raise table.error("port", f"must be slcan:SERIAL or socketcan:NAME, not '{port}'")
-        return port if kind == "socketcan" else f"slcan:{folder / rest}"
-    if protocol == "mavlink" and kind in NET_KINDS:
-        return _address(table, port)
-    if not port or (colon and kind in ("slcan", "socketcan")):
-        raise table.error("port", f"must be a serial device for protocol {protocol}, not '{port}'")
-    return str(folder / port)
-
-
-def _address(table: Table, port: str) -> str:
-    host, _, number = port.partition(":")[2].rpartition(":")
-    if not host or not (number.isascii() and number.isdigit() and 0 < int(number) < 65536):
-        raise table.error("port", f"must be udp:HOST:PORT, udpin:, udpout: or tcp: the same way, not '{port}'")
-    return port
-
-
-def _thruster(table: Table, devices: Sequence[Device]) -> Thruster:
-    name = _name(table)
-    device = table.text("device")
-    buses = {row.name: row.protocol for row in devices if row.protocol in DRIVES}
-    if device not in buses:
-        there = ", ".join(buses) or "none"
-        raise table.error("device", f"no {' or '.join(DRIVES)} device '{device}'; there is: {there}")
-    forward, starboard, down = table.numbers("position_m", length=3)
-    node = table.integer("node", low=0, high=HIGHEST_NODE.get(buses[device], 255))
-    autopilot = buses[device] == "mavlink"
-    # Who reports the shaft's own speed, or none, has no use for the motor's poles.
-    no_poles = autopilot or (buses[device] == "dronecan" and not table.has("pole_pairs"))
-    found = Thruster(
-        name,
-        device,
-        node,
-        (forward, starboard, down),
-        1 if no_poles else table.integer("pole_pairs", low=1, high=100),
-        math.nan if autopilot and not table.has("rpm_max") else table.number("rpm_max", positive=True),
-        table.flag("reversed", False),
-        table.number("timeout_s", 1.0, positive=True),
-        read_output(table, node) if autopilot else None,
-    )
-    table.done()
-    return found
-
-
-def _limits(table: Table | None) -> Limits:
-    if table is None:
-        return Limits()
-    found = Limits(
-        table.number("n_max", 1.0, low=0.0, high=1.0),
-        table.maybe_number("force_n", low=0.0),
-        table.maybe_number("current_a", low=0.0),
-        table.maybe_number("temperature_c"),
-        table.maybe_number("voltage_min_v", low=0.0),
-        table.maybe_number("radius_m", low=0.0),
-        table.maybe_number("rpm", low=0.0),
-        table.maybe_number("roll_deg", low=0.0),
-        table.maybe_number("pitch_deg", low=0.0),
-        table.number("battery_min", low=0.0, high=1.0) if table.has("battery_min") else None,
-    )
-    table.done()
-    return found
-
-
-def _vehicle(table: Table | None) -> dict[str, float]:
-    """Any parameter name may stand here, since the model that reads them may be the user's own."""
-    return {} if table is None else {key: table.number(key) for key in table.values}
-
-
-def _unique(root: Table, key: str, names: Sequence[str]) -> None:
-    for name in names:
-        if names.count(name) > 1:
-            raise root.error(key, f"'{name}' stands twice; give each its own name and node")
+    def applied(self, pwm: float) -> float:
+        """What a pulse [us] at the output is as n, beyond -1..1 where the pulse is; NaN while there is none."""
+        low, neutral, high = self.pwm_us
+        if pwm <= 0.0:
+            return float("nan")
+        return (pwm - neutral) / (high - neutral if pwm > neutral else neutral - low)

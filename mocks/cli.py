@@ -13,22 +13,19 @@ from typing import Any
 
 import click
 
+from daq.config import load_rig
 from daq.errors import SeatrialError
-from daq.rig import Calibration, Rig, Thruster, load_rig
-from mocks import bench_plant, undeclared
-from mocks.autopilot_reports import LOOP_HZ
-from mocks.bench_plant import Bench, draw_bench
-from mocks.devices import by_side, speaker
-from mocks.faults import KINDS, Faults, parse_fault
-from mocks.net_ports import NetPort
-from mocks.noise import FAULT, stream
-from mocks.plant import Boat, draw_boat
-from mocks.ports import Port
-from mocks.sealed import contents, write_sealed
+from daq.rig import Calibration, Rig, Thruster
+from mocks.devices import KINDS, LOOP_HZ, Faults, by_side, make_emulator, parse_fault
+from mocks.hidden_effects import catalogue
+from mocks.plant import Bench, Boat, draw_bench, draw_boat, draw_thruster
+from mocks.plant import bench as bench_plant
+from mocks.ports import NetPort, Port
+from mocks.random_streams import FAULT, stream
 from mocks.sensors import CellSpec
 from mocks.server import Server
-from mocks.thruster import draw_thruster
-from mocks.world import EscSpec, Gear, World, bench_world, boat_world
+from mocks.truth_file import ground_truth, write_truth
+from mocks.world import DeviceSpecs, EscSpec, World, bench_world, boat_world
 
 GPS_HZ, ESC_HZ = 5.0, 10.0  # of an autopilot
 RPM_MAX = 4500.0  # of a thruster whose rig does not say
@@ -52,7 +49,7 @@ def _options(effects: Sequence[str]) -> Callable[[Command], Command]:
                              help="Which run of the same one: the noise."),
                 click.option("--effect", type=choice, default="none", show_default=True, metavar="NAME",
                              help=f"none, draw (the seed draws) or one of {', '.join(effects)}."),
-                click.option("--sealed", type=click.Path(path_type=Path), metavar="FILE",
+                click.option("--truth-file", "sealed", type=click.Path(path_type=Path), metavar="FILE",
                              help="Write effect and true parameters there; nothing else tells."),
                 click.option("--trace", type=click.Path(path_type=Path), metavar="FILE",
                              help="Write a JSON line for every change of a thruster's effective command."),
@@ -72,12 +69,12 @@ def mock() -> None:
     """Mock devices for a rig, until Ctrl-C: a boat or a bench behind real ports.
 
     \b
-    Example: seatrial mock boat boat.toml --seed 7 --effect draw --sealed truth.json
+    Example: seatrial mock boat boat.toml --seed 7 --effect draw --truth-file truth.json
     """
 
 
 @mock.command(short_help="A simulated boat with two thrusters.")
-@_options([*undeclared.EFFECTS, *undeclared.OUTSIDE])
+@_options([*catalogue.EFFECTS, *catalogue.OUTSIDE])
 def boat(rig: Path, seed: int, run: int, effect: str, sealed: Path | None, **how: Any) -> None:
     """A simulated boat with two thrusters at the ports of RIG.
 
@@ -87,8 +84,8 @@ def boat(rig: Path, seed: int, run: int, effect: str, sealed: Path | None, **how
     Example: seatrial mock boat boat.toml --seed 7 --effect wind --fault pull/gnss@60:5
     """
     loaded = load_rig(rig)
-    name = undeclared.draw_name(seed) if effect == "draw" else effect
-    effects = [] if name == "none" else [undeclared.make_effect(name, seed)]
+    name = catalogue.draw_name(seed) if effect == "draw" else effect
+    effects = [] if name == "none" else [catalogue.make_effect(name, seed)]
     plant = draw_boat(seed, effects, draw_thruster(seed))  # the thruster that the bench of this seed has
     utc = float(round(time.time()))
     world = boat_world(plant, run, _gear(loaded, by_side(loaded)), utc=utc)
@@ -114,7 +111,7 @@ def bench(rig: Path, seed: int, run: int, effect: str, sealed: Path | None, **ho
     _serve(loaded, plant, world, run, sealed, **how)
 
 
-def _gear(rig: Rig, thrusters: Sequence[Thruster]) -> Gear:
+def _gear(rig: Rig, thrusters: Sequence[Thruster]) -> DeviceSpecs:
     """The devices of a rig as a world wants them; the rate of a bus is shared by its controllers."""
     rates: dict[str, dict[str, float]] = {"vectornav": {}, "nmea": {}}
     cells, escs = [], []
@@ -132,7 +129,7 @@ def _gear(rig: Rig, thrusters: Sequence[Thruster]) -> Gear:
         rate = rate if t.output is None else ESC_HZ
         rpm_max = RPM_MAX if math.isnan(t.rpm_max) else t.rpm_max
         escs.append(EscSpec(t.device, t.node, rate, rpm_max, t.reversed, t.timeout_s, t.name))
-    return Gear(rates["vectornav"], rates["nmea"], cells, escs)
+    return DeviceSpecs(rates["vectornav"], rates["nmea"], cells, escs)
 
 
 def _serve(
@@ -152,13 +149,13 @@ def _serve(
         speakers = {}
         for device in rig.devices:
             controllers = {c.spec.node: c for c in world.controllers if c.spec.device == device.name}
-            speakers[device.name] = speaker(rig, device, controllers, ascii_)
+            speakers[device.name] = make_emulator(rig, device, controllers, ascii_)
         ports: dict[str, Port | NetPort] = {}
         for device in rig.devices:
             ports[device.name] = _port(device.port)
             stack.callback(ports[device.name].close)
         if sealed is not None:
-            write_sealed(sealed, contents(plant, run))
+            write_truth(sealed, ground_truth(plant, run))
         file = stack.enter_context(trace.open("w", encoding="utf-8")) if trace is not None else None
         server = Server(world, speakers, ports, rig.speed, schedule, file)
         stack.enter_context(_signals(server))

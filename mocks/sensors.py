@@ -10,10 +10,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from daq.samples import NAN, Ahrs, Esc, Gnss, LoadCell
-from mocks.hull import GRAVITY
-from mocks.noise import AHRS, COLOUR, ESC, GNSS, LOADCELL, OUTLIERS, OrnsteinUhlenbeck, WhiteWalk, normals, stream
-from mocks.plant import Motion
-from mocks.undeclared import Effect
+from mocks.plant import GRAVITY, Effect, RigidBodyState
+from mocks.random_streams import (
+    AHRS,
+    COLOUR,
+    ESC,
+    GNSS,
+    LOADCELL,
+    OUTLIERS,
+    OrnsteinUhlenbeck,
+    WhiteWalk,
+    normals,
+    stream,
+)
 
 DEG = math.pi / 180.0
 STOPPED = 0.005  # normalised shaft speed below which a sensorless controller reports none
@@ -49,7 +58,7 @@ class AhrsSensor:
         self._accels = [WhiteWalk(draw, dt, gain * 0.1, 1e-4, bias=0.05) for _ in range(3)]
         self._field = WhiteWalk(draw, dt, 0.15e-6)
 
-    def read(self, m: Motion) -> Ahrs:
+    def read(self, m: RigidBodyState) -> Ahrs:
         """The sample of the motion ``m``."""
         psi, rate, accel_x, accel_y = self._errors.apply(m)
         pitch, roll = self._tilt
@@ -81,7 +90,7 @@ class AhrsErrors:
         self._accelerometers = [e.accelerometer for e in effects if e.accelerometer is not None]
         self._mount = sum(e.mount for e in effects)
 
-    def apply(self, m: Motion) -> tuple[float, float, float, float]:
+    def apply(self, m: RigidBodyState) -> tuple[float, float, float, float]:
         """Heading (rad), yaw rate (rad/s) and accelerations (m/s2) that the sensor has of the motion ``m``."""
         u = math.cos(m.psi) * m.vel_n + math.sin(m.psi) * m.vel_e
         psi = m.psi + sum(deviation(m.psi) for deviation in self._compasses) + self._mount
@@ -112,9 +121,9 @@ class GnssSensor:
         self._position = [WhiteWalk(draw, dt, gain * sigma, 0.003) for _ in range(2)]
         self._velocity = [WhiteWalk(draw, dt, gain * 0.05) for _ in range(2)]
         self._height = WhiteWalk(draw, dt, 2.0 * gain * sigma)
-        self._stray = Stray(effects, seed, run, dt, index)
+        self._stray = GnssErrors(effects, seed, run, dt, index)
 
-    def read(self, m: Motion, utc: float) -> Gnss:
+    def read(self, m: RigidBodyState, utc: float) -> Gnss:
         """The fix of the motion ``m``, stamped ``utc`` (s since 1970)."""
         north, east = self._position
         vel_n, vel_e = self._velocity
@@ -135,7 +144,7 @@ class GnssSensor:
         )
 
 
-class Stray:
+class GnssErrors:
     """Errors of the fix beyond its white noise: a wandering one, and now and then a fix that is plainly wrong."""
 
     def __init__(self, effects: Sequence[Effect], seed: int, run: int, dt: float, index: int) -> None:

@@ -11,10 +11,8 @@ import time
 from collections.abc import Mapping
 from typing import IO
 
-from mocks.devices import Speaker
-from mocks.faults import Faults
-from mocks.net_ports import NetPort
-from mocks.ports import Port
+from mocks.devices import DeviceEmulator, Faults
+from mocks.ports import NetPort, Port
 from mocks.world import World
 
 PRIORITY, REAL_TIME = -10, 2  # niceness, and of 99: where the system lets us
@@ -29,7 +27,7 @@ class Server:
     def __init__(
         self,
         world: World,
-        speakers: Mapping[str, Speaker],
+        speakers: Mapping[str, DeviceEmulator],
         ports: Mapping[str, Port | NetPort],
         speed: float,
         faults: Faults,

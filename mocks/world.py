@@ -8,11 +8,8 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell
-from mocks.bench_plant import Bench, BenchPlant
-from mocks.bench_shaft import BenchShaft
-from mocks.plant import Boat, BoatPlant, Motion
+from mocks.plant import Bench, BenchPlant, BenchShaft, Boat, BoatPlant, RigidBodyState, Shaft
 from mocks.sensors import AhrsSensor, CellSpec, EscSensor, GnssSensor, LoadCellSensor
-from mocks.thruster import Shaft
 
 Sample = Ahrs | Gnss | Esc | LoadCell | Command
 
@@ -56,7 +53,7 @@ class EscSpec:
 OnChange = Callable[[float, int, float, str], None]
 
 
-class Controller:
+class EscController:
     """A speed controller: obeys duty commands, and stops by itself when none has come for its time-out."""
 
     def __init__(self, spec: EscSpec, plant: Plant, thruster: int) -> None:
@@ -101,7 +98,7 @@ class Controller:
                 self.on_change(t, self.spec.node, n, why)
 
 
-class Channel:
+class SampledStream:
     """One stream of samples, due at the first step of the plant at or after each multiple of its period."""
 
     def __init__(
@@ -130,8 +127,8 @@ class World:
 
     def __init__(self, plant: Plant) -> None:
         self.plant = plant
-        self.controllers: list[Controller] = []
-        self.channels: list[Channel] = []
+        self.controllers: list[EscController] = []
+        self.channels: list[SampledStream] = []
         self.next_due = 0  # step at which the next sample is due
 
     @property
@@ -141,17 +138,17 @@ class World:
 
     def add(self, device: str, rate_hz: float, read: Callable[[], Sample | None], phase: float = 0.0) -> None:
         """Let ``device`` deliver what ``read`` returns, ``rate_hz`` times a second."""
-        self.channels.append(Channel(device, rate_hz, self.plant.step_s, read, phase))
+        self.channels.append(SampledStream(device, rate_hz, self.plant.step_s, read, phase))
 
     def add_escs(self, specs: Sequence[EscSpec], seed: int, run: int) -> None:
         """A speed controller for each thruster, in the order of the plant's thrusters."""
         for thruster, spec in enumerate(specs):
-            controller = Controller(spec, self.plant, thruster)
+            controller = EscController(spec, self.plant, thruster)
             sensor = EscSensor(seed, run, spec.node, spec.rpm_max)
             self.controllers.append(controller)
             self.add(spec.device, spec.rate_hz, self._esc_reader(controller, sensor, thruster), thruster / len(specs))
 
-    def _esc_reader(self, controller: Controller, sensor: EscSensor, thruster: int) -> Callable[[], Sample | None]:
+    def _esc_reader(self, controller: EscController, sensor: EscSensor, thruster: int) -> Callable[[], Sample | None]:
         plant, dt = self.plant, 1.0 / controller.spec.rate_hz
         sign = -1.0 if controller.spec.reversed else 1.0
 
@@ -163,7 +160,7 @@ class World:
 
         return read
 
-    def controller(self, device: str, node: int) -> Controller | None:
+    def controller(self, device: str, node: int) -> EscController | None:
         """The controller ``node`` on bus ``device``."""
         found = (c for c in self.controllers if c.spec.device == device and c.spec.node == node)
         return next(found, None)
@@ -190,7 +187,7 @@ class World:
 
 
 @dataclass(frozen=True)
-class Gear:
+class DeviceSpecs:
     """The devices of a rig: names and rates (Hz) of AHRS and GNSS, load cells, and the controllers of the thrusters.
 
     ``escs`` in the order of the plant's thrusters: left and right on a boat.
@@ -202,7 +199,7 @@ class Gear:
     escs: Sequence[EscSpec]
 
 
-def boat_world(boat: Boat, run: int, gear: Gear, *, utc: float = 0.0, disturbed: bool = True) -> World:
+def boat_world(boat: Boat, run: int, gear: DeviceSpecs, *, utc: float = 0.0, disturbed: bool = True) -> World:
     """A boat with its gear, ``utc`` (s since 1970) at time 0; a load cell on it hangs free."""
     plant = BoatPlant(boat, run, disturbed=disturbed)
     world = World(plant)
@@ -217,13 +214,13 @@ def boat_world(boat: Boat, run: int, gear: Gear, *, utc: float = 0.0, disturbed:
     return world
 
 
-def bench_world(bench: Bench, run: int, gear: Gear, *, utc: float = 0.0, disturbed: bool = True) -> World:
+def bench_world(bench: Bench, run: int, gear: DeviceSpecs, *, utc: float = 0.0, disturbed: bool = True) -> World:
     """A bench with its gear; AHRS and GNSS on it lie still."""
     plant = BenchPlant(bench, run, disturbed=disturbed)
     world = World(plant)
 
-    def still() -> Motion:
-        return Motion(world.t, *[0.0] * (len(Motion._fields) - 1))
+    def still() -> RigidBodyState:
+        return RigidBodyState(world.t, *[0.0] * (len(RigidBodyState._fields) - 1))
 
     for index, (name, rate) in enumerate(gear.ahrs.items()):
         world.add(name, rate, _ahrs_reader(AhrsSensor(bench.seed, run, rate, (), index), still))
@@ -235,11 +232,11 @@ def bench_world(bench: Bench, run: int, gear: Gear, *, utc: float = 0.0, disturb
     return world
 
 
-def _ahrs_reader(sensor: AhrsSensor, motion: Callable[[], Motion]) -> Callable[[], Sample]:
+def _ahrs_reader(sensor: AhrsSensor, motion: Callable[[], RigidBodyState]) -> Callable[[], Sample]:
     return lambda: sensor.read(motion())
 
 
-def _gnss_reader(sensor: GnssSensor, motion: Callable[[], Motion], utc: float) -> Callable[[], Sample]:
+def _gnss_reader(sensor: GnssSensor, motion: Callable[[], RigidBodyState], utc: float) -> Callable[[], Sample]:
     def read() -> Sample:
         m = motion()
         return sensor.read(m, utc + m.t)

@@ -11,17 +11,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.mission import Mission, dump_mission
-from bench.plans import bench_plan, make_mission
-from daq.recorder import Recorder
-from daq.rig import Rig, parse_rig
+from bench.mission_generators import bench_plan, make_mission
+from daq.config.mission_file import Mission, dump_mission
+from daq.config.rig_file import parse_rig
+from daq.log.recorder import Recorder
+from daq.rig import Rig
 from daq.samples import NAN, Ahrs, Frame, LoadCell
-from ident.channels import local_ned
-from ident.dataset import Channel
-from mocks.bench_plant import Bench
-from mocks.offline import Recording, simulate, simulate_bench, tables
-from mocks.plant import Boat, draw_boat
-from mocks.undeclared import make_effect
+from ident.data.log_channels import local_ned
+from ident.data.record import Channel
+from mocks.hidden_effects.catalogue import make_effect
+from mocks.offline_simulation import Recording, simulate, simulate_bench, tables
+from mocks.plant.bench import Bench
+from mocks.plant.boat import Boat, draw_boat
 from mocks.world import Reading
 
 T0 = 1_750_000_000.0  # run time (s since 1970) at which these logs begin
@@ -66,7 +67,7 @@ def push(bench: Bench, run: int = 0, kind: str = "all") -> tuple[Recording, Miss
 
 
 def channels_of(recording: Recording) -> dict[str, Channel]:
-    """The channels that ``ident.channels`` would find in the boat's log."""
+    """The channels that ``ident.data.log_channels`` would find in the boat's log."""
     table, found = tables(recording.readings), {}
     for name, column in (("psi", "yaw"), ("r", "r"), ("ax", "ax"), ("ay", "ay")):
         found[name] = _channel(table["ahrs"], column)

@@ -14,7 +14,7 @@ import pytest
 
 import seatrial
 
-PARTS = ("numpy", "rich", "bench.", "ident.", "mocks.", "daq.log")
+PARTS = ("numpy", "rich", "bench.", "ident.", "mocks.", "daq.log.reader")
 
 
 def commands(command: click.Command, context: click.Context) -> Iterator[tuple[str, click.Command]]:
@@ -70,9 +70,9 @@ def test_the_shell_completes_commands_without_importing_a_part() -> None:
 
 def test_the_shell_completes_what_is_below(tmp_path: Path) -> None:
     assert offered("seatrial mi") == ["mission"]
-    assert {"design", "make", "run", "show"} <= set(offered("seatrial mission "))
-    assert offered("seatrial mission make --ki") == ["--kind"]
-    assert "zigzag" in offered("seatrial mission make --kind ")
+    assert {"design", "generate", "run", "show"} <= set(offered("seatrial mission "))
+    assert offered("seatrial mission generate --ki") == ["--kind"]
+    assert "zigzag" in offered("seatrial mission generate --kind ")
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 
 from bench import demo
-from bench.demo_steps import StepFailed, Steps
+from bench.demo import StepFailed, Steps
+from daq.config.rig_file import load_rig
 from daq.errors import SeatrialError
-from daq.rig import load_rig
 
 RESULT = {
     "answer": "The residual is explained by advance-ratio loss.",

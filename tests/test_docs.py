@@ -11,18 +11,18 @@ import click
 import pytest
 
 import seatrial
-from bench.mission import parse_mission
-from daq.imports.csv_map import load_csv_map
-from daq.log import Log
-from daq.rig import parse_rig
-from ident.modelfile import load_model
+from daq.config.mission_file import parse_mission
+from daq.config.rig_file import parse_rig
+from daq.importers.csv_map import load_csv_map
+from daq.log.reader import Log
+from ident.estimation.model_file import load_model
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")])
 SCRIPTS = sorted((ROOT / "docs").rglob("*.sh"))
 FOLDERS = ("daq/", "bench/", "ident/", "mocks/", "tests/", "docs/")
 # What a reader of a how-to is to write, and what the commands of the docs write.
-YOURS = {"ident/effects/weed.py", "tests/ident/test_weed.py", "daq/protocol/os5000.py"}
+YOURS = {"ident/effects/hull/weed.py", "tests/ident/effects/test_weed.py", "daq/protocol/os5000.py"}
 
 
 def name(path: Path) -> str:
@@ -158,7 +158,7 @@ def test_the_model_of_the_docs_is_a_model(tmp_path: Path) -> None:
 
 def test_what_the_docs_say_of_a_log_is_there() -> None:
     (text,) = blocks(ROOT / "docs/formats/log.md", "python")
-    words = set(re.findall(r"\blog\.(\w+)", text.replace("daq.log.open_log", "")))
+    words = set(re.findall(r"\blog\.(\w+)", text.replace("daq.log.reader.open_log", "")))
     assert {"table", "sources", "rig"} <= words
     known = set(dir(Log)) | set(Log.__init__.__code__.co_names) | set(getattr(Log, "__annotations__", ()))
     assert not words - known

@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[1]
 def test_groups_are_by_file() -> None:
     assert {group_of(f"{file}::test_a[1]") for file in PORTS} == {"ports"}
     assert group_of(f"{TOGETHER[0]}::test_a") == TOGETHER[0]
-    assert group_of("tests/daq/test_log.py::test_a") == "tests/daq/test_log.py::test_a"
+    assert group_of("tests/daq/log/test_reader.py::test_a") == "tests/daq/log/test_reader.py::test_a"
     for file in (*PORTS, *TOGETHER):
         assert (ROOT / file).is_file(), file
 
@@ -25,7 +25,7 @@ def test_groups_are_by_file() -> None:
 def test_a_group_runs_on_one_worker() -> None:
     """Six cheap tests of one group on two workers; without groups both would have some."""
     pytest.importorskip("xdist", reason="runs the tests on two workers, which pytest-xdist does")
-    words = ["-n", "2", "--dist", "loadgroup", "-v", "-p", "no:cacheprovider", "tests/daq/test_transport.py"]
+    words = ["-n", "2", "--dist", "loadgroup", "-v", "-p", "no:cacheprovider", "tests/daq/transport/test_transport.py"]
     done = subprocess.run(
         [sys.executable, "-m", "pytest", *words], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
     )

@@ -1,19 +1,23 @@
-"""The house: files of about 300 lines, functions of about 40, nothing left behind."""
+"""The structure: nothing left behind, no import circle, every wing imported through its face."""
 
 from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).resolve().parents[1]
-CODE = ("seatrial.py", "daq", "bench", "ident", "mocks", "benchmarks", "docs", "tests")
-# "About" is this much: a ceiling for each, and a share of all that may be above the aim. No file is excepted.
-FILE_LINES, FILE_CEILING = 300, 400
-FUNCTION_LINES, FUNCTION_CEILING = 40, 60
-SHARE = 0.03
+PARTS = ("daq", "bench", "ident", "mocks")
+CODE = ("seatrial.py", *PARTS, "benchmarks", "docs", "tests")
+# wings of one job a file: their modules are named, not their faces
+MODULES_NAMED = ("ident.workflows", "daq.importers")
+
+
+@cache
+def tree_of(path: Path) -> ast.Module:
+    """Its syntax tree."""
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def files() -> list[Path]:
@@ -22,43 +26,113 @@ def files() -> list[Path]:
     return sorted(path for top in found for path in ([top] if top.suffix else top.rglob("*.py")))
 
 
-def functions(path: Path) -> Iterator[tuple[str, int]]:
-    """(name, lines) of every function in a file, methods and inner ones too."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
-            assert node.end_lineno is not None
-            yield node.name, node.end_lineno - node.lineno + 1
+def module_of(path: Path) -> str:
+    """The dotted name of a file."""
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
 
 
-def check(sizes: dict[str, int], aim: int, ceiling: int) -> None:
-    """Nothing above the ceiling, and no more than a few above the aim."""
-    above = {name: size for name, size in sizes.items() if size > aim}
-    assert not {name: size for name, size in above.items() if size > ceiling}, f"more than {ceiling} lines"
-    assert len(above) <= SHARE * len(sizes), f"{len(above)} of {len(sizes)} have more than {aim} lines: {above}"
+def wing_of(module: str) -> str:
+    """``ident.estimation`` of ``ident.estimation.likelihood``."""
+    return ".".join(module.split(".")[:2])
 
 
-def test_files_are_short() -> None:
-    check(
-        {str(p.relative_to(ROOT)): len(p.read_text(encoding="utf-8").splitlines()) for p in files()},
-        FILE_LINES,
-        FILE_CEILING,
-    )
+PRODUCT = {module_of(path): path for path in files() if path.relative_to(ROOT).parts[0] in PARTS}
+WINGS = {module for module, path in PRODUCT.items() if path.name == "__init__.py" and module.count(".") == 1}
 
 
-def test_functions_are_short() -> None:
-    check(
-        {f"{p.relative_to(ROOT)}:{name}": lines for p in files() for name, lines in functions(p)},
-        FUNCTION_LINES,
-        FUNCTION_CEILING,
-    )
+def imports(path: Path) -> Iterator[tuple[str, str]]:
+    """(module, name) of every import of our own, inside functions too."""
+    for node in ast.walk(tree_of(path)):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in PARTS:
+            yield from ((node.module, alias.name) for alias in node.names)
 
 
-def test_the_check_sees_what_is_long() -> None:
-    check({"a": 41} | {f"b{k}": 5 for k in range(99)}, 40, 60)
-    with pytest.raises(AssertionError, match="more than 60"):
-        check({"a": 61} | {f"b{k}": 5 for k in range(99)}, 40, 60)
-    with pytest.raises(AssertionError, match="4 of 100"):
-        check({f"a{k}": 41 for k in range(4)} | {f"b{k}": 5 for k in range(96)}, 40, 60)
+def faces() -> dict[str, dict[str, str]]:
+    """Of each wing, the names in its face and the module that each comes from."""
+    found: dict[str, dict[str, str]] = {}
+    for wing in WINGS:
+        stub = PRODUCT[wing].with_suffix(".pyi")
+        tree = ast.parse(stub.read_text(encoding="utf-8")) if stub.exists() else ast.Module([], [])
+        found[wing] = {
+            alias.name: f"{wing}.{node.module or alias.name}"
+            for node in tree.body
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+        }
+    return found
+
+
+def test_a_wing_is_imported_through_its_face() -> None:
+    beside = [
+        f"{module} imports {target}.{name}"
+        for module, path in PRODUCT.items()
+        for target, name in imports(path)
+        if wing_of(target) in WINGS and target != wing_of(target) and wing_of(module) != wing_of(target)
+        and wing_of(target) not in MODULES_NAMED
+    ]
+    assert not beside
+
+
+def test_no_name_of_a_face_is_the_name_of_a_file() -> None:
+    """After an import of the file the name would mean the module."""
+    clash = [
+        f"{wing}.{name}"
+        for wing, names in faces().items()
+        for name, source in names.items()
+        if f"{wing}.{name}" in PRODUCT and source != f"{wing}.{name}"
+    ]
+    assert not clash
+
+
+def test_every_name_of_a_face_is_used_from_outside() -> None:
+    used = {(target, name) for path in files() for target, name in imports(path) if wing_of(module_of(path)) != target}
+    documented = "\n".join(p.read_text(encoding="utf-8") for p in [*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"])
+    idle = [
+        f"{wing}.{name}"
+        for wing, names in faces().items()
+        for name in names
+        if (wing, name) not in used and name not in documented
+    ]
+    assert not idle
+
+
+def test_no_import_circle() -> None:
+    """Of modules, each face resolved to where its names come from."""
+    face = faces()
+    graph: dict[str, set[str]] = {module: set() for module in PRODUCT}
+    for module, path in PRODUCT.items():
+        for target, name in imports(path):
+            source = face.get(target, {}).get(name) or (f"{target}.{name}" if f"{target}.{name}" in PRODUCT else target)
+            if source in PRODUCT and source != module:
+                graph[module].add(source)
+    done: set[str] = set()
+
+    def visit(module: str, path: tuple[str, ...]) -> None:
+        assert module not in path, " -> ".join((*path[path.index(module) :], module))
+        if module not in done:
+            for target in sorted(graph[module]):
+                visit(target, (*path, module))
+            done.add(module)
+
+    for module in sorted(graph):
+        visit(module, ())
+
+
+def test_no_function_has_more_than_eight_parameters() -> None:
+    """Outside the commands, whose parameters are their options."""
+    wide = []
+    for module, path in PRODUCT.items():
+        for node in ast.walk(tree_of(path)):
+            if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
+                command = any("command" in ast.unparse(d) or "option" in ast.unparse(d) for d in node.decorator_list)
+                n = (
+                    len(node.args.args)
+                    + len(node.args.kwonlyargs)
+                    - (bool(node.args.args) and node.args.args[0].arg == "self")
+                )
+                if n > 8 and not command:
+                    wide.append(f"{module}.{node.name}: {n}")
+    assert not wide
 
 
 def mentioned(tree: ast.AST) -> Iterator[str]:
@@ -74,15 +148,14 @@ def mentioned(tree: ast.AST) -> Iterator[str]:
 
 def test_every_module_is_used_by_another() -> None:
     """A module that only its own tests know is dead."""
-    own = [path for path in files() if path.relative_to(ROOT).parts[0] in ("daq", "bench", "ident", "mocks")]
-    used = {path: set(mentioned(ast.parse(path.read_text(encoding="utf-8")))) for path in files()}
+    used = {path: set(mentioned(tree_of(path))) for path in files()}
+    behind = {source for names in faces().values() for source in names.values()}
     dead = []
-    for path in own:
-        parts = path.relative_to(ROOT).with_suffix("").parts
-        catalogue = parts[:2] == ("ident", "effects")  # all of the folder is loaded
-        if catalogue or parts[-1] in ("__init__", "__main__"):
+    for module, path in PRODUCT.items():
+        catalogue = module.startswith("ident.effects.")  # all of the folder is loaded
+        if catalogue or path.stem in ("__init__", "__main__"):
             continue
-        module, own_test = ".".join(parts), f"test_{parts[-1]}"
-        if not any(module in names for user, names in used.items() if user.stem != own_test):
+        own_test = f"test_{path.stem}"
+        if module not in behind and not any(module in names for user, names in used.items() if user.stem != own_test):
             dead.append(module)
     assert not dead

@@ -15,17 +15,16 @@ import numpy as np
 import pytest
 
 import daq.protocol
-import ident.effects
+import ident.effects.hull
 import seatrial
-from daq import device_table
-from ident.dataset import Channel, Record
-from ident.diagnose import diagnose
-from ident.effects import catalogue
-from ident.model import Model
-from ident.modelfile import load_model
-from ident.models.horizontal import horizontal
-from ident.oe import simulate
-from ident.stage import Run
+from daq.protocol import catalogue as device_table
+from ident.data.record import Channel, LogSegment, Record
+from ident.diagnosis.search import diagnose
+from ident.effects.registry import catalogue
+from ident.estimation.model_file import load_model
+from ident.estimation.output_error import simulate
+from ident.model.structure import Model
+from ident.models.horizontal import horizontal_model
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -61,10 +60,10 @@ def run_tests(text: str) -> int:
 @pytest.fixture
 def weed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The effect of the how-to, in the catalogue."""
-    module_from(blocks("add-an-effect", "python")[0], "weed", tmp_path, ident.effects, monkeypatch)
+    module_from(blocks("add-an-effect", "python")[0], "weed", tmp_path, ident.effects.hull, monkeypatch)
     catalogue.cache_clear()
     yield
-    sys.modules.pop("ident.effects.weed", None)
+    sys.modules.pop("ident.effects.hull.weed", None)
     catalogue.cache_clear()
 
 
@@ -79,7 +78,7 @@ def steps(rng: np.random.Generator, t: np.ndarray, low: float, high: float) -> n
     return np.asarray(rng.uniform(low, high, step[-1] + 1)[step])
 
 
-def voyage(model: Model, seed: int, seconds: float = 300.0) -> Run:
+def voyage(model: Model, seed: int, seconds: float = 300.0) -> LogSegment:
     """A run of a model with two thrusts [N] as inputs, and the noise of its sensors."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, 0.1)
@@ -92,13 +91,13 @@ def voyage(model: Model, seed: int, seconds: float = 300.0) -> Run:
     noise = [model.parameter(o.noise).value for o in model.outputs]
     y = y + rng.normal(size=y.shape) * noise
     found = {n: Channel(t, columns[n]) for n in ("f_left", "f_right")}
-    return Run(f"seed {seed}", found | {n: Channel(t, y[:, j]) for j, n in enumerate(names)})
+    return LogSegment(f"seed {seed}", found | {n: Channel(t, y[:, j]) for j, n in enumerate(names)})
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("d_weed", [0.0, 15.0])
 def test_the_effect_of_the_how_to_is_found_if_and_only_if_it_is_there(weed: None, d_weed: float) -> None:
-    base = horizontal("force", ("attitude", "gyro", "position"), hold="zero")
+    base = horizontal_model("force", ("attitude", "gyro", "position"), hold="zero")
     truth = (base + catalogue()["weed"]).with_values({"d_weed": d_weed})
     candidates = {n: catalogue()[n] for n in ("weed", "cubic-drag", "coulomb", "turning-resistance")}
     known = base.replace_parameters(*(base.parameter(n).fixed() for n in ("d_vv", "d_v")))

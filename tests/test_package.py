@@ -113,7 +113,7 @@ def test_the_wheel_runs_from_any_folder(installed: Path, tmp_path: Path) -> None
         return python(["-P", "-c", code, *words], tmp_path, PYTHONPATH=str(installed)).stdout
 
     assert run("--version").splitlines() == [str(installed / "seatrial.py"), "seatrial 0.1.0"]
-    run("mission", "make", "--seed", "1", "-o", "mission.toml")
+    run("mission", "generate", "--seed", "1", "-o", "mission.toml")
     assert "surge steps" in run("mission", "show", "mission.toml")
     assert "--seed" in run("demo", "--help")
     assert "--validate" in run("ident", "diagnose", "--help")
@@ -183,7 +183,7 @@ def test_measuring_and_exciting_work_without_the_libraries_of_explaining(tmp_pat
         ["import", "csv", "map.toml", "run.csv", "-o", "run.mcap"],
         ["info", "run.mcap"],
         ["export", "csv", "run.mcap", "--out", "tables"],
-        ["mission", "make", "--seed", "1", "-o", "mission.toml"],
+        ["mission", "generate", "--seed", "1", "-o", "mission.toml"],
         ["mission", "show", "mission.toml"],
         *([*words, "--help"] for words in (["log"], ["check"], ["bench", "all"], ["mission", "run"], ["mock", "boat"])),
         ["ident", "vehicle", "run.mcap", "--out", "vehicle"],
@@ -240,7 +240,7 @@ def test_the_lean_installation_of_the_docs_runs_what_it_says(built: Built, tmp_p
     environment.pip("--upgrade", "pip")  # groups are known since 25.1
     environment.pip("--group", f"{source / 'pyproject.toml'}:core")
     environment.pip("--no-deps", str(built.wheel))
-    assert environment.seatrial(tmp_path, "mission", "make", "--seed", "1", "-o", "m.toml").returncode == 0
+    assert environment.seatrial(tmp_path, "mission", "generate", "--seed", "1", "-o", "m.toml").returncode == 0
     shutil.copy(ROOT / "mocks/rigs/boat.toml", tmp_path)
     checked = environment.seatrial(tmp_path, "check", "boat.toml", "--seconds", "0.5")
     assert checked.returncode == 1  # there is no boat

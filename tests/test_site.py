@@ -98,7 +98,11 @@ def test_arrows_are_what_no_contract_forbids(architecture: ModuleType) -> None:
         {
             "source_modules": ["ident"],
             "forbidden_modules": ["daq"],
-            "ignore_imports": ["ident -> daq.log", "ident.** -> daq.log", "ident.** -> daq.protocol.**"],
+            "ignore_imports": [
+                "ident -> daq.log",
+                "ident.** -> daq.log",
+                "ident.** -> daq.protocol.**",
+            ],
         },
     ]
     found = {(arrow.source, arrow.target): arrow.only for arrow in architecture.arrows(rules)}

@@ -18,7 +18,7 @@ from tests.test_docs import blocks
 
 ROOT = Path(__file__).resolve().parents[1]
 TUTORIALS = ROOT / "docs/tutorials"
-QUICK = ("cp ", "sed ", "seatrial mission make", "seatrial mission show")
+QUICK = ("cp ", "sed ", "seatrial mission generate", "seatrial mission show")
 
 
 def lines(title: str) -> list[str]:

@@ -1,29 +1,5 @@
-"""Wire protocols without I/O and without a clock: bytes in, frames out; samples in, bytes out.
+"""Wire protocols, sans I/O: bytes to samples and commands to bytes, one protocol a file."""
 
-One file per protocol. Each has a `Decoder` with `feed(data, t_rx) -> list[Frame]` and functions that encode. A
-decoder never raises on what it is fed: bytes that are in no valid frame are counted, and the next valid frame is
-found. How the bytes were cut into reads makes no difference to the samples or to the counters.
-"""
+import lazy_loader
 
-from __future__ import annotations
-
-from typing import Protocol
-
-from daq.samples import Frame
-
-
-class Decoder(Protocol):
-    """What all decoders share."""
-
-    frames: int  # frames on the wire that were whole and had the right checksum
-    checksum_errors: int  # frames that were whole and had a wrong one
-    unparsed_bytes: int  # bytes in no valid frame; line ends between frames do not count
-    remark: str  # what a user has to know of the stream, in one line; empty when nothing
-
-    def feed(self, data: bytes, t_rx: float) -> list[Frame]:
-        """Take the bytes of one read that returned at run time `t_rx`; returns the samples they complete."""
-        ...
-
-    def reset(self) -> None:
-        """Forget a half-read frame (the port was reopened). Counters stay."""
-        ...
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

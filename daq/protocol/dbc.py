@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from daq.errors import SeatrialError
 from daq.protocol.canframe import FRAME_BYTES, FrameDecoder
-from daq.rig_options import SOURCE, DbcSignal
+from daq.rig import SOURCE, DbcSignal
 from daq.samples import NAN, Esc, Frame
 
 STALE = 2.0  # s; what another message said is not repeated for longer than this

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-from daq.protocol.lines import LINE_MAX, SATURATED, SPIKE, Flags, LineDecoder, is_spike
+from daq.protocol.text_lines import LINE_MAX, SATURATED, SPIKE, Flags, LineDecoder, is_spike
 from daq.samples import NAN, Frame, LoadCell
 
 __all__ = ["DEFAULT_PATTERN", "LINE_MAX", "SATURATED", "SPIKE", "Decoder", "encode", "is_spike"]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-from daq.protocol.lines import Flags, LineDecoder
+from daq.protocol.text_lines import Flags, LineDecoder
 from daq.samples import NAN, Frame, LoadCell
 
 DEFAULT_QUERY = "!001:SYS?"

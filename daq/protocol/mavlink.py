@@ -1,27 +1,44 @@
-"""MAVLink, one autopilot on a link: bytes -> AHRS, GNSS, outputs, ESCs, battery, state and texts."""
+"""MAVLink, one autopilot on a link: bytes -> AHRS, GNSS, outputs, ESCs, battery, state and texts.
+
+MAVLink messages -> samples: what an autopilot says of itself, in SI units.
+"""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
 
 from daq.protocol.framing import StreamDecoder
-from daq.protocol.mavlink_samples import Samples
 from daq.protocol.mavlink_wire import ESC_STATUS, Codec, dialect, head, is_known, is_whole
-from daq.samples import Frame
-
-if TYPE_CHECKING:
-    from daq.rig import Device, Rig
+from daq.rig import Device, Output, Rig
+from daq.samples import NAN, Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, Sample, Servo
 
 # Beside what becomes a sample: what whoever runs the link has to hear.
 SERVICE = (
     *("HEARTBEAT", "COMMAND_ACK", "PARAM_VALUE", "STATUSTEXT", "EKF_STATUS_REPORT"),
     *("RC_CHANNELS_OVERRIDE", "COMMAND_LONG", "PARAM_REQUEST_READ", "PARAM_REQUEST_LIST", "PARAM_SET"),
 )
+GRAVITY = 9.80665
+SAME_S = 0.005  # s of boot time within which attitude and IMU are of one moment
+IMU_AWAITED_S = 1.0  # s of boot time after an IMU message for which an attitude waits for its own
+UNIX_US = 10**14  # a time_usec from here on counts from 1970, below from boot
+ARDUPILOT = 3  # HEARTBEAT.autopilot; its RAW_IMU has units
+INVALID = 8  # HEARTBEAT.autopilot of what is no autopilot
+ARMED = 128  # HEARTBEAT.base_mode
+FIXES = {2: 2, 3: 3, 4: 4, 5: 6, 6: 5, 7: 3, 8: 4}  # GPS_FIX_TYPE -> samples.Gnss.fix
+CHUNK = 50  # characters of STATUSTEXT
+SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
+ROVER_MODES = {
+    0: "MANUAL", 1: "ACRO", 3: "STEERING", 4: "HOLD", 5: "LOITER", 6: "FOLLOW", 7: "SIMPLE", 8: "DOCK", 9: "CIRCLE",
+    10: "AUTO", 11: "RTL", 12: "SMART_RTL", 15: "GUIDED", 16: "INITIALISING",
+}  # fmt: skip
+Found = list[tuple[Sample, float]]  # with the device's time, s since boot, NaN where the message has none
 
 
-class Decoder(StreamDecoder[Frame]):
+class MavlinkDecoder(StreamDecoder[Frame]):
     """Frames of one system and component -> samples; `listener` gets every decoded message of it.
 
     Messages of any other system are counted in `foreign` and left alone, as are unsigned and wrongly signed ones
@@ -101,7 +118,244 @@ def make_samples(device: Device, rig: Rig) -> Samples:
     return Samples(outputs or None, reversed_nodes, gnss)
 
 
-def make_decoder(device: Device, rig: Rig) -> Decoder:
+def make_decoder(device: Device, rig: Rig) -> MavlinkDecoder:
     """The decoder for a device of the rig, without a key: whoever runs the link gives it one by `secure`."""
     assert device.mavlink is not None
-    return Decoder(make_samples(device, rig), device.mavlink.system_id, device.mavlink.component_id)
+    return MavlinkDecoder(make_samples(device, rig), device.mavlink.system_id, device.mavlink.component_id)
+
+
+def mode_name(mode: int) -> str:
+    """The name of an ArduPilot Rover mode."""
+    return ROVER_MODES.get(mode, f"mode {mode}")
+
+
+class Samples:
+    """Turns the messages of one autopilot into samples.
+
+    An attitude waits for the IMU message of the same moment, and both make one `Ahrs`; where they are of different
+    moments each makes one, with NaN for what it has not. A fix that is sent again is
+    dropped. ESC_TELEMETRY has no sign: it gets that of the output. Nothing here depends on the time of day.
+    """
+
+    def __init__(
+        self,
+        outputs: Mapping[int, Output] | None = None,
+        reversed_nodes: frozenset[int] = frozenset(),
+        gnss: str = "raw",
+    ) -> None:
+        """`outputs` by servo number, from the rig; without them every output that ever had a pulse is reported."""
+        self.wanted: dict[str, Callable[[Any], Found]] = {
+            "HEARTBEAT": self._heartbeat, "ATTITUDE": self._attitude, "SYSTEM_TIME": self._system_time,
+            "RAW_IMU": self._raw_imu, "SCALED_IMU": self._scaled_imu, "HIGHRES_IMU": self._highres_imu,
+            "SERVO_OUTPUT_RAW": self._servos, "BATTERY_STATUS": self._battery, "SYS_STATUS": self._sys_status,
+            "EKF_STATUS_REPORT": self._ekf, "STATUSTEXT": self._text, "ESC_STATUS": self._esc_status,
+            **{f"ESC_TELEMETRY_{k}_TO_{k + 3}": self._esc_telemetry for k in range(1, 33, 4)},
+        }  # fmt: skip
+        self.wanted |= {"GPS_RAW_INT": self._gps} if gnss == "raw" else {"GLOBAL_POSITION_INT": self._position}
+        self._outputs, self._reversed = outputs, reversed_nodes
+        self.forget()
+
+    def forget(self) -> None:
+        """The link was opened anew: what was heard before may be of another life."""
+        self._boot = math.nan  # s, the newest
+        self._utc_of_boot = math.nan  # s since 1970
+        self._attitude_waits: tuple[Ahrs, float] | None = None
+        self._imu: tuple[float, tuple[float, ...], tuple[float, ...]] | None = None
+        self._imu_at = -math.inf
+        self._fix = -1
+        self._n: dict[int, float] = {}  # by output
+        self._counts: dict[int, int] = {}
+        self._seen: set[int] = set()
+        self._pilot: Autopilot | None = None
+        self._ardupilot = self._has_battery = False
+        self._ekf_flags = -1
+        self._chunks: tuple[int, str] = (0, "")
+
+    def take(self, message: Any) -> Found:
+        """The samples that a message completes."""
+        handler = self.wanted.get(message.get_type())
+        return [] if handler is None else handler(message)
+
+    def _at(self, usec: int, wraps: bool = False) -> float:
+        """Seconds since boot of a time in us; of one that wraps at 32 bits, the nearest to the newest."""
+        if usec >= UNIX_US:
+            return usec * 1e-6 - self._utc_of_boot
+        t = usec * 1e-6
+        if wraps and not math.isnan(self._boot):
+            t += round((self._boot - t) / 2**32 * 1e6) * 2**32 * 1e-6
+        return t
+
+    def _heartbeat(self, m: Any) -> Found:
+        if m.autopilot == INVALID:
+            return []
+        self._ardupilot = m.autopilot == ARDUPILOT
+        before = self._pilot
+        self._pilot = Autopilot(int(bool(m.base_mode & ARMED)), m.custom_mode, m.system_status, self._ekf_flags)
+        found: Found = [(self._pilot, NAN)]
+        if before is None or (before.armed, before.mode) != (self._pilot.armed, self._pilot.mode):
+            word = "armed" if self._pilot.armed else "disarmed"
+            found.append((Event("autopilot", f"{word}, {mode_name(self._pilot.mode)}"), NAN))
+        return found
+
+    def _ekf(self, m: Any) -> Found:
+        self._ekf_flags = m.flags
+        if self._pilot is None:
+            return []
+        self._pilot = replace(self._pilot, ekf=m.flags)
+        return [(self._pilot, NAN)]
+
+    def _system_time(self, m: Any) -> Found:
+        if m.time_unix_usec >= UNIX_US:
+            self._utc_of_boot = m.time_unix_usec * 1e-6 - m.time_boot_ms * 1e-3
+        return []
+
+    def _attitude(self, m: Any) -> Found:
+        t = m.time_boot_ms * 1e-3
+        self._boot = t
+        found: Found = [self._attitude_waits] if self._attitude_waits is not None else []
+        self._attitude_waits = None
+        ahrs = Ahrs(m.yaw, m.pitch, m.roll, m.rollspeed, m.pitchspeed, m.yawspeed)
+        if self._imu is not None and abs(self._imu[0] - t) <= SAME_S:
+            found.append((_joined(ahrs, self._imu), t))
+            self._imu = None
+        elif 0.0 <= t - self._imu_at <= IMU_AWAITED_S:
+            self._attitude_waits = (ahrs, t)
+        else:
+            found.append((ahrs, t))
+        return found
+
+    def _raw_imu(self, m: Any) -> Found:
+        return self._milli(m, self._at(m.time_usec)) if self._ardupilot else []
+
+    def _scaled_imu(self, m: Any) -> Found:
+        return self._milli(m, m.time_boot_ms * 1e-3)
+
+    def _milli(self, m: Any, t: float) -> Found:
+        """Thousandths of g and of a gauss."""
+        accel = tuple(1e-3 * GRAVITY * a for a in (m.xacc, m.yacc, m.zacc))
+        return self._take_imu(t, accel, tuple(1e-7 * b for b in (m.xmag, m.ymag, m.zmag)))
+
+    def _highres_imu(self, m: Any) -> Found:
+        field = tuple(1e-4 * b for b in (m.xmag, m.ymag, m.zmag))
+        return self._take_imu(self._at(m.time_usec), (m.xacc, m.yacc, m.zacc), field)
+
+    def _take_imu(self, t: float, accel: tuple[float, ...], field: tuple[float, ...]) -> Found:
+        self._imu_at = t
+        imu = (t, accel, field if any(field) else (NAN, NAN, NAN))
+        found: Found = []
+        if self._imu is not None:  # no attitude came for that one: it is a sample of its own
+            found.append((_joined(Ahrs(NAN, NAN, NAN), self._imu), self._imu[0]))
+            self._imu = None
+        waiting, self._attitude_waits = self._attitude_waits, None
+        if waiting is not None and abs(waiting[1] - t) <= SAME_S:
+            return [*found, (_joined(waiting[0], imu), waiting[1])]
+        self._imu = imu
+        return found if waiting is None else [*found, waiting]
+
+    def _gps(self, m: Any) -> Found:
+        if m.time_usec == self._fix:
+            return []
+        self._fix = m.time_usec
+        t = self._at(m.time_usec)
+        fix = FIXES.get(m.fix_type, 0)
+        moving = fix >= 2 and m.vel != 0xFFFF and m.cog != 0xFFFF
+        course, speed = math.radians(m.cog * 0.01), m.vel * 0.01
+        return [
+            (
+                Gnss(
+                    utc=t + self._utc_of_boot,
+                    lat=m.lat * 1e-7 if fix else NAN,
+                    lon=m.lon * 1e-7 if fix else NAN,
+                    alt=m.alt * 1e-3 if fix >= 3 else NAN,
+                    vel_n=speed * math.cos(course) if moving else NAN,
+                    vel_e=speed * math.sin(course) if moving else NAN,
+                    fix=fix,
+                    n_sat=-1 if m.satellites_visible == 255 else m.satellites_visible,
+                    hdop=NAN if m.eph == 0xFFFF else m.eph * 0.01,
+                    sigma_h=m.h_acc * 1e-3 if m.h_acc else NAN,
+                ),
+                t,
+            )
+        ]
+
+    def _position(self, m: Any) -> Found:
+        t = m.time_boot_ms * 1e-3
+        if m.time_boot_ms == self._fix:
+            return []
+        self._fix = m.time_boot_ms
+        if m.lat == 0 and m.lon == 0:
+            return [(Gnss(t + self._utc_of_boot, NAN, NAN), t)]
+        north, east, down = m.vx * 1e-2, m.vy * 1e-2, m.vz * 1e-2
+        fix = Gnss(t + self._utc_of_boot, m.lat * 1e-7, m.lon * 1e-7, m.alt * 1e-3, north, east, down, fix=3)
+        return [(fix, t)]
+
+    def _servos(self, m: Any) -> Found:
+        t = self._at(m.time_usec, wraps=True)
+        found: Found = []
+        for k in range(1, 17):
+            node, pwm = 16 * m.port + k, float(getattr(m, f"servo{k}_raw"))
+            if self._outputs is None:
+                self._seen |= {node} if pwm else set()
+                if node in self._seen:
+                    found.append((Servo(node, pwm), t))
+            elif node in self._outputs:
+                n = self._outputs[node].applied(pwm) if pwm else 0.0  # no pulse: the thruster stands
+                self._n[node] = -n if node in self._reversed else n
+                found.append((Servo(node, pwm, self._n[node] + 0.0), t))
+        return found
+
+    def _esc_telemetry(self, m: Any) -> Found:
+        first = int(m.get_type().split("_")[2])
+        found: Found = []
+        for k in range(4):
+            node, count = first + k, m.count[k]
+            if self._counts.get(node, 0) == count:
+                continue  # nothing new from this one, or no such controller
+            self._counts[node] = count
+            n = self._n.get(node, NAN)
+            rpm = math.copysign(float(m.rpm[k]), n) if n else float(m.rpm[k])
+            esc = Esc(node, rpm, m.current[k] * 0.01, n, m.voltage[k] * 0.01, float(m.temperature[k]))
+            found.append((esc, NAN))
+        return found
+
+    def _esc_status(self, m: Any) -> Found:
+        found: Found = []
+        for k in range(4):
+            node = m.first + k + 1
+            if m.voltage[k] == 0.0 and (self._outputs is None or node not in self._outputs):
+                continue
+            sign = -1.0 if node in self._reversed else 1.0
+            esc = Esc(node, sign * m.rpm[k], m.current[k], self._n.get(node, NAN), m.voltage[k])
+            found.append((esc, self._at(m.time_usec)))
+        return found
+
+    def _battery(self, m: Any) -> Found:
+        cells = [v for v in (*m.voltages, *m.voltages_ext) if v not in (0, 0xFFFF)]
+        if m.id != 0 or not cells:
+            return []
+        self._has_battery = True
+        return [(_battery(sum(cells) * 1e-3, m.current_battery, m.battery_remaining), NAN)]
+
+    def _sys_status(self, m: Any) -> Found:
+        if self._has_battery or m.voltage_battery in (0, 0xFFFF):
+            return []
+        return [(_battery(m.voltage_battery * 1e-3, m.current_battery, m.battery_remaining), NAN)]
+
+    def _text(self, m: Any) -> Found:
+        number, before = self._chunks
+        text = before + m.text if m.id and m.id == number and m.chunk_seq else m.text
+        if m.id and len(m.text) == CHUNK:
+            self._chunks = (m.id, text)
+            return []
+        self._chunks = (0, "")
+        word = SEVERITIES[m.severity] if m.severity < len(SEVERITIES) else f"severity {m.severity}"
+        return [(Event("statustext", f"{word}: {text}"), NAN)]
+
+
+def _joined(ahrs: Ahrs, imu: tuple[float, tuple[float, ...], tuple[float, ...]]) -> Ahrs:
+    (ax, ay, az), (mx, my, mz) = imu[1], imu[2]
+    return replace(ahrs, ax=ax, ay=ay, az=az, mx=mx, my=my, mz=mz)
+
+
+def _battery(voltage: float, centiampere: int, percent: int) -> Battery:
+    return Battery(voltage, NAN if centiampere < 0 else centiampere * 0.01, NAN if percent < 0 else percent * 0.01)

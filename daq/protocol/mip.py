@@ -13,7 +13,7 @@ import re
 import struct
 
 from daq.protocol.framing import StreamDecoder
-from daq.protocol.ubx_epoch import GPS_EPOCH, WEEK, gps_to_utc
+from daq.protocol.ubx import GPS_EPOCH, WEEK, gps_to_utc
 from daq.samples import NAN, Ahrs, Frame, Gnss
 
 SYNC = b"\x75\x65"

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-from daq.protocol.lines import Flags, LineDecoder
+from daq.protocol.text_lines import Flags, LineDecoder
 from daq.samples import NAN, Frame, LoadCell
 
 NEWTON = {b"kg": 9.80665, b"lbs": 4.4482216152605}  # standard gravity (CGPM 1901); pound-force

@@ -3,24 +3,150 @@
 Source: u-blox 8 / M8 Receiver Description (UBX-13003221) and, for what older receivers send, that of u-blox 6
 (GPS.G6-SW-10018): "UBX Protocol", class NAV. The messages we read are of fixed layout, so a `struct` a message reads
 them: a general parser costs twenty times as much and raises errors of many kinds.
+
+The navigation messages of UBX: those of one time of week become one `Gnss`, an attitude becomes an `Ahrs`.
 """
 
 from __future__ import annotations
 
+import calendar
 import itertools
 import math
 import re
 import struct
 import time
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 from daq.protocol import nmea
-from daq.protocol.ubx_epoch import LENGTHS, Epochs
-from daq.samples import Frame, Gnss
+from daq.samples import NAN, Ahrs, Frame, Gnss
 
 SYNC = b"\xb5\x62"
 HEAD = 6  # sync, class, id, length
 LENGTH_MAX = 8192  # bytes of a payload; a longer one is a header that was damaged
 NAV_PVT = (0x01, 0x07)
+GPS_EPOCH = 315_964_800  # s since 1970 of 1980-01-06
+WEEK = 604_800.0
+REMEMBERED = 10  # epochs; some messages do not come with each
+# Seconds since 1970 from which GPS time is one more second ahead of UTC (IERS Bulletin C).
+LEAPS = tuple(
+    calendar.timegm((year, month, 1, 0, 0, 0))
+    for year, month in (
+        (1981, 7), (1982, 7), (1983, 7), (1985, 7), (1988, 1), (1990, 1), (1991, 1), (1992, 7), (1993, 7), (1994, 7),
+        (1996, 1), (1997, 7), (1999, 1), (2006, 1), (2009, 1), (2012, 7), (2015, 7), (2017, 1),
+    )
+)  # fmt: skip
+_PVT = struct.Struct("<IH5BBIi4B4i2I5iIIH")
+_POSLLH = struct.Struct("<I4i2I")
+_SOL = struct.Struct("<IihBB3iI3iIHBBI")
+_VELNED = struct.Struct("<I3iIIi2I")
+_TIMEUTC = struct.Struct("<IIiH5BB")
+_TIMEGPS = struct.Struct("<IihbBI")
+_DOP = struct.Struct("<I7H")
+_HPPOSLLH = struct.Struct("<B2xBI4i4b2I")
+_ATT = struct.Struct("<IB3x3i3I")
+# Kind -> lengths of payload that it may have.
+LENGTHS: dict[tuple[int, int], frozenset[int]] = {
+    (0x01, 0x07): frozenset({84, 92}), (0x01, 0x02): frozenset({28}), (0x01, 0x06): frozenset({52}),
+    (0x01, 0x12): frozenset({36}), (0x01, 0x21): frozenset({20}), (0x01, 0x20): frozenset({16}),
+    (0x01, 0x04): frozenset({18}), (0x01, 0x14): frozenset({36}), (0x01, 0x05): frozenset({32}),
+}  # fmt: skip
+_CARRIES = frozenset({0x07, 0x02, 0x06, 0x14})  # a position, or that there is none
+_FIX = {1: 1, 2: 2, 3: 3, 4: 3}  # gpsFix -> Gnss.fix; 5 is a fix of time only, at a place known from before
+
+
+def gps_to_utc(seconds: float) -> float:
+    """UTC [s since 1970] of GPS time [s since 1970 on a clock without leap seconds]."""
+    return seconds - bisect_right([leap + k for k, leap in enumerate(LEAPS, start=1)], seconds)
+
+
+def _utc(year: int, month: int, day: int, hour: int, minute: int, second: int, nano: int) -> float:
+    if not (1980 <= year < 2106 and 1 <= month <= 12 and 1 <= day <= 31):
+        return NAN
+    return calendar.timegm((year, month, day, hour, minute, second)) + 1e-9 * nano
+
+
+def _pvt(v: dict[str, float], payload: bytes) -> None:
+    (
+        _, year, month, day, hour, minute, second, valid, _, nano, fix, flags, _, n_sat, lon, lat, _, h_msl, h_acc, _,
+        vel_n, vel_e, vel_d, *_,
+    ) = _PVT.unpack_from(payload)  # fmt: skip
+    v["fix"] = 0
+    if fix:
+        v["place"] = 1.0
+    if flags & 1:  # gnssFixOK
+        carrier = flags >> 6
+        v["fix"] = {1: 6, 2: 5}.get(carrier) or (4 if flags & 2 and fix in (2, 3, 4) else _FIX.get(fix, 0))
+    if valid & 3 == 3:  # date and time
+        v["utc"] = _utc(year, month, day, hour, minute, second, nano)
+    v["n_sat"] = n_sat
+    v["lat"], v["lon"], v["alt"], v["sigma"] = 1e-7 * lat, 1e-7 * lon, 1e-3 * h_msl, 1e-3 * h_acc / math.sqrt(2.0)
+    v["vel_n"], v["vel_e"], v["vel_d"] = 1e-3 * vel_n, 1e-3 * vel_e, 1e-3 * vel_d
+
+
+def _posllh(v: dict[str, float], payload: bytes) -> None:
+    _, lon, lat, _, h_msl, h_acc, _ = _POSLLH.unpack(payload)
+    v["lat"], v["lon"], v["alt"], v["sigma"] = 1e-7 * lat, 1e-7 * lon, 1e-3 * h_msl, 1e-3 * h_acc / math.sqrt(2.0)
+
+
+def _hpposllh(v: dict[str, float], payload: bytes) -> None:
+    _, invalid, _, lon, lat, _, h_msl, lon_hp, lat_hp, _, h_msl_hp, h_acc, _ = _HPPOSLLH.unpack(payload)
+    if not invalid & 1:
+        v["hp_lat"], v["hp_lon"] = 1e-7 * lat + 1e-9 * lat_hp, 1e-7 * lon + 1e-9 * lon_hp
+        v["hp_alt"], v["hp_sigma"] = 1e-3 * h_msl + 1e-4 * h_msl_hp, 1e-4 * h_acc / math.sqrt(2.0)
+
+
+def _sol(v: dict[str, float], payload: bytes) -> None:
+    i_tow, f_tow, week, fix, flags, x, y, z, *_, n_sat, _ = _SOL.unpack(payload)
+    v["sol_fix"] = 0
+    if fix:
+        v["place"] = 1.0
+    if flags & 1:
+        v["sol_fix"] = 4 if flags & 2 and fix in (2, 3, 4) else _FIX.get(fix, 0)
+    if flags & 0x0C == 0x0C and week > 0:  # week and time of week are valid
+        v["sol_utc"] = gps_to_utc(GPS_EPOCH + week * WEEK + 1e-3 * i_tow + 1e-9 * f_tow)
+    v["n_sat"] = n_sat
+    v["sol_lat"], v["sol_lon"] = _geodetic(1e-2 * x, 1e-2 * y, 1e-2 * z)
+
+
+def _velned(v: dict[str, float], payload: bytes) -> None:
+    _, north, east, down, *_ = _VELNED.unpack(payload)
+    v["vel_n"], v["vel_e"], v["vel_d"] = 1e-2 * north, 1e-2 * east, 1e-2 * down
+
+
+def _timeutc(v: dict[str, float], payload: bytes) -> None:
+    _, _, nano, year, month, day, hour, minute, second, valid = _TIMEUTC.unpack(payload)
+    if valid & 4:
+        v["utc"] = _utc(year, month, day, hour, minute, second, nano)
+
+
+def _timegps(v: dict[str, float], payload: bytes) -> None:
+    i_tow, f_tow, week, leap, valid, _ = _TIMEGPS.unpack(payload)
+    if valid & 7 == 7:  # time of week, week, leap seconds
+        v.setdefault("utc", GPS_EPOCH + week * WEEK + 1e-3 * i_tow + 1e-9 * f_tow - leap)
+
+
+def _dop(v: dict[str, float], payload: bytes) -> None:
+    v["hdop"] = _DOP.unpack(payload)[5] / 100.0
+
+
+def _geodetic(x: float, y: float, z: float) -> tuple[float, float]:
+    """Latitude and longitude [deg] of a point in ECEF [m]; Bowring 1976, WGS 84."""
+    a, f = 6378137.0, 1.0 / 298.257223563
+    b, e2 = a * (1.0 - f), f * (2.0 - f)
+    p = math.hypot(x, y)
+    if p < 1.0:
+        return NAN, NAN
+    theta = math.atan2(z * a, p * b)
+    lat = math.atan2(z + e2 / (1.0 - e2) * b * math.sin(theta) ** 3, p - e2 * a * math.cos(theta) ** 3)
+    return math.degrees(lat), math.degrees(math.atan2(y, x))
+
+
+_READ: dict[int, Callable[[dict[str, float], bytes], None]] = {
+    0x07: _pvt, 0x02: _posllh, 0x14: _hpposllh, 0x06: _sol, 0x12: _velned, 0x21: _timeutc, 0x20: _timegps, 0x04: _dop,
+}  # fmt: skip
 
 
 def checksum(body: bytes) -> bytes:
@@ -110,3 +236,91 @@ def encode(gnss: Gnss) -> bytes:
 
 def _or_zero(value: float) -> float:
     return 0.0 if math.isnan(value) else value
+
+
+@dataclass
+class _Epoch:
+    """What the messages of one time of week have said so far."""
+
+    i_tow: int  # ms
+    t_rx: float
+    kinds: set[int] = field(default_factory=set)
+    values: dict[str, float] = field(default_factory=dict)
+
+
+class Epochs:
+    """Navigation messages -> one sample an epoch.
+
+    A position that the receiver has but does not vouch for (gnssFixOK not set, or a fix of time only) is kept, with
+    `fix` 0. An epoch is complete when all kinds of message that came in the last few epochs have come, or else when the
+    next begins. `t_rx` of a sample is that of the epoch's first message, `t_device` its UTC.
+    """
+
+    def __init__(self) -> None:
+        self.heard = False  # whether there has been a message that carries a position
+        self._epoch: _Epoch | None = None
+        self._emitted = False
+        self._kinds: deque[set[int]] = deque(maxlen=REMEMBERED)
+        self._expected: set[int] = set()
+
+    def take(self, kind: tuple[int, int], payload: bytes, t_rx: float) -> list[Frame]:
+        """Take one message whose kind and length stand in LENGTHS; the samples it completes."""
+        number = kind[1]
+        if number == 0x05:
+            return _attitude(payload, t_rx)
+        self.heard = self.heard or number in _CARRIES
+        (i_tow,) = struct.unpack_from("<I", payload, 4 if number == 0x14 else 0)
+        out: list[Frame] = []
+        if self._epoch is None or self._epoch.i_tow != i_tow:
+            out = self.flush()
+            if self._epoch is not None:
+                self._kinds.append(self._epoch.kinds)
+                self._expected = set().union(*self._kinds)
+            self._epoch, self._emitted = _Epoch(i_tow, t_rx), False
+        self._epoch.kinds.add(number)
+        _READ[number](self._epoch.values, payload)
+        if self._expected and self._epoch.kinds >= self._expected:
+            out += self.flush()
+        return out
+
+    def flush(self) -> list[Frame]:
+        """The sample of the epoch that has not been emitted, if there is one."""
+        epoch = self._epoch
+        if epoch is None or self._emitted or not epoch.kinds & _CARRIES:
+            return []
+        self._emitted = True
+        sample = _gnss(epoch.values)
+        return [Frame(sample, epoch.t_rx, sample.utc)]
+
+    def forget(self) -> None:
+        """Forget the epoch that is not complete (the port was reopened)."""
+        self._epoch = None
+
+
+def _gnss(v: dict[str, float]) -> Gnss:
+    fix = int(v.get("fix", v.get("sol_fix", 0)))
+    lat, lon = (v.get(f"hp_{name}", v.get(name, v.get(f"sol_{name}", NAN))) for name in ("lat", "lon"))
+    has_place = "place" in v and abs(lat) <= 90.0 and abs(lon) <= 180.0
+    fix, lat, lon = (fix, lat, lon) if has_place else (0, NAN, NAN)
+    return Gnss(
+        v.get("utc", v.get("sol_utc", NAN)), lat, lon,
+        alt=v.get("hp_alt", v.get("alt", NAN)) if has_place else NAN,
+        vel_n=v.get("vel_n", NAN) if fix else NAN,
+        vel_e=v.get("vel_e", NAN) if fix else NAN,
+        vel_d=v.get("vel_d", NAN) if fix else NAN,
+        fix=fix,
+        n_sat=int(v.get("n_sat", -1)),
+        hdop=v.get("hdop", NAN),
+        sigma_h=v.get("hp_sigma", v.get("sigma", NAN)) if has_place else NAN,
+    )  # fmt: skip
+
+
+def _attitude(payload: bytes, t_rx: float) -> list[Frame]:
+    _, _, roll, pitch, heading, acc_roll, acc_pitch, acc_heading = _ATT.unpack(payload)
+    # An angle that is not known has an accuracy of 0 (M8) or of a whole turn.
+    known = [0 < acc < 180e5 for acc in (acc_heading, acc_pitch, acc_roll)]
+    yaw, pitch, roll = (
+        math.remainder(math.radians(1e-5 * angle), math.tau) if ok else NAN
+        for angle, ok in zip((heading, pitch, roll), known, strict=True)
+    )
+    return [Frame(Ahrs(yaw, pitch, roll), t_rx, NAN)] if any(known) else []

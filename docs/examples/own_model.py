@@ -6,14 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from ident.model import Input, Model, Signals
-from ident.models.horizontal import horizontal
-from ident.params import Parameter
+from ident.model import Input, Model, Parameter, Signals
+from ident.models import horizontal_model
 
 
 def rudder_boat() -> Model:
     """Hull and sensors of the built-in horizontal model; force and moment from n (-1..1) and the rudder angle [rad]."""
-    boat = horizontal("general")
+    boat = horizontal_model("general")
     return replace(
         boat,
         inputs=(Input("n_main"), Input("rudder", "rad")),

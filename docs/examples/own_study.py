@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from ident.euler import Inputs
-from ident.models.surge import surge
-from ident.study import Case
+from ident.estimation import SampledInputs
+from ident.models import surge_model
+from ident.studies import Case
 
 t = np.arange(0.0, 200.0, 0.1)
 push = 40.0 * np.sign(np.sin(2 * np.pi * t / 25))[:, None]  # N, ahead and astern
-calm = Case("calm", surge().with_values({"d_u": 6.0}), Inputs.held(t, push), every={"position": 2})
+calm = Case("calm", surge_model().with_values({"d_u": 6.0}), SampledInputs.held(t, push), every={"position": 2})

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from ident.model import Output, Sensor, State, plain_model
-from ident.params import INF, Parameter
+from ident.model import INF, Output, Parameter, Sensor, State, plain_model
 
 rolling = plain_model(
     "rolling",

@@ -5,6 +5,8 @@ The contracts are those of pyproject.toml, which `make lint` holds the code to. 
 
 from __future__ import annotations
 
+import ast
+import re
 import sys
 import tomllib
 from html import escape
@@ -51,6 +53,11 @@ def contracts() -> list[dict[str, Any]]:
     return list(table["tool"]["importlinter"]["contracts"])
 
 
+def forbidding(rules: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The contracts that keep something out, without those that order the wings."""
+    return [rule for rule in rules if "forbidden_modules" in rule]
+
+
 def arrows(rules: list[dict[str, Any]]) -> list[Arrow]:
     """Who may import whom, in the order of the boxes."""
     found = []
@@ -59,7 +66,7 @@ def arrows(rules: list[dict[str, Any]]) -> list[Arrow]:
             if source == target or target == "seatrial":
                 continue
             only: tuple[str, ...] | None = ()
-            for rule in rules:
+            for rule in forbidding(rules):
                 if source in rule["source_modules"] and target in rule["forbidden_modules"]:
                     only = _exceptions(rule, target) or None
             if only is not None:
@@ -76,7 +83,7 @@ def _exceptions(rule: dict[str, Any], target: str) -> tuple[str, ...]:
 def kept(rules: list[dict[str, Any]]) -> list[Kept]:
     """The libraries of the contracts, in order of name."""
     found = []
-    for rule in rules:
+    for rule in forbidding(rules):
         for library in rule["forbidden_modules"]:
             if library in PARTS:
                 continue
@@ -98,7 +105,25 @@ def tables() -> str:
     for library, out_of, but in kept(rules):
         names = ", ".join(f"`{part}`" for part in out_of)
         lines.append(f"| {library} | {names} | {', '.join(f'`{module}`' for module in but) or '-'} |")
-    return "\n".join(lines)
+    return "\n".join([*lines, *wings(rules)])
+
+
+def wings(rules: list[dict[str, Any]]) -> list[str]:
+    """A table for each part: its wings from the bottom up, and what each is."""
+    lines = []
+    for rule in rules:
+        if rule["type"] != "layers":
+            continue
+        (part,) = rule["containers"]
+        lines += ["", f"### {part}", "", "| wing | what it is |", "|---|---|"]
+        for layer in reversed(rule["layers"]):
+            for name in re.split(r" [|:] ", layer):
+                folder, file = ROOT / part / name / "__init__.py", ROOT / part / f"{name}.py"
+                tree = ast.parse((folder if folder.exists() else file).read_text(encoding="utf-8"))
+                first = (ast.get_docstring(tree) or "").partition("\n\n")[0].replace("\n", " ")
+                place = f"{part}/{name}/" if folder.exists() else f"{part}/{name}.py"
+                lines.append(f"| `{place}` | {first.replace('|', chr(92) + '|')} |")
+    return lines
 
 
 def svg() -> str:

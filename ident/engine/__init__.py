@@ -1,1 +1,5 @@
-"""The only place that knows CasADi's symbols and machine code: graphs, the kernels made of them, the compiler."""
+"""The compiled engine: extended Kalman filters, their adjoints and simulators, from CasADi graphs to machine code."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -8,9 +8,9 @@ from collections.abc import Set as AbstractSet
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.engine.plan import Gram, Plan, Product, Stage
+from ident.engine.loop_plan import Gram, LoopSegment, Plan, Product
+from ident.numerics import Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.uint32]
 
 
@@ -32,7 +32,7 @@ def interpret(plan: Plan, n_rows: int, groups: int, mask: Mask, arrays: Mapping[
                 _stage(plan, part, now, groups)
 
 
-def _stage(plan: Plan, part: Stage, now: Mapping[str, Array], groups: int) -> None:
+def _stage(plan: Plan, part: LoopSegment, now: Mapping[str, Array], groups: int) -> None:
     f = part.function
     names_in, names_out = f.name_in(), f.name_out()
     if plan.lanes.isdisjoint([*names_in, *names_out]):

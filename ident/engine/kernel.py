@@ -14,19 +14,17 @@ from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import SeatrialWarning
 from ident.engine import jit
-from ident.engine.layout import Layout
+from ident.engine.array_layout import Layout
+from ident.engine.loop_plan import Plan
+from ident.numerics import Array
 
-if TYPE_CHECKING:  # CasADi comes with it, and a kernel that is at hand does not need CasADi
-    from ident.engine.plan import Plan
-
-Array = NDArray[np.float64]
 Mask = NDArray[np.uint32]
 LINE = 8  # doubles in a cache line
 ALL_BITS = 0xFFFFFFFF
@@ -147,9 +145,9 @@ class Kernel:
         return max(1, -(-n_lanes // self.layout.width))
 
     def _compile(self) -> Loop:
-        from ident.engine.emitter import Emitter
+        from ident.engine.llvm_emitter import LlvmEmitter
 
-        ir = Emitter(self.plan).ir()
+        ir = LlvmEmitter(self.plan).ir()
         self.code = jit.key_of(ir)
         return self._linked(*jit.load(ir, "kernel"))
 

@@ -1,22 +1,5 @@
-"""A fitted model for other programs: one file a target. See docs/formats/export.md."""
+"""Export of a fitted model: Python, CasADi, C, ROS 2."""
 
-from __future__ import annotations
+import lazy_loader
 
-from collections.abc import Callable
-
-from ident.export import c, casadi_file, python, ros2
-from ident.export.content import Content, content
-from ident.modelfile import SavedModel
-
-TARGETS: dict[str, Callable[[Content], str]] = {
-    "python": python.write, "casadi": casadi_file.write, "c": c.write, "ros2": ros2.write,
-}
-
-
-def export(saved: SavedModel, target: str, *, name: str | None = None, nuisance: bool = False) -> str:
-    """The text of the file for a target: ``python``, ``casadi``, ``c`` or ``ros2``.
-
-    name: prefix of functions, or the node, in place of the model's own name; nuisance: keep unexplained forces and
-    sensor offsets as states. Raises ValueError where the model cannot be written.
-    """
-    return TARGETS[target](content(saved, name=name, nuisance=nuisance))
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ident.engine.lines import Program
-from ident.engine.lines import write as write_lines
-from ident.engine.syntaxes import C
+from ident.export.codegen import C, Program
+from ident.export.codegen import write as write_lines
 from ident.export.content import Content, comment, header
 
 # Words of the language, of math.h, and of the functions written here.

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from ident.engine.lines import Program
-from ident.engine.lines import write as write_lines
-from ident.engine.syntaxes import CASADI
+from ident.export.codegen import CASADI, Program
+from ident.export.codegen import write as write_lines
 from ident.export.content import Content, header
 from ident.export.python import constants, unpacked
 

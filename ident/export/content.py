@@ -10,14 +10,12 @@ from functools import cached_property
 
 import numpy as np
 
-from ident.dataset import HISTORY_STEP, WORK_UNIT
-from ident.engine.lines import Program, parameters_of, programs
-from ident.engine.rowwise import Rowwise
-from ident.model import Model, State
-from ident.modelfile import SavedModel
-from ident.models.kinematic import OFFSETS
-from ident.models.thruster import DELAY_STEP
-from ident.params import Parameter
+from ident.data import HISTORY_STEP, WORK_UNIT
+from ident.engine import VectorisedModel
+from ident.estimation import SavedModel
+from ident.export.codegen import Program, parameters_of, programs
+from ident.model import Model, Parameter, State
+from ident.models import DELAY_STEP, OFFSETS
 
 NUISANCE = ("disturbance", "sensor-bias")  # effects whose states a controller does not want
 SWING = "b_f"  # the unexplained force of the bench model, which is no effect
@@ -132,7 +130,9 @@ def unexplained(whole: Model, kept: Model) -> list[float]:
     names = [s.name for s in whole.states]
     values = whole.values
     at_rest = np.zeros((1, len(names)))
-    A = Rowwise(whole).rate_jacobian(at_rest, np.zeros((1, len(whole.inputs))), np.array(list(values.values())))[0]
+    A = VectorisedModel(whole).rate_jacobian(
+        at_rest, np.zeros((1, len(whole.inputs))), np.array(list(values.values()))
+    )[0]
     found = []
     for state in kept.states:
         variance = 0.0
@@ -191,9 +191,12 @@ def _said(c: Content, name: str) -> str:
 def _remarks(c: Content) -> list[str]:
     lines = []
     if c.left_out:
-        lines += ["", f"Left out, since a controller wants the boat: {', '.join(c.left_out)}",
-                  "(unexplained forces and offsets of sensors; `--with-nuisance` keeps them). What the forces did",
-                  "over times longer than their memory is in the process noise here."]
+        lines += [
+            "",
+            f"Left out, since a controller wants the boat: {', '.join(c.left_out)}",
+            "(unexplained forces and offsets of sensors; `--with-disturbance-states` keeps them). What the forces did",
+            "over times longer than their memory is in the process noise here.",
+        ]
     own = [n for n, p in zip(c.parameters, c.own, strict=True) if p.per_record]
     if own:
         lines += ["", f"Not the boat's own, different in each run: {', '.join(own)}. Set them; here is the mean of the",

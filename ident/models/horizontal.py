@@ -18,8 +18,7 @@ from typing import Literal
 
 import numpy as np
 
-from ident.model import Input, Model, Output, Sensor, Signals, State, begun
-from ident.params import INF, Parameter
+from ident.model import INF, Input, Model, Output, Parameter, Sensor, Signals, State, resolve_initial_states
 
 Propulsion = Literal["shaft", "force", "general"]
 SIDES = ("left", "right")
@@ -71,7 +70,7 @@ NOISE = {
 }
 
 
-def horizontal(
+def horizontal_model(
     propulsion: Propulsion = "shaft",
     sensors: Sequence[str] = STANDARD,
     *,
@@ -99,14 +98,14 @@ def horizontal(
     stages = {"shaft": (("shaft", shaft), ("thrust", thrust)), "force": (("thrust", given_thrust),), "general": ()}
     return Model(
         "horizontal",
-        begun(states, (SENSORS[s] for s in sensors)),
+        resolve_initial_states(states, (SENSORS[s] for s in sensors)),
         tuple(Input(n, unit, hold) for n, unit in zip(names, units, strict=True)),
         tuple(SENSORS[s] for s in sensors),
         parameters,
         (*stages[propulsion], ("force", force), ("rate", rate), ("output", output)),
         provides={"shaft": ("n", "f", "hull"), "force": ("f", "f_input", "hull"), "general": ("hull",)}[propulsion]
         + (("body_velocity",) if "body_velocity" in sensors else ()),
-        source=f"horizontal:{propulsion}" + ("" if current else ":still"),
+        source=f"horizontal:{propulsion}" + ("" if current else ":no-current"),
     )
 
 

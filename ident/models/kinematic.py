@@ -27,8 +27,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
-from ident.model import Input, Model, Output, Sensor, Signals, State, begun
-from ident.models.attitude import G, oriented, rotation, turned
+from ident.model import Input, Model, Output, Sensor, Signals, State, resolve_initial_states
 from ident.models.horizontal import (
     ARMS,
     CURRENT,
@@ -42,6 +41,7 @@ from ident.models.horizontal import (
     shaft,
     thrust,
 )
+from ident.models.rotations import G, oriented, rotation, turned
 
 STATES = (
     State("x", "m", "north", from_output="x", sd0=1.0),
@@ -62,7 +62,7 @@ OFFSETS = (
 )
 
 
-def kinematic(
+def kinematic_model(
     propulsion: Literal["shaft", "force"] = "shaft",
     sensors: Sequence[str] = SEEN,
     *,
@@ -85,10 +85,10 @@ def kinematic(
     first = (("shaft", _shaft), ("thrust", thrust))
     if propulsion == "force":
         first = (("shaft", attitude), ("thrust", given_thrust))
-    options = [propulsion, *(["yaw"] if yaw else []), *([] if current else ["still"])]
+    options = [propulsion, *(["yaw"] if yaw else []), *([] if current else ["no-current"])]
     return Model(
         "kinematic",
-        begun((*STATES, *((YAW_RATE,) if yaw else ()), *OFFSETS), chosen),
+        resolve_initial_states((*STATES, *((YAW_RATE,) if yaw else ()), *OFFSETS), chosen),
         (*(Input(f"{letter}_{side}", unit, hold) for side in SIDES), *ATTITUDE),
         tuple(chosen),
         (*(p for p in own if p.name not in unused), *noise),

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from ident.model import Input, Model, Output, Sensor, Signals, State, begun
-from ident.params import INF, Parameter
+from ident.model import INF, Input, Model, Output, Parameter, Sensor, Signals, State, resolve_initial_states
 
 HULL = (
     Parameter("m_u", 37.0, "kg", "surge mass with added mass", "log"),
@@ -23,7 +22,7 @@ STATES = (
 NOISE = Parameter("s_u", 0.01, "m/s/sqrt(s)", "process noise of surge speed", "log")
 
 
-def surge(
+def surge_model(
     propulsion: Literal["force", "shaft"] = "force",
     measured: Literal["position", "speed", "both"] = "position",
     *,
@@ -40,7 +39,7 @@ def surge(
     shaft = propulsion == "shaft"
     return Model(
         "surge",
-        begun(STATES, sensors),
+        resolve_initial_states(STATES, sensors),
         (Input("n", "", hold) if shaft else Input("X", "N", hold),),
         tuple(sensors),
         (*HULL, *(THRUST if shaft else ()), NOISE, *noise),

@@ -15,12 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from ident.dataset import Channel
-from ident.model import Input, Model, Output, Residual, Sensor, Signals, State, Variable
-from ident.models.unexplained import TIME, adder
-from ident.params import Parameter
+from ident.data import Channel
+from ident.model import Input, Model, Output, Parameter, Residual, Sensor, Signals, StartGrid, State, Variable
+from ident.models.disturbances import TIME, adder
 
 DELAY_STEP = 0.0125  # s
+DELAY_APART = 0.2  # s between delays to start from
+START_POLES = np.geomspace(0.2, 20.0, 14)  # 1/s
 SLOW_STEP = 0.1  # s, of ``thruster:slow``: delays up to 4.8 s, over links that poll
 N_DELAYS = 49
 EDGE = 0.005  # of the command: over which the dead zone ends
@@ -80,7 +81,7 @@ def on_a_copy(tau: float, step: float) -> str:
     return f"{tau / k:.6g}" if k > 0 else ""
 
 
-def thruster(
+def thruster_model(
     pace: str = "", *, force: bool = True, swing: bool = True, step: float = DELAY_STEP, n_delays: int = N_DELAYS
 ) -> Model:
     """The bench model. pace: ``slow`` for delays beyond 0.6 s, or the ``step`` itself [s] as text (``on_a_copy``);
@@ -119,7 +120,14 @@ def thruster(
             TIME,
         ),
         block=2.0,
+        start_grid=_start_grid(top) if step > 2 * DELAY_STEP else None,
     )
+
+
+def _start_grid(longest: float) -> StartGrid:
+    """Delays [s] and poles [1/s] to start from: with low-rate telemetry the likelihood has several maxima."""
+    delays = np.arange(0.0, longest, DELAY_APART)
+    return StartGrid(("tau", "a"), (tuple(delays.tolist()), tuple(START_POLES.tolist())), DELAY_APART)
 
 
 def _parts(force: bool, swing: bool) -> tuple[tuple[State, ...], tuple[Sensor, ...], tuple[Parameter, ...]]:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from ident.model import Input, Model, Output, Sensor, Signals, State
-from ident.params import INF, Parameter
+from ident.model import INF, Input, Model, Output, Parameter, Sensor, Signals, State
 
 HULL = (
     Parameter("m_r", 9.69, "kg m2", "yaw inertia with added inertia", "log"),
@@ -17,7 +16,7 @@ GYRO = Parameter("e_r", 0.005, "rad/s", "noise of the yaw gyro", "log")
 COMPASS = Parameter("e_psi", 0.01, "rad", "noise of the heading", "log")
 
 
-def yaw(measured: Literal["rate", "both"] = "rate", *, hold: Literal["zero", "linear"] = "zero") -> Model:
+def yaw_model(measured: Literal["rate", "both"] = "rate", *, hold: Literal["zero", "linear"] = "zero") -> Model:
     """State r [rad/s], and psi [rad] where the heading is measured too; input N [N m]."""
     heading = measured == "both"
     states = [State("r", "rad/s", "yaw rate", "s_r", from_output="r", sd0=0.1)]

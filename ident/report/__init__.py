@@ -1,6 +1,5 @@
-"""What people see of a result: a page that opens offline, and a few lines in the terminal. The only plotting."""
+"""Reports: HTML pages and terminal tables. The only wing that plots."""
 
-from ident.report.page import write_report
-from ident.report.terminal import print_result
+import lazy_loader
 
-__all__ = ["print_result", "write_report"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

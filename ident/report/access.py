@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ident.numerics import Array
+
 Row = Mapping[str, Any]
 ROLES = ("validation", "estimation")  # the order of showing: what was not fitted convinces more
 
@@ -87,7 +87,7 @@ def along(owner: Row, base: str, *keys: str) -> tuple[Array, list[Array | None]]
 
 
 @dataclass(frozen=True)
-class Take:
+class RecordTab:
     """One record as the page shows it: a tab."""
 
     name: str
@@ -99,16 +99,16 @@ class Take:
         return " · ".join(dict.fromkeys(part for part in (self.role, self.name) if part)) or "record"
 
 
-def takes(result: Row, key: str) -> list[Take]:
+def takes(result: Row, key: str) -> list[RecordTab]:
     """The records that have rows under ``key``, validation before estimation, else in the file's order."""
     roles = {text(row, "name"): text(row, "role") for row in rows(result, "logs")}
     for part in ("traces", "track"):
         roles |= {text(row, "record"): text(row, "role") for row in rows(result, part) if text(row, "role")}
     names = list(dict.fromkeys(text(row, "record") for row in rows(result, key)))
     order = {role: i for i, role in enumerate(ROLES)}
-    return sorted((Take(n, roles.get(n, "")) for n in names), key=lambda take: order.get(take.role, len(order)))
+    return sorted((RecordTab(n, roles.get(n, "")) for n in names), key=lambda take: order.get(take.role, len(order)))
 
 
-def of_take(result: Row, key: str, take: Take) -> list[Row]:
+def of_take(result: Row, key: str, take: RecordTab) -> list[Row]:
     """The rows of one record."""
     return [row for row in rows(result, key) if text(row, "record") == take.name]

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from daq.errors import counted
-from ident.report import drawing, wording
-from ident.report.access import Array, Row, array, group, number, rows, text, texts
+from ident.numerics import Array
+from ident.report import drawing, formatting
+from ident.report.access import Row, array, group, number, rows, text, texts
 from ident.report.blocks import Canvas, Facts, Grid, Key, Prose, Section, Verdict, Verdicts, tabbed
 from ident.report.drawing import BEFORE, MODEL, Budget, Panel, dots, line, single, stacked
 from ident.report.page import compose
@@ -22,7 +23,7 @@ Make = Callable[[Row, int], Sequence[Panel]]  # a log and the points that a trac
 
 
 def write_check_page(content: Mapping[str, Any], path: Path) -> None:
-    """Write a check's findings, curves (``logs``: of ident.check_evidence) and dry run as one HTML page.
+    """Write a check's findings, curves (``logs``: of ident.checks.evidence) and dry run as one HTML page.
 
     It opens without a network. Raises OSError where ``path`` cannot be written.
     """
@@ -85,7 +86,7 @@ def _facts(content: Row) -> list[tuple[str, str]]:
     logs = rows(content, "logs")
     for log in logs:
         label = "recorded" if len(logs) == 1 else f"recorded in {text(log, 'name')}"
-        facts.append((label, wording.duration(number(log, "duration"))))
+        facts.append((label, formatting.duration(number(log, "duration"))))
     return [*facts, *((word, str(levels.count(level))) for level, word in LEVELS.items())]
 
 
@@ -129,10 +130,10 @@ def _section(
 def _push(log: Row, limit: int) -> list[Panel]:
     panels = []
     for row in rows(log, "push"):
-        factor, unit = wording.degrees_for(text(row, "unit"))
+        factor, unit = formatting.degrees_for(text(row, "unit"))
         t, measured, expected = (np.asarray(row[key]) for key in ("t", "measured", "expected"))
         traces = [dots(t, factor * measured, "measured", limit), line(t, factor * expected, "as pushed", limit)]
-        panels.append(Panel(_capital(text(row, "title")) + wording.bracket(unit), traces))
+        panels.append(Panel(_capital(text(row, "title")) + formatting.bracket(unit), traces))
     return panels
 
 
@@ -154,22 +155,22 @@ def _held(t: Array, value: Array, end: float) -> tuple[Array, Array]:
 def _sensors(log: Row, limit: int) -> list[Panel]:
     panels = []
     for row in rows(log, "sensors"):
-        factor, unit = wording.degrees_for(text(row, "unit"))
+        factor, unit = formatting.degrees_for(text(row, "unit"))
         t, one, other = (np.asarray(row[key]) for key in ("t", "one", "other"))
         first, second = texts(row, "names")
         traces = [dots(t, factor * one, first, limit), line(t, factor * other, second, limit)]
-        panels.append(Panel(_capital(text(row, "title")) + wording.bracket(unit), traces))
+        panels.append(Panel(_capital(text(row, "title")) + formatting.bracket(unit), traces))
     return panels
 
 
 def _signals(log: Row, limit: int) -> list[Panel]:
     panels = []
     for row in rows(log, "signals"):
-        factor, unit = wording.degrees_for(text(row, "unit"))
+        factor, unit = formatting.degrees_for(text(row, "unit"))
         name, t, value = text(row, "channel"), np.asarray(row["t"]), np.asarray(row["value"])
         shown = np.degrees(np.unwrap(value)) if row.get("angle") is True and unit == "deg" else factor * value
-        title = wording.titled(name) if name in wording.MEANINGS else _capital(name.replace("_", " "))
-        panels.append(Panel(title + wording.bracket(unit), [dots(t, shown, name, limit)]))
+        title = formatting.titled(name) if name in formatting.MEANINGS else _capital(name.replace("_", " "))
+        panels.append(Panel(title + formatting.bracket(unit), [dots(t, shown, name, limit)]))
     return panels
 
 

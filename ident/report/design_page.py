@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ident.report import wording
-from ident.report.access import Array, Row, group, number, rows, text, texts
+from ident.numerics import Array
+from ident.report import formatting
+from ident.report.access import Row, group, number, rows, text, texts
 from ident.report.blocks import Canvas, Cell, Facts, Grid, Prose, Section, Table
 from ident.report.drawing import AMBER, FAINT, GREEN, MODEL, Budget, Panel, Trace, line, single, stacked
 from ident.report.page import compose
@@ -38,14 +39,16 @@ def _lead(result: Row) -> str:
 
 
 def _facts(result: Row) -> list[tuple[str, str]]:
-    found = [("model", text(result, "model")), ("criterion", wording.plain(number(result, "value"), 4))]
-    found += [(f"best of 20 {text(r, 'name')}", wording.plain(number(r, "value"), 4)) for r in rows(result, "rivals")]
-    found.append(("better than all in", wording.percent(number(result, "share_won"), 1) + " of the samples"))
+    found = [("model", text(result, "model")), ("criterion", formatting.plain(number(result, "value"), 4))]
+    found += [
+        (f"best of 20 {text(r, 'name')}", formatting.plain(number(r, "value"), 4)) for r in rows(result, "rivals")
+    ]
+    found.append(("better than all in", formatting.percent(number(result, "share_won"), 1) + " of the samples"))
     apart = group(result, "apart")
     if apart:
         first, second = texts(apart, "effects")
-        found += [(f"T if {first} is true", wording.plain(number(apart, "if_first"))),
-                  (f"T if {second} is true", wording.plain(number(apart, "if_second")))]
+        found += [(f"T if {first} is true", formatting.plain(number(apart, "if_first"))),
+                  (f"T if {second} is true", formatting.plain(number(apart, "if_second")))]
     return found
 
 
@@ -57,10 +60,10 @@ def _errors(result: Row) -> Section:
         value, after = number(row, "value"), number(row, "after")
         share = None if not value or after is None else abs(after / value)
         lines.append([Cell(text(row, "name"), "symbol strong" if row.get("chosen") else "symbol"),
-                      Cell(wording.plain(value), "num"), Cell(wording.tidy(text(row, "unit")), "nowrap"),
-                      Cell(wording.plain(number(row, "before")), "num"), Cell(wording.plain(after), "num"),
-                      Cell("> 100 %" if share is not None and share > 1 else wording.percent(share, 1), "num"),
-                      Cell(wording.plain(number(row, "rival")), "num"), Cell(text(row, "meaning"), "wide")])
+                      Cell(formatting.plain(value), "num"), Cell(formatting.tidy(text(row, "unit")), "nowrap"),
+                      Cell(formatting.plain(number(row, "before")), "num"), Cell(formatting.plain(after), "num"),
+                      Cell("> 100 %" if share is not None and share > 1 else formatting.percent(share, 1), "num"),
+                      Cell(formatting.plain(number(row, "rival")), "num"), Cell(text(row, "meaning"), "wide")])
     return Section("errors", "What will be known", [Table(columns, lines)] if lines else [],
                    "Standard errors; a dash before: nothing is known yet.")
 
@@ -91,14 +94,14 @@ def _track(canvas: Canvas) -> Section:
     traces.append(line(y, x, "nominal boat", 400) | {"showlegend": True})
     traces.append(_dot(y[:1], x[:1]))
     current = number(track, "current")
-    water = f"the others in currents of up to {wording.plain(current)} m/s" if current else "without current"
+    water = f"the others in currents of up to {formatting.plain(current)} m/s" if current else "without current"
     words = f"The boat starts at 0, 0, at rest, heading north, {water}. Nobody steers: small errors of the "
     words += "model add up, so watch the geofence of the rig file."
     corner, area, inside = track.get("corner"), track.get("area"), number(track, "inside")
     if corner is not None and area is not None and inside is not None:
         south, west = corner
-        words += (f" {wording.percent(inside)} of the disturbed boats keep to the area (orange) if it begins "
-                  f"{wording.plain(-south)} m south and {wording.plain(-west)} m west of the start.")
+        words += (f" {formatting.percent(inside)} of the disturbed boats keep to the area (orange) if it begins "
+                  f"{formatting.plain(-south)} m south and {formatting.plain(-west)} m west of the start.")
         x, y = south + np.array([0, 1, 1, 0, 0]) * area[0], west + np.array([0, 0, 1, 1, 0]) * area[1]
         traces.append(line(y, x, "area", 10, color=AMBER, dash="dash") | {"showlegend": True})
     figure = single(traces, "east [m]", "north [m]", yaxis={"scaleanchor": "x"}, showlegend=True, hovermode="closest",

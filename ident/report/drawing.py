@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.report.access import Array
+from ident.numerics import Array
 
 Trace = dict[str, Any]
 Figure = dict[str, Any]

@@ -13,7 +13,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from ident.report import sections, wording
+from ident.report import formatting, sections
 from ident.report.access import rows, text
 from ident.report.blocks import Canvas, Section
 from ident.report.drawing import TEMPLATE, Budget, Figure
@@ -68,8 +68,8 @@ def compose(
         .get_template("report.html.j2")
         .render(
             kind=kind,
-            answer=wording.tied(answer),
-            created=wording.moment(created),
+            answer=formatting.tied(answer),
+            created=formatting.moment(created),
             version=version,
             opening=opening,
             sections=body,
@@ -84,7 +84,7 @@ def compose(
 @cache
 def _environment() -> Environment:
     return Environment(
-        loader=PackageLoader("ident.report"),
+        loader=PackageLoader("ident.report.output"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

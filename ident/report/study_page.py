@@ -1,23 +1,49 @@
-"""The page of a Monte Carlo study: is the estimator to be believed, and in which parameter not."""
+"""The page of a Monte Carlo study: is the estimator to be believed, and in which parameter not.
+
+The picture of a Monte Carlo study beside its table: a dot a parameter for bias, variance and coverage, as SVG.
+A Monte Carlo study in Markdown: a picture and a table of each model; and its tables for a terminal.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
-from ident.report import drawing, wording
+from ident.report import drawing, formatting
 from ident.report.access import Row, number, rows, text, texts
 from ident.report.blocks import Canvas, Cell, Facts, Grid, Heading, Key, Plot, Prose, Section, Table
 from ident.report.drawing import BEFORE, MODEL, Budget, single
 from ident.report.page import compose
+from ident.results import AIMS, APART, BIAS, COVERAGE, VARIANCE
 
 Aims = Mapping[str, tuple[float, float]]
 ROW_PX, REST_PX = 26, 56  # height of a parameter's row, and of the axis below
-COLUMNS = (("parameter", ""), ("true value", "num"), ("bias", "num"), ("variance / reported", "num"),
-           ("variance / bound", "num"), ("coverage", "num"), ("at a bound", "num"), ("misses", ""))
+COLUMNS = (
+    ("parameter", ""),
+    ("true value", "num"),
+    ("bias", "num"),
+    ("variance / reported", "num"),
+    ("variance / bound", "num"),
+    ("coverage", "num"),
+    ("at a bound", "num"),
+    ("misses", ""),
+)
+PANELS = (
+    ("bias", "bias, standard deviations", 1.0),
+    ("ratio", "variance / bound", 1.0),
+    ("coverage", "coverage of 95 % intervals, %", 100.0),
+)
+NAMES_PX, PANEL_PX, GAP_PX, PICTURE_ROW_PX, TOP_PX, AXIS_PX, KEY_PX = 64, 250, 22, 20, 30, 24, 26
+N_TICKS = 5
+KEY = (("fine", "as wanted"), ("chance", "beyond the aim, perhaps by chance"), ("miss", "beyond the aim"))
+Json = Mapping[str, Any]
+HEAD = ("parameter", "n", "at bound", "bias, sd", "variance/reported", "variance/bound", "coverage", "")
+PICTURES = "pictures"  # the folder beside a page
 
 
 def write_study_page(result: Mapping[str, Any], aims: Aims, path: Path) -> None:
@@ -29,19 +55,30 @@ def write_study_page(result: Mapping[str, Any], aims: Aims, path: Path) -> None:
     canvas = Canvas(result, Budget())
     body = [_study(canvas, study, aims) for study in rows(result, "studies")]
     opening = Section("top", "", [Prose(_lead(aims), "lead")])
-    made = Section("made", "How it was made",
-                   [Facts([("command", text(result, "command")), ("seed", text(result, "seed"))], "made")])
-    page = compose("Study of an estimator", text(result, "answer"), opening,
-                   [*(s for s in body if s.blocks), made], canvas.figures, version=text(result, "seatrial"),
-                   created=text(result, "created"))
+    made = Section(
+        "made",
+        "How it was made",
+        [Facts([("command", text(result, "command")), ("seed", text(result, "seed"))], "made")],
+    )
+    page = compose(
+        "Study of an estimator",
+        text(result, "answer"),
+        opening,
+        [*(s for s in body if s.blocks), made],
+        canvas.figures,
+        version=text(result, "seatrial"),
+        created=text(result, "created"),
+    )
     path.write_text(page, encoding="utf-8", newline="\n")
 
 
 def _lead(aims: Aims) -> str:
     bias, (low, high), coverage = aims["bias"][1], aims["ratio"], aims["coverage"]
-    return (f"Wanted: a bias below {bias:g} standard deviations, a variance of {low:g} to {high:g} times the "
-            f"least possible one, and 95 % intervals that hold the truth in {wording.percent(coverage[0])} to "
-            f"{wording.percent(coverage[1])} of the fits. Each estimate is of a simulated mission with its own noise.")
+    return (
+        f"Wanted: a bias below {bias:g} standard deviations, a variance of {low:g} to {high:g} times the "
+        f"least possible one, and 95 % intervals that hold the truth in {formatting.percent(coverage[0])} to "
+        f"{formatting.percent(coverage[1])} of the fits. Each estimate is of a simulated mission with its own noise."
+    )
 
 
 def _study(canvas: Canvas, study: Row, aims: Aims) -> Section:
@@ -49,20 +86,43 @@ def _study(canvas: Canvas, study: Row, aims: Aims) -> Section:
     name = text(study, "model")
     if not found:
         return Section(f"study-{name}", name, [Prose("No replicate can be judged.")])
-    plots = [_forest(canvas, found, key, title, factor, aims[key]) for key, title, factor in (
-        ("bias", "bias [standard deviations]", 1.0), ("ratio", "variance over the least possible", 1.0),
-        ("coverage", "coverage of 95 % intervals [%]", 100.0))]
-    key = Key([("after", "as wanted: estimate with its own 95 % interval; the band is the aim"),
-               ("diamond", "diamonds miss the aim, open ones perhaps by chance")])
-    return Section(f"study-{name}", f"{name}: {text(study, 'about')}",
-                   [Facts(_facts(study)), Heading("Against what is wanted"), key, Grid(plots, 290),
-                    Heading("The numbers"), Table(COLUMNS, [_row(row) for row in found])])
+    plots = [
+        _forest(canvas, found, key, title, factor, aims[key])
+        for key, title, factor in (
+            ("bias", "bias [standard deviations]", 1.0),
+            ("ratio", "variance over the least possible", 1.0),
+            ("coverage", "coverage of 95 % intervals [%]", 100.0),
+        )
+    ]
+    key = Key(
+        [
+            ("after", "as wanted: estimate with its own 95 % interval; the band is the aim"),
+            ("diamond", "diamonds miss the aim, open ones perhaps by chance"),
+        ]
+    )
+    return Section(
+        f"study-{name}",
+        f"{name}: {text(study, 'about')}",
+        [
+            Facts(_facts(study)),
+            Heading("Against what is wanted"),
+            key,
+            Grid(plots, 290),
+            Heading("The numbers"),
+            Table(COLUMNS, [_row(row) for row in found]),
+        ],
+    )
 
 
 def _facts(study: Row) -> list[tuple[str, str]]:
     fit, simulation = number(study, "cpu_fit"), number(study, "cpu_simulation")
-    facts = [("estimator", text(study, "estimator")), *((word, text(study, key)) for key, word in (
-        ("replicates", "replicates"), ("failed", "failed"), ("unconverged", "did not converge")))]
+    facts = [
+        ("estimator", text(study, "estimator")),
+        *(
+            (word, text(study, key))
+            for key, word in (("replicates", "replicates"), ("failed", "failed"), ("unconverged", "did not converge"))
+        ),
+    ]
     times = [f"{1e3 * t:.0f} ms a {what}" for t, what in ((fit, "fit"), (simulation, "simulation")) if t is not None]
     return [*facts, *([("CPU time", ", ".join(times))] if times else [])]
 
@@ -76,16 +136,45 @@ def _forest(
     verdicts = [verdict_of(row, key) for row in found]
     color = [MODEL if verdict == "fine" else BEFORE for verdict in verdicts]
     symbol = [{"fine": "circle", "chance": "diamond-open", "miss": "diamond"}[verdict] for verdict in verdicts]
-    bars = {"type": "data", "symmetric": False, "array": (high - value).tolist(), "arrayminus": (value - low).tolist(),
-            "thickness": 1.4, "width": 0, "color": drawing.MEASURED}
-    trace = {"type": "scatter", "mode": "markers", "x": value.tolist(), "y": place.tolist(), "error_x": bars,
-             "text": [text(row, "name") for row in found], "hovertemplate": "%{text}: %{x:.3g}<extra></extra>",
-             "marker": {"color": color, "symbol": symbol, "size": 9, "line": {"width": 1.5}}}
+    bars = {
+        "type": "data",
+        "symmetric": False,
+        "array": (high - value).tolist(),
+        "arrayminus": (value - low).tolist(),
+        "thickness": 1.4,
+        "width": 0,
+        "color": drawing.MEASURED,
+    }
+    trace = {
+        "type": "scatter",
+        "mode": "markers",
+        "x": value.tolist(),
+        "y": place.tolist(),
+        "error_x": bars,
+        "text": [text(row, "name") for row in found],
+        "hovertemplate": "%{text}: %{x:.3g}<extra></extra>",
+        "marker": {"color": color, "symbol": symbol, "size": 9, "line": {"width": 1.5}},
+    }
     edges = [factor * a for a in aim]
-    band = {"type": "rect", "x0": edges[0], "x1": edges[1], "y0": 0, "y1": 1, "yref": "paper", "layer": "below",
-            "line": {"width": 0}, "fillcolor": "rgba(0,114,178,0.12)"}
-    names = {"tickmode": "array", "tickvals": place.tolist(), "ticktext": [text(row, "name") for row in found],
-             "range": [-0.7, len(found) - 0.3], "automargin": True, "nticks": len(found)}
+    band = {
+        "type": "rect",
+        "x0": edges[0],
+        "x1": edges[1],
+        "y0": 0,
+        "y1": 1,
+        "yref": "paper",
+        "layer": "below",
+        "line": {"width": 0},
+        "fillcolor": "rgba(0,114,178,0.12)",
+    }
+    names = {
+        "tickmode": "array",
+        "tickvals": place.tolist(),
+        "ticktext": [text(row, "name") for row in found],
+        "range": [-0.7, len(found) - 0.3],
+        "automargin": True,
+        "nticks": len(found),
+    }
     least, most = float(np.nanmin([*low, edges[0]])), float(np.nanmax([*high, edges[1]]))
     room = 0.06 * (most - least)
     along = {"range": [least - room, most + room], "nticks": 6}
@@ -116,16 +205,213 @@ def verdict_of(row: Row, key: str) -> str:
 
 
 def _row(row: Row) -> list[Cell | str]:
-    shown = [wording.with_error(number(row, "bias"), number(row, "bias_error")),
-             wording.plain(number(row, "ratio")), _between(row, "ratio", 1.0, 2),
-             f"{_between(row, 'coverage', 100.0, 1)} %", text(row, "at_bound")]
-    value = f"{wording.short(wording.plain(number(row, 'truth'), 4))} {wording.tidy(text(row, 'unit'))}".strip()
+    shown = [
+        formatting.with_error(number(row, "bias"), number(row, "bias_error")),
+        formatting.plain(number(row, "ratio")),
+        _between(row, "ratio", 1.0, 2),
+        f"{_between(row, 'coverage', 100.0, 1)} %",
+        text(row, "at_bound"),
+    ]
+    value = (
+        f"{formatting.short(formatting.plain(number(row, 'truth'), 4))} {formatting.tidy(text(row, 'unit'))}".strip()
+    )
     misses = texts(row, "misses")
     sure = [miss for miss in misses if "chance" not in miss]
-    return [Cell(text(row, "name"), "symbol"), Cell(value, "num"), *(Cell(words, "num") for words in shown),
-            Cell(", ".join(misses) or "–", "bad wide" if sure else "wide" if misses else "quiet")]
+    return [
+        Cell(text(row, "name"), "symbol"),
+        Cell(value, "num"),
+        *(Cell(words, "num") for words in shown),
+        Cell(", ".join(misses) or "–", "bad wide" if sure else "wide" if misses else "quiet"),
+    ]
 
 
 def _between(row: Row, key: str, factor: float, digits: int) -> str:
     middle, low, high = (factor * number_ for number_ in interval(row, key))
     return f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
+
+
+def picture(study: Row, aims: Aims) -> str:
+    """SVG of one of ``studies``; ``aims`` as for the page, low and high of each number."""
+    found = rows(study, "parameters")
+    bottom = TOP_PX + PICTURE_ROW_PX * len(found)
+    width, height = NAMES_PX + 3 * (PANEL_PX + GAP_PX), bottom + AXIS_PX + KEY_PX
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="sans-serif" '
+        f'font-size="12" fill="{drawing.INK}" role="img">',
+        f"<title>Bias, variance and coverage of {escape(text(study, 'model'))}</title>",
+        f'<rect width="{width}" height="{height}" fill="#ffffff"/>',
+    ]
+    for k, row in enumerate(found):
+        name = escape(text(row, "name"))
+        parts.append(f'<text x="{NAMES_PX - 8}" y="{_middle(k) + 4}" text-anchor="end">{name}</text>')
+    for k, (key, title, factor) in enumerate(PANELS):
+        left = NAMES_PX + k * (PANEL_PX + GAP_PX)
+        parts += _panel(found, key, factor, aims[key], left, bottom)
+        parts.append(f'<text x="{left + PANEL_PX / 2:g}" y="18" text-anchor="middle">{title}</text>')
+    for k, (verdict, words) in enumerate(KEY):
+        x, y = NAMES_PX + (0, 120, 370)[k], height - 10
+        parts.append(f'{_mark(x, y - 4, verdict)}<text x="{x + 12}" y="{y}">{words}</text>')
+    return "\n".join([*parts, "</svg>"]) + "\n"
+
+
+def _panel(
+    found: Sequence[Row], key: str, factor: float, aim: tuple[float, float], left: int, bottom: int
+) -> list[str]:
+    """One number of every parameter with its own interval, over its aim."""
+    table = factor * np.array([interval(row, key) for row in found])
+    edges, luck = factor * np.array(aim), factor * np.array(by_chance(key, _n(found)))
+    least, most = np.nanmin([*table[:, 1], *edges, *luck]), np.nanmax([*table[:, 2], *edges, *luck])
+    room = 0.04 * (most - least)
+
+    def x(value: float) -> str:
+        return f"{left + PANEL_PX * (value - least + room) / (most - least + 2 * room):.1f}"
+
+    size = f'y="{TOP_PX}" height="{bottom - TOP_PX}"'
+    parts = [
+        f'<rect x="{x(edges[0])}" width="{float(x(edges[1])) - float(x(edges[0])):.1f}" {size} '
+        f'fill="{drawing.MODEL}" fill-opacity="0.12"/>'
+    ]
+    for value in luck:
+        parts.append(
+            f'<line x1="{x(value)}" x2="{x(value)}" y1="{TOP_PX}" y2="{bottom}" stroke="{drawing.FAINT}" '
+            'stroke-dasharray="4 3"/>'
+        )
+    parts.append(f'<rect x="{left}" width="{PANEL_PX}" {size} fill="none" stroke="{drawing.GRID}"/>')
+    parts += _axis(float(least), float(most), x, bottom)
+    for k, (row, (value, low, high)) in enumerate(zip(found, table.tolist(), strict=True)):
+        if np.isfinite([value, low, high]).all():
+            y = _middle(k)
+            parts.append(
+                f'<line x1="{x(low)}" x2="{x(high)}" y1="{y}" y2="{y}" stroke="{drawing.MEASURED}" '
+                f'stroke-width="1.4"/>{_mark(float(x(value)), y, verdict_of(row, key))}'
+            )
+    return parts
+
+
+def by_chance(key: str, n: int) -> tuple[float, float]:
+    """What holds 95 % of the biases [standard deviations], variance ratios or coverages that an estimator shows in
+    ``n`` replicates when there is nothing wrong with it."""
+    if key == "bias":
+        return -drawing.Z95 / float(np.sqrt(n)), drawing.Z95 / float(np.sqrt(n))
+    if key == "ratio":
+        low, high = stats.chi2.ppf([0.025, 0.975], n - 1) / (n - 1)
+    else:
+        low, high = np.asarray(stats.binom.ppf([0.025, 0.975], n, 0.95)) / n
+    return float(low), float(high)
+
+
+def _n(found: Sequence[Row]) -> int:
+    return int(np.median([number(row, "n") or 3 for row in found]))
+
+
+def _middle(k: int) -> int:
+    return TOP_PX + PICTURE_ROW_PX * k + PICTURE_ROW_PX // 2
+
+
+def _mark(x: float, y: float, verdict: str) -> str:
+    if verdict == "fine":
+        return f'<circle cx="{x:g}" cy="{y:g}" r="4" fill="{drawing.MODEL}"/>'
+    fill = drawing.BEFORE if verdict == "miss" else "#ffffff"
+    return f'<path d="M{x:g} {y - 6:g}l6 6-6 6-6-6z" fill="{fill}" stroke="{drawing.BEFORE}" stroke-width="1.6"/>'
+
+
+def _axis(least: float, most: float, x: Callable[[float], str], bottom: int) -> list[str]:
+    """Round numbers below a panel."""
+    raw = (most - least) / N_TICKS
+    step = float(10.0 ** np.floor(np.log10(raw)))
+    step *= next(s for s in (1, 2, 5, 10) if s * step >= raw)
+    ticks = np.arange(np.ceil(least / step), np.floor(most / step) + 1) * step
+    return [
+        f'<line x1="{x(v)}" x2="{x(v)}" y1="{bottom}" y2="{bottom + 4}" stroke="{drawing.FAINT}"/>'
+        f'<text x="{x(v)}" y="{bottom + 17}" text-anchor="middle" font-size="11">{round(v, 6) + 0.0:g}</text>'
+        for v in ticks.tolist()
+    ]
+
+
+def write_study_docs(result: Json, path: Path) -> None:
+    """The page of ``docs/study.md`` as ``path``, and its pictures in a folder beside it.
+
+    Raises OSError where they cannot be written.
+    """
+    (path.parent / PICTURES).mkdir(parents=True, exist_ok=True)
+    for one in result["studies"]:
+        if one["parameters"]:
+            drawn = picture(one, AIMS)
+            (path.parent / _picture(one)).write_text(drawn, encoding="utf-8", newline="\n")
+    path.write_text(page(result), encoding="utf-8", newline="\n")
+
+
+def _picture(one: Json) -> str:
+    return f"{PICTURES}/study-{one['model']}.svg"
+
+
+def table(one: Json) -> list[tuple[str, ...]]:
+    """Lines of a study, the head first."""
+    return [HEAD, *(_line(r) for r in one["parameters"])]
+
+
+def _line(r: Json) -> tuple[str, ...]:
+    return (
+        r["name"],
+        str(r["n"]),
+        str(r["at_bound"]),
+        f"{r['bias']:+.2f} ± {r['bias_error']:.2f}",
+        f"{r['ratio']:.2f}",
+        f"{r['bound_ratio']:.2f} ({r['bound_ratio_low']:.2f} to {r['bound_ratio_high']:.2f})",
+        f"{100 * r['coverage']:.1f} % ({100 * r['coverage_low']:.1f} to {100 * r['coverage_high']:.1f})",
+        ", ".join(r["misses"]),
+    )
+
+
+def as_text(result: Json) -> str:
+    """The answer and the tables, for a terminal."""
+    lines = []
+    for one in result["studies"]:
+        rows = table(one)
+        width = [max(len(row[k]) for row in rows) for k in range(len(HEAD))]
+        lines += ["", f"{one['model']}, {one['method']}: {one['about']}", f"estimator: {one['estimator']}", ""]
+        lines += ["  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)).rstrip() for row in rows]
+    return "\n".join([*lines[1:], "", result["answer"], ""])
+
+
+def page(result: Json) -> str:
+    """The studies in Markdown: what was done, and a picture and a table each."""
+    lines = [
+        "# Monte Carlo study of the estimators",
+        "",
+        f"    {result['command']}",
+        "",
+        "Data of each model itself, with process noise, simulated in plain numpy by steps of Heun "
+        "(`ident/estimation/stochastic_simulation.py`); "
+        f"each fit starts within a factor {2.718281828**APART:.1f} of the truth. Errors are those of the coordinate in "
+        "which the estimator moves: the logarithm of a positive parameter. `bias, sd`: mean error over the standard "
+        "deviation of the estimates, with its own standard error. `variance/reported`: variance of the estimates over "
+        "the mean of the variances that the fits reported; `variance/bound`: over the Cramer-Rao bound at the truth, "
+        "or the least variance where parameters are near their bounds "
+        "(`ident/studies/monte_carlo.py`). `coverage`: of 95 % "
+        "intervals, which are one-sided for estimates `at bound`. Each title is followed by the "
+        "estimator: restricted likelihood is that of `ident/estimation/restricted_likelihood.py`, "
+        "a filter's mean of second order that of "
+        "`ident/engine/ekf_graph.py`, and both are what the commands do. In brackets, 95 % intervals of these numbers "
+        "themselves. The last column names "
+        f"what is beyond the aim (|bias| < {BIAS}, variance within {100 * VARIANCE:.0f} %, coverage "
+        f"{100 * COVERAGE[0]:.0f}-{100 * COVERAGE[1]:.0f} %), with `chance?` where the number's own interval reaches "
+        "into the aim. In the pictures lines are these intervals, the light band is the aim, and dashes hold 95 % of "
+        "what chance alone makes of an estimator that is right, with as many replicates (binomial, for the coverage).",
+    ]
+    for one in result["studies"]:
+        head, *rows = table(one)
+        lines += [
+            "",
+            f"## {one['model']}, {one['method']}",
+            "",
+            f"{one['about']}; {one['estimator']}; {one['replicates']} replicates, {one['failed']} failed, "
+            f"{one['unconverged']} did not converge; {1e3 * one['cpu_fit']:.0f} ms CPU a fit, "
+            f"{1e3 * one['cpu_simulation']:.0f} ms a simulation.",
+            "",
+            *([f"![bias, variance and coverage of every parameter]({_picture(one)})", ""] if rows else []),
+            "| " + " | ".join(head) + " |",
+            "|" + "---|" * len(head),
+            *("| " + " | ".join(r) + " |" for r in rows),
+        ]
+    return "\n".join(lines) + "\n"

@@ -12,7 +12,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from ident.report import wording
+from ident.report import formatting
 from ident.report.access import ROLES, Row, array, flag, group, number, rows, text, texts
 from ident.report.sections.errors import horizons
 from ident.report.sections.information import place
@@ -46,7 +46,7 @@ def _table(title: str) -> Table:
 
 
 def _scaled(row: Row, *keys: str) -> tuple[list[float | None], str]:
-    factor, unit = wording.degrees_for(text(row, "unit"))
+    factor, unit = formatting.degrees_for(text(row, "unit"))
     values = [number(row, key) for key in keys]
     return [None if v is None else factor * v for v in values], unit
 
@@ -74,7 +74,7 @@ def _parameters(result: Row) -> Table | None:
         (value, se), unit = _scaled(row, "value", "se")
         name = Text(text(row, "name"), style="bold green" if text(row, "name") in own else "bold")
         words = f"⚠ {text(row, 'flag')}" if text(row, "flag") else text(row, "meaning")
-        table.add_row(name, Text(wording.with_error(value, se)), Text(unit), Text(words))
+        table.add_row(name, Text(formatting.with_error(value, se)), Text(unit), Text(words))
     return table
 
 
@@ -92,7 +92,7 @@ def _profiles(result: Row) -> Table | None:
     for row in found:
         (value, *ends), unit = _scaled(row, "value", "low", "high", "wald_low", "wald_high")
         spans = [interval(*pair) for pair in (ends[:2], ends[2:])]
-        words = [text(row, "name"), wording.plain(value), *spans, unit, "; ".join(texts(row, "notes"))]
+        words = [text(row, "name"), formatting.plain(value), *spans, unit, "; ".join(texts(row, "notes"))]
         table.add_row(*(Text(word) for word in words))
     return table
 
@@ -115,8 +115,8 @@ def _noise(result: Row) -> Table | None:
         verdict = {True: Text("holds", "green"), False: Text("fails", "bold red"), None: Text("–")}[
             flag(row, "accepted")
         ]
-        texts = (text(row, "channel"), wording.with_error(white, se_white), wording.with_error(walk, se_walk))
-        more = (unit, wording.percent(number(row, "predictable"), 1))
+        texts = (text(row, "channel"), formatting.with_error(white, se_white), formatting.with_error(walk, se_walk))
+        more = (unit, formatting.percent(number(row, "predictable"), 1))
         table.add_row(*(Text(words) for words in texts + more), verdict)
     return table
 
@@ -132,7 +132,7 @@ def _outages(result: Row) -> Table | None:
         table.add_column(Text(title), justify="right", no_wrap=True)
     for row in shown:
         values = (number(row, "start"), number(row, "duration"), number(group(row, "at_end"), "radius"))
-        words = [wording.plain(value) for value in (*values, number(row, "error"), number(row, "allowed"))]
+        words = [formatting.plain(value) for value in (*values, number(row, "error"), number(row, "allowed"))]
         outside = flag(row, "inside") is False
         table.add_row(Text(text(row, "record")), *(Text(word) for word in words), style="bold red" if outside else "")
     return table
@@ -151,7 +151,7 @@ def _known(result: Row) -> Table | None:
     table.add_column("× without", justify="right", no_wrap=True)
     for row in found:
         (value, se), unit = _scaled(row, "value", "se")
-        shown = wording.with_error(value, se) if se is not None else "nothing"
+        shown = formatting.with_error(value, se) if se is not None else "nothing"
         where = place(row) if se is not None else ""
         weight = _times(row.get("weight"))
         table.add_row(Text(text(row, "name"), style="bold"), Text(shown), Text(unit), Text(where), Text(weight))
@@ -185,7 +185,7 @@ def _times(weight: float | None) -> str:
     """``all``: only this stretch tells; a dash: nothing tells."""
     if weight is None or math.isnan(weight):
         return "–"
-    return "all" if math.isinf(weight) else "·" if weight < EVEN else wording.plain(weight, 2)
+    return "all" if math.isinf(weight) else "·" if weight < EVEN else formatting.plain(weight, 2)
 
 
 def _candidates(result: Row) -> Table | None:
@@ -203,9 +203,9 @@ def _candidates(result: Row) -> Table | None:
         won, passed = text(row, "name") in chosen, flag(row, "passed") is True
         style = "bold green" if won else "" if passed else "dim"
         numbers = (
-            wording.plain(number(row, "lm")),
-            wording.plain(threshold(row, len(every))),
-            wording.probability(number(row, "p_block")),
+            formatting.plain(number(row, "lm")),
+            formatting.plain(threshold(row, len(every))),
+            formatting.probability(number(row, "p_block")),
         )
         mark = "✓" if won else "·" if passed else " "
         words = (mark, text(row, "title") or text(row, "name"), *numbers)
@@ -239,6 +239,6 @@ def _errors(result: Row) -> Table | None:
 def _step(row: Row) -> Text:
     (before, after), _ = _scaled(row, "before", "after")
     if before is None or after is None:
-        return Text(wording.plain(after))
+        return Text(formatting.plain(after))
     color = "green" if after < 0.98 * before else "red" if after > 1.02 * before else ""
-    return Text.assemble(f"{wording.plain(before)} → ", (wording.plain(after), color))
+    return Text.assemble(f"{formatting.plain(before)} → ", (formatting.plain(after), color))

@@ -6,18 +6,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from bench.actuator_test import actuator_plan
-from bench.check_devices import check_devices
-from bench.findings import Finding, from_dict
-from bench.mission import Mission
-from bench.plans import make_mission
-from daq.log import open_log
-from ident.check_log import as_dicts
-from mocks.faults import Faults, parse_fault
-from mocks.noise import FAULT, stream
-from mocks.offline import BOAT, Recording, simulate
-from mocks.plant import draw_boat
-from mocks.thruster import ThrusterTruth
+from bench.mission_generators import make_mission
+from bench.preflight.actuator_test import actuator_plan
+from daq.checks.device_checks import check_devices
+from daq.checks.findings import Finding, from_dict
+from daq.config.mission_file import Mission
+from daq.log.reader import open_log
+from ident.checks.log_checks import as_dicts
+from mocks.devices.faults import Faults, parse_fault
+from mocks.offline_simulation import BOAT, Recording, simulate
+from mocks.plant.boat import draw_boat
+from mocks.plant.thruster import ThrusterTruth
+from mocks.random_streams import FAULT, stream
 from tests.missions import rig_of, write_log
 
 SECONDS = 120.0
@@ -30,7 +30,7 @@ class Case(NamedTuple):
     name: str
     check: str
     where: str
-    fault: str = ""  # for mocks.faults
+    fault: str = ""  # for mocks.devices.faults
     thruster: ThrusterTruth | None = None
     swapped: bool = False
     reversed: bool = False

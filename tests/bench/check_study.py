@@ -6,7 +6,7 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from bench.findings import lines
+from daq.checks.findings import lines
 from tests.bench.check_cases import CASES, alarms, findings, logged, named
 
 

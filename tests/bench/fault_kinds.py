@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.mission import Mission, Segment, save_mission
-from daq.watchdog import HANG_S
+from daq.acquisition.watchdog import HANG_S
+from daq.config.mission_file import Mission, Segment, save_mission
 
 SPEED = 4.0
 # Wall seconds, as all of these.

@@ -18,8 +18,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from daq.log import open_log
-from daq.stop_note import read_note
+from daq.log.reader import open_log
+from daq.log.segments import read_note
 from tests.bench.fault_kinds import AFTER_DECISION_S, DISK, Kind, write_files
 from tests.bench.mock_process import mock_process
 from tests.bench.runs import acquisition_of, is_alive, watchdog_of
@@ -131,7 +131,9 @@ def trial(kind: Kind, folder: Path, devices: subprocess.Popen[str], boat: Boat, 
     """One run that fails at a moment drawn from `seed`."""
     log = folder / (DISK if kind.full else "") / f"run-{seed}.mcap"
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["bench.run", "bench.cli", "bench.display", "daq.log", "seatrial"])
+    context.set_forkserver_preload(
+        ["bench.execution.runner", "bench.cli", "bench.execution.operator_interface", "daq.log.reader", "seatrial"]
+    )
     words = ["mission", "run", "mission.toml", "rig.toml", "-o", str(log), *kind.words]
     process = context.Process(target=_run, args=(str(folder), words))
     (folder / "out.txt").write_text("")

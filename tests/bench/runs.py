@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.mission import Mission, Segment, save_mission
-from daq.log import open_log
+from daq.config.mission_file import Mission, Segment, save_mission
+from daq.log.reader import open_log
 from daq.samples import Command
 from tests.bench.standin import StandIn, until
 
@@ -82,12 +82,12 @@ def running(folder: Path) -> Iterator[Run]:
 
 def acquisition_of(runner: int) -> int:
     """Process id of the runner's child that acquires."""
-    return _child_of(runner, "daq.acquire_process")
+    return _child_of(runner, "daq.acquisition.process")
 
 
 def watchdog_of(runner: int) -> int:
     """Process id of the runner's child that watches the other one."""
-    return _child_of(runner, "daq.watchdog")
+    return _child_of(runner, "daq.acquisition.watchdog")
 
 
 def _child_of(runner: int, module: str) -> int:

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 import seatrial
-from bench.mission import load_mission
-from bench.plans import make_mission
+from bench.mission_generators import make_mission
+from daq.config.mission_file import load_mission
 from tests.bench.standin import RIG
 
 
@@ -24,7 +24,7 @@ def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]
     "words",
     [
         *(["bench", kind] for kind in ("static", "steps", "chirp", "all")),
-        *(["mission", name] for name in ("run", "show", "make")),
+        *(["mission", name] for name in ("run", "show", "generate")),
         ["bench"],
         ["mission"],
         ["check"],
@@ -41,18 +41,18 @@ def test_every_command_helps_with_an_example(capsys: pytest.CaptureFixture[str],
 def test_make_and_show_a_mission(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "m.toml"
     words = ["--kind", "zigzag", "--seconds", "60", "--seed", "4", "--thrusters", "port", "starboard", "-o", str(path)]
-    status, out, _ = run(capsys, "mission", "make", *words)
+    status, out, _ = run(capsys, "mission", "generate", *words)
     assert status == 0
     assert "60 s" in out
     mission = load_mission(path)
     assert mission.thrusters == ("port", "starboard")
     assert mission.segments == make_mission("zigzag", 60.0, 4).segments
-    assert mission.made_by.startswith("seatrial mission make --kind zigzag --seconds 60 --seed 4")
+    assert mission.made_by.startswith("seatrial mission generate --kind zigzag --seconds 60 --seed 4")
     status, out, _ = run(capsys, "mission", "show", str(path))
     assert status == 0
     assert "n_cmd starboard" in out
     before = path.read_bytes()
-    status, _, err = run(capsys, "mission", "make", *words)
+    status, _, err = run(capsys, "mission", "generate", *words)
     assert status == 1
     assert err == f"seatrial: {path} exists; give another name with -o\n"
     assert path.read_bytes() == before
@@ -61,9 +61,9 @@ def test_make_and_show_a_mission(capsys: pytest.CaptureFixture[str], tmp_path: P
 @pytest.mark.parametrize(
     "words",
     [
-        ["mission", "make", "--kind", "tour", "--seed", "1", "-o", "m.toml"],
-        ["mission", "make", "--seed", "1"],
-        ["mission", "make", "-o", "m.toml"],
+        ["mission", "generate", "--kind", "tour", "--seed", "1", "-o", "m.toml"],
+        ["mission", "generate", "--seed", "1"],
+        ["mission", "generate", "-o", "m.toml"],
         ["mission", "run", "m.toml"],
         ["bench", "steps"],
         ["bench", "steps", "rig.toml", "--n-max", "1.5"],

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.mission import Mission, Segment, dump_mission, load_mission, parse_mission, save_mission
+from daq.config.mission_file import Mission, Segment, dump_mission, load_mission, parse_mission, save_mission
 from daq.errors import SeatrialError
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "formats" / "mission.md"

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench import plans
-from bench.mission import STATIC, Mission, dump_mission, parse_mission
-from bench.sketch import describe, sketch
+from bench import mission_generators
+from bench.mission_text import describe, sketch
+from daq.config.mission_file import STATIC, Mission, dump_mission, parse_mission
 
 
 def every_plan() -> list[Mission]:
-    bench = [plans.bench_plan(kind, "left") for kind in plans.BENCH_KINDS]
-    return bench + [plans.make_mission(kind, 300.0, 7) for kind in plans.MISSION_KINDS]
+    bench = [mission_generators.bench_plan(kind, "left") for kind in mission_generators.BENCH_KINDS]
+    return bench + [mission_generators.make_mission(kind, 300.0, 7) for kind in mission_generators.MISSION_KINDS]
 
 
 @pytest.mark.parametrize("plan", every_plan(), ids=lambda plan: plan.name)
@@ -30,7 +30,7 @@ def held(plan: Mission, dt: float = 0.01) -> np.ndarray:
 
 
 def test_bench_steps_climb_and_fall_on_both_sides() -> None:
-    plan = plans.bench_plan("steps", "left", n_max=0.6)
+    plan = mission_generators.bench_plan("steps", "left", n_max=0.6)
     ahead, astern = plan.segments[1].n[:, 0], plan.segments[3].n[:, 0]
     low = [1 / 3, 2 / 3]  # where a dead band ends
     np.testing.assert_allclose(ahead, np.array([*low, 1, 2, 3, 4, 5, 6, 5, 4, 3, 2, 1, *low[::-1]]) * 0.1, atol=1e-6)
@@ -38,7 +38,7 @@ def test_bench_steps_climb_and_fall_on_both_sides() -> None:
 
 
 def test_bench_chirps_are_of_one_sign_each_and_sweep_up() -> None:
-    plan = plans.bench_plan("chirp", "left", n_max=0.8)
+    plan = mission_generators.bench_plan("chirp", "left", n_max=0.8)
     ahead, astern = plan.segments[1], plan.segments[3]
     assert ahead.n.min() == 0.0
     assert ahead.n.max() == pytest.approx(0.8, abs=1e-3)
@@ -51,26 +51,29 @@ def test_bench_chirps_are_of_one_sign_each_and_sweep_up() -> None:
 
 
 def test_bench_all_takes_about_two_minutes() -> None:
-    assert 100.0 <= plans.bench_plan("all", "left").end <= 130.0
+    assert 100.0 <= mission_generators.bench_plan("all", "left").end <= 130.0
 
 
-@pytest.mark.parametrize("kind", plans.MISSION_KINDS)
+@pytest.mark.parametrize("kind", mission_generators.MISSION_KINDS)
 def test_missions_repeat_with_their_seed_only(kind: str) -> None:
-    assert plans.make_mission(kind, 200.0, 3) == plans.make_mission(kind, 200.0, 3)
-    assert plans.make_mission(kind, 200.0, 3).segments != plans.make_mission(kind, 200.0, 4).segments
+    assert mission_generators.make_mission(kind, 200.0, 3) == mission_generators.make_mission(kind, 200.0, 3)
+    assert (
+        mission_generators.make_mission(kind, 200.0, 3).segments
+        != mission_generators.make_mission(kind, 200.0, 4).segments
+    )
 
 
-@pytest.mark.parametrize("kind", plans.MISSION_KINDS)
+@pytest.mark.parametrize("kind", mission_generators.MISSION_KINDS)
 @pytest.mark.parametrize("seconds", [30.0, 61.7, 400.0])
 def test_missions_last_as_long_as_asked_and_keep_the_limit(kind: str, seconds: float) -> None:
-    plan = plans.make_mission(kind, seconds, 1, n_max=0.6)
+    plan = mission_generators.make_mission(kind, seconds, 1, n_max=0.6)
     assert plan.end == pytest.approx(seconds, abs=0.01)
     assert max(np.abs(segment.n).max() for segment in plan.segments) <= 0.6
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_mixed_missions_excite_what_a_diagnosis_needs(seed: int) -> None:
-    n = held(plans.make_mission("mixed", 400.0, seed))
+    n = held(mission_generators.make_mission("mixed", 400.0, seed))
     mean, difference = n.mean(axis=1), n[:, 0] - n[:, 1]
     assert np.mean(mean > 0.6) > 0.04  # fast
     assert np.mean(mean < -0.2) > 0.03  # astern
@@ -82,9 +85,9 @@ def test_mixed_missions_excite_what_a_diagnosis_needs(seed: int) -> None:
 
 def test_unknown_kinds_are_refused() -> None:
     with pytest.raises(ValueError, match="tour"):
-        plans.make_mission("tour", 100.0, 1)
+        mission_generators.make_mission("tour", 100.0, 1)
     with pytest.raises(ValueError, match="tour"):
-        plans.bench_plan("tour", "left")
+        mission_generators.bench_plan("tour", "left")
 
 
 def test_a_sketch_shows_sign_size_and_time() -> None:
@@ -96,6 +99,6 @@ def test_a_sketch_shows_sign_size_and_time() -> None:
 
 
 def test_a_description_names_segments_and_thrusters() -> None:
-    text = describe(plans.make_mission("mixed", 120.0, 1))
+    text = describe(mission_generators.make_mission("mixed", 120.0, 1))
     for word in ("surge steps", "zigzag", "random steps", "n_cmd left", "n_cmd right", "--seed 1", "120 s"):
         assert word in text

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.mission import dump_mission, parse_mission
-from bench.plans import make_mission
-from bench.prediction import Prediction, describe_errors, describe_track
-from bench.sketch import describe
+from bench.mission_generators import make_mission
+from bench.mission_text import describe, describe_errors, describe_track
+from daq.config.mission_file import Prediction, dump_mission, parse_mission
 from daq.errors import SeatrialError
 
 T = np.linspace(5.0, 65.0, 7)

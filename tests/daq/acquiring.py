@@ -7,9 +7,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from daq.acquire import Acquisition
+from daq.acquisition.session import Acquisition
 from daq.clock import RunClock
-from daq.rig import Rig, load_rig
+from daq.config.rig_file import load_rig
+from daq.rig import Rig
 from tests.daq.ptys import TestBoat, wait_for
 
 MAGIC = b"\x89MCAP0\r\n"  # an MCAP file that was closed ends with it

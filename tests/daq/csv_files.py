@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from daq.log import open_log
+from daq.log.reader import open_log
 from daq.samples import Scalar
 
 DOCS = Path(__file__).parents[2] / "docs"

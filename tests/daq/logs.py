@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from daq.log import Log
-from daq.recorder import Recorder
-from daq.rig import Rig, parse_rig
+from daq.config.rig_file import parse_rig
+from daq.log.reader import Log
+from daq.log.recorder import Recorder
+from daq.rig import Rig
 from daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, PortHealth, Sample, Scalar
 
 NAN = math.nan

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from daq.mavlink_talker import MavlinkTalker
-from daq.protocol.mavlink import Decoder, make_decoder
+from daq.config.rig_file import parse_rig
+from daq.drivers.mavlink import MavlinkDriver
+from daq.protocol.mavlink import MavlinkDecoder, make_decoder
 from daq.protocol.mavlink_wire import Codec, read_key
-from daq.rig import Rig, parse_rig
+from daq.rig import Rig
 from daq.samples import Ahrs, Esc, Frame, Gnss
-from mocks.autopilot import Autopilot
-from mocks.autopilot_reports import LOOP_HZ
-from mocks.bench_plant import draw_bench
-from mocks.world import Controller, EscSpec, Gear, bench_world
+from mocks.devices.autopilot import Autopilot
+from mocks.devices.autopilot_messages import LOOP_HZ
+from mocks.plant.bench import draw_bench
+from mocks.world import DeviceSpecs, EscController, EscSpec, bench_world
 
 RIG = """
 format = "seatrial-rig 1"
@@ -56,12 +57,13 @@ class Ends:
         device = rig.device("autopilot")
         assert device.mavlink is not None
         codec = Codec(device.mavlink.own_system_id, 190, None if key is None else read_key(key), 1_800_000_000.0)
-        self.decoder: Decoder = make_decoder(device, rig)
+        self.decoder: MavlinkDecoder = make_decoder(device, rig)
         self.decoder.secure(codec)
-        self.talker = MavlinkTalker(device, rig.thrusters, codec)
-        plant = bench_world(draw_bench(1), 0, Gear({}, {}, [], []))
+        self.talker = MavlinkDriver(device, rig.thrusters, codec)
+        plant = bench_world(draw_bench(1), 0, DeviceSpecs({}, {}, [], []))
         self.controllers = {
-            t.node: Controller(EscSpec("autopilot", t.node, 10.0, timeout_s=1.0), plant.plant, 0) for t in rig.thrusters
+            t.node: EscController(EscSpec("autopilot", t.node, 10.0, timeout_s=1.0), plant.plant, 0)
+            for t in rig.thrusters
         }
         self.autopilot = Autopilot(rig, device, self.controllers, 1_800_000_000.0)
         self.t = 0.0

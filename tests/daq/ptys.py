@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from daq.protocol import loadcell, nmea, slcan, vectornav, vesc
+from daq.protocol.canframe import unpack_can
 from daq.samples import Ahrs, Esc, Gnss
 
 RIG = """
@@ -126,7 +127,7 @@ def commands_in(data: bytes) -> list[tuple[int, float]]:
     """Node and duty of the commands in slcan text."""
     commands = []
     for frame in slcan.Decoder().feed(data, 0.0):
-        identified = vesc.unpack_can(frame)
+        identified = unpack_can(frame)
         command = vesc.decode_command(*identified) if identified else None
         if command is not None:
             commands.append(command)

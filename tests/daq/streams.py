@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import astuple
 from typing import Any
 
-from daq.protocol import Decoder
+from daq.protocol.decoder import Decoder
 from daq.samples import Frame
 
 # Of what a serial line brings that is no frame: text, starts of frames, every byte value.

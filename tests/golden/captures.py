@@ -9,9 +9,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from daq.protocol import Decoder, dbc, mip, nmea, nmea2000, ubx, vectornav, vesc
+from daq.protocol import dbc, mip, nmea, nmea2000, ubx, vectornav, vesc
 from daq.protocol.canframe import pack_can
-from daq.rig_options import DbcSignal
+from daq.protocol.decoder import Decoder
+from daq.rig import DbcSignal
 from daq.samples import Ahrs, Esc, Frame, Gnss
 
 GAUSS, DEG = 1e-4, math.pi / 180.0

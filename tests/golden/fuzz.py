@@ -15,9 +15,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from daq.mavlink_talker import MavlinkTalker
+from daq.config.rig_file import parse_rig
+from daq.drivers.mavlink import MavlinkDriver
 from daq.protocol import (
-    Decoder,
     dbc,
     dronecan,
     loadcell,
@@ -33,10 +33,10 @@ from daq.protocol import (
     vesc,
 )
 from daq.protocol.canframe import pack_can
+from daq.protocol.decoder import Decoder
 from daq.protocol.framing import sentence
 from daq.protocol.mavlink_wire import Codec, EscStatus, crc16, dialect, encode_esc_status
-from daq.rig import parse_rig
-from daq.rig_options import DbcSignal
+from daq.rig import DbcSignal
 from daq.samples import Ahrs, Esc, Gnss
 from tests.daq.mavlink_ends import rig_text
 from tests.daq.streams import counters, said
@@ -107,7 +107,7 @@ def _autopilot_link() -> Decoder:
     decoder = mavlink.make_decoder(RIG.devices[0], RIG)
     codec = Codec(255, 190)
     decoder.secure(codec)
-    talker = MavlinkTalker(RIG.devices[0], RIG.thrusters, codec)
+    talker = MavlinkDriver(RIG.devices[0], RIG.thrusters, codec)
 
     def hear(message: object) -> None:
         talker.hear(message, 5.0)

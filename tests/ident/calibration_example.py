@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ident.calibration import calibrate
+from ident.validation.calibration import calibration_test
 
 
 def calibration(seed: int = 6) -> dict[str, Any]:
@@ -19,7 +19,7 @@ def calibration(seed: int = 6) -> dict[str, Any]:
         for kind, n in (("one_step", 2000), ("ten_seconds", 150), ("free_run", 12)):
             found[role][kind] = {}
             for channel, size in sizes.items():
-                one = calibrate([size * rng.normal(size=n)], effective=5.0 if kind == "free_run" else None)
+                one = calibration_test([size * rng.normal(size=n)], effective=5.0 if kind == "free_run" else None)
                 assert one is not None
                 found[role][kind][channel] = vars(one) | {"verdict": one.verdict}
     return found

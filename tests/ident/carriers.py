@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from ident.model import Effect, Model
-from ident.models.disturbance import for_diagnosis
-from ident.models.horizontal import SENSORS, horizontal
-from ident.models.kinematic import kinematic
-from ident.models.thruster import thruster
+from ident.model.structure import Effect, Model
+from ident.models.disturbances import for_diagnosis
+from ident.models.horizontal import SENSORS, horizontal_model
+from ident.models.kinematic import kinematic_model
+from ident.models.thruster import thruster_model
 
 
 def vehicle_for(effect: Effect) -> Model:
     """The horizontal model with the inputs and sensors that the effect wants, or the one with measured attitude."""
     if "attitude" in effect.requires:
-        return kinematic(yaw=True)
+        return kinematic_model(yaw=True)
     sensors = tuple(SENSORS)[: len(SENSORS) if "body_velocity" in effect.requires else -1]
-    return horizontal("force" if "f_input" in effect.requires else "shaft", sensors)
+    return horizontal_model("force" if "f_input" in effect.requires else "shaft", sensors)
 
 
 def carrier(effect: Effect) -> Model:
     """The same with unexplained forces; a bench for what is found on one."""
-    return for_diagnosis(thruster(n_delays=9) if "bench" in effect.requires else vehicle_for(effect))
+    return for_diagnosis(thruster_model(n_delays=9) if "bench" in effect.requires else vehicle_for(effect))

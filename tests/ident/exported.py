@@ -12,19 +12,19 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ident.effects import catalogue
-from ident.engine.rowwise import Rowwise
+from ident.effects.nonparametric import nonparametric_effect
+from ident.effects.registry import catalogue
+from ident.engine.vectorised_model import VectorisedModel
+from ident.estimation.model_file import SavedModel
 from ident.export.content import without_nuisance
-from ident.model import Input, Model, Output, Sensor, State, plain_model
-from ident.modelfile import SavedModel
-from ident.models.disturbance import for_diagnosis
-from ident.models.horizontal import horizontal
-from ident.models.kinematic import kinematic
-from ident.models.surge import surge
-from ident.models.thruster import thruster
-from ident.models.yaw import yaw
-from ident.params import Parameter
-from ident.shapes import unknown_effect
+from ident.model.parameter import Parameter
+from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from ident.models.disturbances import for_diagnosis
+from ident.models.horizontal import horizontal_model
+from ident.models.kinematic import kinematic_model
+from ident.models.surge import surge_model
+from ident.models.thruster import thruster_model
+from ident.models.yaw import yaw_model
 from tests.ident.carriers import vehicle_for
 
 CLOSE = 1e-12
@@ -44,12 +44,12 @@ def moved(model: Model, seed: int) -> Model:
 
 def with_effects(propulsion: Any) -> Model:
     """The horizontal model with every effect of the catalogue that it takes, and a table of each kind."""
-    model = horizontal(propulsion)
+    model = horizontal_model(propulsion)
     for effect in catalogue().values():
         if model.accepts(effect):
             model = model + effect
     for force, variable in (("X", "u"), ("N", "psi"), ("Y", "u, r"), ("X", "t")):
-        model = model + unknown_effect(model, force, variable, (-1.0, 1.5))
+        model = model + nonparametric_effect(model, force, variable, (-1.0, 1.5))
     return model
 
 
@@ -72,10 +72,15 @@ def odd() -> Model:
 
 
 MODELS = {
-    "shaft with every effect": with_effects("shaft"), "force with every effect": with_effects("force"),
-    "general": horizontal("general"), "as fitted": for_diagnosis(horizontal("shaft")) + catalogue()["pendulum"],
-    "measured attitude": for_diagnosis(kinematic(yaw=True)),
-    "thruster": thruster(), "surge": surge("shaft", "both"), "yaw": yaw("both"), "odd": odd(),
+    "shaft with every effect": with_effects("shaft"),
+    "force with every effect": with_effects("force"),
+    "general": horizontal_model("general"),
+    "as fitted": for_diagnosis(horizontal_model("shaft")) + catalogue()["pendulum"],
+    "measured attitude": for_diagnosis(kinematic_model(yaw=True)),
+    "thruster": thruster_model(),
+    "surge": surge_model("shaft", "both"),
+    "yaw": yaw_model("both"),
+    "odd": odd(),
 }
 ALONE = {n: vehicle_for(e) + e for n, e in catalogue().items() if "bench" not in e.requires}
 
@@ -97,7 +102,7 @@ def compare(model: Model, functions: Functions, values: list[float], nuisance: b
     f, h, step = functions
     kept = model if nuisance else without_nuisance(model)[0]
     p = np.array(list(kept.values.values()))
-    rowwise, n = Rowwise(kept), len(kept.states)
+    rowwise, n = VectorisedModel(kept), len(kept.states)
     for x, u in zip(*points(kept), strict=True):
         def rate(z: np.ndarray, u: np.ndarray = u) -> np.ndarray:
             return rowwise(z[None], u[None], p)[0, :n]

@@ -17,7 +17,7 @@ STATES = (
 
 
 def navigation(seed: int = 4) -> dict[str, Any]:
-    """All keys that ``ident.navigate_job`` writes."""
+    """All keys that ``ident.workflows.navigate`` writes."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, 240.0, 0.1)
     angle = t / 20.0
@@ -44,7 +44,7 @@ def navigation(seed: int = 4) -> dict[str, Any]:
         "answer": "2 GNSS outages, the worst of 30 s: at its end the position may be 1.2 m off (95 %).",
         "created": "2026-02-03T04:05:06+00:00",
         "seatrial": "0.1.0",
-        "command": "seatrial ident navigate model.toml lake.mcap --without-gnss 60:90",
+        "command": "seatrial ident navigate model.toml lake.mcap --gnss-outage 60:90",
         "logs": [{"path": "lake.mcap", "sha256": "ab" * 32, "role": "navigated", "name": "lake", "duration": 240.0,
                   "rig": "boat", "mission": None, "warnings": []}],
         "navigation": [{"record": "lake", "kind": "smoothed", "t": t, "states": states,

@@ -31,7 +31,7 @@ def check() -> dict[str, Any]:
 
 
 def checked_log() -> dict[str, Any]:
-    """Curves as `ident.check_evidence.evidence` gives them."""
+    """Curves as `ident.checks.evidence.log_evidence` gives them."""
     rng, t = np.random.default_rng(8), np.arange(0.0, 48.0, 0.1)
     told = np.where(np.mod(t, 12.0) < 6.0, 0.3, -0.3)
     r = 0.2 * np.convolve(told, np.exp(-np.arange(0, 6, 0.1)), "full")[: t.size]
@@ -51,7 +51,7 @@ def checked_log() -> dict[str, Any]:
 
 
 def design() -> dict[str, Any]:
-    """A designed mission: every key that `ident.design_job` writes, with fewer samples."""
+    """A designed mission: every key that `ident.workflows.design` writes, with fewer samples."""
     rng = np.random.default_rng(9)
     t = np.arange(0.0, 120.0, 0.5)
     levels = [np.repeat(rng.uniform(-1, 1, 12), 20) for _ in range(2)]

@@ -16,11 +16,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from ident.report import print_result, write_report
+from benchmarks.thesis.figures import Chart, Curve, Drawing, Part, write_figures
 from ident.report.check_page import write_check_page
 from ident.report.design_page import write_design_page
-from ident.report.figures import Chart, Curve, Drawing, Part, write_figures
+from ident.report.page import write_report
 from ident.report.study_page import write_study_page
+from ident.report.terminal import print_result
 from tests.ident import navigation_example, page_examples, report_example, report_example_bench
 
 KINDS = {

@@ -5,13 +5,21 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import expm
 
-from ident.candidates import Path
-from ident.dataset import Record
-from ident.fit import Fit, fit
-from ident.model import Effect, Input, Model, Output, Sensor, Signals, State, plain_model
-from ident.params import Parameter
-from ident.pe import Likelihood
-from ident.score import Carrier, Columns, Normal, Score, block_index, place, score_tests
+from ident.data.record import Record
+from ident.diagnosis.candidates import TrajectoryLinearisation
+from ident.diagnosis.score_test import (
+    NormalEquations,
+    Score,
+    SensitivityColumns,
+    SensitivityFilter,
+    block_index,
+    place,
+    score_tests,
+)
+from ident.estimation.likelihood import Likelihood
+from ident.estimation.maximum_likelihood import Fit, fit
+from ident.model.parameter import Parameter
+from ident.model.structure import Effect, Input, Model, Output, Sensor, Signals, State, plain_model
 
 H = 0.1  # s
 M, D, Q, E_V, E_S = 2.0, 1.0, 0.05, 0.05, 0.1
@@ -92,23 +100,25 @@ def score_of(record: Record, effects: list[Effect], model: Model | None = None) 
 def scores_at(fitted: Fit, record: Record, effects: list[Effect]) -> list[Score]:
     values = fitted.record_values[0]
     run = Likelihood(fitted.model).filter(record, values)
-    path = Path(fitted.model, values, record, run.x_pred)
+    path = TrajectoryLinearisation(fitted.model, values, record, run.x_pred)
     columns = [c for effect in effects for c in path.effect(effect)]
     return scores_of_columns(path, run, [path.parameter(n) for n in fitted.names], columns)
 
 
-def scores_of_columns(path: Path, run: object, fitted: list[np.ndarray], columns: list[Columns]) -> list[Score]:
+def scores_of_columns(
+    path: TrajectoryLinearisation, run: object, fitted: list[np.ndarray], columns: list[SensitivityColumns]
+) -> list[Score]:
     """Scores of given columns with the fitted parameters' columns (n_rows, n_states + n_outputs) projected out."""
     own = np.stack(fitted, 2)
-    carrier = Carrier(run, path.own, path.jacobian)  # type: ignore[arg-type]
-    g, e, t = carrier([Columns("fitted", own), *columns]), carrier.e, carrier.t
-    normal = Normal([str(k) for k in range(g.shape[1])])
+    carrier = SensitivityFilter(run, path.own, path.jacobian)  # type: ignore[arg-type]
+    g, e, t = carrier([SensitivityColumns("fitted", own), *columns]), carrier.e, carrier.t
+    normal = NormalEquations([str(k) for k in range(g.shape[1])])
     normal.add(range(g.shape[1]), g, e, block_index(t))
     placed, _ = place(columns, len(fitted), 1)
     return score_tests(normal, len(fitted), np.zeros(len(fitted)), placed)
 
 
-def whole(path: Path, columns: Columns) -> np.ndarray:
+def whole(path: TrajectoryLinearisation, columns: SensitivityColumns) -> np.ndarray:
     """All rates and outputs (n_rows, n_states + n_outputs, n_parameters), what a candidate leaves alone too."""
     assert columns.touched is not None
     n, m = len(path.model.states), len(path.model.outputs)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ident.dataset import Channel, Record, build_record
-from ident.fit import Fit, fit
-from ident.models.thruster import delayed_channels, thruster
+from ident.data.record import Channel, Record, build_record
+from ident.estimation.maximum_likelihood import Fit, fit
+from ident.models.thruster import delayed_channels, thruster_model
 
 LEVELS = np.array([0.0, 0.3, 0.06, -0.5, 0.12, 0.4, -0.06, -0.12, 0.8, 0.06])  # nothing between 0.06 and 0.12
 
@@ -26,11 +26,11 @@ def stepped_record(dead_zone: float, seed: int = 1) -> Record:
         "n": Channel(log[:, 0], log[:, 1] + 0.004 * rng.standard_normal(len(log))),
         "force": Channel(log[:, 0], log[:, 2] + 0.2 * rng.standard_normal(len(log))),
     }
-    return build_record(thruster(), channels, rate=50.0)
+    return build_record(thruster_model(), channels, rate=50.0)
 
 
 def steps(dead_zone: float) -> Fit:
     """A fit to them with the end of the dead zone free."""
-    model = thruster()
+    model = thruster_model()
     return fit(model.with_free([*model.free, "d"]), [stepped_record(dead_zone)],
                start={"d": 0.09, "tau": 0.1, "a": 3.0, "c1": 40.0})

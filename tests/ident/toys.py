@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ident.dataset import Record
-from ident.model import Input, Model, Output, Sensor, State, plain_model
-from ident.params import INF, Parameter
-from ident.pe import Likelihood
+from ident.data.record import Record
+from ident.estimation.likelihood import Likelihood
+from ident.model.parameter import INF, Parameter
+from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
 
 
 def turning() -> Model:
@@ -73,7 +73,8 @@ def turning_record(seed: int = 0, n_rows: int = 120, name: str = "run") -> Recor
 class NumpyFilter:
     """The extended Kalman filter once more, with plain numpy, joint updates and finite-difference Jacobians.
 
-    f(x, u) and h(x, u) are the model's; the sensors of a row come one after the other, as they do in ``ident.pe``.
+    f(x, u) and h(x, u) are the model's; the sensors of a row come one after the other, as they do in
+    ``ident.estimation.likelihood``.
     """
 
     def __init__(

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.log import open_log
+from daq.log.reader import open_log
 from daq.samples import Ahrs, Autopilot, Gnss, Servo
 from tests.measured.data import measured, run
 

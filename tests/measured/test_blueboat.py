@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.measured, pytest.mark.slow, pytest.mark.xdist_group("b
 HERE = Path(__file__).resolve().parents[2] / "docs/examples/blueboat"
 FITTED = (218, 220, 222, 224, 230, 233)
 UNUSED = (221, 223, 226, 228, 232)
-BOAT = {"--start": ("m_u=15", "m_v=20", "m_r=1.7"), "--fix": ("y_left=-0.285", "y_right=0.285")}
+BOAT = {"--initial": ("m_u=15", "m_v=20", "m_r=1.7"), "--fix": ("y_left=-0.285", "y_right=0.285")}
 NOISE = ("e_uv=0.05", "e_r=0.02", "e_psi=0.03", "e_xy=0.3")
 
 

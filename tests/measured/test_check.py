@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.findings import Finding
+from daq.checks.findings import Finding
 from tests.bench.check_cases import findings
 from tests.measured.data import measured, run
 

@@ -33,7 +33,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert (len(steps), len(unseen)) == (4, 28)
     for name in MODELS:
         model = ["--model", f"{HERE / 'surge_model.py'}:{name}", "--thruster", str(out / "thruster/model.toml")]
-        run("ident", "vehicle", *steps, *model, *unseen, "--agree", "m_u", "--out", str(out / name))
+        run("ident", "vehicle", *steps, *model, *unseen, "--test-homogeneity", "m_u", "--out", str(out / name))
     return out
 
 

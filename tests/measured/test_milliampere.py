@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ident.dataset import sample_and_hold
-from ident.loading import load_run
+from ident.data.loading import load_run
+from ident.data.record import sample_and_hold
 from tests.measured.data import measured, run
 
 pytestmark = [pytest.mark.measured, pytest.mark.slow]

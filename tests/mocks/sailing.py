@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from mocks.hull import Hull, State
-from mocks.plant import STEP, Boat, BoatPlant
-from mocks.thruster import ThrusterTruth
-from mocks.undeclared import Effect
+from mocks.plant.boat import STEP, Boat, BoatPlant
+from mocks.plant.effect import Effect
+from mocks.plant.hull import Hull, State
+from mocks.plant.thruster import ThrusterTruth
 
 REST: State = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 

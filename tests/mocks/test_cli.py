@@ -23,7 +23,7 @@ import serial
 
 from daq.protocol import vectornav, vesc
 from daq.samples import Ahrs, Esc
-from mocks.undeclared import DEMO
+from mocks.hidden_effects.catalogue import DEMO
 
 PATIENCE = 20.0  # wall s for what takes a moment
 
@@ -176,7 +176,7 @@ def test_the_sealed_file_tells_and_nothing_else_does(tmp_path: Path) -> None:
         folder.mkdir()
         rig, sealed = packaged("boat", folder), folder / "truth" / "sealed.json"
         with mock(
-            *("boat", rig, "--seed", "11", "--run", str(run_number), "--effect", "draw", "--sealed", sealed)
+            *("boat", rig, "--seed", "11", "--run", str(run_number), "--effect", "draw", "--truth-file", sealed)
         ) as process:
             assert process.stdout is not None
             told.append(json.loads(sealed.read_text()))

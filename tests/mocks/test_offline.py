@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from daq.samples import Ahrs
-from mocks.bench_plant import draw_bench
-from mocks.offline import simulate, simulate_bench, tables
-from mocks.plant import draw_boat
+from mocks.offline_simulation import simulate, simulate_bench, tables
+from mocks.plant.bench import draw_bench
+from mocks.plant.boat import draw_boat
 from mocks.sensors import geodetic
 
 T = np.arange(0.0, 20.0, 4.0)

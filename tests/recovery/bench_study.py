@@ -3,7 +3,7 @@
     python -m tests.recovery.bench_study [--seed S] [--seeds N] [--jobs 2] [--effects a,b] [--scales 1,0.5]
                                          [--out FILE] [--report] [--docs]
 
-Every effect of ``mocks.bench_plant``, and none, on benches of N seeds and at full and half size: one run of the plan
+Every effect of ``mocks.plant.bench``, and none, on benches of N seeds and at full and half size: one run of the plan
 `all` to fit the thruster and to diagnose it, another to validate. Each case is a line in the out file as soon as it is
 done; a study that was interrupted goes on where it was. Nothing is run again with --report.
 """
@@ -18,16 +18,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from ident.bench_job import fit_on_a_copy
-from ident.bench_runs import RATE
-from ident.dataset import Channel, Record, build_record
-from ident.diagnose import diagnose
-from ident.findings import Diagnosis
-from ident.model import Model
-from ident.models.thruster import delay_step, delayed_channels, thruster
-from ident.predict import free_run, pooled
-from ident.stage import Run, Stage
-from mocks.bench_plant import EFFECTS, NONE, Bench, draw_bench, make_effect
+from ident.characterisation.thruster import THRUSTER_RATE, fit_on_a_copy
+from ident.data.record import Channel, LogSegment, Record, build_record
+from ident.diagnosis.results import Diagnosis
+from ident.diagnosis.search import diagnose
+from ident.estimation.fitted_model import FittedModel
+from ident.model.structure import Model
+from ident.models.thruster import delay_step, delayed_channels, thruster_model
+from ident.validation.prediction_errors import free_run, pooled
+from mocks.plant.bench import EFFECTS, NONE, Bench, draw_bench, make_effect
 from tests.missions import bench_channels_of, push
 from tests.recovery.cases import code_state
 from tests.recovery.resumable import read, resume
@@ -59,10 +58,10 @@ def bench_of(case: BenchCase) -> Bench:
     return draw_bench(case.seed, NONE if none else make_effect(case.effect, case.seed, case.scale))
 
 
-def bench_run(found: Mapping[str, Channel], run: int, model: Model) -> Run:
+def bench_run(found: Mapping[str, Channel], run: int, model: Model) -> LogSegment:
     """Channels as `seatrial ident diagnose` makes them from a log."""
     own = {"n": found["n_thruster"], "force": found["force"]}
-    return Run(f"run {run}", delayed_channels(found["n_cmd_thruster"], delay_step(model)) | own)
+    return LogSegment(f"run {run}", delayed_channels(found["n_cmd_thruster"], delay_step(model)) | own)
 
 
 def diagnose_bench(case: BenchCase) -> Diagnosis:
@@ -70,10 +69,10 @@ def diagnose_bench(case: BenchCase) -> Diagnosis:
     found = [bench_channels_of(push(bench_of(case), run)[0]) for run in (1, 2)]  # the plan `all`, twice
 
     def records(model: Model) -> list[Record]:
-        return [build_record(model, bench_run(found[0], 1, model).channels, name="run 1", rate=RATE)]
+        return [build_record(model, bench_run(found[0], 1, model).channels, name="run 1", rate=THRUSTER_RATE)]
 
-    model = fit_on_a_copy(thruster(), records(thruster()), records)[0].model
-    return diagnose(model, [bench_run(found[0], 1, model)], [bench_run(found[1], 2, model)], rate=RATE)
+    model = fit_on_a_copy(thruster_model(), records(thruster_model()), records)[0].model
+    return diagnose(model, [bench_run(found[0], 1, model)], [bench_run(found[1], 2, model)], rate=THRUSTER_RATE)
 
 
 def run_case(case: BenchCase) -> Row:
@@ -94,7 +93,7 @@ def run_case(case: BenchCase) -> Row:
     }
 
 
-def free_errors(stage: Stage) -> dict[str, float]:
+def free_errors(stage: FittedModel) -> dict[str, float]:
     """Free-running root mean square errors on the validation data, by channel."""
     parts = pooled([dict(free_run(stage.model, v.record, v.values).errors) for v in stage.validation])
     return {name: float(f"{e.rms:.4g}") for name, e in parts.items()}
@@ -187,7 +186,7 @@ def document(rows: Sequence[Row], command: str) -> str:
     """docs/recovery-bench.md."""
     return (
         "# Recovery study of the bench\n\n"
-        "Mock benches with one undeclared effect each (`mocks/bench_plant.py`, `mocks/bench_shaft.py`, in other "
+        "Mock benches with one undeclared effect each (`mocks/plant/bench.py`, `mocks/plant/bench.py`, in other "
         "forms than the catalogue of `ident`), and clean ones; two runs of the plan `all` (126 s), one to fit and to "
         "diagnose, one to validate. Every bench has its own thrust coefficients, pool and noise.\n\n"
         f"    {command}\n\n" + report(rows, as_markdown) + "\n"

@@ -13,16 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from bench.plans import make_mission
-from ident.diagnose import diagnose
-from ident.diagnosis_result import diagnosis_result
-from ident.effects import catalogue
-from ident.findings import Diagnosis
-from ident.outcome import Json
-from ident.predict import HORIZON, Errors, ahead, free_run, one_step, pooled
-from ident.shapes import Shape
-from ident.stage import Run, Stage
-from mocks.offline import Recording, simulate
+from bench.mission_generators import make_mission
+from ident.data.record import LogSegment
+from ident.diagnosis.results import Diagnosis
+from ident.diagnosis.search import diagnose
+from ident.effects.nonparametric import NonparametricForce
+from ident.effects.registry import catalogue
+from ident.estimation.fitted_model import FittedModel
+from ident.results.content import Json
+from ident.results.diagnosis import diagnosis_result
+from ident.validation.prediction_errors import HORIZON, PredictionErrors, ahead, free_run, one_step, pooled
+from mocks.offline_simulation import Recording, simulate
 from tests.missions import boat_with, channels_of
 from tests.recovery.kinds import Case, boat_of, model_of, with_gaps
 from tests.recovery.logged import diagnosed, write_logs
@@ -30,7 +31,7 @@ from tests.recovery.oracle import oracle, shape_share
 
 CHANNELS = ("x", "y", "psi", "r", "vx", "vy")
 Row = dict[str, Any]
-AllErrors = dict[str, dict[str, Errors]]
+AllErrors = dict[str, dict[str, PredictionErrors]]
 
 
 def truth_of(case: Case) -> dict[str, float]:
@@ -50,16 +51,16 @@ def recordings_of(case: Case) -> list[Recording]:
     return found
 
 
-def runs_of(case: Case) -> list[Run]:
+def runs_of(case: Case) -> list[LogSegment]:
     """Both missions in memory."""
     runs = []
     for name, run, recording in zip(("estimation", "validation"), (1, 2), recordings_of(case), strict=True):
         channels = channels_of(recording)
-        runs.append(Run(name, with_gaps(channels, 10 * case.seed + run) if case.how.gaps else channels))
+        runs.append(LogSegment(name, with_gaps(channels, 10 * case.seed + run) if case.how.gaps else channels))
     return runs
 
 
-def diagnose_case(case: Case, runs: Sequence[Run] | None = None) -> Diagnosis:
+def diagnose_case(case: Case, runs: Sequence[LogSegment] | None = None) -> Diagnosis:
     """The diagnosis of the nominal model on both missions."""
     runs = runs_of(case) if runs is None else runs
     effects = {n: e for n, e in catalogue().items() if n != case.effect} if case.how.left_out else None
@@ -100,7 +101,7 @@ def told(result: Json) -> Row:
     }
 
 
-def judged(case: Case, runs: Sequence[Run], result: Json) -> Row:
+def judged(case: Case, runs: Sequence[LogSegment], result: Json) -> Row:
     """How good that is: errors on validation data against those of the true structure, estimates, shapes."""
     table = result["before_after"]["validation"]
     row: Row = {
@@ -115,7 +116,7 @@ def judged(case: Case, runs: Sequence[Run], result: Json) -> Row:
         best = None if true is None else rms(errors(true), lambda e: e.rms)
     if best is not None:
         row |= {"oracle": best, "ratio": ratio(row["after"], best)}
-    share = shape_share(case, [Shape(**{k: _array(v) for k, v in s.items()}) for s in result["shapes"]])
+    share = shape_share(case, [NonparametricForce(**{k: _array(v) for k, v in s.items()}) for s in result["shapes"]])
     return row if share is None else row | {"shape": round(share, 3)}
 
 
@@ -132,7 +133,7 @@ def z_scores(parameters: Sequence[Json], truth: Mapping[str, float]) -> dict[str
     return found
 
 
-def errors(stage: Stage) -> AllErrors:
+def errors(stage: FittedModel) -> AllErrors:
     """Prediction errors on the validation data by horizon and channel."""
     model, views = stage.model, stage.validation
     return {

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ident.dataset import Channel
-from ident.model import Model
-from ident.models.horizontal import horizontal
-from mocks.plant import Boat, draw_boat
-from mocks.undeclared import EFFECTS, NOISE, OUTSIDE, SMALL, make_effect
+from ident.data.record import Channel
+from ident.model.structure import Model
+from ident.models.horizontal import horizontal_model
+from mocks.hidden_effects.catalogue import EFFECTS, NOISE, OUTSIDE, SMALL, make_effect
+from mocks.plant.boat import Boat, draw_boat
 
 NONE = "none"
 SECONDS, VALIDATION_SECONDS = 400.0, 250.0  # as in the demo
@@ -39,7 +39,7 @@ def all_beside(seed: int) -> list[str]:
 @dataclass(frozen=True)
 class Kind:
     """``truths``: what is tried at a seed; ``seeds``: how many seeds by default; ``gain``: on the commands;
-    ``others``: size of every other effect; ``noise``: one of mocks.undeclared.NOISE."""
+    ``others``: size of every other effect; ``noise``: one of mocks.hidden_effects.catalogue.NOISE."""
 
     says: str
     truths: Callable[[int], list[str]]
@@ -120,7 +120,7 @@ def boat_of(case: Case) -> Boat:
 
 def model_of(case: Case) -> Model:
     """The nominal model; its measurement noise is fixed at the data sheets' where those are what is wrong."""
-    model = horizontal()
+    model = horizontal_model()
     if case.kind != "noise-small-r":
         return model
     return model.replace_parameters(*(model.parameter(n).at(float(v)).fixed() for n, v in DECLARED.items()))

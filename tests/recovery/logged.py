@@ -10,15 +10,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ident.loading import load_run
-from ident.stage import Run
-from mocks.offline import Recording
+from ident.data.loading import load_run
+from ident.data.record import LogSegment
+from mocks.offline_simulation import Recording
 from tests.missions import write_log
 
 ESTIMATION, VALIDATION = "estimation.mcap", "validation.mcap"
 
 
-def write_logs(folder: Path, recordings: Sequence[Recording]) -> list[Run]:
+def write_logs(folder: Path, recordings: Sequence[Recording]) -> list[LogSegment]:
     """``estimation.mcap`` and ``validation.mcap`` in the folder, and what ident reads from them."""
     paths = [folder / name for name in (ESTIMATION, VALIDATION)]
     for path, recording in zip(paths, recordings, strict=True):

@@ -8,18 +8,19 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.effects import catalogue
-from ident.model import Effect
-from ident.shapes import Shape
-from ident.stage import Run, Stage, make_stage, nominal, record, superset, without_absent_sensors
-from mocks.undeclared import make_effect
+from ident.data.record import LogSegment, make_record
+from ident.effects.nonparametric import NonparametricForce
+from ident.effects.registry import catalogue
+from ident.estimation.fitted_model import FittedModel, fit_and_evaluate, nominal, superset, without_absent_sensors
+from ident.model.structure import Effect
+from mocks.hidden_effects.catalogue import make_effect
 from tests.recovery.kinds import Case, boat_of, model_of
 
 Array = NDArray[np.float64]
 RATE = 10.0  # Hz
 
 
-def oracle(case: Case, runs: Sequence[Run]) -> Stage | None:
+def oracle(case: Case, runs: Sequence[LogSegment]) -> FittedModel | None:
     """The catalogue's effects of the true names, fitted; None where the catalogue lacks one of them."""
     known = catalogue()
     if any(name not in known for name in case.truths):
@@ -27,11 +28,11 @@ def oracle(case: Case, runs: Sequence[Run]) -> Stage | None:
     effects = {name: _near_the_truth(known[name], case) for name in case.truths}
     base = nominal(model_of(case))
     everything, kept = superset(base, effects, runs)
-    records = [record(everything, r, RATE) for r in runs]
+    records = [make_record(everything, r, RATE) for r in runs]
     model = without_absent_sensors(base, records)
     for effect in kept.values():
         model = model + effect
-    return make_stage(model, records[:1], records[1:])
+    return fit_and_evaluate(model, records[:1], records[1:])
 
 
 def _near_the_truth(effect: Effect, case: Case) -> Effect:
@@ -43,7 +44,7 @@ def _near_the_truth(effect: Effect, case: Case) -> Effect:
     return replace(effect, parameters=tuple(start))
 
 
-def shape_share(case: Case, shapes: Sequence[Shape]) -> float | None:
+def shape_share(case: Case, shapes: Sequence[NonparametricForce]) -> float | None:
     """The share of the drawn curve whose band holds the true one; None without a drawn curve of the right kind.
 
     What the model's own parameters can take up is compared with neither: a constant, for X(u) the drag, for X(n_sum)
@@ -60,7 +61,7 @@ def shape_share(case: Case, shapes: Sequence[Shape]) -> float | None:
     return float(np.mean(np.abs(apart) < drawn.band))
 
 
-def _beyond(drawn: Shape, difference: Array) -> Array:
+def _beyond(drawn: NonparametricForce, difference: Array) -> Array:
     """What is left of a difference of curves without what the hull's own damping or thrusters could take up."""
     z = drawn.grid
     columns = [np.ones(z.size)]

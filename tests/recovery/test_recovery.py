@@ -9,14 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ident import bench_job
-from ident.bench_runs import RATE
-from ident.dataset import build_record
-from ident.models.thruster import delayed_channels, thruster
-from ident.outcome import fit_part
-from ident.shapes import Shape
-from mocks.bench_plant import draw_bench
-from mocks.undeclared import EFFECTS, OUTSIDE
+from ident.characterisation.thruster import THRUSTER_RATE, fit_thruster
+from ident.data.record import build_record
+from ident.effects.nonparametric import NonparametricForce
+from ident.models.thruster import delayed_channels, thruster_model
+from ident.results.content import fit_part
+from mocks.hidden_effects.catalogue import EFFECTS, OUTSIDE
+from mocks.plant.bench import draw_bench
 from tests.missions import bench_channels_of, push
 from tests.recovery import study, tables, targets, verdict
 from tests.recovery.cases import Row, code_state, diagnose_case, ratio, run_case, runs_of, truth_of, z_scores
@@ -90,9 +89,9 @@ def test_the_bench_finds_its_thruster(seed: int) -> None:
     bench = draw_bench(seed)
     found = bench_channels_of(push(bench, run=1)[0])
     channels = delayed_channels(found["n_cmd_thruster"]) | {"n": found["n_thruster"], "force": found["force"]}
-    model = thruster()
-    record = build_record(model, channels, name="bench", rate=RATE)
-    fitted = bench_job.fit_thruster(model, [record])
+    model = thruster_model()
+    record = build_record(model, channels, name="bench", rate=THRUSTER_RATE)
+    fitted = fit_thruster(model, [record])
     truth = bench.truth()
     assert fitted.converged
     for name, true in (("a", "pole"), ("c1", "c1"), ("c2", "c2")):
@@ -219,7 +218,7 @@ def test_drop_outs_leave_holes_and_nothing_else(monkeypatch: pytest.MonkeyPatch)
 def test_ratios_and_bands() -> None:
     assert ratio({"free_run": {"x": 2.0, "y": 0.5}}, {"free_run": {"x": 1.0, "y": 1.0}}) == {"free_run": 1.0}
     grid = np.linspace(-1.0, 1.0, 41)
-    drag = Shape("X", "u", grid, grid, grid, grid, "N", "m/s")
+    drag = NonparametricForce("X", "u", grid, grid, grid, grid, "N", "m/s")
     np.testing.assert_allclose(_beyond(drag, 3.0 + 2.0 * grid - grid * np.abs(grid)), 0.0, atol=1e-12)
     assert np.abs(_beyond(replace(drag, force="N"), 2.0 * grid)).max() > 1.0
 

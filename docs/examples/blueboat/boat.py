@@ -1,4 +1,4 @@
-"""Models of the BlueBoat, for leave_one_out.py and `seatrial ident vehicle --model boat.py:NAME --as-is`.
+"""Models of the BlueBoat, for leave_one_out.py and `seatrial ident vehicle --model boat.py:NAME --keep-thruster-sides`.
 
     authors    rigid body with quadratic drag, and the force of the data's authors: a straight line from PWM to force
     propeller  force from PWM by a propeller's curve, c |n|^p, ahead and astern apart, less what forward speed takes
@@ -21,9 +21,8 @@ from dataclasses import replace
 import numpy as np
 
 from ident.effects import catalogue
-from ident.model import Effect, Model, Output, Sensor, Signals, State
-from ident.models.horizontal import SIDES, horizontal
-from ident.params import INF, Parameter
+from ident.model import INF, Effect, Model, Output, Parameter, Sensor, Signals, State
+from ident.models import SIDES, horizontal_model
 
 SMALL = 1e-3  # part of full speed; keeps powers smooth at rest
 KNOWN = {"y_left": 0.285, "y_right": -0.285, "e_uv": 0.35, "e_r": 0.25, "e_psi": 50.0, "d_vv": 0.0, "Y_uv": 0.0}
@@ -99,7 +98,7 @@ DRIFT_SENSOR = Sensor("drift", (Output("drift", "rad", "e_drift"),))  # leave_on
 def hull(propulsion: str) -> Model:
     """The rigid body at rest at the start, with what is known of it before."""
     shaft = propulsion == "shaft"
-    model = horizontal("shaft" if shaft else "force", ("attitude", "gyro", "body_velocity"), current=False)
+    model = horizontal_model("shaft" if shaft else "force", ("attitude", "gyro", "body_velocity"), current=False)
     return model + catalogue()["lift"] if shaft else model
 
 

@@ -2,7 +2,8 @@
 
     python leave_one_out.py LOG... [--model NAME ...] [--fix NAME=VALUE ...] [--out FILE.json]
 
-The fit is output error (``ident.fit``, method "oe"). Fit and prediction start at the first sample of the run from the
+The fit is output error (``ident.estimation.maximum_likelihood``, method "oe"). Fit and prediction start at the first
+sample of the run from the
 speeds and the heading measured there, and the prediction sees nothing but the commands after it. The score is that of
 compare() in MATLAB, which the data's authors use, 100 (1 - |y - y_hat| / |y - mean(y)|) per cent: for each run, and
 pooled, with the squares of all runs summed and every run's own mean taken away.
@@ -22,11 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
-from ident.dataset import Channel, Record, build_record
-from ident.fit import Fit, fit
-from ident.loading import load_run
+from ident.data import Channel, Record, build_record, load_run
+from ident.estimation import Fit, fit, simulate
 from ident.model import Model
-from ident.oe import simulate
 
 Array = NDArray[np.float64]
 CHANNELS = ("u", "v", "r")

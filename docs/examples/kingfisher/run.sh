@@ -16,7 +16,7 @@ seatrial ident thruster logs/bollard_loadcell_raw_20files.mcap --settle 0 --out 
 
 unseen=""
 for log in logs/surge_rest_*.mcap; do unseen="$unseen --validate $log"; done
-curve="--thruster thruster/model.toml --agree m_u"
+curve="--thruster thruster/model.toml --test-homogeneity m_u"
 # The lists are meant to be split into words.
 # shellcheck disable=SC2086
 for name in immediate delayed lagged loss cubic both shifted; do

@@ -24,9 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import Input, Model, Output, Sensor, State, plain_model
-from ident.models.thruster import delay_weights
-from ident.params import INF, Parameter
+from ident.model import INF, Input, Model, Output, Parameter, Sensor, State, plain_model
+from ident.models import delay_weights
 
 STEP, N_DELAYS = 0.1, 16  # s, copies of an input: seatrial makes NAME~k, the input NAME k steps ago
 SMALL = 1e-6  # N; keeps the root smooth where there is no thrust

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ident.dataset import sample_and_hold
-from ident.loading import load_run
+from ident.data import load_run, sample_and_hold
 
 SETTLED = 8.0  # s after a command
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ident.report import drawing, wording
+from ident.report import drawing, formatting
 from ident.report.access import Row, array, flag, group, number, rows, text, texts
 from ident.report.blocks import Canvas, Cell, Dumbbell, Dumbbells, EffectCard, Facts, Grid, Prose, Section, Table
 from ident.report.sections.errors import horizon
@@ -55,15 +55,15 @@ def _dumbbells(items: list[tuple[str, Row]]) -> list[Dumbbell]:
 
 
 def _dumbbell(name: str, row: Row, ratio: float, scale: float) -> Dumbbell:
-    factor, unit = wording.degrees_for(text(row, "unit"))
+    factor, unit = formatting.degrees_for(text(row, "unit"))
     before, after = (factor * (number(row, key) or 0.0) for key in ("before", "after"))
     low, high = number(row, "low"), number(row, "high")
     same = abs(ratio - 1) < 0.005
     return Dumbbell(
-        wording.titled(name),
-        wording.plain(before),
-        f"{wording.plain(after)} {unit}".strip(),
-        "±0 %" if same else wording.percent(ratio - 1) if ratio < 1 else f"+{wording.percent(ratio - 1)}",
+        formatting.titled(name),
+        formatting.plain(before),
+        f"{formatting.plain(after)} {unit}".strip(),
+        "±0 %" if same else formatting.percent(ratio - 1) if ratio < 1 else f"+{formatting.percent(ratio - 1)}",
         scale,
         min(ratio * scale, 100.0),
         None if low is None else min(low * scale, 100.0),
@@ -75,17 +75,17 @@ def _dumbbell(name: str, row: Row, ratio: float, scale: float) -> Dumbbell:
 def _behind(criterion: float) -> str:
     """A rival may be ahead on the fitted data and yet not hold on the others."""
     if criterion < 0:
-        return f"{wording.plain(-criterion)} ahead, but not on the validation data"
-    return f"{wording.plain(criterion)} behind"
+        return f"{formatting.plain(-criterion)} ahead, but not on the validation data"
+    return f"{formatting.plain(criterion)} behind"
 
 
 def effect_card(effect: Row) -> EffectCard:
     """Formula, parameters with standard errors, source, and the experiment that shows it."""
     parameters = []
     for row in rows(effect, "parameters"):
-        factor, unit = wording.degrees_for(text(row, "unit"))
+        factor, unit = formatting.degrees_for(text(row, "unit"))
         value, se = (None if v is None else factor * v for v in (number(row, "value"), number(row, "se")))
-        parameters.append((text(row, "name"), wording.with_error(value, se, unit), text(row, "meaning")))
+        parameters.append((text(row, "name"), formatting.with_error(value, se, unit), text(row, "meaning")))
     rivals = [
         text(row, "name")
         + (
@@ -113,13 +113,14 @@ def effect_card(effect: Row) -> EffectCard:
 
 
 def _weight(factor: float | None) -> tuple[str, str]:
-    """How much larger the prediction error is without the effect (ident.weight): the figure, and the words after it."""
+    """How much larger the prediction error is without the effect (ident.diagnosis.importance): the figure, and the
+    words after it."""
     if factor is None:
         return "", ""
     if factor >= 2.0:
-        return f"{wording.plain(factor)} times", "as large a prediction error without it"
+        return f"{formatting.plain(factor)} times", "as large a prediction error without it"
     larger = "larger" if factor >= 1.0 else "smaller"
-    return wording.percent(abs(factor - 1.0)), f"{larger} prediction error without it"
+    return formatting.percent(abs(factor - 1.0)), f"{larger} prediction error without it"
 
 
 def how_sure(effect: Row) -> str:
@@ -127,7 +128,7 @@ def how_sure(effect: Row) -> str:
     reasons = texts(effect, "reasons")
     certainty = text(effect, "certainty")
     if certainty == "resembles":
-        others = [wording.titled(name) for name in texts(effect, "not_excluded")]
+        others = [formatting.titled(name) for name in texts(effect, "not_excluded")]
         return "it resembles this; " + "; ".join(reasons + ([f"not excluded: {', '.join(others)}"] if others else []))
     return {"named": "nothing is left that this should explain, and no rival comes close",
             "unknown": "no known effect explains it; the curve is what the data draw"}.get(certainty, "")
@@ -140,13 +141,13 @@ def key_parameters(result: Row) -> list[Any]:
         value, se = number(row, "value"), number(row, "se")
         if value is None or se is None or flag(row, "free") is False or "noise" in text(row, "meaning"):
             continue
-        factor, unit = wording.degrees_for(text(row, "unit"))
+        factor, unit = formatting.degrees_for(text(row, "unit"))
         found.append((text(row, "meaning") or text(row, "name"), _symbol(row, factor * value, factor * se, unit)))
     return [Facts(found[:KEY_PARAMETERS], "cards")] if found else []
 
 
 def _symbol(row: Row, value: float, se: float, unit: str) -> str:
-    return f"{text(row, 'name')} = {wording.with_error(value, se, unit)}"
+    return f"{text(row, 'name')} = {formatting.with_error(value, se, unit)}"
 
 
 def static_section(canvas: Canvas) -> Section:
@@ -174,7 +175,7 @@ def static_section(canvas: Canvas) -> Section:
         style = {"color": drawing.BEFORE, "dash": "dash"}
         traces.append(drawing.line(model_n, quadratic, "quadratic", 600, **style))
         lead += " Dashed: c1 n|n| + c2 n²."
-    unit = wording.bracket(wording.tidy(text(static, "n_unit")))
+    unit = formatting.bracket(formatting.tidy(text(static, "n_unit")))
     along = text(static, "abscissa") or "shaft speed n"
     figure = drawing.single(traces, f"{along}{unit or ', part of full'}", "force [N]", hovermode="closest")
     title = f"orce against {along.removesuffix(' n')}"
@@ -196,20 +197,20 @@ def noise_section(canvas: Canvas) -> Section:
 
 
 def _noise_row(row: Row) -> list[Cell | str]:
-    factor, unit = wording.degrees_for(text(row, "unit"))
-    cells: list[Cell | str] = [wording.named(text(row, "channel"))]
+    factor, unit = formatting.degrees_for(text(row, "unit"))
+    cells: list[Cell | str] = [formatting.named(text(row, "channel"))]
     for key, shown in (("white", unit), ("walk", f"{unit}/√s" if unit else "1/√s")):
         value, se = (None if v is None else factor * v for v in (number(row, key), number(row, f"se_{key}")))
-        cells.append(Cell(wording.with_error(value, se, shown if value is not None else ""), "num"))
+        cells.append(Cell(formatting.with_error(value, se, shown if value is not None else ""), "num"))
     accepted = flag(row, "accepted")
     verdict = {True: Cell("✓ yes", "good"), False: Cell("✗ no", "bad"), None: Cell("–")}[accepted]
-    share = Cell(wording.percent(number(row, "predictable"), 1), "num")
-    return [*cells, verdict, share, Cell(wording.probability(number(row, "p")), "num")]
+    share = Cell(formatting.percent(number(row, "predictable"), 1), "num")
+    return [*cells, verdict, share, Cell(formatting.probability(number(row, "p")), "num")]
 
 
 def _density(canvas: Canvas, row: Row) -> Any:
     frequency, psd, model = (array(row, key) for key in ("frequency", "psd", "psd_model"))
-    factor, unit = wording.degrees_for(text(row, "unit"))
+    factor, unit = formatting.degrees_for(text(row, "unit"))
     traces = []
     for values, name in ((psd, "measured"), (model, "model")):
         if frequency is None or values is None or values.size != frequency.size:
@@ -226,7 +227,7 @@ def _density(canvas: Canvas, row: Row) -> Any:
         return None
     log = {"type": "log", "exponentformat": "power", "nticks": 6}
     square = f"({unit})²" if not unit.isalpha() else f"{unit}²"
-    title = wording.named(text(row, "channel"))
+    title = formatting.named(text(row, "channel"))
     shown = f"{title} [{square}/Hz]" if unit else f"{title} [1/Hz]"
     figure = drawing.single(traces, "frequency [Hz]", xaxis=_ticks(frequency), yaxis=log | {"automargin": True})
     return canvas.plot(figure, 230, f"Power spectral density of {title}", shown)

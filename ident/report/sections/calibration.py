@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ident.report import drawing, wording
+from ident.report import drawing, formatting
 from ident.report.access import ROLES, Row, array, group, number, text
 from ident.report.blocks import Canvas, Cell, Grid, Plot, Prose, Section, Table, tabbed
 from ident.report.sections.errors import horizons
@@ -51,12 +51,12 @@ def _tables(canvas: Canvas, role: str, data: Row) -> list[Any]:
 def _line(channel: str, row: Row) -> list[Cell | str]:
     low, high = number(row, "low"), number(row, "high")
     return [
-        wording.named(channel),
-        Cell(wording.percent(number(row, "inside_50")), "num"),
-        Cell(wording.percent(number(row, "inside_95"), 1), "num"),
-        Cell(wording.plain(number(row, "scale")), "num"),
-        Cell("–" if low is None or high is None else f"{wording.plain(low)} to {wording.plain(high)}", "num"),
-        Cell(wording.plain(number(row, "effective"), 2), "num"),
+        formatting.named(channel),
+        Cell(formatting.percent(number(row, "inside_50")), "num"),
+        Cell(formatting.percent(number(row, "inside_95"), 1), "num"),
+        Cell(formatting.plain(number(row, "scale")), "num"),
+        Cell("–" if low is None or high is None else f"{formatting.plain(low)} to {formatting.plain(high)}", "num"),
+        Cell(formatting.plain(number(row, "effective"), 2), "num"),
         VERDICTS.get(text(row, "verdict"), Cell("–")),
     ]
 
@@ -70,7 +70,7 @@ def _reliability(canvas: Canvas, title: str, found: Mapping[str, Row]) -> Plot |
         if pit is not None and pit.size == 10:
             inside = np.append(0.0, np.cumsum((pit[:5] + pit[:4:-1])[::-1]))
             style = {"color": drawing.LINES[i % 6], "dash": drawing.DASHES[i // 6 % 6]}
-            traces.append(drawing.line(promised, inside, wording.symbol(channel), 10, **style))
+            traces.append(drawing.line(promised, inside, formatting.symbol(channel), 10, **style))
     if len(traces) == 1:
         return None
     axis = {"range": [0, 1], "tickformat": ".0%"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from ident.report import wording
+from ident.report import formatting
 from ident.report.access import ROLES, Row, group, number, text, texts
 from ident.report.blocks import Canvas, Cell, Facts, Lines, Prose, Section, Table, tabbed
 
@@ -63,28 +63,28 @@ def _grouped(
 
 
 def _single(channel: str, row: Row) -> list[Cell | str]:
-    factor, unit = wording.degrees_for(text(row, "unit"))
+    factor, unit = formatting.degrees_for(text(row, "unit"))
     error, spread = number(row, "after"), number(row, "spread")
     fit = None if error is None or not spread else 1 - error / spread
     return [
-        wording.named(channel),
-        Cell("–" if error is None else wording.plain(factor * error), "num"),
+        formatting.named(channel),
+        Cell("–" if error is None else formatting.plain(factor * error), "num"),
         Cell(unit, "nowrap"),
         Cell("–" if fit is None else f"{100 * fit:.0f} %", "num"),
     ]
 
 
 def _row(channel: str, row: Row) -> list[Cell | str]:
-    factor, unit = wording.degrees_for(text(row, "unit"))
+    factor, unit = formatting.degrees_for(text(row, "unit"))
     before, after = (None if v is None else factor * v for v in (number(row, "before"), number(row, "after")))
     low, high = number(row, "low"), number(row, "high")
     ratio = after / before if before and after is not None else None
     sure = "" if ratio is None else "good" if high is not None and high < 1 else "bad" if low and low > 1 else ""
     mark = {"good": "▼ ", "bad": "▲ ", "": ""}[sure]
     return [
-        wording.named(channel),
-        Cell(wording.plain(before), "num"),
-        Cell(wording.plain(after), "num"),
+        formatting.named(channel),
+        Cell(formatting.plain(before), "num"),
+        Cell(formatting.plain(after), "num"),
         Cell(unit, "nowrap"),
         Cell("–" if ratio is None else f"{mark}{ratio:.2f}", f"num {sure}".strip()),
         Cell("–" if low is None or high is None else f"{low:.2f} to {high:.2f}", "num"),
@@ -109,7 +109,7 @@ def made_section(canvas: Canvas) -> Section:
     facts = (
         ("Command", text(result, "command")),
         ("seatrial", text(result, "seatrial")),
-        ("Time", wording.moment(text(result, "created"))),
+        ("Time", formatting.moment(text(result, "created"))),
     )
     found = [(label, value) for label, value in facts if value]
     return Section("made", "How it was made", [Facts(found, "made")] if found else [])

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ident.report import drawing, wording
-from ident.report.access import Array, Row, Take, array, group, number, of_take, rows, takes, text, texts
+from ident.numerics import Array
+from ident.report import drawing, formatting
+from ident.report.access import RecordTab, Row, array, group, number, of_take, rows, takes, text, texts
 from ident.report.blocks import Canvas, Cell, Grid, Prose, Section, Table, tabbed
 
 TIME = "time [s]"
@@ -30,15 +31,15 @@ def parameters_section(canvas: Canvas) -> Section:
 
 
 def _row(row: Row) -> list[Cell | str]:
-    factor, unit = wording.degrees_for(text(row, "unit"))
-    name = f"{text(row, 'name')}  {text(row, 'meaning')}{wording.bracket(unit)}"
+    factor, unit = formatting.degrees_for(text(row, "unit"))
+    name = f"{text(row, 'name')}  {text(row, 'meaning')}{formatting.bracket(unit)}"
     value, se, alone = (None if v is None else factor * v for v in (number(row, k) for k in ("value", "se", "alone")))
-    weight, shown = number(row, "weight"), Cell(wording.plain(value), "num")
+    weight, shown = number(row, "weight"), Cell(formatting.plain(value), "num")
     if se is None:
         return [name, shown, Cell("nothing", "num"), "", Cell("–", "num"), Cell("–", "num")]
-    without = "unknown" if weight is None else f"{wording.plain(se * weight)} (× {wording.plain(weight)})"
-    return [name, shown, Cell(wording.plain(se), "num"), place(row), Cell(without, "num"),
-            Cell(wording.plain(alone), "num")]
+    without = "unknown" if weight is None else f"{formatting.plain(se * weight)} (× {formatting.plain(weight)})"
+    return [name, shown, Cell(formatting.plain(se), "num"), place(row), Cell(without, "num"),
+            Cell(formatting.plain(alone), "num")]
 
 
 def place(row: Row) -> str:
@@ -59,7 +60,7 @@ def stretches_section(canvas: Canvas) -> Section:
     return Section("stretches", "Stretch by stretch", tabbed(tabs), lead)
 
 
-def _record(canvas: Canvas, part: Row, names: Sequence[str], take: Take) -> list[Any]:
+def _record(canvas: Canvas, part: Row, names: Sequence[str], take: RecordTab) -> list[Any]:
     found = of_take(part, "stretches", take)
     shares = [array(row, "lost") for row in found]
     good = [(row, share) for row, share in zip(found, shares, strict=True)
@@ -74,7 +75,7 @@ def _record(canvas: Canvas, part: Row, names: Sequence[str], take: Take) -> list
                             margin={"l": LEFT, "r": 8, "t": 56, "b": 44})
     blocks: list[Any] = [Grid([canvas.plot(figure, ROW_HEIGHT * len(names) + AROUND,
                                            f"Lost without each stretch, {take.name}")], 600)]
-    panels = [drawing.Panel(wording.titled(text(row, "name")) + wording.bracket(text(row, "unit")), [
+    panels = [drawing.Panel(formatting.titled(text(row, "name")) + formatting.bracket(text(row, "unit")), [
         drawing.line(t, value, "input", canvas.budget.points, color=drawing.MEASURED)])
         for row in of_take(canvas.result, "inputs", take)
         if (t := array(row, "t")) is not None and (value := array(row, "value")) is not None and t.size == value.size]

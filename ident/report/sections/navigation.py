@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from ident.report import drawing, wording
-from ident.report.access import Array, Row, Take, along, array, flag, group, number, of_take, rows, takes, text
+from ident.numerics import Array
+from ident.report import drawing, formatting
+from ident.report.access import RecordTab, Row, along, array, flag, group, number, of_take, rows, takes, text
 from ident.report.blocks import Canvas, Cell, Grid, Key, Prose, Section, Table, tabbed
 
 TIME = "time [s]"
@@ -38,8 +39,8 @@ def _outage(row: Row, withheld: bool) -> list[Cell | str]:
     verdict = {True: Cell("✓ inside", "good"), False: Cell("✗ outside", "bad"), None: Cell("–")}[inside]
     cells: list[Cell | str] = [
         text(row, "record"),
-        Cell(f"{wording.plain(number(row, 'start'), 4)} s", "num"),
-        Cell(f"{wording.plain(number(row, 'duration'))} s", "num"),
+        Cell(f"{formatting.plain(number(row, 'start'), 4)} s", "num"),
+        Cell(f"{formatting.plain(number(row, 'duration'))} s", "num"),
         _metres(number(group(row, "at_end"), "radius")),
         _metres(number(row, "error")),
         _metres(number(row, "allowed")),
@@ -49,7 +50,7 @@ def _outage(row: Row, withheld: bool) -> list[Cell | str]:
 
 
 def _metres(value: float | None) -> Cell:
-    return Cell("–" if value is None else f"{wording.plain(value)} m", "num")
+    return Cell("–" if value is None else f"{formatting.plain(value)} m", "num")
 
 
 def section(canvas: Canvas) -> Section:
@@ -61,7 +62,7 @@ def section(canvas: Canvas) -> Section:
     return Section("navigation", "Track and states", tabbed(tabs), lead)
 
 
-def _record(canvas: Canvas, take: Take) -> list[Any]:
+def _record(canvas: Canvas, take: RecordTab) -> list[Any]:
     blocks: list[Any] = []
     for row in of_take(canvas.result, "navigation", take):
         track = _track(canvas, take, row)
@@ -77,7 +78,7 @@ def _record(canvas: Canvas, take: Take) -> list[Any]:
     return blocks
 
 
-def _spans(canvas: Canvas, take: Take) -> list[tuple[float, float]]:
+def _spans(canvas: Canvas, take: RecordTab) -> list[tuple[float, float]]:
     ends = [(number(o, "start"), number(o, "end")) for o in of_take(canvas.result, "outages", take)]
     return [(a, b) for a, b in ends if a is not None and b is not None]
 
@@ -86,7 +87,7 @@ def _panel(canvas: Canvas, t: Array, state: Row, spans: list[tuple[float, float]
     found = along({"t": t, **state}, "t", "value", "sd", "measured")
     if found is None or found[1][0] is None:
         return None
-    factor, unit = wording.degrees_for(text(state, "unit"))
+    factor, unit = formatting.degrees_for(text(state, "unit"))
     value, sd, measured = (None if a is None else factor * a for a in found[1])
     assert value is not None
     limit, traces = canvas.budget.points, []
@@ -103,11 +104,13 @@ def _panel(canvas: Canvas, t: Array, state: Row, spans: list[tuple[float, float]
     shade = [drawing.between(np.array(span), np.full(2, bottom), np.full(2, top), color=drawing.AMBER, opacity=0.15)
              for span in spans]
     name, meaning = text(state, "name"), text(state, "meaning")
-    title = wording.titled(name) if name in wording.MEANINGS else f"{meaning[:1].upper()}{meaning[1:]} {name}".strip()
-    return drawing.Panel(title + wording.bracket(unit), [*shade, *traces])
+    title = (
+        formatting.titled(name) if name in formatting.MEANINGS else f"{meaning[:1].upper()}{meaning[1:]} {name}".strip()
+    )
+    return drawing.Panel(title + formatting.bracket(unit), [*shade, *traces])
 
 
-def _track(canvas: Canvas, take: Take, row: Row) -> Any:
+def _track(canvas: Canvas, take: RecordTab, row: Row) -> Any:
     values = {text(s, "name"): array(s, "value") for s in rows(row, "states")}
     north, east, t = values.get("x"), values.get("y"), array(row, "t")
     if north is None or east is None or t is None or not north.size == east.size == t.size:
@@ -148,6 +151,6 @@ def _ellipse(row: Row) -> list[drawing.Trace]:
     if major is None or minor is None or azimuth is None or north is None or east is None:
         return []
     a, b, (c, s) = major * np.cos(TURN), minor * np.sin(TURN), (np.cos(azimuth), np.sin(azimuth))
-    name = f"95 % after {wording.plain(number(row, 'duration'))} s"
+    name = f"95 % after {formatting.plain(number(row, 'duration'))} s"
     return [{"type": "scatter", "mode": "lines", "name": drawing.said(name), "x": drawing.packed(east + s * a + c * b),
              "y": drawing.packed(north + c * a - s * b), "line": {"color": drawing.INK, "width": 1.4}}]

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from ident.report import drawing, wording
-from ident.report.access import Array, Row, flag, group, matrix, number, rows, text, texts
+from ident.numerics import Array
+from ident.report import drawing, formatting
+from ident.report.access import Row, flag, group, matrix, number, rows, text, texts
 from ident.report.blocks import Canvas, Cell, Facts, Grid, Heading, Prose, Section, Table
 
 MANY = 14  # parameters, above which the correlation's numbers show on hover only
@@ -39,16 +40,16 @@ def _fit_facts(fit: Row) -> list[Any]:
         ("Converged", f"{converged}: {message}" if converged and message else converged or message),
         ("Log-likelihood", "" if log_likelihood is None else f"{log_likelihood:,.1f}".replace("-", "−")),
         ("Iterations", text(fit, "iterations")),
-        ("CPU time", "" if cpu is None else f"{wording.plain(cpu)} s"),
+        ("CPU time", "" if cpu is None else f"{formatting.plain(cpu)} s"),
     )
     found = [(label, value) for label, value in facts if value]
     return [Facts(found)] if found else []
 
 
 def _row(row: Row, extra: list[str]) -> list[Cell | str]:
-    factor, unit = wording.degrees_for(text(row, "unit"))
+    factor, unit = formatting.degrees_for(text(row, "unit"))
     value, se = (None if v is None else factor * v for v in (number(row, "value"), number(row, "se")))
-    shown, error = wording.pair(value, se)
+    shown, error = formatting.pair(value, se)
     free = flag(row, "free")
     cells: list[Cell | str] = [
         Cell(text(row, "name"), "symbol"),
@@ -58,7 +59,7 @@ def _row(row: Row, extra: list[str]) -> list[Cell | str]:
         Cell(text(row, "meaning"), "wide"),
     ]
     more: dict[str, Cell | str] = {
-        "prior_share": Cell(wording.percent(number(row, "prior_share")), "num"),
+        "prior_share": Cell(formatting.percent(number(row, "prior_share")), "num"),
         "record": text(row, "record") or Cell("all", "quiet"),
         "flag": Cell(f"⚠ {text(row, 'flag')}", "bad") if text(row, "flag") else "",
     }
@@ -75,7 +76,7 @@ def _moved(result: Row) -> list[Any]:
 
 
 def _moved_row(row: Row) -> list[Cell | str]:
-    factor, unit = wording.degrees_for(text(row, "unit"))
+    factor, unit = formatting.degrees_for(text(row, "unit"))
     before, before_se, after, after_se = (
         None if v is None else factor * v
         for v in (number(row, k) for k in ("before", "before_se", "after", "after_se"))
@@ -86,7 +87,7 @@ def _moved_row(row: Row) -> list[Cell | str]:
         size = (after - before) / se
         words = f"{'+' if size > 0 else '−' if size < 0 else ''}{abs(size):.1f} s.e."
         shift = Cell(words, "num strong" if abs(size) > drawing.Z95 else "num", float(np.clip(size / 6, -1, 1)))
-    texts_ = [wording.with_error(before, before_se), wording.with_error(after, after_se)]
+    texts_ = [formatting.with_error(before, before_se), formatting.with_error(after, after_se)]
     return [Cell(text(row, "name"), "symbol"), *(Cell(words, "num") for words in texts_), Cell(unit, "nowrap"), shift]
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ident.report import drawing, wording
+from ident.report import drawing, formatting
 from ident.report.access import Row, along, number, rows, text, texts
 from ident.report.blocks import Canvas, Cell, Grid, Key, Plot, Section, Table
 
@@ -32,11 +32,11 @@ def section(canvas: Canvas) -> Section:
 
 
 def _row(row: Row, noted: bool) -> list[Cell | str]:
-    factor, unit = wording.degrees_for(text(row, "unit"))
+    factor, unit = formatting.degrees_for(text(row, "unit"))
     value = number(row, "value")
     cells: list[Cell | str] = [
         Cell(text(row, "name"), "symbol"),
-        Cell("–" if value is None else wording.plain(factor * value), "num"),
+        Cell("–" if value is None else formatting.plain(factor * value), "num"),
         *(Cell(interval(*(_times(number(row, key), factor) for key in ends)), "num")
           for ends in (("low", "high"), ("wald_low", "wald_high"))),
         Cell(unit, "nowrap"),
@@ -52,7 +52,7 @@ def interval(low: float | None, high: float | None) -> str:
     """``1.2 to 3.4``; an end that the data do not close is open."""
     if low is None and high is None:
         return "–"
-    ends = ["open" if end is None else wording.plain(end) for end in (low, high)]
+    ends = ["open" if end is None else formatting.plain(end) for end in (low, high)]
     return f"{ends[0]} to {ends[1]}"
 
 
@@ -61,7 +61,7 @@ def _curve(canvas: Canvas, row: Row) -> Plot | None:
     value = number(row, "value")
     if found is None or found[1][0] is None or found[0].size < 3 or value is None:
         return None
-    factor, unit = wording.degrees_for(text(row, "unit"))
+    factor, unit = formatting.degrees_for(text(row, "unit"))
     x, drop = factor * found[0], found[1][0]
     traces = [drawing.line(x, drop, "profile", canvas.budget.points)]
     low, high = number(row, "wald_low"), number(row, "wald_high")

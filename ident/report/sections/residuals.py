@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from ident.report import drawing, wording
-from ident.report.access import Array, Row, Take, along, array, flag, group, number, of_take, rows, takes, text
+from ident.numerics import Array
+from ident.report import drawing, formatting
+from ident.report.access import RecordTab, Row, along, array, flag, group, number, of_take, rows, takes, text
 from ident.report.blocks import Canvas, Cell, Grid, Heading, Key, Plot, Section, Table, tabbed
 
 KOLMOGOROV_95 = 1.358  # of sqrt(m) times the largest distance of a cumulative periodogram (Bartlett 1955)
@@ -36,7 +37,7 @@ def _versions(row: Row) -> list[tuple[str, Row, str]]:
     return [("residual", row, drawing.MODEL)]
 
 
-def _verdicts(result: Row, take: Take) -> list[Any]:
+def _verdicts(result: Row, take: RecordTab) -> list[Any]:
     found = of_take(result, "residuals", take)
     columns = (("channel", ""), ("white", ""), ("Ljung–Box p", "num"), ("periodogram p", "num"), ("normal p", "num"))
     return [Table(columns, [_verdict(row) for row in found])] if found else []
@@ -48,25 +49,25 @@ def _verdict(row: Row) -> list[Cell | str]:
     last = flag(versions[-1], "white")
     verdict = " → ".join(mark[flag(v, "white")] for v in versions)
     cells: list[Cell | str] = [
-        wording.named(text(row, "channel")),
+        formatting.named(text(row, "channel")),
         Cell(verdict, {True: "nowrap good", False: "nowrap bad", None: "nowrap"}[last]),
     ]
     for key in ("ljung_box_p", "periodogram_p", "normal_p"):
-        cells.append(Cell(" → ".join(wording.probability(number(v, key)) for v in versions), "num"))
+        cells.append(Cell(" → ".join(formatting.probability(number(v, key)) for v in versions), "num"))
     return cells
 
 
-def _channels(canvas: Canvas, take: Take) -> list[Any]:
+def _channels(canvas: Canvas, take: RecordTab) -> list[Any]:
     blocks: list[Any] = []
     for row in of_take(canvas.result, "residuals", take):
         makers = (_over_time, _autocorrelation, _periodogram)
         plots = [plot for make in makers if (plot := make(canvas, row, take))]
         if plots:
-            blocks += [Heading(wording.titled(text(row, "channel"))), Grid(plots, 250)]
+            blocks += [Heading(formatting.titled(text(row, "channel"))), Grid(plots, 250)]
     return blocks
 
 
-def _over_time(canvas: Canvas, row: Row, take: Take) -> Plot | None:
+def _over_time(canvas: Canvas, row: Row, take: RecordTab) -> Plot | None:
     traces = []
     for name, values, color in _versions(row):
         t, e = array(values, "t"), array(values, "e")
@@ -93,8 +94,8 @@ def _stretch(half: float) -> dict[str, Any]:
     return {"type": "rect", "xref": "paper", "x0": 0, "x1": 1, "y0": -half, "y1": half, **style}
 
 
-def _label(what: str, row: Row, take: Take) -> str:
-    return f"{what}, {wording.named(text(row, 'channel'))}, {take.title}"
+def _label(what: str, row: Row, take: RecordTab) -> str:
+    return f"{what}, {formatting.named(text(row, 'channel'))}, {take.title}"
 
 
 def _stems(x: Array, y: Array, name: str, color: str) -> drawing.Trace:
@@ -104,7 +105,7 @@ def _stems(x: Array, y: Array, name: str, color: str) -> drawing.Trace:
     return {"type": "scatter", "mode": "lines+markers", "name": name, "marker": marker, "line": line, **where}
 
 
-def _autocorrelation(canvas: Canvas, row: Row, take: Take) -> Plot | None:
+def _autocorrelation(canvas: Canvas, row: Row, take: RecordTab) -> Plot | None:
     traces = []
     for name, values, color in _versions(row):
         found = along(
@@ -120,7 +121,7 @@ def _autocorrelation(canvas: Canvas, row: Row, take: Take) -> Plot | None:
     return canvas.plot(figure, 210, _label("Autocorrelation", row, take), "Autocorrelation")
 
 
-def _periodogram(canvas: Canvas, row: Row, take: Take) -> Plot | None:
+def _periodogram(canvas: Canvas, row: Row, take: RecordTab) -> Plot | None:
     traces, top = [], 0.0
     for name, values, color in _versions(row):
         base = values if array(values, "frequency") is not None else {**values, "frequency": row.get("frequency")}
@@ -143,7 +144,7 @@ def _periodogram(canvas: Canvas, row: Row, take: Take) -> Plot | None:
     return canvas.plot(figure, 210, _label("Cumulative periodogram", row, take), "Cumulative periodogram")
 
 
-def _cross(canvas: Canvas, take: Take) -> list[Any]:
+def _cross(canvas: Canvas, take: RecordTab) -> list[Any]:
     plots = []
     for row in of_take(canvas.result, "cross", take):
         traces, p = [], []
@@ -152,10 +153,10 @@ def _cross(canvas: Canvas, take: Take) -> list[Any]:
             found = along(base, "lags", "z")
             if found and found[1][0] is not None:
                 traces.append(_stems(found[0], found[1][0], name, color))
-                p.append(wording.probability(number(values, "p")))
+                p.append(formatting.probability(number(values, "p")))
         if traces:
             figure = drawing.single(traces, "lag [s]", shapes=[_stretch(drawing.Z95)])
-            channel, name = (wording.symbol(text(row, key)) for key in ("channel", "input"))
+            channel, name = (formatting.symbol(text(row, key)) for key in ("channel", "input"))
             title = f"{channel} × {name}"
             shown = f"{title} · p {' → '.join(p)}"
             plots.append(canvas.plot(figure, 180, f"Cross-correlation, {title}, {take.title}", shown))

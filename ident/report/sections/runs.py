@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from ident.report import drawing, wording
-from ident.report.access import Array, Row, Take, along, array, number, of_take, rows, takes, text, texts
+from ident.numerics import Array
+from ident.report import drawing, formatting
+from ident.report.access import RecordTab, Row, along, array, number, of_take, rows, takes, text, texts
 from ident.report.blocks import Canvas, Cell, Grid, Key, Lines, Prose, Section, Table, tabbed
 
 TIME = "time [s]"
@@ -34,30 +35,32 @@ def _log_row(row: Row) -> list[Cell | str]:
     return [
         Cell(_log_name(row), "strong"),
         Cell(role, f"badge {role}" if role in ("validation", "estimation") else ""),
-        Cell(wording.duration(number(row, "duration")), "num"),
+        Cell(formatting.duration(number(row, "duration")), "num"),
         text(row, "rig") or "–",
         text(row, "mission") or "–",
         Cell(text(row, "sha256")[:10] or "–", "code"),
     ]
 
 
-def _inputs(canvas: Canvas, take: Take) -> list[Any]:
+def _inputs(canvas: Canvas, take: RecordTab) -> list[Any]:
     by_unit: dict[str, list[Row]] = {}
     for row in of_take(canvas.result, "inputs", take):
         by_unit.setdefault(text(row, "unit"), []).append(row)
     panels = []
     for unit, members in by_unit.items():
-        factor, shown = wording.degrees_for(unit)
+        factor, shown = formatting.degrees_for(unit)
         traces, names = [], []
         for i, row in enumerate(members):
             found = along(row, "t", "value")
             if found and found[1][0] is not None:
                 style = {"color": drawing.LINES[i % 6], "dash": ("solid", "dot")[i % 2]}
-                name = wording.symbol(text(row, "name")) if len(members) > 1 else wording.titled(text(row, "name"))
+                name = (
+                    formatting.symbol(text(row, "name")) if len(members) > 1 else formatting.titled(text(row, "name"))
+                )
                 traces.append(drawing.line(found[0], factor * found[1][0], name, canvas.budget.points, **style))
                 names.append(f"{name} ({('solid', 'dotted')[i % 2]})" if len(members) > 1 else name)
         if traces:
-            panels.append(drawing.Panel(" · ".join(names) + wording.bracket(shown), traces))
+            panels.append(drawing.Panel(" · ".join(names) + formatting.bracket(shown), traces))
     if not panels:
         return []
     figure, height = drawing.stacked(panels, TIME)
@@ -84,7 +87,7 @@ def _key(before: bool, sure: bool) -> Key:
     return Key([*items, ("before", "before the effects were added")] if before else items)
 
 
-def _channels(canvas: Canvas, take: Take) -> list[Any]:
+def _channels(canvas: Canvas, take: RecordTab) -> list[Any]:
     panels = [panel for row in of_take(canvas.result, "traces", take) if (panel := _channel(canvas, row))]
     if not panels:
         return []
@@ -99,7 +102,7 @@ def _channel(canvas: Canvas, row: Row) -> drawing.Panel | None:
     if found is None:
         return None
     t, limit = found[0], canvas.budget.points
-    factor, unit = wording.degrees_for(text(row, "unit"))
+    factor, unit = formatting.degrees_for(text(row, "unit"))
     measured, model, sd, before = (None if a is None else factor * a for a in found[1])
     if row.get("angle") is True and text(row, "unit") == "rad":
         measured, model, before = _one_turn([measured, model, before])
@@ -116,7 +119,7 @@ def _channel(canvas: Canvas, row: Row) -> drawing.Panel | None:
         return None
     edges = [] if model is None or sd is None else [model - drawing.Z95 * sd, model + drawing.Z95 * sd]
     frame = _frame([measured, model], [before, *edges])
-    title = wording.titled(text(row, "channel")) + wording.bracket(unit)
+    title = formatting.titled(text(row, "channel")) + formatting.bracket(unit)
     return drawing.Panel(title, traces, {"range": frame} if frame else {})
 
 
@@ -152,7 +155,7 @@ def _one_turn(curves: list[Array | None]) -> list[Array | None]:
     return shown
 
 
-def _track(canvas: Canvas, take: Take) -> list[Any]:
+def _track(canvas: Canvas, take: RecordTab) -> list[Any]:
     plots = []
     for row in of_take(canvas.result, "track", take):
         traces = [t for style in ("measured", "before", "model") for t in _path(row, style, canvas.budget.points)]

@@ -7,8 +7,8 @@ from typing import Any
 
 from scipy import special
 
-from ident.report import drawing, wording
-from ident.report.access import Row, Take, along, array, flag, number, of_take, rows, takes, text
+from ident.report import drawing, formatting
+from ident.report.access import RecordTab, Row, along, array, flag, number, of_take, rows, takes, text
 from ident.report.blocks import Bar, Canvas, Cell, Grid, Heading, Key, Prose, Ranking, Section, Table, tabbed
 
 SHOWN = 14
@@ -64,9 +64,9 @@ def ranking(row: Row) -> list[Any]:
 
 
 def _bar(candidate: Row, width: float, limit: float, chosen: str) -> Bar:
-    p, p_block = (wording.probability(number(candidate, key)) for key in ("p", "p_block"))
+    p, p_block = (formatting.probability(number(candidate, key)) for key in ("p", "p_block"))
     df = number(candidate, "df")
-    numbers = f"{wording.plain(number(candidate, 'lm'))} on {wording.count(df)} df, p {p}, by blocks {p_block}"
+    numbers = f"{formatting.plain(number(candidate, 'lm'))} on {formatting.count(df)} df, p {p}, by blocks {p_block}"
     name = text(candidate, "name")
     return Bar(
         text(candidate, "title") or name,
@@ -98,20 +98,20 @@ def _refits(row: Row) -> list[Any]:
 def _refit(row: Row, chosen: str) -> list[Cell | str]:
     parameters = []
     for p in rows(row, "parameters"):
-        factor, unit = wording.degrees_for(text(p, "unit"))
+        factor, unit = formatting.degrees_for(text(p, "unit"))
         value, se = (None if v is None else factor * v for v in (number(p, "value"), number(p, "se")))
-        parameters.append(f"{text(p, 'name')} = {wording.with_error(value, se, unit)}")
+        parameters.append(f"{text(p, 'name')} = {formatting.with_error(value, se, unit)}")
     more = [f"and {len(parameters) - 3} more"] if len(parameters) > 3 else []
     won = bool(chosen) and text(row, "name") == chosen
     title = text(row, "title") or text(row, "name")
     return [
         Cell(f"✓ {title}" if won else title, "wide strong won" if won else "wide"),
         Cell("; ".join(parameters[:3] + more), "small"),
-        Cell(wording.plain(number(row, "gain")), "num"),
-        Cell(wording.count(number(row, "df")), "num"),
-        Cell(wording.plain(number(row, "criterion")), "num"),
-        Cell(wording.plain(number(row, "validation_gain")), "num"),
-        Cell(wording.plain(number(row, "t"), 2), "num"),
+        Cell(formatting.plain(number(row, "gain")), "num"),
+        Cell(formatting.count(number(row, "df")), "num"),
+        Cell(formatting.plain(number(row, "criterion")), "num"),
+        Cell(formatting.plain(number(row, "validation_gain")), "num"),
+        Cell(formatting.plain(number(row, "t"), 2), "num"),
     ]
 
 
@@ -125,7 +125,7 @@ def _forces(canvas: Canvas) -> list[Any]:
     return [Heading("Residual forces", note), Key(items), *tabbed(tabs)]
 
 
-def _force_tab(canvas: Canvas, take: Take) -> list[Any]:
+def _force_tab(canvas: Canvas, take: RecordTab) -> list[Any]:
     panels = [p for row in of_take(canvas.result, "residual_forces", take) if (p := _force_panel(canvas, row))]
     if not panels:
         return []
@@ -148,7 +148,7 @@ def _force_panel(canvas: Canvas, row: Row) -> drawing.Panel | None:
         if half is not None:
             traces.append(drawing.band(t, middle, drawing.Z95 * half, limit, color=color, opacity=0.16))
         traces.append(drawing.line(t, middle, name, limit, color=color, dash=dash))
-    title = wording.titled(text(row, "force")) + wording.bracket(wording.tidy(text(row, "unit")))
+    title = formatting.titled(text(row, "force")) + formatting.bracket(formatting.tidy(text(row, "unit")))
     return drawing.Panel(title, traces) if traces else None
 
 
@@ -158,17 +158,17 @@ def _shapes(canvas: Canvas) -> list[Any]:
         found = along(row, "grid", "value", "band")
         if found is None or found[1][0] is None:
             continue
-        scale, y_unit = wording.degrees_for(text(row, "unit"))
+        scale, y_unit = formatting.degrees_for(text(row, "unit"))
         value, half = scale * found[1][0], None if found[1][1] is None else scale * found[1][1]
-        factor, unit = wording.degrees_for(text(row, "variable_unit"))
+        factor, unit = formatting.degrees_for(text(row, "variable_unit"))
         x = factor * found[0]
         traces = [drawing.band(x, value, half, 600)] if half is not None else []
         traces.append(drawing.line(x, value, text(row, "force"), 600))
-        force, variable = wording.named(text(row, "force")), wording.named(text(row, "variable"))
+        force, variable = formatting.named(text(row, "force")), formatting.named(text(row, "variable"))
         if flag(row, "reading"):
             force = f"error of the {force}"
-        y_title = force + wording.bracket(y_unit)
-        figure = drawing.single(traces, variable + wording.bracket(unit), y_title)
+        y_title = force + formatting.bracket(y_unit)
+        figure = drawing.single(traces, variable + formatting.bracket(unit), y_title)
         plots.append(canvas.plot(figure, 280, f"{force} over {variable}", f"{force} over {variable}"))
     note = "what is unexplained over one variable, as the data draw it; 95 % bands hold the whole curve"
     return [Heading("What the data draw", note), Grid(plots, 320)] if plots else []

@@ -1,0 +1,5 @@
+"""Mission execution: set-points in time, safety guard, operator interface; whatever happens ends at zero thrust."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

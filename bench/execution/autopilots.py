@@ -1,0 +1,164 @@
+"""Autopilots between us and the thrusters: their parameters, their estimator, arming, and what they do on their own.
+
+Nothing of theirs is changed but what was asked for: with `arm` they are put into MANUAL and armed, and disarmed again.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+
+from daq.acquisition import Acquisition
+from daq.clock import RunClock
+from daq.drivers import check_parameters
+from daq.errors import SafetyStop, SeatrialError
+from daq.rig import Device, Rig
+from daq.status import LinkStatus, Status
+
+# Wall seconds.
+AWAIT_S = 10.0  # for heartbeats, parameters and answers
+ESTIMATOR_S = 60.0  # it needs 30 to 40 s after power-on
+POLL_S = 0.05
+LINK_AGE_S = 3.0  # heartbeats come once a second
+LEAVE_S = 1.0  # for the disarming at a stop to be seen
+NEUTRAL_S = 0.3  # of neutral sticks before arming
+# EKF_STATUS_REPORT: attitude, horizontal velocity, absolute horizontal position; and no constant-position mode.
+EKF_WANTED, EKF_UNWANTED = 1 | 2 | 16, 128
+MANUAL, MANUAL_NUMBER = "MANUAL", 0.0
+
+
+class Autopilots:
+    """The autopilots that the thrusters of a mission hang on; none where they hang on a CAN bus."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        thrusters: tuple[str, ...],
+        acquisition: Acquisition,
+        clock: RunClock,
+        wait: Callable[[float], None],
+        say: Callable[[str], None],
+    ) -> None:
+        self._rig, self._acquisition, self._clock, self._wait, self._say = rig, acquisition, clock, wait, say
+        names = dict.fromkeys(rig.thruster(name).device for name in thrusters)
+        self._devices = [device for name in names if (device := rig.device(name)).mavlink is not None]
+        self._armed: list[str] = []  # by us
+        self._begun = False
+
+    def prepare(self, arm: bool) -> None:
+        """Until every autopilot is fit to run the mission; arms it only with `arm`. Raises SeatrialError."""
+        for device in self._devices:
+            self._await_parameters(device)
+            self._await_estimator(device)
+            if arm:
+                self._arm(device)
+            link = self._link(device)
+            if link.mode != MANUAL:
+                raise SeatrialError(
+                    f"{device.name} is in {link.mode}: only MANUAL passes the commands on; set it, or give --arm"
+                )
+            if not link.armed:
+                raise SeatrialError(f"{device.name} is disarmed; arm it from its transmitter, or give --arm")
+        self._begun = True
+
+    def _link(self, device: Device) -> LinkStatus:
+        return self._acquisition.status().links.get(device.name, LinkStatus())
+
+    def _await(self, device: Device, condition: Callable[[LinkStatus], bool], seconds: float) -> LinkStatus | None:
+        deadline = time.monotonic() + seconds
+        while not condition(link := self._link(device)):
+            if time.monotonic() > deadline:
+                return None
+            self._wait(POLL_S)
+        return link
+
+    def _await_parameters(self, device: Device) -> None:
+        link = self._await(device, lambda link: link.heard and not link.asking, AWAIT_S)
+        if link is None:
+            raise SeatrialError(f"{device.name} ({device.port}): no heartbeat or no parameters in {AWAIT_S:g} s")
+        assert device.mavlink is not None
+        here = [thruster for thruster in self._rig.thrusters if thruster.device == device.name]
+        found = check_parameters(link.parameters, here, device.mavlink.own_system_id)
+        for finding in found:
+            self._acquisition.mark("parameter", f"{device.name}: {finding}")
+            if not finding.fatal:
+                self._say(f"{device.name}: {finding}")
+        for line in link.refused:
+            self._say(f"{device.name} refuses {line}")
+        fatal = [str(finding) for finding in found if finding.fatal]
+        if fatal:
+            forbid = "parameter forbids" if len(fatal) == 1 else "parameters forbid"
+            raise SeatrialError(f"{device.name}: {len(fatal)} {forbid} to drive, yours to set: {'; '.join(fatal)}")
+
+    def _await_estimator(self, device: Device) -> None:
+        def ready(link: LinkStatus) -> bool:
+            return link.ekf >= 0 and link.ekf & EKF_WANTED == EKF_WANTED and not link.ekf & EKF_UNWANTED
+
+        if not ready(self._link(device)):
+            self._say(f"{device.name}: waiting for its estimator, up to {ESTIMATOR_S:g} s")
+        if self._await(device, ready, ESTIMATOR_S) is None:
+            flags = self._link(device).ekf
+            raise SeatrialError(
+                f"{device.name}: its estimator is not ready (EKF flags {flags}); without a position fix yaw will jump"
+            )
+
+    def _arm(self, device: Device) -> None:
+        link = self._link(device)
+        if link.mode != MANUAL:
+            self._ask(device, "mode", MANUAL_NUMBER, lambda link: link.mode == MANUAL)
+        if self._link(device).armed:
+            return
+        # It arms only with sticks at neutral, and without a transmitter ours are the only ones.
+        nodes = {thruster.name: 0.0 for thruster in self._rig.thrusters if thruster.device == device.name}
+        self._acquisition.schedule([(self._clock.now(), nodes)])
+        self._wait(NEUTRAL_S)
+        self._armed.append(device.name)
+        self._ask(device, "arm", 0.0, lambda link: link.armed)
+        self._say(f"{device.name}: armed")
+
+    def _ask(self, device: Device, wish: str, value: float, done: Callable[[LinkStatus], bool]) -> None:
+        """Ask, and wait for the answer and for its effect; raises SeatrialError with the autopilot's reason."""
+        self._acquisition.wish(device.name, wish, value)
+        link = self._await(device, lambda link: link.answer.startswith(f"{wish}:"), AWAIT_S)
+        if link is None or link.answer != f"{wish}: accepted":
+            raise SeatrialError(f"{device.name}: {link.answer if link else f'{wish}: no answer'}")
+        if self._await(device, done, AWAIT_S) is None:
+            raise SeatrialError(f"{device.name}: {wish} was accepted and has not come about in {AWAIT_S:g} s")
+
+    def check(self, status: Status) -> None:
+        """Raise SafetyStop when an autopilot does anything but what it was asked for."""
+        for reason in self._reasons(status):
+            raise SafetyStop(reason)
+
+    def _reasons(self, status: Status) -> Iterator[str]:
+        if not self._begun:
+            return
+        for device in self._devices:
+            link = status.links.get(device.name, LinkStatus())
+            if not link.age <= LINK_AGE_S:
+                yield f"{device.name}: no heartbeat for {link.age:.1f} s"
+            said = f" ({link.alarm})" if link.alarm else ""
+            if not link.armed:
+                yield f"{device.name} was disarmed{said}"
+            if link.mode != MANUAL:
+                yield f"{device.name} went over to {link.mode}{said}"
+            if link.alarm:
+                yield f"{device.name} says {link.alarm}"
+
+    def release(self) -> None:
+        """Disarm what was armed here; says so where it does not come about. Thrust has to be zero before."""
+        for name in self._armed:
+            self._acquisition.wish(name, "disarm")
+        for name in self._armed:
+            if self._await(self._rig.device(name), lambda link: not link.armed, AWAIT_S) is None:
+                self._say(f"{name}: disarming is not confirmed; disarm it yourself")
+
+    def disarm(self) -> None:
+        """Ask to disarm what was armed here and wait a moment, whatever signals come: the way out of trouble."""
+        for name in self._armed:
+            self._acquisition.wish(name, "disarm")
+        deadline = time.monotonic() + LEAVE_S
+        while time.monotonic() < deadline and any(self._link(self._rig.device(name)).armed for name in self._armed):
+            time.sleep(POLL_S)
+        if self._armed:
+            time.sleep(POLL_S)  # its own words about it stand in the log then

@@ -1,0 +1,42 @@
+"""Before anything moves: is the plan within the rig's limits, are the devices alive and at their rates?"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+from daq.acquisition import Acquisition
+from daq.errors import SeatrialError
+from daq.rig import Rig
+from daq.status import Status
+
+AWAIT_S = 10.0  # wall seconds for every device to say something
+POLL_S = 0.02
+
+
+def silent_devices(rig: Rig, status: Status, thrusters: Sequence[str]) -> list[str]:
+    """What has not said anything yet: devices, and the mission's thrusters by node."""
+    silent = []
+    for device in rig.devices:
+        port = status.ports.get(device.name)
+        if port is None or port.samples == 0:
+            silent.append(f"{device.name} ({device.port})")
+    for name in thrusters:
+        thruster = rig.thruster(name)
+        if (thruster.device, thruster.node) not in status.latest:
+            silent.append(f"thruster {name} (node {thruster.node} on {thruster.device})")
+    return silent
+
+
+def await_devices(
+    rig: Rig, acquisition: Acquisition, thrusters: Sequence[str], wait: Callable[[float], None]
+) -> list[str]:
+    """Wait until every device has spoken; returns their names. Raises SeatrialError that names the silent ones."""
+    deadline = time.monotonic() + AWAIT_S
+    while silent := silent_devices(rig, acquisition.status(), thrusters):
+        if time.monotonic() > deadline:
+            raise SeatrialError(
+                f"nothing from {', '.join(silent)} in {AWAIT_S:g} s; check power, cable, port and baud rate"
+            )
+        wait(POLL_S)
+    return [device.name for device in rig.devices]

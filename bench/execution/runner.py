@@ -1,0 +1,232 @@
+"""Executes a mission; whatever happens on the way, it ends at zero thrust and with a closed log."""
+
+from __future__ import annotations
+
+import math
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+from bench.execution.autopilots import Autopilots
+from bench.execution.device_startup import await_devices
+from bench.execution.operator_interface import HELP, WORDS, Display, Keys, MissionStatus, StopSignals
+from bench.execution.safety_guard import SafetyGuard
+from bench.execution.sequencer import MissionSequencer, Schedule
+from bench.execution.tare import Tare, describe_tares, measure_tares
+from bench.mission_limits import dry_run
+from daq.acquisition import Acquisition
+from daq.clock import RunClock
+from daq.config import Mission, dump_mission
+from daq.errors import SafetyStop, SeatrialError
+from daq.realtime_priority import realtime_priority
+from daq.rig import Rig
+from daq.samples import Esc, Gnss, LoadCell
+from daq.status import Status
+
+POLL_S = 0.02  # wall seconds between two looks at the status
+AHEAD_S = 0.5  # wall seconds that set-points are sent ahead of their time, at most
+LEAD_S = 0.2  # wall seconds from the decision to start to the first set-point
+SILENCE_S = 1.0  # wall seconds without a status (there are twenty a second) after which the acquisition hangs
+FLUSH_S = 0.8  # wall seconds after which everything said so far is in the file (it is flushed every 0.25 s)
+
+
+class Interrupted(SeatrialError):
+    """A signal ended the run."""
+
+    def __init__(self, line: str, number: signal.Signals) -> None:
+        super().__init__(line)
+        self.exit_status = 128 + number
+
+
+def run_mission(
+    mission: Mission,
+    rig: Rig,
+    path: Path,
+    display: Display,
+    metadata: dict[str, str] | None = None,
+    arm: bool = False,
+    retries: int = 0,
+) -> list[Tare]:
+    """Run `mission` on `rig` and record it at `path`; returns the load cell's zeros at start and end.
+
+    An autopilot between us and the thrusters is armed only with `arm`, and then disarmed again. Steps in which
+    set-points or samples were lost are run again, `retries` times in all. Keys (bench.execution.operator_interface)
+    pause, repeat and mark.
+    Raises SafetyStop when the guard ends it, Interrupted on Ctrl-C, SIGTERM or SIGHUP, and SeatrialError when a
+    device or the acquisition fails; in every case thrust is zero and the log is closed first. Call it from the
+    main thread: it takes the signals while it runs.
+    """
+    dry_run(mission, rig)
+    new_log_file(path)
+    clock = RunClock(rig.speed)
+    attachments = {"mission.toml": dump_mission(mission).encode()}
+    with (
+        StopSignals() as signals,
+        Keys() as keys,
+        Acquisition(
+            rig, path, clock=clock, attachments=attachments, metadata=metadata or {}, drive=True
+        ) as acquisition,
+        realtime_priority(),  # whoever watches the limits
+    ):
+        return _Runner(mission, rig, path, clock, acquisition, signals, display).run(arm, retries, keys)
+
+
+def new_log_file(path: Path) -> None:
+    """Make the folder of a log that is to be written; raises SeatrialError when the file is there already."""
+    if path.exists():
+        raise SeatrialError(f"{path} exists, and a log is never overwritten; give another name with -o")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SeatrialError(f"{path.parent}: {error.strerror}; give another place for the log with -o") from error
+
+
+class _Runner:
+    """One run: what `run_mission` was given, and the way back to zero."""
+
+    def __init__(
+        self,
+        mission: Mission,
+        rig: Rig,
+        path: Path,
+        clock: RunClock,
+        acquisition: Acquisition,
+        signals: StopSignals,
+        display: Display,
+    ) -> None:
+        self._mission, self._rig, self._path = mission, rig, path
+        self._clock, self._acquisition, self._signals, self._display = clock, acquisition, signals, display
+        self._guard = SafetyGuard(rig, clock.speed, mission.thrusters)
+        self._vehicles = Autopilots(rig, mission.thrusters, acquisition, clock, self._wait, display.say)
+        self._segment = mission.segments[0].name
+
+    def run(self, arm: bool, retries: int, keys: Keys) -> list[Tare]:
+        """From waiting for the devices to the closed log."""
+        with self._display:
+            try:
+                course = self._excite(arm, retries, keys)
+                self._acquisition.zero("end of the mission")
+                self._vehicles.release()
+                tares = self._tare(course.timeline)
+                self._acquisition.stop()
+                self._say_skipped(course.told)
+            except BaseException as error:
+                self._end_at_zero(error)
+                raise
+        return tares
+
+    def _excite(self, arm: bool, retries: int, keys: Keys) -> MissionSequencer:
+        """Wait for the devices, then send every set-point in time; returns how it went."""
+        names = await_devices(self._rig, self._acquisition, self._mission.thrusters, self._wait)
+        self._display.say(f"devices: {', '.join(names)}; recording {self._path}")
+        self._vehicles.prepare(arm)
+        if keys.there:
+            self._display.say(HELP)
+        lead, ahead = LEAD_S * self._clock.speed, AHEAD_S * self._clock.speed
+        start = self._clock.now() + lead
+        self._acquisition.mark("start", f"{self._mission.name} at {start:.6f}")
+        patience = self._guard.patience
+        course = MissionSequencer(self._mission, start, lead, self._acquisition, patience, self._display.say, retries)
+        while not course.is_over(now := self._clock.now()):
+            status = self._acquisition.status()
+            self._check(status, now)
+            course.step(now, ahead, status, keys.take())
+            self._acquisition.alive()
+            self._segment = course.segment or self._segment
+            self._display.show(self._view(status, course, now))
+            self._wait(POLL_S)
+        return course
+
+    def _check(self, status: Status, now: float) -> None:
+        """Raise SafetyStop when the acquisition has ended thrust, falls silent, or the guard finds a limit passed."""
+        if status.stopped:
+            raise SafetyStop(status.stopped)
+        if now - status.t > SILENCE_S * self._clock.speed:
+            raise SafetyStop(f"the acquisition process has not answered for {SILENCE_S:g} s")
+        self._vehicles.check(status)
+        self._guard.check(status)
+
+    def _say_skipped(self, told: int) -> None:
+        """Tell of set-points that this machine was too busy to send in time; the log holds what was sent."""
+        skipped = self._acquisition.status().skipped
+        if skipped:
+            self._display.say(
+                f"skipped: {skipped} of {told} set-points, overtaken by later ones before they could be sent "
+                "(a busy machine, or rows too close for the clock's speed); the log says what was sent and when"
+            )
+
+    def _wait(self, wall_s: float) -> None:
+        """Wait, unless a signal comes: that raises Interrupted."""
+        if self._signals.wait(wall_s) and self._signals.caught is not None:
+            number = self._signals.caught
+            raise Interrupted(f"stopped by {WORDS[number]}", number)
+
+    def _view(self, status: Status, course: MissionSequencer, now: float) -> MissionStatus:
+        force = speed = math.nan
+        rpm = {}
+        for (device, node), latest in status.latest.items():
+            sample = latest.sample
+            if isinstance(sample, LoadCell):
+                force = sample.force
+            elif isinstance(sample, Gnss):
+                speed = math.hypot(sample.vel_n, sample.vel_e)
+            elif isinstance(sample, Esc):
+                rpm[device.partition("/")[0], node] = sample.rpm
+        thrusters = [self._rig.thruster(name) for name in self._mission.thrusters]
+        return MissionStatus(
+            segment="paused" if course.paused else self._segment,
+            elapsed=max(course.elapsed(now), 0.0),
+            total=self._mission.end,
+            n_cmd=tuple(status.commanded.get(thruster.name, 0.0) for thruster in thrusters),
+            rpm=tuple(rpm.get((thruster.device, thruster.node), math.nan) for thruster in thrusters),
+            force=force,
+            speed=speed,
+            warning=status.warnings[-1] if status.warnings else "",
+        )
+
+    def _tare(self, timeline: Schedule) -> list[Tare]:
+        """The load cell's zero from the static segments, said and written as events."""
+        windows = timeline.static_windows()
+        if not windows or not any(device.protocol == "loadcell" for device in self._rig.devices):
+            return []
+        self._wait(FLUSH_S)
+        try:
+            tares = measure_tares(self._path, self._rig, windows)
+        except SeatrialError as error:  # the log is worth keeping without its tare
+            self._display.say(f"tare: not measured: {error}")
+            return []
+        for line in describe_tares(tares, self._rig):
+            self._acquisition.mark("tare", line)
+            self._display.say(f"tare: {line}")
+        return tares
+
+    def _end_at_zero(self, error: BaseException) -> None:
+        """Command zero, note the reason, close the log, and add to the error's line where that log is."""
+        reason = " ".join(str(error).split()) or type(error).__name__
+        decided = self._clock.now()
+        told = self._tried(lambda: self._acquisition.zero(reason))
+        zero = self._thrusters_heard(told)
+        self._tried(self._vehicles.disarm)
+        self._tried(lambda: self._acquisition.mark("stop", reason))
+        self._tried(lambda: self._acquisition.mark("decided", f"{decided:.6f} to stop"))
+        closed = self._tried(self._acquisition.stop)
+        thrust = "thrust is zero" if zero else "each ESC goes to zero by its own time-out"
+        log = f"the log is {self._path}" if closed else f"the log so far is {self._path} (it opens as it is)"
+        if isinstance(error, SeatrialError):
+            error.args = (f"{reason}: {thrust}, {log}",)
+
+    def _thrusters_heard(self, told: bool) -> bool:
+        """Whether zero was commanded, by us or by the acquisition itself, to thrusters that are there to hear it."""
+        try:
+            status = self._acquisition.status()
+        except SeatrialError:
+            return False
+        return (told or bool(status.stopped)) and self._guard.thrusters_heard(status)
+
+    def _tried(self, action: Callable[[], None]) -> bool:
+        """Whether `action` worked; on the way to zero no failure may keep the next step from being tried."""
+        try:
+            action()
+        except (SeatrialError, OSError):
+            return False
+        return True

@@ -1,0 +1,214 @@
+"""The way through a mission: set-points in time, pauses, marks, steps repeated by hand or because they were invalid.
+
+Where a run stands in its mission. Run time in, set-points out; reads no clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple, Protocol
+
+from bench.execution.tare import windows_of
+from daq.config import Mission
+from daq.errors import counted
+from daq.status import Status
+
+GAP_PART = 0.5  # of the guard's patience: so long a silence spoils a step without ending the run
+Row = tuple[float, dict[str, float]]  # run time, n_cmd by thruster
+
+
+class EventSink(Protocol):
+    """What is asked of the acquisition."""
+
+    def schedule(self, rows: list[Row]) -> None:
+        """Append set-points."""
+
+    def zero(self, reason: str) -> None:
+        """Zero at once."""
+
+    def mark(self, kind: str, text: str) -> None:
+        """An event for the log."""
+
+
+class MissionSequencer:
+    """Steers through one mission. `step` is called at every look at the status; reads no clock."""
+
+    def __init__(
+        self,
+        mission: Mission,
+        start: float,
+        lead: float,
+        acquisition: EventSink,
+        patience: Callable[[str], float],
+        say: Callable[[str], None],
+        retries: int = 0,
+    ) -> None:
+        """`lead` [run s] from a decision to the first set-point; `patience` [run s] of the guard by device."""
+        self.timeline = Schedule(mission, start)
+        self.told = 0  # set-points given to the acquisition
+        self._paused_at: float | None = None
+        self._acquisition, self._lead, self._patience, self._say = acquisition, lead, patience, say
+        self._retries = retries
+        self._span: ScheduledSegment | None = None
+        self._before: tuple[int, ...] = ()
+        self._gap = ""
+        self._marks = 0
+
+    @property
+    def segment(self) -> str:
+        """The name of the step under way; empty before the first."""
+        return "" if self._span is None else self._span.name
+
+    @property
+    def paused(self) -> bool:
+        """Whether the operator holds the mission at zero thrust."""
+        return self._paused_at is not None
+
+    def elapsed(self, now: float) -> float:
+        """The mission's own time; it stands still in a pause."""
+        return self.timeline.elapsed(now if self._paused_at is None else self._paused_at)
+
+    def is_over(self, now: float) -> bool:
+        """Whether the mission has been run to its end."""
+        return not self.paused and now >= self.timeline.end
+
+    def step(self, now: float, ahead: float, status: Status, keys: str = "") -> None:
+        """Look at the status and at the keys pressed, then send the set-points up to `now + ahead`."""
+        for key in keys:
+            self._press(key, now)
+        if self.paused:
+            return
+        self._watch(status)
+        self._enter(now, status)
+        if rows := self.timeline.rows(now + ahead):
+            self._acquisition.schedule(rows)
+            self.told += sum(len(values) for _, values in rows)
+
+    def _press(self, key: str, now: float) -> None:
+        name = "" if self._span is None else self._span.name
+        if key in " p" and not self.paused:
+            self._paused_at = now
+            self._acquisition.zero("pause")
+            self._acquisition.mark("pause", name)
+            self._say("paused: thrust is zero; space resumes with the step's beginning")
+        elif key in " p":
+            self._paused_at = None
+            self._acquisition.mark("resume", name)
+            self._say(f"resumed with the beginning of {name}" if name else "resumed with the beginning")
+            self._again(now)
+        elif key == "r" and not self.paused:
+            self._acquisition.zero("repeat")
+            self._acquisition.mark("repeat", name)
+            self._say(f"repeating {name}")
+            self._again(now)
+        elif key == "m":
+            self._marks += 1
+            self._acquisition.mark("mark", f"operator mark {self._marks}")
+            self._say(f"mark {self._marks}")
+
+    def _again(self, now: float) -> None:
+        """Take up the present step from its beginning."""
+        segment = 0 if self._span is None else self._span.segment
+        self.timeline.restart(segment, now + self._lead)
+        self._span = None
+
+    def _watch(self, status: Status) -> None:
+        """Remember the first sensor that was silent for too long in this step."""
+        for name, port in status.ports.items():
+            if not self._gap and not port.age <= GAP_PART * self._patience(name):
+                self._gap = f"{name} was silent for {port.age:.1f} s"
+
+    def _enter(self, now: float, status: Status) -> None:
+        """A step has begun, or the mission ended: judge the one before, and mark the new one."""
+        begun, ended = self.timeline.begun(now), now >= self.timeline.end
+        if self._span is not None and (ended or begun[-1] != self._span):
+            fault = self._fault(status)
+            if fault and self._retries > 0:
+                self._retries -= 1
+                self._acquisition.zero("retry")
+                self._acquisition.mark("retry", f"{self._span.name}: {fault}")
+                self._say(f"repeating {self._span.name}: {fault}")
+                self._again(now)
+                return
+            if fault:
+                self._acquisition.mark("invalid", f"{self._span.name}: {fault}")
+                self._say(f"invalid: {self._span.name}: {fault} (--retry N runs up to N such steps again)")
+        last = -1 if self._span is None else self._span.segment
+        for span in begun:
+            if span.segment > last and not ended:
+                self._acquisition.mark("segment", span.name)
+                self._span, self._before, self._gap = span, _counts(status), ""
+
+    def _fault(self, status: Status) -> str:
+        """Why the step that has just ended is not worth its place in a fit; empty when it is."""
+        words = (("set-point", "skipped"), ("sample", "dropped"), ("port", "lost"))
+        for before, after, (what, how) in zip(self._before, _counts(status), words, strict=True):
+            if after > before:
+                return f"{counted(after - before, what)} {'was' if after - before == 1 else 'were'} {how}"
+        return self._gap
+
+
+def _counts(status: Status) -> tuple[int, ...]:
+    ports = status.ports.values()
+    return status.skipped, sum(port.dropped for port in ports), sum(port.reconnects for port in ports)
+
+
+class ScheduledSegment(NamedTuple):
+    """A segment's place on the run clock [s]."""
+
+    begin: float
+    end: float
+    segment: int
+    name: str
+
+
+class Schedule:
+    """A mission on the run clock; it can be taken up again at any of its segments."""
+
+    def __init__(self, mission: Mission, start: float) -> None:
+        """The mission's time 0 is run time `start`."""
+        self._mission = mission
+        self._done: list[ScheduledSegment] = []
+        self._lay(0, start)
+
+    def _lay(self, segment: int, start: float) -> None:
+        """Lay the segments from this one on, their own time running from `start`."""
+        self._start = start
+        rest = replace(self._mission, segments=self._mission.segments[segment:])
+        t, n = rest.setpoints()  # the slew limit begins at zero again
+        self._t, self._n, self._sent = t + start, n, 0
+        self._spans = [
+            ScheduledSegment(start + a, start + b, segment + k, name) for k, (a, b, name) in enumerate(rest.starts())
+        ]
+
+    def restart(self, segment: int, start: float) -> None:
+        """Zero was commanded: take the mission up again with the first row of `segment` at `start`."""
+        self._done += [span for span in self._spans if span.segment < segment]
+        self._lay(segment, start - float(self._mission.segments[segment].t[0]))
+
+    @property
+    def end(self) -> float:
+        """Run time from which thrust is zero."""
+        return self._spans[-1].end
+
+    def rows(self, until: float) -> list[Row]:
+        """The set-points before run time `until` that were not asked for before."""
+        rows: list[Row] = []
+        while self._sent < len(self._t) and self._t[self._sent] < until:
+            values = dict(zip(self._mission.thrusters, self._n[self._sent].tolist(), strict=True))
+            rows.append((float(self._t[self._sent]), values))
+            self._sent += 1
+        return rows
+
+    def begun(self, now: float) -> list[ScheduledSegment]:
+        """The segments that have begun since the start or the restart."""
+        return [span for span in self._spans if span.begin <= now]
+
+    def elapsed(self, now: float) -> float:
+        """The mission's own time at `now`."""
+        return now - self._start
+
+    def static_windows(self) -> list[tuple[str, float, float]]:
+        """The rest at the start and at the end, as it came to be."""
+        return windows_of([(span.begin, span.end, span.name) for span in [*self._done, *self._spans]])

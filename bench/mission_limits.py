@@ -1,0 +1,23 @@
+"""Before anything moves: is the plan within the rig's limits, are the devices alive and at their rates?"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from daq.config import Mission
+from daq.errors import SeatrialError
+from daq.rig import Rig
+
+
+def dry_run(mission: Mission, rig: Rig) -> None:
+    """Raise SeatrialError when the rig has no such thruster or a set-point is beyond a limit; moves nothing."""
+    t, n = mission.setpoints()
+    for column, name in enumerate(mission.thrusters):
+        rig.thruster(name)
+        beyond = np.flatnonzero(np.abs(n[:, column]) > rig.limits.n_max)
+        if beyond.size:
+            k = int(beyond[0])
+            raise SeatrialError(
+                f"{rig.path}: the plan tells {name} n = {n[k, column]:+.3f} at {t[k]:.2f} s, and limits.n_max is"
+                f" {rig.limits.n_max:g}; make the plan with a smaller --n-max, or raise the limit"
+            )

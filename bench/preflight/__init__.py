@@ -1,0 +1,1 @@
+"""Preflight: `seatrial check` of a rig, a mission and the actuators."""

@@ -1,0 +1,45 @@
+"""The actuator test of a preflight: each thruster for some seconds at low thrust, and what has to be said before."""
+
+from __future__ import annotations
+
+from bench.mission_generators import SegmentBuilder
+from daq.config import STATIC, Mission
+from daq.errors import SeatrialError
+from daq.rig import Rig
+
+N_TEST = 0.3  # of full command: above every usual dead band, and a boat hardly leaves its place
+STATIC_S, HOLD_S, REST_S = 4.0, 3.0, 1.5  # s
+STAIRS, STAIR_S = 6, 0.8  # levels up to the test's, s each: where the shaft begins to turn is its dead band
+
+
+def actuator_plan(rig: Rig, n: float = N_TEST) -> Mission:
+    """Ahead, astern and a staircase for each thruster, then all together. Raises SeatrialError where there is none."""
+    if not rig.thrusters:
+        raise SeatrialError(f"{rig.path}: --actuators needs a [[thruster]], and the rig has none")
+    n = min(n, rig.limits.n_max)
+    count = len(rig.thrusters)
+    sheet = SegmentBuilder(count)
+    sheet.rest(STATIC, STATIC_S)
+    for k, thruster in enumerate(rig.thrusters):
+        levels = [n, 0.0, -n, 0.0, *(n * (j + 1) / STAIRS for j in range(STAIRS)), 0.0]
+        holds = [HOLD_S, REST_S, HOLD_S, REST_S, *[STAIR_S] * STAIRS, REST_S]
+        sheet.add(thruster.name, holds, [[level if j == k else 0.0 for j in range(count)] for level in levels])
+    sheet.add("together", [HOLD_S, REST_S, HOLD_S, REST_S], [[level] * count for level in (n, 0.0, -n, 0.0)])
+    sheet.rest(STATIC, STATIC_S)
+    return Mission(
+        name="actuator test",
+        kind="mission",
+        thrusters=tuple(thruster.name for thruster in rig.thrusters),
+        segments=tuple(sheet.segments),
+        end=sheet.t,
+        n_max=n,
+        made_by=f"seatrial check --actuators, n {n:g}",
+    )
+
+
+def warning(plan: Mission) -> str:
+    """What is about to happen, for whoever has to agree."""
+    return (
+        f"{', '.join(plan.thrusters)} will turn, one after the other and then together, at up to n = {plan.n_max:g} "
+        f"for {plan.end:.0f} s"
+    )

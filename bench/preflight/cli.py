@@ -1,0 +1,231 @@
+"""The command `seatrial check`: a preflight of a rig, or the same questions to a log."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import click
+
+from daq.checks import FAULT, OK, WARNING, Finding, from_dict, lines, paragraphs, summary, worst_first
+from daq.cli import LOG
+from daq.config import load_rig
+from daq.errors import SeatrialError
+from daq.rig import Rig
+
+FILE = click.Path(path_type=Path)
+# Colours of a terminal; click leaves them out elsewhere. The words say the same.
+STYLES: dict[str, dict[str, Any]] = {FAULT: {"fg": "red", "bold": True}, WARNING: {"fg": "yellow"}, OK: {"fg": "green"}}
+
+
+@click.command(epilog="Example: seatrial check boat-rig.toml --mission mission.toml --actuators")
+@click.argument("paths", metavar="RIG | LOG...", nargs=-1, required=True, type=LOG)
+@click.option("--seconds", type=click.FloatRange(0.5, 600.0), default=3.0, show_default=True, help="Wall s to listen.")
+@click.option(
+    "--mission",
+    "mission_path",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Dry run: limits, duration, and whether it leaves the fence.",
+)
+@click.option("--actuators", is_flag=True, help="THRUSTERS TURN: each at low thrust; which one answers, and how?")
+@click.option(
+    "--thrust", type=click.FloatRange(0, 1, min_open=True), help="Largest command of that test [default: 0.3]."
+)
+@click.option("--yes", is_flag=True, help="Do not ask before thrusters turn.")
+@click.option("--arm", is_flag=True, help="Put an autopilot into MANUAL, arm it, and disarm it at the end.")
+@click.option("-o", "--out", type=FILE, help="Log of the actuator test [default: by date in the rig's log directory].")
+@click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON.")
+@click.option("--report", type=click.Path(dir_okay=False, path_type=Path), help="Write a page (HTML) with plots there.")
+@click.pass_context
+def check(
+    context: click.Context,
+    paths: tuple[Path, ...],
+    seconds: float,
+    mission_path: Path | None,
+    actuators: bool,
+    thrust: float | None,
+    yes: bool,
+    arm: bool,
+    out: Path | None,
+    as_json: bool,
+    report: Path | None,
+) -> None:
+    """Look for what would spoil a run, and say what to do about it.
+
+    RIG (a .toml file): devices alive, at their rates, clocks, noise, battery, link, disk, and with --mission its dry
+    run; nothing moves but with --actuators. LOG: the same from recorded data, and whether sensors and thrusters
+    agree: sides, signs, units, delays, dead bands. Exit status 1 where there is a fault.
+    """
+    _consistent(paths, mission_path, actuators, bool(arm or out or thrust))
+    with tempfile.TemporaryDirectory(prefix="seatrial-check-") as folder:
+        about: dict[str, Any] = {}
+        if _is_rig(paths[0]):
+            from bench.preflight.report import about_rig
+            from daq.config import load_mission
+
+            rig = load_rig(paths[0])
+            mission = None if mission_path is None else load_mission(mission_path)
+            test = _Test(_agreed(rig, thrust, yes), out, arm) if actuators else None
+            found, logs = _rig(context, rig, seconds, mission, test, Path(folder), as_json)
+            about = about_rig(rig, mission) if report else {}
+        else:
+            found, logs = _logs(context, paths), list(paths)
+        faults = _tell(found, as_json)
+        if report is not None:
+            from bench.preflight.report import write_report
+
+            write_report(context, worst_first(found), logs, report, about)
+            click.echo(f"report: {report}", err=as_json)
+    if faults:
+        where = ", ".join(str(path) for path in paths)
+        raise SeatrialError(
+            f"{where}: {summary(found)}; not as it should be: {', '.join(faults)} (see the lines above)"
+        )
+
+
+def _is_rig(path: Path) -> bool:
+    return path.suffix == ".toml"
+
+
+def _consistent(paths: Sequence[Path], mission: Path | None, actuators: bool, of_actuators: bool) -> None:
+    """Raise UsageError where what was given does not belong together."""
+    rig = any(_is_rig(path) for path in paths)
+    if rig and len(paths) > 1:
+        raise click.UsageError("give one RIG, or one or more LOGs")
+    if not rig and (mission or actuators or of_actuators):
+        raise click.UsageError("--mission, --actuators, --thrust, --arm and -o need a RIG")
+    if of_actuators and not actuators:
+        raise click.UsageError("--thrust, --arm and -o belong to --actuators")
+
+
+def _tell(found: Sequence[Finding], as_json: bool) -> list[str]:
+    """Show the findings; returns where there is a fault."""
+    _show(found, as_json)
+    faults = list(dict.fromkeys(finding.where for finding in worst_first(found) if finding.level == FAULT))
+    if not (as_json or faults):
+        click.echo(summary(found))
+    return faults
+
+
+def _show(found: Sequence[Finding], as_json: bool) -> None:
+    """Print the findings, worst first; a line each, and wrapped in a terminal."""
+    found = worst_first(found)
+    if as_json:
+        from bench.preflight.report import as_json as written
+
+        click.echo(written(found))
+        return
+    width = shutil.get_terminal_size().columns
+    for line in paragraphs(found, width) if sys.stdout.isatty() else lines(found):
+        level = line.split(" ", 1)[0]
+        click.echo(click.style(level, **STYLES[level]) + line[len(level) :] if level in STYLES else line)
+
+
+class _Test(NamedTuple):
+    """The actuator test that somebody has agreed to: its plan, where its log goes, and whether to arm."""
+
+    plan: Any
+    out: Path | None
+    arm: bool
+
+
+def _rig(
+    context: click.Context, rig: Rig, seconds: float, mission: Any, test: _Test | None, folder: Path, as_json: bool
+) -> tuple[list[Finding], list[Path]]:
+    """Findings of a rig and the log that shows them; nothing moves without a ``test``."""
+    path = folder / "check.mcap"
+    found = _listened(rig, seconds, mission, path)
+    if test is None:
+        return found, [path]
+    out = test.out or rig.log_directory / f"{time.strftime('%Y%m%dT%H%M%S')}-actuator-test.mcap"
+    tested = _actuators(context, rig, test._replace(out=out), found, as_json)
+    # Its log answers the questions about devices once more, and about the same devices.
+    known = {(finding.check, finding.where) for finding in tested}
+    return [*(f for f in found if (f.check, f.where) not in known), *tested], [out if out.exists() else path]
+
+
+def _listened(rig: Rig, seconds: float, mission: Any, path: Path) -> list[Finding]:
+    """Listen, recording at ``path``; nothing moves."""
+    from bench.preflight.mission_checks import check_mission
+    from bench.preflight.rig_checks import check_computer, check_ports, listen
+    from daq.checks import check_devices
+    from daq.log import open_log
+
+    status = listen(rig, seconds, path)
+    found = list(check_ports(rig, status))
+    silent = {finding.where for finding in found if finding.check == "alive"}
+    with open_log(path) as log:
+        found += [finding for finding in check_devices(log) if finding.where not in silent]
+    found += check_computer(rig, status)
+    return found if mission is None else [*found, *check_mission(mission, rig)]
+
+
+def _agreed(rig: Rig, thrust: float | None, yes: bool) -> Any:
+    """The plan of the actuator test, after somebody has said that nobody is in its way."""
+    from bench.preflight.actuator_test import N_TEST, actuator_plan, warning
+
+    plan = actuator_plan(rig, thrust or N_TEST)
+    if not yes:
+        if not sys.stdin.isatty():
+            raise click.UsageError(f"--actuators: {warning(plan)}; without a terminal to ask at, say --yes")
+        click.confirm(f"{warning(plan)}.\nIs everybody clear of the propellers, and the boat free to move?", abort=True)
+    return plan
+
+
+def _actuators(
+    context: click.Context, rig: Rig, test: _Test, before: Sequence[Finding], as_json: bool
+) -> list[Finding]:
+    """Run the plan as any mission is run, guard and watchdog included, then look at its log."""
+    faults = [finding.where for finding in before if finding.level == FAULT]
+    if faults:
+        text = "not tested: there are faults already"
+        return [Finding(WARNING, "actuators", rig.name, text, f"first {', '.join(dict.fromkeys(faults))}")]
+    from bench.execution import PlainDisplay, make_display, run_mission
+
+    assert test.out is not None
+    if not as_json:
+        _show(before, False)  # said now: the run may end in a stop
+    with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
+        display = PlainDisplay() if as_json else make_display()
+        run_mission(test.plan, rig, test.out, display, {"command": " ".join(["seatrial", *sys.argv[1:]])}, test.arm)
+        return _logs(context, [test.out])
+
+
+def _logs(context: click.Context, paths: Sequence[Path]) -> list[Finding]:
+    """Findings of each log: of its devices here, of the motion by ident where that is installed."""
+    from daq.checks import check_devices
+    from daq.log import open_log
+
+    found = []
+    for path in paths:
+        with open_log(path) as log:
+            here, counts = list(check_devices(log)), log.counts
+        here += _motion(context, path)
+        if not here:
+            here = [
+                Finding(OK, "log", "all of it", f"nothing in it that a check compares: {', '.join(counts) or 'empty'}")
+            ]
+        prefix = f"{path.stem}: " if len(paths) > 1 else ""
+        found += [finding._replace(where=f"{prefix}{finding.where}") for finding in here]
+    return found
+
+
+def _motion(context: click.Context, path: Path) -> list[Finding]:
+    """What `seatrial ident check` says, asked through the command tree: bench imports nothing of ident."""
+    root = context.find_root().command
+    try:
+        ident = root.get_command(context, "ident") if isinstance(root, click.Group) else None
+        command = ident.get_command(context, "check") if isinstance(ident, click.Group) else None
+        if command is None:
+            raise SeatrialError("there is no `seatrial ident check` here")
+        (found,) = context.invoke(command, logs=(path,), quiet=True)
+    except (SeatrialError, ModuleNotFoundError) as error:
+        text = f"sensors and thrusters were not compared: {error}"
+        return [Finding(WARNING, "motion", path.name, text, "check the log where all of seatrial is installed")]
+    return [from_dict(values) for values in found]

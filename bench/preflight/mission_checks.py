@@ -1,0 +1,91 @@
+"""A mission before it is run: is it within the rig's limits, and does it stay inside the fence?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from bench.mission_limits import dry_run
+from daq.checks import FAULT, OK, WARNING, Finding
+from daq.config import Mission
+from daq.errors import SeatrialError
+from daq.rig import Rig
+
+FloatArray = npt.NDArray[np.float64]
+STEP = 0.05  # s
+NEEDED = ("m_u", "m_v", "m_r", "d_u", "d_v", "d_r", "c1")  # of [vehicle], for a track
+CLOSE = 0.8  # of the fence
+
+
+def check_mission(mission: Mission, rig: Rig) -> Iterator[Finding]:
+    """Findings about limits, duration and the way a mission takes."""
+    try:
+        dry_run(mission, rig)
+    except SeatrialError as error:
+        yield Finding(FAULT, "limits", mission.name, str(error))
+        return
+    largest = float(np.abs(mission.setpoints()[1]).max())
+    yield Finding(OK, "limits", mission.name, f"{mission.end:g} s, n up to {largest:.2f}, limit {rig.limits.n_max:g}")
+    if rig.limits.radius_m is not None:
+        yield _fence(mission, rig, rig.limits.radius_m)
+
+
+def _fence(mission: Mission, rig: Rig, radius: float) -> Finding:
+    if mission.prediction is not None:
+        p = mission.prediction
+        t, far = p.t, np.hypot(p.x - p.x[0], p.y - p.y[0]) + p.radius
+        by = f"the design, by model {p.model}"
+    elif missing := [name for name in NEEDED if name not in rig.vehicle]:
+        text = f"its way is not predicted: [vehicle] of the rig has no {', '.join(missing)}"
+        return Finding(
+            WARNING, "fence", mission.name, text, "a model's c1 (N at full speed) there, or a designed mission"
+        )
+    else:
+        t, x, y = track(mission, rig)
+        far, by = np.hypot(x, y), "the rig's nominal vehicle in still water"
+    k = int(np.argmax(far))
+    text = f"up to {far[k]:.0f} m from the start by {by}, fence {radius:g} m"
+    if far[k] > radius:
+        left = float(t[int(np.flatnonzero(far > radius)[0])])
+        return Finding(
+            FAULT, "fence", mission.name, f"{text}, left after {left:.0f} s", "shorter, slower, or more room"
+        )
+    if far[k] > CLOSE * radius:
+        return Finding(WARNING, "fence", mission.name, text, "wind and current add to it")
+    return Finding(OK, "fence", mission.name, text)
+
+
+def track(mission: Mission, rig: Rig) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Time (K,) s and way x, y (K,) m of the rig's nominal vehicle from rest, heading north, in still water.
+
+    Surge, sway and yaw (Fossen 2011, 6.5) with linear and quadratic damping; a thruster pushes with c1 n|n| + c2 n^2.
+    """
+    p = {"c2": 0.0, "d_uu": 0.0, "d_vv": 0.0, "d_rr": 0.0, **rig.vehicle}
+    places = [rig.thruster(name).position_m[1] for name in mission.thrusters]
+    t_cmd, n_cmd = mission.setpoints()
+    t = np.arange(0.0, mission.end + STEP, STEP)
+    n = n_cmd[np.clip(np.searchsorted(t_cmd, t, side="right") - 1, 0, None)] * (t >= t_cmd[0])[:, None]
+    f = p["c1"] * n * np.abs(n) + p["c2"] * n * n
+    forces, moments = f.sum(axis=1).tolist(), (-f @ np.array(places)).tolist()
+    state: tuple[float, ...] = (0.0,) * 6
+    rows = []
+    for push, moment in zip(forces, moments, strict=True):
+        rows.append(state[:2])
+        state = _step(state, push, moment, p)
+    way = np.array(rows)
+    return t, way[:, 0], way[:, 1]
+
+
+def _step(state: tuple[float, ...], push: float, moment: float, p: Mapping[str, float]) -> tuple[float, ...]:
+    """One semi-implicit Euler step: speeds first, then the way with the new ones."""
+    x, y, psi, u, v, r = state
+    u_next = u + STEP / p["m_u"] * (push + p["m_v"] * v * r - (p["d_u"] + p["d_uu"] * abs(u)) * u)
+    v_next = v + STEP / p["m_v"] * (-p["m_u"] * u * r - (p["d_v"] + p["d_vv"] * abs(v)) * v)
+    turning = moment - (p["m_v"] - p["m_u"]) * u * v
+    r_next = r + STEP / p["m_r"] * (turning - (p["d_r"] + p["d_rr"] * abs(r)) * r)
+    psi += STEP * r_next
+    c, s = math.cos(psi), math.sin(psi)
+    return x + STEP * (c * u_next - s * v_next), y + STEP * (s * u_next + c * v_next), psi, u_next, v_next, r_next

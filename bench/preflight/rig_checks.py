@@ -1,0 +1,104 @@
+"""Before anything moves: is the plan within the rig's limits, are the devices alive and at their rates?"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+
+from bench.execution import silent_devices
+from daq.acquisition import Acquisition
+from daq.checks import FAULT, OK, WARNING, Finding
+from daq.clock import RunClock
+from daq.drivers import check_parameters
+from daq.rig import Device, Rig
+from daq.status import LinkStatus, Status
+
+RATE_TOLERANCE = 0.2  # a rate within this part of the expected one is good
+STILL_WALL_S = 1.0  # wall s of silence that a busy machine may make by itself
+HOURS = 4.0  # of logging, for which there should be room
+POSITIONED = {"nmea", "ubx", "mavlink"}  # protocols of devices that know where they are
+
+
+def listen(rig: Rig, wall_s: float, path: Path) -> Status:
+    """Record every device for `wall_s` wall seconds at `path`; commands nothing. Returns the last status."""
+    clock = RunClock(rig.speed)
+    with Acquisition(rig, path, clock=clock) as acquisition:
+        clock.sleep_until(clock.now() + wall_s * clock.speed)
+        return acquisition.status()
+
+
+def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
+    """What only the acquisition knows: silent devices, ports that cannot be opened, autopilots."""
+    for device in rig.devices:
+        port = status.ports.get(device.name)
+        if port is None or port.samples == 0:
+            received = 0 if port is None else port.bytes_in
+            text = f"{received} bytes, no sample: wrong baud rate or protocol?" if received else "nothing received"
+            yield Finding(
+                FAULT, "alive", device.name, (port.message if port else "") or text, "power, cable, port, baud"
+            )
+            continue
+        if port.message:
+            yield Finding(FAULT, "alive", device.name, port.message, "power, cable, port")
+        elif port.age > max(1.0, 10.0 / device.rate_hz, STILL_WALL_S * rig.speed):
+            yield Finding(FAULT, "alive", device.name, f"silent for {port.age:.1f} s", "power, cable, port")
+        if device.mavlink is not None:
+            if abs(port.rate - device.rate_hz) > RATE_TOLERANCE * device.rate_hz:
+                text = f"{port.rate:.1f} Hz of all messages, expected {device.rate_hz:g}"
+                yield Finding(FAULT, "rate", device.name, text, "rate_hz of the rig, the link's baud rate")
+            yield from _autopilot(rig, device, status)
+    if not status.latest:
+        return
+    for name in silent_devices(rig, status, [thruster.name for thruster in rig.thrusters]):
+        if name.startswith("thruster "):
+            yield Finding(FAULT, "alive", name.split()[1], f"{name} says nothing", "its node, its power, the bus")
+
+
+def _autopilot(rig: Rig, device: Device, status: Status) -> Iterator[Finding]:
+    link = status.links.get(device.name, LinkStatus())
+    if not link.heard:
+        yield Finding(FAULT, "link", device.name, "no heartbeat", "system id, port and baud rate of that link")
+        return
+    assert device.mavlink is not None
+    here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
+    if link.asking:
+        yield Finding(WARNING, "parameters", device.name, "not all have been answered yet", "a longer --seconds")
+    else:
+        for found in check_parameters(link.parameters, here, device.mavlink.own_system_id):
+            level = FAULT if found.fatal else WARNING
+            yield Finding(level, "parameters", device.name, str(found), "set it yourself: nothing is changed from here")
+    for line in link.refused:
+        yield Finding(WARNING, "rate", device.name, f"refuses {line}", "SCHED_LOOP_RATE, or a lower rate in the rig")
+    if link.alarm:
+        yield Finding(WARNING, "link", device.name, f"says {link.alarm}", "what it asks for")
+    text = f"mode {link.mode}, {'armed' if link.armed else 'disarmed'}, EKF flags {link.ekf}"
+    yield Finding(OK, "link", device.name, text)
+
+
+def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
+    """Room on the disk of the logs, and which limits the guard watches."""
+    place = rig.log_directory
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    free = shutil.disk_usage(place).free
+    need = rig.segments.free_megabytes * 1e6
+    rate = status.bytes / max(status.duration / rig.speed, 1.0)
+    text = f"{free / 1e9:.1f} GB free, a log takes about {3.6e-3 * rate:.0f} MB an hour"
+    if free < need:
+        yield Finding(
+            FAULT, "disk", str(place), f"{text}; [log] asks for {need / 1e6:g} MB", "make room, or another disk"
+        )
+    elif free < need + HOURS * 3600.0 * rate:
+        yield Finding(WARNING, "disk", str(place), f"{text}: less than {HOURS:g} h", "make room, or another disk")
+    else:
+        yield Finding(OK, "disk", str(place), text)
+    kinds = {device.protocol for device in rig.devices}
+    if rig.limits.radius_m is not None and not kinds & POSITIONED:
+        text = f"radius_m = {rig.limits.radius_m:g} without a GNSS receiver"
+        yield Finding(FAULT, "fence", rig.name, text, "a device that knows its position, or no radius_m")
+    if rig.thrusters:
+        limits = {f.name: getattr(rig.limits, f.name) for f in fields(rig.limits)}
+        watched = ", ".join(f"{name} {value:g}" for name, value in limits.items() if value is not None)
+        yield Finding(OK, "limits", rig.name, f"watched: {watched}")

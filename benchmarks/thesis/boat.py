@@ -1,0 +1,100 @@
+"""The boat of table 5 here: it rolls in turns, pitches with thrust and moves in waves, as three degrees cannot.
+
+Surge, sway and yaw as in ``ident.models.kinematic``, but with heading, roll and pitch as states: each a lightly damped
+second-order motion about what turning and thrust make of it, driven by white noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ident.data.record import Channel
+from ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
+from ident.model.parameter import Parameter
+from ident.model.structure import Input, Model, Output, Sensor, Signals, State
+from ident.models.horizontal import ARMS, CURRENT, HULL, NOISE, SIDES, THRUST, shaft, thrust
+from ident.models.kinematic import output as kinematic_output
+from ident.models.kinematic import rate as kinematic_rate
+from ident.models.kinematic import turning
+from ident.models.rotations import oriented, rotation
+from ident.numerics.arrays import Array
+from ident.studies.cases import lagged, steps
+
+STEP = 0.05  # s between AHRS samples
+FIX = 4  # AHRS samples to a fix
+ROLL = (2 * np.pi * 0.55, 0.12, 0.06)  # rad/s, damping ratio, rad a m/s2 across
+PITCH = (2 * np.pi * 0.70, 0.12, 0.0004)  # rad/s, damping ratio, rad a N
+SIZES = {"s_u": 0.01, "s_v": 0.01, "s_r": 0.005, "s_p": 0.02, "s_q": 0.02, "e_psi": 0.005, "e_r": 0.005, "e_a": 0.05,
+         "e_xy": 0.05, "e_vxy": 0.05, "e_tilt": 0.002, "V_x": 0.1, "V_y": -0.05}
+
+
+@dataclass(frozen=True)
+class Sailed:
+    """A mission of this boat: channels by ident's names, and the truth of its parameters."""
+
+    channels: Mapping[str, Channel]
+    truth: Mapping[str, float]
+
+
+def rolling_boat(truth: Mapping[str, float]) -> Model:
+    """States x, y, psi, phi, theta, u, v, r, p, q; shaft speeds in."""
+    own = (*HULL, *THRUST, *ARMS, *CURRENT, *NOISE.values())
+    more = tuple(Parameter(n, SIZES[n]) for n in ("s_u", "s_v", "s_r", "s_p", "s_q", "e_tilt"))
+    noise = {n: f"s_{n}" for n in "uvrpq"}
+    sensors = {
+        "ahrs": (("psi", "e_psi"), ("phi", "e_tilt"), ("theta", "e_tilt"), ("p", "e_r"), ("q", "e_r"), ("r", "e_r")),
+        "accelerometer": (("ax", "e_a"), ("ay", "e_a")),
+        "position": (("x", "e_xy"), ("y", "e_xy")),
+        "ground_velocity": (("vx", "e_vxy"), ("vy", "e_vxy")),
+    }
+    return Model(
+        "rolling boat",
+        tuple(State(n, noise=noise.get(n, 0.0)) for n in ("x", "y", "psi", "phi", "theta", "u", "v", "r", "p", "q")),
+        tuple(Input(f"n_{side}", hold="linear") for side in SIDES),
+        tuple(Sensor(name, tuple(Output(o, noise=e) for o, e in outputs)) for name, outputs in sensors.items()),
+        (*own, *more),
+        (("shaft", shaft), ("thrust", thrust), ("force", _force), ("rate", _rate), ("output", _output)),
+    ).with_values(SIZES | dict(truth))
+
+
+def _force(s: Signals) -> None:
+    x = s.x
+    oriented(s, rotation(x.phi, x.theta, x.psi), (x.p, x.q, x.r))
+    turning(s)
+
+
+def _rate(s: Signals) -> None:
+    kinematic_rate(s)
+    x, about = s.x, np.sin(s.x.phi) * s.x.q + np.cos(s.x.phi) * s.x.r
+    s.rate["phi"] = x.p + np.tan(x.theta) * about
+    s.rate["theta"] = np.cos(x.phi) * x.q - np.sin(x.phi) * x.r
+    s.rate["psi"] = about / np.cos(x.theta)
+    (w, damping, lean), (w_t, damping_t, lift) = ROLL, PITCH
+    s.rate["p"] = -(w**2) * (x.phi - lean * x.u * x.r) - 2 * damping * w * x.p
+    s.rate["q"] = -(w_t**2) * (x.theta - lift * s.X_thrust) - 2 * damping_t * w_t * x.q
+
+
+def _output(s: Signals) -> None:
+    s.x.bias_r = 0.0
+    kinematic_output(s)
+    for name in ("psi", "phi", "theta", "p", "q", "r"):
+        s.y[name] = getattr(s.x, name)
+
+
+def sail(truth: Mapping[str, float], seconds: float, seed: int) -> Sailed:
+    """A mission of steps on both thrusters; AHRS at 20 Hz, GNSS at 5 Hz."""
+    t: Array = np.asarray(np.arange(round(seconds / STEP) + 1) * STEP)
+    n = lagged(t, steps(t, lambda rng: rng.uniform(-0.4, 1.0, 2), (3.0, 9.0), seed))
+    model = rolling_boat(truth)
+    values = np.array([list(model.values.values())])
+    rng = np.random.default_rng([seed, 5])
+    _, y = simulate_stochastic(model, SampledInputs.linear(t, n), values, [rng], x0=np.zeros((1, len(model.states))))
+    channels = {f"n_{side}": Channel(t, n[:, k]) for k, side in enumerate(SIDES)}
+    slow = {"x", "y", "vx", "vy"}
+    for j, o in enumerate(model.outputs):
+        step = FIX if o.name in slow else 1
+        channels[o.name] = Channel(t[::step], y[0, ::step, j])
+    return Sailed(channels, model.values)

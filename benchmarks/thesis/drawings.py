@@ -1,0 +1,131 @@
+"""The counterparts of the paper's figures 4.1-4.3 and 6.1-6.6, as plain data for ``benchmarks.thesis.figures``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.thesis.figures import Chart, Curve, Drawing, Part
+from benchmarks.thesis.fits import Both, Plane, Rest, predicted
+from ident.characterisation.sensor_noise import welch
+from ident.numerics.arrays import Array
+
+Z95 = 1.96
+START = 5.0  # s until the filter knows where it is
+
+
+def noise_part(rest: Mapping[str, Rest]) -> Part:
+    """Figures 4.1 and 4.2."""
+    return Part("noise", "Sensor noise", [
+        Drawing("Figure 4.1: accelerometer at rest", "Hz", [_density(rest[n]) for n in ("ax", "ay")],
+                "Welch's periodogram, the model identified (white noise plus random walk) and the true density."),
+        Drawing("Figure 4.2: magnetometer at rest", "Hz", [_density(rest[n]) for n in ("mx", "my", "mz")]),
+    ])
+
+
+def _density(one: Rest) -> Chart:
+    f, power = _in_decades(*welch(one.channel))
+    (white, walk), dt = one.truth, one.found.interval
+    truth = 2 * dt * (white**2 + walk**2 * dt / (4 * np.sin(np.pi * f * dt) ** 2))
+    curves = [Curve("periodogram", f, power, "measured"), Curve("identified", f, one.found.psd(f)),
+              Curve("truth", f, truth, "other")]
+    return Chart(f"{one.channel.source} [({one.channel.unit})²/Hz]", curves, log=True)
+
+
+def _in_decades(f: Array, power: Array, per_decade: int = 60) -> tuple[Array, Array]:
+    """Means over bins of equal width in the logarithm of the frequency."""
+    index = np.unique(np.floor(per_decade * np.log10(f)), return_inverse=True)[1]
+    count = np.bincount(index)
+    return np.bincount(index, f) / count, np.bincount(index, power) / count
+
+
+def bench_part(one: Both) -> Part:
+    """Figure 4.3."""
+    t, free, late = one.record.t, predicted(one), one.record.t > 35
+    late &= one.record.t < 50
+
+    def charts(rows: NDArray[np.bool_], outputs: Sequence[tuple[int, str]]) -> list[Chart]:
+        return [Chart(title, [Curve("measured", t[rows], one.record.y[rows, j], "measured"),
+                              Curve("model", t[rows], free[rows, j])]) for j, title in outputs]
+
+    command = Curve("command", t, one.record.u[:, 0], "other")
+    whole = charts(np.ones(t.size, dtype=bool), [(0, "shaft speed, normalised"), (1, "force [N]")])
+    whole[0] = Chart(whole[0].title, [command, *whole[0].curves])
+    return Part("bench", "Thruster", [
+        Drawing("Figure 4.3, left: response to the steps and chirps", "s", whole,
+                "The model predicts from the command alone."),
+        Drawing("Figure 4.3, right: the last steps", "s", charts(late, [(1, "force [N]")])),
+    ])
+
+
+def predictor_part(turn: Both, run: Both) -> Part:
+    """Figures 6.1 and 6.2."""
+    t, r = turn.record.t, turn.record.y[:, 0]
+    ahead = r - turn.filtered.e[:, 0]
+    yaw = Drawing("Figure 6.1: yaw rate, measured and predicted", "s", [
+        Chart("yaw rate [rad/s]", [Curve("measured", t, r, "measured"), Curve("OE: from the moment alone", t,
+              turn.simulated.y[:, 0], "other"), Curve("PE: one sample ahead", t, ahead)]),
+        Chart("measured less predicted [rad/s]", [Curve("OE: from the moment alone", t, r - turn.simulated.y[:, 0],
+              "other"), Curve("PE: one sample ahead", t, r - ahead)]),
+    ], "What is left of output error is coloured: process noise that it has no place for.")
+    t, x = run.record.t, run.record.y[:, 0]
+    oe, pe = run.simulated.y[:, 0], x - run.filtered.e[:, 0]
+    h = np.diff(t)
+    speed = [Curve("measured", t[1:], np.diff(x) / h, "measured"), Curve("OE", t[1:], np.diff(oe) / h, "other"),
+             Curve("PE: one sample ahead", t[1:], np.diff(pe) / h)]
+    surge = Drawing("Figure 6.2: position, and its first differences", "s", [
+        Chart("position [m]", [Curve("measured", t, x, "measured"), Curve("OE", t, oe, "other"),
+                               Curve("PE: one sample ahead", t, pe)]),
+        Chart("measured less predicted [m]", [Curve("OE", t, x - oe, "other"),
+                                              Curve("PE: one sample ahead", t, x - pe)]),
+        Chart("first differences [m/s]", speed),
+    ])
+    return Part("predictors", "Output error and prediction error", [yaw, surge])
+
+
+def innovation_part(three: Plane, six: Plane) -> Part:
+    """Figures 6.3 to 6.6."""
+    return Part("innovations", "Innovations of the models in the plane", [
+        _innovations("Figure 6.3: surge acceleration, 3DOF", three, ("ax",), "m/s2"),
+        _innovations("Figure 6.4: surge acceleration, 6DOF K", six, ("ax",), "m/s2"),
+        _innovations("Figure 6.5: position, 3DOF", three, ("x", "y"), "m"),
+        _innovations("Figure 6.6: position, 6DOF K", six, ("x", "y"), "m"),
+        correlations(three, six),
+    ])
+
+
+def _innovations(title: str, one: Plane, channels: Sequence[str], unit: str) -> Drawing:
+    charts = []
+    for name in channels:
+        t, e, sd = (z[one.innovations(name)[0] > START] for z in one.innovations(name))
+        charts.append(Chart(f"{name} [{unit}]", [
+            Curve("95 % of them, as the filter has it", t, -Z95 * sd, "band", Z95 * sd),
+            Curve("innovation", t, e, "measured"),
+            Curve("mean over 2 s", t, _smooth(t, e, 2.0)),
+        ]))
+    return Drawing(title, "s", charts)
+
+
+def _smooth(t: Array, e: Array, seconds: float) -> Array:
+    width = max(3, round(seconds / float(np.median(np.diff(t)))))
+    return np.convolve(e, np.ones(width) / width, mode="same")
+
+
+def correlations(three: Plane, six: Plane) -> Drawing:
+    """The autocorrelation of the innovations beside each other: the difference that the eye misses in the figures."""
+    charts = []
+    for name in ("ax", "x"):
+        curves = []
+        for label, one in (("3DOF", three), ("6DOF K", six)):
+            t, e, sd = one.innovations(name)
+            z = e / sd - np.mean(e / sd)
+            acf = np.array([z[k:] @ z[: z.size - k] for k in range(1, 41)]) / (z @ z)
+            lags: Array = np.asarray(np.arange(1, 41) * float(np.median(np.diff(t))))
+            curves.append(Curve(label, lags, acf, "other" if one is three else "model"))
+            if one is six:
+                half = np.full(40, Z95 / np.sqrt(z.size))
+                curves.append(Curve("95 % of white noise", lags, -half, "band", half))
+        charts.append(Chart(f"autocorrelation of {name}", curves))
+    return Drawing("Autocorrelation of the innovations", "lag, s", charts, "Not in the paper.")

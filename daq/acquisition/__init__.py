@@ -1,0 +1,5 @@
+"""Acquisition: the process that reads ports and writes the log, its watchdog and its link to the parent."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

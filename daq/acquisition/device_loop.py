@@ -1,0 +1,300 @@
+"""One loop for every device: open, read, stamp, decode, hand over, and open again when the port is lost."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import select
+import threading
+import time
+from collections.abc import Callable
+
+from daq.acquisition.log_thread import LogItem, LogSink
+from daq.acquisition.sensor_health import SensorHealth
+from daq.clock import ClockMap, RunClock
+from daq.drivers import DeviceDriver, Due, Setpoints
+from daq.protocol import Decoder
+from daq.rig import Device
+from daq.samples import NAN, Ahrs, Command, Esc, Event, Frame, Gnss, PortHealth, Sample, Servo
+from daq.status import Latest, LinkStatus, PortStatus, RateMeter, Source
+from daq.transport import Port, PortError
+
+IDLE_S = 0.5  # wall; longest wait for bytes
+RETRY_S = (0.05, 0.1, 0.2, 0.5, 1.0)  # wall; waits between attempts to open
+MUTE_BYTES = 2000  # so many without a valid frame are no start-up noise
+STUCK_S = 0.25  # wall; a thread that commands thrust has a turn every 20 ms
+JOIN_BYTES = 256  # as much may be the rest of a frame
+RATE_WINDOW_S = 2.0  # wall
+MANY = ("mavlink", "nmea2000")  # several kinds of samples over one port, and not all count for its rate
+
+
+def _is_attitude(sample: Sample) -> bool:
+    return isinstance(sample, Ahrs) and not math.isnan(sample.yaw)
+
+
+class DeviceLoop(threading.Thread):
+    """The thread of one port, its counters, and the last it heard.
+
+    `setpoints` makes it an actuator too: due set-points are sent from this thread, in the words of `talker`, which
+    may also speak for itself. When the port is lost while thrust is commanded, `on_lost(reason)` is called from
+    this thread.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        port: Port,
+        decoder: Decoder,
+        clock: RunClock,
+        sink: LogSink,
+        setpoints: Setpoints | None = None,
+        talker: DeviceDriver | None = None,
+        on_lost: Callable[[str], None] = lambda reason: None,
+    ) -> None:
+        super().__init__(name=f"port {device.name}", daemon=True)
+        self.device = device
+        self._port, self._decoder, self._clock, self._sink = port, decoder, clock, sink
+        self._setpoints, self._talker, self._on_lost = setpoints, talker, on_lost
+        self._many, self._attitudes = device.protocol in MANY, False
+        self._clock_map = ClockMap()
+        self._watch = SensorHealth()
+        self._has_clock = False
+        self._ending = False
+        self._wake_read, self._wake_write = os.pipe()
+        os.set_blocking(self._wake_write, False)
+        self._latest: dict[Source, Latest] = {}
+        self._t_last = -math.inf
+        self._samples = self._rated = self._dropped = self._opened = self._mute_bytes = 0
+        self._unforgiven = self._forgiven = 0  # unparsed bytes: when the port was opened, and those not held against it
+        self._joining = False
+        self._open = False
+        self._stepped = time.monotonic()
+        self._problem = ""
+        self._rate = RateMeter(max(RATE_WINDOW_S * clock.speed, 10.0 / device.rate_hz))
+
+    def wake(self) -> None:
+        """Look at the set-points now."""
+        with contextlib.suppress(OSError):  # the pipe is full: it is awake already
+            os.write(self._wake_write, b"x")
+
+    def end(self) -> None:
+        """Ask the thread to send zero, close the port and end; `join` waits for it."""
+        self._ending = True
+        self.wake()
+
+    def run(self) -> None:
+        """The thread: until `end`, whatever the port does."""
+        failures = 0
+        while not self._ending:
+            try:
+                self._port.open()
+                self._start()
+                failures = 0
+                while not self._ending:
+                    self._step()
+            except Exception as error:
+                # Whatever it is, the port is opened again, and what it was stands in the status and in the log.
+                known = isinstance(error, PortError)
+                self._lost(str(error) if known else f"internal error ({type(error).__name__}: {error})")
+                self._wait(-1, RETRY_S[min(failures, len(RETRY_S) - 1)])
+                failures += 1
+        self._finish()
+
+    def _start(self) -> None:
+        self._opened += 1
+        self._open, self._problem = True, ""
+        self._mute_bytes = 0
+        self._decoder.reset()
+        self._joining, self._unforgiven = True, self._unparsed()
+        if self._talker is not None:
+            self._talker.opened(time.monotonic())
+        if self._setpoints is not None and self._setpoints.held:
+            self._setpoints.zero(time.monotonic())  # what it was told before it was lost is not what holds now
+
+    def _lost(self, why: str) -> None:
+        was_open, self._open, self._problem = self._open, False, why
+        self._port.close()
+        if was_open and self._setpoints is not None and self._setpoints.active:
+            self._setpoints.zero(time.monotonic())
+            self._on_lost(f"{self.device.name} ({self.device.port}) {why}")
+
+    def _step(self) -> None:
+        self._stepped = time.monotonic()
+        wait = IDLE_S
+        if self._setpoints is not None:
+            wait = min(wait, self._setpoints.wait(self._clock.now(), time.monotonic(), self._clock.speed))
+        if self._talker is not None:
+            wait = min(wait, self._talker.wait(time.monotonic()))
+        if self._wait(self._port.fileno(), wait):
+            data = self._port.read()
+            t_rx = self._clock.now()
+            if data:
+                self._received(data, t_rx)
+        if self._setpoints is not None:
+            self._send(self._setpoints.due(self._clock.now(), time.monotonic()))
+        if self._talker is not None:
+            self._talk(self._talker)
+
+    def _talk(self, talker: DeviceDriver) -> None:
+        """Send what the talker has to say, and log what it has to tell."""
+        data = talker.poll(time.monotonic())
+        t = self._clock.now()
+        if data:
+            self._port.write(data)
+            self._sink.put(LogItem(self.device.name, "tx", data, t, []))
+        if events := talker.events():
+            self._sink.put(LogItem(self.device.name, "", b"", t, [(Frame(event, t, NAN), t) for event in events]))
+
+    def _wait(self, fd: int, seconds: float) -> bool:
+        """Wait for bytes at `fd` (none if negative), for a wake-up or for the time; whether there are bytes."""
+        fds = [self._wake_read] if fd < 0 else [fd, self._wake_read]
+        ready, _, _ = select.select(fds, [], [], seconds)
+        if self._wake_read in ready:
+            os.read(self._wake_read, 4096)
+        return fd >= 0 and fd in ready
+
+    def _received(self, data: bytes, t_rx: float) -> None:
+        frames_before = self._decoder.frames
+        frames = [(frame, self._estimate(frame)) for frame in self._decoder.feed(data, t_rx)]
+        for frame, t in frames:
+            if not isinstance(frame.sample, Event):
+                self._latest[self._source(frame.sample)] = Latest(frame.sample, t)
+                self._t_last = frame.t_rx
+                self._rated += self._is_rated(frame.sample)
+            self._watch.take(frame)
+        self._samples += len(frames)
+        self._watch.count(t_rx, self._decoder.frames, self._decoder.checksum_errors, self._clock_map.resets)
+        if self._decoder.frames > frames_before:
+            self._mute_bytes = 0
+            self._join()
+        else:
+            self._mute_bytes += len(data)
+        if not self._sink.put(LogItem(self.device.name, "rx", data, t_rx, frames)):
+            self._dropped += max(len(frames), 1)
+
+    def _is_rated(self, sample: Sample) -> bool:
+        """Whether it counts for the rate: all do, but of several kinds the attitude, or fixes where there is none."""
+        if not self._many or _is_attitude(sample):
+            self._attitudes = True
+            return True
+        return self.device.protocol == "nmea2000" and not self._attitudes and isinstance(sample, Gnss)
+
+    def _source(self, sample: Sample) -> Source:
+        name = self.device.name
+        if not self._many:
+            return name, sample.node if isinstance(sample, Esc) else None
+        if isinstance(sample, Servo):
+            return name, sample.node
+        if _is_attitude(sample):
+            return name, None
+        return f"{name}/{type(sample).__name__.lower()}", sample.node if isinstance(sample, Esc) else None
+
+    def _join(self) -> None:
+        """The first valid frame: a port is opened in the middle of a frame, which is nobody's error."""
+        if self._joining:
+            self._joining = False
+            before = self._unparsed() - self._unforgiven
+            self._forgiven += before if before <= JOIN_BYTES else 0
+
+    def _unparsed(self) -> int:
+        return self._decoder.unparsed_bytes + self._port.unparsed_bytes - self._forgiven
+
+    def _estimate(self, frame: Frame) -> float:
+        if math.isnan(frame.t_device):
+            return frame.t_rx
+        self._has_clock = True
+        return self._clock_map.estimate(frame.t_device, frame.t_rx, self._many)
+
+    def _send(self, dues: list[Due]) -> None:
+        """Write the set-points that are due."""
+        if self._talker is None or self._setpoints is None or not dues:
+            return
+        for raw, carried in self._talker.command(dues, self._setpoints.held, time.monotonic()):
+            t = self._clock.now()
+            self._port.write(raw)
+            frames = [(Frame(Command(due.node, due.n), t, NAN), t) for due in carried if due.fresh]
+            if not self._sink.put(LogItem(self.device.name, "tx", raw, t, frames)):
+                self._dropped += max(len(frames), 1)
+
+    def _finish(self) -> None:
+        """Leave every thruster at zero, as well as the port lets us."""
+        with contextlib.suppress(PortError):
+            if self._setpoints is not None and self._open:
+                for _ in range(3):
+                    self._setpoints.zero(time.monotonic())
+                    self._send(self._setpoints.due(self._clock.now(), time.monotonic()))
+            if self._talker is not None and self._open and (last := self._talker.farewell(time.monotonic())):
+                self._port.write(last)
+                self._sink.put(LogItem(self.device.name, "tx", last, self._clock.now(), []))
+        self._port.close()
+
+    def latest(self) -> dict[Source, Latest]:
+        """The newest samples, by device and node."""
+        return dict(self._latest)
+
+    def request(self, wish: str, value: float) -> None:
+        """Hand a wish (`arm`, `disarm`, `mode`) to whoever is at the other end."""
+        if self._talker is not None:
+            self._talker.request(wish, value)
+            self.wake()
+
+    def is_stuck(self, now: float) -> bool:
+        """Whether set-points that are due every 20 ms have not been looked at for `STUCK_S`."""
+        commanded = self._setpoints is not None and self._setpoints.active
+        return commanded and self._open and now - self._stepped > STUCK_S
+
+    def link(self) -> LinkStatus | None:
+        """What is known of the other end; None where nobody is there to talk with."""
+        return None if self._talker is None else self._talker.link_at(time.monotonic())
+
+    @property
+    def hint(self) -> str:
+        """What could be better about the port, in one line; empty when nothing could."""
+        return self._port.hint
+
+    def health(self) -> PortHealth:
+        """The counters, for the log."""
+        decoder, port = self._decoder, self._port
+        return PortHealth(
+            port=self.device.port,
+            bytes_in=port.bytes_in,
+            frames=decoder.frames,
+            checksum_errors=decoder.checksum_errors,
+            unparsed_bytes=self._unparsed(),
+            dropped=self._dropped,
+            reconnects=max(self._opened - 1, 0),
+            clock_bias=self._clock_map.bias if self._has_clock else NAN,
+            clock_spread=self._clock_map.spread if self._has_clock else NAN,
+        )
+
+    def status(self, now: float) -> PortStatus:
+        """The counters and what follows from them at run time `now`, for people and for the guard."""
+        health = self.health()
+        return PortStatus(
+            name=self.device.name,
+            protocol=self.device.protocol,
+            port=health.port,
+            expected=self.device.rate_hz,
+            rate=self._rate.rate(now, self._rated),
+            age=max(now - self._t_last, 0.0),
+            samples=self._samples,
+            frames=health.frames,
+            checksum_errors=health.checksum_errors,
+            unparsed_bytes=health.unparsed_bytes,
+            dropped=health.dropped,
+            reconnects=health.reconnects,
+            bytes_in=health.bytes_in,
+            latency=health.clock_bias,
+            latency_spread=health.clock_spread,
+            message=self._message(),
+        )
+
+    def _message(self) -> str:
+        if self._problem:
+            return self._problem
+        if self._talker is not None and (said := self._talker.message()):
+            return said
+        if self._mute_bytes >= MUTE_BYTES:
+            return f"no valid frame in {MUTE_BYTES} bytes: wrong baud rate or protocol?"
+        return self._watch.message() or self._decoder.remark

@@ -1,0 +1,113 @@
+"""From the ports' threads to the log: a bounded queue, and the one thread that writes."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import NamedTuple
+
+from daq.clock import RunClock
+from daq.errors import SeatrialError
+from daq.log import Recorder
+from daq.realtime_priority import set_realtime_priority
+from daq.samples import Event, Frame, PortHealth
+
+QUEUE_ITEMS = 20_000
+WRITE_S = 0.01  # wall
+HEALTH_S = 1.0
+
+
+class LogItem(NamedTuple):
+    """What one read or write hands to the writer."""
+
+    device: str
+    direction: str  # "rx" | "tx"; "" when there are no raw bytes
+    raw: bytes
+    t: float
+    frames: list[tuple[Frame, float]]  # with the estimated times
+
+
+class LogSink:
+    """The bounded queue between the ports' threads and the writer. Putting never waits."""
+
+    def __init__(self, limit: int = QUEUE_ITEMS) -> None:
+        self._items: deque[LogItem] = deque()
+        self._limit = limit
+
+    def put(self, item: LogItem) -> bool:
+        """Hand over an item; False when the writer is too far behind to take it."""
+        if len(self._items) >= self._limit:
+            return False
+        self._items.append(item)
+        return True
+
+    def take(self) -> list[LogItem]:
+        """All there is, oldest first. For the writer alone."""
+        out = []
+        with contextlib.suppress(IndexError):
+            while True:
+                out.append(self._items.popleft())
+        return out
+
+
+class LogThread(threading.Thread):
+    """Empties the queue into the log. The only thread that touches the recorder."""
+
+    def __init__(
+        self, recorder: Recorder, sink: LogSink, health: Callable[[], dict[str, PortHealth]], clock: RunClock
+    ) -> None:
+        super().__init__(name="writer", daemon=True)
+        self._recorder, self._sink, self._health_of, self._clock = recorder, sink, health, clock
+        self._ending = threading.Event()
+        self.messages = 0
+        self.size = recorder.size
+        self.failure = ""
+        self.alarm = ""  # why nothing is written now, though it may be again
+
+    def run(self) -> None:
+        """Until `end`: write what there is, every 10 ms, and the counters every second."""
+        set_realtime_priority(behind=1)  # it compresses: the ports and the set-points come first
+        health_at = time.monotonic() + HEALTH_S
+        try:
+            while not self._ending.wait(WRITE_S):
+                if not self._recorder.paused:  # while it is, what comes waits in the queue
+                    self._write()
+                if time.monotonic() >= health_at:
+                    health_at += HEALTH_S
+                    self._health()
+                self._recorder.tick()
+                self.alarm = self._recorder.paused
+                self.size = self._recorder.size
+            self._write()
+            self._health()
+        except SeatrialError as error:
+            self.failure = str(error)
+        except Exception as error:  # a programming error: the thrusters must go to zero all the same
+            self.failure = f"the log could not be written ({type(error).__name__}: {error})"
+        try:
+            self._recorder.close()
+        except SeatrialError as error:
+            self.failure = self.failure or str(error)
+        self.size = self._recorder.size
+
+    def end(self) -> None:
+        """Ask for the last write; `join` waits until the log is closed."""
+        self._ending.set()
+
+    def _write(self) -> None:
+        for item in self._sink.take():
+            if item.direction:
+                self._recorder.write_raw(item.device, item.direction, item.raw, item.t)
+            for frame, t in item.frames:
+                if isinstance(frame.sample, Event):
+                    self._recorder.event(t, frame.sample.kind, frame.sample.text)
+                else:
+                    self._recorder.write(item.device, frame, t)
+                    self.messages += 1
+
+    def _health(self) -> None:
+        for device, health in self._health_of().items():
+            self._recorder.health(device, health, self._clock.now())

@@ -1,0 +1,276 @@
+"""The acquisition process: owns every port and the log, and brings thrust to zero when its parent falls silent.
+
+Started by `daq.acquisition.session.Acquisition` as `python -m daq.acquisition.process FD`; no user code runs here, so
+nothing but
+the operating system can hold it up. One thread a port, one writer; the main thread listens to the parent.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import gc
+import select
+import signal
+import socket
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+
+from daq.acquisition.device_loop import DeviceLoop
+from daq.acquisition.ipc import AcquisitionChannel, Message
+from daq.acquisition.log_thread import WRITE_S, LogItem, LogSink, LogThread
+from daq.acquisition.status_reporter import Reporter
+from daq.acquisition.watchdog import Heartbeat
+from daq.clock import RunClock
+from daq.config import parse_rig
+from daq.drivers import Setpoints, make_driver
+from daq.errors import SeatrialError
+from daq.log import Recorder, check_room
+from daq.protocol import make_decoder
+from daq.realtime_priority import set_realtime_priority
+from daq.rig import DRIVES, Rig
+from daq.samples import NAN, Event, Frame, PortHealth
+from daq.transport import make_port
+
+STATUS_S = 0.05  # wall, as all of these
+SILENCE_S = 0.25  # the parent, while thrust is commanded
+RECORD_ON_S = 1.0  # after a stop that nobody asked for
+
+
+class Process:
+    """The ports, the writer, and the parent's wishes."""
+
+    def __init__(
+        self, link: AcquisitionChannel, rig: Rig, recorder: Recorder, clock: RunClock, pulse: Heartbeat | None = None
+    ) -> None:
+        self._link, self._rig, self._clock, self._pulse = link, rig, clock, pulse
+        self._sink = LogSink()
+        self._setpoints = {device.name: Setpoints() for device in rig.devices if device.protocol in DRIVES}
+        self._loops = {device.name: self._loop(device.name) for device in rig.devices}
+        self._writer = LogThread(recorder, self._sink, self._health, clock)
+        path = str(recorder.path)
+        self._reporter = Reporter(link, rig, path, clock, self._loops, self._setpoints, self._writer, self._event)
+        self._heard = self._alive = time.monotonic()
+        self._terminated = False
+        self._stopped = ""  # set when thrust was ended here; then only the parent's zero lets it start again
+        self._wishes: dict[str, Callable[[Message], None]] = {
+            "heartbeat": self._on_heartbeat,
+            "schedule": self._on_schedule,
+            "zero": self._on_zero,
+            "mark": self._on_mark,
+            "wish": self._on_wish,
+            "stop": self._on_stop,
+        }
+        self._end_reason = ""
+        self._unasked = False
+
+    def terminate(self, number: int, frame: FrameType | None) -> None:
+        """SIGTERM: end as if the parent had asked."""
+        self._terminated = True
+
+    def run(self) -> None:
+        """Until told to stop, abandoned or failed; then zero thrust and close the log."""
+        self._writer.start()
+        for loop in self._loops.values():
+            loop.start()
+        try:
+            self._serve()
+        except Exception as error:  # a programming error must not leave thrust on
+            self._end(f"internal error ({type(error).__name__}: {error})", unasked=True)
+        self._finish()
+
+    def _serve(self) -> None:
+        status_at = 0.0
+        while not self._end_reason:
+            now = time.monotonic()
+            if now >= status_at:
+                status_at = now + STATUS_S
+                self._report()
+            ready, _, _ = select.select([self._link], [], [], max(status_at - time.monotonic(), 0.0))
+            if ready:
+                self._listen()
+            self._judge()
+            self._beat()
+
+    def _loop(self, name: str) -> DeviceLoop:
+        device = self._rig.device(name)
+        decoder = make_decoder(device, self._rig)
+        return DeviceLoop(
+            device,
+            make_port(device),
+            decoder,
+            self._clock,
+            self._sink,
+            self._setpoints.get(name),
+            make_driver(device, self._rig, decoder),
+            self._stop_thrust,
+        )
+
+    def _listen(self) -> None:
+        try:
+            messages = self._link.receive()
+        except EOFError:
+            self._end("the parent process is gone", unasked=True)
+            return
+        for message in messages:
+            self._heard = time.monotonic()
+            self._wishes[message["op"]](message)
+
+    def _beat(self, at_once: bool = False) -> None:
+        """The watchdog's pulse, unless a port's thread hangs: then it is left to the watchdog."""
+        now = time.monotonic()
+        if self._pulse is None or any(loop.is_stuck(now) for loop in self._loops.values()):
+            return
+        active = any(setpoints.active for setpoints in self._setpoints.values())
+        self._pulse.beat(active, now, at_once)
+        if self._pulse.lost and active and not self._stopped:
+            self._stop_thrust("the watchdog is gone")
+
+    def _judge(self) -> None:
+        """End what has to end. Called after listening: a pause of our own is not held against the parent."""
+        now = time.monotonic()
+        if self._terminated:
+            self._end("SIGTERM", unasked=False)
+        if self._writer.failure:
+            self._end(self._writer.failure, unasked=False)
+        if self._writer.alarm and not self._stopped and any(s.active for s in self._setpoints.values()):
+            self._stop_thrust(self._writer.alarm)  # a run that is not recorded is not worth its risk
+        if any(setpoints.active for setpoints in self._setpoints.values()):
+            if now - self._heard > SILENCE_S:
+                self._end(f"no heartbeat of the parent for {SILENCE_S} s", unasked=True)
+            elif now - self._alive > SILENCE_S:
+                self._end(f"no sign of life of the runner for {SILENCE_S} s", unasked=True)
+
+    def _end(self, reason: str, unasked: bool) -> None:
+        if not self._end_reason:
+            self._end_reason, self._unasked = reason, unasked
+
+    def _on_heartbeat(self, message: Message) -> None:
+        if message["alive"]:
+            self._alive = self._heard
+
+    def _on_schedule(self, message: Message) -> None:
+        if self._stopped:
+            return  # rows that were under way when thrust was ended
+        self._alive = self._heard
+        nodes = {thruster.name: (thruster.device, thruster.node) for thruster in self._rig.thrusters}
+        rows: dict[str, list[tuple[float, dict[int, float]]]] = {}
+        for t, row in message["rows"]:
+            by_device: dict[str, dict[int, float]] = {}
+            for name, n in row.items():
+                device, node = nodes[name]
+                by_device.setdefault(device, {})[node] = n
+            for device, part in by_device.items():
+                rows.setdefault(device, []).append((t, part))
+        for device, wanted in rows.items():
+            self._setpoints[device].append(wanted)
+            self._loops[device].wake()
+
+    def _on_zero(self, message: Message) -> None:
+        self._zero()
+        self._stopped = ""
+        self._event("zero", message["reason"])
+
+    def _on_mark(self, message: Message) -> None:
+        self._event(message["kind"], message["text"])
+
+    def _on_wish(self, message: Message) -> None:
+        self._loops[message["device"]].request(message["wish"], message["value"])
+
+    def _on_stop(self, message: Message) -> None:
+        self._end("closed as asked", unasked=False)
+
+    def _health(self) -> dict[str, PortHealth]:
+        return {name: loop.health() for name, loop in self._loops.items()}
+
+    def _zero(self) -> None:
+        for name, setpoints in self._setpoints.items():
+            setpoints.zero(time.monotonic())
+            self._loops[name].wake()
+
+    def _stop_thrust(self, reason: str) -> None:
+        """End thrust by our own decision and keep recording."""
+        self._stopped = reason
+        self._zero()
+        self._event("stop", reason)
+
+    def _event(self, kind: str, text: str) -> None:
+        t = self._clock.now()
+        self._sink.put(LogItem("", "", b"", t, [(Frame(Event(kind, text), t, NAN), t)]))
+
+    def _finish(self) -> None:
+        self._zero()
+        self._beat(at_once=True)
+        self._event("stop" if self._unasked else "end", self._end_reason)
+        for loop in self._loops.values():
+            loop.request("leave", 0.0)
+        if self._unasked:
+            until = time.monotonic() + RECORD_ON_S
+            while (left := until - time.monotonic()) > 0.0 and not self._writer.failure:
+                time.sleep(min(left, WRITE_S))
+                self._beat()
+        for loop in self._loops.values():
+            loop.end()
+        for loop in self._loops.values():
+            loop.join()
+        if self._pulse is not None:
+            self._pulse.end()
+        self._reporter.note_skipped()
+        self._writer.end()
+        self._writer.join()
+        self._report()
+        with contextlib.suppress(OSError):  # nobody may be there to be told
+            why = self._writer.failure
+            self._link.send({"op": "failed", "why": why} if why else {"op": "closed", "why": self._end_reason})
+
+    def _report(self) -> None:
+        try:
+            self._reporter.report(self._stopped, self._end_reason if self._unasked else "")
+        except OSError:
+            self._end("the parent process is gone", unasked=True)
+
+
+def _pulse(rig: Rig, path: Path) -> Heartbeat:
+    """The line to the watchdog; no thrust without it."""
+    try:
+        return Heartbeat(socket.socket(fileno=int(sys.argv[2])), rig, path)
+    except (OSError, EOFError) as error:
+        why = str(error) or "it ended"
+        raise SeatrialError(f"the watchdog did not start ({why}); nothing is driven without it") from error
+
+
+def main() -> None:
+    """Take the configuration from the parent, then run."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    link = AcquisitionChannel(socket.socket(fileno=int(sys.argv[1])))
+    config = link.receive()
+    while not config:
+        config = link.receive()
+    begin = config[0]
+    clock = RunClock(begin["speed"], (begin["origin"][0], begin["origin"][1]))
+    rig = parse_rig(begin["rig_text"], Path(begin["rig_path"]))
+    attachments = {name: base64.b64decode(data) for name, data in begin["attachments"].items()}
+    try:
+        path = Path(begin["path"])
+        check_room(path, rig.segments.free_megabytes)
+        recorder = Recorder(
+            path, rig=rig, clock=clock, attachments=attachments, metadata=begin["metadata"], patient=True
+        )
+        pulse = _pulse(rig, path) if len(sys.argv) > 2 else None
+        process = Process(link, rig, recorder, clock, pulse)
+    except SeatrialError as error:
+        link.send({"op": "failed", "why": str(error)})
+        return
+    signal.signal(signal.SIGTERM, process.terminate)
+    # Threads take turns often enough for set-points a millisecond apart, and the collector has less to walk through.
+    sys.setswitchinterval(0.0005)
+    gc.freeze()
+    set_realtime_priority()  # a busy machine must not hold up receive times and set-points
+    process.run()
+
+
+if __name__ == "__main__":
+    main()

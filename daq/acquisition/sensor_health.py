@@ -1,0 +1,108 @@
+"""What is wrong with the readings of a device although its frames are right. No I/O, no clock.
+
+Stuck sensors, saturated and spiking load cells, floods of wrong checksums, clocks that jump,
+dates from another GPS era. Each line stays the same while it holds: one that is new goes into the log as an
+event.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+from daq.protocol import SATURATED, SPIKE
+from daq.samples import Ahrs, Frame, Gnss, LoadCell
+
+STUCK_S = 5.0  # run s; readings that carry noise do not stay the same for longer
+STUCK_SAMPLES = 20
+FINE_COUNTS = 1000.0  # a whole number beyond is a converter's own, which always flickers; 0.00 kg may well stay
+SPIKES_S = 10.0
+SPIKES_SHARE = 0.01
+FLOOD_S = 5.0
+FLOOD_SHARE = 0.05  # of the frames
+FLOOD_ERRORS = 10
+JUMP_S = 10.0  # for so long it is said
+ERA = 1024 * 604_800.0  # s, after which the week of GPS begins again
+
+
+class _Same(NamedTuple):
+    """The same reading, again and again."""
+
+    key: tuple[float, ...]
+    since: float
+    repeats: int
+
+
+class SensorHealth:
+    """The readings and counters of one device."""
+
+    def __init__(self) -> None:
+        self._same: dict[type, _Same] = {}
+        self._last = self._now = 0.0
+        self._jumps, self._jumped = 0, -math.inf
+        self._cell: deque[tuple[float, int]] = deque()  # flags of the last SPIKES_S
+        self._spikes = 0
+        self._era = 0.0
+        self._counters: deque[tuple[float, int, int]] = deque()
+
+    def take(self, frame: Frame) -> None:
+        """A sample as decoded."""
+        sample, t = frame.sample, frame.t_rx
+        if isinstance(sample, Ahrs):
+            # A compass rounds so coarsely that it may say the same for a minute; rates and accelerations are noisy.
+            key = (sample.yaw, sample.p, sample.q, sample.r, sample.ax, sample.ay, sample.az)
+            if math.isfinite(sample.p) or math.isfinite(sample.ax):
+                self._repeat(Ahrs, tuple(0.0 if v != v else v for v in key), t)
+        elif isinstance(sample, Gnss):
+            if math.isfinite(sample.utc):
+                self._repeat(Gnss, (sample.utc,), t)
+                self._era = sample.utc - t
+        elif isinstance(sample, LoadCell):
+            if abs(sample.counts) >= FINE_COUNTS and float(sample.counts).is_integer():
+                self._repeat(LoadCell, (sample.counts,), t)
+            self._flags(t, sample.flags)
+
+    def count(self, t: float, frames: int, errors: int, jumps: int = 0) -> None:
+        """The counters of the decoder and of the clock's map at run time `t`; to be called after every read."""
+        if jumps != self._jumps:
+            self._jumps, self._jumped = jumps, t
+        self._now = t
+        if not self._counters or t - self._counters[-1][0] >= 0.1 * FLOOD_S:
+            self._counters.append((t, frames, errors))
+            while t - self._counters[0][0] > FLOOD_S:
+                self._counters.popleft()
+
+    def message(self) -> str:
+        """What is wrong, in one line; empty when nothing is."""
+        if self._counters:
+            (_, frames_0, errors_0), (_, frames, errors) = self._counters[0], self._counters[-1]
+            if errors - errors_0 >= max(FLOOD_ERRORS, FLOOD_SHARE * (frames - frames_0)):
+                return "more than 1 frame in 20 has a wrong checksum: look at wiring, ground and baud rate"
+        if self._cell and self._cell[-1][1] & SATURATED:
+            return "saturated: the load is beyond what the converter can say"
+        if self._spikes > max(SPIKES_SHARE * len(self._cell), 1):
+            return "spikes: more than 1 reading in 100; look at the wires between converter and controller"
+        for kind, same in self._same.items():
+            if same.repeats >= STUCK_SAMPLES and self._last - same.since >= STUCK_S:
+                what = "its time stands still" if kind is Gnss else "the same reading all the time"
+                return f"stuck: {what}"
+        if self._now - self._jumped < JUMP_S:
+            return f"its clock has jumped (the {self._jumps}. time): it was set, or the device began anew"
+        if abs(self._era) > 0.9 * ERA:
+            return "its date is 20 years off: a receiver whose GPS weeks have begun again, or this computer's clock"
+        return ""
+
+    def _repeat(self, kind: type, key: tuple[float, ...], t: float) -> None:
+        self._last = t
+        before = self._same.get(kind)
+        if before is None or before.key != key:
+            self._same[kind] = _Same(key, t, 1)
+        else:
+            self._same[kind] = before._replace(repeats=before.repeats + 1)
+
+    def _flags(self, t: float, flags: int) -> None:
+        self._cell.append((t, flags))
+        self._spikes += bool(flags & SPIKE)
+        while t - self._cell[0][0] > SPIKES_S:
+            self._spikes -= bool(self._cell.popleft()[1] & SPIKE)

@@ -1,0 +1,266 @@
+"""Acquisition: the parent's side. Starts the acquisition process, talks to it, and ends it."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import math
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+import daq
+from daq.acquisition.ipc import AcquisitionChannel, Message
+from daq.clock import RunClock
+from daq.errors import SeatrialError
+from daq.log import read_note
+from daq.realtime_priority import set_realtime_priority
+from daq.rig import Rig
+from daq.status import Latest, PortStatus, Status, from_json
+
+__all__ = ["Acquisition", "Latest", "PortStatus", "Status"]
+
+HEARTBEAT_S = 0.05  # wall, as all of these
+START_S = 30.0
+STOP_S = 15.0
+WATCHDOG_S = 5.0  # it opens ports for 3 s at most, and says zero for 1
+
+
+class Acquisition:
+    """Records every device of `rig` to a new log at `path`, in a process of its own, while in the `with` block.
+
+    The process is safe against whatever happens here: when this process dies or stops answering, or when thrust is
+    commanded and `alive` is not called for 0.25 s (wall), it commands zero, records one second more and closes the
+    log. With `drive` a watchdog process stands behind it (daq.acquisition.watchdog); nothing is to be driven without.
+    All methods may be called from any thread; all but `alive` raise SeatrialError when the process has failed.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        path: Path,
+        *,
+        clock: RunClock,
+        attachments: Mapping[str, bytes] | None = None,
+        metadata: Mapping[str, str] | None = None,
+        drive: bool = False,
+    ) -> None:
+        self._drive = drive
+        self.rig, self.path, self.clock = rig, Path(path), clock
+        self._attachments, self._metadata = dict(attachments or {}), dict(metadata or {})
+        self._changed = threading.Condition()
+        self._status: Status | None = None
+        self._failure = ""
+        self._gone = False  # the process has closed its end
+        self._ended = ""  # why it ended by itself, in good order
+        self._alive = threading.Event()
+        self._stopping = threading.Event()
+        self._stopped = False
+        self._watchdog: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> Acquisition:
+        """Start the process; returns when the log is open. Raises SeatrialError when it cannot be."""
+        ours, theirs = socket.socketpair()
+        self._stderr: IO[bytes] = tempfile.TemporaryFile()
+        with theirs, contextlib.ExitStack() as stack:
+            ends = [theirs]
+            if self._drive:
+                watched, watching = (stack.enter_context(sock) for sock in socket.socketpair())
+                self._watchdog = self._start("daq.acquisition.watchdog", [watching])
+                ends.append(watched)
+            self._process = self._start("daq.acquisition.process", ends)
+        self._link = AcquisitionChannel(ours)
+        self._threads = [
+            threading.Thread(target=self._listen, name="acquisition status", daemon=True),
+            threading.Thread(target=self._beat, name="acquisition heartbeat", daemon=True),
+        ]
+        try:
+            self._send(self._configuration())
+            for thread in self._threads:
+                thread.start()
+            self._await(lambda: self._status is not None, START_S, "did not start")
+        except BaseException:
+            self._abandon()
+            raise
+        return self
+
+    def _start(self, module: str, ends: Sequence[socket.socket]) -> subprocess.Popen[bytes]:
+        """A process of our own that gets these sockets."""
+        numbers = [end.fileno() for end in ends]
+        return subprocess.Popen(
+            [sys.executable, "-m", module, *map(str, numbers)],
+            pass_fds=numbers,
+            stdin=subprocess.DEVNULL,
+            stdout=self._stderr,
+            stderr=self._stderr,
+            env={**os.environ, "PYTHONPATH": _search_path()},
+            start_new_session=True,  # Ctrl-C is for us; the process ends when we say so
+        )
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """`stop`; when the block itself has failed, that error is the one to be seen."""
+        try:
+            self.stop()
+        except SeatrialError:
+            if error is None:
+                raise
+
+    def schedule(self, rows: Sequence[tuple[float, Mapping[str, float]]]) -> None:
+        """Append set-points (run time, {thruster: n_cmd}), -1..1, positive ahead; the last one holds.
+
+        A row whose time has passed is sent at once. Rows are ignored after the process ended thrust by itself
+        (`Status.stopped`) until `zero` is called. Raises SeatrialError for a thruster that the rig has not and for
+        a value beyond `limits.n_max`.
+        """
+        limit = min(self.rig.limits.n_max, 1.0)
+        for t, row in rows:
+            for name, n in row.items():
+                self.rig.thruster(name)
+                if not (math.isfinite(t) and abs(n) <= limit):
+                    raise SeatrialError(f"set-point {n} for {name} at {t}: only -{limit:g} to {limit:g} is allowed")
+        self._send({"op": "schedule", "rows": [(t, dict(row)) for t, row in rows]})
+
+    def zero(self, reason: str) -> None:
+        """Clear the schedule and command zero to all thrusters at once; an event says why."""
+        self._send({"op": "zero", "reason": reason})
+
+    def mark(self, kind: str, text: str) -> None:
+        """Write an event to the log."""
+        self._send({"op": "mark", "kind": kind, "text": text})
+
+    def wish(self, device: str, wish: str, value: float = 0.0) -> None:
+        """Ask the autopilot of a device to `arm`, `disarm` or change its `mode`; the answer is in `Status.links`."""
+        self.rig.device(device)
+        self._send({"op": "wish", "device": device, "wish": wish, "value": value})
+
+    def alive(self) -> None:
+        """The runner lives: to be called every 0.1 s (wall) while thrust is commanded."""
+        self._alive.set()
+
+    def status(self) -> Status:
+        """The newest status, at most some 50 ms (wall) old; after `stop` the last one."""
+        with self._changed:
+            self._raise_failure()
+            if self._gone and not self._stopped:
+                raise SeatrialError(f"the acquisition process ended: {self._ended}; the log is {self.path}")
+            assert self._status is not None, "status is for inside the with block"
+            return self._status
+
+    def stop(self) -> None:
+        """Zero thrust, close the log and wait for it. Calling it again does nothing."""
+        if self._stopped:
+            return
+        self._stopped = True
+        try:
+            with contextlib.suppress(OSError):  # it is ending by itself; whether in good order is seen below
+                if not self._gone:
+                    self._link.send({"op": "stop"})
+            self._await(lambda: self._gone, STOP_S, "did not close the log")
+        finally:
+            self._abandon()
+        self._raise_failure()
+
+    def _configuration(self) -> Message:
+        return {
+            "rig_text": self.rig.text,
+            "rig_path": str(Path(self.rig.path).absolute()),
+            "path": str(self.path.absolute()),
+            "speed": self.clock.speed,
+            "origin": self.clock.origin,
+            "attachments": {name: base64.b64encode(data).decode() for name, data in self._attachments.items()},
+            "metadata": {"command_line": " ".join(sys.argv), **self._metadata},
+        }
+
+    def _send(self, message: Message) -> None:
+        try:
+            self._link.send(message)
+        except OSError:
+            with self._changed:
+                self._changed.wait_for(lambda: self._gone, timeout=1.0)
+                self._raise_failure()
+                why = f": {self._ended}" if self._ended else ""
+            raise SeatrialError(f"the acquisition process ended{why}; the log is {self.path}") from None
+
+    def _beat(self) -> None:
+        set_realtime_priority()  # this thread: what it says keeps thrust on, and a busy machine must not end it
+        while not self._stopping.wait(HEARTBEAT_S):
+            alive = self._alive.is_set()
+            self._alive.clear()
+            try:
+                self._link.send({"op": "heartbeat", "alive": alive})
+            except OSError:
+                return
+
+    def _listen(self) -> None:
+        closed = False
+        for message in self._link.messages():
+            with self._changed:
+                if message["op"] == "status":
+                    self._status = from_json(message["status"])
+                elif message["op"] == "failed":
+                    self._failure = str(message["why"])
+                else:
+                    closed, self._ended = True, str(message["why"])
+                self._changed.notify_all()
+        with self._changed:
+            if not (closed or self._failure):
+                self._failure = self._died()
+            self._gone = True
+            self._changed.notify_all()
+
+    def _died(self) -> str:
+        """One line for a process that has ended without a word."""
+        code = "none yet"
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            code = str(self._process.wait(timeout=2.0))
+        self._stderr.seek(0)
+        lines = self._stderr.read().decode(errors="replace").strip().splitlines()
+        said = f": {lines[-1].strip()}" if lines else ""
+        if self._watchdog is not None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._watchdog.wait(timeout=WATCHDOG_S)
+            said += f"; {note}" if (note := read_note(self.path)) else ""
+        return f"the acquisition process ended by itself (status {code}{said}); the log so far is {self.path}"
+
+    def _raise_failure(self) -> None:
+        if self._failure:
+            raise SeatrialError(self._failure)
+
+    def _await(self, condition: Callable[[], bool], seconds: float, what: str) -> None:
+        with self._changed:
+            if not self._changed.wait_for(lambda: condition() or self._failure, timeout=seconds):
+                raise SeatrialError(f"the acquisition process {what} in {seconds:g} s; the log so far is {self.path}")
+            self._raise_failure()
+
+    def _abandon(self) -> None:
+        """End the process, gently if it is willing, and give back what it held."""
+        self._stopped = True
+        self._stopping.set()
+        self._link.close()  # a process that still runs takes this as the parent's death: zero thrust, log closed
+        try:
+            self._process.wait(timeout=STOP_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        if self._watchdog is not None:
+            with contextlib.suppress(subprocess.TimeoutExpired):  # it still says zero: it is not to be hurried
+                self._watchdog.wait(timeout=WATCHDOG_S)
+        for thread in self._threads:
+            if thread.ident is not None:
+                thread.join()
+        self._stderr.close()
+
+
+def _search_path() -> str:
+    """PYTHONPATH under which the process finds this very package, wherever it is started."""
+    here = str(Path(daq.__file__).resolve().parent.parent)
+    return os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH", "")])])

@@ -1,0 +1,86 @@
+"""What the acquisition process says of itself: its status to the parent, and once to the log what is new in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from daq.acquisition.device_loop import DeviceLoop
+from daq.acquisition.ipc import AcquisitionChannel
+from daq.acquisition.log_thread import LogThread
+from daq.clock import RunClock
+from daq.drivers import Setpoints
+from daq.errors import counted
+from daq.rig import Rig
+from daq.status import Status, to_json
+
+
+class Reporter:
+    """Puts the status together, from the loops and the set-points by device, and sends it.
+
+    `event(kind, text)` writes to the log: each warning, hint and loss of set-points once, when it is new.
+    """
+
+    def __init__(
+        self,
+        link: AcquisitionChannel,
+        rig: Rig,
+        path: str,
+        clock: RunClock,
+        loops: Mapping[str, DeviceLoop],
+        setpoints: Mapping[str, Setpoints],
+        writer: LogThread,
+        event: Callable[[str, str], None],
+    ) -> None:
+        self._link, self._rig, self._path, self._clock = link, rig, path, clock
+        self._loops, self._setpoints, self._writer, self._event = loops, setpoints, writer, event
+        self._begun = clock.now()
+        self._said: set[str] = set()
+        self._skipped = 0  # set-points whose loss stands in the log
+
+    def report(self, stopped: str, ended: str) -> None:
+        """Send the status; `stopped` is why thrust was ended, `ended` why all was. Raises OSError: nobody is there."""
+        status = self._status(stopped, ended)
+        for kind, lines in (("warning", status.warnings), ("hint", status.hints)):
+            for text in lines:
+                if text not in self._said:
+                    self._said.add(text)
+                    self._event(kind, text)
+        self.note_skipped()
+        self._link.send({"op": "status", "status": to_json(status)})
+
+    def note_skipped(self) -> None:
+        """An event for the set-points that were overtaken since the last one: the plan was not run as it stands."""
+        total = self._count_skipped()
+        if total > self._skipped:
+            lost = counted(total - self._skipped, "set-point")
+            self._event("skipped", f"{lost}: overtaken by later ones before they could be sent")
+            self._skipped = total
+
+    def _count_skipped(self) -> int:
+        return sum(setpoints.skipped for setpoints in self._setpoints.values())
+
+    def _status(self, stopped: str, ended: str) -> Status:
+        now = self._clock.now()
+        ports = {name: loop.status(now) for name, loop in self._loops.items()}
+        warnings = [f"{port.name} ({port.port}): {port.message}" for port in ports.values() if port.message]
+        if self._writer.alarm:
+            warnings.insert(0, self._writer.alarm)
+        if stopped:
+            warnings.append(f"thrust was stopped: {stopped}")
+        held = {name: setpoints.held for name, setpoints in self._setpoints.items()}
+        return Status(
+            t=now,
+            ports=ports,
+            latest={source: latest for loop in self._loops.values() for source, latest in loop.latest().items()},
+            commanded={t.name: held[t.device].get(t.node, 0.0) for t in self._rig.thrusters},
+            pending=sum(setpoints.pending for setpoints in self._setpoints.values()),
+            path=self._path,
+            bytes=self._writer.size,
+            messages=self._writer.messages,
+            duration=now - self._begun,
+            stopped=stopped or ended,
+            warnings=tuple(warnings),
+            hints=tuple(f"{name} ({ports[name].port}): {loop.hint}" for name, loop in self._loops.items() if loop.hint),
+            skipped=self._count_skipped(),
+            links={name: link for name, loop in self._loops.items() if (link := loop.link()) is not None},
+        )

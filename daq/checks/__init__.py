@@ -1,0 +1,5 @@
+"""Checks of a log device by device: rates, clocks, noise, impossible values."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,10 @@
+from .device_checks import check_devices as check_devices
+from .findings import FAULT as FAULT
+from .findings import OK as OK
+from .findings import WARNING as WARNING
+from .findings import Finding as Finding
+from .findings import from_dict as from_dict
+from .findings import lines as lines
+from .findings import paragraphs as paragraphs
+from .findings import summary as summary
+from .findings import worst_first as worst_first

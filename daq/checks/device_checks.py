@@ -1,0 +1,351 @@
+"""What a log says about each device by itself: its rate, its clock, its noise, and values that no sensor gives.
+
+Whether devices agree with each other is a question of motion (ident.checks.sensors, ident.checks.shafts).
+
+Time stamps: steps back, repeats, sections that are missing, and a device's clock against the time of receipt.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.checks.findings import FAULT, OK, WARNING, Finding
+from daq.errors import counted
+from daq.log import Log
+from daq.rig import Rig
+from daq.samples import Ahrs, Battery, Command, Esc, Gnss, LoadCell, PortHealth, Scalar
+
+FloatArray = npt.NDArray[np.float64]
+RATE_TOLERANCE = 0.2  # a rate within this part of the expected one is good
+# White noise of one sample above which an AHRS is not what a fit expects: a few times that of a VN-100 on a boat.
+NOISE = {"yaw": (math.radians(2.0), "rad"), "r": (0.05, "rad/s")}
+GRAVITY, GRAVITY_PART = 9.81, 0.15
+STUCK = {Ahrs: (("yaw", "r", "ax"), 10, 0.5), Gnss: (("lat", "lon", "vel_n", "vel_e"), 10, 3.0),
+         LoadCell: (("counts",), 20, 3.0)}  # fmt: skip  # columns; samples and seconds without any change
+TOLD, STEP = 0.1, 0.1  # of full command
+FLAGGED, NO_FIX = 0.01, 0.05  # parts of the samples
+FEW_SATELLITES = 6
+
+
+def white(values: FloatArray) -> float:
+    """Standard deviation of the white noise of a signal that moves slowly, from its second differences (robust)."""
+    second = np.diff(values, 2)
+    second = second[np.isfinite(second)]
+    return float(np.median(np.abs(second)) / 0.6745 / math.sqrt(6.0)) if second.size > 20 else math.nan
+
+
+def _ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    fine = True
+    for column, (most, unit) in NOISE.items():
+        values = np.unwrap(table[column]) if column == "yaw" else table[column]
+        noise = white(values)
+        if noise > most:
+            fine = False
+            text = f"{column} has white noise of {noise:.2g} {unit}, expected below {most:.2g}"
+            yield Finding(FAULT, "noise", name, text, "vibration, mounting, interference; or the unit of that value")
+    yaw, rate = white(np.unwrap(table["yaw"])), white(table["r"])
+    if fine and math.isfinite(rate):
+        of_yaw = f"yaw {math.degrees(yaw):.2g} deg, " if math.isfinite(yaw) else ""
+        yield Finding(OK, "noise", name, f"{of_yaw}yaw rate {rate:.2g} rad/s a sample")
+    force = np.sqrt(sum(table[c] ** 2 for c in ("ax", "ay", "az")))
+    g = float(np.median(force[np.isfinite(force)])) if np.isfinite(force).any() else GRAVITY
+    if abs(g / GRAVITY - 1.0) > GRAVITY_PART:
+        unit = ": in g?" if abs(g - 1.0) < 0.2 else ": without gravity?" if g < 1.0 else ""
+        yield Finding(
+            WARNING, "units", name, f"specific force is {g:.3g} m/s2 and not 9.81{unit}", "its output settings"
+        )
+    tilt = max(abs(float(np.nanmedian(table[c]))) if np.isfinite(table[c]).any() else 0.0 for c in ("roll", "pitch"))
+    if tilt > 0.35:
+        text = f"level is {math.degrees(tilt):.0f} deg off"
+        yield Finding(WARNING, "mounting", name, text, "forward, starboard, down; its reference frame")
+
+
+def _gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    fixes = table["fix"] >= 2
+    if np.mean(~fixes) > NO_FIX:
+        text = f"no position in {100 * np.mean(~fixes):.0f} % of the epochs"
+        yield Finding(WARNING if fixes.any() else FAULT, "fix", name, text, "open sky, antenna and its cable")
+    used = table["n_sat"][(table["n_sat"] >= 0) & fixes]
+    if used.size and np.median(used) < FEW_SATELLITES:
+        yield Finding(WARNING, "fix", name, f"{np.median(used):.0f} satellites", "open sky, antenna and its cable")
+
+
+def _esc(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    lowest = None if rig is None else rig.limits.voltage_min_v
+    volts = table["voltage"][np.isfinite(table["voltage"])]
+    if lowest is not None and volts.size:
+        yield _voltage(name, float(np.median(volts[-20:])), lowest)
+
+
+def _voltage(name: str, volts: float, lowest: float) -> Finding:
+    if volts < lowest:
+        return Finding(FAULT, "battery", name, f"{volts:.1f} V, limit {lowest:g}", "charge it")
+    level, advice = (WARNING, "charge it soon") if volts < 1.05 * lowest else (OK, "")
+    return Finding(level, "battery", name, f"{volts:.1f} V, limit {lowest:g}", advice)
+
+
+def _cell(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    bad = float(np.mean(table["flags"] != 0))
+    if bad > FLAGGED:
+        text = f"{100 * bad:.0f} % of the readings are saturated or spikes"
+        yield Finding(WARNING, "load cell", name, text, "its supply and wires; beyond its range?")
+
+
+def _battery(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    left, least = table["remaining"][-1], None if rig is None else rig.limits.battery_min
+    if least is not None and np.isfinite(left):
+        level, advice = (FAULT, "charge it") if left < least else (OK, "")
+        yield Finding(level, "battery", name, f"{100 * left:.0f} % left, limit {100 * least:.0f}", advice)
+
+
+_VALUES = {Ahrs: _ahrs, Gnss: _gnss, Esc: _esc, LoadCell: _cell, Battery: _battery}
+REPEATED = 0.02  # part of the samples that may share their time with the one before
+BUNCHED = 0.1  # the same of a device without a clock of its own
+GAP_S, GAP_PERIODS = 1.0, 10.0  # a pause longer than both is a section that is missing
+SILENT_S = 5.0  # a device that ends so long before the log has fallen silent
+TICK_S = 1e-3  # two messages of one moment may say it in ms and in us; a clock that restarts goes back further
+BLOCK_S = 2.0  # the earliest arrival in each block carries the device's clock
+JUMP_S, SPREAD_S, DRIFT = 0.1, 0.1, 500e-6  # s, s, 1
+WALL_JITTER_S = 0.05  # wall s by which a busy machine is late at the best of times
+LEAST = 200  # samples that the digits of the time stamps are judged by
+
+
+def check_devices(log: Log) -> Iterator[Finding]:
+    """Every finding about the devices of an open log, one after the other."""
+    rig = log.rig()
+    for text in log.warnings:
+        yield Finding(WARNING, "log", log.path.name, text, "`seatrial recover` makes a whole log of what is there")
+    for source, tables in _tables(log).items():
+        t = np.sort(np.concatenate([table["t"] for _, _, table in tables]))
+        yield from _rate(source, t, rig, tables)
+        for _, name, table in tables:
+            yield from stamps(name, table, log.end if rig else None, rig.speed if rig else 1.0)
+        for kind, name, table in tables:
+            yield from _stuck(kind, name, table)
+            yield from _VALUES.get(kind, _nothing)(name, table, rig)
+        yield from _port(source, log)
+    yield from _absent(log, rig)
+    yield from _controllers(log)
+    yield from _imported(log)
+
+
+def _tables(log: Log) -> dict[str, list[tuple[type, str, Any]]]:
+    """Samples by device: kind, name for people, table."""
+    found: dict[str, list[tuple[type, str, Any]]] = {}
+    for kind in (Ahrs, Gnss, LoadCell, Battery):
+        for source in log.sources(kind):
+            name = f"{source} {kind.__name__.lower()}" if source in found else source
+            found.setdefault(source, []).append((kind, name, log.table(kind, source)))
+    for source in log.sources(Esc):
+        for node in log.nodes(Esc, source):
+            found.setdefault(source, []).append((Esc, f"{source} node {node}", log.table(Esc, source, node)))
+    return found
+
+
+def _absent(log: Log, rig: Rig | None) -> Iterator[Finding]:
+    """Devices of the rig that never said a word; what they were told does not count."""
+    topics = [name.split("/")[1:] for name in log.counts]
+    spoke = {parts[0] for parts in topics if len(parts) > 1 and parts[-1] != "command"}
+    for device in rig.devices if rig else ():
+        if device.name not in spoke:
+            yield Finding(FAULT, "alive", device.name, "nothing of it in the log", "power, cable, port, baud rate")
+
+
+def _rate(source: str, t: FloatArray, rig: Rig | None, tables: list[tuple[type, str, Any]]) -> Iterator[Finding]:
+    """Samples a second where there are any, against the rig's."""
+    device = next((d for d in rig.devices if d.name == source), None) if rig else None
+    if t.size < 3 or t[-1] == t[0]:
+        yield Finding(FAULT, "rate", source, f"{t.size} samples in all", "power, cable, protocol")
+        return
+    # Nodes of a bus speak a moment after each other: a pause is one that all of them make.
+    pause = np.diff(t)
+    away = float(pause[pause > max(1.0, 20.0 * float(np.median(pause)))].sum())
+    span = float(t[-1] - t[0])
+    rate = (t.size - 1) / span
+    without = (t.size - 1) / max(span - away, 1e-9)
+    if device is not None and abs(without / device.rate_hz - 1.0) < RATE_TOLERANCE:
+        rate = without  # what was lost in pauses is told of as sections that are missing
+    if device is None or device.protocol == "mavlink":
+        yield Finding(OK, "rate", source, f"{rate:.4g} Hz")
+    elif abs(rate - device.rate_hz) > RATE_TOLERANCE * device.rate_hz:
+        text = f"{rate:.4g} Hz, expected {device.rate_hz:g}"
+        yield Finding(FAULT, "rate", source, text, "the device's output rate, its baud rate, or rate_hz of the rig")
+    else:
+        yield Finding(OK, "rate", source, f"{rate:.4g} Hz, expected {device.rate_hz:g}")
+
+
+def _stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
+    """The longest time for which every value of a sensor stays exactly the same."""
+    if kind not in STUCK or len(table) < 2:
+        return
+    columns, samples, seconds = STUCK[kind]
+    same = np.ones(len(table) - 1, dtype=bool)
+    for column in columns:
+        values = table[column]
+        same &= (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
+    runs = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= samples]
+    runs = [(a, b) for a, b in runs if table["t"][b] - table["t"][a] >= seconds]
+    if runs and not np.isnan(table[columns[0]]).all():
+        a, b = max(runs, key=lambda run: run[1] - run[0])
+        t = table["t"]
+        text = f"the same reading for {t[b] - t[a]:.1f} s, from {t[a] - t[0]:.1f} s on"
+        yield Finding(FAULT, "stuck", name, text, "the sensor hangs: power cycle, firmware, or its filter's settings")
+
+
+def _nothing(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    return iter(())
+
+
+def _controllers(log: Log) -> Iterator[Finding]:
+    """A shaft speed that does not change while the command does."""
+    for source in log.sources(Esc):
+        for node in log.nodes(Esc, source):
+            if node not in log.nodes(Command, source):
+                continue
+            table, told = log.table(Esc, source, node), log.table(Command, source, node)
+            rpm, t = table["rpm"], table["t"]
+            if len(t) < 20 or np.isnan(rpm).all():
+                continue
+            edges = np.flatnonzero(np.concatenate([[True], rpm[1:] != rpm[:-1], [True]]))
+            for a, b in zip(edges[:-1], edges[1:] - 1, strict=True):
+                during = told["n_cmd"][(told["t"] > t[a]) & (told["t"] < t[b] - 1.0)]
+                if rpm[a] != 0.0 and t[b] - t[a] > 2.0 and during.size > 1 and np.ptp(during) > STEP:
+                    text = f"{rpm[a]:.0f} rev/min for {t[b] - t[a]:.1f} s while its command changed"
+                    yield Finding(FAULT, "stuck", f"{source} node {node}", text, "its sensor, or the bus")
+                    break
+
+
+def _port(source: str, log: Log) -> Iterator[Finding]:
+    if source not in log.sources(PortHealth) or not (rows := log.health(source)):
+        return
+    last = rows[-1][1]
+    if last.checksum_errors > max(1, 0.001 * last.frames):
+        text = f"{last.checksum_errors} checksum errors in {last.frames} frames"
+        yield Finding(WARNING, "link", source, text, "ground, cable, two programs on one port")
+    if last.unparsed_bytes > 0.01 * last.bytes_in + 200:
+        text = f"{last.unparsed_bytes} of {last.bytes_in} bytes not understood"
+        yield Finding(WARNING, "link", source, text, "baud rate; output that nobody asked for")
+    if last.dropped:
+        text = f"{counted(last.dropped, 'sample')} dropped"
+        yield Finding(WARNING, "link", source, text, "a slower disk than the devices need")
+    if last.reconnects:
+        text = f"its port was lost {counted(last.reconnects, 'time')}"
+        yield Finding(WARNING, "link", source, text, "plug and cable")
+
+
+def _imported(log: Log) -> Iterator[Finding]:
+    """Signals of an imported file: rows that the import left out, stamps that lost their zeros, values that stay."""
+    by_map = log.attachments.get("import.toml", b"").replace(b"'", b'"')
+    meant = b'repeats = "drop"' in by_map or b"missing = " in by_map
+    k = 1
+    while (name := log.metadata.get(f"source.{k}.name")) is not None:
+        dropped = int(log.metadata.get(f"source.{k}.dropped", "0"))
+        k += 1
+        if dropped and not meant:
+            text = f"{counted(dropped, 'row')} left out: times that ran back or repeated, or no number"
+            yield Finding(WARNING, "time", name, text, "look at its clock; `fraction` of the map mends lost zeros")
+    if b"unpadded-ns" in by_map:
+        text = "time stamps whose nanoseconds had lost their zeros, put right by the import's map"
+        yield Finding(WARNING, "time", log.path.name, text, "mend the logger")
+    for source in log.sources(Scalar):
+        table = log.table(Scalar, source)
+        # A command that is imported lasts until the next one: a pause in it is none in the recording.
+        here = stamps(source, table, None)
+        yield from (f for f in here if f.check != "gap" or log.role(source) == "output")
+        yield from lost_zeros(source, table["t"])
+        if len(table) > 20 and log.role(source) == "output" and np.nanstd(table["value"]) == 0.0:
+            text = f"{table['value'][0]:g} all the time"
+            yield Finding(WARNING, "stuck", source, text, "not connected, or another column")
+
+
+def stamps(name: str, table: Any, end: float | None, speed: float = 1.0) -> Iterator[Finding]:
+    """Findings on the times of one table (t, t_rx, t_device).
+
+    ``end``: of the log, None for an imported signal, whose times are what its file says and which may be a command that
+    ends when nobody changes it any more; ``speed``: run seconds a wall second.
+    """
+    t, imported = table["t"], end is None
+    if len(t) < 3:
+        return
+    pauses = np.diff(t)
+    repeated = float(np.mean(pauses <= 0.0))
+    if imported and repeated > REPEATED:
+        text = f"{100 * repeated:.0f} % of the samples are not later than the one before"
+        yield Finding(FAULT, "time", name, text, "its clock runs back or stands; import with its own rate instead")
+    elif repeated > BUNCHED:
+        text = f"{100 * repeated:.0f} % of the samples came in bunches, their times are those of receipt"
+        yield Finding(WARNING, "time", name, text, "a busy computer, a bunching adapter (latency_timer)")
+    else:
+        yield from _gaps(name, t, pauses, speed)
+    if end is not None and end - t[-1] > SILENT_S * max(1.0, 0.2 * speed):
+        text = f"nothing for the last {end - t[-1]:.0f} s of the log"
+        yield Finding(FAULT, "silent", name, text, "power, cable, bus")
+    yield from _clock(name, table, speed)
+
+
+def _gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float) -> Iterator[Finding]:
+    least = max(GAP_S, GAP_PERIODS * float(np.median(pauses)), 4.0 * WALL_JITTER_S * speed)
+    long = np.flatnonzero(pauses > least)
+    # A signal that is written when it changes has pauses by nature.
+    if long.size and long.size < 0.02 * t.size + 1.0:
+        k = int(long[np.argmax(pauses[long])])
+        missing = f"missing: {counted(long.size, 'section')}, {pauses[long].sum():.1f} s in all"
+        text = f"{missing}, the longest at {t[k] - t[0]:.1f} s"
+        yield Finding(WARNING, "gap", name, text, "cable, range of the link, a busy computer")
+
+
+def _clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
+    known = np.isfinite(table["t_device"])
+    if np.count_nonzero(known) < 50:
+        return
+    device, received = table["t_device"][known], table["t_rx"][known]
+    if back := int(np.count_nonzero(np.diff(device) < -TICK_S)):
+        text = f"its clock ran back {counted(back, 'time')}"
+        yield Finding(FAULT, "clock", name, text, "it restarted: power? a clock set by GNSS in the middle of the run?")
+        return
+    offset = received - device
+    earliest = _earliest(received, offset)
+    jitter = 2.0 * WALL_JITTER_S * max(speed, 1.0)
+    late = float(np.quantile(offset - np.interp(received, *earliest), 0.95))
+    steps = np.abs(np.diff(earliest[1]))
+    if steps.size and steps.max() > max(JUMP_S, jitter):
+        text = f"its clock jumps by {steps.max():.2f} s against the computer's"
+        yield Finding(
+            FAULT, "clock", name, text, "a clock set in the middle of the run: leave that out, or start later"
+        )
+        return
+    if late > max(SPREAD_S, jitter):
+        text = f"one sample in twenty comes {late:.2f} s late"
+        yield Finding(
+            WARNING, "clock", name, text, "a bunching adapter (latency_timer), a busy computer; its own clock is used"
+        )
+    span = float(received[-1] - received[0])
+    drift = float(np.polyfit(earliest[0] - received[0], earliest[1], 1)[0]) if earliest[0].size > 3 else 0.0
+    if span > 60.0 and abs(drift) > max(DRIFT, jitter / span):
+        yield Finding(
+            WARNING, "clock", name, f"its clock drifts by {1e6 * drift:.0f} ppm", "the crystal; its clock is followed"
+        )
+    elif late <= max(SPREAD_S, jitter):
+        yield Finding(OK, "clock", name, f"samples arrive within {1e3 * max(late, 0.0):.0f} ms of each other's delay")
+
+
+def _earliest(received: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Time and offset of the earliest arrival in each block."""
+    block = ((received - received[0]) / BLOCK_S).astype(int)
+    best = [rows[np.argmin(offset[rows])] for k in np.unique(block) if (rows := np.flatnonzero(block == k)).size > 2]
+    return received[best], offset[best]
+
+
+def lost_zeros(name: str, t: FloatArray) -> Iterator[Finding]:
+    """Stamps whose fraction was written without its leading zeros: none of them is in the first tenth of a second."""
+    tenth = np.floor(np.mod(t, 1.0) * 10.0).astype(int)
+    share = np.bincount(tenth, minlength=10)[:10] / max(t.size, 1)
+    if t.size >= LEAST and share[0] < 0.002 and share[1:].min() > 0.03:
+        text = f"none of {t.size} time stamps is in the first tenth of its second: leading zeros were lost"
+        yield Finding(FAULT, "time", name, text, '`fraction = "unpadded-ns"` in the import\'s map')

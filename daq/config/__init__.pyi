@@ -1,0 +1,16 @@
+from .mission_file import RAMP_DT as RAMP_DT
+from .mission_file import STATIC as STATIC
+from .mission_file import FloatArray as FloatArray
+from .mission_file import Mission as Mission
+from .mission_file import Prediction as Prediction
+from .mission_file import Segment as Segment
+from .mission_file import dump_mission as dump_mission
+from .mission_file import load_mission as load_mission
+from .mission_file import save_mission as save_mission
+from .mission_file import save_new_mission as save_new_mission
+from .rig_file import default_decoder as default_decoder
+from .rig_file import load_rig as load_rig
+from .rig_file import parse_rig as parse_rig
+from .toml_reader import TomlTable as TomlTable
+from .toml_reader import parse_toml as parse_toml
+from .toml_reader import read_text as read_text

@@ -1,0 +1,289 @@
+"""mission.toml: the set-points of each thruster over time, limits and provenance (docs/formats/mission.md)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import tomlkit
+
+from daq.config.toml_reader import TomlTable, parse_toml, read_text
+from daq.errors import SeatrialError, counted
+
+FORMAT = "seatrial-mission 1"
+KINDS = ("mission", "static", "steps", "chirp")
+STATIC = "static"  # segments of this name are at rest: they give the load cell's zero and the sensors' noise
+RAMP_DT = 0.04  # s, spacing of the set-points that a slew limit inserts, the same as a chirp's rows
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A named stretch: rows `n` (K, n_thrusters) [-1..1], each holding from its `t` (K,) [s] to the next."""
+
+    name: str
+    t: FloatArray
+    n: FloatArray
+
+    def __eq__(self, other: object) -> bool:
+        """Equal names and equal numbers; arrays have no truth value, so dataclass equality would raise."""
+        return (
+            isinstance(other, Segment)
+            and self.name == other.name
+            and np.array_equal(self.t, other.t)
+            and np.array_equal(self.n, other.n)
+        )
+
+    def __hash__(self) -> int:
+        """Hash of the name and of the bytes of both arrays."""
+        return hash((self.name, self.t.tobytes(), self.n.tobytes()))
+
+
+@dataclass(frozen=True)
+class Mission:
+    """The content of one mission.toml; times in s from its start, commands normalised to -1..1."""
+
+    name: str
+    kind: str
+    thrusters: tuple[str, ...]
+    segments: tuple[Segment, ...]
+    end: float  # s, zero thrust from here on
+    n_max: float = 1.0
+    slew_per_s: float = math.inf  # 1/s, inf: no limit
+    made_by: str = ""
+    seed: int | None = None
+    predicted_errors: Mapping[str, float] = field(default_factory=dict)
+    prediction: Prediction | None = None  # of a design
+
+    def starts(self) -> list[tuple[float, float, str]]:
+        """Start [s], end [s] and name of each segment, in order."""
+        begins = [float(segment.t[0]) for segment in self.segments]
+        ends = [*begins[1:], self.end]
+        return [(t0, t1, s.name) for t0, t1, s in zip(begins, ends, self.segments, strict=True)]
+
+    def setpoints(self) -> tuple[FloatArray, FloatArray]:
+        """All rows, slew limit applied, and the final zero row: `t` (K,) [s], `n` (K, n_thrusters).
+
+        The zero at the end is immediate: an end must never depend on how far a ramp has come.
+        """
+        t = np.concatenate([segment.t for segment in self.segments])
+        n = np.concatenate([segment.n for segment in self.segments])
+        if math.isfinite(self.slew_per_s):
+            t, n = _limit_slew(t, n, self.end, self.slew_per_s)
+        keep = t < self.end
+        zero = np.zeros((1, len(self.thrusters)))
+        return np.append(t[keep], self.end), np.concatenate([n[keep], zero])
+
+
+def _limit_slew(t: FloatArray, n: FloatArray, end: float, slew: float) -> tuple[FloatArray, FloatArray]:
+    """Replace jumps by ramps of at most `slew` [1/s], rows RAMP_DT apart; a later row cuts a ramp short."""
+    now, last_t = np.zeros(n.shape[1]), -math.inf
+    out_t: list[float] = []
+    out_n: list[FloatArray] = []
+    for k, target in enumerate(n):
+        until = t[k + 1] if k + 1 < len(t) else end
+        at = float(t[k])
+        while True:
+            step = slew * min(RAMP_DT, at - last_t)
+            now = now + np.clip(target - now, -step, step)
+            out_t.append(at)
+            out_n.append(now)
+            last_t, at = at, at + RAMP_DT
+            if np.array_equal(now, target) or at >= until - 1e-9:
+                break
+    return np.array(out_t), np.array(out_n)
+
+
+def load_mission(path: Path) -> Mission:
+    """Read and validate a mission.toml; raises SeatrialError in one line that names file and key."""
+    return parse_mission(read_text(path), path)
+
+
+def parse_mission(text: str, source: Path | str) -> Mission:
+    """Validate the text of a mission.toml; `source` stands in front of every error line."""
+    root = parse_toml(text, source)
+    root.text("format", choices=(FORMAT,))
+    root.text("hold", "zero", choices=("zero",))
+    thrusters = _names(root, "thrusters")
+    provenance = root.table("provenance") or TomlTable({}, root.source)
+    limits = root.table("limits") or TomlTable({}, root.source)
+    end = root.table("end")
+    if end is None:
+        raise root.error("end", "missing; [end] with t says from when thrust is zero")
+    mission = Mission(
+        name=root.text("name"),
+        kind=root.text("kind", choices=KINDS),
+        thrusters=thrusters,
+        segments=tuple(_segment(table, len(thrusters)) for table in root.tables("segment")),
+        end=end.number("t"),
+        n_max=limits.number("n_max", 1.0, high=1.0, positive=True),
+        slew_per_s=limits.number("slew_per_s", positive=True) if limits.has("slew_per_s") else math.inf,
+        made_by=provenance.text("made_by", ""),
+        seed=provenance.integer("seed") if provenance.has("seed") else None,
+        predicted_errors=_predicted(provenance.table("predicted_errors")),
+        prediction=parse_prediction(root.table("prediction")),
+    )
+    for table in (root, provenance, limits, end):
+        table.done()
+    _check_order_and_size(mission, root)
+    return mission
+
+
+def _items(table: TomlTable, key: str) -> TomlTable:
+    """The items of a list as a table of their own, with keys `key[1]`, `key[2]`, ..."""
+    value = table.values.pop(key, None)
+    if not isinstance(value, list) or not value:
+        raise table.error(key, "must be a list with at least one item")
+    return TomlTable({f"{key}[{i}]": item for i, item in enumerate(value, start=1)}, table.source, table.where)
+
+
+def _names(root: TomlTable, key: str) -> tuple[str, ...]:
+    items = _items(root, key)
+    names = tuple(items.text(item) for item in items.values)
+    if len(set(names)) < len(names):
+        raise root.error(key, "names a thruster twice")
+    return names
+
+
+def _predicted(table: TomlTable | None) -> dict[str, float]:
+    return {} if table is None else {key: table.number(key) for key in table.values}
+
+
+def _segment(table: TomlTable, n_thrusters: int) -> Segment:
+    """One [[segment]]: equal counts of times and rows, ascending times, finite numbers."""
+    name, t = table.text("name"), np.array(table.numbers("t"), dtype=np.float64)
+    items = _items(table, "n")
+    n = np.array([items.numbers(item, length=n_thrusters) for item in items.values], dtype=np.float64)
+    table.done()
+    if len(t) != len(n):
+        raise table.error("n", f"has {counted(len(n), 'row')} for {counted(len(t), 'time')} in t; give one row a time")
+    falling = np.flatnonzero(np.diff(t) <= 0)
+    if falling.size:
+        k = int(falling[0]) + 1
+        raise table.error(f"t[{k + 1}]", f"{t[k]:g} does not come after {t[k - 1]:g}; times must ascend")
+    return Segment(name, t, n)
+
+
+def _check_order_and_size(mission: Mission, root: TomlTable) -> None:
+    """Segments follow each other from t >= 0 to before the end, and no command is beyond n_max."""
+    if not mission.segments:
+        raise root.error("segment", "missing; a mission needs at least one [[segment]]")
+    last = -math.inf
+    for i, segment in enumerate(mission.segments, start=1):
+        if segment.t[0] < 0.0 or segment.t[0] <= last:
+            raise root.error(f"segment[{i}].t[1]", f"{segment.t[0]:g} must come after {max(last, 0.0):g} s")
+        last = float(segment.t[-1])
+        beyond = np.argwhere(np.abs(segment.n) > mission.n_max)
+        if beyond.size:
+            row, column = beyond[0]
+            key, value = f"segment[{i}].n[{row + 1}]", segment.n[row, column]
+            raise root.error(key, f"{value:g} is beyond the mission's n_max {mission.n_max:g}")
+    if not mission.end > last:
+        raise root.error("end.t", f"{mission.end:g} must come after the last command at {last:g} s")
+
+
+def dump_mission(mission: Mission) -> str:
+    """The text of mission.toml; `parse_mission(dump_mission(m))` equals `m`."""
+    quoted = _quote
+    lines = [
+        f"format = {quoted(FORMAT)}",
+        f"name = {quoted(mission.name)}",
+        f"kind = {quoted(mission.kind)}",
+        f"thrusters = [{', '.join(quoted(name) for name in mission.thrusters)}]",
+        'hold = "zero"  # a command holds until the next',
+        "",
+        "[provenance]",
+        f"made_by = {quoted(mission.made_by)}",
+    ]
+    if mission.seed is not None:
+        lines.append(f"seed = {mission.seed}")
+    errors = ", ".join(f"{quoted(key)} = {float(value)!r}" for key, value in mission.predicted_errors.items())
+    lines += [f"predicted_errors = {{{errors}}}", "", "[limits]", f"n_max = {float(mission.n_max)!r}"]
+    if math.isfinite(mission.slew_per_s):
+        lines.append(f"slew_per_s = {float(mission.slew_per_s)!r}")
+    lines += dump_prediction(mission.prediction) if mission.prediction is not None else []
+    for segment in mission.segments:
+        lines += ["", "[[segment]]", f"name = {quoted(segment.name)}"]
+        lines += [f"t = {_row(segment.t)}", "n = ["]
+        lines += [f"    {_row(row)}," for row in segment.n]
+        lines.append("]")
+    lines += ["", "[end]", f"t = {float(mission.end)!r}  # zero thrust from here on", ""]
+    return "\n".join(lines)
+
+
+def _quote(text: str) -> str:
+    return tomlkit.item(text).as_string()
+
+
+def _row(values: FloatArray) -> str:
+    return "[" + ", ".join(repr(value) for value in values.tolist()) + "]"
+
+
+def save_mission(mission: Mission, path: Path) -> None:
+    """Write mission.toml; raises SeatrialError when it cannot be written."""
+    try:
+        path.write_text(dump_mission(mission), encoding="utf-8")
+    except OSError as error:
+        raise SeatrialError(f"{path}: {error.strerror}; the mission was not saved") from error
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Track: t (K,) s, x north and y east (K,) m from where it begins, heading north; radius (K,) m, within which 95 %
+    of the simulated boats were. errors_before: standard errors before the mission, for those that were known."""
+
+    model: str
+    t: FloatArray
+    x: FloatArray
+    y: FloatArray
+    radius: FloatArray
+    errors_before: Mapping[str, float] = field(default_factory=dict)
+
+    def __eq__(self, other: object) -> bool:
+        """Equal names and numbers."""
+        return isinstance(other, Prediction) and self._content() == other._content()
+
+    def __hash__(self) -> int:
+        """Hash of the model's name and of the track."""
+        return hash((self.model, self.x.tobytes(), self.y.tobytes()))
+
+    def _content(self) -> tuple[object, ...]:
+        arrays = (self.t.tolist(), self.x.tolist(), self.y.tolist(), self.radius.tolist())
+        return (self.model, *arrays, dict(self.errors_before))
+
+
+def parse_prediction(table: TomlTable | None) -> Prediction | None:
+    """The table [prediction] of a mission.toml, or None; raises SeatrialError in one line that names the key."""
+    if table is None:
+        return None
+    t = np.array(table.numbers("t"), dtype=np.float64)
+    x, y, radius = (np.array(table.numbers(key, length=len(t)), dtype=np.float64) for key in ("x", "y", "radius"))
+    before = table.table("errors_before")
+    errors = {} if before is None else {key: before.number(key) for key in before.values}
+    found = Prediction(table.text("model"), t, x, y, radius, errors)
+    table.done()
+    return found
+
+
+def dump_prediction(one: Prediction) -> list[str]:
+    """Its lines in a mission.toml."""
+    rows = {"t": one.t, "x": one.x, "y": one.y, "radius": one.radius}
+    known = ", ".join(f"{tomlkit.item(k).as_string()} = {float(v)!r}" for k, v in one.errors_before.items())
+    lines = ["", "[prediction]", f"model = {tomlkit.item(one.model).as_string()}"]
+    lines += [f"{key} = [{', '.join(repr(v) for v in values.tolist())}]" for key, values in rows.items()]
+    return [*lines, f"errors_before = {{{known}}}"]
+
+
+def save_new_mission(mission: Mission, path: Path) -> None:
+    """Write a mission.toml that must not exist yet; raises SeatrialError where it does or cannot be written."""
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(dump_mission(mission))
+    except FileExistsError:
+        raise SeatrialError(f"{path} exists; give another name with --out") from None
+    except OSError as problem:
+        raise SeatrialError(f"{path}: {problem.strerror}; the mission was not saved") from problem

@@ -1,0 +1,5 @@
+from .ardupilot_parameters import check_parameters as check_parameters
+from .base import DeviceDriver as DeviceDriver
+from .factory import make_driver as make_driver
+from .setpoints import Due as Due
+from .setpoints import Setpoints as Setpoints

@@ -1,0 +1,118 @@
+"""What a thruster behind ArduPilot Rover needs of its parameters, and what else is worth saying. Changes nothing.
+
+Measured on Rover 4.7 and read in its documentation (ardupilot.org/rover/docs/parameters.html): with PILOT_STEER_TYPE 1
+the channels of two thrusters are what a pilot with two paddles moves, and the outputs follow them within 27 ms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from daq.rig import Thruster
+
+TWO_PADDLES = 1
+THROTTLES = (70.0, 73.0, 74.0)  # SERVOn_FUNCTION: throttle, throttle left, throttle right
+OVERRIDE_MAX_S = 1.0
+GROUND_STATION_NAMES = ("MAV_GCS_SYSID", "SYSID_MYGCS")  # from 4.7 on, and before
+
+
+class ParameterFinding(NamedTuple):
+    """One parameter that is not as it should be."""
+
+    name: str
+    value: float | None  # None: the autopilot has no such parameter
+    wanted: str
+    why: str
+    fatal: bool  # nothing may be driven like this
+
+    def __str__(self) -> str:
+        value = "is missing" if self.value is None else f"is {self.value:g}"
+        return f"{self.name} {value}, wanted {self.wanted}: {self.why}"
+
+
+def parameter_names(thrusters: Sequence[Thruster]) -> tuple[str, ...]:
+    """The parameters to ask for, for the thrusters behind one autopilot."""
+    names = ["PILOT_STEER_TYPE", "MOT_SLEWRATE", "MOT_THR_MIN", "MOT_THST_EXPO", "RC_OVERRIDE_TIME"]
+    names += ["FS_GCS_ENABLE", "FS_TIMEOUT", "FS_ACTION", "SCHED_LOOP_RATE", *GROUND_STATION_NAMES]
+    for thruster in thrusters:
+        if thruster.output is None:
+            continue
+        channel, servo = f"RC{thruster.output.rc_channel}", f"SERVO{thruster.node}"
+        names += [f"{channel}_{end}" for end in ("MIN", "TRIM", "MAX", "DZ", "REVERSED")]
+        names += [f"{servo}_{end}" for end in ("FUNCTION", "MIN", "TRIM", "MAX", "REVERSED")]
+    return tuple(dict.fromkeys(names))
+
+
+def check_parameters(
+    parameters: Mapping[str, float], thrusters: Sequence[Thruster], own_system: int
+) -> tuple[ParameterFinding, ...]:
+    """What is not as it should be, what forbids to drive first."""
+    found = [*_safety(parameters, own_system), *_mixing(parameters)]
+    for thruster in thrusters:
+        found += _thruster(parameters, thruster)
+    return tuple(sorted(found, key=lambda finding: not finding.fatal))
+
+
+def _safety(p: Mapping[str, float], own_system: int) -> list[ParameterFinding]:
+    found = []
+    override = p.get("RC_OVERRIDE_TIME")
+    if override is None or not 0.0 < override <= OVERRIDE_MAX_S:
+        why = "so long the thrusters run on when this program has died (-1: for ever)"
+        found.append(
+            ParameterFinding("RC_OVERRIDE_TIME", override, f"above 0, at most {OVERRIDE_MAX_S:g} s", why, True)
+        )
+    failsafe = p.get("FS_GCS_ENABLE")
+    if failsafe != 1.0:
+        found.append(
+            ParameterFinding("FS_GCS_ENABLE", failsafe, "1", "without it a lost ground station stops nothing", True)
+        )
+    ground = p.get("MAV_GCS_SYSID", p.get("SYSID_MYGCS"))
+    if ground != float(own_system):
+        name = "SYSID_MYGCS" if "SYSID_MYGCS" in p else "MAV_GCS_SYSID"
+        found.append(
+            ParameterFinding(name, ground, str(own_system), "it obeys this ground station alone (own_system_id)", True)
+        )
+    return found
+
+
+def _mixing(p: Mapping[str, float]) -> list[ParameterFinding]:
+    found = []
+    steer = p.get("PILOT_STEER_TYPE")
+    if steer != TWO_PADDLES:
+        why = "else the channels are throttle and steering, and not left and right"
+        found.append(ParameterFinding("PILOT_STEER_TYPE", steer, "1", why, True))
+    rows = (
+        ("MOT_SLEWRATE", 0.0, "the autopilot would ramp every step"),
+        ("MOT_THR_MIN", 0.0, "the autopilot would jump over the smallest thrust"),
+        ("MOT_THST_EXPO", 0.0, "the autopilot would bend the thrust curve"),
+    )
+    found += [
+        ParameterFinding(name, p[name], f"{want:g}", why, False)
+        for name, want, why in rows
+        if p.get(name, want) != want
+    ]
+    return found
+
+
+def _thruster(p: Mapping[str, float], thruster: Thruster) -> list[ParameterFinding]:
+    output = thruster.output
+    if output is None:
+        return []
+    found = []
+    servo, channel = f"SERVO{thruster.node}", f"RC{output.rc_channel}"
+    function = p.get(f"{servo}_FUNCTION")
+    if function not in THROTTLES:
+        why = f"output {thruster.node} is no thruster of the autopilot's; passthrough would move it while disarmed"
+        found.append(ParameterFinding(f"{servo}_FUNCTION", function, "73 (left) or 74 (right)", why, True))
+    ends = (("MIN", 0), ("TRIM", 1), ("MAX", 2))
+    for prefix, pulses, key in ((channel, output.rc_us, "rc_us"), (servo, output.pwm_us, "pwm_us")):
+        for end, k in ends:
+            value = p.get(f"{prefix}_{end}")
+            if value != pulses[k]:
+                why = f"{key} of thruster {thruster.name} in the rig says so; one of both is wrong"
+                found.append(ParameterFinding(f"{prefix}_{end}", value, f"{pulses[k]:g}", why, True))
+    for name, why in ((f"{channel}_DZ", "a dead zone around neutral"), (f"{channel}_REVERSED", "the sign turns")):
+        if p.get(name, 0.0) != 0.0:
+            found.append(ParameterFinding(name, p[name], "0", why, False))
+    return found

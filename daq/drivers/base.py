@@ -1,0 +1,89 @@
+"""What a port's thread says of its own accord, beside listening: set-points, requests, signs of life. Does no I/O.
+
+The speaking half of a port whose device answers only when it is asked: the request, again and again.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import final
+
+from daq.drivers.setpoints import Due
+from daq.samples import Event
+from daq.status import LinkStatus
+
+
+class DeviceDriver(ABC):
+    """The speaking half of one port. `now` is wall time of any origin; called from the port's thread alone."""
+
+    @abstractmethod
+    def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
+        """The bytes of set-points, with those that they carry; `held` is what every node holds now."""
+
+    def opened(self, now: float) -> None:
+        """The port was opened, for the first time or again."""
+        return
+
+    def poll(self, now: float) -> bytes:
+        """What is to be sent now beside set-points."""
+        return b""
+
+    def wait(self, now: float) -> float:
+        """Seconds until `poll` may have something."""
+        return math.inf
+
+    def request(self, wish: str, value: float) -> None:
+        """A wish of whoever runs the experiment: `arm`, `disarm`, `mode`. Called from another thread."""
+        return
+
+    def farewell(self, now: float) -> bytes:
+        """The last bytes before the port is closed for good, behind the last zero."""
+        return b""
+
+    def zero(self, now: float) -> list[tuple[bytes, list[Due]]]:
+        """Zero to everything on the link, whatever was said before: the last resort."""
+        return []
+
+    def events(self) -> list[Event]:
+        """What happened since the last call, for the log."""
+        return []
+
+    def link_at(self, now: float) -> LinkStatus | None:
+        """What the other end is known to be; None where there is nobody to talk with."""
+        return None
+
+    def message(self) -> str:
+        """What is wrong with the link, in one line; empty when nothing is."""
+        return ""
+
+
+@final
+class PollingDriver(DeviceDriver):
+    """Sends `request` every `period` wall seconds, on time on average; what was missed is not made up for."""
+
+    def __init__(self, request: bytes, period: float) -> None:
+        self._request, self._period = request, period
+        self._due = 0.0
+
+    def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
+        """It drives nothing."""
+        return []
+
+    def opened(self, now: float) -> None:
+        """Ask at once."""
+        self._due = now
+
+    def poll(self, now: float) -> bytes:
+        """The request when it is time for it."""
+        if now < self._due:
+            return b""
+        self._due += self._period
+        if self._due <= now:
+            self._due = now + self._period
+        return self._request
+
+    def wait(self, now: float) -> float:
+        """Until the next request."""
+        return max(self._due - now, 0.0)

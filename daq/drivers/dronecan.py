@@ -1,0 +1,45 @@
+"""What we say to DroneCAN speed controllers: one esc.RawCommand for all of them, and that we are there. Does no I/O."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import final
+
+from daq.drivers.base import DeviceDriver
+from daq.drivers.setpoints import Due
+from daq.protocol import NUMBERS, dronecan, pack_can
+
+STATUS_S = 1.0  # between two NodeStatus, as the specification wants it
+
+
+@final
+class DronecanDriver(DeviceDriver):
+    """A command carries every controller's set-point, so each has the newest of all; those of `nodes` never told any
+    are told zero. Nothing is sent before the first command: who only logs is silent."""
+
+    def __init__(self, nodes: frozenset[int], reversed_nodes: frozenset[int], own_node: int) -> None:
+        self._nodes, self._reversed, self._own = nodes, reversed_nodes, own_node
+        self._commands = self._statuses = 0  # transfers so far
+        self._begun = self._status_at = -1.0
+
+    def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
+        """One message with all set-points."""
+        wanted = {**dict.fromkeys(self._nodes, 0.0), **held, **{due.node: due.n for due in dues}}
+        return [(self._status(now) + self._command(wanted), list(dues))]
+
+    def zero(self, now: float) -> list[tuple[bytes, list[Due]]]:
+        """Zero to all."""
+        return [(self._command(dict.fromkeys(self._nodes, 0.0)), [])]
+
+    def _command(self, wanted: Mapping[int, float]) -> bytes:
+        signed = {node: -n if node in self._reversed else n for node, n in wanted.items()}
+        number, self._commands = self._commands % NUMBERS, self._commands + 1
+        return b"".join(pack_can(*frame) for frame in dronecan.encode_command(signed, self._own, number))
+
+    def _status(self, now: float) -> bytes:
+        if self._statuses and now < self._status_at + STATUS_S:
+            return b""
+        self._begun = now if not self._statuses else self._begun
+        number, self._statuses, self._status_at = self._statuses % NUMBERS, self._statuses + 1, now
+        frames = dronecan.encode_node_status(now - self._begun, self._own, number)
+        return b"".join(pack_can(*frame) for frame in frames)

@@ -1,0 +1,39 @@
+"""Which talker a device of the rig needs."""
+
+from __future__ import annotations
+
+import time
+
+from daq.drivers.base import DeviceDriver, PollingDriver
+from daq.drivers.vesc import VescDriver
+from daq.protocol import Decoder, mantracourt
+from daq.rig import Device, Rig
+
+
+def make_driver(device: Device, rig: Rig, decoder: Decoder) -> DeviceDriver | None:
+    """The talker of a device, None for one that is only listened to. Raises SeatrialError for a bad signing key."""
+    here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
+    if device.protocol == "vesc":
+        return VescDriver(frozenset(thruster.node for thruster in here if thruster.reversed))
+    if device.protocol == "dronecan":
+        if not here:
+            return None
+        from daq.drivers.dronecan import DronecanDriver
+
+        reversed_nodes = frozenset(thruster.node for thruster in here if thruster.reversed)
+        return DronecanDriver(frozenset(thruster.node for thruster in here), reversed_nodes, device.own_node)
+    if isinstance(decoder, mantracourt.Decoder):
+        return PollingDriver(decoder.request, 1.0 / (device.rate_hz * rig.speed))
+    if device.mavlink is None:
+        return None
+    from daq.drivers.mavlink import MavlinkDriver  # brings pymavlink with it
+    from daq.protocol import mavlink, mavlink_wire
+
+    assert isinstance(decoder, mavlink.MavlinkDecoder)
+    settings = device.mavlink
+    key = None if settings.key_file is None else mavlink_wire.read_key(settings.key_file)
+    codec = mavlink_wire.Codec(settings.own_system_id, settings.own_component_id, key, time.time())
+    talker = MavlinkDriver(device, here, codec)
+    decoder.secure(codec)
+    decoder.listener = lambda message: talker.hear(message, time.monotonic())
+    return talker

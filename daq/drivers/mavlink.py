@@ -1,0 +1,272 @@
+"""The ground station's half of a MAVLink link: heartbeats, requests and their answers, set-points as RC override.
+
+No I/O and no clock: `now` is given. Services: mavlink.io/en/services/{heartbeat,command,parameter}.html.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, final
+
+from daq.drivers.ardupilot_parameters import GROUND_STATION_NAMES, parameter_names
+from daq.drivers.base import DeviceDriver
+from daq.drivers.setpoints import Due
+from daq.protocol import ARMED, ESC_STATUS, INVALID, SEVERITIES, Codec, dialect, mode_name
+from daq.rig import Device, Thruster
+from daq.samples import Event
+from daq.status import LinkStatus
+
+# All wall seconds.
+HEARTBEAT_S = 1.0
+ANSWER_S = 0.4  # to a command, before it is sent again
+TRIES = 4
+PARAMETER_S = 0.5
+PARAMETER_TRIES = 5
+NEUTRAL_S = 0.05  # between neutral overrides while nothing is commanded
+SET_INTERVAL, SET_MODE, ARM = 511, 176, 400  # MAV_CMD
+ACCEPTED, TEMPORARILY_REJECTED, IN_PROGRESS = 0, 1, 5  # MAV_RESULT
+RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress", "cancelled")
+CRITICAL = 2  # STATUSTEXT.severity
+IGNORED_LOW, IGNORED_HIGH = 0xFFFF, 0  # RC_CHANNELS_OVERRIDE: leave a channel alone, 1 to 8 and from 9 on
+CUSTOM_MODE = 1  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+GROUND_STATION = 6  # MAV_TYPE
+ACTIVE = 4  # MAV_STATE
+VERSION = 3  # HEARTBEAT.mavlink_version
+
+
+@dataclass
+class _Command:
+    """One COMMAND_LONG under way."""
+
+    number: int
+    parameters: tuple[float, ...]
+    what: str  # "arm", "disarm", "mode" or the name of a message
+    rate: float = 0.0
+    tries: int = 0
+    sent: float = -math.inf
+
+
+@final
+class MavlinkDriver(DeviceDriver):
+    """Talks to one autopilot; `hear` gets every message that the decoder lets through."""
+
+    def __init__(self, device: Device, thrusters: Sequence[Thruster], codec: Codec) -> None:
+        assert device.mavlink is not None
+        self._settings, self._rate_hz, self._codec = device.mavlink, device.rate_hz, codec
+        self._outputs = {t.node: (t.output, t.reversed) for t in thrusters if t.output is not None}
+        self._names = parameter_names(thrusters) if self._outputs else ()
+        self._status = LinkStatus()
+        self._events: list[Event] = []
+        self._wishes: deque[tuple[str, float]] = deque()
+        self._armed_by_us = False
+        self._held: dict[int, float] = {}
+        self._overridden = -math.inf  # when; minus infinity before the first
+        self.opened(0.0)
+
+    def opened(self, now: float) -> None:
+        """Ask for everything again, as soon as it is heard."""
+        self._beat = self._heard = -math.inf
+        self._commands: deque[_Command] = deque()
+        self._awaited: dict[str, int] = {}  # parameters and how often each was asked for
+        self._asked = -math.inf
+        self._reasons: list[str] = []
+        self._begun = False
+
+    def hear(self, message: Any, now: float) -> None:
+        """A message of the autopilot."""
+        name = message.get_type()
+        if name == "HEARTBEAT" and message.autopilot != INVALID:
+            self._hear_heartbeat(message, now)
+        elif name == "COMMAND_ACK":
+            self._hear_answer(message)
+        elif name == "PARAM_VALUE":
+            self._hear_parameter(message)
+        elif name == "STATUSTEXT":
+            self._hear_text(message)
+        elif name == "EKF_STATUS_REPORT":
+            self._status = replace(self._status, ekf=message.flags)
+
+    def _hear_heartbeat(self, m: Any, now: float) -> None:
+        self._heard = now
+        mode, armed = mode_name(m.custom_mode), bool(m.base_mode & ARMED)
+        self._armed_by_us = self._armed_by_us and armed
+        self._status = replace(self._status, heard=True, armed=armed, mode=mode)
+        if not self._begun:
+            self._begun = True
+            self._beat = -math.inf  # what was said before there was anybody to hear it is lost on UDP
+            self._awaited = dict.fromkeys(self._names, 0)
+            self._commands += [
+                _interval(message, rate) for message, rate in self._settings.requested(self._rate_hz).items()
+            ]
+
+    def _hear_answer(self, m: Any) -> None:
+        if not self._commands or self._commands[0].number != m.command or m.result == IN_PROGRESS:
+            return
+        command = self._commands[0]
+        word = RESULTS[m.result] if m.result < len(RESULTS) else f"result {m.result}"
+        if command.number == SET_INTERVAL:
+            self._commands.popleft()
+            if m.result != ACCEPTED:
+                self._refused(command, word)
+        elif m.result == TEMPORARILY_REJECTED and command.tries < TRIES:
+            return  # sent again when its time has passed
+        else:
+            self._commands.popleft()
+            self._armed_by_us = self._armed_by_us or (command.what == "arm" and m.result == ACCEPTED)
+            reasons = "" if m.result == ACCEPTED or not self._reasons else f" ({'; '.join(self._reasons)})"
+            self._answer(command.what, word + reasons)
+
+    def _refused(self, command: _Command, word: str) -> None:
+        """A rate that is refused leaves the old one: half of it is asked for, and all of it is said."""
+        line = f"{command.what} at {command.rate:g} Hz: {word}"
+        self._status = replace(self._status, refused=(*self._status.refused, line))
+        self._events.append(Event("autopilot", f"refuses {line}"))
+        if word == "denied" and command.rate > 1.0:
+            self._commands.appendleft(_interval(command.what, command.rate / 2.0))
+
+    def _answer(self, what: str, word: str) -> None:
+        self._status = replace(self._status, answer=f"{what}: {word}")
+        self._events.append(Event("autopilot", self._status.answer))
+
+    def _hear_parameter(self, m: Any) -> None:
+        if self._awaited.pop(m.param_id, None) is not None or m.param_id in self._names:
+            if m.param_id in GROUND_STATION_NAMES:  # it has one of both
+                self._awaited = {name: n for name, n in self._awaited.items() if name not in GROUND_STATION_NAMES}
+            parameters = {**self._status.parameters, m.param_id: float(m.param_value)}
+            before = self._status.parameters.get(m.param_id)
+            if before is not None and before != m.param_value:
+                self._events.append(Event("parameter", f"{m.param_id} was changed: {before:g} to {m.param_value:g}"))
+            elif before is None:
+                self._events.append(Event("parameter", f"{m.param_id} = {m.param_value:g}"))
+            self._status = replace(self._status, parameters=parameters)
+
+    def _hear_text(self, m: Any) -> None:
+        if m.text.startswith(("PreArm:", "Arm:")):
+            self._reasons = [*self._reasons, m.text][-3:]
+        if m.severity <= CRITICAL and not m.text.startswith(("PreArm:", "Arm:")):
+            self._status = replace(self._status, alarm=f"{SEVERITIES[m.severity]}: {m.text}")
+
+    def request(self, wish: str, value: float) -> None:
+        """`arm`, `disarm`, `mode` with its number, or `leave`: disarm what was armed by us."""
+        self._wishes.append((wish, value))
+
+    def _take_wishes(self) -> None:
+        while self._wishes:
+            wish, value = self._wishes.popleft()
+            if wish == "leave":
+                self._commands += [_Command(ARM, (0.0,) * 7, "disarm")] if self._armed_by_us else []
+                continue
+            self._reasons = []
+            self._status = replace(self._status, answer="")
+            if wish == "mode":
+                self._commands.append(_Command(SET_MODE, (CUSTOM_MODE, value, 0, 0, 0, 0, 0), wish))
+            else:  # param2 stays 0: no forced arming, ever
+                self._commands.append(_Command(ARM, (float(wish == "arm"), 0, 0, 0, 0, 0, 0), wish))
+
+    def poll(self, now: float) -> bytes:
+        """Heartbeat, the command at the head of the queue, questions for parameters, neutral while nothing is told."""
+        self._take_wishes()
+        out = b""
+        if now - self._beat >= HEARTBEAT_S:
+            self._beat = now
+            out += self._codec.encode("HEARTBEAT", GROUND_STATION, INVALID, 0, 0, ACTIVE, VERSION)
+        if self._begun:
+            out += self._poll_command(now) + self._poll_parameters(now)
+        if self._is_idle(now):
+            out += self._override(now)
+        return out
+
+    def _is_idle(self, now: float) -> bool:
+        """Whether neutral has to be said again: a vehicle without sticks does not arm, or takes the link for lost."""
+        told = math.isfinite(self._overridden) and not any(self._held.values())
+        return told and now - self._overridden >= NEUTRAL_S
+
+    def _poll_command(self, now: float) -> bytes:
+        while self._commands:
+            command = self._commands[0]
+            if now - command.sent < ANSWER_S:
+                return b""
+            if command.tries >= TRIES:
+                self._commands.popleft()
+                if command.number == SET_INTERVAL:
+                    self._refused(command, "no answer")
+                else:
+                    self._answer(command.what, "no answer")
+                continue
+            command.sent, command.tries = now, command.tries + 1
+            return self._long(command)
+        return b""
+
+    def _long(self, command: _Command) -> bytes:
+        who = (self._settings.system_id, self._settings.component_id)
+        return self._codec.encode("COMMAND_LONG", *who, command.number, command.tries - 1, *command.parameters)
+
+    def _poll_parameters(self, now: float) -> bytes:
+        if not self._awaited:
+            if self._status.asking:
+                self._status = replace(self._status, asking=False)
+            return b""
+        if now - self._asked < PARAMETER_S:
+            return b""
+        self._asked = now
+        # It does not answer for what it has not: older and newer versions name things differently.
+        self._awaited = {name: n + 1 for name, n in self._awaited.items() if n < PARAMETER_TRIES}
+        who = (self._settings.system_id, self._settings.component_id)
+        return b"".join(self._codec.encode("PARAM_REQUEST_READ", *who, name.encode(), -1) for name in self._awaited)
+
+    def wait(self, now: float) -> float:
+        """Seconds until `poll` may have something."""
+        if self._wishes:
+            return 0.0
+        times = [self._beat + HEARTBEAT_S]
+        if self._begun and self._commands:
+            times.append(self._commands[0].sent + ANSWER_S)
+        if self._begun and (self._awaited or self._status.asking):
+            times.append(self._asked + PARAMETER_S)
+        if math.isfinite(self._overridden) and not any(self._held.values()):
+            times.append(self._overridden + NEUTRAL_S)
+        return max(min(times) - now, 0.0)
+
+    def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
+        """One RC_CHANNELS_OVERRIDE with every thruster of the link; those never told anything are at neutral."""
+        self._held = dict(held)
+        return [(self._override(now), list(dues))] if dues else []
+
+    def zero(self, now: float) -> list[tuple[bytes, list[Due]]]:
+        """Neutral, and disarm: nobody will command this vehicle any more."""
+        self._held = {}
+        data = self._override(now) + self._long(_Command(ARM, (0.0,) * 7, "disarm", tries=1))
+        return [(data, [])]
+
+    def _override(self, now: float) -> bytes:
+        self._overridden = now
+        channels = [IGNORED_LOW] * 8 + [IGNORED_HIGH] * 10
+        for node, (output, is_reversed) in self._outputs.items():
+            n = self._held.get(node, 0.0)
+            channels[output.rc_channel - 1] = output.command(-n if is_reversed else n)
+        who = (self._settings.system_id, self._settings.component_id)
+        return self._codec.encode("RC_CHANNELS_OVERRIDE", *who, *channels)
+
+    def farewell(self, now: float) -> bytes:
+        """Disarm what was armed by us. Twice, since nobody waits for the answer."""
+        if not self._armed_by_us:
+            return b""
+        command = _Command(ARM, (0.0,) * 7, "disarm", tries=1)
+        return self._long(command) * 2
+
+    def events(self) -> list[Event]:
+        """What happened since the last call."""
+        out, self._events = self._events, []
+        return out
+
+    def link_at(self, now: float) -> LinkStatus:
+        """The state at `now`."""
+        return replace(self._status, age=now - self._heard)
+
+
+def _interval(message: str, rate: float) -> _Command:
+    number = ESC_STATUS if message == "ESC_STATUS" else int(getattr(dialect(), f"MAVLINK_MSG_ID_{message}"))
+    return _Command(SET_INTERVAL, (float(number), 1e6 / rate, 0, 0, 0, 0, 0), message, rate)

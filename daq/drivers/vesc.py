@@ -1,0 +1,26 @@
+"""What a port's thread says of its own accord, beside listening: set-points, requests, signs of life. Does no I/O."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import final
+
+from daq.drivers.base import DeviceDriver
+from daq.drivers.setpoints import Due
+from daq.protocol import pack_can, vesc
+
+
+@final
+class VescDriver(DeviceDriver):
+    """Duty commands, one frame a controller."""
+
+    def __init__(self, reversed_nodes: frozenset[int]) -> None:
+        self._reversed = reversed_nodes
+
+    def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
+        """A frame for each."""
+        out = []
+        for due in dues:
+            n = -due.n if due.node in self._reversed else due.n
+            out.append((pack_can(*vesc.encode_duty(due.node, n)), [due]))
+        return out

@@ -1,0 +1,138 @@
+"""Signals -> a log: what all imports share.
+
+Samples of foreign logs -> a log of ours: what the imports that know of devices share.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from daq.errors import SeatrialError
+from daq.importers.csv_reader import SignalData
+from daq.log import LOG_FORMAT, NANO, LogWriter, collect, layout, schema
+from daq.samples import Frame, Scalar
+
+
+@contextlib.contextmanager
+def replacing(out: Path, force: bool) -> Iterator[Path]:
+    """A path to write to; it becomes `out` when the block ends well, and nothing stays behind when not."""
+    if out.exists() and not force:
+        raise SeatrialError(f"{out}: there is such a file already; --force replaces it, -o names another")
+    part = out.with_name(f".{out.name}.{os.getpid()}.part")
+    try:
+        yield part
+        os.replace(part, out)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def write_signals(
+    out: Path,
+    signals: Sequence[SignalData],
+    *,
+    metadata: Mapping[str, str],
+    attachments: Mapping[str, bytes],
+    note: str,
+    force: bool = False,
+) -> None:
+    """Write one log of signals, messages in the order of time, with `note` as its first event."""
+    times = [one.t for one in signals if len(one.t)]
+    if not times:
+        raise SeatrialError(f"{out}: no samples left to write; look at the map's t_from, t_to and nan")
+    if min(t[0] for t in times) < 0.0 or max(t[-1] for t in times) >= 2**31:
+        raise SeatrialError(f"{out}: times must lie between 1970 and 2038; look at the map's time format and origin")
+    t_ns = [np.rint(one.t * NANO).astype(np.int64) for one in signals]
+    first = min(int(t[0]) for t in t_ns if len(t))
+    about = {**collect(), "format": LOG_FORMAT, "speed": "1.0", **metadata}
+    with replacing(out, force) as part:
+        writer = LogWriter(part, metadata=about, attachments=attachments, time_ns=first)
+        try:
+            _write(writer, signals, t_ns, note, first)
+        finally:
+            writer.close()
+
+
+def _write(
+    writer: LogWriter, signals: Sequence[SignalData], t_ns: Sequence[np.typing.NDArray[np.int64]], note: str, first: int
+) -> None:
+    event = writer.channel("/event", schema.EVENT)
+    writer.add(event, first, first, 0, layout(schema.EVENT, b"").pack(first, tail=(b"import", note.encode())))
+    channels, layouts = [], []
+    for one in signals:
+        signal = one.signal
+        about = {"unit": one.unit, "hold": signal.hold, "role": signal.role}
+        topic = schema.topic(Scalar, signal.name)
+        channels.append(writer.channel(topic, schema.TYPES[Scalar], about))
+        layouts.append(layout(schema.TYPES[Scalar], signal.name.encode()))
+    times = np.concatenate(list(t_ns))
+    which = np.repeat(np.arange(len(signals)), [len(t) for t in t_ns])
+    row = np.concatenate([np.arange(len(t)) for t in t_ns])
+    order = np.lexsort((which, times))
+    for t, i, k in zip(times[order].tolist(), which[order].tolist(), row[order].tolist(), strict=True):
+        values = (float(signals[i].t[k]), float("nan"), float(signals[i].values[k]))
+        writer.add(channels[i], t, t, k + 1, layouts[i].pack(t, *values))
+
+
+class Row(NamedTuple):
+    """One sample: its time [s since 1970], its device (or the name of the signal) and itself."""
+
+    t: float
+    device: str
+    frame: Frame
+
+
+def write_frames(
+    out: Path,
+    rows: Sequence[Row],
+    *,
+    metadata: Mapping[str, str],
+    note: str,
+    units: Mapping[str, str] | None = None,
+    force: bool = False,
+) -> None:
+    """Write samples in the order of time, with `note` as the first event; `units` are those of the signals.
+
+    Raises SeatrialError where there is nothing to write, and for times that lie not between 1970 and 2038.
+    """
+    if not rows:
+        raise SeatrialError(f"{out}: there is nothing in it that seatrial can use")
+    ordered = sorted(rows, key=lambda row: row.t)
+    if ordered[0].t < 0.0 or ordered[-1].t >= 2**31:
+        raise SeatrialError(f"{out}: the times do not lie between 1970 and 2038")
+    first = round(ordered[0].t * NANO)
+    about = {**collect(), "format": LOG_FORMAT, "speed": "1.0", **metadata}
+    with replacing(out, force) as part:
+        writer = LogWriter(part, metadata=about, attachments={}, time_ns=first)
+        try:
+            event = writer.channel("/event", schema.EVENT)
+            writer.add(event, first, first, 0, layout(schema.EVENT, b"").pack(first, tail=(b"import", note.encode())))
+            _write_frames(writer, ordered, units or {})
+        finally:
+            writer.close()
+
+
+def _write_frames(writer: LogWriter, rows: Sequence[Row], units: Mapping[str, str]) -> None:
+    channels: dict[str, int] = {}
+    for sequence, (t, device, frame) in enumerate(rows, start=1):
+        t_ns = round(t * NANO)
+        for message in schema.messages(device, frame):
+            if message.topic not in channels:
+                extra = None
+                if isinstance(frame.sample, Scalar):
+                    extra = {"unit": units.get(device, ""), "hold": "linear", "role": "output"}
+                channels[message.topic] = writer.channel(message.topic, message.type_name, extra)
+            data = layout(message.type_name, message.frame_id.encode()).pack(t_ns, *message.values)
+            writer.add(channels[message.topic], t_ns, t_ns, sequence & 0xFFFFFFFF, data)
+
+
+class Timed(NamedTuple):
+    """A sample with its times and its estimated time [s since 1970]."""
+
+    frame: Frame
+    t: float

@@ -1,0 +1,103 @@
+"""`seatrial import csv`: a map and its files -> logs."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import replace
+from fnmatch import fnmatch
+from pathlib import Path
+
+import numpy as np
+
+from daq.errors import SeatrialError
+from daq.importers.common import write_signals
+from daq.importers.csv_map import CsvMap, Piece, Source, load_csv_map
+from daq.importers.csv_reader import FileData, SignalData, read_csv
+
+_WHOLE = Piece("", -1e18, 1e18)
+
+
+def import_csv(
+    map_path: Path, files: Sequence[Path], *, out: Path | None = None, out_dir: Path | None = None, force: bool = False
+) -> list[Path]:
+    """Import files by a map and return the logs written, in the order of the files and of the map's [[log]].
+
+    `out` names the log where it is a single one; otherwise they go to `out_dir` (default: here), named after the
+    files (after the map, where files are merged) and the pieces. Raises SeatrialError.
+    """
+    csv_map = load_csv_map(map_path)
+    groups = _groups(csv_map, files)
+    pieces = csv_map.pieces or (_WHOLE,)
+    if out is not None and len(groups) * len(pieces) > 1:
+        raise SeatrialError(f"{out}: -o names one log, but there will be {len(groups) * len(pieces)}; use --out-dir")
+    written: list[Path] = []
+    for stem, group in groups:
+        data = [read_csv(path, source) for path, source in group]
+        for piece in pieces:
+            name = f"{stem}_{piece.name}" if piece.name else stem
+            target = out or (out_dir or Path()) / f"{name}.mcap"
+            if target in written:
+                raise SeatrialError(f"{target}: two of the files would become this log; rename one")
+            _write_piece(csv_map, data, group, piece, target, force)
+            written.append(target)
+    return written
+
+
+def _groups(csv_map: CsvMap, files: Sequence[Path]) -> list[tuple[str, list[tuple[Path, Source]]]]:
+    """Which files make a log together, each with its part of the map."""
+    if not csv_map.merge:
+        return [(path.stem, [(path, csv_map.sources[0])]) for path in files]
+    group = []
+    for source in csv_map.sources:
+        matching = [path for path in files if fnmatch(path.name, source.match)]
+        if len(matching) != 1:
+            found = ", ".join(path.name for path in matching) or "none"
+            raise SeatrialError(f"{csv_map.path}: '{source.match}' must match one file, but matches: {found}")
+        group.append((matching[0], source))
+    used = [path for path, _ in group]
+    for path in files:
+        if used.count(path) != 1:
+            raise SeatrialError(f"{csv_map.path}: {path.name} must match one [[file]], not {used.count(path)}")
+    return [(csv_map.path.stem, group)]
+
+
+def _write_piece(
+    csv_map: CsvMap,
+    data: Sequence[FileData],
+    group: Sequence[tuple[Path, Source]],
+    piece: Piece,
+    target: Path,
+    force: bool,
+) -> None:
+    signals: list[SignalData] = []
+    metadata = {"import": "csv", "import.map": csv_map.name, "import.map.sha256": _sha256(csv_map.text)}
+    for i, (one, (_, source)) in enumerate(zip(data, group, strict=True), start=1):
+        metadata[f"source.{i}.name"] = one.path.name
+        metadata[f"source.{i}.sha256"] = one.sha256
+        metadata[f"source.{i}.dropped"] = str(one.n_dropped)
+        for signal in one.signals:
+            cut = _cut(signal, piece)
+            signals.append(replace(cut, t=cut.t + source.time.origin))
+    names = ", ".join(one.path.name for one in data)
+    note = f"{names} by {csv_map.path.name}" + (f", {piece.name}" if piece.name else "")
+    text = csv_map.text.encode()
+    write_signals(target, signals, metadata=metadata, attachments={"import.toml": text}, note=note, force=force)
+
+
+def _cut(signal: SignalData, piece: Piece) -> SignalData:
+    inside = (signal.t >= piece.t_from) & (signal.t <= piece.t_to)
+    t, values = signal.t[inside], signal.values[inside]
+    before = np.flatnonzero(signal.t < piece.t_from)
+    if signal.signal.hold == "zero" and len(before) and not (len(t) and t[0] == piece.t_from):
+        # What was commanded last before the cut still holds at its beginning.
+        t, values = np.insert(t, 0, piece.t_from), np.insert(values, 0, signal.values[before[-1]])
+    known_after = bool(np.any(signal.t > piece.t_to)) or signal.signal.timeout > 0.0
+    if signal.signal.hold == "zero" and len(t) and t[-1] < piece.t_to < _WHOLE.t_to and known_after:
+        # And what was commanded last within it holds to its end.
+        t, values = np.append(t, piece.t_to), np.append(values, values[-1])
+    return replace(signal, t=t, values=values)
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()

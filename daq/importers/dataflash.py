@@ -1,0 +1,129 @@
+"""ArduPilot's DataFlash log (BIN) -> samples, through pymavlink's DFReader.
+
+Names and units of the messages: ardupilot.org/rover/docs/logmessages.html. Times are TimeUS, s since boot, put on
+the calendar by the first GPS week that the log has.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from daq.errors import SeatrialError, counted
+from daq.importers.common import Timed
+from daq.protocol import FIXES, mode_name
+from daq.rig import Device, Rig
+from daq.samples import NAN, Ahrs, Battery, Esc, Event, Frame, Gnss, Sample, Servo
+
+Found = list[Sample]
+
+
+class _Reader:
+    """Messages -> samples, by type; an attitude takes the newest IMU and field."""
+
+    def __init__(self, rig: Rig | None, device: Device | None) -> None:
+        thrusters = [t for t in rig.thrusters if device is not None and t.device == device.name] if rig else []
+        self._outputs = {t.node: (t.output, -1.0 if t.reversed else 1.0) for t in thrusters if t.output is not None}
+        self._imu = (NAN,) * 6
+        self._seen: set[int] = set()
+        self._n: dict[int, float] = {}
+        self.take: dict[str, Callable[[Any], Found]] = {
+            "IMU": self._on_imu, "ATT": self._att, "GPS": self._gps, "RCOU": self._rcou, "ESC": self._esc,
+            "BAT": self._bat, "MSG": self._msg, "MODE": self._mode,
+        }  # fmt: skip
+
+    def _on_imu(self, m: Any) -> Found:
+        if getattr(m, "I", 0) == 0:
+            self._imu = (m.GyrX, m.GyrY, m.GyrZ, m.AccX, m.AccY, m.AccZ)
+        return []
+
+    def _att(self, m: Any) -> Found:
+        yaw, pitch, roll = (math.radians(angle) for angle in (m.Yaw, m.Pitch, m.Roll))
+        return [Ahrs(math.remainder(yaw, 2.0 * math.pi), pitch, roll, *self._imu)]
+
+    def _gps(self, m: Any) -> Found:
+        if getattr(m, "I", 0) != 0:
+            return []
+        fix, course = FIXES.get(m.Status, 0), math.radians(m.GCrs)
+        known, moving = fix > 0, fix >= 2
+        return [
+            Gnss(
+                utc=m._timestamp,
+                lat=m.Lat if known else NAN,
+                lon=m.Lng if known else NAN,
+                alt=m.Alt if known else NAN,
+                vel_n=m.Spd * math.cos(course) if moving else NAN,
+                vel_e=m.Spd * math.sin(course) if moving else NAN,
+                vel_d=m.VZ if moving else NAN,
+                fix=fix,
+                n_sat=m.NSats,
+                hdop=m.HDop,
+            )
+        ]
+
+    def _rcou(self, m: Any) -> Found:
+        found: Found = []
+        for node in range(1, 15):
+            pwm = float(getattr(m, f"C{node}", 0))
+            if self._outputs and node in self._outputs:
+                output, sign = self._outputs[node]
+                self._n[node] = sign * output.applied(pwm) + 0.0 if pwm else 0.0
+                found.append(Servo(node, pwm, self._n[node]))
+            elif not self._outputs and (pwm or node in self._seen):
+                self._seen.add(node)
+                found.append(Servo(node, pwm))
+        return found
+
+    def _esc(self, m: Any) -> Found:
+        node = m.Instance + 1
+        n = self._n.get(node, NAN)
+        return [Esc(node, math.copysign(m.RPM, n) if n else m.RPM, m.Curr, n, m.Volt, m.Temp)]
+
+    def _bat(self, m: Any) -> Found:
+        if getattr(m, "Inst", getattr(m, "I", 0)) != 0:
+            return []
+        return [Battery(m.Volt, m.Curr, getattr(m, "RemPct", NAN) * 0.01)]
+
+    def _msg(self, m: Any) -> Found:
+        return [Event("statustext", str(m.Message))]
+
+    def _mode(self, m: Any) -> Found:
+        return [Event("autopilot", mode_name(m.ModeNum if hasattr(m, "ModeNum") else int(m.Mode)))]
+
+
+def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[list[Timed], str]:
+    """The samples of a DataFlash log. Raises SeatrialError where it holds none."""
+    reader = _Reader(rig, device)
+    rows: list[Timed] = []
+    n_messages = 0
+    try:
+        with _opened(path) as log:
+            while (message := log.recv_match(type=list(reader.take))) is not None:
+                n_messages += 1
+                t = float(message._timestamp)
+                t_device = float(getattr(message, "TimeUS", math.nan)) * 1e-6
+                rows += [Timed(Frame(sample, t, t_device), t) for sample in reader.take[message.get_type()](message)]
+    except Exception as error:  # DFReader raises whatever a damaged file makes its parsing raise
+        if not rows:
+            raise SeatrialError(f"{path}: is no DataFlash log that can be read ({error})") from error
+    if not rows:
+        raise SeatrialError(f"{path}: a DataFlash log without attitude, GPS or outputs")
+    return rows, counted(n_messages, "message")
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """pymavlink's reader; it leaves its file open, whether it can read it or not."""
+    from pymavlink import DFReader
+
+    log = DFReader.DFReader_binary.__new__(DFReader.DFReader_binary)
+    try:
+        log.__init__(str(path))
+        yield log
+    finally:
+        for name in ("data_map", "filehandle"):
+            if (part := getattr(log, name, None)) is not None:
+                part.close()

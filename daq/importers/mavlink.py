@@ -1,0 +1,154 @@
+"""`seatrial import mavlink`: a ground station's tlog or an ArduPilot DataFlash log (BIN) -> a log."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import struct
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from daq.clock import ClockMap
+from daq.errors import SeatrialError, counted
+from daq.importers.common import Timed, replacing
+from daq.log import LOG_FORMAT, NANO, LogWriter, collect, layout, schema
+from daq.protocol import Head, MavlinkDecoder, Samples, head, is_whole, make_samples
+from daq.rig import Device, Rig
+from daq.samples import Event
+
+STAMP = 8  # bytes before each frame of a tlog: us since 1970, big-endian
+DEVICE = "autopilot"  # the name in the log where there is no rig
+
+
+def import_mavlink(
+    path: Path, *, rig: Rig | None = None, system: int | None = None, out: Path | None = None, force: bool = False
+) -> tuple[Path, str]:
+    """Write the samples of `path` as a log; returns the log and a line that says what was in the file.
+
+    `rig` gives thrusters their names and outputs their scale; its MAVLink device names the topics. Without `system`
+    the first autopilot that sends a heartbeat is taken. Raises SeatrialError.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
+    device = _device(rig)
+    if data[:2] == b"\xa3\x95":
+        from daq.importers.dataflash import read_dataflash
+
+        rows, said = read_dataflash(path, rig, device)
+    else:
+        rows, said = read_tlog(path, data, rig, device, system)
+    counts = Counter(type(row.frame.sample).__name__ for row in rows)
+    said += ": " + ", ".join(f"{n} {name}" for name, n in counts.most_common())
+    target = out or Path(f"{path.stem}.mcap")
+    digest = hashlib.sha256(data).hexdigest()
+    about = {"import": "mavlink", "source.1.name": path.name, "source.1.sha256": digest}
+    name = device.name if device is not None else DEVICE
+    _write(target, name, rows, about, rig, f"{path.name}: {said}", force)
+    return target, said
+
+
+def _device(rig: Rig | None) -> Device | None:
+    if rig is None:
+        return None
+    found = [device for device in rig.devices if device.protocol == "mavlink"]
+    if len(found) != 1:
+        raise SeatrialError(f"{rig.path}: needs one device of protocol mavlink for this import, and has {len(found)}")
+    return found[0]
+
+
+def read_tlog(
+    path: Path, data: bytes, rig: Rig | None, device: Device | None, system: int | None
+) -> tuple[list[Timed], str]:
+    """The samples of a tlog, their device times mapped onto the times at which the ground station received them."""
+    component = 1
+    if system is None:
+        system, component = _who(path, data)
+    samples = make_samples(device, rig) if device is not None and rig is not None else Samples()
+    decoder = MavlinkDecoder(samples, system, component)
+    clock = ClockMap()
+    rows: list[Timed] = []
+    skipped, end = 0, 0
+    for t_rx, at, found in _frames(data):
+        skipped, end = skipped + at - STAMP - end, at + found.total
+        for frame in decoder.feed(data[at:end], t_rx):
+            t = t_rx if math.isnan(frame.t_device) else clock.estimate(frame.t_device, t_rx, unordered=True)
+            rows.append(Timed(frame, t))
+    skipped += len(data) - end
+    if not rows:
+        raise SeatrialError(
+            f"{path}: no samples of system {system} among {decoder.frames} frames; "
+            f"is it a tlog or a BIN? {_others(decoder)}"
+        )
+    delay = f"device times {1e3 * clock.bias:.1f} ms before their arrival, spread {1e3 * clock.spread:.1f} ms"
+    read = f"{counted(decoder.frames, 'frame')}, {counted(skipped, 'byte')} not understood"
+    return rows, f"system {system}, {read}, {delay}"
+
+
+def _others(decoder: MavlinkDecoder) -> str:
+    there = ", ".join(str(number) for number in sorted(decoder.foreign))
+    return f"There are systems {there}: name one with --system" if there else "It holds no MAVLink frames"
+
+
+def _frames(data: bytes) -> Iterator[tuple[float, int, Head]]:
+    """Time [s since 1970], place and header of each whole frame behind a time; what is between them is passed over."""
+    at = 0
+    while at + STAMP < len(data):
+        found = head(data, at + STAMP) if data[at + STAMP] in (0xFD, 0xFE) else -1
+        if found == 0:
+            return
+        if (
+            isinstance(found, int)
+            or at + STAMP + found.total > len(data)
+            or not is_whole(data[at + STAMP : at + STAMP + found.total], found)
+        ):
+            at += 1
+            continue
+        yield struct.unpack_from(">Q", data, at)[0] * 1e-6, at + STAMP, found
+        at += STAMP + found.total
+
+
+def _who(path: Path, data: bytes) -> tuple[int, int]:
+    """System and component of the first heartbeat that is an autopilot's."""
+    for _, at, found in _frames(data):
+        payload = at + (10 if data[at] == 0xFD else 6)
+        if found.message_id == 0 and found.payload > 5 and data[payload + 5] != 8:
+            return found.system, found.component
+    raise SeatrialError(f"{path}: no heartbeat of an autopilot in it; is it a tlog or a DataFlash BIN?")
+
+
+def _write(
+    out: Path, device: str, rows: Sequence[Timed], about: dict[str, str], rig: Rig | None, note: str, force: bool
+) -> None:
+    rows = sorted(rows, key=lambda row: row.frame.t_rx)
+    if rows[0].frame.t_rx < 0.0 or rows[-1].frame.t_rx >= 2**31:
+        raise SeatrialError(f"{out}: the file's times do not lie between 1970 and 2038")
+    first = round(rows[0].frame.t_rx * NANO)
+    metadata = {**collect(), "format": LOG_FORMAT, "speed": "1.0", **about}
+    attachments = {} if rig is None else {"rig.toml": rig.text.encode()}
+    with replacing(out, force) as part:
+        writer = LogWriter(part, metadata=metadata, attachments=attachments, time_ns=first)
+        try:
+            _add_all(writer, device, rows, first, note)
+        finally:
+            writer.close()
+
+
+def _add_all(writer: LogWriter, device: str, rows: Sequence[Timed], first: int, note: str) -> None:
+    event = writer.channel("/event", schema.EVENT)
+    about = layout(schema.EVENT, b"")
+    writer.add(event, first, first, 0, about.pack(first, tail=(b"import", note.encode())))
+    channels: dict[str, int] = {}
+    for sequence, (frame, t) in enumerate(rows, start=1):
+        log_ns, stamp_ns = round(frame.t_rx * NANO), round(t * NANO)
+        if isinstance(frame.sample, Event):
+            tail = (frame.sample.kind.encode(), frame.sample.text.encode())
+            writer.add(event, log_ns, stamp_ns, 0, about.pack(stamp_ns, tail=tail))
+            continue
+        for message in schema.messages(device, frame):
+            if message.topic not in channels:
+                channels[message.topic] = writer.channel(message.topic, message.type_name)
+            data = layout(message.type_name, message.frame_id.encode()).pack(stamp_ns, *message.values)
+            writer.add(channels[message.topic], log_ns, stamp_ns, sequence, data)

@@ -1,0 +1,71 @@
+"""`seatrial import raw`: the bytes that a device once sent -> a log, by the decoder that also reads the live port."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from daq.config import default_decoder
+from daq.errors import SeatrialError, counted
+from daq.importers.common import Row, write_frames
+from daq.protocol import Decoder, nmea, ubx
+from daq.samples import Ahrs, Frame, Gnss, LoadCell
+
+_NAMES: dict[type, str] = {Ahrs: "ahrs", Gnss: "gnss", LoadCell: "load_cell"}
+_CHUNK = 1 << 16
+
+
+def import_raw(
+    protocol: str, path: Path, *, rate: float | None = None, out: Path | None = None, force: bool = False
+) -> tuple[Path, str]:
+    """Decode a capture and write its samples; returns the log and a line that says what was in the capture.
+
+    A capture has no times of its own. With `rate` [Hz] the samples are put 1/rate apart, beginning in 1970; without
+    it each carries the device's own time. Raises SeatrialError.
+    """
+    decoder = default_decoder(protocol)
+    frames, sha256 = _decode(decoder, path)
+    wrong = f"{counted(decoder.checksum_errors, 'checksum error')}, {counted(decoder.unparsed_bytes, 'byte')} unparsed"
+    if not frames:
+        raise SeatrialError(f"{path}: no {protocol} samples among {decoder.frames} whole frames ({wrong})")
+    device = _NAMES[type(frames[0].sample)]
+    times = [k / rate for k in range(len(frames))] if rate else _device_times(path, frames)
+    said = f"{counted(len(frames), 'sample')} of {counted(decoder.frames, f'{protocol} frame')}; {wrong}"
+    target = out or Path(f"{path.stem}.mcap")
+    metadata = {"import": "raw", "import.protocol": protocol, "source.1.name": path.name, "source.1.sha256": sha256}
+    if rate:
+        metadata["import.rate_hz"] = repr(rate)
+    rows = [Row(t, device, frame._replace(t_rx=t)) for t, frame in zip(times, frames, strict=True)]
+    if min(times) < 0.0 or max(times) >= 2**31:
+        raise SeatrialError(f"{target}: the device's times do not lie between 1970 and 2038; give --rate instead")
+    write_frames(target, rows, metadata=metadata, note=f"{path.name} as {protocol}: {said}", force=force)
+    return target, said
+
+
+def _decode(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
+    frames: list[Frame] = []
+    digest = hashlib.sha256()
+    try:
+        with path.open("rb") as file:
+            while chunk := file.read(_CHUNK):
+                digest.update(chunk)
+                frames += decoder.feed(chunk, 0.0)
+    except OSError as error:
+        raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
+    if isinstance(decoder, (nmea.Decoder, ubx.Decoder)):
+        frames += decoder.flush()
+    decoder.reset()  # what is left half-read counts as unparsed
+    return frames, digest.hexdigest()
+
+
+def _device_times(path: Path, frames: Sequence[Frame]) -> list[float]:
+    """The device's own times [s]; a sample without one (a heading between two fixes) has that of the one before."""
+    times = [frame.t_device for frame in frames]
+    last = next((t for t in times if math.isfinite(t)), math.nan)
+    if math.isnan(last):
+        raise SeatrialError(f"{path}: its samples carry no time; say how many there are a second with --rate")
+    for k, t in enumerate(times):
+        last = times[k] = t if math.isfinite(t) else last
+    return times

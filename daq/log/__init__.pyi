@@ -1,0 +1,17 @@
+from . import schema as schema
+from .cdr import NANO as NANO
+from .cdr import full_definition as full_definition
+from .cdr import layout as layout
+from .mcap_writer import LogWriter as LogWriter
+from .provenance import collect as collect
+from .reader import Log as Log
+from .reader import open_log as open_log
+from .recorder import LOG_FORMAT as LOG_FORMAT
+from .recorder import Recorder as Recorder
+from .recorder import check_room as check_room
+from .recovery import recover_log as recover_log
+from .schema import NODE_TOPICS as NODE_TOPICS
+from .segments import first_of as first_of
+from .segments import first_segments as first_segments
+from .segments import note_path as note_path
+from .segments import read_note as read_note

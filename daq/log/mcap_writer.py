@@ -1,0 +1,413 @@
+"""MCAP records -> a stream: what is done for every message is ours, every other record is mcap's own.
+
+A message is its head, by one precompiled struct, and its data, put on a list; counts, times and message indexes are
+made of whole columns when its chunk ends. mcap's own writer makes objects and one struct a field, at several times
+the cost. A chunk and its indexes go to the stream in one `write`, and so does the end of the file.
+Source: MCAP specification 0 (mcap.dev/spec).
+
+One MCAP segment on disk, written so that a kill, a power cut or a full disk costs at most the last moment.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import struct
+import time
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NoReturn, Protocol
+
+import numpy as np
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.writer import MCAP0_MAGIC
+from numpy.typing import NDArray
+
+from daq.errors import SeatrialError
+from daq.log.cdr import full_definition
+from daq.log.mcap_chunk import MESSAGE_HEAD, rows_at
+from daq.log.record_stream import BALLAST_BYTES, FileSyncer, WholeRecordStream
+
+_MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
+_MESSAGE_CODE, _HEAD_BYTES = int(Opcode.MESSAGE), 22  # of a message's content, before its data
+_INDEX = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
+_FOOTER = struct.Struct("<BQQQ")  # what of the footer its checksum covers
+_SUMMARY_REST = 512  # statistics without its counts, six offsets, footer and magic, generously
+CHUNK_BYTES = 256 * 1024
+FLUSH_S = 0.25  # wall; each flush ends a chunk, and a chunk is what a killed run keeps
+FEW, FEW_S = 16, 0.1  # so few messages wait no longer than this: where they are rare, each counts
+SYNC_S = 1.0  # wall
+FULL = (errno.ENOSPC, errno.EDQUOT)
+QOS = (
+    "- {history: 1, depth: 10, reliability: 1, durability: 2, deadline: {sec: 2147483647, nsec: 4294967295}, "
+    "lifespan: {sec: 2147483647, nsec: 4294967295}, liveliness: 1, "
+    "liveliness_lease_duration: {sec: 2147483647, nsec: 4294967295}, avoid_ros_namespace_conventions: false}"
+)
+
+
+class Output(Protocol):
+    """What the records go to; gets whole records only."""
+
+    def write(self, data: bytes, /) -> object:
+        """Take all of it; raises OSError."""
+
+    def tell(self) -> int:
+        """Bytes written so far."""
+
+
+class RecordWriter:
+    """Writes one MCAP file in zstd chunks, each ended by `flush` or beyond `chunk_bytes`.
+
+    Whatever the stream raises comes out of every method; the writer is of no use after that.
+    """
+
+    def __init__(self, stream: Output, *, chunk_bytes: int, profile: str, library: str) -> None:
+        self._stream, self._chunk_bytes = stream, chunk_bytes
+        self._compressor = zstandard.ZstdCompressor()
+        # What the summary will repeat, as bytes: a day of chunks would be gigabytes of objects.
+        self._schemas, self._channels = bytearray(), bytearray()
+        self._chunk_index, self._attachment_index, self._metadata_index = bytearray(), bytearray(), bytearray()
+        self._n_schemas = self._n_channels = self._n_attachments = self._n_metadata = self.n_chunks = 0
+        self._counts: Counter[int] = Counter()  # messages by channel
+        self._begin_ns, self._end_ns = 2**64 - 1, 0
+        self._parts: list[bytes] = []  # the records of the chunk,
+        self._held = 0  # their bytes,
+        self._offsets: list[int] = []  # and where its messages begin
+        stream.write(MCAP0_MAGIC + _bytes(Header(profile, library)))
+
+    @property
+    def n_waiting(self) -> int:
+        """Messages in the chunk that is not written yet."""
+        return len(self._offsets)
+
+    @property
+    def summary_bytes(self) -> int:
+        """At most so much the end of the file will take, as things stand."""
+        kept = (self._schemas, self._channels, self._chunk_index, self._attachment_index, self._metadata_index)
+        return sum(map(len, kept)) + 10 * self._n_channels + _SUMMARY_REST
+
+    def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
+        """Write a metadata record at once."""
+        at, record = self._stream.tell(), _bytes(Metadata(name=name, metadata=dict(data)))
+        self._stream.write(record)
+        self._n_metadata += 1
+        self._metadata_index += _bytes(MetadataIndex(offset=at, length=len(record), name=name))
+
+    def add_attachment(self, create_ns: int, log_ns: int, name: str, media_type: str, data: bytes) -> None:
+        """Write an attachment at once."""
+        at = self._stream.tell()
+        record = _bytes(Attachment(create_ns, log_ns, name, media_type, data))
+        self._stream.write(record)
+        index = AttachmentIndex(at, len(record), log_ns, create_ns, len(data), name, media_type)
+        self._n_attachments += 1
+        self._attachment_index += _bytes(index)
+
+    def register_schema(self, name: str, encoding: str, data: bytes) -> int:
+        """Register a schema and return its number."""
+        self._n_schemas += 1
+        record = _bytes(Schema(id=self._n_schemas, name=name, encoding=encoding, data=data))
+        self._schemas += record
+        self._hold(record)
+        return self._n_schemas
+
+    def register_channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
+        """Register a topic and return the number of its channel; schema 0 is none."""
+        self._n_channels += 1
+        record = _bytes(Channel(self._n_channels, topic, encoding, dict(metadata), schema))
+        self._channels += record
+        self._hold(record)
+        return self._n_channels
+
+    def add_message(self, channel: int, log_ns: int, data: bytes, stamp_ns: int, sequence: int) -> None:
+        """Append a message to the chunk."""
+        head = _MESSAGE.pack(_MESSAGE_CODE, _HEAD_BYTES + len(data), channel, sequence, log_ns, stamp_ns)
+        record = head + data
+        self._parts.append(record)
+        self._offsets.append(self._held)
+        self._held += len(record)
+        if self._held > self._chunk_bytes:
+            self.flush()
+
+    def _hold(self, record: bytes) -> None:
+        self._parts.append(record)
+        self._held += len(record)
+
+    def flush(self) -> None:
+        """End the chunk and write it with its message indexes; nothing where it has no message yet."""
+        if not self._offsets:
+            return
+        data, offsets = b"".join(self._parts), np.asarray(self._offsets, np.int64)
+        heads = rows_at(np.frombuffer(data, np.uint8), offsets, MESSAGE_HEAD)
+        times, packed, begin = heads["log_ns"], self._compressor.compress(data), self._stream.tell()
+        chunk = Chunk(
+            compression="zstd",
+            data=packed,
+            message_start_time=int(times.min()),
+            message_end_time=int(times.max()),
+            uncompressed_crc=zlib.crc32(data),
+            uncompressed_size=len(data),
+        )
+        written = _bytes(chunk)
+        indexes, places = _message_indexes(heads["channel"], times, offsets, begin + len(written))
+        self._stream.write(written + indexes)
+        index = ChunkIndex(
+            chunk_length=len(written),
+            chunk_start_offset=begin,
+            compression=chunk.compression,
+            compressed_size=len(packed),
+            message_end_time=chunk.message_end_time,
+            message_index_length=len(indexes),
+            message_index_offsets=places,
+            message_start_time=chunk.message_start_time,
+            uncompressed_size=len(data),
+        )
+        self.n_chunks += 1
+        self._chunk_index += _bytes(index)
+        self._begin_ns = min(self._begin_ns, chunk.message_start_time)
+        self._end_ns = max(self._end_ns, chunk.message_end_time)
+        for number, n in zip(*np.unique(heads["channel"], return_counts=True), strict=True):
+            self._counts[int(number)] += int(n)
+        self._parts, self._offsets, self._held = [], [], 0
+
+    def finish(self) -> None:
+        """Write the last chunk and the end of the file: summary and footer."""
+        self.flush()
+        end = _bytes(DataEnd(0))
+        start = self._stream.tell() + len(end)
+        summary, offsets = b"", b""
+        for group in (
+            self._schemas, self._channels, _bytes(self._statistics()),
+            self._chunk_index, self._attachment_index, self._metadata_index,
+        ):  # fmt: skip
+            if group:
+                at = start + len(summary)
+                offsets += _bytes(SummaryOffset(group_opcode=group[0], group_start=at, group_length=len(group)))
+            summary += group
+        offset_start = start + len(summary)
+        footed = _FOOTER.pack(Opcode.FOOTER, 20, start, offset_start)
+        footer = Footer(
+            summary_start=start,
+            summary_offset_start=offset_start,
+            summary_crc=zlib.crc32(summary + offsets + footed),
+        )
+        self._stream.write(end + summary + offsets + _bytes(footer) + MCAP0_MAGIC)
+
+    def _statistics(self) -> Statistics:
+        return Statistics(
+            attachment_count=self._n_attachments,
+            channel_count=self._n_channels,
+            channel_message_counts=dict(self._counts),
+            chunk_count=self.n_chunks,
+            message_count=self._counts.total(),
+            message_end_time=self._end_ns,
+            message_start_time=min(self._begin_ns, self._end_ns),
+            metadata_count=self._n_metadata,
+            schema_count=self._n_schemas,
+        )
+
+
+def _message_indexes(
+    channels: NDArray[np.uint16], times: NDArray[np.uint64], offsets: NDArray[np.int64], at: int
+) -> tuple[bytes, dict[int, int]]:
+    """The message index records of a chunk, one a channel, and where each begins when the first stands at `at`."""
+    order = np.argsort(channels, kind="stable")
+    entries = np.stack((times[order], offsets[order].astype(np.uint64)), axis=1).astype("<u8")
+    numbers, firsts = np.unique(channels[order], return_index=True)
+    out, places = bytearray(), dict[int, int]()
+    for number, begin, end in zip(numbers, firsts, [*firsts[1:], len(order)], strict=True):
+        data = entries[begin:end].tobytes()
+        places[int(number)] = at + len(out)
+        out += _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(data), number, len(data)) + data
+    return bytes(out), places
+
+
+def _bytes(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    written: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return written
+
+
+class DiskFull(SeatrialError):
+    """There was no room for more. `complete`: everything added so far is in the file, which has its end."""
+
+    def __init__(self, text: str, complete: bool) -> None:
+        super().__init__(text)
+        self.complete = complete
+
+
+class LogWriter:
+    """One MCAP file: metadata and attachments first, then channels and messages; `tick` keeps it safe.
+
+    Raises SeatrialError where the file cannot be made, and from any method once a write failed; by then the file
+    is closed, with a footer where the ballast allowed one.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        metadata: Mapping[str, str],
+        attachments: Mapping[str, bytes],
+        time_ns: int,
+    ) -> None:
+        self.path = path
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except FileExistsError as error:
+            raise SeatrialError(f"{path}: the folder cannot be made: {path.parent} is no folder") from error
+        except OSError as error:
+            raise SeatrialError(f"{path}: the folder cannot be made: {error.strerror}") from error
+        try:
+            self._stream = WholeRecordStream(path)
+        except FileExistsError as error:
+            raise SeatrialError(f"{path}: there is such a file already; a log is never overwritten") from error
+        except OSError as error:
+            text = f"{path}: the log cannot be made: {error.strerror}"
+            raise (DiskFull(text, complete=True) if error.errno in FULL else SeatrialError(text)) from error
+        self._syncer = FileSyncer(self._stream)
+        self._syncer.start()
+        self._failed: SeatrialError | None = None
+        self._closed = False
+        self._schemas: dict[str, int] = {}
+        self._waits = self._synced = time.monotonic()
+        with self._guard():
+            self._begin(metadata, attachments, time_ns)
+
+    def _begin(self, metadata: Mapping[str, str], attachments: Mapping[str, bytes], time_ns: int) -> None:
+        self._writer = RecordWriter(self._stream, chunk_bytes=CHUNK_BYTES, profile="ros2", library="seatrial")
+        self._writer.add_metadata("seatrial", metadata)
+        for name, data in attachments.items():
+            kind = "application/toml" if name.endswith(".toml") else "application/octet-stream"
+            self._writer.add_attachment(time_ns, time_ns, name, kind, data)
+
+    @property
+    def size(self) -> int:
+        """Bytes on disk."""
+        return self._stream.tell()
+
+    def channel(self, topic: str, type_name: str, metadata: Mapping[str, str] | None = None) -> int:
+        """Register a topic and return the number of its channel."""
+        self._check()
+        if type_name not in self._schemas:
+            data = full_definition(type_name).encode()
+            self._schemas[type_name] = self._writer.register_schema(type_name, "ros2msg", data)
+        extra = {"offered_qos_profiles": QOS, **(metadata or {})}
+        return self._writer.register_channel(topic, "cdr", self._schemas[type_name], extra)
+
+    def add(self, channel: int, log_ns: int, stamp_ns: int, sequence: int, data: bytes) -> None:
+        """Append one message; it is on disk after the next `tick` that flushes."""
+        if self._closed:
+            self._check()
+        try:  # `_guard` written out: this is called for every message
+            self._writer.add_message(channel, log_ns, data, stamp_ns, sequence)
+        except OSError as error:
+            self._fail(error, complete=False)
+        if self._stream.failure is not None:
+            self._end_saved()
+
+    def tick(self) -> None:
+        """Flush what has waited for 0.25 s, or 0.1 s where it is little, and sync every second of wall time.
+
+        To be called often.
+        """
+        self._check()
+        now = time.monotonic()
+        n_waiting = self._writer.n_waiting
+        if not n_waiting:
+            self._waits = now
+        elif now - self._waits >= (FLUSH_S if n_waiting > FEW else FEW_S):
+            self._waits = now
+            self.flush()
+        if now - self._synced >= SYNC_S:
+            self._synced = now
+            self._syncer.request()
+        if self._syncer.error is not None:
+            self._fail(self._syncer.error, complete=False)
+
+    def flush(self) -> None:
+        """End the chunk and hand it to the operating system."""
+        self._check()
+        with self._guard():
+            self._writer.flush()
+        # The end of the file has about 80 bytes and 10 a channel for every chunk: the ballast has to pay for it.
+        steps = -(-(2 * self._writer.summary_bytes) // BALLAST_BYTES)
+        with contextlib.suppress(OSError):  # nearly full: the write that fails will say so
+            self._stream.ballast.grow((1 + steps) * BALLAST_BYTES)
+
+    def close(self) -> None:
+        """Footer, sync, close; again is harmless. Raises SeatrialError where the file could not be completed."""
+        if self._closed:
+            return
+        try:
+            self._writer.finish()
+            self._stream.sync()
+        except OSError as error:
+            self._fail(error, complete=False)
+        self._end()
+        if self._stream.failure is not None:
+            raise self._explain(self._stream.failure, complete=True)
+
+    @contextlib.contextmanager
+    def _guard(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:  # records are lost: what the writer remembers no longer fits the file
+            self._fail(error, complete=False)
+        if self._stream.failure is not None:
+            self._end_saved()
+
+    def _end_saved(self) -> NoReturn:
+        """A write that failed was saved by the ballast: nothing is lost, but this is the end."""
+        assert self._stream.failure is not None
+        complete = True
+        try:
+            self._writer.finish()
+        except OSError:
+            complete = False
+        self._fail(self._stream.failure, complete)
+
+    def _fail(self, error: OSError, complete: bool) -> NoReturn:
+        """Close and raise; `complete` when the footer is written."""
+        self._end()
+        self._failed = self._explain(error, complete)
+        raise self._failed from error
+
+    def _end(self) -> None:
+        self._closed = True
+        self._syncer.end()
+        self._stream.close()
+
+    def _check(self) -> None:
+        if self._failed is not None:
+            raise self._failed
+        if self._closed:
+            raise SeatrialError(f"{self.path}: the log is closed already")
+
+    def _explain(self, error: OSError, complete: bool) -> SeatrialError:
+        state = "closed and complete up to there" if complete else "whole up to its last record, without its end"
+        text = (
+            f"{self.path}: writing failed ({error.strerror}) after {self.size} bytes; the log is {state}; "
+            "free disk space and start a new one"
+        )
+        return DiskFull(text, complete) if error.errno in FULL else SeatrialError(text)

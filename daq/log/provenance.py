@@ -1,0 +1,56 @@
+"""Who recorded a log, where, with which versions: the strings that go first into every segment."""
+
+from __future__ import annotations
+
+import getpass
+import platform
+import subprocess
+import sys
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+_PACKAGES = ("seatrial", "mcap", "numpy", "pyserial", "python-can", "zstandard")
+
+
+@cache
+def git_hash() -> str:
+    """The commit of the source tree that runs, with `-dirty` where files differ; `none` outside a repository."""
+    folder = Path(__file__).resolve().parents[1]
+    if not (folder.parent / ".git").exists():
+        return "none"
+    command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        found = subprocess.run(command, capture_output=True, text=True, timeout=5, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return "none"
+    return found.stdout.strip()
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "none"
+
+
+def _operator() -> str:
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):
+        return "unknown"
+
+
+def collect() -> dict[str, str]:
+    """Versions, git hash, host, operator, wall time and command line, all as text."""
+    return {
+        "git": git_hash(),
+        "host": platform.node(),
+        "platform": platform.platform(),
+        "python": platform.python_version(),
+        "operator": _operator(),
+        "started": datetime.now(UTC).isoformat(timespec="milliseconds"),
+        "command_line": " ".join(sys.argv),
+        **{f"version.{package}": _version(package) for package in _PACKAGES},
+    }

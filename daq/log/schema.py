@@ -1,0 +1,185 @@
+"""Samples <-> messages: which topics and types a sample becomes, and its columns back from decoded rows.
+
+The table of topics is docs/formats/log.md; the definitions of the messages are the files in daq/msg.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import fields
+from functools import cache
+from operator import attrgetter
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.log.cdr import doubles
+from daq.samples import Ahrs, Autopilot, Battery, Command, Esc, Frame, Gnss, LoadCell, Scalar, Servo
+
+IMU = "sensor_msgs/msg/Imu"
+MAG = "sensor_msgs/msg/MagneticField"
+FIX = "sensor_msgs/msg/NavSatFix"
+TWIST = "geometry_msgs/msg/TwistStamped"
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+DEVICE_TIME = "seatrial_msgs/msg/DeviceTime"
+RAW = "seatrial_msgs/msg/RawBytes"
+EVENT = "seatrial_msgs/msg/Event"
+HEALTH = "seatrial_msgs/msg/PortHealth"
+TYPES = {  # samples whose message has the sample's own fields behind t_rx and t_device
+    Gnss: "seatrial_msgs/msg/Gnss",
+    Esc: "seatrial_msgs/msg/Esc",
+    Command: "seatrial_msgs/msg/Command",
+    LoadCell: "seatrial_msgs/msg/LoadCell",
+    Servo: "seatrial_msgs/msg/Servo",
+    Battery: "seatrial_msgs/msg/Battery",
+    Autopilot: "seatrial_msgs/msg/Autopilot",
+    Scalar: "seatrial_msgs/msg/Scalar",
+}
+Measured = Ahrs | Gnss | Esc | Command | LoadCell | Servo | Battery | Autopilot | Scalar
+NODE_TOPICS: dict[type, str] = {Esc: "state", Command: "command", Servo: "servo"}  # kinds with a topic for each node
+_LAST: dict[type, str] = {
+    Ahrs: "imu",
+    Gnss: "gnss",
+    LoadCell: "counts",
+    Battery: "battery",
+    Autopilot: "autopilot",
+}
+Columns = dict[str, NDArray[np.float64] | NDArray[np.int64]]
+
+_ZERO9 = doubles(*(0.0,) * 9)  # "covariance unknown" in sensor_msgs
+_NONE9 = doubles(-1.0, *(0.0,) * 8)  # "no estimate of this quantity"
+_WILD = 1e6  # rad2, the variance of an angle that a compass does not know; a level attitude stands in for it
+_LEVEL = (0.0, 0.0, 0.0, 1.0)  # the quaternion where no attitude is known
+_YAW9 = doubles(_WILD, 0.0, 0.0, 0.0, _WILD, 0.0, 0.0, 0.0, 0.0)
+
+
+class Message(NamedTuple):
+    """One message to write: topic, type, frame_id and the fixed fields as `cdr.Layout.pack` takes them."""
+
+    topic: str
+    type_name: str
+    frame_id: str
+    values: tuple[float | bytes, ...]
+
+
+def field_names(kind: type[Measured]) -> list[str]:
+    """The sample's own fields, in order."""
+    return [field.name for field in fields(kind)]
+
+
+_GETTERS: dict[type, Callable[[object], tuple[float, ...]]] = {
+    kind: attrgetter(*field_names(kind)) for kind in TYPES if len(fields(kind)) > 1
+}
+_GETTERS[Scalar] = lambda sample: (sample.value,)  # type: ignore[attr-defined]
+
+
+def topic(kind: type[Measured], source: str, node: int | None = None) -> str:
+    """The topic that holds every field of a kind of sample."""
+    if kind is Scalar:
+        return f"/signal/{source}"
+    if kind in NODE_TOPICS:
+        return f"/{source}/{node}/{NODE_TOPICS[kind]}"
+    return f"/{source}/{_LAST[kind]}"
+
+
+def messages(device: str, frame: Frame) -> list[Message]:
+    """What one sample becomes, the message with the times first. Raises TypeError for what is no measurement."""
+    sample = frame.sample
+    if isinstance(sample, Ahrs):
+        return _ahrs(device, sample, (frame.t_rx, frame.t_device))
+    own = TYPES.get(type(sample))
+    if own is None:
+        raise TypeError(f"{type(sample).__name__} is not a measurement")
+    node = sample.node if isinstance(sample, (Esc, Command, Servo)) else None
+    values = (frame.t_rx, frame.t_device, *_GETTERS[type(sample)](sample))
+    first = Message(topic(type(sample), device, node), own, device, values)  # type: ignore[arg-type]
+    if isinstance(sample, Gnss):
+        return [first, *_gnss(device, sample)]
+    if isinstance(sample, LoadCell) and not math.isnan(sample.force):
+        return [first, Message(f"/{device}/wrench", WRENCH, device, (sample.force, 0.0, 0.0, 0.0, 0.0, 0.0))]
+    return [first]
+
+
+@cache
+def _names(device: str) -> tuple[str, str, str, str]:
+    """Of an AHRS: frame_id and topics."""
+    return f"{device}_frd_ned", f"/{device}/device_time", f"/{device}/imu", f"/{device}/mag"
+
+
+def _ahrs(device: str, s: Ahrs, times: tuple[float, float]) -> list[Message]:
+    frame_id, time, imu, mag = _names(device)
+    known = s.yaw == s.yaw  # not NaN; this is done for every sample
+    level = known and math.isnan(s.pitch + s.roll)
+    values = (
+        *(quaternion(s.yaw, 0.0, 0.0) if level else quaternion(s.yaw, s.pitch, s.roll) if known else _LEVEL),
+        _YAW9 if level else _ZERO9 if known else _NONE9,
+        *(s.p, s.q, s.r),
+        _NONE9 if math.isnan(s.p + s.q + s.r) else _ZERO9,
+        *(s.ax, s.ay, s.az),
+        _NONE9 if math.isnan(s.ax + s.ay + s.az) else _ZERO9,
+    )
+    found = [Message(time, DEVICE_TIME, frame_id, times), Message(imu, IMU, frame_id, values)]
+    if s.mx == s.mx or s.my == s.my or s.mz == s.mz:
+        found.append(Message(mag, MAG, frame_id, (s.mx, s.my, s.mz, _ZERO9)))
+    return found
+
+
+def _gnss(device: str, s: Gnss) -> list[Message]:
+    # NavSatStatus: -1 no fix, 0 fix, 2 ground-based augmentation (differential and RTK); service 1 is GPS.
+    status = -1 if s.fix < 2 else 2 if s.fix >= 4 else 0
+    variance = s.sigma_h * s.sigma_h
+    if math.isnan(variance):
+        covariance, kind = _ZERO9, 0
+    else:  # the vertical one is not reported; twice the horizontal is the usual rule
+        covariance, kind = doubles(variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, 4.0 * variance), 1
+    found = [Message(f"/{device}/fix", FIX, device, (status, 1, s.lat, s.lon, s.alt, covariance, kind))]
+    if not (math.isnan(s.vel_n) or math.isnan(s.vel_e)):
+        down = 0.0 if math.isnan(s.vel_d) else s.vel_d
+        found.append(Message(f"/{device}/velocity", TWIST, f"{device}_ned", (s.vel_n, s.vel_e, down, 0.0, 0.0, 0.0)))
+    return found
+
+
+def quaternion(yaw: float, pitch: float, roll: float) -> tuple[float, float, float, float]:
+    """Rotation body (FRD) to NED as x, y, z, w from ZYX angles in rad; Diebel 2006, eq. 290."""
+    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
+    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
+    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+
+
+def angles(
+    x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], w: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Yaw, pitch, roll in rad of quaternions, each shape (n,); yaw and roll within -pi..pi."""
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    return yaw, pitch, roll
+
+
+def imu_columns(rows: NDArray[np.void]) -> Columns:
+    """The columns of Ahrs but the magnetic field, from decoded rows of IMU; NaN where not reported."""
+    yaw, pitch, roll = angles(*(rows[f"orientation.{axis}"] for axis in "xyzw"))
+    unknown = rows["orientation_covariance"][:, 0] == -1.0
+    columns: Columns = {"yaw": yaw, "pitch": pitch, "roll": roll}
+    for column in columns.values():
+        column[unknown] = np.nan
+    level = rows["orientation_covariance"][:, 0] >= _WILD
+    for name in ("pitch", "roll"):
+        columns[name][level] = np.nan
+    for names, vector in (("pqr", "angular_velocity"), (("ax", "ay", "az"), "linear_acceleration")):
+        for name, axis in zip(names, "xyz", strict=True):
+            columns[name] = rows[f"{vector}.{axis}"]
+    return columns
+
+
+def own_columns(kind: type[Measured], rows: NDArray[np.void]) -> Columns:
+    """The columns of any other kind, t_rx and t_device among them, from decoded rows of its own message."""
+    return {name: rows[name] for name in ("t_rx", "t_device", *field_names(kind))}

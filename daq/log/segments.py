@@ -1,0 +1,159 @@
+"""The segments of a log, NAME.mcap, NAME.1.mcap, NAME.2.mcap, ..., read as one.
+
+A segment belongs to the first one when it says the same run clock, rig and host in its metadata: a name alone may be
+chance. Numbers may be missing, and each segment may be cut off or damaged for itself.
+
+What a watchdog did to a run whose log nobody writes any more: a line of text in `LOG.stop` beside the log.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from mcap.records import Attachment, Channel, Metadata, Schema
+from numpy.typing import NDArray
+
+from daq.errors import SeatrialError
+from daq.log.mcap_chunk import MESSAGE, Buffer, Chunked
+from daq.log.mcap_reader import MAX_WARNINGS, RawLog
+
+SAME = ("origin", "rig", "host")  # what segments of one log have in common
+LONGEST = 500  # characters
+
+
+def open_raw(path: Path) -> RawLog | SegmentedLog:
+    """The log at `path` with all its segments. Raises SeatrialError as `RawLog` does."""
+    later = segments(path)
+    try:
+        first = RawLog(path)
+    except SeatrialError as error:
+        if not later:
+            raise
+        names = ", ".join(other.name for other in later.values())
+        raise SeatrialError(f"{error}; what may be its later segments opens by itself: {names}") from error
+    if not later or not _about(first).get("origin"):
+        return first
+    files, warnings, last = [first], [], 0
+    for number, other in later.items():
+        try:
+            raw = RawLog(other)
+        except SeatrialError as error:
+            warnings.append(f"a segment is left out: {error}")
+            continue
+        if all(_about(raw).get(key) == _about(first).get(key) for key in SAME):
+            files.append(raw)
+            last = number
+        else:
+            raw.close()
+            warnings.append(f"{other.name} is of another run and left out")
+    gone = [segment_path(path, number).name for number in range(1, last) if number not in later]
+    warnings += [f"a segment is missing: {name}" for name in gone[:MAX_WARNINGS]]
+    return SegmentedLog(files, warnings) if len(files) > 1 or warnings else first
+
+
+def segment_path(first: Path, number: int) -> Path:
+    """Where segment `number`, 1 and up, of the log that begins at `first` lies."""
+    return first.with_suffix(f".{number}{first.suffix}")
+
+
+def segments(path: Path) -> dict[int, Path]:
+    """The files beside `path` that are named as its later segments, by their number, ascending."""
+    name = re.compile(re.escape(path.stem) + r"\.(\d{1,6})" + re.escape(path.suffix))
+    try:
+        found = [(int(match[1]), other) for other in path.parent.iterdir() if (match := name.fullmatch(other.name))]
+    except OSError:
+        return {}
+    return dict(sorted(found))
+
+
+def first_segments(folder: Path) -> list[Path]:
+    """The logs in a folder, each by its first segment, in the order of their names."""
+    paths = sorted(folder.glob("*.mcap"))
+    later = {other for path in paths for other in segments(path).values()}
+    return [path for path in paths if path not in later]
+
+
+def first_of(path: Path) -> Path | None:
+    """The first segment of the log that `path` is named as a later segment of, where it is there."""
+    match = re.fullmatch(r"(.+)\.\d{1,6}", path.stem)
+    first = path.with_name(f"{match[1]}{path.suffix}") if match else path
+    return first if first != path and first.is_file() else None
+
+
+def _about(raw: RawLog) -> dict[str, str]:
+    return next((dict(record.metadata) for record in raw.metadata if record.name == "seatrial"), {})
+
+
+class SegmentedLog(Chunked):
+    """Several files with the face of one `RawLog`: chunks are numbered through, channels that are alike are one."""
+
+    def __init__(self, files: list[RawLog], warnings: list[str]) -> None:
+        self.files = files
+        self.path = files[0].path
+        self.warnings = [f"{raw.path.name}: {text}" for raw in files for text in raw.warnings] + warnings
+        self.complete = all(raw.complete for raw in files)
+        self.profile = files[0].profile
+        self.metadata: list[Metadata] = files[0].metadata
+        self.attachments: list[Attachment] = files[0].attachments
+        self.channels: dict[int, Channel] = {}
+        self.schemas: dict[int, Schema] = {}
+        self._first_chunks: list[int] = []
+        self._known: dict[tuple[object, ...], int] = {}
+        parts, n_chunks = [], 0
+        for raw in files:
+            self._first_chunks.append(n_chunks)
+            parts.append(self._renumbered(raw, n_chunks))
+            n_chunks += raw.n_chunks
+        self.messages: NDArray[np.void] = np.concatenate(parts) if parts else np.zeros(0, MESSAGE)
+
+    def _renumbered(self, raw: RawLog, first_chunk: int) -> NDArray[np.void]:
+        rows = raw.messages.copy()
+        new = np.zeros(1 << 16, np.uint16)
+        for number, channel in raw.channels.items():
+            new[number] = self._number(channel, raw.schemas.get(channel.schema_id))
+        rows["channel"] = new[rows["channel"]]
+        rows["chunk"] += first_chunk
+        return rows
+
+    def _number(self, channel: Channel, schema: Schema | None) -> int:
+        """The number of this channel in the set; new ones are given in the order of the files."""
+        what = ("", b"") if schema is None else (schema.name, schema.data)
+        key = (channel.topic, channel.message_encoding, tuple(sorted(channel.metadata.items())), what)
+        if key not in self._known:
+            number = self._known[key] = len(self._known) + 1
+            if schema is not None:
+                self.schemas[number] = Schema(id=number, name=schema.name, encoding=schema.encoding, data=schema.data)
+            self.channels[number] = Channel(
+                id=number,
+                topic=channel.topic,
+                message_encoding=channel.message_encoding,
+                metadata=channel.metadata,
+                schema_id=number if schema is not None else 0,
+            )
+        return self._known[key]
+
+    def chunk(self, number: int) -> Buffer:
+        """The uncompressed bytes of a chunk, numbered through the set."""
+        k = int(np.searchsorted(self._first_chunks, number, side="right")) - 1
+        return self.files[k].chunk(number - self._first_chunks[k])
+
+    def close(self) -> None:
+        """Let go of all files."""
+        for raw in self.files:
+            raw.close()
+
+
+def note_path(log: Path) -> Path:
+    """Where the watchdog writes what it did to the run of a log."""
+    return log.with_name(f"{log.name}.stop")
+
+
+def read_note(log: Path) -> str:
+    """What a watchdog wrote beside a log, in one line; empty where it did not have to."""
+    try:
+        text = note_path(log).read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+    return " ".join(text.split())[:LONGEST]

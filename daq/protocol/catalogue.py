@@ -1,0 +1,135 @@
+"""The table of devices: one row says all that the rest of daq has to know of a protocol.
+
+A decoder's module is imported when the decoder is made, so that reading a rig file stays quick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from daq.protocol.decoder import Decoder
+from daq.rig import Device, Rig
+
+SERIAL, CAN, NET = "serial", "can", "net"  # NET: a serial device or a socket
+GNSS_BAUDS = (9600, 38400, 115200, 4800, 57600, 460800, 230400, 921600)
+
+
+class Row(NamedTuple):
+    """One protocol: what it says of itself, where it is spoken, which keys of the rig are its own, its decoder."""
+
+    says: str
+    bus: str  # SERIAL, CAN or NET: what its port may be
+    make: Callable[[Device, Rig], Decoder]
+    options: tuple[str, ...] = ()  # keys of [[device]], read by daq.config.rig_file
+    bauds: tuple[int, ...] = ()  # what `seatrial devices` tries, the commonest first; none: it cannot be recognised
+
+
+def _vectornav(device: Device, rig: Rig) -> Decoder:
+    from daq.protocol import vectornav
+
+    return vectornav.Decoder()
+
+
+def _mip(device: Device, rig: Rig) -> Decoder:
+    from daq.protocol import mip
+
+    return mip.Decoder()
+
+
+def _nmea(device: Device, rig: Rig) -> Decoder:
+    from daq.protocol import nmea
+
+    return nmea.Decoder(device.declination)
+
+
+def _ubx(device: Device, rig: Rig) -> Decoder:
+    from daq.protocol import ubx
+
+    return ubx.Decoder(device.declination)
+
+
+def _loadcell(device: Device, rig: Rig) -> Decoder:
+    from daq.protocol import loadcell
+
+    force = device.calibration.force if device.calibration else None
+    return loadcell.Decoder(device.pattern, device.saturation, force, skip_first=True)
+
+
+def _openscale(device: Device, rig: Rig) -> Decoder:
+    from daq.protocol import openscale
+
+    force = device.calibration.force if device.calibration else None
+    return openscale.Decoder(device.saturation, force, skip_first=True)
+
+
+def _mantracourt(device: Device, rig: Rig) -> Decoder:
+    from daq.protocol import mantracourt
+
+    force = device.calibration.force if device.calibration else None
+    return mantracourt.Decoder(device.saturation, force, query=device.query)
+
+
+def _vesc(device: Device, rig: Rig) -> Decoder:
+    from daq.protocol import vesc
+
+    here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
+    return vesc.Decoder(
+        {thruster.node: thruster.pole_pairs for thruster in here},
+        frozenset(thruster.node for thruster in here if thruster.reversed),
+    )
+
+
+def _mavlink(device: Device, rig: Rig) -> Decoder:
+    from daq.protocol import mavlink
+
+    return mavlink.make_decoder(device, rig)
+
+
+def _dbc(device: Device, rig: Rig) -> Decoder:
+    from daq.protocol import dbc
+
+    return dbc.Decoder(dbc.load(device.dbc), device.signals)
+
+
+def _dronecan(device: Device, rig: Rig) -> Decoder:
+    from daq.protocol import dronecan
+
+    here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
+    return dronecan.Decoder(frozenset(thruster.node for thruster in here if thruster.reversed))
+
+
+def _nmea2000(device: Device, rig: Rig) -> Decoder:
+    from daq.protocol import nmea2000
+
+    return nmea2000.Decoder(device.declination)
+
+
+DEVICES: dict[str, Row] = {
+    "vectornav": Row("VectorNav AHRS, ASCII and binary", SERIAL, _vectornav, (), (115200, 921600, 460800, 230400)),
+    "mip": Row("MicroStrain inertial sensor, MIP", SERIAL, _mip, (), (115200, 921600, 460800, 230400)),
+    "nmea": Row("GNSS receiver or compass, NMEA 0183", SERIAL, _nmea, ("declination_deg",), GNSS_BAUDS),
+    "ubx": Row("u-blox GNSS receiver, UBX and NMEA mixed", SERIAL, _ubx, ("declination_deg",), GNSS_BAUDS),
+    "loadcell": Row(
+        "load cell, a line of text a reading", SERIAL, _loadcell, ("pattern", "saturation", "calibration"),
+        (115200, 9600, 57600, 38400),
+    ),
+    "openscale": Row(
+        "SparkFun OpenScale", SERIAL, _openscale, ("saturation", "calibration"), (9600, 115200, 57600, 38400)
+    ),
+    "mantracourt": Row(
+        "Mantracourt DSCUSB, DCell: asked for each reading", SERIAL, _mantracourt,
+        ("query", "saturation", "calibration"),
+    ),
+    "vesc": Row("VESC speed controllers", CAN, _vesc, ("bitrate",)),
+    "dbc": Row("shaft speed from any CAN bus, by a DBC file", CAN, _dbc, ("bitrate", "dbc")),
+    "dronecan": Row("DroneCAN speed controllers", CAN, _dronecan, ("bitrate", "own_node")),
+    "nmea2000": Row("ship's bus: compass, attitude, GNSS", CAN, _nmea2000, ("bitrate", "declination_deg")),
+    "mavlink": Row("autopilot: AHRS, GNSS, outputs, battery", NET, _mavlink, ("mavlink",), (57600, 115200, 921600)),
+}  # fmt: skip
+SERIAL_PROTOCOLS = tuple(name for name, row in DEVICES.items() if row.bus == SERIAL)
+
+
+def make_decoder(device: Device, rig: Rig) -> Decoder:
+    """The decoder for a device of the rig."""
+    return DEVICES[device.protocol].make(device, rig)

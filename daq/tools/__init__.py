@@ -1,0 +1,5 @@
+"""Tools on ports and logs: discovery, live table, info, export, replay."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

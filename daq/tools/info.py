@@ -1,0 +1,132 @@
+"""What a log holds, as tables for people: `seatrial info`."""
+
+from __future__ import annotations
+
+import math
+from datetime import UTC, datetime
+from itertools import groupby
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from daq.errors import SeatrialError, counted
+from daq.log import Log, first_of
+from daq.samples import PortHealth, Scalar
+
+FIRST_EVENTS, LAST_EVENTS = 25, 15  # shown of many: how a run ended stands last
+_ABOUT = {
+    "rig": "rig",
+    "operator": "operator",
+    "host": "host",
+    "git": "git",
+    "command_line": "command",
+    "speed": "run seconds a wall second",
+    "import.map": "import.map",
+}
+FOLDED = ("skipped", "parameter")  # kinds of events that come in swarms
+
+
+def show(log: Log, console: Console) -> None:
+    """Print duration, topics with rates, health counters, events and warnings."""
+    size = sum(path.stat().st_size for path in log.paths)
+    pieces = f" in {len(log.paths)} segments" if len(log.paths) > 1 else ""
+    state = "complete" if log.complete else "cut off, or still being written"
+    console.print(f"[bold]{escape(str(log.path))}[/]  {_size(size)}{pieces}, {state}")
+    if log.counts:
+        begin = datetime.fromtimestamp(log.start, UTC).isoformat(sep=" ", timespec="milliseconds")
+        console.print(f"from {begin}, {log.duration:.3f} s, {counted(sum(log.counts.values()), 'message')}")
+    else:
+        console.print("no messages")
+    first = first_of(log.path)
+    if first is not None and log.metadata.get("segment", "0") != "0":
+        number = escape(log.metadata["segment"])
+        console.print(f"  segment {number} of {escape(first.name)}, which opens with all of them")
+    for key, words in _ABOUT.items():
+        if log.metadata.get(key) and (key, log.metadata[key]) != ("speed", "1.0"):
+            console.print(f"  {words}: {escape(log.metadata[key])}")
+    for name, data in log.attachments.items():
+        console.print(f"  attached: {escape(name)} ({counted(len(data), 'byte')})")
+    if log.counts:
+        console.print(_topics(log))
+    if log.sources(PortHealth):
+        console.print(_health(log))
+    _events(log, console)
+    for warning in log.warnings:
+        console.print(f"[bold]warning:[/] {escape(warning)}")
+
+
+def _topics(log: Log) -> Table:
+    signals = {f"/signal/{name}": name for name in log.sources(Scalar)}
+    notes = [""] if signals else []
+    heads = ("topic", "type", "messages", "rate [Hz]", "longest gap [s]", *notes)
+    table = Table(*(escape(head) for head in heads))  # [s] would be struck out, and not be seen
+    for column in table.columns[2:5]:
+        column.justify = "right"
+    for topic, type_name in log.types().items():
+        rate, gap = log.rate_and_gap(topic)
+        notes = [""] if signals else []
+        if topic in signals:
+            name = signals[topic]
+            notes = [f"{log.role(name)} [{log.unit(name)}], hold {log.hold(name)}"]
+        count = str(log.counts[topic])
+        table.add_row(escape(topic), type_name, count, _number(rate, 2), _number(gap, 4), *map(escape, notes))
+    return table
+
+
+def _health(log: Log) -> Table:
+    heads = ("port", "bytes in", "frames", "checksum errors", "unparsed bytes", "dropped", "reconnects", "delay [ms]")
+    table = Table("device", *(escape(head) for head in heads))
+    for column in table.columns[2:]:
+        column.justify = "right"
+    for device in log.sources(PortHealth):
+        _, last = log.health(device)[-1]
+        counters = (
+            last.bytes_in,
+            last.frames,
+            last.checksum_errors,
+            last.unparsed_bytes,
+            last.dropped,
+            last.reconnects,
+        )
+        delay = "-"
+        if math.isfinite(last.clock_bias):
+            delay = f"{last.clock_bias * 1e3:.2f} ± {_number(last.clock_spread * 1e3, 2)}"
+        table.add_row(device, escape(last.port), *(str(counter) for counter in counters), delay)
+    return table
+
+
+def _events(log: Log, console: Console) -> None:
+    try:
+        events = log.events()
+    except SeatrialError as error:
+        console.print(f"[bold]warning:[/] {escape(str(error))}")
+        return
+    lines = _folded(events)
+    left_out = max(len(lines) - FIRST_EVENTS - LAST_EVENTS, 0)
+    for k, (t, kind, text) in enumerate(lines):
+        if k == FIRST_EVENTS and left_out:
+            console.print(f"       ... {counted(left_out, 'event')} left out; `seatrial export csv` writes all of them")
+        if k < FIRST_EVENTS or k >= FIRST_EVENTS + left_out:
+            console.print(f"{t - log.start:10.3f} s  [bold]{escape(kind)}[/]  {escape(text)}")
+
+
+def _folded(events: list[tuple[float, str, str]]) -> list[tuple[float, str, str]]:
+    """One line for what came again and again: the first, and how many more there were until when."""
+    lines: list[tuple[float, str, str]] = []
+    for kind, group in groupby(events, key=lambda event: event[1]):
+        first, *more = group
+        if kind not in FOLDED or not more:
+            lines += [first, *more]
+            continue
+        rest = f" (and {len(more)} more until {more[-1][0] - first[0]:.3f} s later)"
+        lines.append((first[0], kind, first[2] + rest))
+    return lines
+
+
+def _size(n_bytes: int) -> str:
+    return f"{n_bytes / 1e6:.2f} MB" if n_bytes >= 1e6 else f"{n_bytes / 1e3:.1f} kB"
+
+
+def _number(value: float, digits: int) -> str:
+    return "-" if math.isnan(value) else f"{value:.{digits}f}"

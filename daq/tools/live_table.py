@@ -1,0 +1,274 @@
+"""`seatrial log`: acquire until Ctrl-C or for a time, with a live table of the devices."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import signal
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+
+import click
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from daq.acquisition import Acquisition
+from daq.clock import RunClock
+from daq.config import load_rig
+from daq.errors import SeatrialError, counted
+from daq.rig import Rig
+from daq.samples import Ahrs, Esc, Gnss, LoadCell, Sample
+from daq.status import PortStatus, Status
+
+TABLE_S = 0.2  # wall
+LINE_S = 5.0  # wall, where there is no terminal
+FIRST_LINE_S = 0.5
+STALE_PERIODS = 5.0
+STALE_S = 1.0
+STALE_WALL_S = 0.25
+RATE_TOLERANCE = 0.1
+WIDE = 110  # columns from which the table has all its columns
+FIX = ("no fix", "dead reckoning", "2D", "3D", "DGPS", "RTK fixed", "RTK float")
+# Colour is never alone: each state has a word too. Blue and orange are told apart by nearly everybody.
+GOOD, BAD, DIM = "bright_blue", "bold orange1", "dim"
+
+
+@click.command(epilog="Example: seatrial log rig.toml --duration 60 -o still.mcap")
+@click.argument("rig", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option(
+    "--duration",
+    type=click.FloatRange(min=0.0, min_open=True),
+    metavar="S",
+    help="Run seconds; until Ctrl-C if not given.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="The log; a name made of rig and date if not given.",
+)
+@click.option("--live", "serve", is_flag=True, help="Serve the samples to Foxglove, too (see [live] in the rig).")
+def log(rig: Path, duration: float | None, output: Path | None, serve: bool) -> None:
+    """Record every device of RIG until Ctrl-C, with a live table.
+
+    Devices may be plugged in and out meanwhile; what is missing or silent is said. Commands no thrust.
+    """
+    loaded = load_rig(rig)
+    path = output or default_path(loaded)
+    if path.exists():
+        raise SeatrialError(f"{path} exists, and a log is never overwritten; give another name with -o")
+    clock = RunClock(loaded.speed)
+    console = Console(highlight=False)
+    stop = threading.Event()
+    before = {number: signal.signal(number, _setter(stop)) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        with Acquisition(loaded, path, clock=clock) as acquisition, contextlib.ExitStack() as stack:
+            if serve:
+                from daq.tools.live_server import LiveServer
+
+                server = stack.enter_context(LiveServer(loaded, acquisition.status))
+                console.print(f"live at {server.address}", markup=False)
+            deadline = math.inf if duration is None else clock.now() + duration
+            watch(acquisition, loaded, clock, deadline, stop, console)
+        status = acquisition.status()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    console.print(summary(status, path), soft_wrap=True, markup=False)
+
+
+def default_path(rig: Rig) -> Path:
+    """`DIRECTORY/RIG-DATE-TIME.mcap` in local time; a number is added where there is such a file."""
+    stem = f"{'-'.join(rig.name.split())}-{time.strftime('%Y%m%d-%H%M%S')}"
+    path = rig.log_directory / f"{stem}.mcap"
+    number = 1
+    while path.exists():
+        number += 1
+        path = rig.log_directory / f"{stem}-{number}.mcap"
+    return path
+
+
+def watch(
+    acquisition: Acquisition, rig: Rig, clock: RunClock, deadline: float, stop: threading.Event, console: Console
+) -> None:
+    """Show the status until run time `deadline` or until `stop` is set: a table on a terminal, lines elsewhere."""
+    if not console.is_terminal:
+        line_at, told = time.monotonic() + FIRST_LINE_S, set[str]()
+        while not stop.wait(_pause(clock, deadline, line_at)) and clock.now() < deadline:
+            if time.monotonic() >= line_at:
+                status = acquisition.status()
+                for hint in set(status.hints) - told:  # once; a table has room to say it all the time
+                    console.print(f"hint: {hint}", soft_wrap=True, markup=False)
+                told.update(status.hints)
+                console.print(line(status), soft_wrap=True, markup=False)
+                line_at += LINE_S
+        return
+    with Live(console=console, auto_refresh=False, screen=False) as live:
+        while not stop.wait(_pause(clock, deadline, time.monotonic() + TABLE_S)) and clock.now() < deadline:
+            live.update(table(acquisition.status(), rig, console.width), refresh=True)
+
+
+def _pause(clock: RunClock, deadline: float, until_wall: float) -> float:
+    return max(min(clock.wall(deadline - clock.now()), until_wall - time.monotonic()), 0.001)
+
+
+def _setter(stop: threading.Event) -> Callable[[int, FrameType | None], None]:
+    def handle(number: int, frame: FrameType | None) -> None:
+        stop.set()
+
+    return handle
+
+
+def table(status: Status, rig: Rig, width: int) -> Group:
+    """The live table for `width` columns: a header line, a row a device (or speed controller), and what is wrong."""
+    wide = width >= WIDE
+    rows = Table(box=None, expand=True, padding=(0, 1, 0, 0), header_style="bold")
+    columns = ["device", "rate/Hz", "of", "age/s", "frames", "errors", "latest"]
+    if wide:
+        columns = [
+            "device",
+            "rate/Hz",
+            "of",
+            "age/s",
+            "frames",
+            "checksum",
+            "unparsed",
+            "dropped",
+            "reopened",
+            "late/ms",
+            "latest",
+        ]
+    for name in columns:
+        left = name in ("device", "latest")
+        rows.add_column(
+            name,
+            justify="left" if left else "right",
+            no_wrap=True,
+            overflow="ellipsis",
+            ratio=1 if name == "latest" else None,
+        )
+    for port in status.ports.values():
+        latest = [entry.sample for (device, _), entry in sorted(status.latest.items(), key=str) if device == port.name]
+        values = [describe(sample, rig, port.name) for sample in latest] or [port.message or "nothing yet"]
+        rows.add_row(*_cells(port, rig.speed, wide), Text(values[0], style=BAD if not latest else ""))
+        for value in values[1:]:
+            rows.add_row(*[""] * (len(columns) - 1), value)
+    parts: list[Table | Text] = [_header(status, rig), Text(), rows, Text()]
+    parts += [Text(f"! {warning}", style=BAD) for warning in status.warnings]
+    parts += [Text(f"hint: {hint}", style=DIM) for hint in status.hints]
+    parts.append(Text("Ctrl-C ends the log", style=DIM))
+    return Group(*parts)
+
+
+def _header(status: Status, rig: Rig) -> Text:
+    text = Text(no_wrap=True, overflow="ellipsis")
+    text.append(" REC ", style="reverse bold")
+    text.append(f" {duration_text(status.duration)}", style="bold")
+    if rig.speed != 1.0:
+        text.append(f" at speed {rig.speed:g}", style=DIM)
+    text.append(f"  {size_text(status.bytes)}  {Path(status.path).name}")
+    return text
+
+
+def _cells(port: PortStatus, speed: float, wide: bool) -> list[Text]:
+    patience = max(STALE_S, STALE_PERIODS / port.expected, STALE_WALL_S * speed)
+    stale = port.age > patience
+    off = not abs(port.rate - port.expected) <= RATE_TOLERANCE * port.expected
+    age = "never" if math.isinf(port.age) else f"{port.age:.1f}" if stale else f"{port.age:.2f}"
+    cells = [
+        Text(f"{'!' if stale or port.message else '●'} {port.name}", style=BAD if stale or port.message else GOOD),
+        Text("-" if math.isnan(port.rate) else f"{port.rate:.1f}", style=BAD if off and not stale else ""),
+        Text(f"{port.expected:g}", style=DIM),
+        Text(f"{age} STALE" if stale and not math.isinf(port.age) else age, style=BAD if stale else ""),
+        Text(f"{port.frames}"),
+    ]
+    counts = [port.checksum_errors, port.unparsed_bytes, port.dropped, port.reconnects]
+    if not wide:
+        said = zip(counts, ("chk", "unp", "drop", "reop"), strict=True)
+        short = " ".join(f"{count}{name}" for count, name in said if count)
+        return [*cells, Text(short or "0", style=BAD if short else DIM)]
+    cells += [Text(f"{count}", style=BAD if count else DIM) for count in counts]
+    return [*cells, Text("-" if math.isnan(port.latency) else f"{1e3 * port.latency / speed:.1f}")]
+
+
+def describe(sample: Sample, rig: Rig, device: str) -> str:
+    """A sample in a few words, for people: degrees, and what is void left out."""
+    if isinstance(sample, Ahrs):
+        return _join(
+            ("yaw", math.degrees(sample.yaw), ".1f", "°"),
+            ("r", math.degrees(sample.r), ".1f", "°/s"),
+            ("roll", math.degrees(sample.roll), ".1f", "°"),
+            ("pitch", math.degrees(sample.pitch), ".1f", "°"),
+        )
+    if isinstance(sample, Gnss):
+        fix = FIX[sample.fix] if 0 <= sample.fix < len(FIX) else f"fix {sample.fix}"
+        speed = math.hypot(sample.vel_n, sample.vel_e)
+        satellites = f"{sample.n_sat} sat " if sample.n_sat >= 0 else ""
+        place = _join(("", speed, ".2f", "m/s"), ("", sample.lat, ".6f", ""), ("", sample.lon, ".6f", ""))
+        return f"{fix} {satellites}{place}"
+    if isinstance(sample, Esc):
+        names = [t.name for t in rig.thrusters if (t.device, t.node) == (device, sample.node)]
+        values = (("", sample.rpm, ".0f", "rpm"), ("", sample.current, ".1f", "A"))
+        supply = (("", sample.voltage, ".1f", "V"), ("", sample.temperature, ".0f", "°C"))
+        return f"{names[0] if names else sample.node}: " + _join(*values, *supply)
+    if isinstance(sample, LoadCell):
+        flags = " saturated" * (sample.flags & 1) + " spike" * (sample.flags >> 1 & 1)
+        return _join(("", sample.force, ".2f", "N"), ("", sample.counts, ".0f", "counts")) + flags
+    return str(sample)
+
+
+def _join(*parts: tuple[str, float, str, str]) -> str:
+    said = []
+    for name, value, form, unit in parts:
+        if not math.isnan(value):
+            gap = " " if unit and not unit.startswith("°") else ""
+            said.append(f"{name} {value:{form}}{gap}{unit}".strip())
+    return " ".join(said)
+
+
+def line(status: Status) -> str:
+    """The status in one line, for a file or a pipe."""
+    ports = []
+    for port in status.ports.values():
+        rate = "-" if math.isnan(port.rate) else f"{port.rate:.1f}"
+        rate = "silent" if math.isinf(port.age) else f"{rate}/{port.expected:g} Hz"
+        counts = (port.checksum_errors, port.unparsed_bytes, port.dropped, port.reconnects)
+        errors = counted(counts[0], "checksum error"), counted(counts[1], "unparsed byte")
+        said = (*errors, f"{counts[2]} dropped", f"{counts[3]} reopened")
+        wrong = "".join(f" {word}" for count, word in zip(counts, said, strict=True) if count)
+        ports.append(f"{port.name} {rate}{wrong}")
+    warnings = "".join(f"; {warning}" for warning in status.warnings)
+    return f"{duration_text(status.duration)} {size_text(status.bytes)}: {', '.join(ports)}{warnings}"
+
+
+def summary(status: Status, path: Path) -> str:
+    """The last line: file, duration, messages, and what went wrong on the way."""
+    lost = sum(port.dropped for port in status.ports.values())
+    silent = [port.name for port in status.ports.values() if port.samples == 0]
+    text = f"{path}: {duration_text(status.duration)}, {counted(status.messages, 'message')}, {size_text(status.bytes)}"
+    text += f", {lost} lost" if lost else ""
+    return text + (f"; nothing from {', '.join(silent)}" if silent else "")
+
+
+def duration_text(seconds: float) -> str:
+    """`1:02:03`, or `2:03.4` under an hour."""
+    minutes, rest = divmod(max(seconds, 0.0), 60.0)
+    if minutes < 60.0:
+        return f"{int(minutes)}:{math.floor(rest * 10.0) / 10.0:04.1f}"
+    return f"{int(minutes // 60)}:{int(minutes % 60):02d}:{int(rest):02d}"
+
+
+def size_text(n_bytes: int) -> str:
+    """`1.2 MB`, in powers of ten."""
+    size = float(n_bytes)
+    for unit in ("B", "kB", "MB"):
+        if size < 1000.0:
+            return f"{size:.0f} {unit}" if unit == "B" else f"{size:.1f} {unit}"
+        size /= 1000.0
+    return f"{size:.2f} GB"

@@ -1,0 +1,75 @@
+"""Ports: serial, slcan on a serial port, SocketCAN. The only file that knows pyserial and python-can.
+
+Sockets are in daq.transport.network_port.
+
+A port is opened, waited for through its file descriptor, read and written; whatever the operating system or a
+library raises becomes a PortError of one line.
+"""
+
+from __future__ import annotations
+
+import errno
+import re
+from abc import ABC, abstractmethod
+
+READ_BYTES = 65536
+WRITE_S = 0.05  # wall; a port that takes no bytes for longer is as good as gone
+
+
+class PortError(Exception):
+    """The port cannot be opened, or was lost. The message is one line without the port's name."""
+
+
+class Port(ABC):
+    """One port. CAN ports speak in whole 16-byte `struct can_frame`s, serial ports in bytes."""
+
+    def __init__(self) -> None:
+        self.bytes_in = 0
+        self.unparsed_bytes = 0
+        self.hint = ""  # what could be better about it, in one line; known when it is open
+
+    @abstractmethod
+    def open(self) -> None:
+        """Open; raises PortError."""
+
+    @abstractmethod
+    def fileno(self) -> int:
+        """What to wait on."""
+
+    @abstractmethod
+    def read(self) -> bytes:
+        """What has arrived, after waiting; may be empty. Raises PortError when the other end is gone."""
+
+    @abstractmethod
+    def write(self, data: bytes) -> None:
+        """Write all of it; raises PortError."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close, whatever state it is in; never raises."""
+
+
+_REASONS = {
+    errno.ECONNREFUSED: "refuses the connection: nobody listens there",
+    errno.ECONNRESET: "closed the connection",
+    errno.EADDRINUSE: "is in use by another program",
+    errno.EADDRNOTAVAIL: "is no address of this machine",
+    errno.ENOENT: "is not there",
+    errno.ENODEV: "is not there",
+    errno.ENXIO: "is not there",
+    errno.EIO: "is not there",
+    errno.EACCES: "may not be opened by this user (group dialout?)",
+    errno.EPERM: "may not be opened by this user (group dialout?)",
+    errno.EBUSY: "is in use by another program",
+    errno.EAGAIN: "is in use by another program",
+    errno.ENOTTY: "is no serial device",
+    errno.ENETDOWN: "is down (ip link set ... up)",
+}
+
+
+def os_error_text(error: BaseException) -> str:
+    """One line for an error of the operating system or of a library."""
+    number = getattr(error, "errno", None) or getattr(error, "error_code", None)
+    if number is None and (inner := re.search(r"\((\d+), '", str(error))):  # pyserial quotes the one below it
+        number = int(inner[1])
+    return _REASONS.get(number or 0) or " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,35 @@
+"""Ports: serial, slcan on a serial port, SocketCAN. The only file that knows pyserial and python-can.
+
+Sockets are in daq.transport.network_port.
+
+A port is opened, waited for through its file descriptor, read and written; whatever the operating system or a
+library raises becomes a PortError of one line.
+"""
+
+from __future__ import annotations
+
+from daq.rig import NET_KINDS, Device
+from daq.transport.base import Port
+from daq.transport.can_port import SlcanPort, SocketCanPort
+from daq.transport.network_port import TcpPort, UdpPort
+from daq.transport.serial_port import SerialPort
+
+
+def make_port(device: Device) -> Port:
+    """The port that a device of the rig names; not open yet."""
+    if device.port.startswith("slcan:"):
+        return SlcanPort(device.port.removeprefix("slcan:"), device.baud, device.bitrate)
+    if device.port.startswith("socketcan:"):
+        return SocketCanPort(device.port.removeprefix("socketcan:"))
+    if device.port.partition(":")[0] in NET_KINDS:
+        return make_net_port(device.port)
+    return SerialPort(device.port, device.baud)
+
+
+def make_net_port(port: str) -> Port:
+    """The port of `udp:HOST:PORT` and its relatives; not open yet."""
+    kind, _, address = port.partition(":")
+    host, _, number = address.rpartition(":")
+    if kind == "tcp":
+        return TcpPort(host.strip("[]"), int(number))
+    return UdpPort(host.strip("[]"), int(number), listen=kind != "udpout")

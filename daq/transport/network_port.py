@@ -1,0 +1,167 @@
+"""Ports on a network: UDP and TCP.
+
+udpin (and udp) listens at an address of ours and answers whoever spoke first; it goes over to another address only
+when that one has been silent for a while, so that a second program cannot take the link away. udpout speaks to an
+address, tcp connects to one. There is no hang-up on UDP: who does not speak any more is found out by silence.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import socket
+import time
+from typing import Any
+
+from daq.transport.base import WRITE_S, Port, PortError, os_error_text
+
+READ_BYTES = 65536
+SILENT_S = 2.0  # wall; the address that spoke first keeps the link until it is silent for this long
+CONNECT_S = 2.0  # wall
+BUFFER_BYTES = 1 << 20  # for bursts while this process waits for its turn
+
+
+def _resolve(host: str, number: int, kind: socket.SocketKind, passive: bool) -> tuple[socket.AddressFamily, Any]:
+    flags = socket.AI_PASSIVE if passive else 0
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, number, type=kind, flags=flags)[0]
+    except OSError as error:
+        raise PortError(f"no address {host}:{number}: {os_error_text(error)}") from error
+    return family, address
+
+
+class UdpPort(Port):
+    """Datagrams, joined to a stream of bytes: MAVLink puts whole frames into each."""
+
+    def __init__(self, host: str, number: int, listen: bool) -> None:
+        super().__init__()
+        self._host, self._number, self._listen = host, number, listen
+        self._socket: socket.socket | None = None
+        self._peer: Any = None
+        self._heard = 0.0
+
+    def open(self) -> None:
+        """Bind or connect."""
+        self.close()
+        family, address = _resolve(self._host, self._number, socket.SOCK_DGRAM, self._listen)
+        sock = socket.socket(family, socket.SOCK_DGRAM)
+        try:
+            sock.setblocking(False)
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
+            if self._listen:
+                sock.bind(address)
+            else:
+                sock.connect(address)
+        except OSError as error:
+            sock.close()
+            raise PortError(os_error_text(error)) from error
+        self._socket, self._peer = sock, None if self._listen else address
+
+    def fileno(self) -> int:
+        """What to wait on."""
+        return -1 if self._socket is None else self._socket.fileno()
+
+    def read(self) -> bytes:
+        """What has arrived from the one we listen to."""
+        assert self._socket is not None
+        parts = []
+        while True:
+            try:
+                data, sender = self._socket.recvfrom(READ_BYTES)
+            except BlockingIOError:
+                break
+            except ConnectionRefusedError:  # the answer to something we sent: nobody listens there yet
+                continue
+            except OSError as error:
+                raise PortError(os_error_text(error)) from error
+            if self._takes(sender):
+                parts.append(data)
+            else:
+                self.unparsed_bytes += len(data)
+            self.bytes_in += len(data)
+        return b"".join(parts)
+
+    def _takes(self, sender: Any) -> bool:
+        now = time.monotonic()
+        if self._listen and sender != self._peer:
+            if self._peer is not None and now - self._heard < SILENT_S:
+                return False
+            self._peer = sender
+        self._heard = now
+        return True
+
+    def write(self, data: bytes) -> None:
+        """Send to the other end; nothing where nobody has spoken yet."""
+        if self._socket is None or self._peer is None:
+            return
+        try:
+            if self._listen:
+                self._socket.sendto(data, self._peer)
+            else:
+                self._socket.send(data)
+        except (BlockingIOError, ConnectionRefusedError):
+            return  # lost, as datagrams are; the link's age tells
+        except OSError as error:
+            raise PortError(os_error_text(error)) from error
+
+    def close(self) -> None:
+        """Close the socket."""
+        if self._socket is not None:
+            self._socket.close()
+        self._socket = None
+
+
+class TcpPort(Port):
+    """A connection that we make."""
+
+    def __init__(self, host: str, number: int) -> None:
+        super().__init__()
+        self._host, self._number = host, number
+        self._socket: socket.socket | None = None
+
+    def open(self) -> None:
+        """Connect."""
+        self.close()
+        _resolve(self._host, self._number, socket.SOCK_STREAM, False)
+        try:
+            self._socket = socket.create_connection((self._host, self._number), timeout=CONNECT_S)
+        except OSError as error:
+            raise PortError(os_error_text(error)) from error
+        self._socket.settimeout(WRITE_S)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def fileno(self) -> int:
+        """What to wait on."""
+        return -1 if self._socket is None else self._socket.fileno()
+
+    def read(self) -> bytes:
+        """What has arrived."""
+        assert self._socket is not None
+        try:
+            data = self._socket.recv(READ_BYTES, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            raise PortError(os_error_text(error)) from error
+        if not data:
+            raise PortError("closed the connection")
+        self.bytes_in += len(data)
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send all of it."""
+        assert self._socket is not None
+        try:
+            self._socket.sendall(data)
+        except OSError as error:
+            if error.errno == errno.EPIPE:
+                raise PortError("closed the connection") from error
+            raise PortError(os_error_text(error)) from error
+
+    def close(self) -> None:
+        """Close the connection."""
+        if self._socket is not None:
+            with contextlib.suppress(OSError):
+                self._socket.shutdown(socket.SHUT_RDWR)
+            self._socket.close()
+        self._socket = None

@@ -1,0 +1,5 @@
+"""Characterisation of parts: thrusters on the bench, static thrust curves, sensor noise."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

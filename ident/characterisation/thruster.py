@@ -1,0 +1,155 @@
+"""Characterisation of a thruster from bench logs: its model fitted by maximum likelihood.
+
+Initial values come from the steps of the log: delay and time constant by grid search, thrust coefficients by least
+squares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.signal import lfilter
+
+from daq.errors import SeatrialError
+from ident.data import Channel, LoadedLog, LogSegment, Record
+from ident.estimation import Fit, Likelihood, fit
+from ident.model import Model
+from ident.models import START_POLES, delay_step, delayed_channels, on_a_copy, thruster_model
+from ident.numerics import Array
+
+THRUSTER_RATE = 50.0  # rows a second for the load cell and the shaft speed
+THRUSTER_STEP = 0.05  # s
+LONGEST = 4.8  # s, of the delays that are tried
+DEAD_ZONES = tuple(0.0025 * k for k in range(81))  # up to a fifth of full command
+N_SEARCHES = 3
+
+
+def thruster_name(loaded: LoadedLog) -> str:
+    """The one thruster of a log that was commanded and whose shaft was measured.
+
+    Raises SeatrialError where there is none, or more than one.
+    """
+    names = [n.removeprefix("n_cmd_") for n in loaded.run.channels if n.startswith("n_cmd_")]
+    moved = [
+        n for n in names if f"n_{n}" in loaded.run.channels and np.ptp(loaded.run.channels[f"n_cmd_{n}"].value) > 0
+    ]
+    if len(moved) != 1:
+        said = ", ".join(moved) if moved else "none"
+        raise SeatrialError(
+            f"{loaded.about['path']}: thrusters with commands and shaft speed: {said}; name one with --thruster"
+        )
+    return moved[0]
+
+
+def thruster_channels(loaded: LoadedLog, model: Model, name: str) -> dict[str, Channel]:
+    """``n_cmd_0`` ..., ``n`` and, with a load cell, ``force``. Raises SeatrialError for what is not there."""
+    found = loaded.run.channels
+    for needed in (f"n_cmd_{name}", f"n_{name}"):
+        if needed not in found:
+            raise SeatrialError(f"{loaded.about['path']}: no signal {needed!r}; it has {', '.join(sorted(found))}")
+    channels = delayed_channels(found[f"n_cmd_{name}"], delay_step(model)) | {"n": found[f"n_{name}"]}
+    return channels | ({"force": found["force"]} if "force" in found else {})
+
+
+def thruster_runs(loaded: Sequence[LoadedLog], model: Model, name: str | None) -> list[LogSegment]:
+    """The logs as runs for a bench model, all of one thruster.
+
+    Raises SeatrialError where a log lacks the force that the model has.
+    """
+    runs = []
+    for x in loaded:
+        name = name or thruster_name(x)
+        channels = thruster_channels(x, model, name)
+        if "thrust" in model.provides and "force" not in channels:
+            raise SeatrialError(f"{x.about['path']}: no load cell in the log, but the model has its force; it "
+                                "was fitted to other logs: fit these with `seatrial ident thruster` first")
+        runs.append(replace(x.run, channels=channels))
+    return runs
+
+
+def first_guess(records: Sequence[Record], has_force: bool) -> dict[str, float]:
+    """Thrust coefficients by least squares of force on measured shaft speed; the shaft's delay and pole."""
+    tau, a = shaft_guess(records)
+    guess = {"tau": tau, "a": a}
+    if not has_force:
+        return guess
+    rows = []
+    for r in records:
+        seen = np.isfinite(r.y[:, 1])
+        n = np.interp(r.t[seen], r.t[np.isfinite(r.y[:, 0])], r.y[np.isfinite(r.y[:, 0]), 0])
+        rows.append(np.column_stack([n * np.abs(n), n * n, np.ones(n.size), r.y[seen, 1]]))
+    table = np.concatenate(rows)
+    c1, c2, bias = np.linalg.lstsq(table[:, :3], table[:, 3], rcond=None)[0]
+    return guess | {"c1": max(float(c1), 0.1), "c2": float(c2), "bias": float(bias)}
+
+
+def shaft_guess(records: Sequence[Record]) -> tuple[float, float]:
+    """Delay [s] and pole [1/s] of the first-order answer to the command that is least far from the measured speed.
+
+    By mean absolute errors on a grid of both: a search from one start stops at a slow pole where the delay is long.
+    """
+    delays = np.arange(round(LONGEST / THRUSTER_STEP) + 1)
+    errors = np.zeros((START_POLES.size, delays.size))
+    for r in records:
+        t = np.arange(r.t[0], r.t[-1], THRUSTER_STEP)
+        command = r.u[np.clip(np.searchsorted(r.t, t, side="right") - 1, 0, None), r.inputs.index("n_cmd_0")]
+        seen = np.isfinite(r.y[:, 0])
+        n, row = r.y[seen, 0], np.clip(np.round((r.t[seen] - r.t[0]) / THRUSTER_STEP).astype(int), 0, t.size - 1)
+        for i, a in enumerate(START_POLES):
+            keep = np.exp(-a * THRUSTER_STEP)
+            answer = np.append(lfilter([0.0, 1.0 - keep], [1.0, -keep], command), 0.0)  # the last: before the start
+            errors[i] += [np.abs(n - answer[np.maximum(row - k, -1)]).sum() for k in delays]
+    best, at = np.unravel_index(np.argmin(errors), errors.shape)
+    return float(delays[at] * THRUSTER_STEP), float(START_POLES[best])
+
+
+def fit_on_a_copy(
+    model: Model, records: list[Record], again: Callable[[Model], list[Record]], *, robust: bool = False,
+    restricted: bool = False,
+) -> tuple[Fit, list[Record]]:
+    """``fit_thruster``, and once more with the delay on one of the command's copies.
+
+    ``again``: the records for a model with other copies; ``restricted``: noise by restricted likelihood. Returns the
+    records that belong to the fit, too.
+    """
+    fitted = fit_thruster(model, records, robust=robust)
+    pace = on_a_copy(fitted.model.values["tau"], delay_step(model))
+    if pace:
+        exact = thruster_model(pace, force="thrust" in model.provides)
+        records = again(exact)
+        values = {n: v for n, v in fitted.model.values.items() if n in exact.values}
+        start = exact.with_values(values).replace_parameters(exact.parameter("d").at(values["d"]).freed())
+        fitted = fit(start, records, robust=robust)
+    return _restricted(fitted, records) if restricted else fitted, records
+
+
+def _restricted(top: Fit, records: Sequence[Record]) -> Fit:
+    """From the maximum of the likelihood to that of the restricted one; what it took to get there counts."""
+    found = fit(top.model, records, restricted=True)
+    return replace(found, iterations=top.iterations + found.iterations, evaluations=top.evaluations + found.evaluations,
+                   cpu_seconds=top.cpu_seconds + found.cpu_seconds,
+                   message=top.message if found.converged else found.message)
+
+
+def fit_thruster(model: Model, records: Sequence[Record], *, robust: bool = False) -> Fit:
+    """The model fitted from least squares. The end of the dead zone is felt only within it, so it is looked for on a
+    grid, and again with what the fit then says of all else, until it stays. ``robust``: allow outliers."""
+    guess = first_guess(records, "thrust" in model.provides)
+    guess["tau"] = min(guess["tau"], 0.95 * model.parameter("tau").bounds[1])
+    fitted = fit(model, records, start=guess, robust=robust)
+    at, found = [p.name for p in model.parameters].index("d"), -1.0
+    for _ in range(N_SEARCHES):
+        likelihood, values = Likelihood(fitted.model), fitted.record_values
+
+        def value(d: float, likelihood: Likelihood = likelihood, values: Array = values) -> float:
+            tried = values.copy()
+            tried[:, at] = d
+            return sum(likelihood.value(r, v) for r, v in zip(records, tried, strict=True))
+
+        before, found = found, max(DEAD_ZONES, key=value)
+        if abs(found - before) < 2 * DEAD_ZONES[1]:
+            break
+        fitted = fit(fitted.model.replace_parameters(fitted.model.parameter("d").at(found).freed()), records)
+    return fitted

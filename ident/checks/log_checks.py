@@ -1,0 +1,59 @@
+"""What the motion in a log says of its sensors and thrusters, before any fit: part of `seatrial check`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from daq.checks import Finding
+from daq.errors import SeatrialError
+from daq.log import Log, open_log
+from daq.samples import Command, Esc
+from ident.checks.motion import motion
+from ident.checks.sensors import Channels, gyro_and_heading, position_and_velocity, velocity_and_acceleration
+from ident.checks.shafts import shafts
+from ident.data import channels
+
+# Starboard positions (m) of an imported log's thrusters, of which only the side is known.
+IMPORTED = {"left": -1.0, "right": 1.0}
+
+
+def check_log(path: Path | str) -> list[Finding]:
+    """Findings of one log. Raises SeatrialError where it is no log at all."""
+    with open_log(path) as log:
+        found = channels(log)
+        return [*_mute(log), *findings(found, sides_of(log))]
+
+
+def findings(found: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
+    """Findings of channels (ident.data.log_channels); ``sides``: thruster -> position to starboard [m]."""
+    yield from gyro_and_heading(found)
+    yield from velocity_and_acceleration(found)
+    yield from position_and_velocity(found)
+    of_shafts = list(shafts(found))
+    yield from of_shafts
+    yield from motion(found, sides, {f.where for f in of_shafts if f.check == "dead"})
+
+
+def sides_of(log: Log) -> dict[str, float]:
+    """Thruster -> position to starboard [m] by the log's rig; of an imported log only the side is known."""
+    rig = log.rig()
+    return {t.name: t.position_m[1] for t in rig.thrusters} if rig else IMPORTED
+
+
+def _mute(log: Log) -> Iterator[Finding]:
+    """Thrusters that were commanded and whose controllers never said a word."""
+    rig = log.rig()
+    for thruster in rig.thrusters if rig else ():
+        device, node = thruster.device, thruster.node
+        if thruster.output is None and node in log.nodes(Command, device) and node not in log.nodes(Esc, device):
+            text = "commanded, and its controller has never said a word"
+            yield Finding("fault", "dead", thruster.name, text, "its node on the bus, power and cable")
+
+
+def as_dicts(path: Path | str) -> list[dict[str, str]]:
+    """The same for another part of seatrial; a log that ident cannot read is itself a finding."""
+    try:
+        return [finding._asdict() for finding in check_log(path)]
+    except SeatrialError as error:
+        return [Finding("warning", "motion", Path(path).name, str(error))._asdict()]

@@ -1,0 +1,191 @@
+"""Do the sensors agree with each other? What a log's own motion says of lateness, units and signs.
+
+Everything here compares increments over windows, so that offsets drop out and noise is averaged: a sensor's rate is
+never differentiated sample by sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from daq.checks import Finding
+from ident.data import Channel
+from ident.numerics import Array
+
+Channels = Mapping[str, Channel]
+STEP = 0.05  # s, of the common grid
+WINDOW = 1.0  # s, of an increment
+LAGS = np.arange(-2.0, 2.0 + STEP / 2, STEP)  # s
+LATE, VERY_LATE = 0.3, 0.6  # s: worth a word; not to be fitted
+GAIN = 0.3  # of the error, from which a lag is one and no chance
+CLEAR = 0.6  # R2 below which two sensors have too little in common to compare their times
+TURNED = 0.02  # rad/s, spread of the yaw rate below which the boat has hardly turned
+MOVED = 0.1  # m/s, the same of the velocity
+
+
+class Match(NamedTuple):
+    """How one signal follows another: it is ``scale`` times as large and comes ``lag`` s later.
+
+    r2 at that lag; gain: part of the error without a lag that the lag explains.
+    """
+
+    scale: float
+    lag: float
+    r2: float
+    gain: float = 0.0
+
+
+def gyro_and_heading(c: Channels) -> Iterator[Finding]:
+    """The heading turns as much as the yaw rate says, at the same time, the same way round."""
+    if not {"psi", "r"} <= set(c) or (found := heading_match(c["psi"], c["r"])) is None:
+        return
+    where = _who(c["r"], "r")
+    size = abs(found.scale)
+    if found.r2 < CLEAR:
+        yield Finding(
+            "warning", "gyro", where, f"heading and yaw rate agree only to R2 {found.r2:.2f}",
+            "is one of them of another sensor, stuck, or disturbed by iron?",
+        )  # fmt: skip
+        return
+    if 30.0 < 1.0 / size < 120.0 or 30.0 < size < 120.0:
+        what = "yaw rate in deg/s" if size < 1.0 else "heading in degrees"
+        yield Finding(
+            "fault", "units", where, f"yaw rate is {1.0 / size:.3g} times the change of heading: {what}?",
+            "the unit in the sensor's settings or in the import's map",
+        )  # fmt: skip
+    elif not 0.7 < size < 1.4:
+        yield Finding(
+            "fault", "gyro", where, f"yaw rate is {1.0 / size:.2f} times the change of heading",
+            "range or scale of the gyro; a heading that lags in turns",
+        )  # fmt: skip
+    elif found.scale < 0.0:
+        yield Finding(
+            "fault", "gyro", where, "yaw rate has the sign opposite to the heading's",
+            "both positive clockwise seen from above: mounting or map",
+        )  # fmt: skip
+    else:
+        yield Finding("ok", "gyro", where, f"yaw rate is {1.0 / size:.2f} times the change of heading")
+    yield from sensor_delay("heading", _who(c["psi"], "psi"), "yaw rate", where, found)
+
+
+def heading_match(psi: Channel, r: Channel) -> Match | None:
+    """Increments of heading on those of the integrated yaw rate; None where the boat has hardly turned."""
+    t = _grid(psi, r)
+    if t.size < 200:
+        return None
+    turned = np.interp(t, psi.t, np.unwrap(psi.value) if np.abs(psi.value).max() < 7.0 else _unwrap_deg(psi.value))
+    integral = _cumulative(t, np.interp(t, r.t, r.value))
+    if np.std(_increments(t, turned, t[t <= t[-1] - WINDOW], WINDOW)) < TURNED * WINDOW:
+        return None
+    return _best(t, [turned], [[integral], [t]])
+
+
+def velocity_and_acceleration(c: Channels) -> Iterator[Finding]:
+    """GNSS velocity changes as the accelerometer says, at the same time (specific force turned by the heading)."""
+    names = ("psi", "ax", "ay", "vx", "vy")
+    if not set(names) <= set(c) or c["vx"].t.size < 50:
+        return
+    t = _grid(*(c[n] for n in names))
+    if t.size < 400 or np.hypot(c["vx"].value.std(), c["vy"].value.std()) < MOVED:
+        return
+    psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value))
+    ax, ay = (np.interp(t, c[n].t, c[n].value) for n in ("ax", "ay"))
+    cos, sin = np.cos(psi), np.sin(psi)
+    north = [_cumulative(t, s) for s in (cos * ax - sin * ay, cos, -sin)]
+    east = [_cumulative(t, s) for s in (sin * ax + cos * ay, sin, cos)]
+    moved = [np.interp(t, c[n].t, c[n].value) for n in ("vx", "vy")]
+    found = _best(t, moved, [[n, e] for n, e in zip(north, east, strict=True)], 2.0)
+    gnss, ahrs = _who(c["vx"], "GNSS"), _who(c["ax"], "ax")
+    if found.r2 < 0.3:
+        return  # a calm run: nothing to compare
+    if not 0.6 < found.scale < 1.6:
+        yield Finding(
+            "fault", "units", gnss, f"velocity changes {found.scale:.2f} times as much as the accelerometer says",
+            "knots, km/h or g for m/s and m/s2? or the accelerometer's axes",
+        )  # fmt: skip
+    yield from sensor_delay("velocity", gnss, "acceleration", ahrs, found)
+
+
+def position_and_velocity(c: Channels) -> Iterator[Finding]:
+    """Positions change as the velocity over ground says."""
+    if not {"x", "y", "vx", "vy"} <= set(c):
+        return
+    t = _grid(*(c[n] for n in ("x", "y", "vx", "vy")))
+    speeds = np.hypot(c["vx"].value, c["vy"].value)
+    if t.size < 400 or np.median(speeds) < 0.1:
+        return
+    way = [np.interp(t, c[n].t, c[n].value) for n in ("x", "y")]
+    integrals = [_cumulative(t, np.interp(t, c[n].t, c[n].value)) for n in ("vx", "vy")]
+    found = _best(t, way, [integrals], 5.0)
+    where = _who(c["vx"], "vx")
+    if found.r2 < CLEAR:
+        yield Finding(
+            "warning", "gnss", where, f"position and velocity agree only to R2 {found.r2:.2f}",
+            "outliers, multipath, or north and east exchanged",
+        )  # fmt: skip
+        return
+    if not 0.75 < found.scale < 1.33:
+        known = {0.514: "knots", 0.278: "km/h", 3.6: "km/h", 1.944: "knots"}
+        unit = next((u for k, u in known.items() if abs(found.scale / k - 1.0) < 0.1), "another unit")
+        yield Finding(
+            "fault", "units", where, f"positions change {found.scale:.2f} times as fast as the velocity says: {unit}?",
+            "the unit of the velocity in the import's map",
+        )  # fmt: skip
+    yield from sensor_delay("position", _who(c["x"], "x"), "velocity", where, found)
+
+
+def sensor_delay(one: str, where: str, other: str, there: str, found: Match) -> Iterator[Finding]:
+    """What a lag of ``one`` behind ``other`` means, where it explains something."""
+    lag = found.lag if found.gain > GAIN else 0.0
+    late, behind, at = (one, other, where) if lag > 0 else (other, one, there)
+    text = f"{late} comes {abs(lag):.2f} s after {behind}"
+    if abs(lag) >= LATE - STEP / 2:
+        level = "fault" if abs(lag) >= VERY_LATE else "warning"
+        yield Finding(level, "late", at, text, "its filters, output rate or time stamps")
+    else:
+        yield Finding("ok", "late", where, f"{one} and {other} are {abs(lag):.2f} s apart")
+
+
+def _best(t: Array, columns: list[Array], regressors: list[list[Array]], window: float = WINDOW) -> Match:
+    """The lag at which increments of the columns are best explained, and the factor of the first regressor there.
+
+    A regressor has as many columns as there are to be explained; all share its factor.
+    """
+    inner = t[(t >= t[0] + LAGS[-1]) & (t <= t[-1] - LAGS[-1] - window)]
+    at = inner[:: max(1, round(window / 2 / STEP))]
+    y = np.concatenate([_increments(t, column, at, window) for column in columns])
+    best, unmoved = Match(np.nan, np.nan, -np.inf), -np.inf
+    for lag in LAGS:
+        X = np.column_stack([np.concatenate([_increments(t, s, at - lag, window) for s in one]) for one in regressors])
+        beta, *_ = np.linalg.lstsq(X, y, rcond=None)
+        e = y - X @ beta
+        r2 = 1.0 - float(e @ e) / max(float(y @ y), 1e-300)
+        if abs(lag) < STEP / 2:
+            unmoved = r2
+        if r2 > best.r2:
+            best = Match(float(beta[0]), float(lag), r2)
+    return best._replace(gain=1.0 - (1.0 - best.r2) / max(1.0 - unmoved, 1e-12))
+
+
+def _increments(t: Array, values: Array, at: Array, window: float) -> Array:
+    return np.asarray(np.interp(at + window, t, values) - np.interp(at, t, values))
+
+
+def _cumulative(t: Array, rate: Array) -> Array:
+    return np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t)))
+
+
+def _grid(*channels: Channel) -> Array:
+    start, end = max(c.t[0] for c in channels), min(c.t[-1] for c in channels)
+    return np.arange(start, end, STEP)
+
+
+def _unwrap_deg(degrees: Array) -> Array:
+    return np.asarray(np.unwrap(degrees, period=360.0))
+
+
+def _who(channel: Channel, name: str) -> str:
+    return channel.source or name

@@ -1,0 +1,224 @@
+"""Does each shaft do what it is told? Delay, dead band, limit, drop-outs, sign, unit, and whether it turns at all.
+
+Whether the boat goes where its thrusters push is `ident.checks.motion`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from daq.checks import Finding
+from ident.checks.sensors import Channels
+from ident.data import Channel, sample_and_hold
+from ident.numerics import Array
+
+STEP = 0.05  # s, of the grid for command and shaft
+DELAYS = np.arange(0.0, 3.0 + STEP / 2, STEP)  # s
+TIME_CONSTANTS = (0.0, 0.07, 0.14, 0.3, 0.6, 1.2)  # s
+BANDS = np.array([0.0, *np.arange(0.02, 0.41, 0.01)])  # of full command
+LONG_DELAY, WIDE_BAND = 0.6, 0.15  # s; of full command: what is still usual for an ESC
+TOLD, TURNS = 0.1, 0.02  # of full command or speed
+HELD, STEP_SIZE = 4.0, 0.05  # s and full command: from what a step's end is known, and its size
+LATE_STEP = 1.0  # s until half of a step shows
+RAD_PER_S = 2.0 * np.pi / 60.0
+
+
+class Response(NamedTuple):
+    """How a shaft follows its command: n = scale lag(n_cmd(t - delay) outside the dead band); R2 of it."""
+
+    delay: float
+    time_constant: float
+    band: float
+    scale: float
+    r2: float
+    band_gain: float  # part of the error without a dead band that the dead band explains
+
+
+def shafts(c: Channels) -> Iterator[Finding]:
+    """Each thruster that has a command and a speed: is it alive, and how does it follow?"""
+    for name in sorted(n.removeprefix("n_cmd_") for n in c if n.startswith("n_cmd_")):
+        if f"n_{name}" in c and c[f"n_{name}"].t is not c[f"n_cmd_{name}"].t:
+            yield from _shaft(name, c[f"n_cmd_{name}"], c[f"n_{name}"])
+
+
+def _shaft(name: str, told: Channel, shaft: Channel) -> Iterator[Finding]:
+    silent = shaft.t[-1] + 3.0
+    commanded = (np.abs(told.value) > TOLD) & (told.t > silent)
+    if commanded.any() or np.max(np.abs(told.value), initial=0.0) < TOLD:
+        if commanded.any():
+            since = shaft.t[-1] - min(told.t[0], shaft.t[0])
+            yield Finding(
+                "fault", "dead", name, f"commanded, and its controller has said nothing since {since:.0f} s",
+                "power, bus and fuse of that controller",
+            )  # fmt: skip
+        return
+    found = response(told, shaft)
+    if found is None:
+        yield Finding(
+            "fault", "dead", name, f"told up to {np.abs(told.value).max():.2f}, and the shaft does not turn",
+            "controller, motor, cable; is it armed?",
+        )  # fmt: skip
+        return
+    yield from _scale(name, found)
+    if found.r2 < 0.5:
+        return
+    of_steps = list(_steps(name, told, shaft))
+    yield from of_steps
+    if found.delay > LONG_DELAY + STEP / 2:
+        yield Finding(
+            "fault", "delay", name, f"the shaft follows {found.delay:.2f} s after its command",
+            "the link's rate and queues; the controller's ramp",
+        )  # fmt: skip
+    elif not any(f.check == "delay" for f in of_steps):
+        yield Finding("ok", "delay", name, f"the shaft follows {found.delay:.2f} s after its command")
+    if found.band_gain > 0.2 and found.band > 0.0:
+        wide = found.band > WIDE_BAND + 0.005
+        advice = "the controller's dead band or start-up power; small commands do nothing" if wide else ""
+        text = f"commands below {found.band:.2f} do not turn the shaft"
+        yield Finding("fault" if wide else "ok", "dead band", name, text, advice)
+
+
+def _scale(name: str, found: Response) -> Iterator[Finding]:
+    size = abs(found.scale)
+    if found.r2 < 0.5:
+        yield Finding(
+            "warning", "shaft", name, f"the shaft follows its command only to R2 {found.r2:.2f}",
+            "drop-outs of either, a limit, or a controller that does not obey",
+        )  # fmt: skip
+    elif abs(size / RAD_PER_S - 1.0) < 0.1 or abs(size * RAD_PER_S - 1.0) < 0.1:
+        yield Finding(
+            "fault", "units", name, f"speed is {size:.3g} of the command: rad/s for rev/min?",
+            "rpm_max of the rig or the unit in the import's map",
+        )  # fmt: skip
+    elif not 0.4 < size < 2.5:
+        yield Finding(
+            "fault", "units", name, f"speed is {size:.3g} of the command",
+            "pole_pairs and rpm_max of the rig",
+        )  # fmt: skip
+    elif found.scale < 0.0:
+        yield Finding(
+            "fault", "sign", name, "the shaft turns against its command",
+            "`reversed` of the rig or the controller's direction",
+        )  # fmt: skip
+
+
+def response(told: Channel, shaft: Channel) -> Response | None:
+    """The shaft's answer by a search over delay, time constant and dead band; None where it does not turn."""
+    t = np.arange(max(told.t[0], shaft.t[0]) + DELAYS[-1], min(told.t[-1] + 5.0, shaft.t[-1]), STEP)
+    if t.size < 40:
+        return None
+    at = np.searchsorted(shaft.t, t)
+    after, before = shaft.t[np.clip(at, 0, shaft.t.size - 1)] - t, t - shaft.t[np.clip(at - 1, 0, None)]
+    near = np.minimum(np.abs(after), np.abs(before))
+    n = np.interp(t, shaft.t, shaft.value)
+    used = near < max(0.5, 2.0 * float(np.median(np.diff(shaft.t))))
+    commands = {k: sample_and_hold(told, t - tau) for k, tau in enumerate(DELAYS)}
+    if np.quantile(np.abs(n), 0.99) < TURNS * min(1.0, np.abs(told.value).max()):
+        return None
+    rest, k, tc = min(
+        (_misfit(_lag(past, tc), n, used)[0], k, tc) for k, past in commands.items() for tc in TIME_CONSTANTS
+    )
+    best = (rest, k, tc, 0.0)
+    for j in range(max(k - 3, 0), min(k + 4, DELAYS.size)):
+        for b in BANDS:
+            past = np.where(np.abs(commands[j]) < b, 0.0, commands[j])
+            for constant in TIME_CONSTANTS:
+                best = min(best, (_misfit(_lag(past, constant), n, used)[0], j, constant, float(b)))
+    error, k, tc, band = best
+    scale = _misfit(_lag(np.where(np.abs(commands[k]) < band, 0.0, commands[k]), tc), n, used)[1]
+    total = float(n[used] @ n[used])
+    return Response(float(DELAYS[k]), tc, band, scale, 1.0 - error / total, 1.0 - error / max(rest, 1e-300))
+
+
+def _lag(x: Array, time_constant: float) -> Array:
+    if time_constant == 0.0:
+        return x
+    keep = np.exp(-STEP / time_constant)
+    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], x, zi=[keep * x[0]])[0])
+
+
+def _misfit(x: Array, n: Array, used: NDArray[np.bool_]) -> tuple[float, float]:
+    """Squared error of n by a multiple of x, and that multiple."""
+    a, b = x[used], n[used]
+    size = float(a @ a)
+    if size == 0.0:
+        return float(b @ b), 0.0
+    scale = float(a @ b) / size
+    e = b - scale * a
+    return float(e @ e), scale
+
+
+class Hold(NamedTuple):
+    """A command that was held: from when, what, the shaft's median at its end, and the shaft's samples meanwhile."""
+
+    t: float
+    level: float
+    settled: float
+    times: Array
+    values: Array
+
+
+def holds(told: Channel, shaft: Channel) -> list[Hold]:
+    """The commands that were held for some seconds, with what the shaft made of them."""
+    starts = np.flatnonzero(np.append(True, np.diff(told.value) != 0))
+    ends = np.append(told.t[starts[1:]], max(told.t[-1], shaft.t[-1]))
+    found = []
+    for k, end in zip(starts, ends, strict=True):
+        t0 = float(told.t[k])
+        inside = (shaft.t >= t0) & (shaft.t < end)
+        late = inside & (shaft.t > (t0 + end) / 2)
+        if end - t0 >= HELD and late.sum() >= 2:
+            settled = float(np.median(shaft.value[late]))
+            found.append(Hold(t0, float(told.value[k]), settled, shaft.t[inside], shaft.value[inside]))
+    return found
+
+
+def _steps(name: str, told: Channel, shaft: Channel) -> Iterator[Finding]:
+    """What single steps show and a fit over everything does not: slow news, a limit, drop-outs."""
+    there = holds(told, shaft)
+    half = []
+    for before, now in pairwise(there):
+        change = now.settled - before.settled
+        if abs(change) > STEP_SIZE:
+            done = np.flatnonzero((now.values - before.settled) / change > 0.5)
+            half += [float(now.times[done[0]]) - now.t] if done.size else []
+    if len(half) >= 3 and np.median(half) > LATE_STEP:
+        text = f"half of a step shows {np.median(half):.1f} s after its command (median of {len(half)})"
+        yield Finding(
+            "fault", "delay", name, text,
+            "slow telemetry or a ramp: a shorter lag cannot be known from this log",
+        )  # fmt: skip
+    yield from _limit(name, there)
+    gone = sum(_drop_outs(h) for h in there if abs(h.settled) > 0.5 * abs(h.level) > 0.05)
+    if gone:
+        yield Finding(
+            "warning", "drop-out", name, f"its speed falls to nothing {gone} times while it is told to turn",
+            "its sensor or its power; fit with --robust",
+        )  # fmt: skip
+
+
+def _drop_outs(held: Hold) -> int:
+    """How often the shaft's speed falls to nothing after it has come near to where it settles."""
+    near = np.flatnonzero(held.values / held.settled > 0.8)
+    after = held.values[near[0] :] if near.size else held.values[:0]
+    return int(np.sum(np.diff((np.abs(after) < 0.01 * abs(held.level)).astype(int)) > 0))
+
+
+def _limit(name: str, there: list[Hold]) -> Iterator[Finding]:
+    """Commands beyond some size that change nothing: at the top of the range what a dead band is at its bottom."""
+    followed = [abs(h.settled) for h in there if abs(h.level) > TOLD and abs(h.settled / h.level - 1.0) < 0.03]
+    short = [h for h in there if abs(h.level) > TOLD and 0.3 < h.settled / h.level < 0.97]
+    if not followed or len(short) < 2 or len({abs(h.level) for h in short}) < 2:
+        return
+    top = float(np.median([abs(h.settled) for h in short]))
+    if max(abs(abs(h.settled) / top - 1.0) for h in short) < 0.02 and max(followed) <= 1.02 * top:
+        yield Finding(
+            "warning", "limit", name, f"commands beyond {top:.2f} do not turn it faster",
+            "limits.n_max of the rig, or the controller's own limit",
+        )  # fmt: skip

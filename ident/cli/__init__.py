@@ -1,0 +1,1 @@
+"""The commands of `seatrial ident` and `seatrial mission design`."""

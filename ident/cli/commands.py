@@ -1,0 +1,577 @@
+"""Commands of ident: noise, thruster, vehicle, diagnose, navigate, export, study.
+
+The command `seatrial mission design`: it belongs to bench's group, but needs ident; seatrial.py puts it there.
+Commands of ident that use a fitted model: navigate, export, information.
+The commands `seatrial ident check` and `check-page`: what `seatrial check` asks ident about.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from daq.errors import SeatrialError
+from ident.cli.options import (
+    FILE,
+    LOG,
+    ahead_option,
+    command_line,
+    known,
+    names,
+    out_option,
+    priors,
+    processes,
+    rate_option,
+    restricted_option,
+    robust_option,
+    run,
+    second_order_option,
+    validate_option,
+)
+from ident.workflows import diagnosis
+
+FORMAT = "seatrial-check 1"
+
+
+@click.group()
+def ident() -> None:
+    """Fit models to logs, and find what they lack."""
+
+
+@click.command(hidden=True, epilog="Example: seatrial ident check run.mcap")
+@click.argument("logs", nargs=-1, required=True, type=LOG)
+@click.option("--quiet", is_flag=True, help="Print nothing; for a command that asks within the same process.")
+def check(logs: tuple[Path, ...], quiet: bool) -> list[list[dict[str, str]]]:
+    """Findings from the motion in LOGS, as JSON: one list a log. `seatrial check LOG` shows them to people."""
+    from ident.checks import as_dicts
+
+    found = [as_dicts(path) for path in logs]
+    if not quiet:
+        click.echo(json.dumps(found))
+    return found
+
+
+ident.add_command(check)
+
+
+@click.command(
+    "check-page",
+    hidden=True,
+    epilog="Example: seatrial ident check-page run.mcap --findings check.json --out check.html",
+)
+@click.argument("logs", nargs=-1, type=LOG)
+@click.option("--findings", required=True, type=LOG, help="What `seatrial check --json` printed.")
+@click.option("--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="The page to write.")
+def check_page(logs: tuple[Path, ...], findings: Path, out: Path) -> None:
+    """Write the page of a check with what is in LOGS as evidence; `seatrial check --report` asks for it."""
+    from ident.checks import envelope, log_evidence
+    from ident.report import write_check_page
+
+    content = _content(findings)
+    content = envelope(content, [path.name for path in logs], command_line())
+    name = content["subject"] if content.get("rig") and len(logs) == 1 else ""
+    write_check_page(content | {"logs": [log_evidence(path, name) for path in logs]}, out)
+
+
+ident.add_command(check_page)
+
+
+@ident.command(short_help="Fit shaft response and thrust curve to logs of the bench.")
+@click.argument("logs", nargs=-1, required=True, type=LOG)
+@click.option("--thruster", "name", help="The thruster's name in the rig file, where the log has several.")
+@click.option(
+    "--settle",
+    type=click.FloatRange(0.0),
+    default=1.5,
+    show_default=True,
+    help="Seconds left out after each change of command, where only force and command were logged.",
+)
+@click.option("--profile", "profiles", multiple=True, metavar="NAME", help="Profile likelihood of this parameter.")
+@ahead_option
+@robust_option
+@restricted_option()
+@out_option("thruster")
+def thruster(logs: tuple[Path, ...], out: Path, **how: Any) -> None:
+    """Fit shaft response and thrust curve to bench LOGS of one thruster.
+
+    A log of force and command without shaft speed gives the static curve alone, as a table.
+
+    \b
+    Example:
+      seatrial ident thruster bench.mcap --out thruster
+    """
+    from ident.workflows import thruster
+
+    run(lambda say: thruster.bench(logs, out, command=command_line(), say=say, **how), out)
+
+
+def _stretches(_context: click.Context, _parameter: click.Parameter, given: Sequence[str]) -> list[tuple[float, float]]:
+    return [_stretch(text) for text in given]
+
+
+@click.command(short_help="Where the boat was, and how sure that is, by a fitted model.")
+@click.argument("model", type=LOG)
+@click.argument("logs", nargs=-1, required=True, type=LOG)
+@click.option("--smooth/--filter", "smoothed", default=True, show_default=True, help="By all samples, or those so far.")
+@click.option(
+    "--gnss-outage",
+    "without_gnss",
+    multiple=True,
+    callback=_stretches,
+    metavar="T0:T1",
+    help="Do as if there were no GNSS in this stretch [s]; may be repeated.",
+)
+@click.option("--from", "t_from", type=click.FloatRange(0.0), help="Begin here [s of the log].")
+@click.option("--to", "t_to", type=click.FloatRange(0.0), help="End here [s of the log].")
+@click.option("--thruster", type=LOG, help="The static curve from command to thrust that the model was fitted with.")
+@rate_option
+@out_option("navigation")
+def navigate(
+    model: Path,
+    logs: tuple[Path, ...],
+    smoothed: bool,
+    without_gnss: list[tuple[float, float]],
+    t_from: float | None,
+    t_to: float | None,
+    thruster: Path | None,
+    rate: float,
+    out: Path,
+) -> None:
+    """Position, heading, speeds, current and unexplained forces along LOGS, with how sure they are, by a fitted MODEL.
+
+    GNSS outages are found, and said how far off the position may be at their end. LOGS should not be those that MODEL
+    was fitted to.
+
+    \b
+    Example:
+      seatrial ident navigate vehicle/model.toml validation.mcap --gnss-outage 60:90 --out navigation
+    """
+    from ident.workflows import navigate
+
+    run(
+        lambda say: navigate.run_navigation(
+            model,
+            logs,
+            out,
+            smoothed=smoothed,
+            without_gnss=without_gnss,
+            t_from=t_from,
+            t_to=t_to,
+            rate=rate,
+            thruster=thruster,
+            command=command_line(),
+            say=say,
+        ),
+        out,
+    )
+
+
+ident.add_command(navigate)
+
+
+@click.command(short_help="Write a fitted model for Python, CasADi, C or ROS 2.")
+@click.argument("model", type=LOG)
+@click.option("--to", "target", type=click.Choice(("python", "casadi", "c", "ros2")), required=True, help="For what.")
+@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="File to write; else the screen.")
+@click.option("--name", help="Prefix of the functions, or name of the node, in place of the model's own name.")
+@click.option(
+    "--with-disturbance-states",
+    "with_nuisance",
+    is_flag=True,
+    help="Keep unexplained forces and sensor offsets as states.",
+)
+def export(model: Path, target: str, output: Path | None, name: str | None, with_nuisance: bool) -> None:
+    """Write the fitted MODEL for other programs: equations, parameters, noise, names and units.
+
+    \b
+    Example:
+      seatrial ident export diagnosis/model.toml --to c -o boat.h
+    """
+    from ident.estimation import load_model
+    from ident.export import export as written
+
+    try:
+        text = written(load_model(model), target, name=name, nuisance=with_nuisance)
+    except ValueError as problem:
+        raise SeatrialError(f"{model}: {problem}") from problem
+    if output is None:
+        click.echo(text, nl=False)
+    else:
+        output.write_text(text, encoding="utf-8")
+        click.echo(f"wrote {output}")
+
+
+ident.add_command(export)
+
+
+@click.command(short_help="Which stretches of logs tell of which parameter.")
+@click.argument("model", type=LOG)
+@click.argument("logs", nargs=-1, required=True, type=LOG)
+@click.option("--seconds", type=click.FloatRange(2.0), default=30.0, show_default=True, help="Length of a stretch.")
+@click.option("--parameters", "chosen", metavar="NAMES", callback=names, help="Only these parameters, d_v,m_v.")
+@click.option("--thruster", type=LOG, help="The static curve from command to thrust that the model was fitted with.")
+@rate_option
+@out_option("information")
+def information(
+    model: Path,
+    logs: tuple[Path, ...],
+    seconds: float,
+    chosen: tuple[str, ...],
+    thruster: Path | None,
+    rate: float,
+    out: Path,
+) -> None:
+    """Which stretches of LOGS tell of which parameter of a fitted MODEL, and what none of them tells.
+
+    \b
+    Example:
+      seatrial ident information vehicle/model.toml estimation.mcap --seconds 20 --out information
+    """
+    from ident.workflows import information
+
+    run(
+        lambda say: information.information(
+            model,
+            logs,
+            out,
+            seconds=seconds,
+            chosen=chosen,
+            thruster=thruster,
+            rate=rate,
+            command=command_line(),
+            say=say,
+        ),
+        out,
+    )
+
+
+ident.add_command(information)
+
+
+@ident.command(short_help="White noise and random walk of sensors at rest.")
+@click.argument("logs", nargs=-1, required=True, type=LOG)
+@click.option("--signal", "signals", multiple=True, metavar="NAME", help="Only this signal; may be repeated.")
+@out_option("noise")
+def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
+    """Estimate white noise and random walk of each channel from LOGS of sensors at rest.
+
+    \b
+    Example:
+      seatrial ident noise standing_still.mcap --signal psi --signal r --out noise
+    """
+    from ident.workflows import noise
+
+    run(lambda say: noise.noise(logs, out, signals=signals, command=command_line(), say=say), out)
+
+
+@ident.command(short_help="Fit a model of the boat to logs and judge it on others.")
+@click.argument("logs", nargs=-1, required=True, type=LOG)
+@click.option(
+    "--model",
+    "source",
+    default="auto",
+    show_default=True,
+    help="horizontal:shaft, horizontal:force, horizontal:general (each also with :no-current, or "
+    ":random-walk-current for one that wanders), "
+    "kinematic:shaft|force (measured attitude; :yaw with the yaw equation, and the same two for the current), "
+    "surge:force|shaft:position|speed|both, yaw:rate|both, or FILE.py:NAME for your own.",
+)
+@click.option(
+    "--thruster", type=LOG, help="model.toml of the bench: c1 and c2, or the static curve from command to thrust."
+)
+@click.option("--fix", multiple=True, callback=known, help="NAME=VALUE: a parameter that is known; may be repeated.")
+@click.option("--initial", "begin", multiple=True, callback=known, help="NAME=VALUE: where the estimate starts.")
+@click.option(
+    "--prior",
+    multiple=True,
+    callback=priors,
+    help="NAME=MEAN:SD: what is known of a parameter before, in this fit; may be repeated.",
+)
+@click.option(
+    "--test-homogeneity", "agree", multiple=True, metavar="NAME", help="Test whether the logs agree on this parameter."
+)
+@click.option("--profile", "profiles", multiple=True, metavar="NAME", help="Profile likelihood of this parameter.")
+@click.option(
+    "--effect",
+    "effects",
+    multiple=True,
+    metavar="EFFECT",
+    help="Add an effect of the catalogue, its parameters free (lever-arm, mount, ...); may be repeated.",
+)
+@robust_option
+@restricted_option()
+@second_order_option()
+@click.option(
+    "--keep-thruster-sides",
+    "as_is",
+    is_flag=True,
+    help="Do not swap the sides of the thrusters where the data say they are.",
+)
+@validate_option
+@ahead_option
+@rate_option
+@out_option("vehicle")
+def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how: Any) -> None:
+    """Fit a model of the boat to LOGS and judge it on others.
+
+    \b
+    Example:
+      seatrial ident vehicle estimation.mcap --thruster thruster/model.toml --validate validation.mcap --out vehicle
+    """
+    from ident.workflows import vehicle
+
+    run(lambda say: vehicle.vehicle(logs, validate, out, command=command_line(), say=say, **how), out)
+
+
+@ident.command(short_help="Find what a model lacks, add it, and show before and after.")
+@click.argument("model", type=LOG)
+@click.argument("logs", nargs=-1, required=True, type=LOG)
+@validate_option
+@ahead_option
+@click.option("--effects", "effects_file", type=LOG, help="FILE.py with EFFECT or EFFECTS: candidates of your own.")
+@click.option("--max-effects", type=click.IntRange(1, 6), default=3, show_default=True, help="Stop after so many.")
+@click.option(
+    "--thruster",
+    metavar="CURVE|NAME",
+    help="The static curve (model.toml) that the boat's MODEL was fitted with; where MODEL is a thruster's and the "
+    "logs have several, its name in the rig.",
+)
+@robust_option
+@click.option(
+    "--rate",
+    type=click.FloatRange(1.0, 200.0),
+    help="Faster sensors are averaged to this many rows a second.  [default: 10, on the bench 50]",
+)
+@out_option("diagnosis")
+def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how: Any) -> None:
+    """Find what MODEL lacks to explain LOGS, add it, and show the error before and after.
+
+    MODEL is a boat's, or a thruster's with logs from the bench.
+
+    \b
+    Example:
+      seatrial ident diagnose vehicle/model.toml estimation.mcap --validate validation.mcap --out diagnosis
+      seatrial ident diagnose vehicle/model.toml one.mcap --thruster curve/model.toml --validate two.mcap
+      seatrial ident diagnose thruster/model.toml bench1.mcap --validate bench2.mcap --out diagnosis
+    """
+
+    run(lambda say: diagnosis(model, logs, validate, out, command=command_line(), say=say, **how), out)
+
+
+@ident.command(short_help="Monte Carlo of the estimator: bias, variance, coverage.")
+@click.argument("models", metavar="MODEL...", nargs=-1, required=True)
+@click.option("--replicates", type=click.IntRange(3), default=100, show_default=True, help="Missions to simulate.")
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True)
+@click.option("--jobs", type=int, default=-1, callback=processes, help="Processes.  [default: one a core, -1]")
+@click.option("--method", type=click.Choice(("pe", "oe")), default="pe", show_default=True, help="The estimator.")
+@click.option("--truth", multiple=True, callback=known, help="NAME=VALUE: another true value; may be repeated.")
+@click.option("--free", multiple=True, metavar="NAME", help="Estimate only this parameter; may be repeated.")
+@click.option("--seconds", type=click.FloatRange(10.0), help="Length of the mission.")
+@click.option("--unbounded", is_flag=True, help="Let damping be estimated below zero.")
+@restricted_option(None)
+@second_order_option(None)
+@click.option("--docs", type=FILE, help="Write the page of tables as this file, too, its pictures beside it.")
+@out_option("study")
+def study(models: tuple[str, ...], replicates: int, unbounded: bool, docs: Path | None, out: Path, **how: Any) -> None:
+    """Monte Carlo of the estimator on simulated missions of MODELs: surge, yaw, horizontal, kinematic, thruster,
+    noise, designed; a fitted model.toml; or FILE.py:NAME, a Case of your own.
+
+    Bias, variance and coverage of the intervals. The estimator is that of the commands, or what made the model.toml,
+    unless told otherwise. What was interrupted goes on where it was.
+
+    \b
+    Example:
+      seatrial ident study surge yaw --replicates 500 --out study
+    """
+    from ident.report import as_text, write_study_docs, write_study_page
+    from ident.results import AIMS
+    from ident.workflows import study
+
+    result = study.run_studies(
+        models,
+        replicates,
+        out=out,
+        bounded=not unbounded,
+        command=command_line(),
+        say=lambda line: click.echo(f"  {line}", err=True),
+        **how,
+    )
+    write_study_page(result, AIMS, out / "report.html")
+    click.echo(as_text(result), nl=False)
+    if docs is not None:
+        write_study_docs(result, docs)
+        click.echo(f"written: {docs}")
+    click.echo(f"report: {out / 'report.html'}")
+
+
+def _area(_context: click.Context, _parameter: click.Parameter, given: str | None) -> tuple[float, float] | None:
+    if given is None:
+        return None
+    found = re.fullmatch(r"([\d.]+)x([\d.]+)", given)
+    try:
+        north, east = (float(side) for side in found.groups()) if found else (0.0, 0.0)
+    except ValueError:
+        north = east = 0.0
+    if not (north > 0 and east > 0):
+        raise click.BadParameter(f"{given!r} is not NORTHxEAST in metres, such as 40x40")
+    return north, east
+
+
+@click.command(
+    short_help="Design the mission that tells most about a model.",
+    epilog="Example: seatrial mission design vehicle/model.toml --duration 600 --criterion Ds --parameters d_v,m_v "
+    "--area 60x60 --out mission.toml",
+)
+@click.argument("source", metavar="MODEL")
+@click.option("--duration", type=click.FloatRange(10.0, 7200.0), default=600.0, show_default=True, help="Seconds.")
+@click.option("--steps", type=click.IntRange(2, 1000), help="How many steps [default: one in 5 s].")
+@click.option("--min-step", type=click.FloatRange(0.2), default=1.0, show_default=True, help="Shortest step, s.")
+@click.option(
+    "--criterion",
+    type=click.Choice(("D", "A", "E", "Ds")),
+    default="D",
+    show_default=True,
+    help="Volume, mean variance, or worst direction of the errors; Ds: D of those of --parameters.",
+)
+@click.option(
+    "--parameters", "chosen", metavar="NAMES", callback=names, help="Parameters to learn, d_v,m_v [default: all]."
+)
+@click.option("--area", metavar="NxE", callback=_area, help="Metres north by east that the whole track must fit into.")
+@click.option("--max-speed", type=click.FloatRange(0, min_open=True), help="Through the water, m/s.")
+@click.option("--energy", type=click.FloatRange(0, 1, min_open=True), help="Largest mean of |n|^3, 1: full power.")
+@click.option(
+    "--current",
+    type=click.FloatRange(0, 2.0),
+    default=0.0,
+    show_default=True,
+    help="Largest current, m/s, that the track is to be reckoned with, from anywhere.",
+)
+@click.option("--n-max", type=click.FloatRange(0, 1, min_open=True), default=1.0, show_default=True)
+@click.option("--slew", type=click.FloatRange(0, min_open=True), help="Largest change of a command, 1/s.")
+@click.option(
+    "--rate",
+    "rates",
+    multiple=True,
+    callback=known,
+    metavar="SENSOR=HZ",
+    help="A sensor's rate, position=1 [default: 10 each]; may be repeated.",
+)
+@click.option(
+    "--average-over",
+    "robust",
+    type=click.IntRange(0, 256),
+    default=0,
+    show_default=True,
+    help="Average the criterion over so many samples of the parameters.",
+)
+@click.option(
+    "--prior-halfwidth",
+    "spread",
+    type=click.FloatRange(0, 0.9),
+    default=0.25,
+    show_default=True,
+    help="Relative half-width of what is believed of the parameters, where MODEL is no model.toml.",
+)
+@click.option(
+    "--information",
+    "form",
+    type=click.Choice(("pe", "oe")),
+    default="pe",
+    show_default=True,
+    help="Information of prediction error, or of output error as in the thesis.",
+)
+@click.option(
+    "--discriminate",
+    "between",
+    metavar="EFFECTS",
+    callback=names,
+    help="Two effects, delay,lag: the mission that tells them apart (T-optimal).",
+)
+@click.option("--evaluations", type=click.IntRange(500), default=20_000, show_default=True, help="Work of the search.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Same seed, same mission.")
+@click.option("--thrusters", metavar="NAMES", callback=names, help="Names in the rig, left,right by default.")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    default=Path("mission.toml"),
+    show_default=True,
+    help="The mission to write; it must not exist. A page and its numbers go beside it.",
+)
+def design(
+    source: str,
+    out: Path,
+    min_step: float,
+    area: tuple[float, float] | None,
+    max_speed: float | None,
+    energy: float | None,
+    current: float,
+    form: str,
+    slew: float | None,
+    between: tuple[str, ...],
+    **rest: Any,
+) -> None:
+    """Design the mission that tells most about MODEL: a model.toml, horizontal, surge:shaft, FILE.py:NAME.
+
+    A model.toml brings what it knows already, so the mission is the best one to come next. `seatrial mission show`
+    draws it, `seatrial mission run` runs it.
+    """
+    if between and len(between) != 2:
+        raise click.BadParameter("names two effects, such as delay,lag", param_hint="--discriminate")
+    if rest["criterion"] == "Ds" and not rest["chosen"]:
+        raise click.BadParameter("Ds needs --parameters: which parameters?", param_hint="--criterion")
+    from ident.experiment_design import DesignLimits
+    from ident.workflows import DesignRequest, make_design, summary
+
+    wish = DesignRequest(
+        shortest=min_step,
+        limits=DesignLimits(area, max_speed, energy, current),
+        between=between,
+        process_noise=form == "pe",
+        slew=float("inf") if slew is None else slew,
+        **rest,
+    )
+    try:
+        result = _work(lambda say: make_design(source, wish, out, command_line(), say))
+    except (ValueError, KeyError) as problem:
+        raise SeatrialError(f"{source}: {str(problem).strip(chr(39) + chr(34))}") from problem
+    for line in summary(result):
+        click.echo(line)
+    click.echo(f"{out}; report: {out.with_suffix('.html')}")
+
+
+def _work(work: Any) -> Any:
+    """Do it with a live line of what it is doing."""
+    from rich.console import Console
+
+    console = Console(highlight=False, stderr=True)
+    with console.status("compiling") as status:
+        return work(lambda line: status.update(line))
+
+
+def _stretch(text: str) -> tuple[float, float]:
+    """``60:90`` -> (60, 90) s."""
+    first, _, last = text.partition(":")
+    try:
+        begin, end = float(first), float(last)
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is not T0:T1 in seconds of the log, as 60:90") from None
+    if not -math.inf < begin < end < math.inf:
+        raise click.BadParameter(f"{text!r}: the end is not after the beginning")
+    return begin, end
+
+
+def _content(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise SeatrialError(f"{path}: no JSON ({error}); write it with seatrial check --json") from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise SeatrialError(f"{path}: not of format {FORMAT!r}; write it with seatrial check --json")
+    return content

@@ -1,0 +1,146 @@
+"""What the commands of ident share: options, and how work is shown."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from daq.errors import SeatrialError
+
+# All matrices here are small: threads of the linear algebra library would only wait for each other. Before numpy.
+for _library in ("OPENBLAS", "OMP", "MKL"):
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+
+LOG = click.Path(exists=True, dir_okay=False, path_type=Path)
+FOLDER = click.Path(file_okay=False, path_type=Path)
+FILE = click.Path(dir_okay=False, path_type=Path)
+
+
+def known(_context: click.Context, _parameter: click.Parameter, given: Sequence[str]) -> dict[str, float]:
+    """Callback of options NAME=VALUE."""
+    found = {}
+    for item in given:
+        name, _, value = item.partition("=")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            raise click.BadParameter(f"{item!r} is not NAME=NUMBER") from None
+    return found
+
+
+def processes(_context: click.Context, _parameter: click.Parameter, given: int) -> int:
+    """Callback of ``--jobs``: a number of processes, or -1 for one a core."""
+    if given < 1 and given != -1:
+        raise click.BadParameter(f"{given} is neither a number of processes nor -1, for one a core")
+    return given
+
+
+def names(_context: click.Context, _parameter: click.Parameter, given: str | None) -> tuple[str, ...]:
+    """Callback of options NAME,NAME."""
+    return tuple(n.strip() for n in given.split(",") if n.strip()) if given else ()
+
+
+def priors(
+    _context: click.Context, _parameter: click.Parameter, given: Sequence[str]
+) -> dict[str, tuple[float, float]]:
+    """Callback of options NAME=MEAN:SD."""
+    found = {}
+    for item in given:
+        name, _, value = item.partition("=")
+        try:
+            mean, sd = (float(part) for part in value.split(":"))
+        except ValueError:
+            raise click.BadParameter(f"{item!r} is not NAME=MEAN:SD") from None
+        if not sd > 0:
+            raise click.BadParameter(f"{item!r}: the standard deviation is not positive")
+        found[name] = (mean, sd)
+    return found
+
+
+def validate_option(f: Callable[..., Any]) -> Callable[..., Any]:
+    """``--validate``, any number of times."""
+    return click.option(
+        "--validate", multiple=True, type=LOG, help="A log that the fit does not see; may be repeated."
+    )(f)
+
+
+def out_option(default: str) -> Callable[..., Any]:
+    """``--out`` with its default."""
+    return click.option("--out", type=FOLDER, default=Path(default), show_default=True, help="Folder for the results.")
+
+
+def rate_option(f: Callable[..., Any]) -> Callable[..., Any]:
+    """``--rate``, 10 by default."""
+    return click.option(
+        "--rate",
+        type=click.FloatRange(1.0, 200.0),
+        default=10.0,
+        show_default=True,
+        help="Faster sensors are averaged to this many rows a second.",
+    )(f)
+
+
+def ahead_option(f: Callable[..., Any]) -> Callable[..., Any]:
+    """``--horizon``; None where it is not given."""
+    return click.option(
+        "--horizon",
+        "horizon",
+        type=click.FloatRange(0.02, 3600.0),
+        metavar="SECONDS",
+        help="How far ahead predictions are judged, beside one step and the free run.  [default: 10, on the bench 1]",
+    )(f)
+
+
+def robust_option(f: Callable[..., Any]) -> Callable[..., Any]:
+    """``--robust``."""
+    return click.option("--robust", is_flag=True, help="Allow outliers in all sensors, and count them.")(f)
+
+
+def restricted_option(default: bool | None = True) -> Callable[..., Any]:
+    """``--reml/--no-reml``; None: as what is studied was fitted."""
+    return click.option(
+        "--reml/--no-reml",
+        "restricted",
+        default=default,
+        show_default=bool(default),
+        help="Estimate noise without the bias that fitted dynamics give it (REML).",
+    )
+
+
+def second_order_option(default: bool | None = True) -> Callable[..., Any]:
+    """``--second-order/--no-second-order``; None: as what is studied was fitted."""
+    return click.option(
+        "--second-order/--no-second-order",
+        default=default,
+        show_default=bool(default),
+        help="Let the filter's mean go with the curvature of drag: less bias.",
+    )
+
+
+def run(work: Callable[[Callable[[str], None]], dict[str, Any]], out: Path) -> None:
+    """Do the work with a live line of what it is doing; then show the result and where it is."""
+    from rich.console import Console
+
+    console = Console(highlight=False)
+    try:
+        if console.is_terminal:
+            with console.status("reading logs") as status:
+                result = work(lambda line: status.update(line))
+        else:
+            result = work(lambda line: click.echo(f"  {line}"))
+    except (ValueError, KeyError) as problem:
+        raise SeatrialError(str(problem).strip("'\"")) from problem
+    from ident.report import print_result
+
+    print_result(result, console)
+    click.echo(f"report: {out / 'report.html'}")
+
+
+def command_line() -> str:
+    """What was typed, for the result's ``command``."""
+    return " ".join(["seatrial", *sys.argv[1:]])

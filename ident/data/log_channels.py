@@ -1,0 +1,177 @@
+"""A log's signals by the names that models use.
+
+| name | from |
+|---|---|
+| psi, phi, theta | AHRS: yaw, roll and pitch (unwrapped by whoever averages them) |
+| p, q, r, ax, ay | AHRS: body rates, specific force |
+| x, y, vx, vy | GNSS: metres north and east of the first fix, velocity over ground |
+| n_left, n_right | shaft speed over the rig's rpm_max, positive ahead; else what the autopilot's output said |
+| n_cmd_left, n_cmd_right | commands; where an autopilot is between, its output instead |
+| servo_1, servo_2, ... | pulses of an autopilot's outputs (us), where no rig names thrusters |
+| force | load cell, tared by the static segments of the plan |
+| speed | along the track, from velocity over ground (imported speed_x and speed_y, or vx and vy) |
+| any other | imported signals, by their own names |
+
+Which way a shaft turned whose controller said only how fast, as an autopilot's ESC telemetry does.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter
+
+from daq.log import Log
+from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar, Servo
+from ident.data.record import Channel
+from ident.numerics import Array
+
+# WGS 84
+SEMI_MAJOR, ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3
+TRACK = 20.0  # s
+STEP = 0.02  # s
+DELAYS = np.arange(0.0, 1.01, 0.05)  # s
+POLES = 1.5 * 1.5 ** np.arange(9)  # 1/s, up to 38
+
+
+def channels(log: Log) -> dict[str, Channel]:
+    """Every signal of a log, times in seconds from the log's own start of time (since 1970)."""
+    found: dict[str, Channel] = {}
+    for source in log.sources(Scalar):
+        table = log.table(Scalar, source)
+        found[source] = _channel(table, "value", log.unit(source), source)
+    rig = log.rig()
+    for source in log.sources(Ahrs):
+        table = log.table(Ahrs, source)
+        for name, column, unit in (
+            ("psi", "yaw", "rad"),
+            ("phi", "roll", "rad"),
+            ("theta", "pitch", "rad"),
+            ("p", "p", "rad/s"),
+            ("q", "q", "rad/s"),
+            ("r", "r", "rad/s"),
+            ("ax", "ax", "m/s2"),
+            ("ay", "ay", "m/s2"),
+        ):
+            found.setdefault(name, _channel(table, column, unit, source))
+    for source in log.sources(Gnss):
+        found = _gnss(log.table(Gnss, source), source) | found
+    for thruster in rig.thrusters if rig else ():
+        _thruster(log, thruster, found)
+    if rig is None:
+        for source in log.sources(Servo):
+            for node in log.nodes(Servo, source):
+                found.setdefault(f"servo_{node}", _channel(log.table(Servo, source, node), "pwm", "us", source))
+    for source in log.sources(LoadCell):
+        found.setdefault("force", _channel(_good(log.table(LoadCell, source)), "force", "N", source))
+    found = {name: c for name, c in found.items() if c.t.size > 1}
+    for pair in (("speed_x", "speed_y"), ("vx", "vy")):
+        if "speed" not in found and all(n in found for n in pair):
+            x, y = (found[n] for n in pair)
+            if np.array_equal(x.t, y.t):
+                found["speed"] = Channel(x.t, along_track(x.t, x.value, y.value), x.unit, x.source)
+    return found
+
+
+def along_track(t: Array, vx: Array, vy: Array) -> Array:
+    """Speed [m/s] along the direction of travel (n,), negative astern.
+
+    The direction is that of the velocity within ``TRACK`` seconds either way, weighted by speed: a boat that drifts
+    at rest before a run has the run's direction. The magnitude alone would turn drift and noise into speed ahead.
+    """
+    speed = np.hypot(vx, vy)
+    a, b = np.searchsorted(t, t - TRACK), np.searchsorted(t, t + TRACK, side="right")
+    sums = [np.append(0.0, np.cumsum(speed * v)) for v in (vx, vy)]
+    dx, dy = (s[b] - s[a] for s in sums)
+    length = np.hypot(dx, dy)
+    return np.asarray(np.divide(vx * dx + vy * dy, length, out=np.zeros_like(speed), where=length > 0))
+
+
+def ahrs_channels(table: Any, source: str) -> dict[str, Channel]:
+    """Every axis of an AHRS that it reported."""
+    names = {"yaw": "psi", "pitch": "theta", "roll": "phi"}
+    rows = (("rad", ("yaw", "pitch", "roll")), ("rad/s", ("p", "q", "r")), ("m/s2", ("ax", "ay", "az")))
+    found = {names.get(c, c): _channel(table, c, unit, source) for unit, columns in rows for c in columns}
+    return {name: c for name, c in found.items() if c.t.size > 1}
+
+
+def _thruster(log: Log, thruster: Any, found: dict[str, Channel]) -> None:
+    device, node = thruster.device, thruster.node
+    shaft = None
+    if node in log.nodes(Esc, device):
+        state = log.table(Esc, device, node=node)
+        shaft = _channel(state, "rpm", "", device)
+        if node in log.nodes(Servo, device) and follows_command(state["rpm"], state["duty"]):
+            # Telemetry has no sign, and the shaft follows its output late.
+            output = _channel(log.table(Servo, device, node=node), "n", "", device)
+            shaft = Channel(shaft.t, with_sign(shaft.t, shaft.value, output.t, output.value), "", device)
+        found[f"voltage_{thruster.name}"] = _channel(state, "voltage", "V", device)
+    if shaft is not None and shaft.t.size > 1 and np.isfinite(thruster.rpm_max):
+        found[f"n_{thruster.name}"] = Channel(shaft.t, shaft.value / thruster.rpm_max, "", device)
+    if node in log.nodes(Servo, device):
+        # What the autopilot put out is what the thruster was told: between it and our command are its own delays.
+        output = _channel(log.table(Servo, device, node=node), "n", "", device)
+        found[f"n_cmd_{thruster.name}"] = output
+        found.setdefault(f"n_{thruster.name}", output)
+    elif node in log.nodes(Command, device):
+        found[f"n_cmd_{thruster.name}"] = _channel(log.table(Command, device, node=node), "n_cmd", "", device)
+
+
+def _gnss(table: Any, source: str) -> dict[str, Channel]:
+    table = table[(table["fix"] >= 2) & np.isfinite(table["lat"])]
+    if not len(table):
+        return {}
+    x, y = local_ned(table["lat"], table["lon"])
+    t = np.ascontiguousarray(table["t"])
+    found = {"x": Channel(t, x, "m", source), "y": Channel(t, y, "m", source)}
+    for name, column in (("vx", "vel_n"), ("vy", "vel_e")):
+        if np.isfinite(table[column]).any():
+            found[name] = _channel(table, column, "m/s", source)
+    return found
+
+
+def local_ned(lat: Array, lon: Array) -> tuple[Array, Array]:
+    """Degrees -> metres north and east of the first point, on the ellipsoid's radii there (Groves 2013, 2.4.2)."""
+    phi = np.radians(lat[0])
+    w = 1 - ECCENTRICITY_2 * np.sin(phi) ** 2
+    meridian, normal = SEMI_MAJOR * (1 - ECCENTRICITY_2) / w**1.5, SEMI_MAJOR / np.sqrt(w)
+    east = np.radians(np.mod(lon - lon[0] + 180, 360) - 180)
+    return meridian * np.radians(lat - lat[0]), normal * np.cos(phi) * east
+
+
+def _channel(table: Any, column: str, unit: str, source: str) -> Channel:
+    good = np.isfinite(table[column])
+    t, value = table["t"][good], table[column][good]
+    return Channel(np.ascontiguousarray(t, float), np.ascontiguousarray(value, float), unit, source)
+
+
+def _good(table: Any) -> Any:
+    return table[table["flags"] == 0]
+
+
+def follows_command(rpm: Array, n: Array) -> bool:
+    """Whether a shaft's speeds (k,) have at each moment the sign of the command ``n`` (k,): no shaft is so quick."""
+    both = (rpm != 0) & (n != 0) & np.isfinite(rpm) & np.isfinite(n)
+    signs = np.sign(n[both])
+    return bool(np.any(np.diff(signs)) and np.all(np.sign(rpm[both]) == signs))
+
+
+def with_sign(t: Array, speed: Array, t_told: Array, told: Array) -> Array:
+    """Speeds (k,) at times ``t`` (k,) s with the sign that their shaft had, told ``told`` (m,) from ``t_told`` (m,) s
+    on, each held until the next."""
+    speed = np.abs(speed)
+    clock = np.arange(t[0] - DELAYS[-1], t[-1] + STEP, STEP)
+    held = told[np.maximum(np.searchsorted(t_told, clock, side="right") - 1, 0)]
+    best, found = np.inf, np.copysign(speed, np.interp(t, clock, held))
+    for pole in POLES:
+        keep = np.exp(-pole * STEP)
+        lagged = lfilter([1.0 - keep], [1.0, -keep], held)
+        for delay in DELAYS:
+            shaft = np.interp(t - delay, clock, lagged)
+            size = np.abs(shaft)
+            scale = float(size @ speed / max(size @ size, 1e-12))
+            error = float(np.sum((speed - scale * size) ** 2))
+            if error < best:
+                best, found = error, np.copysign(speed, shaft)
+    return np.asarray(found)

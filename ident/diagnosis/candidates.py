@@ -1,0 +1,248 @@
+"""Columns for the score test: the catalogue's effects at zero, and what no catalogue lists.
+
+Waves as a candidate: what no sensitivity shows, a narrow peak in the spectrum of the innovations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+from scipy import stats
+from scipy.interpolate import BSpline
+from scipy.linalg import expm, solve_banded
+
+from ident.data import TIME_INPUT, Record
+from ident.diagnosis.score_test import Score, SensitivityColumns
+from ident.effects import EFFECT, FORCES, harmonics, input_response_effects
+from ident.engine import VectorisedModel
+from ident.estimation import FittedModel, RecordEvaluation
+from ident.model import Effect, Model
+from ident.models import products_of, readings_of, residuals_of, variables_of
+from ident.numerics import Array
+from ident.validation import SpectralPeak, spectral_peak
+
+SURE = 1e-6  # what merely coloured innovations do not reach (tests/ident/diagnosis/test_spectral_peak.py)
+SLOWEST = 0.25  # s between samples; a slower channel does not see waves
+SMALLEST_P = 1e-300
+SIZE = 0.4  # of the usual forces, at which the refit starts
+
+
+class TrajectoryLinearisation:
+    """A model along the filter's path on one record, for finite differences around it.
+
+    ``record`` carries every input that a candidate may want; x (n_rows, n_states) the predicted states.
+    """
+
+    def __init__(self, model: Model, values: Array, record: Record, x: Array) -> None:
+        self.model, self.values, self.record, self.x = model, values, record, x
+        self.rowwise = VectorisedModel(model)
+        self.own = record.for_model(model)
+        self.base = self.rowwise(x, self.own.u, values)
+        self.jacobian = self.rowwise.output_jacobian(x, self.own.u, values)
+
+    def parameter(self, name: str) -> Array:
+        """d(rates, outputs) / d parameter, (n_rows, n_states + n_outputs)."""
+        index = [p.name for p in self.model.parameters].index(name)
+        p = self.model.parameters[index]
+        h = p.step or 0.01 * max(abs(self.values[index]), 1e-3)
+        up, down = self.values.copy(), self.values.copy()
+        up[index] += h / 2
+        down[index] -= h / 2
+        return (self.rowwise(self.x, self.own.u, up) - self.rowwise(self.x, self.own.u, down)) / h
+
+    def state(self, name: str) -> Array:
+        """d(rates, outputs) / d state; exact for the disturbance states, which enter linearly."""
+        index = [s.name for s in self.model.states].index(name)
+        moved = self.x.copy()
+        moved[:, index] += 1.0
+        change = self.rowwise(moved, self.own.u, self.values) - self.base
+        change[:, index] = 0.0  # its own decay is not an effect on the boat
+        return change
+
+    def effect(self, effect: Effect) -> Iterator[SensitivityColumns]:
+        """One candidate, or one for each combination of its scanned parameters."""
+        larger = self.model + effect
+        n, m = len(self.model.states), len(effect.states)
+        u, rowwise = self.record.for_model(larger).u, VectorisedModel(larger)
+        scans = [dict(zip(effect.scan, scan, strict=True)) for scan in product(*effect.scan.values())]
+        all_values = [
+            np.append(self.values, [tried.get(p.name, p.value) for p in effect.parameters]) for tried in scans
+        ]
+        driven = self._driven(rowwise, m, all_values, u) if m else [np.zeros((len(self.x), 0))] * len(scans)
+        for tried, values, z in zip(scans, all_values, driven, strict=True):
+            x = np.column_stack([self.x, z])
+            base, changes, names = rowwise(x, u, values), [], []
+            for j, p in enumerate(effect.parameters):
+                if p.transform == "log" or p.name in tried or (j > 0 and p.value != 0.0):
+                    continue  # shapes of the effect, not its size
+                moved = values.copy()
+                moved[len(self.values) + j] += p.step
+                change = (rowwise(x, u, moved) - base) / p.step
+                changes.append(np.delete(change, np.s_[n : n + m], axis=1) if m else change)
+                names.append(p.name)
+            own = all(p.per_record for p in effect.parameters)
+            touched = np.flatnonzero(np.any([c.any(axis=0) for c in changes], axis=0))
+            delta = np.stack([c[:, touched] for c in changes], axis=2)
+            yield SensitivityColumns(effect.name, delta, tuple(names), tried, False, effect.one_sided, own, touched)
+
+    def _driven(self, rowwise: VectorisedModel, m: int, all_values: list[Array], u: Array) -> list[Array]:
+        """An effect's own m states, driven along the path while it is at zero (linear, constant coefficients);
+        (n_rows, m) for each set of values."""
+        n = len(self.model.states)
+        x = np.column_stack([self.x, np.zeros((len(self.x), m))])
+        steps, step_of = np.unique(np.round(self.record.h[:-1], 9), return_inverse=True)
+        found = []
+        for values in all_values:
+            drive = rowwise(x, u, values)[:, n : n + m]
+            A = rowwise.rate_jacobian(x[:1], u[:1], values)[0, n:, n:]
+            known = [_discrete(A, step) for step in steps]
+            transition, weight = (np.stack([pair[i] for pair in known])[step_of] for i in (0, 1))
+            mean = (drive[:-1] + drive[1:]) / 2
+            found.append(_recursion(transition, np.einsum("kij,kj->ki", weight, mean)))
+        return found
+
+    def generic(self, among: Mapping[str, Array] | None = None) -> Iterator[SensitivityColumns]:
+        """Each residual force as a smooth function of each variable, and of products, or of an input's past; each
+        sensor's error as one of some variables; ``among``: see splines."""
+        table = generic_features(self.model, self.own, self.x, among, self.values)
+        for residual in (*residuals_of(self.model), *readings_of(self.model)):
+            direction = self.state(residual.state)
+            touched = np.flatnonzero(direction.any(axis=0))
+            direction = direction[:, touched]
+            for name, feature in table.items():
+                if residual.of and name not in residual.of:
+                    continue
+                delta = direction[:, :, None] * feature[:, None, :]
+                yield SensitivityColumns(f"{residual.name}({name})", delta, generic=True, touched=touched)
+        for name, effect in input_response_effects(self.model).items():
+            for columns in self.effect(effect):
+                yield replace(columns, name=name, generic=True)
+
+
+def _discrete(A: Array, step: float) -> tuple[Array, Array]:
+    m = len(A)
+    block = expm(np.block([[A, np.eye(m)], [np.zeros((m, 2 * m))]]) * step)
+    return block[:m, :m], block[:m, m:]
+
+
+def _recursion(transition: Array, drive: Array) -> Array:
+    """``z_k+1 = transition_k z_k + drive_k`` from zero, (n + 1, m): a banded system with ones on its diagonal."""
+    n, m = drive.shape
+    band = np.zeros((2 * m, (n + 1) * m))
+    band[0] = 1.0
+    for i in range(m):
+        for j in range(m):
+            band[m + i - j, j : n * m : m] = -transition[:, i, j]
+    right = np.concatenate([np.zeros(m), drive.ravel()])
+    return np.asarray(solve_banded((2 * m - 1, 0), band, right)).reshape(n + 1, m)
+
+
+def variables(model: Model, record: Record, x: Array, values: Array | None = None) -> dict[str, Array]:
+    """What a residual force may depend on, (n_rows,) each; ``values``: of the parameters, by default the model's."""
+    p = list(model.values.values()) if values is None else values.tolist()
+    bag = model.bag(list(x.T), list(record.u.T), p)
+    found = {}
+    for v in variables_of(model):
+        z = record.t if v.name == TIME_INPUT else np.asarray(v.read(bag), dtype=np.float64)
+        found[v.name] = np.mod(z + np.pi, 2 * np.pi) - np.pi if v.angle else z
+    return found
+
+
+def generic_features(
+    model: Model,
+    record: Record,
+    x: Array,
+    among: Mapping[str, Array] | None = None,
+    values: Array | None = None,
+) -> dict[str, Array]:
+    """Regressors by name: splines of single variables, harmonics of an angle, products of two of them.
+
+    ``among``: the variables of all records together, so that a column means the same in each of them.
+    """
+    z = variables(model, record, x, values)
+    among = z if among is None else among
+    known = variables_of(model)
+    table = {
+        v.name: feature
+        for v in known
+        if not v.angle and (feature := splines(z[v.name], v.functions, among[v.name])).size
+    }
+    for v in known:
+        if v.angle:
+            table[v.name] = np.column_stack(harmonics(z[v.name]))
+    for one, other in products_of(model):
+        za, zb = z[one], z[other]
+        table[f"{one}, {other}"] = np.column_stack([za * zb, np.abs(za) * zb, za * np.abs(zb)])
+    return table
+
+
+def splines(z: Array, n_functions: int, among: Array | None = None) -> Array:
+    """Cubic B-splines of z over the middle 99 % of ``among`` (z itself by default), centred there; empty where that
+    does not vary."""
+    among = z if among is None else among
+    low, high = np.percentile(among, [0.5, 99.5])
+    if high - low < 1e-6:
+        return np.zeros((z.size, 0))
+    inner = np.linspace(0, 1, n_functions - 2)
+    knots = np.concatenate([[0] * 3, inner, [1] * 3])
+    basis, all_ = (
+        BSpline.design_matrix(np.clip((w - low) / (high - low), 0, 1 - 1e-9), knots, 3).toarray() for w in (z, among)
+    )
+    return np.asarray(basis[:, 1:] - all_[:, 1:].mean(0))
+
+
+def all_columns(
+    path: TrajectoryLinearisation, effects: Iterable[Effect], among: Mapping[str, Array] | None = None
+) -> Iterator[SensitivityColumns]:
+    """Every candidate along one record, in the same order along each; ``among``: see generic_features."""
+    chosen = [e for e in effects if path.model.accepts(e) and _has_inputs(path, e)]
+    for e in chosen:
+        yield from path.effect(e)
+    yield from path.generic(among)
+
+
+def _has_inputs(path: TrajectoryLinearisation, effect: Effect) -> bool:
+    return all(i.name in path.record.inputs for i in effect.inputs)
+
+
+def wave_peak_score(stage: FittedModel) -> Score | None:
+    """The candidate ``waves`` for a fitted model, None where no peak is beyond doubt.
+
+    ``step`` and ``scan`` give the refit its start. The peak's p value serves as the block version's too: it is one of
+    averages over blocks, and neighbouring bins keep it valid for coloured innovations.
+    """
+    peaks = [peak for view in stage.estimation for peak in _peak(stage.model, view)]
+    low, high = next(p.bounds for p in EFFECT.parameters if p.name == "f_wave")
+    # a peak beyond the waves' band, as resampled channels have at 5 Hz, is no wave
+    best = min((peak for peak in peaks if low <= peak.frequency <= high), key=lambda peak: peak.p, default=None)
+    if best is None or best.p * len(peaks) > SURE:
+        return None
+    df = len(EFFECT.parameters)
+    lm = float(stats.chi2.isf(max(best.p * len(peaks), SMALLEST_P), df))
+    step = {f"A_{force}": SIZE * usual for force, (_, usual) in FORCES.items()}
+    return Score(EFFECT.name, lm, df, lm, step, {"f_wave": best.frequency}, generic=False)
+
+
+def _peak(model: Model, view: RecordEvaluation) -> list[SpectralPeak]:
+    """At most one for each record: of its rates and accelerations, not of what drifts."""
+    by_step: dict[float, dict[str, Array]] = {}
+    for j, output in enumerate(model.outputs):
+        there = np.isfinite(view.run.standardised[:, j])
+        if "/s" in output.unit and there.sum() > 2:
+            t = view.record.t[there]
+            step = round(float(np.median(np.diff(t))), 4)
+            if 0.0 < step <= SLOWEST:
+                by_step.setdefault(step, {})[output.name] = _even(t, view.run.standardised[there, j], step)
+    peaks = [spectral_peak(channels, step) for step, channels in by_step.items()]
+    return [peak for peak in peaks if peak is not None]
+
+
+def _even(t: Array, e: Array, step: float) -> Array:
+    """On an even grid, NaN where a sample is missing."""
+    at = np.round((t - t[0]) / step).astype(int)
+    grid = np.full(at[-1] + 1, np.nan)
+    grid[at] = e
+    return grid

@@ -1,0 +1,279 @@
+"""Score tests of all candidates at once (Lagrange multiplier tests; Engle 1984), without refitting any.
+
+The fitted filter is linearised along its own path: a column of small changes of rates and outputs, one for
+each fitted parameter and each candidate's parameter at zero, is carried through the same gains. With G the
+whitened sensitivities of the innovations and e the whitened innovations, the score is ``-G' e`` and its
+information ``G' G``; the fitted parameters are projected out of both (Schur complement), which is what
+keeps a clean data set clean. ``LM = s' I^-1 s`` is chi-squared. A second version takes the covariance of the
+score from sums over blocks of five seconds (two on the bench), and stays valid when the innovations are not white.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from ident.data import Record
+from ident.estimation import FilterResult
+from ident.model import Model
+from ident.numerics import Array
+
+BLOCK = 5.0  # s
+WIDTH, LENGTH = 96, 256  # columns and rows that are carried through the filter at once: as the processor has at hand
+ALPHA = 0.05  # chance that anything passes the score tests in a clean data set
+P_BLOCK = 0.01  # of the version that holds for coloured innovations
+# evidence that sits in few blocks caps that version; overwhelming evidence may then pass, and validation decides
+P_OVERWHELMING, P_BLOCK_OVERWHELMING = 1e-12, 0.1
+
+
+@dataclass(frozen=True)
+class SensitivityColumns:
+    """A candidate's small changes along one record: d(rates, outputs) per unit of each of its parameters.
+
+    delta (n_rows, n_touched, n_parameters) of those of the model's rates and then outputs that it touches;
+    touched (n_touched,): which these are, in order, None: all.
+    """
+
+    name: str
+    delta: Array
+    parameters: tuple[str, ...] = ()
+    scan: dict[str, float] = field(default_factory=dict)
+    generic: bool = False
+    one_sided: bool = False
+    per_record: bool = False  # each record has these parameters for itself
+    touched: NDArray[np.int64] | None = None
+
+
+@dataclass(frozen=True)
+class ColumnIndex:
+    """Where a candidate's columns are among all: ``at``, in each record or, per record, one record after another."""
+
+    columns: SensitivityColumns
+    at: tuple[int, ...]
+
+    def of_record(self, i: int) -> tuple[int, ...]:
+        """The places that the columns of record i add to."""
+        if not self.columns.per_record:
+            return self.at
+        size = self.columns.delta.shape[2]
+        return self.at[i * size : (i + 1) * size]
+
+    @property
+    def names(self) -> list[str]:
+        """Of the parameters; ``NAME@i`` where each record has its own."""
+        c, size = self.columns, self.columns.delta.shape[2]
+        names = list(c.parameters) or [f"{c.name}[{i}]" for i in range(size)]
+        return [f"{n}@{i}" for i in range(len(self.at) // size) for n in names] if c.per_record else names
+
+
+def place(columns: Sequence[SensitivityColumns], first: int, n_records: int) -> tuple[list[ColumnIndex], int]:
+    """A place for every candidate, from ``first`` on, and how many columns there are in all."""
+    places = []
+    for c in columns:
+        size = c.delta.shape[2] * (n_records if c.per_record else 1)
+        places.append(ColumnIndex(c, tuple(range(first, first + size))))
+        first += size
+    return places, first
+
+
+@dataclass(frozen=True)
+class Score:
+    """``step``: the one-step estimate of each parameter; ``lm_block``: the version from blocks."""
+
+    name: str
+    lm: float
+    df: int
+    lm_block: float
+    step: dict[str, float]
+    scan: dict[str, float]
+    generic: bool
+
+    @property
+    def p(self) -> float:
+        return float(stats.chi2.sf(self.lm, self.df))
+
+    @property
+    def p_block(self) -> float:
+        return float(stats.chi2.sf(self.lm_block, self.df))
+
+    def criterion(self, n: int) -> float:
+        """Gain after paying for its parameters (BIC); larger is better."""
+        return self.lm - self.df * float(np.log(n))
+
+
+class NormalEquations:
+    """Normal equations of the whitened sensitivities, summed over records."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.names = list(names)
+        n = len(self.names)
+        self.information, self.score = np.zeros((n, n)), np.zeros(n)
+        self.blocks: list[Array] = []
+
+    def add(self, positions: Sequence[int], g: Array, e: Array, block: NDArray[np.int64]) -> None:
+        """g (n_samples, n_columns) whitened, e (n_samples,) whitened, block (n_samples,) its block's index."""
+        at = np.asarray(positions)
+        self.information[np.ix_(at, at)] += g.T @ g
+        product = -g * e[:, None]
+        self.score[at] += product.sum(0)
+        starts = np.flatnonzero(np.append(True, np.diff(block) > 0))
+        sums = np.zeros((starts.size, len(self.names)))
+        sums[:, at] = np.add.reduceat(product, starts, axis=0)
+        self.blocks.append(sums)
+
+
+class SensitivityFilter:
+    """Carries columns of small changes through the filter of one record.
+
+    run: the filter's account of the record; jacobian (n_rows, n_outputs, n_states): of the outputs at the predicted
+    states. ``e``, ``t`` (n_samples,): whitened innovations and their times.
+    """
+
+    def __init__(self, run: FilterResult, record: Record, jacobian: Array) -> None:
+        self.half = np.asarray(record.h / 2)[:, None, None]
+        self.seen = np.isfinite(record.y) & ~run.outliers
+        self.H = np.where(self.seen[:, :, None], jacobian, 0.0)
+        cross = run.P_pred @ self.H.swapaxes(1, 2)
+        S = self.H @ cross
+        each = np.arange(S.shape[1])
+        S[:, each, each] += np.where(self.seen, run.R, 1.0)  # what was not measured stands apart, with a gain of nought
+        gain = np.linalg.solve(S, cross.swapaxes(1, 2)).swapaxes(1, 2)
+        self.Phi = np.where(self.half > 0, run.Phi, np.eye(cross.shape[1]))
+        self.Phi_gain = self.Phi @ gain
+        self.transition = self.Phi - self.Phi_gain @ self.H  # from one prediction to the next
+        self.whiten = np.linalg.inv(np.linalg.cholesky(S))
+        self.e = (self.whiten @ np.where(self.seen, run.e, 0.0)[:, :, None])[self.seen][:, 0]
+        self.t = np.repeat(record.t, self.seen.sum(axis=1))
+
+    def __call__(self, columns: Sequence[SensitivityColumns]) -> Array:
+        """Whitened sensitivities of the innovations (n_samples, n_columns), of all the candidates' parameters."""
+        delta, touched = self._together(columns)
+        n_rows, n_states, n_outputs = len(delta), self.Phi.shape[1], self.H.shape[1]
+        rates, outputs = touched < n_states, touched[touched >= n_states] - n_states
+        read = np.where(self.seen[:, outputs, None], delta[:, ~rates], 0.0)
+        delta = delta[:, rates]
+        found, dx = [], np.zeros((LENGTH + 1, n_states, delta.shape[2]))
+        for first, last in pairwise([*range(0, n_rows, LENGTH), n_rows]):
+            rows, n = slice(first, last), last - first
+            drive = self.Phi[rows][:, :, touched[rates]] @ (self.half[rows] * delta[rows])
+            drive -= self.Phi_gain[rows][:, :, outputs] @ read[rows]
+            end = delta[first + 1 : last + 1]  # the record's last row leads nowhere
+            drive[: len(end), touched[rates]] += self.half[rows][: len(end)] * end
+            for k, A in enumerate(self.transition[rows]):
+                np.matmul(A, dx[k], out=dx[k + 1])
+                dx[k + 1] += drive[k]
+            change = np.zeros((n, n_outputs, delta.shape[2]))
+            change[:, outputs] = -read[rows]
+            change -= self.H[rows] @ dx[:n]
+            found.append((self.whiten[rows] @ change)[self.seen[rows]])
+            dx[0] = dx[n]
+        return np.concatenate(found)
+
+    def _together(self, columns: Sequence[SensitivityColumns]) -> tuple[Array, NDArray[np.int64]]:
+        """The candidates' changes side by side (n_rows, n_touched, n_columns), and what they touch between them."""
+        every = np.arange(self.Phi.shape[1] + self.H.shape[1])
+        each = [every if c.touched is None else c.touched for c in columns]
+        touched = np.unique(np.concatenate(each))
+        widths = [c.delta.shape[2] for c in columns]
+        delta, first = np.zeros((len(self.H), touched.size, sum(widths))), 0
+        for c, own, width in zip(columns, each, widths, strict=True):
+            delta[:, np.searchsorted(touched, own), first : first + width] = c.delta
+            first += width
+        return delta, touched
+
+
+def propagate_sensitivities(
+    run: FilterResult, record: Record, jacobian: Array, fitted: Array, columns: Iterable[SensitivityColumns]
+) -> tuple[Array, Array, Array, list[SensitivityColumns]]:
+    """Whitened sensitivities of the fitted parameters' columns and then of every candidate's, some at a time, with
+    whitened innovations and their times (``Carrier``).
+
+    The candidates come back without their columns: those of the whole catalogue together would fill the memory.
+    """
+    carried = SensitivityFilter(run, record, jacobian)
+    parts, slim = [], []
+    waiting, width = [SensitivityColumns("fitted", fitted)], fitted.shape[2]
+    for c in columns:
+        if width >= WIDTH:
+            parts.append(carried(waiting))
+            waiting, width = [], 0
+        waiting.append(c)
+        width += c.delta.shape[2]
+        slim.append(replace(c, delta=c.delta[:0].copy()))
+    parts.append(carried(waiting))
+    return np.concatenate(parts, axis=1), carried.e, carried.t, slim
+
+
+def score_tests(
+    normal: NormalEquations, n_fitted: int, prior: Array, candidates: Sequence[ColumnIndex]
+) -> list[Score]:
+    """One score for each candidate; the first ``n_fitted`` columns are the fitted parameters.
+
+    prior (n_fitted,): the information of the priors, on the diagonal.
+    """
+    fitted = normal.information[:n_fitted, :n_fitted] + np.diag(prior)
+    scale = np.sqrt(np.maximum(np.diag(fitted), 1e-300))
+    gain = np.linalg.lstsq(
+        fitted / np.outer(scale, scale), normal.information[:n_fitted] / scale[:, None], rcond=1e-12
+    )[0]
+    gain = gain / scale[:, None]
+    information = normal.information - normal.information[:n_fitted].T @ gain
+    score = normal.score - gain.T @ normal.score[:n_fitted]
+    blocks = np.concatenate(normal.blocks)
+    blocks = blocks - blocks[:, :n_fitted] @ gain
+    scores = [_one(c, information, score, blocks, normal.information) for c in candidates]
+    return [s for s in scores if s is not None]
+
+
+def _one(placed: ColumnIndex, information: Array, score: Array, blocks: Array, before: Array) -> Score | None:
+    candidate, names, index = placed.columns, np.array(placed.names), np.asarray(placed.at)
+    # what the fitted parameters can imitate to 1e-8 cannot be tested
+    alive = np.diag(information)[index] > 1e-8 * np.diag(before)[index]
+    if not alive.any():
+        return None
+    index, names = index[alive], names[alive]
+    info, s = information[np.ix_(index, index)], score[index]
+    size = np.sqrt(np.diag(info))
+    w, V = np.linalg.eigh(info / np.outer(size, size))
+    keep = w > 1e-6
+    z = (V.T @ (s / size))[keep]
+    lm, df = float(np.sum(z * z / w[keep])), int(keep.sum())
+    step = (V[:, keep] @ (z / w[keep])) / size
+    B = blocks[:, index] / size @ V[:, keep]
+    C = B.T @ B
+    lm_block = float(z @ np.linalg.solve(C + 1e-9 * np.trace(C) * np.eye(df), z))
+    if candidate.one_sided and step[0] < 0:
+        lm = lm_block = 0.0
+    return Score(
+        candidate.name,
+        lm,
+        df,
+        lm_block,
+        dict(zip(names.tolist(), step.tolist(), strict=True)),
+        candidate.scan,
+        candidate.generic,
+    )
+
+
+def block_index(t: Array, block: float = BLOCK) -> NDArray[np.int64]:
+    return np.floor(t / block).astype(np.int64)
+
+
+def fitted_names(model: Model, n_records: int) -> list[str]:
+    """Names of the fitted dynamic parameters: shared, then ``name@record`` for those per record."""
+    noise = model.noises  # their score does not mix with that of the mean
+    mean = [p for p in model.parameters if p.free and p.name not in noise]
+    return [p.name for p in mean if not p.per_record] + [
+        f"{p.name}@{i}" for i in range(n_records) for p in mean if p.per_record
+    ]
+
+
+def _passes(s: Score, n_tests: int) -> bool:
+    if s.p < P_OVERWHELMING and s.p_block < P_BLOCK_OVERWHELMING:
+        return True
+    return s.p < ALPHA / 2 / n_tests and s.p_block < P_BLOCK

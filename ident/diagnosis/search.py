@@ -1,0 +1,284 @@
+"""From the residual to the effect that the model lacks.
+
+1. Fit the model with unexplained forces and sensor offsets as states.
+2. Score tests of every candidate at once, specific and generic (``ident.diagnosis.score_test``).
+3. Refit with the best few, everything free; compare by ``2 d ln L - df ln n``.
+4. Validation data decide: the gain in log-likelihood there, block by block, has to be significant.
+5. Add the effect and go round again; behind a table only names that are worth much beside it take part.
+
+Kristensen, Madsen and Jorgensen 2004; Engle 1984.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+
+from daq.errors import counted
+from ident.data import LogSegment, Record, make_record
+from ident.diagnosis.adequacy import assess_alternatives
+from ident.diagnosis.candidates import TrajectoryLinearisation, all_columns, variables, wave_peak_score
+from ident.diagnosis.importance import effect_importance
+from ident.diagnosis.results import Diagnosis, EffectAttribution, Refit, Round
+from ident.diagnosis.score_test import (
+    ColumnIndex,
+    NormalEquations,
+    Score,
+    _passes,
+    block_index,
+    fitted_names,
+    place,
+    propagate_sensitivities,
+    score_tests,
+)
+from ident.effects import NonparametricForce, catalogue, input_response_effects, nonparametric_effect, shape
+from ident.engine import quickly
+from ident.estimation import (
+    AT_BOUND,
+    ROUGHLY,
+    VAGUE,
+    FittedModel,
+    Progress,
+    fit_and_evaluate,
+    fit_with_rescaling,
+    nominal,
+    superset,
+    validation_gain,
+    without_absent_sensors,
+)
+from ident.model import Effect, Model, Parameter
+from ident.models import residuals_of, scale_priors, size_of, variables_of
+
+N_REFITS, N_UNKNOWN = 4, 2
+HOPELESS = 0.05  # of the best score: a refit gains up to ten times what its score promises, not twenty times
+# what an effect's true form has beyond ours looks like other effects, smaller by orders; those are not added
+SMALL = 0.02  # of the largest gain so far
+# so does what a curve has beyond its table, up to a fifteenth of it; what else is missing is mostly worth a third
+BEHIND_TABLE = 0.1  # of the largest gain so far
+
+
+def diagnose(
+    model: Model,
+    estimation: Sequence[LogSegment],
+    validation: Sequence[LogSegment],
+    *,
+    effects: Mapping[str, Effect] | None = None,
+    max_effects: int = 3,
+    rate: float = 10.0,
+    progress: Progress = lambda line: None,
+) -> Diagnosis:
+    """What does ``model`` lack to explain the runs? ``effects``: the candidates, by default the whole catalogue.
+
+    Raises ValueError, naming the run, where a run lacks a signal that the model needs; or the model, where it has no
+    hull whose forces X, Y, N could lack anything, and is no thruster on the bench either.
+    """
+    if not residuals_of(model):
+        raise ValueError(
+            f"model {model.name} cannot be diagnosed: it lacks a hull with the forces X, Y and N; fit "
+            "the horizontal model instead"
+        )
+    full = nominal(model)
+    candidates = {n: e for n, e in (catalogue() if effects is None else effects).items() if full.accepts(e)}
+    wanted = set(candidates)
+    everything, candidates = superset(full, candidates, [*estimation, *validation])
+    untested = wanted - set(candidates)
+    records = [make_record(everything, r, rate) for r in estimation]
+    unseen = [make_record(everything, r, rate) for r in validation]
+    full = without_absent_sensors(full, records + unseen)
+    progress(f"fitting {full.name} with unexplained forces to {counted(len(records), 'run')}")
+    before = current = fit_with_rescaling(full, records, unseen)
+    size, known = size_of(before.fit.model), catalogue()
+    # the users' own effects have the priors that they gave them
+    candidates = {n: scale_priors(e, size) if known.get(n) is e else e for n, e in candidates.items()}
+    rounds: list[Round] = []
+    unknown, n = False, sum(r.n_rows for r in records)
+    while True:
+        scores, passed = score_all(current, records, candidates)
+        largest = max((r.chosen.criterion for r in rounds if r.chosen is not None), default=0.0)
+        least = BEHIND_TABLE * largest
+        tried = [s for s in passed if not s.generic and s.criterion(n) > least] if unknown else passed
+        if len(rounds) >= max_effects or not tried:
+            break
+        progress(f"round {len(rounds) + 1}: {len(passed)} of {len(scores)} candidates pass, best {tried[0].name}")
+        one = _round(current, records, unseen, candidates, scores, tried, largest, progress)
+        rounds.append(one)
+        if one.chosen is None:
+            break
+        current, unknown = one.chosen.stage, unknown or one.chosen.unknown
+        candidates.pop(one.chosen.effect.name, None)
+    progress("weighing what was found")
+    weights = effect_importance(before, rounds, records, unseen)
+    order = [w.effect for w in weights]
+    judgements = assess_alternatives(rounds, passed, n, untested)
+    judgements = tuple(sorted(judgements, key=lambda j: order.index(j.effect)))
+    shapes = _shapes(before, rounds, judgements, records)
+    return Diagnosis(before, current, tuple(rounds), tuple(passed), tuple(shapes), judgements, weights)
+
+
+def score_all(
+    stage: FittedModel, records: Sequence[Record], candidates: Mapping[str, Effect]
+) -> tuple[list[Score], list[Score]]:
+    """All score tests on a fitted model, best first, and those that pass; of a scanned effect the best only."""
+    model = stage.model
+    # a parameter that stands at its bound cannot give way to take up what a candidate would explain
+    stuck = {n for n, what in stage.fit.flags if what in (AT_BOUND, VAGUE)}
+    names = [n for n in fitted_names(model, len(records)) if n not in stuck]
+    paths = [
+        TrajectoryLinearisation(model, v.values, r, v.run.x_pred)
+        for r, v in zip(records, stage.estimation, strict=True)
+    ]
+    seen = [variables(model, p.own, p.x, p.values) for p in paths]
+    among = {name: np.concatenate([v[name] for v in seen]) for name in seen[0]}
+    normal: NormalEquations | None = None
+    places: list[ColumnIndex] = []
+    for i, (path, view) in enumerate(zip(paths, stage.estimation, strict=True)):
+        own = [j for j, n in enumerate(names) if "@" not in n or n.endswith(f"@{i}")]
+        fitted = np.stack([path.parameter(names[j].split("@")[0]) for j in own], axis=2)
+        columns = all_columns(path, candidates.values(), among)
+        g, e, t, slim = propagate_sensitivities(view.run, path.own, path.jacobian, fitted, columns)
+        if normal is None:
+            places, total = place(slim, len(names), len(records))
+            normal = NormalEquations([str(k) for k in range(total)])
+        normal.add(own + [k for where in places for k in where.of_record(i)], g, e, block_index(t, model.block))
+    assert normal is not None
+    priors = [model.parameter(n.split("@")[0]).prior for n in names]
+    scores = score_tests(normal, len(names), np.array([1 / p[1] ** 2 if p else 0.0 for p in priors]), places)
+    waves = wave_peak_score(stage) if "waves" in candidates else None
+    scores += [] if waves is None else [waves]
+    n = sum(r.n_rows for r in records)
+    scores.sort(key=lambda s: -s.criterion(n))
+    first: dict[str, Score] = {}
+    for s in scores:
+        first.setdefault(s.name, s)
+    best = list(first.values())
+    n_tests = {g: sum(s.generic == g for s in scores) for g in (False, True)}
+    return best, [s for s in best if _passes(s, n_tests[s.generic])]
+
+
+def _round(
+    current: FittedModel,
+    records: Sequence[Record],
+    unseen: Sequence[Record],
+    candidates: Mapping[str, Effect],
+    scores: list[Score],
+    passed: list[Score],
+    largest: float,
+    progress: Progress,
+) -> Round:
+    n = sum(r.n_rows for r in records)
+    specific = [s for s in passed if not s.generic][:N_REFITS]
+    specific = [s for s in specific if s.criterion(n) > HOPELESS * specific[0].criterion(n)]
+    refits = _refit_all(current, records, unseen, [(candidates[s.name], s) for s in specific], n, progress)
+    first = max((r for r in refits if r.accepted), key=lambda r: r.criterion, default=None)
+    best, curve = (-np.inf, "") if first is None else (first.criterion, first.effect.one_of)
+    # a table competes only where no name that holds comes close to what the scores promise for it, or where the name
+    # is no more than one shape of the table's curve
+    least = max(0.5 * best, best - 50)
+    unknown = [s for s in passed if s.generic and (s.criterion(n) > least or s.name == curve)][:N_UNKNOWN]
+    drawn = [(_unknown(s, current), s) for s in unknown]
+    refits += _refit_all(current, records, unseen, drawn, n, progress)
+    refits.sort(key=lambda r: -r.criterion)
+    names = tuple(s.name for s in passed)
+    for r in refits[:3]:
+        if r.accepted and r.criterion > max(0.25 * refits[0].criterion, SMALL * largest):
+            exact = replace(r, stage=fit_and_evaluate(r.stage.fit.model, records, unseen))
+            refits[refits.index(r)] = exact
+            return Round(tuple(scores), names, tuple(refits), exact, _why(r))
+    why = "no candidate predicts the validation data better"
+    if any(r.accepted for r in refits):
+        why = f"what is left is small beside what was found: {refits[0].effect.title} would gain {refits[0].gain:.0f}"
+    return Round(tuple(scores), names, tuple(refits), None, why)
+
+
+def _why(r: Refit) -> str:
+    if r.validation_gain > 0:
+        return f"the log-likelihood of the validation data rises by {r.validation_gain:.0f} (t = {r.t:.1f})"
+    return f"the log-likelihood rises in most blocks of the validation data (t = {r.t:.1f}); a few outlying ones fall"
+
+
+def _refit_all(
+    current: FittedModel,
+    records: Sequence[Record],
+    unseen: Sequence[Record],
+    tried: Sequence[tuple[Effect, Score]],
+    n: int,
+    progress: Progress,
+) -> list[Refit]:
+    def refit(pair: tuple[Effect, Score]) -> Refit | None:
+        effect, score = pair
+        progress(f"refitting with {effect.title}")
+        start = replace(effect, parameters=tuple(_start(p, score) for p in effect.parameters))
+        larger = current.fit.model + start
+        try:
+            stage = fit_and_evaluate(larger, records, unseen, tolerance=ROUGHLY)
+        except (ValueError, np.linalg.LinAlgError):
+            return None  # a candidate that cannot be fitted is no candidate
+        gain = 2 * (stage.fit.log_posterior - current.fit.log_posterior)
+        df = sum(p.free for p in effect.parameters)
+        total, t = validation_gain(current, stage)
+        return Refit(effect, stage, gain, df, gain - df * float(np.log(n)), total, t)
+
+    with ThreadPoolExecutor(2) as pool, quickly(n):
+        return [r for r in pool.map(refit, tried) if r is not None]
+
+
+def _start(parameter: Parameter, score: Score) -> Parameter:
+    value = score.scan.get(parameter.name, parameter.value)
+    if parameter.name in score.step:
+        sd = parameter.prior[1] if parameter.prior else np.inf
+        value = parameter.value + float(np.clip(score.step[parameter.name], -sd, sd))
+        low, high = parameter.bounds
+        value = min(max(value, low), high)
+    return parameter.at(value)
+
+
+def _unknown(score: Score, stage: FittedModel) -> Effect:
+    past = input_response_effects(stage.model)
+    if score.name in past:
+        return scale_priors(past[score.name], size_of(stage.fit.model))
+    force, variable = score.name.rstrip(")").split("(")
+    table = nonparametric_effect(stage.model, force, variable, _span(stage, variable))
+    return scale_priors(table, size_of(stage.fit.model))
+
+
+def _span(stage: FittedModel, variable: str) -> tuple[float, float]:
+    if variable in {v.name for v in variables_of(stage.model) if v.angle} or ", " in variable:
+        return -np.pi, np.pi
+    z = np.concatenate([variables(stage.model, v.record, v.run.x_filt, v.values)[variable] for v in stage.estimation])
+    low, high = np.percentile(z, [1, 99])
+    return float(low), float(high)
+
+
+def _shapes(
+    before: FittedModel, rounds: Sequence[Round], judgements: Sequence[EffectAttribution], records: Sequence[Record]
+) -> list[NonparametricForce]:
+    """The tables of unknown effects; and of the first effect that only resembles what is missing, the residual as a
+    table in its place."""
+    found, current = [], before
+    chosen = [r for r in rounds if r.chosen is not None]
+    first = next((j.effect for j in judgements if j.certainty == "resembles"), None)
+    for one, r in ((one, one.chosen) for one in chosen if one.chosen is not None):
+        if r.unknown:
+            found.append(_drawn(r.effect, r.stage))
+        elif r.effect.name == first and (likely := _likely_table(one)):
+            effect = _unknown(likely, current)
+            found.append(_drawn(effect, fit_and_evaluate(current.fit.model + effect, records, ())))
+        current = r.stage
+    drawn: dict[tuple[str, str], NonparametricForce] = {}
+    for s in found:
+        if s is not None:  # of one curve the whole, not what is left of it beside a name
+            drawn.setdefault((s.force, s.variable), s)
+    return list(drawn.values())
+
+
+def _likely_table(one: Round) -> Score | None:
+    """The best of the residuals as functions of one variable."""
+    return next((s for s in one.scores if s.generic and s.name in one.passed and " " not in s.name), None)
+
+
+def _drawn(effect: Effect, stage: FittedModel) -> NonparametricForce | None:
+    f = stage.fit
+    return shape(f.model, effect, f.model.values, f.names, f.covariance)

@@ -1,0 +1,1 @@
+"""Effects of a thruster on the bench: shaft, thrust, load cell, pool."""

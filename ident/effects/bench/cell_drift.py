@@ -1,0 +1,30 @@
+"""The load cell creeps after it is switched on or loaded."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ident.model import Effect, Input, Parameter, Signals
+
+
+def creep(s: Signals) -> None:
+    s.y["force"] = s.y["force"] + s.p.F_creep * (1 - np.exp(-s.u.t / s.p.T_creep))
+
+
+EFFECT = Effect(
+    name="cell-drift",
+    title="the drift of the load cell",
+    place="bench",
+    hooks={"output": creep},
+    parameters=(
+        Parameter("F_creep", 0.0, "N", "where the drift ends", prior=(0.0, 3.0), step=0.05, per_record=True),
+        Parameter("T_creep", 60.0, "s", "time in which it gets there", "log", prior=(60.0, 60.0), bounds=(5.0, 2000.0)),
+    ),
+    inputs=(Input("t", "s", "linear"),),
+    scan={"T_creep": (20.0, 60.0, 300.0)},
+    formula="F_measured = F + F_creep (1 - exp(-t / T_creep))",
+    source="creep and warm-up of strain gauges, OIML R 60",
+    experiment="the unloaded cell logged for an hour from switching on; a tare before and after every run",
+    requires=("bench", "thrust"),
+    rivals=("recirculation",),
+)

@@ -1,0 +1,35 @@
+"""The load cell's amplifier smooths."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals, State
+
+
+def smooth(s: Signals) -> None:
+    s.y["force"] = s.y["force"] + s.p.k_cell * (s.x.cell - s.force)
+
+
+def follow(s: Signals) -> None:
+    s.rate["cell"] = (s.force - s.x.cell) / s.p.T_cell
+
+
+EFFECT = Effect(
+    name="cell-lag",
+    title="the lag of the load cell",
+    place="sensor",
+    hooks={"rate": follow, "output": smooth},
+    parameters=(
+        Parameter(
+            "k_cell", 0.0, "", "part of the force that is felt late", prior=(1.0, 0.5), bounds=(0.0, 1.5), step=0.02
+        ),
+        Parameter("T_cell", 0.05, "s", "time constant of the cell", "log", prior=(0.05, 0.05), bounds=(0.01, 2.0)),
+    ),
+    states=(State("cell", "N", "force that the cell has followed", 0.0, sd0=0.1),),
+    scan={"T_cell": (0.02, 0.05, 0.1, 0.2)},
+    formula="T z' = f - z, F_measured = f + k (z - f)",
+    source="digital filters of load cell amplifiers; an HX711 takes four conversions to settle",
+    experiment="a weight dropped from a thread; chirps with the shaft speed measured",
+    requires=("bench", "thrust"),
+    one_sided=True,
+    rivals=("rod-flex",),
+)

@@ -1,0 +1,36 @@
+"""The jet sets the pool in motion and thrust decays."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals, State
+
+
+def lose(s: Signals) -> None:
+    s.force = s.force * (1 - s.p.k_wash * s.x.wash)
+
+
+def stir(s: Signals) -> None:
+    s.rate["wash"] = (s.x.n * s.x.n - s.x.wash) / s.p.T_wash
+
+
+EFFECT = Effect(
+    name="recirculation",
+    title="the pool's own motion, which takes thrust",
+    place="bench",
+    hooks={"thrust": lose, "rate": stir},
+    parameters=(
+        Parameter(
+            "k_wash", 0.0, "", "part of the thrust lost when the pool has followed full speed", prior=(0.0, 0.3),
+            bounds=(-0.9, 0.9), step=0.01,
+        ),
+        Parameter("T_wash", 4.0, "s", "time in which the pool follows", "log", prior=(4.0, 4.0), bounds=(0.5, 120.0)),
+    ),
+    states=(State("wash", "", "motion of the pool over that at full speed", 0.0, sd0=0.01),),
+    scan={"T_wash": (1.5, 3.0, 6.0, 12.0, 25.0)},
+    formula="T w' = n^2 - w, f *= 1 - k w",
+    source="bollard tests in basins: ITTC 7.5-02-03-02.1 asks for a basin in which the jet does not come back",
+    experiment="full speed held for a minute, then the same step after five minutes of rest",
+    requires=("bench", "thrust"),
+    one_sided=True,
+    rivals=("supply-sag", "cell-drift"),
+)

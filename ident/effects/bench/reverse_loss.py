@@ -1,0 +1,28 @@
+"""Astern, thrust falls short of its square by more the faster the shaft turns."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals
+
+
+def lose(s: Signals) -> None:
+    s.force = s.force * (1 - s.p.rho_astern * abs(s.n) * (s.n < 0))
+
+
+EFFECT = Effect(
+    name="reverse-loss",
+    title="thrust astern that falls short of the square of the shaft speed",
+    place="actuator",
+    hooks={"thrust": lose},
+    parameters=(
+        Parameter(
+            "rho_astern", 0.0, "", "part of the thrust lost at full speed astern", prior=(0.0, 0.3),
+            bounds=(-0.9, 0.9), step=0.01,
+        ),
+    ),
+    formula="f *= 1 - rho |n| for n < 0; what is constant belongs to c2",
+    source="four-quadrant open-water data: blades running on their trailing edge stall",
+    experiment="as many steady levels astern as ahead, up to full speed",
+    requires=("bench", "thrust"),
+    rivals=("thrust-exponent",),
+)

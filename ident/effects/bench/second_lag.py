@@ -1,0 +1,36 @@
+"""The shaft's reference follows the command late: a filter in the speed controller, or the motor's own lag."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals, State
+
+
+def late(s: Signals) -> None:
+    s.n_told = s.n_ref
+    s.n_ref = s.n_ref + s.p.k_lag * (s.x.n_late - s.n_ref)
+
+
+def follow(s: Signals) -> None:
+    s.rate["n_late"] = (s.n_told - s.x.n_late) / s.p.T_late
+
+
+EFFECT = Effect(
+    name="second-lag",
+    title="a second lag of the shaft behind its command",
+    place="actuator",
+    hooks={"shaft": late, "rate": follow},
+    parameters=(
+        Parameter(
+            "k_lag", 0.0, "", "part of the command that comes late", prior=(1.0, 0.5), bounds=(0.0, 1.5), step=0.02
+        ),
+        Parameter("T_late", 0.05, "s", "time constant of the lag", "log", prior=(0.05, 0.05), bounds=(0.01, 2.0)),
+    ),
+    states=(State("n_late", "", "command behind the lag", 0.0, sd0=0.01),),
+    scan={"T_late": (0.02, 0.04, 0.08, 0.15, 0.3)},
+    formula="T z' = n_ref - z, n_ref -> n_ref + k (z - n_ref)",
+    source="electric motor and speed controller in series; Blanke, Lindegaard and Fossen 2000",
+    experiment="steps of one size with the shaft speed sampled ten times within its rise, then a chirp",
+    requires=("bench",),
+    one_sided=True,
+    rivals=("slew-limit", "spin-up"),
+)

@@ -1,0 +1,37 @@
+"""The shaft's acceleration is limited."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ident.model import Effect, Parameter, Signals
+
+
+def limit(s: Signals) -> None:
+    wanted = s.p.a * (s.n_ref - s.x.n)
+    square = (wanted / s.p.n_slew) * (wanted / s.p.n_slew)
+    fourth = square * square
+    allowed = wanted / np.sqrt(np.sqrt(np.sqrt(1 + fourth * fourth)))  # a corner would stop the search
+    s.rate["n"] = s.rate["n"] + s.p.k_slew * (allowed - wanted)
+
+
+EFFECT = Effect(
+    name="slew-limit",
+    title="a limit to the shaft's acceleration",
+    place="actuator",
+    hooks={"rate": limit},
+    parameters=(
+        Parameter(
+            "k_slew", 0.0, "", "part of what exceeds the limit that is cut", prior=(1.0, 0.25), bounds=(0.0, 1.2),
+            step=0.02,
+        ),
+        Parameter("n_slew", 2.0, "1/s", "the limit", "log", prior=(2.0, 2.0), bounds=(0.1, 20.0)),
+    ),
+    scan={"n_slew": (0.15, 0.3, 0.5, 0.8, 1.2, 1.8, 2.5, 3.5)},
+    formula="n' = w / (1 + (w / S)^8)^(1/8), w = a (n_ref - n)",
+    source="current limits and ramps of speed controllers",
+    experiment="steps of many sizes from rest: behind a limit the rise takes longer the larger the step",
+    requires=("bench",),
+    one_sided=True,
+    rivals=("second-lag", "spin-up"),
+)

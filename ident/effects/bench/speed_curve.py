@@ -1,0 +1,29 @@
+"""The shaft does not turn at the speed that it is told."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals
+
+
+def bend(s: Signals) -> None:
+    bent = s.p.g_1 * abs(s.n_ref) + s.p.g_3 * s.n_ref * s.n_ref
+    s.n_ref = s.n_ref * (1 + s.p.g_0 + bent + s.p.g_2 * ((s.n_ref > 0) - 1.0 * (s.n_ref < 0)))
+
+
+EFFECT = Effect(
+    name="speed-curve",
+    title="a shaft speed that is not in proportion to the command",
+    place="actuator",
+    hooks={"shaft": bend},
+    parameters=(
+        Parameter("g_0", 0.0, "", "speed above the command, as a part of it", prior=(0.0, 0.3), step=0.01),
+        Parameter("g_1", 0.0, "", "what more it is at full command, in proportion", prior=(0.0, 0.3), step=0.01),
+        Parameter("g_2", 0.0, "", "ahead more, astern less", prior=(0.0, 0.2), step=0.01),
+        Parameter("g_3", 0.0, "", "what more it is at full command, by the square", prior=(0.0, 0.3), step=0.01),
+    ),
+    formula="n_ref *= 1 + g_0 + g_1 |n_ref| + g_2 sgn(n_ref) + g_3 n_ref^2",
+    source="speed controllers without feedback: the water's torque grows with the square of speed",
+    experiment="many levels of steady command of both signs",
+    requires=("bench",),
+    rivals=("supply-sag",),
+)

@@ -1,0 +1,37 @@
+"""The shaft turns no faster than a limit, whatever it is told."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ident.model import Effect, Parameter, Signals
+
+
+def cap(s: Signals) -> None:
+    square = (s.n_ref / s.p.n_top) * (s.n_ref / s.p.n_top)
+    eighth = square * square * square * square
+    power = eighth * eighth * eighth * eighth
+    held = s.n_ref / np.sqrt(np.sqrt(np.sqrt(np.sqrt(np.sqrt(1 + power)))))  # a corner would stop the search
+    s.n_ref = s.n_ref + s.p.k_top * (held - s.n_ref)
+
+
+EFFECT = Effect(
+    name="speed-limit",
+    title="a limit to the shaft's speed",
+    place="actuator",
+    hooks={"shaft": cap},
+    parameters=(
+        Parameter(
+            "k_top", 0.0, "", "part of what exceeds the limit that is cut", prior=(1.0, 0.25), bounds=(0.0, 1.2),
+            step=0.02,
+        ),
+        Parameter("n_top", 0.8, "", "the limit", "log", prior=(0.8, 0.4), bounds=(0.1, 1.5)),
+    ),
+    scan={"n_top": (0.3, 0.45, 0.6, 0.75, 0.85)},
+    formula="n_ref -> n_ref / (1 + (n_ref / n_top)^32)^(1/32)",
+    source="governors, power limits and end points of speed controllers",
+    experiment="steady commands in small steps up to the highest",
+    requires=("bench",),
+    one_sided=True,
+    rivals=("speed-curve",),
+)

@@ -1,0 +1,36 @@
+"""The shaft falls behind its command as the battery of the bench empties."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals, State
+
+USED = 30.0  # s at full power: the unit of work
+
+
+def fade(s: Signals) -> None:
+    s.n_ref = s.n_ref * (1 - s.p.k_sag * s.x.used)
+
+
+def use(s: Signals) -> None:
+    s.rate["used"] = abs(s.x.n) * s.x.n * s.x.n / USED
+
+
+EFFECT = Effect(
+    name="supply-sag",
+    title="the fall of the shaft speed as the battery empties",
+    place="actuator",
+    hooks={"shaft": fade, "rate": use},
+    parameters=(
+        Parameter(
+            "k_sag", 0.0, "", "part of the shaft speed lost after 30 s at full power", prior=(0.0, 0.3),
+            bounds=(-0.9, 0.9), step=0.005,
+        ),
+    ),
+    states=(State("used", "", "work done, over 30 s at full power", 0.0, sd0=1e-4),),
+    formula="n_ref *= 1 - k E, E' = |n|^3 / 30 s",
+    source="open-loop speed control on a sagging supply; vendors' tables of shaft speed against voltage",
+    experiment="the same steps at the start and at the end of a long run, the voltage logged",
+    requires=("bench",),
+    one_sided=True,
+    rivals=("speed-curve", "recirculation"),
+)

@@ -1,0 +1,30 @@
+"""A band of slow shaft speeds without thrust, on the bench."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals
+
+
+def cut(s: Signals) -> None:
+    beyond = abs(s.n) - s.p.n_band
+    s.n = (beyond > 0) * beyond * ((s.n > 0) - 1.0 * (s.n < 0))
+
+
+EFFECT = Effect(
+    name="thrust-dead-band",
+    title="a band of slow shaft speeds without thrust",
+    place="actuator",
+    hooks={"shaft": cut},
+    parameters=(
+        Parameter(
+            "n_band", 0.0, "", "shaft speed below which there is no thrust", prior=(0.0, 0.1), bounds=(0.0, 0.5),
+            step=0.01,
+        ),
+    ),
+    formula="f = c1 m|m| + c2 m^2, m = sgn(n) max(|n| - n_band, 0)",
+    source="propellers at low Reynolds number; play and friction of the bench",
+    experiment="slow ramps of both signs through zero",
+    requires=("bench", "thrust"),
+    one_sided=True,
+    rivals=("thrust-exponent",),
+)

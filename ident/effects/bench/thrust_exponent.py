@@ -1,0 +1,31 @@
+"""Thrust that does not grow with the square of the shaft speed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ident.model import Effect, Parameter, Signals
+
+AT_REST = 1e-6  # of squared shaft speed, so that there is a power of it at rest
+
+
+def bend(s: Signals) -> None:
+    s.force = s.force * np.exp(s.p.p_n / 2 * np.log(s.n * s.n + AT_REST))
+
+
+EFFECT = Effect(
+    name="thrust-exponent",
+    title="thrust that does not grow with the square of the shaft speed",
+    place="actuator",
+    hooks={"thrust": bend},
+    parameters=(
+        Parameter(
+            "p_n", 0.0, "", "exponent of the shaft speed above two", prior=(0.0, 0.5), bounds=(-1.5, 2.0), step=0.01
+        ),
+    ),
+    formula="f = (c1 n|n| + c2 n^2) |n|^p_n",
+    source="Reynolds number and cavitation; manufacturers' curves have exponents of 1.8 to 2.3",
+    experiment="many levels of steady speed, those below a third of full speed held long",
+    requires=("bench", "thrust"),
+    rivals=("thrust-dead-band", "reverse-loss"),
+)

@@ -1,0 +1,1 @@
+"""Effects of wind, waves, current and what hangs in the water."""

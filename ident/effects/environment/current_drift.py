@@ -1,0 +1,29 @@
+"""The current changes during the run."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Input, Parameter, Signals
+
+
+def drift(s: Signals) -> None:
+    late = s.u.t / 600.0 - 0.5
+    s.rate["x"] = s.rate["x"] + s.p.V_dx * late
+    s.rate["y"] = s.rate["y"] + s.p.V_dy * late
+
+
+EFFECT = Effect(
+    name="current-drift",
+    title="a current that changes with time",
+    place="environment",
+    hooks={"rate": drift},
+    parameters=(
+        Parameter("V_dx", 0.0, "m/s", "change to the north in 600 s", prior=(0.0, 0.4), step=0.02, per_record=True),
+        Parameter("V_dy", 0.0, "m/s", "change to the east in 600 s", prior=(0.0, 0.4), step=0.02, per_record=True),
+    ),
+    inputs=(Input("t", "s", "linear"),),
+    formula="V(t) = V + V_d (t / 600 s - 1/2)",
+    source="tide and eddies; Fossen 2011, section 8.3",
+    experiment="drifting without thrust at the start, in the middle and at the end",
+    requires=("plane",),
+    rivals=("wind", "battery-sag", "tether"),
+)

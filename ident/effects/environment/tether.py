@@ -1,0 +1,40 @@
+"""A line or cable in the water behind the boat."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ident.model import Effect, Parameter, Signals
+
+
+def drag(s: Signals) -> None:
+    p, x = s.p, s.x
+    cos, sin = np.cos(x.psi), np.sin(x.psi)
+    over_x = cos * x.u - sin * x.v + getattr(p, "V_x", 0.0)
+    over_y = sin * x.u + cos * x.v + getattr(p, "V_y", 0.0)
+    away = np.sqrt((x.x - p.x_tether) * (x.x - p.x_tether) + (x.y - p.y_tether) * (x.y - p.y_tether) + 1e-6)
+    pull = p.k_tether * away * np.sqrt(over_x * over_x + over_y * over_y + 1e-9)
+    s.X = s.X - pull * (cos * over_x + sin * over_y)
+    s.Y = s.Y - pull * (-sin * over_x + cos * over_y)
+
+
+EFFECT = Effect(
+    name="tether",
+    title="a line or cable that the boat drags",
+    place="environment",
+    hooks={"force": drag},
+    parameters=(
+        Parameter("k_tether", 0.0, "kg/m2", "drag per metre of line", prior=(0.0, 0.15), step=5e-3),
+        *(
+            Parameter(f"{axis}_tether", 0.0, "m", f"where it is held, {side} of the first fix", free=False, step=1.0,
+                      prior=(0.0, 10.0))
+            for axis, side in (("x", "north"), ("y", "east"))
+        ),
+    ),
+    formula="F -= k d |V| V, d the distance from where the line is held, V the velocity over ground",
+    source="drag of a cable of length d towed along itself; Faltinsen 1990, chapter 8",
+    experiment="the same runs near to where the line is held and far from it, outbound and inbound",
+    requires=("hull",),
+    one_sided=True,
+    rivals=("battery-sag", "current-drift", "wind"),
+)

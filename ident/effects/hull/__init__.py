@@ -1,0 +1,1 @@
+"""Effects of the hull: resistance, damping, couplings."""

@@ -1,0 +1,26 @@
+"""Quadratic cross-flow drag that couples sway and yaw."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals
+
+
+def couple(s: Signals) -> None:
+    s.Y = s.Y - s.p.d_vr * abs(s.x.r) * s.x.v
+    s.N = s.N - s.p.n_vr * abs(s.x.v) * s.x.r
+
+
+EFFECT = Effect(
+    name="cross-flow",
+    title="quadratic cross-flow drag in turns",
+    hooks={"force": couple},
+    parameters=(
+        Parameter("d_vr", 0.0, "kg", "sway drag per |yaw rate|", prior=(0.0, 100.0), step=3.0),
+        Parameter("n_vr", 0.0, "kg m", "yaw drag per |sway speed|", prior=(0.0, 60.0), step=2.0),
+    ),
+    formula="Y -= d_vr |r| v, N -= n_vr |v| r",
+    source="Norrbin 1970; Fedyaevsky and Sobolev 1963",
+    experiment="tight turns at high and at low speed",
+    requires=("hull",),
+    rivals=("sway-yaw", "lift", "turning-resistance"),
+)

@@ -1,0 +1,23 @@
+"""Surge resistance that grows faster than the square of speed."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals
+
+
+def resist(s: Signals) -> None:
+    s.X = s.X - s.p.d_uuu * s.x.u * s.x.u * s.x.u
+
+
+EFFECT = Effect(
+    name="cubic-drag",
+    title="wave-making resistance, cubic in speed",
+    hooks={"force": resist},
+    parameters=(Parameter("d_uuu", 0.0, "kg s/m2", "cubic surge damping", prior=(0.0, 30.0), step=1.0),),
+    formula="X -= d_uuu u^3",
+    source="residuary resistance near hull speed (Froude)",
+    experiment="long straight runs at five or more speeds up to the highest",
+    requires=("hull",),
+    one_of="X(u)",
+    rivals=("advance-ratio", "hump", "coulomb"),
+)

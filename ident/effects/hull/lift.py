@@ -1,0 +1,27 @@
+"""Sway and yaw damping that grow with forward speed: the hull and its skegs as a foil."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals
+
+
+def damp(s: Signals) -> None:
+    speed = abs(s.x.u)
+    s.Y = s.Y - s.p.Y_uv * speed * s.x.v
+    s.N = s.N - s.p.N_ur * speed * s.x.r
+
+
+EFFECT = Effect(
+    name="lift",
+    title="the damping of sway and yaw that grows with forward speed",
+    hooks={"force": damp},
+    parameters=(
+        Parameter("Y_uv", 0.0, "kg/m", "sway damping per forward speed", prior=(0.0, 50.0), step=1.0),
+        Parameter("N_ur", 0.0, "kg m", "yaw damping per forward speed", prior=(0.0, 30.0), step=0.5),
+    ),
+    formula="Y -= Y_uv |u| v, N -= N_ur |u| r",
+    source="hull lift, Norrbin 1970; Blanke 1981; Fossen 2011, section 6.4",
+    experiment="the same zigzag at three forward speeds, and turning on the spot",
+    requires=("hull",),
+    rivals=("sway-yaw", "cross-flow"),
+)

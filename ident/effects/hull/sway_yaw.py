@@ -1,0 +1,29 @@
+"""Sway and yaw drag each other."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals
+
+
+def couple(s: Signals) -> None:
+    speed = abs(s.x.u)
+    s.Y = s.Y - (s.p.Y_r + s.p.Y_ur * speed) * s.x.r
+    s.N = s.N - (s.p.N_v + s.p.N_uv * speed) * s.x.v
+
+
+EFFECT = Effect(
+    name="sway-yaw",
+    title="the coupled damping of sway and yaw",
+    hooks={"force": couple},
+    parameters=(
+        Parameter("Y_r", 0.0, "kg m/s", "sway force per yaw rate", prior=(0.0, 30.0), step=1.0),
+        Parameter("N_v", 0.0, "kg m/s", "yaw moment per sway speed", prior=(0.0, 30.0), step=1.0),
+        Parameter("Y_ur", 0.0, "kg", "sway force per yaw rate and forward speed", prior=(0.0, 30.0), step=1.0),
+        Parameter("N_uv", 0.0, "kg", "yaw moment per sway and forward speed", prior=(0.0, 30.0), step=1.0),
+    ),
+    formula="Y -= (Y_r + Y_ur |u|) r, N -= (N_v + N_uv |u|) v",
+    source="Fossen 2011, section 6.4; the part with speed is the hull's lift, Norrbin 1970",
+    experiment="zigzags at several speeds, and drifting sideways after a turn",
+    requires=("hull",),
+    rivals=("cg-offset", "cross-flow", "lift"),
+)

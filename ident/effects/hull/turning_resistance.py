@@ -1,0 +1,22 @@
+"""Turning costs speed."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals
+
+
+def resist(s: Signals) -> None:
+    s.X = s.X - s.p.X_rr * s.x.r * s.x.r
+
+
+EFFECT = Effect(
+    name="turning-resistance",
+    title="the added resistance in turns",
+    hooks={"force": resist},
+    parameters=(Parameter("X_rr", 0.0, "kg m", "surge resistance per squared yaw rate", prior=(0.0, 30.0), step=1.0),),
+    formula="X -= X_rr r^2",
+    source="MMG model, Yasukawa and Yoshimura 2015",
+    experiment="turning on the spot and turning circles at several speeds",
+    requires=("hull",),
+    rivals=("cg-offset", "advance-ratio", "cross-flow"),
+)

@@ -1,0 +1,262 @@
+"""Unknown effects: a residual force as a drawn function of one variable, usable in a model as a table.
+
+What depends on an input's past and no catalogue lists: a force that follows the thrust late, or swings after it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ident.model import Effect, Input, Model, Parameter, Residual, Signals, State, Variable
+from ident.models import TIME, readings_of, residuals_of, variables_of
+from ident.numerics import Array
+
+N_KNOTS, N_HARMONICS = 9, 3
+MEMORIES = (0.25, 1.0, 4.0)  # s, of the first-order lags
+FREQUENCIES = (0.2, 0.32, 0.5, 0.8, 1.2)  # Hz, at which a mode is looked for
+DAMPING = 0.1
+FULL = 40.0  # N, of a thruster: what an input in newtons is compared with
+Signal = Callable[[Signals], Any]
+
+
+@dataclass(frozen=True)
+class NonparametricForce:
+    """A fitted unknown: the force over the variable's grid, with its standard deviation and the half width of the band
+    that holds the whole of the curve with 95 % probability."""
+
+    force: str
+    variable: str
+    grid: Array
+    value: Array
+    sd: Array
+    band: Array
+    unit: str
+    variable_unit: str
+    reading: bool = False  # not a force: the error of a sensor
+
+
+def harmonics(z: Any) -> list[Any]:
+    """Sines and cosines of an angle, its double and its triple."""
+    return [f(k * z) for k in range(1, N_HARMONICS + 1) for f in (np.sin, np.cos)]
+
+
+def spline_basis(z: Any, angle: bool, span: tuple[float, float]) -> list[Any]:
+    """Hat functions over the span, constant beyond it; harmonics for an angle."""
+    if angle:
+        return harmonics(z)
+    low, high = span
+    at = (z - low) / (high - low) * (N_KNOTS - 1)
+    at = at * (at > 0)
+    at = at - (at - (N_KNOTS - 1)) * (at > N_KNOTS - 1)
+    return [(1 - abs(at - k)) * (abs(at - k) < 1) for k in range(N_KNOTS)]
+
+
+def partition(model: Model, force: str, variable: str) -> tuple[Residual, list[Variable]]:
+    """The residual and the variable, or the two of a product ("u, r"). Raises ValueError for what the model has not."""
+    residuals = {r.name: r for r in (*residuals_of(model), *readings_of(model))}
+    variables = {v.name: v for v in (*variables_of(model), TIME)}
+    wanted = [(force, list(residuals)), *((v, list(variables)) for v in variable.split(", "))]
+    for name, known in wanted:
+        if name not in known:
+            raise ValueError(f"model {model.name} has no {name!r} for an unknown effect; it has {', '.join(known)}")
+    return residuals[force], [variables[name] for name in variable.split(", ")]
+
+
+def _terms(of: Sequence[Variable]) -> list[str]:
+    """What each coefficient of a table belongs to, in words."""
+    a = of[0].name
+    if len(of) == 2:
+        b = of[1].name
+        return [f"with {a} {b}", f"with |{a}| {b}", f"with {a} |{b}|"]
+    if of[0].angle:
+        return [f"with {f} {k if k > 1 else ''}{a}" for k in range(1, N_HARMONICS + 1) for f in ("sin", "cos")]
+    return [f"at knot {k} of {a}" for k in range(N_KNOTS)]
+
+
+def nonparametric_effect(model: Model, force: str, variable: str, span: tuple[float, float]) -> Effect:
+    """``force += sum_k t_k basis_k(variable)``, or coefficients of the products of two variables ("u, r")."""
+    residual, of = partition(model, force, variable)
+    terms_of = _terms(of)
+    names = [f"{force}_{variable.replace(', ', '')}_{k}" for k in range(len(terms_of))]
+
+    def add(s: Signals) -> None:
+        if len(of) == 2:
+            a, b = (v.read(s) for v in of)
+            terms = [a * b, abs(a) * b, a * abs(b)]
+        else:
+            terms = spline_basis(of[0].read(s), of[0].angle, span)
+        residual.add(s, sum(getattr(s.p, name) * term for name, term in zip(names, terms, strict=True)))
+
+    return Effect(
+        f"unknown {force}({variable})",
+        f"an unknown effect: {residual.title} depends on {variable}",
+        {residual.stage: add},
+        parameters=tuple(
+            Parameter(
+                n, 0.0, residual.unit, f"{force} {what}", prior=(0.0, residual.scale), step=0.03 * residual.scale
+            )
+            for n, what in zip(names, terms_of, strict=True)
+        ),
+        inputs=(Input("t", "s", "linear"),) if variable == "t" else (),
+        place="sensor" if residual.stage == "output" else "bench" if "bench" in model.provides else "hull",
+        formula=f"{force} += g({variable}), a table",
+        source="the residual itself",
+        experiment=f"runs that vary {variable} slowly over its whole range, with all else held",
+        requires=tuple(n for n in ("hull", "bench") if n in model.provides),
+        span=span,
+    )
+
+
+def shape(
+    model: Model,
+    effect: Effect,
+    values: Mapping[str, float],
+    names: Sequence[str],
+    covariance: Array,
+    n: int = 60,
+) -> NonparametricForce | None:
+    """The fitted curve with its band, without its mean (a constant belongs to other parameters).
+
+    None for products, and for what depends on an input's past.
+    """
+    span = effect.span
+    if span is None or ", " in effect.name:
+        return None
+    force, variable = effect.name.removeprefix("unknown ").rstrip(")").split("(")
+    residual, of = partition(model, force, variable)
+    grid = np.linspace(-np.pi, np.pi, n) if of[0].angle else np.linspace(*span, n)
+    B = np.column_stack([b * np.ones(n) for b in spline_basis(grid, of[0].angle, span)])
+    B = B - B.mean(0)
+    own = [p.name for p in effect.parameters]
+    at = [list(names).index(name) for name in own]
+    P = covariance[np.ix_(at, at)]
+    value = B @ np.array([values[name] for name in own])
+    sd = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", B, P, B), 0))
+    band = whole_band(B, P) * sd
+    if not of[0].angle:
+        band = band + between_knots(np.array([values[name] for name in own]), grid, span)
+    return NonparametricForce(
+        force, variable, grid, value, sd, band, residual.unit, of[0].unit, residual.stage == "output"
+    )
+
+
+def whole_band(B: Array, P: Array, n: int = 4000) -> float:
+    """How many standard deviations the whole of a curve ``B t`` stays within with 95 % probability, t having the
+    covariance P (Ruppert, Wand and Carroll 2003, section 6.5): from n draws, always the same ones."""
+    w, V = np.linalg.eigh(P)
+    curves = B @ (V * np.sqrt(np.maximum(w, 0.0))) @ np.random.default_rng(0).standard_normal((len(P), n))
+    sd = curves.std(axis=1, keepdims=True)
+    drawn = np.abs(curves) / np.where(sd > 0, sd, np.inf)
+    return float(np.quantile(drawn.max(axis=0), 0.95))
+
+
+def between_knots(knots: Array, grid: Array, span: tuple[float, float]) -> Array:
+    """How far a smooth curve may be from the straight lines between its knots, (grid,): an eighth of the second
+    difference in the middle of an interval (the error of linear interpolation), less towards the knots."""
+    bend = np.abs(np.diff(knots, 2))
+    worst = np.concatenate([bend[:1], np.maximum(bend[:-1], bend[1:]), bend[-1:]])  # of each interval, by its ends
+    at = np.clip((grid - span[0]) / (span[1] - span[0]) * (N_KNOTS - 1), 0, N_KNOTS - 1)
+    k = np.minimum(at.astype(int), N_KNOTS - 2)
+    part = at - k
+    return np.asarray(worst[k] / 8 * np.maximum(4 * part * (1 - part), 0.5))  # a fit puts its knots off the curve, too
+
+
+def input_response_effects(model: Model) -> dict[str, Effect]:
+    """By the name of the test: ``X(past of n_sum)``, ``X(swing after n_sum)``; empty without a pair of thrusters."""
+    forces = {r.name: r for r in residuals_of(model)}
+    found = {}
+    for variable in variables_of(model):
+        letter, _, kind = variable.name.partition("_")
+        force = forces.get({"sum": "X", "diff": "N"}.get(kind, ""))
+        if letter in ("n", "f") and force is not None:
+            drive = _thrust(letter, kind == "diff")
+            for effect in (
+                lagged_response(force, variable.name, drive),
+                resonant_response(force, variable.name, drive),
+            ):
+                if model.accepts(effect):
+                    found[effect.name.removeprefix("unknown ")] = effect
+    return found
+
+
+def _thrust(letter: str, difference: bool) -> Signal:
+    """Mean or half the difference of the thrusts, as parts of full thrust; it goes as the square of the shaft speed."""
+
+    def read(s: Signals) -> Any:
+        left, right = (getattr(s.u, f"{letter}_{side}") for side in ("left", "right"))
+        if letter == "n":
+            left, right = left * abs(left), right * abs(right)
+        return (left - right if difference else left + right) / (2 if letter == "n" else 2 * FULL)
+
+    return read
+
+
+def lagged_response(force: Residual, of: str, drive: Signal) -> Effect:
+    """``F += sum_k t_k (z_k - w)``, ``z_k' = (w - z_k) / T_k``: what a change of w brings late, or too early."""
+    names = [f"{force.name}_{of}_late_{k}" for k in range(len(MEMORIES))]
+    states = [f"late_{of}_{k}" for k in range(len(MEMORIES))]
+
+    def add(s: Signals) -> None:
+        w = drive(s)
+        terms = zip(names, states, strict=True)
+        force.add(s, sum(getattr(s.p, name) * (getattr(s.x, state) - w) for name, state in terms))
+
+    def follow(s: Signals) -> None:
+        for state, memory in zip(states, MEMORIES, strict=True):
+            s.rate[state] = (drive(s) - getattr(s.x, state)) / memory
+
+    return Effect(
+        f"unknown {force.name}(past of {of})",
+        f"an unknown effect: {force.title} follows {of} with a lag",
+        {force.stage: add, "rate": follow},
+        parameters=tuple(
+            Parameter(n, 0.0, force.unit, f"{force.name} behind {of} by {memory:g} s", prior=(0.0, 2 * force.scale),
+                      step=0.03 * force.scale)
+            for n, memory in zip(names, MEMORIES, strict=True)
+        ),
+        states=tuple(State(n, "", f"{of} behind by {memory:g} s", 0.0, sd0=0.05)
+                     for n, memory in zip(states, MEMORIES, strict=True)),
+        formula=f"{force.name} += sum t_k (z_k - w), z_k' = (w - z_k) / T_k, w the part of full thrust",
+        source="the residual itself",
+        experiment=f"steps of {of} from rest, each held until all has settled",
+        requires=("hull",),
+    )
+
+
+def resonant_response(force: Residual, of: str, drive: Signal) -> Effect:
+    """``F += a (z - w) + b z' / omega``, z a mode of second order behind w: what a change of w sets swinging."""
+    names = (f"{force.name}_{of}_swing", f"{force.name}_{of}_swing_rate")
+    states, f_name = (f"swing_{of}", f"swing_{of}_rate"), f"f_{force.name}_{of}"
+
+    def add(s: Signals) -> None:
+        z, ahead = (getattr(s.x, n) for n in states)
+        force.add(s, getattr(s.p, names[0]) * (z - drive(s)) + getattr(s.p, names[1]) * ahead)
+
+    def swing(s: Signals) -> None:
+        omega = 2 * math.pi * getattr(s.p, f_name)
+        z, ahead = (getattr(s.x, n) for n in states)
+        s.rate[states[0]] = omega * ahead
+        s.rate[states[1]] = omega * (drive(s) - z) - 2 * DAMPING * omega * ahead
+
+    return Effect(
+        f"unknown {force.name}(swing after {of})",
+        f"an unknown effect: {force.title} swings after {of}",
+        {force.stage: add, "rate": swing},
+        parameters=(
+            *(Parameter(n, 0.0, force.unit, f"{force.name} that swings after {of}{what}", prior=(0.0, 2 * force.scale),
+                        step=0.03 * force.scale) for n, what in zip(names, ("", ", its quadrature"), strict=True)),
+            Parameter(f_name, 0.5, "Hz", "frequency of the swing", "log", prior=(0.5, 0.4), bounds=(0.1, 2.5)),
+        ),
+        states=tuple(State(n, "", what, 0.0, sd0=0.05)
+                     for n, what in zip(states, (f"swing after {of}", "its quadrature"), strict=True)),
+        scan={f_name: FREQUENCIES},
+        formula=f"{force.name} += a (z - w) + b z'/w0, z'' + 2 zeta w0 z' = w0^2 (w - z), w the part of full thrust",
+        source="the residual itself",
+        experiment=f"a chirp of {of} through 0.1 to 1.5 Hz",
+        requires=("hull",),
+    )

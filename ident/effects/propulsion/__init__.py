@@ -1,0 +1,1 @@
+"""Effects of thrusters and propellers on a boat."""

@@ -1,0 +1,28 @@
+"""Thrust falls with the speed of the water through the propeller."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals
+
+
+def lose(s: Signals) -> None:
+    for side, n in s.n.items():
+        inflow = s.x.u - s.arm[side] * s.x.r  # forward speed of the thruster through the water
+        s.f[side] = s.f[side] - s.p.k_J * abs(n) * inflow
+
+
+EFFECT = Effect(
+    name="advance-ratio",
+    title="the loss of thrust with forward speed",
+    place="actuator",
+    hooks={"thrust": lose},
+    parameters=(
+        Parameter("k_J", 0.0, "kg/s", "thrust lost per forward speed at full shaft speed", prior=(0.0, 10.0), step=0.5),
+    ),
+    formula="f_i -= k_J |n_i| (u - y_i r)",
+    source="Blanke 1981, bilinear thrust; Fossen 2011, section 9.3",
+    experiment="steps of both thrusters at several speeds, then full astern while still moving ahead",
+    requires=("n", "f"),
+    one_sided=True,
+    rivals=("cubic-drag", "turning-resistance", "thruster-interaction"),
+)

@@ -1,0 +1,30 @@
+"""Thrust falls as the battery empties."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Input, Parameter, Signals
+
+
+def sag(s: Signals) -> None:
+    for side, f in s.f.items():
+        s.f[side] = f * (1 - s.p.beta_E * s.u.work)
+
+
+EFFECT = Effect(
+    name="battery-sag",
+    title="the fall of thrust as the battery empties",
+    place="actuator",
+    hooks={"thrust": sag},
+    parameters=(
+        Parameter(
+            "beta_E", 0.0, "", "part of the thrust lost when a unit of work has been used", prior=(0.0, 0.4), step=0.02
+        ),
+    ),
+    inputs=(Input("work", "", "linear"),),
+    formula="f_i *= 1 - beta E(t), E the integral of |n_L|^3 + |n_R|^3 over 150 s",
+    source="open-loop speed control on a sagging supply; vendor's tables of thrust against voltage",
+    experiment="the same steps at the start and at the end of a long run",
+    requires=("n", "f"),
+    one_sided=True,
+    rivals=("current-drift", "tether", "advance-ratio"),
+)

@@ -1,0 +1,36 @@
+"""A band around zero without thrust."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals
+
+
+def cut(s: Signals) -> None:
+    for side, n in s.n.items():
+        beyond = abs(n) - s.p.n_dead
+        s.n[side] = (beyond > 0) * beyond * ((n > 0) - 1.0 * (n < 0))
+
+
+EFFECT = Effect(
+    name="dead-band",
+    title="a dead band of the thrusters",
+    place="actuator",
+    hooks={"shaft": cut},
+    parameters=(
+        Parameter(
+            "n_dead",
+            0.0,
+            "",
+            "shaft speed below which there is no thrust",
+            prior=(0.0, 0.15),
+            bounds=(0.0, 0.5),
+            step=0.02,
+        ),
+    ),
+    formula="n_eff = sgn(n) max(|n| - n_dead, 0)",
+    source="ESC data; propellers at low Reynolds number",
+    experiment="small steps of both signs around zero",
+    requires=("n", "f"),
+    one_sided=True,
+    rivals=("reverse-thrust", "coulomb"),
+)

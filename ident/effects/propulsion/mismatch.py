@@ -1,0 +1,26 @@
+"""One thruster pushes harder than the other."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals
+
+
+def scale(s: Signals) -> None:
+    s.f["left"] = s.f["left"] * (1 + s.p.eps_LR)
+    s.f["right"] = s.f["right"] * (1 - s.p.eps_LR)
+
+
+EFFECT = Effect(
+    name="mismatch",
+    title="a mismatch of the left and the right thruster",
+    place="actuator",
+    hooks={"thrust": scale},
+    parameters=(
+        Parameter("eps_LR", 0.0, "", "half the relative difference, left minus right", prior=(0.0, 0.2), step=0.01),
+    ),
+    formula="f_L *= 1 + eps, f_R *= 1 - eps",
+    source="propeller wear, fouling, ESC end points",
+    experiment="equal commands ahead and astern, at several sizes: the turn follows the thrust",
+    requires=("f",),
+    rivals=("yaw-bias", "sway-yaw"),
+)

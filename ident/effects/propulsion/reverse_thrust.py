@@ -1,0 +1,24 @@
+"""Less thrust astern than ahead."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals
+
+
+def lose(s: Signals) -> None:
+    for side, n in s.n.items():
+        s.f[side] = s.f[side] * (1 - s.p.rho_rev * (n < 0))
+
+
+EFFECT = Effect(
+    name="reverse-thrust",
+    title="the loss of thrust in reverse",
+    place="actuator",
+    hooks={"thrust": lose},
+    parameters=(Parameter("rho_rev", 0.0, "", "part of the reverse thrust that is lost", prior=(0.0, 0.4), step=0.05),),
+    formula="f_i *= 1 - rho_rev for n_i < 0",
+    source="four-quadrant open-water data; the hull in the race of a thruster running astern",
+    experiment="steps astern of several sizes, and turning on the spot",
+    requires=("n", "f"),
+    rivals=("dead-band", "mismatch", "thruster-interaction"),
+)

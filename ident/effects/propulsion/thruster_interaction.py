@@ -1,0 +1,30 @@
+"""Each thruster takes thrust from the other."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals
+
+
+def lose(s: Signals) -> None:
+    left, right = s.f["left"], s.f["right"]
+    s.f["left"] = left * (1 - s.p.kappa * abs(s.n["right"]))
+    s.f["right"] = right * (1 - s.p.kappa * abs(s.n["left"]))
+
+
+EFFECT = Effect(
+    name="thruster-interaction",
+    title="the interaction of the two thrusters",
+    place="actuator",
+    hooks={"thrust": lose},
+    parameters=(
+        Parameter(
+            "kappa", 0.0, "", "part of the thrust lost when the other runs at full speed", prior=(0.0, 0.4), step=0.02
+        ),
+    ),
+    formula="f_L *= 1 - kappa |n_R| and the reverse",
+    source="thruster-thruster and thruster-hull interaction, Faltinsen 1990, section 8.4",
+    experiment="one thruster alone, then both, at the same shaft speeds",
+    requires=("n", "f"),
+    one_sided=True,
+    rivals=("advance-ratio", "reverse-thrust"),
+)

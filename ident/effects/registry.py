@@ -1,0 +1,34 @@
+"""The catalogue of effects: one file each in folders by physical origin, found by being there.
+
+Each module defines ``EFFECT`` (an ``ident.model.structure.Effect``) or ``EFFECTS`` (several). ``catalogue()`` imports
+them all, so a new effect is one new file and its test.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from functools import cache
+from types import ModuleType
+
+import ident.effects
+from ident.model import Effect
+
+
+@cache
+def catalogue() -> dict[str, Effect]:
+    """All effects by name, in alphabetical order."""
+    found: dict[str, Effect] = {}
+    for folder in pkgutil.iter_modules(ident.effects.__path__, "ident.effects."):
+        if folder.ispkg:
+            for file in pkgutil.iter_modules(importlib.import_module(folder.name).__path__, f"{folder.name}."):
+                _take(importlib.import_module(file.name), found)
+    return dict(sorted(found.items()))
+
+
+def _take(module: ModuleType, found: dict[str, Effect]) -> None:
+    """Enter the effects that a file defines."""
+    for effect in getattr(module, "EFFECTS", ()) or (module.EFFECT,):
+        if effect.name in found:
+            raise ValueError(f"two effects are called {effect.name!r}")
+        found[effect.name] = effect

@@ -1,0 +1,1 @@
+"""Effects of sensors and their mounting."""

@@ -1,0 +1,26 @@
+"""Scale error of the horizontal accelerometers."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals
+
+
+def scale(s: Signals) -> None:
+    s.y["ax"] = s.y["ax"] * (1 + s.p.k_acc)
+    s.y["ay"] = s.y["ay"] * (1 + s.p.k_acc)
+
+
+EFFECT = Effect(
+    name="accelerometer-scale",
+    title="a scale error of the accelerometers",
+    place="sensor",
+    hooks={"output": scale},
+    parameters=(
+        Parameter("k_acc", 0.0, "", "relative error of the accelerometers' scale", prior=(0.0, 0.2), step=0.01),
+    ),
+    formula="a_measured = (1 + k) a",
+    source="IEEE Std 1293",
+    experiment="hard starts and stops, and turning circles at speed; or the sensor on each of its sides on a table",
+    requires=("hull",),
+    rivals=("accelerometer-tilt", "lag"),
+)

@@ -1,0 +1,29 @@
+"""Pitch with thrust and roll in turns leak gravity into the accelerometers."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals
+
+G = 9.81
+
+
+def leak(s: Signals) -> None:
+    s.y["ax"] = s.y["ax"] + G * s.p.k_pitch * s.X_thrust
+    s.y["ay"] = s.y["ay"] + G * s.p.k_roll * s.x.u * s.x.r
+
+
+EFFECT = Effect(
+    name="accelerometer-tilt",
+    title="pitch and roll felt by the accelerometers",
+    place="sensor",
+    hooks={"output": leak},
+    parameters=(
+        Parameter("k_pitch", 0.0, "rad/N", "pitch per thrust", prior=(0.0, 2e-3), step=1e-4),
+        Parameter("k_roll", 0.0, "rad s2/m", "roll per lateral acceleration", prior=(0.0, 0.15), step=5e-3),
+    ),
+    formula="a_x += g k_pitch X, a_y += g k_roll u r",
+    source="IEEE Std 1293; metacentric stability",
+    experiment="steps ahead and astern on a straight line, then turns at speed",
+    requires=("hull",),
+    rivals=("accelerometer-scale", "cg-offset"),
+)

@@ -1,0 +1,42 @@
+"""Deviation of the compass with heading."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ident.model import Effect, Parameter, Signals
+
+
+def turn_body_velocity(s: Signals, angle: Any) -> None:
+    """A body velocity that was made from velocity over ground and this heading is wrong with it."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    s.y["u"], s.y["v"] = cos * s.y["u"] + sin * s.y["v"], -sin * s.y["u"] + cos * s.y["v"]
+
+
+def deviate(s: Signals) -> None:
+    p, psi = s.p, s.x.psi
+    quadrantal = p.dev_2s * np.sin(2 * psi) + p.dev_2c * np.cos(2 * psi)
+    deviation = p.dev_s * np.sin(psi) + p.dev_c * np.cos(psi) + quadrantal
+    s.y["psi"] = s.y["psi"] + deviation
+    turn_body_velocity(s, deviation)
+
+
+EFFECT = Effect(
+    name="compass",
+    title="the deviation of the compass",
+    place="sensor",
+    hooks={"output": deviate},
+    parameters=(
+        Parameter("dev_s", 0.0, "rad", "coefficient B, of sin psi", prior=(0.0, 0.15), step=0.01),
+        Parameter("dev_c", 0.0, "rad", "coefficient C, of cos psi", prior=(0.0, 0.15), step=0.01),
+        Parameter("dev_2s", 0.0, "rad", "coefficient D, of sin 2 psi", prior=(0.0, 0.05), step=0.01),
+        Parameter("dev_2c", 0.0, "rad", "coefficient E, of cos 2 psi", prior=(0.0, 0.05), step=0.01),
+    ),
+    formula="psi_measured = psi + B sin psi + C cos psi + D sin 2psi + E cos 2psi",
+    source="compass adjusters' coefficients B to E; Bowditch, chapter 6",
+    experiment="swinging slowly through all headings, both ways round",
+    requires=("hull",),
+    rivals=("mount", "gyro-scale", "wind"),
+)

@@ -1,0 +1,35 @@
+"""Velocities and yaw rate that come out of a filter, and late: an autopilot's estimates, a smoothed gyro."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ident.model import Effect, Parameter, Signals
+
+
+def lag(s: Signals) -> None:
+    x, T = s.x, s.p.T_uv
+    cos, sin = np.cos(x.psi), np.sin(x.psi)
+    turn_x, turn_y = getattr(s.p, "V_x", 0.0), getattr(s.p, "V_y", 0.0)
+    # the current turns in the body as the boat turns
+    du = s.rate["u"] + x.r * (-sin * turn_x + cos * turn_y)
+    dv = s.rate["v"] - x.r * (cos * turn_x + sin * turn_y)
+    s.y["u"], s.y["v"] = s.y["u"] - T * du, s.y["v"] - T * dv
+    s.y["r"] = s.y["r"] - s.p.T_r * s.rate["r"]
+
+
+EFFECT = Effect(
+    name="filter-lag",
+    title="the lag of filtered velocities and yaw rate",
+    place="sensor",
+    hooks={"output": lag},
+    parameters=(
+        Parameter("T_r", 0.0, "s", "lag of the yaw rate", prior=(0.0, 0.3), step=0.02),
+        Parameter("T_uv", 0.0, "s", "lag of the body velocities", prior=(0.0, 0.3), step=0.02),
+    ),
+    formula="u_measured = u - T_uv u', v_measured = v - T_uv v', r_measured = r - T_r r'",
+    source="first order of any low-pass filter; autopilot state estimators",
+    experiment="chirp of thrust and of thrust difference",
+    requires=("hull",),
+    rivals=("lag", "delay"),
+)

@@ -1,0 +1,76 @@
+"""The GNSS reports where the boat was.
+
+Position and velocity are taken back by their derivatives; the acceleration is that of half the latency ago, with
+the thrust of then, or steps of the thrust would look like an effect of their own.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ident.effects.propulsion.thrust_history import delayed
+from ident.model import Effect, Input, Parameter, Signals
+
+N_PAST = 5
+
+
+def _delay(s: Signals, thrust_change: Any) -> None:
+    tau, x = s.p.tau_gnss, s.x
+    cos, sin = np.cos(x.psi), np.sin(x.psi)
+    du = s.rate["u"] - x.v * x.r + thrust_change / s.p.m_u
+    dv = s.rate["v"] + x.u * x.r
+    a_x, a_y = cos * du - sin * dv, sin * du + cos * dv
+    s.y["x"] = s.y["x"] - tau * s.rate["x"] + tau * tau / 2 * a_x
+    s.y["y"] = s.y["y"] - tau * s.rate["y"] + tau * tau / 2 * a_y
+    s.y["vx"], s.y["vy"] = s.y["vx"] - tau * a_x, s.y["vy"] - tau * a_y
+
+
+def delay_shaft(s: Signals) -> None:
+    change: Any = 0.0
+    for side in s.n:
+        now = getattr(s.u, f"n_{side}")
+        past = [now, *(getattr(s.u, f"n_{side}~{k}") for k in range(1, N_PAST + 1))]
+        then = delayed(past, s.p.tau_gnss / 2)
+        change = change + _static(s, then) - _static(s, now)
+    _delay(s, change)
+
+
+def delay_force(s: Signals) -> None:
+    _delay(s, 0.0)
+
+
+def _static(s: Signals, n: Any) -> Any:
+    return s.p.c1 * n * abs(n) + s.p.c2 * n * n
+
+
+TAU = Parameter("tau_gnss", 0.0, "s", "age of the GNSS fix when it is stamped", prior=(0.0, 0.8), step=0.05)
+SAID: dict[str, Any] = {
+    "place": "sensor",
+    "formula": "p_measured(t) = p(t - tau), v_measured(t) = v(t - tau), by their derivatives",
+    "source": "Groves 2013, section 10.5",
+    "experiment": "fast straight runs with hard stops, and turns at speed",
+    "one_sided": True,
+    "rivals": ("lever-arm", "delay"),
+}
+PAST = tuple(Input(f"n_{side}~{k}", "", "linear") for side in ("left", "right") for k in range(1, N_PAST + 1))
+EFFECTS = (
+    Effect(
+        "gnss-latency",
+        "the latency of the GNSS",
+        {"output": delay_shaft},
+        (TAU,),
+        inputs=PAST,
+        requires=("hull", "n"),
+        **SAID,
+    ),
+    Effect(
+        "gnss-latency-force",
+        "the latency of the GNSS",
+        {"output": delay_force},
+        (TAU,),
+        requires=("hull", "f_input"),
+        **(SAID | {"rivals": ("lever-arm", "force-delay")}),
+    ),
+)

@@ -1,0 +1,23 @@
+"""Scale error of the yaw gyro."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals
+
+
+def scale(s: Signals) -> None:
+    s.y["r"] = s.y["r"] + s.p.k_gyro * s.x.r
+
+
+EFFECT = Effect(
+    name="gyro-scale",
+    title="a scale error of the yaw gyro",
+    place="sensor",
+    hooks={"output": scale},
+    parameters=(Parameter("k_gyro", 0.0, "", "relative error of the gyro's scale", prior=(0.0, 0.1), step=0.005),),
+    formula="r_measured = (1 + k) r",
+    source="IEEE Std 1293",
+    experiment="several full turns one way, then as many the other",
+    requires=("hull",),
+    rivals=("compass",),
+)

@@ -1,0 +1,64 @@
+"""The AHRS is turned about the vertical."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ident.effects.sensors.compass import turn_body_velocity
+from ident.model import Effect, Parameter, Signals
+from ident.models import rotations
+
+
+def turn(s: Signals) -> None:
+    cos, sin = np.cos(s.p.psi_mount), np.sin(s.p.psi_mount)
+    s.y["psi"] = s.y["psi"] + s.p.psi_mount
+    turn_body_velocity(s, s.p.psi_mount)
+    s.y["ax"], s.y["ay"] = cos * s.y["ax"] + sin * s.y["ay"], -sin * s.y["ax"] + cos * s.y["ay"]
+
+
+def _mount(s: Signals) -> rotations.Matrix:
+    return rotations.rotation(s.p.phi_mount, s.p.theta_mount, s.p.psi_mount)
+
+
+def unturn(s: Signals) -> None:
+    rotations.unmount(s, _mount(s))
+
+
+def feel(s: Signals) -> None:
+    rotations.mounted(s, _mount(s))
+
+
+PSI = Parameter("psi_mount", 0.0, "rad", "turn of the AHRS, clockwise from above", prior=(0.0, 0.15), step=0.01)
+TILT = tuple(
+    Parameter(f"{angle}_mount", 0.0, "rad", f"turn of the AHRS in {what}", prior=(0.0, 0.05), step=0.01)
+    for angle, what in (("phi", "roll"), ("theta", "pitch"))
+)
+SAID: dict[str, Any] = {
+    "place": "sensor",
+    "source": "boresight alignment, Groves 2013, section 5.6",
+    "rivals": ("compass", "wind"),
+}
+EFFECTS = (
+    Effect(
+        "mount",
+        "a turn of the AHRS about the vertical",
+        {"output": turn},
+        (PSI,),
+        experiment="straight runs on opposite headings, with and against the current",
+        formula="psi_measured = psi + psi_0; accelerations turned by psi_0",
+        requires=("hull",),
+        **SAID,
+    ),
+    Effect(
+        "mount-attitude",
+        "a turn of the AHRS",
+        {"shaft": unturn, "output": feel},
+        (PSI, *TILT),
+        formula="R_measured = R R_m; body rates and accelerations turned by R_m', R_m of roll, pitch and psi_0",
+        experiment="straight runs on opposite headings, with and against the current; turns while it rolls and pitches",
+        requires=("attitude",),
+        **SAID,
+    ),
+)

@@ -1,0 +1,10 @@
+from .batched_experiments import batch_for as batch_for
+from .batched_experiments import contest_for as contest_for
+from .batched_experiments import extremes as extremes
+from .ekf_graph import EkfGraphs as EkfGraphs
+from .filter_kernels import Programs as Programs
+from .filter_kernels import programs_for as programs_for
+from .jit import quickly as quickly
+from .kernel import ArenaPool as ArenaPool
+from .kernel import Kernel as Kernel
+from .vectorised_model import VectorisedModel as VectorisedModel

@@ -1,0 +1,294 @@
+"""From a model to CasADi graphs: rates, outputs, one step of time, and the stages of a filter.
+
+The state that is carried from row to row is ``s``: the mean, followed by the upper triangle of the covariance
+by rows; or the mean alone, where there is no covariance (output error).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ident.engine.expressions import simplified
+from ident.engine.kernel import MAX_BITS
+from ident.model import Model, Output, Sensor, outlier_density
+
+ca.GlobalOptions.setNumpyMode(-1)  # plain numpy functions on symbols stay symbolic
+
+
+@dataclass(frozen=True)
+class Update:
+    """What a sensor's sample does: the state after it, log-likelihood, innovations and their variances.
+
+    ``slope``: -d ll / d e of each, which is e / S but where outliers are allowed; ``known``: what a sample tells of
+    its mean and of its scale, over what a normal one tells (n_outputs, 2); ``corrections``: one scalar after the other.
+    """
+
+    s: Any
+    ll: Any
+    e: Any
+    S: Any
+    slope: Any = None
+    known: Any = None
+    corrections: tuple[ScalarUpdate, ...] = ()
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One scalar of a sensor. e: measured minus predicted; H: the slopes of the prediction by the state (1, n), None
+    without a covariance; R: variance of the noise."""
+
+    output: Output
+    e: Any
+    H: Any
+    R: Any
+
+
+@dataclass(frozen=True)
+class ScalarUpdate:
+    """What a scalar does: e, S, slope and ll as in ``Update``; dx, what the mean has moved by since the prediction, and
+    the covariance P, after it: P - news PH PH', with PH = P H'."""
+
+    sample: Sample
+    e: Any
+    S: Any
+    slope: Any
+    ll: Any
+    dx: Any = None
+    P: Any = None
+    PH: Any = None
+    news: Any = None
+
+
+@dataclass(frozen=True)
+class IntervalTransition:
+    """Matrices of one interval: A, half of it times the Jacobian in its middle; T, twice the transition from the middle
+    to the end, of second order in A; Phi, the whole transition, of third; Q, a sixth of the process noise."""
+
+    A: Any
+    T: Any
+    Phi: Any
+    Q: Any
+
+
+def pack(P: Any) -> Any:
+    """Upper triangle by rows, as a column."""
+    n = P.shape[0]
+    return ca.vertcat(*[P[i, j] for i in range(n) for j in range(i, n)])
+
+
+def unpack(p: Any, n: int) -> Any:
+    """The symmetric matrix of an upper triangle."""
+    P = ca.SX(n, n)
+    for k, (i, j) in enumerate(zip(*np.triu_indices(n), strict=True)):
+        P[int(i), int(j)] = P[int(j), int(i)] = p[k]
+    return P
+
+
+class EkfGraphs:
+    """A model's graphs. ``covariance=False``: no process noise and a certain initial state."""
+
+    def __init__(self, model: Model, *, covariance: bool = True, joseph: bool = False) -> None:
+        if len(model.sensors) > MAX_BITS:
+            raise ValueError(f"model {model.name} has {len(model.sensors)} sensors; the engine takes {MAX_BITS}")
+        self.model, self.covariance, self.joseph = model, covariance, joseph
+        self.n = len(model.states)
+        n_s = self.n + self.n * (self.n + 1) // 2 if covariance else self.n
+        sym = ca.SX.sym
+        self.s, self.p, self.h = sym("s", n_s), sym("p", len(model.parameters)), sym("h")
+        self.u, self.u_next = sym("u", len(model.inputs)), sym("u_next", len(model.inputs))
+        self.y = sym("y", len(model.outputs))
+        self.rate, self.output = _trace(model)
+        self.inputs = {"s": self.s, "u": self.u, "u_next": self.u_next, "y": self.y, "p": self.p, "h": self.h}
+
+    @cached_property
+    def key(self) -> str:
+        """Two models with the same key have the same kernels (values of parameters are not part of it)."""
+        model = self.model
+        noise = ([s.noise for s in model.states], [(s.name, s.outputs) for s in model.sensors])
+        names = [p.name for p in model.parameters]
+        holds = [i.hold for i in model.inputs]
+        what = (self.rate.serialize(), self.output.serialize(), noise, names, holds, self.covariance, self.joseph,
+                model.second_order)
+        return hashlib.sha256(repr(what).encode()).hexdigest()
+
+    @property
+    def mean(self) -> Any:
+        return self.s[:self.n]
+
+    @cached_property
+    def P(self) -> Any:
+        return unpack(self.s[self.n:], self.n)
+
+    @property
+    def end_inputs(self) -> Any:
+        """Inputs at the end of an interval; those with a zero-order hold have not changed."""
+        held = [i.hold == "zero" for i in self.model.inputs]
+        return ca.vertcat(*[self.u[j] if zero else self.u_next[j] for j, zero in enumerate(held)])
+
+    def step(self, x: Any) -> tuple[Any, Any, Any]:
+        """Runge-Kutta 4 over one interval: the mean at its end, and state and inputs in its middle."""
+        h, end = self.h, self.end_inputs
+        middle = ca.vertcat(*[a if ca.is_equal(a, b) else (a + b) / 2
+                              for a, b in zip(ca.vertsplit(self.u), ca.vertsplit(end), strict=True)])
+        k1 = self.rate(x, self.u, self.p)
+        k2 = self.rate(x + h / 2 * k1, middle, self.p)
+        x3 = x + h / 2 * k2
+        k3 = self.rate(x3, middle, self.p)
+        k4 = self.rate(x + h * k3, end, self.p)
+        return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), x3, middle
+
+    @cached_property
+    def predict(self) -> tuple[Any, Any]:
+        """The state at the end of the interval, and the transition matrix of the mean.
+
+        Phi is the Taylor series of third order of the Jacobian in the middle of the interval, and the process
+        noise is integrated by Simpson's rule (a trapezoid would move the estimates by a standard error). A mean of
+        second order goes with ``1/2 tr(P f_xx)`` in the middle as well (Jazwinski 1970): E u |u| is more than u |u|.
+        """
+        end = self.stepped[0]
+        if not self.covariance:
+            return end, None
+        m = self.moved
+        P = m.Phi @ (self.P + m.Q) @ m.Phi.T + m.T @ m.Q @ m.T.T + m.Q
+        if self.model.second_order:
+            end = end + self.h * self._bend((self.P + P) / 2)
+        return ca.vertcat(end, pack(P)), m.Phi
+
+    @cached_property
+    def stepped(self) -> tuple[Any, Any, Any]:
+        """The step of the mean, once: a derivative that met it twice would go back through it twice."""
+        return self.step(self.mean)
+
+    @cached_property
+    def moved(self) -> IntervalTransition:
+        """What the interval does to the covariance."""
+        A = self.h / 2 * self._in_the_middle(lambda slopes, _: slopes)
+        identity, A2 = ca.SX.eye(self.n), A @ A
+        T = 2 * identity + 2 * A + A2  # few factors: they take the time
+        Phi = T - identity + A2 + 4 / 3 * (A @ A2)
+        Q = self.h / 6 * ca.diag(self._diffusion)
+        return IntervalTransition(A, T, Phi, Q)
+
+    def _bend(self, P: Any) -> Any:
+        """``1/2 tr(P f_xx)``, what a spread of covariance P adds to the mean of the rates."""
+        return self._in_the_middle(lambda slopes, x: ca.vertcat(*[
+            ca.sum1(ca.sum2(ca.jacobian(slopes[i, :].T, x) * P)) / 2 for i in range(self.n)]))
+
+    def _in_the_middle(self, of: Callable[[Any, Any], Any]) -> Any:
+        """An expression of the Jacobian of the rates and of the state x, in the middle of the interval."""
+        x, (_, x3, middle) = ca.SX.sym("x", self.n), self.stepped
+        slopes: Any = ca.jacobian(self.rate(x, middle, self.p), x)
+        slopes = ca.SX(slopes.sparsity(), simplified(ca.vertcat(ca.SX(0, 1), *slopes.nonzeros())))
+        return ca.substitute(of(slopes, x), x, x3)
+
+    @property
+    def _diffusion(self) -> Any:
+        return ca.vertcat(*[self._parameter(s.noise) ** 2 for s in self.model.states])
+
+    def _parameter(self, named: float | str) -> Any:
+        if not isinstance(named, str):
+            return ca.SX(float(named))
+        return self.p[[p.name for p in self.model.parameters].index(named)]
+
+    @property
+    def residual(self) -> Any:
+        """Measured minus predicted, all outputs; angles between -pi and pi."""
+        e = self.y - self.output(self.mean, self.u, self.p)
+        return ca.vertcat(*[_wrap(e[i]) if o.angle else e[i] for i, o in enumerate(self.model.outputs)])
+
+    @cached_property
+    def updates(self) -> tuple[Update, ...]:
+        """One for each sensor, in order."""
+        z = self.output(self.mean, self.u, self.p)
+        H = ca.jacobian(z, self.mean) if self.covariance else None
+        found, first = [], 0
+        for sensor in self.model.sensors:
+            rows = slice(first, first + len(sensor.outputs))
+            found.append(self._update(sensor, self.y[rows], z[rows], None if H is None else H[rows, :]))
+            first = rows.stop
+        return tuple(found)
+
+    def _update(self, sensor: Sensor, y: Any, z: Any, H: Any) -> Update:
+        """One scalar after the other: exact for independent noises, and no matrix is inverted."""
+        dx, P, ll, steps = 0 * self.mean, self.P if self.covariance else None, 0, []
+        for i, output in enumerate(sensor.outputs):
+            sample = Sample(output, y[i] - z[i], None if H is None else H[i, :], self._parameter(output.noise) ** 2)
+            steps.append(self.correct(sample, dx, P))
+            dx, P, ll = steps[-1].dx, steps[-1].P, ll + steps[-1].ll
+        s = ca.vertcat(self.mean + dx, pack(P)) if H is not None else self.mean
+        known = ca.DM([[*outlier_density.INFORMATION] if o.robust else [1.0, 1.0] for o in sensor.outputs])
+        e, S, slope = (ca.vertcat(*column) for column in zip(*[(c.e, c.S, c.slope) for c in steps], strict=True))
+        return Update(s, ll, e, S, slope, known, tuple(steps))
+
+    def correct(self, sample: Sample, dx: Any, P: Any) -> ScalarUpdate:
+        """What one scalar does to the mean, moved by dx since the prediction, and to its covariance P; without a
+        covariance nothing."""
+        output, e, H, S = sample.output, sample.e, sample.H, sample.R
+        PH = None
+        if H is not None:
+            e, PH = e - H @ dx, P @ H.T
+            S = H @ PH + S
+        if output.angle:
+            e = _wrap(e)
+        scaled, news = e / ca.sqrt(S), 1 / S
+        slope = outlier_density.score(scaled) / ca.sqrt(S) if output.robust else e / S
+        ll = (outlier_density.log_density(scaled) - 0.5 * ca.log(S) if output.robust else
+              -0.5 * (e * slope + ca.log(2 * math.pi * S)))
+        if output.robust:
+            news = outlier_density.score_slope(scaled) / S
+        if H is None:
+            return ScalarUpdate(sample, e, S, slope, ll)
+        return ScalarUpdate(sample, e, S, slope, ll, dx + PH * slope, self._reduced(sample, P, PH, S, news), PH, news)
+
+    def _reduced(self, sample: Sample, P: Any, PH: Any, S: Any, news: Any) -> Any:
+        """The covariance after a sample, or after as much of its news as there is."""
+        if not self.joseph:
+            return P - (PH * news) @ PH.T
+        K = PH / S
+        rest = ca.SX.eye(self.n) - K @ sample.H
+        whole = rest @ P @ rest.T + sample.R * K @ K.T
+        return P + news * S * (whole - P) if sample.output.robust else whole
+
+
+def _wrap(angle: Any) -> Any:
+    return angle - 2 * math.pi * ca.floor(angle / (2 * math.pi) + 0.5)
+
+
+def _trace(model: Model) -> tuple[Any, Any]:
+    """The model's rates and outputs as functions of (x, u, p)."""
+    x, u, p = (ca.SX.sym(name, len(of)) for name, of in
+               (("x", model.states), ("u", model.inputs), ("p", model.parameters)))
+    signals = model.signals(*[ca.vertsplit(v) if v.numel() else [] for v in (x, u, p)])
+    rates = _collect(model, signals.rate, [s.name for s in model.states], "rate of the state")
+    outputs = _collect(model, signals.y, [o.name for o in model.outputs], "value of the output")
+    return (ca.Function("rate", [x, u, p], [simplified(rates)]),
+            ca.Function("output", [x, u, p], [simplified(outputs)]))
+
+
+def _collect(model: Model, values: Mapping[str, Any], names: list[str], what: str) -> Any:
+    column = []
+    for name in names:
+        if name not in values:
+            raise ValueError(f"model {model.name} gives no {what} {name}; it gives {', '.join(values) or 'none'}")
+        value = ca.SX(values[name])
+        if value.numel() != 1:
+            raise ValueError(f"model {model.name}: the {what} {name} is not a scalar")
+        if _has_nan(value):
+            raise ValueError(f"model {model.name}: the {what} {name} has lost its symbols (math.sin, float() and "
+                             "filling np.zeros make numbers of them; numpy's functions do not)")
+        column.append(ca.densify(value))
+    return ca.densify(ca.vertcat(*column))
+
+
+def _has_nan(expression: Any) -> bool:
+    f = ca.Function("f", ca.symvar(expression), [expression])
+    return any(f.instruction_id(k) == ca.OP_CONST and math.isnan(f.instruction_constant(k))
+               for k in range(f.n_instructions()))

@@ -1,0 +1,208 @@
+"""A model fitted to some runs and shown others: the step that a diagnosis repeats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import astuple, dataclass
+from functools import cached_property
+
+import numpy as np
+
+from daq.errors import counted
+from ident.data import LogSegment, Record, make_record
+from ident.estimation.likelihood import FilterResult, Likelihood
+from ident.estimation.maximum_likelihood import TOLERANCE, Fit, fit
+from ident.estimation.multistart import best_of_starts
+from ident.estimation.smoother import SmootherResult, smooth
+from ident.model import Effect, Model, outlier_notes
+from ident.model import with_outlier_model as with_outliers
+from ident.models import for_diagnosis, forces_of, rescale, residuals_of, size_of
+from ident.numerics import Array
+
+Progress = Callable[[str], None]
+ROUGHLY = 0.02  # in the log-likelihood, to which a candidate is fitted; the model that is kept is fitted exactly
+NOUGHT = 1e-2  # of the white noise that the samples show
+OTHER_SIZE = 2.0  # times the force or moment that was assumed
+
+
+@dataclass(frozen=True)
+class RecordEvaluation:
+    """A fitted model on one record: once asked for, the filter's account of it and the smoother's."""
+
+    model: Model
+    record: Record
+    values: Array
+
+    @cached_property
+    def run(self) -> FilterResult:
+        return Likelihood(self.model).filter(self.record, self.values)
+
+    @cached_property
+    def ll(self) -> Array:
+        """What each row adds to ln L (n_rows,): of most candidates nothing else is ever asked."""
+        return Likelihood(self.model).value_by_row(self.record, self.values)
+
+    @cached_property
+    def smoothed(self) -> SmootherResult:
+        return smooth(self.run)
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """A model fitted to the estimation data, and what it does on both sets. Nuisances that each record has for
+    itself (current) are estimated on the validation data too; nothing else is."""
+
+    model: Model
+    fit: Fit
+    estimation: tuple[RecordEvaluation, ...]
+    validation: tuple[RecordEvaluation, ...]
+
+
+def fit_nominal_model(
+    model: Model,
+    estimation: Sequence[LogSegment],
+    validation: Sequence[LogSegment],
+    *,
+    rate: float = 10.0,
+    robust: bool = False,
+    restricted: bool = False,
+    progress: Progress = lambda line: None,
+) -> FittedModel:
+    """The model fitted as it is, with unexplained forces and sensor offsets as states; no search. ``robust``: with
+    outliers allowed in all sensors; ``restricted``: noise by restricted likelihood
+    (``ident.estimation.restricted_likelihood``)."""
+    full = nominal(model)
+    records = [make_record(full, r, rate) for r in estimation]
+    unseen = [make_record(full, r, rate) for r in validation]
+    progress(f"fitting {full.name} to {counted(len(records), 'run')}")
+    full = without_absent_sensors(full, records + unseen)
+    return fit_with_rescaling(full, records, unseen, robust=robust, restricted=restricted)
+
+
+def fit_with_rescaling(
+    full: Model,
+    records: Sequence[Record],
+    unseen: Sequence[Record],
+    *,
+    robust: bool = False,
+    restricted: bool = False,
+) -> FittedModel:
+    """The model of ``nominal`` fitted; once more where the boat turns out to be of another size than its start said."""
+    stage = fit_and_evaluate(full, records, unseen, robust=robust, restricted=restricted)
+    assumed, found = size_of(full), size_of(stage.fit.model)
+    if all(1 / OTHER_SIZE < b / a < OTHER_SIZE for a, b in zip(astuple(assumed), astuple(found), strict=True)):
+        return stage
+    return fit_and_evaluate(rescale(full, found), records, unseen, robust=robust, restricted=restricted)
+
+
+def fit_and_evaluate(
+    model: Model,
+    records: Sequence[Record],
+    unseen: Sequence[Record],
+    *,
+    robust: bool = False,
+    restricted: bool = False,
+    tolerance: float = TOLERANCE,
+) -> FittedModel:
+    """Fit to the records; on the unseen ones adapt only what each record has for itself. Errors that hold for coloured
+    residuals go only with a fit to the full ``tolerance``."""
+    begun, rows = reset_collapsed_noise(model, records), [r.for_model(model) for r in records]
+
+    def fitted_from(start: Mapping[str, float]) -> Fit:
+        return fit(begun, rows, start=start, robust=robust, restricted=restricted, tolerance=tolerance,
+                   coloured=tolerance <= TOLERANCE)
+
+    fitted = fitted_from({})
+    if model.start_grid is not None and tolerance <= TOLERANCE:
+        fitted = best_of_starts(fitted, records, fitted_from)
+    model = with_outliers(model) if robust else model
+    own = [p.name for p in fitted.model.parameters if p.free and p.per_record]
+    views = tuple(_view(fitted.model, r, fitted.record_values[i]) for i, r in enumerate(records))
+    if not unseen:
+        return FittedModel(model, fitted, views, ())
+    if not own:
+        values = fitted.record_values[0]
+        return FittedModel(model, fitted, views, tuple(_view(fitted.model, r, values) for r in unseen))
+    others = [r.for_model(model) for r in unseen]
+    adapted = fit(fitted.model.with_free(own), others, tolerance=tolerance, coloured=False)
+    judged = [_view(adapted.model, r, adapted.record_values[i]) for i, r in enumerate(unseen)]
+    return FittedModel(model, fitted, views, tuple(judged))
+
+
+def reset_collapsed_noise(model: Model, records: Sequence[Record]) -> Model:
+    """With a start for noise that an earlier fit put to nought, from where no search comes back: the median second
+    difference of what was measured, as white noise has it."""
+    new, names = [], records[0].outputs
+    for o in model.outputs:
+        p = model.parameter(o.noise) if o.noise else None
+        if p is None or not p.free or o.name not in names:
+            continue
+        parts = [r.y[np.isfinite(r.y[:, names.index(o.name)]), names.index(o.name)] for r in records]
+        bends = np.concatenate([np.abs(np.diff(np.unwrap(y) if o.angle else y, 2)) for y in parts])
+        white = 1.4826 * float(np.median(bends)) / np.sqrt(6.0) if bends.size else 0.0
+        if p.value < NOUGHT * white:
+            new.append(p.at(white))
+    return model.replace_parameters(*new)
+
+
+def _view(model: Model, record: Record, values: Array) -> RecordEvaluation:
+    return RecordEvaluation(model, record.for_model(model), values)
+
+
+def outliers(stage: FittedModel) -> list[str]:
+    """What was taken for outliers in the estimation data, a line for each channel where they are allowed."""
+    views = stage.estimation
+    return outlier_notes(stage.model, [v.run.outliers for v in views], [np.isfinite(v.record.y) for v in views])
+
+
+def validation_gain(before: FittedModel, after: FittedModel) -> tuple[float, float]:
+    """Gain in log-likelihood on the validation data: its sum, and t over blocks of ten seconds (four on the bench).
+
+    t is the larger of the plain one, which counts evidence that sits in few blocks, and of one with the blocks
+    drawn in to three robust standard deviations, so that one glitch of a clock or a sensor, which no model
+    foresees, does not outvote all the rest.
+    """
+    gains = []
+    for a, b in zip(before.validation, after.validation, strict=True):
+        block = np.floor(a.record.t / (2 * before.model.block)).astype(int)
+        gains.append(np.bincount(block, b.ll - a.ll))
+    if not gains:
+        return 0.0, 0.0
+    per_block: Array = np.concatenate(gains).astype(np.float64)
+    middle = np.median(per_block)
+    reach = 3 * 1.4826 * np.median(np.abs(per_block - middle))
+    drawn_in = np.clip(per_block, middle - reach, middle + reach)
+    return float(per_block.sum()), max(_t(per_block), _t(drawn_in))
+
+
+def _t(x: Array) -> float:
+    return float(x.mean() / (x.std(ddof=1) / np.sqrt(x.size) + 1e-12)) if x.size > 1 else 0.0
+
+
+def nominal(model: Model) -> Model:
+    """With unexplained forces and sensor offsets, unless it has them; a model without a hull stays as it is."""
+    if not (forces_of(model) or residuals_of(model)):
+        return model
+    present = "disturbance" in {e.name for e in model.effects}
+    return rescale(model if present else for_diagnosis(model), size_of(model))
+
+
+def superset(
+    nominal: Model, candidates: Mapping[str, Effect], runs: Sequence[LogSegment]
+) -> tuple[Model, dict[str, Effect]]:
+    """The model with every candidate whose inputs all runs have, so that one record serves them all."""
+    derived = {"t", "work"} if nominal.provides and "n" in nominal.provides else {"t"}
+    everything, kept = nominal, {}
+    for name, effect in candidates.items():
+        wanted = {i.name.partition("~")[0] for i in effect.inputs} - derived
+        if all(wanted <= set(run.channels) for run in runs):
+            everything, kept[name] = everything + effect, effect
+    return everything, kept
+
+
+def without_absent_sensors(model: Model, records: Sequence[Record]) -> Model:
+    """Fix the noise of sensors that no record has: nothing can be said about it."""
+    columns = {n: j for j, n in enumerate(records[0].outputs)}
+    seen = {o.name for o in model.outputs if any(np.isfinite(r.y[:, columns[o.name]]).any() for r in records)}
+    absent = {o.noise for o in model.outputs} - {o.noise for o in model.outputs if o.name in seen}
+    return model.replace_parameters(*[model.parameter(n).fixed() for n in absent if n])

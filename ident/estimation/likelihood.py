@@ -1,0 +1,217 @@
+"""Prediction error: the likelihood of an extended Kalman filter between samples (thesis eq. 2.3, constant put right).
+
+    ln L = -1/2 sum [ e' S^-1 e + ln |S| + r ln 2 pi ]
+
+with innovations ``e`` and their covariance ``S``, one scalar measurement after the other. Mean by Runge-Kutta 4
+over each interval, covariance by the transition matrix and Simpson's rule (``engine.graphs``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ident.data import Prepared, Preparer, Record, Start, start_of
+from ident.engine import ArenaPool, Kernel, Programs, programs_for
+from ident.model import LIKELY, Model, weight
+from ident.numerics import Array
+
+
+@dataclass(frozen=True)
+class LikelihoodAndScore:
+    """Log-likelihood, its gradient (n_free,) and the Fisher information (n_free, n_free), in the parameters' own
+    units; ``by_row`` (n_rows, n_free): what each row adds to the gradient, where it was asked for."""
+
+    value: float
+    gradient: Array
+    information: Array
+    by_row: Array | None = None
+
+
+@dataclass(frozen=True)
+class FilterResult:
+    """What the filter knew, row by row.
+
+    t (n_rows,) s; x_pred, x_filt (n_rows, n_states) means and P_pred, P_filt (n_rows, n_states, n_states)
+    covariances before and after the row's samples; Phi (n_rows, n_states, n_states) to the next row;
+    e (n_rows, n_outputs) measured minus predicted, NaN where nothing was measured; R (n_outputs,) variances of
+    the measurement noise; eps, S (n_rows, n_outputs): innovations and variances one after the other, each given
+    those before it in its row, so that eps / sqrt(S) is white; ll (n_rows,) what the row adds to ln L; allowed
+    (n_outputs,): where outliers are allowed, None: nowhere; left (n_rows, n_outputs): outliers at the start that the
+    filter did not get to see.
+    """
+
+    t: Array
+    x_pred: Array
+    P_pred: Array
+    x_filt: Array
+    P_filt: Array
+    Phi: Array
+    e: Array
+    R: Array
+    eps: Array
+    S: Array
+    ll: Array
+    allowed: NDArray[np.bool_] | None = None
+    left: NDArray[np.bool_] | None = None
+
+    @property
+    def value(self) -> float:
+        return float(self.ll.sum())
+
+    @property
+    def standardised(self) -> Array:
+        """Innovations in units of their standard deviation (n_rows, n_outputs): white if the model is right.
+
+        Outliers are NaN: they are not the model's."""
+        return np.where(self.outliers, np.nan, self.eps / np.sqrt(self.S))
+
+    @cached_property
+    def outliers(self) -> NDArray[np.bool_]:
+        """Samples that were taken for outliers (n_rows, n_outputs)."""
+        left = np.zeros(self.eps.shape, dtype=bool) if self.left is None else self.left
+        return left if self.allowed is None else left | self.allowed & (weight(self.eps / np.sqrt(self.S)) < LIKELY)
+
+
+class Likelihood:
+    """The likelihood of any record under a model, as a function of the values of its parameters.
+
+    ``values`` is always an array over ``model.parameters`` in order. Calls may run in threads. ``joseph`` uses
+    the longer form of the covariance update. A parameter vector that makes the filter diverge gives NaN.
+    ``process_noise=False`` is output error (``ident.estimation.output_error``): a certain initial state and no process
+    noise.
+    """
+
+    def __init__(self, model: Model, *, joseph: bool = False, process_noise: bool = True) -> None:
+        self.model = model
+        self.process_noise = process_noise
+        self._joseph = joseph
+        self._prepare = Preparer(model)
+        self._arenas = ArenaPool()
+        self._index = {p.name: i for i, p in enumerate(model.parameters)}
+
+    @cached_property
+    def _programs(self) -> Programs:
+        return programs_for(self.model, covariance=self.process_noise, joseph=self._joseph)
+
+    def value(self, record: Record, values: Array) -> float:
+        """Log-likelihood with all its constants."""
+        data, start = self._start(record, values)
+        kernel = self._programs.value
+        with self._arenas.borrow() as arena:
+            given = {**_inputs(kernel, data), "p": _own(values), "s": start.s}
+            done = kernel(data.n_rows, data.mask, given, arena=arena)
+            return float(done["ll"][0])
+
+    def gradient(self, record: Record, values: Array) -> tuple[float, Array]:
+        """Log-likelihood and its gradient by all parameters (n_parameters,), by the adjoint."""
+        data, start = self._start(record, values)
+        there, back = self._programs.forward, self._programs.backward
+        p = _own(values)
+        with self._arenas.borrow() as arena:
+            done = there(data.n_rows, data.mask, {**_inputs(there, data), "p": p, "s": start.s}, arena=arena)
+            value, tapes = float(done["ll"][0]), {name: done[name] for name in self._programs.tapes}
+            bars = back(data.n_rows, data.mask, {**_inputs(back, data), "p": p, **tapes}, arena=arena)
+            gradient = bars["g"].copy()
+            for entry, parameter, slope in start.tangent:
+                gradient[parameter] += slope * bars["bar"][entry]
+        return value, gradient
+
+    def scores(self, record: Record, values: Array, free: Sequence[str] | None = None, *, by_row: bool = False
+               ) -> LikelihoodAndScore:
+        """Value, gradient and information for the parameters ``free`` (by default those free in the model)."""
+        free = self.model.free if free is None else free
+        data, start = self._start(record, values)
+        kernel = self._programs.tangent
+        chosen = [self._index[name] for name in free]
+        groups, width, n = kernel.groups(len(free)), kernel.layout.width, len(free)
+        lane_of = {parameter: lane for lane, parameter in enumerate(chosen)}
+        with self._arenas.borrow() as arena:
+            ds = arena.take("ds", (groups, start.s.size, width))
+            for entry, parameter, slope in start.tangent:
+                if parameter in lane_of:
+                    lane = lane_of[parameter]
+                    ds[lane // width, entry, lane % width] += slope
+            given = {**_inputs(kernel, data), "p": _own(values), "s": start.s, "ds": ds,
+                     "dp": kernel.seeds(len(self._index), chosen, groups)}
+            done = kernel(data.n_rows, data.mask, given, groups=groups, arena=arena,
+                          per_row={"dll"} if by_row else frozenset())
+            dll = done["dll"].reshape(-1, groups * width)[:, :n].copy()
+            information = _symmetric(done["fisher"])[:n, :n]
+            value = float(done["ll"][0])
+        return LikelihoodAndScore(value, dll.sum(axis=0), information, dll if by_row else None)
+
+    def value_by_row(self, record: Record, values: Array) -> Array:
+        """What each row adds to the log-likelihood (n_rows,), by the machine code that a search has used already."""
+        data, start = self._start(record, values)
+        kernel = self._programs.tangent
+        with self._arenas.borrow() as arena:
+            given = {**_inputs(kernel, data), "p": _own(values), "s": start.s}
+            done = kernel(data.n_rows, data.mask, given, arena=arena, per_row={"ll"})
+            return done["ll"][:, 0].copy()
+
+    def filter(self, record: Record, values: Array) -> FilterResult:
+        """Everything the filter knew."""
+        if not self.process_noise:
+            raise ValueError("output error has no filter; simulate with ident.estimation.output_error")
+        data, start = self._start(record, values)
+        kernel, n, n_rows = self._programs.filter, len(self.model.states), data.n_rows
+        rows = {f"{kind}{bit}": np.full((n_rows, len(sensor.outputs)), np.nan)
+                for bit, sensor in enumerate(self.model.sensors) for kind in "eS"}
+        given = {**_inputs(kernel, data), "p": _own(values), "s": start.s, **rows}
+        done = kernel(n_rows, data.mask, given, per_row={"ll"})
+        bits = range(len(self.model.sensors))
+        R = np.array([_own(values)[self._index[o.noise]] ** 2 for o in self.model.outputs])
+        return FilterResult(
+            record.t, *_mean_and_covariance(done["predicted"], n), *_mean_and_covariance(done["filtered"], n),
+            done["Phi"].reshape(n_rows, n, n).swapaxes(1, 2), done["e"], R,
+            np.hstack([rows[f"e{b}"] for b in bits]), np.hstack([rows[f"S{b}"] for b in bits]), done["ll"][:, 0],
+            np.array([o.robust for o in self.model.outputs]), data.wild)
+
+    def forecast(self, record: Record, values: Array, x: Array, P: Array, first: int, last: int) -> tuple[Array, Array]:
+        """From ``x`` (n_states,) and ``P`` (n_states, n_states) at the row ``first`` and the inputs alone: means
+        (n, n_states) and covariances (n, n_states, n_states) from there to the row ``last``."""
+        data, kernel, n = self._prepare(record), self._programs.filter, len(self.model.states)
+        n_rows = last + 1 - first
+        rows = {name: a[first:last + 1] for name, a in _inputs(kernel, data).items()}
+        rows |= {f"{kind}{bit}": np.full((n_rows, len(sensor.outputs)), np.nan)
+                 for bit, sensor in enumerate(self.model.sensors) for kind in "eS"}
+        s = np.append(x, P[np.triu_indices(n)])
+        done = kernel(n_rows, np.zeros(n_rows, np.uint32), rows | {"p": _own(values), "s": s})
+        return _mean_and_covariance(done["predicted"], n)
+
+    def measured(self, record: Record) -> int:
+        """How many measured numbers of a record the likelihood is of."""
+        return self._prepare(record).n_measured
+
+    def _start(self, record: Record, values: Array) -> tuple[Prepared, Start]:
+        if np.shape(values) != (len(self._index),):
+            raise ValueError(f"model {self.model.name} has {len(self._index)} parameters, got {np.shape(values)}")
+        data = self._prepare(record)
+        return data, start_of(self.model, values, data.first, self.process_noise)
+
+
+def _own(values: Array) -> Array:
+    return np.ascontiguousarray(values, dtype=np.float64)
+
+
+def _inputs(kernel: Kernel, data: Prepared) -> dict[str, Array]:
+    return {name: a for name, a in data.rows.items() if name in kernel.layout.sizes}
+
+
+def _symmetric(blocks: Array) -> Array:
+    """(groups, groups, width, width), blocks on and above the diagonal, as a matrix."""
+    groups, _, width, _ = blocks.shape
+    upper = np.triu(blocks.swapaxes(1, 2).reshape(groups * width, groups * width))
+    return np.asarray(upper + np.triu(upper, 1).T)
+
+
+def _mean_and_covariance(s: Array, n: int) -> tuple[Array, Array]:
+    P = np.empty((len(s), n, n))
+    i, j = np.triu_indices(n)
+    P[:, i, j] = P[:, j, i] = s[:, n:]
+    return np.ascontiguousarray(s[:, :n]), P

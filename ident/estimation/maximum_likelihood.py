@@ -1,0 +1,228 @@
+"""Maximum likelihood, or maximum a posteriori where parameters have priors, over any number of records."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from ident.data import Record
+from ident.estimation.fisher_scoring import Optimum, maximise, refine_lbfgsb
+from ident.estimation.likelihood import Likelihood
+from ident.estimation.objective import Problem
+from ident.estimation.output_error import free_start
+from ident.estimation.restricted_likelihood import apply_reml
+from ident.estimation.standard_errors import (
+    TOO_LONG,
+    Uncertainty,
+    assess,
+    flat_coordinates,
+    sandwich,
+    with_interval_information,
+)
+from ident.model import Model
+from ident.model import with_outlier_model as with_outliers
+from ident.numerics import Array
+
+TOLERANCE = 1e-6  # of the log-likelihood: parameters within about a thousandth of a standard error
+CLOSE_ENOUGH = 1e-2  # what may be left to gain where no step gains more
+Progress = Callable[[int, float], None]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """An estimate and what is known of it, in the parameters' own units.
+
+    names (n,): ``m_u`` for shared parameters, ``V_x@0`` for those of record 0; values, errors (n,): errors are
+    NaN for parameters at a bound or not informed, which ``flags`` names; limits (n,): of a parameter at its bound,
+    the far end of its 95 % interval, NaN for all others; covariance, correlation (n, n);
+    prior_weight (n,): the part of a parameter's information that its prior gave (1: the data said nothing);
+    robust_errors (n,): from the sandwich covariance, valid when the residuals are coloured, NaN where they
+    were not asked for; record_values (n_records, n_parameters): over ``model.parameters`` in order. The log-likelihood
+    is the largest, also where the noise was then restricted; the log-posterior leaves out the constants of the priors.
+    ``gain_left``: what one more step would gain; ``restricted``: whether that was asked for.
+    """
+
+    model: Model
+    method: str
+    records: tuple[str, ...]
+    names: tuple[str, ...]
+    values: Array
+    errors: Array
+    limits: Array
+    covariance: Array
+    correlation: Array
+    prior_weight: Array
+    robust_errors: Array
+    record_values: Array
+    log_likelihood: float
+    log_posterior: float
+    n_measured: int
+    gradient_norm: float
+    gain_left: float
+    iterations: int
+    evaluations: int
+    cpu_seconds: float
+    flags: tuple[tuple[str, str], ...]
+    converged: bool
+    message: str
+    restricted: bool = False
+
+    def estimate(self, name: str, record: int = 0) -> tuple[float, float]:
+        """Value and standard error (NaN: fixed, at a bound, or not informed) of a parameter in a record."""
+        for full in (name, f"{name}@{record}"):
+            if full in self.names:
+                i = self.names.index(full)
+                return float(self.values[i]), float(self.errors[i])
+        return self.model.parameter(name).value, float("nan")
+
+    @property
+    def bic(self) -> float:
+        """Schwarz's criterion; smaller is better."""
+        return float(len(self.names) * np.log(self.n_measured) - 2.0 * self.log_likelihood)
+
+
+def fit(
+    model: Model,
+    records: Sequence[Record],
+    *,
+    method: Literal["pe", "oe"] = "pe",
+    initial: Literal["free", "given"] = "free",
+    start: Mapping[str, float] | None = None,
+    robust: bool = False,
+    restricted: bool = False,
+    max_iterations: int = 60,
+    tolerance: float = TOLERANCE,
+    coloured: bool = True,
+    joseph: bool = False,
+    progress: Progress | None = None,
+    threads: int = 2,
+) -> Fit:
+    """Estimate the free parameters of ``model`` from ``records``.
+
+    method: prediction error (extended Kalman filter), or output error (no process noise). initial: of output error
+    alone: the start of each record is estimated too (``ident.estimation.output_error.free_start``), or taken for exact
+    as the model gives
+    it. start: values to begin with instead of the model's, ``V_x@0`` those of a record. robust: allow outliers in all
+    sensors (``ident.model.outlier_density`` allows them in some). restricted: estimate noise without the bias that
+    the dynamics give
+    it (``ident.estimation.restricted_likelihood``; not in output error). tolerance: gain in log-likelihood below which
+    the search ends.
+    coloured: work out ``robust_errors``, and errors on plateaus. joseph: the longer covariance update, for a start that
+    is uncertain by many orders. progress: called with the iteration and the log-posterior. Raises ValueError, naming
+    the record, where a record does not fit the model or cannot be evaluated.
+    """
+    began = time.process_time()
+    if not records:
+        raise ValueError("no records to estimate from")
+    if method not in ("pe", "oe") or initial not in ("free", "given"):
+        raise ValueError(f'no method {method!r} with initial {initial!r}: "pe" or "oe", "free" or "given"')
+    begin: dict[str, float] = {}
+    if method == "oe" and initial == "free":
+        model, begin = free_start(model, records)
+    begin |= {n: v for n, v in (start or {}).items() if "@" in n}
+    model = model.with_values({n: v for n, v in (start or {}).items() if "@" not in n})
+    if robust:
+        model = _with_outliers(model, records, method, begin, max_iterations, threads)
+    likelihood = Likelihood(model, joseph=joseph, process_noise=method == "pe")
+    problem = Problem(likelihood, records, _estimable(model, method), threads, begin)
+    _check_enough(problem)
+    optimum = _search(problem, max_iterations, tolerance, progress)
+    mean, weight = problem.prior
+    prior_part = -0.5 * float(weight @ (optimum.z - mean) ** 2)
+    optimum = apply_reml(problem, optimum) if restricted and method == "pe" else optimum
+    known, robust_errors = _known(problem, optimum, coloured)
+    if method == "oe" and coloured:  # by prediction error they are seldom looked at
+        lost = np.isfinite(known.errors) & np.isnan(robust_errors)
+        too_long = [(problem.names[i], TOO_LONG) for i in np.flatnonzero(lost).tolist()]
+        known = replace(known, flags=(*known.flags, *too_long))
+    found = _report(problem, optimum, known, robust_errors, method, prior_part, time.process_time() - began)
+    return replace(found, restricted=restricted and method == "pe")
+
+
+def _check_enough(problem: Problem) -> None:
+    """Raises ValueError where there is nothing to estimate, or less to do it from."""
+    if not problem.names:
+        raise ValueError(f"model {problem.model.name} has no free parameters")
+    told = sum(problem.likelihood.measured(record) for record in problem.records)
+    unknown = int(np.sum(problem.prior[1] == 0))
+    if told < unknown:
+        names = ", ".join(r.name for r in problem.records)
+        raise ValueError(f"{names}: {told} measured samples for {unknown} free parameters of model "
+                         f"{problem.model.name} without a prior; give more data, or fix some of them")
+
+
+def _known(problem: Problem, optimum: Optimum, coloured: bool) -> tuple[Uncertainty, Array]:
+    """What is known of the estimates, and errors that allow for coloured residuals (n,), NaN where not asked for."""
+    z, slopes = optimum.z, problem.slopes(optimum.z)
+    # A search's many rough fits need neither: both cost evaluations.
+    flat = flat_coordinates(lambda x: problem.value_and_gradient(x)[0], z, problem.parameters, optimum.at.information,
+                    problem.bounds) if coloured else []
+    known = assess(
+        with_interval_information(optimum.at, flat), z, problem.bounds, problem.names, slopes, problem.prior[1]
+    )
+    known = replace(known, flags=(*known.flags, *[(problem.names[p.at], p.remark) for p in flat]))
+    robust_errors = sandwich(known, problem.by_row(z), slopes) if coloured else np.full(z.size, np.nan)
+    for p in flat:
+        robust_errors[p.at] = known.errors[p.at]  # no row has a part in it
+    return known, robust_errors
+
+
+def _with_outliers(model: Model, records: Sequence[Record], method: Literal["pe", "oe"], begin: Mapping[str, float],
+                   max_iterations: int, threads: int) -> Model:
+    """The model with outliers allowed, at the better of two starts: its own values, or those of a plain fit.
+
+    Wild samples are told from good ones by the noise, so its scale must be about right first, which a plain fit
+    sees to; but one very wild sample can spoil that fit, or make it impossible.
+    """
+    own = with_outliers(model)
+    try:
+        plain = fit(model, records, method=method, start=begin, max_iterations=max_iterations, threads=threads).model
+    except ValueError:
+        return own
+    likelihood, starts = Likelihood(own, process_noise=method == "pe"), (own, with_outliers(plain))
+    totals = [sum(likelihood.value(r, np.array(list(m.values.values()))) for r in records) for m in starts]
+    return starts[1] if totals[1] > totals[0] or not np.isfinite(totals[0]) else own
+
+
+def _estimable(model: Model, method: str) -> tuple[str, ...]:
+    """Output error knows nothing of process noise and of the uncertainty of the initial state."""
+    if method == "pe":
+        return model.free
+    ignored = {s.noise for s in model.states} | {s.sd0 for s in model.states}
+    return tuple(n for n in model.free if n not in ignored)
+
+
+def _search(problem: Problem, max_iterations: int, tolerance: float, progress: Progress | None) -> Optimum:
+    z = problem.bounds.clip(problem.start)
+    if not problem.evaluate(z).finite:
+        problem.check(z)
+    optimum = maximise(problem.evaluate, z, problem.bounds, max_iterations=max_iterations, tolerance=tolerance,
+                       progress=progress)
+    if abs(optimum.gain_left) > tolerance and optimum.iterations < max_iterations:
+        optimum = refine_lbfgsb(problem.value_and_gradient, optimum, problem.bounds, problem.evaluate,
+                        tolerance)
+    return optimum
+
+
+def _report(problem: Problem, optimum: Optimum, known: Uncertainty, robust: Array, method: str, prior_part: float,
+            cpu_seconds: float) -> Fit:
+    record_values = problem.values(optimum.z)
+    names = [p.name for p in problem.model.parameters]
+    model = problem.model.with_values(dict(zip(names, record_values.mean(axis=0), strict=True)))
+    converged = abs(optimum.gain_left) < CLOSE_ENOUGH
+    message = (f"converged in {optimum.iterations} iterations" if converged else
+               f"stopped after {optimum.iterations} iterations with {optimum.gain_left:.3g} left to gain")
+    return Fit(
+        model=model, method=method, records=tuple(r.name for r in problem.records), names=problem.names,
+        values=problem.own(optimum.z), errors=known.errors, limits=problem.own(known.limits),
+        covariance=known.covariance, correlation=known.correlation, prior_weight=known.prior_weight,
+        robust_errors=robust, record_values=record_values,
+        log_likelihood=optimum.at.value - prior_part, log_posterior=optimum.at.value,
+        n_measured=sum(problem.likelihood.measured(r) for r in problem.records),
+        gradient_norm=known.gradient_norm, gain_left=optimum.gain_left, iterations=optimum.iterations,
+        evaluations=optimum.evaluations, cpu_seconds=cpu_seconds, flags=known.flags, converged=converged,
+        message=message)

@@ -1,0 +1,227 @@
+"""model.toml: a fitted model with everything needed to use it elsewhere. See docs/formats/model.md."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+
+from daq.errors import SeatrialError
+from ident.effects import catalogue, nonparametric_effect
+from ident.estimation.maximum_likelihood import Fit
+from ident.model import Effect, Model, Parameter, robust_sensors, with_outlier_model
+from ident.models import (
+    ANTENNA,
+    CURRENT_WALK,
+    antenna_of,
+    current_walk,
+    disturbance_of,
+    load_effects,
+    make_model,
+    sensor_bias,
+)
+from ident.numerics import Array
+
+FORMAT = "seatrial-model 1"
+
+
+@dataclass(frozen=True)
+class SavedModel:
+    """A model read back. ``errors``: standard errors by name (NaN: none); ``validity``: ranges by signal;
+    ``correlation`` (n, n): of the estimates ``names``; ``restricted``: noise by restricted likelihood."""
+
+    model: Model
+    errors: Mapping[str, float]
+    validity: Mapping[str, tuple[float, float]]
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    names: tuple[str, ...] = ()
+    correlation: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    effects_file: Path | None = None  # where effects that are not in the catalogue come from
+    restricted: bool = False
+
+
+def save_model(
+    path: Path,
+    fit: Fit,
+    *,
+    validity: Mapping[str, tuple[float, float]],
+    provenance: Mapping[str, Any],
+    effects_file: Path | None = None,
+) -> None:
+    """Write the model of a fit. ``effects_file``: where effects that are not in the catalogue come from."""
+    model, document = fit.model, tomlkit.document()
+    document["format"] = FORMAT
+    document["name"] = model.name
+    file, _, own = model.source.rpartition(":")
+    if file.endswith(".py") and Path(file).is_file():
+        document["source"], document["source_sha256"] = f"{_beside(path, Path(file))}:{own}", _digest(Path(file))
+    else:
+        document["source"] = model.source
+    document["sensors"] = [s.name for s in model.sensors]
+    document["effects"] = [e.name for e in model.effects]
+    if robust_sensors(model):
+        document["robust"] = list(robust_sensors(model))
+    if model.second_order:
+        document["second_order"] = True
+    if fit.restricted:
+        document["restricted"] = True
+    spans = {e.name: list(e.span) for e in model.effects if e.span is not None}
+    if spans:
+        document["spans"] = spans
+    if effects_file is not None:
+        document["effects_file"], document["effects_sha256"] = _beside(path, effects_file), _digest(effects_file)
+    document["provenance"] = {k: v for k, v in provenance.items() if v is not None}
+    document["validity"] = {k: [float(a), float(b)] for k, (a, b) in validity.items()}
+    # unexplained forces get the size of the boat whenever a fit begins (ident.models.scaling); a prior of that size
+    # would get
+    # it twice
+    sized_anew = {p.name for e in model.effects if e.name == "disturbance" for p in e.parameters}
+    parameters = tomlkit.aot()
+    for p in model.parameters:
+        table = tomlkit.table()
+        table.update(_row(p, fit, with_prior=p.name not in sized_anew))
+        parameters.append(table)
+    document["parameter"] = parameters
+    document["correlation"] = {"names": list(fit.names), "matrix": np.round(np.nan_to_num(fit.correlation), 6).tolist()}
+    path.write_text(tomlkit.dumps(document), encoding="utf-8")
+
+
+def _beside(path: Path, file: Path) -> str:
+    """The file as seen from the model's folder, wherever both are moved to."""
+    try:
+        return Path(os.path.relpath(file.resolve(), path.parent.resolve())).as_posix()
+    except ValueError:  # on another drive
+        return file.resolve().as_posix()
+
+
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
+
+
+def _row(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, Any]:
+    """A parameter's table: what does not apply is left out."""
+    value, error = fit.estimate(p.name)
+    row: dict[str, Any] = {
+        "name": p.name,
+        "value": float(value if not p.per_record else p.value),
+        "unit": p.unit,
+        "meaning": p.meaning,
+        "free": p.free,
+    }
+    if np.isfinite(error):
+        row["se"] = float(error)
+    if p.prior is not None and with_prior:
+        row["prior"] = [float(z) for z in p.prior]
+    if p.per_record:
+        row["per_record"] = True
+    flag = dict(fit.flags).get(p.name)
+    return row if flag is None else row | {"flag": flag}
+
+
+def _to_the_screen(line: str) -> None:
+    print(f"seatrial: {line}", file=sys.stderr)
+
+
+def load_model(path: Path, say: Callable[[str], None] = _to_the_screen) -> SavedModel:
+    """Read a model.toml. ``say``: is told where a Python file of the user's own has changed since.
+
+    Raises SeatrialError with what is wrong and where.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as problem:
+        raise SeatrialError(f"{path}: cannot be read: {problem}") from problem
+    except tomllib.TOMLDecodeError as problem:
+        raise SeatrialError(f"{path}: not a TOML file: {problem}") from problem
+    if table.get("format") != FORMAT:
+        raise SeatrialError(f"{path}: format is {table.get('format')!r}, not {FORMAT!r}: give a model.toml of seatrial")
+    try:
+        source, effects_file = _own_files(table, path, say)
+        model = _build(table, source, load_effects(effects_file) if effects_file is not None else {})
+        errors = {row["name"]: float(row.get("se", np.nan)) for row in table["parameter"]}
+        validity = {k: (float(a), float(b)) for k, (a, b) in table.get("validity", {}).items()}
+        between = table.get("correlation", {})
+        names = tuple(str(n) for n in between.get("names", ()))
+        correlation = np.asarray(between.get("matrix", ()), dtype=float).reshape(len(names), len(names))
+    except (KeyError, TypeError, ValueError) as problem:
+        raise SeatrialError(f"{path}: not a complete model: {problem}") from problem
+    restricted = bool(table.get("restricted", False))
+    made = table.get("provenance", {})
+    return SavedModel(model, errors, validity, made, names, correlation, effects_file, restricted)
+
+
+def _own_files(table: Mapping[str, Any], path: Path, say: Callable[[str], None]) -> tuple[str, Path | None]:
+    """The source of the structure and the file of effects, as they are found from here."""
+    source, effects = str(table["source"]), None
+    file, _, name = source.rpartition(":")
+    if file.endswith(".py"):
+        source = f"{_found(path, file, table.get('source_sha256'), say)}:{name}"
+    if "effects_file" in table:
+        effects = _found(path, str(table["effects_file"]), table.get("effects_sha256"), say)
+    return source, effects
+
+
+def _found(path: Path, file: str, digest: str | None, say: Callable[[str], None]) -> Path:
+    """A Python file that a model names: from the model's folder, or, in files without its hash, which are older, from
+    where the command was typed, often the folder above."""
+    places = [path.parent / file] if digest is not None else [Path(file), path.parent / file, path.parent.parent / file]
+    there = [Path(os.path.normpath(p)) for p in places if p.is_file()]
+    if not there:
+        place = os.path.normpath(path.parent / file)
+        raise SeatrialError(f"{path}: {place}: no such Python file; the model was made with it, so put it there")
+    if digest is not None and _digest(there[0]) != digest:
+        say(f"{there[0]} has changed since {path} was written; fit again where that matters")
+    return there[0]
+
+
+def _build(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> Model:
+    model = make_model(source, table["sensors"])
+    for name in table["effects"]:
+        if name not in {e.name for e in model.effects}:
+            model = model + (own[name] if name in own else _effect(name, model, table.get("spans", {})))
+    model = replace(
+        with_outlier_model(model, table.get("robust", [])), second_order=bool(table.get("second_order", False))
+    )
+    rows = {row["name"]: row for row in table["parameter"]}
+    unknown = set(rows) - set(model.values)
+    if unknown:
+        raise ValueError(f"model {model.name} has no parameter {sorted(unknown)[0]!r}")
+    return model.replace_parameters(*(_parameter(p, rows[p.name]) for p in model.parameters if p.name in rows))
+
+
+def _parameter(p: Parameter, row: Mapping[str, Any]) -> Parameter:
+    """The structure's parameter with what its row says; without a prior there, the structure's own stays."""
+    p = replace(p, value=float(row["value"]), free=bool(row["free"]))
+    if "prior" not in row:
+        return p
+    mean, sd = (float(z) for z in row["prior"])
+    if not (sd > 0 and (mean > 0 or p.transform != "log")):
+        what = "a positive mean and standard deviation" if p.transform == "log" else "a positive standard deviation"
+        raise ValueError(f"parameter {p.name}: its prior [{mean:g}, {sd:g}] needs {what}")
+    return replace(p, prior=(mean, sd))
+
+
+def _effect(name: str, model: Model, spans: Mapping[str, Any]) -> Effect:
+    if name == "disturbance":
+        return disturbance_of(model)
+    if name == "sensor-bias":
+        return sensor_bias([s.name for s in model.sensors])
+    if name == ANTENNA:
+        return antenna_of(model)
+    if name == CURRENT_WALK:
+        return current_walk()
+    if name.startswith("unknown "):
+        force, variable = name.removeprefix("unknown ").rstrip(")").split("(")
+        low, high = spans.get(name, (-np.pi, np.pi))
+        return nonparametric_effect(model, force, variable, (float(low), float(high)))
+    if name not in catalogue():
+        raise ValueError(f"there is no effect {name!r} in the catalogue")
+    return catalogue()[name]

@@ -1,0 +1,143 @@
+"""Output error: simulation without process noise, its likelihood, and predictions from given states.
+
+The likelihood is that of ``ident.estimation.likelihood`` with a certain initial state and no process noise, so S is
+the variance
+of the measurement noise; value, exact forward sensitivities, Gauss-Newton information (and with it the
+Cramer-Rao bound) are the same calls: ``output_error(model).scores(record, values)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ident.data import Prepared, Preparer, Record, start_of
+from ident.engine import Kernel, programs_for
+from ident.estimation.likelihood import Likelihood
+from ident.model import Model, Parameter
+from ident.numerics import Array
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """t (n_rows,) s; x (n_rows, n_states); y (n_rows, n_outputs) without noise."""
+
+    t: Array
+    x: Array
+    y: Array
+
+
+@dataclass(frozen=True)
+class HorizonPrediction:
+    """Predictions: from row ``start`` to row ``end`` (n,), outputs y (n, n_outputs) and states x (n, n_states) then."""
+
+    start: NDArray[np.int64]
+    end: NDArray[np.int64]
+    y: Array
+    x: Array
+
+
+def output_error(model: Model) -> Likelihood:
+    """The likelihood of a model without process noise."""
+    return Likelihood(model, process_noise=False)
+
+
+def with_initial_state(model: Model, names: Sequence[str] | None = None, *, per_record: bool = True) -> Model:
+    """The model with the named states' initial values (all by default) as free parameters ``x0_NAME``.
+
+    They start from the states' own x0, and in prediction error they take the place of its uncertainty.
+    """
+    wanted = [s.name for s in model.states] if names is None else list(names)
+    unknown = set(wanted) - {s.name for s in model.states}
+    if unknown:
+        raise KeyError(f"model {model.name} has no state {sorted(unknown)[0]!r}")
+    states, new = [], []
+    for state in model.states:
+        if state.name not in wanted or isinstance(state.x0, str):
+            states.append(state)
+            continue
+        name = f"x0_{state.name}"
+        new.append(Parameter(name, state.x0, state.unit, f"{state.meaning or state.name} at the start",
+                             per_record=per_record))
+        states.append(replace(state, x0=name, sd0=0.0, from_output=""))
+    return replace(model, states=tuple(states), parameters=model.parameters + tuple(new))
+
+
+def free_start(model: Model, records: Sequence[Record]) -> tuple[Model, dict[str, float]]:
+    """What output error estimates: the model with the start of each record free, and where to begin with it.
+
+    Without process noise a start that is taken for exact, the noise of a first sample included, is an error that the
+    whole record carries, and the dynamics bend to it. A state that starts from a measurement becomes the parameter
+    ``x0_NAME`` of each record, which begins at its first sample; one that starts from a number has that as its prior,
+    with ``sd0``; what is known exactly (``sd0`` zero) or is a parameter already stays. Returns ``x0_NAME@RECORD`` with
+    the first samples.
+    """
+    spread = {s.name: model.values[s.sd0] if isinstance(s.sd0, str) else s.sd0 for s in model.states}
+    unknown = [s for s in model.states if not isinstance(s.x0, str) and (s.from_output or spread[s.name] > 0)]
+    extended = with_initial_state(model, [s.name for s in unknown])
+    outputs, begin, given = [o.name for o in model.outputs], {}, []
+    for state in unknown:
+        name = f"x0_{state.name}"
+        if state.from_output not in outputs:
+            given.append(replace(extended.parameter(name), prior=(float(state.x0), spread[state.name])))
+            continue
+        for i, record in enumerate(records):
+            first = Preparer(model)(record).first[outputs.index(state.from_output)]
+            begin[f"{name}@{i}"] = float(first) if np.isfinite(first) else float(state.x0)
+    return extended.replace_parameters(*given), begin
+
+
+def simulate(model: Model, record: Record, values: Array | None = None, x0: Array | None = None) -> Simulation:
+    """Run the model through a record's inputs, from ``x0`` (n_states,) or the model's own initial state.
+
+    Measurements matter only to states that start from one (``from_output``).
+    """
+    values = _values(model, values)
+    data = Preparer(model)(record)
+    start = start_of(model, values, data.first, covariance=False).s if x0 is None else x0
+    y, x = _run(_kernel(model), data, values, start, 0, data.n_rows)
+    return Simulation(record.t, x, y)
+
+
+def predict_ahead(
+    model: Model, record: Record, values: Array | None, states: Array, *, seconds: float | None = None,
+    steps: int | None = None, rows: NDArray[np.int64] | None = None,
+) -> HorizonPrediction:
+    """Predict from the states at many rows, each for ``seconds`` or for a number of rows ahead.
+
+    states (n_rows, n_states): where to start, as the filtered states of ``ident.estimation.likelihood`` (one line for
+    each row of
+    the record); rows: the rows to start from, all by default. Starts whose end is beyond the record are left out.
+    """
+    if (seconds is None) == (steps is None):
+        raise ValueError("say either seconds or steps")
+    values = _values(model, values)
+    data, kernel = Preparer(model)(record), _kernel(model)
+    start = np.arange(record.n_rows) if rows is None else np.asarray(rows, dtype=np.int64)
+    ahead = np.inf if seconds is None else seconds - 1e-6  # a microsecond is no delay
+    end = start + int(steps or 0) if seconds is None else np.searchsorted(record.t, record.t[start] + ahead)
+    start, end = start[end < record.n_rows], end[end < record.n_rows]
+    y, x = np.empty((start.size, len(model.outputs))), np.empty((start.size, len(model.states)))
+    for k, (first, last) in enumerate(zip(start.tolist(), end.tolist(), strict=True)):
+        outputs, along = _run(kernel, data, values, states[first], first, last + 1)
+        y[k], x[k] = outputs[-1], along[-1]
+    return HorizonPrediction(start.astype(np.int64), end.astype(np.int64), y, x)
+
+
+def _run(kernel: Kernel, data: Prepared, values: Array, x0: Array, start: int, stop: int) -> tuple[Array, Array]:
+    """Outputs and states at the rows from start up to stop."""
+    given = {n: data.rows[n][start:stop] for n in ("u", "u_next", "h")}
+    done = kernel(stop - start, None, given | {"p": values, "s": np.array(x0, dtype=np.float64)})
+    return done["z"], done["x"]
+
+
+def _kernel(model: Model) -> Kernel:
+    return programs_for(model, covariance=False).simulate
+
+
+def _values(model: Model, values: Array | None) -> Array:
+    given = [p.value for p in model.parameters] if values is None else values
+    return np.ascontiguousarray(given, dtype=np.float64)

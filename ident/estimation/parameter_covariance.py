@@ -1,0 +1,136 @@
+"""What the errors of the estimated parameters add to a prediction from the inputs alone.
+
+The covariance of the estimate is split into its principal directions, of one standard deviation each; the prediction is
+made with the parameters moved either way along each of them, and half the differences are the columns of ``J L``:
+
+    var y = H P H' + R + sum_k (y(theta + l_k) - y(theta - l_k))^2 / 4,   L L' = cov theta
+
+the delta method by central differences over a standard deviation, which also sees how far the model bends within it
+(as the points of an unscented transform do: Julier and Uhlmann 1997). Parameters move in the estimator's coordinates
+(logarithms of positive ones) and stay within their bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ident.data import Record
+from ident.estimation.likelihood import Likelihood
+from ident.estimation.maximum_likelihood import Fit
+from ident.estimation.output_error import simulate
+from ident.estimation.restricted_likelihood import noise_names
+from ident.model import Model
+from ident.numerics import Array
+
+SMALL = 1e-12  # of the largest scaled eigenvalue: no direction of its own
+NUISANCE_EFFECTS = ("disturbance", "sensor-bias")
+STEP = 0.05  # standard deviations of the parameters, for differences
+
+
+@dataclass(frozen=True)
+class ParameterUncertainty:
+    """``columns`` (n,): places among ``model.parameters``; ``root`` (n, k): directions of one standard deviation, in
+    the estimator's coordinates."""
+
+    columns: tuple[int, ...]
+    root: Array
+
+    def around(self, model: Model, values: Array) -> Iterator[tuple[Array, Array]]:
+        """For each direction the values (n_parameters,) moved either way along it."""
+        for step in self.root.T:
+            yield self._moved(model, values, step), self._moved(model, values, -step)
+
+    def _moved(self, model: Model, values: Array, step: Array) -> Array:
+        out = values.copy()
+        for i, d in zip(self.columns, step.tolist(), strict=True):
+            p = model.parameters[i]
+            out[i] = np.clip(p.from_free(p.to_free(float(values[i])) + d), *p.bounds)
+        return out
+
+
+def parameter_uncertainty(fit: Fit, record: int | None = None) -> ParameterUncertainty:
+    """Of a fit's parameters but for noise, which no prediction of the mean depends on.
+
+    record: with what that record has for itself; None: for a record that the fit has not seen, whose own parameters are
+    known by other means. Parameters without a standard error (at a bound, not informed) are left out.
+    """
+    noise, parameters = noise_names(fit.model), list(fit.model.parameters)
+    wanted = {p.name: p.name for p in parameters if not p.per_record and p.name not in noise}
+    if record is not None:
+        wanted |= {f"{p.name}@{record}": p.name for p in parameters if p.per_record}
+    at = [i for i, n in enumerate(fit.names) if n in wanted and np.isfinite(fit.errors[i])]
+    names = [p.name for p in parameters]
+    columns = tuple(names.index(wanted[fit.names[i]]) for i in at)
+    slopes = np.array([parameters[c].slope(float(fit.values[i])) for c, i in zip(columns, at, strict=True)])
+    P = fit.covariance[np.ix_(at, at)] / np.outer(slopes, slopes)
+    scale = np.sqrt(np.diag(P))
+    w, V = np.linalg.eigh(P / np.outer(scale, scale))
+    kept = w > SMALL * w.max(initial=0.0)
+    return ParameterUncertainty(columns, scale[:, None] * V[:, kept] * np.sqrt(w[kept]))
+
+
+def prediction_variance(
+    doubt: ParameterUncertainty, model: Model, record: Record, values: Array, known: int, likelihood: Likelihood
+) -> Array:
+    """Variance (n_rows, n_outputs) that the doubt adds to predictions from the inputs after the first ``known`` rows,
+    of which the filter has the measurements; before that nothing is added, since those hold the prediction."""
+    head, tail = _rows(record, slice(0, known)), _rows(record, slice(known - 1, None))
+
+    def outputs(v: Array) -> Array:
+        return simulate(model, tail, v, likelihood.filter(head, v).x_filt[-1]).y[1:]
+
+    total = np.zeros((record.n_rows, len(model.outputs)))
+    for plus, minus in doubt.around(model, values):
+        total[known:] += ((outputs(plus) - outputs(minus)) / 2) ** 2
+    return total
+
+
+def _rows(record: Record, rows: slice) -> Record:
+    return Record(record.name, record.t[rows], record.u[rows], record.u_next[rows], record.y[rows], record.inputs,
+                  record.outputs)
+
+
+def dynamic_parameters(model: Model) -> list[str]:
+    """Free parameters that all records share, without those of noise and of unexplained forces."""
+    noise = {s.noise for s in model.states} | {s.sd0 for s in model.states} | {o.noise for o in model.outputs}
+    beside = {p.name for e in model.effects if e.name in NUISANCE_EFFECTS for p in e.parameters}
+    return [p.name for p in model.parameters if p.free and not p.per_record and p.name not in noise | beside]
+
+
+@dataclass(frozen=True)
+class ParameterCovariance:
+    """What is known of the parameters: names (n,) and their covariance (n, n), in own units."""
+
+    names: tuple[str, ...] = ()
+    covariance: Array | None = None
+
+    @classmethod
+    def of(cls, errors: Mapping[str, float], names: Sequence[str], correlation: Array) -> ParameterCovariance:
+        """From standard errors by name and the correlation of ``names``; those without an error are left out."""
+        good = [i for i, n in enumerate(names) if np.isfinite(errors.get(n, np.nan)) and errors[n] > 0]
+        sd = np.array([errors[names[i]] for i in good])
+        return cls(tuple(names[i] for i in good), correlation[np.ix_(good, good)] * np.outer(sd, sd))
+
+
+def principal_directions(model: Model, values: Array, known: ParameterCovariance | None) -> list[Array]:
+    """Parameters moved by ``STEP`` along each principal direction of their covariance, in the estimator's coordinates;
+    noise parameters, which move the estimate by next to nothing, are left alone."""
+    if known is None or known.covariance is None:
+        return []
+    noise = {o.noise for o in model.outputs} | {s.noise for s in model.states if isinstance(s.noise, str)}
+    keep = [i for i, n in enumerate(known.names) if n in model.values and n not in noise]
+    if not keep:
+        return []
+    parameters = [model.parameter(known.names[i]) for i in keep]
+    slopes = np.array([p.slope(p.value) for p in parameters])
+    w, V = np.linalg.eigh(known.covariance[np.ix_(keep, keep)] / np.outer(slopes, slopes))
+    names, moved = [p.name for p in model.parameters], []
+    for size, direction in zip(np.sqrt(np.maximum(w, 0.0)), V.T, strict=True):
+        point = values.copy()
+        for p, d in zip(parameters, direction, strict=True):
+            point[names.index(p.name)] = p.from_free(p.to_free(p.value) + STEP * size * d)
+        moved.append(point)
+    return moved

@@ -1,0 +1,108 @@
+"""What is known of a boat before its fit: by the rig file, by the bench, and by what was typed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from daq.errors import SeatrialError
+from ident.effects import catalogue
+from ident.estimation.model_file import load_model
+from ident.model import Effect, Model, Parameter
+from ident.models import CURRENT_WALK, SIDES, antenna_of, current_walk, scale_priors, size_of
+
+GNSS = {"x", "y", "vx", "vy"}
+
+
+def apply_rig_geometry(model: Model, rig: Any) -> tuple[Model, list[str]]:
+    """The model with what the rig file says of the boat, and a line for each thing that it cannot take into account."""
+    if rig is None:
+        return model, []
+    model = model.with_values({n: v for n, v in rig.vehicle.items() if n in model.values})
+    levers = {f"y_{t.name}": t.position_m[1] for t in rig.thrusters if t.name in SIDES}
+    known = [model.parameter(n).at(v).fixed() for n, v in levers.items() if n in model.values]
+    return _with_antenna(model.replace_parameters(*known), rig)
+
+
+def _with_antenna(model: Model, rig: Any) -> tuple[Model, list[str]]:
+    felt = slice(2 if "hull" in model.provides else 3)  # a level boat does not feel the height
+    arms = [d.lever_arm_m for d in rig.devices if d.lever_arm_m is not None and any(d.lever_arm_m[felt])]
+    seen = sorted(GNSS & {o.name for o in model.outputs})
+    if not arms or not seen:
+        return model, []
+    where = ", ".join(f"{a:g} m {way}" for a, way in zip(arms[0], ("ahead", "to starboard", "down"), strict=True))
+    part = antenna_of(model, arms[0])
+    if not model.accepts(part):
+        return model, [f"the rig's antenna ({where}) is not in model {model.name}, which takes "
+                       f"{', '.join(seen)} as that of the origin"]
+    first = f"the rig places {len(arms)} antennas; model {model.name} takes the first of them ({where}) for all GNSS"
+    return model + part, [first] if len(set(arms)) > 1 else []
+
+
+def with_effects(model: Model, names: Sequence[str]) -> Model:
+    """The model with effects by name, their parameters free; one that has another form for this model takes that.
+
+    They start a felt step from doing nothing, where the likelihood of some has no slope.
+    """
+    for name in names:
+        effect = scale_priors(_effect_for(model, name), size_of(model))
+        model = model + replace(effect, parameters=tuple(_begun(p) for p in effect.parameters))
+    return model
+
+
+def _begun(p: Parameter) -> Parameter:
+    return p.at(min(p.step, p.bounds[1])) if p.free and p.value == 0.0 else p
+
+
+def _effect_for(model: Model, name: str) -> Effect:
+    known = catalogue() | {CURRENT_WALK: current_walk()}
+    possible = {e.name: e for e in known.values() if model.accepts(e)}
+    can = ", ".join(possible) or "none"
+    if name not in known:
+        raise SeatrialError(f"--effect {name}: model {model.name} knows no such effect; it can have {can}")
+    size = known[name].parameters[0].name  # which another form of the effect has too
+    if size in model.values:
+        raise SeatrialError(f"--effect {name}: model {model.name} has it already")
+    fitting = [e for e in possible.values() if name == e.name or size == e.parameters[0].name]
+    if not fitting:
+        raise SeatrialError(f"--effect {name}: model {model.name} cannot take it into account; it can have {can}")
+    return fitting[0]
+
+
+def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, float]) -> Model:
+    """Parameters that are known, and fixed: from the bench, from the command line."""
+    known: dict[str, Parameter] = {}
+    if thruster is not None:
+        bench = load_model(thruster).model
+        for name in ("c1", "c2"):
+            if name in model.values:
+                known[name] = model.parameter(name).at(bench.parameter(name).value).fixed()
+    for name, value in given.items():
+        if name not in model.values:
+            raise SeatrialError(
+                f"--fix {name}: model {model.name} has no such parameter; it has {', '.join(model.values)}"
+            )
+        known[name] = model.parameter(name).at(value).fixed()
+    return model.replace_parameters(*known.values())
+
+
+def set_priors(model: Model, prior: Mapping[str, tuple[float, float]]) -> Model:
+    """The model with means and standard deviations that are known before; the estimate starts from the means."""
+    given = []
+    for name, (mean, sd) in prior.items():
+        if name not in model.values:
+            raise SeatrialError(f"--prior {name}: model {model.name} has {', '.join(model.values)}")
+        try:
+            given.append(replace(model.parameter(name), value=mean, prior=(mean, sd), free=True))
+        except ValueError as problem:
+            raise SeatrialError(f"--prior {name}={mean:g}:{sd:g}: {problem}") from problem
+    return model.replace_parameters(*given)
+
+
+def set_initial_values(model: Model, begin: Mapping[str, float]) -> Model:
+    unknown = set(begin) - set(model.values)
+    if unknown:
+        raise SeatrialError(f"--initial {sorted(unknown)[0]}: model {model.name} has {', '.join(model.values)}")
+    return model.with_values(begin)

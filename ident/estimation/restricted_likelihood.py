@@ -1,0 +1,121 @@
+"""Noise without what the dynamics took of it: restricted likelihood.
+
+Maximum likelihood divides the squares of the innovations by their number, not by what is left of it when the dynamics
+have been fitted to them, so that noise comes out too small: with a mass and two dampings from five minutes of one
+position, by a third of its standard error. Integrated over the dynamics (Laplace's approximation), the likelihood is
+
+    ln L_R(phi) = max over theta of ln L(theta, phi) - 1/2 ln det I_theta,theta(phi)
+
+with the information of the dynamics theta at each noise phi (Cox and Reid 1987, whose orthogonality holds here: noise
+does not move what is predicted; for linear models it is the REML of Patterson and Thompson 1971). The determinant
+changes slowly: from the maximum of ln L it takes one Newton step, whose gradient by phi is taken by differences.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ident.estimation.fisher_scoring import Evaluation, Optimum, solve_step
+from ident.estimation.objective import Problem
+from ident.estimation.standard_errors import DROP
+from ident.model import Model
+from ident.numerics import Array
+
+STEP = 0.05  # of a logarithm, for the differences; the determinant is nearly linear in it
+KNOWN = 1.0  # information on a logarithm below which not even its order of magnitude is known
+N_POINTS = 5  # at which a model is tried
+SHARE = 1e-9  # of a scaled eigenvalue: less is no information
+
+
+def noise_names(model: Model) -> frozenset[str]:
+    """Parameters of the noise alone: its standard deviations and diffusions, and what else no prediction of the mean
+    depends on, such as the memory of a disturbance that is nought on average."""
+    known = model.noises
+    try:
+        return known | _unfelt(model, known)
+    except (TypeError, ValueError):  # a model of one's own that takes symbols but no columns
+        return known
+
+
+def _unfelt(model: Model, known: frozenset[str]) -> frozenset[str]:
+    """Parameters that no rate and no output depends on while the disturbances are nought, which are those states that
+    stay nought by themselves."""
+    rng = np.random.default_rng(0)
+    x = rng.uniform(0.3, 1.0, (len(model.states), N_POINTS))
+    u = rng.uniform(-1.0, 1.0, (len(model.inputs), N_POINTS))
+    u[:, 0] *= 0.002  # within a dead zone, too
+
+    def found(values: dict[str, float]) -> Array:
+        s = model.signals(list(x), list(u), list(values.values()))
+        columns = [s.rate[v.name] for v in model.states] + [s.y[o.name] for o in model.outputs]
+        return np.array([np.broadcast_to(np.asarray(c, dtype=np.float64), N_POINTS) for c in columns])
+
+    quiet = [i for i, v in enumerate(model.states) if v.noise != 0.0]
+    while quiet:
+        x[quiet] = 0.0
+        rates = found(model.values)
+        moving = [i for i in quiet if rates[i].any()]
+        if not moving:
+            break
+        x[moving] = rng.uniform(0.3, 1.0, (len(moving), N_POINTS))
+        quiet = [i for i in quiet if i not in moving]
+    base, starts = found(model.values), {v.x0 for v in model.states}
+    return frozenset(n for n, v in model.values.items() if n not in known and n not in starts
+                     and np.array_equal(found({**model.values, n: 1.01 * v + 0.001}), base))
+
+
+def apply_reml(problem: Problem, top: Optimum) -> Optimum:
+    """From the maximum of the likelihood to that of the restricted one: other noise, and dynamics that go with it.
+
+    Noise that is not estimated by its logarithm, that stands at a bound or that the data do not inform stays as it is.
+    ``at`` of what is returned has the gradient of the restricted likelihood, but the value of the likelihood at its
+    maximum. Where there is no noise to be estimated, or the step leads nowhere (``_errors``), ``top`` is returned.
+    """
+    names = noise_names(problem.model)
+    inside = (top.z > problem.bounds.low) & (top.z < problem.bounds.high) & (np.diag(top.at.information) > 0)
+    is_noise = np.array([p.name in names for p in problem.parameters])
+    told = problem.bounds.logarithmic & (np.diag(top.at.information) > KNOWN)
+    noise = np.flatnonzero(is_noise & inside & told)
+    dynamics = np.flatnonzero(~is_noise & inside)
+    if not noise.size or not dynamics.size:
+        return top
+    base = _log_det(problem, top.z, dynamics)
+    slope = np.zeros(top.z.size)
+    for k in noise.tolist():
+        moved = top.z.copy()
+        moved[k] += STEP
+        slope[k] = -0.5 * (_log_det(problem, moved, dynamics) - base) / STEP
+    if not np.isfinite(slope).all():
+        return top
+    pushed = replace(top.at, gradient=top.at.gradient + slope)
+    step = solve_step(pushed, pushed.hessian, top.z, problem.bounds, 0.0)
+    if (np.abs(step) > _errors(top.at.hessian)).any():
+        return top
+    z = problem.bounds.clip(top.z + step)
+    at = problem.evaluate(z)
+    if not at.finite or at.value < top.at.value - DROP:
+        return top
+    there = Evaluation(top.at.value, at.gradient + slope, at.information, at.curvature)
+    return Optimum(z, there, top.iterations, top.evaluations + noise.size + 2, top.gain_left)
+
+
+def _errors(H: Array) -> Array:
+    """Standard errors (n,), of what the data see. One step leads to a maximum that lies well within them; where it is
+    longer, a combination is hardly seen, and the step is no Newton step but leads anywhere."""
+    scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    w, V = np.linalg.eigh(H / np.outer(scale, scale))
+    seen = w > SHARE
+    return np.asarray(np.sqrt((V[:, seen] ** 2 / w[seen]).sum(axis=1)) / scale)
+
+
+def _log_det(problem: Problem, z: Array, which: NDArray[np.intp]) -> float:
+    """Of the information of the coordinates ``which``, without combinations that the data do not see."""
+    part = problem.information(z, which)
+    scale = np.sqrt(np.maximum(np.diag(part), 1e-300))
+    if not np.isfinite(part).all():
+        return float("nan")
+    w = np.linalg.eigvalsh(part / np.outer(scale, scale))
+    return float(np.log(np.maximum(w, SHARE)).sum() + 2.0 * np.log(scale).sum())

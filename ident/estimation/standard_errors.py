@@ -1,0 +1,272 @@
+"""Standard errors from the information at an estimate, and what must not be given one.
+
+How well a parameter is known whose likelihood is flat where it stands, but falls a little further off.
+Standard errors that stay valid when residuals are coloured: from what each row has a part in, by blocks of rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ident.estimation.fisher_scoring import Bounds, Evaluation
+from ident.model import Parameter
+from ident.numerics import Array, integrated_autocorrelation_time
+
+BLIND = 1e-10  # eigenvalue of the scaled information below which a combination is not identified
+NAMED = 0.1  # weight with which a parameter is part of that combination
+Z95, DROP = 1.959964, 1.9207294  # quantile of a normal, and half of chi2(1), at 95 %
+FACTOR = 5.0  # standard error of a logarithm beyond which nothing is known: a factor 150
+LEAN = 1.5  # times that its error would be larger
+AT_BOUND, VAGUE = "at its bound", "the data do not tell its order of magnitude"  # flags of a parameter that ended low
+TRIED = 10.0 ** np.arange(-2.0, 5.0)  # times a step of the parameter that is small but felt
+N_HALVINGS = 12
+Fallen = Callable[[float], bool | None]
+MOST, FEWEST = 40, 12  # blocks of all records
+LONG = 9.0  # times the memory: blocks that miss a twentieth of the variance, which is given back
+TOO_LONG = "its residuals remember too long for an error that allows for it"
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """In own units, except of the coordinates: ``P`` (n, n), their covariance with those at a bound held there, NaN
+    where nothing is known; ``spread`` (n, n), what these add to it (``_beside_bounds``); ``limits`` (n,): of a
+    coordinate at its bound, the far end of its 95 % interval, NaN for all others."""
+
+    errors: Array
+    covariance: Array
+    correlation: Array
+    prior_weight: Array
+    gradient_norm: float
+    flags: tuple[tuple[str, str], ...]
+    P: Array
+    spread: Array
+    limits: Array
+
+
+def assess(at: Evaluation, z: Array, bounds: Bounds, names: Sequence[str], slopes: Array, prior: Array
+           ) -> Uncertainty:
+    """From the information with the priors'; ``prior`` (n,) is the latter's diagonal.
+
+    gradient_norm: the length of the gradient in standard errors, zero at the optimum.
+    """
+    n = z.size
+    at_bound = (z <= bounds.low) | (z >= bounds.high)
+    flags = [(names[i], AT_BOUND) for i in np.flatnonzero(at_bound).tolist()]
+    P = np.full((n, n), np.nan)
+    inside: list[int] = np.flatnonzero(~at_bound).tolist()
+    labels = [f"ln {names[i]}" if bounds.logarithmic[i] else names[i] for i in inside]
+    blind, said = _blind(at.information[np.ix_(inside, inside)], [names[i] for i in inside], labels)
+    flags += said
+    good = [i for i, lost in zip(inside, blind, strict=True) if not lost]
+    P[np.ix_(good, good)] = _inverse(at.information[np.ix_(good, good)])
+    vague = [i for i in good if bounds.logarithmic[i] and P[i, i] > FACTOR**2]
+    for i in vague:
+        flags.append((names[i], VAGUE))
+    P[vague, :] = P[:, vague] = np.nan
+    spread, limits, leaning = _beside_bounds(at, z, bounds, P, names)
+    flags += leaning
+    variance = np.diag(P + spread)
+    covariance = (P + spread) * np.outer(slopes, slopes)
+    root = np.sqrt(variance)
+    known = np.isfinite(variance)
+    norm = float(np.sqrt(max(at.gradient[known] @ P[np.ix_(known, known)] @ at.gradient[known], 0.0)))
+    weight = np.where(known, prior * np.where(known, variance, 0.0), 0.0)
+    for i in np.flatnonzero(weight > 0.9).tolist():
+        flags.append((names[i], f"{100 * weight[i]:.0f} % of what is known of it is its prior"))
+    correlation = (P + spread) / np.outer(root, root)
+    return Uncertainty(np.abs(slopes) * root, covariance, correlation, np.minimum(weight, 1.0), norm, tuple(flags), P,
+                       spread, limits)
+
+
+def _beside_bounds(
+    at: Evaluation, z: Array, bounds: Bounds, P: Array, names: Sequence[str]
+) -> tuple[Array, Array, list[tuple[str, str]]]:
+    """What a parameter at its bound adds to its neighbours' covariance, the far end of its own interval, and flags.
+
+    To take the bound for granted makes the neighbours' intervals too short (a quadratic damping at zero: 89 % of those
+    of the linear one held); to leave it out, as if it could be crossed, makes them too long. The profile likelihood of
+    a parameter b that the data push against its bound with the gradient g, of curvature c, drops by
+
+        g d + c d^2 / 2     at the distance d from it,     so that d95 = 2 * 1.92 / (g + sqrt(g^2 + 2 * 1.92 c))
+
+    is the end of its 95 % interval (Pawitan 2001, section 2.6; one-sided: Self and Liang 1987). Over d95 the others
+    follow by ``f d95``, ``f = -I_oo^-1 I_ob``, and their 95 % intervals have to reach as far: the covariance is widened
+    by ``f f' (d95 / 1.96)^2``, nothing if the bound is pushed against hard, and all that a free b would add if hardly.
+    """
+    n = z.size
+    spread, limits = np.zeros((n, n)), np.full(n, np.nan)
+    good = np.flatnonzero(np.isfinite(np.diag(P)))
+    flags: dict[str, str] = {}
+    for b in np.flatnonzero(((z <= bounds.low) | (z >= bounds.high)) & (np.diag(at.information) > 0)).tolist():
+        inward, room = (1.0, bounds.high[b] - z[b]) if z[b] <= bounds.low[b] else (-1.0, z[b] - bounds.low[b])
+        follow = -P[np.ix_(good, good)] @ at.information[good, b]
+        curvature = max(at.information[b, b] + at.information[b, good] @ follow, BLIND * at.information[b, b])
+        push = max(-inward * at.gradient[b], 0.0)
+        reach = min(2 * DROP / (push + np.sqrt(push**2 + 2 * DROP * curvature)), room)
+        limits[b] = z[b] + inward * reach
+        added = np.outer(follow, follow) * (reach / Z95) ** 2
+        spread[np.ix_(good, good)] += added
+        wider = np.sqrt(1.0 + np.diag(added) / np.diag(P)[good])
+        for k in np.flatnonzero(wider > LEAN).tolist():
+            flags[names[good[k]]] = f"its error allows for {names[b]} off its bound: {wider[k]:.1f} times that at it"
+    return spread, limits, list(flags.items())
+
+
+def _blind(
+    information: Array, names: Sequence[str], labels: Sequence[str]
+) -> tuple[NDArray[np.bool_], list[tuple[str, str]]]:
+    """Parameters that take part in a combination the data do not see, and each such combination."""
+    blind = np.diag(information) <= 0
+    flags = [(names[i], "the data do not depend on it") for i in np.flatnonzero(blind).tolist()]
+    seen: list[int] = np.flatnonzero(~blind).tolist()
+    if not seen:
+        return blind, flags
+    scale = np.sqrt(np.diag(information)[seen])
+    w, V = np.linalg.eigh(information[np.ix_(seen, seen)] / np.outer(scale, scale))
+    for direction in _apart(V[:, w < BLIND]):
+        part = direction / scale  # in the coordinates themselves
+        part = part / part[np.argmax(np.abs(part))]
+        members: list[int] = np.flatnonzero(np.abs(direction) > NAMED).tolist()
+        blind[[seen[m] for m in members]] = True
+        terms = " ".join(f"{part[m]:+.2g} {labels[seen[m]]}" for m in members)
+        flags += [(names[seen[m]], f"not identified: the data do not see a change of {terms}") for m in members]
+    return blind, flags
+
+
+def _apart(V: Array) -> Array:
+    """A basis (n_null, n) of what the columns of V (n, n_null) span, each of unit length and of few parameters:
+    eigenvectors of equal eigenvalues are any mixture. By Gauss and Jordan, the largest pivot first."""
+    rows = V.T.copy()
+    for i in range(len(rows)):
+        row, pivot = divmod(int(np.argmax(np.abs(rows[i:]))), V.shape[0])
+        rows[[i, i + row]] = rows[[i + row, i]]
+        rows[i] /= rows[i, pivot]
+        others = np.arange(len(rows)) != i
+        rows[others] -= np.outer(rows[others, pivot], rows[i])
+    return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
+
+
+def _inverse(information: Array) -> Array:
+    if not information.size:
+        return information
+    scale = np.sqrt(np.diag(information))
+    return np.asarray(np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale))
+
+
+@dataclass(frozen=True)
+class LikelihoodInterval:
+    """Coordinate ``at`` can be moved to ``low`` and to ``high`` until the log-likelihood has fallen by 1.92."""
+
+    at: int
+    low: float
+    high: float
+
+    @property
+    def remark(self) -> str:
+        """For a flag."""
+        return (f"flat here: the likelihood falls at {self.low:.4g} and at {self.high:.4g}, and its error is by that, "
+                "all else held")
+
+    @property
+    def information(self) -> float:
+        """Of a normal with this as its 95 % interval."""
+        return float((2.0 * Z95 / (self.high - self.low)) ** 2)
+
+
+def flat_coordinates(value: Callable[[Array], float], z: Array, parameters: Sequence[Parameter], information: Array,
+             bounds: Bounds) -> list[LikelihoodInterval]:
+    """Coordinates inside their bounds whose error by the ``information`` (n, n) alone is beyond their felt step, though
+    the log-likelihood ``value`` falls within half of it. Logarithms have none: what they stand for is smooth."""
+    found = []
+    for i, p in enumerate(parameters):
+        error = 1.0 / np.sqrt(information[i, i]) if information[i, i] > 0.0 else np.inf
+        step = p.step or 0.01 * abs(p.value) or 1.0
+        if bounds.logarithmic[i] or not bounds.low[i] < z[i] < bounds.high[i] or error < step:
+            continue
+        tried, fallen = np.unique(np.minimum(step * TRIED, Z95 * error)), _fallen(value, z, i)
+        sides = [_bracket(fallen, np.clip(z[i] + sign * tried, bounds.low[i], bounds.high[i]), float(z[i]))
+                 for sign in (-1.0, 1.0)]
+        if not any(np.isfinite(outer) for _, outer in sides) or sides[1][0] - sides[0][0] > Z95 * error:
+            continue
+        low, high = (_narrowed(fallen, *side) for side in sides)
+        low, high = max(low, bounds.low[i]), min(high, bounds.high[i])
+        if high - low < Z95 * error:
+            found.append(LikelihoodInterval(i, float(low), float(high)))
+    return found
+
+
+def _fallen(value: Callable[[Array], float], z: Array, i: int) -> Fallen:
+    """Whether the likelihood has fallen where coordinate i has another value; None where it is no number."""
+    top = value(z)
+
+    def fallen(x: float) -> bool | None:
+        moved = z.copy()
+        moved[i] = x
+        there = value(moved)
+        return bool(there < top - DROP) if np.isfinite(there) else None
+
+    return fallen
+
+
+def _bracket(fallen: Fallen, tried: Array, z: float) -> tuple[float, float]:
+    """The last of the tried that has not fallen and the first that has; infinite where none has."""
+    inner = z
+    for outer in tried.tolist():
+        if fallen(outer) is not False:
+            return inner, outer
+        inner = outer
+    return inner, float(np.copysign(np.inf, tried[-1] - z))
+
+
+def _narrowed(fallen: Fallen, inner: float, outer: float) -> float:
+    """Where in between it falls; infinite where it ends before it has fallen."""
+    if not np.isfinite(outer):
+        return outer
+    side = outer - inner
+    for _ in range(N_HALVINGS):
+        middle = 0.5 * (inner + outer)
+        inner, outer = (inner, middle) if fallen(middle) is not False else (middle, outer)
+    return outer if fallen(outer) else float(np.copysign(np.inf, side))
+
+
+def with_interval_information(at: Evaluation, found: Sequence[LikelihoodInterval]) -> Evaluation:
+    """With the plateaus' information, and nothing of what else there was of these coordinates."""
+    information = at.information.copy()
+    for p in found:
+        information[p.at, :] = information[:, p.at] = 0.0
+        information[p.at, p.at] = p.information
+    return replace(at, information=information)
+
+
+def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes: Array) -> Array:
+    """Standard errors in own units (n,); NaN where there is none, or where the residuals remember too long.
+
+    rows: for each record its coordinates, and what each row adds to their gradient (n_rows, n_places). What parameters
+    at their bounds add to the errors is added to these, too.
+    """
+    P = np.nan_to_num(known.P)
+    parts = [by_row @ P[places] for places, by_row in rows]  # (n_rows, n): what each row moves the estimate by
+    variance = np.array([_variance([part[:, i] for part in parts], len(P)) for i in range(len(P))])
+    return np.where(np.isfinite(known.errors), np.abs(slopes) * np.sqrt(variance + np.diag(known.spread)), np.nan)
+
+
+def _variance(parts: Sequence[Array], n_parameters: int) -> float:
+    """Of the sum of all rows of all records; what as many parameters have taken of it is given back."""
+    n = sum(part.size for part in parts)
+    remembered = integrated_autocorrelation_time(parts)
+    length = max(LONG * remembered, n / max(MOST, 4 * n_parameters))
+    counts = [max(int(part.size / length), 1) for part in parts]
+    n_blocks = sum(counts)
+    if n_blocks < FEWEST:
+        return np.nan
+    total = 0.0
+    for part, count in zip(parts, counts, strict=True):
+        starts = np.linspace(0, part.size, count, endpoint=False).astype(int)
+        total += float(np.sum(np.add.reduceat(part, starts) ** 2))
+    missed = 0.5 * (remembered - 1.0) / length  # by blocks that cut an exponential memory
+    taken = min(n_parameters, n_blocks // 2)  # as if each had fitted a block: a little too careful
+    return total * n_blocks / (n_blocks - taken) / (1.0 - missed)

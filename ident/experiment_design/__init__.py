@@ -1,0 +1,5 @@
+"""Optimal experiment design: Fisher information, criteria, input design, discrimination between models."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,182 @@
+"""The experiment that tells two candidates apart (T-optimality: Atkinson and Fedorov 1975; Uciński 2005).
+
+Two models of the same sensors, say the boat with a delay and the boat with a lag, both fitted to what is there. If one
+is true, the other is fitted to its data and explains as much as its parameters can. With e the innovations of the wrong
+model's filter on the true model's data, de their sensitivities and S their covariance,
+
+    T = min over theta of sum e' S^-1 e = sum e' S^-1 e - g' F^-1 g,   g = sum de' S^-1 e,   F = sum de' S^-1 de + prior
+
+to first order. T is what twice the log-likelihood ratio is expected to say against the wrong one. Either may be the
+true one, so the design makes the smaller of both T as large as it can.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from daq.errors import SeatrialError
+from ident.estimation import dynamic_parameters
+from ident.experiment_design.excitation import ThrusterResponse
+from ident.experiment_design.information import (
+    following,
+    in_lanes,
+    parallel,
+    prior_information,
+    sensor_mask,
+    square,
+    start_in_lanes,
+    with_covariance,
+)
+from ident.experiment_design.optimal_design import search
+from ident.experiment_design.task import DesignProblem
+from ident.model import Model
+from ident.numerics import Array, SearchResult
+
+CHUNK = 2  # groups of lanes in a call; inputs' own past makes them large
+REFITS = 6  # Gauss-Newton steps of the answer
+CLEAR = 30.0  # T from which a fit names the right one with hardly any exception
+
+
+@dataclass(frozen=True)
+class HypothesisPair:
+    """``fitted`` explains the data of ``truth``: T as a function of commands."""
+
+    fitted: Model
+    truth: Model
+    task: DesignProblem
+
+    @cached_property
+    def free(self) -> tuple[str, ...]:
+        """What the fitted model may change: its shared dynamics and the nuisances of a record."""
+        own = [p.name for p in self.fitted.parameters if p.free and p.per_record]
+        return (*dynamic_parameters(self.fitted), *own)
+
+    @cached_property
+    def _prior(self) -> Array:
+        return prior_information([self.fitted.parameter(n) for n in self.free])
+
+    def __call__(self, command: Array, refits: int = 0) -> Array:
+        """T (n,) of commands (n_rows, n_channels, n): to first order, or after so many further Gauss-Newton steps."""
+        n = command.shape[2]
+        values = np.tile([p.value for p in self.fitted.parameters], (n, 1))
+        columns = [list(self.fitted.values).index(name) for name in self.free]
+        begin, bounds = values[:, columns].copy(), np.array([self.fitted.parameter(m).bounds for m in self.free]).T
+        u, u_true = (ThrusterResponse(m, self.task.t, self.task.steps.n_max, self.task.slew).inputs(command)
+                     for m in (self.fitted, self.truth))
+        best = np.full(n, np.inf)
+        for k in range(refits + 1):
+            ee, g, F = self._run(u, u_true, values)
+            away = values[:, columns] - begin
+            here = ee + np.einsum("ni,ij,nj->n", away, self._prior, away)
+            slope = g - away @ self._prior
+            step = _solve(F + self._prior, slope)
+            best = np.fmin(best, here)
+            if k == refits:
+                linear = here - np.einsum("ni,ni->n", slope, step)
+                return np.asarray(np.maximum(linear if refits == 0 else best, 0.0))
+            values[:, columns] = np.clip(values[:, columns] + step, *bounds)
+        raise AssertionError("unreachable")
+
+    def _run(self, u: Array, u_true: Array, values: Array) -> tuple[Array, Array, Array]:
+        """Sums ee (n,), g (n, q) and F (n, q, q) at parameters (n, n_parameters) of the fitted model."""
+        from ident.engine import contest_for  # CasADi, for this alone
+
+        kernel = contest_for(self.fitted, self.free, self.truth, covariance=self.task.process_noise).unexplained
+        width, n, t = kernel.plan.width, u.shape[2], self.task.t
+        mask = sensor_mask(self.fitted, t.size, self.task.every)
+        h = np.append(np.diff(t), 0.0)
+        truth = np.array([[p.value for p in self.truth.parameters]])
+        size = kernel.plan.sizes["low"]
+
+        def work(lanes: slice) -> tuple[Array, Array, Array]:
+            groups = -(-(lanes.stop - lanes.start) // width)
+            p = in_lanes(values[lanes].T[None], groups, width)[0]
+            p_true = in_lanes(np.repeat(truth, lanes.stop - lanes.start, axis=0).T[None], groups, width)[0]
+            s = start_in_lanes(self.fitted, p)
+            given = {"s": with_covariance(self.fitted, s, p) if self.task.process_noise else s, "p": p,
+                     "p_true": p_true, "s_true": start_in_lanes(self.truth, p_true), "h": h,
+                     "low": np.full((groups, size, width), np.inf), "high": np.full((groups, size, width), -np.inf)}
+            for name, part in (("", u), ("_true", u_true)):
+                given[f"u{name}"] = in_lanes(part[:, :, lanes], groups, width)
+                given[f"u_next{name}"] = following(given[f"u{name}"])
+            done = kernel(t.size, mask, given, groups=groups)
+            return tuple(a.transpose(0, 2, 1).reshape(groups * width, -1)[: lanes.stop - lanes.start]
+                         for a in (done["ee"], done["score"], done["fisher"]))  # type: ignore[return-value]
+
+        chunks = [slice(a, min(a + width * CHUNK, n)) for a in range(0, n, width * CHUNK)]
+        ee, g, triangle = (np.concatenate(c) for c in zip(*parallel(work, chunks, 2), strict=True))
+        return ee[:, 0], g, square(triangle, len(self.free))
+
+
+def _solve(F: Array, g: Array) -> Array:
+    """F^-1 g in each line; directions that nothing tells of are left alone."""
+    size = np.sqrt(np.maximum(np.diagonal(F, axis1=1, axis2=2), 1e-300))
+    scaled = F / (size[:, :, None] * size[:, None, :])
+    good = np.isfinite(scaled).all(axis=(1, 2)) & np.isfinite(g).all(axis=1)
+    scaled[~good] = np.eye(F.shape[1])
+    x = np.linalg.solve(scaled + 1e-11 * np.eye(F.shape[1]), (np.where(good[:, None], g, 0.0) / size)[:, :, None])
+    return np.asarray(x[:, :, 0] / size)
+
+
+@dataclass(frozen=True)
+class DiscriminationDesign:
+    """The experiment: levels (n_steps, n_channels), durations (n_steps,) s, command (n_rows, n_channels).
+
+    apart: T if b is true and a is fitted, and the reverse, refitted.
+    """
+
+    task: DesignProblem
+    levels: Array
+    durations: Array
+    apart: tuple[float, float]
+    found: SearchResult = field(repr=False)
+
+    @property
+    def command(self) -> Array:
+        return self.task.actuation.limited(self.levels[:, :, None], self.durations[:, None])[:, :, 0]
+
+    @property
+    def clear(self) -> bool:
+        """Either, if true, is expected to be named."""
+        return min(self.apart) > CLEAR
+
+
+def _both(model_a: Model, model_b: Model, task: DesignProblem) -> tuple[HypothesisPair, HypothesisPair]:
+    a, b = task.observed(model_a), task.observed(model_b)
+    return HypothesisPair(a, b, task), HypothesisPair(b, a, task)
+
+
+def separation(model_a: Model, model_b: Model, task: DesignProblem, command: Array) -> tuple[float, float]:
+    """T of a command (n_rows, n_channels) if b is true and a is fitted, and the reverse."""
+    first, second = (float(r(command[:, :, None], REFITS)[0]) for r in _both(model_a, model_b, task))
+    return first, second
+
+
+def discriminate(model_a: Model, model_b: Model, task: DesignProblem, *, evaluations: int = 4000,
+                 progress: Callable[[int, float], None] | None = None) -> DiscriminationDesign:
+    """The step sequence within ``task``'s frame and limits that tells two models apart.
+
+    Both have the values that they were fitted to, their effects' among them: with neither effect there, nothing is to
+    be told apart. ``task.model`` judges the limits. Raises SeatrialError where the models cannot be compared.
+    """
+    for one, other in ((model_a, model_b), (model_b, model_a)):
+        if [s.name for s in one.sensors] != [s.name for s in other.sensors]:
+            raise SeatrialError(f"models {one.name} and {other.name} have different sensors: they cannot be compared")
+    rivalries = _both(model_a, model_b, task)
+
+    def judge(z: Array) -> tuple[Array, Array]:
+        command = task.commands(z)
+        parts: Sequence[Array] = [np.minimum(*(r(command[:, :, k:k + 32]) for r in rivalries))
+                                  for k in range(0, command.shape[2], 32)]
+        return np.log(np.maximum(np.concatenate(parts), 1e-12)), task.broken(command)
+
+    found = search(task.steps, judge, evaluations, task.seed, None, progress, n_start=128)
+    if found.violation > 0:
+        raise SeatrialError("no sequence that keeps to the limits was found; give more room or time")
+    levels, durations = (a[..., 0] for a in task.steps.unpack(found.z[None]))
+    made = DiscriminationDesign(task, levels, durations, (0.0, 0.0), found)
+    return replace(made, apart=separation(model_a, model_b, task, made.command))

@@ -1,0 +1,204 @@
+"""Commands over time and what the model sees of them: step sequences, PRBS, random Gaussian sequences.
+
+A command is -1..1 for each channel (thruster). On its way to the model it passes the mission's slew limit and the
+shaft's first-order lag (thesis section 4.2, ``n' = a (n_ref - n)``). Arrays are (n_rows, n_channels, n): time first,
+experiments last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import signal
+
+from daq.errors import SeatrialError
+from ident.data import HISTORY_STEP, TIME_INPUT, WORK_INPUT, WORK_UNIT
+from ident.model import Model
+from ident.numerics import Array
+
+SIDES = ("left", "right")
+SHAFT_POLE = 2.794  # 1/s, thesis Table 2
+THRUST = {"c1": 40.05, "c2": 1.11}  # N, thesis Table 2
+ARM = 0.15  # m, thesis section 4
+ALIKE, AGAINST = (("X",), ("n",)), (("N",),)  # inputs of models that have but one
+
+
+@dataclass(frozen=True)
+class ThrusterResponse:
+    """From commands to a model's inputs: largest command, slew limit [1/s], shaft pole [1/s], thrust curve [N]."""
+
+    model: Model
+    t: Array
+    n_max: float = 1.0
+    slew: float = np.inf
+    pole: float = SHAFT_POLE
+    curve: Mapping[str, float] = field(default_factory=lambda: THRUST)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Thrusters, or the model's own inputs where it has not the two that this knows."""
+        names = self._own
+        return SIDES if len(names) == 2 and all(n in ("X", "N") or n[2:] in SIDES for n in names) else tuple(names)
+
+    @property
+    def thrusters(self) -> tuple[str, ...]:
+        """Whom a mission commands: surge and yaw alone are made by two thrusters too."""
+        return SIDES if self.channels in (*ALIKE, *AGAINST) else self.channels
+
+    def for_thrusters(self, levels: Array) -> Array:
+        """Levels of the channels (n_rows, n_channels) as those of the thrusters."""
+        if self.channels in ALIKE:
+            return np.hstack([levels, levels])
+        return np.hstack([levels, -levels]) if self.channels in AGAINST else levels
+
+    @property
+    def _own(self) -> list[str]:
+        names = [i.name for i in self.model.inputs]
+        return [n for n in names if "~" not in n and n not in (TIME_INPUT, WORK_INPUT)]
+
+    def limited(self, levels: Array, durations: Array) -> Array:
+        """The commands (n_rows, n_channels, n) of steps: levels (n_steps, n_channels, n) held for durations
+        (n_steps, n) [s] with the slew limit on every change, from zero."""
+        ends = np.cumsum(durations, axis=0)
+        starts = ends - durations
+        n_steps, n = durations.shape
+        offset = np.arange(n) * (ends[-1].max() + 1.0)  # all sequences in one search
+        at = np.searchsorted((ends + offset).T.ravel(), (self.t[:, None] + 1e-9 + offset).ravel(), side="right")
+        index = np.minimum(at.reshape(self.t.size, n) - np.arange(n) * n_steps, n_steps - 1)
+        lane = np.arange(n)
+        wanted = levels[index, :, lane].transpose(0, 2, 1)
+        if not np.isfinite(self.slew):
+            return np.ascontiguousarray(wanted)
+        begin = np.zeros_like(levels)
+        for k in range(1, n_steps):
+            reach = self.slew * durations[k - 1]
+            begin[k] = begin[k - 1] + np.clip(levels[k - 1] - begin[k - 1], -reach, reach)
+        since = (self.t[:, None] - starts[index, lane])[:, None, :] * self.slew
+        first = begin[index, :, lane].transpose(0, 2, 1)
+        return np.asarray(first + np.clip(wanted - first, -since, since))
+
+    def shaft(self, command: Array) -> Array:
+        """Speeds behind held commands, exact at the rows; rows are equally far apart."""
+        if not np.isfinite(self.pole):
+            return command
+        keep = float(np.exp(-self.pole * (self.t[1] - self.t[0])))
+        return np.asarray(signal.lfilter([0.0, 1.0 - keep], [1.0, -keep], command, axis=0))
+
+    def inputs(self, command: Array) -> Array:
+        """The model's inputs (n_rows, n_inputs, n) under commands (n_rows, n_channels, n)."""
+        n = dict(zip(self.channels, self.shaft(command).transpose(1, 0, 2), strict=True))
+        columns = [self._column(i.name, n) for i in self.model.inputs]
+        return np.ascontiguousarray(np.stack(columns, axis=1))
+
+    def _column(self, name: str, n: Mapping[str, Array]) -> Array:
+        base, _, steps = name.partition("~")
+        if steps:
+            return self._earlier(self._column(base, n), int(steps) * HISTORY_STEP)
+        if name == TIME_INPUT:
+            return np.broadcast_to(self.t[:, None], next(iter(n.values())).shape)
+        if name == WORK_INPUT:
+            power = np.sum([np.abs(v) ** 3 for v in n.values()], axis=0)
+            return np.cumsum(power * np.append(np.diff(self.t), 0.0)[:, None], axis=0) / WORK_UNIT
+        kind, _, side = name.partition("_")
+        if kind == "n" and side in n:
+            return n[side]
+        if kind == "f" and side in n:
+            return self._force(n[side])
+        if name not in ("X", "N"):
+            return n[name]
+        first = n.get("left", n.get(name))
+        assert first is not None
+        second = n.get("right", first if name == "X" else -first)
+        left, right = self._force(first), self._force(second)
+        return left + right if name == "X" else ARM * (left - right)
+
+    def _force(self, n: Array) -> Array:
+        return np.asarray(self.curve["c1"] * n * np.abs(n) + self.curve["c2"] * n * n)
+
+    def _earlier(self, value: Array, seconds: float) -> Array:
+        """The signal some time ago; before the start: as at the start."""
+        at = np.maximum(self.t - seconds, self.t[0])
+        row = np.clip(np.searchsorted(self.t, at + 1e-9, side="right") - 1, 0, self.t.size - 2)
+        part = ((at - self.t[row]) / (self.t[row + 1] - self.t[row]))[:, None]
+        return np.asarray(value[row] * (1 - part) + value[row + 1] * part)
+
+    def energy(self, command: Array) -> Array:
+        """Mean of ``|n|^3`` over time and channels (n,): the share of full power."""
+        return np.asarray((np.abs(command) ** 3).mean(axis=(0, 1)))
+
+
+@dataclass(frozen=True)
+class Steps:
+    """The class of inputs that is searched (thesis chapter 5): ``n_steps`` steps of free levels and durations, of fixed
+    total duration. A point z (n_steps (n_channels + 1),) has the levels, then the shares of time, each in 0..1."""
+
+    n_steps: int
+    n_channels: int
+    duration: float
+    shortest: float
+    grid: float  # s; durations are whole multiples of it
+    n_max: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.n_steps * self.shortest > self.duration:
+            raise SeatrialError(f"{self.n_steps} steps of at least {self.shortest:g} s do not fit into "
+                                f"{self.duration:g} s; fewer steps, a shorter --min-step or a longer --duration")
+
+    @property
+    def size(self) -> int:
+        return self.n_steps * (self.n_channels + 1)
+
+    @property
+    def low(self) -> Array:
+        return np.append(np.full(self.n_steps * self.n_channels, -self.n_max), np.full(self.n_steps, 0.02))
+
+    @property
+    def high(self) -> Array:
+        return np.append(np.full(self.n_steps * self.n_channels, self.n_max), np.ones(self.n_steps))
+
+    def unpack(self, z: Array) -> tuple[Array, Array]:
+        """Levels (n_steps, n_channels, n) and durations (n_steps, n) [s] of points z (n, size)."""
+        n_levels = self.n_steps * self.n_channels
+        levels = z[:, :n_levels].reshape(-1, self.n_steps, self.n_channels).transpose(1, 2, 0)
+        shares = z[:, n_levels:].T
+        spare = self.duration - self.n_steps * self.shortest
+        ends = np.cumsum(shares / shares.sum(axis=0), axis=0) * spare
+        ends = ends + self.shortest * np.arange(1, self.n_steps + 1)[:, None]
+        whole = np.round(ends / self.grid)
+        least = max(round(self.shortest / self.grid), 1)
+        for k in range(1, self.n_steps):  # rounding never makes a step shorter than the shortest
+            whole[k] = np.maximum(whole[k], whole[k - 1] + least)
+        whole[-1] = round(self.duration / self.grid)
+        for k in range(self.n_steps - 2, -1, -1):
+            whole[k] = np.minimum(whole[k], whole[k + 1] - least)
+        return levels, np.diff(whole, axis=0, prepend=0.0) * self.grid
+
+    def random(self, n: int, rng: np.random.Generator) -> Array:
+        """Points (n, size) of many kinds: full and half thrust, turning and straight, long and short steps."""
+        kind = rng.integers(4, size=(n, 1, 1))
+        shape = (n, self.n_steps, self.n_channels)
+        levels = rng.uniform(-1.0, 1.0, shape)
+        extreme = np.sign(levels) * rng.uniform(0.6, 1.0, shape)
+        turning = rng.uniform(-0.3, 1.0, (n, self.n_steps, 1)) + rng.uniform(-0.5, 0.5, shape)
+        scaled = levels * rng.uniform(0.3, 1.0, (n, 1, 1))
+        levels = np.select([kind == 0, kind == 1, kind == 2], [levels, extreme, turning], scaled).clip(-1.0, 1.0)
+        shares = np.exp(rng.normal(size=(n, self.n_steps)) * rng.uniform(0.0, 1.0, (n, 1)) - 1.5).clip(0.02, 1.0)
+        return np.hstack([self.n_max * levels.reshape(n, -1), shares])
+
+
+def prbs(t: Array, clock: float, n_channels: int, amplitude: float, rng: np.random.Generator) -> Array:
+    """Random binary sequences (n_rows, n_channels): +-amplitude, drawn anew every ``clock`` [s] (Ljung 1999, 13.3)."""
+    index = (t / clock + 1e-9).astype(int)
+    return np.asarray(amplitude * rng.choice([-1.0, 1.0], (index[-1] + 1, n_channels))[index])
+
+
+def rgs(t: Array, corner: float, n_channels: int, sd: float, n_max: float, rng: np.random.Generator) -> Array:
+    """Gaussian sequences (n_rows, n_channels) of standard deviation ``sd`` behind a low-pass of ``corner`` [Hz],
+    clipped at n_max (Ljung 1999, 13.3)."""
+    step = t[1] - t[0]
+    sos = signal.butter(2, min(corner * 2 * step, 0.99), output="sos")
+    settle = round(min(3.0 / corner, 300.0) / step)
+    raw = signal.sosfilt(sos, rng.standard_normal((t.size + settle, n_channels)), axis=0)[settle:]
+    return np.asarray(np.clip(sd * raw / raw.std(axis=0), -n_max, n_max))

@@ -1,0 +1,292 @@
+"""Fisher information: what an experiment will tell, or what a log has told, of a model's parameters.
+
+Two forms. **Prediction error**: the information of the filter's innovations, ``de' S^-1 de`` and, of the noise,
+``1/2 tr(S^-1 dS S^-1 dS)`` (``ident.estimation.likelihood``); it knows that process noise makes what happened long ago
+worthless. **Output
+error** (the form of the thesis' chapter 5): no process noise, ``F = sum dz' R^-1 dz`` along a simulation.
+``Experiments`` computes either for thousands of inputs or parameter values at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ident.data import Record
+from ident.engine import Kernel
+from ident.estimation import Likelihood, simulate
+from ident.model import Model, Parameter
+from ident.numerics import Array
+
+Mask = NDArray[np.uint32]
+T = TypeVar("T")
+CHUNK = 4  # groups of lanes in a call: what stays in the processor's cache
+
+
+@dataclass(frozen=True)
+class ExperimentResults:
+    """What each experiment gives. information (n, q, q): by the free parameters, in their own units; low, high (n, k):
+    least and largest of the states and of the squared speed, named by ``Experiments.extremes``."""
+
+    information: Array
+    low: Array
+    high: Array
+
+
+class Experiments:
+    """Experiments of one model on common times, simulated in batches on ``threads`` threads.
+
+    t (n_rows,) s; ``every``: a sensor's samples are this many rows apart (1 where it is not named). Inputs are arrays
+    (n_rows, n_inputs, n) with time first and the experiments last, or (n_rows, n_inputs): the same in all.
+    """
+
+    def __init__(self, model: Model, free: Sequence[str], t: Array, every: Mapping[str, int] | None = None, *,
+                 process_noise: bool = True, threads: int = 2) -> None:
+        from ident.engine import batch_for, extremes
+
+        self.model, self.free, self.t, self.threads = model, tuple(free), t, threads
+        self._batch = batch_for(model, free, covariance=process_noise)
+        self.extremes = extremes(model)
+        self.h = np.append(np.diff(t), 0.0)
+        self.mask = sensor_mask(model, t.size, every or {})
+        self.values = np.array([p.value for p in model.parameters])
+        self._index = {p.name: i for i, p in enumerate(model.parameters)}
+
+    def __call__(self, u: Array, values: Array | None = None) -> ExperimentResults:
+        """values (n, n_parameters) or (n_parameters,): the model's own by default. An experiment that diverges has an
+        information of NaN."""
+        n, chunks = self._chunks(u, values)
+        kernel = self._batch.information[u.ndim == 3]
+        q, k = len(self.free), len(self.extremes)
+
+        def work(lanes: slice) -> tuple[Array, Array, Array]:
+            given = self._given(u, values, lanes)
+            if self._batch.covariance:
+                given["s"] = with_covariance(self.model, given["s"], given["p"])
+            given["X"] = self._slopes(given["p"])
+            done = self._run(kernel, given, k)
+            return _flat(done["fisher"]), _flat(done["low"]), _flat(done["high"])
+
+        parts = parallel(work, chunks, self.threads)
+        triangle, low, high = (np.concatenate(column)[:n] for column in zip(*parts, strict=True))
+        return ExperimentResults(square(triangle, q), low, high)
+
+    def extents(self, u: Array, values: Array | None = None) -> tuple[Array, Array]:
+        """Only ``low`` and ``high`` (n, k), several times as fast."""
+        n, chunks = self._chunks(u, values)
+        kernel = self._batch.tracks[u.ndim == 3]
+
+        def work(lanes: slice) -> tuple[Array, Array]:
+            done = self._run(kernel, self._given(u, values, lanes), len(self.extremes))
+            return _flat(done["low"]), _flat(done["high"])
+
+        parts = parallel(work, chunks, self.threads)
+        low, high = (np.concatenate(column)[:n] for column in zip(*parts, strict=True))
+        return low, high
+
+    def _chunks(self, u: Array, values: Array | None) -> tuple[int, list[slice]]:
+        counts = {a.shape[axis] for a, axis, full in ((u, 2, 3), (values, 0, 2)) if a is not None and a.ndim == full}
+        if len(counts) > 1:
+            raise ValueError(f"as many inputs as parameter values wanted, got {sorted(counts)}")
+        n = counts.pop() if counts else 1
+        width = self._batch.tracks[0].plan.width * CHUNK
+        return n, [slice(first, min(first + width, n)) for first in range(0, n, width)]
+
+    def _given(self, u: Array, values: Array | None, lanes: slice) -> dict[str, Array]:
+        width, n = self._batch.tracks[0].plan.width, lanes.stop - lanes.start
+        groups = -(-n // width)
+        values = self.values if values is None else values
+        rows = values[None] if values.ndim == 1 else values[lanes]
+        p = in_lanes(np.broadcast_to(rows, (n, rows.shape[1])).T[None], groups, width)[0]
+        part = u if u.ndim == 2 else in_lanes(u[:, :, lanes], groups, width)
+        return {"u": np.ascontiguousarray(part), "u_next": following(part), "p": p,
+                "s": start_in_lanes(self.model, p), "h": self.h}
+
+    def _run(self, kernel: Kernel, given: dict[str, Array], k: int) -> dict[str, Array]:
+        groups, _, width = given["p"].shape
+        bounds = {"low": np.full((groups, k, width), np.inf), "high": np.full((groups, k, width), -np.inf)}
+        return kernel(self.t.size, self.mask, {**given, **bounds}, groups=groups)
+
+    def _slopes(self, p: Array) -> Array:
+        X = np.zeros((p.shape[0], len(self.free), len(self.model.states), p.shape[2]))
+        for i, state in enumerate(self.model.states):
+            if state.x0 in self.free:
+                X[:, self.free.index(str(state.x0)), i] = 1.0
+        return X.reshape(p.shape[0], -1, p.shape[2])
+
+
+def start_in_lanes(model: Model, p: Array) -> Array:
+    """Means of the initial state (groups, n_states, width) at parameters p (groups, n_parameters, width)."""
+    names = [q.name for q in model.parameters]
+    s = np.zeros((p.shape[0], len(model.states), p.shape[2]))
+    for i, state in enumerate(model.states):
+        s[:, i] = p[:, names.index(state.x0)] if isinstance(state.x0, str) else state.x0
+    return s
+
+
+def with_covariance(model: Model, mean: Array, p: Array) -> Array:
+    """Means followed by the upper triangle of the initial covariance."""
+    n, names = len(model.states), [q.name for q in model.parameters]
+    s = np.zeros((p.shape[0], n + n * (n + 1) // 2, p.shape[2]))
+    s[:, :n] = mean
+    for i, state in enumerate(model.states):
+        sd = p[:, names.index(state.sd0)] if isinstance(state.sd0, str) else state.sd0
+        s[:, n + i * n - i * (i - 1) // 2] = np.square(sd)
+    return s
+
+
+def sensor_mask(model: Model, n_rows: int, every: Mapping[str, int]) -> Mask:
+    """(n_rows,): a bit for each sensor that has a sample in the row."""
+    unknown = set(every) - {s.name for s in model.sensors}
+    if unknown:
+        raise ValueError(f"model {model.name} has no sensor {sorted(unknown)[0]!r}")
+    mask = np.zeros(n_rows, np.uint32)
+    for bit, sensor in enumerate(model.sensors):
+        mask[:: every.get(sensor.name, 1)] |= np.uint32(1 << bit)
+    return mask
+
+
+def in_lanes(a: Array, groups: int, width: int) -> Array:
+    """(n_rows, k, n) as (n_rows, groups, k, width); what is missing to a whole group repeats the last."""
+    missing = groups * width - a.shape[2]
+    if missing:
+        a = np.concatenate([a, np.repeat(a[:, :, -1:], missing, axis=2)], axis=2)
+    return np.ascontiguousarray(a.reshape(a.shape[0], a.shape[1], groups, width).transpose(0, 2, 1, 3))
+
+
+def following(u: Array) -> Array:
+    """The inputs at the end of each interval: those of the next row."""
+    return np.concatenate([u[1:], u[-1:]])
+
+
+def square(triangle: Array, q: int) -> Array:
+    """Upper triangles by rows (n, q (q + 1) / 2) as symmetric matrices (n, q, q)."""
+    full = np.empty((len(triangle), q, q))
+    i, j = np.triu_indices(q)
+    full[:, i, j] = full[:, j, i] = triangle
+    return full
+
+
+def parallel(work: Callable[[slice], T], chunks: Sequence[slice], threads: int) -> list[T]:
+    """The results in order; the kernels leave Python's lock."""
+    if threads < 2 or len(chunks) < 2:
+        return [work(c) for c in chunks]
+    with ThreadPoolExecutor(min(threads, len(chunks))) as pool:
+        return list(pool.map(work, chunks))
+
+
+def _flat(a: Array) -> Array:
+    """(groups, k, width) as (groups width, k)."""
+    return np.asarray(a.transpose(0, 2, 1).reshape(-1, a.shape[1]))
+
+
+def planned_record(model: Model, t: Array, u: Array, every: Mapping[str, int] | None = None,
+                   values: Array | None = None, name: str = "planned") -> Record:
+    """The record that an experiment would give if nothing disturbed it and the sensors had no noise.
+
+    t (n_rows,) s; u (n_rows, n_inputs).
+    """
+    held = [i.hold == "zero" for i in model.inputs]
+    end = np.where(held, u, following(u))
+    columns = tuple(i.name for i in model.inputs), tuple(o.name for o in model.outputs)
+    blank = Record(name, t, u, end, np.full((t.size, len(model.outputs)), np.nan), *columns)
+    y = simulate(model, blank, values).y
+    mask, first = sensor_mask(model, t.size, every or {}), 0
+    for bit, sensor in enumerate(model.sensors):
+        y[(mask & np.uint32(1 << bit)) == 0, first:first + len(sensor.outputs)] = np.nan
+        first += len(sensor.outputs)
+    return Record(name, t, u, end, y, *columns)
+
+
+def prediction_information(model: Model, record: Record, values: Array | None = None,
+                           free: Sequence[str] | None = None) -> Array:
+    """Prediction-error information (q, q) of a record by the parameters ``free`` (those free in the model)."""
+    values = np.array([p.value for p in model.parameters]) if values is None else values
+    return Likelihood(model).scores(record, values, free).information
+
+
+def prior_information(parameters: Sequence[Parameter]) -> Array:
+    """(q, q), diagonal: what the parameters' priors tell, in their own units."""
+    found = np.zeros(len(parameters))
+    for i, p in enumerate(parameters):
+        prior = p.free_prior()
+        if prior is not None:
+            found[i] = 1.0 / (prior[1] * p.slope(p.value)) ** 2
+    return np.diag(found)
+
+
+def errors_of(information: Array) -> Array:
+    """Cramer-Rao bounds (..., q): standard errors with all other parameters unknown; inf where there are none."""
+    size = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 0.0))
+    found = np.full(size.shape, np.inf)
+    for at in np.ndindex(size.shape[:-1]):
+        good = np.isfinite(size[at]) & (size[at] > 0)
+        scaled = information[at][np.ix_(good, good)] / np.outer(size[at][good], size[at][good])
+        if good.any() and np.isfinite(scaled).all() and np.linalg.eigvalsh(scaled)[0] > 1e-13:
+            found[at][good] = np.sqrt(np.diag(np.linalg.inv(scaled))) / size[at][good]
+    return found
+
+
+@dataclass(frozen=True)
+class InformationSegment:
+    """A segment of a log. ``weight`` (q,): by how much each parameter's standard error would grow without it (1: not at
+    all; inf: only this segment tells); ``alone``, ``whole`` (q,): standard errors from this segment alone, and from all
+    segments of all records."""
+
+    record: str
+    t_from: float
+    t_to: float
+    information: Array
+    weight: Array
+    alone: Array
+    whole: Array
+
+
+def segment_information(model: Model, records: Sequence[Record], names: Sequence[str], *, seconds: float = 30.0,
+                        values: Sequence[Array] | None = None) -> list[InformationSegment]:
+    """Which stretches of logs already taken inform which parameter of ``names`` (prediction error).
+
+    values: the parameters in each record, over ``model.parameters``. The information of a stretch is what it adds to
+    that of all before it in its record. Nuisances of a record (current, offsets) and noise count as unknown.
+    """
+    nuisances = [p for p in model.parameters if p.free and p.name not in names]
+    shared = [*names, *[p.name for p in nuisances if not p.per_record]]
+    own = [p.name for p in nuisances if p.per_record]
+    free, q, n = [*shared, *own], len(names), len(shared) + len(own) * len(records)
+    prior = np.zeros((n, n))
+    parts: list[tuple[str, float, float, Array]] = []
+    for i, record in enumerate(records):
+        first = len(shared) + i * len(own)
+        at_record = [*range(len(shared)), *range(first, first + len(own))]
+        places = np.ix_(at_record, at_record)
+        prior[places] = np.maximum(prior[places], prior_information([model.parameter(name) for name in free]))
+        at = None if values is None else values[i]
+        for t_from, t_to, F in _increments(model, record, at, free, seconds):
+            parts.append((record.name, t_from, t_to, np.zeros((n, n))))
+            parts[-1][-1][places] = F
+    whole = np.sum([F for *_, F in parts], axis=0) + prior
+    best = errors_of(whole)[:q]
+    return [InformationSegment(name, a, b, F[:q, :q], errors_of(whole - F)[:q] / best, errors_of(F + prior)[:q],
+                    best)
+            for name, a, b, F in parts]
+
+
+def _increments(model: Model, record: Record, values: Array | None, free: Sequence[str], seconds: float
+                ) -> list[tuple[float, float, Array]]:
+    """Start and end [s] of each stretch, and the information that it adds."""
+    edges = np.append(np.arange(0.0, record.duration - seconds / 2, seconds), record.duration) + record.t[0]
+    past = edges[-1] + 1.0  # the last row belongs to the last stretch
+    ends = [record.part(record.t[0], past if k == edges.size - 1 else float(edges[k])) for k in range(1, edges.size)]
+    totals = parallel(partial(_total, model, ends, values, free), [slice(k, k + 1) for k in range(len(ends))], 2)
+    steps = np.diff(np.concatenate([np.zeros((1, len(free), len(free))), totals]), axis=0)
+    return [(float(a), float(b), F) for a, b, F in zip(edges[:-1], edges[1:], steps, strict=True)]
+
+
+def _total(model: Model, ends: Sequence[Record], values: Array | None, free: Sequence[str], which: slice) -> Array:
+    return prediction_information(model, ends[which.start], values, free)

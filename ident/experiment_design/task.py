@@ -1,0 +1,271 @@
+"""What is asked of an experiment: model, what to learn, the class of inputs, limits, and what is known already."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from daq.errors import SeatrialError
+from ident.estimation import SavedModel, dynamic_parameters
+from ident.experiment_design.criteria import Criterion, Kind, characteristic_steps
+from ident.experiment_design.excitation import Steps, ThrusterResponse
+from ident.experiment_design.information import Experiments, prior_information
+from ident.experiment_design.track_extent import TrackExtent, in_current
+from ident.model import Model
+from ident.numerics import Array
+
+GRID = 0.2  # s between rows of a search
+RATE = 10.0  # Hz of a sensor that is not said otherwise
+BOX = 0.25  # the parameters' prior where nothing is known: uniform within 0.75 to 1.25 of the nominal (thesis)
+N_TRACKS = 24  # parameter samples whose tracks must keep to the limits
+DIVERGED = 1e6  # violation
+
+
+@dataclass(frozen=True)
+class DesignLimits:
+    """What a mission must keep to. area: sides (north, east) [m] of the rectangle that holds the whole track, wherever
+    in it the boats have to begin, heading north; speed through the water [m/s]; energy: mean of ``|n|^3``, the share of
+    full power. current: the largest [m/s], from anywhere, that the track is to be reckoned with."""
+
+    area: tuple[float, float] | None = None
+    speed: float | None = None
+    energy: float | None = None
+    current: float = 0.0
+
+    @property
+    def bind(self) -> bool:
+        """Whether a mission has to keep to anything."""
+        return self.energy is not None or self.concern_the_track
+
+    @property
+    def concern_the_track(self) -> bool:
+        return self.area is not None or self.speed is not None
+
+
+@dataclass(frozen=True)
+class ParameterPrior:
+    """What is thought of the parameters ``names`` beforehand: uniform in a box about the model's values, or normal with
+    a covariance (k, k)."""
+
+    names: tuple[str, ...]
+    box: float = BOX
+    covariance: Array | None = None
+
+    def sample(self, model: Model, n: int, rng: np.random.Generator) -> Array:
+        """(n, n_parameters); what is positive stays so."""
+        index = [p.name for p in model.parameters]
+        values = np.tile([p.value for p in model.parameters], (n, 1))
+        columns = [index.index(name) for name in self.names]
+        nominal = values[:, columns]
+        if self.covariance is None:
+            values[:, columns] = nominal * rng.uniform(1 - self.box, 1 + self.box, nominal.shape)
+        elif columns:
+            drawn = rng.multivariate_normal(nominal[0], self.covariance, n, method="eigh", check_valid="ignore")
+            least = np.where(nominal > 0, 0.1 * nominal, -np.inf)
+            values[:, columns] = np.maximum(drawn, least)
+        return values
+
+
+@dataclass(frozen=True)
+class DesignProblem:
+    """The frame of a design.
+
+    chosen: parameters to learn, of those that the sensors see (all by default). rates: of the sensors [Hz]. earlier:
+    information (k, k) of earlier logs by ``belief.names``. robust: parameter samples over which the criterion is
+    averaged (0: nominal only; with D this is ELD optimality, Walter and Pronzato 1997, section 6.4). process_noise:
+    information of prediction error, else of output error. grid: s between rows; a sensor faster than them counts with
+    the noise of its mean over a row.
+    """
+
+    model: Model
+    steps: Steps
+    criterion: Kind = "D"
+    chosen: tuple[str, ...] = ()
+    rates: Mapping[str, float] = field(default_factory=dict)
+    limits: DesignLimits = field(default_factory=DesignLimits)
+    slew: float = np.inf
+    belief: ParameterPrior | None = None
+    earlier: Array | None = None
+    robust: int = 0
+    process_noise: bool = True
+    seed: int = 1
+    grid: float = GRID
+
+    @cached_property
+    def t(self) -> Array:
+        return np.asarray(np.arange(round(self.steps.duration / self.grid) + 1) * self.grid)
+
+    @cached_property
+    def actuation(self) -> ThrusterResponse:
+        return ThrusterResponse(self.model, self.t, self.steps.n_max, self.slew)
+
+    @property
+    def every(self) -> dict[str, int]:
+        """Rows between the samples of each sensor."""
+        return {s.name: max(1, round(1.0 / (self.rate(s.name) * self.grid))) for s in self.model.sensors}
+
+    def rate(self, sensor: str) -> float:
+        return self.rates.get(sensor, RATE)
+
+    def observed(self, model: Model) -> Model:
+        """The model as its sensors look on the rows of this task."""
+        noise: dict[str, float] = {}
+        for s in model.sensors:
+            shrink = np.sqrt(min(1.0, 1.0 / (self.rate(s.name) * self.grid)))
+            noise |= {o.noise: model.parameter(o.noise).value * float(shrink) for o in s.outputs}
+        return model.with_values(noise)
+
+    @cached_property
+    def finer(self) -> DesignProblem:
+        """The same on rows that no sensor is faster than."""
+        most = max([self.rate(s.name) for s in self.model.sensors])
+        return replace(self, grid=self.grid / max(1, round(most * self.grid)))
+
+    @cached_property
+    def learned(self) -> tuple[str, ...]:
+        """The shared parameters that are to be learned, or are unknown with them: what the sensors see."""
+        return self._visible(dynamic_parameters(self.model))
+
+    @cached_property
+    def free(self) -> tuple[str, ...]:
+        """Those, and the nuisances of a record."""
+        return (*self.learned, *self._visible([p.name for p in self.model.parameters if p.free and p.per_record]))
+
+    def _visible(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Those of the parameters that some output depends on."""
+        if not names:
+            return ()
+        u = self.actuation.inputs(self.commands(self.steps.random(4, np.random.default_rng(0))))
+        told = Experiments(self.model, names, self.t, process_noise=False)(u).information
+        found = np.diagonal(told, axis1=1, axis2=2) != 0  # NaN of what diverged is not zero either
+        return tuple(n for k, n in enumerate(names) if found[:, k].any())
+
+    @cached_property
+    def prior(self) -> Array:
+        """(q, q) by ``free``: priors of the nuisances, and what earlier logs told."""
+        q = len(self.learned)
+        prior = np.zeros((len(self.free), len(self.free)))
+        prior[q:, q:] = prior_information([self.model.parameter(n) for n in self.free[q:]])
+        if self.earlier is not None and self.belief is not None:
+            known = [n for n in self.belief.names if n in self.learned]
+            here = [self.learned.index(n) for n in known]
+            there = [self.belief.names.index(n) for n in known]
+            prior[np.ix_(here, here)] += self.earlier[np.ix_(there, there)]
+        return prior
+
+    @cached_property
+    def measure(self) -> Criterion:
+        wanted = self.chosen or self.learned
+        lost = [n for n in wanted if n not in self.learned]
+        if lost:
+            raise SeatrialError(f"{lost[0]!r} cannot be learned with model {self.model.name} from these sensors; "
+                                f"there is {', '.join(self.learned)}")
+        return Criterion(
+            self.criterion, tuple(self.free.index(n) for n in wanted), characteristic_steps(self.model, self.free)
+        )
+
+    @cached_property
+    def experiments(self) -> Experiments:
+        return Experiments(self.observed(self.model), self.free, self.t, self.every, process_noise=self.process_noise)
+
+    @cached_property
+    def belief_or_box(self) -> ParameterPrior:
+        return self.belief or ParameterPrior(self.learned)
+
+    def samples(self, n: int, purpose: int) -> Array:
+        """Parameters (n, n_parameters) drawn from what is believed."""
+        rng = np.random.default_rng([self.seed, 10 + purpose])
+        return self.belief_or_box.sample(self.experiments.model, n, rng)
+
+    @cached_property
+    def _robust_samples(self) -> Array:
+        return self.samples(self.robust, 1)
+
+    def boats(self, n: int, purpose: int) -> Array:
+        """The same, each in a current of its own."""
+        rng = np.random.default_rng([self.seed, 40 + purpose])
+        return in_current(self.experiments.model, self.samples(n, purpose), self.limits.current, rng)
+
+    @cached_property
+    def reach(self) -> TrackExtent:
+        """How far the nominal boat gets, and sampled ones with process noise, which all start at the same place."""
+        nominal = self.experiments.values
+        return TrackExtent(self.model, self.t, np.vstack([nominal, self.boats(N_TRACKS, 2)]), [self.seed, 30])
+
+    def commands(self, z: Array) -> Array:
+        """(n_rows, n_channels, n) of points of the search."""
+        return self.actuation.limited(*self.steps.unpack(z))
+
+    def judge(self, command: Array) -> tuple[Array, Array]:
+        """Criterion (n,) and violation (n,) of commands (n_rows, n_channels, n)."""
+        u = self.actuation.inputs(command)
+        value = self._expected(u) if self.robust else self.measure(self.experiments(u).information + self.prior)
+        return value, self.broken(command, u)
+
+    def values(self, u: Array, values: Array) -> Array:
+        """The criterion (n,) of one input (n_rows, n_inputs) at many parameter values (n, n_parameters)."""
+        return self.measure(self.experiments(u, values).information + self.prior)
+
+    def broken(self, command: Array, u: Array | None = None) -> Array:
+        """Violation (n,) of the limits, by the sum of the parts by which they are exceeded; 0: all are kept."""
+        broken = np.zeros(command.shape[2])
+        if self.limits.energy is not None:
+            broken = np.maximum(self.actuation.energy(command) / self.limits.energy - 1.0, 0.0)
+        if not self.limits.concern_the_track:
+            return broken
+        return broken + self._violation(*self.extents(self.actuation.inputs(command) if u is None else u))
+
+    def _expected(self, u: Array) -> Array:
+        n, k = u.shape[2], len(self._robust_samples)
+        outcome = self.experiments(np.repeat(u, k, axis=2), np.tile(self._robust_samples, (n, 1)))
+        return np.asarray(self.measure(outcome.information + self.prior).reshape(n, k).mean(axis=1))
+
+    def extents(self, u: Array) -> tuple[Array, Array]:
+        """Least and largest (n, k) of ``experiments.extremes`` over all boats: inputs u (n_rows, n_inputs, n)."""
+        low, high = self.reach(u)
+        return low.min(axis=1), high.max(axis=1)
+
+    def corner(self, u: Array) -> Array | None:
+        """South-west corner (2,) of the area from the start [m], so that what one input (n_rows, n_inputs) reaches lies
+        in its middle; None without an area."""
+        if self.limits.area is None:
+            return None
+        low, high = self.extents(u[:, :, None])
+        at = [self.experiments.extremes.index(name) for name in ("x", "y")]
+        return np.asarray((low[0, at] + high[0, at] - np.array(self.limits.area)) / 2)
+
+    def _violation(self, low: Array, high: Array) -> Array:
+        """(n,): by which part the limits of area and speed are exceeded."""
+        total = np.zeros(len(low))
+        names = self.experiments.extremes
+        if self.limits.area is not None:
+            for name, side in zip(("x", "y"), self.limits.area, strict=True):
+                if name not in names:
+                    raise SeatrialError(f"model {self.model.name} has no position {name}: --area does not apply to it")
+                i = names.index(name)
+                total += np.maximum((high[:, i] - low[:, i]) / side - 1.0, 0.0)
+        if self.limits.speed is not None:
+            if "speed2" not in names:
+                raise SeatrialError(f"model {self.model.name} has no surge speed: --max-speed does not apply to it")
+            total += np.maximum(np.sqrt(high[:, names.index("speed2")]) / self.limits.speed - 1.0, 0.0)
+        total[~np.isfinite(total)] = DIVERGED
+        return total
+
+
+def believed(saved: SavedModel) -> ParameterPrior:
+    """What a fit has told of the shared parameters: those with a standard error."""
+    wanted = dynamic_parameters(saved.model)
+    known = [n for n in saved.names if n in wanted and np.isfinite(saved.errors.get(n, np.nan))]
+    at = [saved.names.index(n) for n in known]
+    se = np.array([saved.errors[n] for n in known])
+    correlation = saved.correlation[np.ix_(at, at)].copy()
+    np.fill_diagonal(correlation, 1.0)
+    return ParameterPrior(tuple(known), covariance=correlation * np.outer(se, se))
+
+
+def scaled_inverse(covariance: Array) -> Array:
+    size = np.sqrt(np.diag(covariance))
+    return np.asarray(np.linalg.pinv(covariance / np.outer(size, size), hermitian=True) / np.outer(size, size))

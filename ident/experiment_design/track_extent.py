@@ -1,0 +1,95 @@
+"""Where a mission may take the boat: the nominal one, and others that are drawn from what is believed, disturbed by
+process noise and, where one is to be reckoned with, by a current.
+
+Process noise enters as inputs of the rates of its states, drawn once for each boat and held to straight lines between
+the rows: white up to the rate of the rows, far above what a boat follows. All missions meet the same draws, so a search
+compares like with like.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from daq.errors import SeatrialError
+from ident.experiment_design.information import Experiments
+from ident.model import Effect, Input, Model, Signals
+from ident.numerics import Array
+
+CURRENT = ("V_x", "V_y")
+TOGETHER = 16  # missions simulated at a time, each with all of its boats
+
+
+def with_noise_inputs(model: Model) -> tuple[Model, list[str]]:
+    """The model with an input ``w_STATE`` [unit/s] on the rate of each state with process noise, and these states."""
+    noisy = [s for s in model.states if s.noise != 0.0]
+
+    def push(s: Signals) -> None:
+        for state in noisy:
+            s.rate[state.name] = s.rate[state.name] + getattr(s.u, f"w_{state.name}")
+
+    inputs = tuple(Input(f"w_{s.name}", f"{s.unit}/s", "linear") for s in noisy)
+    effect = Effect("process-noise", "process noise as inputs", {"rate": push}, inputs=inputs)
+    return (model + effect if noisy else model), [s.name for s in noisy]
+
+
+def in_current(model: Model, values: Array, largest: float, rng: np.random.Generator) -> Array:
+    """Parameters (n, n_parameters) with a current drawn from the disc of radius ``largest`` [m/s].
+
+    Raises SeatrialError where the model has no current.
+    """
+    if largest == 0.0:
+        return values
+    names = [p.name for p in model.parameters]
+    if not set(CURRENT) <= set(names):
+        raise SeatrialError(f"model {model.name} has no current: --current does not apply to it")
+    speed, toward = largest * np.sqrt(rng.uniform(size=len(values))), 2.0 * np.pi * rng.uniform(size=len(values))
+    found = values.copy()
+    found[:, [names.index(n) for n in CURRENT]] = np.column_stack([speed * np.cos(toward), speed * np.sin(toward)])
+    return found
+
+
+class TrackExtent:
+    """Extents of boats (n, n_parameters) on common times t (n_rows,) s; the first is left undisturbed."""
+
+    def __init__(self, model: Model, t: Array, boats: Array, seed: Sequence[int]) -> None:
+        self._model, self._t, self._boats, self._seed = model, t, boats, list(seed)
+        self._disturbed, self._noisy = with_noise_inputs(model)
+
+    @cached_property
+    def _experiments(self) -> Experiments:
+        return Experiments(self._disturbed, (), self._t, process_noise=False)
+
+    @property
+    def extremes(self) -> tuple[str, ...]:
+        """What the extents are of."""
+        return self._experiments.extremes
+
+    @cached_property
+    def noise(self) -> Array:
+        """White noise (n_rows, n_noisy, n_boats) in unit/s, so strong that it adds up to the model's diffusion."""
+        h, states = np.diff(self._t), {s.name: s for s in self._model.states}
+        names = [p.name for p in self._model.parameters]
+        out = np.zeros((self._t.size, len(self._noisy), len(self._boats)))
+        for k in range(1, len(self._boats)):
+            drawn = np.random.default_rng([*self._seed, k]).standard_normal((self._t.size, len(self._noisy)))
+            for j, name in enumerate(self._noisy):
+                noise = states[name].noise
+                sd = self._boats[k, names.index(noise)] if isinstance(noise, str) else noise
+                out[:, j, k] = sd * drawn[:, j] / np.sqrt(np.append(h, h[-1]))
+        return out
+
+    def __call__(self, u: Array) -> tuple[Array, Array]:
+        """Least and largest (n, n_boats, k) of ``extremes`` under inputs u (n_rows, n_inputs, n)."""
+        n, m, k = u.shape[2], len(self._boats), len(self.extremes)
+        parts = []
+        for first in range(0, n, TOGETHER):
+            some = u[:, :, first:first + TOGETHER]
+            given = np.repeat(some, m, axis=2)
+            if self._noisy:
+                given = np.concatenate([given, np.tile(self.noise, (1, 1, some.shape[2]))], axis=1)
+            parts.append(self._experiments.extents(given, np.tile(self._boats, (some.shape[2], 1))))
+        low, high = (np.concatenate(side).reshape(n, m, k) for side in zip(*parts, strict=True))
+        return low, high

@@ -1,0 +1,339 @@
+"""A model: named states, inputs, sensors and parameters, and the functions between them.
+
+The functions are plain Python over scalars (numpy functions work; the engine calls them with symbols).
+They are ordered in stages, each reading and writing one bag of signals:
+
+    shaft -> thrust -> force -> rate -> output
+
+An effect is a part that hooks in behind a stage; ``model + effect`` is a model again. A model of one's
+own needs no stages: ``plain_model`` takes ``f(x, u, p)`` and ``h(x, u, p)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import update_wrapper
+from types import SimpleNamespace
+from typing import Any, Literal
+
+from ident.model.parameter import Parameter
+
+
+class Named(SimpleNamespace):
+    """Scalars, symbols or columns by name. AttributeError of a name that is not there says which there are."""
+
+    _kind = "signal"
+
+    def __getattr__(self, name: str) -> Any:  # only what is not there comes here
+        there = ", ".join(vars(self)) or "none"
+        raise AttributeError(f"no {self._kind} {name!r}; there is {there}", name=name, obj=self)
+
+
+class Signals(Named):
+    """``x``, ``u``, ``p`` by name, ``rate`` and ``y`` as dictionaries, and the rest as each model names it (vehicle
+    models: ``n`` and ``f`` by thruster, ``X``, ``Y``, ``N``)."""
+
+    x: Any
+    u: Any
+    p: Any
+    rate: dict[str, Any]
+    y: dict[str, Any]
+
+
+ModelFunction = Callable[[Signals], None]
+
+
+@dataclass(frozen=True)
+class State:
+    """``noise``: diffusion in unit/sqrt(s), a number or the name of the parameter that holds it.
+    ``x0`` and ``sd0``: mean and standard deviation at the start of a record, numbers or, for the mean, the
+    name of a parameter; ``from_output`` starts it at the first measurement of that output."""
+
+    name: str
+    unit: str = ""
+    meaning: str = ""
+    noise: float | str = 0.0
+    x0: float | str = 0.0
+    sd0: float | str = 1.0
+    from_output: str = ""
+
+
+@dataclass(frozen=True)
+class Input:
+    name: str
+    unit: str = ""
+    hold: Literal["zero", "linear"] = "zero"
+    angle: bool = False  # unwrapped before it is interpolated
+
+
+@dataclass(frozen=True)
+class Output:
+    """``noise``: standard deviation of the white measurement noise, the name of a parameter."""
+
+    name: str
+    unit: str = ""
+    noise: str = ""
+    angle: bool = False  # innovations are wrapped to (-pi, pi]
+    robust: bool = False  # outliers are allowed (ident.model.outlier_density)
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Outputs that arrive together; a sample of a sensor is there as a whole or not at all."""
+
+    name: str
+    outputs: tuple[Output, ...]
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A part that changes a model: a candidate for what the model lacks, or a disturbance it needs.
+
+    ``hooks`` maps a stage to a function that runs after it. At the parameters' given values the effect does
+    nothing. ``requires`` names signals a model must provide (``f``: thrust by thruster, ...).
+    """
+
+    name: str
+    title: str
+    hooks: Mapping[str, ModelFunction]
+    parameters: tuple[Parameter, ...] = ()
+    states: tuple[State, ...] = ()
+    inputs: tuple[Input, ...] = ()
+    place: Literal["actuator", "hull", "environment", "sensor", "bench"] = "hull"
+    formula: str = ""
+    source: str = ""
+    experiment: str = ""
+    requires: tuple[str, ...] = ()
+    one_sided: bool = False  # the first parameter cannot be negative
+    rivals: tuple[str, ...] = ()
+    scan: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # values to try where there is no gradient
+    one_of: str = ""  # the curve "X(u)" that it is one shape of: others of the kind differ from it in shape only
+    any_of: str = ""  # the curve "N(psi)" that it is in any shape: its name says no more
+    span: tuple[float, float] | None = None  # of an unknown effect: the range of its variable that the table covers
+
+
+@dataclass(frozen=True)
+class StartGrid:
+    """Alternative initial values for a multimodal likelihood: every combination is tried, the best are fitted.
+
+    Attributes:
+        names: parameters; the first tells starts apart.
+        values: values of each to try.
+        apart: least distance of two starts in the first parameter, in its unit.
+    """
+
+    names: tuple[str, ...]
+    values: tuple[tuple[float, ...], ...]
+    apart: float
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Where something unexplained may enter a model: a force on the hull, a force on the load cell, a reading.
+
+    ``state``: the disturbance that stands for it (``ident.models.disturbances``); ``scale``: what an unknown table of
+    it may reach, one standard deviation of the prior; ``add``: how an extra of its unit enters, behind ``stage``;
+    ``of``: the variables that it may depend on, all of the model's where none are named.
+    """
+
+    name: str
+    unit: str
+    state: str
+    scale: float
+    title: str
+    add: Callable[[Signals, Any], None]
+    stage: str = "force"
+    of: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Variable:
+    """What a residual may depend on, read from the signals of a row. ``angle``: wrapped, and described by harmonics;
+    ``functions``: how many splines describe it else."""
+
+    name: str
+    unit: str
+    read: Callable[[Signals], Any]
+    angle: bool = False
+    functions: int = 6
+
+
+@dataclass(frozen=True)
+class Model:
+    """Continuous time, ``dx = f(x, u; p) dt + noise``, and ``y_k = h(x(t_k), u(t_k); p) + e_k``."""
+
+    name: str
+    states: tuple[State, ...]
+    inputs: tuple[Input, ...]
+    sensors: tuple[Sensor, ...]
+    parameters: tuple[Parameter, ...]
+    stages: tuple[tuple[str, ModelFunction], ...]
+    provides: tuple[str, ...] = ()  # signals that effects may require
+    effects: tuple[Effect, ...] = field(default=())
+    source: str = ""  # how to make it again: "horizontal", "FILE.py:NAME"
+    # what a diagnosis looks for: unexplained quantities, what they may depend on, and products of two of these
+    residuals: tuple[Residual, ...] = ()
+    variables: tuple[Variable, ...] = ()
+    products: tuple[tuple[str, str], ...] = ()
+    block: float = 5.0  # s, several times the memory of what is unexplained: scores are summed over blocks as long
+    start_grid: StartGrid | None = None  # where else a fit starts, for a multimodal likelihood
+    second_order: bool = False  # the filter's mean goes with the curvature of the rates (engine.graphs)
+
+    def __post_init__(self) -> None:
+        for kind, names in (
+            ("state", [s.name for s in self.states]),
+            ("input", [i.name for i in self.inputs]),
+            ("output", [o.name for o in self.outputs]),
+            ("parameter", [p.name for p in self.parameters]),
+        ):
+            twice = sorted({n for n in names if names.count(n) > 1})
+            if twice:
+                raise ValueError(f"model {self.name}: {kind} {twice[0]} is defined twice")
+        known, seen = {p.name for p in self.parameters}, {o.name for o in self.outputs}
+        for what, name in (
+            *((f"the noise of {s.name}", s.noise) for s in self.states),
+            *((f"the noise of {o.name}", o.noise) for o in self.outputs),
+            *((f"x0 of the state {s.name}", s.x0) for s in self.states),
+            *((f"sd0 of the state {s.name}", s.sd0) for s in self.states),
+        ):
+            if isinstance(name, str) and name not in known:
+                raise ValueError(f"model {self.name}: {what} names no parameter: {name!r}")
+        for s in self.states:
+            if s.from_output and s.from_output not in seen:
+                raise ValueError(f"model {self.name}: from_output of the state {s.name} names no output: "
+                                 f"{s.from_output!r}; there is {', '.join(sorted(seen))}")
+
+    @property
+    def outputs(self) -> tuple[Output, ...]:
+        return tuple(o for s in self.sensors for o in s.outputs)
+
+    @property
+    def values(self) -> dict[str, float]:
+        return {p.name: p.value for p in self.parameters}
+
+    def parameter(self, name: str) -> Parameter:
+        for p in self.parameters:
+            if p.name == name:
+                return p
+        raise KeyError(f"model {self.name} has no parameter {name!r}; it has {', '.join(self.values)}")
+
+    def bag(self, x: Any, u: Any, p: Any) -> Signals:
+        """States, inputs and parameters by name, before any stage has run; scalars, symbols or columns."""
+        return Signals(
+            x=States(**dict(zip([v.name for v in self.states], x, strict=True))),
+            u=Inputs(**dict(zip([v.name for v in self.inputs], u, strict=True))),
+            p=Parameters(**dict(zip([v.name for v in self.parameters], p, strict=True))),
+            rate={},
+            y={},
+        )
+
+    def signals(self, x: Any, u: Any, p: Any) -> Signals:
+        """Run all stages on scalars or symbols in the order of states, inputs and parameters."""
+        s = self.bag(x, u, p)
+        for label, stage in self.stages:
+            stage(s)
+            for effect in self.effects:
+                if label in effect.hooks:
+                    effect.hooks[label](s)
+        return s
+
+    def with_values(self, values: Mapping[str, float]) -> Model:
+        """The same model with other parameter values; unknown names are an error."""
+        unknown = set(values) - set(self.values)
+        if unknown:
+            raise KeyError(f"model {self.name} has no parameter {sorted(unknown)[0]!r}")
+        return replace(self, parameters=tuple(p.at(values.get(p.name, p.value)) for p in self.parameters))
+
+    def with_free(self, names: Iterable[str]) -> Model:
+        """Free exactly the named parameters and fix all others."""
+        wanted = set(names)
+        unknown = wanted - set(self.values)
+        if unknown:
+            raise KeyError(f"model {self.name} has no parameter {sorted(unknown)[0]!r}")
+        return replace(self, parameters=tuple(replace(p, free=p.name in wanted) for p in self.parameters))
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        return tuple(p.name for p in self.parameters if p.free)
+
+    @property
+    def noises(self) -> frozenset[str]:
+        """Parameters that only set covariances: standard deviations and diffusions."""
+        named = [o.noise for o in self.outputs] + [s.noise for s in self.states] + [s.sd0 for s in self.states]
+        return frozenset(n for n in named if isinstance(n, str))
+
+    def replace_parameters(self, *new: Parameter) -> Model:
+        by_name = {p.name: p for p in new}
+        return replace(self, parameters=tuple(by_name.get(p.name, p) for p in self.parameters))
+
+    def __add__(self, effect: Effect) -> Model:
+        missing = self._missing(effect)
+        if missing:
+            raise ValueError(
+                f"effect {effect.name} needs the signal {sorted(missing)[0]!r}, which model {self.name} has not"
+            )
+        inputs = {i.name for i in self.inputs}
+        return replace(
+            self,
+            states=self.states + effect.states,
+            inputs=self.inputs + tuple(i for i in effect.inputs if i.name not in inputs),
+            parameters=self.parameters + effect.parameters,
+            effects=(*self.effects, effect),
+        )
+
+    def accepts(self, effect: Effect) -> bool:
+        return not self._missing(effect) and effect.name not in {e.name for e in self.effects}
+
+    def _missing(self, effect: Effect) -> set[str]:
+        """Signals that an effect requires and the model does not provide; a hull moves in the plane."""
+        provided = {*self.provides, *(["plane"] if "hull" in self.provides else [])}
+        return set(effect.requires) - provided
+
+
+def plain_model(
+    name: str,
+    *,
+    f: Callable[[Any, Any, Any], Mapping[str, Any]],
+    h: Callable[[Any, Any, Any], Mapping[str, Any]],
+    states: tuple[State, ...],
+    inputs: tuple[Input, ...],
+    sensors: tuple[Sensor, ...],
+    parameters: tuple[Parameter, ...],
+    source: str = "",
+) -> Model:
+    """A model from ``f(x, u, p) -> {state: rate}`` and ``h(x, u, p) -> {output: value}``."""
+
+    def rate(s: Signals) -> None:
+        s.rate.update(_by_name(f(s.x, s.u, s.p), "f", "{state: rate}"))
+
+    def output(s: Signals) -> None:
+        s.y.update(_by_name(h(s.x, s.u, s.p), "h", "{output: value}"))
+
+    for stage, own in ((rate, f), (output, h)):
+        update_wrapper(stage, own)  # so that an error is found in the user's own lines
+    return Model(name, states, inputs, sensors, parameters, (("rate", rate), ("output", output)), source=source)
+
+
+def _by_name(found: Any, function: str, wanted: str) -> Mapping[str, Any]:
+    if not isinstance(found, Mapping):
+        raise TypeError(f"{function} returns a {type(found).__name__}, not a dictionary {wanted}")
+    return found
+
+
+def resolve_initial_states(states: Iterable[State], sensors: Iterable[Sensor]) -> tuple[State, ...]:
+    """The states; those that begin at an output that none of the sensors has begin at their ``x0``."""
+    seen = {o.name for s in sensors for o in s.outputs}
+    return tuple(s if s.from_output in seen else replace(s, from_output="") for s in states)
+
+
+class States(Named):
+    _kind = "state"
+
+
+class Inputs(Named):
+    _kind = "input"
+
+
+class Parameters(Named):
+    _kind = "parameter"

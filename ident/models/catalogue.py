@@ -1,0 +1,101 @@
+"""Models of boats, thrusters and sensors, one file each, and how to make one by name."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from daq.errors import SeatrialError
+from ident.model import Model
+from ident.models.components import current_walk
+from ident.models.user_code import check_user_model, load_object
+
+BUILT_IN = ("horizontal", "kinematic", "surge", "yaw", "thruster")
+# What may follow the name, each in its place: surge:shaft:speed, yaw:both.
+OPTIONS: dict[str, tuple[tuple[str, ...], ...]] = {
+    "surge": (("force", "shaft"), ("position", "speed", "both")),
+    "yaw": (("rate", "both"),),
+    "thruster": (("slow",),),
+}
+
+
+def make_model(source: str, sensors: Sequence[str] | None = None) -> Model:
+    """A model by name: ``horizontal:shaft``, ``horizontal:force:no-current``, ``kinematic:shaft:yaw``, ``surge``, or
+    ``FILE.py:NAME``, where NAME is a Model or a function that returns one. ``sensors`` leaves out those that a log
+    does not have.
+
+    Raises SeatrialError when there is no such model.
+    """
+    if ".py:" in source:
+        return _own_model(source)
+    kind, *options = source.split(":")
+    if kind not in BUILT_IN:
+        raise SeatrialError(f"no model {source!r}: there are {', '.join(BUILT_IN)}, or FILE.py:NAME for your own")
+    if kind == "horizontal":
+        return _horizontal(source, options, sensors)
+    if kind == "thruster" and (options in ([], ["slow"]) or _is_step(options)):
+        from ident.models.thruster import thruster_model
+
+        return thruster_model(*options, force=sensors is None or "load_cell" in sensors)
+    if kind == "kinematic":
+        return _kinematic(source, options, sensors)
+    module = importlib.import_module(f"ident.models.{kind}")
+    maker: Callable[..., Model] = getattr(module, f"{kind}_model")
+    for place, option in enumerate(options):
+        allowed = OPTIONS[kind][place] if place < len(OPTIONS[kind]) else ()
+        if option not in allowed:
+            known = f"there is {', '.join(allowed)}" if allowed else "it takes no more"
+            raise SeatrialError(f"no model {source!r}: {kind} has no option {option!r} there; {known}")
+    return maker(*options)
+
+
+def _is_step(options: Sequence[str]) -> bool:
+    """The delay from one copy of a thruster's command to the next, s."""
+    try:
+        return len(options) == 1 and 1e-4 < float(options[0]) < 1.0
+    except ValueError:
+        return False
+
+
+def _horizontal(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
+    from ident.models.horizontal import SENSORS, STANDARD, horizontal_model
+
+    kinds, currents = ("shaft", "force", "general"), ("no-current", "random-walk-current")
+    wrong = [o for o in options if o not in (*kinds, *currents)]
+    if wrong:
+        raise SeatrialError(f"no model {source!r}: horizontal has {', '.join(kinds)}, and {' or '.join(currents)}")
+    propulsion: Any = next((o for o in options if o in kinds), "shaft")
+    chosen = [s for s in SENSORS if s in sensors] if sensors is not None else None
+    current = "no-current" not in options
+    model = horizontal_model(propulsion, tuple(chosen or STANDARD), current=current)
+    return replace(model + current_walk(), source=source) if "random-walk-current" in options else model
+
+
+def _kinematic(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
+    from ident.models.kinematic import SEEN, kinematic_model
+
+    unknown = [
+        o
+        for k, o in enumerate(options)
+        if o not in (("shaft", "force"), ("yaw", "no-current", "random-walk-current"))[k > 0]
+    ]
+    if unknown:
+        raise SeatrialError(
+            f"no model {source!r}: it is kinematic:shaft|force, then :yaw, :no-current and :random-walk-current "
+            "as wanted"
+        )
+    chosen = SEEN if sensors is None else [s for s in SEEN if s in sensors] or SEEN
+    propulsion: Any = options[0] if options else "shaft"
+    model = kinematic_model(propulsion, chosen, current="no-current" not in options, yaw="yaw" in options)
+    return replace(model + current_walk(), source=source) if "random-walk-current" in options else model
+
+
+def _own_model(source: str) -> Model:
+    file, _, name = source.rpartition(":")
+    model = load_object(source)
+    if not isinstance(model, Model):
+        raise SeatrialError(f"{file}: {name} is no ident.model.structure.Model but {type(model).__name__}")
+    return check_user_model(replace(model, source=source), Path(file))  # by its source model.toml finds it again

@@ -1,0 +1,74 @@
+"""Parts of a boat that are known or asked for, not searched: the antenna's place, a current that wanders."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ident.model import Effect, Model, Parameter, Signals, State
+from ident.models import rotations
+
+ANTENNA, CURRENT_WALK = "antenna", "random-walk-current"
+
+
+def shift(s: Signals, l_x: Any, l_y: Any) -> None:
+    """Position and velocity over ground of a point ahead and to starboard of the origin (Groves 2013, 2.5)."""
+    cos, sin = np.cos(s.x.psi), np.sin(s.x.psi)
+    s.y["x"] = s.y["x"] + cos * l_x - sin * l_y
+    s.y["y"] = s.y["y"] + sin * l_x + cos * l_y
+    s.y["vx"] = s.y["vx"] - s.x.r * (sin * l_x + cos * l_y)
+    s.y["vy"] = s.y["vy"] + s.x.r * (cos * l_x - sin * l_y)
+
+
+def antenna(x: float = 0.0, y: float = 0.0, z: float | None = None) -> Effect:
+    """The GNSS antenna where the rig file says [m, ahead, to starboard, down]; an error in that is the effect
+    lever-arm. ``z``: for a model with measured attitude; in a level one the height of the antenna does not count."""
+    places = [("x", x, "antenna ahead of the origin"), ("y", y, "antenna to starboard")]
+    places += [] if z is None else [("z", z, "antenna below the origin")]
+    return Effect(
+        ANTENNA,
+        "the antenna where the rig file says",
+        {"output": _level if z is None else _tilted},
+        parameters=tuple(
+            Parameter(f"antenna_{axis}", value, "m", f"{meaning}, by the rig file", free=False, step=0.01)
+            for axis, value, meaning in places
+        ),
+        place="sensor",
+        requires=("hull",) if z is None else ("attitude",),
+    )
+
+
+def antenna_of(model: Model, arm: Sequence[float] = (0.0, 0.0, 0.0)) -> Effect:
+    """The same as this model can have it; arm (3,) m, ahead, to starboard and down."""
+    return antenna(*arm) if "attitude" in model.provides else antenna(*arm[:2])
+
+
+def _level(s: Signals) -> None:
+    shift(s, s.p.antenna_x, s.p.antenna_y)
+
+
+def _tilted(s: Signals) -> None:
+    rotations.shift(s, (s.p.antenna_x, s.p.antenna_y, s.p.antenna_z))
+
+
+def current_walk() -> Effect:
+    """A current that wanders: a random walk in NED beside the constant one (Fossen 2011, section 8.3)."""
+
+    def drift(s: Signals) -> None:
+        s.rate["x"], s.rate["y"] = s.rate["x"] + s.x.drift_x, s.rate["y"] + s.x.drift_y
+        s.rate["drift_x"] = s.rate["drift_y"] = 0.0
+
+    return Effect(
+        CURRENT_WALK,
+        "a current that wanders",
+        {"rate": drift},
+        parameters=(Parameter("q_V", 0.005, "m/s/sqrt(s)", "diffusion of the current", "log", prior=(0.005, 0.01)),),
+        states=(
+            State("drift_x", "m/s", "current to the north, beyond V_x", "q_V", sd0=0.0),
+            State("drift_y", "m/s", "current to the east, beyond V_y", "q_V", sd0=0.0),
+        ),
+        place="environment",
+        requires=("plane",),
+    )

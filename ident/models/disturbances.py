@@ -1,0 +1,218 @@
+"""What keeps the estimate honest while something is missing: unexplained forces and walking sensor offsets.
+
+Where unexplained forces act on a hull, and what they and the errors of its sensors may depend on: the hull's part of a
+diagnosis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ident.model import Effect, Model, Parameter, Residual, Signals, State, Variable
+
+SIZES = {"X": (1.0, "N/sqrt(s)"), "Y": (1.0, "N/sqrt(s)"), "N": (0.15, "N m/sqrt(s)")}
+TIME = Variable("t", "s", lambda s: s.u.t)
+
+
+def adder(name: str) -> Callable[[Signals, Any], None]:
+    """Adds an extra to the signal of this name."""
+
+    def add(s: Signals, extra: Any) -> None:
+        setattr(s, name, getattr(s, name) + extra)
+
+    return add
+
+
+HULL = tuple(
+    Residual(name, unit, f"b_{name}", scale, f"the force {name}", adder(name))
+    for name, unit, scale in (("X", "N", 10.0), ("Y", "N", 10.0), ("N", "N m", 2.0))
+)
+
+
+def _reader(name: str) -> Callable[[Signals, Any], None]:
+    """Adds an extra to the reading of this channel."""
+
+    def add(s: Signals, extra: Any) -> None:
+        s.y[name] = s.y[name] + extra
+
+    return add
+
+
+# What a sensor may get wrong: a compass by the heading and by the motors' currents, the others by what shakes or turns
+READINGS = tuple(
+    Residual(name, unit, f"bias_{name}", scale, f"the reading of the {what}", _reader(name), "output", of)
+    for name, what, unit, scale, of in (
+        ("psi", "heading", "rad", 0.1, ("psi", "n_sum", "n_diff")),
+        ("r", "yaw rate", "rad/s", 0.05, ("r",)),
+        ("ax", "surge acceleration", "m/s2", 0.3, ("u", "r")),
+        ("ay", "sway acceleration", "m/s2", 0.3, ("v", "r")),
+    )
+)
+
+
+def _state(name: str) -> Callable[[Signals], Any]:
+    return lambda s: getattr(s.x, name)
+
+
+MOTION = (
+    Variable("u", "m/s", _state("u"), functions=7),
+    Variable("v", "m/s", _state("v")),
+    Variable("r", "rad/s", _state("r")),
+    Variable("psi", "rad", _state("psi"), angle=True),
+    TIME,
+)
+
+
+def _pair(letter: str, difference: bool) -> Callable[[Signals], Any]:
+    def read(s: Signals) -> Any:
+        left, right = getattr(s.u, f"{letter}_left"), getattr(s.u, f"{letter}_right")
+        return left - right if difference else (left + right) / 2
+
+    return read
+
+
+SHAFTS = (Variable("n_sum", "", _pair("n", False)), Variable("n_diff", "", _pair("n", True)))
+THRUSTS = (Variable("f_sum", "N", _pair("f", False)), Variable("f_diff", "N", _pair("f", True)))
+PRODUCTS = (("u", "r"), ("u", "v"), ("v", "r"))
+
+
+def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
+    """Ornstein-Uhlenbeck forces on surge, sway and yaw: what the model does not explain, to be smoothed out.
+
+    ``forces``: those that the model has (``forces_of``). Their stationary standard deviations start at ``SIZES``
+    [N, N, N m]. They keep the estimate honest while something is missing, and the smoother turns them into residual
+    forces with covariance (Kristensen, Madsen and Jorgensen 2004).
+    """
+    tau = 1.5
+    names = tuple(forces)
+    sd, units = zip(*(SIZES[n] for n in names), strict=True)
+
+    def add(s: Signals) -> None:
+        for name in names:
+            setattr(s, name, getattr(s, name) + getattr(s.x, f"b_{name}"))
+
+    def decay(s: Signals) -> None:
+        for name in names:
+            s.rate[f"b_{name}"] = -getattr(s.x, f"b_{name}") / s.p.tau_b
+
+    return Effect(
+        "disturbance",
+        "unexplained forces",
+        {"force": add, "rate": decay},
+        parameters=(
+            *(_diffusion(n, s0 * float(np.sqrt(2 / tau)), unit) for n, s0, unit in zip(names, sd, units, strict=True)),
+            Parameter(
+                "tau_b", tau, "s", "memory of the unexplained forces", "log", prior=(tau, tau), bounds=(0.2, 60.0)
+            ),
+        ),
+        states=tuple(
+            State(f"b_{n}", u.split("/")[0], f"unexplained {n}", f"q_{n}", sd0=s0)
+            for n, s0, u in zip(names, sd, units, strict=True)
+        ),
+        place="environment",
+    )
+
+
+def _diffusion(force: str, q: float, unit: str) -> Parameter:
+    return Parameter(f"q_{force}", q, unit, f"diffusion of the unexplained {force}", "log", prior=(q, 3 * q))
+
+
+def forces_of(model: Model) -> tuple[str, ...]:
+    """The forces of a model that unexplained ones are added to; none where it has no hull."""
+    if {"hull", "turn"} & set(model.provides):
+        return ("X", "Y", "N")
+    return ("X", "Y") if "plane" in model.provides else ()
+
+
+def shaft_disturbance() -> Effect:
+    """An Ornstein-Uhlenbeck acceleration ``b_n`` of a shaft on the bench [1/s], beside the force ``b_f`` that its model
+    has: what the first-order response to the command does not explain."""
+    tau, sd = 0.3, 0.03
+    q = sd * float(np.sqrt(2 / tau))
+
+    def add(s: Signals) -> None:
+        s.rate["n"] = s.rate["n"] + s.x.b_n
+        s.rate["b_n"] = -s.x.b_n / s.p.tau_n
+
+    return Effect(
+        "disturbance",
+        "an unexplained acceleration of the shaft",
+        {"rate": add},
+        parameters=(
+            Parameter("q_n", q, "1/s/sqrt(s)", "diffusion of the unexplained acceleration", "log", prior=(q, 3 * q)),
+            Parameter(
+                "tau_n", tau, "s", "memory of the unexplained acceleration", "log", prior=(tau, tau), bounds=(0.05, 5.0)
+            ),
+        ),
+        states=(State("b_n", "1/s", "unexplained acceleration of the shaft", "q_n", sd0=sd),),
+        place="bench",
+    )
+
+
+def disturbance_of(model: Model) -> Effect:
+    """The unexplained forces of a vehicle, or the unexplained acceleration of a shaft."""
+    return shaft_disturbance() if "bench" in model.provides else disturbance(forces_of(model))
+
+
+def sensor_bias(sensors: Sequence[str]) -> Effect:
+    """Slowly walking offsets of gyro, heading and accelerometers (white plus random walk, thesis 4.1)."""
+    table: dict[str, tuple[tuple[str, str, float, float], ...]] = {
+        "attitude": (("psi", "rad", 0.005, 1.7e-4),),
+        "gyro": (("r", "rad/s", 0.01, 1e-5),),
+        "accelerometer": (("ax", "m/s2", 0.1, 1e-4), ("ay", "m/s2", 0.1, 1e-4)),
+    }
+    rows = [row for s in sensors for row in table.get(s, ())]
+
+    def add(s: Signals) -> None:
+        for name, *_ in rows:
+            s.y[name] = s.y[name] + getattr(s.x, f"bias_{name}")
+
+    def still(s: Signals) -> None:
+        for name, *_ in rows:
+            s.rate[f"bias_{name}"] = 0.0
+
+    return Effect(
+        "sensor-bias",
+        "offsets of the sensors",
+        {"rate": still, "output": add},
+        states=tuple(State(f"bias_{n}", unit, f"offset of {n}", walk, sd0=sd) for n, unit, sd, walk in rows),
+        place="sensor",
+    )
+
+
+def for_diagnosis(model: Model) -> Model:
+    """The model with unexplained forces and sensor offsets as states; velocities get no white noise of their own."""
+    out: Model = model + disturbance_of(model)
+    present = [s.name for s in model.sensors]
+    if {"attitude", "gyro", "accelerometer"} & set(present):
+        out = out + sensor_bias(present)
+    quiet = [p.at(1e-4).fixed() for p in out.parameters if p.name in ("s_u", "s_v", "s_r", "s_n")]
+    return out.replace_parameters(*quiet)
+
+
+def residuals_of(model: Model) -> tuple[Residual, ...]:
+    """Where something unexplained may enter; none for a model that cannot be diagnosed."""
+    return model.residuals or (HULL if "hull" in model.provides else ())
+
+
+def readings_of(model: Model) -> tuple[Residual, ...]:
+    """The sensors whose readings may be off by more than the offsets that the model has for them."""
+    states = {s.name for s in model.states}
+    return tuple(r for r in READINGS if r.state in states) if "hull" in model.provides else ()
+
+
+def variables_of(model: Model) -> tuple[Variable, ...]:
+    """What residuals may depend on: the model's own list, or for a hull its motion, time and thrusters."""
+    if model.variables or "hull" not in model.provides:
+        return model.variables
+    inputs = {i.name for i in model.inputs}
+    shafts, thrusts = ({f"{letter}_left", f"{letter}_right"} <= inputs for letter in ("n", "f"))
+    return MOTION + (SHAFTS if shafts else THRUSTS if thrusts else ())
+
+
+def products_of(model: Model) -> tuple[tuple[str, str], ...]:
+    """Pairs of variables whose products are tried too."""
+    return model.products or (PRODUCTS if "hull" in model.provides else ())

@@ -1,0 +1,86 @@
+"""How large the boat is beside the one that the catalogue's priors and steps were chosen for.
+
+An effect's prior says what is plausible: a moment of 2 N m on a boat of 37 kg. On a ferry it is nothing. Speeds and
+yaw rates of boats differ little, forces and moments go with mass and moment of inertia: so do these priors.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from math import sqrt
+
+from ident.model import Effect, Model, Parameter
+from ident.models.disturbances import SIZES
+
+MASS, INERTIA = 37.0, 9.69  # kg, kg m2: the thesis' boat with its added mass (Table 1)
+
+
+@dataclass(frozen=True)
+class VesselScale:
+    """force, moment: factors on what is plausible as a force and as a moment."""
+
+    force: float = 1.0
+    moment: float = 1.0
+
+    def of(self, unit: str) -> float:
+        """Factor of a coefficient with this unit; 1 where no mass or force is in it."""
+        above, _, below = unit.partition("/")
+        power = _power(above) - _power(below)
+        if power == 0:
+            return 1.0
+        lengths = (
+            len(re.findall(r"\bm\b", above))
+            + 2 * len(re.findall(r"\bm2\b", above))
+            - len(re.findall(r"\bm2?\b", below))
+        )
+        is_moment = "N m" in above or lengths >= 2
+        # a coefficient in kg m may be a force or a moment
+        either = lengths == 1 and not is_moment
+        return float((self.moment if is_moment else sqrt(self.force * self.moment) if either else self.force) ** power)
+
+
+def _power(part: str) -> int:
+    return len(re.findall(r"\b(?:kg|N)\b", part))
+
+
+def size_of(model: Model) -> VesselScale:
+    """From the masses of a fitted model; the catalogue's own size where it has none."""
+    values = model.values
+    if "m_u" not in values:
+        return VesselScale()
+    force = values["m_u"] / MASS
+    return VesselScale(force, values["m_r"] / INERTIA if "m_r" in values else force)
+
+
+def rescale(model: Model, size: VesselScale) -> Model:
+    """The model with unexplained forces for a boat of this size: their spread at the start, and what is plausible
+    for their diffusion."""
+    factors = {"X": size.force, "Y": size.force, "N": size.moment}
+    states, new = [], []
+    for s in model.states:
+        name = s.name.removeprefix("b_")
+        if name in factors and s.name != name and f"q_{name}" in model.values:
+            q = model.parameter(f"q_{name}")
+            sd0 = SIZES[name][0] * factors[name]
+            scale = sd0 / float(s.sd0)
+            s = replace(s, sd0=sd0)
+            if q.prior is not None:
+                fresh = q.value == q.prior[0]
+                prior = (scale * q.prior[0], scale * q.prior[1])
+                new.append(replace(q, prior=prior, value=prior[0] if fresh else q.value))
+        states.append(s)
+    return replace(model, states=tuple(states)).replace_parameters(*new)
+
+
+def scale_priors(effect: Effect, size: VesselScale) -> Effect:
+    """The effect with priors and steps for a boat of this size."""
+    return replace(effect, parameters=tuple(_sized(p, size.of(p.unit)) for p in effect.parameters))
+
+
+def _sized(p: Parameter, factor: float) -> Parameter:
+    if factor == 1.0:
+        return p
+    prior = None if p.prior is None else (factor * p.prior[0], factor * p.prior[1])
+    low, high = p.bounds
+    return replace(p, value=factor * p.value, prior=prior, step=factor * p.step, bounds=(factor * low, factor * high))

@@ -1,0 +1,106 @@
+"""A user's own Python files: models and effects that seatrial does not have, and what is wrong with them."""
+
+from __future__ import annotations
+
+import importlib.util
+import inspect
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from daq.errors import SeatrialError
+from ident.model import Effect, Model
+
+# What libraries say of a symbol, and what to write instead
+ADVICE = {
+    "truth value": "`if`, `and`, `or`, `max` and `min` cannot decide on a symbol; write np.where(condition, a, b), "
+                   "np.maximum(a, b) or x * (x > 0)",
+    "new_SX": "one of the rates or outputs that it gives is no number",
+    "to_int not defined": "`int` and `range` cannot take a symbol; write np.floor(x)",
+}
+
+
+def load_python(path: Path) -> ModuleType:
+    """Run a Python file and return what it defines. Raises SeatrialError with the file, its line and the reason."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if not path.is_file() or spec is None or spec.loader is None:
+        raise SeatrialError(f"{path}: no such Python file")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as problem:
+        raise SeatrialError(f"{place(problem, path)}: cannot be loaded: {error_message(problem)}") from problem
+    return module
+
+
+def load_object(source: str) -> Any:
+    """What NAME of ``FILE.py:NAME`` is; a function is called. Raises SeatrialError."""
+    file, _, name = source.rpartition(":")
+    module = load_python(Path(file))
+    try:
+        found = getattr(module, name)
+        return found() if callable(found) else found
+    except Exception as problem:
+        raise SeatrialError(
+            f"{place(problem, Path(file))}: {name} cannot be loaded: {error_message(problem)}"
+        ) from problem
+
+
+def load_effects(path: Path) -> dict[str, Effect]:
+    """The effects of a file: those in its ``EFFECT`` or ``EFFECTS``, by name."""
+    module = load_python(path)
+    found = getattr(module, "EFFECTS", None) or ((module.EFFECT,) if hasattr(module, "EFFECT") else ())
+    if not found or not all(isinstance(e, Effect) for e in found):
+        raise SeatrialError(f"{path}: defines neither EFFECT nor EFFECTS of ident.model.structure.Effect")
+    return {e.name: e for e in found}
+
+
+def check_user_model(model: Model, path: Path) -> Model:
+    """The model, after its functions of ``path`` have been called once with symbols, as every estimate does.
+
+    Raises SeatrialError with file, line, what is wrong there, and what to write instead.
+    """
+    from ident.engine import EkfGraphs
+
+    try:
+        EkfGraphs(model)
+    except Exception as problem:
+        raise SeatrialError(f"{place(problem, path, model)}: {error_message(problem)}") from problem
+    return model
+
+
+def place(problem: BaseException, path: Path, model: Model | None = None) -> str:
+    """``FILE:LINE`` of the last line of the user's own that led to the problem; without one, of the function that ends
+    the model's rates or outputs."""
+    if isinstance(problem, SyntaxError) and problem.lineno:
+        return f"{problem.filename or path}:{problem.lineno}"
+    lines, at = [], problem.__traceback__
+    while at is not None:
+        if _same(at.tb_frame.f_code.co_filename, path):
+            lines.append(at.tb_lineno)
+        at = at.tb_next
+    if not lines and model is not None:
+        label = "output" if " output " in str(problem) else "rate"
+        lines = [line for name, stage in model.stages if name == label for line in _first_line(stage, path)]
+    return f"{path}:{lines[-1]}" if lines else str(path)
+
+
+def _first_line(function: Any, path: Path) -> list[int]:
+    code = getattr(inspect.unwrap(function), "__code__", None)
+    return [code.co_firstlineno] if code is not None and _same(code.co_filename, path) else []
+
+
+def _same(file: str, path: Path) -> bool:
+    return Path(file).resolve() == path.resolve()
+
+
+def error_message(problem: BaseException) -> str:
+    """What to say of an error in the user's own code."""
+    said = " ".join(str(problem).split())
+    for sign, advice in ADVICE.items():
+        if sign in said:
+            return advice
+    if "SX" in said:
+        return f"{said} (SX are the symbols that it is called with: write it with numpy's functions)"
+    plain = isinstance(problem, (ValueError, TypeError, AttributeError, ArithmeticError, ImportError, SyntaxError))
+    return said if said and plain else f"{type(problem).__name__}: {said}"

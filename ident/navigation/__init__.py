@@ -1,0 +1,5 @@
+"""Navigation with a fitted model: filtered and smoothed states, GNSS outages."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,5 @@
+"""Generic numerics without domain: signal processing, autocorrelation, pattern search, outlier density."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,10 @@
+from .arrays import Array as Array
+from .autocorrelation import autocorrelation_time as autocorrelation_time
+from .autocorrelation import block_error as block_error
+from .autocorrelation import effective_sample_size as effective_sample_size
+from .autocorrelation import integrated_autocorrelation_time as integrated_autocorrelation_time
+from .pattern_search import Evaluate as Evaluate
+from .pattern_search import PatternSearch as PatternSearch
+from .pattern_search import SearchResult as SearchResult
+from .signal_processing import first_order_lag as first_order_lag
+from .signal_processing import wrap as wrap

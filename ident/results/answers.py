@@ -1,0 +1,139 @@
+"""What the fit of a vehicle says in a sentence or two.
+
+What must be said before an estimate is read: that the fit stopped short, that a sensor was stuck.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ident.characterisation import Curve, Levels, Quadratic
+from ident.data import Record
+from ident.estimation import Fit, HomogeneityTest
+from ident.results.content import FEWEST, Json
+
+WORDS = {
+    "x": "position",
+    "vx": "velocity",
+    "psi": "heading",
+    "u": "surge speed",
+    "r": "yaw rate",
+    "speed": "speed over ground",
+}
+SPELLED = {1.0: "One second", 10.0: "Ten seconds"}
+LEVEL = 0.01
+MEASURED = {"phi", "theta", "psi", "p", "q", "r"}  # inputs that are a sensor's output, with its noise
+FEWEST_SAMPLES = 10  # samples that are all the same before a sensor is called stuck
+
+
+def vehicle_answer(result: Json, *, searchable: bool) -> str:
+    """The error over the horizon, and what the residuals know. ``searchable``: `ident diagnose` can search further."""
+    roles = result["before_after"]
+    role = "validation" if "validation" in roles else "estimation"
+    rows = roles[role]["ten_seconds"]
+    words = {n: w for n, w in WORDS.items() if n in rows} or {n: n for n in rows}
+    said = []
+    for name, word in words.items():
+        degrees = rows[name]["unit"].startswith("rad")
+        value, unit = rows[name]["after"], rows[name]["unit"].replace("rad", "deg")
+        said.append(f"{word} {value * 180 / np.pi if degrees else value:.2g} {unit}".rstrip())
+    horizon = SPELLED.get(result["horizon"], f"{result['horizon']:g} s")
+    ahead = f"{horizon} ahead on {role} data the model errs by {', '.join(said)} (rms). " if said else ""
+    return f"{ahead}{_residuals(result, searchable)}"
+
+
+def _residuals(result: Json, searchable: bool) -> str:
+    """Each at 1 % over all channels, tests and inputs together (Bonferroni)."""
+    tests = [p for r in result["residuals"] for p in (r["ljung_box_p"], r["periodogram_p"])]
+    cross = [(c["p"], c["input"]) for c in result["cross"] if c["p"] is not None]
+    known = {name for p, name in cross if p * len(cross) < LEVEL}
+    coloured = any(p is not None and p * len(tests) < LEVEL for p in tests)
+    if not tests:
+        least = f"that takes {FEWEST} samples of a channel"
+        return f"Too little was measured to tell whether the residuals are white: {least}."
+    if not known and not coloured:
+        hidden = "; whether the unexplained forces hide an effect, `seatrial ident diagnose` tells"
+        return f"The residuals are white and know nothing of the inputs{hidden if searchable else ''}{_unseen(result)}."
+    if known and known <= MEASURED:
+        named = " and ".join(sorted(known))
+        return (
+            f"The residuals still know {named}, which the model takes as measured: that may be the noise of these "
+            f"measurements and need not be a lack of the model{'. They are not white' if coloured else ''}."
+        )
+    end = "The residuals still know the inputs" if known else "The residuals are not white"
+    how = ": run `seatrial ident diagnose` to find what is missing" if searchable else ": the model lacks something"
+    return f"{end}{how}."
+
+
+def _unseen(result: Json) -> str:
+    """Channels of the estimation data with too few samples to say so."""
+    seen = {r["channel"] for r in result["residuals"]}
+    left = [n for n in result["before_after"].get("estimation", {}).get("one_step", {}) if n not in seen]
+    return f" (of {', '.join(left)} there are too few to tell)" if left else ""
+
+
+def estimation_warnings(fit: Fit, records: Sequence[Record]) -> list[str]:
+    """Lines for people, the fit's first; none where all is well."""
+    said = []
+    if not fit.converged:
+        said.append(
+            f"The fit did not converge: it {fit.message}. Take no estimate or error from it: look for a stuck or "
+            "missing signal first, then give --initial or --prior, or a model with fewer free parameters."
+        )
+    return said + [line for record in records for line in stuck(record)]
+
+
+def stuck(record: Record) -> list[str]:
+    """A line for each channel of a record whose samples are all the same."""
+    lines = []
+    for j, name in enumerate(record.outputs):
+        y = record.y[:, j]
+        y = y[np.isfinite(y)]
+        if y.size >= FEWEST_SAMPLES and np.ptp(y) == 0.0:
+            lines.append(f"{record.name}: {name} reads {y[0]:.6g} in all of its {y.size} samples: a stuck sensor?")
+    return lines
+
+
+def thruster_answer(fitted: Fit, has_force: bool) -> str:
+    a, tau, d = (fitted.estimate(n) for n in ("a", "tau", "d"))
+    shaft = (
+        f"the shaft follows its command {1e3 * tau[0]:.0f} ms late with a time constant of {1e3 / a[0]:.0f} ms "
+        f"and does not turn below {100 * d[0]:.1f} % of full command"
+    )
+    if not has_force:
+        return shaft[0].upper() + shaft[1:] + "; without a load cell nothing is known of its thrust."
+    (c1, s1), (c2, s2) = fitted.estimate("c1"), fitted.estimate("c2")
+    s = float(np.hypot(s1, s2))
+    return f"The thruster gives {c1 + c2:.1f} N ahead and {c1 - c2:.1f} N astern at full speed (± {s:.2g} N); {shaft}."
+
+
+def curve_notes(levels: Levels, curve: Curve, quadratic: Quadratic) -> list[str]:
+    covariance = np.sqrt(np.diag(quadratic.covariance))
+    notes = [
+        f"Quadratic: c1 = {quadratic.c1:.2f} ± {covariance[0]:.2f} N, c2 = {quadratic.c2:.2f} ± {covariance[1]:.2f} N, "
+        f"chi-square {quadratic.chi2:.3g} with {quadratic.df} degrees of freedom against the levels' own errors.",
+        "Standard errors are of the readings alone, with their autocorrelation; they know nothing of the load cell's "
+        "calibration, of friction in the rig, of the battery, or of another day.",
+    ]
+    moved = np.abs(curve.force - levels.force) > 1e-9
+    if moved.any():
+        pooled = zip(levels.n[moved], levels.force[moved], levels.se[moved], strict=True)
+        said = ", ".join(f"{f:.2f} ± {s:.2f} N at {n:g}" for n, f, s in pooled)
+        notes.append(f"Levels that do not rise with the command were made level: {said}.")
+    return notes
+
+
+def sentence(a: HomogeneityTest) -> str:
+    """What the test says, for people."""
+    each = ", ".join(f"{v:.3g} ± {e:.2g}" for v, e in zip(a.values, a.errors, strict=True))
+    low, high = a.interval
+    verdict = "agree" if a.agree else "do not agree"
+    return (
+        f"{a.name}: {a.value:.3g} ± {a.error:.2g} {a.unit} from all logs together (robust error {a.robust_error:.2g}); "
+        f"one by one {each}: they {verdict} (likelihood ratio {a.lr:.1f}, chi-square with {a.df} "
+        f"degree{'s' if a.df > 1 else ''} of freedom: p = {a.p:.2g}). "
+        f"Scatter between logs {a.scatter:.2g}; with it {a.mean:.3g} ± {a.mean_error:.2g}, "
+        f"95 % interval {low:.3g} to {high:.3g} {a.unit}."
+    )

@@ -1,0 +1,329 @@
+"""The missions and truths of ``seatrial ident study``: steps as in the paper's section 5, the boat of its Table 5.
+
+Cases of ``seatrial ident study`` that are the user's: a fitted model.toml, or a ``Case`` of a Python file.
+Does a designed mission deliver? Simulated repeats, each fitted, against the errors that the design predicted.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy import stats
+
+from daq.errors import SeatrialError
+from ident.characterisation import noise_model
+from ident.data import TIME_INPUT
+from ident.estimation import SampledInputs, load_model
+from ident.experiment_design import GRID, Design, DesignProblem, Steps, design
+from ident.model import INF, Model
+from ident.models import (
+    DELAY_STEP,
+    check_user_model,
+    horizontal_model,
+    kinematic_model,
+    load_object,
+    surge_model,
+    thruster_model,
+    yaw_model,
+)
+from ident.numerics import Array
+from ident.studies.monte_carlo import Case, run_replicates
+
+MISSION_SEED = 20  # the mission is the same for all replicates
+A_SHAFT = 2.794  # 1/s, Table 2
+# Table 5, 3 DOF: the boat as it was identified. Table 1's d_u and d_vv are at their bound of zero for any such record.
+HULL = {"m_u": 43.0775, "m_v": 49.8655, "m_r": 13.5756, "d_u": 8.4193, "d_v": 81.3337, "d_r": 6.4794,
+        "d_uu": 27.8441, "d_vv": 11.7343, "d_rr": 19.9464}
+N_DELAYS = round(0.2 / DELAY_STEP) + 1  # up to twice the true delay
+
+
+def steps(t: Array, levels: Callable[[np.random.Generator], Array], hold: tuple[float, float], seed: int) -> Array:
+    """A sequence of random levels (n_rows, n_inputs), each held for a random time within ``hold`` [s]."""
+    rng = np.random.default_rng(seed)
+    u, until = np.zeros((t.size, len(levels(np.random.default_rng(0))))), 0.0
+    while until < t[-1]:
+        u[t >= until - 1e-9] = levels(rng)
+        until += rng.uniform(*hold)
+    return u
+
+
+def lagged(t: Array, command: Array, a: float = A_SHAFT) -> Array:
+    """Shaft speeds behind held commands: ``n' = a (n_ref - n)`` from rest, (n_rows, n)."""
+    n = np.zeros_like(command)
+    for k in range(t.size - 1):
+        n[k + 1] = command[k] + (n[k] - command[k]) * np.exp(-a * (t[k + 1] - t[k]))
+    return n
+
+
+def surge_case(seconds: float = 300.0) -> Case:
+    """Thrust ahead and astern in steps, position at 10 Hz."""
+    t = _clock(seconds, 0.1)
+    force = steps(t, lambda rng: rng.uniform(-30.0, 80.0, 1), (5.0, 15.0), MISSION_SEED)
+    model = _at(surge_model(), HULL | {"s_u": 0.02, "e_x": 0.05})
+    return Case(
+        "surge", model, SampledInputs.held(t, force), {}, f"{seconds:g} s, thrust in steps of 5-15 s, position 10 Hz"
+    )
+
+
+def yaw_case(seconds: float = 300.0) -> Case:
+    """Differential thrust in steps, gyro at 20 Hz."""
+    t = _clock(seconds, 0.05)
+    moment = steps(t, lambda rng: rng.uniform(-12.0, 12.0, 1), (2.0, 8.0), MISSION_SEED)
+    model = _at(yaw_model(), HULL | {"s_r": 0.02, "e_r": 0.01})
+    return Case("yaw", model, SampledInputs.held(t, moment), {}, f"{seconds:g} s, moment in steps of 2-8 s, gyro 20 Hz")
+
+
+def horizontal_case(seconds: float = 400.0) -> Case:
+    """Both thrusters in steps; heading, gyro and accelerometers at 10 Hz, position and velocity at 5 Hz."""
+    t = _clock(seconds, 0.1)
+    n = lagged(t, steps(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED))
+    model = _at(horizontal_model(), HULL | {"s_u": 0.02, "s_v": 0.02, "s_r": 0.01})
+    return Case("horizontal", model, SampledInputs.linear(t, n), {"position": 2, "ground_velocity": 2},
+                f"{seconds:g} s, both thrusters in steps of 3-10 s, AHRS 10 Hz, GNSS 5 Hz, unknown current")
+
+
+def thruster_case(seconds: float = 100.0) -> Case:
+    """Steps on the bench; command, shaft speed and force at 80 Hz."""
+    t = _clock(seconds, DELAY_STEP)  # so that the delayed commands change at rows
+    command = steps(t, lambda rng: rng.uniform(-1.0, 1.0, 1), (1.0, 4.0), MISSION_SEED)[:, 0]
+    whole = [np.searchsorted(t, t - k * DELAY_STEP + 1e-9, side="right") - 1 for k in range(N_DELAYS)]
+    u = np.column_stack([command[np.maximum(at, 0)] for at in whole])
+    model = thruster_model(n_delays=N_DELAYS).with_values({"tau": 0.1, "s_n": 0.02, "e_n": 0.005})
+    return Case(
+        "thruster", model, SampledInputs.held(t, u), {}, f"{seconds:g} s, command in steps of 1-4 s, all at 80 Hz"
+    )
+
+
+def kinematic_case(seconds: float = 400.0) -> Case:
+    """The same with measured attitude and rates, on a boat that rolls by 3 and pitches by 2 degrees."""
+    t = _clock(seconds, 0.1)
+    n = lagged(t, steps(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED))
+    model = _at(kinematic_model(), HULL | {"s_u": 0.02, "s_v": 0.02})
+    inputs = SampledInputs.linear(t, np.column_stack([n, attitude(t, turned(t, n))]))
+    return Case("kinematic", model, inputs, {"position": 2, "ground_velocity": 2},
+                f"{seconds:g} s, both thrusters in steps of 3-10 s, attitude and accelerometers 10 Hz, GNSS 5 Hz, "
+                "unknown current")
+
+
+def turned(t: Array, n: Array) -> Array:
+    """Heading [rad] (n_rows,) of the boat under shaft speeds (n_rows, 2), by the yaw equation without noise."""
+    model = horizontal_model()
+    force = model.values["c1"] * n * np.abs(n) + model.values["c2"] * n**2
+    moment = force @ [-model.values["y_left"], -model.values["y_right"]]
+    psi, r = np.zeros(t.size), 0.0
+    for k, step in enumerate(np.diff(t)):
+        psi[k + 1] = psi[k] + step * r
+        r += step * (moment[k] - HULL["d_r"] * r - HULL["d_rr"] * abs(r) * r) / HULL["m_r"]
+    return psi
+
+
+def attitude(t: Array, psi: Array) -> Array:
+    """phi, theta, psi [rad] and the body rates p, q, r [rad/s] that go with them (n_rows, 6); Fossen 2011, eq. 2.27."""
+    phi, theta = 0.052 * np.sin(2 * np.pi * t / 2.3), 0.035 * np.sin(2 * np.pi * t / 3.1)
+    d_phi, d_theta, d_psi = (np.gradient(angle, t) for angle in (phi, theta, psi))
+    rates = (d_phi - np.sin(theta) * d_psi, np.cos(phi) * d_theta + np.sin(phi) * np.cos(theta) * d_psi,
+             np.cos(phi) * np.cos(theta) * d_psi - np.sin(phi) * d_theta)
+    return np.column_stack([phi, theta, psi, *rates])
+
+
+def noise_case(seconds: float = 300.0) -> Case:
+    """One axis at rest: white noise and a random walk, as `seatrial ident noise` fits them."""
+    t = _clock(seconds, 0.05)
+    model = noise_model(1e-3).with_values({"white": 1.0, "walk": 0.3})
+    return Case("noise", model, SampledInputs.held(t, np.empty((t.size, 0))), {}, f"{seconds:g} s at rest, 20 Hz",
+                restricted=False)
+
+
+def optimal_design_case(seconds: float = 300.0) -> Case:
+    """The mission that ``ident.experiment_design.optimal_design`` finds for the nine parameters of Table 1: do fits
+    reach what it promises?"""
+    rates = {"position": 5.0, "ground_velocity": 5.0}
+    task = DesignProblem(
+        horizontal_model(current=False), Steps(round(seconds / 5.0), 2, seconds, 1.0, GRID), rates=rates
+    )
+    case = designed_case(design(task, evaluations=2000))
+    return replace(case, about=f"{seconds:g} s, designed steps of at least 1 s, AHRS 10 Hz, GNSS 5 Hz, no current")
+
+
+def _clock(seconds: float, step: float) -> Array:
+    return np.asarray(np.arange(round(seconds / step) + 1) * step)
+
+
+def _at(model: Model, values: Mapping[str, float]) -> Model:
+    """At these of the values that it has, and estimated as `ident vehicle` does."""
+    return replace(model.with_values({n: v for n, v in values.items() if n in model.values}), second_order=True)
+
+
+CASES: dict[str, Callable[..., Case]] = {
+    "surge": surge_case, "yaw": yaw_case, "horizontal": horizontal_case, "kinematic": kinematic_case,
+    "thruster": thruster_case, "noise": noise_case, "designed": optimal_design_case}
+STEP = 0.1  # s
+HOLD = (3.0, 10.0)  # s, of a level
+LAG = 2.794  # 1/s, how fast measured shaft speeds and thrusts follow (thesis Table 2)
+GNSS = ("position", "ground_velocity")
+SECONDS = 400.0
+BATCH = 25  # repeats that are simulated together
+WILD = 8.0  # predicted standard errors from the truth: the fit has stopped in another optimum
+
+
+def make_case(
+    name: str, truth: Mapping[str, float] | None = None, free: Sequence[str] = (), seconds: float | None = None,
+    *, bounded: bool = True, restricted: bool | None = None, second_order: bool | None = None,
+) -> Case:
+    """A case by name or file; at other true values, with only the parameters ``free`` estimated, of another length, if
+    given. Not ``bounded``: damping may be estimated below zero. ``restricted``, ``second_order``: how it is estimated,
+    by default as the commands do, or did where the file says so.
+
+    Raises SeatrialError when there is none, or no such parameter.
+    """
+    if is_own(name):
+        case = own_case(name, seconds, MISSION_SEED)
+    elif name not in CASES:
+        known = ", ".join(CASES)
+        raise SeatrialError(f"no study of {name!r}: there are {known}, a model.toml, or FILE.py:NAME of a Case")
+    else:
+        case = CASES[name](**({} if seconds is None else {"seconds": seconds}))
+    try:
+        case = case.at(truth or {})
+        case = replace(case, model=case.model.with_free(free)) if free else case
+    except (KeyError, ValueError) as problem:
+        raise SeatrialError(str(problem.args[0])) from problem
+    if restricted is not None:
+        case = replace(case, restricted=restricted)
+    if second_order is not None:
+        case = replace(case, model=replace(case.model, second_order=second_order))
+    if bounded:
+        return case
+    apart = [replace(p, bounds=(-INF, INF)) for p in case.model.parameters if p.transform == "none"]
+    return replace(case, model=case.model.replace_parameters(*apart))
+
+
+def is_own(source: str) -> bool:
+    """Whether a MODEL of the command is a file."""
+    return source.endswith(".toml") or ":" in source
+
+
+def own_case(source: str, seconds: float | None, seed: int) -> Case:
+    """``model.toml``: random levels within the inputs' ranges that its data covered, estimated as it was fitted; or
+    ``FILE.py:NAME``, a ``Case``, estimated as `ident vehicle` does.
+
+    Raises SeatrialError where there is no such file, or a mission cannot be made of it.
+    """
+    if source.endswith(".toml"):
+        path = Path(source)
+        if not path.is_file():
+            raise SeatrialError(f"{source}: no such file")
+        saved = load_model(path)
+        case = _of_model(saved.model, saved.validity, source, seconds or SECONDS, seed)
+        return _marked(replace(case, restricted=saved.restricted), path)
+    file, _, name = source.rpartition(":")
+    case = load_object(source)
+    if isinstance(case, Model):
+        raise SeatrialError(
+            f"{file}: {name} is a Model; a study needs its mission, too: make it an ident.studies.monte_carlo.Case"
+        )
+    if not isinstance(case, Case):
+        raise SeatrialError(f"{file}: {name} is no ident.studies.monte_carlo.Case but {type(case).__name__}")
+    if seconds is not None:
+        raise SeatrialError(f"--seconds: {file} says how long {name} is")
+    check_user_model(case.model, Path(file))
+    return _marked(replace(case, model=replace(case.model, second_order=True)), Path(file))  # as `ident vehicle` does
+
+
+def _marked(case: Case, path: Path) -> Case:
+    """With the file's content in what tells one study from another, so that a changed file begins anew."""
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    return replace(case, model=replace(case.model, source=f"{case.model.source} {digest}"))
+
+
+def _of_model(
+    model: Model, ranges: Mapping[str, tuple[float, float]], source: str, seconds: float, seed: int
+) -> Case:
+    t = np.asarray(np.arange(round(seconds / STEP) + 1) * STEP, dtype=np.float64)
+    rng = np.random.default_rng(seed)
+    u = np.empty((t.size, len(model.inputs)))
+    for j, signal in enumerate(model.inputs):
+        if signal.name == TIME_INPUT:
+            u[:, j] = t
+        elif signal.name not in ranges:
+            raise SeatrialError(
+                f"{source}: no range of the input {signal.name!r} under [validity], so no mission can be made up; "
+                "write a Case in a Python file instead (docs/how-to/study.md)"
+            )
+        else:
+            levels = _levels(t, *ranges[signal.name], rng)
+            u[:, j] = levels if signal.hold == "zero" else _lagged(levels)
+    u_next = u.copy()
+    for j, signal in enumerate(model.inputs):
+        if signal.hold != "zero":
+            u_next[:-1, j] = u[1:, j]
+    every = {s.name: 2 for s in model.sensors if s.name in GNSS}
+    rates = "sensors 10 Hz" + ", GNSS 5 Hz" * bool(every)
+    about = f"{seconds:g} s, inputs in steps of 3-10 s within the fitted ranges, {rates}"
+    return Case(f"{model.name}-{Path(source).parent.name or 'own'}", model, SampledInputs(t, u, u_next), every, about)
+
+
+def _levels(t: Array, low: float, high: float, rng: np.random.Generator) -> Array:
+    """Random levels, each held for a random time."""
+    out, until = np.empty(t.size), 0.0
+    while until <= t[-1]:
+        out[t >= until - 1e-9] = rng.uniform(low, high)
+        until += rng.uniform(*HOLD)
+    return out
+
+
+def _lagged(levels: Array) -> Array:
+    """A first-order lag behind them, as measured speeds and forces have."""
+    out, decay = levels.copy(), float(np.exp(-LAG * STEP))
+    for k in range(1, out.size):
+        out[k] = levels[k - 1] + (out[k - 1] - levels[k - 1]) * decay
+    return out
+
+
+@dataclass(frozen=True)
+class Delivered:
+    """One parameter over the repeats. predicted: standard error of the design; ratio: spread of the estimates over it,
+    with its 95 % interval under normality; coverage: share within 1.96 predicted standard errors; wild: how many are
+    far outside (not in ratio, but in coverage)."""
+
+    name: str
+    predicted: float
+    n: int
+    ratio: float
+    interval: tuple[float, float]
+    coverage: float
+    wild: int
+
+
+def designed_case(made: Design, name: str = "designed") -> Case:
+    """The mission as a case of ``ident.studies.monte_carlo``, estimated as `ident vehicle` does, with damping not
+    bounded at zero (a
+    bound makes errors one-sided)."""
+    fine = made.task.finer
+    apart = [replace(p, bounds=(-INF, INF)) for p in fine.model.parameters if p.transform == "none"]
+    u = fine.actuation.inputs(made.command_on(fine)[:, :, None])[:, :, 0]
+    model = replace(fine.model.replace_parameters(*apart), second_order=True)
+    return Case(name, model, SampledInputs.linear(fine.t, u), fine.every)
+
+
+def repeats(made: Design, n: int, seed: int) -> list[Delivered]:
+    """Simulate with process and measurement noise, and fit, n times; inputs must be held linearly."""
+    case = designed_case(made)
+    rows = [row for k in range(0, n, BATCH) for row in run_replicates(case, range(k, min(k + BATCH, n)), seed)]
+    good = [row for row in rows if row.get("converged")]
+    return [_delivered(made, name, np.array([row["d"][name] for row in good])) for name in made.task.learned]
+
+
+def _delivered(made: Design, name: str, d: Array) -> Delivered:
+    p, predicted = made.task.model.parameter(name), made.predicted[name]
+    z = d * p.slope(p.value) / predicted  # d is in the estimator's coordinate
+    tame = np.abs(z) < WILD
+    n = int(tame.sum())
+    low, high = np.sqrt(stats.chi2.ppf([0.025, 0.975], n - 1) / (n - 1))
+    ratio = float(np.std(z[tame], ddof=1))
+    return Delivered(name, predicted, len(z), ratio, (ratio / float(high), ratio / float(low)),
+                     float(np.mean(np.abs(z) < stats.norm.ppf(0.975))), int((~tame).sum()))

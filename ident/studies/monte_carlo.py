@@ -1,0 +1,245 @@
+"""Does the estimator do what its standard errors say? Monte Carlo on data of the model itself.
+
+Each replicate is simulated with process and measurement noise (``ident.estimation.stochastic_simulation``, plain
+numpy) and estimated by
+``ident.estimation.maximum_likelihood``. Everything is judged in the coordinate in which the estimator moves (the
+logarithm of a positive
+parameter), since there its standard error is meant:
+
+    bias     = mean(d) / sd(d),  d = estimate - truth
+    ratio    = var(d) / mean(variance that each fit reported);  bound: the same with the Cramer-Rao bound at the truth,
+               which is what is judged: whether the reported errors are right is seen in the coverage
+    coverage = share of |d| < 1.96 standard errors
+
+An estimate that stands at its bound counts as well: its interval goes from the bound to ``Fit.limits`` and covers the
+truth or not; the length of it over 1.96 is its standard error. Where bounds are near, no estimate is unbiased, and the
+bound of Cramer and Rao is not the least variance. What that is then: an efficient estimate is normal with the
+information at the truth, drawn in to the bounds in the metric of that information (Self and Liang 1987, Andrews 1999).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from scipy import stats
+
+from ident.data import Record
+from ident.estimation import (
+    Bounds,
+    Evaluation,
+    Fit,
+    Likelihood,
+    Problem,
+    SampledInputs,
+    fit,
+    free_start,
+    simulate_stochastic,
+    solve_step,
+)
+from ident.model import Model, Parameter
+from ident.numerics import Array
+from ident.results import APART, BIAS, COVERAGE, VARIANCE
+
+Method = Literal["pe", "oe"]
+Row = dict[str, Any]
+Z95 = 1.96
+N_DRAWS = 400  # of an efficient estimate near bounds, for each replicate
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is simulated and estimated: a model at the true values of its parameters, and a mission.
+
+    ``every``: a sensor's samples are this many rows apart (1 by default); ``restricted``: noise is estimated by
+    restricted likelihood, as the commands do. Whether the filter's mean is of second order, the model says.
+    """
+
+    name: str
+    model: Model
+    inputs: SampledInputs
+    every: Mapping[str, int]
+    about: str = ""
+    restricted: bool = True
+
+    def at(self, truth: Mapping[str, float]) -> Case:
+        """The same with other true values."""
+        return replace(self, model=self.model.with_values(truth))
+
+
+def run_replicates(case: Case, numbers: Sequence[int], seed: int, method: Method = "pe") -> list[Row]:
+    """Simulate and estimate the replicates of these numbers, a row each; they do not depend on each other."""
+    rngs = [np.random.default_rng([seed, k]) for k in numbers]
+    truths = np.array([_draw(case.model, rng) for rng in rngs])
+    began = time.process_time()
+    states, y = simulate_stochastic(case.model, case.inputs, truths, rngs)
+    simulation = (time.process_time() - began) / len(numbers)
+    rows = []
+    for k, rng, truth, x, measured in zip(numbers, rngs, truths, states, y, strict=True):
+        record = make_record(case, measured, f"{case.name} {k}")
+        row: Row = {"k": k, "simulation": simulation}
+        try:
+            row |= estimate(case, record, truth, x[0], rng, method)
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as problem:  # counted, and the study goes on
+            row |= {"error": f"{type(problem).__name__}: {problem}"}
+        rows.append(row)
+    return rows
+
+
+def make_record(case: Case, y: Array, name: str) -> Record:
+    """Measurements at the rows at which the sensors sample."""
+    model, inputs, seen, column = case.model, case.inputs, np.full(y.shape, np.nan), 0
+    for sensor in model.sensors:
+        rows, columns = np.s_[:: case.every.get(sensor.name, 1)], np.s_[column : column + len(sensor.outputs)]
+        seen[rows, columns] = y[rows, columns]
+        column = columns.stop
+    names = tuple(i.name for i in model.inputs), tuple(o.name for o in model.outputs)
+    return Record(name, inputs.t, inputs.u, inputs.u_next, seen, *names)
+
+
+def estimate(case: Case, record: Record, truth: Array, x0: Array, rng: np.random.Generator, method: Method) -> Row:
+    """A fit that starts away from the truth, and its errors; names are those of ``case.model.free``, and of output
+    error those of the state at the start, ``x0_NAME``, whose truth is ``x0`` (n_states,)."""
+    model = replace(case.model, second_order=case.model.second_order and method == "pe")
+    named = dict(zip([p.name for p in model.parameters], truth.tolist(), strict=True))
+    shared = [p for p in model.parameters if p.free and not p.per_record]
+    apart = {p.name: p.value * float(np.exp(rng.uniform(-APART, APART))) for p in shared}
+    start = {p.name: float(np.clip(apart[p.name], *p.bounds)) for p in shared}
+    start |= {p.name: p.value for p in model.parameters if p.per_record}
+    began = time.process_time()
+    if method == "oe":
+        named |= {f"x0_{s.name}": float(x) for s, x in zip(model.states, x0, strict=True)}
+        model = free_start(model, [record])[0]
+    named = {n: named[n] for n in model.values}
+    found = fit(model, [record], method=method, start=start, threads=1, restricted=case.restricted)
+    cpu = time.process_time() - began
+    names = [n.partition("@")[0] for n in found.names]
+    parameters = [model.parameter(n) for n in names]
+    z = _coordinates(parameters, found.values)
+    slope = np.array([p.slope(v) for p, v in zip(parameters, found.values, strict=True)])
+    true = np.array([p.to_free(named[p.name]) for p in parameters])
+    return {
+        "converged": found.converged,
+        "iterations": found.iterations,
+        "cpu": cpu,
+        "d": dict(zip(names, (z - true).tolist(), strict=True)),
+        "se": _finite(names, found.errors / slope),
+        "far": _finite(names, _coordinates(parameters, found.limits) - true),
+        "bound": _finite(names, cramer_rao_errors(model.with_values(named), record, found, method, rng)),
+        "flags": {n.partition("@")[0]: what for n, what in found.flags},
+    }
+
+
+def cramer_rao_errors(truth: Model, record: Record, found: Fit, method: Method, rng: np.random.Generator) -> Array:
+    """Standard deviations of an efficient estimator, from the information at the truth with the priors', in the
+    estimator's coordinates (n,): those of Cramer and Rao, or of estimates that bounds draw in."""
+    names = [n.partition("@")[0] for n in found.names]
+    problem = Problem(Likelihood(truth, process_noise=method == "pe"), [record], names, 1)
+    information, z = problem.evaluate(problem.start).information, problem.start
+    scale = np.sqrt(np.diag(information))
+    P = np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale)
+    return np.sqrt(np.diag(P) + variance_change_by_bounds(information, P, z, problem.bounds, rng))
+
+
+def variance_change_by_bounds(
+    information: Array, P: Array, z: Array, bounds: Bounds, rng: np.random.Generator
+) -> Array:
+    """What bounds take of the variances (n,), from as many draws with and without them."""
+    free = z + rng.multivariate_normal(np.zeros(z.size), P, N_DRAWS, method="cholesky")
+    kept = free.copy()
+    for k in np.flatnonzero(((free < bounds.low) | (free > bounds.high)).any(axis=1)).tolist():
+        pull = Evaluation(0.0, information @ (free[k] - z), information, np.zeros(z.size))
+        kept[k] = z + solve_step(pull, information, z, bounds, 0.0)
+    return np.asarray(kept.var(axis=0) - free.var(axis=0))
+
+
+def _coordinates(parameters: Sequence[Parameter], values: Array) -> Array:
+    return np.array([p.to_free(v) for p, v in zip(parameters, values.tolist(), strict=True)])
+
+
+def _draw(model: Model, rng: np.random.Generator) -> Array:
+    """The true values; what each record has for itself comes from its prior."""
+    return np.array([
+        p.prior[0] + p.prior[1] * rng.standard_normal() if p.free and p.per_record and p.prior else p.value
+        for p in model.parameters
+    ])
+
+
+def _finite(names: Sequence[str], values: Array) -> dict[str, float | None]:
+    return {n: float(v) if np.isfinite(v) else None for n, v in zip(names, values, strict=True)}
+
+
+@dataclass(frozen=True)
+class ParameterCoverage:
+    """One parameter over all replicates; intervals are 95 %. ``n``: those with an interval, ``at_bound`` those of
+    them whose estimate stands at its bound."""
+
+    name: str
+    n: int
+    at_bound: int
+    sd: float
+    bias: float
+    bias_error: float
+    ratio: float
+    ratio_interval: tuple[float, float]
+    bound_ratio: float
+    bound_interval: tuple[float, float]
+    coverage: float
+    coverage_interval: tuple[float, float]
+
+    @property
+    def misses(self) -> tuple[str, ...]:
+        """What is beyond the aim; by more than chance where the 95 % interval excludes the aim as well."""
+        bias = abs(self.bias) - Z95 * self.bias_error
+        low, high = self.bound_interval
+        found = [
+            _miss("bias", abs(self.bias) > BIAS, bias > BIAS),
+            _miss("variance", abs(self.bound_ratio - 1) > VARIANCE, low > 1 + VARIANCE or high < 1 - VARIANCE),
+            _miss("coverage", not COVERAGE[0] <= self.coverage <= COVERAGE[1],
+                  self.coverage_interval[1] < COVERAGE[0] or self.coverage_interval[0] > COVERAGE[1]),
+        ]
+        return tuple(f for f in found if f)
+
+
+def _miss(what: str, beyond: bool, surely: bool) -> str:
+    return "" if not beyond else what if surely else f"{what} (chance?)"
+
+
+def summarise(rows: Iterable[Row]) -> list[ParameterCoverage]:
+    """The parameters in order; failed and unconverged replicates are left out (``counts`` has them)."""
+    good = [r for r in rows if r.get("converged")]
+    names = dict.fromkeys(n for r in good for n in r["d"])
+    return [j for n in names if (j := _judge(n, [r for r in good if n in r["d"]])) is not None]
+
+
+def _judge(name: str, rows: Sequence[Row]) -> ParameterCoverage | None:
+    known = [r for r in rows if {r["se"][name], r["far"][name]} != {None} and r["bound"][name] is not None]
+    n = len(known)
+    if n < 3:
+        return None
+    d, se, far, bound = (np.array([r[key][name] for r in known], dtype=float) for key in ("d", "se", "far", "bound"))
+    at_bound = np.isnan(se)
+    se = np.where(at_bound, np.abs(far - d) / Z95, se)
+    variance, inside = float(d.var(ddof=1)), int(np.sum(np.where(at_bound, d * far <= 0, np.abs(d) < Z95 * se)))
+    ratio, bound_ratio = variance / float(np.mean(se**2)), variance / float(np.mean(bound**2))
+    low, high = (float((n - 1) / stats.chi2.ppf(q, n - 1)) for q in (0.975, 0.025))
+    interval = stats.binomtest(inside, n).proportion_ci(method="exact")
+    return ParameterCoverage(
+        name, n, int(at_bound.sum()), float(np.sqrt(variance)), float(d.mean() / np.sqrt(variance)),
+        1 / float(np.sqrt(n)), ratio, (ratio * low, ratio * high), bound_ratio, (bound_ratio * low, bound_ratio * high),
+        inside / n, (float(interval.low), float(interval.high)))
+
+
+def counts(rows: Sequence[Row]) -> dict[str, float]:
+    """How many there are, failed, did not converge; median CPU seconds of a fit and mean of a simulation."""
+    good = [r for r in rows if "error" not in r]
+    return {
+        "replicates": len(rows),
+        "failed": len(rows) - len(good),
+        "unconverged": sum(not r["converged"] for r in good),
+        "cpu_fit": float(np.median([r["cpu"] for r in good])) if good else float("nan"),
+        "cpu_simulation": float(np.mean([r["simulation"] for r in rows])) if rows else float("nan"),
+    }

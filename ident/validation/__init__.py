@@ -1,0 +1,5 @@
+"""Model validation: prediction errors, calibration of intervals, whiteness of residuals."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,13 @@
+from .evaluation import PredictionEvaluation as PredictionEvaluation
+from .prediction_errors import BLOCK as BLOCK
+from .prediction_errors import FreeRun as FreeRun
+from .prediction_errors import ahead as ahead
+from .prediction_errors import pooled as pooled
+from .prediction_errors import ratio_interval as ratio_interval
+from .whiteness import SpectralPeak as SpectralPeak
+from .whiteness import WhitenessDiagnostics as WhitenessDiagnostics
+from .whiteness import cross_correlation as cross_correlation
+from .whiteness import ljung_box as ljung_box
+from .whiteness import ljung_box_test as ljung_box_test
+from .whiteness import spectral_peak as spectral_peak
+from .whiteness import whiteness_diagnostics as whiteness_diagnostics

@@ -1,0 +1,281 @@
+"""`seatrial mission design`: from a model to mission.toml, its numbers (JSON) and its page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.config import Mission, Prediction, Segment, save_new_mission
+from daq.errors import SeatrialError
+from ident.effects import catalogue
+from ident.estimation import dynamic_parameters, load_model
+from ident.experiment_design import (
+    BOX,
+    BaselineSignal,
+    Design,
+    DesignLimits,
+    DesignProblem,
+    DiscriminationDesign,
+    Kind,
+    ParameterPrior,
+    Robustness,
+    Steps,
+    ThrusterResponse,
+    Track,
+    baseline_signals,
+    believed,
+    design,
+    discriminate,
+    monte_carlo,
+    predicted_errors,
+    predicted_track,
+    scaled_inverse,
+    separation,
+)
+from ident.model import Model
+from ident.models import make_model
+from ident.numerics import Array
+from ident.report import tidy, write_design_page
+from ident.results import Json, format_number, to_json
+from ident.workflows.output import write_result
+
+Say = Callable[[str], None]
+STATIC_S = 5.0  # s at rest before the steps: noise of the sensors, and the boat comes to rest
+N_SHOWN = 24  # sampled tracks on the page
+NAMED = 3  # parameters in the answer
+
+
+@dataclass(frozen=True)
+class DesignRequest:
+    """What the user asks for, as the options of the command say it."""
+
+    duration: float = 600.0
+    steps: int | None = None
+    criterion: Kind = "D"
+    chosen: tuple[str, ...] = ()
+    limits: DesignLimits = field(default_factory=DesignLimits)
+    shortest: float = 1.0
+    n_max: float = 1.0
+    slew: float = np.inf
+    rates: Mapping[str, float] = field(default_factory=dict)
+    robust: int = 0
+    spread: float = BOX
+    process_noise: bool = True
+    seed: int = 1
+    evaluations: int = 20_000
+    between: tuple[str, ...] = ()
+    thrusters: tuple[str, ...] = ()
+
+
+def make_design(source: str, wish: DesignRequest, out: Path, command: str, say: Say) -> Json:
+    """Search, compare, and write ``out`` (mission.toml) with .json and .html beside it; returns what the JSON holds.
+
+    Raises SeatrialError where the model or the wish cannot be used, before anything is written.
+    """
+    beside = {kind: out.with_suffix(kind) for kind in (".json", ".html")}
+    for path in (out, *beside.values()):
+        if path.exists():
+            raise SeatrialError(f"{path} exists; give another name with --out")
+    task = make_task(source, wish)
+    own = task.actuation.thrusters
+    thrusters = wish.thrusters or own
+    if len(thrusters) != len(own):
+        raise SeatrialError(f"a mission for model {task.model.name} commands {len(own)} thrusters ({', '.join(own)}); "
+                            f"--thrusters names {len(thrusters)}")
+    task.measure  # noqa: B018  # a wrong --parameters is said before the search
+    say(f"design: {task.steps.n_steps} steps in {task.steps.duration:g} s for {', '.join(_chosen(task))}")
+    told: Json = {}
+    if wish.between:
+        made, told = _between(task, wish, say)
+    else:
+        made = design(task, evaluations=wish.evaluations,
+                      progress=lambda n, merit: say(f"design: {n} simulations, {wish.criterion} {merit:.2f}"))
+    say("rivals, Monte Carlo, track")
+    found = baseline_signals(task, seed=wish.seed)
+    samples = monte_carlo(task, {"design": made.command} | {k: r.command for k, r in found.items()}, seed=wish.seed,
+                          box=wish.spread)
+    track = predicted_track(made)
+    result = _result(made, found, samples, track, command, source) | told
+    result["answer"] = _answer(made, result)
+    title = " against ".join(wish.between) or f"{wish.criterion}-optimal for {', '.join(_chosen(task))}"
+    save_new_mission(designed_mission(f"steps, {title}", thrusters, made, track, wish, source, command), out)
+    write_result(to_json(result), beside[".json"])
+    write_design_page(result, beside[".html"])
+    return result
+
+
+def designed_mission(
+    name: str, thrusters: Sequence[str], made: Design, track: Track | None, wish: DesignRequest, source: str,
+    command: str,
+) -> Mission:
+    """The designed steps as a mission, after a segment at rest; numbers to the digits that a person reads."""
+    levels = made.task.actuation.for_thrusters(made.levels)
+    edges = np.round(STATIC_S + np.concatenate([[0.0], np.cumsum(made.durations)]), 3)
+    segments = (
+        Segment("static", np.zeros(1), np.zeros((1, len(thrusters)))),
+        Segment("designed steps", significant(edges[:-1], 6), significant(levels, 6)),
+    )
+    predicted, before = (
+        {k: float(f"{v:.4g}") for k, v in errors.items() if np.isfinite(v)} for errors in (made.predicted, made.before)
+    )
+    prediction = None
+    if track is not None:
+        t, x, y, radius = (
+            significant(v, 6) for v in (track.t + STATIC_S, track.x.round(2), track.y.round(2), track.radius.round(2))
+        )
+        prediction = Prediction(source, t, x, y, radius, before)
+    return Mission(
+        name, "mission", tuple(thrusters), segments, float(edges[-1]), n_max=wish.n_max, slew_per_s=wish.slew,
+        made_by=command, seed=wish.seed, predicted_errors=predicted, prediction=prediction,
+    )
+
+
+def significant(values: Array, digits: int) -> Array:
+    """Rounded to so many significant digits."""
+    return np.array([float(f"{v:.{digits}g}") for v in values.ravel()]).reshape(values.shape)
+
+
+def make_task(source: str, wish: DesignRequest) -> DesignProblem:
+    """The frame of the design. ``source``: a model.toml, a name, or FILE.py:NAME."""
+    saved = load_model(Path(source)) if source.endswith(".toml") else None
+    model = saved.model if saved is not None else make_model(source)
+    unknown = set(wish.rates) - {s.name for s in model.sensors}
+    if unknown:
+        raise SeatrialError(f"model {model.name} has no sensor {sorted(unknown)[0]!r}; it has "
+                            f"{', '.join(s.name for s in model.sensors)}")
+    n_channels = len(ThrusterResponse(model, np.array([0.0, 1.0])).channels)
+    n_steps = wish.steps or max(8, round(wish.duration / 5.0))
+    task = DesignProblem(
+        model, Steps(n_steps, n_channels, wish.duration, wish.shortest, 0.2, wish.n_max), wish.criterion, wish.chosen,
+        wish.rates, wish.limits, wish.slew, robust=wish.robust, process_noise=wish.process_noise, seed=wish.seed,
+    )
+    if not dynamic_parameters(model):
+        raise SeatrialError(f"model {model.name} has no free parameters to learn")
+    if saved is None:
+        return replace(task, belief=ParameterPrior(task.learned, wish.spread))
+    belief = believed(saved)
+    return replace(
+        task, belief=belief, earlier=scaled_inverse(belief.covariance) if belief.covariance is not None else None
+    )
+
+
+def _chosen(task: DesignProblem) -> tuple[str, ...]:
+    return task.chosen or task.learned
+
+
+def _between(task: DesignProblem, wish: DesignRequest, say: Say) -> tuple[Design, Json]:
+    """The design that tells two effects apart, judged as any other, and how far apart it puts them."""
+    a, b = (with_effect(task.model, name) for name in wish.between)
+    made: DiscriminationDesign = discriminate(
+        a, b, task, evaluations=max(wish.evaluations // 8, 500),
+        progress=lambda n, merit: say(f"design: {n} comparisons, T {np.exp(merit):.3g}"))
+    told = task.experiments(task.actuation.inputs(made.command[:, :, None])).information
+    value = float(task.measure(told + task.prior)[0])
+    rng = np.random.default_rng([wish.seed, 31])
+    random = [task.commands(z)[:, :, 0] for z in task.steps.random(8, rng)[:, None]]
+    others = [min(separation(a, b, task, c)) for c in random]
+    row = {"effects": list(wish.between), "if_second": made.apart[0], "if_first": made.apart[1], "clear": made.clear,
+           "random": others}
+    return Design(task, made.levels, made.durations, value, told[0], made.found), {"apart": row}
+
+
+def with_effect(model: Model, name: str) -> Model:
+    """The model with an effect of a size that matters: half of its prior, or five felt steps; as fitted where the model
+    has it already."""
+    if name in {e.name for e in model.effects}:
+        return model
+    if name not in catalogue():
+        raise SeatrialError(f"there is no effect {name!r}; there is {', '.join(catalogue())}")
+    effect = catalogue()[name]
+    if not model.accepts(effect):
+        raise SeatrialError(f"effect {name!r} does not apply to model {model.name}")
+    sizes = {}
+    for p in effect.parameters:
+        size = 0.5 * p.prior[1] if p.prior is not None else 5.0 * p.step
+        sizes[p.name] = float(np.clip(p.value + size, *p.bounds))
+    return (model + effect).with_values(sizes)
+
+
+def _result(made: Design, found: Mapping[str, BaselineSignal], samples: Robustness, track: Track | None, command: str,
+            source: str) -> Json:
+    """The content of the JSON file; keys: docs/formats/mission.md."""
+    task = made.task
+    best = max(found, key=lambda k: found[k].value)
+    fine = found[best].command[np.minimum(_rows(task), len(task.t) - 1)]
+    return {
+        "format": "seatrial-result 1", "kind": "design", "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "seatrial": version("seatrial"), "command": command, "model": source, "criterion": task.criterion,
+        "chosen": list(_chosen(task)), "form": "prediction error" if task.process_noise else "output error",
+        "value": made.value, "evaluations": made.found.evaluations,
+        "parameters": _parameters(made, predicted_errors(task, fine)),
+        "rivals": [{"name": k, "value": r.value, "bandwidth": r.bandwidth, "seeds": r.values}
+                   for k, r in found.items()],
+        "rival": best, "limited": task.limits.bind, "samples": dict(samples.values),
+        "share_won": samples.share_won(),
+        "inputs": [{"name": c, "t": task.t, "value": made.command[:, k]}
+                   for k, c in enumerate(task.actuation.channels)],
+        "track": None if track is None else {
+            "t": track.t, "x": track.x, "y": track.y, "radius": track.radius, "inside": track.inside,
+            "others": track.others[:N_SHOWN], "corner": track.corner, "area": task.limits.area,
+            "current": task.limits.current},
+    }
+
+
+def _rows(task: DesignProblem) -> NDArray[np.intp]:
+    """For each row of the finer task, the row of the task that holds."""
+    return np.asarray(np.searchsorted(task.t, task.finer.t + 1e-9, side="right") - 1)
+
+
+def _parameters(made: Design, rival: Mapping[str, float]) -> list[Json]:
+    model, before, after = made.task.model, made.before, made.predicted
+    chosen = _chosen(made.task)
+    return [{"name": n, "meaning": model.parameter(n).meaning, "unit": model.parameter(n).unit,
+             "value": model.parameter(n).value, "before": before[n], "after": after[n], "form": made.errors[n],
+             "rival": rival[n], "chosen": n in chosen} for n in made.task.learned]
+
+
+def _answer(made: Design, result: Json) -> str:
+    """One sentence."""
+    if "apart" in result:
+        row = result["apart"]
+        first, second = row["effects"]
+        least = min(row["if_first"], row["if_second"])
+        verdict = "tells them apart" if row["clear"] else "may not tell them apart: T should be above 30"
+        return (f"This mission {verdict}: {first} against {second} differ by at least T = {format_number(least)} "
+                f"(random missions: {format_number(float(np.median(row['random'])))})")
+    parts = []
+    rows = [r for r in result["parameters"] if r["chosen"]]
+    for row in rows[:NAMED]:
+        share = abs(row["after"] / row["value"]) if row["value"] else np.inf
+        parts.append(f"{row['name']} ±{format_number(row['after'])} {tidy(row['unit'])}"
+                     + (f" ({100 * share:.2g} %)" if share < 1 else ""))
+    more = f", and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
+    return f"After this mission of {made.task.steps.duration:g} s a fit should know {', '.join(parts)}{more}"
+
+
+def summary(result: Json) -> Sequence[str]:
+    """Lines for the terminal: the answer, and a line for each parameter."""
+    lines = [result["answer"], ""]
+    for row in result["parameters"]:
+        before = f"{row['before']:.3g}" if np.isfinite(row["before"]) else "–"
+        unit = tidy(row["unit"])
+        lines.append(f"  {row['name']:<8} {row['value']:10.4g} {unit:<8} ± {before:>8} -> {row['after']:.3g}"
+                     f"   ({result['rival']}: {row['rival']:.3g})")
+    best = max(r["value"] for r in result["rivals"])
+    lines.append("")
+    if "apart" not in result:
+        free = " (which keep to no limits)" if result["limited"] else ""
+        gain = f"{result['value'] - best:+.1f} against the best of 20 {result['rival']}{free}"
+        lines.append(f"{result['criterion']} {result['value']:.1f}, {gain}; better than all rivals in "
+                     f"{100 * result['share_won']:.1f} % of 1000 parameter samples")
+    track = result["track"]
+    if track is not None and track["inside"] is not None:
+        water = f"in a current of up to {track['current']:g} m/s" if track["current"] else "no current assumed"
+        lines.append(f"stays inside the area for {100 * track['inside']:.0f} % of disturbed boats; {water}")
+    return lines

@@ -1,0 +1,144 @@
+"""Signals that a model needs and a log does not have as such: thrust from a static curve, total thrust, speed ahead."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from daq.errors import SeatrialError
+from ident.characterisation import THRUSTER_RATE, ThrustCurve, load_curve, thrust_channels, thruster_runs, total
+from ident.data import Channel, LoadedLog, LogSegment
+from ident.model import Input, Model
+from ident.models import SENSORS, make_model
+
+CURVE_INPUTS = ("f_left", "f_right", "X", "X_n")  # what a static curve makes of commands
+
+
+def known_curve(thruster: Path | None) -> ThrustCurve | None:
+    """The static curve of a file. Raises SeatrialError where it holds something else."""
+    curve = load_curve(thruster) if thruster is not None else None
+    if thruster is not None and curve is None:
+        raise SeatrialError(f"{thruster}: holds no static curve; a model on shaft speeds has its thrust in itself")
+    return curve
+
+
+def complete(
+    channels: Mapping[str, Channel], holds: Mapping[str, str], source: str, curve: ThrustCurve | None, path: str | Path
+) -> tuple[dict[str, Channel], dict[str, str]]:
+    """Channels and holds of one log with what follows from them for a model ``source``.
+
+    ``f_left``, ``f_right`` and ``X`` from commands by a curve; ``X`` from thrusts; for motion in a straight line
+    ``u`` from the speed over ground. What is in the log stays, except that a curve's thrust goes before it.
+    """
+    found, held = dict(channels), dict(holds)
+    if curve is not None:
+        try:
+            found |= thrust_channels(channels, curve)
+        except ValueError as problem:
+            raise SeatrialError(f"{path}: {problem}; the log has {', '.join(sorted(channels))}") from problem
+        held |= dict.fromkeys(CURVE_INPUTS, "zero")
+    if "X" not in found and {"f_left", "f_right"} <= set(found):
+        found["X"] = total(found["f_left"], found["f_right"])
+        held["X"] = "zero"
+    if "u" not in found and "speed" in found and source.partition(":")[0] == "surge":
+        found["u"] = found["speed"]
+    return found, held
+
+
+def completed(one: LoadedLog, source: str, curve: ThrustCurve | None) -> LoadedLog:
+    """A log with what follows from its signals for a model ``source`` (``complete``)."""
+    found, held = complete(one.run.channels, one.holds, source, curve, one.about["path"])
+    return replace(one, run=replace(one.run, channels=found), holds=held)
+
+
+def choose_model(source: str, loaded: Sequence[LoadedLog]) -> Model:
+    """``auto`` takes the horizontal model with the inputs that the logs have, and the sensors that any log has."""
+    names = set.intersection(*[set(item.run.channels) for item in loaded])
+    anywhere = set.union(*[set(item.run.channels) for item in loaded])
+    if source == "auto":
+        options = {"shaft": {"n_left", "n_right"}, "force": {"f_left", "f_right"}, "general": {"X", "N"}}
+        fitting = [kind for kind, wanted in options.items() if wanted <= names]
+        if not fitting:
+            raise SeatrialError(
+                f"{loaded[0].about['path']}: no inputs for the horizontal model (n_left and n_right, or f_left and "
+                f"f_right, or X and N); the log has {', '.join(sorted(names))}"
+            )
+        source = f"horizontal:{fitting[0]}"
+    sensors = [n for n, s in SENSORS.items() if all(o.name in anywhere for o in s.outputs)]
+    model = make_model(source, sensors)
+    return replace(model, inputs=tuple(as_logged(i, loaded[0].holds.get(i.name, "")) for i in model.inputs))
+
+
+def as_logged(signal: Input, hold: str) -> Input:
+    if hold == "zero":
+        return replace(signal, hold="zero")
+    return replace(signal, hold="linear") if hold == "linear" else signal
+
+
+def _posed(
+    model: Model, model_path: Path, loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog], thruster: str | None
+) -> tuple[Model, list[LogSegment], list[LogSegment], float]:
+    """The saved model as these logs can ask it; its runs to estimate and to validate; its usual rows a second."""
+    if "bench" in model.provides:
+        runs, others = (thruster_runs(part, model, thruster) for part in (loaded, unseen))
+        return model, runs, others, THRUSTER_RATE
+    curve = known_curve(_curve_path(thruster, model_path))
+    loaded, unseen = ([completed(x, model.source, curve) for x in part] for part in (loaded, unseen))
+    model = _sensed(_pushed(model, model_path, loaded, unseen), model_path, loaded, unseen)
+    return model, [x.run for x in loaded], [x.run for x in unseen], 10.0
+
+
+def _curve_path(thruster: str | None, model: Path) -> Path | None:
+    if thruster is None:
+        return None
+    if not Path(thruster).is_file():
+        raise SeatrialError(
+            f"--thruster {thruster}: no such file; {model} is a boat's model, so give the static curve of its thrusters"
+        )
+    return Path(thruster)
+
+
+def _pushed(model: Model, path: Path, loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog]) -> Model:
+    """The model, whose thrust all logs have; SeatrialError where one lacks what a static curve would give."""
+    thrusts = [i.name for i in model.inputs if i.name in CURVE_INPUTS]
+    for one in (*loaded, *unseen):
+        lost = [n for n in thrusts if n not in one.run.channels]
+        if lost:
+            raise SeatrialError(
+                f"{one.about['path']}: no signal for the input {lost[0]!r} of {path}; where that was fitted with a "
+                "static thrust curve, give it with --thruster CURVE"
+            )
+    return model
+
+
+def _sensed(model: Model, path: Path, loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog]) -> Model:
+    """A vehicle's model with its inputs held as in the logs; SeatrialError where they have none of its sensors."""
+    logs = [*loaded, *unseen]
+    present = [n for n, s in SENSORS.items() if any(all(o.name in x.run.channels for o in s.outputs) for x in logs)]
+    lost = [s.name for s in model.sensors if s.name in SENSORS and s.name not in present]
+    if len(lost) == len(model.sensors):
+        raise SeatrialError(
+            f"{loaded[0].about['path']}: none of the sensors of {path} is in the log: {', '.join(lost)}"
+        )
+    return replace(model, inputs=tuple(as_logged(i, loaded[0].holds.get(i.name, "")) for i in model.inputs))
+
+
+def check_names(model: Model, names: Sequence[str]) -> None:
+    """Raises SeatrialError, before any fit, for a name that no fit of the model will have estimated."""
+    for name in names:
+        base = name.partition("@")[0]
+        if base not in model.values:
+            raise SeatrialError(f"--profile {name}: model {model.name} has {', '.join(model.values)}")
+        if not model.parameter(base).free:
+            raise SeatrialError(f"--profile {name}: it is given, not estimated; estimated are {', '.join(model.free)}")
+
+
+def check_ahead(horizon: float | None, loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog] = ()) -> None:
+    """Raises SeatrialError where no log of those that judge is as long as predictions shall go ahead [s]."""
+    longest = max(unseen or loaded, key=lambda x: float(x.about["duration"])).about
+    if horizon is not None and not horizon < longest["duration"]:
+        raise SeatrialError(
+            f"--horizon {horizon:g}: {longest['path']}, the longest log to judge by, "
+            f"lasts {longest['duration']:.1f} s; give fewer seconds"
+        )

@@ -1,0 +1,226 @@
+"""What ``seatrial ident navigate`` does: model and logs in; a CSV a log, result.json and report.html out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from daq.errors import SeatrialError, counted
+from ident.data import LoadedLog, Record, load_run, make_record
+from ident.estimation import ParameterCovariance, load_model
+from ident.model import Model
+from ident.navigation import CURRENT, POSITION, Navigation, Outage, gnss_outages, navigate
+from ident.numerics import Array
+from ident.report import write_report
+from ident.results import Json, envelope, format_number, input_traces, to_json
+from ident.workflows.model_inputs import as_logged, completed, known_curve
+from ident.workflows.output import write_result
+
+Say = Callable[[str], None]
+Columns = list[tuple[str, str, Array]]  # name, unit, values
+
+
+def run_navigation(
+    model_path: Path,
+    logs: Sequence[Path],
+    out: Path,
+    *,
+    smoothed: bool = True,
+    without_gnss: Sequence[tuple[float, float]] = (),
+    t_from: float | None = None,
+    t_to: float | None = None,
+    rate: float = 10.0,
+    thruster: Path | None = None,
+    command: str,
+    say: Say,
+) -> Json:
+    """Navigate every log; all times [s] count from the start of a log. ``thruster``: the static curve that the model
+    was fitted with."""
+    saved = load_model(model_path)
+    model = replace(saved.model, second_order=False)  # in a long outage a heading may be spread too widely for it
+    curve = known_curve(thruster)
+    known = ParameterCovariance.of(saved.errors, saved.names, saved.correlation)
+    names = [p.stem for p in logs]
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        raise SeatrialError(f"two logs are named {twice[0]}, and so would be their results: navigate them one by one")
+    loaded, parts, tables = [], [], []
+    for path in logs:
+        say(f"navigating {path.name}")
+        loaded.append(completed(load_run(path, "navigated", t_from, t_to), saved.model.source, curve))
+        done, t0 = _navigate(model, loaded[-1], known, smoothed, without_gnss, rate)
+        parts.append((done, t0, gnss_outages(done)))
+        tables.append(_columns(done, t0))
+    result = envelope(loaded, command) | {
+        "kind": "navigation",
+        "answer": answer([o for _, _, found in parts for o in found], [d for d, _, _ in parts]),
+        "navigation": [_part(d, t0, table) for (d, t0, _), table in zip(parts, tables, strict=True)],
+        "outages": [_row(o, d.record.name, t0) for d, t0, found in parts for o in found],
+        "inputs": [row | {"t": row["t"] + t0} for d, t0, _ in parts for row in input_traces(d.model, d.record)],
+        "notes": _notes(parts, known),
+    }
+    _write(out, result, dict(zip(names, tables, strict=True)))
+    return result
+
+
+def _write(out: Path, result: Json, tables: Mapping[str, Columns]) -> None:
+    """NAME.csv for each table, result.json and report.html."""
+    out.mkdir(parents=True, exist_ok=True)
+    for name, table in tables.items():
+        write_csv(out / f"{name}.csv", table)
+    content = to_json(result)
+    write_result(content, out / "result.json")
+    write_report(content, out / "report.html")
+
+
+def _navigate(
+    model: Model,
+    one: LoadedLog,
+    known: ParameterCovariance,
+    smoothed: bool,
+    without: Sequence[tuple[float, float]],
+    rate: float,
+) -> tuple[Navigation, float]:
+    """One log, and its time at the record's first row."""
+    model = replace(model, inputs=tuple(as_logged(i, one.holds.get(i.name, "")) for i in model.inputs))
+    last = max(float(c.t[-1]) for c in one.run.channels.values())
+    if (one.run.t_from or 0.0) >= last:
+        begin = one.run.t_from or 0.0
+        raise SeatrialError(f"{one.about['path']}: is {last:.0f} s long, so nothing is left from {begin:g} s on")
+    rows = make_record(model, replace(one.run, t_to=min(one.run.t_to or last, last)) if one.run.t_to else one.run, rate)
+    t0 = float(rows.meta["t0"])
+    _has_fixes(rows, t0, without, one.about["path"])
+    stretches = [(a - t0, b - t0) for a, b in without]
+    return navigate(model, rows, smoothed=smoothed, without_gnss=stretches, known=known), t0
+
+
+def _has_fixes(rows: Record, t0: float, without: Sequence[tuple[float, float]], path: str) -> None:
+    """Raise SeatrialError where there is no position at all, or none in a stretch that is to do without."""
+    if POSITION[0] not in rows.outputs:  # the model has no position, as ``navigate`` says
+        return
+    fixes = rows.t[np.isfinite(rows.y[:, rows.outputs.index(POSITION[0])])] + t0
+    if not fixes.size:
+        raise SeatrialError(f"{path}: no GNSS position in it; a track needs at least one fix")
+    for begin, end in without:
+        if not ((fixes >= begin) & (fixes < end)).any():
+            raise SeatrialError(
+                f"{path}: no GNSS position between {begin:g} s and {end:g} s to do without; it "
+                f"has them from {fixes[0]:.0f} s to {fixes[-1]:.0f} s"
+            )
+
+
+def _columns(done: Navigation, t0: float) -> Columns:
+    """Time, states and their standard deviations, the current as a whole, the covariance of the position."""
+    states, best = done.model.states, done.best
+    drift = set(CURRENT.values()) if done.current() is not None else set()
+    columns: Columns = [("t", "s", done.t + t0)]
+    columns += [(s.name, s.unit, best.x[:, i]) for i, s in enumerate(states) if s.name not in drift]
+    columns += [(f"sd_{s.name}", s.unit, best.sd[:, i]) for i, s in enumerate(states) if s.name not in drift]
+    current = done.current()
+    if current is not None:
+        names = [*CURRENT, *(f"sd_{n}" for n in CURRENT)]
+        columns += [(n, "m/s", current[:, i]) for i, n in enumerate(names)]
+    i, j = (done.states.index(n) for n in POSITION)
+    gnss = np.where(done.used, 1.0, np.where(done.withheld, -1.0, 0.0))
+    return [*columns, ("cov_x_y", "m2", best.P[:, i, j]), ("gnss", "", gnss)]
+
+
+def write_csv(path: Path, columns: Columns) -> None:
+    """A line of names, then a line a row; times to a tenth of a millisecond."""
+    table = np.column_stack([values for _, _, values in columns])
+    layout = ["%.4f", *["%.7g"] * (len(columns) - 1)]
+    np.savetxt(path, table, fmt=layout, delimiter=",", header=",".join(n for n, _, _ in columns), comments="")
+
+
+def _part(done: Navigation, t0: float, table: Columns) -> Json:
+    """One record's entry of ``navigation``: rows at ten a second are many, so only states that are drawn."""
+    values = {name: value for name, _, value in table}
+    meaning = {s.name: s.meaning for s in done.model.states} | {
+        "V_x": "current to the north",
+        "V_y": "current to the east",
+    }
+    angles = {o.name for o in done.model.outputs if o.angle}
+    units = {name: unit for name, unit, _ in table}
+    measured = {o.name: j for j, o in enumerate(done.model.outputs)}
+    names = [n for n in values if f"sd_{n}" in values]
+    seen = np.isfinite(done.fixes[:, 0])
+    return {
+        "record": done.record.name,
+        "kind": done.kind,
+        "t": done.t + t0,
+        "states": [
+            {
+                "name": n,
+                "unit": units[n],
+                "meaning": meaning[n],
+                "angle": n in angles,
+                "value": values[n],
+                "sd": values[f"sd_{n}"],
+                "measured": done.record.y[:, measured[n]] if n in measured else None,
+            }
+            for n in names
+        ],
+        "fixes": {
+            "t": done.t[seen] + t0,
+            "x": done.fixes[seen, 0],
+            "y": done.fixes[seen, 1],
+            "used": done.used[seen].astype(float),
+        },
+    }
+
+
+def _row(o: Outage, name: str, t0: float) -> Json:
+    found = asdict(o)
+    return {"record": name, **found, "start": o.start + t0, "end": o.end + t0, "duration": o.duration}
+
+
+def answer(found: Sequence[Outage], done: Sequence[Navigation]) -> str:
+    """The worst outage in a sentence, or how sure the position is where there is none."""
+    if not found:
+        radius = max(float(np.median(np.hypot(*n.best.sd[:, [n.states.index(p) for p in POSITION]].T))) for n in done)
+        return f"No GNSS outage; the {done[0].kind} position is good to {format_number(radius)} m (standard deviation)."
+    worst = max(found, key=lambda o: o.at_end.radius)
+    many = counted(len(found), "GNSS outage")
+    words = (
+        f"{many}, the worst of {worst.duration:.0f} s: at its end the position may be "
+        f"{format_number(worst.at_end.radius)} m off (95 %)"
+    )
+    judged = [o for o in found if o.error is not None]
+    if worst.error is not None:
+        words += f"; against the fix then it was {format_number(worst.error)} m off"
+    if len(judged) > 1:
+        words += f". {sum(bool(o.inside) for o in judged)} of {len(judged)} ends are inside their 95 % regions"
+    return words + "."
+
+
+def _notes(parts: Sequence[tuple[Navigation, float, list[Outage]]], known: ParameterCovariance) -> list[str]:
+    notes = []
+    for done, t0, found in parts:
+        name = done.record.name
+        missing = done.record.meta.get("missing", ())
+        if missing:
+            notes.append(f"{name}: not in the log, so done without: {', '.join(missing)}.")
+        e = done.run.standardised
+        loud = [
+            o.name
+            for j, o in enumerate(done.model.outputs)
+            if np.isfinite(e[:, j]).sum() > 30 and np.nanstd(e[:, j]) > 1.5
+        ]
+        if loud:
+            notes.append(
+                f"{name}: the innovations of {', '.join(loud)} are larger than the model says, so its "
+                "standard deviations are too small: it was fitted to other conditions, or lacks an effect."
+            )
+        outside = [o for o in found if o.inside is False]
+        notes += [
+            f"{name}: the outage that ends at {o.end + t0:.0f} s is {format_number(float(o.error or 0.0))} m off, "
+            "outside "
+            f"its 95 % region of {format_number(float(o.allowed or 0.0))} m."
+            for o in outside
+        ]
+    if not known.names:
+        notes.append("The model carries no standard errors: its parameters count as exact.")
+    return notes

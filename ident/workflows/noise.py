@@ -1,0 +1,198 @@
+"""The noise command: static logs in; the table, noise.toml, result.json and report out. See docs/formats/noise.md."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tomlkit
+
+from daq.errors import SeatrialError
+from daq.log import open_log
+from daq.samples import Ahrs
+from ident.characterisation import NoiseFit, estimate_noise, welch
+from ident.data import Channel, LoadedLog, ahrs_channels, load_run
+from ident.report import write_report
+from ident.results import Json, envelope, to_json
+from ident.workflows.output import Say, write_result
+
+FORMAT = "seatrial-noise 1"
+WARNING = "Such numbers do not describe the noise, so do not put them into a filter."
+MOST_SAID = 6  # rejected channels that the answer names
+HUM = "Find what turns or hums at that rate, or at one that the sampling folds there, and take the record without it."
+DRIFT = "A drift that is steady or has bounds is no walk: let the sensor warm up, or give a filter a state for it."
+COLOUR = "Take the raw output of a sensor that filters, stop what shakes it, or let a filter have it at a lower rate."
+
+
+@dataclass(frozen=True)
+class ChannelNoise:
+    """The noise of one channel of one log."""
+
+    log: str
+    name: str
+    label: str  # what people see: with the log's name where there are several
+    channel: Channel
+    fit: NoiseFit
+
+    @property
+    def reason(self) -> str:
+        """Why the model is rejected; empty where it is not."""
+        return " and ".join(words for words, _ in self._said())
+
+    @property
+    def remedy(self) -> str:
+        """What to do about that."""
+        return self._said()[-1][1]
+
+    def _said(self) -> list[tuple[str, str]]:
+        """What is wrong and what to do: of a line alone where it is the half of it, else also of the lowest band."""
+        predictable, line, band = self.fit.departures
+        rate = 1.0 / self.fit.interval
+        if line.matters and line.share > predictable.share / 2:
+            return [(f"a line at {line.frequency * rate:.3g} Hz holds {_percent(line.share)} of its innovations", HUM)]
+        said = []
+        if predictable.matters:
+            correlated = f"its innovations are correlated by {self.fit.largest_correlation:+.2f}"
+            said += [(f"{correlated}, {_percent(predictable.share)} of their variance could be predicted", COLOUR)]
+        if band.matters and (band.low == 0 or not said):
+            span = f"{band.low * rate:.2g} to {band.high * rate:.2g} Hz"
+            words = f"at {span} its density is {band.ratio:.2g} times the model's"
+            said += [(words, COLOUR if band.low else DRIFT)]
+        return said
+
+
+def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: str, say: Say) -> Json:
+    """White noise and random walk of each channel of logs of sensors at rest."""
+    loaded = [load_run(path, "estimation") for path in logs]
+    notes: list[str] = []
+    found: list[ChannelNoise] = []
+    for path, one in zip(logs, loaded, strict=True):
+        chosen = _chosen(path, one, signals)
+        for name, channel in chosen.items():
+            label = name if len(logs) == 1 else f"{one.run.name} {name}"
+            say(f"{label}: {channel.t.size} samples")
+            try:
+                fit = estimate_noise(channel, label)
+            except ValueError as problem:
+                notes.append(f"Left out: {problem}")
+                continue
+            found.append(ChannelNoise(one.run.name, name, label, channel, fit))
+    if not found:
+        raise SeatrialError(f"{logs[0]}: no channel whose noise could be estimated; {'; '.join(notes)}")
+    result = envelope(loaded, command) | {
+        "kind": "noise",
+        "answer": _answer(found),
+        "noise": [_row(x) for x in found],
+        "notes": notes + _notes(found),
+    }
+    out.mkdir(parents=True, exist_ok=True)
+    save_noise(out / "noise.toml", found, result)
+    content = to_json(result)
+    write_result(content, out / "result.json")
+    write_report(content, out / "report.html")
+    return result
+
+
+def _chosen(path: Path, loaded: LoadedLog, signals: Sequence[str]) -> Mapping[str, Channel]:
+    """The channels that ident knows and the other axes of an AHRS; all of them, or those that were named."""
+    everything = dict(loaded.run.channels)
+    with open_log(path) as log:
+        for source in log.sources(Ahrs):
+            everything = ahrs_channels(log.table(Ahrs, source), source) | everything
+    everything = {n: _unwrapped(c) for n, c in everything.items() if c.t.size > 1}
+    lost = [n for n in signals if n not in everything]
+    if lost:
+        raise SeatrialError(f"{path}: no signal {lost[0]!r}; it has {', '.join(sorted(everything))}")
+    return {n: everything[n] for n in signals} if signals else everything
+
+
+def _unwrapped(channel: Channel) -> Channel:
+    """A heading that swings across the half turn is no step."""
+    value = np.unwrap(channel.value) if channel.unit == "rad" else channel.value
+    return Channel(channel.t - channel.t[0], value, channel.unit, channel.source)
+
+
+def _row(one: ChannelNoise) -> Json:
+    frequency, density = welch(one.channel)
+    f = one.fit
+    return {
+        "channel": one.label,
+        "unit": one.channel.unit,
+        "white": f.white,
+        "walk": f.walk,
+        "se_white": f.white_error,
+        "se_walk": f.walk_error,
+        "accepted": not f.rejected,
+        "p": f.ljung_box,
+        "predictable": f.departures.share,
+        "reason": one.reason or None,
+        "frequency": frequency,
+        "psd": density,
+        "psd_model": f.psd(frequency),
+    }
+
+
+def _answer(found: Sequence[ChannelNoise]) -> str:
+    bad = [x for x in found if x.fit.rejected]
+    good = len(found) - len(bad)
+    kind = "white noise plus a random walk"
+    if not bad:
+        return f"{'The channel is' if good == 1 else f'All {good} channels are'} {kind}."
+    if len(found) == 1:
+        return f"The channel is not {kind}: {bad[0].reason}. {WARNING}"
+    named = "; ".join(f"{x.label}: {x.reason}" for x in bad[:MOST_SAID])
+    more = f"; and {len(bad) - MOST_SAID} more" if len(bad) > MOST_SAID else ""
+    return f"{good} of {len(found)} channels are {kind}. Not so: {named}{more}. {WARNING}"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %"
+
+
+def _notes(found: Sequence[ChannelNoise]) -> list[str]:
+    lines = [
+        f"{x.label}: not white noise plus a random walk: {x.reason}. {x.remedy}" for x in found if x.fit.rejected
+    ]
+    lines += [
+        f"{x.label}: the innovations are not quite white, but no more than {_percent(x.fit.departures.share)} of their "
+        "variance could be predicted and their density is nowhere off by a factor of two: let pass."
+        for x in found
+        if not x.fit.rejected and x.fit.departures.significant
+    ]
+    return lines + [f"{x.label}: {flag}" for x in found for flag in x.fit.flags]
+
+
+def save_noise(path: Path, found: Sequence[ChannelNoise], result: Json) -> None:
+    """Write noise.toml: what other programs need of the result."""
+    document = tomlkit.document()
+    document["format"] = FORMAT
+    document["provenance"] = {
+        "made_by": result["command"],
+        "created": result["created"],
+        "seatrial": result["seatrial"],
+        "logs": [f"{x['path']} sha256:{x['sha256'][:16]}" for x in result["logs"]],
+    }
+    tables = tomlkit.aot()
+    for one in found:
+        f = one.fit
+        numbers = {
+            "white": f.white,
+            "white_se": f.white_error,
+            "walk": f.walk,
+            "walk_se": f.walk_error,
+            "interval": f.interval,
+            "p": f.ljung_box,
+            "largest_correlation": f.largest_correlation,
+            "predictable": f.departures.share,
+        }
+        table = tomlkit.table()
+        table.update({"log": one.log, "name": one.name, "unit": one.channel.unit, "n": f.n})
+        table.update({k: float(f"{v:.7g}") for k, v in numbers.items() if np.isfinite(v)})
+        table.update({"accepted": not f.rejected})
+        if f.rejected:
+            table.update({"reason": one.reason})
+        tables.append(table)
+    document["channel"] = tables
+    path.write_text(tomlkit.dumps(document), encoding="utf-8")

@@ -1,0 +1,56 @@
+"""What the ident commands do: logs in; model.toml, result.json and report.html out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from ident.estimation import Fit, FittedModel, save_model
+from ident.report import write_report
+from ident.results import Json, shown_inputs, to_json
+
+Say = Callable[[str], None]
+
+
+def write_all(
+    out: Path,
+    result: Json,
+    fit: Fit,
+    ranges: Mapping[str, tuple[float, float]],
+    effects_file: Path | None = None,
+) -> None:
+    """model.toml, result.json and report.html into a folder."""
+    out.mkdir(parents=True, exist_ok=True)
+    logs = [f"{x['path']} sha256:{x['sha256'][:16]}" for x in result["logs"] if x["role"] == "estimation"]
+    provenance = {
+        "made_by": result["command"],
+        "created": result["created"],
+        "seatrial": result["seatrial"],
+        "logs": logs,
+    }
+    save_model(out / "model.toml", fit, validity=ranges, provenance=provenance, effects_file=effects_file)
+    content = to_json(result)
+    write_result(content, out / "result.json")
+    write_report(content, out / "report.html")
+
+
+def validity(stage: FittedModel) -> dict[str, tuple[float, float]]:
+    """Ranges of the states and inputs that the estimation data covered (1 % to 99 %)."""
+    found: dict[str, tuple[float, float]] = {}
+    views = stage.estimation
+    for i, state in enumerate(stage.model.states):
+        if state.name in ("u", "v", "r"):
+            z = np.concatenate([v.run.x_filt[:, i] for v in views])
+            found[state.name] = (float(np.percentile(z, 1)), float(np.percentile(z, 99)))
+    for j, name, _ in shown_inputs(stage.model):
+        z = np.concatenate([v.record.u[:, j] for v in views])
+        found.setdefault(name, (float(z.min()), float(z.max())))  # a yaw rate that is an input, too, is the state's
+    return found
+
+
+def write_result(content: Json, path: Path) -> None:
+    """``content``: as of ``plain``."""
+    path.write_text(json.dumps(content, separators=(",", ":"), allow_nan=False), encoding="utf-8")

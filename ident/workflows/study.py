@@ -1,0 +1,213 @@
+"""The study's job: replicates in parallel, a JSON line each, and from them result.json and a page."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import version
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import joblib
+
+from daq.errors import SeatrialError
+from ident.report import write_study_docs
+from ident.results import Json, to_json
+from ident.studies import Case, Method, ParameterCoverage, Row, counts, make_case, run_replicates, summarise
+from ident.workflows.output import write_result
+
+Say = Callable[[str], None]
+BATCH = 25  # replicates a task at most: they are simulated together
+TASK_S = 10.0  # s of CPU that a task takes: so long a line waits, and so much is lost when the study is stopped
+ROWS = 3  # version of what a line holds
+# The wings that a study's results hang on.
+OWN = ("data", "engine", "estimation", "model", "models", "numerics", "studies")
+
+
+def study(case: Case, n: int, seed: int, out: Path | str, *, method: Method = "pe", jobs: int | None = None,
+          say: Say = lambda line: None) -> list[Row]:
+    """All replicates of a case, those of earlier runs from ``out``, a file of JSON lines.
+
+    ``jobs`` processes, or what ``joblib.parallel_config`` says where it is None: any backend of joblib will do.
+    """
+    key, out = _key(case, seed, method), Path(out)
+    done = {r["k"]: r for r in read(out) if r["key"] == key and r["k"] < n}
+    todo = [k for k in range(n) if k not in done]
+    if done:
+        say(f"{case.name}: {len(done)} replicates are there already")
+        if any(r["code"] != code_state() for r in done.values()):
+            say(f"note: some of {out} were made by another state of the code; give another --out to begin anew")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with out.open("a", encoding="utf-8") as file:
+        for rows in _results(case, todo, seed, method, jobs):
+            for row in rows:
+                done[row["k"]] = row | {"key": key, "code": code_state()}
+                file.write(json.dumps(done[row["k"]]) + "\n")
+            file.flush()
+            say(f"{case.name}: {len(done)} of {n} replicates")
+    return [done[k] for k in sorted(done)]
+
+
+def _results(case: Case, todo: Sequence[int], seed: int, method: Method, jobs: int | None) -> Iterator[list[Row]]:
+    """What each task returns, as soon as it is done; in waves where the backend gives nothing before all are done."""
+    pace = _Pace(todo)
+    calls = (joblib.delayed(_timed)(case, task, seed, method) for task in pace.tasks())
+    try:
+        run = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", pre_dispatch="n_jobs", batch_size=1)
+    except ValueError:  # Dask's and Ray's, for example
+        run = joblib.Parallel(n_jobs=jobs)
+        wave = joblib.effective_n_jobs(-1 if jobs is None else jobs)
+        found = (done for first in calls for done in run([first, *islice(calls, wave - 1)]))
+    else:
+        found = run(calls)
+    for seconds, rows in found:
+        pace.took(rows, seconds)
+        yield rows
+
+
+class _Pace:
+    """How many replicates make a task: one at first, then what takes ``TASK_S`` by what the last one took, and at least
+    as many as need as long to be estimated as to be simulated, which one does not do much sooner than many."""
+
+    def __init__(self, todo: Sequence[int]) -> None:
+        self.todo, self.size = todo, 1
+
+    def tasks(self) -> Iterator[Sequence[int]]:
+        """Asked for one by one, as workers become free."""
+        at = 0
+        while at < len(self.todo):
+            task = self.todo[at : at + self.size]
+            at += len(task)
+            yield task
+
+    def took(self, rows: Sequence[Row], seconds: float) -> None:
+        """A task took so much CPU."""
+        simulation = sum(r["simulation"] for r in rows)
+        each = max((seconds - simulation) / len(rows), 1e-6)
+        self.size = int(min(max(max(TASK_S - simulation, simulation) / each, 1), 2 * len(rows), BATCH))
+
+
+def _timed(case: Case, numbers: Sequence[int], seed: int, method: Method) -> tuple[float, list[Row]]:
+    """CPU seconds and rows of a task."""
+    began = time.process_time()
+    rows = run_replicates(case, numbers, seed, method)
+    return time.process_time() - began, rows
+
+
+def read(out: Path) -> list[Row]:
+    """Lines of earlier runs; one that was cut short is left out, and so is a replicate that failed."""
+    rows = []
+    for text in out.read_text(encoding="utf-8").splitlines() if out.exists() else ():
+        try:
+            row = json.loads(text)
+        except json.JSONDecodeError:
+            continue
+        if isinstance(row, dict) and {"k", "key", "code"} <= set(row) and "error" not in row:
+            rows.append(row)
+    return rows
+
+
+def run_studies(
+    names: Sequence[str], n: int, seed: int, out: Path, *, truth: Mapping[str, float], free: Sequence[str] = (),
+    seconds: float | None = None, bounded: bool = True, method: Method = "pe", restricted: bool | None = None,
+    second_order: bool | None = None, jobs: int | None = None, command: str, say: Say,
+) -> Json:
+    """The studies of the named models; writes NAME.jsonl for each, result.json and study.md into ``out``.
+
+    ``restricted``, ``second_order``: how it is estimated, by default as the commands do (``make_case``).
+    """
+    cases = [make_case(name, truth, free, seconds, bounded=bounded, restricted=restricted, second_order=second_order)
+             for name in dict.fromkeys(names)]
+    if out.exists() and not out.is_dir():
+        raise SeatrialError(f"{out}: is a file; give a folder")
+    parts = []
+    for case in cases:
+        rows = study(case, n, seed, out / f"{case.name}.jsonl", method=method, jobs=jobs, say=say)
+        parts.append(part(case, rows, method))
+    result = {
+        "format": "seatrial-result 1",
+        "kind": "study",
+        "answer": " ".join(answer(p) for p in parts),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "seatrial": version("seatrial"),
+        "command": command,
+        "logs": [],
+        "seed": seed,
+        "studies": parts,
+    }
+    write_result(to_json(result), out / "result.json")
+    write_study_docs(result, out / "study.md")
+    return result
+
+
+def part(case: Case, rows: Sequence[Row], method: Method) -> Json:
+    """One study's entry of ``studies``."""
+    truth = case.model.values
+    return {
+        "model": case.name,
+        "about": case.about,
+        "method": method.upper(),
+        "estimator": estimator(case, method),
+        **counts(rows),
+        "parameters": [_row(j, truth[j.name], case.model.parameter(j.name).unit) for j in summarise(rows)
+                       if j.name in truth],  # the starts, which output error estimates too, have no truth of their own
+    }
+
+
+def estimator(case: Case, method: Method) -> str:
+    """What is studied, in words."""
+    if method == "oe":
+        return "output error"
+    noise = "restricted" if case.restricted else "maximum"
+    order = "second" if case.model.second_order else "first"
+    return f"prediction error, noise by {noise} likelihood, filter's mean of {order} order"
+
+
+def _row(j: ParameterCoverage, truth: float, unit: str) -> Json:
+    return {
+        "name": j.name, "unit": unit, "truth": truth, "n": j.n, "at_bound": j.at_bound, "sd": j.sd, "bias": j.bias,
+        "bias_error": j.bias_error, "ratio": j.ratio, "ratio_low": j.ratio_interval[0],
+        "ratio_high": j.ratio_interval[1], "bound_ratio": j.bound_ratio, "bound_ratio_low": j.bound_interval[0],
+        "bound_ratio_high": j.bound_interval[1], "coverage": j.coverage,
+        "coverage_low": j.coverage_interval[0], "coverage_high": j.coverage_interval[1], "misses": list(j.misses),
+    }
+
+
+def answer(one: Json) -> str:
+    """How many parameters keep within what is wanted."""
+    rows = one["parameters"]
+    if not rows:
+        return f"{one['model']}: no replicate can be judged."
+    sure = {r["name"]: [m for m in r["misses"] if "chance" not in m] for r in rows}
+    worst = [f"{name} ({', '.join(misses)})" for name, misses in sure.items() if misses]
+    lucky = sum(bool(r["misses"]) and not sure[r["name"]] for r in rows)
+    held = f"{sum(not r['misses'] for r in rows)} of {len(rows)} parameters"
+    parts = [f"{one['model']}, {one['replicates']} replicates: {held} are as wanted"]
+    parts += [f"{lucky} miss by no more than chance"] if lucky else []
+    return ", ".join([*parts, *([f"these do not hold: {', '.join(worst)}"] if worst else [])]) + "."
+
+
+def _key(case: Case, seed: int, method: Method) -> str:
+    """Replicates with the same key are of the same study: mission, model, truth, seed and estimator."""
+    parameters = [(p.name, p.value, p.bounds, p.free) for p in case.model.parameters]
+    values: Any = (case.name, parameters, sorted(case.every.items()), seed, estimator(case, method), case.model.source,
+                   ROWS)
+    inputs = case.inputs
+    digest = hashlib.sha256(repr(values).encode())
+    for array in (inputs.t, inputs.u, inputs.u_next):
+        digest.update(array.tobytes())
+    return digest.hexdigest()[:12]
+
+
+@cache
+def code_state() -> str:
+    """A hash of what a result depends on."""
+    digest, root = hashlib.sha256(), Path(__file__).parents[1]
+    for path in sorted(path for wing in OWN for path in (root / wing).glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]

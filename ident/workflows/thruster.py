@@ -1,0 +1,256 @@
+"""The thruster's job: a bench log in; its model, static curve and report out.
+
+The thruster's job where nobody measured the shaft: force and command in; a static curve out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from daq.errors import SeatrialError, counted
+from ident.characterisation import (
+    THRUSTER_RATE,
+    Curve,
+    Levels,
+    Quadratic,
+    adequate,
+    curve_left_out,
+    find_levels,
+    fit_curve,
+    fit_on_a_copy,
+    fit_quadratic,
+    save_curve,
+    shaft_guess,
+    thruster_channels,
+    thruster_name,
+)
+from ident.data import Channel, LoadedLog, Record, build_record, load_run
+from ident.estimation import Fit, FittedModel, RecordEvaluation, outliers, profile
+from ident.model import Model
+from ident.models import thruster_model
+from ident.numerics import Array
+from ident.report import write_report
+from ident.results import (
+    Json,
+    calibration_notes,
+    curve_notes,
+    envelope,
+    estimation_warnings,
+    evaluation_section,
+    fit_part,
+    profile_part,
+    thruster_answer,
+    to_json,
+)
+from ident.validation import PredictionEvaluation
+from ident.workflows.model_inputs import check_ahead, check_names
+from ident.workflows.output import Say, write_all, write_result
+
+SETTLED, AVERAGED = 1.0, 0.6  # s that a command must have lasted, and over which it is then averaged
+
+
+def bench(
+    logs: Sequence[Path],
+    out: Path,
+    *,
+    name: str | None,
+    settle: float = 1.5,
+    profiles: Sequence[str] = (),
+    robust: bool = False,
+    restricted: bool = True,
+    horizon: float | None = None,
+    command: str,
+    say: Say,
+) -> Json:
+    """Fit the thruster model to bench logs of one thruster, or a static curve where nobody measured the shaft.
+
+    ``profiles``: parameters that get a profile likelihood; ``robust``: allow outliers; ``restricted``:
+    noise by restricted likelihood; ``horizon``: s ahead that predictions are judged, one by default.
+    """
+    loaded = [load_run(path, "estimation") for path in logs]
+    if is_static(loaded, name):
+        asked = {"--robust": robust, "--profile": profiles, "--horizon": horizon is not None}
+        _refuse(logs[0], [option for option, given in asked.items() if given])
+        return static_curve(loaded, out, name=name, settle=settle, command=command, say=say)
+    check_ahead(horizon, loaded)
+    name = name or thruster_name(loaded[0])
+    has_force = all("force" in x.run.channels for x in loaded)
+    model = thruster_model(force=has_force)
+    check_names(model, profiles)
+    records = [_record(model, x, name) for x in loaded]
+    if shaft_guess(records)[0] > model.parameter("tau").bounds[1]:
+        model = thruster_model("slow", force=has_force)
+        records = [_record(model, x, name) for x in loaded]
+    say(f"fitting the thruster to {counted(len(records), 'run')}, {sum(r.n_rows for r in records)} rows")
+    fitted, records = fit_on_a_copy(model, records, lambda m: [_record(m, x, name) for x in loaded],
+                                    robust=robust, restricted=restricted)
+    result = envelope(loaded, command) | {"kind": "thruster", "fit": fit_part(fitted, model.values)}
+    views = tuple(RecordEvaluation(fitted.model, r, v) for r, v in zip(records, fitted.record_values, strict=True))
+    stage = FittedModel(fitted.model, fitted, views, ())
+    result |= evaluation_section(PredictionEvaluation(stage, horizon)) | {
+        "cautions": estimation_warnings(fitted, records)
+    }
+    result["notes"] = outliers(stage) + calibration_notes(result["calibration"], result["horizon"])
+    if has_force:
+        result["static"] = _static(fitted, loaded, name)
+    if profiles:
+        say(f"profile likelihood of {', '.join(profiles)}")
+        result["profiles"] = [profile_part(profile(fitted, records, p)) for p in profiles]
+    result["answer"] = thruster_answer(fitted, has_force)
+    ranges = {"n_cmd": _range(np.concatenate([r.u[:, 0] for r in records]))}
+    write_all(out, result, fitted, ranges)
+    return result
+
+
+def _refuse(path: Path, options: Sequence[str]) -> None:
+    """Options that a static curve does not know; raises SeatrialError where there is one."""
+    if options:
+        raise SeatrialError(
+            f"{path}: has no shaft speed, so there is a static curve alone, which {' and '.join(options)} cannot "
+            "change; leave it out"
+        )
+
+
+def _record(model: Model, loaded: LoadedLog, name: str) -> Record:
+    channels = thruster_channels(loaded, model, name)
+    return build_record(model, channels, name=loaded.run.name, rate=THRUSTER_RATE)
+
+
+def _static(fitted: Fit, loaded: Sequence[LoadedLog], name: str) -> Json:
+    """Steady points: the last second of every command that lasted, and the fitted curve with its band."""
+    points = [p for i, x in enumerate(loaded) for p in _steady(x, name, fitted.estimate("bias", i)[0])]
+    grid = np.linspace(-1, 1, 81)
+    B = np.column_stack([grid * np.abs(grid), grid**2])
+    value = {c: fitted.estimate(c)[0] for c in ("c1", "c2")}
+    at = [fitted.names.index(c) for c in ("c1", "c2")]
+    P = fitted.covariance[np.ix_(at, at)]
+    return {
+        "n": [p[0] for p in points],
+        "force": [p[1] for p in points],
+        "sd": [p[2] for p in points],
+        "n_model": grid,
+        "force_model": B @ [value["c1"], value["c2"]],
+        "force_sd": np.sqrt(np.einsum("ij,jk,ik->i", B, P, B)),
+    }
+
+
+def _steady(loaded: LoadedLog, name: str, bias: float) -> list[tuple[float, float, float]]:
+    command, n, f = (loaded.run.channels[c] for c in (f"n_cmd_{name}", f"n_{name}", "force"))
+    changes = np.append(np.flatnonzero(np.diff(command.value, prepend=np.nan) != 0), command.t.size - 1)
+    points = []
+    for a, b in pairwise(changes):
+        end = command.t[b]
+        if end - command.t[a] < SETTLED + AVERAGED:
+            continue
+        speed, force = ((c.value[(c.t > end - AVERAGED) & (c.t <= end)]) for c in (n, f))
+        if speed.size > 3 and force.size > 3:
+            points.append((float(speed.mean()), float(force.mean() - bias), float(force.std() / np.sqrt(force.size))))
+    return points
+
+
+def _range(z: Array) -> tuple[float, float]:
+    return float(z.min()), float(z.max())
+
+
+def static_curve(
+    loaded: Sequence[LoadedLog], out: Path, *, name: str | None, settle: float, command: str, say: Say
+) -> Json:
+    """Fit a curve to steady stretches of bench logs that have a force and a command but no shaft speed."""
+    if len(loaded) != 1:
+        raise SeatrialError(f"{loaded[1].about['path']}: a static curve is made of one log; give one")
+    one = loaded[0]
+    channels, where = one.run.channels, one.about["path"]
+    names = _commands(one, name)
+    if "force" not in channels:
+        raise SeatrialError(f"{where}: no signal 'force'; it has {', '.join(sorted(channels))}")
+    say(f"steady force against {' and '.join(names)}")
+    try:
+        levels = find_levels(channels[names[0]], channels["force"], settle)
+        if levels.n.size < 4:
+            raise ValueError(f"{levels.n.size} steady commands are too few for a curve; it takes four")
+    except ValueError as problem:
+        raise SeatrialError(f"{where}: {problem}") from problem
+    curve, quadratic = fit_curve(levels), fit_quadratic(levels)
+    result = envelope(loaded, command) | {
+        "kind": "thruster",
+        "answer": curve_answer(levels, curve, quadratic, len(names)),
+        "static": _curve_points(levels, curve, quadratic),
+        "notes": curve_notes(levels, curve, quadratic),
+    }
+    out.mkdir(parents=True, exist_ok=True)
+    provenance = {
+        "made_by": command,
+        "created": result["created"],
+        "seatrial": result["seatrial"],
+        "logs": [f"{where} sha256:{one.about['sha256'][:16]}"],
+    }
+    save_curve(out / "model.toml", curve, levels, quadratic, len(names), provenance)
+    content = to_json(result)
+    write_result(content, out / "result.json")
+    write_report(content, out / "report.html")
+    return result
+
+
+def is_static(loaded: Sequence[LoadedLog], name: str | None) -> bool:
+    """Whether the logs have commands but no shaft speed that goes with one of them."""
+    for one in loaded:
+        names = [name] if name else [n.removeprefix("n_cmd_") for n in one.run.channels if n.startswith("n_cmd_")]
+        if any(f"n_cmd_{n}" in one.run.channels and f"n_{n}" in one.run.channels for n in names):
+            return False
+    return "force" in loaded[0].run.channels and bool(_command_names(loaded[0].run.channels, name))
+
+
+def _command_names(channels: Mapping[str, Channel], name: str | None) -> list[str]:
+    sides = [name] if name else ["left", "right", *(n[6:] for n in channels if n.startswith("n_cmd_"))]
+    found = [next((n for n in (f"n_cmd_{s}", f"n_{s}") if n in channels), "") for s in dict.fromkeys(sides)]
+    return [n for n in found if n]
+
+
+def _commands(one: LoadedLog, name: str | None) -> list[str]:
+    """The commands that moved; several are one only where they are the same."""
+    channels = one.run.channels
+    moved = [n for n in _command_names(channels, name) if np.ptp(channels[n].value) > 0]
+    if not moved:
+        raise SeatrialError(f"{one.about['path']}: no command that changes; it has {', '.join(sorted(channels))}")
+    first = channels[moved[0]]
+    for other in moved[1:]:
+        c = channels[other]
+        if c.t.size != first.t.size or not np.allclose(c.value, first.value):
+            raise SeatrialError(
+                f"{one.about['path']}: {moved[0]} and {other} differ; name the thruster that was measured: --thruster"
+            )
+    return moved
+
+
+def _curve_points(levels: Levels, curve: Curve, quadratic: Quadratic) -> Json:
+    grid = np.union1d(np.linspace(curve.n[0], curve.n[-1], 161), curve.n)
+    return {
+        "n": levels.n,
+        "force": levels.force,
+        "sd": levels.se,
+        "n_model": grid,
+        "force_model": curve(grid),
+        "force_sd": curve.error(grid),
+        "force_quadratic": quadratic(grid),
+        "abscissa": "command n",
+    }
+
+
+def curve_answer(levels: Levels, curve: Curve, quadratic: Quadratic, thrusters: int) -> str:
+    (low, high), words = curve.force[[0, -1]], {1: "The thruster gives", 2: "Both thrusters together give"}
+    end = f"and {-low:.1f} ± {curve.se[0]:.1f} N astern " if curve.n[0] < 0 else ""
+    told = (
+        f"{words.get(thrusters, f'The {thrusters} thrusters together give')} {high:.1f} ± {curve.se[-1]:.1f} N ahead "
+        f"{end}at the ends of the command, {levels.n.size} steady levels in all."
+    )
+    if adequate(quadratic):
+        return f"{told} c1 n|n| + c2 n² describes them within their errors (c1 {quadratic.c1:.2f} N)."
+    return (
+        f"{told} c1 n|n| + c2 n² does not describe them: it misses them by {quadratic.rms:.1f} N (rms), by "
+        f"{quadratic.largest:+.1f} N at n = {quadratic.at:g}; a level left out is missed by "
+        f"{quadratic.left_out:.1f} N, by the monotone curve through the others by {curve_left_out(levels):.1f} N."
+    )

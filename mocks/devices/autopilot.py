@@ -1,0 +1,206 @@
+"""A boat's autopilot on a MAVLink link, as ArduPilot Rover 4.7 behaves towards a ground station. Sans I/O.
+
+It obeys one ground station, arms only on its command and refuses where a real one does, follows RC overrides while it
+is armed and in MANUAL, and takes silence for the end of thrust. What it was told and what it put out are two things.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from typing import Any, final
+
+from daq.protocol import EPOCH_2015, ROVER_MODES, Codec, Samples, mavlink, read_key
+from daq.rig import Device, Rig
+from daq.samples import Ahrs, Esc, Gnss
+from mocks.devices.autopilot_messages import BOOT_S, EKF_READY, LOOP_HZ, MANUAL, UNUSED, Reports, Vehicle, parameters
+from mocks.devices.base import DeviceEmulator
+from mocks.world import EscController, Sample
+
+INTERVAL_PART = 0.8  # of the loop's rate: a faster message is denied
+HOLD = 4
+ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
+INFO, CRITICAL = 6, 2
+ALWAYS = {"HEARTBEAT": 1.0}  # Hz, asked for or not
+NEUTRAL_N = 0.02  # a stick further out forbids arming
+
+
+@final
+class Autopilot(DeviceEmulator):
+    """One autopilot: `encode` is called at its loop rate with the attitude, `receive` with what the host sends."""
+
+    def __init__(
+        self, rig: Rig, device: Device, controllers: Mapping[int, EscController], now_unix: float = EPOCH_2015
+    ) -> None:
+        """`controllers` by output; `now_unix` for signatures. Raises SeatrialError for a key that cannot be read."""
+        assert device.mavlink is not None
+        settings = device.mavlink
+        self._thrusters = {t.node: t for t in rig.thrusters if t.device == device.name}
+        self._controllers, self._speed, self._ground = controllers, rig.speed, settings.own_system_id
+        timeout = min((t.timeout_s for t in self._thrusters.values()), default=1.0)
+        own = parameters(list(self._thrusters.values()), settings.own_system_id, timeout / rig.speed)
+        self.vehicle = Vehicle(own)
+        key = None if settings.key_file is None else read_key(settings.key_file)
+        self._who = (settings.system_id, settings.component_id)
+        self._codec = Codec(*self._who, key, now_unix)
+        self._decoder = mavlink.MavlinkDecoder(
+            Samples({}), settings.own_system_id, settings.own_component_id, self._codec
+        )
+        self._decoder.listener = self._hear
+        self._rates: dict[str, float] = dict(ALWAYS)
+        self._sent: dict[str, int] = {}  # the interval in which a message was sent last
+        self._queue: deque[bytes] = deque()
+        self._t = 0.0
+        self._reports = Reports(self.vehicle, self._codec, self._thrusters, controllers)
+
+    # What it says.
+
+    def encode(self, sample: Sample, t: float) -> bytes:
+        """The messages that are due; an attitude is the tick of the loop."""
+        self._t = self._reports.t = t
+        if isinstance(sample, Esc | Gnss):
+            self._reports.take(sample)
+        elif isinstance(sample, Ahrs):
+            self._judge()
+            said = [self._reports.say(name, sample) for name in list(self._rates) if self._is_due(name)]
+            return b"".join(said) + self._flush()
+        return self._flush()
+
+    def _is_due(self, name: str) -> bool:
+        """Once in each interval, counted from boot: messages of one rate leave together, as ArduPilot's do."""
+        count = math.floor((self._t + BOOT_S) * self._rates[name] + 1e-6)
+        before, self._sent[name] = self._sent.get(name, -1), count
+        return count != before
+
+    def _flush(self) -> bytes:
+        out = b"".join(self._queue)
+        self._queue.clear()
+        return out
+
+    def _text(self, severity: int, text: str) -> None:
+        self._queue.append(self._codec.encode("STATUSTEXT", severity, text.encode()[:50]))
+
+    # What it does.
+
+    def _judge(self) -> None:
+        """Failsafes: the ground station has fallen silent."""
+        own, silence = self.vehicle, self._t - self.vehicle.ground_heard
+        watched = own.armed and own.parameters["FS_GCS_ENABLE"] and own.mode != HOLD and math.isfinite(silence)
+        if watched and silence > own.parameters["FS_TIMEOUT"] * self._speed:
+            self._set_mode(HOLD)
+            self._text(CRITICAL, "GCS Failsafe")
+
+    def disarm(self, text: str = "Throttle disarmed") -> None:
+        """No thrust from here on."""
+        if self.vehicle.armed:
+            self.vehicle.armed = False
+            self._text(INFO, text)
+        self._stop()
+
+    def _set_mode(self, mode: int) -> None:
+        self.vehicle.mode = mode
+        if mode != MANUAL:
+            self._stop()
+
+    def _stop(self) -> None:
+        for controller in self._controllers.values():
+            controller.command(self._t, 0.0)
+
+    # What it is told.
+
+    def receive(self, data: bytes, t: float) -> bytes:
+        """Messages of the host; the answers."""
+        self._t = self._reports.t = t
+        self._decoder.feed(data, t)
+        return self._flush()
+
+    def _hear(self, m: Any) -> None:
+        name = m.get_type()
+        if name == "HEARTBEAT":
+            self.vehicle.ground_heard = self._t
+        elif getattr(m, "target_system", self._who[0]) != self._who[0]:
+            return
+        elif name == "RC_CHANNELS_OVERRIDE":
+            self._override(m)
+        elif name == "COMMAND_LONG":
+            result = self._command(m)
+            self._queue.append(self._codec.encode("COMMAND_ACK", m.command, result))
+        elif name == "PARAM_REQUEST_READ" and m.param_id in self.vehicle.parameters:
+            self._say_parameter(m.param_id)
+        elif name == "PARAM_REQUEST_LIST":
+            for parameter in self.vehicle.parameters:
+                self._say_parameter(parameter)
+        elif name == "PARAM_SET" and m.param_id in self.vehicle.parameters:
+            self.vehicle.parameters[m.param_id] = m.param_value
+            self._say_parameter(m.param_id)
+
+    def _say_parameter(self, name: str) -> None:
+        known = list(self.vehicle.parameters)
+        value = self.vehicle.parameters[name]
+        self._queue.append(self._codec.encode("PARAM_VALUE", name.encode(), value, 9, len(known), known.index(name)))
+
+    def _override(self, m: Any) -> None:
+        if self.vehicle.parameters.get("MAV_GCS_SYSID") != self._ground:
+            return
+        for node, thruster in self._thrusters.items():
+            assert thruster.output is not None
+            pulse = getattr(m, f"chan{thruster.output.rc_channel}_raw")
+            if pulse in (0, UNUSED):
+                continue
+            low, neutral, high = thruster.output.rc_us
+            n = (pulse - neutral) / (high - neutral if pulse > neutral else neutral - low)
+            self.vehicle.sticks[node] = max(-1.0, min(1.0, n))
+            if self.vehicle.armed and self.vehicle.mode == MANUAL and node in self._controllers:
+                self._controllers[node].command(self._t, self.vehicle.sticks[node])
+
+    def _command(self, m: Any) -> int:
+        if m.command == 511:
+            return self._interval(int(m.param1), m.param2)
+        if m.command == 176:
+            if int(m.param2) not in ROVER_MODES:
+                return FAILED
+            self._set_mode(int(m.param2))
+            return ACCEPTED
+        if m.command == 400:
+            return self._arm() if m.param1 == 1.0 else self._disarm()
+        if m.command == 183:  # DO_SET_SERVO: refused on the outputs of motors
+            return DENIED
+        return UNSUPPORTED
+
+    def _interval(self, number: int, interval_us: float) -> int:
+        name = mavlink.message_name(number)
+        if not name or name in ALWAYS:
+            return FAILED
+        rate = 0.0 if interval_us <= 0.0 else 1e6 / interval_us
+        if rate > INTERVAL_PART * LOOP_HZ:
+            return DENIED
+        self._rates.pop(name, None)
+        if rate:
+            self._rates[name] = rate
+        return ACCEPTED
+
+    def _disarm(self) -> int:
+        self.disarm()
+        return ACCEPTED
+
+    def _arm(self) -> int:
+        if self.vehicle.armed:
+            return ACCEPTED
+        refusal = self._refusal()
+        if refusal:
+            self._text(CRITICAL, refusal)
+            return FAILED
+        self.vehicle.armed = True
+        self._text(INFO, "Throttle armed")
+        return ACCEPTED
+
+    def _refusal(self) -> str:
+        """Why it does not arm; empty when it does."""
+        if self._reports.ekf != EKF_READY:
+            return "PreArm: EKF3 is still initialising"
+        if self.vehicle.mode not in (MANUAL, HOLD):
+            return "Arm: Mode not armable"
+        if any(abs(n) > NEUTRAL_N for n in self.vehicle.sticks.values()):
+            return "Arm: Throttle (RC3) is not neutral"
+        return ""

@@ -1,0 +1,39 @@
+"""Noise that is not what was assumed, on a boat that lacks nothing: an analysis should not find an effect here."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mocks.plant import Effect, Gust, Maker, Noise, size
+
+
+def _gps(rng: np.random.Generator, scale: float) -> Effect:
+    sigma = scale * size(rng, 0.3)  # m
+    parameters = {"sigma": sigma, "tau": 30.0}
+    return Effect("noise-gps", "the fixes wander", parameters, noise=Noise(colour=(sigma, 30.0)))
+
+
+def _gusts(rng: np.random.Generator, scale: float) -> Effect:
+    sigma = scale * size(rng, 1.5)  # N
+    gust = Gust((sigma, sigma, 0.12 * sigma), 8.0, 97.0)
+    return Effect("noise-gusts", "gusts come and go", {"sigma": sigma, "tau": gust.tau}, gust=gust)
+
+
+def _outliers(rng: np.random.Generator, scale: float) -> Effect:
+    share = scale * size(rng, 0.01)
+    noise = Noise(outliers=(share, 3.0))
+    return Effect("noise-outliers", "one fix in a hundred is wrong", {"share": share}, noise=noise)
+
+
+def _small_r(rng: np.random.Generator, scale: float) -> Effect:
+    gain = 1.0 + scale * (2.0**0.5 - 1.0)
+    sentence = "the sensors have twice the noise variance that is declared"
+    return Effect("noise-small-r", sentence, {"gain": gain}, noise=Noise(gain=gain))
+
+
+MAKERS: dict[str, Maker] = {
+    "noise-gps": _gps,
+    "noise-gusts": _gusts,
+    "noise-outliers": _outliers,
+    "noise-small-r": _small_r,
+}

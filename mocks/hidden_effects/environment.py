@@ -1,0 +1,85 @@
+"""What wind, water and what hangs on the boat do."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mocks.plant import Effect, Maker, Wave, size
+
+
+def _wind(rng: np.random.Generator, scale: float) -> Effect:
+    drag = scale * 0.28  # N s2/m2, broadside
+    speed = size(rng, 5.3)  # m/s: 8 N broadside
+    toward = 2.0 * math.pi * rng.uniform()
+    w_n, w_e = speed * math.cos(toward), speed * math.sin(toward)
+
+    def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
+        rel_n, rel_e = w_n - v_n, w_e - v_e
+        ahead, aside = c * rel_n + s * rel_e, c * rel_e - s * rel_n
+        speed = math.hypot(ahead, aside)
+        return 0.7 * drag * speed * ahead, drag * speed * aside, 0.2 * drag * ahead * aside
+
+    came_from = math.degrees(toward + math.pi) % 360.0
+    return Effect(
+        "wind",
+        f"a steady wind of {speed:.1f} m/s blows from {came_from:.0f} deg",
+        {"wind_n": w_n, "wind_e": w_e, "drag": drag},
+        force=force,
+    )
+
+
+def _current_drift(rng: np.random.Generator, scale: float) -> Effect:
+    change, toward = scale * size(rng, 0.22), 2.0 * math.pi * rng.uniform()  # m/s
+    north, east = change * math.cos(toward), change * math.sin(toward)
+
+    def current(t: float) -> tuple[float, float]:
+        part = 0.5 * math.tanh((t - 200.0) / 180.0)
+        return part * north, part * east
+
+    sentence = f"the tide turns: the current changes by {0.8 * change:.2f} m/s in 400 s"
+    return Effect("current-drift", sentence, {"change_n": north, "change_e": east}, current=current)
+
+
+def _tether(rng: np.random.Generator, scale: float) -> Effect:
+    k = scale * size(rng, 0.08)  # N s2/m3
+    slack = 8.0  # m
+
+    def tether(x: float, y: float, v_n: float, v_e: float) -> tuple[float, float]:
+        away = math.hypot(x, y)
+        paid_out = away * away / (away + slack)
+        pull = k * paid_out * math.hypot(v_n, v_e)
+        return -pull * v_n, -pull * v_e
+
+    sentence = "a line to the shore drags the more, the more of it is in the water"
+    return Effect("tether", sentence, {"k": k, "slack": slack}, tether=tether)
+
+
+def _waves(rng: np.random.Generator, scale: float) -> Effect:
+    frequency, toward = size(rng, 0.45), 2.0 * math.pi * rng.uniform()  # Hz, rad
+    wave = Wave(frequency, 0.12, toward, scale * size(rng, 7.0), scale * size(rng, 6.0), scale * size(rng, 0.7))
+    came_from = math.degrees(toward + math.pi) % 360.0
+    parameters = {"frequency_hz": frequency, "surge": wave.surge, "sway": wave.sway, "yaw": wave.yaw}
+    sentence = f"waves of {frequency:.2f} Hz come from {came_from:.0f} deg"
+    return Effect("waves", sentence, parameters, wave=wave)
+
+
+def _heading_moment(rng: np.random.Generator, scale: float) -> Effect:
+    n, at = scale * size(rng, 0.5), 2.0 * math.pi * rng.uniform()  # N m
+
+    def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
+        along, across = c * math.cos(at) + s * math.sin(at), s * math.cos(at) - c * math.sin(at)
+        return 0.0, 0.0, n * 2.0 * along * across / (1.0 + 0.3 * along)
+
+    sentence = "a moment turns the boat towards two headings, as a long swell does"
+    return Effect("heading-moment", sentence, {"n": n, "at": at}, force=force)
+
+
+MAKERS: dict[str, Maker] = {
+    "wind": _wind,
+    "current-drift": _current_drift,
+    "tether": _tether,
+    "waves": _waves,
+    "heading-moment": _heading_moment,
+}

@@ -1,0 +1,92 @@
+"""Effects that no catalogue lists; each says which force it is and what that force depends on."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mocks.plant import Answer, Effect, Maker, ThrusterTruth, size
+from mocks.plant import thrust as thrust_at_rest
+
+
+def _thrust_band(rng: np.random.Generator, scale: float) -> Effect:
+    loss, at = scale * size(rng, 0.28), size(rng, 0.55)
+
+    def lost(n: float) -> float:
+        return loss / (1.0 + ((n - at) / 0.12) ** 4)
+
+    def thrust(
+        n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
+    ) -> tuple[float, float]:
+        part = lost((n_l + n_r) / 2.0)
+        return f_l * (1.0 - part), f_r * (1.0 - part)
+
+    def curve(n: float) -> float:
+        return -2.0 * lost(n) * thrust_at_rest(ThrusterTruth(), n)
+
+    sentence = f"both propellers draw air in a band of shaft speeds around {at:.2f}"
+    answer = Answer("X", "n_sum", curve)
+    return Effect("thrust-band", sentence, {"loss": loss, "at": at}, thrust=thrust, answer=answer)
+
+
+def _yaw_saddle(rng: np.random.Generator, scale: float) -> Effect:
+    n, at = scale * size(rng, 0.7, signed=True), size(rng, 0.55)  # N m, m/s
+
+    def curve(u: float) -> float:
+        z = (u - at) / 0.3
+        return n * 1.65 * z * math.exp(-0.5 * z * z)
+
+    def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
+        return 0.0, 0.0, curve(u)
+
+    sentence = "a bent bow turns the boat one way at low speed and the other way at high speed"
+    return Effect("yaw-saddle", sentence, {"n": n, "at": at}, force=force, answer=Answer("N", "u", curve))
+
+
+def _surge_step(rng: np.random.Generator, scale: float) -> Effect:
+    relief, at = scale * size(rng, 6.0), size(rng, 0.75)  # N, m/s
+
+    def curve(u: float) -> float:
+        return relief * 0.5 * (1.0 + math.tanh((u - at) / 0.05))
+
+    def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
+        return curve(u), 0.0, 0.0
+
+    sentence = f"above {at:.2f} m/s the stern breaks free and the boat drags less"
+    return Effect("surge-step", sentence, {"relief": relief, "at": at}, force=force, answer=Answer("X", "u", curve))
+
+
+def _heading_third(rng: np.random.Generator, scale: float) -> Effect:
+    n, at = scale * size(rng, 0.5), 2.0 * math.pi * rng.uniform()  # N m
+
+    def curve(psi: float) -> float:
+        return n * math.sin(3.0 * (psi - at))
+
+    def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
+        return 0.0, 0.0, curve(math.atan2(s, c))
+
+    sentence = "waves thrown back by three quays turn the boat, by a moment of three cycles in a circle"
+    return Effect("heading-third", sentence, {"n": n, "at": at}, force=force, answer=Answer("N", "psi", curve))
+
+
+def _jet_on_hull(rng: np.random.Generator, scale: float) -> Effect:
+    y = scale * size(rng, 5.0, signed=True)  # N
+
+    def curve(difference: float) -> float:
+        return y * math.exp(-0.5 * ((difference - 0.35) / 0.15) ** 2)
+
+    def jet(n_l: float, n_r: float) -> float:
+        return curve(n_l - n_r)
+
+    sentence = "at one difference of the shaft speeds a jet strikes the keel and shoves the boat sideways"
+    return Effect("jet-on-hull", sentence, {"y": y}, jet=jet, answer=Answer("Y", "n_diff", curve))
+
+
+MAKERS: dict[str, Maker] = {
+    "thrust-band": _thrust_band,
+    "yaw-saddle": _yaw_saddle,
+    "surge-step": _surge_step,
+    "heading-third": _heading_third,
+    "jet-on-hull": _jet_on_hull,
+}

@@ -1,0 +1,206 @@
+"""The simulated boat: hull, two thrusters, current, disturbances and, perhaps, an effect that nobody was told of."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import NamedTuple
+
+from mocks.plant.effect import ENERGY_UNIT, Effect
+from mocks.plant.hull import ARM, AT_REST, Hull, State, draw_current, draw_hull, make_rhs, rk4
+from mocks.plant.thruster import Inflow, Shaft, ThrusterTruth, thrust
+from mocks.plant.weather import Weather
+from mocks.random_streams import DISTURBANCE, START, OrnsteinUhlenbeck, normals, stream
+
+STEP = 0.005  # s
+DISTURBANCE_EVERY = 4  # steps: 50 Hz
+SIGMA = (0.3, 0.3, 0.03)  # N, N, N m: calm water
+TAU = 2.0  # s
+
+
+@dataclass(frozen=True)
+class Boat:
+    """What stays the same from run to run: the same seed and effect give the same boat."""
+
+    hull: Hull
+    thruster: ThrusterTruth
+    current: tuple[float, float]  # m/s, NED
+    effects: tuple[Effect, ...]
+    seed: int
+
+    def truth(self) -> dict[str, float]:
+        """The parameters of the thesis' model that are true for this boat (SI)."""
+        rigid = {"mass": self.hull.mass, "inertia": self.hull.inertia}
+        current = {"current_n": self.current[0], "current_e": self.current[1], "arm": ARM}
+        return {**self.hull.lumped(), **asdict(self.thruster), **current, **rigid}
+
+
+def draw_boat(seed: int, effects: Sequence[Effect] = (), thruster: ThrusterTruth | None = None) -> Boat:
+    """The boat of a seed: hull within 10 % of nominal, thrusters nominal unless given, a constant current."""
+    return Boat(draw_hull(seed), thruster or ThrusterTruth(), draw_current(seed), tuple(effects), seed)
+
+
+class RigidBodyState(NamedTuple):
+    """What there is to be measured at one moment; SI, NED and body axes as in daq.samples."""
+
+    t: float  # s since the plant's start
+    x: float
+    y: float
+    psi: float
+    r: float
+    ax: float  # m/s2, acceleration of the origin in body axes
+    ay: float
+    vel_n: float
+    vel_e: float
+    fix_x: float  # position and velocity at the GNSS antenna
+    fix_y: float
+    fix_vel_n: float
+    fix_vel_e: float
+    push: float = 0.0  # N, thrust of both thrusters as their shafts turn
+
+
+class BoatPlant:
+    """Integrates a boat in steps of ``step`` seconds; thrusters are numbered 0 left, 1 right."""
+
+    def __init__(
+        self,
+        boat: Boat,
+        run: int = 0,
+        *,
+        step: float = STEP,
+        state: State | None = None,
+        disturbed: bool = True,
+        n: float = 0.0,
+    ) -> None:
+        """``run`` names the disturbances and the first heading; ``state`` and ``n`` override where it starts."""
+        self.boat = boat
+        self.step_s = step
+        self.steps = 0
+        self.energy = 0.0
+        self.shafts = (Shaft(boat.thruster, 0.5 * step, n), Shaft(boat.thruster, 0.5 * step, n))
+        self._water = list(boat.current)  # what the right-hand side sees of the current
+        self._rhs = make_rhs(boat.hull, boat.thruster, self._water, boat.effects)
+        self._n = (n, n)  # shaft speeds that the water answers to
+        self._inflows = self._make_inflows(n)
+        self._drifts = [e.current for e in boat.effects if e.current is not None]
+        self._weather = Weather(boat.effects, boat.seed, run, DISTURBANCE_EVERY * step)
+        self.state = self._first_state(run) if state is None else state
+        self._forces = (0.0, 0.0, 0.0)
+        self._disturbances: list[OrnsteinUhlenbeck] = []
+        if disturbed:
+            draw = normals(stream(boat.seed, DISTURBANCE, run))
+            self._disturbances = [OrnsteinUhlenbeck(draw, DISTURBANCE_EVERY * step, s, TAU) for s in SIGMA]
+        arm = next((e.lever_arm for e in boat.effects if e.lever_arm is not None), (0.0, 0.0))
+        self._antenna = Antenna(arm, sum(e.latency for e in boat.effects), step)
+
+    def _make_inflows(self, n: float) -> list[Inflow]:
+        """One for each thruster where thrust is late, none else."""
+        delay, lag = (sum(e.inflow[k] for e in self.boat.effects) for k in (0, 1))
+        return [Inflow(delay, lag, 0.5 * self.step_s, n) for _ in range(2)] if delay or lag else []
+
+    def _first_state(self, run: int) -> State:
+        """Adrift with the current, on a heading drawn for the run."""
+        psi = float(stream(self.boat.seed, START, run).uniform(-math.pi, math.pi))
+        v_n, v_e = self.boat.current
+        c, s = math.cos(psi), math.sin(psi)
+        return (0.0, 0.0, psi, c * v_n + s * v_e, c * v_e - s * v_n, *AT_REST[5:])
+
+    @property
+    def t(self) -> float:
+        """Seconds since the start."""
+        return self.steps * self.step_s
+
+    def command(self, thruster: int, t: float, n_cmd: float) -> None:
+        """What thruster 0 (left) or 1 (right) is told from time ``t`` (s) on, -1..1, positive ahead."""
+        self.shafts[thruster].command(t, n_cmd)
+
+    def advance(self) -> None:
+        """One step. The antenna is where it is at the step's start until the step is done."""
+        if self.steps % DISTURBANCE_EVERY == 0:
+            self._disturb()
+        left, right = self.shafts
+        energy = self.energy / ENERGY_UNIT
+        k1 = self._rhs(self.state, *self._n, energy, *self._forces)
+        n_mid = (left.advance(), right.advance())
+        n_end = (left.advance(), right.advance())
+        f_mid, self._n = self._felt(n_mid), self._felt(n_end)
+        self.state = rk4(self._rhs, self.state, k1, self.step_s, (*f_mid, *self._n), energy, self._forces)
+        self.energy += self.step_s * (abs(n_mid[0]) ** 3 + abs(n_mid[1]) ** 3)
+        self.steps += 1
+        if self._antenna.latency:
+            self._antenna.push(self.state)
+
+    def _felt(self, n: tuple[float, float]) -> tuple[float, float]:
+        """Of shaft speeds half a step after the last ones, what the water answers to."""
+        if not self._inflows:
+            return n
+        left, right = self._inflows
+        return left.advance(n[0]), right.advance(n[1])
+
+    def _disturb(self) -> None:
+        """Forces and current of the next few steps."""
+        x, y, n = (d.step() for d in self._disturbances) if self._disturbances else (0.0, 0.0, 0.0)
+        if self._weather:
+            more = self._weather.forces(self.t, self.state[2])
+            x, y, n = x + more[0], y + more[1], n + more[2]
+        self._forces = (x, y, n)
+        if self._drifts:
+            changes = [drift(self.t) for drift in self._drifts]
+            self._water[:] = (v + sum(c[k] for c in changes) for k, v in enumerate(self.boat.current))
+
+    def motion(self) -> RigidBodyState:
+        """What the sensors see now."""
+        s = self.state
+        x, y, psi, u, v, r = s[:6]
+        rate = self._rhs(s, *self._n, self.energy / ENERGY_UNIT, *self._forces)
+        vel_n, vel_e = rate[0], rate[1]
+        ax, ay = rate[3] - v * r, rate[4] + u * r
+        push = self.thrust(0) + self.thrust(1)
+        return RigidBodyState(self.t, x, y, psi, r, ax, ay, vel_n, vel_e, *self._antenna.place(s), push)
+
+    def thrust(self, thruster: int) -> float:
+        """Force (N) that the shaft speed of a thruster would make at rest; what its motor current follows."""
+        return thrust(self.boat.thruster, self.shafts[thruster].n)
+
+
+class Antenna:
+    """Position and velocity that the GNSS receiver reports: at its lever arm, and as late as its filters are.
+
+    Of a latency, 60 % is transport and 40 % a first-order filter.
+    """
+
+    def __init__(self, arm: tuple[float, float], latency: float, step: float) -> None:
+        self._arm = arm
+        self.latency = latency
+        self._queue: deque[tuple[float, float, float, float]] = deque()
+        self._length = round(0.6 * latency / step)
+        self._keep = math.exp(-step / (0.4 * latency)) if latency else 0.0
+        self._filtered: tuple[float, float, float, float] | None = None
+
+    def push(self, state: State) -> None:
+        """Take the state after a step; only needed with a latency."""
+        self._queue.append(self._at(state))
+        if self._filtered is None:
+            self._filtered = self._queue[0]
+        if len(self._queue) > self._length:
+            new, old, keep = self._queue.popleft(), self._filtered, self._keep
+            x, y, v_n, v_e = (b + keep * (a - b) for a, b in zip(old, new, strict=True))
+            self._filtered = (x, y, v_n, v_e)
+
+    def place(self, state: State) -> tuple[float, float, float, float]:
+        """North, east (m) and velocity north, east (m/s) as reported while the boat is in ``state``."""
+        return self._at(state) if self._filtered is None else self._filtered
+
+    def _at(self, state: State) -> tuple[float, float, float, float]:
+        x, y, psi, u, v, r = state[:6]
+        c, s = math.cos(psi), math.sin(psi)
+        ahead, aside = self._arm
+        u_a, v_a = u - r * aside, v + r * ahead
+        return (
+            x + c * ahead - s * aside,
+            y + s * ahead + c * aside,
+            c * u_a - s * v_a,
+            s * u_a + c * v_a,
+        )

@@ -1,0 +1,5 @@
+"""Ports that mocks serve: ptys, loopback UDP and TCP."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,2 @@
+from .network import NetPort as NetPort
+from .pty import Port as Port

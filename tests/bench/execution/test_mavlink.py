@@ -1,0 +1,191 @@
+"""Missions over MAVLink by the public commands, against the mock autopilot on loopback UDP and TCP."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from daq.config.mission_file import Mission, Segment, save_mission
+from daq.log.reader import open_log
+from daq.samples import Ahrs, Command, Servo
+from ident.data.log_channels import channels
+from tests.bench.runs import acquisition_of, is_alive
+from tests.bench.standin import until
+
+SEATRIAL = [sys.executable, "-m", "seatrial"]
+SPEED = 4.0
+OVERRIDE_S = 1.0  # wall: timeout_s of the rig over the speed
+AT_ONCE_S = 0.5  # wall; the machine is shared
+RIG = (Path(__file__).resolve().parents[3] / "mocks/rigs/mavboat.toml").read_text(encoding="utf-8")
+
+
+def free_port(kind: socket.SocketKind) -> int:
+    with socket.socket(socket.AF_INET, kind) as sock:
+        sock.bind(("127.0.0.1", 0))
+        return int(sock.getsockname()[1])
+
+
+def write_files(folder: Path, seconds: float, kind: str = "udp") -> None:
+    """A rig with a free port, and a mission: rest, both thrusters in steps, rest."""
+    number = free_port(socket.SOCK_STREAM if kind == "tcp" else socket.SOCK_DGRAM)
+    text = RIG.replace("udp:127.0.0.1:14550", f"{kind}:127.0.0.1:{number}")
+    (folder / "rig.toml").write_text(text, encoding="utf-8")
+    segments = (
+        Segment("static", np.array([0.0]), np.zeros((1, 2))),
+        Segment("steps", np.array([2.0, 2.0 + seconds / 2]), np.array([[0.6, 0.4], [-0.3, 0.5]])),
+    )
+    save_mission(Mission("short", "mission", ("left", "right"), segments, 4.0 + seconds), folder / "mission.toml")
+
+
+@contextmanager
+def mock(folder: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
+    command = [*SEATRIAL, "mock", "boat", "rig.toml", "--seed", "5", "--trace", "trace.jsonl", *words]
+    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "ready\n", process.communicate()
+            yield process
+        finally:
+            process.terminate()
+            process.wait(timeout=10)
+
+
+@contextmanager
+def running(folder: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
+    command = [*SEATRIAL, "mission", "run", "mission.toml", "rig.toml", "-o", "run.mcap", *words]
+    process = subprocess.Popen(
+        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    with process:
+        try:
+            yield process
+        finally:
+            if process.poll() is None:
+                process.kill()
+
+
+def trace(folder: Path) -> list[dict[str, Any]]:
+    lines = (folder / "trace.jsonl").read_text(encoding="utf-8").splitlines()
+    return [json.loads(line) for line in lines if line.endswith("}")]
+
+
+def turning(folder: Path) -> bool:
+    return any(now_of(folder).values())
+
+
+def now_of(folder: Path) -> dict[int, float]:
+    return {row["node"]: row["n"] for row in trace(folder)}
+
+
+def stopped_at(folder: Path) -> float:
+    """Wall time (monotonic s) of the last change, which left nothing turning."""
+    until(lambda: not turning(folder), 10.0)
+    return float(trace(folder)[-1]["wall"])
+
+
+def until_turning(folder: Path, run: subprocess.Popen[str]) -> None:
+    until(lambda: turning(folder) or run.poll() is not None, 30.0)
+    assert run.poll() is None, run.communicate()
+
+
+def test_a_mission_runs_end_to_end_and_its_outputs_are_the_input(tmp_path: Path) -> None:
+    write_files(tmp_path, 8.0)
+    with mock(tmp_path), running(tmp_path, "--arm") as run:
+        out, err = run.communicate(timeout=60)
+        assert run.returncode == 0, err
+        assert not turning(tmp_path)
+    assert "autopilot: armed" in out
+    with open_log(tmp_path / "run.mcap") as log:
+        assert not log.warnings
+        events = [(kind, text) for _, kind, text in log.events()]
+        assert ("statustext", "info: Throttle armed") in events
+        assert ("statustext", "info: Throttle disarmed") in events
+        assert ("parameter", "RC_OVERRIDE_TIME = 1") in events
+        commands = log.table(Command, "autopilot", node=1)
+        outputs = log.table(Servo, "autopilot", node=1)
+        assert set(np.round(commands["n_cmd"], 3)) == {0.0, 0.6, -0.3}
+        assert set(np.round(outputs["n"], 2)) == {0.0, 0.6, -0.3}
+        found = channels(log)
+    # The input of a fit is what the autopilot put out, at its rate, and not the few commands.
+    assert np.array_equal(found["n_cmd_left"].value, outputs["n"])
+    assert found["n_cmd_left"].t.size > 200 > commands.size
+    stepped = outputs["t"][np.argmax(outputs["n"] > 0.5)] - commands["t"][np.argmax(commands["n_cmd"] > 0.5)]
+    assert -0.05 < stepped < AT_ONCE_S * SPEED  # the mock takes a command up to a step of its plant too early
+    assert found["n_left"].value.max() == pytest.approx(0.6, abs=0.05)  # the shaft, from its telemetry
+    assert {"x", "y", "psi", "r", "ax", "voltage_left"} <= set(found)
+
+
+def test_a_disarmed_vehicle_is_not_armed_unless_told(tmp_path: Path) -> None:
+    write_files(tmp_path, 8.0, "tcp")
+    with mock(tmp_path), running(tmp_path) as run:
+        _, err = run.communicate(timeout=60)
+        assert run.returncode == 1
+    assert err.startswith("seatrial: autopilot is disarmed; arm it from its transmitter, or give --arm: ")
+    assert err.count("\n") == 1
+    assert trace(tmp_path) == []
+
+
+def test_a_wrong_parameter_forbids_to_drive_and_is_not_changed(tmp_path: Path) -> None:
+    write_files(tmp_path, 8.0)
+    rig = tmp_path / "rig.toml"
+    rig.write_text(rig.read_text().replace("timeout_s = 4.0", "timeout_s = 12.0"))  # RC_OVERRIDE_TIME of the mock: 3 s
+    with mock(tmp_path), running(tmp_path, "--arm") as run:
+        _, err = run.communicate(timeout=60)
+        assert run.returncode == 1
+    assert "1 parameter forbids to drive" in err
+    assert "RC_OVERRIDE_TIME is 3, wanted above 0, at most 1 s" in err
+    assert trace(tmp_path) == []
+
+
+@pytest.mark.parametrize("what", ["runner killed", "link cut"])
+def test_whatever_dies_thrust_ends(tmp_path: Path, what: str) -> None:
+    write_files(tmp_path, 60.0)
+    with mock(tmp_path, "--fault", "pull/autopilot@usr1:60") as devices, running(tmp_path, "--arm") as run:
+        until_turning(tmp_path, run)
+        acquisition = acquisition_of(run.pid)
+        begun = time.monotonic()
+        if what == "link cut":
+            devices.send_signal(signal.SIGUSR1)
+        else:
+            run.kill()
+        # What nobody is left to say is said by the autopilot's own time-out.
+        own = OVERRIDE_S if what == "link cut" else 0.25
+        assert stopped_at(tmp_path) - begun < own + AT_ONCE_S
+        _, err = run.communicate(timeout=60)
+        until(lambda: not is_alive(acquisition), 10.0)
+    log = open_log(tmp_path / "run.mcap")
+    assert len(log.table(Ahrs, "autopilot")) > 10
+    if what == "runner killed":
+        texts = [text for _, kind, text in log.events() if kind == "stop"]
+        assert any("parent" in text for text in texts)
+        assert ("statustext", "info: Throttle disarmed") in [(kind, text) for _, kind, text in log.events()]
+    else:
+        assert err.count("\n") == 1
+    if what == "link cut":
+        assert run.returncode == 3
+        assert "autopilot" in err
+
+
+def test_ctrl_c_is_zero_at_once_and_disarmed(tmp_path: Path) -> None:
+    write_files(tmp_path, 60.0)
+    with mock(tmp_path), running(tmp_path, "--arm") as run:
+        until_turning(tmp_path, run)
+        begun = time.monotonic()
+        run.send_signal(signal.SIGINT)
+        assert stopped_at(tmp_path) - begun < AT_ONCE_S
+        _, err = run.communicate(timeout=60)
+        assert run.returncode == 130
+    assert err == "seatrial: stopped by Ctrl-C: thrust is zero, the log is run.mcap\n"
+    with open_log(tmp_path / "run.mcap") as log:
+        assert ("statustext", "info: Throttle disarmed") in [(kind, text) for _, kind, text in log.events()]

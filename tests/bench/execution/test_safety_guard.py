@@ -1,0 +1,204 @@
+"""The guard on statuses made by hand: silent within the limits, one clear reason beyond each of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from bench.execution.safety_guard import STOPPED, SafetyGuard, stopping_distance
+from daq.config.rig_file import parse_rig
+from daq.errors import SafetyStop
+from daq.rig import Rig
+from daq.samples import Ahrs, Battery, Esc, Gnss, LoadCell, Sample
+from daq.status import Latest, PortStatus, Status
+from tests.bench.standin import RIG
+
+GNSS = """
+[[device]]
+name = "gnss"
+protocol = "nmea"
+port = "ports/gnss"
+rate_hz = 5.0
+[[device]]
+name = "ahrs"
+protocol = "vectornav"
+port = "ports/ahrs"
+rate_hz = 50.0
+"""
+LIMITS = """
+radius_m = 100.0
+rpm = 4000.0
+roll_deg = 30.0
+pitch_deg = 20.0
+battery_min = 0.2
+[vehicle]
+m_u = 37.0
+d_u = 0.2
+d_uu = 25.0
+"""
+T = 1_763_616_000.0
+GOOD: dict[tuple[str, int | None], Sample] = {
+    ("esc", 1): Esc(1, 900.0, 5.0, 0.2, 24.0, 30.0),
+    ("loadcell", None): LoadCell(85000.0, 0.8),
+    ("gnss", None): Gnss(T, 41.18, -8.70, fix=3),
+    ("ahrs", None): Ahrs(1.0, 0.1, -0.1),
+    ("ahrs/battery", None): Battery(15.0, 3.0, 0.8),
+}
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Rig:
+    text = RIG.format(speed=1.0).replace("[[thruster]]", GNSS + "[[thruster]]") + LIMITS
+    return parse_rig(text, tmp_path / "rig.toml")
+
+
+def port(name: str, age: float = 0.01) -> PortStatus:
+    return PortStatus(name, "", f"ports/{name}", 1.0, 1.0, age, 9, 9, 0, 0, 0, 0, 99, 0.0, 0.0, "")
+
+
+def status(t: float, size: int = 1000, **samples: Sample) -> Status:
+    latest = {source: Latest(samples.get(source[0], sample), T + t - 0.01) for source, sample in GOOD.items()}
+    ports = {name: port(name) for name in ("esc", "loadcell", "gnss", "ahrs")}
+    return Status(T + t, ports, latest, {"left": 0.2}, 3, "run.mcap", size, 10, t, "", ())
+
+
+def reason(guard: SafetyGuard, now: Status) -> str:
+    with pytest.raises(SafetyStop) as caught:
+        guard.check(now)
+    assert caught.value.exit_status == 3
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.fixture
+def guard(rig: Rig) -> SafetyGuard:
+    guard = SafetyGuard(rig, 1.0, ("left",))
+    guard.check(status(0.0))
+    return guard
+
+
+def test_nothing_is_said_within_the_limits(guard: SafetyGuard) -> None:
+    for k in range(1, 200):
+        guard.check(status(0.05 * k, 1000 + k))
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("name", "sample", "words"),
+    [
+        ("esc", Esc(1, 900.0, 40.5), "current of node 1 is 40.5 A, limit 40 A"),
+        ("esc", Esc(1, 900.0, -40.5), "current of node 1 is -40.5 A, limit 40 A"),
+        ("esc", Esc(1, 900.0, 5.0, temperature=81.0), "temperature of node 1 is 81 deg C, limit 80"),
+        ("esc", Esc(1, 900.0, 5.0, voltage=9.9), "voltage of node 1 is 9.9 V, least 10 V"),
+        ("loadcell", LoadCell(0.0, 60.1), "force is 60.1 N, limit 60 N"),
+        ("loadcell", LoadCell(0.0, -60.1), "force is -60.1 N, limit 60 N"),
+        ("gnss", Gnss(T, 41.18 + 101 / 111_195, -8.70, fix=3), "101 m from the start by gnss, limit 100 m"),
+        ("gnss", Gnss(T, 41.18, -8.70 + 101 / 83_690, fix=3), "101 m from the start by gnss, limit 100 m"),
+        (
+            "gnss",
+            Gnss(T, 41.18 + 96 / 111_195, -8.70, vel_n=1.0, vel_e=0.5, fix=3),
+            "96 m from the start by gnss and 4 m to stop from 1.0 m/s, limit 100 m",
+        ),
+        ("esc", Esc(1, -4001.0), "speed of node 1 is -4001 rpm, limit 4000"),
+        ("ahrs", Ahrs(0.0, 0.0, math.radians(-31.0)), "roll is -31 deg by ahrs, limit 30"),
+        ("ahrs", Ahrs(0.0, math.radians(21.0), 0.0), "pitch is 21 deg by ahrs, limit 20"),
+        ("ahrs/battery", Battery(9.9), "battery of ahrs is at 9.9 V, least 10 V"),
+        ("ahrs/battery", Battery(12.0, 1.0, 0.19), "battery of ahrs has 19 % left, least 20 %"),
+    ],
+)
+def test_each_limit_stops_with_its_reason(guard: SafetyGuard, name: str, sample: Sample, words: str) -> None:
+    assert reason(guard, status(0.1, **{name: sample})) == words
+
+
+@pytest.mark.parametrize(
+    ("name", "sample"),
+    [
+        ("esc", Esc(1, 900.0, 39.9, 0.2, 10.1, 79.9)),
+        ("esc", Esc(1)),  # nothing reported but that it is there
+        ("loadcell", LoadCell(9e6, 9000.0, 2)),  # a spike that the decoder has flagged
+        ("loadcell", LoadCell(8388607, 8300.0, 1)),  # saturated once
+        ("gnss", Gnss(T, 41.18 + 99 / 111_195, -8.70, fix=3)),
+        ("gnss", Gnss(T, NAN, NAN, fix=0)),
+        ("gnss", Gnss(T, 10.0, 10.0, fix=0)),
+        ("gnss", Gnss(T, 41.18 + 96 / 111_195, -8.70, vel_n=-1.0, vel_e=0.0, fix=3)),  # on its way back
+        ("ahrs", Ahrs(NAN, NAN, NAN, r=1.0)),
+        ("ahrs/battery", Battery()),
+    ],
+)
+def test_what_is_no_danger_does_not_stop(guard: SafetyGuard, name: str, sample: Sample) -> None:
+    guard.check(status(0.1, **{name: sample}))
+
+
+def test_a_cell_that_stays_saturated_stops(guard: SafetyGuard) -> None:
+    saturated = LoadCell(8388607, 8300.0, 1)
+    guard.check(status(0.1, 1001, loadcell=saturated))
+    assert "saturated" in reason(guard, status(0.2, 1002, loadcell=saturated))
+
+
+def test_the_same_saturated_reading_seen_twice_does_not_stop(guard: SafetyGuard) -> None:
+    once = status(0.1, 1001, loadcell=LoadCell(8388607, 8300.0, 1))
+    guard.check(once)
+    guard.check(replace(once, t=once.t + 0.02))
+
+
+@pytest.mark.parametrize(("speed", "patience"), [(1.0, 1.0), (20.0, 20.0)])
+@pytest.mark.parametrize("name", ["esc", "loadcell", "gnss"])
+def test_a_silent_device_stops(rig: Rig, name: str, speed: float, patience: float) -> None:
+    guard = SafetyGuard(rig, speed, ("left",))
+    now = status(0.0)
+    guard.check(replace(now, ports={**now.ports, name: port(name, patience - 0.01)}))
+    late = replace(now, ports={**now.ports, name: port(name, patience + 0.01)})
+    assert reason(guard, late).startswith(f"{name} (")
+
+
+def test_a_slow_device_has_five_periods(rig: Rig) -> None:
+    slow = replace(rig.device("gnss"), rate_hz=0.5)
+    others = tuple(device for device in rig.devices if device.name != "gnss")
+    guard = SafetyGuard(replace(rig, devices=(*others, slow)), 1.0, ("left",))
+    now = status(0.0)
+    guard.check(replace(now, ports={**now.ports, "gnss": port("gnss", 9.9)}))
+    assert "for 10.1 s" in reason(guard, replace(now, ports={**now.ports, "gnss": port("gnss", 10.1)}))
+
+
+@pytest.mark.parametrize("age", [float("inf"), NAN])
+def test_an_age_that_is_no_number_is_silence(guard: SafetyGuard, age: float) -> None:
+    now = status(0.1)
+    assert reason(guard, replace(now, ports={**now.ports, "esc": port("esc", age)})).startswith("esc (")
+
+
+def test_a_silent_controller_on_a_busy_bus_stops(guard: SafetyGuard) -> None:
+    now = status(0.1)
+    latest = {**now.latest, ("esc", 1): Latest(GOOD["esc", 1], now.t - 1.1)}
+    said = reason(guard, replace(now, latest=latest))
+    assert said == "thruster left (node 1 on esc) is silent for 1.1 s"
+    assert not guard.thrusters_heard(replace(now, latest=latest))
+    assert guard.thrusters_heard(now)
+
+
+def test_a_log_that_does_not_grow_stops(guard: SafetyGuard) -> None:
+    guard.check(status(2.9))
+    assert "does not grow" in reason(guard, status(3.1))
+
+
+def test_the_way_to_a_stop_is_that_of_the_boats_own_drag() -> None:
+    """Against the equation stepped by hand."""
+    vehicle = {"m_u": 37.0, "d_u": 2.0, "d_uu": 25.0}
+    u, x, dt = 1.4, 0.0, 1e-4
+    while u > STOPPED:
+        u, x = u - dt * (2.0 * u + 25.0 * u * u) / 37.0, x + dt * u
+    assert stopping_distance(1.4, vehicle) == pytest.approx(x, rel=1e-3)
+    assert stopping_distance(1.4, {}) == 0.0
+    assert stopping_distance(1.0, {"m_u": 10.0, "d_u": 5.0}) == pytest.approx(10.0 / 5.0 * 0.95)
+
+
+def test_a_rig_without_limits_has_the_two_that_need_none(rig: Rig) -> None:
+    bare = replace(rig, limits=replace(rig.limits, force_n=None, current_a=None, temperature_c=None, radius_m=None))
+    guard = SafetyGuard(bare, 1.0, ("left",))
+    guard.check(status(0.0, loadcell=LoadCell(0.0, 1e6), esc=Esc(1, 0.0, 1e6, temperature=1e6)))
+    guard.check(status(0.1, 1001, gnss=Gnss(T, 10.0, 10.0, fix=3)))
+    assert "does not grow" in reason(guard, status(3.2, 1001))

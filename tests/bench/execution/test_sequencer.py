@@ -1,0 +1,189 @@
+"""Pauses, repeats, marks and retries: on a run clock of our own, and once with keys on a real terminal."""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.execution.sequencer import MissionSequencer, Schedule
+from daq.config.mission_file import Mission, Segment
+from daq.log.reader import open_log
+from daq.status import PortStatus, Status
+from tests.bench.runs import short_mission
+from tests.bench.standin import StandIn, until
+
+REST = np.zeros((1, 1))
+MISSION = Mission(
+    "m",
+    "steps",
+    ("left",),
+    (
+        Segment("static", np.array([0.0]), REST),
+        Segment("one", np.array([2.0, 3.0]), np.array([[0.4], [0.8]])),
+        Segment("two", np.array([4.0]), np.array([[-0.4]])),
+        Segment("static", np.array([6.0]), REST),
+    ),
+    8.0,
+)
+PORT = PortStatus("esc", "", "", 40.0, 40.0, 0.01, 9, 9, 0, 0, 0, 0, 99, 0.0, 0.0, "")
+GOOD = Status(0.0, {"esc": PORT}, {}, {}, 0, "run.mcap", 1, 1, 0.0, "", ())
+
+
+class Acquisition:
+    """Keeps what it is told; zero clears what is to come, as the real one does."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.sent: list[tuple[float, float]] = []
+        self.events: list[tuple[str, str]] = []
+
+    def schedule(self, rows: list[tuple[float, dict[str, float]]]) -> None:
+        self.sent += [(t, row["left"]) for t, row in rows]
+
+    def zero(self, reason: str) -> None:
+        self.sent = [row for row in self.sent if row[0] <= self.now] + [(self.now, 0.0)]
+        self.events.append(("zero", reason))
+
+    def mark(self, kind: str, text: str) -> None:
+        self.events.append((kind, text))
+
+
+class Drive:
+    """A course from run time 100 on, looked at 20 times a second."""
+
+    def __init__(self, retries: int = 0) -> None:
+        self.acquisition, self.said = Acquisition(), list[str]()
+        self.course = MissionSequencer(
+            MISSION, 100.0, 0.2, self.acquisition, lambda name: 1.0, self.said.append, retries
+        )
+        self.now, self.status = 99.9, GOOD
+
+    def until(self, t: float, keys: str = "") -> None:
+        while self.now < t and not self.course.is_over(self.now):
+            self.acquisition.now = self.now
+            self.course.step(self.now, 0.5, self.status, keys)
+            self.now, keys = self.now + 0.05, ""
+
+    def n(self, t: float) -> float:
+        return [n for at, n in sorted(self.acquisition.sent, key=lambda row: row[0]) if at <= t][-1]
+
+    def names(self, *kinds: str) -> list[str]:
+        return [text for kind, text in self.acquisition.events if kind in kinds]
+
+
+def test_a_mission_runs_as_it_stands() -> None:
+    drive = Drive()
+    drive.until(200.0)
+    rows = [(0.0, 0.0), (2.0, 0.4), (3.0, 0.8), (4.0, -0.4), (6.0, 0.0), (8.0, 0.0)]
+    assert drive.acquisition.sent == [(100.0 + t, n) for t, n in rows]
+    assert drive.names("segment") == ["static", "one", "two", "static"]
+    assert drive.now == pytest.approx(108.0, abs=0.1)
+
+
+def test_a_pause_is_zero_and_resumes_with_the_beginning_of_the_step() -> None:
+    drive = Drive()
+    drive.until(103.5)
+    drive.until(110.0, " ")
+    assert drive.n(105.0) == 0.0
+    assert not drive.course.is_over(500.0)
+    assert drive.course.paused
+    assert drive.course.elapsed(110.0) == pytest.approx(3.5, abs=0.1)  # the mission's clock stands still
+    drive.until(200.0, " ")
+    assert drive.said[-1] == "resumed with the beginning of one"
+    assert drive.n(110.1) == 0.0
+    assert [drive.n(110.2 + dt) for dt in (0.1, 1.1, 2.1, 4.1)] == [0.4, 0.8, -0.4, 0.0]
+    assert drive.names("segment") == ["static", "one", "one", "two", "static"]
+    assert drive.names("pause", "resume") == ["one", "one"]
+    assert [kind for kind, text in drive.acquisition.events if kind == "zero"] == ["zero"]
+
+
+def test_a_step_is_repeated_and_a_moment_is_marked() -> None:
+    drive = Drive()
+    drive.until(104.5)
+    drive.until(104.6, "m")
+    drive.until(200.0, "r")
+    assert drive.names("segment") == ["static", "one", "two", "two", "static"]
+    assert drive.names("mark") == ["operator mark 1"]
+    assert drive.names("repeat") == ["two"]
+    windows = drive.course.timeline.static_windows()
+    assert [where for where, _, _ in windows] == ["start", "end"]
+    assert windows[0][1:] == (100.0, 102.0)
+    assert windows[1][2] == pytest.approx(drive.course.timeline.end)
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ({"skipped": 2}, "2 set-points were skipped"),
+        ({"skipped": 1}, "1 set-point was skipped"),
+        ({"ports": {"esc": replace(PORT, dropped=3)}}, "3 samples were dropped"),
+        ({"ports": {"esc": replace(PORT, reconnects=1)}}, "1 port was lost"),
+        ({"ports": {"esc": replace(PORT, age=0.7)}}, "esc was silent for 0.7 s"),
+    ],
+)
+def test_a_spoilt_step_is_run_again_as_often_as_was_allowed(fault: dict[str, object], words: str) -> None:
+    drive = Drive(retries=1)
+    drive.until(103.0)
+    drive.status = replace(GOOD, **fault)  # type: ignore[arg-type]
+    drive.until(103.5)
+    drive.status = replace(drive.status, ports={"esc": replace(drive.status.ports["esc"], age=0.01)})
+    drive.until(200.0)
+    assert drive.names("segment") == ["static", "one", "one", "two", "static"]
+    assert drive.names("retry") == [f"one: {words}"]
+    again = Drive(retries=0)
+    again.until(103.0)
+    again.status = replace(GOOD, **fault)  # type: ignore[arg-type]
+    again.until(200.0)
+    assert f"one: {words}" in again.names("invalid")
+    assert any(f"invalid: one: {words}" in line and "--retry" in line for line in again.said)
+    assert again.names("segment") == ["static", "one", "two", "static"]
+
+
+def test_a_slew_limit_begins_at_zero_after_a_restart() -> None:
+    timeline = Schedule(replace(MISSION, slew_per_s=0.8), 0.0)
+    assert timeline.rows(3.4)[-1][1]["left"] > 0.4
+    timeline.restart(1, 50.0)
+    rows = [row["left"] for t, row in timeline.rows(50.25)]
+    assert rows == sorted(rows)
+    assert rows[0] <= 0.8 * 0.05
+    assert rows[-1] < 0.3
+
+
+def test_keys_on_a_terminal_pause_and_resume_a_run(standin: StandIn, tmp_path: Path) -> None:
+    short_mission(tmp_path, seconds=6.0)
+    terminal, its_end = pty.openpty()
+    words = [sys.executable, "-m", "seatrial", "mission", "run", "mission.toml", "bench-rig.toml", "-o", "run.mcap"]
+    with subprocess.Popen(
+        [sys.executable, "-c", _ON_A_TERMINAL, *words], cwd=tmp_path, stdin=its_end, stdout=subprocess.PIPE, text=True
+    ) as run:
+        os.close(its_end)
+        until(lambda: standin.n != 0.0 or run.poll() is not None, 30.0)
+        os.write(terminal, b" ")
+        until(lambda: standin.n == 0.0, 5.0)
+        time.sleep(0.5)  # paused is paused
+        assert standin.commands[-1][1] == 0.0
+        os.write(terminal, b"m ")
+        until(lambda: standin.n != 0.0, 10.0)
+        out, _ = run.communicate(timeout=60)
+    os.close(terminal)
+    assert run.returncode == 0
+    assert "space: pause and resume" in out
+    kinds = [kind for _, kind, _ in open_log(tmp_path / "run.mcap").events()]
+    assert [kind for kind in kinds if kind in ("pause", "mark", "resume")] == ["pause", "mark", "resume"]
+
+
+# The terminal has to be the controlling one of a session whose foreground is the run.
+_ON_A_TERMINAL = """
+import fcntl, os, sys, termios
+os.setsid()
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+os.execv(sys.argv[1], sys.argv[1:])
+"""

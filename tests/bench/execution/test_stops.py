@@ -1,0 +1,180 @@
+"""Every way a run can end, on purpose or not: zero thrust, one clear line, a log that opens."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from daq.log.reader import open_log
+from daq.samples import Command
+from tests.bench.runs import AT_ONCE_S, DEADMAN_S, SPEED, acquisition_of, is_alive, kinds, running, short_mission
+from tests.bench.standin import TIMEOUT_S, StandIn, until
+
+
+@pytest.mark.parametrize("moment", range(4))
+def test_ctrl_c_at_any_moment_is_zero_at_once(standin: StandIn, tmp_path: Path, moment: int) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    with running(tmp_path) as run:
+        run.until_turning(standin)
+        time.sleep(random.Random(moment).uniform(0.0, 1.5))  # the moment is the point of the test
+        sent = time.monotonic()
+        run.process.send_signal(signal.SIGINT)
+        assert run.end() == 130
+    assert standin.zero_after(sent) - sent < AT_ONCE_S
+    assert standin.commands[-1][1] == 0.0
+    assert run.line() == "seatrial: stopped by Ctrl-C: thrust is zero, the log is run.mcap"
+    log = open_log(run.log)
+    assert not log.warnings
+    assert "stop" in kinds(run.log)
+    assert log.table(Command, "esc", node=1)["n_cmd"][-1] == 0.0
+
+
+def test_ctrl_c_again_and_again_does_not_keep_it_from_zero(standin: StandIn, tmp_path: Path) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    with running(tmp_path) as run:
+        run.until_turning(standin)
+        sent = time.monotonic()
+        while run.process.poll() is None and time.monotonic() < sent + 1.0:
+            run.process.send_signal(signal.SIGINT)
+            time.sleep(0.003)  # a hand on the keyboard is slower
+        assert run.end() == 130
+    assert standin.zero_after(sent) - sent < AT_ONCE_S
+    assert not open_log(run.log).warnings
+
+
+def test_ctrl_c_before_anything_moves(standin: StandIn, tmp_path: Path) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    with running(tmp_path) as run:
+        until(run.log.exists, 20.0)
+        run.process.send_signal(signal.SIGINT)
+        assert run.end() == 130
+    assert not any(n for _, n in standin.commands)
+    open_log(run.log)
+
+
+@pytest.mark.parametrize(("number", "word"), [(signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP")])
+def test_other_signals_end_it_the_same_way(standin: StandIn, tmp_path: Path, number: signal.Signals, word: str) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    with running(tmp_path) as run:
+        run.until_turning(standin)
+        sent = time.monotonic()
+        run.process.send_signal(number)
+        assert run.end() == 128 + number
+    assert standin.zero_after(sent) - sent < AT_ONCE_S
+    assert word in run.line()
+    assert not open_log(run.log).warnings
+
+
+def test_a_reader_of_its_output_that_leaves_is_no_danger(standin: StandIn, tmp_path: Path) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    with running(tmp_path) as run:
+        run.until_turning(standin)
+        assert run.process.stdout is not None
+        run.process.stdout.close()  # as `| head` does
+        assert run.process.wait(timeout=20) == 1
+    assert standin.n == 0.0
+    assert standin.commands[-1][1] == 0.0
+    assert not open_log(run.log).warnings
+    assert "stop" in kinds(run.log)
+
+
+def test_kill_9_of_the_runner_is_zero_by_the_deadman(standin: StandIn, tmp_path: Path) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    with running(tmp_path) as run:
+        run.until_turning(standin)
+        acquisition = acquisition_of(run.process.pid)
+        sent = time.monotonic()
+        run.process.kill()
+        until(lambda: standin.n == 0.0, 5.0)
+        assert standin.zero_after(sent) - sent < DEADMAN_S + AT_ONCE_S
+        assert standin.commands[-1][1] == 0.0  # it was told, it did not have to time out
+        until(lambda: not is_alive(acquisition), 10.0)
+    assert standin.n == 0.0
+    log = open_log(run.log)
+    assert not log.warnings  # closed, not salvaged
+    assert log.table(Command, "esc", node=1)["n_cmd"][-1] == 0.0
+
+
+def test_a_hanging_runner_is_zero_by_the_deadman(standin: StandIn, tmp_path: Path) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    with running(tmp_path) as run:
+        run.until_turning(standin)
+        sent = time.monotonic()
+        run.process.send_signal(signal.SIGSTOP)
+        until(lambda: standin.n == 0.0, 5.0)
+        assert standin.zero_after(sent) - sent < DEADMAN_S + AT_ONCE_S
+        run.process.send_signal(signal.SIGCONT)
+        assert run.end() in (1, 3)
+    run.line()
+    assert standin.n == 0.0
+    open_log(run.log)
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_kill_9_of_the_acquisition_is_zero_by_the_esc(standin: StandIn, tmp_path: Path, both: bool) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    with running(tmp_path) as run:
+        run.until_turning(standin)
+        acquisition = acquisition_of(run.process.pid)
+        sent = time.monotonic()
+        if both:
+            run.process.kill()
+        os.kill(acquisition, signal.SIGKILL)
+        until(lambda: standin.n == 0.0, 5.0)
+        assert standin.zero_after(sent) - sent < TIMEOUT_S / SPEED + AT_ONCE_S
+        status = run.end()
+    if not both:
+        assert status == 1
+        assert "run.mcap" in run.line()
+    log = open_log(run.log)
+    assert log.warnings  # salvaged
+    recorded = log.table(Command, "esc", node=1)
+    assert len(recorded) > 0
+
+
+def test_a_pulled_can_port_is_a_safety_stop(standin: StandIn, tmp_path: Path) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    with running(tmp_path) as run:
+        run.until_turning(standin)
+        sent = time.monotonic()
+        standin.pull(standin.can)
+        assert run.end() == 3
+    until(lambda: standin.n == 0.0, 5.0)
+    assert standin.zero_after(sent) - sent < TIMEOUT_S / SPEED + AT_ONCE_S
+    assert run.line().startswith("seatrial: esc ")
+    assert "goes to zero by its own time-out" in run.line()  # no command can reach it: nothing else would be true
+    assert "stop" in kinds(run.log)
+
+
+def test_a_pulled_sensor_is_a_safety_stop(standin: StandIn, tmp_path: Path) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    with running(tmp_path) as run:
+        run.until_turning(standin)
+        standin.pull(standin.cell)
+        assert run.end() == 3
+    assert standin.n == 0.0
+    assert standin.commands[-1][1] == 0.0
+    assert "loadcell" in run.line()
+    assert "silent" in run.line()
+    assert not open_log(run.log).warnings
+    assert "stop" in kinds(run.log)
+
+
+def test_too_much_force_is_a_safety_stop(standin: StandIn, tmp_path: Path) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    with running(tmp_path) as run:
+        run.until_turning(standin)
+        sent = time.monotonic()
+        standin.extra_force = 70.0
+        until(lambda: standin.n == 0.0, 5.0)
+        assert standin.zero_after(sent) - sent < AT_ONCE_S
+        assert run.end() == 3
+    assert run.line().startswith("seatrial: force is ")
+    assert run.line().endswith("limit 60 N: thrust is zero, the log is run.mcap")
+    stops = [text for _, kind, text in open_log(run.log).events() if kind == "stop"]
+    assert any("force is" in text for text in stops)

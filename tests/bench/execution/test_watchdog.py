@@ -1,0 +1,104 @@
+"""The process behind the deadman: it steps in when the acquisition hangs or dies, and its own death is noticed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from daq.acquisition.watchdog import ACTIVE, GOODBYE, HANG_S, IDLE, POLL_S, HeartbeatMonitor
+from daq.log.reader import open_log
+from daq.log.segments import read_note
+from tests.bench.runs import AT_ONCE_S, acquisition_of, is_alive, kinds, running, short_mission, watchdog_of
+from tests.bench.standin import SLOW_ESC_S, StandIn, until
+
+
+def looks(watch: HeartbeatMonitor, t: float, seconds: float, words: bytes = b"") -> tuple[float, str | None]:
+    """Look every POLL_S for so long; the time at which there is something to do, and what."""
+    end = t + seconds
+    while t < end:
+        t += POLL_S
+        found = watch.look(t, words)
+        if found is not None:
+            return t, found
+    return t, None
+
+
+def test_silence_is_a_reason_only_while_thrust_is_commanded() -> None:
+    watch = HeartbeatMonitor(0.0)
+    assert looks(watch, 0.0, 10.0)[1] is None
+    assert watch.look(10.03, IDLE) is None
+    t, _ = looks(watch, 10.03, 10.0)
+    assert watch.look(t, IDLE + ACTIVE) is None
+    at, reason = looks(watch, t, 10.0)
+    assert at - t == pytest.approx(HANG_S, abs=2 * POLL_S)
+    assert reason is not None
+    assert "no sign of life" in reason
+
+
+def test_a_pause_of_its_own_is_not_held_against_anybody() -> None:
+    watch = HeartbeatMonitor(0.0)
+    assert watch.look(0.0, ACTIVE) is None
+    assert watch.look(5.0, b"") is None
+    assert looks(watch, 5.0, HANG_S / 2)[1] is None
+
+
+def test_the_end_of_the_line_is_a_reason_unless_it_was_announced_or_nothing_moved() -> None:
+    assert HeartbeatMonitor(0.0).look(0.0, None) == ""
+    moving = HeartbeatMonitor(0.0)
+    assert moving.look(0.0, ACTIVE) is None
+    assert "died" in str(moving.look(0.02, None))
+    leaving = HeartbeatMonitor(0.0)
+    assert leaving.look(0.0, ACTIVE + IDLE + GOODBYE) == ""
+
+
+@pytest.mark.parametrize("what", ["acquisition hangs", "acquisition killed", "both killed"])
+def test_what_hangs_or_dies_is_zero_long_before_the_esc_gives_up(tmp_path: Path, what: str) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    with StandIn(tmp_path, 4.0, timeout_s=SLOW_ESC_S) as standin, running(tmp_path) as run:
+        run.until_turning(standin)
+        acquisition = acquisition_of(run.process.pid)
+        begun = time.monotonic()
+        if what == "both killed":
+            run.process.kill()
+        os.kill(acquisition, signal.SIGSTOP if what == "acquisition hangs" else signal.SIGKILL)
+        until(lambda: standin.n == 0.0, 10.0)
+        took = standin.zero_after(begun) - begun
+        assert took < (HANG_S if what == "acquisition hangs" else 0.0) + AT_ONCE_S
+        assert standin.commands[-1][1] == 0.0  # it was told, it did not have to time out
+        status = run.end()
+        until(lambda: not is_alive(acquisition), 10.0)
+        until(lambda: "zero was sent" in read_note(run.log), 10.0)
+        assert standin.n == 0.0
+    if what != "both killed":
+        assert status in (1, 3)
+        assert "watchdog" in run.line() or "has not answered" in run.line()
+    log = open_log(run.log)
+    assert any("watchdog: the acquisition process" in warning for warning in log.warnings)
+
+
+def test_without_its_watchdog_nothing_goes_on_driving(standin: StandIn, tmp_path: Path) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    with running(tmp_path) as run:
+        run.until_turning(standin)
+        begun = time.monotonic()
+        os.kill(watchdog_of(run.process.pid), signal.SIGKILL)
+        until(lambda: standin.n == 0.0, 10.0)
+        assert standin.zero_after(begun) - begun < AT_ONCE_S
+        assert run.end() == 3
+    assert run.line().startswith("seatrial: the watchdog is gone: thrust is zero")
+    assert "stop" in kinds(run.log)
+
+
+def test_a_run_that_ends_well_leaves_no_note_and_no_process(standin: StandIn, tmp_path: Path) -> None:
+    short_mission(tmp_path, seconds=1.0)
+    with running(tmp_path) as run:
+        run.until_turning(standin)
+        watchdog = watchdog_of(run.process.pid)
+        assert run.end() == 0
+        assert not is_alive(watchdog)
+    assert read_note(run.log) == ""
+    assert not open_log(run.log).warnings

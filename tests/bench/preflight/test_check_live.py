@@ -1,0 +1,91 @@
+"""`seatrial check RIG` against mock devices: thrusters turn only when asked, and what is wired wrongly is named."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+from pathlib import Path
+
+from bench.demo import write_rig
+from bench.mission_generators import make_mission
+from daq.config.mission_file import save_mission
+from daq.log.reader import open_log
+from daq.samples import Command
+from tests.bench.execution.test_with_mocks import SEATRIAL, mock, trace, turning
+from tests.bench.standin import until
+
+FAST = 5.0  # ten wall seconds of actuator test
+
+
+def check(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    command = [*SEATRIAL, "check", *words]
+    return subprocess.run(
+        command, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+def wired_wrongly(folder: Path) -> None:
+    """A rig whose author took the left plug for the right one; the boat of the mock is wired as its own rig says."""
+    text = (folder / "boat-rig.toml").read_text(encoding="utf-8")
+    text = text.replace('name = "left"', 'name = "was_left"').replace('name = "right"', 'name = "left"')
+    (folder / "wrong.toml").write_text(text.replace('name = "was_left"', 'name = "right"'), encoding="utf-8")
+    exchanged = (folder / "wrong.toml").read_text(encoding="utf-8")
+    one, other = "[-0.25, -0.15, 0.0]", "[-0.25, 0.15, 0.0]"
+    exchanged = exchanged.replace(one, "PLACE").replace(other, one).replace("PLACE", other)
+    (folder / "wrong.toml").write_text(exchanged, encoding="utf-8")
+
+
+def test_the_actuator_test_finds_swapped_sides_and_ends_at_zero(tmp_path: Path) -> None:
+    with mock(tmp_path, "boat", speed=FAST):
+        wired_wrongly(tmp_path)
+        done = check(tmp_path, "wrong.toml", "--actuators", "--yes", "--json", "-o", "test.mcap", "--seconds", "2")
+        turned = trace(tmp_path)
+    assert done.returncode == 1, done.stderr
+    told = json.loads(done.stdout)["findings"]
+    faults = [(f["check"], f["where"]) for f in told if f["level"] == "fault"]
+    assert ("sides", "right and left") in faults or ("sides", "left and right") in faults, told
+    assert {"rate", "noise", "limits", "disk", "delay", "dead band"} <= {f["check"] for f in told}
+    last = {row["node"]: row["n"] for row in turned}
+    assert last == {1: 0.0, 2: 0.0}
+    assert 0.25 < max(abs(row["n"]) for row in turned) <= 0.301
+    with open_log(tmp_path / "test.mcap") as log:
+        assert [log.table(Command, "esc", node)["n_cmd"][-1] for node in (1, 2)] == [0.0, 0.0]
+
+
+def test_nothing_turns_unless_it_is_asked_for_and_agreed(tmp_path: Path) -> None:
+    with mock(tmp_path, "boat", "--fault", "silence/gnss@0:10000", speed=FAST):
+        asked = check(tmp_path, "boat-rig.toml", "--actuators")
+        assert asked.returncode == 2
+        assert "say --yes" in asked.stderr
+        # A preflight that has found a fault already does not go on to turn propellers.
+        done = check(tmp_path, "boat-rig.toml", "--actuators", "--yes", "--seconds", "1")
+        assert done.returncode == 1
+        assert "not tested: there are faults already: first gnss" in done.stdout
+        assert not trace(tmp_path)
+    assert not list(tmp_path.rglob("*.mcap"))
+
+
+def test_ctrl_c_in_the_actuator_test_is_zero_thrust(tmp_path: Path) -> None:
+    command = [*SEATRIAL, "check", "boat-rig.toml", "--actuators", "--yes", "--seconds", "1", "-o", "test.mcap"]
+    with mock(tmp_path, "boat", speed=FAST):
+        test = subprocess.Popen(
+            command, cwd=tmp_path, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        until(lambda: (tmp_path / "trace.jsonl").exists() and turning(tmp_path), 30.0)
+        test.send_signal(signal.SIGINT)
+        _, said = test.communicate(timeout=30)
+        until(lambda: not turning(tmp_path), 1.0)
+    assert test.returncode == 130, said
+    assert "thrust is zero" in said
+
+
+def test_a_mission_is_run_dry_before_anything_is_there(tmp_path: Path) -> None:
+    write_rig("boat", tmp_path, FAST)
+    save_mission(make_mission("mixed", 60.0, 1), tmp_path / "mission.toml")
+    done = check(tmp_path, "boat-rig.toml", "--mission", "mission.toml", "--seconds", "0.5", "--json")
+    assert done.returncode == 1  # there is no boat
+    told = {(f["check"], f["where"]): f for f in json.loads(done.stdout)["findings"]}
+    assert {where for check, where in told if check == "alive"} >= {"ahrs", "gnss", "esc"}
+    assert told["limits", "mixed, seed 1"]["level"] == "ok"
+    assert "no c1" in told["fence", "mixed, seed 1"]["text"]

@@ -1,0 +1,202 @@
+"""`seatrial check LOG`: each injected fault is found and named, a healthy run is left alone."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import seatrial
+from daq.checks.device_checks import lost_zeros, stamps, white
+from daq.checks.findings import Finding, lines, summary, worst_first
+from ident.checks.log_checks import findings as motion_findings
+from ident.checks.motion import motion
+from ident.checks.sensors import heading_match
+from ident.checks.shafts import response
+from ident.data.record import Channel
+from mocks.offline_simulation import simulate, tables
+from mocks.plant.boat import draw_boat
+from tests.bench.check_cases import CASES, Case, alarms, findings, logged, mission, named, sailed
+from tests.missions import channels_of
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_an_injected_fault_is_found_and_named_by_the_actuator_test(tmp_path: Path, case: Case) -> None:
+    found = findings(logged(tmp_path / "run.mcap", 3, case, actuators=True))
+    assert named(case, found), lines(found)
+
+
+@pytest.mark.parametrize("case", [CASES[0], CASES[1], CASES[8]], ids=lambda case: case.name)
+def test_an_injected_fault_is_found_and_named_in_a_mission(tmp_path: Path, case: Case) -> None:
+    found = findings(logged(tmp_path / "run.mcap", 3, case))
+    assert named(case, found), lines(found)
+
+
+@pytest.mark.parametrize("actuators", [False, True], ids=["mission", "actuators"])
+@pytest.mark.parametrize("seed", [21, 22])
+def test_a_healthy_run_raises_no_alarm(tmp_path: Path, seed: int, actuators: bool) -> None:
+    found = findings(logged(tmp_path / "run.mcap", seed, None, actuators))
+    assert not alarms(found), lines(alarms(found))
+    assert {"rate", "noise", "gyro", "late", "delay", "sides", "battery"} <= {f.check for f in found}
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as left:
+        seatrial.main(words)
+    out, err = capsys.readouterr()
+    return int(left.value.code or 0), out, err
+
+
+def test_the_command_on_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good = logged(tmp_path / "good.mcap", 3, None, actuators=True)
+    bad = logged(tmp_path / "bad.mcap", 3, CASES[0], actuators=True)
+    status, out, err = run(capsys, "check", str(good))
+    assert status == 0, err
+    assert out.splitlines()[-1].startswith("0 faults, 0 warnings")
+    status, out, err = run(capsys, "check", str(good), str(bad))
+    assert status == 1
+    assert out.splitlines()[0].startswith("fault    bad: left and right")
+    assert err.count("\n") == 1
+    assert "not as it should be: bad: left and right" in err
+    status, out, _ = run(capsys, "check", "--json", str(bad))
+    assert status == 1
+    told = json.loads(out)
+    assert told["format"] == "seatrial-check 1"
+    faults = [f for f in told["findings"] if f["level"] == "fault"]
+    assert [(f["check"], f["where"]) for f in faults] == [("sides", "left and right")]
+    assert all(f["advice"] for f in faults)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["a.toml", "b.mcap"], "give one RIG"),
+        (["b.mcap", "--actuators"], "need a RIG"),
+        (["a.toml", "--arm"], "belong to --actuators"),
+    ],
+)
+def test_what_does_not_go_together_is_wrong_usage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for word in words:
+        if not word.startswith("-"):
+            Path(word).touch()
+    status, _, err = run(capsys, "check", *words)
+    assert status == 2
+    assert said in err
+
+
+def test_a_file_that_is_no_log_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "no.mcap"
+    path.write_bytes(b"nothing of the kind")
+    status, out, err = run(capsys, "check", str(path))
+    assert status == 1
+    assert not out
+    assert err.count("\n") == 1
+
+
+def test_the_delay_and_the_dead_band_are_those_of_the_thruster() -> None:
+    recording = sailed(5, None, actuators=True)
+    table = tables(recording.readings)
+    told = Channel(table["esc/1/command"]["t"].copy(), table["esc/1/command"]["n_cmd"].copy())
+    found = response(told, channels_of(recording)["n_left"])
+    assert found is not None
+    assert found.delay == pytest.approx(0.345, abs=0.06)
+    assert found.time_constant == pytest.approx(1 / 7.2115, abs=0.1)
+    assert 0.05 < found.band <= 0.1  # between the stairs at 0.05 and 0.1, and it is 0.086
+    assert found.scale == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize("late", [-0.8, 0.0, 0.5])
+def test_a_late_gyro_is_measured(late: float) -> None:
+    c = channels_of(sailed(5))
+    moved = Channel(c["r"].t + late, c["r"].value)
+    found = heading_match(c["psi"], moved)
+    assert found is not None
+    assert found.lag == pytest.approx(-late, abs=0.051)
+    assert found.scale == pytest.approx(1.0, abs=0.03)
+
+
+def test_units_of_velocity_and_shaft_speed_are_recognised() -> None:
+    recording = sailed(6)
+    c, table = channels_of(recording), tables(recording.readings)
+    for node, side in ((1, "left"), (2, "right")):
+        told = table[f"esc/{node}/command"]
+        c[f"n_cmd_{side}"] = Channel(told["t"].copy(), told["n_cmd"].copy())
+    sides = {"left": -0.15, "right": 0.15}
+    assert not [f for f in motion_findings(c, sides) if f.level != "ok"]
+    knots = c | {n: Channel(c[n].t, c[n].value / 0.5144) for n in ("vx", "vy")}
+    told = [f for f in motion_findings(knots, sides) if f.check == "units"]
+    assert any("knots" in f.text for f in told)
+    slow = c | {"n_left": Channel(c["n_left"].t, c["n_left"].value * 2 * np.pi / 60)}
+    (found,) = [f for f in motion_findings(slow, sides) if f.check == "units"]
+    assert (found.where, "rad/s" in found.text) == ("left", True)
+    backwards = c | {"n_right": Channel(c["n_right"].t, -c["n_right"].value)}
+    assert [f.where for f in motion_findings(backwards, sides) if "against its command" in f.text] == ["right"]
+    turned = c | {"r": Channel(c["r"].t, -c["r"].value)}
+    assert "opposite" in next(f.text for f in motion_findings(turned, sides) if f.check == "gyro")
+
+
+@pytest.mark.parametrize("actuators", [False, True], ids=["mission", "actuators"])
+def test_a_lost_propeller_turns_and_gives_no_thrust(actuators: bool) -> None:
+    t, n = mission(7, actuators).setpoints()
+    whole = channels_of(sailed(7, actuators=actuators))
+    without = channels_of(simulate(draw_boat(7), t, n * [1.0, 0.0], float(t[-1]), 7))  # nothing comes of the right one
+    sides = {"left": -0.15, "right": 0.15}
+    assert [f.level for f in motion(whole, sides)] == ["ok"]
+    (found,) = motion(without | {"n_right": whole["n_right"]}, sides)
+    assert (found.level, found.check, found.where) == ("fault", "dead", "right")
+
+
+def test_white_noise_is_measured_under_motion() -> None:
+    rng = np.random.default_rng(1)
+    t = np.arange(0.0, 60.0, 0.02)
+    assert white(np.sin(t) + 0.01 * rng.normal(size=t.size)) == pytest.approx(0.01, rel=0.1)
+
+
+def clocks(device: np.ndarray, received: np.ndarray) -> list[Finding]:
+    table = np.zeros(device.size, [("t", "f8"), ("t_rx", "f8"), ("t_device", "f8")])
+    table["t"] = table["t_rx"] = received
+    table["t_device"] = device
+    return [f for f in stamps("ahrs", table, received[-1]) if f.check in ("clock", "gap")]
+
+
+def test_clocks_that_jump_run_back_drift_or_lag() -> None:
+    t = np.arange(0.0, 120.0, 0.02)
+    rng = np.random.default_rng(2)
+    received = t + 0.003 * rng.exponential(size=t.size)
+    assert [f.level for f in clocks(t, received)] == ["ok"]
+    jumped = t + 0.5 * (t > 60.0)
+    restarted = np.where(t > 60.0, t - 60.0, t)
+    for device, word in ((jumped, "jumps by 0.50"), (restarted, "ran back 1"), (1.001 * t, "drifts by -100")):
+        (found,) = clocks(device, received)
+        assert word in found.text
+        assert found.level != "ok"
+    rounded = t.copy()
+    rounded[1] = np.nextafter(t[0], -1.0)  # one moment, once in ms and once in us: an autopilot's attitude and IMU
+    assert [f.level for f in clocks(rounded, received)] == ["ok"]
+    bunched = np.ceil(t / 0.4) * 0.4 + 0.003
+    assert any("late" in f.text for f in clocks(t, bunched))
+    lost = (t < 30.0) | (t > 42.0)
+    (gap,) = [f for f in clocks(t[lost], received[lost]) if f.check == "gap"]
+    assert "missing: 1 section, 12.0 s" in gap.text
+
+
+def test_time_stamps_that_lost_their_zeros() -> None:
+    rng = np.random.default_rng(3)
+    t = np.cumsum(rng.uniform(0.08, 0.12, 1000))
+    assert not list(lost_zeros("n", t))
+    nanoseconds = np.round((t % 1.0) * 1e9).astype(int)
+    wrong = np.floor(t) + np.array([float(f"0.{k}") for k in nanoseconds])
+    (found,) = lost_zeros("n", wrong)
+    assert "unpadded-ns" in found.advice
+    assert not list(lost_zeros("gnss", 0.5 + np.arange(1000.0)))  # a device that always speaks at the half second
+
+
+def test_a_table_for_people() -> None:
+    found = [Finding("ok", "a", "x", "fine"), Finding("fault", "bb", "yy", "bad", "mend it")]
+    assert lines(worst_first(found)) == ["fault    yy  bb  bad: mend it", "ok       x   a   fine"]
+    assert summary(found) == "1 fault, 0 warnings, 1 in order"

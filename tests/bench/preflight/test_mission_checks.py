@@ -1,0 +1,88 @@
+"""The dry run of a mission: limits, duration, and the way of the rig's nominal vehicle against the fence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.preflight.actuator_test import actuator_plan
+from bench.preflight.mission_checks import check_mission, track
+from daq.config.mission_file import Mission, Prediction, Segment
+from daq.errors import SeatrialError
+from daq.rig import Rig
+from mocks.offline_simulation import simulate
+from mocks.plant.boat import draw_boat
+from tests.missions import rig_of
+
+BOAT = rig_of("boat")
+RIG = replace(BOAT, vehicle={**BOAT.vehicle, "c1": 40.05, "c2": 1.11})
+
+
+def ahead(n: float, seconds: float) -> Mission:
+    return Mission(
+        "ahead", "mission", ("left", "right"), (Segment("go", np.array([0.0]), np.full((1, 2), n)),), seconds
+    )
+
+
+def told(mission: Mission, rig: Rig) -> list[tuple[str, str]]:
+    return [(f.check, f.level) for f in check_mission(mission, rig)]
+
+
+def test_the_track_comes_to_the_steady_speed_of_its_equation() -> None:
+    t, x, y = track(ahead(0.5, 60.0), RIG)
+    push, d, dd = 2 * (40.05 + 1.11) * 0.25, RIG.vehicle["d_u"], RIG.vehicle["d_uu"]
+    steady = (-d + np.sqrt(d * d + 4 * dd * push)) / (2 * dd)
+    late = (t > 50.0) & (t < 59.0)
+    assert np.diff(x[late]).mean() / 0.05 == pytest.approx(steady, rel=1e-3)
+    assert np.abs(y).max() < 1e-9
+
+
+def test_the_track_turns_as_the_mock_boat_does() -> None:
+    n = np.array([[0.6, 0.3]])
+    mission = Mission("turn", "mission", ("left", "right"), (Segment("go", np.array([0.0]), n),), 30.0)
+    _, x, y = track(mission, RIG)
+    boat = draw_boat(4)
+    truth = simulate(replace(boat, current=(0.0, 0.0)), [0.0], n, 30.0, disturbed=False).truth
+    far = np.hypot(truth["x"] - truth["x"][0], truth["y"] - truth["y"][0]).max()
+    assert np.hypot(x, y).max() == pytest.approx(far, rel=0.3)  # another hull, within 10 % of the nominal one
+
+
+def test_leaving_the_fence_is_a_fault_and_coming_close_a_warning() -> None:
+    _, x, _ = track(ahead(0.5, 60.0), RIG)
+    for radius, level in ((0.9 * x[-1], "fault"), (1.1 * x[-1], "warning"), (2.0 * x[-1], "ok")):
+        fenced = replace(RIG, limits=replace(RIG.limits, radius_m=radius))
+        assert told(ahead(0.5, 60.0), fenced) == [("limits", "ok"), ("fence", level)]
+
+
+def test_a_rig_without_thrust_says_that_nothing_is_predicted() -> None:
+    assert told(ahead(0.5, 60.0), BOAT) == [("limits", "ok"), ("fence", "warning")]
+    assert told(ahead(0.5, 60.0), replace(BOAT, limits=replace(BOAT.limits, radius_m=None))) == [("limits", "ok")]
+
+
+def test_what_the_design_predicts_comes_first() -> None:
+    t = np.array([0.0, 30.0, 60.0])
+    prediction = Prediction("m", t, np.array([0.0, 250.0, 10.0]), np.zeros(3), np.array([0.0, 60.0, 60.0]))
+    (_, fence) = check_mission(replace(ahead(0.1, 60.0), prediction=prediction), RIG)
+    assert fence.level == "fault"
+    assert "left after 30 s" in fence.text
+
+
+def test_a_plan_beyond_the_limit_is_a_fault() -> None:
+    limited = replace(RIG, limits=replace(RIG.limits, n_max=0.4))
+    assert told(ahead(0.5, 60.0), limited) == [("limits", "fault")]
+
+
+def test_the_actuator_test_is_low_short_and_ends_at_zero() -> None:
+    plan = actuator_plan(BOAT)
+    t, n = plan.setpoints()
+    assert np.abs(n).max() == pytest.approx(0.3)
+    assert not n[-1].any()
+    assert t[-1] < 60.0
+    alone = [(n[:, k] != 0.0) & (n[:, 1 - k] == 0.0) for k in (0, 1)]
+    assert all(rows.any() for rows in alone)
+    assert np.abs(actuator_plan(replace(BOAT, limits=replace(BOAT.limits, n_max=0.1))).setpoints()[1]).max() <= 0.1
+    with pytest.raises(SeatrialError, match="has none"):
+        actuator_plan(replace(BOAT, thrusters=(), path=Path("dry.toml")))

@@ -1,0 +1,273 @@
+"""The acquisition process, with real ptys for its ports: set-points, and that thrust ends whatever happens."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.acquisition.session import Acquisition
+from daq.clock import RunClock
+from daq.config.rig_file import load_rig
+from daq.drivers.setpoints import REPEAT_S
+from daq.errors import SeatrialError
+from daq.log.reader import open_log
+from daq.samples import Ahrs, Command
+from tests.daq.acquiring import acquiring, assert_ends_at_zero, is_closed, living
+from tests.daq.ptys import TestBoat, commands_in, wait_for
+
+
+def test_set_points_are_sent_in_time_and_repeated(tmp_path: Path) -> None:
+    with TestBoat(tmp_path) as boat:
+        with acquiring(boat, tmp_path) as (acquisition, _, clock), living(acquisition):
+            start = clock.now() + 0.3
+            plan = [(start + 0.1 * k, {"left": 0.05 * k, "right": -0.05 * k}) for k in range(1, 11)]
+            acquisition.schedule([*plan[:4]])
+            acquisition.schedule([*plan[4:], (start + 1.2, {"left": 0.0, "right": 0.0})])
+            wait_for(lambda: acquisition.status().commanded["left"] == pytest.approx(0.5))
+            assert acquisition.status().commanded["right"] == pytest.approx(-0.5)
+            wait_for(lambda: acquisition.status().commanded["left"] == 0.0)
+        told = boat.ports["can"].commands()
+    log = open_log(tmp_path / "run.mcap")
+    for node, sign in ((1, 1.0), (2, -1.0)):
+        commands = log.table(Command, "esc", node=node)[: len(plan)]
+        late = commands["t"] - [t for t, _ in plan]
+        assert np.allclose(commands["n_cmd"], [sign * 0.05 * k for k in range(1, 11)])
+        assert np.all(late >= -1e-6)
+        assert np.median(late) < 0.005
+    # On the wire the reversed thruster hears the other sign, and each set-point comes again every 20 ms.
+    assert {round(n, 5) for node, n in told if node == 2} == {round(0.05 * k, 5) for k in range(11)}
+    assert len([n for node, n in told if node == 1 and n]) > 0.5 * 1.1 / REPEAT_S
+    assert_ends_at_zero(boat)
+
+
+def test_set_points_a_millisecond_of_wall_time_apart(tmp_path: Path) -> None:
+    with (
+        TestBoat(tmp_path, speed=20.0) as boat,
+        acquiring(boat, tmp_path) as (acquisition, _, clock),
+        living(acquisition),
+    ):
+        start = clock.now() + 4.0
+        times = start + 0.04 * np.arange(500)  # 2 ms wall
+        levels = np.random.default_rng(1).permutation(np.linspace(0.1, 0.7, 500))  # each tells which row it is
+        acquisition.schedule([(float(t), {"left": float(n)}) for t, n in zip(times, levels, strict=True)])
+        waited = waited_for_a_core(child_of(acquisition))
+        wait_for(lambda: acquisition.status().pending == 0 and acquisition.status().t > times[-1])
+        waited = waited_for_a_core(child_of(acquisition)) - waited
+        skipped = acquisition.status().skipped
+    log = open_log(tmp_path / "run.mcap")
+    sent = log.table(Command, "esc", node=1)
+    told = sum(int(text.split()[0]) for _, kind, text in log.events() if kind == "skipped")
+    # What was due while the machine gave its cores to others may be overtaken, and is told of; nothing else may.
+    sent = sent[sent["n_cmd"] != 0.0]
+    assert len(sent) + skipped == len(times)
+    assert told == skipped
+    assert skipped <= 50 + waited / 0.002
+    at = np.abs(levels - sent["n_cmd"][:, None]).argmin(axis=1)
+    assert np.allclose(levels[at], sent["n_cmd"], atol=1e-6)
+    assert np.all(np.diff(at) > 0)  # an old command never follows a newer one
+    late = (sent["t"] - times[at]) / 20.0  # wall
+    assert np.all(late >= -1e-6)
+    assert np.median(late) < 0.002
+
+
+def waited_for_a_core(pid: int) -> float:
+    """Seconds that the threads of a process were ready to run and had to wait; where nobody says, all there are."""
+    if not Path("/proc/self/schedstat").exists():
+        return time.monotonic()
+    waited = 0.0
+    for path in Path(f"/proc/{pid}/task").glob("*/schedstat"):
+        with contextlib.suppress(OSError):  # a thread that has ended
+            waited += 1e-9 * float(path.read_text().split()[1])
+    return waited
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [({"middle": 0.1}, "no thruster 'middle'"), ({"left": 0.9}, "-0.8 to 0.8"), ({"left": float("nan")}, "allowed")],
+)
+def test_set_points_that_cannot_be(tmp_path: Path, row: dict[str, float], message: str) -> None:
+    with TestBoat(tmp_path) as boat, acquiring(boat, tmp_path) as (acquisition, _, clock):
+        with pytest.raises(SeatrialError, match=message):
+            acquisition.schedule([(clock.now(), row)])
+        assert acquisition.status().pending == 0
+
+
+def test_zero_clears_the_schedule(tmp_path: Path) -> None:
+    with TestBoat(tmp_path) as boat:
+        with acquiring(boat, tmp_path) as (acquisition, _, clock), living(acquisition):
+            acquisition.schedule([(clock.now(), {"left": 0.5, "right": 0.5}), (clock.now() + 60.0, {"left": 0.7})])
+            wait_for(lambda: acquisition.status().commanded["left"] == 0.5)
+            acquisition.zero("enough")
+            wait_for(lambda: acquisition.status().commanded == {"left": 0.0, "right": 0.0})
+            assert acquisition.status().pending == 0
+        assert_ends_at_zero(boat)
+    assert ("zero", "enough") in [(kind, text) for _, kind, text in open_log(tmp_path / "run.mcap").events()]
+
+
+def test_a_runner_that_falls_silent_ends_thrust_and_the_log(tmp_path: Path) -> None:
+    with TestBoat(tmp_path) as boat:
+        with acquiring(boat, tmp_path) as (acquisition, _, clock):
+            acquisition.schedule([(clock.now(), {"left": 0.5, "right": 0.5})])
+            fell_silent = time.monotonic()
+            wait_for(lambda: is_closed(tmp_path / "run.mcap"), seconds=3.0, what="the end of the log")
+            with pytest.raises(SeatrialError, match="no sign of life"):
+                wait_for(lambda: acquisition.status().t < 0)
+            with pytest.raises(SeatrialError, match="no sign of life"):
+                acquisition.schedule([(clock.now(), {"left": 0.5})])
+        assert_ends_at_zero(boat)
+        heard = boat.ports["can"].heard
+        last_thrust = max(t for t, data in heard if any(n for _, n in commands_in(data)))
+        assert last_thrust - fell_silent < 0.6
+    log = open_log(tmp_path / "run.mcap")
+    stop = next(t for t, kind, text in log.events() if kind == "stop" and "no sign of life" in text)
+    assert log.table(Ahrs, "ahrs")["t"][-1] - stop > 0.8  # it recorded on
+
+
+def test_without_thrust_a_silent_runner_ends_nothing(tmp_path: Path) -> None:
+    with TestBoat(tmp_path) as boat, acquiring(boat, tmp_path) as (acquisition, _, _):
+        began = acquisition.status().t
+        wait_for(lambda: acquisition.status().t > began + 1.0)
+        assert acquisition.status().stopped == ""
+
+
+PARENT = """
+import sys, time
+from pathlib import Path
+from daq.acquisition.session import Acquisition
+from daq.clock import RunClock
+from daq.config.rig_file import load_rig
+rig = load_rig(sys.argv[1])
+clock = RunClock(rig.speed)
+with Acquisition(rig, Path(sys.argv[2]), clock=clock) as acquisition:
+    acquisition.schedule([(clock.now(), {"left": 0.5, "right": 0.5}), (clock.now() + 600.0, {"left": 0.6})])
+    while True:
+        acquisition.alive()
+        if acquisition.status().commanded["left"] == 0.5:
+            print("thrust", flush=True)
+        time.sleep(0.02)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_parent_that_is_killed_or_stopped_leaves_zero_thrust_and_a_closed_log(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    path = tmp_path / "run.mcap"
+    with TestBoat(tmp_path) as boat:
+        parent = subprocess.Popen(
+            [sys.executable, "-c", PARENT, str(boat.rig_path), str(path)], stdout=subprocess.PIPE, text=True
+        )
+        try:
+            assert parent.stdout is not None
+            assert parent.stdout.readline() == "thrust\n"
+            wait_for(lambda: len(boat.ports["can"].commands()) > 4)
+            parent.send_signal(number)
+            wait_for(lambda: is_closed(path), seconds=3.0, what="the end of the log")
+            assert_ends_at_zero(boat)
+        finally:
+            parent.kill()
+            parent.communicate()
+    log = open_log(path)
+    assert log.warnings == []
+    stop = next(t for t, kind, _ in log.events() if kind == "stop")
+    assert log.table(Ahrs, "ahrs")["t"][-1] - stop > 0.8
+    assert log.table(Command, "esc", node=1)["n_cmd"][-1] == 0.0
+
+
+def child_of(acquisition: Acquisition) -> int:
+    return acquisition._process.pid
+
+
+def test_sigterm_ends_at_zero_and_closes_the_log(tmp_path: Path) -> None:
+    with TestBoat(tmp_path) as boat:
+        with acquiring(boat, tmp_path) as (acquisition, _, clock), living(acquisition):
+            acquisition.schedule([(clock.now(), {"left": 0.5, "right": 0.5})])
+            wait_for(lambda: acquisition.status().commanded["left"] == 0.5)
+            os.kill(child_of(acquisition), signal.SIGINT)  # Ctrl-C is not for this process
+            os.kill(child_of(acquisition), signal.SIGTERM)
+            wait_for(lambda: is_closed(tmp_path / "run.mcap"), seconds=3.0)
+        assert_ends_at_zero(boat)
+    assert open_log(tmp_path / "run.mcap").warnings == []
+
+
+def test_an_acquisition_process_that_dies_is_one_clear_line(tmp_path: Path) -> None:
+    with TestBoat(tmp_path) as boat:
+        rig = load_rig(boat.rig_path)
+        path = tmp_path / "run.mcap"
+        acquisition = Acquisition(rig, path, clock=RunClock())
+        acquisition.__enter__()
+        wait_for(lambda: acquisition.status().messages > 50)
+        os.kill(child_of(acquisition), signal.SIGKILL)
+        with pytest.raises(SeatrialError, match=r"ended by itself .*run\.mcap"):
+            wait_for(lambda: acquisition.status().t < 0)
+        with pytest.raises(SeatrialError, match="ended by itself"):
+            acquisition.stop()
+        acquisition.stop()
+
+
+def test_a_log_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "run.mcap").write_text("mine")
+    with TestBoat(tmp_path) as boat:
+        rig = load_rig(boat.rig_path)
+        with (
+            pytest.raises(SeatrialError, match="never overwritten"),
+            Acquisition(rig, tmp_path / "run.mcap", clock=RunClock()),
+        ):
+            pass
+    assert (tmp_path / "run.mcap").read_text() == "mine"
+
+
+def test_a_bus_that_is_lost_under_thrust_does_not_start_it_again(tmp_path: Path) -> None:
+    with TestBoat(tmp_path) as boat, acquiring(boat, tmp_path) as (acquisition, _, clock), living(acquisition):
+        acquisition.schedule([(clock.now(), {"left": 0.5, "right": 0.5}), (clock.now() + 60.0, {"left": 0.7})])
+        wait_for(lambda: len(boat.ports["can"].commands()) > 4)
+        boat.pull("can")
+        wait_for(lambda: acquisition.status().stopped != "")
+        assert "esc" in acquisition.status().stopped
+        boat.plug("can")
+        boat.ports["can"].received.clear()
+        acquisition.schedule([(clock.now(), {"left": 0.6})])  # was under way: not taken
+        wait_for(lambda: len(boat.ports["can"].commands()) >= 2, what="zero after the return")
+        assert {n for _, n in boat.ports["can"].commands()} == {0.0}
+        assert acquisition.status().pending == 0
+        acquisition.zero("seen")
+        acquisition.schedule([(clock.now(), {"left": 0.3})])
+        wait_for(lambda: acquisition.status().commanded["left"] == 0.3)
+        assert acquisition.status().stopped == ""
+
+
+def test_a_log_that_cannot_grow_any_more_ends_thrust(tmp_path: Path) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    rng = random.Random(1)
+    with TestBoat(tmp_path) as boat:
+        rig = load_rig(boat.rig_path)
+        clock = RunClock()
+        resource.setrlimit(resource.RLIMIT_FSIZE, (700_000, hard))  # as a full disk; inherited by the process
+        try:
+            acquisition = Acquisition(rig, tmp_path / "run.mcap", clock=clock)
+            acquisition.__enter__()
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        with living(acquisition):
+            acquisition.schedule([(clock.now(), {"left": 0.5, "right": 0.5})])
+
+            def failed() -> bool:
+                boat.write("ahrs", rng.randbytes(3000))
+                return acquisition.status().t < 0
+
+            with pytest.raises(SeatrialError, match=r"run\.mcap"):
+                wait_for(failed, seconds=30.0)
+            with pytest.raises(SeatrialError, match=r"run\.mcap"):
+                acquisition.stop()
+        assert_ends_at_zero(boat)
+    assert len(open_log(tmp_path / "run.mcap").table(Ahrs, "ahrs")) > 10

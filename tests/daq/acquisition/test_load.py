@@ -1,0 +1,30 @@
+"""Four devices at 5,000 frames a second for a moment: every frame is in the log, or counted where it was lost.
+
+`python -m benchmarks.acquisition --seconds 600` measures the same for ten minutes.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.acquisition import LOSS_RATE, record
+from daq.log.reader import open_log
+from daq.samples import Ahrs, PortHealth
+
+SECONDS = 2.0
+
+
+def test_no_frame_is_lost_without_a_trace(tmp_path: Path) -> None:
+    said, dropped = record(tmp_path, 4, LOSS_RATE, SECONDS, busy=False)
+    assert said["sent"] == 4 * LOSS_RATE * SECONDS
+    with open_log(tmp_path / "log.mcap") as log:
+        tables = [log.table(Ahrs, f"d{k}") for k in range(4)]
+        last = [log.health(f"d{k}")[-1][1] for k in range(4)]
+        assert sorted(log.sources(PortHealth)) == ["d0", "d1", "d2", "d3"]
+    assert sum(map(len, tables)) + dropped == said["sent"] - said["refused"]
+    assert sum(health.dropped for health in last) == dropped
+    assert [health.checksum_errors for health in last] == [0] * 4
+    for table in tables:  # the roll rate is the number of the message
+        assert np.all(np.diff(table["p"]) >= 1)

@@ -1,0 +1,85 @@
+"""Readings that are wrong although their frames are right, each said in one line while it holds."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from daq.acquisition.sensor_health import ERA, STUCK_S, SensorHealth
+from daq.protocol.text_lines import SATURATED, SPIKE
+from daq.samples import Ahrs, Frame, Gnss, LoadCell, Sample
+
+T0 = 1.7e9
+
+
+def seen(samples: list[Sample], rate: float = 20.0) -> str:
+    watch = SensorHealth()
+    for k, sample in enumerate(samples):
+        watch.take(Frame(sample, T0 + k / rate, math.nan))
+    return watch.message()
+
+
+def ahrs(k: int) -> Ahrs:
+    return Ahrs(0.1, 0.0, 0.0, 0.0, 0.0, 1e-6 * k, 0.0, 0.0, -9.8)
+
+
+def test_a_sensor_that_says_the_same_all_the_time_is_stuck() -> None:
+    n = round(20 * STUCK_S) + 2
+    assert seen([ahrs(0)] * n) == "stuck: the same reading all the time"
+    assert seen([ahrs(k) for k in range(n)]) == ""
+    assert seen([ahrs(0)] * (n // 2)) == ""
+    assert seen([*[ahrs(0)] * n, ahrs(1)]) == ""  # it has come free
+    assert seen([LoadCell(84210.0)] * n).startswith("stuck")
+    assert seen([LoadCell(0.0)] * n) == ""  # a scale that rounds
+    assert seen([LoadCell(1234.5)] * n) == ""
+    assert seen([Gnss(T0, 41.0, -8.0)] * n) == "stuck: its time stands still"
+    assert seen([Gnss(T0 + k / 20, 41.0, -8.0) for k in range(n)]) == ""
+
+
+def test_a_compass_may_say_the_same_for_long() -> None:
+    assert seen([Ahrs(0.1, math.nan, math.nan)] * 500) == ""
+
+
+def test_a_saturated_cell_is_said_while_it_is() -> None:
+    good = [LoadCell(84000.0 + k) for k in range(50)]
+    assert seen([*good, LoadCell(8388607.0, flags=SATURATED)]).startswith("saturated")
+    assert seen([LoadCell(8388607.0, flags=SATURATED), *good]) == ""
+
+
+def test_spikes_are_said_when_they_are_many() -> None:
+    cell = [LoadCell(84000.0 + k) for k in range(150)]
+    few, many = list(cell), list(cell)
+    few[20] = LoadCell(131071.0, flags=SPIKE)
+    for k in (20, 50, 80):
+        many[k] = LoadCell(131071.0, flags=SPIKE)
+    assert seen(few) == ""
+    assert seen(many).startswith("spikes")
+    assert seen([*many, *[LoadCell(90000.0 + k) for k in range(250)]]) == ""  # over
+
+
+@pytest.mark.parametrize(("bad", "said"), [(1, ""), (9, ""), (12, "more than 1 frame in 20"), (200, "more than 1")])
+def test_a_flood_of_wrong_checksums(bad: int, said: str) -> None:
+    watch = SensorHealth()
+    for k in range(40):
+        watch.count(T0 + 0.1 * k, 4 * k, round(bad * k / 39))
+    assert watch.message().startswith(said)
+    assert bool(watch.message()) == bool(said)
+    for k in range(40, 120):
+        watch.count(T0 + 0.1 * k, 4 * k, bad)
+    assert watch.message() == ""
+
+
+def test_a_date_of_another_gps_era() -> None:
+    assert seen([Gnss(T0 - ERA + 0.05 * k, 41.0, -8.0) for k in range(5)]).startswith("its date is 20 years off")
+    assert seen([Gnss(T0 + 86400.0 + k, 41.0, -8.0) for k in range(5)]) == ""
+
+
+def test_a_clock_that_jumps_is_said_for_a_while() -> None:
+    watch = SensorHealth()
+    watch.count(T0, 1, 0, 0)
+    assert watch.message() == ""
+    watch.count(T0 + 1.0, 2, 0, 1)
+    assert watch.message().startswith("its clock has jumped (the 1. time)")
+    watch.count(T0 + 20.0, 3, 0, 1)
+    assert watch.message() == ""

@@ -1,0 +1,56 @@
+"""What the acquisition process says of itself reaches the parent each time and the log once."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+from rich.console import Console
+
+from daq.acquisition.device_loop import DeviceLoop
+from daq.acquisition.ipc import AcquisitionChannel
+from daq.acquisition.log_thread import LogSink, LogThread
+from daq.acquisition.status_reporter import Reporter
+from daq.clock import RunClock
+from daq.protocol.catalogue import make_decoder
+from daq.status import Status, from_json
+from daq.tools.live_table import table
+from daq.transport.serial_port import SerialPort
+from tests.daq.logs import recorder, rig
+
+HINT = "the adapter keeps bytes for up to 16 ms (Permission denied): echo 1 | sudo tee /sys/.../latency_timer"
+
+
+def test_a_hint_is_in_every_status_and_once_in_the_log(tmp_path: Path) -> None:
+    ours, theirs = socket.socketpair()
+    link, parent = AcquisitionChannel(ours), AcquisitionChannel(theirs)
+    here, clock, sink = rig(), RunClock(), LogSink()
+    port = SerialPort("ports/ahrs", 115200)
+    loop = DeviceLoop(here.devices[0], port, make_decoder(here.devices[0], here), clock, sink)
+    log = recorder(tmp_path / "run.mcap")
+    writer = LogThread(log, sink, dict, clock)
+    events: list[tuple[str, str]] = []
+    reporter = Reporter(
+        link, here, "run.mcap", clock, {"ahrs": loop}, {}, writer, lambda kind, text: events.append((kind, text))
+    )
+
+    def reported(stopped: str = "") -> Status:
+        reporter.report(stopped, "")
+        (message,) = parent.receive()
+        return from_json(message["status"])
+
+    assert reported().hints == ()
+    port.hint = HINT
+    line = f"ahrs ({here.devices[0].port}): {HINT}"
+    statuses = [reported(), reported(), reported("the disk is full")]
+    assert [status.hints for status in statuses] == [(line,)] * 3
+    assert statuses[0].warnings == ()  # no fault: a run may begin with it
+    assert statuses[2].warnings == ("thrust was stopped: the disk is full",)
+    assert events == [("hint", line), ("warning", "thrust was stopped: the disk is full")]
+    console = Console(width=200)
+    with console.capture() as capture:
+        console.print(table(statuses[0], here, 200))
+    assert f"hint: {line}" in capture.get()
+    log.close()
+    link.close()
+    parent.close()

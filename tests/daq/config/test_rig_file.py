@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.config.rig_file import load_rig, parse_rig
+from daq.errors import SeatrialError
+
+DOCUMENT = Path(__file__).parents[3] / "docs" / "formats" / "rig.md"
+
+
+@pytest.fixture
+def example() -> str:
+    found = re.search(r"```toml\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
+    assert found is not None
+    return found[1]
+
+
+def test_the_documented_rig_is_read(example: str, tmp_path: Path) -> None:
+    path = tmp_path / "boats" / "rig.toml"
+    path.parent.mkdir()
+    path.write_text(example, encoding="utf-8")
+    rig = load_rig(path)
+    assert (rig.name, rig.speed, rig.text) == ("mock boat", 20.0, example)
+    assert rig.log_directory == path.parent / "logs"
+    assert [device.name for device in rig.devices] == ["ahrs", "gnss", "esc", "loadcell"]
+    assert rig.device("ahrs").port == str(path.parent / "ports" / "ahrs")
+    assert rig.device("esc").port == f"slcan:{path.parent / 'ports' / 'can'}"
+    assert rig.device("esc").bitrate == 500_000
+    cell = rig.device("loadcell")
+    assert cell.saturation == 8388607.0
+    assert cell.calibration is not None
+    assert cell.calibration.force(84210.0 + 5000.0) == pytest.approx(5.0)
+    np.testing.assert_allclose(cell.calibration.force(np.array([84210.0, 83210.0])), [0.0, -1.0])
+    left = rig.thruster("left")
+    assert (left.device, left.node, left.position_m, left.reversed) == ("esc", 1, (-0.25, -0.15, 0.0), False)
+    assert (rig.limits.force_n, rig.limits.radius_m, rig.vehicle) == (80.0, 200.0, {"m_u": 37.0})
+
+
+def test_absolute_and_socketcan_ports_stay_as_they_are(example: str) -> None:
+    text = example.replace('"ports/ahrs"', '"/dev/ttyUSB3"').replace("slcan:ports/can", "socketcan:can0")
+    rig = parse_rig(text, "/boats/rig.toml")
+    assert rig.device("ahrs").port == "/dev/ttyUSB3"
+    assert rig.device("esc").port == "socketcan:can0"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ('format = "seatrial-rig 1"', 'format = "seatrial-rig 9"', r"format: must be 'seatrial-rig 1', not '"),
+        ("speed = 20.0", "sped = 20.0", r"clock\.sped: unknown key; known here: speed"),
+        ("speed = 20.0", "speed = nan", r"clock\.speed: must be a finite number"),
+        ("speed = 20.0", "speed = true", r"clock\.speed: must be a number, not true"),
+        ('protocol = "vectornav"', 'protocol = "xsens"', r"device\[1\]\.protocol: must be one of vectornav, "),
+        ("baud = 38400", "", r"^$"),  # a default
+        ("rate_hz = 50.0", "rate_hz = -1", r"device\[1\]\.rate_hz: must be above zero"),
+        ("rate_hz = 50.0", "", r"device\[1\]\.rate_hz: missing; this key is required"),
+        ("rate_hz = 50.0", "rate_hz = 50.0\nbitrate = 500000", r"device\[1\]\.bitrate: unknown key"),
+        ('name = "gnss"', 'name = "ahrs"', r"device: 'ahrs' stands twice"),
+        ('name = "gnss"', 'name = "G/1"', r"device\[2\]\.name: 'G/1' becomes a topic"),
+        ('"slcan:ports/can"', '"ports/can"', r"device\[3\]\.port: must be slcan:SERIAL or socketcan:NAME"),
+        (r"(?P<counts>-?\d+)", r"(-?\d+)", r"device\[4\]\.pattern: must have a group"),
+        (r"(?P<counts>-?\d+)", r"(?P<counts>-?\d+", r"device\[4\]\.pattern: not a regular expression"),
+        ("node = 1", "node = 1.5", r"thruster\[1\]\.node: must be a whole number, not 1\.5"),
+        ('device = "esc"', 'device = "ahrs"', r"thruster\[1\].device: no vesc or dronecan or mavlink device 'ahrs'"),
+        ("[-0.25, -0.15, 0.0]", "[-0.25, -0.15]", r"position_m: must have 3 numbers, not 2"),
+        ("n_max = 1.0", "n_max = 1.5", r"limits\.n_max: must be within 0\.0 \.\. 1\.0"),
+        ("[limits]", "[limit]", r"limit: unknown key; known here: format, name"),
+        ("[limits]", "[limits", r"not valid TOML.*line"),
+    ],
+)
+def test_what_is_wrong_is_named_in_one_line(example: str, old: str, new: str, line: str) -> None:
+    text = example.replace(old, new, 1)
+    assert text != example
+    if line == "^$":
+        parse_rig(text, "boat/rig.toml")
+        return
+    with pytest.raises(SeatrialError, match=line) as caught:
+        parse_rig(text, "boat/rig.toml")
+    assert str(caught.value).startswith("boat/rig.toml: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+    with pytest.raises(SeatrialError, match=r"none\.toml: No such file"):
+        load_rig(tmp_path / "none.toml")
+    (tmp_path / "latin.toml").write_bytes(b"name = '\xe5'")
+    with pytest.raises(SeatrialError, match="not UTF-8"):
+        load_rig(tmp_path / "latin.toml")
+
+
+def test_names_that_are_not_there(example: str) -> None:
+    rig = parse_rig(example, "rig.toml")
+    with pytest.raises(SeatrialError, match="no device 'cell'; there is: ahrs, gnss, esc, loadcell"):
+        rig.device("cell")
+    with pytest.raises(SeatrialError, match="no thruster 'right'; there is: left"):
+        rig.thruster("right")

@@ -1,0 +1,89 @@
+"""The keys of a [[device]] that belong to some protocols only, and the decoder that comes of them."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from daq.config.rig_file import parse_rig
+from daq.errors import SeatrialError
+from daq.protocol import dbc, mantracourt
+from daq.protocol.catalogue import CAN, DEVICES, make_decoder
+from daq.rig import DbcSignal, Rig, Segments
+
+SIGNAL = """
+[[device.signal]]
+message = "EngineParametersRapid"
+signal = "EngineSpeed"
+field = "rpm"
+node = "EngineInstance"
+scale = 0.5
+"""
+
+
+def rig(protocol: str, port: str = "port", more: str = "", before: str = "") -> Rig:
+    text = (
+        f'format = "seatrial-rig 1"\nname = "r"\n{before}\n[[device]]\nname = "d"\nprotocol = "{protocol}"\n'
+        f'port = "{port}"\nrate_hz = 10.0\n{more}\n'
+    )
+    return parse_rig(text, Path("/boat/rig.toml"))
+
+
+@pytest.mark.parametrize("protocol", [name for name, row in DEVICES.items() if name not in ("dbc", "mavlink")])
+def test_every_protocol_of_the_table_has_a_decoder_with_its_keys_at_their_defaults(protocol: str) -> None:
+    bus = DEVICES[protocol].bus == CAN
+    loaded = rig(protocol, "socketcan:can0" if bus else "port")
+    decoder = make_decoder(loaded.devices[0], loaded)
+    assert decoder.feed(b"", 0.0) == []
+    with pytest.raises(SeatrialError, match=r"device\[1\]\.port: must be"):
+        rig(protocol, "port" if bus else "socketcan:can0")
+
+
+def test_a_dbc_with_its_signals() -> None:
+    loaded = rig("dbc", "slcan:ports/can", f'dbc = "nmea2000"\nbitrate = 250000\n{SIGNAL}')
+    device = loaded.devices[0]
+    assert Path(device.dbc).name == "nmea2000.dbc"
+    assert device.bitrate == 250_000
+    assert device.signals == (DbcSignal("EngineParametersRapid", "EngineSpeed", "rpm", "EngineInstance", 0.5),)
+    assert isinstance(make_decoder(device, loaded), dbc.Decoder)
+
+
+@pytest.mark.parametrize(
+    ("more", "line"),
+    [
+        ('dbc = "nmea2000"', r"device\[1\]\.signal: missing"),
+        (SIGNAL, r"device\[1\]\.dbc: missing"),
+        (f'dbc = "own.dbc"\n{SIGNAL}', r"device\[1\]\.dbc: there is no file /boat/own\.dbc"),
+        (f'dbc = "nmea2000"\n{SIGNAL}gain = 2', r"device\[1\]\.signal\[1\]\.gain: unknown key"),
+        (f'dbc = "nmea2000"\n{SIGNAL.replace("rpm", "speed")}', r"signal\[1\]\.field: must be one of rpm, current"),
+    ],
+)
+def test_what_is_wrong_with_a_dbc_is_one_line(more: str, line: str) -> None:
+    with pytest.raises(SeatrialError, match=line):
+        rig("dbc", "socketcan:can0", more)
+
+
+def test_a_declination_is_in_radians() -> None:
+    assert rig("nmea", more="declination_deg = -3.0").devices[0].declination == pytest.approx(math.radians(-3.0))
+    assert rig("ubx").devices[0].declination is None
+    with pytest.raises(SeatrialError, match="declination_deg: unknown key"):
+        rig("vectornav", more="declination_deg = 1.0")
+
+
+def test_a_query_is_plain_text() -> None:
+    loaded = rig("mantracourt", more='query = "!007:SGAI?"')
+    decoder = make_decoder(loaded.devices[0], loaded)
+    assert isinstance(decoder, mantracourt.Decoder)
+    assert decoder.request == b"!007:SGAI?\r"
+    with pytest.raises(SeatrialError, match="query: must be plain text"):
+        rig("mantracourt", more='query = "a\\tb"')
+
+
+def test_segments() -> None:
+    assert rig("nmea").segments == Segments(None, None, 50.0)
+    log = "[log]\nsegment_mb = 200\nsegment_s = 600\nfree_mb = 0"
+    assert rig("nmea", before=log).segments == Segments(200.0, 600.0, 0.0)
+    with pytest.raises(SeatrialError, match=r"log\.segment_s: must be within 1\.0"):
+        rig("nmea", before="[log]\nsegment_s = 0.5")

@@ -1,0 +1,181 @@
+"""The ground station's half against the mock autopilot, without ports and without waiting."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from daq.drivers.ardupilot_parameters import check_parameters
+from daq.drivers.setpoints import Due
+from daq.samples import Ahrs, Servo
+from mocks.devices.autopilot import HOLD
+from tests.daq.mavlink_ends import Ends, mav_rig
+
+
+def ready(ends: Ends) -> Ends:
+    ends.run(2.0)
+    assert not ends.talker.link_at(ends.t).asking
+    return ends
+
+
+def drive(ends: Ends, left: float, right: float, seconds: float) -> None:
+    """Commands every loop, as the acquisition repeats them."""
+    held = {1: left, 3: right}
+    for _ in range(round(seconds * 50)):
+        for data, _dues in ends.talker.command([Due(1, left, False)], held, ends.t):
+            ends.to_vehicle(data)
+        ends.run(0.02)
+
+
+def armed(ends: Ends) -> Ends:
+    drive(ends, 0.0, 0.0, 0.1)
+    ends.talker.request("arm", 0.0)
+    ends.run(1.5)
+    assert ends.talker.link_at(ends.t).answer == "arm: accepted"
+    assert ends.talker.link_at(ends.t).armed
+    return ends
+
+
+def test_it_hears_the_vehicle_and_reads_its_parameters() -> None:
+    ends = ready(Ends(mav_rig()))
+    link = ends.talker.link_at(ends.t)
+    assert link.heard
+    assert link.mode == "MANUAL"
+    assert not link.armed
+    assert link.parameters["PILOT_STEER_TYPE"] == 1.0
+    assert "SYSID_MYGCS" not in link.parameters  # this vehicle has the newer name
+    assert link.refused == ()
+    assert check_parameters(link.parameters, mav_rig().thrusters, 255) == ()
+
+
+def test_a_rate_that_is_denied_is_said_and_half_of_it_is_asked_for() -> None:
+    ends = ready(Ends(mav_rig(rate=50.0)))
+    refused = ends.talker.link_at(ends.t).refused
+    assert "ATTITUDE at 50 Hz: denied" in refused
+    assert not any("25 Hz" in line for line in refused)
+    assert "refuses ATTITUDE at 50 Hz: denied" in [event.text for event in ends.talker.events()]
+    before = sum(isinstance(frame.sample, Ahrs) for frame in ends.frames)
+    ends.run(2.0)
+    assert sum(isinstance(frame.sample, Ahrs) for frame in ends.frames) - before == pytest.approx(50, abs=3)
+
+
+def test_an_answer_that_never_comes_is_no_answer_and_nothing_hangs() -> None:
+    ends = ready(Ends(mav_rig()))
+    ends.deaf = True
+    ends.talker.request("arm", 0.0)
+    ends.run(3.0)
+    assert ends.talker.link_at(ends.t).answer == "arm: no answer"
+
+
+def test_arming_is_refused_with_the_vehicles_own_reason() -> None:
+    ends = ready(Ends(mav_rig()))
+    ends.autopilot.vehicle.ekf_ready_at = 100.0
+    ends.talker.request("arm", 0.0)
+    ends.run(1.0)
+    assert ends.talker.link_at(ends.t).answer == "arm: failed (PreArm: EKF3 is still initialising)"
+    assert not ends.autopilot.vehicle.armed
+
+
+def test_commands_move_the_thrusters_only_while_armed_and_signs_are_the_rigs() -> None:
+    ends = ready(Ends(mav_rig()))
+    drive(ends, 0.5, 0.5, 0.2)
+    assert [ends.controllers[node].duty for node in (1, 3)] == [0.0, 0.0]
+    armed(ends)
+    drive(ends, 0.5, 0.25, 0.2)
+    assert [ends.controllers[node].duty for node in (1, 3)] == pytest.approx([0.5, -0.25], abs=0.002)
+    outputs = {f.sample.node: f.sample.n for f in ends.frames if isinstance(f.sample, Servo)}
+    assert outputs == pytest.approx({1: 0.5, 3: 0.25}, abs=0.003)
+
+
+def test_sticks_away_from_neutral_forbid_arming() -> None:
+    ends = ready(Ends(mav_rig()))
+    drive(ends, 0.5, 0.0, 0.1)
+    ends.talker.request("arm", 0.0)
+    drive(ends, 0.5, 0.0, 1.0)
+    assert "not neutral" in ends.talker.link_at(ends.t).answer
+
+
+def test_silence_ends_thrust_by_the_override_timeout_and_then_by_the_failsafe() -> None:
+    ends = armed(ready(Ends(mav_rig())))
+    drive(ends, 0.5, 0.5, 0.5)
+    ends.deaf = True
+    ends.run(0.9)
+    assert ends.controllers[1].n == pytest.approx(0.5, abs=0.002)
+    ends.run(0.2)
+    assert [ends.controllers[node].n for node in (1, 3)] == [0.0, 0.0]
+    ends.run(5.0)
+    assert ends.autopilot.vehicle.mode == HOLD
+    assert ends.talker.link_at(ends.t).alarm == "critical: GCS Failsafe"
+
+
+def test_neutral_goes_on_where_nothing_is_commanded() -> None:
+    ends = armed(ready(Ends(mav_rig())))
+    drive(ends, 0.5, 0.5, 0.3)
+    drive(ends, 0.0, 0.0, 0.1)
+    before = ends.controllers[1].deadline
+    ends.run(3.0)
+    assert ends.controllers[1].deadline > before + 2.5  # heard all the time, without a command of ours
+
+
+def test_it_disarms_at_the_end_only_what_it_armed() -> None:
+    ends = ready(Ends(mav_rig()))
+    assert ends.talker.farewell(ends.t) == b""
+    armed(ends)
+    ends.to_vehicle(ends.talker.farewell(ends.t))
+    assert not ends.autopilot.vehicle.armed
+
+
+def test_a_vehicle_obeys_its_own_ground_station_only() -> None:
+    ends = armed(ready(Ends(mav_rig())))
+    stranger = Ends(mav_rig(more="own_system_id = 254"))
+    stranger.talker.request("disarm", 0.0)
+    for data, _ in stranger.talker.command([Due(1, 1.0, True)], {1: 1.0}, 0.0):
+        ends.autopilot.receive(data, ends.t)
+    ends.autopilot.receive(stranger.talker.poll(0.0), ends.t)
+    assert ends.autopilot.vehicle.armed
+    assert ends.controllers[1].n == 0.0
+
+
+def test_signed_both_ways(tmp_path: Path) -> None:
+    key = tmp_path / "key"
+    key.write_bytes(bytes(range(32)))
+    ends = armed(ready(Ends(mav_rig(tmp_path, more='key_file = "key"'), key)))
+    assert ends.decoder.unsigned == 0
+    plain = Ends(mav_rig())
+    before = dict(ends.autopilot.vehicle.sticks)
+    for data, _ in plain.talker.command([Due(1, 1.0, True)], {1: 1.0}, 0.0):
+        ends.autopilot.receive(data, ends.t)
+    assert ends.autopilot.vehicle.sticks == before
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "fatal"),
+    [
+        ("RC_OVERRIDE_TIME", -1.0, True),
+        ("RC_OVERRIDE_TIME", 3.0, True),
+        ("FS_GCS_ENABLE", 0.0, True),
+        ("MAV_GCS_SYSID", 250.0, True),
+        ("PILOT_STEER_TYPE", 0.0, True),
+        ("SERVO1_FUNCTION", 1.0, True),  # passthrough moves it while disarmed
+        ("SERVO3_MAX", 2000.0, True),
+        ("RC1_TRIM", 1480.0, True),
+        ("MOT_SLEWRATE", 100.0, False),
+        ("RC3_DZ", 30.0, False),
+    ],
+)
+def test_a_parameter_that_is_wrong_is_named(name: str, value: float, fatal: bool) -> None:
+    ends = Ends(mav_rig())
+    parameters = {**ends.autopilot.vehicle.parameters, name: value}
+    (found,) = check_parameters(parameters, mav_rig().thrusters, 255)
+    assert (found.name, found.value, found.fatal) == (name, value, fatal)
+    assert str(found).startswith(f"{name} is {value:g}, wanted ")
+
+
+def test_a_parameter_that_changes_under_way_is_an_event() -> None:
+    ends = ready(Ends(mav_rig()))
+    ends.talker.events()
+    ends.autopilot.vehicle.parameters["MOT_SLEWRATE"] = 50.0
+    ends.autopilot._say_parameter("MOT_SLEWRATE")
+    ends.run(0.1)
+    assert "MOT_SLEWRATE was changed: 0 to 50" in [event.text for event in ends.talker.events()]

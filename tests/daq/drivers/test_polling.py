@@ -1,0 +1,69 @@
+"""A device that answers only when asked: on its own clock, and on a real port."""
+
+from __future__ import annotations
+
+import os
+import threading
+import tty
+from pathlib import Path
+
+import pytest
+
+from daq.acquisition.session import Acquisition
+from daq.clock import RunClock
+from daq.config.rig_file import parse_rig
+from daq.drivers.base import PollingDriver
+from daq.log.reader import open_log
+from daq.samples import LoadCell
+from tests.daq.ptys import wait_for
+
+RIG = """
+format = "seatrial-rig 1"
+name = "asked"
+
+[[device]]
+name = "cell"
+protocol = "mantracourt"
+port = "cell"
+rate_hz = 50.0
+query = "!002:SYS?"
+[device.calibration]
+newton_per_count = 2.0
+"""
+
+
+def test_it_asks_at_its_rate_and_makes_up_for_nothing() -> None:
+    talker = PollingDriver(b"?", 0.1)
+    talker.opened(5.0)
+    assert [talker.poll(5.0), talker.poll(5.05), talker.poll(5.11), talker.poll(5.12)] == [b"?", b"", b"?", b""]
+    assert talker.wait(5.12) == pytest.approx(0.08)
+    assert [talker.poll(9.0), talker.poll(9.05), talker.poll(9.1)] == [b"?", b"", b"?"]
+
+
+def test_a_converter_is_asked_and_its_answers_are_logged(tmp_path: Path) -> None:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    (tmp_path / "cell").symlink_to(os.ttyname(slave))
+    asked: list[bytes] = []
+
+    def answer() -> None:
+        while (line := os.read(master, 64)) != b"end":
+            asked.append(line)
+            os.write(master, b"%.3f\r" % (10.0 + len(asked)))
+
+    converter = threading.Thread(target=answer, daemon=True)
+    converter.start()
+    rig = parse_rig(RIG, tmp_path / "rig.toml")
+    with Acquisition(rig, tmp_path / "log.mcap", clock=RunClock()) as acquisition:
+        wait_for(lambda: acquisition.status().ports["cell"].samples >= 10, what="ten answers")
+    os.write(slave, b"end")
+    converter.join(5.0)
+    with open_log(tmp_path / "log.mcap") as log:
+        table = log.table(LoadCell, "cell")
+        assert table["counts"][:5].tolist() == [11.0, 12.0, 13.0, 14.0, 15.0]
+        assert table["force"][0] == 22.0
+        sent = [data for _, direction, data in log.raw("cell") if direction == "tx"]
+    assert set(sent) == {b"!002:SYS?\r"}
+    assert b"".join(asked).startswith(b"!002:SYS?\r")
+    os.close(master)
+    os.close(slave)

@@ -1,0 +1,288 @@
+"""CSV files become logs, by a map: times, gaps, pieces, and what is wrong with a file in one line."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from daq import cli
+from daq.errors import SeatrialError
+from daq.importers.csv_import import import_csv
+from daq.importers.csv_map import load_csv_map
+from daq.log.reader import open_log
+from daq.samples import Scalar
+from tests.daq.csv_files import EXAMPLES, values, write
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_file_becomes_a_log(folder: Path) -> None:
+    csv_map, files = write(folder)
+    (out,) = import_csv(csv_map, files)
+    assert out == Path("run.mcap")
+    log = open_log(out)
+    assert (log.complete, log.warnings, log.sources(Scalar)) == (True, [], ["n_left", "psi"])
+    assert (log.unit("psi"), log.hold("psi"), log.role("psi")) == ("rad", "linear", "output")
+    assert (log.unit("n_left"), log.hold("n_left"), log.role("n_left")) == ("1", "zero", "input")
+    t, psi = values(out, "psi")
+    assert t == [0.0, 0.1, 0.2]
+    np.testing.assert_allclose(psi, np.radians([170.0, -170.0, -160.0]), atol=1e-15)
+    assert values(out, "n_left")[1] == [0.5, 0.6, 0.7]
+    assert log.attachments == {"import.toml": csv_map.read_bytes()}
+    assert log.metadata["source.1.name"] == "run.csv"
+    assert log.metadata["source.1.sha256"] == hashlib.sha256(files[0].read_bytes()).hexdigest()
+    assert log.events() == [(0.0, "import", "run.csv by map.toml")]
+
+
+@pytest.mark.parametrize(
+    ("signal", "degrees"),
+    [
+        ('angle = "unwrap"', [170.0, 190.0, 200.0]),
+        ('angle = "wrap"\noffset = 20.0', [-170.0, -150.0, -140.0]),
+        ("sign = -1\noffset = 10.0", [-180.0, 160.0, 150.0]),
+        ("scale = 2.0\noffset = 1.0", [341.0, -339.0, -319.0]),
+    ],
+)
+def test_scale_offset_sign_and_angles(folder: Path, signal: str, degrees: list[float]) -> None:
+    (out,) = import_csv(*write(folder, signal=signal))
+    np.testing.assert_allclose(values(out, "psi")[1], np.radians(degrees), atol=1e-14)
+
+
+def test_wrap_includes_plus_pi_and_not_minus_pi(folder: Path) -> None:
+    rows = "t,cmd,heading\n0,0,180\n1,0,-180\n2,0,540\n"
+    (out,) = import_csv(*write(folder, rows, signal='angle = "wrap"'))
+    np.testing.assert_allclose(values(out, "psi")[1], [np.pi] * 3)
+
+
+@pytest.mark.parametrize(
+    ("time", "cells", "seconds"),
+    [
+        ('format = "ms"', ["2168103.825", "2168203.825"], [2168.103825, 2168.203825]),
+        ('format = "us"', ["5", "7"], [5e-6, 7e-6]),
+        ('format = "ns"', ["1500000000", "1600000000"], [1.5, 1.6]),
+        ('origin = "1970-01-01T00:01:00Z"', ["1", "2"], [61.0, 62.0]),
+        ('format = "iso"', ["2025-04-28T11:39:16.25Z", "2025-04-28T13:39:16.5+02:00"], [1745840356.25, 1745840356.5]),
+        (
+            'format = "%Y/%m/%d %H:%M:%S"\nfraction = "decimal"',
+            ["2025/04/28 11:39:16.194751656", "2025/04/28 11:39:17"],
+            [1745840356.194751656, 1745840357.0],
+        ),
+        (
+            'format = "%Y/%m/%d %H:%M:%S"\nfraction = "unpadded-ns"',
+            ["2025/04/28 11:39:16.994751656", "2025/04/28 11:39:17.99684877"],
+            [1745840356.994751656, 1745840357.099684877],
+        ),
+        ('fraction = "unpadded-ns"', ["16.994751656", "17.99684877"], [16.994751656, 17.099684877]),
+    ],
+)
+def test_time_formats(folder: Path, time: str, cells: list[str], seconds: list[float]) -> None:
+    rows = "t,cmd,heading\n" + "".join(f"{cell},0,0\n" for cell in cells)
+    (out,) = import_csv(*write(folder, rows, time=time))
+    np.testing.assert_allclose(values(out, "psi")[0], seconds, rtol=0, atol=2.5e-7)
+
+
+def test_a_european_file(folder: Path) -> None:
+    rows = "made by X\nt;cmd;heading\n0,5;1,0;90\n\n1,5;2,0;91,5\n"
+    style = 'delimiter = ";"\ndecimal = ","\nskip_rows = 1'
+    (out,) = import_csv(*write(folder, "\ufeff" + rows, csv=style))
+    np.testing.assert_allclose(values(out, "psi")[1], np.radians([90.0, 91.5]))
+    assert values(out, "n_left") == ([0.5, 1.5], [1.0, 2.0])
+
+
+def test_a_file_without_header(folder: Path) -> None:
+    (out,) = import_csv(*write(folder, "0,1,2\n1,2,3\n", csv='columns = ["t", "cmd", "heading"]'))
+    assert values(out, "n_left") == ([0.0, 1.0], [1.0, 2.0])
+
+
+GAPS = "t,cmd,heading\n0.0,1,1\n0.1,,2\n0.2,3,nan\n0.3,4,4\n"
+
+
+def test_cells_without_a_number(folder: Path) -> None:
+    with pytest.raises(SeatrialError, match=r"run\.csv: line 4, column 'heading': no number; nan = \"drop\""):
+        import_csv(*write(folder, GAPS))
+    (out,) = import_csv(*write(folder, GAPS, csv='nan = "drop"'))
+    assert values(out, "n_left") == ([0.0, 0.2, 0.3], [1.0, 3.0, 4.0])
+    assert len(values(out, "psi")[0]) == 3
+    assert open_log(out).metadata["source.1.dropped"] == "2"
+    (out,) = import_csv(*write(folder, GAPS, csv='nan = "keep"', signal='angle = "unwrap"'), force=True)
+    assert np.isnan(values(out, "psi")[1]).tolist() == [False, False, True, False]
+    (out,) = import_csv(*write(folder, GAPS, csv='nan = "drop"', signal='nan = "keep"'), force=True)
+    assert (len(values(out, "psi")[0]), len(values(out, "n_left")[0])) == (4, 3)
+
+
+def test_a_number_that_stands_for_no_measurement(folder: Path) -> None:
+    text = "t,cmd,heading\n0.0,1,10\n0.1,2,-999\n0.2,-999,30\n"
+    (out,) = import_csv(*write(folder, text, signal="missing = -999"))
+    assert len(values(out, "psi")[0]) == 2
+    assert values(out, "n_left") == ([0.0, 0.1, 0.2], [1.0, 2.0, -999.0])  # of its own column only
+    assert open_log(out).metadata["source.1.dropped"] == "1"
+
+
+def test_time_that_repeats_or_runs_backwards(folder: Path) -> None:
+    repeats = "t,cmd,heading\n0.0,1,1\n0.1,2,2\n0.1,3,3\n0.2,4,4\n"
+    with pytest.raises(SeatrialError, match=r"line 4, column 't': time repeats; csv\.time_order = \"drop\""):
+        import_csv(*write(folder, repeats))
+    backwards = "t,cmd,heading\n0.0,1,1\n0.5,2,2\n0.1,3,3\n0.4,4,4\n0.6,5,5\n"
+    with pytest.raises(SeatrialError, match=r"line 4, column 't': time runs back by 0\.4 s"):
+        import_csv(*write(folder, backwards))
+    (out,) = import_csv(*write(folder, backwards, csv='time_order = "drop"'))
+    assert values(out, "n_left") == ([0.0, 0.5, 0.6], [1.0, 2.0, 5.0])
+
+
+@pytest.mark.parametrize(
+    ("rows", "line"),
+    [
+        ("time,cmd,heading\n0,1,2\n", "column 't' is not in the header; there is: time, cmd, heading"),
+        ("t,cmd,heading,cmd\n0,1,2,3\n", "column 'cmd' stands twice in the header"),
+        ("t,cmd,heading\n0,x1,2\n", "line 2, column 'cmd': 'x1' is not a number"),
+        ("t,cmd,heading\n0,1_0,2\n", "line 2, column 'cmd': '1_0' is not a number"),
+        ("t,cmd,heading\n0,1,2\n1,1e999,2\n", "line 3, column 'cmd': '1e999' is not a finite number"),
+        ("t,cmd,heading\n,1,2\n", "line 2, column 't': no time; take the line out"),
+        ("t,cmd,heading\n0,1,2\n1,2\n", "line 3: 2 cells where the header has 3"),
+        # a cell over two lines: lines are counted as an editor does
+        ('t,cmd,heading\n0," 1\n",2\n1,2,z\n', "line 4, column 'heading': 'z' is not a number"),
+        ("t,cmd,heading\n", "no rows below the header"),
+        ("", "the file is empty"),
+        ("t,cmd,heading\n-5,1,2\n", "times must lie between 1970 and 2038"),
+        ("t,cmd,heading\n1e12,1,2\n", "times must lie between 1970 and 2038"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_one_line(folder: Path, rows: str, line: str) -> None:
+    with pytest.raises(SeatrialError, match=re.escape(line)) as caught:
+        import_csv(*write(folder, rows))
+    assert "\n" not in str(caught.value)
+    assert sorted(path.name for path in folder.iterdir()) == ["map.toml", "run.csv"]
+
+
+def test_bytes_that_are_no_text(folder: Path) -> None:
+    csv_map, files = write(folder)
+    files[0].write_bytes(b"t,cmd,heading\n0,1,\xff\xfe\n")
+    with pytest.raises(SeatrialError, match=r"run\.csv: not UTF-8 text"):
+        import_csv(csv_map, files)
+    files[0].write_bytes(b't,cmd,heading\n0,1,"' + b"9" * 300_000)
+    with pytest.raises(SeatrialError, match=r"run\.csv: not a CSV file: field larger"):
+        import_csv(csv_map, files)
+
+
+def test_an_iso_time_that_is_none(folder: Path) -> None:
+    with pytest.raises(SeatrialError, match="line 2, column 't': 'noon' is not a time of format iso"):
+        import_csv(*write(folder, "t,cmd,heading\nnoon,1,2\n", time='format = "iso"'))
+    with pytest.raises(SeatrialError, match=r"'1\.5x' is not a time of format s"):
+        import_csv(*write(folder, "t,cmd,heading\n1.5x,1,2\n", time='fraction = "decimal"'))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ('unit = "deg"', 'unit = "degs"', r"signal\[1\]\.unit: 'degs' is not known"),
+        ('unit = "deg"', 'unit = "m"\nangle = "wrap"', r"signal\[1\]\.angle: goes with deg and rad, not with m"),
+        ('column = "t"', 'colum = "t"', r"time\.column: give either column or rate_hz"),
+        ('name = "psi"', 'name = "n_left"', "signal: 'n_left' stands twice"),
+        ('name = "psi"', 'name = "p/si"', r"signal\[1\]\.name: 'p/si' becomes a topic"),
+        ('column = "t"', 'column = "t"\nformat = "hours"', r"time\.format: must be s, ms, us, ns, iso or a pattern"),
+        ('column = "t"', 'column = "t"\norigin = "today"', r"time\.origin: not an ISO date and time: 'today'"),
+        ("[time]", "[tims]", r"time: missing; say \[time\]"),
+        ("[csv]", '[csv]\ndelimiter = ", "', r"csv\.delimiter: must be one character"),
+        ("[csv]", '[csv]\ndecimal = ","', r"csv\.decimal: is also the delimiter"),
+        ('role = "input"', 'role = "input"\nsign = 2', r"signal\[2\]\.sign: must be 1 or -1"),
+        ("[csv]", '[[log]]\nname = "a"\nt_from = 3\nt_to = 2\n[csv]', r"log\[1\]\.t_to: must be after t_from"),
+        ("[csv]", "[csv]\nskiprows = 2", r"csv\.skiprows: unknown key; known here: delimiter"),
+    ],
+)
+def test_what_is_wrong_with_a_map_is_one_line(folder: Path, old: str, new: str, line: str) -> None:
+    path, _ = write(folder)
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(SeatrialError, match=line) as caught:
+        load_csv_map(path)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_pieces_begin_with_the_command_that_holds(folder: Path) -> None:
+    path, files = write(folder, "t,cmd,heading\n0,0.1,0\n1,0.2,10\n2,0.3,20\n3,0.4,30\n")
+    pieces = '[[log]]\nname = "a"\nt_from = 0.5\nt_to = 2\n[[log]]\nname = "b"\nt_from = 3\n'
+    path.write_text(path.read_text() + pieces)
+    a, b = import_csv(path, files, out_dir=folder / "logs")
+    assert (a.name, b.name) == ("run_a.mcap", "run_b.mcap")
+    assert values(a, "n_left") == ([0.5, 1.0, 2.0], [0.1, 0.2, 0.3])
+    assert values(a, "psi")[0] == [1.0, 2.0]
+    assert values(b, "n_left") == ([3.0], [0.4])
+    with pytest.raises(SeatrialError, match="-o names one log, but there will be 2; use --out-dir"):
+        import_csv(path, files, out=folder / "x.mcap")
+
+
+def test_merged_files_must_each_have_their_part(folder: Path) -> None:
+    path = EXAMPLES / "kingfisher" / "surge.toml"
+    one, two = folder / "surge_1_cmd.csv", folder / "surge_1_odomvel.csv"
+    one.write_text("t_s,cmd_left,cmd_right\n49.4,0.1,0.2\n50.4,0.3,0.4\n")
+    two.write_text("t_s,vel_x,vel_y\n0.0,0.5,0\n49.5,0.6,-0.1\n")
+    (out,) = import_csv(path, [two, one])
+    assert out.name == "surge.mcap"
+    assert open_log(out).sources(Scalar) == ["n_left", "n_right", "speed_x", "speed_y"]
+    assert values(out, "n_right") == ([49.4, 50.4], [0.2, 0.4])
+    assert values(out, "speed_y") == ([0.0, 49.5], [0.0, -0.1])
+    with pytest.raises(SeatrialError, match=r"'surge_\*_odomvel\.csv' must match one file, but matches: none"):
+        import_csv(path, [one], force=True)
+    other = folder / "notes.csv"
+    other.write_text("a\n1\n")
+    with pytest.raises(SeatrialError, match=r"notes\.csv must match one \[\[file\]\], not 0"):
+        import_csv(path, [one, two, other], force=True)
+
+
+def test_values_that_only_repeat_are_left_out(folder: Path) -> None:
+    rows = "t,cmd,heading\n0.0,0.5,10\n0.1,0.5,10\n0.2,0.5,11\n0.3,0.6,11\n0.4,0.6,11\n0.5,0.6,10\n"
+    csv_map, files = write(folder, rows, csv='repeats = "drop"')
+    (out,) = import_csv(csv_map, files)
+    assert values(out, "n_left") == ([0.0, 0.2, 0.3, 0.5], [0.5, 0.5, 0.6, 0.6])
+    assert open_log(out).metadata["source.1.dropped"] == "2"
+    csv_map, files = write(folder, rows)
+    (out,) = import_csv(csv_map, files, force=True)
+    assert len(values(out, "n_left")[0]) == 6
+
+
+def test_a_command_that_nobody_repeats_times_out(folder: Path) -> None:
+    rows = "t,cmd,heading\n0.0,0.5,1\n0.1,0.5,1\n2.0,0.6,1\n2.1,0.7,1\n"
+    csv_map, files = write(folder, rows)
+    csv_map.write_text(csv_map.read_text() + "timeout = 0.25\n")
+    (out,) = import_csv(csv_map, files)
+    assert values(out, "n_left") == ([0.0, 0.1, 0.35, 2.0, 2.1, 2.35], [0.5, 0.5, 0.0, 0.6, 0.7, 0.0])
+    assert len(values(out, "psi")[0]) == 4
+    csv_map, files = write(folder, rows, signal="timeout = 0.25")
+    with pytest.raises(SeatrialError, match=r"timeout.* goes with hold"):
+        import_csv(csv_map, files, force=True)
+
+
+def test_a_piece_knows_what_holds_at_both_ends(folder: Path) -> None:
+    csv_map, files = write(folder, "t,cmd,heading\n" + "".join(f"{k},{k},{k}\n" for k in range(10)))
+    csv_map.write_text(csv_map.read_text() + '[[log]]\nname = "a"\nt_from = 2.5\nt_to = 4.5\n')
+    (out,) = import_csv(csv_map, files)
+    assert values(out, "n_left") == ([2.5, 3.0, 4.0, 4.5], [2.0, 3.0, 4.0, 4.0])
+    assert values(out, "psi")[0] == [3.0, 4.0]
+    # Behind the last command nobody knows what holds.
+    csv_map.write_text(csv_map.read_text().replace("t_to = 4.5", "t_to = 20.0"))
+    (out,) = import_csv(csv_map, files, force=True)
+    assert values(out, "n_left")[0][-1] == 9.0
+
+
+def test_the_command(folder: Path) -> None:
+    path, files = write(folder)
+    run = CliRunner()
+    arguments = ["csv", str(path), str(files[0]), "--out-dir", "logs"]
+    done = run.invoke(cli.import_, arguments, catch_exceptions=False)
+    assert (done.exit_code, done.stdout) == (0, "logs/run.mcap\n")
+    with pytest.raises(SeatrialError, match="there is such a file already; --force replaces it"):
+        run.invoke(cli.import_, arguments, catch_exceptions=False)
+    assert run.invoke(cli.import_, [*arguments, "--force"], catch_exceptions=False).exit_code == 0
+    assert run.invoke(cli.import_, [*arguments, "-o", "x.mcap"]).exit_code == 2
+    assert os.listdir("logs") == ["run.mcap"]

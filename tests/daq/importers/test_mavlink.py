@@ -1,0 +1,145 @@
+"""Imports of tlog and BIN: a tlog written here from the mock's own bytes, and a BIN written field by field."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.errors import SeatrialError
+from daq.importers.mavlink import import_mavlink
+from daq.log.reader import open_log
+from daq.samples import Ahrs, Autopilot, Battery, Esc, Gnss, Servo
+from tests.daq.mavlink_ends import LEVEL, Ends, mav_rig
+
+T0 = 1_790_000_000.0
+
+
+def tlog(path: Path, garbage: bytes = b"") -> Ends:
+    """Eight seconds of the mock as a ground station writes them, each read some 3 ms late."""
+    ends = Ends(mav_rig())
+    parts: list[bytes] = []
+    heard = ends.to_ground
+
+    def note(data: bytes) -> None:
+        heard(data)
+        at = 0
+        while at < len(data):
+            size = data[at + 1] + 12 + 13 * (data[at + 2] & 1)
+            stamp = round((T0 + ends.t + 0.003 * ((len(parts) * 7) % 3)) * 1e6)
+            parts.append(struct.pack(">Q", stamp) + data[at : at + size] + garbage)
+            at += size
+
+    ends.to_ground = note  # type: ignore[method-assign]
+    ends.run(8.0)
+    path.write_bytes(b"".join(parts))
+    return ends
+
+
+def test_a_tlog_becomes_a_log_on_the_autopilots_own_times(tmp_path: Path) -> None:
+    ends = tlog(tmp_path / "run.tlog")
+    out, said = import_mavlink(tmp_path / "run.tlog", rig=mav_rig(), out=tmp_path / "run.mcap")
+    assert "system 1, " in said
+    assert "0 bytes not understood" in said
+    with open_log(out) as log:
+        assert log.rig() is not None
+        ahrs = log.table(Ahrs, "autopilot")
+        assert len(ahrs) == sum(isinstance(frame.sample, Ahrs) for frame in ends.frames)
+        settled = ahrs[ahrs["t_device"] > 21.0]
+        assert np.ptp(settled["t"] - settled["t_device"]) < 1e-3  # its clock, not the times of arrival
+        assert abs(np.median(ahrs["t"] - ahrs["t_device"] - (T0 - 20.0))) < 0.01  # it booted 20 s before
+        yaw = ahrs["yaw"][np.isfinite(ahrs["yaw"])]
+        assert yaw == pytest.approx(np.full(len(ahrs), LEVEL.yaw)[: len(yaw)], abs=1e-6)
+        assert len(yaw) >= len(ahrs) - 1
+        assert np.nanmean(ahrs["az"]) == pytest.approx(-9.8, abs=0.01)
+        for kind in (Gnss, Battery, Autopilot):
+            assert len(log.table(kind, "autopilot")) > 5
+        assert log.nodes(Servo, "autopilot") == log.nodes(Esc, "autopilot") == [1, 3]
+        assert log.metadata["source.1.name"] == "run.tlog"
+
+
+def test_damage_costs_what_it_hits(tmp_path: Path) -> None:
+    tlog(tmp_path / "clean.tlog")
+    tlog(tmp_path / "dirty.tlog", b"\xfd\x00garbage")
+    clean, dirty = (import_mavlink(tmp_path / f"{n}.tlog", out=tmp_path / f"{n}.mcap")[0] for n in ("clean", "dirty"))
+    with open_log(clean) as whole, open_log(dirty) as rest:
+        assert len(rest.table(Ahrs, "autopilot")) == len(whole.table(Ahrs, "autopilot"))
+    data = (tmp_path / "clean.tlog").read_bytes()
+    (tmp_path / "cut.tlog").write_bytes(data[: len(data) // 2 + 5])
+    import_mavlink(tmp_path / "cut.tlog", out=tmp_path / "cut.mcap")
+
+
+def test_what_is_no_tlog_is_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "x.tlog"
+    path.write_bytes(b"hello" * 100)
+    with pytest.raises(SeatrialError, match="no heartbeat of an autopilot"):
+        import_mavlink(path, out=tmp_path / "x.mcap")
+    tlog(path)
+    with pytest.raises(SeatrialError, match=r"no samples of system 9 .* There are systems 1: name one with --system"):
+        import_mavlink(path, system=9, out=tmp_path / "x.mcap")
+    assert not (tmp_path / "x.mcap").exists()
+
+
+# A DataFlash log: messages with the head a3 95 and a number; FMT (128) says what the others hold.
+FMT = struct.Struct("<BB4s16s64s")
+FORMATS = {
+    "ATT": (1, "Qccccccff", "<Q6h2f", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw"),
+    "RCOU": (2, "QHHH", "<Q3H", "TimeUS,C1,C2,C3"),
+    "GPS": (
+        3, "QBBIHBcLLefffffB", "<QBBIHBhiii5fB",
+        "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,Yaw,YawE,U",
+    ),
+    "BAT": (4, "QBfffffcHB", "<QBfffffhHB", "TimeUS,Inst,Volt,VoltR,Curr,CurrTot,EnrgTot,Temp,Res,RemPct"),
+    "MODE": (5, "QMBB", "<QBBB", "TimeUS,Mode,ModeNum,Rsn"),
+}  # fmt: skip
+
+
+def dataflash(path: Path) -> None:
+    """Two seconds of a boat that turns, at 10 Hz."""
+    out = b""
+    for name, (number, form, code, columns) in FORMATS.items():
+        size = 3 + struct.calcsize(code)
+        out += b"\xa3\x95\x80" + FMT.pack(number, size, name.encode(), form.encode(), columns.encode())
+
+    def add(name: str, *values: float) -> bytes:
+        number, _, code, _ = FORMATS[name]
+        return b"\xa3\x95" + bytes([number]) + struct.pack(code, *values)
+
+    for k in range(20):
+        us = 30_000_000 + 100_000 * k
+        place = (423580000, -710856831, 150)
+        out += add("GPS", us, 0, 4, 3_600_000 + 100 * k, 2400, 12, 80, *place, 1.5, 90.0, 0.1, 0.0, 0.0, 1)
+        out += add("ATT", us, 0, 100, 0, -200, 0, 9000 + 100 * k, 0.0, 0.0)
+        out += add("RCOU", us, 1700, 0, 1300)
+        out += add("BAT", us, 0, 15.5, 15.5, 4.0, 0.0, 0.0, 2500, 0, 77)
+        if k == 3:
+            out += add("MODE", us, 4, 4, 1)
+    path.write_bytes(out)
+
+
+def test_a_dataflash_log_becomes_a_log(tmp_path: Path) -> None:
+    dataflash(tmp_path / "00000001.BIN")
+    out, _ = import_mavlink(tmp_path / "00000001.BIN", rig=mav_rig(), out=tmp_path / "bin.mcap")
+    with open_log(out) as log:
+        ahrs = log.table(Ahrs, "autopilot")
+        assert len(ahrs) == 20
+        assert np.degrees(ahrs["yaw"]) == pytest.approx(90.0 + np.arange(20), abs=0.01)
+        assert np.degrees(ahrs["roll"][0]) == pytest.approx(1.0)
+        assert np.diff(ahrs["t"]) == pytest.approx(np.full(19, 0.1), abs=1e-3)
+        assert ahrs["t"][0] > 1.7e9  # the calendar, by the GPS week
+        fix = log.table(Gnss, "autopilot")[0]
+        assert (fix["lat"], fix["lon"], fix["fix"]) == (pytest.approx(42.358), pytest.approx(-71.0856831), 4)
+        assert (fix["vel_n"], fix["vel_e"]) == (pytest.approx(0.0, abs=1e-6), pytest.approx(1.5))
+        assert log.table(Servo, "autopilot", 1)["n"][0] == pytest.approx(0.5)
+        assert log.table(Servo, "autopilot", 3)["n"][0] == pytest.approx(0.5)  # reversed in the rig
+        assert log.table(Battery, "autopilot")["remaining"][0] == pytest.approx(0.77)
+        assert ("autopilot", "HOLD") in [(kind, text) for _, kind, text in log.events()]
+
+
+def test_a_damaged_dataflash_log_is_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "bad.BIN"
+    path.write_bytes(b"\xa3\x95" + bytes(range(200)))
+    with pytest.raises(SeatrialError, match=r"bad\.BIN: .*DataFlash"):
+        import_mavlink(path, out=tmp_path / "bad.mcap")

@@ -1,0 +1,107 @@
+"""Captured bytes become a log through the decoders of the live ports."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from daq import cli
+from daq.errors import SeatrialError
+from daq.importers.raw import import_raw
+from daq.log.reader import open_log
+from daq.protocol import nmea, vectornav
+from daq.samples import Ahrs, Gnss, LoadCell
+from tests.measured.data import measured
+
+SAMPLES = [Ahrs(0.1 * k, 0.01, -0.02, 0.001, 0.002, 0.003 * k, 0.1, 0.2, -9.8) for k in range(40)]
+
+
+@pytest.fixture
+def ascii_capture(tmp_path: Path) -> Path:
+    path = tmp_path / "still.txt"
+    body = b"".join(vectornav.encode_ascii(sample) for sample in SAMPLES)
+    path.write_bytes(b"boot\r\n" + body[:500] + body[500:] + b"$VNYMR,1,2*00\r\n$VNYMR,half")
+    return path
+
+
+def test_samples_are_put_evenly_apart(ascii_capture: Path, tmp_path: Path) -> None:
+    out, said = import_raw("vectornav", ascii_capture, rate=40.0, out=tmp_path / "a.mcap")
+    with open_log(out) as log:
+        table = log.table(Ahrs, "ahrs")
+        assert log.complete
+        assert [kind for _, kind, _ in log.events()] == ["import"]
+        assert log.metadata["source.1.name"] == "still.txt"
+        assert len(log.metadata["source.1.sha256"]) == 64
+        assert log.metadata["import.rate_hz"] == "40.0"
+    assert table["t"].tolist() == pytest.approx([k / 40.0 for k in range(40)], abs=1e-9)
+    assert table["r"].tolist() == pytest.approx([s.r for s in SAMPLES], abs=1e-6)
+    assert "40 samples of 40 vectornav frames; 1 checksum error, " in said
+    assert not said.endswith(" 0 bytes unparsed")  # boot, the bad one, the half one
+
+
+def test_a_devices_own_time(tmp_path: Path) -> None:
+    capture = tmp_path / "imu.bin"
+    capture.write_bytes(b"".join(vectornav.encode_binary(s, 5.0 + 0.02 * k) for k, s in enumerate(SAMPLES)))
+    out, _ = import_raw("vectornav", capture, out=tmp_path / "b.mcap")
+    with open_log(out) as log:
+        t = log.table(Ahrs, "ahrs")["t"]
+    assert t.tolist() == pytest.approx([5.0 + 0.02 * k for k in range(40)], abs=1e-8)
+
+
+def test_a_gnss_receiver_tells_its_time(tmp_path: Path) -> None:
+    capture = tmp_path / "gnss.txt"
+    fixes = [Gnss(1.7e9 + k, 59.0, 10.0 + 1e-5 * k, 3.0, 0.5, 0.1, fix=3, n_sat=9, hdop=1.0) for k in range(5)]
+    capture.write_bytes(b"".join(nmea.encode(fix) for fix in fixes))
+    out, _ = import_raw("nmea", capture, out=tmp_path / "g.mcap")
+    with open_log(out) as log:
+        t = log.table(Gnss, "gnss")["t"]
+    assert len(t) >= 4  # the last epoch may still have been open
+    assert t[0] == pytest.approx(1.7e9)
+
+
+def test_a_load_cell(tmp_path: Path) -> None:
+    capture = tmp_path / "cell.txt"
+    capture.write_text("".join(f"{k}\r\n" for k in range(1000, 1010)))
+    out, _ = import_raw("loadcell", capture, rate=80.0, out=tmp_path / "c.mcap")
+    with open_log(out) as log:
+        table = log.table(LoadCell, "load_cell")
+    assert table["counts"].tolist() == list(range(1000, 1010))
+    assert all(math.isnan(f) for f in table["force"])
+
+
+def test_what_is_wrong_is_one_line(ascii_capture: Path, tmp_path: Path) -> None:
+    with pytest.raises(SeatrialError, match=r"still\.txt: its samples carry no time; .*--rate"):
+        import_raw("vectornav", ascii_capture, out=tmp_path / "x.mcap")
+    with pytest.raises(SeatrialError, match=r"still\.txt: no nmea samples among"):
+        import_raw("nmea", ascii_capture, rate=1.0, out=tmp_path / "x.mcap")
+    assert not list(tmp_path.glob("*.mcap"))
+    with pytest.raises(SeatrialError, match="cannot be read"):
+        import_raw("nmea", tmp_path / "nowhere", rate=1.0)
+    import_raw("vectornav", ascii_capture, rate=40.0, out=tmp_path / "x.mcap")
+    with pytest.raises(SeatrialError, match="there is such a file already"):
+        import_raw("vectornav", ascii_capture, rate=40.0, out=tmp_path / "x.mcap")
+
+
+def test_the_command(ascii_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(cli.import_, ["raw", "vectornav", str(ascii_capture), "--rate", "40"])
+    assert done.exit_code == 0
+    assert done.output.startswith("still.mcap: 40 samples")
+    assert (tmp_path / "still.mcap").is_file()
+    assert CliRunner().invoke(cli.import_, ["raw", "vesc", str(ascii_capture)]).exit_code == 2
+    assert CliRunner().invoke(cli.import_, ["raw", "nmea", str(ascii_capture), "--rate", "0"]).exit_code == 2
+
+
+@pytest.mark.measured
+def test_a_vectornav_standing_still(tmp_path: Path) -> None:
+    capture = measured("static/vn100_stationary_40Hz_vnymr.txt")
+    out, said = import_raw("vectornav", capture, rate=40.0, out=tmp_path / "vn.mcap")
+    assert said == "30178 samples of 30178 vectornav frames; 0 checksum errors, 0 bytes unparsed"
+    first = [float(word) for word in capture.read_text().splitlines()[0].split("*")[0].split(",")[1:]]
+    with open_log(out) as log:
+        row = log.table(Ahrs, "ahrs")[0]
+    assert math.degrees(row["yaw"]) == pytest.approx(first[0])
+    assert [row[n] for n in ("ax", "ay", "az", "p", "q", "r")] == pytest.approx(first[6:12])

@@ -1,0 +1,88 @@
+"""PX4's logs, written here by their specification: attitude, fixes, signals and times."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import struct
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.errors import SeatrialError
+from daq.importers.ulog import import_ulog
+from daq.log.reader import open_log
+from daq.samples import Ahrs, Gnss, Scalar
+
+HAS_PYULOG = importlib.util.find_spec("pyulog") is not None
+UTC = 1_700_000_000.0
+BOOT = 5.0  # s on the autopilot's clock at its first message
+N = 30
+FORMATS = {
+    "vehicle_attitude": ("uint64_t timestamp;float[4] q", "<Q4f"),
+    "vehicle_angular_velocity": ("uint64_t timestamp;float[3] xyz", "<Q3f"),
+    "sensor_gps": (
+        "uint64_t timestamp;uint64_t time_utc_usec;double latitude_deg;double longitude_deg;double altitude_msl_m;"
+        "float vel_n_m_s;float vel_e_m_s;float vel_d_m_s;float hdop;float eph;uint8_t fix_type;uint8_t satellites_used",
+        "<QQ3d5f2B",
+    ),
+    "battery_status": ("uint64_t timestamp;float voltage_v", "<Qf"),
+}  # fmt: skip
+
+
+def message(kind: bytes, body: bytes) -> bytes:
+    return struct.pack("<Hc", len(body), kind) + body
+
+
+def write_ulog(path: Path) -> None:
+    """Header, definitions, data; docs.px4.io, "ULog file format"."""
+    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", round(BOOT * 1e6)) + message(b"B", bytes(40))
+    for name, (fields, _) in FORMATS.items():
+        out += message(b"F", f"{name}:{fields};".encode())
+    for number, name in enumerate(FORMATS):
+        out += message(b"A", struct.pack("<BH", 0, number) + name.encode())
+    yaw = 1.0
+    for k in range(N):
+        t = round((BOOT + 0.1 * k) * 1e6)
+        utc = round((UTC + 0.1 * k) * 1e6)
+        values: tuple[tuple[float, ...], ...] = (
+            (t, math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)),
+            (t, 0.01, 0.02, 0.001 * k),
+            (t, utc, 41.0, -8.0, 3.0, 0.5, 0.25, 0.125, 0.9, 1.4142135, 6, 17),
+            (t, 16.0 - 0.01 * k),
+        )
+        for number, (row, (_, form)) in enumerate(zip(values, FORMATS.values(), strict=True)):
+            out += message(b"D", struct.pack("<H", number) + struct.pack(form, *row))
+    path.write_bytes(out)
+
+
+@pytest.mark.skipif(not HAS_PYULOG, reason="pyulog is not installed")
+def test_a_px4_log(tmp_path: Path) -> None:
+    write_ulog(tmp_path / "flight.ulg")
+    path, said = import_ulog(tmp_path / "flight.ulg", out=tmp_path / "flight.mcap")
+    assert said == f"{N + N + 3 * N + N} samples of 4 topics"
+    with open_log(path) as log:
+        ahrs, gnss = log.table(Ahrs, "vehicle_attitude"), log.table(Gnss, "sensor_gps")
+        battery = log.table(Scalar, "battery_status_voltage_v")
+    np.testing.assert_allclose(ahrs["t"], UTC + 0.1 * np.arange(N), atol=1e-6)
+    np.testing.assert_allclose(ahrs["yaw"], 1.0, atol=1e-6)
+    np.testing.assert_allclose(ahrs["r"], 0.001 * np.arange(N), atol=1e-9)
+    assert (gnss["lat"][0], gnss["vel_d"][0], gnss["fix"][0], gnss["n_sat"][0]) == (41.0, 0.125, 5, 17)
+    assert gnss["sigma_h"][0] == pytest.approx(1.0)
+    assert battery["value"][-1] == pytest.approx(16.0 - 0.29)
+
+
+@pytest.mark.skipif(not HAS_PYULOG, reason="pyulog is not installed")
+def test_a_file_that_is_none(tmp_path: Path) -> None:
+    (tmp_path / "x.ulg").write_bytes(b"no such log")
+    with pytest.raises(SeatrialError, match=r"x\.ulg: cannot be read as a PX4 log"):
+        import_ulog(tmp_path / "x.ulg", out=tmp_path / "x.mcap")
+
+
+def test_without_its_library_it_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyulog", None)
+    write_ulog(tmp_path / "flight.ulg")
+    with pytest.raises(SeatrialError, match=r"pip install 'seatrial\[ulog\]'"):
+        import_ulog(tmp_path / "flight.ulg", out=tmp_path / "x.mcap")

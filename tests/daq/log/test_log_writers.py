@@ -1,0 +1,97 @@
+"""Logs that another program has written: its compression and index, and messages that are none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from mcap.writer import CompressionType, Writer
+
+from daq.errors import SeatrialError
+from daq.log import schema
+from daq.log.cdr import full_definition, layout
+from daq.log.reader import open_log
+from daq.samples import Scalar
+
+
+def write_with(path: Path, **options: object) -> None:
+    """A log by mcap's own writer: 5 scalars."""
+    with path.open("wb") as file:
+        writer = Writer(file, **options)  # type: ignore[arg-type]
+        writer.start(profile="ros2")
+        name = schema.TYPES[Scalar]
+        channel = writer.register_channel(
+            "/signal/x", "cdr", writer.register_schema(name, "ros2msg", full_definition(name).encode())
+        )
+        for i in range(5):
+            stamp = (10 + i) * 10**9
+            # frame ids of two lengths on one channel, as a foreign program might write
+            data = layout(name, b"ab" if i % 2 else b"abcdefghijk").pack(stamp, 1.0, 2.0, float(i))
+            writer.add_message(channel, stamp, data, stamp)
+        writer.finish()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"use_chunking": False},
+        {"compression": CompressionType.NONE},
+        {"compression": CompressionType.LZ4},
+        {"compression": CompressionType.ZSTD, "chunk_size": 10},
+        {"index_types": 0, "use_statistics": False, "repeat_channels": False},
+    ],
+    ids=["unchunked", "plain", "lz4", "zstd", "no index"],
+)
+def test_files_of_other_writers(tmp_path: Path, options: dict[str, object]) -> None:
+    if "index_types" in options:
+        from mcap.writer import IndexType
+
+        options = {**options, "index_types": IndexType.NONE}
+    write_with(tmp_path / "other.mcap", **options)
+    log = open_log(tmp_path / "other.mcap")
+    assert (log.complete, log.warnings) == (True, [])
+    table = log.table(Scalar, "x")
+    assert table["value"].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert table["t"].tolist() == [10.0, 11.0, 12.0, 13.0, 14.0]
+    assert log.rig() is None
+
+
+def break_messages(data: bytes) -> bytes:
+    return b"\x00\x00\x00\x00" + data[4:]
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (break_messages, "no seatrial_msgs/msg/Scalar in little-endian CDR"),
+        (lambda data: data[:20], "no seatrial_msgs/msg/Scalar"),
+        (lambda data: data[:8], "no seatrial_msgs/msg/Scalar"),
+        (lambda data: data[:12] + b"\xff\xff\xff\xff" + data[16:], "no seatrial_msgs/msg/Scalar"),
+        (lambda data: data[:12] + b"\0\0\0\0" + data[16:], "no seatrial_msgs/msg/Scalar"),
+    ],
+)
+def test_messages_that_are_none(tmp_path: Path, change: Callable[[bytes], bytes], line: str) -> None:
+    path = tmp_path / "odd.mcap"
+    name = schema.TYPES[Scalar]
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        channel = writer.register_channel("/signal/x", "cdr", writer.register_schema(name, "ros2msg", b"float64 x"))
+        data = layout(name, b"x").pack(10**9, 1.0, 2.0, 3.0)
+        writer.add_message(channel, 1, change(data), 1)
+        writer.finish()
+    with pytest.raises(SeatrialError, match=line):
+        open_log(path).table(Scalar, "x")
+
+
+def test_a_topic_of_another_type(tmp_path: Path) -> None:
+    path = tmp_path / "odd.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        channel = writer.register_channel("/signal/x", "json", writer.register_schema("Thing", "jsonschema", b"{}"))
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()
+    with pytest.raises(SeatrialError, match=r"/signal/x is Thing \(json\), not seatrial_msgs/msg/Scalar \(cdr\)"):
+        open_log(path).table(Scalar, "x")

@@ -1,0 +1,111 @@
+"""`seatrial recover` and `info` of logs of several segments, of folders, and of what is whole."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from mcap.reader import make_reader
+
+from daq import cli
+from daq.errors import SeatrialError
+from daq.log.reader import open_log
+from daq.log.recorder import Recorder
+from daq.rig import Segments
+from daq.samples import Ahrs, Frame
+from tests.daq.logs import T0, StoppedClock, rig, tables, write_everything
+
+
+@pytest.fixture
+def killed_set(tmp_path: Path) -> Path:
+    """A run of 35 s in segments of 10 s, killed in the fourth; the first of them."""
+    path = tmp_path / "logs/run.mcap"
+    log = Recorder(path, rig=replace(rig(), segments=Segments(seconds=10.0)), clock=StoppedClock())
+    for k in range(350):
+        t = T0 + 0.1 * k
+        log.write("ahrs", Frame(Ahrs(0.001 * k, 0.0, 0.0), t, float(k)), t)
+        log.tick()
+        if k % 20 == 0:
+            log._writer.flush()
+    log.close()
+    last = path.with_name("run.3.mcap")
+    last.write_bytes(last.read_bytes()[: last.stat().st_size // 2])
+    return path
+
+
+def run(command: str, *words: object) -> Result:
+    return CliRunner().invoke(getattr(cli, command), list(map(str, words)), catch_exceptions=False)
+
+
+def test_all_segments_of_a_killed_run_become_one_whole_file(killed_set: Path) -> None:
+    with open_log(killed_set) as log:
+        yaw = log.table(Ahrs, "ahrs")["yaw"]
+    assert 300 < len(yaw) < 350
+    done = run("recover", killed_set)
+    out = killed_set.with_name("run-salvaged.mcap")
+    assert f"{out}: {2 * len(yaw)} messages of 4 segments\n" == done.stdout
+    assert "warning: run.3.mcap: the recording was cut off" in done.stderr
+    with out.open("rb") as file:
+        summary = make_reader(file, validate_crcs=True).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == 2 * len(yaw)
+    with open_log(out) as log:
+        assert (log.complete, log.warnings) == (True, [])
+        np.testing.assert_array_equal(log.table(Ahrs, "ahrs")["yaw"], yaw)
+    with pytest.raises(SeatrialError, match=r"run\.3\.mcap: is the log itself"):
+        run("recover", killed_set, "-o", killed_set.with_name("run.3.mcap"), "--force")
+
+
+def test_a_whole_log_is_said_to_be_whole(whole: Path, tmp_path: Path) -> None:
+    done = run("recover", whole, "-o", tmp_path / "new/copy.mcap")
+    assert done.stdout.endswith("messages; nothing was wrong with it\n")
+    assert done.stderr == ""
+    with open_log(tmp_path / "new/copy.mcap") as copy, open_log(whole) as log:
+        assert repr(tables(copy)) == repr(tables(log))
+
+
+def test_a_folder_stands_for_the_one_log_in_it(killed_set: Path) -> None:
+    folder = killed_set.parent
+    said = run("info", folder).stdout
+    assert said == run("info", killed_set).stdout
+    assert "in 4 segments, cut off" in said
+    write_everything(folder / "other.mcap")
+    done = run("info", folder)
+    assert done.exit_code == 2
+    assert "is a folder of 2 logs: name one of other.mcap, run.mcap" in done.stderr
+    empty = folder / "empty"
+    empty.mkdir()
+    assert "is a folder without a log (*.mcap) in it" in run("info", empty).stderr
+    assert "does not exist" in run("info", folder / "nothing").stderr
+
+
+def test_a_later_segment_says_what_it_is_part_of(killed_set: Path) -> None:
+    said = run("info", killed_set.with_name("run.2.mcap")).stdout
+    assert "segment 2 of run.mcap, which opens with all of them" in said
+    killed_set.rename(killed_set.with_name("away.mcap"))
+    assert "segment 2" not in run("info", killed_set.with_name("run.2.mcap")).stdout
+
+
+def test_a_log_without_a_message_is_said_to_have_none(killed_set: Path) -> None:
+    data = killed_set.read_bytes()
+    alone = killed_set.with_name("beginning.mcap")
+    alone.write_bytes(data[: data.index(b"rig.toml") - 40])
+    said = run("info", alone).stdout
+    assert "no messages" in said
+    assert "1970" not in said
+
+
+def test_a_missing_segment_is_said(killed_set: Path) -> None:
+    killed_set.with_name("run.1.mcap").unlink()
+    with open_log(killed_set) as log:
+        assert log.warnings[-1] == "a segment is missing: run.1.mcap"
+
+
+def test_a_first_segment_that_is_lost_names_the_others(killed_set: Path) -> None:
+    killed_set.write_bytes(b"")
+    with pytest.raises(SeatrialError, match=r"the file is empty.*opens by itself: run\.1\.mcap, run\.2\.mcap, run\.3"):
+        run("recover", killed_set)

@@ -1,0 +1,223 @@
+"""A log in several files: by size, by time, and where the disk was full for a while; read as one."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+
+from daq.acquisition.session import Acquisition
+from daq.clock import RunClock
+from daq.config.rig_file import parse_rig
+from daq.errors import SeatrialError
+from daq.log import recorder as recorder_module
+from daq.log.reader import open_log
+from daq.log.recorder import Recorder, check_room
+from daq.rig import Segments
+from daq.samples import Ahrs, Frame, Gnss
+from tests.daq.logs import T0, StoppedClock, rig
+from tests.daq.ptys import TestBoat, wait_for
+
+
+def segmented(path: Path, patient: bool = False, **limits: float) -> Recorder:
+    return Recorder(path, rig=replace(rig(), segments=Segments(**limits)), clock=StoppedClock(), patient=patient)
+
+
+def write(log: Recorder, n: int, start: int = 0) -> None:
+    for k in range(start, start + n):
+        t = T0 + 0.1 * k
+        log.write("ahrs", Frame(Ahrs(0.001 * k, 0.0, 0.0, mx=1e-5, my=0.0, mz=0.0), t, float(k)), t)
+        if k % 10 == 0:
+            log.write("gnss", Frame(Gnss(t, 41.0, -8.0), t, t), t)
+        log.tick()
+
+
+def test_segments_by_time_are_read_as_one_log(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    log = segmented(path, seconds=10.0)
+    write(log, 350)
+    log.event(T0 + 35.0, "mark", "the end")
+    log.close()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["run.1.mcap", "run.2.mcap", "run.3.mcap", "run.mcap"]
+    with open_log(path) as opened:
+        assert [p.name for p in opened.paths] == ["run.mcap", "run.1.mcap", "run.2.mcap", "run.3.mcap"]
+        table = opened.table(Ahrs, "ahrs")
+        np.testing.assert_allclose(table["yaw"], 0.001 * np.arange(350))
+        np.testing.assert_array_equal(table["t_device"], np.arange(350.0))  # joined across the borders
+        np.testing.assert_allclose(table["mx"], 1e-5)
+        assert len(opened.table(Gnss, "gnss")) == 35
+        assert opened.events()[-1][1:] == ("mark", "the end")
+        assert opened.complete
+        assert opened.warnings == []
+        assert opened.duration == pytest.approx(35.0)
+    for part in tmp_path.iterdir():  # each is a whole log of its own
+        with AnyReader([part]) as reader:
+            assert sum(1 for _ in reader.messages()) > 0
+        with part.open("rb") as file:
+            assert [one.name for one in make_reader(file).iter_attachments()] == ["rig.toml"]
+    with open_log(tmp_path / "run.2.mcap") as one:
+        assert 90 <= len(one.table(Ahrs, "ahrs")) <= 110
+
+
+def test_segments_by_size(tmp_path: Path) -> None:
+    log = segmented(tmp_path / "run.mcap", megabytes=1.0)
+    rng = np.random.default_rng(3)
+    for k in range(60):
+        log.write_raw("ahrs", "rx", rng.bytes(50_000), T0 + k)
+        log.tick()
+    log.close()
+    sizes = [p.stat().st_size for p in sorted(tmp_path.iterdir())]
+    assert len(sizes) == 3
+    assert max(sizes) < 1.4e6
+    with open_log(tmp_path / "run.mcap") as opened:
+        assert [round(t - T0) for t, _, _ in opened.raw("ahrs")] == list(range(60))
+        assert log.size == sum(sizes)
+
+
+def test_a_killed_last_segment_and_a_missing_one(tmp_path: Path) -> None:
+    log = segmented(tmp_path / "run.mcap", seconds=10.0)
+    write(log, 350)
+    log.close()
+    (tmp_path / "run.1.mcap").unlink()
+    last = tmp_path / "run.3.mcap"
+    last.write_bytes(last.read_bytes()[:-200])
+    with open_log(tmp_path / "run.mcap") as opened:
+        assert not opened.complete
+        assert any(line.startswith("run.3.mcap: the recording was cut off") for line in opened.warnings)
+        yaw = opened.table(Ahrs, "ahrs")["yaw"]
+    assert 200 <= len(yaw) <= 250
+    assert yaw[-1] == pytest.approx(0.349)
+
+
+def test_a_file_of_another_run_is_left_out_and_said(tmp_path: Path) -> None:
+    for folder in ("a", "b"):
+        log = Recorder(tmp_path / folder / "run.mcap", rig=rig(), clock=RunClock() if folder == "b" else StoppedClock())
+        log.event(T0, "mark", folder)
+        log.close()
+    (tmp_path / "b/run.mcap").rename(tmp_path / "a/run.1.mcap")
+    (tmp_path / "a/run.2.mcap").write_bytes(b"no log")
+    with open_log(tmp_path / "a/run.mcap") as opened:
+        assert [text for _, _, text in opened.events()] == ["a"]
+        assert opened.warnings[0].startswith("a segment is left out: ") or "another run" in opened.warnings[0]
+        assert len(opened.warnings) == 2
+
+
+def test_a_name_that_is_taken_is_passed_over(tmp_path: Path) -> None:
+    (tmp_path / "run.1.mcap").write_bytes(b"dear to me")
+    log = segmented(tmp_path / "run.mcap", seconds=10.0)
+    write(log, 150)
+    log.close()
+    assert (tmp_path / "run.1.mcap").read_bytes() == b"dear to me"
+    with open_log(tmp_path / "run.mcap") as opened:
+        assert len(opened.table(Ahrs, "ahrs")) == 150
+
+
+def test_a_log_is_not_begun_on_a_disk_that_is_nearly_full(tmp_path: Path) -> None:
+    check_room(tmp_path / "new/folder/run.mcap", 0.0)
+    with pytest.raises(SeatrialError, match=r"MB free and the rig asks for 1000000000 to begin a log"):
+        check_room(tmp_path / "new/folder/run.mcap", 1e9)
+    with TestBoat(tmp_path) as boat:
+        text = boat.rig_path.read_text().replace("[clock]", "[log]\nfree_mb = 1e9\n\n[clock]")
+        acquisition = Acquisition(parse_rig(text, boat.rig_path), tmp_path / "log.mcap", clock=RunClock())
+        with pytest.raises(SeatrialError, match="lower free_mb"), acquisition:
+            pass
+    assert not (tmp_path / "log.mcap").exists()
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """6 MB, of which a file takes what it is told to."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=6m", "tmpfs", str(disk)]
+    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("needs the right to mount a small file system")
+    try:
+        yield disk
+    finally:
+        subprocess.run(["umount", "--lazy", str(disk)], check=True)
+
+
+def test_a_full_disk_pauses_the_log_which_goes_on_when_there_is_room(
+    small_disk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder_module, "RETRY_S", 0.0)
+    (small_disk / "hog").write_bytes(b"x" * 3_000_000)
+    log = segmented(small_disk / "run.mcap", patient=True)
+    rng = np.random.default_rng(3)
+    k = 0
+    while not log.paused:
+        log.write_raw("ahrs", "rx", rng.bytes(20_000), T0 + k)
+        k += 1
+        assert k < 1000
+    assert "the disk is full" in log.paused
+    for _ in range(20):
+        log.write_raw("ahrs", "rx", b"while it is full", T0 + k)
+        log.tick()
+        k += 1
+    assert log.paused
+    (small_disk / "hog").unlink()
+    log.tick()
+    assert not log.paused
+    log.write_raw("ahrs", "rx", b"and on", T0 + k)
+    log.close()
+    with open_log(small_disk / "run.mcap") as opened:
+        assert opened.complete
+        assert opened.warnings == []
+        assert [round(t - T0) for t, _, _ in opened.raw("ahrs")] == list(range(k + 1))  # nothing is lost
+        ((_, kind, text),) = opened.events()
+    assert kind == "disk"
+    assert "kept 20 messages" in text
+    assert "lost" not in text
+
+
+def test_a_log_that_ends_on_a_full_disk_says_what_it_could_not_write(small_disk: Path) -> None:
+    log = segmented(small_disk / "run.mcap", patient=True)
+    rng = np.random.default_rng(3)
+    while not log.paused:
+        log.write_raw("ahrs", "rx", rng.bytes(20_000), T0)
+    log.event(T0, "mark", "not on the disk")
+    with pytest.raises(SeatrialError, match=r"the disk is full.*; 1 message that came since could not be written"):
+        log.close()
+
+
+def fill(path: Path) -> None:
+    """Take all the room there is."""
+    with path.open("wb", buffering=0) as hog, contextlib.suppress(OSError):
+        while True:
+            hog.write(b"x" * 4096)
+
+
+def test_the_acquisition_warns_within_a_second_and_goes_on(small_disk: Path, tmp_path: Path) -> None:
+    boat_folder = tmp_path / "boat"
+    boat_folder.mkdir()
+    with TestBoat(boat_folder) as boat:
+        text = boat.rig_path.read_text().replace("[clock]", "[log]\nfree_mb = 1.0\n\n[clock]")
+        rig = parse_rig(text, boat.rig_path)
+        with Acquisition(rig, small_disk / "log.mcap", clock=RunClock()) as acquisition:
+            wait_for(lambda: acquisition.status().ports["ahrs"].samples > 20, what="samples")
+            fill(small_disk / "hog")
+            # The next flush, 0.25 s later at most, meets the full disk.
+            wait_for(lambda: any("disk is full" in w for w in acquisition.status().warnings), 1.0, "the alarm")
+            before = acquisition.status().ports["ahrs"].samples
+            wait_for(lambda: acquisition.status().ports["ahrs"].samples > before + 30, what="more samples")
+            (small_disk / "hog").unlink()
+            wait_for(lambda: not acquisition.status().warnings, what="the end of the alarm")
+            wait_for(lambda: acquisition.status().ports["ahrs"].samples > before + 60, what="more samples")
+            last = acquisition.status()
+        final = acquisition.status()
+    with open_log(small_disk / "log.mcap") as opened:
+        assert opened.complete
+        table = opened.table(Ahrs, "ahrs")
+        assert len(table) == final.ports["ahrs"].samples >= last.ports["ahrs"].samples
+        assert np.all(np.diff(np.round(1e3 * table["r"])) == 1)  # the boat counts: none is missing
+        assert [kind for _, kind, _ in opened.events()].count("disk") == 1
+        assert len(opened.paths) == 2

@@ -1,0 +1,96 @@
+"""Headings in NMEA: which sentence is believed, how a magnetic one becomes true, and what is void."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from daq.log.reader import open_log
+from daq.protocol import nmea
+from daq.protocol.framing import sentence
+from daq.samples import Ahrs, Frame
+from tests.daq.logs import T0, recorder
+from tests.daq.streams import check_splits
+from tests.measured.data import measured
+
+
+def read(*bodies: str, declination: float | None = None) -> list[Ahrs]:
+    decoder = nmea.Decoder(declination)
+    frames = [frame for body in bodies for frame in decoder.feed(sentence(body), 5.0)]
+    return [frame.sample for frame in frames if isinstance(frame.sample, Ahrs)]
+
+
+def yaws(*bodies: str, declination: float | None = None) -> list[float]:
+    return [round(math.degrees(sample.yaw), 6) for sample in read(*bodies, declination=declination)]
+
+
+def test_true_headings() -> None:
+    assert yaws("GPHDT,123.456,T") == [123.456]
+    assert yaws("GNTHS,350.00,A") == [-10.0]
+    assert yaws("GNTHS,,V", "GNTHS,12.0,V", "GPHDT,,T") == []
+
+
+def test_a_magnetic_heading_needs_a_declination() -> None:
+    decoder = nmea.Decoder()
+    assert decoder.feed(sentence("HCHDM,100.0,M"), 5.0) == []
+    assert "declination_deg" in decoder.remark
+    assert decoder.frames == 1
+    assert yaws("HCHDM,100.0,M", declination=math.radians(-2.5)) == [97.5]
+    assert yaws("SDHDG,100.0,1.0,W,2.5,E") == [101.5]
+    assert yaws("SDHDG,100.0,,,,", declination=math.radians(3.0)) == [103.0]
+    assert yaws("SDHDG,100.0,,,2.0,E", declination=math.radians(3.0)) == [102.0]  # the device knows better
+
+
+def test_the_best_of_several_sentences_is_taken_once_an_epoch() -> None:
+    burst = ("GPHDT,10.0,T", "GPHDM,12.0,M", "GPHDG,12.0,,,2.0,W")
+    assert yaws(*burst, *burst, declination=0.0) == [10.0, 10.0]
+
+
+def test_attitude_and_rate_of_turn() -> None:
+    attitude, heading = read(
+        "PASHR,085335.000,224.19,T,-01.26,+00.83,+00.00,0.101,0.113,0.267,1,0", "PASHR,085336.000,90.0,T,0.0,0.0,0.0"
+    )
+    assert (attitude.roll, attitude.pitch) == pytest.approx((math.radians(-1.26), math.radians(0.83)))
+    assert math.degrees(attitude.yaw) == pytest.approx(224.19 - 360.0)
+    assert math.degrees(heading.yaw) == pytest.approx(90.0)
+    first, second = read("APROT,-60.0,A", "APHDT,10.0,T", "APHDT,10.0,T")
+    assert first.r == pytest.approx(math.radians(-1.0))
+    assert math.isnan(second.r)  # it is not said twice
+    assert math.isnan(read("APROT,-60.0,V", "APHDT,10.0,T")[0].r)
+
+
+@pytest.mark.parametrize("body", ["GPHDT,x,T", "GPHDT,1e3,T", "PASHR,0,1.0,T,x,0", "APROT,?,A"])
+def test_a_field_that_is_no_number_is_no_sentence(body: str) -> None:
+    decoder = nmea.Decoder()
+    assert decoder.feed(sentence(body), 5.0) == []
+    assert decoder.frames == 0
+    assert decoder.unparsed_bytes > 0
+
+
+def test_splits() -> None:
+    stream = b"".join(sentence(f"GPHDT,{10.0 * k},T") + sentence("APROT,6.0,A") for k in range(4))
+    assert len(check_splits(nmea.Decoder, stream)) == 4
+
+
+@pytest.mark.measured
+@pytest.mark.parametrize(("name", "n", "low", "high"), [("bundg_zeus_9", 1457, 210, 250), ("hemi", 2, 0, 360)])
+def test_headings_of_gpsds_captures(name: str, n: int, low: float, high: float) -> None:
+    decoder = nmea.Decoder()
+    frames = decoder.feed(measured(f"gpsd/daemon/{name}.log").read_bytes(), 0.0)
+    found = [math.degrees(f.sample.yaw) % 360.0 for f in frames if isinstance(f.sample, Ahrs)]
+    assert len(found) >= n
+    assert low < min(found) <= max(found) < high
+
+
+def test_a_heading_alone_comes_back_from_the_log_without_pitch_and_roll(tmp_path: Path) -> None:
+    log = recorder(tmp_path / "compass.mcap")
+    for sample in (Ahrs(1.25, math.nan, math.nan, r=0.5), Ahrs(1.5, 0.0, 0.0)):
+        log.write("compass", Frame(sample, T0, math.nan), T0)
+    log.close()
+    with open_log(tmp_path / "compass.mcap") as opened:
+        table = opened.table(Ahrs, "compass")
+    assert table["yaw"] == pytest.approx([1.25, 1.5])
+    assert table["r"][0] == 0.5
+    assert [math.isnan(v) for v in (*table["pitch"], *table["roll"])] == [True, False, True, False]

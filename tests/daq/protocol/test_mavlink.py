@@ -1,0 +1,254 @@
+from __future__ import annotations
+
+import math
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from daq.errors import SeatrialError
+from daq.protocol.mavlink import MavlinkDecoder, Samples
+from daq.protocol.mavlink_wire import Codec, EscStatus, crc16, dialect, encode_esc_status, read_key
+from daq.rig import Output
+from daq.samples import Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, Servo
+from tests.daq.mavlink_ends import Ends, mav_rig
+from tests.daq.streams import check_garbage, check_splits, counters
+from tests.measured.data import measured
+
+OUTPUTS = {1: Output(1, (1000, 1500, 2000), (1100, 1500, 1900)), 3: Output(3, (1000, 1500, 2000), (1000, 1600, 1900))}
+PLUG = bytes(300)  # behind garbage: a header cut short is told from a long frame by what follows
+
+
+def decoder() -> MavlinkDecoder:
+    return MavlinkDecoder(Samples(OUTPUTS, frozenset({3})))
+
+
+def vehicle(*messages: tuple[object, ...], system: int = 1) -> list[bytes]:
+    codec = Codec(system, 1)
+    return [codec.encode(str(name), *fields) for name, *fields in messages]
+
+
+HEARTBEAT = ("HEARTBEAT", 11, 3, 193, 0, 4, 3)
+
+
+def samples(*messages: tuple[object, ...]) -> list[Frame]:
+    return decoder().feed(b"".join(vehicle(*messages)), 1.0)
+
+
+def servo(usec: int, left: int, right: int) -> tuple[object, ...]:
+    return ("SERVO_OUTPUT_RAW", usec, 0, left, 0, right, *[0] * 13)
+
+
+def test_the_checksum_is_pymavlinks() -> None:
+    for text in (b"", b"123456789", bytes(range(256))):
+        assert crc16(text) == dialect().x25crc(text).crc
+
+
+def test_attitude_and_imu_of_one_moment_are_one_sample() -> None:
+    imu = ("RAW_IMU", 70_131_936, 1000, 0, -1000, 0, 0, 0, 100, 200, 300)
+    attitude = ("ATTITUDE", 70_131, 0.1, -0.2, 3.0, 0.01, 0.02, 0.03)
+    for order in ((attitude, imu), (imu, attitude)):
+        before = ("RAW_IMU", 70_111_900, 0, 0, 0, 0, 0, 0, 0, 0, 0)
+        found = [f for f in samples(HEARTBEAT, before, *order) if isinstance(f.sample, Ahrs)]
+        ((sample, _, t),) = found[-1:]
+        assert len(found) == 2  # and the one before, which no attitude came for
+        assert isinstance(sample, Ahrs)
+        assert t == pytest.approx(70.131)
+        assert (sample.yaw, sample.pitch, sample.roll) == pytest.approx((3.0, -0.2, 0.1))
+        assert (sample.p, sample.q, sample.r) == pytest.approx((0.01, 0.02, 0.03))
+        assert (sample.ax, sample.ay, sample.az) == pytest.approx((9.80665, 0.0, -9.80665))
+        assert (sample.mx, sample.my, sample.mz) == pytest.approx((1e-5, 2e-5, 3e-5))
+
+
+def test_attitude_and_imu_of_different_moments_are_two_samples_and_none_is_lost() -> None:
+    messages: list[tuple[object, ...]] = [HEARTBEAT]
+    for k in range(5):
+        messages.append(("ATTITUDE", 1000 + 40 * k, 0.1, -0.2, 3.0, 0.01, 0.02, 0.03))
+        messages.append(("RAW_IMU", 1_020_000 + 40_000 * k, 1000, 0, -1000, 0, 0, 0, 0, 0, 0))
+    found = [f for f in samples(*messages) if isinstance(f.sample, Ahrs)]
+    attitudes = [f.t_device for f in found if isinstance(f.sample, Ahrs) and not math.isnan(f.sample.yaw)]
+    accelerations = [f.t_device for f in found if isinstance(f.sample, Ahrs) and not math.isnan(f.sample.ax)]
+    assert attitudes == pytest.approx([1.0, 1.04, 1.08, 1.12, 1.16])
+    assert accelerations == pytest.approx([1.02, 1.06, 1.1, 1.14])  # the last may still find its attitude
+
+
+def test_an_attitude_without_imu_is_not_held_back() -> None:
+    (found,) = samples(("ATTITUDE", 5, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
+    assert isinstance(found.sample, Ahrs)
+    assert math.isnan(found.sample.ax)
+
+
+def test_outputs_are_n_by_the_rig_and_signed_as_the_rig_says() -> None:
+    found = [f.sample for f in samples(servo(10, 1900, 1300), servo(20, 0, 1900))]
+    assert found == [Servo(1, 1900.0, 1.0), Servo(3, 1300.0, 0.5), Servo(1, 0.0, 0.0), Servo(3, 1900.0, -1.0)]
+
+
+def test_the_time_of_outputs_goes_on_behind_32_bits() -> None:
+    attitude = ("ATTITUDE", 4_295_000, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)  # 71.6 minutes, just past 2**32 us
+    found = [f.t_device for f in samples(attitude, servo(32_704 + 20_000, 1500, 1500)) if isinstance(f.sample, Servo)]
+    assert found == pytest.approx([4295.02] * 2, abs=1e-3)
+
+
+def test_a_repeated_fix_is_one_fix() -> None:
+    def gps(usec: int) -> tuple[object, ...]:
+        return ("GPS_RAW_INT", usec, 6, 423_580_000, -710_856_831, 1500, 121, 200, 445, 8998, 10, 0, 300, 300)
+
+    time = ("SYSTEM_TIME", 1_795_144_521_000_000, 70_000)
+    found = samples(time, gps(70_050_000), gps(70_050_000), gps(70_250_000))
+    assert [f.t_device for f in found] == [70.05, 70.25]
+    fix = found[0].sample
+    assert isinstance(fix, Gnss)
+    assert fix.utc == pytest.approx(1_795_144_521.05)
+    assert (fix.lat, fix.lon, fix.alt) == pytest.approx((42.358, -71.0856831, 1.5))
+    assert (fix.vel_n, fix.vel_e) == pytest.approx((4.45 * math.cos(math.radians(89.98)), 4.45), rel=1e-6)
+    assert (fix.fix, fix.n_sat, fix.hdop, fix.sigma_h) == (5, 10, 1.21, 0.3)
+
+
+def test_esc_telemetry_takes_its_sign_from_the_output_and_what_is_not_new_is_dropped() -> None:
+    zero = [0] * 4
+
+    def telemetry(count: list[int]) -> tuple[object, ...]:
+        return ("ESC_TELEMETRY_1_TO_4", bytes([30, 0, 31, 0]), [1600] * 4, [250] * 4, zero, [900, 0, 800, 0], count)
+
+    found = samples(servo(1, 1300, 1300), telemetry([1, 0, 7, 0]), telemetry([2, 0, 7, 0]))
+    escs = [f.sample for f in found if isinstance(f.sample, Esc)]
+    assert [(esc.node, esc.rpm) for esc in escs] == [(1, -900.0), (3, 800.0), (1, -900.0)]
+    assert (escs[0].current, escs[0].voltage, escs[0].temperature) == pytest.approx((2.5, 16.0, 30.0))
+
+
+def test_esc_status_which_pymavlink_has_not() -> None:
+    status = EscStatus(5_000_000, (700, 0, -650, 0), (15.5, 0.0, 15.25, 0.0), (1.5, 0.0, 2.5, 0.0), 0)
+    found = decoder().feed(encode_esc_status(1, 1, 9, status), 1.0)
+    assert [(f.sample.node, f.sample.rpm, f.t_device) for f in found if isinstance(f.sample, Esc)] == [
+        (1, 700.0, 5.0),
+        (3, 650.0, 5.0),  # reversed in the rig
+    ]
+
+
+def test_battery_from_whichever_message_has_it() -> None:
+    cells = [4100, 4050, *[65535] * 8]
+    full = ("BATTERY_STATUS", 0, 0, 1, 0, cells, 1250, -1, -1, 80)
+    system = ("SYS_STATUS", 0, 0, 0, 0, 7900, 500, -1, 0, 0, 0, 0, 0, 0)
+    found = [f.sample for f in samples(system, full, system)]
+    assert found[0] == Battery(7.9, 5.0, pytest.approx(math.nan, nan_ok=True))
+    assert found[1] == Battery(8.15, 12.5, 0.8)
+    assert len(found) == 2
+
+
+def test_changes_of_state_and_texts_are_events() -> None:
+    chunks = [("STATUSTEXT", 2, part, 7, k) for k, part in enumerate((b"a" * 50, b"b" * 50, b"end"))]
+    hold = ("HEARTBEAT", 11, 3, 65, 4, 3, 3)
+    found = [f.sample for f in samples(HEARTBEAT, HEARTBEAT, hold, *chunks, ("STATUSTEXT", 6, b"hello"))]
+    assert [s for s in found if isinstance(s, Autopilot)][-1] == Autopilot(0, 4, 3, -1)
+    assert [s for s in found if isinstance(s, Event)] == [
+        Event("autopilot", "armed, MANUAL"),
+        Event("autopilot", "disarmed, HOLD"),
+        Event("statustext", f"critical: {'a' * 50}{'b' * 50}end"),
+        Event("statustext", "info: hello"),
+    ]
+
+
+def test_other_systems_are_counted_and_left_alone() -> None:
+    there = decoder()
+    assert there.feed(b"".join(vehicle(HEARTBEAT, servo(1, 1900, 1900), system=7)), 0.0) == []
+    assert there.foreign == {7: 2}
+    assert there.frames == 2
+
+
+def test_with_a_key_only_what_is_signed_with_it_is_heard() -> None:
+    key, other = bytes(range(32)), bytes(32)
+    message = ("SERVO_OUTPUT_RAW", 1, 0, 1700, 0, 1500, *[0] * 13)
+    for sender, heard in ((None, 0), (other, 0), (key, 2)):
+        there = decoder()
+        there.secure(Codec(255, 190, key, 1_800_000_000.0))
+        data = Codec(1, 1, sender, 1_800_000_000.0).encode(*message)
+        assert len(there.feed(data, 0.0)) == heard
+        assert there.unsigned == (heard == 0)
+        assert there.feed(data, 0.0) == []  # said again: recorded and replayed by somebody else
+
+
+def test_a_key_file_is_bytes_or_digits(tmp_path: Path) -> None:
+    path = tmp_path / "key"
+    path.write_bytes(bytes(range(32)))
+    assert read_key(path) == bytes(range(32))
+    path.write_text(bytes(range(32)).hex() + "\n")
+    assert read_key(path) == bytes(range(32))
+    path.write_text("secret")
+    with pytest.raises(SeatrialError, match="32 bytes or 64 hexadecimal digits"):
+        read_key(path)
+    with pytest.raises(SeatrialError, match="cannot be read"):
+        read_key(tmp_path / "none")
+
+
+def stream() -> list[bytes]:
+    attitude = ("ATTITUDE", 5, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    return vehicle(HEARTBEAT, attitude, servo(9, 1500, 1700), servo(19, 1600, 1400))
+
+
+def test_splits_and_garbage() -> None:
+    assert len(check_splits(decoder, b"".join(stream()))) == 7
+    check_garbage(decoder, stream(), 7, ending=PLUG)
+
+
+def test_a_message_that_is_in_no_dialect_is_a_frame_and_no_garbage() -> None:
+    good = stream()[0]
+    body = bytes([3, 0, 0, 1, 1, 1, 0xFE, 0xFF, 0x7F]) + b"abc"  # 8388606
+    unknown = b"\xfd" + body + crc16(body + b"\x2a").to_bytes(2, "little")
+    there = decoder()
+    there.feed(good + unknown + good, 0.0)
+    assert counters(there) == (3, 0, 0)
+
+
+def test_a_wrong_checksum_is_counted_and_the_next_frame_is_found() -> None:
+    first, second = stream()[2], stream()[3]
+    broken = bytearray(first)
+    broken[-1] ^= 1
+    there = decoder()
+    assert len(there.feed(bytes(broken) + second, 0.0)) == 2
+    assert (there.frames, there.checksum_errors) == (1, 1)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.one_of(st.binary(max_size=40), st.sampled_from(stream())), max_size=12), st.integers(0, 10**6))
+def test_nothing_raises(parts: list[bytes], flip: int) -> None:
+    data = bytearray(b"".join(parts))
+    if data:
+        data[flip % len(data)] ^= 0x40
+    there = decoder()
+    there.feed(bytes(data), 0.0)
+    there.reset()
+    assert there.unparsed_bytes <= len(data)
+
+
+def test_a_mock_of_the_whole_link_decodes_without_an_error() -> None:
+    ends = Ends(mav_rig())
+    ends.run(4.0)
+    kinds = Counter(type(frame.sample).__name__ for frame in ends.frames)
+    assert counters(ends.decoder)[1:] == (0, 0)
+    assert {"Ahrs", "Gnss", "Servo", "Esc", "Battery", "Autopilot", "Event"} <= set(kinds)
+    assert kinds["Ahrs"] == pytest.approx(25 * 4, rel=0.15)
+    assert kinds["Gnss"] == pytest.approx(5 * 4, abs=4)
+
+
+@pytest.mark.measured
+def test_a_tlog_as_pymavlinks_own_reader_counts_it() -> None:
+    path = measured("ardurover/steps_boat.tlog")
+    from pymavlink import mavutil
+
+    theirs: Counter[str] = Counter()
+    reader = mavutil.mavlink_connection(str(path))
+    while (message := reader.recv_match()) is not None:
+        theirs[message.get_type()] += 1
+    reader.close()
+    there = MavlinkDecoder(Samples())
+    found = there.feed(path.read_bytes(), 0.0)
+    assert there.frames == sum(theirs.values()) == 63643
+    assert there.unparsed_bytes == 8 * there.frames  # the times between them, which are no MAVLink
+    kinds = Counter(type(frame.sample) for frame in found)
+    lone = sum(isinstance(frame.sample, Ahrs) and math.isnan(frame.sample.yaw) for frame in found)
+    assert kinds[Ahrs] - lone == theirs["ATTITUDE"]
+    assert lone <= 1  # the first IMU message, before there was an attitude
+    assert kinds[Servo] == 2 * (theirs["SERVO_OUTPUT_RAW"] - 1)  # the first is from before there were pulses
+    assert not there.foreign

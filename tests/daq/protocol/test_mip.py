@@ -1,0 +1,82 @@
+"""MicroStrain's MIP: sensor, filter and GNSS packets, and a stream that is cut and dirty."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import pytest
+
+from daq.protocol import mip
+from daq.protocol.ubx import GPS_EPOCH, WEEK
+from daq.samples import Ahrs, Gnss
+from tests.daq.streams import check_garbage, counters
+
+SENSOR = mip.packet(
+    mip.SENSOR,
+    {
+        0x04: struct.pack(">3f", 0.0, 0.0, -1.0),
+        0x05: struct.pack(">3f", 0.1, 0.2, 0.3),
+        0x06: struct.pack(">3f", 0.25, 0.0, 0.5),
+        0x0A: struct.pack(">4f", math.cos(0.25), 0.0, 0.0, math.sin(0.25)),
+    },
+)
+FILTER = mip.packet(mip.FILTER, {0x05: struct.pack(">3fH", 0.01, -0.02, 1.5, 1)})
+
+
+def ahrs(data: bytes) -> list[Ahrs]:
+    return [frame.sample for frame in mip.Decoder().feed(data, 5.0) if isinstance(frame.sample, Ahrs)]
+
+
+def test_a_ping_of_the_manual() -> None:
+    """The packet that MicroStrain's protocol page shows: base command, ping, checksum E0 C6."""
+    assert mip.packet(0x01, {0x01: b""}).hex() == "756501020201e0c6"
+
+
+def test_a_sensor_packet_alone_has_the_sensors_own_attitude() -> None:
+    (sample,) = ahrs(SENSOR)
+    assert (sample.yaw, sample.p, sample.q, sample.r) == pytest.approx((0.5, 0.1, 0.2, 0.3), abs=1e-6)
+    assert sample.az == pytest.approx(-9.80665)
+    assert (sample.mx, sample.mz) == pytest.approx((0.25e-4, 0.5e-4))
+
+
+def test_with_a_filter_its_attitude_is_taken_beside_the_newest_rates() -> None:
+    first, second, third = ahrs(SENSOR + FILTER + SENSOR + FILTER)  # once it is heard, one sample a filter packet
+    assert first.yaw == pytest.approx(0.5, abs=1e-6)
+    for sample in (second, third):
+        assert (sample.roll, sample.pitch, sample.yaw) == pytest.approx((0.01, -0.02, 1.5), abs=1e-6)
+        assert sample.r == pytest.approx(0.3)
+    invalid = mip.packet(mip.FILTER, {0x05: struct.pack(">3fH", 0.01, -0.02, 1.5, 0)})
+    assert len(ahrs(SENSOR + invalid + SENSOR)) == 2
+
+
+def test_a_fix() -> None:
+    place = struct.pack(">4d2fH", 41.5, -8.5, 60.0, 5.0, 0.5, 0.9, 0x1F)
+    motion = struct.pack(">8fH", 1.0, -0.5, 0.25, 0.0, 0.0, 0.0, 0.0, 0.0, 0x1F)
+    time = struct.pack(">dHH", 1000.25, 2288, 3)
+    fields = {0xD3: time, 0x0B: struct.pack(">BBHH", 6, 19, 0, 7), 0x03: place, 0x05: motion}
+    (frame,) = mip.Decoder().feed(mip.packet(mip.GNSS_1, fields), 5.0)
+    utc = GPS_EPOCH + 2288 * WEEK + 1000.25 - 18.0
+    assert frame.sample == Gnss(
+        utc, 41.5, -8.5, 5.0, 1.0, -0.5, 0.25, 5, 19, frame.sample.hdop, pytest.approx(0.3535534)
+    )
+    assert frame.t_device == utc
+    (void,) = mip.Decoder().feed(mip.packet(mip.GNSS_1, {0x03: bytes(42)}), 5.0)
+    assert isinstance(void.sample, Gnss)
+    assert (void.sample.fix, math.isnan(void.sample.lat), math.isnan(void.t_device)) == (0, True, True)
+
+
+def test_splits_and_garbage() -> None:
+    check_garbage(mip.Decoder, [SENSOR] * 4, 4)
+
+
+def test_what_is_damaged_is_counted() -> None:
+    decoder = mip.Decoder()
+    broken = bytearray(SENSOR)
+    broken[12] ^= 4
+    assert decoder.feed(bytes(broken), 5.0) == []
+    assert (decoder.frames, decoder.checksum_errors) == (0, 1)
+    body = mip.SYNC + bytes((0x80, 3, 9, 4, 0))  # a field that is longer than its packet
+    decoder = mip.Decoder()
+    assert decoder.feed(body + mip.checksum(body), 5.0) == []
+    assert counters(decoder)[:2] == (0, 0)

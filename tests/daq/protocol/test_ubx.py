@@ -1,0 +1,145 @@
+"""UBX: epochs of one message and of several, beside NMEA on one port, and streams that are cut and dirty."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import pytest
+
+from daq.protocol import nmea, ubx
+from daq.protocol.framing import sentence
+from daq.protocol.ubx import GPS_EPOCH, WEEK, gps_to_utc
+from daq.samples import Ahrs, Frame, Gnss
+from tests.daq.streams import check_garbage, check_splits, is_close
+
+T = 1_700_000_000.0
+GNSS = Gnss(T + 0.25, 41.1234567, -8.7654321, 12.345, 0.5, -0.25, 0.125, 5, 12, sigma_h=0.014)
+
+
+def read(data: bytes) -> list[Gnss]:
+    decoder = ubx.Decoder()
+    frames = decoder.feed(data, 5.0) + decoder.flush()
+    return [frame.sample for frame in frames if isinstance(frame.sample, Gnss)]
+
+
+def pvt(fix: int = 3, flags: int = 1, valid: int = 7, nano: int = 0, i_tow: int = 1000) -> bytes:
+    payload = struct.pack("<IH5BBIi4B4i", i_tow, 2023, 11, 14, 22, 13, 20, valid, 20, nano, fix, flags, 0, 9,
+                          -87654321, 411234567, 0, 12345)  # fmt: skip
+    return ubx.message(ubx.NAV_PVT, payload.ljust(92, b"\0"))
+
+
+@pytest.mark.parametrize("fix", range(7))
+def test_what_is_encoded_is_decoded(fix: int) -> None:
+    sample = Gnss(T + 0.25, 41.1234567, -8.7654321, 12.345, 0.5, -0.25, 0.125, fix, 12, sigma_h=0.014)
+    (found,) = read(ubx.encode(sample))
+    assert found.fix == fix
+    if fix:
+        assert is_close(found, sample, tolerance=6e-4)
+        assert (found.lat, found.lon) == pytest.approx((sample.lat, sample.lon), abs=1e-10)
+
+
+def test_a_message_of_the_protocol_specification() -> None:
+    """CFG-MSG that asks for NAV-PVT once a solution, as u-blox prints it with its checksum."""
+    assert ubx.message((0x06, 0x01), bytes((0x01, 0x07, 0x01))).hex() == "b56206010300010701" + "1351"
+
+
+def test_the_second_may_be_ahead_of_its_rounding() -> None:
+    assert read(pvt(nano=-250_000))[0].utc == pytest.approx(T - 250e-6, abs=1e-9)
+
+
+def test_a_position_that_the_receiver_does_not_vouch_for_has_no_fix() -> None:
+    for message in (pvt(fix=3, flags=0), pvt(fix=5, flags=1)):
+        (sample,) = read(message)
+        assert (sample.fix, sample.lat) == (0, pytest.approx(41.1234567))
+    (nothing,) = read(pvt(fix=0, flags=0))
+    assert nothing.fix == 0
+    assert math.isnan(nothing.lat)
+
+
+def test_without_a_valid_date_there_is_no_device_time() -> None:
+    decoder = ubx.Decoder()
+    (frame,) = [*decoder.feed(pvt(valid=2), 5.0), *decoder.flush()]
+    assert math.isnan(frame.t_device)
+
+
+def old_receiver(i_tow: int, n_sat: int = 7) -> list[bytes]:
+    """SOL, POSLLH, VELNED and DOP of one epoch, as u-blox 5 and 6 send it; week 2288, no leap second message."""
+    sol = struct.pack("<IihBB3iI3iIHBBI", i_tow, 250_000, 2288, 3, 0x0D, 0, 0, 0, 100, 0, 0, 0, 10, 200, 0, n_sat, 0)
+    place = struct.pack("<I4i2I", i_tow, -87654321, 411234567, 60000, 12345, 1414, 2000)
+    motion = struct.pack("<I3iIIi2I", i_tow, 50, -25, 10, 56, 55, 0, 5, 5)
+    dilution = struct.pack("<I7H", i_tow, 1, 2, 3, 4, 95, 6, 7)
+    return [ubx.message((1, n), p) for n, p in ((0x06, sol), (0x02, place), (0x12, motion), (0x04, dilution))]
+
+
+def test_an_epoch_of_several_messages_in_any_order() -> None:
+    for order in (1, -1):
+        (sample,) = read(b"".join(old_receiver(345_600_000)[::order]))
+        assert sample == Gnss(
+            gps_to_utc(GPS_EPOCH + 2288 * WEEK + 345_600.00025), sample.lat, sample.lon, 12.345, 0.5, -0.25, 0.1, 3, 7,
+            0.95, pytest.approx(1.0, abs=1e-3),
+        )  # fmt: skip
+        assert (sample.lat, sample.lon) == pytest.approx((41.1234567, -8.7654321), abs=1e-9)
+
+
+def test_an_epoch_that_is_complete_is_not_waited_for() -> None:
+    decoder = ubx.Decoder()
+    assert decoder.feed(b"".join(old_receiver(1000)), 1.0) == []  # who knows what else comes
+    assert len(decoder.feed(b"".join(old_receiver(2000)[:3]), 2.0)) == 1
+    (frame,) = decoder.feed(old_receiver(2000)[3], 2.1)
+    assert frame.t_rx == 2.0  # of its first message
+
+
+def test_the_high_precision_position_goes_before() -> None:
+    fine = struct.pack("<B2xBI4i4b2I", 0, 0, 1000, -87654321, 411234567, 0, 12345, -49, 37, 0, 5, 140, 200)
+    (sample,) = read(pvt() + ubx.message((1, 0x14), fine))
+    assert sample.lat == pytest.approx(41.1234567 + 37e-9, abs=1e-12)
+    assert sample.alt == pytest.approx(12.3455)
+    assert sample.sigma_h == pytest.approx(0.0099, abs=1e-4)
+
+
+def test_leap_seconds() -> None:
+    assert gps_to_utc(GPS_EPOCH + 0.5) == GPS_EPOCH + 0.5
+    # The leap second at the end of 2016 has no name in seconds since 1970: it is the next day's first, too.
+    assert gps_to_utc(1_483_228_800 + 16.5) == 1_483_228_799.5
+    assert gps_to_utc(1_483_228_800 + 17.5) == 1_483_228_800.5
+    assert gps_to_utc(1_483_228_800 + 18.0) == 1_483_228_800.0
+    assert gps_to_utc(1_700_000_018.0) == 1_700_000_000.0
+
+
+def test_beside_nmea_the_solution_is_taken_once_and_headings_stay() -> None:
+    stream = b"".join(
+        nmea.encode(Gnss(T + k, 41.0, -8.0, fix=3)) + pvt(i_tow=1000 * k) + sentence(f"GNHDT,{10.0 + k},T")
+        for k in range(5)
+    )
+    frames = check_splits(ubx.Decoder, stream)
+    headings = [round(math.degrees(f.sample.yaw), 6) for f in frames if isinstance(f.sample, Ahrs)]
+    assert headings == [10.0, 11.0, 12.0, 13.0, 14.0]
+    places = [f.sample.lat for f in frames if isinstance(f.sample, Gnss)]
+    assert len(places) == 5
+    assert all(lat == pytest.approx(41.1234567) for lat in places)
+    assert [s.lat for s in read(nmea.encode(GNSS) * 2)] == pytest.approx([41.1234567])  # NMEA alone does too
+
+
+def test_attitude_of_a_receiver_with_inertial_sensors() -> None:
+    known = struct.pack("<IB3x3i3I", 1000, 0, -150000, 250000, 35900000, 1000, 1000, 5000)
+    decoder = ubx.Decoder()
+    (frame,) = decoder.feed(ubx.message((1, 0x05), known), 5.0)
+    assert isinstance(frame.sample, Ahrs)
+    assert (frame.sample.roll, frame.sample.pitch) == pytest.approx((math.radians(-1.5), math.radians(2.5)))
+    assert frame.sample.yaw == pytest.approx(math.radians(-1.0))
+    assert decoder.feed(ubx.message((1, 0x05), bytes(32)), 5.0) == []
+
+
+def test_splits_and_garbage() -> None:
+    messages = [ubx.encode(Gnss(T + k, 41.0, -8.0, 1.0, 0.1, 0.0, 0.0, 3, 9, sigma_h=0.5)) for k in range(5)]
+    clean: list[Frame] = ubx.Decoder().feed(b"".join(messages), 5.0)
+    check_garbage(ubx.Decoder, messages, len(clean))
+
+
+def test_a_wrong_checksum_is_counted_and_gives_nothing() -> None:
+    decoder = ubx.Decoder()
+    broken = bytearray(pvt())
+    broken[40] ^= 1
+    assert decoder.feed(bytes(broken), 5.0) + decoder.flush() == []
+    assert (decoder.frames, decoder.checksum_errors) == (0, 1)

@@ -1,0 +1,127 @@
+"""Ports are recognised by what speaks on them: real ptys, whose devices know at which baud rate somebody listens."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import termios
+import threading
+import tty
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from pymavlink.dialects.v20.ardupilotmega import MAVLink
+
+from daq import cli
+from daq.config.rig_file import parse_rig
+from daq.protocol import loadcell, nmea, openscale, slcan, ubx, vectornav, vesc
+from daq.samples import Ahrs, Esc, Gnss
+from daq.tools.discovery import _Listener, baud_rates, identify_protocol
+
+SPEEDS = {9600: termios.B9600, 38400: termios.B38400, 115200: termios.B115200, 57600: termios.B57600}
+
+
+def fix(k: int) -> Gnss:
+    return Gnss(1.7e9 + 0.1 * k, 41.0, -8.7, 1.0, 0.5, 0.1, fix=3, n_sat=9)
+
+
+def esc(k: int) -> bytes:
+    return b"".join(slcan.encode(*frame) for frame in vesc.encode_status(Esc(1, 10.0 * k, 1.0, 0.1), 7))
+
+
+def attitude(k: int) -> bytes:
+    link = MAVLink(None, srcSystem=1, srcComponent=1)
+    heartbeat = link.heartbeat_encode(11, 3, 0, 0, 3)  # a surface boat, ArduPilot, disarmed
+    said = link.attitude_encode(20 * k, 0.01, 0.02, 0.5, 0.0, 0.0, 0.1)
+    return b"".join(bytes(message.pack(link)) for message in (heartbeat, said))
+
+
+SAYS: dict[str, tuple[int, Callable[[int], bytes]]] = {
+    "vectornav": (115200, lambda k: vectornav.encode_binary(Ahrs(0.1, 0.0, 0.0, 0.0, 0.0, 0.0), 0.02 * k)),
+    "nmea": (38400, lambda k: nmea.encode(fix(k))),
+    "ubx": (9600, lambda k: nmea.encode(fix(k)) + ubx.encode(fix(k))),
+    "loadcell": (57600, lambda k: loadcell.encode(84000 + k)),
+    "openscale": (9600, lambda k: openscale.encode(0.5 + k, "kg", 100 * k)),
+    "slcan": (115200, esc),
+    "mavlink": (57600, attitude),
+}
+
+
+@contextlib.contextmanager
+def device(baud: int, say: Callable[[int], bytes]) -> Iterator[str]:
+    """A device that speaks every 20 ms; who listens at another rate gets garbage."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    os.set_blocking(master, False)
+    ending = threading.Event()
+    say(0)  # what it has to load is loaded before anybody listens
+
+    def run() -> None:
+        rng, k = random.Random(1), 0
+        while not ending.wait(0.02):
+            right = termios.tcgetattr(slave)[5] == SPEEDS[baud]
+            with contextlib.suppress(BlockingIOError):
+                os.write(master, say(k) if right else rng.randbytes(len(say(k))))
+            k += 1
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    try:
+        yield os.ttyname(slave)
+    finally:
+        ending.set()
+        thread.join()
+        os.close(master)
+        os.close(slave)
+
+
+@pytest.mark.parametrize("name", list(SAYS))
+def test_a_device_is_recognised_with_its_baud_rate(name: str) -> None:
+    baud, say = SAYS[name]
+    with device(baud, say) as port:
+        found = identify_protocol(port, bauds=(115200, 9600, 57600, 38400), listen=0.8)
+    assert (found.protocol, found.baud) == (name, baud)
+    assert 0.0 < found.rate < 200.0
+
+
+@pytest.mark.parametrize(("name", "each"), [("nmea", 1), ("vectornav", 1), ("loadcell", 1), ("mavlink", 2)])
+def test_the_rate_is_that_of_the_samples(name: str, each: int) -> None:
+    """A receiver's last fix is only taken as complete when the next begins, or at the end."""
+    ear = _Listener(name)
+    for k in range(6):
+        ear.hear(SAYS[name][1](k), 0.2 * k)
+    ear.close()
+    assert ear.rate() == pytest.approx(5.0 * each)
+
+
+def test_what_is_not_known_is_said() -> None:
+    with device(115200, lambda k: b"\x00\xf7 nothing of the kind") as port:
+        found = identify_protocol(port, bauds=(115200, 9600), listen=0.2)
+    assert (found.protocol, found.says) == ("", "bytes that no protocol explains at 115200, 9600 baud")
+    assert "is not there" in identify_protocol("/dev/none", listen=0.1).says
+
+
+def test_a_silent_port_is_given_up_at_the_first_baud_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("daq.tools.discovery.SILENT_S", 0.1)
+    with device(9600, lambda k: b"") as port:
+        assert identify_protocol(port, listen=0.1).says.startswith("silent")
+
+
+def test_all_baud_rates_of_the_table_are_tried() -> None:
+    assert baud_rates()[0] == 115200
+    assert set(baud_rates()) >= {4800, 9600, 38400, 57600, 115200, 460800, 921600}
+    assert baud_rates((300,)) == [300]
+
+
+def test_the_command_writes_what_a_rig_file_needs(tmp_path: Path) -> None:
+    baud, say = SAYS["nmea"]
+    with device(baud, say) as port:
+        done = CliRunner().invoke(
+            cli.devices, [port, "--baud", "9600", "--baud", "38400", "--seconds", "0.4", "--toml"]
+        )
+    assert done.exit_code == 0, done.output
+    rig = parse_rig(f'format = "seatrial-rig 1"\nname = "found"\n{done.output}', tmp_path / "rig.toml")
+    assert (rig.devices[0].protocol, rig.devices[0].baud, rig.devices[0].port) == ("nmea", 38400, port)

@@ -1,0 +1,137 @@
+"""The live view as a client sees it: a WebSocket of its own, on loopback, with the messages of the log."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+import os
+import socket
+import struct
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.config.rig_file import parse_rig
+from daq.errors import SeatrialError
+from daq.log import schema
+from daq.log.cdr import layout
+from daq.rig import Live, Rig
+from daq.samples import Ahrs
+from daq.status import Latest, Status
+from daq.tools.live_server import LiveServer
+from tests.daq.logs import RIG, T0
+
+needs_foxglove = pytest.mark.skipif(
+    importlib.util.find_spec("foxglove") is None, reason="foxglove-sdk is not installed"
+)
+
+
+def rig(host: str = "127.0.0.1", port: int = 0) -> Rig:
+    return replace(parse_rig(RIG, Path("rig.toml")), live=Live(host, port))
+
+
+def status(t: float) -> Status:
+    latest = {("ahrs", None): Latest(Ahrs(0.5, 0.0, 0.0, r=0.25), t)}
+    return Status(t, {}, latest, {}, 0, "run.mcap", 0, 0, 0.0, "", ())
+
+
+class Client:
+    """Just enough of RFC 6455 to listen."""
+
+    def __init__(self, port: int) -> None:
+        self._socket = socket.create_connection(("127.0.0.1", port), timeout=10.0)
+        self._socket.sendall(
+            b"GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n"
+        )
+        self._buffer = b""
+        while b"\r\n\r\n" not in self._buffer:
+            self._buffer += self._socket.recv(4096)
+        head, _, self._buffer = self._buffer.partition(b"\r\n\r\n")
+        assert b" 101 " in head.splitlines()[0]
+
+    def _take(self, size: int) -> bytes:
+        while len(self._buffer) < size:
+            data = self._socket.recv(65536)
+            assert data, "the server has closed"
+            self._buffer += data
+        out, self._buffer = self._buffer[:size], self._buffer[size:]
+        return out
+
+    def messages(self) -> Iterator[tuple[int, bytes]]:
+        """Opcode (1 text, 2 binary) and content."""
+        while True:
+            first, second = self._take(2)
+            size = second & 0x7F
+            if size >= 126:
+                size = int.from_bytes(self._take(2 if size == 126 else 8), "big")
+            yield first & 0x0F, self._take(size)
+
+    def send(self, text: str) -> None:
+        data, mask = text.encode(), os.urandom(4)
+        head = struct.pack("!BBH", 0x81, 0x80 | 126, len(data)) + mask
+        self._socket.sendall(head + bytes(b ^ mask[k % 4] for k, b in enumerate(data)))
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+@needs_foxglove
+def test_a_client_gets_the_messages_of_the_log() -> None:
+    with LiveServer(rig(), lambda: status(time.time())) as server:  # a new sample each time
+        assert server.address.startswith("ws://127.0.0.1:")
+        client = Client(int(server.address.rpartition(":")[2]))
+        try:
+            for opcode, data in client.messages():
+                told = json.loads(data) if opcode == 1 else {}
+                channels = {c["topic"]: c for c in told.get("channels", [])}
+                if "/ahrs/imu" in channels:
+                    break
+            channel = channels["/ahrs/imu"]
+            assert (channel["encoding"], channel["schemaName"]) == ("cdr", schema.IMU)
+            subscription = json.dumps({"op": "subscribe", "subscriptions": [{"id": 7, "channelId": channel["id"]}]})
+            client.send(subscription)
+            binary = b""
+            for opcode, data in client.messages():
+                if opcode == 2:
+                    binary = data
+                    break
+                if json.loads(data).get("op") == "status":  # told of a moment before it can be subscribed to
+                    client.send(subscription)
+        finally:
+            client.close()
+    row = layout(schema.IMU, b"ahrs_frd_ned").dtype
+    assert len(binary[13:]) >= row.itemsize
+    (imu,) = np.frombuffer(binary[13 : 13 + row.itemsize], row)
+    assert imu["angular_velocity.z"] == 0.25
+    assert math.isclose(2.0 * math.atan2(imu["orientation.z"], imu["orientation.w"]), 0.5)
+
+
+@needs_foxglove
+def test_a_port_that_is_taken_is_one_line() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        server = LiveServer(rig(port=taken.getsockname()[1]), lambda: status(T0))
+        with pytest.raises(SeatrialError, match="the live view cannot listen there"), server:
+            pass
+
+
+def test_without_its_library_it_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "foxglove", None)
+    with pytest.raises(SeatrialError, match=r"pip install 'seatrial\[live\]'"), LiveServer(rig(), lambda: status(T0)):
+        pass
+
+
+def test_it_listens_to_this_machine_alone_unless_the_rig_says_otherwise(tmp_path: Path) -> None:
+    assert parse_rig(RIG, tmp_path / "rig.toml").live == Live("127.0.0.1", 8765)
+    text = RIG.replace("[[device]]", '[live]\nhost = "0.0.0.0"\nport = 9000\n\n[[device]]', 1)
+    assert parse_rig(text, tmp_path / "rig.toml").live == Live("0.0.0.0", 9000)
+    with pytest.raises(SeatrialError, match=r"live\.port: must be within 0 \.\. 65535"):
+        parse_rig(text.replace("9000", "90000"), tmp_path / "rig.toml")

@@ -1,0 +1,132 @@
+"""UDP and TCP ports over real loopback sockets."""
+
+from __future__ import annotations
+
+import select
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from daq.config.rig_file import parse_rig
+from daq.errors import SeatrialError
+from daq.transport.base import Port, PortError
+from daq.transport.factory import make_net_port
+from daq.transport.network_port import SILENT_S, UdpPort
+from tests.daq.mavlink_ends import rig_text
+
+
+@pytest.fixture
+def other() -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", 0))
+        sock.settimeout(2.0)
+        yield sock
+
+
+def free(kind: socket.SocketKind = socket.SOCK_DGRAM) -> int:
+    with socket.socket(socket.AF_INET, kind) as sock:
+        sock.bind(("127.0.0.1", 0))
+        return int(sock.getsockname()[1])
+
+
+def read(port: Port) -> bytes:
+    assert select.select([port.fileno()], [], [], 2.0)[0]
+    return port.read()
+
+
+def test_who_speaks_first_is_answered_and_keeps_the_link(other: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
+    number = free()
+    port = make_net_port(f"udp:127.0.0.1:{number}")
+    port.open()
+    port.write(b"nobody is there")  # lost, and no error
+    other.sendto(b"one", ("127.0.0.1", number))
+    other.sendto(b"two", ("127.0.0.1", number))
+    assert read(port) + b"" in (b"onetwo", b"one")
+    port.write(b"answer")
+    assert other.recv(100) == b"answer"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger.sendto(b"mine", ("127.0.0.1", number))
+        assert b"mine" not in read(port)
+        assert port.unparsed_bytes == 4
+        assert isinstance(port, UdpPort)
+        port._heard -= SILENT_S  # as if the first had been silent for so long
+        stranger.sendto(b"mine", ("127.0.0.1", number))
+        assert read(port) == b"mine"
+        stranger.settimeout(2.0)
+        port.write(b"yours")
+        assert stranger.recv(100) == b"yours"
+    port.close()
+    assert port.fileno() == -1
+
+
+def test_udpout_speaks_to_an_address_even_before_anybody_listens(other: socket.socket) -> None:
+    number = free()
+    port = make_net_port(f"udpout:127.0.0.1:{number}")
+    port.open()
+    port.write(b"a")
+    port.write(b"b")  # the system says "refused" here: nobody listens yet, which is no loss of the port
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there:
+        there.bind(("127.0.0.1", number))
+        there.settimeout(2.0)
+        port.write(b"c")
+        data, sender = there.recvfrom(100)
+        assert data == b"c"
+        there.sendto(b"d", sender)
+        assert read(port) == b"d"
+    port.close()
+
+
+def test_tcp_connects_and_a_closed_connection_is_a_lost_port() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = make_net_port(f"tcp:127.0.0.1:{server.getsockname()[1]}")
+        port.open()
+        peer, _ = server.accept()
+        with peer:
+            port.write(b"hello")
+            assert peer.recv(100) == b"hello"
+            peer.sendall(b"world")
+            assert read(port) == b"world"
+        with pytest.raises(PortError, match="closed the connection"):
+            read(port)
+        port.close()
+
+
+def test_what_cannot_be_opened_says_so(other: socket.socket) -> None:
+    with pytest.raises(PortError, match="nobody listens there"):
+        make_net_port(f"tcp:127.0.0.1:{free(socket.SOCK_STREAM)}").open()
+    with pytest.raises(PortError, match="in use by another program"):
+        make_net_port(f"udpin:127.0.0.1:{other.getsockname()[1]}").open()
+    with pytest.raises(PortError, match="no address"):
+        make_net_port("udpout:no.such.host.invalid:14550").open()
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (("udp:127.0.0.1:14550", "udp:14550"), r"device\[1\].port: must be udp:HOST:PORT"),
+        (("udp:127.0.0.1:14550", "tcp:host:x"), r"device\[1\].port: must be udp:HOST:PORT"),
+        (("rc_channel = 1", "rc_channel = 19"), r"rc_channel: must be within 1 .. 18"),
+        (("node = 1", "node = 17"), r"thruster\[1\].node: is the number of a servo output, 1 .. 16, not 17"),
+        (("rpm_max = 4500.0", "pwm_us = [1500, 1500, 1900]"), r"pwm_us: must be \[full astern, neutral, full ahead\]"),
+        (("rate_hz = 25.0", "rate_hz = 25.0\nown_system_id = 1"), r"own_system_id: 1 is the autopilot's own"),
+        (("rate_hz = 25.0", 'rate_hz = 25.0\ngnss = "best"'), r"gnss: must be one of raw, fused, not 'best'"),
+        (("[[thruster]]", "[device.rates]\nATTITUD = 5.0\n[[thruster]]"), r"rates.ATTITUD: no message"),
+    ],
+)
+def test_what_is_wrong_in_a_rig_is_named(change: tuple[str, str], line: str) -> None:
+    text = rig_text().replace(*change, 1)
+    with pytest.raises(SeatrialError, match=line) as caught:
+        parse_rig(text, Path("rig.toml"))
+    assert "\n" not in str(caught.value)
+
+
+def test_rates_are_asked_for_in_order_and_may_be_set() -> None:
+    rig = parse_rig(rig_text(more='gnss = "fused"\nrates = {RAW_IMU = 0.0, ATTITUDE = 10.0}'), Path("rig.toml"))
+    device = rig.device("autopilot")
+    assert device.mavlink is not None
+    rates = device.mavlink.requested(device.rate_hz)
+    assert list(rates)[:2] == ["ATTITUDE", "SERVO_OUTPUT_RAW"]
+    assert (rates["ATTITUDE"], rates["SERVO_OUTPUT_RAW"], rates["GLOBAL_POSITION_INT"]) == (10.0, 25.0, 5.0)
+    assert not {"RAW_IMU", "GPS_RAW_INT"} & set(rates)

@@ -1,0 +1,128 @@
+"""Ports that cannot be opened or are lost: one line each, with what the operating system really does."""
+
+from __future__ import annotations
+
+import os
+import select
+import tty
+from pathlib import Path
+
+import pytest
+
+from daq.protocol import slcan
+from daq.protocol.canframe import pack_can
+from daq.transport.base import PortError
+from daq.transport.can_port import SlcanPort, SocketCanPort
+from daq.transport.serial_port import SerialPort
+from tests.daq.ptys import Pty, wait_for
+
+
+def heard(pty: Pty, count: int) -> bytes:
+    """The first `count` bytes that the host wrote."""
+
+    def enough() -> bool:
+        pty.read()
+        return len(pty.received) >= count
+
+    wait_for(enough)
+    return bytes(pty.received)
+
+
+def test_a_port_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(PortError, match=r"^is not there$"):
+        SerialPort(str(tmp_path / "nothing"), 9600).open()
+
+
+def test_a_file_is_no_port(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(PortError, match="is no serial device"):
+        SerialPort(str(tmp_path / "file"), 9600).open()
+    assert (tmp_path / "file").read_text() == "mine"
+    with pytest.raises(PortError, match=r"^is no serial device$"):
+        SerialPort("/dev/null", 9600).open()
+
+
+def test_a_port_that_another_program_has(tmp_path: Path) -> None:
+    pty = Pty(tmp_path / "port")
+    first, second = SerialPort(str(pty.path), 9600), SerialPort(str(pty.path), 9600)
+    first.open()
+    with pytest.raises(PortError, match="in use by another program"):
+        second.open()
+    first.close()
+    second.open()
+    second.close()
+    pty.pull()
+
+
+def test_bytes_pass_unchanged_both_ways(tmp_path: Path) -> None:
+    pty = Pty(tmp_path / "port")
+    port = SerialPort(str(pty.path), 115200)
+    port.open()
+    everything = bytes(range(256))
+    pty.write(everything)
+    assert select.select([port.fileno()], [], [], 5.0)[0]
+    assert port.read() == everything
+    port.write(everything)
+    assert heard(pty, 256) == everything
+    assert port.bytes_in == 256
+    port.close()
+    pty.pull()
+
+
+def test_a_hang_up_is_noticed_and_closing_is_quiet(tmp_path: Path) -> None:
+    pty = Pty(tmp_path / "port")
+    port = SerialPort(str(pty.path), 9600)
+    port.open()
+    pty.pull()
+    assert select.select([port.fileno()], [], [], 5.0)[0]
+    with pytest.raises(PortError, match="hung up"):
+        port.read()
+    with pytest.raises(PortError, match="hung up"):
+        port.write(b"x")
+    port.close()
+    port.close()
+
+
+def test_a_port_that_takes_no_bytes(tmp_path: Path) -> None:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    port = SerialPort(os.ttyname(slave), 9600)
+    port.open()
+    with pytest.raises(PortError, match="takes no more bytes"):
+        port.write(bytes(1 << 20))
+    port.close()
+    os.close(slave)
+    os.close(master)
+
+
+def test_an_slcan_adapter(tmp_path: Path) -> None:
+    pty = Pty(tmp_path / "can")
+    port = SlcanPort(str(pty.path), 115200, 250_000)
+    port.open()
+    pty.write(b"\r\r" + slcan.encode(0x901, bytes(8)) + b"junk\r" + slcan.encode(0x902, b"")[:4])
+    assert select.select([port.fileno()], [], [], 5.0)[0]
+    assert port.read() == pack_can(0x901, bytes(8))
+    assert port.unparsed_bytes == 4
+    pty.write(slcan.encode(0x902, b"")[4:])
+    assert select.select([port.fileno()], [], [], 5.0)[0]
+    assert port.read() == pack_can(0x902, b"")
+    port.write(pack_can(1, b"\x00\x00\xc3\x50") + pack_can(2, b""))
+    port.close()
+    expected = b"\rC\rS5\rO\rT0000000140000C350\rT000000020\rC\r"
+    assert heard(pty, len(expected)) == expected
+    pty.pull()
+
+
+def test_a_bit_rate_that_slcan_has_not(tmp_path: Path) -> None:
+    pty = Pty(tmp_path / "can")
+    with pytest.raises(PortError, match="no bit rate 42"):
+        SlcanPort(str(pty.path), 115200, 42).open()
+    pty.pull()
+
+
+def test_a_can_interface_that_is_not_there() -> None:
+    port = SocketCanPort("nothing0")
+    with pytest.raises(PortError) as caught:
+        port.open()
+    assert "\n" not in str(caught.value)
+    port.close()

@@ -1,0 +1,190 @@
+"""Sensor noise: known truths, the exact likelihood, and measured sensors at rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from ident.characterisation.sensor_noise import NoiseFit, estimate_noise, innovation_form, welch
+from ident.data.record import Channel
+from ident.validation.whiteness import ljung_box, predictable
+from tests.measured.data import measured
+
+
+def drawn(white: float, walk: float, n: int = 6000, dt: float = 0.02, seed: int = 0, gap: bool = False) -> Channel:
+    rng = np.random.default_rng(seed)
+    t = np.arange(n) * dt
+    if gap:
+        t = np.delete(t, slice(n // 4, n // 2))
+    b = np.cumsum(np.append(3.0, walk * np.sqrt(np.diff(t)) * rng.normal(size=t.size - 1)))
+    return Channel(t, b + white * rng.normal(size=t.size))
+
+
+@pytest.mark.parametrize("gap", [False, True])
+@pytest.mark.parametrize("unit", [1.0, 1e-6])
+def test_the_truth_is_within_its_errors(gap: bool, unit: float) -> None:
+    channel = drawn(0.3, 0.2, gap=gap)
+    found = estimate_noise(Channel(channel.t, channel.value * unit))
+    assert abs(found.white / unit - 0.3) < 4 * found.white_error / unit
+    assert abs(found.walk / unit - 0.2) < 4 * found.walk_error / unit
+    assert abs(found.bias / unit - 3.0) < 4 * found.bias_error / unit
+    assert found.white_error < 0.01 * unit
+    assert found.walk_error < 0.06 * unit
+    assert not found.rejected
+    assert not found.flags
+
+
+def test_errors_are_the_spread_of_the_estimates() -> None:
+    fits = [estimate_noise(drawn(0.3, 0.5, 1500, seed=seed)) for seed in range(40)]
+    z = np.array([[(f.white - 0.3) / f.white_error, (f.walk - 0.5) / f.walk_error] for f in fits])
+    np.testing.assert_allclose(z.std(axis=0), 1.0, atol=0.4)
+    assert (np.abs(z.mean(axis=0)) < 0.7).all()
+    assert sum(f.rejected for f in fits) == 0
+
+
+def test_the_likelihood_is_exact() -> None:
+    """Against the joint Gaussian of all samples, given the offset at the start."""
+    channel = drawn(0.3, 0.8, 200, gap=True)
+    found = estimate_noise(channel)
+    t, y = channel.t, channel.value
+    S = found.white**2 * np.eye(t.size) + found.walk**2 * np.minimum.outer(t - t[0], t - t[0])
+    r = y - found.bias
+    wanted = -0.5 * (r @ np.linalg.solve(S, r) + np.linalg.slogdet(S)[1] + t.size * math.log(2 * math.pi))
+    assert found.log_likelihood == pytest.approx(wanted, rel=1e-9)
+
+
+def test_innovation_form_has_the_same_differences() -> None:
+    for white, walk, dt in ((0.3, 0.2, 0.02), (0.0, 1.0, 0.5), (1.0, 0.0, 1.0)):
+        c, sd = innovation_form(white, walk, dt)
+        assert (1 + c * c) * sd**2 == pytest.approx(walk**2 * dt + 2 * white**2)
+        assert c * sd**2 == pytest.approx(-(white**2))
+        assert -1.0 <= c <= 0.0
+
+
+@pytest.mark.parametrize(("white", "walk", "lost"), [(0.3, 0.0, "walk"), (0.0, 0.5, "white")])
+def test_a_part_that_is_not_there_is_flagged(white: float, walk: float, lost: str) -> None:
+    found = estimate_noise(drawn(white, walk, 20_000))
+    kept = "white" if lost == "walk" else "walk"
+    assert getattr(found, kept) == pytest.approx(white + walk, rel=0.05)
+    error = getattr(found, f"{lost}_error")
+    assert math.isnan(error) or getattr(found, lost) < 3 * error
+    if math.isnan(error):
+        assert any(flag.startswith(lost) for flag in found.flags)
+    assert not found.rejected
+
+
+def test_density_agrees_with_the_periodogram() -> None:
+    channel = drawn(0.3, 0.5, 100_000)
+    frequency, density = welch(channel)
+    ratio = density[4:] / estimate_noise(channel).psd(frequency[4:])
+    for part in np.array_split(ratio, 6):
+        assert np.mean(part) == pytest.approx(1.0, abs=0.15)
+
+
+def test_filtered_noise_is_rejected() -> None:
+    rng = np.random.default_rng(0)
+    smooth = np.convolve(rng.normal(size=3000), np.hanning(20) / 10, mode="same")
+    found = estimate_noise(Channel(np.arange(3000) * 1.0, smooth))
+    assert found.rejected
+    assert found.ljung_box < 1e-6
+
+
+def rejections(make: Callable[[np.random.Generator, int], np.ndarray], trials: int, n: int) -> list[NoiseFit]:
+    rng = np.random.default_rng(n)
+    fits = [estimate_noise(Channel(0.1 * np.arange(n), make(rng, n))) for _ in range(trials)]
+    return [f for f in fits if f.rejected]
+
+
+@pytest.mark.parametrize("n", [60, 600, 2000])
+@pytest.mark.parametrize("walk", [0.0, 0.1, 1.0])
+def test_the_right_model_is_not_rejected(walk: float, n: int) -> None:
+    """At 0.1 % a way to depart, 200 trials reject 0.6; five have one chance in 2500."""
+    found = rejections(lambda rng, n: rng.normal(size=n) + walk * np.cumsum(rng.normal(size=n)), 200, n)
+    assert len(found) < 5
+
+
+SLOW = {
+    "a sine": lambda rng, n: 0.1 * rng.normal(size=n) + np.sin(2 * np.pi * np.arange(n) / 200),
+    "a trend": lambda rng, n: 0.1 * rng.normal(size=n) + 0.01 * np.arange(n),
+    "bounded": lambda rng, n: signal.lfilter([1.0], [1.0, -0.9], rng.normal(size=n)),
+}
+
+
+@pytest.mark.parametrize("kind", SLOW)
+def test_what_is_slow_and_no_walk_is_rejected(kind: str) -> None:
+    """Each correlation is small: the regression on many lags and the lowest octave see it."""
+    found = rejections(SLOW[kind], 20, 2000)
+    assert len(found) == 20
+    assert all(f.departures.band.matters and f.departures.band.low == 0 for f in found)
+    if kind != "bounded":
+        assert all(f.departures.predictable.matters for f in found)
+        assert all(abs(f.largest_correlation) < 0.2 for f in found)
+
+
+def test_a_line_is_found_where_it_is() -> None:
+    found = rejections(lambda rng, n: rng.normal(size=n) + 0.5 * np.sin(2 * np.pi * 0.17 * np.arange(n)), 20, 2000)
+    assert len(found) == 20
+    assert all(f.departures.line.frequency == pytest.approx(0.17, abs=1e-3) for f in found)
+    assert np.mean([f.departures.line.share for f in found]) == pytest.approx(0.125 / 1.125, abs=0.02)
+
+
+def test_the_share_that_is_predictable_is_that_of_the_truth() -> None:
+    """An AR(1) of coefficient phi can be predicted to phi^2 of its variance; a mean to its square's share."""
+    rng = np.random.default_rng(9)
+    e = signal.lfilter([1.0], [1.0, -0.4], rng.normal(size=20_000))
+    assert predictable(e).share == pytest.approx(0.16, abs=0.015)
+    assert predictable(rng.normal(size=20_000) + 0.5).share == pytest.approx(0.25 / 1.25, abs=0.015)
+    small = predictable(signal.lfilter([1.0], [1.0, -0.1], rng.normal(size=20_000)))
+    assert small.p < 1e-9
+    assert not small.matters  # significant, and 1 % of the variance
+
+
+def test_white_noise_has_uniform_p_values() -> None:
+    p = [ljung_box(np.random.default_rng(seed).normal(size=500))[0] for seed in range(200)]
+    # two degrees of freedom are paid for parameters that were not fitted here
+    assert 0.3 < np.mean(p) < 0.5
+
+
+def test_missing_samples_and_short_records() -> None:
+    channel = drawn(0.3, 0.2, 2000)
+    value = channel.value.copy()
+    value[::7] = np.nan
+    assert estimate_noise(Channel(channel.t, value)).n == np.isfinite(value).sum()
+    with pytest.raises(ValueError, match="gyro: 20 samples are too few"):
+        estimate_noise(Channel(channel.t[:20], channel.value[:20]), "gyro")
+    with pytest.raises(ValueError, match="gyro: all samples are the same"):
+        estimate_noise(Channel(channel.t, np.ones(2000)), "gyro")
+
+
+def gps(name: str) -> list[NoiseFit]:
+    (file,) = measured("static").glob(f"gps_{name}_*.csv")
+    data = np.genfromtxt(file, delimiter=",", names=True, dtype=None, encoding="utf-8")
+    return [estimate_noise(Channel(data["Time"], data[axis]), axis) for axis in ("UTM_easting", "UTM_northing")]
+
+
+@pytest.mark.measured
+def test_single_point_gps_is_rejected() -> None:
+    for axis in gps("LAB1"):
+        assert axis.rejected
+        assert axis.largest_correlation > 0.8
+
+
+@pytest.mark.measured
+def test_rtk_gps_is_white_noise_and_a_random_walk() -> None:
+    for axis in gps("LAB2"):
+        assert not axis.rejected
+        assert axis.white == pytest.approx(0.003, abs=0.0005)
+        assert axis.walk == pytest.approx(0.0009, abs=0.0003)
+
+
+@pytest.mark.measured
+def test_a_vectornavs_heading_at_rest_is_a_random_walk() -> None:
+    lines = (measured("static") / "vn100_stationary_40Hz_vnymr.txt").read_text().splitlines()
+    yaw = np.array([float(line.split(",")[1]) for line in lines if line.startswith("$VNYMR") and line.count(",") == 12])
+    found = estimate_noise(Channel(np.arange(yaw.size) / 40.0, yaw), "yaw")
+    assert found.walk == pytest.approx(0.0104, rel=0.05)  # degrees per root second
+    assert found.white < 0.1 * found.walk * math.sqrt(found.interval)

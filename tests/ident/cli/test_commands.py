@@ -1,0 +1,210 @@
+"""The commands of ident, end to end on logs of the mocks that daq's recorder wrote: files, answers, and error lines."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import seatrial
+from ident.estimation.model_file import load_model
+from mocks.hidden_effects.catalogue import make_effect
+from mocks.plant.bench import draw_bench
+from tests.missions import bench_log, boat_log, boat_with, sail, write_log
+
+SEED, EFFECT = 2, "cubic-drag"
+FILES = ("model.toml", "result.json", "report.html")
+Outcome = tuple[int, str, str]
+Run = Callable[..., Outcome]
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a bench run, and an estimation and a validation mission of one boat that lacks an effect."""
+    folder = tmp_path_factory.mktemp("logs")
+    bench_log(folder / "bench.mcap", draw_bench(SEED))
+    boat = boat_with(EFFECT, SEED)
+    boat_log(folder / "estimation.mcap", boat, 200.0, 101, run=1)
+    boat_log(folder / "validation.mcap", boat, 140.0, 102, run=2)
+    return folder
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run one command line in this process: status, stdout, stderr."""
+
+    def run(*words: object) -> Outcome:
+        with pytest.raises(SystemExit) as leaving:
+            seatrial.main([str(w) for w in words])
+        out, err = capsys.readouterr()
+        return int(leaving.value.code or 0), out, err
+
+    return run
+
+
+def result_of(folder: Path) -> dict[str, Any]:
+    """result.json; the other files are there too."""
+    for name in FILES:
+        assert (folder / name).stat().st_size > 500, name
+    return dict(json.loads((folder / "result.json").read_text(encoding="utf-8")))
+
+
+@pytest.fixture(scope="module")
+def fitted(logs: Path) -> Path:
+    """The folder of a thruster fit and a vehicle fit, made by the commands."""
+    for words in (
+        ["thruster", logs / "bench.mcap", "--out", logs / "thruster"],
+        ["vehicle", logs / "estimation.mcap", "--thruster", logs / "thruster" / "model.toml",
+         "--validate", logs / "validation.mcap", "--out", logs / "vehicle"],
+    ):
+        with pytest.raises(SystemExit) as leaving:
+            seatrial.main(["ident", *map(str, words)])
+        assert not leaving.value.code
+    return logs
+
+
+def test_thruster(fitted: Path) -> None:
+    result = result_of(fitted / "thruster")
+    assert result["kind"] == "thruster"
+    assert "N ahead" in result["answer"]
+    truth = draw_bench(SEED).truth()
+    rows = {row["name"]: row for row in result["fit"]["parameters"]}
+    for name, true in (("c1", "c1"), ("a", "pole"), ("tau", "delay")):
+        assert rows[name]["value"] == pytest.approx(truth[true], rel=0.05), name
+    saved = load_model(fitted / "thruster" / "model.toml")
+    assert saved.model.name == "thruster"
+    assert saved.validity["n_cmd"] == (-0.9, 0.9)
+    assert "bench.mcap" in saved.provenance["logs"][0]
+
+
+def test_the_static_curve_has_the_steps_of_the_plan(fitted: Path) -> None:
+    static = result_of(fitted / "thruster")["static"]
+    assert max(static["n"]) > 0.8
+    assert min(static["n"]) < -0.8
+
+
+def test_vehicle(fitted: Path) -> None:
+    result = result_of(fitted / "vehicle")
+    assert result["kind"] == "vehicle"
+    assert [(log["path"], log["role"]) for log in result["logs"]] == [
+        ("estimation.mcap", "estimation"), ("validation.mcap", "validation")]
+    assert result["logs"][0]["mission"] == "mixed, seed 101"
+    assert len(result["logs"][0]["sha256"]) == 64
+    bench = {r["name"]: r["value"] for r in result_of(fitted / "thruster")["fit"]["parameters"]}
+    vehicle = {r["name"]: r for r in result["fit"]["parameters"]}
+    for name in ("c1", "c2"):  # taken from the bench, and fixed
+        assert vehicle[name]["value"] == pytest.approx(bench[name], rel=1e-6)
+        assert not vehicle[name]["free"]
+        assert vehicle[name]["se"] is None
+    assert vehicle["m_u"]["start"] == 37.0  # from the rig in the log
+    assert vehicle["d_vv"]["start"] == 20.0
+    assert set(result["before_after"]) == {"estimation", "validation"}
+    assert result["before_after"]["validation"]["ten_seconds"]["r"]["after"] < 0.1
+    assert result["horizon"] == 10.0
+    assert result["answer"].startswith("Ten seconds ahead on validation data the model errs by position")
+    saved = load_model(fitted / "vehicle" / "model.toml")
+    low, high = saved.validity["u"]
+    assert -1.0 < low < 0.3 < high < 2.0
+
+
+def test_diagnose(fitted: Path, run: Run) -> None:
+    status, out, err = run(
+        "ident", "diagnose", fitted / "vehicle" / "model.toml", fitted / "estimation.mcap",
+        "--validate", fitted / "validation.mcap", "--out", fitted / "diagnosis",
+    )
+    assert (status, err) == (0, "")
+    result = result_of(fitted / "diagnosis")
+    assert [e["name"] for e in result["effects"]] == [EFFECT]
+    assert "wave-making resistance" in result["answer"]
+    assert result["answer"].split()[0] in out
+    errors = result["before_after"]["validation"]["free_run"]
+    assert errors["x"]["after"] < errors["x"]["before"]
+    saved = load_model(fitted / "diagnosis" / "model.toml")
+    assert EFFECT in [e.name for e in saved.model.effects]
+    # the plant's form has another exponent: at 1 m/s both are the same force
+    assert saved.model.values["d_uuu"] == pytest.approx(make_effect(EFFECT, SEED).parameters["k"], rel=0.5)
+    assert str(fitted / "diagnosis" / "report.html") in out.replace("\n", "")
+
+
+def test_a_diagnosed_model_is_where_the_next_diagnosis_starts(fitted: Path, run: Run) -> None:
+    model = fitted / "diagnosis" / "model.toml"
+    if not model.exists():
+        test_diagnose(fitted, run)
+    status, _, err = run("ident", "diagnose", model, fitted / "estimation.mcap", "--validate",
+                         fitted / "validation.mcap", "--out", fitted / "again")
+    assert (status, err) == (0, "")
+    assert EFFECT not in [e["name"] for e in result_of(fitted / "again")["effects"]]
+
+
+def test_a_swapped_pair_is_said_and_put_right(tmp_path: Path, run: Run) -> None:
+    boat = boat_with(None, 3)
+    recording, mission = sail(boat, 120.0, 5)
+    cross = {1: 2, 2: 1}
+    swapped = [
+        r._replace(sample=replace(r.sample, node=cross[r.sample.node])) if hasattr(r.sample, "node") else r
+        for r in recording.readings
+    ]
+    write_log(tmp_path / "swapped.mcap", "boat", swapped, mission)
+    status, out, err = run("ident", "vehicle", tmp_path / "swapped.mcap", "--out", tmp_path / "vehicle")
+    assert (status, err) == (0, "")
+    assert "left and right" in " ".join(out.split())
+    values = load_model(tmp_path / "vehicle" / "model.toml").model.values
+    assert (values["y_left"], values["y_right"]) == (0.15, -0.15)
+    assert values["m_r"] == pytest.approx(boat.truth()["m_r"], rel=0.3)
+
+
+def test_known_values_and_starts_are_taken(fitted: Path, tmp_path: Path, run: Run) -> None:
+    status, _, err = run("ident", "vehicle", fitted / "estimation.mcap", "--fix", "m_u=36.5", "--initial", "d_v=40",
+                         "--rate", 5, "--model", "horizontal:shaft:no-current", "--out", tmp_path)
+    assert (status, err) == (0, "")
+    rows = {r["name"]: r for r in result_of(tmp_path)["fit"]["parameters"]}
+    assert rows["m_u"]["value"] == 36.5
+    assert not rows["m_u"]["free"]
+    assert "V_x" not in rows
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("vehicle {estimation} --validate {estimation}", "the same log to fit and to validate proves nothing"),
+        ("diagnose {model} {estimation} --validate {estimation}", "the same log to fit and to validate"),
+        ("vehicle {bench}", "no inputs for the horizontal model"),
+        ("vehicle {estimation} --model submarine", "no model 'submarine'"),
+        ("vehicle {estimation} --model nowhere.py:boat", "nowhere.py: no such"),
+        ("vehicle {estimation} --fix m_x=3", "--fix m_x: model horizontal has no such parameter; it has m_u"),
+        ("vehicle {estimation} --initial m_x=3", "--initial m_x: model horizontal has m_u"),
+        ("vehicle {estimation} --thruster {rig}", "not 'seatrial-model 1'"),
+        ("thruster {estimation}", "thrusters with commands and shaft speed: left, right; name one with --thruster"),
+        ("thruster {bench} --thruster port", "no signal 'n_cmd_port'"),
+        ("diagnose {rig} {estimation}", "not 'seatrial-model 1': give a model.toml of seatrial"),
+        ("diagnose {estimation} {estimation}", "estimation.mcap: cannot be read"),
+        ("diagnose {model} {bench}", "none of the sensors of"),
+        ("vehicle {rig}", "rig.toml"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line(fitted: Path, tmp_path: Path, run: Run, words: str, says: str) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text('format = "seatrial-rig 1"\n', encoding="utf-8")
+    places = {
+        "estimation": fitted / "estimation.mcap", "bench": fitted / "bench.mcap",
+        "model": fitted / "vehicle" / "model.toml", "rig": rig,
+    }
+    out = tmp_path / "out"
+    status, _, err = run("ident", *(w.format(**places) for w in words.split()), "--out", out)
+    assert status == 1
+    assert says in err
+    assert err.count("\n") == 1
+    assert "internal error" not in err
+    assert not (out / "model.toml").exists()
+
+
+@pytest.mark.parametrize("words", ["vehicle nowhere.mcap", "vehicle", "diagnose {log}", "vehicle {log} --fix m_u"])
+def test_wrong_usage_is_status_2(logs: Path, run: Run, words: str) -> None:
+    status, _, err = run("ident", *(w.format(log=logs / "estimation.mcap") for w in words.split()))
+    assert status == 2
+    assert err.startswith("seatrial ident ")
+    assert err.count("\n") == 1

@@ -1,0 +1,156 @@
+"""`seatrial mission design`: a mission that bench takes, its page, and one line for what is wrong."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import seatrial
+from daq.config.mission_file import dump_mission, load_mission, parse_mission
+from ident.estimation.model_file import load_model
+from ident.experiment_design.task import believed
+from ident.models.horizontal import horizontal_model
+from ident.workflows.design import STATIC_S, with_effect
+
+DOCUMENT = Path(__file__).parents[3] / "docs" / "formats" / "model.md"
+QUICK = ("--evaluations", "500", "--duration", "40", "--steps", "8")
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    """Exit status, stdout and stderr of `seatrial mission` with these words."""
+    with pytest.raises(SystemExit) as left:
+        seatrial.main(["mission", *words])
+    said = capsys.readouterr()
+    return int(left.value.code or 0), said.out, said.err
+
+
+@pytest.fixture
+def fitted(tmp_path: Path) -> Path:
+    """The model.toml of the documentation, with a correlation of two of its parameters."""
+    text = DOCUMENT.read_text(encoding="utf-8").split("```toml\n")[1].split("```")[0]
+    path = tmp_path / "model.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_a_design_is_a_mission_that_bench_reads_and_shows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "mission.toml"
+    words = ("design", "horizontal:shaft:no-current", *QUICK, "--slew", "2", "--n-max", "0.8", "--seed", "3")
+    status, said, _ = run(capsys, *words, "--out", str(out))
+    assert status == 0
+    assert "m_u ±" in said
+    assert "kg m²" in said
+    assert "kg m2" not in said
+    mission = load_mission(out)
+    assert parse_mission(dump_mission(mission), "again") == mission
+    assert mission.thrusters == ("left", "right")
+    assert (mission.n_max, mission.slew_per_s, mission.seed) == (0.8, 2.0, 3)
+    assert mission.end == pytest.approx(STATIC_S + 40.0)
+    assert [s.name for s in mission.segments] == ["static", "designed steps"]
+    assert set(mission.predicted_errors) == {"m_u", "m_v", "m_r", "d_u", "d_v", "d_r", "d_uu", "d_vv", "d_rr"}
+    assert mission.prediction is not None
+    assert mission.prediction.t[0] == STATIC_S
+    status, shown, _ = run(capsys, "show", str(out))
+    assert status == 0
+    assert "predicted standard errors" in shown
+    assert re.search(r"predicted track, \d+ m north", shown)
+    assert "S" in shown.split("predicted track")[1]
+    result = json.loads(out.with_suffix(".json").read_text())
+    rows = {row["name"]: row for row in result["parameters"]}
+    for name, error in mission.predicted_errors.items():
+        assert rows[name]["after"] == pytest.approx(error, rel=1e-3)
+    assert {len(v) for v in result["samples"].values()} == {1000}
+    t, n = mission.setpoints()
+    at = np.searchsorted(t, np.array(result["inputs"][0]["t"][:-1]) + STATIC_S + 1e-6, side="right") - 1
+    assert np.abs(n[at, 0] - np.array(result["inputs"][0]["value"][:-1])).max() < 0.45  # within a row of the same ramps
+    page = out.with_suffix(".html").read_text(encoding="utf-8")
+    assert re.search(r'<td class="symbol[^"]*">m_u</td>', page)  # alone: beside its meaning it is five lines on a phone
+    for words_ in ("What will be known", "Where the boat goes", "Against random sequences", "PRBS"):
+        assert words_ in page
+    assert "http://" not in re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
+
+
+def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("mission.toml", "mission.html"):
+        (tmp_path / name).write_text("mine")
+        status, _, err = run(capsys, "design", "horizontal", *QUICK, "--out", str(tmp_path / "mission.toml"))
+        assert status == 1
+        assert f"{name} exists" in err
+        assert (tmp_path / name).read_text() == "mine"
+        (tmp_path / name).unlink()
+
+
+def test_a_fitted_model_brings_what_it_knows(fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    belief = believed(load_model(fitted))
+    assert belief.names == ("m_u",)
+    assert belief.covariance == pytest.approx(np.array([[0.19**2]]))
+    out = tmp_path / "next.toml"
+    status, said, _ = run(capsys, "design", str(fitted), *QUICK, "--parameters", "m_u", "--out", str(out))
+    assert status == 0, said
+    mission = load_mission(out)
+    assert mission.prediction is not None
+    assert dict(mission.prediction.errors_before) == {"m_u": pytest.approx(0.19)}
+    assert mission.predicted_errors["m_u"] < 0.19
+    assert "tau_b" not in mission.predicted_errors
+
+
+def test_one_input_is_made_by_two_thrusters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "turn.toml"
+    assert run(capsys, "design", "yaw", *QUICK, "--out", str(out), "--thrusters", "port,star")[0] == 0
+    mission = load_mission(out)
+    assert mission.thrusters == ("port", "star")
+    np.testing.assert_array_equal(mission.segments[1].n[:, 0], -mission.segments[1].n[:, 1])
+    assert mission.prediction is None
+
+
+def test_between_two_effects(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "apart.toml"
+    short = ("--evaluations", "500", "--duration", "20", "--steps", "6")
+    words = ("design", "horizontal:shaft:no-current", *short, "--discriminate", "delay,lag")
+    status, said, _ = run(capsys, *words, "--out", str(out))
+    assert status == 0
+    assert "delay against lag differ by at least T" in said
+    apart = json.loads(out.with_suffix(".json").read_text())["apart"]
+    assert min(apart["if_first"], apart["if_second"]) > np.median(apart["random"])
+    model = with_effect(horizontal_model(), "delay")
+    assert model.values["tau_delay"] == 0.25
+    assert with_effect(model, "delay") is model
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "says"),
+    [
+        (("horizontal", "--area", "40"), 2, "not NORTHxEAST"),
+        (("horizontal", "--criterion", "Ds"), 2, "Ds needs --parameters"),
+        (("horizontal", "--discriminate", "delay"), 2, "names two effects"),
+        (("horizontal", "--parameters", "mass"), 1, "'mass' cannot be learned"),
+        (("horizontal", "--discriminate", "delay,ghost"), 1, "no effect 'ghost'"),
+        (("horizontal", "--rate", "sonar=1"), 1, "no sensor 'sonar'"),
+        (("horizontal", "--thrusters", "one"), 1, "--thrusters names 1"),
+        (("horizontal", "--steps", "100"), 1, "do not fit"),
+        (("catamaran",), 1, "no model 'catamaran'"),
+        (("none.toml",), 1, "none.toml: cannot be read"),
+        (("horizontal:shaft:no-current", "--area", "1x1"), 1, "give more room"),
+    ],
+)
+def test_what_is_wrong_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], status: int, says: str
+) -> None:
+    out = tmp_path / "m.toml"
+    more = [*QUICK] if "--steps" not in words else ["--evaluations", "500", "--duration", "40"]
+    got, _, err = run(capsys, "design", *words, *more, "--out", str(out))
+    assert got == status
+    assert says in err
+    assert status == 2 or err.count("\n") == 1
+    assert not out.exists()
+
+
+def test_help_has_an_example_and_the_group_lists_it(capsys: pytest.CaptureFixture[str]) -> None:
+    status, said, _ = run(capsys, "design", "--help")
+    assert status == 0
+    assert "Example: seatrial mission design" in said
+    assert "design" in run(capsys, "--help")[1]

@@ -1,0 +1,113 @@
+"""From log to channels: what the mocks said and daq's recorder wrote comes back under ident's names."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.log.reader import open_log
+from daq.samples import Command, Esc, Servo
+from ident.data.log_channels import channels, local_ned
+from ident.data.record import Channel
+from mocks.offline_simulation import Recording
+from mocks.plant.bench import draw_bench
+from mocks.sensors import geodetic
+from tests.missions import T0, bench_channels_of, boat_with, channels_of, push, sail, write_log
+
+NANOSECOND = 2.5e-7  # what is left of one in seconds since 1970
+
+
+def assert_same(found: dict[str, Channel], wanted: dict[str, Channel]) -> None:
+    for name, c in wanted.items():
+        np.testing.assert_allclose(found[name].t - T0, c.t, atol=NANOSECOND, err_msg=name)
+        np.testing.assert_allclose(found[name].value, c.value, rtol=1e-9, atol=1e-9, err_msg=name)
+
+
+@pytest.fixture(scope="module")
+def boat() -> Recording:
+    return sail(boat_with(None, 4), 40.0, 3)[0]
+
+
+def test_a_boats_log_has_every_channel_of_the_model(tmp_path: Path, boat: Recording) -> None:
+    with open_log(write_log(tmp_path / "a.mcap", "boat", boat.readings)) as log:
+        found = channels(log)
+    assert_same(found, channels_of(boat))
+    units = {"psi": "rad", "r": "rad/s", "ax": "m/s2", "x": "m", "vx": "m/s", "voltage_left": "V", "n_left": ""}
+    assert {n: found[n].unit for n in units} == units
+    assert found["psi"].source == "ahrs"
+    told = [(r.t, r.sample.n_cmd) for r in boat.readings if type(r.sample).__name__ == "Command" and r.sample.node == 2]
+    np.testing.assert_allclose(found["n_cmd_right"].value, [n for _, n in told], atol=1e-6)
+    np.testing.assert_allclose(found["n_cmd_right"].t - T0, [t for t, _ in told], atol=NANOSECOND)
+    truth = boat.truth
+    x = np.interp(found["x"].t - T0, truth["t"], truth["x"])
+    assert (found["x"].value - x + x[0]).std() < 0.25  # metres from the first fix
+    n = np.interp(found["n_left"].t - T0, truth["t"], truth["n_left"])
+    assert np.abs(np.median(found["n_left"].value - n)) < 0.01
+
+
+def test_a_benchs_log_has_command_shaft_speed_and_force(tmp_path: Path) -> None:
+    run = push(draw_bench(2), kind="steps")[0]
+    with open_log(write_log(tmp_path / "b.mcap", "bench", run.readings)) as log:
+        found = channels(log)
+    assert_same(found, bench_channels_of(run))
+    thrust = np.interp(found["force"].t - T0, run.truth["t"], run.truth["thrust"])
+    assert np.corrcoef(thrust, found["force"].value)[0, 1] > 0.98
+
+
+def test_a_saturated_reading_and_a_lost_fix_are_left_out(tmp_path: Path, boat: Recording) -> None:
+    run = push(draw_bench(2), kind="steps")[0]
+    cells = [r for r in run.readings if r.device == "loadcell"]
+    bad = {id(r) for r in cells[10:20]}
+    readings = [r._replace(sample=replace(r.sample, flags=1)) if id(r) in bad else r for r in run.readings]
+    with open_log(write_log(tmp_path / "b.mcap", "bench", readings)) as log:
+        assert channels(log)["force"].t.size == len(cells) - 10
+    fixes = [r for r in boat.readings if r.device == "gnss"]
+    lost = {id(r) for r in fixes[5:25]}
+    readings = [r._replace(sample=replace(r.sample, fix=0)) if id(r) in lost else r for r in boat.readings]
+    with open_log(write_log(tmp_path / "c.mcap", "boat", readings)) as log:
+        found = channels(log)
+    assert found["x"].t.size == found["vy"].t.size == len(fixes) - 20
+    assert np.diff(found["x"].t).max() == pytest.approx(21 * 0.2)
+
+
+def test_telemetry_without_a_sign_gets_that_of_the_shaft_not_of_the_output(tmp_path: Path) -> None:
+    """As an autopilot logs it: outputs, and rev/min with the output's sign of that moment."""
+    run = sail(boat_with(None, 4), 120.0, 3)[0]
+    told, readings = {1: 0.0, 2: 0.0}, []
+    for r in run.readings:
+        if isinstance(r.sample, Command):
+            told[r.sample.node] = r.sample.n_cmd
+            readings.append(r._replace(sample=Servo(r.sample.node, 1500.0, r.sample.n_cmd)))
+        elif isinstance(r.sample, Esc):
+            n = told[r.sample.node]
+            rpm = math.copysign(r.sample.rpm, n) if n else abs(r.sample.rpm)
+            r = r._replace(sample=replace(r.sample, rpm=rpm, duty=n))
+        readings.append(r)
+    with open_log(write_log(tmp_path / "a.mcap", "boat", readings)) as log:
+        found = channels(log)
+    for side in ("left", "right"):
+        c = found[f"n_{side}"]
+        truth = np.interp(c.t - T0, run.truth["t"], run.truth[f"n_{side}"])
+        naive = np.copysign(c.value, np.interp(c.t, found[f"n_cmd_{side}"].t, found[f"n_cmd_{side}"].value))
+        assert np.sqrt(np.mean((naive - truth) ** 2)) > 0.1
+        assert np.sqrt(np.mean((c.value - truth) ** 2)) < 0.03
+
+
+def test_local_ned_is_metres_on_the_ellipsoid() -> None:
+    """Against the mocks' own projection, and against the length of a degree (published series)."""
+    north, east = np.array([0.0, 120.0, -80.0]), np.array([0.0, -60.0, 200.0])
+    lat, lon = np.array([geodetic(n, e) for n, e in zip(north, east, strict=True)]).T
+    x, y = local_ned(lat, lon)
+    np.testing.assert_allclose(x, north, atol=1e-3)
+    np.testing.assert_allclose(y, east, atol=5e-3)
+    for degrees in (-70.0, 0.0, 45.0):
+        phi = math.radians(degrees)
+        per_lat = 111132.92 - 559.82 * math.cos(2 * phi) + 1.175 * math.cos(4 * phi)
+        per_lon = 111412.84 * math.cos(phi) - 93.5 * math.cos(3 * phi) + 0.118 * math.cos(5 * phi)
+        x, y = local_ned(np.array([degrees, degrees + 1e-3]), np.array([179.9995, -179.9995]))  # over the date line
+        assert x[1] == pytest.approx(1e-3 * per_lat, rel=1e-4)
+        assert y[1] == pytest.approx(1e-3 * per_lon, rel=1e-4)

@@ -1,0 +1,195 @@
+"""Rows for a model from channels: block means, holds, gaps, masks, an input's past, work done, and clear refusals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ident.data.record import HISTORY_STEP, WORK_UNIT, Channel, Record, block_mean, build_record, sample_and_hold
+from ident.model.parameter import Parameter
+from ident.model.structure import Effect, Input, Model, Output, Sensor, State, plain_model
+
+
+def model(hold: str = "zero") -> Model:
+    """One input, an angle and a pair that arrives together."""
+    return plain_model(
+        "cart",
+        f=lambda x, u, p: {"s": u.w},
+        h=lambda x, u, p: {"psi": x.s, "a": x.s, "b": x.s},
+        states=(State("s"),),
+        inputs=(Input("w", "N", hold),),  # type: ignore[arg-type]
+        sensors=(
+            Sensor("compass", (Output("psi", "rad", "e", angle=True),)),
+            Sensor("pair", (Output("a", "m", "e"), Output("b", "m", "e"))),
+        ),
+        parameters=(Parameter("e", 0.1),),
+    )
+
+
+def with_inputs(*names: str) -> Model:
+    return model() + Effect("more", "more", {}, inputs=tuple(Input(n, "", "linear") for n in names))
+
+
+def channel(rate: float, seconds: float = 10.0, start: float = 0.0, f: object = np.sin) -> Channel:
+    t = start + np.arange(0.0, seconds + 1e-9, 1 / rate)
+    return Channel(t, np.asarray(f(t), float))  # type: ignore[operator]
+
+
+def channels(rate: float = 50.0) -> dict[str, Channel]:
+    return {
+        "w": Channel(np.array([0.0, 2.04, 5.0, 10.0]), np.array([1.0, -2.0, 3.0, 3.0])),
+        "psi": channel(rate, f=lambda t: 0.2 * t),
+        "a": channel(4.0),
+        "b": channel(4.0, f=np.cos),
+    }
+
+
+def test_a_fast_sensor_is_averaged_and_a_slow_one_keeps_its_times() -> None:
+    record = build_record(model(), channels(), rate=10.0)
+    psi, pair = record.y[:, 0], record.y[:, 1:]
+    seen = np.isfinite(psi)
+    assert seen.sum() == 100  # the sample at 10 s would begin a block of its own
+    assert record.t[seen][0] == pytest.approx(0.04)  # of 0.00 to 0.08
+    np.testing.assert_allclose(psi[seen], 0.2 * record.t[seen], atol=1e-9)  # mean value at the mean time
+    whole = np.isfinite(pair).all(axis=1)
+    np.testing.assert_array_equal(np.isfinite(pair).any(axis=1), whole)
+    np.testing.assert_allclose(record.t[whole], np.arange(0, 10.01, 0.25), atol=1e-9)
+    np.testing.assert_allclose(pair[whole], np.column_stack([np.sin(record.t[whole]), np.cos(record.t[whole])]))
+    assert record.outputs == ("psi", "a", "b")
+
+
+def test_the_noise_of_a_block_mean_is_smaller_by_the_root_of_its_size() -> None:
+    noisy = channels() | {"psi": channel(200.0, f=lambda t: 0.1 * np.random.default_rng(1).normal(size=t.size))}
+    record = build_record(model(), noisy, rate=10.0)
+    psi = record.y[np.isfinite(record.y[:, 0]), 0]
+    assert psi.std() == pytest.approx(0.1 / np.sqrt(20), rel=0.2)
+
+
+def test_a_block_mean_of_an_angle_does_not_see_the_wrap() -> None:
+    t = np.arange(0.0, 1.0, 0.01)
+    turning = Channel(t, np.mod(3.0 + t + np.pi, 2 * np.pi) - np.pi)
+    edges = np.array([0.0, 0.1, 0.2, 0.3, 2.0, 3.0])
+    value, centre = block_mean(turning, edges, angle=True)
+    np.testing.assert_allclose(value[:4], 3.0 + centre[:4])
+    assert np.isnan(value[4])
+    assert np.isnan(centre[4])
+    holes = Channel(t, np.where(t < 0.1, np.nan, 1.0))
+    assert np.isnan(block_mean(holes, edges)[0][0])
+    assert block_mean(holes, edges)[0][1] == 1.0
+
+
+def test_rows_are_the_union_of_all_times_and_no_interval_is_long() -> None:
+    sparse = channels() | {"psi": Channel(np.array([0.0, 3.0, 10.0]), np.zeros(3))}
+    record = build_record(model(), sparse, rate=10.0, max_step=0.1)
+    assert (np.diff(record.t) > 1e-6).all()
+    assert np.diff(record.t).max() <= 0.1 + 1e-9
+    for t in (0.0, 2.04, 3.0, 5.0, 7.25, 10.0):
+        assert np.abs(record.t - t).min() < 1e-9
+    assert np.isfinite(record.y[:, 0]).sum() == 3
+    coarse = build_record(model(), sparse, rate=10.0, max_step=5.0)
+    assert np.diff(coarse.t).max() == pytest.approx(0.25)
+    assert record.h[-1] == 0.0
+    np.testing.assert_allclose(np.cumsum(record.h)[:-1], record.t[1:])
+
+
+def test_a_zero_hold_switches_at_its_own_times_and_a_linear_one_runs_between() -> None:
+    record = build_record(model(), channels())
+    switch = int(np.argmin(np.abs(record.t - 2.04)))
+    assert record.t[switch] == pytest.approx(2.04)
+    assert (record.u[switch - 1, 0], record.u_next[switch - 1, 0], record.u[switch, 0]) == (1.0, 1.0, -2.0)
+    np.testing.assert_array_equal(record.u, record.u_next)
+    linear = build_record(model("linear"), channels())
+    wanted = np.interp(linear.t, channels()["w"].t, channels()["w"].value)
+    np.testing.assert_allclose(linear.u[:, 0], wanted, atol=1e-12)
+    np.testing.assert_allclose(linear.u_next[:-1], linear.u[1:])
+
+
+def test_a_switch_a_hair_after_a_sample_is_not_late() -> None:
+    """Times that were equal differ by rounding (seconds since 1970 have steps of 0.24 us); they are one row."""
+    given = channels() | {"w": Channel(np.array([0.0, 2.0 + 5e-8, 10.0]), np.array([1.0, -2.0, 3.0]))}
+    given |= {"a": channel(10.0), "b": channel(10.0)}
+    record = build_record(model(), given)
+    row = int(np.argmin(np.abs(record.t - 2.0)))
+    assert record.t[row] == pytest.approx(2.0, abs=1e-6)
+    assert record.u[row, 0] == -2.0
+
+
+def test_sample_and_hold_takes_the_first_value_before_the_first_sample() -> None:
+    c = Channel(np.array([1.0, 2.0, 2.0, 3.0]), np.array([5.0, 6.0, 7.0, 8.0]))
+    np.testing.assert_array_equal(sample_and_hold(c, np.array([0.0, 1.0, 1.99, 2.0, 2.5, 9.0])), [5, 5, 5, 7, 7, 8])
+
+
+def test_only_the_common_time_is_used_unless_a_part_is_asked_for() -> None:
+    late = channels() | {"a": channel(4.0, 6.0, 1.5), "b": channel(4.0, 6.0, 1.5)}
+    record = build_record(model(), late)
+    assert record.meta["t0"] == 1.5
+    assert record.duration == pytest.approx(6.0)
+    assert record.t[0] == 0.0
+    assert record.u[0, 0] == 1.0
+    part = build_record(model(), late, t_from=3.0, t_to=5.0, name="part", meta={"why": "asked"})
+    assert (part.name, part.meta["why"], part.meta["t0"]) == ("part", "asked", 3.0)
+    assert part.duration == pytest.approx(2.0)
+    assert part.u[0, 0] == -2.0
+
+
+def test_an_inputs_past_is_the_input_so_many_steps_ago() -> None:
+    wide = with_inputs("g", "g~1", "g~7")
+    ramp = channels() | {"g": channel(50.0, f=lambda t: 2.0 * t)}
+    record = build_record(wide, ramp)
+    names = list(record.inputs)
+    now, one, seven = (record.u[:, names.index(n)] for n in ("g", "g~1", "g~7"))
+    later = record.t > 7 * HISTORY_STEP
+    np.testing.assert_allclose(now[later] - one[later], 2.0 * HISTORY_STEP, atol=1e-9)
+    np.testing.assert_allclose(now[later] - seven[later], 14.0 * HISTORY_STEP, atol=1e-9)
+    assert seven[0] == now[0]  # before the first sample there is only that
+    assert record.duration == pytest.approx(10.0)  # the past costs no data
+
+
+def test_time_and_work_are_inputs_of_their_own() -> None:
+    wide = with_inputs("t", "n_left", "n_right", "work")
+    shafts = {"n_left": channel(25.0, f=lambda t: np.full(t.size, 0.5)), "n_right": channel(25.0, f=lambda t: -t / 10)}
+    record = build_record(wide, channels() | shafts, t_from=2.0)
+    t, work = (record.u[:, list(record.inputs).index(n)] for n in ("t", "work"))
+    np.testing.assert_allclose(t, record.t)
+    at = record.t + 2.0  # work counts from the start of the log: a battery does not know what is fitted
+    np.testing.assert_allclose(work, (0.125 * at + at**4 / 4000) / WORK_UNIT, atol=1e-5)
+
+
+def test_a_missing_sensor_is_left_out_and_said() -> None:
+    record = build_record(model(), {n: c for n, c in channels().items() if n != "b"})
+    assert record.meta["missing"] == ("pair",)
+    assert not np.isfinite(record.y[:, 1:]).any()
+    assert np.isfinite(record.y[:, 0]).any()
+
+
+@pytest.mark.parametrize(
+    ("drop", "change", "says"),
+    [
+        (("w",), {}, "run 7: no signal for the input 'w' of model cart; the log has a, b, psi"),
+        (("psi", "a"), {}, "run 7: none of the sensors of model cart is in the log: compass, pair"),
+        ((), {"w": channel(1.0, 10.0, 20.0)}, "run 7: inputs and sensors overlap for only -10.00 s"),
+    ],
+)
+def test_what_cannot_be_made_is_one_clear_line(drop: tuple[str, ...], change: dict[str, Channel], says: str) -> None:
+    given = {n: c for n, c in channels().items() if n not in drop} | change
+    with pytest.raises(ValueError, match="run 7") as problem:
+        build_record(model(), given, name="run 7")
+    assert str(problem.value) == says
+
+
+def test_a_record_serves_other_models_and_parts() -> None:
+    wide = with_inputs("g", "g~3")
+    record = build_record(wide, channels() | {"g": channel(50.0)})
+    own = record.for_model(model())
+    assert (own.inputs, own.outputs) == (("w",), ("psi", "a", "b"))
+    np.testing.assert_array_equal(own.u[:, 0], record.u[:, 0])
+    fewer = replace(model(), sensors=model().sensors[1:])
+    np.testing.assert_array_equal(record.for_model(fewer).y, record.y[:, 1:])
+    with pytest.raises(ValueError, match="no signal for the input 'g' of model cart"):
+        own.for_model(wide)
+    part = record.part(2.0, 4.0)
+    assert part.name == "record[2:4]"
+    assert (part.t[0] >= 2.0, part.t[-1] < 4.0, part.n_rows) == (True, True, part.y.shape[0])
+    assert isinstance(part, Record)

@@ -1,0 +1,47 @@
+"""The direction of a shaft from its speed alone: simulated thrusters that are thrown about."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ident.data.log_channels import follows_command, with_sign
+
+DT = 1e-3  # s
+Array = NDArray[np.float64]
+
+
+def shaft(command: Array, delay: float, pole: float, dead: float = 0.086) -> Array:
+    """A shaft that follows its command late, with a lag, and not at all within its dead zone."""
+    late = round(delay / DT)
+    told = np.concatenate([np.zeros(late), command])[: command.size]
+    told = np.where(np.abs(told) < dead, 0.0, told)
+    n = np.zeros_like(command)
+    for k in range(1, n.size):
+        n[k] = n[k - 1] + DT * pole * (told[k - 1] - n[k - 1])
+    return n
+
+
+@pytest.mark.parametrize(("delay", "pole"), [(0.345, 7.2), (0.07, 25.0), (0.5, 3.0)])
+def test_the_sign_is_the_shafts_and_not_the_commands(delay: float, pole: float) -> None:
+    rng = np.random.default_rng(1)
+    levels = rng.uniform(-1.0, 1.0, 60)
+    held = rng.uniform(1.0, 4.0, levels.size)
+    command = np.repeat(levels, np.round(held / DT).astype(int))
+    n, t = shaft(command, delay, pole), DT * np.arange(command.size)
+    truth, told = n[::100], command[::100]  # telemetry at 10 Hz
+    speed = np.abs(truth + rng.normal(0.0, 0.003, truth.size))
+    at = np.searchsorted(t, np.concatenate([[0.0], np.cumsum(held)[:-1]]))
+    found = with_sign(t[::100], speed, t[np.minimum(at, t.size - 1)], levels)
+    error = np.sqrt(np.mean((found - truth) ** 2))
+    by_command = np.sqrt(np.mean((np.copysign(speed, told) - truth) ** 2))
+    assert by_command > 0.1  # of full speed
+    assert error < 0.02 + 0.06 * by_command
+    assert follows_command(np.copysign(speed, told), told)
+    assert not follows_command(truth, told)
+
+
+def test_one_way_has_nothing_to_decide() -> None:
+    assert not follows_command(np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.3]))
+    assert not follows_command(np.zeros(3), np.array([0.1, -0.2, 0.3]))

@@ -1,0 +1,256 @@
+"""Columns of the score test: derivatives by hand and in plain floats, driven states, and what no catalogue lists."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from ident.data.record import Record
+from ident.diagnosis.candidates import TrajectoryLinearisation, all_columns, generic_features, splines, variables
+from ident.effects.registry import catalogue
+from ident.model.structure import Effect, Model
+from ident.models.disturbances import for_diagnosis
+from ident.models.horizontal import horizontal_model
+from tests.ident.carriers import carrier
+from tests.ident.sliders import whole
+
+N_ROWS = 60
+
+
+def base_for(effect: Effect | None = None) -> Model:
+    return for_diagnosis(horizontal_model()) if effect is None else carrier(effect)
+
+
+def with_all_inputs(model: Model) -> Model:
+    """The model with the inputs of every effect that it can carry."""
+    for effect in catalogue().values():
+        if model.accepts(effect):
+            model = model + effect
+    return model
+
+
+def made_record(model: Model, seed: int = 0, n_rows: int = N_ROWS) -> Record:
+    """Irregular rows of random inputs, nothing measured."""
+    rng = np.random.default_rng(seed)
+    t = np.cumsum(rng.choice([0.05, 0.1], n_rows))
+    u = rng.uniform(-1, 1, (n_rows, len(model.inputs)))
+    names = [i.name for i in model.inputs]
+    for scale, name in ((1.0, "t"), (0.01, "work")):
+        if name in names:
+            u[:, names.index(name)] = scale * t
+    y = np.full((n_rows, len(model.outputs)), np.nan)
+    outputs = tuple(o.name for o in model.outputs)
+    return Record("made", t, u, np.vstack([u[1:], u[-1:]]), y, tuple(names), outputs)
+
+
+def path_for(model: Model, seed: int = 0, n_rows: int = N_ROWS) -> TrajectoryLinearisation:
+    record = made_record(with_all_inputs(model), seed, n_rows)
+    x = np.random.default_rng(seed + 1).normal(size=(n_rows, len(model.states))) * 0.4
+    return TrajectoryLinearisation(model, np.array(list(model.values.values())), record, x)
+
+
+def in_floats(model: Model, x: np.ndarray, u: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Rates, then outputs, of one row by the model's own functions, without any symbols."""
+    s = model.signals(x.tolist(), u.tolist(), values.tolist())
+    return np.array([s.rate[v.name] for v in model.states] + [s.y[o.name] for o in model.outputs], dtype=float)
+
+
+def test_the_column_of_a_fitted_parameter_is_its_derivative() -> None:
+    """By hand: surge damping and yaw inertia of the horizontal model, in the rates and in the accelerometer."""
+    model = base_for()
+    path = path_for(model)
+    states, outputs = [s.name for s in model.states], [o.name for o in model.outputs]
+    x = {n: path.x[:, i] for i, n in enumerate(states)}
+    p = model.values
+    damping = path.parameter("d_uu")
+    wanted = -np.abs(x["u"]) * x["u"] / p["m_u"]
+    np.testing.assert_allclose(damping[:, states.index("u")], wanted, atol=1e-12)
+    np.testing.assert_allclose(damping[:, len(states) + outputs.index("ax")], wanted, atol=1e-12)
+    others = [states.index(n) for n in ("v", "r", "psi")] + [len(states) + outputs.index(n) for n in ("ay", "r")]
+    assert not damping[:, others].any()
+    inertia = path.parameter("m_r")[:, states.index("r")]
+    N = path.base[:, states.index("r")] * p["m_r"]
+    np.testing.assert_allclose(inertia, -N / p["m_r"] ** 2, rtol=1e-4, atol=1e-9)  # a difference, half a percent wide
+
+
+def test_the_columns_of_simple_effects_by_hand() -> None:
+    path = path_for(base_for())
+    states = [s.name for s in path.model.states]
+    u, p = path.x[:, states.index("u")], path.model.values
+    found = {name: next(path.effect(catalogue()[name])) for name in ("cubic-drag", "yaw-bias", "mismatch")}
+    cubic = whole(path, found["cubic-drag"])[:, states.index("u"), 0]
+    np.testing.assert_allclose(cubic, -(u**3) / p["m_u"], atol=1e-9)
+    np.testing.assert_allclose(whole(path, found["yaw-bias"])[:, states.index("r"), 0], 1 / p["m_r"], atol=1e-9)
+    n = {side: path.own.u[:, path.own.inputs.index(f"n_{side}")] for side in ("left", "right")}
+    f = {side: p["c1"] * z * np.abs(z) + p["c2"] * z * z for side, z in n.items()}
+    mismatch = whole(path, found["mismatch"])[:, :, 0]
+    np.testing.assert_allclose(mismatch[:, states.index("u")], (f["left"] - f["right"]) / p["m_u"], atol=1e-9)
+    np.testing.assert_allclose(mismatch[:, states.index("r")], 0.15 * (f["left"] + f["right"]) / p["m_r"], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", catalogue())
+def test_every_effects_columns_are_differences_of_the_model_with_it(name: str) -> None:
+    """The same step in plain floats: no row, input, state or point of a scan is mixed up."""
+    effect = catalogue()[name]
+    path = path_for(base_for(effect), n_rows=12)
+    larger = path.model + effect
+    n, m = len(path.model.states), len(effect.states)
+    u = path.record.for_model(larger).u
+    found = list(path.effect(effect))
+    assert len(found) == np.prod([len(values) for values in effect.scan.values()], initial=1.0)
+    for columns, point in zip(found, product(*effect.scan.values()), strict=True):
+        assert columns.scan == dict(zip(effect.scan, point, strict=True))
+        values = np.append(path.values, [columns.scan.get(p.name, p.value) for p in effect.parameters])
+        own = driven(larger, effect, path, values, u) if m else np.zeros((12, 0))
+        x = np.column_stack([path.x, own])
+        delta = whole(path, columns)
+        assert delta.shape == (12, n + len(path.model.outputs), len(columns.parameters))
+        assert columns.parameters[0] == effect.parameters[0].name
+        for j, parameter in enumerate(columns.parameters):
+            at = len(path.values) + [p.name for p in effect.parameters].index(parameter)
+            step = effect.parameters[at - len(path.values)].step
+            moved = values.copy()
+            moved[at] += step
+            for k in range(12):
+                change = (in_floats(larger, x[k], u[k], moved) - in_floats(larger, x[k], u[k], values)) / step
+                wanted = np.delete(change, np.s_[n : n + m])
+                np.testing.assert_allclose(delta[k, :, j], wanted, atol=1e-6 * (1 + np.abs(wanted).max()))
+
+
+def driven(
+    larger: Model, effect: Effect, path: TrajectoryLinearisation, values: np.ndarray, u: np.ndarray
+) -> np.ndarray:
+    """The effect's own states by a differential equation solver, what drives them held at its mean between rows."""
+    n, m, t = len(path.model.states), len(effect.states), path.record.t
+
+    def rate(at: float, z: np.ndarray) -> np.ndarray:
+        ends = [in_floats(larger, np.append(path.x[i], z), u[i], values)[n : n + m] for i in (k, k + 1)]
+        return np.asarray((ends[0] + ends[1]) / 2)
+
+    z = np.zeros((t.size, m))
+    for k in range(t.size - 1):
+        solution = solve_ivp(rate, (t[k], t[k + 1] - 1e-12), z[k], rtol=1e-9, atol=1e-12, method="DOP853")
+        z[k + 1] = solution.y[:, -1]
+    return z
+
+
+@pytest.mark.parametrize("frequency", [0.25, 0.55, 1.4])
+def test_the_driven_pendulum_against_an_independent_integration(frequency: float) -> None:
+    """z'' + 2 zeta w z' + w^2 z = -a_x along a smooth path, by a differential equation of its own."""
+    model = base_for()
+    effect = catalogue()["pendulum"]
+    t = 0.05 * np.arange(400)
+    record = replace(made_record(with_all_inputs(model), n_rows=400), t=t)
+    states = [s.name for s in model.states]
+    x = np.zeros((400, len(states)))
+    x[:, states.index("u")] = 0.5 + 0.2 * np.sin(0.8 * t)
+    x[:, states.index("b_X")] = 6.0 * np.sin(2.1 * t) + 3.0 * np.cos(5.3 * t)
+    record.u[:, [j for j, n in enumerate(record.inputs) if n.startswith("n_")]] = 0.0
+    path = TrajectoryLinearisation(model, np.array(list(model.values.values())), record, x)
+    columns = next(c for c in path.effect(effect) if c.scan["f_p"] == frequency)
+    p = model.values
+    omega, zeta = 2 * np.pi * frequency, effect.parameters[2].value
+
+    def acceleration(at: float) -> float:
+        u = 0.5 + 0.2 * np.sin(0.8 * at)
+        force = 6.0 * np.sin(2.1 * at) + 3.0 * np.cos(5.3 * at)
+        return float((force - p["d_u"] * u - p["d_uu"] * abs(u) * u) / p["m_u"])
+
+    swing = solve_ivp(
+        lambda at, z: [z[1], -2 * zeta * omega * z[1] - omega**2 * z[0] - acceleration(at)],
+        (0.0, t[-1]), [0.0, 0.0], t_eval=t, rtol=1e-9, atol=1e-12,
+    ).y
+    force = 2 * zeta * omega * swing[1] + omega**2 * swing[0]
+    wanted = force / p["m_u"]
+    np.testing.assert_allclose(whole(path, columns)[:, states.index("u"), 0], wanted, atol=0.01 * np.abs(wanted).max())
+
+
+def test_generic_features_are_smooth_functions_of_single_variables_and_products() -> None:
+    path = path_for(base_for(), n_rows=500)
+    table = generic_features(path.model, path.own, path.x)
+    assert set(table) == {"u", "v", "r", "t", "n_sum", "n_diff", "psi", "u, r", "u, v", "v, r"}
+    z = variables(path.model, path.own, path.x)
+    assert np.abs(z["psi"]).max() <= np.pi
+    left, right = (path.own.u[:, path.own.inputs.index(n)] for n in ("n_left", "n_right"))
+    np.testing.assert_allclose(z["n_sum"], (left + right) / 2)
+    np.testing.assert_allclose(z["n_diff"], left - right)
+    np.testing.assert_allclose(table["psi"][:, 2], np.sin(2 * z["psi"]), atol=1e-12)
+    np.testing.assert_allclose(table["u, r"][:, 1], np.abs(z["u"]) * z["r"])
+    for feature in table.values():
+        assert feature.shape[0] == 500
+        assert np.linalg.matrix_rank(feature) == feature.shape[1]
+
+
+def test_generic_columns_push_the_boat_along_one_force() -> None:
+    path = path_for(base_for())
+    states, p = [s.name for s in path.model.states], path.model.values
+    found = {c.name: c for c in path.generic()}
+    curves = {n for n in found if " " not in n or "," in n}
+    assert len([n for n in curves if n[0] in "XYN"]) == 3 * 10
+    assert curves - {n for n in curves if n[0] in "XYN"} == {
+        "psi(psi)", "psi(n_sum)", "psi(n_diff)", "r(r)", "ax(u)", "ax(r)", "ay(v)", "ay(r)"}
+    assert set(found) - curves == {f"{force}({how} {of})" for force, of in (("X", "n_sum"), ("N", "n_diff"))
+                                   for how in ("past of", "swing after")}
+    table = generic_features(path.model, path.own, path.x)
+    for force, state, mass in (("X", "u", p["m_u"]), ("Y", "v", p["m_v"]), ("N", "r", p["m_r"])):
+        column = whole(path, found[f"{force}(u)"])
+        np.testing.assert_allclose(column[:, states.index(state)], table["u"] / mass, atol=1e-9)
+        assert found[f"{force}(u)"].generic
+        rest = [states.index(n) for n in ("u", "v", "r", "x", "y", "psi", "b_X", "b_Y", "b_N") if n != state]
+        assert not column[:, rest].any()
+
+
+def test_a_sensors_error_touches_its_reading_alone() -> None:
+    path = path_for(base_for())
+    n, outputs = len(path.model.states), [o.name for o in path.model.outputs]
+    found = {c.name: c for c in path.generic()}
+    column = whole(path, found["psi(psi)"])
+    z = generic_features(path.model, path.own, path.x)["psi"]
+    np.testing.assert_allclose(column[:, n + outputs.index("psi")], z, atol=1e-9)
+    assert not np.delete(column, n + outputs.index("psi"), axis=1).any()
+
+
+def test_splines_follow_a_smooth_function_and_leave_out_what_does_not_vary() -> None:
+    z = np.random.default_rng(0).uniform(-1, 2, 2000)
+    basis = splines(z, 7)
+    assert basis.shape == (2000, 6)
+    np.testing.assert_allclose(basis.mean(0), 0.0, atol=1e-12)
+    for f in (z, z * np.abs(z), z**3):
+        wanted = f - f.mean()
+        rest = wanted - basis @ np.linalg.lstsq(basis, wanted, rcond=None)[0]
+        assert rest.std() < 0.02 * wanted.std()
+    assert splines(np.full(50, 0.3), 6).shape == (50, 0)
+
+
+def test_all_columns_leave_out_what_a_record_cannot_drive_and_what_is_there() -> None:
+    model = base_for()
+    bare = made_record(model)
+    x = np.random.default_rng(1).normal(size=(N_ROWS, len(model.states))) * 0.4
+    values = np.array(list(model.values.values()))
+    names = [c.name for c in all_columns(TrajectoryLinearisation(model, values, bare, x), catalogue().values())]
+    assert not {"delay", "lag", "battery-sag", "force-delay", "lever-arm-force"} & set(names)
+    assert "advance-ratio" in names
+    assert "heading-moment" in names
+    assert "N(psi)" in names  # it has a third harmonic that heading-moment has not
+    full = [c.name for c in all_columns(path_for(model), catalogue().values())]
+    assert {"delay", "lag", "battery-sag"} <= set(full)
+    present = model + catalogue()["cubic-drag"]
+    again = TrajectoryLinearisation(present, np.array(list(present.values.values())), bare, x)
+    assert "cubic-drag" not in [c.name for c in all_columns(again, catalogue().values())]
+
+
+def test_a_column_means_the_same_in_every_record() -> None:
+    """A run in which a variable stands still keeps its columns, on the knots and about the mean of all runs."""
+    whole = np.random.default_rng(5).normal(size=400)
+    still = np.full(50, 0.3)
+    among = np.concatenate([whole, still])
+    at_rest = splines(still, 6, among)
+    assert at_rest.shape == (50, 5)
+    together = splines(among, 6)
+    np.testing.assert_allclose(at_rest, together[400:])
+    np.testing.assert_allclose(splines(whole, 6, among), together[:400])
+    assert splines(still, 6).shape == (50, 0)  # alone it says nothing

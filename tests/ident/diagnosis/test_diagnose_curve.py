@@ -1,0 +1,65 @@
+"""`ident diagnose` on a boat's model that was fitted with a static thrust curve: `--thruster` gives it again."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from daq.errors import SeatrialError
+from ident.cli.commands import ident
+from tests.missions import boat_log, boat_with
+
+
+def run(*words: object) -> Result:
+    return CliRunner().invoke(ident, [str(w) for w in words])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log, a curve from command to thrust, and the boat fitted with it."""
+    where = tmp_path_factory.mktemp("curve")
+    boat_log(where / "one.mcap", boat_with(None, 5), 60, 1)
+    n = np.linspace(-1.0, 1.0, 11)
+    rows = {"n": n, "force": 40.0 * n * np.abs(n), "se": np.full(n.size, 0.1)}
+    lines = [f"{name} = {np.round(z, 3).tolist()}" for name, z in rows.items()]
+    text = "\n".join(['format = "seatrial-curve 1"', "thrusters = 1", "[curve]", *lines])
+    (where / "curve.toml").write_text(text + "\n", encoding="utf-8")
+    done = run("vehicle", where / "one.mcap", "--thruster", where / "curve.toml", "--out", where / "vehicle")
+    assert done.exit_code == 0, done.output
+    return where
+
+
+def test_the_curve_gives_the_model_its_thrust_again(folder: Path) -> None:
+    words = "diagnose", folder / "vehicle/model.toml", folder / "one.mcap", "--max-effects", 1
+    done = run(*words, "--thruster", folder / "curve.toml", "--out", folder / "diagnosis")
+    assert done.exit_code == 0, done.output
+    thrusts = []
+    for made in ("vehicle", "diagnosis"):
+        result = json.loads((folder / made / "result.json").read_text(encoding="utf-8"))
+        assert result["kind"] == made
+        thrusts.append(next(i["value"] for i in result["inputs"] if i["name"] == "f_left"))
+    assert np.ptp(thrusts[0]) > 10.0
+    np.testing.assert_array_equal(thrusts[0], thrusts[1])
+
+
+def test_without_it_one_line_says_what_to_give(folder: Path) -> None:
+    done = run("diagnose", folder / "vehicle/model.toml", folder / "one.mcap")
+    assert isinstance(done.exception, SeatrialError)
+    assert "one.mcap: no signal for the input 'f_left'" in str(done.exception)
+    assert "--thruster CURVE" in str(done.exception)
+    assert "\n" not in str(done.exception)
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [("left", "--thruster left: no such file"), ("vehicle/model.toml", "vehicle/model.toml: holds no static curve")],
+)
+def test_what_is_no_curve_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch, given: str, says: str) -> None:
+    monkeypatch.chdir(folder)
+    done = run("diagnose", "vehicle/model.toml", "one.mcap", "--thruster", given)
+    assert isinstance(done.exception, SeatrialError)
+    assert says in str(done.exception)

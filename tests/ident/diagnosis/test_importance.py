@@ -1,0 +1,44 @@
+"""In which order the effects that were found are told."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import pytest
+
+from ident.diagnosis.importance import by_importance
+from ident.diagnosis.results import EffectImportance, Refit
+from ident.model.structure import Effect
+
+
+def chosen(name: str, **more: Any) -> Refit:
+    return Refit(Effect(name, name, {}, **more), cast(Any, None), 100.0, 1, 90.0, 50.0, 5.0)
+
+
+HUMP = chosen("hump", one_of="X(u)")
+MOMENT = chosen("heading-moment", any_of="N(psi)")
+
+
+@pytest.mark.parametrize(
+    ("found", "told"),
+    [
+        # the search took the delay first; without the other the prediction loses more
+        ([(chosen("delay"), 1.02), (chosen("yaw-bias"), 1.4)], ["yaw-bias", "delay"]),
+        ([(chosen("yaw-bias"), 1.0), (chosen("delay"), 1.1), (chosen("unknown N(u)"), 1.9)],
+         ["delay", "yaw-bias", "unknown N(u)"]),
+        # a table that was found before a name gives way to it only where the name weighs more
+        ([(chosen("unknown N(psi)"), 1.6), (chosen("dead-band"), 1.3)], ["unknown N(psi)", "dead-band"]),
+        ([(chosen("unknown N(psi)"), 1.2), (chosen("dead-band"), 1.3)], ["dead-band", "unknown N(psi)"]),
+        ([(chosen("wind"), 1.2), (chosen("unknown N(u)"), 1.5), (chosen("lag"), 1.1)], ["wind", "unknown N(u)", "lag"]),
+        ([(chosen("wind"), 1.0), (chosen("unknown N(u)"), 1.5), (chosen("lag"), 1.1)], ["unknown N(u)", "lag", "wind"]),
+        ([(HUMP, 1.1), (chosen("unknown X(u)"), 1.2), (chosen("wind"), 3.0)], ["wind", "unknown X(u)", "hump"]),
+        ([(HUMP, 1.1), (chosen("unknown N(u)"), 1.2)], ["hump", "unknown N(u)"]),
+        ([(MOMENT, 1.1), (chosen("unknown N(psi)"), 1.2)], ["heading-moment", "unknown N(psi)"]),
+        ([], []),
+    ],
+)
+def test_what_the_prediction_would_miss_most_comes_first_and_tables_mostly_last(
+    found: list[tuple[Refit, float]], told: list[str]
+) -> None:
+    weights = [EffectImportance(c.effect.name, 10.0, error) for c, error in found]
+    assert [w.effect for w in by_importance(weights, [c for c, _ in found])] == told

@@ -1,0 +1,227 @@
+"""The score tests against what theory promises: their size, the likelihood ratio, and what must not change them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from ident.data.record import Record
+from ident.diagnosis.candidates import TrajectoryLinearisation
+from ident.diagnosis.score_test import (
+    BLOCK,
+    LENGTH,
+    ColumnIndex,
+    NormalEquations,
+    SensitivityColumns,
+    SensitivityFilter,
+    block_index,
+    place,
+    score_tests,
+)
+from ident.engine.vectorised_model import VectorisedModel
+from ident.estimation.likelihood import FilterResult, Likelihood
+from ident.estimation.maximum_likelihood import fit
+from tests.ident.sliders import CUBE, DRAG, PUSH, TAPE, Q, score_of, scores_at, scores_of_columns, slide, slider, whole
+
+N_SETS = 100
+Linearised = tuple[TrajectoryLinearisation, FilterResult, list[np.ndarray]]
+
+
+def rate_bounds(p: float, n: int = N_SETS) -> tuple[float, float]:
+    """Where a rate of n trials lies with 99.9 % when each has probability p."""
+    low, high = stats.binom.interval(0.999, n, p)
+    return low / n, high / n
+
+
+def path_of(record: Record) -> Linearised:
+    """The slider fitted to a record: its path, the filter's run, and the columns of the fitted parameters."""
+    fitted = fit(slider(), [record], threads=1)
+    run = Likelihood(fitted.model).filter(record, fitted.record_values[0])
+    path = TrajectoryLinearisation(fitted.model, fitted.record_values[0], record, run.x_pred)
+    return path, run, [path.parameter(n) for n in fitted.names]
+
+
+@pytest.fixture(scope="module")
+def null_scores() -> dict[str, np.ndarray]:
+    """Name -> p values (n, 2) of LM and of its block version, on data sets that lack nothing."""
+    found: dict[str, list[tuple[float, float]]] = {}
+    for seed in range(N_SETS):
+        path, run, own = path_of(slide(seed))
+        columns = [next(path.effect(e)) for e in (PUSH, DRAG, TAPE)]
+        columns.append(
+            SensitivityColumns("push and drag", np.concatenate([whole(path, c) for c in columns[:2]], axis=2))
+        )
+        for s in scores_of_columns(path, run, own, columns):
+            assert s.df == (2 if s.name == "push and drag" else 1)
+            found.setdefault(s.name, []).append((s.p, s.p_block))
+    return {name: np.array(rows) for name, rows in found.items()}
+
+
+@pytest.mark.parametrize("name", ["push", "drag", "tape", "push and drag"])
+def test_lm_is_chi_squared_when_nothing_is_missing(null_scores: dict[str, np.ndarray], name: str) -> None:
+    p, p_block = null_scores[name].T
+    assert p.size == N_SETS
+    assert stats.kstest(p, "uniform").pvalue > 1e-3
+    low, high = rate_bounds(0.05)
+    assert low <= np.mean(p < 0.05) <= high
+    # the block version is chi-squared only for many blocks (here there are six); it must never alarm more often
+    assert np.mean(p_block < 0.05) <= high
+
+
+def test_lm_is_the_likelihood_ratio_for_a_small_effect() -> None:
+    for seed, push, drag in ((1, 0.06, 0.0), (2, -0.05, 0.0), (3, 0.0, 0.5), (4, 0.0, 0.6)):
+        record = slide(seed, 600, push, drag)
+        effect, size = (PUSH, push) if push else (DRAG, drag)
+        fitted, (s,) = score_of(record, [effect])
+        larger = fit(fitted.model + effect, [record], threads=1)
+        ratio = 2 * (larger.log_likelihood - fitted.log_likelihood)
+        value, error = larger.estimate(effect.parameters[0].name)
+        assert s.lm > 5
+        # a push is linear: only the trapezoid rule stands between them; drag also moves the filter's gains
+        assert s.lm == pytest.approx(ratio, rel=0.03 if push else 0.2)
+        assert abs(s.step[effect.parameters[0].name] - value) < 0.5 * error
+        assert abs(value - size) < 3.5 * error
+
+
+def test_a_fitted_parameter_cannot_be_found_missing() -> None:
+    """What the fitted parameters can imitate is dropped, and adding it to a candidate changes nothing."""
+    record = slide(5, 400, push=0.05)
+    path, run, own = path_of(record)
+    push = whole(path, next(path.effect(PUSH)))
+    mixed = push + 3.0 * own[0][:, :, None] - 0.7 * own[1][:, :, None]
+    same = SensitivityColumns("damping", own[1][:, :, None])
+    one, two = scores_of_columns(path, run, own, [SensitivityColumns("push", push), SensitivityColumns("mixed", mixed)])
+    assert scores_of_columns(path, run, own, [same]) == []
+    assert two.lm == pytest.approx(one.lm, rel=1e-6)
+    assert two.lm_block == pytest.approx(one.lm_block, rel=1e-6)
+
+
+def test_scores_do_not_depend_on_units_and_copies_add_no_freedom() -> None:
+    record = slide(6, 400, drag=0.1)
+    path, run, own = path_of(record)
+    drag = whole(path, next(path.effect(DRAG)))
+    cube = whole(path, next(path.effect(CUBE)))
+    thousand, twice, plain = scores_of_columns(path, run, own, [
+        SensitivityColumns("thousand", np.concatenate([1e3 * drag, 1e-3 * cube], axis=2), ("a", "b")),
+        SensitivityColumns("twice", np.concatenate([drag, cube, drag], axis=2)),
+        SensitivityColumns("plain", np.concatenate([drag, cube], axis=2), ("a", "b")),
+    ])
+    assert thousand.lm == pytest.approx(plain.lm, rel=1e-6)
+    assert thousand.step["a"] == pytest.approx(plain.step["a"] * 1e-3, rel=1e-6)
+    assert (plain.df, twice.df) == (2, 2)
+    assert twice.lm == pytest.approx(plain.lm, rel=1e-4)
+
+
+def test_a_one_sided_effect_of_the_wrong_sign_is_none() -> None:
+    record = slide(7, 400, push=0.08)
+    fitted = fit(slider(), [record], threads=1)
+    ahead = scores_at(fitted, record, [replace(PUSH, one_sided=True)])[0]
+
+    def pull(s: object) -> None:
+        s.rate["v"] = s.rate["v"] - s.p.k_push  # type: ignore[attr-defined]
+
+    astern = scores_at(fitted, record, [replace(PUSH, hooks={"rate": pull}, one_sided=True)])[0]
+    assert ahead.lm > 10
+    assert (astern.lm, astern.lm_block) == (0.0, 0.0)
+    assert astern.step["k_push"] == pytest.approx(-ahead.step["k_push"])
+
+
+def whitened(run: FilterResult, e: np.ndarray, H: np.ndarray) -> np.ndarray:
+    """Innovations (n_rows, n_outputs) by the inverse Cholesky factor of their covariance, in the order of rows."""
+    out = []
+    for k in range(len(e)):
+        seen = np.flatnonzero(np.isfinite(run.e[k]))
+        if seen.size:
+            S = H[k][seen] @ run.P_pred[k] @ H[k][seen].T + np.diag(run.R[seen])
+            out.append(np.linalg.solve(np.linalg.cholesky(S), e[k, seen]))
+    return np.concatenate(out)
+
+
+def test_whitened_sensitivities_are_the_derivatives_of_the_innovations() -> None:
+    """The effects are linear, so the gains do not move and differences of whole filter runs are exact."""
+    record = slide(8, 2 * LENGTH + 50)  # more than is carried at once
+    record = replace(record, t=np.cumsum(np.random.default_rng(8).uniform(0.05, 0.15, record.n_rows)))
+    model = slider() + PUSH + TAPE
+    values = np.array(list(model.values.values()))
+    likelihood, names = Likelihood(model), list(model.values)
+    run = likelihood.filter(record, values)
+    H = VectorisedModel(model).output_jacobian(run.x_pred, record.u, values)
+    path = TrajectoryLinearisation(slider(), values[:5], record, run.x_pred)
+    carrier = SensitivityFilter(run, record, path.jacobian)
+    g, e, t = carrier([next(path.effect(e)) for e in (PUSH, TAPE)]), carrier.e, carrier.t
+    np.testing.assert_allclose(e, whitened(run, run.e, H), atol=1e-9)
+    assert t.size == e.size == np.isfinite(record.y).sum()
+    for column, name in enumerate(("k_push", "k_tape")):
+        step = np.where(np.array(names) == name, 1e-3, 0.0)
+        moved = [likelihood.filter(record, values + sign * step).e for sign in (0.5, -0.5)]
+        wanted = whitened(run, (moved[0] - moved[1]) / 1e-3, H)
+        np.testing.assert_allclose(g[:, column], wanted, atol=1e-2 * np.abs(wanted).max())  # h d / 6 m of it
+
+
+def test_the_block_version_holds_where_the_innovations_are_coloured() -> None:
+    """A model that takes the sea for calmer than it is: its innovations remember, and the plain test alarms far too
+    often; the one from blocks does not."""
+    calm = slider().replace_parameters(slider().parameter("q").at(0.4 * Q))
+    plain, block = [], []
+    for seed in range(N_SETS):
+        s = score_of(slide(1000 + seed, 600), [PUSH], calm)[1][0]
+        plain.append(s.p)
+        block.append(s.p_block)
+    assert np.mean(np.array(plain) < 0.05) > 0.2
+    assert np.mean(np.array(block) < 0.05) < rate_bounds(0.05)[1]
+    assert np.mean(np.array(block) < 0.5) == pytest.approx(0.5, abs=0.12)
+
+
+def test_records_and_blocks_add_up() -> None:
+    rng = np.random.default_rng(1)
+    g, e, t = rng.normal(size=(90, 3)), rng.normal(size=90), np.arange(90) * 0.5
+    whole, parts = NormalEquations(["a", "b", "c"]), NormalEquations(["a", "b", "c"])
+    whole.add([0, 1, 2], g, e, block_index(t))
+    for rows in (slice(0, 30), slice(30, 90)):  # at 15 s, where a block ends
+        parts.add([0, 1, 2], g[rows], e[rows], block_index(t[rows]))
+    np.testing.assert_allclose(whole.information, g.T @ g)
+    np.testing.assert_allclose(parts.score, -g.T @ e)
+    blocks = np.concatenate(whole.blocks)
+    assert len(blocks) == 45.0 / BLOCK
+    np.testing.assert_allclose(np.concatenate(parts.blocks), blocks)
+    np.testing.assert_allclose(blocks.sum(0), whole.score)
+
+
+def test_a_prior_counts_as_information_of_a_fitted_parameter() -> None:
+    """With a sharp prior a fitted parameter cannot imitate anything; the test becomes that of the bare column."""
+    rng = np.random.default_rng(2)
+    g, e = rng.normal(size=(400, 2)), rng.normal(size=400)
+    g[:, 1] += 2 * g[:, 0]
+    normal = NormalEquations(["fitted", "new"])
+    normal.add([0, 1], g, e, block_index(np.arange(400) * 0.1))
+    column = SensitivityColumns("new", np.zeros((1, 1, 1)), ("k",))
+    (free,) = score_tests(normal, 1, np.array([0.0]), [ColumnIndex(column, (1,))])
+    (held,) = score_tests(normal, 1, np.array([1e12]), [ColumnIndex(column, (1,))])
+    rest = g[:, 1] - g[:, 0] * (g[:, 0] @ g[:, 1]) / (g[:, 0] @ g[:, 0])
+    # the score of the fitted parameter is not zero here, so its part is taken from both
+    assert free.lm == pytest.approx((rest @ e) ** 2 / (rest @ rest), rel=1e-9)
+    assert held.lm == pytest.approx((g[:, 1] @ e) ** 2 / (g[:, 1] @ g[:, 1]), rel=1e-6)
+
+
+def test_an_effect_of_each_records_own_may_have_opposite_signs() -> None:
+    """Two records pushed in opposite directions: one shared push sees nothing, one push a record sees both."""
+    rng = np.random.default_rng(3)
+    g = [rng.normal(size=(300, 2)) for _ in range(2)]
+    e = [rng.normal(size=300) - sign * 0.5 * one[:, 1] for sign, one in zip((1, -1), g, strict=True)]
+    shared = SensitivityColumns("shared", np.zeros((1, 1, 1)), ("k",))
+    own = SensitivityColumns("own", np.zeros((1, 1, 1)), ("k",), per_record=True)
+    places, total = place([shared, own], 1, 2)
+    assert [p.at for p in places] == [(1,), (2, 3)]
+    normal = NormalEquations([str(k) for k in range(total)])
+    for i in range(2):
+        at = [0] + [k for p in places for k in p.of_record(i)]
+        normal.add(at, np.column_stack([g[i], g[i][:, 1]]), e[i], block_index(np.arange(300) * 0.1))
+    one, two = score_tests(normal, 1, np.zeros(1), places)
+    assert (one.df, two.df) == (1, 2)
+    assert one.p > 0.01
+    assert two.p < 1e-20
+    assert two.step["k@0"] == pytest.approx(0.5, abs=0.2)
+    assert two.step["k@1"] == pytest.approx(-0.5, abs=0.2)

@@ -1,0 +1,188 @@
+"""The thruster's model as a diagnosis sees it: what may be unexplained, how its effects act, and logs through the
+command."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import seatrial
+from daq.errors import SeatrialError
+from ident.characterisation import thruster
+from ident.characterisation.thruster import shaft_guess
+from ident.data.loading import LoadedLog
+from ident.data.record import Channel, LogSegment, build_record
+from ident.diagnosis.candidates import TrajectoryLinearisation as Along
+from ident.diagnosis.candidates import variables
+from ident.effects.nonparametric import nonparametric_effect
+from ident.effects.registry import catalogue
+from ident.engine.vectorised_model import VectorisedModel
+from ident.estimation.fitted_model import reset_collapsed_noise
+from ident.model.structure import Model
+from ident.models.catalogue import make_model
+from ident.models.disturbances import for_diagnosis, residuals_of, variables_of
+from ident.models.thruster import delayed_channels, thruster_model
+from mocks.plant.bench import draw_bench, make_effect
+from tests.missions import bench_log
+
+BENCH = [name for name, effect in catalogue().items() if "bench" in effect.requires]
+
+
+def rates(model: Model, values: dict[str, float], n: float, command: float, **states: float) -> dict[str, float]:
+    """Rates and outputs of one row with all copies of the command alike."""
+    model = model.with_values(values)
+    x = np.array([[{"n": n, **states}.get(s.name, 0.0) for s in model.states]])
+    u = np.array([[command if i.name.startswith("n_cmd") else 30.0 for i in model.inputs]])
+    row = VectorisedModel(model)(x, u, np.array(list(model.values.values())))[0]
+    return dict(zip([f"{s.name}'" for s in model.states] + [o.name for o in model.outputs], row.tolist(), strict=True))
+
+
+def with_effect(name: str) -> Model:
+    return for_diagnosis(thruster_model(n_delays=9)) + catalogue()[name]
+
+
+def test_a_bench_model_says_what_may_be_unexplained() -> None:
+    model = for_diagnosis(thruster_model(n_delays=9))
+    assert [(r.name, r.state, r.unit) for r in residuals_of(model)] == [("F", "b_f", "N"), ("n_dot", "b_n", "1/s")]
+    assert [v.name for v in variables_of(model)] == ["n", "n_ref", "slip", "t"]
+    assert [r.name for r in residuals_of(thruster_model(force=False))] == ["n_dot"]
+    assert model.parameter("s_n").value == 1e-4  # b_n takes its place
+    assert len(BENCH) == 13
+    assert not [e for e in BENCH if "hull" in catalogue()[e].requires]
+    hull = [e for n, e in catalogue().items() if n not in BENCH]
+    assert not [e.name for e in hull if model.accepts(e)]
+
+
+def test_residuals_enter_where_their_states_do() -> None:
+    model = for_diagnosis(thruster_model(n_delays=9))
+    for force, variable in (("F", "n"), ("n_dot", "slip")):
+        effect = nonparametric_effect(model, force, variable, (-1.0, 1.0))
+        flat = {p.name: 0.25 for p in effect.parameters}  # a table of one value all along
+        state = next(r.state for r in residuals_of(model) if r.name == force)
+        table, moved = rates(model + effect, flat, 0.5, 0.6), rates(model, {}, 0.5, 0.6, **{state: 0.25})
+        assert table["force"] == pytest.approx(moved["force"])
+        assert table["n'"] == pytest.approx(moved["n'"])
+        assert (table["force"], table["n'"]) != (rates(model, {}, 0.5, 0.6)["force"], rates(model, {}, 0.5, 0.6)["n'"])
+
+
+def test_the_effects_do_what_their_formulas_say() -> None:
+    base = rates(for_diagnosis(thruster_model(n_delays=9)), {}, 0.5, 0.9)
+    a, c1, c2 = 2.794, 40.05, 1.11
+    late = rates(with_effect("second-lag"), {"k_lag": 1.0, "T_late": 0.1}, 0.5, 0.9, n_late=0.7)
+    assert late["n'"] == pytest.approx(a * (0.7 - 0.5))
+    assert late["n_late'"] == pytest.approx((0.9 - 0.7) / 0.1)
+    assert rates(with_effect("spin-up"), {"k_up": 0.2}, 0.5, 0.9)["n'"] == pytest.approx(1.2 * base["n'"])
+    assert rates(with_effect("spin-up"), {"k_up": 0.2}, 0.5, 0.1)["n'"] == pytest.approx(0.8 * a * (0.1 - 0.5))
+    slewed = rates(with_effect("slew-limit"), {"k_slew": 1.0, "n_slew": 0.3}, 0.5, 0.9)
+    assert slewed["n'"] == pytest.approx(0.3, rel=0.01)
+    capped = rates(with_effect("speed-limit"), {"k_top": 1.0, "n_top": 0.6}, 0.5, 0.9)
+    assert capped["n'"] == pytest.approx(a * (0.6 - 0.5), rel=0.01)
+    sagged = rates(with_effect("supply-sag"), {"k_sag": 0.1}, 0.5, 0.9, used=0.5)
+    assert sagged["n'"] == pytest.approx(a * (0.9 * 0.95 - 0.5))
+    assert sagged["used'"] == pytest.approx(0.5**3 / 30.0)
+    band = rates(with_effect("thrust-dead-band"), {"n_band": 0.1}, -0.5, 0.0)["force"]
+    assert band == pytest.approx(-c1 * 0.4**2 + c2 * 0.4**2)
+    bent = rates(with_effect("thrust-exponent"), {"p_n": 0.3}, 0.5, 0.9)["force"]
+    assert bent == pytest.approx(base["force"] * 0.5**0.3, rel=1e-4)
+    washed = rates(with_effect("recirculation"), {"k_wash": 0.2}, 0.5, 0.9, wash=0.25)
+    assert washed["force"] == pytest.approx(0.95 * base["force"])
+    assert washed["wash'"] == pytest.approx(0.0)
+    drifted = rates(with_effect("cell-drift"), {"F_creep": 2.0, "T_creep": 30.0}, 0.5, 0.9)["force"]
+    assert drifted - base["force"] == pytest.approx(2.0 * (1 - np.exp(-1.0)))
+    flexed = rates(with_effect("rod-flex"), {"g_rod": 1.0}, 0.5, 0.9, rod=3.0)
+    assert flexed["force"] == pytest.approx(3.0)
+    assert flexed["rod_rate'"] == pytest.approx(2 * np.pi * 6.0 * (base["force"] - 3.0))
+
+
+def test_the_variables_of_a_row_are_the_models_own() -> None:
+    model = for_diagnosis(thruster_model()).with_values({"tau": 0.2, "d": 0.1})
+    t = np.arange(0.0, 6.0, 0.02)
+    command = Channel(t, np.where(t > 1.0, 0.6, np.where(t > 0.5, 0.05, 0.0)))
+    n = Channel(t, np.clip(t - 1.2, 0.0, 0.6))
+    record = build_record(model, delayed_channels(command) | {"n": n, "force": n}, rate=50.0)
+    x = np.zeros((record.n_rows, len(model.states)))
+    x[:, 0] = np.interp(record.t, t, n.value)
+    path = Along(model, np.array(list(model.values.values())), record, x)
+    found = variables(model, path.own, x, path.values)
+    late = record.t > 1.02 + 0.2 + 0.02
+    np.testing.assert_allclose(found["n_ref"][late], 0.6)
+    np.testing.assert_allclose(found["n_ref"][record.t < 1.0], 0.0, atol=1e-12)  # in the dead zone
+    np.testing.assert_allclose(found["slip"], found["n_ref"] - x[:, 0])
+
+
+@pytest.mark.parametrize(("delay", "pole"), [(0.345, 7.2), (2.6, 1.1)])
+def test_the_start_is_near_whatever_the_delay(delay: float, pole: float) -> None:
+    t = np.arange(0.0, 60.0, 0.02)
+    told = np.where((t % 12.0) < 6.0, 0.2 + 0.1 * np.floor(t / 12.0), -0.3)
+    n = np.zeros(t.size)
+    for k in range(1, t.size):
+        n[k] = n[k - 1] + 0.02 * pole * (np.interp(t[k] - delay, t, told, left=0.0) - n[k - 1])
+    channels = delayed_channels(Channel(t, told)) | {"n": Channel(t, n)}
+    tau, a = shaft_guess([build_record(thruster_model(force=False), channels, rate=50.0)])
+    assert tau == pytest.approx(delay, abs=0.11)
+    assert a == pytest.approx(pole, rel=0.5)
+
+
+def test_a_slow_thruster_comes_back_from_its_file() -> None:
+    slow = thruster_model("slow", force=False)
+    assert slow.parameter("tau").bounds[1] == pytest.approx(4.8)
+    again = make_model(slow.source, ["rpm"])
+    assert [p.name for p in again.parameters] == [p.name for p in slow.parameters]
+    assert again.parameter("tau").bounds == slow.parameter("tau").bounds
+    with pytest.raises(SeatrialError, match="thruster has no option 'fast' there; there is slow"):
+        make_model("thruster:fast", ["rpm"])
+
+
+def test_noise_that_was_put_to_nought_begins_again() -> None:
+    model = thruster_model(force=False).with_values({"e_n": 1e-9})
+    t = np.arange(0.0, 20.0, 0.02)
+    noise = 0.01 * np.random.default_rng(1).normal(size=t.size)
+    record = build_record(model, delayed_channels(Channel(t, 0.0 * t)) | {"n": Channel(t, 0.3 + noise)}, rate=50.0)
+    assert reset_collapsed_noise(model, [record]).parameter("e_n").value == pytest.approx(0.01, rel=0.15)
+    kept = model.with_values({"e_n": 2e-3})
+    assert reset_collapsed_noise(kept, [record]) == kept
+
+
+def loaded(**channels: Channel) -> LoadedLog:
+    return LoadedLog(LogSegment("bench", channels), {"path": "bench.mcap"}, {}, None)
+
+
+def test_a_log_says_which_thruster_and_what_it_lacks() -> None:
+    t = np.arange(0.0, 5.0, 0.1)
+    moved, still = Channel(t, np.sin(t)), Channel(t, 0.0 * t)
+    one = loaded(n_cmd_port=moved, n_port=moved, n_cmd_stern=still, n_stern=still)
+    assert thruster.thruster_name(one) == "port"
+    with pytest.raises(SeatrialError, match=r"bench.mcap: thrusters with commands and shaft speed: none; name one"):
+        thruster.thruster_name(loaded(n_cmd_port=still, n_port=still))
+    with pytest.raises(SeatrialError, match=r"bench.mcap: no load cell in the log, but the model has its force"):
+        thruster.thruster_runs([one], thruster_model(), None)
+    runs = thruster.thruster_runs([one, replace(one)], thruster_model(force=False), None)
+    assert {"n", "n_cmd_0", "n_cmd_48"} <= set(runs[1].channels)
+    with pytest.raises(SeatrialError, match=r"bench.mcap: no signal 'n_cmd_bow'; it has n_cmd_port"):
+        thruster.thruster_runs([one], thruster_model(force=False), "bow")
+
+
+@pytest.mark.slow
+def test_the_command_finds_what_a_bench_hides(tmp_path: Path) -> None:
+    bench = draw_bench(3, make_effect("recirculation", 3))
+    logs = [str(bench_log(tmp_path / f"bench{k}.mcap", bench, k)) for k in (1, 2)]
+    model, out = str(tmp_path / "thruster/model.toml"), tmp_path / "diagnosis"
+    for words in (
+        ("ident", "thruster", logs[0], "--out", str(tmp_path / "thruster")),
+        ("ident", "diagnose", model, logs[0], "--validate", logs[1], "--out", str(out)),
+    ):
+        with pytest.raises(SystemExit) as left:
+            seatrial.main(words)
+        assert left.value.code == 0
+    result = json.loads((out / "result.json").read_text())
+    assert result["kind"] == "diagnosis"
+    assert result["answer"].startswith("The model lacks the pool's own motion, which takes thrust; with it")
+    assert {(f["force"], f["unit"]) for f in result["residual_forces"]} == {("F", "N"), ("n_dot", "1/s")}
+    assert {i["name"] for i in result["inputs"]} == {"n_cmd"}
+    assert result["horizon"] == 1.0
+    assert set(result["calibration"]["validation"]["ten_seconds"]) == {"n", "force"}
+    assert 'effects = ["disturbance", "recirculation"]' in (out / "model.toml").read_text()

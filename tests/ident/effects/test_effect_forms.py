@@ -1,0 +1,117 @@
+"""Effects whose form is not plain from their formula: the force they make, and that each names its rivals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_continuous_lyapunov
+
+from ident.data.record import LogSegment, make_record
+from ident.diagnosis.candidates import wave_peak_score
+from ident.effects.environment.waves import EFFECT as WAVES
+from ident.effects.environment.waves import FORCES, waves_at
+from ident.effects.registry import catalogue
+from ident.engine.vectorised_model import VectorisedModel
+from ident.estimation.fitted_model import fit_and_evaluate, fit_nominal_model, nominal
+from ident.model.structure import Model
+from ident.models.disturbances import for_diagnosis
+from ident.models.horizontal import horizontal_model
+from tests.missions import boat_with, channels_of, sail
+
+
+def model_with(name: str, **values: float) -> Model:
+    return (for_diagnosis(horizontal_model()) + catalogue()[name]).with_values(values)
+
+
+def rates(model: Model, **x: float) -> dict[str, float]:
+    """Rates and outputs by name, at rest but for the given states."""
+    names = [s.name for s in model.states]
+    state = np.array([[x.get(n, 0.0) for n in names]])
+    row = VectorisedModel(model)(state, np.zeros((1, len(model.inputs))), np.array(list(model.values.values())))[0]
+    return dict(zip([*names, *(f"y_{o.name}" for o in model.outputs)], row.tolist(), strict=True))
+
+
+def force(name: str, x: dict[str, float], **values: float) -> float:
+    """What the effect adds to X, N."""
+    added = rates(model_with(name, **values), **x)["u"] - rates(model_with(name), **x)["u"]
+    return 37.0 * added
+
+
+def test_a_hump_is_highest_at_its_speed_and_against_the_motion() -> None:
+    def hump(u: float) -> float:
+        return force("hump", {"u": u}, A_hump=7.0, u_hump=0.8, w_hump=0.15)
+
+    assert hump(0.8) == pytest.approx(-7.0, rel=1e-6)
+    assert hump(-0.8) == pytest.approx(7.0, rel=1e-6)
+    assert hump(0.65) == pytest.approx(-7.0 * np.exp(-0.5), rel=1e-4)
+    assert abs(hump(1.6)) < 1e-5
+
+
+def test_a_line_drags_with_its_length_against_the_motion_over_ground() -> None:
+    def drag(x: float, u: float) -> float:
+        return force("tether", {"x": x, "u": u}, k_tether=0.05)
+
+    assert drag(40.0, 1.0) == pytest.approx(-2.0, rel=1e-4)
+    assert drag(20.0, 1.0) == pytest.approx(-1.0, rel=1e-4)
+    assert drag(40.0, -0.5) == pytest.approx(0.5, rel=1e-4)
+    against = force("tether", {"x": 40.0, "u": 1.0}, k_tether=0.05, V_x=-1.0) - force("tether", {"x": 40.0, "u": 1.0},
+                                                                                     V_x=-1.0)
+    assert against == pytest.approx(0.0, abs=1e-4)  # at rest over ground
+
+
+def test_the_scale_of_the_accelerometers_is_on_what_they_feel() -> None:
+    x = {"u": 1.0, "r": 0.3, "v": 0.1}
+    plain = rates(model_with("accelerometer-scale"), **x)
+    scaled = rates(model_with("accelerometer-scale", k_acc=0.1), **x)
+    for axis in ("y_ax", "y_ay"):
+        assert scaled[axis] == pytest.approx(1.1 * plain[axis])
+    assert scaled["u"] == plain["u"]
+
+
+def test_the_waves_have_the_size_that_their_parameters_say() -> None:
+    """The stationary covariance of the filter (Lyapunov's equation) against A."""
+    model = model_with("waves", A_X=3.0, f_wave=0.4, zeta_wave=0.07)
+    names = [s.name for s in model.states]
+    at = [names.index(n) for n in ("wave_X", "wave_X_rate")]
+    values = np.array(list(model.values.values()))
+    jacobian = VectorisedModel(model).rate_jacobian(
+        np.zeros((1, len(names))), np.zeros((1, len(model.inputs))), values
+    )[0]
+    A = jacobian[np.ix_(at, at)]
+    noise = np.array([model.states[i].noise for i in at], dtype=float)
+    P = solve_continuous_lyapunov(A, -np.diag(noise**2))
+    gain = 37.0 * jacobian[names.index("u"), at[0]]
+    assert gain * np.sqrt(P[0, 0]) == pytest.approx(3.0, rel=1e-6)
+    frequency = np.abs(np.linalg.eigvals(A))[0] / (2 * np.pi)
+    assert frequency == pytest.approx(0.4)
+    assert {p.name for p in waves_at(0.7).parameters if p.value > 0} >= {f"A_{f}" for f in FORCES}
+
+
+@pytest.mark.slow
+def test_waves_are_seen_in_the_innovations_and_fitted() -> None:
+    """And on a boat without waves nothing is seen."""
+    runs = {
+        name: LogSegment("run", channels_of(sail(boat_with(name, 4), 130.0, 3)[0])) for name in ("waves", None)
+    }
+    assert wave_peak_score(fit_nominal_model(horizontal_model(), [runs[None]], [])) is None
+    before = fit_nominal_model(horizontal_model(), [runs["waves"]], [])
+    score = wave_peak_score(before)
+    assert score is not None
+    assert score.p < 1e-6
+    assert score.scan["f_wave"] == pytest.approx(0.45, abs=0.15)
+    start = replace(
+        WAVES, parameters=tuple(p.at(score.scan.get(p.name, score.step.get(p.name, p.value))) for p in WAVES.parameters)
+    )
+    model = nominal(horizontal_model()) + start
+    after = fit_and_evaluate(model, [make_record(model, runs["waves"], 10.0)], [])
+    assert after.fit.log_posterior - before.fit.log_posterior > 100.0
+    assert after.fit.estimate("f_wave")[0] == pytest.approx(0.45, abs=0.1)
+
+
+def test_every_vehicle_effect_names_its_rivals() -> None:
+    for name, effect in catalogue().items():
+        if "bench" not in effect.requires:
+            assert effect.rivals, name
+            assert name not in effect.rivals

@@ -1,0 +1,43 @@
+"""What depends on an input's past: which there are, and that nothing is left of it when the input rests."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ident.effects.nonparametric import MEMORIES, input_response_effects
+from ident.engine.vectorised_model import VectorisedModel
+from ident.models.horizontal import horizontal_model
+
+NAMES = {"X(past of n_sum)", "X(swing after n_sum)", "N(past of n_diff)", "N(swing after n_diff)"}
+
+
+def test_there_is_one_of_each_kind_for_each_pair_of_inputs() -> None:
+    assert set(input_response_effects(horizontal_model())) == NAMES
+    assert set(input_response_effects(horizontal_model("force"))) == {n.replace("n_", "f_") for n in NAMES}
+    assert input_response_effects(horizontal_model("general")) == {}
+    with_one = horizontal_model() + input_response_effects(horizontal_model())["X(swing after n_sum)"]
+    assert set(input_response_effects(with_one)) == NAMES - {"X(swing after n_sum)"}
+
+
+@pytest.mark.parametrize("name", sorted(NAMES))
+def test_nothing_acts_while_the_input_rests_and_all_has_settled(name: str) -> None:
+    """With the states where a constant input brings them to rest, forces are what they are without the effect."""
+    base = horizontal_model()
+    effect = input_response_effects(base)[name]
+    model = base + effect
+    model = model.with_values({p.name: 3.0 for p in effect.parameters if p.transform != "log"})
+    u = np.array([[0.6, -0.2]])
+    left, right = u[0] * np.abs(u[0])
+    drive = (left + right) / 2 if "sum" in name else (left - right) / 2
+    rest = [drive] * len(MEMORIES) if "past" in name else [drive, 0.0]
+    x = np.zeros((1, len(base.states)))
+    plain = VectorisedModel(base)(x, u[:, : len(base.inputs)], np.array(list(base.values.values())))
+    full = VectorisedModel(model)(np.column_stack([x, [rest]]), u, np.array(list(model.values.values())))
+    n = len(base.states)
+    np.testing.assert_allclose(full[:, :n], plain[:, :n], atol=1e-9)
+    np.testing.assert_allclose(full[:, n : n + len(rest)], 0.0, atol=1e-9)
+    moved = VectorisedModel(model)(np.column_stack([x, [[drive + 1.0] + [0.0] * (len(rest) - 1)]]), u,
+                           np.array(list(model.values.values())))
+    at = [s.name for s in base.states].index("u" if "X" in name else "r")
+    assert abs(moved[0, at] - plain[0, at]) > 0.01

@@ -1,0 +1,138 @@
+"""Unknown effects: the table of a force over a variable, what it adds to a model, and the curve with its band."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ident.effects.nonparametric import N_KNOTS, between_knots, nonparametric_effect, shape, spline_basis
+from ident.engine.vectorised_model import VectorisedModel
+from ident.models.disturbances import variables_of
+from ident.models.horizontal import horizontal_model
+
+SPAN = (-0.4, 1.2)
+
+
+def hats(z: np.ndarray) -> np.ndarray:
+    return np.column_stack([b * np.ones(z.size) for b in spline_basis(z, False, SPAN)])
+
+
+def test_the_hats_are_a_partition_of_one_and_constant_beyond_the_span() -> None:
+    z = np.linspace(-2, 3, 1001)
+    B = hats(z)
+    assert B.shape == (1001, N_KNOTS)
+    np.testing.assert_allclose(B.sum(1), 1.0, atol=1e-12)
+    assert (B >= 0).all()
+    np.testing.assert_allclose(B[z < SPAN[0]], np.eye(N_KNOTS)[[0] * int((z < SPAN[0]).sum())], atol=1e-12)
+    np.testing.assert_allclose(B[z > SPAN[1]], np.eye(N_KNOTS)[[-1] * int((z > SPAN[1]).sum())], atol=1e-12)
+
+
+def test_the_hats_interpolate_between_knots() -> None:
+    knots = np.linspace(*SPAN, N_KNOTS)
+    values = np.random.default_rng(0).normal(size=N_KNOTS)
+    z = np.linspace(*SPAN, 333)
+    np.testing.assert_allclose(hats(z) @ values, np.interp(z, knots, values), atol=1e-9)
+
+
+def forces(force: str, variable: str, coefficients: list[float], x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """What an unknown effect adds to X, Y and N, (n, 3), from the rates of the horizontal model with and without it."""
+    base = horizontal_model()
+    effect = nonparametric_effect(base, force, variable, SPAN)
+    model = base + effect
+    names = [p.name for p in effect.parameters]
+    model = model.with_values(dict(zip(names, coefficients, strict=True)))
+    p = base.values
+    more = [
+        VectorisedModel(m)(x, u[:, : len(m.inputs)], np.array(list(m.values.values())))[:, 3:6] for m in (model, base)
+    ]
+    return np.asarray((more[0] - more[1]) * [p["m_u"], p["m_v"], p["m_r"]])
+
+
+def test_an_unknown_effect_adds_its_table_to_one_force() -> None:
+    rng = np.random.default_rng(1)
+    x, u = rng.normal(size=(40, 6)), rng.uniform(-1, 1, (40, 3))
+    table = rng.normal(size=N_KNOTS).tolist()
+    z = x[:, 3]
+    added = forces("Y", "u", table, x, u)
+    np.testing.assert_allclose(added[:, 1], hats(z) @ table, atol=1e-9)
+    np.testing.assert_allclose(added[:, [0, 2]], 0.0, atol=1e-9)
+    psi = forces("N", "psi", [1.0, -0.5, 0.25, 2.0, 0.5, -1.0], x, u)[:, 2]
+    h = x[:, 2]
+    wanted = np.sin(h) - 0.5 * np.cos(h) + 0.25 * np.sin(2 * h) + 2 * np.cos(2 * h)
+    np.testing.assert_allclose(psi, wanted + 0.5 * np.sin(3 * h) - np.cos(3 * h), atol=1e-9)
+    a, b = x[:, 3], x[:, 5]
+    product = forces("X", "u, r", [1.0, 2.0, -3.0], x, u)[:, 0]
+    np.testing.assert_allclose(product, a * b + 2 * np.abs(a) * b - 3 * a * np.abs(b), atol=1e-9)
+    mean = forces("X", "n_sum", table, x, u)[:, 0]
+    np.testing.assert_allclose(mean, hats((u[:, 0] + u[:, 1]) / 2) @ table, atol=1e-9)
+    late = forces("X", "t", table, x, u)[:, 0]
+    np.testing.assert_allclose(late, hats(u[:, 2]) @ table, atol=1e-9)
+
+
+def test_an_unknown_effect_does_nothing_at_zero_and_says_what_it_is() -> None:
+    rng = np.random.default_rng(2)
+    x, u = rng.normal(size=(10, 6)), rng.uniform(-1, 1, (10, 3))
+    assert not forces("X", "v", [0.0] * N_KNOTS, x, u).any()
+    effect = nonparametric_effect(horizontal_model(), "N", "u, r", SPAN)
+    assert effect.name == "unknown N(u, r)"
+    assert [p.name for p in effect.parameters] == ["N_ur_0", "N_ur_1", "N_ur_2"]
+    assert {p.unit for p in effect.parameters} == {"N m"}
+    assert nonparametric_effect(horizontal_model(), "X", "t", SPAN).inputs[0].name == "t"
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted"), [("psi", 0.3), ("t", 7.0), ("n_sum", 0.4), ("n_diff", 0.6), ("f_sum", 15.0), ("f_diff", -10.0)]
+)
+def test_variables_are_read_where_they_stand(name: str, wanted: float) -> None:
+    s: Any = SimpleNamespace(
+        x=SimpleNamespace(psi=0.3), u=SimpleNamespace(t=7.0, n_left=0.7, n_right=0.1, f_left=10.0, f_right=20.0)
+    )
+    model = horizontal_model("force" if name.startswith("f_") else "shaft")
+    assert next(v for v in variables_of(model) if v.name == name).read(s) == pytest.approx(wanted)
+
+
+def test_what_a_model_has_not_cannot_be_unknown() -> None:
+    with pytest.raises(ValueError, match="no 'F' for an unknown effect; it has X, Y, N"):
+        nonparametric_effect(horizontal_model(), "F", "u", SPAN)
+
+
+@pytest.mark.parametrize("variable", ["u", "psi"])
+def test_the_curve_is_centred_and_its_band_comes_from_the_covariance(variable: str) -> None:
+    effect = nonparametric_effect(horizontal_model(), "X", variable, SPAN)
+    names = ["d_u", *(p.name for p in effect.parameters)]
+    rng = np.random.default_rng(3)
+    root = 0.2 * rng.normal(size=(len(names), len(names)))
+    P = root @ root.T
+    values = dict(zip(names, rng.normal(size=len(names)), strict=True))
+    drawn = shape(horizontal_model(), effect, values, names, P)
+    assert drawn is not None
+    assert (drawn.force, drawn.variable, drawn.unit) == ("X", variable, "N")
+    assert drawn.value.mean() == pytest.approx(0.0, abs=1e-12)
+    table = np.column_stack([b * np.ones(drawn.grid.size) for b in spline_basis(drawn.grid, variable == "psi", SPAN)])
+    mean = table @ [values[n] for n in names[1:]]
+    np.testing.assert_allclose(drawn.value, mean - mean.mean(), atol=1e-12)
+    samples = rng.multivariate_normal([values[n] for n in names], P, size=20000)[:, 1:] @ table.T
+    missed = 0.0 if variable == "psi" else between_knots(np.array([values[n] for n in names[1:]]), drawn.grid, SPAN)
+    about = samples - samples.mean(1, keepdims=True)
+    np.testing.assert_allclose(drawn.sd, about.std(0), rtol=0.03)
+    inside = (np.abs(about - drawn.value) <= drawn.band - missed).all(1)
+    assert inside.mean() == pytest.approx(0.95, abs=0.01)
+
+
+def test_a_smooth_curve_stays_near_the_lines_between_its_knots() -> None:
+    knots, grid = np.linspace(*SPAN, N_KNOTS), np.linspace(*SPAN, 500)
+    for bend in (lambda z: z**2, np.sin, lambda z: np.exp(-z)):
+        allowed = between_knots(bend(knots), grid, SPAN)
+        missed = np.abs(bend(grid) - np.interp(grid, knots, bend(knots)))
+        assert (missed <= 1.5 * allowed + 0.2 * allowed.max()).all()
+        assert allowed.max() < 3 * missed.max()
+    assert between_knots(2 * knots, grid, SPAN).max() < 1e-12
+
+
+def test_products_have_no_curve() -> None:
+    effect = nonparametric_effect(horizontal_model(), "X", "u, r", SPAN)
+    names = [p.name for p in effect.parameters]
+    assert shape(horizontal_model(), effect, dict.fromkeys(names, 1.0), names, np.eye(3)) is None

@@ -1,0 +1,219 @@
+"""Compiled kernels against CasADi's own evaluation, operation by operation, and against the interpreter."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from ident.data.prepared_record import Preparer
+from ident.engine import jit
+from ident.engine.filter_kernels import Programs, programs_for
+from ident.engine.kernel import Arena, Kernel
+from ident.engine.loop_plan import Gram, Plan, stage
+from ident.model.parameter import Parameter
+from ident.model.structure import Model, Output, Sensor, State, plain_model
+from tests.ident.toys import turning, turning_record, values_of
+
+ca.GlobalOptions.setNumpyMode(-1)
+needs_llvm = pytest.mark.skipif(not jit.AVAILABLE, reason="llvmlite is not installed")
+WIDTH = 4
+
+
+def operations() -> dict[str, ca.SX]:
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    one = "sin cos tan tanh sinh cosh arctan arcsinh exp floor ceil abs sign square negative expm1 rint sinc"
+    inside = "arcsin arccos arctanh"
+    positive = "sqrt log log10 log1p arccosh cbrt"
+    two = ("hypot arctan2 minimum maximum fmod copysign add multiply divide less less_equal equal not_equal "
+           "logaddexp mod")
+    found = {n: getattr(np, n)(x) for n in one.split()}
+    found |= {n: getattr(np, n)(0.9 * ca.sin(x)) for n in inside.split()}
+    found |= {n: getattr(np, n)(1 + x * x) for n in positive.split()}
+    found |= {n: getattr(np, n)(x, y) for n in two.split()}
+    return {"x": x, "y": y, **found} | {
+        "power": (1 + x * x) ** y,
+        "constpow": (1 + x * x) ** 2.5,
+        "cube": x**3,
+        "inverse": 1 / x,
+        "erf": ca.erf(x),
+        "where": np.where(x > y, x * y, ca.cos(y)),
+        "masked root": np.where(x > 0, ca.sqrt(x), 0.0),
+        "not": ca.logic_not(x > y),
+        "and": ca.logic_and(x > 0, y > 0),
+        "or": ca.logic_or(x > 0, y > 0),
+        "remainder": ca.remainder(x, y),
+        "clip": np.clip(x, -1, 1),
+        "derivative of x|x|": ca.jacobian(ca.fabs(x) * x * ca.tanh(y * x) / (1 + ca.exp(x)), x),
+        "derivative of a masked root": ca.jacobian(ca.if_else(x > 0, ca.sqrt(x), 0), x),
+        "derivative of hypot": ca.jacobian(ca.hypot(x, y), x),
+        "sine of many turns": ca.sin(1e4 * x),
+        "cosine of many turns": ca.cos(1e4 * x),
+    }
+
+
+def points() -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=(2, 50, WIDTH)) * 3
+    x[0], y[1], x[2] = 0.0, x[1], np.round(x[2] * 2) / 2
+    return x, y
+
+
+@needs_llvm
+@pytest.mark.parametrize("where", ["scalars", "lanes", "a constant in lanes"])
+def test_every_operation_agrees_with_casadi(where: str) -> None:
+    table = operations()
+    x, y = table.pop("x"), table.pop("y")
+    v = ca.vertcat(*table.values())
+    X, Y = points()
+    inputs, results = {"x": x, "y": y}, {"v": v}
+    rows, lanes = frozenset({"x", "y", "v"}), frozenset({"x", "y", "v"})
+    if where == "a constant in lanes":
+        Y = np.full_like(Y, Y[3, 3])
+        rows, lanes = frozenset({"x", "v"}), frozenset({"x", "v"})
+    wanted = np.array(ca.Function("f", [x, y], [v])(X.ravel()[None], Y.ravel()[None])).T
+    plan = Plan((stage(inputs, results),), rows, lanes if where != "scalars" else frozenset(), WIDTH)
+    if where == "scalars":
+        got = Kernel(plan)(X.size, None, {"x": X.ravel().copy(), "y": Y.ravel().copy()})["v"]
+    else:
+        given = {"x": X, "y": Y if "y" in rows else Y[0, :1].copy()}
+        got = Kernel(plan)(len(X), None, given)["v"][:, 0].swapaxes(1, 2).reshape(X.size, -1)
+    for j, name in enumerate(table):
+        close = np.isclose(got[:, j], wanted[:, j], rtol=3e-13, atol=3e-16, equal_nan=True)
+        assert close.all(), (name, X.ravel()[~close], got[~close, j], wanted[~close, j])
+
+
+def data_of(kernel: Kernel, seed: int = 0) -> tuple[int, np.ndarray, dict[str, np.ndarray]]:
+    data = Preparer(turning())(turning_record(seed, 30))
+    return data.n_rows, data.mask, {n: a for n, a in data.rows.items() if n in kernel.plan.sizes}
+
+
+@needs_llvm
+@pytest.mark.parametrize("name", ["value", "forward", "tangent", "filter", "simulate"])
+def test_interpreted_and_compiled_kernels_agree(name: str) -> None:
+    programs: Programs = programs_for(turning(), covariance=name != "simulate")
+    fast: Kernel = getattr(programs, name)
+    slow = Kernel(fast.plan, compiled=False)
+    chosen = [0, 1, 2, 4, 5, 6, 7, 8, 3]
+    results = []
+    for kernel in (fast, slow):
+        n, mask, given = data_of(kernel)
+        s = np.array([3.0, 0.1, 0.01, 0.0, 0.09])[: fast.plan.sizes["s"]]
+        groups = kernel.groups(len(chosen)) if name == "tangent" else 1
+        given |= {"p": values_of(turning()), "s": s}
+        if name == "tangent":
+            given["dp"] = kernel.seeds(9, chosen)
+        rows = {r: np.zeros((n, kernel.plan.sizes[r])) for r in kernel.plan.rows & set(kernel.plan.sizes) - set(given)}
+        per_row = frozenset({"ll"} & set(kernel.plan.summed))
+        results.append(kernel(n, mask, {**given, **rows}, groups=groups, per_row=per_row))
+    for key in results[0]:
+        np.testing.assert_allclose(results[0][key], results[1][key], rtol=1e-9, atol=1e-11, err_msg=key)
+
+
+@needs_llvm
+def test_gram_sums_the_products_of_all_lanes() -> None:
+    v = ca.SX.sym("v", 3)
+    plan = Plan((stage({"x": v}, {"v": 2 * v}, 0), Gram("v", "G", 3, 0)), frozenset({"x"}), frozenset({"x", "v"}), 4)
+    rng = np.random.default_rng(1)
+    x = rng.normal(size=(7, 3, 3, 4))  # rows, groups, entries, width
+    mask = np.array([1, 1, 0, 1, 0, 1, 1], np.uint32)
+    for compiled in (True, False):
+        G = Kernel(plan, compiled)(7, mask, {"x": x}, groups=3)["G"]
+        flat = 2 * x[mask == 1].transpose(0, 2, 1, 3).reshape(-1, 12)
+        full = np.triu(G.swapaxes(1, 2).reshape(12, 12))
+        np.testing.assert_allclose(full, np.triu(flat.T @ flat), rtol=1e-12)
+
+
+@needs_llvm
+def test_one_kernel_takes_any_number_of_groups_and_sums_or_keeps_rows() -> None:
+    x, a = ca.SX.sym("x"), ca.SX.sym("a")
+    plan = Plan((stage({"x": x, "a": a}, {"total": x * a}),), frozenset({"x"}), frozenset({"a", "total"}), 2)
+    kernel = Kernel(plan)
+    x_rows = np.arange(5.0)
+    for groups in (1, 3):
+        a_lanes = np.arange(2.0 * groups).reshape(groups, 1, 2)
+        given = {"x": x_rows, "a": a_lanes}
+        np.testing.assert_allclose(kernel(5, None, given, groups=groups)["total"], 10.0 * a_lanes)
+        kept = kernel(5, None, given, groups=groups, per_row={"total"})["total"]
+        np.testing.assert_allclose(kept, x_rows[:, None, None, None] * a_lanes)
+
+
+def test_arrays_start_at_cache_lines_and_are_kept() -> None:
+    arena = Arena()
+    a = arena.take("a", (3, 5))
+    assert a.ctypes.data % 64 == 0
+    a[...] = 7.0
+    again = arena.take("a", (5, 2))
+    assert again.ctypes.data == a.ctypes.data
+    assert not again.any()
+
+
+@needs_llvm
+def test_wrong_arrays_are_refused() -> None:
+    x = ca.SX.sym("x")
+    kernel = Kernel(Plan((stage({"x": x}, {"y": x}),), frozenset({"x", "y"})))
+    with pytest.raises(ValueError, match="x: contiguous doubles of shape"):
+        kernel(3, None, {"x": np.zeros(4)})
+    with pytest.raises(ValueError, match="mask"):
+        kernel(3, np.ones(3, np.uint8), {"x": np.zeros(3)})  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="mask"):
+        kernel(0, None, {"x": np.zeros(0)})
+
+
+@needs_llvm
+def test_a_corrupt_cache_is_compiled_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path))
+    x = ca.SX.sym("x")
+    plan = Plan((stage({"x": x}, {"y": ca.sin(x) + 41.5}),), frozenset({"x", "y"}))
+
+    def run() -> float:
+        return float(Kernel(plan)(1, None, {"x": np.ones(1)})["y"][0, 0])
+
+    first = run()
+    (file,) = tmp_path.iterdir()
+    good = file.read_bytes()
+    for bad in (b"", good[:100], good[:-1] + bytes([good[-1] ^ 1])):
+        file.write_bytes(bad)
+        assert run() == first == math.sin(1.0) + 41.5
+        assert file.read_bytes()[:32] == good[:32]
+
+
+@needs_llvm
+def test_a_cache_that_cannot_be_written_is_no_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("not a folder")
+    monkeypatch.setenv("SEATRIAL_CACHE", str(blocked / "cache"))
+    x = ca.SX.sym("x")
+    kernel = Kernel(Plan((stage({"x": x}, {"y": x + 77.25}),), frozenset({"x", "y"})))
+    assert kernel(1, None, {"x": np.ones(1)})["y"][0, 0] == 78.25
+
+
+def bad_model(rate: object) -> Model:
+    return plain_model(
+        "bad", f=lambda x, u, p: {"a": rate(x.a)}, h=lambda x, u, p: {"y": x.a},  # type: ignore[operator]
+        states=(State("a"),), inputs=(), sensors=(Sensor("s", (Output("y", noise="e"),)),),
+        parameters=(Parameter("e", 1.0),))
+
+
+@pytest.mark.parametrize("rate", [math.sin, float, lambda a: np.array([0.0, float(a)])[1]])
+def test_numbers_made_of_symbols_are_named(rate: object) -> None:
+    with pytest.raises(ValueError, match="model bad: the rate of the state a has lost its symbols"):
+        programs_for(bad_model(rate))
+
+
+def test_missing_and_misshapen_results_are_named() -> None:
+    with pytest.raises(ValueError, match="model bad: the rate of the state a is not a scalar"):
+        programs_for(bad_model(lambda a: ca.vertcat(a, a)))
+    model = plain_model("empty", f=lambda x, u, p: {}, h=lambda x, u, p: {"y": x.a}, states=(State("a"),), inputs=(),
+                        sensors=(Sensor("s", (Output("y", noise="e"),)),), parameters=(Parameter("e", 1.0),))
+    with pytest.raises(ValueError, match="model empty gives no rate of the state a"):
+        programs_for(model)
+
+
+def test_models_that_differ_in_values_share_their_kernels() -> None:
+    model = turning()
+    assert programs_for(model) is programs_for(model.with_values({"m": 5.0}))
+    assert programs_for(model) is not programs_for(model, joseph=True)

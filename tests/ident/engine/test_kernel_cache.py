@@ -1,0 +1,189 @@
+"""Kernels found again: the same numbers without CasADi, and never those of another model."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from weakref import WeakValueDictionary
+
+import numpy as np
+import pytest
+
+from ident.effects.registry import catalogue
+from ident.engine import filter_kernels, jit
+from ident.engine.kernel_cache import key_of
+from ident.estimation.likelihood import Likelihood
+from ident.model.outlier_density import with_outlier_model
+from ident.model.parameter import Parameter
+from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from ident.models.disturbances import for_diagnosis
+from ident.models.horizontal import horizontal_model
+from ident.models.kinematic import kinematic_model
+from ident.models.surge import surge_model
+from ident.models.thruster import thruster_model
+from ident.models.yaw import yaw_model
+from tests.ident.toys import turning, turning_record, values_of
+
+needs_llvm = pytest.mark.skipif(not jit.AVAILABLE, reason="llvmlite is not installed")
+ROOT = Path(__file__).resolve().parents[3]
+WORK = """
+import sys
+from ident.estimation.likelihood import Likelihood
+from tests.ident.toys import turning, turning_record, values_of
+likelihood, record, v = Likelihood(turning()), turning_record(), values_of(turning())
+value, gradient = likelihood.gradient(record, v)
+scores = likelihood.scores(record, v)
+print("casadi" in sys.modules, value.hex(), *(float(g).hex() for g in [*gradient, *scores.information.ravel()]))
+"""
+
+
+def one(rate: Callable[[Any, Any, Any], Any], **more: Any) -> Model:
+    given: dict[str, Any] = {
+        "states": (State("a", noise="q", x0=0.1),), "inputs": (Input("w"),),
+        "sensors": (Sensor("s", (Output("y", noise="e"),)),),
+        "parameters": (Parameter("k", 2.0), Parameter("q", 0.1), Parameter("e", 0.2)),
+    }
+    return plain_model("one", f=lambda x, u, p: {"a": rate(x, u, p)}, h=lambda x, u, p: {"y": x.a}, **given | more)
+
+
+def key(model: Model) -> str | None:
+    return key_of(model, True, False)
+
+
+@needs_llvm
+def test_a_second_process_has_the_same_numbers_without_casadi(tmp_path: Path) -> None:
+    environment = {**os.environ, "SEATRIAL_CACHE": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    runs = [subprocess.run([sys.executable, "-c", WORK], env=environment, cwd=ROOT, capture_output=True, text=True,
+                           check=True).stdout.split() for _ in range(2)]
+    assert [run[0] for run in runs] == ["True", "False"]
+    assert runs[0][1:] == runs[1][1:]
+    for path in tmp_path.glob("*.o"):
+        path.write_bytes(path.read_bytes()[:-1])  # damaged: made anew
+    again = subprocess.run([sys.executable, "-c", WORK], env=environment, cwd=ROOT, capture_output=True, text=True,
+                           check=True).stdout.split()
+    assert again == runs[0]
+
+
+@needs_llvm
+def test_a_kernel_that_was_found_again_still_has_its_plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path))
+    plans = []
+    for _ in range(2):
+        monkeypatch.setattr(filter_kernels, "_known", {})
+        likelihood = Likelihood(turning())
+        likelihood.value(turning_record(), values_of(turning()))
+        plans.append(filter_kernels.programs_for(turning()).value)
+    made, found = plans
+    assert made is not found
+    assert found.layout == made.layout
+    assert found.code == made.code
+    assert found.plan.sizes == made.plan.sizes
+
+
+IR = """
+import casadi as ca
+from ident.engine.llvm_emitter import LlvmEmitter
+from ident.engine.ekf_graph import EkfGraphs
+from ident.engine.loop_plan import Plan, stage
+from ident.engine.filter_plans import Plans
+from tests.ident.toys import turning
+plans = Plans(EkfGraphs(turning()))
+names = [f"carried{k}" for k in range(5)]
+around = dict(zip(names, [ca.SX.sym(name) for name in names[1:] + names[:1]]))
+made = [getattr(plans, name)() for name in ("value", "forward", "backward", "tangent", "filter")]
+for plan in [*made, Plan((stage({str(v): v for v in around.values()}, around),))]:
+    print(LlvmEmitter(plan).ir())
+"""
+
+
+def test_every_process_writes_the_same_code() -> None:
+    """Or none would find another's in the cache: sets come in another order in each."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    runs = {subprocess.run([sys.executable, "-c", IR], env={**environment, "PYTHONHASHSEED": seed}, cwd=ROOT,
+                           capture_output=True, text=True, check=True).stdout for seed in "123"}
+    assert len(runs) == 1
+    assert "held.carried4" in runs.pop()
+
+
+def test_two_models_share_a_key_only_if_they_do_the_same() -> None:
+    base = one(lambda x, u, p: p.k * x.a + 3.0 * np.sin(u.w))
+    assert key(base) is not None
+    assert key(base) == key(one(lambda x, u, p: p.k * x.a + (2.0 + 1.0) * np.sin(u.w)))
+    assert key(base) == key(base.with_values({"k": 7.0}))
+    others = [
+        one(lambda x, u, p: p.k * x.a + 3.0000001 * np.sin(u.w)),
+        one(lambda x, u, p: p.k * x.a - 3.0 * np.sin(u.w)),
+        one(lambda x, u, p: p.k * x.a + 3.0 * np.cos(u.w)),
+        one(lambda x, u, p: p.e * x.a + 3.0 * np.sin(u.w)),
+        one(lambda x, u, p: 3.0 * np.sin(u.w) + p.k * x.a),  # the same in other order: made anew, which is only slower
+        replace(base, states=(State("a", noise=0.3, x0=0.1),)),
+        replace(base, inputs=(Input("w", hold="linear"),)),
+        replace(base, sensors=(Sensor("s", (Output("y", noise="e", angle=True),)),)),
+        with_outlier_model(base),
+    ]
+    keys = [key(m) for m in (base, *others)]
+    assert len(set(keys)) == len(keys)
+    assert key_of(base, True, True) != key(base) != key_of(base, False, False)
+
+
+@pytest.mark.parametrize(
+    "rate",
+    [
+        lambda x, u, p: np.sum(np.array([2.0, 1.0]) * x.a),
+        lambda x, u, p: p.k * x.a if x.a else 0.0,
+        lambda x, u, p: x.nothing,
+        lambda x, u, p: float(x.a),
+    ],
+)
+def test_what_cannot_be_written_down_has_no_key(rate: Callable[[Any, Any, Any], Any]) -> None:
+    assert key(one(rate)) is None
+
+
+def test_all_models_and_effects_can_be_found_again() -> None:
+    for model in (
+        surge_model(),
+        yaw_model(),
+        thruster_model(),
+        horizontal_model(),
+        kinematic_model(),
+        for_diagnosis(horizontal_model("force")),
+    ):
+        assert key(model), model.name
+    full = for_diagnosis(horizontal_model())
+    without = [e.name for e in catalogue().values() if full.accepts(e) and key(full + e) is None]
+    assert without == []
+
+
+@needs_llvm
+def test_a_kernel_made_in_a_hurry_gives_the_same_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    record, values = turning_record(), values_of(turning())
+    found = []
+    for place, n_rows in (("careful", jit.FEW + 1), ("quick", jit.FEW)):  # for many rows the hurry is not worth it
+        monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path / place))
+        monkeypatch.setattr(filter_kernels, "_known", WeakValueDictionary())
+        with jit.quickly(n_rows):
+            found.append(Likelihood(turning()).scores(record, values))
+    careful, quick = found
+    np.testing.assert_allclose(quick.value, careful.value, rtol=1e-12)
+    np.testing.assert_allclose(quick.gradient, careful.gradient, rtol=1e-9, atol=1e-9)
+    codes = [{p.read_bytes() for p in (tmp_path / place).glob("*.o")} for place in ("careful", "quick")]
+    assert not codes[0] & codes[1]  # it is other machine code, under another name
+
+
+def test_the_cache_has_a_limit_and_what_was_used_last_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path))
+    monkeypatch.setattr(jit, "LARGEST_CACHE", 10_000)
+    for k in range(9):
+        jit.write(f"{k}.o", bytes(1000))
+        os.utime(tmp_path / f"{k}.o", (k, k))
+    assert jit.read("0.o") == bytes(1000)  # the oldest, but used now
+    jit.write("9.o", bytes(1000))
+    kept = {p.name for p in tmp_path.iterdir()}
+    assert {"0.o", "9.o"} <= kept
+    assert "1.o" not in kept
+    assert sum(p.stat().st_size for p in tmp_path.iterdir()) <= 7_000

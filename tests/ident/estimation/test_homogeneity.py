@@ -1,0 +1,119 @@
+"""One value or one a log: sizes of the test, its power, and the scatter that it finds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from daq.errors import SeatrialError
+from ident.data.record import Record
+from ident.estimation.homogeneity import between_log_variance, homogeneity_test
+from ident.estimation.maximum_likelihood import fit
+from ident.model.parameter import Parameter
+from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from ident.results.answers import sentence
+from ident.results.content import agreement_part
+
+
+def pushed() -> Model:
+    """A mass with linear drag under a known push."""
+    return plain_model(
+        "pushed",
+        f=lambda x, u, p: {"u": (u.X - p.d * x.u) / p.m},
+        h=lambda x, u, p: {"u": x.u},
+        states=(State("u", "m/s", noise=0.01, sd0=0.01),),
+        inputs=(Input("X", "N"),),
+        sensors=(Sensor("speed", (Output("u", "m/s", "e"),)),),
+        parameters=(
+            Parameter("m", 40.0, "kg", transform="log"),
+            Parameter("d", 8.0, "kg/s"),
+            Parameter("e", 0.02, "m/s", transform="log"),
+        ),
+    )
+
+
+def records(masses: tuple[float, ...], seed: int) -> list[Record]:
+    rng = np.random.default_rng(seed)
+    made = []
+    for i, m in enumerate(masses):
+        t = np.arange(0.0, 30.0, 0.1)
+        X = np.where((t > 3) & (t < 18), 10.0, 0.0)
+        u = np.zeros(t.size)
+        for k in range(t.size - 1):
+            u[k + 1] = u[k] + 0.1 * (X[k] - 8.0 * u[k]) / m + 0.01 * np.sqrt(0.1) * rng.normal()
+        y = (u + 0.02 * rng.normal(size=t.size))[:, None]
+        made.append(Record(f"run{i}", t, X[:, None], X[:, None], y, ("X",), ("u",)))
+    return made
+
+
+def test_equal_logs_agree_as_often_as_the_level_says() -> None:
+    found = []
+    for seed in range(40):
+        data = records((40.0, 40.0, 40.0), seed)
+        found.append(homogeneity_test(fit(pushed(), data), data, "m"))
+    p = np.array([a.p for a in found])
+    assert stats.kstest(p, "uniform").pvalue > 0.01
+    assert np.mean([a.interval[0] < 40.0 < a.interval[1] for a in found]) > 0.85
+    assert all(a.df == 2 for a in found)
+
+
+def test_logs_that_differ_do_not_agree() -> None:
+    data = records((30.0, 40.0, 50.0), 0)
+    one = fit(pushed(), data)
+    found = homogeneity_test(one, data, "m")
+    assert not found.agree
+    assert found.p < 1e-6
+    assert np.abs(found.values - [30.0, 40.0, 50.0]).max() < 4 * found.errors.max()
+    assert found.scatter == pytest.approx(10.0, abs=3.0)
+    assert found.mean_error > 3 * found.error  # the common fit promises too much
+    assert "do not agree" in sentence(found)
+    part = agreement_part(found)
+    assert part["records"] == ["run0", "run1", "run2"]
+    assert part["low"] < 40.0 < part["high"]
+
+
+def test_the_scatter_of_known_values() -> None:
+    rng = np.random.default_rng(0)
+    found = []
+    for _ in range(200):
+        V = np.diag(rng.uniform(0.5, 2.0, 8) ** 2)
+        found.append(
+            between_log_variance(10.0 + 3.0 * rng.normal(size=8) + np.sqrt(np.diag(V)) * rng.normal(size=8), V)
+        )
+    scatter, mean, error = np.array(found).T
+    assert np.median(scatter) == pytest.approx(3.0, rel=0.15)
+    assert np.std((mean - 10.0) / error) == pytest.approx(1.0, abs=0.2)
+    tau, mean0, error0 = between_log_variance(np.array([5.0, 5.1, 4.9]), np.eye(3))
+    assert tau == 0.0
+    assert (mean0, error0) == pytest.approx((5.0, 3**-0.5))
+
+
+def test_a_value_without_an_error_takes_no_part() -> None:
+    V = np.diag([1.0, np.nan, 1.0])
+    assert between_log_variance(np.array([1.0, 99.0, 3.0]), V)[1] == pytest.approx(2.0)
+    assert np.isnan(between_log_variance(np.array([1.0, 99.0]), np.diag([1.0, np.nan]))[1])
+
+
+def test_what_cannot_be_tested_is_said() -> None:
+    data = records((40.0, 40.0), 0)
+    one = fit(pushed(), data)
+    with pytest.raises(SeatrialError, match=r"--test-homogeneity q: no free parameter .* there are m, d, e"):
+        homogeneity_test(one, data, "q")
+    single = fit(pushed(), data[:1])
+    with pytest.raises(SeatrialError, match="it takes two logs"):
+        homogeneity_test(single, data[:1], "m")
+    fixed = replace(one, names=tuple(n for n in one.names if n != "m"))
+    with pytest.raises(SeatrialError, match="no free parameter"):
+        homogeneity_test(fixed, data, "m")
+
+
+def test_a_restricted_fit_is_compared_with_restricted_ones() -> None:
+    """Its errors are larger by what the dynamics took of the noise; the likelihood ratio is of the maxima."""
+    data, model = records((40.0, 41.0), 3), pushed()
+    model = replace(model, states=(replace(model.states[0], noise=0.0),))
+    plain, restricted = (homogeneity_test(fit(model, data, restricted=r), data, "m") for r in (False, True))
+    assert (restricted.errors > 1.0005 * plain.errors).all()
+    assert restricted.lr == pytest.approx(plain.lr, abs=1e-3)

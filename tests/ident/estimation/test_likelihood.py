@@ -1,0 +1,296 @@
+"""The likelihood against independent truths: plain numpy, a joint Gaussian, finite differences, itself."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ident.data.record import Record
+from ident.estimation.likelihood import Likelihood
+from ident.model.parameter import Parameter
+from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from tests.ident.toys import NumpyFilter, turning, turning_record, values_of
+
+FREE = ("m", "d", "dd", "bias", "q", "e_psi", "e_r", "psi0", "sd0")
+
+
+def numpy_value(record: Record, v: np.ndarray, *, second_order: bool = False) -> float:
+    p = dict(zip(FREE, v, strict=True))
+    reference = NumpyFilter(
+        f=lambda x, u: np.array([x[1], (u[0] - p["d"] * x[1] - p["dd"] * abs(x[1]) * x[1]) / p["m"]]),
+        h=lambda x, u: np.array([x[0], x[1] + p["bias"], 2 * x[1] + 0.1 * u[0]]),
+        Q=np.diag([0.02**2, p["q"] ** 2]),
+        R=np.array([p["e_psi"], p["e_r"], p["e_r"]]) ** 2,
+        sensors=[[0], [1, 2]],
+        angles={0},
+        second_order=second_order,
+    )
+    return reference.value(record, np.array([p["psi0"], 0.1]), np.diag([0.1**2, p["sd0"] ** 2]))
+
+
+@pytest.mark.parametrize("joseph", [False, True])
+def test_value_agrees_with_a_filter_in_plain_numpy(joseph: bool) -> None:
+    record, v = turning_record(), values_of(turning())
+    assert Likelihood(turning(), joseph=joseph).value(record, v) == pytest.approx(numpy_value(record, v), rel=1e-9)
+
+
+def test_a_mean_of_second_order_agrees_with_plain_numpy() -> None:
+    record, v = turning_record(), values_of(turning())
+    bent = Likelihood(replace(turning(), second_order=True)).value(record, v)
+    assert bent == pytest.approx(numpy_value(record, v, second_order=True), rel=1e-8)
+    assert abs(bent - Likelihood(turning()).value(record, v)) > 1e-3
+
+
+def test_a_mean_of_second_order_is_that_of_many_boats() -> None:
+    """Quadratic drag slows the mean of a cloud of boats down by its spread, which a filter of first order misses."""
+    model, x, P = replace(turning(), second_order=True), np.array([0.0, 1.5]), np.diag([1e-4, 0.04])
+    N = np.full((11, 1), 3.0)
+    record = Record("free", np.arange(11) * 0.05, N, N, np.full((11, 3), np.nan), ("N",), ("psi", "gyro", "second"))
+    v = values_of(model)
+    bent, plain = (Likelihood(m).forecast(record, v, x, P, 0, 10)[0][-1, 1] for m in (model, turning()))
+    rng, r = np.random.default_rng(2), 1.5 + 0.2 * np.random.default_rng(1).normal(size=400_000)
+    for _ in range(100):
+        kick = 0.05 * math.sqrt(0.005) * rng.normal(size=r.size)
+        slope = (3.0 - 4.0 * r - 6.0 * abs(r) * r) / 9.7
+        ahead = r + 0.005 * slope + kick
+        r = r + 0.0025 * (slope + (3.0 - 4.0 * ahead - 6.0 * abs(ahead) * ahead) / 9.7) + kick
+    chance = r.std() / math.sqrt(r.size)
+    assert plain - r.mean() > 20 * chance
+    assert abs(bent - r.mean()) < 4 * chance + 0.1 * (plain - r.mean())
+
+
+def linear() -> Model:
+    """Two linear states, measured by sensors of their own. Its matrix is nilpotent, so that the mean's Runge-Kutta
+    and the covariance's Taylor series are the same and exact."""
+    return plain_model(
+        "linear",
+        f=lambda x, u, p: {"a": p.k * x.b, "b": u.w},
+        h=lambda x, u, p: {"y": x.a, "z": x.b + 0.3 * x.a},
+        states=(State("a", noise=0.1, x0=0.4, sd0=0.5), State("b", noise="q", x0=-0.2, sd0=0.3)),
+        inputs=(Input("w", hold="linear"),),
+        sensors=(Sensor("one", (Output("y", noise="e"),)), Sensor("two", (Output("z", noise="e"),))),
+        parameters=(Parameter("k", 2.0), Parameter("q", 0.4), Parameter("e", 0.2)),
+    )
+
+
+def linear_record(n_rows: int = 12) -> Record:
+    rng = np.random.default_rng(3)
+    t = np.cumsum(rng.uniform(0.05, 0.2, n_rows))
+    y = rng.normal(size=(n_rows, 2))
+    y[rng.random((n_rows, 2)) < 0.3] = np.nan
+    u = rng.normal(size=(n_rows, 1))
+    return Record("linear", t, u, np.vstack([u[1:], u[-1:]]), y, ("w",), ("y", "z"))
+
+
+def joint_gaussian(record: Record, v: np.ndarray) -> float:
+    """ln N of all measurements at once, from mean and covariance of all states at all rows."""
+    k, q, e = v
+    A = np.array([[0.0, k], [0.0, 0.0]])
+    mean, P, identity = np.array([0.4, -0.2]), np.diag([0.25, 0.09]), np.eye(2)
+    means, gains, covariances = [mean], [], [P]
+    for i, h in enumerate(record.h[:-1]):
+        Ah, Q = A * h, np.diag([0.01, q * q]) * h
+        Phi = identity + Ah + Ah @ Ah / 2 + Ah @ Ah @ Ah / 6
+        half = identity + Ah / 2 + Ah @ Ah / 8
+        b0, b1 = np.array([0.0, record.u[i, 0]]), np.array([0.0, record.u_next[i, 0]])
+        k1 = A @ mean + b0
+        k2 = A @ (mean + h / 2 * k1) + (b0 + b1) / 2
+        k3 = A @ (mean + h / 2 * k2) + (b0 + b1) / 2
+        mean = mean + h / 6 * (k1 + 2 * k2 + 2 * k3 + A @ (mean + h * k3) + b1)
+        P = Phi @ P @ Phi.T + (Phi @ Q @ Phi.T + 4 * half @ Q @ half.T + Q) / 6
+        means.append(mean)
+        gains.append(Phi)
+        covariances.append(P)
+    n = record.n_rows
+    C = np.zeros((2 * n, 2 * n))
+    for i in range(n):
+        block = covariances[i]
+        for j in range(i, n):
+            C[2 * j:2 * j + 2, 2 * i:2 * i + 2] = block
+            C[2 * i:2 * i + 2, 2 * j:2 * j + 2] = block.T
+            block = gains[j] @ block if j + 1 < n else block
+    H = np.kron(np.eye(n), np.array([[1.0, 0.0], [0.3, 1.0]]))
+    there = np.isfinite(record.y).ravel()
+    S = (H @ C @ H.T + e * e * np.eye(2 * n))[np.ix_(there, there)]
+    r = (record.y.ravel() - H @ np.concatenate(means))[there]
+    return -0.5 * (r @ np.linalg.solve(S, r) + np.linalg.slogdet(S)[1] + r.size * math.log(2 * math.pi))
+
+
+def test_a_linear_model_is_a_joint_gaussian() -> None:
+    record, v = linear_record(), values_of(linear())
+    assert Likelihood(linear()).value(record, v) == pytest.approx(joint_gaussian(record, v), rel=1e-9)
+
+
+@pytest.mark.parametrize("second_order", [False, True])
+def test_gradient_agrees_with_finite_differences(second_order: bool) -> None:
+    model = replace(turning(), second_order=second_order)
+    likelihood, record, v = Likelihood(model), turning_record(), values_of(model)
+    value, gradient = likelihood.gradient(record, v)
+    assert value == pytest.approx(likelihood.value(record, v), rel=1e-13)
+    for i, name in enumerate(FREE):
+        def central(e: float, i: int = i) -> float:
+            d = np.zeros(v.size)
+            d[i] = e * max(abs(v[i]), 0.1)
+            return (likelihood.value(record, v + d) - likelihood.value(record, v - d)) / (2 * d[i])
+
+        wanted = (4 * central(1e-4) - central(2e-4)) / 3
+        assert gradient[i] == pytest.approx(wanted, rel=1e-6, abs=1e-5), name
+
+
+def test_tangents_agree_with_the_adjoint_for_any_subset() -> None:
+    likelihood, record, v = Likelihood(turning()), turning_record(), values_of(turning())
+    gradient = dict(zip(FREE, likelihood.gradient(record, v)[1], strict=True))
+    everything = likelihood.scores(record, v, FREE)
+    for chosen in (FREE, ("e_r", "m"), ("psi0",), FREE[::-1]):
+        scores = likelihood.scores(record, v, chosen, by_row=True)
+        np.testing.assert_allclose(scores.gradient, [gradient[n] for n in chosen], rtol=1e-9, atol=1e-8)
+        places = [FREE.index(n) for n in chosen]
+        np.testing.assert_allclose(scores.information, everything.information[np.ix_(places, places)], rtol=1e-9)
+        assert scores.by_row is not None
+        assert scores.by_row.shape == (record.n_rows, len(chosen))
+        np.testing.assert_allclose(scores.by_row.sum(axis=0), scores.gradient, rtol=1e-12)
+
+
+def test_information_is_the_variance_of_the_score() -> None:
+    """On a linear model, over 400 simulated records."""
+    model, v, rng = linear(), values_of(linear()), np.random.default_rng(0)
+    likelihood, record = Likelihood(model), linear_record(40)
+    run_scores, information = [], np.zeros((3, 3))
+    for _ in range(400):
+        drawn = replace(record, y=_drawn(record, v, rng))
+        scores = likelihood.scores(drawn, v, ("k", "q", "e"))
+        run_scores.append(scores.gradient)
+        information += scores.information / 400
+    sd = np.sqrt(np.diag(information))
+    covariance = np.cov(np.array(run_scores).T) / np.outer(sd, sd)
+    np.testing.assert_allclose(covariance, information / np.outer(sd, sd), atol=0.25)
+    assert (np.abs(np.mean(run_scores, axis=0)) < 4 * sd / 20).all()
+
+
+def _drawn(record: Record, v: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Measurements from the model's own discrete-time law."""
+    k, q, e = v
+    x, y = np.array([0.4, -0.2]) + rng.normal(size=2) * [0.5, 0.3], record.y.copy()
+    A = np.array([[0.0, k], [0.0, 0.0]])
+    for i, h in enumerate(record.h):
+        y[i] = np.where(np.isfinite(y[i]), [x[0], x[1] + 0.3 * x[0]] + e * rng.normal(size=2), np.nan)
+        for j in range(20):
+            u = record.u[i, 0] + (j + 0.5) / 20 * (record.u_next[i, 0] - record.u[i, 0])
+            x = x + h / 20 * (A @ x + [0.0, u]) + np.sqrt(h / 20) * rng.normal(size=2) * [0.1, q]
+    return y
+
+
+def with_rows_between(record: Record) -> Record:
+    """The same samples, and three rows without any in each interval, on the line between its inputs."""
+    between = [record.t[:-1] + share * np.diff(record.t) for share in (0.21, 0.5, 0.83)]
+    t = np.sort(np.concatenate([record.t, *between]))
+    y = np.full((t.size, record.y.shape[1]), np.nan)
+    y[np.searchsorted(t, record.t)] = record.y
+    u = np.column_stack([np.interp(t, record.t, column) for column in record.u.T])
+    return replace(record, t=t, y=y, u=u, u_next=np.vstack([u[1:], u[-1:]]))
+
+
+def test_a_row_without_samples_changes_nothing() -> None:
+    """Of a system that every step integrates exactly; twice as many such rows, and rows with one sample of two."""
+    model, record = linear(), linear_record()
+    v, likelihood = values_of(model), Likelihood(model)
+    once = with_rows_between(record)
+    assert np.isfinite(once.y).any(axis=1).sum() == np.isfinite(record.y).any(axis=1).sum() < once.t.size / 3
+    value = likelihood.value(record, v)
+    for denser in (once, with_rows_between(once)):
+        assert likelihood.value(denser, v) == pytest.approx(value, rel=1e-13)
+        np.testing.assert_allclose(likelihood.gradient(denser, v)[1], likelihood.gradient(record, v)[1], rtol=1e-10)
+    seen = likelihood.filter(once, v).x_filt[np.searchsorted(once.t, record.t)]
+    np.testing.assert_allclose(seen, likelihood.filter(record, v).x_filt, rtol=1e-12)
+
+
+def test_a_row_without_samples_changes_a_nonlinear_system_by_the_error_of_its_steps_alone() -> None:
+    """Which vanishes as they are divided by four and more, again and again."""
+    model, records = turning(), [turning_record()]
+    for _ in range(4):
+        records.append(with_rows_between(records[-1]))
+    values = [Likelihood(model).value(r, values_of(model)) for r in records]
+    changes = np.abs(np.diff(values))
+    assert np.all(changes[1:] < changes[:-1] / 8)
+    assert changes[-1] < 1e-8 * abs(values[-1])
+
+
+def test_an_absent_sensor_is_a_model_without_it() -> None:
+    model, record, v = turning(), turning_record(), values_of(turning())
+    lone = replace(model, sensors=model.sensors[:1])
+    y = record.y.copy()
+    y[:, 1:] = np.nan
+    alone = Likelihood(lone).value(replace(record, y=record.y[:, :1], outputs=("psi",)), v)
+    assert Likelihood(model).value(replace(record, y=y), v) == pytest.approx(alone, rel=1e-13)
+
+
+def test_units_do_not_matter() -> None:
+    """Milliradians instead of radians for the gyros: the likelihood shifts by its Jacobian, the score scales."""
+    model, record, v = turning(), turning_record(), values_of(turning())
+
+    def in_milli(s: object) -> None:
+        for name in ("gyro", "second"):
+            s.y[name] = 1000.0 * s.y[name]  # type: ignore[attr-defined]
+
+    other = replace(model, stages=(*model.stages, ("units", in_milli)))
+    y = record.y * [1.0, 1000.0, 1000.0]
+    w = v.copy()
+    w[FREE.index("e_r")] *= 1000.0
+    a, b = Likelihood(model), Likelihood(other)
+    n = int(np.isfinite(record.y[:, 1:]).sum())
+    moved = replace(record, y=y)
+    assert b.value(moved, w) == pytest.approx(a.value(record, v) - n * math.log(1000.0), rel=1e-12)
+    ga, gb = a.gradient(record, v)[1], b.gradient(moved, w)[1]
+    ga[FREE.index("e_r")] /= 1000.0
+    np.testing.assert_allclose(gb, ga, rtol=1e-9, atol=1e-9)
+
+
+def test_the_error_of_the_mean_falls_with_the_fourth_power_of_the_step_and_of_the_covariance_with_the_second() -> None:
+    """At the end of two seconds without samples, in steps from 0.2 to 0.025 s."""
+    model, v = turning(), values_of(turning())
+    likelihood = Likelihood(model)
+
+    def at_end(n: int) -> np.ndarray:
+        t = np.linspace(0.0, 2.0, n + 1)
+        y = np.full((n + 1, 3), np.nan)
+        u = 6.0 + t[:, None]
+        run = likelihood.filter(Record("r", t, u, np.vstack([u[1:], u[-1:]]), y, ("N",), ("psi", "gyro", "second")), v)
+        return np.append(run.x_pred[-1], run.P_pred[-1].ravel())
+
+    exact = at_end(20_000)
+    errors = {n: np.abs(at_end(n) - exact) for n in (10, 20, 40, 80)}
+    assert (np.log2(errors[10][:2] / errors[20][:2]) > 3.9).all()
+    assert (np.log2(errors[40][2:] / errors[80][2:]) > 1.85).all()
+
+
+def test_filter_says_what_the_likelihood_is_made_of() -> None:
+    likelihood, record, v = Likelihood(turning()), turning_record(), values_of(turning())
+    run = likelihood.filter(record, v)
+    assert run.value == pytest.approx(likelihood.value(record, v), rel=1e-12)
+    there = np.isfinite(record.y)
+    for a in (run.e, run.eps, run.S, run.standardised):
+        assert (np.isfinite(a) == there).all()
+    parts = -0.5 * (run.eps**2 / run.S + np.log(2 * np.pi * run.S))
+    np.testing.assert_allclose(np.nansum(parts, axis=1), run.ll, rtol=1e-10, atol=1e-12)
+    # a single sensor's first output is not corrected by any other
+    alone = there[:, 1] & ~there[:, 0]
+    np.testing.assert_allclose(run.e[alone, 1], run.eps[alone, 1], rtol=1e-12)
+    nothing = ~there.any(axis=1)
+    np.testing.assert_array_equal(run.x_filt[nothing], run.x_pred[nothing])
+    np.testing.assert_allclose(run.P_pred, run.P_pred.swapaxes(1, 2))
+    assert (np.linalg.eigvalsh(run.P_filt) > 0).all()
+    np.testing.assert_allclose(run.Phi[-1], np.eye(2), atol=1e-15)  # nothing follows the last row
+    np.testing.assert_allclose(run.R, [v[5] ** 2, v[6] ** 2, v[6] ** 2])
+
+
+def test_initial_state_from_the_first_measurement() -> None:
+    model, record, v = turning(), turning_record(), values_of(turning())
+    measured = replace(model, states=(replace(model.states[0], from_output="psi"), model.states[1]))
+    first = record.y[np.isfinite(record.y[:, 0]), 0][0]
+    w = v.copy()
+    w[FREE.index("psi0")] = first
+    assert Likelihood(measured).value(record, v) == pytest.approx(Likelihood(model).value(record, w), rel=1e-13)
+    assert Likelihood(measured).gradient(record, v)[1][FREE.index("psi0")] == 0.0

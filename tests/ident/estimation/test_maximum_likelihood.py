@@ -1,0 +1,250 @@
+"""Estimates of known truths, and what is said where the data do not tell."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ident.data.record import Record
+from ident.estimation import fisher_scoring
+from ident.estimation.likelihood import Likelihood
+from ident.estimation.maximum_likelihood import Fit, fit
+from ident.estimation.objective import Problem
+from ident.model.parameter import INF, Parameter
+from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from tests.ident.toys import best_start, turning, turning_record, values_of
+
+FREE = ("m", "d", "dd", "bias", "q", "e_psi", "e_r")
+
+
+def records(n: int = 3) -> list[Record]:
+    return [turning_record(seed, 500, f"run {seed}") for seed in range(n)]
+
+
+@pytest.fixture(scope="module")
+def found() -> Fit:
+    return fit(turning().with_free(FREE), records(), start={"m": 15.0, "d": 2.0, "q": 0.1})
+
+
+def test_the_truth_is_within_its_errors(found: Fit) -> None:
+    assert found.converged
+    assert found.names == ("m", "d", "dd", "q", "e_psi", "e_r", "bias@0", "bias@1", "bias@2")
+    truth = turning().values
+    for name, value, error in zip(found.names, found.values, found.errors, strict=True):
+        assert abs(value - truth[name.partition("@")[0]]) < 4 * error, name
+    assert found.n_measured == sum(int(np.isfinite(r.y).sum()) for r in records())
+    assert found.bic == pytest.approx(9 * math.log(found.n_measured) - 2 * found.log_likelihood)
+    assert found.model.parameter("m").value == found.estimate("m")[0]
+    assert found.record_values.shape == (3, 9)
+    assert found.record_values[1, 3] == found.estimate("bias", 1)[0]
+    np.testing.assert_allclose(np.diag(found.correlation), 1.0)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), found.errors)
+    assert found.gradient_norm < 1e-2
+    assert not found.flags
+
+
+def test_it_is_a_maximum(found: Fit) -> None:
+    likelihood = Likelihood(turning())
+    total = sum(likelihood.value(r, v) for r, v in zip(records(), found.record_values, strict=True))
+    assert total == pytest.approx(found.log_likelihood, rel=1e-12)
+    for i in (0, 1, 2, 4, 5, 6):
+        for sign in (-0.01, 0.01):
+            moved = found.record_values.copy()
+            moved[:, i] *= 1 + sign
+            assert sum(likelihood.value(r, v) for r, v in zip(records(), moved, strict=True)) < total
+
+
+def test_coverage_of_the_standard_errors() -> None:
+    z = []
+    for seed in range(24):
+        one = fit(turning().with_free(FREE), [turning_record(100 + seed, 400)])
+        z.append([(one.estimate(n)[0] - turning().values[n]) / one.estimate(n)[1] for n in FREE])
+    assert 0.75 < np.std(z) < 1.25
+    assert (np.abs(np.mean(z, axis=0)) < 4 / math.sqrt(24)).all()
+
+
+def test_threads_do_not_change_the_result(found: Fit) -> None:
+    alone = fit(turning().with_free(FREE), records(), start={"m": 15.0, "d": 2.0, "q": 0.1}, threads=1)
+    np.testing.assert_allclose(alone.values, found.values, rtol=1e-9)
+
+
+def test_a_prior_is_weighed_against_the_data() -> None:
+    model = turning().with_free(("m",))
+    free = fit(model, records(1))
+    value, error = free.estimate("m")
+    prior = (value + error, error)
+    m = replace(turning().parameter("m"), prior=prior, transform="none", free=True)
+    weighed = fit(model.replace_parameters(m), records(1))
+    assert weighed.estimate("m")[0] == pytest.approx(value + error / 2, abs=0.1 * error)
+    assert weighed.prior_weight[0] == pytest.approx(0.5, abs=0.1)
+    assert free.prior_weight[0] == 0.0
+    assert weighed.log_posterior < weighed.log_likelihood < free.log_likelihood
+
+
+def test_a_parameter_at_its_bound_has_no_error() -> None:
+    d = replace(turning().parameter("d"), bounds=(0.0, 1.5), value=1.0)
+    bounded = fit(turning().with_free(FREE).replace_parameters(d), records(1))
+    value, error = bounded.estimate("d")
+    assert value == 1.5
+    assert math.isnan(error)
+    assert ("d", "at its bound") in bounded.flags
+    assert bounded.converged
+
+
+def redundant() -> Model:
+    """Only ratios of m, d and gain are seen, and `nothing` is not used at all."""
+    return plain_model(
+        "redundant",
+        f=lambda x, u, p: {"r": (p.gain * u.N - p.d * x.r) / p.m},
+        h=lambda x, u, p: {"y": x.r},
+        states=(State("r", noise="q", sd0=0.1),),
+        inputs=(Input("N", hold="linear"),),
+        sensors=(Sensor("gyro", (Output("y", noise="e"),)),),
+        parameters=(
+            Parameter("m", 9.7, transform="log"), Parameter("d", 4.0, transform="log"),
+            Parameter("gain", 1.0, transform="log"), Parameter("nothing", 1.0),
+            Parameter("q", 0.05, transform="log"), Parameter("e", 0.01, transform="log"),
+        ),
+    )
+
+
+def test_what_the_data_do_not_tell_is_named() -> None:
+    record = turning_record(0, 400)
+    record = replace(record, y=record.y[:, 1:2], outputs=("y",))
+    result = fit(redundant(), [record])
+    assert result.converged
+    said = dict(result.flags)
+    assert "do not depend" in said["nothing"]
+    combination = "not identified: the data do not see a change of +1 ln m +1 ln d +1 ln gain"
+    assert said["m"] == said["d"] == said["gain"] == combination
+    for name in ("m", "d", "gain", "nothing"):
+        assert math.isnan(result.estimate(name)[1])
+    assert result.estimate("q")[1] > 0
+
+
+def test_noise_that_is_not_there_goes_to_zero_and_is_flagged() -> None:
+    record = turning_record(0, 400)
+    quiet = replace(turning(), states=(turning().states[0], replace(turning().states[1], noise="q2")),
+                    parameters=(*turning().parameters, Parameter("q2", 0.05, transform="log")))
+    y = record.y.copy()
+    y[:, 1:] = np.nan
+    psi0 = 0.1 * record.t
+    y[:, 0] = np.where(np.isfinite(y[:, 0]), psi0 + 0.02 * np.random.default_rng(0).normal(size=psi0.size), np.nan)
+    still = plain_model(
+        "still", f=lambda x, u, p: {"psi": p.rate}, h=lambda x, u, p: {"psi": x.psi},
+        states=(State("psi", noise="q2", sd0=0.5),), inputs=(),
+        sensors=quiet.sensors[:1],
+        parameters=(Parameter("rate", 0.2), Parameter("q2", 0.05, transform="log"),
+                    Parameter("e_psi", 0.05, transform="log")))
+    result = fit(still, [replace(record, y=y[:, :1], outputs=("psi",))])
+    assert result.converged
+    assert abs(result.estimate("rate")[0] - 0.1) < 4 * result.estimate("rate")[1]
+    assert result.estimate("q2")[0] < 0.01
+
+
+def test_josephs_form_survives_a_start_that_is_hardly_known() -> None:
+    """Uncertain by nine orders more than the sensor: the shorter form loses the difference to rounding."""
+    def slide(sd0: float) -> Model:
+        return plain_model(
+            "slide", f=lambda x, u, p: {"s": x.v, "v": -p.d * x.v}, h=lambda x, u, p: {"y": x.s},
+            states=(State("s", sd0=sd0), State("v", sd0=sd0, noise="q")), inputs=(),
+            sensors=(Sensor("one", (Output("y", noise="e"),)),),
+            parameters=(Parameter("d", 0.5, transform="log"), Parameter("q", 0.01, free=False),
+                        Parameter("e", 0.001, free=False)))
+
+    t = 0.1 * np.arange(100)
+    y = 3.0 + (1.0 - np.exp(-0.3 * t)) / 0.3 + 0.001 * np.random.default_rng(0).normal(size=100)
+    record = Record("slide", t, np.zeros((100, 0)), np.zeros((100, 0)), y[:, None], (), ("y",))
+    known, joseph = fit(slide(1e3), [record]), fit(slide(1e6), [record], joseph=True)
+    assert joseph.converged
+    assert joseph.estimate("d") == pytest.approx(known.estimate("d"), rel=0.05)
+
+
+def test_a_record_that_cannot_be_evaluated_names_itself() -> None:
+    model = turning().with_free(FREE)
+    with pytest.raises(ValueError, match="record run 0: the likelihood of model turning cannot be evaluated"):
+        fit(model, records(2), start={"m": 1e-7})
+    with pytest.raises(ValueError, match="odd: no signal for the input 'N'"):
+        fit(model, [records(1)[0], replace(records(1)[0], name="odd", inputs=("M",))])
+    with pytest.raises(ValueError, match="no records"):
+        fit(model, [])
+    with pytest.raises(ValueError, match=r"^run 0: \d measured samples for 7 free parameters of model turning without"):
+        fit(model, [turning_record(0, 2, "run 0")])
+    with pytest.raises(ValueError, match="no free parameters"):
+        fit(model.with_free(()), records(1))
+    with pytest.raises(KeyError, match="mass"):
+        fit(model, records(1), start={"mass": 1.0})
+
+
+def test_progress_is_reported() -> None:
+    seen: list[tuple[int, float]] = []
+    fit(turning().with_free(("m", "d")), records(1), start={"m": 15.0}, progress=lambda i, v: seen.append((i, v)))
+    assert [i for i, _ in seen] == list(range(len(seen)))
+    assert seen[-1][1] > seen[0][1]
+
+
+def test_climbing_takes_over_where_scoring_stands_still() -> None:
+    problem = Problem(Likelihood(turning()), records(1), FREE, 1)
+    z = problem.start
+    z[0] += 0.4
+    start = fisher_scoring.Optimum(z, problem.evaluate(z), 0, 1, 1.0)
+    top = fisher_scoring.refine_lbfgsb(problem.value_and_gradient, start, problem.bounds, problem.evaluate, 1e-6)
+    best = fisher_scoring.maximise(problem.evaluate, z, problem.bounds, max_iterations=60, tolerance=1e-8)
+    assert top.at.value == pytest.approx(best.at.value, abs=1e-3)
+
+
+def test_gradient_of_the_posterior_agrees_between_adjoint_and_tangents() -> None:
+    m = replace(turning().parameter("m"), prior=(8.0, 1.0))
+    problem = Problem(Likelihood(turning().replace_parameters(m)), records(2), FREE, 2)
+    z = problem.start + 0.1
+    value, gradient = problem.value_and_gradient(z)
+    at = problem.evaluate(z)
+    assert value == pytest.approx(at.value, rel=1e-12)
+    np.testing.assert_allclose(gradient, at.gradient, rtol=1e-8, atol=1e-7)
+
+
+def quadratic(z: np.ndarray) -> fisher_scoring.Evaluation:
+    """A concave bowl with its top at (1, -2), a wall of NaN beyond 3."""
+    H = np.array([[2.0, 0.6], [0.6, 1.0]])
+    d = z - np.array([1.0, -2.0])
+    value = float("nan") if z[0] > 3 else -0.5 * d @ H @ d
+    return fisher_scoring.Evaluation(value, -H @ d, H, np.zeros(2))
+
+
+def test_scoring_stays_inside_bounds_and_away_from_nan() -> None:
+    loose = fisher_scoring.Bounds(np.full(2, -INF), np.full(2, INF), np.zeros(2, dtype=bool))
+    top = fisher_scoring.maximise(quadratic, np.array([2.9, 50.0]), loose, max_iterations=60, tolerance=1e-10)
+    np.testing.assert_allclose(top.z, [1.0, -2.0], atol=1e-4)
+    tight = replace(loose, low=np.array([-INF, -1.0]))
+    top = fisher_scoring.maximise(quadratic, np.array([0.0, 5.0]), tight, max_iterations=30, tolerance=1e-12)
+    np.testing.assert_allclose(top.z, [0.7, -1.0], atol=1e-5)  # the top of the bowl along the bound
+
+
+def shallow(z: np.ndarray) -> fisher_scoring.Evaluation:
+    """The top is at 10 in z[0]; z[1], a logarithm that the data hardly inform, asks for a step of -100000."""
+    H = np.diag([4.0, 1e-9])
+    value = -2.0 * (z[0] - 10.0) ** 2 - 1e-4 * z[1]
+    return fisher_scoring.Evaluation(float(value), np.array([-4.0 * (z[0] - 10.0), -1e-4]), H, np.zeros(2))
+
+
+def test_a_logarithm_without_information_does_not_hold_up_the_rest() -> None:
+    bounds = fisher_scoring.Bounds(np.full(2, -INF), np.full(2, INF), np.array([False, True]))
+    z = np.zeros(2)
+    step = fisher_scoring.solve_step(shallow(z), shallow(z).hessian, z, bounds, 0.0)
+    np.testing.assert_allclose(step, [10.0, -fisher_scoring.LARGEST_STEP])
+    top = fisher_scoring.maximise(shallow, z, bounds, max_iterations=20, tolerance=1e-2)
+    assert top.z[0] == pytest.approx(10.0, abs=1e-2)
+
+
+def test_best_start_finds_the_hill() -> None:
+    assert best_start(turning(), records(1), {"m": [1.0, 4.0, 10.0, 30.0], "d": [4.0, 40.0]}) == {"m": 10.0, "d": 4.0}
+
+
+def test_values_of_models_are_left_alone() -> None:
+    model = turning()
+    before = values_of(model)
+    fit(model.with_free(("m",)), records(1))
+    np.testing.assert_array_equal(values_of(model), before)

@@ -1,0 +1,214 @@
+"""model.toml: what was fitted comes back, effects and tables too; a damaged file ends in one line."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomlkit
+
+from daq.errors import SeatrialError
+from ident.data.record import build_record
+from ident.effects.nonparametric import nonparametric_effect
+from ident.effects.registry import catalogue
+from ident.engine.vectorised_model import VectorisedModel
+from ident.estimation.maximum_likelihood import Fit, fit
+from ident.estimation.model_file import load_model, save_model
+from ident.model.structure import Model
+from ident.models.catalogue import make_model
+from ident.models.disturbances import for_diagnosis
+from ident.models.horizontal import horizontal_model
+from ident.models.scaling import VesselScale, rescale, scale_priors
+from tests.missions import boat_with, channels_of, sail
+
+SPAN = (-0.3, 1.1)
+VALIDITY = {"u": (-0.2, 1.3), "n_left": (-1.0, 1.0)}
+
+
+@pytest.fixture(scope="module")
+def found() -> Fit:
+    """A short fit of few parameters: only the file matters here."""
+    channels = channels_of(sail(boat_with(None, 1), 40.0, 1)[0])
+    model = horizontal_model(sensors=("attitude", "gyro", "position")).with_free(["m_r", "d_rr", "d_vv", "V_x", "V_y"])
+    runs = [build_record(model, channels, name=f"run {a:g}", t_from=a, t_to=a + 20.0) for a in (0.0, 20.0)]
+    return fit(model, runs, max_iterations=8)
+
+
+def with_model(found: Fit, model: Model) -> Fit:
+    """As if nothing had been estimated: the values are those of the model."""
+    none, square = np.zeros(0), np.zeros((0, 0))
+    return replace(found, model=model, names=(), values=none, errors=none, correlation=square, flags=())
+
+
+def saved(path: Path, found: Fit, **extra: object) -> Path:
+    save_model(path, found, validity=VALIDITY, provenance={"made_by": "a test", "logs": ["a"], "none": None}, **extra)  # type: ignore[arg-type]
+    return path
+
+
+def rates(model: Model) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    x, u = rng.normal(size=(20, len(model.states))), rng.uniform(-1, 1, (20, len(model.inputs)))
+    return VectorisedModel(model)(x, u, np.array(list(model.values.values())))
+
+
+def test_a_fitted_model_comes_back(tmp_path: Path, found: Fit) -> None:
+    back = load_model(saved(tmp_path / "model.toml", found))
+    for p in found.model.parameters:
+        again = back.model.parameter(p.name)
+        assert again.free == p.free, p.name
+        assert again.value == (p.value if p.per_record else found.estimate(p.name)[0]), p.name
+        assert (again.unit, again.prior, again.transform) == (p.unit, p.prior, p.transform)
+    assert [s.name for s in back.model.sensors] == ["attitude", "gyro", "position"]
+    np.testing.assert_array_equal(rates(back.model), rates(found.model))
+    for name in found.model.values:
+        if not found.model.parameter(name).per_record:
+            np.testing.assert_equal(back.errors[name], found.estimate(name)[1])
+    assert np.isfinite(back.errors["m_r"])
+    assert np.isnan(back.errors["c1"])
+    assert back.validity == VALIDITY
+    assert back.provenance == {"made_by": "a test", "logs": ["a"]}
+
+
+@pytest.mark.parametrize("propulsion", ["shaft", "force"])
+def test_effects_come_back_with_their_values(tmp_path: Path, found: Fit, propulsion: str) -> None:
+    model = for_diagnosis(horizontal_model(propulsion))  # type: ignore[arg-type]
+    chosen = [e for e in catalogue().values() if model.accepts(e)]
+    assert len(chosen) > 15
+    for effect in chosen:
+        model = model + effect
+    moved = {p.name: p.value + 0.7 * p.step for e in chosen for p in e.parameters if p.step}
+    model = model.with_values(moved)
+    back = load_model(saved(tmp_path / "model.toml", with_model(found, model))).model
+    assert [e.name for e in back.effects] == [e.name for e in model.effects]
+    assert {n: back.values[n] for n in moved} == moved
+    np.testing.assert_array_equal(rates(back), rates(model))
+
+
+@pytest.mark.parametrize("variable", ["u", "psi", "u, r", "n_diff", "t"])
+def test_unknown_tables_come_back_with_their_span(tmp_path: Path, found: Fit, variable: str) -> None:
+    effect = nonparametric_effect(horizontal_model(), "X", variable, SPAN)
+    model = horizontal_model() + effect
+    model = model.with_values({p.name: 0.3 * (k + 1) for k, p in enumerate(effect.parameters)})
+    path = saved(tmp_path / "model.toml", with_model(found, model))
+    back = load_model(path).model
+    np.testing.assert_allclose(rates(back), rates(model), rtol=1e-12)
+    assert back.effects[0].span == SPAN
+    again = load_model(saved(tmp_path / "again.toml", with_model(found, back))).model  # by a command that only refits
+    np.testing.assert_allclose(rates(again), rates(model), rtol=1e-12)
+    assert back.effects[0].parameters[0].prior == effect.parameters[0].prior
+
+
+def test_a_model_of_ones_own_comes_back(tmp_path: Path, found: Fit) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from dataclasses import replace\nfrom ident.models.yaw import yaw\n"
+        f"def boat():\n    return replace(yaw(), source={f'{file}:boat'!r})\n",
+        encoding="utf-8",
+    )
+    mine = make_model(f"{file}:boat")
+    back = load_model(saved(tmp_path / "model.toml", with_model(found, mine.with_values({"m_r": 12.0})))).model
+    assert back.values["m_r"] == 12.0
+    assert [s.name for s in back.states] == ["r"]
+
+
+def test_priors_come_back(tmp_path: Path, found: Fit) -> None:
+    """Those that a user gave, and those of an effect for a large boat; unexplained forces get their size anew."""
+    size = VesselScale(20.0, 60.0)
+    model = for_diagnosis(horizontal_model()) + scale_priors(catalogue()["yaw-bias"], size)
+    given = replace(model.parameter("m_r"), prior=(600.0, 50.0)), replace(model.parameter("d_u"), prior=(0.5, 2.0))
+    model = rescale(model.replace_parameters(*given), size)
+    path = saved(tmp_path / "model.toml", with_model(found, model))
+    back = load_model(path).model
+    unexplained = {"q_X", "q_Y", "q_N", "tau_b"}
+    wanted = {p.name: p.prior for p in model.parameters if p.name not in unexplained}
+    assert {n: back.parameter(n).prior for n in wanted} == wanted
+    assert wanted["m_r"] == (600.0, 50.0)
+    assert wanted["N_0"] == tuple(60.0 * z for z in catalogue()["yaw-bias"].parameters[0].prior or ())
+    again = rescale(back, size)
+    for name in unexplained:
+        assert again.parameter(name).prior == pytest.approx(model.parameter(name).prior), name
+
+
+def change(**keys: object) -> object:
+    def apply(document: tomlkit.TOMLDocument) -> None:
+        for key, value in keys.items():
+            if value is None:
+                del document[key]
+            else:
+                document[key] = value
+
+    return apply
+
+
+def rename_parameter(document: tomlkit.TOMLDocument) -> None:
+    document["parameter"][0]["name"] = "m_x"  # type: ignore[index]
+
+
+def word_for_value(document: tomlkit.TOMLDocument) -> None:
+    document["parameter"][0]["value"] = "heavy"  # type: ignore[index]
+
+
+def prior(*numbers: float) -> object:
+    def apply(document: tomlkit.TOMLDocument) -> None:
+        next(p for p in document["parameter"] if p["name"] == "m_u")["prior"] = list(numbers)  # type: ignore[union-attr]
+
+    return apply
+
+
+def value_beyond_bounds(document: tomlkit.TOMLDocument) -> None:
+    row = next(p for p in document["parameter"] if p["name"] == "d_uu")  # type: ignore[union-attr]
+    row["value"] = -3.0
+
+
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (change(format="seatrial-rig 1"), "format is 'seatrial-rig 1', not 'seatrial-model 1'"),
+        (change(source=None), "source"),
+        (change(source="submarine"), "no model 'submarine'"),
+        (change(source="nowhere.py:boat"), "nowhere.py: no such"),
+        (change(effects=["perpetual-motion"]), "there is no effect 'perpetual-motion' in the catalogue"),
+        (change(parameter=None), "parameter"),
+        (change(validity={"u": [1.0]}), "not a complete model"),
+        (change(parameter=5), "not a complete model"),
+        (rename_parameter, "has no parameter 'm_x'"),
+        (word_for_value, "not a complete model"),
+        (value_beyond_bounds, "d_uu: -3.0 is outside its bounds"),
+        (prior(30.0), "not a complete model"),
+        (prior(30.0, 0.0), "m_u: its prior [30, 0] needs a positive mean and standard deviation"),
+        (prior(-30.0, 2.0), "m_u: its prior [-30, 2] needs"),
+    ],
+)
+def test_a_damaged_file_is_one_line(tmp_path: Path, found: Fit, damage: object, says: str) -> None:
+    path = saved(tmp_path / "model.toml", found)
+    document = tomlkit.parse(path.read_text(encoding="utf-8"))
+    damage(document)  # type: ignore[operator]
+    path.write_text(tomlkit.dumps(document), encoding="utf-8")
+    with pytest.raises(SeatrialError) as problem:
+        load_model(path)
+    assert says in str(problem.value)
+    assert "\n" not in str(problem.value)
+
+
+@pytest.mark.parametrize("content", [b"format = ", b"\xff\xfe\x00", b"", b"[[parameter]]\n" * 3])
+def test_what_is_no_toml_is_one_line(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "model.toml"
+    path.write_bytes(content)
+    with pytest.raises(SeatrialError, match=r"model\.toml: ") as problem:
+        load_model(path)
+    assert "\n" not in str(problem.value)
+    with pytest.raises(SeatrialError, match="cannot be read"):
+        load_model(tmp_path / "absent.toml")
+
+
+def test_any_cut_of_the_file_is_one_line_or_a_whole_model(tmp_path: Path, found: Fit) -> None:
+    path = saved(tmp_path / "model.toml", found)
+    text = path.read_text(encoding="utf-8")
+    rng = np.random.default_rng(1)
+    for cut in rng.integers(0, len(text), 60):
+        path.write_text(text[:cut], encoding="utf-8")
+        with contextlib.suppress(SeatrialError):  # nothing else may come out
+            assert isinstance(load_model(path).model, Model)

@@ -1,0 +1,202 @@
+"""Output error against simulation, finite differences and the spread of its estimates."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from ident.data.record import Record
+from ident.estimation.likelihood import Likelihood
+from ident.estimation.maximum_likelihood import fit
+from ident.estimation.output_error import free_start, output_error, predict_ahead, simulate, with_initial_state
+from ident.models.yaw import yaw_model
+from tests.ident.toys import turning, turning_record, values_of
+
+
+def steps(n_rows: int = 600, seed: int = 0) -> Record:
+    """A yaw experiment without measurements yet: moments that change every three seconds."""
+    t = np.arange(n_rows) * 0.1
+    u = np.repeat(np.random.default_rng(seed).uniform(-8, 8, n_rows // 30 + 1), 30)[:n_rows, None]
+    return Record("steps", t, u, u, np.full((n_rows, 1), np.nan), ("N",), ("r",))
+
+
+def test_simulation_agrees_with_scipy() -> None:
+    record, model = turning_record(), turning()
+    p = model.values
+    x0 = np.array([3.0, 0.4])
+    simulated = simulate(model, record, x0=x0)
+
+    def rate(t: float, x: np.ndarray) -> list[float]:
+        moment = np.interp(t, record.t, record.u[:, 0])
+        return [x[1], (moment - p["d"] * x[1] - p["dd"] * abs(x[1]) * x[1]) / p["m"]]
+
+    exact = solve_ivp(rate, record.t[[0, -1]], x0, t_eval=record.t, rtol=1e-10, atol=1e-10, max_step=0.01)
+    np.testing.assert_allclose(simulated.x, exact.y.T, atol=2e-6)
+    np.testing.assert_allclose(simulated.y[:, 2], 2 * simulated.x[:, 1] + 0.1 * record.u[:, 0])
+
+
+def test_likelihood_is_that_of_the_simulations_errors() -> None:
+    record, model = turning_record(), turning()
+    v = values_of(model)
+    e = record.y - simulate(model, record, v).y
+    e[:, 0] = (e[:, 0] + np.pi) % (2 * np.pi) - np.pi
+    S = np.array([v[5], v[6], v[6]]) ** 2
+    wanted = np.nansum(-0.5 * (e**2 / S + np.log(2 * np.pi * S)))
+    assert output_error(model).value(record, v) == pytest.approx(wanted, rel=1e-10)
+
+
+def test_sensitivities_to_parameters_and_initial_state_are_exact() -> None:
+    model = with_initial_state(yaw_model())
+    record = steps()
+    simulated = simulate(model, record, x0=np.array([0.3]))
+    record = replace(record, y=simulated.y + 0.01 * np.random.default_rng(0).normal(size=simulated.y.shape))
+    v, likelihood = values_of(model), output_error(model)
+    names = ("m_r", "d_r", "d_rr", "e_r", "x0_r")
+    scores = likelihood.scores(record, v, names)
+    value, gradient = likelihood.gradient(record, v)
+    assert value == scores.value
+    for i, name in enumerate(names):
+        column = list(model.values).index(name)
+        np.testing.assert_allclose(scores.gradient[i], gradient[column], rtol=1e-9, atol=1e-9)
+        d = np.zeros(v.size)
+        d[column] = 1e-5
+        wanted = (likelihood.value(record, v + d) - likelihood.value(record, v - d)) / 2e-5
+        assert scores.gradient[i] == pytest.approx(wanted, rel=1e-5, abs=1e-4), name
+    # the information of the mean's parameters is that of the outputs' sensitivities over the noise
+    d = np.zeros(v.size)
+    d[0] = 1e-4
+    sensitivity = (simulate(model, record, v + d).y - simulate(model, record, v - d).y) / 2e-4
+    assert scores.information[0, 0] == pytest.approx(float(np.sum(sensitivity**2)) / v[4] ** 2, rel=1e-6)
+
+
+def test_errors_are_the_spread_of_the_estimates() -> None:
+    model = yaw_model().with_values({"e_r": 0.02})
+    record, rng, z = steps(), np.random.default_rng(1), []
+    clean = simulate(model, record, x0=np.zeros(1)).y
+    model = replace(model, states=tuple(replace(s, from_output="") for s in model.states))
+    for _ in range(40):
+        noisy = replace(record, y=clean + 0.02 * rng.normal(size=clean.shape))
+        found = fit(model, [noisy], method="oe", start={"m_r": 7.0, "d_rr": 10.0})
+        assert found.converged
+        assert "s_r" not in found.names  # output error knows no process noise
+        names = ("m_r", "d_r", "d_rr", "e_r")
+        z.append([(found.estimate(n)[0] - model.values[n]) / found.estimate(n)[1] for n in names])
+    assert (np.abs(np.mean(z, axis=0)) < 4 / np.sqrt(40)).all()
+    np.testing.assert_allclose(np.std(z, axis=0), 1.0, atol=0.45)
+
+
+def test_the_sandwich_sees_coloured_residuals() -> None:
+    """With process noise in the data, output error's own errors are too small; the robust ones are not."""
+    model = yaw_model().with_values({"e_r": 0.005})
+    model = replace(model, states=tuple(replace(s, from_output="") for s in model.states))
+    record, rng, z, robust = steps(4800), np.random.default_rng(2), [], []
+    p = model.values
+    for _ in range(30):
+        r, y = 0.0, np.empty((record.n_rows, 1))
+        for k in range(record.n_rows):
+            y[k] = r + 0.005 * rng.normal()
+            for _ in range(5):
+                r += 0.02 * (record.u[k, 0] - p["d_r"] * r - p["d_rr"] * abs(r) * r) / p["m_r"]
+                r += 0.03 * np.sqrt(0.02) * rng.normal()
+        found = fit(model, [replace(record, y=y)], method="oe")
+        i = found.names.index("m_r")
+        z.append((found.values[i] - p["m_r"]) / found.errors[i])
+        robust.append((found.values[i] - p["m_r"]) / found.robust_errors[i])
+    assert np.std(z) > 1.5
+    assert 0.6 < np.std(robust) < 1.5
+
+
+def test_a_noisy_first_sample_is_not_the_start() -> None:
+    """The start is estimated with the rest, and errors hold; taken for exact, the whole record carries its noise."""
+    model = turning().with_values({"e_psi": 0.05, "e_r": 0.05}).with_free(("d", "dd", "e_psi", "e_r"))
+    record, rng, z = turning_record(n_rows=400), np.random.default_rng(3), []
+    model = replace(model, states=tuple(replace(s, x0=0.0, from_output="psi" if s.name == "psi" else "")
+                                        for s in model.states))
+    noise, seen = np.array([0.05, 0.05, 0.05]), np.isfinite(record.y)
+    for _ in range(40):
+        clean = simulate(model, record, x0=np.array([3.0, rng.normal(0.0, 0.3)])).y
+        noisy = np.where(seen, clean + noise * rng.normal(size=clean.shape), np.nan)
+        found = fit(model, [replace(record, y=noisy)], method="oe", start={"d": 6.0, "dd": 3.0})
+        given = fit(model, [replace(record, y=noisy)], method="oe", initial="given")
+        assert "x0_psi@0" in found.names
+        assert "x0_psi@0" not in given.names
+        z.append([[(f.estimate(n)[0] - model.values[n]) / f.estimate(n)[1] for n in ("d", "dd", "e_r")]
+                  for f in (found, given)])
+    spread = np.sqrt(np.mean(np.square(z), axis=0))
+    np.testing.assert_allclose(spread[0], 1.0, atol=0.35)
+    assert np.nanmax(spread[1]) > 2.0
+
+
+def test_starts_of_each_record_begin_at_its_first_samples() -> None:
+    """Headings on both sides of pi: a search from one start for all would end a turn off in one of them."""
+    model = turning().with_free(("d",))
+    model = replace(model, states=tuple(replace(s, x0=0.0, from_output="psi" if s.name == "psi" else "")
+                                        for s in model.states))
+    records = [turning_record(k, name=f"run {k}") for k in range(2)]
+    shifted = replace(records[1], y=records[1].y - [1.5, 0.0, 0.0])
+    found = fit(model, [records[0], shifted], method="oe")
+    one, two = found.estimate("x0_psi", 0)[0], found.estimate("x0_psi", 1)[0]
+    assert found.converged
+    assert abs((one - np.nanmean(records[0].y[:4, 0]) + np.pi) % (2 * np.pi) - np.pi) < 0.3
+    assert abs((two - np.nanmean(shifted.y[:4, 0]) + np.pi) % (2 * np.pi) - np.pi) < 0.3
+    again = fit(model, [records[0], shifted], method="oe", start={"x0_psi@0": one, "x0_psi@1": two})
+    assert again.log_likelihood == pytest.approx(found.log_likelihood, abs=1e-4)
+
+
+def test_a_start_that_is_known_stays_and_a_guess_is_a_prior() -> None:
+    known = replace(turning(), states=tuple(replace(s, sd0=0.0, x0=0.2, from_output="") for s in turning().states))
+    assert free_start(known, []) == (known, {})
+    guessed = replace(turning(), states=(turning().states[0], replace(turning().states[1], x0=0.2, sd0="sd0")))
+    model, begin = free_start(guessed, [])
+    assert (model.parameter("x0_r").prior, begin) == ((0.2, 0.3), {})
+    assert "x0_psi" not in model.values  # a parameter of the model's own already
+
+
+@pytest.mark.parametrize("words", [{"method": "PE"}, {"method": "oe", "initial": "guessed"}])
+def test_a_method_that_there_is_not(words: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match='"pe" or "oe"'):
+        fit(turning(), [turning_record()], **words)
+
+
+def test_predictions_ahead_are_pieces_of_a_simulation() -> None:
+    model, record = turning(), turning_record()
+    simulated = simulate(model, record)
+    for how in ({"steps": 1}, {"steps": 7}, {"seconds": 1.5}):
+        ahead = predict_ahead(model, record, None, simulated.x, **how)  # type: ignore[arg-type]
+        np.testing.assert_allclose(ahead.y, simulated.y[ahead.end], rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(ahead.x, simulated.x[ahead.end], rtol=1e-12, atol=1e-12)
+        if "seconds" in how:
+            late = record.t[ahead.end] - record.t[ahead.start]
+            assert (late >= 1.5 - 1e-6).all()
+            assert (late < 1.7).all()
+        else:
+            assert (ahead.end - ahead.start == how["steps"]).all()
+    few = predict_ahead(model, record, None, simulated.x, steps=5, rows=np.array([3, 50, 118]))
+    assert few.start.tolist() == [3, 50]
+    with pytest.raises(ValueError, match="either seconds or steps"):
+        predict_ahead(model, record, None, simulated.x)
+
+
+def test_one_step_from_filtered_states_is_the_filters_prediction() -> None:
+    model, record = turning(), turning_record()
+    run = Likelihood(model).filter(record, values_of(model))
+    ahead = predict_ahead(model, record, None, run.x_filt, steps=1)
+    np.testing.assert_allclose(ahead.x, run.x_pred[1:], rtol=1e-12, atol=1e-12)
+
+
+def test_initial_states_become_parameters() -> None:
+    model = with_initial_state(turning(), ["r"])
+    assert model.parameter("x0_r").per_record
+    assert (model.states[1].x0, model.states[1].sd0) == ("x0_r", 0.0)
+    assert model.states[0].x0 == "psi0"
+    with pytest.raises(KeyError, match="no state 'q'"):
+        with_initial_state(turning(), ["q"])
+
+
+def test_output_error_has_no_filter() -> None:
+    with pytest.raises(ValueError, match="output error has no filter"):
+        output_error(turning()).filter(turning_record(), values_of(turning()))

@@ -1,0 +1,241 @@
+"""Profile likelihoods against closed forms, against refits, and at bounds."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import optimize
+
+from daq.errors import SeatrialError
+from ident.data.record import Record
+from ident.estimation.maximum_likelihood import Fit, fit
+from ident.estimation.output_error import output_error
+from ident.estimation.profile_likelihood import Profile, profile
+from ident.estimation.standard_errors import DROP
+from ident.model.parameter import Parameter
+from ident.model.structure import Model, Output, Sensor, State, plain_model
+from ident.report.page import render
+from ident.results.content import profile_part, to_json
+from ident.workflows.model_inputs import check_names
+from tests.ident.stepped import stepped_record, steps
+from tests.ident.toys import turning, turning_record
+
+FREE = ("m", "d", "dd", "bias", "q", "e_psi", "e_r")
+
+
+def scatter(*, logarithmic: bool = True) -> Model:
+    """A constant measured with noise: mean and standard deviation of a normal sample."""
+    return plain_model(
+        "scatter", f=lambda x, u, p: {"a": 0.0 * x.a}, h=lambda x, u, p: {"y": x.a},
+        states=(State("a", x0="mean", sd0=0.0),), inputs=(),
+        sensors=(Sensor("one", (Output("y", noise="e"),)),),
+        parameters=(Parameter("mean", 0.3), Parameter("e", 1.5, transform="log" if logarithmic else "none")))
+
+
+def sample(n: int = 9) -> Record:
+    y = np.random.default_rng(1).normal(2.0, 1.0, (n, 1))
+    return Record("few", 0.1 * np.arange(n), np.zeros((n, 0)), np.zeros((n, 0)), y, (), ("y",))
+
+
+@pytest.fixture(scope="module")
+def few() -> tuple[Fit, Record]:
+    return fit(scatter(), [sample()]), sample()
+
+
+@pytest.mark.parametrize("method", ["pe", "oe"])
+def test_a_small_normal_sample_has_its_textbook_intervals(method: str) -> None:
+    record = sample()
+    found = fit(scatter(), [record], method="oe" if method == "oe" else "pe")
+    y, n = record.y[:, 0], record.n_rows
+    s = y.std()
+    spread = profile(found, [record], "e")
+    expected = n * (np.log(spread.grid / s) + (s / spread.grid) ** 2 / 2 - 0.5)
+    np.testing.assert_allclose(spread.drop, expected, atol=1e-4)
+
+    def excess(e: float) -> float:
+        return float(n * (np.log(e / s) + (s / e) ** 2 / 2 - 0.5) - DROP)
+
+    assert spread.low == pytest.approx(optimize.brentq(excess, 0.2 * s, s), rel=2e-3)
+    assert spread.high == pytest.approx(optimize.brentq(excess, s, 5 * s), rel=2e-3)
+    assert spread.wald_low == pytest.approx(s * math.exp(-1.95996 / math.sqrt(2 * n)), rel=1e-3)
+    assert spread.high > 1.02 * spread.wald_high  # nine samples: the likelihood is not quadratic
+    mean = profile(found, [record], "mean")
+    np.testing.assert_allclose(mean.drop, n / 2 * np.log1p(((mean.grid - y.mean()) / s) ** 2), atol=1e-4)
+    half = s * math.sqrt(math.exp(2 * DROP / n) - 1)
+    assert (mean.low, mean.high) == pytest.approx((y.mean() - half, y.mean() + half), rel=2e-3)
+
+
+def test_every_point_is_a_refit() -> None:
+    records = [turning_record(seed, 400) for seed in range(2)]
+    found = fit(turning().with_free(FREE), records)
+    one = profile(found, records, "dd")
+    assert one.drop.max() > DROP
+    assert one.drop.min() == 0.0
+    assert (np.diff(one.grid) > 0).all()
+    assert one.grid.size <= 13
+    for value, drop in list(zip(one.grid, one.drop, strict=True))[::3]:
+        fixed = replace(found.model.parameter("dd"), value=float(value), free=False)
+        again = fit(found.model.replace_parameters(fixed), records)
+        assert found.log_posterior - again.log_posterior == pytest.approx(drop, abs=5e-3)
+    assert one.low == pytest.approx(one.wald_low, abs=0.2 * found.estimate("dd")[1])
+    own = profile(found, records, "bias@1")
+    assert own.low < found.estimate("bias", 1)[0] < own.high
+
+
+def test_a_parameter_at_its_bound_has_one_side() -> None:
+    record = turning_record(0, 400)
+    d = replace(turning().parameter("d"), bounds=(0.0, 1.5), value=1.0)
+    found = fit(turning().with_free(FREE).replace_parameters(d), [record])
+    one = profile(found, [record], "d")
+    assert one.grid[-1] == one.high == one.value == 1.5
+    assert 0 < one.low < 1.5
+    assert math.isnan(one.wald_low)
+    assert one.notes == ("upper side: at its bound",)
+    near = replace(d, bounds=(3.0, 50.0), value=4.0)  # within a standard error of the estimate
+    found = fit(turning().with_free(FREE).replace_parameters(near), [record])
+    one = profile(found, [record], "d")
+    assert one.low == one.grid[0] == 3.0
+    assert 0 < one.drop[0] < DROP < one.drop[-1]
+    assert one.notes == ("lower side: reaches its bound",)
+
+
+def test_what_the_data_do_not_limit_is_open() -> None:
+    """Process noise that is not there: its logarithm may go down for ever."""
+    record = sample(60)
+    walk = replace(scatter(), states=(State("a", noise="q", x0="mean", sd0=0.0),),
+                   parameters=(*scatter().parameters, Parameter("q", 0.3, transform="log")))
+    one = profile(fit(walk, [record]), [record], "q")
+    assert math.isnan(one.low)
+    assert one.high > one.value
+    (note,) = one.notes
+    assert note.startswith("lower side: the data set no limit as far as was looked, to ")
+    assert float(note.rpartition(" ")[2]) == pytest.approx(one.grid[0], rel=1e-3)
+
+
+def curve(mean: Callable[[Any], Any], *parameters: Parameter) -> Model:
+    """A constant that is a function of parameters, measured with noise."""
+    return plain_model(
+        "curve", f=lambda x, u, p: {"a": 0.0 * x.a}, h=lambda x, u, p: {"y": x.a + mean(p)},
+        states=(State("a", x0=0.0, sd0=0.0),), inputs=(), sensors=(Sensor("one", (Output("y", noise="e"),)),),
+        parameters=(*parameters, Parameter("e", 1.5, transform="log")))
+
+
+def scattered(mean: float, s: float, n: int = 9) -> tuple[Record, float]:
+    """Samples of that mean and standard deviation, and how far a mean may be from it before the data object."""
+    y = np.random.default_rng(1).normal(0.0, 1.0, n)
+    y = (mean + s * (y - y.mean()) / y.std())[:, None]
+    record = Record("few", 0.1 * np.arange(n), np.zeros((n, 0)), np.zeros((n, 0)), y, (), ("y",))
+    return record, s * math.sqrt(math.exp(2 * DROP / n) - 1)
+
+
+@pytest.mark.parametrize(("power", "start"), [(2, 0.01), (2, 3.0), (6, 0.2)])
+def test_a_parameter_without_slope_at_its_estimate_has_its_interval(power: int, start: float) -> None:
+    """An even power, best at zero: neither gradient nor information there."""
+    record, half = scattered(0.0, 1.0)
+    found = fit(curve(lambda p: p.b**power, Parameter("b", start)), [record])
+    one = profile(found, [record], "b")
+    end = half ** (1 / power)
+    assert (one.low, one.high) == (pytest.approx(-end, rel=0.01), pytest.approx(end, rel=0.01))
+    assert one.notes == ()
+    assert one.grid.size <= 33
+
+
+def test_one_of_two_that_only_their_sum_is_known_of_goes_as_far_as_the_other_can() -> None:
+    record, half = scattered(0.7, 0.02)
+    model = curve(lambda p: p.b1 + p.b2, Parameter("b1", 0.5), Parameter("b2", 0.3, bounds=(0.0, 5.0)))
+    found = fit(model, [record])
+    one = profile(found, [record], "b1")
+    assert (one.low, one.high) == (pytest.approx(-4.3 - half, rel=1e-3), pytest.approx(0.7 + half, abs=0.004))
+    assert one.drop.max() < 4 * DROP  # what only closed a bracket is not drawn
+    other = profile(found, [record], "b2")
+    assert (other.low, other.high) == (0.0, 5.0)
+    assert other.notes == ("lower side: reaches its bound", "upper side: reaches its bound")
+
+
+def test_where_the_likelihood_is_not_a_number_it_says_so() -> None:
+    record, half = scattered(0.2, 1.0)
+    one = profile(fit(curve(lambda p: np.sqrt(p.b), Parameter("b", 0.5)), [record]), [record], "b")
+    assert math.isnan(one.low)
+    assert one.high == pytest.approx((0.2 + half) ** 2, rel=0.01)
+    (note,) = one.notes
+    assert note.startswith("lower side: the likelihood cannot be evaluated beyond ")
+    assert float(note.rpartition(" ")[2]) == pytest.approx(0.0, abs=0.02)
+
+
+@pytest.mark.parametrize(("y", "z", "s"), [(-1.0, -0.3, 1.5), (-0.8, -0.3, 1.2)])  # the second leaps over the summit
+def test_a_better_optimum_on_the_way_takes_its_place(y: float, z: float, s: float) -> None:
+    """Two summits, the fit on the lower one; between them the likelihood drops by less than 1.92."""
+    model = plain_model(
+        "summits", f=lambda x, u, p: {"a": 0.0 * x.a},
+        h=lambda x, u, p: {"y": x.a + 0.6 * np.cos(3 * p.b), "z": x.a + p.b},
+        states=(State("a", x0=0.0, sd0=0.0),), inputs=(),
+        sensors=(Sensor("one", (Output("y", noise="e"), Output("z", noise="e"))),),
+        parameters=(Parameter("b", 0.9), Parameter("e", 1.5, transform="log")))
+    few, _ = scattered(y, s)
+    record = replace(few, y=np.hstack([few.y, few.y[::-1] - y + z]), outputs=("y", "z"))
+    found, other = (fit(model, [record], start={"b": b}) for b in (0.9, -0.9))
+    assert found.converged
+    assert other.converged
+    assert found.estimate("b")[0] > 0.6 > -0.7 > other.estimate("b")[0]
+    one, same = (profile(f, [record], "b") for f in (found, other))
+    assert one.value == pytest.approx(same.value, abs=1e-3)
+    assert (one.low, one.high) == pytest.approx((same.low, same.high), rel=0.02)
+    assert one.drop.min() == 0.0
+    gain = other.log_likelihood - found.log_likelihood
+    assert one.notes == (f"a better fit was found on the way, by {gain:.2g}, and the profile is of that: fit again "
+                         "from there",)
+    assert same.notes == ()
+
+
+@pytest.mark.parametrize("name", ["c2", "c1", "d"])
+def test_beside_and_along_a_plateau(name: str) -> None:
+    """The end of the dead zone stands between two set-points; nothing tells where, so nothing may follow it."""
+    found, record = steps(0.07), stepped_record(0.07)
+    one = profile(found, [record], name)
+    value, error = found.estimate(name)
+    assert one.low == pytest.approx(value - 1.96 * error, abs=0.2 * error)
+    assert one.high == pytest.approx(value + 1.96 * error, abs=0.2 * error)
+
+
+def test_what_was_not_estimated_is_named(few: tuple[Fit, Record]) -> None:
+    found, record = few
+    with pytest.raises(ValueError, match="no profile of sonar: the fit did not estimate it; it estimated mean, e"):
+        profile(found, [record], "sonar")
+    two = [turning_record(seed, 200) for seed in range(2)]
+    with pytest.raises(ValueError, match="each run has its own: bias@0, bias@1"):
+        profile(fit(turning().with_free(("m", "bias")), two), two, "bias")
+    with pytest.raises(ValueError, match="give the records of the fit"):
+        profile(fit(turning().with_free(("m", "bias")), two), two[:1], "m")
+    check_names(turning(), ["m", "bias@1"])
+    with pytest.raises(SeatrialError, match="--profile mass: model turning has m, d"):
+        check_names(turning(), ["mass"])
+    with pytest.raises(SeatrialError, match="--profile d: it is given, not estimated; estimated are m"):
+        check_names(turning().with_free(("m",)), ["d"])
+
+
+def test_one_parameter_alone(few: tuple[Fit, Record]) -> None:
+    record = few[1]
+    model = scatter().with_values({"e": 1.0}).with_free(("mean",))
+    one = profile(fit(model, [record]), [record], "mean")
+    assert (one.low, one.high) == pytest.approx((one.wald_low, one.wald_high), rel=1e-4)  # quadratic, known noise
+    assert output_error(model).value(record, np.array([one.high, 1.0])) == pytest.approx(
+        output_error(model).value(record, np.array([one.value, 1.0])) - DROP, abs=1e-4)
+
+
+def test_the_report_draws_it(few: tuple[Fit, Record], tmp_path: Path) -> None:
+    both: list[Profile] = [profile(few[0], [few[1]], n) for n in ("e", "mean")]
+    both.append(replace(both[1], name="half<b>", low=float("nan"), wald_low=float("nan"), notes=("lower side: open",)))
+    result = {"format": "seatrial-result 1", "kind": "vehicle", "profiles": [profile_part(p) for p in both]}
+    page = render(json.loads(json.dumps(to_json(result))))
+    assert '<section id="profiles"' in page
+    assert page.count("Profile likelihood of") >= 3
+    assert "open to " in page
+    assert "half<b>" not in page.replace("half&lt;b&gt;", "")
+    assert '<section id="profiles"' not in render({"kind": "vehicle", "answer": "x"})

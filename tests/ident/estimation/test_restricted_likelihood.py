@@ -1,0 +1,124 @@
+"""Noise by restricted likelihood: the textbook's n - 1, and no bias left where maximum likelihood has one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ident.data.record import Record
+from ident.estimation.maximum_likelihood import fit
+from ident.estimation.restricted_likelihood import noise_names
+from ident.estimation.stochastic_simulation import simulate_stochastic
+from ident.model.parameter import Parameter
+from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from ident.models.disturbances import for_diagnosis
+from ident.models.horizontal import horizontal_model
+from ident.models.thruster import thruster_model
+from ident.studies.cases import make_case
+from ident.studies.monte_carlo import make_record
+from tests.ident.toys import turning, turning_record
+
+FREE = ("m", "d", "dd", "bias", "q", "e_psi", "e_r")
+
+
+def lines() -> Model:
+    """A constant and a slope in time, measured with noise."""
+    return plain_model(
+        "lines", f=lambda x, u, p: {"t": 1.0}, h=lambda x, u, p: {"y": p.mean + p.slope * x.t},
+        states=(State("t", sd0=0.0),), inputs=(), sensors=(Sensor("one", (Output("y", noise="e"),)),),
+        parameters=(Parameter("mean", 0.3), Parameter("slope", 0.0), Parameter("e", 1.5, transform="log")))
+
+
+def sample(n: int) -> Record:
+    y = np.random.default_rng(1).normal(2.0, 1.0, (n, 1))
+    return Record("few", 0.1 * np.arange(n), np.zeros((n, 0)), np.zeros((n, 0)), y, (), ("y",))
+
+
+@pytest.mark.parametrize("n", [15, 150])
+def test_the_variance_is_divided_by_what_is_left_of_the_samples(n: int) -> None:
+    record = sample(n)
+    plain, found = (fit(lines(), [record], restricted=r) for r in (False, True))
+    ratio = found.estimate("e")[0] / plain.estimate("e")[0]
+    assert ratio == pytest.approx(np.sqrt(n / (n - 2)), abs=3.0 / n**2)  # one step
+    assert found.estimate("mean")[0] == pytest.approx(plain.estimate("mean")[0], abs=1e-4)
+    assert found.log_likelihood == plain.log_likelihood
+    assert found.gradient_norm < 2.0 / n  # of the restricted likelihood
+
+
+def test_dynamics_that_are_known_take_nothing() -> None:
+    known = lines().with_free(["e"])
+    plain, found = (fit(known, [sample(20)], restricted=r) for r in (False, True))
+    np.testing.assert_array_equal(found.values, plain.values)
+    assert noise_names(turning()) >= {"q", "e_psi", "e_r"}
+    assert not noise_names(turning()) & {"m", "d", "dd", "bias"}
+
+
+def test_the_memory_of_a_disturbance_belongs_to_the_noise() -> None:
+    found = noise_names(thruster_model(n_delays=9))
+    assert {"tau_f", "q_f", "s_n", "e_n", "e_f"} <= found
+    assert not found & {"a", "tau", "c1", "c2", "bias"}
+    full = for_diagnosis(horizontal_model())
+    assert {"tau_b", "q_X", "q_Y", "q_N"} <= noise_names(full)
+    assert not noise_names(full) & {"m_u", "d_u", "d_uu", "m_v", "d_v", "m_r", "d_r", "d_rr", "V_x", "V_y"}
+
+
+def test_one_step_leads_to_the_top_of_the_restricted_likelihood() -> None:
+    """Several records, each with a bias of its own: its gradient is gone, and so it is from the other side."""
+    records = [turning_record(seed, 300, f"run {seed}") for seed in range(2)]
+    plain, found = (fit(turning().with_free(FREE), records, restricted=r) for r in (False, True))
+    assert plain.gradient_norm < 1e-2
+    assert found.gradient_norm < 0.03
+    assert found.estimate("q")[0] > plain.estimate("q")[0]
+    moved = np.abs(found.values - plain.values) / plain.errors
+    dynamics = [not noise_names(turning()) & {n} for n in plain.names]
+    assert moved[dynamics].max() < 0.05
+    again = fit(turning().with_free(FREE), records, restricted=True, start={"m": 15.0, "q": 0.1})
+    np.testing.assert_allclose(again.values, found.values, rtol=1e-4)
+
+
+def test_output_error_has_no_process_noise_to_restrict() -> None:
+    records = [turning_record(1, 200)]
+    plain, found = (fit(turning().with_free(FREE), records, method="oe", restricted=r) for r in (False, True))
+    np.testing.assert_array_equal(found.values, plain.values)
+
+
+def test_the_process_noise_of_short_missions_has_no_bias_left() -> None:
+    case, n = make_case("surge", seconds=80.0), 60
+    truth = np.array(list(case.model.values.values()))
+    rngs = [np.random.default_rng([5, k]) for k in range(n)]
+    _, y = simulate_stochastic(case.model, case.inputs, np.tile(truth, (n, 1)), rngs)
+    records = [make_record(case, one, f"run {k}") for k, one in enumerate(y)]
+    bias = {}
+    for restricted in (False, True):
+        fits = [fit(case.model, [r], restricted=restricted, threads=1) for r in records]
+        error = np.log([f.estimate("s_u")[0] / case.model.values["s_u"] for f in fits])
+        bias[restricted] = error.mean() / error.std(ddof=1)
+    assert bias[False] < -0.4
+    assert abs(bias[True]) < 0.35  # known to 0.13
+
+
+def scaled() -> Model:
+    """A force and a mass with one scale between them, which a faint prior alone tells."""
+    return plain_model(
+        "scaled", f=lambda x, u, p: {"v": (p.c * u.n - p.d * x.v) / p.m}, h=lambda x, u, p: {"v": x.v},
+        states=(State("v", noise="q", sd0=0.1),), inputs=(Input("n"),),
+        sensors=(Sensor("one", (Output("v", noise="e"),)),),
+        parameters=(Parameter("m", 20.0, transform="log"), Parameter("d", 8.0, transform="log"),
+                    Parameter("c", 10.0, transform="log", prior=(10.0, 30.0)), Parameter("q", 0.05, transform="log"),
+                    Parameter("e", 0.05, transform="log")))
+
+
+def test_noise_is_not_restricted_along_what_the_data_hardly_see() -> None:
+    rng, t = np.random.default_rng(2), 0.1 * np.arange(300)
+    u = np.repeat(rng.uniform(-1, 1, 15), 20)[:, None]
+    v = np.zeros(300)
+    for k in range(299):
+        v[k + 1] = v[k] + 0.1 * (10.0 * u[k, 0] - 8.0 * v[k]) / 20.0 + 0.05 * np.sqrt(0.1) * rng.standard_normal()
+    record = Record("scale", t, u, u, v[:, None] + 0.05 * rng.standard_normal((300, 1)), ("n",), ("v",))
+    plain, found = (fit(scaled(), [record], restricted=r) for r in (False, True))
+    for name in ("m", "c"):
+        value, error = plain.estimate(name)
+        assert error > value  # the scale is not known
+        assert abs(found.estimate(name)[0] - value) < 0.5 * error
+    ratio, known = plain.model.values["c"] / plain.model.values["m"], found.model.values["c"] / found.model.values["m"]
+    assert known == pytest.approx(ratio, rel=0.02)

@@ -1,0 +1,68 @@
+"""Errors that allow for coloured residuals: right where blocks can tell, withheld where they cannot."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from ident.estimation.fisher_scoring import Bounds, Evaluation
+from ident.estimation.standard_errors import Uncertainty, assess, sandwich
+from ident.numerics.autocorrelation import integrated_autocorrelation_time
+
+N = 4000
+
+
+def coloured(keep: float, seed: int, n: int = N) -> np.ndarray:
+    """First-order noise of unit variance."""
+    white = np.random.default_rng(seed).standard_normal(n + 500)
+    return np.asarray(lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], white)[500:])
+
+
+def known_of(information: np.ndarray) -> Uncertainty:
+    zero = np.zeros(len(information))
+    names = [f"p{k}" for k in range(zero.size)]
+    free = Bounds(zero - np.inf, zero + np.inf, zero > 0)
+    return assess(Evaluation(0.0, zero, information, zero), zero, free, names, zero + 1.0, zero)
+
+
+def regression(keep: float, seed: int) -> tuple[float, float]:
+    """Error of a regression with noise that remembers, on an input that does, over its plain and its robust error."""
+    A = np.column_stack([np.ones(N), coloured(keep, 1000 + seed)])
+    e = coloured(keep, seed)
+    information = A.T @ A
+    found = np.linalg.solve(information, A.T @ e)
+    known = known_of(information)
+    robust = sandwich(known, [([0, 1], A * (e - A @ found)[:, None])], np.ones(2))
+    return float(found[1] / known.errors[1]), float(found[1] / robust[1])
+
+
+def test_memory_of_first_order_noise() -> None:
+    assert integrated_autocorrelation_time([np.random.default_rng(0).standard_normal(N)]) == pytest.approx(1.0, abs=0.3)
+    found = np.mean([integrated_autocorrelation_time([coloured(0.9, k)]) for k in range(20)])
+    assert found == pytest.approx((1 + 0.9) / (1 - 0.9), rel=0.15)
+    assert integrated_autocorrelation_time([np.zeros(50)]) == 1.0
+    assert integrated_autocorrelation_time([np.linspace(-1.0, 1.0, 500)]) > 50.0
+
+
+@pytest.mark.parametrize("keep", [0.0, 0.8, 0.95])
+def test_intervals_cover_whatever_the_residuals_remember(keep: float) -> None:
+    plain, robust = np.array([regression(keep, k) for k in range(300)]).T
+    assert 0.90 < np.mean(np.abs(robust) < 1.96) < 0.99
+    assert np.mean(np.abs(plain) < 1.96) > 0.9 or keep > 0.0
+    assert np.mean(np.abs(plain) < 1.96) < 0.7 or keep < 0.9
+
+
+def test_a_record_no_longer_than_its_memory_has_no_error() -> None:
+    walk = np.cumsum(np.random.default_rng(4).standard_normal(N))
+    rows = (walk - walk.mean())[:, None]
+    assert np.isnan(sandwich(known_of(np.array([[float(N)]])), [([0], rows)], np.ones(1))).all()
+
+
+def test_many_records_are_blocks_themselves() -> None:
+    """Of random walks, each of another record, no length of blocks within one would do."""
+    walks = [np.cumsum(np.random.default_rng(k).standard_normal(200)) for k in range(30)]
+    sums = np.array([w.sum() for w in walks])
+    rows = [([0], (w - sums.mean() / 200)[:, None]) for w in walks]
+    (error,) = sandwich(known_of(np.array([[100.0]])), rows, np.ones(1))
+    assert error == pytest.approx(np.sqrt(30) * sums.std(ddof=1) / 100.0, rel=0.15)

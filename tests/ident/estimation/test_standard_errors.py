@@ -1,0 +1,86 @@
+"""Standard errors beside a neighbour at its bound: neither conditional on it nor blind to it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ident.estimation.fisher_scoring import Bounds, Evaluation
+from ident.estimation.standard_errors import Uncertainty, assess
+
+BOUNDS = Bounds(np.array([-np.inf, 0.0]), np.full(2, np.inf), np.zeros(2, dtype=bool))
+
+
+def assessed(correlation: float, free: tuple[float, float]) -> tuple[np.ndarray, Uncertainty]:
+    """The estimate, and what is said of it, where the likelihood of two parameters of unit variance has its top at
+    ``free`` and the second is bounded by zero."""
+    information = np.linalg.inv([[1.0, correlation], [correlation, 1.0]])
+    z = np.array(free) if free[1] > 0 else np.array([free[0] - correlation * free[1], 0.0])
+    at = Evaluation(0.0, information @ (np.array(free) - z), information, np.zeros(2))
+    return z, assess(at, z, BOUNDS, ("a", "b"), np.ones(2), np.zeros(2))
+
+
+def test_a_bound_that_is_just_reached_widens_as_if_it_were_not_there() -> None:
+    _, found = assessed(0.95, (3.0, 0.0))
+    assert found.errors[0] == pytest.approx(1.0)
+    assert np.isnan(found.errors[1])
+    assert found.limits[1] == pytest.approx(1.96, abs=1e-3)
+    assert found.flags == (("b", "at its bound"), ("a", "its error allows for b off its bound: 3.2 times that at it"))
+
+
+def test_the_harder_it_is_pushed_against_the_less_it_widens() -> None:
+    errors, limits = zip(*[(f.errors[0], f.limits[1]) for f in (assessed(0.95, (3.0, b))[1] for b in (-0.5, -3, -30))],
+                         strict=True)
+    assert 1.0 > errors[0] > errors[1] > errors[2]
+    assert errors[2] == pytest.approx(np.sqrt(1 - 0.95**2), abs=0.01)
+    # drop of the profile: ((d - b)^2 - b^2) / 2 = 1.92
+    assert limits[0] == pytest.approx(-0.5 + np.sqrt(0.5**2 + 3.8415), abs=1e-3)
+    assert assessed(0.95, (3.0, -30.0))[1].flags == (("b", "at its bound"),)
+
+
+def test_a_neighbour_that_does_not_matter_or_is_inside_changes_nothing() -> None:
+    assert assessed(0.3, (3.0, 0.0))[1].flags == (("b", "at its bound"),)
+    _, found = assessed(0.95, (3.0, 0.5))
+    assert found.errors == pytest.approx([1.0, 1.0])
+    assert found.flags == ()
+    assert np.isnan(found.limits).all()
+
+
+@pytest.mark.parametrize("correlation", [-0.97, -0.6])
+@pytest.mark.parametrize("true_b", [0.0, 0.5, 1.3, 3.0])
+def test_intervals_cover_wherever_the_truth_lies(correlation: float, true_b: float) -> None:
+    """Given the bound, those of the neighbour would cover 82 % in the worst of these cases."""
+    rng, n, hits = np.random.default_rng(7), 600, np.zeros(2)
+    root = np.linalg.cholesky([[1.0, correlation], [correlation, 1.0]])
+    for _ in range(n):
+        a, b = root @ rng.standard_normal(2) + [0.0, true_b]
+        z, found = assessed(correlation, (float(a), float(b)))
+        hits[0] += abs(z[0]) < 1.96 * found.errors[0]
+        hits[1] += abs(z[1] - true_b) < 1.96 * found.errors[1] if z[1] > 0 else true_b <= found.limits[1]
+    assert (hits / n > 0.925).all()
+    assert (hits / n < 0.99).all()
+
+
+@pytest.mark.parametrize("size", [np.ones(6), np.array([1.0, 2.0, 0.5, 3.0, 1.0, 0.01])])
+@pytest.mark.parametrize(("unseen", "said"), [
+    ([[1, -1, 0, 0, 0, 0], [0, 0, 1, 2, 0, 0]], {"a": {"a", "b"}, "b": {"a", "b"}, "c": {"c", "d"}, "d": {"c", "d"}}),
+    ([[1, 1, 1, 0, 0, 0], [0, 0, 0, 0, 1, -1], [0, 0, 0, 0, 0, 1]], {n: {"a", "b", "c"} for n in "abc"}),
+])
+def test_each_combination_that_is_not_seen_is_named_by_itself(unseen: list[list[int]], said: dict[str, set[str]],
+                                                              size: np.ndarray) -> None:
+    """Eigenvectors of a null space of several dimensions are any mixture; what is said must not depend on it."""
+    rng = np.random.default_rng(5)
+    J = np.linalg.svd(np.array(unseen) * size)[2][len(unseen):] * size  # nothing but the unseen gives J z = 0
+    J = rng.standard_normal((9, len(J))) @ J
+    information = J.T @ J
+    free = Bounds(np.full(6, -np.inf), np.full(6, np.inf), np.zeros(6, dtype=bool))
+    information[np.abs(information) < 1e-12 * np.abs(information).max()] = 0.0
+    found = assess(Evaluation(0.0, np.zeros(6), information, np.zeros(6)), np.zeros(6), free, tuple("abcdef"),
+                   np.ones(6), np.zeros(6))
+    combinations = {name: set(text.rpartition(" of ")[2].split()[1::2]) for name, text in found.flags
+                    if text.startswith("not identified")}
+    assert combinations == said
+    lost = {name for name, _ in found.flags}
+    assert np.isnan(found.errors).tolist() == [name in lost for name in "abcdef"]
+    if "d" in said:
+        assert dict(found.flags)["d"].endswith("a change of +0.5 c +1 d")

@@ -1,0 +1,276 @@
+"""Designed missions: known optima, limits, what they promise and what repeats deliver, and what tells effects apart."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from daq.errors import SeatrialError
+from ident.effects.registry import catalogue
+from ident.estimation.maximum_likelihood import fit
+from ident.estimation.output_error import simulate
+from ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
+from ident.experiment_design.baselines import baseline_signals, monte_carlo
+from ident.experiment_design.discrimination import HypothesisPair, discriminate, separation
+from ident.experiment_design.excitation import Steps, ThrusterResponse, prbs, rgs
+from ident.experiment_design.information import planned_record
+from ident.experiment_design.optimal_design import Design, design, predicted_track
+from ident.experiment_design.task import GRID, DesignLimits, DesignProblem, ParameterPrior
+from ident.model.parameter import Parameter
+from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from ident.models.horizontal import horizontal_model
+from ident.models.surge import surge_model
+from ident.models.yaw import yaw_model
+from ident.studies.cases import repeats
+from tests.ident.toys import values_of
+
+
+def boat_task(seconds: float = 100.0, n_steps: int = 20, **how) -> DesignProblem:
+    return DesignProblem(horizontal_model(current=False), Steps(n_steps, 2, seconds, 1.0, GRID), **how)
+
+
+def gain_and_offset() -> Model:
+    """y = a n + b: the best inputs are the extremes, half of the time each; det = N^2 then."""
+    return plain_model(
+        "line", f=lambda x, u, p: {"z": 0.0}, h=lambda x, u, p: {"y": p.a * u.n_cmd + p.b},
+        states=(State("z"),), inputs=(Input("n_cmd"),), sensors=(Sensor("meter", (Output("y", "", "e"),)),),
+        parameters=(Parameter("a", 2.0, step=1.0), Parameter("b", 0.5, step=1.0), Parameter("e", 1.0, free=False)),
+    )
+
+
+def test_the_optimum_of_a_straight_line_is_half_at_each_end() -> None:
+    task = DesignProblem(gain_and_offset(), Steps(6, 1, 40.0, 0.4, 0.4), rates={"meter": 2.5}, grid=0.4)
+    fast = replace(task)
+    object.__setattr__(fast, "actuation", replace(task.actuation, pole=np.inf))
+    made = design(fast, evaluations=6000)
+    levels = made.command[:, 0]
+    n = levels.size
+    assert made.value == pytest.approx(2 * np.log(n), abs=0.01)
+    assert np.mean(np.abs(levels) > 0.99) > 0.99
+    assert abs(levels.mean()) < 0.05
+    assert made.errors["a"] == pytest.approx(1 / np.sqrt(n), rel=0.02)
+
+
+def test_the_same_seed_makes_the_same_design_and_the_search_beats_chance() -> None:
+    one, two = (design(boat_task(seed=4), evaluations=600) for _ in range(2))
+    np.testing.assert_array_equal(one.levels, two.levels)
+    np.testing.assert_array_equal(one.durations, two.durations)
+    task = one.task
+    value, _ = task.judge(task.commands(task.steps.random(64, np.random.default_rng(9))))
+    assert one.value > value.max() + 0.5
+    assert set(one.predicted) == set(task.learned)
+    for name in task.learned:  # all sensors at 10 Hz, noise unknown: a little other than the search's own bound
+        assert one.predicted[name] == pytest.approx(one.errors[name], rel=0.05)
+
+
+LIMITS = DesignLimits(area=(40.0, 30.0), speed=1.1, energy=0.5)
+
+
+def test_limits_are_kept() -> None:
+    belief = ParameterPrior(("d_v", "d_r", "m_r"), 0.05)
+    made = design(boat_task(slew=2.0, limits=LIMITS, belief=belief, seed=2), evaluations=800)
+    task, command = made.task, made.command
+    assert made.durations.sum() == pytest.approx(100.0)
+    assert made.durations.min() >= 1.0 - 1e-9
+    assert np.abs(command).max() <= 1.0 + 1e-9
+    assert np.abs(np.diff(command, axis=0)).max() <= 2.0 * GRID + 1e-9
+    assert np.mean(np.abs(command) ** 3) <= 0.5 + 1e-9
+    record = planned_record(task.model, task.t, task.actuation.inputs(command[:, :, None])[:, :, 0])
+    boats = np.array([simulate(task.model, record, v).x for v in (values_of(task.model), *task.samples(24, 2))])
+    assert (np.ptp(boats[:, :, :2], axis=(0, 1)) <= np.array([40.0, 30.0]) * 1.001).all()
+    assert np.hypot(boats[:, :, 3], boats[:, :, 4]).max() <= 1.1 * 1.001
+    track = predicted_track(made)
+    assert track is not None
+    assert track.corner is not None
+    assert (boats[:, :, :2] >= track.corner - 0.05).all()
+    assert (boats[:, :, :2] <= track.corner + np.array([40.0, 30.0]) + 0.05).all()
+    assert track.inside is not None
+    assert track.inside > 0.5
+    assert track.radius[0] == 0.0 < track.radius[-1]
+    free = design(boat_task(seed=2), evaluations=800)
+    assert free.value > made.value
+
+
+def test_what_cannot_be_kept_is_one_line() -> None:
+    with pytest.raises(SeatrialError, match=r"--area 1x1 .*give more room"):
+        design(boat_task(limits=DesignLimits(area=(1.0, 1.0))), evaluations=600)
+    with pytest.raises(SeatrialError, match="do not fit"):
+        Steps(100, 2, 60.0, 1.0, GRID)
+    with pytest.raises(SeatrialError, match="'q' cannot be learned"):
+        design(boat_task(chosen=("q",)), evaluations=600)
+    with pytest.raises(SeatrialError, match="--area does not apply"):
+        design(
+            DesignProblem(yaw_model(), Steps(8, 1, 40.0, 1.0, GRID), limits=DesignLimits(area=(9.0, 9.0))),
+            evaluations=600,
+        )
+
+
+def test_chosen_parameters_and_earlier_logs_change_the_design() -> None:
+    sway = ("m_v", "d_v", "d_vv")
+    for_sway = design(boat_task(criterion="Ds", chosen=sway), evaluations=1200)
+    for_all = design(boat_task(), evaluations=1200)
+    assert for_sway.value > for_sway.task.measure(for_all.information[None])[0]
+    known = ParameterPrior(("m_v", "d_v"), covariance=np.diag([1e-4, 1e-4]))
+    later = replace(for_all.task, belief=known, earlier=np.diag([1e4, 1e4]))
+    again = design(later, evaluations=600)
+    assert again.before["d_v"] == pytest.approx(0.01)
+    assert again.errors["d_v"] < 0.01
+    assert again.predicted["d_v"] < 0.01
+    assert np.isinf(again.before["m_u"])
+
+
+def test_a_robust_design_is_better_on_average() -> None:
+    task = boat_task(40.0, 8, belief=ParameterPrior(("m_u", "m_v", "m_r", "d_v", "d_r", "d_rr", "d_uu"), 0.25), seed=3)
+    nominal, judge = design(task, evaluations=500), replace(task, robust=6)
+    robust = design(judge, evaluations=500, warm=nominal.found.z[None])
+    value = judge.judge(np.stack([nominal.command, robust.command], axis=2))[0]
+    assert value[1] > value[0] + 0.05
+
+
+def test_rivals_are_worse_in_the_form_of_the_thesis() -> None:
+    task = boat_task(200.0, 40, process_noise=False, seed=1)
+    made = design(task, evaluations=2500)
+    found = baseline_signals(task, n=4)
+    best = max(r.value for r in found.values())
+    assert made.value > best + 3
+    samples = monte_carlo(task, {"design": made.command} | {k: r.command for k, r in found.items()}, n=100)
+    assert samples.share_won() > 0.8
+    assert {len(v) for v in samples.values.values()} == {100}
+    assert all(len(r.values) == 4 and r.value == pytest.approx(r.values.max()) for r in found.values())
+
+
+def test_steps_round_trip_and_keep_to_their_frame() -> None:
+    steps = Steps(7, 2, 33.0, 1.4, 0.2, n_max=0.6)
+    z = np.clip(steps.random(50, np.random.default_rng(1)), steps.low, steps.high)
+    levels, durations = steps.unpack(z)
+    np.testing.assert_allclose(durations.sum(axis=0), 33.0)
+    assert durations.min() >= 1.4 - 1e-9
+    np.testing.assert_allclose(durations / 0.2, np.round(durations / 0.2), atol=1e-6)
+    assert np.abs(levels).max() <= 0.6
+    np.testing.assert_array_equal(levels[:, 1, 3], z[3, 1:14:2])
+
+
+def test_slew_and_shaft_against_a_plain_loop() -> None:
+    t = np.arange(0.0, 12.0, 0.1)
+    actuation = ThrusterResponse(horizontal_model(current=False), t, slew=0.8)
+    levels = np.array([[[1.0], [-1.0]], [[-0.5], [0.2]], [[0.1], [1.0]]])
+    durations = np.array([[1.0], [5.0], [6.0]])
+    command = actuation.limited(levels, durations)[:, :, 0]
+    now, shaft, n = np.zeros(2), np.zeros(2), actuation.shaft(command[:, :, None])[:, :, 0]
+    for k, at in enumerate(t):
+        np.testing.assert_allclose(command[k], now, atol=1e-9)
+        np.testing.assert_allclose(n[k], shaft, atol=1e-9)
+        shaft = command[k] + (shaft - command[k]) * np.exp(-2.794 * 0.1)
+        target = levels[int(np.searchsorted([1.0, 6.0], at + 1e-9, side="right")), :, 0]
+        now = now + np.clip(target - now, -0.08, 0.08)
+
+
+def test_inputs_of_other_models() -> None:
+    t = np.arange(0.0, 8.0, 0.1)
+    n = np.where(t < 4.0, 0.5, -0.4)[:, None, None]
+    for model, thrusters, sign in (
+        (surge_model("force"), 2, 1.0),
+        (yaw_model(), 2, -1.0),
+        (surge_model("shaft"), 2, 1.0),
+    ):
+        actuation = replace(ThrusterResponse(model, t), pole=np.inf)
+        assert len(actuation.thrusters) == thrusters
+        np.testing.assert_array_equal(actuation.for_thrusters(np.array([[0.5]])), [[0.5, 0.5 * sign]])
+    force = replace(ThrusterResponse(surge_model("force"), t), pole=np.inf).inputs(n)[0, 0, 0]
+    assert force == pytest.approx(2 * (40.05 + 1.11) * 0.25)
+    moment = replace(ThrusterResponse(yaw_model(), t), pole=np.inf).inputs(n)[0, 0, 0]
+    assert moment == pytest.approx(0.15 * 2 * 40.05 * 0.25)
+    both = np.concatenate([n, -n], axis=1)
+    general = replace(ThrusterResponse(horizontal_model("general"), t), pole=np.inf)
+    assert general.channels == ("left", "right")
+    np.testing.assert_allclose(general.inputs(both)[0, :, 0], [2 * 1.11 * 0.25, moment])
+    past = ThrusterResponse(horizontal_model() + catalogue()["delay"], t)
+    u = past.inputs(both)[:, :, 0]
+    names = [i.name for i in past.model.inputs]
+    np.testing.assert_allclose(u[20:, names.index("n_left~3")], u[17:-3, names.index("n_left")], atol=1e-12)
+
+
+def test_random_sequences_have_their_bandwidth() -> None:
+    t, rng = np.arange(0.0, 600.0, 0.2), np.random.default_rng(1)
+    binary = prbs(t, 5.0, 2, 0.7, rng)
+    assert set(np.unique(binary)) == {-0.7, 0.7}
+    switches = t[1:][np.diff(binary[:, 0]) != 0]
+    np.testing.assert_allclose(np.mod(switches + 1e-6, 5.0), 0.0, atol=1e-3)
+    slow, fast = (rgs(t, f, 1, 0.4, 1.0, np.random.default_rng(2))[:, 0] for f in (0.01, 0.2))
+    assert np.abs(slow).max() <= 1.0
+    assert slow.std() == pytest.approx(0.4, abs=0.05)
+    assert np.abs(np.diff(fast)).mean() > 5 * np.abs(np.diff(slow)).mean()
+
+
+def small_design() -> Design:
+    return design(boat_task(80.0, 16, rates={"position": 5.0, "ground_velocity": 5.0}), evaluations=600)
+
+
+def test_repeats_deliver_what_the_design_predicted() -> None:
+    found = repeats(small_design(), 24, seed=3)
+    assert [one.name for one in found] == ["m_u", "m_v", "m_r", "d_u", "d_v", "d_r", "d_uu", "d_vv", "d_rr"]
+    for one in found:
+        assert one.n >= 22
+        assert one.wild <= 2
+        # nine at a time: an interval for each that misses one in a thousand
+        assert 0.0005 < stats.chi2.cdf((one.n - one.wild - 1) * one.ratio**2, one.n - one.wild - 1) < 0.9995, one
+    assert 0.88 < np.mean([one.coverage for one in found]) < 0.99
+    assert np.mean([one.ratio for one in found]) == pytest.approx(1.0, abs=0.15)
+
+
+def late(model: Model, name: str) -> Model:
+    return (model + catalogue()[name]).with_values({"tau_delay": 0.2} if name == "delay" else {"T_lag": 0.2})
+
+
+def test_delay_and_lag_are_told_apart_better_than_by_random_missions() -> None:
+    task = boat_task(20.0, 8)
+    a, b = late(task.model, "delay"), late(task.model, "lag")
+    found = discriminate(a, b, task, evaluations=500)
+    random = [min(separation(a, b, task, task.commands(z[None])[:, :, 0]))
+              for z in task.steps.random(4, np.random.default_rng(8))]
+    assert found.clear
+    assert min(found.apart) > 2 * max(random)
+    with pytest.raises(SeatrialError, match="different sensors"):
+        discriminate(a, late(horizontal_model(sensors=("gyro",), current=False), "lag"), task)
+
+
+def test_the_separation_is_what_a_fit_of_the_wrong_one_loses() -> None:
+    """T is twice the gain in log-likelihood of the right model over the wrong one, refitted, on undisturbed data."""
+    base = horizontal_model(sensors=("attitude", "gyro", "position"), current=False)
+    task = DesignProblem(base, Steps(6, 2, 20.0, 1.0, 0.1), grid=0.1)
+    a, b = late(base, "delay"), late(base, "lag")
+    command = task.commands(task.steps.random(1, np.random.default_rng(5)))
+    apart = separation(a, b, task, command[:, :, 0])[0]
+    u = ThrusterResponse(b, task.t).inputs(command)[:, :, 0]
+    record = planned_record(b, task.t, u)
+    wide = [replace(p, prior=None) for p in a.parameters]
+    wrong = a.replace_parameters(*wide).with_free(HypothesisPair(a, b, task).free)
+    columns = [[i.name for i in b.inputs], [i.name for i in a.inputs]]
+    seen = planned_record(a, task.t, ThrusterResponse(a, task.t).inputs(command)[:, :, 0])
+    assert columns[0] != columns[1]
+    fitted = fit(wrong, [replace(seen, y=record.y)])
+    right = b.with_free(["m_u"])
+    exact = fit(right, [record], max_iterations=0).log_likelihood
+    assert apart > 10.0
+    assert 2 * (exact - fitted.log_likelihood) == pytest.approx(apart, rel=0.1)
+
+
+def test_the_band_of_the_track_is_that_of_the_sampled_boats() -> None:
+    made = small_design()
+    track = predicted_track(made)
+    assert track is not None
+    model = made.task.model
+    record = planned_record(model, made.task.t, made.task.actuation.inputs(made.command[:, :, None])[:, :, 0])
+    x = simulate(model, record).x
+    at = np.searchsorted(made.task.t, track.t)
+    np.testing.assert_allclose(np.hypot(track.x - x[at, 0], track.y - x[at, 1]), 0.0, atol=1e-9)
+    away = np.hypot(track.others[:, :, 0] - track.x, track.others[:, :, 1] - track.y)
+    share = np.mean(away <= track.radius, axis=0)[1:]
+    assert np.all((share > 0.9) & (share < 0.97))
+    fresh, _ = simulate_stochastic(model, SampledInputs.linear(record.t, record.u), made.task.samples(20, 9),
+                              [np.random.default_rng([5, k]) for k in range(20)], x0=np.zeros((20, 6)), substep=0.2)
+    far = np.hypot(fresh[:, at, 0] - track.x, fresh[:, at, 1] - track.y)
+    assert np.mean(far <= track.radius) > 0.75

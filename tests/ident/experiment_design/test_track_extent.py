@@ -1,0 +1,117 @@
+"""Where boats may get: the kernels' extents against plain simulation, process noise against another integrator."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from daq.errors import SeatrialError
+from ident.estimation.output_error import simulate
+from ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
+from ident.experiment_design.excitation import Steps
+from ident.experiment_design.information import planned_record
+from ident.experiment_design.task import GRID, DesignLimits, DesignProblem, ParameterPrior
+from ident.experiment_design.track_extent import TrackExtent, in_current, with_noise_inputs
+from ident.models.horizontal import horizontal_model
+from ident.models.surge import surge_model
+from tests.ident.toys import values_of
+
+Array = NDArray[np.float64]
+SECONDS, N = 60.0, 200
+
+
+def circles() -> tuple[DesignProblem, Array]:
+    """A boat that turns to one side, then to the other: inputs (n_rows, n_inputs, 1)."""
+    task = DesignProblem(
+        horizontal_model(current=False), Steps(4, 2, SECONDS, 1.0, GRID), belief=ParameterPrior((), 0.0)
+    )
+    levels = np.array([[[0.5], [0.3]], [[0.3], [0.5]], [[0.6], [0.3]], [[0.3], [0.6]]])
+    return task, task.actuation.inputs(task.actuation.limited(levels, np.full((4, 1), SECONDS / 4)))
+
+
+def test_without_noise_it_is_a_plain_simulation() -> None:
+    task, u = circles()
+    reach = TrackExtent(task.model, task.t, values_of(task.model)[None], [1])
+    low, high = reach(np.repeat(u, 3, axis=2))
+    x = simulate(task.model, planned_record(task.model, task.t, u[:, :, 0])).x
+    for side, found in ((low, x.min(axis=0)), (high, x.max(axis=0))):
+        assert side.shape == (3, 1, 7)
+        np.testing.assert_allclose(side[:, 0, :6], np.tile(found, (3, 1)), atol=1e-8)
+
+
+def test_noise_spreads_the_boats_as_another_integrator_does() -> None:
+    task, u = circles()
+    boats = np.tile(values_of(task.model), (N + 1, 1))
+    reach = TrackExtent(task.model, task.t, boats, [1])
+    low, high = (side[0, 1:] for side in reach(u))
+    rngs = [np.random.default_rng([5, k]) for k in range(N)]
+    inputs = SampledInputs.linear(task.t, u[:, :, 0])
+    noisy = simulate_stochastic(task.model, inputs, boats[1:], rngs, x0=np.zeros((N, 6)), substep=GRID / 2)[0]
+    for column, name in enumerate(s.name for s in task.model.states):
+        for ours, theirs in ((low, noisy.min(axis=1)), (high, noisy.max(axis=1))):
+            mean, sd = theirs[:, column].mean(), theirs[:, column].std()
+            if sd < 2e-3:  # the start is an extreme of most boats, and what is left has long tails
+                continue
+            # four standard errors of the difference of two means, and of the ratio of two spreads
+            assert abs(ours[:, column].mean() - mean) < 4 * sd * np.sqrt(2 / N) + 1e-9, name
+            assert ours[:, column].std() == pytest.approx(sd, rel=4 / np.sqrt(N), abs=1e-9), name
+    assert low[:, 0].std() > 0.5  # m: it matters
+
+
+def test_the_same_seed_draws_the_same_and_the_first_boat_is_left_alone() -> None:
+    task, u = circles()
+    boats = np.tile(values_of(task.model), (4, 1))
+    one, two, other = (TrackExtent(task.model, task.t, boats, [seed]) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one.noise, two.noise)
+    assert not one.noise[:, :, 0].any()
+    assert np.abs(one.noise - other.noise)[:, :, 1:].min() > 0.0
+    model, names = with_noise_inputs(task.model)
+    assert names == ["u", "v", "r"]
+    assert [i.name for i in model.inputs] == ["n_left", "n_right", "w_u", "w_v", "w_r"]
+    many = np.concatenate([u] * 40, axis=2)  # more than are simulated together
+    low, _ = one(many)
+    np.testing.assert_array_equal(low, np.repeat(low[:1], 40, axis=0))
+
+
+def test_a_current_carries_them_off() -> None:
+    model = horizontal_model()
+    boats = np.tile(values_of(model), (400, 1))
+    found = in_current(model, boats, 0.2, np.random.default_rng(1))
+    at = [[p.name for p in model.parameters].index(n) for n in ("V_x", "V_y")]
+    speed = np.hypot(*found[:, at].T)
+    assert 0.19 < speed.max() <= 0.2
+    assert speed.mean() == pytest.approx(0.2 * 2 / 3, rel=0.1)  # of a disc
+    assert np.abs(found[:, at].mean(axis=0)).max() < 0.02
+    np.testing.assert_array_equal(np.delete(found, at, axis=1), np.delete(boats, at, axis=1))
+    assert in_current(model, boats, 0.0, np.random.default_rng(1)) is boats
+    with pytest.raises(SeatrialError, match="--current does not apply"):
+        in_current(horizontal_model(current=False), boats, 0.1, np.random.default_rng(1))
+    still = np.zeros((300, 2, 1))
+    low, high = TrackExtent(model, np.arange(300) * GRID, found[:3], [1])(still)
+    drifted = np.maximum(np.abs(low), np.abs(high))[0, 1:, :2]
+    np.testing.assert_allclose(drifted, np.abs(found[1:3][:, at]) * 299 * GRID, atol=1.5)
+
+
+def test_noise_and_current_cost_room() -> None:
+    """The violation of an area grows with what is not known, so that a design that keeps to it stays inside."""
+    belief, area = ParameterPrior(("d_v",), 0.02), (8.0, 8.0)
+    steps = Steps(8, 2, SECONDS, 1.0, GRID)
+    calm = horizontal_model().with_values({"s_u": 1e-6, "s_v": 1e-6, "s_r": 1e-6})
+    quiet, noisy, drifting = (
+        DesignProblem(model, steps, belief=belief, limits=DesignLimits(area=area, current=current), seed=3)
+        for model, current in ((calm, 0.0), (horizontal_model(), 0.0), (horizontal_model(), 0.2))
+    )
+    command = quiet.commands(steps.random(12, np.random.default_rng(4)))
+    broken = [task.broken(command) for task in (quiet, noisy, drifting)]
+    assert (broken[1] >= broken[0] - 1e-6).all()
+    assert broken[1].sum() > broken[0].sum() + 0.1
+    assert broken[2].sum() > broken[1].sum() + 0.1
+
+
+def test_a_model_without_process_noise_has_no_inputs_for_it() -> None:
+    model = surge_model("force", "position").with_values({})
+    quiet, names = with_noise_inputs(type(model)(**{**model.__dict__, "states": tuple(
+        type(s)(**{**s.__dict__, "noise": 0.0}) for s in model.states)}))
+    assert names == []
+    assert [i.name for i in quiet.inputs] == [i.name for i in model.inputs]

@@ -1,0 +1,181 @@
+"""Exported models equal the model: every target, every effect, at random points; and what their headers say."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from daq.errors import SeatrialError
+from ident.cli.commands import ident
+from ident.data.record import Record
+from ident.effects.registry import catalogue
+from ident.estimation.output_error import simulate
+from ident.export.content import content, identifiers, prefix
+from ident.export.formats import TARGETS, export
+from ident.model.parameter import Parameter
+from ident.model.structure import Output, Sensor, State, plain_model
+from ident.models.disturbances import for_diagnosis
+from ident.models.horizontal import horizontal_model
+from ident.models.kinematic import kinematic_model
+from ident.models.thruster import thruster_model
+from tests.ident.exported import ALONE, MODELS, compare, moved, points, run_c, run_casadi, run_python, saved
+from tests.test_docs import ROOT, blocks
+
+
+@pytest.mark.parametrize("nuisance", [False, True])
+@pytest.mark.parametrize("name", MODELS)
+def test_python_and_casadi_equal_the_model(name: str, nuisance: bool, tmp_path: Path) -> None:
+    model = moved(MODELS[name], 1)
+    for target, run in (("python", run_python), ("casadi", run_casadi)):
+        functions, space = run(export(saved(model), target, nuisance=nuisance), tmp_path)
+        c = content(saved(model), nuisance=nuisance)
+        assert list(space["P"].values()) == list(c.values)
+        assert (space["STATES"], space["INPUTS"], space["OUTPUTS"]) == (c.states, c.inputs, c.outputs)
+        compare(model, functions, list(c.values), nuisance)
+
+
+@pytest.mark.parametrize("name", ALONE)
+def test_every_effect_alone(name: str, tmp_path: Path) -> None:
+    model = moved(ALONE[name], 2)
+    for target, run in (("python", run_python), ("casadi", run_casadi)):
+        compare(model, run(export(saved(model), target), tmp_path)[0], list(content(saved(model)).values), False)
+    effect = set(content(saved(model)).parameters) & {p.name for p in catalogue()[name].parameters}
+    assert effect, "the effect is in the exported model"
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_c_equals_the_model(name: str, tmp_path: Path) -> None:
+    model = moved(MODELS[name], 3)
+    c = content(saved(model))
+    functions, defaults = run_c(export(saved(model), "c"), tmp_path, c.name)
+    assert defaults == list(c.values)
+    compare(model, functions, list(c.values), False)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_ros2_values_are_exact(name: str) -> None:
+    yaml = pytest.importorskip("ruamel.yaml", reason="no YAML reader here (ruamel.yaml)")
+    model = moved(MODELS[name], 4).with_values({MODELS[name].parameters[0].name: 1e-5})
+    c = content(saved(model))
+    for version in ((1, 1), (1, 2)):
+        reader = yaml.YAML(typ="safe", pure=True)
+        reader.version = version
+        table = reader.load(export(saved(model), "ros2"))[c.name]["ros__parameters"]
+        assert table["parameters"] == dict(zip(c.parameters, c.values, strict=True))
+        assert all(isinstance(v, float) for v in table["parameters"].values())
+        assert table["standard_errors"] == {n: e for n, e in zip(c.parameters, c.errors, strict=True) if e == e}
+        assert table["process_noise"] == dict(zip(c.states, c.state_noise, strict=True))
+        assert table["measurement_noise"] == dict(zip(c.outputs, c.output_noise, strict=True))
+        assert (tuple(table["states"]), tuple(table["outputs"])) == (c.states, c.outputs)
+        assert table["units"] == {n: p.unit for n, p in zip(c.parameters, c.own, strict=True)}
+        assert table.get("validity", {}) == ({"u": [-0.5, 1.2]} if "u" in c.states else {})
+
+
+def test_a_step_is_the_engines_own() -> None:
+    """What the exported step does is what the fit assumed."""
+    model = moved(ALONE["pendulum"], 6)
+    functions, _ = run_python(export(saved(model), "python"), Path())
+    x, u = points(model, 2)
+    u[0] = u[1]
+    y = np.full((2, len(model.outputs)), np.nan)
+    names = tuple(i.name for i in model.inputs), tuple(o.name for o in model.outputs)
+    ran = simulate(model, Record("one", np.array([0.0, 0.1]), u, u, y, *names), x0=x[1])
+    np.testing.assert_allclose(functions[2](x[1], u[1], 0.1, list(content(saved(model)).values)), ran.x[1], rtol=1e-11)
+
+
+def test_parameters_can_be_replaced_and_are_the_boats() -> None:
+    text = export(saved(for_diagnosis(horizontal_model())), "python")
+    _, space = run_python(text, Path())
+    x, u = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0], [0.5, 0.5]
+    heavy = space["f"](x, u, {**space["P"], "m_u": 2 * space["P"]["m_u"]})[3]
+    assert heavy == pytest.approx(space["f"](x, u)[3] / 2, rel=1e-12)
+    assert not {"e_psi", "s_u", "q_X", "tau_b"} & set(space["P"])
+    assert space["OUTPUT_NOISE"]["psi"] == 0.01
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_the_same_model_is_the_same_text(target: str) -> None:
+    model = MODELS["shaft with every effect"]
+    assert export(saved(model), target) == export(saved(replace(model)), target)
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_the_header_says_what_a_reader_needs(target: str) -> None:
+    model = for_diagnosis(horizontal_model())
+    for name in ("delay", "battery-sag", "current-drift"):
+        model = model + catalogue()[name]
+    text = export(saved(model), target)
+    for words in ("made by: seatrial ident vehicle a.mcap --x", "a.mcap sha256:12", "n_left_ago_3: n_left, 0.3 s ago",
+                  "NAME~K", "u from -0.5 to 1.2", "Left out, since a controller wants the boat: b_X, b_Y, b_N, bias_",
+                  "|n_left|^3", "the time since the start of the run", "V_x, V_y, V_dx, V_dy", "psi [rad], an angle"):
+        assert words in text, words
+    assert "gone" not in text
+    kept = export(saved(model), target, nuisance=True)
+    assert "Left out" not in kept
+    assert "tau_b" in kept
+    assert "0.025 s ago" in export(saved(thruster_model()), target)
+
+
+def test_unexplained_forces_left_out_are_process_noise_of_the_same_strength() -> None:
+    """The speed of a free body pushed by the force for a while spreads like the white noise that replaces it."""
+    model = for_diagnosis(horizontal_model(current=False))
+    c = content(saved(model))
+    q, tau, m = (model.values[n] for n in ("q_X", "tau_b", "m_u"))
+    rng, dt, n = np.random.default_rng(0), 0.05, 4000
+    force, speed = rng.normal(0, q * math.sqrt(tau / 2), 3000), np.zeros(3000)
+    for _ in range(n):
+        speed += force / m * dt
+        force += -force / tau * dt + q * math.sqrt(dt) * rng.normal(size=3000)
+    found = speed.std() / math.sqrt(n * dt)
+    assert c.state_noise[c.states.index("u")] == pytest.approx(found, rel=0.05)
+    assert content(saved(model), nuisance=True).state_noise[3] == 1e-4
+
+
+def test_offsets_of_a_measured_attitude_are_left_out_like_all_others() -> None:
+    model = for_diagnosis(kinematic_model(yaw=True))
+    assert content(saved(model)).states == ("x", "y", "u", "v", "r")
+    text = export(saved(model), "python")
+    left = "Left out, since a controller wants the boat: bias_psi, bias_r, b_X, b_Y, b_N, bias_ax, bias_ay"
+    assert left in text
+    assert "bias" not in text.replace(left, "")
+    assert {"bias_psi", "bias_r", "bias_ax"} <= set(content(saved(model), nuisance=True).states)
+
+
+def test_identifiers_are_valid_and_different() -> None:
+    names = identifiers(["n~3", "n_ago_3", "2fast", "u\u2080 x", "", "n_ago_3"])
+    assert [prefix(n) for n in ("odd boat 2!", "2", "__", "a__b")] == ["odd_boat_2", "model_2", "model", "a_b"]
+    assert names == ("n_ago_3", "n_ago_3_2", "_2fast", "u__x", "_", "n_ago_3_3")
+
+
+def test_what_cannot_be_written_is_said() -> None:
+    strange = plain_model("strange", f=lambda x, u, p: {"a": ca.erfinv(x.a)}, h=lambda x, u, p: {"y": x.a},
+                          states=(State("a"),), inputs=(), sensors=(Sensor("s", (Output("y", noise="e"),)),),
+                          parameters=(Parameter("e", 1.0),))
+    with pytest.raises(ValueError, match=r"an operation .* that cannot be exported"):
+        export(saved(strange), "python")
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_the_command(target: str, tmp_path: Path) -> None:
+    source, out = tmp_path / "model.toml", tmp_path / "out"
+    source.write_text(blocks(ROOT / "docs/formats/model.md", "toml")[0], encoding="utf-8")
+    words = ["export", str(source), "--to", target, "--name", "my-boat"]
+    done = CliRunner().invoke(ident, [*words, "-o", str(out)], catch_exceptions=False)
+    assert done.stdout == f"wrote {out}\n"
+    shown = CliRunner().invoke(ident, words, catch_exceptions=False)
+    assert shown.stdout == out.read_text(encoding="utf-8")
+    assert "my_boat" in shown.stdout or target == "python"
+    assert "35.53" in shown.stdout
+
+
+def test_the_command_names_a_file_that_is_no_model(tmp_path: Path) -> None:
+    (tmp_path / "result.json").write_text("{}", encoding="utf-8")
+    done = CliRunner().invoke(ident, ["export", str(tmp_path / "result.json"), "--to", "c"])
+    assert isinstance(done.exception, SeatrialError)
+    assert "not a TOML file" in str(done.exception)

@@ -1,0 +1,89 @@
+"""The antenna of the rig file and a wandering current: parts that are known or asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from daq.errors import SeatrialError
+from ident.data.record import build_record
+from ident.effects.registry import catalogue
+from ident.engine.vectorised_model import VectorisedModel
+from ident.estimation.likelihood import Likelihood
+from ident.estimation.maximum_likelihood import fit
+from ident.estimation.model_file import load_model, save_model
+from ident.estimation.prior_knowledge import apply_rig_geometry
+from ident.models.catalogue import make_model
+from ident.models.components import antenna, current_walk
+from ident.models.disturbances import for_diagnosis
+from ident.models.horizontal import horizontal_model
+from tests.missions import boat_with, channels_of, sail
+
+
+def outputs(model, x, u):
+    return VectorisedModel(model)(x, u, np.array(list(model.values.values())))
+
+
+def test_the_antenna_of_the_rig_is_the_effect_lever_arm_at_a_known_place() -> None:
+    base = for_diagnosis(make_model("horizontal:shaft"))
+    arm = catalogue()["lever-arm"]
+    x, u = np.random.default_rng(3).normal(size=(20, len(base.states))), np.full((20, 2), 0.4)
+    here = outputs(base + antenna(0.4, -0.2), x, u)
+    there = (base + arm).with_values({"l_x": 0.4, "l_y": -0.2})
+    np.testing.assert_allclose(here, outputs(there, x, u), rtol=1e-12)
+
+
+def test_the_rig_file_places_the_antenna_and_leaves_its_error_to_be_found() -> None:
+    device = SimpleNamespace(lever_arm_m=(0.4, 0.0, -0.5))
+    rig = SimpleNamespace(vehicle={}, thrusters=(), devices=(SimpleNamespace(lever_arm_m=None), device))
+    model, said = apply_rig_geometry(make_model("horizontal:shaft"), rig)
+    assert not said
+    assert model.values["antenna_x"] == 0.4
+    assert "antenna_x" not in model.free
+    assert model.accepts(catalogue()["lever-arm"])
+
+
+def test_a_current_that_wanders_makes_the_position_less_certain() -> None:
+    still, walk = (for_diagnosis(make_model(s)) for s in ("horizontal:shaft", "horizontal:shaft:random-walk-current"))
+    assert "q_V" in walk.free
+    record = build_record(walk, channels_of(sail(boat_with(None, 1), 40.0, 1)[0]))
+    certain, open_ = (
+        Likelihood(m).filter(record.for_model(m), np.array(list(m.values.values()))).P_filt[-1, 0, 0]
+        for m in (still, walk)
+    )
+    assert open_ > certain
+
+
+def test_an_option_that_is_not_there_is_one_line() -> None:
+    with pytest.raises(SeatrialError, match="horizontal has shaft, force, general"):
+        make_model("horizontal:sail")
+
+
+def test_both_come_back_from_a_model_file(tmp_path: Path) -> None:
+    path = tmp_path / "model.toml"
+    full = for_diagnosis(make_model("horizontal:shaft:random-walk-current") + antenna(0.3, 0.1)).with_free(["m_r"])
+    record = build_record(full, channels_of(sail(boat_with(None, 1), 30.0, 1)[0]))
+    save_model(path, fit(full, [record], max_iterations=2), validity={}, provenance={})
+    model = load_model(path).model
+    assert {"antenna", "random-walk-current"} <= {e.name for e in model.effects}
+    assert model.values["antenna_x"] == pytest.approx(0.3)
+
+
+def test_whatever_moves_the_water_is_in_the_velocity_over_ground_of_the_body() -> None:
+    """A current that wanders or drifts, by the velocity over ground turned into the body's axes."""
+    sensors = ("attitude", "ground_velocity", "body_velocity")
+    for part in (current_walk(), catalogue()["current-drift"]):
+        model = (horizontal_model("shaft", sensors) + part).with_values({"V_x": 0.2})
+        at = {n: i for i, n in enumerate(v.name for v in model.states)}
+        y = {o.name: len(model.states) + j for j, o in enumerate(model.outputs)}
+        x = np.random.default_rng(3).normal(size=(20, len(model.states)))
+        values = np.array([0.1 if n == "V_dx" else v for n, v in model.values.items()])
+        found = VectorisedModel(model)(x, np.full((20, len(model.inputs)), 0.4), values)
+        psi, vx, vy = x[:, at["psi"]], found[:, y["vx"]], found[:, y["vy"]]
+        still = np.cos(psi) * x[:, at["u"]] - np.sin(psi) * x[:, at["v"]]
+        assert np.abs(vx - still - 0.2).max() > 0.01, part.name
+        np.testing.assert_allclose(found[:, y["u"]], np.cos(psi) * vx + np.sin(psi) * vy, atol=1e-12)
+        np.testing.assert_allclose(found[:, y["v"]], np.cos(psi) * vy - np.sin(psi) * vx, atol=1e-12)

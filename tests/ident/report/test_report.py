@@ -1,0 +1,275 @@
+"""The report: whole, safe and self-contained whatever the result holds or lacks."""
+
+from __future__ import annotations
+
+import base64
+import copy
+import hashlib
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ident.report import drawing, formatting
+from tests.ident import report_example
+from tests.ident.pages import HOSTILE, KINDS, Page, numbers, printed, shortened, written
+
+MEGABYTE = 1_000_000
+
+
+@pytest.fixture(scope="module")
+def diagnosis() -> dict[str, Any]:
+    return report_example.diagnosis()
+
+
+@pytest.fixture(scope="module")
+def small(diagnosis: dict[str, Any]) -> dict[str, Any]:
+    """The same result with short series."""
+    return shortened(copy.deepcopy(diagnosis))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nothing_is_loaded_from_anywhere(kind: str, tmp_path: Path) -> None:
+    text = written(KINDS[kind](), tmp_path)
+    page = Page(text)
+    loading = {"src", "srcset", "poster", "data", "action", "background", "ping"}
+    assert not [(tag, attrs) for tag, attrs in page.tags if loading & attrs.keys()]
+    assert not [attrs for tag, attrs in page.tags if tag in ("link", "iframe", "object", "embed", "base")]
+    links = [attrs["href"] for tag, attrs in page.tags if "href" in attrs]
+    assert all(str(link).startswith("#") for link in links)
+    style = text[text.index("<style>") : text.index("</style>")]
+    assert "url(" not in style
+    assert "@import" not in style
+
+
+def test_one_plotly_and_only_the_known_scripts_may_run(small: dict[str, Any], tmp_path: Path) -> None:
+    page = Page(written(small, tmp_path))
+    running = [text for attrs, text in page.scripts if attrs.get("type") != "application/json"]
+    assert len([text for text in running if "plotly.js v" in text]) == 1
+    assert len(running) == 2
+    [policy] = [attrs["content"] for _, attrs in page.tags if attrs.get("http-equiv") == "Content-Security-Policy"]
+    digests = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in running]
+    assert policy is not None
+    assert policy.startswith("default-src 'none'")
+    assert set(re.findall(r"sha256-([^']+)'", policy)) == set(digests)
+
+
+@pytest.mark.parametrize(
+    ("kind", "sections"),
+    [
+        (
+            "diagnosis",
+            ["run", "traces", "parameters", "residuals", "search", "errors", "calibration", "next", "notes", "made"],
+        ),
+        ("thruster", ["static", "run", "traces", "parameters", "made"]),
+        ("noise", ["noise", "run", "made"]),
+        ("navigation", ["outages", "navigation", "run", "notes", "made"]),
+    ],
+)
+def test_every_section_that_has_data_is_there(kind: str, sections: list[str], tmp_path: Path) -> None:
+    page = Page(written(KINDS[kind](), tmp_path))
+    assert page.headings() == sections
+    places = [attrs["id"] for tag, attrs in page.tags if tag == "div" and attrs.get("class") == "plot"]
+    assert sorted(map(str, places)) == sorted(page.figures())
+    ids = [attrs["id"] for _, attrs in page.tags if "id" in attrs]
+    assert len(ids) == len(set(ids))
+
+
+def test_the_answer_and_its_figures_come_first(diagnosis: dict[str, Any], tmp_path: Path) -> None:
+    words = " ".join(Page(written(diagnosis, tmp_path)).words.split())
+    first = words[: words.index("What was run", words.index(diagnosis["answer"]))]
+    row = diagnosis["before_after"]["validation"]["free_run"]["psi"]
+    assert f"{np.degrees(row['before']):.1f} → {np.degrees(row['after']):.2f} deg" in first
+    assert "f_i -= k_J |n_i| (u - y_i r)" in first
+    assert "6.08 ± 0.27 kg/s" in first
+    assert "72 %" in first
+
+
+def test_figures_are_json_of_sound_arrays(diagnosis: dict[str, Any], tmp_path: Path) -> None:
+    figures = Page(written(diagnosis, tmp_path)).figures()
+    traces = [trace for figure in figures.values() for trace in figure["data"]]
+    sizes = [len(numbers(trace["x"])) for trace in traces]
+    assert sizes == [len(numbers(trace["y"])) for trace in traces]
+    assert min(sizes) > 0
+    assert max(sizes) <= 3100
+
+
+def test_angles_are_shown_in_degrees_without_jumps(diagnosis: dict[str, Any], tmp_path: Path) -> None:
+    figures = Page(written(diagnosis, tmp_path)).figures()
+    [heading] = [t for f in figures.values() for t in f["data"] if t.get("name") == "model" and "yaxis" in t][:1]
+    y = numbers(heading["y"])
+    assert np.abs(np.diff(y)).max() < 30
+    assert np.ptp(y) > 180
+
+
+def test_a_long_result_stays_small(diagnosis: dict[str, Any], tmp_path: Path) -> None:
+    many = copy.deepcopy(diagnosis)
+    for key in ("traces", "residuals", "residual_forces", "inputs", "track", "cross"):
+        many[key] = [{**row, "record": f"{row['record']} {i}"} for i in range(3) for row in diagnosis[key]]
+    for result in (diagnosis, many):
+        assert len(written(result, tmp_path).encode()) < 8 * MEGABYTE
+
+
+def hostile(value: Any) -> Any:
+    """Every text of a result replaced, but those that say what is what."""
+    if isinstance(value, dict):
+        keep = ("format", "kind", "role")
+        return {k: v if k in keep else hostile(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [hostile(item) for item in value]
+    return HOSTILE if isinstance(value, str) else value
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_text_from_a_log_is_data(kind: str, tmp_path: Path) -> None:
+    result = hostile(shortened(KINDS[kind]()))
+    result["before_after"] = {"validation": {"free_run": {HOSTILE: {"before": 2.0, "after": 1.0, "unit": HOSTILE}}}}
+    text = written(result, tmp_path)
+    page = Page(text)
+    assert "<script>alert" not in text
+    assert not [tag for tag, attrs in page.tags if tag == "img" or "onerror" in attrs]
+    assert len(page.scripts) == 3
+    assert HOSTILE in page.words
+    shown = json.dumps(page.figures(), ensure_ascii=False)
+    assert "<script" not in shown.replace("\\u003c", "<")
+    assert printed(result)
+
+
+def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Every key of a result, and of the first row of every list in it."""
+    if isinstance(value, dict):
+        return [p for key, item in value.items() for p in [(*path, key), *places(item, (*path, key))]]
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        return places(value[0], (*path, 0))
+    return []
+
+
+def changed(result: dict[str, Any], changes: list[tuple[tuple[Any, ...], Any]]) -> dict[str, Any]:
+    """A copy with values replaced; KeyError takes the key away; what is gone already stays so."""
+    new = copy.deepcopy(result)
+    for path, value in changes:
+        owner: Any = new
+        try:
+            for step in path[:-1]:
+                owner = owner[step]
+            owner.pop(path[-1]) if value is KeyError else owner.update({path[-1]: copy.copy(value)})
+        except (KeyError, IndexError, TypeError, AttributeError):
+            continue
+    return new
+
+
+POOR = (KeyError, None, [], {}, "text", float("nan"), True, -1)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_whatever_is_missing_is_left_out(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ident.report.page._plotly", lambda: "plotly")
+    result = shortened(KINDS[kind]())
+    every, rng = places(result), np.random.default_rng(7)
+    alone = [[(path, value)] for path in every if len(path) == 1 for value in POOR]
+    deep = [[(path, POOR[rng.integers(len(POOR))])] for path in every if len(path) > 1]
+    mixed = [[(path, POOR[rng.integers(len(POOR))]) for path in every if rng.random() < 0.1] for _ in range(20)]
+    for changes in alone + deep + mixed:
+        poorer = changed(result, changes)
+        try:
+            assert "</html>" in written(poorer, tmp_path)
+            assert printed(poorer)
+        except Exception as error:
+            raise AssertionError(f"fails on {changes}") from error
+
+
+def test_the_least_result_is_a_page(tmp_path: Path) -> None:
+    page = Page(written({"format": "seatrial-result 1", "kind": "vehicle", "answer": "Nothing.", "logs": []}, tmp_path))
+    assert "Nothing." in page.words
+    assert page.headings() == []
+    assert page.figures() == {}
+    assert printed({"answer": "Nothing."}).split() == ["Nothing."]
+
+
+def test_the_terminal_has_the_key_figures(diagnosis: dict[str, Any]) -> None:
+    text = printed(diagnosis)
+    lines = text.splitlines()
+    assert len(lines) <= 42
+    assert max(map(len, lines)) <= 80
+    for words in ("6.08 ± 0.27", "loss of thrust with forward speed", "15.1 → 4.75", "deg/s", "free-running"):
+        assert words in text
+
+
+def test_the_terminal_says_the_units_of_outages() -> None:
+    words = " ".join(printed(KINDS["navigation"]()).split())
+    assert "from [s] for [s] 95 % radius [m] off by [m] allowed [m]" in words
+
+
+def test_what_an_estimate_must_not_be_read_without_comes_before_it() -> None:
+    result = {"answer": "Done.", "cautions": ["The fit did not converge.", "gauge: a stuck sensor?"]}
+    words = printed(result)
+    assert words.index("⚠ The fit did not converge.") < words.index("⚠ gauge: a stuck sensor?")
+    assert words.index("Done.") < words.index("⚠ The fit")
+
+
+def test_a_flag_wraps_and_the_numbers_do_not() -> None:
+    flag = "not identified: the data do not see a change of -1 c1 +1 c2 and of five more that go with them"
+    row = {"name": "c1", "value": 0.45, "se": 0.031, "unit": "m", "flag": flag}
+    text = printed({"answer": "Done.", "fit": {"parameters": [row]}})
+    assert "0.450 ± 0.031" in text
+    assert flag in " ".join(re.sub(r"c1 +0.450 ± 0.031 +m", "", text).split())
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_the_terminal_has_the_intervals_that_were_asked_for() -> None:
+    row = {"name": "psi_0", "unit": "rad", "value": 0.1, "low": 0.05, "high": None, "wald_low": 0.04, "wald_high": 0.2}
+    lines = printed({"answer": "Done.", "profiles": [row | {"notes": ["upper side: no end"]}]}).splitlines()
+    (line,) = [" ".join(text.split()) for text in lines if "psi_0" in text]
+    assert line == "psi_0 5.73 2.86 to open 2.29 to 11.5 deg upper side: no end"
+
+
+def test_a_name_that_says_it_all_is_not_said_twice() -> None:
+    assert formatting.named("voltage_left") == "voltage left"
+    assert formatting.named("n_left") == "shaft speed left n_left"
+
+
+@pytest.mark.parametrize(
+    ("value", "se", "shown"),
+    [
+        (40.0512, 0.1234, "40.05 ± 0.12"),
+        (12345.0, 234.0, "12340 ± 230"),
+        (-3.2e-6, 4.4e-7, "(−3.20 ± 0.44) ×10⁻⁶"),
+        (0.0, 0.05, "0.000 ± 0.050"),
+        (9.96, 0.0996, "9.96 ± 0.10"),
+        (0.4, None, "0.4"),
+        (100.0, None, "100"),
+        (None, None, "–"),
+    ],
+)
+def test_the_standard_error_sets_the_digits(value: float | None, se: float | None, shown: str) -> None:
+    assert formatting.with_error(value, se) == shown
+
+
+@pytest.mark.parametrize(
+    ("unit", "shown", "factor"),
+    [
+        ("rad", "deg", 180 / np.pi),
+        ("rad/s", "deg/s", 180 / np.pi),
+        ("rad/s/sqrt(s)", "deg/s/√s", 180 / np.pi),
+        ("rad2/Hz", "deg²/Hz", (180 / np.pi) ** 2),
+        ("kg m2/s", "kg m²/s", 1.0),
+        ("N m/rad", "N m/rad", 1.0),
+        ("radish", "radish", 1.0),
+        ("1", "", 1.0),
+    ],
+)
+def test_radians_become_degrees(unit: str, shown: str, factor: float) -> None:
+    assert formatting.degrees_for(unit) == (pytest.approx(factor), shown)
+
+
+def test_thinning_keeps_the_extremes() -> None:
+    y = np.random.default_rng(1).standard_normal(100_003)
+    y[70_001], y[500] = 40.0, np.nan
+    at = drawing.thinned(y, 1000)
+    assert at.size <= 1002
+    assert (at[0], at[-1]) == (0, y.size - 1)
+    assert np.nanmax(y[at]) == 40.0
+    assert np.nanmin(y[at]) == np.nanmin(y)

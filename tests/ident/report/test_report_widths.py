@@ -1,0 +1,21 @@
+"""Where a report has little room: a terminal of 80 columns, a tab."""
+
+from __future__ import annotations
+
+from ident.report.access import RecordTab
+from tests.ident.pages import KINDS, printed
+
+
+def test_a_long_warning_leaves_the_numbers_their_room() -> None:
+    result = KINDS["thruster"]()
+    rows = result["fit"]["parameters"]
+    rows[0]["flag"] = "its error allows for the other one off its bound: 2.3 times that at it"
+    text = printed(result)
+    assert "2.794 ± 0.021" in text
+    assert "⚠ its error allows for the other one" in text
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_a_log_that_is_called_by_its_role_is_named_once() -> None:
+    assert RecordTab("validation", "validation").title == "validation"
+    assert RecordTab("morning", "estimation").title == "estimation · morning"

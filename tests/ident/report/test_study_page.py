@@ -1,0 +1,64 @@
+"""The page of a study: every number against what is wanted, and what misses stands out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from ident.report.study_page import by_chance, picture, write_study_page
+from tests.ident import page_examples
+from tests.ident.pages import Page, numbers
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def test_what_misses_stands_out(tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    write_study_page(page_examples.study(), page_examples.AIMS, path)
+    page = Page(path.read_text(encoding="utf-8"))
+    assert page.headings() == ["study-surge", "study-yaw", "study-none", "made"]
+    styles = [str(attrs.get("class")) for tag, attrs in page.tags if tag == "td"]
+    assert {style for style in styles if "bad" in style} == {"bad wide"}  # a sentence, in a row of numbers
+    words = " ".join(page.words.split())
+    assert "in 93 % to 97 % of the fits" in words
+    assert "No replicate can be judged." in words
+    assert "−0.170 ± 0.040" in words
+    assert "89.0 (87.0 to 91.0) %" in words
+    figures = list(page.figures().values())
+    assert len(figures) == 6  # bias, variance and coverage of each study
+    symbols = [figure["data"][0]["marker"]["symbol"] for figure in figures]
+    assert symbols[:3] == [["circle", "circle"]] * 3
+    assert symbols[3:] == [["circle", "diamond-open"], ["circle", "circle"], ["diamond", "circle"]]
+    coverage = figures[5]
+    assert numbers(coverage["data"][0]["x"]) == pytest.approx([89.0, 94.4])
+    (band,) = coverage["layout"]["shapes"]
+    assert (round(band["x0"]), round(band["x1"])) == (93, 97)
+    assert coverage["layout"]["yaxis"]["ticktext"] == ["d_v", "s_u"]
+
+
+def test_the_picture_has_a_mark_for_every_number_and_the_bands() -> None:
+    fine, poor, _ = page_examples.study()["studies"]
+    drawn = ElementTree.fromstring(picture(fine, page_examples.AIMS))
+    assert len(drawn.findall(f"{SVG}circle")) == 2 * 3 + 1  # and the key's
+    assert len(drawn.findall(f"{SVG}path")) == 2
+    drawn = ElementTree.fromstring(picture(poor, page_examples.AIMS))
+    fills = [path.get("fill") for path in drawn.findall(f"{SVG}path")]
+    assert sorted(fills) == ["#D55E00", "#D55E00", "#ffffff", "#ffffff"]  # one surely, one perhaps, and the key
+    dashed = [line for line in drawn.findall(f"{SVG}line") if line.get("stroke-dasharray")]
+    assert len(dashed) == 2 * 3
+    words = [text.text for text in drawn.findall(f"{SVG}text")]
+    assert words[:2] == ["d_v", "s_u"]
+    assert {"bias, standard deviations", "variance / bound", "coverage of 95 % intervals, %"} < set(words)
+
+
+def test_the_bands_of_chance_hold_what_chance_makes() -> None:
+    rng, n = np.random.default_rng(3), 200
+    z = rng.normal(size=(4000, n))
+    found = {"bias": z.mean(axis=1) / z.std(axis=1, ddof=1), "ratio": z.var(axis=1, ddof=1),
+             "coverage": np.mean(np.abs(z) < 1.96, axis=1)}
+    for key, values in found.items():
+        low, high = by_chance(key, n)
+        assert np.mean((low <= values) & (values <= high)) == pytest.approx(0.95, abs=0.02), key

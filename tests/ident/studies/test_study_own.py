@@ -1,0 +1,122 @@
+"""Studies of the user's own: of a fitted model.toml, and of a Case in a Python file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.errors import SeatrialError
+from ident.estimation.maximum_likelihood import fit
+from ident.estimation.model_file import save_model
+from ident.estimation.stochastic_simulation import simulate_stochastic
+from ident.models.surge import surge_model
+from ident.studies.cases import make_case, surge_case
+from ident.studies.monte_carlo import make_record, run_replicates
+from ident.workflows import study
+
+OWN = """
+import numpy as np
+from ident.estimation import SampledInputs
+from ident.models import surge_model
+from ident.studies import Case
+
+t = np.arange(0.0, 60.0, 0.1)
+push = 40.0 * np.sign(np.sin(2 * np.pi * t / 25))[:, None]
+
+def mine():
+    return Case("mine", surge_model().with_values({"d_u": 6.0}), SampledInputs.held(t, push), {"position": 2})
+
+model = surge()
+number = 3
+"""
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
+    """A surge model as a fit of one simulated replicate writes it."""
+    case = surge_case(120.0)
+    rng = np.random.default_rng(1)
+    values = np.array([list(case.model.values.values())])
+    y = simulate_stochastic(case.model, case.inputs, values, [rng])[1][0]
+    fitted = fit(case.model, [make_record(case, y, "one")])
+    path = tmp_path / "boat" / "model.toml"
+    path.parent.mkdir()
+    name = case.model.inputs[0].name
+    save_model(path, fitted, validity={name: (-30.0, 80.0)}, provenance={})
+    return path
+
+
+def test_a_fitted_model_is_studied_within_the_ranges_of_its_inputs(saved: Path, tmp_path: Path) -> None:
+    case = make_case(str(saved), seconds=60.0)
+    assert case.name == "surge-boat"
+    assert case.inputs.t[-1] == pytest.approx(60.0)
+    assert -30.0 <= case.inputs.u.min() < 0.0 < 40.0 < case.inputs.u.max() <= 80.0
+    (row,) = run_replicates(case, [0], seed=1)
+    assert "error" not in row
+    again = make_case(str(saved), seconds=60.0)
+    assert np.array_equal(case.inputs.u, again.inputs.u)
+
+
+def test_a_fitted_model_is_studied_as_it_was_fitted(saved: Path) -> None:
+    case = make_case(str(saved), seconds=60.0)
+    assert not case.restricted
+    assert case.model.second_order
+    told = make_case(str(saved), seconds=60.0, restricted=True, second_order=False)
+    assert told.restricted
+    assert not told.model.second_order
+    text = saved.read_text(encoding="utf-8")
+    saved.write_text(text.replace("second_order = true", "restricted = true"), encoding="utf-8")
+    other = make_case(str(saved), seconds=60.0)
+    assert other.restricted
+    assert not other.model.second_order
+
+
+def test_a_case_of_ones_own_is_studied_as_the_commands_fit(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(OWN, encoding="utf-8")
+    case = make_case(f"{tmp_path / 'mine.py'}:mine")
+    assert case.restricted
+    assert case.model.second_order
+
+
+def test_a_changed_file_is_another_study(tmp_path: Path) -> None:
+    file, out = tmp_path / "mine.py", tmp_path / "out"
+    lines: list[str] = []
+    for text, resumed in ((OWN, False), (OWN, True), (OWN + "# changed\n", False)):
+        file.write_text(text, encoding="utf-8")
+        lines.clear()
+        result = study.run_studies([f"{file}:mine"], 3, 1, out, truth={}, jobs=1, command="", say=lines.append)
+        assert any("are there already" in line for line in lines) is resumed
+    (part,) = result["studies"]
+    assert part["model"] == "mine"
+    assert {p["name"]: p["truth"] for p in part["parameters"]}["d_u"] == 6.0
+
+
+@pytest.mark.parametrize(
+    ("source", "says"),
+    [
+        ("{file}:model", "is a Model; a study needs its mission, too: make it an ident.studies.monte_carlo.Case"),
+        ("{file}:number", "number is no ident.studies.monte_carlo.Case but int"),
+        ("{file}:nothing", "nothing cannot be loaded"),
+        ("{file}.no:mine", "no such Python file"),
+        ("nowhere/model.toml", "no such file"),
+        ("boat", "no study of 'boat': there are surge"),
+    ],
+)
+def test_what_is_no_case_is_said(source: str, says: str, tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(OWN, encoding="utf-8")
+    with pytest.raises(SeatrialError, match=says):
+        make_case(source.format(file=file))
+
+
+def test_an_input_without_a_range_is_said(saved: Path) -> None:
+    name = surge_model().inputs[0].name
+    saved.write_text(saved.read_text(encoding="utf-8").replace(f"{name} = [-30.0, 80.0]", ""), encoding="utf-8")
+    with pytest.raises(SeatrialError, match=rf"no range of the input '{name}' under \[validity\]"):
+        make_case(str(saved))
+    file = saved.parent / "mine.py"
+    file.write_text(OWN, encoding="utf-8")
+    with pytest.raises(SeatrialError, match="--seconds"):
+        make_case(f"{file}:mine", seconds=20.0)

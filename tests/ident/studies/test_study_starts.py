@@ -1,0 +1,32 @@
+"""Any start within a factor of two reaches the same optimum: on simulated missions of the study's models."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ident.estimation.maximum_likelihood import fit
+from ident.estimation.stochastic_simulation import simulate_stochastic
+from ident.studies.cases import make_case
+from ident.studies.monte_carlo import make_record
+
+N_STARTS = 50
+CLOSE = 1e-3  # of the log-likelihood
+
+
+@pytest.mark.parametrize(("name", "seconds"), [("surge", 300), ("yaw", 300), ("thruster", 50), ("horizontal", 200)])
+def test_any_start_within_a_factor_of_two_reaches_the_same_optimum(name: str, seconds: float) -> None:
+    case = make_case(name, seconds=seconds)
+    model = case.model
+    truth = np.array([list(model.values.values())])
+    record = make_record(case, simulate_stochastic(model, case.inputs, truth, [np.random.default_rng(5)])[1][0], name)
+    shared = [p for p in model.parameters if p.free and not p.per_record]
+    reached = []
+    for seed in range(N_STARTS):
+        rng = np.random.default_rng(seed)
+        factors = np.exp(rng.uniform(-np.log(2.0), np.log(2.0), len(shared)))
+        start = {p.name: float(np.clip(p.value * k, *p.bounds)) for p, k in zip(shared, factors, strict=True)}
+        found = fit(model, [record], start=start, coloured=False, threads=1)
+        assert found.converged, seed
+        reached.append(found.log_likelihood)
+    assert np.ptp(reached) < CLOSE, np.argsort(reached)[:5]

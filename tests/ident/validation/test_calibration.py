@@ -1,0 +1,131 @@
+"""On a mock truth errors are as large as the model claims; models that claim too little or too much are told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from ident.data.record import LogSegment
+from ident.estimation.fitted_model import FittedModel, RecordEvaluation, fit_nominal_model
+from ident.estimation.likelihood import Likelihood
+from ident.models.horizontal import horizontal_model
+from ident.numerics.autocorrelation import effective_sample_size
+from ident.results.content import calibration_notes, calibration_part
+from ident.validation.calibration import Calibration, calibration_test, pooled
+from ident.validation.evaluation import PredictionEvaluation
+from tests.ident.toys import turning, turning_record, values_of
+from tests.missions import boat_with, channels_of, sail
+
+
+@cache
+def stage() -> FittedModel:
+    """A boat without an undeclared effect: fitted to one mission, shown another."""
+    runs = [
+        LogSegment(name, channels_of(sail(boat_with(None, 2), 250.0, k, run=k)[0])) for k, name in enumerate("ab", 1)
+    ]
+    return fit_nominal_model(horizontal_model(), runs[:1], runs[1:])
+
+
+def with_values(one: FittedModel, factors: dict[str, float]) -> FittedModel:
+    """The stage with some of the model's parameters multiplied."""
+    names = [p.name for p in one.model.parameters]
+
+    def view(old: RecordEvaluation) -> RecordEvaluation:
+        values = old.values * [factors.get(n, 1.0) for n in names]
+        return replace(old, values=values)
+
+    return replace(one, validation=tuple(view(v) for v in one.validation))
+
+
+def test_the_bands_are_right_where_the_model_is() -> None:
+    found = PredictionEvaluation(stage()).calibration("validation")
+    for kind in ("one_step", "ten_seconds"):
+        assert set(found[kind]) == {"psi", "r", "ax", "ay", "x", "y", "vx", "vy"}
+        for name, c in found[kind].items():
+            assert c.verdict == "right", (kind, name, c)
+            wide = 4.0 / np.sqrt(c.effective)
+            assert abs(c.inside_50 - 0.5) < 0.5 * wide
+            assert abs(c.inside_95 - 0.95) < 0.22 * wide
+            assert c.pit.sum() == pytest.approx(1.0)
+    assert all(c.verdict != "too sure" for c in found["free_run"].values())
+    assert found["ten_seconds"]["x"].n > 100
+    assert calibration_notes(calibration_part(PredictionEvaluation(stage()), ["validation"]), 10.0) == []
+
+
+def test_too_little_noise_is_too_sure_at_once() -> None:
+    judged = PredictionEvaluation(with_values(stage(), {"e_xy": 0.5, "e_psi": 0.5}))
+    found = judged.calibration("validation")["one_step"]
+    assert {n for n, c in found.items() if c.verdict == "too sure"} >= {"x", "y", "psi"}
+    assert found["x"].inside_95 < 0.85
+    notes = calibration_notes(calibration_part(judged, ["validation"]), 10.0)
+    assert any("one step ahead, errors are larger than the model says" in line for line in notes)
+
+
+def test_too_little_process_noise_is_too_sure_ten_seconds_ahead() -> None:
+    found = PredictionEvaluation(with_values(stage(), {"q_X": 0.1, "q_Y": 0.1, "q_N": 0.1})).calibration("validation")
+    assert found["ten_seconds"]["psi"].verdict == "too sure"
+    assert found["ten_seconds"]["vx"].verdict == "too sure"
+
+
+def test_too_much_noise_is_too_cautious() -> None:
+    found = PredictionEvaluation(with_values(stage(), {"e_xy": 2.0, "q_X": 3.0, "q_Y": 3.0, "q_N": 3.0})).calibration(
+        "validation"
+    )
+    assert found["one_step"]["x"].verdict == "too cautious"
+    assert found["ten_seconds"]["psi"].verdict == "too cautious"
+    assert found["one_step"]["x"].inside_50 > 0.6
+
+
+def test_a_forecast_is_the_filter_without_samples() -> None:
+    model, record = turning(), turning_record()
+    values, likelihood = values_of(model), Likelihood(model)
+    run = likelihood.filter(record, values)
+    y = record.y.copy()
+    y[41:] = np.nan
+    blind = likelihood.filter(replace(record, y=y), values)
+    mean, P = likelihood.forecast(record, values, run.x_filt[40], run.P_filt[40], 40, 70)
+    np.testing.assert_allclose(mean[1:], blind.x_pred[41:71], rtol=1e-12)
+    np.testing.assert_allclose(P[1:], blind.P_pred[41:71], rtol=1e-9, atol=1e-15)
+
+
+def test_the_interval_of_the_scale_holds_for_errors_that_hang_together() -> None:
+    rng, hits, n_sets = np.random.default_rng(3), 0, 300
+    for _ in range(n_sets):
+        z = np.zeros(400)
+        z[0] = rng.normal()
+        shocks = np.sqrt(1 - 0.9**2) * rng.normal(size=400)
+        for k in range(1, 400):
+            z[k] = 0.9 * z[k - 1] + shocks[k]
+        c = calibration_test([z])
+        assert c is not None
+        hits += c.low < 1.0 < c.high
+    assert stats.binomtest(hits, n_sets, 0.95).pvalue > 1e-4 or hits / n_sets > 0.95
+    assert hits / n_sets > 0.9
+    white = rng.normal(size=4000)
+    assert effective_sample_size(white) == pytest.approx(4000, rel=0.05)
+    assert effective_sample_size(np.ones(100)) < 4
+
+
+def test_a_single_experiment_says_little() -> None:
+    rng = np.random.default_rng(1)
+    drift, quick = np.full(500, 1.9), 1.9 * rng.normal(size=500)
+    apart = pooled([{"slow": drift, "quick": quick}])
+    assert apart["quick"].verdict == "too sure"
+    together = pooled([{"slow": drift, "quick": quick}], together=True)
+    assert together["quick"].verdict == together["slow"].verdict == "few"
+    assert calibration_test([np.full(5, np.nan)]) is None
+
+
+def verdict_of(scale: float, n: int) -> str:
+    z = scale * stats.norm.ppf((np.arange(n) + 0.5) / n)
+    found = calibration_test([np.random.default_rng(0).permutation(z)])
+    assert isinstance(found, Calibration)
+    return found.verdict
+
+
+def test_ten_percent_are_forgiven() -> None:
+    assert [verdict_of(s, 5000) for s in (0.8, 0.95, 1.05, 1.3)] == ["too cautious", "right", "right", "too sure"]

@@ -1,0 +1,163 @@
+"""--horizon, and whether bands on the bench are right: through the commands, and on data of the model's own making."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from scipy import stats
+
+from daq.errors import SeatrialError
+from ident.cli.commands import ident
+from ident.data.record import LogSegment
+from ident.estimation.fitted_model import fit_nominal_model
+from ident.estimation.likelihood import Likelihood
+from ident.estimation.stochastic_simulation import simulate_stochastic
+from ident.models.horizontal import horizontal_model
+from ident.results.content import calibration_notes, comparison_section
+from ident.studies.cases import make_case
+from ident.studies.monte_carlo import make_record
+from ident.validation import calibration
+from ident.validation.calibration import Calibration
+from ident.validation.evaluation import PredictionEvaluation
+from ident.validation.prediction_errors import BENCH_HORIZON, MOST, WARM_UP, free_run
+from mocks.plant.bench import draw_bench
+from tests.missions import bench_log, boat_log, boat_with, channels_of, sail
+
+KINDS = ["one_step", "ten_seconds", "free_run"]
+
+
+def done(*words: object) -> Result:
+    return CliRunner().invoke(ident, [str(w) for w in words], catch_exceptions=False)
+
+
+def result_of(folder: Path) -> dict[str, Any]:
+    result: dict[str, Any] = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    return result
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("bench")
+    return [bench_log(folder / f"bench{k}.mcap", draw_bench(4), k) for k in (1, 2)]
+
+
+@pytest.fixture(scope="module")
+def boat(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder, own = tmp_path_factory.mktemp("boat"), boat_with(None, 5)
+    return [boat_log(folder / "one.mcap", own, 120, 1), boat_log(folder / "two.mcap", own, 80, 2, 2)]
+
+
+def test_a_thruster_is_judged_a_second_ahead_and_its_bands_are_right(bench: list[Path], tmp_path: Path) -> None:
+    said = done("thruster", *bench, "--out", tmp_path).output
+    result = result_of(tmp_path)
+    assert result["horizon"] == BENCH_HORIZON == 1.0
+    assert "one step ahead   1 s ahead   free-running" in said
+    errors, calibrated = result["before_after"]["estimation"], result["calibration"]["estimation"]
+    assert list(errors) == list(calibrated) == KINDS
+    for kind in KINDS:
+        assert set(errors[kind]) == set(calibrated[kind]) == {"n", "force"}
+        for name, c in calibrated[kind].items():
+            assert c["verdict"] == "right", (kind, name, c)
+            assert abs(c["inside_95"] - 0.95) < 0.03
+    assert [line for line in result["notes"] if "errors are" in line] == []
+    assert errors["one_step"]["force"]["after"] < errors["ten_seconds"]["force"]["after"]
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert '<section id="calibration"' in page
+    assert "1 s ahead" in page
+    assert "10 s ahead" not in page
+
+
+def test_errors_on_the_bench_are_of_all_logs(bench: list[Path], tmp_path: Path) -> None:
+    done("thruster", *bench, "--horizon", 0.5, "--out", tmp_path)
+    result = result_of(tmp_path)
+    assert result["horizon"] == 0.5
+    for name, row in result["before_after"]["estimation"]["free_run"].items():
+        errors = [
+            (np.array(t["measured"]) - np.array(t["model"]))[np.array(t["t"]) > t["t"][0] + WARM_UP]
+            for t in result["traces"] if t["channel"] == name
+        ]
+        assert len(errors) == 2
+        assert row["after"] == pytest.approx(np.sqrt(np.mean(np.concatenate(errors) ** 2)), rel=1e-3)
+
+
+def test_the_horizon_of_a_boat_can_be_chosen(boat: list[Path], tmp_path: Path) -> None:
+    errors = {}
+    for words, horizon, told in (([], 10.0, "Ten seconds"), (["--horizon", 4], 4.0, "4 s")):
+        said = done("vehicle", boat[0], "--validate", boat[1], *words, "--out", tmp_path).output
+        result = result_of(tmp_path)
+        assert result["horizon"] == horizon
+        assert result["answer"].startswith(f"{told} ahead on validation data the model errs by position")
+        assert f"{horizon:g} s ahead" in said
+        page = (tmp_path / "report.html").read_text(encoding="utf-8")
+        assert f"{horizon:g} s ahead" in page
+        assert f"{14 - horizon:g} s ahead" not in page
+        errors[horizon] = result["before_after"]["validation"]
+    assert errors[4.0]["ten_seconds"]["psi"]["after"] < 0.7 * errors[10.0]["ten_seconds"]["psi"]["after"]
+    for kind in ("one_step", "free_run"):
+        assert errors[4.0][kind] == errors[10.0][kind]
+    out = tmp_path / "diagnosis"
+    done("diagnose", tmp_path / "model.toml", boat[0], "--validate", boat[1], "--horizon", 4, "--max-effects", 1,
+         "--out", out)
+    result = result_of(out)
+    assert result["horizon"] == 4.0
+    row = result["before_after"]["validation"]["ten_seconds"]["psi"]
+    assert row["before"] == pytest.approx(errors[4.0]["ten_seconds"]["psi"]["after"], rel=0.1)
+    assert set(result["calibration"]["validation"]) == set(KINDS)
+
+
+def test_no_prediction_goes_further_than_the_logs(boat: list[Path], bench: list[Path], tmp_path: Path) -> None:
+    for words in (["vehicle", boat[0], "--validate", boat[1]], ["thruster", bench[0]]):
+        failed = CliRunner().invoke(ident, [*map(str, words), "--horizon", "500", "--out", str(tmp_path)])
+        assert isinstance(failed.exception, SeatrialError)
+        assert str(failed.exception).startswith(f"--horizon 500: {words[-1].name}, the longest log to judge by, lasts ")
+        assert "fitting" not in failed.output
+    assert CliRunner().invoke(ident, ["vehicle", str(boat[0]), "--horizon", "0"]).exit_code == 2
+
+
+def test_the_notes_say_the_horizon() -> None:
+    wrong = {"estimation": {"ten_seconds": {"n": {"scale": 1.52, "verdict": "too sure"}}}}
+    (line,) = calibration_notes(wrong, 2.5)
+    assert line == "On estimation data, 2.5 s ahead, errors are larger than the model says, by these factors: n 1.5."
+
+
+def test_on_the_benchs_own_data_the_bands_are_right() -> None:
+    """At the truth: every verdict is right, and the intervals of the scale hold it in 95 of 100 runs."""
+    case, trials = make_case("thruster"), 30
+    values = np.tile(list(case.model.values.values()), (trials, 1))
+    _, y = simulate_stochastic(case.model, case.inputs, values, [np.random.default_rng([7, k]) for k in range(trials)])
+    likelihood, found = Likelihood(case.model), list[Calibration]()
+    for k in range(trials):
+        record, p = make_record(case, y[k], "r"), values[k]
+        run = likelihood.filter(record, p)
+        found += calibration.pooled([calibration.one_step(case.model, run)]).values()
+        found += calibration.pooled([calibration.ahead(case.model, record, p, run, 1.0, likelihood)]).values()
+        free = calibration.free_run(case.model, record, free_run(case.model, record, p, likelihood))
+        found += calibration.pooled([free], together=True).values()
+    assert len(found) == 6 * trials
+    assert {c.verdict for c in found} == {"right"}
+    assert stats.binomtest(sum(c.low < 1 < c.high for c in found), len(found), 0.95).pvalue > 1e-3
+    assert np.mean([c.inside_50 for c in found]) == pytest.approx(0.5, abs=0.01)
+    # too little process noise shows after a second, and a horizon of a row or two is thinned to what can be computed
+    p = p * [0.2 if q.name == "s_n" else 1.0 for q in case.model.parameters]
+    run = likelihood.filter(record, p)
+    poor, near = (calibration.ahead(case.model, record, p, run, s, likelihood) for s in (1.0, 0.02))
+    assert calibration.pooled([poor])["n"].verdict == "too sure"
+    assert record.n_rows > MOST >= near["n"].size > MOST / 3
+
+
+def test_errors_that_hang_together_for_longer_are_drawn_in_longer_blocks() -> None:
+    runs = [
+        LogSegment(name, channels_of(sail(boat_with(None, 2), 150.0, k, run=k)[0])) for k, name in enumerate("ab", 1)
+    ]
+    stage = fit_nominal_model(horizontal_model(), runs[:1], runs[1:])
+    far, near = (
+        comparison_section(one, one, "validation")
+        for one in (PredictionEvaluation(stage, 60.0), PredictionEvaluation(stage))
+    )
+    assert near["ten_seconds"]["psi"]["low"] == far["one_step"]["x"]["low"] == pytest.approx(1.0)
+    assert np.isnan(far["ten_seconds"]["psi"]["low"])  # 90 s of errors are not four blocks of 60 s

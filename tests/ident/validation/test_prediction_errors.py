@@ -1,0 +1,158 @@
+"""Prediction errors: one step, over a horizon, free-running, against the model's own equations solved elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from ident.data.record import Record
+from ident.estimation.likelihood import Likelihood
+from ident.model.parameter import Parameter
+from ident.model.structure import Output, Sensor, State, plain_model
+from ident.numerics.signal_processing import wrap
+from ident.validation.prediction_errors import (
+    WARM_UP,
+    PredictionErrors,
+    ahead,
+    free_run,
+    one_step,
+    pooled,
+    ratio_interval,
+)
+from tests.ident.sliders import D, M, slide, slider
+from tests.ident.toys import turning, turning_record, values_of
+
+MODEL = slider()
+VALUES = values_of(MODEL)
+
+
+def solved(record: Record, x: np.ndarray, first: int, last: int) -> np.ndarray:
+    """The slider's state at row ``last`` from ``x`` at row ``first``, its input held over each row."""
+    for k in range(first, last):
+        w = record.u[k, 0]
+        span = (record.t[k], record.t[k + 1])
+        x = solve_ivp(lambda _, z, w=w: [z[1], (w - D * z[1]) / M], span, x, rtol=1e-10, atol=1e-12).y[:, -1]
+    return x
+
+
+def test_one_step_errors_are_the_innovations() -> None:
+    record, model = turning_record(), turning()
+    run = Likelihood(model).filter(record, values_of(model))
+    found = one_step(model, record, run)
+    assert list(found) == ["psi", "gyro", "second"]
+    seen = np.isfinite(record.y[:, 0])
+    np.testing.assert_array_equal(found["psi"].t, record.t[seen])
+    np.testing.assert_array_equal(found["psi"].e, run.e[seen, 0])
+    nothing = replace(record, y=np.where(np.arange(3) == 0, np.nan, record.y))
+    assert list(one_step(model, nothing, Likelihood(model).filter(nothing, values_of(model)))) == ["gyro", "second"]
+
+
+@pytest.mark.parametrize("seconds", [10.0, 1.5])
+def test_what_is_ahead_is_the_equation_solved_from_the_filtered_state(seconds: float) -> None:
+    record = slide(1, 300)
+    run = Likelihood(MODEL).filter(record, VALUES)
+    found = ahead(MODEL, record, VALUES, run.x_filt, seconds)
+    assert set(found) == {"speed", "place"}
+    assert found["speed"].t[0] == pytest.approx(seconds)
+    assert found["speed"].t[-1] <= record.t[-1]
+    for k in (0, 40, 150):
+        last = int(np.searchsorted(record.t, record.t[k] + seconds - 1e-6))
+        x = solved(record, run.x_filt[k], k, last)
+        at = np.searchsorted(found["speed"].t, record.t[last] - 1e-9)
+        assert found["speed"].e[at] == pytest.approx(record.y[last, 0] - x[1], abs=1e-6)
+        if np.isfinite(record.y[last, 1]):
+            at = np.searchsorted(found["place"].t, record.t[last] - 1e-9)
+            assert found["place"].e[at] == pytest.approx(record.y[last, 1] - x[0], abs=1e-6)
+
+
+def test_a_free_run_knows_only_its_first_seconds() -> None:
+    record = slide(2, 400)
+    free = free_run(MODEL, record, VALUES)
+    blind = record.t > WARM_UP
+    other = record.y.copy()
+    other[blind] += 5.0
+    np.testing.assert_array_equal(free_run(MODEL, replace(record, y=other), VALUES).y, free.y)
+    assert free.errors["speed"].t[0] > WARM_UP
+    last = int(np.flatnonzero(~blind)[-1])
+    run = Likelihood(MODEL).filter(replace(record, y=np.where(blind[:, None], np.nan, record.y)), VALUES)
+    x = solved(record, run.x_filt[last], last, record.n_rows - 1)
+    np.testing.assert_allclose(free.y[-1], [x[1], x[0]], atol=1e-6)
+    assert free.errors["speed"].e[-1] == pytest.approx(record.y[-1, 0] - x[1], abs=1e-6)
+    seen = record.y[blind, 0]
+    assert free.errors["speed"].spread == pytest.approx(seen[np.isfinite(seen)].std())
+
+
+def test_a_free_run_goes_no_faster_than_the_boat_when_its_heading_is_lost() -> None:
+    """Of the cosine of a heading that is spread over the whole circle a series of second order makes any speed."""
+    model = plain_model(
+        "adrift",
+        f=lambda x, u, p: {"x": np.cos(x.psi), "psi": p.turn},
+        h=lambda x, u, p: {"x": x.x, "psi": x.psi},
+        states=(State("x", "m", from_output="x", sd0=0.1), State("psi", "rad", "", "s", from_output="psi", sd0=0.1)),
+        inputs=(),
+        sensors=(Sensor("all", (Output("x", "m", "e"), Output("psi", "rad", "e", angle=True))),),
+        parameters=(Parameter("s", 0.5), Parameter("e", 0.05), Parameter("turn", 0.1)),
+    )
+    t, psi = np.arange(0.0, 200.0, 0.1), 0.1 * np.arange(0.0, 200.0, 0.1)
+    y, none = np.column_stack([np.sin(psi) / 0.1, psi]), np.empty((t.size, 0))
+    record = Record("lost", t, none, none, y, (), ("x", "psi"))
+    bent = replace(model, second_order=True)
+    free = free_run(bent, record, values_of(bent), Likelihood(bent))
+    assert np.abs(np.diff(free.y[:, 0])).max() < 0.11
+    assert free.errors["x"].rms < 25.0  # a circle of 10 m, its centre off by the last heading that was seen
+
+
+def test_the_band_of_a_free_run_covers() -> None:
+    """Over many runs 95 % of the errors lie within 1.96 of their standard deviations, near and far."""
+    inside = []
+    for seed in range(40):
+        record = slide(100 + seed, 400)
+        free = free_run(MODEL, record, VALUES, Likelihood(MODEL))
+        rows = np.flatnonzero((record.t > WARM_UP) & np.isfinite(record.y[:, 1]))
+        inside.append(np.abs(record.y[rows] - free.y[rows]) < 1.96 * free.sd[rows])
+    rate = np.mean(inside, axis=0)  # (rows, channels)
+    assert rate.mean() == pytest.approx(0.95, abs=0.03)
+    assert rate[-5:].mean() == pytest.approx(0.95, abs=0.06)
+
+
+def test_angles_are_wrapped() -> None:
+    np.testing.assert_allclose(wrap(np.array([3.5, -3.5, 0.1, 6.3]), True),
+                               [3.5 - 2 * np.pi, 2 * np.pi - 3.5, 0.1, 6.3 - 2 * np.pi])
+    np.testing.assert_array_equal(wrap(np.array([3.5]), False), [3.5])
+    record, model = turning_record(n_rows=400), turning()
+    free = free_run(model, record, values_of(model))
+    assert np.abs(free.errors["psi"].e).max() <= np.pi
+
+
+def test_pooled_errors_keep_records_apart_in_time() -> None:
+    a = PredictionErrors(np.array([1.0, 2.0]), np.array([3.0, 4.0]), 1.0)
+    b = PredictionErrors(np.array([0.5, 1.5]), np.array([0.0, 0.0]), 3.0)
+    found = pooled([{"x": a, "r": b}, {"x": b}])
+    assert found["x"].e.tolist() == [3.0, 4.0, 0.0, 0.0]
+    assert (np.diff(found["x"].t) > 0).all()
+    assert found["x"].rms == pytest.approx(2.5)
+    assert found["x"].spread == pytest.approx(np.sqrt(5.0))
+    assert found["r"].e.size == 2
+    assert np.isnan(PredictionErrors(np.zeros(0), np.zeros(0)).rms)
+
+
+def test_the_interval_of_a_ratio_covers_and_is_honest_about_few_blocks() -> None:
+    covered = []
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        t = 0.5 * np.arange(800)
+        common = rng.normal(size=800)
+        before = PredictionErrors(t, common + 0.5 * rng.normal(size=800))
+        after = PredictionErrors(t, 0.6 * (common + 0.5 * rng.normal(size=800)))
+        low, high = ratio_interval(before, after, seed=seed)
+        assert low < high
+        covered.append(low < 0.6 < high)
+    assert 0.87 < np.mean(covered) < 0.99  # a bootstrap over forty blocks is a little narrow
+    short = PredictionErrors(np.arange(30.0), np.ones(30))
+    assert all(np.isnan(ratio_interval(short, short)))
+    assert all(np.isnan(ratio_interval(PredictionErrors(t, common), PredictionErrors(t[1:], common[1:]))))
+    again = [ratio_interval(before, after, seed=3) for _ in range(2)]
+    assert again[0] == again[1]

@@ -1,0 +1,155 @@
+"""`seatrial ident information`: the stretches that tell of a parameter are those in which it was excited."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import seatrial
+from daq.log.recorder import Recorder
+from daq.samples import NAN, Ahrs, Frame
+from ident.workflows.information import _answer, _longest
+from mocks.offline_simulation import simulate
+from tests.missions import T0, StandingClock, boat_with, rig_of
+
+SECONDS = 90.0
+MODEL = """
+format = "seatrial-model 1"
+name = "horizontal"
+source = "horizontal:shaft"
+sensors = ["attitude", "gyro", "accelerometer", "position", "ground_velocity"]
+effects = []
+[validity]
+"""
+TRUE = {"m_u": 37.0, "m_v": 47.0, "m_r": 9.69, "d_u": 0.2, "d_v": 50.0, "d_r": 4.14, "d_uu": 25.0, "d_vv": 20.0,
+        "d_rr": 6.23, "V_x": 0.0, "V_y": 0.0, "c1": 40.05, "c2": 1.11, "y_left": -0.15, "y_right": 0.15, "s_u": 0.01,
+        "s_v": 0.01, "s_r": 0.01, "e_psi": 0.01, "e_r": 0.005, "e_a": 0.05, "e_xy": 0.05, "e_vxy": 0.05}
+FIXED = ("c1", "c2", "y_left", "y_right", "d_u")
+STEPS = ((0.0, "static"), (30.0, "straight ahead"), (60.0, "turns"))
+
+
+def write_model(path: Path) -> Path:
+    rows = [f'[[parameter]]\nname = "{n}"\nvalue = {v}\nunit = ""\nfree = {str(n not in FIXED).lower()}\n'
+            + ("per_record = true\nprior = [0.0, 0.5]\n" if n in ("V_x", "V_y") else "") for n, v in TRUE.items()]
+    path.write_text(MODEL + "".join(rows), encoding="utf-8")
+    return path
+
+
+def write_run(path: Path, seed: int) -> Path:
+    """At rest, straight ahead at two speeds, then turning to both sides: recorded with the names of the steps."""
+    t = np.array([0.0, 30.0, 45.0, *np.arange(60.0, SECONDS, 5.0)])
+    turns = [[0.5 + 0.3 * (-1) ** k, 0.5 - 0.3 * (-1) ** k] for k in range(t.size - 3)]
+    readings = simulate(boat_with(None, seed), t, np.array([[0.0, 0.0], [0.4, 0.4], [0.8, 0.8], *turns]), SECONDS,
+                        1).readings
+    recorder = Recorder(path, rig=rig_of("boat"), clock=StandingClock())
+    steps = list(STEPS)
+    for device, sample, at in readings:
+        if steps and at >= steps[0][0]:
+            recorder.event(T0 + at, "segment", steps.pop(0)[1])
+        recorder.write(device, Frame(sample, T0 + at + 1e-3, at if isinstance(sample, Ahrs) else NAN), T0 + at)
+    recorder.close()
+    return path
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    found = tmp_path_factory.mktemp("information")
+    write_model(found / "model.toml")
+    write_run(found / "one.mcap", 3)
+    return found
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as left:
+        seatrial.main(["ident", "information", *map(str, words)])
+    said = capsys.readouterr()
+    return int(left.value.code or 0), said.out, said.err
+
+
+def test_what_was_excited_is_what_is_told(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, said, err = run(capsys, folder / "model.toml", folder / "one.mcap", "--out", tmp_path / "out")
+    assert status == 0, err
+    result: dict[str, Any] = json.loads((tmp_path / "out/result.json").read_text(encoding="utf-8"))
+    part = result["information"]
+    assert part["names"] == ["m_u", "m_v", "m_r", "d_v", "d_r", "d_uu", "d_vv", "d_rr"]
+    rows = part["stretches"]
+    assert [row["what"] for row in rows] == ["static", "straight ahead", "turns"]
+    assert [(round(row["from"]), round(row["to"])) for row in rows] == [(0, 30), (30, 60), (60, 90)]
+    rest, ahead, turns = rows
+    at = {name: k for k, name in enumerate(part["names"])}
+    infinite = float("inf")
+    weights = {row["what"]: [infinite if w is None else w for w in row["weight"]] for row in rows}
+    assert max(weights["static"]) < 1.25  # a boat at rest drifts in the current, and tells next to nothing
+    assert max(rest["lost"]) < 0.35
+    assert weights["straight ahead"][at["d_uu"]] > 1.3
+    assert weights["turns"][at["d_rr"]] > 5.0 > weights["straight ahead"][at["d_rr"]]
+    assert turns["lost"][at["d_rr"]] > 0.95 > ahead["lost"][at["d_rr"]]
+    for row in part["parameters"]:
+        assert row["se"] > 0
+        assert row["what"] in ("turns", "straight ahead")
+    assert "turns" in result["answer"] or "Only" in result["answer"]
+    assert re.search(r"one, 60 to 90 s \(turns\)", said)
+    assert "What these logs tell" in said
+    page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+    for words in ("Information in logs", "What these logs tell", "Stretch by stretch", "heatmap", "hangs most on"):
+        assert words in page
+    assert "Inputs" in page
+
+
+def test_two_logs_of_the_same_leave_none_indispensable(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "two.mcap").write_bytes((folder / "one.mcap").read_bytes())
+    words = (folder / "model.toml", folder / "one.mcap", tmp_path / "two.mcap", "--parameters", "m_r, d_rr")
+    status, _, err = run(capsys, *words, "--seconds", 45, "--out", tmp_path / "out")
+    assert status == 0, err
+    part = json.loads((tmp_path / "out/result.json").read_text(encoding="utf-8"))["information"]
+    assert part["names"] == ["m_r", "d_rr"]
+    assert [row["record"] for row in part["stretches"]] == ["one", "one", "two", "two"]
+    for row in part["stretches"]:
+        # without its stretch in one log the same is still there in the other: at most half of the information goes
+        assert all(1.0 <= w < np.sqrt(2.0) + 1e-3 for w in row["weight"])
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--parameters", "mass"), "no free parameter 'mass'; there is m_u, m_v"),
+        (("--parameters", "c1"), "no free parameter 'c1'"),
+    ],
+)
+def test_what_is_wrong_is_one_line(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], says: str
+) -> None:
+    status, _, err = run(capsys, folder / "model.toml", folder / "one.mcap", *words, "--out", tmp_path / "out")
+    assert status == 1
+    assert says in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_stretch_is_named_by_the_step_that_fills_it() -> None:
+    steps = ((0.0, "static"), (10.0, "steps"), (40.0, "zigzag"), (90.0, "steps"))
+    assert _longest(steps, 0.0, 15.0) == "static"
+    assert _longest(steps, 5.0, 60.0) == "steps"
+    assert _longest(steps, 80.0, 120.0) == "steps"
+    assert _longest((), 0.0, 10.0) == ""
+    assert _longest(((50.0, "late"),), 0.0, 10.0) == ""
+
+
+def test_the_answer_says_what_hangs_on_what() -> None:
+    row = {"record": "a", "from": 0.0, "to": 30.0, "what": "", "name": "m_v", "value": 40.0, "se": 1.0, "weight": 2.5}
+    two = [row, row]
+    assert _answer([row], two) == (
+        "Most hangs on a, 0 to 30 s: without it the standard error of m_v would be 2.5 times as large."
+    )
+    assert _answer([row | {"weight": float("inf")}], two) == "Only a, 0 to 30 s tells of m_v."
+    assert _answer([row | {"weight": 1.1}], two).startswith("No stretch matters much more")
+    assert _answer([row | {"se": 30.0}], two).endswith("Hardly known from all of it: m_v.")
+    assert _answer([row | {"se": float("inf")}], two) == "These logs tell nothing of any parameter."
+    assert "--seconds" in _answer([row], [row])

@@ -1,0 +1,151 @@
+"""`seatrial ident noise` on logs with known noise, and on measured sensors at rest."""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import seatrial
+from daq.protocol import vectornav
+from daq.samples import Ahrs
+from tests.measured.data import measured
+
+EXAMPLES = Path(__file__).resolve().parents[3] / "docs/examples/static"
+MAP = """
+format = "seatrial-import-csv 1"
+[time]
+rate_hz = 20.0
+"""
+SIGNAL = '[[signal]]\nname = "{0}"\ncolumn = "{0}"\nunit = "{1}"\n'
+
+
+def run(*words: str, status: int = 0) -> None:
+    with pytest.raises(SystemExit) as left:
+        seatrial.main([str(w) for w in words])
+    assert left.value.code == status, words
+
+
+@pytest.fixture
+def still(tmp_path: Path) -> Path:
+    """A log: r white 0.01 and walk 0.002, psi across the half turn, smooth filtered, dead constant."""
+    rng = np.random.default_rng(0)
+    n = 4000
+    r = 0.01 * rng.normal(size=n) + 0.002 * np.sqrt(0.05) * np.cumsum(rng.normal(size=n))
+    psi = np.mod(math.pi + 0.05 * rng.normal(size=n) + math.pi, 2 * math.pi) - math.pi
+    smooth = np.convolve(rng.normal(size=n), np.hanning(20), mode="same")
+    table = np.column_stack([r, psi, smooth, np.ones(n)])
+    np.savetxt(tmp_path / "still.csv", table, "%.8f", ",", header="r,psi,smooth,dead", comments="")
+    units = {"r": "rad/s", "psi": "rad", "smooth": "m", "dead": "V"}
+    (tmp_path / "map.toml").write_text(MAP + "".join(SIGNAL.format(n, u) for n, u in units.items()))
+    run("import", "csv", tmp_path / "map.toml", tmp_path / "still.csv", "-o", tmp_path / "still.mcap")
+    return tmp_path / "still.mcap"
+
+
+def read(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    result = json.loads((folder / "result.json").read_text())
+    table = tomllib.loads((folder / "noise.toml").read_text())
+    assert table["format"] == "seatrial-noise 1"
+    return result, {c["name"] if len(table["provenance"]["logs"]) == 1 else f"{c['log']} {c['name']}": c
+                    for c in table["channel"]}  # fmt: skip
+
+
+def test_known_noise_is_found(still: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run("ident", "noise", still, "--out", tmp_path / "noise")
+    said = " ".join(capsys.readouterr().out.split())
+    result, channels = read(tmp_path / "noise")
+    assert set(channels) == {"r", "psi", "smooth"}
+    for name, white, walk in (("r", 0.01, 0.002), ("psi", 0.05, 0.0)):
+        c = channels[name]
+        assert abs(c["white"] - white) < 4 * c["white_se"]
+        assert abs(c["walk"] - walk) < 4 * c.get("walk_se", 0.01)
+        assert c["accepted"]
+        assert "reason" not in c
+    assert not channels["smooth"]["accepted"]
+    assert channels["smooth"]["reason"].startswith("its innovations are correlated by +0.")
+    assert "2 of 3 channels are white noise plus a random walk. Not so: smooth: its innovations" in said
+    assert channels["smooth"]["predictable"] > 0.3
+    assert "do not put them into a filter" in said
+    assert any(line.startswith("smooth: not white") and line.endswith("at a lower rate.") for line in result["notes"])
+    assert any("dead: all samples are the same" in line for line in result["notes"])
+    assert {r["channel"]: r["accepted"] for r in result["noise"]} == {"r": True, "psi": True, "smooth": False}
+    report = (tmp_path / "noise/report.html").read_text()
+    assert "Sensor noise" in report
+
+
+def test_only_the_signals_that_were_named(still: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run("ident", "noise", still, "--signal", "psi", "--signal", "r", "--out", tmp_path / "some")
+    assert list(read(tmp_path / "some")[1]) == ["psi", "r"]
+    run("ident", "noise", still, "--signal", "rr", "--out", tmp_path / "x", status=1)
+    assert "still.mcap: no signal 'rr'; it has dead, psi, r, smooth" in " ".join(capsys.readouterr().err.split())
+    run("ident", "noise", still, "--signal", "dead", "--out", tmp_path / "x", status=1)
+    assert "all samples are the same" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "x").exists()
+
+
+def test_every_axis_of_an_ahrs(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    capture = tmp_path / "vn.txt"
+    rows = 0.01 * rng.normal(size=(600, 9)) + [0, 0, 0, 0, 0, 0, 0, 0, -9.8]
+    capture.write_bytes(b"".join(vectornav.encode_ascii(Ahrs(*row)) for row in rows))
+    run("import", "raw", "vectornav", capture, "--rate", "40", "-o", tmp_path / "vn.mcap")
+    run("ident", "noise", tmp_path / "vn.mcap", "--out", tmp_path / "noise")
+    channels = read(tmp_path / "noise")[1]
+    assert set(channels) == {"psi", "theta", "phi", "p", "q", "r", "ax", "ay", "az"}
+    assert all(c["white"] == pytest.approx(0.01, rel=0.15) for c in channels.values())
+    assert channels["az"]["interval"] == pytest.approx(0.025)
+
+
+def test_a_hum_is_told_by_its_frequency(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    t = 0.05 * np.arange(4000)
+    hum = rng.normal(size=4000) + np.sin(2 * np.pi * 3.2 * t)
+    np.savetxt(tmp_path / "hum.csv", hum, "%.8f", header="r", comments="")
+    (tmp_path / "map.toml").write_text(MAP + SIGNAL.format("r", "rad/s"))
+    run("import", "csv", tmp_path / "map.toml", tmp_path / "hum.csv", "-o", tmp_path / "hum.mcap")
+    run("ident", "noise", tmp_path / "hum.mcap", "--out", tmp_path / "noise")
+    result, channels = read(tmp_path / "noise")
+    assert channels["r"]["reason"].startswith("a line at 3.2 Hz holds 3")
+    assert "Find what turns or hums" in result["notes"][0]
+
+
+@pytest.mark.measured
+def test_gps_at_rest(tmp_path: Path) -> None:
+    folder = measured("static")
+    logs = []
+    for name, pattern in (("single", "gps_LAB1_*.csv"), ("rtk", "gps_LAB2_*.csv")):
+        (file,) = folder.glob(pattern)
+        logs.append(tmp_path / f"{name}.mcap")
+        run("import", "csv", EXAMPLES / f"gps_{name}.toml", file, "-o", logs[-1])
+    run("ident", "noise", *logs, "--out", tmp_path / "noise")
+    result, channels = read(tmp_path / "noise")
+    assert [c for c, row in channels.items() if row["accepted"]] == ["rtk x", "rtk y"]
+    assert channels["rtk x"]["white"] == pytest.approx(0.0030, abs=0.0003)
+    assert channels["single x"]["largest_correlation"] > 0.8
+    assert "Not so: single x" in result["answer"]
+
+
+@pytest.mark.measured
+def test_a_vectornav_at_rest(tmp_path: Path) -> None:
+    capture = measured("static") / "vn100_stationary_40Hz_vnymr.txt"
+    run("import", "raw", "vectornav", capture, "--rate", "40", "-o", tmp_path / "vn.mcap")
+    run("ident", "noise", tmp_path / "vn.mcap", "--signal", "psi", "--out", tmp_path / "noise")
+    (psi,) = read(tmp_path / "noise")[1].values()
+    assert math.degrees(psi["walk"]) == pytest.approx(0.0104, rel=0.05)
+    assert "white_se" not in psi  # nearly a pure random walk
+    assert psi["accepted"]
+
+
+@pytest.mark.measured
+def test_a_vectornavs_shaken_channels_are_told(tmp_path: Path) -> None:
+    capture = measured("static") / "vn100_stationary_40Hz_vnymr.txt"
+    run("import", "raw", "vectornav", capture, "--rate", "40", "-o", tmp_path / "vn.mcap")
+    run("ident", "noise", tmp_path / "vn.mcap", "--out", tmp_path / "noise")
+    channels = read(tmp_path / "noise")[1]
+    assert {n for n, c in channels.items() if c["accepted"]} == {"psi", "r", "ax", "ay"}
+    assert channels["az"]["predictable"] == pytest.approx(0.12, abs=0.01)  # of 31 lags, none above 0.17

@@ -1,0 +1,91 @@
+"""The worked example of docs/how-to/use-a-model.md, executed, and what it prints compared."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from ident.cli.commands import ident
+from tests.test_docs import ROOT, blocks, how_to
+
+PAGE = how_to("use-a-model")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with the model of docs/formats/model.md and all that the page's first block writes."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "diagnosis").mkdir()
+    model = blocks(ROOT / "docs/formats/model.md", "toml")[0]
+    (tmp_path / "diagnosis/model.toml").write_text(model, encoding="utf-8")
+    lines = blocks(PAGE, "sh")[0].splitlines()
+    assert len(lines) == 4
+    for line in lines:
+        words = shlex.split(line)
+        assert words[:2] == ["seatrial", "ident"]
+        CliRunner().invoke(ident, words[2:], catch_exceptions=False)
+    return tmp_path
+
+
+def after(code: str) -> str:
+    """What the page says a block prints: the text block behind it."""
+    text = PAGE.read_text(encoding="utf-8")
+    found = re.search(r"^```text\n(.*?)^```$", text[text.index(code):], re.MULTILINE | re.DOTALL)
+    assert found
+    return found[1]
+
+
+def run(code: str, folder: Path) -> str:
+    environment = {**os.environ, "PYTHONPATH": str(folder)}
+    done = subprocess.run([sys.executable, "-c", code], cwd=folder, env=environment, capture_output=True, text=True,
+                          timeout=120)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_simulation(folder: Path) -> None:
+    code = blocks(PAGE, "python")[0]
+    assert run(code, folder) == after(code)
+
+
+def test_the_controller(folder: Path) -> None:
+    (line,) = blocks(PAGE, "sh")[1].splitlines()
+    assert line == "python boat_casadi.py ."
+    subprocess.run([sys.executable, "boat_casadi.py", "."], cwd=folder, check=True)
+    assert sorted(p.name for p in folder.glob("*.casadi")) == ["boat_f.casadi", "boat_h.casadi", "boat_step.casadi"]
+    code = blocks(PAGE, "python")[1]
+    assert run(code, folder) == after(code)
+
+
+def test_the_program_in_c(folder: Path) -> None:
+    if not shutil.which("cc"):
+        pytest.skip("no C compiler (cc) on PATH")
+    code = blocks(PAGE, "c")[0]
+    (folder / "main.c").write_text(code, encoding="utf-8")
+    build, start = blocks(PAGE, "sh")[2].splitlines()
+    subprocess.run(shlex.split(build), cwd=folder, check=True)
+    done = subprocess.run([folder / start], capture_output=True, text=True, check=True)
+    assert done.stdout == after(code)
+
+
+def test_the_parameters_of_the_node(folder: Path) -> None:
+    yaml = pytest.importorskip("ruamel.yaml", reason="no YAML reader here (ruamel.yaml)")
+    written = yaml.YAML(typ="safe", pure=True).load((folder / "boat.yaml").read_text(encoding="utf-8"))
+    text = PAGE.read_text(encoding="utf-8")
+    assert "__node:=boat" in text
+    for name in re.findall(r'"((?:parameters|process_noise)\.\w+)"', text):
+        part, _, key = name.partition(".")
+        assert isinstance(written["boat"]["ros__parameters"][part][key], float)
+    (shown,) = blocks(ROOT / "docs/formats/export.md", "yaml")
+    page = yaml.YAML(typ="safe", pure=True).load(shown)["horizontal"]["ros__parameters"]
+    whole = written["boat"]["ros__parameters"]
+    for key, value in page.items():
+        assert whole[key] == value if not isinstance(value, dict) else value.items() <= whole[key].items(), key

@@ -1,0 +1,90 @@
+"""What the jobs decide before they fit: which model, which sensors, what is known, and what a log is asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from daq.errors import SeatrialError
+from ident.data.loading import LoadedLog, load_run
+from ident.data.record import Channel, LogSegment
+from ident.estimation.fitted_model import fit_nominal_model
+from ident.estimation.prior_knowledge import apply_rig_geometry, fix_parameters
+from ident.models.catalogue import make_model
+from ident.models.horizontal import horizontal_model
+from ident.workflows.model_inputs import choose_model
+from ident.workflows.output import validity
+from tests.ident.rolling import Fitted
+from tests.ident.rolling import sail as rolling_sail
+from tests.missions import boat_log, boat_with, rig_of
+
+AHRS = ("psi", "r", "ax", "ay")
+GNSS = ("x", "y", "vx", "vy")
+
+
+def loaded(*names: str, holds: dict[str, str] | None = None) -> LoadedLog:
+    t = np.arange(5.0)
+    return LoadedLog(LogSegment("run", {n: Channel(t, t) for n in names}), {"path": "run.mcap"}, holds or {}, None)
+
+
+@pytest.mark.parametrize(
+    ("names", "inputs"),
+    [
+        (("n_left", "n_right"), ("n_left", "n_right")),
+        (("f_left", "f_right"), ("f_left", "f_right")),
+        (("X", "N"), ("X", "N")),
+        (("n_left", "n_right", "f_left", "f_right"), ("n_left", "n_right")),
+    ],
+)
+def test_the_model_follows_the_inputs_and_the_sensors(names: tuple[str, ...], inputs: tuple[str, ...]) -> None:
+    model = choose_model("auto", [loaded(*names, *AHRS), loaded(*names, "x", "y")])
+    assert tuple(i.name for i in model.inputs) == inputs
+    assert [s.name for s in model.sensors] == ["attitude", "gyro", "accelerometer", "position"]
+
+
+def test_an_input_keeps_the_hold_it_was_logged_with() -> None:
+    names = ("f_left", "f_right", *AHRS, *GNSS)
+    holds = {"f_left": "zero", "f_right": "linear"}
+    model = choose_model("auto", [loaded(*names, holds=holds)])
+    assert {i.name: i.hold for i in model.inputs} == holds
+
+
+def test_inputs_that_only_some_logs_have_are_none() -> None:
+    with pytest.raises(SeatrialError, match=r"run\.mcap: no inputs for the horizontal model .*; the log has psi, r"):
+        choose_model("auto", [loaded("n_left", "n_right", "psi", "r"), loaded("psi", "r")])
+
+
+def test_what_is_known_is_taken_and_fixed() -> None:
+    model = fix_parameters(apply_rig_geometry(horizontal_model(), rig_of("boat"))[0], None, {"d_uu": 30.0})
+    assert (model.values["d_vv"], model.values["d_uu"]) == (20.0, 30.0)
+    assert model.parameter("d_vv").free
+    assert not model.parameter("d_uu").free
+    assert (model.values["y_left"], model.values["y_right"]) == (-0.15, 0.15)
+    with pytest.raises(SeatrialError, match="--fix mass: model horizontal has no such parameter; it has m_u"):
+        fix_parameters(horizontal_model(), None, {"mass": 1.0})
+
+
+def test_the_range_of_a_state_is_its_own_where_an_input_has_its_name() -> None:
+    """The yaw rate of ``kinematic:shaft:yaw``: 1 % to 99 % of the filtered one, not all that the gyro showed."""
+    channels, _ = rolling_sail(Fitted(), 40.0, 4)
+    stage = fit_nominal_model(make_model("kinematic:shaft:yaw"), [LogSegment("run", channels)], [], rate=20.0)
+    (view,) = stage.estimation
+    r = view.run.x_filt[:, [s.name for s in stage.model.states].index("r")]
+    ranges = validity(stage)
+    assert ranges["r"] == pytest.approx(tuple(np.percentile(r, (1, 99))))
+    assert ranges["r"][1] < view.record.u[:, list(view.record.inputs).index("r")].max()
+    assert {"u", "v", "n_left", "phi", "q"} <= set(ranges)
+
+
+def test_a_log_is_loaded_with_times_from_its_own_start(tmp_path: Path) -> None:
+    path = boat_log(tmp_path / "a.mcap", boat_with(None, 1), 20.0, 7)
+    found = load_run(path, "estimation", 3.0, 9.0)
+    assert (found.run.t_from, found.run.t_to, found.run.name) == (3.0, 9.0, "a")
+    assert min(c.t[0] for c in found.run.channels.values()) == 0.0
+    about: Any = found.about
+    assert (about["role"], about["rig"], about["mission"]) == ("estimation", "mock boat", "mixed, seed 7")
+    assert about["duration"] == pytest.approx(20.0, abs=0.1)
+    assert about["warnings"] == []

@@ -1,0 +1,232 @@
+"""`seatrial ident vehicle` with models that are not the horizontal one: built-in, one's own, with a static curve."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import seatrial
+from daq.errors import SeatrialError
+from ident.data.log_channels import along_track
+from ident.estimation.fitted_model import nominal
+from ident.estimation.model_file import load_model
+from ident.models.catalogue import make_model
+from ident.models.horizontal import horizontal_model
+
+MASS, LINEAR, SQUARE, DELAY = 40.0, 4.0, 12.0, 0.4
+CURVE = """
+format = "seatrial-curve 1"
+thrusters = 2
+[curve]
+n = [-1.0, 0.0, 0.5, 1.0]
+force = [-10.0, 0.0, 20.0, 30.0]
+se = [0.1, 0.1, 0.1, 0.1]
+"""
+MAP = """
+format = "seatrial-import-csv 1"
+[time]
+rate_hz = 10.0
+"""
+SIGNAL = '[[signal]]\nname = "{0}"\ncolumn = "{0}"\nunit = "{1}"\nrole = "{2}"\n'
+UNITS = {"n_left": "1", "n_right": "1", "speed_x": "m/s", "speed_y": "m/s", "X": "N", "u": "m/s", "N": "Nm"}
+UNITS["r"] = "rad/s"
+OWN = """
+from dataclasses import replace
+from ident.model import Input, Output, Sensor, State, plain_model
+from ident.model import INF, Parameter
+
+def mine():
+    return plain_model(
+        "mine",
+        f=lambda x, u, p: {"u": (u.X - p.d * x.u - p.dd * abs(x.u) * x.u) / p.m},
+        h=lambda x, u, p: {"speed": x.u},
+        states=(State("u", "m/s", noise="s", from_output="speed", sd0=0.1),),
+        inputs=(Input("X", "N"),),
+        sensors=(Sensor("gps", (Output("speed", "m/s", "e"),)),),
+        parameters=(
+            Parameter("m", 30.0, "kg", transform="log"),
+            Parameter("d", 1.0, "kg/s", bounds=(0, INF)),
+            Parameter("dd", 5.0, "kg/m", bounds=(0, INF)),
+            Parameter("s", 0.02, transform="log"),
+            Parameter("e", 0.02, transform="log"),
+        ),
+    )
+"""
+
+
+def run(*words: object, status: int = 0) -> None:
+    with pytest.raises(SystemExit) as left:
+        seatrial.main([str(w) for w in words])
+    assert left.value.code == status, words
+
+
+def result(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "result.json").read_text())
+    return found
+
+
+def estimate(found: dict[str, Any], name: str) -> tuple[float, float]:
+    row = next(p for p in found["fit"]["parameters"] if p["name"] == name)
+    return row["value"], row["se"]
+
+
+def surge_run(seed: int, seconds: float = 120.0, mass: float = MASS) -> dict[str, np.ndarray]:
+    """Steps of equal commands, simulated at 100 Hz with process noise, logged at 10 Hz."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, seconds, 0.1)
+    n = np.repeat(rng.choice([0.0, 0.25, 0.5, 1.0], t.size // 100 + 1), 100)[: t.size]
+    n[:20] = 0.0
+    from scipy.interpolate import PchipInterpolator
+
+    X = PchipInterpolator([-1.0, 0.0, 0.5, 1.0], [-10.0, 0.0, 20.0, 30.0])(n)
+    u = np.zeros(t.size)
+    for k in range(t.size - 1):
+        v = u[k]
+        for _ in range(10):
+            v += 0.01 * (X[k] - LINEAR * v - SQUARE * abs(v) * v) / mass + 0.01 * 0.1 * rng.normal()
+        u[k + 1] = v
+    course = 0.7
+    noise = 0.02 * rng.normal(size=(2, t.size))
+    x, y = u * np.cos(course) + noise[0], u * np.sin(course) + noise[1]
+    return {"n_left": n, "n_right": n, "speed_x": x, "speed_y": y, "X": X, "u": u + noise[0]}
+
+
+def log(folder: Path, name: str, columns: dict[str, np.ndarray]) -> Path:
+    inputs = {"n_left", "n_right", "X", "N"}
+    text = MAP + "".join(SIGNAL.format(c, UNITS[c], "input" if c in inputs else "output") for c in columns)
+    (folder / f"{name}.toml").write_text(text)
+    np.savetxt(folder / f"{name}.csv", np.column_stack(list(columns.values())), "%.9f", ",",
+               header=",".join(columns), comments="")  # fmt: skip
+    run("import", "csv", folder / f"{name}.toml", folder / f"{name}.csv", "-o", folder / f"{name}.mcap")
+    return folder / f"{name}.mcap"
+
+
+def only(columns: dict[str, np.ndarray], *names: str) -> dict[str, np.ndarray]:
+    return {n: columns[n] for n in names}
+
+
+GPS = ("n_left", "n_right", "speed_x", "speed_y")
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("logs")
+    for k in range(3):
+        log(folder, f"run{k}", only(surge_run(k), *GPS))
+    log(folder, "heavy", only(surge_run(7, mass=55.0), *GPS))
+    (folder / "curve.toml").write_text(CURVE)
+    (folder / "mine.py").write_text(OWN)
+    return folder
+
+
+def test_ones_own_model_with_a_static_curve(logs: Path, tmp_path: Path) -> None:
+    words = ["--model", f"{logs / 'mine.py'}:mine", "--thruster", logs / "curve.toml"]
+    run("ident", "vehicle", logs / "run0.mcap", logs / "run1.mcap", *words, "--validate", logs / "run2.mcap",
+        "--test-homogeneity", "m", "--out", tmp_path / "v")  # fmt: skip
+    found = result(tmp_path / "v")
+    for name, truth in (("m", MASS), ("d", LINEAR), ("dd", SQUARE)):
+        value, se = estimate(found, name)
+        assert abs(value - truth) < 4 * se, name
+    assert estimate(found, "m")[1] < 2.0
+    (row,) = found["agreement"]
+    assert row["agree"]
+    assert row["df"] == 1
+    assert "they agree" in found["answer"]
+    assert found["before_after"]["validation"]["free_run"]["speed"]["after"] < 0.05
+    assert "diagnose" not in found["answer"]  # nothing to search with in a model without a hull
+    again = load_model(tmp_path / "v/model.toml")
+    assert again.model.values["m"] == pytest.approx(estimate(found, "m")[0])
+    assert (tmp_path / "v/report.html").stat().st_size > 1000
+
+
+def test_logs_that_do_not_agree_are_told(logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--model", f"{logs / 'mine.py'}:mine", "--thruster", logs / "curve.toml", "--test-homogeneity", "m"]
+    run("ident", "vehicle", logs / "run0.mcap", logs / "heavy.mcap", *words, "--out", tmp_path / "v")
+    assert "they do not agree" in " ".join(capsys.readouterr().out.split())
+    (row,) = result(tmp_path / "v")["agreement"]
+    assert np.abs(np.array(row["values"]) - [MASS, 55.0]).max() < 4 * max(row["ses"])
+    run("ident", "vehicle", logs / "run0.mcap", logs / "run1.mcap", *words[:-1], "M", "--out", tmp_path / "x", status=1)
+    assert "--test-homogeneity M: no free parameter" in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()
+
+
+def test_the_built_in_surge_model(logs: Path, tmp_path: Path) -> None:
+    """On thrust from commands and speed over ground, and on a measured force and the boat's own speed."""
+    run("ident", "vehicle", logs / "run0.mcap", logs / "run1.mcap", "--model", "surge:force:speed",
+        "--thruster", logs / "curve.toml", "--out", tmp_path / "a")  # fmt: skip
+    direct = log(tmp_path, "direct", only(surge_run(3, 240.0), "X", "u"))
+    run("ident", "vehicle", direct, "--model", "surge:force:speed", "--out", tmp_path / "b")
+    for folder in ("a", "b"):
+        value, se = estimate(result(tmp_path / folder), "m_u")
+        assert abs(value - MASS) < 4 * se
+        assert [s.name for s in load_model(tmp_path / folder / "model.toml").model.sensors] == ["speed"]
+
+
+def test_the_built_in_yaw_model(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    N = np.repeat(rng.uniform(-4.0, 4.0, 40), 50)
+    r = np.zeros(N.size)
+    for k in range(N.size - 1):
+        v = r[k]
+        for _ in range(10):
+            v += 0.01 * (N[k] - 4.0 * v - 6.0 * abs(v) * v) / 9.7 + 0.02 * 0.1 * rng.normal()
+        r[k + 1] = v
+    path = log(tmp_path, "turns", {"N": N, "r": r + 0.005 * rng.normal(size=N.size)})
+    run("ident", "vehicle", path, "--model", "yaw", "--out", tmp_path / "v")
+    found = result(tmp_path / "v")
+    for name, truth in (("m_r", 9.7), ("d_r", 4.0), ("d_rr", 6.0)):
+        value, se = estimate(found, name)
+        assert abs(value - truth) < 4 * se, name
+    assert "yaw rate" in found["answer"]
+
+
+def test_a_curve_makes_thrust_for_the_horizontal_model(logs: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    columns = surge_run(0, 60.0)
+    columns = only(columns, "n_left", "n_right", "u") | {"r": 0.01 * rng.normal(size=600)}
+    path = log(tmp_path, "straight", columns)
+    run("ident", "vehicle", path, "--thruster", logs / "curve.toml", "--out", tmp_path / "v", "--fix", "V_x=0",
+        "--fix", "V_y=0")  # fmt: skip
+    found = result(tmp_path / "v")
+    assert {i["name"] for i in found["inputs"]} == {"f_left", "f_right"}
+    f = np.array(next(i["value"] for i in found["inputs"] if i["name"] == "f_left"))
+    assert f.max() == pytest.approx(15.0)
+
+
+def test_what_is_wrong_is_one_line(logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run("ident", "vehicle", logs / "run0.mcap", "--model", "surge:force:speed", "--out", tmp_path / "x", status=1)
+    assert "no signal for the input 'X'" in capsys.readouterr().err
+    direct = log(tmp_path, "direct", only(surge_run(3), "X", "u"))
+    run("ident", "vehicle", direct, "--model", "surge:force:speed", "--thruster", logs / "curve.toml",
+        "--out", tmp_path / "x", status=1)  # fmt: skip
+    assert "direct.mcap: no command for the thrust curve" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("source", "problem"), [("surge:steam", "there is force, shaft"),
+                                                 ("surge:force:speed:more", "it takes no more"),
+                                                 ("thruster:x", "there is slow")])  # fmt: skip
+def test_options_of_models(source: str, problem: str) -> None:
+    with pytest.raises(SeatrialError, match=problem):
+        make_model(source)
+
+
+def test_only_a_hull_gets_unexplained_forces() -> None:
+    for source in ("surge:shaft:both", "yaw:both"):
+        model = make_model(source)
+        assert nominal(model) is model
+        assert make_model(model.source).values == model.values
+    assert "disturbance" in {e.name for e in nominal(horizontal_model()).effects}
+    assert "b_n" in {s.name for s in nominal(make_model("thruster")).states}  # on the bench, of the shaft
+
+
+def test_speed_along_the_track_has_a_sign() -> None:
+    t = np.arange(0.0, 60.0, 0.25)
+    u = np.where(t < 15, -0.05, np.minimum(t - 15, 10) / 10)
+    course = 2.0 + 0.003 * t  # turning slowly
+    along = along_track(t, u * np.cos(course), u * np.sin(course))
+    np.testing.assert_allclose(along, u, atol=0.005)
+    assert along_track(t, 0 * t, 0 * t).tolist() == [0.0] * t.size

@@ -1,0 +1,112 @@
+"""--robust, --reml, --second-order and --profile: through the commands to model.toml, result and report."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from daq.errors import SeatrialError
+from ident.cli.commands import ident
+from ident.estimation.model_file import load_model
+from ident.model.outlier_density import robust_sensors
+from ident.workflows.diagnose import diagnosis
+from tests.missions import boat_log, boat_with
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    folder, boat = tmp_path_factory.mktemp("logs"), boat_with(None, 5)
+    return boat_log(folder / "one.mcap", boat, 120, 1), boat_log(folder / "two.mcap", boat, 80, 2, 2)
+
+
+@pytest.fixture(scope="module")
+def out(logs: tuple[Path, Path]) -> Path:
+    folder = logs[0].parent / "vehicle"
+    words = ["vehicle", str(logs[0]), "--robust", "--profile", "m_u", "--profile", "V_x", "--out", str(folder)]
+    CliRunner().invoke(ident, words, catch_exceptions=False)
+    return folder
+
+
+def test_the_vehicle_command_profiles_and_counts(out: Path) -> None:
+    result = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    assert [p["name"] for p in result["profiles"]] == ["m_u", "V_x@0"]
+    for row in result["profiles"]:
+        (one,) = [p for p in result["fit"]["parameters"] if p["name"] == row["name"].partition("@")[0]]
+        assert row["low"] < one["value"] < row["high"]
+        assert abs(row["value"] - one["value"]) < 0.1 * one["se"]  # the maximum's, without the restricted noise
+        assert not any("better fit" in note for note in row["notes"])
+        assert row["low"] == pytest.approx(row["wald_low"], abs=one["se"])
+        assert len(row["grid"]) == len(row["drop"]) >= 7
+    said = [line for line in result["notes"] if "taken for outliers" in line]
+    assert {line.partition(":")[0] for line in said} == {"psi", "r", "ax", "ay", "x", "y", "vx", "vy"}
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert '<section id="profiles"' in page
+    assert "samples were taken for outliers" in page
+
+
+def test_a_robust_model_stays_robust(out: Path, logs: tuple[Path, Path]) -> None:
+    table = tomllib.loads((out / "model.toml").read_text(encoding="utf-8"))
+    assert table["robust"] == table["sensors"]
+    saved = load_model(out / "model.toml")
+    assert robust_sensors(saved.model) == tuple(table["sensors"])
+    again = diagnosis(out / "model.toml", logs[:1], logs[1:], out / "diagnosis", rate=10.0, max_effects=1,
+                           effects_file=None, command="test", say=lambda line: None)
+    assert any("taken for outliers" in line for line in again["notes"])
+    assert tomllib.loads((out / "diagnosis/model.toml").read_text(encoding="utf-8"))["robust"] == table["robust"]
+
+
+def test_a_wrong_name_of_a_sensor_in_the_file_is_said(out: Path, tmp_path: Path) -> None:
+    text = (out / "model.toml").read_text(encoding="utf-8")
+    (tmp_path / "model.toml").write_text(text.replace('robust = ["', 'robust = ["sonar", "'), encoding="utf-8")
+    with pytest.raises(SeatrialError, match="has no sensor 'sonar'"):
+        load_model(tmp_path / "model.toml")
+
+
+@pytest.mark.parametrize(("name", "says"), [("mass", "--profile mass: model horizontal has"),
+                                            ("c1", "--profile c1: it is given, not estimated")])
+def test_a_profile_that_cannot_be_is_said_before_the_fit(name: str, says: str, logs: tuple[Path, Path]) -> None:
+    done = CliRunner().invoke(ident, ["vehicle", str(logs[0]), "--fix", "c1=40", "--profile", name])
+    assert isinstance(done.exception, SeatrialError)
+    assert says in str(done.exception)
+    assert "fitting" not in done.output
+
+
+def test_restricted_noise_leaves_the_dynamics_and_makes_their_errors_larger(logs: tuple[Path, Path]) -> None:
+    """A dozen parameters of the dynamics took a part of what disturbs the boat with them."""
+    fits = []
+    for name, words in (("plain", ["--no-reml"]), ("reml", [])):
+        folder = logs[0].parent / name
+        CliRunner().invoke(ident, ["vehicle", str(logs[0]), *words, "--out", str(folder)], catch_exceptions=False)
+        fitted = json.loads((folder / "result.json").read_text(encoding="utf-8"))["fit"]
+        restricted = name == "reml"
+        assert fitted["restricted"] is load_model(folder / "model.toml").restricted is restricted
+        fits.append(fitted["parameters"])
+    plain, reml = ({p["name"]: (p["value"], p["se"]) for p in parameters} for parameters in fits)
+    for name in ("m_u", "m_v", "m_r", "d_v", "d_r"):
+        (value, error), (other, larger) = plain[name], reml[name]
+        assert other == pytest.approx(value, abs=0.5 * error)
+        assert 1.005 < larger / error < 1.1
+
+
+def test_a_mean_of_second_order_stays_with_the_model_and_a_diagnosis_goes_without(logs: tuple[Path, Path]) -> None:
+    folder = logs[0].parent / "bent"
+    CliRunner().invoke(ident, ["vehicle", str(logs[0]), "--out", str(folder)], catch_exceptions=False)
+    assert load_model(folder / "model.toml").model.second_order
+    assert json.loads((folder / "result.json").read_text(encoding="utf-8"))["fit"]["second_order"]
+    diagnosis(folder / "model.toml", logs[:1], logs[1:], folder / "diagnosis", rate=10.0, max_effects=1,
+                   effects_file=None, command="test", say=lambda line: None)
+    assert not load_model(folder / "diagnosis/model.toml").model.second_order
+
+
+def test_a_mean_of_second_order_is_left_out_of_a_model_of_ones_own(logs: tuple[Path, Path], tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(
+        "from dataclasses import replace\nfrom ident.models.horizontal import horizontal\n\n\n"
+        "def bent():\n    return replace(horizontal(), second_order=True)\n", encoding="utf-8")
+    words = ["vehicle", str(logs[0]), "--model", f"{tmp_path / 'own.py'}:bent", "--out", str(tmp_path / "out")]
+    for more, there in ([], True), (["--no-second-order"], False):
+        CliRunner().invoke(ident, [*words, *more], catch_exceptions=False)
+        assert ("second_order = true" in (tmp_path / "out/model.toml").read_text(encoding="utf-8")) is there

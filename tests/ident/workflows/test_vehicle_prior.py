@@ -1,0 +1,50 @@
+"""`ident vehicle --prior`: a tight one holds a parameter, a loose one leaves it to the data, a wrong one is said."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from daq.errors import SeatrialError
+from ident.cli.commands import ident
+from ident.estimation.model_file import load_model
+from tests.missions import boat_log, boat_with
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return boat_log(tmp_path_factory.mktemp("logs") / "one.mcap", boat_with(None, 5), 60, 1)
+
+
+def test_a_prior_weighs_as_much_as_it_says(log: Path) -> None:
+    found = {}
+    for said in ("m_u=60:0.1", "m_u=60:40"):
+        out = log.parent / said.partition(":")[2]
+        words = ["vehicle", str(log), "--prior", said, "--out", str(out)]
+        CliRunner().invoke(ident, words, catch_exceptions=False)
+        fitted = json.loads((out / "result.json").read_text(encoding="utf-8"))["fit"]["parameters"]
+        found[said] = next(p["value"] for p in fitted if p["name"] == "m_u")
+        mean, _, sd = said.removeprefix("m_u=").partition(":")
+        assert load_model(out / "model.toml").model.parameter("m_u").prior == (float(mean), float(sd))
+    assert found["m_u=60:0.1"] == pytest.approx(60.0, abs=1.0)
+    assert found["m_u=60:40"] < 50.0  # the boat has 37 kg
+
+
+@pytest.mark.parametrize(
+    ("said", "says"),
+    [("mass=1:2", "--prior mass: model horizontal has"), ("m_u=-1:2", "--prior m_u=-1:2: parameter m_u")],
+)
+def test_a_prior_that_cannot_be_is_said(log: Path, said: str, says: str) -> None:
+    done = CliRunner().invoke(ident, ["vehicle", str(log), "--prior", said])
+    assert isinstance(done.exception, SeatrialError)
+    assert says in str(done.exception)
+
+
+@pytest.mark.parametrize("said", ["m_u=1", "m_u=1:0", "m_u=a:b", "m_u=1:2:3"])
+def test_a_prior_that_is_none_is_wrong_usage(log: Path, said: str) -> None:
+    done = CliRunner().invoke(ident, ["vehicle", str(log), "--prior", said])
+    assert done.exit_code == 2
+    assert said in done.output

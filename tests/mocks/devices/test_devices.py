@@ -1,0 +1,251 @@
+"""What the devices send is what the decoders read; what the ESCs are told is what they do; and the faults."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.config.rig_file import load_rig, parse_rig
+from daq.errors import SeatrialError
+from daq.protocol import loadcell, nmea, slcan, vectornav, vesc
+from daq.rig import Rig
+from daq.samples import Ahrs, Esc, Frame, Gnss, LoadCell
+from mocks.cli import _gear
+from mocks.devices.emulators import VescBus, by_side, make_emulator
+from mocks.devices.faults import Faults, parse_fault
+from mocks.devices.slcan_adapter import CanFrame
+from mocks.plant.bench import draw_bench
+from mocks.plant.boat import draw_boat
+from mocks.world import EscController, EscSpec, World, bench_world, boat_world
+
+
+def packaged(name: str, **changes: str) -> Rig:
+    text = (files("mocks") / "rigs" / f"{name}.toml").read_text(encoding="utf-8")
+    for old, new in changes.items():
+        text = text.replace(old, new)
+    return parse_rig(text, Path("/nowhere/rig.toml"))
+
+
+def spoken(rig: Rig, world: World, seconds: float) -> dict[str, bytes]:
+    """All that the devices send in so many seconds, the CAN channel open from the start."""
+    speakers = {}
+    for device in rig.devices:
+        nodes = {c.spec.node: c for c in world.controllers if c.spec.device == device.name}
+        speakers[device.name] = make_emulator(rig, device, nodes)
+        speakers[device.name].receive(b"S6\rO\r", 0.0)
+    said = dict.fromkeys(speakers, b"")
+    while world.t < seconds:
+        for device_name, sample, t in world.readings():
+            said[device_name] += speakers[device_name].encode(sample, t)
+        world.advance()
+    return said
+
+
+def esc_frames(data: bytes) -> list[Frame]:
+    decoder = vesc.Decoder({1: 7, 2: 7})
+    raw = b"".join(f if isinstance(f, bytes) else f.sample for f in slcan.Decoder().feed(data, 0.0))
+    return decoder.feed(raw, 0.0)
+
+
+def test_the_packaged_rigs_are_valid(tmp_path: Path) -> None:
+    for name in ("boat", "bench"):
+        text = (files("mocks") / "rigs" / f"{name}.toml").read_text(encoding="utf-8")
+        (tmp_path / "rig.toml").write_text(text)
+        assert load_rig(tmp_path / "rig.toml").speed == 20.0
+
+
+def test_the_boats_bytes_are_what_the_decoders_read() -> None:
+    rig = packaged("boat")
+    world = boat_world(draw_boat(1), 0, _gear(rig, by_side(rig)), utc=1.7e9)
+    world.controllers[0].command(0.0, 0.6)
+    said = spoken(rig, world, 4.0)
+
+    ahrs = vectornav.Decoder()
+    frames = ahrs.feed(said["ahrs"], 0.0)
+    assert (len(frames), ahrs.checksum_errors, ahrs.unparsed_bytes) == (200, 0, 0)
+    assert all(isinstance(f.sample, Ahrs) and math.isfinite(f.sample.mx) for f in frames)
+    assert np.allclose([f.t_device for f in frames], 0.02 * np.arange(200))
+
+    gnss = nmea.Decoder()
+    fixes = [f.sample for f in gnss.feed(said["gnss"], 0.0) + gnss.flush()]
+    assert (gnss.checksum_errors, gnss.unparsed_bytes) == (0, 0)
+    assert [f.utc for f in fixes if isinstance(f, Gnss)] == pytest.approx(1.7e9 + 0.2 * np.arange(20), abs=1e-3)
+    assert all(isinstance(f, Gnss) and f.fix == 6 and abs(f.lat - 38.7658) < 1e-3 for f in fixes)
+
+    escs = [f.sample for f in esc_frames(said["esc"])]
+    assert [e.node for e in escs[:4] if isinstance(e, Esc)] == [1, 2, 1, 2]
+    assert len(escs) == 200
+    last = [e for e in escs if isinstance(e, Esc) and e.node == 1][-1]
+    assert last.rpm == pytest.approx(2700.0, abs=30.0)
+    assert (last.duty, last.voltage) == pytest.approx((0.6, 16.2), abs=0.3)
+    assert last.temperature == pytest.approx(24.0, abs=2.0)
+
+
+def test_the_benchs_bytes_are_what_the_decoders_read() -> None:
+    rig = packaged("bench")
+    bench = draw_bench(1)
+    world = bench_world(bench, 0, _gear(rig, rig.thrusters))
+    world.controllers[0].command(0.0, 0.8)
+    said = spoken(rig, world, 4.0)
+    cell = rig.device("loadcell")
+    assert cell.calibration is not None
+    decoder = loadcell.Decoder(cell.pattern, cell.saturation, cell.calibration.force)
+    readings = [f.sample for f in decoder.feed(said["loadcell"], 0.0)]
+    assert (len(readings), decoder.unparsed_bytes) == (320, 0)
+    force = np.mean([r.force for r in readings[200:] if isinstance(r, LoadCell)])
+    assert force == pytest.approx(0.64 * (bench.thruster.c1 + bench.thruster.c2), abs=1.5)
+    assert len(esc_frames(said["esc"])) == 200
+
+
+def test_vnymr_on_request() -> None:
+    rig = packaged("boat")
+    world = boat_world(draw_boat(1), 0, _gear(rig, by_side(rig)))
+    sample = world.readings()[0].sample
+    line = make_emulator(rig, rig.device("ahrs"), {}, ascii_=True).encode(sample, 0.0)
+    assert line.startswith(b"$VNYMR,")
+    (frame,) = vectornav.Decoder().feed(line, 0.0)
+    assert isinstance(sample, Ahrs)
+    assert isinstance(frame.sample, Ahrs)
+    assert frame.sample.yaw == pytest.approx(sample.yaw, abs=2e-5)
+
+
+def duty(node: int, n: float) -> bytes:
+    arbitration_id, data = vesc.encode_duty(node, n)
+    return f"T{arbitration_id:08X}{len(data)}{data.hex().upper()}\r".encode()
+
+
+class FakePlant:
+    """Notes what the shafts are told."""
+
+    step_s, steps, energy = 0.005, 0, 0.0
+    shafts = ()
+
+    def __init__(self) -> None:
+        self.told: list[tuple[int, float, float]] = []
+
+    def command(self, thruster: int, t: float, n_cmd: float) -> None:
+        self.told.append((thruster, t, n_cmd))
+
+    def thrust(self, thruster: int) -> float:
+        return 0.0
+
+    def advance(self) -> None:
+        self.steps += 1
+
+
+def controllers(plant: FakePlant, reversed_: Sequence[bool] = (False, False)) -> dict[int, EscController]:
+    return {
+        node: EscController(EscSpec("esc", node, 25.0, reversed=back, timeout_s=1.0), plant, node - 1)
+        for node, back in zip((1, 2), reversed_, strict=True)
+    }
+
+
+def test_commands_reach_their_node_and_time_out_on_their_own() -> None:
+    plant = FakePlant()
+    escs = controllers(plant)
+    changes: list[tuple[float, int, float, str]] = []
+    for esc in escs.values():
+        esc.on_change = lambda *change: changes.append(change)
+    bus = VescBus(escs, {1: 7, 2: 7})
+    assert bus.receive(b"O\r" + duty(1, 0.5), 10.0) == b"\rZ\r"
+    bus.receive(duty(2, -0.3), 10.2)
+    bus.receive(duty(1, 0.5), 10.9)  # the same again: no change, but no time-out either
+    bus.receive(duty(7, 0.5), 10.9)  # nobody
+    for esc in escs.values():
+        esc.check(11.5)
+    assert changes == [
+        (10.0, 1, pytest.approx(0.5), "command"),
+        (10.2, 2, pytest.approx(-0.3), "command"),
+        (pytest.approx(11.2), 2, 0.0, "timeout"),
+    ]
+    for esc in escs.values():
+        esc.check(12.5)
+    assert changes[-1] == (pytest.approx(11.9), 1, 0.0, "timeout")
+    assert plant.told[-1] == (0, pytest.approx(11.9), 0.0)
+    bus.receive(duty(1, 0.2), 13.0)
+    assert escs[1].n == pytest.approx(0.2)
+
+
+def test_a_reversed_thruster_turns_ahead_for_a_negative_duty() -> None:
+    plant = FakePlant()
+    escs = controllers(plant, (True, False))
+    bus = VescBus(escs, {1: 7, 2: 7})
+    bus.receive(b"O\r" + duty(1, -0.5), 0.0)
+    assert plant.told == [(0, 0.0, pytest.approx(0.5))]
+    assert escs[1].duty == pytest.approx(-0.5)
+
+
+def test_a_closed_channel_moves_nothing() -> None:
+    plant = FakePlant()
+    bus = VescBus(controllers(plant), {1: 7, 2: 7})
+    assert bus.receive(duty(1, 0.5), 0.0) == b"\a"
+    assert bus.receive(CanFrame(0, b"").data, 0.0) == b""
+    assert plant.told == []
+
+
+def test_rigs_that_no_mock_can_serve() -> None:
+    one_sided = packaged("boat", **{"[-0.25, 0.15, 0.0]": "[-0.25, -0.16, 0.0]"})
+    with pytest.raises(SeatrialError, match="two thrusters"):
+        by_side(one_sided)
+    native = packaged("boat", **{"slcan:ports/can": "socketcan:can0"})
+    with pytest.raises(SeatrialError, match="slcan:PORT"):
+        make_emulator(native, native.device("esc"), {})
+    odd = packaged("bench", **{r"'^(?P<counts>-?\d+)$'": r"'^W(?P<counts>\d+)$'"})
+    with pytest.raises(SeatrialError, match="pattern"):
+        make_emulator(odd, odd.device("loadcell"), {})
+
+
+RNG = np.random.default_rng(0)
+AHRS = [Ahrs(0.01 * k, 0.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, -9.81) for k in range(100)]
+
+
+def through(fault: str, device: str = "ahrs", trigger: float | None = None) -> list[float | None]:
+    """Yaw of one sample a second through the fault, None where nothing came."""
+    faults = Faults([parse_fault(fault, ("ahrs", "gnss"), ("left",))], RNG)
+    out: list[float | None] = []
+    for k in range(20):
+        if k == trigger:
+            faults.trigger(float(k))
+        sample = faults.reading(device, AHRS[k], float(k))
+        out.append(sample.r if isinstance(sample, Ahrs) and fault.startswith("spike") else None)
+        if isinstance(sample, Ahrs) and not fault.startswith("spike"):
+            out[-1] = round(100.0 * sample.yaw)
+    return out
+
+
+def test_faults_do_what_they_say_when_they_say() -> None:
+    whole = [float(k) for k in range(20)]
+    assert through("silence/ahrs@5:3") == [*whole[:5], None, None, None, *whole[8:]]
+    assert through("silence/gnss@5:3") == whole
+    assert through("stuck@5:3") == [*whole[:5], 4.0, 4.0, 4.0, *whole[8:]]
+    assert [k for k, r in enumerate(through("spike@5")) if r != 0.1] == [5]
+    assert [k for k, r in enumerate(through("spike@5:2")) if r != 0.1] == [5, 6, 7]
+    assert through("silence@usr1:2", trigger=7.0) == [*whole[:7], None, None, *whole[9:]]
+
+
+def test_garbage_is_as_long_as_what_it_replaces() -> None:
+    faults = Faults([parse_fault("garbage@1:1")], np.random.default_rng(1))
+    whole = b"\xfa" * 40
+    assert faults.bytes("ahrs", whole, 0.5) == whole
+    assert faults.bytes("ahrs", whole, 1.5) != whole
+    assert len(faults.bytes("ahrs", whole, 1.5)) == 40
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("fire@3", "no fault 'fire'; there is: pull"),
+        ("pull", "must read"),
+        ("pull/sonar@3", "no device 'sonar'; there is: ahrs, gnss"),
+        ("esc-dead/ahrs@3", "no thruster 'ahrs'; there is: left"),
+        ("pull@-3", "must read"),
+    ],
+)
+def test_a_fault_that_makes_no_sense_is_named(text: str, match: str) -> None:
+    with pytest.raises(SeatrialError, match=match):
+        parse_fault(text, ("ahrs", "gnss"), ("left",))

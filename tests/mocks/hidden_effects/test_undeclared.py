@@ -1,0 +1,257 @@
+"""Each undeclared effect does what its sentence says, at a size that matters, and nothing else."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mocks.hidden_effects.catalogue import DEMO, EFFECTS, OUTSIDE, draw_name, make_effect
+from mocks.plant.boat import STEP, Boat, BoatPlant
+from mocks.plant.effect import Effect
+from mocks.plant.hull import Hull, State
+from mocks.plant.thruster import ThrusterTruth
+from mocks.plant.weather import Sea
+from mocks.sensors import AhrsSensor
+from tests.mocks.sailing import REST, run
+
+SIGNED = {
+    "mismatch": "eps",
+    "sway-yaw": "y_r",
+    "cg-offset": "x_g",
+    "compass": "b_sin",
+    "lever-arm": "l_x",
+    "yaw-bias": "n_0",
+    "mount": "psi_0",
+    "gyro-scale": "k",
+    "current-drift": "change_n",
+}
+ON_SENSORS = {
+    *("compass", "lever-arm", "gnss-latency", "mount", "gyro-scale", "accelerometer-tilt", "accelerometer-scale")
+}
+
+
+def surge(name: str, n: float, seconds: float = 40.0) -> float:
+    effects = (make_effect(name, 1),) if name else ()
+    return run(effects, (n, n), seconds).state[3]
+
+
+@pytest.mark.parametrize("name", sorted({*EFFECTS, *OUTSIDE} - ON_SENSORS))
+def test_every_effect_bends_the_track(name: str) -> None:
+    """By more than the GNSS noise, which is what an analysis has to see it through."""
+    track: dict[bool, list[State]] = {False: [], True: []}
+    for told in (False, True):
+        plant = BoatPlant(
+            Boat(Hull(), ThrusterTruth(), (0.0, 0.0), (make_effect(name, 2),) if told else (), 0),
+            state=REST,
+            disturbed=False,
+        )
+        for k in range(round(60.0 / STEP)):
+            if k % 2000 == 0:
+                n = ((0.5, 0.6), (-0.6, -0.5), (0.9, 0.5), (0.5, 0.9), (0.7, 0.7), (0.0, 0.4))[k // 2000]
+                plant.command(0, plant.t, n[0])
+                plant.command(1, plant.t, n[1])
+            plant.advance()
+            track[told].append(plant.state)
+    apart = np.array(track[True])[:, :2] - np.array(track[False])[:, :2]
+    assert np.abs(apart).max() > 0.3
+
+
+def test_scale_zero_is_no_effect() -> None:
+    plain = run((), (0.7, 0.4), 8.0).motion()
+    for name in (*EFFECTS, *OUTSIDE):
+        assert run((make_effect(name, 2, scale=0.0),), (0.7, 0.4), 8.0).motion() == pytest.approx(plain, abs=1e-9), name
+
+
+@pytest.mark.parametrize(("name", "key"), SIGNED.items())
+def test_signs_are_drawn(name: str, key: str) -> None:
+    values = [make_effect(name, seed).parameters[key] for seed in range(20)]
+    assert min(values) < 0.0 < max(values)
+    assert np.ptp(np.abs(values)) > 0.0
+
+
+def test_advance_ratio_and_cubic_drag_cost_speed_ahead() -> None:
+    assert surge("advance-ratio", 0.7) < 0.93 * surge("", 0.7)
+    fast, slow = surge("cubic-drag", 1.0) / surge("", 1.0), surge("cubic-drag", 0.3) / surge("", 0.3)
+    assert fast < slow < 1.0
+    assert fast < 0.85
+
+
+def test_reverse_thrust_is_lost_astern_only() -> None:
+    assert surge("reverse-thrust", 0.6) == surge("", 0.6)
+    assert surge("reverse-thrust", -0.6) / surge("", -0.6) == pytest.approx(math.sqrt(0.7), abs=0.06)
+
+
+def test_battery_sag_comes_with_use() -> None:
+    assert surge("battery-sag", 0.8, 5.0) > 0.98 * surge("", 0.8, 5.0)
+    assert surge("battery-sag", 0.8, 200.0) < 0.96 * surge("", 0.8, 200.0)
+
+
+def test_interaction_takes_two() -> None:
+    def forces(n_l: float, n_r: float) -> tuple[float, float]:
+        hook = make_effect("thruster-interaction", 1).thrust
+        assert hook is not None
+        return hook(n_l, n_r, 0.0, 0.0, 10.0, 10.0, 0.0)
+
+    assert forces(0.8, 0.0)[0] == 10.0
+    assert forces(0.8, 0.8)[0] < 9.0
+
+
+def test_turning_costs_speed_only_in_turns() -> None:
+    effect = (make_effect("turning-resistance", 1),)
+    assert run(effect, (0.6, 0.6)).state[3] == run((), (0.6, 0.6)).state[3]
+    assert run(effect, (0.9, 0.3)).state[3] < 0.95 * run((), (0.9, 0.3)).state[3]
+
+
+@pytest.mark.parametrize("name", ["mismatch", "yaw-bias"])
+def test_what_turns_the_boat_turns_it_to_its_side(name: str) -> None:
+    for seed in range(4):
+        effect = make_effect(name, seed)
+        side = effect.parameters["eps" if name == "mismatch" else "n_0"]
+        r = run((effect,), (0.6, 0.6)).state[5]
+        assert r * side > 0.0
+        assert abs(r) > 0.03
+
+
+def test_wind_pushes_a_boat_at_rest_where_it_blows() -> None:
+    effect = make_effect("wind", 3)
+    motion = run((effect,), (0.0, 0.0), 120.0).motion()
+    toward = (effect.parameters["wind_n"], effect.parameters["wind_e"])
+    downwind = (motion.x * toward[0] + motion.y * toward[1]) / math.hypot(*toward)
+    assert downwind > 10.0
+
+
+def test_compass_deviates_the_reading_and_not_the_boat() -> None:
+    effect = make_effect("compass", 4)
+    plant = run((effect,), (0.7, 0.4))
+    assert plant.motion() == run((), (0.7, 0.4)).motion()
+    told, plain = AhrsSensor(1, 0, 50.0, (effect,)), AhrsSensor(1, 0, 50.0)
+    headings = np.linspace(-math.pi, math.pi, 37)
+    motion = plant.motion()
+    errors = [
+        told.read(motion._replace(psi=psi)).yaw - plain.read(motion._replace(psi=psi)).yaw for psi in headings.tolist()
+    ]
+    errors = [(e + math.pi) % (2 * math.pi) - math.pi for e in errors]
+    expected = effect.parameters["b_sin"] * np.sin(headings) + effect.parameters["c_cos"] * np.cos(headings)
+    assert np.allclose(errors, expected, atol=0.01)
+    assert np.max(np.abs(errors)) > 0.03
+
+
+def test_the_antenna_stands_at_its_lever_arm() -> None:
+    effect = make_effect("lever-arm", 5)
+    m = run((effect,), (0.8, 0.3)).motion()
+    c, s = math.cos(m.psi), math.sin(m.psi)
+    l_x, l_y = effect.parameters["l_x"], effect.parameters["l_y"]
+    assert (m.fix_x - m.x, m.fix_y - m.y) == pytest.approx((c * l_x - s * l_y, s * l_x + c * l_y))
+    assert (m.fix_vel_n - m.vel_n, m.fix_vel_e - m.vel_e) == pytest.approx(
+        (m.r * (-s * l_x - c * l_y), m.r * (c * l_x - s * l_y))
+    )
+
+
+def test_a_late_fix_is_where_the_boat_was() -> None:
+    effect = make_effect("gnss-latency", 6)
+    m = run((effect,), (0.6, 0.6), 60.0).motion()
+    assert m.x - m.fix_x == pytest.approx(effect.parameters["latency"] * m.vel_n, rel=0.02)
+
+
+def test_the_pendulum_swings_at_its_frequency_and_keeps_momentum() -> None:
+    effect = make_effect("pendulum", 7)
+    assert effect.pendulum is not None
+    mass, length, _ = effect.pendulum
+    still = (Effect("pendulum", "", pendulum=(mass, length, 0.0)),)
+    hull = Hull(d_u=0.0, d_uu=0.0)
+    plant = BoatPlant(Boat(hull, ThrusterTruth(), (0.0, 0.0), still, 0), state=(*REST[:6], 0.05, 0.0), disturbed=False)
+    momentum, angle = [], []
+    for _ in range(4000):
+        plant.advance()
+        u, rate = plant.state[3], plant.state[7]
+        momentum.append(hull.lumped()["m_u"] * u + mass * (u + length * rate))
+        angle.append(plant.state[6])
+    assert np.abs(momentum).max() < 0.002 * mass * length * 0.05 * 2 * math.pi
+    ups = np.flatnonzero(np.diff(np.sign(angle)) > 0)
+    measured = 1.0 / (STEP * float(np.diff(ups).mean()))
+    free = effect.parameters["frequency_hz"] * math.sqrt(1.0 + mass / hull.lumped()["m_u"])  # the boat recoils
+    assert measured == pytest.approx(free, rel=0.01)
+
+
+def test_a_dead_band_takes_slow_thrust_and_little_else() -> None:
+    hook = make_effect("dead-band", 1).thrust
+    assert hook is not None
+    slow, fast = (hook(n, -n, 0.0, 0.0, 1.0, -1.0, 0.0) for n in (0.05, 0.9))
+    assert slow[0] == -slow[1]
+    assert 0.0 < slow[0] < 0.2
+    assert 0.8 < fast[0] < 1.0
+    assert hook(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("name", ["delay", "lag"])
+def test_thrust_comes_late(name: str) -> None:
+    """Half way up the ramp of a start, the speed is what it was without the effect some time before."""
+    effect = make_effect(name, 3)
+    speed: dict[bool, list[float]] = {False: [], True: []}
+    for told in (False, True):
+        run((effect,) if told else (), (0.7, 0.7), 5.0, each=lambda p, to=told: speed[to].append(p.state[3]))
+    t = STEP * np.arange(1, len(speed[True]) + 1)
+    late = np.interp(0.3, speed[True], t) - np.interp(0.3, speed[False], t)
+    assert late == pytest.approx(effect.parameters[name], rel=0.25)
+
+
+def test_the_tide_turns_smoothly() -> None:
+    effect = make_effect("current-drift", 1)
+    assert effect.current is not None
+    early, late = effect.current(0.0), effect.current(400.0)
+    assert early == pytest.approx((-late[0], -late[1]), rel=1e-9)
+    assert math.hypot(late[0] - early[0], late[1] - early[1]) == pytest.approx(0.18, abs=0.04)
+    m = run((effect,), (0.0, 0.0), 400.0).motion()
+    assert math.hypot(m.vel_n - late[0], m.vel_e - late[1]) < 0.3 * math.hypot(*late)  # the boat is taken along
+
+
+def test_a_line_holds_back_more_the_farther_it_reaches() -> None:
+    effect = make_effect("tether", 1)
+    assert effect.tether is not None
+    near, far = (effect.tether(x, 0.0, 1.0, 0.0) for x in (5.0, 80.0))
+    assert far[0] < 10.0 * near[0] < 0.0
+    assert run((effect,), (0.7, 0.7), 120.0).state[3] < 0.9 * run((), (0.7, 0.7), 120.0).state[3]
+
+
+def test_waves_have_their_peak_and_their_size() -> None:
+    wave = make_effect("waves", 1).wave
+    assert wave is not None
+    sea = Sea(wave, np.random.default_rng(1))
+    t = np.arange(0.0, 1200.0, 0.1)
+    surge = np.array([sea.forces(float(at), wave.toward)[0] for at in t])
+    sway = np.array([sea.forces(float(at), wave.toward + math.pi / 2)[1] for at in t])
+    assert surge.std() == pytest.approx(wave.surge, rel=0.1)
+    assert sway.std() == pytest.approx(wave.sway, rel=0.1)
+    power = np.abs(np.fft.rfft(surge)) ** 2
+    assert np.fft.rfftfreq(t.size, 0.1)[power.argmax()] == pytest.approx(wave.frequency, rel=0.15)
+
+
+def test_a_turned_ahrs_turns_heading_and_accelerations() -> None:
+    effect = make_effect("mount", 2)
+    turn = effect.parameters["psi_0"]
+    m = run((effect,), (0.8, 0.4), 3.0).motion()._replace(psi=0.3, ax=1.0, ay=0.0)
+    told, plain = AhrsSensor(1, 0, 50.0, (effect,)).read(m), AhrsSensor(1, 0, 50.0).read(m)
+    assert told.yaw - plain.yaw == pytest.approx(turn)
+    assert (told.ax - plain.ax, told.ay - plain.ay) == pytest.approx((math.cos(turn) - 1.0, -math.sin(turn)))
+
+
+def test_the_inertial_sensors_err_as_they_say() -> None:
+    plain, m = AhrsSensor(1, 0, 50.0), run((), (0.9, 0.3), 20.0).motion()
+    true = plain.read(m)
+    for name, field, moved in (("gyro-scale", "r", m.r), ("accelerometer-scale", "ay", m.ay)):
+        effect = make_effect(name, 4)
+        error = getattr(AhrsSensor(1, 0, 50.0, (effect,)).read(m), field) - getattr(true, field)
+        assert error == pytest.approx(effect.parameters["k"] * moved, rel=0.2), name
+    tilt = make_effect("accelerometer-tilt", 4)
+    leaked = AhrsSensor(1, 0, 50.0, (tilt,)).read(m)
+    assert leaked.ax - true.ax == pytest.approx(9.81 * tilt.parameters["pitch"] * m.push, rel=0.2)
+    assert leaked.ay - true.ay > 0.0
+
+
+def test_the_demo_draws_from_all_of_its_list() -> None:
+    assert len(set(DEMO)) >= 8
+    assert set(DEMO) <= set(EFFECTS)
+    assert {draw_name(seed) for seed in range(200)} == set(DEMO)
+    assert make_effect("wind", 9).parameters == make_effect("wind", 9).parameters

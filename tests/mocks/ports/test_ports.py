@@ -1,0 +1,165 @@
+"""Ports appear, vanish and return; they wait for slow readers and keep nothing stale for late ones."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import struct
+import termios
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import serial
+
+from daq.errors import SeatrialError
+from mocks.ports.pty import CHECK, PATIENCE, Port
+
+
+@pytest.fixture
+def port(tmp_path: Path) -> Iterator[Port]:
+    port = Port(tmp_path / "ports" / "ahrs")
+    yield port
+    port.close()
+
+
+def opened(port: Port, timeout: float = 5.0) -> serial.Serial:
+    return serial.Serial(str(port.path), 115200, timeout=timeout)
+
+
+def test_bytes_go_both_ways_unchanged(port: Port) -> None:
+    every = bytes(range(256))
+    with opened(port) as host:
+        port.write(every, 1.0)
+        assert host.read(256) == every
+        host.write(every)
+        host.flush()
+        said = b""
+        while len(said) < 256:
+            said += port.read()
+        assert said == every
+        assert port.read() == b""
+
+
+def test_a_pulled_port_hangs_up_and_returns(port: Port) -> None:
+    with opened(port) as host:
+        port.unplug()
+        assert not os.path.lexists(port.path)
+        with pytest.raises((serial.SerialException, OSError, termios.error)):
+            host.read(1)
+    port.write(b"lost", 0.0)
+    port.plug()
+    with opened(port) as host:
+        port.write(b"back", 1.0)
+        assert host.read(4) == b"back"
+
+
+def test_close_leaves_nothing_behind(tmp_path: Path) -> None:
+    port = Port(tmp_path / "gnss")
+    port.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_dead_mocks_link_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "can").symlink_to("/dev/pts/nowhere")
+    port = Port(tmp_path / "can")
+    with opened(port) as host:
+        port.write(b"x", 1.0)
+        assert host.read(1) == b"x"
+    port.close()
+
+
+def test_another_mock_on_the_same_port_is_refused(port: Port) -> None:
+    with pytest.raises(SeatrialError, match="another mock serves this port"):
+        Port(port.path)
+
+
+def test_a_real_file_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "ahrs").write_text("precious")
+    with pytest.raises(SeatrialError, match="is no mock's port"):
+        Port(tmp_path / "ahrs")
+    assert (tmp_path / "ahrs").read_text() == "precious"
+    assert [path.name for path in tmp_path.iterdir()] == ["ahrs"]
+
+
+def test_a_slow_reader_loses_nothing(port: Port) -> None:
+    sent = os.urandom(50_000)
+    with opened(port) as host:
+        port.write(b"hello", 1.0)
+        assert host.read(5) == b"hello"
+        for at in range(0, len(sent), 500):
+            port.write(sent[at : at + 500], wall=2.0 + 1e-3 * at / 500)
+        got = host.read(1000)
+        while len(got) < len(sent):
+            port.flush(1.0)
+            got += host.read(min(2000, len(sent) - len(got)))
+    assert got == sent
+    assert port.dropped == 0
+
+
+class Watcher:
+    """The host's end, opened by somebody who does not read: how much lies there."""
+
+    def __init__(self, port: Port) -> None:
+        self._fd = os.open(port.path, os.O_RDWR | os.O_NOCTTY)
+
+    def __enter__(self) -> Watcher:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self._fd)
+
+    @property
+    def unread(self) -> int:
+        found: int = struct.unpack("i", fcntl.ioctl(self._fd, termios.FIONREAD, b"\0\0\0\0"))[0]
+        return found
+
+    def read(self) -> bytes:
+        return os.read(self._fd, 4096)
+
+    def awaits(self, count: int) -> None:
+        """Wait until ``count`` bytes lie there: the kernel moves them in its own time."""
+        deadline = time.monotonic() + 5.0
+        while self.unread != count:
+            assert time.monotonic() < deadline
+
+
+def test_without_a_reader_only_one_write_is_kept(port: Port) -> None:
+    with Watcher(port) as late:
+        for k in range(100):
+            port.write(b"%06d\n" % k, wall=1.0 + CHECK * k)
+            late.awaits(7)
+        assert port.dropped == 99 * 7
+        assert late.read() == b"000099\n"
+        port.write(b"000100\n", wall=10.0)  # it has been read: somebody is there
+        port.write(b"000101\n", wall=10.001)
+        late.awaits(14)
+        assert late.read() == b"000100\n000101\n"
+
+
+def test_a_reader_that_leaves_is_noticed(port: Port) -> None:
+    with opened(port) as host:
+        port.write(b"seen", 1.0)
+        assert host.read(4) == b"seen"
+        port.write(b"seen", 2.0)
+        assert host.read(4) == b"seen"
+    with Watcher(port) as late:
+        for k in range(60):
+            before, dropped = late.unread, port.dropped
+            port.write(b"%06d\n" % k, wall=3.0 + CHECK * k)
+            late.awaits(before + 7 - (port.dropped - dropped))
+        assert late.read() == b"000059\n"
+    assert PATIENCE < 60 * CHECK
+
+
+def test_a_host_that_asks_gets_its_answer_at_once(port: Port) -> None:
+    with opened(port) as host:
+        port.write(b"probe", 1.0)
+        assert host.read(5) == b"probe"
+        host.write(b"V\r")
+        host.flush()
+        while not port.read():
+            pass
+        port.write(b"V1013\r", 1.001)
+        assert host.read(6) == b"V1013\r"
