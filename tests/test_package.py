@@ -76,7 +76,7 @@ def wanted() -> set[str]:
     return {
         path.relative_to(ROOT).as_posix()
         for path in files
-        if "__pycache__" not in path.parts and (path.suffix in DATA | {".py"} or path.name == "py.typed")
+        if "__pycache__" not in path.parts and (path.suffix in DATA | {".py", ".pyi"} or path.name == "py.typed")
     } | {"seatrial.py"}
 
 

@@ -34,7 +34,6 @@ from ident.cli.options import (
     second_order_option,
     validate_option,
 )
-from ident.workflows import diagnosis
 
 FORMAT = "seatrial-check 1"
 
@@ -360,6 +359,8 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
       seatrial ident diagnose vehicle/model.toml one.mcap --thruster curve/model.toml --validate two.mcap
       seatrial ident diagnose thruster/model.toml bench1.mcap --validate bench2.mcap --out diagnosis
     """
+
+    from ident.workflows import diagnosis
 
     run(lambda say: diagnosis(model, logs, validate, out, command=command_line(), say=say, **how), out)
 

@@ -14,7 +14,7 @@ from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,10 @@ from numpy.typing import NDArray
 from daq.errors import SeatrialWarning
 from ident.engine import jit
 from ident.engine.array_layout import Layout
-from ident.engine.loop_plan import Plan
 from ident.numerics import Array
+
+if TYPE_CHECKING:
+    from ident.engine.loop_plan import Plan
 
 Mask = NDArray[np.uint32]
 LINE = 8  # doubles in a cache line

@@ -104,8 +104,8 @@ def test_unknown_tables_come_back_with_their_span(tmp_path: Path, found: Fit, va
 def test_a_model_of_ones_own_comes_back(tmp_path: Path, found: Fit) -> None:
     file = tmp_path / "mine.py"
     file.write_text(
-        "from dataclasses import replace\nfrom ident.models.yaw import yaw\n"
-        f"def boat():\n    return replace(yaw(), source={f'{file}:boat'!r})\n",
+        "from dataclasses import replace\nfrom ident.models import yaw_model\n"
+        f"def boat():\n    return replace(yaw_model(), source={f'{file}:boat'!r})\n",
         encoding="utf-8",
     )
     mine = make_model(f"{file}:boat")

@@ -180,7 +180,7 @@ def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.Monkey
     lines = out.read_text().splitlines()
     out.write_text("\n".join([lines[0], lines[1], json.dumps({**json.loads(lines[2]), "error": "x"}), lines[3][:50]]))
     done: list[int] = []
-    monkeypatch.setattr(study, "replicates", lambda case, numbers, *rest: done.extend(numbers)
+    monkeypatch.setattr(study, "run_replicates", lambda case, numbers, *rest: done.extend(numbers)
                         or run_replicates(case, numbers, *rest))
     out.write_text(out.read_text() + "\n")
     again = study.study(case, 4, 2, out, jobs=1)

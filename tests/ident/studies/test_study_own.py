@@ -28,7 +28,7 @@ push = 40.0 * np.sign(np.sin(2 * np.pi * t / 25))[:, None]
 def mine():
     return Case("mine", surge_model().with_values({"d_u": 6.0}), SampledInputs.held(t, push), {"position": 2})
 
-model = surge()
+model = surge_model()
 number = 3
 """
 
