@@ -1,8 +1,8 @@
 """Results as files: the only functions that know JSON.
 
 A result is a frozen ``Result``, filled once by a workflow. ``write_result`` and ``read_result`` are inverse: arrays
-become lists, NaN and infinity become null, numbers keep seven significant digits; a missing, misspelt or mistyped key is
-an error that names its path.
+become lists, NaN and infinity become null, numbers keep seven significant digits; a missing, misspelt or mistyped key
+is an error that names its path.
 """
 
 from __future__ import annotations
