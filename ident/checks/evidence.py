@@ -99,7 +99,7 @@ def log_evidence(path: Path, name: str = "") -> CheckEvidence:
     """Curves of one log; ``name``: for people, else the file's. Raises SeatrialError where it is no log at all."""
     with open_log(path) as log:
         c = {n: Channel(s.t - log.start, s.value, s.unit, s.source) for n, s in channels(log).items()}
-        rig = log.rig()
+        rig = log.rig
         duration, intervals, sides = log.duration, _intervals(log), sides_of(log)
     return CheckEvidence(
         name or path.stem, duration, rig.name if rig else None, tuple(intervals), tuple(_shafts(c)),
@@ -108,7 +108,7 @@ def log_evidence(path: Path, name: str = "") -> CheckEvidence:
 
 
 def _intervals(log: Log) -> list[SampleIntervals]:
-    rig = log.rig()
+    rig = log.rig
     expected = {d.name: 1.0 / d.rate_hz for d in rig.devices} if rig else {}
     found: list[SampleIntervals] = []
     for kind in (Ahrs, Gnss, LoadCell, Scalar):
