@@ -1,4 +1,4 @@
-"""The front door: the command tree and nothing else.
+"""The front door: the command tree, and what one part does for another, which does not import it.
 
 Each part is imported only when one of its commands runs, so `seatrial --help` is instant. What the user sees
 of a failure is decided here too, once for all commands: one line on stderr and an exit status.
@@ -14,7 +14,8 @@ try:
     import traceback
     import warnings
     from collections.abc import Callable, Sequence
-    from typing import Any, NamedTuple
+    from pathlib import Path
+    from typing import TYPE_CHECKING, Any, NamedTuple
 
     import click
     from click.shell_completion import CompletionItem
@@ -23,6 +24,10 @@ try:
 except KeyboardInterrupt:  # Ctrl-C before there is a command to take it
     sys.stderr.write("\nseatrial: interrupted\n")
     raise SystemExit(130) from None
+
+if TYPE_CHECKING:
+    from bench.preflight.report import MotionChecks
+    from daq.checks import CheckReport, Finding
 
 OK, FAILED, WRONG_USAGE, INTERRUPTED = 0, 1, 2, 130
 
@@ -112,11 +117,34 @@ def _load(name: str, target: str) -> click.Command:
     return command
 
 
+class MotionChecksOfIdent:
+    """What `seatrial check` asks of ident, imported when it asks."""
+
+    def check_log(self, path: Path) -> list[Finding]:
+        """What the motion in a log says of its sensors and thrusters; raises SeatrialError without ident."""
+        try:
+            from ident.checks import check_log
+        except ModuleNotFoundError as error:
+            raise SeatrialError(_needs("that", error.name or "ident")) from error
+        return check_log(path)
+
+    def write_check_page(self, report: CheckReport, out: Path) -> None:
+        """Write the page of a check; raises SeatrialError without ident."""
+        try:
+            from ident.workflows import write_check
+        except ModuleNotFoundError as error:
+            raise SeatrialError(_needs("--report", error.name or "ident")) from error
+        write_check(report, " ".join(["seatrial", *sys.argv[1:]]), out)
+
+
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="seatrial", message="seatrial %(version)s")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error; may stand anywhere in the line.")
-def cli(debug: bool) -> None:
+@click.pass_context
+def cli(context: click.Context, debug: bool) -> None:
     """Measure a boat and its thrusters, excite them, and explain what was measured."""
+    motion: MotionChecks = MotionChecksOfIdent()
+    context.obj = motion
 
 
 def _explain(error: BaseException) -> tuple[str, int]:

@@ -9,15 +9,18 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from daq.checks import FAULT, OK, WARNING, Finding, from_dict, lines, paragraphs, summary, worst_first
+from daq.checks import FAULT, OK, WARNING, CheckReport, Finding, lines, paragraphs, summary, worst_first
 from daq.cli import LOG
 from daq.config import load_rig
 from daq.errors import SeatrialError
 from daq.rig import Rig
+
+if TYPE_CHECKING:
+    from bench.preflight.report import MotionChecks
 
 FILE = click.Path(path_type=Path)
 # Colours of a terminal; click leaves them out elsewhere. The words say the same.
@@ -42,9 +45,9 @@ STYLES: dict[str, dict[str, Any]] = {FAULT: {"fg": "red", "bold": True}, WARNING
 @click.option("-o", "--out", type=FILE, help="Log of the actuator test [default: by date in the rig's log directory].")
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON.")
 @click.option("--report", type=click.Path(dir_okay=False, path_type=Path), help="Write a page (HTML) with plots there.")
-@click.pass_context
+@click.pass_obj
 def check(
-    context: click.Context,
+    motion: MotionChecks,
     paths: tuple[Path, ...],
     seconds: float,
     mission_path: Path | None,
@@ -64,23 +67,23 @@ def check(
     """
     _consistent(paths, mission_path, actuators, bool(arm or out or thrust))
     with tempfile.TemporaryDirectory(prefix="seatrial-check-") as folder:
-        about: dict[str, Any] = {}
         if _is_rig(paths[0]):
-            from bench.preflight.report import about_rig
+            from bench.preflight.report import dry_run_of
             from daq.config import load_mission
 
             rig = load_rig(paths[0])
             mission = None if mission_path is None else load_mission(mission_path)
             test = _Test(_agreed(rig, thrust, yes), out, arm) if actuators else None
-            found, logs = _rig(context, rig, seconds, mission, test, Path(folder), as_json)
-            about = about_rig(rig, mission) if report else {}
+            found, logs = _rig(motion, rig, seconds, mission, test, Path(folder), as_json)
+            dry = dry_run_of(mission, rig) if report and mission else None
+            done = CheckReport(rig.path.name, tuple(worst_first(found)), tuple(logs), rig.name, dry)
         else:
-            found, logs = _logs(context, paths), list(paths)
+            found = _logs(motion, paths)
+            done = CheckReport(", ".join(path.name for path in paths), tuple(worst_first(found)), paths)
         faults = _tell(found, as_json)
         if report is not None:
-            from bench.preflight.report import write_report
-
-            write_report(context, worst_first(found), logs, report, about)
+            report.parent.mkdir(parents=True, exist_ok=True)
+            motion.write_check_page(done, report)
             click.echo(f"report: {report}", err=as_json)
     if faults:
         where = ", ".join(str(path) for path in paths)
@@ -136,7 +139,7 @@ class _Test(NamedTuple):
 
 
 def _rig(
-    context: click.Context, rig: Rig, seconds: float, mission: Any, test: _Test | None, folder: Path, as_json: bool
+    motion: MotionChecks, rig: Rig, seconds: float, mission: Any, test: _Test | None, folder: Path, as_json: bool
 ) -> tuple[list[Finding], list[Path]]:
     """Findings of a rig and the log that shows them; nothing moves without a ``test``."""
     path = folder / "check.mcap"
@@ -144,7 +147,7 @@ def _rig(
     if test is None:
         return found, [path]
     out = test.out or rig.log_directory / f"{time.strftime('%Y%m%dT%H%M%S')}-actuator-test.mcap"
-    tested = _actuators(context, rig, test._replace(out=out), found, as_json)
+    tested = _actuators(motion, rig, test._replace(out=out), found, as_json)
     # Its log answers the questions about devices once more, and about the same devices.
     known = {(finding.check, finding.where) for finding in tested}
     return [*(f for f in found if (f.check, f.where) not in known), *tested], [out if out.exists() else path]
@@ -178,14 +181,21 @@ def _agreed(rig: Rig, thrust: float | None, yes: bool) -> Any:
     return plan
 
 
-def _actuators(
-    context: click.Context, rig: Rig, test: _Test, before: Sequence[Finding], as_json: bool
-) -> list[Finding]:
+def _actuators(motion: MotionChecks, rig: Rig, test: _Test, before: Sequence[Finding], as_json: bool) -> list[Finding]:
     """Run the plan as any mission is run, guard and watchdog included, then look at its log."""
     faults = [finding.where for finding in before if finding.level == FAULT]
     if faults:
         text = "not tested: there are faults already"
-        return [Finding(WARNING, "actuators", rig.name, text, f"first {', '.join(dict.fromkeys(faults))}")]
+        return [
+            Finding(
+                WARNING,
+                "actuators-not-tested",
+                "actuators",
+                rig.name,
+                text,
+                f"first {', '.join(dict.fromkeys(faults))}",
+            )
+        ]
     from bench.execution import PlainDisplay, make_display, run_mission
 
     assert test.out is not None
@@ -194,10 +204,10 @@ def _actuators(
     with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
         display = PlainDisplay() if as_json else make_display()
         run_mission(test.plan, rig, test.out, display, {"command": " ".join(["seatrial", *sys.argv[1:]])}, test.arm)
-        return _logs(context, [test.out])
+        return _logs(motion, [test.out])
 
 
-def _logs(context: click.Context, paths: Sequence[Path]) -> list[Finding]:
+def _logs(motion: MotionChecks, paths: Sequence[Path]) -> list[Finding]:
     """Findings of each log: of its devices here, of the motion by ident where that is installed."""
     from daq.checks import check_devices
     from daq.log import open_log
@@ -206,26 +216,27 @@ def _logs(context: click.Context, paths: Sequence[Path]) -> list[Finding]:
     for path in paths:
         with open_log(path) as log:
             here, counts = list(check_devices(log)), log.counts
-        here += _motion(context, path)
+        here += _motion(motion, path)
         if not here:
             here = [
-                Finding(OK, "log", "all of it", f"nothing in it that a check compares: {', '.join(counts) or 'empty'}")
+                Finding(
+                    OK,
+                    "nothing-to-check",
+                    "log",
+                    "all of it",
+                    f"nothing in it that a check compares: {', '.join(counts) or 'empty'}",
+                )
             ]
         prefix = f"{path.stem}: " if len(paths) > 1 else ""
         found += [finding._replace(where=f"{prefix}{finding.where}") for finding in here]
     return found
 
 
-def _motion(context: click.Context, path: Path) -> list[Finding]:
-    """What `seatrial ident check` says, asked through the command tree: bench imports nothing of ident."""
-    root = context.find_root().command
+def _motion(motion: MotionChecks, path: Path) -> list[Finding]:
+    """What the motion in a log says; without the part that can tell, one finding that says so."""
     try:
-        ident = root.get_command(context, "ident") if isinstance(root, click.Group) else None
-        command = ident.get_command(context, "check") if isinstance(ident, click.Group) else None
-        if command is None:
-            raise SeatrialError("there is no `seatrial ident check` here")
-        (found,) = context.invoke(command, logs=(path,), quiet=True)
-    except (SeatrialError, ModuleNotFoundError) as error:
+        return motion.check_log(path)
+    except SeatrialError as error:
         text = f"sensors and thrusters were not compared: {error}"
-        return [Finding(WARNING, "motion", path.name, text, "check the log where all of seatrial is installed")]
-    return [from_dict(values) for values in found]
+        advice = "check the log where all of seatrial is installed"
+        return [Finding(WARNING, "motion-not-checked", "motion", path.name, text, advice)]

@@ -25,10 +25,16 @@ def check_mission(mission: Mission, rig: Rig) -> Iterator[Finding]:
     try:
         dry_run(mission, rig)
     except SeatrialError as error:
-        yield Finding(FAULT, "limits", mission.name, str(error))
+        yield Finding(FAULT, "mission-beyond-limits", "limits", mission.name, str(error))
         return
     largest = float(np.abs(mission.setpoints()[1]).max())
-    yield Finding(OK, "limits", mission.name, f"{mission.end:g} s, n up to {largest:.2f}, limit {rig.limits.n_max:g}")
+    yield Finding(
+        OK,
+        "mission-within-limits",
+        "limits",
+        mission.name,
+        f"{mission.end:g} s, n up to {largest:.2f}, limit {rig.limits.n_max:g}",
+    )
     if rig.limits.radius_m is not None:
         yield _fence(mission, rig, rig.limits.radius_m)
 
@@ -41,7 +47,12 @@ def _fence(mission: Mission, rig: Rig, radius: float) -> Finding:
     elif missing := [name for name in NEEDED if name not in rig.vehicle]:
         text = f"its way is not predicted: [vehicle] of the rig has no {', '.join(missing)}"
         return Finding(
-            WARNING, "fence", mission.name, text, "a model's c1 (N at full speed) there, or a designed mission"
+            WARNING,
+            "track-not-predicted",
+            "fence",
+            mission.name,
+            text,
+            "a model's c1 (N at full speed) there, or a designed mission",
         )
     else:
         t, x, y = track(mission, rig)
@@ -51,11 +62,16 @@ def _fence(mission: Mission, rig: Rig, radius: float) -> Finding:
     if far[k] > radius:
         left = float(t[int(np.flatnonzero(far > radius)[0])])
         return Finding(
-            FAULT, "fence", mission.name, f"{text}, left after {left:.0f} s", "shorter, slower, or more room"
+            FAULT,
+            "track-leaves-fence",
+            "fence",
+            mission.name,
+            f"{text}, left after {left:.0f} s",
+            "shorter, slower, or more room",
         )
     if far[k] > CLOSE * radius:
-        return Finding(WARNING, "fence", mission.name, text, "wind and current add to it")
-    return Finding(OK, "fence", mission.name, text)
+        return Finding(WARNING, "track-near-fence", "fence", mission.name, text, "wind and current add to it")
+    return Finding(OK, "track-inside-fence", "fence", mission.name, text)
 
 
 def track(mission: Mission, rig: Rig) -> tuple[FloatArray, FloatArray, FloatArray]:

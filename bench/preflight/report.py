@@ -1,66 +1,54 @@
-"""The report of a check: findings and dry run go to ident as a file, for bench imports nothing of ident."""
+"""What a check reports beyond its lines: findings as JSON, and the content of its page."""
 
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Protocol
 
-import click
-
-from daq.checks import Finding
+from daq.checks import CheckReport, DryRun, Finding, PredictedTrack
 from daq.config import Mission
-from daq.errors import SeatrialError
 from daq.rig import Rig
 
 FORMAT = "seatrial-check 1"
 
 
-def as_json(found: Sequence[Finding], **more: Any) -> str:
-    """Findings as `seatrial check --json` prints them; ``more``: what only a report shows."""
-    return json.dumps({"format": FORMAT, "findings": [finding._asdict() for finding in found], **more}, indent=2)
+class MotionChecks(Protocol):
+    """What the check asks of the explaining part, which may not be installed: seatrial.py puts it into the command's
+    context, for bench imports nothing of it. Both raise SeatrialError where it is not installed."""
+
+    def check_log(self, path: Path) -> list[Finding]:
+        """What the motion in a log says of its sensors and thrusters."""
+        ...
+
+    def write_check_page(self, report: CheckReport, out: Path) -> None:
+        """Write the page (HTML) of a check, with curves from its logs."""
+        ...
 
 
-def write_report(
-    context: click.Context, found: Sequence[Finding], logs: Sequence[Path], out: Path, about: dict[str, Any]
-) -> None:
-    """Ask ident through the command tree for the page; raises SeatrialError where ident is not installed."""
-    root = context.find_root().command
-    ident = root.get_command(context, "ident") if isinstance(root, click.Group) else None
-    command = ident.get_command(context, "check-page") if isinstance(ident, click.Group) else None
-    if command is None:
-        raise SeatrialError("--report: there is no `seatrial ident check-page` here")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix="seatrial-check-") as folder:
-        findings = Path(folder) / "findings.json"
-        findings.write_text(as_json(found, **about), encoding="utf-8")
-        context.invoke(command, logs=tuple(logs), findings=findings, out=out)
+def as_json(found: Sequence[Finding]) -> str:
+    """Findings as `seatrial check --json` prints them."""
+    return json.dumps({"format": FORMAT, "findings": [finding._asdict() for finding in found]}, indent=2)
 
 
-def about_rig(rig: Rig, mission: Mission | None) -> dict[str, Any]:
-    """What the page of a rig says of it, and the dry run of a mission: commands, way and fence."""
-    told: dict[str, Any] = {"subject": rig.path.name, "rig": {"name": rig.name}}
-    return told if mission is None else told | {"mission": _dry(mission, rig)}
-
-
-def _dry(mission: Mission, rig: Rig) -> dict[str, Any]:
+def dry_run_of(mission: Mission, rig: Rig) -> DryRun:
+    """What a mission is going to command, and where it is expected to take the boat of the rig."""
     t, n = mission.setpoints()
-    told: dict[str, Any] = {
-        "name": mission.name, "thrusters": list(mission.thrusters), "t": t.tolist(), "n": n.tolist(),
-        "end": mission.end, "fence": rig.limits.radius_m,
-    }
+    return DryRun(mission.name, tuple(mission.thrusters), t, n, mission.end, rig.limits.radius_m, _track(mission, rig))
+
+
+def _track(mission: Mission, rig: Rig) -> PredictedTrack | None:
+    """By the design that made the mission, else by the rig's nominal vehicle; None where it does not say enough."""
     if mission.prediction is not None:
         p = mission.prediction
-        way = {"x": p.x.tolist(), "y": p.y.tolist(), "radius": p.radius.tolist()}
-        return told | way | {"by": f"the design, by model {p.model}"}
+        return PredictedTrack(p.x, p.y, f"the design, by model {p.model}", p.radius)
     from bench.preflight.mission_checks import NEEDED, track
 
     if all(name in rig.vehicle for name in NEEDED) and all(name in _names(rig) for name in mission.thrusters):
         _, x, y = track(mission, rig)
-        return told | {"x": x.tolist(), "y": y.tolist(), "by": "the rig's nominal vehicle in still water"}
-    return told
+        return PredictedTrack(x, y, "the rig's nominal vehicle in still water")
+    return None
 
 
 def _names(rig: Rig) -> set[str]:

@@ -37,44 +37,81 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
             received = 0 if port is None else port.bytes_in
             text = f"{received} bytes, no sample: wrong baud rate or protocol?" if received else "nothing received"
             yield Finding(
-                FAULT, "alive", device.name, (port.message if port else "") or text, "power, cable, port, baud"
+                FAULT,
+                "device-silent",
+                "alive",
+                device.name,
+                (port.message if port else "") or text,
+                "power, cable, port, baud",
             )
             continue
         if port.message:
-            yield Finding(FAULT, "alive", device.name, port.message, "power, cable, port")
+            yield Finding(FAULT, "port-error", "alive", device.name, port.message, "power, cable, port")
         elif port.age > max(1.0, 10.0 / device.rate_hz, STILL_WALL_S * rig.speed):
-            yield Finding(FAULT, "alive", device.name, f"silent for {port.age:.1f} s", "power, cable, port")
+            yield Finding(
+                FAULT, "device-fell-silent", "alive", device.name, f"silent for {port.age:.1f} s", "power, cable, port"
+            )
         if device.mavlink is not None:
             if abs(port.rate - device.rate_hz) > RATE_TOLERANCE * device.rate_hz:
                 text = f"{port.rate:.1f} Hz of all messages, expected {device.rate_hz:g}"
-                yield Finding(FAULT, "rate", device.name, text, "rate_hz of the rig, the link's baud rate")
+                yield Finding(FAULT, "rate-off", "rate", device.name, text, "rate_hz of the rig, the link's baud rate")
             yield from _autopilot(rig, device, status)
     if not status.latest:
         return
     for name in silent_devices(rig, status, [thruster.name for thruster in rig.thrusters]):
         if name.startswith("thruster "):
-            yield Finding(FAULT, "alive", name.split()[1], f"{name} says nothing", "its node, its power, the bus")
+            yield Finding(
+                FAULT,
+                "thruster-silent",
+                "alive",
+                name.split()[1],
+                f"{name} says nothing",
+                "its node, its power, the bus",
+            )
 
 
 def _autopilot(rig: Rig, device: Device, status: Status) -> Iterator[Finding]:
     link = status.links.get(device.name, LinkStatus())
     if not link.heard:
-        yield Finding(FAULT, "link", device.name, "no heartbeat", "system id, port and baud rate of that link")
+        yield Finding(
+            FAULT, "no-heartbeat", "link", device.name, "no heartbeat", "system id, port and baud rate of that link"
+        )
         return
     assert device.mavlink is not None
     here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
     if link.asking:
-        yield Finding(WARNING, "parameters", device.name, "not all have been answered yet", "a longer --seconds")
+        yield Finding(
+            WARNING,
+            "parameters-unanswered",
+            "parameters",
+            device.name,
+            "not all have been answered yet",
+            "a longer --seconds",
+        )
     else:
         for found in check_parameters(link.parameters, here, device.mavlink.own_system_id):
             level = FAULT if found.fatal else WARNING
-            yield Finding(level, "parameters", device.name, str(found), "set it yourself: nothing is changed from here")
+            yield Finding(
+                level,
+                "autopilot-parameter",
+                "parameters",
+                device.name,
+                str(found),
+                "set it yourself: nothing is changed from here",
+            )
     for line in link.refused:
-        yield Finding(WARNING, "rate", device.name, f"refuses {line}", "SCHED_LOOP_RATE, or a lower rate in the rig")
+        yield Finding(
+            WARNING,
+            "rate-refused",
+            "rate",
+            device.name,
+            f"refuses {line}",
+            "SCHED_LOOP_RATE, or a lower rate in the rig",
+        )
     if link.alarm:
-        yield Finding(WARNING, "link", device.name, f"says {link.alarm}", "what it asks for")
+        yield Finding(WARNING, "autopilot-alarm", "link", device.name, f"says {link.alarm}", "what it asks for")
     text = f"mode {link.mode}, {'armed' if link.armed else 'disarmed'}, EKF flags {link.ekf}"
-    yield Finding(OK, "link", device.name, text)
+    yield Finding(OK, "autopilot-answers", "link", device.name, text)
 
 
 def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
@@ -88,17 +125,26 @@ def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
     text = f"{free / 1e9:.1f} GB free, a log takes about {3.6e-3 * rate:.0f} MB an hour"
     if free < need:
         yield Finding(
-            FAULT, "disk", str(place), f"{text}; [log] asks for {need / 1e6:g} MB", "make room, or another disk"
+            FAULT,
+            "disk-full",
+            "disk",
+            str(place),
+            f"{text}; [log] asks for {need / 1e6:g} MB",
+            "make room, or another disk",
         )
     elif free < need + HOURS * 3600.0 * rate:
-        yield Finding(WARNING, "disk", str(place), f"{text}: less than {HOURS:g} h", "make room, or another disk")
+        yield Finding(
+            WARNING, "disk-low", "disk", str(place), f"{text}: less than {HOURS:g} h", "make room, or another disk"
+        )
     else:
-        yield Finding(OK, "disk", str(place), text)
+        yield Finding(OK, "disk-as-expected", "disk", str(place), text)
     kinds = {device.protocol for device in rig.devices}
     if rig.limits.radius_m is not None and not kinds & POSITIONED:
         text = f"radius_m = {rig.limits.radius_m:g} without a GNSS receiver"
-        yield Finding(FAULT, "fence", rig.name, text, "a device that knows its position, or no radius_m")
+        yield Finding(
+            FAULT, "fence-without-position", "fence", rig.name, text, "a device that knows its position, or no radius_m"
+        )
     if rig.thrusters:
         limits = {f.name: getattr(rig.limits, f.name) for f in fields(rig.limits)}
         watched = ", ".join(f"{name} {value:g}" for name, value in limits.items() if value is not None)
-        yield Finding(OK, "limits", rig.name, f"watched: {watched}")
+        yield Finding(OK, "limits-watched", "limits", rig.name, f"watched: {watched}")

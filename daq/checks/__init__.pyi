@@ -1,9 +1,11 @@
+from .check_report import CheckReport as CheckReport
+from .check_report import DryRun as DryRun
+from .check_report import PredictedTrack as PredictedTrack
 from .device_checks import check_devices as check_devices
 from .findings import FAULT as FAULT
 from .findings import OK as OK
 from .findings import WARNING as WARNING
 from .findings import Finding as Finding
-from .findings import from_dict as from_dict
 from .findings import lines as lines
 from .findings import paragraphs as paragraphs
 from .findings import summary as summary

@@ -47,32 +47,55 @@ def _ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
         if noise > most:
             fine = False
             text = f"{column} has white noise of {noise:.2g} {unit}, expected below {most:.2g}"
-            yield Finding(FAULT, "noise", name, text, "vibration, mounting, interference; or the unit of that value")
+            yield Finding(
+                FAULT,
+                "sensor-noisy",
+                "noise",
+                name,
+                text,
+                "vibration, mounting, interference; or the unit of that value",
+            )
     yaw, rate = white(np.unwrap(table["yaw"])), white(table["r"])
     if fine and math.isfinite(rate):
         of_yaw = f"yaw {math.degrees(yaw):.2g} deg, " if math.isfinite(yaw) else ""
-        yield Finding(OK, "noise", name, f"{of_yaw}yaw rate {rate:.2g} rad/s a sample")
+        yield Finding(OK, "sensor-noise-as-expected", "noise", name, f"{of_yaw}yaw rate {rate:.2g} rad/s a sample")
     force = np.sqrt(sum(table[c] ** 2 for c in ("ax", "ay", "az")))
     g = float(np.median(force[np.isfinite(force)])) if np.isfinite(force).any() else GRAVITY
     if abs(g / GRAVITY - 1.0) > GRAVITY_PART:
         unit = ": in g?" if abs(g - 1.0) < 0.2 else ": without gravity?" if g < 1.0 else ""
         yield Finding(
-            WARNING, "units", name, f"specific force is {g:.3g} m/s2 and not 9.81{unit}", "its output settings"
+            WARNING,
+            "specific-force-not-gravity",
+            "units",
+            name,
+            f"specific force is {g:.3g} m/s2 and not 9.81{unit}",
+            "its output settings",
         )
     tilt = max(abs(float(np.nanmedian(table[c]))) if np.isfinite(table[c]).any() else 0.0 for c in ("roll", "pitch"))
     if tilt > 0.35:
         text = f"level is {math.degrees(tilt):.0f} deg off"
-        yield Finding(WARNING, "mounting", name, text, "forward, starboard, down; its reference frame")
+        yield Finding(
+            WARNING, "sensor-not-level", "mounting", name, text, "forward, starboard, down; its reference frame"
+        )
 
 
 def _gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
     fixes = table["fix"] >= 2
     if np.mean(~fixes) > NO_FIX:
         text = f"no position in {100 * np.mean(~fixes):.0f} % of the epochs"
-        yield Finding(WARNING if fixes.any() else FAULT, "fix", name, text, "open sky, antenna and its cable")
+        yield Finding(
+            WARNING if fixes.any() else FAULT, "position-missing", "fix", name, text, "open sky, antenna and its cable"
+        )
     used = table["n_sat"][(table["n_sat"] >= 0) & fixes]
     if used.size and np.median(used) < FEW_SATELLITES:
-        yield Finding(WARNING, "fix", name, f"{np.median(used):.0f} satellites", "open sky, antenna and its cable")
+        yield Finding(
+            WARNING,
+            "few-satellites",
+            "fix",
+            name,
+            f"{np.median(used):.0f} satellites",
+            "open sky, antenna and its cable",
+        )
 
 
 def _esc(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
@@ -84,23 +107,27 @@ def _esc(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
 
 def _voltage(name: str, volts: float, lowest: float) -> Finding:
     if volts < lowest:
-        return Finding(FAULT, "battery", name, f"{volts:.1f} V, limit {lowest:g}", "charge it")
-    level, advice = (WARNING, "charge it soon") if volts < 1.05 * lowest else (OK, "")
-    return Finding(level, "battery", name, f"{volts:.1f} V, limit {lowest:g}", advice)
+        return Finding(FAULT, "voltage-low", "battery", name, f"{volts:.1f} V, limit {lowest:g}", "charge it")
+    near = volts < 1.05 * lowest
+    level, code, advice = (WARNING, "voltage-near-limit", "charge it soon") if near else (OK, "voltage-as-expected", "")
+    return Finding(level, code, "battery", name, f"{volts:.1f} V, limit {lowest:g}", advice)
 
 
 def _cell(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
     bad = float(np.mean(table["flags"] != 0))
     if bad > FLAGGED:
         text = f"{100 * bad:.0f} % of the readings are saturated or spikes"
-        yield Finding(WARNING, "load cell", name, text, "its supply and wires; beyond its range?")
+        yield Finding(
+            WARNING, "load-cell-saturated", "load cell", name, text, "its supply and wires; beyond its range?"
+        )
 
 
 def _battery(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
     left, least = table["remaining"][-1], None if rig is None else rig.limits.battery_min
     if least is not None and np.isfinite(left):
-        level, advice = (FAULT, "charge it") if left < least else (OK, "")
-        yield Finding(level, "battery", name, f"{100 * left:.0f} % left, limit {100 * least:.0f}", advice)
+        low = left < least
+        level, code, advice = (FAULT, "battery-low", "charge it") if low else (OK, "battery-as-expected", "")
+        yield Finding(level, code, "battery", name, f"{100 * left:.0f} % left, limit {100 * least:.0f}", advice)
 
 
 _VALUES = {Ahrs: _ahrs, Gnss: _gnss, Esc: _esc, LoadCell: _cell, Battery: _battery}
@@ -119,7 +146,9 @@ def check_devices(log: Log) -> Iterator[Finding]:
     """Every finding about the devices of an open log, one after the other."""
     rig = log.rig()
     for text in log.warnings:
-        yield Finding(WARNING, "log", log.path.name, text, "`seatrial recover` makes a whole log of what is there")
+        yield Finding(
+            WARNING, "log-damaged", "log", log.path.name, text, "`seatrial recover` makes a whole log of what is there"
+        )
     for source, tables in _tables(log).items():
         t = np.sort(np.concatenate([table["t"] for _, _, table in tables]))
         yield from _rate(source, t, rig, tables)
@@ -153,14 +182,21 @@ def _absent(log: Log, rig: Rig | None) -> Iterator[Finding]:
     spoke = {parts[0] for parts in topics if len(parts) > 1 and parts[-1] != "command"}
     for device in rig.devices if rig else ():
         if device.name not in spoke:
-            yield Finding(FAULT, "alive", device.name, "nothing of it in the log", "power, cable, port, baud rate")
+            yield Finding(
+                FAULT,
+                "device-not-in-log",
+                "alive",
+                device.name,
+                "nothing of it in the log",
+                "power, cable, port, baud rate",
+            )
 
 
 def _rate(source: str, t: FloatArray, rig: Rig | None, tables: list[tuple[type, str, Any]]) -> Iterator[Finding]:
     """Samples a second where there are any, against the rig's."""
     device = next((d for d in rig.devices if d.name == source), None) if rig else None
     if t.size < 3 or t[-1] == t[0]:
-        yield Finding(FAULT, "rate", source, f"{t.size} samples in all", "power, cable, protocol")
+        yield Finding(FAULT, "too-few-samples", "rate", source, f"{t.size} samples in all", "power, cable, protocol")
         return
     # Nodes of a bus speak a moment after each other: a pause is one that all of them make.
     pause = np.diff(t)
@@ -171,12 +207,14 @@ def _rate(source: str, t: FloatArray, rig: Rig | None, tables: list[tuple[type, 
     if device is not None and abs(without / device.rate_hz - 1.0) < RATE_TOLERANCE:
         rate = without  # what was lost in pauses is told of as sections that are missing
     if device is None or device.protocol == "mavlink":
-        yield Finding(OK, "rate", source, f"{rate:.4g} Hz")
+        yield Finding(OK, "rate-measured", "rate", source, f"{rate:.4g} Hz")
     elif abs(rate - device.rate_hz) > RATE_TOLERANCE * device.rate_hz:
         text = f"{rate:.4g} Hz, expected {device.rate_hz:g}"
-        yield Finding(FAULT, "rate", source, text, "the device's output rate, its baud rate, or rate_hz of the rig")
+        yield Finding(
+            FAULT, "rate-off", "rate", source, text, "the device's output rate, its baud rate, or rate_hz of the rig"
+        )
     else:
-        yield Finding(OK, "rate", source, f"{rate:.4g} Hz, expected {device.rate_hz:g}")
+        yield Finding(OK, "rate-as-expected", "rate", source, f"{rate:.4g} Hz, expected {device.rate_hz:g}")
 
 
 def _stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
@@ -195,7 +233,14 @@ def _stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
         a, b = max(runs, key=lambda run: run[1] - run[0])
         t = table["t"]
         text = f"the same reading for {t[b] - t[a]:.1f} s, from {t[a] - t[0]:.1f} s on"
-        yield Finding(FAULT, "stuck", name, text, "the sensor hangs: power cycle, firmware, or its filter's settings")
+        yield Finding(
+            FAULT,
+            "sensor-stuck",
+            "stuck",
+            name,
+            text,
+            "the sensor hangs: power cycle, firmware, or its filter's settings",
+        )
 
 
 def _nothing(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
@@ -217,7 +262,9 @@ def _controllers(log: Log) -> Iterator[Finding]:
                 during = told["n_cmd"][(told["t"] > t[a]) & (told["t"] < t[b] - 1.0)]
                 if rpm[a] != 0.0 and t[b] - t[a] > 2.0 and during.size > 1 and np.ptp(during) > STEP:
                     text = f"{rpm[a]:.0f} rev/min for {t[b] - t[a]:.1f} s while its command changed"
-                    yield Finding(FAULT, "stuck", f"{source} node {node}", text, "its sensor, or the bus")
+                    yield Finding(
+                        FAULT, "shaft-speed-stuck", "stuck", f"{source} node {node}", text, "its sensor, or the bus"
+                    )
                     break
 
 
@@ -227,16 +274,16 @@ def _port(source: str, log: Log) -> Iterator[Finding]:
     last = rows[-1][1]
     if last.checksum_errors > max(1, 0.001 * last.frames):
         text = f"{last.checksum_errors} checksum errors in {last.frames} frames"
-        yield Finding(WARNING, "link", source, text, "ground, cable, two programs on one port")
+        yield Finding(WARNING, "checksum-errors", "link", source, text, "ground, cable, two programs on one port")
     if last.unparsed_bytes > 0.01 * last.bytes_in + 200:
         text = f"{last.unparsed_bytes} of {last.bytes_in} bytes not understood"
-        yield Finding(WARNING, "link", source, text, "baud rate; output that nobody asked for")
+        yield Finding(WARNING, "bytes-not-understood", "link", source, text, "baud rate; output that nobody asked for")
     if last.dropped:
         text = f"{counted(last.dropped, 'sample')} dropped"
-        yield Finding(WARNING, "link", source, text, "a slower disk than the devices need")
+        yield Finding(WARNING, "samples-dropped", "link", source, text, "a slower disk than the devices need")
     if last.reconnects:
         text = f"its port was lost {counted(last.reconnects, 'time')}"
-        yield Finding(WARNING, "link", source, text, "plug and cable")
+        yield Finding(WARNING, "port-lost", "link", source, text, "plug and cable")
 
 
 def _imported(log: Log) -> Iterator[Finding]:
@@ -249,10 +296,17 @@ def _imported(log: Log) -> Iterator[Finding]:
         k += 1
         if dropped and not meant:
             text = f"{counted(dropped, 'row')} left out: times that ran back or repeated, or no number"
-            yield Finding(WARNING, "time", name, text, "look at its clock; `fraction` of the map mends lost zeros")
+            yield Finding(
+                WARNING,
+                "rows-left-out",
+                "time",
+                name,
+                text,
+                "look at its clock; `fraction` of the map mends lost zeros",
+            )
     if b"unpadded-ns" in by_map:
         text = "time stamps whose nanoseconds had lost their zeros, put right by the import's map"
-        yield Finding(WARNING, "time", log.path.name, text, "mend the logger")
+        yield Finding(WARNING, "lost-zeros-restored", "time", log.path.name, text, "mend the logger")
     for source in log.sources(Scalar):
         table = log.table(Scalar, source)
         # A command that is imported lasts until the next one: a pause in it is none in the recording.
@@ -261,7 +315,7 @@ def _imported(log: Log) -> Iterator[Finding]:
         yield from lost_zeros(source, table["t"])
         if len(table) > 20 and log.role(source) == "output" and np.nanstd(table["value"]) == 0.0:
             text = f"{table['value'][0]:g} all the time"
-            yield Finding(WARNING, "stuck", source, text, "not connected, or another column")
+            yield Finding(WARNING, "signal-constant", "stuck", source, text, "not connected, or another column")
 
 
 def stamps(name: str, table: Any, end: float | None, speed: float = 1.0) -> Iterator[Finding]:
@@ -277,15 +331,24 @@ def stamps(name: str, table: Any, end: float | None, speed: float = 1.0) -> Iter
     repeated = float(np.mean(pauses <= 0.0))
     if imported and repeated > REPEATED:
         text = f"{100 * repeated:.0f} % of the samples are not later than the one before"
-        yield Finding(FAULT, "time", name, text, "its clock runs back or stands; import with its own rate instead")
+        yield Finding(
+            FAULT,
+            "times-not-increasing",
+            "time",
+            name,
+            text,
+            "its clock runs back or stands; import with its own rate instead",
+        )
     elif repeated > BUNCHED:
         text = f"{100 * repeated:.0f} % of the samples came in bunches, their times are those of receipt"
-        yield Finding(WARNING, "time", name, text, "a busy computer, a bunching adapter (latency_timer)")
+        yield Finding(
+            WARNING, "samples-bunched", "time", name, text, "a busy computer, a bunching adapter (latency_timer)"
+        )
     else:
         yield from _gaps(name, t, pauses, speed)
     if end is not None and end - t[-1] > SILENT_S * max(1.0, 0.2 * speed):
         text = f"nothing for the last {end - t[-1]:.0f} s of the log"
-        yield Finding(FAULT, "silent", name, text, "power, cable, bus")
+        yield Finding(FAULT, "device-fell-silent", "silent", name, text, "power, cable, bus")
     yield from _clock(name, table, speed)
 
 
@@ -297,7 +360,7 @@ def _gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float) -> Iterato
         k = int(long[np.argmax(pauses[long])])
         missing = f"missing: {counted(long.size, 'section')}, {pauses[long].sum():.1f} s in all"
         text = f"{missing}, the longest at {t[k] - t[0]:.1f} s"
-        yield Finding(WARNING, "gap", name, text, "cable, range of the link, a busy computer")
+        yield Finding(WARNING, "sections-missing", "gap", name, text, "cable, range of the link, a busy computer")
 
 
 def _clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
@@ -307,7 +370,14 @@ def _clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
     device, received = table["t_device"][known], table["t_rx"][known]
     if back := int(np.count_nonzero(np.diff(device) < -TICK_S)):
         text = f"its clock ran back {counted(back, 'time')}"
-        yield Finding(FAULT, "clock", name, text, "it restarted: power? a clock set by GNSS in the middle of the run?")
+        yield Finding(
+            FAULT,
+            "clock-ran-back",
+            "clock",
+            name,
+            text,
+            "it restarted: power? a clock set by GNSS in the middle of the run?",
+        )
         return
     offset = received - device
     earliest = _earliest(received, offset)
@@ -317,22 +387,43 @@ def _clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
     if steps.size and steps.max() > max(JUMP_S, jitter):
         text = f"its clock jumps by {steps.max():.2f} s against the computer's"
         yield Finding(
-            FAULT, "clock", name, text, "a clock set in the middle of the run: leave that out, or start later"
+            FAULT,
+            "clock-jumps",
+            "clock",
+            name,
+            text,
+            "a clock set in the middle of the run: leave that out, or start later",
         )
         return
     if late > max(SPREAD_S, jitter):
         text = f"one sample in twenty comes {late:.2f} s late"
         yield Finding(
-            WARNING, "clock", name, text, "a bunching adapter (latency_timer), a busy computer; its own clock is used"
+            WARNING,
+            "samples-late",
+            "clock",
+            name,
+            text,
+            "a bunching adapter (latency_timer), a busy computer; its own clock is used",
         )
     span = float(received[-1] - received[0])
     drift = float(np.polyfit(earliest[0] - received[0], earliest[1], 1)[0]) if earliest[0].size > 3 else 0.0
     if span > 60.0 and abs(drift) > max(DRIFT, jitter / span):
         yield Finding(
-            WARNING, "clock", name, f"its clock drifts by {1e6 * drift:.0f} ppm", "the crystal; its clock is followed"
+            WARNING,
+            "clock-drifts",
+            "clock",
+            name,
+            f"its clock drifts by {1e6 * drift:.0f} ppm",
+            "the crystal; its clock is followed",
         )
     elif late <= max(SPREAD_S, jitter):
-        yield Finding(OK, "clock", name, f"samples arrive within {1e3 * max(late, 0.0):.0f} ms of each other's delay")
+        yield Finding(
+            OK,
+            "clock-steady",
+            "clock",
+            name,
+            f"samples arrive within {1e3 * max(late, 0.0):.0f} ms of each other's delay",
+        )
 
 
 def _earliest(received: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -348,4 +439,4 @@ def lost_zeros(name: str, t: FloatArray) -> Iterator[Finding]:
     share = np.bincount(tenth, minlength=10)[:10] / max(t.size, 1)
     if t.size >= LEAST and share[0] < 0.002 and share[1:].min() > 0.03:
         text = f"none of {t.size} time stamps is in the first tenth of its second: leading zeros were lost"
-        yield Finding(FAULT, "time", name, text, '`fraction = "unpadded-ns"` in the import\'s map')
+        yield Finding(FAULT, "lost-zeros", "time", name, text, '`fraction = "unpadded-ns"` in the import\'s map')

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from daq.errors import counted
@@ -13,18 +13,19 @@ LEVEL = 8  # columns of the level
 
 
 class Finding(NamedTuple):
-    """``level`` is ok, warning or fault; what was found where, and what to do about it (empty when ok)."""
+    """What one question to a rig or a log was answered with.
+
+    ``level``: ok, warning or fault; ``code``: what was found, for programs, in kebab-case, and it stays the same when
+    the words change; ``check``: the question; ``where``: device, thruster or file; ``text``: the answer with its
+    numbers; ``advice``: what to do about it, empty when ok.
+    """
 
     level: str
+    code: str
     check: str
     where: str
     text: str
     advice: str = ""
-
-
-def from_dict(values: Mapping[str, str]) -> Finding:
-    """A finding of another part; its keys are the fields."""
-    return Finding(*(str(values[name]) for name in Finding._fields))
 
 
 def worst_first(findings: Iterable[Finding]) -> list[Finding]:

@@ -17,7 +17,7 @@ OVERRIDE_MAX_S = 1.0
 GROUND_STATION_NAMES = ("MAV_GCS_SYSID", "SYSID_MYGCS")  # from 4.7 on, and before
 
 
-class ParameterFinding(NamedTuple):
+class ParameterMismatch(NamedTuple):
     """One parameter that is not as it should be."""
 
     name: str
@@ -46,7 +46,7 @@ def parameter_names(thrusters: Sequence[Thruster]) -> tuple[str, ...]:
 
 def check_parameters(
     parameters: Mapping[str, float], thrusters: Sequence[Thruster], own_system: int
-) -> tuple[ParameterFinding, ...]:
+) -> tuple[ParameterMismatch, ...]:
     """What is not as it should be, what forbids to drive first."""
     found = [*_safety(parameters, own_system), *_mixing(parameters)]
     for thruster in thrusters:
@@ -54,48 +54,48 @@ def check_parameters(
     return tuple(sorted(found, key=lambda finding: not finding.fatal))
 
 
-def _safety(p: Mapping[str, float], own_system: int) -> list[ParameterFinding]:
+def _safety(p: Mapping[str, float], own_system: int) -> list[ParameterMismatch]:
     found = []
     override = p.get("RC_OVERRIDE_TIME")
     if override is None or not 0.0 < override <= OVERRIDE_MAX_S:
         why = "so long the thrusters run on when this program has died (-1: for ever)"
         found.append(
-            ParameterFinding("RC_OVERRIDE_TIME", override, f"above 0, at most {OVERRIDE_MAX_S:g} s", why, True)
+            ParameterMismatch("RC_OVERRIDE_TIME", override, f"above 0, at most {OVERRIDE_MAX_S:g} s", why, True)
         )
     failsafe = p.get("FS_GCS_ENABLE")
     if failsafe != 1.0:
         found.append(
-            ParameterFinding("FS_GCS_ENABLE", failsafe, "1", "without it a lost ground station stops nothing", True)
+            ParameterMismatch("FS_GCS_ENABLE", failsafe, "1", "without it a lost ground station stops nothing", True)
         )
     ground = p.get("MAV_GCS_SYSID", p.get("SYSID_MYGCS"))
     if ground != float(own_system):
         name = "SYSID_MYGCS" if "SYSID_MYGCS" in p else "MAV_GCS_SYSID"
         found.append(
-            ParameterFinding(name, ground, str(own_system), "it obeys this ground station alone (own_system_id)", True)
+            ParameterMismatch(name, ground, str(own_system), "it obeys this ground station alone (own_system_id)", True)
         )
     return found
 
 
-def _mixing(p: Mapping[str, float]) -> list[ParameterFinding]:
+def _mixing(p: Mapping[str, float]) -> list[ParameterMismatch]:
     found = []
     steer = p.get("PILOT_STEER_TYPE")
     if steer != TWO_PADDLES:
         why = "else the channels are throttle and steering, and not left and right"
-        found.append(ParameterFinding("PILOT_STEER_TYPE", steer, "1", why, True))
+        found.append(ParameterMismatch("PILOT_STEER_TYPE", steer, "1", why, True))
     rows = (
         ("MOT_SLEWRATE", 0.0, "the autopilot would ramp every step"),
         ("MOT_THR_MIN", 0.0, "the autopilot would jump over the smallest thrust"),
         ("MOT_THST_EXPO", 0.0, "the autopilot would bend the thrust curve"),
     )
     found += [
-        ParameterFinding(name, p[name], f"{want:g}", why, False)
+        ParameterMismatch(name, p[name], f"{want:g}", why, False)
         for name, want, why in rows
         if p.get(name, want) != want
     ]
     return found
 
 
-def _thruster(p: Mapping[str, float], thruster: Thruster) -> list[ParameterFinding]:
+def _thruster(p: Mapping[str, float], thruster: Thruster) -> list[ParameterMismatch]:
     output = thruster.output
     if output is None:
         return []
@@ -104,15 +104,15 @@ def _thruster(p: Mapping[str, float], thruster: Thruster) -> list[ParameterFindi
     function = p.get(f"{servo}_FUNCTION")
     if function not in THROTTLES:
         why = f"output {thruster.node} is no thruster of the autopilot's; passthrough would move it while disarmed"
-        found.append(ParameterFinding(f"{servo}_FUNCTION", function, "73 (left) or 74 (right)", why, True))
+        found.append(ParameterMismatch(f"{servo}_FUNCTION", function, "73 (left) or 74 (right)", why, True))
     ends = (("MIN", 0), ("TRIM", 1), ("MAX", 2))
     for prefix, pulses, key in ((channel, output.rc_us, "rc_us"), (servo, output.pwm_us, "pwm_us")):
         for end, k in ends:
             value = p.get(f"{prefix}_{end}")
             if value != pulses[k]:
                 why = f"{key} of thruster {thruster.name} in the rig says so; one of both is wrong"
-                found.append(ParameterFinding(f"{prefix}_{end}", value, f"{pulses[k]:g}", why, True))
+                found.append(ParameterMismatch(f"{prefix}_{end}", value, f"{pulses[k]:g}", why, True))
     for name, why in ((f"{channel}_DZ", "a dead zone around neutral"), (f"{channel}_REVERSED", "the sign turns")):
         if p.get(name, 0.0) != 0.0:
-            found.append(ParameterFinding(name, p[name], "0", why, False))
+            found.append(ParameterMismatch(name, p[name], "0", why, False))
     return found

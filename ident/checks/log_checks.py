@@ -19,10 +19,13 @@ IMPORTED = {"left": -1.0, "right": 1.0}
 
 
 def check_log(path: Path | str) -> list[Finding]:
-    """Findings of one log. Raises SeatrialError where it is no log at all."""
-    with open_log(path) as log:
-        found = channels(log)
-        return [*_mute(log), *findings(found, sides_of(log))]
+    """Findings of one log; that its signals cannot be read is one, too."""
+    try:
+        with open_log(path) as log:
+            found = channels(log)
+            return [*_mute(log), *findings(found, sides_of(log))]
+    except SeatrialError as error:
+        return [Finding("warning", "log-not-readable", "motion", Path(path).name, str(error))]
 
 
 def findings(found: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
@@ -48,12 +51,6 @@ def _mute(log: Log) -> Iterator[Finding]:
         device, node = thruster.device, thruster.node
         if thruster.output is None and node in log.nodes(Command, device) and node not in log.nodes(Esc, device):
             text = "commanded, and its controller has never said a word"
-            yield Finding("fault", "dead", thruster.name, text, "its node on the bus, power and cable")
-
-
-def as_dicts(path: Path | str) -> list[dict[str, str]]:
-    """The same for another part of seatrial; a log that ident cannot read is itself a finding."""
-    try:
-        return [finding._asdict() for finding in check_log(path)]
-    except SeatrialError as error:
-        return [Finding("warning", "motion", Path(path).name, str(error))._asdict()]
+            yield Finding(
+                "fault", "controller-never-heard", "dead", thruster.name, text, "its node on the bus, power and cable"
+            )

@@ -70,7 +70,7 @@ def motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] = ()) 
     faults = [f for f in _verdict(found, yaw, surge) if f.where not in dead]
     yield from faults
     if not faults and not dead and ((yaw > 0).any() or found.moment_t > CLEAR):
-        yield Finding("ok", "sides", " and ".join(found.names), "the boat turns as they push")
+        yield Finding("ok", "thruster-sides-agree", "sides", " and ".join(found.names), "the boat turns as they push")
 
 
 def _side(sides: Mapping[str, float], names: Sequence[str]) -> Array:
@@ -83,23 +83,34 @@ def _verdict(found: PushResponse, yaw: Array, surge: Array) -> Iterator[Finding]
     against = (yaw < 0).any() if (yaw != 0).any() else found.moment_t < -CLEAR
     if against and not (yaw > 0).any() and not (surge < 0).any():
         yield Finding(
-            "fault", "sides", " and ".join(found.names),
+            "fault",
+            "thruster-sides-swapped",
+            "sides",
+            " and ".join(found.names),
             "left and right are swapped: the boat turns against its thrust difference",
             "exchange the nodes in the rig or the plugs; else the sign of one thruster or of the yaw rate",
-        )  # fmt: skip
+        )
         return
     most = np.minimum(_most(found.yaw), _most(found.surge))
     for k, name in enumerate(found.names):
         if surge[k] < 0 or (yaw[k] < 0 and not surge[k] > 0):
             yield Finding(
-                "fault", "sign", name, "it pushes astern when it is told ahead",
+                "fault",
+                "thruster-sign-reversed",
+                "sign",
+                name,
+                "it pushes astern when it is told ahead",
                 "`reversed` of the rig, two of the motor's phases, or a propeller of the other hand",
-            )  # fmt: skip
+            )
         elif most[k] < NONE and not (yaw[k] > 0 or surge[k] > 0):
             yield Finding(
-                "fault", "dead", name, "the boat does not feel it: no thrust in yaw or surge",
+                "fault",
+                "thruster-without-effect",
+                "dead",
+                name,
+                "the boat does not feel it: no thrust in yaw or surge",
                 "propeller lost or fouled, or the shaft does not turn",
-            )  # fmt: skip
+            )
 
 
 def _most(effect: RegressionEffect) -> Array:

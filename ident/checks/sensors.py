@@ -46,28 +46,46 @@ def gyro_and_heading(c: Channels) -> Iterator[Finding]:
     size = abs(found.scale)
     if found.r2 < CLEAR:
         yield Finding(
-            "warning", "gyro", where, f"heading and yaw rate agree only to R2 {found.r2:.2f}",
+            "warning",
+            "heading-and-gyro-disagree",
+            "gyro",
+            where,
+            f"heading and yaw rate agree only to R2 {found.r2:.2f}",
             "is one of them of another sensor, stuck, or disturbed by iron?",
-        )  # fmt: skip
+        )
         return
     if 30.0 < 1.0 / size < 120.0 or 30.0 < size < 120.0:
         what = "yaw rate in deg/s" if size < 1.0 else "heading in degrees"
         yield Finding(
-            "fault", "units", where, f"yaw rate is {1.0 / size:.3g} times the change of heading: {what}?",
+            "fault",
+            "angle-in-degrees",
+            "units",
+            where,
+            f"yaw rate is {1.0 / size:.3g} times the change of heading: {what}?",
             "the unit in the sensor's settings or in the import's map",
-        )  # fmt: skip
+        )
     elif not 0.7 < size < 1.4:
         yield Finding(
-            "fault", "gyro", where, f"yaw rate is {1.0 / size:.2f} times the change of heading",
+            "fault",
+            "gyro-scale",
+            "gyro",
+            where,
+            f"yaw rate is {1.0 / size:.2f} times the change of heading",
             "range or scale of the gyro; a heading that lags in turns",
-        )  # fmt: skip
+        )
     elif found.scale < 0.0:
         yield Finding(
-            "fault", "gyro", where, "yaw rate has the sign opposite to the heading's",
+            "fault",
+            "gyro-sign-reversed",
+            "gyro",
+            where,
+            "yaw rate has the sign opposite to the heading's",
             "both positive clockwise seen from above: mounting or map",
-        )  # fmt: skip
+        )
     else:
-        yield Finding("ok", "gyro", where, f"yaw rate is {1.0 / size:.2f} times the change of heading")
+        yield Finding(
+            "ok", "gyro-as-expected", "gyro", where, f"yaw rate is {1.0 / size:.2f} times the change of heading"
+        )
     yield from sensor_delay("heading", _who(c["psi"], "psi"), "yaw rate", where, found)
 
 
@@ -103,9 +121,13 @@ def velocity_and_acceleration(c: Channels) -> Iterator[Finding]:
         return  # a calm run: nothing to compare
     if not 0.6 < found.scale < 1.6:
         yield Finding(
-            "fault", "units", gnss, f"velocity changes {found.scale:.2f} times as much as the accelerometer says",
+            "fault",
+            "velocity-and-acceleration-scale",
+            "units",
+            gnss,
+            f"velocity changes {found.scale:.2f} times as much as the accelerometer says",
             "knots, km/h or g for m/s and m/s2? or the accelerometer's axes",
-        )  # fmt: skip
+        )
     yield from sensor_delay("velocity", gnss, "acceleration", ahrs, found)
 
 
@@ -123,17 +145,25 @@ def position_and_velocity(c: Channels) -> Iterator[Finding]:
     where = _who(c["vx"], "vx")
     if found.r2 < CLEAR:
         yield Finding(
-            "warning", "gnss", where, f"position and velocity agree only to R2 {found.r2:.2f}",
+            "warning",
+            "position-and-velocity-disagree",
+            "gnss",
+            where,
+            f"position and velocity agree only to R2 {found.r2:.2f}",
             "outliers, multipath, or north and east exchanged",
-        )  # fmt: skip
+        )
         return
     if not 0.75 < found.scale < 1.33:
         known = {0.514: "knots", 0.278: "km/h", 3.6: "km/h", 1.944: "knots"}
         unit = next((u for k, u in known.items() if abs(found.scale / k - 1.0) < 0.1), "another unit")
         yield Finding(
-            "fault", "units", where, f"positions change {found.scale:.2f} times as fast as the velocity says: {unit}?",
+            "fault",
+            "velocity-unit",
+            "units",
+            where,
+            f"positions change {found.scale:.2f} times as fast as the velocity says: {unit}?",
             "the unit of the velocity in the import's map",
-        )  # fmt: skip
+        )
     yield from sensor_delay("position", _who(c["x"], "x"), "velocity", where, found)
 
 
@@ -144,9 +174,9 @@ def sensor_delay(one: str, where: str, other: str, there: str, found: Match) -> 
     text = f"{late} comes {abs(lag):.2f} s after {behind}"
     if abs(lag) >= LATE - STEP / 2:
         level = "fault" if abs(lag) >= VERY_LATE else "warning"
-        yield Finding(level, "late", at, text, "its filters, output rate or time stamps")
+        yield Finding(level, "sensor-late", "late", at, text, "its filters, output rate or time stamps")
     else:
-        yield Finding("ok", "late", where, f"{one} and {other} are {abs(lag):.2f} s apart")
+        yield Finding("ok", "sensors-in-time", "late", where, f"{one} and {other} are {abs(lag):.2f} s apart")
 
 
 def _best(t: Array, columns: list[Array], regressors: list[list[Array]], window: float = WINDOW) -> Match:

@@ -54,16 +54,24 @@ def _shaft(name: str, told: Channel, shaft: Channel) -> Iterator[Finding]:
         if commanded.any():
             since = shaft.t[-1] - min(told.t[0], shaft.t[0])
             yield Finding(
-                "fault", "dead", name, f"commanded, and its controller has said nothing since {since:.0f} s",
+                "fault",
+                "controller-fell-silent",
+                "dead",
+                name,
+                f"commanded, and its controller has said nothing since {since:.0f} s",
                 "power, bus and fuse of that controller",
-            )  # fmt: skip
+            )
         return
     found = response(told, shaft)
     if found is None:
         yield Finding(
-            "fault", "dead", name, f"told up to {np.abs(told.value).max():.2f}, and the shaft does not turn",
+            "fault",
+            "shaft-does-not-turn",
+            "dead",
+            name,
+            f"told up to {np.abs(told.value).max():.2f}, and the shaft does not turn",
             "controller, motor, cable; is it armed?",
-        )  # fmt: skip
+        )
         return
     yield from _scale(name, found)
     if found.r2 < 0.5:
@@ -72,40 +80,61 @@ def _shaft(name: str, told: Channel, shaft: Channel) -> Iterator[Finding]:
     yield from of_steps
     if found.delay > LONG_DELAY + STEP / 2:
         yield Finding(
-            "fault", "delay", name, f"the shaft follows {found.delay:.2f} s after its command",
+            "fault",
+            "shaft-late",
+            "delay",
+            name,
+            f"the shaft follows {found.delay:.2f} s after its command",
             "the link's rate and queues; the controller's ramp",
-        )  # fmt: skip
+        )
     elif not any(f.check == "delay" for f in of_steps):
-        yield Finding("ok", "delay", name, f"the shaft follows {found.delay:.2f} s after its command")
+        yield Finding("ok", "shaft-on-time", "delay", name, f"the shaft follows {found.delay:.2f} s after its command")
     if found.band_gain > 0.2 and found.band > 0.0:
         wide = found.band > WIDE_BAND + 0.005
         advice = "the controller's dead band or start-up power; small commands do nothing" if wide else ""
         text = f"commands below {found.band:.2f} do not turn the shaft"
-        yield Finding("fault" if wide else "ok", "dead band", name, text, advice)
+        code = "dead-band-wide" if wide else "dead-band-narrow"
+        yield Finding("fault" if wide else "ok", code, "dead band", name, text, advice)
 
 
 def _scale(name: str, found: Response) -> Iterator[Finding]:
     size = abs(found.scale)
     if found.r2 < 0.5:
         yield Finding(
-            "warning", "shaft", name, f"the shaft follows its command only to R2 {found.r2:.2f}",
+            "warning",
+            "shaft-does-not-follow",
+            "shaft",
+            name,
+            f"the shaft follows its command only to R2 {found.r2:.2f}",
             "drop-outs of either, a limit, or a controller that does not obey",
-        )  # fmt: skip
+        )
     elif abs(size / RAD_PER_S - 1.0) < 0.1 or abs(size * RAD_PER_S - 1.0) < 0.1:
         yield Finding(
-            "fault", "units", name, f"speed is {size:.3g} of the command: rad/s for rev/min?",
+            "fault",
+            "shaft-speed-in-rad-per-s",
+            "units",
+            name,
+            f"speed is {size:.3g} of the command: rad/s for rev/min?",
             "rpm_max of the rig or the unit in the import's map",
-        )  # fmt: skip
+        )
     elif not 0.4 < size < 2.5:
         yield Finding(
-            "fault", "units", name, f"speed is {size:.3g} of the command",
+            "fault",
+            "shaft-speed-scale",
+            "units",
+            name,
+            f"speed is {size:.3g} of the command",
             "pole_pairs and rpm_max of the rig",
-        )  # fmt: skip
+        )
     elif found.scale < 0.0:
         yield Finding(
-            "fault", "sign", name, "the shaft turns against its command",
+            "fault",
+            "shaft-sign-reversed",
+            "sign",
+            name,
+            "the shaft turns against its command",
             "`reversed` of the rig or the controller's direction",
-        )  # fmt: skip
+        )
 
 
 def response(told: Channel, shaft: Channel) -> Response | None:
@@ -191,16 +220,24 @@ def _steps(name: str, told: Channel, shaft: Channel) -> Iterator[Finding]:
     if len(half) >= 3 and np.median(half) > LATE_STEP:
         text = f"half of a step shows {np.median(half):.1f} s after its command (median of {len(half)})"
         yield Finding(
-            "fault", "delay", name, text,
+            "fault",
+            "shaft-step-late",
+            "delay",
+            name,
+            text,
             "slow telemetry or a ramp: a shorter lag cannot be known from this log",
-        )  # fmt: skip
+        )
     yield from _limit(name, there)
     gone = sum(_drop_outs(h) for h in there if abs(h.settled) > 0.5 * abs(h.level) > 0.05)
     if gone:
         yield Finding(
-            "warning", "drop-out", name, f"its speed falls to nothing {gone} times while it is told to turn",
+            "warning",
+            "shaft-speed-drops-out",
+            "drop-out",
+            name,
+            f"its speed falls to nothing {gone} times while it is told to turn",
             "its sensor or its power; fit with --robust",
-        )  # fmt: skip
+        )
 
 
 def _drop_outs(held: Hold) -> int:
@@ -219,6 +256,10 @@ def _limit(name: str, there: list[Hold]) -> Iterator[Finding]:
     top = float(np.median([abs(h.settled) for h in short]))
     if max(abs(abs(h.settled) / top - 1.0) for h in short) < 0.02 and max(followed) <= 1.02 * top:
         yield Finding(
-            "warning", "limit", name, f"commands beyond {top:.2f} do not turn it faster",
+            "warning",
+            "shaft-speed-limited",
+            "limit",
+            name,
+            f"commands beyond {top:.2f} do not turn it faster",
             "limits.n_max of the rig, or the controller's own limit",
-        )  # fmt: skip
+        )

@@ -2,12 +2,10 @@
 
 The command `seatrial mission design`: it belongs to bench's group, but needs ident; seatrial.py puts it there.
 Commands of ident that use a fitted model: navigate, export, information.
-The commands `seatrial ident check` and `check-page`: what `seatrial check` asks ident about.
 """
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Sequence
@@ -35,50 +33,10 @@ from ident.cli.options import (
     validate_option,
 )
 
-FORMAT = "seatrial-check 1"
-
 
 @click.group()
 def ident() -> None:
     """Fit models to logs, and find what they lack."""
-
-
-@click.command(hidden=True, epilog="Example: seatrial ident check run.mcap")
-@click.argument("logs", nargs=-1, required=True, type=LOG)
-@click.option("--quiet", is_flag=True, help="Print nothing; for a command that asks within the same process.")
-def check(logs: tuple[Path, ...], quiet: bool) -> list[list[dict[str, str]]]:
-    """Findings from the motion in LOGS, as JSON: one list a log. `seatrial check LOG` shows them to people."""
-    from ident.checks import as_dicts
-
-    found = [as_dicts(path) for path in logs]
-    if not quiet:
-        click.echo(json.dumps(found))
-    return found
-
-
-ident.add_command(check)
-
-
-@click.command(
-    "check-page",
-    hidden=True,
-    epilog="Example: seatrial ident check-page run.mcap --findings check.json --out check.html",
-)
-@click.argument("logs", nargs=-1, type=LOG)
-@click.option("--findings", required=True, type=LOG, help="What `seatrial check --json` printed.")
-@click.option("--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="The page to write.")
-def check_page(logs: tuple[Path, ...], findings: Path, out: Path) -> None:
-    """Write the page of a check with what is in LOGS as evidence; `seatrial check --report` asks for it."""
-    from ident.checks import envelope, log_evidence
-    from ident.report import write_check_page
-
-    content = _content(findings)
-    content = envelope(content, [path.name for path in logs], command_line())
-    name = content["subject"] if content.get("rig") and len(logs) == 1 else ""
-    write_check_page(content | {"logs": [log_evidence(path, name) for path in logs]}, out)
-
-
-ident.add_command(check_page)
 
 
 @ident.command(short_help="Fit shaft response and thrust curve to logs of the bench.")
@@ -566,13 +524,3 @@ def _stretch(text: str) -> tuple[float, float]:
     if not -math.inf < begin < end < math.inf:
         raise click.BadParameter(f"{text!r}: the end is not after the beginning")
     return begin, end
-
-
-def _content(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise SeatrialError(f"{path}: no JSON ({error}); write it with seatrial check --json") from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise SeatrialError(f"{path}: not of format {FORMAT!r}; write it with seatrial check --json")
-    return content

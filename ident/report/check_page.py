@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from daq.checks import CheckReport, DryRun, Finding, PredictedTrack
 from daq.errors import counted
+from ident.checks import CheckEvidence
 from ident.numerics import Array
 from ident.report import drawing, formatting
-from ident.report.access import Row, array, group, number, rows, text, texts
 from ident.report.blocks import Canvas, Facts, Grid, Key, Prose, Section, Verdict, Verdicts, tabbed
 from ident.report.drawing import BEFORE, MODEL, Budget, Panel, dots, line, single, stacked
 from ident.report.page import compose
@@ -19,38 +22,36 @@ from ident.report.page import compose
 LEVELS = {"fault": "faults", "warning": "warnings", "ok": "in order"}
 MOST_NAMED = 4
 POINTS = 120_000  # on the page
-Make = Callable[[Row, int], Sequence[Panel]]  # a log and the points that a trace may have -> panels
+Make = Callable[[CheckEvidence, int], Sequence[Panel]]  # a log and the points that a trace may have -> panels
 
 
-def write_check_page(content: Mapping[str, Any], path: Path) -> None:
-    """Write a check's findings, curves (``logs``: of ident.checks.evidence) and dry run as one HTML page.
+def write_check_page(report: CheckReport, logs: Sequence[CheckEvidence], command: str, path: Path) -> None:
+    """Write a check's findings, the curves of its logs and its dry run as one HTML page.
 
     It opens without a network. Raises OSError where ``path`` cannot be written.
     """
-    canvas = Canvas(content, Budget.for_traces(sum(_count(log) for log in rows(content, "logs")), POINTS))
-    found = rows(content, "findings")
-    wrong = [f for f in found if text(f, "level") != "ok"]
-    opening = Section("top", "", [*([_verdicts(wrong)] if wrong else []), Facts(_facts(content))])
-    body = [_mission(canvas), *_evidence(canvas)]
-    body.append(Section("all", "Every question", [_verdicts(found)] if found else []))
-    command = text(content, "command")
+    canvas = Canvas({}, Budget.for_traces(sum(_count(log) for log in logs), POINTS))
+    wrong = [f for f in report.findings if f.level != "ok"]
+    opening = Section("top", "", [*([_verdicts(wrong)] if wrong else []), Facts(_facts(report, logs))])
+    body = [_mission(canvas, report.mission), *_evidence(canvas, logs)]
+    body.append(Section("all", "Every question", [_verdicts(report.findings)] if report.findings else []))
     body.append(Section("made", "How it was made", [Facts([("command", command)], "made")] if command else []))
     page = compose(
-        "Preflight" if group(content, "rig") else "Check of a log",
-        answer(content),
+        "Preflight" if report.rig is not None else "Check of a log",
+        answer(report),
         opening,
         [section for section in body if section.blocks],
         canvas.figures,
-        version=text(content, "seatrial"),
-        created=text(content, "created"),
+        version=version("seatrial"),
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
     )
     path.write_text(page, encoding="utf-8", newline="\n")
 
 
-def answer(content: Row) -> str:
+def answer(report: CheckReport) -> str:
     """May it be used, and if not, why not."""
-    found, subject, rig = rows(content, "findings"), text(content, "subject"), bool(group(content, "rig"))
-    faults, warnings = ([f for f in found if text(f, "level") == level] for level in ("fault", "warning"))
+    found, subject, rig = report.findings, report.subject, report.rig is not None
+    faults, warnings = ([f for f in found if f.level == level] for level in ("fault", "warning"))
     if faults:
         first, *more = faults
         rest = f" Faulty as well: {_named(more)}." if more else ""
@@ -63,87 +64,86 @@ def answer(content: Row) -> str:
     return f"{subject} is {'ready' if rig else 'in order'}: {counted(len(found), 'check')}, nothing wrong."
 
 
-def _phrase(finding: Row) -> str:
-    where, what = text(finding, "where"), text(finding, "text")
+def _phrase(finding: Finding) -> str:
+    where, what = finding.where, finding.text
     return what if where.rsplit(": ", 1)[-1] in what else f"{where}, {what}"
 
 
-def _named(found: Sequence[Row]) -> str:
+def _named(found: Sequence[Finding]) -> str:
     """``gnss (rate), left (delay) and 3 more``."""
-    shown = [f"{text(f, 'where')} ({text(f, 'check')})" for f in found]
+    shown = [f"{f.where} ({f.check})" for f in found]
     if len(shown) > MOST_NAMED:
         shown = [*shown[: MOST_NAMED - 1], f"{len(shown) - MOST_NAMED + 1} more"]
     return " and ".join([", ".join(shown[:-1]), shown[-1]] if len(shown) > 1 else shown)
 
 
-def _verdicts(found: Sequence[Row]) -> Verdicts:
-    return Verdicts([Verdict(*(text(f, key) for key in ("level", "where", "check", "text", "advice"))) for f in found])
+def _verdicts(found: Sequence[Finding]) -> Verdicts:
+    return Verdicts([Verdict(f.level, f.where, f.check, f.text, f.advice) for f in found])
 
 
-def _facts(content: Row) -> list[tuple[str, str]]:
-    rig, levels = group(content, "rig"), [text(f, "level") for f in rows(content, "findings")]
-    facts = [("rig", text(rig, "name"))] if rig else []
-    logs = rows(content, "logs")
+def _facts(report: CheckReport, logs: Sequence[CheckEvidence]) -> list[tuple[str, str]]:
+    levels = [f.level for f in report.findings]
+    facts = [] if report.rig is None else [("rig", report.rig)]
     for log in logs:
-        label = "recorded" if len(logs) == 1 else f"recorded in {text(log, 'name')}"
-        facts.append((label, formatting.duration(number(log, "duration"))))
+        label = "recorded" if len(logs) == 1 else f"recorded in {log.name}"
+        facts.append((label, formatting.duration(log.duration)))
     return [*facts, *((word, str(levels.count(level))) for level, word in LEVELS.items())]
 
 
-def _count(log: Row) -> int:
-    return sum(len(rows(log, key)) for key in ("pauses", "shafts", "push", "sensors", "signals")) + 2
+def _count(log: CheckEvidence) -> int:
+    return sum(len(rows) for rows in (log.intervals, log.shafts, log.push, log.sensors, log.signals)) + 2
 
 
-def _evidence(canvas: Canvas) -> list[Section]:
+def _evidence(canvas: Canvas, logs: Sequence[CheckEvidence]) -> list[Section]:
     """One section for each kind of curve, with a tab a log; without tabs where there is one log."""
     measured = ("measured", "measured")
     return [
-        _section(canvas, "push", "Does the boat go where its thrusters push?", _push, 170, [
+        _section(canvas, logs, "push", "Does the boat go where its thrusters push?", _push, 170, [
             measured, ("line", "as the thrusters push, through a first-order lag and to scale")],
             "Two curves that go together: sides and signs are right. Mirror images: swapped, or a wrong sign."),
-        _section(canvas, "shafts", "Do the shafts do what they are told?", _shafts, 132, [
+        _section(canvas, logs, "shafts", "Do the shafts do what they are told?", _shafts, 132, [
             ("before", "what it is told"), ("line", "what the shaft does")]),
-        _section(canvas, "sensors", "Do the sensors agree?", _sensors, 132, [
+        _section(canvas, logs, "sensors", "Do the sensors agree?", _sensors, 132, [
             ("measured", "change of heading in 1 s, of position in 5 s"), ("line", "gyro, velocity as received")],
             "One motion by two sensors. A factor between them is a unit; a shift in time, a sensor that comes late."),
-        _section(canvas, "signals", "What the sensors said", _signals, 100),
-        _section(canvas, "pauses", "Time between samples", _pauses, 90, [
+        _section(canvas, logs, "signals", "What the sensors said", _signals, 100),
+        _section(canvas, logs, "intervals", "Time between samples", _intervals, 90, [
             ("line", "from sample to sample"), ("before", "by the rig's rate_hz")],
             "A peak is a pause; a level above the dashed line, a device that is slower than the rig says."),
     ]
 
 
 def _section(
-    canvas: Canvas, key: str, title: str, make: Make, height: int, items: Sequence[tuple[str, str]] = (), lead: str = ""
+    canvas: Canvas, logs: Sequence[CheckEvidence], key: str, title: str, make: Make, height: int,
+    items: Sequence[tuple[str, str]] = (), lead: str = "",
 ) -> Section:
     found = []
-    for log in rows(canvas.result, "logs"):
+    for log in logs:
         panels, blocks = make(log, canvas.budget.points), list[Any]()
         if panels:
             figure, high = stacked(panels, "time since the start of the log [s]", panel_height=height)
-            blocks.append(Grid([canvas.plot(figure, high, f"{title} {text(log, 'name')}")], 320))
-        found.append((text(log, "name"), blocks))
+            blocks.append(Grid([canvas.plot(figure, high, f"{title} {log.name}")], 320))
+        found.append((log.name, blocks))
     blocks = found[0][1] if len(found) == 1 else tabbed(found)
     return Section(key, title, [*([Key(items)] if items else []), *blocks] if blocks else [], lead)
 
 
-def _push(log: Row, limit: int) -> list[Panel]:
+def _push(log: CheckEvidence, limit: int) -> list[Panel]:
     panels = []
-    for row in rows(log, "push"):
-        factor, unit = formatting.degrees_for(text(row, "unit"))
-        t, measured, expected = (np.asarray(row[key]) for key in ("t", "measured", "expected"))
-        traces = [dots(t, factor * measured, "measured", limit), line(t, factor * expected, "as pushed", limit)]
-        panels.append(Panel(_capital(text(row, "title")) + formatting.bracket(unit), traces))
+    for row in log.push:
+        factor, unit = formatting.degrees_for(row.unit)
+        traces = [dots(row.t, factor * row.measured, "measured", limit),
+                  line(row.t, factor * row.expected, "as pushed", limit)]
+        panels.append(Panel(_capital(row.title) + formatting.bracket(unit), traces))
     return panels
 
 
-def _shafts(log: Row, limit: int) -> list[Panel]:
+def _shafts(log: CheckEvidence, limit: int) -> list[Panel]:
     panels = []
-    for row in rows(log, "shafts"):
-        told = _held(np.asarray(row["t_cmd"]), np.asarray(row["n_cmd"]), float(row["end"]))
-        traces = [line(*told, "told", limit, color=BEFORE, dash="dash"),
-                  line(np.asarray(row["t"]), np.asarray(row["n"]), "turns", limit)]
-        panels.append(Panel(f"{_capital(text(row, 'name'))}, part of full speed", traces))
+    for row in log.shafts:
+        told = _held(row.t_command, row.n_command, row.end)
+        traces = [line(*told, "told", limit, color=BEFORE, dash="dash"), line(row.t, row.n, "turns", limit)]
+        panels.append(Panel(f"{_capital(row.name)}, part of full speed", traces))
     return panels
 
 
@@ -152,69 +152,65 @@ def _held(t: Array, value: Array, end: float) -> tuple[Array, Array]:
     return np.append(np.repeat(t, 2)[1:], max(end, float(t[-1]))), np.repeat(value, 2)
 
 
-def _sensors(log: Row, limit: int) -> list[Panel]:
+def _sensors(log: CheckEvidence, limit: int) -> list[Panel]:
     panels = []
-    for row in rows(log, "sensors"):
-        factor, unit = formatting.degrees_for(text(row, "unit"))
-        t, one, other = (np.asarray(row[key]) for key in ("t", "one", "other"))
-        first, second = texts(row, "names")
-        traces = [dots(t, factor * one, first, limit), line(t, factor * other, second, limit)]
-        panels.append(Panel(_capital(text(row, "title")) + formatting.bracket(unit), traces))
+    for row in log.sensors:
+        factor, unit = formatting.degrees_for(row.unit)
+        first, second = row.names
+        traces = [dots(row.t, factor * row.one, first, limit), line(row.t, factor * row.other, second, limit)]
+        panels.append(Panel(_capital(row.title) + formatting.bracket(unit), traces))
     return panels
 
 
-def _signals(log: Row, limit: int) -> list[Panel]:
+def _signals(log: CheckEvidence, limit: int) -> list[Panel]:
     panels = []
-    for row in rows(log, "signals"):
-        factor, unit = formatting.degrees_for(text(row, "unit"))
-        name, t, value = text(row, "channel"), np.asarray(row["t"]), np.asarray(row["value"])
-        shown = np.degrees(np.unwrap(value)) if row.get("angle") is True and unit == "deg" else factor * value
+    for row in log.signals:
+        factor, unit = formatting.degrees_for(row.unit)
+        name = row.channel
+        shown = np.degrees(np.unwrap(row.value)) if row.angle and unit == "deg" else factor * row.value
         title = formatting.titled(name) if name in formatting.MEANINGS else _capital(name.replace("_", " "))
-        panels.append(Panel(title + formatting.bracket(unit), [dots(t, shown, name, limit)]))
+        panels.append(Panel(title + formatting.bracket(unit), [dots(row.t, shown, name, limit)]))
     return panels
 
 
-def _pauses(log: Row, limit: int) -> list[Panel]:
+def _intervals(log: CheckEvidence, limit: int) -> list[Panel]:
     panels = []
-    for row in rows(log, "pauses"):
-        t, pause, expected = np.asarray(row["t"]), 1e3 * np.asarray(row["value"]), number(row, "expected")
+    for row in log.intervals:
+        t, pause = row.t, 1e3 * row.interval
         traces, top = [dots(t, pause, "pause", limit, color=MODEL)], float(pause.max())
-        if expected is not None:
-            ends, top = np.array([t[0], t[-1]]), max(top, 1e3 * expected)
-            traces.append(line(ends, np.full(2, 1e3 * expected), "by the rig", 2, color=BEFORE, dash="dash"))
-        panels.append(Panel(f"{text(row, 'source')} [ms]", traces, {"range": [0.0, 1.2 * top]}))
+        if row.expected is not None:
+            ends, top = np.array([t[0], t[-1]]), max(top, 1e3 * row.expected)
+            traces.append(line(ends, np.full(2, 1e3 * row.expected), "by the rig", 2, color=BEFORE, dash="dash"))
+        panels.append(Panel(f"{row.source} [ms]", traces, {"range": [0.0, 1.2 * top]}))
     return panels
 
 
-def _mission(canvas: Canvas) -> Section:
+def _mission(canvas: Canvas, mission: DryRun | None) -> Section:
     """The dry run: what will be told, and the way that the boat is expected to take."""
-    mission = group(canvas.result, "mission")
-    if not mission:
+    if mission is None:
         return Section("mission", "", [])
-    t, n = np.asarray(mission["t"]), np.asarray(mission["n"])
     panels = []
-    for column, name in enumerate(texts(mission, "thrusters")):
-        told = line(*_held(t, n[:, column], float(mission["end"])), name, canvas.budget.points)
+    for column, name in enumerate(mission.thrusters):
+        told = line(*_held(mission.t, mission.n[:, column], mission.end), name, canvas.budget.points)
         panels.append(Panel(f"{_capital(name)}: command, part of full speed", [told], {"range": [-1.08, 1.08]}))
     figure, high = stacked(panels, "time since the start of the mission [s]")
     blocks: list[Any] = [Grid([canvas.plot(figure, high, "Commands of the mission")], 320)]
-    x, y = array(mission, "x"), array(mission, "y")
-    if x is not None and y is not None:
-        track = single(_way(mission, x, y), "east of the start [m]", "north of the start [m]", hovermode="closest",
-                       yaxis={"scaleanchor": "x"}, showlegend=True, legend={"orientation": "h", "y": 1.08})
-        words = f"Predicted by {text(mission, 'by')}, from rest, heading north. Wind and current add to it."
+    if mission.track is not None:
+        track = single(_way(mission.track, mission.fence), "east of the start [m]", "north of the start [m]",
+                       hovermode="closest", yaxis={"scaleanchor": "x"}, showlegend=True,
+                       legend={"orientation": "h", "y": 1.08})
+        words = f"Predicted by {mission.track.source}, from rest, heading north. Wind and current add to it."
         blocks += [Grid([canvas.plot(track, 540, "Predicted track and fence")], 320, "narrow"), Prose(words, "caption")]
-    return Section("mission", f"The mission, run dry: {text(mission, 'name')}", blocks)
+    return Section("mission", f"The mission, run dry: {mission.name}", blocks)
 
 
-def _way(mission: Row, x: Array, y: Array) -> list[drawing.Trace]:
-    x, y = x - x[0], y - y[0]
+def _way(track: PredictedTrack, fence: float | None) -> list[drawing.Trace]:
+    x, y = track.x - track.x[0], track.y - track.y[0]
     traces = [line(y, x, "predicted track", 4000)]
-    radius, fence = array(mission, "radius"), number(mission, "fence")
     angle = np.linspace(0.0, 2.0 * np.pi, 121)
-    if radius is not None and radius.size == x.size:
-        wide = int(np.argmax(np.hypot(x, y) + radius))
-        around = (y[wide] + radius[wide] * np.sin(angle), x[wide] + radius[wide] * np.cos(angle))
+    if track.radius is not None:
+        wide = int(np.argmax(np.hypot(x, y) + track.radius))
+        around = (y[wide] + track.radius[wide] * np.sin(angle), x[wide] + track.radius[wide] * np.cos(angle))
         traces.append(line(*around, "95 % of the boats, where farthest", 200, color=drawing.FAINT))
     if fence is not None:
         circle = (fence * np.sin(angle), fence * np.cos(angle))

@@ -9,10 +9,10 @@ from typing import NamedTuple
 from bench.mission_generators import make_mission
 from bench.preflight.actuator_test import actuator_plan
 from daq.checks.device_checks import check_devices
-from daq.checks.findings import Finding, from_dict
+from daq.checks.findings import Finding
 from daq.config.mission_file import Mission
 from daq.log.reader import open_log
-from ident.checks.log_checks import as_dicts
+from ident.checks.log_checks import check_log
 from mocks.devices.faults import Faults, parse_fault
 from mocks.offline_simulation import BOAT, Recording, simulate
 from mocks.plant.boat import draw_boat
@@ -25,10 +25,10 @@ DEVICES, THRUSTERS = ("ahrs", "gnss", "esc"), ("left", "right")
 
 
 class Case(NamedTuple):
-    """A fault: how the mocks make it, and the words of the finding that names it (check, where)."""
+    """A fault: how the mocks make it, and the finding that names it (code, where)."""
 
     name: str
-    check: str
+    code: str
     where: str
     fault: str = ""  # for mocks.devices.faults
     thruster: ThrusterTruth | None = None
@@ -37,16 +37,16 @@ class Case(NamedTuple):
 
 
 CASES = (
-    Case("swapped sides", "sides", "left and right", swapped=True),
-    Case("reversed sign", "sign", "left", reversed=True),
-    Case("dead thruster", "dead", "right", "esc-dead/right@20"),
-    Case("stuck sensor", "stuck", "ahrs", "stuck/ahrs@25:5"),
-    Case("wrong rate", "rate", "gnss", "slow/gnss@0"),
-    Case("late sensor", "late", "gnss", "late/gnss@0"),
-    Case("wrong units", "units", "ahrs", "degrees/ahrs@0"),
-    Case("dead zone", "dead band", "left", thruster=ThrusterTruth(dead_zone=0.25)),
-    Case("delay", "delay", "left", thruster=ThrusterTruth(delay=1.0)),
-    Case("noisy AHRS", "noise", "ahrs", "noisy/ahrs@0"),
+    Case("swapped sides", "thruster-sides-swapped", "left and right", swapped=True),
+    Case("reversed sign", "thruster-sign-reversed", "left", reversed=True),
+    Case("dead thruster", "controller-fell-silent", "right", "esc-dead/right@20"),
+    Case("stuck sensor", "sensor-stuck", "ahrs", "stuck/ahrs@25:5"),
+    Case("wrong rate", "rate-off", "gnss", "slow/gnss@0"),
+    Case("late sensor", "sensor-late", "gnss", "late/gnss@0"),
+    Case("wrong units", "angle-in-degrees", "ahrs", "degrees/ahrs@0"),
+    Case("dead zone", "dead-band-wide", "left", thruster=ThrusterTruth(dead_zone=0.25)),
+    Case("delay", "shaft-late", "left", thruster=ThrusterTruth(delay=1.0)),
+    Case("noisy AHRS", "sensor-noisy", "ahrs", "noisy/ahrs@0"),
 )
 
 
@@ -79,12 +79,12 @@ def findings(path: Path) -> list[Finding]:
     """What `seatrial check LOG` tells."""
     with open_log(path) as log:
         of_devices = list(check_devices(log))
-    return [*of_devices, *(from_dict(values) for values in as_dicts(path))]
+    return [*of_devices, *check_log(path)]
 
 
 def named(case: Case, found: list[Finding]) -> bool:
     """Whether a fault of that name at that place is among them."""
-    return any(f.level == "fault" and f.check == case.check and case.where in f.where for f in found)
+    return any(f.level == "fault" and f.code == case.code and case.where in f.where for f in found)
 
 
 def alarms(found: list[Finding]) -> list[Finding]:

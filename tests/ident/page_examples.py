@@ -6,48 +6,59 @@ from typing import Any
 
 import numpy as np
 
+from daq.checks.check_report import CheckReport, DryRun, PredictedTrack
+from daq.checks.findings import Finding
+from ident.checks.evidence import (
+    CheckEvidence,
+    PushResponseCurve,
+    SampleIntervals,
+    SensorPair,
+    ShaftResponse,
+    SignalCurve,
+)
+
 AIMS = {"bias": (-0.15, 0.15), "ratio": (0.9, 1.1), "coverage": (0.93, 0.97)}
 MADE = {"created": "2025-05-06T07:08:09Z", "seatrial": "0.1.0"}
 
 
-def check() -> dict[str, Any]:
-    """A rig whose sides are swapped, and a mission that is run dry: every key that the page may be given."""
-    words = (
-        ("fault", "sides", "left and right", "left and right are swapped: the boat turns against its thrust difference",
-         "exchange the nodes in the rig or the plugs"),
-        ("fault", "rate", "gnss", "2.5 Hz, expected 5", "the device's output rate, or rate_hz of the rig"),
-        ("warning", "late", "gnss", "velocity comes 0.40 s after acceleration", "its filters or its time stamps"),
-        ("ok", "rate", "ahrs", "50 Hz, expected 50", ""), ("ok", "delay", "left", "the shaft follows 0.35 s later", ""),
+def check() -> CheckReport:
+    """A rig whose sides are swapped, and a mission that is run dry: everything that the page may be given."""
+    findings = (
+        Finding("fault", "thruster-sides-swapped", "sides", "left and right",
+                "left and right are swapped: the boat turns against its thrust difference",
+                "exchange the nodes in the rig or the plugs"),
+        Finding("fault", "rate-off", "rate", "gnss", "2.5 Hz, expected 5", "its output rate, or rate_hz of the rig"),
+        Finding("warning", "sensor-late", "late", "gnss", "velocity comes 0.40 s after acceleration",
+                "its filters or its time stamps"),
+        Finding("ok", "rate-as-expected", "rate", "ahrs", "50 Hz, expected 50"),
+        Finding("ok", "shaft-on-time", "delay", "left", "the shaft follows 0.35 s later"),
     )
-    findings = [dict(zip(("level", "check", "where", "text", "advice"), row, strict=True)) for row in words]
     t = np.arange(0.0, 60.0, 2.0)
     n = np.column_stack([np.sign(np.sin(t / 5.0)) * 0.6, np.sign(np.cos(t / 7.0)) * 0.6])
     way = np.linspace(0.0, 3.0, 200)
-    mission = {"name": "mixed, seed 1", "thrusters": ["left", "right"], "t": t.tolist(), "n": n.tolist(), "end": 60.0,
-               "fence": 60.0, "x": (20 * np.sin(way)).tolist(), "y": (20 * (1 - np.cos(way))).tolist(),
-               "radius": (2 * way).tolist(), "by": "the design, by model horizontal"}
-    return MADE | {"subject": "boat.toml", "rig": {"name": "boat"}, "command": "seatrial check boat.toml --report x",
-                   "findings": findings, "mission": mission, "logs": [checked_log()]}
+    track = PredictedTrack(20 * np.sin(way), 20 * (1 - np.cos(way)), "the design, by model horizontal", 2 * way)
+    mission = DryRun("mixed, seed 1", ("left", "right"), t, n, 60.0, 60.0, track)
+    return CheckReport("boat.toml", findings, (), "boat", mission)
 
 
-def checked_log() -> dict[str, Any]:
+def checked_log() -> CheckEvidence:
     """Curves as `ident.checks.evidence.log_evidence` gives them."""
     rng, t = np.random.default_rng(8), np.arange(0.0, 48.0, 0.1)
     told = np.where(np.mod(t, 12.0) < 6.0, 0.3, -0.3)
     r = 0.2 * np.convolve(told, np.exp(-np.arange(0, 6, 0.1)), "full")[: t.size]
     noisy = r + 0.004 * rng.normal(size=t.size)
-    push = {"title": "yaw rate", "unit": "rad/s", "t": t, "measured": noisy, "expected": -r}
-    shaft = {"name": "left", "t": t, "n": np.roll(told, 3), "t_cmd": t[::60], "n_cmd": told[::60], "end": 48.0}
-    pair = {"title": "yaw rate", "unit": "rad/s", "names": ["of the heading, over 1 s", "of the gyro"], "t": t,
-            "one": r, "other": noisy}
     heading = np.mod(np.cumsum(r) * 0.1 + 3.0, 2 * np.pi) - np.pi
-    signals = [{"channel": "psi", "unit": "rad", "t": t, "value": heading, "angle": True},
-               {"channel": "ax", "unit": "m/s2", "t": t, "value": rng.normal(size=t.size), "angle": False}]
     late = 0.02 + 0.002 * rng.exponential(size=t.size - 1)
-    pauses = [{"source": "ahrs", "t": t[1:], "value": late, "expected": 0.02},
-              {"source": "tide", "t": t[1::50], "value": np.full(10, 5.0), "expected": None}]
-    return {"name": "actuator-test", "duration": 48.0, "rig": "boat", "pauses": pauses, "shafts": [shaft],
-            "push": [push], "sensors": [pair], "signals": signals}
+    return CheckEvidence(
+        "actuator-test", 48.0, "boat",
+        intervals=(SampleIntervals("ahrs", t[1:], late, 0.02),
+                   SampleIntervals("tide", t[1::50], np.full(10, 5.0), None)),
+        shafts=(ShaftResponse("left", t, np.roll(told, 3), t[::60], told[::60], 48.0),),
+        push=(PushResponseCurve("yaw rate", "rad/s", t, noisy, -r),),
+        sensors=(SensorPair("yaw rate", "rad/s", ("of the heading, over 1 s", "of the gyro"), t, r, noisy),),
+        signals=(SignalCurve("psi", "rad", t, heading, True),
+                 SignalCurve("ax", "m/s2", t, rng.normal(size=t.size), False)),
+    )  # fmt: skip
 
 
 def design() -> dict[str, Any]:

@@ -99,7 +99,7 @@ def numbers(packed: Any) -> Any:
 
 def check(path: Path) -> None:
     """A preflight with swapped sides and a mission that is run dry."""
-    write_check_page(page_examples.check(), path)
+    write_check_page(page_examples.check(), [page_examples.checked_log()], "seatrial check boat.toml --report x", path)
 
 
 def design(path: Path) -> None:

@@ -43,15 +43,15 @@ def ferry(tmp_path: Path, thruster: int, **changes: str) -> list[Finding]:
 
 @pytest.mark.parametrize("thruster", [3, 4])
 def test_the_ferrys_delay_limit_and_drop_outs(tmp_path: Path, thruster: int) -> None:
-    found = {(f.check, f.where): f for f in reversed(ferry(tmp_path, thruster, csv="", missing=""))}
-    delay = found["delay", "pod"]
+    found = {(f.code, f.where): f for f in reversed(ferry(tmp_path, thruster, csv="", missing=""))}
+    delay = found["shaft-step-late", "pod"]
     assert delay.level == "fault"
     assert 1.5 < float(delay.text.split("shows ")[1].split()[0]) < 3.0
-    assert "beyond 0.75" in found["limit", "pod"].text
-    assert found["drop-out", "pod"].level == "warning"
-    assert "put right by the import's map" in found["time", "log.mcap"].text
+    assert "beyond 0.75" in found["shaft-speed-limited", "pod"].text
+    assert found["shaft-speed-drops-out", "pod"].level == "warning"
+    assert ("lost-zeros-restored", "log.mcap") in found
     # The smallest command that was tried, 0.1, is followed: there is nothing to find (docs/examples/milliampere).
-    assert ("dead band", "pod") not in found
+    assert not {("dead-band-wide", "pod"), ("dead-band-narrow", "pod")} & set(found)
 
 
 @pytest.mark.parametrize("thruster", [3, 4])
@@ -61,7 +61,7 @@ def test_the_ferrys_broken_time_stamps(tmp_path: Path, thruster: int) -> None:
     found = ferry(tmp_path, thruster, time=time, csv='csv = { time_order = "drop" }', missing="")
     (stamps,) = [f for f in found if f.check == "time" and f.where == "n_pod"]
     assert stamps.level == "fault"
-    assert "leading zeros were lost" in stamps.text
+    assert stamps.code == "lost-zeros"
     assert "unpadded-ns" in stamps.advice
     (rows,) = [f for f in found if f.check == "time" and f.where.startswith("motor_state")]
     assert int(rows.text.split()[0]) > 2000

@@ -18,6 +18,8 @@ from mocks.world import Sample
 from tests.bench.check_cases import Case, alarms, logged, sailed
 from tests.missions import push, write_log
 
+G = 9.81  # m/s2
+
 
 def told(path: Path) -> list[Finding]:
     with open_log(path) as log:
@@ -25,19 +27,19 @@ def told(path: Path) -> list[Finding]:
 
 
 @pytest.mark.parametrize(
-    ("fault", "level", "check", "where", "text"),
+    ("fault", "level", "code", "where", "text"),
     [
-        ("flat/esc@0:100", "fault", "battery", "esc node 1", "6.0 V, limit 10"),
-        ("stuck/esc@25:8", "fault", "stuck", "esc node 2", "while its command changed"),
-        ("stuck/gnss@20:6", "fault", "stuck", "gnss", "the same reading for"),
-        ("silence/gnss@10:100", "fault", "silent", "gnss", "of the log"),
-        ("silence/gnss@10:15", "warning", "gap", "gnss", "missing: 1 section"),
-        ("silence/ahrs@0:100", "fault", "alive", "ahrs", "nothing of it"),
+        ("flat/esc@0:100", "fault", "voltage-low", "esc node 1", "6.0 V, limit 10"),
+        ("stuck/esc@25:8", "fault", "shaft-speed-stuck", "esc node 2", ""),
+        ("stuck/gnss@20:6", "fault", "sensor-stuck", "gnss", ""),
+        ("silence/gnss@10:100", "fault", "device-fell-silent", "gnss", ""),
+        ("silence/gnss@10:15", "warning", "sections-missing", "gnss", "1 section"),
+        ("silence/ahrs@0:100", "fault", "device-not-in-log", "ahrs", ""),
     ],
 )
-def test_faults_of_one_device(tmp_path: Path, fault: str, level: str, check: str, where: str, text: str) -> None:
+def test_faults_of_one_device(tmp_path: Path, fault: str, level: str, code: str, where: str, text: str) -> None:
     found = told(logged(tmp_path / "run.mcap", 3, Case("", "", "", fault), actuators=True))
-    assert [f for f in found if (f.level, f.check, f.where) == (level, check, where) and text in f.text], found
+    assert [f for f in found if (f.level, f.code, f.where) == (level, code, where) and text in f.text], found
 
 
 def _ahrs(change: Callable[[Ahrs], Ahrs]) -> Callable[[Sample], Sample]:
@@ -45,21 +47,21 @@ def _ahrs(change: Callable[[Ahrs], Ahrs]) -> Callable[[Sample], Sample]:
 
 
 @pytest.mark.parametrize(
-    ("change", "check", "text"),
+    ("change", "code", "text"),
     [
-        (_ahrs(lambda s: replace(s, ax=s.ax / 9.81, ay=s.ay / 9.81, az=s.az / 9.81)), "units", "in g?"),
-        (_ahrs(lambda s: replace(s, az=s.az + 9.81)), "units", "without gravity?"),
-        (_ahrs(lambda s: replace(s, roll=s.roll + math.pi / 2)), "mounting", "90 deg off"),
-        (lambda s: replace(s, fix=0) if isinstance(s, Gnss) and int(s.utc) % 2 else s, "fix", "no position in"),
-        (lambda s: replace(s, n_sat=4) if isinstance(s, Gnss) else s, "fix", "4 satellites"),
+        (_ahrs(lambda s: replace(s, ax=s.ax / G, ay=s.ay / G, az=s.az / G)), "specific-force-not-gravity", "in g?"),
+        (_ahrs(lambda s: replace(s, az=s.az + G)), "specific-force-not-gravity", "without gravity?"),
+        (_ahrs(lambda s: replace(s, roll=s.roll + math.pi / 2)), "sensor-not-level", "90 deg"),
+        (lambda s: replace(s, fix=0) if isinstance(s, Gnss) and int(s.utc) % 2 else s, "position-missing", ""),
+        (lambda s: replace(s, n_sat=4) if isinstance(s, Gnss) else s, "few-satellites", "4 "),
     ],
 )
 def test_values_that_no_sensor_of_a_boat_has(
-    tmp_path: Path, change: Callable[[Sample], Sample], check: str, text: str
+    tmp_path: Path, change: Callable[[Sample], Sample], code: str, text: str
 ) -> None:
     readings = [r._replace(sample=change(r.sample)) for r in sailed(3, actuators=True).readings]
     found = told(write_log(tmp_path / "run.mcap", "boat", readings))
-    assert [f for f in found if f.check == check and text in f.text], found
+    assert [f for f in found if f.code == code and text in f.text], found
 
 
 def test_a_load_cell_that_is_saturated(tmp_path: Path) -> None:
@@ -71,10 +73,10 @@ def test_a_load_cell_that_is_saturated(tmp_path: Path) -> None:
         for k, r in enumerate(readings)
     ]
     (found,) = told(write_log(tmp_path / "spoilt.mcap", "bench", spoilt))
-    assert found.check == "load cell"
+    assert found.code == "load-cell-saturated"
 
 
 def test_a_log_that_was_cut_off_says_so(tmp_path: Path) -> None:
     whole = logged(tmp_path / "whole.mcap", 3, actuators=True).read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
-    assert "cut off" in next(f.text for f in told(tmp_path / "cut.mcap") if f.check == "log")
+    assert "cut off" in next(f.text for f in told(tmp_path / "cut.mcap") if f.code == "log-damaged")

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import seatrial
-from ident.checks.evidence import log_evidence
+from daq.checks.check_report import CheckReport
+from ident.checks.evidence import CheckEvidence, log_evidence
 from ident.checks.motion import YAW_LAGS, delayed_forces
 from ident.report.check_page import answer, write_check_page
 from tests.bench.check_cases import CASES, logged
 from tests.ident import page_examples
 from tests.ident.pages import HOSTILE, Page, numbers
 
-EVIDENCE = ["push", "shafts", "sensors", "signals", "pauses", "all", "made"]
+EVIDENCE = ["push", "shafts", "sensors", "signals", "intervals", "all", "made"]
 
 
-def page(content: dict[str, object], folder: Path) -> Page:
-    write_check_page(content, folder / "check.html")
+def page(report: CheckReport, logs: list[CheckEvidence], folder: Path, command: str = "") -> Page:
+    write_check_page(report, logs, command, folder / "check.html")
     return Page((folder / "check.html").read_text(encoding="utf-8"))
 
 
@@ -28,11 +30,11 @@ def test_swapped_sides_are_mirror_images(tmp_path: Path) -> None:
     """The curves of the page say what the finding says."""
     for case, sign in ((None, 1.0), (CASES[0], -1.0)):
         log = logged(tmp_path / f"{sign:g}.mcap", 3, case, actuators=True)
-        curves = {row["title"]: row for row in log_evidence(log)["push"]}
+        curves = {row.title: row for row in log_evidence(log).push}
         turning, ahead = curves["yaw rate"], curves["speed ahead over ground"]
-        both = np.corrcoef(turning["measured"], turning["expected"])[0, 1]
+        both = np.corrcoef(turning.measured, turning.expected)[0, 1]
         assert sign * both > 0.8
-        assert np.corrcoef(ahead["measured"], ahead["expected"])[0, 1] > 0.8
+        assert np.corrcoef(ahead.measured, ahead.expected)[0, 1] > 0.8
 
 
 def test_a_push_is_shown_to_scale_and_through_its_lag() -> None:
@@ -78,7 +80,7 @@ def test_logs_have_a_tab_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 
 def test_the_page_of_a_rig_with_a_mission(tmp_path: Path) -> None:
-    found = page(page_examples.check(), tmp_path)
+    found = page(page_examples.check(), [page_examples.checked_log()], tmp_path, "seatrial check")
     assert found.headings() == ["mission", *EVIDENCE]
     words = " ".join(found.words.split())
     assert "boat.toml is not ready: left and right are swapped: the boat turns against its thrust difference" in words
@@ -86,39 +88,26 @@ def test_the_page_of_a_rig_with_a_mission(tmp_path: Path) -> None:
 
 
 def test_the_answer_is_one_sentence() -> None:
-    content = page_examples.check()
-    rows = content["findings"]
-    ok = [row for row in rows if row["level"] == "ok"]
-    warned = [row for row in rows if row["level"] != "fault"]
-    assert answer(content | {"findings": ok}) == "boat.toml is ready: 2 checks, nothing wrong."
-    assert answer(content | {"findings": warned}) == "Nothing stops a run with boat.toml; look first at gnss (late)."
-    assert answer({"subject": "a.mcap", "findings": ok}) == "a.mcap is in order: 2 checks, nothing wrong."
-    assert answer(content | {"findings": 3 * rows[:2]}).endswith(
+    report = page_examples.check()
+    rows = report.findings
+    ok = tuple(row for row in rows if row.level == "ok")
+    warned = tuple(row for row in rows if row.level != "fault")
+    assert answer(replace(report, findings=ok)) == "boat.toml is ready: 2 checks, nothing wrong."
+    assert answer(replace(report, findings=warned)) == "Nothing stops a run with boat.toml; look first at gnss (late)."
+    assert answer(CheckReport("a.mcap", ok)) == "a.mcap is in order: 2 checks, nothing wrong."
+    assert answer(replace(report, findings=3 * rows[:2])).endswith(
         "difference. Faulty as well: gnss (rate), left and right (sides), gnss (rate) and 2 more."
     )
 
 
 def test_what_is_not_there_is_left_out_and_text_is_data(tmp_path: Path) -> None:
-    least = page({"subject": HOSTILE, "findings": [], "logs": []}, tmp_path)
+    least = page(CheckReport(HOSTILE, ()), [], tmp_path)
     assert least.headings() == []
     assert HOSTILE in least.words
     assert len(least.scripts) == 2  # figures and the page's own, without plotly
-    bare = page_examples.check()
-    for key in ("x", "y"):
-        del bare["mission"][key]
-    bare["logs"] = [{"name": HOSTILE, "duration": 1.0, "pauses": [], "shafts": [], "push": []}]
-    found = page(bare, tmp_path)
+    whole = page_examples.check()
+    assert whole.mission is not None
+    bare = replace(whole, mission=replace(whole.mission, track=None))
+    found = page(bare, [CheckEvidence(HOSTILE, 1.0, None)], tmp_path, "seatrial check")
     assert found.headings() == ["mission", "all", "made"]
     assert len(found.figures()) == 1
-
-
-def test_findings_that_are_none_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for text in ("{", "[]", '{"format": "other"}'):
-        (tmp_path / "f.json").write_text(text, encoding="utf-8")
-        words = ["ident", "check-page", "--findings", str(tmp_path / "f.json"), "--out", str(tmp_path / "a.html")]
-        with pytest.raises(SystemExit) as left:
-            seatrial.main(words)
-        assert left.value.code == 1
-        err = capsys.readouterr().err
-        assert err.count("\n") == 1
-        assert "seatrial check --json" in err
