@@ -117,7 +117,7 @@ LEAST = 200  # samples that the digits of the time stamps are judged by
 
 def check_devices(log: Log) -> Iterator[Finding]:
     """Every finding about the devices of an open log, one after the other."""
-    rig = log.rig()
+    rig = log.rig
     for text in log.warnings:
         yield Finding(WARNING, "log", log.path.name, text, "`seatrial recover` makes a whole log of what is there")
     for source, tables in _tables(log).items():

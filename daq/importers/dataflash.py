@@ -16,7 +16,7 @@ from daq.errors import SeatrialError, counted
 from daq.importers.common import Timed
 from daq.protocol import FIXES, mode_name
 from daq.rig import Device, Rig
-from daq.samples import NAN, Ahrs, Battery, Esc, Event, Frame, Gnss, Sample, Servo
+from daq.samples import NAN, Ahrs, Battery, Esc, Event, Frame, Gnss, Sample, Servo, wrap_angle
 
 Found = list[Sample]
 
@@ -42,7 +42,7 @@ class _Reader:
 
     def _att(self, m: Any) -> Found:
         yaw, pitch, roll = (math.radians(angle) for angle in (m.Yaw, m.Pitch, m.Roll))
-        return [Ahrs(math.remainder(yaw, 2.0 * math.pi), pitch, roll, *self._imu)]
+        return [Ahrs(wrap_angle(yaw), pitch, roll, *self._imu)]
 
     def _gps(self, m: Any) -> Found:
         if getattr(m, "I", 0) != 0:

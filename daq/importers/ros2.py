@@ -20,7 +20,7 @@ import numpy as np
 from daq.errors import SeatrialError, counted
 from daq.importers.common import Row, write_frames
 from daq.log import schema
-from daq.samples import NAN, Ahrs, Frame, Gnss, Scalar
+from daq.samples import NAN, Ahrs, Frame, Gnss, Scalar, wrap_angle
 
 IMU, FIX = "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix"
 LONGEST = 16  # numbers of an array that become signals; images and clouds do not
@@ -111,7 +111,7 @@ def _ahrs(message: Any, axes: str) -> Ahrs:
     yaw, pitch, roll = (float(angle[0]) for angle in schema.angles(*(np.array([v]) for v in (q.x, q.y, q.z, q.w))))
     sign = 1.0
     if axes == "ros":
-        yaw, pitch, sign = math.remainder(math.pi / 2.0 - yaw, math.tau), -pitch, -1.0
+        yaw, pitch, sign = wrap_angle(math.pi / 2.0 - yaw), -pitch, -1.0
     if not known[0] or q.x == q.y == q.z == q.w == 0.0:
         yaw = pitch = roll = NAN
     rates = (w.x, sign * w.y, sign * w.z) if known[1] else (NAN, NAN, NAN)

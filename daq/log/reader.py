@@ -83,8 +83,12 @@ class Log:
                     digest.update(block)
         return digest.hexdigest()
 
+    @cached_property
     def rig(self) -> Rig | None:
-        """The rig that stands in the log; its relative paths count from the log's folder. None for an import."""
+        """The rig file attached to the log, parsed once; None for an import.
+
+        Its relative paths count from the log's folder. Raises SeatrialError where the attachment is no valid rig.
+        """
         data = self.attachments.get("rig.toml")
         if data is None:
             return None

@@ -19,7 +19,7 @@ from typing import Any
 from pynmeagps import NMEAReader
 
 from daq.protocol.framing import StreamDecoder, sentence, take_sentence
-from daq.samples import NAN, Ahrs, Frame, Gnss
+from daq.samples import NAN, Ahrs, Frame, Gnss, wrap_angle
 
 _FIX_TO_QUALITY = {0: 0, 1: 6, 2: 1, 3: 1, 4: 2, 5: 4, 6: 5}
 KNOT = 1852.0 / 3600.0  # m/s
@@ -405,7 +405,7 @@ class Headings:
         self._best, self.remark = rank, ""
         roll, pitch = (angle * _DEG for angle in (*numbers[1:], NAN, NAN)[:2])
         rate, self._rate = self._rate, NAN
-        return [Frame(Ahrs(math.remainder(yaw, math.tau), pitch, roll, r=rate), t_rx, NAN)]
+        return [Frame(Ahrs(wrap_angle(yaw), pitch, roll, r=rate), t_rx, NAN)]
 
     def _turn(self, words: list[bytes]) -> list[Frame] | None:
         if len(words) < 3 or words[2] != b"A" or not words[1]:

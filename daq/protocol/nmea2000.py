@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from daq.protocol.canframe import FRAME_BYTES, FrameDecoder
-from daq.samples import NAN, Ahrs, Frame, Gnss
+from daq.samples import NAN, Ahrs, Frame, Gnss, wrap_angle
 
 HEADING, TURN, ATTITUDE, VARIATION, COURSE, FIX = 127250, 127251, 127257, 127258, 129026, 129029
 STALE_S = 2.0  # attitude and course go with a heading or a fix for no longer; a sender that is silent is not waited for
@@ -160,7 +160,7 @@ class Decoder(FrameDecoder):
         pitch, roll, when = self._level
         if t_rx - when > STALE_S:
             pitch = roll = NAN
-        return [Frame(Ahrs(math.remainder(yaw, math.tau), pitch, roll), t_rx, NAN)]
+        return [Frame(Ahrs(wrap_angle(yaw), pitch, roll), t_rx, NAN)]
 
     def _east(self, own: float) -> float:
         """What turns magnetic into true, rad; NaN where nobody says."""

@@ -21,7 +21,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from daq.protocol import nmea
-from daq.samples import NAN, Ahrs, Frame, Gnss
+from daq.samples import NAN, WGS84_FLATTENING, WGS84_SEMI_MAJOR_AXIS, Ahrs, Frame, Gnss, wrap_angle
 
 SYNC = b"\xb5\x62"
 HEAD = 6  # sync, class, id, length
@@ -134,7 +134,7 @@ def _dop(v: dict[str, float], payload: bytes) -> None:
 
 def _geodetic(x: float, y: float, z: float) -> tuple[float, float]:
     """Latitude and longitude [deg] of a point in ECEF [m]; Bowring 1976, WGS 84."""
-    a, f = 6378137.0, 1.0 / 298.257223563
+    a, f = WGS84_SEMI_MAJOR_AXIS, WGS84_FLATTENING
     b, e2 = a * (1.0 - f), f * (2.0 - f)
     p = math.hypot(x, y)
     if p < 1.0:
@@ -320,7 +320,7 @@ def _attitude(payload: bytes, t_rx: float) -> list[Frame]:
     # An angle that is not known has an accuracy of 0 (M8) or of a whole turn.
     known = [0 < acc < 180e5 for acc in (acc_heading, acc_pitch, acc_roll)]
     yaw, pitch, roll = (
-        math.remainder(math.radians(1e-5 * angle), math.tau) if ok else NAN
+        wrap_angle(math.radians(1e-5 * angle)) if ok else NAN
         for angle, ok in zip((heading, pitch, roll), known, strict=True)
     )
     return [Frame(Ahrs(yaw, pitch, roll), t_rx, NAN)] if any(known) else []

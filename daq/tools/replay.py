@@ -89,7 +89,7 @@ def recorded(log: Log, devices: Sequence[str] = ()) -> list[str]:
 
 def chunks(log: Log, devices: Sequence[str]) -> Iterator[Chunk]:
     """(time, device, bytes as they were on the wire) of all reads, in the order of time."""
-    rig = log.rig()
+    rig = log.rig
     can = {device.name for device in rig.devices if device.port.startswith(("slcan:", "socketcan:"))} if rig else set()
 
     def of(name: str) -> Iterator[Chunk]:
@@ -189,7 +189,7 @@ def write_rig(log: Log, devices: Sequence[str], folder: Path, speed: float) -> P
 
 
 def _text(log: Log, devices: Sequence[str], speed: float) -> str | None:
-    rig = log.rig()
+    rig = log.rig
     if rig is None or not {device.name for device in rig.devices}.issuperset(devices):
         return None
     document = tomlkit.parse(rig.text).unwrap()

@@ -38,7 +38,7 @@ def log_evidence(path: Path, rig_path: str = "") -> dict[str, Any]:
     """
     with open_log(path) as log:
         c = {name: Channel(s.t - log.start, s.value, s.unit, s.source) for name, s in channels(log).items()}
-        rig = log.rig()
+        rig = log.rig
         about = {
             "name": rig_path or path.stem,
             "duration": log.duration,
@@ -52,7 +52,7 @@ def log_evidence(path: Path, rig_path: str = "") -> dict[str, Any]:
 
 def _pauses(log: Log) -> list[dict[str, Any]]:
     """Seconds between neighbouring samples of each device, at the later one."""
-    rig = log.rig()
+    rig = log.rig
     expected = {d.name: 1.0 / d.rate_hz for d in rig.devices} if rig else {}
     found: list[dict[str, Any]] = []
     for kind in (Ahrs, Gnss, LoadCell, Scalar):

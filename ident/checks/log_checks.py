@@ -37,13 +37,13 @@ def findings(found: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
 
 def sides_of(log: Log) -> dict[str, float]:
     """Thruster -> position to starboard [m] by the log's rig; of an imported log only the side is known."""
-    rig = log.rig()
+    rig = log.rig
     return {t.name: t.position_m[1] for t in rig.thrusters} if rig else IMPORTED
 
 
 def _mute(log: Log) -> Iterator[Finding]:
     """Thrusters that were commanded and whose controllers never said a word."""
-    rig = log.rig()
+    rig = log.rig
     for thruster in rig.thrusters if rig else ():
         device, node = thruster.device, thruster.node
         if thruster.output is None and node in log.nodes(Command, device) and node not in log.nodes(Esc, device):

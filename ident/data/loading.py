@@ -10,6 +10,7 @@ from typing import Any
 
 from daq.errors import SeatrialError
 from daq.log import Log, open_log
+from daq.rig import Rig
 from ident.data.log_channels import channels
 from ident.data.record import Channel, LogSegment
 
@@ -21,7 +22,7 @@ class LoadedLog:
     run: LogSegment
     about: dict[str, Any]
     holds: Mapping[str, str]
-    rig: Any
+    rig: Rig | None
     segments: tuple[tuple[float, str], ...] = ()  # steps of its mission: when each began [s of the log], and its name
 
 
@@ -29,7 +30,6 @@ def load_run(path: Path, role: str, t_from: float | None = None, t_to: float | N
     """Times ``t_from`` and ``t_to`` count from the start of the log."""
     with open_log(path) as log:
         found = channels(log)
-        rig = log.rig()
         if not found:
             raise SeatrialError(f"{path}: no signal that ident knows; see what it holds with `seatrial info {path}`")
         start = min(c.t[0] for c in found.values())
@@ -40,13 +40,13 @@ def load_run(path: Path, role: str, t_from: float | None = None, t_to: float | N
             "role": role,
             "name": path.stem,
             "duration": log.duration,
-            "rig": rig.name if rig else None,
+            "rig": log.rig.name if log.rig else None,
             "mission": _mission_name(log),
             "warnings": list(log.warnings),
         }
         holds = {n: _hold(log, n) for n in found}
         segments = tuple((t - start, text) for t, kind, text in log.events() if kind == "segment")
-        return LoadedLog(LogSegment(path.stem, moved, t_from, t_to), about, holds, rig, segments)
+        return LoadedLog(LogSegment(path.stem, moved, t_from, t_to), about, holds, log.rig, segments)
 
 
 def _hold(log: Log, name: str) -> str:

@@ -17,18 +17,27 @@ Which way a shaft turned whose controller said only how fast, as an autopilot's 
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from daq.log import Log
-from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar, Servo
+from daq.rig import Thruster
+from daq.samples import (
+    WGS84_ECCENTRICITY_2,
+    WGS84_SEMI_MAJOR_AXIS,
+    Ahrs,
+    Command,
+    Esc,
+    Gnss,
+    LoadCell,
+    Scalar,
+    Servo,
+)
 from ident.data.record import Channel
 from ident.numerics import Array
 
-# WGS 84
-SEMI_MAJOR, ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3
+Table = NDArray[np.void]  # of `Log.table`, shape (n,)
 TRACK = 20.0  # s
 STEP = 0.02  # s
 DELAYS = np.arange(0.0, 1.01, 0.05)  # s
@@ -41,7 +50,7 @@ def channels(log: Log) -> dict[str, Channel]:
     for source in log.sources(Scalar):
         table = log.table(Scalar, source)
         found[source] = _channel(table, "value", log.unit(source), source)
-    rig = log.rig()
+    rig = log.rig
     for source in log.sources(Ahrs):
         table = log.table(Ahrs, source)
         for name, column, unit in (
@@ -88,7 +97,7 @@ def along_track(t: Array, vx: Array, vy: Array) -> Array:
     return np.asarray(np.divide(vx * dx + vy * dy, length, out=np.zeros_like(speed), where=length > 0))
 
 
-def ahrs_channels(table: Any, source: str) -> dict[str, Channel]:
+def ahrs_channels(table: Table, source: str) -> dict[str, Channel]:
     """Every axis of an AHRS that it reported."""
     names = {"yaw": "psi", "pitch": "theta", "roll": "phi"}
     rows = (("rad", ("yaw", "pitch", "roll")), ("rad/s", ("p", "q", "r")), ("m/s2", ("ax", "ay", "az")))
@@ -96,7 +105,7 @@ def ahrs_channels(table: Any, source: str) -> dict[str, Channel]:
     return {name: c for name, c in found.items() if c.t.size > 1}
 
 
-def _thruster(log: Log, thruster: Any, found: dict[str, Channel]) -> None:
+def _thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> None:
     device, node = thruster.device, thruster.node
     shaft = None
     if node in log.nodes(Esc, device):
@@ -118,7 +127,7 @@ def _thruster(log: Log, thruster: Any, found: dict[str, Channel]) -> None:
         found[f"n_cmd_{thruster.name}"] = _channel(log.table(Command, device, node=node), "n_cmd", "", device)
 
 
-def _gnss(table: Any, source: str) -> dict[str, Channel]:
+def _gnss(table: Table, source: str) -> dict[str, Channel]:
     table = table[(table["fix"] >= 2) & np.isfinite(table["lat"])]
     if not len(table):
         return {}
@@ -134,20 +143,22 @@ def _gnss(table: Any, source: str) -> dict[str, Channel]:
 def local_ned(lat: Array, lon: Array) -> tuple[Array, Array]:
     """Degrees -> metres north and east of the first point, on the ellipsoid's radii there (Groves 2013, 2.4.2)."""
     phi = np.radians(lat[0])
-    w = 1 - ECCENTRICITY_2 * np.sin(phi) ** 2
-    meridian, normal = SEMI_MAJOR * (1 - ECCENTRICITY_2) / w**1.5, SEMI_MAJOR / np.sqrt(w)
+    w = 1 - WGS84_ECCENTRICITY_2 * np.sin(phi) ** 2
+    meridian = WGS84_SEMI_MAJOR_AXIS * (1 - WGS84_ECCENTRICITY_2) / w**1.5
+    normal = WGS84_SEMI_MAJOR_AXIS / np.sqrt(w)
     east = np.radians(np.mod(lon - lon[0] + 180, 360) - 180)
     return meridian * np.radians(lat - lat[0]), normal * np.cos(phi) * east
 
 
-def _channel(table: Any, column: str, unit: str, source: str) -> Channel:
+def _channel(table: Table, column: str, unit: str, source: str) -> Channel:
     good = np.isfinite(table[column])
     t, value = table["t"][good], table[column][good]
     return Channel(np.ascontiguousarray(t, float), np.ascontiguousarray(value, float), unit, source)
 
 
-def _good(table: Any) -> Any:
-    return table[table["flags"] == 0]
+def _good(table: Table) -> Table:
+    good: Table = table[table["flags"] == 0]
+    return good
 
 
 def follows_command(rpm: Array, n: Array) -> bool:

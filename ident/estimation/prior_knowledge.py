@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from daq.errors import SeatrialError
+from daq.rig import Rig
 from ident.effects import catalogue
 from ident.estimation.model_file import load_model
 from ident.model import Effect, Model, Parameter
@@ -16,7 +16,7 @@ from ident.models import CURRENT_WALK, SIDES, antenna_of, current_walk, scale_pr
 GNSS = {"x", "y", "vx", "vy"}
 
 
-def apply_rig_geometry(model: Model, rig: Any) -> tuple[Model, list[str]]:
+def apply_rig_geometry(model: Model, rig: Rig | None) -> tuple[Model, list[str]]:
     """The model with what the rig file says of the boat, and a line for each thing that it cannot take into account."""
     if rig is None:
         return model, []
@@ -26,9 +26,9 @@ def apply_rig_geometry(model: Model, rig: Any) -> tuple[Model, list[str]]:
     return _with_antenna(model.replace_parameters(*known), rig)
 
 
-def _with_antenna(model: Model, rig: Any) -> tuple[Model, list[str]]:
+def _with_antenna(model: Model, rig: Rig) -> tuple[Model, list[str]]:
     felt = slice(2 if "hull" in model.provides else 3)  # a level boat does not feel the height
-    arms = [d.lever_arm_m for d in rig.devices if d.lever_arm_m is not None and any(d.lever_arm_m[felt])]
+    arms = [d.lever_arm_m for d in rig.devices if any(tuple(d.lever_arm_m)[felt])]
     seen = sorted(GNSS & {o.name for o in model.outputs})
     if not arms or not seen:
         return model, []

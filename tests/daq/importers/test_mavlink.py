@@ -44,7 +44,7 @@ def test_a_tlog_becomes_a_log_on_the_autopilots_own_times(tmp_path: Path) -> Non
     assert "system 1, " in said
     assert "0 bytes not understood" in said
     with open_log(out) as log:
-        assert log.rig() is not None
+        assert log.rig is not None
         ahrs = log.table(Ahrs, "autopilot")
         assert len(ahrs) == sum(isinstance(frame.sample, Ahrs) for frame in ends.frames)
         settled = ahrs[ahrs["t_device"] > 21.0]

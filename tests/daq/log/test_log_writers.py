@@ -54,7 +54,7 @@ def test_files_of_other_writers(tmp_path: Path, options: dict[str, object]) -> N
     table = log.table(Scalar, "x")
     assert table["value"].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
     assert table["t"].tolist() == [10.0, 11.0, 12.0, 13.0, 14.0]
-    assert log.rig() is None
+    assert log.rig is None
 
 
 def break_messages(data: bytes) -> bytes:

@@ -86,7 +86,7 @@ def test_a_killed_recording_keeps_all_but_the_last_moment(tmp_path: Path, seed: 
     assert written[-1] - table["t"][-1] <= 0.3
     np.testing.assert_allclose(table["t"], written[: len(table)], atol=1e-6)
     assert log.attachments == {"rig.toml": RIG.encode(), "mission.toml": b"n = 1"}
-    assert log.rig() is not None
+    assert log.rig is not None
     assert {"git", "host", "operator", "command_line", "version.seatrial"} <= set(log.metadata)
 
 
@@ -96,7 +96,7 @@ def test_everything_about_the_run_stands_in_the_file_before_the_first_sample(tmp
     assert found.metadata["operator"] == "Ada"
     assert found.metadata["rig"] == "test rig"
     assert json.loads(found.metadata["origin"]) == [0.0, T0]
-    assert found.rig() is not None
+    assert found.rig is not None
     assert found.counts == {}
     log.close()
     assert log.size == (tmp_path / "run.mcap").stat().st_size

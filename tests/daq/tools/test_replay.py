@@ -98,7 +98,7 @@ def test_the_logs_own_rig_stands_beside_the_ports_while_they_are_there(recorded:
     said: list[str] = []
     with open_log(recorded) as log:
         assert replay_log(log, ["ahrs", "esc"], tmp_path / "ports", speed=2.0, said=said.append, stopped=stopped) == 0
-        own = log.rig()
+        own = log.rig
     assert own is not None
     ((line, rig),) = seen
     assert f"`seatrial log {tmp_path}/ports/replay.toml` records them anew" in line
