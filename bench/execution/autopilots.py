@@ -8,12 +8,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 
-from daq.acquisition import Acquisition
+from daq.acquisition import Acquisition, Status
 from daq.clock import RunClock
-from daq.drivers import check_parameters
+from daq.drivers import LinkStatus, check_parameters
 from daq.errors import SafetyStop, SeatrialError
 from daq.rig import Device, Rig
-from daq.status import LinkStatus, Status
 
 # Wall seconds.
 AWAIT_S = 10.0  # for heartbeats, parameters and answers
@@ -73,7 +72,7 @@ class Autopilots:
         return link
 
     def _await_parameters(self, device: Device) -> None:
-        link = self._await(device, lambda link: link.heard and not link.asking, AWAIT_S)
+        link = self._await(device, lambda link: link.received and not link.parameters_pending, AWAIT_S)
         if link is None:
             raise SeatrialError(f"{device.name} ({device.port}): no heartbeat or no parameters in {AWAIT_S:g} s")
         assert device.mavlink is not None
@@ -116,14 +115,14 @@ class Autopilots:
         self._ask(device, "arm", 0.0, lambda link: link.armed)
         self._say(f"{device.name}: armed")
 
-    def _ask(self, device: Device, wish: str, value: float, done: Callable[[LinkStatus], bool]) -> None:
+    def _ask(self, device: Device, action: str, value: float, done: Callable[[LinkStatus], bool]) -> None:
         """Ask, and wait for the answer and for its effect; raises SeatrialError with the autopilot's reason."""
-        self._acquisition.wish(device.name, wish, value)
-        link = self._await(device, lambda link: link.answer.startswith(f"{wish}:"), AWAIT_S)
-        if link is None or link.answer != f"{wish}: accepted":
-            raise SeatrialError(f"{device.name}: {link.answer if link else f'{wish}: no answer'}")
+        self._acquisition.request(device.name, action, value)
+        link = self._await(device, lambda link: link.answer.startswith(f"{action}:"), AWAIT_S)
+        if link is None or link.answer != f"{action}: accepted":
+            raise SeatrialError(f"{device.name}: {link.answer if link else f'{action}: no answer'}")
         if self._await(device, done, AWAIT_S) is None:
-            raise SeatrialError(f"{device.name}: {wish} was accepted and has not come about in {AWAIT_S:g} s")
+            raise SeatrialError(f"{device.name}: {action} was accepted and has not come about in {AWAIT_S:g} s")
 
     def check(self, status: Status) -> None:
         """Raise SafetyStop when an autopilot does anything but what it was asked for."""
@@ -148,7 +147,7 @@ class Autopilots:
     def release(self) -> None:
         """Disarm what was armed here; says so where it does not come about. Thrust has to be zero before."""
         for name in self._armed:
-            self._acquisition.wish(name, "disarm")
+            self._acquisition.request(name, "disarm")
         for name in self._armed:
             if self._await(self._rig.device(name), lambda link: not link.armed, AWAIT_S) is None:
                 self._say(f"{name}: disarming is not confirmed; disarm it yourself")
@@ -156,7 +155,7 @@ class Autopilots:
     def disarm(self) -> None:
         """Ask to disarm what was armed here and wait a moment, whatever signals come: the way out of trouble."""
         for name in self._armed:
-            self._acquisition.wish(name, "disarm")
+            self._acquisition.request(name, "disarm")
         deadline = time.monotonic() + LEAVE_S
         while time.monotonic() < deadline and any(self._link(self._rig.device(name)).armed for name in self._armed):
             time.sleep(POLL_S)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
-from daq.acquisition import Acquisition
+from daq.acquisition import Acquisition, Status
 from daq.errors import SeatrialError
 from daq.rig import Rig
-from daq.status import Status
 
 AWAIT_S = 10.0  # wall seconds for every device to say something
 POLL_S = 0.02

@@ -14,14 +14,13 @@ from bench.execution.safety_guard import SafetyGuard
 from bench.execution.sequencer import MissionSequencer, Schedule
 from bench.execution.tare import Tare, describe_tares, measure_tares
 from bench.mission_limits import dry_run
-from daq.acquisition import Acquisition
+from daq.acquisition import Acquisition, Status
 from daq.clock import RunClock
 from daq.config import Mission, dump_mission
 from daq.errors import SafetyStop, SeatrialError
 from daq.realtime_priority import realtime_priority
 from daq.rig import Rig
 from daq.samples import Esc, Gnss, LoadCell
-from daq.status import Status
 
 POLL_S = 0.02  # wall seconds between two looks at the status
 AHEAD_S = 0.5  # wall seconds that set-points are sent ahead of their time, at most

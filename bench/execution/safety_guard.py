@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 
+from daq.acquisition import Status
 from daq.errors import SafetyStop
 from daq.rig import Rig
 from daq.samples import Ahrs, Battery, Esc, Gnss, LoadCell
-from daq.status import Status
 
 SATURATED, SPIKE = 1, 2  # LoadCell.flags
 STALE_S = 1.0  # run seconds a device may be silent, at least

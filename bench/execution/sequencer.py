@@ -10,9 +10,9 @@ from dataclasses import replace
 from typing import NamedTuple, Protocol
 
 from bench.execution.tare import windows_of
+from daq.acquisition import Status
 from daq.config import Mission
 from daq.errors import counted
-from daq.status import Status
 
 GAP_PART = 0.5  # of the guard's patience: so long a silence spoils a step without ending the run
 Row = tuple[float, dict[str, float]]  # run time, n_cmd by thruster

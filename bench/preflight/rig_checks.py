@@ -8,12 +8,11 @@ from dataclasses import fields
 from pathlib import Path
 
 from bench.execution import silent_devices
-from daq.acquisition import Acquisition
+from daq.acquisition import Acquisition, Status
 from daq.checks import FAULT, OK, WARNING, Finding
 from daq.clock import RunClock
-from daq.drivers import check_parameters
+from daq.drivers import LinkStatus, check_parameters
 from daq.rig import Device, Rig
-from daq.status import LinkStatus, Status
 
 RATE_TOLERANCE = 0.2  # a rate within this part of the expected one is good
 STILL_WALL_S = 1.0  # wall s of silence that a busy machine may make by itself
@@ -72,14 +71,14 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
 
 def _autopilot(rig: Rig, device: Device, status: Status) -> Iterator[Finding]:
     link = status.links.get(device.name, LinkStatus())
-    if not link.heard:
+    if not link.received:
         yield Finding(
             FAULT, "no-heartbeat", "link", device.name, "no heartbeat", "system id, port and baud rate of that link"
         )
         return
     assert device.mavlink is not None
     here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
-    if link.asking:
+    if link.parameters_pending:
         yield Finding(
             WARNING,
             "parameters-unanswered",

@@ -12,12 +12,12 @@ from collections.abc import Callable
 
 from daq.acquisition.log_thread import LogItem, LogSink
 from daq.acquisition.sensor_health import SensorHealth
+from daq.acquisition.status import Latest, PortStatus, Source
 from daq.clock import ClockMap, RunClock
-from daq.drivers import DeviceDriver, Due, Setpoints
+from daq.drivers import DeviceDriver, Due, LinkStatus, Setpoints
 from daq.protocol import Decoder
 from daq.rig import Device
 from daq.samples import NAN, Ahrs, Command, Esc, Event, Frame, Gnss, PortHealth, Sample, Servo
-from daq.status import Latest, LinkStatus, PortStatus, RateMeter, Source
 from daq.transport import Port, PortError
 
 IDLE_S = 0.5  # wall; longest wait for bytes
@@ -36,7 +36,7 @@ def _is_attitude(sample: Sample) -> bool:
 class DeviceLoop(threading.Thread):
     """The thread of one port, its counters, and the last it heard.
 
-    `setpoints` makes it an actuator too: due set-points are sent from this thread, in the words of `talker`, which
+    `setpoints` makes it an actuator too: due set-points are sent from this thread, in the words of `driver`, which
     may also speak for itself. When the port is lost while thrust is commanded, `on_lost(reason)` is called from
     this thread.
     """
@@ -49,16 +49,16 @@ class DeviceLoop(threading.Thread):
         clock: RunClock,
         sink: LogSink,
         setpoints: Setpoints | None = None,
-        talker: DeviceDriver | None = None,
+        driver: DeviceDriver | None = None,
         on_lost: Callable[[str], None] = lambda reason: None,
     ) -> None:
         super().__init__(name=f"port {device.name}", daemon=True)
         self.device = device
         self._port, self._decoder, self._clock, self._sink = port, decoder, clock, sink
-        self._setpoints, self._talker, self._on_lost = setpoints, talker, on_lost
+        self._setpoints, self._driver, self._on_lost = setpoints, driver, on_lost
         self._many, self._attitudes = device.protocol in MANY, False
         self._clock_map = ClockMap()
-        self._watch = SensorHealth()
+        self._sensor_health = SensorHealth()
         self._has_clock = False
         self._ending = False
         self._wake_read, self._wake_write = os.pipe()
@@ -107,8 +107,8 @@ class DeviceLoop(threading.Thread):
         self._mute_bytes = 0
         self._decoder.reset()
         self._joining, self._unforgiven = True, self._unparsed()
-        if self._talker is not None:
-            self._talker.opened(time.monotonic())
+        if self._driver is not None:
+            self._driver.opened(time.monotonic())
         if self._setpoints is not None and self._setpoints.held:
             self._setpoints.zero(time.monotonic())  # what it was told before it was lost is not what holds now
 
@@ -124,8 +124,8 @@ class DeviceLoop(threading.Thread):
         wait = IDLE_S
         if self._setpoints is not None:
             wait = min(wait, self._setpoints.wait(self._clock.now(), time.monotonic(), self._clock.speed))
-        if self._talker is not None:
-            wait = min(wait, self._talker.wait(time.monotonic()))
+        if self._driver is not None:
+            wait = min(wait, self._driver.wait(time.monotonic()))
         if self._wait(self._port.fileno(), wait):
             data = self._port.read()
             t_rx = self._clock.now()
@@ -133,17 +133,17 @@ class DeviceLoop(threading.Thread):
                 self._received(data, t_rx)
         if self._setpoints is not None:
             self._send(self._setpoints.due(self._clock.now(), time.monotonic()))
-        if self._talker is not None:
-            self._talk(self._talker)
+        if self._driver is not None:
+            self._poll_driver(self._driver)
 
-    def _talk(self, talker: DeviceDriver) -> None:
-        """Send what the talker has to say, and log what it has to tell."""
-        data = talker.poll(time.monotonic())
+    def _poll_driver(self, driver: DeviceDriver) -> None:
+        """Send what the driver has to say, and log what it has to tell."""
+        data = driver.poll(time.monotonic())
         t = self._clock.now()
         if data:
             self._port.write(data)
             self._sink.put(LogItem(self.device.name, "tx", data, t, []))
-        if events := talker.events():
+        if events := driver.events():
             self._sink.put(LogItem(self.device.name, "", b"", t, [(Frame(event, t, NAN), t) for event in events]))
 
     def _wait(self, fd: int, seconds: float) -> bool:
@@ -162,9 +162,9 @@ class DeviceLoop(threading.Thread):
                 self._latest[self._source(frame.sample)] = Latest(frame.sample, t)
                 self._t_last = frame.t_rx
                 self._rated += self._is_rated(frame.sample)
-            self._watch.take(frame)
+            self._sensor_health.take(frame)
         self._samples += len(frames)
-        self._watch.count(t_rx, self._decoder.frames, self._decoder.checksum_errors, self._clock_map.resets)
+        self._sensor_health.count(t_rx, self._decoder.frames, self._decoder.checksum_errors, self._clock_map.resets)
         if self._decoder.frames > frames_before:
             self._mute_bytes = 0
             self._join()
@@ -208,9 +208,9 @@ class DeviceLoop(threading.Thread):
 
     def _send(self, dues: list[Due]) -> None:
         """Write the set-points that are due."""
-        if self._talker is None or self._setpoints is None or not dues:
+        if self._driver is None or self._setpoints is None or not dues:
             return
-        for raw, carried in self._talker.command(dues, self._setpoints.held, time.monotonic()):
+        for raw, carried in self._driver.command(dues, self._setpoints.held, time.monotonic()):
             t = self._clock.now()
             self._port.write(raw)
             frames = [(Frame(Command(due.node, due.n), t, NAN), t) for due in carried if due.fresh]
@@ -224,7 +224,7 @@ class DeviceLoop(threading.Thread):
                 for _ in range(3):
                     self._setpoints.zero(time.monotonic())
                     self._send(self._setpoints.due(self._clock.now(), time.monotonic()))
-            if self._talker is not None and self._open and (last := self._talker.farewell(time.monotonic())):
+            if self._driver is not None and self._open and (last := self._driver.shutdown_bytes(time.monotonic())):
                 self._port.write(last)
                 self._sink.put(LogItem(self.device.name, "tx", last, self._clock.now(), []))
         self._port.close()
@@ -233,10 +233,10 @@ class DeviceLoop(threading.Thread):
         """The newest samples, by device and node."""
         return dict(self._latest)
 
-    def request(self, wish: str, value: float) -> None:
-        """Hand a wish (`arm`, `disarm`, `mode`) to whoever is at the other end."""
-        if self._talker is not None:
-            self._talker.request(wish, value)
+    def request(self, action: str, value: float) -> None:
+        """Pass a request (`arm`, `disarm`, `mode`) to the driver."""
+        if self._driver is not None:
+            self._driver.request(action, value)
             self.wake()
 
     def is_stuck(self, now: float) -> bool:
@@ -246,7 +246,7 @@ class DeviceLoop(threading.Thread):
 
     def link(self) -> LinkStatus | None:
         """What is known of the other end; None where nobody is there to talk with."""
-        return None if self._talker is None else self._talker.link_at(time.monotonic())
+        return None if self._driver is None else self._driver.link_at(time.monotonic())
 
     @property
     def hint(self) -> str:
@@ -293,8 +293,28 @@ class DeviceLoop(threading.Thread):
     def _message(self) -> str:
         if self._problem:
             return self._problem
-        if self._talker is not None and (said := self._talker.message()):
+        if self._driver is not None and (said := self._driver.message()):
             return said
         if self._mute_bytes >= MUTE_BYTES:
             return f"no valid frame in {MUTE_BYTES} bytes: wrong baud rate or protocol?"
-        return self._watch.message() or self._decoder.remark
+        return self._sensor_health.message() or self._decoder.remark
+
+
+class RateMeter:
+    """Events a second from a counter that is looked at now and then."""
+
+    def __init__(self, window: float) -> None:
+        self._window = window
+        self._seen: list[tuple[float, int]] = []
+
+    def rate(self, t: float, count: int) -> float:
+        """Rate over the last window [1/s] when `count` has been reached at `t`; NaN until it has grown."""
+        if count == 0:
+            return math.nan
+        self._seen.append((t, count))
+        while len(self._seen) > 2 and self._seen[1][0] <= t - self._window:
+            del self._seen[0]
+        t_0, count_0 = self._seen[0]
+        if count == count_0 and t - t_0 < self._window:
+            return math.nan
+        return (count - count_0) / (t - t_0) if t > t_0 else math.nan

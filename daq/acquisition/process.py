@@ -1,13 +1,12 @@
 """The acquisition process: owns every port and the log, and brings thrust to zero when its parent falls silent.
 
-Started by `daq.acquisition.session.Acquisition` as `python -m daq.acquisition.process FD`; no user code runs here, so
-nothing but
-the operating system can hold it up. One thread a port, one writer; the main thread listens to the parent.
+Started by `daq.acquisition.session.Acquisition` as `python -m daq.acquisition.process FD`. No user code runs here, so
+that only the operating system can delay it. One thread per port and one that writes the log; the main thread receives
+the messages of the parent (daq.acquisition.ipc).
 """
 
 from __future__ import annotations
 
-import base64
 import contextlib
 import gc
 import select
@@ -15,14 +14,25 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 
 from daq.acquisition.device_loop import DeviceLoop
-from daq.acquisition.ipc import AcquisitionChannel, Message
+from daq.acquisition.ipc import (
+    AcquisitionChannel,
+    Closed,
+    Configuration,
+    DriverRequest,
+    Failed,
+    LogEvent,
+    Message,
+    ParentAlive,
+    Schedule,
+    Stop,
+    ZeroThrust,
+)
 from daq.acquisition.log_thread import WRITE_S, LogItem, LogSink, LogThread
-from daq.acquisition.status_reporter import Reporter
+from daq.acquisition.status_reporter import StatusReporter
 from daq.acquisition.watchdog import Heartbeat
 from daq.clock import RunClock
 from daq.config import parse_rig
@@ -41,29 +51,26 @@ RECORD_ON_S = 1.0  # after a stop that nobody asked for
 
 
 class Process:
-    """The ports, the writer, and the parent's wishes."""
+    """The threads of the ports and of the log, and the handling of the parent's messages."""
 
     def __init__(
-        self, link: AcquisitionChannel, rig: Rig, recorder: Recorder, clock: RunClock, pulse: Heartbeat | None = None
+        self,
+        link: AcquisitionChannel,
+        rig: Rig,
+        recorder: Recorder,
+        clock: RunClock,
+        heartbeat: Heartbeat | None = None,
     ) -> None:
-        self._link, self._rig, self._clock, self._pulse = link, rig, clock, pulse
+        self._link, self._rig, self._clock, self._heartbeat = link, rig, clock, heartbeat
         self._sink = LogSink()
         self._setpoints = {device.name: Setpoints() for device in rig.devices if device.protocol in DRIVES}
         self._loops = {device.name: self._loop(device.name) for device in rig.devices}
         self._writer = LogThread(recorder, self._sink, self._health, clock)
         path = str(recorder.path)
-        self._reporter = Reporter(link, rig, path, clock, self._loops, self._setpoints, self._writer, self._event)
+        self._reporter = StatusReporter(link, rig, path, clock, self._loops, self._setpoints, self._writer, self._event)
         self._heard = self._alive = time.monotonic()
         self._terminated = False
         self._stopped = ""  # set when thrust was ended here; then only the parent's zero lets it start again
-        self._wishes: dict[str, Callable[[Message], None]] = {
-            "heartbeat": self._on_heartbeat,
-            "schedule": self._on_schedule,
-            "zero": self._on_zero,
-            "mark": self._on_mark,
-            "wish": self._on_wish,
-            "stop": self._on_stop,
-        }
         self._end_reason = ""
         self._unasked = False
 
@@ -117,16 +124,16 @@ class Process:
             return
         for message in messages:
             self._heard = time.monotonic()
-            self._wishes[message["op"]](message)
+            self._handle(message)
 
     def _beat(self, at_once: bool = False) -> None:
-        """The watchdog's pulse, unless a port's thread hangs: then it is left to the watchdog."""
+        """The heartbeat to the watchdog, unless a port's thread hangs: then it is left to the watchdog."""
         now = time.monotonic()
-        if self._pulse is None or any(loop.is_stuck(now) for loop in self._loops.values()):
+        if self._heartbeat is None or any(loop.is_stuck(now) for loop in self._loops.values()):
             return
         active = any(setpoints.active for setpoints in self._setpoints.values())
-        self._pulse.beat(active, now, at_once)
-        if self._pulse.lost and active and not self._stopped:
+        self._heartbeat.beat(active, now, at_once)
+        if self._heartbeat.lost and active and not self._stopped:
             self._stop_thrust("the watchdog is gone")
 
     def _judge(self) -> None:
@@ -148,17 +155,30 @@ class Process:
         if not self._end_reason:
             self._end_reason, self._unasked = reason, unasked
 
-    def _on_heartbeat(self, message: Message) -> None:
-        if message["alive"]:
-            self._alive = self._heard
+    def _handle(self, message: Message) -> None:
+        match message:
+            case ParentAlive():
+                self._alive = self._heard if message.runner else self._alive
+            case Schedule():
+                self._schedule(message)
+            case ZeroThrust():
+                self._zero()
+                self._stopped = ""
+                self._event("zero", message.reason)
+            case LogEvent():
+                self._event(message.kind, message.text)
+            case DriverRequest():
+                self._loops[message.device].request(message.action, message.value)
+            case Stop():
+                self._end("closed as asked", unasked=False)
 
-    def _on_schedule(self, message: Message) -> None:
+    def _schedule(self, message: Schedule) -> None:
         if self._stopped:
             return  # rows that were under way when thrust was ended
         self._alive = self._heard
         nodes = {thruster.name: (thruster.device, thruster.node) for thruster in self._rig.thrusters}
         rows: dict[str, list[tuple[float, dict[int, float]]]] = {}
-        for t, row in message["rows"]:
+        for t, row in message.rows:
             by_device: dict[str, dict[int, float]] = {}
             for name, n in row.items():
                 device, node = nodes[name]
@@ -168,20 +188,6 @@ class Process:
         for device, wanted in rows.items():
             self._setpoints[device].append(wanted)
             self._loops[device].wake()
-
-    def _on_zero(self, message: Message) -> None:
-        self._zero()
-        self._stopped = ""
-        self._event("zero", message["reason"])
-
-    def _on_mark(self, message: Message) -> None:
-        self._event(message["kind"], message["text"])
-
-    def _on_wish(self, message: Message) -> None:
-        self._loops[message["device"]].request(message["wish"], message["value"])
-
-    def _on_stop(self, message: Message) -> None:
-        self._end("closed as asked", unasked=False)
 
     def _health(self) -> dict[str, PortHealth]:
         return {name: loop.health() for name, loop in self._loops.items()}
@@ -216,15 +222,15 @@ class Process:
             loop.end()
         for loop in self._loops.values():
             loop.join()
-        if self._pulse is not None:
-            self._pulse.end()
+        if self._heartbeat is not None:
+            self._heartbeat.end()
         self._reporter.note_skipped()
         self._writer.end()
         self._writer.join()
         self._report()
         with contextlib.suppress(OSError):  # nobody may be there to be told
             why = self._writer.failure
-            self._link.send({"op": "failed", "why": why} if why else {"op": "closed", "why": self._end_reason})
+            self._link.send(Failed(why) if why else Closed(self._end_reason))
 
     def _report(self) -> None:
         try:
@@ -233,7 +239,7 @@ class Process:
             self._end("the parent process is gone", unasked=True)
 
 
-def _pulse(rig: Rig, path: Path) -> Heartbeat:
+def _connect_watchdog(rig: Rig, path: Path) -> Heartbeat:
     """The line to the watchdog; no thrust without it."""
     try:
         return Heartbeat(socket.socket(fileno=int(sys.argv[2])), rig, path)
@@ -246,23 +252,20 @@ def main() -> None:
     """Take the configuration from the parent, then run."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     link = AcquisitionChannel(socket.socket(fileno=int(sys.argv[1])))
-    config = link.receive()
-    while not config:
-        config = link.receive()
-    begin = config[0]
-    clock = RunClock(begin["speed"], (begin["origin"][0], begin["origin"][1]))
-    rig = parse_rig(begin["rig_text"], Path(begin["rig_path"]))
-    attachments = {name: base64.b64decode(data) for name, data in begin["attachments"].items()}
+    begin = link.receive_first()
+    assert isinstance(begin, Configuration)
+    clock = RunClock(begin.speed, (begin.origin[0], begin.origin[1]))
+    rig = parse_rig(begin.rig_text, Path(begin.rig_path))
     try:
-        path = Path(begin["path"])
+        path = Path(begin.path)
         check_room(path, rig.segments.free_megabytes)
         recorder = Recorder(
-            path, rig=rig, clock=clock, attachments=attachments, metadata=begin["metadata"], patient=True
+            path, rig=rig, clock=clock, attachments=begin.attachments, metadata=begin.metadata, patient=True
         )
-        pulse = _pulse(rig, path) if len(sys.argv) > 2 else None
-        process = Process(link, rig, recorder, clock, pulse)
+        heartbeat = _connect_watchdog(rig, path) if len(sys.argv) > 2 else None
+        process = Process(link, rig, recorder, clock, heartbeat)
     except SeatrialError as error:
-        link.send({"op": "failed", "why": str(error)})
+        link.send(Failed(str(error)))
         return
     signal.signal(signal.SIGTERM, process.terminate)
     # Threads take turns often enough for set-points a millisecond apart, and the collector has less to walk through.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import contextlib
 import math
 import os
@@ -17,15 +16,26 @@ from types import TracebackType
 from typing import IO
 
 import daq
-from daq.acquisition.ipc import AcquisitionChannel, Message
+from daq.acquisition.ipc import (
+    AcquisitionChannel,
+    Closed,
+    Configuration,
+    DriverRequest,
+    Failed,
+    LogEvent,
+    Message,
+    ParentAlive,
+    Schedule,
+    StatusReport,
+    Stop,
+    ZeroThrust,
+)
+from daq.acquisition.status import Status
 from daq.clock import RunClock
 from daq.errors import SeatrialError
 from daq.log import read_note
 from daq.realtime_priority import set_realtime_priority
 from daq.rig import Rig
-from daq.status import Latest, PortStatus, Status, from_json
-
-__all__ = ["Acquisition", "Latest", "PortStatus", "Status"]
 
 HEARTBEAT_S = 0.05  # wall, as all of these
 START_S = 30.0
@@ -127,20 +137,20 @@ class Acquisition:
                 self.rig.thruster(name)
                 if not (math.isfinite(t) and abs(n) <= limit):
                     raise SeatrialError(f"set-point {n} for {name} at {t}: only -{limit:g} to {limit:g} is allowed")
-        self._send({"op": "schedule", "rows": [(t, dict(row)) for t, row in rows]})
+        self._send(Schedule([(t, dict(row)) for t, row in rows]))
 
     def zero(self, reason: str) -> None:
         """Clear the schedule and command zero to all thrusters at once; an event says why."""
-        self._send({"op": "zero", "reason": reason})
+        self._send(ZeroThrust(reason))
 
     def mark(self, kind: str, text: str) -> None:
         """Write an event to the log."""
-        self._send({"op": "mark", "kind": kind, "text": text})
+        self._send(LogEvent(kind, text))
 
-    def wish(self, device: str, wish: str, value: float = 0.0) -> None:
+    def request(self, device: str, action: str, value: float = 0.0) -> None:
         """Ask the autopilot of a device to `arm`, `disarm` or change its `mode`; the answer is in `Status.links`."""
         self.rig.device(device)
-        self._send({"op": "wish", "device": device, "wish": wish, "value": value})
+        self._send(DriverRequest(device, action, value))
 
     def alive(self) -> None:
         """The runner lives: to be called every 0.1 s (wall) while thrust is commanded."""
@@ -163,22 +173,22 @@ class Acquisition:
         try:
             with contextlib.suppress(OSError):  # it is ending by itself; whether in good order is seen below
                 if not self._gone:
-                    self._link.send({"op": "stop"})
+                    self._link.send(Stop())
             self._await(lambda: self._gone, STOP_S, "did not close the log")
         finally:
             self._abandon()
         self._raise_failure()
 
-    def _configuration(self) -> Message:
-        return {
-            "rig_text": self.rig.text,
-            "rig_path": str(Path(self.rig.path).absolute()),
-            "path": str(self.path.absolute()),
-            "speed": self.clock.speed,
-            "origin": self.clock.origin,
-            "attachments": {name: base64.b64encode(data).decode() for name, data in self._attachments.items()},
-            "metadata": {"command_line": " ".join(sys.argv), **self._metadata},
-        }
+    def _configuration(self) -> Configuration:
+        return Configuration(
+            rig_text=self.rig.text,
+            rig_path=str(Path(self.rig.path).absolute()),
+            path=str(self.path.absolute()),
+            speed=self.clock.speed,
+            origin=self.clock.origin,
+            attachments=self._attachments,
+            metadata={"command_line": " ".join(sys.argv), **self._metadata},
+        )
 
     def _send(self, message: Message) -> None:
         try:
@@ -196,7 +206,7 @@ class Acquisition:
             alive = self._alive.is_set()
             self._alive.clear()
             try:
-                self._link.send({"op": "heartbeat", "alive": alive})
+                self._link.send(ParentAlive(runner=alive))
             except OSError:
                 return
 
@@ -204,12 +214,12 @@ class Acquisition:
         closed = False
         for message in self._link.messages():
             with self._changed:
-                if message["op"] == "status":
-                    self._status = from_json(message["status"])
-                elif message["op"] == "failed":
-                    self._failure = str(message["why"])
-                else:
-                    closed, self._ended = True, str(message["why"])
+                if isinstance(message, StatusReport):
+                    self._status = message.status
+                elif isinstance(message, Failed):
+                    self._failure = message.reason
+                elif isinstance(message, Closed):
+                    closed, self._ended = True, message.reason
                 self._changed.notify_all()
         with self._changed:
             if not (closed or self._failure):

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from daq.acquisition.device_loop import DeviceLoop
-from daq.acquisition.ipc import AcquisitionChannel
+from daq.acquisition.ipc import AcquisitionChannel, StatusReport
 from daq.acquisition.log_thread import LogThread
+from daq.acquisition.status import Status
 from daq.clock import RunClock
 from daq.drivers import Setpoints
 from daq.errors import counted
 from daq.rig import Rig
-from daq.status import Status, to_json
 
 
-class Reporter:
+class StatusReporter:
     """Puts the status together, from the loops and the set-points by device, and sends it.
 
     `event(kind, text)` writes to the log: each warning, hint and loss of set-points once, when it is new.
@@ -34,7 +34,7 @@ class Reporter:
         self._link, self._rig, self._path, self._clock = link, rig, path, clock
         self._loops, self._setpoints, self._writer, self._event = loops, setpoints, writer, event
         self._begun = clock.now()
-        self._said: set[str] = set()
+        self._reported: set[str] = set()
         self._skipped = 0  # set-points whose loss stands in the log
 
     def report(self, stopped: str, ended: str) -> None:
@@ -42,11 +42,11 @@ class Reporter:
         status = self._status(stopped, ended)
         for kind, lines in (("warning", status.warnings), ("hint", status.hints)):
             for text in lines:
-                if text not in self._said:
-                    self._said.add(text)
+                if text not in self._reported:
+                    self._reported.add(text)
                     self._event(kind, text)
         self.note_skipped()
-        self._link.send({"op": "status", "status": to_json(status)})
+        self._link.send(StatusReport(status))
 
     def note_skipped(self) -> None:
         """An event for the set-points that were overtaken since the last one: the plan was not run as it stands."""

@@ -5,14 +5,31 @@ The speaking half of a port whose device answers only when it is asked: the requ
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import final
 
 from daq.drivers.setpoints import Due
 from daq.samples import Event
-from daq.status import LinkStatus
+
+
+@dataclass(frozen=True)
+class LinkStatus:
+    """State of the autopilot at the other end of a link, as last reported."""
+
+    received: bool = False  # any heartbeat so far
+    age: float = math.inf  # wall s since its last heartbeat
+    armed: bool = False
+    mode: str = ""
+    ekf: int = -1  # flags of EKF_STATUS_REPORT; -1 before the first
+    parameters: dict[str, float] = dataclasses.field(default_factory=dict)  # those requested that it has
+    parameters_pending: bool = True  # answers to parameter requests are still awaited
+    refused: tuple[str, ...] = ()  # message rates that it refused, one line each
+    answer: str = ""  # to the last request: "arm: accepted", "arm: failed (PreArm: ...)"; empty while awaited
+    alarm: str = ""  # the last text of severity critical or above
 
 
 class DeviceDriver(ABC):
@@ -34,11 +51,11 @@ class DeviceDriver(ABC):
         """Seconds until `poll` may have something."""
         return math.inf
 
-    def request(self, wish: str, value: float) -> None:
-        """A wish of whoever runs the experiment: `arm`, `disarm`, `mode`. Called from another thread."""
+    def request(self, action: str, value: float) -> None:
+        """A request of the operator: `arm`, `disarm`, `mode` with its number. Called from another thread."""
         return
 
-    def farewell(self, now: float) -> bytes:
+    def shutdown_bytes(self, now: float) -> bytes:
         """The last bytes before the port is closed for good, behind the last zero."""
         return b""
 

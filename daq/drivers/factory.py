@@ -1,4 +1,4 @@
-"""Which talker a device of the rig needs."""
+"""Which driver a device of the rig needs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from daq.rig import Device, Rig
 
 
 def make_driver(device: Device, rig: Rig, decoder: Decoder) -> DeviceDriver | None:
-    """The talker of a device, None for one that is only listened to. Raises SeatrialError for a bad signing key."""
+    """The driver of a device, None for one that is only listened to. Raises SeatrialError for a bad signing key."""
     here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
     if device.protocol == "vesc":
         return VescDriver(frozenset(thruster.node for thruster in here if thruster.reversed))
@@ -33,7 +33,7 @@ def make_driver(device: Device, rig: Rig, decoder: Decoder) -> DeviceDriver | No
     settings = device.mavlink
     key = None if settings.key_file is None else mavlink_wire.read_key(settings.key_file)
     codec = mavlink_wire.Codec(settings.own_system_id, settings.own_component_id, key, time.time())
-    talker = MavlinkDriver(device, here, codec)
+    driver = MavlinkDriver(device, here, codec)
     decoder.secure(codec)
-    decoder.listener = lambda message: talker.hear(message, time.monotonic())
-    return talker
+    decoder.listener = lambda message: driver.receive(message, time.monotonic())
+    return driver

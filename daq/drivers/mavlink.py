@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 from typing import Any, final
 
 from daq.drivers.ardupilot_parameters import GROUND_STATION_NAMES, parameter_names
-from daq.drivers.base import DeviceDriver
+from daq.drivers.base import DeviceDriver, LinkStatus
 from daq.drivers.setpoints import Due
 from daq.protocol import ARMED, ESC_STATUS, INVALID, SEVERITIES, Codec, dialect, mode_name
 from daq.rig import Device, Thruster
 from daq.samples import Event
-from daq.status import LinkStatus
 
 # All wall seconds.
 HEARTBEAT_S = 1.0
@@ -51,7 +50,7 @@ class _Command:
 
 @final
 class MavlinkDriver(DeviceDriver):
-    """Talks to one autopilot; `hear` gets every message that the decoder lets through."""
+    """Talks to one autopilot; `receive` gets every message that the decoder lets through."""
 
     def __init__(self, device: Device, thrusters: Sequence[Thruster], codec: Codec) -> None:
         assert device.mavlink is not None
@@ -60,7 +59,7 @@ class MavlinkDriver(DeviceDriver):
         self._names = parameter_names(thrusters) if self._outputs else ()
         self._status = LinkStatus()
         self._events: list[Event] = []
-        self._wishes: deque[tuple[str, float]] = deque()
+        self._requests: deque[tuple[str, float]] = deque()
         self._armed_by_us = False
         self._held: dict[int, float] = {}
         self._overridden = -math.inf  # when; minus infinity before the first
@@ -68,32 +67,32 @@ class MavlinkDriver(DeviceDriver):
 
     def opened(self, now: float) -> None:
         """Ask for everything again, as soon as it is heard."""
-        self._beat = self._heard = -math.inf
+        self._beat = self._last_heartbeat = -math.inf
         self._commands: deque[_Command] = deque()
         self._awaited: dict[str, int] = {}  # parameters and how often each was asked for
         self._asked = -math.inf
         self._reasons: list[str] = []
         self._begun = False
 
-    def hear(self, message: Any, now: float) -> None:
+    def receive(self, message: Any, now: float) -> None:
         """A message of the autopilot."""
         name = message.get_type()
         if name == "HEARTBEAT" and message.autopilot != INVALID:
-            self._hear_heartbeat(message, now)
+            self._receive_heartbeat(message, now)
         elif name == "COMMAND_ACK":
-            self._hear_answer(message)
+            self._receive_answer(message)
         elif name == "PARAM_VALUE":
-            self._hear_parameter(message)
+            self._receive_parameter(message)
         elif name == "STATUSTEXT":
-            self._hear_text(message)
+            self._receive_text(message)
         elif name == "EKF_STATUS_REPORT":
             self._status = replace(self._status, ekf=message.flags)
 
-    def _hear_heartbeat(self, m: Any, now: float) -> None:
-        self._heard = now
+    def _receive_heartbeat(self, m: Any, now: float) -> None:
+        self._last_heartbeat = now
         mode, armed = mode_name(m.custom_mode), bool(m.base_mode & ARMED)
         self._armed_by_us = self._armed_by_us and armed
-        self._status = replace(self._status, heard=True, armed=armed, mode=mode)
+        self._status = replace(self._status, received=True, armed=armed, mode=mode)
         if not self._begun:
             self._begun = True
             self._beat = -math.inf  # what was said before there was anybody to hear it is lost on UDP
@@ -102,7 +101,7 @@ class MavlinkDriver(DeviceDriver):
                 _interval(message, rate) for message, rate in self._settings.requested(self._rate_hz).items()
             ]
 
-    def _hear_answer(self, m: Any) -> None:
+    def _receive_answer(self, m: Any) -> None:
         if not self._commands or self._commands[0].number != m.command or m.result == IN_PROGRESS:
             return
         command = self._commands[0]
@@ -131,7 +130,7 @@ class MavlinkDriver(DeviceDriver):
         self._status = replace(self._status, answer=f"{what}: {word}")
         self._events.append(Event("autopilot", self._status.answer))
 
-    def _hear_parameter(self, m: Any) -> None:
+    def _receive_parameter(self, m: Any) -> None:
         if self._awaited.pop(m.param_id, None) is not None or m.param_id in self._names:
             if m.param_id in GROUND_STATION_NAMES:  # it has one of both
                 self._awaited = {name: n for name, n in self._awaited.items() if name not in GROUND_STATION_NAMES}
@@ -143,32 +142,32 @@ class MavlinkDriver(DeviceDriver):
                 self._events.append(Event("parameter", f"{m.param_id} = {m.param_value:g}"))
             self._status = replace(self._status, parameters=parameters)
 
-    def _hear_text(self, m: Any) -> None:
+    def _receive_text(self, m: Any) -> None:
         if m.text.startswith(("PreArm:", "Arm:")):
             self._reasons = [*self._reasons, m.text][-3:]
         if m.severity <= CRITICAL and not m.text.startswith(("PreArm:", "Arm:")):
             self._status = replace(self._status, alarm=f"{SEVERITIES[m.severity]}: {m.text}")
 
-    def request(self, wish: str, value: float) -> None:
+    def request(self, action: str, value: float) -> None:
         """`arm`, `disarm`, `mode` with its number, or `leave`: disarm what was armed by us."""
-        self._wishes.append((wish, value))
+        self._requests.append((action, value))
 
-    def _take_wishes(self) -> None:
-        while self._wishes:
-            wish, value = self._wishes.popleft()
-            if wish == "leave":
+    def _take_requests(self) -> None:
+        while self._requests:
+            action, value = self._requests.popleft()
+            if action == "leave":
                 self._commands += [_Command(ARM, (0.0,) * 7, "disarm")] if self._armed_by_us else []
                 continue
             self._reasons = []
             self._status = replace(self._status, answer="")
-            if wish == "mode":
-                self._commands.append(_Command(SET_MODE, (CUSTOM_MODE, value, 0, 0, 0, 0, 0), wish))
+            if action == "mode":
+                self._commands.append(_Command(SET_MODE, (CUSTOM_MODE, value, 0, 0, 0, 0, 0), action))
             else:  # param2 stays 0: no forced arming, ever
-                self._commands.append(_Command(ARM, (float(wish == "arm"), 0, 0, 0, 0, 0, 0), wish))
+                self._commands.append(_Command(ARM, (float(action == "arm"), 0, 0, 0, 0, 0, 0), action))
 
     def poll(self, now: float) -> bytes:
         """Heartbeat, the command at the head of the queue, questions for parameters, neutral while nothing is told."""
-        self._take_wishes()
+        self._take_requests()
         out = b""
         if now - self._beat >= HEARTBEAT_S:
             self._beat = now
@@ -206,8 +205,8 @@ class MavlinkDriver(DeviceDriver):
 
     def _poll_parameters(self, now: float) -> bytes:
         if not self._awaited:
-            if self._status.asking:
-                self._status = replace(self._status, asking=False)
+            if self._status.parameters_pending:
+                self._status = replace(self._status, parameters_pending=False)
             return b""
         if now - self._asked < PARAMETER_S:
             return b""
@@ -219,12 +218,12 @@ class MavlinkDriver(DeviceDriver):
 
     def wait(self, now: float) -> float:
         """Seconds until `poll` may have something."""
-        if self._wishes:
+        if self._requests:
             return 0.0
         times = [self._beat + HEARTBEAT_S]
         if self._begun and self._commands:
             times.append(self._commands[0].sent + ANSWER_S)
-        if self._begun and (self._awaited or self._status.asking):
+        if self._begun and (self._awaited or self._status.parameters_pending):
             times.append(self._asked + PARAMETER_S)
         if math.isfinite(self._overridden) and not any(self._held.values()):
             times.append(self._overridden + NEUTRAL_S)
@@ -250,7 +249,7 @@ class MavlinkDriver(DeviceDriver):
         who = (self._settings.system_id, self._settings.component_id)
         return self._codec.encode("RC_CHANNELS_OVERRIDE", *who, *channels)
 
-    def farewell(self, now: float) -> bytes:
+    def shutdown_bytes(self, now: float) -> bytes:
         """Disarm what was armed by us. Twice, since nobody waits for the answer."""
         if not self._armed_by_us:
             return b""
@@ -264,7 +263,7 @@ class MavlinkDriver(DeviceDriver):
 
     def link_at(self, now: float) -> LinkStatus:
         """The state at `now`."""
-        return replace(self._status, age=now - self._heard)
+        return replace(self._status, age=now - self._last_heartbeat)
 
 
 def _interval(message: str, rate: float) -> _Command:

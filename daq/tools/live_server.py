@@ -12,11 +12,11 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any
 
+from daq.acquisition import Source, Status
 from daq.errors import SeatrialError
 from daq.log import NANO, full_definition, layout, schema
 from daq.rig import Rig
 from daq.samples import NAN, Frame
-from daq.status import Source, Status
 
 PERIOD_S = 0.05  # wall; the status is no newer
 _FOXGLOVE = "the live view needs the package foxglove-sdk: pip install 'seatrial[live]'"

@@ -17,13 +17,12 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from daq.acquisition import Acquisition
+from daq.acquisition import Acquisition, PortStatus, Status
 from daq.clock import RunClock
 from daq.config import load_rig
 from daq.errors import SeatrialError, counted
 from daq.rig import Rig
 from daq.samples import Ahrs, Esc, Gnss, LoadCell, Sample
-from daq.status import PortStatus, Status
 
 TABLE_S = 0.2  # wall
 LINE_S = 5.0  # wall, where there is no terminal

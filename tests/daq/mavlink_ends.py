@@ -59,7 +59,7 @@ class Ends:
         codec = Codec(device.mavlink.own_system_id, 190, None if key is None else read_key(key), 1_800_000_000.0)
         self.decoder: MavlinkDecoder = make_decoder(device, rig)
         self.decoder.secure(codec)
-        self.talker = MavlinkDriver(device, rig.thrusters, codec)
+        self.driver = MavlinkDriver(device, rig.thrusters, codec)
         plant = bench_world(draw_bench(1), 0, DeviceSpecs({}, {}, [], []))
         self.controllers = {
             t.node: EscController(EscSpec("autopilot", t.node, 10.0, timeout_s=1.0), plant.plant, 0)
@@ -69,7 +69,7 @@ class Ends:
         self.t = 0.0
         self.deaf = False  # the ground station's words are lost
         self.frames: list[Frame] = []
-        self.decoder.listener = lambda message: self.talker.hear(message, self.t)
+        self.decoder.listener = lambda message: self.driver.receive(message, self.t)
 
     def to_ground(self, data: bytes) -> None:
         self.frames += self.decoder.feed(data, self.t)
@@ -90,4 +90,4 @@ class Ends:
             if round(self.t * LOOP_HZ) % 10 == 0:
                 fix = Gnss(1_800_000_000.0 + self.t, 38.7, -9.1, 2.0, 0.3, 0.4, 0.0, 5, 12, 0.8, 0.02)
                 self.autopilot.encode(fix, self.t - 0.1)
-            self.to_vehicle(self.talker.poll(self.t))
+            self.to_vehicle(self.driver.poll(self.t))

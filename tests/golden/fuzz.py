@@ -103,15 +103,15 @@ RIG = parse_rig(rig_text(), Path("rig.toml"))
 
 
 def _autopilot_link() -> Decoder:
-    """The decoder of a link with the talker that hears everything it decodes."""
+    """The decoder of a link with the driver that hears everything it decodes."""
     decoder = mavlink.make_decoder(RIG.devices[0], RIG)
     codec = Codec(255, 190)
     decoder.secure(codec)
-    talker = MavlinkDriver(RIG.devices[0], RIG.thrusters, codec)
+    driver = MavlinkDriver(RIG.devices[0], RIG.thrusters, codec)
 
     def hear(message: object) -> None:
-        talker.hear(message, 5.0)
-        talker.poll(5.0)
+        driver.receive(message, 5.0)
+        driver.poll(5.0)
 
     decoder.listener = hear
     return decoder

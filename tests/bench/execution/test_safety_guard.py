@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from bench.execution.safety_guard import STOPPED, SafetyGuard, stopping_distance
+from daq.acquisition.status import Latest, PortStatus, Status
 from daq.config.rig_file import parse_rig
 from daq.errors import SafetyStop
 from daq.rig import Rig
 from daq.samples import Ahrs, Battery, Esc, Gnss, LoadCell, Sample
-from daq.status import Latest, PortStatus, Status
 from tests.bench.standin import RIG
 
 GNSS = """

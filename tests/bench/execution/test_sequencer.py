@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from bench.execution.sequencer import MissionSequencer, Schedule
+from daq.acquisition.status import PortStatus, Status
 from daq.config.mission_file import Mission, Segment
 from daq.log.reader import open_log
-from daq.status import PortStatus, Status
 from tests.bench.runs import short_mission
 from tests.bench.standin import StandIn, until
 

@@ -8,12 +8,12 @@ from pathlib import Path
 from rich.console import Console
 
 from daq.acquisition.device_loop import DeviceLoop
-from daq.acquisition.ipc import AcquisitionChannel
+from daq.acquisition.ipc import AcquisitionChannel, StatusReport
 from daq.acquisition.log_thread import LogSink, LogThread
-from daq.acquisition.status_reporter import Reporter
+from daq.acquisition.status import Status
+from daq.acquisition.status_reporter import StatusReporter
 from daq.clock import RunClock
 from daq.protocol.catalogue import make_decoder
-from daq.status import Status, from_json
 from daq.tools.live_table import table
 from daq.transport.serial_port import SerialPort
 from tests.daq.logs import recorder, rig
@@ -30,14 +30,15 @@ def test_a_hint_is_in_every_status_and_once_in_the_log(tmp_path: Path) -> None:
     log = recorder(tmp_path / "run.mcap")
     writer = LogThread(log, sink, dict, clock)
     events: list[tuple[str, str]] = []
-    reporter = Reporter(
+    reporter = StatusReporter(
         link, here, "run.mcap", clock, {"ahrs": loop}, {}, writer, lambda kind, text: events.append((kind, text))
     )
 
     def reported(stopped: str = "") -> Status:
         reporter.report(stopped, "")
         (message,) = parent.receive()
-        return from_json(message["status"])
+        assert isinstance(message, StatusReport)
+        return message.status
 
     assert reported().hints == ()
     port.hint = HINT

@@ -1,4 +1,4 @@
-"""Commands to DroneCAN speed controllers: frames that others have put on a bus, the talker, and the rig's keys."""
+"""Commands to DroneCAN speed controllers: frames that others have put on a bus, the driver, and the rig's keys."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_a_transfer_of_any_size_comes_out_as_it_went_in(size: int) -> None:
 
 
 def said(raw: bytes) -> tuple[list[list[float]], int]:
-    """The commands in what a talker says, and how many NodeStatus."""
+    """The commands in what a driver says, and how many NodeStatus."""
     assembler, found, statuses = Assembler(dronecan.RAW_COMMAND), [], 0
     for at in range(0, len(raw), CAN_FRAME.size):
         frame = unpack_can(raw[at : at + CAN_FRAME.size])
@@ -143,26 +143,26 @@ def said(raw: bytes) -> tuple[list[list[float]], int]:
 
 
 def test_one_message_tells_every_controller() -> None:
-    talker = make_driver(rig().devices[0], rig(), make_decoder(rig().devices[0], rig()))
-    assert isinstance(talker, DronecanDriver)
-    ((raw, carried),) = talker.command([Due(1, 0.5, True)], {1: 0.5}, 10.0)
+    driver = make_driver(rig().devices[0], rig(), make_decoder(rig().devices[0], rig()))
+    assert isinstance(driver, DronecanDriver)
+    ((raw, carried),) = driver.command([Due(1, 0.5, True)], {1: 0.5}, 10.0)
     assert carried == [Due(1, 0.5, True)]
     commands, statuses = said(raw)
     assert commands == [pytest.approx([0.0, 0.5, 0.0, 0.0], abs=1e-4)]
     assert statuses == 1
-    ((raw, _),) = talker.command([Due(3, 0.25, True)], {1: 0.5, 3: 0.25}, 10.0 + STATUS_S / 2)
+    ((raw, _),) = driver.command([Due(3, 0.25, True)], {1: 0.5, 3: 0.25}, 10.0 + STATUS_S / 2)
     assert said(raw) == ([pytest.approx([0.0, 0.5, 0.0, -0.25], abs=1e-4)], 0)  # 3 is reversed
-    ((raw, _),) = talker.command([], {1: 0.5, 3: 0.25}, 10.0 + STATUS_S)
+    ((raw, _),) = driver.command([], {1: 0.5, 3: 0.25}, 10.0 + STATUS_S)
     assert said(raw)[1] == 1
-    ((raw, _),) = talker.zero(12.0)
+    ((raw, _),) = driver.zero(12.0)
     assert said(raw) == ([[0.0, 0.0, 0.0, 0.0]], 0)
 
 
 def test_transfers_are_counted_so_that_none_is_taken_for_a_repetition() -> None:
-    talker = DronecanDriver(frozenset({0}), frozenset(), 7)
+    driver = DronecanDriver(frozenset({0}), frozenset(), 7)
     numbers = []
     for k in range(40):
-        ((raw, _),) = talker.zero(float(k))
+        ((raw, _),) = driver.zero(float(k))
         frame = unpack_can(raw)
         assert frame is not None
         numbers.append(frame[1][-1] & 0x1F)

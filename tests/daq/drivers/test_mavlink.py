@@ -15,7 +15,7 @@ from tests.daq.mavlink_ends import Ends, mav_rig
 
 def ready(ends: Ends) -> Ends:
     ends.run(2.0)
-    assert not ends.talker.link_at(ends.t).asking
+    assert not ends.driver.link_at(ends.t).parameters_pending
     return ends
 
 
@@ -23,24 +23,24 @@ def drive(ends: Ends, left: float, right: float, seconds: float) -> None:
     """Commands every loop, as the acquisition repeats them."""
     held = {1: left, 3: right}
     for _ in range(round(seconds * 50)):
-        for data, _dues in ends.talker.command([Due(1, left, False)], held, ends.t):
+        for data, _dues in ends.driver.command([Due(1, left, False)], held, ends.t):
             ends.to_vehicle(data)
         ends.run(0.02)
 
 
 def armed(ends: Ends) -> Ends:
     drive(ends, 0.0, 0.0, 0.1)
-    ends.talker.request("arm", 0.0)
+    ends.driver.request("arm", 0.0)
     ends.run(1.5)
-    assert ends.talker.link_at(ends.t).answer == "arm: accepted"
-    assert ends.talker.link_at(ends.t).armed
+    assert ends.driver.link_at(ends.t).answer == "arm: accepted"
+    assert ends.driver.link_at(ends.t).armed
     return ends
 
 
 def test_it_hears_the_vehicle_and_reads_its_parameters() -> None:
     ends = ready(Ends(mav_rig()))
-    link = ends.talker.link_at(ends.t)
-    assert link.heard
+    link = ends.driver.link_at(ends.t)
+    assert link.received
     assert link.mode == "MANUAL"
     assert not link.armed
     assert link.parameters["PILOT_STEER_TYPE"] == 1.0
@@ -51,10 +51,10 @@ def test_it_hears_the_vehicle_and_reads_its_parameters() -> None:
 
 def test_a_rate_that_is_denied_is_said_and_half_of_it_is_asked_for() -> None:
     ends = ready(Ends(mav_rig(rate=50.0)))
-    refused = ends.talker.link_at(ends.t).refused
+    refused = ends.driver.link_at(ends.t).refused
     assert "ATTITUDE at 50 Hz: denied" in refused
     assert not any("25 Hz" in line for line in refused)
-    assert "refuses ATTITUDE at 50 Hz: denied" in [event.text for event in ends.talker.events()]
+    assert "refuses ATTITUDE at 50 Hz: denied" in [event.text for event in ends.driver.events()]
     before = sum(isinstance(frame.sample, Ahrs) for frame in ends.frames)
     ends.run(2.0)
     assert sum(isinstance(frame.sample, Ahrs) for frame in ends.frames) - before == pytest.approx(50, abs=3)
@@ -63,17 +63,17 @@ def test_a_rate_that_is_denied_is_said_and_half_of_it_is_asked_for() -> None:
 def test_an_answer_that_never_comes_is_no_answer_and_nothing_hangs() -> None:
     ends = ready(Ends(mav_rig()))
     ends.deaf = True
-    ends.talker.request("arm", 0.0)
+    ends.driver.request("arm", 0.0)
     ends.run(3.0)
-    assert ends.talker.link_at(ends.t).answer == "arm: no answer"
+    assert ends.driver.link_at(ends.t).answer == "arm: no answer"
 
 
 def test_arming_is_refused_with_the_vehicles_own_reason() -> None:
     ends = ready(Ends(mav_rig()))
     ends.autopilot.vehicle.ekf_ready_at = 100.0
-    ends.talker.request("arm", 0.0)
+    ends.driver.request("arm", 0.0)
     ends.run(1.0)
-    assert ends.talker.link_at(ends.t).answer == "arm: failed (PreArm: EKF3 is still initialising)"
+    assert ends.driver.link_at(ends.t).answer == "arm: failed (PreArm: EKF3 is still initialising)"
     assert not ends.autopilot.vehicle.armed
 
 
@@ -91,9 +91,9 @@ def test_commands_move_the_thrusters_only_while_armed_and_signs_are_the_rigs() -
 def test_sticks_away_from_neutral_forbid_arming() -> None:
     ends = ready(Ends(mav_rig()))
     drive(ends, 0.5, 0.0, 0.1)
-    ends.talker.request("arm", 0.0)
+    ends.driver.request("arm", 0.0)
     drive(ends, 0.5, 0.0, 1.0)
-    assert "not neutral" in ends.talker.link_at(ends.t).answer
+    assert "not neutral" in ends.driver.link_at(ends.t).answer
 
 
 def test_silence_ends_thrust_by_the_override_timeout_and_then_by_the_failsafe() -> None:
@@ -106,7 +106,7 @@ def test_silence_ends_thrust_by_the_override_timeout_and_then_by_the_failsafe() 
     assert [ends.controllers[node].n for node in (1, 3)] == [0.0, 0.0]
     ends.run(5.0)
     assert ends.autopilot.vehicle.mode == HOLD
-    assert ends.talker.link_at(ends.t).alarm == "critical: GCS Failsafe"
+    assert ends.driver.link_at(ends.t).alarm == "critical: GCS Failsafe"
 
 
 def test_neutral_goes_on_where_nothing_is_commanded() -> None:
@@ -120,19 +120,19 @@ def test_neutral_goes_on_where_nothing_is_commanded() -> None:
 
 def test_it_disarms_at_the_end_only_what_it_armed() -> None:
     ends = ready(Ends(mav_rig()))
-    assert ends.talker.farewell(ends.t) == b""
+    assert ends.driver.shutdown_bytes(ends.t) == b""
     armed(ends)
-    ends.to_vehicle(ends.talker.farewell(ends.t))
+    ends.to_vehicle(ends.driver.shutdown_bytes(ends.t))
     assert not ends.autopilot.vehicle.armed
 
 
 def test_a_vehicle_obeys_its_own_ground_station_only() -> None:
     ends = armed(ready(Ends(mav_rig())))
     stranger = Ends(mav_rig(more="own_system_id = 254"))
-    stranger.talker.request("disarm", 0.0)
-    for data, _ in stranger.talker.command([Due(1, 1.0, True)], {1: 1.0}, 0.0):
+    stranger.driver.request("disarm", 0.0)
+    for data, _ in stranger.driver.command([Due(1, 1.0, True)], {1: 1.0}, 0.0):
         ends.autopilot.receive(data, ends.t)
-    ends.autopilot.receive(stranger.talker.poll(0.0), ends.t)
+    ends.autopilot.receive(stranger.driver.poll(0.0), ends.t)
     assert ends.autopilot.vehicle.armed
     assert ends.controllers[1].n == 0.0
 
@@ -144,7 +144,7 @@ def test_signed_both_ways(tmp_path: Path) -> None:
     assert ends.decoder.unsigned == 0
     plain = Ends(mav_rig())
     before = dict(ends.autopilot.vehicle.sticks)
-    for data, _ in plain.talker.command([Due(1, 1.0, True)], {1: 1.0}, 0.0):
+    for data, _ in plain.driver.command([Due(1, 1.0, True)], {1: 1.0}, 0.0):
         ends.autopilot.receive(data, ends.t)
     assert ends.autopilot.vehicle.sticks == before
 
@@ -174,8 +174,8 @@ def test_a_parameter_that_is_wrong_is_named(name: str, value: float, fatal: bool
 
 def test_a_parameter_that_changes_under_way_is_an_event() -> None:
     ends = ready(Ends(mav_rig()))
-    ends.talker.events()
+    ends.driver.events()
     ends.autopilot.vehicle.parameters["MOT_SLEWRATE"] = 50.0
     ends.autopilot._say_parameter("MOT_SLEWRATE")
     ends.run(0.1)
-    assert "MOT_SLEWRATE was changed: 0 to 50" in [event.text for event in ends.talker.events()]
+    assert "MOT_SLEWRATE was changed: 0 to 50" in [event.text for event in ends.driver.events()]

@@ -33,11 +33,11 @@ newton_per_count = 2.0
 
 
 def test_it_asks_at_its_rate_and_makes_up_for_nothing() -> None:
-    talker = PollingDriver(b"?", 0.1)
-    talker.opened(5.0)
-    assert [talker.poll(5.0), talker.poll(5.05), talker.poll(5.11), talker.poll(5.12)] == [b"?", b"", b"?", b""]
-    assert talker.wait(5.12) == pytest.approx(0.08)
-    assert [talker.poll(9.0), talker.poll(9.05), talker.poll(9.1)] == [b"?", b"", b"?"]
+    driver = PollingDriver(b"?", 0.1)
+    driver.opened(5.0)
+    assert [driver.poll(5.0), driver.poll(5.05), driver.poll(5.11), driver.poll(5.12)] == [b"?", b"", b"?", b""]
+    assert driver.wait(5.12) == pytest.approx(0.08)
+    assert [driver.poll(9.0), driver.poll(9.05), driver.poll(9.1)] == [b"?", b"", b"?"]
 
 
 def test_a_converter_is_asked_and_its_answers_are_logged(tmp_path: Path) -> None:

@@ -15,11 +15,11 @@ import pytest
 from click.testing import CliRunner
 from rich.console import Console
 
+from daq.acquisition.status import Latest, PortStatus, Status, from_json, to_json
 from daq.config.rig_file import parse_rig
 from daq.errors import SeatrialError
 from daq.log.reader import open_log
 from daq.samples import NAN, Ahrs, Esc, Gnss, LoadCell
-from daq.status import Latest, PortStatus, Status, from_json, to_json
 from daq.tools.live_table import default_path, describe, duration_text, line, log, size_text, summary, table
 from tests.daq.ptys import RIG, TestBoat, wait_for
 

@@ -17,13 +17,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from daq.acquisition.status import Latest, Status
 from daq.config.rig_file import parse_rig
 from daq.errors import SeatrialError
 from daq.log import schema
 from daq.log.cdr import layout
 from daq.rig import Live, Rig
 from daq.samples import Ahrs
-from daq.status import Latest, Status
 from daq.tools.live_server import LiveServer
 from tests.daq.logs import RIG, T0
 
