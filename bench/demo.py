@@ -1,6 +1,6 @@
-"""`seatrial demo`: the whole loop on mock devices, from a bench run to the sealed answer, by the public commands.
+"""`seatrial demo`: the whole loop on mock devices, from a bench run to a diagnosis and the ground truth.
 
-Running the demo's commands: each in a process group of its own, echoed, timed, and ended with the demo.
+It runs the public commands only. Each is echoed and timed, runs in a process group of its own, and ends with the demo.
 """
 
 from __future__ import annotations
@@ -28,11 +28,21 @@ from daq.errors import SeatrialError
 
 ESTIMATION_S, VALIDATION_S = 400.0, 250.0  # run seconds of the two missions
 LATE_MS, SLOWEST = 45.0, 8.0  # wall ms that samples may leave late; slower than this is not tried
-ANSWER, SEALED = "diagnosis/result.json", "sealed.json"
-EPILOG = "Example: seatrial demo --seed 3 --out /tmp/demo"
 READY_WITHIN_S = 30.0  # wall seconds for a mock to open its ports; it may have to be compiled first
+TERMINATION_S = 10.0  # wall seconds between SIGTERM and SIGKILL
 LATE = re.compile(r"(?:at most|up to) ([0-9.]+) ms")
-PATIENCE_S = 10.0  # wall seconds between a polite signal and the next one
+ANSWER, TRUTH = "diagnosis/result.json", "truth.json"
+EPILOG = "Example: seatrial demo --seed 3 --out /tmp/demo"
+
+
+class StepFailed(SeatrialError):
+    """A command of the demo failed; the message names it."""
+
+
+class Interrupted(SeatrialError):
+    """The user ended the demo."""
+
+    exit_status = 130
 
 
 @click.command(epilog=EPILOG)
@@ -44,8 +54,8 @@ PATIENCE_S = 10.0  # wall seconds between a polite signal and the next one
 def demo(seed: int | None, out: Path | None, speed: float) -> None:
     """Bench run, thruster model, two missions, vehicle model, diagnosis: all on mock devices.
 
-    The mock boat has one effect that the model knows nothing of, drawn from the seed and written to a sealed file.
-    The diagnosis has to find it; the sealed file is opened last.
+    The mock boat has one hidden effect, which the nominal model lacks. It is drawn from the seed and written to a
+    ground-truth file. The diagnosis has to find it; the ground truth is printed last.
     """
     seed = random.SystemRandom().randrange(1, 10_000) if seed is None else seed
     folder = fresh_folder(out, seed)
@@ -59,7 +69,7 @@ def demo(seed: int | None, out: Path | None, speed: float) -> None:
     click.echo(f"total: {time.monotonic() - start:.1f} s")
     if missing:
         raise SeatrialError(f"demo: this installation has no {', '.join(missing)}; the logs are in {folder}")
-    tell(folder)
+    print_outcome(folder)
 
 
 def fresh_folder(out: Path | None, seed: int) -> Path:
@@ -101,13 +111,13 @@ def run_steps(steps: Steps, seed: int) -> list[str]:
 
 
 def _mission(steps: Steps, seed: int, run: int, seconds: float, name: str) -> None:
-    """Make and run one mission on a mock boat started anew: the same boat and effect, other noise."""
+    """Generate and run one mission on a newly started mock boat: the same boat and effect, other noise."""
     plan, mission_seed = f"{name}.toml", str(100 * seed + run)
     steps.run(
         f"{name} mission",
         *("mission", "generate", "--kind", "mixed", "--seconds", f"{seconds:g}", "--seed", mission_seed, "-o", plan),
     )
-    boat = ("mock", "boat", "boat-rig.toml", "--seed", str(seed), "--effect", "draw", "--truth-file", SEALED)
+    boat = ("mock", "boat", "boat-rig.toml", "--seed", str(seed), "--effect", "draw", "--truth-file", TRUTH)
     mock = (*boat, "--run", str(run))
     _record(steps, "boat", mock, f"{name} run", "mission", "run", plan, "boat-rig.toml", "-o", f"{name}.mcap")
 
@@ -157,8 +167,8 @@ def _explain(steps: Steps, missing: list[str], name: str, *words: str) -> None:
     missing.append(f"`seatrial {' '.join(words[:2])}`")
 
 
-def tell(folder: Path) -> None:
-    """Print the answer, the errors before and after, the report's path, and at the very end the sealed truth."""
+def print_outcome(folder: Path) -> None:
+    """Print the answer, the errors before and after, the report's path, and last the ground truth."""
     result = _read_json(folder / ANSWER)
     click.echo()
     click.secho(f"answer: {result.get('answer', 'none')}", bold=True)
@@ -167,21 +177,21 @@ def tell(folder: Path) -> None:
     for line in error_lines(result):
         click.echo(line)
     click.echo(f"report: {folder / 'diagnosis' / 'report.html'}")
-    sealed = _read_json(folder / SEALED)
-    truth = sealed.get("effect")
-    if not isinstance(truth, str):
-        raise SeatrialError(f"demo: {folder / SEALED} does not say the effect")
+    truth = _read_json(folder / TRUTH)
+    effect = truth.get("effect")
+    if not isinstance(effect, str):
+        raise SeatrialError(f"demo: {folder / TRUTH} does not name the effect")
     named = found_effects(result)
-    match = "match" if truth in named or (truth == "none" and not named) else "do not match"
-    click.echo(f"diagnosis said: {', '.join(named) or 'none'}; that and the sealed effect {match}")
-    click.echo(f"sealed: the plant's undeclared effect was {truth}{_detail(sealed)}")
+    match = "match" if effect in named or (effect == "none" and not named) else "do not match"
+    click.echo(f"diagnosis: {', '.join(named) or 'none'}; that and the hidden effect {match}")
+    click.echo(f"ground truth: the plant's hidden effect was {effect}{_detail(truth)}")
 
 
-def _detail(sealed: dict[str, Any]) -> str:
-    """What the sealed file says beside the name: its sentence and its parameters."""
-    parameters = sealed.get("parameters", {}).items()
+def _detail(truth: dict[str, Any]) -> str:
+    """The effect's sentence and its parameters, in brackets."""
+    parameters = truth.get("parameters", {}).items()
     numbers = [f"{key} = {value:.4g}" if isinstance(value, float) else f"{key} = {value}" for key, value in parameters]
-    parts = [part for part in (sealed.get("sentence", ""), ", ".join(numbers)) if part]
+    parts = [part for part in (truth.get("sentence", ""), ", ".join(numbers)) if part]
     return f" ({'; '.join(parts)})" if parts else ""
 
 
@@ -197,7 +207,7 @@ def error_lines(result: dict[str, Any]) -> list[str]:
         channels = result["before_after"]["validation"]["free_run"]
         return [_error_line(name, row) for name, row in channels.items()]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise SeatrialError(f"demo: {ANSWER} does not say the error before and after ({error!r})") from error
+        raise SeatrialError(f"demo: {ANSWER} has no error before and after ({error!r})") from error
 
 
 def _error_line(name: str, row: dict[str, Any]) -> str:
@@ -218,16 +228,6 @@ def _read_json(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise SeatrialError(f"demo: {path}: not a JSON object")
     return content
-
-
-class StepFailed(SeatrialError):
-    """A command of the demo failed; the message names it."""
-
-
-class Interrupted(SeatrialError):
-    """The user ended the demo."""
-
-    exit_status = 130
 
 
 class Steps:
@@ -251,10 +251,10 @@ class Steps:
             self._end(process)
         self._note(name, time.monotonic() - start)
         if status != 0:
-            said = " ".join(words[:2])
-            live = said.endswith("run") or said.startswith("bench")
+            command = " ".join(words[:2])
+            live = command.endswith("run") or command.startswith("bench")
             slower = "; was the machine too busy? --speed 5 asks less of it" if live else ""
-            raise StepFailed(f"demo: `seatrial {said}` failed with exit status {status} (see above){slower}")
+            raise StepFailed(f"demo: `seatrial {command}` failed with exit status {status} (see above){slower}")
 
     def has(self, *words: str) -> bool:
         """Whether this installation has the command, by its --help."""
@@ -278,10 +278,10 @@ class Steps:
         finally:
             self._end(process)
             assert process.stderr is not None
-            said = process.stderr.read().decode(errors="replace")
+            output = process.stderr.read().decode(errors="replace")
             process.stderr.close()
-            click.echo(said, nl=False, err=True)
-            found = LATE.search(said)
+            click.echo(output, nl=False, err=True)
+            found = LATE.search(output)
             self.late_ms = float(found[1]) if found else 0.0
 
     def _start(self, words: Sequence[str], stdout: int | None, stderr: int | None = None) -> subprocess.Popen[bytes]:
@@ -309,10 +309,10 @@ class Steps:
 
     def _await_ready(self, process: subprocess.Popen[bytes], deadline: float) -> None:
         assert process.stdout is not None
-        said = b""
+        output = b""
         with selectors.DefaultSelector() as selector:
             selector.register(process.stdout, selectors.EVENT_READ)
-            while b"ready" not in said.splitlines():
+            while b"ready" not in output.splitlines():
                 self._check_signal()
                 if time.monotonic() > deadline:
                     raise StepFailed(f"demo: the mock devices were not ready within {READY_WITHIN_S:g} s")
@@ -321,21 +321,21 @@ class Steps:
                 data = os.read(process.stdout.fileno(), 4096)
                 if not data:
                     raise StepFailed(f"demo: the mock devices ended with exit status {process.wait()} (see above)")
-                said += data
+                output += data
 
     def _check_signal(self) -> None:
         if self._signalled:
             raise Interrupted("demo: interrupted; thrusters at zero, mock devices stopped")
 
     def _end(self, process: subprocess.Popen[bytes]) -> None:
-        """End a process and its group, politely first; nothing is left behind."""
+        """End a process and its group: SIGTERM, then SIGKILL; no process is left behind."""
         # SIGTERM rather than SIGINT: a Python that is still importing dies of it without a traceback.
         for number in (signal.SIGTERM, signal.SIGKILL):
             if process.poll() is not None:
                 break
             os.killpg(process.pid, number)
             try:
-                process.wait(timeout=PATIENCE_S)
+                process.wait(timeout=TERMINATION_S)
             except subprocess.TimeoutExpired:
                 continue
         if process.stdout is not None:

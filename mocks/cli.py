@@ -44,13 +44,13 @@ def _options(effects: Sequence[str]) -> Callable[[Command], Command]:
             (
                 click.argument("rig", type=click.Path(exists=True, dir_okay=False, path_type=Path)),
                 click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True,
-                             help="Which one: parameters, current, effect."),
+                             help="Seed of parameters, current and effect."),
                 click.option("--run", type=click.IntRange(min=0), default=0, show_default=True,
-                             help="Which run of the same one: the noise."),
+                             help="Run with the same seed: other noise."),
                 click.option("--effect", type=choice, default="none", show_default=True, metavar="NAME",
                              help=f"none, draw (the seed draws) or one of {', '.join(effects)}."),
-                click.option("--truth-file", "sealed", type=click.Path(path_type=Path), metavar="FILE",
-                             help="Write effect and true parameters there; nothing else tells."),
+                click.option("--truth-file", "truth_file", type=click.Path(path_type=Path), metavar="FILE",
+                             help="Write the hidden effect and the true parameters there; they are printed nowhere."),
                 click.option("--trace", type=click.Path(path_type=Path), metavar="FILE",
                              help="Write a JSON line for every change of a thruster's effective command."),
                 click.option("--fault", "faults", multiple=True, metavar="NAME[/TARGET]@T[:SECONDS]",
@@ -75,7 +75,7 @@ def mock() -> None:
 
 @mock.command(short_help="A simulated boat with two thrusters.")
 @_options([*catalogue.EFFECTS, *catalogue.OUTSIDE])
-def boat(rig: Path, seed: int, run: int, effect: str, sealed: Path | None, **how: Any) -> None:
+def boat(rig: Path, seed: int, run: int, effect: str, truth_file: Path | None, **how: Any) -> None:
     """A simulated boat with two thrusters at the ports of RIG.
 
     Prints `ready` when all ports are there.
@@ -89,12 +89,12 @@ def boat(rig: Path, seed: int, run: int, effect: str, sealed: Path | None, **how
     plant = draw_boat(seed, effects, draw_thruster(seed))  # the thruster that the bench of this seed has
     utc = float(round(time.time()))
     world = boat_world(plant, run, _gear(loaded, by_side(loaded)), utc=utc)
-    _serve(loaded, plant, world, run, sealed, **how)
+    _serve(loaded, plant, world, run, truth_file, **how)
 
 
 @mock.command(short_help="A simulated thruster on a load cell.")
 @_options(list(bench_plant.EFFECTS))
-def bench(rig: Path, seed: int, run: int, effect: str, sealed: Path | None, **how: Any) -> None:
+def bench(rig: Path, seed: int, run: int, effect: str, truth_file: Path | None, **how: Any) -> None:
     """A simulated bench, one thruster on a load cell, at the ports of RIG.
 
     Prints `ready` when all ports are there.
@@ -108,7 +108,7 @@ def bench(rig: Path, seed: int, run: int, effect: str, sealed: Path | None, **ho
     name = bench_plant.draw_name(seed) if effect == "draw" else effect
     plant = draw_bench(seed, bench_plant.NONE if name == "none" else bench_plant.make_effect(name, seed))
     world = bench_world(plant, run, _gear(loaded, loaded.thrusters), utc=float(round(time.time())))
-    _serve(loaded, plant, world, run, sealed, **how)
+    _serve(loaded, plant, world, run, truth_file, **how)
 
 
 def _gear(rig: Rig, thrusters: Sequence[Thruster]) -> DeviceSpecs:
@@ -137,7 +137,7 @@ def _serve(
     plant: Boat | Bench,
     world: World,
     run: int,
-    sealed: Path | None,
+    truth_file: Path | None,
     trace: Path | None,
     faults: Sequence[str],
     ascii_: bool,
@@ -154,8 +154,8 @@ def _serve(
         for device in rig.devices:
             ports[device.name] = _port(device.port)
             stack.callback(ports[device.name].close)
-        if sealed is not None:
-            write_truth(sealed, ground_truth(plant, run))
+        if truth_file is not None:
+            write_truth(truth_file, ground_truth(plant, run))
         file = stack.enter_context(trace.open("w", encoding="utf-8")) if trace is not None else None
         server = Server(world, speakers, ports, rig.speed, schedule, file)
         stack.enter_context(_signals(server))

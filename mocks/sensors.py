@@ -82,7 +82,7 @@ class AhrsSensor:
 
 
 class AhrsErrors:
-    """What the undeclared effects do to heading, yaw rate and accelerations, before there is any noise."""
+    """What the hidden effects do to heading, yaw rate and accelerations, before there is any noise."""
 
     def __init__(self, effects: Sequence[Effect]) -> None:
         self._compasses = [e.compass for e in effects if e.compass is not None]

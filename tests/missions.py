@@ -48,7 +48,7 @@ def rig_of(kind: str) -> Rig:
 
 
 def boat_with(effect: str | None, seed: int, scale: float = 1.0) -> Boat:
-    """The boat of a seed, with an undeclared effect or none."""
+    """The boat of a seed, with a hidden effect or none."""
     return draw_boat(seed, [make_effect(effect, seed, scale)] if effect else [])
 
 

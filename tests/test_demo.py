@@ -31,21 +31,22 @@ RESULT = {
         }
     },
 }
-SEALED = {"effect": "advance-ratio", "parameters": {"k_J": 12.5}, "sentence": "thrust falls with speed"}
+TRUTH = {"effect": "advance-ratio", "parameters": {"k_J": 12.5}, "sentence": "thrust falls with speed"}
 
 
-def filled(folder: Path, result: object, sealed: object) -> Path:
+def filled(folder: Path, result: object, truth: object) -> Path:
     (folder / "diagnosis").mkdir()
     (folder / demo.ANSWER).write_text(json.dumps(result), encoding="utf-8")
-    (folder / demo.SEALED).write_text(json.dumps(sealed), encoding="utf-8")
+    (folder / demo.TRUTH).write_text(json.dumps(truth), encoding="utf-8")
     return folder
 
 
-def test_the_sealed_truth_is_the_very_last_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    demo.tell(filled(tmp_path, RESULT, SEALED))
+def test_the_ground_truth_is_the_very_last_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    demo.print_outcome(filled(tmp_path, RESULT, TRUTH))
     lines = capsys.readouterr().out.splitlines()
-    assert lines[-1] == "sealed: the plant's undeclared effect was advance-ratio (thrust falls with speed; k_J = 12.5)"
-    assert lines[-2].endswith("and the sealed effect match")
+    effect = "advance-ratio (thrust falls with speed; k_J = 12.5)"
+    assert lines[-1] == f"ground truth: the plant's hidden effect was {effect}"
+    assert lines[-2].endswith("and the hidden effect match")
     assert not any("advance-ratio (" in line for line in lines[:-1])
     assert any("5.73 deg/s before, 0.573 deg/s after" in line for line in lines)
     assert any("x      free-running error on validation data 0.21 m before, 0.034 m after" in line for line in lines)
@@ -64,13 +65,13 @@ def test_the_sealed_truth_is_the_very_last_line(tmp_path: Path, capsys: pytest.C
 def test_a_match_is_said_only_when_there_is_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], effects: list[str], truth: str, match: bool
 ) -> None:
-    demo.tell(filled(tmp_path, {**RESULT, "effects": effects}, {"effect": truth}))
+    demo.print_outcome(filled(tmp_path, {**RESULT, "effects": effects}, {"effect": truth}))
     assert ("do not match" not in capsys.readouterr().out) == match
 
 
 def test_a_result_without_errors_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(SeatrialError, match="does not say the error before and after"):
-        demo.tell(filled(tmp_path, {"answer": "x"}, SEALED))
+    with pytest.raises(SeatrialError, match="has no error before and after"):
+        demo.print_outcome(filled(tmp_path, {"answer": "x"}, TRUTH))
 
 
 def test_the_folder_is_new_or_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -145,7 +146,7 @@ def test_the_whole_loop(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "seatrial", "demo", "--seed", "1", "--out", str(tmp_path / "demo")]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=280, env=dict(os.environ))
     assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.splitlines()[-1].startswith("sealed: the plant's undeclared effect was ")
+    assert done.stdout.splitlines()[-1].startswith("ground truth: the plant's hidden effect was ")
     for name in ("bench.mcap", "estimation.mcap", "validation.mcap", "diagnosis/report.html"):
         assert (tmp_path / "demo" / name).stat().st_size > 1000
 

@@ -229,7 +229,7 @@ def test_the_wheel_in_an_empty_environment_runs_the_demo(built: Built, tmp_path:
     ran = environment.seatrial(tmp_path, "demo", "--seed", "1", "--speed", "8", "--out", "demo")
     assert ran.returncode == 0, ran.stdout + ran.stderr
     assert (tmp_path / "demo/diagnosis/report.html").is_file()
-    assert "sealed: the plant's undeclared effect was lever-arm" in ran.stdout.splitlines()[-1]
+    assert "ground truth: the plant's hidden effect was lever-arm" in ran.stdout.splitlines()[-1]
 
 
 @pytest.mark.study

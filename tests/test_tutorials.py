@@ -94,8 +94,8 @@ def test_a_reader_reaches_what_the_tutorials_show(tmp_path: Path, environment: d
     assert 0.0 < values["tau"] - truth["delay"] < 0.04  # the ports are on the way, four times as slow
     said = follow(lines("mission"), tmp_path, environment)
     assert "The model lacks an offset of the GNSS antenna" in said
-    sealed = json.loads((tmp_path / "sealed.json").read_text(encoding="utf-8"))
-    assert sealed["effect"] == "lever-arm"
+    truth = json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))
+    assert truth["effect"] == "lever-arm"
 
 
 @pytest.mark.study
@@ -110,8 +110,8 @@ def test_the_way_of_the_readme_leads_to_a_report(tmp_path: Path, environment: di
     slower = "sed -i.bak 's/^speed = 20.0/speed = 5.0/' boat.toml"
     assert len(others) < 10
     said = follow([copy, slower, *others], tmp_path, environment)
-    sealed = json.loads((tmp_path / "sealed.json").read_text(encoding="utf-8"))
-    assert sealed["effect"] == "wind"
+    truth = json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))
+    assert truth["effect"] == "wind"
     assert "The model lacks steady wind" in said
     assert (tmp_path / "diagnosis/report.html").is_file()
 
@@ -122,7 +122,7 @@ def test_the_way_over_mavlink_leads_to_the_boats_model(tmp_path: Path, environme
     """Through an autopilot whose ESCs report speeds without a sign; the scale is that of the fixed thrust curve."""
     page = blocks(ROOT / "docs/how-to/mavlink.md", "sh")
     follow(lines_of([block for block in page if "seatrial import" not in block]), tmp_path, environment)
-    truth = json.loads((tmp_path / "sealed.json").read_text(encoding="utf-8"))["true_parameters"]
+    truth = json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))["true_parameters"]
     fitted = json.loads((tmp_path / "vehicle/result.json").read_text(encoding="utf-8"))
     values = {row["name"]: row["value"] for row in fitted["fit"]["parameters"]}
     scale = values["c1"] / truth["c1"]

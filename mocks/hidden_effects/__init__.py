@@ -1,4 +1,4 @@
-"""Effects that a mock plant may have and no model is told of."""
+"""Hidden effects: what a mock plant may have and the nominal model lacks."""
 
 import lazy_loader
 

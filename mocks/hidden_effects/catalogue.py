@@ -1,4 +1,4 @@
-"""What the boat does and nobody is told: effects that the nominal model lacks.
+"""Hidden effects of the mock boat: effects that the nominal model lacks.
 
 Each is physics written here for the plant alone; the forms need not equal those that an analysis tries. An effect is
 drawn with its size within 15 % of the one named in its comment, and with a sign where it can have either.

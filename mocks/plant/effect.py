@@ -1,4 +1,4 @@
-"""What an undeclared effect is made of: the places of the plant and of its sensors where one can act."""
+"""A hidden effect: the places in the plant and in its sensors where one can act."""
 
 from __future__ import annotations
 

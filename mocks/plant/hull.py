@@ -17,7 +17,7 @@ from mocks.random_streams import CURRENT, PARAMETERS, stream
 GRAVITY = 9.81  # m/s2
 
 # (x, y, psi, u, v, r, angle, rate): position NED in m, heading in rad, velocity over ground in body axes in m/s, yaw
-# rate in rad/s; the last two belong to the pendulum that one of the undeclared effects hangs into the boat.
+# rate in rad/s; the last two belong to the pendulum that one of the hidden effects hangs into the boat.
 State = tuple[float, float, float, float, float, float, float, float]
 AT_REST: State = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 

@@ -1,4 +1,4 @@
-"""Waves and gusts: forces that some of the undeclared effects bring, and nobody measures."""
+"""Waves and gusts: unmeasured forces of some hidden effects."""
 
 from __future__ import annotations
 

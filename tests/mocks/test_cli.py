@@ -1,4 +1,4 @@
-"""`seatrial mock` as a process of its own: ports, ESC time-out, faults, the sealed file, and its last word."""
+"""`seatrial mock` as a process of its own: ports, ESC time-out, faults, the ground-truth file, and its last line."""
 
 from __future__ import annotations
 
@@ -169,18 +169,18 @@ def test_a_dead_esc_gives_no_thrust_and_no_word(tmp_path: Path) -> None:
     assert [row["n"] for row in trace(log)] == [0.5, 0.0]
 
 
-def test_the_sealed_file_tells_and_nothing_else_does(tmp_path: Path) -> None:
+def test_the_truth_file_holds_the_hidden_effect_and_the_true_parameters(tmp_path: Path) -> None:
     told = []
     for run_number in (0, 1):
         folder = tmp_path / str(run_number)
         folder.mkdir()
-        rig, sealed = packaged("boat", folder), folder / "truth" / "sealed.json"
+        rig, truth = packaged("boat", folder), folder / "truth" / "truth.json"
         with mock(
-            *("boat", rig, "--seed", "11", "--run", str(run_number), "--effect", "draw", "--truth-file", sealed)
+            *("boat", rig, "--seed", "11", "--run", str(run_number), "--effect", "draw", "--truth-file", truth)
         ) as process:
             assert process.stdout is not None
-            told.append(json.loads(sealed.read_text()))
-            assert stat.S_IMODE(os.stat(sealed).st_mode) == 0o600
+            told.append(json.loads(truth.read_text()))
+            assert stat.S_IMODE(os.stat(truth).st_mode) == 0o600
     first, second = told
     assert first["effect"] in DEMO
     assert first["parameters"]

@@ -1,4 +1,4 @@
-"""The recovery study of the bench: a thruster with something undeclared, is it named?
+"""The recovery study of the bench: is the hidden effect of a thruster identified?
 
     python -m tests.recovery.bench_study [--seed S] [--seeds N] [--jobs 2] [--effects a,b] [--scales 1,0.5]
                                          [--out FILE] [--report] [--docs]
@@ -186,7 +186,7 @@ def document(rows: Sequence[Row], command: str) -> str:
     """docs/recovery-bench.md."""
     return (
         "# Recovery study of the bench\n\n"
-        "Mock benches with one undeclared effect each (`mocks/plant/bench.py`, `mocks/plant/bench.py`, in other "
+        "Mock benches with one hidden effect each (`mocks/plant/bench.py`, in other "
         "forms than the catalogue of `ident`), and clean ones; two runs of the plan `all` (126 s), one to fit and to "
         "diagnose, one to validate. Every bench has its own thrust coefficients, pool and noise.\n\n"
         f"    {command}\n\n" + report(rows, as_markdown) + "\n"

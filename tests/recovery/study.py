@@ -106,7 +106,7 @@ def document(rows: Sequence[Row], given: argparse.Namespace) -> str:
     ran += f", and {len(rows) - own} of earlier runs with other seeds, which the second table names" * (own < len(rows))
     return (
         "# Recovery study\n\n"
-        "Mock boats with undeclared effects (`mocks/hidden_effects/`, written in other forms than the catalogue of "
+        "Mock boats with hidden effects (`mocks/hidden_effects/`, written in other forms than the catalogue of "
         "`ident`), and clean ones: two missions each, one to estimate and one to validate. Every boat has its own "
         "parameters, current and noise. Of boats with an effect, where the catalogue and the data are whole, the "
         "missions are recorded as logs, and `seatrial ident vehicle` and `seatrial ident diagnose` run on them. An "

@@ -27,7 +27,7 @@ def as_force(channels: dict[str, Channel]) -> dict[str, Channel]:
 
 @pytest.fixture(scope="module")
 def fleet() -> list[dict[str, Channel]]:
-    """Fifty boats for two minutes, every other one with an undeclared effect, on missions of all kinds."""
+    """Fifty boats for two minutes, every other one with a hidden effect, on missions of all kinds."""
     effects = ("wind", "sway-yaw", "yaw-bias", "mismatch", "cg-offset")
     kinds = ("mixed", "zigzag", "steps", "mixed", "chirp")
     found = []

@@ -23,7 +23,7 @@ from tests.missions import boat_with, channels_of, sail
 
 @cache
 def stage() -> FittedModel:
-    """A boat without an undeclared effect: fitted to one mission, shown another."""
+    """A boat without a hidden effect: fitted to one mission, shown another."""
     runs = [
         LogSegment(name, channels_of(sail(boat_with(None, 2), 250.0, k, run=k)[0])) for k, name in enumerate("ab", 1)
     ]

@@ -1,4 +1,4 @@
-"""Each undeclared effect does what its sentence says, at a size that matters, and nothing else."""
+"""Each hidden effect does what its sentence says, at a size that matters, and nothing else."""
 
 from __future__ import annotations
 
