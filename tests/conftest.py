@@ -6,10 +6,16 @@ mark that it writes into the tests' names, which pytest 9.2 no longer takes (pyt
 
 from __future__ import annotations
 
+import os
 import signal
 from typing import Any
 
 import pytest
+
+# As `seatrial ident` does, and before any test imports numpy: all matrices are small, and threads of the linear algebra
+# library would only wait for each other and for the other worker.
+for library in ("OPENBLAS", "OMP", "MKL"):
+    os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
 # Whoever starts the tests in the background of a script has them ignore Ctrl-C, and every process that they start.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
