@@ -13,6 +13,7 @@ from benchmarks.thesis import printed
 from benchmarks.thesis.boat import Sailed, sail
 from ident.characterisation.sensor_noise import NoiseFit, estimate_noise
 from ident.data.record import Channel, LogSegment, Record, build_record
+from ident.estimation import EstimationOptions
 from ident.estimation.fitted_model import fit_nominal_model
 from ident.estimation.likelihood import FilterResult, Likelihood
 from ident.estimation.maximum_likelihood import Fit, fit
@@ -26,6 +27,7 @@ from ident.models.surge import surge_model
 from ident.models.thruster import DELAY_STEP, thruster_model
 from ident.models.yaw import yaw_model
 from ident.numerics.arrays import Array
+from ident.reporter import QUIET
 from ident.studies.cases import N_DELAYS, steps
 from ident.studies.monte_carlo import Case, make_record
 from ident.validation.prediction_errors import free_run
@@ -58,7 +60,8 @@ def both(case: Case, seed: int) -> Both:
     _, y = simulate_stochastic(model, case.inputs, values, [rng], x0=np.zeros((1, len(model.states))))
     record = make_record(case, y[0], case.name)
     start = {p.name: 1.3 * p.value for p in model.parameters if p.free and p.transform == "log"}
-    return Both(record, model.values, *(fit(model, [record], method=m, start=start) for m in ("oe", "pe")))
+    methods = (EstimationOptions(method="output-error"), EstimationOptions())
+    return Both(record, model.values, *(fit(model, [record], m, start=start) for m in methods))
 
 
 def yaw_experiment(seed: int) -> Both:
@@ -92,10 +95,10 @@ def bench_experiment(seed: int) -> Both:
 
 def bench_log(path: Path) -> tuple[dict[str, tuple[float, float]], str]:
     """Estimates and standard errors from a log of `seatrial bench`, and the name of the log."""
-    from ident.workflows.thruster import bench
+    from ident.workflows.thruster import ThrusterRequest, characterise
 
     with tempfile.TemporaryDirectory() as folder:
-        result = bench([path], Path(folder), name=None, command="", say=lambda line: None)
+        result = characterise(ThrusterRequest([path], Path(folder)), "", QUIET)
     rows = {r["name"]: (r["value"], r["se"]) for r in result["fit"]["parameters"]}
     return {n: rows[n] for n in printed.TABLE_2}, path.name
 

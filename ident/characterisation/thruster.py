@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 
 from daq.errors import SeatrialError
 from ident.data import Channel, LoadedLog, LogSegment, Record
-from ident.estimation import Fit, Likelihood, fit
+from ident.estimation import EstimationOptions, Fit, Likelihood, fit
 from ident.model import Model
 from ident.models import START_POLES, delay_step, delayed_channels, on_a_copy, thruster_model
 from ident.numerics import Array
@@ -106,39 +106,40 @@ def shaft_guess(records: Sequence[Record]) -> tuple[float, float]:
 
 
 def fit_on_a_copy(
-    model: Model, records: list[Record], again: Callable[[Model], list[Record]], *, robust: bool = False,
-    restricted: bool = False,
+    model: Model, records: list[Record], again: Callable[[Model], list[Record]], options: EstimationOptions
 ) -> tuple[Fit, list[Record]]:
     """``fit_thruster``, and once more with the delay on one of the command's copies.
 
-    ``again``: the records for a model with other copies; ``restricted``: noise by restricted likelihood. Returns the
-    records that belong to the fit, too.
+    ``again``: the records for a model with other copies. Restricted likelihood comes last, from the maximum of the
+    plain one. Returns the records that belong to the fit, too.
     """
-    fitted = fit_thruster(model, records, robust=robust)
+    plain = replace(options, reml=False)
+    fitted = fit_thruster(model, records, plain)
     pace = on_a_copy(fitted.model.values["tau"], delay_step(model))
     if pace:
         exact = thruster_model(pace, force="thrust" in model.provides)
         records = again(exact)
         values = {n: v for n, v in fitted.model.values.items() if n in exact.values}
         start = exact.with_values(values).replace_parameters(exact.parameter("d").at(values["d"]).freed())
-        fitted = fit(start, records, robust=robust)
-    return _restricted(fitted, records) if restricted else fitted, records
+        fitted = fit(start, records, plain)
+    fitted = _restricted(fitted, records) if options.reml else fitted
+    return replace(fitted, options=options), records
 
 
 def _restricted(top: Fit, records: Sequence[Record]) -> Fit:
     """From the maximum of the likelihood to that of the restricted one; what it took to get there counts."""
-    found = fit(top.model, records, restricted=True)
+    found = fit(top.model, records, EstimationOptions(reml=True))
     return replace(found, iterations=top.iterations + found.iterations, evaluations=top.evaluations + found.evaluations,
                    cpu_seconds=top.cpu_seconds + found.cpu_seconds,
                    message=top.message if found.converged else found.message)
 
 
-def fit_thruster(model: Model, records: Sequence[Record], *, robust: bool = False) -> Fit:
+def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOptions) -> Fit:
     """The model fitted from least squares. The end of the dead zone is felt only within it, so it is looked for on a
-    grid, and again with what the fit then says of all else, until it stays. ``robust``: allow outliers."""
+    grid, and again with what the fit then says of all else, until it stays."""
     guess = first_guess(records, "thrust" in model.provides)
     guess["tau"] = min(guess["tau"], 0.95 * model.parameter("tau").bounds[1])
-    fitted = fit(model, records, start=guess, robust=robust)
+    fitted = fit(model, records, options, start=guess)
     at, found = [p.name for p in model.parameters].index("d"), -1.0
     for _ in range(N_SEARCHES):
         likelihood, values = Likelihood(fitted.model), fitted.record_values

@@ -18,18 +18,21 @@ from daq.errors import SeatrialError
 from ident.cli.options import (
     FILE,
     LOG,
+    Lines,
+    LiveLine,
     ahead_option,
     command_line,
+    estimation_of,
     known,
+    mean_order_option,
     names,
     out_option,
     priors,
     processes,
     rate_option,
-    restricted_option,
+    reml_option,
     robust_option,
     run,
-    second_order_option,
     validate_option,
 )
 
@@ -52,7 +55,7 @@ def ident() -> None:
 @click.option("--profile", "profiles", multiple=True, metavar="NAME", help="Profile likelihood of this parameter.")
 @ahead_option
 @robust_option
-@restricted_option()
+@reml_option()
 @out_option("thruster")
 def thruster(logs: tuple[Path, ...], out: Path, **how: Any) -> None:
     """Fit shaft response and thrust curve to bench LOGS of one thruster.
@@ -63,9 +66,10 @@ def thruster(logs: tuple[Path, ...], out: Path, **how: Any) -> None:
     Example:
       seatrial ident thruster bench.mcap --out thruster
     """
-    from ident.workflows import thruster
+    from ident.workflows.thruster import ThrusterRequest, characterise
 
-    run(lambda say: thruster.bench(logs, out, command=command_line(), say=say, **how), out)
+    request = ThrusterRequest(logs, out, **estimation_of(how))
+    run(lambda reporter: characterise(request, command_line(), reporter), out)
 
 
 def _stretches(_context: click.Context, _parameter: click.Parameter, given: Sequence[str]) -> list[tuple[float, float]]:
@@ -78,7 +82,7 @@ def _stretches(_context: click.Context, _parameter: click.Parameter, given: Sequ
 @click.option("--smooth/--filter", "smoothed", default=True, show_default=True, help="By all samples, or those so far.")
 @click.option(
     "--gnss-outage",
-    "without_gnss",
+    "gnss_outages",
     multiple=True,
     callback=_stretches,
     metavar="T0:T1",
@@ -89,17 +93,7 @@ def _stretches(_context: click.Context, _parameter: click.Parameter, given: Sequ
 @click.option("--thruster", type=LOG, help="The static curve from command to thrust that the model was fitted with.")
 @rate_option
 @out_option("navigation")
-def navigate(
-    model: Path,
-    logs: tuple[Path, ...],
-    smoothed: bool,
-    without_gnss: list[tuple[float, float]],
-    t_from: float | None,
-    t_to: float | None,
-    thruster: Path | None,
-    rate: float,
-    out: Path,
-) -> None:
+def navigate(model: Path, logs: tuple[Path, ...], out: Path, **how: Any) -> None:
     """Position, heading, speeds, current and unexplained forces along LOGS, with how sure they are, by a fitted MODEL.
 
     GNSS outages are found, and said how far off the position may be at their end. LOGS should not be those that MODEL
@@ -109,24 +103,10 @@ def navigate(
     Example:
       seatrial ident navigate vehicle/model.toml validation.mcap --gnss-outage 60:90 --out navigation
     """
-    from ident.workflows import navigate
+    from ident.workflows.navigate import NavigationRequest, run_navigation
 
-    run(
-        lambda say: navigate.run_navigation(
-            model,
-            logs,
-            out,
-            smoothed=smoothed,
-            without_gnss=without_gnss,
-            t_from=t_from,
-            t_to=t_to,
-            rate=rate,
-            thruster=thruster,
-            command=command_line(),
-            say=say,
-        ),
-        out,
-    )
+    request = NavigationRequest(model, logs, out, **how)
+    run(lambda reporter: run_navigation(request, command_line(), reporter), out)
 
 
 ident.add_command(navigate)
@@ -175,15 +155,7 @@ ident.add_command(export)
 @click.option("--thruster", type=LOG, help="The static curve from command to thrust that the model was fitted with.")
 @rate_option
 @out_option("information")
-def information(
-    model: Path,
-    logs: tuple[Path, ...],
-    seconds: float,
-    chosen: tuple[str, ...],
-    thruster: Path | None,
-    rate: float,
-    out: Path,
-) -> None:
+def information(model: Path, logs: tuple[Path, ...], out: Path, **how: Any) -> None:
     """Which stretches of LOGS tell of which parameter of a fitted MODEL, and what none of them tells.
 
     \b
@@ -192,20 +164,8 @@ def information(
     """
     from ident.workflows import information
 
-    run(
-        lambda say: information.information(
-            model,
-            logs,
-            out,
-            seconds=seconds,
-            chosen=chosen,
-            thruster=thruster,
-            rate=rate,
-            command=command_line(),
-            say=say,
-        ),
-        out,
-    )
+    request = information.InformationRequest(model, logs, out, **how)
+    run(lambda reporter: information.information(request, command_line(), reporter), out)
 
 
 ident.add_command(information)
@@ -224,14 +184,13 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     """
     from ident.workflows import noise
 
-    run(lambda say: noise.noise(logs, out, signals=signals, command=command_line(), say=say), out)
+    run(lambda reporter: noise.noise(logs, out, signals=signals, command=command_line(), reporter=reporter), out)
 
 
 @ident.command(short_help="Fit a model of the boat to logs and judge it on others.")
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option(
     "--model",
-    "source",
     default="auto",
     show_default=True,
     help="horizontal:shaft, horizontal:force, horizontal:general (each also with :no-current, or "
@@ -242,16 +201,23 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
 @click.option(
     "--thruster", type=LOG, help="model.toml of the bench: c1 and c2, or the static curve from command to thrust."
 )
-@click.option("--fix", multiple=True, callback=known, help="NAME=VALUE: a parameter that is known; may be repeated.")
-@click.option("--initial", "begin", multiple=True, callback=known, help="NAME=VALUE: where the estimate starts.")
+@click.option(
+    "--fix", "fixed", multiple=True, callback=known, help="NAME=VALUE: a parameter that is known; may be repeated."
+)
+@click.option("--initial", multiple=True, callback=known, help="NAME=VALUE: where the estimate starts.")
 @click.option(
     "--prior",
+    "priors",
     multiple=True,
     callback=priors,
     help="NAME=MEAN:SD: what is known of a parameter before, in this fit; may be repeated.",
 )
 @click.option(
-    "--test-homogeneity", "agree", multiple=True, metavar="NAME", help="Test whether the logs agree on this parameter."
+    "--test-homogeneity",
+    "homogeneity",
+    multiple=True,
+    metavar="NAME",
+    help="Test whether the logs agree on this parameter.",
 )
 @click.option("--profile", "profiles", multiple=True, metavar="NAME", help="Profile likelihood of this parameter.")
 @click.option(
@@ -262,11 +228,10 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     help="Add an effect of the catalogue, its parameters free (lever-arm, mount, ...); may be repeated.",
 )
 @robust_option
-@restricted_option()
-@second_order_option()
+@reml_option()
+@mean_order_option()
 @click.option(
     "--keep-thruster-sides",
-    "as_is",
     is_flag=True,
     help="Do not swap the sides of the thrusters where the data say they are.",
 )
@@ -281,9 +246,10 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how
     Example:
       seatrial ident vehicle estimation.mcap --thruster thruster/model.toml --validate validation.mcap --out vehicle
     """
-    from ident.workflows import vehicle
+    from ident.workflows.vehicle import VehicleRequest, vehicle
 
-    run(lambda say: vehicle.vehicle(logs, validate, out, command=command_line(), say=say, **how), out)
+    request = VehicleRequest(logs, validate, out, **estimation_of(how))
+    run(lambda reporter: vehicle(request, command_line(), reporter), out)
 
 
 @ident.command(short_help="Find what a model lacks, add it, and show before and after.")
@@ -317,10 +283,10 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
       seatrial ident diagnose vehicle/model.toml one.mcap --thruster curve/model.toml --validate two.mcap
       seatrial ident diagnose thruster/model.toml bench1.mcap --validate bench2.mcap --out diagnosis
     """
+    from ident.workflows.diagnose import DiagnosisRequest, diagnosis
 
-    from ident.workflows import diagnosis
-
-    run(lambda say: diagnosis(model, logs, validate, out, command=command_line(), say=say, **how), out)
+    request = DiagnosisRequest(model, logs, validate, out, **estimation_of(how))
+    run(lambda reporter: diagnosis(request, command_line(), reporter), out)
 
 
 @ident.command(short_help="Monte Carlo of the estimator: bias, variance, coverage.")
@@ -333,11 +299,13 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
 @click.option("--free", multiple=True, metavar="NAME", help="Estimate only this parameter; may be repeated.")
 @click.option("--seconds", type=click.FloatRange(10.0), help="Length of the mission.")
 @click.option("--unbounded", is_flag=True, help="Let damping be estimated below zero.")
-@restricted_option(None)
-@second_order_option(None)
+@reml_option(None)
+@mean_order_option(None)
 @click.option("--docs", type=FILE, help="Write the page of tables as this file, too, its pictures beside it.")
 @out_option("study")
-def study(models: tuple[str, ...], replicates: int, unbounded: bool, docs: Path | None, out: Path, **how: Any) -> None:
+def study(
+    models: tuple[str, ...], method: str, unbounded: bool, docs: Path | None, out: Path, **how: Any
+) -> None:
     """Monte Carlo of the estimator on simulated missions of MODELs: surge, yaw, horizontal, kinematic, thruster,
     noise, designed; a fitted model.toml; or FILE.py:NAME, a Case of your own.
 
@@ -350,17 +318,11 @@ def study(models: tuple[str, ...], replicates: int, unbounded: bool, docs: Path 
     """
     from ident.report import as_text, write_study_docs, write_study_page
     from ident.results import AIMS
-    from ident.workflows import study
+    from ident.workflows.study import StudyRequest, run_studies
 
-    result = study.run_studies(
-        models,
-        replicates,
-        out=out,
-        bounded=not unbounded,
-        command=command_line(),
-        say=lambda line: click.echo(f"  {line}", err=True),
-        **how,
-    )
+    estimator: Any = {"pe": "prediction-error", "oe": "output-error"}[method]
+    request = StudyRequest(models, out=out, method=estimator, bounded=not unbounded, **how)
+    result = run_studies(request, command_line(), Lines(err=True))
     write_study_page(result, AIMS, out / "report.html")
     click.echo(as_text(result), nl=False)
     if docs is not None:
@@ -497,7 +459,7 @@ def design(
         **rest,
     )
     try:
-        result = _work(lambda say: make_design(source, wish, out, command_line(), say))
+        result = _work(lambda reporter: make_design(source, wish, out, command_line(), reporter))
     except (ValueError, KeyError) as problem:
         raise SeatrialError(f"{source}: {str(problem).strip(chr(39) + chr(34))}") from problem
     for line in summary(result):
@@ -511,7 +473,7 @@ def _work(work: Any) -> Any:
 
     console = Console(highlight=False, stderr=True)
     with console.status("compiling") as status:
-        return work(lambda line: status.update(line))
+        return work(LiveLine(console, status))
 
 
 def _stretch(text: str) -> tuple[float, float]:

@@ -6,11 +6,16 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
 from daq.errors import SeatrialError
+from ident.reporter import Reporter
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.status import Status
 
 # All matrices here are small: threads of the linear algebra library would only wait for each other. Before numpy.
 for _library in ("OPENBLAS", "OMP", "MKL"):
@@ -98,31 +103,74 @@ def ahead_option(f: Callable[..., Any]) -> Callable[..., Any]:
 
 def robust_option(f: Callable[..., Any]) -> Callable[..., Any]:
     """``--robust``."""
-    return click.option("--robust", is_flag=True, help="Allow outliers in all sensors, and count them.")(f)
+    words = "Allow outliers in all sensors, and count them."
+    return click.option("--robust", "outlier_model", is_flag=True, help=words)(f)
 
 
-def restricted_option(default: bool | None = True) -> Callable[..., Any]:
+def reml_option(default: bool | None = True) -> Callable[..., Any]:
     """``--reml/--no-reml``; None: as what is studied was fitted."""
     return click.option(
         "--reml/--no-reml",
-        "restricted",
         default=default,
         show_default=bool(default),
         help="Estimate noise without the bias that fitted dynamics give it (REML).",
     )
 
 
-def second_order_option(default: bool | None = True) -> Callable[..., Any]:
+def mean_order_option(default: bool | None = True) -> Callable[..., Any]:
     """``--second-order/--no-second-order``; None: as what is studied was fitted."""
     return click.option(
         "--second-order/--no-second-order",
+        "mean_order",
         default=default,
+        callback=_order,
         show_default=bool(default),
         help="Let the filter's mean go with the curvature of drag: less bias.",
     )
 
 
-def run(work: Callable[[Callable[[str], None]], dict[str, Any]], out: Path) -> None:
+def _order(_context: click.Context, _parameter: click.Parameter, given: bool | None) -> Literal[1, 2] | None:
+    return None if given is None else 2 if given else 1
+
+
+ESTIMATION = ("outlier_model", "reml", "mean_order", "method", "horizon")  # options that every estimate shares
+
+
+def estimation_of(options: dict[str, Any]) -> dict[str, Any]:
+    """The options of a command with those of the estimate as one, ``estimation``."""
+    from ident.estimation import EstimationOptions
+
+    shared = {n: v for n, v in options.items() if n in ESTIMATION}
+    return {n: v for n, v in options.items() if n not in ESTIMATION} | {"estimation": EstimationOptions(**shared)}
+
+
+class Lines:
+    """Each line of progress, and each warning, is printed."""
+
+    def __init__(self, err: bool = False) -> None:
+        self.err = err
+
+    def progress(self, text: str) -> None:
+        click.echo(f"  {text}", err=self.err)
+
+    def warning(self, text: str) -> None:
+        click.echo(f"  {text}", err=self.err)
+
+
+class LiveLine:
+    """Progress is one live line of a terminal; warnings stay above it."""
+
+    def __init__(self, console: Console, status: Status) -> None:
+        self.console, self.status = console, status
+
+    def progress(self, text: str) -> None:
+        self.status.update(text)
+
+    def warning(self, text: str) -> None:
+        self.console.print(f"  {text}")
+
+
+def run(work: Callable[[Reporter], dict[str, Any]], out: Path) -> None:
     """Do the work with a live line of what it is doing; then show the result and where it is."""
     from rich.console import Console
 
@@ -130,9 +178,9 @@ def run(work: Callable[[Callable[[str], None]], dict[str, Any]], out: Path) -> N
     try:
         if console.is_terminal:
             with console.status("reading logs") as status:
-                result = work(lambda line: status.update(line))
+                result = work(LiveLine(console, status))
         else:
-            result = work(lambda line: click.echo(f"  {line}"))
+            result = work(Lines())
     except (ValueError, KeyError) as problem:
         raise SeatrialError(str(problem).strip("'\"")) from problem
     from ident.report import print_result

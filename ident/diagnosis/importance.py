@@ -17,7 +17,7 @@ import numpy as np
 from ident.data import Record
 from ident.diagnosis.results import EffectImportance, Refit, Round
 from ident.engine import quickly
-from ident.estimation import ROUGHLY, FittedModel, fit_and_evaluate
+from ident.estimation import ROUGH, FittedModel, fit_and_evaluate
 from ident.model import Model
 from ident.models import residuals_of
 from ident.validation import ahead, pooled
@@ -98,7 +98,7 @@ def _with(
     model = model.with_values({n: last.values[n] for n in model.values if n in last.values})
     try:
         with quickly(sum(r.n_rows for r in records)):
-            return fit_and_evaluate(model, records, unseen, tolerance=ROUGHLY)
+            return fit_and_evaluate(model, records, unseen, settings=ROUGH)
     except (ValueError, np.linalg.LinAlgError):
         return before
 

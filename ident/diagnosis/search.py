@@ -38,10 +38,9 @@ from ident.effects import NonparametricForce, catalogue, input_response_effects,
 from ident.engine import quickly
 from ident.estimation import (
     AT_BOUND,
-    ROUGHLY,
+    ROUGH,
     VAGUE,
     FittedModel,
-    Progress,
     fit_and_evaluate,
     fit_with_rescaling,
     nominal,
@@ -51,6 +50,7 @@ from ident.estimation import (
 )
 from ident.model import Effect, Model, Parameter
 from ident.models import residuals_of, scale_priors, size_of, variables_of
+from ident.reporter import QUIET, Reporter
 
 N_REFITS, N_UNKNOWN = 4, 2
 HOPELESS = 0.05  # of the best score: a refit gains up to ten times what its score promises, not twenty times
@@ -68,7 +68,7 @@ def diagnose(
     effects: Mapping[str, Effect] | None = None,
     max_effects: int = 3,
     rate: float = 10.0,
-    progress: Progress = lambda line: None,
+    reporter: Reporter = QUIET,
 ) -> Diagnosis:
     """What does ``model`` lack to explain the runs? ``effects``: the candidates, by default the whole catalogue.
 
@@ -88,7 +88,7 @@ def diagnose(
     records = [make_record(everything, r, rate) for r in estimation]
     unseen = [make_record(everything, r, rate) for r in validation]
     full = without_absent_sensors(full, records + unseen)
-    progress(f"fitting {full.name} with unexplained forces to {counted(len(records), 'run')}")
+    reporter.progress(f"fitting {full.name} with unexplained forces to {counted(len(records), 'run')}")
     before = current = fit_with_rescaling(full, records, unseen)
     size, known = size_of(before.fit.model), catalogue()
     # the users' own effects have the priors that they gave them
@@ -102,14 +102,16 @@ def diagnose(
         tried = [s for s in passed if not s.generic and s.criterion(n) > least] if unknown else passed
         if len(rounds) >= max_effects or not tried:
             break
-        progress(f"round {len(rounds) + 1}: {len(passed)} of {len(scores)} candidates pass, best {tried[0].name}")
-        one = _round(current, records, unseen, candidates, scores, tried, largest, progress)
+        reporter.progress(
+            f"round {len(rounds) + 1}: {len(passed)} of {len(scores)} candidates pass, best {tried[0].name}"
+        )
+        one = _round(current, records, unseen, candidates, scores, tried, largest, reporter)
         rounds.append(one)
         if one.chosen is None:
             break
         current, unknown = one.chosen.stage, unknown or one.chosen.unknown
         candidates.pop(one.chosen.effect.name, None)
-    progress("weighing what was found")
+    reporter.progress("weighing what was found")
     weights = effect_importance(before, rounds, records, unseen)
     order = [w.effect for w in weights]
     judgements = assess_alternatives(rounds, passed, n, untested)
@@ -166,12 +168,12 @@ def _round(
     scores: list[Score],
     passed: list[Score],
     largest: float,
-    progress: Progress,
+    reporter: Reporter,
 ) -> Round:
     n = sum(r.n_rows for r in records)
     specific = [s for s in passed if not s.generic][:N_REFITS]
     specific = [s for s in specific if s.criterion(n) > HOPELESS * specific[0].criterion(n)]
-    refits = _refit_all(current, records, unseen, [(candidates[s.name], s) for s in specific], n, progress)
+    refits = _refit_all(current, records, unseen, [(candidates[s.name], s) for s in specific], n, reporter)
     first = max((r for r in refits if r.accepted), key=lambda r: r.criterion, default=None)
     best, curve = (-np.inf, "") if first is None else (first.criterion, first.effect.one_of)
     # a table competes only where no name that holds comes close to what the scores promise for it, or where the name
@@ -179,7 +181,7 @@ def _round(
     least = max(0.5 * best, best - 50)
     unknown = [s for s in passed if s.generic and (s.criterion(n) > least or s.name == curve)][:N_UNKNOWN]
     drawn = [(_unknown(s, current), s) for s in unknown]
-    refits += _refit_all(current, records, unseen, drawn, n, progress)
+    refits += _refit_all(current, records, unseen, drawn, n, reporter)
     refits.sort(key=lambda r: -r.criterion)
     names = tuple(s.name for s in passed)
     for r in refits[:3]:
@@ -205,15 +207,15 @@ def _refit_all(
     unseen: Sequence[Record],
     tried: Sequence[tuple[Effect, Score]],
     n: int,
-    progress: Progress,
+    reporter: Reporter,
 ) -> list[Refit]:
     def refit(pair: tuple[Effect, Score]) -> Refit | None:
         effect, score = pair
-        progress(f"refitting with {effect.title}")
+        reporter.progress(f"refitting with {effect.title}")
         start = replace(effect, parameters=tuple(_start(p, score) for p in effect.parameters))
         larger = current.fit.model + start
         try:
-            stage = fit_and_evaluate(larger, records, unseen, tolerance=ROUGHLY)
+            stage = fit_and_evaluate(larger, records, unseen, settings=ROUGH)
         except (ValueError, np.linalg.LinAlgError):
             return None  # a candidate that cannot be fitted is no candidate
         gain = 2 * (stage.fit.log_posterior - current.fit.log_posterior)

@@ -1,9 +1,7 @@
 from .fisher_scoring import Bounds as Bounds
 from .fisher_scoring import Evaluation as Evaluation
 from .fisher_scoring import solve_step as solve_step
-from .fitted_model import ROUGHLY as ROUGHLY
 from .fitted_model import FittedModel as FittedModel
-from .fitted_model import Progress as Progress
 from .fitted_model import RecordEvaluation as RecordEvaluation
 from .fitted_model import fit_and_evaluate as fit_and_evaluate
 from .fitted_model import fit_nominal_model as fit_nominal_model
@@ -23,6 +21,10 @@ from .model_file import SavedModel as SavedModel
 from .model_file import load_model as load_model
 from .model_file import save_model as save_model
 from .objective import Problem as Problem
+from .options import ROUGH as ROUGH
+from .options import EstimationOptions as EstimationOptions
+from .options import Method as Method
+from .options import SearchSettings as SearchSettings
 from .output_error import free_start as free_start
 from .output_error import predict_ahead as predict_ahead
 from .output_error import simulate as simulate

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import astuple, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,16 +11,16 @@ import numpy as np
 from daq.errors import counted
 from ident.data import LogSegment, Record, make_record
 from ident.estimation.likelihood import FilterResult, Likelihood
-from ident.estimation.maximum_likelihood import TOLERANCE, Fit, fit
+from ident.estimation.maximum_likelihood import Fit, fit
 from ident.estimation.multistart import best_of_starts
+from ident.estimation.options import EstimationOptions, SearchSettings
 from ident.estimation.smoother import SmootherResult, smooth
 from ident.model import Effect, Model, outlier_notes
 from ident.model import with_outlier_model as with_outliers
 from ident.models import for_diagnosis, forces_of, rescale, residuals_of, size_of
 from ident.numerics import Array
+from ident.reporter import QUIET, Reporter
 
-Progress = Callable[[str], None]
-ROUGHLY = 0.02  # in the log-likelihood, to which a candidate is fitted; the model that is kept is fitted exactly
 NOUGHT = 1e-2  # of the white noise that the samples show
 OTHER_SIZE = 2.0  # times the force or moment that was assumed
 
@@ -62,60 +62,67 @@ def fit_nominal_model(
     model: Model,
     estimation: Sequence[LogSegment],
     validation: Sequence[LogSegment],
+    options: EstimationOptions | None = None,
     *,
     rate: float = 10.0,
-    robust: bool = False,
-    restricted: bool = False,
-    progress: Progress = lambda line: None,
+    reporter: Reporter = QUIET,
 ) -> FittedModel:
-    """The model fitted as it is, with unexplained forces and sensor offsets as states; no search. ``robust``: with
-    outliers allowed in all sensors; ``restricted``: noise by restricted likelihood
-    (``ident.estimation.restricted_likelihood``)."""
+    """The model fitted as it is, with unexplained forces and sensor offsets as states; no search for missing effects.
+
+    Parameters:
+        model: its ``nominal`` form is fitted.
+        estimation, validation: logs that the fit sees, and others.
+        options: plain maximum likelihood by default.
+        rate: rows a second to which faster sensors are averaged [Hz].
+        reporter: is told what is being fitted.
+    """
     full = nominal(model)
     records = [make_record(full, r, rate) for r in estimation]
     unseen = [make_record(full, r, rate) for r in validation]
-    progress(f"fitting {full.name} to {counted(len(records), 'run')}")
+    reporter.progress(f"fitting {full.name} to {counted(len(records), 'run')}")
     full = without_absent_sensors(full, records + unseen)
-    return fit_with_rescaling(full, records, unseen, robust=robust, restricted=restricted)
+    return fit_with_rescaling(full, records, unseen, options)
 
 
 def fit_with_rescaling(
     full: Model,
     records: Sequence[Record],
     unseen: Sequence[Record],
-    *,
-    robust: bool = False,
-    restricted: bool = False,
+    options: EstimationOptions | None = None,
 ) -> FittedModel:
     """The model of ``nominal`` fitted; once more where the boat turns out to be of another size than its start said."""
-    stage = fit_and_evaluate(full, records, unseen, robust=robust, restricted=restricted)
+    stage = fit_and_evaluate(full, records, unseen, options)
     assumed, found = size_of(full), size_of(stage.fit.model)
     if all(1 / OTHER_SIZE < b / a < OTHER_SIZE for a, b in zip(astuple(assumed), astuple(found), strict=True)):
         return stage
-    return fit_and_evaluate(rescale(full, found), records, unseen, robust=robust, restricted=restricted)
+    return fit_and_evaluate(rescale(full, found), records, unseen, options)
 
 
 def fit_and_evaluate(
     model: Model,
     records: Sequence[Record],
     unseen: Sequence[Record],
-    *,
-    robust: bool = False,
-    restricted: bool = False,
-    tolerance: float = TOLERANCE,
+    options: EstimationOptions | None = None,
+    settings: SearchSettings | None = None,
 ) -> FittedModel:
-    """Fit to the records; on the unseen ones adapt only what each record has for itself. Errors that hold for coloured
-    residuals go only with a fit to the full ``tolerance``."""
+    """Fit to the records; on the unseen ones adapt only what each record has for itself.
+
+    Parameters:
+        model: what is fitted, from its own values; a rough search (without robust errors) tries no other starts.
+        records, unseen: estimation and validation data.
+        options, settings: of the fit (``ident.estimation.maximum_likelihood.fit``).
+    """
+    options, settings = options or EstimationOptions(), settings or SearchSettings()
+    model = options.with_mean_order(model)
     begun, rows = reset_collapsed_noise(model, records), [r.for_model(model) for r in records]
 
     def fitted_from(start: Mapping[str, float]) -> Fit:
-        return fit(begun, rows, start=start, robust=robust, restricted=restricted, tolerance=tolerance,
-                   coloured=tolerance <= TOLERANCE)
+        return fit(begun, rows, options, settings, start=start)
 
     fitted = fitted_from({})
-    if model.start_grid is not None and tolerance <= TOLERANCE:
+    if model.start_grid is not None and settings.robust_errors:
         fitted = best_of_starts(fitted, records, fitted_from)
-    model = with_outliers(model) if robust else model
+    model = with_outliers(model) if options.outlier_model else model
     own = [p.name for p in fitted.model.parameters if p.free and p.per_record]
     views = tuple(_view(fitted.model, r, fitted.record_values[i]) for i, r in enumerate(records))
     if not unseen:
@@ -124,7 +131,7 @@ def fit_and_evaluate(
         values = fitted.record_values[0]
         return FittedModel(model, fitted, views, tuple(_view(fitted.model, r, values) for r in unseen))
     others = [r.for_model(model) for r in unseen]
-    adapted = fit(fitted.model.with_free(own), others, tolerance=tolerance, coloured=False)
+    adapted = fit(fitted.model.with_free(own), others, settings=replace(settings, robust_errors=False))
     judged = [_view(adapted.model, r, adapted.record_values[i]) for i, r in enumerate(unseen)]
     return FittedModel(model, fitted, views, tuple(judged))
 

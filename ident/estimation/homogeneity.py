@@ -19,6 +19,7 @@ from scipy import optimize, stats
 from daq.errors import SeatrialError
 from ident.data import Record
 from ident.estimation.maximum_likelihood import Fit, fit
+from ident.estimation.options import EstimationOptions
 from ident.numerics import Array
 
 LEVEL = 0.01
@@ -59,7 +60,7 @@ def homogeneity_test(one: Fit, records: Sequence[Record], name: str) -> Homogene
     if len(records) < 2:
         raise SeatrialError(f"--test-homogeneity {name}: it takes two logs or more")
     model = one.model.replace_parameters(replace(one.model.parameter(name), per_record=True))
-    each = fit(model, records, restricted=one.restricted)
+    each = fit(model, records, EstimationOptions(reml=one.options.reml))
     values, errors = np.array([each.estimate(name, i) for i in range(len(records))]).T
     lr, df = max(0.0, 2.0 * (each.log_posterior - one.log_posterior)), len(records) - 1
     at = [each.names.index(f"{name}@{i}") for i in range(len(records))]

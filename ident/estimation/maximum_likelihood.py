@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from ident.data import Record
 from ident.estimation.fisher_scoring import Optimum, maximise, refine_lbfgsb
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.objective import Problem
+from ident.estimation.options import EstimationOptions, SearchSettings
 from ident.estimation.output_error import free_start
 from ident.estimation.restricted_likelihood import apply_reml
 from ident.estimation.standard_errors import (
@@ -27,7 +27,6 @@ from ident.model import Model
 from ident.model import with_outlier_model as with_outliers
 from ident.numerics import Array
 
-TOLERANCE = 1e-6  # of the log-likelihood: parameters within about a thousandth of a standard error
 CLOSE_ENOUGH = 1e-2  # what may be left to gain where no step gains more
 Progress = Callable[[int, float], None]
 
@@ -43,11 +42,11 @@ class Fit:
     robust_errors (n,): from the sandwich covariance, valid when the residuals are coloured, NaN where they
     were not asked for; record_values (n_records, n_parameters): over ``model.parameters`` in order. The log-likelihood
     is the largest, also where the noise was then restricted; the log-posterior leaves out the constants of the priors.
-    ``gain_left``: what one more step would gain; ``restricted``: whether that was asked for.
+    ``gain_left``: what one more step would gain; ``options``: what was asked for.
     """
 
     model: Model
-    method: str
+    options: EstimationOptions
     records: tuple[str, ...]
     names: tuple[str, ...]
     values: Array
@@ -69,7 +68,6 @@ class Fit:
     flags: tuple[tuple[str, str], ...]
     converged: bool
     message: str
-    restricted: bool = False
 
     def estimate(self, name: str, record: int = 0) -> tuple[float, float]:
         """Value and standard error (NaN: fixed, at a bound, or not informed) of a parameter in a record."""
@@ -88,59 +86,49 @@ class Fit:
 def fit(
     model: Model,
     records: Sequence[Record],
+    options: EstimationOptions | None = None,
+    settings: SearchSettings | None = None,
     *,
-    method: Literal["pe", "oe"] = "pe",
-    initial: Literal["free", "given"] = "free",
     start: Mapping[str, float] | None = None,
-    robust: bool = False,
-    restricted: bool = False,
-    max_iterations: int = 60,
-    tolerance: float = TOLERANCE,
-    coloured: bool = True,
-    joseph: bool = False,
     progress: Progress | None = None,
-    threads: int = 2,
 ) -> Fit:
-    """Estimate the free parameters of ``model`` from ``records``.
+    """Maximum likelihood (or maximum a posteriori) estimate of the free parameters of a model.
 
-    method: prediction error (extended Kalman filter), or output error (no process noise). initial: of output error
-    alone: the start of each record is estimated too (``ident.estimation.output_error.free_start``), or taken for exact
-    as the model gives
-    it. start: values to begin with instead of the model's, ``V_x@0`` those of a record. robust: allow outliers in all
-    sensors (``ident.model.outlier_density`` allows them in some). restricted: estimate noise without the bias that
-    the dynamics give
-    it (``ident.estimation.restricted_likelihood``; not in output error). tolerance: gain in log-likelihood below which
-    the search ends.
-    coloured: work out ``robust_errors``, and errors on plateaus. joseph: the longer covariance update, for a start that
-    is uncertain by many orders. progress: called with the iteration and the log-posterior. Raises ValueError, naming
-    the record, where a record does not fit the model or cannot be evaluated.
+    Parameters:
+        model: what is estimated, from its own values.
+        records: at least one; they share all parameters but those that each record has for itself.
+        options: plain maximum likelihood by prediction error where none are given.
+        settings: of the search.
+        start: values to begin with instead of the model's, ``V_x@0`` those of a record.
+        progress: called with the iteration and the log-posterior.
+
+    Raises ValueError, naming the record, where a record does not fit the model or cannot be evaluated.
     """
     began = time.process_time()
+    options, settings = options or EstimationOptions(), settings or SearchSettings()
     if not records:
         raise ValueError("no records to estimate from")
-    if method not in ("pe", "oe") or initial not in ("free", "given"):
-        raise ValueError(f'no method {method!r} with initial {initial!r}: "pe" or "oe", "free" or "given"')
-    begin: dict[str, float] = {}
-    if method == "oe" and initial == "free":
+    model, begin = options.with_mean_order(model), dict[str, float]()
+    if not options.process_noise and settings.initial_state == "free":
         model, begin = free_start(model, records)
     begin |= {n: v for n, v in (start or {}).items() if "@" in n}
     model = model.with_values({n: v for n, v in (start or {}).items() if "@" not in n})
-    if robust:
-        model = _with_outliers(model, records, method, begin, max_iterations, threads)
-    likelihood = Likelihood(model, joseph=joseph, process_noise=method == "pe")
-    problem = Problem(likelihood, records, _estimable(model, method), threads, begin)
+    if options.outlier_model:
+        model = _with_outliers(model, records, options, settings, begin)
+    likelihood = Likelihood(model, joseph=settings.joseph, process_noise=options.process_noise)
+    problem = Problem(likelihood, records, _estimable(model, options), settings.threads, begin)
     _check_enough(problem)
-    optimum = _search(problem, max_iterations, tolerance, progress)
+    optimum = _search(problem, settings, progress)
     mean, weight = problem.prior
     prior_part = -0.5 * float(weight @ (optimum.z - mean) ** 2)
-    optimum = apply_reml(problem, optimum) if restricted and method == "pe" else optimum
-    known, robust_errors = _known(problem, optimum, coloured)
-    if method == "oe" and coloured:  # by prediction error they are seldom looked at
+    options = replace(options, reml=options.reml and options.process_noise)
+    optimum = apply_reml(problem, optimum) if options.reml else optimum
+    known, robust_errors = _known(problem, optimum, settings.robust_errors)
+    if not options.process_noise and settings.robust_errors:  # by prediction error they are seldom looked at
         lost = np.isfinite(known.errors) & np.isnan(robust_errors)
         too_long = [(problem.names[i], TOO_LONG) for i in np.flatnonzero(lost).tolist()]
         known = replace(known, flags=(*known.flags, *too_long))
-    found = _report(problem, optimum, known, robust_errors, method, prior_part, time.process_time() - began)
-    return replace(found, restricted=restricted and method == "pe")
+    return _report(problem, optimum, known, robust_errors, options, prior_part, time.process_time() - began)
 
 
 def _check_enough(problem: Problem) -> None:
@@ -171,8 +159,8 @@ def _known(problem: Problem, optimum: Optimum, coloured: bool) -> tuple[Uncertai
     return known, robust_errors
 
 
-def _with_outliers(model: Model, records: Sequence[Record], method: Literal["pe", "oe"], begin: Mapping[str, float],
-                   max_iterations: int, threads: int) -> Model:
+def _with_outliers(model: Model, records: Sequence[Record], options: EstimationOptions, settings: SearchSettings,
+                   begin: Mapping[str, float]) -> Model:
     """The model with outliers allowed, at the better of two starts: its own values, or those of a plain fit.
 
     Wild samples are told from good ones by the noise, so its scale must be about right first, which a plain fit
@@ -180,23 +168,25 @@ def _with_outliers(model: Model, records: Sequence[Record], method: Literal["pe"
     """
     own = with_outliers(model)
     try:
-        plain = fit(model, records, method=method, start=begin, max_iterations=max_iterations, threads=threads).model
+        plain = fit(model, records, EstimationOptions(method=options.method),
+                    SearchSettings(max_iterations=settings.max_iterations, threads=settings.threads), start=begin).model
     except ValueError:
         return own
-    likelihood, starts = Likelihood(own, process_noise=method == "pe"), (own, with_outliers(plain))
+    likelihood, starts = Likelihood(own, process_noise=options.process_noise), (own, with_outliers(plain))
     totals = [sum(likelihood.value(r, np.array(list(m.values.values()))) for r in records) for m in starts]
     return starts[1] if totals[1] > totals[0] or not np.isfinite(totals[0]) else own
 
 
-def _estimable(model: Model, method: str) -> tuple[str, ...]:
+def _estimable(model: Model, options: EstimationOptions) -> tuple[str, ...]:
     """Output error knows nothing of process noise and of the uncertainty of the initial state."""
-    if method == "pe":
+    if options.process_noise:
         return model.free
     ignored = {s.noise for s in model.states} | {s.sd0 for s in model.states}
     return tuple(n for n in model.free if n not in ignored)
 
 
-def _search(problem: Problem, max_iterations: int, tolerance: float, progress: Progress | None) -> Optimum:
+def _search(problem: Problem, settings: SearchSettings, progress: Progress | None) -> Optimum:
+    tolerance, max_iterations = settings.tolerance, settings.max_iterations
     z = problem.bounds.clip(problem.start)
     if not problem.evaluate(z).finite:
         problem.check(z)
@@ -208,8 +198,8 @@ def _search(problem: Problem, max_iterations: int, tolerance: float, progress: P
     return optimum
 
 
-def _report(problem: Problem, optimum: Optimum, known: Uncertainty, robust: Array, method: str, prior_part: float,
-            cpu_seconds: float) -> Fit:
+def _report(problem: Problem, optimum: Optimum, known: Uncertainty, robust: Array, options: EstimationOptions,
+            prior_part: float, cpu_seconds: float) -> Fit:
     record_values = problem.values(optimum.z)
     names = [p.name for p in problem.model.parameters]
     model = problem.model.with_values(dict(zip(names, record_values.mean(axis=0), strict=True)))
@@ -217,7 +207,7 @@ def _report(problem: Problem, optimum: Optimum, known: Uncertainty, robust: Arra
     message = (f"converged in {optimum.iterations} iterations" if converged else
                f"stopped after {optimum.iterations} iterations with {optimum.gain_left:.3g} left to gain")
     return Fit(
-        model=model, method=method, records=tuple(r.name for r in problem.records), names=problem.names,
+        model=model, options=options, records=tuple(r.name for r in problem.records), names=problem.names,
         values=problem.own(optimum.z), errors=known.errors, limits=problem.own(known.limits),
         covariance=known.covariance, correlation=known.correlation, prior_weight=known.prior_weight,
         robust_errors=robust, record_values=record_values,

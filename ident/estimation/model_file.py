@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import os
-import sys
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -29,6 +28,7 @@ from ident.models import (
     sensor_bias,
 )
 from ident.numerics import Array
+from ident.reporter import QUIET, Reporter
 
 FORMAT = "seatrial-model 1"
 
@@ -36,7 +36,7 @@ FORMAT = "seatrial-model 1"
 @dataclass(frozen=True)
 class SavedModel:
     """A model read back. ``errors``: standard errors by name (NaN: none); ``validity``: ranges by signal;
-    ``correlation`` (n, n): of the estimates ``names``; ``restricted``: noise by restricted likelihood."""
+    ``correlation`` (n, n): of the estimates ``names``; ``reml``: noise by restricted likelihood."""
 
     model: Model
     errors: Mapping[str, float]
@@ -45,7 +45,7 @@ class SavedModel:
     names: tuple[str, ...] = ()
     correlation: Array = field(default_factory=lambda: np.zeros((0, 0)))
     effects_file: Path | None = None  # where effects that are not in the catalogue come from
-    restricted: bool = False
+    reml: bool = False
 
 
 def save_model(
@@ -71,7 +71,7 @@ def save_model(
         document["robust"] = list(robust_sensors(model))
     if model.second_order:
         document["second_order"] = True
-    if fit.restricted:
+    if fit.options.reml:
         document["restricted"] = True
     spans = {e.name: list(e.span) for e in model.effects if e.span is not None}
     if spans:
@@ -126,12 +126,8 @@ def _row(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, Any]:
     return row if flag is None else row | {"flag": flag}
 
 
-def _to_the_screen(line: str) -> None:
-    print(f"seatrial: {line}", file=sys.stderr)
-
-
-def load_model(path: Path, say: Callable[[str], None] = _to_the_screen) -> SavedModel:
-    """Read a model.toml. ``say``: is told where a Python file of the user's own has changed since.
+def load_model(path: Path, reporter: Reporter = QUIET) -> SavedModel:
+    """Read a model.toml. ``reporter``: is warned where a Python file of the user's own has changed since.
 
     Raises SeatrialError with what is wrong and where.
     """
@@ -144,7 +140,7 @@ def load_model(path: Path, say: Callable[[str], None] = _to_the_screen) -> Saved
     if table.get("format") != FORMAT:
         raise SeatrialError(f"{path}: format is {table.get('format')!r}, not {FORMAT!r}: give a model.toml of seatrial")
     try:
-        source, effects_file = _own_files(table, path, say)
+        source, effects_file = _own_files(table, path, reporter)
         model = _build(table, source, load_effects(effects_file) if effects_file is not None else {})
         errors = {row["name"]: float(row.get("se", np.nan)) for row in table["parameter"]}
         validity = {k: (float(a), float(b)) for k, (a, b) in table.get("validity", {}).items()}
@@ -153,23 +149,23 @@ def load_model(path: Path, say: Callable[[str], None] = _to_the_screen) -> Saved
         correlation = np.asarray(between.get("matrix", ()), dtype=float).reshape(len(names), len(names))
     except (KeyError, TypeError, ValueError) as problem:
         raise SeatrialError(f"{path}: not a complete model: {problem}") from problem
-    restricted = bool(table.get("restricted", False))
+    reml = bool(table.get("restricted", False))
     made = table.get("provenance", {})
-    return SavedModel(model, errors, validity, made, names, correlation, effects_file, restricted)
+    return SavedModel(model, errors, validity, made, names, correlation, effects_file, reml)
 
 
-def _own_files(table: Mapping[str, Any], path: Path, say: Callable[[str], None]) -> tuple[str, Path | None]:
+def _own_files(table: Mapping[str, Any], path: Path, reporter: Reporter) -> tuple[str, Path | None]:
     """The source of the structure and the file of effects, as they are found from here."""
     source, effects = str(table["source"]), None
     file, _, name = source.rpartition(":")
     if file.endswith(".py"):
-        source = f"{_found(path, file, table.get('source_sha256'), say)}:{name}"
+        source = f"{_found(path, file, table.get('source_sha256'), reporter)}:{name}"
     if "effects_file" in table:
-        effects = _found(path, str(table["effects_file"]), table.get("effects_sha256"), say)
+        effects = _found(path, str(table["effects_file"]), table.get("effects_sha256"), reporter)
     return source, effects
 
 
-def _found(path: Path, file: str, digest: str | None, say: Callable[[str], None]) -> Path:
+def _found(path: Path, file: str, digest: str | None, reporter: Reporter) -> Path:
     """A Python file that a model names: from the model's folder, or, in files without its hash, which are older, from
     where the command was typed, often the folder above."""
     places = [path.parent / file] if digest is not None else [Path(file), path.parent / file, path.parent.parent / file]
@@ -178,7 +174,7 @@ def _found(path: Path, file: str, digest: str | None, say: Callable[[str], None]
         place = os.path.normpath(path.parent / file)
         raise SeatrialError(f"{path}: {place}: no such Python file; the model was made with it, so put it there")
     if digest is not None and _digest(there[0]) != digest:
-        say(f"{there[0]} has changed since {path} was written; fit again where that matters")
+        reporter.warning(f"{there[0]} has changed since {path} was written; fit again where that matters")
     return there[0]
 
 

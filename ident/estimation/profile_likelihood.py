@@ -19,8 +19,9 @@ from scipy.interpolate import PchipInterpolator
 from ident.data import Record
 from ident.estimation.fisher_scoring import Bounds, Evaluation, Optimum, maximise
 from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import TOLERANCE, Fit
+from ident.estimation.maximum_likelihood import Fit
 from ident.estimation.objective import Problem
+from ident.estimation.options import TOLERANCE
 from ident.estimation.standard_errors import BLIND, DROP, Z95, flat_coordinates, with_interval_information
 from ident.numerics import Array
 
@@ -312,7 +313,7 @@ def profile(fit: Fit, records: Sequence[Record], name: str, *, threads: int = 2)
     estimate = problem.bounds.clip(np.array([p.to_free(v) for p, v in zip(problem.parameters, fit.values,
                                                                           strict=True)]))
     line = ConstrainedObjective(problem, fit.names.index(full), estimate)
-    if fit.restricted:  # its noise is not that of the maximum, and the profile is of the likelihood
+    if fit.options.reml:  # its noise is not that of the maximum, and the profile is of the likelihood
         line.release(estimate)
         line.restart()
     before, sides = line.top, _sides(line)
@@ -334,7 +335,7 @@ def _sides(line: ConstrainedObjective) -> list[ProfileBranch]:
 
 def _problem(fit: Fit, records: Sequence[Record], threads: int) -> Problem:
     """The fit's objective; raises ValueError where it cannot be of these records."""
-    likelihood = Likelihood(fit.model, process_noise=fit.method == "pe")
+    likelihood = Likelihood(fit.model, process_noise=fit.options.process_noise)
     free = tuple(dict.fromkeys(n.partition("@")[0] for n in fit.names))
     problem = Problem(likelihood, [r.for_model(fit.model) for r in records], free, threads)
     if problem.names != fit.names:

@@ -50,8 +50,8 @@ def fit_part(fit: Fit, start: Mapping[str, float]) -> Json:
             )
     return {
         "model": " + ".join([fit.model.name, *(e.name for e in fit.model.effects)]),
-        "method": fit.method.upper(),
-        "restricted": fit.restricted,
+        "method": "PE" if fit.options.process_noise else "OE",
+        "restricted": fit.options.reml,
         "second_order": fit.model.second_order,
         "converged": fit.converged,
         "message": fit.message,

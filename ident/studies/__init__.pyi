@@ -1,6 +1,5 @@
 from .cases import make_case as make_case
 from .monte_carlo import Case as Case
-from .monte_carlo import Method as Method
 from .monte_carlo import ParameterCoverage as ParameterCoverage
 from .monte_carlo import Row as Row
 from .monte_carlo import counts as counts

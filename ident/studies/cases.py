@@ -10,6 +10,7 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from scipy import stats
@@ -17,7 +18,7 @@ from scipy import stats
 from daq.errors import SeatrialError
 from ident.characterisation import noise_model
 from ident.data import TIME_INPUT
-from ident.estimation import SampledInputs, load_model
+from ident.estimation import EstimationOptions, SampledInputs, load_model
 from ident.experiment_design import GRID, Design, DesignProblem, Steps, design
 from ident.model import INF, Model
 from ident.models import (
@@ -135,7 +136,7 @@ def noise_case(seconds: float = 300.0) -> Case:
     t = _clock(seconds, 0.05)
     model = noise_model(1e-3).with_values({"white": 1.0, "walk": 0.3})
     return Case("noise", model, SampledInputs.held(t, np.empty((t.size, 0))), {}, f"{seconds:g} s at rest, 20 Hz",
-                restricted=False)
+                reml=False)
 
 
 def optimal_design_case(seconds: float = 300.0) -> Case:
@@ -172,10 +173,10 @@ WILD = 8.0  # predicted standard errors from the truth: the fit has stopped in a
 
 def make_case(
     name: str, truth: Mapping[str, float] | None = None, free: Sequence[str] = (), seconds: float | None = None,
-    *, bounded: bool = True, restricted: bool | None = None, second_order: bool | None = None,
+    *, bounded: bool = True, reml: bool | None = None, mean_order: Literal[1, 2] | None = None,
 ) -> Case:
     """A case by name or file; at other true values, with only the parameters ``free`` estimated, of another length, if
-    given. Not ``bounded``: damping may be estimated below zero. ``restricted``, ``second_order``: how it is estimated,
+    given. Not ``bounded``: damping may be estimated below zero. ``reml``, ``mean_order``: how it is estimated,
     by default as the commands do, or did where the file says so.
 
     Raises SeatrialError when there is none, or no such parameter.
@@ -192,10 +193,9 @@ def make_case(
         case = replace(case, model=case.model.with_free(free)) if free else case
     except (KeyError, ValueError) as problem:
         raise SeatrialError(str(problem.args[0])) from problem
-    if restricted is not None:
-        case = replace(case, restricted=restricted)
-    if second_order is not None:
-        case = replace(case, model=replace(case.model, second_order=second_order))
+    if reml is not None:
+        case = replace(case, reml=reml)
+    case = replace(case, model=EstimationOptions(mean_order=mean_order).with_mean_order(case.model))
     if bounded:
         return case
     apart = [replace(p, bounds=(-INF, INF)) for p in case.model.parameters if p.transform == "none"]
@@ -219,7 +219,7 @@ def own_case(source: str, seconds: float | None, seed: int) -> Case:
             raise SeatrialError(f"{source}: no such file")
         saved = load_model(path)
         case = _of_model(saved.model, saved.validity, source, seconds or SECONDS, seed)
-        return _marked(replace(case, restricted=saved.restricted), path)
+        return _marked(replace(case, reml=saved.reml), path)
     file, _, name = source.rpartition(":")
     case = load_object(source)
     if isinstance(case, Model):

@@ -22,7 +22,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -30,11 +30,14 @@ from scipy import stats
 from ident.data import Record
 from ident.estimation import (
     Bounds,
+    EstimationOptions,
     Evaluation,
     Fit,
     Likelihood,
+    Method,
     Problem,
     SampledInputs,
+    SearchSettings,
     fit,
     free_start,
     simulate_stochastic,
@@ -44,7 +47,6 @@ from ident.model import Model, Parameter
 from ident.numerics import Array
 from ident.results import APART, BIAS, COVERAGE, VARIANCE
 
-Method = Literal["pe", "oe"]
 Row = dict[str, Any]
 Z95 = 1.96
 N_DRAWS = 400  # of an efficient estimate near bounds, for each replicate
@@ -54,7 +56,7 @@ N_DRAWS = 400  # of an efficient estimate near bounds, for each replicate
 class Case:
     """What is simulated and estimated: a model at the true values of its parameters, and a mission.
 
-    ``every``: a sensor's samples are this many rows apart (1 by default); ``restricted``: noise is estimated by
+    ``every``: a sensor's samples are this many rows apart (1 by default); ``reml``: noise is estimated by
     restricted likelihood, as the commands do. Whether the filter's mean is of second order, the model says.
     """
 
@@ -63,14 +65,14 @@ class Case:
     inputs: SampledInputs
     every: Mapping[str, int]
     about: str = ""
-    restricted: bool = True
+    reml: bool = True
 
     def at(self, truth: Mapping[str, float]) -> Case:
         """The same with other true values."""
         return replace(self, model=self.model.with_values(truth))
 
 
-def run_replicates(case: Case, numbers: Sequence[int], seed: int, method: Method = "pe") -> list[Row]:
+def run_replicates(case: Case, numbers: Sequence[int], seed: int, method: Method = "prediction-error") -> list[Row]:
     """Simulate and estimate the replicates of these numbers, a row each; they do not depend on each other."""
     rngs = [np.random.default_rng([seed, k]) for k in numbers]
     truths = np.array([_draw(case.model, rng) for rng in rngs])
@@ -103,18 +105,19 @@ def make_record(case: Case, y: Array, name: str) -> Record:
 def estimate(case: Case, record: Record, truth: Array, x0: Array, rng: np.random.Generator, method: Method) -> Row:
     """A fit that starts away from the truth, and its errors; names are those of ``case.model.free``, and of output
     error those of the state at the start, ``x0_NAME``, whose truth is ``x0`` (n_states,)."""
-    model = replace(case.model, second_order=case.model.second_order and method == "pe")
+    model = replace(case.model, second_order=case.model.second_order and method == "prediction-error")
     named = dict(zip([p.name for p in model.parameters], truth.tolist(), strict=True))
     shared = [p for p in model.parameters if p.free and not p.per_record]
     apart = {p.name: p.value * float(np.exp(rng.uniform(-APART, APART))) for p in shared}
     start = {p.name: float(np.clip(apart[p.name], *p.bounds)) for p in shared}
     start |= {p.name: p.value for p in model.parameters if p.per_record}
     began = time.process_time()
-    if method == "oe":
+    if method == "output-error":
         named |= {f"x0_{s.name}": float(x) for s, x in zip(model.states, x0, strict=True)}
         model = free_start(model, [record])[0]
     named = {n: named[n] for n in model.values}
-    found = fit(model, [record], method=method, start=start, threads=1, restricted=case.restricted)
+    options = EstimationOptions(reml=case.reml, method=method)
+    found = fit(model, [record], options, SearchSettings(threads=1), start=start)
     cpu = time.process_time() - began
     names = [n.partition("@")[0] for n in found.names]
     parameters = [model.parameter(n) for n in names]
@@ -137,7 +140,7 @@ def cramer_rao_errors(truth: Model, record: Record, found: Fit, method: Method, 
     """Standard deviations of an efficient estimator, from the information at the truth with the priors', in the
     estimator's coordinates (n,): those of Cramer and Rao, or of estimates that bounds draw in."""
     names = [n.partition("@")[0] for n in found.names]
-    problem = Problem(Likelihood(truth, process_noise=method == "pe"), [record], names, 1)
+    problem = Problem(Likelihood(truth, process_noise=method == "prediction-error"), [record], names, 1)
     information, z = problem.evaluate(problem.start).information, problem.start
     scale = np.sqrt(np.diag(information))
     P = np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale)

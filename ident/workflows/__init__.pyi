@@ -1,11 +1,6 @@
 from . import information as information
-from . import navigate as navigate
 from . import noise as noise
-from . import study as study
-from . import thruster as thruster
-from . import vehicle as vehicle
 from .check import write_check as write_check
 from .design import DesignRequest as DesignRequest
 from .design import make_design as make_design
 from .design import summary as summary
-from .diagnose import diagnosis as diagnosis

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -42,10 +42,10 @@ from ident.model import Model
 from ident.models import make_model
 from ident.numerics import Array
 from ident.report import tidy, write_design_page
+from ident.reporter import Reporter
 from ident.results import Json, format_number, to_json
 from ident.workflows.output import write_result
 
-Say = Callable[[str], None]
 STATIC_S = 5.0  # s at rest before the steps: noise of the sensors, and the boat comes to rest
 N_SHOWN = 24  # sampled tracks on the page
 NAMED = 3  # parameters in the answer
@@ -73,7 +73,7 @@ class DesignRequest:
     thrusters: tuple[str, ...] = ()
 
 
-def make_design(source: str, wish: DesignRequest, out: Path, command: str, say: Say) -> Json:
+def make_design(source: str, wish: DesignRequest, out: Path, command: str, reporter: Reporter) -> Json:
     """Search, compare, and write ``out`` (mission.toml) with .json and .html beside it; returns what the JSON holds.
 
     Raises SeatrialError where the model or the wish cannot be used, before anything is written.
@@ -89,14 +89,15 @@ def make_design(source: str, wish: DesignRequest, out: Path, command: str, say: 
         raise SeatrialError(f"a mission for model {task.model.name} commands {len(own)} thrusters ({', '.join(own)}); "
                             f"--thrusters names {len(thrusters)}")
     task.measure  # noqa: B018  # a wrong --parameters is said before the search
-    say(f"design: {task.steps.n_steps} steps in {task.steps.duration:g} s for {', '.join(_chosen(task))}")
+    reporter.progress(f"design: {task.steps.n_steps} steps in {task.steps.duration:g} s for {', '.join(_chosen(task))}")
     told: Json = {}
     if wish.between:
-        made, told = _between(task, wish, say)
+        made, told = _between(task, wish, reporter)
     else:
         made = design(task, evaluations=wish.evaluations,
-                      progress=lambda n, merit: say(f"design: {n} simulations, {wish.criterion} {merit:.2f}"))
-    say("rivals, Monte Carlo, track")
+                      progress=lambda n, merit: reporter.progress(
+                          f"design: {n} simulations, {wish.criterion} {merit:.2f}"))
+    reporter.progress("rivals, Monte Carlo, track")
     found = baseline_signals(task, seed=wish.seed)
     samples = monte_carlo(task, {"design": made.command} | {k: r.command for k, r in found.items()}, seed=wish.seed,
                           box=wish.spread)
@@ -169,12 +170,12 @@ def _chosen(task: DesignProblem) -> tuple[str, ...]:
     return task.chosen or task.learned
 
 
-def _between(task: DesignProblem, wish: DesignRequest, say: Say) -> tuple[Design, Json]:
+def _between(task: DesignProblem, wish: DesignRequest, reporter: Reporter) -> tuple[Design, Json]:
     """The design that tells two effects apart, judged as any other, and how far apart it puts them."""
     a, b = (with_effect(task.model, name) for name in wish.between)
     made: DiscriminationDesign = discriminate(
         a, b, task, evaluations=max(wish.evaluations // 8, 500),
-        progress=lambda n, merit: say(f"design: {n} comparisons, T {np.exp(merit):.3g}"))
+        progress=lambda n, merit: reporter.progress(f"design: {n} comparisons, T {np.exp(merit):.3g}"))
     told = task.experiments(task.actuation.inputs(made.command[:, :, None])).information
     value = float(task.measure(told + task.prior)[0])
     rng = np.random.default_rng([wish.seed, 31])

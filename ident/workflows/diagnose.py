@@ -3,66 +3,76 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ident.data import load_all
 from ident.diagnosis import diagnose
 from ident.effects import catalogue
-from ident.estimation import load_model, outliers
+from ident.estimation import EstimationOptions, load_model, outliers
 from ident.model import with_outlier_model as with_outliers
 from ident.models import check_user_model, load_effects
+from ident.reporter import Reporter
 from ident.results import Json, diagnosis_result, envelope, estimation_warnings
 from ident.workflows.model_inputs import _posed, check_ahead
-from ident.workflows.output import Say, validity, write_all
+from ident.workflows.output import validity, write_all
 
 
-def diagnosis(
-    model_path: Path,
-    logs: Sequence[Path],
-    validate: Sequence[Path],
-    out: Path,
-    *,
-    rate: float | None = None,
-    max_effects: int,
-    effects_file: Path | None,
-    thruster: str | None = None,
-    robust: bool = False,
-    horizon: float | None = None,
-    command: str,
-    say: Say,
-) -> Json:
-    """Find what the model lacks, and write the model that has it.
+@dataclass(frozen=True)
+class DiagnosisRequest:
+    """A model to be diagnosed, as the options of the command say it.
 
-    ``effects_file``: candidates of the user's own; ``thruster``: the static curve's file that a vehicle's model was
-    fitted with, or which one, where the model is a thruster's and the log has several; ``robust``: allow outliers;
-    ``rate``: 10 rows a second by default, 50 on the bench; ``horizon``: s ahead that predictions are judged, 10 by
-    default, 1 on the bench (the search does not look at it).
+    Attributes:
+        model: the model.toml.
+        logs, validation: logs that the search sees, and others that decide.
+        out: folder for the results.
+        estimation: its outlier model and its horizon count; the search compares maxima of the plain likelihood, by a
+            filter of first order.
+        max_effects: the search stops after so many.
+        effects_file: candidates of the user's own.
+        thruster: file of the static curve that a vehicle's model was fitted with; or which thruster, where the model
+            is a thruster's and the logs have several.
+        rate: rows a second to which faster sensors are averaged [Hz]; None: the model's usual ones.
     """
-    loaded, unseen = load_all(logs, validate)
+
+    model: Path
+    logs: Sequence[Path]
+    validation: Sequence[Path]
+    out: Path
+    estimation: EstimationOptions = field(default_factory=EstimationOptions)
+    max_effects: int = 3
+    effects_file: Path | None = None
+    thruster: str | None = None
+    rate: float | None = None
+
+
+def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Json:
+    """Find what the model lacks, and write the model that has it; ``command``: what was typed."""
+    loaded, unseen = load_all(request.logs, request.validation)
+    horizon, effects_file = request.estimation.horizon, request.effects_file
     check_ahead(horizon, loaded, unseen)
     own = load_effects(effects_file) if effects_file else {}
-    saved = load_model(model_path)
+    saved = load_model(request.model)
     # Maxima of the plain likelihood are compared, by a filter of first order: neither changes what is found, and on
     # that the blind tests were made.
     plain = replace(saved.model, second_order=False)
-    model, runs, others, usual = _posed(plain, model_path, loaded, unseen, thruster)
+    model, runs, others, usual = _posed(plain, request.model, loaded, unseen, request.thruster)
     for effect in own.values():
         if effects_file is not None and model.accepts(effect):
             check_user_model(model + effect, effects_file)
     found = diagnose(
-        with_outliers(model) if robust else model,
+        with_outliers(model) if request.estimation.outlier_model else model,
         runs,
         others,
         effects=catalogue() | own,
-        rate=rate or usual,
-        max_effects=max_effects,
-        progress=say,
+        rate=request.rate or usual,
+        max_effects=request.max_effects,
+        reporter=reporter,
     )
     result = envelope([*loaded, *unseen], command) | diagnosis_result(found, horizon)
     if result["next_experiment"]:
-        result["next_experiment"] = result["next_experiment"].replace("MODEL", str(model_path))
+        result["next_experiment"] = result["next_experiment"].replace("MODEL", str(request.model))
     result["notes"] = outliers(found.after) + result["notes"]
     result["cautions"] = estimation_warnings(found.after.fit, [v.record for v in found.after.estimation])
-    write_all(out, result, found.after.fit, validity(found.after), effects_file or saved.effects_file)
+    write_all(request.out, result, found.after.fit, validity(found.after), effects_file or saved.effects_file)
     return result

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,45 +15,57 @@ from ident.experiment_design import InformationSegment, segment_information
 from ident.model import Model
 from ident.numerics import Array
 from ident.report import write_report
+from ident.reporter import Reporter
 from ident.results import Json, envelope, format_number, input_traces, to_json
 from ident.workflows.model_inputs import as_logged, completed, known_curve
 from ident.workflows.output import write_result
 
-Say = Callable[[str], None]
 TELLS = 1.2  # the standard error would grow by so much without a stretch: it is worth naming
 VAGUE = 0.5  # standard error over value from which a parameter counts as hardly known
 
 
-def information(
-    model_path: Path,
-    logs: Sequence[Path],
-    out: Path,
-    *,
-    seconds: float = 30.0,
-    chosen: Sequence[str] = (),
-    thruster: Path | None = None,
-    rate: float = 10.0,
-    command: str,
-    say: Say,
-) -> Json:
-    """Information of every stretch of the logs about the model's dynamic parameters, or those ``chosen``.
+@dataclass(frozen=True)
+class InformationRequest:
+    """Logs whose information is asked for, as the options of the command say it.
 
-    The model's values are those of its file; the current and the offsets of each log are fitted to it. ``thruster``:
-    the static curve that the model was fitted with. Raises SeatrialError where model and logs do not go together.
+    Attributes:
+        model: the model.toml.
+        logs: that the model was, or could be, fitted to.
+        out: folder for the results.
+        seconds: length of a stretch [s].
+        chosen: parameters; none: all dynamic ones.
+        thruster: the static curve that the model was fitted with.
+        rate: rows a second to which faster sensors are averaged [Hz].
     """
-    saved = load_model(model_path)
-    names = _names(saved.model, chosen, model_path)
-    curve = known_curve(thruster)
-    loaded = [completed(load_run(path, "judged"), saved.model.source, curve) for path in logs]
+
+    model: Path
+    logs: Sequence[Path]
+    out: Path
+    seconds: float = 30.0
+    chosen: Sequence[str] = ()
+    thruster: Path | None = None
+    rate: float = 10.0
+
+
+def information(request: InformationRequest, command: str, reporter: Reporter) -> Json:
+    """Information of every stretch of the logs about the model's dynamic parameters; ``command``: what was typed.
+
+    The model's values are those of its file; the current and the offsets of each log are fitted to it. Raises
+    SeatrialError where model and logs do not go together.
+    """
+    saved, seconds, out = load_model(request.model), request.seconds, request.out
+    names = _names(saved.model, request.chosen, request.model)
+    curve = known_curve(request.thruster)
+    loaded = [completed(load_run(path, "judged"), saved.model.source, curve) for path in request.logs]
     holds = loaded[0].holds
     model = replace(saved.model, inputs=tuple(as_logged(i, holds.get(i.name, "")) for i in saved.model.inputs))
-    records = [make_record(model, one.run, rate) for one in loaded]
+    records = [make_record(model, one.run, request.rate) for one in loaded]
     model = without_absent_sensors(model, records)
     values = []
     for rows in records:
-        say(f"{rows.name}: its own current and offsets")
+        reporter.progress(f"{rows.name}: its own current and offsets")
         values.append(own_values(model, rows))
-    say(f"information of {sum(r.duration for r in records):.0f} s in stretches of {seconds:g} s")
+    reporter.progress(f"information of {sum(r.duration for r in records):.0f} s in stretches of {seconds:g} s")
     stretches = segment_information(model, records, names, seconds=seconds, values=values)
     result = envelope(loaded, command) | _content(model, names, stretches, loaded, records, seconds)
     out.mkdir(parents=True, exist_ok=True)

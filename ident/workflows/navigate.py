@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,33 +15,45 @@ from ident.model import Model
 from ident.navigation import CURRENT, POSITION, Navigation, Outage, gnss_outages, navigate
 from ident.numerics import Array
 from ident.report import write_report
+from ident.reporter import Reporter
 from ident.results import Json, envelope, format_number, input_traces, to_json
 from ident.workflows.model_inputs import as_logged, completed, known_curve
 from ident.workflows.output import write_result
 
-Say = Callable[[str], None]
 Columns = list[tuple[str, str, Array]]  # name, unit, values
 
 
-def run_navigation(
-    model_path: Path,
-    logs: Sequence[Path],
-    out: Path,
-    *,
-    smoothed: bool = True,
-    without_gnss: Sequence[tuple[float, float]] = (),
-    t_from: float | None = None,
-    t_to: float | None = None,
-    rate: float = 10.0,
-    thruster: Path | None = None,
-    command: str,
-    say: Say,
-) -> Json:
-    """Navigate every log; all times [s] count from the start of a log. ``thruster``: the static curve that the model
-    was fitted with."""
-    saved = load_model(model_path)
+@dataclass(frozen=True)
+class NavigationRequest:
+    """Logs to be navigated, as the options of the command say it; all times [s] count from the start of a log.
+
+    Attributes:
+        model: the model.toml.
+        logs: with names that differ.
+        out: folder for the results.
+        smoothed: by all samples, or by those so far.
+        gnss_outages: stretches (from, to) in which the GNSS is not used.
+        t_from, t_to: part of each log; None: from its start, to its end.
+        rate: rows a second to which faster sensors are averaged [Hz].
+        thruster: the static curve that the model was fitted with.
+    """
+
+    model: Path
+    logs: Sequence[Path]
+    out: Path
+    smoothed: bool = True
+    gnss_outages: Sequence[tuple[float, float]] = ()
+    t_from: float | None = None
+    t_to: float | None = None
+    rate: float = 10.0
+    thruster: Path | None = None
+
+
+def run_navigation(request: NavigationRequest, command: str, reporter: Reporter) -> Json:
+    """Navigate every log; ``command``: what was typed."""
+    logs, saved = request.logs, load_model(request.model)
     model = replace(saved.model, second_order=False)  # in a long outage a heading may be spread too widely for it
-    curve = known_curve(thruster)
+    curve = known_curve(request.thruster)
     known = ParameterCovariance.of(saved.errors, saved.names, saved.correlation)
     names = [p.stem for p in logs]
     twice = sorted({n for n in names if names.count(n) > 1})
@@ -49,9 +61,9 @@ def run_navigation(
         raise SeatrialError(f"two logs are named {twice[0]}, and so would be their results: navigate them one by one")
     loaded, parts, tables = [], [], []
     for path in logs:
-        say(f"navigating {path.name}")
-        loaded.append(completed(load_run(path, "navigated", t_from, t_to), saved.model.source, curve))
-        done, t0 = _navigate(model, loaded[-1], known, smoothed, without_gnss, rate)
+        reporter.progress(f"navigating {path.name}")
+        loaded.append(completed(load_run(path, "navigated", request.t_from, request.t_to), saved.model.source, curve))
+        done, t0 = _navigate(model, loaded[-1], known, request)
         parts.append((done, t0, gnss_outages(done)))
         tables.append(_columns(done, t0))
     result = envelope(loaded, command) | {
@@ -62,7 +74,7 @@ def run_navigation(
         "inputs": [row | {"t": row["t"] + t0} for d, t0, _ in parts for row in input_traces(d.model, d.record)],
         "notes": _notes(parts, known),
     }
-    _write(out, result, dict(zip(names, tables, strict=True)))
+    _write(request.out, result, dict(zip(names, tables, strict=True)))
     return result
 
 
@@ -77,14 +89,10 @@ def _write(out: Path, result: Json, tables: Mapping[str, Columns]) -> None:
 
 
 def _navigate(
-    model: Model,
-    one: LoadedLog,
-    known: ParameterCovariance,
-    smoothed: bool,
-    without: Sequence[tuple[float, float]],
-    rate: float,
+    model: Model, one: LoadedLog, known: ParameterCovariance, request: NavigationRequest
 ) -> tuple[Navigation, float]:
     """One log, and its time at the record's first row."""
+    rate, without = request.rate, request.gnss_outages
     model = replace(model, inputs=tuple(as_logged(i, one.holds.get(i.name, "")) for i in model.inputs))
     last = max(float(c.t[-1]) for c in one.run.channels.values())
     if (one.run.t_from or 0.0) >= last:
@@ -94,7 +102,7 @@ def _navigate(
     t0 = float(rows.meta["t0"])
     _has_fixes(rows, t0, without, one.about["path"])
     stretches = [(a - t0, b - t0) for a, b in without]
-    return navigate(model, rows, smoothed=smoothed, without_gnss=stretches, known=known), t0
+    return navigate(model, rows, smoothed=request.smoothed, without_gnss=stretches, known=known), t0
 
 
 def _has_fixes(rows: Record, t0: float, without: Sequence[tuple[float, float]], path: str) -> None:

@@ -15,8 +15,9 @@ from daq.samples import Ahrs
 from ident.characterisation import NoiseFit, estimate_noise, welch
 from ident.data import Channel, LoadedLog, ahrs_channels, load_run
 from ident.report import write_report
+from ident.reporter import Reporter
 from ident.results import Json, envelope, to_json
-from ident.workflows.output import Say, write_result
+from ident.workflows.output import write_result
 
 FORMAT = "seatrial-noise 1"
 WARNING = "Such numbers do not describe the noise, so do not put them into a filter."
@@ -63,7 +64,7 @@ class ChannelNoise:
         return said
 
 
-def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: str, say: Say) -> Json:
+def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: str, reporter: Reporter) -> Json:
     """White noise and random walk of each channel of logs of sensors at rest."""
     loaded = [load_run(path, "estimation") for path in logs]
     notes: list[str] = []
@@ -72,7 +73,7 @@ def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: s
         chosen = _chosen(path, one, signals)
         for name, channel in chosen.items():
             label = name if len(logs) == 1 else f"{one.run.name} {name}"
-            say(f"{label}: {channel.t.size} samples")
+            reporter.progress(f"{label}: {channel.t.size} samples")
             try:
                 fit = estimate_noise(channel, label)
             except ValueError as problem:

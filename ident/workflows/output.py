@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +11,6 @@ import numpy as np
 from ident.estimation import Fit, FittedModel, save_model
 from ident.report import write_report
 from ident.results import Json, shown_inputs, to_json
-
-Say = Callable[[str], None]
 
 
 def write_all(

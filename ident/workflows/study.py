@@ -5,23 +5,25 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import joblib
 
 from daq.errors import SeatrialError
+from ident.estimation import Method
 from ident.report import write_study_docs
+from ident.reporter import QUIET, Reporter
 from ident.results import Json, to_json
-from ident.studies import Case, Method, ParameterCoverage, Row, counts, make_case, run_replicates, summarise
+from ident.studies import Case, ParameterCoverage, Row, counts, make_case, run_replicates, summarise
 from ident.workflows.output import write_result
 
-Say = Callable[[str], None]
 BATCH = 25  # replicates a task at most: they are simulated together
 TASK_S = 10.0  # s of CPU that a task takes: so long a line waits, and so much is lost when the study is stopped
 ROWS = 3  # version of what a line holds
@@ -29,8 +31,8 @@ ROWS = 3  # version of what a line holds
 OWN = ("data", "engine", "estimation", "model", "models", "numerics", "studies")
 
 
-def study(case: Case, n: int, seed: int, out: Path | str, *, method: Method = "pe", jobs: int | None = None,
-          say: Say = lambda line: None) -> list[Row]:
+def study(case: Case, n: int, seed: int, out: Path | str, *, method: Method = "prediction-error",
+          jobs: int | None = None, reporter: Reporter = QUIET) -> list[Row]:
     """All replicates of a case, those of earlier runs from ``out``, a file of JSON lines.
 
     ``jobs`` processes, or what ``joblib.parallel_config`` says where it is None: any backend of joblib will do.
@@ -39,9 +41,9 @@ def study(case: Case, n: int, seed: int, out: Path | str, *, method: Method = "p
     done = {r["k"]: r for r in read(out) if r["key"] == key and r["k"] < n}
     todo = [k for k in range(n) if k not in done]
     if done:
-        say(f"{case.name}: {len(done)} replicates are there already")
+        reporter.progress(f"{case.name}: {len(done)} replicates are there already")
         if any(r["code"] != code_state() for r in done.values()):
-            say(f"note: some of {out} were made by another state of the code; give another --out to begin anew")
+            reporter.warning(f"some of {out} were made by another state of the code; give another --out to begin anew")
     out.parent.mkdir(parents=True, exist_ok=True)
     with out.open("a", encoding="utf-8") as file:
         for rows in _results(case, todo, seed, method, jobs):
@@ -49,7 +51,7 @@ def study(case: Case, n: int, seed: int, out: Path | str, *, method: Method = "p
                 done[row["k"]] = row | {"key": key, "code": code_state()}
                 file.write(json.dumps(done[row["k"]]) + "\n")
             file.flush()
-            say(f"{case.name}: {len(done)} of {n} replicates")
+            reporter.progress(f"{case.name}: {len(done)} of {n} replicates")
     return [done[k] for k in sorted(done)]
 
 
@@ -112,22 +114,53 @@ def read(out: Path) -> list[Row]:
     return rows
 
 
-def run_studies(
-    names: Sequence[str], n: int, seed: int, out: Path, *, truth: Mapping[str, float], free: Sequence[str] = (),
-    seconds: float | None = None, bounded: bool = True, method: Method = "pe", restricted: bool | None = None,
-    second_order: bool | None = None, jobs: int | None = None, command: str, say: Say,
-) -> Json:
-    """The studies of the named models; writes NAME.jsonl for each, result.json and study.md into ``out``.
+@dataclass(frozen=True)
+class StudyRequest:
+    """Studies of the estimator, as the options of the command say it.
 
-    ``restricted``, ``second_order``: how it is estimated, by default as the commands do (``make_case``).
+    Attributes:
+        models: names, files, or ``FILE.py:NAME``, a study each.
+        replicates: missions to simulate.
+        seed: of all draws.
+        out: folder for the results.
+        method: the estimator.
+        reml, mean_order: how it is estimated; None: as the commands do, or did where a file says so (``make_case``).
+        truth: other true values of parameters.
+        free: only these parameters are estimated; none: all.
+        seconds: length of the mission [s]; None: the case's own.
+        bounded: damping is not estimated below zero.
+        jobs: processes; None: what ``joblib.parallel_config`` says.
     """
-    cases = [make_case(name, truth, free, seconds, bounded=bounded, restricted=restricted, second_order=second_order)
-             for name in dict.fromkeys(names)]
+
+    models: Sequence[str]
+    replicates: int
+    seed: int
+    out: Path
+    method: Method = "prediction-error"
+    reml: bool | None = None
+    mean_order: Literal[1, 2] | None = None
+    truth: Mapping[str, float] = field(default_factory=dict)
+    free: Sequence[str] = ()
+    seconds: float | None = None
+    bounded: bool = True
+    jobs: int | None = None
+
+    def cases(self) -> list[Case]:
+        """One for each model."""
+        return [make_case(name, self.truth, self.free, self.seconds, bounded=self.bounded, reml=self.reml,
+                          mean_order=self.mean_order) for name in dict.fromkeys(self.models)]
+
+
+def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> Json:
+    """The studies of the named models; writes NAME.jsonl for each, result.json and study.md; ``command``: what was
+    typed."""
+    cases, out, method = request.cases(), request.out, request.method
     if out.exists() and not out.is_dir():
         raise SeatrialError(f"{out}: is a file; give a folder")
     parts = []
     for case in cases:
-        rows = study(case, n, seed, out / f"{case.name}.jsonl", method=method, jobs=jobs, say=say)
+        rows = study(case, request.replicates, request.seed, out / f"{case.name}.jsonl", method=method,
+                     jobs=request.jobs, reporter=reporter)
         parts.append(part(case, rows, method))
     result = {
         "format": "seatrial-result 1",
@@ -137,7 +170,7 @@ def run_studies(
         "seatrial": version("seatrial"),
         "command": command,
         "logs": [],
-        "seed": seed,
+        "seed": request.seed,
         "studies": parts,
     }
     write_result(to_json(result), out / "result.json")
@@ -151,7 +184,7 @@ def part(case: Case, rows: Sequence[Row], method: Method) -> Json:
     return {
         "model": case.name,
         "about": case.about,
-        "method": method.upper(),
+        "method": "PE" if method == "prediction-error" else "OE",
         "estimator": estimator(case, method),
         **counts(rows),
         "parameters": [_row(j, truth[j.name], case.model.parameter(j.name).unit) for j in summarise(rows)
@@ -161,9 +194,9 @@ def part(case: Case, rows: Sequence[Row], method: Method) -> Json:
 
 def estimator(case: Case, method: Method) -> str:
     """What is studied, in words."""
-    if method == "oe":
+    if method == "output-error":
         return "output error"
-    noise = "restricted" if case.restricted else "maximum"
+    noise = "restricted" if case.reml else "maximum"
     order = "second" if case.model.second_order else "first"
     return f"prediction error, noise by {noise} likelihood, filter's mean of {order} order"
 

@@ -6,6 +6,7 @@ The thruster's job where nobody measured the shaft: force and command in; a stat
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
@@ -29,11 +30,12 @@ from ident.characterisation import (
     thruster_name,
 )
 from ident.data import Channel, LoadedLog, Record, build_record, load_run
-from ident.estimation import Fit, FittedModel, RecordEvaluation, outliers, profile
+from ident.estimation import EstimationOptions, Fit, FittedModel, RecordEvaluation, outliers, profile
 from ident.model import Model
 from ident.models import thruster_model
 from ident.numerics import Array
 from ident.report import write_report
+from ident.reporter import Reporter
 from ident.results import (
     Json,
     calibration_notes,
@@ -48,34 +50,41 @@ from ident.results import (
 )
 from ident.validation import PredictionEvaluation
 from ident.workflows.model_inputs import check_ahead, check_names
-from ident.workflows.output import Say, write_all, write_result
+from ident.workflows.output import write_all, write_result
 
 SETTLED, AVERAGED = 1.0, 0.6  # s that a command must have lasted, and over which it is then averaged
 
 
-def bench(
-    logs: Sequence[Path],
-    out: Path,
-    *,
-    name: str | None,
-    settle: float = 1.5,
-    profiles: Sequence[str] = (),
-    robust: bool = False,
-    restricted: bool = True,
-    horizon: float | None = None,
-    command: str,
-    say: Say,
-) -> Json:
-    """Fit the thruster model to bench logs of one thruster, or a static curve where nobody measured the shaft.
+@dataclass(frozen=True)
+class ThrusterRequest:
+    """A thruster to be characterised, as the options of the command say it.
 
-    ``profiles``: parameters that get a profile likelihood; ``robust``: allow outliers; ``restricted``:
-    noise by restricted likelihood; ``horizon``: s ahead that predictions are judged, one by default.
+    Attributes:
+        logs: of the bench, of one thruster.
+        out: folder for the results.
+        name: the thruster's in the rig, where the logs have several.
+        estimation: how parameters are estimated.
+        settle: left out after each change of command, of a static curve [s].
+        profiles: parameters that get a profile likelihood.
     """
-    loaded = [load_run(path, "estimation") for path in logs]
+
+    logs: Sequence[Path]
+    out: Path
+    name: str | None = None
+    estimation: EstimationOptions = field(default_factory=lambda: EstimationOptions(reml=True))
+    settle: float = 1.5
+    profiles: Sequence[str] = ()
+
+
+def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> Json:
+    """Fit the thruster model to bench logs of one thruster, or a static curve where nobody measured the shaft;
+    ``command``: what was typed."""
+    loaded, name, profiles = [load_run(path, "estimation") for path in request.logs], request.name, request.profiles
+    options, horizon = request.estimation, request.estimation.horizon
     if is_static(loaded, name):
-        asked = {"--robust": robust, "--profile": profiles, "--horizon": horizon is not None}
-        _refuse(logs[0], [option for option, given in asked.items() if given])
-        return static_curve(loaded, out, name=name, settle=settle, command=command, say=say)
+        asked = {"--robust": options.outlier_model, "--profile": profiles, "--horizon": horizon is not None}
+        _refuse(request.logs[0], [option for option, given in asked.items() if given])
+        return static_curve(loaded, request, command, reporter)
     check_ahead(horizon, loaded)
     name = name or thruster_name(loaded[0])
     has_force = all("force" in x.run.channels for x in loaded)
@@ -85,9 +94,8 @@ def bench(
     if shaft_guess(records)[0] > model.parameter("tau").bounds[1]:
         model = thruster_model("slow", force=has_force)
         records = [_record(model, x, name) for x in loaded]
-    say(f"fitting the thruster to {counted(len(records), 'run')}, {sum(r.n_rows for r in records)} rows")
-    fitted, records = fit_on_a_copy(model, records, lambda m: [_record(m, x, name) for x in loaded],
-                                    robust=robust, restricted=restricted)
+    reporter.progress(f"fitting the thruster to {counted(len(records), 'run')}, {sum(r.n_rows for r in records)} rows")
+    fitted, records = fit_on_a_copy(model, records, lambda m: [_record(m, x, name) for x in loaded], options)
     result = envelope(loaded, command) | {"kind": "thruster", "fit": fit_part(fitted, model.values)}
     views = tuple(RecordEvaluation(fitted.model, r, v) for r, v in zip(records, fitted.record_values, strict=True))
     stage = FittedModel(fitted.model, fitted, views, ())
@@ -98,11 +106,11 @@ def bench(
     if has_force:
         result["static"] = _static(fitted, loaded, name)
     if profiles:
-        say(f"profile likelihood of {', '.join(profiles)}")
+        reporter.progress(f"profile likelihood of {', '.join(profiles)}")
         result["profiles"] = [profile_part(profile(fitted, records, p)) for p in profiles]
     result["answer"] = thruster_answer(fitted, has_force)
     ranges = {"n_cmd": _range(np.concatenate([r.u[:, 0] for r in records]))}
-    write_all(out, result, fitted, ranges)
+    write_all(request.out, result, fitted, ranges)
     return result
 
 
@@ -156,20 +164,18 @@ def _range(z: Array) -> tuple[float, float]:
     return float(z.min()), float(z.max())
 
 
-def static_curve(
-    loaded: Sequence[LoadedLog], out: Path, *, name: str | None, settle: float, command: str, say: Say
-) -> Json:
+def static_curve(loaded: Sequence[LoadedLog], request: ThrusterRequest, command: str, reporter: Reporter) -> Json:
     """Fit a curve to steady stretches of bench logs that have a force and a command but no shaft speed."""
     if len(loaded) != 1:
         raise SeatrialError(f"{loaded[1].about['path']}: a static curve is made of one log; give one")
     one = loaded[0]
     channels, where = one.run.channels, one.about["path"]
-    names = _commands(one, name)
+    names, out = _commands(one, request.name), request.out
     if "force" not in channels:
         raise SeatrialError(f"{where}: no signal 'force'; it has {', '.join(sorted(channels))}")
-    say(f"steady force against {' and '.join(names)}")
+    reporter.progress(f"steady force against {' and '.join(names)}")
     try:
-        levels = find_levels(channels[names[0]], channels["force"], settle)
+        levels = find_levels(channels[names[0]], channels["force"], request.settle)
         if levels.n.size < 4:
             raise ValueError(f"{levels.n.size} steady commands are too few for a curve; it takes four")
     except ValueError as problem:

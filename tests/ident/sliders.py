@@ -18,6 +18,7 @@ from ident.diagnosis.score_test import (
 )
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import Fit, fit
+from ident.estimation.options import SearchSettings
 from ident.model.parameter import Parameter
 from ident.model.structure import Effect, Input, Model, Output, Sensor, Signals, State, plain_model
 
@@ -93,7 +94,7 @@ def slide(seed: int, n_rows: int = 300, push: float = 0.0, drag: float = 0.0) ->
 
 def score_of(record: Record, effects: list[Effect], model: Model | None = None) -> tuple[Fit, list[Score]]:
     """Fit the slider to one record and test the effects."""
-    fitted = fit(model or slider(), [record], threads=1)
+    fitted = fit(model or slider(), [record], settings=SearchSettings(threads=1))
     return fitted, scores_at(fitted, record, effects)
 
 

@@ -2,7 +2,7 @@
 
     python leave_one_out.py LOG... [--model NAME ...] [--fix NAME=VALUE ...] [--out FILE.json]
 
-The fit is output error (``ident.estimation.maximum_likelihood``, method "oe"). Fit and prediction start at the first
+The fit is by output error (``ident.estimation.output_error``). Fit and prediction start at the first
 sample of the run from the
 speeds and the heading measured there, and the prediction sees nothing but the commands after it. The score is that of
 compare() in MATLAB, which the data's authors use, 100 (1 - |y - y_hat| / |y - mean(y)|) per cent: for each run, and
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
 from ident.data import Channel, Record, build_record, load_run
-from ident.estimation import Fit, fit, simulate
+from ident.estimation import EstimationOptions, Fit, SearchSettings, fit, simulate
 from ident.model import Model
 
 Array = NDArray[np.float64]
@@ -56,7 +56,8 @@ def sums(record: Record, predicted: Array) -> Array:
 
 def fitted_from_first_samples(model: Model, records: Sequence[Record], start: Mapping[str, float]) -> Fit:
     """Output error from the first samples, taken for exact as the prediction takes them."""
-    return fit(model, records, method="oe", initial="given", start=start, threads=1)
+    exact = SearchSettings(initial_state="given", threads=1)
+    return fit(model, records, EstimationOptions(method="output-error"), exact, start=start)
 
 
 def percent(squares: Array) -> list[float]:

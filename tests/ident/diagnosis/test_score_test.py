@@ -24,6 +24,7 @@ from ident.diagnosis.score_test import (
 from ident.engine.vectorised_model import VectorisedModel
 from ident.estimation.likelihood import FilterResult, Likelihood
 from ident.estimation.maximum_likelihood import fit
+from ident.estimation.options import SearchSettings
 from tests.ident.sliders import CUBE, DRAG, PUSH, TAPE, Q, score_of, scores_at, scores_of_columns, slide, slider, whole
 
 N_SETS = 100
@@ -38,7 +39,7 @@ def rate_bounds(p: float, n: int = N_SETS) -> tuple[float, float]:
 
 def path_of(record: Record) -> Linearised:
     """The slider fitted to a record: its path, the filter's run, and the columns of the fitted parameters."""
-    fitted = fit(slider(), [record], threads=1)
+    fitted = fit(slider(), [record], settings=SearchSettings(threads=1))
     run = Likelihood(fitted.model).filter(record, fitted.record_values[0])
     path = TrajectoryLinearisation(fitted.model, fitted.record_values[0], record, run.x_pred)
     return path, run, [path.parameter(n) for n in fitted.names]
@@ -76,7 +77,7 @@ def test_lm_is_the_likelihood_ratio_for_a_small_effect() -> None:
         record = slide(seed, 600, push, drag)
         effect, size = (PUSH, push) if push else (DRAG, drag)
         fitted, (s,) = score_of(record, [effect])
-        larger = fit(fitted.model + effect, [record], threads=1)
+        larger = fit(fitted.model + effect, [record], settings=SearchSettings(threads=1))
         ratio = 2 * (larger.log_likelihood - fitted.log_likelihood)
         value, error = larger.estimate(effect.parameters[0].name)
         assert s.lm > 5
@@ -117,7 +118,7 @@ def test_scores_do_not_depend_on_units_and_copies_add_no_freedom() -> None:
 
 def test_a_one_sided_effect_of_the_wrong_sign_is_none() -> None:
     record = slide(7, 400, push=0.08)
-    fitted = fit(slider(), [record], threads=1)
+    fitted = fit(slider(), [record], settings=SearchSettings(threads=1))
     ahead = scores_at(fitted, record, [replace(PUSH, one_sided=True)])[0]
 
     def pull(s: object) -> None:

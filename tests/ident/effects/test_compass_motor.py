@@ -11,6 +11,7 @@ from ident.data.record import Channel, Record, build_record
 from ident.effects.registry import catalogue
 from ident.engine.vectorised_model import VectorisedModel
 from ident.estimation.maximum_likelihood import fit
+from ident.estimation.options import EstimationOptions
 from ident.estimation.output_error import simulate
 from ident.model.structure import Model
 from ident.models.horizontal import horizontal_model
@@ -76,7 +77,7 @@ def test_both_are_found_again() -> None:
     model = model_with("compass-motor", "velocity-point").with_values({"e_psi": 0.02, "e_r": 0.01, "e_uv": 0.03})
     model = replace(model, states=tuple(replace(s, from_output="") for s in model.states))
     records = [sailed(model.with_values(TRUTH), seed) for seed in (1, 2)]
-    found = fit(model.with_free(list(TRUTH)), records, method="oe")
+    found = fit(model.with_free(list(TRUTH)), records, EstimationOptions(method="output-error"))
     assert found.converged
     for name, true in TRUTH.items():
         value, error = found.estimate(name)

@@ -12,6 +12,7 @@ from daq.errors import SeatrialError
 from ident.data.record import Record
 from ident.estimation.homogeneity import between_log_variance, homogeneity_test
 from ident.estimation.maximum_likelihood import fit
+from ident.estimation.options import EstimationOptions
 from ident.model.parameter import Parameter
 from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
 from ident.results.answers import sentence
@@ -114,6 +115,7 @@ def test_a_restricted_fit_is_compared_with_restricted_ones() -> None:
     """Its errors are larger by what the dynamics took of the noise; the likelihood ratio is of the maxima."""
     data, model = records((40.0, 41.0), 3), pushed()
     model = replace(model, states=(replace(model.states[0], noise=0.0),))
-    plain, restricted = (homogeneity_test(fit(model, data, restricted=r), data, "m") for r in (False, True))
+    fits = [fit(model, data, EstimationOptions(reml=r)) for r in (False, True)]
+    plain, restricted = (homogeneity_test(one, data, "m") for one in fits)
     assert (restricted.errors > 1.0005 * plain.errors).all()
     assert restricted.lr == pytest.approx(plain.lr, abs=1e-3)

@@ -13,6 +13,7 @@ from ident.estimation import fisher_scoring
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import Fit, fit
 from ident.estimation.objective import Problem
+from ident.estimation.options import SearchSettings
 from ident.model.parameter import INF, Parameter
 from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
 from tests.ident.toys import best_start, turning, turning_record, values_of
@@ -67,7 +68,8 @@ def test_coverage_of_the_standard_errors() -> None:
 
 
 def test_threads_do_not_change_the_result(found: Fit) -> None:
-    alone = fit(turning().with_free(FREE), records(), start={"m": 15.0, "d": 2.0, "q": 0.1}, threads=1)
+    start = {"m": 15.0, "d": 2.0, "q": 0.1}
+    alone = fit(turning().with_free(FREE), records(), settings=SearchSettings(threads=1), start=start)
     np.testing.assert_allclose(alone.values, found.values, rtol=1e-9)
 
 
@@ -158,7 +160,7 @@ def test_josephs_form_survives_a_start_that_is_hardly_known() -> None:
     t = 0.1 * np.arange(100)
     y = 3.0 + (1.0 - np.exp(-0.3 * t)) / 0.3 + 0.001 * np.random.default_rng(0).normal(size=100)
     record = Record("slide", t, np.zeros((100, 0)), np.zeros((100, 0)), y[:, None], (), ("y",))
-    known, joseph = fit(slide(1e3), [record]), fit(slide(1e6), [record], joseph=True)
+    known, joseph = fit(slide(1e3), [record]), fit(slide(1e6), [record], settings=SearchSettings(joseph=True))
     assert joseph.converged
     assert joseph.estimate("d") == pytest.approx(known.estimate("d"), rel=0.05)
 

@@ -17,6 +17,7 @@ from ident.effects.registry import catalogue
 from ident.engine.vectorised_model import VectorisedModel
 from ident.estimation.maximum_likelihood import Fit, fit
 from ident.estimation.model_file import load_model, save_model
+from ident.estimation.options import SearchSettings
 from ident.model.structure import Model
 from ident.models.catalogue import make_model
 from ident.models.disturbances import for_diagnosis
@@ -34,7 +35,7 @@ def found() -> Fit:
     channels = channels_of(sail(boat_with(None, 1), 40.0, 1)[0])
     model = horizontal_model(sensors=("attitude", "gyro", "position")).with_free(["m_r", "d_rr", "d_vv", "V_x", "V_y"])
     runs = [build_record(model, channels, name=f"run {a:g}", t_from=a, t_to=a + 20.0) for a in (0.0, 20.0)]
-    return fit(model, runs, max_iterations=8)
+    return fit(model, runs, settings=SearchSettings(max_iterations=8))
 
 
 def with_model(found: Fit, model: Model) -> Fit:

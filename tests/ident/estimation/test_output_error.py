@@ -12,9 +12,12 @@ from scipy.integrate import solve_ivp
 from ident.data.record import Record
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import fit
+from ident.estimation.options import EstimationOptions, SearchSettings
 from ident.estimation.output_error import free_start, output_error, predict_ahead, simulate, with_initial_state
 from ident.models.yaw import yaw_model
 from tests.ident.toys import turning, turning_record, values_of
+
+OUTPUT_ERROR = EstimationOptions(method="output-error")
 
 
 def steps(n_rows: int = 600, seed: int = 0) -> Record:
@@ -80,7 +83,7 @@ def test_errors_are_the_spread_of_the_estimates() -> None:
     model = replace(model, states=tuple(replace(s, from_output="") for s in model.states))
     for _ in range(40):
         noisy = replace(record, y=clean + 0.02 * rng.normal(size=clean.shape))
-        found = fit(model, [noisy], method="oe", start={"m_r": 7.0, "d_rr": 10.0})
+        found = fit(model, [noisy], OUTPUT_ERROR, start={"m_r": 7.0, "d_rr": 10.0})
         assert found.converged
         assert "s_r" not in found.names  # output error knows no process noise
         names = ("m_r", "d_r", "d_rr", "e_r")
@@ -102,7 +105,7 @@ def test_the_sandwich_sees_coloured_residuals() -> None:
             for _ in range(5):
                 r += 0.02 * (record.u[k, 0] - p["d_r"] * r - p["d_rr"] * abs(r) * r) / p["m_r"]
                 r += 0.03 * np.sqrt(0.02) * rng.normal()
-        found = fit(model, [replace(record, y=y)], method="oe")
+        found = fit(model, [replace(record, y=y)], OUTPUT_ERROR)
         i = found.names.index("m_r")
         z.append((found.values[i] - p["m_r"]) / found.errors[i])
         robust.append((found.values[i] - p["m_r"]) / found.robust_errors[i])
@@ -120,8 +123,8 @@ def test_a_noisy_first_sample_is_not_the_start() -> None:
     for _ in range(40):
         clean = simulate(model, record, x0=np.array([3.0, rng.normal(0.0, 0.3)])).y
         noisy = np.where(seen, clean + noise * rng.normal(size=clean.shape), np.nan)
-        found = fit(model, [replace(record, y=noisy)], method="oe", start={"d": 6.0, "dd": 3.0})
-        given = fit(model, [replace(record, y=noisy)], method="oe", initial="given")
+        found = fit(model, [replace(record, y=noisy)], OUTPUT_ERROR, start={"d": 6.0, "dd": 3.0})
+        given = fit(model, [replace(record, y=noisy)], OUTPUT_ERROR, SearchSettings(initial_state="given"))
         assert "x0_psi@0" in found.names
         assert "x0_psi@0" not in given.names
         z.append([[(f.estimate(n)[0] - model.values[n]) / f.estimate(n)[1] for n in ("d", "dd", "e_r")]
@@ -138,12 +141,12 @@ def test_starts_of_each_record_begin_at_its_first_samples() -> None:
                                         for s in model.states))
     records = [turning_record(k, name=f"run {k}") for k in range(2)]
     shifted = replace(records[1], y=records[1].y - [1.5, 0.0, 0.0])
-    found = fit(model, [records[0], shifted], method="oe")
+    found = fit(model, [records[0], shifted], OUTPUT_ERROR)
     one, two = found.estimate("x0_psi", 0)[0], found.estimate("x0_psi", 1)[0]
     assert found.converged
     assert abs((one - np.nanmean(records[0].y[:4, 0]) + np.pi) % (2 * np.pi) - np.pi) < 0.3
     assert abs((two - np.nanmean(shifted.y[:4, 0]) + np.pi) % (2 * np.pi) - np.pi) < 0.3
-    again = fit(model, [records[0], shifted], method="oe", start={"x0_psi@0": one, "x0_psi@1": two})
+    again = fit(model, [records[0], shifted], OUTPUT_ERROR, start={"x0_psi@0": one, "x0_psi@1": two})
     assert again.log_likelihood == pytest.approx(found.log_likelihood, abs=1e-4)
 
 
@@ -156,10 +159,12 @@ def test_a_start_that_is_known_stays_and_a_guess_is_a_prior() -> None:
     assert "x0_psi" not in model.values  # a parameter of the model's own already
 
 
-@pytest.mark.parametrize("words", [{"method": "PE"}, {"method": "oe", "initial": "guessed"}])
-def test_a_method_that_there_is_not(words: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match='"pe" or "oe"'):
-        fit(turning(), [turning_record()], **words)
+def test_a_method_that_there_is_not() -> None:
+    wrong: Any = "PE"
+    with pytest.raises(ValueError, match="'PE'"):
+        EstimationOptions(method=wrong)
+    with pytest.raises(ValueError, match="'PE'"):
+        SearchSettings(initial_state=wrong)
 
 
 def test_predictions_ahead_are_pieces_of_a_simulation() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import fit
+from ident.estimation.options import SearchSettings
 from ident.estimation.output_error import simulate
 from ident.estimation.parameter_covariance import parameter_uncertainty, prediction_variance
 from ident.validation.prediction_errors import WARM_UP, free_run
@@ -53,7 +54,7 @@ def test_bands_of_a_model_from_little_data_cover_only_with_it() -> None:
     """Fitted to four seconds, shown forty others: the process noise alone is far from the errors."""
     inside: dict[bool, list[np.ndarray]] = {False: [], True: []}
     for seed in range(40):
-        found = fit(slider(), [slide(500 + seed, 40)], threads=1)
+        found = fit(slider(), [slide(500 + seed, 40)], settings=SearchSettings(threads=1))
         record = slide(100 + seed, 400)
         rows = np.flatnonzero((record.t > WARM_UP) & np.isfinite(record.y[:, 1]))
         for doubtful in inside:

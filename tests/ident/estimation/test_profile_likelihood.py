@@ -16,6 +16,7 @@ from scipy import optimize
 from daq.errors import SeatrialError
 from ident.data.record import Record
 from ident.estimation.maximum_likelihood import Fit, fit
+from ident.estimation.options import EstimationOptions
 from ident.estimation.output_error import output_error
 from ident.estimation.profile_likelihood import Profile, profile
 from ident.estimation.standard_errors import DROP
@@ -49,10 +50,10 @@ def few() -> tuple[Fit, Record]:
     return fit(scatter(), [sample()]), sample()
 
 
-@pytest.mark.parametrize("method", ["pe", "oe"])
+@pytest.mark.parametrize("method", ["prediction-error", "output-error"])
 def test_a_small_normal_sample_has_its_textbook_intervals(method: str) -> None:
     record = sample()
-    found = fit(scatter(), [record], method="oe" if method == "oe" else "pe")
+    found = fit(scatter(), [record], EstimationOptions(method=method))
     y, n = record.y[:, 0], record.n_rows
     s = y.std()
     spread = profile(found, [record], "e")

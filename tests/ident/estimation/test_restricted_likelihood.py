@@ -7,6 +7,7 @@ import pytest
 
 from ident.data.record import Record
 from ident.estimation.maximum_likelihood import fit
+from ident.estimation.options import EstimationOptions, SearchSettings
 from ident.estimation.restricted_likelihood import noise_names
 from ident.estimation.stochastic_simulation import simulate_stochastic
 from ident.model.parameter import Parameter
@@ -37,7 +38,7 @@ def sample(n: int) -> Record:
 @pytest.mark.parametrize("n", [15, 150])
 def test_the_variance_is_divided_by_what_is_left_of_the_samples(n: int) -> None:
     record = sample(n)
-    plain, found = (fit(lines(), [record], restricted=r) for r in (False, True))
+    plain, found = (fit(lines(), [record], EstimationOptions(reml=r)) for r in (False, True))
     ratio = found.estimate("e")[0] / plain.estimate("e")[0]
     assert ratio == pytest.approx(np.sqrt(n / (n - 2)), abs=3.0 / n**2)  # one step
     assert found.estimate("mean")[0] == pytest.approx(plain.estimate("mean")[0], abs=1e-4)
@@ -47,7 +48,7 @@ def test_the_variance_is_divided_by_what_is_left_of_the_samples(n: int) -> None:
 
 def test_dynamics_that_are_known_take_nothing() -> None:
     known = lines().with_free(["e"])
-    plain, found = (fit(known, [sample(20)], restricted=r) for r in (False, True))
+    plain, found = (fit(known, [sample(20)], EstimationOptions(reml=r)) for r in (False, True))
     np.testing.assert_array_equal(found.values, plain.values)
     assert noise_names(turning()) >= {"q", "e_psi", "e_r"}
     assert not noise_names(turning()) & {"m", "d", "dd", "bias"}
@@ -65,20 +66,21 @@ def test_the_memory_of_a_disturbance_belongs_to_the_noise() -> None:
 def test_one_step_leads_to_the_top_of_the_restricted_likelihood() -> None:
     """Several records, each with a bias of its own: its gradient is gone, and so it is from the other side."""
     records = [turning_record(seed, 300, f"run {seed}") for seed in range(2)]
-    plain, found = (fit(turning().with_free(FREE), records, restricted=r) for r in (False, True))
+    plain, found = (fit(turning().with_free(FREE), records, EstimationOptions(reml=r)) for r in (False, True))
     assert plain.gradient_norm < 1e-2
     assert found.gradient_norm < 0.03
     assert found.estimate("q")[0] > plain.estimate("q")[0]
     moved = np.abs(found.values - plain.values) / plain.errors
     dynamics = [not noise_names(turning()) & {n} for n in plain.names]
     assert moved[dynamics].max() < 0.05
-    again = fit(turning().with_free(FREE), records, restricted=True, start={"m": 15.0, "q": 0.1})
+    again = fit(turning().with_free(FREE), records, EstimationOptions(reml=True), start={"m": 15.0, "q": 0.1})
     np.testing.assert_allclose(again.values, found.values, rtol=1e-4)
 
 
 def test_output_error_has_no_process_noise_to_restrict() -> None:
     records = [turning_record(1, 200)]
-    plain, found = (fit(turning().with_free(FREE), records, method="oe", restricted=r) for r in (False, True))
+    options = [EstimationOptions(method="output-error", reml=r) for r in (False, True)]
+    plain, found = (fit(turning().with_free(FREE), records, o) for o in options)
     np.testing.assert_array_equal(found.values, plain.values)
 
 
@@ -90,7 +92,7 @@ def test_the_process_noise_of_short_missions_has_no_bias_left() -> None:
     records = [make_record(case, one, f"run {k}") for k, one in enumerate(y)]
     bias = {}
     for restricted in (False, True):
-        fits = [fit(case.model, [r], restricted=restricted, threads=1) for r in records]
+        fits = [fit(case.model, [r], EstimationOptions(reml=restricted), SearchSettings(threads=1)) for r in records]
         error = np.log([f.estimate("s_u")[0] / case.model.values["s_u"] for f in fits])
         bias[restricted] = error.mean() / error.std(ddof=1)
     assert bias[False] < -0.4
@@ -115,7 +117,7 @@ def test_noise_is_not_restricted_along_what_the_data_hardly_see() -> None:
     for k in range(299):
         v[k + 1] = v[k] + 0.1 * (10.0 * u[k, 0] - 8.0 * v[k]) / 20.0 + 0.05 * np.sqrt(0.1) * rng.standard_normal()
     record = Record("scale", t, u, u, v[:, None] + 0.05 * rng.standard_normal((300, 1)), ("n",), ("v",))
-    plain, found = (fit(scaled(), [record], restricted=r) for r in (False, True))
+    plain, found = (fit(scaled(), [record], EstimationOptions(reml=r)) for r in (False, True))
     for name in ("m", "c"):
         value, error = plain.estimate(name)
         assert error > value  # the scale is not known

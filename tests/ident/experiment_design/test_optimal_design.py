@@ -11,6 +11,7 @@ from scipy import stats
 from daq.errors import SeatrialError
 from ident.effects.registry import catalogue
 from ident.estimation.maximum_likelihood import fit
+from ident.estimation.options import SearchSettings
 from ident.estimation.output_error import simulate
 from ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
 from ident.experiment_design.baselines import baseline_signals, monte_carlo
@@ -253,7 +254,7 @@ def test_the_separation_is_what_a_fit_of_the_wrong_one_loses() -> None:
     assert columns[0] != columns[1]
     fitted = fit(wrong, [replace(seen, y=record.y)])
     right = b.with_free(["m_u"])
-    exact = fit(right, [record], max_iterations=0).log_likelihood
+    exact = fit(right, [record], settings=SearchSettings(max_iterations=0)).log_likelihood
     assert apart > 10.0
     assert 2 * (exact - fitted.log_likelihood) == pytest.approx(apart, rel=0.1)
 

@@ -14,6 +14,7 @@ from ident.data.record import Channel, LogSegment, Record
 from ident.estimation.fitted_model import fit_nominal_model, outliers
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import Fit, fit
+from ident.estimation.options import EstimationOptions
 from ident.estimation.output_error import output_error
 from ident.model import outlier_density
 from ident.model.parameter import Parameter
@@ -24,6 +25,7 @@ from tests.missions import boat_with, channels_of, sail
 
 FREE = ("m", "d", "dd", "bias", "q", "e_psi", "e_r")
 EDGES = (-1e5, -100.0, -6.0, 0.0, 6.0, 100.0, 1e5)
+ROBUST = EstimationOptions(outlier_model=True)
 
 
 def mean_of(g: object, density: object) -> float:
@@ -149,7 +151,7 @@ def pairs() -> list[tuple[Fit, Fit]]:
     found = []
     for seed in range(10):
         record = turning_record(300 + seed, 600)
-        found.append((fit(model, [record]), fit(model, [record], robust=True)))
+        found.append((fit(model, [record]), fit(model, [record], ROBUST)))
     return found
 
 
@@ -166,7 +168,7 @@ def test_outliers_are_ignored_and_counted() -> None:
     inside, broken = [], 0
     for seed in range(6):
         record = spoiled(turning_record(400 + seed, 900), seed)
-        found = fit(model, [record], robust=True)
+        found = fit(model, [record], ROBUST)
         assert found.converged
         z = [(found.estimate(n)[0] - truth[n]) / found.estimate(n)[1] for n in FREE]
         assert np.abs(z).max() < 4, dict(zip(FREE, z, strict=True))
@@ -196,7 +198,7 @@ def test_one_wild_sample_of_any_size_does_not_matter() -> None:
     at = np.flatnonzero(np.isfinite(record.y[:, 1]))[40]
     y = record.y.copy()
     y[at, 1] += 1e6
-    robust_, hit = fit(model, [record], robust=True), fit(model, [replace(record, y=y)], robust=True)
+    robust_, hit = fit(model, [record], ROBUST), fit(model, [replace(record, y=y)], ROBUST)
     z = (hit.values - robust_.values) / robust_.errors
     assert np.abs(z).max() < 0.5
 
@@ -221,7 +223,7 @@ def uncertain() -> tuple[Model, Record, Fit]:
     heading = replace(turning().states[0], from_output="psi", sd0=1.0)
     model = replace(turning(), states=(heading, turning().states[1])).with_free(FREE)
     record = turning_record(11, 600)
-    return model, record, fit(model, [record], robust=True)
+    return model, record, fit(model, [record], ROBUST)
 
 
 @pytest.mark.parametrize("hit", [(0,), (1,), (2,), (3,), (4,), (0, 1), (0, 2), (0, 4)])
@@ -232,7 +234,7 @@ def test_outliers_among_the_first_samples_do_not_matter(uncertain: tuple[Model, 
     y, rows = record.y.copy(), np.flatnonzero(np.isfinite(record.y[:, 0]))[list(hit)]
     y[rows, 0] += 0.5 * np.array([1.0, 1.7])[: len(hit)]
     spoilt = replace(record, y=y)
-    found = fit(model, [spoilt], robust=True)
+    found = fit(model, [spoilt], ROBUST)
     assert np.abs((found.values - clean.values) / clean.errors).max() < 0.3
     run = Likelihood(found.model).filter(spoilt, found.record_values[0])
     assert np.flatnonzero(run.outliers[:, 0]).tolist() == rows.tolist()
@@ -288,7 +290,7 @@ def test_gnss_with_one_per_cent_of_gross_outliers() -> None:
         spoilt[name] = Channel(clean[name].t, value)
     model = horizontal_model("shaft")
     plain = fit_nominal_model(model, [LogSegment("run", clean)], [])
-    stage = fit_nominal_model(model, [LogSegment("run", spoilt)], [], robust=True)
+    stage = fit_nominal_model(model, [LogSegment("run", spoilt)], [], ROBUST)
     known = np.isfinite(plain.fit.errors)
     moved = (stage.fit.values - plain.fit.values)[known] / plain.fit.errors[known]
     assert np.abs(moved).max() < 1.0

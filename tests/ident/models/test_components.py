@@ -15,6 +15,7 @@ from ident.engine.vectorised_model import VectorisedModel
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import fit
 from ident.estimation.model_file import load_model, save_model
+from ident.estimation.options import SearchSettings
 from ident.estimation.prior_knowledge import apply_rig_geometry
 from ident.models.catalogue import make_model
 from ident.models.components import antenna, current_walk
@@ -66,7 +67,7 @@ def test_both_come_back_from_a_model_file(tmp_path: Path) -> None:
     path = tmp_path / "model.toml"
     full = for_diagnosis(make_model("horizontal:shaft:random-walk-current") + antenna(0.3, 0.1)).with_free(["m_r"])
     record = build_record(full, channels_of(sail(boat_with(None, 1), 30.0, 1)[0]))
-    save_model(path, fit(full, [record], max_iterations=2), validity={}, provenance={})
+    save_model(path, fit(full, [record], settings=SearchSettings(max_iterations=2)), validity={}, provenance={})
     model = load_model(path).model
     assert {"antenna", "random-walk-current"} <= {e.name for e in model.effects}
     assert model.values["antenna_x"] == pytest.approx(0.3)

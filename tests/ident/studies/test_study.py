@@ -20,9 +20,11 @@ from ident.estimation.output_error import simulate
 from ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
 from ident.model.parameter import Parameter
 from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from ident.reporter import QUIET
 from ident.studies.cases import CASES, make_case
 from ident.studies.monte_carlo import Row, counts, run_replicates, summarise, variance_change_by_bounds
 from ident.workflows import study
+from tests.ident.reports import Kept
 
 
 def values_of(model: Model, n: int = 1) -> np.ndarray:
@@ -95,7 +97,7 @@ def test_estimates_of_the_models_own_data_are_right_and_output_errors_are_not() 
         assert j.ratio_interval[0] < 1.1, name
         assert j.ratio_interval[1] > 0.9, name
         assert j.coverage_interval[1] > 0.95, name
-    wrong = {j.name: j for j in summarise(run_replicates(case, range(60), 3, "oe"))}
+    wrong = {j.name: j for j in summarise(run_replicates(case, range(60), 3, "output-error"))}
     assert wrong["m_r"].ratio > 3
     assert {"variance", "coverage"} <= set(wrong["m_r"].misses)
 
@@ -107,8 +109,8 @@ def made_up(d: np.ndarray, se: float, bound: float = 1.0) -> list[Row]:
 
 def test_output_error_holds_where_nothing_disturbs_the_boat(tmp_path: Path) -> None:
     """With the first sample taken for the exact start, three of four intervals missed."""
-    result = study.run_studies(["surge"], 60, 1, tmp_path, truth={"s_u": 1e-9, "d_u": 8.4}, method="oe", jobs=1,
-                                   command="test", say=lambda line: None)
+    request = study.StudyRequest(["surge"], 60, 1, tmp_path, "output-error", truth={"s_u": 1e-9, "d_u": 8.4}, jobs=1)
+    result = study.run_studies(request, "test", QUIET)
     (one,) = result["studies"]
     assert [p["name"] for p in one["parameters"]] == ["m_u", "d_u", "d_uu", "e_x"]
     for p in one["parameters"]:
@@ -209,9 +211,9 @@ def test_a_study_that_is_killed_leaves_what_it_has_done(tmp_path: Path) -> None:
     found = study.read(out)
     assert 1 <= len(found) < 20
     assert [r["k"] for r in found] == list(range(len(found)))
-    lines: list[str] = []
-    study.study(make_case("yaw"), len(found), 1, out, jobs=1, say=lines.append)
-    assert lines == [f"yaw: {len(found)} replicates are there already"]
+    told = Kept()
+    study.study(make_case("yaw"), len(found), 1, out, jobs=1, reporter=told)
+    assert told.lines == [f"yaw: {len(found)} replicates are there already"]
 
 
 def test_tasks_are_sized_by_the_time_they_take() -> None:
@@ -255,12 +257,12 @@ def test_cases_and_their_options() -> None:
 def test_it_is_the_estimator_of_the_commands_unless_told_otherwise(tmp_path: Path) -> None:
     for name in ("surge", "yaw", "horizontal", "kinematic"):
         case = make_case(name, seconds=20.0)
-        assert case.restricted
+        assert case.reml
         assert case.model.second_order
     noise = make_case("noise", seconds=20.0)  # as `ident noise`
-    assert not noise.restricted
+    assert not noise.reml
     assert not noise.model.second_order
-    how = {"first": {"second_order": False}, "both": {}, "plain": {"restricted": False, "second_order": False}}
+    how = {"first": {"mean_order": 1}, "both": {}, "plain": {"reml": False, "mean_order": 1}}
     cases = {name: make_case("surge", seconds=60.0, **flags) for name, flags in how.items()}
     done = {name: study.study(case, 3, 1, tmp_path / "one.jsonl", jobs=1) for name, case in cases.items()}
     assert len((tmp_path / "one.jsonl").read_text().splitlines()) == 9  # none was taken for another
@@ -268,8 +270,9 @@ def test_it_is_the_estimator_of_the_commands_unless_told_otherwise(tmp_path: Pat
     assert all(a > b + 0.01 for a, b in zip(s_u["first"], s_u["plain"], strict=True))
     d_u = {name: [r["d"]["d_u"] for r in rows] for name, rows in done.items()}
     assert all(abs(a - b) > 1e-5 for a, b in zip(d_u["first"], d_u["both"], strict=True))
-    assert study.estimator(cases["both"], "pe").endswith("by restricted likelihood, filter's mean of second order")
-    assert study.estimator(cases["plain"], "pe").endswith("by maximum likelihood, filter's mean of first order")
+    words = [study.estimator(cases[name], "prediction-error") for name in ("both", "plain")]
+    assert words[0].endswith("by restricted likelihood, filter's mean of second order")
+    assert words[1].endswith("by maximum likelihood, filter's mean of first order")
 
 
 def test_noise_at_rest_and_measured_attitude_can_be_studied() -> None:

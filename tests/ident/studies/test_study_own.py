@@ -15,6 +15,7 @@ from ident.models.surge import surge_model
 from ident.studies.cases import make_case, surge_case
 from ident.studies.monte_carlo import make_record, run_replicates
 from ident.workflows import study
+from tests.ident.reports import Kept
 
 OWN = """
 import numpy as np
@@ -61,33 +62,32 @@ def test_a_fitted_model_is_studied_within_the_ranges_of_its_inputs(saved: Path, 
 
 def test_a_fitted_model_is_studied_as_it_was_fitted(saved: Path) -> None:
     case = make_case(str(saved), seconds=60.0)
-    assert not case.restricted
+    assert not case.reml
     assert case.model.second_order
-    told = make_case(str(saved), seconds=60.0, restricted=True, second_order=False)
-    assert told.restricted
+    told = make_case(str(saved), seconds=60.0, reml=True, mean_order=1)
+    assert told.reml
     assert not told.model.second_order
     text = saved.read_text(encoding="utf-8")
     saved.write_text(text.replace("second_order = true", "restricted = true"), encoding="utf-8")
     other = make_case(str(saved), seconds=60.0)
-    assert other.restricted
+    assert other.reml
     assert not other.model.second_order
 
 
 def test_a_case_of_ones_own_is_studied_as_the_commands_fit(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(OWN, encoding="utf-8")
     case = make_case(f"{tmp_path / 'mine.py'}:mine")
-    assert case.restricted
+    assert case.reml
     assert case.model.second_order
 
 
 def test_a_changed_file_is_another_study(tmp_path: Path) -> None:
     file, out = tmp_path / "mine.py", tmp_path / "out"
-    lines: list[str] = []
     for text, resumed in ((OWN, False), (OWN, True), (OWN + "# changed\n", False)):
         file.write_text(text, encoding="utf-8")
-        lines.clear()
-        result = study.run_studies([f"{file}:mine"], 3, 1, out, truth={}, jobs=1, command="", say=lines.append)
-        assert any("are there already" in line for line in lines) is resumed
+        told = Kept()
+        result = study.run_studies(study.StudyRequest([f"{file}:mine"], 3, 1, out, jobs=1), "", told)
+        assert any("are there already" in line for line in told.lines) is resumed
     (part,) = result["studies"]
     assert part["model"] == "mine"
     assert {p["name"]: p["truth"] for p in part["parameters"]}["d_u"] == 6.0

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ident.estimation.maximum_likelihood import fit
+from ident.estimation.options import SearchSettings
 from ident.estimation.stochastic_simulation import simulate_stochastic
 from ident.studies.cases import make_case
 from ident.studies.monte_carlo import make_record
@@ -26,7 +27,7 @@ def test_any_start_within_a_factor_of_two_reaches_the_same_optimum(name: str, se
         rng = np.random.default_rng(seed)
         factors = np.exp(rng.uniform(-np.log(2.0), np.log(2.0), len(shared)))
         start = {p.name: float(np.clip(p.value * k, *p.bounds)) for p, k in zip(shared, factors, strict=True)}
-        found = fit(model, [record], start=start, coloured=False, threads=1)
+        found = fit(model, [record], settings=SearchSettings(robust_errors=False, threads=1), start=start)
         assert found.converged, seed
         reached.append(found.log_likelihood)
     assert np.ptp(reached) < CLOSE, np.argsort(reached)[:5]

@@ -66,7 +66,7 @@ def test_noise_is_restricted_unless_told_otherwise(log: Path) -> None:
         folder = log.parent / name
         CliRunner().invoke(ident, ["thruster", str(log), *words, "--out", str(folder)], catch_exceptions=False)
         fitted = json.loads((folder / "result.json").read_text(encoding="utf-8"))["fit"]
-        assert fitted["restricted"] is load_model(folder / "model.toml").restricted is (name == "reml")
+        assert fitted["restricted"] is load_model(folder / "model.toml").reml is (name == "reml")
         fits[name] = {p["name"]: p["value"] for p in fitted["parameters"]}
     assert 1.0001 < fits["reml"]["e_f"] / fits["plain"]["e_f"] < 1.01
     for name in ("tau", "a", "c1", "c2"):

@@ -13,7 +13,8 @@ from daq.errors import SeatrialError
 from ident.cli.commands import ident
 from ident.estimation.model_file import load_model
 from ident.model.outlier_density import robust_sensors
-from ident.workflows.diagnose import diagnosis
+from ident.reporter import QUIET
+from ident.workflows.diagnose import DiagnosisRequest, diagnosis
 from tests.missions import boat_log, boat_with
 
 
@@ -53,8 +54,8 @@ def test_a_robust_model_stays_robust(out: Path, logs: tuple[Path, Path]) -> None
     assert table["robust"] == table["sensors"]
     saved = load_model(out / "model.toml")
     assert robust_sensors(saved.model) == tuple(table["sensors"])
-    again = diagnosis(out / "model.toml", logs[:1], logs[1:], out / "diagnosis", rate=10.0, max_effects=1,
-                           effects_file=None, command="test", say=lambda line: None)
+    request = DiagnosisRequest(out / "model.toml", logs[:1], logs[1:], out / "diagnosis", rate=10.0, max_effects=1)
+    again = diagnosis(request, "test", QUIET)
     assert any("taken for outliers" in line for line in again["notes"])
     assert tomllib.loads((out / "diagnosis/model.toml").read_text(encoding="utf-8"))["robust"] == table["robust"]
 
@@ -83,7 +84,7 @@ def test_restricted_noise_leaves_the_dynamics_and_makes_their_errors_larger(logs
         CliRunner().invoke(ident, ["vehicle", str(logs[0]), *words, "--out", str(folder)], catch_exceptions=False)
         fitted = json.loads((folder / "result.json").read_text(encoding="utf-8"))["fit"]
         restricted = name == "reml"
-        assert fitted["restricted"] is load_model(folder / "model.toml").restricted is restricted
+        assert fitted["restricted"] is load_model(folder / "model.toml").reml is restricted
         fits.append(fitted["parameters"])
     plain, reml = ({p["name"]: (p["value"], p["se"]) for p in parameters} for parameters in fits)
     for name in ("m_u", "m_v", "m_r", "d_v", "d_r"):
@@ -97,8 +98,9 @@ def test_a_mean_of_second_order_stays_with_the_model_and_a_diagnosis_goes_withou
     CliRunner().invoke(ident, ["vehicle", str(logs[0]), "--out", str(folder)], catch_exceptions=False)
     assert load_model(folder / "model.toml").model.second_order
     assert json.loads((folder / "result.json").read_text(encoding="utf-8"))["fit"]["second_order"]
-    diagnosis(folder / "model.toml", logs[:1], logs[1:], folder / "diagnosis", rate=10.0, max_effects=1,
-                   effects_file=None, command="test", say=lambda line: None)
+    diagnosed = folder / "diagnosis"
+    request = DiagnosisRequest(folder / "model.toml", logs[:1], logs[1:], diagnosed, rate=10.0, max_effects=1)
+    diagnosis(request, "test", QUIET)
     assert not load_model(folder / "diagnosis/model.toml").model.second_order
 
 
