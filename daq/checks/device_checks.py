@@ -19,16 +19,15 @@ from daq.errors import counted
 from daq.log import Log
 from daq.rig import Rig
 from daq.samples import Ahrs, Battery, Command, Esc, Gnss, LoadCell, PortHealth, Scalar
+from daq.sensor_limits import FLAGGED_SHARE, STUCK_IN_LOG
 
 FloatArray = npt.NDArray[np.float64]
 RATE_TOLERANCE = 0.2  # a rate within this part of the expected one is good
 # White noise of one sample above which an AHRS is not what a fit expects: a few times that of a VN-100 on a boat.
 NOISE = {"yaw": (math.radians(2.0), "rad"), "r": (0.05, "rad/s")}
 GRAVITY, GRAVITY_PART = 9.81, 0.15
-STUCK = {Ahrs: (("yaw", "r", "ax"), 10, 0.5), Gnss: (("lat", "lon", "vel_n", "vel_e"), 10, 3.0),
-         LoadCell: (("counts",), 20, 3.0)}  # fmt: skip  # columns; samples and seconds without any change
 TOLD, STEP = 0.1, 0.1  # of full command
-FLAGGED, NO_FIX = 0.01, 0.05  # parts of the samples
+NO_FIX = 0.05  # part of the samples
 FEW_SATELLITES = 6
 
 
@@ -115,7 +114,7 @@ def _voltage(name: str, volts: float, lowest: float) -> Finding:
 
 def _cell(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
     bad = float(np.mean(table["flags"] != 0))
-    if bad > FLAGGED:
+    if bad > FLAGGED_SHARE:
         text = f"{100 * bad:.0f} % of the readings are saturated or spikes"
         yield Finding(
             WARNING, "load-cell-saturated", "load cell", name, text, "its supply and wires; beyond its range?"
@@ -219,9 +218,9 @@ def _rate(source: str, t: FloatArray, rig: Rig | None, tables: list[tuple[type, 
 
 def _stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
     """The longest time for which every value of a sensor stays exactly the same."""
-    if kind not in STUCK or len(table) < 2:
+    if kind not in STUCK_IN_LOG or len(table) < 2:
         return
-    columns, samples, seconds = STUCK[kind]
+    columns, samples, seconds = STUCK_IN_LOG[kind]
     same = np.ones(len(table) - 1, dtype=bool)
     for column in columns:
         values = table[column]
