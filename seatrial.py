@@ -42,7 +42,7 @@ class Row(NamedTuple):
 COMMANDS = {
     "demo": Row("bench.demo:demo", "The whole loop on mock devices, to a report."),
     "devices": Row("daq.cli:devices", "Find ports and recognise what speaks there."),
-    "log": Row("daq.tools.live_table:log", "Acquire until Ctrl-C, with a live table."),
+    "log": Row("daq.cli:log", "Acquire until Ctrl-C, with a live table."),
     "check": Row("bench.preflight.cli:check", "Preflight of a rig, or the same questions to a log."),
     "bench": Row("bench.cli:bench", "Characterise thrusters: static, steps, chirp, all."),
     "mission": Row("bench.cli:mission", "Design, make, show and run missions."),

@@ -1,13 +1,15 @@
-"""Commands of daq: info, salvage, import (log is in daq.tools.live_table).
+"""Commands of daq: log, info, recover, import, devices, replay, export.
 
-Commands of daq: devices, replay and export.
-The LOG of a command line: a file, or the folder of the one log that it holds.
+The LOG of a command line is a file, or the folder of the one log that it holds.
 """
 
 from __future__ import annotations
 
+import contextlib
+import math
 import signal
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import final
 
@@ -46,6 +48,67 @@ class LogPath(click.Path):
 
 
 LOG = LogPath()
+
+
+@contextlib.contextmanager
+def _stop_signal() -> Iterator[threading.Event]:
+    """An event that SIGINT and SIGTERM set, instead of their usual effect."""
+    stop = threading.Event()
+    before = {number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@click.command(epilog="Example: seatrial log rig.toml --duration 60 -o still.mcap")
+@click.argument("rig", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option(
+    "--duration",
+    type=click.FloatRange(min=0.0, min_open=True),
+    metavar="S",
+    help="Run seconds; until Ctrl-C if not given.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="The log; a name made of rig and date if not given.",
+)
+@click.option("--live", "serve", is_flag=True, help="Serve the samples to Foxglove, too (see [live] in the rig).")
+def log(rig: Path, duration: float | None, output: Path | None, serve: bool) -> None:
+    """Record every device of RIG until Ctrl-C, with a live table.
+
+    Devices may be plugged in and out meanwhile; what is missing or silent is said. Commands no thrust.
+    """
+    from rich.console import Console
+
+    from daq.acquisition import Acquisition
+    from daq.clock import RunClock
+    from daq.config import load_rig
+    from daq.tools import default_log_path, log_summary, watch
+
+    loaded = load_rig(rig)
+    path = output or default_log_path(loaded)
+    if path.exists():
+        raise SeatrialError(f"{path} exists, and a log is never overwritten; give another name with -o")
+    clock = RunClock(loaded.speed)
+    console = Console(highlight=False)
+    with (
+        _stop_signal() as stop,
+        Acquisition(loaded, path, clock=clock) as acquisition,
+        contextlib.ExitStack() as stack,
+    ):
+        if serve:
+            from daq.tools import LiveServer
+
+            server = stack.enter_context(LiveServer(loaded, acquisition.status))
+            console.print(f"live at {server.address}", markup=False)
+        deadline = math.inf if duration is None else clock.now() + duration
+        watch(acquisition, loaded, clock, deadline, stop, console)
+    console.print(log_summary(acquisition.status(), path), soft_wrap=True, markup=False)
 
 
 @click.command()
@@ -285,14 +348,8 @@ def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> Non
     from daq.log import open_log
     from daq.tools import replay_log as run
 
-    stop = threading.Event()
-    before = {number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        with open_log(log) as opened:
-            n = run(opened, names, folder, speed=speed, said=lambda text: click.echo(text), stopped=stop.is_set)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    with _stop_signal() as stop, open_log(log) as opened:
+        n = run(opened, names, folder, speed=speed, said=click.echo, stopped=stop.is_set)
     click.echo(f"{counted(n, 'byte')} sent")
 
 

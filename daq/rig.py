@@ -1,4 +1,7 @@
-"""rig.toml -> dataclasses: what is on the boat or on the bench (docs/formats/rig.md)."""
+"""The rig as dataclasses: devices, thrusters, limits and calibrations of a boat or a test bench.
+
+daq.config reads them from rig.toml; the keys are described in docs/formats/rig.md.
+"""
 
 from __future__ import annotations
 
@@ -16,46 +19,6 @@ if TYPE_CHECKING:
 DRIVES = ("vesc", "dronecan", "mavlink")  # what a thruster may hang on
 DEFAULT_PATTERN = r"^(?P<counts>-?\d+)$"
 OWN_NODE = 100  # ours on a DroneCAN bus; 10 is an autopilot's, 126 and 127 are for tools
-
-
-@dataclass(frozen=True)
-class Device:
-    """One port and what speaks there. Fields that a protocol has no use for keep their defaults."""
-
-    name: str
-    protocol: str
-    port: str  # absolute; CAN keeps its `slcan:` or `socketcan:` in front
-    baud: int
-    bitrate: int
-    rate_hz: float
-    lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    pattern: str = DEFAULT_PATTERN
-    saturation: float | None = None
-    calibration: Calibration | None = None
-    mavlink: MavlinkSettings | None = None
-    declination: float | None = None  # rad, east positive: true heading minus magnetic; None: magnetic is not taken
-    dbc: str = ""  # absolute path
-    signals: tuple[DbcSignal, ...] = ()
-    query: str = ""  # what a device that speaks only when asked is asked for each reading
-    own_node: int = OWN_NODE  # ours on a DroneCAN bus
-
-
-@dataclass(frozen=True)
-class Thruster:
-    """One thruster: which controller drives it, where it sits, how commands scale."""
-
-    name: str
-    device: str
-    node: int
-    position_m: tuple[float, float, float]  # body axes: forward, starboard, down
-    pole_pairs: int
-    rpm_max: float  # n = rpm / rpm_max
-    reversed: bool = False  # a positive command drives astern
-    timeout_s: float = 1.0  # the ESC's own, run seconds
-    output: Output | None = None  # behind an autopilot
-
-
-Named = TypeVar("Named", Device, Thruster)
 DEFAULT_QUERY = "!001:SYS?"
 ESC_FIELDS = ("rpm", "current", "duty", "voltage", "temperature")
 SOURCE = "source"  # a signal's node is the sender's address (J1939, NMEA 2000)
@@ -82,6 +45,114 @@ OTHER_RATES = (
     "ESC_STATUS",
 )
 HIGHEST_ID = 255
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Load cell: counts -> force at the thruster."""
+
+    newton_per_count: float
+    zero_counts: float = 0.0
+    lever_ratio: float = 1.0
+
+    def force(self, counts: Counts) -> Counts:
+        """Force at the thruster, N, of raw counts; a number or an array of any shape."""
+        return (counts - self.zero_counts) * (self.newton_per_count * self.lever_ratio)
+
+
+@dataclass(frozen=True)
+class DbcSignal:
+    """One signal of a DBC file and the field of `Esc` that it is: value = scale * (what the DBC says) + offset."""
+
+    message: str
+    signal: str
+    field: str
+    node: int | str  # a number, the signal that holds it, or SOURCE
+    scale: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class MavlinkSettings:
+    """How to talk to an autopilot: who it is, who we are, what it is asked for."""
+
+    system_id: int = 1
+    component_id: int = 1
+    own_system_id: int = 255
+    own_component_id: int = 190
+    key_file: Path | None = None  # 32 bytes or 64 hexadecimal digits; signs what we send, and unsigned is ignored
+    gnss: str = "raw"  # raw: the receiver's fixes; fused: the autopilot's estimate
+    rates: Mapping[str, float] = field(default_factory=dict)  # Hz by message name, other than RATES
+
+    def requested(self, rate_hz: float) -> dict[str, float]:
+        """What is asked for [Hz], by message name, in the order of RATES."""
+        rates = {name: rate_hz if rate is None else rate for name, rate in RATES.items()}
+        if self.gnss == "fused":
+            rates["GLOBAL_POSITION_INT"] = rates.pop("GPS_RAW_INT")
+        return {name: rate for name, rate in (rates | dict(self.rates)).items() if rate > 0.0}
+
+
+@dataclass(frozen=True)
+class Device:
+    """One port and what speaks there. Fields that a protocol has no use for keep their defaults."""
+
+    name: str
+    protocol: str
+    port: str  # absolute; CAN keeps its `slcan:` or `socketcan:` in front
+    baud: int
+    bitrate: int
+    rate_hz: float
+    lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    pattern: str = DEFAULT_PATTERN
+    saturation: float | None = None
+    calibration: Calibration | None = None
+    mavlink: MavlinkSettings | None = None
+    declination: float | None = None  # rad, east positive: true heading minus magnetic; None: magnetic is not taken
+    dbc: str = ""  # absolute path
+    signals: tuple[DbcSignal, ...] = ()
+    query: str = ""  # what a device that speaks only when asked is asked for each reading
+    own_node: int = OWN_NODE  # ours on a DroneCAN bus
+
+
+@dataclass(frozen=True)
+class Output:
+    """How a thruster hangs on an autopilot: the channel that commands it and the pulses of both ends."""
+
+    rc_channel: int  # RC_CHANNELS_OVERRIDE, from 1
+    rc_us: tuple[float, float, float]  # full astern, neutral, full ahead: RCn_MIN, RCn_TRIM, RCn_MAX
+    pwm_us: tuple[float, float, float]  # of the servo output: SERVOn_MIN, SERVOn_TRIM, SERVOn_MAX
+
+    def command(self, n: float) -> int:
+        """The pulse [us] that commands n, -1..1; neutral for what is no number."""
+        low, neutral, high = self.rc_us
+        if not -1.0 <= n <= 1.0:
+            return round(neutral)
+        return round(neutral + n * (high - neutral if n > 0.0 else neutral - low))
+
+    def applied(self, pwm: float) -> float:
+        """What a pulse [us] at the output is as n, beyond -1..1 where the pulse is; NaN while there is none."""
+        low, neutral, high = self.pwm_us
+        if pwm <= 0.0:
+            return float("nan")
+        return (pwm - neutral) / (high - neutral if pwm > neutral else neutral - low)
+
+
+@dataclass(frozen=True)
+class Thruster:
+    """One thruster: which controller drives it, where it sits, how commands scale."""
+
+    name: str
+    device: str
+    node: int
+    position_m: tuple[float, float, float]  # body axes: forward, starboard, down
+    pole_pairs: int
+    rpm_max: float  # n = rpm / rpm_max
+    reversed: bool = False  # a positive command drives astern
+    timeout_s: float = 1.0  # the ESC's own, run seconds
+    output: Output | None = None  # behind an autopilot
+
+
+Named = TypeVar("Named", Device, Thruster)
 
 
 @dataclass(frozen=True)
@@ -148,71 +219,3 @@ def _named(name: str, rows: Sequence[Named], what: str, path: Path) -> Named:
             return row
     there = ", ".join(row.name for row in rows) or "none"
     raise SeatrialError(f"{path}: no {what} '{name}'; there is: {there}")
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """Load cell: counts -> force at the thruster."""
-
-    newton_per_count: float
-    zero_counts: float = 0.0
-    lever_ratio: float = 1.0
-
-    def force(self, counts: Counts) -> Counts:
-        """Force at the thruster, N, of raw counts; a number or an array of any shape."""
-        return (counts - self.zero_counts) * (self.newton_per_count * self.lever_ratio)
-
-
-@dataclass(frozen=True)
-class DbcSignal:
-    """One signal of a DBC file and the field of `Esc` that it is: value = scale * (what the DBC says) + offset."""
-
-    message: str
-    signal: str
-    field: str
-    node: int | str  # a number, the signal that holds it, or SOURCE
-    scale: float = 1.0
-    offset: float = 0.0
-
-
-@dataclass(frozen=True)
-class MavlinkSettings:
-    """How to talk to an autopilot: who it is, who we are, what it is asked for."""
-
-    system_id: int = 1
-    component_id: int = 1
-    own_system_id: int = 255
-    own_component_id: int = 190
-    key_file: Path | None = None  # 32 bytes or 64 hexadecimal digits; signs what we send, and unsigned is ignored
-    gnss: str = "raw"  # raw: the receiver's fixes; fused: the autopilot's estimate
-    rates: Mapping[str, float] = field(default_factory=dict)  # Hz by message name, other than RATES
-
-    def requested(self, rate_hz: float) -> dict[str, float]:
-        """What is asked for [Hz], by message name, in the order of RATES."""
-        rates = {name: rate_hz if rate is None else rate for name, rate in RATES.items()}
-        if self.gnss == "fused":
-            rates["GLOBAL_POSITION_INT"] = rates.pop("GPS_RAW_INT")
-        return {name: rate for name, rate in (rates | dict(self.rates)).items() if rate > 0.0}
-
-
-@dataclass(frozen=True)
-class Output:
-    """How a thruster hangs on an autopilot: the channel that commands it and the pulses of both ends."""
-
-    rc_channel: int  # RC_CHANNELS_OVERRIDE, from 1
-    rc_us: tuple[float, float, float]  # full astern, neutral, full ahead: RCn_MIN, RCn_TRIM, RCn_MAX
-    pwm_us: tuple[float, float, float]  # of the servo output: SERVOn_MIN, SERVOn_TRIM, SERVOn_MAX
-
-    def command(self, n: float) -> int:
-        """The pulse [us] that commands n, -1..1; neutral for what is no number."""
-        low, neutral, high = self.rc_us
-        if not -1.0 <= n <= 1.0:
-            return round(neutral)
-        return round(neutral + n * (high - neutral if n > 0.0 else neutral - low))
-
-    def applied(self, pwm: float) -> float:
-        """What a pulse [us] at the output is as n, beyond -1..1 where the pulse is; NaN while there is none."""
-        low, neutral, high = self.pwm_us
-        if pwm <= 0.0:
-            return float("nan")
-        return (pwm - neutral) / (high - neutral if pwm > neutral else neutral - low)

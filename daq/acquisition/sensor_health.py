@@ -13,12 +13,10 @@ from typing import NamedTuple
 
 from daq.protocol import SATURATED, SPIKE
 from daq.samples import Ahrs, Frame, Gnss, LoadCell
+from daq.sensor_limits import FLAGGED_SHARE, STUCK_LIVE
 
-STUCK_S = 5.0  # run s; readings that carry noise do not stay the same for longer
-STUCK_SAMPLES = 20
 FINE_COUNTS = 1000.0  # a whole number beyond is a converter's own, which always flickers; 0.00 kg may well stay
 SPIKES_S = 10.0
-SPIKES_SHARE = 0.01
 FLOOD_S = 5.0
 FLOOD_SHARE = 0.05  # of the frames
 FLOOD_ERRORS = 10
@@ -50,17 +48,15 @@ class SensorHealth:
         """A sample as decoded."""
         sample, t = frame.sample, frame.t_rx
         if isinstance(sample, Ahrs):
-            # A compass rounds so coarsely that it may say the same for a minute; rates and accelerations are noisy.
-            key = (sample.yaw, sample.p, sample.q, sample.r, sample.ax, sample.ay, sample.az)
-            if math.isfinite(sample.p) or math.isfinite(sample.ax):
-                self._repeat(Ahrs, tuple(0.0 if v != v else v for v in key), t)
+            if math.isfinite(sample.p) or math.isfinite(sample.ax):  # a compass alone repeats itself
+                self._repeat(sample, t)
         elif isinstance(sample, Gnss):
             if math.isfinite(sample.utc):
-                self._repeat(Gnss, (sample.utc,), t)
+                self._repeat(sample, t)
                 self._era = sample.utc - t
         elif isinstance(sample, LoadCell):
             if abs(sample.counts) >= FINE_COUNTS and float(sample.counts).is_integer():
-                self._repeat(LoadCell, (sample.counts,), t)
+                self._repeat(sample, t)
             self._flags(t, sample.flags)
 
     def count(self, t: float, frames: int, errors: int, jumps: int = 0) -> None:
@@ -81,10 +77,11 @@ class SensorHealth:
                 return "more than 1 frame in 20 has a wrong checksum: look at wiring, ground and baud rate"
         if self._cell and self._cell[-1][1] & SATURATED:
             return "saturated: the load is beyond what the converter can say"
-        if self._spikes > max(SPIKES_SHARE * len(self._cell), 1):
+        if self._spikes > max(FLAGGED_SHARE * len(self._cell), 1):
             return "spikes: more than 1 reading in 100; look at the wires between converter and controller"
         for kind, same in self._same.items():
-            if same.repeats >= STUCK_SAMPLES and self._last - same.since >= STUCK_S:
+            limit = STUCK_LIVE[kind]
+            if same.repeats >= limit.samples and self._last - same.since >= limit.seconds:
                 what = "its time stands still" if kind is Gnss else "the same reading all the time"
                 return f"stuck: {what}"
         if self._now - self._jumped < JUMP_S:
@@ -93,7 +90,10 @@ class SensorHealth:
             return "its date is 20 years off: a receiver whose GPS weeks have begun again, or this computer's clock"
         return ""
 
-    def _repeat(self, kind: type, key: tuple[float, ...], t: float) -> None:
+    def _repeat(self, sample: Ahrs | Gnss | LoadCell, t: float) -> None:
+        kind = type(sample)
+        values = (getattr(sample, name) for name in STUCK_LIVE[kind].fields)
+        key = tuple(0.0 if value != value else value for value in values)  # NaN equals NaN here
         self._last = t
         before = self._same.get(kind)
         if before is None or before.key != key:

@@ -1,8 +1,6 @@
-"""What a log says about each device by itself: its rate, its clock, its noise, and values that no sensor gives.
+"""Checks of a log device by device: rate, time stamps, clock, noise, plausible values, stuck sensors, port counters.
 
 Whether devices agree with each other is a question of motion (ident.checks.sensors, ident.checks.shafts).
-
-Time stamps: steps back, repeats, sections that are missing, and a device's clock against the time of receipt.
 """
 
 from __future__ import annotations
@@ -19,118 +17,16 @@ from daq.errors import counted
 from daq.log import Log
 from daq.rig import Rig
 from daq.samples import Ahrs, Battery, Command, Esc, Gnss, LoadCell, PortHealth, Scalar
+from daq.sensor_limits import FLAGGED_SHARE, STUCK_IN_LOG
 
 FloatArray = npt.NDArray[np.float64]
 RATE_TOLERANCE = 0.2  # a rate within this part of the expected one is good
 # White noise of one sample above which an AHRS is not what a fit expects: a few times that of a VN-100 on a boat.
 NOISE = {"yaw": (math.radians(2.0), "rad"), "r": (0.05, "rad/s")}
 GRAVITY, GRAVITY_PART = 9.81, 0.15
-STUCK = {Ahrs: (("yaw", "r", "ax"), 10, 0.5), Gnss: (("lat", "lon", "vel_n", "vel_e"), 10, 3.0),
-         LoadCell: (("counts",), 20, 3.0)}  # fmt: skip  # columns; samples and seconds without any change
 TOLD, STEP = 0.1, 0.1  # of full command
-FLAGGED, NO_FIX = 0.01, 0.05  # parts of the samples
+NO_FIX = 0.05  # part of the samples
 FEW_SATELLITES = 6
-
-
-def white(values: FloatArray) -> float:
-    """Standard deviation of the white noise of a signal that moves slowly, from its second differences (robust)."""
-    second = np.diff(values, 2)
-    second = second[np.isfinite(second)]
-    return float(np.median(np.abs(second)) / 0.6745 / math.sqrt(6.0)) if second.size > 20 else math.nan
-
-
-def _ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    fine = True
-    for column, (most, unit) in NOISE.items():
-        values = np.unwrap(table[column]) if column == "yaw" else table[column]
-        noise = white(values)
-        if noise > most:
-            fine = False
-            text = f"{column} has white noise of {noise:.2g} {unit}, expected below {most:.2g}"
-            yield Finding(
-                FAULT,
-                "sensor-noisy",
-                "noise",
-                name,
-                text,
-                "vibration, mounting, interference; or the unit of that value",
-            )
-    yaw, rate = white(np.unwrap(table["yaw"])), white(table["r"])
-    if fine and math.isfinite(rate):
-        of_yaw = f"yaw {math.degrees(yaw):.2g} deg, " if math.isfinite(yaw) else ""
-        yield Finding(OK, "sensor-noise-as-expected", "noise", name, f"{of_yaw}yaw rate {rate:.2g} rad/s a sample")
-    force = np.sqrt(sum(table[c] ** 2 for c in ("ax", "ay", "az")))
-    g = float(np.median(force[np.isfinite(force)])) if np.isfinite(force).any() else GRAVITY
-    if abs(g / GRAVITY - 1.0) > GRAVITY_PART:
-        unit = ": in g?" if abs(g - 1.0) < 0.2 else ": without gravity?" if g < 1.0 else ""
-        yield Finding(
-            WARNING,
-            "specific-force-not-gravity",
-            "units",
-            name,
-            f"specific force is {g:.3g} m/s2 and not 9.81{unit}",
-            "its output settings",
-        )
-    tilt = max(abs(float(np.nanmedian(table[c]))) if np.isfinite(table[c]).any() else 0.0 for c in ("roll", "pitch"))
-    if tilt > 0.35:
-        text = f"level is {math.degrees(tilt):.0f} deg off"
-        yield Finding(
-            WARNING, "sensor-not-level", "mounting", name, text, "forward, starboard, down; its reference frame"
-        )
-
-
-def _gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    fixes = table["fix"] >= 2
-    if np.mean(~fixes) > NO_FIX:
-        text = f"no position in {100 * np.mean(~fixes):.0f} % of the epochs"
-        yield Finding(
-            WARNING if fixes.any() else FAULT, "position-missing", "fix", name, text, "open sky, antenna and its cable"
-        )
-    used = table["n_sat"][(table["n_sat"] >= 0) & fixes]
-    if used.size and np.median(used) < FEW_SATELLITES:
-        yield Finding(
-            WARNING,
-            "few-satellites",
-            "fix",
-            name,
-            f"{np.median(used):.0f} satellites",
-            "open sky, antenna and its cable",
-        )
-
-
-def _esc(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    lowest = None if rig is None else rig.limits.voltage_min_v
-    volts = table["voltage"][np.isfinite(table["voltage"])]
-    if lowest is not None and volts.size:
-        yield _voltage(name, float(np.median(volts[-20:])), lowest)
-
-
-def _voltage(name: str, volts: float, lowest: float) -> Finding:
-    if volts < lowest:
-        return Finding(FAULT, "voltage-low", "battery", name, f"{volts:.1f} V, limit {lowest:g}", "charge it")
-    near = volts < 1.05 * lowest
-    level, code, advice = (WARNING, "voltage-near-limit", "charge it soon") if near else (OK, "voltage-as-expected", "")
-    return Finding(level, code, "battery", name, f"{volts:.1f} V, limit {lowest:g}", advice)
-
-
-def _cell(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    bad = float(np.mean(table["flags"] != 0))
-    if bad > FLAGGED:
-        text = f"{100 * bad:.0f} % of the readings are saturated or spikes"
-        yield Finding(
-            WARNING, "load-cell-saturated", "load cell", name, text, "its supply and wires; beyond its range?"
-        )
-
-
-def _battery(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    left, least = table["remaining"][-1], None if rig is None else rig.limits.battery_min
-    if least is not None and np.isfinite(left):
-        low = left < least
-        level, code, advice = (FAULT, "battery-low", "charge it") if low else (OK, "battery-as-expected", "")
-        yield Finding(level, code, "battery", name, f"{100 * left:.0f} % left, limit {100 * least:.0f}", advice)
-
-
-_VALUES = {Ahrs: _ahrs, Gnss: _gnss, Esc: _esc, LoadCell: _cell, Battery: _battery}
 REPEATED = 0.02  # part of the samples that may share their time with the one before
 BUNCHED = 0.1  # the same of a device without a clock of its own
 GAP_S, GAP_PERIODS = 1.0, 10.0  # a pause longer than both is a section that is missing
@@ -219,9 +115,9 @@ def _rate(source: str, t: FloatArray, rig: Rig | None, tables: list[tuple[type, 
 
 def _stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
     """The longest time for which every value of a sensor stays exactly the same."""
-    if kind not in STUCK or len(table) < 2:
+    if kind not in STUCK_IN_LOG or len(table) < 2:
         return
-    columns, samples, seconds = STUCK[kind]
+    columns, samples, seconds = STUCK_IN_LOG[kind]
     same = np.ones(len(table) - 1, dtype=bool)
     for column in columns:
         values = table[column]
@@ -243,8 +139,127 @@ def _stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
         )
 
 
+def _ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    fine = True
+    for column, (most, unit) in NOISE.items():
+        values = np.unwrap(table[column]) if column == "yaw" else table[column]
+        noise = white(values)
+        if noise > most:
+            fine = False
+            text = f"{column} has white noise of {noise:.2g} {unit}, expected below {most:.2g}"
+            yield Finding(
+                FAULT,
+                "sensor-noisy",
+                "noise",
+                name,
+                text,
+                "vibration, mounting, interference; or the unit of that value",
+            )
+    yaw, rate = white(np.unwrap(table["yaw"])), white(table["r"])
+    if fine and math.isfinite(rate):
+        of_yaw = f"yaw {math.degrees(yaw):.2g} deg, " if math.isfinite(yaw) else ""
+        yield Finding(OK, "sensor-noise-as-expected", "noise", name, f"{of_yaw}yaw rate {rate:.2g} rad/s a sample")
+    force = np.sqrt(sum(table[c] ** 2 for c in ("ax", "ay", "az")))
+    g = float(np.median(force[np.isfinite(force)])) if np.isfinite(force).any() else GRAVITY
+    if abs(g / GRAVITY - 1.0) > GRAVITY_PART:
+        unit = ": in g?" if abs(g - 1.0) < 0.2 else ": without gravity?" if g < 1.0 else ""
+        yield Finding(
+            WARNING,
+            "specific-force-not-gravity",
+            "units",
+            name,
+            f"specific force is {g:.3g} m/s2 and not 9.81{unit}",
+            "its output settings",
+        )
+    tilt = max(abs(float(np.nanmedian(table[c]))) if np.isfinite(table[c]).any() else 0.0 for c in ("roll", "pitch"))
+    if tilt > 0.35:
+        text = f"level is {math.degrees(tilt):.0f} deg off"
+        yield Finding(
+            WARNING, "sensor-not-level", "mounting", name, text, "forward, starboard, down; its reference frame"
+        )
+
+
+def white(values: FloatArray) -> float:
+    """Standard deviation of the white noise of a signal that moves slowly, from its second differences (robust)."""
+    second = np.diff(values, 2)
+    second = second[np.isfinite(second)]
+    return float(np.median(np.abs(second)) / 0.6745 / math.sqrt(6.0)) if second.size > 20 else math.nan
+
+
+def _gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    fixes = table["fix"] >= 2
+    if np.mean(~fixes) > NO_FIX:
+        text = f"no position in {100 * np.mean(~fixes):.0f} % of the epochs"
+        yield Finding(
+            WARNING if fixes.any() else FAULT, "position-missing", "fix", name, text, "open sky, antenna and its cable"
+        )
+    used = table["n_sat"][(table["n_sat"] >= 0) & fixes]
+    if used.size and np.median(used) < FEW_SATELLITES:
+        yield Finding(
+            WARNING,
+            "few-satellites",
+            "fix",
+            name,
+            f"{np.median(used):.0f} satellites",
+            "open sky, antenna and its cable",
+        )
+
+
+def _esc(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    lowest = None if rig is None else rig.limits.voltage_min_v
+    volts = table["voltage"][np.isfinite(table["voltage"])]
+    if lowest is not None and volts.size:
+        yield _voltage(name, float(np.median(volts[-20:])), lowest)
+
+
+def _voltage(name: str, volts: float, lowest: float) -> Finding:
+    if volts < lowest:
+        return Finding(FAULT, "voltage-low", "battery", name, f"{volts:.1f} V, limit {lowest:g}", "charge it")
+    near = volts < 1.05 * lowest
+    level, code, advice = (WARNING, "voltage-near-limit", "charge it soon") if near else (OK, "voltage-as-expected", "")
+    return Finding(level, code, "battery", name, f"{volts:.1f} V, limit {lowest:g}", advice)
+
+
+def _cell(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    bad = float(np.mean(table["flags"] != 0))
+    if bad > FLAGGED_SHARE:
+        text = f"{100 * bad:.0f} % of the readings are saturated or spikes"
+        yield Finding(
+            WARNING, "load-cell-saturated", "load cell", name, text, "its supply and wires; beyond its range?"
+        )
+
+
+def _battery(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    left, least = table["remaining"][-1], None if rig is None else rig.limits.battery_min
+    if least is not None and np.isfinite(left):
+        low = left < least
+        level, code, advice = (FAULT, "battery-low", "charge it") if low else (OK, "battery-as-expected", "")
+        yield Finding(level, code, "battery", name, f"{100 * left:.0f} % left, limit {100 * least:.0f}", advice)
+
+
+_VALUES = {Ahrs: _ahrs, Gnss: _gnss, Esc: _esc, LoadCell: _cell, Battery: _battery}
+
+
 def _nothing(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
     return iter(())
+
+
+def _port(source: str, log: Log) -> Iterator[Finding]:
+    if source not in log.sources(PortHealth) or not (rows := log.health(source)):
+        return
+    last = rows[-1][1]
+    if last.checksum_errors > max(1, 0.001 * last.frames):
+        text = f"{last.checksum_errors} checksum errors in {last.frames} frames"
+        yield Finding(WARNING, "checksum-errors", "link", source, text, "ground, cable, two programs on one port")
+    if last.unparsed_bytes > 0.01 * last.bytes_in + 200:
+        text = f"{last.unparsed_bytes} of {last.bytes_in} bytes not understood"
+        yield Finding(WARNING, "bytes-not-understood", "link", source, text, "baud rate; output that nobody asked for")
+    if last.dropped:
+        text = f"{counted(last.dropped, 'sample')} dropped"
+        yield Finding(WARNING, "samples-dropped", "link", source, text, "a slower disk than the devices need")
+    if last.reconnects:
+        text = f"its port was lost {counted(last.reconnects, 'time')}"
+        yield Finding(WARNING, "port-lost", "link", source, text, "plug and cable")
 
 
 def _controllers(log: Log) -> Iterator[Finding]:
@@ -266,24 +281,6 @@ def _controllers(log: Log) -> Iterator[Finding]:
                         FAULT, "shaft-speed-stuck", "stuck", f"{source} node {node}", text, "its sensor, or the bus"
                     )
                     break
-
-
-def _port(source: str, log: Log) -> Iterator[Finding]:
-    if source not in log.sources(PortHealth) or not (rows := log.health(source)):
-        return
-    last = rows[-1][1]
-    if last.checksum_errors > max(1, 0.001 * last.frames):
-        text = f"{last.checksum_errors} checksum errors in {last.frames} frames"
-        yield Finding(WARNING, "checksum-errors", "link", source, text, "ground, cable, two programs on one port")
-    if last.unparsed_bytes > 0.01 * last.bytes_in + 200:
-        text = f"{last.unparsed_bytes} of {last.bytes_in} bytes not understood"
-        yield Finding(WARNING, "bytes-not-understood", "link", source, text, "baud rate; output that nobody asked for")
-    if last.dropped:
-        text = f"{counted(last.dropped, 'sample')} dropped"
-        yield Finding(WARNING, "samples-dropped", "link", source, text, "a slower disk than the devices need")
-    if last.reconnects:
-        text = f"its port was lost {counted(last.reconnects, 'time')}"
-        yield Finding(WARNING, "port-lost", "link", source, text, "plug and cable")
 
 
 def _imported(log: Log) -> Iterator[Finding]:

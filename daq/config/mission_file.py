@@ -1,4 +1,4 @@
-"""mission.toml: the set-points of each thruster over time, limits and provenance (docs/formats/mission.md)."""
+"""mission.toml to `Mission` and back: set-points over time, limits and provenance (docs/formats/mission.md)."""
 
 from __future__ import annotations
 
@@ -41,6 +41,31 @@ class Segment:
     def __hash__(self) -> int:
         """Hash of the name and of the bytes of both arrays."""
         return hash((self.name, self.t.tobytes(), self.n.tobytes()))
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Track: t (K,) s, x north and y east (K,) m from where it begins, heading north; radius (K,) m, within which 95 %
+    of the simulated boats were. errors_before: standard errors before the mission, for those that were known."""
+
+    model: str
+    t: FloatArray
+    x: FloatArray
+    y: FloatArray
+    radius: FloatArray
+    errors_before: Mapping[str, float] = field(default_factory=dict)
+
+    def __eq__(self, other: object) -> bool:
+        """Equal names and numbers."""
+        return isinstance(other, Prediction) and self._content() == other._content()
+
+    def __hash__(self) -> int:
+        """Hash of the model's name and of the track."""
+        return hash((self.model, self.x.tobytes(), self.y.tobytes()))
+
+    def _content(self) -> tuple[object, ...]:
+        arrays = (self.t.tolist(), self.x.tolist(), self.y.tolist(), self.radius.tolist())
+        return (self.model, *arrays, dict(self.errors_before))
 
 
 @dataclass(frozen=True)
@@ -168,6 +193,19 @@ def _segment(table: TomlTable, n_thrusters: int) -> Segment:
     return Segment(name, t, n)
 
 
+def parse_prediction(table: TomlTable | None) -> Prediction | None:
+    """The table [prediction] of a mission.toml, or None; raises SeatrialError in one line that names the key."""
+    if table is None:
+        return None
+    t = np.array(table.numbers("t"), dtype=np.float64)
+    x, y, radius = (np.array(table.numbers(key, length=len(t)), dtype=np.float64) for key in ("x", "y", "radius"))
+    before = table.table("errors_before")
+    errors = {} if before is None else {key: before.number(key) for key in before.values}
+    found = Prediction(table.text("model"), t, x, y, radius, errors)
+    table.done()
+    return found
+
+
 def _check_order_and_size(mission: Mission, root: TomlTable) -> None:
     """Segments follow each other from t >= 0 to before the end, and no command is beyond n_max."""
     if not mission.segments:
@@ -184,6 +222,25 @@ def _check_order_and_size(mission: Mission, root: TomlTable) -> None:
             raise root.error(key, f"{value:g} is beyond the mission's n_max {mission.n_max:g}")
     if not mission.end > last:
         raise root.error("end.t", f"{mission.end:g} must come after the last command at {last:g} s")
+
+
+def save_mission(mission: Mission, path: Path) -> None:
+    """Write mission.toml; raises SeatrialError when it cannot be written."""
+    try:
+        path.write_text(dump_mission(mission), encoding="utf-8")
+    except OSError as error:
+        raise SeatrialError(f"{path}: {error.strerror}; the mission was not saved") from error
+
+
+def save_new_mission(mission: Mission, path: Path) -> None:
+    """Write a mission.toml that must not exist yet; raises SeatrialError where it does or cannot be written."""
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(dump_mission(mission))
+    except FileExistsError:
+        raise SeatrialError(f"{path} exists; give another name with --out") from None
+    except OSError as problem:
+        raise SeatrialError(f"{path}: {problem.strerror}; the mission was not saved") from problem
 
 
 def dump_mission(mission: Mission) -> str:
@@ -215,60 +272,6 @@ def dump_mission(mission: Mission) -> str:
     return "\n".join(lines)
 
 
-def _quote(text: str) -> str:
-    return tomlkit.item(text).as_string()
-
-
-def _row(values: FloatArray) -> str:
-    return "[" + ", ".join(repr(value) for value in values.tolist()) + "]"
-
-
-def save_mission(mission: Mission, path: Path) -> None:
-    """Write mission.toml; raises SeatrialError when it cannot be written."""
-    try:
-        path.write_text(dump_mission(mission), encoding="utf-8")
-    except OSError as error:
-        raise SeatrialError(f"{path}: {error.strerror}; the mission was not saved") from error
-
-
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """Track: t (K,) s, x north and y east (K,) m from where it begins, heading north; radius (K,) m, within which 95 %
-    of the simulated boats were. errors_before: standard errors before the mission, for those that were known."""
-
-    model: str
-    t: FloatArray
-    x: FloatArray
-    y: FloatArray
-    radius: FloatArray
-    errors_before: Mapping[str, float] = field(default_factory=dict)
-
-    def __eq__(self, other: object) -> bool:
-        """Equal names and numbers."""
-        return isinstance(other, Prediction) and self._content() == other._content()
-
-    def __hash__(self) -> int:
-        """Hash of the model's name and of the track."""
-        return hash((self.model, self.x.tobytes(), self.y.tobytes()))
-
-    def _content(self) -> tuple[object, ...]:
-        arrays = (self.t.tolist(), self.x.tolist(), self.y.tolist(), self.radius.tolist())
-        return (self.model, *arrays, dict(self.errors_before))
-
-
-def parse_prediction(table: TomlTable | None) -> Prediction | None:
-    """The table [prediction] of a mission.toml, or None; raises SeatrialError in one line that names the key."""
-    if table is None:
-        return None
-    t = np.array(table.numbers("t"), dtype=np.float64)
-    x, y, radius = (np.array(table.numbers(key, length=len(t)), dtype=np.float64) for key in ("x", "y", "radius"))
-    before = table.table("errors_before")
-    errors = {} if before is None else {key: before.number(key) for key in before.values}
-    found = Prediction(table.text("model"), t, x, y, radius, errors)
-    table.done()
-    return found
-
-
 def dump_prediction(one: Prediction) -> list[str]:
     """Its lines in a mission.toml."""
     rows = {"t": one.t, "x": one.x, "y": one.y, "radius": one.radius}
@@ -278,12 +281,9 @@ def dump_prediction(one: Prediction) -> list[str]:
     return [*lines, f"errors_before = {{{known}}}"]
 
 
-def save_new_mission(mission: Mission, path: Path) -> None:
-    """Write a mission.toml that must not exist yet; raises SeatrialError where it does or cannot be written."""
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(dump_mission(mission))
-    except FileExistsError:
-        raise SeatrialError(f"{path} exists; give another name with --out") from None
-    except OSError as problem:
-        raise SeatrialError(f"{path}: {problem.strerror}; the mission was not saved") from problem
+def _quote(text: str) -> str:
+    return tomlkit.item(text).as_string()
+
+
+def _row(values: FloatArray) -> str:
+    return "[" + ", ".join(repr(value) for value in values.tolist()) + "]"

@@ -1,7 +1,4 @@
-"""The keys of a [[device]] that belong to some protocols only, and what they become.
-
-The part of rig.toml that is about MAVLink: the link to an autopilot, and thrusters behind its outputs.
-"""
+"""rig.toml to `daq.rig.Rig`: reads and checks every key (docs/formats/rig.md)."""
 
 from __future__ import annotations
 
@@ -34,6 +31,134 @@ from daq.rig import (
     Segments,
     Thruster,
 )
+
+FORMAT = "seatrial-rig 1"
+PROTOCOLS = tuple(DEVICES)
+HIGHEST_NODE = {"dronecan": 19}  # a command has room for so many
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+def load_rig(path: Path | str) -> Rig:
+    """Read and check a rig file. Raises SeatrialError that names file and key of whatever is wrong."""
+    path = Path(path)
+    return parse_rig(read_text(path), path)
+
+
+def parse_rig(text: str, source: Path | str) -> Rig:
+    """As `load_rig`, from text; relative paths in it count from the folder of `source`."""
+    path = Path(source)
+    folder = path.absolute().parent
+    root = parse_toml(text, path)
+    root.text("format", choices=(FORMAT,))
+    name = root.text("name")
+    speed = _speed(root)
+    directory, segments = _log(root)
+    live = _live(root.table("live"))
+    devices = tuple(_device(table, folder) for table in root.tables("device"))
+    if not devices:
+        raise root.error("device", "missing; a rig needs at least one [[device]]")
+    _unique(root, "device", [device.name for device in devices])
+    thrusters = tuple(_thruster(table, devices) for table in root.tables("thruster"))
+    _unique(root, "thruster", [thruster.name for thruster in thrusters])
+    _unique(root, "thruster", [f"{t.device} node {t.node}" for t in thrusters])
+    limits = _limits(root.table("limits"))
+    vehicle = _vehicle(root.table("vehicle"))
+    root.done()
+    return Rig(name, path, text, speed, folder / directory, devices, thrusters, limits, vehicle, segments, live)
+
+
+def default_decoder(protocol: str) -> Decoder:
+    """The decoder of a serial protocol with all its keys at their defaults."""
+    device = f'[[device]]\nname = "a"\nprotocol = "{protocol}"\nport = "-"\nrate_hz = 1.0'
+    text = f'format = "{FORMAT}"\nname = "-"\n{device}'
+    rig = parse_rig(text, "-")
+    return make_decoder(rig.devices[0], rig)
+
+
+def _speed(root: TomlTable) -> float:
+    clock = root.table("clock")
+    if clock is None:
+        return 1.0
+    speed = clock.number("speed", 1.0, positive=True)
+    clock.done()
+    return speed
+
+
+def _log(root: TomlTable) -> tuple[str, Segments]:
+    log = root.table("log")
+    if log is None:
+        return "logs", Segments()
+    directory = log.text("directory", "logs")
+    segments = Segments(
+        log.maybe_number("segment_mb", low=1.0),
+        log.maybe_number("segment_s", low=1.0),
+        log.number("free_mb", Segments.free_megabytes, low=0.0),
+    )
+    log.done()
+    return directory, segments
+
+
+def _live(table: TomlTable | None) -> Live:
+    if table is None:
+        return Live()
+    found = Live(table.text("host", Live.host), table.integer("port", Live.port, low=0, high=65535))
+    table.done()
+    return found
+
+
+def _unique(root: TomlTable, key: str, names: Sequence[str]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise root.error(key, f"'{name}' stands twice; give each its own name and node")
+
+
+def _name(table: TomlTable) -> str:
+    name = table.text("name")
+    if not _NAME.fullmatch(name):
+        raise table.error("name", f"'{name}' becomes a topic of the log: a letter, then letters, digits or _")
+    return name
+
+
+def _device(table: TomlTable, folder: Path) -> Device:
+    name = _name(table)
+    protocol = table.text("protocol", choices=PROTOCOLS)
+    port = _port(table, protocol, folder)
+    baud = table.integer("baud", 115200, low=1)
+    rate = table.number("rate_hz", positive=True)
+    forward, starboard, down = table.numbers("lever_arm_m", (0.0, 0.0, 0.0), length=3)
+    lever_arm = (forward, starboard, down)
+    options = {"bitrate": 0, **read_options(table, DEVICES[protocol].options, folder)}
+    table.done()
+    return Device(name, protocol, port, baud, rate_hz=rate, lever_arm_m=lever_arm, **options)
+
+
+def _port(table: TomlTable, protocol: str, folder: Path) -> str:
+    port = table.text("port")
+    kind, colon, rest = port.partition(":")
+    if DEVICES[protocol].bus == CAN:
+        if kind not in ("slcan", "socketcan") or not rest:
+            raise table.error("port", f"must be slcan:SERIAL or socketcan:NAME, not '{port}'")
+        return port if kind == "socketcan" else f"slcan:{folder / rest}"
+    if protocol == "mavlink" and kind in NET_KINDS:
+        return _address(table, port)
+    if not port or (colon and kind in ("slcan", "socketcan")):
+        raise table.error("port", f"must be a serial device for protocol {protocol}, not '{port}'")
+    return str(folder / port)
+
+
+def _address(table: TomlTable, port: str) -> str:
+    host, _, number = port.partition(":")[2].rpartition(":")
+    if not host or not (number.isascii() and number.isdigit() and 0 < int(number) < 65536):
+        raise table.error("port", f"must be udp:HOST:PORT, udpin:, udpout: or tcp: the same way, not '{port}'")
+    return port
+
+
+def read_options(table: TomlTable, names: Sequence[str], folder: Path) -> dict[str, Any]:
+    """The fields of `daq.rig.Device` that these keys of a device's table give. Raises SeatrialError."""
+    found: dict[str, Any] = {}
+    for name in names:
+        found |= _READ[name](table, folder)
+    return found
 
 
 def _bitrate(table: TomlTable, folder: Path) -> dict[str, Any]:
@@ -112,10 +237,6 @@ def _signal(table: TomlTable) -> DbcSignal:
     return found
 
 
-def _mavlink(table: TomlTable, folder: Path) -> dict[str, Any]:
-    return {"mavlink": read_settings(table, folder)}
-
-
 def read_settings(table: TomlTable, folder: Path) -> MavlinkSettings:
     """The MAVLink keys of a [[device]]; relative paths count from `folder`."""
     key = table.text("key_file", "")
@@ -132,6 +253,10 @@ def read_settings(table: TomlTable, folder: Path) -> MavlinkSettings:
         table.text("gnss", "raw", choices=("raw", "fused")),
         _rates(table),
     )
+
+
+def _mavlink(table: TomlTable, folder: Path) -> dict[str, Any]:
+    return {"mavlink": read_settings(table, folder)}
 
 
 def _rates(table: TomlTable) -> dict[str, float]:
@@ -151,137 +276,6 @@ _READ: dict[str, Callable[[TomlTable, Path], dict[str, Any]]] = {
     "bitrate": _bitrate, "pattern": _pattern, "saturation": _saturation, "calibration": _calibration,
     "declination_deg": _declination, "query": _query, "dbc": _dbc,
 }  # fmt: skip
-FORMAT = "seatrial-rig 1"
-PROTOCOLS = tuple(DEVICES)
-HIGHEST_NODE = {"dronecan": 19}  # a command has room for so many
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-
-
-def read_options(table: TomlTable, names: Sequence[str], folder: Path) -> dict[str, Any]:
-    """The fields of `daq.rig.Device` that these keys of a device's table give. Raises SeatrialError."""
-    found: dict[str, Any] = {}
-    for name in names:
-        found |= _READ[name](table, folder)
-    return found
-
-
-def read_output(table: TomlTable, node: int) -> Output:
-    """The MAVLink keys of a [[thruster]] at servo output `node`."""
-    if not 1 <= node <= 16:
-        raise table.error("node", f"is the number of a servo output, 1 .. 16, not {node}")
-    return Output(
-        table.integer("rc_channel", low=1, high=18),
-        _pulses(table, "rc_us", (1000.0, 1500.0, 2000.0)),
-        _pulses(table, "pwm_us", (1100.0, 1500.0, 1900.0)),
-    )
-
-
-def _pulses(table: TomlTable, key: str, default: tuple[float, float, float]) -> tuple[float, float, float]:
-    low, neutral, high = table.numbers(key, default, length=3)
-    if not 500.0 <= low < neutral < high <= 2500.0:
-        raise table.error(key, "must be [full astern, neutral, full ahead] in us, ascending, within 500 .. 2500")
-    return low, neutral, high
-
-
-def load_rig(path: Path | str) -> Rig:
-    """Read and check a rig file. Raises SeatrialError that names file and key of whatever is wrong."""
-    path = Path(path)
-    return parse_rig(read_text(path), path)
-
-
-def parse_rig(text: str, source: Path | str) -> Rig:
-    """As `load_rig`, from text; relative paths in it count from the folder of `source`."""
-    path = Path(source)
-    folder = path.absolute().parent
-    root = parse_toml(text, path)
-    root.text("format", choices=(FORMAT,))
-    name = root.text("name")
-    speed = _speed(root)
-    directory, segments = _log(root)
-    live = _live(root.table("live"))
-    devices = tuple(_device(table, folder) for table in root.tables("device"))
-    if not devices:
-        raise root.error("device", "missing; a rig needs at least one [[device]]")
-    _unique(root, "device", [device.name for device in devices])
-    thrusters = tuple(_thruster(table, devices) for table in root.tables("thruster"))
-    _unique(root, "thruster", [thruster.name for thruster in thrusters])
-    _unique(root, "thruster", [f"{t.device} node {t.node}" for t in thrusters])
-    limits = _limits(root.table("limits"))
-    vehicle = _vehicle(root.table("vehicle"))
-    root.done()
-    return Rig(name, path, text, speed, folder / directory, devices, thrusters, limits, vehicle, segments, live)
-
-
-def _speed(root: TomlTable) -> float:
-    clock = root.table("clock")
-    if clock is None:
-        return 1.0
-    speed = clock.number("speed", 1.0, positive=True)
-    clock.done()
-    return speed
-
-
-def _log(root: TomlTable) -> tuple[str, Segments]:
-    log = root.table("log")
-    if log is None:
-        return "logs", Segments()
-    directory = log.text("directory", "logs")
-    segments = Segments(
-        log.maybe_number("segment_mb", low=1.0),
-        log.maybe_number("segment_s", low=1.0),
-        log.number("free_mb", Segments.free_megabytes, low=0.0),
-    )
-    log.done()
-    return directory, segments
-
-
-def _live(table: TomlTable | None) -> Live:
-    if table is None:
-        return Live()
-    found = Live(table.text("host", Live.host), table.integer("port", Live.port, low=0, high=65535))
-    table.done()
-    return found
-
-
-def _device(table: TomlTable, folder: Path) -> Device:
-    name = _name(table)
-    protocol = table.text("protocol", choices=PROTOCOLS)
-    port = _port(table, protocol, folder)
-    baud = table.integer("baud", 115200, low=1)
-    rate = table.number("rate_hz", positive=True)
-    forward, starboard, down = table.numbers("lever_arm_m", (0.0, 0.0, 0.0), length=3)
-    lever_arm = (forward, starboard, down)
-    options = {"bitrate": 0, **read_options(table, DEVICES[protocol].options, folder)}
-    table.done()
-    return Device(name, protocol, port, baud, rate_hz=rate, lever_arm_m=lever_arm, **options)
-
-
-def _name(table: TomlTable) -> str:
-    name = table.text("name")
-    if not _NAME.fullmatch(name):
-        raise table.error("name", f"'{name}' becomes a topic of the log: a letter, then letters, digits or _")
-    return name
-
-
-def _port(table: TomlTable, protocol: str, folder: Path) -> str:
-    port = table.text("port")
-    kind, colon, rest = port.partition(":")
-    if DEVICES[protocol].bus == CAN:
-        if kind not in ("slcan", "socketcan") or not rest:
-            raise table.error("port", f"must be slcan:SERIAL or socketcan:NAME, not '{port}'")
-        return port if kind == "socketcan" else f"slcan:{folder / rest}"
-    if protocol == "mavlink" and kind in NET_KINDS:
-        return _address(table, port)
-    if not port or (colon and kind in ("slcan", "socketcan")):
-        raise table.error("port", f"must be a serial device for protocol {protocol}, not '{port}'")
-    return str(folder / port)
-
-
-def _address(table: TomlTable, port: str) -> str:
-    host, _, number = port.partition(":")[2].rpartition(":")
-    if not host or not (number.isascii() and number.isdigit() and 0 < int(number) < 65536):
-        raise table.error("port", f"must be udp:HOST:PORT, udpin:, udpout: or tcp: the same way, not '{port}'")
-    return port
 
 
 def _thruster(table: TomlTable, devices: Sequence[Device]) -> Thruster:
@@ -311,6 +305,24 @@ def _thruster(table: TomlTable, devices: Sequence[Device]) -> Thruster:
     return found
 
 
+def read_output(table: TomlTable, node: int) -> Output:
+    """The MAVLink keys of a [[thruster]] at servo output `node`."""
+    if not 1 <= node <= 16:
+        raise table.error("node", f"is the number of a servo output, 1 .. 16, not {node}")
+    return Output(
+        table.integer("rc_channel", low=1, high=18),
+        _pulses(table, "rc_us", (1000.0, 1500.0, 2000.0)),
+        _pulses(table, "pwm_us", (1100.0, 1500.0, 1900.0)),
+    )
+
+
+def _pulses(table: TomlTable, key: str, default: tuple[float, float, float]) -> tuple[float, float, float]:
+    low, neutral, high = table.numbers(key, default, length=3)
+    if not 500.0 <= low < neutral < high <= 2500.0:
+        raise table.error(key, "must be [full astern, neutral, full ahead] in us, ascending, within 500 .. 2500")
+    return low, neutral, high
+
+
 def _limits(table: TomlTable | None) -> Limits:
     if table is None:
         return Limits()
@@ -333,17 +345,3 @@ def _limits(table: TomlTable | None) -> Limits:
 def _vehicle(table: TomlTable | None) -> dict[str, float]:
     """Any parameter name may stand here, since the model that reads them may be the user's own."""
     return {} if table is None else {key: table.number(key) for key in table.values}
-
-
-def _unique(root: TomlTable, key: str, names: Sequence[str]) -> None:
-    for name in names:
-        if names.count(name) > 1:
-            raise root.error(key, f"'{name}' stands twice; give each its own name and node")
-
-
-def default_decoder(protocol: str) -> Decoder:
-    """The decoder of a serial protocol with all its keys at their defaults."""
-    device = f'[[device]]\nname = "a"\nprotocol = "{protocol}"\nport = "-"\nrate_hz = 1.0'
-    text = f'format = "{FORMAT}"\nname = "-"\n{device}'
-    rig = parse_rig(text, "-")
-    return make_decoder(rig.devices[0], rig)

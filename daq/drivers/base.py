@@ -1,7 +1,4 @@
-"""What a port's thread says of its own accord, beside listening: set-points, requests, signs of life. Does no I/O.
-
-The speaking half of a port whose device answers only when it is asked: the request, again and again.
-"""
+"""Device drivers: what the thread of a port sends besides listening: set-points, requests, heartbeats. No I/O."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Signals -> a log: what all imports share.
-
-Samples of foreign logs -> a log of ours: what the imports that know of devices share.
-"""
+"""Writing a log of imported data: signals or samples of foreign logs to MCAP; what all importers share."""
 
 from __future__ import annotations
 
@@ -19,17 +16,19 @@ from daq.log import LOG_FORMAT, NANO, LogWriter, collect, layout, schema
 from daq.samples import Frame, Scalar
 
 
-@contextlib.contextmanager
-def replacing(out: Path, force: bool) -> Iterator[Path]:
-    """A path to write to; it becomes `out` when the block ends well, and nothing stays behind when not."""
-    if out.exists() and not force:
-        raise SeatrialError(f"{out}: there is such a file already; --force replaces it, -o names another")
-    part = out.with_name(f".{out.name}.{os.getpid()}.part")
-    try:
-        yield part
-        os.replace(part, out)
-    finally:
-        part.unlink(missing_ok=True)
+class Row(NamedTuple):
+    """One sample: its time [s since 1970], its device (or the name of the signal) and itself."""
+
+    t: float
+    device: str
+    frame: Frame
+
+
+class Timed(NamedTuple):
+    """A sample with its times and its estimated time [s since 1970]."""
+
+    frame: Frame
+    t: float
 
 
 def write_signals(
@@ -79,14 +78,6 @@ def _write(
         writer.add(channels[i], t, t, k + 1, layouts[i].pack(t, *values))
 
 
-class Row(NamedTuple):
-    """One sample: its time [s since 1970], its device (or the name of the signal) and itself."""
-
-    t: float
-    device: str
-    frame: Frame
-
-
 def write_frames(
     out: Path,
     rows: Sequence[Row],
@@ -131,8 +122,14 @@ def _write_frames(writer: LogWriter, rows: Sequence[Row], units: Mapping[str, st
             writer.add(channels[message.topic], t_ns, t_ns, sequence & 0xFFFFFFFF, data)
 
 
-class Timed(NamedTuple):
-    """A sample with its times and its estimated time [s since 1970]."""
-
-    frame: Frame
-    t: float
+@contextlib.contextmanager
+def replacing(out: Path, force: bool) -> Iterator[Path]:
+    """A path to write to; it becomes `out` when the block ends well, and nothing stays behind when not."""
+    if out.exists() and not force:
+        raise SeatrialError(f"{out}: there is such a file already; --force replaces it, -o names another")
+    part = out.with_name(f".{out.name}.{os.getpid()}.part")
+    try:
+        yield part
+        os.replace(part, out)
+    finally:
+        part.unlink(missing_ok=True)

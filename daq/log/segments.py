@@ -1,9 +1,7 @@
-"""The segments of a log, NAME.mcap, NAME.1.mcap, NAME.2.mcap, ..., read as one.
+"""The segments of a log, NAME.mcap, NAME.1.mcap, NAME.2.mcap, ..., read as one; and the note of a watchdog, LOG.stop.
 
-A segment belongs to the first one when it says the same run clock, rig and host in its metadata: a name alone may be
-chance. Numbers may be missing, and each segment may be cut off or damaged for itself.
-
-What a watchdog did to a run whose log nobody writes any more: a line of text in `LOG.stop` beside the log.
+A file is a segment of the first one when its metadata has the same run clock, rig and host: a name alone may be
+chance. Numbers may be missing, and each segment may be cut off or damaged by itself.
 """
 
 from __future__ import annotations
@@ -51,35 +49,6 @@ def open_raw(path: Path) -> RawLog | SegmentedLog:
     gone = [segment_path(path, number).name for number in range(1, last) if number not in later]
     warnings += [f"a segment is missing: {name}" for name in gone[:MAX_WARNINGS]]
     return SegmentedLog(files, warnings) if len(files) > 1 or warnings else first
-
-
-def segment_path(first: Path, number: int) -> Path:
-    """Where segment `number`, 1 and up, of the log that begins at `first` lies."""
-    return first.with_suffix(f".{number}{first.suffix}")
-
-
-def segments(path: Path) -> dict[int, Path]:
-    """The files beside `path` that are named as its later segments, by their number, ascending."""
-    name = re.compile(re.escape(path.stem) + r"\.(\d{1,6})" + re.escape(path.suffix))
-    try:
-        found = [(int(match[1]), other) for other in path.parent.iterdir() if (match := name.fullmatch(other.name))]
-    except OSError:
-        return {}
-    return dict(sorted(found))
-
-
-def first_segments(folder: Path) -> list[Path]:
-    """The logs in a folder, each by its first segment, in the order of their names."""
-    paths = sorted(folder.glob("*.mcap"))
-    later = {other for path in paths for other in segments(path).values()}
-    return [path for path in paths if path not in later]
-
-
-def first_of(path: Path) -> Path | None:
-    """The first segment of the log that `path` is named as a later segment of, where it is there."""
-    match = re.fullmatch(r"(.+)\.\d{1,6}", path.stem)
-    first = path.with_name(f"{match[1]}{path.suffix}") if match else path
-    return first if first != path and first.is_file() else None
 
 
 def _about(raw: RawLog) -> dict[str, str]:
@@ -143,6 +112,35 @@ class SegmentedLog(Chunked):
         """Let go of all files."""
         for raw in self.files:
             raw.close()
+
+
+def segment_path(first: Path, number: int) -> Path:
+    """Where segment `number`, 1 and up, of the log that begins at `first` lies."""
+    return first.with_suffix(f".{number}{first.suffix}")
+
+
+def segments(path: Path) -> dict[int, Path]:
+    """The files beside `path` that are named as its later segments, by their number, ascending."""
+    name = re.compile(re.escape(path.stem) + r"\.(\d{1,6})" + re.escape(path.suffix))
+    try:
+        found = [(int(match[1]), other) for other in path.parent.iterdir() if (match := name.fullmatch(other.name))]
+    except OSError:
+        return {}
+    return dict(sorted(found))
+
+
+def first_segments(folder: Path) -> list[Path]:
+    """The logs in a folder, each by its first segment, in the order of their names."""
+    paths = sorted(folder.glob("*.mcap"))
+    later = {other for path in paths for other in segments(path).values()}
+    return [path for path in paths if path not in later]
+
+
+def first_of(path: Path) -> Path | None:
+    """The first segment of the log that `path` is named as a later segment of, where it is there."""
+    match = re.fullmatch(r"(.+)\.\d{1,6}", path.stem)
+    first = path.with_name(f"{match[1]}{path.suffix}") if match else path
+    return first if first != path and first.is_file() else None
 
 
 def note_path(log: Path) -> Path:

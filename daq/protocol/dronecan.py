@@ -1,9 +1,8 @@
-"""DroneCAN (UAVCAN v0) speed controllers: esc.Status -> `Esc`, and esc.RawCommand from commands.
+"""DroneCAN (UAVCAN v0) speed controllers: esc.Status to `Esc`, and esc.RawCommand from commands. No I/O, no clock.
 
-Source: the DroneCAN specification, "Data structure description language", and dsdl/uavcan: equipment/esc/1034.Status,
-equipment/esc/1030.RawCommand, protocol/341.NodeStatus. Three messages of fixed layout need no library.
-
-DroneCAN (UAVCAN v0) transfers: messages of any length in CAN frames of at most eight bytes. No I/O, no clock.
+Messages are sent as transfers: any length, in CAN frames of at most eight bytes.
+Source: the DroneCAN specification, "Data structure description language" and "CAN bus transport layer", and
+dsdl/uavcan: equipment/esc/1034.Status, equipment/esc/1030.RawCommand, protocol/341.NodeStatus.
 """
 
 from __future__ import annotations
@@ -16,6 +15,17 @@ from functools import cached_property
 from daq.protocol.canframe import FRAME_BYTES, FrameDecoder
 from daq.protocol.framing import crc16_ccitt
 from daq.samples import NAN, Esc, Frame
+
+KELVIN = 273.15
+FULL = 8191  # full ahead in 14 bits; full astern is its negative, so that zero is the middle
+MOST = 20  # controllers in one command
+URGENT = 8  # priority of commands: before the reports of everybody else
+_HEAD = struct.Struct("<I3eH")  # error count, voltage, current, temperature, low bits of the rpm
+_BITS = 14
+PART = 7  # bytes of a message in a frame
+NUMBERS = 32  # transfers are counted modulo this
+_SERVICE = 1 << 7
+_BEGINS, _ENDS, _TOGGLE, _NUMBER = 0x80, 0x40, 0x20, 0x1F
 
 
 @dataclass(frozen=True)
@@ -35,16 +45,6 @@ class MessageType:
 STATUS = MessageType(1034, 0xA9AF28AEA2FBB254, 14)
 RAW_COMMAND = MessageType(1030, 0x217F5C87D7EC951D, 35)
 NODE_STATUS = MessageType(341, 0x0F0868D0C1A7C6F1, 7)
-KELVIN = 273.15
-FULL = 8191  # full ahead in 14 bits; full astern is its negative, so that zero is the middle
-MOST = 20  # controllers in one command
-URGENT = 8  # priority of commands: before the reports of everybody else
-_HEAD = struct.Struct("<I3eH")  # error count, voltage, current, temperature, low bits of the rpm
-_BITS = 14
-PART = 7  # bytes of a message in a frame
-NUMBERS = 32  # transfers are counted modulo this
-_SERVICE = 1 << 7
-_BEGINS, _ENDS, _TOGGLE, _NUMBER = 0x80, 0x40, 0x20, 0x1F
 
 
 class Decoder(FrameDecoder):

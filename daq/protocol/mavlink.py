@@ -1,7 +1,4 @@
-"""MAVLink, one autopilot on a link: bytes -> AHRS, GNSS, outputs, ESCs, battery, state and texts.
-
-MAVLink messages -> samples: what an autopilot says of itself, in SI units.
-"""
+"""MAVLink from one autopilot: frames to AHRS, GNSS, servo outputs, ESCs, battery, state and status texts, in SI."""
 
 from __future__ import annotations
 
@@ -36,6 +33,21 @@ ROVER_MODES = {
     10: "AUTO", 11: "RTL", 12: "SMART_RTL", 15: "GUIDED", 16: "INITIALISING",
 }  # fmt: skip
 Found = list[tuple[Sample, float]]  # with the device's time, s since boot, NaN where the message has none
+
+
+def make_decoder(device: Device, rig: Rig) -> MavlinkDecoder:
+    """The decoder for a device of the rig, without a key: whoever runs the link gives it one by `secure`."""
+    assert device.mavlink is not None
+    return MavlinkDecoder(make_samples(device, rig), device.mavlink.system_id, device.mavlink.component_id)
+
+
+def make_samples(device: Device, rig: Rig) -> Samples:
+    """The sample maker for a device of the rig."""
+    here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
+    outputs = {thruster.node: thruster.output for thruster in here if thruster.output is not None}
+    reversed_nodes = frozenset(thruster.node for thruster in here if thruster.reversed)
+    gnss = device.mavlink.gnss if device.mavlink is not None else "raw"
+    return Samples(outputs or None, reversed_nodes, gnss)
 
 
 class MavlinkDecoder(StreamDecoder[Frame]):
@@ -107,21 +119,6 @@ def message_name(message_id: int) -> str:
         return "ESC_STATUS"
     kind = dialect().mavlink_map.get(message_id)
     return "" if kind is None else str(kind.msgname)
-
-
-def make_samples(device: Device, rig: Rig) -> Samples:
-    """The sample maker for a device of the rig."""
-    here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
-    outputs = {thruster.node: thruster.output for thruster in here if thruster.output is not None}
-    reversed_nodes = frozenset(thruster.node for thruster in here if thruster.reversed)
-    gnss = device.mavlink.gnss if device.mavlink is not None else "raw"
-    return Samples(outputs or None, reversed_nodes, gnss)
-
-
-def make_decoder(device: Device, rig: Rig) -> MavlinkDecoder:
-    """The decoder for a device of the rig, without a key: whoever runs the link gives it one by `secure`."""
-    assert device.mavlink is not None
-    return MavlinkDecoder(make_samples(device, rig), device.mavlink.system_id, device.mavlink.component_id)
 
 
 def mode_name(mode: int) -> str:

@@ -1,10 +1,7 @@
-"""NMEA 0183 of GNSS receivers and compasses: framing and checksum, and which reader a sentence goes to.
+"""NMEA 0183 of GNSS receivers and compasses: the sentences of an epoch become one `Gnss`, a heading an `Ahrs`.
 
-The sentences of one epoch become one `Gnss` (daq.protocol.nmea), those of a heading an `Ahrs`
-(daq.protocol.nmea); a receiver with two antennas sends both.
-
-NMEA 0183, the sentences of a position: those of one epoch become one `Gnss`.
-NMEA 0183, the sentences of a heading: HDT, THS, HDG, HDM, HCHDG and the like, and the attitude of $PASHR.
+A receiver with two antennas sends both. Headings: HDT, THS, HDG, HDM, ROT and $PASHR.
+Source: NMEA 0183 version 4.11; sentences of a position are split into fields by pynmeagps.
 """
 
 from __future__ import annotations
@@ -33,132 +30,11 @@ KINDS = frozenset({*_TIME_FIELD, "VTG", "GSA"})
 _QUALITY = {0: 0, 1: 3, 2: 4, 3: 3, 4: 5, 5: 6, 6: 1, 7: 1, 8: 3}
 _MODE = {"A": 3, "D": 4, "P": 3, "R": 5, "F": 6, "E": 1, "M": 1, "S": 3, "N": 0}
 Message = dict[str, Any]
-
-
-@dataclass
-class _Epoch:
-    """What the sentences of one time have said so far."""
-
-    seconds: float  # of the day
-    t_rx: float
-    kinds: set[str] = field(default_factory=set)
-    date: datetime.date | None = None
-    position: dict[str, tuple[float, float]] = field(default_factory=dict)
-    values: dict[str, float] = field(default_factory=dict)
-
-
-def _number(word: Any) -> float:
-    return float(word) if isinstance(word, (int, float)) else NAN
-
-
-def _integer(word: Any, default: int) -> int:
-    try:
-        return int(word)
-    except (TypeError, ValueError):
-        return default
-
-
-def _place(epoch: _Epoch, kind: str, message: Message) -> None:
-    lat, lon = _number(message.get("lat")), _number(message.get("lon"))
-    if abs(lat) <= 90.0 and abs(lon) <= 180.0:
-        epoch.position[kind] = (lat, lon)
-
-
-def _keep(epoch: _Epoch, name: str, value: float) -> None:
-    if math.isfinite(value):
-        epoch.values[name] = value
-
-
-def _motion(epoch: _Epoch, speed: float, course_deg: float) -> None:
-    if math.isfinite(speed):
-        epoch.values["speed"] = speed
-        epoch.values["course"] = math.radians(course_deg)
-
-
-def _read_gga(epoch: _Epoch, message: Message) -> None:
-    fix = _QUALITY.get(_integer(message.get("quality"), 0), 0)
-    epoch.values["quality"] = fix
-    _keep(epoch, "n_sat", _number(message.get("numSV")))
-    if fix:
-        _place(epoch, "GGA", message)
-        _keep(epoch, "alt", _number(message.get("alt")))
-        _keep(epoch, "hdop", _number(message.get("HDOP")))
-
-
-def _read_gns(epoch: _Epoch, message: Message) -> None:
-    fix = max((_MODE.get(letter, 0) for letter in str(message.get("posMode", ""))), default=0)
-    epoch.values.setdefault("mode", fix)
-    if fix:
-        _place(epoch, "GNS", message)
-
-
-def _read_rmc(epoch: _Epoch, message: Message) -> None:
-    if isinstance(date := message.get("date"), datetime.date):
-        # Two digits of a year: before its first fix a receiver counts from 1980.
-        century = 100 if date.year >= 2080 else 0
-        epoch.date = date.replace(year=date.year - century)
-    valid = message.get("status") == "A"
-    epoch.values["mode"] = _MODE.get(str(message.get("posMode") or "A"), 0) if valid else 0
-    if valid:
-        _place(epoch, "RMC", message)
-        _motion(epoch, _number(message.get("spd")) * KNOT, _number(message.get("cog")))
-
-
-def _read_gll(epoch: _Epoch, message: Message) -> None:
-    if message.get("status") == "A":
-        epoch.values.setdefault("mode", 3)
-        _place(epoch, "GLL", message)
-
-
-def _read_vtg(epoch: _Epoch, message: Message) -> None:
-    if "RMC" not in epoch.kinds:  # RMC says the same and is sure to be of this epoch
-        _motion(epoch, _number(message.get("sogk")) / 3.6, _number(message.get("cogt")))
-
-
-def _read_gst(epoch: _Epoch, message: Message) -> None:
-    _keep(
-        epoch, "sigma_h", math.hypot(_number(message.get("stdLat")), _number(message.get("stdLong"))) / math.sqrt(2.0)
-    )
-
-
-def _read_zda(epoch: _Epoch, message: Message) -> None:
-    try:
-        epoch.date = datetime.date(
-            int(message.get("year", "")), int(message.get("month", "")), int(message.get("day", ""))
-        )
-    except (TypeError, ValueError):
-        return
-
-
-_READ = {
-    "GGA": _read_gga, "GNS": _read_gns, "RMC": _read_rmc, "GLL": _read_gll,
-    "VTG": _read_vtg, "GST": _read_gst, "ZDA": _read_zda,
-}  # fmt: skip
 _NUMBER = re.compile(rb"[+-]?\d+(\.\d*)?\Z")
 _DEG = math.pi / 180.0
 # Which sentence to believe where a device sends several: the one with attitude, then true, then magnetic.
 _RANK = {"PASHR": 5, "HDT": 4, "THS": 3, "HDG": 2, "HDM": 1}
 _THS_VALID = b"AE"  # autonomous, estimated; M is by hand, S simulated, V void
-
-
-class Sentences:
-    """Whole sentences -> samples: `take` is what every decoder of a stream with NMEA in it needs."""
-
-    def __init__(self, declination: float | None = None) -> None:
-        self.epochs = Epochs()
-        self.headings = Headings(declination)
-
-    def take(self, body: bytes, t_rx: float) -> list[Frame] | None:
-        """The samples that the sentence `body` (between `$` and `*`) completes; None if its fields make no sense."""
-        kind = body[2:5].decode("ascii") if body[5:6] == b"," and body[:1] != b"P" else ""
-        if kind in KINDS:
-            return self.epochs.take(kind, body, t_rx)
-        return self.headings.take(kind, body, t_rx)
-
-    def forget(self) -> None:
-        """The port was reopened."""
-        self.epochs.forget()
-        self.headings.forget()
 
 
 class Decoder(StreamDecoder[Frame]):
@@ -197,6 +73,26 @@ class Decoder(StreamDecoder[Frame]):
         return found
 
 
+class Sentences:
+    """Whole sentences -> samples: `take` is what every decoder of a stream with NMEA in it needs."""
+
+    def __init__(self, declination: float | None = None) -> None:
+        self.epochs = Epochs()
+        self.headings = Headings(declination)
+
+    def take(self, body: bytes, t_rx: float) -> list[Frame] | None:
+        """The samples that the sentence `body` (between `$` and `*`) completes; None if its fields make no sense."""
+        kind = body[2:5].decode("ascii") if body[5:6] == b"," and body[:1] != b"P" else ""
+        if kind in KINDS:
+            return self.epochs.take(kind, body, t_rx)
+        return self.headings.take(kind, body, t_rx)
+
+    def forget(self) -> None:
+        """The port was reopened."""
+        self.epochs.forget()
+        self.headings.forget()
+
+
 def encode(gnss: Gnss) -> bytes:
     """The sentences GGA, RMC, VTG and GST of one epoch. Time is sent to 1 ms, position to 1e-7 minutes (0.2 mm)."""
     milliseconds = round(gnss.utc * 1000.0)
@@ -230,6 +126,18 @@ def _degrees(angle: float, digits: int, signs: str) -> str:
 
 def _text(value: float, digits: int) -> str:
     return "" if math.isnan(value) else f"{value:.{digits}f}"
+
+
+@dataclass
+class _Epoch:
+    """What the sentences of one time have said so far."""
+
+    seconds: float  # of the day
+    t_rx: float
+    kinds: set[str] = field(default_factory=set)
+    date: datetime.date | None = None
+    position: dict[str, tuple[float, float]] = field(default_factory=dict)
+    values: dict[str, float] = field(default_factory=dict)
 
 
 class Epochs:
@@ -323,25 +231,6 @@ class Epochs:
         return utc
 
 
-def _parse(body: bytes) -> Message | None:
-    """The sentence's fields as pynmeagps reads them; None if it cannot. A short sentence lacks the last fields."""
-    try:
-        return dict(vars(NMEAReader.parse(b"$%b*00\r\n" % body, validate=0)))
-    except Exception:
-        # It raises errors of its own and, for fields that are no numbers, of many other kinds. Such a sentence is
-        # counted among the unparsed bytes by the caller.
-        return None
-
-
-def _seconds(words: list[bytes], at: int) -> float:
-    """Seconds of the day; NaN where void. A leap second (:60) is one, which pynmeagps makes void."""
-    found = _TIME.match(words[at]) if at < len(words) else None
-    if found is None:
-        return NAN
-    hours, minutes, seconds = int(found[1]), int(found[2]), float(found[3])
-    return 3600.0 * hours + 60.0 * minutes + seconds if hours < 24 and minutes < 60 and seconds < 61.0 else NAN
-
-
 def _gnss(epoch: _Epoch, utc: float, mode_gsa: int) -> Gnss:
     value = epoch.values
     fix = int(value.get("quality", value.get("mode", 0)))
@@ -363,6 +252,114 @@ def _gnss(epoch: _Epoch, utc: float, mode_gsa: int) -> Gnss:
         hdop=value.get("hdop", NAN),
         sigma_h=value.get("sigma_h", NAN),
     )  # fmt: skip
+
+
+def _parse(body: bytes) -> Message | None:
+    """The sentence's fields as pynmeagps reads them; None if it cannot. A short sentence lacks the last fields."""
+    try:
+        return dict(vars(NMEAReader.parse(b"$%b*00\r\n" % body, validate=0)))
+    except Exception:
+        # It raises errors of its own and, for fields that are no numbers, of many other kinds. Such a sentence is
+        # counted among the unparsed bytes by the caller.
+        return None
+
+
+def _seconds(words: list[bytes], at: int) -> float:
+    """Seconds of the day; NaN where void. A leap second (:60) is one, which pynmeagps makes void."""
+    found = _TIME.match(words[at]) if at < len(words) else None
+    if found is None:
+        return NAN
+    hours, minutes, seconds = int(found[1]), int(found[2]), float(found[3])
+    return 3600.0 * hours + 60.0 * minutes + seconds if hours < 24 and minutes < 60 and seconds < 61.0 else NAN
+
+
+def _read_gga(epoch: _Epoch, message: Message) -> None:
+    fix = _QUALITY.get(_integer(message.get("quality"), 0), 0)
+    epoch.values["quality"] = fix
+    _keep(epoch, "n_sat", _number(message.get("numSV")))
+    if fix:
+        _place(epoch, "GGA", message)
+        _keep(epoch, "alt", _number(message.get("alt")))
+        _keep(epoch, "hdop", _number(message.get("HDOP")))
+
+
+def _read_gns(epoch: _Epoch, message: Message) -> None:
+    fix = max((_MODE.get(letter, 0) for letter in str(message.get("posMode", ""))), default=0)
+    epoch.values.setdefault("mode", fix)
+    if fix:
+        _place(epoch, "GNS", message)
+
+
+def _read_rmc(epoch: _Epoch, message: Message) -> None:
+    if isinstance(date := message.get("date"), datetime.date):
+        # Two digits of a year: before its first fix a receiver counts from 1980.
+        century = 100 if date.year >= 2080 else 0
+        epoch.date = date.replace(year=date.year - century)
+    valid = message.get("status") == "A"
+    epoch.values["mode"] = _MODE.get(str(message.get("posMode") or "A"), 0) if valid else 0
+    if valid:
+        _place(epoch, "RMC", message)
+        _motion(epoch, _number(message.get("spd")) * KNOT, _number(message.get("cog")))
+
+
+def _read_gll(epoch: _Epoch, message: Message) -> None:
+    if message.get("status") == "A":
+        epoch.values.setdefault("mode", 3)
+        _place(epoch, "GLL", message)
+
+
+def _read_vtg(epoch: _Epoch, message: Message) -> None:
+    if "RMC" not in epoch.kinds:  # RMC says the same and is sure to be of this epoch
+        _motion(epoch, _number(message.get("sogk")) / 3.6, _number(message.get("cogt")))
+
+
+def _read_gst(epoch: _Epoch, message: Message) -> None:
+    _keep(
+        epoch, "sigma_h", math.hypot(_number(message.get("stdLat")), _number(message.get("stdLong"))) / math.sqrt(2.0)
+    )
+
+
+def _read_zda(epoch: _Epoch, message: Message) -> None:
+    try:
+        epoch.date = datetime.date(
+            int(message.get("year", "")), int(message.get("month", "")), int(message.get("day", ""))
+        )
+    except (TypeError, ValueError):
+        return
+
+
+def _place(epoch: _Epoch, kind: str, message: Message) -> None:
+    lat, lon = _number(message.get("lat")), _number(message.get("lon"))
+    if abs(lat) <= 90.0 and abs(lon) <= 180.0:
+        epoch.position[kind] = (lat, lon)
+
+
+def _keep(epoch: _Epoch, name: str, value: float) -> None:
+    if math.isfinite(value):
+        epoch.values[name] = value
+
+
+def _motion(epoch: _Epoch, speed: float, course_deg: float) -> None:
+    if math.isfinite(speed):
+        epoch.values["speed"] = speed
+        epoch.values["course"] = math.radians(course_deg)
+
+
+def _number(word: Any) -> float:
+    return float(word) if isinstance(word, (int, float)) else NAN
+
+
+def _integer(word: Any, default: int) -> int:
+    try:
+        return int(word)
+    except (TypeError, ValueError):
+        return default
+
+
+_READ = {
+    "GGA": _read_gga, "GNS": _read_gns, "RMC": _read_rmc, "GLL": _read_gll,
+    "VTG": _read_vtg, "GST": _read_gst, "ZDA": _read_zda,
+}  # fmt: skip
 
 
 class Headings:

@@ -1,10 +1,9 @@
-"""u-blox receivers: UBX messages, and the NMEA sentences that share the port with them.
+"""u-blox receivers: UBX navigation messages, and the NMEA sentences that share the port with them.
 
-Source: u-blox 8 / M8 Receiver Description (UBX-13003221) and, for what older receivers send, that of u-blox 6
-(GPS.G6-SW-10018): "UBX Protocol", class NAV. The messages we read are of fixed layout, so a `struct` a message reads
-them: a general parser costs twenty times as much and raises errors of many kinds.
-
-The navigation messages of UBX: those of one time of week become one `Gnss`, an attitude becomes an `Ahrs`.
+The messages of one time of week become one `Gnss`, an attitude becomes an `Ahrs`. The messages we read have fixed
+layouts, so one `struct` per message reads them (docs/decisions/0025-own-codecs.md).
+Source: u-blox 8 / M8 Receiver Description (UBX-13003221) and, for the messages of older receivers, that of u-blox 6
+(GPS.G6-SW-10018): "UBX Protocol", class NAV.
 """
 
 from __future__ import annotations
@@ -55,109 +54,6 @@ LENGTHS: dict[tuple[int, int], frozenset[int]] = {
 }  # fmt: skip
 _CARRIES = frozenset({0x07, 0x02, 0x06, 0x14})  # a position, or that there is none
 _FIX = {1: 1, 2: 2, 3: 3, 4: 3}  # gpsFix -> Gnss.fix; 5 is a fix of time only, at a place known from before
-
-
-def gps_to_utc(seconds: float) -> float:
-    """UTC [s since 1970] of GPS time [s since 1970 on a clock without leap seconds]."""
-    return seconds - bisect_right([leap + k for k, leap in enumerate(LEAPS, start=1)], seconds)
-
-
-def _utc(year: int, month: int, day: int, hour: int, minute: int, second: int, nano: int) -> float:
-    if not (1980 <= year < 2106 and 1 <= month <= 12 and 1 <= day <= 31):
-        return NAN
-    return calendar.timegm((year, month, day, hour, minute, second)) + 1e-9 * nano
-
-
-def _pvt(v: dict[str, float], payload: bytes) -> None:
-    (
-        _, year, month, day, hour, minute, second, valid, _, nano, fix, flags, _, n_sat, lon, lat, _, h_msl, h_acc, _,
-        vel_n, vel_e, vel_d, *_,
-    ) = _PVT.unpack_from(payload)  # fmt: skip
-    v["fix"] = 0
-    if fix:
-        v["place"] = 1.0
-    if flags & 1:  # gnssFixOK
-        carrier = flags >> 6
-        v["fix"] = {1: 6, 2: 5}.get(carrier) or (4 if flags & 2 and fix in (2, 3, 4) else _FIX.get(fix, 0))
-    if valid & 3 == 3:  # date and time
-        v["utc"] = _utc(year, month, day, hour, minute, second, nano)
-    v["n_sat"] = n_sat
-    v["lat"], v["lon"], v["alt"], v["sigma"] = 1e-7 * lat, 1e-7 * lon, 1e-3 * h_msl, 1e-3 * h_acc / math.sqrt(2.0)
-    v["vel_n"], v["vel_e"], v["vel_d"] = 1e-3 * vel_n, 1e-3 * vel_e, 1e-3 * vel_d
-
-
-def _posllh(v: dict[str, float], payload: bytes) -> None:
-    _, lon, lat, _, h_msl, h_acc, _ = _POSLLH.unpack(payload)
-    v["lat"], v["lon"], v["alt"], v["sigma"] = 1e-7 * lat, 1e-7 * lon, 1e-3 * h_msl, 1e-3 * h_acc / math.sqrt(2.0)
-
-
-def _hpposllh(v: dict[str, float], payload: bytes) -> None:
-    _, invalid, _, lon, lat, _, h_msl, lon_hp, lat_hp, _, h_msl_hp, h_acc, _ = _HPPOSLLH.unpack(payload)
-    if not invalid & 1:
-        v["hp_lat"], v["hp_lon"] = 1e-7 * lat + 1e-9 * lat_hp, 1e-7 * lon + 1e-9 * lon_hp
-        v["hp_alt"], v["hp_sigma"] = 1e-3 * h_msl + 1e-4 * h_msl_hp, 1e-4 * h_acc / math.sqrt(2.0)
-
-
-def _sol(v: dict[str, float], payload: bytes) -> None:
-    i_tow, f_tow, week, fix, flags, x, y, z, *_, n_sat, _ = _SOL.unpack(payload)
-    v["sol_fix"] = 0
-    if fix:
-        v["place"] = 1.0
-    if flags & 1:
-        v["sol_fix"] = 4 if flags & 2 and fix in (2, 3, 4) else _FIX.get(fix, 0)
-    if flags & 0x0C == 0x0C and week > 0:  # week and time of week are valid
-        v["sol_utc"] = gps_to_utc(GPS_EPOCH + week * WEEK + 1e-3 * i_tow + 1e-9 * f_tow)
-    v["n_sat"] = n_sat
-    v["sol_lat"], v["sol_lon"] = _geodetic(1e-2 * x, 1e-2 * y, 1e-2 * z)
-
-
-def _velned(v: dict[str, float], payload: bytes) -> None:
-    _, north, east, down, *_ = _VELNED.unpack(payload)
-    v["vel_n"], v["vel_e"], v["vel_d"] = 1e-2 * north, 1e-2 * east, 1e-2 * down
-
-
-def _timeutc(v: dict[str, float], payload: bytes) -> None:
-    _, _, nano, year, month, day, hour, minute, second, valid = _TIMEUTC.unpack(payload)
-    if valid & 4:
-        v["utc"] = _utc(year, month, day, hour, minute, second, nano)
-
-
-def _timegps(v: dict[str, float], payload: bytes) -> None:
-    i_tow, f_tow, week, leap, valid, _ = _TIMEGPS.unpack(payload)
-    if valid & 7 == 7:  # time of week, week, leap seconds
-        v.setdefault("utc", GPS_EPOCH + week * WEEK + 1e-3 * i_tow + 1e-9 * f_tow - leap)
-
-
-def _dop(v: dict[str, float], payload: bytes) -> None:
-    v["hdop"] = _DOP.unpack(payload)[5] / 100.0
-
-
-def _geodetic(x: float, y: float, z: float) -> tuple[float, float]:
-    """Latitude and longitude [deg] of a point in ECEF [m]; Bowring 1976, WGS 84."""
-    a, f = WGS84_SEMI_MAJOR_AXIS, WGS84_FLATTENING
-    b, e2 = a * (1.0 - f), f * (2.0 - f)
-    p = math.hypot(x, y)
-    if p < 1.0:
-        return NAN, NAN
-    theta = math.atan2(z * a, p * b)
-    lat = math.atan2(z + e2 / (1.0 - e2) * b * math.sin(theta) ** 3, p - e2 * a * math.cos(theta) ** 3)
-    return math.degrees(lat), math.degrees(math.atan2(y, x))
-
-
-_READ: dict[int, Callable[[dict[str, float], bytes], None]] = {
-    0x07: _pvt, 0x02: _posllh, 0x14: _hpposllh, 0x06: _sol, 0x12: _velned, 0x21: _timeutc, 0x20: _timegps, 0x04: _dop,
-}  # fmt: skip
-
-
-def checksum(body: bytes) -> bytes:
-    """The two bytes of Fletcher's checksum (RFC 1145) over class, id, length and payload."""
-    return bytes((sum(body) & 0xFF, sum(itertools.accumulate(body)) & 0xFF))
-
-
-def message(kind: tuple[int, int], payload: bytes) -> bytes:
-    """A UBX message on the wire."""
-    body = struct.pack("<BBH", *kind, len(payload)) + payload
-    return SYNC + body + checksum(body)
 
 
 class Decoder(nmea.Decoder):
@@ -211,6 +107,17 @@ class Decoder(nmea.Decoder):
 
     def _kept(self, found: list[Frame]) -> list[Frame]:
         return [f for f in found if not (self._epochs.heard and isinstance(f.sample, Gnss))]
+
+
+def checksum(body: bytes) -> bytes:
+    """The two bytes of Fletcher's checksum (RFC 1145) over class, id, length and payload."""
+    return bytes((sum(body) & 0xFF, sum(itertools.accumulate(body)) & 0xFF))
+
+
+def message(kind: tuple[int, int], payload: bytes) -> bytes:
+    """A UBX message on the wire."""
+    body = struct.pack("<BBH", *kind, len(payload)) + payload
+    return SYNC + body + checksum(body)
 
 
 def encode(gnss: Gnss) -> bytes:
@@ -324,3 +231,95 @@ def _attitude(payload: bytes, t_rx: float) -> list[Frame]:
         for angle, ok in zip((heading, pitch, roll), known, strict=True)
     )
     return [Frame(Ahrs(yaw, pitch, roll), t_rx, NAN)] if any(known) else []
+
+
+def _pvt(v: dict[str, float], payload: bytes) -> None:
+    (
+        _, year, month, day, hour, minute, second, valid, _, nano, fix, flags, _, n_sat, lon, lat, _, h_msl, h_acc, _,
+        vel_n, vel_e, vel_d, *_,
+    ) = _PVT.unpack_from(payload)  # fmt: skip
+    v["fix"] = 0
+    if fix:
+        v["place"] = 1.0
+    if flags & 1:  # gnssFixOK
+        carrier = flags >> 6
+        v["fix"] = {1: 6, 2: 5}.get(carrier) or (4 if flags & 2 and fix in (2, 3, 4) else _FIX.get(fix, 0))
+    if valid & 3 == 3:  # date and time
+        v["utc"] = _utc(year, month, day, hour, minute, second, nano)
+    v["n_sat"] = n_sat
+    v["lat"], v["lon"], v["alt"], v["sigma"] = 1e-7 * lat, 1e-7 * lon, 1e-3 * h_msl, 1e-3 * h_acc / math.sqrt(2.0)
+    v["vel_n"], v["vel_e"], v["vel_d"] = 1e-3 * vel_n, 1e-3 * vel_e, 1e-3 * vel_d
+
+
+def _posllh(v: dict[str, float], payload: bytes) -> None:
+    _, lon, lat, _, h_msl, h_acc, _ = _POSLLH.unpack(payload)
+    v["lat"], v["lon"], v["alt"], v["sigma"] = 1e-7 * lat, 1e-7 * lon, 1e-3 * h_msl, 1e-3 * h_acc / math.sqrt(2.0)
+
+
+def _hpposllh(v: dict[str, float], payload: bytes) -> None:
+    _, invalid, _, lon, lat, _, h_msl, lon_hp, lat_hp, _, h_msl_hp, h_acc, _ = _HPPOSLLH.unpack(payload)
+    if not invalid & 1:
+        v["hp_lat"], v["hp_lon"] = 1e-7 * lat + 1e-9 * lat_hp, 1e-7 * lon + 1e-9 * lon_hp
+        v["hp_alt"], v["hp_sigma"] = 1e-3 * h_msl + 1e-4 * h_msl_hp, 1e-4 * h_acc / math.sqrt(2.0)
+
+
+def _sol(v: dict[str, float], payload: bytes) -> None:
+    i_tow, f_tow, week, fix, flags, x, y, z, *_, n_sat, _ = _SOL.unpack(payload)
+    v["sol_fix"] = 0
+    if fix:
+        v["place"] = 1.0
+    if flags & 1:
+        v["sol_fix"] = 4 if flags & 2 and fix in (2, 3, 4) else _FIX.get(fix, 0)
+    if flags & 0x0C == 0x0C and week > 0:  # week and time of week are valid
+        v["sol_utc"] = gps_to_utc(GPS_EPOCH + week * WEEK + 1e-3 * i_tow + 1e-9 * f_tow)
+    v["n_sat"] = n_sat
+    v["sol_lat"], v["sol_lon"] = _geodetic(1e-2 * x, 1e-2 * y, 1e-2 * z)
+
+
+def _velned(v: dict[str, float], payload: bytes) -> None:
+    _, north, east, down, *_ = _VELNED.unpack(payload)
+    v["vel_n"], v["vel_e"], v["vel_d"] = 1e-2 * north, 1e-2 * east, 1e-2 * down
+
+
+def _timeutc(v: dict[str, float], payload: bytes) -> None:
+    _, _, nano, year, month, day, hour, minute, second, valid = _TIMEUTC.unpack(payload)
+    if valid & 4:
+        v["utc"] = _utc(year, month, day, hour, minute, second, nano)
+
+
+def _timegps(v: dict[str, float], payload: bytes) -> None:
+    i_tow, f_tow, week, leap, valid, _ = _TIMEGPS.unpack(payload)
+    if valid & 7 == 7:  # time of week, week, leap seconds
+        v.setdefault("utc", GPS_EPOCH + week * WEEK + 1e-3 * i_tow + 1e-9 * f_tow - leap)
+
+
+def _dop(v: dict[str, float], payload: bytes) -> None:
+    v["hdop"] = _DOP.unpack(payload)[5] / 100.0
+
+
+def _utc(year: int, month: int, day: int, hour: int, minute: int, second: int, nano: int) -> float:
+    if not (1980 <= year < 2106 and 1 <= month <= 12 and 1 <= day <= 31):
+        return NAN
+    return calendar.timegm((year, month, day, hour, minute, second)) + 1e-9 * nano
+
+
+def gps_to_utc(seconds: float) -> float:
+    """UTC [s since 1970] of GPS time [s since 1970 on a clock without leap seconds]."""
+    return seconds - bisect_right([leap + k for k, leap in enumerate(LEAPS, start=1)], seconds)
+
+
+def _geodetic(x: float, y: float, z: float) -> tuple[float, float]:
+    """Latitude and longitude [deg] of a point in ECEF [m]; Bowring 1976, WGS 84."""
+    a, f = WGS84_SEMI_MAJOR_AXIS, WGS84_FLATTENING
+    b, e2 = a * (1.0 - f), f * (2.0 - f)
+    p = math.hypot(x, y)
+    if p < 1.0:
+        return NAN, NAN
+    theta = math.atan2(z * a, p * b)
+    lat = math.atan2(z + e2 / (1.0 - e2) * b * math.sin(theta) ** 3, p - e2 * a * math.cos(theta) ** 3)
+    return math.degrees(lat), math.degrees(math.atan2(y, x))
+
+
+_READ: dict[int, Callable[[dict[str, float], bytes], None]] = {
+    0x07: _pvt, 0x02: _posllh, 0x14: _hpposllh, 0x06: _sol, 0x12: _velned, 0x21: _timeutc, 0x20: _timegps, 0x04: _dop,
+}  # fmt: skip

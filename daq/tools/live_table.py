@@ -1,17 +1,12 @@
-"""`seatrial log`: acquire until Ctrl-C or for a time, with a live table of the devices."""
+"""Live table of a running acquisition: rates, ages, error counters and newest samples of its devices."""
 
 from __future__ import annotations
 
-import contextlib
 import math
-import signal
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
-from types import FrameType
 
-import click
 from rich.console import Console, Group
 from rich.live import Live
 from rich.table import Table
@@ -19,8 +14,7 @@ from rich.text import Text
 
 from daq.acquisition import Acquisition, PortStatus, Status
 from daq.clock import RunClock
-from daq.config import load_rig
-from daq.errors import SeatrialError, counted
+from daq.errors import counted
 from daq.rig import Rig
 from daq.samples import Ahrs, Esc, Gnss, LoadCell, Sample
 
@@ -37,52 +31,7 @@ FIX = ("no fix", "dead reckoning", "2D", "3D", "DGPS", "RTK fixed", "RTK float")
 GOOD, BAD, DIM = "bright_blue", "bold orange1", "dim"
 
 
-@click.command(epilog="Example: seatrial log rig.toml --duration 60 -o still.mcap")
-@click.argument("rig", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option(
-    "--duration",
-    type=click.FloatRange(min=0.0, min_open=True),
-    metavar="S",
-    help="Run seconds; until Ctrl-C if not given.",
-)
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="The log; a name made of rig and date if not given.",
-)
-@click.option("--live", "serve", is_flag=True, help="Serve the samples to Foxglove, too (see [live] in the rig).")
-def log(rig: Path, duration: float | None, output: Path | None, serve: bool) -> None:
-    """Record every device of RIG until Ctrl-C, with a live table.
-
-    Devices may be plugged in and out meanwhile; what is missing or silent is said. Commands no thrust.
-    """
-    loaded = load_rig(rig)
-    path = output or default_path(loaded)
-    if path.exists():
-        raise SeatrialError(f"{path} exists, and a log is never overwritten; give another name with -o")
-    clock = RunClock(loaded.speed)
-    console = Console(highlight=False)
-    stop = threading.Event()
-    before = {number: signal.signal(number, _setter(stop)) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        with Acquisition(loaded, path, clock=clock) as acquisition, contextlib.ExitStack() as stack:
-            if serve:
-                from daq.tools.live_server import LiveServer
-
-                server = stack.enter_context(LiveServer(loaded, acquisition.status))
-                console.print(f"live at {server.address}", markup=False)
-            deadline = math.inf if duration is None else clock.now() + duration
-            watch(acquisition, loaded, clock, deadline, stop, console)
-        status = acquisition.status()
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    console.print(summary(status, path), soft_wrap=True, markup=False)
-
-
-def default_path(rig: Rig) -> Path:
+def default_log_path(rig: Rig) -> Path:
     """`DIRECTORY/RIG-DATE-TIME.mcap` in local time; a number is added where there is such a file."""
     stem = f"{'-'.join(rig.name.split())}-{time.strftime('%Y%m%d-%H%M%S')}"
     path = rig.log_directory / f"{stem}.mcap"
@@ -115,13 +64,6 @@ def watch(
 
 def _pause(clock: RunClock, deadline: float, until_wall: float) -> float:
     return max(min(clock.wall(deadline - clock.now()), until_wall - time.monotonic()), 0.001)
-
-
-def _setter(stop: threading.Event) -> Callable[[int, FrameType | None], None]:
-    def handle(number: int, frame: FrameType | None) -> None:
-        stop.set()
-
-    return handle
 
 
 def table(status: Status, rig: Rig, width: int) -> Group:
@@ -246,7 +188,7 @@ def line(status: Status) -> str:
     return f"{duration_text(status.duration)} {size_text(status.bytes)}: {', '.join(ports)}{warnings}"
 
 
-def summary(status: Status, path: Path) -> str:
+def log_summary(status: Status, path: Path) -> str:
     """The last line: file, duration, messages, and what went wrong on the way."""
     lost = sum(port.dropped for port in status.ports.values())
     silent = [port.name for port in status.ports.values() if port.samples == 0]

@@ -1,6 +1,6 @@
-"""`seatrial replay`: the raw bytes of a log, back on serial ports (ptys) at the times at which they came.
+"""`seatrial replay`: the raw bytes of a log, sent again on serial ports (ptys) at the times of receipt.
 
-The rig of a log with the ports of its replay, so that `seatrial log` records it anew as it is.
+A rig file with these ports stands beside them, so that `seatrial log` records the log anew.
 """
 
 from __future__ import annotations
@@ -27,6 +27,100 @@ READ_BYTES = 65536
 Chunk = tuple[float, str, bytes]
 NAME = "replay.toml"
 HEAD = "# Made by `seatrial replay`, and taken away when it ends: the log's own rig with the ports of the replay.\n"
+
+
+def replay_log(
+    log: Log,
+    devices: Sequence[str],
+    folder: Path,
+    *,
+    speed: float = 1.0,
+    said: Callable[[str], None] = lambda text: None,
+    stopped: Callable[[], bool] = lambda: False,
+) -> int:
+    """Serve the ports FOLDER/DEVICE and a rig for them, wait for a host on each, send; returns the bytes sent.
+
+    `speed` is recorded seconds a second. `said` is told what it waits for, `stopped` is asked often.
+    """
+    names = recorded(log, devices)
+    folder.mkdir(parents=True, exist_ok=True)
+    ports: dict[str, ReplayPort] = {}
+    rig = write_rig(log, names, folder, speed)
+    try:
+        for name in names:
+            ports[name] = ReplayPort(folder / name)
+        again = f"; `seatrial log {rig}` records them anew" if rig else ""
+        said(f"waiting for a reader of {', '.join(str(port.path) for port in ports.values())}{again}")
+        while {port.has_host() for port in ports.values()} != {True}:  # each is asked: that is what holds it open
+            if stopped():
+                return 0
+            time.sleep(WAIT_S)
+        said(f"replaying {log.duration:.1f} s at speed {speed:g}")
+        return _send(chunks(log, names), ports, speed, stopped)
+    finally:
+        if rig is not None:
+            rig.unlink(missing_ok=True)
+        for port in ports.values():
+            port.close()
+
+
+def recorded(log: Log, devices: Sequence[str] = ()) -> list[str]:
+    """The devices of a log whose bytes can be replayed. Raises SeatrialError where there are none, or not those."""
+    there = [name for name in log.sources(PortHealth) if f"/raw/{name}" in log.counts]
+    there = there or [topic.removeprefix("/raw/") for topic in log.counts if topic.startswith("/raw/")]
+    if not there:
+        raise SeatrialError(f"{log.path}: holds no raw bytes; only what seatrial itself has recorded can be replayed")
+    for name in devices:
+        if name not in there:
+            raise SeatrialError(f"{log.path}: no raw bytes of '{name}'; there are those of {', '.join(there)}")
+    return list(devices) or there
+
+
+def chunks(log: Log, devices: Sequence[str]) -> Iterator[Chunk]:
+    """(time, device, bytes as they were on the wire) of all reads, in the order of time."""
+    rig = log.rig
+    can = {device.name for device in rig.devices if device.port.startswith(("slcan:", "socketcan:"))} if rig else set()
+
+    def of(name: str) -> Iterator[Chunk]:
+        for t, direction, data in log.raw(name):
+            if direction == "rx" and data:
+                yield t, name, as_slcan(data) if name in can else data
+
+    return heapq.merge(*(of(name) for name in devices), key=lambda chunk: chunk[0])
+
+
+def as_slcan(data: bytes) -> bytes:
+    """CAN frames (16 bytes each, as the log keeps them) as the lines of an slcan adapter."""
+    out = []
+    for word, length, body in CAN_FRAME.iter_unpack(data[: len(data) // FRAME_BYTES * FRAME_BYTES]):
+        head = b"T%08X" % (word & ~EXTENDED) if word & EXTENDED else b"t%03X" % (word & 0x7FF)
+        out.append(b"%b%d%b\r" % (head, min(length, 8), body[: min(length, 8)].hex().upper().encode("ascii")))
+    return b"".join(out)
+
+
+def _send(pieces: Iterator[Chunk], ports: dict[str, ReplayPort], speed: float, stopped: Callable[[], bool]) -> int:
+    n_sent, begun, first = 0, time.monotonic(), 0.0
+    for t, name, data in pieces:
+        first = first or t
+        due = begun + (t - first) / speed
+        while not stopped():
+            for port in ports.values():
+                port.pump()
+            left = due - time.monotonic()
+            if left <= 0.0:
+                break
+            time.sleep(min(left, WAIT_S if not any(port.backlog for port in ports.values()) else 0.002))
+        if stopped():
+            return n_sent
+        ports[name].backlog += data
+        ports[name].pump()
+        n_sent += len(data)
+    while any(port.backlog for port in ports.values()) and not stopped():
+        for port in ports.values():
+            port.pump()
+        time.sleep(0.002)
+    time.sleep(SETTLE_S)  # what is in the line discipline still has to be read before the ports go
+    return n_sent
 
 
 class ReplayPort:
@@ -73,100 +167,6 @@ class ReplayPort:
             if fd >= 0:
                 os.close(fd)
         self._slave = self._master = -1
-
-
-def recorded(log: Log, devices: Sequence[str] = ()) -> list[str]:
-    """The devices of a log whose bytes can be replayed. Raises SeatrialError where there are none, or not those."""
-    there = [name for name in log.sources(PortHealth) if f"/raw/{name}" in log.counts]
-    there = there or [topic.removeprefix("/raw/") for topic in log.counts if topic.startswith("/raw/")]
-    if not there:
-        raise SeatrialError(f"{log.path}: holds no raw bytes; only what seatrial itself has recorded can be replayed")
-    for name in devices:
-        if name not in there:
-            raise SeatrialError(f"{log.path}: no raw bytes of '{name}'; there are those of {', '.join(there)}")
-    return list(devices) or there
-
-
-def chunks(log: Log, devices: Sequence[str]) -> Iterator[Chunk]:
-    """(time, device, bytes as they were on the wire) of all reads, in the order of time."""
-    rig = log.rig
-    can = {device.name for device in rig.devices if device.port.startswith(("slcan:", "socketcan:"))} if rig else set()
-
-    def of(name: str) -> Iterator[Chunk]:
-        for t, direction, data in log.raw(name):
-            if direction == "rx" and data:
-                yield t, name, as_slcan(data) if name in can else data
-
-    return heapq.merge(*(of(name) for name in devices), key=lambda chunk: chunk[0])
-
-
-def as_slcan(data: bytes) -> bytes:
-    """CAN frames (16 bytes each, as the log keeps them) as the lines of an slcan adapter."""
-    out = []
-    for word, length, body in CAN_FRAME.iter_unpack(data[: len(data) // FRAME_BYTES * FRAME_BYTES]):
-        head = b"T%08X" % (word & ~EXTENDED) if word & EXTENDED else b"t%03X" % (word & 0x7FF)
-        out.append(b"%b%d%b\r" % (head, min(length, 8), body[: min(length, 8)].hex().upper().encode("ascii")))
-    return b"".join(out)
-
-
-def replay_log(
-    log: Log,
-    devices: Sequence[str],
-    folder: Path,
-    *,
-    speed: float = 1.0,
-    said: Callable[[str], None] = lambda text: None,
-    stopped: Callable[[], bool] = lambda: False,
-) -> int:
-    """Serve the ports FOLDER/DEVICE and a rig for them, wait for a host on each, send; returns the bytes sent.
-
-    `speed` is recorded seconds a second. `said` is told what it waits for, `stopped` is asked often.
-    """
-    names = recorded(log, devices)
-    folder.mkdir(parents=True, exist_ok=True)
-    ports: dict[str, ReplayPort] = {}
-    rig = write_rig(log, names, folder, speed)
-    try:
-        for name in names:
-            ports[name] = ReplayPort(folder / name)
-        again = f"; `seatrial log {rig}` records them anew" if rig else ""
-        said(f"waiting for a reader of {', '.join(str(port.path) for port in ports.values())}{again}")
-        while {port.has_host() for port in ports.values()} != {True}:  # each is asked: that is what holds it open
-            if stopped():
-                return 0
-            time.sleep(WAIT_S)
-        said(f"replaying {log.duration:.1f} s at speed {speed:g}")
-        return _send(chunks(log, names), ports, speed, stopped)
-    finally:
-        if rig is not None:
-            rig.unlink(missing_ok=True)
-        for port in ports.values():
-            port.close()
-
-
-def _send(pieces: Iterator[Chunk], ports: dict[str, ReplayPort], speed: float, stopped: Callable[[], bool]) -> int:
-    n_sent, begun, first = 0, time.monotonic(), 0.0
-    for t, name, data in pieces:
-        first = first or t
-        due = begun + (t - first) / speed
-        while not stopped():
-            for port in ports.values():
-                port.pump()
-            left = due - time.monotonic()
-            if left <= 0.0:
-                break
-            time.sleep(min(left, WAIT_S if not any(port.backlog for port in ports.values()) else 0.002))
-        if stopped():
-            return n_sent
-        ports[name].backlog += data
-        ports[name].pump()
-        n_sent += len(data)
-    while any(port.backlog for port in ports.values()) and not stopped():
-        for port in ports.values():
-            port.pump()
-        time.sleep(0.002)
-    time.sleep(SETTLE_S)  # what is in the line discipline still has to be read before the ports go
-    return n_sent
 
 
 def write_rig(log: Log, devices: Sequence[str], folder: Path, speed: float) -> Path | None:

@@ -6,9 +6,10 @@ import math
 
 import pytest
 
-from daq.acquisition.sensor_health import ERA, STUCK_S, SensorHealth
+from daq.acquisition.sensor_health import ERA, SensorHealth
 from daq.protocol.text_lines import SATURATED, SPIKE
 from daq.samples import Ahrs, Frame, Gnss, LoadCell, Sample
+from daq.sensor_limits import STUCK_LIVE
 
 T0 = 1.7e9
 
@@ -25,7 +26,7 @@ def ahrs(k: int) -> Ahrs:
 
 
 def test_a_sensor_that_says_the_same_all_the_time_is_stuck() -> None:
-    n = round(20 * STUCK_S) + 2
+    n = round(20 * STUCK_LIVE[Ahrs].seconds) + 2
     assert seen([ahrs(0)] * n) == "stuck: the same reading all the time"
     assert seen([ahrs(k) for k in range(n)]) == ""
     assert seen([ahrs(0)] * (n // 2)) == ""

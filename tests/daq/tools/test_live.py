@@ -16,14 +16,15 @@ from click.testing import CliRunner
 from rich.console import Console
 
 from daq.acquisition.status import Latest, PortStatus, Status, from_json, to_json
+from daq.cli import log
 from daq.config.rig_file import parse_rig
 from daq.errors import SeatrialError
 from daq.log.reader import open_log
 from daq.samples import NAN, Ahrs, Esc, Gnss, LoadCell
-from daq.tools.live_table import default_path, describe, duration_text, line, log, size_text, summary, table
+from daq.tools.live_table import default_log_path, describe, duration_text, line, log_summary, size_text, table
 from tests.daq.ptys import RIG, TestBoat, wait_for
 
-COMMAND = [sys.executable, "-c", "from daq.tools.live_table import log; log()"]
+COMMAND = [sys.executable, "-c", "from daq.cli import log; log()"]
 HEALTHY = PortStatus("ahrs", "vectornav", "/p/ahrs", 100.0, 100.2, 0.004, 5000, 5000, 0, 0, 0, 0, 10**6, 2e-3, 1e-3, "")
 
 
@@ -103,7 +104,7 @@ def test_plain_lines_and_the_last_line() -> None:
     assert "cell silent" in text
     assert "hung up" in text
     assert "\n" not in text
-    last = summary(status(), Path("run.mcap"))
+    last = log_summary(status(), Path("run.mcap"))
     assert last == "run.mcap: 1:01.2, 99 messages, 12.3 MB; nothing from cell"
 
 
@@ -131,12 +132,12 @@ def test_a_status_travels_as_json() -> None:
 
 def test_a_name_for_the_log_that_is_free(tmp_path: Path) -> None:
     rig = parse_rig(RIG.format(speed=1.0), tmp_path / "rig.toml")
-    path = default_path(rig)
+    path = default_log_path(rig)
     assert path.parent == tmp_path / "logs"
     assert path.name.startswith("test-boat-")
     path.parent.mkdir()
     path.write_text("")
-    assert default_path(rig) != path
+    assert default_log_path(rig) != path
 
 
 def test_a_log_is_never_overwritten(tmp_path: Path) -> None:
