@@ -1,4 +1,4 @@
-"""The commands `seatrial bench` and `seatrial mission`."""
+"""`seatrial bench` and `seatrial mission`: generate, show and run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
 N_MAX_BENCH = 0.9
 _ARM = click.option("--arm", is_flag=True, help="Put an autopilot into MANUAL, arm it, and disarm it at the end.")
 _RETRY = click.option(
-    "--retry", type=click.IntRange(0, 100), default=0, show_default=True, help="Repeat spoilt steps, so often in all."
+    "--retry", type=click.IntRange(0, 100), default=0, show_default=True, help="Repeat invalid steps, so often in all."
 )
 
 
@@ -32,7 +32,7 @@ def bench() -> None:
 
 @click.group(epilog="Example: seatrial mission run mission.toml boat-rig.toml -o run.mcap")
 def mission() -> None:
-    """Make, show and run missions."""
+    """Generate, show and run missions."""
 
 
 def _bench_command(kind: str, text: str) -> None:
@@ -56,8 +56,8 @@ def _bench_command(kind: str, text: str) -> None:
 
 
 _bench_command("static", "Ten seconds at rest: the load cell's zero and the sensors' noise.")
-_bench_command("steps", "Progressively increasing steps, up and down, ahead and astern.")
-_bench_command("chirp", "A chirp ahead and a chirp astern.")
+_bench_command("steps", "Progressively increasing steps, up and down, forward and reverse.")
+_bench_command("chirp", "A chirp forward and a chirp in reverse.")
 _bench_command("all", "Rest, steps, chirps of each sign, rest: about two minutes.")
 
 
@@ -94,17 +94,17 @@ def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: 
 
 
 @mission.command(
-    short_help="Show the segments and what each thruster is told.",
+    short_help="Show the segments and the range of each thruster's command.",
     epilog="Example: seatrial mission show mission.toml",
 )
 @click.argument("mission_path", metavar="MISSION", type=EXISTING)
 def show(mission_path: Path) -> None:
-    """Show a mission as text: its segments and a sketch of what each thruster is told."""
+    """Show a mission as text: its segments, the range of each thruster's command, and what a design predicted."""
     click.echo(describe(load_mission(mission_path)))
 
 
 @mission.command(
-    short_help="Make a random mission that excites what a diagnosis needs.",
+    short_help="Generate a random mission that excites what a diagnosis needs.",
     epilog="Example: seatrial mission generate --kind mixed --seconds 300 --seed 1 -o mission.toml",
 )
 @click.option("--kind", type=click.Choice(mission_generators.MISSION_KINDS), default="mixed", show_default=True)
@@ -123,7 +123,7 @@ def show(mission_path: Path) -> None:
 def generate(
     kind: str, seconds: float, seed: int, n_max: float, slew: float | None, thrusters: tuple[str, str], out: Path
 ) -> None:
-    """Make a random mission that excites what a diagnosis needs; see `show` for how it looks.
+    """Generate a random mission that excites what a diagnosis needs; `show` prints its segments.
 
     mixed: a quarter each of surge steps, zigzag, random steps of both thrusters, and chirps.
     """

@@ -1,4 +1,4 @@
-"""Before anything moves: is the plan within the rig's limits, are the devices alive and at their rates?"""
+"""The dry run of a mission against the limits of its rig; nothing moves."""
 
 from __future__ import annotations
 
@@ -18,6 +18,6 @@ def dry_run(mission: Mission, rig: Rig) -> None:
         if beyond.size:
             k = int(beyond[0])
             raise SeatrialError(
-                f"{rig.path}: the plan tells {name} n = {n[k, column]:+.3f} at {t[k]:.2f} s, and limits.n_max is"
+                f"{rig.path}: the plan commands {name} n = {n[k, column]:+.3f} at {t[k]:.2f} s, and limits.n_max is"
                 f" {rig.limits.n_max:g}; make the plan with a smaller --n-max, or raise the limit"
             )

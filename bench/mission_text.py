@@ -1,25 +1,55 @@
-"""What a design expects of its mission: the track with its band, and what the parameters will be known to.
-
-Written by `seatrial mission design` into the table `[prediction]` of mission.toml, shown by `seatrial mission show`.
-
-A mission as text: its segments, a sketch of each thruster's command over time, and what a design predicted.
-"""
+"""A mission as text: its segments, the range of each thruster's command in them, and what a design predicted."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
 
 from daq.config import FloatArray, Mission, Prediction
 
-ASPECT = 2.1  # a character's height over its width
-HEIGHT = 9  # rows of a sketch, odd so that zero has one
+
+def describe(mission: Mission) -> str:
+    """Name, limits and origin, a line for each segment, then the prediction of the design that made it."""
+    slew = f", slew at most {mission.slew_per_s:g} 1/s" if np.isfinite(mission.slew_per_s) else ""
+    lines = [
+        f"{mission.name} ({mission.kind}), {mission.end:g} s, n_max {mission.n_max:g}{slew}",
+        f"made by: {mission.made_by or 'unknown'}",
+        *describe_segments(mission),
+    ]
+    expected = mission.prediction
+    lines += describe_errors(mission.predicted_errors, expected.errors_before if expected else {})
+    lines += describe_track(expected) if expected else []
+    return "\n".join(lines)
+
+
+def describe_segments(mission: Mission) -> list[str]:
+    """A line for each segment: begin and end [s], name, and the least and the greatest command of each thruster."""
+    t, n = mission.setpoints()
+    names = max(len("segment"), *(len(name) for _, _, name in mission.starts()))
+    head = "".join(f"  {'n_cmd ' + thruster:>14}" for thruster in mission.thrusters)
+    lines = ["", f"  {'time [s]':<17}  {'segment':<{names}}{head}"]
+    for begin, end, name in mission.starts():
+        ranges = (_range(*command_range(t, column, begin, end)) for column in n.T)
+        lines.append(f"  {begin:7.1f} - {end:7.1f}  {name:<{names}}" + "".join(f"  {text:>14}" for text in ranges))
+    return lines
+
+
+def _range(low: float, high: float) -> str:
+    return f"{low:+.2f}" if low == high else f"{low:+.2f} to {high:+.2f}"
+
+
+def command_range(t: FloatArray, n: FloatArray, begin: float, end: float) -> tuple[float, float]:
+    """Least and greatest value in [begin, end) of held commands `n` (K,) from `t` (K,) [s]; zero before t[0]."""
+    first, last = np.searchsorted(t, begin, side="right") - 1, np.searchsorted(t, end, side="left")
+    held = n[max(first, 0) : max(last, 1)]
+    if first < 0:
+        held = np.append(held if t[0] < end else held[:0], 0.0)
+    return float(held.min()), float(held.max())
 
 
 def describe_errors(after: Mapping[str, float], before: Mapping[str, float]) -> list[str]:
-    """A line for each parameter."""
+    """A line for each parameter: its predicted standard error, and in brackets the one before the mission."""
     if not after:
         return []
     lines = ["", "predicted standard errors" + (" (before this mission)" if before else "")]
@@ -29,71 +59,13 @@ def describe_errors(after: Mapping[str, float], before: Mapping[str, float]) -> 
     return lines
 
 
-def describe_track(one: Prediction, width: int = 60) -> list[str]:
-    """The track as characters, north up: its start S, its end E, the band dotted."""
-    if len(one.t) == 0:
+def describe_track(predicted: Prediction) -> list[str]:
+    """One line: how much room the predicted track needs with its 95 % band; nothing for an empty track."""
+    if len(predicted.t) == 0:
         return []
-    margin = float(one.radius.max())
-    low = np.array([one.x.min(), one.y.min()]) - margin
-    high = np.array([one.x.max(), one.y.max()]) + margin
-    span = np.maximum(high - low, 1e-3)
-    scale = max(span[1] / width, span[0] / (0.6 * width) / ASPECT)  # m a column
-    columns, lines = max(1, math.ceil(span[1] / scale)), max(1, math.ceil(span[0] / scale / ASPECT))
-    cell_x = high[0] - (np.arange(lines) + 0.5) * scale * ASPECT
-    cell_y = low[1] + (np.arange(columns) + 0.5) * scale
-    grid = np.full((lines, columns), " ")
-    for x, y, radius in zip(one.x, one.y, one.radius, strict=True):
-        grid[np.hypot(cell_x[:, None] - x, cell_y - y) <= radius] = "·"
-    fine = np.linspace(one.t[0], one.t[-1], 40 * len(one.t))
-    for x, y in zip(np.interp(fine, one.t, one.x), np.interp(fine, one.t, one.y), strict=True):
-        grid[_cell(x, y, high[0], low[1], scale, grid.shape)] = "o"
-    grid[_cell(one.x[0], one.y[0], high[0], low[1], scale, grid.shape)] = "S"
-    grid[_cell(one.x[-1], one.y[-1], high[0], low[1], scale, grid.shape)] = "E"
-    head = f"predicted track, {span[0]:.0f} m north by {span[1]:.0f} m east with its band (95 %); S start, E end"
-    return ["", head, *("  |" + "".join(row) + "|" for row in grid)]
-
-
-def _cell(x: float, y: float, top: float, left: float, scale: float, shape: tuple[int, ...]) -> tuple[int, int]:
-    row, column = int((top - x) / scale / ASPECT), int((y - left) / scale)
-    return min(max(row, 0), shape[0] - 1), min(max(column, 0), shape[1] - 1)
-
-
-def describe(mission: Mission, width: int = 96) -> str:
-    """Name, limits, segments, a sketch a thruster, what was predicted; lines of at most about `width` characters."""
-    slew = f", slew at most {mission.slew_per_s:g} 1/s" if np.isfinite(mission.slew_per_s) else ""
-    lines = [
-        f"{mission.name} ({mission.kind}), {mission.end:g} s, n_max {mission.n_max:g}{slew}",
-        f"made by: {mission.made_by or 'unknown'}",
-    ]
-    lines += [f"  {t0:7.1f} - {t1:7.1f} s  {name}" for t0, t1, name in mission.starts()]
-    t, n = mission.setpoints()
-    for column, thruster in enumerate(mission.thrusters):
-        lines += ["", f"n_cmd {thruster}", *sketch(t, n[:, column], mission.end, width - 6)]
-    expected = mission.prediction
-    lines += describe_errors(mission.predicted_errors, expected.errors_before if expected else {})
-    lines += describe_track(expected, width - 6) if expected else []
-    return "\n".join(lines)
-
-
-def sketch(t: FloatArray, n: FloatArray, end: float, width: int) -> list[str]:
-    """Draw held values `n` (K,) from `t` (K,) [s]; a column spans the least to the greatest value in it."""
-    edges = np.linspace(0.0, end, width + 1)
-    half = HEIGHT // 2
-    grid = [["·" if row == half else " "] * width for row in range(HEIGHT)]
-    for column in range(width):
-        low, high = _extent(t, n, edges[column], edges[column + 1])
-        top, bottom = half - round(high * half), half - round(low * half)
-        for row in range(top, bottom + 1):
-            grid[row][column] = "█" if (high, low) != (0.0, 0.0) else "─"
-    labels = {0: "+1", half: " 0", HEIGHT - 1: "-1"}
-    lines = [f"{labels.get(row, ''):>3} |{''.join(cells)}" for row, cells in enumerate(grid)]
-    return [*lines, f"    {'0 s':<{max(4, width + 1 - len(f'{end:g} s'))}}{end:g} s"]
-
-
-def _extent(t: FloatArray, n: FloatArray, start: float, stop: float) -> tuple[float, float]:
-    """Least and greatest of the held value within [start, stop)."""
-    first, last = np.searchsorted(t, start, side="right") - 1, np.searchsorted(t, stop, side="left")
-    held = n[max(first, 0) : max(last, 1)]
-    if first < 0:
-        held = np.append(held if t[0] < stop else held[:0], 0.0)
-    return float(held.min()), float(held.max())
+    x, y, radius = predicted.x, predicted.y, predicted.radius
+    north = float(np.max(x + radius) - np.min(x - radius))
+    east = float(np.max(y + radius) - np.min(y - radius))
+    away = float(np.max(np.hypot(x - x[0], y - y[0]) + radius))
+    return ["", f"predicted track with its band (95 %): {north:.0f} m north by {east:.0f} m east, "
+                f"at most {away:.0f} m from the start"]

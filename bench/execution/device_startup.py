@@ -1,4 +1,4 @@
-"""Before anything moves: is the plan within the rig's limits, are the devices alive and at their rates?"""
+"""Waiting for the devices: every one has to send a sample before anything moves."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from daq.acquisition import Acquisition, Status
 from daq.errors import SeatrialError
 from daq.rig import Rig
 
-AWAIT_S = 10.0  # wall seconds for every device to say something
+AWAIT_S = 10.0  # wall seconds for the first sample of every device
 POLL_S = 0.02
 
 
 def silent_devices(rig: Rig, status: Status, thrusters: Sequence[str]) -> list[str]:
-    """What has not said anything yet: devices, and the mission's thrusters by node."""
+    """What has not sent anything yet: devices, and the mission's thrusters by node."""
     silent = []
     for device in rig.devices:
         port = status.ports.get(device.name)
@@ -30,7 +30,7 @@ def silent_devices(rig: Rig, status: Status, thrusters: Sequence[str]) -> list[s
 def await_devices(
     rig: Rig, acquisition: Acquisition, thrusters: Sequence[str], wait: Callable[[float], None]
 ) -> list[str]:
-    """Wait until every device has spoken; returns their names. Raises SeatrialError that names the silent ones."""
+    """Wait for a sample of every device; returns their names. Raises SeatrialError that names the silent ones."""
     deadline = time.monotonic() + AWAIT_S
     while silent := silent_devices(rig, acquisition.status(), thrusters):
         if time.monotonic() > deadline:

@@ -1,4 +1,4 @@
-"""Before anything moves: is the plan within the rig's limits, are the devices alive and at their rates?"""
+"""Checks of a rig with its devices at rest: do they answer, at which rates, and is there room for a log?"""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench import mission_generators
-from bench.mission_text import describe, sketch
+from bench.mission_text import command_range, describe
 from daq.config.mission_file import STATIC, Mission, dump_mission, parse_mission
 
 
@@ -90,12 +90,13 @@ def test_unknown_kinds_are_refused() -> None:
         mission_generators.bench_plan("tour", "left")
 
 
-def test_a_sketch_shows_sign_size_and_time() -> None:
-    lines = sketch(np.array([0.0, 5.0]), np.array([1.0, -1.0]), 10.0, 20)
-    assert lines[0] == " +1 |" + "█" * 10 + " " * 10
-    assert lines[8] == " -1 |" + " " * 10 + "█" * 10
-    assert lines[4][:5] == "  0 |"
-    assert lines[-1].endswith("10 s")
+def test_the_range_of_a_command_is_that_of_the_values_held() -> None:
+    t, n = np.array([1.0, 5.0]), np.array([1.0, -0.5])
+    assert command_range(t, n, 0.0, 10.0) == (-0.5, 1.0)
+    assert command_range(t, n, 2.0, 5.0) == (1.0, 1.0)  # held from before, and the next one comes at the end
+    assert command_range(t, n, 6.0, 9.0) == (-0.5, -0.5)
+    assert command_range(t, n, 0.0, 1.0) == (0.0, 0.0)  # zero before the first
+    assert command_range(t, n, 0.5, 2.0) == (0.0, 1.0)
 
 
 def test_a_description_names_segments_and_thrusters() -> None:

@@ -1,4 +1,4 @@
-"""What a design expects of a mission: read back, drawn, and refused in one line."""
+"""What a design predicts of its mission: read back, shown as text, and refused in one line."""
 
 from __future__ import annotations
 
@@ -27,23 +27,16 @@ def test_it_is_read_back_as_it_was_written() -> None:
     assert replace(SQUARE, model="other") != SQUARE
 
 
-def test_show_draws_the_track_and_the_errors_before_and_after() -> None:
+def test_show_prints_the_room_of_the_track_and_the_errors_before_and_after() -> None:
     text = describe(replace(make_mission("steps", 60.0, 1), prediction=SQUARE, predicted_errors=ERRORS))
     lines = text.splitlines()
     assert any(line.split() == ["m_u", "0.1", "(1.2)"] for line in lines)
     assert any(line.split() == ["d_v", "0.4"] for line in lines)
-    rows = [line[3:-1] for line in describe_track(SQUARE, 60)[2:]]
-    start = next((i, r.index("S")) for i, r in enumerate(rows) if "S" in r)
-    end = next(r.index("E") for r in rows if "E" in r)
-    assert start[1] < end  # the end is east of the start
-    first = next(i for i, r in enumerate(rows) if "o" in r)
-    assert first < start[0]  # and the boat was north of both
-    assert all(len(r) <= 61 for r in rows)
-    assert "·" in "".join(rows)
-    assert "32 m north by 27 m east" in text
+    # north: -6 (the last radius) to 20 + 3; east: -2 (the third radius) to 15 + 5; (20, 15) and (10, 15) within 4
+    assert "29 m north by 22 m east, at most 28 m from the start" in text
 
 
-def test_without_prediction_nothing_is_drawn() -> None:
+def test_without_prediction_nothing_is_printed() -> None:
     text = describe(make_mission("steps", 60.0, 1))
     assert "predicted" not in text
     assert describe_errors({}, {}) == []
@@ -51,10 +44,10 @@ def test_without_prediction_nothing_is_drawn() -> None:
     assert describe_track(Prediction("m", empty, empty, empty, empty)) == []
 
 
-def test_a_still_boat_is_one_point() -> None:
+def test_a_boat_at_rest_needs_no_room() -> None:
     zero = np.zeros(3)
-    drawn = describe_track(Prediction("m", np.arange(3.0), zero, zero, zero), 40)
-    assert "E" in "".join(drawn[2:])
+    (_, line) = describe_track(Prediction("m", np.arange(3.0), zero, zero, zero))
+    assert line.endswith("0 m north by 0 m east, at most 0 m from the start")
 
 
 @pytest.mark.parametrize(

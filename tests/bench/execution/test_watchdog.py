@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.acquisition.watchdog import ACTIVE, GOODBYE, HANG_S, IDLE, POLL_S, HeartbeatMonitor
+from daq.acquisition.watchdog import ACTIVE, FINISHED, HANG_S, IDLE, POLL_S, HeartbeatMonitor
 from daq.log.reader import open_log
 from daq.log.segments import read_note
 from tests.bench.runs import AT_ONCE_S, acquisition_of, is_alive, kinds, running, short_mission, watchdog_of
@@ -52,7 +52,7 @@ def test_the_end_of_the_line_is_a_reason_unless_it_was_announced_or_nothing_move
     assert moving.look(0.0, ACTIVE) is None
     assert "died" in str(moving.look(0.02, None))
     leaving = HeartbeatMonitor(0.0)
-    assert leaving.look(0.0, ACTIVE + IDLE + GOODBYE) == ""
+    assert leaving.look(0.0, ACTIVE + IDLE + FINISHED) == ""
 
 
 @pytest.mark.parametrize("what", ["acquisition hangs", "acquisition killed", "both killed"])
