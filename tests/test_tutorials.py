@@ -93,7 +93,7 @@ def test_a_reader_reaches_what_the_tutorials_show(tmp_path: Path, environment: d
     assert abs(values["a"] - truth["pole"]) < 0.3
     assert 0.0 < values["tau"] - truth["delay"] < 0.04  # the ports are on the way, four times as slow
     said = follow(lines("mission"), tmp_path, environment)
-    assert "The model lacks an offset of the GNSS antenna" in said
+    assert "The model lacks a GNSS antenna lever arm" in said
     truth = json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))
     assert truth["effect"] == "lever-arm"
 

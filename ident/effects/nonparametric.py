@@ -1,6 +1,6 @@
-"""Unknown effects: a residual force as a drawn function of one variable, usable in a model as a table.
+"""Nonparametric effects: a residual force or sensor error as a linear spline (or harmonics) of one variable.
 
-What depends on an input's past and no catalogue lists: a force that follows the thrust late, or swings after it.
+Besides, two responses to an input that no catalogue lists: first-order lagged and second-order resonant.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from ident.models import TIME, readings_of, residuals_of, variables_of
 from ident.numerics import Array
 
 N_KNOTS, N_HARMONICS = 9, 3
-MEMORIES = (0.25, 1.0, 4.0)  # s, of the first-order lags
-FREQUENCIES = (0.2, 0.32, 0.5, 0.8, 1.2)  # Hz, at which a mode is looked for
+TIME_CONSTANTS = (0.25, 1.0, 4.0)  # s, time constants of the first-order lags
+FREQUENCIES = (0.2, 0.32, 0.5, 0.8, 1.2)  # Hz, natural frequencies that are tried
 DAMPING = 0.1
-FULL = 40.0  # N, of a thruster: what an input in newtons is compared with
+FULL = 40.0  # N, full thrust of a thruster: scale of an input in newtons
 Signal = Callable[[Signals], Any]
 
 
 @dataclass(frozen=True)
 class NonparametricForce:
-    """A fitted unknown: the force over the variable's grid, with its standard deviation and the half width of the band
-    that holds the whole of the curve with 95 % probability."""
+    """A fitted nonparametric curve: the force over a grid of the variable, its pointwise standard deviation, and the
+    half width of the simultaneous 95 % band."""
 
     force: str
     variable: str
@@ -37,7 +37,7 @@ class NonparametricForce:
     band: Array
     unit: str
     variable_unit: str
-    reading: bool = False  # not a force: the error of a sensor
+    reading: bool = False  # the error of a sensor, not a force
 
 
 def harmonics(z: Any) -> list[Any]:
@@ -46,7 +46,7 @@ def harmonics(z: Any) -> list[Any]:
 
 
 def spline_basis(z: Any, angle: bool, span: tuple[float, float]) -> list[Any]:
-    """Hat functions over the span, constant beyond it; harmonics for an angle."""
+    """Linear B-splines (hat functions) over the span, constant beyond it; harmonics for an angle."""
     if angle:
         return harmonics(z)
     low, high = span
@@ -63,12 +63,13 @@ def partition(model: Model, force: str, variable: str) -> tuple[Residual, list[V
     wanted = [(force, list(residuals)), *((v, list(variables)) for v in variable.split(", "))]
     for name, known in wanted:
         if name not in known:
-            raise ValueError(f"model {model.name} has no {name!r} for an unknown effect; it has {', '.join(known)}")
+            there = ", ".join(known)
+            raise ValueError(f"model {model.name} has no {name!r} for a nonparametric curve; it has {there}")
     return residuals[force], [variables[name] for name in variable.split(", ")]
 
 
 def _terms(of: Sequence[Variable]) -> list[str]:
-    """What each coefficient of a table belongs to, in words."""
+    """The meaning of each coefficient."""
     a = of[0].name
     if len(of) == 2:
         b = of[1].name
@@ -94,7 +95,7 @@ def nonparametric_effect(model: Model, force: str, variable: str, span: tuple[fl
 
     return Effect(
         f"unknown {force}({variable})",
-        f"an unknown effect: {residual.title} depends on {variable}",
+        f"a nonparametric effect: {residual.title} depends on {variable}",
         {residual.stage: add},
         parameters=tuple(
             Parameter(
@@ -104,7 +105,7 @@ def nonparametric_effect(model: Model, force: str, variable: str, span: tuple[fl
         ),
         inputs=(Input("t", "s", "linear"),) if variable == "t" else (),
         place="sensor" if residual.stage == "output" else "bench" if "bench" in model.provides else "hull",
-        formula=f"{force} += g({variable}), a table",
+        formula=f"{force} += g({variable}), a nonparametric curve",
         source="the residual itself",
         experiment=f"runs that vary {variable} slowly over its whole range, with all else held",
         requires=tuple(n for n in ("hull", "bench") if n in model.provides),
@@ -122,7 +123,7 @@ def shape(
 ) -> NonparametricForce | None:
     """The fitted curve with its band, without its mean (a constant belongs to other parameters).
 
-    None for products, and for what depends on an input's past.
+    None for products of two variables, and for lagged and resonant responses.
     """
     span = effect.span
     if span is None or ", " in effect.name:
@@ -146,8 +147,9 @@ def shape(
 
 
 def whole_band(B: Array, P: Array, n: int = 4000) -> float:
-    """How many standard deviations the whole of a curve ``B t`` stays within with 95 % probability, t having the
-    covariance P (Ruppert, Wand and Carroll 2003, section 6.5): from n draws, always the same ones."""
+    """Critical value of the simultaneous 95 % band of a curve ``B t``, t having the covariance P: the number of
+    standard deviations that hold the whole curve (Ruppert, Wand and Carroll 2003, section 6.5), from n draws of a
+    fixed seed."""
     w, V = np.linalg.eigh(P)
     curves = B @ (V * np.sqrt(np.maximum(w, 0.0))) @ np.random.default_rng(0).standard_normal((len(P), n))
     sd = curves.std(axis=1, keepdims=True)
@@ -156,8 +158,8 @@ def whole_band(B: Array, P: Array, n: int = 4000) -> float:
 
 
 def between_knots(knots: Array, grid: Array, span: tuple[float, float]) -> Array:
-    """How far a smooth curve may be from the straight lines between its knots, (grid,): an eighth of the second
-    difference in the middle of an interval (the error of linear interpolation), less towards the knots."""
+    """Error bound of linear interpolation between knots, (grid,): an eighth of the second difference in the middle of
+    an interval, less towards the knots."""
     bend = np.abs(np.diff(knots, 2))
     worst = np.concatenate([bend[:1], np.maximum(bend[:-1], bend[1:]), bend[-1:]])  # of each interval, by its ends
     at = np.clip((grid - span[0]) / (span[1] - span[0]) * (N_KNOTS - 1), 0, N_KNOTS - 1)
@@ -185,7 +187,7 @@ def input_response_effects(model: Model) -> dict[str, Effect]:
 
 
 def _thrust(letter: str, difference: bool) -> Signal:
-    """Mean or half the difference of the thrusts, as parts of full thrust; it goes as the square of the shaft speed."""
+    """Mean or half difference of the thrusts relative to full thrust; thrust is quadratic in shaft speed."""
 
     def read(s: Signals) -> Any:
         left, right = (getattr(s.u, f"{letter}_{side}") for side in ("left", "right"))
@@ -197,9 +199,9 @@ def _thrust(letter: str, difference: bool) -> Signal:
 
 
 def lagged_response(force: Residual, of: str, drive: Signal) -> Effect:
-    """``F += sum_k t_k (z_k - w)``, ``z_k' = (w - z_k) / T_k``: what a change of w brings late, or too early."""
-    names = [f"{force.name}_{of}_late_{k}" for k in range(len(MEMORIES))]
-    states = [f"late_{of}_{k}" for k in range(len(MEMORIES))]
+    """``F += sum_k t_k (z_k - w)``, ``z_k' = (w - z_k) / T_k``: first-order lagged response to w."""
+    names = [f"{force.name}_{of}_late_{k}" for k in range(len(TIME_CONSTANTS))]
+    states = [f"late_{of}_{k}" for k in range(len(TIME_CONSTANTS))]
 
     def add(s: Signals) -> None:
         w = drive(s)
@@ -207,20 +209,20 @@ def lagged_response(force: Residual, of: str, drive: Signal) -> Effect:
         force.add(s, sum(getattr(s.p, name) * (getattr(s.x, state) - w) for name, state in terms))
 
     def follow(s: Signals) -> None:
-        for state, memory in zip(states, MEMORIES, strict=True):
+        for state, memory in zip(states, TIME_CONSTANTS, strict=True):
             s.rate[state] = (drive(s) - getattr(s.x, state)) / memory
 
     return Effect(
         f"unknown {force.name}(past of {of})",
-        f"an unknown effect: {force.title} follows {of} with a lag",
+        f"a nonparametric effect: {force.title} follows {of} with a lag",
         {force.stage: add, "rate": follow},
         parameters=tuple(
             Parameter(n, 0.0, force.unit, f"{force.name} behind {of} by {memory:g} s", prior=(0.0, 2 * force.scale),
                       step=0.03 * force.scale)
-            for n, memory in zip(names, MEMORIES, strict=True)
+            for n, memory in zip(names, TIME_CONSTANTS, strict=True)
         ),
         states=tuple(State(n, "", f"{of} behind by {memory:g} s", 0.0, sd0=0.05)
-                     for n, memory in zip(states, MEMORIES, strict=True)),
+                     for n, memory in zip(states, TIME_CONSTANTS, strict=True)),
         formula=f"{force.name} += sum t_k (z_k - w), z_k' = (w - z_k) / T_k, w the part of full thrust",
         source="the residual itself",
         experiment=f"steps of {of} from rest, each held until all has settled",
@@ -229,7 +231,7 @@ def lagged_response(force: Residual, of: str, drive: Signal) -> Effect:
 
 
 def resonant_response(force: Residual, of: str, drive: Signal) -> Effect:
-    """``F += a (z - w) + b z' / omega``, z a mode of second order behind w: what a change of w sets swinging."""
+    """``F += a (z - w) + b z' / omega``, z a second-order mode driven by w: resonant response to w."""
     names = (f"{force.name}_{of}_swing", f"{force.name}_{of}_swing_rate")
     states, f_name = (f"swing_{of}", f"swing_{of}_rate"), f"f_{force.name}_{of}"
 
@@ -245,15 +247,15 @@ def resonant_response(force: Residual, of: str, drive: Signal) -> Effect:
 
     return Effect(
         f"unknown {force.name}(swing after {of})",
-        f"an unknown effect: {force.title} swings after {of}",
+        f"a nonparametric effect: {force.title} responds to {of} with a resonance",
         {force.stage: add, "rate": swing},
         parameters=(
-            *(Parameter(n, 0.0, force.unit, f"{force.name} that swings after {of}{what}", prior=(0.0, 2 * force.scale),
+            *(Parameter(n, 0.0, force.unit, f"{force.name} resonant to {of}{what}", prior=(0.0, 2 * force.scale),
                         step=0.03 * force.scale) for n, what in zip(names, ("", ", its quadrature"), strict=True)),
-            Parameter(f_name, 0.5, "Hz", "frequency of the swing", "log", prior=(0.5, 0.4), bounds=(0.1, 2.5)),
+            Parameter(f_name, 0.5, "Hz", "natural frequency", "log", prior=(0.5, 0.4), bounds=(0.1, 2.5)),
         ),
         states=tuple(State(n, "", what, 0.0, sd0=0.05)
-                     for n, what in zip(states, (f"swing after {of}", "its quadrature"), strict=True)),
+                     for n, what in zip(states, (f"resonant response to {of}", "its quadrature"), strict=True)),
         scan={f_name: FREQUENCIES},
         formula=f"{force.name} += a (z - w) + b z'/w0, z'' + 2 zeta w0 z' = w0^2 (w - z), w the part of full thrust",
         source="the residual itself",

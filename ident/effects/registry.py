@@ -1,4 +1,4 @@
-"""The catalogue of effects: one file each in folders by physical origin, found by being there.
+"""Registry of the effect catalogue: one file each, in folders by physical origin, found by import of the folders.
 
 Each module defines ``EFFECT`` (an ``ident.model.structure.Effect``) or ``EFFECTS`` (several). ``catalogue()`` imports
 them all, so a new effect is one new file and its test.
@@ -22,12 +22,12 @@ def catalogue() -> dict[str, Effect]:
     for folder in pkgutil.iter_modules(ident.effects.__path__, "ident.effects."):
         if folder.ispkg:
             for file in pkgutil.iter_modules(importlib.import_module(folder.name).__path__, f"{folder.name}."):
-                _take(importlib.import_module(file.name), found)
+                _register(importlib.import_module(file.name), found)
     return dict(sorted(found.items()))
 
 
-def _take(module: ModuleType, found: dict[str, Effect]) -> None:
-    """Enter the effects that a file defines."""
+def _register(module: ModuleType, found: dict[str, Effect]) -> None:
+    """Add the effects that a module defines."""
     for effect in getattr(module, "EFFECTS", ()) or (module.EFFECT,):
         if effect.name in found:
             raise ValueError(f"two effects are called {effect.name!r}")

@@ -1,4 +1,4 @@
-"""The load cell creeps after it is switched on or loaded."""
+"""Load-cell creep after switching on or loading."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ def creep(s: Signals) -> None:
 
 EFFECT = Effect(
     name="cell-drift",
-    title="the drift of the load cell",
+    title="load-cell drift (creep)",
     place="bench",
     hooks={"output": creep},
     parameters=(
-        Parameter("F_creep", 0.0, "N", "where the drift ends", prior=(0.0, 3.0), step=0.05, per_record=True),
-        Parameter("T_creep", 60.0, "s", "time in which it gets there", "log", prior=(60.0, 60.0), bounds=(5.0, 2000.0)),
+        Parameter("F_creep", 0.0, "N", "final value of the drift", prior=(0.0, 3.0), step=0.05, per_record=True),
+        Parameter("T_creep", 60.0, "s", "time constant of the drift", "log", prior=(60.0, 60.0), bounds=(5.0, 2000.0)),
     ),
     inputs=(Input("t", "s", "linear"),),
     scan={"T_creep": (20.0, 60.0, 300.0)},

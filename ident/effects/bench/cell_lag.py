@@ -1,4 +1,4 @@
-"""The load cell's amplifier smooths."""
+"""Low-pass filter of the load-cell amplifier."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ def follow(s: Signals) -> None:
 
 EFFECT = Effect(
     name="cell-lag",
-    title="the lag of the load cell",
+    title="the lag of the load cell's low-pass filter",
     place="sensor",
     hooks={"rate": follow, "output": smooth},
     parameters=(
         Parameter(
-            "k_cell", 0.0, "", "part of the force that is felt late", prior=(1.0, 0.5), bounds=(0.0, 1.5), step=0.02
+            "k_cell", 0.0, "", "share of the force behind the filter", prior=(1.0, 0.5), bounds=(0.0, 1.5), step=0.02
         ),
-        Parameter("T_cell", 0.05, "s", "time constant of the cell", "log", prior=(0.05, 0.05), bounds=(0.01, 2.0)),
+        Parameter("T_cell", 0.05, "s", "time constant of the filter", "log", prior=(0.05, 0.05), bounds=(0.01, 2.0)),
     ),
-    states=(State("cell", "N", "force that the cell has followed", 0.0, sd0=0.1),),
+    states=(State("cell", "N", "filtered force", 0.0, sd0=0.1),),
     scan={"T_cell": (0.02, 0.05, 0.1, 0.2)},
     formula="T z' = f - z, F_measured = f + k (z - f)",
     source="digital filters of load cell amplifiers; an HX711 takes four conversions to settle",

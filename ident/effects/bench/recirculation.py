@@ -1,4 +1,4 @@
-"""The jet sets the pool in motion and thrust decays."""
+"""Recirculation in the test basin: the jet sets the water in motion, and thrust decays."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ def stir(s: Signals) -> None:
 
 EFFECT = Effect(
     name="recirculation",
-    title="the pool's own motion, which takes thrust",
+    title="the loss of thrust by recirculation in the basin",
     place="bench",
     hooks={"thrust": lose, "rate": stir},
     parameters=(
         Parameter(
-            "k_wash", 0.0, "", "part of the thrust lost when the pool has followed full speed", prior=(0.0, 0.3),
+            "k_wash", 0.0, "", "relative loss of thrust in steady state at full speed", prior=(0.0, 0.3),
             bounds=(-0.9, 0.9), step=0.01,
         ),
-        Parameter("T_wash", 4.0, "s", "time in which the pool follows", "log", prior=(4.0, 4.0), bounds=(0.5, 120.0)),
+        Parameter("T_wash", 4.0, "s", "time constant of recirculation", "log", prior=(4.0, 4.0), bounds=(0.5, 120.0)),
     ),
-    states=(State("wash", "", "motion of the pool over that at full speed", 0.0, sd0=0.01),),
+    states=(State("wash", "", "recirculation, relative to that at full speed", 0.0, sd0=0.01),),
     scan={"T_wash": (1.5, 3.0, 6.0, 12.0, 25.0)},
     formula="T w' = n^2 - w, f *= 1 - k w",
     source="bollard tests in basins: ITTC 7.5-02-03-02.1 asks for a basin in which the jet does not come back",

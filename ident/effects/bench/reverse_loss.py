@@ -1,4 +1,4 @@
-"""Astern, thrust falls short of its square by more the faster the shaft turns."""
+"""Loss of reverse thrust that grows with shaft speed, on the bench."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ def lose(s: Signals) -> None:
 
 EFFECT = Effect(
     name="reverse-loss",
-    title="thrust astern that falls short of the square of the shaft speed",
+    title="the loss of reverse thrust at high shaft speed",
     place="actuator",
     hooks={"thrust": lose},
     parameters=(
         Parameter(
-            "rho_astern", 0.0, "", "part of the thrust lost at full speed astern", prior=(0.0, 0.3),
+            "rho_astern", 0.0, "", "relative loss of thrust at full reverse", prior=(0.0, 0.3),
             bounds=(-0.9, 0.9), step=0.01,
         ),
     ),
     formula="f *= 1 - rho |n| for n < 0; what is constant belongs to c2",
     source="four-quadrant open-water data: blades running on their trailing edge stall",
-    experiment="as many steady levels astern as ahead, up to full speed",
+    experiment="as many steady levels in reverse as in forward, up to full speed",
     requires=("bench", "thrust"),
     rivals=("thrust-exponent",),
 )

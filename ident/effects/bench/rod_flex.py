@@ -1,4 +1,4 @@
-"""The rod that holds the thruster swings."""
+"""Structural resonance of the rod that holds the thruster."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ def swing(s: Signals) -> None:
 
 EFFECT = Effect(
     name="rod-flex",
-    title="the swinging of the rod",
+    title="a structural resonance of the rod",
     place="bench",
     hooks={"thrust": pass_on, "rate": swing},
     parameters=(
         Parameter(
-            "g_rod", 0.0, "", "part of the force that swings before it is felt", prior=(0.5, 0.5), bounds=(0.0, 2.0),
+            "g_rod", 0.0, "", "share of the force that passes the resonance", prior=(0.5, 0.5), bounds=(0.0, 2.0),
             step=0.02,
         ),
-        Parameter("f_rod", 6.0, "Hz", "frequency of the rod", "log", prior=(6.0, 6.0), bounds=(1.0, 25.0)),
+        Parameter("f_rod", 6.0, "Hz", "natural frequency of the rod", "log", prior=(6.0, 6.0), bounds=(1.0, 25.0)),
         Parameter("zeta_rod", 0.05, "", "damping ratio of the rod", "log", prior=(0.05, 0.05), bounds=(0.003, 0.7)),
     ),
     states=(
-        State("rod", "N", "force that the rod passes on", 0.0, sd0=0.1),
-        State("rod_rate", "N", "its rate over the rod's angular frequency", 0.0, sd0=0.1),
+        State("rod", "N", "force behind the resonance", 0.0, sd0=0.1),
+        State("rod_rate", "N", "its rate over the angular frequency", 0.0, sd0=0.1),
     ),
     scan={"f_rod": (1.8, 2.4, 3.2, 4.2, 5.2, 6.4, 7.8, 9.5, 12.0, 15.0)},
     formula="z'' + 2 zeta w z' + w^2 z = w^2 f, F -> F + g (z - F)",

@@ -1,27 +1,27 @@
-"""The shaft's reference follows the command late: a filter in the speed controller, or the motor's own lag."""
+"""Second first-order lag of the shaft: a set-point filter in the speed controller, or the electrical motor dynamics."""
 
 from __future__ import annotations
 
 from ident.model import Effect, Parameter, Signals, State
 
 
-def late(s: Signals) -> None:
-    s.n_told = s.n_ref
+def filter_command(s: Signals) -> None:
+    s.n_commanded = s.n_ref
     s.n_ref = s.n_ref + s.p.k_lag * (s.x.n_late - s.n_ref)
 
 
 def follow(s: Signals) -> None:
-    s.rate["n_late"] = (s.n_told - s.x.n_late) / s.p.T_late
+    s.rate["n_late"] = (s.n_commanded - s.x.n_late) / s.p.T_late
 
 
 EFFECT = Effect(
     name="second-lag",
-    title="a second lag of the shaft behind its command",
+    title="a second first-order lag of the shaft",
     place="actuator",
-    hooks={"shaft": late, "rate": follow},
+    hooks={"shaft": filter_command, "rate": follow},
     parameters=(
         Parameter(
-            "k_lag", 0.0, "", "part of the command that comes late", prior=(1.0, 0.5), bounds=(0.0, 1.5), step=0.02
+            "k_lag", 0.0, "", "share of the command that passes the lag", prior=(1.0, 0.5), bounds=(0.0, 1.5), step=0.02
         ),
         Parameter("T_late", 0.05, "s", "time constant of the lag", "log", prior=(0.05, 0.05), bounds=(0.01, 2.0)),
     ),

@@ -1,4 +1,4 @@
-"""The shaft does not turn at the speed that it is told."""
+"""Nonlinear static gain from command to shaft speed."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ def bend(s: Signals) -> None:
 
 EFFECT = Effect(
     name="speed-curve",
-    title="a shaft speed that is not in proportion to the command",
+    title="a nonlinear static gain from command to shaft speed",
     place="actuator",
     hooks={"shaft": bend},
     parameters=(
-        Parameter("g_0", 0.0, "", "speed above the command, as a part of it", prior=(0.0, 0.3), step=0.01),
-        Parameter("g_1", 0.0, "", "what more it is at full command, in proportion", prior=(0.0, 0.3), step=0.01),
-        Parameter("g_2", 0.0, "", "ahead more, astern less", prior=(0.0, 0.2), step=0.01),
-        Parameter("g_3", 0.0, "", "what more it is at full command, by the square", prior=(0.0, 0.3), step=0.01),
+        Parameter("g_0", 0.0, "", "relative gain error at low command", prior=(0.0, 0.3), step=0.01),
+        Parameter("g_1", 0.0, "", "change of the gain at full command, linear", prior=(0.0, 0.3), step=0.01),
+        Parameter("g_2", 0.0, "", "gain error of forward, its negative in reverse", prior=(0.0, 0.2), step=0.01),
+        Parameter("g_3", 0.0, "", "change of the gain at full command, quadratic", prior=(0.0, 0.3), step=0.01),
     ),
     formula="n_ref *= 1 + g_0 + g_1 |n_ref| + g_2 sgn(n_ref) + g_3 n_ref^2",
-    source="speed controllers without feedback: the water's torque grows with the square of speed",
+    source="speed controllers without feedback: propeller torque grows with the square of speed",
     experiment="many levels of steady command of both signs",
     requires=("bench",),
     rivals=("supply-sag",),

@@ -1,4 +1,4 @@
-"""The shaft turns no faster than a limit, whatever it is told."""
+"""Saturation of the shaft speed."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ def cap(s: Signals) -> None:
 
 EFFECT = Effect(
     name="speed-limit",
-    title="a limit to the shaft's speed",
+    title="a saturation of the shaft speed",
     place="actuator",
     hooks={"shaft": cap},
     parameters=(
         Parameter(
-            "k_top", 0.0, "", "part of what exceeds the limit that is cut", prior=(1.0, 0.25), bounds=(0.0, 1.2),
+            "k_top", 0.0, "", "share of the excess over the limit that is cut", prior=(1.0, 0.25), bounds=(0.0, 1.2),
             step=0.02,
         ),
-        Parameter("n_top", 0.8, "", "the limit", "log", prior=(0.8, 0.4), bounds=(0.1, 1.5)),
+        Parameter("n_top", 0.8, "", "saturation limit", "log", prior=(0.8, 0.4), bounds=(0.1, 1.5)),
     ),
     scan={"n_top": (0.3, 0.45, 0.6, 0.75, 0.85)},
     formula="n_ref -> n_ref / (1 + (n_ref / n_top)^32)^(1/32)",

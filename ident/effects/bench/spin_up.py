@@ -1,4 +1,4 @@
-"""The shaft speeds up faster than it slows down, or slower."""
+"""Asymmetric shaft dynamics: other time constants for acceleration and deceleration."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from ident.model import Effect, Parameter, Signals
 
-EDGE = 0.01  # of full speed: over which speeding up turns into slowing down
+EDGE = 0.01  # of full speed: width of the transition between acceleration and deceleration
 
 
 def favour(s: Signals) -> None:
@@ -16,17 +16,17 @@ def favour(s: Signals) -> None:
 
 EFFECT = Effect(
     name="spin-up",
-    title="a shaft that speeds up and slows down at different paces",
+    title="different time constants for shaft acceleration and deceleration",
     place="actuator",
     hooks={"rate": favour},
     parameters=(
         Parameter(
-            "k_up", 0.0, "", "pole higher by this part speeding up, lower slowing down", prior=(0.0, 0.3),
+            "k_up", 0.0, "", "relative change of the pole: + in acceleration, - in deceleration", prior=(0.0, 0.3),
             bounds=(-0.9, 0.9), step=0.01,
         ),
     ),
-    formula="n' = a (1 + k_up s) (n_ref - n), s = 1 speeding up and -1 slowing down",
-    source="speed controllers that drive a motor but do not brake it; water torque helps only to slow down",
+    formula="n' = a (1 + k_up s) (n_ref - n), s = 1 in acceleration and -1 in deceleration",
+    source="speed controllers that drive a motor but do not brake it; propeller torque acts only in deceleration",
     experiment="steps up and down between the same two speeds, several pairs of them",
     requires=("bench",),
     rivals=("slew-limit", "second-lag"),

@@ -1,4 +1,4 @@
-"""The shaft falls behind its command as the battery of the bench empties."""
+"""Loss of shaft speed as the supply voltage of the bench falls."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ def use(s: Signals) -> None:
 
 EFFECT = Effect(
     name="supply-sag",
-    title="the fall of the shaft speed as the battery empties",
+    title="the loss of shaft speed with battery discharge",
     place="actuator",
     hooks={"shaft": fade, "rate": use},
     parameters=(
         Parameter(
-            "k_sag", 0.0, "", "part of the shaft speed lost after 30 s at full power", prior=(0.0, 0.3),
+            "k_sag", 0.0, "", "relative loss of shaft speed after 30 s at full power", prior=(0.0, 0.3),
             bounds=(-0.9, 0.9), step=0.005,
         ),
     ),

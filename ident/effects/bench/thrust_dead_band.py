@@ -1,4 +1,4 @@
-"""A band of slow shaft speeds without thrust, on the bench."""
+"""Dead band of the thrust curve: no thrust at low shaft speed, on the bench."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def cut(s: Signals) -> None:
 
 EFFECT = Effect(
     name="thrust-dead-band",
-    title="a band of slow shaft speeds without thrust",
+    title="a dead band of the thrust curve",
     place="actuator",
     hooks={"shaft": cut},
     parameters=(

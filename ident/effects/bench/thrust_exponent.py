@@ -1,4 +1,4 @@
-"""Thrust that does not grow with the square of the shaft speed."""
+"""Exponent of the thrust curve other than two."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from ident.model import Effect, Parameter, Signals
 
-AT_REST = 1e-6  # of squared shaft speed, so that there is a power of it at rest
+AT_REST = 1e-6  # added to the squared shaft speed, so that its logarithm exists at rest
 
 
 def bend(s: Signals) -> None:
@@ -15,12 +15,12 @@ def bend(s: Signals) -> None:
 
 EFFECT = Effect(
     name="thrust-exponent",
-    title="thrust that does not grow with the square of the shaft speed",
+    title="a thrust-curve exponent other than two",
     place="actuator",
     hooks={"thrust": bend},
     parameters=(
         Parameter(
-            "p_n", 0.0, "", "exponent of the shaft speed above two", prior=(0.0, 0.5), bounds=(-1.5, 2.0), step=0.01
+            "p_n", 0.0, "", "exponent of the shaft speed, less two", prior=(0.0, 0.5), bounds=(-1.5, 2.0), step=0.01
         ),
     ),
     formula="f = (c1 n|n| + c2 n^2) |n|^p_n",

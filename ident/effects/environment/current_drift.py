@@ -1,4 +1,4 @@
-"""The current changes during the run."""
+"""Ocean current that changes linearly with time during a record."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def drift(s: Signals) -> None:
 
 EFFECT = Effect(
     name="current-drift",
-    title="a current that changes with time",
+    title="a time-varying current",
     place="environment",
     hooks={"rate": drift},
     parameters=(

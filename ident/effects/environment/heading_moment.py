@@ -1,4 +1,4 @@
-"""A yawing moment that depends on heading."""
+"""Yaw moment as a function of heading: wind or waves on an asymmetric hull."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ def add(s: Signals) -> None:
 
 EFFECT = Effect(
     name="heading-moment",
-    title="a yawing moment that depends on heading",
+    title="a heading-dependent yaw moment",
     place="environment",
     hooks={"force": add},
     parameters=(
-        Parameter("N_s", 0.0, "N m", "moment with sin psi", prior=(0.0, 2.0), step=0.05),
-        Parameter("N_c", 0.0, "N m", "moment with cos psi", prior=(0.0, 2.0), step=0.05),
-        Parameter("N_2s", 0.0, "N m", "moment with sin 2 psi", prior=(0.0, 2.0), step=0.05),
-        Parameter("N_2c", 0.0, "N m", "moment with cos 2 psi", prior=(0.0, 2.0), step=0.05),
+        Parameter("N_s", 0.0, "N m", "amplitude of sin psi in the moment", prior=(0.0, 2.0), step=0.05),
+        Parameter("N_c", 0.0, "N m", "amplitude of cos psi in the moment", prior=(0.0, 2.0), step=0.05),
+        Parameter("N_2s", 0.0, "N m", "amplitude of sin 2 psi in the moment", prior=(0.0, 2.0), step=0.05),
+        Parameter("N_2c", 0.0, "N m", "amplitude of cos 2 psi in the moment", prior=(0.0, 2.0), step=0.05),
     ),
     formula="N += N_s sin psi + N_c cos psi + N_2s sin 2psi + N_2c cos 2psi",
     source="wind and waves on an asymmetric hull; Fossen 2011, section 8.2",
-    experiment="turning slowly through all headings, both ways round",
+    experiment="slow turns through all headings, in both directions",
     requires=("hull",),
     any_of="N(psi)",
     rivals=("wind", "yaw-bias", "compass"),

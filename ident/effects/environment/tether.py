@@ -1,4 +1,4 @@
-"""A line or cable in the water behind the boat."""
+"""Drag of a towed line or tether."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ def drag(s: Signals) -> None:
 
 EFFECT = Effect(
     name="tether",
-    title="a line or cable that the boat drags",
+    title="the drag of a tether or towed line",
     place="environment",
     hooks={"force": drag},
     parameters=(
-        Parameter("k_tether", 0.0, "kg/m2", "drag per metre of line", prior=(0.0, 0.15), step=5e-3),
+        Parameter("k_tether", 0.0, "kg/m2", "drag coefficient per metre of line", prior=(0.0, 0.15), step=5e-3),
         *(
-            Parameter(f"{axis}_tether", 0.0, "m", f"where it is held, {side} of the first fix", free=False, step=1.0,
+            Parameter(f"{axis}_tether", 0.0, "m", f"fixed end, {side} of the first fix", free=False, step=1.0,
                       prior=(0.0, 10.0))
             for axis, side in (("x", "north"), ("y", "east"))
         ),
     ),
-    formula="F -= k d |V| V, d the distance from where the line is held, V the velocity over ground",
+    formula="F -= k d |V| V, d the distance from the fixed end, V the velocity over ground",
     source="drag of a cable of length d towed along itself; Faltinsen 1990, chapter 8",
-    experiment="the same runs near to where the line is held and far from it, outbound and inbound",
+    experiment="the same runs near the fixed end of the line and far from it, outbound and inbound",
     requires=("hull",),
     one_sided=True,
     rivals=("battery-sag", "current-drift", "wind"),

@@ -1,9 +1,9 @@
-"""Waves: forces with a spectral peak that no input explains.
+"""First-order wave forces: narrow-band forces with a spectral peak that no input explains.
 
-Each force is the output of a second-order filter driven by white noise. Its size A is a standard deviation, so the
-likelihood is even in it and its score at zero vanishes: no score test by sensitivities can see waves. They are looked
-for as a peak in the spectrum of the innovations (``ident.validation.whiteness.spectral_peak``), and fitted from
-``waves_at``.
+Each force is the output of a second-order filter driven by white noise (linear approximation of the wave spectrum,
+Fossen 2011, section 8.2). Its size A is a standard deviation, so the likelihood is even in A and the score at zero
+vanishes: a score test by sensitivities cannot find waves. They are detected as a peak in the spectrum of the
+innovations (``ident.validation.whiteness.spectral_peak``), and the fit starts from ``waves_at``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ FORCES = {"X": ("N", 5.0), "Y": ("N", 5.0), "N": ("N m", 0.6)}
 
 
 def push(s: Signals) -> None:
-    """The filter's noise is 1, which makes the variance of its state 1 / (4 zeta omega)."""
+    """The filter is driven by unit white noise, so the variance of its state is 1 / (4 zeta omega)."""
     gain = np.sqrt(4 * s.p.zeta_wave * 2 * np.pi * s.p.f_wave)
     for force in FORCES:
         setattr(s, force, getattr(s, force) + getattr(s.p, f"A_{force}") * gain * getattr(s.x, f"wave_{force}"))
@@ -34,32 +34,32 @@ def shape(s: Signals) -> None:
 
 EFFECT = Effect(
     name="waves",
-    title="waves",
+    title="first-order wave forces",
     place="environment",
     hooks={"force": push, "rate": shape},
     parameters=(
         *(
             Parameter(
-                f"A_{force}", 0.0, unit, f"standard deviation of the waves' {force}", prior=(0.0, 2 * size),
+                f"A_{force}", 0.0, unit, f"standard deviation of the wave force {force}", prior=(0.0, 2 * size),
                 bounds=(0.0, INF), step=0.1 * size,
             )
             for force, (unit, size) in FORCES.items()
         ),
-        Parameter("f_wave", 0.5, "Hz", "frequency of the peak", "log", prior=(0.5, 0.4), bounds=(0.1, 2.5)),
-        Parameter("zeta_wave", 0.1, "", "width of the peak, as a damping ratio", "log", prior=(0.1, 0.1),
+        Parameter("f_wave", 0.5, "Hz", "peak frequency", "log", prior=(0.5, 0.4), bounds=(0.1, 2.5)),
+        Parameter("zeta_wave", 0.1, "", "relative width of the peak, a damping ratio", "log", prior=(0.1, 0.1),
                   bounds=(0.01, 0.7)),
     ),
     states=tuple(
         state
         for force in FORCES
         for state in (
-            State(f"wave_{force}", "", f"filter of the waves' {force}", 0.0, sd0=1.0),
+            State(f"wave_{force}", "", f"wave filter of {force}", 0.0, sd0=1.0),
             State(f"wave_{force}_rate", "", "its quadrature", 1.0, sd0=1.0),
         )
     ),
     formula="F += A sqrt(4 zeta w) z, z'' + 2 zeta w z' + w^2 z = w e(t), e white; F each of X, Y, N",
     source="Fossen 2011, section 8.2: linear approximation of the wave spectrum",
-    experiment="drifting without thrust, beam and bow to the waves: the peak stays when the inputs rest",
+    experiment="drifting without thrust in beam seas and head seas: the peak stays when the inputs rest",
     requires=("hull",),
     one_sided=True,
     rivals=("pendulum",),
@@ -67,6 +67,6 @@ EFFECT = Effect(
 
 
 def waves_at(frequency: float, size: float = 0.4) -> Effect:
-    """The effect as a fit can start from it: a peak at ``frequency`` (Hz), forces ``size`` times as large as usual."""
+    """The effect with initial values for a fit: peak at ``frequency`` [Hz], forces of ``size`` times the usual."""
     start = {f"A_{force}": size * usual for force, (_, usual) in FORCES.items()} | {"f_wave": frequency}
     return replace(EFFECT, parameters=tuple(p.at(start.get(p.name, p.value)) for p in EFFECT.parameters))

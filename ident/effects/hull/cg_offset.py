@@ -1,4 +1,4 @@
-"""The centre of gravity lies ahead of or behind the origin."""
+"""Longitudinal offset of the centre of gravity from the origin: inertial coupling of sway and yaw."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def couple(s: Signals) -> None:
 
 EFFECT = Effect(
     name="cg-offset",
-    title="an offset of the centre of gravity",
+    title="a longitudinal offset of the centre of gravity (x_g)",
     hooks={"rate": couple},
-    parameters=(Parameter("x_g", 0.0, "m", "centre of gravity ahead of the origin", prior=(0.0, 0.3), step=0.01),),
+    parameters=(Parameter("x_g", 0.0, "m", "centre of gravity forward of the origin", prior=(0.0, 0.3), step=0.01),),
     formula="m x_g (r' + u r) in sway, m x_g (v' + u r) in yaw, m x_g r^2 in surge",
     source="Fossen 2011, section 3.3",
-    experiment="turns at several speeds; spinning on the spot",
+    experiment="turns at several speeds; turning on the spot",
     requires=("hull",),
     rivals=("sway-yaw", "turning-resistance", "lever-arm"),
 )

@@ -1,4 +1,4 @@
-"""Friction that does not grow with speed."""
+"""Coulomb friction in surge: resistance that does not depend on speed."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ def resist(s: Signals) -> None:
 
 EFFECT = Effect(
     name="coulomb",
-    title="friction that does not grow with speed",
+    title="Coulomb friction in surge",
     hooks={"force": resist},
-    parameters=(Parameter("f_C", 0.0, "N", "friction force", prior=(0.0, 10.0), step=0.5),),
+    parameters=(Parameter("f_C", 0.0, "N", "Coulomb friction force", prior=(0.0, 10.0), step=0.5),),
     formula="X -= f_C tanh(u / 0.05)",
-    source="dragging weed or line; a smooth Coulomb law",
-    experiment="slow runs ahead and astern, and coasting to rest",
+    source="towed weed or line; smoothed Coulomb friction",
+    experiment="slow runs forward and in reverse, and coasting to rest",
     requires=("hull",),
     one_sided=True,
     one_of="X(u)",

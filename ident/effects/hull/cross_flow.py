@@ -1,4 +1,4 @@
-"""Quadratic cross-flow drag that couples sway and yaw."""
+"""Cross-flow drag: quadratic damping that couples sway and yaw."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def couple(s: Signals) -> None:
 
 EFFECT = Effect(
     name="cross-flow",
-    title="quadratic cross-flow drag in turns",
+    title="cross-flow drag that couples sway and yaw",
     hooks={"force": couple},
     parameters=(
         Parameter("d_vr", 0.0, "kg", "sway drag per |yaw rate|", prior=(0.0, 100.0), step=3.0),

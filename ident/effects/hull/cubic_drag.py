@@ -1,4 +1,4 @@
-"""Surge resistance that grows faster than the square of speed."""
+"""Cubic surge damping: wave-making resistance near hull speed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ def resist(s: Signals) -> None:
 
 EFFECT = Effect(
     name="cubic-drag",
-    title="wave-making resistance, cubic in speed",
+    title="cubic surge damping (wave-making resistance)",
     hooks={"force": resist},
     parameters=(Parameter("d_uuu", 0.0, "kg s/m2", "cubic surge damping", prior=(0.0, 30.0), step=1.0),),
     formula="X -= d_uuu u^3",

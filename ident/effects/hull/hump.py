@@ -1,4 +1,4 @@
-"""A hump of the resistance around one speed."""
+"""Resistance hump: wave-making resistance around one Froude number."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def resist(s: Signals) -> None:
 
 EFFECT = Effect(
     name="hump",
-    title="a hump of the resistance",
+    title="a hump in the resistance curve",
     hooks={"force": resist},
     parameters=(
         Parameter("A_hump", 0.0, "N", "height of the hump", prior=(0.0, 20.0), step=1.0),

@@ -1,4 +1,4 @@
-"""Sway and yaw damping that grow with forward speed: the hull and its skegs as a foil."""
+"""Hull lift: sway and yaw damping in proportion to forward speed, the hull and its skegs as a foil."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def damp(s: Signals) -> None:
 
 EFFECT = Effect(
     name="lift",
-    title="the damping of sway and yaw that grows with forward speed",
+    title="hull lift: sway and yaw damping that grows with forward speed",
     hooks={"force": damp},
     parameters=(
         Parameter("Y_uv", 0.0, "kg/m", "sway damping per forward speed", prior=(0.0, 50.0), step=1.0),

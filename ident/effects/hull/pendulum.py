@@ -1,4 +1,4 @@
-"""A lightly damped mass that swings with the surge acceleration: sloshing water, a hanging load."""
+"""Lightly damped pendulum or sloshing mass, driven by the surge acceleration: bilge water, a suspended load."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ def swing(s: Signals) -> None:
 
 EFFECT = Effect(
     name="pendulum",
-    title="a swinging mass (slosh or a hanging load)",
+    title="a sloshing or suspended mass",
     hooks={"force": pull, "rate": swing},
     parameters=(
-        Parameter("m_p", 0.0, "kg", "mass that swings", prior=(0.0, 10.0), step=0.2),
-        Parameter("f_p", 0.6, "Hz", "frequency of the swing", "log", prior=(0.6, 0.4), bounds=(0.15, 2.5)),
-        Parameter("zeta_p", 0.06, "", "damping ratio of the swing", "log", prior=(0.06, 0.06), bounds=(0.005, 0.7)),
+        Parameter("m_p", 0.0, "kg", "oscillating mass", prior=(0.0, 10.0), step=0.2),
+        Parameter("f_p", 0.6, "Hz", "natural frequency", "log", prior=(0.6, 0.4), bounds=(0.15, 2.5)),
+        Parameter("zeta_p", 0.06, "", "damping ratio", "log", prior=(0.06, 0.06), bounds=(0.005, 0.7)),
     ),
     states=(
-        State("swing", "m", "displacement of the swinging mass", 0.0, sd0=0.02),
-        State("swing_rate", "m/s", "its speed", 0.0, sd0=0.05),
+        State("swing", "m", "displacement of the oscillating mass", 0.0, sd0=0.02),
+        State("swing_rate", "m/s", "velocity of the oscillating mass", 0.0, sd0=0.05),
     ),
     scan={"f_p": (0.25, 0.31, 0.38, 0.46, 0.55, 0.65, 0.78, 0.95, 1.15, 1.4)},
     formula="z'' + 2 zeta w z' + w^2 z = -a_x, X += m_p (2 zeta w z' + w^2 z)",

@@ -1,4 +1,4 @@
-"""Sway and yaw drag each other."""
+"""Linear sway-yaw damping coupling (Y_r, N_v), with the part that grows with forward speed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def couple(s: Signals) -> None:
 
 EFFECT = Effect(
     name="sway-yaw",
-    title="the coupled damping of sway and yaw",
+    title="linear sway-yaw damping coupling (Y_r, N_v)",
     hooks={"force": couple},
     parameters=(
         Parameter("Y_r", 0.0, "kg m/s", "sway force per yaw rate", prior=(0.0, 30.0), step=1.0),

@@ -1,4 +1,4 @@
-"""Turning costs speed."""
+"""Added resistance in turns (X_rr)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ def resist(s: Signals) -> None:
 
 EFFECT = Effect(
     name="turning-resistance",
-    title="the added resistance in turns",
+    title="added resistance in turns (X_rr)",
     hooks={"force": resist},
     parameters=(Parameter("X_rr", 0.0, "kg m", "surge resistance per squared yaw rate", prior=(0.0, 30.0), step=1.0),),
     formula="X -= X_rr r^2",

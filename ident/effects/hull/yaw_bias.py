@@ -1,4 +1,4 @@
-"""A yawing moment that does not reverse with the helm: steady, or growing with speed as of a bent keel."""
+"""Yaw bias: a steady yaw moment, and one that grows with the square of speed, as of a bent keel."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ def add(s: Signals) -> None:
 
 EFFECT = Effect(
     name="yaw-bias",
-    title="a steady yawing moment",
+    title="a constant or speed-dependent yaw moment",
     hooks={"force": add},
     parameters=(
-        Parameter("N_0", 0.0, "N m", "steady yawing moment", prior=(0.0, 2.0), step=0.05),
-        Parameter("N_uu", 0.0, "kg", "yawing moment by the square of the speed", prior=(0.0, 2.0), step=0.05),
+        Parameter("N_0", 0.0, "N m", "constant yaw moment", prior=(0.0, 2.0), step=0.05),
+        Parameter("N_uu", 0.0, "kg", "yaw moment per squared surge speed", prior=(0.0, 2.0), step=0.05),
     ),
     formula="N += N_0 + N_uu u|u|",
     source="an asymmetric or fouled hull, a bent keel, a trailing line",

@@ -1,4 +1,4 @@
-"""Thrust falls with the speed of the water through the propeller."""
+"""Loss of thrust with advance ratio (inflow velocity at the propeller)."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ def lose(s: Signals) -> None:
 
 EFFECT = Effect(
     name="advance-ratio",
-    title="the loss of thrust with forward speed",
+    title="the loss of thrust with advance ratio",
     place="actuator",
     hooks={"thrust": lose},
     parameters=(
-        Parameter("k_J", 0.0, "kg/s", "thrust lost per forward speed at full shaft speed", prior=(0.0, 10.0), step=0.5),
+        Parameter("k_J", 0.0, "kg/s", "loss of thrust per inflow velocity at full speed", prior=(0.0, 10.0), step=0.5),
     ),
     formula="f_i -= k_J |n_i| (u - y_i r)",
     source="Blanke 1981, bilinear thrust; Fossen 2011, section 9.3",
-    experiment="steps of both thrusters at several speeds, then full astern while still moving ahead",
+    experiment="steps of both thrusters at several speeds, then full reverse while still moving forward",
     requires=("n", "f"),
     one_sided=True,
     rivals=("cubic-drag", "turning-resistance", "thruster-interaction"),

@@ -1,4 +1,4 @@
-"""Thrust falls as the battery empties."""
+"""Loss of thrust as the battery voltage falls."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ def sag(s: Signals) -> None:
 
 EFFECT = Effect(
     name="battery-sag",
-    title="the fall of thrust as the battery empties",
+    title="the loss of thrust with battery discharge",
     place="actuator",
     hooks={"thrust": sag},
     parameters=(
         Parameter(
-            "beta_E", 0.0, "", "part of the thrust lost when a unit of work has been used", prior=(0.0, 0.4), step=0.02
+            "beta_E", 0.0, "", "relative loss of thrust per unit of work", prior=(0.0, 0.4), step=0.02
         ),
     ),
     inputs=(Input("work", "", "linear"),),

@@ -1,4 +1,4 @@
-"""A band around zero without thrust."""
+"""Dead band of the thrusters: no thrust at low shaft speed."""
 
 from __future__ import annotations
 

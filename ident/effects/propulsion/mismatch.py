@@ -1,4 +1,4 @@
-"""One thruster pushes harder than the other."""
+"""Mismatch of the thrust of the left and the right thruster."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def scale(s: Signals) -> None:
 
 EFFECT = Effect(
     name="mismatch",
-    title="a mismatch of the left and the right thruster",
+    title="a thrust mismatch of the left and right thrusters",
     place="actuator",
     hooks={"thrust": scale},
     parameters=(
@@ -20,7 +20,7 @@ EFFECT = Effect(
     ),
     formula="f_L *= 1 + eps, f_R *= 1 - eps",
     source="propeller wear, fouling, ESC end points",
-    experiment="equal commands ahead and astern, at several sizes: the turn follows the thrust",
+    experiment="equal commands in forward and reverse, at several levels: the yaw rate follows the thrust",
     requires=("f",),
     rivals=("yaw-bias", "sway-yaw"),
 )

@@ -1,4 +1,4 @@
-"""Less thrust astern than ahead."""
+"""Loss of thrust in reverse on the boat."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ EFFECT = Effect(
     title="the loss of thrust in reverse",
     place="actuator",
     hooks={"thrust": lose},
-    parameters=(Parameter("rho_rev", 0.0, "", "part of the reverse thrust that is lost", prior=(0.0, 0.4), step=0.05),),
+    parameters=(Parameter("rho_rev", 0.0, "", "relative loss of reverse thrust", prior=(0.0, 0.4), step=0.05),),
     formula="f_i *= 1 - rho_rev for n_i < 0",
-    source="four-quadrant open-water data; the hull in the race of a thruster running astern",
-    experiment="steps astern of several sizes, and turning on the spot",
+    source="four-quadrant open-water data; the hull in the slipstream of a reversed thruster",
+    experiment="reverse steps of several levels, and turning on the spot",
     requires=("n", "f"),
     rivals=("dead-band", "mismatch", "thruster-interaction"),
 )

@@ -1,8 +1,8 @@
-"""Thrust that answers late: a pure delay, or one more first-order lag, behind the measured or given input.
+"""Thrust dynamics: a pure delay, or a further first-order lag, of the measured or given input.
 
-Both weigh the input's recent past (``NAME~k``: the input k steps of 0.1 s ago), so they need no states and
-have exact derivatives, also where they begin: the delay interpolates linearly between the steps, the lag
-integrates an exponential memory over each step, taking the input as linear within it.
+Both are finite impulse responses over delayed input taps (``NAME~k``: the input k steps of 0.1 s earlier), so they
+need no states and have exact derivatives, also at zero: the delay interpolates linearly between the taps, the lag
+integrates an exponential impulse response over each step with the input linear within it.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ def delayed(past: list[Any], tau: Any) -> Any:
 
 
 def lagged(past: list[Any], time_constant: Any) -> Any:
-    """First-order response to the past, linear between the steps; what is older than the past is its last value."""
+    """First-order response to the past, linear between the steps; before the oldest tap the input is constant."""
     d = HISTORY_STEP / (time_constant + 1e-6)
     decay = np.exp(-d)
-    newest = 1 - (1 - decay) / d  # weight of the newer end of a step, whose memory starts at 1
+    newest = 1 - (1 - decay) / d  # weight of the newer end of a step, at whose start the response is 1
     oldest = (1 - decay) / d - decay
     total: Any = 0.0
     memory: Any = 1.0
@@ -43,17 +43,17 @@ def _positive(value: Any) -> Any:
 
 
 def _hook(quantity: str, parameter: str, steps: int, response: Any) -> ModelFunction:
-    def answer_late(s: Signals) -> None:
+    def respond(s: Signals) -> None:
         bag = s.n if quantity == "n" else s.f
         for side in bag:
             past = [bag[side]] + [getattr(s.u, f"{quantity}_{side}~{k}") for k in range(1, steps + 1)]
             bag[side] = response(past, getattr(s.p, parameter))
 
-    return answer_late
+    return respond
 
 
 def _effect(
-    name: str, title: str, quantity: str, parameter: Parameter, steps: int, response: Any, **said: Any
+    name: str, title: str, quantity: str, parameter: Parameter, steps: int, response: Any, **described: Any
 ) -> Effect:
     inputs = [Input(f"{quantity}_{side}~{k}", "", "linear") for side in ("left", "right") for k in range(1, steps + 1)]
     stage = "shaft" if quantity == "n" else "thrust"
@@ -66,7 +66,7 @@ def _effect(
         inputs=tuple(inputs),
         requires=("n", "f") if quantity == "n" else ("f_input",),
         one_sided=True,
-        **said,
+        **described,
     )
 
 
@@ -75,7 +75,7 @@ LAG = Parameter("T_lag", 0.0, "s", "time constant of the thrust", prior=(0.0, 0.
 DELAY = {
     "formula": "n_eff(t) = n(t - tau)",
     "source": "links and speed controllers; MEDUSA's simulator has 0.345 s",
-    "experiment": "chirp of both thrusters: a delay turns the phase without limit, a lag by at most 90 degrees",
+    "experiment": "chirp of both thrusters: a delay shifts the phase without limit, a lag by at most 90 degrees",
     "rivals": ("lag", "gnss-latency"),
 }
 SLOW = {
@@ -85,8 +85,8 @@ SLOW = {
     "rivals": ("delay",),
 }
 EFFECTS = (
-    _effect("delay", "a delay of the thrust", "n", TAU, N_DELAY, delayed, **DELAY),
-    _effect("lag", "a lag of the thrust behind the shaft", "n", LAG, N_LAG, lagged, **SLOW),
-    _effect("force-delay", "a delay of the thrust", "f", TAU, N_DELAY, delayed, **(DELAY | {"rivals": ("force-lag",)})),
-    _effect("force-lag", "a lag of the thrust", "f", LAG, N_LAG, lagged, **(SLOW | {"rivals": ("force-delay",)})),
+    _effect("delay", "a thrust delay", "n", TAU, N_DELAY, delayed, **DELAY),
+    _effect("lag", "a first-order thrust lag behind the shaft", "n", LAG, N_LAG, lagged, **SLOW),
+    _effect("force-delay", "a thrust delay", "f", TAU, N_DELAY, delayed, **(DELAY | {"rivals": ("force-lag",)})),
+    _effect("force-lag", "a first-order thrust lag", "f", LAG, N_LAG, lagged, **(SLOW | {"rivals": ("force-delay",)})),
 )

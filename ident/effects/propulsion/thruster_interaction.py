@@ -1,4 +1,4 @@
-"""Each thruster takes thrust from the other."""
+"""Thruster-thruster interaction: each thruster reduces the thrust of the other."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ def lose(s: Signals) -> None:
 
 EFFECT = Effect(
     name="thruster-interaction",
-    title="the interaction of the two thrusters",
+    title="thruster-thruster interaction",
     place="actuator",
     hooks={"thrust": lose},
     parameters=(
         Parameter(
-            "kappa", 0.0, "", "part of the thrust lost when the other runs at full speed", prior=(0.0, 0.4), step=0.02
+            "kappa", 0.0, "", "relative loss of thrust while the other runs at full speed", prior=(0.0, 0.4), step=0.02
         ),
     ),
     formula="f_L *= 1 - kappa |n_R| and the reverse",

@@ -1,4 +1,4 @@
-"""Scale error of the horizontal accelerometers."""
+"""Scale-factor error of the horizontal accelerometers."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ def scale(s: Signals) -> None:
 
 EFFECT = Effect(
     name="accelerometer-scale",
-    title="a scale error of the accelerometers",
+    title="a scale-factor error of the accelerometers",
     place="sensor",
     hooks={"output": scale},
     parameters=(
-        Parameter("k_acc", 0.0, "", "relative error of the accelerometers' scale", prior=(0.0, 0.2), step=0.01),
+        Parameter("k_acc", 0.0, "", "relative scale-factor error of the accelerometers", prior=(0.0, 0.2), step=0.01),
     ),
     formula="a_measured = (1 + k) a",
     source="IEEE Std 1293",
-    experiment="hard starts and stops, and turning circles at speed; or the sensor on each of its sides on a table",
+    experiment="hard starts and stops, and turning circles at speed; or the sensor on each of its faces on a table",
     requires=("hull",),
     rivals=("accelerometer-tilt", "lag"),
 )

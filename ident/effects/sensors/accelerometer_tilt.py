@@ -1,4 +1,4 @@
-"""Pitch with thrust and roll in turns leak gravity into the accelerometers."""
+"""Gravity in the accelerometers by pitch with thrust and roll in turns."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def leak(s: Signals) -> None:
 
 EFFECT = Effect(
     name="accelerometer-tilt",
-    title="pitch and roll felt by the accelerometers",
+    title="gravity in the accelerometers by pitch and roll",
     place="sensor",
     hooks={"output": leak},
     parameters=(
@@ -23,7 +23,7 @@ EFFECT = Effect(
     ),
     formula="a_x += g k_pitch X, a_y += g k_roll u r",
     source="IEEE Std 1293; metacentric stability",
-    experiment="steps ahead and astern on a straight line, then turns at speed",
+    experiment="forward and reverse steps on a straight line, then turns at speed",
     requires=("hull",),
     rivals=("accelerometer-scale", "cg-offset"),
 )

@@ -1,4 +1,4 @@
-"""Deviation of the compass with heading."""
+"""Compass deviation: heading error as a function of heading (hard and soft iron)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ident.model import Effect, Parameter, Signals
 
 
 def turn_body_velocity(s: Signals, angle: Any) -> None:
-    """A body velocity that was made from velocity over ground and this heading is wrong with it."""
+    """Rotate the measured body velocity by a heading error: it was computed from velocity over ground and heading."""
     cos, sin = np.cos(angle), np.sin(angle)
     s.y["u"], s.y["v"] = cos * s.y["u"] + sin * s.y["v"], -sin * s.y["u"] + cos * s.y["v"]
 
@@ -25,7 +25,7 @@ def deviate(s: Signals) -> None:
 
 EFFECT = Effect(
     name="compass",
-    title="the deviation of the compass",
+    title="compass deviation",
     place="sensor",
     hooks={"output": deviate},
     parameters=(
@@ -36,7 +36,7 @@ EFFECT = Effect(
     ),
     formula="psi_measured = psi + B sin psi + C cos psi + D sin 2psi + E cos 2psi",
     source="compass adjusters' coefficients B to E; Bowditch, chapter 6",
-    experiment="swinging slowly through all headings, both ways round",
+    experiment="swinging the compass: slow turns through all headings, in both directions",
     requires=("hull",),
     rivals=("mount", "gyro-scale", "wind"),
 )

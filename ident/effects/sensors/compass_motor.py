@@ -1,9 +1,9 @@
-"""The compass is drawn by the current of the motors, and the estimate of the heading follows it slowly.
+"""Magnetic interference of the motor current in the compass, with the lag of the AHRS heading filter.
 
-A field fixed in the boat turns the compass by ``B sin(psi) + C cos(psi)``. While the motors run there is one more, of
-their cables and magnets. An autopilot's filter trusts its gyro for seconds, so its heading goes there with a time
-constant of its own; a body velocity that it makes from velocity over ground and this heading is turned with it, and
-forward speed shows up as sway.
+A magnetic field fixed in the boat causes the deviation ``B sin(psi) + C cos(psi)``. The current of the motors adds
+another. The heading filter of an autopilot trusts its gyro over seconds, so the estimated heading follows with a time
+constant. A body velocity that it computes from velocity over ground and this heading is rotated by the same error, and
+forward speed appears as sway.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def turn(s: Signals) -> None:
 
 EFFECT = Effect(
     name="compass-motor",
-    title="the deviation of the compass while the motors run",
+    title="motor-current magnetic interference in the compass",
     place="sensor",
     hooks={"rate": follow, "output": turn},
     parameters=(
@@ -38,19 +38,19 @@ EFFECT = Effect(
             "T_dev",
             8.0,
             "s",
-            "time in which the estimated heading follows the compass",
+            "time constant of the heading filter",
             "log",
             prior=(8.0, 6.0),
             bounds=(0.3, 100.0),
         ),
     ),
     states=(
-        State("drawn_s", "", "what B is multiplied with: sum|n_i| sin psi through the lag", 0.0, sd0=0.05),
-        State("drawn_c", "", "what C is multiplied with: sum|n_i| cos psi through the lag", 0.0, sd0=0.05),
+        State("drawn_s", "", "regressor of B: sum|n_i| sin psi behind the heading filter", 0.0, sd0=0.05),
+        State("drawn_c", "", "regressor of C: sum|n_i| cos psi behind the heading filter", 0.0, sd0=0.05),
     ),
-    formula="psi_measured = psi + delta, T delta' = sum|n_i| (B sin psi + C cos psi) - delta; (u, v) turned by delta",
+    formula="psi_measured = psi + delta, T delta' = sum|n_i| (B sin psi + C cos psi) - delta; (u, v) rotated by delta",
     source="ArduPilot manual, compass/motor interference compensation; Bowditch, chapter 6, coefficients B and C",
-    experiment="full ahead and full astern on four headings, tied up as well: the heading must not move",
+    experiment="full forward and full reverse on four headings, moored as well: the heading must not change",
     requires=("n", "f", "body_velocity"),
     scan={"T_dev": (3.0, 8.0, 20.0)},
     rivals=("compass", "velocity-point"),

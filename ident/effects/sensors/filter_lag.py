@@ -1,4 +1,4 @@
-"""Velocities and yaw rate that come out of a filter, and late: an autopilot's estimates, a smoothed gyro."""
+"""First-order lag of filtered velocities and yaw rate: estimates of an autopilot, a low-pass-filtered gyro."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ def lag(s: Signals) -> None:
     x, T = s.x, s.p.T_uv
     cos, sin = np.cos(x.psi), np.sin(x.psi)
     turn_x, turn_y = getattr(s.p, "V_x", 0.0), getattr(s.p, "V_y", 0.0)
-    # the current turns in the body as the boat turns
+    # in the body frame the current rotates as the boat turns
     du = s.rate["u"] + x.r * (-sin * turn_x + cos * turn_y)
     dv = s.rate["v"] - x.r * (cos * turn_x + sin * turn_y)
     s.y["u"], s.y["v"] = s.y["u"] - T * du, s.y["v"] - T * dv

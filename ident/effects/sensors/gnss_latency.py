@@ -1,7 +1,7 @@
-"""The GNSS reports where the boat was.
+"""GNSS latency: position and velocity refer to a time before their time stamp.
 
-Position and velocity are taken back by their derivatives; the acceleration is that of half the latency ago, with
-the thrust of then, or steps of the thrust would look like an effect of their own.
+Position and velocity are extrapolated backwards by their derivatives. The acceleration is that of half the latency
+earlier, with the thrust of that time; else steps of the thrust would look like another effect.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ def _static(s: Signals, n: Any) -> Any:
     return s.p.c1 * n * abs(n) + s.p.c2 * n * n
 
 
-TAU = Parameter("tau_gnss", 0.0, "s", "age of the GNSS fix when it is stamped", prior=(0.0, 0.8), step=0.05)
-SAID: dict[str, Any] = {
+TAU = Parameter("tau_gnss", 0.0, "s", "age of the GNSS fix at its time stamp", prior=(0.0, 0.8), step=0.05)
+COMMON: dict[str, Any] = {
     "place": "sensor",
     "formula": "p_measured(t) = p(t - tau), v_measured(t) = v(t - tau), by their derivatives",
     "source": "Groves 2013, section 10.5",
@@ -58,19 +58,19 @@ PAST = tuple(Input(f"n_{side}~{k}", "", "linear") for side in ("left", "right") 
 EFFECTS = (
     Effect(
         "gnss-latency",
-        "the latency of the GNSS",
+        "GNSS latency",
         {"output": delay_shaft},
         (TAU,),
         inputs=PAST,
         requires=("hull", "n"),
-        **SAID,
+        **COMMON,
     ),
     Effect(
         "gnss-latency-force",
-        "the latency of the GNSS",
+        "GNSS latency",
         {"output": delay_force},
         (TAU,),
         requires=("hull", "f_input"),
-        **(SAID | {"rivals": ("lever-arm", "force-delay")}),
+        **(COMMON | {"rivals": ("lever-arm", "force-delay")}),
     ),
 )

@@ -1,4 +1,4 @@
-"""Scale error of the yaw gyro."""
+"""Scale-factor error of the yaw gyro."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ def scale(s: Signals) -> None:
 
 EFFECT = Effect(
     name="gyro-scale",
-    title="a scale error of the yaw gyro",
+    title="a scale-factor error of the yaw gyro",
     place="sensor",
     hooks={"output": scale},
-    parameters=(Parameter("k_gyro", 0.0, "", "relative error of the gyro's scale", prior=(0.0, 0.1), step=0.005),),
+    parameters=(Parameter("k_gyro", 0.0, "", "relative scale-factor error of the gyro", prior=(0.0, 0.1), step=0.005),),
     formula="r_measured = (1 + k) r",
     source="IEEE Std 1293",
-    experiment="several full turns one way, then as many the other",
+    experiment="several full turns in one direction, then as many in the other",
     requires=("hull",),
     rivals=("compass",),
 )

@@ -1,4 +1,4 @@
-"""The GNSS antenna is not over the origin."""
+"""GNSS lever arm: the antenna is not at the origin."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ def move_tilted(s: Signals) -> None:
 
 
 ARM = (
-    Parameter("l_x", 0.0, "m", "antenna ahead of the origin", prior=(0.0, 1.5), step=0.05),
+    Parameter("l_x", 0.0, "m", "antenna forward of the origin", prior=(0.0, 1.5), step=0.05),
     Parameter("l_y", 0.0, "m", "antenna to starboard of the origin", prior=(0.0, 1.0), step=0.05),
 )
 HEIGHT = Parameter("l_z", 0.0, "m", "antenna below the origin", prior=(0.0, 1.0), step=0.05)
-SAID: dict[str, Any] = {
+COMMON: dict[str, Any] = {
     "place": "sensor",
     "source": "Groves 2013, section 2.5",
     "rivals": ("gnss-latency", "cg-offset"),
 }
-TITLE = "an offset of the GNSS antenna"
+TITLE = "a GNSS antenna lever arm"
 EFFECTS = (
     Effect(
         "lever-arm",
@@ -34,9 +34,9 @@ EFFECTS = (
         {"output": move},
         ARM,
         formula="p_measured = p + R(psi) l, v_measured = v + r x R(psi) l",
-        experiment="spinning on the spot, both ways round",
+        experiment="turning on the spot, in both directions",
         requires=("hull",),
-        **SAID,
+        **COMMON,
     ),
     Effect(
         "lever-arm-attitude",
@@ -44,8 +44,8 @@ EFFECTS = (
         {"output": move_tilted},
         (*ARM, HEIGHT),
         formula="p_measured = p + R l, v_measured = v + R (omega x l), R and omega measured",
-        experiment="spinning on the spot, both ways round; rolling and pitching for its height",
+        experiment="turning on the spot, in both directions; rolling and pitching for its height",
         requires=("attitude",),
-        **SAID,
+        **COMMON,
     ),
 )

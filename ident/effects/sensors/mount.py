@@ -1,4 +1,4 @@
-"""The AHRS is turned about the vertical."""
+"""Mounting misalignment of the AHRS: in yaw alone, or in roll, pitch and yaw."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def feel(s: Signals) -> None:
     rotations.mounted(s, _mount(s))
 
 
-PSI = Parameter("psi_mount", 0.0, "rad", "turn of the AHRS, clockwise from above", prior=(0.0, 0.15), step=0.01)
+PSI = Parameter("psi_mount", 0.0, "rad", "yaw misalignment of the AHRS, clockwise", prior=(0.0, 0.15), step=0.01)
 TILT = tuple(
-    Parameter(f"{angle}_mount", 0.0, "rad", f"turn of the AHRS in {what}", prior=(0.0, 0.05), step=0.01)
+    Parameter(f"{angle}_mount", 0.0, "rad", f"{what} misalignment of the AHRS", prior=(0.0, 0.05), step=0.01)
     for angle, what in (("phi", "roll"), ("theta", "pitch"))
 )
-SAID: dict[str, Any] = {
+COMMON: dict[str, Any] = {
     "place": "sensor",
     "source": "boresight alignment, Groves 2013, section 5.6",
     "rivals": ("compass", "wind"),
@@ -43,22 +43,22 @@ SAID: dict[str, Any] = {
 EFFECTS = (
     Effect(
         "mount",
-        "a turn of the AHRS about the vertical",
+        "a mounting misalignment of the AHRS in yaw",
         {"output": turn},
         (PSI,),
         experiment="straight runs on opposite headings, with and against the current",
-        formula="psi_measured = psi + psi_0; accelerations turned by psi_0",
+        formula="psi_measured = psi + psi_0; accelerations rotated by psi_0",
         requires=("hull",),
-        **SAID,
+        **COMMON,
     ),
     Effect(
         "mount-attitude",
-        "a turn of the AHRS",
+        "a mounting misalignment of the AHRS",
         {"shaft": unturn, "output": feel},
         (PSI, *TILT),
-        formula="R_measured = R R_m; body rates and accelerations turned by R_m', R_m of roll, pitch and psi_0",
+        formula="R_measured = R R_m; body rates and accelerations rotated by R_m', R_m of roll, pitch and psi_0",
         experiment="straight runs on opposite headings, with and against the current; turns while it rolls and pitches",
         requires=("attitude",),
-        **SAID,
+        **COMMON,
     ),
 )

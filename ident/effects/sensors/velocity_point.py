@@ -1,4 +1,4 @@
-"""Body velocities of another point than the origin: of the GNSS antenna, or of the autopilot in one of the hulls."""
+"""Lever arm of the body velocity: measured at another point than the origin, such as the GNSS antenna."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ def move(s: Signals) -> None:
 
 EFFECT = Effect(
     name="velocity-point",
-    title="an offset of the point whose velocity is measured",
+    title="a lever arm of the measured body velocity",
     place="sensor",
     hooks={"output": move},
     parameters=(
-        Parameter("b_x", 0.0, "m", "the point ahead of the origin", prior=(0.0, 0.5), step=0.05),
-        Parameter("b_y", 0.0, "m", "the point to starboard of the origin", prior=(0.0, 0.5), step=0.05),
+        Parameter("b_x", 0.0, "m", "point of measurement, forward of the origin", prior=(0.0, 0.5), step=0.05),
+        Parameter("b_y", 0.0, "m", "point of measurement, to starboard of the origin", prior=(0.0, 0.5), step=0.05),
     ),
     formula="u_measured = u - r b_y, v_measured = v + r b_x",
-    source="Groves 2013, section 2.5: velocity of a point of a turning body",
-    experiment="spinning on the spot, both ways round",
+    source="Groves 2013, section 2.5: velocity of a point of a rotating body",
+    experiment="turning on the spot, in both directions",
     requires=("hull", "body_velocity"),
     rivals=("lever-arm", "cg-offset"),
 )

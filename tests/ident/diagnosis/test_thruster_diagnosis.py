@@ -180,7 +180,7 @@ def test_the_command_finds_what_a_bench_hides(tmp_path: Path) -> None:
         assert left.value.code == 0
     result = json.loads((out / "result.json").read_text())
     assert result["kind"] == "diagnosis"
-    assert result["answer"].startswith("The model lacks the pool's own motion, which takes thrust; with it")
+    assert result["answer"].startswith("The model lacks the loss of thrust by recirculation in the basin; with it")
     assert {(f["force"], f["unit"]) for f in result["residual_forces"]} == {("F", "N"), ("n_dot", "1/s")}
     assert {i["name"] for i in result["inputs"]} == {"n_cmd"}
     assert result["horizon"] == 1.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.effects.nonparametric import MEMORIES, input_response_effects
+from ident.effects.nonparametric import TIME_CONSTANTS, input_response_effects
 from ident.engine.vectorised_model import VectorisedModel
 from ident.models.horizontal import horizontal_model
 
@@ -30,7 +30,7 @@ def test_nothing_acts_while_the_input_rests_and_all_has_settled(name: str) -> No
     u = np.array([[0.6, -0.2]])
     left, right = u[0] * np.abs(u[0])
     drive = (left + right) / 2 if "sum" in name else (left - right) / 2
-    rest = [drive] * len(MEMORIES) if "past" in name else [drive, 0.0]
+    rest = [drive] * len(TIME_CONSTANTS) if "past" in name else [drive, 0.0]
     x = np.zeros((1, len(base.states)))
     plain = VectorisedModel(base)(x, u[:, : len(base.inputs)], np.array(list(base.values.values())))
     full = VectorisedModel(model)(np.column_stack([x, [rest]]), u, np.array(list(model.values.values())))

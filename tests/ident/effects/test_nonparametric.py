@@ -1,4 +1,4 @@
-"""Unknown effects: the table of a force over a variable, what it adds to a model, and the curve with its band."""
+"""Nonparametric effects: the curve of a force over a variable, what it adds to a model, and the curve with its band."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_the_hats_interpolate_between_knots() -> None:
 
 
 def forces(force: str, variable: str, coefficients: list[float], x: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """What an unknown effect adds to X, Y and N, (n, 3), from the rates of the horizontal model with and without it."""
+    """(n, 3): what a nonparametric effect adds to X, Y, N, from the rates of the horizontal model with and without."""
     base = horizontal_model()
     effect = nonparametric_effect(base, force, variable, SPAN)
     model = base + effect
@@ -95,7 +95,7 @@ def test_variables_are_read_where_they_stand(name: str, wanted: float) -> None:
 
 
 def test_what_a_model_has_not_cannot_be_unknown() -> None:
-    with pytest.raises(ValueError, match="no 'F' for an unknown effect; it has X, Y, N"):
+    with pytest.raises(ValueError, match="no 'F' for a nonparametric curve; it has X, Y, N"):
         nonparametric_effect(horizontal_model(), "F", "u", SPAN)
 
 
