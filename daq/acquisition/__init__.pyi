@@ -1,5 +1,4 @@
 from .session import Acquisition as Acquisition
-from .status import Latest as Latest
 from .status import PortStatus as PortStatus
 from .status import Source as Source
 from .status import Status as Status
