@@ -152,7 +152,7 @@ def _errors(oe: Experiment, pe: Experiment) -> list[str]:
 
 def _delivered(found: list[Delivered], n: int) -> list[str]:
     rows = [f"| `{d.name}` | {d.predicted:.2g} | {d.ratio:.2f} | {d.interval[0]:.2f} to {d.interval[1]:.2f} | "
-            f"{100 * d.coverage:.0f} % | {d.wild} |" for d in found]
+            f"{100 * d.coverage:.0f} % | {d.outliers} |" for d in found]
     mean = float(np.mean([d.ratio for d in found]))
     return [
         f"{n} simulated repeats of the PE design, each fitted with all noises free and damping not bounded: spread of",

@@ -15,8 +15,8 @@ from .optimal_design import Track as Track
 from .optimal_design import design as design
 from .optimal_design import predicted_errors as predicted_errors
 from .optimal_design import predicted_track as predicted_track
-from .task import BOX as BOX
 from .task import GRID as GRID
+from .task import PRIOR_HALFWIDTH as PRIOR_HALFWIDTH
 from .task import DesignLimits as DesignLimits
 from .task import DesignProblem as DesignProblem
 from .task import ParameterPrior as ParameterPrior

@@ -1,7 +1,7 @@
-"""Criteria of optimal design (Pukelsheim 2006; Goodwin and Payne 1977, chapter 6): larger is better in all of them.
+"""Optimality criteria D, A, E and Ds of the Fisher information; larger is better in all of them.
 
-Parameters are taken in the steps in which they are felt (``scale``), so that A and E do not compare kilograms with
-radians; D does not depend on it but for a constant.
+Pukelsheim 2006; Goodwin and Payne 1977, chapter 6. Parameters are scaled by their characteristic steps (``scale``), so
+that A and E do not compare kilograms with radians; D depends on the scale only by a constant.
 """
 
 from __future__ import annotations
@@ -16,15 +16,18 @@ from ident.numerics import Array
 
 Kind = Literal["D", "A", "E", "Ds"]
 KINDS: tuple[Kind, ...] = ("D", "A", "E", "Ds")
-NOTHING = -1e9  # of an information that is singular or not finite
+SINGULAR = -1e9  # criterion of an information matrix that is singular or not finite
 
 
 @dataclass(frozen=True)
 class Criterion:
-    """``kind`` over the parameters at ``chosen`` of the information's coordinates; the others are nuisances.
+    """Criterion ``kind`` of the parameters at the indices ``chosen``; the others are nuisance parameters.
 
-    D: log det of the information of the chosen (nuisances projected out); Ds is D for a chosen few. A: minus the
-    logarithm of the mean variance. E: the logarithm of the least eigenvalue. scale (q,): a felt step of each.
+    D: log determinant of the information of the chosen parameters, nuisance parameters projected out; Ds is D of a
+    subset. A: minus the logarithm of the mean variance. E: logarithm of the smallest eigenvalue.
+
+    Attributes:
+        scale (q,): characteristic step of each parameter, in its unit.
     """
 
     kind: Kind
@@ -32,15 +35,15 @@ class Criterion:
     scale: Array
 
     def __call__(self, information: Array) -> Array:
-        """(n,) of informations (n, q, q) in the parameters' own units."""
+        """Criterion (n,) of information matrices (n, q, q) in the units of the parameters."""
         F = information * np.outer(self.scale, self.scale)
         good = np.isfinite(F).all(axis=(1, 2)) & (np.diagonal(F, axis1=1, axis2=2) > 0).all(axis=1)
-        found = np.full(len(F), NOTHING)
+        found = np.full(len(F), SINGULAR)
         found[good] = self._value(F[good])
-        return np.where(np.isfinite(found), found, NOTHING)
+        return np.where(np.isfinite(found), found, SINGULAR)
 
     def _value(self, F: Array) -> Array:
-        """The determinant is taken after scaling the diagonal to one: units differ by many powers of ten."""
+        """The determinant is computed with a unit diagonal: units differ by many powers of ten."""
         if not len(F):
             return np.zeros(0)
         size = np.sqrt(np.diagonal(F, axis1=1, axis2=2))
@@ -60,11 +63,11 @@ class Criterion:
                 value = -np.log(np.trace(part, axis1=1, axis2=2) / len(chosen))
             else:
                 value = -np.log(np.linalg.eigvalsh(part)[:, -1])
-        value[singular] = NOTHING
+        value[singular] = SINGULAR
         return np.asarray(value)
 
 
 def characteristic_steps(model: Model, names: tuple[str, ...]) -> Array:
-    """(q,): a change of each parameter that is small but felt."""
+    """Characteristic steps (q,): the smallest change of each parameter that matters."""
     parameters = [model.parameter(n) for n in names]
     return np.array([p.step or 0.01 * abs(p.value) or 1.0 for p in parameters])

@@ -1,13 +1,14 @@
-"""The experiment that tells two candidates apart (T-optimality: Atkinson and Fedorov 1975; Uciński 2005).
+"""Model discrimination: T-optimal design of the experiment that tells two models apart.
 
-Two models of the same sensors, say the boat with a delay and the boat with a lag, both fitted to what is there. If one
-is true, the other is fitted to its data and explains as much as its parameters can. With e the innovations of the wrong
-model's filter on the true model's data, de their sensitivities and S their covariance,
+Atkinson and Fedorov 1975; Uciński 2005. Two models of the same sensors, say the boat with a delay and the boat with a
+lag, both fitted to the same logs. If one is true, the other is fitted to its data and explains as much as its
+parameters can. With e the innovations of the wrong model's filter on the true model's data, de their sensitivities and
+S their covariance,
 
     T = min over theta of sum e' S^-1 e = sum e' S^-1 e - g' F^-1 g,   g = sum de' S^-1 e,   F = sum de' S^-1 de + prior
 
-to first order. T is what twice the log-likelihood ratio is expected to say against the wrong one. Either may be the
-true one, so the design makes the smaller of both T as large as it can.
+to first order. T is the expected value of twice the log-likelihood ratio against the wrong model. Either may be true,
+so the design maximises the smaller of the two T.
 """
 
 from __future__ import annotations
@@ -36,14 +37,14 @@ from ident.experiment_design.task import DesignProblem
 from ident.model import Model
 from ident.numerics import Array, SearchResult
 
-CHUNK = 2  # groups of lanes in a call; inputs' own past makes them large
-REFITS = 6  # Gauss-Newton steps of the answer
-CLEAR = 30.0  # T from which a fit names the right one with hardly any exception
+CHUNK = 2  # groups of vector lanes in a call; delayed input taps make them large
+REFITS = 6  # Gauss-Newton steps for the reported T
+RELIABLE_T = 30.0  # above it hardly any fit prefers the wrong model
 
 
 @dataclass(frozen=True)
 class HypothesisPair:
-    """``fitted`` explains the data of ``truth``: T as a function of commands."""
+    """T as a function of commands: model ``fitted`` on the data of model ``truth``."""
 
     fitted: Model
     truth: Model
@@ -51,7 +52,7 @@ class HypothesisPair:
 
     @cached_property
     def free(self) -> tuple[str, ...]:
-        """What the fitted model may change: its shared dynamics and the nuisances of a record."""
+        """Free parameters of the fitted model: shared dynamics and per-record nuisance parameters."""
         own = [p.name for p in self.fitted.parameters if p.free and p.per_record]
         return (*dynamic_parameters(self.fitted), *own)
 
@@ -60,7 +61,7 @@ class HypothesisPair:
         return prior_information([self.fitted.parameter(n) for n in self.free])
 
     def __call__(self, command: Array, refits: int = 0) -> Array:
-        """T (n,) of commands (n_rows, n_channels, n): to first order, or after so many further Gauss-Newton steps."""
+        """T (n,) of commands (n_rows, n_channels, n): to first order, or after ``refits`` Gauss-Newton steps."""
         n = command.shape[2]
         values = np.tile([p.value for p in self.fitted.parameters], (n, 1))
         columns = [list(self.fitted.values).index(name) for name in self.free]
@@ -113,7 +114,7 @@ class HypothesisPair:
 
 
 def _solve(F: Array, g: Array) -> Array:
-    """F^-1 g in each line; directions that nothing tells of are left alone."""
+    """F^-1 g for each row; directions without information are left unchanged."""
     size = np.sqrt(np.maximum(np.diagonal(F, axis1=1, axis2=2), 1e-300))
     scaled = F / (size[:, :, None] * size[:, None, :])
     good = np.isfinite(scaled).all(axis=(1, 2)) & np.isfinite(g).all(axis=1)
@@ -124,9 +125,11 @@ def _solve(F: Array, g: Array) -> Array:
 
 @dataclass(frozen=True)
 class DiscriminationDesign:
-    """The experiment: levels (n_steps, n_channels), durations (n_steps,) s, command (n_rows, n_channels).
+    """The experiment of a discrimination.
 
-    apart: T if b is true and a is fitted, and the reverse, refitted.
+    Attributes:
+        levels (n_steps, n_channels), durations (n_steps,) s: the steps.
+        apart: T if b is true and a is fitted, and the reverse, refitted.
     """
 
     task: DesignProblem
@@ -141,8 +144,8 @@ class DiscriminationDesign:
 
     @property
     def clear(self) -> bool:
-        """Either, if true, is expected to be named."""
-        return min(self.apart) > CLEAR
+        """Whether either model, if true, is expected to be identified."""
+        return min(self.apart) > RELIABLE_T
 
 
 def _both(model_a: Model, model_b: Model, task: DesignProblem) -> tuple[HypothesisPair, HypothesisPair]:
@@ -158,19 +161,19 @@ def separation(model_a: Model, model_b: Model, task: DesignProblem, command: Arr
 
 def discriminate(model_a: Model, model_b: Model, task: DesignProblem, *, evaluations: int = 4000,
                  progress: Callable[[int, float], None] | None = None) -> DiscriminationDesign:
-    """The step sequence within ``task``'s frame and limits that tells two models apart.
+    """T-optimal step sequence within the limits of ``task`` for two models.
 
-    Both have the values that they were fitted to, their effects' among them: with neither effect there, nothing is to
-    be told apart. ``task.model`` judges the limits. Raises SeatrialError where the models cannot be compared.
+    Both have fitted values, those of their effects included: with both effects at zero the models are equal.
+    ``task.model`` is used for the limits. Raises SeatrialError where the models cannot be compared.
     """
     for one, other in ((model_a, model_b), (model_b, model_a)):
         if [s.name for s in one.sensors] != [s.name for s in other.sensors]:
             raise SeatrialError(f"models {one.name} and {other.name} have different sensors: they cannot be compared")
-    rivalries = _both(model_a, model_b, task)
+    pairs = _both(model_a, model_b, task)
 
     def judge(z: Array) -> tuple[Array, Array]:
         command = task.commands(z)
-        parts: Sequence[Array] = [np.minimum(*(r(command[:, :, k:k + 32]) for r in rivalries))
+        parts: Sequence[Array] = [np.minimum(*(r(command[:, :, k:k + 32]) for r in pairs))
                                   for k in range(0, command.shape[2], 32)]
         return np.log(np.maximum(np.concatenate(parts), 1e-12)), task.broken(command)
 

@@ -1,4 +1,4 @@
-"""Commands over time and what the model sees of them: step sequences, PRBS, random Gaussian sequences.
+"""Excitation signals (step sequences, PRBS, random Gaussian) and the thruster response to them.
 
 A command is -1..1 for each channel (thruster). On its way to the model it passes the mission's slew limit and the
 shaft's first-order lag (thesis section 4.2, ``n' = a (n_ref - n)``). Arrays are (n_rows, n_channels, n): time first,
@@ -22,12 +22,13 @@ SIDES = ("left", "right")
 SHAFT_POLE = 2.794  # 1/s, thesis Table 2
 THRUST = {"c1": 40.05, "c2": 1.11}  # N, thesis Table 2
 ARM = 0.15  # m, thesis section 4
-ALIKE, AGAINST = (("X",), ("n",)), (("N",),)  # inputs of models that have but one
+COMMON_MODE, DIFFERENTIAL_MODE = (("X",), ("n",)), (("N",),)  # the input of models that have only one
 
 
 @dataclass(frozen=True)
 class ThrusterResponse:
-    """From commands to a model's inputs: largest command, slew limit [1/s], shaft pole [1/s], thrust curve [N]."""
+    """Response from commands to the inputs of a model: largest command, slew limit [1/s], shaft pole [1/s], thrust
+    curve [N]."""
 
     model: Model
     t: Array
@@ -38,20 +39,20 @@ class ThrusterResponse:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Thrusters, or the model's own inputs where it has not the two that this knows."""
+        """The two thrusters, or the inputs of the model where it has other ones."""
         names = self._own
         return SIDES if len(names) == 2 and all(n in ("X", "N") or n[2:] in SIDES for n in names) else tuple(names)
 
     @property
     def thrusters(self) -> tuple[str, ...]:
-        """Whom a mission commands: surge and yaw alone are made by two thrusters too."""
-        return SIDES if self.channels in (*ALIKE, *AGAINST) else self.channels
+        """Thrusters that a mission commands; surge or yaw alone takes both thrusters, too."""
+        return SIDES if self.channels in (*COMMON_MODE, *DIFFERENTIAL_MODE) else self.channels
 
     def for_thrusters(self, levels: Array) -> Array:
-        """Levels of the channels (n_rows, n_channels) as those of the thrusters."""
-        if self.channels in ALIKE:
+        """Levels of the thrusters from those of the channels (n_rows, n_channels)."""
+        if self.channels in COMMON_MODE:
             return np.hstack([levels, levels])
-        return np.hstack([levels, -levels]) if self.channels in AGAINST else levels
+        return np.hstack([levels, -levels]) if self.channels in DIFFERENTIAL_MODE else levels
 
     @property
     def _own(self) -> list[str]:
@@ -59,7 +60,7 @@ class ThrusterResponse:
         return [n for n in names if "~" not in n and n not in (TIME_INPUT, WORK_INPUT)]
 
     def limited(self, levels: Array, durations: Array) -> Array:
-        """The commands (n_rows, n_channels, n) of steps: levels (n_steps, n_channels, n) held for durations
+        """Commands (n_rows, n_channels, n) of step sequences: levels (n_steps, n_channels, n) held for durations
         (n_steps, n) [s] with the slew limit on every change, from zero."""
         ends = np.cumsum(durations, axis=0)
         starts = ends - durations
@@ -80,7 +81,7 @@ class ThrusterResponse:
         return np.asarray(first + np.clip(wanted - first, -since, since))
 
     def shaft(self, command: Array) -> Array:
-        """Speeds behind held commands, exact at the rows; rows are equally far apart."""
+        """Shaft speeds: first-order response to held commands, exact at the equidistant rows."""
         if not np.isfinite(self.pole):
             return command
         keep = float(np.exp(-self.pole * (self.t[1] - self.t[0])))
@@ -118,7 +119,7 @@ class ThrusterResponse:
         return np.asarray(self.curve["c1"] * n * np.abs(n) + self.curve["c2"] * n * n)
 
     def _earlier(self, value: Array, seconds: float) -> Array:
-        """The signal some time ago; before the start: as at the start."""
+        """The signal ``seconds`` earlier; before the start its initial value."""
         at = np.maximum(self.t - seconds, self.t[0])
         row = np.clip(np.searchsorted(self.t, at + 1e-9, side="right") - 1, 0, self.t.size - 2)
         part = ((at - self.t[row]) / (self.t[row + 1] - self.t[row]))[:, None]
@@ -131,8 +132,8 @@ class ThrusterResponse:
 
 @dataclass(frozen=True)
 class Steps:
-    """The class of inputs that is searched (thesis chapter 5): ``n_steps`` steps of free levels and durations, of fixed
-    total duration. A point z (n_steps (n_channels + 1),) has the levels, then the shares of time, each in 0..1."""
+    """Input class of the search (thesis chapter 5): ``n_steps`` steps of free levels and durations at a fixed total
+    duration. A search point z (n_steps (n_channels + 1),) has the levels, then the shares of time, each in 0..1."""
 
     n_steps: int
     n_channels: int
@@ -176,7 +177,7 @@ class Steps:
         return levels, np.diff(whole, axis=0, prepend=0.0) * self.grid
 
     def random(self, n: int, rng: np.random.Generator) -> Array:
-        """Points (n, size) of many kinds: full and half thrust, turning and straight, long and short steps."""
+        """Random search points (n, size) of four kinds: full and partial thrust, turning and straight."""
         kind = rng.integers(4, size=(n, 1, 1))
         shape = (n, self.n_steps, self.n_channels)
         levels = rng.uniform(-1.0, 1.0, shape)
@@ -189,14 +190,15 @@ class Steps:
 
 
 def prbs(t: Array, clock: float, n_channels: int, amplitude: float, rng: np.random.Generator) -> Array:
-    """Random binary sequences (n_rows, n_channels): +-amplitude, drawn anew every ``clock`` [s] (Ljung 1999, 13.3)."""
+    """Pseudo-random binary sequences (n_rows, n_channels): +-amplitude, drawn every ``clock`` [s] (Ljung 1999,
+    13.3)."""
     index = (t / clock + 1e-9).astype(int)
     return np.asarray(amplitude * rng.choice([-1.0, 1.0], (index[-1] + 1, n_channels))[index])
 
 
 def rgs(t: Array, corner: float, n_channels: int, sd: float, n_max: float, rng: np.random.Generator) -> Array:
-    """Gaussian sequences (n_rows, n_channels) of standard deviation ``sd`` behind a low-pass of ``corner`` [Hz],
-    clipped at n_max (Ljung 1999, 13.3)."""
+    """Random Gaussian sequences (n_rows, n_channels) of standard deviation ``sd`` behind a second-order low-pass filter
+    of corner frequency ``corner`` [Hz], clipped at n_max (Ljung 1999, 13.3)."""
     step = t[1] - t[0]
     sos = signal.butter(2, min(corner * 2 * step, 0.99), output="sos")
     settle = round(min(3.0 / corner, 300.0) / step)

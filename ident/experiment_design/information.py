@@ -1,9 +1,8 @@
-"""Fisher information: what an experiment will tell, or what a log has told, of a model's parameters.
+"""Fisher information of the parameters, of a planned experiment or of a log.
 
-Two forms. **Prediction error**: the information of the filter's innovations, ``de' S^-1 de`` and, of the noise,
-``1/2 tr(S^-1 dS S^-1 dS)`` (``ident.estimation.likelihood``); it knows that process noise makes what happened long ago
-worthless. **Output
-error** (the form of the thesis' chapter 5): no process noise, ``F = sum dz' R^-1 dz`` along a simulation.
+Two forms. **Prediction error**: the information of the innovations of the filter, ``de' S^-1 de`` and, for noise
+parameters, ``1/2 tr(S^-1 dS S^-1 dS)`` (``ident.estimation.likelihood``); with process noise the distant past carries
+no information. **Output error** (thesis chapter 5): no process noise, ``F = sum dz' R^-1 dz`` along a simulation.
 ``Experiments`` computes either for thousands of inputs or parameter values at a time.
 """
 
@@ -26,13 +25,17 @@ from ident.numerics import Array
 
 Mask = NDArray[np.uint32]
 T = TypeVar("T")
-CHUNK = 4  # groups of lanes in a call: what stays in the processor's cache
+CHUNK = 4  # groups of vector lanes in a call; they fit into the cache of the processor
 
 
 @dataclass(frozen=True)
 class ExperimentResults:
-    """What each experiment gives. information (n, q, q): by the free parameters, in their own units; low, high (n, k):
-    least and largest of the states and of the squared speed, named by ``Experiments.extremes``."""
+    """Results of n experiments.
+
+    Attributes:
+        information (n, q, q): by the free parameters, in their units.
+        low, high (n, k): minimum and maximum of the states and of the squared speed, named by ``Experiments.extremes``.
+    """
 
     information: Array
     low: Array
@@ -153,7 +156,7 @@ def sensor_mask(model: Model, n_rows: int, every: Mapping[str, int]) -> Mask:
 
 
 def in_lanes(a: Array, groups: int, width: int) -> Array:
-    """(n_rows, k, n) as (n_rows, groups, k, width); what is missing to a whole group repeats the last."""
+    """(n_rows, k, n) as (n_rows, groups, k, width); an incomplete group is filled with its last column."""
     missing = groups * width - a.shape[2]
     if missing:
         a = np.concatenate([a, np.repeat(a[:, :, -1:], missing, axis=2)], axis=2)
@@ -174,7 +177,7 @@ def square(triangle: Array, q: int) -> Array:
 
 
 def parallel(work: Callable[[slice], T], chunks: Sequence[slice], threads: int) -> list[T]:
-    """The results in order; the kernels leave Python's lock."""
+    """Results in order; the kernels release the global interpreter lock."""
     if threads < 2 or len(chunks) < 2:
         return [work(c) for c in chunks]
     with ThreadPoolExecutor(min(threads, len(chunks))) as pool:
@@ -188,7 +191,7 @@ def _flat(a: Array) -> Array:
 
 def planned_record(model: Model, t: Array, u: Array, every: Mapping[str, int] | None = None,
                    values: Array | None = None, name: str = "planned") -> Record:
-    """The record that an experiment would give if nothing disturbed it and the sensors had no noise.
+    """Record of a planned experiment without process noise and measurement noise.
 
     t (n_rows,) s; u (n_rows, n_inputs).
     """
@@ -212,7 +215,7 @@ def prediction_information(model: Model, record: Record, values: Array | None = 
 
 
 def prior_information(parameters: Sequence[Parameter]) -> Array:
-    """(q, q), diagonal: what the parameters' priors tell, in their own units."""
+    """Prior information (q, q) of the parameters, diagonal, in their units."""
     found = np.zeros(len(parameters))
     for i, p in enumerate(parameters):
         prior = p.free_prior()
@@ -222,7 +225,8 @@ def prior_information(parameters: Sequence[Parameter]) -> Array:
 
 
 def errors_of(information: Array) -> Array:
-    """Cramer-Rao bounds (..., q): standard errors with all other parameters unknown; inf where there are none."""
+    """Cramér-Rao bounds (..., q): standard errors with all other parameters unknown; inf where there is no
+    information."""
     size = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 0.0))
     found = np.full(size.shape, np.inf)
     for at in np.ndindex(size.shape[:-1]):
@@ -235,9 +239,13 @@ def errors_of(information: Array) -> Array:
 
 @dataclass(frozen=True)
 class InformationSegment:
-    """A segment of a log. ``weight`` (q,): by how much each parameter's standard error would grow without it (1: not at
-    all; inf: only this segment tells); ``alone``, ``whole`` (q,): standard errors from this segment alone, and from all
-    segments of all records."""
+    """Information of one segment of a log.
+
+    Attributes:
+        weight (q,): factor by which each standard error would grow without the segment (1: none; inf: only this segment
+            informs the parameter).
+        alone, whole (q,): standard errors from this segment alone, and from all segments of all records.
+    """
 
     record: str
     t_from: float
@@ -250,10 +258,11 @@ class InformationSegment:
 
 def segment_information(model: Model, records: Sequence[Record], names: Sequence[str], *, seconds: float = 30.0,
                         values: Sequence[Array] | None = None) -> list[InformationSegment]:
-    """Which stretches of logs already taken inform which parameter of ``names`` (prediction error).
+    """Fisher information of each segment of the records about the parameters ``names`` (prediction error).
 
-    values: the parameters in each record, over ``model.parameters``. The information of a stretch is what it adds to
-    that of all before it in its record. Nuisances of a record (current, offsets) and noise count as unknown.
+    seconds: length of a segment. values: the parameters in each record, over ``model.parameters``. The information of a
+    segment is what it adds to that of all before it in its record. Per-record nuisance parameters (current, biases) and
+    noise count as unknown.
     """
     nuisances = [p for p in model.parameters if p.free and p.name not in names]
     shared = [*names, *[p.name for p in nuisances if not p.per_record]]
@@ -279,9 +288,9 @@ def segment_information(model: Model, records: Sequence[Record], names: Sequence
 
 def _increments(model: Model, record: Record, values: Array | None, free: Sequence[str], seconds: float
                 ) -> list[tuple[float, float, Array]]:
-    """Start and end [s] of each stretch, and the information that it adds."""
+    """Start and end [s] of each segment, and the information that it adds."""
     edges = np.append(np.arange(0.0, record.duration - seconds / 2, seconds), record.duration) + record.t[0]
-    past = edges[-1] + 1.0  # the last row belongs to the last stretch
+    past = edges[-1] + 1.0  # the last row belongs to the last segment
     ends = [record.part(record.t[0], past if k == edges.size - 1 else float(edges[k])) for k in range(1, edges.size)]
     totals = parallel(partial(_total, model, ends, values, free), [slice(k, k + 1) for k in range(len(ends))], 2)
     steps = np.diff(np.concatenate([np.zeros((1, len(free), len(free))), totals]), axis=0)

@@ -1,9 +1,9 @@
-"""The next experiment: the step sequence that tells most of a model's parameters, within limits (thesis chapter 5).
+"""Optimal input design: the step sequence of largest information about the parameters, within limits.
 
-The thesis takes the information of output error, since that of prediction error took too long to compute. Here they
-cost about the same, and prediction error is the default: without process noise an open simulation of ten minutes is so
-sensitive to every parameter (the heading at the end to all that went before) that output error promises errors of
-a twentieth to a hundredth of what a fit can reach, and designs for them.
+Thesis chapter 5. The thesis takes the information of output error, since that of prediction error took too long to
+compute. Here both cost about the same, and prediction error is the default: without process noise a simulation of ten
+minutes is so sensitive to every parameter (the heading at the end to all that went before) that output error predicts
+standard errors of a twentieth to a hundredth of what a fit can reach, and designs for them.
 """
 
 from __future__ import annotations
@@ -22,16 +22,21 @@ from ident.experiment_design.task import N_TRACKS, DesignProblem
 from ident.numerics import Array, Evaluate, PatternSearch, SearchResult
 
 N_START, N_RESTARTS = 512, 4
-BLOCK = 100.0  # s: the shortest part of a long experiment that is designed for itself
-DIGITS = 3  # of a level
-N_BAND = 64  # simulated boats behind the band of the track
+BLOCK = 100.0  # s, shortest block of a long experiment that is designed separately
+LEVEL_DIGITS = 3  # decimal digits of a level in mission.toml
+N_BAND = 64  # simulated boats for the band of the track
 Progress = Callable[[int, float], None]
 
 
 @dataclass(frozen=True)
 class Design:
-    """The best that was found. levels (n_steps, n_channels), durations (n_steps,) s; value: the criterion, with what
-    was known before; information (q, q) by ``task.free``, without it."""
+    """The best design that was found.
+
+    Attributes:
+        levels (n_steps, n_channels), durations (n_steps,) s: the steps.
+        value: criterion, prior information included.
+        information (q, q): by ``task.free``, without the prior.
+    """
 
     task: DesignProblem
     levels: Array
@@ -50,17 +55,17 @@ class Design:
 
     @property
     def before(self) -> dict[str, float]:
-        """Standard errors before this experiment; inf: nothing is known."""
+        """Standard errors before this experiment; inf: no information."""
         return self._by_name(self.task.prior)
 
     @property
     def errors(self) -> dict[str, float]:
-        """Standard errors after it, in the form of the design (noise is known)."""
+        """Standard errors after it, by the information of the design (noise known)."""
         return self._by_name(self.information + self.task.prior)
 
     @cached_property
     def predicted(self) -> dict[str, float]:
-        """Standard errors after it by prediction error with all sensors at their rates: what a fit may reach."""
+        """Standard errors after it, by prediction error with all sensors at their rates: what a fit may reach."""
         return predicted_errors(self.task, self.command_on(self.task.finer))
 
     def _by_name(self, information: Array) -> dict[str, float]:
@@ -70,7 +75,7 @@ class Design:
 
 def predicted_errors(task: DesignProblem, command: Array) -> dict[str, float]:
     """Standard errors of ``task.learned`` after a command (n_rows, n_channels) on the rows of ``task.finer``, by
-    prediction error, with the noises unknown too."""
+    prediction error, with unknown noise parameters."""
     model, fine, q = task.model, task.finer, len(task.learned)
     u = fine.actuation.inputs(command[:, :, None])[:, :, 0]
     record = planned_record(model, fine.t, u, fine.every)
@@ -82,9 +87,16 @@ def predicted_errors(task: DesignProblem, command: Array) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Track:
-    """Predicted: t (n,) s; x, y (n,) m of the nominal boat from where it begins, heading north. others (k, n, 2) m: of
-    boats drawn from the belief, with process noise; radius (n,) m: within it 95 % of them were; inside: share of them
-    that kept to the area, whose south-west corner (2,) is that far from the start; None without one."""
+    """Predicted track.
+
+    Attributes:
+        t (n,): s.
+        x, y (n,): m, of the nominal boat from its start, heading north.
+        others (k, n, 2): m, of boats sampled from the prior, with process noise.
+        radius (n,): m, holds 95 % of them.
+        inside: share of them that stayed in the area; None without one.
+        corner (2,): m, south-west corner of the area relative to the start; None without one.
+    """
 
     t: Array
     x: Array
@@ -96,7 +108,7 @@ class Track:
 
 
 def predicted_track(made: Design, points: int = 61) -> Track | None:
-    """By simulation; None where the model has no position."""
+    """Track by simulation; None where the model has no position."""
     task = made.task
     names = [s.name for s in task.model.states]
     if not {"x", "y"} <= set(names):
@@ -119,29 +131,29 @@ def predicted_track(made: Design, points: int = 61) -> Track | None:
 def design(
     task: DesignProblem, *, evaluations: int = 20_000, warm: Array | None = None, progress: Progress | None = None
 ) -> Design:
-    """Search from the best of many random sequences, or from ``warm`` (n, size).
+    """Optimal step sequence by pattern search, from the best of many random sequences or from ``warm`` (n, size).
 
-    Raises SeatrialError where nothing keeps to the limits. The same seed finds the same design.
+    The same seed gives the same design. Raises SeatrialError where no sequence keeps to the limits.
     """
     if warm is None and task.process_noise:
         warm = _block(task, evaluations, progress)
         evaluations = evaluations if warm is None else evaluations // 2
     found = search(task.steps, lambda z: task.judge(task.commands(z)), evaluations, task.seed, warm, progress)
     levels, durations = (a[..., 0] for a in task.steps.unpack(found.z[None]))
-    levels = levels.round(DIGITS)
+    levels = levels.round(LEVEL_DIGITS)
     rounded = task.actuation.limited(levels[:, :, None], durations[:, None])
     value, violation = task.judge(rounded)
-    if violation[0] > 10.0**-DIGITS:
+    if violation[0] > 10.0**-LEVEL_DIGITS:
         raise SeatrialError(_too_tight(task, float(violation[0])))
-    told = task.experiments(task.actuation.inputs(rounded)).information[0]
-    return Design(task, levels, durations, float(value[0]), told, found)
+    information = task.experiments(task.actuation.inputs(rounded)).information[0]
+    return Design(task, levels, durations, float(value[0]), information, found)
 
 
 def _block(task: DesignProblem, evaluations: int, progress: Progress | None) -> Array | None:
-    """A start for a long experiment: a part of it designed for itself, several times over.
+    """Initial point for a long experiment: a shorter block, designed separately and repeated.
 
-    What a filter learns adds up over time, so a good minute is good again; a part has fewer steps and is simulated
-    faster, so it is searched more thoroughly for half of the work.
+    The information of a filter adds up over time, so a good block is good again; a block has fewer steps and is
+    simulated faster, so it is searched more thoroughly for half of the evaluations.
     """
     steps = task.steps
     parts = [k for k in range(2, 13) if steps.n_steps % k == 0 and steps.n_steps // k >= 8
@@ -158,7 +170,7 @@ def _block(task: DesignProblem, evaluations: int, progress: Progress | None) -> 
 
 def search(steps: Steps, evaluate: Evaluate, evaluations: int, seed: int, warm: Array | None,
            progress: Progress | None, *, n_start: int = N_START) -> SearchResult:
-    """The pattern search over step sequences: from the best of n_start random ones, or from ``warm`` (n, size)."""
+    """Pattern search over step sequences, from the best of n_start random ones or from ``warm`` (n, size)."""
     if warm is None:
         starts = steps.random(n_start, np.random.default_rng([seed, 13]))
         value, violation = evaluate(starts)

@@ -1,4 +1,4 @@
-"""What is asked of an experiment: model, what to learn, the class of inputs, limits, and what is known already."""
+"""Design problem: model, parameters to estimate, input class, limits, and prior knowledge."""
 
 from __future__ import annotations
 
@@ -18,17 +18,23 @@ from ident.model import Model
 from ident.numerics import Array
 
 GRID = 0.2  # s between rows of a search
-RATE = 10.0  # Hz of a sensor that is not said otherwise
-BOX = 0.25  # the parameters' prior where nothing is known: uniform within 0.75 to 1.25 of the nominal (thesis)
+RATE = 10.0  # Hz, default rate of a sensor
+PRIOR_HALFWIDTH = 0.25  # relative; default prior: uniform within 0.75 to 1.25 of the nominal values (thesis)
 N_TRACKS = 24  # parameter samples whose tracks must keep to the limits
 DIVERGED = 1e6  # violation
 
 
 @dataclass(frozen=True)
 class DesignLimits:
-    """What a mission must keep to. area: sides (north, east) [m] of the rectangle that holds the whole track, wherever
-    in it the boats have to begin, heading north; speed through the water [m/s]; energy: mean of ``|n|^3``, the share of
-    full power. current: the largest [m/s], from anywhere, that the track is to be reckoned with."""
+    """Limits of a mission; None: no limit.
+
+    Attributes:
+        area: sides (north, east) [m] of a rectangle that holds the whole track, wherever in it the boat starts,
+            heading north.
+        speed: through the water [m/s].
+        energy: mean of ``|n|^3``, the share of full power.
+        current: largest current [m/s], from any direction, that the track must allow for.
+    """
 
     area: tuple[float, float] | None = None
     speed: float | None = None
@@ -37,7 +43,7 @@ class DesignLimits:
 
     @property
     def bind(self) -> bool:
-        """Whether a mission has to keep to anything."""
+        """Whether there is any limit."""
         return self.energy is not None or self.concern_the_track
 
     @property
@@ -47,15 +53,16 @@ class DesignLimits:
 
 @dataclass(frozen=True)
 class ParameterPrior:
-    """What is thought of the parameters ``names`` beforehand: uniform in a box about the model's values, or normal with
-    a covariance (k, k)."""
+    """Prior distribution of the parameters ``names``: uniform in a box about the values of the model (relative
+    half-width
+    ``box``), or normal with a covariance (k, k)."""
 
     names: tuple[str, ...]
-    box: float = BOX
+    box: float = PRIOR_HALFWIDTH
     covariance: Array | None = None
 
     def sample(self, model: Model, n: int, rng: np.random.Generator) -> Array:
-        """(n, n_parameters); what is positive stays so."""
+        """Samples (n, n_parameters); positive parameters stay positive."""
         index = [p.name for p in model.parameters]
         values = np.tile([p.value for p in model.parameters], (n, 1))
         columns = [index.index(name) for name in self.names]
@@ -71,13 +78,17 @@ class ParameterPrior:
 
 @dataclass(frozen=True)
 class DesignProblem:
-    """The frame of a design.
+    """Model, input class, criterion, limits and prior knowledge of a design.
 
-    chosen: parameters to learn, of those that the sensors see (all by default). rates: of the sensors [Hz]. earlier:
-    information (k, k) of earlier logs by ``belief.names``. robust: parameter samples over which the criterion is
-    averaged (0: nominal only; with D this is ELD optimality, Walter and Pronzato 1997, section 6.4). process_noise:
-    information of prediction error, else of output error. grid: s between rows; a sensor faster than them counts with
-    the noise of its mean over a row.
+    Attributes:
+        chosen: parameters to estimate, of those that the sensors observe (default: all).
+        rates: of the sensors [Hz].
+        belief: prior of the parameters; None: the default box.
+        earlier: information (k, k) of earlier logs, by ``belief.names``.
+        robust: parameter samples over which the criterion is averaged (0: nominal only; with D this is ELD optimality,
+            Walter and Pronzato 1997, section 6.4).
+        process_noise: information of prediction error, else of output error.
+        grid: s between rows; a faster sensor counts with the noise of its mean over a row.
     """
 
     model: Model
@@ -111,7 +122,7 @@ class DesignProblem:
         return self.rates.get(sensor, RATE)
 
     def observed(self, model: Model) -> Model:
-        """The model as its sensors look on the rows of this task."""
+        """The model with the measurement noise that its sensors have on the rows of this problem."""
         noise: dict[str, float] = {}
         for s in model.sensors:
             shrink = np.sqrt(min(1.0, 1.0 / (self.rate(s.name) * self.grid)))
@@ -120,32 +131,32 @@ class DesignProblem:
 
     @cached_property
     def finer(self) -> DesignProblem:
-        """The same on rows that no sensor is faster than."""
+        """The same problem on rows at the rate of the fastest sensor."""
         most = max([self.rate(s.name) for s in self.model.sensors])
         return replace(self, grid=self.grid / max(1, round(most * self.grid)))
 
     @cached_property
     def learned(self) -> tuple[str, ...]:
-        """The shared parameters that are to be learned, or are unknown with them: what the sensors see."""
+        """Shared dynamic parameters that the sensors observe."""
         return self._visible(dynamic_parameters(self.model))
 
     @cached_property
     def free(self) -> tuple[str, ...]:
-        """Those, and the nuisances of a record."""
+        """``learned`` and the observed per-record nuisance parameters."""
         return (*self.learned, *self._visible([p.name for p in self.model.parameters if p.free and p.per_record]))
 
     def _visible(self, names: Sequence[str]) -> tuple[str, ...]:
-        """Those of the parameters that some output depends on."""
+        """Parameters with non-zero information: those that some output depends on."""
         if not names:
             return ()
         u = self.actuation.inputs(self.commands(self.steps.random(4, np.random.default_rng(0))))
-        told = Experiments(self.model, names, self.t, process_noise=False)(u).information
-        found = np.diagonal(told, axis1=1, axis2=2) != 0  # NaN of what diverged is not zero either
+        information = Experiments(self.model, names, self.t, process_noise=False)(u).information
+        found = np.diagonal(information, axis1=1, axis2=2) != 0  # NaN of what diverged is not zero either
         return tuple(n for k, n in enumerate(names) if found[:, k].any())
 
     @cached_property
     def prior(self) -> Array:
-        """(q, q) by ``free``: priors of the nuisances, and what earlier logs told."""
+        """Prior information (q, q) by ``free``: priors of nuisance parameters, and information of earlier logs."""
         q = len(self.learned)
         prior = np.zeros((len(self.free), len(self.free)))
         prior[q:, q:] = prior_information([self.model.parameter(n) for n in self.free[q:]])
@@ -185,18 +196,18 @@ class DesignProblem:
         return self.samples(self.robust, 1)
 
     def boats(self, n: int, purpose: int) -> Array:
-        """The same, each in a current of its own."""
+        """Parameter samples, each in a current of its own."""
         rng = np.random.default_rng([self.seed, 40 + purpose])
         return in_current(self.experiments.model, self.samples(n, purpose), self.limits.current, rng)
 
     @cached_property
     def reach(self) -> TrackExtent:
-        """How far the nominal boat gets, and sampled ones with process noise, which all start at the same place."""
+        """Extent of the track of the nominal boat and of sampled ones with process noise, all from the same start."""
         nominal = self.experiments.values
         return TrackExtent(self.model, self.t, np.vstack([nominal, self.boats(N_TRACKS, 2)]), [self.seed, 30])
 
     def commands(self, z: Array) -> Array:
-        """(n_rows, n_channels, n) of points of the search."""
+        """Commands (n_rows, n_channels, n) of search points."""
         return self.actuation.limited(*self.steps.unpack(z))
 
     def judge(self, command: Array) -> tuple[Array, Array]:
@@ -210,7 +221,7 @@ class DesignProblem:
         return self.measure(self.experiments(u, values).information + self.prior)
 
     def broken(self, command: Array, u: Array | None = None) -> Array:
-        """Violation (n,) of the limits, by the sum of the parts by which they are exceeded; 0: all are kept."""
+        """Violation (n,) of the limits: sum of the relative excesses; 0: all limits are kept."""
         broken = np.zeros(command.shape[2])
         if self.limits.energy is not None:
             broken = np.maximum(self.actuation.energy(command) / self.limits.energy - 1.0, 0.0)
@@ -224,13 +235,13 @@ class DesignProblem:
         return np.asarray(self.measure(outcome.information + self.prior).reshape(n, k).mean(axis=1))
 
     def extents(self, u: Array) -> tuple[Array, Array]:
-        """Least and largest (n, k) of ``experiments.extremes`` over all boats: inputs u (n_rows, n_inputs, n)."""
+        """Minimum and maximum (n, k) of ``experiments.extremes`` over all boats; inputs u (n_rows, n_inputs, n)."""
         low, high = self.reach(u)
         return low.min(axis=1), high.max(axis=1)
 
     def corner(self, u: Array) -> Array | None:
-        """South-west corner (2,) of the area from the start [m], so that what one input (n_rows, n_inputs) reaches lies
-        in its middle; None without an area."""
+        """South-west corner (2,) of the area relative to the start [m] that centres the extent of one input (n_rows,
+        n_inputs); None without an area."""
         if self.limits.area is None:
             return None
         low, high = self.extents(u[:, :, None])
@@ -238,7 +249,7 @@ class DesignProblem:
         return np.asarray((low[0, at] + high[0, at] - np.array(self.limits.area)) / 2)
 
     def _violation(self, low: Array, high: Array) -> Array:
-        """(n,): by which part the limits of area and speed are exceeded."""
+        """Relative excess (n,) over the limits of area and speed."""
         total = np.zeros(len(low))
         names = self.experiments.extremes
         if self.limits.area is not None:
@@ -256,7 +267,7 @@ class DesignProblem:
 
 
 def believed(saved: SavedModel) -> ParameterPrior:
-    """What a fit has told of the shared parameters: those with a standard error."""
+    """Prior from a fitted model: its shared parameters with a standard error, with their correlation."""
     wanted = dynamic_parameters(saved.model)
     known = [n for n in saved.names if n in wanted and np.isfinite(saved.errors.get(n, np.nan))]
     at = [saved.names.index(n) for n in known]
@@ -267,5 +278,6 @@ def believed(saved: SavedModel) -> ParameterPrior:
 
 
 def scaled_inverse(covariance: Array) -> Array:
+    """Pseudo-inverse of a covariance, computed with a unit diagonal."""
     size = np.sqrt(np.diag(covariance))
     return np.asarray(np.linalg.pinv(covariance / np.outer(size, size), hermitian=True) / np.outer(size, size))

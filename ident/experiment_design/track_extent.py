@@ -1,9 +1,8 @@
-"""Where a mission may take the boat: the nominal one, and others that are drawn from what is believed, disturbed by
-process noise and, where one is to be reckoned with, by a current.
+"""Monte Carlo extent of the mission track, over parameter uncertainty, process noise and current.
 
-Process noise enters as inputs of the rates of its states, drawn once for each boat and held to straight lines between
-the rows: white up to the rate of the rows, far above what a boat follows. All missions meet the same draws, so a search
-compares like with like.
+Process noise enters as inputs on the rates of the states, drawn once for each sampled boat and linear between the rows:
+white up to the rate of the rows, far above the bandwidth of a boat. All missions get the same draws (common random
+numbers), so a search compares like with like.
 """
 
 from __future__ import annotations
@@ -19,24 +18,24 @@ from ident.model import Effect, Input, Model, Signals
 from ident.numerics import Array
 
 CURRENT = ("V_x", "V_y")
-TOGETHER = 16  # missions simulated at a time, each with all of its boats
+BATCH = 16  # missions simulated at a time, each with all sampled boats
 
 
 def with_noise_inputs(model: Model) -> tuple[Model, list[str]]:
     """The model with an input ``w_STATE`` [unit/s] on the rate of each state with process noise, and these states."""
     noisy = [s for s in model.states if s.noise != 0.0]
 
-    def push(s: Signals) -> None:
+    def add_noise(s: Signals) -> None:
         for state in noisy:
             s.rate[state.name] = s.rate[state.name] + getattr(s.u, f"w_{state.name}")
 
     inputs = tuple(Input(f"w_{s.name}", f"{s.unit}/s", "linear") for s in noisy)
-    effect = Effect("process-noise", "process noise as inputs", {"rate": push}, inputs=inputs)
+    effect = Effect("process-noise", "process noise as inputs", {"rate": add_noise}, inputs=inputs)
     return (model + effect if noisy else model), [s.name for s in noisy]
 
 
 def in_current(model: Model, values: Array, largest: float, rng: np.random.Generator) -> Array:
-    """Parameters (n, n_parameters) with a current drawn from the disc of radius ``largest`` [m/s].
+    """Parameters (n, n_parameters) with a current drawn uniformly from the disc of radius ``largest`` [m/s].
 
     Raises SeatrialError where the model has no current.
     """
@@ -52,7 +51,8 @@ def in_current(model: Model, values: Array, largest: float, rng: np.random.Gener
 
 
 class TrackExtent:
-    """Extents of boats (n, n_parameters) on common times t (n_rows,) s; the first is left undisturbed."""
+    """Track extents of sampled boats (n, n_parameters) on common times t (n_rows,) s; the first has no process
+    noise."""
 
     def __init__(self, model: Model, t: Array, boats: Array, seed: Sequence[int]) -> None:
         self._model, self._t, self._boats, self._seed = model, t, boats, list(seed)
@@ -64,12 +64,12 @@ class TrackExtent:
 
     @property
     def extremes(self) -> tuple[str, ...]:
-        """What the extents are of."""
+        """Names of the quantities whose extremes are returned."""
         return self._experiments.extremes
 
     @cached_property
     def noise(self) -> Array:
-        """White noise (n_rows, n_noisy, n_boats) in unit/s, so strong that it adds up to the model's diffusion."""
+        """White noise (n_rows, n_noisy, n_boats) [unit/s] that integrates to the diffusion of the model."""
         h, states = np.diff(self._t), {s.name: s for s in self._model.states}
         names = [p.name for p in self._model.parameters]
         out = np.zeros((self._t.size, len(self._noisy), len(self._boats)))
@@ -82,11 +82,11 @@ class TrackExtent:
         return out
 
     def __call__(self, u: Array) -> tuple[Array, Array]:
-        """Least and largest (n, n_boats, k) of ``extremes`` under inputs u (n_rows, n_inputs, n)."""
+        """Minimum and maximum (n, n_boats, k) of ``extremes`` under inputs u (n_rows, n_inputs, n)."""
         n, m, k = u.shape[2], len(self._boats), len(self.extremes)
         parts = []
-        for first in range(0, n, TOGETHER):
-            some = u[:, :, first:first + TOGETHER]
+        for first in range(0, n, BATCH):
+            some = u[:, :, first:first + BATCH]
             given = np.repeat(some, m, axis=2)
             if self._noisy:
                 given = np.concatenate([given, np.tile(self.noise, (1, 1, some.shape[2]))], axis=1)

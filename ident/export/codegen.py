@@ -1,9 +1,7 @@
-"""A model's graph as straight-line code: one assignment after the other, in any language that has a ``Syntax``.
+"""Code generation: the graph of a model as straight-line code in any language that has a ``Syntax``.
 
-Common subexpressions are named once. Names say what they can: the model's own signals (forces, thrusts) keep
-theirs, ``cos(psi)`` becomes ``cos_psi``; the rest are numbered.
-
-How plain Python, C99 and CasADi's Python write a scalar operation.
+Common subexpressions are named once. Signals of the model (forces, thrusts) keep their names, ``cos(psi)`` becomes
+``cos_psi``; the rest are numbered. Syntaxes: plain Python, C99 and Python with CasADi.
 """
 
 from __future__ import annotations
@@ -18,7 +16,7 @@ import casadi as ca
 
 from ident.model import Model, Signals
 
-ATOM, UNARY, PRODUCT, SUM = 100, 30, 20, 10  # how tightly an expression holds together
+ATOM, UNARY, PRODUCT, SUM = 100, 30, 20, 10  # precedence of an expression
 LONGEST = 50  # characters of an expression that stays inside another
 NAMED = {ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_FABS: "abs", ca.OP_SQRT: "root", ca.OP_TANH: "tanh",
          ca.OP_EXP: "exp", ca.OP_SQ: "square"}

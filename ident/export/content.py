@@ -1,4 +1,4 @@
-"""What every exporter writes: names made valid, values, noise, and the words of the header."""
+"""Content of an export: valid identifiers, parameter values, noise, and the comment header."""
 
 from __future__ import annotations
 
@@ -17,15 +17,22 @@ from ident.export.codegen import Program, parameters_of, programs
 from ident.model import Model, Parameter, State
 from ident.models import DELAY_STEP, OFFSETS
 
-NUISANCE = ("disturbance", "sensor-bias")  # effects whose states a controller does not want
-SWING = "b_f"  # the unexplained force of the bench model, which is no effect
+NUISANCE = ("disturbance", "sensor-bias")  # effects whose states a controller does not need
+BENCH_FORCE = "b_f"  # disturbance force of the bench model, which is a state of the model and not of an effect
 
 
 @dataclass(frozen=True)
 class Content:
-    """A model ready to be written. ``states``, ``inputs``, ``outputs``, ``parameters``: valid identifiers in the
-    model's order, parameters without those that only noise depends on; ``values``, ``errors``: of ``parameters``
-    (NaN: no standard error); state_noise: diffusions [unit/sqrt(s)]; output_noise: standard deviations."""
+    """A model ready for export.
+
+    Attributes:
+        states, inputs, outputs, parameters: valid identifiers in the order of the model; parameters without those of
+            noise.
+        values, errors: of ``parameters`` (NaN: no standard error).
+        state_noise: diffusions [unit/sqrt(s)].
+        output_noise: standard deviations.
+        left_out: disturbance states that are not exported.
+    """
 
     name: str
     model: Model
@@ -42,20 +49,20 @@ class Content:
 
     @cached_property
     def own(self) -> tuple[Parameter, ...]:
-        """The parameters themselves."""
+        """The parameters of ``parameters``."""
         used = parameters_of(self.model)
         return tuple(p for p in self.model.parameters if p.name in used)
 
     @cached_property
     def symbols(self) -> tuple[list[str], list[str], list[str]]:
-        """What states, inputs and all the model's parameters are called in the code."""
+        """Identifiers of states, inputs and all parameters of the model in the code."""
         name_of = dict(zip([p.name for p in self.own], self.parameters, strict=True))
         return ([f"x_{n}" for n in self.states], [f"u_{n}" for n in self.inputs],
                 [f"p_{name_of.get(p.name, f'unused_{i}')}" for i, p in enumerate(self.model.parameters)])
 
     @cached_property
     def programs(self) -> tuple[Program, Program]:
-        """Rates and outputs."""
+        """Programs of the rates and of the outputs."""
         return programs(self.model, [*self.symbols, [f"out_{n}" for n in self.outputs]])
 
     @property
@@ -78,7 +85,7 @@ def content(saved: SavedModel, *, name: str | None = None, nuisance: bool = Fals
     own = [p for p in model.parameters if p.name in used]
     values = model.values
     noise = [values[s.noise] if isinstance(s.noise, str) else float(s.noise) for s in model.states]
-    extra = unexplained(saved.model, model) if gone else [0.0] * len(noise)
+    extra = equivalent_process_noise(saved.model, model) if gone else [0.0] * len(noise)
     return Content(
         prefix(name or model.name), model, saved,
         identifiers(s.name for s in model.states), identifiers(i.name for i in model.inputs),
@@ -90,7 +97,7 @@ def content(saved: SavedModel, *, name: str | None = None, nuisance: bool = Fals
 
 
 def identifiers(names: Iterable[str]) -> tuple[str, ...]:
-    """Names that any language takes, all different: ``n_left~3`` becomes ``n_left_ago_3``."""
+    """Unique identifiers that are valid in any language: ``n_left~3`` becomes ``n_left_ago_3``."""
     found: list[str] = []
     for name in names:
         valid = re.sub(r"[^A-Za-z0-9_]", "_", name.replace("~", "_ago_"))
@@ -103,19 +110,19 @@ def identifiers(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def prefix(name: str) -> str:
-    """What functions and files are called by: begins with a letter, and no underscore follows another (CasADi)."""
+    """Prefix of functions and files: starts with a letter, without two underscores in a row (CasADi)."""
     valid = re.sub(r"_+", "_", re.sub(r"[^A-Za-z0-9]", "_", name)).strip("_")
     return valid if valid[:1].isalpha() else f"model_{valid}".rstrip("_")
 
 
 def without_nuisance(model: Model) -> tuple[Model, tuple[State, ...]]:
-    """The boat alone: without unexplained forces and walking sensor offsets; and the states that went."""
+    """The model without disturbance forces and random-walk sensor biases, and the removed states."""
     effects = [e for e in model.effects if e.name in NUISANCE]
-    swing = "bench" in model.provides
-    states = {s.name for e in effects for s in e.states} | ({SWING} if swing else set())
+    bench = "bench" in model.provides
+    states = {s.name for e in effects for s in e.states} | ({BENCH_FORCE} if bench else set())
     if "attitude" in model.provides:
         states |= {s.name for s in OFFSETS}
-    parameters = {p.name for e in effects for p in e.parameters} | ({"q_f", "tau_f"} if swing else set())
+    parameters = {p.name for e in effects for p in e.parameters} | ({"q_f", "tau_f"} if bench else set())
     smaller = replace(
         model,
         states=tuple(s for s in model.states if s.name not in states),
@@ -124,9 +131,9 @@ def without_nuisance(model: Model) -> tuple[Model, tuple[State, ...]]:
     return smaller, tuple(s for s in model.states if s.name in states)
 
 
-def unexplained(whole: Model, kept: Model) -> list[float]:
-    """The unexplained forces as white noise of the rates they act on: the same variance over times longer than
-    their memory, ``|d rate / d force| q tau`` at rest [unit/sqrt(s)]."""
+def equivalent_process_noise(whole: Model, kept: Model) -> list[float]:
+    """Removed disturbance forces as white process noise of the rates: the same variance over times longer than their
+    correlation time, ``|d rate / d force| q tau`` at rest [unit/sqrt(s)]."""
     names = [s.name for s in whole.states]
     values = whole.values
     at_rest = np.zeros((1, len(names)))
@@ -145,7 +152,7 @@ def unexplained(whole: Model, kept: Model) -> list[float]:
 
 
 def header(c: Content, target: str) -> list[str]:
-    """The lines above the code: what this is, what it came from, what its names mean, where it holds."""
+    """Comment header: model, provenance, meaning of the names, range of validity."""
     made = c.saved.provenance
     lines = [f"{c.model.name}: a fitted model, written for {target} by seatrial.", ""]
     lines += [f"{label}: {made[key]}" for label, key in (("made by", "made_by"), ("on", "created")) if key in made]
@@ -159,7 +166,7 @@ def header(c: Content, target: str) -> list[str]:
     lines += [f"  y[{i}] {n} {_unit(o.unit)}" + (", an angle" if o.angle else "")
               for i, (n, o) in enumerate(zip(c.outputs, c.model.outputs, strict=True))]
     if c.validity:
-        lines += ["", "Fitted where (beyond it nothing was tested):"]
+        lines += ["", "Range of the fitted data (not validated beyond it):"]
         lines += [f"  {n} from {low:.4g} to {high:.4g}" for n, (low, high) in c.validity.items()]
     return [" ".join(line.splitlines()) for line in lines + _remarks(c)]
 
@@ -171,14 +178,14 @@ def _inputs(c: Content) -> list[str]:
             base, _, k = i.name.partition("~")
             lines.append(f"  u[{j}] {n}: {base}, {int(k) * HISTORY_STEP:.1f} s ago")
         else:
-            lines.append(f"  u[{j}] {n} {_unit(i.unit)}{_said(c, i.name)}")
+            lines.append(f"  u[{j}] {n} {_unit(i.unit)}{_described(c, i.name)}")
     if past:
         lines += [f"  (NAME_ago_K, in seatrial NAME~K, is the input NAME of K times {HISTORY_STEP:g} s ago: keep a",
-                  "  buffer of it; the model weighs the past by itself.)"]
+                  "  buffer of it.)"]
     return lines
 
 
-def _said(c: Content, name: str) -> str:
+def _described(c: Content, name: str) -> str:
     if name == "t":
         return ", the time since the start of the run"
     if name == "work":
@@ -193,14 +200,14 @@ def _remarks(c: Content) -> list[str]:
     if c.left_out:
         lines += [
             "",
-            f"Left out, since a controller wants the boat: {', '.join(c.left_out)}",
-            "(unexplained forces and offsets of sensors; `--with-disturbance-states` keeps them). What the forces did",
-            "over times longer than their memory is in the process noise here.",
+            f"Left out, as a controller does not need them: {', '.join(c.left_out)}",
+            "(disturbance forces and sensor offsets; `--with-disturbance-states` keeps them). Over times longer than",
+            "their correlation time the forces are part of the process noise here.",
         ]
     own = [n for n, p in zip(c.parameters, c.own, strict=True) if p.per_record]
     if own:
-        lines += ["", f"Not the boat's own, different in each run: {', '.join(own)}. Set them; here is the mean of the",
-                  "runs they were fitted to."]
+        lines += ["", f"Different in each run: {', '.join(own)}. Set them; the values here are the means of the",
+                  "fitted runs."]
     return lines
 
 
@@ -209,7 +216,7 @@ def _unit(unit: str) -> str:
 
 
 def comment(c: Content, i: int) -> str:
-    """What to say of a parameter: unit, standard error, meaning."""
+    """Comment of a parameter: unit, standard error, meaning."""
     p, error = c.own[i], c.errors[i]
     known = f"+- {error:.3g}" if math.isfinite(error) else "" if p.free else "given"
     return " ".join(" ".join(part for part in (_unit(p.unit), known, p.meaning) if part).split())

@@ -1,4 +1,4 @@
-"""A fitted model for other programs: one file a target. See docs/formats/export.md."""
+"""Export of a fitted model: one file for each target (docs/formats/export.md)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TARGETS: dict[str, Callable[[Content], str]] = {
 def export(saved: SavedModel, target: str, *, name: str | None = None, nuisance: bool = False) -> str:
     """The text of the file for a target: ``python``, ``casadi``, ``c`` or ``ros2``.
 
-    name: prefix of functions, or the node, in place of the model's own name; nuisance: keep unexplained forces and
-    sensor offsets as states. Raises ValueError where the model cannot be written.
+    name: prefix of functions, or the node, in place of the model's own name; nuisance: keep disturbance forces
+    and sensor biases as states. Raises ValueError where the model cannot be written.
     """
     return TARGETS[target](content(saved, name=name, nuisance=nuisance))

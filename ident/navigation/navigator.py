@@ -1,13 +1,13 @@
-"""Where the boat was and how sure that is: the filter and smoother of a fitted model along a record.
+"""Navigation: filtered and smoothed states of a fitted model along a record, with their covariance.
 
-The states of the model with their covariance, the current among them: a fit takes it as a number for each record,
-a navigator does not know it beforehand and learns it on the way. What the parameters' own errors add is carried
-along (a consider covariance; Bierman 1977, chapter 8):
+The current is among the states: a fit estimates it as a parameter of each record, a navigator does not know it
+beforehand and estimates it along the record. Parameter errors are included as a consider covariance (Bierman 1977,
+chapter 8):
 
     P_total = P + sum_i dx_i dx_i',   dx_i = the change of the estimate by one standard deviation of the parameters
 
-over the principal directions i of their covariance; exact where the estimate is linear in them, and where the
-record is not one that they were estimated from. GNSS may be withheld to learn what an outage costs
+over the principal directions i of their covariance; exact where the estimate is linear in the parameters and the
+record is not one that they were estimated from. GNSS samples may be withheld to measure the effect of an outage
 (``ident.navigation.outages``).
 """
 
@@ -37,15 +37,15 @@ from ident.models import CURRENT_WALK, current_walk
 from ident.numerics import Array, wrap
 
 Kind = Literal["smoothed", "filtered"]
-CURRENT = {"V_x": "drift_x", "V_y": "drift_y"}  # parameters, and the states in their place
+CURRENT = {"V_x": "drift_x", "V_y": "drift_y"}  # parameters, and the states that replace them
 POSITION = ("x", "y")
-GNSS = {"x", "y", "vx", "vy", "speed"}  # outputs that are lost with the satellites
-SPREAD = 0.5  # m/s, of a current that has no prior
+GNSS = {"x", "y", "vx", "vy", "speed"}  # outputs of a GNSS receiver
+CURRENT_SD = 0.5  # m/s, prior standard deviation of a current that has none
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Means x (n_rows, n_states) and covariances P (n_rows, n_states, n_states), parameters' errors included."""
+    """Means x (n_rows, n_states) and covariances P (n_rows, n_states, n_states), parameter errors included."""
 
     x: Array
     P: Array
@@ -58,11 +58,13 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Navigation:
-    """A record navigated.
+    """State estimates along a record.
 
-    t (n_rows,) s; predicted: before each row's samples, from those before; best: by all samples (``kind``
-    smoothed) or by those so far (filtered); used, withheld (n_rows,): rows with a position that was used, and those
-    whose position was not; record: with everything that was measured.
+    Attributes:
+        record: with all that was measured.
+        predicted: one step ahead, before the samples of each row.
+        best: by all samples (``kind`` smoothed) or by those up to the row (filtered).
+        used, withheld (n_rows,): rows whose position was used, and rows whose position was withheld.
     """
 
     model: Model
@@ -88,8 +90,7 @@ class Navigation:
         return VectorisedModel(self.model)
 
     def position(self, of: Estimate) -> tuple[Array, Array]:
-        """North and east as the GNSS would have them: means (n_rows, 2), covariances (n_rows, 2, 2) without its
-        noise."""
+        """North and east of the antenna: means (n_rows, 2), covariances (n_rows, 2, 2) without measurement noise."""
         j = self._columns
         y = self._rowwise(of.x, self.record.u, self.values)[:, len(self.states):][:, j]
         H = self._rowwise.output_jacobian(of.x, self.record.u, self.values)[:, j]
@@ -97,12 +98,12 @@ class Navigation:
 
     @property
     def fixes(self) -> Array:
-        """Measured positions (n_rows, 2), NaN where there is none; those withheld among them."""
+        """Measured positions (n_rows, 2), NaN where there is none, withheld ones included."""
         return self.record.y[:, self._columns]
 
     @property
     def fix_variance(self) -> Array:
-        """Of the noise of a fix, north and east (2,)."""
+        """Measurement-noise variance of a fix, north and east (2,)."""
         return self.run.R[self._columns]
 
     @cached_property
@@ -120,16 +121,16 @@ class Navigation:
 
 
 def navigator(model: Model) -> Model:
-    """The model with a current that each record has for itself as states, unknown at the start within its prior."""
+    """The model with its per-record current as states, whose initial covariance is the prior."""
     own = {p.name: p for p in model.parameters if p.name in CURRENT and p.per_record}
     if set(own) != set(CURRENT):
         return model
     if CURRENT_WALK not in {e.name for e in model.effects}:
-        walk = current_walk()  # which is constant without its diffusion
-        still = tuple(replace(s, noise=0.0) for s in walk.states)
-        model = model + replace(walk, parameters=(), states=still, requires=())
-    unsure = {CURRENT[n]: (p.prior or (0.0, SPREAD))[1] for n, p in own.items()}
-    states = tuple(replace(s, sd0=unsure[s.name]) if s.name in unsure else s for s in model.states)
+        walk = current_walk()  # constant without its diffusion
+        constant = tuple(replace(s, noise=0.0) for s in walk.states)
+        model = model + replace(walk, parameters=(), states=constant, requires=())
+    uncertain = {CURRENT[n]: (p.prior or (0.0, CURRENT_SD))[1] for n, p in own.items()}
+    states = tuple(replace(s, sd0=uncertain[s.name]) if s.name in uncertain else s for s in model.states)
     fixed = [p.at(p.prior[0] if p.prior else 0.0).fixed() for p in own.values()]
     return replace(model, states=states).replace_parameters(*fixed)
 
@@ -144,11 +145,10 @@ def navigate(
 ) -> Navigation:
     """States with their covariance along a record.
 
-    model: fitted, as ``ident.estimation.model_file.load_model`` gives it. smoothed: by all samples, else by those so
-    far.
-    without_gnss: stretches of ``record.t`` [s] whose GNSS samples are not used. known: errors of the parameters;
-    without it they count as exact. Raises ValueError where the model has no position, a stretch holds no fix,
-    or the filter diverges.
+    model: fitted, as ``ident.estimation.load_model`` returns it. smoothed: by all samples, else by those up to each
+    row. without_gnss: intervals of ``record.t`` [s] whose GNSS samples are withheld. known: covariance of the
+    parameters; without it they count as exact. Raises ValueError where the model has no position, an interval holds no
+    fix, or the filter diverges.
     """
     lost = [n for n in POSITION if n not in {o.name for o in model.outputs} or n not in {s.name for s in model.states}]
     if lost:
@@ -181,14 +181,14 @@ def _best(run: FilterResult, smoothed: bool) -> tuple[Array, Array]:
 
 
 def _withhold(
-    model: Model, record: Record, stretches: Sequence[tuple[float, float]]
+    model: Model, record: Record, intervals: Sequence[tuple[float, float]]
 ) -> tuple[Record, NDArray[np.bool_]]:
-    """The record without the GNSS samples of the stretches, and the rows whose position was taken away."""
+    """The record without the GNSS samples of the intervals, and the rows whose position was withheld."""
     names = [o.name for o in model.outputs]
     columns = [names.index(o.name) for s in model.sensors if {o.name for o in s.outputs} <= GNSS for o in s.outputs]
     fixed = np.isfinite(record.y[:, names.index(POSITION[0])])
     gone = np.zeros(record.n_rows, dtype=bool)
-    for begin, end in stretches:
+    for begin, end in intervals:
         inside = (record.t >= begin) & (record.t < end)
         if not (inside & fixed).any():
             raise ValueError(f"{record.name}: no GNSS position between {begin:g} s and {end:g} s to withhold")
@@ -209,7 +209,7 @@ def _consider_covariance(
     known: ParameterCovariance | None,
     smoothed: bool,
 ) -> tuple[Array, Array]:
-    """What the parameters' errors add to the covariances of the prediction and of the estimate."""
+    """Consider covariances (2, n_rows, n, n): contribution of parameter errors to prediction and estimate."""
     n = x.shape[1]
     added = np.zeros((2, len(x), n, n))
     for step in principal_directions(likelihood.model, values, known):

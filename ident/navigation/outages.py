@@ -1,4 +1,4 @@
-"""GNSS outages of a navigated record: how far off the position may be at their end, and how far off it was."""
+"""GNSS outages along a record: predicted position error at their end, and the error against withheld fixes."""
 
 from __future__ import annotations
 
@@ -12,17 +12,22 @@ from numpy.typing import NDArray
 from ident.navigation.navigator import Navigation
 from ident.numerics import Array
 
-SHARE = 0.95
-CHI2 = -2.0 * np.log(1.0 - SHARE)  # of two degrees of freedom
-MISSED = 3.0  # usual intervals between fixes, beyond which a gap is an outage
-SHORTEST = 2.0  # s
+CONFIDENCE = 0.95
+CHI2 = -2.0 * np.log(1.0 - CONFIDENCE)  # quantile of two degrees of freedom
+MIN_INTERVALS = 3.0  # usual intervals between fixes: a longer gap is an outage
+MIN_DURATION = 2.0  # s of an outage
 N_ANGLES = 720
 
 
 @dataclass(frozen=True)
 class Ellipse:
-    """Holds the position with 95 %. major, minor: half axes [m]; azimuth of the major one [rad from north, 0..pi);
-    radius [m] of the circle about the middle that holds as much."""
+    """95 % confidence ellipse of a position.
+
+    Attributes:
+        major, minor: semi-axes [m].
+        azimuth: of the major axis [rad from north, 0..pi).
+        radius: [m] of the 95 % circle about the centre.
+    """
 
     major: float
     minor: float
@@ -32,8 +37,13 @@ class Ellipse:
 
 @dataclass(frozen=True)
 class OutageErrors:
-    """Estimates less the fixes that were withheld: root mean square and largest distance [m], the part of them within
-    the 95 % regions (with the fix's own noise), and how many fixes."""
+    """Errors of the estimates against the withheld fixes.
+
+    Attributes:
+        rms, largest: root mean square and largest distance [m].
+        inside: empirical coverage of the 95 % regions (measurement noise of the fix included).
+        n: number of fixes.
+    """
 
     rms: float
     largest: float
@@ -43,13 +53,19 @@ class OutageErrors:
 
 @dataclass(frozen=True)
 class Outage:
-    """From the last fix before (``start``) to the first one after (``end``) [s], or to the last row (``open``).
+    """One outage, from the last fix before it to the first fix after it, or to the last row (``open``).
 
-    north, east [m]: what the filter predicts for the end without GNSS, as the GNSS would have it; at_end: how sure it
-    claims to be. error [m]: its distance from the fix at the end, or from the last one withheld where none came after;
-    allowed [m]: the 95 % radius of that distance, the fix's own noise included; inside: within that region. widest:
-    the largest 95 % radius within the outage by the best estimate. predicted, best: on the withheld fixes, by the
-    filter without those to come and by the best estimate; None where nothing was withheld.
+    Attributes:
+        start, end: s.
+        withheld: fixes were withheld on purpose.
+        north, east: position [m] that the filter predicts for the end without GNSS.
+        at_end: confidence ellipse of that prediction.
+        error: distance [m] of the prediction from the fix at the end, or from the last withheld fix where none follows.
+        allowed: 95 % radius [m] of that distance, measurement noise of the fix included.
+        inside: whether the fix is inside that region.
+        widest: largest 95 % radius [m] within the outage, by the best estimate.
+        predicted, best: errors on the withheld fixes, of the filter prediction and of the best estimate; None where
+            nothing was withheld.
     """
 
     start: float
@@ -72,7 +88,7 @@ class Outage:
 
 
 def ellipse(P: Array) -> Ellipse:
-    """Of a covariance (2, 2) [m2], north and east."""
+    """Confidence ellipse of a covariance (2, 2) [m2], north and east."""
     w, V = np.linalg.eigh(P)
     small, large = np.sqrt(np.maximum(w, 0.0))
     north, east = V[:, 1]
@@ -83,11 +99,11 @@ def ellipse(P: Array) -> Ellipse:
 
 
 def circular_error(large: float, small: float) -> float:
-    """Radius that holds 95 % of a normal error in the plane with these standard deviations along its axes.
+    """Radius of the circle that holds 95 % of a bivariate normal error with these standard deviations along its axes.
 
-    A point of the cloud is ``rho (s1 cos(phi), s2 sin(phi))`` with rho^2 chi-squared of two degrees of freedom and phi
+    A sample is ``rho (s1 cos(phi), s2 sin(phi))`` with rho^2 chi-squared of two degrees of freedom and phi
     uniform, so the share within r is the mean of ``1 - exp(-r^2 k / 2)``, ``1 / k = s1^2 cos^2 + s2^2 sin^2``; solved
-    by bisection between the line's radius and the round cloud's.
+    by bisection between the radii of a degenerate and of a circular distribution.
     """
     if large <= 0.0:
         return 0.0
@@ -97,16 +113,16 @@ def circular_error(large: float, small: float) -> float:
     for _ in range(40):
         r = (low + high) / 2
         share = 1.0 - np.exp(-0.5 * r * r * k).mean()
-        low, high = (r, high) if share < SHARE else (low, r)
+        low, high = (r, high) if share < CONFIDENCE else (low, r)
     return float(high)
 
 
 def gnss_outages(navigation: Navigation) -> list[Outage]:
-    """Every stretch without a used position longer than three usual intervals (and two seconds), in order."""
+    """Every interval without a used position longer than three usual intervals (and two seconds), in order."""
     used = np.flatnonzero(navigation.used)
     t = navigation.t
     usual = float(np.median(np.diff(t[np.isfinite(navigation.fixes[:, 0])]))) if used.size > 1 else 0.0
-    least = max(MISSED * usual, SHORTEST)
+    least = max(MIN_INTERVALS * usual, MIN_DURATION)
     marks = [*used.tolist(), len(t) - 1] if used[-1] < len(t) - 1 else used.tolist()
     view = _View(navigation)
     return [view.outage(a, b, b not in set(used.tolist()))
@@ -114,7 +130,7 @@ def gnss_outages(navigation: Navigation) -> list[Outage]:
 
 
 class _View:
-    """Positions with their covariances, worked out once."""
+    """Positions with their covariances, computed once."""
 
     def __init__(self, navigation: Navigation) -> None:
         self.of = navigation

@@ -1,7 +1,8 @@
-"""The missions and truths of ``seatrial ident study``: steps as in the paper's section 5, the boat of its Table 5.
+"""Cases of ``seatrial ident study``: missions and true values.
 
-Cases of ``seatrial ident study`` that are the user's: a fitted model.toml, or a ``Case`` of a Python file.
-Does a designed mission deliver? Simulated repeats, each fitted, against the errors that the design predicted.
+Built-in: step sequences as in section 5 of the paper, the boat of its Table 5. User-defined: a fitted model.toml, or a
+``Case`` of a Python file. Besides, repeats of a designed mission: estimation errors against those that the design
+predicted.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ N_DELAYS = round(0.2 / DELAY_STEP) + 1  # up to twice the true delay
 
 
 def steps(t: Array, levels: Callable[[np.random.Generator], Array], hold: tuple[float, float], seed: int) -> Array:
-    """A sequence of random levels (n_rows, n_inputs), each held for a random time within ``hold`` [s]."""
+    """Random step sequence (n_rows, n_inputs): each level is held for a random time within ``hold`` [s]."""
     rng = np.random.default_rng(seed)
     u, until = np.zeros((t.size, len(levels(np.random.default_rng(0))))), 0.0
     while until < t[-1]:
@@ -61,7 +62,7 @@ def lagged(t: Array, command: Array, a: float = A_SHAFT) -> Array:
 
 
 def surge_case(seconds: float = 300.0) -> Case:
-    """Thrust ahead and astern in steps, position at 10 Hz."""
+    """Forward and reverse thrust in steps, position at 10 Hz."""
     t = _clock(seconds, 0.1)
     force = steps(t, lambda rng: rng.uniform(-30.0, 80.0, 1), (5.0, 15.0), MISSION_SEED)
     model = _at(surge_model(), HULL | {"s_u": 0.02, "e_x": 0.05})
@@ -100,7 +101,7 @@ def thruster_case(seconds: float = 100.0) -> Case:
 
 
 def kinematic_case(seconds: float = 400.0) -> Case:
-    """The same with measured attitude and rates, on a boat that rolls by 3 and pitches by 2 degrees."""
+    """Horizontal case with measured attitude and rates, on a boat that rolls by 3 and pitches by 2 degrees."""
     t = _clock(seconds, 0.1)
     n = lagged(t, steps(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED))
     model = _at(kinematic_model(), HULL | {"s_u": 0.02, "s_v": 0.02})
@@ -140,8 +141,7 @@ def noise_case(seconds: float = 300.0) -> Case:
 
 
 def optimal_design_case(seconds: float = 300.0) -> Case:
-    """The mission that ``ident.experiment_design.optimal_design`` finds for the nine parameters of Table 1: do fits
-    reach what it promises?"""
+    """Optimal design for the nine parameters of Table 1: do fits reach the predicted errors?"""
     rates = {"position": 5.0, "ground_velocity": 5.0}
     task = DesignProblem(
         horizontal_model(current=False), Steps(round(seconds / 5.0), 2, seconds, 1.0, GRID), rates=rates
@@ -155,7 +155,7 @@ def _clock(seconds: float, step: float) -> Array:
 
 
 def _at(model: Model, values: Mapping[str, float]) -> Model:
-    """At these of the values that it has, and estimated as `ident vehicle` does."""
+    """The model at those of the values that it has, with the second-order mean of `ident vehicle`."""
     return replace(model.with_values({n: v for n, v in values.items() if n in model.values}), second_order=True)
 
 
@@ -164,11 +164,11 @@ CASES: dict[str, Callable[..., Case]] = {
     "thruster": thruster_case, "noise": noise_case, "designed": optimal_design_case}
 STEP = 0.1  # s
 HOLD = (3.0, 10.0)  # s, of a level
-LAG = 2.794  # 1/s, how fast measured shaft speeds and thrusts follow (thesis Table 2)
+SHAFT_POLE = 2.794  # 1/s, of measured shaft speeds and thrusts (thesis Table 2)
 GNSS = ("position", "ground_velocity")
-SECONDS = 400.0
-BATCH = 25  # repeats that are simulated together
-WILD = 8.0  # predicted standard errors from the truth: the fit has stopped in another optimum
+SECONDS = 400.0  # of a mission
+BATCH = 25  # replicates simulated at a time
+MAX_ERROR = 8.0  # predicted standard errors from the truth: beyond it the fit stopped at another maximum
 
 
 def make_case(
@@ -203,7 +203,7 @@ def make_case(
 
 
 def is_own(source: str) -> bool:
-    """Whether a MODEL of the command is a file."""
+    """Whether MODEL of the command is a file."""
     return source.endswith(".toml") or ":" in source
 
 
@@ -235,7 +235,7 @@ def own_case(source: str, seconds: float | None, seed: int) -> Case:
 
 
 def _marked(case: Case, path: Path) -> Case:
-    """With the file's content in what tells one study from another, so that a changed file begins anew."""
+    """The case with a hash of the file in its identity, so that a changed file starts a new study."""
     digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
     return replace(case, model=replace(case.model, source=f"{case.model.source} {digest}"))
 
@@ -268,7 +268,7 @@ def _of_model(
 
 
 def _levels(t: Array, low: float, high: float, rng: np.random.Generator) -> Array:
-    """Random levels, each held for a random time."""
+    """Random levels, each held for a random time within ``HOLD``."""
     out, until = np.empty(t.size), 0.0
     while until <= t[-1]:
         out[t >= until - 1e-9] = rng.uniform(low, high)
@@ -277,8 +277,8 @@ def _levels(t: Array, low: float, high: float, rng: np.random.Generator) -> Arra
 
 
 def _lagged(levels: Array) -> Array:
-    """A first-order lag behind them, as measured speeds and forces have."""
-    out, decay = levels.copy(), float(np.exp(-LAG * STEP))
+    """First-order response to the levels, as measured speeds and forces have."""
+    out, decay = levels.copy(), float(np.exp(-SHAFT_POLE * STEP))
     for k in range(1, out.size):
         out[k] = levels[k - 1] + (out[k - 1] - levels[k - 1]) * decay
     return out
@@ -286,9 +286,14 @@ def _lagged(levels: Array) -> Array:
 
 @dataclass(frozen=True)
 class Delivered:
-    """One parameter over the repeats. predicted: standard error of the design; ratio: spread of the estimates over it,
-    with its 95 % interval under normality; coverage: share within 1.96 predicted standard errors; wild: how many are
-    far outside (not in ratio, but in coverage)."""
+    """One parameter over the repeats of a designed mission.
+
+    Attributes:
+        predicted: standard error of the design.
+        ratio: standard deviation of the estimates over it, with its 95 % interval under normality.
+        coverage: share within 1.96 predicted standard errors.
+        outliers: number of estimates far outside (not in ratio, but in coverage).
+    """
 
     name: str
     predicted: float
@@ -296,13 +301,12 @@ class Delivered:
     ratio: float
     interval: tuple[float, float]
     coverage: float
-    wild: int
+    outliers: int
 
 
 def designed_case(made: Design, name: str = "designed") -> Case:
-    """The mission as a case of ``ident.studies.monte_carlo``, estimated as `ident vehicle` does, with damping not
-    bounded at zero (a
-    bound makes errors one-sided)."""
+    """A designed mission as a case, estimated as `ident vehicle` does, with damping not bounded at zero (a bound makes
+    errors one-sided)."""
     fine = made.task.finer
     apart = [replace(p, bounds=(-INF, INF)) for p in fine.model.parameters if p.transform == "none"]
     u = fine.actuation.inputs(made.command_on(fine)[:, :, None])[:, :, 0]
@@ -321,9 +325,9 @@ def repeats(made: Design, n: int, seed: int) -> list[Delivered]:
 def _delivered(made: Design, name: str, d: Array) -> Delivered:
     p, predicted = made.task.model.parameter(name), made.predicted[name]
     z = d * p.slope(p.value) / predicted  # d is in the estimator's coordinate
-    tame = np.abs(z) < WILD
-    n = int(tame.sum())
+    regular = np.abs(z) < MAX_ERROR
+    n = int(regular.sum())
     low, high = np.sqrt(stats.chi2.ppf([0.025, 0.975], n - 1) / (n - 1))
-    ratio = float(np.std(z[tame], ddof=1))
+    ratio = float(np.std(z[regular], ddof=1))
     return Delivered(name, predicted, len(z), ratio, (ratio / float(high), ratio / float(low)),
-                     float(np.mean(np.abs(z) < stats.norm.ppf(0.975))), int((~tame).sum()))
+                     float(np.mean(np.abs(z) < stats.norm.ppf(0.975))), int((~regular).sum()))

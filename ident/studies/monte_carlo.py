@@ -1,20 +1,18 @@
-"""Does the estimator do what its standard errors say? Monte Carlo on data of the model itself.
+"""Monte Carlo study of the estimator: bias, variance and interval coverage on simulated data of the model itself.
 
 Each replicate is simulated with process and measurement noise (``ident.estimation.stochastic_simulation``, plain
-numpy) and estimated by
-``ident.estimation.maximum_likelihood``. Everything is judged in the coordinate in which the estimator moves (the
-logarithm of a positive
-parameter), since there its standard error is meant:
+numpy) and estimated by ``ident.estimation.maximum_likelihood``. All statistics are in the coordinate of the estimator
+(the logarithm of a positive parameter), to which its standard error refers:
 
     bias     = mean(d) / sd(d),  d = estimate - truth
-    ratio    = var(d) / mean(variance that each fit reported);  bound: the same with the Cramer-Rao bound at the truth,
-               which is what is judged: whether the reported errors are right is seen in the coverage
+    ratio    = var(d) / mean(variance that each fit reported);  bound: the same with the Cramér-Rao bound at the truth,
+               which is compared with the aim; the coverage shows whether the reported errors are right
     coverage = share of |d| < 1.96 standard errors
 
-An estimate that stands at its bound counts as well: its interval goes from the bound to ``Fit.limits`` and covers the
-truth or not; the length of it over 1.96 is its standard error. Where bounds are near, no estimate is unbiased, and the
-bound of Cramer and Rao is not the least variance. What that is then: an efficient estimate is normal with the
-information at the truth, drawn in to the bounds in the metric of that information (Self and Liang 1987, Andrews 1999).
+An estimate at its bound counts as well: its interval goes from the bound to ``Fit.limits``, and its standard error is
+the length of the interval over 1.96. Near bounds no estimate is unbiased, and the Cramér-Rao bound is not the least
+variance. The reference is then an efficient estimate: normal with the information at the truth, projected onto the
+bounds in the metric of that information (Self and Liang 1987, Andrews 1999).
 """
 
 from __future__ import annotations
@@ -49,15 +47,17 @@ from ident.results import APART, BIAS, COVERAGE, VARIANCE
 
 Row = dict[str, Any]
 Z95 = 1.96
-N_DRAWS = 400  # of an efficient estimate near bounds, for each replicate
+N_DRAWS = 400  # samples of an efficient estimate near bounds, for each replicate
 
 
 @dataclass(frozen=True)
 class Case:
-    """What is simulated and estimated: a model at the true values of its parameters, and a mission.
+    """Case of a study: a model at the true values of its parameters, and the inputs of a mission.
 
-    ``every``: a sensor's samples are this many rows apart (1 by default); ``reml``: noise is estimated by
-    restricted likelihood, as the commands do. Whether the filter's mean is of second order, the model says.
+    Attributes:
+        every: rows between the samples of a sensor (default 1).
+        reml: noise parameters by restricted maximum likelihood (REML), as the commands do. The order of the
+            filter mean is a property of the model.
     """
 
     name: str
@@ -68,12 +68,12 @@ class Case:
     reml: bool = True
 
     def at(self, truth: Mapping[str, float]) -> Case:
-        """The same with other true values."""
+        """The case with other true values."""
         return replace(self, model=self.model.with_values(truth))
 
 
 def run_replicates(case: Case, numbers: Sequence[int], seed: int, method: Method = "prediction-error") -> list[Row]:
-    """Simulate and estimate the replicates of these numbers, a row each; they do not depend on each other."""
+    """Simulate and estimate the replicates of these numbers, one row each; replicates are independent."""
     rngs = [np.random.default_rng([seed, k]) for k in numbers]
     truths = np.array([_draw(case.model, rng) for rng in rngs])
     began = time.process_time()
@@ -103,8 +103,11 @@ def make_record(case: Case, y: Array, name: str) -> Record:
 
 
 def estimate(case: Case, record: Record, truth: Array, x0: Array, rng: np.random.Generator, method: Method) -> Row:
-    """A fit that starts away from the truth, and its errors; names are those of ``case.model.free``, and of output
-    error those of the state at the start, ``x0_NAME``, whose truth is ``x0`` (n_states,)."""
+    """Fit from random initial values, and its errors.
+
+    Names are those of ``case.model.free`` and, for output error, ``x0_NAME`` of the initial states, whose truth is
+    ``x0`` (n_states,).
+    """
     model = replace(case.model, second_order=case.model.second_order and method == "prediction-error")
     named = dict(zip([p.name for p in model.parameters], truth.tolist(), strict=True))
     shared = [p for p in model.parameters if p.free and not p.per_record]
@@ -137,8 +140,8 @@ def estimate(case: Case, record: Record, truth: Array, x0: Array, rng: np.random
 
 
 def cramer_rao_errors(truth: Model, record: Record, found: Fit, method: Method, rng: np.random.Generator) -> Array:
-    """Standard deviations of an efficient estimator, from the information at the truth with the priors', in the
-    estimator's coordinates (n,): those of Cramer and Rao, or of estimates that bounds draw in."""
+    """Standard deviations (n,) of an efficient estimator in the coordinates of the estimator: the Cramér-Rao bound from
+    the information at the truth and the priors, with the effect of parameter bounds."""
     names = [n.partition("@")[0] for n in found.names]
     problem = Problem(Likelihood(truth, process_noise=method == "prediction-error"), [record], names, 1)
     information, z = problem.evaluate(problem.start).information, problem.start
@@ -150,7 +153,7 @@ def cramer_rao_errors(truth: Model, record: Record, found: Fit, method: Method, 
 def variance_change_by_bounds(
     information: Array, P: Array, z: Array, bounds: Bounds, rng: np.random.Generator
 ) -> Array:
-    """What bounds take of the variances (n,), from as many draws with and without them."""
+    """Change of the variances (n,) by parameter bounds, from ``N_DRAWS`` samples with and without projection."""
     free = z + rng.multivariate_normal(np.zeros(z.size), P, N_DRAWS, method="cholesky")
     kept = free.copy()
     for k in np.flatnonzero(((free < bounds.low) | (free > bounds.high)).any(axis=1)).tolist():
@@ -177,8 +180,16 @@ def _finite(names: Sequence[str], values: Array) -> dict[str, float | None]:
 
 @dataclass(frozen=True)
 class ParameterCoverage:
-    """One parameter over all replicates; intervals are 95 %. ``n``: those with an interval, ``at_bound`` those of
-    them whose estimate stands at its bound."""
+    """Statistics of one parameter over all replicates; intervals are 95 %.
+
+    Attributes:
+        n: replicates with an interval.
+        at_bound: replicates among them with the estimate at its bound.
+        sd, bias, bias_error: in the coordinate of the estimator; bias in units of sd.
+        ratio: variance over mean reported variance.
+        bound_ratio: variance over the Cramér-Rao bound.
+        coverage: empirical coverage of the 95 % intervals.
+    """
 
     name: str
     n: int
@@ -195,7 +206,7 @@ class ParameterCoverage:
 
     @property
     def misses(self) -> tuple[str, ...]:
-        """What is beyond the aim; by more than chance where the 95 % interval excludes the aim as well."""
+        """Statistics outside their aims; marked ``(chance?)`` where the 95 % interval reaches into the aim."""
         bias = abs(self.bias) - Z95 * self.bias_error
         low, high = self.bound_interval
         found = [
@@ -207,18 +218,18 @@ class ParameterCoverage:
         return tuple(f for f in found if f)
 
 
-def _miss(what: str, beyond: bool, surely: bool) -> str:
-    return "" if not beyond else what if surely else f"{what} (chance?)"
+def _miss(what: str, beyond: bool, significant: bool) -> str:
+    return "" if not beyond else what if significant else f"{what} (chance?)"
 
 
 def summarise(rows: Iterable[Row]) -> list[ParameterCoverage]:
-    """The parameters in order; failed and unconverged replicates are left out (``counts`` has them)."""
+    """Statistics of the parameters in order, without failed and unconverged replicates (``counts`` has them)."""
     good = [r for r in rows if r.get("converged")]
     names = dict.fromkeys(n for r in good for n in r["d"])
-    return [j for n in names if (j := _judge(n, [r for r in good if n in r["d"]])) is not None]
+    return [j for n in names if (j := _statistics(n, [r for r in good if n in r["d"]])) is not None]
 
 
-def _judge(name: str, rows: Sequence[Row]) -> ParameterCoverage | None:
+def _statistics(name: str, rows: Sequence[Row]) -> ParameterCoverage | None:
     known = [r for r in rows if {r["se"][name], r["far"][name]} != {None} and r["bound"][name] is not None]
     n = len(known)
     if n < 3:
@@ -237,7 +248,7 @@ def _judge(name: str, rows: Sequence[Row]) -> ParameterCoverage | None:
 
 
 def counts(rows: Sequence[Row]) -> dict[str, float]:
-    """How many there are, failed, did not converge; median CPU seconds of a fit and mean of a simulation."""
+    """Number of replicates, failed and unconverged ones; median CPU time [s] of a fit and mean of a simulation."""
     good = [r for r in rows if "error" not in r]
     return {
         "replicates": len(rows),

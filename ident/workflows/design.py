@@ -16,7 +16,7 @@ from daq.errors import SeatrialError
 from ident.effects import catalogue
 from ident.estimation import dynamic_parameters, load_model
 from ident.experiment_design import (
-    BOX,
+    PRIOR_HALFWIDTH,
     BaselineSignal,
     Design,
     DesignLimits,
@@ -65,7 +65,7 @@ class DesignRequest:
     slew: float = np.inf
     rates: Mapping[str, float] = field(default_factory=dict)
     robust: int = 0
-    spread: float = BOX
+    spread: float = PRIOR_HALFWIDTH
     process_noise: bool = True
     seed: int = 1
     evaluations: int = 20_000

@@ -215,9 +215,10 @@ def test_repeats_deliver_what_the_design_predicted() -> None:
     assert [one.name for one in found] == ["m_u", "m_v", "m_r", "d_u", "d_v", "d_r", "d_uu", "d_vv", "d_rr"]
     for one in found:
         assert one.n >= 22
-        assert one.wild <= 2
+        assert one.outliers <= 2
         # nine at a time: an interval for each that misses one in a thousand
-        assert 0.0005 < stats.chi2.cdf((one.n - one.wild - 1) * one.ratio**2, one.n - one.wild - 1) < 0.9995, one
+        df = one.n - one.outliers - 1
+        assert 0.0005 < stats.chi2.cdf(df * one.ratio**2, df) < 0.9995, one
     assert 0.88 < np.mean([one.coverage for one in found]) < 0.99
     assert np.mean([one.ratio for one in found]) == pytest.approx(1.0, abs=0.15)
 

@@ -112,7 +112,7 @@ def test_the_header_says_what_a_reader_needs(target: str) -> None:
         model = model + catalogue()[name]
     text = export(saved(model), target)
     for words in ("made by: seatrial ident vehicle a.mcap --x", "a.mcap sha256:12", "n_left_ago_3: n_left, 0.3 s ago",
-                  "NAME~K", "u from -0.5 to 1.2", "Left out, since a controller wants the boat: b_X, b_Y, b_N, bias_",
+                  "NAME~K", "u from -0.5 to 1.2", "Left out, as a controller does not need them: b_X, b_Y, b_N, bias_",
                   "|n_left|^3", "the time since the start of the run", "V_x, V_y, V_dx, V_dy", "psi [rad], an angle"):
         assert words in text, words
     assert "gone" not in text
@@ -141,7 +141,7 @@ def test_offsets_of_a_measured_attitude_are_left_out_like_all_others() -> None:
     model = for_diagnosis(kinematic_model(yaw=True))
     assert content(saved(model)).states == ("x", "y", "u", "v", "r")
     text = export(saved(model), "python")
-    left = "Left out, since a controller wants the boat: bias_psi, bias_r, b_X, b_Y, b_N, bias_ax, bias_ay"
+    left = "Left out, as a controller does not need them: bias_psi, bias_r, b_X, b_Y, b_N, bias_ax, bias_ay"
     assert left in text
     assert "bias" not in text.replace(left, "")
     assert {"bias_psi", "bias_r", "bias_ax"} <= set(content(saved(model), nuisance=True).states)

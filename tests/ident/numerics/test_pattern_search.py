@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.experiment_design.criteria import NOTHING, Criterion
+from ident.experiment_design.criteria import SINGULAR, Criterion
 from ident.numerics.pattern_search import PatternSearch
 
 
@@ -56,4 +56,4 @@ def test_criteria_against_their_definitions() -> None:
 def test_no_information_is_the_worst() -> None:
     measure = Criterion("D", (0, 1), np.ones(2))
     bad = np.array([[[1.0, 1.0], [1.0, 1.0]], [[np.nan, 0.0], [0.0, 1.0]], [[0.0, 0.0], [0.0, 1.0]], np.eye(2)])
-    np.testing.assert_array_equal(measure(bad), [NOTHING, NOTHING, NOTHING, 0.0])
+    np.testing.assert_array_equal(measure(bad), [SINGULAR, SINGULAR, SINGULAR, 0.0])
