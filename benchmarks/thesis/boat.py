@@ -13,6 +13,7 @@ import numpy as np
 
 from ident.data.record import Channel
 from ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
+from ident.experiment_design.excitation import SHAFT_POLE
 from ident.model.parameter import Parameter
 from ident.model.structure import Input, Model, Output, Sensor, Signals, State
 from ident.models.horizontal import ARMS, CURRENT, HULL, NOISE, SIDES, THRUST, shaft, thrust
@@ -21,7 +22,8 @@ from ident.models.kinematic import rate as kinematic_rate
 from ident.models.kinematic import turning
 from ident.models.rotations import oriented, rotation
 from ident.numerics.arrays import Array
-from ident.studies.cases import lagged, steps
+from ident.numerics.signal_processing import first_order_lag
+from ident.studies.cases import steps
 
 STEP = 0.05  # s between AHRS samples
 FIX = 4  # AHRS samples to a fix
@@ -87,7 +89,8 @@ def _output(s: Signals) -> None:
 def sail(truth: Mapping[str, float], seconds: float, seed: int) -> Sailed:
     """A mission of steps on both thrusters; AHRS at 20 Hz, GNSS at 5 Hz."""
     t: Array = np.asarray(np.arange(round(seconds / STEP) + 1) * STEP)
-    n = lagged(t, steps(t, lambda rng: rng.uniform(-0.4, 1.0, 2), (3.0, 9.0), seed))
+    command = steps(t, lambda rng: rng.uniform(-0.4, 1.0, 2), (3.0, 9.0), seed)
+    n = first_order_lag(command, 1.0 / SHAFT_POLE, STEP)
     model = rolling_boat(truth)
     values = np.array([list(model.values.values())])
     rng = np.random.default_rng([seed, 5])

@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.thesis import printed
 from benchmarks.thesis.fits import Both, Plane
 from ident.estimation.maximum_likelihood import Fit
-from ident.validation.whiteness import ljung_box_test
+from ident.validation.whiteness import whiteness_test
 
 Lines = list[str]
 Estimates = Mapping[str, tuple[float, float]]
@@ -73,7 +73,7 @@ def _colour(one: Plane, channel: str) -> list[str]:
     if channel not in [o.name for o in one.fit.model.outputs]:
         return ["", ""]
     t, e, sd = one.innovations(channel)
-    w = ljung_box_test(channel, t, e / sd)
+    w = whiteness_test(channel, t, e / sd)
     return [f"{e.std():.3g}", ", ".join(f"{a:+.2f}" for a in w.acf[:3]) + (" (white)" if w.white else "")]
 
 

@@ -21,9 +21,10 @@ from ident.data import Channel, Record
 from ident.estimation import Likelihood, fit
 from ident.model import INF, Model, Output, Parameter, Sensor, State, plain_model
 from ident.numerics import Array
-from ident.validation import WhitenessDiagnostics, ljung_box, whiteness_diagnostics
+from ident.validation import WhitenessDiagnostics, autocorrelation, ljung_box, whiteness_diagnostics
 
 FLOOR = 1e-4  # of the channel's scale: a standard deviation below this is none
+N_LAGS = 20  # of the Ljung-Box test of the innovations
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,8 @@ def estimate_noise(channel: Channel, name: str = "") -> NoiseFit:
         found.estimate(n) for n in ("white", "walk", "bias"))
     c, sd = innovation_form(white, walk, dt)
     eps = run.standardised[:, 0]
-    p, largest = ljung_box(eps)
+    acf = autocorrelation(eps, N_LAGS)
+    p, largest = ljung_box(acf, eps.size, n_fitted=2), float(acf[np.argmax(np.abs(acf))])  # white and walk
     flags = tuple(f"{n}: {what}" for n, what in found.flags)
     return NoiseFit(
         name, t.size, dt, white * scale, white_error * scale, walk * scale, walk_error * scale,

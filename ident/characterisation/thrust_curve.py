@@ -13,7 +13,6 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from scipy import interpolate, optimize, stats
 
 from daq.errors import SeatrialError
 from ident.data import Channel, sample_and_hold
-from ident.numerics import Array, autocorrelation_time, block_error
+from ident.numerics import Array, block_error, integrated_autocorrelation_time, steady_segments
 
 SAME = 1e-3  # commands closer than this are one level
 MIN_SAMPLES = 20
@@ -87,16 +86,14 @@ def find_levels(command: Channel, force: Channel, settle: float = 1.5) -> Levels
 
     A command given more than once is one level, whose error is at least the scatter between its visits.
     """
-    changes = np.append(np.flatnonzero(np.diff(command.value, prepend=np.nan) != 0), command.t.size)
     visits: list[tuple[float, float, float, int, float]] = []
-    for a, b in pairwise(changes):
-        end = command.t[b] if b < command.t.size else np.inf
-        held = force.value[(force.t >= command.t[a] + settle) & (force.t < end)]
+    for steady in steady_segments(command.t, command.value, np.inf):
+        held = force.value[(force.t >= steady.start + settle) & (force.t < steady.end)]
         held = held[np.isfinite(held)]
         if held.size >= MIN_SAMPLES:
-            memory = autocorrelation_time(held)
+            memory = integrated_autocorrelation_time([held], "positive")
             error = max(float(held.std(ddof=1)) * np.sqrt(memory / held.size), block_error(held))
-            visits.append((float(command.value[a]), float(held.mean()), float(error), held.size, memory))
+            visits.append((steady.level, float(held.mean()), float(error), held.size, memory))
     if not visits:
         raise ValueError(f"the command is nowhere held for {settle:g} s and {MIN_SAMPLES} readings of the force")
     return _merged(sorted(visits))

@@ -10,18 +10,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from daq.errors import SeatrialError
 from ident.data import Channel, LoadedLog, LogSegment, Record
 from ident.estimation import EstimationOptions, Fit, Likelihood, fit
 from ident.model import Model
 from ident.models import START_POLES, delay_step, delayed_channels, on_a_copy, thruster_model
-from ident.numerics import Array
+from ident.numerics import Array, LagData, fit_first_order_lag
 
 THRUSTER_RATE = 50.0  # rows a second for the load cell and the shaft speed
-THRUSTER_STEP = 0.05  # s
-LONGEST = 4.8  # s, of the delays that are tried
+GRID_STEP = 0.05  # s, of the delays that are tried for initial values, and of the command meanwhile
+MAX_DELAY = 4.8  # s, of those delays
 DEAD_ZONES = tuple(0.0025 * k for k in range(81))  # up to a fifth of full command
 N_SEARCHES = 3
 
@@ -90,19 +89,23 @@ def shaft_guess(records: Sequence[Record]) -> tuple[float, float]:
 
     By mean absolute errors on a grid of both: a search from one start stops at a slow pole where the delay is long.
     """
-    delays = np.arange(round(LONGEST / THRUSTER_STEP) + 1)
-    errors = np.zeros((START_POLES.size, delays.size))
-    for r in records:
-        t = np.arange(r.t[0], r.t[-1], THRUSTER_STEP)
-        command = r.u[np.clip(np.searchsorted(r.t, t, side="right") - 1, 0, None), r.inputs.index("n_cmd_0")]
-        seen = np.isfinite(r.y[:, 0])
-        n, row = r.y[seen, 0], np.clip(np.round((r.t[seen] - r.t[0]) / THRUSTER_STEP).astype(int), 0, t.size - 1)
-        for i, a in enumerate(START_POLES):
-            keep = np.exp(-a * THRUSTER_STEP)
-            answer = np.append(lfilter([0.0, 1.0 - keep], [1.0, -keep], command), 0.0)  # the last: before the start
-            errors[i] += [np.abs(n - answer[np.maximum(row - k, -1)]).sum() for k in delays]
-    best, at = np.unravel_index(np.argmin(errors), errors.shape)
-    return float(delays[at] * THRUSTER_STEP), float(START_POLES[best])
+    delays = [k * GRID_STEP for k in range(round(MAX_DELAY / GRID_STEP) + 1)]
+    found = fit_first_order_lag([_lag_data(r) for r in records], delays, (1.0 / START_POLES).tolist(), GRID_STEP)
+    return found.delay, 1.0 / found.time_constant
+
+
+def _lag_data(r: Record) -> LagData:
+    """The command on the grid, and the mean absolute error of the delayed lag at the measured shaft speeds."""
+    t = np.arange(r.t[0], r.t[-1], GRID_STEP)
+    command = r.u[np.clip(np.searchsorted(r.t, t, side="right") - 1, 0, None), r.inputs.index("n_cmd_0")]
+    seen = np.isfinite(r.y[:, 0])
+    n, row = r.y[seen, 0], np.clip(np.round((r.t[seen] - r.t[0]) / GRID_STEP).astype(int), 0, t.size - 1)
+
+    def misfit(lagged: Array, delay: float) -> float:
+        past = np.maximum(row - round(delay / GRID_STEP), -1)
+        return float(np.abs(n - np.append(lagged, 0.0)[past]).sum())  # the last: before the start
+
+    return LagData(command, misfit)
 
 
 def fit_on_a_copy(

@@ -156,7 +156,7 @@ def delayed_forces(y: Array, push: Array, lags: Sequence[float]) -> Array:
     """
     found, best = np.full(y.size, np.nan), np.inf
     for lag in lags:
-        past = first_order_lag(push[:, None], lag, 1.0 / RATE)[:, 0]
+        past = first_order_lag(push, lag, 1.0 / RATE)
         X = np.column_stack([past, np.ones(y.size)])
         beta, *_ = np.linalg.lstsq(X, y, rcond=None)
         error = float(np.sum((y - X @ beta) ** 2))
@@ -296,10 +296,7 @@ def _correlation(channels: Mapping[str, Channel], time_constant: float) -> tuple
     difference = push[0] - push[1]
     if t.size < 50 or difference.std() < 1e-9:
         return None
-    a = np.exp(-1 / SIDE_RATE / time_constant)
-    lagged = np.zeros(t.size)
-    for k in range(1, t.size):
-        lagged[k] = a * lagged[k - 1] + (1 - a) * difference[k - 1]
+    lagged = first_order_lag(difference, time_constant, 1 / SIDE_RATE)
     rate = np.interp(t, r.t, r.value)
     x, y = lagged - lagged.mean(), rate - rate.mean()
     correlation = float(x @ y / np.sqrt((x @ x) * (y @ y) + 1e-300))

@@ -11,15 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from daq.checks import Finding
 from ident.checks.sensors import Channels
 from ident.data import Channel, sample_and_hold
-from ident.numerics import Array
+from ident.numerics import Array, LagData, LagFit, first_order_lag, fit_first_order_lag, steady_segments
 
 STEP = 0.05  # s, of the grid for command and shaft
-DELAYS = np.arange(0.0, 3.0 + STEP / 2, STEP)  # s
+DELAYS = tuple(np.arange(0.0, 3.0 + STEP / 2, STEP).tolist())  # s
 TIME_CONSTANTS = (0.0, 0.07, 0.14, 0.3, 0.6, 1.2)  # s
 BANDS = np.array([0.0, *np.arange(0.02, 0.41, 0.01)])  # of full command
 LONG_DELAY, WIDE_BAND = 0.6, 0.15  # s; of full command: what is still usual for an ESC
@@ -147,29 +146,31 @@ def response(told: Channel, shaft: Channel) -> Response | None:
     near = np.minimum(np.abs(after), np.abs(before))
     n = np.interp(t, shaft.t, shaft.value)
     used = near < max(0.5, 2.0 * float(np.median(np.diff(shaft.t))))
-    commands = {k: sample_and_hold(told, t - tau) for k, tau in enumerate(DELAYS)}
     if np.quantile(np.abs(n), 0.99) < TURNS * min(1.0, np.abs(told.value).max()):
         return None
-    rest, k, tc = min(
-        (_misfit(_lag(past, tc), n, used)[0], k, tc) for k, past in commands.items() for tc in TIME_CONSTANTS
+    commands = np.column_stack([sample_and_hold(told, t - delay) for delay in DELAYS])
+
+    def fitted(at: slice, band: float) -> LagFit:
+        data = LagData(_outside(commands[:, at], band), lambda lagged, _: _misfit(lagged, n, used)[0])
+        return fit_first_order_lag([data], DELAYS[at], TIME_CONSTANTS, STEP, hold="backward", start="steady")
+
+    linear = fitted(slice(None), 0.0)
+    k = DELAYS.index(linear.delay)
+    best, band = linear, 0.0
+    for b in BANDS.tolist():
+        if (one := fitted(slice(max(k - 3, 0), k + 4), b)).misfit < best.misfit:
+            best, band = one, b
+    past = _outside(commands[:, DELAYS.index(best.delay)], band)
+    lagged = first_order_lag(past, best.time_constant, STEP, hold="backward", start="steady")
+    total, gain = float(n[used] @ n[used]), 1.0 - best.misfit / max(linear.misfit, 1e-300)
+    return Response(
+        best.delay, best.time_constant, band, _misfit(lagged, n, used)[1], 1.0 - best.misfit / total, gain
     )
-    best = (rest, k, tc, 0.0)
-    for j in range(max(k - 3, 0), min(k + 4, DELAYS.size)):
-        for b in BANDS:
-            past = np.where(np.abs(commands[j]) < b, 0.0, commands[j])
-            for constant in TIME_CONSTANTS:
-                best = min(best, (_misfit(_lag(past, constant), n, used)[0], j, constant, float(b)))
-    error, k, tc, band = best
-    scale = _misfit(_lag(np.where(np.abs(commands[k]) < band, 0.0, commands[k]), tc), n, used)[1]
-    total = float(n[used] @ n[used])
-    return Response(float(DELAYS[k]), tc, band, scale, 1.0 - error / total, 1.0 - error / max(rest, 1e-300))
 
 
-def _lag(x: Array, time_constant: float) -> Array:
-    if time_constant == 0.0:
-        return x
-    keep = np.exp(-STEP / time_constant)
-    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], x, zi=[keep * x[0]])[0])
+def _outside(command: Array, band: float) -> Array:
+    """Commands (...) with those inside a dead band as zero."""
+    return np.where(np.abs(command) < band, 0.0, command)
 
 
 def _misfit(x: Array, n: Array, used: NDArray[np.bool_]) -> tuple[float, float]:
@@ -195,16 +196,13 @@ class Hold(NamedTuple):
 
 def holds(told: Channel, shaft: Channel) -> list[Hold]:
     """The commands that were held for some seconds, with what the shaft made of them."""
-    starts = np.flatnonzero(np.append(True, np.diff(told.value) != 0))
-    ends = np.append(told.t[starts[1:]], max(told.t[-1], shaft.t[-1]))
     found = []
-    for k, end in zip(starts, ends, strict=True):
-        t0 = float(told.t[k])
-        inside = (shaft.t >= t0) & (shaft.t < end)
-        late = inside & (shaft.t > (t0 + end) / 2)
-        if end - t0 >= HELD and late.sum() >= 2:
+    for held in steady_segments(told.t, told.value, max(told.t[-1], shaft.t[-1])):
+        inside = (shaft.t >= held.start) & (shaft.t < held.end)
+        late = inside & (shaft.t > (held.start + held.end) / 2)
+        if held.duration >= HELD and late.sum() >= 2:
             settled = float(np.median(shaft.value[late]))
-            found.append(Hold(t0, float(told.value[k]), settled, shaft.t[inside], shaft.value[inside]))
+            found.append(Hold(held.start, held.level, settled, shaft.t[inside], shaft.value[inside]))
     return found
 
 

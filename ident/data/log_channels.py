@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from daq.log import Log
 from daq.rig import Thruster
@@ -35,13 +34,13 @@ from daq.samples import (
     Servo,
 )
 from ident.data.record import Channel
-from ident.numerics import Array
+from ident.numerics import Array, LagData, first_order_lag, fit_first_order_lag
 
 Table = NDArray[np.void]  # of `Log.table`, shape (n,)
 TRACK = 20.0  # s
 STEP = 0.02  # s
-DELAYS = np.arange(0.0, 1.01, 0.05)  # s
-POLES = 1.5 * 1.5 ** np.arange(9)  # 1/s, up to 38
+DELAYS = tuple(np.arange(0.0, 1.01, 0.05).tolist())  # s
+TIME_CONSTANTS = tuple(1.0 / (1.5 * 1.5**k) for k in range(9))  # s
 
 
 def channels(log: Log) -> dict[str, Channel]:
@@ -174,15 +173,14 @@ def with_sign(t: Array, speed: Array, t_told: Array, told: Array) -> Array:
     speed = np.abs(speed)
     clock = np.arange(t[0] - DELAYS[-1], t[-1] + STEP, STEP)
     held = told[np.maximum(np.searchsorted(t_told, clock, side="right") - 1, 0)]
-    best, found = np.inf, np.copysign(speed, np.interp(t, clock, held))
-    for pole in POLES:
-        keep = np.exp(-pole * STEP)
-        lagged = lfilter([1.0 - keep], [1.0, -keep], held)
-        for delay in DELAYS:
-            shaft = np.interp(t - delay, clock, lagged)
-            size = np.abs(shaft)
-            scale = float(size @ speed / max(size @ size, 1e-12))
-            error = float(np.sum((speed - scale * size) ** 2))
-            if error < best:
-                best, found = error, np.copysign(speed, shaft)
-    return np.asarray(found)
+
+    def misfit(lagged: Array, delay: float) -> float:
+        size = np.abs(np.interp(t - delay, clock, lagged))
+        scale = float(size @ speed) / max(float(size @ size), 1e-12)
+        return float(np.sum((speed - scale * size) ** 2))
+
+    best = fit_first_order_lag([LagData(held, misfit)], DELAYS, TIME_CONSTANTS, STEP, hold="backward")
+    if not np.isfinite(best.misfit):
+        return np.copysign(speed, np.interp(t, clock, held))
+    lagged = first_order_lag(held, best.time_constant, STEP, hold="backward")
+    return np.copysign(speed, np.interp(t - best.delay, clock, lagged))

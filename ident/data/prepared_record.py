@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 
 from ident.data.record import Record
 from ident.model import Model
-from ident.numerics import Array
+from ident.numerics import NORMAL_MAD, SECOND_DIFFERENCE, Array, noise_from_differences, wrap
 
 N_AGREE = 7  # samples of a sensor with outliers that the first is chosen from
-FAR = 4.0  # times the least median distance from a straight line
-WILD = 4.0  # times the typical second difference of all samples: about eight standard deviations of white noise
+START_OUTLIER_GATE = 4.0  # times the least median distance from a straight line, within which a first sample must be
+# standard deviations of the noise, as far as its second differences tell it: four times their median, and so beyond
+# any chance
+SAMPLE_OUTLIER_GATE = 4.0 * SECOND_DIFFERENCE / NORMAL_MAD
 
 
 @dataclass(frozen=True)
@@ -116,17 +118,17 @@ def _agreeing(t: Array, samples: Array, angle: bool) -> int:
     Far is several times what second differences typically are; where they are nought, as they often are of a sensor of
     coarse resolution, they do not count.
     """
-    bend = np.abs(_apart(np.diff(_apart(np.diff(samples), angle)), angle))
-    bend = bend[bend > 0.0]
-    if not bend.size:
+    bend = wrap(np.diff(wrap(np.diff(samples), angle)), angle)
+    noise = noise_from_differences(bend[bend != 0.0])
+    if noise == 0.0:
         return 0
-    reach = WILD * float(np.median(bend))
+    reach = SAMPLE_OUTLIER_GATE * noise
     t, y = t[:N_AGREE], samples[:N_AGREE]
-    y = _apart(y - y[np.argmin(_distances(y, angle))], angle)
+    y = wrap(y - y[np.argmin(_distances(y, angle))], angle)
     dt = t[:, None] - t + np.diag(np.full(t.size, np.nan))
     slope = np.median(np.nanmedian((y[:, None] - y) / dt, axis=1))
     distance = _distances(y - slope * t, False)
-    k = int(np.argmax(distance <= max(FAR * distance.min(), reach)))
+    k = int(np.argmax(distance <= max(START_OUTLIER_GATE * distance.min(), reach)))
     while 0 < k < y.size - 1:
         led = y[k] + (y[k + 1] - y[k]) / (t[k + 1] - t[k]) * (t[k - 1] - t[k])
         if abs(y[k - 1] - led) > reach:
@@ -137,11 +139,7 @@ def _agreeing(t: Array, samples: Array, angle: bool) -> int:
 
 def _distances(samples: Array, angle: bool) -> Array:
     """Of each sample, the median of how far it is from all."""
-    return np.asarray(np.median(np.abs(_apart(samples[:, None] - samples, angle)), axis=1))
-
-
-def _apart(difference: Array, angle: bool) -> Array:
-    return np.mod(difference + np.pi, 2 * np.pi) - np.pi if angle else difference
+    return np.asarray(np.median(np.abs(wrap(samples[:, None] - samples, angle)), axis=1))
 
 
 @dataclass(frozen=True)

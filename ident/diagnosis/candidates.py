@@ -21,7 +21,7 @@ from ident.engine import VectorisedModel
 from ident.estimation import FittedModel, RecordEvaluation
 from ident.model import Effect, Model
 from ident.models import products_of, readings_of, residuals_of, variables_of
-from ident.numerics import Array
+from ident.numerics import Array, wrap
 from ident.validation import SpectralPeak, spectral_peak
 
 SURE = 1e-6  # what merely coloured innovations do not reach (tests/ident/diagnosis/test_spectral_peak.py)
@@ -147,7 +147,7 @@ def variables(model: Model, record: Record, x: Array, values: Array | None = Non
     found = {}
     for v in variables_of(model):
         z = record.t if v.name == TIME_INPUT else np.asarray(v.read(bag), dtype=np.float64)
-        found[v.name] = np.mod(z + np.pi, 2 * np.pi) - np.pi if v.angle else z
+        found[v.name] = wrap(z, v.angle)
     return found
 
 

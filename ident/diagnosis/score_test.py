@@ -21,7 +21,7 @@ from scipy import stats
 from ident.data import Record
 from ident.estimation import FilterResult
 from ident.model import Model
-from ident.numerics import Array
+from ident.numerics import Array, scaled_eigen
 
 BLOCK = 5.0  # s
 WIDTH, LENGTH = 96, 256  # columns and rows that are carried through the filter at once: as the processor has at hand
@@ -238,8 +238,7 @@ def _one(placed: ColumnIndex, information: Array, score: Array, blocks: Array, b
         return None
     index, names = index[alive], names[alive]
     info, s = information[np.ix_(index, index)], score[index]
-    size = np.sqrt(np.diag(info))
-    w, V = np.linalg.eigh(info / np.outer(size, size))
+    w, V, size = scaled_eigen(info)
     keep = w > 1e-6
     z = (V.T @ (s / size))[keep]
     lm, df = float(np.sum(z * z / w[keep])), int(keep.sum())

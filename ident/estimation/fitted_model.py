@@ -18,7 +18,7 @@ from ident.estimation.smoother import SmootherResult, smooth
 from ident.model import Effect, Model, outlier_notes
 from ident.model import with_outlier_model as with_outliers
 from ident.models import for_diagnosis, forces_of, rescale, residuals_of, size_of
-from ident.numerics import Array
+from ident.numerics import NORMAL_MAD, Array, noise_from_differences
 from ident.reporter import QUIET, Reporter
 
 NOUGHT = 1e-2  # of the white noise that the samples show
@@ -145,8 +145,7 @@ def reset_collapsed_noise(model: Model, records: Sequence[Record]) -> Model:
         if p is None or not p.free or o.name not in names:
             continue
         parts = [r.y[np.isfinite(r.y[:, names.index(o.name)]), names.index(o.name)] for r in records]
-        bends = np.concatenate([np.abs(np.diff(np.unwrap(y) if o.angle else y, 2)) for y in parts])
-        white = 1.4826 * float(np.median(bends)) / np.sqrt(6.0) if bends.size else 0.0
+        white = noise_from_differences(np.concatenate([np.diff(np.unwrap(y) if o.angle else y, 2) for y in parts]))
         if p.value < NOUGHT * white:
             new.append(p.at(white))
     return model.replace_parameters(*new)
@@ -177,7 +176,7 @@ def validation_gain(before: FittedModel, after: FittedModel) -> tuple[float, flo
         return 0.0, 0.0
     per_block: Array = np.concatenate(gains).astype(np.float64)
     middle = np.median(per_block)
-    reach = 3 * 1.4826 * np.median(np.abs(per_block - middle))
+    reach = 3 * NORMAL_MAD * np.median(np.abs(per_block - middle))
     drawn_in = np.clip(per_block, middle - reach, middle + reach)
     return float(per_block.sum()), max(_t(per_block), _t(drawn_in))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import tomlkit
 from daq.errors import SeatrialError
 from ident.effects import catalogue, nonparametric_effect
 from ident.estimation.maximum_likelihood import Fit
+from ident.estimation.parameter_covariance import ParameterCovariance
 from ident.model import Effect, Model, Parameter, robust_sensors, with_outlier_model
 from ident.models import (
     ANTENNA,
@@ -46,6 +47,14 @@ class SavedModel:
     correlation: Array = field(default_factory=lambda: np.zeros((0, 0)))
     effects_file: Path | None = None  # where effects that are not in the catalogue come from
     reml: bool = False
+
+    def covariance(self, wanted: Collection[str] | None = None) -> ParameterCovariance:
+        """Covariance of the estimates, or of those in ``wanted``, that have a standard error."""
+        names = self.names if wanted is None else [n for n in self.names if n in wanted]
+        known = tuple(n for n in names if np.isfinite(self.errors.get(n, np.nan)) and self.errors[n] > 0.0)
+        at = [self.names.index(n) for n in known]
+        se = np.array([self.errors[n] for n in known])
+        return ParameterCovariance(known, self.correlation[np.ix_(at, at)] * np.outer(se, se))
 
 
 def save_model(

@@ -12,7 +12,7 @@ the delta method by central differences over a standard deviation, which also se
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,9 +23,9 @@ from ident.estimation.maximum_likelihood import Fit
 from ident.estimation.output_error import simulate
 from ident.estimation.restricted_likelihood import noise_names
 from ident.model import Model
-from ident.numerics import Array
+from ident.numerics import Array, covariance_root
 
-SMALL = 1e-12  # of the largest scaled eigenvalue: no direction of its own
+NULL_SPACE_TOLERANCE = 1e-12  # of the largest eigenvalue of the correlation: below it is rounding
 NUISANCE_EFFECTS = ("disturbance", "sensor-bias")
 STEP = 0.05  # standard deviations of the parameters, for differences
 
@@ -66,10 +66,7 @@ def parameter_uncertainty(fit: Fit, record: int | None = None) -> ParameterUncer
     columns = tuple(names.index(wanted[fit.names[i]]) for i in at)
     slopes = np.array([parameters[c].slope(float(fit.values[i])) for c, i in zip(columns, at, strict=True)])
     P = fit.covariance[np.ix_(at, at)] / np.outer(slopes, slopes)
-    scale = np.sqrt(np.diag(P))
-    w, V = np.linalg.eigh(P / np.outer(scale, scale))
-    kept = w > SMALL * w.max(initial=0.0)
-    return ParameterUncertainty(columns, scale[:, None] * V[:, kept] * np.sqrt(w[kept]))
+    return ParameterUncertainty(columns, covariance_root(P, NULL_SPACE_TOLERANCE))
 
 
 def prediction_variance(
@@ -102,17 +99,10 @@ def dynamic_parameters(model: Model) -> list[str]:
 
 @dataclass(frozen=True)
 class ParameterCovariance:
-    """What is known of the parameters: names (n,) and their covariance (n, n), in own units."""
+    """Covariance (n, n) of the parameters ``names`` (n,), in their own units; None: not known."""
 
     names: tuple[str, ...] = ()
     covariance: Array | None = None
-
-    @classmethod
-    def of(cls, errors: Mapping[str, float], names: Sequence[str], correlation: Array) -> ParameterCovariance:
-        """From standard errors by name and the correlation of ``names``; those without an error are left out."""
-        good = [i for i, n in enumerate(names) if np.isfinite(errors.get(n, np.nan)) and errors[n] > 0]
-        sd = np.array([errors[names[i]] for i in good])
-        return cls(tuple(names[i] for i in good), correlation[np.ix_(good, good)] * np.outer(sd, sd))
 
 
 def principal_directions(model: Model, values: Array, known: ParameterCovariance | None) -> list[Array]:

@@ -22,12 +22,13 @@ from ident.estimation.fisher_scoring import Evaluation, Optimum, solve_step
 from ident.estimation.objective import Problem
 from ident.estimation.standard_errors import DROP
 from ident.model import Model
-from ident.numerics import Array
+from ident.numerics import Array, scaled_eigen, unit_diagonal
 
 STEP = 0.05  # of a logarithm, for the differences; the determinant is nearly linear in it
 KNOWN = 1.0  # information on a logarithm below which not even its order of magnitude is known
 N_POINTS = 5  # at which a model is tried
-SHARE = 1e-9  # of a scaled eigenvalue: less is no information
+NULL_SPACE_TOLERANCE = 1e-9  # eigenvalue of the information scaled to unit diagonal: less is no information
+LEAST_DIAGONAL = 1e-300  # of an information matrix, in place of a zero
 
 
 def noise_names(model: Model) -> frozenset[str]:
@@ -105,17 +106,16 @@ def apply_reml(problem: Problem, top: Optimum) -> Optimum:
 def _errors(H: Array) -> Array:
     """Standard errors (n,), of what the data see. One step leads to a maximum that lies well within them; where it is
     longer, a combination is hardly seen, and the step is no Newton step but leads anywhere."""
-    scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
-    w, V = np.linalg.eigh(H / np.outer(scale, scale))
-    seen = w > SHARE
+    w, V, scale = scaled_eigen(H, LEAST_DIAGONAL)
+    seen = w > NULL_SPACE_TOLERANCE
     return np.asarray(np.sqrt((V[:, seen] ** 2 / w[seen]).sum(axis=1)) / scale)
 
 
 def _log_det(problem: Problem, z: Array, which: NDArray[np.intp]) -> float:
     """Of the information of the coordinates ``which``, without combinations that the data do not see."""
     part = problem.information(z, which)
-    scale = np.sqrt(np.maximum(np.diag(part), 1e-300))
     if not np.isfinite(part).all():
         return float("nan")
-    w = np.linalg.eigvalsh(part / np.outer(scale, scale))
-    return float(np.log(np.maximum(w, SHARE)).sum() + 2.0 * np.log(scale).sum())
+    scaled, scale = unit_diagonal(part, LEAST_DIAGONAL)
+    w = np.linalg.eigvalsh(scaled)
+    return float(np.log(np.maximum(w, NULL_SPACE_TOLERANCE)).sum() + 2.0 * np.log(scale).sum())

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ident.estimation.fisher_scoring import Bounds, Evaluation
 from ident.model import Parameter
-from ident.numerics import Array, integrated_autocorrelation_time
+from ident.numerics import Array, integrated_autocorrelation_time, scaled_eigen, scaled_inverse
 
 BLIND = 1e-10  # eigenvalue of the scaled information below which a combination is not identified
 NAMED = 0.1  # weight with which a parameter is part of that combination
@@ -62,7 +62,7 @@ def assess(at: Evaluation, z: Array, bounds: Bounds, names: Sequence[str], slope
     blind, said = _blind(at.information[np.ix_(inside, inside)], [names[i] for i in inside], labels)
     flags += said
     good = [i for i, lost in zip(inside, blind, strict=True) if not lost]
-    P[np.ix_(good, good)] = _inverse(at.information[np.ix_(good, good)])
+    P[np.ix_(good, good)] = scaled_inverse(at.information[np.ix_(good, good)])
     vague = [i for i in good if bounds.logarithmic[i] and P[i, i] > FACTOR**2]
     for i in vague:
         flags.append((names[i], VAGUE))
@@ -125,8 +125,7 @@ def _blind(
     seen: list[int] = np.flatnonzero(~blind).tolist()
     if not seen:
         return blind, flags
-    scale = np.sqrt(np.diag(information)[seen])
-    w, V = np.linalg.eigh(information[np.ix_(seen, seen)] / np.outer(scale, scale))
+    w, V, scale = scaled_eigen(information[np.ix_(seen, seen)])
     for direction in _apart(V[:, w < BLIND]):
         part = direction / scale  # in the coordinates themselves
         part = part / part[np.argmax(np.abs(part))]
@@ -148,13 +147,6 @@ def _apart(V: Array) -> Array:
         others = np.arange(len(rows)) != i
         rows[others] -= np.outer(rows[others, pivot], rows[i])
     return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
-
-
-def _inverse(information: Array) -> Array:
-    if not information.size:
-        return information
-    scale = np.sqrt(np.diag(information))
-    return np.asarray(np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale))
 
 
 @dataclass(frozen=True)

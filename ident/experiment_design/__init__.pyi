@@ -6,6 +6,7 @@ from .criteria import Kind as Kind
 from .discrimination import DiscriminationDesign as DiscriminationDesign
 from .discrimination import discriminate as discriminate
 from .discrimination import separation as separation
+from .excitation import SHAFT_POLE as SHAFT_POLE
 from .excitation import Steps as Steps
 from .excitation import ThrusterResponse as ThrusterResponse
 from .information import InformationSegment as InformationSegment
@@ -21,4 +22,3 @@ from .task import DesignLimits as DesignLimits
 from .task import DesignProblem as DesignProblem
 from .task import ParameterPrior as ParameterPrior
 from .task import believed as believed
-from .task import scaled_inverse as scaled_inverse

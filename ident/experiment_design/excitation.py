@@ -16,7 +16,7 @@ from scipy import signal
 from daq.errors import SeatrialError
 from ident.data import HISTORY_STEP, TIME_INPUT, WORK_INPUT, WORK_UNIT
 from ident.model import Model
-from ident.numerics import Array
+from ident.numerics import Array, first_order_lag
 
 SIDES = ("left", "right")
 SHAFT_POLE = 2.794  # 1/s, thesis Table 2
@@ -84,8 +84,7 @@ class ThrusterResponse:
         """Shaft speeds: first-order response to held commands, exact at the equidistant rows."""
         if not np.isfinite(self.pole):
             return command
-        keep = float(np.exp(-self.pole * (self.t[1] - self.t[0])))
-        return np.asarray(signal.lfilter([0.0, 1.0 - keep], [1.0, -keep], command, axis=0))
+        return first_order_lag(command, 1.0 / self.pole, float(self.t[1] - self.t[0]))
 
     def inputs(self, command: Array) -> Array:
         """The model's inputs (n_rows, n_inputs, n) under commands (n_rows, n_channels, n)."""

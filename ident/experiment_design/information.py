@@ -21,7 +21,7 @@ from ident.data import Record
 from ident.engine import Kernel
 from ident.estimation import Likelihood, simulate
 from ident.model import Model, Parameter
-from ident.numerics import Array
+from ident.numerics import Array, unit_diagonal
 
 Mask = NDArray[np.uint32]
 T = TypeVar("T")
@@ -231,9 +231,9 @@ def errors_of(information: Array) -> Array:
     found = np.full(size.shape, np.inf)
     for at in np.ndindex(size.shape[:-1]):
         good = np.isfinite(size[at]) & (size[at] > 0)
-        scaled = information[at][np.ix_(good, good)] / np.outer(size[at][good], size[at][good])
+        scaled, scale = unit_diagonal(information[at][np.ix_(good, good)])
         if good.any() and np.isfinite(scaled).all() and np.linalg.eigvalsh(scaled)[0] > 1e-13:
-            found[at][good] = np.sqrt(np.diag(np.linalg.inv(scaled))) / size[at][good]
+            found[at][good] = np.sqrt(np.diag(np.linalg.inv(scaled))) / scale
     return found
 
 

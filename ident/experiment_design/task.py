@@ -268,16 +268,5 @@ class DesignProblem:
 
 def believed(saved: SavedModel) -> ParameterPrior:
     """Prior from a fitted model: its shared parameters with a standard error, with their correlation."""
-    wanted = dynamic_parameters(saved.model)
-    known = [n for n in saved.names if n in wanted and np.isfinite(saved.errors.get(n, np.nan))]
-    at = [saved.names.index(n) for n in known]
-    se = np.array([saved.errors[n] for n in known])
-    correlation = saved.correlation[np.ix_(at, at)].copy()
-    np.fill_diagonal(correlation, 1.0)
-    return ParameterPrior(tuple(known), covariance=correlation * np.outer(se, se))
-
-
-def scaled_inverse(covariance: Array) -> Array:
-    """Pseudo-inverse of a covariance, computed with a unit diagonal."""
-    size = np.sqrt(np.diag(covariance))
-    return np.asarray(np.linalg.pinv(covariance / np.outer(size, size), hermitian=True) / np.outer(size, size))
+    known = saved.covariance(dynamic_parameters(saved.model))
+    return ParameterPrior(known.names, covariance=known.covariance)

@@ -1,4 +1,4 @@
-"""Generic numerics without domain: signal processing, autocorrelation, pattern search, outlier density."""
+"""Generic numerics without domain: signal processing, autocorrelation, linear algebra, pattern search."""
 
 import lazy_loader
 

@@ -1,22 +1,111 @@
-"""Signal processing without domain: angles, first-order lags."""
+"""Signal processing without domain: angles, first-order lags and their fit, steady segments, noise from differences."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.signal import lfilter
 
 from ident.numerics.arrays import Array
 
+Hold = Literal["forward", "backward"]
+Start = Literal["zero", "steady"]
+NORMAL_MAD = 1.4826  # standard deviation of a normal variable over its median absolute deviation
+SECOND_DIFFERENCE = np.sqrt(6.0)  # standard deviation of y[k] - 2 y[k+1] + y[k+2] over that of white y: 1 + 4 + 1
 
-def first_order_lag(f: Array, tau: float, dt: float) -> Array:
-    """First-order low-pass, exact for inputs held over each step: x' = (f - x) / tau.
 
-    Parameters: f (n, ...) input, time along the first axis; tau [s] time constant; dt [s] step.
-    Returns: x (n, ...), zero at the start.
+def first_order_lag(f: Array, tau: float, dt: float, *, hold: Hold = "forward", start: Start = "zero") -> Array:
+    """First-order low-pass x' = (f - x) / tau, exact for inputs that are held over each step.
+
+    Parameters: f (n, ...) input, time along the first axis; tau [s] time constant, zero or more; dt [s] step; hold:
+    ``forward``, f[k] is held from row k to the next, so that x[k] depends on f up to row k - 1, or ``backward``, f[k]
+    is held over the step that ends in row k; start: at rest at ``zero``, or ``steady``, with x[0] = f[0].
+    Returns: x (n, ...).
     """
-    keep = np.exp(-dt / tau)
-    return np.asarray(lfilter([0.0, 1.0 - keep], [1.0, -keep], f, axis=0))
+    keep = np.exp(-dt / tau) if tau > 0.0 else 0.0
+    b = [0.0, 1.0 - keep] if hold == "forward" else [1.0 - keep]
+    if start == "zero":
+        return np.asarray(lfilter(b, [1.0, -keep], f, axis=0))
+    initial = f[:1] if hold == "forward" else keep * f[:1]
+    return np.asarray(lfilter(b, [1.0, -keep], f, axis=0, zi=initial)[0])
+
+
+class LagData(NamedTuple):
+    """What one recording says of a delay and a lag.
+
+    f (n,): input, evenly sampled, or (n, n_delays): delayed already, one column a delay; misfit: of the lagged input
+    (n,) and, where that is not delayed yet, the delay [s] at which it is to be sampled.
+    """
+
+    f: Array
+    misfit: Callable[[Array, float], float]
+
+
+class LagFit(NamedTuple):
+    """delay [s], time_constant [s], and the misfit there, of all recordings together."""
+
+    delay: float
+    time_constant: float
+    misfit: float
+
+
+def fit_first_order_lag(
+    data: Sequence[LagData], delays: Sequence[float], time_constants: Sequence[float], dt: float,
+    *, hold: Hold = "forward", start: Start = "zero",
+) -> LagFit:
+    """Delay and time constant of a first-order response, by grid search: a search from one start stops at a slow lag
+    where the delay is long.
+
+    Parameters: data: recordings whose misfits add up; delays, time_constants [s]: the grid; dt [s]: step of the inputs;
+    hold, start: as in `first_order_lag`.
+    Returns: the least misfit; of equal ones the first time constant, then the first delay.
+    """
+    best = LagFit(float("nan"), float("nan"), np.inf)
+    for tau in time_constants:
+        lagged = [first_order_lag(d.f, tau, dt, hold=hold, start=start) for d in data]
+        for k, delay in enumerate(delays):
+            total = 0.0
+            for d, x in zip(data, lagged, strict=True):
+                total += d.misfit(x if x.ndim == 1 else x[:, k], delay)
+            if total < best.misfit:
+                best = LagFit(delay, tau, total)
+    return best
+
+
+class SteadySegment(NamedTuple):
+    """A signal is ``level`` from ``start`` to ``end`` [s]."""
+
+    start: float
+    end: float
+    level: float
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return self.end - self.start
+
+
+def steady_segments(t: Array, value: Array, end: float) -> list[SteadySegment]:
+    """The segments over which a signal that is held between its samples does not change.
+
+    Parameters: t (n,) [s], value (n,): the samples; end [s]: until when the last one is held.
+    """
+    first = np.flatnonzero(np.diff(value, prepend=np.nan) != 0)
+    limits = [*t[first].tolist(), end]
+    return [SteadySegment(a, b, level) for (a, b), level in zip(pairwise(limits), value[first].tolist(), strict=True)]
+
+
+def noise_from_differences(second_differences: Array) -> float:
+    """Standard deviation of white noise from the second differences (n,) of a smooth signal, robust against outliers:
+    their median absolute value as it is of a normal variable; zero where there are none."""
+    if not second_differences.size:
+        return 0.0
+    return float(NORMAL_MAD * float(np.median(np.abs(second_differences))) / SECOND_DIFFERENCE)
 
 
 def wrap(e: Array, angle: bool) -> Array:
+    """Differences e (...) of an ``angle`` [rad] within -pi and pi; other differences as they are."""
     return np.mod(e + np.pi, 2 * np.pi) - np.pi if angle else e

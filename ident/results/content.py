@@ -15,7 +15,7 @@ from ident.data import LoadedLog, Record
 from ident.estimation import Fit, FittedModel, HomogeneityTest, Profile, RecordEvaluation
 from ident.model import Model, Parameter
 from ident.numerics import Array
-from ident.validation import BLOCK, FreeRun, PredictionEvaluation, cross_correlation, ljung_box_test, ratio_interval
+from ident.validation import BLOCK, FreeRun, PredictionEvaluation, cross_correlation, ratio_interval, whiteness_test
 
 Json = dict[str, Any]
 FEWEST = 60  # samples of a channel whose residuals are tested
@@ -112,7 +112,7 @@ def residual_part(model: Model, record: Record, eps: Array) -> tuple[list[Json],
 
 
 def _whiteness_row(name: str, t: Array, e: Array) -> Json:
-    w = ljung_box_test(name, t, e)
+    w = whiteness_test(name, t, e)
     return {
         "t": t,
         "e": e,

@@ -20,7 +20,7 @@ from daq.errors import SeatrialError
 from ident.characterisation import noise_model
 from ident.data import TIME_INPUT
 from ident.estimation import EstimationOptions, SampledInputs, load_model
-from ident.experiment_design import GRID, Design, DesignProblem, Steps, design
+from ident.experiment_design import GRID, SHAFT_POLE, Design, DesignProblem, Steps, design
 from ident.model import INF, Model
 from ident.models import (
     DELAY_STEP,
@@ -32,11 +32,10 @@ from ident.models import (
     thruster_model,
     yaw_model,
 )
-from ident.numerics import Array
+from ident.numerics import Array, first_order_lag
 from ident.studies.monte_carlo import Case, run_replicates
 
 MISSION_SEED = 20  # the mission is the same for all replicates
-A_SHAFT = 2.794  # 1/s, Table 2
 # Table 5, 3 DOF: the boat as it was identified. Table 1's d_u and d_vv are at their bound of zero for any such record.
 HULL = {"m_u": 43.0775, "m_v": 49.8655, "m_r": 13.5756, "d_u": 8.4193, "d_v": 81.3337, "d_r": 6.4794,
         "d_uu": 27.8441, "d_vv": 11.7343, "d_rr": 19.9464}
@@ -53,12 +52,9 @@ def steps(t: Array, levels: Callable[[np.random.Generator], Array], hold: tuple[
     return u
 
 
-def lagged(t: Array, command: Array, a: float = A_SHAFT) -> Array:
-    """Shaft speeds behind held commands: ``n' = a (n_ref - n)`` from rest, (n_rows, n)."""
-    n = np.zeros_like(command)
-    for k in range(t.size - 1):
-        n[k + 1] = command[k] + (n[k] - command[k]) * np.exp(-a * (t[k + 1] - t[k]))
-    return n
+def _shaft_speeds(command: Array, step: float) -> Array:
+    """From rest, behind commands (n_rows, n) that are held over each ``step`` [s]."""
+    return first_order_lag(command, 1.0 / SHAFT_POLE, step)
 
 
 def surge_case(seconds: float = 300.0) -> Case:
@@ -82,7 +78,7 @@ def yaw_case(seconds: float = 300.0) -> Case:
 def horizontal_case(seconds: float = 400.0) -> Case:
     """Both thrusters in steps; heading, gyro and accelerometers at 10 Hz, position and velocity at 5 Hz."""
     t = _clock(seconds, 0.1)
-    n = lagged(t, steps(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED))
+    n = _shaft_speeds(steps(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED), 0.1)
     model = _at(horizontal_model(), HULL | {"s_u": 0.02, "s_v": 0.02, "s_r": 0.01})
     return Case("horizontal", model, SampledInputs.linear(t, n), {"position": 2, "ground_velocity": 2},
                 f"{seconds:g} s, both thrusters in steps of 3-10 s, AHRS 10 Hz, GNSS 5 Hz, unknown current")
@@ -103,7 +99,7 @@ def thruster_case(seconds: float = 100.0) -> Case:
 def kinematic_case(seconds: float = 400.0) -> Case:
     """Horizontal case with measured attitude and rates, on a boat that rolls by 3 and pitches by 2 degrees."""
     t = _clock(seconds, 0.1)
-    n = lagged(t, steps(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED))
+    n = _shaft_speeds(steps(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED), 0.1)
     model = _at(kinematic_model(), HULL | {"s_u": 0.02, "s_v": 0.02})
     inputs = SampledInputs.linear(t, np.column_stack([n, attitude(t, turned(t, n))]))
     return Case("kinematic", model, inputs, {"position": 2, "ground_velocity": 2},
@@ -164,7 +160,6 @@ CASES: dict[str, Callable[..., Case]] = {
     "thruster": thruster_case, "noise": noise_case, "designed": optimal_design_case}
 STEP = 0.1  # s
 HOLD = (3.0, 10.0)  # s, of a level
-SHAFT_POLE = 2.794  # 1/s, of measured shaft speeds and thrusts (thesis Table 2)
 GNSS = ("position", "ground_velocity")
 SECONDS = 400.0  # of a mission
 BATCH = 25  # replicates simulated at a time
@@ -256,7 +251,7 @@ def _of_model(
             )
         else:
             levels = _levels(t, *ranges[signal.name], rng)
-            u[:, j] = levels if signal.hold == "zero" else _lagged(levels)
+            u[:, j] = levels if signal.hold == "zero" else _measured(levels)
     u_next = u.copy()
     for j, signal in enumerate(model.inputs):
         if signal.hold != "zero":
@@ -276,12 +271,9 @@ def _levels(t: Array, low: float, high: float, rng: np.random.Generator) -> Arra
     return out
 
 
-def _lagged(levels: Array) -> Array:
-    """First-order response to the levels, as measured speeds and forces have."""
-    out, decay = levels.copy(), float(np.exp(-SHAFT_POLE * STEP))
-    for k in range(1, out.size):
-        out[k] = levels[k - 1] + (out[k - 1] - levels[k - 1]) * decay
-    return out
+def _measured(levels: Array) -> Array:
+    """As measured shaft speeds and thrusts follow them."""
+    return first_order_lag(levels, 1.0 / SHAFT_POLE, STEP, start="steady")
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ from ident.estimation import (
     solve_step,
 )
 from ident.model import Model, Parameter
-from ident.numerics import Array
+from ident.numerics import Array, scaled_inverse
 from ident.results import APART, BIAS, COVERAGE, VARIANCE
 
 Row = dict[str, Any]
@@ -145,8 +145,7 @@ def cramer_rao_errors(truth: Model, record: Record, found: Fit, method: Method, 
     names = [n.partition("@")[0] for n in found.names]
     problem = Problem(Likelihood(truth, process_noise=method == "prediction-error"), [record], names, 1)
     information, z = problem.evaluate(problem.start).information, problem.start
-    scale = np.sqrt(np.diag(information))
-    P = np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale)
+    P = scaled_inverse(information)
     return np.sqrt(np.diag(P) + variance_change_by_bounds(information, P, z, problem.bounds, rng))
 
 

@@ -6,8 +6,9 @@ from .prediction_errors import pooled as pooled
 from .prediction_errors import ratio_interval as ratio_interval
 from .whiteness import SpectralPeak as SpectralPeak
 from .whiteness import WhitenessDiagnostics as WhitenessDiagnostics
+from .whiteness import autocorrelation as autocorrelation
 from .whiteness import cross_correlation as cross_correlation
 from .whiteness import ljung_box as ljung_box
-from .whiteness import ljung_box_test as ljung_box_test
 from .whiteness import spectral_peak as spectral_peak
 from .whiteness import whiteness_diagnostics as whiteness_diagnostics
+from .whiteness import whiteness_test as whiteness_test

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import signal, special, stats
 
-from ident.numerics import Array
+from ident.numerics import NORMAL_MAD, Array
 
 SEGMENT = 256  # samples of a segment whose periodogram is averaged
 LOWEST = 3  # bins that a mean and a slow drift leak into
@@ -25,7 +25,8 @@ FACTOR = 2.0  # of a density over an octave
 MOST_LAGS = 30
 LEAST_BINS = 8  # of the lowest band, which ends at zero
 ROWS = 65536  # of the regression at once
-N_LAGS = 20
+N_LAGS = 25  # of the autocorrelation of innovations that is shown
+SAMPLES_PER_LAG = 20  # that the Ljung-Box statistic takes
 
 
 @dataclass(frozen=True)
@@ -61,14 +62,14 @@ class CrossCorrelation:
     p: float  # of the largest, over all lags
 
 
-def ljung_box_test(channel: str, t: Array, e: Array, n_lags: int = 25) -> Whiteness:
-    """``t`` (n,), standardised innovations ``e`` (n,), no NaN, not all the same. Ljung-Box over a lag for every twenty
-    samples, ``n_lags`` at most; its statistic varies more than chi squared, by some 2 lags / n, for which p allows."""
+def whiteness_test(channel: str, t: Array, e: Array, n_lags: int = N_LAGS) -> Whiteness:
+    """Tests of one channel's standardised innovations.
+
+    Parameters: t (n,) [s]; e (n,), no NaN, not all the same; n_lags: of the autocorrelation that is returned. The
+    Ljung-Box statistic is over a lag for every `SAMPLES_PER_LAG` samples, ``n_lags`` at most.
+    """
     n, x = e.size, e - e.mean()
-    acf = np.array([x[k:] @ x[: n - k] for k in range(1, n_lags + 1)]) / (x @ x)
-    tested = max(1, min(n_lags, n // 20))
-    q = n * (n + 2) * np.sum(acf[:tested] ** 2 / (n - np.arange(1, tested + 1)))
-    spread = 1 + 2 * tested / n
+    acf = autocorrelation(e, n_lags)
     rate = 1.0 / float(np.median(np.diff(t)))
     frequency, power = signal.periodogram(x, rate)
     cumulative = np.cumsum(power[1:]) / power[1:].sum()
@@ -81,12 +82,31 @@ def ljung_box_test(channel: str, t: Array, e: Array, n_lags: int = 25) -> Whiten
         float(e.std()),
         acf,
         1.96 / np.sqrt(n),
-        float(stats.chi2.sf(q / spread, tested / spread)),
+        ljung_box(acf[: max(1, min(n_lags, n // SAMPLES_PER_LAG))], n, finite_sample=True),
         float(stats.kstwobign.sf(distance * np.sqrt(m))),
         frequency[1:],
         cumulative,
         float(stats.normaltest(e).pvalue) if n >= 20 else float("nan"),
     )
+
+
+def autocorrelation(e: Array, n_lags: int) -> Array:
+    """Sample autocorrelation (n_lags,) of e (n,), evenly sampled, from lag 1 on."""
+    x = e - e.mean()
+    return np.asarray([x[k:] @ x[: x.size - k] for k in range(1, n_lags + 1)] / (x @ x))
+
+
+def ljung_box(acf: Array, n: int, *, n_fitted: int = 0, finite_sample: bool = False) -> float:
+    """p value of the portmanteau test of Ljung and Box (1978).
+
+    Parameters: acf (n_lags,): autocorrelation from lag 1 on; n: samples that it is of; n_fitted: parameters of the
+    noise model that were fitted to them; finite_sample: allow for the statistic's variance, which exceeds that of chi
+    squared by some ``2 n_lags / n``, by a scaled chi squared of the same mean.
+    """
+    n_lags = acf.size
+    q = n * (n + 2) * float(np.sum(acf**2 / (n - np.arange(1, n_lags + 1))))
+    spread = 1 + 2 * n_lags / n if finite_sample else 1.0
+    return float(stats.chi2.sf(q / spread, (n_lags - n_fitted) / spread))
 
 
 class SpectralPeak(NamedTuple):
@@ -138,7 +158,7 @@ def _smooth(power: Array) -> Array:
     fitted = y
     for _ in range(15):
         fitted = basis @ np.linalg.lstsq(basis * weight[:, None], y * weight, rcond=None)[0]
-        sigma = 1.4826 * float(np.median(np.abs(y - fitted))) + 1e-12
+        sigma = NORMAL_MAD * float(np.median(np.abs(y - fitted))) + 1e-12
         weight = np.sqrt(1.0 / np.maximum(1.0, (y - fitted) / sigma))
     return np.asarray(np.exp(fitted) * np.median(power / np.exp(fitted)))
 
@@ -288,10 +308,3 @@ def _band(power: Array, freedom: Array, first: int, end: int, n_bands: int, n: i
     return FrequencyBand(first / n, (end - 1) / n, square / dof, min(1.0, p))
 
 
-def ljung_box(eps: Array, n_lags: int = N_LAGS) -> tuple[float, float]:
-    """p value of the Ljung-Box statistic (Ljung and Box 1978), two parameters fitted; the largest correlation."""
-    x = eps - eps.mean()
-    lags = np.arange(1, n_lags + 1)
-    r = np.array([x[k:] @ x[:-k] for k in lags]) / (x @ x)
-    q = x.size * (x.size + 2) * float(np.sum(r**2 / (x.size - lags)))
-    return float(stats.chi2.sf(q, n_lags - 2)), float(r[np.argmax(np.abs(r))])

@@ -35,12 +35,11 @@ from ident.experiment_design import (
     monte_carlo,
     predicted_errors,
     predicted_track,
-    scaled_inverse,
     separation,
 )
 from ident.model import Model
 from ident.models import make_model
-from ident.numerics import Array
+from ident.numerics import Array, scaled_pseudo_inverse
 from ident.report import tidy, write_design_page
 from ident.reporter import Reporter
 from ident.results import Json, format_number, to_json
@@ -162,7 +161,7 @@ def make_task(source: str, wish: DesignRequest) -> DesignProblem:
         return replace(task, belief=ParameterPrior(task.learned, wish.spread))
     belief = believed(saved)
     return replace(
-        task, belief=belief, earlier=scaled_inverse(belief.covariance) if belief.covariance is not None else None
+        task, belief=belief, earlier=scaled_pseudo_inverse(belief.covariance) if belief.covariance is not None else None
     )
 
 

@@ -54,7 +54,7 @@ def run_navigation(request: NavigationRequest, command: str, reporter: Reporter)
     logs, saved = request.logs, load_model(request.model)
     model = replace(saved.model, second_order=False)  # in a long outage a heading may be spread too widely for it
     curve = known_curve(request.thruster)
-    known = ParameterCovariance.of(saved.errors, saved.names, saved.correlation)
+    known = saved.covariance()
     names = [p.stem for p in logs]
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +32,7 @@ from ident.data import Channel, LoadedLog, Record, build_record, load_run
 from ident.estimation import EstimationOptions, Fit, FittedModel, RecordEvaluation, outliers, profile
 from ident.model import Model
 from ident.models import thruster_model
-from ident.numerics import Array
+from ident.numerics import Array, steady_segments
 from ident.report import write_report
 from ident.reporter import Reporter
 from ident.results import (
@@ -148,13 +147,11 @@ def _static(fitted: Fit, loaded: Sequence[LoadedLog], name: str) -> Json:
 
 def _steady(loaded: LoadedLog, name: str, bias: float) -> list[tuple[float, float, float]]:
     command, n, f = (loaded.run.channels[c] for c in (f"n_cmd_{name}", f"n_{name}", "force"))
-    changes = np.append(np.flatnonzero(np.diff(command.value, prepend=np.nan) != 0), command.t.size - 1)
     points = []
-    for a, b in pairwise(changes):
-        end = command.t[b]
-        if end - command.t[a] < SETTLED + AVERAGED:
+    for steady in steady_segments(command.t, command.value, float(command.t[-1])):
+        if steady.duration < SETTLED + AVERAGED:
             continue
-        speed, force = ((c.value[(c.t > end - AVERAGED) & (c.t <= end)]) for c in (n, f))
+        speed, force = (c.value[(c.t > steady.end - AVERAGED) & (c.t <= steady.end)] for c in (n, f))
         if speed.size > 3 and force.size > 3:
             points.append((float(speed.mean()), float(force.mean() - bias), float(force.std() / np.sqrt(force.size))))
     return points

@@ -23,7 +23,6 @@ from ident.characterisation.thrust_curve import (
     thrust_channels,
 )
 from ident.data.record import Channel
-from ident.numerics.autocorrelation import autocorrelation_time, block_error
 
 COMMANDS = np.round(np.linspace(-1.0, 1.0, 11), 3)
 MAP = """
@@ -69,14 +68,6 @@ def bench(truth: object, seed: int = 0, rho: float = 0.9) -> tuple[Channel, Chan
     return Channel(t, n), Channel(t, truth(n) + noise)  # type: ignore[operator]
 
 
-def test_autocorrelation_time_of_known_noise() -> None:
-    rng = np.random.default_rng(1)
-    assert autocorrelation_time(rng.normal(size=20_000)) == pytest.approx(1.0, abs=0.1)
-    # (1 + rho) / (1 - rho) = 19
-    assert np.mean([autocorrelation_time(ar1(rng, 0.9, 20_000)) for _ in range(5)]) == pytest.approx(19.0, rel=0.12)
-    assert autocorrelation_time(np.ones(50)) == 1.0
-
-
 def test_errors_are_the_scatter_of_the_levels() -> None:
     z = []
     for seed in range(40):
@@ -85,11 +76,6 @@ def test_errors_are_the_scatter_of_the_levels() -> None:
     assert np.std(z) == pytest.approx(1.0, abs=0.2)
     naive = 0.1 / np.sqrt(1 - 0.9**2) / np.sqrt(500)
     assert np.median(levels.se) > 2.5 * naive  # readings that are not independent
-
-
-def test_a_drift_within_a_level_is_in_its_error() -> None:
-    x = np.random.default_rng(0).normal(size=1000) + np.repeat(np.linspace(-1, 1, 10), 100)
-    assert block_error(x) > 0.15 > 3 * x.std() / np.sqrt(1000)
 
 
 def test_settling_is_left_out_and_visits_are_joined() -> None:

@@ -8,7 +8,6 @@ from scipy.signal import lfilter
 
 from ident.estimation.fisher_scoring import Bounds, Evaluation
 from ident.estimation.standard_errors import Uncertainty, assess, sandwich
-from ident.numerics.autocorrelation import integrated_autocorrelation_time
 
 N = 4000
 
@@ -35,14 +34,6 @@ def regression(keep: float, seed: int) -> tuple[float, float]:
     known = known_of(information)
     robust = sandwich(known, [([0, 1], A * (e - A @ found)[:, None])], np.ones(2))
     return float(found[1] / known.errors[1]), float(found[1] / robust[1])
-
-
-def test_memory_of_first_order_noise() -> None:
-    assert integrated_autocorrelation_time([np.random.default_rng(0).standard_normal(N)]) == pytest.approx(1.0, abs=0.3)
-    found = np.mean([integrated_autocorrelation_time([coloured(0.9, k)]) for k in range(20)])
-    assert found == pytest.approx((1 + 0.9) / (1 - 0.9), rel=0.15)
-    assert integrated_autocorrelation_time([np.zeros(50)]) == 1.0
-    assert integrated_autocorrelation_time([np.linspace(-1.0, 1.0, 500)]) > 50.0
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.8, 0.95])

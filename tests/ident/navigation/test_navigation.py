@@ -40,7 +40,8 @@ def fitted(seed: int) -> FittedModel:
 
 def known(stage: FittedModel) -> ParameterCovariance:
     fit = stage.fit
-    return ParameterCovariance.of(dict(zip(fit.names, fit.errors.tolist(), strict=True)), fit.names, fit.correlation)
+    good = np.flatnonzero(np.isfinite(fit.errors) & (fit.errors > 0.0))
+    return ParameterCovariance(tuple(fit.names[i] for i in good), fit.covariance[np.ix_(good, good)])
 
 
 @cache

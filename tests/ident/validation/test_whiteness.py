@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from ident.validation.whiteness import cross_correlation, ljung_box_test
+from ident.validation.whiteness import cross_correlation, whiteness_test
 
 N_SETS, N = 400, 1000
 T = 0.1 * np.arange(N)
@@ -22,7 +22,7 @@ def bounds(p: float) -> tuple[float, float]:
 def white() -> np.ndarray:
     """p values (n, 3) on white noise: Ljung-Box, cumulative periodogram, normality; and the largest |acf|."""
     rng = np.random.default_rng(1)
-    found = [ljung_box_test("x", T, rng.normal(size=N)) for _ in range(N_SETS)]
+    found = [whiteness_test("x", T, rng.normal(size=N)) for _ in range(N_SETS)]
     return np.array([[w.ljung_box, w.periodogram, w.normal, np.mean(np.abs(w.acf) > w.band)] for w in found])
 
 
@@ -42,7 +42,7 @@ def test_the_band_holds_nineteen_of_twenty_correlations_of_white_noise(white: np
 @pytest.mark.parametrize("phi", [0.2, -0.2])
 def test_an_ar_1_is_rejected(phi: float) -> None:
     rng = np.random.default_rng(2)
-    found = [ljung_box_test("x", T, signal.lfilter([1.0], [1.0, -phi], rng.normal(size=N))) for _ in range(100)]
+    found = [whiteness_test("x", T, signal.lfilter([1.0], [1.0, -phi], rng.normal(size=N))) for _ in range(100)]
     assert np.mean([w.ljung_box < 0.01 for w in found]) > 0.9
     assert np.mean([w.periodogram < 0.01 for w in found]) > 0.95
     assert not any(w.white for w in found[:20])
@@ -52,7 +52,7 @@ def test_an_ar_1_is_rejected(phi: float) -> None:
 def test_a_wave_shows_in_the_cumulative_periodogram_where_it_is() -> None:
     rng = np.random.default_rng(3)
     e = rng.normal(size=N) + 0.6 * np.sin(2 * np.pi * 0.7 * T)
-    w = ljung_box_test("ax", T, e)
+    w = whiteness_test("ax", T, e)
     assert w.periodogram < 1e-3
     step = np.argmax(np.diff(w.cumulative))
     assert w.frequency[step + 1] == pytest.approx(0.7, abs=0.02)
@@ -65,8 +65,8 @@ def test_a_wave_shows_in_the_cumulative_periodogram_where_it_is() -> None:
 
 def test_normality_is_rejected_for_heavy_tails_and_not_asked_of_few() -> None:
     rng = np.random.default_rng(4)
-    assert ljung_box_test("x", T, rng.standard_t(3, N)).normal < 1e-6
-    assert np.isnan(ljung_box_test("x", T[:19], rng.normal(size=19), n_lags=5).normal)
+    assert whiteness_test("x", T, rng.standard_t(3, N)).normal < 1e-6
+    assert np.isnan(whiteness_test("x", T[:19], rng.normal(size=19), n_lags=5).normal)
 
 
 def steps(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -113,11 +113,11 @@ def test_a_correlation_with_an_input_is_as_rare_as_its_p_says(kind: str) -> None
 @pytest.mark.parametrize("n", [60, 80, 200, 1000])
 def test_short_channels_are_not_found_coloured_more_often(n: int) -> None:
     rng, trials = np.random.default_rng(n), 2000
-    found = [ljung_box_test("x", T[:n], rng.normal(size=n)) for _ in range(trials)]
+    found = [whiteness_test("x", T[:n], rng.normal(size=n)) for _ in range(trials)]
     for level in (0.01, 0.05):
         assert np.mean([w.ljung_box < level for w in found]) < 1.25 * level + 3 * np.sqrt(level / trials)
     assert np.mean([not w.white for w in found]) < 0.0125 + 3 * np.sqrt(0.01 / trials)
-    coloured = [ljung_box_test("x", T[:n], signal.lfilter([1.0], [1.0, -0.6], rng.normal(size=n))) for _ in range(100)]
+    coloured = [whiteness_test("x", T[:n], signal.lfilter([1.0], [1.0, -0.6], rng.normal(size=n))) for _ in range(100)]
     assert np.mean([not w.white for w in coloured]) > 0.7
 
 

@@ -1,0 +1,51 @@
+"""Autocorrelation times of noise of known colour, and errors by blocks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from ident.numerics.autocorrelation import (
+    Truncation,
+    block_error,
+    effective_sample_size,
+    integrated_autocorrelation_time,
+)
+
+N = 20_000
+
+
+def ar1(rho: float, seed: int, n: int = N) -> np.ndarray:
+    return np.asarray(lfilter([1.0], [1.0, -rho], np.random.default_rng(seed).normal(size=n)))
+
+
+@pytest.mark.parametrize("truncation", ["window", "positive"])
+def test_time_of_first_order_noise(truncation: Truncation) -> None:
+    assert integrated_autocorrelation_time([ar1(0.0, 1)], truncation) == pytest.approx(1.0, abs=0.1)
+    found = np.mean([integrated_autocorrelation_time([ar1(0.9, seed)], truncation) for seed in range(5)])
+    assert found == pytest.approx((1 + 0.9) / (1 - 0.9), rel=0.12)
+
+
+@pytest.mark.parametrize("truncation", ["window", "positive"])
+def test_constants_and_ramps(truncation: Truncation) -> None:
+    assert integrated_autocorrelation_time([np.ones(50)], truncation) == 1.0
+    assert integrated_autocorrelation_time([np.zeros(50)], truncation) == 1.0
+    assert integrated_autocorrelation_time([np.linspace(-1.0, 1.0, 500)], truncation) > 50.0
+
+
+def test_short_series_are_pooled() -> None:
+    parts = [ar1(0.8, seed, 3000) for seed in range(12)]
+    assert integrated_autocorrelation_time(parts) == pytest.approx((1 + 0.8) / (1 - 0.8), rel=0.15)
+
+
+def test_effective_sample_size_of_first_order_noise() -> None:
+    """1 + 2 sum rho^2k = (1 + rho^2) / (1 - rho^2)."""
+    found = np.mean([effective_sample_size(ar1(0.9, seed)) for seed in range(5)])
+    assert found == pytest.approx(N * (1 - 0.81) / (1 + 0.81), rel=0.15)
+    assert effective_sample_size(np.zeros(7)) == 7.0
+
+
+def test_a_drift_is_in_the_error_by_blocks() -> None:
+    x = np.random.default_rng(0).normal(size=1000) + np.repeat(np.linspace(-1, 1, 10), 100)
+    assert block_error(x) > 0.15 > 3 * x.std() / np.sqrt(1000)

@@ -1,0 +1,79 @@
+"""Lags against their difference equation, their fit, steady segments and noise from differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ident.numerics.signal_processing import (
+    Hold,
+    LagData,
+    Start,
+    first_order_lag,
+    fit_first_order_lag,
+    noise_from_differences,
+    steady_segments,
+    wrap,
+)
+
+STEP, TAU = 0.05, 0.4
+
+
+def by_recursion(f: np.ndarray, hold: Hold, start: Start) -> np.ndarray:
+    keep, x = np.exp(-STEP / TAU), np.zeros_like(f)
+    x[0] = f[0] if start == "steady" else (0.0 if hold == "forward" else (1 - keep) * f[0])
+    for k in range(1, len(f)):
+        x[k] = keep * x[k - 1] + (1 - keep) * f[k - 1 if hold == "forward" else k]
+    return x
+
+
+@pytest.mark.parametrize("hold", ["forward", "backward"])
+@pytest.mark.parametrize("start", ["zero", "steady"])
+@pytest.mark.parametrize("shape", [(50,), (50, 3), (50, 2, 4)])
+def test_a_lag_is_its_difference_equation(hold: Hold, start: Start, shape: tuple[int, ...]) -> None:
+    f = np.random.default_rng(0).normal(size=shape)
+    np.testing.assert_allclose(first_order_lag(f, TAU, STEP, hold=hold, start=start), by_recursion(f, hold, start))
+
+
+def test_a_lag_without_time_constant_is_its_input() -> None:
+    f = np.random.default_rng(0).normal(size=20)
+    np.testing.assert_array_equal(first_order_lag(f, 0.0, STEP, hold="backward"), f)
+    np.testing.assert_array_equal(first_order_lag(f, 0.0, STEP)[1:], f[:-1])
+
+
+@pytest.mark.parametrize("delayed", [False, True])
+def test_delay_and_time_constant_are_found(delayed: bool) -> None:
+    f = np.repeat(np.random.default_rng(1).uniform(-1.0, 1.0, 20), 40)
+    delays, time_constants = [k * STEP for k in range(12)], [0.1, 0.2, 0.4, 0.8]
+
+    def later(x: np.ndarray, delay: float) -> np.ndarray:
+        k = round(delay / STEP)
+        return np.concatenate([np.zeros(k), x[: x.size - k]])
+
+    measured = later(first_order_lag(f, 0.4, STEP), 0.3)
+    data = LagData(
+        np.column_stack([later(f, d) for d in delays]) if delayed else f,
+        lambda x, delay: float(np.sum((measured - (x if delayed else later(x, delay))) ** 2)),
+    )
+    found = fit_first_order_lag([data, data], delays, time_constants, STEP)
+    assert (found.delay, found.time_constant) == (pytest.approx(0.3), 0.4)
+    assert found.misfit == pytest.approx(0.0, abs=1e-20)
+
+
+def test_steady_segments_of_a_held_signal() -> None:
+    found = steady_segments(np.array([0.0, 1.0, 2.0, 5.0]), np.array([0.3, 0.3, -0.2, 0.1]), 9.0)
+    assert found == [(0.0, 2.0, 0.3), (2.0, 5.0, -0.2), (5.0, 9.0, 0.1)]
+    assert [s.duration for s in found] == [2.0, 3.0, 4.0]
+
+
+def test_noise_from_differences_is_robust() -> None:
+    rng = np.random.default_rng(2)
+    y = np.sin(np.arange(5000) * 0.01) + 0.2 * rng.normal(size=5000)
+    y[::50] += 30.0
+    assert noise_from_differences(np.diff(y, 2)) == pytest.approx(0.2, rel=0.12)
+    assert noise_from_differences(np.zeros(0)) == 0.0
+
+
+def test_angles_are_wrapped_and_nothing_else() -> None:
+    np.testing.assert_allclose(wrap(np.array([3.5, -3.5, 0.1]), True), [3.5 - 2 * np.pi, 2 * np.pi - 3.5, 0.1])
+    np.testing.assert_array_equal(wrap(np.array([3.5, -3.5]), False), [3.5, -3.5])
