@@ -20,7 +20,7 @@ from scipy import stats
 
 from ident.data import Record
 from ident.estimation import FilterResult
-from ident.model import Model
+from ident.model import EffectKind, ForceCurve, Model
 from ident.numerics import Array
 
 BLOCK = 5.0  # s
@@ -43,7 +43,8 @@ class SensitivityColumns:
     delta: Array
     parameters: tuple[str, ...] = ()
     scan: dict[str, float] = field(default_factory=dict)
-    generic: bool = False
+    kind: EffectKind = EffectKind.CATALOGUE
+    curve: ForceCurve | None = None
     one_sided: bool = False
     per_record: bool = False  # each record has these parameters for itself
     touched: NDArray[np.int64] | None = None
@@ -83,7 +84,8 @@ def place(columns: Sequence[SensitivityColumns], first: int, n_records: int) -> 
 
 @dataclass(frozen=True)
 class Score:
-    """``step``: the one-step estimate of each parameter; ``lm_block``: the version from blocks."""
+    """``step``: the one-step estimate of each parameter; ``lm_block``: the version from blocks; ``kind`` and ``curve``:
+    of the effect that is tested."""
 
     name: str
     lm: float
@@ -91,7 +93,13 @@ class Score:
     lm_block: float
     step: dict[str, float]
     scan: dict[str, float]
-    generic: bool
+    kind: EffectKind = EffectKind.CATALOGUE
+    curve: ForceCurve | None = None
+
+    @property
+    def generic(self) -> bool:
+        """Whether no catalogue lists it."""
+        return self.kind.unknown
 
     @property
     def p(self) -> float:
@@ -256,7 +264,8 @@ def _one(placed: ColumnIndex, information: Array, score: Array, blocks: Array, b
         lm_block,
         dict(zip(names.tolist(), step.tolist(), strict=True)),
         candidate.scan,
-        candidate.generic,
+        candidate.kind,
+        candidate.curve,
     )
 
 

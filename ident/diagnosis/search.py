@@ -48,7 +48,7 @@ from ident.estimation import (
     validation_gain,
     without_absent_sensors,
 )
-from ident.model import Effect, Model, Parameter
+from ident.model import Effect, EffectKind, ForceCurve, Model, Parameter
 from ident.models import residuals_of, scale_priors, size_of, variables_of
 from ident.reporter import QUIET, Reporter
 
@@ -175,11 +175,12 @@ def _round(
     specific = [s for s in specific if s.criterion(n) > HOPELESS * specific[0].criterion(n)]
     refits = _refit_all(current, records, unseen, [(candidates[s.name], s) for s in specific], n, reporter)
     first = max((r for r in refits if r.accepted), key=lambda r: r.criterion, default=None)
-    best, curve = (-np.inf, "") if first is None else (first.criterion, first.effect.one_of)
+    best, curve = (-np.inf, None) if first is None else (first.criterion, first.effect.parametric_form_of)
     # a table competes only where no name that holds comes close to what the scores promise for it, or where the name
     # is no more than one shape of the table's curve
     least = max(0.5 * best, best - 50)
-    unknown = [s for s in passed if s.generic and (s.criterion(n) > least or s.name == curve)][:N_UNKNOWN]
+    generic = [(s, s.kind is EffectKind.NONPARAMETRIC and s.curve == curve) for s in passed if s.generic]
+    unknown = [s for s, whole in generic if s.criterion(n) > least or whole][:N_UNKNOWN]
     drawn = [(_unknown(s, current), s) for s in unknown]
     refits += _refit_all(current, records, unseen, drawn, n, reporter)
     refits.sort(key=lambda r: -r.criterion)
@@ -238,18 +239,19 @@ def _start(parameter: Parameter, score: Score) -> Parameter:
 
 
 def _unknown(score: Score, stage: FittedModel) -> Effect:
-    past = input_response_effects(stage.model)
-    if score.name in past:
-        return scale_priors(past[score.name], size_of(stage.fit.model))
-    force, variable = score.name.rstrip(")").split("(")
-    table = nonparametric_effect(stage.model, force, variable, _span(stage, variable))
-    return scale_priors(table, size_of(stage.fit.model))
+    assert score.curve is not None
+    size, tested = size_of(stage.fit.model), (score.kind, score.curve)
+    for effect in input_response_effects(stage.model):
+        if (effect.kind, effect.curve) == tested:
+            return scale_priors(effect, size)
+    return scale_priors(nonparametric_effect(stage.model, score.curve, _span(stage, score.curve)), size)
 
 
-def _span(stage: FittedModel, variable: str) -> tuple[float, float]:
-    if variable in {v.name for v in variables_of(stage.model) if v.angle} or ", " in variable:
+def _span(stage: FittedModel, curve: ForceCurve) -> tuple[float, float]:
+    if curve.second or curve.variable in {v.name for v in variables_of(stage.model) if v.angle}:
         return -np.pi, np.pi
-    z = np.concatenate([variables(stage.model, v.record, v.run.x_filt, v.values)[variable] for v in stage.estimation])
+    seen = [variables(stage.model, v.record, v.run.x_filt, v.values) for v in stage.estimation]
+    z = np.concatenate([of[curve.variable] for of in seen])
     low, high = np.percentile(z, [1, 99])
     return float(low), float(high)
 
@@ -278,7 +280,8 @@ def _shapes(
 
 def _likely_table(one: Round) -> Score | None:
     """The best of the residuals as functions of one variable."""
-    return next((s for s in one.scores if s.generic and s.name in one.passed and " " not in s.name), None)
+    tables = [s for s in one.scores if s.kind is EffectKind.NONPARAMETRIC and s.name in one.passed]
+    return next((s for s in tables if s.curve is not None and not s.curve.second), None)
 
 
 def _drawn(effect: Effect, stage: FittedModel) -> NonparametricForce | None:

@@ -26,7 +26,6 @@ from ident.model import Model
 from ident.numerics import Array
 
 SMALL = 1e-12  # of the largest scaled eigenvalue: no direction of its own
-NUISANCE_EFFECTS = ("disturbance", "sensor-bias")
 STEP = 0.05  # standard deviations of the parameters, for differences
 
 
@@ -96,7 +95,7 @@ def _rows(record: Record, rows: slice) -> Record:
 def dynamic_parameters(model: Model) -> list[str]:
     """Free parameters that all records share, without those of noise and of unexplained forces."""
     noise = {s.noise for s in model.states} | {s.sd0 for s in model.states} | {o.noise for o in model.outputs}
-    beside = {p.name for e in model.effects if e.name in NUISANCE_EFFECTS for p in e.parameters}
+    beside = {p.name for e in model.effects if e.kind.nuisance for p in e.parameters}
     return [p.name for p in model.parameters if p.free and not p.per_record and p.name not in noise | beside]
 
 

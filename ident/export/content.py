@@ -17,7 +17,6 @@ from ident.export.codegen import Program, parameters_of, programs
 from ident.model import Model, Parameter, State
 from ident.models import DELAY_STEP, OFFSETS
 
-NUISANCE = ("disturbance", "sensor-bias")  # effects whose states a controller does not want
 SWING = "b_f"  # the unexplained force of the bench model, which is no effect
 
 
@@ -110,7 +109,7 @@ def prefix(name: str) -> str:
 
 def without_nuisance(model: Model) -> tuple[Model, tuple[State, ...]]:
     """The boat alone: without unexplained forces and walking sensor offsets; and the states that went."""
-    effects = [e for e in model.effects if e.name in NUISANCE]
+    effects = [e for e in model.effects if e.kind.nuisance]
     swing = "bench" in model.provides
     states = {s.name for e in effects for s in e.states} | ({SWING} if swing else set())
     if "attitude" in model.provides:
@@ -120,7 +119,7 @@ def without_nuisance(model: Model) -> tuple[Model, tuple[State, ...]]:
         model,
         states=tuple(s for s in model.states if s.name not in states),
         parameters=tuple(p for p in model.parameters if p.name not in parameters),
-        effects=tuple(e for e in model.effects if e.name not in NUISANCE))
+        effects=tuple(e for e in model.effects if not e.kind.nuisance))
     return smaller, tuple(s for s in model.states if s.name in states)
 
 

@@ -7,6 +7,8 @@ from .outlier_density import with_outlier_model as with_outlier_model
 from .parameter import INF as INF
 from .parameter import Parameter as Parameter
 from .structure import Effect as Effect
+from .structure import EffectKind as EffectKind
+from .structure import ForceCurve as ForceCurve
 from .structure import Input as Input
 from .structure import Model as Model
 from .structure import ModelFunction as ModelFunction
@@ -17,5 +19,6 @@ from .structure import Signals as Signals
 from .structure import StartGrid as StartGrid
 from .structure import State as State
 from .structure import Variable as Variable
+from .structure import curve_name as curve_name
 from .structure import plain_model as plain_model
 from .structure import resolve_initial_states as resolve_initial_states

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from functools import update_wrapper
 from types import SimpleNamespace
 from typing import Any, Literal
@@ -87,6 +88,53 @@ class Sensor:
 
 
 @dataclass(frozen=True)
+class ForceCurve:
+    """A residual quantity as a function of one variable, or of the products of two.
+
+    Attributes:
+        force: name of the ``Residual``, ``X``.
+        variable: name of the ``Variable``, ``u``.
+        second: of a product's other variable; empty for a function of one.
+    """
+
+    force: str
+    variable: str
+    second: str = ""
+
+    @property
+    def variables(self) -> str:
+        """The variables as people read them: ``u``, or ``u, r``."""
+        return f"{self.variable}, {self.second}" if self.second else self.variable
+
+
+class EffectKind(StrEnum):
+    """What an effect is a model of."""
+
+    CATALOGUE = "catalogue"  # a named physical effect
+    NONPARAMETRIC = "nonparametric"  # a force as a fitted function of a variable
+    LAGGED = "lagged"  # a force of first order behind an input
+    RESONANT = "resonant"  # a force of second order behind an input
+    DISTURBANCE = "disturbance"  # an unexplained force, for the filter
+    SENSOR_OFFSET = "sensor-offset"  # a walking offset of a sensor, for the filter
+
+    @property
+    def unknown(self) -> bool:
+        """Whether it has no name in any catalogue."""
+        return self in (EffectKind.NONPARAMETRIC, EffectKind.LAGGED, EffectKind.RESONANT)
+
+    @property
+    def nuisance(self) -> bool:
+        """Whether it is there for the filter's sake: no part of the boat."""
+        return self in (EffectKind.DISTURBANCE, EffectKind.SENSOR_OFFSET)
+
+
+def curve_name(kind: EffectKind, curve: ForceCurve) -> str:
+    """The display name of an effect that no catalogue lists: ``X(u)``, ``N(u, r)``, ``X(past of n_sum)``."""
+    way = {EffectKind.LAGGED: "past of ", EffectKind.RESONANT: "swing after "}.get(kind, "")
+    return f"{curve.force}({way}{curve.variables})"
+
+
+@dataclass(frozen=True)
 class Effect:
     """A part that changes a model: a candidate for what the model lacks, or a disturbance it needs.
 
@@ -108,9 +156,15 @@ class Effect:
     one_sided: bool = False  # the first parameter cannot be negative
     rivals: tuple[str, ...] = ()
     scan: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # values to try where there is no gradient
-    one_of: str = ""  # the curve "X(u)" that it is one shape of: others of the kind differ from it in shape only
-    any_of: str = ""  # the curve "N(psi)" that it is in any shape: its name says no more
-    span: tuple[float, float] | None = None  # of an unknown effect: the range of its variable that the table covers
+    kind: EffectKind = EffectKind.CATALOGUE
+    curve: ForceCurve | None = None  # of an effect that no catalogue lists: what depends on what
+    span: tuple[float, float] | None = None  # of a nonparametric one: the range of its variable that it covers
+    parametric_form_of: ForceCurve | None = None  # it is one shape of this curve; others differ in shape only
+    nonparametric_of: ForceCurve | None = None  # it is this curve in any shape: its name says no more
+
+    def is_table_of(self, curve: ForceCurve | None) -> bool:
+        """Whether it is this curve as a nonparametric effect."""
+        return self.kind is EffectKind.NONPARAMETRIC and self.curve is not None and self.curve == curve
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import Effect, Model, Parameter, Residual, Signals, State, Variable
+from ident.model import Effect, EffectKind, Model, Parameter, Residual, Signals, State, Variable
 
 SIZES = {"X": (1.0, "N/sqrt(s)"), "Y": (1.0, "N/sqrt(s)"), "N": (0.15, "N m/sqrt(s)")}
 TIME = Variable("t", "s", lambda s: s.u.t)
@@ -113,6 +113,7 @@ def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
             for n, s0, u in zip(names, sd, units, strict=True)
         ),
         place="environment",
+        kind=EffectKind.DISTURBANCE,
     )
 
 
@@ -149,6 +150,7 @@ def shaft_disturbance() -> Effect:
         ),
         states=(State("b_n", "1/s", "unexplained acceleration of the shaft", "q_n", sd0=sd),),
         place="bench",
+        kind=EffectKind.DISTURBANCE,
     )
 
 
@@ -180,6 +182,7 @@ def sensor_bias(sensors: Sequence[str]) -> Effect:
         {"rate": still, "output": add},
         states=tuple(State(f"bias_{n}", unit, f"offset of {n}", walk, sd0=sd) for n, unit, sd, walk in rows),
         place="sensor",
+        kind=EffectKind.SENSOR_OFFSET,
     )
 
 
