@@ -29,7 +29,7 @@ from ident.diagnosis.score_test import (
     Score,
     _passes,
     block_index,
-    fitted_names,
+    fitted_parameters,
     place,
     propagate_sensitivities,
     score_tests,
@@ -127,7 +127,7 @@ def score_all(
     model = stage.model
     # a parameter that stands at its bound cannot give way to take up what a candidate would explain
     stuck = {n for n, what in stage.fit.flags if what in (AT_BOUND, VAGUE)}
-    names = [n for n in fitted_names(model, len(records)) if n not in stuck]
+    fitted = [p for p in fitted_parameters(model, len(records)) if p.full_name not in stuck]
     paths = [
         TrajectoryLinearisation(model, v.values, r, v.run.x_pred)
         for r, v in zip(records, stage.estimation, strict=True)
@@ -137,17 +137,17 @@ def score_all(
     normal: NormalEquations | None = None
     places: list[ColumnIndex] = []
     for i, (path, view) in enumerate(zip(paths, stage.estimation, strict=True)):
-        own = [j for j, n in enumerate(names) if "@" not in n or n.endswith(f"@{i}")]
-        fitted = np.stack([path.parameter(names[j].split("@")[0]) for j in own], axis=2)
+        own = [j for j, p in enumerate(fitted) if p.segment in (None, i)]
+        along = np.stack([path.parameter(fitted[j].name) for j in own], axis=2)
         columns = all_columns(path, candidates.values(), among)
-        g, e, t, slim = propagate_sensitivities(view.run, path.own, path.jacobian, fitted, columns)
+        g, e, t, slim = propagate_sensitivities(view.run, path.own, path.jacobian, along, columns)
         if normal is None:
-            places, total = place(slim, len(names), len(records))
+            places, total = place(slim, len(fitted), len(records))
             normal = NormalEquations([str(k) for k in range(total)])
         normal.add(own + [k for where in places for k in where.of_record(i)], g, e, block_index(t, model.block))
     assert normal is not None
-    priors = [model.parameter(n.split("@")[0]).prior for n in names]
-    scores = score_tests(normal, len(names), np.array([1 / p[1] ** 2 if p else 0.0 for p in priors]), places)
+    priors = np.array([1 / p.prior[1] ** 2 if p.prior else 0.0 for p in fitted])
+    scores = score_tests(normal, len(fitted), priors, places)
     waves = wave_peak_score(stage) if "waves" in candidates else None
     scores += [] if waves is None else [waves]
     n = sum(r.n_rows for r in records)

@@ -201,7 +201,7 @@ def superset(
     derived = {"t", "work"} if nominal.provides and "n" in nominal.provides else {"t"}
     everything, kept = nominal, {}
     for name, effect in candidates.items():
-        wanted = {i.name.partition("~")[0] for i in effect.inputs} - derived
+        wanted = {i.tap_of if i.tap else i.name for i in effect.inputs} - derived
         if all(wanted <= set(run.channels) for run in runs):
             everything, kept[name] = everything + effect, effect
     return everything, kept

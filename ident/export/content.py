@@ -10,12 +10,12 @@ from functools import cached_property
 
 import numpy as np
 
-from ident.data import HISTORY_STEP, WORK_UNIT
+from ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
 from ident.engine import VectorisedModel
 from ident.estimation import SavedModel
 from ident.export.codegen import Program, parameters_of, programs
-from ident.model import Model, Parameter, State
-from ident.models import DELAY_STEP, OFFSETS
+from ident.model import HISTORY_STEP, Input, Model, Parameter, State
+from ident.models import OFFSETS
 
 SWING = "b_f"  # the unexplained force of the bench model, which is no effect
 
@@ -164,26 +164,25 @@ def header(c: Content, target: str) -> list[str]:
 
 
 def _inputs(c: Content) -> list[str]:
-    lines, past = [], [i for i in c.model.inputs if "~" in i.name]
+    lines, past = [], [i for i in c.model.inputs if i.tap]
     for j, (n, i) in enumerate(zip(c.inputs, c.model.inputs, strict=True)):
-        if "~" in i.name:
-            base, _, k = i.name.partition("~")
-            lines.append(f"  u[{j}] {n}: {base}, {int(k) * HISTORY_STEP:.1f} s ago")
+        if i.tap:
+            lines.append(f"  u[{j}] {n}: {i.tap_of}, {i.delay:.1f} s ago")
         else:
-            lines.append(f"  u[{j}] {n} {_unit(i.unit)}{_said(c, i.name)}")
+            lines.append(f"  u[{j}] {n} {_unit(i.unit)}{_said(i)}")
     if past:
         lines += [f"  (NAME_ago_K, in seatrial NAME~K, is the input NAME of K times {HISTORY_STEP:g} s ago: keep a",
                   "  buffer of it; the model weighs the past by itself.)"]
     return lines
 
 
-def _said(c: Content, name: str) -> str:
-    if name == "t":
+def _said(signal: Input) -> str:
+    if signal.name == TIME_INPUT:
         return ", the time since the start of the run"
-    if name == "work":
+    if signal.name == WORK_INPUT:
         return f", the integral of |n_left|^3 + |n_right|^3 over time, divided by {WORK_UNIT:g} s"
-    if "bench" in c.model.provides and name.startswith("n_cmd_"):
-        return f", the command of {int(name.removeprefix('n_cmd_')) * DELAY_STEP:g} s ago"
+    if signal.tap_of:
+        return f", the command of {signal.delay:g} s ago"
     return ""
 
 

@@ -18,7 +18,10 @@ from functools import update_wrapper
 from types import SimpleNamespace
 from typing import Any, Literal
 
-from ident.model.parameter import Parameter
+from ident.model.names import tap_name
+from ident.model.parameter import Parameter, ParameterRole
+
+HISTORY_STEP = 0.1  # s between the taps of an input
 
 
 class Named(SimpleNamespace):
@@ -62,10 +65,32 @@ class State:
 
 @dataclass(frozen=True)
 class Input:
+    """A known signal.
+
+    Attributes:
+        hold: zero-order, or linear between samples.
+        angle: unwrapped before it is interpolated.
+        label: what people see it as; None: its name; empty: they do not look at it.
+        tap_of: the signal that this one is a delayed copy of.
+        tap: that many steps of ``HISTORY_STEP`` later, made of the signal; 0: the data have it.
+        delay: by which the copy is later [s].
+    """
+
     name: str
     unit: str = ""
     hold: Literal["zero", "linear"] = "zero"
-    angle: bool = False  # unwrapped before it is interpolated
+    angle: bool = False
+    label: str | None = None
+    tap_of: str = ""
+    tap: int = 0
+    delay: float = 0.0
+
+    def delayed(self, tap: int) -> Input:
+        """This input ``tap`` steps of ``HISTORY_STEP`` ago, named ``NAME~tap``; itself for none."""
+        if not tap:
+            return self
+        return replace(self, name=tap_name(self.name, tap), label="", tap_of=self.name, tap=tap,
+                       delay=HISTORY_STEP * tap)
 
 
 @dataclass(frozen=True)
@@ -316,6 +341,21 @@ class Model:
         """Parameters that only set covariances: standard deviations and diffusions."""
         named = [o.noise for o in self.outputs] + [s.noise for s in self.states] + [s.sd0 for s in self.states]
         return frozenset(n for n in named if isinstance(n, str))
+
+    def role(self, name: str) -> ParameterRole:
+        """What a parameter is for: by its use as noise or as an initial state, else as it says itself."""
+        if name in self.noises:
+            return ParameterRole.NOISE
+        if name in {s.x0 for s in self.states}:
+            return ParameterRole.INITIAL_STATE
+        return self.parameter(name).role
+
+    @property
+    def noise_parameters(self) -> frozenset[str]:
+        """Parameters of the noise alone: standard deviations, diffusions, and what else no prediction of the mean
+        depends on, such as the memory of a disturbance that is zero on average."""
+        disturbance = {p.name for p in self.parameters if self.role(p.name) is ParameterRole.DISTURBANCE}
+        return self.noises | disturbance
 
     def replace_parameters(self, *new: Parameter) -> Model:
         by_name = {p.name: p for p in new}

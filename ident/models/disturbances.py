@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import Effect, EffectKind, Model, Parameter, Residual, Signals, State, Variable
+from ident.model import Effect, EffectKind, Model, Parameter, ParameterRole, Residual, Signals, State, Variable
 
 SIZES = {"X": (1.0, "N/sqrt(s)"), "Y": (1.0, "N/sqrt(s)"), "N": (0.15, "N m/sqrt(s)")}
 TIME = Variable("t", "s", lambda s: s.u.t)
@@ -105,7 +105,8 @@ def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
         parameters=(
             *(_diffusion(n, s0 * float(np.sqrt(2 / tau)), unit) for n, s0, unit in zip(names, sd, units, strict=True)),
             Parameter(
-                "tau_b", tau, "s", "memory of the unexplained forces", "log", prior=(tau, tau), bounds=(0.2, 60.0)
+                "tau_b", tau, "s", "memory of the unexplained forces", "log", prior=(tau, tau), bounds=(0.2, 60.0),
+                role=ParameterRole.DISTURBANCE,
             ),
         ),
         states=tuple(
@@ -145,7 +146,8 @@ def shaft_disturbance() -> Effect:
         parameters=(
             Parameter("q_n", q, "1/s/sqrt(s)", "diffusion of the unexplained acceleration", "log", prior=(q, 3 * q)),
             Parameter(
-                "tau_n", tau, "s", "memory of the unexplained acceleration", "log", prior=(tau, tau), bounds=(0.05, 5.0)
+                "tau_n", tau, "s", "memory of the unexplained acceleration", "log", prior=(tau, tau),
+                bounds=(0.05, 5.0), role=ParameterRole.DISTURBANCE,
             ),
         ),
         states=(State("b_n", "1/s", "unexplained acceleration of the shaft", "q_n", sd0=sd),),

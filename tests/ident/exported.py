@@ -65,7 +65,7 @@ def odd() -> Model:
 
     return plain_model(
         "odd boat 2!", f=f, h=lambda x, u, p: {"y 1": 2.0, "y~1": x.a * getattr(u, "N~2"), "y-1": u.N},
-        states=(State("a"), State("x"), State("k1")), inputs=(Input("N"), Input("N~2")),
+        states=(State("a"), State("x"), State("k1")), inputs=(Input("N"), Input("N").delayed(2)),
         sensors=(Sensor("s", (Output("y 1", noise="e"), Output("y~1", noise="e"), Output("y-1", noise="e"))),),
         parameters=(Parameter("lambda", 0.7, meaning='odd */ /* "name"\nin C'), Parameter("int", 1.3),
                     Parameter("e", 0.1)))

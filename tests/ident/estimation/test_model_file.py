@@ -41,7 +41,7 @@ def found() -> Fit:
 def with_model(found: Fit, model: Model) -> Fit:
     """As if nothing had been estimated: the values are those of the model."""
     none, square = np.zeros(0), np.zeros((0, 0))
-    return replace(found, model=model, names=(), values=none, errors=none, correlation=square, flags=())
+    return replace(found, model=model, parameters=(), values=none, errors=none, correlation=square, flags=())
 
 
 def saved(path: Path, found: Fit, **extra: object) -> Path:
