@@ -145,14 +145,14 @@ def test_the_maps_of_the_docs_are_maps(tmp_path: Path) -> None:
 
 
 def test_the_model_of_the_docs_is_a_model(tmp_path: Path) -> None:
-    text, spans = blocks(ROOT / "docs/formats/model.md", "toml")
+    text, curve = blocks(ROOT / "docs/formats/model.md", "toml")
     path = tmp_path / "model.toml"
     path.write_text(text, encoding="utf-8")
     saved = load_model(path)
     assert saved.model.parameter("m_u").value == 35.53
     assert saved.errors["m_u"] == 0.19
     assert [e.name for e in saved.model.effects] == ["disturbance", "sensor-bias", "cubic-drag"]
-    path.write_text(text.replace('"cubic-drag"', '"unknown X(u)"').replace("[provenance]", f"{spans}\n[provenance]"))
+    path.write_text(text.replace('"cubic-drag"', '"unknown X(u)"').replace("[provenance]", f"{curve}\n[provenance]"))
     assert load_model(path).model.effects[-1].name == "unknown X(u)"
 
 

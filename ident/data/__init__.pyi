@@ -7,7 +7,6 @@ from .prepared_record import Prepared as Prepared
 from .prepared_record import Preparer as Preparer
 from .prepared_record import Start as Start
 from .prepared_record import start_of as start_of
-from .record import HISTORY_STEP as HISTORY_STEP
 from .record import TIME_INPUT as TIME_INPUT
 from .record import WORK_INPUT as WORK_INPUT
 from .record import WORK_UNIT as WORK_UNIT

@@ -15,7 +15,6 @@ TIME_INPUT = "t"  # an input of this name is the time since the start of the rec
 WORK_INPUT = "work"  # an input of this name is the integral of the cubed shaft speeds, over WORK_UNIT
 WORK_UNIT = 150.0  # s
 SAME_TIME = 1e-6  # s; times closer than this are one row (seconds since 1970 have steps of 0.24 us)
-HISTORY_STEP = 0.1  # s; an input NAME~k is the input NAME that many steps ago
 
 
 @dataclass(frozen=True)
@@ -131,7 +130,7 @@ def build_record(
     """
     channels = {**channels, **_derived_inputs(model, channels)}
     present = _present(model, channels, name)
-    own = [i for i in model.inputs if i.name != TIME_INPUT and "~" not in i.name]
+    own = [i for i in model.inputs if i.name != TIME_INPUT and not i.tap]
     used = [channels[o.name] for s in present for o in s.outputs] + [channels[i.name] for i in own]
     start = max(c.t[0] for c in used) if t_from is None else t_from
     end = min(c.t[-1] for c in used) if t_to is None else t_to
@@ -179,18 +178,17 @@ def _measured(model: Model, samples: Mapping[str, tuple[Array, Array]], t: Array
 def _derived_inputs(model: Model, channels: Mapping[str, Channel]) -> dict[str, Channel]:
     """Channels that follow from others: an input's own past, and the work the thrusters have done."""
     derived: dict[str, Channel] = {}
-    for name in (i.name for i in model.inputs if i.name not in channels):
-        base, _, steps = name.partition("~")
-        if steps and base in channels:
-            c = channels[base]
-            derived[name] = Channel(c.t + HISTORY_STEP * int(steps), c.value, c.unit, c.source)
-        elif name == WORK_INPUT:
+    for signal in (i for i in model.inputs if i.name not in channels):
+        if signal.tap and signal.tap_of in channels:
+            c = channels[signal.tap_of]
+            derived[signal.name] = Channel(c.t + signal.delay, c.value, c.unit, c.source)
+        elif signal.name == WORK_INPUT:
             shafts = [channels[n] for n in ("n_left", "n_right") if n in channels]
             if shafts:
                 t = shafts[0].t
                 power = np.sum([np.abs(np.interp(t, c.t, c.value)) ** 3 for c in shafts], axis=0)
                 steps_up = np.diff(t) * (power[1:] + power[:-1]) / 2
-                derived[name] = Channel(t, np.append(0.0, np.cumsum(steps_up)) / WORK_UNIT)
+                derived[signal.name] = Channel(t, np.append(0.0, np.cumsum(steps_up)) / WORK_UNIT)
     return derived
 
 

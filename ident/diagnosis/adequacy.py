@@ -19,7 +19,7 @@ import numpy as np
 from ident.diagnosis.results import Diagnosis, EffectAttribution, Refit, Round
 from ident.diagnosis.score_test import Score
 from ident.estimation import AT_BOUND, Fit
-from ident.model import Effect
+from ident.model import Effect, EffectKind
 from ident.models import READINGS
 
 # What may be left beside a right name: its true form is not exactly ours. In units of 2 ln L after paying for the
@@ -112,21 +112,23 @@ def _from_nothing(fit: Fit, sizes: Sequence[int]) -> float:
 
 
 def _worded(score: Score) -> str:
-    if not score.generic:
+    curve = score.curve
+    if curve is None:
         return score.name
-    force, of = score.name.rstrip(")").split("(")
-    if " after " in of or " of " in of:
-        way, _, variable = of.rpartition(" ")
-        return f"that {force} {'swings after' if 'after' in way else 'follows'} {variable}"
-    what = f"the error of {force}" if force in {r.name for r in READINGS} else force
-    return f"that {what} depends on {of.replace(', ', ' and ')}"
+    if score.kind is EffectKind.LAGGED:
+        return f"that {curve.force} follows {curve.variable}"
+    if score.kind is EffectKind.RESONANT:
+        return f"that {curve.force} swings after {curve.variable}"
+    what = f"the error of {curve.force}" if curve.force in {r.name for r in READINGS} else curve.force
+    return f"that {what} depends on {' and '.join(v for v in (curve.variable, curve.second) if v)}"
 
 
 def _tables(chosen: Sequence[Refit], one: Round) -> list[str]:
     """A table that had to be added beside a name, or that gains more than the name does."""
     assert one.chosen is not None
-    own = f"unknown {one.chosen.effect.any_of}"
-    reasons = [f"{c.effect.title} had to be added beside it" for c in chosen if c.unknown and c.effect.name != own]
+    own = one.chosen.effect.nonparametric_of
+    beside = [c.effect for c in chosen if c.unknown and not c.effect.is_table_of(own)]
+    reasons = [f"{effect.title} had to be added beside it" for effect in beside]
     better = [q for q in one.refits if q.unknown and q.accepted and q.criterion > one.chosen.criterion]
     return reasons + [f"{q.effect.title} would explain more" for q in better[:1]]
 

@@ -19,7 +19,7 @@ from ident.diagnosis.score_test import Score, SensitivityColumns
 from ident.effects import EFFECT, FORCES, harmonics, input_response_effects
 from ident.engine import VectorisedModel
 from ident.estimation import FittedModel, RecordEvaluation
-from ident.model import Effect, Model
+from ident.model import Effect, EffectKind, ForceCurve, Model, curve_name
 from ident.models import products_of, readings_of, residuals_of, variables_of
 from ident.numerics import Array, wrap
 from ident.validation import SpectralPeak, spectral_peak
@@ -86,7 +86,9 @@ class TrajectoryLinearisation:
             own = all(p.per_record for p in effect.parameters)
             touched = np.flatnonzero(np.any([c.any(axis=0) for c in changes], axis=0))
             delta = np.stack([c[:, touched] for c in changes], axis=2)
-            yield SensitivityColumns(effect.name, delta, tuple(names), tried, False, effect.one_sided, own, touched)
+            yield SensitivityColumns(
+                effect.name, delta, tuple(names), tried, effect.kind, effect.curve, effect.one_sided, own, touched
+            )
 
     def _driven(self, rowwise: VectorisedModel, m: int, all_values: list[Array], u: Array) -> list[Array]:
         """An effect's own m states, driven along the path while it is at zero (linear, constant coefficients);
@@ -112,14 +114,16 @@ class TrajectoryLinearisation:
             direction = self.state(residual.state)
             touched = np.flatnonzero(direction.any(axis=0))
             direction = direction[:, touched]
-            for name, feature in table.items():
-                if residual.of and name not in residual.of:
+            for of, feature in table.items():
+                if residual.of and (len(of) > 1 or of[0] not in residual.of):
                     continue
+                curve, kind = ForceCurve(residual.name, *of), EffectKind.NONPARAMETRIC
                 delta = direction[:, :, None] * feature[:, None, :]
-                yield SensitivityColumns(f"{residual.name}({name})", delta, generic=True, touched=touched)
-        for name, effect in input_response_effects(self.model).items():
+                yield SensitivityColumns(curve_name(kind, curve), delta, kind=kind, curve=curve, touched=touched)
+        for effect in input_response_effects(self.model):
+            assert effect.curve is not None
             for columns in self.effect(effect):
-                yield replace(columns, name=name, generic=True)
+                yield replace(columns, name=curve_name(effect.kind, effect.curve))
 
 
 def _discrete(A: Array, step: float) -> tuple[Array, Array]:
@@ -157,25 +161,25 @@ def generic_features(
     x: Array,
     among: Mapping[str, Array] | None = None,
     values: Array | None = None,
-) -> dict[str, Array]:
-    """Regressors by name: splines of single variables, harmonics of an angle, products of two of them.
+) -> dict[tuple[str, ...], Array]:
+    """Regressors by variables: splines of single variables, harmonics of an angle, products of two of them.
 
     ``among``: the variables of all records together, so that a column means the same in each of them.
     """
     z = variables(model, record, x, values)
     among = z if among is None else among
     known = variables_of(model)
-    table = {
-        v.name: feature
+    table: dict[tuple[str, ...], Array] = {
+        (v.name,): feature
         for v in known
         if not v.angle and (feature := splines(z[v.name], v.functions, among[v.name])).size
     }
     for v in known:
         if v.angle:
-            table[v.name] = np.column_stack(harmonics(z[v.name]))
+            table[(v.name,)] = np.column_stack(harmonics(z[v.name]))
     for one, other in products_of(model):
         za, zb = z[one], z[other]
-        table[f"{one}, {other}"] = np.column_stack([za * zb, np.abs(za) * zb, za * np.abs(zb)])
+        table[(one, other)] = np.column_stack([za * zb, np.abs(za) * zb, za * np.abs(zb)])
     return table
 
 
@@ -223,7 +227,7 @@ def wave_peak_score(stage: FittedModel) -> Score | None:
     df = len(EFFECT.parameters)
     lm = float(stats.chi2.isf(max(best.p * len(peaks), SMALLEST_P), df))
     step = {f"A_{force}": SIZE * usual for force, (_, usual) in FORCES.items()}
-    return Score(EFFECT.name, lm, df, lm, step, {"f_wave": best.frequency}, generic=False)
+    return Score(EFFECT.name, lm, df, lm, step, {"f_wave": best.frequency})
 
 
 def _peak(model: Model, view: RecordEvaluation) -> list[SpectralPeak]:

@@ -39,7 +39,8 @@ def effect_importance(
     found, best = [], _log_error(after)
     for one in chosen:
         # with a name goes the table of its own curve, which would take its place
-        out = {one.effect.name, f"unknown {one.effect.any_of or one.effect.one_of}"}
+        curve = one.effect.nonparametric_of or one.effect.parametric_form_of
+        out = {one.effect.name, *(c.effect.name for c in chosen if c.effect.is_table_of(curve))}
         kept = [c for c in chosen if c.effect.name not in out]
         stage = known.get(frozenset(every - out)) or _with(kept, chosen, before, records, unseen)
         gain = 2 * (after.fit.log_posterior - stage.fit.log_posterior)
@@ -55,7 +56,12 @@ def by_importance(found: Sequence[EffectImportance], chosen: Sequence[Refit]) ->
     which is then no more than a part of it.
     """
     tables = {c.effect.name for c in chosen if c.unknown}
-    whole = {f"unknown {c.effect.one_of}": c.effect.name for c in chosen}
+    whole = {
+        table.effect.name: c.effect.name
+        for c in chosen
+        for table in chosen
+        if table.effect.is_table_of(c.effect.parametric_form_of)
+    }
     found = sorted(found, key=lambda w: -w.error)
     order = [w.effect for w in found if w.effect not in tables]
     for w in found:

@@ -36,8 +36,8 @@ class Refit:
 
     @property
     def unknown(self) -> bool:
-        """A table, not an effect of the catalogue."""
-        return self.effect.name.startswith("unknown ")
+        """Not an effect of the catalogue."""
+        return self.effect.kind.unknown
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from scipy import stats
 
 from ident.data import Record
 from ident.estimation import FilterResult
-from ident.model import Model
+from ident.model import EffectKind, ForceCurve, Model, Parameter, segment_name
 from ident.numerics import Array, scaled_eigen
 
 BLOCK = 5.0  # s
@@ -43,7 +43,8 @@ class SensitivityColumns:
     delta: Array
     parameters: tuple[str, ...] = ()
     scan: dict[str, float] = field(default_factory=dict)
-    generic: bool = False
+    kind: EffectKind = EffectKind.CATALOGUE
+    curve: ForceCurve | None = None
     one_sided: bool = False
     per_record: bool = False  # each record has these parameters for itself
     touched: NDArray[np.int64] | None = None
@@ -68,7 +69,8 @@ class ColumnIndex:
         """Of the parameters; ``NAME@i`` where each record has its own."""
         c, size = self.columns, self.columns.delta.shape[2]
         names = list(c.parameters) or [f"{c.name}[{i}]" for i in range(size)]
-        return [f"{n}@{i}" for i in range(len(self.at) // size) for n in names] if c.per_record else names
+        records = range(len(self.at) // size)
+        return [segment_name(n, i) for i in records for n in names] if c.per_record else names
 
 
 def place(columns: Sequence[SensitivityColumns], first: int, n_records: int) -> tuple[list[ColumnIndex], int]:
@@ -83,7 +85,8 @@ def place(columns: Sequence[SensitivityColumns], first: int, n_records: int) -> 
 
 @dataclass(frozen=True)
 class Score:
-    """``step``: the one-step estimate of each parameter; ``lm_block``: the version from blocks."""
+    """``step``: the one-step estimate of each parameter; ``lm_block``: the version from blocks; ``kind`` and ``curve``:
+    of the effect that is tested."""
 
     name: str
     lm: float
@@ -91,7 +94,13 @@ class Score:
     lm_block: float
     step: dict[str, float]
     scan: dict[str, float]
-    generic: bool
+    kind: EffectKind = EffectKind.CATALOGUE
+    curve: ForceCurve | None = None
+
+    @property
+    def generic(self) -> bool:
+        """Whether no catalogue lists it."""
+        return self.kind.unknown
 
     @property
     def p(self) -> float:
@@ -255,7 +264,8 @@ def _one(placed: ColumnIndex, information: Array, score: Array, blocks: Array, b
         lm_block,
         dict(zip(names.tolist(), step.tolist(), strict=True)),
         candidate.scan,
-        candidate.generic,
+        candidate.kind,
+        candidate.curve,
     )
 
 
@@ -263,13 +273,12 @@ def block_index(t: Array, block: float = BLOCK) -> NDArray[np.int64]:
     return np.floor(t / block).astype(np.int64)
 
 
-def fitted_names(model: Model, n_records: int) -> list[str]:
-    """Names of the fitted dynamic parameters: shared, then ``name@record`` for those per record."""
+def fitted_parameters(model: Model, n_records: int) -> list[Parameter]:
+    """The fitted dynamic parameters: shared, then those of each record."""
     noise = model.noises  # their score does not mix with that of the mean
     mean = [p for p in model.parameters if p.free and p.name not in noise]
-    return [p.name for p in mean if not p.per_record] + [
-        f"{p.name}@{i}" for i in range(n_records) for p in mean if p.per_record
-    ]
+    shared = [p for p in mean if not p.per_record]
+    return shared + [replace(p, segment=i) for i in range(n_records) for p in mean if p.per_record]
 
 
 def _passes(s: Score, n_tests: int) -> bool:

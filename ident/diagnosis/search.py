@@ -29,7 +29,7 @@ from ident.diagnosis.score_test import (
     Score,
     _passes,
     block_index,
-    fitted_names,
+    fitted_parameters,
     place,
     propagate_sensitivities,
     score_tests,
@@ -48,7 +48,7 @@ from ident.estimation import (
     validation_gain,
     without_absent_sensors,
 )
-from ident.model import Effect, Model, Parameter
+from ident.model import Effect, EffectKind, ForceCurve, Model, Parameter
 from ident.models import residuals_of, scale_priors, size_of, variables_of
 from ident.reporter import QUIET, Reporter
 
@@ -127,7 +127,7 @@ def score_all(
     model = stage.model
     # a parameter that stands at its bound cannot give way to take up what a candidate would explain
     stuck = {n for n, what in stage.fit.flags if what in (AT_BOUND, VAGUE)}
-    names = [n for n in fitted_names(model, len(records)) if n not in stuck]
+    fitted = [p for p in fitted_parameters(model, len(records)) if p.full_name not in stuck]
     paths = [
         TrajectoryLinearisation(model, v.values, r, v.run.x_pred)
         for r, v in zip(records, stage.estimation, strict=True)
@@ -137,17 +137,17 @@ def score_all(
     normal: NormalEquations | None = None
     places: list[ColumnIndex] = []
     for i, (path, view) in enumerate(zip(paths, stage.estimation, strict=True)):
-        own = [j for j, n in enumerate(names) if "@" not in n or n.endswith(f"@{i}")]
-        fitted = np.stack([path.parameter(names[j].split("@")[0]) for j in own], axis=2)
+        own = [j for j, p in enumerate(fitted) if p.segment in (None, i)]
+        along = np.stack([path.parameter(fitted[j].name) for j in own], axis=2)
         columns = all_columns(path, candidates.values(), among)
-        g, e, t, slim = propagate_sensitivities(view.run, path.own, path.jacobian, fitted, columns)
+        g, e, t, slim = propagate_sensitivities(view.run, path.own, path.jacobian, along, columns)
         if normal is None:
-            places, total = place(slim, len(names), len(records))
+            places, total = place(slim, len(fitted), len(records))
             normal = NormalEquations([str(k) for k in range(total)])
         normal.add(own + [k for where in places for k in where.of_record(i)], g, e, block_index(t, model.block))
     assert normal is not None
-    priors = [model.parameter(n.split("@")[0]).prior for n in names]
-    scores = score_tests(normal, len(names), np.array([1 / p[1] ** 2 if p else 0.0 for p in priors]), places)
+    priors = np.array([1 / p.prior[1] ** 2 if p.prior else 0.0 for p in fitted])
+    scores = score_tests(normal, len(fitted), priors, places)
     waves = wave_peak_score(stage) if "waves" in candidates else None
     scores += [] if waves is None else [waves]
     n = sum(r.n_rows for r in records)
@@ -175,11 +175,12 @@ def _round(
     specific = [s for s in specific if s.criterion(n) > HOPELESS * specific[0].criterion(n)]
     refits = _refit_all(current, records, unseen, [(candidates[s.name], s) for s in specific], n, reporter)
     first = max((r for r in refits if r.accepted), key=lambda r: r.criterion, default=None)
-    best, curve = (-np.inf, "") if first is None else (first.criterion, first.effect.one_of)
+    best, curve = (-np.inf, None) if first is None else (first.criterion, first.effect.parametric_form_of)
     # a table competes only where no name that holds comes close to what the scores promise for it, or where the name
     # is no more than one shape of the table's curve
     least = max(0.5 * best, best - 50)
-    unknown = [s for s in passed if s.generic and (s.criterion(n) > least or s.name == curve)][:N_UNKNOWN]
+    generic = [(s, s.kind is EffectKind.NONPARAMETRIC and s.curve == curve) for s in passed if s.generic]
+    unknown = [s for s, whole in generic if s.criterion(n) > least or whole][:N_UNKNOWN]
     drawn = [(_unknown(s, current), s) for s in unknown]
     refits += _refit_all(current, records, unseen, drawn, n, reporter)
     refits.sort(key=lambda r: -r.criterion)
@@ -238,18 +239,19 @@ def _start(parameter: Parameter, score: Score) -> Parameter:
 
 
 def _unknown(score: Score, stage: FittedModel) -> Effect:
-    past = input_response_effects(stage.model)
-    if score.name in past:
-        return scale_priors(past[score.name], size_of(stage.fit.model))
-    force, variable = score.name.rstrip(")").split("(")
-    table = nonparametric_effect(stage.model, force, variable, _span(stage, variable))
-    return scale_priors(table, size_of(stage.fit.model))
+    assert score.curve is not None
+    size, tested = size_of(stage.fit.model), (score.kind, score.curve)
+    for effect in input_response_effects(stage.model):
+        if (effect.kind, effect.curve) == tested:
+            return scale_priors(effect, size)
+    return scale_priors(nonparametric_effect(stage.model, score.curve, _span(stage, score.curve)), size)
 
 
-def _span(stage: FittedModel, variable: str) -> tuple[float, float]:
-    if variable in {v.name for v in variables_of(stage.model) if v.angle} or ", " in variable:
+def _span(stage: FittedModel, curve: ForceCurve) -> tuple[float, float]:
+    if curve.second or curve.variable in {v.name for v in variables_of(stage.model) if v.angle}:
         return -np.pi, np.pi
-    z = np.concatenate([variables(stage.model, v.record, v.run.x_filt, v.values)[variable] for v in stage.estimation])
+    seen = [variables(stage.model, v.record, v.run.x_filt, v.values) for v in stage.estimation]
+    z = np.concatenate([of[curve.variable] for of in seen])
     low, high = np.percentile(z, [1, 99])
     return float(low), float(high)
 
@@ -278,7 +280,8 @@ def _shapes(
 
 def _likely_table(one: Round) -> Score | None:
     """The best of the residuals as functions of one variable."""
-    return next((s for s in one.scores if s.generic and s.name in one.passed and " " not in s.name), None)
+    tables = [s for s in one.scores if s.kind is EffectKind.NONPARAMETRIC and s.name in one.passed]
+    return next((s for s in tables if s.curve is not None and not s.curve.second), None)
 
 
 def _drawn(effect: Effect, stage: FittedModel) -> NonparametricForce | None:

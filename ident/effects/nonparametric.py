@@ -12,7 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import Effect, Input, Model, Parameter, Residual, Signals, State, Variable
+from ident.model import (
+    Effect,
+    EffectKind,
+    ForceCurve,
+    Input,
+    Model,
+    Parameter,
+    Residual,
+    Signals,
+    State,
+    Variable,
+    curve_name,
+)
 from ident.models import TIME, readings_of, residuals_of, variables_of
 from ident.numerics import Array
 
@@ -56,16 +68,17 @@ def spline_basis(z: Any, angle: bool, span: tuple[float, float]) -> list[Any]:
     return [(1 - abs(at - k)) * (abs(at - k) < 1) for k in range(N_KNOTS)]
 
 
-def partition(model: Model, force: str, variable: str) -> tuple[Residual, list[Variable]]:
-    """The residual and the variable, or the two of a product ("u, r"). Raises ValueError for what the model has not."""
+def partition(model: Model, curve: ForceCurve) -> tuple[Residual, list[Variable]]:
+    """The residual and the variable, or the two of a product. Raises ValueError for what the model has not."""
     residuals = {r.name: r for r in (*residuals_of(model), *readings_of(model))}
     variables = {v.name: v for v in (*variables_of(model), TIME)}
-    wanted = [(force, list(residuals)), *((v, list(variables)) for v in variable.split(", "))]
+    of = [curve.variable, curve.second] if curve.second else [curve.variable]
+    wanted = [(curve.force, list(residuals)), *((v, list(variables)) for v in of)]
     for name, known in wanted:
         if name not in known:
             there = ", ".join(known)
             raise ValueError(f"model {model.name} has no {name!r} for a nonparametric curve; it has {there}")
-    return residuals[force], [variables[name] for name in variable.split(", ")]
+    return residuals[curve.force], [variables[name] for name in of]
 
 
 def _terms(of: Sequence[Variable]) -> list[str]:
@@ -79,11 +92,12 @@ def _terms(of: Sequence[Variable]) -> list[str]:
     return [f"at knot {k} of {a}" for k in range(N_KNOTS)]
 
 
-def nonparametric_effect(model: Model, force: str, variable: str, span: tuple[float, float]) -> Effect:
-    """``force += sum_k t_k basis_k(variable)``, or coefficients of the products of two variables ("u, r")."""
-    residual, of = partition(model, force, variable)
+def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, float]) -> Effect:
+    """``force += sum_k t_k basis_k(variable)``, or coefficients of the products of two variables."""
+    residual, of = partition(model, curve)
+    force, variable = curve.force, curve.variables
     terms_of = _terms(of)
-    names = [f"{force}_{variable.replace(', ', '')}_{k}" for k in range(len(terms_of))]
+    names = [f"{force}_{curve.variable}{curve.second}_{k}" for k in range(len(terms_of))]
 
     def add(s: Signals) -> None:
         if len(of) == 2:
@@ -94,7 +108,7 @@ def nonparametric_effect(model: Model, force: str, variable: str, span: tuple[fl
         residual.add(s, sum(getattr(s.p, name) * term for name, term in zip(names, terms, strict=True)))
 
     return Effect(
-        f"unknown {force}({variable})",
+        f"unknown {curve_name(EffectKind.NONPARAMETRIC, curve)}",
         f"a nonparametric effect: {residual.title} depends on {variable}",
         {residual.stage: add},
         parameters=tuple(
@@ -103,12 +117,14 @@ def nonparametric_effect(model: Model, force: str, variable: str, span: tuple[fl
             )
             for n, what in zip(names, terms_of, strict=True)
         ),
-        inputs=(Input("t", "s", "linear"),) if variable == "t" else (),
+        inputs=(Input("t", "s", "linear"),) if curve.variable == "t" else (),
         place="sensor" if residual.stage == "output" else "bench" if "bench" in model.provides else "hull",
         formula=f"{force} += g({variable}), a nonparametric curve",
         source="the residual itself",
         experiment=f"runs that vary {variable} slowly over its whole range, with all else held",
         requires=tuple(n for n in ("hull", "bench") if n in model.provides),
+        kind=EffectKind.NONPARAMETRIC,
+        curve=curve,
         span=span,
     )
 
@@ -125,11 +141,10 @@ def shape(
 
     None for products of two variables, and for lagged and resonant responses.
     """
-    span = effect.span
-    if span is None or ", " in effect.name:
+    span, curve = effect.span, effect.curve
+    if span is None or curve is None or curve.second:
         return None
-    force, variable = effect.name.removeprefix("unknown ").rstrip(")").split("(")
-    residual, of = partition(model, force, variable)
+    residual, of = partition(model, curve)
     grid = np.linspace(-np.pi, np.pi, n) if of[0].angle else np.linspace(*span, n)
     B = np.column_stack([b * np.ones(n) for b in spline_basis(grid, of[0].angle, span)])
     B = B - B.mean(0)
@@ -142,7 +157,7 @@ def shape(
     if not of[0].angle:
         band = band + between_knots(np.array([values[name] for name in own]), grid, span)
     return NonparametricForce(
-        force, variable, grid, value, sd, band, residual.unit, of[0].unit, residual.stage == "output"
+        curve.force, curve.variable, grid, value, sd, band, residual.unit, of[0].unit, residual.stage == "output"
     )
 
 
@@ -168,10 +183,10 @@ def between_knots(knots: Array, grid: Array, span: tuple[float, float]) -> Array
     return np.asarray(worst[k] / 8 * np.maximum(4 * part * (1 - part), 0.5))  # a fit puts its knots off the curve, too
 
 
-def input_response_effects(model: Model) -> dict[str, Effect]:
-    """By the name of the test: ``X(past of n_sum)``, ``X(swing after n_sum)``; empty without a pair of thrusters."""
+def input_response_effects(model: Model) -> list[Effect]:
+    """Lagged and resonant responses to each input that the model does not have; none without a pair of thrusters."""
     forces = {r.name: r for r in residuals_of(model)}
-    found = {}
+    found = []
     for variable in variables_of(model):
         letter, _, kind = variable.name.partition("_")
         force = forces.get({"sum": "X", "diff": "N"}.get(kind, ""))
@@ -182,7 +197,7 @@ def input_response_effects(model: Model) -> dict[str, Effect]:
                 resonant_response(force, variable.name, drive),
             ):
                 if model.accepts(effect):
-                    found[effect.name.removeprefix("unknown ")] = effect
+                    found.append(effect)
     return found
 
 
@@ -212,8 +227,9 @@ def lagged_response(force: Residual, of: str, drive: Signal) -> Effect:
         for state, memory in zip(states, TIME_CONSTANTS, strict=True):
             s.rate[state] = (drive(s) - getattr(s.x, state)) / memory
 
+    curve = ForceCurve(force.name, of)
     return Effect(
-        f"unknown {force.name}(past of {of})",
+        f"unknown {curve_name(EffectKind.LAGGED, curve)}",
         f"a nonparametric effect: {force.title} follows {of} with a lag",
         {force.stage: add, "rate": follow},
         parameters=tuple(
@@ -227,6 +243,8 @@ def lagged_response(force: Residual, of: str, drive: Signal) -> Effect:
         source="the residual itself",
         experiment=f"steps of {of} from rest, each held until all has settled",
         requires=("hull",),
+        kind=EffectKind.LAGGED,
+        curve=curve,
     )
 
 
@@ -245,8 +263,9 @@ def resonant_response(force: Residual, of: str, drive: Signal) -> Effect:
         s.rate[states[0]] = omega * ahead
         s.rate[states[1]] = omega * (drive(s) - z) - 2 * DAMPING * omega * ahead
 
+    curve = ForceCurve(force.name, of)
     return Effect(
-        f"unknown {force.name}(swing after {of})",
+        f"unknown {curve_name(EffectKind.RESONANT, curve)}",
         f"a nonparametric effect: {force.title} responds to {of} with a resonance",
         {force.stage: add, "rate": swing},
         parameters=(
@@ -261,4 +280,6 @@ def resonant_response(force: Residual, of: str, drive: Signal) -> Effect:
         source="the residual itself",
         experiment=f"a chirp of {of} through 0.1 to 1.5 Hz",
         requires=("hull",),
+        kind=EffectKind.RESONANT,
+        curve=curve,
     )

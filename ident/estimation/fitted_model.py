@@ -15,7 +15,7 @@ from ident.estimation.maximum_likelihood import Fit, fit
 from ident.estimation.multistart import best_of_starts
 from ident.estimation.options import EstimationOptions, SearchSettings
 from ident.estimation.smoother import SmootherResult, smooth
-from ident.model import Effect, Model, outlier_notes
+from ident.model import Effect, EffectKind, Model, outlier_notes
 from ident.model import with_outlier_model as with_outliers
 from ident.models import for_diagnosis, forces_of, rescale, residuals_of, size_of
 from ident.numerics import NORMAL_MAD, Array, noise_from_differences
@@ -189,7 +189,7 @@ def nominal(model: Model) -> Model:
     """With unexplained forces and sensor offsets, unless it has them; a model without a hull stays as it is."""
     if not (forces_of(model) or residuals_of(model)):
         return model
-    present = "disturbance" in {e.name for e in model.effects}
+    present = any(e.kind is EffectKind.DISTURBANCE for e in model.effects)
     return rescale(model if present else for_diagnosis(model), size_of(model))
 
 
@@ -200,7 +200,7 @@ def superset(
     derived = {"t", "work"} if nominal.provides and "n" in nominal.provides else {"t"}
     everything, kept = nominal, {}
     for name, effect in candidates.items():
-        wanted = {i.name.partition("~")[0] for i in effect.inputs} - derived
+        wanted = {i.tap_of if i.tap else i.name for i in effect.inputs} - derived
         if all(wanted <= set(run.channels) for run in runs):
             everything, kept[name] = everything + effect, effect
     return everything, kept

@@ -20,6 +20,7 @@ from daq.errors import SeatrialError
 from ident.data import Record
 from ident.estimation.maximum_likelihood import Fit, fit
 from ident.estimation.options import EstimationOptions
+from ident.model import segment_name
 from ident.numerics import Array
 
 LEVEL = 0.01
@@ -55,7 +56,7 @@ class HomogeneityTest:
 def homogeneity_test(one: Fit, records: Sequence[Record], name: str) -> HomogeneityTest:
     """Fit again with a value of ``name`` for each record. ``one`` is the fit of the same records with one value."""
     if name not in one.names:
-        free = ", ".join(n for n in one.names if "@" not in n)
+        free = ", ".join(p.name for p in one.parameters if p.segment is None)
         raise SeatrialError(f"--test-homogeneity {name}: no free parameter that the logs share; there are {free}")
     if len(records) < 2:
         raise SeatrialError(f"--test-homogeneity {name}: it takes two logs or more")
@@ -63,7 +64,7 @@ def homogeneity_test(one: Fit, records: Sequence[Record], name: str) -> Homogene
     each = fit(model, records, EstimationOptions(reml=one.options.reml))
     values, errors = np.array([each.estimate(name, i) for i in range(len(records))]).T
     lr, df = max(0.0, 2.0 * (each.log_posterior - one.log_posterior)), len(records) - 1
-    at = [each.names.index(f"{name}@{i}") for i in range(len(records))]
+    at = [each.names.index(segment_name(name, i)) for i in range(len(records))]
     scatter, mean, mean_error = between_log_variance(values, each.covariance[np.ix_(at, at)])
     half = float(stats.t.ppf(0.975, df)) * mean_error
     value, error = one.estimate(name)

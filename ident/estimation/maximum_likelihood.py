@@ -23,7 +23,7 @@ from ident.estimation.standard_errors import (
     sandwich,
     with_interval_information,
 )
-from ident.model import Model
+from ident.model import Model, Parameter, segment_name
 from ident.model import with_outlier_model as with_outliers
 from ident.numerics import Array
 
@@ -35,7 +35,8 @@ Progress = Callable[[int, float], None]
 class Fit:
     """An estimate and what is known of it, in the parameters' own units.
 
-    names (n,): ``m_u`` for shared parameters, ``V_x@0`` for those of record 0; values, errors (n,): errors are
+    parameters (n,): what was estimated, each record's own with its ``segment``, at their initial values, and their
+    names, ``m_u`` or ``V_x@0``; values, errors (n,): errors are
     NaN for parameters at a bound or not informed, which ``flags`` names; limits (n,): of a parameter at its bound,
     the far end of its 95 % interval, NaN for all others; covariance, correlation (n, n);
     prior_weight (n,): the part of a parameter's information that its prior gave (1: the data said nothing);
@@ -48,7 +49,7 @@ class Fit:
     model: Model
     options: EstimationOptions
     records: tuple[str, ...]
-    names: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
     values: Array
     errors: Array
     limits: Array
@@ -69,11 +70,15 @@ class Fit:
     converged: bool
     message: str
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the parameters: ``m_u``, ``V_x@0``."""
+        return tuple(p.full_name for p in self.parameters)
+
     def estimate(self, name: str, record: int = 0) -> tuple[float, float]:
         """Value and standard error (NaN: fixed, at a bound, or not informed) of a parameter in a record."""
-        for full in (name, f"{name}@{record}"):
-            if full in self.names:
-                i = self.names.index(full)
+        for i, p in enumerate(self.parameters):
+            if p.name == name and p.segment in (None, record):
                 return float(self.values[i]), float(self.errors[i])
         return self.model.parameter(name).value, float("nan")
 
@@ -111,8 +116,9 @@ def fit(
     model, begin = options.with_mean_order(model), dict[str, float]()
     if not options.process_noise and settings.initial_state == "free":
         model, begin = free_start(model, records)
-    begin |= {n: v for n, v in (start or {}).items() if "@" in n}
-    model = model.with_values({n: v for n, v in (start or {}).items() if "@" not in n})
+    own = {segment_name(p.name, i) for p in model.parameters if p.per_record for i in range(len(records))}
+    begin |= {n: v for n, v in (start or {}).items() if n in own}
+    model = model.with_values({n: v for n, v in (start or {}).items() if n not in own})
     if options.outlier_model:
         model = _with_outliers(model, records, options, settings, begin)
     likelihood = Likelihood(model, joseph=settings.joseph, process_noise=options.process_noise)
@@ -207,7 +213,7 @@ def _report(problem: Problem, optimum: Optimum, known: Uncertainty, robust: Arra
     message = (f"converged in {optimum.iterations} iterations" if converged else
                f"stopped after {optimum.iterations} iterations with {optimum.gain_left:.3g} left to gain")
     return Fit(
-        model=model, options=options, records=tuple(r.name for r in problem.records), names=problem.names,
+        model=model, options=options, records=tuple(r.name for r in problem.records), parameters=problem.parameters,
         values=problem.own(optimum.z), errors=known.errors, limits=problem.own(known.limits),
         covariance=known.covariance, correlation=known.correlation, prior_weight=known.prior_weight,
         robust_errors=robust, record_values=record_values,

@@ -14,10 +14,10 @@ import numpy as np
 import tomlkit
 
 from daq.errors import SeatrialError
-from ident.effects import catalogue, nonparametric_effect
+from ident.effects import catalogue, input_response_effects, nonparametric_effect
 from ident.estimation.maximum_likelihood import Fit
 from ident.estimation.parameter_covariance import ParameterCovariance
-from ident.model import Effect, Model, Parameter, robust_sensors, with_outlier_model
+from ident.model import Effect, EffectKind, ForceCurve, Model, Parameter, robust_sensors, with_outlier_model
 from ident.models import (
     ANTENNA,
     CURRENT_WALK,
@@ -82,9 +82,9 @@ def save_model(
         document["second_order"] = True
     if fit.options.reml:
         document["restricted"] = True
-    spans = {e.name: list(e.span) for e in model.effects if e.span is not None}
-    if spans:
-        document["spans"] = spans
+    unlisted = {e.name: _curve_table(e) for e in model.effects if e.kind.unknown}
+    if unlisted:
+        document["curves"] = unlisted
     if effects_file is not None:
         document["effects_file"], document["effects_sha256"] = _beside(path, effects_file), _digest(effects_file)
     document["provenance"] = {k: v for k, v in provenance.items() if v is not None}
@@ -92,7 +92,7 @@ def save_model(
     # unexplained forces get the size of the boat whenever a fit begins (ident.models.scaling); a prior of that size
     # would get
     # it twice
-    sized_anew = {p.name for e in model.effects if e.name == "disturbance" for p in e.parameters}
+    sized_anew = {p.name for e in model.effects if e.kind is EffectKind.DISTURBANCE for p in e.parameters}
     parameters = tomlkit.aot()
     for p in model.parameters:
         table = tomlkit.table()
@@ -101,6 +101,15 @@ def save_model(
     document["parameter"] = parameters
     document["correlation"] = {"names": list(fit.names), "matrix": np.round(np.nan_to_num(fit.correlation), 6).tolist()}
     path.write_text(tomlkit.dumps(document), encoding="utf-8")
+
+
+def _curve_table(effect: Effect) -> dict[str, Any]:
+    """What tells an effect that no catalogue lists."""
+    assert effect.curve is not None
+    curve = effect.curve
+    table = {"kind": str(effect.kind), "force": curve.force, "variable": curve.variable}
+    table |= {"second": curve.second} if curve.second else {}
+    return table | ({"span": list(effect.span)} if effect.span is not None else {})
 
 
 def _beside(path: Path, file: Path) -> str:
@@ -191,7 +200,7 @@ def _build(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> 
     model = make_model(source, table["sensors"])
     for name in table["effects"]:
         if name not in {e.name for e in model.effects}:
-            model = model + (own[name] if name in own else _effect(name, model, table.get("spans", {})))
+            model = model + (own[name] if name in own else _effect(name, model, table.get("curves", {})))
     model = replace(
         with_outlier_model(model, table.get("robust", [])), second_order=bool(table.get("second_order", False))
     )
@@ -214,7 +223,7 @@ def _parameter(p: Parameter, row: Mapping[str, Any]) -> Parameter:
     return replace(p, prior=(mean, sd))
 
 
-def _effect(name: str, model: Model, spans: Mapping[str, Any]) -> Effect:
+def _effect(name: str, model: Model, curves: Mapping[str, Any]) -> Effect:
     if name == "disturbance":
         return disturbance_of(model)
     if name == "sensor-bias":
@@ -223,10 +232,21 @@ def _effect(name: str, model: Model, spans: Mapping[str, Any]) -> Effect:
         return antenna_of(model)
     if name == CURRENT_WALK:
         return current_walk()
-    if name.startswith("unknown "):
-        force, variable = name.removeprefix("unknown ").rstrip(")").split("(")
-        low, high = spans.get(name, (-np.pi, np.pi))
-        return nonparametric_effect(model, force, variable, (float(low), float(high)))
+    if name in curves:
+        return _unlisted(model, curves[name])
     if name not in catalogue():
         raise ValueError(f"there is no effect {name!r} in the catalogue")
     return catalogue()[name]
+
+
+def _unlisted(model: Model, row: Mapping[str, Any]) -> Effect:
+    """The effect that a table under ``curves`` tells."""
+    kind = EffectKind(row["kind"])
+    curve = ForceCurve(row["force"], row["variable"], row.get("second", ""))
+    if kind is EffectKind.NONPARAMETRIC:
+        low, high = row.get("span", (-np.pi, np.pi))
+        return nonparametric_effect(model, curve, (float(low), float(high)))
+    for effect in input_response_effects(model):
+        if (effect.kind, effect.curve) == (kind, curve):
+            return effect
+    raise ValueError(f"model {model.name} has no {kind} effect of {curve.force} on {curve.variables}")

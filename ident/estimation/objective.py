@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -29,8 +30,9 @@ class Problem:
         shared = [n for n in free if not model.parameter(n).per_record]
         own = [n for n in free if model.parameter(n).per_record]
         self.free = (*shared, *own)
-        self.names = (*shared, *[f"{n}@{i}" for i in range(len(records)) for n in own])
-        self.parameters = [model.parameter(n.partition("@")[0]) for n in self.names]
+        copies = [replace(model.parameter(n), segment=i) for i in range(len(records)) for n in own]
+        self.parameters = (*(model.parameter(n) for n in shared), *copies)
+        self.names = tuple(p.full_name for p in self.parameters)
         self.columns = [index[p.name] for p in self.parameters]
         # places[i]: where record i's free parameters stand among the coordinates
         first = len(shared)

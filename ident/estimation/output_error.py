@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ident.data import Prepared, Preparer, Record, start_of
 from ident.engine import Kernel, programs_for
 from ident.estimation.likelihood import Likelihood
-from ident.model import Model, Parameter
+from ident.model import Model, Parameter, segment_name
 from ident.numerics import Array
 
 
@@ -86,7 +86,7 @@ def free_start(model: Model, records: Sequence[Record]) -> tuple[Model, dict[str
             continue
         for i, record in enumerate(records):
             first = Preparer(model)(record).first[outputs.index(state.from_output)]
-            begin[f"{name}@{i}"] = float(first) if np.isfinite(first) else float(state.x0)
+            begin[segment_name(name, i)] = float(first) if np.isfinite(first) else float(state.x0)
     return extended.replace_parameters(*given), begin
 
 

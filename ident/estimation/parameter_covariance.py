@@ -21,12 +21,10 @@ from ident.data import Record
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import Fit
 from ident.estimation.output_error import simulate
-from ident.estimation.restricted_likelihood import noise_names
 from ident.model import Model
 from ident.numerics import Array, covariance_root
 
 NULL_SPACE_TOLERANCE = 1e-12  # of the largest eigenvalue of the correlation: below it is rounding
-NUISANCE_EFFECTS = ("disturbance", "sensor-bias")
 STEP = 0.05  # standard deviations of the parameters, for differences
 
 
@@ -57,13 +55,11 @@ def parameter_uncertainty(fit: Fit, record: int | None = None) -> ParameterUncer
     record: with what that record has for itself; None: for a record that the fit has not seen, whose own parameters are
     known by other means. Parameters without a standard error (at a bound, not informed) are left out.
     """
-    noise, parameters = noise_names(fit.model), list(fit.model.parameters)
-    wanted = {p.name: p.name for p in parameters if not p.per_record and p.name not in noise}
-    if record is not None:
-        wanted |= {f"{p.name}@{record}": p.name for p in parameters if p.per_record}
-    at = [i for i, n in enumerate(fit.names) if n in wanted and np.isfinite(fit.errors[i])]
+    noise, parameters = fit.model.noise_parameters, list(fit.model.parameters)
+    wanted = [p.name not in noise if p.segment is None else p.segment == record for p in fit.parameters]
+    at = [i for i, w in enumerate(wanted) if w and np.isfinite(fit.errors[i])]
     names = [p.name for p in parameters]
-    columns = tuple(names.index(wanted[fit.names[i]]) for i in at)
+    columns = tuple(names.index(fit.parameters[i].name) for i in at)
     slopes = np.array([parameters[c].slope(float(fit.values[i])) for c, i in zip(columns, at, strict=True)])
     P = fit.covariance[np.ix_(at, at)] / np.outer(slopes, slopes)
     return ParameterUncertainty(columns, covariance_root(P, NULL_SPACE_TOLERANCE))
@@ -92,9 +88,8 @@ def _rows(record: Record, rows: slice) -> Record:
 
 def dynamic_parameters(model: Model) -> list[str]:
     """Free parameters that all records share, without those of noise and of unexplained forces."""
-    noise = {s.noise for s in model.states} | {s.sd0 for s in model.states} | {o.noise for o in model.outputs}
-    beside = {p.name for e in model.effects if e.name in NUISANCE_EFFECTS for p in e.parameters}
-    return [p.name for p in model.parameters if p.free and not p.per_record and p.name not in noise | beside]
+    noise = model.noise_parameters
+    return [p.name for p in model.parameters if p.free and not p.per_record and p.name not in noise]
 
 
 @dataclass(frozen=True)
@@ -110,7 +105,7 @@ def principal_directions(model: Model, values: Array, known: ParameterCovariance
     noise parameters, which move the estimate by next to nothing, are left alone."""
     if known is None or known.covariance is None:
         return []
-    noise = {o.noise for o in model.outputs} | {s.noise for s in model.states if isinstance(s.noise, str)}
+    noise = model.noises
     keep = [i for i, n in enumerate(known.names) if n in model.values and n not in noise]
     if not keep:
         return []

@@ -23,6 +23,7 @@ from ident.estimation.maximum_likelihood import Fit
 from ident.estimation.objective import Problem
 from ident.estimation.options import TOLERANCE
 from ident.estimation.standard_errors import BLIND, DROP, Z95, flat_coordinates, with_interval_information
+from ident.model import segment_name
 from ident.numerics import Array
 
 TARGETS = (0.15, 0.6, 1.3, 2.4)  # drops aimed at, each way
@@ -304,9 +305,9 @@ def profile(fit: Fit, records: Sequence[Record], name: str, *, threads: int = 2)
     ``records``: those of the fit. A parameter that every record has for itself is named ``NAME@K``; ``NAME`` will do
     where there is one record. Raises ValueError where the fit did not estimate it.
     """
-    full = name if name in fit.names else f"{name}@0" if len(fit.records) == 1 else name
+    full = segment_name(name, 0) if name not in fit.names and len(fit.records) == 1 else name
     if full not in fit.names:
-        each = [n for n in fit.names if n.startswith(f"{name}@")]
+        each = [p.full_name for p in fit.parameters if p.name == name]
         hint = f"each run has its own: {', '.join(each)}" if each else f"it estimated {', '.join(fit.names)}"
         raise ValueError(f"no profile of {name}: the fit did not estimate it; {hint}")
     problem = _problem(fit, records, threads)
@@ -336,7 +337,7 @@ def _sides(line: ConstrainedObjective) -> list[ProfileBranch]:
 def _problem(fit: Fit, records: Sequence[Record], threads: int) -> Problem:
     """The fit's objective; raises ValueError where it cannot be of these records."""
     likelihood = Likelihood(fit.model, process_noise=fit.options.process_noise)
-    free = tuple(dict.fromkeys(n.partition("@")[0] for n in fit.names))
+    free = tuple(dict.fromkeys(p.name for p in fit.parameters))
     problem = Problem(likelihood, [r.for_model(fit.model) for r in records], free, threads)
     if problem.names != fit.names:
         raise ValueError(f"the fit estimated {len(fit.names)} parameters, these records have "

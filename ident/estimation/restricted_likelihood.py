@@ -21,51 +21,12 @@ from numpy.typing import NDArray
 from ident.estimation.fisher_scoring import Evaluation, Optimum, solve_step
 from ident.estimation.objective import Problem
 from ident.estimation.standard_errors import DROP
-from ident.model import Model
 from ident.numerics import Array, scaled_eigen, unit_diagonal
 
 STEP = 0.05  # of a logarithm, for the differences; the determinant is nearly linear in it
 KNOWN = 1.0  # information on a logarithm below which not even its order of magnitude is known
-N_POINTS = 5  # at which a model is tried
 NULL_SPACE_TOLERANCE = 1e-9  # eigenvalue of the information scaled to unit diagonal: less is no information
 LEAST_DIAGONAL = 1e-300  # of an information matrix, in place of a zero
-
-
-def noise_names(model: Model) -> frozenset[str]:
-    """Parameters of the noise alone: its standard deviations and diffusions, and what else no prediction of the mean
-    depends on, such as the memory of a disturbance that is nought on average."""
-    known = model.noises
-    try:
-        return known | _unfelt(model, known)
-    except (TypeError, ValueError):  # a model of one's own that takes symbols but no columns
-        return known
-
-
-def _unfelt(model: Model, known: frozenset[str]) -> frozenset[str]:
-    """Parameters that no rate and no output depends on while the disturbances are nought, which are those states that
-    stay nought by themselves."""
-    rng = np.random.default_rng(0)
-    x = rng.uniform(0.3, 1.0, (len(model.states), N_POINTS))
-    u = rng.uniform(-1.0, 1.0, (len(model.inputs), N_POINTS))
-    u[:, 0] *= 0.002  # within a dead zone, too
-
-    def found(values: dict[str, float]) -> Array:
-        s = model.signals(list(x), list(u), list(values.values()))
-        columns = [s.rate[v.name] for v in model.states] + [s.y[o.name] for o in model.outputs]
-        return np.array([np.broadcast_to(np.asarray(c, dtype=np.float64), N_POINTS) for c in columns])
-
-    quiet = [i for i, v in enumerate(model.states) if v.noise != 0.0]
-    while quiet:
-        x[quiet] = 0.0
-        rates = found(model.values)
-        moving = [i for i in quiet if rates[i].any()]
-        if not moving:
-            break
-        x[moving] = rng.uniform(0.3, 1.0, (len(moving), N_POINTS))
-        quiet = [i for i in quiet if i not in moving]
-    base, starts = found(model.values), {v.x0 for v in model.states}
-    return frozenset(n for n, v in model.values.items() if n not in known and n not in starts
-                     and np.array_equal(found({**model.values, n: 1.01 * v + 0.001}), base))
 
 
 def apply_reml(problem: Problem, top: Optimum) -> Optimum:
@@ -75,7 +36,7 @@ def apply_reml(problem: Problem, top: Optimum) -> Optimum:
     ``at`` of what is returned has the gradient of the restricted likelihood, but the value of the likelihood at its
     maximum. Where there is no noise to be estimated, or the step leads nowhere (``_errors``), ``top`` is returned.
     """
-    names = noise_names(problem.model)
+    names = problem.model.noise_parameters
     inside = (top.z > problem.bounds.low) & (top.z < problem.bounds.high) & (np.diag(top.at.information) > 0)
     is_noise = np.array([p.name in names for p in problem.parameters])
     told = problem.bounds.logarithmic & (np.diag(top.at.information) > KNOWN)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import signal
 
 from daq.errors import SeatrialError
-from ident.data import HISTORY_STEP, TIME_INPUT, WORK_INPUT, WORK_UNIT
+from ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
 from ident.model import Model
 from ident.numerics import Array, first_order_lag
 
@@ -56,8 +56,8 @@ class ThrusterResponse:
 
     @property
     def _own(self) -> list[str]:
-        names = [i.name for i in self.model.inputs]
-        return [n for n in names if "~" not in n and n not in (TIME_INPUT, WORK_INPUT)]
+        names = [i.name for i in self.model.inputs if not i.tap]
+        return [n for n in names if n not in (TIME_INPUT, WORK_INPUT)]
 
     def limited(self, levels: Array, durations: Array) -> Array:
         """Commands (n_rows, n_channels, n) of step sequences: levels (n_steps, n_channels, n) held for durations
@@ -89,13 +89,13 @@ class ThrusterResponse:
     def inputs(self, command: Array) -> Array:
         """The model's inputs (n_rows, n_inputs, n) under commands (n_rows, n_channels, n)."""
         n = dict(zip(self.channels, self.shaft(command).transpose(1, 0, 2), strict=True))
-        columns = [self._column(i.name, n) for i in self.model.inputs]
+        columns = [
+            self._earlier(self._column(i.tap_of, n), i.delay) if i.tap else self._column(i.name, n)
+            for i in self.model.inputs
+        ]
         return np.ascontiguousarray(np.stack(columns, axis=1))
 
     def _column(self, name: str, n: Mapping[str, Array]) -> Array:
-        base, _, steps = name.partition("~")
-        if steps:
-            return self._earlier(self._column(base, n), int(steps) * HISTORY_STEP)
         if name == TIME_INPUT:
             return np.broadcast_to(self.t[:, None], next(iter(n.values())).shape)
         if name == WORK_INPUT:

@@ -10,14 +10,13 @@ from functools import cached_property
 
 import numpy as np
 
-from ident.data import HISTORY_STEP, WORK_UNIT
+from ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
 from ident.engine import VectorisedModel
 from ident.estimation import SavedModel
 from ident.export.codegen import Program, parameters_of, programs
-from ident.model import Model, Parameter, State
-from ident.models import DELAY_STEP, OFFSETS
+from ident.model import HISTORY_STEP, Input, Model, Parameter, State
+from ident.models import OFFSETS
 
-NUISANCE = ("disturbance", "sensor-bias")  # effects whose states a controller does not need
 BENCH_FORCE = "b_f"  # disturbance force of the bench model, which is a state of the model and not of an effect
 
 
@@ -117,7 +116,7 @@ def prefix(name: str) -> str:
 
 def without_nuisance(model: Model) -> tuple[Model, tuple[State, ...]]:
     """The model without disturbance forces and random-walk sensor biases, and the removed states."""
-    effects = [e for e in model.effects if e.name in NUISANCE]
+    effects = [e for e in model.effects if e.kind.nuisance]
     bench = "bench" in model.provides
     states = {s.name for e in effects for s in e.states} | ({BENCH_FORCE} if bench else set())
     if "attitude" in model.provides:
@@ -127,7 +126,7 @@ def without_nuisance(model: Model) -> tuple[Model, tuple[State, ...]]:
         model,
         states=tuple(s for s in model.states if s.name not in states),
         parameters=tuple(p for p in model.parameters if p.name not in parameters),
-        effects=tuple(e for e in model.effects if e.name not in NUISANCE))
+        effects=tuple(e for e in model.effects if not e.kind.nuisance))
     return smaller, tuple(s for s in model.states if s.name in states)
 
 
@@ -172,26 +171,25 @@ def header(c: Content, target: str) -> list[str]:
 
 
 def _inputs(c: Content) -> list[str]:
-    lines, past = [], [i for i in c.model.inputs if "~" in i.name]
+    lines, past = [], [i for i in c.model.inputs if i.tap]
     for j, (n, i) in enumerate(zip(c.inputs, c.model.inputs, strict=True)):
-        if "~" in i.name:
-            base, _, k = i.name.partition("~")
-            lines.append(f"  u[{j}] {n}: {base}, {int(k) * HISTORY_STEP:.1f} s ago")
+        if i.tap:
+            lines.append(f"  u[{j}] {n}: {i.tap_of}, {i.delay:.1f} s ago")
         else:
-            lines.append(f"  u[{j}] {n} {_unit(i.unit)}{_described(c, i.name)}")
+            lines.append(f"  u[{j}] {n} {_unit(i.unit)}{_described(i)}")
     if past:
         lines += [f"  (NAME_ago_K, in seatrial NAME~K, is the input NAME of K times {HISTORY_STEP:g} s ago: keep a",
                   "  buffer of it.)"]
     return lines
 
 
-def _described(c: Content, name: str) -> str:
-    if name == "t":
+def _described(signal: Input) -> str:
+    if signal.name == TIME_INPUT:
         return ", the time since the start of the run"
-    if name == "work":
+    if signal.name == WORK_INPUT:
         return f", the integral of |n_left|^3 + |n_right|^3 over time, divided by {WORK_UNIT:g} s"
-    if "bench" in c.model.provides and name.startswith("n_cmd_"):
-        return f", the command of {int(name.removeprefix('n_cmd_')) * DELAY_STEP:g} s ago"
+    if signal.tap_of:
+        return f", the command of {signal.delay:g} s ago"
     return ""
 
 

@@ -1,4 +1,6 @@
 from . import outlier_density as outlier_density
+from .names import segment_name as segment_name
+from .names import tap_name as tap_name
 from .outlier_density import LIKELY as LIKELY
 from .outlier_density import outlier_notes as outlier_notes
 from .outlier_density import robust_sensors as robust_sensors
@@ -6,7 +8,11 @@ from .outlier_density import weight as weight
 from .outlier_density import with_outlier_model as with_outlier_model
 from .parameter import INF as INF
 from .parameter import Parameter as Parameter
+from .parameter import ParameterRole as ParameterRole
+from .structure import HISTORY_STEP as HISTORY_STEP
 from .structure import Effect as Effect
+from .structure import EffectKind as EffectKind
+from .structure import ForceCurve as ForceCurve
 from .structure import Input as Input
 from .structure import Model as Model
 from .structure import ModelFunction as ModelFunction
@@ -17,5 +23,6 @@ from .structure import Signals as Signals
 from .structure import StartGrid as StartGrid
 from .structure import State as State
 from .structure import Variable as Variable
+from .structure import curve_name as curve_name
 from .structure import plain_model as plain_model
 from .structure import resolve_initial_states as resolve_initial_states

@@ -4,10 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import Literal
+
+from ident.model.names import segment_name
 
 INF = math.inf
 LARGEST = 700.0  # logarithm of a number that can still be written; a search may ask for more
+
+
+class ParameterRole(StrEnum):
+    """What a parameter is for; the model tells those of noise and of initial states by their use (``Model.role``)."""
+
+    DYNAMICS = "dynamics"  # rates and outputs depend on it
+    NOISE = "noise"  # a standard deviation or a diffusion
+    DISTURBANCE = "disturbance"  # of a disturbance that is zero on average, such as its memory
+    INITIAL_STATE = "initial-state"
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +42,8 @@ class Parameter:
     free: bool = True
     per_record: bool = False
     step: float = 0.0  # a change that is small but felt; 0: a hundredth of the value
+    role: ParameterRole = ParameterRole.DYNAMICS
+    segment: int | None = None  # of a ``per_record`` one in a fit: the record whose own it is
 
     def __post_init__(self) -> None:
         low, high = self.bounds
@@ -37,6 +51,11 @@ class Parameter:
             raise ValueError(f"parameter {self.name}: {self.value} is not positive, but its transform is log")
         if not low <= self.value <= high:
             raise ValueError(f"parameter {self.name}: {self.value} is outside its bounds [{low}, {high}]")
+
+    @property
+    def full_name(self) -> str:
+        """``V_x@0`` of a record's own, else the name."""
+        return segment_name(self.name, self.segment)
 
     def to_free(self, value: float) -> float:
         """The coordinate in which the estimator moves."""

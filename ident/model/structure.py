@@ -13,11 +13,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from functools import update_wrapper
 from types import SimpleNamespace
 from typing import Any, Literal
 
-from ident.model.parameter import Parameter
+from ident.model.names import tap_name
+from ident.model.parameter import Parameter, ParameterRole
+
+HISTORY_STEP = 0.1  # s between the taps of an input
 
 
 class Named(SimpleNamespace):
@@ -61,10 +65,32 @@ class State:
 
 @dataclass(frozen=True)
 class Input:
+    """A known signal.
+
+    Attributes:
+        hold: zero-order, or linear between samples.
+        angle: unwrapped before it is interpolated.
+        label: what people see it as; None: its name; empty: they do not look at it.
+        tap_of: the signal that this one is a delayed copy of.
+        tap: that many steps of ``HISTORY_STEP`` later, made of the signal; 0: the data have it.
+        delay: by which the copy is later [s].
+    """
+
     name: str
     unit: str = ""
     hold: Literal["zero", "linear"] = "zero"
-    angle: bool = False  # unwrapped before it is interpolated
+    angle: bool = False
+    label: str | None = None
+    tap_of: str = ""
+    tap: int = 0
+    delay: float = 0.0
+
+    def delayed(self, tap: int) -> Input:
+        """This input ``tap`` steps of ``HISTORY_STEP`` ago, named ``NAME~tap``; itself for none."""
+        if not tap:
+            return self
+        return replace(self, name=tap_name(self.name, tap), label="", tap_of=self.name, tap=tap,
+                       delay=HISTORY_STEP * tap)
 
 
 @dataclass(frozen=True)
@@ -84,6 +110,53 @@ class Sensor:
 
     name: str
     outputs: tuple[Output, ...]
+
+
+@dataclass(frozen=True)
+class ForceCurve:
+    """A residual quantity as a function of one variable, or of the products of two.
+
+    Attributes:
+        force: name of the ``Residual``, ``X``.
+        variable: name of the ``Variable``, ``u``.
+        second: of a product's other variable; empty for a function of one.
+    """
+
+    force: str
+    variable: str
+    second: str = ""
+
+    @property
+    def variables(self) -> str:
+        """The variables as people read them: ``u``, or ``u, r``."""
+        return f"{self.variable}, {self.second}" if self.second else self.variable
+
+
+class EffectKind(StrEnum):
+    """What an effect is a model of."""
+
+    CATALOGUE = "catalogue"  # a named physical effect
+    NONPARAMETRIC = "nonparametric"  # a force as a fitted function of a variable
+    LAGGED = "lagged"  # a force of first order behind an input
+    RESONANT = "resonant"  # a force of second order behind an input
+    DISTURBANCE = "disturbance"  # an unexplained force, for the filter
+    SENSOR_OFFSET = "sensor-offset"  # a walking offset of a sensor, for the filter
+
+    @property
+    def unknown(self) -> bool:
+        """Whether it has no name in any catalogue."""
+        return self in (EffectKind.NONPARAMETRIC, EffectKind.LAGGED, EffectKind.RESONANT)
+
+    @property
+    def nuisance(self) -> bool:
+        """Whether it is there for the filter's sake: no part of the boat."""
+        return self in (EffectKind.DISTURBANCE, EffectKind.SENSOR_OFFSET)
+
+
+def curve_name(kind: EffectKind, curve: ForceCurve) -> str:
+    """The display name of an effect that no catalogue lists: ``X(u)``, ``N(u, r)``, ``X(past of n_sum)``."""
+    way = {EffectKind.LAGGED: "past of ", EffectKind.RESONANT: "swing after "}.get(kind, "")
+    return f"{curve.force}({way}{curve.variables})"
 
 
 @dataclass(frozen=True)
@@ -108,9 +181,15 @@ class Effect:
     one_sided: bool = False  # the first parameter cannot be negative
     rivals: tuple[str, ...] = ()
     scan: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # values to try where there is no gradient
-    one_of: str = ""  # the curve "X(u)" that it is one shape of: others of the kind differ from it in shape only
-    any_of: str = ""  # the curve "N(psi)" that it is in any shape: its name says no more
-    span: tuple[float, float] | None = None  # of an unknown effect: the range of its variable that the table covers
+    kind: EffectKind = EffectKind.CATALOGUE
+    curve: ForceCurve | None = None  # of an effect that no catalogue lists: what depends on what
+    span: tuple[float, float] | None = None  # of a nonparametric one: the range of its variable that it covers
+    parametric_form_of: ForceCurve | None = None  # it is one shape of this curve; others differ in shape only
+    nonparametric_of: ForceCurve | None = None  # it is this curve in any shape: its name says no more
+
+    def is_table_of(self, curve: ForceCurve | None) -> bool:
+        """Whether it is this curve as a nonparametric effect."""
+        return self.kind is EffectKind.NONPARAMETRIC and self.curve is not None and self.curve == curve
 
 
 @dataclass(frozen=True)
@@ -262,6 +341,21 @@ class Model:
         """Parameters that only set covariances: standard deviations and diffusions."""
         named = [o.noise for o in self.outputs] + [s.noise for s in self.states] + [s.sd0 for s in self.states]
         return frozenset(n for n in named if isinstance(n, str))
+
+    def role(self, name: str) -> ParameterRole:
+        """What a parameter is for: by its use as noise or as an initial state, else as it says itself."""
+        if name in self.noises:
+            return ParameterRole.NOISE
+        if name in {s.x0 for s in self.states}:
+            return ParameterRole.INITIAL_STATE
+        return self.parameter(name).role
+
+    @property
+    def noise_parameters(self) -> frozenset[str]:
+        """Parameters of the noise alone: standard deviations, diffusions, and what else no prediction of the mean
+        depends on, such as the memory of a disturbance that is zero on average."""
+        disturbance = {p.name for p in self.parameters if self.role(p.name) is ParameterRole.DISTURBANCE}
+        return self.noises | disturbance
 
     def replace_parameters(self, *new: Parameter) -> Model:
         by_name = {p.name: p for p in new}

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import Effect, Model, Parameter, Residual, Signals, State, Variable
+from ident.model import Effect, EffectKind, Model, Parameter, ParameterRole, Residual, Signals, State, Variable
 
 SIZES = {"X": (1.0, "N/sqrt(s)"), "Y": (1.0, "N/sqrt(s)"), "N": (0.15, "N m/sqrt(s)")}
 TIME = Variable("t", "s", lambda s: s.u.t)
@@ -105,7 +105,8 @@ def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
         parameters=(
             *(_diffusion(n, s0 * float(np.sqrt(2 / tau)), unit) for n, s0, unit in zip(names, sd, units, strict=True)),
             Parameter(
-                "tau_b", tau, "s", "memory of the unexplained forces", "log", prior=(tau, tau), bounds=(0.2, 60.0)
+                "tau_b", tau, "s", "memory of the unexplained forces", "log", prior=(tau, tau), bounds=(0.2, 60.0),
+                role=ParameterRole.DISTURBANCE,
             ),
         ),
         states=tuple(
@@ -113,6 +114,7 @@ def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
             for n, s0, u in zip(names, sd, units, strict=True)
         ),
         place="environment",
+        kind=EffectKind.DISTURBANCE,
     )
 
 
@@ -144,11 +146,13 @@ def shaft_disturbance() -> Effect:
         parameters=(
             Parameter("q_n", q, "1/s/sqrt(s)", "diffusion of the unexplained acceleration", "log", prior=(q, 3 * q)),
             Parameter(
-                "tau_n", tau, "s", "memory of the unexplained acceleration", "log", prior=(tau, tau), bounds=(0.05, 5.0)
+                "tau_n", tau, "s", "memory of the unexplained acceleration", "log", prior=(tau, tau),
+                bounds=(0.05, 5.0), role=ParameterRole.DISTURBANCE,
             ),
         ),
         states=(State("b_n", "1/s", "unexplained acceleration of the shaft", "q_n", sd0=sd),),
         place="bench",
+        kind=EffectKind.DISTURBANCE,
     )
 
 
@@ -180,6 +184,7 @@ def sensor_bias(sensors: Sequence[str]) -> Effect:
         {"rate": still, "output": add},
         states=tuple(State(f"bias_{n}", unit, f"offset of {n}", walk, sd0=sd) for n, unit, sd, walk in rows),
         place="sensor",
+        kind=EffectKind.SENSOR_OFFSET,
     )
 
 

@@ -16,9 +16,22 @@ from typing import Any
 import numpy as np
 
 from ident.data import Channel
-from ident.model import Input, Model, Output, Parameter, Residual, Sensor, Signals, StartGrid, State, Variable
+from ident.model import (
+    Input,
+    Model,
+    Output,
+    Parameter,
+    ParameterRole,
+    Residual,
+    Sensor,
+    Signals,
+    StartGrid,
+    State,
+    Variable,
+)
 from ident.models.disturbances import TIME, adder
 
+COMMAND = "n_cmd"
 DELAY_STEP = 0.0125  # s
 DELAY_APART = 0.2  # s between delays to start from
 START_POLES = np.geomspace(0.2, 20.0, 14)  # 1/s
@@ -40,7 +53,10 @@ FORCE = (
 )
 SWING = (
     Parameter("q_f", 0.5, "N/sqrt(s)", "diffusion of the unexplained force", "log"),
-    Parameter("tau_f", 0.5, "s", "memory of the unexplained force", "log", prior=(0.5, 0.5), bounds=(0.05, 20.0)),
+    Parameter(
+        "tau_f", 0.5, "s", "memory of the unexplained force", "log", prior=(0.5, 0.5), bounds=(0.05, 20.0),
+        role=ParameterRole.DISTURBANCE,
+    ),
 )
 
 
@@ -53,7 +69,7 @@ UNEXPLAINED_RATE = Residual("n_dot", "1/s", "b_n", 0.5, "the acceleration of the
 
 
 def delayed_channels(
-    channel: Channel, step: float = DELAY_STEP, n: int = N_DELAYS, name: str = "n_cmd"
+    channel: Channel, step: float = DELAY_STEP, n: int = N_DELAYS, name: str = COMMAND
 ) -> dict[str, Channel]:
     """Copies of a command, ``NAME_0`` to ``NAME_n-1``, each delayed by ``step`` [s] more, with its steps as sharp.
 
@@ -68,7 +84,7 @@ def delayed_channels(
 
 def delay_step(model: Model) -> float:
     """s, by which each copy of the command is later than the one before."""
-    return model.parameter("tau").bounds[1] / (sum(i.name.startswith("n_cmd_") for i in model.inputs) - 1)
+    return model.parameter("tau").bounds[1] / (sum(i.tap_of == COMMAND for i in model.inputs) - 1)
 
 
 def on_a_copy(tau: float, step: float) -> str:
@@ -95,7 +111,7 @@ def thruster_model(
         weights = enumerate(delay_weights(s.p.tau / step, n_delays))
         # of numbers all but two or four are nought; of symbols none is known to be
         return sum(
-            w * past_dead_zone(getattr(s.u, f"n_cmd_{k}"), s.p.d)
+            w * past_dead_zone(getattr(s.u, f"{COMMAND}_{k}"), s.p.d)
             for k, w in weights
             if not (isinstance(w, float) and w == 0.0)
         )
@@ -106,7 +122,9 @@ def thruster_model(
     return Model(
         "thruster",
         states,
-        tuple(Input(f"n_cmd_{k}") for k in range(n_delays)),
+        tuple(
+            Input(f"{COMMAND}_{k}", label="" if k else COMMAND, tap_of=COMMAND, delay=k * step) for k in range(n_delays)
+        ),
         sensors,
         (delay, *parameters),
         (("shaft", shaft), ("thrust", _thrust), ("rate", _rate), ("output", _output)),

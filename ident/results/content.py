@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.data import LoadedLog, Record
+from ident.data import TIME_INPUT, WORK_INPUT, LoadedLog, Record
 from ident.estimation import Fit, FittedModel, HomogeneityTest, Profile, RecordEvaluation
-from ident.model import Model, Parameter
+from ident.model import Model, Parameter, segment_name
 from ident.numerics import Array
 from ident.validation import BLOCK, FreeRun, PredictionEvaluation, cross_correlation, ratio_interval, whiteness_test
 
@@ -30,7 +30,7 @@ def fit_part(fit: Fit, start: Mapping[str, float]) -> Json:
     flags = dict(fit.flags)
     rows = []
     for p in fit.model.parameters:
-        names = [f"{p.name}@{i}" for i in range(len(fit.records))] if p.per_record and p.free else [p.name]
+        names = [segment_name(p.name, i) for i in range(len(fit.records))] if p.per_record and p.free else [p.name]
         for i, name in enumerate(names):
             value, error = fit.estimate(p.name, i)
             known = name in fit.names
@@ -68,12 +68,9 @@ def shown_inputs(model: Model) -> list[tuple[int, str, str]]:
     thruster's command the command itself."""
     shown = []
     for j, i in enumerate(model.inputs):
-        if "~" in i.name or i.name in ("t", "work"):
-            continue
-        if "bench" not in model.provides:
-            shown.append((j, i.name, i.unit))
-        elif i.name == "n_cmd_0":
-            shown.append((j, "n_cmd", i.unit))
+        label = i.name if i.label is None else i.label
+        if label and i.name not in (TIME_INPUT, WORK_INPUT):
+            shown.append((j, label, i.unit))
     return shown
 
 

@@ -122,10 +122,11 @@ def estimate(case: Case, record: Record, truth: Array, x0: Array, rng: np.random
     options = EstimationOptions(reml=case.reml, method=method)
     found = fit(model, [record], options, SearchSettings(threads=1), start=start)
     cpu = time.process_time() - began
-    names = [n.partition("@")[0] for n in found.names]
-    parameters = [model.parameter(n) for n in names]
+    parameters = found.parameters
+    names = [p.name for p in parameters]
     z = _coordinates(parameters, found.values)
     slope = np.array([p.slope(v) for p, v in zip(parameters, found.values, strict=True)])
+    name_of = {p.full_name: p.name for p in parameters}
     true = np.array([p.to_free(named[p.name]) for p in parameters])
     return {
         "converged": found.converged,
@@ -135,14 +136,14 @@ def estimate(case: Case, record: Record, truth: Array, x0: Array, rng: np.random
         "se": _finite(names, found.errors / slope),
         "far": _finite(names, _coordinates(parameters, found.limits) - true),
         "bound": _finite(names, cramer_rao_errors(model.with_values(named), record, found, method, rng)),
-        "flags": {n.partition("@")[0]: what for n, what in found.flags},
+        "flags": {name_of[n]: what for n, what in found.flags},
     }
 
 
 def cramer_rao_errors(truth: Model, record: Record, found: Fit, method: Method, rng: np.random.Generator) -> Array:
     """Standard deviations (n,) of an efficient estimator in the coordinates of the estimator: the Cramér-Rao bound from
     the information at the truth and the priors, with the effect of parameter bounds."""
-    names = [n.partition("@")[0] for n in found.names]
+    names = [p.name for p in found.parameters]
     problem = Problem(Likelihood(truth, process_noise=method == "prediction-error"), [record], names, 1)
     information, z = problem.evaluate(problem.start).information, problem.start
     P = scaled_inverse(information)

@@ -9,7 +9,7 @@ from pathlib import Path
 from daq.errors import SeatrialError
 from ident.characterisation import THRUSTER_RATE, ThrustCurve, load_curve, thrust_channels, thruster_runs, total
 from ident.data import Channel, LoadedLog, LogSegment
-from ident.model import Input, Model
+from ident.model import Input, Model, segment_name
 from ident.models import SENSORS, make_model
 
 CURVE_INPUTS = ("f_left", "f_right", "X", "X_n")  # what a static curve makes of commands
@@ -124,13 +124,14 @@ def _sensed(model: Model, path: Path, loaded: Sequence[LoadedLog], unseen: Seque
     return replace(model, inputs=tuple(as_logged(i, loaded[0].holds.get(i.name, "")) for i in model.inputs))
 
 
-def check_names(model: Model, names: Sequence[str]) -> None:
-    """Raises SeatrialError, before any fit, for a name that no fit of the model will have estimated."""
+def check_names(model: Model, names: Sequence[str], n_logs: int) -> None:
+    """Raises SeatrialError, before any fit, for a name that no fit of the model to so many logs will have estimated."""
+    known = {p.name: p for p in model.parameters}
+    known |= {segment_name(p.name, i): p for p in model.parameters if p.per_record for i in range(n_logs)}
     for name in names:
-        base = name.partition("@")[0]
-        if base not in model.values:
+        if name not in known:
             raise SeatrialError(f"--profile {name}: model {model.name} has {', '.join(model.values)}")
-        if not model.parameter(base).free:
+        if not known[name].free:
             raise SeatrialError(f"--profile {name}: it is given, not estimated; estimated are {', '.join(model.free)}")
 
 

@@ -88,7 +88,7 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
     name = name or thruster_name(loaded[0])
     has_force = all("force" in x.run.channels for x in loaded)
     model = thruster_model(force=has_force)
-    check_names(model, profiles)
+    check_names(model, profiles, len(loaded))
     records = [_record(model, x, name) for x in loaded]
     if shaft_guess(records)[0] > model.parameter("tau").bounds[1]:
         model = thruster_model("slow", force=has_force)

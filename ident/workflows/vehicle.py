@@ -93,7 +93,7 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Json:
     sides = check_sides([(x.run.name, x.run.channels) for x in loaded]) if "y_left" in model.values else None
     as_is = request.keep_thruster_sides
     model = swap_sides(model) if sides is not None and sides.swapped and not as_is else model
-    check_names(nominal(model), request.profiles)
+    check_names(nominal(model), request.profiles, len(loaded))
     runs, others = [x.run for x in loaded], [x.run for x in unseen]
     stage = fit_nominal_model(model, runs, others, request.estimation, rate=request.rate, reporter=reporter)
     result = envelope([*loaded, *unseen], command)

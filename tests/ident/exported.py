@@ -18,7 +18,7 @@ from ident.engine.vectorised_model import VectorisedModel
 from ident.estimation.model_file import SavedModel
 from ident.export.content import without_nuisance
 from ident.model.parameter import Parameter
-from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from ident.model.structure import ForceCurve, Input, Model, Output, Sensor, State, plain_model
 from ident.models.disturbances import for_diagnosis
 from ident.models.horizontal import horizontal_model
 from ident.models.kinematic import kinematic_model
@@ -48,8 +48,8 @@ def with_effects(propulsion: Any) -> Model:
     for effect in catalogue().values():
         if model.accepts(effect):
             model = model + effect
-    for force, variable in (("X", "u"), ("N", "psi"), ("Y", "u, r"), ("X", "t")):
-        model = model + nonparametric_effect(model, force, variable, (-1.0, 1.5))
+    for curve in (ForceCurve("X", "u"), ForceCurve("N", "psi"), ForceCurve("Y", "u", "r"), ForceCurve("X", "t")):
+        model = model + nonparametric_effect(model, curve, (-1.0, 1.5))
     return model
 
 
@@ -65,7 +65,7 @@ def odd() -> Model:
 
     return plain_model(
         "odd boat 2!", f=f, h=lambda x, u, p: {"y 1": 2.0, "y~1": x.a * getattr(u, "N~2"), "y-1": u.N},
-        states=(State("a"), State("x"), State("k1")), inputs=(Input("N"), Input("N~2")),
+        states=(State("a"), State("x"), State("k1")), inputs=(Input("N"), Input("N").delayed(2)),
         sensors=(Sensor("s", (Output("y 1", noise="e"), Output("y~1", noise="e"), Output("y-1", noise="e"))),),
         parameters=(Parameter("lambda", 0.7, meaning='odd */ /* "name"\nin C'), Parameter("int", 1.3),
                     Parameter("e", 0.1)))

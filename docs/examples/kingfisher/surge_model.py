@@ -24,10 +24,10 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import INF, Input, Model, Output, Parameter, Sensor, State, plain_model
+from ident.model import INF, Input, Model, Output, Parameter, Sensor, State, plain_model, tap_name
 from ident.models import delay_weights
 
-STEP, N_DELAYS = 0.1, 16  # s, copies of an input: seatrial makes NAME~k, the input NAME k steps ago
+STEP, N_DELAYS = 0.1, 16  # s, copies of an input: seatrial makes them, k steps ago each
 SMALL = 1e-6  # N; keeps the root smooth where there is no thrust
 
 BODY = (
@@ -49,7 +49,7 @@ SHIFT = Parameter("d", 0.0, "", "dead band on the water less that on the bench",
 
 def delayed_input(u: Any, name: str, tau: Any) -> Any:
     """An input ``tau`` seconds ago, by cubic convolution of its copies."""
-    copies = [getattr(u, name if k == 0 else f"{name}~{k}") for k in range(N_DELAYS)]
+    copies = [getattr(u, tap_name(name, k)) for k in range(N_DELAYS)]
     return sum(w * c for w, c in zip(delay_weights(tau / STEP, N_DELAYS), copies, strict=True))
 
 
@@ -84,7 +84,7 @@ def make(*more: Parameter) -> Model:
         f=f,
         h=lambda x, u, p: {"speed": x.u + p.c},
         states=tuple(states),
-        inputs=tuple(Input(n if k == 0 else f"{n}~{k}", "N") for n in names for k in copies),
+        inputs=tuple(Input(n, "N").delayed(k) for n in names for k in copies),
         sensors=(Sensor("gps", (Output("speed", "m/s", "e_u"),)),),
         parameters=(*BODY, *more, *RUN),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ident.model import Effect, Parameter, Signals
+from ident.model import Effect, ForceCurve, Parameter, Signals
 
 
 def add(s: Signals) -> None:
@@ -27,6 +27,6 @@ EFFECT = Effect(
     source="wind and waves on an asymmetric hull; Fossen 2011, section 8.2",
     experiment="slow turns through all headings, in both directions",
     requires=("hull",),
-    any_of="N(psi)",
+    nonparametric_of=ForceCurve("N", "psi"),
     rivals=("wind", "yaw-bias", "compass"),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ident.model import Effect, Parameter, Signals
+from ident.model import Effect, ForceCurve, Parameter, Signals
 
 
 def resist(s: Signals) -> None:
@@ -21,6 +21,6 @@ EFFECT = Effect(
     experiment="slow runs forward and in reverse, and coasting to rest",
     requires=("hull",),
     one_sided=True,
-    one_of="X(u)",
+    parametric_form_of=ForceCurve("X", "u"),
     rivals=("cubic-drag", "dead-band", "hump"),
 )

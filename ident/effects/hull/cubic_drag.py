@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ident.model import Effect, Parameter, Signals
+from ident.model import Effect, ForceCurve, Parameter, Signals
 
 
 def resist(s: Signals) -> None:
@@ -18,6 +18,6 @@ EFFECT = Effect(
     source="residuary resistance near hull speed (Froude)",
     experiment="long straight runs at five or more speeds up to the highest",
     requires=("hull",),
-    one_of="X(u)",
+    parametric_form_of=ForceCurve("X", "u"),
     rivals=("advance-ratio", "hump", "coulomb"),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ident.model import Effect, Parameter, Signals
+from ident.model import Effect, ForceCurve, Parameter, Signals
 
 
 def resist(s: Signals) -> None:
@@ -28,6 +28,6 @@ EFFECT = Effect(
     experiment="long straight runs at speeds in fine steps around the hump, up and down again",
     requires=("hull",),
     one_sided=True,
-    one_of="X(u)",
+    parametric_form_of=ForceCurve("X", "u"),
     rivals=("cubic-drag", "coulomb", "advance-ratio"),
 )

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ident.data import HISTORY_STEP
-from ident.model import Effect, Input, ModelFunction, Parameter, Signals
+from ident.model import HISTORY_STEP, Effect, Input, ModelFunction, Parameter, Signals, tap_name
 
 N_DELAY, N_LAG = 8, 16
 
@@ -46,7 +45,7 @@ def _hook(quantity: str, parameter: str, steps: int, response: Any) -> ModelFunc
     def respond(s: Signals) -> None:
         bag = s.n if quantity == "n" else s.f
         for side in bag:
-            past = [bag[side]] + [getattr(s.u, f"{quantity}_{side}~{k}") for k in range(1, steps + 1)]
+            past = [bag[side]] + [getattr(s.u, tap_name(f"{quantity}_{side}", k)) for k in range(1, steps + 1)]
             bag[side] = response(past, getattr(s.p, parameter))
 
     return respond
@@ -55,7 +54,8 @@ def _hook(quantity: str, parameter: str, steps: int, response: Any) -> ModelFunc
 def _effect(
     name: str, title: str, quantity: str, parameter: Parameter, steps: int, response: Any, **described: Any
 ) -> Effect:
-    inputs = [Input(f"{quantity}_{side}~{k}", "", "linear") for side in ("left", "right") for k in range(1, steps + 1)]
+    now = [Input(f"{quantity}_{side}", "", "linear") for side in ("left", "right")]
+    inputs = [i.delayed(k) for i in now for k in range(1, steps + 1)]
     stage = "shaft" if quantity == "n" else "thrust"
     return Effect(
         name=name,

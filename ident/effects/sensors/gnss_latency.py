@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ident.effects.propulsion.thrust_history import delayed
-from ident.model import Effect, Input, Parameter, Signals
+from ident.model import Effect, Input, Parameter, Signals, tap_name
 
 N_PAST = 5
 
@@ -31,7 +31,7 @@ def delay_shaft(s: Signals) -> None:
     change: Any = 0.0
     for side in s.n:
         now = getattr(s.u, f"n_{side}")
-        past = [now, *(getattr(s.u, f"n_{side}~{k}") for k in range(1, N_PAST + 1))]
+        past = [now, *(getattr(s.u, tap_name(f"n_{side}", k)) for k in range(1, N_PAST + 1))]
         then = delayed(past, s.p.tau_gnss / 2)
         change = change + _static(s, then) - _static(s, now)
     _delay(s, change)
@@ -54,7 +54,9 @@ COMMON: dict[str, Any] = {
     "one_sided": True,
     "rivals": ("lever-arm", "delay"),
 }
-PAST = tuple(Input(f"n_{side}~{k}", "", "linear") for side in ("left", "right") for k in range(1, N_PAST + 1))
+PAST = tuple(
+    Input(f"n_{side}", "", "linear").delayed(k) for side in ("left", "right") for k in range(1, N_PAST + 1)
+)
 EFFECTS = (
     Effect(
         "gnss-latency",

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.data.record import HISTORY_STEP, WORK_UNIT, Channel, Record, block_mean, build_record, sample_and_hold
+from ident.data.record import WORK_UNIT, Channel, Record, block_mean, build_record, sample_and_hold
 from ident.model.parameter import Parameter
-from ident.model.structure import Effect, Input, Model, Output, Sensor, State, plain_model
+from ident.model.structure import HISTORY_STEP, Effect, Input, Model, Output, Sensor, State, plain_model
 
 
 def model(hold: str = "zero") -> Model:
@@ -30,6 +30,12 @@ def model(hold: str = "zero") -> Model:
 
 def with_inputs(*names: str) -> Model:
     return model() + Effect("more", "more", {}, inputs=tuple(Input(n, "", "linear") for n in names))
+
+
+def with_taps(*taps: int) -> Model:
+    """With an input g, as it was so many steps ago each."""
+    g = Input("g", "", "linear")
+    return model() + Effect("more", "more", {}, inputs=tuple(g.delayed(k) for k in taps))
 
 
 def channel(rate: float, seconds: float = 10.0, start: float = 0.0, f: object = np.sin) -> Channel:
@@ -135,7 +141,7 @@ def test_only_the_common_time_is_used_unless_a_part_is_asked_for() -> None:
 
 
 def test_an_inputs_past_is_the_input_so_many_steps_ago() -> None:
-    wide = with_inputs("g", "g~1", "g~7")
+    wide = with_taps(0, 1, 7)
     ramp = channels() | {"g": channel(50.0, f=lambda t: 2.0 * t)}
     record = build_record(wide, ramp)
     names = list(record.inputs)
@@ -180,7 +186,7 @@ def test_what_cannot_be_made_is_one_clear_line(drop: tuple[str, ...], change: di
 
 
 def test_a_record_serves_other_models_and_parts() -> None:
-    wide = with_inputs("g", "g~3")
+    wide = with_taps(0, 3)
     record = build_record(wide, channels() | {"g": channel(50.0)})
     own = record.for_model(model())
     assert (own.inputs, own.outputs) == (("w",), ("psi", "a", "b"))

@@ -16,17 +16,18 @@ from ident.diagnosis.results import EffectAttribution, Refit, Round
 from ident.diagnosis.score_test import Score
 from ident.estimation.standard_errors import AT_BOUND
 from ident.model.parameter import Parameter
-from ident.model.structure import Effect
+from ident.model.structure import Effect, ForceCurve
 from ident.report.page import write_report
 from ident.report.terminal import print_result
 from tests.ident.report_example import diagnosis
+from tests.ident.unlisted import kind_of
 
 N = 4000  # rows
 
 
 def refit(name: str, criterion: float, t: float = 5.0, fit: object = None, **more: Any) -> Refit:
     """A refit with an effect of this name; what the judgement does not read is left out."""
-    effect = Effect(name, name.replace("-", " "), {}, **more)
+    effect = Effect(name, name.replace("-", " "), {}, **kind_of(name), **more)
     stage = SimpleNamespace(fit=fit or SimpleNamespace(names=(), flags=()))
     return Refit(effect, cast(Any, stage), criterion + 8.3, 1, criterion, 50.0, t)
 
@@ -36,7 +37,7 @@ def one_round(chosen: Refit, *others: Refit) -> Round:
 
 
 def score(name: str, criterion: float) -> Score:
-    return Score(name, criterion + 8.294, 1, 20.0, {}, {}, "(" in name)
+    return Score(name, criterion + 8.294, 1, 20.0, {}, {}, **kind_of(name))
 
 
 def of(*rounds: Round, left: tuple[Score, ...] = (), untested: tuple[str, ...] = ()) -> tuple[EffectAttribution, ...]:
@@ -103,7 +104,7 @@ def test_a_rival_that_could_not_be_tested_is_not_excluded() -> None:
 
 
 def test_a_name_that_only_says_what_depends_on_what_keeps_with_another_shape() -> None:
-    moment = refit("heading-moment", 700.0, any_of="N(psi)")
+    moment = refit("heading-moment", 700.0, nonparametric_of=ForceCurve("N", "psi"))
     name, _ = of(one_round(moment), one_round(refit("unknown N(psi)", 200.0)), left=(score("N(psi)", 1.0),))
     assert name == EffectAttribution("heading-moment", "named")
     doubted, _ = of(one_round(moment), one_round(refit("unknown Y(psi)", 200.0)))

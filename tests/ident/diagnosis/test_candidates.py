@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from ident.data.record import Record
 from ident.diagnosis.candidates import TrajectoryLinearisation, all_columns, generic_features, splines, variables
 from ident.effects.registry import catalogue
-from ident.model.structure import Effect, Model
+from ident.model.structure import Effect, EffectKind, Model
 from ident.models.disturbances import for_diagnosis
 from ident.models.horizontal import horizontal_model
 from tests.ident.carriers import carrier
@@ -172,14 +172,15 @@ def test_the_driven_pendulum_against_an_independent_integration(frequency: float
 def test_generic_features_are_smooth_functions_of_single_variables_and_products() -> None:
     path = path_for(base_for(), n_rows=500)
     table = generic_features(path.model, path.own, path.x)
-    assert set(table) == {"u", "v", "r", "t", "n_sum", "n_diff", "psi", "u, r", "u, v", "v, r"}
+    single = {(name,) for name in ("u", "v", "r", "t", "n_sum", "n_diff", "psi")}
+    assert set(table) == single | {("u", "r"), ("u", "v"), ("v", "r")}
     z = variables(path.model, path.own, path.x)
     assert np.abs(z["psi"]).max() <= np.pi
     left, right = (path.own.u[:, path.own.inputs.index(n)] for n in ("n_left", "n_right"))
     np.testing.assert_allclose(z["n_sum"], (left + right) / 2)
     np.testing.assert_allclose(z["n_diff"], left - right)
-    np.testing.assert_allclose(table["psi"][:, 2], np.sin(2 * z["psi"]), atol=1e-12)
-    np.testing.assert_allclose(table["u, r"][:, 1], np.abs(z["u"]) * z["r"])
+    np.testing.assert_allclose(table[("psi",)][:, 2], np.sin(2 * z["psi"]), atol=1e-12)
+    np.testing.assert_allclose(table[("u", "r")][:, 1], np.abs(z["u"]) * z["r"])
     for feature in table.values():
         assert feature.shape[0] == 500
         assert np.linalg.matrix_rank(feature) == feature.shape[1]
@@ -198,8 +199,8 @@ def test_generic_columns_push_the_boat_along_one_force() -> None:
     table = generic_features(path.model, path.own, path.x)
     for force, state, mass in (("X", "u", p["m_u"]), ("Y", "v", p["m_v"]), ("N", "r", p["m_r"])):
         column = whole(path, found[f"{force}(u)"])
-        np.testing.assert_allclose(column[:, states.index(state)], table["u"] / mass, atol=1e-9)
-        assert found[f"{force}(u)"].generic
+        np.testing.assert_allclose(column[:, states.index(state)], table[("u",)] / mass, atol=1e-9)
+        assert found[f"{force}(u)"].kind is EffectKind.NONPARAMETRIC
         rest = [states.index(n) for n in ("u", "v", "r", "x", "y", "psi", "b_X", "b_Y", "b_N") if n != state]
         assert not column[:, rest].any()
 
@@ -209,7 +210,7 @@ def test_a_sensors_error_touches_its_reading_alone() -> None:
     n, outputs = len(path.model.states), [o.name for o in path.model.outputs]
     found = {c.name: c for c in path.generic()}
     column = whole(path, found["psi(psi)"])
-    z = generic_features(path.model, path.own, path.x)["psi"]
+    z = generic_features(path.model, path.own, path.x)[("psi",)]
     np.testing.assert_allclose(column[:, n + outputs.index("psi")], z, atol=1e-9)
     assert not np.delete(column, n + outputs.index("psi"), axis=1).any()
 

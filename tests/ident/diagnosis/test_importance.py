@@ -8,15 +8,16 @@ import pytest
 
 from ident.diagnosis.importance import by_importance
 from ident.diagnosis.results import EffectImportance, Refit
-from ident.model.structure import Effect
+from ident.model.structure import Effect, ForceCurve
+from tests.ident.unlisted import kind_of
 
 
 def chosen(name: str, **more: Any) -> Refit:
-    return Refit(Effect(name, name, {}, **more), cast(Any, None), 100.0, 1, 90.0, 50.0, 5.0)
+    return Refit(Effect(name, name, {}, **kind_of(name), **more), cast(Any, None), 100.0, 1, 90.0, 50.0, 5.0)
 
 
-HUMP = chosen("hump", one_of="X(u)")
-MOMENT = chosen("heading-moment", any_of="N(psi)")
+HUMP = chosen("hump", parametric_form_of=ForceCurve("X", "u"))
+MOMENT = chosen("heading-moment", nonparametric_of=ForceCurve("N", "psi"))
 
 
 @pytest.mark.parametrize(

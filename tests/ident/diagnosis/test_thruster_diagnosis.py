@@ -22,7 +22,7 @@ from ident.effects.nonparametric import nonparametric_effect
 from ident.effects.registry import catalogue
 from ident.engine.vectorised_model import VectorisedModel
 from ident.estimation.fitted_model import reset_collapsed_noise
-from ident.model.structure import Model
+from ident.model.structure import ForceCurve, Model
 from ident.models.catalogue import make_model
 from ident.models.disturbances import for_diagnosis, residuals_of, variables_of
 from ident.models.thruster import delayed_channels, thruster_model
@@ -60,7 +60,7 @@ def test_a_bench_model_says_what_may_be_unexplained() -> None:
 def test_residuals_enter_where_their_states_do() -> None:
     model = for_diagnosis(thruster_model(n_delays=9))
     for force, variable in (("F", "n"), ("n_dot", "slip")):
-        effect = nonparametric_effect(model, force, variable, (-1.0, 1.0))
+        effect = nonparametric_effect(model, ForceCurve(force, variable), (-1.0, 1.0))
         flat = {p.name: 0.25 for p in effect.parameters}  # a table of one value all along
         state = next(r.state for r in residuals_of(model) if r.name == force)
         table, moved = rates(model + effect, flat, 0.5, 0.6), rates(model, {}, 0.5, 0.6, **{state: 0.25})

@@ -22,9 +22,9 @@ def points(model: Model, n: int = 40) -> tuple[np.ndarray, np.ndarray]:
     x = RNG.normal(size=(n, len(model.states))) * 0.5
     u = RNG.uniform(-1, 1, size=(n, len(model.inputs)))
     names = [i.name for i in model.inputs]
-    for j, name in enumerate(names):
-        if "~" in name:
-            u[:, j] = u[:, names.index(name.partition("~")[0])]
+    for j, signal in enumerate(model.inputs):
+        if signal.tap:
+            u[:, j] = u[:, names.index(signal.tap_of)]
     return x, u
 
 

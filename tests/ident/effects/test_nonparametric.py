@@ -10,6 +10,7 @@ import pytest
 
 from ident.effects.nonparametric import N_KNOTS, between_knots, nonparametric_effect, shape, spline_basis
 from ident.engine.vectorised_model import VectorisedModel
+from ident.model.structure import ForceCurve
 from ident.models.disturbances import variables_of
 from ident.models.horizontal import horizontal_model
 
@@ -40,7 +41,7 @@ def test_the_hats_interpolate_between_knots() -> None:
 def forces(force: str, variable: str, coefficients: list[float], x: np.ndarray, u: np.ndarray) -> np.ndarray:
     """(n, 3): what a nonparametric effect adds to X, Y, N, from the rates of the horizontal model with and without."""
     base = horizontal_model()
-    effect = nonparametric_effect(base, force, variable, SPAN)
+    effect = nonparametric_effect(base, ForceCurve(force, *variable.split(", ")), SPAN)
     model = base + effect
     names = [p.name for p in effect.parameters]
     model = model.with_values(dict(zip(names, coefficients, strict=True)))
@@ -76,11 +77,11 @@ def test_an_unknown_effect_does_nothing_at_zero_and_says_what_it_is() -> None:
     rng = np.random.default_rng(2)
     x, u = rng.normal(size=(10, 6)), rng.uniform(-1, 1, (10, 3))
     assert not forces("X", "v", [0.0] * N_KNOTS, x, u).any()
-    effect = nonparametric_effect(horizontal_model(), "N", "u, r", SPAN)
+    effect = nonparametric_effect(horizontal_model(), ForceCurve("N", "u", "r"), SPAN)
     assert effect.name == "unknown N(u, r)"
     assert [p.name for p in effect.parameters] == ["N_ur_0", "N_ur_1", "N_ur_2"]
     assert {p.unit for p in effect.parameters} == {"N m"}
-    assert nonparametric_effect(horizontal_model(), "X", "t", SPAN).inputs[0].name == "t"
+    assert nonparametric_effect(horizontal_model(), ForceCurve("X", "t"), SPAN).inputs[0].name == "t"
 
 
 @pytest.mark.parametrize(
@@ -96,12 +97,12 @@ def test_variables_are_read_where_they_stand(name: str, wanted: float) -> None:
 
 def test_what_a_model_has_not_cannot_be_unknown() -> None:
     with pytest.raises(ValueError, match="no 'F' for a nonparametric curve; it has X, Y, N"):
-        nonparametric_effect(horizontal_model(), "F", "u", SPAN)
+        nonparametric_effect(horizontal_model(), ForceCurve("F", "u"), SPAN)
 
 
 @pytest.mark.parametrize("variable", ["u", "psi"])
 def test_the_curve_is_centred_and_its_band_comes_from_the_covariance(variable: str) -> None:
-    effect = nonparametric_effect(horizontal_model(), "X", variable, SPAN)
+    effect = nonparametric_effect(horizontal_model(), ForceCurve("X", variable), SPAN)
     names = ["d_u", *(p.name for p in effect.parameters)]
     rng = np.random.default_rng(3)
     root = 0.2 * rng.normal(size=(len(names), len(names)))
@@ -133,6 +134,6 @@ def test_a_smooth_curve_stays_near_the_lines_between_its_knots() -> None:
 
 
 def test_products_have_no_curve() -> None:
-    effect = nonparametric_effect(horizontal_model(), "X", "u, r", SPAN)
+    effect = nonparametric_effect(horizontal_model(), ForceCurve("X", "u", "r"), SPAN)
     names = [p.name for p in effect.parameters]
     assert shape(horizontal_model(), effect, dict.fromkeys(names, 1.0), names, np.eye(3)) is None

@@ -106,7 +106,7 @@ def test_what_cannot_be_tested_is_said() -> None:
     single = fit(pushed(), data[:1])
     with pytest.raises(SeatrialError, match="it takes two logs"):
         homogeneity_test(single, data[:1], "m")
-    fixed = replace(one, names=tuple(n for n in one.names if n != "m"))
+    fixed = replace(one, parameters=tuple(p for p in one.parameters if p.name != "m"))
     with pytest.raises(SeatrialError, match="no free parameter"):
         homogeneity_test(fixed, data, "m")
 

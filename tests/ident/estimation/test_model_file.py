@@ -12,13 +12,13 @@ import tomlkit
 
 from daq.errors import SeatrialError
 from ident.data.record import build_record
-from ident.effects.nonparametric import nonparametric_effect
+from ident.effects.nonparametric import input_response_effects, nonparametric_effect
 from ident.effects.registry import catalogue
 from ident.engine.vectorised_model import VectorisedModel
 from ident.estimation.maximum_likelihood import Fit, fit
 from ident.estimation.model_file import load_model, save_model
 from ident.estimation.options import SearchSettings
-from ident.model.structure import Model
+from ident.model.structure import ForceCurve, Model
 from ident.models.catalogue import make_model
 from ident.models.disturbances import for_diagnosis
 from ident.models.horizontal import horizontal_model
@@ -41,7 +41,7 @@ def found() -> Fit:
 def with_model(found: Fit, model: Model) -> Fit:
     """As if nothing had been estimated: the values are those of the model."""
     none, square = np.zeros(0), np.zeros((0, 0))
-    return replace(found, model=model, names=(), values=none, errors=none, correlation=square, flags=())
+    return replace(found, model=model, parameters=(), values=none, errors=none, correlation=square, flags=())
 
 
 def saved(path: Path, found: Fit, **extra: object) -> Path:
@@ -90,7 +90,7 @@ def test_effects_come_back_with_their_values(tmp_path: Path, found: Fit, propuls
 
 @pytest.mark.parametrize("variable", ["u", "psi", "u, r", "n_diff", "t"])
 def test_unknown_tables_come_back_with_their_span(tmp_path: Path, found: Fit, variable: str) -> None:
-    effect = nonparametric_effect(horizontal_model(), "X", variable, SPAN)
+    effect = nonparametric_effect(horizontal_model(), ForceCurve("X", *variable.split(", ")), SPAN)
     model = horizontal_model() + effect
     model = model.with_values({p.name: 0.3 * (k + 1) for k, p in enumerate(effect.parameters)})
     path = saved(tmp_path / "model.toml", with_model(found, model))
@@ -100,6 +100,16 @@ def test_unknown_tables_come_back_with_their_span(tmp_path: Path, found: Fit, va
     again = load_model(saved(tmp_path / "again.toml", with_model(found, back))).model  # by a command that only refits
     np.testing.assert_allclose(rates(again), rates(model), rtol=1e-12)
     assert back.effects[0].parameters[0].prior == effect.parameters[0].prior
+    assert (back.effects[0].kind, back.effects[0].curve) == (effect.kind, effect.curve)
+
+
+def test_responses_to_inputs_come_back(tmp_path: Path, found: Fit) -> None:
+    for effect in input_response_effects(horizontal_model()):
+        model = horizontal_model() + effect
+        model = model.with_values({p.name: 0.3 for p in effect.parameters if p.transform == "none"})
+        back = load_model(saved(tmp_path / "model.toml", with_model(found, model))).model
+        assert [(e.name, e.kind, e.curve) for e in back.effects] == [(effect.name, effect.kind, effect.curve)]
+        assert back.values == pytest.approx(model.values)
 
 
 def test_a_model_of_ones_own_comes_back(tmp_path: Path, found: Fit) -> None:

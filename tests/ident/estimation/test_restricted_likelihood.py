@@ -8,7 +8,6 @@ import pytest
 from ident.data.record import Record
 from ident.estimation.maximum_likelihood import fit
 from ident.estimation.options import EstimationOptions, SearchSettings
-from ident.estimation.restricted_likelihood import noise_names
 from ident.estimation.stochastic_simulation import simulate_stochastic
 from ident.model.parameter import Parameter
 from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
@@ -50,17 +49,17 @@ def test_dynamics_that_are_known_take_nothing() -> None:
     known = lines().with_free(["e"])
     plain, found = (fit(known, [sample(20)], EstimationOptions(reml=r)) for r in (False, True))
     np.testing.assert_array_equal(found.values, plain.values)
-    assert noise_names(turning()) >= {"q", "e_psi", "e_r"}
-    assert not noise_names(turning()) & {"m", "d", "dd", "bias"}
+    assert turning().noise_parameters >= {"q", "e_psi", "e_r"}
+    assert not turning().noise_parameters & {"m", "d", "dd", "bias"}
 
 
 def test_the_memory_of_a_disturbance_belongs_to_the_noise() -> None:
-    found = noise_names(thruster_model(n_delays=9))
+    found = thruster_model(n_delays=9).noise_parameters
     assert {"tau_f", "q_f", "s_n", "e_n", "e_f"} <= found
     assert not found & {"a", "tau", "c1", "c2", "bias"}
     full = for_diagnosis(horizontal_model())
-    assert {"tau_b", "q_X", "q_Y", "q_N"} <= noise_names(full)
-    assert not noise_names(full) & {"m_u", "d_u", "d_uu", "m_v", "d_v", "m_r", "d_r", "d_rr", "V_x", "V_y"}
+    assert {"tau_b", "q_X", "q_Y", "q_N"} <= full.noise_parameters
+    assert not full.noise_parameters & {"m_u", "d_u", "d_uu", "m_v", "d_v", "m_r", "d_r", "d_rr", "V_x", "V_y"}
 
 
 def test_one_step_leads_to_the_top_of_the_restricted_likelihood() -> None:
@@ -71,7 +70,7 @@ def test_one_step_leads_to_the_top_of_the_restricted_likelihood() -> None:
     assert found.gradient_norm < 0.03
     assert found.estimate("q")[0] > plain.estimate("q")[0]
     moved = np.abs(found.values - plain.values) / plain.errors
-    dynamics = [not noise_names(turning()) & {n} for n in plain.names]
+    dynamics = [not turning().noise_parameters & {n} for n in plain.names]
     assert moved[dynamics].max() < 0.05
     again = fit(turning().with_free(FREE), records, EstimationOptions(reml=True), start={"m": 15.0, "q": 0.1})
     np.testing.assert_allclose(again.values, found.values, rtol=1e-4)

@@ -1,0 +1,19 @@
+"""Effects that no catalogue lists, by their display names."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from ident.model.structure import EffectKind, ForceCurve
+
+KINDS = {"": EffectKind.NONPARAMETRIC, "past of ": EffectKind.LAGGED, "swing after ": EffectKind.RESONANT}
+
+
+def kind_of(name: str) -> dict[str, Any]:
+    """Kind and curve of ``X(u)``, ``unknown N(u, r)`` or ``X(past of n_sum)``; none of a name in a catalogue."""
+    found = re.fullmatch(r"(?:unknown )?(\w+)\((past of |swing after |)(\w+)(?:, (\w+))?\)", name)
+    if found is None:
+        return {}
+    force, way, variable, second = found.groups()
+    return {"kind": KINDS[way], "curve": ForceCurve(force, variable, second or "")}
