@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.status import Status
 
+    from ident.results import Json, Result
+
 # All matrices here are small: threads of the linear algebra library would only wait for each other. Before numpy.
 for _library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
@@ -170,7 +172,7 @@ class LiveLine:
         self.console.print(f"  {text}")
 
 
-def run(work: Callable[[Reporter], dict[str, Any]], out: Path) -> None:
+def run(work: Callable[[Reporter], Result | Json], out: Path) -> None:
     """Do the work with a live line of what it is doing; then show the result and where it is."""
     from rich.console import Console
 

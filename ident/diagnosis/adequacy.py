@@ -47,9 +47,8 @@ def assess_alternatives(
         if one.chosen is None:
             continue
         if one.chosen.unknown:
-            found.append(
-                EffectAttribution(one.chosen.effect.name, "unknown", (), tuple(q.effect.name for q in _close(one)))
-            )
+            close = tuple(q.effect.name for q in _close(one))
+            found.append(EffectAttribution(one.chosen.effect.name, "nonparametric", (), close))
             continue
         reasons = [*_left(rest, n), *_many(left), *_kin(one.chosen.effect, left, len(chosen)), *_tables(chosen, one)]
         reasons += [*_form(chosen, one.chosen), *_rivals(one)]
@@ -57,7 +56,7 @@ def assess_alternatives(
         rivals = [q.effect.name for q in _close(one)]
         rivals += [name for name in one.chosen.effect.rivals if name in untested and name not in rivals]
         name = one.chosen.effect.name
-        found.append(EffectAttribution(name, "resembles" if reasons else "named", tuple(reasons), tuple(rivals)))
+        found.append(EffectAttribution(name, "ambiguous" if reasons else "identified", tuple(reasons), tuple(rivals)))
     return tuple(found)
 
 
@@ -181,6 +180,6 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
             lines.append(f"To tell {effect.title} from {titles[rival]}: {effect.experiment}.")
             if "hull" in diagnosis.before.model.provides and not one.chosen.unknown:
                 lines.append(f"`seatrial mission design MODEL --discriminate {effect.name},{rival}` makes the mission.")
-        if judged is not None and judged.certainty == "resembles" and not rivals:
+        if judged is not None and judged.attribution == "ambiguous" and not rivals:
             lines.append(f"To see whether it is {effect.title}: {effect.experiment}.")
     return " ".join(lines) or None

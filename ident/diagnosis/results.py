@@ -11,7 +11,7 @@ from ident.estimation import FittedModel
 from ident.model import Effect
 
 T_VALIDATION = 2.0
-Attribution = Literal["named", "resembles", "unknown"]
+Attribution = Literal["identified", "ambiguous", "nonparametric"]
 
 
 @dataclass(frozen=True)
@@ -53,13 +53,13 @@ class Round:
 class EffectAttribution:
     """How sure the name of an added effect is.
 
-    named: it explains what was missing, and nothing else does. resembles: it explains much of it, but something is
+    identified: it explains what was missing, and nothing else does. ambiguous: it explains much of it, but something is
     left that it should have explained, or another explains it about as well (``reasons``, for people). ``rivals``:
-    names that the data do not exclude, closest first. unknown: no name, a table.
+    names that the data do not exclude, closest first. nonparametric: no name, a table.
     """
 
     effect: str
-    certainty: Attribution
+    attribution: Attribution
     reasons: tuple[str, ...] = ()
     rivals: tuple[str, ...] = ()
 
@@ -99,4 +99,4 @@ class Diagnosis:
     @property
     def sure(self) -> bool:
         """Every effect that was added is named without doubt."""
-        return all(j.certainty == "named" for j in self.judgements)
+        return all(j.attribution == "identified" for j in self.judgements)

@@ -263,7 +263,7 @@ def _shapes(
     table in its place."""
     found, current = [], before
     chosen = [r for r in rounds if r.chosen is not None]
-    first = next((j.effect for j in judgements if j.certainty == "resembles"), None)
+    first = next((j.effect for j in judgements if j.attribution == "ambiguous"), None)
     for one, r in ((one, one.chosen) for one in chosen if one.chosen is not None):
         if r.unknown:
             found.append(_drawn(r.effect, r.stage))

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ident.numerics import Array
+from ident.report.record_tabs import ROLES, RecordTab
 
 Row = Mapping[str, Any]
-ROLES = ("validation", "estimation")  # the order of showing: what was not fitted convinces more
 
 
 def group(owner: Row, key: str) -> Row:
@@ -84,19 +83,6 @@ def along(owner: Row, base: str, *keys: str) -> tuple[Array, list[Array | None]]
     found = [array(owner, key) for key in keys]
     same = [a if a is not None and a.size == x.size else None for a in found]
     return (x, same) if any(a is not None for a in same) else None
-
-
-@dataclass(frozen=True)
-class RecordTab:
-    """One record as the page shows it: a tab."""
-
-    name: str
-    role: str
-
-    @property
-    def title(self) -> str:
-        """What stands on the tab."""
-        return " · ".join(dict.fromkeys(part for part in (self.role, self.name) if part)) or "record"
 
 
 def takes(result: Row, key: str) -> list[RecordTab]:

@@ -62,6 +62,11 @@ class Budget:
         return cls(int(np.clip(total / max(n_traces, 1), 200, 3000)))
 
 
+def drawable(y: Array | None) -> Array | None:
+    """None where there is not one finite number."""
+    return y if y is not None and np.isfinite(y).any() else None
+
+
 def thinned(y: Array, limit: int) -> Index:
     """Indices of at most ``limit`` points that keep the smallest and the largest of every stretch."""
     n = y.size

@@ -179,3 +179,8 @@ def duration(seconds: float | None) -> str:
     hours, minutes = divmod(minutes, 60)
     parts = ((hours, "h"), (minutes, "min"), (rest, "s"))
     return " ".join(f"{n} {unit}" for n, unit in parts if n) or f"{seconds:.1f} s"
+
+
+def scaled(factor: float, *values: float | None) -> list[float | None]:
+    """Numbers in another unit; None stays so."""
+    return [None if value is None else factor * value for value in values]

@@ -14,12 +14,14 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from ident.report import formatting, sections
-from ident.report.access import rows, text
+from ident.report.access import Row, rows, text
 from ident.report.blocks import Canvas, Section
 from ident.report.drawing import TEMPLATE, Budget, Figure
+from ident.results import Result
 
 KINDS = {
     "thruster": "Thruster identification",
+    "thrust_curve": "Thruster identification",
     "vehicle": "Vehicle identification",
     "diagnosis": "Diagnosis",
     "noise": "Sensor noise",
@@ -28,26 +30,27 @@ KINDS = {
 }
 
 
-def write_report(result: Mapping[str, Any], path: Path) -> None:
-    """Write ``result`` (the content of result.json) as one HTML page that opens without a network.
+def write_report(result: Result | Row, path: Path) -> None:
+    """Write a result as one HTML page that opens without a network.
 
     Sections without data are left out. Raises OSError where ``path`` cannot be written.
     """
     path.write_text(render(result), encoding="utf-8", newline="\n")
 
 
-def render(result: Mapping[str, Any]) -> str:
+def render(result: Result | Row) -> str:
     """The page's text."""
-    canvas = Canvas(result, Budget.for_traces(_count_traces(result)))
-    opening, body = sections.opening(canvas), sections.body(canvas)
+    canvas = Canvas({} if isinstance(result, Result) else result, Budget.for_traces(_count_traces(result)))
+    opening, body = sections.opening(result), sections.body(canvas, result)
+    kind = str(type(result).__struct_config__.tag) if isinstance(result, Result) else text(result, "kind")
     return compose(
-        KINDS.get(text(result, "kind"), "Report"),
-        text(result, "answer"),
+        KINDS.get(kind, "Report"),
+        result.answer if isinstance(result, Result) else text(result, "answer"),
         opening,
         body,
         canvas.figures,
-        version=text(result, "seatrial"),
-        created=text(result, "created"),
+        version=result.seatrial if isinstance(result, Result) else text(result, "seatrial"),
+        created=result.created if isinstance(result, Result) else text(result, "created"),
     )
 
 
@@ -92,9 +95,11 @@ def _environment() -> Environment:
     )
 
 
-def _count_traces(result: Mapping[str, Any]) -> int:
+def _count_traces(result: Result | Row) -> int:
     """About how many long traces the page will hold."""
     weights = {"traces": 4, "track": 3, "inputs": 1, "residuals": 2, "residual_forces": 4, "noise": 2, "navigation": 40}
+    if isinstance(result, Result):
+        return sum(weight * len(getattr(result, key, ())) for key, weight in weights.items())
     return sum(weight * len(rows(result, key)) for key, weight in weights.items())
 
 

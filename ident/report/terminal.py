@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Sequence
 
 from rich import box
 from rich.console import Console
@@ -13,31 +12,60 @@ from rich.table import Table
 from rich.text import Text
 
 from ident.report import formatting
-from ident.report.access import ROLES, Row, array, flag, group, number, rows, text, texts
-from ident.report.sections.errors import horizons
+from ident.report.access import Row, array, flag, group, number, rows, text, texts
+from ident.report.sections.errors import by_role, horizons
 from ident.report.sections.information import place
 from ident.report.sections.profiles import interval
-from ident.report.sections.search import threshold
+from ident.results import (
+    DiagnosisResult,
+    EffectParameter,
+    EffectRow,
+    ErrorComparison,
+    Errors,
+    FitResult,
+    FitSummary,
+    ParameterRow,
+    ProfileCurve,
+    Result,
+    Round,
+    ThrusterResult,
+    VehicleResult,
+)
 
 MOST_PARAMETERS, MOST_CANDIDATES, MOST_CHANNELS, MOST_OUTAGES, MOST_STRETCHES = 9, 6, 8, 8, 24
 MOST_NOISES = 12
 EVEN = 1.05  # a standard error that grows by less without a stretch does not hang on it
 
 
-def print_result(result: Mapping[str, Any], console: Console) -> None:
+def print_result(result: Result | Row, console: Console) -> None:
     """Print the answer, the parameters, the ranked candidates, and the error before and after."""
     console.print()
-    console.print(Padding(Text(text(result, "answer"), style="bold"), (0, 1)))
-    if text(result, "doubt"):
-        console.print(Padding(Text(text(result, "doubt"), style="yellow"), (0, 1)))
-    for line in texts(result, "cautions"):
-        console.print(Padding(Text(f"⚠ {line}", style="yellow"), (0, 1)))
-    tables = (_parameters, _profiles, _noise, _known, _stretches, _outages, _candidates, _errors)
-    for table in (make(result) for make in tables):
+    if isinstance(result, Result):
+        answer, warnings, tables = result.answer, list(result.warnings), _tables(result)
+        caveat = result.caveat if isinstance(result, DiagnosisResult) else None
+    else:
+        answer, warnings, caveat = text(result, "answer"), texts(result, "cautions"), None
+        tables = [make(result) for make in (_noise, _known, _stretches, _outages)]
+    console.print(Padding(Text(answer, style="bold"), (0, 1)))
+    for line in (*([caveat] if caveat else []), *(f"⚠ {line}" for line in warnings)):
+        console.print(Padding(Text(line, style="yellow"), (0, 1)))
+    for table in tables:
         if table is not None:
             console.print()
             console.print(Padding(table, (0, 0, 0, 1)))
     console.print()
+
+
+def _tables(result: Result) -> list[Table | None]:
+    if not isinstance(result, FitResult):
+        return []
+    diagnosis = result if isinstance(result, DiagnosisResult) else None
+    return [
+        _parameters(result.fit, diagnosis.effects if diagnosis else ()),
+        _profiles(result.profiles if isinstance(result, VehicleResult | ThrusterResult) else ()),
+        _candidates(diagnosis.rounds if diagnosis else ()),
+        _errors(result.errors, result.horizon_seconds),
+    ]
 
 
 def _table(title: str) -> Table:
@@ -51,16 +79,12 @@ def _scaled(row: Row, *keys: str) -> tuple[list[float | None], str]:
     return [None if v is None else factor * v for v in values], unit
 
 
-def _parameters(result: Row) -> Table | None:
+def _parameters(fit: FitSummary, added: Sequence[EffectRow]) -> Table | None:
     """The effects' parameters first, then those of the dynamics; noise and fixed ones are for the report."""
-    effects = [row for effect in rows(result, "effects") for row in rows(effect, "parameters")]
-    own = {text(row, "name") for row in effects}
-    fitted = [
-        row
-        for row in rows(group(result, "fit"), "parameters")
-        if flag(row, "free") is not False and text(row, "name") not in own and "noise" not in text(row, "meaning")
-    ]
-    found = effects + fitted
+    effects = [row for effect in added for row in effect.parameters]
+    own = {row.name for row in effects}
+    fitted = [row for row in fit.parameters if row.free and row.name not in own and "noise" not in row.meaning]
+    found: list[EffectParameter | ParameterRow] = [*effects, *fitted]
     if not found:
         return None
     shown = found[:MOST_PARAMETERS]
@@ -71,16 +95,17 @@ def _parameters(result: Row) -> Table | None:
     table.add_column("", no_wrap=True)
     table.add_column("", style="dim", overflow="fold")  # a flag may be a sentence: it wraps, the numbers do not
     for row in shown:
-        (value, se), unit = _scaled(row, "value", "se")
-        name = Text(text(row, "name"), style="bold green" if text(row, "name") in own else "bold")
-        words = f"⚠ {text(row, 'flag')}" if text(row, "flag") else text(row, "meaning")
+        factor, unit = formatting.degrees_for(row.unit)
+        value, se = formatting.scaled(factor, row.value, row.se)
+        name = Text(row.name, style="bold green" if row.name in own else "bold")
+        flag = row.flag if isinstance(row, ParameterRow) else None
+        words = f"⚠ {flag}" if flag else row.meaning
         table.add_row(name, Text(formatting.with_error(value, se)), Text(unit), Text(words))
     return table
 
 
-def _profiles(result: Row) -> Table | None:
+def _profiles(found: Sequence[ProfileCurve]) -> Table | None:
     """The intervals that were asked for; the curves are for the report."""
-    found = rows(result, "profiles")
     if not found:
         return None
     table = _table("Profile likelihood")
@@ -90,9 +115,12 @@ def _profiles(result: Row) -> Table | None:
     table.add_column("", no_wrap=True)
     table.add_column("", style="dim", overflow="fold")
     for row in found:
-        (value, *ends), unit = _scaled(row, "value", "low", "high", "wald_low", "wald_high")
-        spans = [interval(*pair) for pair in (ends[:2], ends[2:])]
-        words = [text(row, "name"), formatting.plain(value), *spans, unit, "; ".join(texts(row, "notes"))]
+        factor, unit = formatting.degrees_for(row.unit)
+        spans = [
+            interval(*formatting.scaled(factor, *ends))
+            for ends in ((row.low, row.high), (row.wald_low, row.wald_high))
+        ]
+        words = [row.name, formatting.plain(factor * row.value), *spans, unit, "; ".join(row.notes)]
         table.add_row(*(Text(word) for word in words))
     return table
 
@@ -188,56 +216,50 @@ def _times(weight: float | None) -> str:
     return "all" if math.isinf(weight) else "·" if weight < EVEN else formatting.plain(weight, 2)
 
 
-def _candidates(result: Row) -> Table | None:
-    found = [row for row in rows(result, "rounds") if rows(row, "candidates")]
+def _candidates(rounds: Sequence[Round]) -> Table | None:
+    found = [row for row in rounds if row.candidates]
     if not found:
         return None
-    every = rows(found[0], "candidates")
-    chosen = [text(row, "chosen") for row in found if text(row, "chosen")]
+    every = found[0].candidates
+    chosen = [row.chosen for row in found if row.chosen]
     table = _table(f"Candidates, first round ({min(len(every), MOST_CANDIDATES)} of {len(every)})")
     table.add_column("", no_wrap=True)
     table.add_column("", no_wrap=True, overflow="ellipsis", max_width=38)
     for title in ("score", "threshold", "p by blocks"):
         table.add_column(title, justify="right", no_wrap=True)
     for row in every[:MOST_CANDIDATES]:
-        won, passed = text(row, "name") in chosen, flag(row, "passed") is True
-        style = "bold green" if won else "" if passed else "dim"
+        won = row.name in chosen
+        style = "bold green" if won else "" if row.passed else "dim"
         numbers = (
-            formatting.plain(number(row, "lm")),
-            formatting.plain(threshold(row, len(every))),
-            formatting.probability(number(row, "p_block")),
+            formatting.plain(row.lm), formatting.plain(row.threshold), formatting.probability(row.p_block)
         )
-        mark = "✓" if won else "·" if passed else " "
-        words = (mark, text(row, "title") or text(row, "name"), *numbers)
-        table.add_row(*(Text(part) for part in words), style=style)
+        mark = "✓" if won else "·" if row.passed else " "
+        table.add_row(*(Text(part) for part in (mark, row.title or row.name, *numbers)), style=style)
     return table
 
 
-def _errors(result: Row) -> Table | None:
-    both = group(result, "before_after")
-    role = next((role for role in ROLES if group(both, role)), None)
-    if role is None:
-        return None
-    data = group(both, role)
-    kinds = [(title, group(data, key)) for key, title in horizons(result) if group(data, key)]
-    channels = list(dict.fromkeys(str(name) for _, table in kinds for name in table))[:MOST_CHANNELS]
+def _errors(errors: Errors, seconds: float) -> Table | None:
+    role, data = by_role(errors.validation, errors.estimation)[0]
+    kinds = [(title, table) for title, table in horizons(data, seconds) if table]
+    channels = list(dict.fromkeys(name for _, table in kinds for name in table))[:MOST_CHANNELS]
     if not channels:
         return None
-    compared = any(number(group(t, c), "before") is not None for _, t in kinds for c in channels)
+    compared = any(table[c].before is not None for _, table in kinds for c in channels if c in table)
     table = _table(f"Error before → after, {role} data" if compared else f"Prediction error (rms), {role} data")
     table.add_column("", no_wrap=True)
     table.add_column("", no_wrap=True, style="dim")
     for title, _ in kinds:
         table.add_column(title.lower(), justify="right", no_wrap=True)
     for channel in channels:
-        found = [group(table_, channel) for _, table_ in kinds]
-        unit = next((_scaled(row)[1] for row in found if text(row, "unit")), "")
+        found = [rows_.get(channel) for _, rows_ in kinds]
+        unit = next(formatting.degrees_for(row.unit)[1] for row in found if row is not None)
         table.add_row(Text(channel, style="bold"), Text(unit), *(_step(row) for row in found))
     return table
 
 
-def _step(row: Row) -> Text:
-    (before, after), _ = _scaled(row, "before", "after")
+def _step(row: ErrorComparison | None) -> Text:
+    factor = 1.0 if row is None else formatting.degrees_for(row.unit)[0]
+    before, after = (None, None) if row is None else formatting.scaled(factor, row.before, row.after)
     if before is None or after is None:
         return Text(formatting.plain(after))
     color = "green" if after < 0.98 * before else "red" if after > 1.02 * before else ""

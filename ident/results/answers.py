@@ -5,6 +5,7 @@ What must be said before an estimate is read: that the fit stopped short, that a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,7 +13,8 @@ import numpy as np
 from ident.characterisation import Curve, Levels, Quadratic
 from ident.data import Record
 from ident.estimation import Fit, HomogeneityTest
-from ident.results.content import FEWEST, Json
+from ident.results.parts import Calibrations, CrossCorrelation, Errors, ResidualTests
+from ident.validation import FEWEST
 
 WORDS = {
     "x": "position",
@@ -28,34 +30,44 @@ MEASURED = {"phi", "theta", "psi", "p", "q", "r"}  # inputs that are a sensor's 
 FEWEST_SAMPLES = 10  # samples that are all the same before a sensor is called stuck
 
 
-def vehicle_answer(result: Json, *, searchable: bool) -> str:
-    """The error over the horizon, and what the residuals know. ``searchable``: `ident diagnose` can search further."""
-    roles = result["before_after"]
-    role = "validation" if "validation" in roles else "estimation"
-    rows = roles[role]["ten_seconds"]
-    words = {n: w for n, w in WORDS.items() if n in rows} or {n: n for n in rows}
+def vehicle_answer(
+    errors: Errors,
+    horizon: float,
+    residuals: Sequence[ResidualTests],
+    cross: Sequence[CrossCorrelation],
+    *,
+    searchable: bool,
+) -> str:
+    """The error over the horizon [s], and what the residuals know. ``searchable``: `ident diagnose` can search
+    further."""
+    role, table = ("estimation", errors.estimation) if errors.validation is None else ("validation", errors.validation)
+    words = {n: w for n, w in WORDS.items() if n in table.horizon} or {n: n for n in table.horizon}
     said = []
     for name, word in words.items():
-        degrees = rows[name]["unit"].startswith("rad")
-        value, unit = rows[name]["after"], rows[name]["unit"].replace("rad", "deg")
+        row = table.horizon[name]
+        value = math.inf if row.after is None else row.after
+        degrees, unit = row.unit.startswith("rad"), row.unit.replace("rad", "deg")
         said.append(f"{word} {value * 180 / np.pi if degrees else value:.2g} {unit}".rstrip())
-    horizon = SPELLED.get(result["horizon"], f"{result['horizon']:g} s")
-    ahead = f"{horizon} ahead on {role} data the model errs by {', '.join(said)} (rms). " if said else ""
-    return f"{ahead}{_residuals(result, searchable)}"
+    far = SPELLED.get(horizon, f"{horizon:g} s")
+    ahead = f"{far} ahead on {role} data the model errs by {', '.join(said)} (rms). " if said else ""
+    return f"{ahead}{_residuals(errors, residuals, cross, searchable)}"
 
 
-def _residuals(result: Json, searchable: bool) -> str:
+def _residuals(
+    errors: Errors, residuals: Sequence[ResidualTests], cross: Sequence[CrossCorrelation], searchable: bool
+) -> str:
     """Each at 1 % over all channels, tests and inputs together (Bonferroni)."""
-    tests = [p for r in result["residuals"] for p in (r["ljung_box_p"], r["periodogram_p"])]
-    cross = [(c["p"], c["input"]) for c in result["cross"] if c["p"] is not None]
-    known = {name for p, name in cross if p * len(cross) < LEVEL}
+    tests = [p for r in residuals for p in (r.ljung_box_p, r.periodogram_p)]
+    pairs = [(c.p, c.input) for c in cross if c.p is not None]
+    known = {name for p, name in pairs if p * len(pairs) < LEVEL}
     coloured = any(p is not None and p * len(tests) < LEVEL for p in tests)
     if not tests:
         least = f"that takes {FEWEST} samples of a channel"
         return f"Too little was measured to tell whether the residuals are white: {least}."
     if not known and not coloured:
         hidden = "; whether the unexplained forces hide an effect, `seatrial ident diagnose` tells"
-        return f"The residuals are white and know nothing of the inputs{hidden if searchable else ''}{_unseen(result)}."
+        unseen = _unseen(errors, residuals)
+        return f"The residuals are white and know nothing of the inputs{hidden if searchable else ''}{unseen}."
     if known and known <= MEASURED:
         named = " and ".join(sorted(known))
         return (
@@ -67,11 +79,30 @@ def _residuals(result: Json, searchable: bool) -> str:
     return f"{end}{how}."
 
 
-def _unseen(result: Json) -> str:
+def _unseen(errors: Errors, residuals: Sequence[ResidualTests]) -> str:
     """Channels of the estimation data with too few samples to say so."""
-    seen = {r["channel"] for r in result["residuals"]}
-    left = [n for n in result["before_after"].get("estimation", {}).get("one_step", {}) if n not in seen]
+    seen = {r.channel for r in residuals}
+    left = [n for n in errors.estimation.one_step if n not in seen]
     return f" (of {', '.join(left)} there are too few to tell)" if left else ""
+
+
+def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
+    """A line for each kind of prediction whose bands are wrong, on data that the fit has not seen where there are some;
+    ``horizon``: s."""
+    role, table = ("validation", calibration.validation)
+    if table is None:
+        role, table = "estimation", calibration.estimation
+    kinds = (
+        ("one step ahead", table.one_step), (f"{horizon:g} s ahead", table.horizon), ("free-running", table.free_run)
+    )
+    notes = []
+    for verdict, what in (("overconfident", "larger"), ("underconfident", "smaller")):
+        for words, channels in kinds:
+            wrong = [f"{n} {c.scale:.2g}" for n, c in channels.items() if c.verdict == verdict and c.scale is not None]
+            if wrong:
+                notes.append(f"On {role} data, {words}, errors are {what} than the model says, by these factors: "
+                             f"{', '.join(wrong)}.")
+    return notes
 
 
 def estimation_warnings(fit: Fit, records: Sequence[Record]) -> list[str]:

@@ -9,56 +9,24 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from daq.errors import SeatrialError
+from ident.numerics import Array
+from ident.results.parts import DiagnosisResult, Part, ThrustCurveResult, ThrusterResult, VehicleResult
 
-FORMAT = "seatrial-result 2"
 DIGITS = 7  # significant, of a number in a file
+EXACT = 22  # powers of ten are exact up to there
 
-
-class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A table of a result: immutable, fields by keyword (subclasses say ``frozen=True`` again, for mypy).
-
-    Array fields are annotated ``ident.numerics.Array`` (float64, time along the first axis); a number that may not
-    exist is ``float | None``.
-    """
-
-
-class LogSummary(Part, frozen=True):
-    """A log that a result was made from.
-
-    ``role``: estimation, validation, navigated or judged; ``duration`` [s]; ``rig`` and ``mission``: their names.
-    """
-
-    path: str
-    sha256: str
-    role: str
-    name: str
-    duration: float
-    rig: str | None = None
-    mission: str | None = None
-    warnings: tuple[str, ...] = ()
-
-
-class Provenance(Part, frozen=True):
-    """Where a result comes from: UTC time (ISO 8601), version of seatrial, the command line, the logs."""
-
-    created: str
-    seatrial: str
-    command: str
-    logs: tuple[LogSummary, ...] = ()
-
-
-R = TypeVar("R", bound=Part)
+AnyResult = VehicleResult | ThrusterResult | ThrustCurveResult | DiagnosisResult
 
 
 def to_json(result: Part) -> bytes:
     """A result as JSON; UTF-8."""
-    return msgspec.json.encode(_rounded(msgspec.to_builtins(result, enc_hook=_encode)))
+    return msgspec.json.encode(_plain(result))
 
 
 def write_result(result: Part, path: Path) -> None:
@@ -69,20 +37,19 @@ def write_result(result: Part, path: Path) -> None:
         raise SeatrialError(f"{path}: {problem.strerror}; the result was not saved") from problem
 
 
-def read_result(path: Path, kind: type[R]) -> R:
-    """Read a result of a kind. Raises SeatrialError with the path of the key that is missing, misspelt or mistyped."""
+def from_json(content: bytes) -> AnyResult:
+    """The inverse of ``to_json``, by the key ``kind``. Raises msgspec.DecodeError with the path of the key that is
+    missing, misspelt or mistyped."""
+    found: AnyResult = msgspec.json.decode(content, type=AnyResult, dec_hook=_decode)
+    return found
+
+
+def read_result(path: Path) -> AnyResult:
+    """Read a result. Raises SeatrialError with the path of the key that is missing, misspelt or mistyped."""
     try:
-        return msgspec.json.decode(path.read_bytes(), type=kind, dec_hook=_decode)
+        return from_json(path.read_bytes())
     except (msgspec.DecodeError, OSError) as problem:
         raise SeatrialError(f"{path}: {problem}") from problem
-
-
-def _encode(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, np.generic):
-        return value.item()
-    raise NotImplementedError(f"a result cannot hold {type(value).__name__}")
 
 
 def _decode(kind: Any, value: Any) -> Any:
@@ -92,12 +59,35 @@ def _decode(kind: Any, value: Any) -> Any:
     return np.array(value, dtype=np.float64)
 
 
-def _rounded(value: Any) -> Any:
-    """Numbers to so many significant digits; NaN and infinity to None."""
+def _plain(value: Any) -> Any:
+    """What JSON has: parts as objects, arrays as lists; numbers to so many significant digits, NaN and infinity as
+    None."""
+    if isinstance(value, Part):
+        config = type(value).__struct_config__
+        kind = {} if config.tag is None else {str(config.tag_field): config.tag}
+        return kind | {name: _plain(getattr(value, name)) for name in value.__struct_fields__}
+    if isinstance(value, np.ndarray):
+        return _rounded(value)
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.generic):
+        value = value.item()
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
-    if isinstance(value, list):
-        return [_rounded(v) for v in value]
-    if isinstance(value, dict):
-        return {k: _rounded(v) for k, v in value.items()}
     return value
+
+
+def _rounded(value: Array) -> Any:
+    """As ``_plain``, all at once: traces are a million numbers."""
+    finite = np.isfinite(value)
+    exact = np.where(finite, value, 0.0).astype(np.float64)
+    digits = DIGITS - 1 - np.floor(np.log10(np.where(exact != 0, np.abs(exact), 1.0)))
+    far = np.abs(digits) > EXACT
+    digits = np.where(far, 0, digits)
+    up, down = 10.0 ** np.maximum(digits, 0), 10.0 ** np.maximum(-digits, 0)
+    found = np.round(exact * up / down) / up * down
+    found[far] = [float(f"{v:.{DIGITS}g}") for v in exact[far]]
+    numbers: Any = found if finite.all() else np.where(finite, found, None)
+    return numbers.tolist()

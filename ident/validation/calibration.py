@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,16 +31,17 @@ HALF, NEARLY_ALL = 0.6744898, 1.9599640  # quantiles of 50 % and 95 %
 BINS = 10
 TOLERANCE = 1.1  # times that the errors may be larger or smaller than claimed
 FEW = 8.0  # independent errors below which nothing is said
+Verdict = Literal["right", "overconfident", "underconfident", "insufficient_data"]
 
 
 @dataclass(frozen=True)
 class Calibration:
     """Of one channel over one horizon. inside_50, inside_95: shares of the errors within those bands; scale: root mean
     square of error over claimed standard deviation, 1 if right, with its 95 % interval; pit (10,): shares by tenths of
-    the predicted distribution; n, effective: errors, and independent ones."""
+    the predicted distribution; n, n_effective: errors, and independent ones."""
 
     n: int
-    effective: float
+    n_effective: float
     inside_50: float
     inside_95: float
     scale: float
@@ -48,13 +50,13 @@ class Calibration:
     pit: Array
 
     @property
-    def verdict(self) -> str:
-        """``right``, ``too sure`` (errors are larger than claimed), ``too cautious``, or ``few``: it cannot be said."""
+    def verdict(self) -> Verdict:
+        """``overconfident``: errors are larger than claimed."""
         if self.low > TOLERANCE:
-            return "too sure"
-        if self.effective < FEW:
-            return "few"
-        return "too cautious" if self.high < 1.0 / TOLERANCE else "right"
+            return "overconfident"
+        if self.n_effective < FEW:
+            return "insufficient_data"
+        return "underconfident" if self.high < 1.0 / TOLERANCE else "right"
 
 
 def calibration_test(series: Sequence[Array], effective: float | None = None) -> Calibration | None:

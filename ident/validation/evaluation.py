@@ -1,54 +1,200 @@
-"""How well a fitted model predicts every record, as the content of result.json: errors, traces, tracks."""
+"""How well a fitted model predicts every record, computed once: errors, calibration, whiteness of the residuals."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Generic, TypeVar
 
+import numpy as np
+
+from ident.data import TIME_INPUT, WORK_INPUT, Record
 from ident.estimation import FittedModel, Likelihood, RecordEvaluation, parameter_uncertainty
+from ident.model import Model, Residual
+from ident.numerics import Array
 from ident.validation import calibration
 from ident.validation.calibration import Calibration
-from ident.validation.prediction_errors import PredictionErrors, ahead, free_run, one_step, pooled, usual_horizon
+from ident.validation.prediction_errors import (
+    BLOCK,
+    FreeRun,
+    PredictionErrors,
+    ahead,
+    free_run,
+    one_step,
+    pooled,
+    ratio_interval,
+    usual_horizon,
+)
+from ident.validation.whiteness import CrossCorrelation, Whiteness, cross_correlation, whiteness_test
+
+FEWEST = 60  # samples of a channel whose residuals are tested
+
+T = TypeVar("T")
 
 
+@dataclass(frozen=True)
+class ByHorizon(Generic[T]):
+    """The same of predictions one step ahead, over a horizon, and from the inputs alone."""
+
+    one_step: T
+    horizon: T
+    free_run: T
+
+
+@dataclass(frozen=True)
+class RecordPrediction:
+    """A record and what the model predicts of it from the inputs alone."""
+
+    record: Record
+    free: FreeRun
+
+
+@dataclass(frozen=True)
+class ChannelResiduals:
+    """Standardised innovations e (n,) of a channel at the times t (n,) [s], the tests whether they are white, and
+    their correlation with each input."""
+
+    record: str
+    channel: str
+    unit: str
+    t: Array
+    e: Array
+    tests: Whiteness
+    inputs: tuple[CrossCorrelation, ...]
+
+    @property
+    def lags(self) -> Array:
+        """Of the autocorrelation (n_lags,) [s]."""
+        return float(np.median(np.diff(self.t))) * np.arange(1.0, self.tests.acf.size + 1.0)
+
+
+@dataclass(frozen=True)
+class SetEvaluation:
+    """Of all records of a set of data together: errors and calibration by channel."""
+
+    records: tuple[RecordPrediction, ...]
+    errors: ByHorizon[Mapping[str, PredictionErrors]]
+    calibration: ByHorizon[Mapping[str, Calibration]]
+
+
+@dataclass(frozen=True)
 class PredictionEvaluation:
-    """Prediction errors of a stage on every record, computed once. ``horizon``: s that predictions go ahead between
-    one step and the free run, by default the model's usual one."""
+    """``horizon``: s that predictions go ahead between one step and the free run; ``residuals``: of the estimation
+    data."""
 
-    def __init__(self, stage: FittedModel, horizon: float | None = None) -> None:
-        self.stage, self.horizon = stage, horizon or usual_horizon(stage.model)
-        self.likelihood = Likelihood(stage.model)
-        self.free = {
-            role: [
-                free_run(
-                    stage.model,
-                    v.record,
-                    v.values,
-                    self.likelihood,
-                    parameter_uncertainty(stage.fit, i if fitted else None),
-                )
-                for i, v in enumerate(views)
-            ]
-            for role, views, fitted in (("estimation", stage.estimation, True), ("validation", stage.validation, False))
-        }
+    model: Model
+    horizon: float
+    estimation: SetEvaluation
+    validation: SetEvaluation | None
+    residuals: tuple[ChannelResiduals, ...]
 
-    def views(self, role: str) -> Sequence[RecordEvaluation]:
-        return self.stage.estimation if role == "estimation" else self.stage.validation
+    @property
+    def sets(self) -> dict[str, SetEvaluation]:
+        """By role; without validation where there are no such data."""
+        both = {"estimation": self.estimation, "validation": self.validation}
+        return {role: one for role, one in both.items() if one is not None}
 
-    def errors(self, role: str) -> dict[str, dict[str, PredictionErrors]]:
-        model, views = self.stage.model, self.views(role)
-        return {
-            "one_step": pooled([one_step(model, v.record, v.run) for v in views]),
-            "ten_seconds": pooled([ahead(model, v.record, v.values, v.run.x_filt, self.horizon) for v in views]),
-            "free_run": pooled([f.errors for f in self.free[role]]),
-        }
 
-    def calibration(self, role: str) -> dict[str, dict[str, Calibration]]:
-        """Whether the errors are as large as the model says they are, by horizon and channel."""
-        model, views = self.stage.model, self.views(role)
-        far = [calibration.ahead(model, v.record, v.values, v.run, self.horizon, self.likelihood) for v in views]
-        free = [calibration.free_run(model, v.record, f) for v, f in zip(views, self.free[role], strict=True)]
-        return {
-            "one_step": calibration.pooled([calibration.one_step(model, v.run) for v in views]),
-            "ten_seconds": calibration.pooled(far),
-            "free_run": calibration.pooled(free, together=True),
-        }
+def evaluate(stage: FittedModel, horizon: float | None = None) -> PredictionEvaluation:
+    """Predictions of a fitted model against every record. ``horizon`` [s]: by default the model's usual one."""
+    seconds, likelihood = horizon or usual_horizon(stage.model), Likelihood(stage.model)
+    return PredictionEvaluation(
+        stage.model,
+        seconds,
+        _evaluated(stage, stage.estimation, True, seconds, likelihood),
+        _evaluated(stage, stage.validation, False, seconds, likelihood) if stage.validation else None,
+        tuple(r for v in stage.estimation for r in residual_tests(stage.model, v.record, v.run.standardised)),
+    )
+
+
+def _evaluated(
+    stage: FittedModel, views: Sequence[RecordEvaluation], fitted: bool, seconds: float, likelihood: Likelihood
+) -> SetEvaluation:
+    model = stage.model
+    free = [
+        free_run(model, v.record, v.values, likelihood, parameter_uncertainty(stage.fit, i if fitted else None))
+        for i, v in enumerate(views)
+    ]
+    errors = ByHorizon[Mapping[str, PredictionErrors]](
+        pooled([one_step(model, v.record, v.run) for v in views]),
+        pooled([ahead(model, v.record, v.values, v.run.x_filt, seconds) for v in views]),
+        pooled([f.errors for f in free]),
+    )
+    far = [calibration.ahead(model, v.record, v.values, v.run, seconds, likelihood) for v in views]
+    alone = [calibration.free_run(model, v.record, f) for v, f in zip(views, free, strict=True)]
+    calibrated = ByHorizon[Mapping[str, Calibration]](
+        calibration.pooled([calibration.one_step(model, v.run) for v in views]),
+        calibration.pooled(far),
+        calibration.pooled(alone, together=True),
+    )
+    records = tuple(RecordPrediction(v.record, f) for v, f in zip(views, free, strict=True))
+    return SetEvaluation(records, errors, calibrated)
+
+
+def residual_tests(model: Model, record: Record, eps: Array) -> list[ChannelResiduals]:
+    """Of one record from its standardised innovations (n_rows, n_outputs). A channel of fewer than 60 samples, or
+    whose innovations are all the same, is left out."""
+    found = []
+    for j, o in enumerate(model.outputs):
+        good = np.isfinite(eps[:, j])
+        if good.sum() < FEWEST or not np.ptp(eps[good, j]):
+            continue
+        t, e = record.t[good], eps[good, j]
+        inputs = tuple(
+            cross_correlation(o.name, t, e, name, record.t, record.u[:, k]) for k, name, _ in shown_inputs(model)
+        )
+        found.append(ChannelResiduals(record.name, o.name, o.unit, t, e, whiteness_test(o.name, t, e), inputs))
+    return found
+
+
+def shown_inputs(model: Model) -> list[tuple[int, str, str]]:
+    """Column, name and unit of the inputs that people look at: not an input's own past, and of the delayed copies of a
+    thruster's command the command itself."""
+    shown = []
+    for j, i in enumerate(model.inputs):
+        label = i.name if i.label is None else i.label
+        if label and i.name not in (TIME_INPUT, WORK_INPUT):
+            shown.append((j, label, i.unit))
+    return shown
+
+
+def ratio_intervals(
+    before: PredictionEvaluation, after: PredictionEvaluation, role: str
+) -> ByHorizon[Mapping[str, tuple[float, float]]]:
+    """95 % intervals of the error after over that before, by channel."""
+    old, new = before.sets[role].errors, after.sets[role].errors
+
+    def of(
+        a: Mapping[str, PredictionErrors], b: Mapping[str, PredictionErrors], block: float
+    ) -> dict[str, tuple[float, float]]:
+        return {name: ratio_interval(a[name], b[name], block=block) for name in a}
+
+    # errors over a horizon hang together for as long as it lasts
+    return ByHorizon[Mapping[str, tuple[float, float]]](
+        of(old.one_step, new.one_step, BLOCK),
+        of(old.horizon, new.horizon, max(BLOCK, after.horizon)),
+        of(old.free_run, new.free_run, BLOCK),
+    )
+
+
+@dataclass(frozen=True)
+class SmoothedForce:
+    """An unexplained force of a record, from all of its data: mean, sd (n,) at t (n,) [s]."""
+
+    record: str
+    name: str
+    unit: str
+    t: Array
+    mean: Array
+    sd: Array
+
+
+def smoothed_forces(stage: FittedModel, forces: Sequence[Residual]) -> tuple[SmoothedForce, ...]:
+    """The unexplained ``forces``, which are states of the model, in the estimation data."""
+    states = [s.name for s in stage.model.states]
+    return tuple(
+        SmoothedForce(v.record.name, f.name, f.unit, v.record.t, v.smoothed.x[:, i], v.smoothed.sd[:, i])
+        for v in stage.estimation
+        for f in forces
+        for i in [states.index(f.state)]
+    )

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ident.data import load_all
-from ident.diagnosis import diagnose
+from ident.diagnosis import diagnose, evaluate_diagnosis
 from ident.effects import catalogue
 from ident.estimation import EstimationOptions, load_model, outliers
 from ident.model import with_outlier_model as with_outliers
 from ident.models import check_user_model, load_effects
 from ident.reporter import Reporter
-from ident.results import Json, diagnosis_result, envelope, estimation_warnings
+from ident.results import DiagnosisResult, diagnosis_result, estimation_warnings, provenance
 from ident.workflows.model_inputs import _posed, check_ahead
 from ident.workflows.output import validity, write_all
 
@@ -46,7 +46,7 @@ class DiagnosisRequest:
     rate: float | None = None
 
 
-def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Json:
+def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> DiagnosisResult:
     """Find what the model lacks, and write the model that has it; ``command``: what was typed."""
     loaded, unseen = load_all(request.logs, request.validation)
     horizon, effects_file = request.estimation.horizon, request.effects_file
@@ -69,10 +69,13 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Js
         max_effects=request.max_effects,
         reporter=reporter,
     )
-    result = envelope([*loaded, *unseen], command) | diagnosis_result(found, horizon)
-    if result["next_experiment"]:
-        result["next_experiment"] = result["next_experiment"].replace("MODEL", str(request.model))
-    result["notes"] = outliers(found.after) + result["notes"]
-    result["cautions"] = estimation_warnings(found.after.fit, [v.record for v in found.after.estimation])
+    result = diagnosis_result(
+        found,
+        evaluate_diagnosis(found, horizon),
+        provenance([*loaded, *unseen], command),
+        warnings=estimation_warnings(found.after.fit, [v.record for v in found.after.estimation]),
+        notes=outliers(found.after),
+        model_path=str(request.model),
+    )
     write_all(request.out, result, found.after.fit, validity(found.after), effects_file or saved.effects_file)
     return result

@@ -8,31 +8,27 @@ from pathlib import Path
 
 import numpy as np
 
+from ident import results
 from ident.estimation import Fit, FittedModel, save_model
 from ident.report import write_report
-from ident.results import Json, shown_inputs, to_json
+from ident.results import FitResult, Json
+from ident.validation import shown_inputs
 
 
 def write_all(
     out: Path,
-    result: Json,
+    result: FitResult,
     fit: Fit,
     ranges: Mapping[str, tuple[float, float]],
     effects_file: Path | None = None,
 ) -> None:
     """model.toml, result.json and report.html into a folder."""
     out.mkdir(parents=True, exist_ok=True)
-    logs = [f"{x['path']} sha256:{x['sha256'][:16]}" for x in result["logs"] if x["role"] == "estimation"]
-    provenance = {
-        "made_by": result["command"],
-        "created": result["created"],
-        "seatrial": result["seatrial"],
-        "logs": logs,
-    }
-    save_model(out / "model.toml", fit, validity=ranges, provenance=provenance, effects_file=effects_file)
-    content = to_json(result)
-    write_result(content, out / "result.json")
-    write_report(content, out / "report.html")
+    logs = [f"{x.path} sha256:{x.sha256[:16]}" for x in result.logs if x.role == "estimation"]
+    made = {"made_by": result.command, "created": result.created, "seatrial": result.seatrial, "logs": logs}
+    save_model(out / "model.toml", fit, validity=ranges, provenance=made, effects_file=effects_file)
+    results.write_result(result, out / "result.json")
+    write_report(result, out / "report.html")
 
 
 def validity(stage: FittedModel) -> dict[str, tuple[float, float]]:
@@ -50,5 +46,5 @@ def validity(stage: FittedModel) -> dict[str, tuple[float, float]]:
 
 
 def write_result(content: Json, path: Path) -> None:
-    """``content``: as of ``plain``."""
+    """``content``: as of ``ident.results.to_json``."""
     path.write_text(json.dumps(content, separators=(",", ":"), allow_nan=False), encoding="utf-8")

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from daq.errors import SeatrialError, counted
@@ -36,20 +37,17 @@ from ident.numerics import Array, steady_segments
 from ident.report import write_report
 from ident.reporter import Reporter
 from ident.results import (
-    Json,
-    calibration_notes,
+    StaticForce,
+    ThrustCurveResult,
+    ThrusterResult,
     curve_notes,
-    envelope,
-    estimation_warnings,
-    evaluation_section,
-    fit_part,
-    profile_part,
-    thruster_answer,
-    to_json,
+    provenance,
+    thruster_result,
+    write_result,
 )
-from ident.validation import PredictionEvaluation
+from ident.validation import evaluate
 from ident.workflows.model_inputs import check_ahead, check_names
-from ident.workflows.output import write_all, write_result
+from ident.workflows.output import write_all
 
 SETTLED, AVERAGED = 1.0, 0.6  # s that a command must have lasted, and over which it is then averaged
 
@@ -75,7 +73,9 @@ class ThrusterRequest:
     profiles: Sequence[str] = ()
 
 
-def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> Json:
+def characterise(
+    request: ThrusterRequest, command: str, reporter: Reporter
+) -> ThrusterResult | ThrustCurveResult:
     """Fit the thruster model to bench logs of one thruster, or a static curve where nobody measured the shaft;
     ``command``: what was typed."""
     loaded, name, profiles = [load_run(path, "estimation") for path in request.logs], request.name, request.profiles
@@ -95,19 +95,20 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
         records = [_record(model, x, name) for x in loaded]
     reporter.progress(f"fitting the thruster to {counted(len(records), 'run')}, {sum(r.n_rows for r in records)} rows")
     fitted, records = fit_on_a_copy(model, records, lambda m: [_record(m, x, name) for x in loaded], options)
-    result = envelope(loaded, command) | {"kind": "thruster", "fit": fit_part(fitted, model.values)}
     views = tuple(RecordEvaluation(fitted.model, r, v) for r, v in zip(records, fitted.record_values, strict=True))
     stage = FittedModel(fitted.model, fitted, views, ())
-    result |= evaluation_section(PredictionEvaluation(stage, horizon)) | {
-        "cautions": estimation_warnings(fitted, records)
-    }
-    result["notes"] = outliers(stage) + calibration_notes(result["calibration"], result["horizon"])
-    if has_force:
-        result["static"] = _static(fitted, loaded, name)
+    evaluation = evaluate(stage, horizon)
     if profiles:
         reporter.progress(f"profile likelihood of {', '.join(profiles)}")
-        result["profiles"] = [profile_part(profile(fitted, records, p)) for p in profiles]
-    result["answer"] = thruster_answer(fitted, has_force)
+    result = thruster_result(
+        stage,
+        evaluation,
+        provenance(loaded, command),
+        [profile(fitted, records, p) for p in profiles],
+        _static(fitted, loaded, name) if has_force else None,
+        start=model.values,
+        notes=outliers(stage),
+    )
     ranges = {"n_cmd": _range(np.concatenate([r.u[:, 0] for r in records]))}
     write_all(request.out, result, fitted, ranges)
     return result
@@ -127,22 +128,23 @@ def _record(model: Model, loaded: LoadedLog, name: str) -> Record:
     return build_record(model, channels, name=loaded.run.name, rate=THRUSTER_RATE)
 
 
-def _static(fitted: Fit, loaded: Sequence[LoadedLog], name: str) -> Json:
+def _static(fitted: Fit, loaded: Sequence[LoadedLog], name: str) -> StaticForce:
     """Steady points: the last second of every command that lasted, and the fitted curve with its band."""
     points = [p for i, x in enumerate(loaded) for p in _steady(x, name, fitted.estimate("bias", i)[0])]
+    n, force, sd = np.array(points).reshape(-1, 3).T
     grid = np.linspace(-1, 1, 81)
     B = np.column_stack([grid * np.abs(grid), grid**2])
     value = {c: fitted.estimate(c)[0] for c in ("c1", "c2")}
     at = [fitted.names.index(c) for c in ("c1", "c2")]
     P = fitted.covariance[np.ix_(at, at)]
-    return {
-        "n": [p[0] for p in points],
-        "force": [p[1] for p in points],
-        "sd": [p[2] for p in points],
-        "n_model": grid,
-        "force_model": B @ [value["c1"], value["c2"]],
-        "force_sd": np.sqrt(np.einsum("ij,jk,ik->i", B, P, B)),
-    }
+    return StaticForce(
+        n=n,
+        force=force,
+        sd=sd,
+        n_model=grid,
+        force_model=B @ [value["c1"], value["c2"]],
+        force_sd=np.sqrt(np.einsum("ij,jk,ik->i", B, P, B)),
+    )
 
 
 def _steady(loaded: LoadedLog, name: str, bias: float) -> list[tuple[float, float, float]]:
@@ -161,7 +163,9 @@ def _range(z: Array) -> tuple[float, float]:
     return float(z.min()), float(z.max())
 
 
-def static_curve(loaded: Sequence[LoadedLog], request: ThrusterRequest, command: str, reporter: Reporter) -> Json:
+def static_curve(
+    loaded: Sequence[LoadedLog], request: ThrusterRequest, command: str, reporter: Reporter
+) -> ThrustCurveResult:
     """Fit a curve to steady stretches of bench logs that have a force and a command but no shaft speed."""
     if len(loaded) != 1:
         raise SeatrialError(f"{loaded[1].about['path']}: a static curve is made of one log; give one")
@@ -178,23 +182,22 @@ def static_curve(loaded: Sequence[LoadedLog], request: ThrusterRequest, command:
     except ValueError as problem:
         raise SeatrialError(f"{where}: {problem}") from problem
     curve, quadratic = fit_curve(levels), fit_quadratic(levels)
-    result = envelope(loaded, command) | {
-        "kind": "thruster",
-        "answer": curve_answer(levels, curve, quadratic, len(names)),
-        "static": _curve_points(levels, curve, quadratic),
-        "notes": curve_notes(levels, curve, quadratic),
-    }
+    result = ThrustCurveResult(
+        **msgspec.structs.asdict(provenance(loaded, command)),
+        answer=curve_answer(levels, curve, quadratic, len(names)),
+        static=_curve_points(levels, curve, quadratic),
+        notes=tuple(curve_notes(levels, curve, quadratic)),
+    )
     out.mkdir(parents=True, exist_ok=True)
-    provenance = {
+    made = {
         "made_by": command,
-        "created": result["created"],
-        "seatrial": result["seatrial"],
+        "created": result.created,
+        "seatrial": result.seatrial,
         "logs": [f"{where} sha256:{one.about['sha256'][:16]}"],
     }
-    save_curve(out / "model.toml", curve, levels, quadratic, len(names), provenance)
-    content = to_json(result)
-    write_result(content, out / "result.json")
-    write_report(content, out / "report.html")
+    save_curve(out / "model.toml", curve, levels, quadratic, len(names), made)
+    write_result(result, out / "result.json")
+    write_report(result, out / "report.html")
     return result
 
 
@@ -229,18 +232,18 @@ def _commands(one: LoadedLog, name: str | None) -> list[str]:
     return moved
 
 
-def _curve_points(levels: Levels, curve: Curve, quadratic: Quadratic) -> Json:
+def _curve_points(levels: Levels, curve: Curve, quadratic: Quadratic) -> StaticForce:
     grid = np.union1d(np.linspace(curve.n[0], curve.n[-1], 161), curve.n)
-    return {
-        "n": levels.n,
-        "force": levels.force,
-        "sd": levels.se,
-        "n_model": grid,
-        "force_model": curve(grid),
-        "force_sd": curve.error(grid),
-        "force_quadratic": quadratic(grid),
-        "abscissa": "command n",
-    }
+    return StaticForce(
+        n=levels.n,
+        force=levels.force,
+        sd=levels.se,
+        n_model=grid,
+        force_model=curve(grid),
+        force_sd=curve.error(grid),
+        force_quadratic=quadratic(grid),
+        abscissa="command n",
+    )
 
 
 def curve_answer(levels: Levels, curve: Curve, quadratic: Quadratic, thrusters: int) -> str:

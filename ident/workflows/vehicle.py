@@ -6,12 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import msgspec
+
 from ident.characterisation import load_curve
 from ident.checks import check_sides, swap_sides
 from ident.data import load_all
 from ident.estimation import (
     EstimationOptions,
-    FittedModel,
     apply_rig_geometry,
     fit_nominal_model,
     fix_parameters,
@@ -24,19 +25,8 @@ from ident.estimation import (
     with_effects,
 )
 from ident.reporter import Reporter
-from ident.results import (
-    Json,
-    agreement_part,
-    calibration_notes,
-    envelope,
-    estimation_warnings,
-    evaluation_section,
-    fit_part,
-    profile_part,
-    sentence,
-    vehicle_answer,
-)
-from ident.validation import PredictionEvaluation
+from ident.results import VehicleResult, provenance, vehicle_result
+from ident.validation import evaluate
 from ident.workflows.model_inputs import check_ahead, check_names, choose_model, completed
 from ident.workflows.output import validity, write_all
 
@@ -76,7 +66,7 @@ class VehicleRequest:
     rate: float = 10.0
 
 
-def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Json:
+def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> VehicleResult:
     """Fit a vehicle model and judge it on the validation logs; ``command``: what was typed."""
     curve, source = load_curve(request.thruster) if request.thruster is not None else None, request.model
     if curve is not None and source == "auto":
@@ -96,26 +86,16 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Json:
     check_names(nominal(model), request.profiles, len(loaded))
     runs, others = [x.run for x in loaded], [x.run for x in unseen]
     stage = fit_nominal_model(model, runs, others, request.estimation, rate=request.rate, reporter=reporter)
-    result = envelope([*loaded, *unseen], command)
-    result |= evaluation_section(PredictionEvaluation(stage, request.estimation.horizon))
-    result |= {"kind": "vehicle", "fit": fit_part(stage.fit, model.values)}
-    result["cautions"] = estimation_warnings(stage.fit, [v.record for v in stage.estimation])
-    result["notes"] = notes + outliers(stage) + calibration_notes(result["calibration"], result["horizon"])
-    said = [vehicle_answer(result, searchable="hull" in model.provides)]
+    evaluation = evaluate(stage, request.estimation.horizon)
+    records = [v.record for v in stage.estimation]
+    curves = [profile(stage.fit, records, n) for n in request.profiles]
+    tests = [homogeneity_test(stage.fit, records, n) for n in request.homogeneity]
+    made = provenance([*loaded, *unseen], command)
+    first = [*notes, *outliers(stage)]
+    result = vehicle_result(stage, evaluation, made, curves, tests, start=model.values, notes=first)
     if sides is not None and sides.swapped:
-        said.insert(0, sides.line if not as_is else sides.line.removesuffix(" Fitted with the sides swapped."))
-        reporter.warning(said[0])
-    more, sentences = _asked(stage, request.profiles, request.homogeneity)
-    result |= more | {"answer": " ".join(said + sentences)}
+        line = sides.line if not as_is else sides.line.removesuffix(" Fitted with the sides swapped.")
+        reporter.warning(line)
+        result = msgspec.structs.replace(result, answer=f"{line} {result.answer}")
     write_all(request.out, result, stage.fit, validity(stage))
     return result
-
-
-def _asked(stage: FittedModel, profiles: Sequence[str], homogeneity: Sequence[str]) -> tuple[Json, list[str]]:
-    """Profile likelihoods and tests of agreement: their parts of the result, and sentences for the answer."""
-    records = [v.record for v in stage.estimation]
-    part: Json = {"profiles": [profile_part(profile(stage.fit, records, n)) for n in profiles]} if profiles else {}
-    found = [homogeneity_test(stage.fit, records, name) for name in homogeneity]
-    if found:
-        part["agreement"] = [agreement_part(a) for a in found]
-    return part, [sentence(a) for a in found]

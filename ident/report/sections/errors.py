@@ -3,69 +3,76 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 from ident.report import formatting
-from ident.report.access import ROLES, Row, group, number, text, texts
-from ident.report.blocks import Canvas, Cell, Facts, Lines, Prose, Section, Table, tabbed
+from ident.report.blocks import Cell, Facts, Lines, Prose, Section, Table, tabbed
+from ident.results import ErrorComparison, Errors, ErrorTable, Provenance
 
-KINDS = ("one_step", "ten_seconds", "free_run")
-Titles = Sequence[tuple[str, str]]
-
-
-def horizon(result: Row) -> str:
-    """``10 s``: how far ahead predictions were judged, which they were where a result does not say."""
-    return f"{number(result, 'horizon') or 10.0:g} s"
+T = TypeVar("T")
+Kinds = Sequence[tuple[str, Mapping[str, ErrorComparison]]]
 
 
-def horizons(result: Row) -> Titles:
-    """Key and title of each kind of prediction."""
-    return list(zip(KINDS, ("One step ahead", f"{horizon(result)} ahead", "Free-running"), strict=True))
+def horizons(table: ErrorTable, seconds: float) -> list[tuple[str, Mapping[str, ErrorComparison]]]:
+    """Title and rows of each kind of prediction; ``seconds``: the horizon."""
+    return list(zip(titles(seconds), (table.one_step, table.horizon, table.free_run), strict=True))
 
 
-def section(canvas: Canvas) -> Section:
+def titles(seconds: float) -> tuple[str, str, str]:
+    """Of each kind of prediction, in the order of a table."""
+    return "One step ahead", f"{seconds:g} s ahead", "Free-running"
+
+
+def by_role(validation: T | None, estimation: T) -> list[tuple[str, T]]:
+    """In the order of showing: what was not fitted convinces more."""
+    return [*([] if validation is None else [("validation", validation)]), ("estimation", estimation)]
+
+
+def compared(errors: Errors) -> bool:
+    """Whether there is an error before."""
+    tables = [table for _, table in by_role(errors.validation, errors.estimation)]
+    kinds = [kind for table in tables for kind in (table.one_step, table.horizon, table.free_run)]
+    return any(row.before is not None for kind in kinds for row in kind.values())
+
+
+def section(errors: Errors, seconds: float) -> Section:
     """One table for validation and one for estimation data."""
-    both = group(canvas.result, "before_after")
-    compared = any(
-        number(row, "before") is not None
-        for role in ROLES
-        for key in KINDS
-        for row in group(group(both, role), key).values()
-        if isinstance(row, Mapping)
-    )
-    titles, table = horizons(canvas.result), _table if compared else _alone
-    tabs = [(f"{role} data", table(group(both, role), titles)) for role in ROLES]
+    two = compared(errors)
+    table = _table if two else _alone
+    both = by_role(errors.validation, errors.estimation)
+    tabs = [(f"{role} data", table(horizons(data, seconds))) for role, data in both]
     lead = "Root mean square of measured less predicted."
-    if compared:
+    if two:
         lead += " A ratio below 1 is an improvement."
-    return Section("errors", "Error before and after" if compared else "Prediction error", tabbed(tabs), lead)
+    return Section("errors", "Error before and after" if two else "Prediction error", tabbed(tabs), lead)
 
 
-def _table(data: Row, titles: Titles) -> list[Any]:
+def _table(kinds: Kinds) -> list[Any]:
     columns = (("channel", ""), ("before", "num"), ("after", "num"), ("unit", ""), ("ratio", "num"), ("95 %", "num"))
-    return _grouped(data, titles, columns, _row)
+    return _grouped(kinds, columns, _row)
 
 
-def _alone(data: Row, titles: Titles) -> list[Any]:
+def _alone(kinds: Kinds) -> list[Any]:
     """Of one model: its error, and how much of what was measured it explains."""
-    return _grouped(data, titles, (("channel", ""), ("error", "num"), ("unit", ""), ("fit", "num")), _single)
+    return _grouped(kinds, (("channel", ""), ("error", "num"), ("unit", ""), ("fit", "num")), _single)
 
 
 def _grouped(
-    data: Row, titles: Titles, columns: tuple[tuple[str, str], ...], cells: Callable[[str, Row], list[Cell | str]]
+    kinds: Kinds,
+    columns: tuple[tuple[str, str], ...],
+    cells: Callable[[str, ErrorComparison], list[Cell | str]],
 ) -> list[Any]:
     lines: list[list[Cell | str]] = []
-    for key, title in titles:
-        table = group(data, key)
-        found = [cells(str(name), row) for name, row in table.items() if isinstance(row, Mapping)]
+    for title, table in kinds:
+        found = [cells(name, row) for name, row in table.items()]
         lines += [[Cell(title, "group")], *found] if found else []
     return [Table(columns, lines)] if lines else []
 
 
-def _single(channel: str, row: Row) -> list[Cell | str]:
-    factor, unit = formatting.degrees_for(text(row, "unit"))
-    error, spread = number(row, "after"), number(row, "spread")
-    fit = None if error is None or not spread else 1 - error / spread
+def _single(channel: str, row: ErrorComparison) -> list[Cell | str]:
+    factor, unit = formatting.degrees_for(row.unit)
+    error = row.after
+    fit = None if error is None or not row.spread else 1 - error / row.spread
     return [
         formatting.named(channel),
         Cell("–" if error is None else formatting.plain(factor * error), "num"),
@@ -74,10 +81,10 @@ def _single(channel: str, row: Row) -> list[Cell | str]:
     ]
 
 
-def _row(channel: str, row: Row) -> list[Cell | str]:
-    factor, unit = formatting.degrees_for(text(row, "unit"))
-    before, after = (None if v is None else factor * v for v in (number(row, "before"), number(row, "after")))
-    low, high = number(row, "low"), number(row, "high")
+def _row(channel: str, row: ErrorComparison) -> list[Cell | str]:
+    factor, unit = formatting.degrees_for(row.unit)
+    before, after = formatting.scaled(factor, row.before, row.after)
+    low, high = row.low, row.high
     ratio = after / before if before and after is not None else None
     sure = "" if ratio is None else "good" if high is not None and high < 1 else "bad" if low and low > 1 else ""
     mark = {"good": "▼ ", "bad": "▲ ", "": ""}[sure]
@@ -91,25 +98,18 @@ def _row(channel: str, row: Row) -> list[Cell | str]:
     ]
 
 
-def next_section(canvas: Canvas) -> Section:
+def next_section(words: str | None) -> Section:
     """What to run next."""
-    words = text(canvas.result, "next_experiment")
     return Section("next", "Next experiment", [Prose(words, "callout")] if words else [])
 
 
-def notes_section(canvas: Canvas) -> Section:
+def notes_section(lines: Sequence[str]) -> Section:
     """What was left out, what failed, what to know."""
-    lines = texts(canvas.result, "notes")
-    return Section("notes", "Notes", [Lines(lines)] if lines else [])
+    return Section("notes", "Notes", [Lines(list(lines))] if lines else [])
 
 
-def made_section(canvas: Canvas) -> Section:
+def made_section(made: Provenance) -> Section:
     """Command, version, time."""
-    result = canvas.result
-    facts = (
-        ("Command", text(result, "command")),
-        ("seatrial", text(result, "seatrial")),
-        ("Time", formatting.moment(text(result, "created"))),
-    )
+    facts = (("Command", made.command), ("seatrial", made.seatrial), ("Time", formatting.moment(made.created)))
     found = [(label, value) for label, value in facts if value]
     return Section("made", "How it was made", [Facts(found, "made")] if found else [])

@@ -9,8 +9,9 @@ import numpy as np
 
 from ident.numerics import Array
 from ident.report import drawing, formatting
-from ident.report.access import RecordTab, Row, array, group, number, of_take, rows, takes, text, texts
+from ident.report.access import Row, array, group, number, of_take, rows, takes, text, texts
 from ident.report.blocks import Canvas, Cell, Grid, Prose, Section, Table, tabbed
+from ident.report.record_tabs import RecordTab
 
 TIME = "time [s]"
 # one colour from light to dark: it keeps its order in print and for every kind of colour vision

@@ -8,8 +8,9 @@ import numpy as np
 
 from ident.numerics import Array
 from ident.report import drawing, formatting
-from ident.report.access import RecordTab, Row, along, array, flag, group, number, of_take, rows, takes, text
+from ident.report.access import Row, along, array, flag, group, number, of_take, rows, takes, text
 from ident.report.blocks import Canvas, Cell, Grid, Key, Prose, Section, Table, tabbed
+from ident.report.record_tabs import RecordTab
 
 TIME = "time [s]"
 TURN = np.linspace(0.0, 2 * np.pi, 73)

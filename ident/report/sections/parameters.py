@@ -2,72 +2,69 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from ident.numerics import Array
 from ident.report import drawing, formatting
-from ident.report.access import Row, flag, group, matrix, number, rows, text, texts
 from ident.report.blocks import Canvas, Cell, Facts, Grid, Heading, Prose, Section, Table
+from ident.results import Correlation, FitSummary, ParameterChange, ParameterRow
 
 MANY = 14  # parameters, above which the correlation's numbers show on hover only
 
 
-def section(canvas: Canvas) -> Section:
+def section(canvas: Canvas, fit: FitSummary, changes: Sequence[ParameterChange] = ()) -> Section:
     """Table of the fit, before and after, and the correlation."""
-    fit = group(canvas.result, "fit")
     blocks: list[Any] = _fit_facts(fit)
-    table = rows(fit, "parameters")
+    table = fit.parameters
     if table:
         columns = [("parameter", ""), ("value", "num"), ("± s.e.", "num"), ("unit", ""), ("meaning", "")]
         extra = (("prior_share", "from prior", "num"), ("record", "record", ""), ("flag", "note", ""))
-        used = [item for item in extra if any(row.get(item[0]) is not None for row in table)]
+        used = [item for item in extra if any(getattr(row, item[0]) is not None for row in table)]
         columns += [(title, style) for _, title, style in used]
         blocks.append(Table(columns, [_row(row, [key for key, _, _ in used]) for row in table]))
-    blocks += _moved(canvas.result) + _correlation(canvas, group(fit, "correlation"))
+    blocks += _moved(changes) + _correlation(canvas, fit.correlation)
     return Section("parameters", "Parameters", blocks)
 
 
-def _fit_facts(fit: Row) -> list[Any]:
+def _fit_facts(fit: FitSummary) -> list[Any]:
     methods = {"OE": "output error (OE)", "PE": "prediction error (PE)"}
-    converged = {True: "yes", False: "no", None: ""}[flag(fit, "converged")]
-    message = text(fit, "message")
-    log_likelihood, cpu = number(fit, "log_likelihood"), number(fit, "cpu")
+    converged, message = "yes" if fit.converged else "no", fit.message
+    log_likelihood = fit.log_likelihood
     facts = (
-        ("Model", text(fit, "model")),
-        ("Method", methods.get(text(fit, "method"), text(fit, "method"))),
-        ("Converged", f"{converged}: {message}" if converged and message else converged or message),
+        ("Model", fit.model),
+        ("Method", methods[fit.method]),
+        ("Converged", f"{converged}: {message}" if message else converged),
         ("Log-likelihood", "" if log_likelihood is None else f"{log_likelihood:,.1f}".replace("-", "−")),
-        ("Iterations", text(fit, "iterations")),
-        ("CPU time", "" if cpu is None else f"{formatting.plain(cpu)} s"),
+        ("Iterations", str(fit.iterations)),
+        ("CPU time", f"{formatting.plain(fit.cpu)} s"),
     )
     found = [(label, value) for label, value in facts if value]
     return [Facts(found)] if found else []
 
 
-def _row(row: Row, extra: list[str]) -> list[Cell | str]:
-    factor, unit = formatting.degrees_for(text(row, "unit"))
-    value, se = (None if v is None else factor * v for v in (number(row, "value"), number(row, "se")))
+def _row(row: ParameterRow, extra: list[str]) -> list[Cell | str]:
+    factor, unit = formatting.degrees_for(row.unit)
+    value, se = formatting.scaled(factor, row.value, row.se)
     shown, error = formatting.pair(value, se)
-    free = flag(row, "free")
     cells: list[Cell | str] = [
-        Cell(text(row, "name"), "symbol"),
+        Cell(row.name, "symbol"),
         Cell(shown, "num"),
-        Cell(error or ("fixed" if free is False else "–"), "num" if error else "num quiet"),
+        Cell(error or ("–" if row.free else "fixed"), "num" if error else "num quiet"),
         Cell(unit, "nowrap"),
-        Cell(text(row, "meaning"), "wide"),
+        Cell(row.meaning, "wide"),
     ]
     more: dict[str, Cell | str] = {
-        "prior_share": Cell(formatting.percent(number(row, "prior_share")), "num"),
-        "record": text(row, "record") or Cell("all", "quiet"),
-        "flag": Cell(f"⚠ {text(row, 'flag')}", "bad") if text(row, "flag") else "",
+        "prior_share": Cell(formatting.percent(row.prior_share), "num"),
+        "record": row.record or Cell("all", "quiet"),
+        "flag": Cell(f"⚠ {row.flag}", "bad") if row.flag else "",
     }
     return cells + [more[key] for key in extra]
 
 
-def _moved(result: Row) -> list[Any]:
-    table = rows(result, "parameters_before_after")
+def _moved(table: Sequence[ParameterChange]) -> list[Any]:
     if not table:
         return []
     columns = (("parameter", ""), ("before", "num"), ("after", "num"), ("unit", ""), ("moved by", "num"))
@@ -75,12 +72,9 @@ def _moved(result: Row) -> list[Any]:
     return [Heading("Before and after the effects", note), Table(columns, [_moved_row(row) for row in table])]
 
 
-def _moved_row(row: Row) -> list[Cell | str]:
-    factor, unit = formatting.degrees_for(text(row, "unit"))
-    before, before_se, after, after_se = (
-        None if v is None else factor * v
-        for v in (number(row, k) for k in ("before", "before_se", "after", "after_se"))
-    )
+def _moved_row(row: ParameterChange) -> list[Cell | str]:
+    factor, unit = formatting.degrees_for(row.unit)
+    before, before_se, after, after_se = formatting.scaled(factor, row.before, row.before_se, row.after, row.after_se)
     se = before_se or after_se
     shift: Cell | str = Cell("–" if before is not None else "new", "num quiet")
     if before is not None and after is not None and se:
@@ -88,13 +82,12 @@ def _moved_row(row: Row) -> list[Cell | str]:
         words = f"{'+' if size > 0 else '−' if size < 0 else ''}{abs(size):.1f} s.e."
         shift = Cell(words, "num strong" if abs(size) > drawing.Z95 else "num", float(np.clip(size / 6, -1, 1)))
     texts_ = [formatting.with_error(before, before_se), formatting.with_error(after, after_se)]
-    return [Cell(text(row, "name"), "symbol"), *(Cell(words, "num") for words in texts_), Cell(unit, "nowrap"), shift]
+    return [Cell(row.name, "symbol"), *(Cell(words, "num") for words in texts_), Cell(unit, "nowrap"), shift]
 
 
-def _correlation(canvas: Canvas, correlation: Row) -> list[Any]:
-    names = texts(correlation, "names")
-    table = matrix(correlation, "matrix", len(names))
-    if table is None or len(names) < 2:
+def _correlation(canvas: Canvas, correlation: Correlation) -> list[Any]:
+    names, table = correlation.names, correlation.matrix
+    if table.shape != (len(names), len(names)) or len(names) < 2:
         return []
     labels = [drawing.said(name) for name in names]
     heat: drawing.Trace = {
@@ -127,7 +120,7 @@ def _correlation(canvas: Canvas, correlation: Row) -> list[Any]:
     return [Heading("Correlation of the estimates"), *lead, Grid([plot], 320, "narrow" if len(names) > 7 else "small")]
 
 
-def _strongest(names: list[str], table: Array, n: int = 4) -> str:
+def _strongest(names: Sequence[str], table: Array, n: int = 4) -> str:
     """The pairs that the data tell apart least."""
     i, j = np.triu_indices(len(names), 1)
     size = np.nan_to_num(np.abs(table[i, j]))

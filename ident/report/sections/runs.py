@@ -2,109 +2,105 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from ident.numerics import Array
 from ident.report import drawing, formatting
-from ident.report.access import RecordTab, Row, along, array, number, of_take, rows, takes, text, texts
 from ident.report.blocks import Canvas, Cell, Grid, Key, Lines, Prose, Section, Table, tabbed
+from ident.report.record_tabs import RecordTab, of_record, record_tabs, roles_of
+from ident.results import FitResult, InputTrace, LogSummary, Trace, Track
 
 TIME = "time [s]"
 
 
-def run_section(canvas: Canvas) -> Section:
+def run_section(canvas: Canvas, logs: Sequence[LogSummary], inputs: Sequence[InputTrace]) -> Section:
     """Logs with their roles, and what the thrusters were told."""
-    logs = rows(canvas.result, "logs")
     columns = (("log", ""), ("role", ""), ("duration", "num"), ("rig", ""), ("mission", ""), ("SHA-256", ""))
     blocks: list[Any] = [Table(columns, [_log_row(row) for row in logs])] if logs else []
-    warnings = [f"{_log_name(row)}: {line}" for row in logs for line in texts(row, "warnings")]
+    warnings = [f"{_log_name(row)}: {line}" for row in logs for line in row.warnings]
     if warnings:
         blocks.append(Lines(warnings, "warning"))
-    blocks += tabbed([(take.title, _inputs(canvas, take)) for take in takes(canvas.result, "inputs")])
+    tabs = record_tabs(inputs, roles_of(logs))
+    blocks += tabbed([(tab.title, _inputs(canvas, of_record(inputs, tab), tab)) for tab in tabs])
     return Section("run", "What was run", blocks)
 
 
-def _log_name(row: Row) -> str:
-    return text(row, "name") or text(row, "path").replace("\\", "/").rsplit("/", 1)[-1] or "log"
+def _log_name(row: LogSummary) -> str:
+    return row.name or row.path.replace("\\", "/").rsplit("/", 1)[-1] or "log"
 
 
-def _log_row(row: Row) -> list[Cell | str]:
-    role = text(row, "role")
+def _log_row(row: LogSummary) -> list[Cell | str]:
+    role = row.role
     return [
         Cell(_log_name(row), "strong"),
         Cell(role, f"badge {role}" if role in ("validation", "estimation") else ""),
-        Cell(formatting.duration(number(row, "duration")), "num"),
-        text(row, "rig") or "–",
-        text(row, "mission") or "–",
-        Cell(text(row, "sha256")[:10] or "–", "code"),
+        Cell(formatting.duration(row.duration), "num"),
+        row.rig or "–",
+        row.mission or "–",
+        Cell(row.sha256[:10] or "–", "code"),
     ]
 
 
-def _inputs(canvas: Canvas, take: RecordTab) -> list[Any]:
-    by_unit: dict[str, list[Row]] = {}
-    for row in of_take(canvas.result, "inputs", take):
-        by_unit.setdefault(text(row, "unit"), []).append(row)
+def _inputs(canvas: Canvas, inputs: Sequence[InputTrace], tab: RecordTab) -> list[Any]:
+    by_unit: dict[str, list[InputTrace]] = {}
+    for row in inputs:
+        by_unit.setdefault(row.unit, []).append(row)
     panels = []
     for unit, members in by_unit.items():
         factor, shown = formatting.degrees_for(unit)
         traces, names = [], []
         for i, row in enumerate(members):
-            found = along(row, "t", "value")
-            if found and found[1][0] is not None:
+            if drawing.drawable(row.value) is not None:
                 style = {"color": drawing.LINES[i % 6], "dash": ("solid", "dot")[i % 2]}
                 name = (
-                    formatting.symbol(text(row, "name")) if len(members) > 1 else formatting.titled(text(row, "name"))
+                    formatting.symbol(row.name) if len(members) > 1 else formatting.titled(row.name)
                 )
-                traces.append(drawing.line(found[0], factor * found[1][0], name, canvas.budget.points, **style))
+                traces.append(drawing.line(row.t, factor * row.value, name, canvas.budget.points, **style))
                 names.append(f"{name} ({('solid', 'dotted')[i % 2]})" if len(members) > 1 else name)
         if traces:
             panels.append(drawing.Panel(" · ".join(names) + formatting.bracket(shown), traces))
     if not panels:
         return []
     figure, height = drawing.stacked(panels, TIME)
-    return [Grid([canvas.plot(figure, height, f"Inputs over time, {take.title}")], 320)]
+    return [Grid([canvas.plot(figure, height, f"Inputs over time, {tab.title}")], 320)]
 
 
-def traces_section(canvas: Canvas) -> Section:
+def traces_section(canvas: Canvas, result: FitResult) -> Section:
     """Every channel measured and free-running, and the track, one tab a record."""
-    result = canvas.result
-    both = {take: None for key in ("traces", "track") for take in takes(result, key)}
-    tabs = [(take.title, _channels(canvas, take) + _track(canvas, take)) for take in both]
+    tabs = [
+        (tab.title, _channels(canvas, of_record(result.traces, tab), tab) + _track(canvas, result.track, tab))
+        for tab in record_tabs([*result.traces, *result.track], roles_of(result.logs, result.traces))
+    ]
     if not any(blocks for _, blocks in tabs):
         return Section("traces", "", [])
-    before = any(array(row, "before") is not None for row in rows(result, "traces"))
-    sure = any(array(row, "sd") is not None for row in rows(result, "traces"))
-    return Section("traces", "Measured against model", [_key(before, sure), *tabbed(tabs)])
+    before = any(row.before is not None for row in result.traces)
+    return Section("traces", "Measured against model", [_key(before), *tabbed(tabs)])
 
 
-def _key(before: bool, sure: bool) -> Key:
-    items = [
-        ("measured", "measured"),
-        ("after", "model, free-running, with 95 % band") if sure else ("line", "model, free-running"),
-    ]
+def _key(before: bool) -> Key:
+    items = [("measured", "measured"), ("after", "model, free-running, with 95 % band")]
     return Key([*items, ("before", "before the effects were added")] if before else items)
 
 
-def _channels(canvas: Canvas, take: RecordTab) -> list[Any]:
-    panels = [panel for row in of_take(canvas.result, "traces", take) if (panel := _channel(canvas, row))]
+def _channels(canvas: Canvas, rows: Sequence[Trace], tab: RecordTab) -> list[Any]:
+    panels = [panel for row in rows if (panel := _channel(canvas, row))]
     if not panels:
         return []
     figure, height = drawing.stacked(panels, TIME)
-    plots = [Grid([canvas.plot(figure, height, f"Measured and model over time, {take.title}")], 320)]
+    plots = [Grid([canvas.plot(figure, height, f"Measured and model over time, {tab.title}")], 320)]
     cut = "Cut where a band or a curve leaves the frame; a double click shows all of it."
     return [*plots, Prose(cut, "caption")] if any(panel.y for panel in panels) else plots
 
 
-def _channel(canvas: Canvas, row: Row) -> drawing.Panel | None:
-    found = along(row, "t", "measured", "model", "sd", "before")
-    if found is None:
-        return None
-    t, limit = found[0], canvas.budget.points
-    factor, unit = formatting.degrees_for(text(row, "unit"))
-    measured, model, sd, before = (None if a is None else factor * a for a in found[1])
-    if row.get("angle") is True and text(row, "unit") == "rad":
+def _channel(canvas: Canvas, row: Trace) -> drawing.Panel | None:
+    t, limit = row.t, canvas.budget.points
+    factor, unit = formatting.degrees_for(row.unit)
+    curves = (drawing.drawable(a) for a in (row.measured, row.model, row.sd, row.before))
+    measured, model, sd, before = (None if a is None else factor * a for a in curves)
+    if row.angle and row.unit == "rad":
         measured, model, before = _one_turn([measured, model, before])
     traces = []
     if model is not None and sd is not None:
@@ -119,7 +115,7 @@ def _channel(canvas: Canvas, row: Row) -> drawing.Panel | None:
         return None
     edges = [] if model is None or sd is None else [model - drawing.Z95 * sd, model + drawing.Z95 * sd]
     frame = _frame([measured, model], [before, *edges])
-    title = formatting.titled(text(row, "channel")) + formatting.bracket(unit)
+    title = formatting.titled(row.channel) + formatting.bracket(unit)
     return drawing.Panel(title, traces, {"range": frame} if frame else {})
 
 
@@ -155,22 +151,28 @@ def _one_turn(curves: list[Array | None]) -> list[Array | None]:
     return shown
 
 
-def _track(canvas: Canvas, take: RecordTab) -> list[Any]:
+def _track(canvas: Canvas, tracks: Sequence[Track], tab: RecordTab) -> list[Any]:
     plots = []
-    for row in of_take(canvas.result, "track", take):
-        traces = [t for style in ("measured", "before", "model") for t in _path(row, style, canvas.budget.points)]
+    for row in of_record(tracks, tab):
+        styles = (
+            ("measured", row.x_measured, row.y_measured),
+            ("before", row.x_before, row.y_before),
+            ("model", row.x_model, row.y_model),
+        )
+        traces = [t for style, x, y in styles for t in _path(style, x, y, canvas.budget.points)]
         if traces:
             equal = {"scaleanchor": "x", "scaleratio": 1, "nticks": 7}
             figure = drawing.single(traces, "east [m]", "north [m]", hovermode="closest", yaxis=equal)
-            plots.append(canvas.plot(figure, 420, f"Track, {take.title}", "Track, north up"))
+            plots.append(canvas.plot(figure, 420, f"Track, {tab.title}", "Track, north up"))
     return [Grid(plots, 320, "narrow" if len(plots) == 1 else "")] if plots else []
 
 
-def _path(row: Row, style: str, limit: int) -> list[drawing.Trace]:
-    north, east = array(row, f"x_{style}"), array(row, f"y_{style}")
-    if north is None or east is None or north.size != east.size:
+def _path(style: str, north: Array | None, east: Array | None, limit: int) -> list[drawing.Trace]:
+    if north is None or east is None:
         return []
     good = np.isfinite(north) & np.isfinite(east)
+    if not good.any():
+        return []
     at = np.flatnonzero(good)[drawing.strided(int(good.sum()), limit)]
     line = {
         "measured": {"color": drawing.MEASURED, "width": 1.2},

@@ -3,58 +3,50 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
-from scipy import special
-
 from ident.report import drawing, formatting
-from ident.report.access import RecordTab, Row, along, array, flag, number, of_take, rows, takes, text
 from ident.report.blocks import Bar, Canvas, Cell, Grid, Heading, Key, Prose, Ranking, Section, Table, tabbed
+from ident.report.record_tabs import RecordTab, of_record, record_tabs, roles_of
+from ident.results import Candidate, DiagnosisResult, NonparametricCurve, Refit, ResidualForce, Round
 
 SHOWN = 14
 
 
-def section(canvas: Canvas) -> Section:
-    """Rounds in tabs; then residual forces and unknown shapes."""
-    result = canvas.result
-    found = rows(result, "rounds")
+def section(canvas: Canvas, result: DiagnosisResult) -> Section:
+    """Rounds in tabs; then residual forces and unknown effects."""
+    found = result.rounds
     blocks: list[Any] = tabbed([(_round_title(i, row), _round(row)) for i, row in enumerate(found, 1)])
-    blocks += _forces(canvas) + _shapes(canvas)
+    blocks += _forces(canvas, result) + _curves(canvas, result.nonparametric_effects)
     lead = "Every candidate is tested on the residual at once, the best are fitted, validation data decide."
     return Section("search", "The search", blocks, lead if found else "")
 
 
-def _round_title(i: int, row: Row) -> str:
-    return f"Round {i}: {text(row, 'chosen') or 'nothing added'}"
+def _round_title(i: int, row: Round) -> str:
+    return f"Round {i}: {row.chosen or 'nothing added'}"
 
 
-def _round(row: Row) -> list[Any]:
-    blocks: list[Any] = [Prose(text(row, "why"), "why")] if text(row, "why") else []
+def _round(row: Round) -> list[Any]:
+    blocks: list[Any] = [Prose(row.why, "why")] if row.why else []
     return blocks + ranking(row) + _refits(row)
 
 
-def threshold(candidate: Row, n_candidates: int) -> float:
-    """The statistic at which the test passes: 5 % shared by all candidates (Bonferroni), from chi-squared."""
-    given = number(candidate, "threshold")
-    df = max(number(candidate, "df") or 1.0, 1.0)
-    return given if given else float(special.chdtri(df, 0.05 / max(n_candidates, 1)))
-
-
-def ranking(row: Row) -> list[Any]:
+def ranking(row: Round) -> list[Any]:
     """The best candidates on a logarithmic axis."""
-    every = [c for c in rows(row, "candidates") if (number(c, "lm") or 0.0) > 0]
+    every = [c for c in row.candidates if c.lm > 0]
     best = every[:SHOWN]
     if not best:
         return []
-    sizes = [number(c, "lm") or 1.0 for c in best]
-    limits = [threshold(c, len(every)) for c in best]
+    sizes = [c.lm for c in best]
+    limits = [c.threshold for c in best]
     low = min(1.0, *sizes) if min(sizes) >= 0.1 else 0.1
     high = max(*sizes, *limits) * 1.25
 
     def at(value: float) -> float:
         return 100.0 * min(max(math.log(value / low) / math.log(high / low), 0.004), 1.0)
 
-    chosen = text(row, "chosen")
+    chosen = row.chosen
     bars = [_bar(c, at(size), at(limit), chosen) for c, size, limit in zip(best, sizes, limits, strict=True)]
     decades = range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)
     ticks = [(at(10.0**d) if d > math.log10(low) else 0.0, f"{10**d:,}" if d >= 0 else f"{10.0**d:g}") for d in decades]
@@ -63,25 +55,24 @@ def ranking(row: Row) -> list[Any]:
     return [Heading("Candidates"), Ranking(bars, ticks, caption)]
 
 
-def _bar(candidate: Row, width: float, limit: float, chosen: str) -> Bar:
-    p, p_block = (formatting.probability(number(candidate, key)) for key in ("p", "p_block"))
-    df = number(candidate, "df")
-    numbers = f"{formatting.plain(number(candidate, 'lm'))} on {formatting.count(df)} df, p {p}, by blocks {p_block}"
-    name = text(candidate, "name")
+def _bar(candidate: Candidate, width: float, limit: float, chosen: str | None) -> Bar:
+    p, p_block = (formatting.probability(value) for value in (candidate.p, candidate.p_block))
+    numbers = f"{formatting.plain(candidate.lm)} on {formatting.count(candidate.df)} df, p {p}, by blocks {p_block}"
+    name = candidate.name
     return Bar(
-        text(candidate, "title") or name,
+        candidate.title or name,
         name,
         numbers,
         width,
         limit,
-        flag(candidate, "generic") is True,
-        flag(candidate, "passed") is True,
-        bool(chosen) and chosen in (name, text(candidate, "title")),
+        candidate.generic,
+        candidate.passed,
+        bool(chosen) and chosen in (name, candidate.title),
     )
 
 
-def _refits(row: Row) -> list[Any]:
-    found = rows(row, "refits")
+def _refits(row: Round) -> list[Any]:
+    found = row.refits
     columns = (
         ("refitted with", ""),
         ("its parameters", ""),
@@ -91,54 +82,53 @@ def _refits(row: Row) -> list[Any]:
         ("on validation data Δln L", "num"),
         ("t", "num"),
     )
-    chosen = text(row, "chosen")
+    chosen = row.chosen
     return [Heading("Refits of the best"), Table(columns, [_refit(r, chosen) for r in found])] if found else []
 
 
-def _refit(row: Row, chosen: str) -> list[Cell | str]:
+def _refit(row: Refit, chosen: str | None) -> list[Cell | str]:
     parameters = []
-    for p in rows(row, "parameters"):
-        factor, unit = formatting.degrees_for(text(p, "unit"))
-        value, se = (None if v is None else factor * v for v in (number(p, "value"), number(p, "se")))
-        parameters.append(f"{text(p, 'name')} = {formatting.with_error(value, se, unit)}")
+    for p in row.parameters:
+        factor, unit = formatting.degrees_for(p.unit)
+        value, se = formatting.scaled(factor, p.value, p.se)
+        parameters.append(f"{p.name} = {formatting.with_error(value, se, unit)}")
     more = [f"and {len(parameters) - 3} more"] if len(parameters) > 3 else []
-    won = bool(chosen) and text(row, "name") == chosen
-    title = text(row, "title") or text(row, "name")
+    won = bool(chosen) and row.name == chosen
+    title = row.title or row.name
     return [
         Cell(f"✓ {title}" if won else title, "wide strong won" if won else "wide"),
         Cell("; ".join(parameters[:3] + more), "small"),
-        Cell(formatting.plain(number(row, "gain")), "num"),
-        Cell(formatting.count(number(row, "df")), "num"),
-        Cell(formatting.plain(number(row, "criterion")), "num"),
-        Cell(formatting.plain(number(row, "validation_gain")), "num"),
-        Cell(formatting.plain(number(row, "t"), 2), "num"),
+        Cell(formatting.plain(row.gain), "num"),
+        Cell(formatting.count(row.df), "num"),
+        Cell(formatting.plain(row.criterion), "num"),
+        Cell(formatting.plain(row.validation_gain), "num"),
+        Cell(formatting.plain(row.t, 2), "num"),
     ]
 
 
-def _forces(canvas: Canvas) -> list[Any]:
-    tabs = [(take.title, _force_tab(canvas, take)) for take in takes(canvas.result, "residual_forces")]
+def _forces(canvas: Canvas, result: DiagnosisResult) -> list[Any]:
+    forces = result.residual_forces
+    found = record_tabs(forces, roles_of(result.logs, result.traces))
+    tabs = [(tab.title, _force_tab(canvas, of_record(forces, tab), tab)) for tab in found]
     if not any(blocks for _, blocks in tabs):
         return []
-    after = any(array(row, "after_mean") is not None for row in rows(canvas.result, "residual_forces"))
+    after = any(row.after_mean is not None for row in forces)
     items = [("before", "before"), ("after", "after the effects were added")] if after else [("before", "estimate")]
     note = "what the model does not explain, smoothed, with 95 % bands"
     return [Heading("Residual forces", note), Key(items), *tabbed(tabs)]
 
 
-def _force_tab(canvas: Canvas, take: RecordTab) -> list[Any]:
-    panels = [p for row in of_take(canvas.result, "residual_forces", take) if (p := _force_panel(canvas, row))]
+def _force_tab(canvas: Canvas, forces: Sequence[ResidualForce], tab: RecordTab) -> list[Any]:
+    panels = [p for row in forces if (p := _force_panel(canvas, row))]
     if not panels:
         return []
     figure, height = drawing.stacked(panels, "time [s]")
-    return [Grid([canvas.plot(figure, height, f"Residual forces over time, {take.title}")], 320)]
+    return [Grid([canvas.plot(figure, height, f"Residual forces over time, {tab.title}")], 320)]
 
 
-def _force_panel(canvas: Canvas, row: Row) -> drawing.Panel | None:
-    found = along(row, "t", "mean", "sd", "after_mean", "after_sd")
-    if found is None:
-        return None
-    t, limit, traces = found[0], canvas.budget.points, []
-    mean, sd, after_mean, after_sd = found[1]
+def _force_panel(canvas: Canvas, row: ResidualForce) -> drawing.Panel | None:
+    limit, traces = canvas.budget.points, []
+    mean, sd, after_mean, after_sd = map(drawing.drawable, (row.mean, row.sd, row.after_mean, row.after_sd))
     for middle, half, name, color, dash in (
         (mean, sd, "before", drawing.BEFORE, "dash"),
         (after_mean, after_sd, "after", drawing.MODEL, "solid"),
@@ -146,26 +136,25 @@ def _force_panel(canvas: Canvas, row: Row) -> drawing.Panel | None:
         if middle is None:
             continue
         if half is not None:
-            traces.append(drawing.band(t, middle, drawing.Z95 * half, limit, color=color, opacity=0.16))
-        traces.append(drawing.line(t, middle, name, limit, color=color, dash=dash))
-    title = formatting.titled(text(row, "force")) + formatting.bracket(formatting.tidy(text(row, "unit")))
+            traces.append(drawing.band(row.t, middle, drawing.Z95 * half, limit, color=color, opacity=0.16))
+        traces.append(drawing.line(row.t, middle, name, limit, color=color, dash=dash))
+    title = formatting.titled(row.force) + formatting.bracket(formatting.tidy(row.unit))
     return drawing.Panel(title, traces) if traces else None
 
 
-def _shapes(canvas: Canvas) -> list[Any]:
+def _curves(canvas: Canvas, curves: Sequence[NonparametricCurve]) -> list[Any]:
     plots = []
-    for row in rows(canvas.result, "shapes"):
-        found = along(row, "grid", "value", "band")
-        if found is None or found[1][0] is None:
+    for row in curves:
+        if drawing.drawable(row.value) is None:
             continue
-        scale, y_unit = formatting.degrees_for(text(row, "unit"))
-        value, half = scale * found[1][0], None if found[1][1] is None else scale * found[1][1]
-        factor, unit = formatting.degrees_for(text(row, "variable_unit"))
-        x = factor * found[0]
-        traces = [drawing.band(x, value, half, 600)] if half is not None else []
-        traces.append(drawing.line(x, value, text(row, "force"), 600))
-        force, variable = formatting.named(text(row, "force")), formatting.named(text(row, "variable"))
-        if flag(row, "reading"):
+        scale, y_unit = formatting.degrees_for(row.unit)
+        value, half = scale * row.value, scale * row.band
+        factor, unit = formatting.degrees_for(row.variable_unit)
+        x = factor * row.grid
+        traces = [drawing.band(x, value, half, 600)] if drawing.drawable(half) is not None else []
+        traces.append(drawing.line(x, value, row.force, 600))
+        force, variable = formatting.named(row.force), formatting.named(row.variable)
+        if row.sensor_error:
             force = f"error of the {force}"
         y_title = force + formatting.bracket(y_unit)
         figure = drawing.single(traces, variable + formatting.bracket(unit), y_title)

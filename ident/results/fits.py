@@ -1,0 +1,90 @@
+"""The fit of a vehicle or of a thruster as a result."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import msgspec
+
+from ident.estimation import FittedModel, HomogeneityTest, Profile
+from ident.results.answers import calibration_notes, estimation_warnings, sentence, thruster_answer, vehicle_answer
+from ident.results.parts import Provenance, StaticForce, ThrusterResult, VehicleResult
+from ident.results.tables import (
+    all_inputs,
+    calibration_tables,
+    cross_correlations,
+    error_tables,
+    fit_summary,
+    homogeneity_row,
+    profile_curve,
+    residual_tests,
+    traces,
+    tracks,
+)
+from ident.validation import PredictionEvaluation
+
+
+def vehicle_result(
+    stage: FittedModel,
+    evaluation: PredictionEvaluation,
+    made: Provenance,
+    profiles: Sequence[Profile],
+    homogeneity: Sequence[HomogeneityTest],
+    *,
+    start: Mapping[str, float],
+    notes: Sequence[str],
+) -> VehicleResult:
+    """``start``: values that the search began with; ``notes``: that come first."""
+    errors, calibration = error_tables(evaluation), calibration_tables(evaluation)
+    residuals, cross = residual_tests(evaluation), cross_correlations(evaluation)
+    searchable = "hull" in evaluation.model.provides
+    said = vehicle_answer(errors, evaluation.horizon, residuals, cross, searchable=searchable)
+    return VehicleResult(
+        **msgspec.structs.asdict(made),
+        answer=" ".join([said, *(sentence(a) for a in homogeneity)]),
+        warnings=tuple(estimation_warnings(stage.fit, [v.record for v in stage.estimation])),
+        notes=(*notes, *calibration_notes(calibration, evaluation.horizon)),
+        fit=fit_summary(stage.fit, start),
+        horizon_seconds=evaluation.horizon,
+        errors=errors,
+        calibration=calibration,
+        traces=traces(evaluation),
+        track=tracks(evaluation),
+        inputs=all_inputs(evaluation),
+        residuals=residuals,
+        cross=cross,
+        profiles=tuple(profile_curve(p) for p in profiles),
+        homogeneity=tuple(homogeneity_row(a) for a in homogeneity),
+    )
+
+
+def thruster_result(
+    stage: FittedModel,
+    evaluation: PredictionEvaluation,
+    made: Provenance,
+    profiles: Sequence[Profile],
+    static: StaticForce | None,
+    *,
+    start: Mapping[str, float],
+    notes: Sequence[str],
+) -> ThrusterResult:
+    """``static``: None where there was no load cell; ``start``: values that the search began with; ``notes``: that
+    come first."""
+    calibration = calibration_tables(evaluation)
+    return ThrusterResult(
+        **msgspec.structs.asdict(made),
+        answer=thruster_answer(stage.fit, static is not None),
+        warnings=tuple(estimation_warnings(stage.fit, [v.record for v in stage.estimation])),
+        notes=(*notes, *calibration_notes(calibration, evaluation.horizon)),
+        fit=fit_summary(stage.fit, start),
+        horizon_seconds=evaluation.horizon,
+        errors=error_tables(evaluation),
+        calibration=calibration,
+        traces=traces(evaluation),
+        track=tracks(evaluation),
+        inputs=all_inputs(evaluation),
+        residuals=residual_tests(evaluation),
+        cross=cross_correlations(evaluation),
+        static=static,
+        profiles=tuple(profile_curve(p) for p in profiles),
+    )

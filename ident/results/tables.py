@@ -1,0 +1,360 @@
+"""From fits and evaluations to the tables of a result: copies of what was computed, no computing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+
+import msgspec
+import numpy as np
+
+from ident.data import LoadedLog, Record
+from ident.estimation import Fit, HomogeneityTest, Profile
+from ident.model import Model, segment_name
+from ident.results.parts import (
+    CalibrationRow,
+    Calibrations,
+    CalibrationTable,
+    Correlation,
+    CorrelationTest,
+    CrossCorrelation,
+    ErrorComparison,
+    Errors,
+    ErrorTable,
+    FitSummary,
+    Homogeneity,
+    InputTrace,
+    LogSummary,
+    ParameterRow,
+    ProfileCurve,
+    Provenance,
+    ResidualTests,
+    Role,
+    Trace,
+    Track,
+    WhitenessTests,
+)
+from ident.validation import (
+    ByHorizon,
+    Calibration,
+    ChannelResiduals,
+    PredictionErrors,
+    PredictionEvaluation,
+    RecordPrediction,
+    shown_inputs,
+)
+
+Intervals = ByHorizon[Mapping[str, tuple[float, float]]]
+
+
+def finite(value: float | None) -> float | None:
+    """None for what is no number."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def provenance(loaded: Sequence[LoadedLog], command: str) -> Provenance:
+    """What every result says of where it came from."""
+    return Provenance(
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        seatrial=version("seatrial"),
+        command=command,
+        logs=tuple(msgspec.convert(x.about, LogSummary) for x in loaded),
+    )
+
+
+def fit_summary(fit: Fit, start: Mapping[str, float]) -> FitSummary:
+    """Parameters with errors, correlation, how the estimate went; ``start``: values that the search began with."""
+    flags = dict(fit.flags)
+    rows = []
+    for p in fit.model.parameters:
+        names = [segment_name(p.name, i) for i in range(len(fit.records))] if p.per_record and p.free else [p.name]
+        for i, name in enumerate(names):
+            value, error = fit.estimate(p.name, i)
+            rows.append(
+                ParameterRow(
+                    name=p.name,
+                    meaning=p.meaning,
+                    unit=p.unit,
+                    value=value,
+                    se=finite(error),
+                    free=p.free,
+                    prior_share=finite(fit.prior_weight[fit.names.index(name)]) if name in fit.names else None,
+                    start=finite(start.get(p.name)),
+                    flag=flags.get(name),
+                    record=fit.records[i] if p.per_record and p.free and len(names) > 1 else None,
+                )
+            )
+    return FitSummary(
+        model=" + ".join([fit.model.name, *(e.name for e in fit.model.effects)]),
+        method="PE" if fit.options.process_noise else "OE",
+        restricted=fit.options.reml,
+        second_order=fit.model.second_order,
+        converged=fit.converged,
+        message=fit.message,
+        log_likelihood=finite(fit.log_likelihood),
+        iterations=fit.iterations,
+        cpu=fit.cpu_seconds,
+        parameters=tuple(rows),
+        correlation=Correlation(names=tuple(fit.names), matrix=fit.correlation),
+    )
+
+
+def error_tables(evaluation: PredictionEvaluation) -> Errors:
+    """Errors of one model, with nothing before it."""
+    units = {o.name: o.unit for o in evaluation.model.outputs}
+
+    def table(found: Mapping[str, PredictionErrors]) -> dict[str, ErrorComparison]:
+        return {
+            name: ErrorComparison(after=finite(e.rms), unit=units[name], spread=finite(e.spread))
+            for name, e in found.items()
+        }
+
+    return Errors(
+        **{
+            role: ErrorTable(
+                one_step=table(one.errors.one_step),
+                horizon=table(one.errors.horizon),
+                free_run=table(one.errors.free_run),
+            )
+            for role, one in evaluation.sets.items()
+        }
+    )
+
+
+def error_comparison(
+    before: PredictionEvaluation, after: PredictionEvaluation, intervals: Mapping[str, Intervals]
+) -> Errors:
+    """Errors of two models; ``intervals``: by role, of the error after over that before."""
+    units = {o.name: o.unit for o in after.model.outputs}
+
+    def table(
+        old: Mapping[str, PredictionErrors],
+        new: Mapping[str, PredictionErrors],
+        spans: Mapping[str, tuple[float, float]],
+    ) -> dict[str, ErrorComparison]:
+        return {
+            name: ErrorComparison(
+                before=finite(e.rms),
+                after=finite(new[name].rms),
+                unit=units[name],
+                low=finite(spans[name][0]),
+                high=finite(spans[name][1]),
+                spread=finite(e.spread),
+            )
+            for name, e in old.items()
+        }
+
+    found = {}
+    for role, one in before.sets.items():
+        old, new, spans = one.errors, after.sets[role].errors, intervals[role]
+        found[role] = ErrorTable(
+            one_step=table(old.one_step, new.one_step, spans.one_step),
+            horizon=table(old.horizon, new.horizon, spans.horizon),
+            free_run=table(old.free_run, new.free_run, spans.free_run),
+        )
+    return Errors(**found)
+
+
+def calibration_tables(evaluation: PredictionEvaluation) -> Calibrations:
+    """Whether the predicted bands are right."""
+
+    def table(found: Mapping[str, Calibration]) -> dict[str, CalibrationRow]:
+        return {
+            name: CalibrationRow(
+                n=c.n,
+                n_effective=c.n_effective,
+                inside_50=c.inside_50,
+                inside_95=c.inside_95,
+                scale=finite(c.scale),
+                low=finite(c.low),
+                high=finite(c.high),
+                pit=c.pit,
+                verdict=c.verdict,
+            )
+            for name, c in found.items()
+        }
+
+    return Calibrations(
+        **{
+            role: CalibrationTable(
+                one_step=table(one.calibration.one_step),
+                horizon=table(one.calibration.horizon),
+                free_run=table(one.calibration.free_run),
+            )
+            for role, one in evaluation.sets.items()
+        }
+    )
+
+
+def traces(after: PredictionEvaluation, before: PredictionEvaluation | None = None) -> tuple[Trace, ...]:
+    """Every channel that was measured, and the free run; ``before``: of another model."""
+    return tuple(
+        Trace(
+            record=now.record.name,
+            role=role,
+            channel=o.name,
+            unit=o.unit,
+            angle=o.angle,
+            t=now.record.t[seen],
+            measured=now.record.y[seen, j],
+            model=now.free.y[seen, j],
+            sd=now.free.sd[seen, j],
+            before=None if then is None else then.free.y[seen, j],
+        )
+        for role, now, then in _pairs(after, before)
+        for j, o in enumerate(after.model.outputs)
+        if (seen := np.isfinite(now.record.y[:, j])).any()
+    )
+
+
+def tracks(after: PredictionEvaluation, before: PredictionEvaluation | None = None) -> tuple[Track, ...]:
+    """The path of every record with positions; ``before``: of another model."""
+    names = [o.name for o in after.model.outputs]
+    if "x" not in names:
+        return ()
+    i, j = names.index("x"), names.index("y")
+    return tuple(
+        Track(
+            record=now.record.name,
+            role=role,
+            x_measured=now.record.y[seen, i],
+            y_measured=now.record.y[seen, j],
+            x_model=now.free.y[seen, i],
+            y_model=now.free.y[seen, j],
+            x_before=None if then is None else then.free.y[seen, i],
+            y_before=None if then is None else then.free.y[seen, j],
+        )
+        for role, now, then in _pairs(after, before)
+        if (seen := np.isfinite(now.record.y[:, i])).any()
+    )
+
+
+def _pairs(
+    after: PredictionEvaluation, before: PredictionEvaluation | None
+) -> list[tuple[Role, RecordPrediction, RecordPrediction | None]]:
+    """Every record, estimation first, as predicted by both models."""
+    found: list[tuple[Role, RecordPrediction, RecordPrediction | None]] = []
+    roles: tuple[Role, ...] = ("estimation", "validation")
+    for role in roles:
+        new, old = getattr(after, role), getattr(before, role, None)
+        if new is not None:
+            found += [
+                (role, now, None if old is None else old.records[k]) for k, now in enumerate(new.records)
+            ]
+    return found
+
+
+def record_inputs(model: Model, record: Record) -> tuple[InputTrace, ...]:
+    """The inputs as the model saw them."""
+    return tuple(
+        InputTrace(record=record.name, name=name, unit=unit, t=record.t, value=record.u[:, j])
+        for j, name, unit in shown_inputs(model)
+    )
+
+
+def all_inputs(evaluation: PredictionEvaluation) -> tuple[InputTrace, ...]:
+    """The inputs of every record."""
+    return tuple(
+        row
+        for one in evaluation.sets.values()
+        for prediction in one.records
+        for row in record_inputs(evaluation.model, prediction.record)
+    )
+
+
+def residual_tests(
+    before: PredictionEvaluation, after: PredictionEvaluation | None = None
+) -> tuple[ResidualTests, ...]:
+    """Whether the residuals are white; ``after``: of another model, beside it."""
+    later = {} if after is None else {(r.record, r.channel): r for r in after.residuals}
+    rows = []
+    for r in before.residuals:
+        other = later.get((r.record, r.channel))
+        rows.append(
+            ResidualTests(
+                **msgspec.structs.asdict(_whiteness(r)),
+                record=r.record,
+                channel=r.channel,
+                unit=r.unit,
+                t=r.t,
+                lags=r.lags,
+                band=r.tests.band,
+                frequency=r.tests.frequency,
+                after=None if other is None else _whiteness(other),
+            )
+        )
+    return tuple(rows)
+
+
+def _whiteness(r: ChannelResiduals) -> WhitenessTests:
+    return WhitenessTests(
+        e=r.e,
+        acf=r.tests.acf,
+        ljung_box_p=finite(r.tests.ljung_box),
+        periodogram_p=finite(r.tests.periodogram),
+        cumulative=r.tests.cumulative,
+        normal_p=finite(r.tests.normal),
+        white=bool(r.tests.white),
+    )
+
+
+def cross_correlations(
+    before: PredictionEvaluation, after: PredictionEvaluation | None = None
+) -> tuple[CrossCorrelation, ...]:
+    """Whether the residuals still know the inputs; ``after``: of another model, beside it."""
+    found = () if after is None else after.residuals
+    later = {(r.record, r.channel, c.input): CorrelationTest(z=c.z, p=finite(c.p)) for r in found for c in r.inputs}
+    return tuple(
+        CrossCorrelation(
+            record=r.record,
+            channel=r.channel,
+            input=c.input,
+            lags=c.lags,
+            z=c.z,
+            p=finite(c.p),
+            after=later.get((r.record, r.channel, c.input)),
+        )
+        for r in before.residuals
+        for c in r.inputs
+    )
+
+
+def profile_curve(found: Profile) -> ProfileCurve:
+    """A profile likelihood."""
+    return ProfileCurve(
+        name=found.name,
+        unit=found.unit,
+        value=found.value,
+        grid=found.grid,
+        drop=found.drop,
+        low=finite(found.low),
+        high=finite(found.high),
+        wald_low=finite(found.wald_low),
+        wald_high=finite(found.wald_high),
+        notes=tuple(found.notes),
+    )
+
+
+def homogeneity_row(a: HomogeneityTest) -> Homogeneity:
+    """A test of homogeneity."""
+    return Homogeneity(
+        name=a.name,
+        unit=a.unit,
+        value=a.value,
+        se=finite(a.error),
+        se_robust=finite(a.robust_error),
+        records=tuple(a.records),
+        values=a.values,
+        ses=a.errors,
+        lr=a.lr,
+        df=a.df,
+        p=a.p,
+        agree=bool(a.agree),
+        scatter=finite(a.scatter),
+        mean=finite(a.mean),
+        se_mean=finite(a.mean_error),
+        low=finite(a.interval[0]),
+        high=finite(a.interval[1]),
+    )
