@@ -172,8 +172,8 @@ def print_outcome(folder: Path) -> None:
     result = _read_json(folder / ANSWER)
     click.echo()
     click.secho(f"answer: {result.get('answer', 'none')}", bold=True)
-    if result.get("doubt"):
-        click.echo(result["doubt"])
+    if result.get("caveat"):
+        click.echo(result["caveat"])
     for line in error_lines(result):
         click.echo(line)
     click.echo(f"report: {folder / 'diagnosis' / 'report.html'}")
@@ -204,7 +204,7 @@ def found_effects(result: dict[str, Any]) -> list[str]:
 def error_lines(result: dict[str, Any]) -> list[str]:
     """The free-running error (root mean square) on validation data before and after, a line a channel."""
     try:
-        channels = result["before_after"]["validation"]["free_run"]
+        channels = result["errors"]["validation"]["free_run"]
         return [_error_line(name, row) for name, row in channels.items()]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise SeatrialError(f"demo: {ANSWER} has no error before and after ({error!r})") from error

@@ -24,5 +24,5 @@ def figures(seed: int) -> Iterator[Figure]:
         found = ", ".join(row["found"]) or "none"
         yield Figure(group, "logs to report", row["cpu"], "s CPU", note=f"found: {found}")
         for channel, unit in (("x", "m"), ("r", "rad/s")):
-            after, before = row["after"]["ten_seconds"][channel], row["before"]["ten_seconds"][channel]
+            after, before = row["after"]["horizon"][channel], row["before"]["horizon"][channel]
             yield Figure(group, f"10 s ahead, {channel}, validation", after, unit, note=f"before: {before:.4g}")

@@ -22,7 +22,7 @@ from daq.errors import SeatrialError
 RESULT = {
     "answer": "The residual is explained by advance-ratio loss.",
     "effects": [{"name": "advance-ratio"}],
-    "before_after": {
+    "errors": {
         "validation": {
             "free_run": {
                 "x": {"before": 0.21, "after": 0.034, "unit": "m"},

@@ -73,15 +73,26 @@ def test_the_page_of_figures_and_the_page_of_tables_are_both_there(site: Path) -
     assert "thesis-figures.html" in Fetched(site / "thesis.html").links
 
 
-@pytest.fixture(scope="module")
-def architecture() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("architecture", ROOT / "docs/site/architecture.py")
+def script(name: str) -> ModuleType:
+    """A script of docs/site, as a module."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / f"docs/site/{name}.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules["architecture"] = module  # the named tuples in it look for their module
+    sys.modules[name] = module  # the named tuples in it look for their module
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def architecture() -> ModuleType:
+    return script("architecture")
+
+
+def test_the_page_of_results_is_written_from_the_types_of_today() -> None:
+    results = script("results")
+    text = results.PAGE.read_text(encoding="utf-8")
+    assert text == results.page(text), "run `python docs/site/results.py`"
 
 
 def test_the_architecture_page_is_drawn_from_the_contracts_of_today(architecture: ModuleType) -> None:

@@ -48,5 +48,6 @@ from .parts import Track as Track
 from .parts import VehicleResult as VehicleResult
 from .parts import Verdict as Verdict
 from .parts import WhitenessTests as WhitenessTests
+from .result_file import read_result as read_result
 from .result_file import write_result as write_result
 from .tables import provenance as provenance

@@ -22,7 +22,7 @@ from ident.results.tables import (
     error_comparison,
     finite,
     fit_summary,
-    residual_tests,
+    residual_rows,
     traces,
     tracks,
 )
@@ -72,7 +72,7 @@ def diagnosis_result(
         traces=traces(after, before if diagnosis.effects else None),
         track=tracks(after, before if diagnosis.effects else None),
         inputs=all_inputs(after),
-        residuals=residual_tests(before, other),
+        residuals=residual_rows(before, other),
         cross=cross_correlations(before, other),
         residual_forces=_forces(evaluation, bool(diagnosis.effects)),
         rounds=tuple(_round(r) for r in diagnosis.rounds) or (QUIET,),

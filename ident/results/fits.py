@@ -17,7 +17,7 @@ from ident.results.tables import (
     fit_summary,
     homogeneity_row,
     profile_curve,
-    residual_tests,
+    residual_rows,
     traces,
     tracks,
 )
@@ -36,7 +36,7 @@ def vehicle_result(
 ) -> VehicleResult:
     """``start``: values that the search began with; ``notes``: that come first."""
     errors, calibration = error_tables(evaluation), calibration_tables(evaluation)
-    residuals, cross = residual_tests(evaluation), cross_correlations(evaluation)
+    residuals, cross = residual_rows(evaluation), cross_correlations(evaluation)
     searchable = "hull" in evaluation.model.provides
     said = vehicle_answer(errors, evaluation.horizon, residuals, cross, searchable=searchable)
     return VehicleResult(
@@ -83,7 +83,7 @@ def thruster_result(
         traces=traces(evaluation),
         track=tracks(evaluation),
         inputs=all_inputs(evaluation),
-        residuals=residual_tests(evaluation),
+        residuals=residual_rows(evaluation),
         cross=cross_correlations(evaluation),
         static=static,
         profiles=tuple(profile_curve(p) for p in profiles),

@@ -22,6 +22,13 @@ class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """
 
 
+def same_length(part: Part, *names: str) -> None:
+    """Arrays that are drawn over each other; raises ValueError where one is longer than another."""
+    sizes = {name: array.shape for name in names if (array := getattr(part, name)) is not None}
+    if len(set(sizes.values())) > 1:
+        raise ValueError(f"{' and '.join(sizes)} must be of one length, not {sizes}")
+
+
 class LogSummary(Part, frozen=True, kw_only=True):
     """A log that a result was made from."""
 
@@ -45,7 +52,7 @@ class Provenance(Part, frozen=True, kw_only=True):
 
 
 class Result(Provenance, frozen=True, kw_only=True):
-    """What every result says: subclasses add ``tag_field="kind"`` and their kind as ``tag``."""
+    """What every result says."""  # subclasses add tag_field="kind" and their kind as tag
 
     format: Literal["seatrial-result 2"] = "seatrial-result 2"
     answer: Annotated[str, Meta(description="the answer in a sentence or two, for people")]
@@ -95,6 +102,10 @@ class Correlation(Part, frozen=True, kw_only=True):
     names: tuple[str, ...]
     matrix: Annotated[Array, Meta(description="(names, names)")]
 
+    def __post_init__(self) -> None:
+        if self.matrix.shape != (len(self.names), len(self.names)):
+            raise ValueError(f"matrix must be of {len(self.names)} names, not {self.matrix.shape}")
+
 
 class FitSummary(Part, frozen=True, kw_only=True):
     """A fit: how it went, and the estimates."""
@@ -126,6 +137,9 @@ class Trace(Part, frozen=True, kw_only=True):
     sd: Annotated[Array, Meta(description="standard deviation of the model's prediction")]
     before: Annotated[Array | None, Meta(description="diagnosis: free-running without the effects")] = None
 
+    def __post_init__(self) -> None:
+        same_length(self, "t", "measured", "model", "sd", "before")
+
 
 class Track(Part, frozen=True, kw_only=True):
     """The path of a record, north (x) and east (y) [m]."""
@@ -139,6 +153,9 @@ class Track(Part, frozen=True, kw_only=True):
     x_before: Array | None = None
     y_before: Array | None = None
 
+    def __post_init__(self) -> None:
+        same_length(self, "x_measured", "y_measured", "x_model", "y_model", "x_before", "y_before")
+
 
 class InputTrace(Part, frozen=True, kw_only=True):
     """An input as the model saw it."""
@@ -148,6 +165,9 @@ class InputTrace(Part, frozen=True, kw_only=True):
     unit: str
     t: Annotated[Array, Meta(description="[s]")]
     value: Array
+
+    def __post_init__(self) -> None:
+        same_length(self, "t", "value")
 
 
 class WhitenessTests(Part, frozen=True, kw_only=True):
@@ -174,6 +194,11 @@ class ResidualTests(WhitenessTests, frozen=True, kw_only=True):
     frequency: Annotated[Array, Meta(description="[Hz]")]
     after: Annotated[WhitenessTests | None, Meta(description="diagnosis: the same with the effects")] = None
 
+    def __post_init__(self) -> None:
+        same_length(self, "t", "e")
+        same_length(self, "lags", "acf")
+        same_length(self, "frequency", "cumulative")
+
 
 class CorrelationTest(Part, frozen=True, kw_only=True):
     """Correlation of innovations with an input that came before them."""
@@ -190,6 +215,9 @@ class CrossCorrelation(CorrelationTest, frozen=True, kw_only=True):
     input: str
     lags: Annotated[Array, Meta(description="[s]")]
     after: Annotated[CorrelationTest | None, Meta(description="diagnosis: the same with the effects")] = None
+
+    def __post_init__(self) -> None:
+        same_length(self, "lags", "z")
 
 
 class ErrorComparison(Part, frozen=True, kw_only=True):
@@ -243,6 +271,10 @@ class CalibrationRow(Part, frozen=True, kw_only=True):
         ),
     ]
 
+    def __post_init__(self) -> None:
+        if self.pit.shape != (10,):
+            raise ValueError(f"pit must have ten shares, not {self.pit.shape}")
+
 
 class CalibrationTable(Part, frozen=True, kw_only=True):
     """Calibration by how far ahead was predicted: channel -> calibration."""
@@ -283,6 +315,9 @@ class ProfileCurve(Part, frozen=True, kw_only=True):
             "on the way, whose `value` and profile these then are"
         ),
     ] = ()
+
+    def __post_init__(self) -> None:
+        same_length(self, "grid", "drop")
 
 
 class Homogeneity(Part, frozen=True, kw_only=True):
@@ -338,6 +373,10 @@ class StaticForce(Part, frozen=True, kw_only=True):
     force_sd: Annotated[Array, Meta(description="[N]")]
     force_quadratic: Annotated[Array | None, Meta(description="static curve: c1 n|n| + c2 n^2 [N]")] = None
     abscissa: Annotated[str, Meta(description="what n is")] = "shaft speed n"
+
+    def __post_init__(self) -> None:
+        same_length(self, "n", "force", "sd")
+        same_length(self, "n_model", "force_model", "force_sd", "force_quadratic")
 
 
 class VehicleResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag="vehicle"):
@@ -460,6 +499,9 @@ class NonparametricCurve(Part, frozen=True, kw_only=True):
     sd: Array
     band: Annotated[Array, Meta(description="half width of the band that holds the whole curve with 95 %")]
 
+    def __post_init__(self) -> None:
+        same_length(self, "grid", "value", "sd", "band")
+
 
 class ResidualForce(Part, frozen=True, kw_only=True):
     """A force that the model does not explain, smoothed."""
@@ -472,6 +514,9 @@ class ResidualForce(Part, frozen=True, kw_only=True):
     sd: Array
     after_mean: Annotated[Array | None, Meta(description="with the effects")] = None
     after_sd: Array | None = None
+
+    def __post_init__(self) -> None:
+        same_length(self, "t", "mean", "sd", "after_mean", "after_sd")
 
 
 class ParameterChange(Part, frozen=True, kw_only=True):

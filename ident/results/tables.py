@@ -264,28 +264,27 @@ def all_inputs(evaluation: PredictionEvaluation) -> tuple[InputTrace, ...]:
     )
 
 
-def residual_tests(
+def residual_rows(
     before: PredictionEvaluation, after: PredictionEvaluation | None = None
 ) -> tuple[ResidualTests, ...]:
     """Whether the residuals are white; ``after``: of another model, beside it."""
     later = {} if after is None else {(r.record, r.channel): r for r in after.residuals}
-    rows = []
-    for r in before.residuals:
-        other = later.get((r.record, r.channel))
-        rows.append(
-            ResidualTests(
-                **msgspec.structs.asdict(_whiteness(r)),
-                record=r.record,
-                channel=r.channel,
-                unit=r.unit,
-                t=r.t,
-                lags=r.lags,
-                band=r.tests.band,
-                frequency=r.tests.frequency,
-                after=None if other is None else _whiteness(other),
-            )
-        )
-    return tuple(rows)
+    return tuple(residual_row(r, later.get((r.record, r.channel))) for r in before.residuals)
+
+
+def residual_row(r: ChannelResiduals, after: ChannelResiduals | None = None) -> ResidualTests:
+    """Of one channel; ``after``: of another model, beside it."""
+    return ResidualTests(
+        **msgspec.structs.asdict(_whiteness(r)),
+        record=r.record,
+        channel=r.channel,
+        unit=r.unit,
+        t=r.t,
+        lags=r.lags,
+        band=r.tests.band,
+        frequency=r.tests.frequency,
+        after=None if after is None else _whiteness(after),
+    )
 
 
 def _whiteness(r: ChannelResiduals) -> WhitenessTests:
@@ -304,9 +303,14 @@ def cross_correlations(
     before: PredictionEvaluation, after: PredictionEvaluation | None = None
 ) -> tuple[CrossCorrelation, ...]:
     """Whether the residuals still know the inputs; ``after``: of another model, beside it."""
-    found = () if after is None else after.residuals
-    later = {(r.record, r.channel, c.input): CorrelationTest(z=c.z, p=finite(c.p)) for r in found for c in r.inputs}
-    return tuple(
+    later = {} if after is None else {(r.record, r.channel): r for r in after.residuals}
+    return tuple(row for r in before.residuals for row in cross_rows(r, later.get((r.record, r.channel))))
+
+
+def cross_rows(r: ChannelResiduals, after: ChannelResiduals | None = None) -> list[CrossCorrelation]:
+    """Of one channel with each input; ``after``: of another model, beside it."""
+    later = {} if after is None else {c.input: CorrelationTest(z=c.z, p=finite(c.p)) for c in after.inputs}
+    return [
         CrossCorrelation(
             record=r.record,
             channel=r.channel,
@@ -314,11 +318,10 @@ def cross_correlations(
             lags=c.lags,
             z=c.z,
             p=finite(c.p),
-            after=later.get((r.record, r.channel, c.input)),
+            after=later.get(c.input),
         )
-        for r in before.residuals
         for c in r.inputs
-    )
+    ]
 
 
 def profile_curve(found: Profile) -> ProfileCurve:

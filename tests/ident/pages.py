@@ -22,6 +22,7 @@ from ident.report.design_page import write_design_page
 from ident.report.page import write_report
 from ident.report.study_page import write_study_page
 from ident.report.terminal import print_result
+from ident.results.result_file import from_json
 from tests.ident import navigation_example, page_examples, report_example, report_example_bench
 
 KINDS = {
@@ -69,7 +70,9 @@ class Page(HTMLParser):
 
 
 def shortened(value: Any) -> Any:
-    """The same result with short lists."""
+    """The same result with short lists, matrices as they are."""
+    if isinstance(value, dict) and "matrix" in value:
+        return value
     if isinstance(value, dict):
         return {key: shortened(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -78,16 +81,22 @@ def shortened(value: Any) -> Any:
     return value
 
 
-def written(result: dict[str, Any], folder: Path) -> str:
+def loaded(content: dict[str, Any]) -> Any:
+    """A result from the content of its file; what has no type yet is left as it is."""
+    typed = content.get("kind") in ("diagnosis", "thruster", "thrust_curve", "vehicle")
+    return from_json(json.dumps(content).encode()) if typed else content
+
+
+def written(content: dict[str, Any], folder: Path) -> str:
     """The text of a result's page."""
-    write_report(result, folder / "report.html")
+    write_report(loaded(content), folder / "report.html")
     return (folder / "report.html").read_text(encoding="utf-8")
 
 
-def printed(result: dict[str, Any]) -> str:
+def printed(content: dict[str, Any]) -> str:
     """What a terminal of 80 columns gets."""
     console = Console(file=io.StringIO(), width=80, color_system=None)
-    print_result(result, console)
+    print_result(loaded(content), console)
     assert isinstance(console.file, io.StringIO)
     return console.file.getvalue()
 
@@ -122,7 +131,7 @@ def figures(path: Path) -> None:
 
 
 def _of(make: Callable[[], dict[str, Any]]) -> Callable[[Path], None]:
-    return lambda path: write_report(make(), path)
+    return lambda path: write_report(loaded(make()), path)
 
 
 # Every kind of page, as what writes it at a path.

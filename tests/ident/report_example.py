@@ -122,7 +122,9 @@ def whiteness(rng: Any, t: Any, memory: float) -> dict[str, Any]:
 
 
 def residual(rng: Any, t: Any) -> dict[str, Any]:
-    return {**whiteness(rng, t, 0.35), "after": whiteness(rng, t, 0.0)}
+    after = whiteness(rng, t, 0.0)
+    own = ("t", "lags", "band", "frequency")
+    return {**whiteness(rng, t, 0.35), "after": {key: after[key] for key in after if key not in own}}
 
 
 def cross(rng: Any, name: str, channel: str, key: str, size: float) -> dict[str, Any]:
@@ -173,7 +175,7 @@ def correlation(rng: Any, names: list[str]) -> dict[str, Any]:
 
 
 def errors(rng: Any, scale: float) -> dict[str, Any]:
-    sizes = {"one_step": (1.0, 0.96), "ten_seconds": (3.0, 0.6), "free_run": (22.0, 0.3)}
+    sizes = {"one_step": (1.0, 0.96), "horizon": (3.0, 0.6), "free_run": (22.0, 0.3)}
     found: dict[str, Any] = {}
     for horizon, (size, ratio) in sizes.items():
         table = found[horizon] = {}
@@ -190,8 +192,8 @@ def diagnosis_round(chosen: str | None, factor: float, why: str) -> dict[str, An
         size = lm * factor
         p = float(np.exp(-size / 2))
         row = {"name": name, "title": title, "lm": size, "df": df, "p": p, "p_block": min(1.0, p**0.5)}
-        candidates.append({**row, "generic": generic, "passed": size > 14})
-    k_J = {"name": "k_J", "value": 6.08, "se": 0.27, "unit": "kg/s"}
+        candidates.append({**row, "threshold": 14.0, "generic": generic, "passed": size > 14})
+    k_J = {"name": "k_J", "meaning": "thrust lost", "value": 6.08, "se": 0.27, "unit": "kg/s"}
     gains = ((0, 790.0, 312.0, 9.4), (2, 661.0, 240.0, 8.1), (1, 803.0, 296.0, 9.0))
     refits = []
     for index, gain, validation, t in gains:
@@ -210,12 +212,13 @@ def effect() -> dict[str, Any]:
         "source": "Blanke 1981, bilinear thrust; Fossen 2011, section 9.3",
         "place": "actuator",
         "experiment": "steps of both thrusters at several speeds, then full astern while still moving ahead",
-        "rivals": [{"name": "cubic-drag", "criterion_behind": 129.0}],
-        "certainty": "named",
+        "rivals": [{"name": "cubic-drag", "title": "cubic drag in surge", "criterion_behind": 129.0}],
+        "attribution": "identified",
         "reasons": [],
         "not_excluded": [],
         "parameters": [k_J],
-        "weight": 1.72,
+        "error_ratio_without": 1.72,
+        "gain_last": 640.0,
     }
 
 
@@ -250,13 +253,14 @@ def diagnosis() -> dict[str, Any]:
     ]
     result["effects"] = [effect()]
     grid = np.linspace(-0.4, 1.6, 60)
-    shape = {"force": "X", "variable": "u", "unit": "N", "variable_unit": "m/s", "grid": listed(grid)}
-    result["shapes"] = [{**shape, "value": listed(2 - 5 * grid**2), "sd": listed(0.4 + 0.6 * (grid - 0.6) ** 2),
-                         "band": listed(1.0 + 1.6 * (grid - 0.6) ** 2)}]
-    result["before_after"] = {"validation": errors(rng, 1.0), "estimation": errors(rng, 0.9)}
+    curve = {"grid": grid, "value": 2 - 5 * grid**2, "sd": 0.4 + 0.6 * (grid - 0.6) ** 2}
+    curve |= {"band": 1.0 + 1.6 * (grid - 0.6) ** 2}
+    drawn = {"force": "X", "sensor_error": False, "variable": "u", "unit": "N", "variable_unit": "m/s"}
+    result["nonparametric_effects"] = [drawn | {key: listed(a) for key, a in curve.items()}]
+    result["errors"] = {"validation": errors(rng, 1.0), "estimation": errors(rng, 0.9)}
     result["calibration"] = calibration()
-    result["doubt"] = None
-    result["next_experiment"] = "Full astern while still moving ahead: it tells advance-ratio from cubic-drag."
+    result |= {"caveat": None, "horizon_seconds": 10.0}
+    result["recommended_experiment"] = "Full astern while still moving ahead: it tells advance-ratio from cubic-drag."
     result["notes"] = ["Sway damping rests on its prior in part.", "GNSS was lost for 12 s in each record."]
     return result
 
@@ -270,6 +274,7 @@ def log(name: str, role: str, duration: float) -> dict[str, Any]:
 def fit(rng: Any, table: list[dict[str, Any]] | None = None) -> dict[str, Any]:
     table = table or parameters()
     common = {"model": "horizontal", "method": "PE", "converged": True, "message": "gradient is small"}
+    common |= {"restricted": True, "second_order": True}
     names = [p["name"] for p in table if p["se"]]
     common["iterations"] = 12
     more = {"log_likelihood": 104211.7, "cpu": 4.31, "parameters": table, "correlation": correlation(rng, names)}
@@ -277,5 +282,5 @@ def fit(rng: Any, table: list[dict[str, Any]] | None = None) -> dict[str, Any]:
 
 
 def base(kind: str, answer: str) -> dict[str, Any]:
-    common = {"format": "seatrial-result 1", "kind": kind, "answer": answer, "created": "2025-05-06T07:08:09Z"}
+    common = {"format": "seatrial-result 2", "kind": kind, "answer": answer, "created": "2025-05-06T07:08:09Z"}
     return {**common, "seatrial": "0.1.0", "command": f"seatrial ident {kind} morning.mcap --validate afternoon.mcap"}

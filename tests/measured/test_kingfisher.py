@@ -43,13 +43,13 @@ def results(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def agreement(result: dict[str, Any]) -> dict[str, Any]:
-    (row,) = result["agreement"]
+    (row,) = result["homogeneity"]
     found: dict[str, Any] = row
     return found
 
 
 def free_run(result: dict[str, Any]) -> float:
-    return float(result["before_after"]["validation"]["free_run"]["speed"]["after"])
+    return float(result["errors"]["validation"]["free_run"]["speed"]["after"])
 
 
 def test_the_quadratic_does_not_describe_the_bench(folder: Path) -> None:

@@ -86,8 +86,8 @@ def run_case(case: BenchCase) -> Row:
     return row | {
         "cpu": round(time.process_time() - began, 2),
         "found": [r.effect.name for r in found.effects],
-        "certainty": [j.certainty for j in found.judgements],
-        "left": [s.name for s in found.left],
+        "attribution": [j.attribution for j in found.judgements],
+        "remaining_candidates": [s.name for s in found.left],
         "before": free_errors(found.before),
         "after": free_errors(found.after),
     }
@@ -116,13 +116,13 @@ def verdict(row: Row) -> str:
         return "exact" if found == [truth] else "first"
     if found[0].startswith("unknown "):
         return "unknown"
-    return "likened" if row["certainty"][0] != "named" else "wrong"
+    return "likened" if row["attribution"][0] != "identified" else "wrong"
 
 
 def false_name(row: Row) -> bool:
     """Was anything given as sure that is not there?"""
-    found = zip(row["found"], row["certainty"], strict=True)
-    return any(certainty == "named" and name != row["effect"] for name, certainty in found)
+    found = zip(row["found"], row["attribution"], strict=True)
+    return any(one == "identified" and name != row["effect"] for name, one in found)
 
 
 VERDICTS = ("exact", "first", "likened", "unknown", "missed", "wrong")

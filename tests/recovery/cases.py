@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -15,13 +16,14 @@ import numpy as np
 
 from bench.mission_generators import make_mission
 from ident.data.record import LogSegment
+from ident.diagnosis.evaluation import evaluate_diagnosis
 from ident.diagnosis.results import Diagnosis
 from ident.diagnosis.search import diagnose
-from ident.effects.nonparametric import NonparametricForce
 from ident.effects.registry import catalogue
 from ident.estimation.fitted_model import FittedModel
-from ident.results.content import Json
 from ident.results.diagnosis import diagnosis_result
+from ident.results.parts import DiagnosisResult, ParameterRow
+from ident.results.tables import provenance
 from ident.validation.prediction_errors import HORIZON, PredictionErrors, ahead, free_run, one_step, pooled
 from mocks.offline_simulation import Recording, simulate
 from tests.missions import boat_with, channels_of
@@ -74,62 +76,67 @@ def run_case(case: Case) -> Row:
         if not case.how.logged:
             began = time.process_time()
             runs = runs_of(case)
-            result = diagnosis_result(diagnose_case(case, runs))
+            result = result_of(diagnose_case(case, runs))
             return row | {"cpu": round(time.process_time() - began, 2)} | told(result) | judged(case, runs, result)
         with TemporaryDirectory() as folder:
             runs = write_logs(Path(folder), recordings_of(case))
-            result = diagnosed(Path(folder))
-            return row | {"cpu": round(result["cpu"], 2)} | told(result) | judged(case, runs, result)
+            read, cpu = diagnosed(Path(folder))
+            assert isinstance(read, DiagnosisResult)
+            return row | {"cpu": round(cpu, 2)} | told(read) | judged(case, runs, read)
     except Exception as problem:  # the study goes on, and counts it
         return row | {"error": f"{type(problem).__name__}: {problem}"}
 
 
-def told(result: Json) -> Row:
+def result_of(found: Diagnosis) -> DiagnosisResult:
+    """As `seatrial ident diagnose` reports it."""
+    made = provenance([], "")
+    return diagnosis_result(found, evaluate_diagnosis(found), made, warnings=(), notes=(), model_path="MODEL")
+
+
+def told(result: DiagnosisResult) -> Row:
     """What the diagnosis says."""
-    effects = result["effects"]
-    t = {q["name"]: q["t"] for one in result["rounds"] for q in one["refits"] if q["name"] == one["chosen"]}
+    effects = result.effects
+    t = {q.name: q.t for one in result.rounds for q in one.refits if q.name == one.chosen}
     return {
-        "found": [e["name"] for e in effects],
-        "certainty": [e["certainty"] for e in effects],
-        "rivals": [e["not_excluded"] for e in effects],
-        "reasons": [e["reasons"] for e in effects],
-        "weight": [round(e["weight"], 3) for e in effects],
-        "t": [round(t[e["name"]], 2) for e in effects],
-        "shapes": [f"{s['force']}({s['variable']})" for s in result["shapes"]],
-        "left": [s["name"] for s in result["left"]],
-        "answer": result["answer"],
+        "found": [e.name for e in effects],
+        "attribution": [e.attribution for e in effects],
+        "rivals": [list(e.not_excluded) for e in effects],
+        "reasons": [list(e.reasons) for e in effects],
+        "error_ratio_without": [round(e.error_ratio_without or math.nan, 3) for e in effects],
+        "t": [round(t[e.name], 2) for e in effects],
+        "nonparametric_effects": [f"{s.force}({s.variable})" for s in result.nonparametric_effects],
+        "remaining_candidates": [s.name for s in result.remaining_candidates],
+        "answer": result.answer,
     }
 
 
-def judged(case: Case, runs: Sequence[LogSegment], result: Json) -> Row:
+def judged(case: Case, runs: Sequence[LogSegment], result: DiagnosisResult) -> Row:
     """How good that is: errors on validation data against those of the true structure, estimates, shapes."""
-    table = result["before_after"]["validation"]
+    table = result.errors.validation
+    assert table is not None
+    both = {"horizon": table.horizon, "free_run": table.free_run}
     row: Row = {
-        "z": z_scores(result["fit"]["parameters"], truth_of(case)),
-        "before": rms(table, lambda cell: cell["before"]),
-        "after": rms(table, lambda cell: cell["after"]),
+        "z": z_scores(result.fit.parameters, truth_of(case)),
+        "before": rms(both, lambda cell: cell.before),
+        "after": rms(both, lambda cell: cell.after),
     }
-    if {e["name"] for e in result["effects"]} == set(case.truths):
+    if {e.name for e in result.effects} == set(case.truths):
         best = row["after"]  # with the true structure found, the answer is the oracle
     else:
         true = oracle(case, runs)
         best = None if true is None else rms(errors(true), lambda e: e.rms)
     if best is not None:
         row |= {"oracle": best, "ratio": ratio(row["after"], best)}
-    share = shape_share(case, [NonparametricForce(**{k: _array(v) for k, v in s.items()}) for s in result["shapes"]])
+    share = shape_share(case, result.nonparametric_effects)
     return row if share is None else row | {"shape": round(share, 3)}
 
 
-def _array(value: Any) -> Any:
-    return np.asarray(value, dtype=np.float64) if isinstance(value, list) else value
-
-
-def z_scores(parameters: Sequence[Json], truth: Mapping[str, float]) -> dict[str, float]:
+def z_scores(parameters: Sequence[ParameterRow], truth: Mapping[str, float]) -> dict[str, float]:
     """(estimate - truth) / standard error, of the parameters that have one; those of the estimation log."""
     found: dict[str, float] = {}
     for p in parameters:
-        if p["name"] in truth and p["se"] is not None and np.isfinite(p["se"]):
-            found.setdefault(p["name"], round((p["value"] - truth[p["name"]]) / p["se"], 3))
+        if p.name in truth and p.se is not None:
+            found.setdefault(p.name, round((p.value - truth[p.name]) / p.se, 3))
     return found
 
 
@@ -138,7 +145,7 @@ def errors(stage: FittedModel) -> AllErrors:
     model, views = stage.model, stage.validation
     return {
         "one_step": pooled([one_step(model, v.record, v.run) for v in views]),
-        "ten_seconds": pooled([ahead(model, v.record, v.values, v.run.x_filt, HORIZON) for v in views]),
+        "horizon": pooled([ahead(model, v.record, v.values, v.run.x_filt, HORIZON) for v in views]),
         "free_run": pooled([dict(free_run(model, v.record, v.values).errors) for v in views]),
     }
 
@@ -148,7 +155,7 @@ def rms(table: Mapping[str, Mapping[str, Any]], of: Callable[[Any], float]) -> d
     the table has it."""
     return {
         kind: {n: float(f"{of(cell):.4g}") for n, cell in table[kind].items() if n in CHANNELS}
-        for kind in ("ten_seconds", "free_run")
+        for kind in ("horizon", "free_run")
     }
 
 

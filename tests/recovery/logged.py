@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import resource
 import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from ident.data.loading import load_run
 from ident.data.record import LogSegment
+from ident.results.result_file import AnyResult, read_result
 from mocks.offline_simulation import Recording
 from tests.missions import write_log
 
@@ -26,14 +25,13 @@ def write_logs(folder: Path, recordings: Sequence[Recording]) -> list[LogSegment
     return [load_run(path, path.stem).run for path in paths]
 
 
-def diagnosed(folder: Path) -> dict[str, Any]:
-    """result.json of `seatrial ident diagnose` with the model of `seatrial ident vehicle`, and the CPU seconds of the
+def diagnosed(folder: Path) -> tuple[AnyResult, float]:
+    """The result of `seatrial ident diagnose` with the model of `seatrial ident vehicle`, and the CPU seconds of the
     diagnosis. Raises RuntimeError with the command's own line where it fails."""
     _seatrial(folder, "ident", "vehicle", ESTIMATION, "--validate", VALIDATION, "--out", "vehicle")
     before = _cpu()
     _seatrial(folder, "ident", "diagnose", "vehicle/model.toml", ESTIMATION, "--validate", VALIDATION, "--out", "found")
-    result: dict[str, Any] = json.loads((folder / "found" / "result.json").read_text(encoding="utf-8"))
-    return result | {"cpu": _cpu() - before}
+    return read_result(folder / "found" / "result.json"), _cpu() - before
 
 
 def _seatrial(folder: Path, *words: str) -> None:

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ident.data.record import LogSegment, make_record
-from ident.effects.nonparametric import NonparametricForce
 from ident.effects.registry import catalogue
 from ident.estimation.fitted_model import FittedModel, fit_and_evaluate, nominal, superset, without_absent_sensors
 from ident.model.structure import Effect
+from ident.results.parts import NonparametricCurve
 from mocks.hidden_effects.catalogue import make_effect
 from tests.recovery.kinds import Case, boat_of, model_of
 
@@ -44,7 +44,7 @@ def _near_the_truth(effect: Effect, case: Case) -> Effect:
     return replace(effect, parameters=tuple(start))
 
 
-def shape_share(case: Case, shapes: Sequence[NonparametricForce]) -> float | None:
+def shape_share(case: Case, shapes: Sequence[NonparametricCurve]) -> float | None:
     """The share of the drawn curve whose band holds the true one; None without a drawn curve of the right kind.
 
     What the model's own parameters can take up is compared with neither: a constant, for X(u) the drag, for X(n_sum)
@@ -61,7 +61,7 @@ def shape_share(case: Case, shapes: Sequence[NonparametricForce]) -> float | Non
     return float(np.mean(np.abs(apart) < drawn.band))
 
 
-def _beyond(drawn: NonparametricForce, difference: Array) -> Array:
+def _beyond(drawn: NonparametricCurve, difference: Array) -> Array:
     """What is left of a difference of curves without what the hull's own damping or thrusters could take up."""
     z = drawn.grid
     columns = [np.ones(z.size)]

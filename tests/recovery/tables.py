@@ -73,7 +73,7 @@ def change(before: Sequence[float], after: Sequence[float]) -> str:
 
 def position(errors: dict[str, dict[str, float]]) -> float:
     """Ten seconds ahead, m."""
-    return float(np.hypot(errors["ten_seconds"]["x"], errors["ten_seconds"]["y"]))
+    return float(np.hypot(errors["horizon"]["x"], errors["horizon"]["y"]))
 
 
 def heading(errors: dict[str, dict[str, float]]) -> float:

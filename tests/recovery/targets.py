@@ -116,7 +116,7 @@ def _seeds(rows: Sequence[Row]) -> str:
 
 
 def _unknown(row: Row) -> bool:
-    return bool(row["found"]) and row["certainty"][0] == "unknown"
+    return bool(row["found"]) and row["attribution"][0] == "nonparametric"
 
 
 def _share(rows: Sequence[Row], counts: Callable[[Row], bool]) -> str:
@@ -148,7 +148,7 @@ def oracles(rows: Sequence[Row]) -> Lines:
         found = [r["ratio"] for r in good(rows, name, lacking=True) if "ratio" in r]
         if found:
             cells = []
-            for horizon in ("ten_seconds", "free_run"):
+            for horizon in ("horizon", "free_run"):
                 values = [r[horizon] for r in found]
                 cells += [f"{np.median(values):.3f}", f"{np.quantile(values, 0.9):.3f}"]
             lines.append([name, str(len(found)), *cells])

@@ -28,24 +28,24 @@ def test_an_effect_is_named_alone_and_makes_the_model_better(effect: str, channe
     assert row["after"][channel] < 0.9 * row["before"][channel]
 
 
-def fake(effect: str, seed: int, found: list[str], *certainty: str, scale: float = 1.0) -> Row:
+def fake(effect: str, seed: int, found: list[str], *attribution: str, scale: float = 1.0) -> Row:
     key = BenchCase(effect, seed, scale).key
     errors = {"n": 0.002, "force": 0.5}
     return {
-        "key": key, "effect": effect, "seed": seed, "scale": scale, "found": found, "certainty": list(certainty),
+        "key": key, "effect": effect, "seed": seed, "scale": scale, "found": found, "attribution": list(attribution),
         "left": [], "cpu": 9.0, "before": errors, "after": errors, "code": "x",
     }  # fmt: skip
 
 
 ROWS = [
     (fake("none", 1, []), "exact"),
-    (fake("none", 2, ["spin-up"], "named"), "wrong"),
-    (fake("spin-up", 1, ["spin-up"], "named"), "exact"),
-    (fake("spin-up", 2, ["spin-up", "cell-lag"], "named", "named"), "first"),
+    (fake("none", 2, ["spin-up"], "identified"), "wrong"),
+    (fake("spin-up", 1, ["spin-up"], "identified"), "exact"),
+    (fake("spin-up", 2, ["spin-up", "cell-lag"], "identified", "identified"), "first"),
     (fake("spin-up", 3, [], scale=0.5), "missed"),
-    (fake("spin-up", 4, ["unknown n_dot(slip)"], "unknown"), "unknown"),
-    (fake("spin-up", 5, ["slew-limit"], "resembles"), "likened"),
-    (fake("spin-up", 6, ["slew-limit"], "named"), "wrong"),
+    (fake("spin-up", 4, ["unknown n_dot(slip)"], "nonparametric"), "unknown"),
+    (fake("spin-up", 5, ["slew-limit"], "ambiguous"), "likened"),
+    (fake("spin-up", 6, ["slew-limit"], "identified"), "wrong"),
 ]
 
 

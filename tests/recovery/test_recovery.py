@@ -13,7 +13,7 @@ from ident.characterisation.thruster import THRUSTER_RATE, fit_thruster
 from ident.data.record import build_record
 from ident.effects.nonparametric import NonparametricForce
 from ident.models.thruster import delayed_channels, thruster_model
-from ident.results.content import fit_part
+from ident.results.tables import fit_summary
 from mocks.hidden_effects.catalogue import EFFECTS, OUTSIDE
 from mocks.plant.bench import draw_bench
 from tests.missions import bench_channels_of, push
@@ -31,7 +31,7 @@ def test_a_clean_boat_lacks_nothing_and_its_parameters_are_true() -> None:
     found = diagnose_case(case)
     assert found.effects == ()
     assert found.rounds == ()
-    z = z_scores(fit_part(found.after.fit, {})["parameters"], truth_of(case))
+    z = z_scores(fit_summary(found.after.fit, {}).parameters, truth_of(case))
     assert set(z) >= IDENTIFIABLE
     assert {n: s for n, s in z.items() if abs(s) > 3.0} == {}
 
@@ -42,12 +42,12 @@ def test_an_effect_is_named_first_and_makes_the_model_better(effect: str) -> Non
     row = run_case(Case(effect, 2))
     assert row.get("error") is None
     assert row["found"][:1] == [effect]
-    assert row["weight"][0] > 1.0
+    assert row["error_ratio_without"][0] > 1.0
     assert verdict.first_right(row)
     assert row["answer"].startswith("The model lacks ")
     assert 0.9 < row["ratio"]["free_run"] < 1.1
     assert tables.position(row["after"]) < tables.position(row["before"])
-    assert row["after"]["ten_seconds"]["r"] <= 1.01 * row["before"]["ten_seconds"]["r"]
+    assert row["after"]["horizon"]["r"] <= 1.01 * row["before"]["horizon"]["r"]
 
 
 @pytest.mark.slow
@@ -68,9 +68,9 @@ def test_a_name_is_found_behind_a_table() -> None:
     row = run_case(Case("heading-third+dead-band", 51, "beside"))
     assert row.get("error") is None
     assert row["found"] == ["unknown N(psi)", "dead-band"]  # the search's order too; the table weighs more
-    assert row["certainty"] == ["unknown", "resembles"]
+    assert row["attribution"] == ["nonparametric", "ambiguous"]
     assert verdict.all_right(row)
-    assert row["left"] == []
+    assert row["remaining_candidates"] == []
 
 
 @pytest.mark.slow
@@ -78,9 +78,9 @@ def test_a_sensor_that_no_catalogue_explains_is_drawn() -> None:
     """Without the compass' deviation in the catalogue: the error of the heading over the heading, and no name."""
     row = run_case(Case("compass", 2, "leave-one-out"))
     assert row.get("error") is None
-    assert (row["found"][0], row["certainty"][0]) == ("unknown psi(psi)", "unknown")
-    assert row["shapes"][0] == "psi(psi)"
-    assert row["ratio"]["ten_seconds"] < 1.1
+    assert (row["found"][0], row["attribution"][0]) == ("unknown psi(psi)", "nonparametric")
+    assert row["nonparametric_effects"][0] == "psi(psi)"
+    assert row["ratio"]["horizon"] < 1.1
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -102,13 +102,15 @@ def test_the_bench_finds_its_thruster(seed: int) -> None:
 
 
 def fake(effect: str, seed: int, found: list[str], kind: str = "single", **more: object) -> Row:
-    errors = {"ten_seconds": dict.fromkeys(("x", "y", "r"), 3.0), "free_run": {"psi": 0.1}}
-    sure = ["unknown" if name.startswith("unknown") else "named" for name in found]
+    errors = {"horizon": dict.fromkeys(("x", "y", "r"), 3.0), "free_run": {"psi": 0.1}}
+    sure = ["nonparametric" if name.startswith("unknown") else "identified" for name in found]
     return {
-        "key": Case(effect, seed, kind).key, "effect": effect, "seed": seed, "kind": kind, "found": found, "left": [],
-        "certainty": sure, "shapes": [n.removeprefix("unknown ") for n in found if n.startswith("unknown")],
+        "key": Case(effect, seed, kind).key, "effect": effect, "seed": seed, "kind": kind, "found": found,
+        "remaining_candidates": [],
+        "attribution": sure,
+        "nonparametric_effects": [n.removeprefix("unknown ") for n in found if n.startswith("unknown")],
         "z": {"m_u": 2.5}, "before": errors, "after": errors, "cpu": 1.0, "code": code_state(),
-        "ratio": {"ten_seconds": 1.0, "free_run": 1.02}, **more,
+        "ratio": {"horizon": 1.0, "free_run": 1.02}, **more,
     }
 
 
@@ -145,7 +147,7 @@ def test_a_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_the_tables_count_what_was_named() -> None:
     rows = [
         fake("wind", 1, ["wind"]), fake("wind", 2, ["compass", "wind"]), fake("wind", 3, []),
-        fake("wind", 4, ["unknown N(psi)"]), fake("wind", 5, ["wind"], certainty=["resembles"]),
+        fake("wind", 4, ["unknown N(psi)"]), fake("wind", 5, ["wind"], attribution=["ambiguous"]),
     ]
     head, line = tables.rates(rows)
     wind = dict(zip(head, line, strict=True))
@@ -164,11 +166,11 @@ def test_the_targets_are_shares_of_the_right_cases() -> None:
         fake("none", 1, [], "clean"), fake("none", 2, ["wind"], "clean"), fake("none", 3, [], "noise-gps"),
         fake("wind+lag", 1, ["lag", "wind"], "pair"), fake("wind+lag", 2, ["lag"], "pair"),
         fake("yaw-saddle", 1, ["unknown N(u)"], "outside", shape=0.95), fake("yaw-saddle", 2, ["lift"], "outside"),
-        fake("surge-step", 1, ["hump", "unknown X(u)"], "outside", certainty=["resembles", "unknown"]),
-        fake("yaw-saddle+lag", 1, ["lag", "unknown N(u)"], "beside", certainty=["resembles", "unknown"]),
+        fake("surge-step", 1, ["hump", "unknown X(u)"], "outside", attribution=["ambiguous", "nonparametric"]),
+        fake("yaw-saddle+lag", 1, ["lag", "unknown N(u)"], "beside", attribution=["ambiguous", "nonparametric"]),
         fake("yaw-saddle+lag", 2, ["unknown N(u)"], "beside"), fake("yaw-saddle+lag", 3, ["lag"], "beside"),
         fake("wind", 1, ["current-drift"], "leave-one-out"),
-        fake("wind", 2, ["current-drift"], "leave-one-out", certainty=["resembles"]),
+        fake("wind", 2, ["current-drift"], "leave-one-out", attribution=["ambiguous"]),
     ]
     head, *lines = targets.targets(rows)
     found = {(line[0], line[1]): line[head.index("cases")] for line in lines}

@@ -38,7 +38,7 @@ def first_right(row: Row) -> bool:
         return not row["found"]
     if not row["found"]:
         return False
-    return row["found"][0] in answers(row) and row["certainty"][0] in ("named", UNKNOWN)
+    return row["found"][0] in answers(row) and row["attribution"][0] in ("identified", "nonparametric")
 
 
 def exactly(row: Row) -> bool:
@@ -60,17 +60,17 @@ def all_right(row: Row) -> bool:
 
 def wrong_as_sure(row: Row) -> bool:
     """Something that the boat has not is named as sure, first."""
-    return bool(row["found"]) and row["certainty"][0] == "named" and row["found"][0] not in truths(row)
+    return bool(row["found"]) and row["attribution"][0] == "identified" and row["found"][0] not in truths(row)
 
 
 def likened(row: Row) -> bool:
     """The first answer is a likeness: several effects that the data do not tell apart."""
-    return bool(row["found"]) and row["certainty"][0] == "resembles"
+    return bool(row["found"]) and row["attribution"][0] == "ambiguous"
 
 
 def extra(row: Row) -> int:
     """Names said as sure of what is not there, not even at the 5 % of a mixture."""
-    sure = [n for n, c in zip(row["found"], row["certainty"], strict=True) if c == "named"]
+    sure = [n for n, c in zip(row["found"], row["attribution"], strict=True) if c == "identified"]
     there = {*truths(row), *(EFFECTS if KINDS[row["kind"]].others else ())}
     return sum(n not in there for n in sure)
 
@@ -79,4 +79,4 @@ def drawn_right(row: Row) -> bool:
     """Of an effect outside the catalogue: the right force is drawn over the right variable, and no name is given as
     sure; it may be said to resemble one."""
     right = [a.removeprefix("unknown ") for a in answers(row) if a.startswith("unknown ")]
-    return set(right) <= set(row.get("shapes", [])) and not wrong_as_sure(row)
+    return set(right) <= set(row.get("nonparametric_effects", [])) and not wrong_as_sure(row)

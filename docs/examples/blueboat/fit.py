@@ -15,7 +15,7 @@ def percent(row: dict[str, Any], key: str) -> float | None:
 
 def main() -> None:
     path = Path(sys.argv[1])
-    rows = json.loads(path.read_text(encoding="utf-8"))["before_after"]["validation"]["free_run"]
+    rows = json.loads(path.read_text(encoding="utf-8"))["errors"]["validation"]["free_run"]
     for name in ("u", "v", "r"):
         before, after = percent(rows[name], "before"), percent(rows[name], "after")
         said = f"{after:6.1f} %" if before is None else f"{before:6.1f} % before, {after:6.1f} % after"

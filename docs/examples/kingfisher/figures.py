@@ -82,7 +82,7 @@ def masses(folder: Path, path: Path) -> None:
     figure = make_subplots(1, 2, horizontal_spacing=0.1)
     looks = {"immediate": (PLAIN, "square"), "delayed": (POOR, "diamond"), "both": (MODEL, "circle")}
     for shift, (name, (colour, symbol)) in enumerate(looks.items()):
-        row = load(folder, name)["agreement"][0]
+        row = load(folder, name)["homogeneity"][0]
         bars = {"type": "data", "array": 2 * np.array(row["ses"]), "thickness": 1.6, "width": 0}
         at = np.arange(1, 5) + 0.15 * (shift - 1)
         figure.add_trace(dots(at, row["values"], f"{name}, ± 2 s.e.", colour, symbol, error_y=bars), 1, 1)

@@ -87,7 +87,7 @@ def _moved_row(row: ParameterChange) -> list[Cell | str]:
 
 def _correlation(canvas: Canvas, correlation: Correlation) -> list[Any]:
     names, table = correlation.names, correlation.matrix
-    if table.shape != (len(names), len(names)) or len(names) < 2:
+    if len(names) < 2:
         return []
     labels = [drawing.said(name) for name in names]
     heat: drawing.Trace = {

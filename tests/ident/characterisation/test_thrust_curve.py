@@ -193,7 +193,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     run("ident", "thruster", log, "--out", str(tmp_path / "thruster"))
     assert "does not" in capsys.readouterr().out.replace("\n", " ")
     result = json.loads((tmp_path / "thruster/result.json").read_text())
-    assert (result["kind"], len(result["static"]["n"])) == ("thruster", 11)
+    assert (result["kind"], len(result["static"]["n"])) == ("thrust_curve", 11)
     assert len(result["static"]["force_quadratic"]) == len(result["static"]["n_model"])
     table = tomllib.loads((tmp_path / "thruster/model.toml").read_text())
     assert table["thrusters"] == 2

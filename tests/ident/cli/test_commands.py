@@ -102,9 +102,9 @@ def test_vehicle(fitted: Path) -> None:
         assert vehicle[name]["se"] is None
     assert vehicle["m_u"]["start"] == 37.0  # from the rig in the log
     assert vehicle["d_vv"]["start"] == 20.0
-    assert set(result["before_after"]) == {"estimation", "validation"}
-    assert result["before_after"]["validation"]["ten_seconds"]["r"]["after"] < 0.1
-    assert result["horizon"] == 10.0
+    assert set(result["errors"]) == {"estimation", "validation"}
+    assert result["errors"]["validation"]["horizon"]["r"]["after"] < 0.1
+    assert result["horizon_seconds"] == 10.0
     assert result["answer"].startswith("Ten seconds ahead on validation data the model errs by position")
     saved = load_model(fitted / "vehicle" / "model.toml")
     low, high = saved.validity["u"]
@@ -121,7 +121,7 @@ def test_diagnose(fitted: Path, run: Run) -> None:
     assert [e["name"] for e in result["effects"]] == [EFFECT]
     assert "wave-making resistance" in result["answer"]
     assert result["answer"].split()[0] in out
-    errors = result["before_after"]["validation"]["free_run"]
+    errors = result["errors"]["validation"]["free_run"]
     assert errors["x"]["after"] < errors["x"]["before"]
     saved = load_model(fitted / "diagnosis" / "model.toml")
     assert EFFECT in [e.name for e in saved.model.effects]

@@ -19,6 +19,7 @@ from ident.model.parameter import Parameter
 from ident.model.structure import Effect, ForceCurve
 from ident.report.page import write_report
 from ident.report.terminal import print_result
+from tests.ident.pages import loaded
 from tests.ident.report_example import diagnosis
 from tests.ident.unlisted import kind_of
 
@@ -46,13 +47,13 @@ def of(*rounds: Round, left: tuple[Score, ...] = (), untested: tuple[str, ...] =
 
 def test_a_name_that_leaves_nothing_is_sure() -> None:
     (found,) = of(one_round(refit("wind", 800.0), refit("heading-moment", 300.0)))
-    assert found == EffectAttribution("wind", "named")
+    assert found == EffectAttribution("wind", "identified")
 
 
-@pytest.mark.parametrize(("worth", "certainty"), [(LEFT - 1, "named"), (LEFT + 1, "resembles")])
-def test_what_is_left_counts_beyond_a_little(worth: float, certainty: str) -> None:
+@pytest.mark.parametrize(("worth", "attribution"), [(LEFT - 1, "identified"), (LEFT + 1, "ambiguous")])
+def test_what_is_left_counts_beyond_a_little(worth: float, attribution: str) -> None:
     (found,) = of(one_round(refit("lever-arm", 500.0)), left=(score("N(u, r)", worth),))
-    assert found.certainty == certainty
+    assert found.attribution == attribution
     if found.reasons:
         assert found.reasons == ("with it the tests still find that N depends on u and r, worth 21 more in 2 ln L",)
 
@@ -61,32 +62,32 @@ def test_a_little_is_a_share_of_what_was_explained() -> None:
     """A strong effect whose true form is not quite ours leaves more than a weak one."""
     (strong,) = of(one_round(refit("lever-arm", 5000.0)), left=(score("accelerometer-tilt", 100.0),))
     (weak,) = of(one_round(refit("lever-arm", 600.0)), left=(score("accelerometer-tilt", 100.0),))
-    assert (strong.certainty, weak.certainty) == ("named", "resembles")
+    assert (strong.attribution, weak.attribution) == ("identified", "ambiguous")
 
 
-@pytest.mark.parametrize(("n_left", "certainty"), [(MANY, "named"), (MANY + 1, "resembles")])
-def test_many_small_rests_are_a_rest(n_left: int, certainty: str) -> None:
+@pytest.mark.parametrize(("n_left", "attribution"), [(MANY, "identified"), (MANY + 1, "ambiguous")])
+def test_many_small_rests_are_a_rest(n_left: int, attribution: str) -> None:
     """A lag in the place of a delay: no test finds much, but a great many find something."""
     left = tuple(score(f"candidate-{k}", 3.0) for k in range(n_left))
     (found,) = of(one_round(refit("lag", 4000.0)), left=left)
-    assert found.certainty == certainty
+    assert found.attribution == attribution
 
 
 def test_a_table_beside_a_name_puts_the_name_in_doubt() -> None:
     wind, table = of(one_round(refit("heading-moment", 700.0)), one_round(refit("unknown Y(psi)", 1000.0)))
-    assert (wind.certainty, table.certainty) == ("resembles", "unknown")
+    assert (wind.attribution, table.attribution) == ("ambiguous", "nonparametric")
     assert "unknown Y(psi) had to be added beside it" in wind.reasons
 
 
 def test_a_table_that_explains_more_puts_the_name_in_doubt_unless_validation_refused_it() -> None:
     (doubted,) = of(one_round(refit("dead-band", 110.0), refit("unknown N(n_diff)", 150.0)))
     (kept,) = of(one_round(refit("dead-band", 110.0), refit("unknown N(n_diff)", 150.0, t=1.0)))
-    assert (doubted.certainty, kept.certainty) == ("resembles", "named")
+    assert (doubted.attribution, kept.attribution) == ("ambiguous", "identified")
 
 
 def test_a_rival_that_comes_close_is_listed() -> None:
     (found,) = of(one_round(refit("delay", 400.0), refit("lag", 385.0), refit("filter-lag", 395.0), refit("lift", 9.0)))
-    assert found.certainty == "resembles"
+    assert found.attribution == "ambiguous"
     assert found.rivals == ("filter-lag", "lag")
     assert found.reasons == ("filter lag explains nearly as much (5 less in 2 ln L)",)
 
@@ -100,15 +101,15 @@ def test_a_rival_that_only_fits_better_is_said_so() -> None:
 def test_a_rival_that_could_not_be_tested_is_not_excluded() -> None:
     sag = refit("current-drift", 200.0, rivals=("wind", "battery-sag"))
     (found,) = of(one_round(sag), untested=("battery-sag",))
-    assert (found.certainty, found.rivals) == ("resembles", ("battery-sag",))
+    assert (found.attribution, found.rivals) == ("ambiguous", ("battery-sag",))
 
 
 def test_a_name_that_only_says_what_depends_on_what_keeps_with_another_shape() -> None:
     moment = refit("heading-moment", 700.0, nonparametric_of=ForceCurve("N", "psi"))
     name, _ = of(one_round(moment), one_round(refit("unknown N(psi)", 200.0)), left=(score("N(psi)", 1.0),))
-    assert name == EffectAttribution("heading-moment", "named")
+    assert name == EffectAttribution("heading-moment", "identified")
     doubted, _ = of(one_round(moment), one_round(refit("unknown Y(psi)", 200.0)))
-    assert doubted.certainty == "resembles"
+    assert doubted.attribution == "ambiguous"
 
 
 def test_of_several_effects_one_may_do_the_work_of_all() -> None:
@@ -116,21 +117,21 @@ def test_of_several_effects_one_may_do_the_work_of_all() -> None:
     pair = (one_round(refit("sway-yaw", 670.0, rivals=("cg-offset", "cross-flow"))),
             one_round(refit("turning-resistance", 80.0, rivals=("cg-offset",))))
     coupled, turning = of(*pair, left=(score("cross-flow", -1.0),))
-    assert (coupled.certainty, turning.certainty) == ("resembles", "named")
+    assert (coupled.attribution, turning.attribution) == ("ambiguous", "identified")
     (alone,) = of(pair[0], left=(score("cross-flow", -1.0),))
-    assert alone.certainty == "named"
+    assert alone.attribution == "identified"
 
 
-@pytest.mark.parametrize(("criterion", "certainty"), [(172.0, "resembles"), (800.0, "named")])
-def test_a_small_rival_beside_a_strong_effect_may_be_that_ones_true_form(criterion: float, certainty: str) -> None:
+@pytest.mark.parametrize(("criterion", "attribution"), [(172.0, "ambiguous"), (800.0, "identified")])
+def test_a_small_rival_beside_a_strong_effect_may_be_that_ones_true_form(criterion: float, attribution: str) -> None:
     """The shaft's speed bends by a power of the command that is not ours: at the top that looks like a small limit."""
     curve, limit = of(one_round(refit("speed-curve", 4357.0)),
                       one_round(refit("speed-limit", criterion, rivals=("speed-curve",))))
-    assert (curve.certainty, limit.certainty) == ("named", certainty)
+    assert (curve.attribution, limit.attribution) == ("identified", attribution)
     if limit.reasons:
         assert limit.reasons == ("it may be no more than what speed curve has beyond its formula",)
     (_, other) = of(one_round(refit("speed-curve", 4357.0)), one_round(refit("rod-flex", criterion)))
-    assert other.certainty == "named"
+    assert other.attribution == "identified"
 
 
 @pytest.mark.parametrize(("name", "said"), [
@@ -144,21 +145,21 @@ def test_what_is_left_is_said_in_words(name: str, said: str) -> None:
 
 
 def test_two_effects_of_which_nothing_is_left_are_both_sure() -> None:
-    assert [j.certainty for j in of(one_round(refit("lever-arm", 9000.0)), one_round(refit("yaw-bias", 120.0)))] == [
-        "named", "named"]
+    assert [j.attribution for j in of(one_round(refit("lever-arm", 9000.0)), one_round(refit("yaw-bias", 120.0)))] == [
+        "identified", "identified"]
 
 
 def test_a_doubt_stands_under_the_answer(tmp_path: Path) -> None:
     result = diagnosis()
-    result["doubt"] = "The name is not sure: a lag explains nearly as much."
-    result["effects"][0] |= {"certainty": "resembles", "reasons": ["a lag explains nearly as much"],
+    result["caveat"] = "The name is not sure: a lag explains nearly as much."
+    result["effects"][0] |= {"attribution": "ambiguous", "reasons": ["a lag explains nearly as much"],
                              "not_excluded": ["lag"]}
-    write_report(result, tmp_path / "report.html")
+    write_report(loaded(result), tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count("The name is not sure: a lag explains nearly as much.") == 1
     assert "it resembles this; a lag explains nearly as much; not excluded: lag" in page
     console = Console(width=80, record=True, file=StringIO())
-    print_result(result, console)
+    print_result(loaded(result), console)
     assert "The name is not sure: a lag explains nearly as much." in console.export_text()
 
 
@@ -179,22 +180,22 @@ def test_a_shape_that_was_bent_into_anothers_place_shows_it(
     fit = SimpleNamespace(names=("d_u", "A", "w"), values=np.array([9.0, height, width]),
                           errors=np.array([0.1, 1.0, 0.05]), covariance=np.diag([0.01, 1.0, 0.0025]), flags=flags)
     (found,) = of(one_round(refit("hump", 800.0, fit=fit, parameters=HUMP)))
-    assert found.certainty == ("resembles" if reason else "named")
+    assert found.attribution == ("ambiguous" if reason else "identified")
     assert found.reasons == ((reason,) if reason else ())
 
 
-@pytest.mark.parametrize(("sizes", "errors", "correlation", "certainty"), [
-    ((9.0, 0.1), (1.0, 1.0), 0.0, "named"),  # of a wind the part across may be nothing
-    ((0.5, 0.1), (1.0, 1.0), 0.0, "resembles"),
-    ((0.5, 9.0), (1.0, np.nan), 0.0, "resembles"),  # one without a standard error says nothing
-    ((0.5, -0.5), (1.0, 1.0), 0.999, "named"),  # their sum is not told, but their difference is
+@pytest.mark.parametrize(("sizes", "errors", "correlation", "attribution"), [
+    ((9.0, 0.1), (1.0, 1.0), 0.0, "identified"),  # of a wind the part across may be nothing
+    ((0.5, 0.1), (1.0, 1.0), 0.0, "ambiguous"),
+    ((0.5, 9.0), (1.0, np.nan), 0.0, "ambiguous"),  # one without a standard error says nothing
+    ((0.5, -0.5), (1.0, 1.0), 0.999, "identified"),  # their sum is not told, but their difference is
 ])
 def test_sizes_are_told_together(
-    sizes: tuple[float, float], errors: tuple[float, float], correlation: float, certainty: str
+    sizes: tuple[float, float], errors: tuple[float, float], correlation: float, attribution: str
 ) -> None:
     both = np.array(errors)
     covariance = np.outer(both, both) * np.array([[1.0, correlation], [correlation, 1.0]])
     fit = SimpleNamespace(names=("F_x", "F_y"), values=np.array(sizes), errors=both, covariance=covariance, flags=())
     across = (Parameter("F_x", 0.0, "N"), Parameter("F_y", 0.0, "N"))
     (found,) = of(one_round(refit("wind", 800.0, fit=fit, parameters=across)))
-    assert found.certainty == certainty
+    assert found.attribution == attribution

@@ -183,6 +183,6 @@ def test_the_command_finds_what_a_bench_hides(tmp_path: Path) -> None:
     assert result["answer"].startswith("The model lacks the loss of thrust by recirculation in the basin; with it")
     assert {(f["force"], f["unit"]) for f in result["residual_forces"]} == {("F", "N"), ("n_dot", "1/s")}
     assert {i["name"] for i in result["inputs"]} == {"n_cmd"}
-    assert result["horizon"] == 1.0
-    assert set(result["calibration"]["validation"]["ten_seconds"]) == {"n", "force"}
+    assert result["horizon_seconds"] == 1.0
+    assert set(result["calibration"]["validation"]["horizon"]) == {"n", "force"}
     assert 'effects = ["disturbance", "recirculation"]' in (out / "model.toml").read_text()

@@ -16,7 +16,7 @@ from ident.estimation.options import EstimationOptions
 from ident.model.parameter import Parameter
 from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
 from ident.results.answers import sentence
-from ident.results.content import agreement_part
+from ident.results.tables import homogeneity_row
 
 
 def pushed() -> Model:
@@ -71,9 +71,11 @@ def test_logs_that_differ_do_not_agree() -> None:
     assert found.scatter == pytest.approx(10.0, abs=3.0)
     assert found.mean_error > 3 * found.error  # the common fit promises too much
     assert "do not agree" in sentence(found)
-    part = agreement_part(found)
-    assert part["records"] == ["run0", "run1", "run2"]
-    assert part["low"] < 40.0 < part["high"]
+    row = homogeneity_row(found)
+    assert row.records == ("run0", "run1", "run2")
+    assert row.low is not None
+    assert row.high is not None
+    assert row.low < 40.0 < row.high
 
 
 def test_the_scatter_of_known_values() -> None:

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from scipy import optimize
@@ -23,8 +24,11 @@ from ident.estimation.standard_errors import DROP
 from ident.model.parameter import Parameter
 from ident.model.structure import Model, Output, Sensor, State, plain_model
 from ident.report.page import render
-from ident.results.content import profile_part, to_json
+from ident.results.result_file import from_json
+from ident.results.tables import profile_curve
 from ident.workflows.model_inputs import check_names
+from tests.ident.pages import shortened
+from tests.ident.report_example_bench import thruster
 from tests.ident.stepped import stepped_record, steps
 from tests.ident.toys import turning, turning_record
 
@@ -233,10 +237,10 @@ def test_one_parameter_alone(few: tuple[Fit, Record]) -> None:
 def test_the_report_draws_it(few: tuple[Fit, Record], tmp_path: Path) -> None:
     both: list[Profile] = [profile(few[0], [few[1]], n) for n in ("e", "mean")]
     both.append(replace(both[1], name="half<b>", low=float("nan"), wald_low=float("nan"), notes=("lower side: open",)))
-    result = {"format": "seatrial-result 1", "kind": "vehicle", "profiles": [profile_part(p) for p in both]}
-    page = render(json.loads(json.dumps(to_json(result))))
+    bare = from_json(json.dumps(shortened(thruster())).encode())
+    page = render(msgspec.structs.replace(bare, profiles=tuple(profile_curve(p) for p in both)))
     assert '<section id="profiles"' in page
     assert page.count("Profile likelihood of") >= 3
     assert "open to " in page
     assert "half<b>" not in page.replace("half&lt;b&gt;", "")
-    assert '<section id="profiles"' not in render({"kind": "vehicle", "answer": "x"})
+    assert '<section id="profiles"' not in render(bare)

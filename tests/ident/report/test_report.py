@@ -10,12 +10,13 @@ import re
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
 from ident.report import drawing, formatting
 from tests.ident import report_example
-from tests.ident.pages import HOSTILE, KINDS, Page, numbers, printed, shortened, written
+from tests.ident.pages import HOSTILE, KINDS, Page, loaded, numbers, printed, shortened, written
 
 MEGABYTE = 1_000_000
 
@@ -64,7 +65,7 @@ def test_one_plotly_and_only_the_known_scripts_may_run(small: dict[str, Any], tm
             "diagnosis",
             ["run", "traces", "parameters", "residuals", "search", "errors", "calibration", "next", "notes", "made"],
         ),
-        ("thruster", ["static", "run", "traces", "parameters", "made"]),
+        ("thruster", ["static", "run", "traces", "parameters", "calibration", "made"]),
         ("noise", ["noise", "run", "made"]),
         ("navigation", ["outages", "navigation", "run", "notes", "made"]),
     ],
@@ -81,7 +82,7 @@ def test_every_section_that_has_data_is_there(kind: str, sections: list[str], tm
 def test_the_answer_and_its_figures_come_first(diagnosis: dict[str, Any], tmp_path: Path) -> None:
     words = " ".join(Page(written(diagnosis, tmp_path)).words.split())
     first = words[: words.index("What was run", words.index(diagnosis["answer"]))]
-    row = diagnosis["before_after"]["validation"]["free_run"]["psi"]
+    row = diagnosis["errors"]["validation"]["free_run"]["psi"]
     assert f"{np.degrees(row['before']):.1f} → {np.degrees(row['after']):.2f} deg" in first
     assert "f_i -= k_J |n_i| (u - y_i r)" in first
     assert "6.08 ± 0.27 kg/s" in first
@@ -116,7 +117,7 @@ def test_a_long_result_stays_small(diagnosis: dict[str, Any], tmp_path: Path) ->
 def hostile(value: Any) -> Any:
     """Every text of a result replaced, but those that say what is what."""
     if isinstance(value, dict):
-        keep = ("format", "kind", "role")
+        keep = ("format", "kind", "role", "method", "attribution", "verdict")
         return {k: v if k in keep else hostile(v) for k, v in value.items()}
     if isinstance(value, list):
         return [hostile(item) for item in value]
@@ -126,7 +127,8 @@ def hostile(value: Any) -> Any:
 @pytest.mark.parametrize("kind", KINDS)
 def test_text_from_a_log_is_data(kind: str, tmp_path: Path) -> None:
     result = hostile(shortened(KINDS[kind]()))
-    result["before_after"] = {"validation": {"free_run": {HOSTILE: {"before": 2.0, "after": 1.0, "unit": HOSTILE}}}}
+    if "errors" in result:
+        result["errors"]["estimation"]["free_run"] = {HOSTILE: {"before": 2.0, "after": 1.0, "unit": HOSTILE}}
     text = written(result, tmp_path)
     page = Page(text)
     assert "<script>alert" not in text
@@ -164,11 +166,40 @@ def changed(result: dict[str, Any], changes: list[tuple[tuple[Any, ...], Any]]) 
 POOR = (KeyError, None, [], {}, "text", float("nan"), True, -1)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+def refusal(result: dict[str, Any]) -> str:
+    try:
+        loaded(result)
+    except msgspec.ValidationError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize("kind", ["diagnosis", "thruster"])
+def test_what_has_no_number_is_left_out_and_what_is_wrong_is_named(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ident.report.page._plotly", lambda: "plotly")
+    result = shortened(KINDS[kind]())
+    every, n_drawn, rng = places(result), 0, np.random.default_rng(7)
+    poor = [value for value in POOR if value == value]  # JSON knows no NaN
+    some = {path: poor if len(path) == 1 else [poor[k] for k in rng.choice(len(poor), 2)] for path in every}
+    for path, value in ((path, value) for path, values in some.items() for value in values):
+        poorer = changed(result, [(path, value)])
+        if refused := refusal(poorer):
+            assert any(str(step) in refused for step in path), f"{path} {value}: {refused}"
+            continue
+        n_drawn += 1
+        assert "</html>" in written(poorer, tmp_path), f"fails on {path} {value}"
+        assert printed(poorer)
+    assert n_drawn > len(every) / 4
+
+
+@pytest.mark.parametrize("kind", ["noise", "navigation"])
 def test_whatever_is_missing_is_left_out(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ident.report.page._plotly", lambda: "plotly")
     result = shortened(KINDS[kind]())
-    every, rng = places(result), np.random.default_rng(7)
+    every = [path for path in places(result) if path[0] not in ("logs", "inputs")]
+    rng = np.random.default_rng(7)
     alone = [[(path, value)] for path in every if len(path) == 1 for value in POOR]
     deep = [[(path, POOR[rng.integers(len(POOR))])] for path in every if len(path) > 1]
     mixed = [[(path, POOR[rng.integers(len(POOR))]) for path in every if rng.random() < 0.1] for _ in range(20)]
@@ -182,11 +213,13 @@ def test_whatever_is_missing_is_left_out(kind: str, tmp_path: Path, monkeypatch:
 
 
 def test_the_least_result_is_a_page(tmp_path: Path) -> None:
-    page = Page(written({"format": "seatrial-result 1", "kind": "vehicle", "answer": "Nothing.", "logs": []}, tmp_path))
+    static = {key: [] for key in ("n", "force", "sd", "n_model", "force_model", "force_sd")}
+    made = {"created": "", "seatrial": "", "command": ""}
+    least = made | {"kind": "thrust_curve", "answer": "Nothing.", "static": static}
+    page = Page(written(least, tmp_path))
     assert "Nothing." in page.words
-    assert page.headings() == []
-    assert page.figures() == {}
-    assert printed({"answer": "Nothing."}).split() == ["Nothing."]
+    assert page.headings() == ["static"]
+    assert printed(least).split() == ["Nothing."]
 
 
 def test_the_terminal_has_the_key_figures(diagnosis: dict[str, Any]) -> None:
@@ -204,24 +237,28 @@ def test_the_terminal_says_the_units_of_outages() -> None:
 
 
 def test_what_an_estimate_must_not_be_read_without_comes_before_it() -> None:
-    result = {"answer": "Done.", "cautions": ["The fit did not converge.", "gauge: a stuck sensor?"]}
-    words = printed(result)
+    told = {"answer": "Done.", "warnings": ["The fit did not converge.", "gauge: a stuck sensor?"]}
+    words = printed(KINDS["thruster"]() | told)
     assert words.index("⚠ The fit did not converge.") < words.index("⚠ gauge: a stuck sensor?")
     assert words.index("Done.") < words.index("⚠ The fit")
 
 
 def test_a_flag_wraps_and_the_numbers_do_not() -> None:
     flag = "not identified: the data do not see a change of -1 c1 +1 c2 and of five more that go with them"
-    row = {"name": "c1", "value": 0.45, "se": 0.031, "unit": "m", "flag": flag}
-    text = printed({"answer": "Done.", "fit": {"parameters": [row]}})
+    result = shortened(KINDS["thruster"]())
+    row = {"name": "c1", "meaning": "", "value": 0.45, "se": 0.031, "unit": "m", "free": True, "flag": flag}
+    result["fit"]["parameters"] = [row]
+    text = printed(result)
     assert "0.450 ± 0.031" in text
     assert flag in " ".join(re.sub(r"c1 +0.450 ± 0.031 +m", "", text).split())
     assert max(map(len, text.splitlines())) <= 80
 
 
 def test_the_terminal_has_the_intervals_that_were_asked_for() -> None:
-    row = {"name": "psi_0", "unit": "rad", "value": 0.1, "low": 0.05, "high": None, "wald_low": 0.04, "wald_high": 0.2}
-    lines = printed({"answer": "Done.", "profiles": [row | {"notes": ["upper side: no end"]}]}).splitlines()
+    row: dict[str, Any] = {"name": "psi_0", "unit": "rad", "value": 0.1, "low": 0.05, "high": None}
+    row |= {"wald_low": 0.04, "wald_high": 0.2}
+    row |= {"grid": [0.05, 0.1], "drop": [1.92, 0.0], "notes": ["upper side: no end"]}
+    lines = printed(KINDS["thruster"]() | {"profiles": [row]}).splitlines()
     (line,) = [" ".join(text.split()) for text in lines if "psi_0" in text]
     assert line == "psi_0 5.73 2.86 to open 2.29 to 11.5 deg upper side: no end"
 

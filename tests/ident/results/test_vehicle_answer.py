@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,26 +12,36 @@ from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import fit
 from ident.estimation.stochastic_simulation import simulate_stochastic
 from ident.results.answers import estimation_warnings, stuck, vehicle_answer
-from ident.results.content import residual_part
+from ident.results.parts import CrossCorrelation, ErrorComparison, Errors, ErrorTable, ResidualTests
+from ident.results.tables import cross_rows, residual_row
 from ident.studies.cases import make_case
 from ident.studies.monte_carlo import make_record
+from ident.validation.evaluation import residual_tests
 from tests.ident.toys import turning, turning_record
 
 WHITE = "The residuals are white and know nothing of the inputs"
 
 
 def said(residuals: list[float], cross: list[tuple[str, float]], channels: str = "x") -> str:
-    rows = [{"channel": "x", "ljung_box_p": p, "periodogram_p": 0.5} for p in residuals]
-    with_inputs = [{"input": name, "p": p} for name, p in cross]
-    errors = {"estimation": {"ten_seconds": {}, "one_step": dict.fromkeys(channels)}}
-    told: dict[str, Any] = {"residuals": rows, "cross": with_inputs, "before_after": errors, "horizon": 10.0}
-    return vehicle_answer(told, searchable=False)
+    none = np.empty(0)
+    rows = [
+        ResidualTests(record="r", channel="x", unit="m", t=none, e=none, lags=none, acf=none, band=0.1, ljung_box_p=p,
+                      periodogram_p=0.5, frequency=none, cumulative=none, normal_p=0.5, white=p > 0.01)
+        for p in residuals
+    ]
+    with_inputs = [
+        CrossCorrelation(record="r", channel="x", input=name, lags=none, z=none, p=p) for name, p in cross
+    ]
+    one_step = dict.fromkeys(channels, ErrorComparison(after=1.0, unit="m"))
+    errors = Errors(estimation=ErrorTable(one_step=one_step, horizon={}, free_run={}))
+    return vehicle_answer(errors, 10.0, rows, with_inputs, searchable=False)
 
 
 @pytest.mark.parametrize(("horizon", "words"), [(10.0, "Ten seconds"), (1.0, "One second"), (2.5, "2.5 s")])
 def test_the_horizon_is_told(horizon: float, words: str) -> None:
-    errors = {"estimation": {"ten_seconds": {"x": {"after": 1.5, "unit": "m"}}}}
-    answer = vehicle_answer({"residuals": [], "cross": [], "before_after": errors, "horizon": horizon}, searchable=True)
+    far = {"x": ErrorComparison(after=1.5, unit="m")}
+    errors = Errors(estimation=ErrorTable(one_step={}, horizon=far, free_run={}))
+    answer = vehicle_answer(errors, horizon, [], [], searchable=True)
     assert answer.startswith(f"{words} ahead on estimation data the model errs by position 1.5 m (rms).")
 
 
@@ -61,12 +70,13 @@ def test_the_right_model_is_called_so() -> None:
     values = np.tile(list(case.model.values.values()), (trials, 1))
     _, y = simulate_stochastic(case.model, case.inputs, values, [np.random.default_rng([9, k]) for k in range(trials)])
     likelihood, answers = Likelihood(case.model), []
+    errors = Errors(estimation=ErrorTable(one_step={}, horizon={}, free_run={}))
     for k in range(trials):
         record = make_record(case, y[k], "r")
-        residuals, cross = residual_part(case.model, record, likelihood.filter(record, values[k]).standardised)
-        errors = {"estimation": {"ten_seconds": {}}}
-        result: dict[str, Any] = {"residuals": residuals, "cross": cross, "before_after": errors, "horizon": 10.0}
-        answers.append(vehicle_answer(result, searchable=False))
+        found = residual_tests(case.model, record, likelihood.filter(record, values[k]).standardised)
+        residuals = [residual_row(r) for r in found]
+        cross = [row for r in found for row in cross_rows(r)]
+        answers.append(vehicle_answer(errors, 10.0, residuals, cross, searchable=False))
     assert len(residuals) == 8
     assert sum(not a.startswith(WHITE) for a in answers) <= 4  # 1.2 expected; more have one chance in 150
 
@@ -91,9 +101,9 @@ def test_channels_of_which_nothing_can_be_told_are_left_out() -> None:
     eps = np.random.default_rng(0).normal(size=record.y.shape)
     eps[:, 0] = 0.0
     eps[40:, 1] = np.nan
-    residuals, cross = residual_part(model, record, eps)
+    found = residual_tests(model, record, eps)
     kept = {o.name for o in model.outputs[2:]}
-    assert {r["channel"] for r in residuals} == {c["channel"] for c in cross} == kept
+    assert {r.channel for r in found} == {c.channel for r in found for c in r.inputs} == kept
 
 
 def test_a_fit_that_stopped_short_is_told() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 
@@ -14,9 +15,10 @@ from ident.estimation.fitted_model import FittedModel, RecordEvaluation, fit_nom
 from ident.estimation.likelihood import Likelihood
 from ident.models.horizontal import horizontal_model
 from ident.numerics.autocorrelation import effective_sample_size
-from ident.results.content import calibration_notes, calibration_part
+from ident.results.answers import calibration_notes
+from ident.results.tables import calibration_tables
 from ident.validation.calibration import Calibration, calibration_test, pooled
-from ident.validation.evaluation import PredictionEvaluation
+from ident.validation.evaluation import ByHorizon, PredictionEvaluation, evaluate
 from tests.ident.toys import turning, turning_record, values_of
 from tests.missions import boat_with, channels_of, sail
 
@@ -41,43 +43,47 @@ def with_values(one: FittedModel, factors: dict[str, float]) -> FittedModel:
     return replace(one, validation=tuple(view(v) for v in one.validation))
 
 
+def validated(judged: PredictionEvaluation) -> ByHorizon[Mapping[str, Calibration]]:
+    assert judged.validation is not None
+    return judged.validation.calibration
+
+
 def test_the_bands_are_right_where_the_model_is() -> None:
-    found = PredictionEvaluation(stage()).calibration("validation")
-    for kind in ("one_step", "ten_seconds"):
-        assert set(found[kind]) == {"psi", "r", "ax", "ay", "x", "y", "vx", "vy"}
-        for name, c in found[kind].items():
-            assert c.verdict == "right", (kind, name, c)
-            wide = 4.0 / np.sqrt(c.effective)
+    judged = evaluate(stage())
+    found = validated(judged)
+    for kind in (found.one_step, found.horizon):
+        assert set(kind) == {"psi", "r", "ax", "ay", "x", "y", "vx", "vy"}
+        for name, c in kind.items():
+            assert c.verdict == "right", (name, c)
+            wide = 4.0 / np.sqrt(c.n_effective)
             assert abs(c.inside_50 - 0.5) < 0.5 * wide
             assert abs(c.inside_95 - 0.95) < 0.22 * wide
             assert c.pit.sum() == pytest.approx(1.0)
-    assert all(c.verdict != "too sure" for c in found["free_run"].values())
-    assert found["ten_seconds"]["x"].n > 100
-    assert calibration_notes(calibration_part(PredictionEvaluation(stage()), ["validation"]), 10.0) == []
+    assert all(c.verdict != "overconfident" for c in found.free_run.values())
+    assert found.horizon["x"].n > 100
+    assert calibration_notes(calibration_tables(judged), 10.0) == []
 
 
 def test_too_little_noise_is_too_sure_at_once() -> None:
-    judged = PredictionEvaluation(with_values(stage(), {"e_xy": 0.5, "e_psi": 0.5}))
-    found = judged.calibration("validation")["one_step"]
-    assert {n for n, c in found.items() if c.verdict == "too sure"} >= {"x", "y", "psi"}
+    judged = evaluate(with_values(stage(), {"e_xy": 0.5, "e_psi": 0.5}))
+    found = validated(judged).one_step
+    assert {n for n, c in found.items() if c.verdict == "overconfident"} >= {"x", "y", "psi"}
     assert found["x"].inside_95 < 0.85
-    notes = calibration_notes(calibration_part(judged, ["validation"]), 10.0)
+    notes = calibration_notes(calibration_tables(judged), 10.0)
     assert any("one step ahead, errors are larger than the model says" in line for line in notes)
 
 
 def test_too_little_process_noise_is_too_sure_ten_seconds_ahead() -> None:
-    found = PredictionEvaluation(with_values(stage(), {"q_X": 0.1, "q_Y": 0.1, "q_N": 0.1})).calibration("validation")
-    assert found["ten_seconds"]["psi"].verdict == "too sure"
-    assert found["ten_seconds"]["vx"].verdict == "too sure"
+    found = validated(evaluate(with_values(stage(), {"q_X": 0.1, "q_Y": 0.1, "q_N": 0.1})))
+    assert found.horizon["psi"].verdict == "overconfident"
+    assert found.horizon["vx"].verdict == "overconfident"
 
 
 def test_too_much_noise_is_too_cautious() -> None:
-    found = PredictionEvaluation(with_values(stage(), {"e_xy": 2.0, "q_X": 3.0, "q_Y": 3.0, "q_N": 3.0})).calibration(
-        "validation"
-    )
-    assert found["one_step"]["x"].verdict == "too cautious"
-    assert found["ten_seconds"]["psi"].verdict == "too cautious"
-    assert found["one_step"]["x"].inside_50 > 0.6
+    found = validated(evaluate(with_values(stage(), {"e_xy": 2.0, "q_X": 3.0, "q_Y": 3.0, "q_N": 3.0})))
+    assert found.one_step["x"].verdict == "underconfident"
+    assert found.horizon["psi"].verdict == "underconfident"
+    assert found.one_step["x"].inside_50 > 0.6
 
 
 def test_a_forecast_is_the_filter_without_samples() -> None:
@@ -114,9 +120,9 @@ def test_a_single_experiment_says_little() -> None:
     rng = np.random.default_rng(1)
     drift, quick = np.full(500, 1.9), 1.9 * rng.normal(size=500)
     apart = pooled([{"slow": drift, "quick": quick}])
-    assert apart["quick"].verdict == "too sure"
+    assert apart["quick"].verdict == "overconfident"
     together = pooled([{"slow": drift, "quick": quick}], together=True)
-    assert together["quick"].verdict == together["slow"].verdict == "few"
+    assert together["quick"].verdict == together["slow"].verdict == "insufficient_data"
     assert calibration_test([np.full(5, np.nan)]) is None
 
 
@@ -128,4 +134,5 @@ def verdict_of(scale: float, n: int) -> str:
 
 
 def test_ten_percent_are_forgiven() -> None:
-    assert [verdict_of(s, 5000) for s in (0.8, 0.95, 1.05, 1.3)] == ["too cautious", "right", "right", "too sure"]
+    found = [verdict_of(s, 5000) for s in (0.8, 0.95, 1.05, 1.3)]
+    assert found == ["underconfident", "right", "right", "overconfident"]

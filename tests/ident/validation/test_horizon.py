@@ -18,17 +18,18 @@ from ident.estimation.fitted_model import fit_nominal_model
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.stochastic_simulation import simulate_stochastic
 from ident.models.horizontal import horizontal_model
-from ident.results.content import calibration_notes, comparison_section
+from ident.results.answers import calibration_notes
+from ident.results.parts import CalibrationRow, Calibrations, CalibrationTable
 from ident.studies.cases import make_case
 from ident.studies.monte_carlo import make_record
 from ident.validation import calibration
 from ident.validation.calibration import Calibration
-from ident.validation.evaluation import PredictionEvaluation
+from ident.validation.evaluation import evaluate, ratio_intervals
 from ident.validation.prediction_errors import BENCH_HORIZON, MOST, WARM_UP, free_run
 from mocks.plant.bench import draw_bench
 from tests.missions import bench_log, boat_log, boat_with, channels_of, sail
 
-KINDS = ["one_step", "ten_seconds", "free_run"]
+KINDS = ["one_step", "horizon", "free_run"]
 
 
 def done(*words: object) -> Result:
@@ -55,9 +56,9 @@ def boat(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def test_a_thruster_is_judged_a_second_ahead_and_its_bands_are_right(bench: list[Path], tmp_path: Path) -> None:
     said = done("thruster", *bench, "--out", tmp_path).output
     result = result_of(tmp_path)
-    assert result["horizon"] == BENCH_HORIZON == 1.0
+    assert result["horizon_seconds"] == BENCH_HORIZON == 1.0
     assert "one step ahead   1 s ahead   free-running" in said
-    errors, calibrated = result["before_after"]["estimation"], result["calibration"]["estimation"]
+    errors, calibrated = result["errors"]["estimation"], result["calibration"]["estimation"]
     assert list(errors) == list(calibrated) == KINDS
     for kind in KINDS:
         assert set(errors[kind]) == set(calibrated[kind]) == {"n", "force"}
@@ -65,7 +66,7 @@ def test_a_thruster_is_judged_a_second_ahead_and_its_bands_are_right(bench: list
             assert c["verdict"] == "right", (kind, name, c)
             assert abs(c["inside_95"] - 0.95) < 0.03
     assert [line for line in result["notes"] if "errors are" in line] == []
-    assert errors["one_step"]["force"]["after"] < errors["ten_seconds"]["force"]["after"]
+    assert errors["one_step"]["force"]["after"] < errors["horizon"]["force"]["after"]
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert '<section id="calibration"' in page
     assert "1 s ahead" in page
@@ -75,8 +76,8 @@ def test_a_thruster_is_judged_a_second_ahead_and_its_bands_are_right(bench: list
 def test_errors_on_the_bench_are_of_all_logs(bench: list[Path], tmp_path: Path) -> None:
     done("thruster", *bench, "--horizon", 0.5, "--out", tmp_path)
     result = result_of(tmp_path)
-    assert result["horizon"] == 0.5
-    for name, row in result["before_after"]["estimation"]["free_run"].items():
+    assert result["horizon_seconds"] == 0.5
+    for name, row in result["errors"]["estimation"]["free_run"].items():
         errors = [
             (np.array(t["measured"]) - np.array(t["model"]))[np.array(t["t"]) > t["t"][0] + WARM_UP]
             for t in result["traces"] if t["channel"] == name
@@ -90,23 +91,23 @@ def test_the_horizon_of_a_boat_can_be_chosen(boat: list[Path], tmp_path: Path) -
     for words, horizon, told in (([], 10.0, "Ten seconds"), (["--horizon", 4], 4.0, "4 s")):
         said = done("vehicle", boat[0], "--validate", boat[1], *words, "--out", tmp_path).output
         result = result_of(tmp_path)
-        assert result["horizon"] == horizon
+        assert result["horizon_seconds"] == horizon
         assert result["answer"].startswith(f"{told} ahead on validation data the model errs by position")
         assert f"{horizon:g} s ahead" in said
         page = (tmp_path / "report.html").read_text(encoding="utf-8")
         assert f"{horizon:g} s ahead" in page
         assert f"{14 - horizon:g} s ahead" not in page
-        errors[horizon] = result["before_after"]["validation"]
-    assert errors[4.0]["ten_seconds"]["psi"]["after"] < 0.7 * errors[10.0]["ten_seconds"]["psi"]["after"]
+        errors[horizon] = result["errors"]["validation"]
+    assert errors[4.0]["horizon"]["psi"]["after"] < 0.7 * errors[10.0]["horizon"]["psi"]["after"]
     for kind in ("one_step", "free_run"):
         assert errors[4.0][kind] == errors[10.0][kind]
     out = tmp_path / "diagnosis"
     done("diagnose", tmp_path / "model.toml", boat[0], "--validate", boat[1], "--horizon", 4, "--max-effects", 1,
          "--out", out)
     result = result_of(out)
-    assert result["horizon"] == 4.0
-    row = result["before_after"]["validation"]["ten_seconds"]["psi"]
-    assert row["before"] == pytest.approx(errors[4.0]["ten_seconds"]["psi"]["after"], rel=0.1)
+    assert result["horizon_seconds"] == 4.0
+    row = result["errors"]["validation"]["horizon"]["psi"]
+    assert row["before"] == pytest.approx(errors[4.0]["horizon"]["psi"]["after"], rel=0.1)
     assert set(result["calibration"]["validation"]) == set(KINDS)
 
 
@@ -120,7 +121,9 @@ def test_no_prediction_goes_further_than_the_logs(boat: list[Path], bench: list[
 
 
 def test_the_notes_say_the_horizon() -> None:
-    wrong = {"estimation": {"ten_seconds": {"n": {"scale": 1.52, "verdict": "too sure"}}}}
+    row = CalibrationRow(n=9, n_effective=9.0, inside_50=0.3, inside_95=0.8, scale=1.52, low=1.2, high=1.8,
+                         pit=np.full(10, 0.1), verdict="overconfident")
+    wrong = Calibrations(estimation=CalibrationTable(one_step={}, horizon={"n": row}, free_run={}))
     (line,) = calibration_notes(wrong, 2.5)
     assert line == "On estimation data, 2.5 s ahead, errors are larger than the model says, by these factors: n 1.5."
 
@@ -146,7 +149,7 @@ def test_on_the_benchs_own_data_the_bands_are_right() -> None:
     p = p * [0.2 if q.name == "s_n" else 1.0 for q in case.model.parameters]
     run = likelihood.filter(record, p)
     poor, near = (calibration.ahead(case.model, record, p, run, s, likelihood) for s in (1.0, 0.02))
-    assert calibration.pooled([poor])["n"].verdict == "too sure"
+    assert calibration.pooled([poor])["n"].verdict == "overconfident"
     assert record.n_rows > MOST >= near["n"].size > MOST / 3
 
 
@@ -156,8 +159,7 @@ def test_errors_that_hang_together_for_longer_are_drawn_in_longer_blocks() -> No
     ]
     stage = fit_nominal_model(horizontal_model(), runs[:1], runs[1:])
     far, near = (
-        comparison_section(one, one, "validation")
-        for one in (PredictionEvaluation(stage, 60.0), PredictionEvaluation(stage))
+        ratio_intervals(one, one, "validation") for one in (evaluate(stage, 60.0), evaluate(stage))
     )
-    assert near["ten_seconds"]["psi"]["low"] == far["one_step"]["x"]["low"] == pytest.approx(1.0)
-    assert np.isnan(far["ten_seconds"]["psi"]["low"])  # 90 s of errors are not four blocks of 60 s
+    assert near.horizon["psi"][0] == far.one_step["x"][0] == pytest.approx(1.0)
+    assert np.isnan(far.horizon["psi"][0])  # 90 s of errors are not four blocks of 60 s

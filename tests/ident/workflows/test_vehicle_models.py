@@ -132,11 +132,11 @@ def test_ones_own_model_with_a_static_curve(logs: Path, tmp_path: Path) -> None:
         value, se = estimate(found, name)
         assert abs(value - truth) < 4 * se, name
     assert estimate(found, "m")[1] < 2.0
-    (row,) = found["agreement"]
+    (row,) = found["homogeneity"]
     assert row["agree"]
     assert row["df"] == 1
     assert "they agree" in found["answer"]
-    assert found["before_after"]["validation"]["free_run"]["speed"]["after"] < 0.05
+    assert found["errors"]["validation"]["free_run"]["speed"]["after"] < 0.05
     assert "diagnose" not in found["answer"]  # nothing to search with in a model without a hull
     again = load_model(tmp_path / "v/model.toml")
     assert again.model.values["m"] == pytest.approx(estimate(found, "m")[0])
@@ -147,7 +147,7 @@ def test_logs_that_do_not_agree_are_told(logs: Path, tmp_path: Path, capsys: pyt
     words = ["--model", f"{logs / 'mine.py'}:mine", "--thruster", logs / "curve.toml", "--test-homogeneity", "m"]
     run("ident", "vehicle", logs / "run0.mcap", logs / "heavy.mcap", *words, "--out", tmp_path / "v")
     assert "they do not agree" in " ".join(capsys.readouterr().out.split())
-    (row,) = result(tmp_path / "v")["agreement"]
+    (row,) = result(tmp_path / "v")["homogeneity"]
     assert np.abs(np.array(row["values"]) - [MASS, 55.0]).max() < 4 * max(row["ses"])
     run("ident", "vehicle", logs / "run0.mcap", logs / "run1.mcap", *words[:-1], "M", "--out", tmp_path / "x", status=1)
     assert "--test-homogeneity M: no free parameter" in capsys.readouterr().err

@@ -1,0 +1,69 @@
+"""A result is filled from what was computed: nothing is filtered, simulated or fitted while it is built and written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NoReturn
+
+import pytest
+
+from ident.data.record import LogSegment
+from ident.diagnosis.evaluation import evaluate_diagnosis
+from ident.diagnosis.search import diagnose
+from ident.engine.vectorised_model import VectorisedModel
+from ident.estimation.fitted_model import fit_nominal_model, outliers
+from ident.estimation.likelihood import Likelihood
+from ident.model.outlier_density import with_outlier_model
+from ident.models.horizontal import horizontal_model
+from ident.report.page import write_report
+from ident.results.diagnosis import diagnosis_result
+from ident.results.fits import vehicle_result
+from ident.results.parts import Provenance
+from ident.results.result_file import read_result, to_json, write_result
+from ident.validation.evaluation import evaluate
+from ident.workflows.output import validity
+from tests.missions import boat_with, channels_of, sail
+
+MADE = Provenance(created="2025-05-06T07:08:09+00:00", seatrial="0.1.0", command="seatrial ident")
+METHODS = ("__init__", "value", "gradient", "scores", "value_by_row", "filter", "forecast")
+
+
+@pytest.fixture(scope="module")
+def segments() -> list[LogSegment]:
+    return [LogSegment(n, channels_of(sail(boat_with(None, 2), 120.0, k, run=k)[0])) for k, n in enumerate("ab", 1)]
+
+
+def no_more_computing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any, **__: Any) -> NoReturn:
+        raise AssertionError("computed while a result was built")
+
+    for name in METHODS:
+        monkeypatch.setattr(Likelihood, name, refuse)
+    monkeypatch.setattr(VectorisedModel, "__init__", refuse)
+    for place in ("ident.estimation.fitted_model.smooth", "ident.estimation.output_error.simulate"):
+        monkeypatch.setattr(place, refuse)
+
+
+def test_a_vehicles_result(segments: list[LogSegment], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = with_outlier_model(horizontal_model())
+    stage = fit_nominal_model(model, segments[:1], segments[1:])
+    evaluation = evaluate(stage)
+    no_more_computing(monkeypatch)
+    result = vehicle_result(stage, evaluation, MADE, [], [], start=model.values, notes=outliers(stage))
+    write_result(result, tmp_path / "result.json")
+    write_report(result, tmp_path / "report.html")
+    assert to_json(read_result(tmp_path / "result.json")) == to_json(result)
+    assert "u" in validity(stage)
+    with pytest.raises(AssertionError, match="computed while"):
+        evaluate(stage)
+
+
+def test_a_diagnosis(segments: list[LogSegment], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = diagnose(horizontal_model(), segments[:1], segments[1:], max_effects=1)
+    evaluation = evaluate_diagnosis(found)
+    no_more_computing(monkeypatch)
+    notes = outliers(found.after)
+    result = diagnosis_result(found, evaluation, MADE, warnings=(), notes=notes, model_path="model.toml")
+    write_result(result, tmp_path / "result.json")
+    write_report(result, tmp_path / "report.html")
+    assert to_json(read_result(tmp_path / "result.json")) == to_json(result)

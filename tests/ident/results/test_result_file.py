@@ -1,0 +1,89 @@
+"""Results as JSON: seven digits, null for what is no number; what was written is read again."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from daq.errors import SeatrialError
+from ident.results import content
+from ident.results.parts import InputTrace, ParameterRow
+from ident.results.result_file import from_json, read_result, to_json, write_result
+from tests.ident import report_example, report_example_bench
+from tests.ident.pages import shortened
+
+EXAMPLES = {"diagnosis": report_example.diagnosis, "thruster": report_example_bench.thruster}
+
+
+def written(value: Any) -> Any:
+    """An array as a result's JSON has it."""
+    row = InputTrace(record="", name="", unit="", t=np.zeros_like(value), value=value)
+    return json.loads(to_json(row))["value"]
+
+
+def test_an_array_is_written_as_its_numbers_are_one_by_one() -> None:
+    rng = np.random.default_rng(0)
+    value = rng.normal(size=(40, 25)) * 10.0 ** rng.integers(-30, 30, (40, 25))
+    value[0, :4] = [0.0, -0.0, np.nan, np.inf]
+    value[1] = np.round(value[1] * 1e-3) * 1e3
+    assert written(value) == [[float(f"{v:.7g}") if np.isfinite(v) else None for v in row] for row in value]
+    row = InputTrace(record="", name="", unit="", t=np.zeros(1000), value=rng.uniform(0.1, 1.0, 1000))
+    numbers = to_json(row).decode().partition('"value":[')[2].rstrip("]}").split(",")
+    assert max(map(len, numbers)) == len("0.1234567")
+
+
+def test_a_number_is_written_with_seven_digits_or_not_at_all() -> None:
+    row = ParameterRow(name="m", meaning="", unit="kg", value=np.float64(1 / 3), se=float("nan"), free=True)
+    assert json.loads(to_json(row))["value"] == 0.3333333
+    assert json.loads(to_json(row))["se"] is None
+
+
+@pytest.mark.parametrize("kind", EXAMPLES)
+def test_what_was_written_is_read_again(kind: str, tmp_path: Path) -> None:
+    result = from_json(json.dumps(EXAMPLES[kind]()).encode())
+    write_result(result, tmp_path / "result.json")
+    again = read_result(tmp_path / "result.json")
+    assert type(again) is type(result)
+    assert to_json(again) == to_json(result)
+    assert next(iter(json.loads(to_json(result)))) == "kind"
+
+
+@pytest.mark.parametrize(("change", "words"), [
+    ({"anwser": "Done."}, "unknown field `anwser`"),
+    ({"answer": 3}, "Expected `str`, got `int` - at `$.answer`"),
+    ({"format": "seatrial-result 1"}, "Invalid enum value"),
+    ({"kind": "thurster"}, "Invalid value 'thurster' - at `$.kind`"),
+])
+def test_what_is_wrong_is_named(change: dict[str, Any], words: str, tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps(shortened(report_example_bench.thruster()) | change), encoding="utf-8")
+    with pytest.raises(SeatrialError) as caught:
+        read_result(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert words in str(caught.value)
+
+
+def test_curves_over_each_other_are_of_one_length() -> None:
+    result = shortened(report_example_bench.thruster())
+    result["traces"][0]["t"].pop()
+    with pytest.raises(msgspec.ValidationError, match=r"must be of one length.*traces"):
+        from_json(json.dumps(result).encode())
+
+
+def test_a_file_that_is_not_there_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(SeatrialError, match="No such file"):
+        read_result(tmp_path / "no.json")
+    result = from_json(json.dumps(shortened(report_example_bench.thruster())).encode())
+    with pytest.raises(SeatrialError, match="the result was not saved"):
+        write_result(result, tmp_path / "no" / "result.json")
+
+
+def test_content_without_a_type_is_rounded_as_results_are() -> None:
+    assert content.to_json(np.array([0.1], np.float32)) == [0.1]
+    assert content.to_json({"a": np.arange(3), "b": (True, np.bool_(False), None, "x")}) == {
+        "a": [0, 1, 2], "b": [True, False, None, "x"]}
