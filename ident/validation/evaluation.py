@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from ident.estimation import FittedModel, Likelihood, RecordEvaluation, parameter_uncertainty
 from ident.validation import calibration
 from ident.validation.calibration import Calibration
-from ident.validation.prediction_errors import PredictionErrors, ahead, free_run, one_step, pooled, usual_horizon
+from ident.validation.prediction_errors import PredictionErrors, ahead, free_run, one_step, pooled
 
 
 class PredictionEvaluation:
@@ -15,7 +15,7 @@ class PredictionEvaluation:
     one step and the free run, by default the model's usual one."""
 
     def __init__(self, stage: FittedModel, horizon: float | None = None) -> None:
-        self.stage, self.horizon = stage, horizon or usual_horizon(stage.model)
+        self.stage, self.horizon = stage, horizon or stage.model.horizon
         self.likelihood = Likelihood(stage.model)
         self.free = {
             role: [

@@ -23,6 +23,7 @@ from ident.estimation import (
     set_priors,
     with_effects,
 )
+from ident.models import residuals_of
 from ident.reporter import Reporter
 from ident.results import (
     Json,
@@ -101,7 +102,7 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Json:
     result |= {"kind": "vehicle", "fit": fit_part(stage.fit, model.values)}
     result["cautions"] = estimation_warnings(stage.fit, [v.record for v in stage.estimation])
     result["notes"] = notes + outliers(stage) + calibration_notes(result["calibration"], result["horizon"])
-    said = [vehicle_answer(result, searchable="hull" in model.provides)]
+    said = [vehicle_answer(result, searchable=bool(residuals_of(model)))]
     if sides is not None and sides.swapped:
         said.insert(0, sides.line if not as_is else sides.line.removesuffix(" Fitted with the sides swapped."))
         reporter.warning(said[0])
