@@ -11,7 +11,7 @@ one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -19,7 +19,7 @@ from scipy import signal
 
 from ident.data import Channel, Record
 from ident.estimation import Likelihood, fit
-from ident.model import INF, Model, Output, Parameter, Sensor, State, plain_model
+from ident.model import INF, Model, ModelKind, Output, Parameter, Sensor, State, plain_model
 from ident.numerics import Array
 from ident.validation import WhitenessDiagnostics, autocorrelation, ljung_box, whiteness_diagnostics
 
@@ -126,7 +126,7 @@ def _start(y: Array, dt: float) -> Model:
 @cache
 def noise_model(low_walk: float) -> Model:
     """One axis at rest, in units of its scale; ``low_walk`` [1/sqrt(s)]: a random walk below this is none."""
-    return plain_model(
+    model = plain_model(
         "noise",
         f=lambda x, u, p: {"b": 0.0},
         h=lambda x, u, p: {"y": x.b},
@@ -139,3 +139,4 @@ def noise_model(low_walk: float) -> Model:
             Parameter("bias", 0.0, meaning="offset at the start"),
         ),
     )
+    return replace(model, kind=ModelKind.NOISE)

@@ -19,7 +19,7 @@ import numpy as np
 from ident.diagnosis.results import Diagnosis, EffectAttribution, Refit, Round
 from ident.diagnosis.score_test import Score
 from ident.estimation import AT_BOUND, Fit
-from ident.model import Effect, EffectKind
+from ident.model import Effect, EffectKind, ModelKind
 from ident.models import READINGS
 
 # What may be left beside a right name: its true form is not exactly ours. In units of 2 ln L after paying for the
@@ -178,7 +178,7 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
         rivals = [r for r in judged.rivals if r in titles] if judged is not None else []
         for rival in rivals[:1]:
             lines.append(f"To tell {effect.title} from {titles[rival]}: {effect.experiment}.")
-            if "hull" in diagnosis.before.model.provides and not one.chosen.unknown:
+            if diagnosis.before.model.kind is ModelKind.VEHICLE and not one.chosen.unknown:
                 lines.append(f"`seatrial mission design MODEL --discriminate {effect.name},{rival}` makes the mission.")
         if judged is not None and judged.attribution == "ambiguous" and not rivals:
             lines.append(f"To see whether it is {effect.title}: {effect.experiment}.")

@@ -118,11 +118,11 @@ def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, flo
             for n, what in zip(names, terms_of, strict=True)
         ),
         inputs=(Input("t", "s", "linear"),) if curve.variable == "t" else (),
-        place="sensor" if residual.stage == "output" else "bench" if "bench" in model.provides else "hull",
+        place=residual.place,
         formula=f"{force} += g({variable}), a nonparametric curve",
         source="the residual itself",
         experiment=f"runs that vary {variable} slowly over its whole range, with all else held",
-        requires=tuple(n for n in ("hull", "bench") if n in model.provides),
+        requires=residual.requires,
         kind=EffectKind.NONPARAMETRIC,
         curve=curve,
         span=span,

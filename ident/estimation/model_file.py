@@ -81,7 +81,7 @@ def save_model(
     if model.second_order:
         document["second_order"] = True
     if fit.options.reml:
-        document["restricted"] = True
+        document["reml"] = True
     unlisted = {e.name: _curve_table(e) for e in model.effects if e.kind.unknown}
     if unlisted:
         document["curves"] = unlisted
@@ -167,7 +167,7 @@ def load_model(path: Path, reporter: Reporter = QUIET) -> SavedModel:
         correlation = np.asarray(between.get("matrix", ()), dtype=float).reshape(len(names), len(names))
     except (KeyError, TypeError, ValueError) as problem:
         raise SeatrialError(f"{path}: not a complete model: {problem}") from problem
-    reml = bool(table.get("restricted", False))
+    reml = bool(table.get("reml", False))
     made = table.get("provenance", {})
     return SavedModel(model, errors, validity, made, names, correlation, effects_file, reml)
 

@@ -14,10 +14,7 @@ from ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
 from ident.engine import VectorisedModel
 from ident.estimation import SavedModel
 from ident.export.codegen import Program, parameters_of, programs
-from ident.model import HISTORY_STEP, Input, Model, Parameter, State
-from ident.models import OFFSETS
-
-BENCH_FORCE = "b_f"  # disturbance force of the bench model, which is a state of the model and not of an effect
+from ident.model import HISTORY_STEP, Input, Model, Parameter, ParameterRole, State
 
 
 @dataclass(frozen=True)
@@ -117,11 +114,9 @@ def prefix(name: str) -> str:
 def without_nuisance(model: Model) -> tuple[Model, tuple[State, ...]]:
     """The model without disturbance forces and random-walk sensor biases, and the removed states."""
     effects = [e for e in model.effects if e.kind.nuisance]
-    bench = "bench" in model.provides
-    states = {s.name for e in effects for s in e.states} | ({BENCH_FORCE} if bench else set())
-    if "attitude" in model.provides:
-        states |= {s.name for s in OFFSETS}
-    parameters = {p.name for e in effects for p in e.parameters} | ({"q_f", "tau_f"} if bench else set())
+    states = {s.name for e in effects for s in e.states} | {s.name for s in model.states if s.nuisance}
+    parameters = {p.name for e in effects for p in e.parameters}
+    parameters |= {p.name for p in model.parameters if p.role is ParameterRole.DISTURBANCE}
     smaller = replace(
         model,
         states=tuple(s for s in model.states if s.name not in states),
@@ -143,7 +138,7 @@ def equivalent_process_noise(whole: Model, kept: Model) -> list[float]:
     for state in kept.states:
         variance = 0.0
         for j, force in enumerate(whole.states):
-            if force.name.startswith("b_") and force.name not in {s.name for s in kept.states} and A[j, j] < 0:
+            if force.name not in {s.name for s in kept.states} and A[j, j] < 0:
                 diffusion = values[force.noise] if isinstance(force.noise, str) else float(force.noise)
                 variance += (A[names.index(state.name), j] * diffusion / A[j, j]) ** 2
         found.append(math.sqrt(variance))

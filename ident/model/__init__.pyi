@@ -16,6 +16,7 @@ from .structure import ForceCurve as ForceCurve
 from .structure import Input as Input
 from .structure import Model as Model
 from .structure import ModelFunction as ModelFunction
+from .structure import ModelKind as ModelKind
 from .structure import Output as Output
 from .structure import Residual as Residual
 from .structure import Sensor as Sensor

@@ -48,11 +48,23 @@ class Signals(Named):
 ModelFunction = Callable[[Signals], None]
 
 
+class ModelKind(StrEnum):
+    """What is modelled, which tells how its logs are read."""
+
+    VEHICLE = "vehicle"
+    BENCH = "bench"  # a thruster on its bench, from a log of it alone
+    NOISE = "noise"  # a sensor at rest
+
+
+Place = Literal["actuator", "hull", "environment", "sensor", "bench"]
+
+
 @dataclass(frozen=True)
 class State:
     """``noise``: diffusion in unit/sqrt(s), a number or the name of the parameter that holds it.
     ``x0`` and ``sd0``: mean and standard deviation at the start of a record, numbers or, for the mean, the
-    name of a parameter; ``from_output`` starts it at the first measurement of that output."""
+    name of a parameter; ``from_output`` starts it at the first measurement of that output. ``nuisance``: a disturbance
+    or an offset of a sensor, which a controller does not want."""
 
     name: str
     unit: str = ""
@@ -61,6 +73,7 @@ class State:
     x0: float | str = 0.0
     sd0: float | str = 1.0
     from_output: str = ""
+    nuisance: bool = False
 
 
 @dataclass(frozen=True)
@@ -173,7 +186,7 @@ class Effect:
     parameters: tuple[Parameter, ...] = ()
     states: tuple[State, ...] = ()
     inputs: tuple[Input, ...] = ()
-    place: Literal["actuator", "hull", "environment", "sensor", "bench"] = "hull"
+    place: Place = "hull"
     formula: str = ""
     source: str = ""
     experiment: str = ""
@@ -213,7 +226,8 @@ class Residual:
 
     ``state``: the disturbance that stands for it (``ident.models.disturbances``); ``scale``: what an unknown table of
     it may reach, one standard deviation of the prior; ``add``: how an extra of its unit enters, behind ``stage``;
-    ``of``: the variables that it may depend on, all of the model's where none are named.
+    ``of``: the variables that it may depend on, all of the model's where none are named; ``place`` and ``requires``:
+    of the nonparametric effects on it.
     """
 
     name: str
@@ -224,6 +238,8 @@ class Residual:
     add: Callable[[Signals, Any], None]
     stage: str = "force"
     of: tuple[str, ...] = ()
+    place: Place = "hull"
+    requires: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -257,6 +273,9 @@ class Model:
     products: tuple[tuple[str, str], ...] = ()
     block: float = 5.0  # s, several times the memory of what is unexplained: scores are summed over blocks as long
     start_grid: StartGrid | None = None  # where else a fit starts, for a multimodal likelihood
+    kind: ModelKind = ModelKind.VEHICLE
+    horizon: float = 10.0  # s that predictions go ahead where nobody says otherwise
+    disturbance: Effect | None = None  # what it does not explain, as states; None: forces on the hull, where it has one
     second_order: bool = False  # the filter's mean goes with the curvature of the rates (engine.graphs)
 
     def __post_init__(self) -> None:

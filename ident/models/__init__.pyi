@@ -18,7 +18,6 @@ from .disturbances import variables_of as variables_of
 from .horizontal import SENSORS as SENSORS
 from .horizontal import SIDES as SIDES
 from .horizontal import horizontal_model as horizontal_model
-from .kinematic import OFFSETS as OFFSETS
 from .kinematic import kinematic_model as kinematic_model
 from .scaling import rescale as rescale
 from .scaling import scale_priors as scale_priors

@@ -27,7 +27,7 @@ def adder(name: str) -> Callable[[Signals, Any], None]:
 
 
 HULL = tuple(
-    Residual(name, unit, f"b_{name}", scale, f"the force {name}", adder(name))
+    Residual(name, unit, f"b_{name}", scale, f"the force {name}", adder(name), requires=("hull",))
     for name, unit, scale in (("X", "N", 10.0), ("Y", "N", 10.0), ("N", "N m", 2.0))
 )
 
@@ -43,7 +43,10 @@ def _reader(name: str) -> Callable[[Signals, Any], None]:
 
 # What a sensor may get wrong: a compass by the heading and by the motors' currents, the others by what shakes or turns
 READINGS = tuple(
-    Residual(name, unit, f"bias_{name}", scale, f"the reading of the {what}", _reader(name), "output", of)
+    Residual(
+        name, unit, f"bias_{name}", scale, f"the reading of the {what}", _reader(name), "output", of,
+        place="sensor", requires=("hull",),
+    )
     for name, what, unit, scale, of in (
         ("psi", "heading", "rad", 0.1, ("psi", "n_sum", "n_diff")),
         ("r", "yaw rate", "rad/s", 0.05, ("r",)),
@@ -157,8 +160,8 @@ def shaft_disturbance() -> Effect:
 
 
 def disturbance_of(model: Model) -> Effect:
-    """The unexplained forces of a vehicle, or the unexplained acceleration of a shaft."""
-    return shaft_disturbance() if "bench" in model.provides else disturbance(forces_of(model))
+    """What the model names itself, or the unexplained forces of a vehicle."""
+    return model.disturbance or disturbance(forces_of(model))
 
 
 def sensor_bias(sensors: Sequence[str]) -> Effect:

@@ -57,8 +57,8 @@ ATTITUDE = (
     *(Input(n, "rad/s", "linear") for n in ("p", "q", "r")),
 )
 OFFSETS = (
-    State("bias_psi", "rad", "offset of the measured heading", 1.7e-4, sd0=0.005),
-    State("bias_r", "rad/s", "offset of the yaw gyro", 1e-5, sd0=0.01),
+    State("bias_psi", "rad", "offset of the measured heading", 1.7e-4, sd0=0.005, nuisance=True),
+    State("bias_r", "rad/s", "offset of the yaw gyro", 1e-5, sd0=0.01, nuisance=True),
 )
 
 

@@ -57,10 +57,11 @@ def rescale(model: Model, size: VesselScale) -> Model:
     """The model with unexplained forces for a boat of this size: their spread at the start, and what is plausible
     for their diffusion."""
     factors = {"X": size.force, "Y": size.force, "N": size.moment}
+    of_state = {f"b_{name}": name for name in factors}
     states, new = [], []
     for s in model.states:
-        name = s.name.removeprefix("b_")
-        if name in factors and s.name != name and f"q_{name}" in model.values:
+        name = of_state.get(s.name)
+        if name is not None and f"q_{name}" in model.values:
             q = model.parameter(f"q_{name}")
             sd0 = SIZES[name][0] * factors[name]
             scale = sd0 / float(s.sd0)

@@ -19,6 +19,7 @@ from ident.data import Channel
 from ident.model import (
     Input,
     Model,
+    ModelKind,
     Output,
     Parameter,
     ParameterRole,
@@ -29,7 +30,7 @@ from ident.model import (
     State,
     Variable,
 )
-from ident.models.disturbances import TIME, adder
+from ident.models.disturbances import TIME, adder, shaft_disturbance
 
 COMMAND = "n_cmd"
 DELAY_STEP = 0.0125  # s
@@ -52,7 +53,9 @@ FORCE = (
     Parameter("e_f", 0.5, "N", "noise of the load cell", "log"),
 )
 SWING = (
-    Parameter("q_f", 0.5, "N/sqrt(s)", "diffusion of the unexplained force", "log"),
+    Parameter(
+        "q_f", 0.5, "N/sqrt(s)", "diffusion of the unexplained force", "log", role=ParameterRole.DISTURBANCE
+    ),
     Parameter(
         "tau_f", 0.5, "s", "memory of the unexplained force", "log", prior=(0.5, 0.5), bounds=(0.05, 20.0),
         role=ParameterRole.DISTURBANCE,
@@ -64,8 +67,12 @@ def _accelerate(s: Signals, extra: Any) -> None:
     s.rate["n"] = s.rate["n"] + extra
 
 
-UNEXPLAINED_FORCE = Residual("F", "N", "b_f", 5.0, "the force on the load cell", adder("force"), "thrust")
-UNEXPLAINED_RATE = Residual("n_dot", "1/s", "b_n", 0.5, "the acceleration of the shaft", _accelerate, "rate")
+UNEXPLAINED_FORCE = Residual(
+    "F", "N", "b_f", 5.0, "the force on the load cell", adder("force"), "thrust", place="bench", requires=("bench",)
+)
+UNEXPLAINED_RATE = Residual(
+    "n_dot", "1/s", "b_n", 0.5, "the acceleration of the shaft", _accelerate, "rate", place="bench", requires=("bench",)
+)
 
 
 def delayed_channels(
@@ -138,6 +145,9 @@ def thruster_model(
             TIME,
         ),
         block=2.0,
+        kind=ModelKind.BENCH,
+        horizon=1.0,
+        disturbance=shaft_disturbance(),
         start_grid=_start_grid(top) if step > 2 * DELAY_STEP else None,
     )
 
@@ -156,7 +166,7 @@ def _parts(force: bool, swing: bool) -> tuple[tuple[State, ...], tuple[Sensor, .
         sensors.append(Sensor("load_cell", (Output("force", "N", "e_f"),)))
         parameters += FORCE
     if swing:
-        states.append(State("b_f", "N", "unexplained force", "q_f", sd0=1.0))
+        states.append(State("b_f", "N", "unexplained force", "q_f", sd0=1.0, nuisance=True))
         parameters += SWING
     return tuple(states), tuple(sensors), tuple(parameters)
 

@@ -23,7 +23,6 @@ from ident.validation.prediction_errors import (
     one_step,
     pooled,
     ratio_interval,
-    usual_horizon,
 )
 from ident.validation.whiteness import CrossCorrelation, Whiteness, cross_correlation, whiteness_test
 
@@ -97,7 +96,7 @@ class PredictionEvaluation:
 
 def evaluate(stage: FittedModel, horizon: float | None = None) -> PredictionEvaluation:
     """Predictions of a fitted model against every record. ``horizon`` [s]: by default the model's usual one."""
-    seconds, likelihood = horizon or usual_horizon(stage.model), Likelihood(stage.model)
+    seconds, likelihood = horizon or stage.model.horizon, Likelihood(stage.model)
     return PredictionEvaluation(
         stage.model,
         seconds,

@@ -13,7 +13,6 @@ from ident.estimation import FilterResult, Likelihood, ParameterUncertainty, pre
 from ident.model import Model
 from ident.numerics import Array, wrap
 
-HORIZON, BENCH_HORIZON = 10.0, 1.0  # s that predictions go ahead where nobody says otherwise
 THIN = 2  # predictions over the horizon start from every second row,
 MOST = 4000  # or, where a sensor is fast, from about so many
 WARM_UP = 15.0  # s of measurements that a free run starts from
@@ -47,11 +46,6 @@ def one_step(model: Model, record: Record, run: FilterResult) -> dict[str, Predi
     """Innovations, in the unit of each channel."""
     found = {o.name: _errors(record.t, run.e[:, j]) for j, o in enumerate(model.outputs)}
     return {name: e for name, e in found.items() if e.e.size}
-
-
-def usual_horizon(model: Model) -> float:
-    """Ten seconds [s] for a boat; one for a thruster on the bench, which follows its command within that."""
-    return BENCH_HORIZON if "bench" in model.provides else HORIZON
 
 
 def ahead(model: Model, record: Record, values: Array, x: Array, seconds: float) -> dict[str, PredictionErrors]:

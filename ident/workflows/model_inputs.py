@@ -9,7 +9,7 @@ from pathlib import Path
 from daq.errors import SeatrialError
 from ident.characterisation import THRUSTER_RATE, ThrustCurve, load_curve, thrust_channels, thruster_runs, total
 from ident.data import Channel, LoadedLog, LogSegment
-from ident.model import Input, Model, segment_name
+from ident.model import Input, Model, ModelKind, segment_name
 from ident.models import SENSORS, make_model
 
 CURVE_INPUTS = ("f_left", "f_right", "X", "X_n")  # what a static curve makes of commands
@@ -80,7 +80,7 @@ def _posed(
     model: Model, model_path: Path, loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog], thruster: str | None
 ) -> tuple[Model, list[LogSegment], list[LogSegment], float]:
     """The saved model as these logs can ask it; its runs to estimate and to validate; its usual rows a second."""
-    if "bench" in model.provides:
+    if model.kind is ModelKind.BENCH:
         runs, others = (thruster_runs(part, model, thruster) for part in (loaded, unseen))
         return model, runs, others, THRUSTER_RATE
     curve = known_curve(_curve_path(thruster, model_path))

@@ -68,7 +68,7 @@ def test_a_fitted_model_is_studied_as_it_was_fitted(saved: Path) -> None:
     assert told.reml
     assert not told.model.second_order
     text = saved.read_text(encoding="utf-8")
-    saved.write_text(text.replace("second_order = true", "restricted = true"), encoding="utf-8")
+    saved.write_text(text.replace("second_order = true", "reml = true"), encoding="utf-8")
     other = make_case(str(saved), seconds=60.0)
     assert other.reml
     assert not other.model.second_order

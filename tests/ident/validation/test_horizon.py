@@ -18,6 +18,7 @@ from ident.estimation.fitted_model import fit_nominal_model
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.stochastic_simulation import simulate_stochastic
 from ident.models.horizontal import horizontal_model
+from ident.models.thruster import thruster_model
 from ident.results.answers import calibration_notes
 from ident.results.parts import CalibrationRow, Calibrations, CalibrationTable
 from ident.studies.cases import make_case
@@ -25,7 +26,7 @@ from ident.studies.monte_carlo import make_record
 from ident.validation import calibration
 from ident.validation.calibration import Calibration
 from ident.validation.evaluation import evaluate, ratio_intervals
-from ident.validation.prediction_errors import BENCH_HORIZON, MOST, WARM_UP, free_run
+from ident.validation.prediction_errors import MOST, WARM_UP, free_run
 from mocks.plant.bench import draw_bench
 from tests.missions import bench_log, boat_log, boat_with, channels_of, sail
 
@@ -56,7 +57,7 @@ def boat(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def test_a_thruster_is_judged_a_second_ahead_and_its_bands_are_right(bench: list[Path], tmp_path: Path) -> None:
     said = done("thruster", *bench, "--out", tmp_path).output
     result = result_of(tmp_path)
-    assert result["horizon_seconds"] == BENCH_HORIZON == 1.0
+    assert result["horizon_seconds"] == thruster_model().horizon == 1.0
     assert "one step ahead   1 s ahead   free-running" in said
     errors, calibrated = result["errors"]["estimation"], result["calibration"]["estimation"]
     assert list(errors) == list(calibrated) == KINDS
