@@ -81,7 +81,7 @@ def _stop_signal() -> Iterator[threading.Event]:
 def log(rig: Path, duration: float | None, output: Path | None, serve: bool) -> None:
     """Record every device of RIG until Ctrl-C, with a live table.
 
-    Devices may be plugged in and out meanwhile; what is missing or silent is said. Commands no thrust.
+    Devices may be plugged in and out meanwhile; missing and silent ones are reported. Commands no thrust.
     """
     from rich.console import Console
 
@@ -114,7 +114,7 @@ def log(rig: Path, duration: float | None, output: Path | None, serve: bool) -> 
 @click.command()
 @click.argument("log", type=LOG)
 def info(log: Path) -> None:
-    """Say what a LOG holds, all its segments: topics and rates, health counters, events, warnings.
+    """Show the content of a LOG with all its segments: topics and rates, health counters, events, warnings.
 
     LOG may be the folder of a single log, too.
 
@@ -141,7 +141,7 @@ def info(log: Path) -> None:
 def recover(log: Path, out: Path | None, force: bool) -> None:
     """Recover the LOG of a killed run or a damaged disk, all its segments, into one whole file.
 
-    Every other command opens a killed log as it is; this is for tools that do not. LOG itself is left alone.
+    Every other command opens a killed log as it is; this is for tools that do not. LOG itself is not changed.
 
     \b
     Example:
@@ -168,14 +168,14 @@ def import_() -> None:
     """
 
 
-@import_.command("csv", short_help="CSV files, by a map that says which column is what.")
+@import_.command("csv", short_help="CSV files, by a map from columns to signals.")
 @click.argument("map_", metavar="MAP", type=_EXISTING)
 @click.argument("files", metavar="FILE...", type=_EXISTING, nargs=-1, required=True)
 @click.option("-o", "--out", type=_NEW, help="The log to write, where it is a single one.")
 @click.option("--out-dir", type=_FOLDER, help="Folder for the logs, named after the files (default: here).")
 @click.option("--force", is_flag=True, help="Replace logs that exist.")
 def import_csv(map_: Path, files: tuple[Path, ...], out: Path | None, out_dir: Path | None, force: bool) -> None:
-    """Turn CSV files into logs by a MAP that says which column is which signal.
+    """Turn CSV files into logs by a MAP from columns to signals.
 
     The map is described in docs/formats/import-csv.md.
 
@@ -214,17 +214,17 @@ def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: P
     click.echo(f"{path}: {said}")
 
 
-@import_.command("raw", short_help="Bytes that a device once sent, decoded by its protocol.")
+@import_.command("raw", short_help="Recorded bytes of a device, decoded by its protocol.")
 @click.argument("protocol", type=click.Choice(SERIAL_PROTOCOLS))
 @click.argument("file", type=_EXISTING)
-@click.option("--rate", type=click.FloatRange(min=0.0, min_open=True), help="Samples a second, for the times.")
+@click.option("--rate", type=click.FloatRange(min=0.0, min_open=True), help="Samples per second, for the times.")
 @click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
 @click.option("--force", is_flag=True, help="Replace the log where it exists.")
 def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, force: bool) -> None:
-    """Decode FILE, the bytes that a device once sent, as PROTOCOL.
+    """Decode FILE, recorded bytes of a device, as PROTOCOL.
 
-    A capture says nothing of when its bytes came: with --rate the samples are put evenly apart; without it they
-    get the times that the device itself sends, where it sends any.
+    A capture has no times of receipt: with --rate the samples are evenly spaced; without it they get the times
+    that the device itself sends, if any.
 
     \b
     Example:
@@ -286,7 +286,7 @@ def import_ulog(file: Path, out: Path | None, force: bool) -> None:
 )
 @click.option("--toml", is_flag=True, help="Print [[device]] tables for the rig file.")
 def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml: bool) -> None:
-    """Find the serial ports and CAN buses of this machine, or look at PORTs, and recognise what speaks there.
+    """Find the serial ports and CAN buses of this machine, or of PORTs, and identify the protocol of each device.
 
     Only listens: nothing is sent to a port. Each is tried at one baud rate after the other.
 
@@ -333,10 +333,10 @@ def _rig_protocols() -> tuple[str, ...]:
 @click.option("--device", "names", multiple=True, help="Only this device; may be repeated.")
 @click.option(
     "--speed", type=click.FloatRange(min=0.0, min_open=True), default=1.0, show_default=True,
-    help="Recorded seconds a second.",
+    help="Recorded seconds per second.",
 )  # fmt: skip
 def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> None:
-    """Send the raw bytes of LOG again, on ports DIR/DEVICE, at the times at which they came.
+    """Send the raw bytes of LOG again, on ports DIR/DEVICE, at their times of receipt.
 
     Begins when every port has a reader: `seatrial log DIR/replay.toml`, which is the log's own rig with these ports,
     records the log anew. A CAN bus comes back as an slcan adapter. Ctrl-C ends it.
@@ -359,7 +359,7 @@ def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> Non
 @click.option("-o", "--out", type=_FOLDER, required=True, help="Folder for the files; made where it is not there.")
 @click.option("--force", is_flag=True, help="Replace files that exist.")
 def export(form: str, log: Path, out: Path, force: bool) -> None:
-    """Write the tables of LOG as files of FORM, csv or parquet: one a device and kind, and the events.
+    """Write the tables of LOG as files of FORM, csv or parquet: one per device and kind, and the events.
 
     \b
     Example:

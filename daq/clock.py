@@ -81,7 +81,7 @@ class ClockMap:
     A device that restarts, or whose clock jumps, starts a new map (`resets` counts them).
     """
 
-    SKEW_MAX = 300e-6  # two crystals are closer than this; bounds what a short hull may believe
+    SKEW_MAX = 300e-6  # two crystals are closer than this; bounds the slope of a short hull
     JUMP = 0.5  # s, device time ahead of the map by more: its clock was set
     LATE = 1.0  # s, behind the map by more, for LATE_FOR: its clock was stopped or set back
     LATE_FOR = 10.0
@@ -142,7 +142,7 @@ class ClockMap:
         return math.sqrt(self._m2 / (self._count - 1)) if self._count > 1 else math.nan
 
     def forget_statistics(self) -> None:
-        """Start `bias` and `spread` anew; the map stays."""
+        """Reset `bias` and `spread`; the map stays."""
         self._count, self._mean, self._m2 = 0, 0.0, 0.0
 
     def _jumped(self, t_device: float, t_rx: float) -> bool:

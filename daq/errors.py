@@ -7,7 +7,7 @@ class SeatrialError(Exception):
     """The work failed for a reason that the user can act on.
 
     The message is ONE clear line: what failed, where, and what to do about it. The front door prints it after
-    `seatrial: ` and leaves with `exit_status`; a part that has more to say derives a class of its own.
+    `seatrial: ` and leaves with `exit_status`; a part that reports more derives its own class.
     """
 
     exit_status = 1

@@ -16,16 +16,16 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-DRIVES = ("vesc", "dronecan", "mavlink")  # what a thruster may hang on
+DRIVES = ("vesc", "dronecan", "mavlink")  # protocols that drive thrusters
 DEFAULT_PATTERN = r"^(?P<counts>-?\d+)$"
-OWN_NODE = 100  # ours on a DroneCAN bus; 10 is an autopilot's, 126 and 127 are for tools
+OWN_NODE = 100  # our node on a DroneCAN bus; 10 is an autopilot's, 126 and 127 are for tools
 DEFAULT_QUERY = "!001:SYS?"
 ESC_FIELDS = ("rpm", "current", "duty", "voltage", "temperature")
 SOURCE = "source"  # a signal's node is the sender's address (J1939, NMEA 2000)
 Counts = TypeVar("Counts", float, "NDArray[np.float64]")
 NET_KINDS = ("udp", "udpin", "udpout", "tcp")
-# Messages that are asked for, with their rate [Hz]; None is the device's rate_hz. In the order of their weight, so
-# that the last ones are refused on a link that cannot carry all.
+# Messages to request, with their rate [Hz]; None is the device's rate_hz. In the order of their importance, so that
+# the last ones are refused on a link that cannot carry all.
 RATES: dict[str, float | None] = {
     "ATTITUDE": None,
     "SERVO_OUTPUT_RAW": None,
@@ -62,7 +62,7 @@ class Calibration:
 
 @dataclass(frozen=True)
 class DbcSignal:
-    """One signal of a DBC file and the field of `Esc` that it is: value = scale * (what the DBC says) + offset."""
+    """One signal of a DBC file and the field of `Esc` that it is: value = scale * (value by the DBC) + offset."""
 
     message: str
     signal: str
@@ -74,18 +74,18 @@ class DbcSignal:
 
 @dataclass(frozen=True)
 class MavlinkSettings:
-    """How to talk to an autopilot: who it is, who we are, what it is asked for."""
+    """The link to an autopilot: addresses of both ends, signing key, requested message rates."""
 
     system_id: int = 1
     component_id: int = 1
     own_system_id: int = 255
     own_component_id: int = 190
-    key_file: Path | None = None  # 32 bytes or 64 hexadecimal digits; signs what we send, and unsigned is ignored
+    key_file: Path | None = None  # 32 bytes or 64 hexadecimal digits; we sign, and ignore unsigned messages
     gnss: str = "raw"  # raw: the receiver's fixes; fused: the autopilot's estimate
     rates: Mapping[str, float] = field(default_factory=dict)  # Hz by message name, other than RATES
 
     def requested(self, rate_hz: float) -> dict[str, float]:
-        """What is asked for [Hz], by message name, in the order of RATES."""
+        """The requested rates [Hz] by message name, in the order of RATES."""
         rates = {name: rate_hz if rate is None else rate for name, rate in RATES.items()}
         if self.gnss == "fused":
             rates["GLOBAL_POSITION_INT"] = rates.pop("GPS_RAW_INT")
@@ -94,7 +94,7 @@ class MavlinkSettings:
 
 @dataclass(frozen=True)
 class Device:
-    """One port and what speaks there. Fields that a protocol has no use for keep their defaults."""
+    """One port and the device behind it. Fields that its protocol does not use keep their defaults."""
 
     name: str
     protocol: str
@@ -110,27 +110,27 @@ class Device:
     declination: float | None = None  # rad, east positive: true heading minus magnetic; None: magnetic is not taken
     dbc: str = ""  # absolute path
     signals: tuple[DbcSignal, ...] = ()
-    query: str = ""  # what a device that speaks only when asked is asked for each reading
+    query: str = ""  # request for each sample, of a device that sends only on request
     own_node: int = OWN_NODE  # ours on a DroneCAN bus
 
 
 @dataclass(frozen=True)
 class Output:
-    """How a thruster hangs on an autopilot: the channel that commands it and the pulses of both ends."""
+    """A thruster behind an autopilot: the channel that commands it and the pulse widths of input and output."""
 
     rc_channel: int  # RC_CHANNELS_OVERRIDE, from 1
-    rc_us: tuple[float, float, float]  # full astern, neutral, full ahead: RCn_MIN, RCn_TRIM, RCn_MAX
+    rc_us: tuple[float, float, float]  # full reverse, neutral, full forward: RCn_MIN, RCn_TRIM, RCn_MAX
     pwm_us: tuple[float, float, float]  # of the servo output: SERVOn_MIN, SERVOn_TRIM, SERVOn_MAX
 
     def command(self, n: float) -> int:
-        """The pulse [us] that commands n, -1..1; neutral for what is no number."""
+        """The pulse [us] that commands n, -1..1; neutral for NaN and values outside."""
         low, neutral, high = self.rc_us
         if not -1.0 <= n <= 1.0:
             return round(neutral)
         return round(neutral + n * (high - neutral if n > 0.0 else neutral - low))
 
     def applied(self, pwm: float) -> float:
-        """What a pulse [us] at the output is as n, beyond -1..1 where the pulse is; NaN while there is none."""
+        """The command n of a pulse [us] at the output, beyond -1..1 where the pulse is; NaN without a pulse."""
         low, neutral, high = self.pwm_us
         if pwm <= 0.0:
             return float("nan")
@@ -147,7 +147,7 @@ class Thruster:
     position_m: tuple[float, float, float]  # body axes: forward, starboard, down
     pole_pairs: int
     rpm_max: float  # n = rpm / rpm_max
-    reversed: bool = False  # a positive command drives astern
+    reversed: bool = False  # a positive command gives reverse thrust
     timeout_s: float = 1.0  # the ESC's own, run seconds
     output: Output | None = None  # behind an autopilot
 
@@ -173,7 +173,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Segments:
-    """When a log goes on in a new file, and how much room there has to be to begin one."""
+    """When a log continues in a new file, and the disk space needed to begin one."""
 
     megabytes: float | None = None  # 1e6 bytes; None: never
     seconds: float | None = None  # run seconds
@@ -182,7 +182,7 @@ class Segments:
 
 @dataclass(frozen=True)
 class Live:
-    """Where the live view listens: for this machine alone, unless the rig says otherwise."""
+    """Address of the live view: of this machine alone by default."""
 
     host: str = "127.0.0.1"
     port: int = 8765
@@ -195,7 +195,7 @@ class Rig:
     name: str
     path: Path
     text: str
-    speed: float  # run seconds a wall second
+    speed: float  # run seconds per wall second
     log_directory: Path
     devices: tuple[Device, ...]
     thrusters: tuple[Thruster, ...] = ()
@@ -205,11 +205,11 @@ class Rig:
     live: Live = field(default_factory=Live)
 
     def device(self, name: str) -> Device:
-        """The device of that name. Raises SeatrialError that lists those there are."""
+        """The device of that name. Raises SeatrialError that lists the known ones."""
         return _named(name, self.devices, "device", self.path)
 
     def thruster(self, name: str) -> Thruster:
-        """The thruster of that name. Raises SeatrialError that lists those there are."""
+        """The thruster of that name. Raises SeatrialError that lists the known ones."""
         return _named(name, self.thrusters, "thruster", self.path)
 
 

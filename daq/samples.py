@@ -1,4 +1,4 @@
-"""The typed measurements: what a device said, in SI units and radians, one class a kind.
+"""Typed samples of devices, in SI units and radians, one class per kind.
 
 Frames: body axes are forward, starboard, down (FRD); the local frame is north, east, down (NED);
 yaw is positive clockwise seen from above, zero at true north. Latitude and longitude are the one
@@ -82,10 +82,10 @@ class LoadCell:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What a thruster was told, at the moment the frame left."""
+    """Command to a thruster, at the time the frame was sent."""
 
     node: int
-    n_cmd: float  # normalised shaft speed or duty, -1..1, sign as in the rig (positive ahead)
+    n_cmd: float  # normalised shaft speed or duty, -1..1, sign as in the rig (positive forward)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ class Servo:
 
     node: int  # output number, from 1
     pwm: float  # us; 0 while there is no pulse
-    n: float = NAN  # -1..1 by the rig's pulse widths, positive ahead; NaN without a rig
+    n: float = NAN  # -1..1 by the rig's pulse widths, positive forward; NaN without a rig
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,10 +34,10 @@ def _is_attitude(sample: Sample) -> bool:
 
 
 class DeviceLoop(threading.Thread):
-    """The thread of one port, its counters, and the last it heard.
+    """The thread of one port, with its counters and newest samples.
 
-    `setpoints` makes it an actuator too: due set-points are sent from this thread, in the words of `driver`, which
-    may also speak for itself. When the port is lost while thrust is commanded, `on_lost(reason)` is called from
+    `setpoints` makes it an actuator too: due set-points are sent from this thread as `driver` encodes them, which
+    may also send messages of its own. When the port is lost while thrust is commanded, `on_lost(reason)` is called from
     this thread.
     """
 
@@ -66,7 +66,7 @@ class DeviceLoop(threading.Thread):
         self._latest: dict[Source, Latest] = {}
         self._t_last = -math.inf
         self._samples = self._rated = self._dropped = self._opened = self._mute_bytes = 0
-        self._unforgiven = self._forgiven = 0  # unparsed bytes: when the port was opened, and those not held against it
+        self._unforgiven = self._forgiven = 0  # unparsed bytes: when the port was opened, and those not counted
         self._joining = False
         self._open = False
         self._stepped = time.monotonic()
@@ -94,7 +94,7 @@ class DeviceLoop(threading.Thread):
                 while not self._ending:
                     self._step()
             except Exception as error:
-                # Whatever it is, the port is opened again, and what it was stands in the status and in the log.
+                # Whatever the error, the port is opened again, and the error is in the status and in the log.
                 known = isinstance(error, PortError)
                 self._lost(str(error) if known else f"internal error ({type(error).__name__}: {error})")
                 self._wait(-1, RETRY_S[min(failures, len(RETRY_S) - 1)])
@@ -110,7 +110,7 @@ class DeviceLoop(threading.Thread):
         if self._driver is not None:
             self._driver.opened(time.monotonic())
         if self._setpoints is not None and self._setpoints.held:
-            self._setpoints.zero(time.monotonic())  # what it was told before it was lost is not what holds now
+            self._setpoints.zero(time.monotonic())  # a command from before the loss is no longer valid
 
     def _lost(self, why: str) -> None:
         was_open, self._open, self._problem = self._open, False, why
@@ -137,7 +137,7 @@ class DeviceLoop(threading.Thread):
             self._poll_driver(self._driver)
 
     def _poll_driver(self, driver: DeviceDriver) -> None:
-        """Send what the driver has to say, and log what it has to tell."""
+        """Send the bytes and log the events of the driver."""
         data = driver.poll(time.monotonic())
         t = self._clock.now()
         if data:
@@ -191,7 +191,7 @@ class DeviceLoop(threading.Thread):
         return f"{name}/{type(sample).__name__.lower()}", sample.node if isinstance(sample, Esc) else None
 
     def _join(self) -> None:
-        """The first valid frame: a port is opened in the middle of a frame, which is nobody's error."""
+        """The first valid frame: bytes before it are not counted, since a port is opened in the middle of a frame."""
         if self._joining:
             self._joining = False
             before = self._unparsed() - self._unforgiven
@@ -245,12 +245,12 @@ class DeviceLoop(threading.Thread):
         return commanded and self._open and now - self._stepped > STUCK_S
 
     def link(self) -> LinkStatus | None:
-        """What is known of the other end; None where nobody is there to talk with."""
+        """State of the device at the other end; None for a port without a driver."""
         return None if self._driver is None else self._driver.link_at(time.monotonic())
 
     @property
     def hint(self) -> str:
-        """What could be better about the port, in one line; empty when nothing could."""
+        """A possible improvement of the port, in one line; empty without one."""
         return self._port.hint
 
     def health(self) -> PortHealth:

@@ -1,4 +1,4 @@
-"""The acquisition process: owns every port and the log, and brings thrust to zero when its parent falls silent.
+"""The acquisition process: owns every port and the log, and brings thrust to zero when its parent stops responding.
 
 Started by `daq.acquisition.session.Acquisition` as `python -m daq.acquisition.process FD`. No user code runs here, so
 that only the operating system can delay it. One thread per port and one that writes the log; the main thread receives
@@ -47,7 +47,7 @@ from daq.transport import make_port
 
 STATUS_S = 0.05  # wall, as all of these
 SILENCE_S = 0.25  # the parent, while thrust is commanded
-RECORD_ON_S = 1.0  # after a stop that nobody asked for
+RECORD_ON_S = 1.0  # after a stop that the parent did not request
 
 
 class Process:
@@ -70,16 +70,18 @@ class Process:
         self._reporter = StatusReporter(link, rig, path, clock, self._loops, self._setpoints, self._writer, self._event)
         self._heard = self._alive = time.monotonic()
         self._terminated = False
-        self._stopped = ""  # set when thrust was ended here; then only the parent's zero lets it start again
+        self._stopped = (
+            ""  # set when this process stopped thrust; only a `ZeroThrust` of the parent allows thrust again
+        )
         self._end_reason = ""
         self._unasked = False
 
     def terminate(self, number: int, frame: FrameType | None) -> None:
-        """SIGTERM: end as if the parent had asked."""
+        """SIGTERM: end as on a `Stop` message."""
         self._terminated = True
 
     def run(self) -> None:
-        """Until told to stop, abandoned or failed; then zero thrust and close the log."""
+        """Run until stopped, abandoned or failed; then zero thrust and close the log."""
         self._writer.start()
         for loop in self._loops.values():
             loop.start()
@@ -127,7 +129,7 @@ class Process:
             self._handle(message)
 
     def _beat(self, at_once: bool = False) -> None:
-        """The heartbeat to the watchdog, unless a port's thread hangs: then it is left to the watchdog."""
+        """Send the heartbeat to the watchdog, unless a port's thread hangs: then the watchdog has to step in."""
         now = time.monotonic()
         if self._heartbeat is None or any(loop.is_stuck(now) for loop in self._loops.values()):
             return
@@ -137,7 +139,7 @@ class Process:
             self._stop_thrust("the watchdog is gone")
 
     def _judge(self) -> None:
-        """End what has to end. Called after listening: a pause of our own is not held against the parent."""
+        """Stop on timeouts and failures. Called after receiving: a pause of this process is not the parent's."""
         now = time.monotonic()
         if self._terminated:
             self._end("SIGTERM", unasked=False)
@@ -198,7 +200,7 @@ class Process:
             self._loops[name].wake()
 
     def _stop_thrust(self, reason: str) -> None:
-        """End thrust by our own decision and keep recording."""
+        """Stop thrust without a request of the parent, and keep recording."""
         self._stopped = reason
         self._zero()
         self._event("stop", reason)
@@ -228,7 +230,7 @@ class Process:
         self._writer.end()
         self._writer.join()
         self._report()
-        with contextlib.suppress(OSError):  # nobody may be there to be told
+        with contextlib.suppress(OSError):  # the parent may be gone
             why = self._writer.failure
             self._link.send(Failed(why) if why else Closed(self._end_reason))
 

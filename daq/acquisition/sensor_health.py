@@ -1,8 +1,8 @@
-"""What is wrong with the readings of a device although its frames are right. No I/O, no clock.
+"""Plausibility of a device's samples whose frames are valid. No I/O, no clock.
 
 Stuck sensors, saturated and spiking load cells, floods of wrong checksums, clocks that jump,
-dates from another GPS era. Each line stays the same while it holds: one that is new goes into the log as an
-event.
+dates from another GPS era. Each message stays the same while its fault lasts: a new one
+goes into the log as an event.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ SPIKES_S = 10.0
 FLOOD_S = 5.0
 FLOOD_SHARE = 0.05  # of the frames
 FLOOD_ERRORS = 10
-JUMP_S = 10.0  # for so long it is said
+JUMP_S = 10.0  # the message stays for so long
 ERA = 1024 * 604_800.0  # s, after which the week of GPS begins again
 
 
 class _Same(NamedTuple):
-    """The same reading, again and again."""
+    """A sample that repeats."""
 
     key: tuple[float, ...]
     since: float
@@ -33,7 +33,7 @@ class _Same(NamedTuple):
 
 
 class SensorHealth:
-    """The readings and counters of one device."""
+    """Checks the samples and counters of one device."""
 
     def __init__(self) -> None:
         self._same: dict[type, _Same] = {}
@@ -45,7 +45,7 @@ class SensorHealth:
         self._counters: deque[tuple[float, int, int]] = deque()
 
     def take(self, frame: Frame) -> None:
-        """A sample as decoded."""
+        """Take a decoded sample."""
         sample, t = frame.sample, frame.t_rx
         if isinstance(sample, Ahrs):
             if math.isfinite(sample.p) or math.isfinite(sample.ax):  # a compass alone repeats itself
@@ -70,7 +70,7 @@ class SensorHealth:
                 self._counters.popleft()
 
     def message(self) -> str:
-        """What is wrong, in one line; empty when nothing is."""
+        """The fault, in one line; empty without one."""
         if self._counters:
             (_, frames_0, errors_0), (_, frames, errors) = self._counters[0], self._counters[-1]
             if errors - errors_0 >= max(FLOOD_ERRORS, FLOOD_SHARE * (frames - frames_0)):

@@ -1,4 +1,4 @@
-"""Acquisition: the parent's side. Starts the acquisition process, talks to it, and ends it."""
+"""The parent's side of an acquisition: starts the acquisition process, sends it messages, and ends it."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ from daq.rig import Rig
 HEARTBEAT_S = 0.05  # wall, as all of these
 START_S = 30.0
 STOP_S = 15.0
-WATCHDOG_S = 5.0  # it opens ports for 3 s at most, and says zero for 1
+WATCHDOG_S = 5.0  # it opens ports for 3 s at most, and sends zero for 1
 
 
 class Acquisition:
     """Records every device of `rig` to a new log at `path`, in a process of its own, while in the `with` block.
 
-    The process is safe against whatever happens here: when this process dies or stops answering, or when thrust is
+    The process is safe against any failure here: when this process dies or stops answering, or when thrust is
     commanded and `alive` is not called for 0.25 s (wall), it commands zero, records one second more and closes the
-    log. With `drive` a watchdog process stands behind it (daq.acquisition.watchdog); nothing is to be driven without.
+    log. With `drive` a watchdog process monitors it (daq.acquisition.watchdog); no thrust may be commanded without.
     All methods may be called from any thread; all but `alive` raise SeatrialError when the process has failed.
     """
 
@@ -68,7 +68,7 @@ class Acquisition:
         self._changed = threading.Condition()
         self._status: Status | None = None
         self._failure = ""
-        self._gone = False  # the process has closed its end
+        self._gone = False  # the process has closed its side of the socket
         self._ended = ""  # why it ended by itself, in good order
         self._alive = threading.Event()
         self._stopping = threading.Event()
@@ -111,7 +111,7 @@ class Acquisition:
             stdout=self._stderr,
             stderr=self._stderr,
             env={**os.environ, "PYTHONPATH": _search_path()},
-            start_new_session=True,  # Ctrl-C is for us; the process ends when we say so
+            start_new_session=True,  # Ctrl-C is for the parent; the process ends by a message
         )
 
     def __exit__(
@@ -125,7 +125,7 @@ class Acquisition:
                 raise
 
     def schedule(self, rows: Sequence[tuple[float, Mapping[str, float]]]) -> None:
-        """Append set-points (run time, {thruster: n_cmd}), -1..1, positive ahead; the last one holds.
+        """Append set-points (run time, {thruster: n_cmd}), -1..1, positive forward; the last one holds.
 
         A row whose time has passed is sent at once. Rows are ignored after the process ended thrust by itself
         (`Status.stopped`) until `zero` is called. Raises SeatrialError for a thruster that the rig has not and for
@@ -140,7 +140,7 @@ class Acquisition:
         self._send(Schedule([(t, dict(row)) for t, row in rows]))
 
     def zero(self, reason: str) -> None:
-        """Clear the schedule and command zero to all thrusters at once; an event says why."""
+        """Clear the schedule and command zero to all thrusters at once; `reason` is logged as an event."""
         self._send(ZeroThrust(reason))
 
     def mark(self, kind: str, text: str) -> None:
@@ -153,7 +153,7 @@ class Acquisition:
         self._send(DriverRequest(device, action, value))
 
     def alive(self) -> None:
-        """The runner lives: to be called every 0.1 s (wall) while thrust is commanded."""
+        """Heartbeat of the runner: to be called every 0.1 s (wall) while thrust is commanded."""
         self._alive.set()
 
     def status(self) -> Status:
@@ -201,7 +201,7 @@ class Acquisition:
             raise SeatrialError(f"the acquisition process ended{why}; the log is {self.path}") from None
 
     def _beat(self) -> None:
-        set_realtime_priority()  # this thread: what it says keeps thrust on, and a busy machine must not end it
+        set_realtime_priority()  # this thread's heartbeats keep thrust on, also on a busy machine
         while not self._stopping.wait(HEARTBEAT_S):
             alive = self._alive.is_set()
             self._alive.clear()
@@ -228,7 +228,7 @@ class Acquisition:
             self._changed.notify_all()
 
     def _died(self) -> str:
-        """One line for a process that has ended without a word."""
+        """The error, in one line, of a process that has ended without a message."""
         code = "none yet"
         with contextlib.suppress(subprocess.TimeoutExpired):
             code = str(self._process.wait(timeout=2.0))
@@ -252,7 +252,7 @@ class Acquisition:
             self._raise_failure()
 
     def _abandon(self) -> None:
-        """End the process, gently if it is willing, and give back what it held."""
+        """End the process, by a signal if it does not end by itself, and release its resources."""
         self._stopped = True
         self._stopping.set()
         self._link.close()  # a process that still runs takes this as the parent's death: zero thrust, log closed
@@ -262,7 +262,7 @@ class Acquisition:
             self._process.kill()
             self._process.wait()
         if self._watchdog is not None:
-            with contextlib.suppress(subprocess.TimeoutExpired):  # it still says zero: it is not to be hurried
+            with contextlib.suppress(subprocess.TimeoutExpired):  # it may still be sending zero
                 self._watchdog.wait(timeout=WATCHDOG_S)
         for thread in self._threads:
             if thread.ident is not None:

@@ -1,4 +1,4 @@
-"""What the acquisition process says of itself: its status to the parent, and once to the log what is new in it."""
+"""Status of the acquisition process: sent to the parent, and its new warnings and hints to the log."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ class StatusReporter:
     ) -> None:
         self._link, self._rig, self._path, self._clock = link, rig, path, clock
         self._loops, self._setpoints, self._writer, self._event = loops, setpoints, writer, event
-        self._begun = clock.now()
+        self._started = clock.now()
         self._reported: set[str] = set()
-        self._skipped = 0  # set-points whose loss stands in the log
+        self._skipped = 0  # set-points whose loss is in the log
 
     def report(self, stopped: str, ended: str) -> None:
-        """Send the status; `stopped` is why thrust was ended, `ended` why all was. Raises OSError: nobody is there."""
+        """Send the status; `stopped`: why thrust was stopped, `ended`: why all was. Raises OSError without a parent."""
         status = self._status(stopped, ended)
         for kind, lines in (("warning", status.warnings), ("hint", status.hints)):
             for text in lines:
@@ -49,7 +49,7 @@ class StatusReporter:
         self._link.send(StatusReport(status))
 
     def note_skipped(self) -> None:
-        """An event for the set-points that were overtaken since the last one: the plan was not run as it stands."""
+        """Log an event for the set-points skipped since the last one: the mission was not run as planned."""
         total = self._count_skipped()
         if total > self._skipped:
             lost = counted(total - self._skipped, "set-point")
@@ -77,7 +77,7 @@ class StatusReporter:
             path=self._path,
             bytes=self._writer.size,
             messages=self._writer.messages,
-            duration=now - self._begun,
+            duration=now - self._started,
             stopped=stopped or ended,
             warnings=tuple(warnings),
             hints=tuple(f"{name} ({ports[name].port}): {loop.hint}" for name, loop in self._loops.items() if loop.hint),

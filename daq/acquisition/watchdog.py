@@ -1,8 +1,8 @@
-"""The watchdog: a process of its own that takes thrust away when the acquisition process hangs or dies.
+"""The watchdog: a separate process that commands zero thrust when the acquisition process hangs or dies.
 
 The acquisition process sends it a heartbeat every 50 ms: thrust is commanded, or not. When the heartbeats stop while
 thrust is commanded, the watchdog kills the process, opens the thrusters' ports itself and sends zero; it writes what it
-did and why to `LOG.stop`, since nobody writes the log any more. Started by `daq.acquisition.session.Acquisition` as
+did and why to `LOG.stop`, since no process writes the log any more. Started by `daq.acquisition.session.Acquisition` as
 `python -m daq.acquisition.watchdog FD`. See docs/decisions/0013-a-watchdog-behind-the-deadman.md.
 """
 
@@ -50,13 +50,13 @@ class Heartbeat:
         sock.setblocking(False)
 
     def beat(self, active: bool, now: float, at_once: bool = False) -> None:
-        """Say that all is well, and whether thrust is commanded."""
+        """Send a heartbeat: whether thrust is commanded."""
         if at_once or now >= self._next:
             self._next = now + HEARTBEAT_S
             self._send(ACTIVE if active else IDLE)
 
     def end(self) -> None:
-        """The thrusters are at zero and the ports will be closed: nothing is left to watch."""
+        """End the monitoring: the thrusters are at zero and the ports will be closed."""
         self._send(FINISHED)
 
     def _send(self, word: bytes) -> None:
@@ -76,9 +76,9 @@ class HeartbeatMonitor:
         self._active = False
 
     def look(self, now: float, words: bytes | None) -> str | None:
-        """After each wait: what was read (None at the end of the line). A reason to step in, "" to leave, else None."""
+        """Take the bytes read (None: the socket is closed). Returns a reason to step in, "" to end, else None."""
         if now - self._looked > 3 * POLL_S:
-            self._last_heartbeat += now - self._looked  # a pause of our own is not held against anybody
+            self._last_heartbeat += now - self._looked  # a pause of this process does not count
         self._looked = now
         if words is None:
             return "the acquisition process died while thrust was commanded" if self._active else ""
@@ -136,7 +136,7 @@ class FailsafeSender(threading.Thread):
         while time.monotonic() < until:
             ready, _, _ = select.select([self._port.fileno()], [], [], POLL_S)
             if ready:
-                self._port.read()  # a port that listens learns from this whom to answer
+                self._port.read()  # a listening UDP port learns the address to answer from this
             self._port.write(self._zero())
 
 
@@ -168,7 +168,7 @@ def main() -> None:
 
 
 def _watch(sock: socket.socket) -> str:
-    """Until there is a reason to step in, or to leave: then it is empty."""
+    """Monitor until there is a reason to step in; empty when the acquisition process has finished."""
     sock.setblocking(False)
     watch = HeartbeatMonitor(time.monotonic())
     while True:

@@ -31,7 +31,7 @@ REPEATED = 0.02  # part of the samples that may share their time with the one be
 BUNCHED = 0.1  # the same of a device without a clock of its own
 GAP_S, GAP_PERIODS = 1.0, 10.0  # a pause longer than both is a section that is missing
 SILENT_S = 5.0  # a device that ends so long before the log has fallen silent
-TICK_S = 1e-3  # two messages of one moment may say it in ms and in us; a clock that restarts goes back further
+TICK_S = 1e-3  # two messages of one time may round it to ms and to us; a clock that restarts goes back further
 BLOCK_S = 2.0  # the earliest arrival in each block carries the device's clock
 JUMP_S, SPREAD_S, DRIFT = 0.1, 0.1, 500e-6  # s, s, 1
 WALL_JITTER_S = 0.05  # wall s by which a busy machine is late at the best of times
@@ -73,7 +73,7 @@ def _tables(log: Log) -> dict[str, list[tuple[type, str, Any]]]:
 
 
 def _absent(log: Log, rig: Rig | None) -> Iterator[Finding]:
-    """Devices of the rig that never said a word; what they were told does not count."""
+    """Devices of the rig without a sample; commands to them do not count."""
     topics = [name.split("/")[1:] for name in log.counts]
     spoke = {parts[0] for parts in topics if len(parts) > 1 and parts[-1] != "command"}
     for device in rig.devices if rig else ():
@@ -94,14 +94,14 @@ def _rate(source: str, t: FloatArray, rig: Rig | None, tables: list[tuple[type, 
     if t.size < 3 or t[-1] == t[0]:
         yield Finding(FAULT, "too-few-samples", "rate", source, f"{t.size} samples in all", "power, cable, protocol")
         return
-    # Nodes of a bus speak a moment after each other: a pause is one that all of them make.
+    # Nodes of a bus send one after the other: a gap is one that all of them have.
     pause = np.diff(t)
     away = float(pause[pause > max(1.0, 20.0 * float(np.median(pause)))].sum())
     span = float(t[-1] - t[0])
     rate = (t.size - 1) / span
     without = (t.size - 1) / max(span - away, 1e-9)
     if device is not None and abs(without / device.rate_hz - 1.0) < RATE_TOLERANCE:
-        rate = without  # what was lost in pauses is told of as sections that are missing
+        rate = without  # samples lost in gaps are reported as missing sections
     if device is None or device.protocol == "mavlink":
         yield Finding(OK, "rate-measured", "rate", source, f"{rate:.4g} Hz")
     elif abs(rate - device.rate_hz) > RATE_TOLERANCE * device.rate_hz:
@@ -318,8 +318,8 @@ def _imported(log: Log) -> Iterator[Finding]:
 def stamps(name: str, table: Any, end: float | None, speed: float = 1.0) -> Iterator[Finding]:
     """Findings on the times of one table (t, t_rx, t_device).
 
-    ``end``: of the log, None for an imported signal, whose times are what its file says and which may be a command that
-    ends when nobody changes it any more; ``speed``: run seconds a wall second.
+    ``end``: of the log, None for an imported signal, whose times are those of its file and which may be a command that
+    ends with its last change; ``speed``: run seconds per wall second.
     """
     t, imported = table["t"], end is None
     if len(t) < 3:

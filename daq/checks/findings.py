@@ -29,7 +29,7 @@ class Finding(NamedTuple):
 
 
 def worst_first(findings: Iterable[Finding]) -> list[Finding]:
-    """Faults, warnings, then what is in order; the order within each stays."""
+    """Faults, warnings, then the rest; the order within each stays."""
     order = (FAULT, WARNING, OK)
     return sorted(findings, key=lambda f: order.index(f.level))
 

@@ -23,7 +23,7 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """A named stretch: rows `n` (K, n_thrusters) [-1..1], each holding from its `t` (K,) [s] to the next."""
+    """A named part of a mission: rows `n` (K, n_thrusters) [-1..1], each holding from its `t` (K,) [s] to the next."""
 
     name: str
     t: FloatArray
@@ -129,7 +129,7 @@ def load_mission(path: Path) -> Mission:
 
 
 def parse_mission(text: str, source: Path | str) -> Mission:
-    """Validate the text of a mission.toml; `source` stands in front of every error line."""
+    """Validate the text of a mission.toml; every error begins with `source`."""
     root = parse_toml(text, source)
     root.text("format", choices=(FORMAT,))
     root.text("hold", "zero", choices=("zero",))

@@ -33,7 +33,7 @@ def read_text(path: Path) -> str:
 
 
 class TomlTable:
-    """One TOML table whose keys are taken one by one; `done` complains about those that nobody took."""
+    """One TOML table whose keys are read one by one; `done` raises for a key that was not read."""
 
     def __init__(self, values: Mapping[str, object], source: str, where: str = "") -> None:
         self.values = dict(values)
@@ -42,7 +42,7 @@ class TomlTable:
         self._taken: list[str] = []
 
     def error(self, key: str, problem: str) -> SeatrialError:
-        """The error of one key, ready to be raised: file, full key, what is wrong."""
+        """The error of one key, to be raised: file, full key, problem."""
         return SeatrialError(f"{self.source}: {self._name(key)}: {problem}")
 
     def _name(self, key: str) -> str:
@@ -138,7 +138,7 @@ class TomlTable:
         return [TomlTable(item, self.source, f"{self._name(key)}[{i}]") for i, item in enumerate(value, start=1)]
 
     def done(self) -> None:
-        """Raise for the first key that nobody asked for, and name those that would be known."""
+        """Raise for the first key that was not read, with the known ones in the text."""
         for key in self.values:
             if key not in self._taken:
                 known = ", ".join(dict.fromkeys(self._taken))

@@ -1,4 +1,4 @@
-"""What a thruster behind ArduPilot Rover needs of its parameters, and what else is worth saying. Changes nothing.
+"""Checks the parameters of ArduPilot Rover that thrusters behind it depend on. Changes nothing.
 
 Measured on Rover 4.7 and read in its documentation (ardupilot.org/rover/docs/parameters.html): with PILOT_STEER_TYPE 1
 the channels of two thrusters are what a pilot with two paddles moves, and the outputs follow them within 27 ms.
@@ -18,13 +18,13 @@ GROUND_STATION_NAMES = ("MAV_GCS_SYSID", "SYSID_MYGCS")  # from 4.7 on, and befo
 
 
 class ParameterMismatch(NamedTuple):
-    """One parameter that is not as it should be."""
+    """One parameter with a wrong value."""
 
     name: str
     value: float | None  # None: the autopilot has no such parameter
     wanted: str
     why: str
-    fatal: bool  # nothing may be driven like this
+    fatal: bool  # no thrust may be commanded like this
 
     def __str__(self) -> str:
         value = "is missing" if self.value is None else f"is {self.value:g}"
@@ -47,7 +47,7 @@ def parameter_names(thrusters: Sequence[Thruster]) -> tuple[str, ...]:
 def check_parameters(
     parameters: Mapping[str, float], thrusters: Sequence[Thruster], own_system: int
 ) -> tuple[ParameterMismatch, ...]:
-    """What is not as it should be, what forbids to drive first."""
+    """The parameters that are wrong, those that forbid thrust first."""
     found = [*_safety(parameters, own_system), *_mixing(parameters)]
     for thruster in thrusters:
         found += _thruster(parameters, thruster)

@@ -30,18 +30,18 @@ class LinkStatus:
 
 
 class DeviceDriver(ABC):
-    """The speaking half of one port. `now` is wall time of any origin; called from the port's thread alone."""
+    """What one port sends. `now` is wall time of any origin; all methods but `request` run in the port's thread."""
 
     @abstractmethod
     def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
-        """The bytes of set-points, with those that they carry; `held` is what every node holds now."""
+        """Encoded set-points, each with the set-points it carries; `held` are the present commands by node."""
 
     def opened(self, now: float) -> None:
         """The port was opened, for the first time or again."""
         return
 
     def poll(self, now: float) -> bytes:
-        """What is to be sent now beside set-points."""
+        """The bytes to send now besides set-points."""
         return b""
 
     def wait(self, now: float) -> float:
@@ -53,36 +53,36 @@ class DeviceDriver(ABC):
         return
 
     def shutdown_bytes(self, now: float) -> bytes:
-        """The last bytes before the port is closed for good, behind the last zero."""
+        """The last bytes before the port is closed for good, after the last zero."""
         return b""
 
     def zero(self, now: float) -> list[tuple[bytes, list[Due]]]:
-        """Zero to everything on the link, whatever was said before: the last resort."""
+        """Zero to every thruster on the link, whatever was sent before: the last resort."""
         return []
 
     def events(self) -> list[Event]:
-        """What happened since the last call, for the log."""
+        """Events since the last call, for the log."""
         return []
 
     def link_at(self, now: float) -> LinkStatus | None:
-        """What the other end is known to be; None where there is nobody to talk with."""
+        """State of the device at the other end; None where it reports none."""
         return None
 
     def message(self) -> str:
-        """What is wrong with the link, in one line; empty when nothing is."""
+        """The fault of the link, in one line; empty without one."""
         return ""
 
 
 @final
 class PollingDriver(DeviceDriver):
-    """Sends `request` every `period` wall seconds, on time on average; what was missed is not made up for."""
+    """Sends `request` every `period` wall seconds, on time on average; missed requests are not repeated."""
 
     def __init__(self, request: bytes, period: float) -> None:
         self._request, self._period = request, period
         self._due = 0.0
 
     def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
-        """It drives nothing."""
+        """None: it drives no thruster."""
         return []
 
     def opened(self, now: float) -> None:

@@ -1,4 +1,4 @@
-"""What we say to DroneCAN speed controllers: one esc.RawCommand for all of them, and that we are there. Does no I/O."""
+"""Driver of DroneCAN speed controllers: one esc.RawCommand for all of them, and NodeStatus. No I/O."""
 
 from __future__ import annotations
 
@@ -14,13 +14,15 @@ STATUS_S = 1.0  # between two NodeStatus, as the specification wants it
 
 @final
 class DronecanDriver(DeviceDriver):
-    """A command carries every controller's set-point, so each has the newest of all; those of `nodes` never told any
-    are told zero. Nothing is sent before the first command: who only logs is silent."""
+    """A command carries the newest set-point of every controller; zero for those of `nodes` without any.
+
+    Nothing is sent before the first command: a program that only logs is silent.
+    """
 
     def __init__(self, nodes: frozenset[int], reversed_nodes: frozenset[int], own_node: int) -> None:
         self._nodes, self._reversed, self._own = nodes, reversed_nodes, own_node
         self._commands = self._statuses = 0  # transfers so far
-        self._begun = self._status_at = -1.0
+        self._started = self._status_at = -1.0
 
     def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
         """One message with all set-points."""
@@ -39,7 +41,7 @@ class DronecanDriver(DeviceDriver):
     def _status(self, now: float) -> bytes:
         if self._statuses and now < self._status_at + STATUS_S:
             return b""
-        self._begun = now if not self._statuses else self._begun
+        self._started = now if not self._statuses else self._started
         number, self._statuses, self._status_at = self._statuses % NUMBERS, self._statuses + 1, now
-        frames = dronecan.encode_node_status(now - self._begun, self._own, number)
+        frames = dronecan.encode_node_status(now - self._started, self._own, number)
         return b"".join(pack_can(*frame) for frame in frames)

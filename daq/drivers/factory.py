@@ -1,4 +1,4 @@
-"""Which driver a device of the rig needs."""
+"""The driver of each kind of device."""
 
 from __future__ import annotations
 

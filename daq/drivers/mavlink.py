@@ -50,7 +50,7 @@ class _Command:
 
 @final
 class MavlinkDriver(DeviceDriver):
-    """Talks to one autopilot; `receive` gets every message that the decoder lets through."""
+    """Driver of one autopilot; `receive` gets every message that the decoder accepts."""
 
     def __init__(self, device: Device, thrusters: Sequence[Thruster], codec: Codec) -> None:
         assert device.mavlink is not None
@@ -66,13 +66,13 @@ class MavlinkDriver(DeviceDriver):
         self.opened(0.0)
 
     def opened(self, now: float) -> None:
-        """Ask for everything again, as soon as it is heard."""
+        """Request everything again, from the first heartbeat on."""
         self._beat = self._last_heartbeat = -math.inf
         self._commands: deque[_Command] = deque()
-        self._awaited: dict[str, int] = {}  # parameters and how often each was asked for
+        self._awaited: dict[str, int] = {}  # parameters and how often each was requested
         self._asked = -math.inf
         self._reasons: list[str] = []
-        self._begun = False
+        self._started = False
 
     def receive(self, message: Any, now: float) -> None:
         """A message of the autopilot."""
@@ -93,9 +93,9 @@ class MavlinkDriver(DeviceDriver):
         mode, armed = mode_name(m.custom_mode), bool(m.base_mode & ARMED)
         self._armed_by_us = self._armed_by_us and armed
         self._status = replace(self._status, received=True, armed=armed, mode=mode)
-        if not self._begun:
-            self._begun = True
-            self._beat = -math.inf  # what was said before there was anybody to hear it is lost on UDP
+        if not self._started:
+            self._started = True
+            self._beat = -math.inf  # on UDP a message without a receiver is lost
             self._awaited = dict.fromkeys(self._names, 0)
             self._commands += [
                 _interval(message, rate) for message, rate in self._settings.requested(self._rate_hz).items()
@@ -119,7 +119,7 @@ class MavlinkDriver(DeviceDriver):
             self._answer(command.what, word + reasons)
 
     def _refused(self, command: _Command, word: str) -> None:
-        """A rate that is refused leaves the old one: half of it is asked for, and all of it is said."""
+        """Log a refused rate and request half of it; the old rate stays until one is accepted."""
         line = f"{command.what} at {command.rate:g} Hz: {word}"
         self._status = replace(self._status, refused=(*self._status.refused, line))
         self._events.append(Event("autopilot", f"refuses {line}"))
@@ -166,20 +166,20 @@ class MavlinkDriver(DeviceDriver):
                 self._commands.append(_Command(ARM, (float(action == "arm"), 0, 0, 0, 0, 0, 0), action))
 
     def poll(self, now: float) -> bytes:
-        """Heartbeat, the command at the head of the queue, questions for parameters, neutral while nothing is told."""
+        """Heartbeat, the first command of the queue, parameter requests, neutral while no thrust is commanded."""
         self._take_requests()
         out = b""
         if now - self._beat >= HEARTBEAT_S:
             self._beat = now
             out += self._codec.encode("HEARTBEAT", GROUND_STATION, INVALID, 0, 0, ACTIVE, VERSION)
-        if self._begun:
+        if self._started:
             out += self._poll_command(now) + self._poll_parameters(now)
         if self._is_idle(now):
             out += self._override(now)
         return out
 
     def _is_idle(self, now: float) -> bool:
-        """Whether neutral has to be said again: a vehicle without sticks does not arm, or takes the link for lost."""
+        """Whether neutral is due again: without it a vehicle does not arm, or detects a lost link."""
         told = math.isfinite(self._overridden) and not any(self._held.values())
         return told and now - self._overridden >= NEUTRAL_S
 
@@ -221,21 +221,21 @@ class MavlinkDriver(DeviceDriver):
         if self._requests:
             return 0.0
         times = [self._beat + HEARTBEAT_S]
-        if self._begun and self._commands:
+        if self._started and self._commands:
             times.append(self._commands[0].sent + ANSWER_S)
-        if self._begun and (self._awaited or self._status.parameters_pending):
+        if self._started and (self._awaited or self._status.parameters_pending):
             times.append(self._asked + PARAMETER_S)
         if math.isfinite(self._overridden) and not any(self._held.values()):
             times.append(self._overridden + NEUTRAL_S)
         return max(min(times) - now, 0.0)
 
     def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
-        """One RC_CHANNELS_OVERRIDE with every thruster of the link; those never told anything are at neutral."""
+        """One RC_CHANNELS_OVERRIDE with every thruster of the link; those without a command are at neutral."""
         self._held = dict(held)
         return [(self._override(now), list(dues))] if dues else []
 
     def zero(self, now: float) -> list[tuple[bytes, list[Due]]]:
-        """Neutral, and disarm: nobody will command this vehicle any more."""
+        """Neutral, and disarm: no further command will follow."""
         self._held = {}
         data = self._override(now) + self._long(_Command(ARM, (0.0,) * 7, "disarm", tries=1))
         return [(data, [])]
@@ -250,7 +250,7 @@ class MavlinkDriver(DeviceDriver):
         return self._codec.encode("RC_CHANNELS_OVERRIDE", *who, *channels)
 
     def shutdown_bytes(self, now: float) -> bytes:
-        """Disarm what was armed by us. Twice, since nobody waits for the answer."""
+        """Disarm what was armed by us. Sent twice, since no answer is awaited."""
         if not self._armed_by_us:
             return b""
         command = _Command(ARM, (0.0,) * 7, "disarm", tries=1)

@@ -1,6 +1,6 @@
-"""Set-points of the thrusters on one bus: when to send which, and when to send it again. Reads no clock.
+"""Schedule of the set-points on one bus: which are due, and which to repeat. Reads no clock.
 
-Thread-safe: the control thread appends and zeroes, the port's thread asks what is due.
+Thread-safe: the control thread appends and zeroes, the port's thread takes those that are due.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ class Setpoints:
         self._lock = threading.Lock()
         self._rows: deque[tuple[float, dict[int, float]]] = deque()
         self._held: dict[int, float] = {}
-        self._zeroed: set[int] = set()  # nodes that must be told zero at once
+        self._zeroed: set[int] = set()  # nodes to command zero at once
         self._next_repeat = -math.inf
         self._repeat_until = -math.inf
         # Set-points that were overtaken by a later one before they could be sent: this thread was held up, and an old
-        # command must never follow a newer one. Whoever made the plan has to be told.
+        # command must never follow a newer one. It is counted and reported.
         self.skipped = 0
 
     def append(self, rows: Iterable[tuple[float, dict[int, float]]]) -> None:
@@ -45,7 +45,7 @@ class Setpoints:
             self._rows = deque(merged)
 
     def zero(self, now_wall: float) -> None:
-        """Clear the schedule; every thruster ever told anything is told zero at once, and for a while."""
+        """Clear the schedule; zero is sent at once, and for a while, to every thruster that ever had a command."""
         with self._lock:
             self._rows.clear()
             self._held = dict.fromkeys(self._held, 0.0)
@@ -65,7 +65,7 @@ class Setpoints:
 
     @property
     def held(self) -> dict[int, float]:
-        """What each node was told last."""
+        """The last command of each node."""
         with self._lock:
             return dict(self._held)
 

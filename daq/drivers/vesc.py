@@ -1,4 +1,4 @@
-"""What a port's thread says of its own accord, beside listening: set-points, requests, signs of life. Does no I/O."""
+"""Driver of VESC speed controllers on CAN. No I/O."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from daq.protocol import pack_can, vesc
 
 @final
 class VescDriver(DeviceDriver):
-    """Duty commands, one frame a controller."""
+    """Duty commands, one frame per controller."""
 
     def __init__(self, reversed_nodes: frozenset[int]) -> None:
         self._reversed = reversed_nodes

@@ -94,7 +94,7 @@ def _cut(signal: SignalData, piece: Piece) -> SignalData:
         t, values = np.insert(t, 0, piece.t_from), np.insert(values, 0, signal.values[before[-1]])
     known_after = bool(np.any(signal.t > piece.t_to)) or signal.signal.timeout > 0.0
     if signal.signal.hold == "zero" and len(t) and t[-1] < piece.t_to < _WHOLE.t_to and known_after:
-        # And what was commanded last within it holds to its end.
+        # The last command within it holds to its end.
         t, values = np.append(t, piece.t_to), np.append(values, values[-1])
     return replace(signal, t=t, values=values)
 

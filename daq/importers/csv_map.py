@@ -53,8 +53,8 @@ class Signal:
     role: str  # input | output
     hold: str  # zero | linear
     nan: str
-    timeout: float = 0.0  # s after which an input that nobody repeats is zero; 0: never
-    missing: float | None = None  # the cell that stands for no measurement
+    timeout: float = 0.0  # s after which an input that is not repeated is zero; 0: never
+    missing: float | None = None  # the value of a cell without a measurement
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Piece:
-    """A stretch of time that becomes a log of its own, in seconds of the file's clock (before `origin`)."""
+    """An interval of time that becomes a log of its own, in seconds of the file's clock (before `origin`)."""
 
     name: str
     t_from: float

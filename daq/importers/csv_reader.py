@@ -42,7 +42,7 @@ class FileData:
     path: Path
     sha256: str
     signals: tuple[SignalData, ...]
-    n_dropped: int  # rows out of order and cells without a number, where the map says drop
+    n_dropped: int  # rows out of order and cells without a number, where the map drops them
 
 
 class _Cells:
@@ -156,7 +156,7 @@ def _angle(values: Column, how: str) -> Column:
 
 
 def _news(cells: _Cells, columns: list[str]) -> NDArray[np.bool_]:
-    """Rows in which any of the columns says something else than in the row before, shape (n,)."""
+    """Rows in which any of the columns differs from the row before, shape (n,)."""
     new = np.zeros(len(cells.lines), bool)
     new[0] = True
     for column in columns:
@@ -214,7 +214,7 @@ def _parser(time: TimeColumn) -> Callable[[str], float]:
 
 
 def _order(cells: _Cells, t: Column, source: Source) -> NDArray[np.bool_]:
-    """Which rows have a time after all rows before them; raises at the first that has not, unless told to drop."""
+    """Which rows have a time after all rows before them; raises at the first without, unless such rows are dropped."""
     highest = np.maximum.accumulate(t)
     later = np.ones(len(t), bool)
     later[1:] = t[1:] > highest[:-1]

@@ -24,7 +24,7 @@ DEVICE = "autopilot"  # the name in the log where there is no rig
 def import_mavlink(
     path: Path, *, rig: Rig | None = None, system: int | None = None, out: Path | None = None, force: bool = False
 ) -> tuple[Path, str]:
-    """Write the samples of `path` as a log; returns the log and a line that says what was in the file.
+    """Write the samples of `path` as a log; returns the path of the log and a summary in one line.
 
     `rig` gives thrusters their names and outputs their scale; its MAVLink device names the topics. Without `system`
     the first autopilot that sends a heartbeat is taken. Raises SeatrialError.
@@ -93,7 +93,7 @@ def _others(decoder: MavlinkDecoder) -> str:
 
 
 def _frames(data: bytes) -> Iterator[tuple[float, int, Head]]:
-    """Time [s since 1970], place and header of each whole frame behind a time; what is between them is passed over."""
+    """Time [s since 1970], place and header of each whole frame behind a time; bytes between them are skipped."""
     at = 0
     while at + STAMP < len(data):
         found = head(data, at + STAMP) if data[at + STAMP] in (0xFD, 0xFE) else -1

@@ -20,7 +20,7 @@ _CHUNK = 1 << 16
 def import_raw(
     protocol: str, path: Path, *, rate: float | None = None, out: Path | None = None, force: bool = False
 ) -> tuple[Path, str]:
-    """Decode a capture and write its samples; returns the log and a line that says what was in the capture.
+    """Decode a capture and write its samples; returns the path of the log and a summary in one line.
 
     A capture has no times of its own. With `rate` [Hz] the samples are put 1/rate apart, beginning in 1970; without
     it each carries the device's own time. Raises SeatrialError.
@@ -56,7 +56,7 @@ def _decode(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
         raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
     if isinstance(decoder, (nmea.Decoder, ubx.Decoder)):
         frames += decoder.flush()
-    decoder.reset()  # what is left half-read counts as unparsed
+    decoder.reset()  # an incomplete frame counts as unparsed
     return frames, digest.hexdigest()
 
 

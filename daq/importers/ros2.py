@@ -37,7 +37,7 @@ def import_ros2(
     out: Path | None = None,
     force: bool = False,
 ) -> tuple[Path, str]:
-    """Import a bag (a .mcap or .db3 file, or its folder); returns the log and a line that says what was in it.
+    """Import a bag (a .mcap or .db3 file, or its folder); returns the path of the log and a summary in one line.
 
     `topics` names those to take, each with the name it gets here; without it all are taken, named after themselves.
     `axes` is "ros" (REP-103) or "ned" for bags that use our own axes already. The time of a message is its header's

@@ -20,7 +20,7 @@ _FIXES = {0: 0, 1: 0, 2: 2, 3: 3, 4: 4, 5: 6, 6: 5}  # sensor_gps.fix_type -> Gn
 
 
 def import_ulog(path: Path, *, out: Path | None = None, force: bool = False) -> tuple[Path, str]:
-    """Import a .ulg file; returns the log and a line that says what was in it.
+    """Import a .ulg file; returns the path of the log and a summary in one line.
 
     Attitude (vehicle_attitude, with the newest vehicle_angular_velocity) becomes Ahrs, the receiver's fixes Gnss;
     every number of the other topics is a signal, TOPIC_FIELD. Times are those of the autopilot, moved to UTC by its

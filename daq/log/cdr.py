@@ -26,14 +26,14 @@ _CODES = {
     "uint64": "Q",
     "float64": "d",
 }
-_FRAME_LENGTH = 12  # where the length of frame_id stands, behind encapsulation and stamp
+_FRAME_LENGTH = 12  # offset of the length of frame_id, after encapsulation and stamp
 HEAD = np.dtype(
     {"names": ["endian", "n_frame"], "formats": ["<u2", "<u4"], "offsets": [0, _FRAME_LENGTH], "itemsize": 16}
 )
 
 
 class Field(NamedTuple):
-    """One flattened field: dotted name, primitive type, length (0: the message says)."""
+    """One flattened field: dotted name, primitive type, length (0: variable)."""
 
     name: str
     primitive: str

@@ -24,7 +24,7 @@ MAX_CHUNK = 64 * 2**20  # bytes, uncompressed
 RECORD = struct.Struct("<BQ")  # opcode, length
 HEADER = RECORD.size
 _CHUNK = struct.Struct("<QQQII")  # start, end, uncompressed size, checksum, length of the compression's name
-CHUNK_NAME = _CHUNK.size - 4  # where the length of the compression's name stands
+CHUNK_NAME = _CHUNK.size - 4  # offset of the length of the compression's name
 CHUNK_HEAD = _CHUNK.size + 16  # bytes that hold all of a chunk's header
 MESSAGE_HEAD = np.dtype(  # of a message record, up to its data
     {
@@ -60,7 +60,7 @@ Offsets = NDArray[np.int64]
 
 
 class ChunkAt(NamedTuple):
-    """Where a chunk's data stands in the file and how to unpack it."""
+    """Position of a chunk's data in the file, and its compression."""
 
     start: int
     stop: int

@@ -1,4 +1,4 @@
-"""An MCAP file as arrays of message positions, read front to back; what is damaged is left out and said.
+"""An MCAP file as arrays of message positions, read front to back; damaged parts are skipped and reported.
 
 Nothing here trusts the end of the file (a killed run has none) or any length in it: records are bounded by the
 file, chunks by a limit, and a chunk counts only when its checksum holds. Source: MCAP specification 0 (mcap.dev/spec).
@@ -72,7 +72,7 @@ class RawLog(Chunked):
         self._cached = 0
         self._fd, self._size = self._open()
         self._walk()
-        # Only chunks have a checksum: what they say of channels goes before what stands elsewhere.
+        # Only chunks have a checksum: their channel records go before those elsewhere.
         channels, schemas, self.channels, self.schemas = self.channels, self.schemas, {}, {}
         rows = self._gather()
         self.channels, self.schemas = {**channels, **self.channels}, {**schemas, **self.schemas}
@@ -126,7 +126,7 @@ class RawLog(Chunked):
         while at + HEADER <= size:
             opcode, length = RECORD.unpack(self._read(at, at + HEADER))
             start, stop = at + HEADER, at + HEADER + length
-            unknown = opcode == 0 or max(Opcode) < opcode < 0x80  # from 0x80 on they are anybody's own
+            unknown = opcode == 0 or max(Opcode) < opcode < 0x80  # opcodes from 0x80 on are application records
             if unknown or stop > size:
                 again = self._next_chunk(at + 1)
                 if again is None:

@@ -66,7 +66,7 @@ QOS = (
 
 
 class DiskFull(SeatrialError):
-    """There was no room for more. `complete`: everything added so far is in the file, which has its end."""
+    """The disk is full. `complete`: every message added so far is in the file, and its footer is written."""
 
     def __init__(self, text: str, complete: bool) -> None:
         super().__init__(text)
@@ -169,7 +169,7 @@ class LogWriter:
             self._writer.flush()
         # The end of the file has about 80 bytes and 10 a channel for every chunk: the ballast has to pay for it.
         steps = -(-(2 * self._writer.summary_bytes) // BALLAST_BYTES)
-        with contextlib.suppress(OSError):  # nearly full: the write that fails will say so
+        with contextlib.suppress(OSError):  # nearly full: the write that fails will report it
             self._stream.ballast.grow((1 + steps) * BALLAST_BYTES)
 
     def close(self) -> None:
@@ -231,7 +231,7 @@ class LogWriter:
 
 
 class Output(Protocol):
-    """What the records go to; gets whole records only."""
+    """Destination of the records; gets whole records only."""
 
     def write(self, data: bytes, /) -> object:
         """Take all of it; raises OSError."""
@@ -267,7 +267,7 @@ class RecordWriter:
 
     @property
     def summary_bytes(self) -> int:
-        """At most so much the end of the file will take, as things stand."""
+        """Upper bound of the size of the summary and footer, as of now."""
         kept = (self._schemas, self._channels, self._chunk_index, self._attachment_index, self._metadata_index)
         return sum(map(len, kept)) + 10 * self._n_channels + _SUMMARY_REST
 
@@ -394,7 +394,7 @@ class RecordWriter:
 def _message_indexes(
     channels: NDArray[np.uint16], times: NDArray[np.uint64], offsets: NDArray[np.int64], at: int
 ) -> tuple[bytes, dict[int, int]]:
-    """The message index records of a chunk, one a channel, and where each begins when the first stands at `at`."""
+    """The message index records of a chunk, one per channel, and the offset of each when the first is at `at`."""
     order = np.argsort(channels, kind="stable")
     entries = np.stack((times[order], offsets[order].astype(np.uint64)), axis=1).astype("<u8")
     numbers, firsts = np.unique(channels[order], return_index=True)

@@ -4,7 +4,7 @@
     ahrs = log.table(Ahrs, "ahrs")
     ahrs["t"], ahrs["yaw"]
 
-Killed and truncated files open like any other, with what they still hold; `log.warnings` says so.
+Killed and truncated files open like any other, with all complete messages; `log.warnings` reports the damage.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Log:
 
     @cached_property
     def sha256(self) -> str:
-        """Of the file as it is now; of several segments, of all their bytes in order."""
+        """Of the file as it is now; with several segments, of all their bytes in order."""
         digest = hashlib.sha256()
         for path in self.paths:
             with path.open("rb") as file:
@@ -99,7 +99,7 @@ class Log:
 
     @cached_property
     def counts(self) -> dict[str, int]:
-        """Messages a topic, topics in the order of the alphabet."""
+        """Messages per topic, topics in alphabetical order."""
         numbers, n = np.unique(self._file.messages["channel"], return_counts=True)
         found: dict[str, int] = {}
         for number, count in zip(numbers, n, strict=True):
@@ -294,7 +294,7 @@ def _table(kind: type[Measured], t: NDArray[np.float64], columns: schema.Columns
     names = ["t", "t_rx", "t_device", *schema.field_names(kind)]
     dtype = [(name, "i8" if name != "t" and columns[name].dtype.kind in "iu" else "f8") for name in names]
     table = np.zeros(len(t), dtype)
-    # Estimates of the clock may jitter; the order of the samples is the device's own and stands.
+    # Estimates of the clock may jitter; the order of the samples is the device's and is kept.
     table["t"] = np.maximum.accumulate(t) if len(t) else t
     for name in names[1:]:
         table[name] = columns[name]

@@ -91,13 +91,13 @@ class WholeRecordStream:
         os.fsync(self._fd)
 
     def close(self) -> None:
-        """Close the file and give up the ballast."""
+        """Close the file and free the reserved space."""
         self.ballast.release()
         os.close(self._fd)
 
 
 class FileSyncer(threading.Thread):
-    """Calls `sync` when asked, in a thread of its own: on a memory card it can take a second."""
+    """Calls `sync` on request, in a separate thread: on a memory card it can take a second."""
 
     def __init__(self, stream: WholeRecordStream) -> None:
         super().__init__(name="log-sync", daemon=True)

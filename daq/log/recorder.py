@@ -41,11 +41,11 @@ class Clock(Protocol):
 
 
 class Recorder:
-    """Writes one log, in as many files as the rig says: NAME.mcap, NAME.1.mcap, NAME.2.mcap, ...
+    """Writes one log, in as many files as the rig's [log] requires: NAME.mcap, NAME.1.mcap, NAME.2.mcap, ...
 
     Each holds all that a reader needs. `log_time` is the receive time, but never before that of the message written
     last. A `patient` recorder does not fail when the disk is full: it ends its file, keeps what it is given
-    (`paused` says why), and goes on in a new file when there is room; who calls it should give it no more meanwhile.
+    (`paused` is the reason), and goes on in a new file when there is room; the caller should not write meanwhile.
     """
 
     def __init__(
@@ -75,10 +75,10 @@ class Recorder:
         self._open(self.first_path, 0)
 
     def _open(self, path: Path, number: int) -> None:
-        """Begin a segment: everything that a reader needs stands in each."""
+        """Begin a segment: each contains everything that a reader needs."""
         about = {**self._metadata, "segment": str(number)}
         self._writer = LogWriter(path, metadata=about, attachments=self._attachments, time_ns=self._log_ns)
-        self._number, self._begun_ns = number, self._log_ns
+        self._number, self._started_ns = number, self._log_ns
         self._channels: dict[str, int] = {}
 
     @property
@@ -148,7 +148,7 @@ class Recorder:
             return
         with self._waiting():
             self._writer.tick()
-        limits, age = self._segments, (self._log_ns - self._begun_ns) / NANO
+        limits, age = self._segments, (self._log_ns - self._started_ns) / NANO
         by_size = limits.megabytes is not None and self._writer.size >= limits.megabytes * 1e6
         if not self.paused and (by_size or (limits.seconds is not None and age >= limits.seconds)):
             with self._waiting():
@@ -188,7 +188,7 @@ class Recorder:
         try:
             self._next()
         except SeatrialError:
-            return  # somebody else was quicker to take the room
+            return  # another program has taken the space
         kept, self._kept, self.paused = self._kept, [], ""
         for message in kept:
             self._add(*message)

@@ -1,4 +1,4 @@
-"""Samples <-> messages: which topics and types a sample becomes, and its columns back from decoded rows.
+"""Samples <-> messages: topics and types of a sample, and its columns from decoded rows.
 
 The table of topics is docs/formats/log.md; the definitions of the messages are the files in daq/msg.
 """
@@ -50,9 +50,9 @@ Columns = dict[str, NDArray[np.float64] | NDArray[np.int64]]
 
 _ZERO9 = doubles(*(0.0,) * 9)  # "covariance unknown" in sensor_msgs
 _NONE9 = doubles(-1.0, *(0.0,) * 8)  # "no estimate of this quantity"
-_WILD = 1e6  # rad2, the variance of an angle that a compass does not know; a level attitude stands in for it
+_UNKNOWN_VARIANCE = 1e6  # rad2, variance of an angle that a compass does not measure; it is written as level
 _LEVEL = (0.0, 0.0, 0.0, 1.0)  # the quaternion where no attitude is known
-_YAW9 = doubles(_WILD, 0.0, 0.0, 0.0, _WILD, 0.0, 0.0, 0.0, 0.0)
+_YAW9 = doubles(_UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, _UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, 0.0)
 
 
 class Message(NamedTuple):
@@ -85,7 +85,7 @@ def topic(kind: type[Measured], source: str, node: int | None = None) -> str:
 
 
 def messages(device: str, frame: Frame) -> list[Message]:
-    """What one sample becomes, the message with the times first. Raises TypeError for what is no measurement."""
+    """The messages of one sample, that with its times first. Raises TypeError for events and counters."""
     sample = frame.sample
     if isinstance(sample, Ahrs):
         return _ahrs(device, sample, (frame.t_rx, frame.t_device))
@@ -171,7 +171,7 @@ def imu_columns(rows: NDArray[np.void]) -> Columns:
     columns: Columns = {"yaw": yaw, "pitch": pitch, "roll": roll}
     for column in columns.values():
         column[unknown] = np.nan
-    level = rows["orientation_covariance"][:, 0] >= _WILD
+    level = rows["orientation_covariance"][:, 0] >= _UNKNOWN_VARIANCE
     for name in ("pitch", "roll"):
         columns[name][level] = np.nan
     for names, vector in (("pqr", "angular_velocity"), (("ax", "ay", "az"), "linear_acceleration")):

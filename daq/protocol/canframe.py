@@ -35,7 +35,7 @@ class FrameDecoder(ABC):
 
     def __init__(self) -> None:
         self.frames = 0
-        self.checksum_errors = 0  # CAN checks in hardware; only what is spread over several frames has one of its own
+        self.checksum_errors = 0  # CAN checks in hardware; only messages of several frames have a checksum
         self.unparsed_bytes = 0
         self.remark = ""
         self._buffer = bytearray()
@@ -54,7 +54,7 @@ class FrameDecoder(ABC):
         return out
 
     def reset(self) -> None:
-        """Forget a half-read frame and what was heard (the port was reopened). Counters stay."""
+        """Discard an incomplete frame and all received state (the port was reopened). Counters stay."""
         self.unparsed_bytes += len(self._buffer)
         self._buffer.clear()
         self._forget()
@@ -65,4 +65,4 @@ class FrameDecoder(ABC):
 
     @abstractmethod
     def _forget(self) -> None:
-        """Forget what was heard so far."""
+        """Discard all received state."""

@@ -1,4 +1,4 @@
-"""The table of devices: one row says all that the rest of daq has to know of a protocol.
+"""Catalogue of protocols: one row has all that the rest of daq needs of a protocol.
 
 A decoder's module is imported when the decoder is made, so that reading a rig file stays quick.
 """
@@ -16,7 +16,7 @@ GNSS_BAUDS = (9600, 38400, 115200, 4800, 57600, 460800, 230400, 921600)
 
 
 class Row(NamedTuple):
-    """One protocol: what it says of itself, where it is spoken, which keys of the rig are its own, its decoder."""
+    """One protocol: its description, its bus, its keys in the rig file, its decoder."""
 
     says: str
     bus: str  # SERIAL, CAN or NET: what its port may be

@@ -15,13 +15,13 @@ from daq.protocol.canframe import FRAME_BYTES, FrameDecoder
 from daq.rig import SOURCE, DbcSignal
 from daq.samples import NAN, Esc, Frame
 
-STALE = 2.0  # s; what another message said is not repeated for longer than this
+STALE = 2.0  # s; values of other messages are not repeated for longer than this
 _PDU_1 = 0x03FF_0000  # PGN below 0xF000: its low byte is an address
 _PDU_2 = 0x03FF_FF00
 
 
 class _Wanted(NamedTuple):
-    """A message and what is taken from it."""
+    """A message and the signals read from it."""
 
     message: Any  # cantools.database.can.Message
     signals: tuple[DbcSignal, ...]
@@ -45,15 +45,15 @@ def is_j1939(message: Any) -> bool:
 
 
 def pgn_bits(identifier: int) -> int:
-    """The bits of a 29-bit identifier that say which message it is, without priority, sender and destination."""
+    """The bits of a 29-bit identifier that identify the message, without priority, sender and destination."""
     return identifier & (_PDU_1 if identifier >> 16 & 0xFF < 0xF0 else _PDU_2)
 
 
 class Decoder(FrameDecoder):
     """CAN frames -> `Esc`, by `signals`: one sample for each message that holds an rpm.
 
-    Where none does, each message that is asked for gives one. What other messages said of the same node (current,
-    voltage, temperature, duty) is the newest heard, NaN when older than `STALE`. Raises SeatrialError for a message
+    Without one, each configured message gives one. Values from other messages of the same node (current, voltage,
+    temperature, duty) are the newest received, NaN when older than `STALE`. Raises SeatrialError for a message
     or signal that `database` has not.
     """
 

@@ -25,5 +25,5 @@ class Decoder(Protocol):
         ...
 
     def reset(self) -> None:
-        """Forget a half-read frame (the port was reopened). Counters stay."""
+        """Discard an incomplete frame (the port was reopened). Counters stay."""
         ...

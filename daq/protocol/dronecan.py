@@ -17,7 +17,7 @@ from daq.protocol.framing import crc16_ccitt
 from daq.samples import NAN, Esc, Frame
 
 KELVIN = 273.15
-FULL = 8191  # full ahead in 14 bits; full astern is its negative, so that zero is the middle
+FULL = 8191  # full forward in 14 bits; full reverse is its negative, so that zero is the middle
 MOST = 20  # controllers in one command
 URGENT = 8  # priority of commands: before the reports of everybody else
 _HEAD = struct.Struct("<I3eH")  # error count, voltage, current, temperature, low bits of the rpm
@@ -50,7 +50,7 @@ NODE_STATUS = MessageType(341, 0x0F0868D0C1A7C6F1, 7)
 class Decoder(FrameDecoder):
     """esc.Status -> `Esc`, the index of the controller as its node.
 
-    rpm is the shaft's (the controller knows its motor's poles), with its sign changed for `reversed_nodes`; duty is not
+    rpm is the shaft's (the controller accounts for the poles), with its sign changed for `reversed_nodes`; duty is not
     in the message. `t_rx` is that of the transfer's first frame. A transfer that lacks a frame counts as unparsed
     bytes, one whose checksum is wrong as a checksum error.
     """
@@ -130,7 +130,7 @@ def decode_command(payload: bytes) -> list[float]:
 
 
 def encode_node_status(uptime_s: float, source: int, number: int) -> list[tuple[int, bytes]]:
-    """The frame by which a node says once a second that it is there and well."""
+    """The frame NodeStatus, sent once a second: the node is operational."""
     payload = struct.pack("<IBH", int(uptime_s) & 0xFFFFFFFF, 0, 0)
     return frames_of(NODE_STATUS, payload, source, number)
 
@@ -156,7 +156,7 @@ def _tail(k: int, n_parts: int, number: int) -> int:
 
 @dataclass
 class _Transfer:
-    """A transfer that is under way."""
+    """An incomplete transfer."""
 
     number: int
     t_rx: float  # of its first frame
@@ -208,11 +208,11 @@ class Assembler:
         yield payload, transfer.t_rx
 
     def _drop(self, source: int) -> None:
-        """Give up the transfer of a node; what it had counts."""
+        """Drop the transfer of a node; its frames count as unparsed."""
         if (transfer := self._transfers.pop(source, None)) is not None:
             self.unparsed_bytes += FRAME_BYTES * transfer.frames
 
     def forget(self) -> None:
-        """Give up all transfers that are under way."""
+        """Drop all incomplete transfers."""
         for source in list(self._transfers):
             self._drop(source)

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from typing import Generic, NamedTuple, TypeVar
 
 SENTENCE_MAX = 256  # bytes; NMEA 0183 allows 82, proprietary sentences are longer
-_STOP = re.compile(rb"[\x00-\x1f\x7f-\xff$]")  # nothing of this is inside a sentence
+_STOP = re.compile(rb"[\x00-\x1f\x7f-\xff$]")  # bytes that do not occur in a sentence
 _CHECKSUM = re.compile(rb"\*([0-9A-Fa-f]{2}|[0-9A-Fa-f]{4})\Z")
 
 
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 class StreamDecoder(ABC, Generic[T]):
-    """A buffer and the search for the next frame. A subclass says what a frame starts with and takes one."""
+    """A buffer and the search for the next frame. A subclass defines the start of a frame and decodes it."""
 
     sync: re.Pattern[bytes]  # what a frame may start with, one byte
     between: bytes = b"\r\n"  # what may stand between frames and is not counted as unparsed
@@ -55,7 +55,7 @@ class StreamDecoder(ABC, Generic[T]):
         return out
 
     def reset(self) -> None:
-        """Forget a half-read frame (the port was reopened). Counters stay."""
+        """Discard an incomplete frame (the port was reopened). Counters stay."""
         self._skip(self._buffer, 0, len(self._buffer))
         self._buffer.clear()
 

@@ -1,7 +1,7 @@
-"""A load cell that sends one text line a reading (an HX711 on a microcontroller and the like).
+"""A load cell that sends one line of text per sample (an HX711 on a microcontroller and the like).
 
-The pattern in the rig says what a line looks like; its named group `counts` is the number. There is no checksum,
-so a line that does not match is all that can be told of a transmission error.
+A line matches the pattern in the rig; its named group `counts` is the number. There is no checksum: a line that does
+not match is the only sign of a transmission error.
 """
 
 from __future__ import annotations

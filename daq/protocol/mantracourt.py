@@ -1,4 +1,4 @@
-"""Mantracourt DSCUSB and DCell strain-gauge converters with the ASCII protocol: asked, they answer a number.
+"""Mantracourt DSCUSB and DCell strain-gauge converters with the ASCII protocol: a request, answered by a number.
 
 Source: DSCUSB Advanced User's Manual, "ASCII protocol": the host sends `!001:SYS?` and CR; the answer is a decimal
 number and CR, or `?` and CR where the request was refused. There is no checksum.

@@ -13,7 +13,7 @@ from daq.protocol.mavlink_wire import ESC_STATUS, Codec, dialect, head, is_known
 from daq.rig import Device, Output, Rig
 from daq.samples import NAN, Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, Sample, Servo
 
-# Beside what becomes a sample: what whoever runs the link has to hear.
+# Besides messages that become samples: those that the driver of the link needs.
 SERVICE = (
     *("HEARTBEAT", "COMMAND_ACK", "PARAM_VALUE", "STATUSTEXT", "EKF_STATUS_REPORT"),
     *("RC_CHANNELS_OVERRIDE", "COMMAND_LONG", "PARAM_REQUEST_READ", "PARAM_REQUEST_LIST", "PARAM_SET"),
@@ -23,7 +23,7 @@ SAME_S = 0.005  # s of boot time within which attitude and IMU are of one moment
 IMU_AWAITED_S = 1.0  # s of boot time after an IMU message for which an attitude waits for its own
 UNIX_US = 10**14  # a time_usec from here on counts from 1970, below from boot
 ARDUPILOT = 3  # HEARTBEAT.autopilot; its RAW_IMU has units
-INVALID = 8  # HEARTBEAT.autopilot of what is no autopilot
+INVALID = 8  # HEARTBEAT.autopilot of other components
 ARMED = 128  # HEARTBEAT.base_mode
 FIXES = {2: 2, 3: 3, 4: 4, 5: 6, 6: 5, 7: 3, 8: 4}  # GPS_FIX_TYPE -> samples.Gnss.fix
 CHUNK = 50  # characters of STATUSTEXT
@@ -36,7 +36,7 @@ Found = list[tuple[Sample, float]]  # with the device's time, s since boot, NaN 
 
 
 def make_decoder(device: Device, rig: Rig) -> MavlinkDecoder:
-    """The decoder for a device of the rig, without a key: whoever runs the link gives it one by `secure`."""
+    """The decoder for a device of the rig, without a key: the driver of the link gives it one by `secure`."""
     assert device.mavlink is not None
     return MavlinkDecoder(make_samples(device, rig), device.mavlink.system_id, device.mavlink.component_id)
 
@@ -53,7 +53,7 @@ def make_samples(device: Device, rig: Rig) -> Samples:
 class MavlinkDecoder(StreamDecoder[Frame]):
     """Frames of one system and component -> samples; `listener` gets every decoded message of it.
 
-    Messages of any other system are counted in `foreign` and left alone, as are unsigned and wrongly signed ones
+    Messages of any other system are counted in `foreign` and ignored, as are unsigned and wrongly signed ones
     (`unsigned`) where there is a key. Frames of messages that are not in the dialect count as frames.
     """
 
@@ -68,14 +68,14 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         self.listener: Callable[[Any], None] | None = None
         self._samples, self._who = samples, (system, component)
         self._codec = codec or Codec(255, 190)
-        self._ids: dict[int, bool] = {}  # whether a message is of use
+        self._ids: dict[int, bool] = {}  # whether a message is used
 
     def secure(self, codec: Codec) -> None:
         """Decode, and check signatures, by this codec from now on."""
         self._codec = codec
 
     def reset(self) -> None:
-        """Forget a half-read frame and what was heard (the port was reopened). Counters stay."""
+        """Discard an incomplete frame and all received state (the port was reopened). Counters stay."""
         super().reset()
         self._samples.forget()
 
@@ -153,7 +153,7 @@ class Samples:
         self.forget()
 
     def forget(self) -> None:
-        """The link was opened anew: what was heard before may be of another life."""
+        """The link was reopened: the autopilot may have restarted since."""
         self._boot = math.nan  # s, the newest
         self._utc_of_boot = math.nan  # s since 1970
         self._attitude_waits: tuple[Ahrs, float] | None = None

@@ -76,7 +76,7 @@ def _unpack_esc_status(payload: bytes) -> EscStatus:
 
 
 class Head(NamedTuple):
-    """What stands in the header of a frame."""
+    """The header of a frame."""
 
     total: int  # bytes of the whole frame
     message_id: int
@@ -116,14 +116,14 @@ def _known(message_id: int) -> tuple[int, int] | None:
 
 
 def is_known(message_id: int) -> bool:
-    """Whether the message is in the dialect, so that its checksum can be told right from wrong."""
+    """Whether the message is in the dialect, so that its checksum can be verified."""
     return _known(message_id) is not None
 
 
 def is_whole(frame: bytes, found: Head) -> bool:
     """Whether the checksum is right; of a message that is not in the dialect, whether it can be (1 in 256 by chance).
 
-    The checksum ends with a seed that only who knows the message has.
+    The checksum includes a seed that depends on the message's definition.
     """
     end = len(frame) - SIGNATURE * found.signed - CHECKSUM
     (said,) = struct.unpack_from("<H", frame, end)
@@ -149,7 +149,7 @@ class Codec:
     def decode(self, frame: bytes) -> Any | None:
         """The message of a whole frame; None where the signature is missing or wrong."""
         if frame[0] == MARKER_2 and frame[7:10] == b"\x23\x01\x00":
-            # pymavlink has no such message and so checks no signature: where one is asked for, this is not taken.
+            # pymavlink has no such message and so checks no signature: where a signature is required, it is rejected.
             return None if self._key is not None else _unpack_esc_status(frame[HEADER_2 : HEADER_2 + frame[1]])
         try:
             return self._mav.decode(bytearray(frame))

@@ -29,7 +29,7 @@ Fields = dict[int, bytes]
 
 
 def checksum(packet: bytes) -> bytes:
-    """The two bytes of Fletcher's checksum over all that stands before them."""
+    """The two bytes of Fletcher's checksum over all bytes before them."""
     return bytes((sum(packet) & 0xFF, sum(itertools.accumulate(packet)) & 0xFF))
 
 
@@ -55,7 +55,7 @@ class Decoder(StreamDecoder[Frame]):
         self._vectors: dict[str, tuple[float, ...]] = {}
 
     def reset(self) -> None:
-        """Forget a half-read packet and what was heard (the port was reopened). Counters stay."""
+        """Discard an incomplete packet and all received state (the port was reopened). Counters stay."""
         super().reset()
         self._filter = False
         self._vectors.clear()
@@ -119,7 +119,7 @@ def _fields(payload: bytes) -> Fields | None:
 
 
 def _unpack(form: struct.Struct, data: bytes | None) -> tuple[float, ...] | None:
-    """The numbers at the beginning of a field; None where it is not there, too short, or says that it is not valid."""
+    """The numbers at the beginning of a field; None where it is missing, too short, or flagged invalid."""
     if data is None or len(data) < form.size:
         return None
     if len(data) == form.size + 2 and not data[-1] & 1:

@@ -26,13 +26,13 @@ _TIME = re.compile(rb"(\d\d)(\d\d)(\d\d(?:\.\d*)?)\Z")
 _TIME_FIELD = {"GGA": 1, "RMC": 1, "GST": 1, "ZDA": 1, "GNS": 1, "GLL": 5}
 _POSITION = ("GGA", "GNS", "RMC", "GLL")  # the first of them that has one gives the position
 KINDS = frozenset({*_TIME_FIELD, "VTG", "GSA"})
-# GGA quality -> Gnss.fix; 2-D and 3-D fixes are the same in GGA, GSA tells them apart.
+# GGA quality -> Gnss.fix; 2-D and 3-D fixes are the same in GGA, GSA distinguishes them.
 _QUALITY = {0: 0, 1: 3, 2: 4, 3: 3, 4: 5, 5: 6, 6: 1, 7: 1, 8: 3}
 _MODE = {"A": 3, "D": 4, "P": 3, "R": 5, "F": 6, "E": 1, "M": 1, "S": 3, "N": 0}
 Message = dict[str, Any]
 _NUMBER = re.compile(rb"[+-]?\d+(\.\d*)?\Z")
 _DEG = math.pi / 180.0
-# Which sentence to believe where a device sends several: the one with attitude, then true, then magnetic.
+# Preferred sentence of a device that sends several: the one with attitude, then true, then magnetic.
 _RANK = {"PASHR": 5, "HDT": 4, "THS": 3, "HDG": 2, "HDM": 1}
 _THS_VALID = b"AE"  # autonomous, estimated; M is by hand, S simulated, V void
 
@@ -51,7 +51,7 @@ class Decoder(StreamDecoder[Frame]):
         return self._sentences.epochs.flush()
 
     def reset(self) -> None:
-        """Forget a half-read sentence and epoch (the port was reopened). Counters stay."""
+        """Discard an incomplete sentence and epoch (the port was reopened). Counters stay."""
         super().reset()
         self._sentences.forget()
 
@@ -130,7 +130,7 @@ def _text(value: float, digits: int) -> str:
 
 @dataclass
 class _Epoch:
-    """What the sentences of one time have said so far."""
+    """Values of the sentences of one time so far."""
 
     seconds: float  # of the day
     t_rx: float
@@ -309,7 +309,7 @@ def _read_gll(epoch: _Epoch, message: Message) -> None:
 
 
 def _read_vtg(epoch: _Epoch, message: Message) -> None:
-    if "RMC" not in epoch.kinds:  # RMC says the same and is sure to be of this epoch
+    if "RMC" not in epoch.kinds:  # RMC has the same values, and its time is of this epoch
         _motion(epoch, _number(message.get("sogk")) / 3.6, _number(message.get("cogt")))
 
 
@@ -363,10 +363,10 @@ _READ = {
 
 
 class Headings:
-    """Sentences -> `Ahrs` with yaw, from the best kind of sentence heard; roll and pitch where it has them.
+    """Sentences -> `Ahrs` with yaw, from the best kind of sentence received; roll and pitch where it has them.
 
     A rate of turn (ROT) goes into the next heading. Magnetic headings become true ones by the variation that HDG
-    carries or else by `declination` [rad, east positive]; without either they give no sample, and `remark` says so.
+    carries or else by `declination` [rad, east positive]; without either they give no sample, and `remark` reports it.
     """
 
     def __init__(self, declination: float | None = None) -> None:
@@ -376,7 +376,7 @@ class Headings:
         self._rate = NAN
 
     def forget(self) -> None:
-        """The port was reopened: there may be another device now."""
+        """Discard all received state: a reopened port may have another device."""
         self._best, self._rate = 0, NAN
 
     def take(self, kind: str, body: bytes, t_rx: float) -> list[Frame] | None:

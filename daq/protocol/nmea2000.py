@@ -16,8 +16,8 @@ from daq.protocol.canframe import FRAME_BYTES, FrameDecoder
 from daq.samples import NAN, Ahrs, Frame, Gnss, wrap_angle
 
 HEADING, TURN, ATTITUDE, VARIATION, COURSE, FIX = 127250, 127251, 127257, 127258, 129026, 129029
-STALE_S = 2.0  # attitude and course go with a heading or a fix for no longer; a sender that is silent is not waited for
-SETTLE_S = 1.2  # who speaks on the bus is heard out for so long: most say everything once a second
+STALE_S = 2.0  # attitude and course are added to a heading or fix for no longer; a silent sender loses its lead
+SETTLE_S = 1.2  # senders on the bus are collected for so long: most send everything once a second
 MAGNETIC = 1  # direction reference; 0 is true, 2 an error
 _HEADING = struct.Struct("<xHhhB")  # heading, deviation, variation, reference
 _TURN = struct.Struct("<xi")
@@ -45,7 +45,7 @@ def split_identifier(word: int) -> tuple[int, int]:
 
 @dataclass
 class _Packet:
-    """A fast packet under way."""
+    """An incomplete fast packet."""
 
     sequence: int
     length: int
@@ -57,14 +57,14 @@ class Decoder(FrameDecoder):
     """Headings -> `Ahrs` with the newest pitch and roll; rates of turn -> `Ahrs` of their own; fixes -> `Gnss`.
 
     Where several on the bus send the same, a true heading goes before a magnetic one, a fix that counts its satellites
-    before one that does not, and a lower address before a higher; the others are heard when that one is silent.
-    Magnetic headings become true ones by the variation that they or the bus say, else by `declination` [rad, east
-    positive]; without any they give no sample, and `remark` says so. A fix takes its velocity from the newest course
+    before one that does not, and a lower address before a higher; the others are used when that one is silent.
+    Magnetic headings become true ones by the variation that they or the bus carry, else by `declination` [rad, east
+    positive]; without any they give no sample, and `remark` reports it. A fix takes its velocity from the newest course
     over ground.
     """
 
     def __init__(self, declination: float | None = None, settle: float = SETTLE_S) -> None:
-        """`settle` [s]: no samples of a kind for so long after it was first heard, until it is known who sends it."""
+        """`settle` [s]: no samples of a kind for so long after its first message, until all its senders are known."""
         super().__init__()
         self._declination, self._settle = declination, settle
         self._take_message: dict[int, tuple[int, Callable[[int, bytes, float], list[Frame]]]] = {
@@ -79,8 +79,8 @@ class Decoder(FrameDecoder):
 
     def _forget(self) -> None:
         self._packets: dict[int, _Packet] = {}  # of fixes, by source
-        self._leaders: dict[int, tuple[tuple[int, int], float]] = {}  # by PGN: rank and source, when heard
-        self._since: dict[int, float] = {}  # when each PGN was first heard
+        self._leaders: dict[int, tuple[tuple[int, int], float]] = {}  # by PGN: rank and source, when received
+        self._since: dict[int, float] = {}  # when each PGN was first received
         self._level = (NAN, NAN, -math.inf)  # pitch, roll, when
         self._velocity = (NAN, NAN, -math.inf)  # north, east, when
         self._bus_variation = NAN
@@ -163,7 +163,7 @@ class Decoder(FrameDecoder):
         return [Frame(Ahrs(wrap_angle(yaw), pitch, roll), t_rx, NAN)]
 
     def _east(self, own: float) -> float:
-        """What turns magnetic into true, rad; NaN where nobody says."""
+        """Variation from magnetic to true, rad; NaN where unknown."""
         for value in (own, self._bus_variation, self._declination):
             if value is not None and not math.isnan(value):
                 return value
@@ -201,7 +201,7 @@ class Decoder(FrameDecoder):
 
     def _fix(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
         day, ticks, lat, lon, alt, method, _, n_sat, hdop, _, _ = _FIX.unpack_from(data)
-        counts = 0 < n_sat < 0xFD  # who passes on the fixes of others often leaves the satellites out
+        counts = 0 < n_sat < 0xFD  # a device that relays the fixes of others often omits the satellites
         if not self._leads(FIX, 0 if counts else 1, source, t_rx) or not self._settled(FIX, t_rx):
             return []
         place = lat * _PLACE, lon * _PLACE
@@ -225,7 +225,7 @@ class Decoder(FrameDecoder):
 
 
 def _unsigned16(raw: int, scale: float) -> float:
-    return raw * scale if raw < 0xFFFD else NAN  # the last three values say that there is none
+    return raw * scale if raw < 0xFFFD else NAN  # the last three values mean: not available
 
 
 def _signed16(raw: int, scale: float) -> float:
@@ -233,7 +233,7 @@ def _signed16(raw: int, scale: float) -> float:
 
 
 def encode(sample: Ahrs | Gnss, sid: int = 0, source: int = 35) -> list[tuple[int, bytes]]:
-    """The CAN frames (identifier, data) that say a sample, as a compass or a receiver sends them; `sid` below 253."""
+    """The CAN frames (identifier, data) of a sample, as a compass or a receiver sends them; `sid` below 253."""
     if isinstance(sample, Gnss):
         return _encode_gnss(sample, sid, source)
     out: list[tuple[int, bytes]] = []

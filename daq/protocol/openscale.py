@@ -60,7 +60,7 @@ class Decoder(LineDecoder):
 
 
 def encode(reading: float, unit: str = "kg", milliseconds: int | None = None, raw: int | None = None) -> bytes:
-    """One line; what is None is switched off."""
+    """One line; fields that are None are switched off."""
     words = [f"{reading:.4f}", unit]
     if milliseconds is not None:
         words.insert(0, f"{milliseconds % MILLIS}")

@@ -49,7 +49,7 @@ class LineDecoder(ABC):
         return out
 
     def reset(self) -> None:
-        """Forget a half-read line (the port was reopened). Counters stay."""
+        """Discard an incomplete line (the port was reopened). Counters stay."""
         self._lose(self._buffer)
         self._buffer.clear()
         self._skipping = self._skip_first

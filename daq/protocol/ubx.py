@@ -59,8 +59,8 @@ _FIX = {1: 1, 2: 2, 3: 3, 4: 3}  # gpsFix -> Gnss.fix; 5 is a fix of time only, 
 class Decoder(nmea.Decoder):
     """UBX and NMEA -> `Gnss` and `Ahrs`.
 
-    Where the receiver sends its solution in UBX, that is what is taken, and the positions that the same stream has in
-    NMEA as well give no samples of their own; headings (HDT and the like) do all the same.
+    Where the receiver sends its solution in UBX, that one is used, and positions in NMEA of the same stream give no
+    samples; headings (HDT and the like) still do.
     """
 
     sync = re.compile(rb"[$\xb5]")
@@ -74,7 +74,7 @@ class Decoder(nmea.Decoder):
         return self._epochs.flush() or self._kept(super().flush())
 
     def reset(self) -> None:
-        """Forget a half-read message and epoch (the port was reopened). Counters stay."""
+        """Discard an incomplete message and epoch (the port was reopened). Counters stay."""
         super().reset()
         self._epochs.forget()
 
@@ -106,7 +106,7 @@ class Decoder(nmea.Decoder):
         return length
 
     def _kept(self, found: list[Frame]) -> list[Frame]:
-        return [f for f in found if not (self._epochs.heard and isinstance(f.sample, Gnss))]
+        return [f for f in found if not (self._epochs.has_position and isinstance(f.sample, Gnss))]
 
 
 def checksum(body: bytes) -> bytes:
@@ -147,7 +147,7 @@ def _or_zero(value: float) -> float:
 
 @dataclass
 class _Epoch:
-    """What the messages of one time of week have said so far."""
+    """Values of the messages of one time of week so far."""
 
     i_tow: int  # ms
     t_rx: float
@@ -156,15 +156,15 @@ class _Epoch:
 
 
 class Epochs:
-    """Navigation messages -> one sample an epoch.
+    """Navigation messages -> one sample per epoch.
 
-    A position that the receiver has but does not vouch for (gnssFixOK not set, or a fix of time only) is kept, with
+    A position without a valid fix (gnssFixOK not set, or a fix of time only) is kept, with
     `fix` 0. An epoch is complete when all kinds of message that came in the last few epochs have come, or else when the
     next begins. `t_rx` of a sample is that of the epoch's first message, `t_device` its UTC.
     """
 
     def __init__(self) -> None:
-        self.heard = False  # whether there has been a message that carries a position
+        self.has_position = False  # whether there has been a message that carries a position
         self._epoch: _Epoch | None = None
         self._emitted = False
         self._kinds: deque[set[int]] = deque(maxlen=REMEMBERED)
@@ -175,7 +175,7 @@ class Epochs:
         number = kind[1]
         if number == 0x05:
             return _attitude(payload, t_rx)
-        self.heard = self.heard or number in _CARRIES
+        self.has_position = self.has_position or number in _CARRIES
         (i_tow,) = struct.unpack_from("<I", payload, 4 if number == 0x14 else 0)
         out: list[Frame] = []
         if self._epoch is None or self._epoch.i_tow != i_tow:
@@ -200,7 +200,7 @@ class Epochs:
         return [Frame(sample, epoch.t_rx, sample.utc)]
 
     def forget(self) -> None:
-        """Forget the epoch that is not complete (the port was reopened)."""
+        """Discard the incomplete epoch (the port was reopened)."""
         self._epoch = None
 
 

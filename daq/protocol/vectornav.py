@@ -57,7 +57,7 @@ Values = dict[str, tuple[float, ...]]
 
 
 class Layout(NamedTuple):
-    """Where things are in a binary message: header and total length, and (what, struct, offset) of what is kept."""
+    """Layout of a binary message: length of header and message, and (name, struct, offset) of the fields read."""
 
     header: int
     length: int

@@ -32,9 +32,9 @@ def _messages() -> dict[int, Any]:
 class Decoder(FrameDecoder):
     """Status frames -> `Esc`, one sample for each STATUS 1; current, duty and rpm are of that frame.
 
-    Temperature (STATUS 4) and voltage (STATUS 5) are the newest heard, NaN when older than `STALE`. `pole_pairs` says
-    which controllers there are; frames of others are counted in `other_nodes` and otherwise left alone. The rpm and
-    duty of `reversed_nodes` change their sign, as their commands do: positive is ahead.
+    Temperature (STATUS 4) and voltage (STATUS 5) are the newest received, NaN when older than `STALE`. `pole_pairs`
+    lists the controllers; frames of others are counted in `other_nodes` and otherwise ignored. The rpm and duty of
+    `reversed_nodes` change their sign, as their commands do: positive is forward.
     """
 
     def __init__(self, pole_pairs: dict[int, int], reversed_nodes: frozenset[int] = frozenset()) -> None:
@@ -90,12 +90,12 @@ class Decoder(FrameDecoder):
         )
 
 
-def _fresh(heard: tuple[float, float] | None, t_rx: float) -> float:
-    return heard[0] if heard is not None and t_rx - heard[1] <= STALE else NAN
+def _fresh(latest: tuple[float, float] | None, t_rx: float) -> float:
+    return latest[0] if latest is not None and t_rx - latest[1] <= STALE else NAN
 
 
 def encode_status(esc: Esc, pole_pairs: int) -> list[tuple[int, bytes]]:
-    """The frames (identifier, data) of a controller in state `esc`: STATUS 1, and 4 and 5 for what is not NaN."""
+    """The frames (identifier, data) of a controller in state `esc`: STATUS 1, and 4 and 5 without NaN."""
     frames = [_encode(STATUS_1, esc.node, erpm=_or_zero(esc.rpm) * pole_pairs, current=esc.current, duty=esc.duty)]
     if not math.isnan(esc.temperature):
         frames.append(
@@ -114,7 +114,7 @@ def encode_status(esc: Esc, pole_pairs: int) -> list[tuple[int, bytes]]:
 
 
 def encode_duty(node: int, n: float) -> tuple[int, bytes]:
-    """The frame (identifier, data) that tells controller `node` the duty `n`, -1..1; ValueError if it is outside."""
+    """The frame (identifier, data) that commands controller `node` the duty `n`, -1..1; ValueError if it is outside."""
     if not -1.0 <= n <= 1.0:
         raise ValueError(f"a duty is between -1 and 1, not {n}")
     return _encode(SET_DUTY, node, duty=n)

@@ -1,4 +1,4 @@
-"""`seatrial devices`: which serial ports and CAN buses there are, what speaks on them, and at which baud rate."""
+"""`seatrial devices`: finds serial ports and CAN buses, and identifies protocol and baud rate of their devices."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from daq.config import default_decoder
 from daq.protocol import DEVICES, Decoder, nmea, slcan, ubx
 from daq.transport import PortError, SerialPort, list_serial_ports
 
-LISTEN_S = 1.3  # wall, at each baud rate; a GNSS receiver speaks once a second
+LISTEN_S = 1.3  # wall, at each baud rate; a GNSS receiver sends once a second
 SILENT_S = 2.0  # with nothing at all for so long, no baud rate will help
 ENOUGH = 3  # reads with samples in them
 JUDGED_BYTES = 20
@@ -25,13 +25,13 @@ SLCAN_BAUDS = (115200, 1_000_000)
 
 @dataclass(frozen=True)
 class DiscoveredDevice:
-    """One port and what was heard there."""
+    """One port and the device identified there."""
 
     port: str
     description: str
     protocol: str = ""  # a name of the table of devices, or SLCAN; empty when nothing was recognised
     baud: int = 0
-    rate: float = math.nan  # samples a second
+    rate: float = math.nan  # samples per second
     says: str = ""  # for people: what it is, or why it is not known
     hint: str = ""  # what could be better about the port
 
@@ -51,18 +51,18 @@ class _Listener:
         self.protocol = protocol
         self.decoder: Decoder | slcan.Decoder = slcan.Decoder() if protocol == SLCAN else default_decoder(protocol)
         self.decoder.reset()
-        self.samples = self.heard = 0
-        self._joined: tuple[int, int] | None = None  # bytes heard and unparsed when the first sample was there
+        self.samples = self.n_bytes = 0
+        self._joined: tuple[int, int] | None = None  # bytes received and unparsed at the first sample
         self.times: list[float] = []
 
-    def hear(self, data: bytes, t: float) -> None:
-        """Take what was read."""
+    def feed(self, data: bytes, t: float) -> None:
+        """Take the bytes that were read."""
         found = self.decoder.feed(data, t)
-        self.heard += len(data)
+        self.n_bytes += len(data)
         self.samples += len(found)
         self.times += [t] * len(found)
         if found and self._joined is None:  # what comes before may be of another baud rate, or half a frame
-            self._joined = (self.heard, self.decoder.unparsed_bytes)
+            self._joined = (self.n_bytes, self.decoder.unparsed_bytes)
 
     def close(self) -> None:
         if isinstance(self.decoder, (nmea.Decoder, ubx.Decoder)):
@@ -74,23 +74,23 @@ class _Listener:
         return self.protocol not in ("loadcell", "openscale", SLCAN)
 
     def score(self) -> tuple[float, int]:
-        """How sure it is that this is it; nothing where it is not."""
+        """Confidence that this is the protocol, larger is better; (0, 0) where it is not."""
         if self.samples == 0 or (not self.checked and self.samples < LINES):
             return 0.0, 0
-        heard, unparsed = self.heard, self.decoder.unparsed_bytes
-        if self._joined is not None and heard - self._joined[0] >= JUDGED_BYTES:
-            heard, unparsed = heard - self._joined[0], unparsed - self._joined[1]
-        share = 1.0 - unparsed / max(heard, 1)
+        n_bytes, unparsed = self.n_bytes, self.decoder.unparsed_bytes
+        if self._joined is not None and n_bytes - self._joined[0] >= JUDGED_BYTES:
+            n_bytes, unparsed = n_bytes - self._joined[0], unparsed - self._joined[1]
+        share = 1.0 - unparsed / max(n_bytes, 1)
         if share < (0.2 if self.checked else 0.8):
             return 0.0, 0
         # OpenScale's lines may match a load cell's pattern by chance, never the other way round.
         return share + 0.01 * self.checked, self.decoder.frames
 
     def rate(self) -> float:
-        """Samples a second, from their times of arrival."""
+        """Samples per second, from their times of arrival."""
         if not self.times or self.times[-1] == self.times[0]:
             return math.nan
-        # The first read may hold what had waited; from there on as much came as is said.
+        # The first read may contain buffered bytes; it is not counted.
         return (len(self.times) - self.times.count(self.times[0])) / (self.times[-1] - self.times[0])
 
 
@@ -125,49 +125,49 @@ def baud_rates(wanted: Sequence[int] = ()) -> list[int]:
 def identify_protocol(
     path: str, description: str = "", *, bauds: Sequence[int] = (), listen: float = LISTEN_S
 ) -> DiscoveredDevice:
-    """Listen on a port at one baud rate after the other. Nothing is ever sent: who knows what is there."""
-    heard_at: list[int] = []
+    """Listen on a port at one baud rate after the other. Nothing is ever sent: the device is unknown."""
+    answered_at: list[int] = []
     hint = ""
     for baud in baud_rates(bauds):
-        ears = [_Listener(name) for name, row in DEVICES.items() if baud in row.bauds]
-        ears += [_Listener(SLCAN)] if baud in SLCAN_BAUDS else []
+        candidates = [_Listener(name) for name, row in DEVICES.items() if baud in row.bauds]
+        candidates += [_Listener(SLCAN)] if baud in SLCAN_BAUDS else []
         port = SerialPort(path, baud)
         try:
-            heard = _listen(port, ears, listen, silent=SILENT_S if not heard_at else listen)
+            n_bytes = _listen(port, candidates, listen, silent=SILENT_S if not answered_at else listen)
         except PortError as error:
             return DiscoveredDevice(path, description, says=str(error))
         hint = port.hint
-        if heard == 0 and not heard_at:
+        if n_bytes == 0 and not answered_at:
             return DiscoveredDevice(
                 path, description, says="silent; what speaks only when asked is not found", hint=hint
             )
-        heard_at.append(baud)
-        best = max(ears, key=_Listener.score, default=None)
+        answered_at.append(baud)
+        best = max(candidates, key=_Listener.score, default=None)
         if best is not None and best.score() > (0.0, 0):
             says = "CAN adapter (slcan), its channel open" if best.protocol == SLCAN else DEVICES[best.protocol].says
             return DiscoveredDevice(path, description, best.protocol, baud, best.rate(), says, hint)
-    tried = ", ".join(map(str, heard_at))
+    tried = ", ".join(map(str, answered_at))
     return DiscoveredDevice(path, description, says=f"bytes that no protocol explains at {tried} baud", hint=hint)
 
 
-def _listen(port: SerialPort, ears: Sequence[_Listener], seconds: float, silent: float) -> int:
-    """Feed the ears for `seconds` from the first byte, or until one is sure; returns how many bytes there were."""
-    heard, begun = 0, time.monotonic()
-    end = begun + silent
+def _listen(port: SerialPort, candidates: Sequence[_Listener], seconds: float, silent: float) -> int:
+    """Feed the candidates for `seconds` from the first byte, or until one is certain; returns the number of bytes."""
+    n_bytes, start = 0, time.monotonic()
+    end = start + silent
     port.open()
     try:
         while (left := end - time.monotonic()) > 0.0:
             if not select.select([port.fileno()], [], [], left)[0]:
                 break
             data, t = port.read(), time.monotonic()
-            end = end if heard or not data else t + seconds
-            heard += len(data)
-            for ear in ears:
-                ear.hear(data, t)
-            if t - begun > 0.3 * seconds and any(ear.checked and len(set(ear.times)) >= ENOUGH for ear in ears):
+            end = end if n_bytes or not data else t + seconds
+            n_bytes += len(data)
+            for candidate in candidates:
+                candidate.feed(data, t)
+            if t - start > 0.3 * seconds and any(c.checked and len(set(c.times)) >= ENOUGH for c in candidates):
                 break
     finally:
         port.close()
-    for ear in ears:
-        ear.close()
-    return heard
+    for candidate in candidates:
+        candidate.close()
+    return n_bytes

@@ -14,7 +14,7 @@ from daq.errors import SeatrialError, counted
 from daq.log import Log, first_of
 from daq.samples import PortHealth, Scalar
 
-FIRST_EVENTS, LAST_EVENTS = 25, 15  # shown of many: how a run ended stands last
+FIRST_EVENTS, LAST_EVENTS = 25, 15  # shown of many: the end of a run is last
 _ABOUT = {
     "rig": "rig",
     "operator": "operator",

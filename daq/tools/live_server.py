@@ -23,7 +23,9 @@ _FOXGLOVE = "the live view needs the package foxglove-sdk: pip install 'seatrial
 
 
 class LiveServer:
-    """Serves what `status` says, where `rig.live` says, while in the `with` block. Raises SeatrialError at entry.
+    """Serves the samples of `status` at the address of `rig.live` while in the `with` block.
+
+    Raises SeatrialError at entry.
 
     What is shown is the newest sample of each source twenty times a second; the log has them all.
     """
@@ -67,7 +69,7 @@ class LiveServer:
         while not self._ending.wait(PERIOD_S):
             try:
                 self.publish(self._status())
-            except SeatrialError:  # the acquisition has ended; whoever started it says so
+            except SeatrialError:  # the acquisition has ended; its parent reports it
                 return
 
     def publish(self, status: Status) -> None:

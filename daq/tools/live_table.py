@@ -27,7 +27,7 @@ STALE_WALL_S = 0.25
 RATE_TOLERANCE = 0.1
 WIDE = 110  # columns from which the table has all its columns
 FIX = ("no fix", "dead reckoning", "2D", "3D", "DGPS", "RTK fixed", "RTK float")
-# Colour is never alone: each state has a word too. Blue and orange are told apart by nearly everybody.
+# Never colour alone: each state has a word too. Blue and orange are distinguishable with most colour blindness.
 GOOD, BAD, DIM = "bright_blue", "bold orange1", "dim"
 
 
@@ -47,13 +47,13 @@ def watch(
 ) -> None:
     """Show the status until run time `deadline` or until `stop` is set: a table on a terminal, lines elsewhere."""
     if not console.is_terminal:
-        line_at, told = time.monotonic() + FIRST_LINE_S, set[str]()
+        line_at, shown = time.monotonic() + FIRST_LINE_S, set[str]()
         while not stop.wait(_pause(clock, deadline, line_at)) and clock.now() < deadline:
             if time.monotonic() >= line_at:
                 status = acquisition.status()
-                for hint in set(status.hints) - told:  # once; a table has room to say it all the time
+                for hint in set(status.hints) - shown:  # once; only a table has room to repeat it
                     console.print(f"hint: {hint}", soft_wrap=True, markup=False)
-                told.update(status.hints)
+                shown.update(status.hints)
                 console.print(line(status), soft_wrap=True, markup=False)
                 line_at += LINE_S
         return
@@ -67,7 +67,7 @@ def _pause(clock: RunClock, deadline: float, until_wall: float) -> float:
 
 
 def table(status: Status, rig: Rig, width: int) -> Group:
-    """The live table for `width` columns: a header line, a row a device (or speed controller), and what is wrong."""
+    """The live table for `width` columns: a header line, a row per device (or speed controller), and the warnings."""
     wide = width >= WIDE
     rows = Table(box=None, expand=True, padding=(0, 1, 0, 0), header_style="bold")
     columns = ["device", "rate/Hz", "of", "age/s", "frames", "errors", "latest"]
@@ -139,7 +139,7 @@ def _cells(port: PortStatus, speed: float, wide: bool) -> list[Text]:
 
 
 def describe(sample: Sample, rig: Rig, device: str) -> str:
-    """A sample in a few words, for people: degrees, and what is void left out."""
+    """A sample in a few words, for people: angles in degrees, unknown values left out."""
     if isinstance(sample, Ahrs):
         return _join(
             ("yaw", math.degrees(sample.yaw), ".1f", "°"),

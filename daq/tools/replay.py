@@ -21,7 +21,7 @@ from daq.log import Log
 from daq.protocol import CAN_FRAME, EXTENDED, FRAME_BYTES
 from daq.samples import PortHealth
 
-SETTLE_S = 0.1  # a host sets its end up after it has opened it
+SETTLE_S = 0.1  # a host configures the port after it has opened it
 WAIT_S = 0.05
 READ_BYTES = 65536
 Chunk = tuple[float, str, bytes]
@@ -40,7 +40,7 @@ def replay_log(
 ) -> int:
     """Serve the ports FOLDER/DEVICE and a rig for them, wait for a host on each, send; returns the bytes sent.
 
-    `speed` is recorded seconds a second. `said` is told what it waits for, `stopped` is asked often.
+    `speed` is recorded seconds per second. `said` gets progress messages, `stopped` is called often.
     """
     names = recorded(log, devices)
     folder.mkdir(parents=True, exist_ok=True)
@@ -51,7 +51,7 @@ def replay_log(
             ports[name] = ReplayPort(folder / name)
         again = f"; `seatrial log {rig}` records them anew" if rig else ""
         said(f"waiting for a reader of {', '.join(str(port.path) for port in ports.values())}{again}")
-        while {port.has_host() for port in ports.values()} != {True}:  # each is asked: that is what holds it open
+        while {port.has_host() for port in ports.values()} != {True}:  # every port is called: the call holds it open
             if stopped():
                 return 0
             time.sleep(WAIT_S)
@@ -99,10 +99,10 @@ def as_slcan(data: bytes) -> bytes:
 
 
 def _send(pieces: Iterator[Chunk], ports: dict[str, ReplayPort], speed: float, stopped: Callable[[], bool]) -> int:
-    n_sent, begun, first = 0, time.monotonic(), 0.0
+    n_sent, start, first = 0, time.monotonic(), 0.0
     for t, name, data in pieces:
         first = first or t
-        due = begun + (t - first) / speed
+        due = start + (t - first) / speed
         while not stopped():
             for port in ports.values():
                 port.pump()
@@ -119,7 +119,7 @@ def _send(pieces: Iterator[Chunk], ports: dict[str, ReplayPort], speed: float, s
         for port in ports.values():
             port.pump()
         time.sleep(0.002)
-    time.sleep(SETTLE_S)  # what is in the line discipline still has to be read before the ports go
+    time.sleep(SETTLE_S)  # the host still has to read the buffered bytes before the ports are removed
     return n_sent
 
 
@@ -135,11 +135,11 @@ class ReplayPort:
         self._master, slave = os.openpty()
         path.unlink(missing_ok=True)
         path.symlink_to(os.ttyname(slave))
-        os.close(slave)  # so that a host that opens it can be told from none
+        os.close(slave)  # so that a host that opens it can be detected
         os.set_blocking(self._master, False)
 
     def has_host(self) -> bool:
-        """Whether somebody has the other end open; from then on we hold it, too."""
+        """Whether a host has the other end open; from then on we hold it open, too."""
         if self._slave >= 0:
             return True
         poll = select.poll()
@@ -152,7 +152,7 @@ class ReplayPort:
         return True
 
     def pump(self) -> None:
-        """Send what waits, as far as there is room, and drop what the host says."""
+        """Send waiting bytes, as far as there is room, and drop those of the host."""
         try:
             if self.backlog:
                 del self.backlog[: os.write(self._master, self.backlog)]

@@ -21,7 +21,7 @@ class PortError(Exception):
 
 
 class Port(ABC):
-    """One port. CAN ports speak in whole 16-byte `struct can_frame`s, serial ports in bytes."""
+    """One port. CAN ports read and write whole 16-byte `struct can_frame`s, serial ports bytes."""
 
     def __init__(self) -> None:
         self.bytes_in = 0

@@ -1,4 +1,4 @@
-"""The latency timer of FTDI adapters: they keep bytes for 16 ms unless they are told otherwise.
+"""The latency timer of FTDI adapters: they buffer bytes for 16 ms by default.
 
 Source: FTDI AN232B-04, "Data throughput, latency and handshaking"; Linux drivers/usb/serial/ftdi_sio.c.
 """
@@ -16,7 +16,7 @@ UDEV_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{la
 
 
 def usb_vendor(path: str) -> int | None:
-    """USB vendor id of the adapter behind a serial port; None where the system does not say."""
+    """USB vendor id of the adapter behind a serial port; None where the system does not report it."""
     from serial.tools import list_ports  # takes a while to import, and hardly any port needs it
 
     real = os.path.realpath(path)
@@ -24,9 +24,9 @@ def usb_vendor(path: str) -> int | None:
 
 
 def set_latency_timer(path: str, sysfs: Path = SYSFS, vendor: Callable[[str], int | None] = usb_vendor) -> str:
-    """Set the adapter behind a serial port to 1 ms; says what to do where that fails, nothing where all is well.
+    """Set the adapter behind a serial port to 1 ms; returns a hint where that fails, else an empty string.
 
-    Most ports are no FTDI adapters, or have been set already: nothing to do, nothing to say.
+    Most ports are no FTDI adapters, or have been set already: nothing to do.
     """
     name = Path(os.path.realpath(path)).name
     timer = sysfs / name / "latency_timer"

@@ -1,8 +1,8 @@
 """Ports on a network: UDP and TCP.
 
-udpin (and udp) listens at an address of ours and answers whoever spoke first; it goes over to another address only
-when that one has been silent for a while, so that a second program cannot take the link away. udpout speaks to an
-address, tcp connects to one. There is no hang-up on UDP: who does not speak any more is found out by silence.
+udpin (and udp) listens at a local address and answers the first sender; it changes to another address only when that
+one has been silent for a while, so that a second program cannot take over the link. udpout sends to an address, tcp
+connects to one. UDP has no hang-up: a lost sender is detected by its silence.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 from daq.transport.base import WRITE_S, Port, PortError, os_error_text
 
 READ_BYTES = 65536
-SILENT_S = 2.0  # wall; the address that spoke first keeps the link until it is silent for this long
+SILENT_S = 2.0  # wall; the first sender keeps the link until it is silent for this long
 CONNECT_S = 2.0  # wall
 BUFFER_BYTES = 1 << 20  # for bursts while this process waits for its turn
 
@@ -70,7 +70,7 @@ class UdpPort(Port):
                 data, sender = self._socket.recvfrom(READ_BYTES)
             except BlockingIOError:
                 break
-            except ConnectionRefusedError:  # the answer to something we sent: nobody listens there yet
+            except ConnectionRefusedError:  # the answer to a datagram of ours: no program listens there yet
                 continue
             except OSError as error:
                 raise PortError(os_error_text(error)) from error
@@ -91,7 +91,7 @@ class UdpPort(Port):
         return True
 
     def write(self, data: bytes) -> None:
-        """Send to the other end; nothing where nobody has spoken yet."""
+        """Send to the other end; nothing before the first datagram from it."""
         if self._socket is None or self._peer is None:
             return
         try:
@@ -100,7 +100,7 @@ class UdpPort(Port):
             else:
                 self._socket.send(data)
         except (BlockingIOError, ConnectionRefusedError):
-            return  # lost, as datagrams are; the link's age tells
+            return  # lost, as datagrams may be; the link's age shows it
         except OSError as error:
             raise PortError(os_error_text(error)) from error
 

@@ -48,7 +48,7 @@ class SerialPort(Port):
         return self._fd
 
     def read(self) -> bytes:
-        """What has arrived. An empty read of a device that said it had bytes is a hang-up."""
+        """What has arrived. An empty read of a device that reported bytes is a hang-up."""
         try:
             data = os.read(self._fd, READ_BYTES)
         except BlockingIOError:
@@ -83,7 +83,7 @@ class SerialPort(Port):
 
 
 def list_serial_ports() -> list[tuple[str, str]]:
-    """The serial ports of this machine: path and what the system says of each."""
+    """The serial ports of this machine: path and description by the system."""
     from serial.tools import list_ports  # takes a while to import, and only a search needs it
 
     return sorted((port.device, port.description) for port in list_ports.comports())

@@ -92,7 +92,7 @@ def test_the_rate_is_that_of_the_samples(name: str, each: int) -> None:
     """A receiver's last fix is only taken as complete when the next begins, or at the end."""
     ear = _Listener(name)
     for k in range(6):
-        ear.hear(SAYS[name][1](k), 0.2 * k)
+        ear.feed(SAYS[name][1](k), 0.2 * k)
     ear.close()
     assert ear.rate() == pytest.approx(5.0 * each)
 
