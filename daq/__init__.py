@@ -1,1 +1,1 @@
-"""Measure: device bytes to samples to an MCAP log, and logs to arrays."""
+"""Data acquisition: device bytes to samples to an MCAP log, and logs to arrays."""

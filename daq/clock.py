@@ -1,4 +1,4 @@
-"""Time: the run clock that every part shares, and device clocks mapped onto it.
+"""Run clock, shared by all parts, and the mapping of device clocks onto it.
 
 Run time is seconds since 1970 that never step: one reading of the wall clock, then the monotonic clock. Against
 mocks the run clock may go faster than the wall (`speed` run seconds a wall second); with real devices it is 1.

@@ -1,4 +1,4 @@
-"""Ahead of other programs, for what must not wait for a busy machine: ports, set-points, limits.
+"""Real-time priority for the control path on a busy machine: ports, set-points, limits.
 
 Niceness alone is not enough: where Linux groups processes by session (sched_autogroup_enabled, as on most desktops) it
 counts within a session only, and every program that others started weighs as much as all of ours.
@@ -15,7 +15,7 @@ REAL_TIME = 2  # of 99: before all that is not real-time, and before what has th
 
 
 def set_realtime_priority(behind: int = 0) -> None:
-    """Put this thread, and those it starts, ahead of others, as far as the system lets us: real-time on Linux.
+    """Raise the priority of this thread and those it starts, as far as allowed: real-time scheduling on Linux.
 
     ``behind`` 1: before other programs still, but behind those of us that must not wait (they share a core in turns of
     100 ms otherwise).

@@ -74,12 +74,12 @@ class DeviceLoop(threading.Thread):
         self._rate = RateMeter(max(RATE_WINDOW_S * clock.speed, 10.0 / device.rate_hz))
 
     def wake(self) -> None:
-        """Look at the set-points now."""
+        """Wake the thread to check the set-points now."""
         with contextlib.suppress(OSError):  # the pipe is full: it is awake already
             os.write(self._wake_write, b"x")
 
     def end(self) -> None:
-        """Ask the thread to send zero, close the port and end; `join` waits for it."""
+        """Request the thread to send zero, close the port and end; `join` waits for it."""
         self._ending = True
         self.wake()
 
@@ -174,7 +174,7 @@ class DeviceLoop(threading.Thread):
             self._dropped += max(len(frames), 1)
 
     def _is_rated(self, sample: Sample) -> bool:
-        """Whether it counts for the rate: all do, but of several kinds the attitude, or fixes where there is none."""
+        """Whether a sample counts for the rate: all do; with several kinds the attitude, or fixes without attitude."""
         if not self._many or _is_attitude(sample):
             self._attitudes = True
             return True
@@ -218,7 +218,7 @@ class DeviceLoop(threading.Thread):
                 self._dropped += max(len(frames), 1)
 
     def _finish(self) -> None:
-        """Leave every thruster at zero, as well as the port lets us."""
+        """Send zero to every thruster, as far as the port allows."""
         with contextlib.suppress(PortError):
             if self._setpoints is not None and self._open:
                 for _ in range(3):
@@ -240,7 +240,7 @@ class DeviceLoop(threading.Thread):
             self.wake()
 
     def is_stuck(self, now: float) -> bool:
-        """Whether set-points that are due every 20 ms have not been looked at for `STUCK_S`."""
+        """Whether set-points, due every 20 ms, have not been checked for `STUCK_S`."""
         commanded = self._setpoints is not None and self._setpoints.active
         return commanded and self._open and now - self._stepped > STUCK_S
 
@@ -269,7 +269,7 @@ class DeviceLoop(threading.Thread):
         )
 
     def status(self, now: float) -> PortStatus:
-        """The counters and what follows from them at run time `now`, for people and for the guard."""
+        """Counters, rate and age at run time `now`, for the live table and the safety guard."""
         health = self.health()
         return PortStatus(
             name=self.device.name,
@@ -301,7 +301,7 @@ class DeviceLoop(threading.Thread):
 
 
 class RateMeter:
-    """Events a second from a counter that is looked at now and then."""
+    """Event rate from a counter that is read now and then."""
 
     def __init__(self, window: float) -> None:
         self._window = window

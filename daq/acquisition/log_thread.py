@@ -21,7 +21,7 @@ HEALTH_S = 1.0
 
 
 class LogItem(NamedTuple):
-    """What one read or write hands to the writer."""
+    """The data of one read or write, for the log."""
 
     device: str
     direction: str  # "rx" | "tx"; "" when there are no raw bytes
@@ -38,14 +38,14 @@ class LogSink:
         self._limit = limit
 
     def put(self, item: LogItem) -> bool:
-        """Hand over an item; False when the writer is too far behind to take it."""
+        """Append an item; False when the queue is full."""
         if len(self._items) >= self._limit:
             return False
         self._items.append(item)
         return True
 
     def take(self) -> list[LogItem]:
-        """All there is, oldest first. For the writer alone."""
+        """Remove and return all items, oldest first. For the log thread alone."""
         out = []
         with contextlib.suppress(IndexError):
             while True:
@@ -94,7 +94,7 @@ class LogThread(threading.Thread):
         self.size = self._recorder.size
 
     def end(self) -> None:
-        """Ask for the last write; `join` waits until the log is closed."""
+        """Request the last write; `join` waits until the log is closed."""
         self._ending.set()
 
     def _write(self) -> None:

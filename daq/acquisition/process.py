@@ -242,16 +242,16 @@ class Process:
 
 
 def _connect_watchdog(rig: Rig, path: Path) -> Heartbeat:
-    """The line to the watchdog; no thrust without it."""
+    """The connection to the watchdog; no thrust without it."""
     try:
         return Heartbeat(socket.socket(fileno=int(sys.argv[2])), rig, path)
     except (OSError, EOFError) as error:
         why = str(error) or "it ended"
-        raise SeatrialError(f"the watchdog did not start ({why}); nothing is driven without it") from error
+        raise SeatrialError(f"the watchdog did not start ({why}); no thrust is commanded without it") from error
 
 
 def main() -> None:
-    """Take the configuration from the parent, then run."""
+    """Receive the configuration from the parent, then run."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     link = AcquisitionChannel(socket.socket(fileno=int(sys.argv[1])))
     begin = link.receive_first()

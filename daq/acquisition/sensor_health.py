@@ -76,18 +76,18 @@ class SensorHealth:
             if errors - errors_0 >= max(FLOOD_ERRORS, FLOOD_SHARE * (frames - frames_0)):
                 return "more than 1 frame in 20 has a wrong checksum: look at wiring, ground and baud rate"
         if self._cell and self._cell[-1][1] & SATURATED:
-            return "saturated: the load is beyond what the converter can say"
+            return "saturated: the load is beyond the range of the converter"
         if self._spikes > max(FLAGGED_SHARE * len(self._cell), 1):
             return "spikes: more than 1 reading in 100; look at the wires between converter and controller"
         for kind, same in self._same.items():
             limit = STUCK_LIVE[kind]
             if same.repeats >= limit.samples and self._last - same.since >= limit.seconds:
-                what = "its time stands still" if kind is Gnss else "the same reading all the time"
+                what = "its time does not change" if kind is Gnss else "the same values all the time"
                 return f"stuck: {what}"
         if self._now - self._jumped < JUMP_S:
-            return f"its clock has jumped (the {self._jumps}. time): it was set, or the device began anew"
+            return f"its clock has jumped (the {self._jumps}. time): it was set, or the device restarted"
         if abs(self._era) > 0.9 * ERA:
-            return "its date is 20 years off: a receiver whose GPS weeks have begun again, or this computer's clock"
+            return "its date is 20 years off: a receiver whose GPS week has rolled over, or this computer's clock"
         return ""
 
     def _repeat(self, sample: Ahrs | Gnss | LoadCell, t: float) -> None:

@@ -102,7 +102,7 @@ class Acquisition:
         return self
 
     def _start(self, module: str, ends: Sequence[socket.socket]) -> subprocess.Popen[bytes]:
-        """A process of our own that gets these sockets."""
+        """Start a module as a process that inherits these sockets."""
         numbers = [end.fileno() for end in ends]
         return subprocess.Popen(
             [sys.executable, "-m", module, *map(str, numbers)],
@@ -117,7 +117,7 @@ class Acquisition:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """`stop`; when the block itself has failed, that error is the one to be seen."""
+        """`stop`; an error of the block itself takes precedence."""
         try:
             self.stop()
         except SeatrialError:
@@ -148,7 +148,7 @@ class Acquisition:
         self._send(LogEvent(kind, text))
 
     def request(self, device: str, action: str, value: float = 0.0) -> None:
-        """Ask the autopilot of a device to `arm`, `disarm` or change its `mode`; the answer is in `Status.links`."""
+        """Request an autopilot to `arm`, `disarm` or change its `mode`; the answer is in `Status.links`."""
         self.rig.device(device)
         self._send(DriverRequest(device, action, value))
 
@@ -271,6 +271,6 @@ class Acquisition:
 
 
 def _search_path() -> str:
-    """PYTHONPATH under which the process finds this very package, wherever it is started."""
+    """PYTHONPATH with which the process imports this package, wherever it is started."""
     here = str(Path(daq.__file__).resolve().parent.parent)
     return os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH", "")])])

@@ -63,7 +63,7 @@ class Status:
 
 
 def to_json(status: Status) -> dict[str, Any]:
-    """`status` as JSON can carry it (NaN and Infinity included, as Python's json does)."""
+    """`status` as values for JSON (NaN and Infinity as Python's json writes them)."""
     out = {field.name: getattr(status, field.name) for field in dataclasses.fields(status)}
     out["ports"] = [dataclasses.asdict(port) for port in status.ports.values()]
     out["links"] = {name: dataclasses.asdict(link) for name, link in status.links.items()}

@@ -15,7 +15,7 @@ from daq.rig import Rig
 
 
 class StatusReporter:
-    """Puts the status together, from the loops and the set-points by device, and sends it.
+    """Assembles the status from the loops and the set-points by device, and sends it.
 
     `event(kind, text)` writes to the log: each warning, hint and loss of set-points once, when it is new.
     """

@@ -36,10 +36,10 @@ ZERO_S = 1.0  # zero is sent for so long
 
 
 class Heartbeat:
-    """The acquisition's side. Raises nothing while thrust is commanded: `lost` says that the watchdog is gone."""
+    """The acquisition's side. Raises nothing while thrust is commanded: `lost` means that the watchdog is gone."""
 
     def __init__(self, sock: socket.socket, rig: Rig, log: Path) -> None:
-        """Returns when the watchdog is ready. Raises OSError or EOFError when it does not become so."""
+        """Returns when the watchdog is ready. Raises OSError or EOFError when it does not start."""
         self.lost = False
         self._socket = sock
         self._next = 0.0
@@ -150,7 +150,7 @@ def run_failsafe(senders: list[FailsafeSender]) -> str:
 
 
 def main() -> None:
-    """Take the rig from the acquisition process, then watch it."""
+    """Receive the rig from the acquisition process, then monitor it."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # it ends when what it watches has ended well
     sock = socket.socket(fileno=int(sys.argv[1]))

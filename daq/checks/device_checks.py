@@ -89,7 +89,7 @@ def _absent(log: Log, rig: Rig | None) -> Iterator[Finding]:
 
 
 def _rate(source: str, t: FloatArray, rig: Rig | None, tables: list[tuple[type, str, Any]]) -> Iterator[Finding]:
-    """Samples a second where there are any, against the rig's."""
+    """Rate of the samples against the rig's rate_hz."""
     device = next((d for d in rig.devices if d.name == source), None) if rig else None
     if t.size < 3 or t[-1] == t[0]:
         yield Finding(FAULT, "too-few-samples", "rate", source, f"{t.size} samples in all", "power, cable, protocol")
@@ -253,7 +253,7 @@ def _port(source: str, log: Log) -> Iterator[Finding]:
         yield Finding(WARNING, "checksum-errors", "link", source, text, "ground, cable, two programs on one port")
     if last.unparsed_bytes > 0.01 * last.bytes_in + 200:
         text = f"{last.unparsed_bytes} of {last.bytes_in} bytes not understood"
-        yield Finding(WARNING, "bytes-not-understood", "link", source, text, "baud rate; output that nobody asked for")
+        yield Finding(WARNING, "bytes-not-understood", "link", source, text, "baud rate; unexpected output")
     if last.dropped:
         text = f"{counted(last.dropped, 'sample')} dropped"
         yield Finding(WARNING, "samples-dropped", "link", source, text, "a slower disk than the devices need")

@@ -138,7 +138,7 @@ def parse_mission(text: str, source: Path | str) -> Mission:
     limits = root.table("limits") or TomlTable({}, root.source)
     end = root.table("end")
     if end is None:
-        raise root.error("end", "missing; [end] with t says from when thrust is zero")
+        raise root.error("end", "missing; from t of [end] on, thrust is zero")
     mission = Mission(
         name=root.text("name"),
         kind=root.text("kind", choices=KINDS),
@@ -185,7 +185,8 @@ def _segment(table: TomlTable, n_thrusters: int) -> Segment:
     n = np.array([items.numbers(item, length=n_thrusters) for item in items.values], dtype=np.float64)
     table.done()
     if len(t) != len(n):
-        raise table.error("n", f"has {counted(len(n), 'row')} for {counted(len(t), 'time')} in t; give one row a time")
+        text = f"has {counted(len(n), 'row')} for {counted(len(t), 'time')} in t; give one row per time"
+        raise table.error("n", text)
     falling = np.flatnonzero(np.diff(t) <= 0)
     if falling.size:
         k = int(falling[0]) + 1
@@ -273,7 +274,7 @@ def dump_mission(mission: Mission) -> str:
 
 
 def dump_prediction(one: Prediction) -> list[str]:
-    """Its lines in a mission.toml."""
+    """The lines of [prediction] in a mission.toml."""
     rows = {"t": one.t, "x": one.x, "y": one.y, "radius": one.radius}
     known = ", ".join(f"{tomlkit.item(k).as_string()} = {float(v)!r}" for k, v in one.errors_before.items())
     lines = ["", "[prediction]", f"model = {tomlkit.item(one.model).as_string()}"]

@@ -109,7 +109,7 @@ def _live(table: TomlTable | None) -> Live:
 def _unique(root: TomlTable, key: str, names: Sequence[str]) -> None:
     for name in names:
         if names.count(name) > 1:
-            raise root.error(key, f"'{name}' stands twice; give each its own name and node")
+            raise root.error(key, f"'{name}' appears twice; give each its own name and node")
 
 
 def _name(table: TomlTable) -> str:
@@ -214,7 +214,7 @@ def _dbc(table: TomlTable, folder: Path) -> dict[str, Any]:
     name = table.text("dbc")
     rows = table.tables("signal")
     if not rows:
-        raise table.error("signal", "missing; a [[device.signal]] says which signal of the DBC is which field")
+        raise table.error("signal", "missing; a [[device.signal]] maps a signal of the DBC to a field")
     # A bare word is one of the files that come with seatrial.
     path = Path(__file__).parents[1] / "protocol" / f"{name}.dbc" if re.fullmatch(r"\w+", name) else folder / name
     if not path.is_file():
@@ -265,7 +265,7 @@ def _rates(table: TomlTable) -> dict[str, float]:
     if own is not None:
         for name in own.values:
             if name not in RATES and name not in OTHER_RATES:
-                raise own.error(name, f"no message that is understood; known: {', '.join((*RATES, *OTHER_RATES))}")
+                raise own.error(name, f"not a supported message; known: {', '.join((*RATES, *OTHER_RATES))}")
             rates[name] = own.number(name, low=0.0, high=1000.0)
         own.done()
     return rates
@@ -319,7 +319,7 @@ def read_output(table: TomlTable, node: int) -> Output:
 def _pulses(table: TomlTable, key: str, default: tuple[float, float, float]) -> tuple[float, float, float]:
     low, neutral, high = table.numbers(key, default, length=3)
     if not 500.0 <= low < neutral < high <= 2500.0:
-        raise table.error(key, "must be [full astern, neutral, full ahead] in us, ascending, within 500 .. 2500")
+        raise table.error(key, "must be [full reverse, neutral, full forward] in us, ascending, within 500 .. 2500")
     return low, neutral, high
 
 

@@ -26,7 +26,7 @@ def read_text(path: Path) -> str:
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         if b"\0" in error.object:
-            raise SeatrialError(f"{path}: not a text file, and a TOML file is wanted here") from error
+            raise SeatrialError(f"{path}: not a text file; a TOML file is expected") from error
         raise SeatrialError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from error
     except OSError as error:
         raise SeatrialError(f"{path}: {error.strerror or error}") from error

@@ -126,7 +126,7 @@ def _write_frames(writer: LogWriter, rows: Sequence[Row], units: Mapping[str, st
 def replacing(out: Path, force: bool) -> Iterator[Path]:
     """A path to write to; it becomes `out` when the block ends well, and nothing stays behind when not."""
     if out.exists() and not force:
-        raise SeatrialError(f"{out}: there is such a file already; --force replaces it, -o names another")
+        raise SeatrialError(f"{out}: the file exists already; --force replaces it, -o names another")
     part = out.with_name(f".{out.name}.{os.getpid()}.part")
     try:
         yield part

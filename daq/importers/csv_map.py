@@ -100,7 +100,7 @@ def load_csv_map(path: Path) -> CsvMap:
     names = [signal.name for source in sources for signal in source.signals]
     for one in names:
         if names.count(one) > 1:
-            raise root.error("signal", f"'{one}' stands twice; a name belongs to one column")
+            raise root.error("signal", f"'{one}' appears twice; a name belongs to one column")
     pieces = tuple(_piece(table) for table in root.tables("log"))
     if len({piece.name for piece in pieces}) < len(pieces):
         raise root.error("log", "two of them have one name")
@@ -144,7 +144,7 @@ def _style(table: TomlTable | None) -> CsvStyle:
 
 def _time(parent: TomlTable, table: TomlTable | None) -> TimeColumn:
     if table is None:
-        raise parent.error("time", "missing; say [time] column = ... (or rate_hz = ... where there is none)")
+        raise parent.error("time", "missing; give [time] column = ... (or rate_hz = ... where there is none)")
     if table.has("column") == table.has("rate_hz"):
         raise table.error("column", "give either column or rate_hz")
     origin = _origin(table)
@@ -190,7 +190,7 @@ def _signal(table: TomlTable, style: CsvStyle) -> Signal:
     hold = table.text("hold", "zero" if role == "input" else "linear", choices=("zero", "linear"))
     timeout = table.number("timeout", positive=True) if table.has("timeout") else 0.0
     if timeout and hold != "zero":
-        raise table.error("timeout", "goes with hold = 'zero': a value that is held until somebody repeats it")
+        raise table.error("timeout", "needs hold = 'zero': a value that is held until it is repeated")
     found = Signal(
         name,
         table.text("column"),

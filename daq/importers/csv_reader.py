@@ -89,7 +89,7 @@ class _Cells:
         for name in self.text:
             if header.count(name) != 1:
                 there = ", ".join(one or "(unnamed)" for one in header)
-                problem = "stands twice in" if name in header else "is not in"
+                problem = "appears twice in" if name in header else "is not in"
                 raise SeatrialError(f"{self.path}: column '{name}' {problem} the header; there is: {there}")
         return {name: header.index(name) for name in self.text}
 

@@ -108,7 +108,7 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
                 rows += [Timed(Frame(sample, t, t_device), t) for sample in reader.take[message.get_type()](message)]
     except Exception as error:  # DFReader raises whatever a damaged file makes its parsing raise
         if not rows:
-            raise SeatrialError(f"{path}: is no DataFlash log that can be read ({error})") from error
+            raise SeatrialError(f"{path}: is not a readable DataFlash log ({error})") from error
     if not rows:
         raise SeatrialError(f"{path}: a DataFlash log without attitude, GPS or outputs")
     return rows, counted(n_messages, "message")

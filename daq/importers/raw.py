@@ -65,7 +65,7 @@ def _device_times(path: Path, frames: Sequence[Frame]) -> list[float]:
     times = [frame.t_device for frame in frames]
     last = next((t for t in times if math.isfinite(t)), math.nan)
     if math.isnan(last):
-        raise SeatrialError(f"{path}: its samples carry no time; say how many there are a second with --rate")
+        raise SeatrialError(f"{path}: its samples have no time; give their rate with --rate")
     for k, t in enumerate(times):
         last = times[k] = t if math.isfinite(t) else last
     return times

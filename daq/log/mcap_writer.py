@@ -92,15 +92,15 @@ class LogWriter:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except FileExistsError as error:
-            raise SeatrialError(f"{path}: the folder cannot be made: {path.parent} is no folder") from error
+            raise SeatrialError(f"{path}: the folder cannot be created: {path.parent} is not a folder") from error
         except OSError as error:
-            raise SeatrialError(f"{path}: the folder cannot be made: {error.strerror}") from error
+            raise SeatrialError(f"{path}: the folder cannot be created: {error.strerror}") from error
         try:
             self._stream = WholeRecordStream(path)
         except FileExistsError as error:
-            raise SeatrialError(f"{path}: there is such a file already; a log is never overwritten") from error
+            raise SeatrialError(f"{path}: the file exists already; a log is never overwritten") from error
         except OSError as error:
-            text = f"{path}: the log cannot be made: {error.strerror}"
+            text = f"{path}: the log cannot be created: {error.strerror}"
             raise (DiskFull(text, complete=True) if error.errno in FULL else SeatrialError(text)) from error
         self._syncer = FileSyncer(self._stream)
         self._syncer.start()
@@ -222,7 +222,7 @@ class LogWriter:
             raise SeatrialError(f"{self.path}: the log is closed already")
 
     def _explain(self, error: OSError, complete: bool) -> SeatrialError:
-        state = "closed and complete up to there" if complete else "whole up to its last record, without its end"
+        state = "closed and complete up to there" if complete else "complete up to its last record, without a footer"
         text = (
             f"{self.path}: writing failed ({error.strerror}) after {self.size} bytes; the log is {state}; "
             "free disk space and start a new one"

@@ -162,7 +162,7 @@ class Log:
         if node is None and len(nodes) == 1:
             return nodes[0]
         if node is None and len(nodes) > 1:
-            raise self._error(f"{source} has nodes {nodes}: say which one")
+            raise self._error(f"{source} has nodes {nodes}: name one")
         return 0 if node is None else node
 
     def _ahrs(self, topic: str, source: str) -> tuple[NDArray[np.float64], schema.Columns]:

@@ -31,9 +31,9 @@ def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
         if not len(log.messages):
             raise SeatrialError(f"{path}: no message is readable; there is nothing to recover")
         if out.exists() and any(out.samefile(raw.path) for raw in log.files):
-            raise SeatrialError(f"{out}: is the log itself, which is left alone; -o names another")
+            raise SeatrialError(f"{out}: is the log itself, which is not changed; -o names another")
         if out.exists() and not force:
-            raise SeatrialError(f"{out}: there is such a file already; --force replaces it, -o names another")
+            raise SeatrialError(f"{out}: the file exists already; --force replaces it, -o names another")
         part = out.with_name(f".{out.name}.{os.getpid()}.part")
         try:
             out.parent.mkdir(parents=True, exist_ok=True)

@@ -69,7 +69,7 @@ class Decoder(StreamDecoder[Frame]):
         return length
 
     def _kept(self, found: list[Frame]) -> list[Frame]:
-        """What is passed on of the samples that the sentences gave."""
+        """The samples of sentences that are passed on."""
         return found
 
 
@@ -414,7 +414,7 @@ class Headings:
         return []
 
     def _variation(self, kind: str, words: list[bytes]) -> float:
-        """What has to be added to the heading that was read, rad; NaN where that is not known."""
+        """Correction of the heading that was read, rad; NaN where unknown."""
         if kind not in ("HDG", "HDM"):
             return 0.0
         deviation = _signed(words, 2) if kind == "HDG" else 0.0

@@ -49,7 +49,7 @@ class Decoder(LineDecoder):
         return Frame(LoadCell(counts, force, self._flags.of(counts) if is_raw else 0), t_rx, self._clock(words, unit))
 
     def _clock(self, words: list[bytes], unit: int) -> float:
-        """The time stamp [s]: a whole number in front of the reading. It begins again after 49.7 days."""
+        """The time stamp [s]: a whole number before the reading. It wraps after 49.7 days."""
         if unit < 2 or not _INTEGER.match(words[0]) or words[0] == b"0":
             return NAN
         now = int(words[0])

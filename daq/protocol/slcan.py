@@ -56,7 +56,7 @@ def encode(arbitration_id: int, data: bytes) -> bytes:
 
 
 def open_channel(bitrate: int) -> bytes:
-    """What opens the channel at `bitrate`, closing it first; ValueError if slcan has no such bit rate."""
+    """The commands that open the channel at `bitrate`, closing it first; ValueError if slcan has no such bit rate."""
     if bitrate not in BITRATES:
         raise ValueError(f"slcan has no bit rate {bitrate}; it has {', '.join(map(str, BITRATES))}")
     return f"\rC\r{BITRATES[bitrate]}\rO\r".encode("ascii")

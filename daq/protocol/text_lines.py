@@ -1,4 +1,4 @@
-"""Lines of text without a checksum: the cutting that load cells share, and the flags of their readings."""
+"""Lines of text without a checksum, shared by load cells: line framing, and flags of saturation and spikes."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class LineDecoder(ABC):
 
 
 class Flags:
-    """Which flags a reading has: at the converter's limit `saturation`, or a spike of ones."""
+    """The flags of a reading: at the converter's limit `saturation`, or a spike of ones."""
 
     def __init__(self, saturation: float | None) -> None:
         self._saturation = saturation

@@ -171,7 +171,7 @@ class Epochs:
         self._expected: set[int] = set()
 
     def take(self, kind: tuple[int, int], payload: bytes, t_rx: float) -> list[Frame]:
-        """Take one message whose kind and length stand in LENGTHS; the samples it completes."""
+        """Take one message whose kind and length are in LENGTHS; the samples it completes."""
         number = kind[1]
         if number == 0x05:
             return _attitude(payload, t_rx)

@@ -121,7 +121,7 @@ def encode_duty(node: int, n: float) -> tuple[int, bytes]:
 
 
 def decode_command(arbitration_id: int, data: bytes) -> tuple[int, float] | None:
-    """Controller and duty of a command frame; None if the frame is none."""
+    """Controller and duty of a command frame; None for other frames."""
     if arbitration_id >> 8 != SET_DUTY or len(data) < 4:
         return None
     return arbitration_id & 0xFF, float(_messages()[SET_DUTY].decode(data[:4])["duty"])

@@ -45,7 +45,7 @@ class DiscoveredDevice:
 
 
 class _Listener:
-    """One candidate at one port: a decoder and what it made of the bytes."""
+    """One candidate protocol at one port: its decoder and the samples so far."""
 
     def __init__(self, protocol: str) -> None:
         self.protocol = protocol
@@ -97,7 +97,7 @@ class _Listener:
 def find(
     listen: float = LISTEN_S, bauds: Sequence[int] = (), said: Callable[[str], None] = lambda text: None
 ) -> list[DiscoveredDevice]:
-    """Every port of this machine, recognised where it can be."""
+    """Every port of this machine, with its protocol where identified."""
     found = []
     for path, description in list_serial_ports():
         said(f"listening on {path}")

@@ -1,4 +1,4 @@
-"""`seatrial export`: the tables of a log as CSV or Parquet files, a file a source."""
+"""`seatrial export`: the tables of a log as CSV or Parquet files, one per source."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[P
 
 
 def _new(folder: Path, name: str, ending: str, written: list[Path], force: bool) -> Path:
-    """A path within `folder`, whatever a foreign log has for names."""
+    """A path within `folder`, also for names of foreign logs with separators."""
     stem = re.sub(r"[^A-Za-z0-9_-]", "_", name) or "table"
     path = folder / f"{stem}.{ending}"
     number = 1
@@ -83,7 +83,7 @@ def _new(folder: Path, name: str, ending: str, written: list[Path], force: bool)
         number += 1
         path = folder / f"{stem}-{number}.{ending}"
     if path.exists() and not force:
-        raise SeatrialError(f"{path}: there is such a file already; --force replaces it, --out names another folder")
+        raise SeatrialError(f"{path}: the file exists already; --force replaces it, --out names another folder")
     return path
 
 

@@ -1,4 +1,4 @@
-"""What a log holds, as tables for people: `seatrial info`."""
+"""`seatrial info`: the content of a log as tables."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def _events(log: Log, console: Console) -> None:
 
 
 def _folded(events: list[tuple[float, str, str]]) -> list[tuple[float, str, str]]:
-    """One line for what came again and again: the first, and how many more there were until when."""
+    """One line for repeated events: the first, the number of repetitions, and the time of the last."""
     lines: list[tuple[float, str, str]] = []
     for kind, group in groupby(events, key=lambda event: event[1]):
         first, *more = group

@@ -39,7 +39,7 @@ class LiveServer:
 
     @property
     def address(self) -> str:
-        """What to open in Foxglove."""
+        """The address to open in Foxglove."""
         return f"ws://{self._rig.live.host}:{self._server.port}"
 
     def __enter__(self) -> LiveServer:

@@ -32,7 +32,7 @@ GOOD, BAD, DIM = "bright_blue", "bold orange1", "dim"
 
 
 def default_log_path(rig: Rig) -> Path:
-    """`DIRECTORY/RIG-DATE-TIME.mcap` in local time; a number is added where there is such a file."""
+    """`DIRECTORY/RIG-DATE-TIME.mcap` in local time; a number is added if the file exists."""
     stem = f"{'-'.join(rig.name.split())}-{time.strftime('%Y%m%d-%H%M%S')}"
     path = rig.log_directory / f"{stem}.mcap"
     number = 1
@@ -189,7 +189,7 @@ def line(status: Status) -> str:
 
 
 def log_summary(status: Status, path: Path) -> str:
-    """The last line: file, duration, messages, and what went wrong on the way."""
+    """The last line: file, duration, messages, losses and silent devices."""
     lost = sum(port.dropped for port in status.ports.values())
     silent = [port.name for port in status.ports.values() if port.samples == 0]
     text = f"{path}: {duration_text(status.duration)}, {counted(status.messages, 'message')}, {size_text(status.bytes)}"

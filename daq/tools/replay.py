@@ -65,7 +65,7 @@ def replay_log(
 
 
 def recorded(log: Log, devices: Sequence[str] = ()) -> list[str]:
-    """The devices of a log whose bytes can be replayed. Raises SeatrialError where there are none, or not those."""
+    """The devices of a log whose bytes can be replayed. Raises SeatrialError without any or some."""
     there = [name for name in log.sources(PortHealth) if f"/raw/{name}" in log.counts]
     there = there or [topic.removeprefix("/raw/") for topic in log.counts if topic.startswith("/raw/")]
     if not there:
@@ -131,7 +131,7 @@ class ReplayPort:
         self.backlog = bytearray()
         self._slave = -1
         if os.path.lexists(path) and not path.is_symlink():
-            raise SeatrialError(f"{path}: exists and is no link; --dir names another folder for the ports")
+            raise SeatrialError(f"{path}: exists and is not a link; --dir names another folder for the ports")
         self._master, slave = os.openpty()
         path.unlink(missing_ok=True)
         path.symlink_to(os.ttyname(slave))
@@ -161,7 +161,7 @@ class ReplayPort:
             return  # no room, nothing to read, or the host has gone
 
     def close(self) -> None:
-        """Take the port away."""
+        """Remove the port."""
         self.path.unlink(missing_ok=True)
         for fd in (self._slave, self._master):
             if fd >= 0:
@@ -176,7 +176,7 @@ def write_rig(log: Log, devices: Sequence[str], folder: Path, speed: float) -> P
     """
     path = folder / NAME
     if path.exists() and not path.read_text(encoding="utf-8", errors="replace").startswith(HEAD):
-        raise SeatrialError(f"{path}: exists and is of no replay; --dir names another folder")
+        raise SeatrialError(f"{path}: exists and is not from a replay; --dir names another folder")
     try:
         text = _text(log, devices, speed)
         if text is None:

@@ -1,9 +1,7 @@
-"""Ports: serial, slcan on a serial port, SocketCAN. The only file that knows pyserial and python-can.
+"""What every port has in common: the interface `Port`, and its errors in one line.
 
-Sockets are in daq.transport.network_port.
-
-A port is opened, waited for through its file descriptor, read and written; whatever the operating system or a
-library raises becomes a PortError of one line.
+A port is opened, waited for through its file descriptor, read and written; every error of the operating system or of a
+library becomes a PortError of one line.
 """
 
 from __future__ import annotations
@@ -34,7 +32,7 @@ class Port(ABC):
 
     @abstractmethod
     def fileno(self) -> int:
-        """What to wait on."""
+        """The file descriptor to wait on."""
 
     @abstractmethod
     def read(self) -> bytes:
@@ -50,7 +48,7 @@ class Port(ABC):
 
 
 _REASONS = {
-    errno.ECONNREFUSED: "refuses the connection: nobody listens there",
+    errno.ECONNREFUSED: "refuses the connection: no program listens there",
     errno.ECONNRESET: "closed the connection",
     errno.EADDRINUSE: "is in use by another program",
     errno.EADDRNOTAVAIL: "is no address of this machine",
@@ -62,7 +60,7 @@ _REASONS = {
     errno.EPERM: "may not be opened by this user (group dialout?)",
     errno.EBUSY: "is in use by another program",
     errno.EAGAIN: "is in use by another program",
-    errno.ENOTTY: "is no serial device",
+    errno.ENOTTY: "is not a serial device",
     errno.ENETDOWN: "is down (ip link set ... up)",
 }
 

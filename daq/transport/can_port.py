@@ -1,10 +1,4 @@
-"""Ports: serial, slcan on a serial port, SocketCAN. The only file that knows pyserial and python-can.
-
-Sockets are in daq.transport.network_port.
-
-A port is opened, waited for through its file descriptor, read and written; whatever the operating system or a
-library raises becomes a PortError of one line.
-"""
+"""CAN ports: slcan adapters on a serial port, and SocketCAN by python-can."""
 
 from __future__ import annotations
 
@@ -37,7 +31,7 @@ class SlcanPort(Port):
         self._serial.write(commands)
 
     def fileno(self) -> int:
-        """What to wait on."""
+        """The file descriptor to wait on."""
         return self._serial.fileno()
 
     def read(self) -> bytes:
@@ -79,7 +73,7 @@ class SocketCanPort(Port):
             raise PortError(os_error_text(error)) from error
 
     def fileno(self) -> int:
-        """What to wait on."""
+        """The file descriptor to wait on."""
         return -1 if self._bus is None else int(self._bus.fileno())
 
     def read(self) -> bytes:

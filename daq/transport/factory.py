@@ -1,10 +1,4 @@
-"""Ports: serial, slcan on a serial port, SocketCAN. The only file that knows pyserial and python-can.
-
-Sockets are in daq.transport.network_port.
-
-A port is opened, waited for through its file descriptor, read and written; whatever the operating system or a
-library raises becomes a PortError of one line.
-"""
+"""The port that a device of the rig names."""
 
 from __future__ import annotations
 

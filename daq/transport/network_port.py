@@ -58,11 +58,11 @@ class UdpPort(Port):
         self._socket, self._peer = sock, None if self._listen else address
 
     def fileno(self) -> int:
-        """What to wait on."""
+        """The file descriptor to wait on."""
         return -1 if self._socket is None else self._socket.fileno()
 
     def read(self) -> bytes:
-        """What has arrived from the one we listen to."""
+        """Bytes received from the present sender."""
         assert self._socket is not None
         parts = []
         while True:
@@ -112,7 +112,7 @@ class UdpPort(Port):
 
 
 class TcpPort(Port):
-    """A connection that we make."""
+    """A TCP connection as client."""
 
     def __init__(self, host: str, number: int) -> None:
         super().__init__()
@@ -131,11 +131,11 @@ class TcpPort(Port):
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def fileno(self) -> int:
-        """What to wait on."""
+        """The file descriptor to wait on."""
         return -1 if self._socket is None else self._socket.fileno()
 
     def read(self) -> bytes:
-        """What has arrived."""
+        """Bytes received."""
         assert self._socket is not None
         try:
             data = self._socket.recv(READ_BYTES, socket.MSG_DONTWAIT)

@@ -1,10 +1,4 @@
-"""Ports: serial, slcan on a serial port, SocketCAN. The only file that knows pyserial and python-can.
-
-Sockets are in daq.transport.network_port.
-
-A port is opened, waited for through its file descriptor, read and written; whatever the operating system or a
-library raises becomes a PortError of one line.
-"""
+"""Serial ports by pyserial, and the list of those of this machine."""
 
 from __future__ import annotations
 
@@ -36,7 +30,7 @@ class SerialPort(Port):
         self.close()
         try:
             if not stat.S_ISCHR(os.stat(self._path).st_mode):
-                raise PortError("is no serial device")
+                raise PortError("is not a serial device")
             self._serial = serial.Serial(self._path, self._baud, timeout=0, exclusive=True)
         except (OSError, termios.error, ValueError) as error:  # serial.SerialException is an OSError
             raise PortError(os_error_text(error)) from error
@@ -44,7 +38,7 @@ class SerialPort(Port):
         self.hint = set_latency_timer(self._path)
 
     def fileno(self) -> int:
-        """What to wait on."""
+        """The file descriptor to wait on."""
         return self._fd
 
     def read(self) -> bytes:
@@ -70,7 +64,7 @@ class SerialPort(Port):
             except BlockingIOError:
                 wait = deadline - time.monotonic()
                 if wait <= 0.0 or not select.select([], [self._fd], [], wait)[1]:
-                    raise PortError("takes no more bytes") from None
+                    raise PortError("accepts no more bytes") from None
             except OSError as error:
                 raise PortError("hung up") from error
 

@@ -27,14 +27,14 @@ def ahrs(k: int) -> Ahrs:
 
 def test_a_sensor_that_says_the_same_all_the_time_is_stuck() -> None:
     n = round(20 * STUCK_LIVE[Ahrs].seconds) + 2
-    assert seen([ahrs(0)] * n) == "stuck: the same reading all the time"
+    assert seen([ahrs(0)] * n) == "stuck: the same values all the time"
     assert seen([ahrs(k) for k in range(n)]) == ""
     assert seen([ahrs(0)] * (n // 2)) == ""
     assert seen([*[ahrs(0)] * n, ahrs(1)]) == ""  # it has come free
     assert seen([LoadCell(84210.0)] * n).startswith("stuck")
     assert seen([LoadCell(0.0)] * n) == ""  # a scale that rounds
     assert seen([LoadCell(1234.5)] * n) == ""
-    assert seen([Gnss(T0, 41.0, -8.0)] * n) == "stuck: its time stands still"
+    assert seen([Gnss(T0, 41.0, -8.0)] * n) == "stuck: its time does not change"
     assert seen([Gnss(T0 + k / 20, 41.0, -8.0) for k in range(n)]) == ""
 
 

@@ -59,7 +59,7 @@ def test_absolute_and_socketcan_ports_stay_as_they_are(example: str) -> None:
         ("rate_hz = 50.0", "rate_hz = -1", r"device\[1\]\.rate_hz: must be above zero"),
         ("rate_hz = 50.0", "", r"device\[1\]\.rate_hz: missing; this key is required"),
         ("rate_hz = 50.0", "rate_hz = 50.0\nbitrate = 500000", r"device\[1\]\.bitrate: unknown key"),
-        ('name = "gnss"', 'name = "ahrs"', r"device: 'ahrs' stands twice"),
+        ('name = "gnss"', 'name = "ahrs"', r"device: 'ahrs' appears twice"),
         ('name = "gnss"', 'name = "G/1"', r"device\[2\]\.name: 'G/1' becomes a topic"),
         ('"slcan:ports/can"', '"ports/can"', r"device\[3\]\.port: must be slcan:SERIAL or socketcan:NAME"),
         (r"(?P<counts>-?\d+)", r"(-?\d+)", r"device\[4\]\.pattern: must have a group"),

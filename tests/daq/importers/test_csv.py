@@ -143,7 +143,7 @@ def test_time_that_repeats_or_runs_backwards(folder: Path) -> None:
     ("rows", "line"),
     [
         ("time,cmd,heading\n0,1,2\n", "column 't' is not in the header; there is: time, cmd, heading"),
-        ("t,cmd,heading,cmd\n0,1,2,3\n", "column 'cmd' stands twice in the header"),
+        ("t,cmd,heading,cmd\n0,1,2,3\n", "column 'cmd' appears twice in the header"),
         ("t,cmd,heading\n0,x1,2\n", "line 2, column 'cmd': 'x1' is not a number"),
         ("t,cmd,heading\n0,1_0,2\n", "line 2, column 'cmd': '1_0' is not a number"),
         ("t,cmd,heading\n0,1,2\n1,1e999,2\n", "line 3, column 'cmd': '1e999' is not a finite number"),
@@ -187,7 +187,7 @@ def test_an_iso_time_that_is_none(folder: Path) -> None:
         ('unit = "deg"', 'unit = "degs"', r"signal\[1\]\.unit: 'degs' is not known"),
         ('unit = "deg"', 'unit = "m"\nangle = "wrap"', r"signal\[1\]\.angle: goes with deg and rad, not with m"),
         ('column = "t"', 'colum = "t"', r"time\.column: give either column or rate_hz"),
-        ('name = "psi"', 'name = "n_left"', "signal: 'n_left' stands twice"),
+        ('name = "psi"', 'name = "n_left"', "signal: 'n_left' appears twice"),
         ('name = "psi"', 'name = "p/si"', r"signal\[1\]\.name: 'p/si' becomes a topic"),
         ('column = "t"', 'column = "t"\nformat = "hours"', r"time\.format: must be s, ms, us, ns, iso or a pattern"),
         ('column = "t"', 'column = "t"\norigin = "today"', r"time\.origin: not an ISO date and time: 'today'"),
@@ -281,7 +281,7 @@ def test_the_command(folder: Path) -> None:
     arguments = ["csv", str(path), str(files[0]), "--out-dir", "logs"]
     done = run.invoke(cli.import_, arguments, catch_exceptions=False)
     assert (done.exit_code, done.stdout) == (0, "logs/run.mcap\n")
-    with pytest.raises(SeatrialError, match="there is such a file already; --force replaces it"):
+    with pytest.raises(SeatrialError, match="the file exists already; --force replaces it"):
         run.invoke(cli.import_, arguments, catch_exceptions=False)
     assert run.invoke(cli.import_, [*arguments, "--force"], catch_exceptions=False).exit_code == 0
     assert run.invoke(cli.import_, [*arguments, "-o", "x.mcap"]).exit_code == 2

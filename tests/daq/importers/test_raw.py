@@ -73,7 +73,7 @@ def test_a_load_cell(tmp_path: Path) -> None:
 
 
 def test_what_is_wrong_is_one_line(ascii_capture: Path, tmp_path: Path) -> None:
-    with pytest.raises(SeatrialError, match=r"still\.txt: its samples carry no time; .*--rate"):
+    with pytest.raises(SeatrialError, match=r"still\.txt: its samples have no time; .*--rate"):
         import_raw("vectornav", ascii_capture, out=tmp_path / "x.mcap")
     with pytest.raises(SeatrialError, match=r"still\.txt: no nmea samples among"):
         import_raw("nmea", ascii_capture, rate=1.0, out=tmp_path / "x.mcap")
@@ -81,7 +81,7 @@ def test_what_is_wrong_is_one_line(ascii_capture: Path, tmp_path: Path) -> None:
     with pytest.raises(SeatrialError, match="cannot be read"):
         import_raw("nmea", tmp_path / "nowhere", rate=1.0)
     import_raw("vectornav", ascii_capture, rate=40.0, out=tmp_path / "x.mcap")
-    with pytest.raises(SeatrialError, match="there is such a file already"):
+    with pytest.raises(SeatrialError, match="the file exists already"):
         import_raw("vectornav", ascii_capture, rate=40.0, out=tmp_path / "x.mcap")
 
 

@@ -41,7 +41,7 @@ def test_asking_for_what_is_not_there(whole: Path) -> None:
     log = open_log(whole)
     with pytest.raises(SeatrialError, match=r"no messages on /gps/gnss; there is: .*/gnss/gnss"):
         log.table(Gnss, "gps")
-    with pytest.raises(SeatrialError, match=r"esc has nodes \[1, 2\]: say which one"):
+    with pytest.raises(SeatrialError, match=r"esc has nodes \[1, 2\]: name one"):
         log.table(Esc, "esc")
     with pytest.raises(SeatrialError, match="no messages on /signal/sway"):
         log.unit("sway")
@@ -69,9 +69,9 @@ def test_salvage_makes_a_whole_file(whole: Path, tmp_path: Path) -> None:
     assert f"{out}: {sum(again.counts.values())} messages" in done.stdout
     assert repr(tables(again)) == repr(tables(before))
     assert (again.metadata, again.attachments) == (before.metadata, before.attachments)
-    with pytest.raises(SeatrialError, match="there is such a file already"):
+    with pytest.raises(SeatrialError, match="the file exists already"):
         CliRunner().invoke(cli.recover, [str(killed), "-o", str(out)], catch_exceptions=False)
-    with pytest.raises(SeatrialError, match="is the log itself, which is left alone"):
+    with pytest.raises(SeatrialError, match="is the log itself, which is not changed"):
         CliRunner().invoke(cli.recover, [str(killed), "-o", str(killed), "--force"], catch_exceptions=False)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["killed.mcap", "whole.mcap"]
 

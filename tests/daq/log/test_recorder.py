@@ -162,14 +162,14 @@ def test_the_chunks_stay_small_without_a_tick(tmp_path: Path) -> None:
 def test_a_log_is_never_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(b"dear to me")
-    with pytest.raises(SeatrialError, match=r"run\.mcap: there is such a file already"):
+    with pytest.raises(SeatrialError, match=r"run\.mcap: the file exists already"):
         recorder(path)
     assert path.read_bytes() == b"dear to me"
 
 
 def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(SeatrialError, match=r"the folder cannot be made: .*file is no folder"):
+    with pytest.raises(SeatrialError, match=r"the folder cannot be created: .*file is not a folder"):
         recorder(tmp_path / "file" / "run.mcap")
 
 

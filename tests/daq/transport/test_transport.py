@@ -35,10 +35,10 @@ def test_a_port_that_is_not_there(tmp_path: Path) -> None:
 
 def test_a_file_is_no_port(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
-    with pytest.raises(PortError, match="is no serial device"):
+    with pytest.raises(PortError, match="is not a serial device"):
         SerialPort(str(tmp_path / "file"), 9600).open()
     assert (tmp_path / "file").read_text() == "mine"
-    with pytest.raises(PortError, match=r"^is no serial device$"):
+    with pytest.raises(PortError, match=r"^is not a serial device$"):
         SerialPort("/dev/null", 9600).open()
 
 
@@ -88,7 +88,7 @@ def test_a_port_that_takes_no_bytes(tmp_path: Path) -> None:
     tty.setraw(slave)
     port = SerialPort(os.ttyname(slave), 9600)
     port.open()
-    with pytest.raises(PortError, match="takes no more bytes"):
+    with pytest.raises(PortError, match="accepts no more bytes"):
         port.write(bytes(1 << 20))
     port.close()
     os.close(slave)
