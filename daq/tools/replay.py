@@ -65,7 +65,7 @@ def replay_log(
 
 
 def recorded(log: Log, devices: Sequence[str] = ()) -> list[str]:
-    """The devices of a log whose bytes can be replayed. Raises SeatrialError without any or some."""
+    """The devices of a log whose bytes can be replayed. Raises SeatrialError for one without."""
     there = [name for name in log.sources(PortHealth) if f"/raw/{name}" in log.counts]
     there = there or [topic.removeprefix("/raw/") for topic in log.counts if topic.startswith("/raw/")]
     if not there:
