@@ -68,13 +68,13 @@ class Process:
         self._writer = LogThread(recorder, self._sink, self._health, clock)
         path = str(recorder.path)
         self._reporter = StatusReporter(link, rig, path, clock, self._loops, self._setpoints, self._writer, self._event)
-        self._heard = self._alive = time.monotonic()
+        self._parent_seen = self._runner_seen = time.monotonic()
         self._terminated = False
         self._stopped = (
             ""  # set when this process stopped thrust; only a `ZeroThrust` of the parent allows thrust again
         )
         self._end_reason = ""
-        self._unasked = False
+        self._unrequested = False
 
     def terminate(self, number: int, frame: FrameType | None) -> None:
         """SIGTERM: end as on a `Stop` message."""
@@ -88,7 +88,7 @@ class Process:
         try:
             self._serve()
         except Exception as error:  # a programming error must not leave thrust on
-            self._end(f"internal error ({type(error).__name__}: {error})", unasked=True)
+            self._end(f"internal error ({type(error).__name__}: {error})", unrequested=True)
         self._finish()
 
     def _serve(self) -> None:
@@ -101,7 +101,7 @@ class Process:
             ready, _, _ = select.select([self._link], [], [], max(status_at - time.monotonic(), 0.0))
             if ready:
                 self._listen()
-            self._judge()
+            self._check_timeouts()
             self._beat()
 
     def _loop(self, name: str) -> DeviceLoop:
@@ -122,10 +122,10 @@ class Process:
         try:
             messages = self._link.receive()
         except EOFError:
-            self._end("the parent process is gone", unasked=True)
+            self._end("the parent process is gone", unrequested=True)
             return
         for message in messages:
-            self._heard = time.monotonic()
+            self._parent_seen = time.monotonic()
             self._handle(message)
 
     def _beat(self, at_once: bool = False) -> None:
@@ -138,29 +138,29 @@ class Process:
         if self._heartbeat.lost and active and not self._stopped:
             self._stop_thrust("the watchdog is gone")
 
-    def _judge(self) -> None:
+    def _check_timeouts(self) -> None:
         """Stop on timeouts and failures. Called after receiving: a pause of this process is not the parent's."""
         now = time.monotonic()
         if self._terminated:
-            self._end("SIGTERM", unasked=False)
+            self._end("SIGTERM", unrequested=False)
         if self._writer.failure:
-            self._end(self._writer.failure, unasked=False)
+            self._end(self._writer.failure, unrequested=False)
         if self._writer.alarm and not self._stopped and any(s.active for s in self._setpoints.values()):
             self._stop_thrust(self._writer.alarm)  # a run that is not recorded is not worth its risk
         if any(setpoints.active for setpoints in self._setpoints.values()):
-            if now - self._heard > SILENCE_S:
-                self._end(f"no heartbeat of the parent for {SILENCE_S} s", unasked=True)
-            elif now - self._alive > SILENCE_S:
-                self._end(f"no sign of life of the runner for {SILENCE_S} s", unasked=True)
+            if now - self._parent_seen > SILENCE_S:
+                self._end(f"no heartbeat of the parent for {SILENCE_S} s", unrequested=True)
+            elif now - self._runner_seen > SILENCE_S:
+                self._end(f"no sign of life of the runner for {SILENCE_S} s", unrequested=True)
 
-    def _end(self, reason: str, unasked: bool) -> None:
+    def _end(self, reason: str, unrequested: bool) -> None:
         if not self._end_reason:
-            self._end_reason, self._unasked = reason, unasked
+            self._end_reason, self._unrequested = reason, unrequested
 
     def _handle(self, message: Message) -> None:
         match message:
             case ParentAlive():
-                self._alive = self._heard if message.runner else self._alive
+                self._runner_seen = self._parent_seen if message.runner else self._runner_seen
             case Schedule():
                 self._schedule(message)
             case ZeroThrust():
@@ -172,12 +172,12 @@ class Process:
             case DriverRequest():
                 self._loops[message.device].request(message.action, message.value)
             case Stop():
-                self._end("closed as asked", unasked=False)
+                self._end("closed as asked", unrequested=False)
 
     def _schedule(self, message: Schedule) -> None:
         if self._stopped:
             return  # rows that were under way when thrust was ended
-        self._alive = self._heard
+        self._runner_seen = self._parent_seen
         nodes = {thruster.name: (thruster.device, thruster.node) for thruster in self._rig.thrusters}
         rows: dict[str, list[tuple[float, dict[int, float]]]] = {}
         for t, row in message.rows:
@@ -212,10 +212,10 @@ class Process:
     def _finish(self) -> None:
         self._zero()
         self._beat(at_once=True)
-        self._event("stop" if self._unasked else "end", self._end_reason)
+        self._event("stop" if self._unrequested else "end", self._end_reason)
         for loop in self._loops.values():
             loop.request("leave", 0.0)
-        if self._unasked:
+        if self._unrequested:
             until = time.monotonic() + RECORD_ON_S
             while (left := until - time.monotonic()) > 0.0 and not self._writer.failure:
                 time.sleep(min(left, WRITE_S))
@@ -236,9 +236,9 @@ class Process:
 
     def _report(self) -> None:
         try:
-            self._reporter.report(self._stopped, self._end_reason if self._unasked else "")
+            self._reporter.report(self._stopped, self._end_reason if self._unrequested else "")
         except OSError:
-            self._end("the parent process is gone", unasked=True)
+            self._end("the parent process is gone", unrequested=True)
 
 
 def _connect_watchdog(rig: Rig, path: Path) -> Heartbeat:
