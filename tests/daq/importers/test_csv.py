@@ -191,7 +191,7 @@ def test_an_iso_time_that_is_none(folder: Path) -> None:
         ('name = "psi"', 'name = "p/si"', r"signal\[1\]\.name: 'p/si' becomes a topic"),
         ('column = "t"', 'column = "t"\nformat = "hours"', r"time\.format: must be s, ms, us, ns, iso or a pattern"),
         ('column = "t"', 'column = "t"\norigin = "today"', r"time\.origin: not an ISO date and time: 'today'"),
-        ("[time]", "[tims]", r"time: missing; say \[time\]"),
+        ("[time]", "[tims]", r"time: missing; give \[time\]"),
         ("[csv]", '[csv]\ndelimiter = ", "', r"csv\.delimiter: must be one character"),
         ("[csv]", '[csv]\ndecimal = ","', r"csv\.decimal: is also the delimiter"),
         ('role = "input"', 'role = "input"\nsign = 2', r"signal\[2\]\.sign: must be 1 or -1"),
@@ -259,7 +259,7 @@ def test_a_command_that_nobody_repeats_times_out(folder: Path) -> None:
     assert values(out, "n_left") == ([0.0, 0.1, 0.35, 2.0, 2.1, 2.35], [0.5, 0.5, 0.0, 0.6, 0.7, 0.0])
     assert len(values(out, "psi")[0]) == 4
     csv_map, files = write(folder, rows, signal="timeout = 0.25")
-    with pytest.raises(SeatrialError, match=r"timeout.* goes with hold"):
+    with pytest.raises(SeatrialError, match=r"timeout.* needs hold"):
         import_csv(csv_map, files, force=True)
 
 
