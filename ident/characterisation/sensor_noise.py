@@ -23,7 +23,7 @@ from ident.model import INF, Model, ModelKind, Output, Parameter, Sensor, State,
 from ident.numerics import Array
 from ident.validation import WhitenessDiagnostics, autocorrelation, ljung_box, whiteness_diagnostics
 
-FLOOR = 1e-4  # of the channel's scale: a standard deviation below this is none
+NOISE_FLOOR = 1e-4  # of the channel's scale: a standard deviation below this is zero
 N_LAGS = 20  # of the Ljung-Box test of the innovations
 
 
@@ -119,7 +119,7 @@ def _start(y: Array, dt: float) -> Model:
     variance, covariance = float(d @ d) / d.size, float(d[1:] @ d[:-1]) / (d.size - 1)
     white = np.sqrt(np.clip(-covariance, 1e-4 * variance, 0.4999 * variance))
     walk = np.sqrt(max(variance - 2 * white**2, 1e-5 * variance) / dt)
-    low = FLOOR / np.sqrt(dt)
+    low = NOISE_FLOOR / np.sqrt(dt)
     return noise_model(low).with_values({"white": float(white), "walk": float(max(walk, 2 * low))})
 
 
@@ -134,7 +134,7 @@ def noise_model(low_walk: float) -> Model:
         inputs=(),
         sensors=(Sensor("sensor", (Output("y", noise="white"),)),),
         parameters=(
-            Parameter("white", 1.0, meaning="white noise", transform="log", bounds=(FLOOR, INF)),
+            Parameter("white", 1.0, meaning="white noise", transform="log", bounds=(NOISE_FLOOR, INF)),
             Parameter("walk", 2 * low_walk, meaning="random walk", transform="log", bounds=(low_walk, INF)),
             Parameter("bias", 0.0, meaning="offset at the start"),
         ),

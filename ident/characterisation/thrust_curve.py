@@ -24,8 +24,8 @@ from daq.errors import SeatrialError
 from ident.data import Channel, sample_and_hold
 from ident.numerics import Array, block_error, integrated_autocorrelation_time, steady_segments
 
-SAME = 1e-3  # commands closer than this are one level
-MIN_SAMPLES = 20
+LEVEL_TOLERANCE = 1e-3  # of full command: closer commands are one level
+MIN_SAMPLES = 20  # of the force at one level
 FORMAT = "seatrial-curve 1"
 
 
@@ -101,7 +101,7 @@ def find_levels(command: Channel, force: Channel, settle: float = 1.5) -> Levels
 
 def _merged(visits: Sequence[tuple[float, float, float, int, float]]) -> Levels:
     table = np.array(visits)
-    group = np.append(0, np.cumsum(np.diff(table[:, 0]) > SAME)).astype(int)
+    group = np.append(0, np.cumsum(np.diff(table[:, 0]) > LEVEL_TOLERANCE)).astype(int)
     rows = []
     for k in range(group[-1] + 1):
         n, force, se, count, memory = table[group == k].T

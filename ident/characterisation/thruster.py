@@ -18,11 +18,11 @@ from ident.model import Model
 from ident.models import START_POLES, delay_step, delayed_channels, on_a_copy, thruster_model
 from ident.numerics import Array, LagData, fit_first_order_lag
 
-THRUSTER_RATE = 50.0  # rows a second for the load cell and the shaft speed
+THRUSTER_RATE = 50.0  # Hz, rows of a record with load cell and shaft speed
 GRID_STEP = 0.05  # s, of the delays that are tried for initial values, and of the command meanwhile
 MAX_DELAY = 4.8  # s, of those delays
-DEAD_ZONES = tuple(0.0025 * k for k in range(81))  # up to a fifth of full command
-N_SEARCHES = 3
+DEAD_ZONES = tuple(0.0025 * k for k in range(81))  # of full command, ends of the dead zone that are tried
+N_SEARCHES = 3  # over the dead zone, each with what the fit before it says of all else
 
 
 def thruster_name(loaded: LoadedLog) -> str:

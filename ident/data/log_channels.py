@@ -12,7 +12,8 @@
 | speed | along the track, from velocity over ground (imported speed_x and speed_y, or vx and vy) |
 | any other | imported signals, by their own names |
 
-Which way a shaft turned whose controller said only how fast, as an autopilot's ESC telemetry does.
+Where a controller reports the magnitude of the shaft speed only, as an autopilot's ESC telemetry does, `with_sign`
+gives it the sign of the delayed and lagged command.
 """
 
 from __future__ import annotations
@@ -37,10 +38,10 @@ from ident.data.record import Channel
 from ident.numerics import Array, LagData, first_order_lag, fit_first_order_lag
 
 Table = NDArray[np.void]  # of `Log.table`, shape (n,)
-TRACK = 20.0  # s
-STEP = 0.02  # s
-DELAYS = tuple(np.arange(0.0, 1.01, 0.05).tolist())  # s
-TIME_CONSTANTS = tuple(1.0 / (1.5 * 1.5**k) for k in range(9))  # s
+TRACK_WINDOW = 20.0  # s either way, over which the direction of travel is averaged
+GRID_STEP = 0.02  # s, on which the command of a shaft of unknown sign is filtered
+DELAYS = tuple(np.arange(0.0, 1.01, 0.05).tolist())  # s, that are tried for it
+TIME_CONSTANTS = tuple(1.0 / (1.5 * 1.5**k) for k in range(9))  # s, that are tried, from 0.67 to 0.026
 
 
 def channels(log: Log) -> dict[str, Channel]:
@@ -85,11 +86,12 @@ def channels(log: Log) -> dict[str, Channel]:
 def along_track(t: Array, vx: Array, vy: Array) -> Array:
     """Speed [m/s] along the direction of travel (n,), negative astern.
 
-    The direction is that of the velocity within ``TRACK`` seconds either way, weighted by speed: a boat that drifts
-    at rest before a run has the run's direction. The magnitude alone would turn drift and noise into speed ahead.
+    The direction is that of the velocity within ``TRACK_WINDOW`` seconds either way, weighted by speed: a boat that
+    drifts at rest before a run has the run's direction. The magnitude alone would turn drift and noise into forward
+    speed.
     """
     speed = np.hypot(vx, vy)
-    a, b = np.searchsorted(t, t - TRACK), np.searchsorted(t, t + TRACK, side="right")
+    a, b = np.searchsorted(t, t - TRACK_WINDOW), np.searchsorted(t, t + TRACK_WINDOW, side="right")
     sums = [np.append(0.0, np.cumsum(speed * v)) for v in (vx, vy)]
     dx, dy = (s[b] - s[a] for s in sums)
     length = np.hypot(dx, dy)
@@ -171,7 +173,7 @@ def with_sign(t: Array, speed: Array, t_told: Array, told: Array) -> Array:
     """Speeds (k,) at times ``t`` (k,) s with the sign that their shaft had, told ``told`` (m,) from ``t_told`` (m,) s
     on, each held until the next."""
     speed = np.abs(speed)
-    clock = np.arange(t[0] - DELAYS[-1], t[-1] + STEP, STEP)
+    clock = np.arange(t[0] - DELAYS[-1], t[-1] + GRID_STEP, GRID_STEP)
     held = told[np.maximum(np.searchsorted(t_told, clock, side="right") - 1, 0)]
 
     def misfit(lagged: Array, delay: float) -> float:
@@ -179,8 +181,8 @@ def with_sign(t: Array, speed: Array, t_told: Array, told: Array) -> Array:
         scale = float(size @ speed) / max(float(size @ size), 1e-12)
         return float(np.sum((speed - scale * size) ** 2))
 
-    best = fit_first_order_lag([LagData(held, misfit)], DELAYS, TIME_CONSTANTS, STEP, hold="backward")
+    best = fit_first_order_lag([LagData(held, misfit)], DELAYS, TIME_CONSTANTS, GRID_STEP, hold="backward")
     if not np.isfinite(best.misfit):
         return np.copysign(speed, np.interp(t, clock, held))
-    lagged = first_order_lag(held, best.time_constant, STEP, hold="backward")
+    lagged = first_order_lag(held, best.time_constant, GRID_STEP, hold="backward")
     return np.copysign(speed, np.interp(t - best.delay, clock, lagged))

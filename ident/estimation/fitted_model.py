@@ -21,8 +21,8 @@ from ident.models import for_diagnosis, forces_of, rescale, residuals_of, size_o
 from ident.numerics import NORMAL_MAD, Array, noise_from_differences
 from ident.reporter import QUIET, Reporter
 
-NOUGHT = 1e-2  # of the white noise that the samples show
-OTHER_SIZE = 2.0  # times the force or moment that was assumed
+COLLAPSED_NOISE = 1e-2  # of the white noise that the samples show: noise below it has collapsed to zero
+RESCALING_RATIO = 2.0  # of the estimated force or moment to the assumed: from it the priors are scaled anew
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,8 @@ def fit_with_rescaling(
     """The model of ``nominal`` fitted; once more where the boat turns out to be of another size than its start said."""
     stage = fit_and_evaluate(full, records, unseen, options)
     assumed, found = size_of(full), size_of(stage.fit.model)
-    if all(1 / OTHER_SIZE < b / a < OTHER_SIZE for a, b in zip(astuple(assumed), astuple(found), strict=True)):
+    ratios = [b / a for a, b in zip(astuple(assumed), astuple(found), strict=True)]
+    if all(1 / RESCALING_RATIO < ratio < RESCALING_RATIO for ratio in ratios):
         return stage
     return fit_and_evaluate(rescale(full, found), records, unseen, options)
 
@@ -146,7 +147,7 @@ def reset_collapsed_noise(model: Model, records: Sequence[Record]) -> Model:
             continue
         parts = [r.y[np.isfinite(r.y[:, names.index(o.name)]), names.index(o.name)] for r in records]
         white = noise_from_differences(np.concatenate([np.diff(np.unwrap(y) if o.angle else y, 2) for y in parts]))
-        if p.value < NOUGHT * white:
+        if p.value < COLLAPSED_NOISE * white:
             new.append(p.at(white))
     return model.replace_parameters(*new)
 

@@ -25,7 +25,7 @@ from ident.model import Model
 from ident.numerics import Array, covariance_root
 
 NULL_SPACE_TOLERANCE = 1e-12  # of the largest eigenvalue of the correlation: below it is rounding
-STEP = 0.05  # standard deviations of the parameters, for differences
+PARAMETER_STEP = 0.05  # standard deviations of the parameters, for differences: the model is linear over it
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,10 @@ class ParameterCovariance:
 
 
 def principal_directions(model: Model, values: Array, known: ParameterCovariance | None) -> list[Array]:
-    """Parameters moved by ``STEP`` along each principal direction of their covariance, in the estimator's coordinates;
-    noise parameters, which move the estimate by next to nothing, are left alone."""
+    """Parameter vectors moved by `PARAMETER_STEP` along each principal direction of the covariance.
+
+    The directions are in the estimator's coordinates. Noise parameters, which hardly move the estimate, are left alone.
+    """
     if known is None or known.covariance is None:
         return []
     noise = model.noises
@@ -116,6 +118,6 @@ def principal_directions(model: Model, values: Array, known: ParameterCovariance
     for size, direction in zip(np.sqrt(np.maximum(w, 0.0)), V.T, strict=True):
         point = values.copy()
         for p, d in zip(parameters, direction, strict=True):
-            point[names.index(p.name)] = p.from_free(p.to_free(p.value) + STEP * size * d)
+            point[names.index(p.name)] = p.from_free(p.to_free(p.value) + PARAMETER_STEP * size * d)
         moved.append(point)
     return moved

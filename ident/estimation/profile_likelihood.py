@@ -22,20 +22,26 @@ from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import Fit
 from ident.estimation.objective import Problem
 from ident.estimation.options import TOLERANCE
-from ident.estimation.standard_errors import BLIND, DROP, Z95, flat_coordinates, with_interval_information
+from ident.estimation.standard_errors import (
+    DROP_95,
+    NULL_SPACE_TOLERANCE,
+    Z_95,
+    flat_coordinates,
+    with_interval_information,
+)
 from ident.model import segment_name
 from ident.numerics import Array
 
-TARGETS = (0.15, 0.6, 1.3, 2.4)  # drops aimed at, each way
-MORE = 12  # points outwards each way, before a side is left open
-NARROWER = 14  # points within the bracket
-FASTEST = 3.0  # growth of the distance from point to point, where the drop lags behind its target
-LARGEST = 1.5  # in a logarithm
-SLIGHT = 1e-3  # drop that is hardly one
-EXACT = 0.01  # of its distance: how well the crossing is known
-JUMP = 4.0  # times the drop that the points so far lead to expect: either a bad refit or a cliff
-BETTER = 0.01  # gain of the log-likelihood that is another optimum, and no rounding
-N_RESTARTS = 4  # from better optima
+TARGET_DROPS = (0.15, 0.6, 1.3, 2.4)  # of the log-likelihood that points aim at, either way; the interval ends at 1.92
+MAX_OUTWARD_POINTS = 12  # either way, before that side of the interval is left open
+MAX_BRACKET_POINTS = 14  # between the last point inside and the first outside
+MAX_GROWTH = 3.0  # of the distance from point to point, where the drop lags behind its target
+MAX_LOG_STEP = 1.5  # of a logarithm from point to point: a factor 4.5
+MIN_DROP = 1e-3  # of the log-likelihood: less is within the tolerance of a refit
+CROSSING_TOLERANCE = 0.01  # of its distance: how well the end of the interval is known
+JUMP_RATIO = 4.0  # of a drop to that of a parabola through the last point: a bad refit, or a cliff
+MIN_GAIN = 0.01  # of the log-likelihood: another optimum, and no rounding
+N_RESTARTS = 4  # of the profile from better optima
 
 
 @dataclass(frozen=True)
@@ -86,11 +92,11 @@ class ConstrainedObjective:
             follow[~held] = -np.linalg.lstsq(H[np.ix_(moving, moving)] / np.outer(scale, scale), right,
                                              rcond=1e-12)[0] / scale
         curvature = float(H[self.k, self.k] + H[self.k, self.others] @ follow)
-        return (curvature if curvature > BLIND * H[self.k, self.k] else 0.0), follow
+        return (curvature if curvature > NULL_SPACE_TOLERANCE * H[self.k, self.k] else 0.0), follow
 
     def restart(self) -> bool:
         """Whether a better optimum was met on the way; the line then goes through that."""
-        if self.found[0] < self.top + BETTER:
+        if self.found[0] < self.top + MIN_GAIN:
             return False
         self.release(self.found[1])
         self._centre(self.found[1])
@@ -153,7 +159,7 @@ class ProfileBranch:
     @property
     def inside(self) -> list[ProfilePoint]:
         """The points before the first that is too far."""
-        n = next((i for i, p in enumerate(self.points) if p.drop >= DROP), len(self.points))
+        n = next((i for i, p in enumerate(self.points) if p.drop >= DROP_95), len(self.points))
         return self.points[:n]
 
     @property
@@ -163,7 +169,7 @@ class ProfileBranch:
     @property
     def outer(self) -> ProfilePoint | None:
         """The first point that is too far."""
-        return next((p for p in self.points if p.drop >= DROP), None)
+        return next((p for p in self.points if p.drop >= DROP_95), None)
 
     @property
     def shown(self) -> list[ProfilePoint]:
@@ -177,30 +183,30 @@ class ProfileBranch:
     def power(self) -> float:
         """With which the drop grows at the end of the points inside: 2 for a parabola, less where it flattens out."""
         before, last = self.inside[-2:]
-        if before.drop < SLIGHT or before.s == 0.0:
+        if before.drop < MIN_DROP or before.s == 0.0:
             return 2.0
         return float(np.clip(np.log(max(last.drop / before.drop, 1.0)) / np.log(last.s / before.s), 0.25, 2.0))
 
     def expected(self, s: float) -> float:
         """The drop at ``s`` above which something is odd: that of a parabola through the last point, many times."""
         last = self.inner
-        return JUMP * (max(last.drop, TARGETS[0]) * (s / last.s) ** 2 if last.s > 0 else DROP)
+        return JUMP_RATIO * (max(last.drop, TARGET_DROPS[0]) * (s / last.s) ** 2 if last.s > 0 else DROP_95)
 
     def crossing(self) -> tuple[float, bool]:
         """The distance at which the drop is 1.92, and whether that is exact enough; the root of the drop is nearly a
         straight line in the distance."""
         inner, outer = self.inner, self.outer
         assert outer is not None
-        if outer.s - inner.s < EXACT * outer.s or not np.isfinite(outer.drop):
-            return 0.5 * (inner.s + outer.s), outer.s - inner.s < EXACT * outer.s
+        if outer.s - inner.s < CROSSING_TOLERANCE * outer.s or not np.isfinite(outer.drop):
+            return 0.5 * (inner.s + outer.s), outer.s - inner.s < CROSSING_TOLERANCE * outer.s
         line = [*self.inside, outer]
         root = np.sqrt(np.maximum([p.drop for p in line], 0.0))
         rising = np.maximum.accumulate(root) + 1e-12 * np.arange(len(line))
-        at = float(PchipInterpolator(rising, [p.s for p in line])(np.sqrt(DROP)))
-        chord = inner.s + (outer.s - inner.s) * (np.sqrt(DROP) - root[-2]) / (root[-1] - root[-2])
-        smooth = inner.drop > DROP / 2 and outer.drop < DROP * 2
-        close = min(at - inner.s, outer.s - at) < EXACT * at
-        return at, bool(smooth and (close or abs(at - chord) < EXACT * at))
+        at = float(PchipInterpolator(rising, [p.s for p in line])(np.sqrt(DROP_95)))
+        chord = inner.s + (outer.s - inner.s) * (np.sqrt(DROP_95) - root[-2]) / (root[-1] - root[-2])
+        smooth = inner.drop > DROP_95 / 2 and outer.drop < DROP_95 * 2
+        close = min(at - inner.s, outer.s - at) < CROSSING_TOLERANCE * at
+        return at, bool(smooth and (close or abs(at - chord) < CROSSING_TOLERANCE * at))
 
     def between(self) -> float:
         """The next distance within the bracket: where the root of the drop, as a straight line, crosses; but the middle
@@ -210,13 +216,13 @@ class ProfileBranch:
         low, high = inner.s, outer.s
         self.narrowed.append(high - low)
         if low == 0.0:
-            guess = high * np.sqrt(DROP / outer.drop) if np.isfinite(outer.drop) else 0.0
+            guess = high * np.sqrt(DROP_95 / outer.drop) if np.isfinite(outer.drop) else 0.0
             return float(np.clip(guess, 0.01 * high, 0.5 * high) if guess else 0.1 * high)
         slow = len(self.narrowed) > 2 and self.narrowed[-1] > 0.5 * self.narrowed[-3]
-        if outer.drop > 4 * DROP or slow:
+        if outer.drop > 4 * DROP_95 or slow:
             return float(np.sqrt(low * high) if high > 4.0 * low else 0.5 * (low + high))
         root = np.sqrt(np.maximum([inner.drop, outer.drop], 0.0))
-        share = (np.sqrt(DROP) - root[0]) / (root[1] - root[0])
+        share = (np.sqrt(DROP_95) - root[0]) / (root[1] - root[0])
         return float(low + (high - low) * np.clip(share, 0.1, 0.9))
 
 
@@ -229,20 +235,20 @@ def trace_profile(line: ConstrainedObjective, sign: int) -> ProfileBranch:
         side.note, side.limit = "at its bound", 0.0
         return side
     outwards = inwards = 0
-    while line.found[0] < line.top + BETTER:
+    while line.found[0] < line.top + MIN_GAIN:
         if side.outer is not None:
             exact = side.crossing()[1]
-            if exact or inwards == NARROWER:
+            if exact or inwards == MAX_BRACKET_POINTS:
                 break
             inwards += 1
             s = side.between()
-        elif side.inner.s >= room or outwards == MORE:
+        elif side.inner.s >= room or outwards == MAX_OUTWARD_POINTS:
             break
         else:
-            s = min(_outwards(line, side, sign, TARGETS[min(outwards, len(TARGETS) - 1)]), room)
+            s = min(_outwards(line, side, sign, TARGET_DROPS[min(outwards, len(TARGET_DROPS) - 1)]), room)
             outwards += 1
         point, before = line.best(s, sign, side), side.inner
-        if point.s > before.s and point.drop < before.drop - SLIGHT:
+        if point.s > before.s and point.drop < before.drop - MIN_DROP:
             line.release(point.z)  # behind a ridge, with a summit of its own
         side.add(point)
     _end(line, sign, side, room)
@@ -265,15 +271,15 @@ def _outwards(line: ConstrainedObjective, side: ProfileBranch, sign: int, target
     """Where the drop should reach the target: from the curvature at first, then from the points so far."""
     last, logarithmic = side.inner, bool(line.bounds.logarithmic[line.k])
     if last.s > 0.0:
-        s = last.s * float(np.clip((target / max(last.drop, SLIGHT)) ** (1.0 / side.power), 1.25, FASTEST))
+        s = last.s * float(np.clip((target / max(last.drop, MIN_DROP)) ** (1.0 / side.power), 1.25, MAX_GROWTH))
     elif line.curvature > 0.0:
         # g s + c s^2 / 2 = target; g is zero but for a parameter that is pushed against its bound
         g, c = max(-sign * line.gradient, 0.0), line.curvature
         s = 2.0 * target / (g + np.sqrt(g * g + 2.0 * c * target))
     else:
         p = line.parameter
-        s = LARGEST if logarithmic else p.step or 0.1 * abs(float(line.z[line.k])) or 1.0
-    return float(min(s, last.s + LARGEST) if logarithmic else s)
+        s = MAX_LOG_STEP if logarithmic else p.step or 0.1 * abs(float(line.z[line.k])) or 1.0
+    return float(min(s, last.s + MAX_LOG_STEP) if logarithmic else s)
 
 
 @dataclass(frozen=True)
@@ -323,11 +329,11 @@ def profile(fit: Fit, records: Sequence[Record], name: str, *, threads: int = 2)
             break
         sides = _sides(line)
     notes = [f"{word} side: {side.note}" for word, side in zip(("lower", "upper"), sides, strict=True) if side.note]
-    if line.found[0] > before + BETTER:
+    if line.found[0] > before + MIN_GAIN:
         notes.append(f"a better fit was found on the way, by {line.found[0] - before:.2g}, and the profile is of that: "
                      "fit again from there")
     error = fit.errors[line.k] / np.abs(line.parameter.slope(fit.values[line.k]))
-    return _gathered(line, full, sides, [estimate[line.k] + sign * Z95 * error for sign in (-1, 1)], notes)
+    return _gathered(line, full, sides, [estimate[line.k] + sign * Z_95 * error for sign in (-1, 1)], notes)
 
 
 def _sides(line: ConstrainedObjective) -> list[ProfileBranch]:

@@ -16,7 +16,7 @@ import numpy as np
 from ident.estimation.likelihood import FilterResult
 from ident.numerics import Array
 
-RANK = 1e-13  # eigenvalues of a correlation matrix below this are none
+NULL_SPACE_TOLERANCE = 1e-13  # eigenvalue of a correlation matrix, for each of its rows: below it is rounding
 
 
 @dataclass(frozen=True)
@@ -85,6 +85,6 @@ def _solve(correlation: Array, right: Array) -> Array:
     except np.linalg.LinAlgError:
         pass
     w, V = np.linalg.eigh(correlation)
-    inverse = np.divide(1.0, w, out=np.zeros_like(w), where=w > RANK * w.shape[1])
+    inverse = np.divide(1.0, w, out=np.zeros_like(w), where=w > NULL_SPACE_TOLERANCE * w.shape[1])
     solved = V @ (inverse[:, :, None] * (V.swapaxes(1, 2) @ right))
     return np.asarray(solved)

@@ -17,16 +17,16 @@ from scipy import signal, special, stats
 
 from ident.numerics import NORMAL_MAD, Array
 
-SEGMENT = 256  # samples of a segment whose periodogram is averaged
-LOWEST = 3  # bins that a mean and a slow drift leak into
-LEVEL = 1e-3  # p value below which a departure is no chance
-PREDICTABLE = 0.05  # share of the variance: a filter that knew it would err by 2.5 % less
-FACTOR = 2.0  # of a density over an octave
-MOST_LAGS = 30
-LEAST_BINS = 8  # of the lowest band, which ends at zero
-ROWS = 65536  # of the regression at once
+SEGMENT = 256  # samples of a segment whose periodogram is averaged (Welch)
+FIRST_BIN = 3  # of such a periodogram: a mean and a slow drift leak into those before
+SIGNIFICANCE = 1e-3  # p value below which a departure is no chance
+MAX_PREDICTABLE_SHARE = 0.05  # of the variance: a filter that knew it would err by 2.5 % less
+MAX_DENSITY_RATIO = 2.0  # of the spectral density of an octave to that of white noise, either way
+MAX_LAGS = 30  # of the regression on past innovations
+MIN_BINS = 8  # of the lowest band, which ends at zero
+BLOCK_ROWS = 65536  # of that regression, done at once
 N_LAGS = 25  # of the autocorrelation of innovations that is shown
-SAMPLES_PER_LAG = 20  # that the Ljung-Box statistic takes
+SAMPLES_PER_LAG = 20  # for each lag of the Ljung-Box statistic
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def spectral_peak(innovations: Mapping[str, Array], dt: float) -> SpectralPeak |
         x = e - e.mean()
         x = x[1:] - (x[1:] @ x[:-1]) / (x @ x) * x[:-1]
         frequency, power = signal.welch(x, 1.0 / dt, "hann", SEGMENT)
-        frequency, power = frequency[LOWEST:-1], power[LOWEST:-1]
+        frequency, power = frequency[FIRST_BIN:-1], power[FIRST_BIN:-1]
         segments = 2 * x.size // SEGMENT - 1
         dof = 36 * segments**2 / (19 * segments - 1)
         over = power / _smooth(power) * (stats.chi2.median(dof) / dof)
@@ -152,7 +152,7 @@ def _without_gaps(e: Array) -> Array:
 
 def _smooth(power: Array) -> Array:
     """What the bins lie about, as a median: a cubic of the logarithms that no peak draws up (Huber's weights)."""
-    z = np.log(np.arange(LOWEST, LOWEST + power.size))
+    z = np.log(np.arange(FIRST_BIN, FIRST_BIN + power.size))
     basis, y = np.vander(z - z.mean(), 4), np.log(power)
     weight = np.ones(y.size)
     fitted = y
@@ -204,7 +204,7 @@ class Predictable(NamedTuple):
 
     @property
     def matters(self) -> bool:
-        return self.p < LEVEL and self.share > PREDICTABLE
+        return self.p < SIGNIFICANCE and self.share > MAX_PREDICTABLE_SHARE
 
 
 class SpectralLine(NamedTuple):
@@ -216,7 +216,7 @@ class SpectralLine(NamedTuple):
 
     @property
     def matters(self) -> bool:
-        return self.p < LEVEL and self.share > PREDICTABLE
+        return self.p < SIGNIFICANCE and self.share > MAX_PREDICTABLE_SHARE
 
 
 class FrequencyBand(NamedTuple):
@@ -229,7 +229,7 @@ class FrequencyBand(NamedTuple):
 
     @property
     def matters(self) -> bool:
-        return self.p < LEVEL and not 1 / FACTOR < self.ratio < FACTOR
+        return self.p < SIGNIFICANCE and not 1 / MAX_DENSITY_RATIO < self.ratio < MAX_DENSITY_RATIO
 
 
 class WhitenessDiagnostics(NamedTuple):
@@ -242,7 +242,7 @@ class WhitenessDiagnostics(NamedTuple):
     @property
     def share(self) -> float:
         """Of the variance, that is known to be predictable: by the regression or as a line."""
-        return max(self.predictable.share, self.line.share if self.line.p < LEVEL else 0.0)
+        return max(self.predictable.share, self.line.share if self.line.p < SIGNIFICANCE else 0.0)
 
     @property
     def matter(self) -> bool:
@@ -250,7 +250,7 @@ class WhitenessDiagnostics(NamedTuple):
 
     @property
     def significant(self) -> bool:
-        return any(part.p < LEVEL for part in self)
+        return any(part.p < SIGNIFICANCE for part in self)
 
 
 def whiteness_diagnostics(e: Array) -> WhitenessDiagnostics:
@@ -259,14 +259,14 @@ def whiteness_diagnostics(e: Array) -> WhitenessDiagnostics:
     return WhitenessDiagnostics(predictable(e), line(e), min(found, key=lambda b: (not b.matters, b.p)))
 
 
-def predictable(e: Array, most_lags: int = MOST_LAGS) -> Predictable:
+def predictable(e: Array, most_lags: int = MAX_LAGS) -> Predictable:
     """A regression on a constant and lags; p by the likelihood ratio, Bonferroni over the orders."""
     most = min(most_lags, e.size // 10)
     windows = np.lib.stride_tricks.sliding_window_view(e, most + 1)[:, ::-1]
     n = windows.shape[0]
     gram = np.zeros((most + 2, most + 2))
-    for first in range(0, n, ROWS):
-        part = windows[first : first + ROWS]
+    for first in range(0, n, BLOCK_ROWS):
+        part = windows[first : first + BLOCK_ROWS]
         z = np.column_stack([np.ones(part.shape[0]), part[:, 1:], part[:, 0]])
         gram += z.T @ z
     total = gram[-1, -1]
@@ -296,7 +296,7 @@ def bands(e: Array) -> list[FrequencyBand]:
     if e.size % 2 == 0:
         freedom[-1] = 1.0
     edges = [power.size]
-    while edges[0] // 2 >= LEAST_BINS:
+    while edges[0] // 2 >= MIN_BINS:
         edges.insert(0, edges[0] // 2)
     return [_band(power, freedom, a, b, len(edges), e.size) for a, b in zip([0, *edges], edges, strict=False)]
 
