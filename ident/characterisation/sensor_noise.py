@@ -3,10 +3,8 @@
     y_k = b(t_k) + w_k,   db = q dW,   var w = r^2,   b(0) unknown
 
 In innovation form ``n_k = (1 + c q^-1) / (1 - q^-1) e_k``. The filter is that of ``ident.estimation.likelihood``, so
-gaps in time
-are no matter. A sensor whose innovations are not white under this model does not have this noise, and
-``NoiseFit.rejected`` says so (``ident.validation.whiteness``): the filtered output of a single-point GPS receiver, for
-one.
+that gaps in time do not matter. Where the innovations are not white under this model (``ident.validation.whiteness``),
+as of the filtered output of a single-point GPS receiver, the sensor has other noise, and ``NoiseFit.rejected`` says so.
 """
 
 from __future__ import annotations
@@ -104,15 +102,6 @@ def innovation_form(white: float, walk: float, dt: float) -> tuple[float, float]
     return float(-r / S), float(np.sqrt(S))
 
 
-def welch(channel: Channel, n_segments: int = 8) -> tuple[Array, Array]:
-    """Frequency [Hz] and one-sided density [unit^2/Hz] of evenly sampled data, by Welch's method (1967)."""
-    dt = float(np.median(np.diff(channel.t)))
-    length = max(16, int(2 * channel.value.size / (n_segments + 1)))
-    frequency, density = signal.welch(channel.value, 1.0 / dt, nperseg=min(length, channel.value.size),
-                                      detrend="linear")
-    return frequency[1:], density[1:]
-
-
 def _start(y: Array, dt: float) -> Model:
     """Moments of the differences: variance ``q^2 dt + 2 r^2``, covariance ``-r^2``."""
     d = np.diff(y)
@@ -140,3 +129,12 @@ def noise_model(low_walk: float) -> Model:
         ),
     )
     return replace(model, kind=ModelKind.NOISE)
+
+
+def welch(channel: Channel, n_segments: int = 8) -> tuple[Array, Array]:
+    """Frequency [Hz] and one-sided density [unit^2/Hz] of evenly sampled data, by Welch's method (1967)."""
+    dt = float(np.median(np.diff(channel.t)))
+    length = max(16, int(2 * channel.value.size / (n_segments + 1)))
+    frequency, density = signal.welch(channel.value, 1.0 / dt, nperseg=min(length, channel.value.size),
+                                      detrend="linear")
+    return frequency[1:], density[1:]

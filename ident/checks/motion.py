@@ -75,11 +75,6 @@ def motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] = ()) 
         yield Finding("ok", "thruster-sides-agree", "sides", " and ".join(found.names), "the boat turns as they push")
 
 
-def _side(sides: Mapping[str, float], names: Sequence[str]) -> Array:
-    """+1 for a thruster on the left, whose push turns the bow to starboard, -1 on the right, 0 in the middle."""
-    return np.array([-np.sign(sides[n]) if abs(sides[n]) > 0.02 else 0.0 for n in names])
-
-
 def _verdict(found: PushResponse, yaw: Array, surge: Array) -> Iterator[Finding]:
     # One that pushes ahead as it should and turns the boat the wrong way is on the other side.
     against = (yaw < 0).any() if (yaw != 0).any() else found.moment_t < -SIGNIFICANT_T
@@ -125,6 +120,17 @@ def _most(effect: RegressionEffect) -> Array:
     return np.where(effect.t != 0, bound / size[clear].max(), 1.0)
 
 
+def pushes(c: Channels, sides: Mapping[str, float]) -> PushResponse | None:
+    """Regressions of yaw rate and speed ahead on each thruster's push; None as for `forces`."""
+    given = forces(c, sides)
+    if given is None:
+        return None
+    names, t, edges, f, side = given
+    r = filled(t, block_mean(c["r"], edges)[0])
+    moment = _effect(r, (f @ side)[:, None], [], YAW_LAGS).t[0] if side.any() else 0.0
+    return PushResponse(names, _effect(r, f, [], YAW_LAGS), _surge(c, t, edges, f), float(moment))
+
+
 def forces(c: Channels, sides: Mapping[str, float]) -> ThrusterForces | None:
     """The thrusters' pushes on common times; None without push or yaw rate, or where the log is too short."""
     found = {n: s for n in sides if (s := _push(c, n)) is not None}
@@ -140,31 +146,20 @@ def forces(c: Channels, sides: Mapping[str, float]) -> ThrusterForces | None:
     return ThrusterForces(tuple(found), t, edges, f, _side(sides, tuple(found)))
 
 
-def pushes(c: Channels, sides: Mapping[str, float]) -> PushResponse | None:
-    """Regressions of yaw rate and speed ahead on each thruster's push; None as for `forces`."""
-    given = forces(c, sides)
-    if given is None:
+def _push(c: Channels, name: str) -> Channel | None:
+    if f"f_{name}" in c:
+        return c[f"f_{name}"]
+    shaft, told = c.get(f"n_{name}"), c.get(f"n_cmd_{name}")
+    if shaft is None or (told is not None and shaft.t[-1] < told.t[-1] - 3.0):
+        shaft = told  # without telemetry, or with one that ended
+    if shaft is None:
         return None
-    names, t, edges, f, side = given
-    r = filled(t, block_mean(c["r"], edges)[0])
-    moment = _effect(r, (f @ side)[:, None], [], YAW_LAGS).t[0] if side.any() else 0.0
-    return PushResponse(names, _effect(r, f, [], YAW_LAGS), _surge(c, t, edges, f), float(moment))
+    return Channel(shaft.t, shaft.value * np.abs(shaft.value))
 
 
-def delayed_forces(y: Array, push: Array, lags: Sequence[float]) -> Array:
-    """What a push (n,) does to y (n,) through the first-order lag that fits best, with the sign that it should have.
-
-    Where y goes the other way the two are mirror images: that is what swapped sides look like.
-    """
-    found, best = np.full(y.size, np.nan), np.inf
-    for lag in lags:
-        past = first_order_lag(push, lag, 1.0 / RATE)
-        X = np.column_stack([past, np.ones(y.size)])
-        beta, *_ = np.linalg.lstsq(X, y, rcond=None)
-        error = float(np.sum((y - X @ beta) ** 2))
-        if error < best:
-            best, found = error, abs(beta[0]) * (past - past.mean()) + y.mean()
-    return found
+def _side(sides: Mapping[str, float], names: Sequence[str]) -> Array:
+    """+1 for a thruster on the left, whose push turns the bow to starboard, -1 on the right, 0 in the middle."""
+    return np.array([-np.sign(sides[n]) if abs(sides[n]) > 0.02 else 0.0 for n in names])
 
 
 def _surge(c: Channels, t: Array, edges: Array, f: Array) -> RegressionEffect:
@@ -182,34 +177,6 @@ def _surge(c: Channels, t: Array, edges: Array, f: Array) -> RegressionEffect:
         if np.abs(other.t).sum() > np.abs(found.t).sum():
             return other
     return found
-
-
-def _push(c: Channels, name: str) -> Channel | None:
-    if f"f_{name}" in c:
-        return c[f"f_{name}"]
-    shaft, told = c.get(f"n_{name}"), c.get(f"n_cmd_{name}")
-    if shaft is None or (told is not None and shaft.t[-1] < told.t[-1] - 3.0):
-        shaft = told  # without telemetry, or with one that ended
-    if shaft is None:
-        return None
-    return Channel(shaft.t, shaft.value * np.abs(shaft.value))
-
-
-def ahead(c: Channels, t: Array) -> Array | None:
-    """Speed ahead [m/s] at the times t, over ground."""
-    if "u" in c:
-        return np.interp(t, c["u"].t, c["u"].value)
-    if {"vx", "vy", "psi"} <= set(c):
-        psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value))
-        vx, vy = (np.interp(t, c[n].t, c[n].value) for n in ("vx", "vy"))
-        return np.asarray(np.cos(psi) * vx + np.sin(psi) * vy)
-    return None
-
-
-def filled(t: Array, values: Array) -> Array:
-    """Values (n,) at t (n,) with NaN filled in between the others."""
-    good = np.isfinite(values)
-    return np.interp(t, t[good], values[good])
 
 
 def _effect(
@@ -250,6 +217,39 @@ def _own_part(f: Array) -> Array:
         shared = rest @ np.linalg.lstsq(rest, column, rcond=None)[0] if rest.size else np.zeros_like(column)
         found[k] = (column - shared).std() / spread[k]
     return found
+
+
+def delayed_forces(y: Array, push: Array, lags: Sequence[float]) -> Array:
+    """What a push (n,) does to y (n,) through the first-order lag that fits best, with the sign that it should have.
+
+    Where y goes the other way the two are mirror images: that is what swapped sides look like.
+    """
+    found, best = np.full(y.size, np.nan), np.inf
+    for lag in lags:
+        past = first_order_lag(push, lag, 1.0 / RATE)
+        X = np.column_stack([past, np.ones(y.size)])
+        beta, *_ = np.linalg.lstsq(X, y, rcond=None)
+        error = float(np.sum((y - X @ beta) ** 2))
+        if error < best:
+            best, found = error, abs(beta[0]) * (past - past.mean()) + y.mean()
+    return found
+
+
+def ahead(c: Channels, t: Array) -> Array | None:
+    """Speed ahead [m/s] at the times t, over ground."""
+    if "u" in c:
+        return np.interp(t, c["u"].t, c["u"].value)
+    if {"vx", "vy", "psi"} <= set(c):
+        psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value))
+        vx, vy = (np.interp(t, c[n].t, c[n].value) for n in ("vx", "vy"))
+        return np.asarray(np.cos(psi) * vx + np.sin(psi) * vy)
+    return None
+
+
+def filled(t: Array, values: Array) -> Array:
+    """Values (n,) at t (n,) with NaN filled in between the others."""
+    good = np.isfinite(values)
+    return np.interp(t, t[good], values[good])
 
 
 @dataclass(frozen=True)

@@ -83,27 +83,25 @@ def channels(log: Log) -> dict[str, Channel]:
     return found
 
 
-def along_track(t: Array, vx: Array, vy: Array) -> Array:
-    """Speed [m/s] along the direction of travel (n,), negative astern.
-
-    The direction is that of the velocity within ``TRACK_WINDOW`` seconds either way, weighted by speed: a boat that
-    drifts at rest before a run has the run's direction. The magnitude alone would turn drift and noise into forward
-    speed.
-    """
-    speed = np.hypot(vx, vy)
-    a, b = np.searchsorted(t, t - TRACK_WINDOW), np.searchsorted(t, t + TRACK_WINDOW, side="right")
-    sums = [np.append(0.0, np.cumsum(speed * v)) for v in (vx, vy)]
-    dx, dy = (s[b] - s[a] for s in sums)
-    length = np.hypot(dx, dy)
-    return np.asarray(np.divide(vx * dx + vy * dy, length, out=np.zeros_like(speed), where=length > 0))
-
-
 def ahrs_channels(table: Table, source: str) -> dict[str, Channel]:
     """Every axis of an AHRS that it reported."""
     names = {"yaw": "psi", "pitch": "theta", "roll": "phi"}
     rows = (("rad", ("yaw", "pitch", "roll")), ("rad/s", ("p", "q", "r")), ("m/s2", ("ax", "ay", "az")))
     found = {names.get(c, c): _channel(table, c, unit, source) for unit, columns in rows for c in columns}
     return {name: c for name, c in found.items() if c.t.size > 1}
+
+
+def _gnss(table: Table, source: str) -> dict[str, Channel]:
+    table = table[(table["fix"] >= 2) & np.isfinite(table["lat"])]
+    if not len(table):
+        return {}
+    x, y = local_ned(table["lat"], table["lon"])
+    t = np.ascontiguousarray(table["t"])
+    found = {"x": Channel(t, x, "m", source), "y": Channel(t, y, "m", source)}
+    for name, column in (("vx", "vel_n"), ("vy", "vel_e")):
+        if np.isfinite(table[column]).any():
+            found[name] = _channel(table, column, "m/s", source)
+    return found
 
 
 def _thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> None:
@@ -128,17 +126,30 @@ def _thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> None:
         found[f"n_cmd_{thruster.name}"] = _channel(log.table(Command, device, node=node), "n_cmd", "", device)
 
 
-def _gnss(table: Table, source: str) -> dict[str, Channel]:
-    table = table[(table["fix"] >= 2) & np.isfinite(table["lat"])]
-    if not len(table):
-        return {}
-    x, y = local_ned(table["lat"], table["lon"])
-    t = np.ascontiguousarray(table["t"])
-    found = {"x": Channel(t, x, "m", source), "y": Channel(t, y, "m", source)}
-    for name, column in (("vx", "vel_n"), ("vy", "vel_e")):
-        if np.isfinite(table[column]).any():
-            found[name] = _channel(table, column, "m/s", source)
-    return found
+def _channel(table: Table, column: str, unit: str, source: str) -> Channel:
+    good = np.isfinite(table[column])
+    t, value = table["t"][good], table[column][good]
+    return Channel(np.ascontiguousarray(t, float), np.ascontiguousarray(value, float), unit, source)
+
+
+def _good(table: Table) -> Table:
+    good: Table = table[table["flags"] == 0]
+    return good
+
+
+def along_track(t: Array, vx: Array, vy: Array) -> Array:
+    """Speed [m/s] along the direction of travel (n,), negative astern.
+
+    The direction is that of the velocity within ``TRACK_WINDOW`` seconds either way, weighted by speed: a boat that
+    drifts at rest before a run has the run's direction. The magnitude alone would turn drift and noise into forward
+    speed.
+    """
+    speed = np.hypot(vx, vy)
+    a, b = np.searchsorted(t, t - TRACK_WINDOW), np.searchsorted(t, t + TRACK_WINDOW, side="right")
+    sums = [np.append(0.0, np.cumsum(speed * v)) for v in (vx, vy)]
+    dx, dy = (s[b] - s[a] for s in sums)
+    length = np.hypot(dx, dy)
+    return np.asarray(np.divide(vx * dx + vy * dy, length, out=np.zeros_like(speed), where=length > 0))
 
 
 def local_ned(lat: Array, lon: Array) -> tuple[Array, Array]:
@@ -149,17 +160,6 @@ def local_ned(lat: Array, lon: Array) -> tuple[Array, Array]:
     normal = WGS84_SEMI_MAJOR_AXIS / np.sqrt(w)
     east = np.radians(np.mod(lon - lon[0] + 180, 360) - 180)
     return meridian * np.radians(lat - lat[0]), normal * np.cos(phi) * east
-
-
-def _channel(table: Table, column: str, unit: str, source: str) -> Channel:
-    good = np.isfinite(table[column])
-    t, value = table["t"][good], table[column][good]
-    return Channel(np.ascontiguousarray(t, float), np.ascontiguousarray(value, float), unit, source)
-
-
-def _good(table: Table) -> Table:
-    good: Table = table[table["flags"] == 0]
-    return good
 
 
 def follows_command(rpm: Array, n: Array) -> bool:

@@ -1,4 +1,4 @@
-"""A record as the engine reads it: checked once, with masks, and the state at its start."""
+"""Records in the form that kernels read: checked once, with masks of the sensors, and the initial state."""
 
 from __future__ import annotations
 

@@ -27,6 +27,41 @@ class Channel:
     source: str = ""
 
 
+def sample_and_hold(channel: Channel, t: Array) -> Array:
+    """The latest value at or before each time; the first value before that."""
+    at = np.searchsorted(channel.t, t + SAME_TIME, side="right") - 1
+    return channel.value[np.clip(at, 0, None)]
+
+
+def block_mean(channel: Channel, edges: Array, angle: bool = False) -> tuple[Array, Array]:
+    """Means of value and time between the edges, NaN where a block is empty. Angles are unwrapped first."""
+    value = np.unwrap(channel.value) if angle else channel.value
+    index = np.searchsorted(edges, channel.t, side="right") - 1
+    inside = (index >= 0) & (index < edges.size - 1) & np.isfinite(value)
+    index, value, t = index[inside], value[inside], channel.t[inside]
+    count = np.bincount(index, minlength=edges.size - 1)
+    with np.errstate(invalid="ignore"):
+        mean = np.bincount(index, value, edges.size - 1) / count
+        centre = np.bincount(index, t, edges.size - 1) / count
+    return mean, centre
+
+
+@dataclass(frozen=True)
+class LogSegment:
+    """One log: its signals by name, and which part of it to use."""
+
+    name: str
+    channels: Mapping[str, Channel]
+    t_from: float | None = None
+    t_to: float | None = None
+    meta: Mapping[str, object] = field(default_factory=dict)
+
+
+def make_record(model: Model, run: LogSegment, rate: float) -> Record:
+    """One run as rows for a model (ident.data.record)."""
+    return build_record(model, run.channels, name=run.name, t_from=run.t_from, t_to=run.t_to, rate=rate, meta=run.meta)
+
+
 @dataclass(frozen=True)
 class Record:
     """One run as rows of time, each with the inputs and whatever was measured then.
@@ -89,25 +124,6 @@ class Record:
             u_next=self.u_next[rows],
             y=self.y[rows],
         )
-
-
-def sample_and_hold(channel: Channel, t: Array) -> Array:
-    """The latest value at or before each time; the first value before that."""
-    at = np.searchsorted(channel.t, t + SAME_TIME, side="right") - 1
-    return channel.value[np.clip(at, 0, None)]
-
-
-def block_mean(channel: Channel, edges: Array, angle: bool = False) -> tuple[Array, Array]:
-    """Means of value and time between the edges, NaN where a block is empty. Angles are unwrapped first."""
-    value = np.unwrap(channel.value) if angle else channel.value
-    index = np.searchsorted(edges, channel.t, side="right") - 1
-    inside = (index >= 0) & (index < edges.size - 1) & np.isfinite(value)
-    index, value, t = index[inside], value[inside], channel.t[inside]
-    count = np.bincount(index, minlength=edges.size - 1)
-    with np.errstate(invalid="ignore"):
-        mean = np.bincount(index, value, edges.size - 1) / count
-        centre = np.bincount(index, t, edges.size - 1) / count
-    return mean, centre
 
 
 def build_record(
@@ -236,19 +252,3 @@ def _inputs(model: Model, channels: Mapping[str, Channel], t: Array, start: floa
             continue
         u[:, j], u_next[:, j] = at, np.append(at[1:], at[-1])
     return u, u_next
-
-
-@dataclass(frozen=True)
-class LogSegment:
-    """One log: its signals by name, and which part of it to use."""
-
-    name: str
-    channels: Mapping[str, Channel]
-    t_from: float | None = None
-    t_to: float | None = None
-    meta: Mapping[str, object] = field(default_factory=dict)
-
-
-def make_record(model: Model, run: LogSegment, rate: float) -> Record:
-    """One run as rows for a model (ident.data.record)."""
-    return build_record(model, run.channels, name=run.name, t_from=run.t_from, t_to=run.t_to, rate=rate, meta=run.meta)

@@ -23,8 +23,9 @@ from ident.numerics import Array
 
 @dataclass(frozen=True)
 class LikelihoodAndScore:
-    """Log-likelihood, its gradient (n_free,) and the Fisher information (n_free, n_free), in the parameters' own
-    units; ``by_row`` (n_rows, n_free): what each row adds to the gradient, where it was asked for."""
+    """Log-likelihood, its gradient, the score (n_free,), and the expected Fisher information (n_free, n_free), in the
+    parameters' own units; ``by_row`` (n_rows, n_free): contributions of the rows to the score, where they were asked
+    for."""
 
     value: float
     gradient: Array
@@ -34,15 +35,15 @@ class LikelihoodAndScore:
 
 @dataclass(frozen=True)
 class FilterResult:
-    """What the filter knew, row by row.
+    """EKF output per time step: predicted and filtered means and covariances, and innovations.
 
-    t (n_rows,) s; x_pred, x_filt (n_rows, n_states) means and P_pred, P_filt (n_rows, n_states, n_states)
-    covariances before and after the row's samples; Phi (n_rows, n_states, n_states) to the next row;
-    e (n_rows, n_outputs) measured minus predicted, NaN where nothing was measured; R (n_outputs,) variances of
-    the measurement noise; eps, S (n_rows, n_outputs): innovations and variances one after the other, each given
-    those before it in its row, so that eps / sqrt(S) is white; ll (n_rows,) what the row adds to ln L; allowed
-    (n_outputs,): where outliers are allowed, None: nowhere; left (n_rows, n_outputs): outliers at the start that the
-    filter did not get to see.
+    t (n_rows,) [s]; x_pred, x_filt (n_rows, n_states): state means before and after the row's samples; P_pred, P_filt
+    (n_rows, n_states, n_states): their covariances; Phi (n_rows, n_states, n_states): transition to the next row; e
+    (n_rows, n_outputs): measured minus predicted, NaN where nothing was measured; R (n_outputs,): variances of the
+    measurement noise; eps, S (n_rows, n_outputs): innovations and their variances in sequential processing, each given
+    those before it in its row, so that eps / sqrt(S) is white; ll (n_rows,): contribution of the row to ln L; allowed
+    (n_outputs,): outputs with the outlier model, None: none; left (n_rows, n_outputs): outliers before the first
+    measurement that the filter was given.
     """
 
     t: Array
@@ -61,18 +62,17 @@ class FilterResult:
 
     @property
     def value(self) -> float:
+        """Log-likelihood of the record."""
         return float(self.ll.sum())
 
     @property
     def standardised(self) -> Array:
-        """Innovations in units of their standard deviation (n_rows, n_outputs): white if the model is right.
-
-        Outliers are NaN: they are not the model's."""
+        """Standardised innovations (n_rows, n_outputs): white if the model is right. Outliers are NaN."""
         return np.where(self.outliers, np.nan, self.eps / np.sqrt(self.S))
 
     @cached_property
     def outliers(self) -> NDArray[np.bool_]:
-        """Samples that were taken for outliers (n_rows, n_outputs)."""
+        """Samples that are more likely outliers than not (n_rows, n_outputs)."""
         left = np.zeros(self.eps.shape, dtype=bool) if self.left is None else self.left
         return left if self.allowed is None else left | self.allowed & (weight(self.eps / np.sqrt(self.S)) < LIKELY)
 

@@ -1,4 +1,4 @@
-"""What the errors of the estimated parameters add to a prediction from the inputs alone.
+"""Parameter covariance, and its contribution to the covariance of a prediction (delta method).
 
 The covariance of the estimate is split into its principal directions, of one standard deviation each; the prediction is
 made with the parameters moved either way along each of them, and half the differences are the columns of ``J L``:
@@ -6,8 +6,8 @@ made with the parameters moved either way along each of them, and half the diffe
     var y = H P H' + R + sum_k (y(theta + l_k) - y(theta - l_k))^2 / 4,   L L' = cov theta
 
 the delta method by central differences over a standard deviation, which also sees how far the model bends within it
-(as the points of an unscented transform do: Julier and Uhlmann 1997). Parameters move in the estimator's coordinates
-(logarithms of positive ones) and stay within their bounds.
+(as the sigma points of an unscented transform do: Julier and Uhlmann 1997). Parameters move in the estimator's
+coordinates (logarithms of positive ones) and stay within their bounds.
 """
 
 from __future__ import annotations
@@ -86,12 +86,6 @@ def _rows(record: Record, rows: slice) -> Record:
                   record.outputs)
 
 
-def dynamic_parameters(model: Model) -> list[str]:
-    """Free parameters that all records share, without those of noise and of unexplained forces."""
-    noise = model.noise_parameters
-    return [p.name for p in model.parameters if p.free and not p.per_record and p.name not in noise]
-
-
 @dataclass(frozen=True)
 class ParameterCovariance:
     """Covariance (n, n) of the parameters ``names`` (n,), in their own units; None: not known."""
@@ -121,3 +115,9 @@ def principal_directions(model: Model, values: Array, known: ParameterCovariance
             point[names.index(p.name)] = p.from_free(p.to_free(p.value) + PARAMETER_STEP * size * d)
         moved.append(point)
     return moved
+
+
+def dynamic_parameters(model: Model) -> list[str]:
+    """Free parameters that all records share, without those of noise and of unexplained forces."""
+    noise = model.noise_parameters
+    return [p.name for p in model.parameters if p.free and not p.per_record and p.name not in noise]

@@ -1,7 +1,11 @@
-"""Standard errors from the information at an estimate, and what must not be given one.
+"""Standard errors of an estimate, and what must not be given one.
 
-How well a parameter is known whose likelihood is flat where it stands, but falls a little further off.
-Standard errors that stay valid when residuals are coloured: from what each row has a part in, by blocks of rows.
+- `assess`: from the inverse of the information, without combinations that the data do not identify, and wider where a
+  parameter at its bound may leave it;
+- `sandwich`: valid where residuals are autocorrelated (White 1982): the covariance of the score is taken from sums over
+  blocks of rows, which are longer than the autocorrelation;
+- `flat_coordinates`: practical identifiability: parameters whose likelihood is flat around the estimate but falls a
+  little further off get the width of that interval (Raue et al. 2009).
 """
 
 from __future__ import annotations
@@ -150,6 +154,36 @@ def _apart(V: Array) -> Array:
     return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
 
 
+def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes: Array) -> Array:
+    """Standard errors in own units (n,); NaN where there is none, or where the residuals remember too long.
+
+    rows: for each record its coordinates, and what each row adds to their gradient (n_rows, n_places). What parameters
+    at their bounds add to the errors is added to these, too.
+    """
+    P = np.nan_to_num(known.P)
+    parts = [by_row @ P[places] for places, by_row in rows]  # (n_rows, n): what each row moves the estimate by
+    variance = np.array([_variance([part[:, i] for part in parts], len(P)) for i in range(len(P))])
+    return np.where(np.isfinite(known.errors), np.abs(slopes) * np.sqrt(variance + np.diag(known.spread)), np.nan)
+
+
+def _variance(parts: Sequence[Array], n_parameters: int) -> float:
+    """Of the sum of all rows of all records; what as many parameters have taken of it is given back."""
+    n = sum(part.size for part in parts)
+    remembered = integrated_autocorrelation_time(parts)
+    length = max(BLOCK_LENGTH * remembered, n / max(MAX_BLOCKS, 4 * n_parameters))
+    counts = [max(int(part.size / length), 1) for part in parts]
+    n_blocks = sum(counts)
+    if n_blocks < MIN_BLOCKS:
+        return np.nan
+    total = 0.0
+    for part, count in zip(parts, counts, strict=True):
+        starts = np.linspace(0, part.size, count, endpoint=False).astype(int)
+        total += float(np.sum(np.add.reduceat(part, starts) ** 2))
+    missed = 0.5 * (remembered - 1.0) / length  # by blocks that cut an exponential memory
+    taken = min(n_parameters, n_blocks // 2)  # as if each had fitted a block: a little too careful
+    return total * n_blocks / (n_blocks - taken) / (1.0 - missed)
+
+
 @dataclass(frozen=True)
 class LikelihoodInterval:
     """Coordinate ``at`` can be moved to ``low`` and to ``high`` until the log-likelihood has fallen by 1.92."""
@@ -233,33 +267,3 @@ def with_interval_information(at: Evaluation, found: Sequence[LikelihoodInterval
         information[p.at, :] = information[:, p.at] = 0.0
         information[p.at, p.at] = p.information
     return replace(at, information=information)
-
-
-def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes: Array) -> Array:
-    """Standard errors in own units (n,); NaN where there is none, or where the residuals remember too long.
-
-    rows: for each record its coordinates, and what each row adds to their gradient (n_rows, n_places). What parameters
-    at their bounds add to the errors is added to these, too.
-    """
-    P = np.nan_to_num(known.P)
-    parts = [by_row @ P[places] for places, by_row in rows]  # (n_rows, n): what each row moves the estimate by
-    variance = np.array([_variance([part[:, i] for part in parts], len(P)) for i in range(len(P))])
-    return np.where(np.isfinite(known.errors), np.abs(slopes) * np.sqrt(variance + np.diag(known.spread)), np.nan)
-
-
-def _variance(parts: Sequence[Array], n_parameters: int) -> float:
-    """Of the sum of all rows of all records; what as many parameters have taken of it is given back."""
-    n = sum(part.size for part in parts)
-    remembered = integrated_autocorrelation_time(parts)
-    length = max(BLOCK_LENGTH * remembered, n / max(MAX_BLOCKS, 4 * n_parameters))
-    counts = [max(int(part.size / length), 1) for part in parts]
-    n_blocks = sum(counts)
-    if n_blocks < MIN_BLOCKS:
-        return np.nan
-    total = 0.0
-    for part, count in zip(parts, counts, strict=True):
-        starts = np.linspace(0, part.size, count, endpoint=False).astype(int)
-        total += float(np.sum(np.add.reduceat(part, starts) ** 2))
-    missed = 0.5 * (remembered - 1.0) / length  # by blocks that cut an exponential memory
-    taken = min(n_parameters, n_blocks // 2)  # as if each had fitted a block: a little too careful
-    return total * n_blocks / (n_blocks - taken) / (1.0 - missed)

@@ -1,9 +1,13 @@
-"""Are the innovations white, and do they still know the inputs? Tests on standardised innovations.
+"""Residual analysis: whiteness of standardised innovations, and their correlation with the inputs.
 
-Each channel is tested on its own samples, at its own rate: the Ljung-Box statistic (Ljung and Box 1978), the
-cumulative periodogram (Bartlett 1955; Durbin 1969) and the cross-correlation with every input, with bands.
+Each channel is tested on its own samples, at its own rate.
 
-By how much standardised innovations depart from white noise, and whether that can be chance.
+- `whiteness_test`: the portmanteau test of Ljung and Box (1978) and the cumulative periodogram (Bartlett 1955; Durbin
+  1969): is there any departure from white noise?
+- `cross_correlation` with an input: is its effect modelled completely?
+- `spectral_peak`: a narrow peak, as of waves or of an oscillation that the model lacks;
+- `whiteness_diagnostics`: by how much innovations depart, in a regression on their past, as a spectral line and by
+  octaves. In a long record a test sees departures that do not matter.
 """
 
 from __future__ import annotations
@@ -51,17 +55,6 @@ class Whiteness:
         return 2 * min(self.ljung_box, self.periodogram) > 0.01
 
 
-@dataclass(frozen=True)
-class CrossCorrelation:
-    """Standardised correlation of one channel's innovations with one input at lags >= 0 (input earlier)."""
-
-    channel: str
-    input: str
-    lags: Array  # s
-    z: Array  # correlation in units of its standard deviation under independence
-    p: float  # of the largest, over all lags
-
-
 def whiteness_test(channel: str, t: Array, e: Array, n_lags: int = N_LAGS) -> Whiteness:
     """Tests of one channel's standardised innovations.
 
@@ -107,6 +100,49 @@ def ljung_box(acf: Array, n: int, *, n_fitted: int = 0, finite_sample: bool = Fa
     q = n * (n + 2) * float(np.sum(acf**2 / (n - np.arange(1, n_lags + 1))))
     spread = 1 + 2 * n_lags / n if finite_sample else 1.0
     return float(stats.chi2.sf(q / spread, (n_lags - n_fitted) / spread))
+
+
+@dataclass(frozen=True)
+class CrossCorrelation:
+    """Standardised correlation of one channel's innovations with one input at lags >= 0 (input earlier)."""
+
+    channel: str
+    input: str
+    lags: Array  # s
+    z: Array  # correlation in units of its standard deviation under independence
+    p: float  # of the largest, over all lags
+
+
+def cross_correlation(
+    channel: str, t: Array, e: Array, input_name: str, t_u: Array, u: Array, horizon: float = 3.0, n_lags: int = 31
+) -> CrossCorrelation:
+    """Correlation of e(t) with the input at t - lag. White innovations make z standard normal, lags correlated as the
+    input's are: p is Hunter's bound (1976) on the largest of all, tight where it is small, whatever the input."""
+    lags = np.linspace(0.0, horizon, n_lags)
+    sd = e.std()
+    past = np.array([_moved(np.interp(t - lag, t_u, u)) for lag in lags])
+    z = past @ e / sd if sd > 0 else np.zeros(n_lags)
+    together = np.abs(np.sum(past[1:] * past[:-1], axis=1))
+    return CrossCorrelation(channel, input_name, lags, z, _any_lag(float(np.abs(z).max()), together))
+
+
+def _moved(past: Array) -> Array:
+    """The input less its mean, of norm one; nothing where that is the rounding of a constant."""
+    size = float(np.abs(past).max(initial=0.0))
+    past = past - past.mean()
+    norm = float(np.sqrt(past @ past))
+    return past / norm if norm > 1e-9 * size * np.sqrt(past.size) else np.zeros(past.size)
+
+
+def _any_lag(highest: float, together: Array) -> float:
+    """P that any of standard normal z exceeds ``highest`` on either side, from the correlations of neighbours (n - 1,).
+
+    ``P(any) <= P(z_0) + sum P(z_k, not z_k-1)``, and that is ``4 T(highest, sqrt((1 - r) / (1 + r)))`` with Owen's T
+    less what exceeds it on the other side.
+    """
+    rho = np.minimum(together, 1.0)
+    each = 4 * special.owens_t(highest, np.sqrt((1 - rho) / (1 + rho)))
+    return min(1.0, float(2 * stats.norm.sf(highest) + each.sum()))
 
 
 class SpectralPeak(NamedTuple):
@@ -163,36 +199,25 @@ def _smooth(power: Array) -> Array:
     return np.asarray(np.exp(fitted) * np.median(power / np.exp(fitted)))
 
 
-def cross_correlation(
-    channel: str, t: Array, e: Array, input_name: str, t_u: Array, u: Array, horizon: float = 3.0, n_lags: int = 31
-) -> CrossCorrelation:
-    """Correlation of e(t) with the input at t - lag. White innovations make z standard normal, lags correlated as the
-    input's are: p is Hunter's bound (1976) on the largest of all, tight where it is small, whatever the input."""
-    lags = np.linspace(0.0, horizon, n_lags)
-    sd = e.std()
-    past = np.array([_moved(np.interp(t - lag, t_u, u)) for lag in lags])
-    z = past @ e / sd if sd > 0 else np.zeros(n_lags)
-    together = np.abs(np.sum(past[1:] * past[:-1], axis=1))
-    return CrossCorrelation(channel, input_name, lags, z, _any_lag(float(np.abs(z).max()), together))
+class WhitenessDiagnostics(NamedTuple):
+    """All three; of the octaves the one that is farthest from chance, those that matter before the others."""
 
+    predictable: Predictable
+    line: SpectralLine
+    band: FrequencyBand
 
-def _moved(past: Array) -> Array:
-    """The input less its mean, of norm one; nothing where that is the rounding of a constant."""
-    size = float(np.abs(past).max(initial=0.0))
-    past = past - past.mean()
-    norm = float(np.sqrt(past @ past))
-    return past / norm if norm > 1e-9 * size * np.sqrt(past.size) else np.zeros(past.size)
+    @property
+    def share(self) -> float:
+        """Of the variance, that is known to be predictable: by the regression or as a line."""
+        return max(self.predictable.share, self.line.share if self.line.p < SIGNIFICANCE else 0.0)
 
+    @property
+    def matter(self) -> bool:
+        return any(part.matters for part in self)
 
-def _any_lag(highest: float, together: Array) -> float:
-    """P that any of standard normal z exceeds ``highest`` on either side, from the correlations of neighbours (n - 1,).
-
-    ``P(any) <= P(z_0) + sum P(z_k, not z_k-1)``, and that is ``4 T(highest, sqrt((1 - r) / (1 + r)))`` with Owen's T
-    less what exceeds it on the other side.
-    """
-    rho = np.minimum(together, 1.0)
-    each = 4 * special.owens_t(highest, np.sqrt((1 - rho) / (1 + rho)))
-    return min(1.0, float(2 * stats.norm.sf(highest) + each.sum()))
+    @property
+    def significant(self) -> bool:
+        return any(part.p < SIGNIFICANCE for part in self)
 
 
 class Predictable(NamedTuple):
@@ -230,27 +255,6 @@ class FrequencyBand(NamedTuple):
     @property
     def matters(self) -> bool:
         return self.p < SIGNIFICANCE and not 1 / MAX_DENSITY_RATIO < self.ratio < MAX_DENSITY_RATIO
-
-
-class WhitenessDiagnostics(NamedTuple):
-    """All three; of the octaves the one that is farthest from chance, those that matter before the others."""
-
-    predictable: Predictable
-    line: SpectralLine
-    band: FrequencyBand
-
-    @property
-    def share(self) -> float:
-        """Of the variance, that is known to be predictable: by the regression or as a line."""
-        return max(self.predictable.share, self.line.share if self.line.p < SIGNIFICANCE else 0.0)
-
-    @property
-    def matter(self) -> bool:
-        return any(part.matters for part in self)
-
-    @property
-    def significant(self) -> bool:
-        return any(part.p < SIGNIFICANCE for part in self)
 
 
 def whiteness_diagnostics(e: Array) -> WhitenessDiagnostics:
@@ -306,5 +310,3 @@ def _band(power: Array, freedom: Array, first: int, end: int, n_bands: int, n: i
     square = float(power[first:end] @ freedom[first:end])
     p = 2 * n_bands * min(float(stats.chi2.sf(square, dof)), float(stats.chi2.cdf(square, dof)))
     return FrequencyBand(first / n, (end - 1) / n, square / dof, min(1.0, p))
-
-
