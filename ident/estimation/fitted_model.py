@@ -27,8 +27,10 @@ RESCALING_RATIO = 2.0  # of the estimated force or moment to the assumed: from i
 
 @dataclass(frozen=True)
 class FittedModel:
-    """A model fitted to the estimation data, and what it does on both sets. Nuisances that each record has for
-    itself (current) are estimated on the validation data too; nothing else is."""
+    """A model, its fit to the estimation data, and its evaluation on every record of both sets.
+
+    Parameters of a single record (the current) are estimated on the validation data, too; nothing else is.
+    """
 
     model: Model
     fit: Fit
@@ -38,7 +40,10 @@ class FittedModel:
 
 @dataclass(frozen=True)
 class RecordEvaluation:
-    """A fitted model on one record: once asked for, the filter's account of it and the smoother's."""
+    """A fitted model on one record; filter and smoother run when they are first asked for.
+
+    values (n_parameters,): the estimates that belong to this record, in the order of ``model.parameters``.
+    """
 
     model: Model
     record: Record
@@ -46,15 +51,17 @@ class RecordEvaluation:
 
     @cached_property
     def run(self) -> FilterResult:
+        """Filtered states and innovations."""
         return Likelihood(self.model).filter(self.record, self.values)
 
     @cached_property
     def ll(self) -> Array:
-        """What each row adds to ln L (n_rows,): of most candidates nothing else is ever asked."""
+        """Log-likelihood by row (n_rows,): all that is asked of most candidates."""
         return Likelihood(self.model).value_by_row(self.record, self.values)
 
     @cached_property
     def smoothed(self) -> SmootherResult:
+        """Smoothed states."""
         return smooth(self.run)
 
 
