@@ -1,4 +1,4 @@
-"""What a check looked at, as curves for its page: times between samples, signals, shafts, and motion against push."""
+"""Evidence of a check, as curves for its page: sample intervals, signals, shafts, and motion against thrust."""
 
 from __future__ import annotations
 

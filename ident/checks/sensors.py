@@ -1,4 +1,4 @@
-"""Do the sensors agree with each other? What a log's own motion says of lateness, units and signs.
+"""Consistency of sensors: delay, unit and sign of each against the motion that the others measured.
 
 Everything here compares increments over windows, so that offsets drop out and noise is averaged: a sensor's rate is
 never differentiated sample by sample.

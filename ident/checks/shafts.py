@@ -1,6 +1,6 @@
-"""Does each shaft do what it is told? Delay, dead band, limit, drop-outs, sign, unit, and whether it turns at all.
+"""Response of each shaft to its command: delay, dead band, limit, drop-outs, sign, unit, and whether it turns at all.
 
-Whether the boat goes where its thrusters push is `ident.checks.motion`.
+The boat's response to its thrusters is checked by `ident.checks.motion`.
 """
 
 from __future__ import annotations

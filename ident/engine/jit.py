@@ -1,4 +1,4 @@
-"""LLVM IR to machine code, kept on disk under a hash of the IR, the processor and LLVM's version."""
+"""Just-in-time compilation of LLVM IR; machine code is cached by a hash of the IR, the processor and LLVM's version."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
     ln L = -1/2 sum [ e' S^-1 e + ln |S| + r ln 2 pi ]
 
 with innovations ``e`` and their covariance ``S``; scalar measurements are processed sequentially. The mean is
-integrated by Runge-Kutta 4 over each interval, the covariance by the transition matrix and Simpson's rule (`ident.engine`).
+integrated by Runge-Kutta 4 over each interval, the covariance by the transition matrix and Simpson's rule.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Noise without what the dynamics took of it: restricted likelihood.
+"""Restricted maximum likelihood (REML): noise estimates corrected for the degrees of freedom of the dynamic parameters.
 
 Maximum likelihood divides the squares of the innovations by their number, not by what is left of it when the dynamics
 have been fitted to them, so that noise comes out too small: with a mass and two dampings from five minutes of one
