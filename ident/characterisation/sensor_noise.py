@@ -3,10 +3,8 @@
     y_k = b(t_k) + w_k,   db = q dW,   var w = r^2,   b(0) unknown
 
 In innovation form ``n_k = (1 + c q^-1) / (1 - q^-1) e_k``. The filter is that of ``ident.estimation.likelihood``, so
-gaps in time
-are no matter. A sensor whose innovations are not white under this model does not have this noise, and
-``NoiseFit.rejected`` says so (``ident.validation.whiteness``): the filtered output of a single-point GPS receiver, for
-one.
+that gaps in time do not matter. Where the innovations are not white under this model (``ident.validation.whiteness``),
+as of the filtered output of a single-point GPS receiver, the sensor has other noise, and ``NoiseFit.rejected`` says so.
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ from ident.model import INF, Model, ModelKind, Output, Parameter, Sensor, State,
 from ident.numerics import Array
 from ident.validation import WhitenessDiagnostics, autocorrelation, ljung_box, whiteness_diagnostics
 
-FLOOR = 1e-4  # of the channel's scale: a standard deviation below this is none
+NOISE_FLOOR = 1e-4  # of the channel's scale: a standard deviation below this is zero
 N_LAGS = 20  # of the Ljung-Box test of the innovations
 
 
@@ -104,22 +102,13 @@ def innovation_form(white: float, walk: float, dt: float) -> tuple[float, float]
     return float(-r / S), float(np.sqrt(S))
 
 
-def welch(channel: Channel, n_segments: int = 8) -> tuple[Array, Array]:
-    """Frequency [Hz] and one-sided density [unit^2/Hz] of evenly sampled data, by Welch's method (1967)."""
-    dt = float(np.median(np.diff(channel.t)))
-    length = max(16, int(2 * channel.value.size / (n_segments + 1)))
-    frequency, density = signal.welch(channel.value, 1.0 / dt, nperseg=min(length, channel.value.size),
-                                      detrend="linear")
-    return frequency[1:], density[1:]
-
-
 def _start(y: Array, dt: float) -> Model:
     """Moments of the differences: variance ``q^2 dt + 2 r^2``, covariance ``-r^2``."""
     d = np.diff(y)
     variance, covariance = float(d @ d) / d.size, float(d[1:] @ d[:-1]) / (d.size - 1)
     white = np.sqrt(np.clip(-covariance, 1e-4 * variance, 0.4999 * variance))
     walk = np.sqrt(max(variance - 2 * white**2, 1e-5 * variance) / dt)
-    low = FLOOR / np.sqrt(dt)
+    low = NOISE_FLOOR / np.sqrt(dt)
     return noise_model(low).with_values({"white": float(white), "walk": float(max(walk, 2 * low))})
 
 
@@ -134,9 +123,18 @@ def noise_model(low_walk: float) -> Model:
         inputs=(),
         sensors=(Sensor("sensor", (Output("y", noise="white"),)),),
         parameters=(
-            Parameter("white", 1.0, meaning="white noise", transform="log", bounds=(FLOOR, INF)),
+            Parameter("white", 1.0, meaning="white noise", transform="log", bounds=(NOISE_FLOOR, INF)),
             Parameter("walk", 2 * low_walk, meaning="random walk", transform="log", bounds=(low_walk, INF)),
             Parameter("bias", 0.0, meaning="offset at the start"),
         ),
     )
     return replace(model, kind=ModelKind.NOISE)
+
+
+def welch(channel: Channel, n_segments: int = 8) -> tuple[Array, Array]:
+    """Frequency [Hz] and one-sided density [unit^2/Hz] of evenly sampled data, by Welch's method (1967)."""
+    dt = float(np.median(np.diff(channel.t)))
+    length = max(16, int(2 * channel.value.size / (n_segments + 1)))
+    frequency, density = signal.welch(channel.value, 1.0 / dt, nperseg=min(length, channel.value.size),
+                                      detrend="linear")
+    return frequency[1:], density[1:]

@@ -18,94 +18,11 @@ from ident.model import Model
 from ident.models import START_POLES, delay_step, delayed_channels, on_a_copy, thruster_model
 from ident.numerics import Array, LagData, fit_first_order_lag
 
-THRUSTER_RATE = 50.0  # rows a second for the load cell and the shaft speed
+THRUSTER_RATE = 50.0  # Hz, rows of a record with load cell and shaft speed
 GRID_STEP = 0.05  # s, of the delays that are tried for initial values, and of the command meanwhile
 MAX_DELAY = 4.8  # s, of those delays
-DEAD_ZONES = tuple(0.0025 * k for k in range(81))  # up to a fifth of full command
-N_SEARCHES = 3
-
-
-def thruster_name(loaded: LoadedLog) -> str:
-    """The one thruster of a log that was commanded and whose shaft was measured.
-
-    Raises SeatrialError where there is none, or more than one.
-    """
-    names = [n.removeprefix("n_cmd_") for n in loaded.run.channels if n.startswith("n_cmd_")]
-    moved = [
-        n for n in names if f"n_{n}" in loaded.run.channels and np.ptp(loaded.run.channels[f"n_cmd_{n}"].value) > 0
-    ]
-    if len(moved) != 1:
-        said = ", ".join(moved) if moved else "none"
-        raise SeatrialError(
-            f"{loaded.about['path']}: thrusters with commands and shaft speed: {said}; name one with --thruster"
-        )
-    return moved[0]
-
-
-def thruster_channels(loaded: LoadedLog, model: Model, name: str) -> dict[str, Channel]:
-    """``n_cmd_0`` ..., ``n`` and, with a load cell, ``force``. Raises SeatrialError for what is not there."""
-    found = loaded.run.channels
-    for needed in (f"n_cmd_{name}", f"n_{name}"):
-        if needed not in found:
-            raise SeatrialError(f"{loaded.about['path']}: no signal {needed!r}; it has {', '.join(sorted(found))}")
-    channels = delayed_channels(found[f"n_cmd_{name}"], delay_step(model)) | {"n": found[f"n_{name}"]}
-    return channels | ({"force": found["force"]} if "force" in found else {})
-
-
-def thruster_runs(loaded: Sequence[LoadedLog], model: Model, name: str | None) -> list[LogSegment]:
-    """The logs as runs for a bench model, all of one thruster.
-
-    Raises SeatrialError where a log lacks the force that the model has.
-    """
-    runs = []
-    for x in loaded:
-        name = name or thruster_name(x)
-        channels = thruster_channels(x, model, name)
-        if "thrust" in model.provides and "force" not in channels:
-            raise SeatrialError(f"{x.about['path']}: no load cell in the log, but the model has its force; it "
-                                "was fitted to other logs: fit these with `seatrial ident thruster` first")
-        runs.append(replace(x.run, channels=channels))
-    return runs
-
-
-def first_guess(records: Sequence[Record], has_force: bool) -> dict[str, float]:
-    """Thrust coefficients by least squares of force on measured shaft speed; the shaft's delay and pole."""
-    tau, a = shaft_guess(records)
-    guess = {"tau": tau, "a": a}
-    if not has_force:
-        return guess
-    rows = []
-    for r in records:
-        seen = np.isfinite(r.y[:, 1])
-        n = np.interp(r.t[seen], r.t[np.isfinite(r.y[:, 0])], r.y[np.isfinite(r.y[:, 0]), 0])
-        rows.append(np.column_stack([n * np.abs(n), n * n, np.ones(n.size), r.y[seen, 1]]))
-    table = np.concatenate(rows)
-    c1, c2, bias = np.linalg.lstsq(table[:, :3], table[:, 3], rcond=None)[0]
-    return guess | {"c1": max(float(c1), 0.1), "c2": float(c2), "bias": float(bias)}
-
-
-def shaft_guess(records: Sequence[Record]) -> tuple[float, float]:
-    """Delay [s] and pole [1/s] of the first-order answer to the command that is least far from the measured speed.
-
-    By mean absolute errors on a grid of both: a search from one start stops at a slow pole where the delay is long.
-    """
-    delays = [k * GRID_STEP for k in range(round(MAX_DELAY / GRID_STEP) + 1)]
-    found = fit_first_order_lag([_lag_data(r) for r in records], delays, (1.0 / START_POLES).tolist(), GRID_STEP)
-    return found.delay, 1.0 / found.time_constant
-
-
-def _lag_data(r: Record) -> LagData:
-    """The command on the grid, and the mean absolute error of the delayed lag at the measured shaft speeds."""
-    t = np.arange(r.t[0], r.t[-1], GRID_STEP)
-    command = r.u[np.clip(np.searchsorted(r.t, t, side="right") - 1, 0, None), r.inputs.index("n_cmd_0")]
-    seen = np.isfinite(r.y[:, 0])
-    n, row = r.y[seen, 0], np.clip(np.round((r.t[seen] - r.t[0]) / GRID_STEP).astype(int), 0, t.size - 1)
-
-    def misfit(lagged: Array, delay: float) -> float:
-        past = np.maximum(row - round(delay / GRID_STEP), -1)
-        return float(np.abs(n - np.append(lagged, 0.0)[past]).sum())  # the last: before the start
-
-    return LagData(command, misfit)
+DEAD_ZONES = tuple(0.0025 * k for k in range(81))  # of full command, ends of the dead zone that are tried
+N_SEARCHES = 3  # over the dead zone, each with what the fit before it says of all else
 
 
 def fit_on_a_copy(
@@ -157,3 +74,86 @@ def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOpt
             break
         fitted = fit(fitted.model.replace_parameters(fitted.model.parameter("d").at(found).freed()), records)
     return fitted
+
+
+def first_guess(records: Sequence[Record], has_force: bool) -> dict[str, float]:
+    """Thrust coefficients by least squares of force on measured shaft speed; the shaft's delay and pole."""
+    tau, a = shaft_guess(records)
+    guess = {"tau": tau, "a": a}
+    if not has_force:
+        return guess
+    rows = []
+    for r in records:
+        seen = np.isfinite(r.y[:, 1])
+        n = np.interp(r.t[seen], r.t[np.isfinite(r.y[:, 0])], r.y[np.isfinite(r.y[:, 0]), 0])
+        rows.append(np.column_stack([n * np.abs(n), n * n, np.ones(n.size), r.y[seen, 1]]))
+    table = np.concatenate(rows)
+    c1, c2, bias = np.linalg.lstsq(table[:, :3], table[:, 3], rcond=None)[0]
+    return guess | {"c1": max(float(c1), 0.1), "c2": float(c2), "bias": float(bias)}
+
+
+def shaft_guess(records: Sequence[Record]) -> tuple[float, float]:
+    """Delay [s] and pole [1/s] of the first-order answer to the command that is least far from the measured speed.
+
+    By mean absolute errors on a grid of both: a search from one start stops at a slow pole where the delay is long.
+    """
+    delays = [k * GRID_STEP for k in range(round(MAX_DELAY / GRID_STEP) + 1)]
+    found = fit_first_order_lag([_lag_data(r) for r in records], delays, (1.0 / START_POLES).tolist(), GRID_STEP)
+    return found.delay, 1.0 / found.time_constant
+
+
+def _lag_data(r: Record) -> LagData:
+    """The command on the grid, and the mean absolute error of the delayed lag at the measured shaft speeds."""
+    t = np.arange(r.t[0], r.t[-1], GRID_STEP)
+    command = r.u[np.clip(np.searchsorted(r.t, t, side="right") - 1, 0, None), r.inputs.index("n_cmd_0")]
+    seen = np.isfinite(r.y[:, 0])
+    n, row = r.y[seen, 0], np.clip(np.round((r.t[seen] - r.t[0]) / GRID_STEP).astype(int), 0, t.size - 1)
+
+    def misfit(lagged: Array, delay: float) -> float:
+        past = np.maximum(row - round(delay / GRID_STEP), -1)
+        return float(np.abs(n - np.append(lagged, 0.0)[past]).sum())  # the last: before the start
+
+    return LagData(command, misfit)
+
+
+def thruster_name(loaded: LoadedLog) -> str:
+    """The one thruster of a log that was commanded and whose shaft was measured.
+
+    Raises SeatrialError where there is none, or more than one.
+    """
+    names = [n.removeprefix("n_cmd_") for n in loaded.run.channels if n.startswith("n_cmd_")]
+    moved = [
+        n for n in names if f"n_{n}" in loaded.run.channels and np.ptp(loaded.run.channels[f"n_cmd_{n}"].value) > 0
+    ]
+    if len(moved) != 1:
+        said = ", ".join(moved) if moved else "none"
+        raise SeatrialError(
+            f"{loaded.about['path']}: thrusters with commands and shaft speed: {said}; name one with --thruster"
+        )
+    return moved[0]
+
+
+def thruster_channels(loaded: LoadedLog, model: Model, name: str) -> dict[str, Channel]:
+    """``n_cmd_0`` ..., ``n`` and, with a load cell, ``force``. Raises SeatrialError for what is not there."""
+    found = loaded.run.channels
+    for needed in (f"n_cmd_{name}", f"n_{name}"):
+        if needed not in found:
+            raise SeatrialError(f"{loaded.about['path']}: no signal {needed!r}; it has {', '.join(sorted(found))}")
+    channels = delayed_channels(found[f"n_cmd_{name}"], delay_step(model)) | {"n": found[f"n_{name}"]}
+    return channels | ({"force": found["force"]} if "force" in found else {})
+
+
+def thruster_runs(loaded: Sequence[LoadedLog], model: Model, name: str | None) -> list[LogSegment]:
+    """The logs as runs for a bench model, all of one thruster.
+
+    Raises SeatrialError where a log lacks the force that the model has.
+    """
+    runs = []
+    for x in loaded:
+        name = name or thruster_name(x)
+        channels = thruster_channels(x, model, name)
+        if "thrust" in model.provides and "force" not in channels:
+            raise SeatrialError(f"{x.about['path']}: no load cell in the log, but the model has its force; it "
+                                "was fitted to other logs: fit these with `seatrial ident thruster` first")
+        runs.append(replace(x.run, channels=channels))
+    return runs

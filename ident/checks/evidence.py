@@ -1,4 +1,4 @@
-"""What a check looked at, as curves for its page: times between samples, signals, shafts, and motion against push."""
+"""Evidence of a check, as curves for its page: sample intervals, signals, shafts, and motion against thrust."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ident.checks.sensors import STEP, WINDOW, Channels
 from ident.data import Channel, block_mean, channels
 from ident.numerics import Array
 
-WAY = 5.0  # s over which positions are differenced, as the check does
+POSITION_WINDOW = 5.0  # s, over which positions are differenced, as the check does
 # Signals of a log in the order of showing; whatever else an imported one holds comes after them.
 SHOWN = ("psi", "r", "ax", "ay", "x", "y", "vx", "vy", "force")
 MOST_SIGNALS = 12
@@ -169,7 +169,7 @@ def sensors(c: Channels) -> list[SensorPair]:
     for where, way, speed in (("north", "x", "vx"), ("east", "y", "vy")):
         if {way, speed} <= set(c):
             names = ("of the positions over 5 s", "as the receiver says")
-            found.append(_pair(f"velocity {where}", "m/s", names, (c[way], c[speed]), WAY))
+            found.append(_pair(f"velocity {where}", "m/s", names, (c[way], c[speed]), POSITION_WINDOW))
     return [row for row in found if row.t.size > 1]
 
 

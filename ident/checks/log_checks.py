@@ -1,4 +1,4 @@
-"""What the motion in a log says of its sensors and thrusters, before any fit: part of `seatrial check`."""
+"""Checks of sensors and thrusters by the motion in a log, before any fit: part of `seatrial check`."""
 
 from __future__ import annotations
 

@@ -1,9 +1,10 @@
-"""Does the boat go where its thrusters push? Plain regressions on a log, no model but first-order lags.
+"""Signs and sides of thrusters from the boat's motion, before any fit: regressions, no model but first-order lags.
 
-Yaw rate and speed ahead are regressed on each thruster's push passed through a first-order lag, whose time constant
-is searched. A boat that an autopilot steers oscillates: a free delay would let a push explain the turn before it.
-
-Does the boat turn the way its thrusters push? A check before any fit, by plain regression.
+- `motion`, for a log: yaw rate and forward speed are regressed on each thruster's thrust behind a first-order lag,
+  whose time constant is searched. A boat that an autopilot steers oscillates: a free delay would let a thrust explain
+  the turn before it. Found are thrusters that are swapped, reversed or dead.
+- `check_sides`, for the runs of a fit: the correlation of yaw rate with the thrust difference behind a lag of a given
+  time constant. Only where all runs that are significant agree are the sides taken for swapped (`swap_sides`).
 """
 
 from __future__ import annotations
@@ -21,13 +22,14 @@ from ident.data import Channel, block_mean
 from ident.model import Model
 from ident.numerics import Array, first_order_lag
 
-RATE = 10.0  # Hz
-YAW_LAGS, SURGE_LAGS = (0.3, 0.6, 1.0, 1.7, 3.0), (1.0, 2.0, 4.0, 8.0)  # s
-LEAST_S = 15.0  # of a log
-CLEAR = 4.5  # t statistic from which an effect has a sign
-NONE = 0.4  # of the strongest thruster's effect: one that is surely less, and has no sign, is none
-OWN = 0.1  # part of a thruster's variation that the others do not share, from which it is judged by itself
-SIDE_RATE, SMOOTH, MAX_LAG = 10.0, 0.5, 1.5  # Hz, s, s
+RATE = 10.0  # Hz, of the regressions
+YAW_LAGS, SURGE_LAGS = (0.3, 0.6, 1.0, 1.7, 3.0), (1.0, 2.0, 4.0, 8.0)  # s, time constants that are tried
+MIN_DURATION = 15.0  # s, of a log
+MIN_SAMPLES = 50  # of a run, for a correlation
+SIGNIFICANT_T = 4.5  # t statistic from which an effect has a sign
+DEAD_RATIO = 0.4  # of the strongest thruster's effect: one that is surely less, and has no sign, is none
+MIN_OWN_VARIATION = 0.1  # share of a thruster's variation that the others lack, from which it has an effect of its own
+SIGNIFICANT_P = 1e-3  # of the correlation of one run
 
 
 class RegressionEffect(NamedTuple):
@@ -65,22 +67,17 @@ def motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] = ()) 
     if found is None:
         return
     side = _side(sides, found.names)
-    yaw = np.where(np.abs(found.yaw.t) > CLEAR, np.sign(found.yaw.size) * side, 0.0)
-    surge = np.where(np.abs(found.surge.t) > CLEAR, np.sign(found.surge.size), 0.0)
+    yaw = np.where(np.abs(found.yaw.t) > SIGNIFICANT_T, np.sign(found.yaw.size) * side, 0.0)
+    surge = np.where(np.abs(found.surge.t) > SIGNIFICANT_T, np.sign(found.surge.size), 0.0)
     faults = [f for f in _verdict(found, yaw, surge) if f.where not in dead]
     yield from faults
-    if not faults and not dead and ((yaw > 0).any() or found.moment_t > CLEAR):
+    if not faults and not dead and ((yaw > 0).any() or found.moment_t > SIGNIFICANT_T):
         yield Finding("ok", "thruster-sides-agree", "sides", " and ".join(found.names), "the boat turns as they push")
-
-
-def _side(sides: Mapping[str, float], names: Sequence[str]) -> Array:
-    """+1 for a thruster on the left, whose push turns the bow to starboard, -1 on the right, 0 in the middle."""
-    return np.array([-np.sign(sides[n]) if abs(sides[n]) > 0.02 else 0.0 for n in names])
 
 
 def _verdict(found: PushResponse, yaw: Array, surge: Array) -> Iterator[Finding]:
     # One that pushes ahead as it should and turns the boat the wrong way is on the other side.
-    against = (yaw < 0).any() if (yaw != 0).any() else found.moment_t < -CLEAR
+    against = (yaw < 0).any() if (yaw != 0).any() else found.moment_t < -SIGNIFICANT_T
     if against and not (yaw > 0).any() and not (surge < 0).any():
         yield Finding(
             "fault",
@@ -102,7 +99,7 @@ def _verdict(found: PushResponse, yaw: Array, surge: Array) -> Iterator[Finding]
                 "it pushes astern when it is told ahead",
                 "`reversed` of the rig, two of the motor's phases, or a propeller of the other hand",
             )
-        elif most[k] < NONE and not (yaw[k] > 0 or surge[k] > 0):
+        elif most[k] < DEAD_RATIO and not (yaw[k] > 0 or surge[k] > 0):
             yield Finding(
                 "fault",
                 "thruster-without-effect",
@@ -115,27 +112,12 @@ def _verdict(found: PushResponse, yaw: Array, surge: Array) -> Iterator[Finding]
 
 def _most(effect: RegressionEffect) -> Array:
     """Upper bound (two standard errors) of each effect as a part of the largest; 1 where nothing can be said."""
-    clear = np.abs(effect.t) > 1.5 * CLEAR
+    clear = np.abs(effect.t) > 1.5 * SIGNIFICANT_T
     if not clear.any():
         return np.ones(effect.size.size)
     size = np.abs(effect.size)
     bound = size + 2.0 * size / np.maximum(np.abs(effect.t), 1e-12)
     return np.where(effect.t != 0, bound / size[clear].max(), 1.0)
-
-
-def forces(c: Channels, sides: Mapping[str, float]) -> ThrusterForces | None:
-    """The thrusters' pushes on common times; None without push or yaw rate, or where the log is too short."""
-    found = {n: s for n in sides if (s := _push(c, n)) is not None}
-    if not found or "r" not in c:
-        return None
-    used = [*found.values(), c["r"]]
-    start, end = max(s.t[0] for s in used), min(s.t[-1] for s in used)
-    edges = np.arange(start, end, 1.0 / RATE)
-    if edges.size < LEAST_S * RATE:
-        return None
-    t = edges[:-1] + 0.5 / RATE
-    f = np.column_stack([np.interp(t, s.t, s.value) for s in found.values()])
-    return ThrusterForces(tuple(found), t, edges, f, _side(sides, tuple(found)))
 
 
 def pushes(c: Channels, sides: Mapping[str, float]) -> PushResponse | None:
@@ -149,37 +131,19 @@ def pushes(c: Channels, sides: Mapping[str, float]) -> PushResponse | None:
     return PushResponse(names, _effect(r, f, [], YAW_LAGS), _surge(c, t, edges, f), float(moment))
 
 
-def delayed_forces(y: Array, push: Array, lags: Sequence[float]) -> Array:
-    """What a push (n,) does to y (n,) through the first-order lag that fits best, with the sign that it should have.
-
-    Where y goes the other way the two are mirror images: that is what swapped sides look like.
-    """
-    found, best = np.full(y.size, np.nan), np.inf
-    for lag in lags:
-        past = first_order_lag(push, lag, 1.0 / RATE)
-        X = np.column_stack([past, np.ones(y.size)])
-        beta, *_ = np.linalg.lstsq(X, y, rcond=None)
-        error = float(np.sum((y - X @ beta) ** 2))
-        if error < best:
-            best, found = error, abs(beta[0]) * (past - past.mean()) + y.mean()
-    return found
-
-
-def _surge(c: Channels, t: Array, edges: Array, f: Array) -> RegressionEffect:
-    """On speed ahead over ground, or on the accelerometer where that says more."""
-    found = RegressionEffect(np.zeros(f.shape[1]), np.zeros(f.shape[1]))
-    drift = []
-    if "psi" in c:  # a current shows in the speed over ground, ahead on one heading and astern on the other
-        psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value))
-        drift = [np.cos(psi), np.sin(psi)]
-    if (u := ahead(c, t)) is not None:
-        found = _effect(u, f, drift, SURGE_LAGS)
-    if "ax" in c and np.abs(found.t).max() < 2 * CLEAR:
-        ax = filled(t, block_mean(c["ax"], edges)[0])
-        other = _effect(ax, f, [], SURGE_LAGS, washed=True)
-        if np.abs(other.t).sum() > np.abs(found.t).sum():
-            return other
-    return found
+def forces(c: Channels, sides: Mapping[str, float]) -> ThrusterForces | None:
+    """The thrusters' pushes on common times; None without push or yaw rate, or where the log is too short."""
+    found = {n: s for n in sides if (s := _push(c, n)) is not None}
+    if not found or "r" not in c:
+        return None
+    used = [*found.values(), c["r"]]
+    start, end = max(s.t[0] for s in used), min(s.t[-1] for s in used)
+    edges = np.arange(start, end, 1.0 / RATE)
+    if edges.size < MIN_DURATION * RATE:
+        return None
+    t = edges[:-1] + 0.5 / RATE
+    f = np.column_stack([np.interp(t, s.t, s.value) for s in found.values()])
+    return ThrusterForces(tuple(found), t, edges, f, _side(sides, tuple(found)))
 
 
 def _push(c: Channels, name: str) -> Channel | None:
@@ -193,21 +157,26 @@ def _push(c: Channels, name: str) -> Channel | None:
     return Channel(shaft.t, shaft.value * np.abs(shaft.value))
 
 
-def ahead(c: Channels, t: Array) -> Array | None:
-    """Speed ahead [m/s] at the times t, over ground."""
-    if "u" in c:
-        return np.interp(t, c["u"].t, c["u"].value)
-    if {"vx", "vy", "psi"} <= set(c):
+def _side(sides: Mapping[str, float], names: Sequence[str]) -> Array:
+    """+1 for a thruster on the left, whose push turns the bow to starboard, -1 on the right, 0 in the middle."""
+    return np.array([-np.sign(sides[n]) if abs(sides[n]) > 0.02 else 0.0 for n in names])
+
+
+def _surge(c: Channels, t: Array, edges: Array, f: Array) -> RegressionEffect:
+    """On speed ahead over ground, or on the accelerometer where that says more."""
+    found = RegressionEffect(np.zeros(f.shape[1]), np.zeros(f.shape[1]))
+    drift = []
+    if "psi" in c:  # a current shows in the speed over ground, ahead on one heading and astern on the other
         psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value))
-        vx, vy = (np.interp(t, c[n].t, c[n].value) for n in ("vx", "vy"))
-        return np.asarray(np.cos(psi) * vx + np.sin(psi) * vy)
-    return None
-
-
-def filled(t: Array, values: Array) -> Array:
-    """Values (n,) at t (n,) with NaN filled in between the others."""
-    good = np.isfinite(values)
-    return np.interp(t, t[good], values[good])
+        drift = [np.cos(psi), np.sin(psi)]
+    if (u := ahead(c, t)) is not None:
+        found = _effect(u, f, drift, SURGE_LAGS)
+    if "ax" in c and np.abs(found.t).max() < 2 * SIGNIFICANT_T:
+        ax = filled(t, block_mean(c["ax"], edges)[0])
+        other = _effect(ax, f, [], SURGE_LAGS, washed=True)
+        if np.abs(other.t).sum() > np.abs(found.t).sum():
+            return other
+    return found
 
 
 def _effect(
@@ -218,7 +187,7 @@ def _effect(
     Neighbouring samples are not independent: one in two time constants counts.
     """
     free = _own_part(f)
-    columns = np.flatnonzero(free > OWN)
+    columns = np.flatnonzero(free > MIN_OWN_VARIATION)
     size, t = np.zeros(f.shape[1]), np.zeros(f.shape[1])
     if not columns.size:
         return RegressionEffect(size, t)
@@ -248,6 +217,39 @@ def _own_part(f: Array) -> Array:
         shared = rest @ np.linalg.lstsq(rest, column, rcond=None)[0] if rest.size else np.zeros_like(column)
         found[k] = (column - shared).std() / spread[k]
     return found
+
+
+def delayed_forces(y: Array, push: Array, lags: Sequence[float]) -> Array:
+    """What a push (n,) does to y (n,) through the first-order lag that fits best, with the sign that it should have.
+
+    Where y goes the other way the two are mirror images: that is what swapped sides look like.
+    """
+    found, best = np.full(y.size, np.nan), np.inf
+    for lag in lags:
+        past = first_order_lag(push, lag, 1.0 / RATE)
+        X = np.column_stack([past, np.ones(y.size)])
+        beta, *_ = np.linalg.lstsq(X, y, rcond=None)
+        error = float(np.sum((y - X @ beta) ** 2))
+        if error < best:
+            best, found = error, abs(beta[0]) * (past - past.mean()) + y.mean()
+    return found
+
+
+def ahead(c: Channels, t: Array) -> Array | None:
+    """Speed ahead [m/s] at the times t, over ground."""
+    if "u" in c:
+        return np.interp(t, c["u"].t, c["u"].value)
+    if {"vx", "vy", "psi"} <= set(c):
+        psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value))
+        vx, vy = (np.interp(t, c[n].t, c[n].value) for n in ("vx", "vy"))
+        return np.asarray(np.cos(psi) * vx + np.sin(psi) * vy)
+    return None
+
+
+def filled(t: Array, values: Array) -> Array:
+    """Values (n,) at t (n,) with NaN filled in between the others."""
+    good = np.isfinite(values)
+    return np.interp(t, t[good], values[good])
 
 
 @dataclass(frozen=True)
@@ -281,7 +283,7 @@ def check_sides(
     if not found:
         return None
     names, values = zip(*found, strict=True)
-    return ThrusterSideCheck(names, tuple(r for r, _ in values), tuple(p < 1e-3 for _, p in values))
+    return ThrusterSideCheck(names, tuple(r for r, _ in values), tuple(p < SIGNIFICANT_P for _, p in values))
 
 
 def _correlation(channels: Mapping[str, Channel], time_constant: float) -> tuple[float, float] | None:
@@ -289,19 +291,19 @@ def _correlation(channels: Mapping[str, Channel], time_constant: float) -> tuple
     if pair is None or "r" not in channels:
         return None
     left, right, r = channels[pair[0]], channels[pair[1]], channels["r"]
-    t = np.arange(max(c.t[0] for c in (left, right, r)), min(c.t[-1] for c in (left, right, r)), 1 / SIDE_RATE)
+    t = np.arange(max(c.t[0] for c in (left, right, r)), min(c.t[-1] for c in (left, right, r)), 1 / RATE)
     push = [np.interp(t, c.t, c.value) for c in (left, right)]
     if pair[0] == "n_left":
         push = [p * np.abs(p) for p in push]
     difference = push[0] - push[1]
-    if t.size < 50 or difference.std() < 1e-9:
+    if t.size < MIN_SAMPLES or difference.std() < 1e-9:
         return None
-    lagged = first_order_lag(difference, time_constant, 1 / SIDE_RATE)
+    lagged = first_order_lag(difference, time_constant, 1 / RATE)
     rate = np.interp(t, r.t, r.value)
     x, y = lagged - lagged.mean(), rate - rate.mean()
     correlation = float(x @ y / np.sqrt((x @ x) * (y @ y) + 1e-300))
     # neighbouring samples are not independent: count one every two time constants
-    n = max(4.0, t.size / SIDE_RATE / (2 * time_constant))
+    n = max(4.0, t.size / RATE / (2 * time_constant))
     z = abs(np.arctanh(np.clip(correlation, -0.999999, 0.999999))) * np.sqrt(n - 3)
     return correlation, float(2 * stats.norm.sf(z))
 

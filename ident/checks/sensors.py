@@ -1,4 +1,4 @@
-"""Do the sensors agree with each other? What a log's own motion says of lateness, units and signs.
+"""Consistency of sensors: delay, unit and sign of each against the motion that the others measured.
 
 Everything here compares increments over windows, so that offsets drop out and noise is averaged: a sensor's rate is
 never differentiated sample by sample.
@@ -17,13 +17,13 @@ from ident.numerics import Array
 
 Channels = Mapping[str, Channel]
 STEP = 0.05  # s, of the common grid
-WINDOW = 1.0  # s, of an increment
-LAGS = np.arange(-2.0, 2.0 + STEP / 2, STEP)  # s
-LATE, VERY_LATE = 0.3, 0.6  # s: worth a word; not to be fitted
-GAIN = 0.3  # of the error, from which a lag is one and no chance
-CLEAR = 0.6  # R2 below which two sensors have too little in common to compare their times
-TURNED = 0.02  # rad/s, spread of the yaw rate below which the boat has hardly turned
-MOVED = 0.1  # m/s, the same of the velocity
+WINDOW = 1.0  # s, over which signals are differenced
+LAGS = np.arange(-2.0, 2.0 + STEP / 2, STEP)  # s, that are tried
+DELAY_WARNING, DELAY_FAULT = 0.3, 0.6  # s: worth a word; not to be fitted
+MIN_ERROR_REDUCTION = 0.3  # of the error, from which a lag is no chance
+MIN_R2 = 0.6  # R2 below which two sensors have too little in common to compare their times
+MIN_YAW_RATE_SD = 0.02  # rad/s, standard deviation below which the boat has hardly turned
+MIN_VELOCITY_SD = 0.1  # m/s, standard deviation below which the boat has hardly moved
 
 
 class Match(NamedTuple):
@@ -44,7 +44,7 @@ def gyro_and_heading(c: Channels) -> Iterator[Finding]:
         return
     where = _who(c["r"], "r")
     size = abs(found.scale)
-    if found.r2 < CLEAR:
+    if found.r2 < MIN_R2:
         yield Finding(
             "warning",
             "heading-and-gyro-disagree",
@@ -96,7 +96,7 @@ def heading_match(psi: Channel, r: Channel) -> Match | None:
         return None
     turned = np.interp(t, psi.t, np.unwrap(psi.value) if np.abs(psi.value).max() < 7.0 else _unwrap_deg(psi.value))
     integral = _cumulative(t, np.interp(t, r.t, r.value))
-    if np.std(_increments(t, turned, t[t <= t[-1] - WINDOW], WINDOW)) < TURNED * WINDOW:
+    if np.std(_increments(t, turned, t[t <= t[-1] - WINDOW], WINDOW)) < MIN_YAW_RATE_SD * WINDOW:
         return None
     return _best(t, [turned], [[integral], [t]])
 
@@ -107,7 +107,7 @@ def velocity_and_acceleration(c: Channels) -> Iterator[Finding]:
     if not set(names) <= set(c) or c["vx"].t.size < 50:
         return
     t = _grid(*(c[n] for n in names))
-    if t.size < 400 or np.hypot(c["vx"].value.std(), c["vy"].value.std()) < MOVED:
+    if t.size < 400 or np.hypot(c["vx"].value.std(), c["vy"].value.std()) < MIN_VELOCITY_SD:
         return
     psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value))
     ax, ay = (np.interp(t, c[n].t, c[n].value) for n in ("ax", "ay"))
@@ -143,7 +143,7 @@ def position_and_velocity(c: Channels) -> Iterator[Finding]:
     integrals = [_cumulative(t, np.interp(t, c[n].t, c[n].value)) for n in ("vx", "vy")]
     found = _best(t, way, [integrals], 5.0)
     where = _who(c["vx"], "vx")
-    if found.r2 < CLEAR:
+    if found.r2 < MIN_R2:
         yield Finding(
             "warning",
             "position-and-velocity-disagree",
@@ -169,11 +169,11 @@ def position_and_velocity(c: Channels) -> Iterator[Finding]:
 
 def sensor_delay(one: str, where: str, other: str, there: str, found: Match) -> Iterator[Finding]:
     """What a lag of ``one`` behind ``other`` means, where it explains something."""
-    lag = found.lag if found.gain > GAIN else 0.0
+    lag = found.lag if found.gain > MIN_ERROR_REDUCTION else 0.0
     late, behind, at = (one, other, where) if lag > 0 else (other, one, there)
     text = f"{late} comes {abs(lag):.2f} s after {behind}"
-    if abs(lag) >= LATE - STEP / 2:
-        level = "fault" if abs(lag) >= VERY_LATE else "warning"
+    if abs(lag) >= DELAY_WARNING - STEP / 2:
+        level = "fault" if abs(lag) >= DELAY_FAULT else "warning"
         yield Finding(level, "sensor-late", "late", at, text, "its filters, output rate or time stamps")
     else:
         yield Finding("ok", "sensors-in-time", "late", where, f"{one} and {other} are {abs(lag):.2f} s apart")

@@ -1,6 +1,6 @@
-"""Does each shaft do what it is told? Delay, dead band, limit, drop-outs, sign, unit, and whether it turns at all.
+"""Response of each shaft to its command: delay, dead band, limit, drop-outs, sign, unit, and whether it turns at all.
 
-Whether the boat goes where its thrusters push is `ident.checks.motion`.
+The boat's response to its thrusters is checked by `ident.checks.motion`.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from ident.checks.sensors import Channels
 from ident.data import Channel, sample_and_hold
 from ident.numerics import Array, LagData, LagFit, first_order_lag, fit_first_order_lag, steady_segments
 
-STEP = 0.05  # s, of the grid for command and shaft
-DELAYS = tuple(np.arange(0.0, 3.0 + STEP / 2, STEP).tolist())  # s
-TIME_CONSTANTS = (0.0, 0.07, 0.14, 0.3, 0.6, 1.2)  # s
-BANDS = np.array([0.0, *np.arange(0.02, 0.41, 0.01)])  # of full command
-LONG_DELAY, WIDE_BAND = 0.6, 0.15  # s; of full command: what is still usual for an ESC
-TOLD, TURNS = 0.1, 0.02  # of full command or speed
-HELD, STEP_SIZE = 4.0, 0.05  # s and full command: from what a step's end is known, and its size
-LATE_STEP = 1.0  # s until half of a step shows
-RAD_PER_S = 2.0 * np.pi / 60.0
+STEP = 0.05  # s, of the common grid of command and shaft, and of delays
+DELAYS = tuple(np.arange(0.0, 3.0 + STEP / 2, STEP).tolist())  # s, that are tried
+TIME_CONSTANTS = (0.0, 0.07, 0.14, 0.3, 0.6, 1.2)  # s, that are tried
+DEAD_BANDS = np.array([0.0, *np.arange(0.02, 0.41, 0.01)])  # of full command, that are tried
+MAX_DELAY, MAX_DEAD_BAND = 0.6, 0.15  # s; of full command: what is still usual for an ESC
+MIN_COMMAND, MIN_SPEED = 0.1, 0.02  # of full command, of full speed: from which a shaft should turn, and turns
+MIN_HOLD, MIN_STEP = 4.0, 0.05  # s; of full command: from which the end of a step is known, and its size
+MAX_RISE_TIME = 1.0  # s until half of a step shows
+RAD_PER_S = 2.0 * np.pi / 60.0  # of one revolution a minute
 
 
 class Response(NamedTuple):
@@ -48,8 +48,8 @@ def shafts(c: Channels) -> Iterator[Finding]:
 
 def _shaft(name: str, told: Channel, shaft: Channel) -> Iterator[Finding]:
     silent = shaft.t[-1] + 3.0
-    commanded = (np.abs(told.value) > TOLD) & (told.t > silent)
-    if commanded.any() or np.max(np.abs(told.value), initial=0.0) < TOLD:
+    commanded = (np.abs(told.value) > MIN_COMMAND) & (told.t > silent)
+    if commanded.any() or np.max(np.abs(told.value), initial=0.0) < MIN_COMMAND:
         if commanded.any():
             since = shaft.t[-1] - min(told.t[0], shaft.t[0])
             yield Finding(
@@ -77,7 +77,7 @@ def _shaft(name: str, told: Channel, shaft: Channel) -> Iterator[Finding]:
         return
     of_steps = list(_steps(name, told, shaft))
     yield from of_steps
-    if found.delay > LONG_DELAY + STEP / 2:
+    if found.delay > MAX_DELAY + STEP / 2:
         yield Finding(
             "fault",
             "shaft-late",
@@ -89,7 +89,7 @@ def _shaft(name: str, told: Channel, shaft: Channel) -> Iterator[Finding]:
     elif not any(f.check == "delay" for f in of_steps):
         yield Finding("ok", "shaft-on-time", "delay", name, f"the shaft follows {found.delay:.2f} s after its command")
     if found.band_gain > 0.2 and found.band > 0.0:
-        wide = found.band > WIDE_BAND + 0.005
+        wide = found.band > MAX_DEAD_BAND + 0.005
         advice = "the controller's dead band or start-up power; small commands do nothing" if wide else ""
         text = f"commands below {found.band:.2f} do not turn the shaft"
         code = "dead-band-wide" if wide else "dead-band-narrow"
@@ -146,7 +146,7 @@ def response(told: Channel, shaft: Channel) -> Response | None:
     near = np.minimum(np.abs(after), np.abs(before))
     n = np.interp(t, shaft.t, shaft.value)
     used = near < max(0.5, 2.0 * float(np.median(np.diff(shaft.t))))
-    if np.quantile(np.abs(n), 0.99) < TURNS * min(1.0, np.abs(told.value).max()):
+    if np.quantile(np.abs(n), 0.99) < MIN_SPEED * min(1.0, np.abs(told.value).max()):
         return None
     commands = np.column_stack([sample_and_hold(told, t - delay) for delay in DELAYS])
 
@@ -157,7 +157,7 @@ def response(told: Channel, shaft: Channel) -> Response | None:
     linear = fitted(slice(None), 0.0)
     k = DELAYS.index(linear.delay)
     best, band = linear, 0.0
-    for b in BANDS.tolist():
+    for b in DEAD_BANDS.tolist():
         if (one := fitted(slice(max(k - 3, 0), k + 4), b)).misfit < best.misfit:
             best, band = one, b
     past = _outside(commands[:, DELAYS.index(best.delay)], band)
@@ -200,7 +200,7 @@ def holds(told: Channel, shaft: Channel) -> list[Hold]:
     for held in steady_segments(told.t, told.value, max(told.t[-1], shaft.t[-1])):
         inside = (shaft.t >= held.start) & (shaft.t < held.end)
         late = inside & (shaft.t > (held.start + held.end) / 2)
-        if held.duration >= HELD and late.sum() >= 2:
+        if held.duration >= MIN_HOLD and late.sum() >= 2:
             settled = float(np.median(shaft.value[late]))
             found.append(Hold(held.start, held.level, settled, shaft.t[inside], shaft.value[inside]))
     return found
@@ -212,10 +212,10 @@ def _steps(name: str, told: Channel, shaft: Channel) -> Iterator[Finding]:
     half = []
     for before, now in pairwise(there):
         change = now.settled - before.settled
-        if abs(change) > STEP_SIZE:
+        if abs(change) > MIN_STEP:
             done = np.flatnonzero((now.values - before.settled) / change > 0.5)
             half += [float(now.times[done[0]]) - now.t] if done.size else []
-    if len(half) >= 3 and np.median(half) > LATE_STEP:
+    if len(half) >= 3 and np.median(half) > MAX_RISE_TIME:
         text = f"half of a step shows {np.median(half):.1f} s after its command (median of {len(half)})"
         yield Finding(
             "fault",
@@ -247,8 +247,8 @@ def _drop_outs(held: Hold) -> int:
 
 def _limit(name: str, there: list[Hold]) -> Iterator[Finding]:
     """Commands beyond some size that change nothing: at the top of the range what a dead band is at its bottom."""
-    followed = [abs(h.settled) for h in there if abs(h.level) > TOLD and abs(h.settled / h.level - 1.0) < 0.03]
-    short = [h for h in there if abs(h.level) > TOLD and 0.3 < h.settled / h.level < 0.97]
+    followed = [abs(h.settled) for h in there if abs(h.level) > MIN_COMMAND and abs(h.settled / h.level - 1.0) < 0.03]
+    short = [h for h in there if abs(h.level) > MIN_COMMAND and 0.3 < h.settled / h.level < 0.97]
     if not followed or len(short) < 2 or len({abs(h.level) for h in short}) < 2:
         return
     top = float(np.median([abs(h.settled) for h in short]))

@@ -1,4 +1,4 @@
-"""Logs in memory, and what a result says of where it came from."""
+"""Logs read into memory: their signals, their rig and mission, and the provenance that goes into results."""
 
 from __future__ import annotations
 
@@ -24,6 +24,14 @@ class LoadedLog:
     holds: Mapping[str, str]
     rig: Rig | None
     segments: tuple[tuple[float, str], ...] = ()  # steps of its mission: when each began [s of the log], and its name
+
+
+def load_all(logs: Sequence[Path], validate: Sequence[Path]) -> tuple[list[LoadedLog], list[LoadedLog]]:
+    """The logs to fit, and those to judge by; the same log in both is an error."""
+    same = {p.resolve() for p in logs} & {p.resolve() for p in validate}
+    if same:
+        raise SeatrialError(f"{sorted(same)[0].name}: the same log to fit and to validate proves nothing; give another")
+    return [load_run(p, "estimation") for p in logs], [load_run(p, "validation") for p in validate]
 
 
 def load_run(path: Path, role: str, t_from: float | None = None, t_to: float | None = None) -> LoadedLog:
@@ -64,11 +72,3 @@ def _mission_name(log: Log) -> str | None:
         return str(tomllib.loads(text.decode()).get("name"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError):
         return None
-
-
-def load_all(logs: Sequence[Path], validate: Sequence[Path]) -> tuple[list[LoadedLog], list[LoadedLog]]:
-    """The logs to fit, and those to judge by; the same log in both is an error."""
-    same = {p.resolve() for p in logs} & {p.resolve() for p in validate}
-    if same:
-        raise SeatrialError(f"{sorted(same)[0].name}: the same log to fit and to validate proves nothing; give another")
-    return [load_run(p, "estimation") for p in logs], [load_run(p, "validation") for p in validate]

@@ -12,7 +12,8 @@
 | speed | along the track, from velocity over ground (imported speed_x and speed_y, or vx and vy) |
 | any other | imported signals, by their own names |
 
-Which way a shaft turned whose controller said only how fast, as an autopilot's ESC telemetry does.
+Where a controller reports the magnitude of the shaft speed only, as an autopilot's ESC telemetry does, `with_sign`
+gives it the sign of the delayed and lagged command.
 """
 
 from __future__ import annotations
@@ -37,10 +38,10 @@ from ident.data.record import Channel
 from ident.numerics import Array, LagData, first_order_lag, fit_first_order_lag
 
 Table = NDArray[np.void]  # of `Log.table`, shape (n,)
-TRACK = 20.0  # s
-STEP = 0.02  # s
-DELAYS = tuple(np.arange(0.0, 1.01, 0.05).tolist())  # s
-TIME_CONSTANTS = tuple(1.0 / (1.5 * 1.5**k) for k in range(9))  # s
+TRACK_WINDOW = 20.0  # s either way, over which the direction of travel is averaged
+GRID_STEP = 0.02  # s, on which the command of a shaft of unknown sign is filtered
+DELAYS = tuple(np.arange(0.0, 1.01, 0.05).tolist())  # s, that are tried for it
+TIME_CONSTANTS = tuple(1.0 / (1.5 * 1.5**k) for k in range(9))  # s, that are tried, from 0.67 to 0.026
 
 
 def channels(log: Log) -> dict[str, Channel]:
@@ -82,26 +83,25 @@ def channels(log: Log) -> dict[str, Channel]:
     return found
 
 
-def along_track(t: Array, vx: Array, vy: Array) -> Array:
-    """Speed [m/s] along the direction of travel (n,), negative astern.
-
-    The direction is that of the velocity within ``TRACK`` seconds either way, weighted by speed: a boat that drifts
-    at rest before a run has the run's direction. The magnitude alone would turn drift and noise into speed ahead.
-    """
-    speed = np.hypot(vx, vy)
-    a, b = np.searchsorted(t, t - TRACK), np.searchsorted(t, t + TRACK, side="right")
-    sums = [np.append(0.0, np.cumsum(speed * v)) for v in (vx, vy)]
-    dx, dy = (s[b] - s[a] for s in sums)
-    length = np.hypot(dx, dy)
-    return np.asarray(np.divide(vx * dx + vy * dy, length, out=np.zeros_like(speed), where=length > 0))
-
-
 def ahrs_channels(table: Table, source: str) -> dict[str, Channel]:
     """Every axis of an AHRS that it reported."""
     names = {"yaw": "psi", "pitch": "theta", "roll": "phi"}
     rows = (("rad", ("yaw", "pitch", "roll")), ("rad/s", ("p", "q", "r")), ("m/s2", ("ax", "ay", "az")))
     found = {names.get(c, c): _channel(table, c, unit, source) for unit, columns in rows for c in columns}
     return {name: c for name, c in found.items() if c.t.size > 1}
+
+
+def _gnss(table: Table, source: str) -> dict[str, Channel]:
+    table = table[(table["fix"] >= 2) & np.isfinite(table["lat"])]
+    if not len(table):
+        return {}
+    x, y = local_ned(table["lat"], table["lon"])
+    t = np.ascontiguousarray(table["t"])
+    found = {"x": Channel(t, x, "m", source), "y": Channel(t, y, "m", source)}
+    for name, column in (("vx", "vel_n"), ("vy", "vel_e")):
+        if np.isfinite(table[column]).any():
+            found[name] = _channel(table, column, "m/s", source)
+    return found
 
 
 def _thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> None:
@@ -126,17 +126,30 @@ def _thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> None:
         found[f"n_cmd_{thruster.name}"] = _channel(log.table(Command, device, node=node), "n_cmd", "", device)
 
 
-def _gnss(table: Table, source: str) -> dict[str, Channel]:
-    table = table[(table["fix"] >= 2) & np.isfinite(table["lat"])]
-    if not len(table):
-        return {}
-    x, y = local_ned(table["lat"], table["lon"])
-    t = np.ascontiguousarray(table["t"])
-    found = {"x": Channel(t, x, "m", source), "y": Channel(t, y, "m", source)}
-    for name, column in (("vx", "vel_n"), ("vy", "vel_e")):
-        if np.isfinite(table[column]).any():
-            found[name] = _channel(table, column, "m/s", source)
-    return found
+def _channel(table: Table, column: str, unit: str, source: str) -> Channel:
+    good = np.isfinite(table[column])
+    t, value = table["t"][good], table[column][good]
+    return Channel(np.ascontiguousarray(t, float), np.ascontiguousarray(value, float), unit, source)
+
+
+def _good(table: Table) -> Table:
+    good: Table = table[table["flags"] == 0]
+    return good
+
+
+def along_track(t: Array, vx: Array, vy: Array) -> Array:
+    """Speed [m/s] along the direction of travel (n,), negative astern.
+
+    The direction is that of the velocity within ``TRACK_WINDOW`` seconds either way, weighted by speed: a boat that
+    drifts at rest before a run has the run's direction. The magnitude alone would turn drift and noise into forward
+    speed.
+    """
+    speed = np.hypot(vx, vy)
+    a, b = np.searchsorted(t, t - TRACK_WINDOW), np.searchsorted(t, t + TRACK_WINDOW, side="right")
+    sums = [np.append(0.0, np.cumsum(speed * v)) for v in (vx, vy)]
+    dx, dy = (s[b] - s[a] for s in sums)
+    length = np.hypot(dx, dy)
+    return np.asarray(np.divide(vx * dx + vy * dy, length, out=np.zeros_like(speed), where=length > 0))
 
 
 def local_ned(lat: Array, lon: Array) -> tuple[Array, Array]:
@@ -147,17 +160,6 @@ def local_ned(lat: Array, lon: Array) -> tuple[Array, Array]:
     normal = WGS84_SEMI_MAJOR_AXIS / np.sqrt(w)
     east = np.radians(np.mod(lon - lon[0] + 180, 360) - 180)
     return meridian * np.radians(lat - lat[0]), normal * np.cos(phi) * east
-
-
-def _channel(table: Table, column: str, unit: str, source: str) -> Channel:
-    good = np.isfinite(table[column])
-    t, value = table["t"][good], table[column][good]
-    return Channel(np.ascontiguousarray(t, float), np.ascontiguousarray(value, float), unit, source)
-
-
-def _good(table: Table) -> Table:
-    good: Table = table[table["flags"] == 0]
-    return good
 
 
 def follows_command(rpm: Array, n: Array) -> bool:
@@ -171,7 +173,7 @@ def with_sign(t: Array, speed: Array, t_told: Array, told: Array) -> Array:
     """Speeds (k,) at times ``t`` (k,) s with the sign that their shaft had, told ``told`` (m,) from ``t_told`` (m,) s
     on, each held until the next."""
     speed = np.abs(speed)
-    clock = np.arange(t[0] - DELAYS[-1], t[-1] + STEP, STEP)
+    clock = np.arange(t[0] - DELAYS[-1], t[-1] + GRID_STEP, GRID_STEP)
     held = told[np.maximum(np.searchsorted(t_told, clock, side="right") - 1, 0)]
 
     def misfit(lagged: Array, delay: float) -> float:
@@ -179,8 +181,8 @@ def with_sign(t: Array, speed: Array, t_told: Array, told: Array) -> Array:
         scale = float(size @ speed) / max(float(size @ size), 1e-12)
         return float(np.sum((speed - scale * size) ** 2))
 
-    best = fit_first_order_lag([LagData(held, misfit)], DELAYS, TIME_CONSTANTS, STEP, hold="backward")
+    best = fit_first_order_lag([LagData(held, misfit)], DELAYS, TIME_CONSTANTS, GRID_STEP, hold="backward")
     if not np.isfinite(best.misfit):
         return np.copysign(speed, np.interp(t, clock, held))
-    lagged = first_order_lag(held, best.time_constant, STEP, hold="backward")
+    lagged = first_order_lag(held, best.time_constant, GRID_STEP, hold="backward")
     return np.copysign(speed, np.interp(t - best.delay, clock, lagged))

@@ -1,4 +1,4 @@
-"""A record as the engine reads it: checked once, with masks, and the state at its start."""
+"""Records in the form that kernels read: checked once, with masks of the sensors, and the initial state."""
 
 from __future__ import annotations
 
@@ -13,17 +13,19 @@ from ident.model import Model
 from ident.numerics import NORMAL_MAD, SECOND_DIFFERENCE, Array, noise_from_differences, wrap
 
 N_AGREE = 7  # samples of a sensor with outliers that the first is chosen from
-START_OUTLIER_GATE = 4.0  # times the least median distance from a straight line, within which a first sample must be
-# standard deviations of the noise, as far as its second differences tell it: four times their median, and so beyond
-# any chance
-SAMPLE_OUTLIER_GATE = 4.0 * SECOND_DIFFERENCE / NORMAL_MAD
+# A sample at the start is an outlier where it is farther from a straight line than both of
+START_OUTLIER_GATE = 4.0  # times the least distance of all, and
+SAMPLE_OUTLIER_GATE = 4.0 * SECOND_DIFFERENCE / NORMAL_MAD  # standard deviations of the noise: 6.6, beyond any chance
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """rows: ``u``, ``u_next`` (n_rows, n_inputs), ``y`` (n_rows, n_outputs), ``h`` (n_rows,); mask (n_rows,) uint32
-    with a bit for each sensor; first: the first measurement of each output, NaN where there is none; wild (n_rows,
-    n_outputs): outliers before it, of which the mask knows nothing."""
+    """A record as arrays of a kernel.
+
+    rows: ``u``, ``u_next`` (n_rows, n_inputs), ``y`` (n_rows, n_outputs), ``h`` (n_rows,) [s]; mask (n_rows,): a bit
+    for each sensor that has a sample in that row; first (n_outputs,): the first measurement, NaN where there is none;
+    n_measured: measured values; wild (n_rows, n_outputs): outliers before the first measurement, without their bit.
+    """
 
     n_rows: int
     rows: dict[str, Array]
@@ -34,7 +36,7 @@ class Prepared:
 
 
 class Preparer:
-    """Prepares records for a model and remembers those that are still in use."""
+    """Prepares records for a model, and keeps what it made for records that are still in use."""
 
     def __init__(self, model: Model) -> None:
         self.model = model

@@ -1,4 +1,4 @@
-"""Data for estimation: one record a run, every sensor at its own times, inputs with their hold."""
+"""Data for estimation: channels on their own clocks, and records of rows with every sensor at its own times."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ident.numerics import Array
 
 TIME_INPUT = "t"  # an input of this name is the time since the start of the record
 WORK_INPUT = "work"  # an input of this name is the integral of the cubed shaft speeds, over WORK_UNIT
-WORK_UNIT = 150.0  # s
+WORK_UNIT = 150.0  # s, at full power: the input is one after a run at full speed of this duration
 SAME_TIME = 1e-6  # s; times closer than this are one row (seconds since 1970 have steps of 0.24 us)
 
 
@@ -27,11 +27,47 @@ class Channel:
     source: str = ""
 
 
+def sample_and_hold(channel: Channel, t: Array) -> Array:
+    """Zero-order hold: the latest value at or before each of the times t (n,) [s]; the first value before that."""
+    at = np.searchsorted(channel.t, t + SAME_TIME, side="right") - 1
+    return channel.value[np.clip(at, 0, None)]
+
+
+def block_mean(channel: Channel, edges: Array, angle: bool = False) -> tuple[Array, Array]:
+    """Block averages of value and time (n,) each, between ``edges`` (n + 1,) [s]; NaN where a block is empty. An
+    ``angle`` is unwrapped first."""
+    value = np.unwrap(channel.value) if angle else channel.value
+    index = np.searchsorted(edges, channel.t, side="right") - 1
+    inside = (index >= 0) & (index < edges.size - 1) & np.isfinite(value)
+    index, value, t = index[inside], value[inside], channel.t[inside]
+    count = np.bincount(index, minlength=edges.size - 1)
+    with np.errstate(invalid="ignore"):
+        mean = np.bincount(index, value, edges.size - 1) / count
+        centre = np.bincount(index, t, edges.size - 1) / count
+    return mean, centre
+
+
+@dataclass(frozen=True)
+class LogSegment:
+    """One log: its signals by name, and which part of it to use."""
+
+    name: str
+    channels: Mapping[str, Channel]
+    t_from: float | None = None
+    t_to: float | None = None
+    meta: Mapping[str, object] = field(default_factory=dict)
+
+
+def make_record(model: Model, run: LogSegment, rate: float) -> Record:
+    """A log's segment as rows for a model; ``rate`` [Hz] as in `build_record`."""
+    return build_record(model, run.channels, name=run.name, t_from=run.t_from, t_to=run.t_to, rate=rate, meta=run.meta)
+
+
 @dataclass(frozen=True)
 class Record:
-    """One run as rows of time, each with the inputs and whatever was measured then.
+    """One segment as rows of time, each with the inputs and the measurements of that time.
 
-    t (n_rows,) s, increasing; u (n_rows, n_inputs) at each row; u_next (n_rows, n_inputs) at the end of the
+    t (n_rows,) [s], increasing; u (n_rows, n_inputs) at each row; u_next (n_rows, n_inputs) at the end of the
     interval that follows (equal to ``u`` for a zero-order hold); y (n_rows, n_outputs), NaN where nothing was
     measured (a sensor's outputs are all there or all NaN); h (n_rows,) the interval that follows, 0 in the
     last row.
@@ -48,6 +84,7 @@ class Record:
 
     @property
     def h(self) -> Array:
+        """Interval to the next row (n_rows,) [s]; zero in the last."""
         return np.append(np.diff(self.t), 0.0)
 
     @property
@@ -56,6 +93,7 @@ class Record:
 
     @property
     def duration(self) -> float:
+        """[s]"""
         return float(self.t[-1] - self.t[0])
 
     def for_model(self, model: Model) -> Record:
@@ -89,25 +127,6 @@ class Record:
             u_next=self.u_next[rows],
             y=self.y[rows],
         )
-
-
-def sample_and_hold(channel: Channel, t: Array) -> Array:
-    """The latest value at or before each time; the first value before that."""
-    at = np.searchsorted(channel.t, t + SAME_TIME, side="right") - 1
-    return channel.value[np.clip(at, 0, None)]
-
-
-def block_mean(channel: Channel, edges: Array, angle: bool = False) -> tuple[Array, Array]:
-    """Means of value and time between the edges, NaN where a block is empty. Angles are unwrapped first."""
-    value = np.unwrap(channel.value) if angle else channel.value
-    index = np.searchsorted(edges, channel.t, side="right") - 1
-    inside = (index >= 0) & (index < edges.size - 1) & np.isfinite(value)
-    index, value, t = index[inside], value[inside], channel.t[inside]
-    count = np.bincount(index, minlength=edges.size - 1)
-    with np.errstate(invalid="ignore"):
-        mean = np.bincount(index, value, edges.size - 1) / count
-        centre = np.bincount(index, t, edges.size - 1) / count
-    return mean, centre
 
 
 def build_record(
@@ -236,19 +255,3 @@ def _inputs(model: Model, channels: Mapping[str, Channel], t: Array, start: floa
             continue
         u[:, j], u_next[:, j] = at, np.append(at[1:], at[-1])
     return u, u_next
-
-
-@dataclass(frozen=True)
-class LogSegment:
-    """One log: its signals by name, and which part of it to use."""
-
-    name: str
-    channels: Mapping[str, Channel]
-    t_from: float | None = None
-    t_to: float | None = None
-    meta: Mapping[str, object] = field(default_factory=dict)
-
-
-def make_record(model: Model, run: LogSegment, rate: float) -> Record:
-    """One run as rows for a model (ident.data.record)."""
-    return build_record(model, run.channels, name=run.name, t_from=run.t_from, t_to=run.t_to, rate=rate, meta=run.meta)

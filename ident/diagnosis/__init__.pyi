@@ -4,6 +4,5 @@ from .evaluation import evaluate_diagnosis as evaluate_diagnosis
 from .results import Diagnosis as Diagnosis
 from .results import Refit as Refit
 from .results import Round as Round
-from .score_test import ALPHA as ALPHA
-from .score_test import Score as Score
+from .score_test import threshold as threshold
 from .search import diagnose as diagnose

@@ -27,9 +27,9 @@ from ident.diagnosis.score_test import (
     ColumnIndex,
     NormalEquations,
     Score,
-    _passes,
     block_index,
     fitted_parameters,
+    passes,
     place,
     propagate_sensitivities,
     score_tests,
@@ -156,8 +156,7 @@ def score_all(
     for s in scores:
         first.setdefault(s.name, s)
     best = list(first.values())
-    n_tests = {g: sum(s.generic == g for s in scores) for g in (False, True)}
-    return best, [s for s in best if _passes(s, n_tests[s.generic])]
+    return best, [s for s in best if passes(s, scores)]
 
 
 def _round(

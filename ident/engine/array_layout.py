@@ -1,4 +1,4 @@
-"""The arrays that a kernel works on: their names, sizes and kinds, without the functions that are between them."""
+"""Layout of a kernel's arrays: names, sizes and kinds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ ROWS = frozenset({"u", "u_next", "y", "h"})  # the data, as graphs name them
 
 @dataclass(frozen=True)
 class Layout:
-    """sizes: entries of every array, in the order of the kernel's arguments; the rest as in ``plan.Plan``."""
+    """sizes: entries of every array, in the order of the kernel's arguments; the rest as in `loop_plan.Plan`."""
 
     sizes: Mapping[str, int]
     rows: frozenset[str]

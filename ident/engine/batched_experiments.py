@@ -1,13 +1,13 @@
-"""Many experiments at once, one in each lane of the vectors: what each would tell of the parameters.
+"""Fisher information of many experiments at once, one in each lane of the vectors.
 
-Where ``programs`` gives one lane to each parameter of one record, here a lane is a whole experiment: its own inputs
+Where `filter_plans` gives one lane to each parameter of one record, here a lane is a whole experiment: its own inputs
 (or the same for all) and its own values of the parameters. Data are what the model itself predicts, so innovations
 are zero and sensitivities need no derivative of the filter's gain: with P, H and S of the filter along that path,
 
     de = H X + dh/dp,   F += de' S^-1 de,   X -= K de,   X <- d step / d (x, p) (X, 1)
 
 which is exact for the part ``de' S^-1 de`` of the Fisher information; ``1/2 tr(S^-1 dS S^-1 dS)`` tells of noise and is
-left to ``programs``. Without process noise (output error) P and K are zero and S is R.
+left to `filter_plans`. Without process noise (output error) P and K are zero and S is R.
 """
 
 from __future__ import annotations

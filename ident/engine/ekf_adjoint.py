@@ -1,4 +1,4 @@
-"""The adjoints of a filter's stages: from the slopes of the likelihood by the state after a stage to those before it.
+"""Adjoint of the filter: derivatives of the likelihood by the state before a stage from those by the state after it.
 
 Matrix by matrix (Giles 2008), not as the expressions stand, which do not know that a covariance is symmetric. Let L be
 twice the symmetric matrix of slopes by the covariance after a stage. The prediction is
@@ -64,8 +64,8 @@ def of_update(g: EkfGraphs, update: Update, tape: str, bar: Any) -> Adjoint:
         s = ca.SX.sym("s", n_s)
         c = g.correct(done.sample, s[:n], unpack(s[n:], n))
         turned = _doubled(unpack(moved[n:], n)) @ c.PH
-        weight = ca.vertcat(moved[:n], 1, -c.news * turned, -ca.dot(c.PH, turned) / 2)
-        slopes = reverse_mode(ca.vertcat(c.dx, c.ll, c.PH, c.news), ca.vertcat(s, g.mean, g.p), weight)
+        weight = ca.vertcat(moved[:n], 1, -c.inverse_variance * turned, -ca.dot(c.PH, turned) / 2)
+        slopes = reverse_mode(ca.vertcat(c.dx, c.ll, c.PH, c.inverse_variance), ca.vertcat(s, g.mean, g.p), weight)
         slopes = ca.substitute(slopes, s, values)
         moved = ca.vertcat(slopes[:n], moved[n:] + slopes[n:n_s])
         direct += slopes[n_s:]

@@ -1,4 +1,4 @@
-"""From a model to CasADi graphs: rates, outputs, one step of time, and the stages of a filter.
+"""CasADi graphs of a model's extended Kalman filter: rates, outputs, prediction and measurement updates.
 
 The state that is carried from row to row is ``s``: the mean, followed by the upper triangle of the covariance
 by rows; or the mean alone, where there is no covariance (output error).
@@ -53,8 +53,9 @@ class Sample:
 
 @dataclass(frozen=True)
 class ScalarUpdate:
-    """What a scalar does: e, S, slope and ll as in ``Update``; dx, what the mean has moved by since the prediction, and
-    the covariance P, after it: P - news PH PH', with PH = P H'."""
+    """Update by one scalar measurement. e, S, slope, ll: as in `Update`; dx: change of the mean since the prediction;
+    P: the covariance after it, ``P - inverse_variance PH PH'`` with ``PH = P H'``; inverse_variance: 1 / S, or less for
+    an outlier."""
 
     sample: Sample
     e: Any
@@ -64,7 +65,7 @@ class ScalarUpdate:
     dx: Any = None
     P: Any = None
     PH: Any = None
-    news: Any = None
+    inverse_variance: Any = None
 
 
 @dataclass(frozen=True)
@@ -238,24 +239,25 @@ class EkfGraphs:
             S = H @ PH + S
         if output.angle:
             e = _wrap(e)
-        scaled, news = e / ca.sqrt(S), 1 / S
+        scaled, inverse_variance = e / ca.sqrt(S), 1 / S
         slope = outlier_density.score(scaled) / ca.sqrt(S) if output.robust else e / S
         ll = (outlier_density.log_density(scaled) - 0.5 * ca.log(S) if output.robust else
               -0.5 * (e * slope + ca.log(2 * math.pi * S)))
         if output.robust:
-            news = outlier_density.score_slope(scaled) / S
+            inverse_variance = outlier_density.score_slope(scaled) / S
         if H is None:
             return ScalarUpdate(sample, e, S, slope, ll)
-        return ScalarUpdate(sample, e, S, slope, ll, dx + PH * slope, self._reduced(sample, P, PH, S, news), PH, news)
+        reduced = self._reduced(sample, P, PH, S, inverse_variance)
+        return ScalarUpdate(sample, e, S, slope, ll, dx + PH * slope, reduced, PH, inverse_variance)
 
-    def _reduced(self, sample: Sample, P: Any, PH: Any, S: Any, news: Any) -> Any:
-        """The covariance after a sample, or after as much of its news as there is."""
+    def _reduced(self, sample: Sample, P: Any, PH: Any, S: Any, inverse_variance: Any) -> Any:
+        """The covariance after a sample, or, with outliers allowed, after as much of it as its weight."""
         if not self.joseph:
-            return P - (PH * news) @ PH.T
+            return P - (PH * inverse_variance) @ PH.T
         K = PH / S
         rest = ca.SX.eye(self.n) - K @ sample.H
         whole = rest @ P @ rest.T + sample.R * K @ K.T
-        return P + news * S * (whole - P) if sample.output.robust else whole
+        return P + inverse_variance * S * (whole - P) if sample.output.robust else whole
 
 
 def _wrap(angle: Any) -> Any:

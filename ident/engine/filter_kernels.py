@@ -1,4 +1,4 @@
-"""The kernels of a filter, each made when it is first asked for, or found as an earlier process made it."""
+"""Kernels of a filter, compiled when first asked for or loaded from the cache."""
 
 from __future__ import annotations
 

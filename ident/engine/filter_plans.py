@@ -1,4 +1,4 @@
-"""The plans of a filter's kernels: likelihood, its adjoint, its tangents, all it knows row by row, and simulation."""
+"""Plans of a filter's kernels: likelihood, adjoint, forward sensitivities, filter output by row, and simulation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The loop of a kernel without machine code: CasADi evaluates every stage, row by row. Slow; an oracle."""
+"""Interpreter of plans: CasADi evaluates every stage, row by row. Slow; the reference for compiled kernels."""
 
 from __future__ import annotations
 

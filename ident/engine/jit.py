@@ -1,4 +1,4 @@
-"""LLVM IR to machine code, kept on disk under a hash of the IR, the processor and LLVM's version."""
+"""Just-in-time compilation of LLVM IR; machine code is cached by a hash of the IR, the processor and LLVM's version."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ except ImportError:  # no wheel for this machine: kernels are interpreted then
     llvm = None
 
 AVAILABLE = llvm is not None
-OPTIMISE = 1  # of the IR passes; -O2 takes longer and its code is slower
-CODEGEN = 2
-QUICK = 0  # of both: a third of the time, and code that takes three quarters longer to run
-FEW = 10_000  # rows, beyond which that costs more than it saves
+OPTIMISE = 1  # level of the IR passes; -O2 takes longer and its code is slower
+CODEGEN = 2  # level of the code generation
+QUICK = 0  # level of both for `quickly`: a third of the time, and code that takes three quarters longer to run
+QUICK_ROWS = 10_000  # of the records of a model, beyond which that costs more than it saves
 # Of the instructions in a block. The default asks what the processor could do at once, and in stages of some thousand
 # instructions, which leave the registers full, a tenth more of them then only put values away and fetch them again.
 # An option that LLVM does not know would end the process, so none is given to an LLVM that it was not tried with.
 ORDER = "--pre-RA-sched=fast" if AVAILABLE and llvm.llvm_version_info[0] <= 22 else ""
 DIGEST_BYTES = 32
 LARGEST_CACHE = 400_000_000  # bytes; beyond that what was not used for longest goes
-KEPT = 0.7  # of it
+KEPT_SHARE = 0.7  # of the cache that then stays
 
 
 def _host() -> tuple[str, str, int]:
@@ -58,7 +58,7 @@ _quickly: list[object] = []
 def quickly(n_rows: int) -> Iterator[None]:
     """Kernels compiled meanwhile, in whatever thread, are made in a hurry: for models that are fitted once, to as many
     rows, if these are few."""
-    if n_rows > FEW:
+    if n_rows > QUICK_ROWS:
         yield
         return
     token = object()
@@ -156,5 +156,5 @@ def _prune(folder: Path) -> None:
     for _, size, path in sorted(files):
         path.unlink(missing_ok=True)
         total -= size
-        if total <= KEPT * LARGEST_CACHE:
+        if total <= KEPT_SHARE * LARGEST_CACHE:
             return

@@ -1,6 +1,6 @@
-"""A plan made to run, by machine code or without, and the arrays it runs on.
+"""Kernels: executable plans, and the arrays that they work on.
 
-The loop is compiled (``emitter``) where llvmlite is there and interpreted (``interpreter``) where it is not.
+The loop is compiled (`llvm_emitter`) where llvmlite is installed, else interpreted (`interpreter`).
 """
 
 from __future__ import annotations

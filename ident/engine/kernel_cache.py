@@ -1,7 +1,7 @@
-"""Kernels of earlier processes found again without CasADi, whose import and graphs cost more than the kernels' work.
+"""Cache of kernels, read without CasADi, whose import and graphs cost more than the kernels' work.
 
-A model's functions are run on objects that write down what is done to them. The text, with all else that a kernel
-depends on (``graphs.Graphs.key``) and the code of this package, is the name under which the layout of its arrays
+A model's functions are traced: run on objects that record the operations. The text, with all else that a kernel depends
+on (`EkfGraphs.key`) and the code of this package, is the name under which the layout of its arrays
 and the name of its machine code are kept beside the latter. A function that does something which cannot be written
 down (a condition, an array) has no such name, and its kernels are made anew by way of CasADi.
 """

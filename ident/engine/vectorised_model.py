@@ -1,4 +1,4 @@
-"""A model's rates and outputs at many rows at once."""
+"""Rates, outputs and Jacobians of a model for arrays of states and inputs."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ from .options import SearchSettings as SearchSettings
 from .output_error import free_start as free_start
 from .output_error import predict_ahead as predict_ahead
 from .output_error import simulate as simulate
-from .parameter_covariance import STEP as STEP
+from .parameter_covariance import PARAMETER_STEP as PARAMETER_STEP
 from .parameter_covariance import ParameterCovariance as ParameterCovariance
 from .parameter_covariance import ParameterUncertainty as ParameterUncertainty
 from .parameter_covariance import dynamic_parameters as dynamic_parameters

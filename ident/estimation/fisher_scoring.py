@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 from ident.numerics import Array
 
 Flags = NDArray[np.bool_]
-LARGEST_STEP = 1.5  # in a logarithm: a factor 4.5
-UNFELT = 0.5  # change of the objective by such a step that is hardly one
-HOPELESS = 1e12  # damping
-RUN_AWAY = 1e30  # information that no data give
-LEAP = 1e6  # of the information on most coordinates in one step, which no step does to a model that holds
-FADED = 1e-4  # of the largest information a coordinate ever had: what its damping is at least measured by
-SLIGHT = 0.05  # of the tolerance: what a step gains that is not worth the next one
-NEAR = 3.0  # gain of a step below which the objective is about quadratic
-KEPT = 12  # pairs
+LARGEST_STEP = 1.5  # of the logarithm of a parameter in one iteration: a factor 4.5
+FLAT_CHANGE = 0.5  # of the log-likelihood by such a step: less, and the coordinate must not hold up the others
+MAX_DAMPING = 1e12  # over the diagonal of the Hessian: no step is left
+DIVERGENCE_LIMIT = 1e30  # of the information's diagonal: no data give as much, the simulation has diverged
+MAX_SENSITIVITY_RATIO = 1e6  # of the information after a step to the largest before (median): it is about to diverge
+DAMPING_FLOOR = 1e-4  # of the largest information that a coordinate ever had: the least that its damping goes by
+LBFGSB_TOLERANCE = 0.05  # of the fit's tolerance: gain of a step of L-BFGS-B that is not worth the next one
+QUADRATIC_GAIN = 3.0  # of the log-likelihood in one step: below it the objective is about quadratic
+MAX_BFGS_PAIRS = 12  # of steps and changes of the gradient that a BFGS correction is made of
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,9 @@ class Evaluation:
 
     @property
     def finite(self) -> bool:
-        """Whether it can be gone on from."""
-        return bool(np.isfinite(self.value) and np.isfinite(self.gradient).all()
-                    and np.isfinite(self.information).all() and np.diag(self.information).max(initial=0.0) < RUN_AWAY)
+        """Whether a search can go on from there."""
+        numbers = np.isfinite(self.value) and np.isfinite(self.gradient).all() and np.isfinite(self.information).all()
+        return bool(numbers and np.diag(self.information).max(initial=0.0) < DIVERGENCE_LIMIT)
 
 
 @dataclass(frozen=True)
@@ -94,16 +94,18 @@ class BfgsCorrection:
 
     def add(self, step: Array, before: Evaluation, after: Evaluation) -> None:
         self.largest = np.maximum(self.largest, np.diag(after.hessian))
-        if after.value - before.value > NEAR:
+        if after.value - before.value > QUADRATIC_GAIN:
             self.pairs.clear()
             return
-        self.pairs = [*self.pairs[1 - KEPT:], (step, before.gradient - after.gradient)]
+        self.pairs = [*self.pairs[1 - MAX_BFGS_PAIRS:], (step, before.gradient - after.gradient)]
 
     def holds(self, trial: Evaluation) -> bool:
-        """Whether the sensitivities are of the order that they were: where a simulation is about to run away its value
-        may be a number, and better, but they have run away already, and seem to leave nothing to gain."""
+        """Whether the sensitivities are of the order that they were. Where a simulation is about to diverge its value
+        may be finite, and better, but the sensitivities have diverged already, and seem to leave nothing to gain."""
         known = self.largest > 0.0
-        return bool(np.median(np.diag(trial.information)[known] / self.largest[known]) < LEAP) if known.any() else True
+        if not known.any():
+            return True
+        return bool(np.median(np.diag(trial.information)[known] / self.largest[known]) < MAX_SENSITIVITY_RATIO)
 
     def hessian(self, at: Evaluation) -> Array:
         H = at.hessian
@@ -124,7 +126,7 @@ def solve_step(at: Evaluation, H: Array, z: Array, bounds: Bounds, damping: floa
     stand still. It alone is held, and the rest is solved for it.
     """
     felt = LARGEST_STEP * np.abs(at.gradient) + 0.5 * LARGEST_STEP**2 * np.diag(H)
-    reach = np.where(bounds.logarithmic & (felt < UNFELT), LARGEST_STEP, np.inf)
+    reach = np.where(bounds.logarithmic & (felt < FLAT_CHANGE), LARGEST_STEP, np.inf)
     low, high = np.maximum(bounds.low - z, -reach), np.minimum(bounds.high - z, reach)
     fixed = bounds.held(z, at.gradient) | (np.diag(H) <= 0.0)
     size = np.maximum(np.diag(H), 1e-300)
@@ -177,7 +179,7 @@ def maximise(evaluate: Evaluate, z: Array, bounds: Bounds, *, max_iterations: in
         if abs(left) < tolerance:
             return Optimum(z, at, iteration, evaluations, left)
         while True:
-            step = solve_step(at, H, z, bounds, damping, FADED * memory.largest)
+            step = solve_step(at, H, z, bounds, damping, DAMPING_FLOOR * memory.largest)
             expected = expected_gain(at, H, step)
             trial = evaluate(bounds.clip(z + step))
             evaluations += 1
@@ -189,7 +191,7 @@ def maximise(evaluate: Evaluate, z: Array, bounds: Bounds, *, max_iterations: in
                 z, at = bounds.clip(z + step), trial
                 break
             damping, growth = damping * growth, growth * 2
-            if damping > HOPELESS or growth > 2.0**12:
+            if damping > MAX_DAMPING or growth > 2.0**12:
                 return Optimum(z, at, iteration + 1, evaluations, left)
     return Optimum(z, at, max_iterations, evaluations, remaining_gain(at, memory.hessian(at), z, bounds))
 
@@ -207,10 +209,10 @@ def refine_lbfgsb(value_and_gradient: Callable[[Array], tuple[float, Array]], st
         finite = np.isfinite(value) and bool(np.isfinite(gradient).all())
         return (-value, -gradient / size) if finite else (1e30, np.zeros(size.size))
 
-    least = max(1e-14, SLIGHT * tolerance / max(abs(start.at.value), 1.0))  # of the value, as L-BFGS-B wants it
+    relative = LBFGSB_TOLERANCE * tolerance / max(abs(start.at.value), 1.0)  # of the value, as L-BFGS-B wants it
     limits = optimize.Bounds(bounds.low * size, bounds.high * size)
     found = optimize.minimize(negative, start.z * size, jac=True, method="L-BFGS-B", bounds=limits,
-                              options={"maxiter": 200, "maxcor": 30, "ftol": least, "gtol": 1e-6})
+                              options={"maxiter": 200, "maxcor": 30, "ftol": max(1e-14, relative), "gtol": 1e-6})
     z = bounds.clip(found.x / size)
     at = evaluate(z)
     spent = start.evaluations + int(found.nfev) + 1

@@ -1,4 +1,4 @@
-"""A model fitted to some runs and shown others: the step that a diagnosis repeats."""
+"""A model fitted to estimation data and evaluated on validation data: the unit that a diagnosis compares."""
 
 from __future__ import annotations
 
@@ -21,13 +21,29 @@ from ident.models import for_diagnosis, forces_of, rescale, residuals_of, size_o
 from ident.numerics import NORMAL_MAD, Array, noise_from_differences
 from ident.reporter import QUIET, Reporter
 
-NOUGHT = 1e-2  # of the white noise that the samples show
-OTHER_SIZE = 2.0  # times the force or moment that was assumed
+COLLAPSED_NOISE = 1e-2  # of the white noise that the samples show: noise below it has collapsed to zero
+RESCALING_RATIO = 2.0  # of the estimated force or moment to the assumed: from it the priors are scaled anew
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """A model, its fit to the estimation data, and its evaluation on every record of both sets.
+
+    Parameters of a single record (the current) are estimated on the validation data, too; nothing else is.
+    """
+
+    model: Model
+    fit: Fit
+    estimation: tuple[RecordEvaluation, ...]
+    validation: tuple[RecordEvaluation, ...]
 
 
 @dataclass(frozen=True)
 class RecordEvaluation:
-    """A fitted model on one record: once asked for, the filter's account of it and the smoother's."""
+    """A fitted model on one record; filter and smoother run when they are first asked for.
+
+    values (n_parameters,): the estimates that belong to this record, in the order of ``model.parameters``.
+    """
 
     model: Model
     record: Record
@@ -35,27 +51,18 @@ class RecordEvaluation:
 
     @cached_property
     def run(self) -> FilterResult:
+        """Filtered states and innovations."""
         return Likelihood(self.model).filter(self.record, self.values)
 
     @cached_property
     def ll(self) -> Array:
-        """What each row adds to ln L (n_rows,): of most candidates nothing else is ever asked."""
+        """Log-likelihood by row (n_rows,): all that is asked of most candidates."""
         return Likelihood(self.model).value_by_row(self.record, self.values)
 
     @cached_property
     def smoothed(self) -> SmootherResult:
+        """Smoothed states."""
         return smooth(self.run)
-
-
-@dataclass(frozen=True)
-class FittedModel:
-    """A model fitted to the estimation data, and what it does on both sets. Nuisances that each record has for
-    itself (current) are estimated on the validation data too; nothing else is."""
-
-    model: Model
-    fit: Fit
-    estimation: tuple[RecordEvaluation, ...]
-    validation: tuple[RecordEvaluation, ...]
 
 
 def fit_nominal_model(
@@ -93,7 +100,8 @@ def fit_with_rescaling(
     """The model of ``nominal`` fitted; once more where the boat turns out to be of another size than its start said."""
     stage = fit_and_evaluate(full, records, unseen, options)
     assumed, found = size_of(full), size_of(stage.fit.model)
-    if all(1 / OTHER_SIZE < b / a < OTHER_SIZE for a, b in zip(astuple(assumed), astuple(found), strict=True)):
+    ratios = [b / a for a, b in zip(astuple(assumed), astuple(found), strict=True)]
+    if all(1 / RESCALING_RATIO < ratio < RESCALING_RATIO for ratio in ratios):
         return stage
     return fit_and_evaluate(rescale(full, found), records, unseen, options)
 
@@ -136,6 +144,39 @@ def fit_and_evaluate(
     return FittedModel(model, fitted, views, tuple(judged))
 
 
+def _view(model: Model, record: Record, values: Array) -> RecordEvaluation:
+    return RecordEvaluation(model, record.for_model(model), values)
+
+
+def nominal(model: Model) -> Model:
+    """With unexplained forces and sensor offsets, unless it has them; a model without a hull stays as it is."""
+    if not (forces_of(model) or residuals_of(model)):
+        return model
+    present = any(e.kind is EffectKind.DISTURBANCE for e in model.effects)
+    return rescale(model if present else for_diagnosis(model), size_of(model))
+
+
+def superset(
+    nominal: Model, candidates: Mapping[str, Effect], runs: Sequence[LogSegment]
+) -> tuple[Model, dict[str, Effect]]:
+    """The model with every candidate whose inputs all runs have, so that one record serves them all."""
+    derived = {"t", "work"} if nominal.provides and "n" in nominal.provides else {"t"}
+    everything, kept = nominal, {}
+    for name, effect in candidates.items():
+        wanted = {i.tap_of if i.tap else i.name for i in effect.inputs} - derived
+        if all(wanted <= set(run.channels) for run in runs):
+            everything, kept[name] = everything + effect, effect
+    return everything, kept
+
+
+def without_absent_sensors(model: Model, records: Sequence[Record]) -> Model:
+    """Fix the noise of sensors that no record has: nothing can be said about it."""
+    columns = {n: j for j, n in enumerate(records[0].outputs)}
+    seen = {o.name for o in model.outputs if any(np.isfinite(r.y[:, columns[o.name]]).any() for r in records)}
+    absent = {o.noise for o in model.outputs} - {o.noise for o in model.outputs if o.name in seen}
+    return model.replace_parameters(*[model.parameter(n).fixed() for n in absent if n])
+
+
 def reset_collapsed_noise(model: Model, records: Sequence[Record]) -> Model:
     """With a start for noise that an earlier fit put to nought, from where no search comes back: the median second
     difference of what was measured, as white noise has it."""
@@ -146,13 +187,9 @@ def reset_collapsed_noise(model: Model, records: Sequence[Record]) -> Model:
             continue
         parts = [r.y[np.isfinite(r.y[:, names.index(o.name)]), names.index(o.name)] for r in records]
         white = noise_from_differences(np.concatenate([np.diff(np.unwrap(y) if o.angle else y, 2) for y in parts]))
-        if p.value < NOUGHT * white:
+        if p.value < COLLAPSED_NOISE * white:
             new.append(p.at(white))
     return model.replace_parameters(*new)
-
-
-def _view(model: Model, record: Record, values: Array) -> RecordEvaluation:
-    return RecordEvaluation(model, record.for_model(model), values)
 
 
 def outliers(stage: FittedModel) -> list[str]:
@@ -183,32 +220,3 @@ def validation_gain(before: FittedModel, after: FittedModel) -> tuple[float, flo
 
 def _t(x: Array) -> float:
     return float(x.mean() / (x.std(ddof=1) / np.sqrt(x.size) + 1e-12)) if x.size > 1 else 0.0
-
-
-def nominal(model: Model) -> Model:
-    """With unexplained forces and sensor offsets, unless it has them; a model without a hull stays as it is."""
-    if not (forces_of(model) or residuals_of(model)):
-        return model
-    present = any(e.kind is EffectKind.DISTURBANCE for e in model.effects)
-    return rescale(model if present else for_diagnosis(model), size_of(model))
-
-
-def superset(
-    nominal: Model, candidates: Mapping[str, Effect], runs: Sequence[LogSegment]
-) -> tuple[Model, dict[str, Effect]]:
-    """The model with every candidate whose inputs all runs have, so that one record serves them all."""
-    derived = {"t", "work"} if nominal.provides and "n" in nominal.provides else {"t"}
-    everything, kept = nominal, {}
-    for name, effect in candidates.items():
-        wanted = {i.tap_of if i.tap else i.name for i in effect.inputs} - derived
-        if all(wanted <= set(run.channels) for run in runs):
-            everything, kept[name] = everything + effect, effect
-    return everything, kept
-
-
-def without_absent_sensors(model: Model, records: Sequence[Record]) -> Model:
-    """Fix the noise of sensors that no record has: nothing can be said about it."""
-    columns = {n: j for j, n in enumerate(records[0].outputs)}
-    seen = {o.name for o in model.outputs if any(np.isfinite(r.y[:, columns[o.name]]).any() for r in records)}
-    absent = {o.noise for o in model.outputs} - {o.noise for o in model.outputs if o.name in seen}
-    return model.replace_parameters(*[model.parameter(n).fixed() for n in absent if n])

@@ -1,11 +1,11 @@
-"""Do the logs agree on a parameter? One value for all against one for each: likelihood ratio, and the scatter.
+"""Homogeneity test of a parameter across logs: likelihood ratio of one value for all to one for each, and the scatter.
 
 With values ``m`` (k,) fitted one a log and their covariance V, the logs' own scatter tau is that of
 
     m ~ N(mu 1, V + tau^2 I)
 
-by restricted maximum likelihood (DerSimonian and Laird 1986 is its moment form; Viechtbauer 2005). Where the logs do
-not agree, the error of a fit that makes them agree is too small, and mu with its own error is the honest answer.
+by restricted maximum likelihood (DerSimonian and Laird 1986 is its moment form; Viechtbauer 2005). Where the logs
+disagree, the standard error of a common fit is too small, and mu with its own error is the calibrated answer.
 """
 
 from __future__ import annotations

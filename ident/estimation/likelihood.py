@@ -1,9 +1,9 @@
-"""Prediction error: the likelihood of an extended Kalman filter between samples (thesis eq. 2.3, constant put right).
+"""Prediction-error likelihood by a continuous-discrete extended Kalman filter (thesis eq. 2.3, constant put right).
 
     ln L = -1/2 sum [ e' S^-1 e + ln |S| + r ln 2 pi ]
 
-with innovations ``e`` and their covariance ``S``, one scalar measurement after the other. Mean by Runge-Kutta 4
-over each interval, covariance by the transition matrix and Simpson's rule (``engine.graphs``).
+with innovations ``e`` and their covariance ``S``; scalar measurements are processed sequentially. The mean is
+integrated by Runge-Kutta 4 over each interval, the covariance by the transition matrix and Simpson's rule.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ from ident.numerics import Array
 
 @dataclass(frozen=True)
 class LikelihoodAndScore:
-    """Log-likelihood, its gradient (n_free,) and the Fisher information (n_free, n_free), in the parameters' own
-    units; ``by_row`` (n_rows, n_free): what each row adds to the gradient, where it was asked for."""
+    """Log-likelihood, its gradient, the score (n_free,), and the expected Fisher information (n_free, n_free), in the
+    parameters' own units; ``by_row`` (n_rows, n_free): contributions of the rows to the score, where they were asked
+    for."""
 
     value: float
     gradient: Array
@@ -34,15 +35,15 @@ class LikelihoodAndScore:
 
 @dataclass(frozen=True)
 class FilterResult:
-    """What the filter knew, row by row.
+    """EKF output per time step: predicted and filtered means and covariances, and innovations.
 
-    t (n_rows,) s; x_pred, x_filt (n_rows, n_states) means and P_pred, P_filt (n_rows, n_states, n_states)
-    covariances before and after the row's samples; Phi (n_rows, n_states, n_states) to the next row;
-    e (n_rows, n_outputs) measured minus predicted, NaN where nothing was measured; R (n_outputs,) variances of
-    the measurement noise; eps, S (n_rows, n_outputs): innovations and variances one after the other, each given
-    those before it in its row, so that eps / sqrt(S) is white; ll (n_rows,) what the row adds to ln L; allowed
-    (n_outputs,): where outliers are allowed, None: nowhere; left (n_rows, n_outputs): outliers at the start that the
-    filter did not get to see.
+    t (n_rows,) [s]; x_pred, x_filt (n_rows, n_states): state means before and after the row's samples; P_pred, P_filt
+    (n_rows, n_states, n_states): their covariances; Phi (n_rows, n_states, n_states): transition to the next row; e
+    (n_rows, n_outputs): measured minus predicted, NaN where nothing was measured; R (n_outputs,): variances of the
+    measurement noise; eps, S (n_rows, n_outputs): innovations and their variances in sequential processing, each given
+    those before it in its row, so that eps / sqrt(S) is white; ll (n_rows,): contribution of the row to ln L; allowed
+    (n_outputs,): outputs with the outlier model, None: none; left (n_rows, n_outputs): outliers before the first
+    measurement that the filter was given.
     """
 
     t: Array
@@ -61,18 +62,17 @@ class FilterResult:
 
     @property
     def value(self) -> float:
+        """Log-likelihood of the record."""
         return float(self.ll.sum())
 
     @property
     def standardised(self) -> Array:
-        """Innovations in units of their standard deviation (n_rows, n_outputs): white if the model is right.
-
-        Outliers are NaN: they are not the model's."""
+        """Standardised innovations (n_rows, n_outputs): white if the model is right. Outliers are NaN."""
         return np.where(self.outliers, np.nan, self.eps / np.sqrt(self.S))
 
     @cached_property
     def outliers(self) -> NDArray[np.bool_]:
-        """Samples that were taken for outliers (n_rows, n_outputs)."""
+        """Samples that are more likely outliers than not (n_rows, n_outputs)."""
         left = np.zeros(self.eps.shape, dtype=bool) if self.left is None else self.left
         return left if self.allowed is None else left | self.allowed & (weight(self.eps / np.sqrt(self.S)) < LIKELY)
 
@@ -99,7 +99,7 @@ class Likelihood:
         return programs_for(self.model, covariance=self.process_noise, joseph=self._joseph)
 
     def value(self, record: Record, values: Array) -> float:
-        """Log-likelihood with all its constants."""
+        """Log-likelihood of a record, with all its constants; values (n_parameters,)."""
         data, start = self._start(record, values)
         kernel = self._programs.value
         with self._arenas.borrow() as arena:
@@ -108,7 +108,7 @@ class Likelihood:
             return float(done["ll"][0])
 
     def gradient(self, record: Record, values: Array) -> tuple[float, Array]:
-        """Log-likelihood and its gradient by all parameters (n_parameters,), by the adjoint."""
+        """Log-likelihood and its gradient by all parameters (n_parameters,), by the adjoint filter."""
         data, start = self._start(record, values)
         there, back = self._programs.forward, self._programs.backward
         p = _own(values)
@@ -123,7 +123,11 @@ class Likelihood:
 
     def scores(self, record: Record, values: Array, free: Sequence[str] | None = None, *, by_row: bool = False
                ) -> LikelihoodAndScore:
-        """Value, gradient and information for the parameters ``free`` (by default those free in the model)."""
+        """Log-likelihood, score and expected Fisher information, by forward sensitivities.
+
+        Parameters: values (n_parameters,); free: names to differentiate by, by default those free in the model;
+        by_row: return the contributions of the rows to the score, too.
+        """
         free = self.model.free if free is None else free
         data, start = self._start(record, values)
         kernel = self._programs.tangent
@@ -146,7 +150,7 @@ class Likelihood:
         return LikelihoodAndScore(value, dll.sum(axis=0), information, dll if by_row else None)
 
     def value_by_row(self, record: Record, values: Array) -> Array:
-        """What each row adds to the log-likelihood (n_rows,), by the machine code that a search has used already."""
+        """Log-likelihood by row (n_rows,), by the kernel that a search has compiled already."""
         data, start = self._start(record, values)
         kernel = self._programs.tangent
         with self._arenas.borrow() as arena:
@@ -155,7 +159,7 @@ class Likelihood:
             return done["ll"][:, 0].copy()
 
     def filter(self, record: Record, values: Array) -> FilterResult:
-        """Everything the filter knew."""
+        """The filter's output for a record; values (n_parameters,). Raises ValueError without process noise."""
         if not self.process_noise:
             raise ValueError("output error has no filter; simulate with ident.estimation.output_error")
         data, start = self._start(record, values)
@@ -173,8 +177,11 @@ class Likelihood:
             np.array([o.robust for o in self.model.outputs]), data.wild)
 
     def forecast(self, record: Record, values: Array, x: Array, P: Array, first: int, last: int) -> tuple[Array, Array]:
-        """From ``x`` (n_states,) and ``P`` (n_states, n_states) at the row ``first`` and the inputs alone: means
-        (n, n_states) and covariances (n, n_states, n_states) from there to the row ``last``."""
+        """Prediction from the inputs alone, without measurements.
+
+        Parameters: values (n_parameters,); x (n_states,), P (n_states, n_states): mean and covariance at the row
+        ``first``. Returns: means (n, n_states) and covariances (n, n_states, n_states) up to the row ``last``.
+        """
         data, kernel, n = self._prepare(record), self._programs.filter, len(self.model.states)
         n_rows = last + 1 - first
         rows = {name: a[first:last + 1] for name, a in _inputs(kernel, data).items()}
@@ -185,7 +192,7 @@ class Likelihood:
         return _mean_and_covariance(done["predicted"], n)
 
     def measured(self, record: Record) -> int:
-        """How many measured numbers of a record the likelihood is of."""
+        """Number of measured values of a record that enter the likelihood."""
         return self._prepare(record).n_measured
 
     def _start(self, record: Record, values: Array) -> tuple[Prepared, Start]:

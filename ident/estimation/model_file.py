@@ -1,4 +1,4 @@
-"""model.toml: a fitted model with everything needed to use it elsewhere. See docs/formats/model.md."""
+"""Reading and writing of model.toml, a fitted model. See docs/formats/model.md."""
 
 from __future__ import annotations
 

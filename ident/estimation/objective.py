@@ -1,4 +1,4 @@
-"""The free coordinates of a fit, and what is to be maximised over them."""
+"""Objective of a fit: log-likelihood and log-prior over the free coordinates."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Output error: simulation without process noise, its likelihood, and predictions from given states.
 
 The likelihood is that of ``ident.estimation.likelihood`` with a certain initial state and no process noise, so S is
-the variance
-of the measurement noise; value, exact forward sensitivities, Gauss-Newton information (and with it the
+the variance of the measurement noise. Value, exact forward sensitivities and Gauss-Newton information (and with it the
 Cramer-Rao bound) are the same calls: ``output_error(model).scores(record, values)``.
 """
 

@@ -1,4 +1,4 @@
-"""What the errors of the estimated parameters add to a prediction from the inputs alone.
+"""Parameter covariance, and its contribution to the covariance of a prediction (delta method).
 
 The covariance of the estimate is split into its principal directions, of one standard deviation each; the prediction is
 made with the parameters moved either way along each of them, and half the differences are the columns of ``J L``:
@@ -6,8 +6,8 @@ made with the parameters moved either way along each of them, and half the diffe
     var y = H P H' + R + sum_k (y(theta + l_k) - y(theta - l_k))^2 / 4,   L L' = cov theta
 
 the delta method by central differences over a standard deviation, which also sees how far the model bends within it
-(as the points of an unscented transform do: Julier and Uhlmann 1997). Parameters move in the estimator's coordinates
-(logarithms of positive ones) and stay within their bounds.
+(as the sigma points of an unscented transform do: Julier and Uhlmann 1997). Parameters move in the estimator's
+coordinates (logarithms of positive ones) and stay within their bounds.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ident.model import Model
 from ident.numerics import Array, covariance_root
 
 NULL_SPACE_TOLERANCE = 1e-12  # of the largest eigenvalue of the correlation: below it is rounding
-STEP = 0.05  # standard deviations of the parameters, for differences
+PARAMETER_STEP = 0.05  # standard deviations of the parameters, for differences: the model is linear over it
 
 
 @dataclass(frozen=True)
@@ -86,12 +86,6 @@ def _rows(record: Record, rows: slice) -> Record:
                   record.outputs)
 
 
-def dynamic_parameters(model: Model) -> list[str]:
-    """Free parameters that all records share, without those of noise and of unexplained forces."""
-    noise = model.noise_parameters
-    return [p.name for p in model.parameters if p.free and not p.per_record and p.name not in noise]
-
-
 @dataclass(frozen=True)
 class ParameterCovariance:
     """Covariance (n, n) of the parameters ``names`` (n,), in their own units; None: not known."""
@@ -101,8 +95,10 @@ class ParameterCovariance:
 
 
 def principal_directions(model: Model, values: Array, known: ParameterCovariance | None) -> list[Array]:
-    """Parameters moved by ``STEP`` along each principal direction of their covariance, in the estimator's coordinates;
-    noise parameters, which move the estimate by next to nothing, are left alone."""
+    """Parameter vectors moved by `PARAMETER_STEP` along each principal direction of the covariance.
+
+    The directions are in the estimator's coordinates. Noise parameters, which hardly move the estimate, are left alone.
+    """
     if known is None or known.covariance is None:
         return []
     noise = model.noises
@@ -116,6 +112,12 @@ def principal_directions(model: Model, values: Array, known: ParameterCovariance
     for size, direction in zip(np.sqrt(np.maximum(w, 0.0)), V.T, strict=True):
         point = values.copy()
         for p, d in zip(parameters, direction, strict=True):
-            point[names.index(p.name)] = p.from_free(p.to_free(p.value) + STEP * size * d)
+            point[names.index(p.name)] = p.from_free(p.to_free(p.value) + PARAMETER_STEP * size * d)
         moved.append(point)
     return moved
+
+
+def dynamic_parameters(model: Model) -> list[str]:
+    """Free parameters that all records share, without those of noise and of unexplained forces."""
+    noise = model.noise_parameters
+    return [p.name for p in model.parameters if p.free and not p.per_record and p.name not in noise]

@@ -1,4 +1,4 @@
-"""What is known of a boat before its fit: by the rig file, by the bench, and by what was typed."""
+"""Prior knowledge: rig geometry, bench characterisation, and values that the user gave."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Noise without what the dynamics took of it: restricted likelihood.
+"""Restricted maximum likelihood (REML): noise estimates corrected for the degrees of freedom of the dynamic parameters.
 
 Maximum likelihood divides the squares of the innovations by their number, not by what is left of it when the dynamics
 have been fitted to them, so that noise comes out too small: with a mass and two dampings from five minutes of one
@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from ident.estimation.fisher_scoring import Evaluation, Optimum, solve_step
 from ident.estimation.objective import Problem
-from ident.estimation.standard_errors import DROP
+from ident.estimation.standard_errors import DROP_95
 from ident.numerics import Array, scaled_eigen, unit_diagonal
 
-STEP = 0.05  # of a logarithm, for the differences; the determinant is nearly linear in it
-KNOWN = 1.0  # information on a logarithm below which not even its order of magnitude is known
+STEP = 0.05  # of a logarithm, for differences; the log-determinant is nearly linear in it
+MIN_LOG_INFORMATION = 1.0  # on a logarithm: with less not even its order of magnitude is known
 NULL_SPACE_TOLERANCE = 1e-9  # eigenvalue of the information scaled to unit diagonal: less is no information
 LEAST_DIAGONAL = 1e-300  # of an information matrix, in place of a zero
 
@@ -39,7 +39,7 @@ def apply_reml(problem: Problem, top: Optimum) -> Optimum:
     names = problem.model.noise_parameters
     inside = (top.z > problem.bounds.low) & (top.z < problem.bounds.high) & (np.diag(top.at.information) > 0)
     is_noise = np.array([p.name in names for p in problem.parameters])
-    told = problem.bounds.logarithmic & (np.diag(top.at.information) > KNOWN)
+    told = problem.bounds.logarithmic & (np.diag(top.at.information) > MIN_LOG_INFORMATION)
     noise = np.flatnonzero(is_noise & inside & told)
     dynamics = np.flatnonzero(~is_noise & inside)
     if not noise.size or not dynamics.size:
@@ -58,7 +58,7 @@ def apply_reml(problem: Problem, top: Optimum) -> Optimum:
         return top
     z = problem.bounds.clip(top.z + step)
     at = problem.evaluate(z)
-    if not at.finite or at.value < top.at.value - DROP:
+    if not at.finite or at.value < top.at.value - DROP_95:
         return top
     there = Evaluation(top.at.value, at.gradient + slope, at.information, at.curvature)
     return Optimum(z, there, top.iterations, top.evaluations + noise.size + 2, top.gain_left)

@@ -1,4 +1,4 @@
-"""The Rauch-Tung-Striebel smoother: what all samples together say of the state at each row.
+"""Rauch-Tung-Striebel smoother: mean and covariance of the state at each row, given all data.
 
     G_k = P_k|k Phi_k' P_k+1|k^-1,   x_k|N = x_k|k + G_k (x_k+1|N - x_k+1|k),
     P_k|N = P_k|k + G_k (P_k+1|N - P_k+1|k) G_k'
@@ -16,13 +16,13 @@ import numpy as np
 from ident.estimation.likelihood import FilterResult
 from ident.numerics import Array
 
-RANK = 1e-13  # eigenvalues of a correlation matrix below this are none
+NULL_SPACE_TOLERANCE = 1e-13  # eigenvalue of a correlation matrix, for each of its rows: below it is rounding
 
 
 @dataclass(frozen=True)
 class SmootherResult:
-    """x (n_rows, n_states), P (n_rows, n_states, n_states) given all data; lag_one (n_rows - 1, n_states,
-    n_states): the covariance of row k + 1 with row k."""
+    """Smoothed states: t (n_rows,) [s]; means x (n_rows, n_states) and covariances P (n_rows, n_states, n_states) given
+    all data; lag_one (n_rows - 1, n_states, n_states): cross-covariance of row k + 1 with row k."""
 
     t: Array
     x: Array
@@ -59,7 +59,7 @@ def smoothed_mean(run: FilterResult) -> Array:
 
 
 def _own_part(G: Array, Phi: Array, P_filt: Array, P_next: Array) -> Array:
-    """``P - G P_next G'``, what the rows to come cannot tell, in Joseph's form."""
+    """``P - G P_next G'``, the covariance that later rows cannot reduce, in Joseph's form."""
     Q = P_next - Phi @ P_filt @ Phi.swapaxes(1, 2)
     rest = np.eye(Phi.shape[1]) - G @ Phi
     return np.asarray(rest @ P_filt @ rest.swapaxes(1, 2) + G @ Q @ G.swapaxes(1, 2))
@@ -85,6 +85,6 @@ def _solve(correlation: Array, right: Array) -> Array:
     except np.linalg.LinAlgError:
         pass
     w, V = np.linalg.eigh(correlation)
-    inverse = np.divide(1.0, w, out=np.zeros_like(w), where=w > RANK * w.shape[1])
+    inverse = np.divide(1.0, w, out=np.zeros_like(w), where=w > NULL_SPACE_TOLERANCE * w.shape[1])
     solved = V @ (inverse[:, :, None] * (V.swapaxes(1, 2) @ right))
     return np.asarray(solved)

@@ -1,7 +1,11 @@
-"""Standard errors from the information at an estimate, and what must not be given one.
+"""Standard errors of an estimate, and what must not be given one.
 
-How well a parameter is known whose likelihood is flat where it stands, but falls a little further off.
-Standard errors that stay valid when residuals are coloured: from what each row has a part in, by blocks of rows.
+- `assess`: from the inverse of the information, without combinations that the data do not identify, and wider where a
+  parameter at its bound may leave it;
+- `sandwich`: valid where residuals are autocorrelated (White 1982): the covariance of the score is taken from sums over
+  blocks of rows, which are longer than the autocorrelation;
+- `flat_coordinates`: practical identifiability: parameters whose likelihood is flat around the estimate but falls a
+  little further off get the width of that interval (Raue et al. 2009).
 """
 
 from __future__ import annotations
@@ -16,17 +20,17 @@ from ident.estimation.fisher_scoring import Bounds, Evaluation
 from ident.model import Parameter
 from ident.numerics import Array, integrated_autocorrelation_time, scaled_eigen, scaled_inverse
 
-BLIND = 1e-10  # eigenvalue of the scaled information below which a combination is not identified
-NAMED = 0.1  # weight with which a parameter is part of that combination
-Z95, DROP = 1.959964, 1.9207294  # quantile of a normal, and half of chi2(1), at 95 %
-FACTOR = 5.0  # standard error of a logarithm beyond which nothing is known: a factor 150
-LEAN = 1.5  # times that its error would be larger
-AT_BOUND, VAGUE = "at its bound", "the data do not tell its order of magnitude"  # flags of a parameter that ended low
-TRIED = 10.0 ** np.arange(-2.0, 5.0)  # times a step of the parameter that is small but felt
-N_HALVINGS = 12
+NULL_SPACE_TOLERANCE = 1e-10  # eigenvalue of the information scaled to unit diagonal: below it nothing is identified
+MEMBER_WEIGHT = 0.1  # in an eigenvector of unit length: from it a parameter is part of the combination
+Z_95, DROP_95 = 1.959964, 1.9207294  # 97.5 % quantile of a normal, and half of the 95 % quantile of chi2(1)
+MAX_LOG_ERROR = 5.0  # standard error of a logarithm beyond which nothing is known: a factor 150
+FLAGGED_INFLATION = 1.5  # of a standard error by a neighbour that may leave its bound: from it there is a flag
+AT_BOUND, VAGUE = "at its bound", "the data do not tell its order of magnitude"  # flags of a parameter
+TRIED_STEPS = 10.0 ** np.arange(-2.0, 5.0)  # times the parameter's characteristic step
+N_HALVINGS = 12  # of the bracket of an interval's end: to 0.02 %
 Fallen = Callable[[float], bool | None]
-MOST, FEWEST = 40, 12  # blocks of all records
-LONG = 9.0  # times the memory: blocks that miss a twentieth of the variance, which is given back
+MAX_BLOCKS, MIN_BLOCKS = 40, 12  # of all records, over which the contributions of rows are summed
+BLOCK_LENGTH = 9.0  # autocorrelation times: blocks that miss a twentieth of the variance, which is given back
 TOO_LONG = "its residuals remember too long for an error that allows for it"
 
 
@@ -63,7 +67,7 @@ def assess(at: Evaluation, z: Array, bounds: Bounds, names: Sequence[str], slope
     flags += said
     good = [i for i, lost in zip(inside, blind, strict=True) if not lost]
     P[np.ix_(good, good)] = scaled_inverse(at.information[np.ix_(good, good)])
-    vague = [i for i in good if bounds.logarithmic[i] and P[i, i] > FACTOR**2]
+    vague = [i for i in good if bounds.logarithmic[i] and P[i, i] > MAX_LOG_ERROR**2]
     for i in vague:
         flags.append((names[i], VAGUE))
     P[vague, :] = P[:, vague] = np.nan
@@ -104,14 +108,15 @@ def _beside_bounds(
     for b in np.flatnonzero(((z <= bounds.low) | (z >= bounds.high)) & (np.diag(at.information) > 0)).tolist():
         inward, room = (1.0, bounds.high[b] - z[b]) if z[b] <= bounds.low[b] else (-1.0, z[b] - bounds.low[b])
         follow = -P[np.ix_(good, good)] @ at.information[good, b]
-        curvature = max(at.information[b, b] + at.information[b, good] @ follow, BLIND * at.information[b, b])
+        alone = at.information[b, b]
+        curvature = max(alone + at.information[b, good] @ follow, NULL_SPACE_TOLERANCE * alone)
         push = max(-inward * at.gradient[b], 0.0)
-        reach = min(2 * DROP / (push + np.sqrt(push**2 + 2 * DROP * curvature)), room)
+        reach = min(2 * DROP_95 / (push + np.sqrt(push**2 + 2 * DROP_95 * curvature)), room)
         limits[b] = z[b] + inward * reach
-        added = np.outer(follow, follow) * (reach / Z95) ** 2
+        added = np.outer(follow, follow) * (reach / Z_95) ** 2
         spread[np.ix_(good, good)] += added
         wider = np.sqrt(1.0 + np.diag(added) / np.diag(P)[good])
-        for k in np.flatnonzero(wider > LEAN).tolist():
+        for k in np.flatnonzero(wider > FLAGGED_INFLATION).tolist():
             flags[names[good[k]]] = f"its error allows for {names[b]} off its bound: {wider[k]:.1f} times that at it"
     return spread, limits, list(flags.items())
 
@@ -126,10 +131,10 @@ def _blind(
     if not seen:
         return blind, flags
     w, V, scale = scaled_eigen(information[np.ix_(seen, seen)])
-    for direction in _apart(V[:, w < BLIND]):
+    for direction in _apart(V[:, w < NULL_SPACE_TOLERANCE]):
         part = direction / scale  # in the coordinates themselves
         part = part / part[np.argmax(np.abs(part))]
-        members: list[int] = np.flatnonzero(np.abs(direction) > NAMED).tolist()
+        members: list[int] = np.flatnonzero(np.abs(direction) > MEMBER_WEIGHT).tolist()
         blind[[seen[m] for m in members]] = True
         terms = " ".join(f"{part[m]:+.2g} {labels[seen[m]]}" for m in members)
         flags += [(names[seen[m]], f"not identified: the data do not see a change of {terms}") for m in members]
@@ -149,6 +154,36 @@ def _apart(V: Array) -> Array:
     return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
 
 
+def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes: Array) -> Array:
+    """Standard errors in own units (n,); NaN where there is none, or where the residuals remember too long.
+
+    rows: for each record its coordinates, and what each row adds to their gradient (n_rows, n_places). What parameters
+    at their bounds add to the errors is added to these, too.
+    """
+    P = np.nan_to_num(known.P)
+    parts = [by_row @ P[places] for places, by_row in rows]  # (n_rows, n): what each row moves the estimate by
+    variance = np.array([_variance([part[:, i] for part in parts], len(P)) for i in range(len(P))])
+    return np.where(np.isfinite(known.errors), np.abs(slopes) * np.sqrt(variance + np.diag(known.spread)), np.nan)
+
+
+def _variance(parts: Sequence[Array], n_parameters: int) -> float:
+    """Of the sum of all rows of all records; what as many parameters have taken of it is given back."""
+    n = sum(part.size for part in parts)
+    remembered = integrated_autocorrelation_time(parts)
+    length = max(BLOCK_LENGTH * remembered, n / max(MAX_BLOCKS, 4 * n_parameters))
+    counts = [max(int(part.size / length), 1) for part in parts]
+    n_blocks = sum(counts)
+    if n_blocks < MIN_BLOCKS:
+        return np.nan
+    total = 0.0
+    for part, count in zip(parts, counts, strict=True):
+        starts = np.linspace(0, part.size, count, endpoint=False).astype(int)
+        total += float(np.sum(np.add.reduceat(part, starts) ** 2))
+    missed = 0.5 * (remembered - 1.0) / length  # by blocks that cut an exponential memory
+    taken = min(n_parameters, n_blocks // 2)  # as if each had fitted a block: a little too careful
+    return total * n_blocks / (n_blocks - taken) / (1.0 - missed)
+
+
 @dataclass(frozen=True)
 class LikelihoodInterval:
     """Coordinate ``at`` can be moved to ``low`` and to ``high`` until the log-likelihood has fallen by 1.92."""
@@ -166,7 +201,7 @@ class LikelihoodInterval:
     @property
     def information(self) -> float:
         """Of a normal with this as its 95 % interval."""
-        return float((2.0 * Z95 / (self.high - self.low)) ** 2)
+        return float((2.0 * Z_95 / (self.high - self.low)) ** 2)
 
 
 def flat_coordinates(value: Callable[[Array], float], z: Array, parameters: Sequence[Parameter], information: Array,
@@ -179,14 +214,14 @@ def flat_coordinates(value: Callable[[Array], float], z: Array, parameters: Sequ
         step = p.step or 0.01 * abs(p.value) or 1.0
         if bounds.logarithmic[i] or not bounds.low[i] < z[i] < bounds.high[i] or error < step:
             continue
-        tried, fallen = np.unique(np.minimum(step * TRIED, Z95 * error)), _fallen(value, z, i)
+        tried, fallen = np.unique(np.minimum(step * TRIED_STEPS, Z_95 * error)), _fallen(value, z, i)
         sides = [_bracket(fallen, np.clip(z[i] + sign * tried, bounds.low[i], bounds.high[i]), float(z[i]))
                  for sign in (-1.0, 1.0)]
-        if not any(np.isfinite(outer) for _, outer in sides) or sides[1][0] - sides[0][0] > Z95 * error:
+        if not any(np.isfinite(outer) for _, outer in sides) or sides[1][0] - sides[0][0] > Z_95 * error:
             continue
         low, high = (_narrowed(fallen, *side) for side in sides)
         low, high = max(low, bounds.low[i]), min(high, bounds.high[i])
-        if high - low < Z95 * error:
+        if high - low < Z_95 * error:
             found.append(LikelihoodInterval(i, float(low), float(high)))
     return found
 
@@ -199,7 +234,7 @@ def _fallen(value: Callable[[Array], float], z: Array, i: int) -> Fallen:
         moved = z.copy()
         moved[i] = x
         there = value(moved)
-        return bool(there < top - DROP) if np.isfinite(there) else None
+        return bool(there < top - DROP_95) if np.isfinite(there) else None
 
     return fallen
 
@@ -232,33 +267,3 @@ def with_interval_information(at: Evaluation, found: Sequence[LikelihoodInterval
         information[p.at, :] = information[:, p.at] = 0.0
         information[p.at, p.at] = p.information
     return replace(at, information=information)
-
-
-def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes: Array) -> Array:
-    """Standard errors in own units (n,); NaN where there is none, or where the residuals remember too long.
-
-    rows: for each record its coordinates, and what each row adds to their gradient (n_rows, n_places). What parameters
-    at their bounds add to the errors is added to these, too.
-    """
-    P = np.nan_to_num(known.P)
-    parts = [by_row @ P[places] for places, by_row in rows]  # (n_rows, n): what each row moves the estimate by
-    variance = np.array([_variance([part[:, i] for part in parts], len(P)) for i in range(len(P))])
-    return np.where(np.isfinite(known.errors), np.abs(slopes) * np.sqrt(variance + np.diag(known.spread)), np.nan)
-
-
-def _variance(parts: Sequence[Array], n_parameters: int) -> float:
-    """Of the sum of all rows of all records; what as many parameters have taken of it is given back."""
-    n = sum(part.size for part in parts)
-    remembered = integrated_autocorrelation_time(parts)
-    length = max(LONG * remembered, n / max(MOST, 4 * n_parameters))
-    counts = [max(int(part.size / length), 1) for part in parts]
-    n_blocks = sum(counts)
-    if n_blocks < FEWEST:
-        return np.nan
-    total = 0.0
-    for part, count in zip(parts, counts, strict=True):
-        starts = np.linspace(0, part.size, count, endpoint=False).astype(int)
-        total += float(np.sum(np.add.reduceat(part, starts) ** 2))
-    missed = 0.5 * (remembered - 1.0) / length  # by blocks that cut an exponential memory
-    taken = min(n_parameters, n_blocks // 2)  # as if each had fitted a block: a little too careful
-    return total * n_blocks / (n_blocks - taken) / (1.0 - missed)

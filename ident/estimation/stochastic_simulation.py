@@ -1,4 +1,4 @@
-"""Simulation of a model with its process noise, in plain numpy: nothing of the filter's kernels is in it.
+"""Simulation of a model with its process noise, in plain numpy and independent of the filter's kernels.
 
 Stochastic Heun steps, of weak order two for noise that does not depend on the state (Kloeden and Platen 1992, 14.1),
 many to a row; all replicates at once.

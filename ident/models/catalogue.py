@@ -1,4 +1,4 @@
-"""Models of boats, thrusters and sensors, one file each, and how to make one by name."""
+"""Catalogue of model structures, one module each, and their construction by name."""
 
 from __future__ import annotations
 

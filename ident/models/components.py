@@ -1,4 +1,4 @@
-"""Parts of a boat that are known or asked for, not searched: the antenna's place, a current that wanders."""
+"""Components that the rig or the user asks for, and no search adds: antenna lever arm, random-walk current."""
 
 from __future__ import annotations
 

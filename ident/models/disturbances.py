@@ -1,7 +1,8 @@
-"""What keeps the estimate honest while something is missing: unexplained forces and walking sensor offsets.
+"""Augmented disturbance states: first-order Gauss-Markov forces and random-walk sensor biases.
 
-Where unexplained forces act on a hull, and what they and the errors of its sensors may depend on: the hull's part of a
-diagnosis.
+They keep intervals calibrated while an effect is missing from the model, and the smoother turns them into residual
+forces. Which forces and measurement errors a model has, and the variables that they may depend on, is what a diagnosis
+starts from (`residuals_of`, `readings_of`, `variables_of`).
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 
 from ident.model import Effect, EffectKind, Model, Parameter, ParameterRole, Residual, Signals, State, Variable
 
+# stationary standard deviations of the unexplained forces [N, N, N m], and the units of their diffusions
 SIZES = {"X": (1.0, "N/sqrt(s)"), "Y": (1.0, "N/sqrt(s)"), "N": (0.15, "N m/sqrt(s)")}
 TIME = Variable("t", "s", lambda s: s.u.t)
 
@@ -83,11 +85,10 @@ PRODUCTS = (("u", "r"), ("u", "v"), ("v", "r"))
 
 
 def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
-    """Ornstein-Uhlenbeck forces on surge, sway and yaw: what the model does not explain, to be smoothed out.
+    """First-order Gauss-Markov (Ornstein-Uhlenbeck) forces on surge, sway and yaw, for what the model does not explain.
 
     ``forces``: those that the model has (``forces_of``). Their stationary standard deviations start at ``SIZES``
-    [N, N, N m]. They keep the estimate honest while something is missing, and the smoother turns them into residual
-    forces with covariance (Kristensen, Madsen and Jorgensen 2004).
+    [N, N, N m]. The smoother turns them into residual forces with covariance (Kristensen, Madsen and Jorgensen 2004).
     """
     tau = 1.5
     names = tuple(forces)
@@ -165,7 +166,7 @@ def disturbance_of(model: Model) -> Effect:
 
 
 def sensor_bias(sensors: Sequence[str]) -> Effect:
-    """Slowly walking offsets of gyro, heading and accelerometers (white plus random walk, thesis 4.1)."""
+    """Random-walk biases of gyro, heading and accelerometers, beside their white noise (thesis 4.1)."""
     table: dict[str, tuple[tuple[str, str, float, float], ...]] = {
         "attitude": (("psi", "rad", 0.005, 1.7e-4),),
         "gyro": (("r", "rad/s", 0.01, 1e-5),),
@@ -192,7 +193,7 @@ def sensor_bias(sensors: Sequence[str]) -> Effect:
 
 
 def for_diagnosis(model: Model) -> Model:
-    """The model with unexplained forces and sensor offsets as states; velocities get no white noise of their own."""
+    """The model augmented by disturbance forces and sensor biases; velocities get no white noise of their own."""
     out: Model = model + disturbance_of(model)
     present = [s.name for s in model.sensors]
     if {"attitude", "gyro", "accelerometer"} & set(present):

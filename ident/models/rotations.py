@@ -1,4 +1,4 @@
-"""A boat whose attitude is measured: a lever arm and a turned AHRS by rotation matrices of zyx angles.
+"""Rotation matrices of zyx Euler angles, for a lever arm and a misaligned AHRS on a boat of measured attitude.
 
 Fossen 2011, eq. 2.18. Scalars or symbols; a matrix is a list of its rows.
 """

@@ -1,4 +1,4 @@
-"""How large the boat is beside the one that the catalogue's priors and steps were chosen for.
+"""Scaling of priors and step sizes with vessel size.
 
 An effect's prior says what is plausible: a moment of 2 N m on a boat of 37 kg. On a ferry it is nothing. Speeds and
 yaw rates of boats differ little, forces and moments go with mass and moment of inertia: so do these priors.

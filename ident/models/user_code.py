@@ -1,4 +1,4 @@
-"""A user's own Python files: models and effects that seatrial does not have, and what is wrong with them."""
+"""User-defined models and effects, loaded from Python files and validated."""
 
 from __future__ import annotations
 

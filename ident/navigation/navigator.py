@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from ident.data import Record
 from ident.engine import VectorisedModel
 from ident.estimation import (
-    STEP,
+    PARAMETER_STEP,
     FilterResult,
     Likelihood,
     ParameterCovariance,
@@ -218,7 +218,7 @@ def _consider_covariance(
             continue
         best = smoothed_mean(other) if smoothed else other.x_filt
         for k, (a, b) in enumerate(((other.x_pred, run.x_pred), (best, x))):
-            d = _difference(likelihood.model, a, b) / STEP
+            d = _difference(likelihood.model, a, b) / PARAMETER_STEP
             added[k] += d[:, :, None] * d[:, None, :]
     return added[0], added[1]
 

@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 from ident.numerics.arrays import Array
 
 Evaluate = Callable[[Array], tuple[Array, Array]]
-BROKEN = 1e12  # merit lost by any violation
-FIRST_MESH, LAST_MESH = 0.25, 1e-3  # parts of the range
-BATCH = 64
-PATIENCE = 6  # batches without gain before the mesh is halved, where a poll is only one
+VIOLATION_PENALTY = 1e12  # of the merit, by any violation of a constraint
+FIRST_MESH, LAST_MESH = 0.25, 1e-3  # of the range of a coordinate: mesh size at the start and at the end
+BATCH = 64  # points that are evaluated together
+PATIENCE = 6  # batches without gain before the mesh is halved, where a poll is a single batch
 
 
 def merit_of(value: Array, violation: Array) -> Array:
     """One number to compare by: the value where no constraint is broken."""
-    return np.where(violation > 0, -BROKEN * (1.0 + violation), value)
+    return np.where(violation > 0, -VIOLATION_PENALTY * (1.0 + violation), value)
 
 
 @dataclass

@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import msgspec
 import numpy as np
-from scipy import stats
 
-from ident.diagnosis import ALPHA, Diagnosis, DiagnosisEvaluation, Refit, Round, Score, recommended_experiment
+from ident.diagnosis import Diagnosis, DiagnosisEvaluation, Refit, Round, recommended_experiment, threshold
 from ident.estimation import FittedModel
 from ident.results import parts
 from ident.results.answers import calibration_notes
@@ -215,11 +214,6 @@ def _round(one: Round) -> parts.Round:
         chosen=one.chosen.effect.name if one.chosen else None,
         why=one.why,
     )
-
-
-def threshold(score: Score, among: Sequence[Score]) -> float:
-    """What the score must exceed, with as many tests as there are of its kind."""
-    return float(stats.chi2.isf(ALPHA / 2 / sum(s.generic == score.generic for s in among), score.df))
 
 
 def _refit(r: Refit) -> parts.Refit:

@@ -1,9 +1,13 @@
-"""Are the innovations white, and do they still know the inputs? Tests on standardised innovations.
+"""Residual analysis: whiteness of standardised innovations, and their correlation with the inputs.
 
-Each channel is tested on its own samples, at its own rate: the Ljung-Box statistic (Ljung and Box 1978), the
-cumulative periodogram (Bartlett 1955; Durbin 1969) and the cross-correlation with every input, with bands.
+Each channel is tested on its own samples, at its own rate.
 
-By how much standardised innovations depart from white noise, and whether that can be chance.
+- `whiteness_test`: the portmanteau test of Ljung and Box (1978) and the cumulative periodogram (Bartlett 1955; Durbin
+  1969): is there any departure from white noise?
+- `cross_correlation` with an input: is its effect modelled completely?
+- `spectral_peak`: a narrow peak, as of waves or of an oscillation that the model lacks;
+- `whiteness_diagnostics`: by how much innovations depart, in a regression on their past, as a spectral line and by
+  octaves. In a long record a test sees departures that do not matter.
 """
 
 from __future__ import annotations
@@ -17,16 +21,16 @@ from scipy import signal, special, stats
 
 from ident.numerics import NORMAL_MAD, Array
 
-SEGMENT = 256  # samples of a segment whose periodogram is averaged
-LOWEST = 3  # bins that a mean and a slow drift leak into
-LEVEL = 1e-3  # p value below which a departure is no chance
-PREDICTABLE = 0.05  # share of the variance: a filter that knew it would err by 2.5 % less
-FACTOR = 2.0  # of a density over an octave
-MOST_LAGS = 30
-LEAST_BINS = 8  # of the lowest band, which ends at zero
-ROWS = 65536  # of the regression at once
+SEGMENT = 256  # samples of a segment whose periodogram is averaged (Welch)
+FIRST_BIN = 3  # of such a periodogram: a mean and a slow drift leak into those before
+SIGNIFICANCE = 1e-3  # p value below which a departure is no chance
+MAX_PREDICTABLE_SHARE = 0.05  # of the variance: a filter that knew it would err by 2.5 % less
+MAX_DENSITY_RATIO = 2.0  # of the spectral density of an octave to that of white noise, either way
+MAX_LAGS = 30  # of the regression on past innovations
+MIN_BINS = 8  # of the lowest band, which ends at zero
+BLOCK_ROWS = 65536  # of that regression, done at once
 N_LAGS = 25  # of the autocorrelation of innovations that is shown
-SAMPLES_PER_LAG = 20  # that the Ljung-Box statistic takes
+SAMPLES_PER_LAG = 20  # for each lag of the Ljung-Box statistic
 
 
 @dataclass(frozen=True)
@@ -49,17 +53,6 @@ class Whiteness:
     def white(self) -> bool:
         """By both tests together, at 1 %."""
         return 2 * min(self.ljung_box, self.periodogram) > 0.01
-
-
-@dataclass(frozen=True)
-class CrossCorrelation:
-    """Standardised correlation of one channel's innovations with one input at lags >= 0 (input earlier)."""
-
-    channel: str
-    input: str
-    lags: Array  # s
-    z: Array  # correlation in units of its standard deviation under independence
-    p: float  # of the largest, over all lags
 
 
 def whiteness_test(channel: str, t: Array, e: Array, n_lags: int = N_LAGS) -> Whiteness:
@@ -109,58 +102,15 @@ def ljung_box(acf: Array, n: int, *, n_fitted: int = 0, finite_sample: bool = Fa
     return float(stats.chi2.sf(q / spread, (n_lags - n_fitted) / spread))
 
 
-class SpectralPeak(NamedTuple):
-    """The most significant peak: ``frequency`` (Hz), ``p`` over all frequencies and channels, and its ``channel``."""
+@dataclass(frozen=True)
+class CrossCorrelation:
+    """Standardised correlation of one channel's innovations with one input at lags >= 0 (input earlier)."""
 
-    frequency: float
-    p: float
     channel: str
-
-
-def spectral_peak(innovations: Mapping[str, Array], dt: float) -> SpectralPeak | None:
-    """The most significant narrow peak in the spectra of standardised innovations: waves, or a swinging mass.
-
-    ``innovations`` by channel (n,), evenly spaced by ``dt`` (s), NaN where there is none. Welch's spectrum of what is
-    left of a first-order autoregression, each bin over a smooth spectrum, so that innovations that are merely coloured
-    make no peak; against chi squared with the degrees of freedom of half-overlapping Hann segments (Percival and
-    Walden 1993, section 6.17), Bonferroni over bins and channels. None where no channel has four segments. On coloured
-    noise without a peak p falls short of 0.001 in 1 % of the cases, of 1e-6 in none of 2000: ask for the latter.
-    """
-    found: list[SpectralPeak] = []
-    seen = {name: _without_gaps(e) for name, e in innovations.items()}
-    long_enough = {name: e for name, e in seen.items() if e.size >= 5 * SEGMENT // 2}
-    for name, e in long_enough.items():
-        x = e - e.mean()
-        x = x[1:] - (x[1:] @ x[:-1]) / (x @ x) * x[:-1]
-        frequency, power = signal.welch(x, 1.0 / dt, "hann", SEGMENT)
-        frequency, power = frequency[LOWEST:-1], power[LOWEST:-1]
-        segments = 2 * x.size // SEGMENT - 1
-        dof = 36 * segments**2 / (19 * segments - 1)
-        over = power / _smooth(power) * (stats.chi2.median(dof) / dof)
-        at = int(np.argmax(over))
-        p = float(stats.chi2.sf(over[at] * dof, dof)) * power.size * len(long_enough)
-        found.append(SpectralPeak(float(frequency[at]), min(1.0, p), name))
-    return min(found, key=lambda peak: peak.p, default=None)
-
-
-def _without_gaps(e: Array) -> Array:
-    """A missing sample is taken as what is expected of an innovation, zero; a channel with fewer samples than every
-    other row is not looked at."""
-    there = np.isfinite(e)
-    return np.where(there, e, 0.0) if there.mean() > 0.5 else np.zeros(0)
-
-
-def _smooth(power: Array) -> Array:
-    """What the bins lie about, as a median: a cubic of the logarithms that no peak draws up (Huber's weights)."""
-    z = np.log(np.arange(LOWEST, LOWEST + power.size))
-    basis, y = np.vander(z - z.mean(), 4), np.log(power)
-    weight = np.ones(y.size)
-    fitted = y
-    for _ in range(15):
-        fitted = basis @ np.linalg.lstsq(basis * weight[:, None], y * weight, rcond=None)[0]
-        sigma = NORMAL_MAD * float(np.median(np.abs(y - fitted))) + 1e-12
-        weight = np.sqrt(1.0 / np.maximum(1.0, (y - fitted) / sigma))
-    return np.asarray(np.exp(fitted) * np.median(power / np.exp(fitted)))
+    input: str
+    lags: Array  # s
+    z: Array  # correlation in units of its standard deviation under independence
+    p: float  # of the largest, over all lags
 
 
 def cross_correlation(
@@ -195,41 +145,58 @@ def _any_lag(highest: float, together: Array) -> float:
     return min(1.0, float(2 * stats.norm.sf(highest) + each.sum()))
 
 
-class Predictable(NamedTuple):
-    """``share`` of the variance that a constant and ``order`` - 1 lags predict, adjusted for their number."""
-
-    share: float
-    order: int
-    p: float
-
-    @property
-    def matters(self) -> bool:
-        return self.p < LEVEL and self.share > PREDICTABLE
-
-
-class SpectralLine(NamedTuple):
-    """The highest line of the periodogram: ``frequency`` [cycles a sample], ``share`` of the variance in its bin."""
+class SpectralPeak(NamedTuple):
+    """The most significant peak: ``frequency`` (Hz), ``p`` over all frequencies and channels, and its ``channel``."""
 
     frequency: float
-    share: float
     p: float
-
-    @property
-    def matters(self) -> bool:
-        return self.p < LEVEL and self.share > PREDICTABLE
+    channel: str
 
 
-class FrequencyBand(NamedTuple):
-    """An octave ``low`` to ``high`` [cycles a sample]: the density's ``ratio`` to that of white noise."""
+def spectral_peak(innovations: Mapping[str, Array], dt: float) -> SpectralPeak | None:
+    """The most significant narrow peak in the spectra of standardised innovations: waves, or a swinging mass.
 
-    low: float
-    high: float
-    ratio: float
-    p: float
+    ``innovations`` by channel (n,), evenly spaced by ``dt`` (s), NaN where there is none. Welch's spectrum of what is
+    left of a first-order autoregression, each bin over a smooth spectrum, so that innovations that are merely coloured
+    make no peak; against chi squared with the degrees of freedom of half-overlapping Hann segments (Percival and
+    Walden 1993, section 6.17), Bonferroni over bins and channels. None where no channel has four segments. On coloured
+    noise without a peak p falls short of 0.001 in 1 % of the cases, of 1e-6 in none of 2000: ask for the latter.
+    """
+    found: list[SpectralPeak] = []
+    seen = {name: _without_gaps(e) for name, e in innovations.items()}
+    long_enough = {name: e for name, e in seen.items() if e.size >= 5 * SEGMENT // 2}
+    for name, e in long_enough.items():
+        x = e - e.mean()
+        x = x[1:] - (x[1:] @ x[:-1]) / (x @ x) * x[:-1]
+        frequency, power = signal.welch(x, 1.0 / dt, "hann", SEGMENT)
+        frequency, power = frequency[FIRST_BIN:-1], power[FIRST_BIN:-1]
+        segments = 2 * x.size // SEGMENT - 1
+        dof = 36 * segments**2 / (19 * segments - 1)
+        over = power / _smooth(power) * (stats.chi2.median(dof) / dof)
+        at = int(np.argmax(over))
+        p = float(stats.chi2.sf(over[at] * dof, dof)) * power.size * len(long_enough)
+        found.append(SpectralPeak(float(frequency[at]), min(1.0, p), name))
+    return min(found, key=lambda peak: peak.p, default=None)
 
-    @property
-    def matters(self) -> bool:
-        return self.p < LEVEL and not 1 / FACTOR < self.ratio < FACTOR
+
+def _without_gaps(e: Array) -> Array:
+    """A missing sample is taken as what is expected of an innovation, zero; a channel with fewer samples than every
+    other row is not looked at."""
+    there = np.isfinite(e)
+    return np.where(there, e, 0.0) if there.mean() > 0.5 else np.zeros(0)
+
+
+def _smooth(power: Array) -> Array:
+    """What the bins lie about, as a median: a cubic of the logarithms that no peak draws up (Huber's weights)."""
+    z = np.log(np.arange(FIRST_BIN, FIRST_BIN + power.size))
+    basis, y = np.vander(z - z.mean(), 4), np.log(power)
+    weight = np.ones(y.size)
+    fitted = y
+    for _ in range(15):
+        fitted = basis @ np.linalg.lstsq(basis * weight[:, None], y * weight, rcond=None)[0]
+        sigma = NORMAL_MAD * float(np.median(np.abs(y - fitted))) + 1e-12
+        weight = np.sqrt(1.0 / np.maximum(1.0, (y - fitted) / sigma))
+    return np.asarray(np.exp(fitted) * np.median(power / np.exp(fitted)))
 
 
 class WhitenessDiagnostics(NamedTuple):
@@ -242,7 +209,7 @@ class WhitenessDiagnostics(NamedTuple):
     @property
     def share(self) -> float:
         """Of the variance, that is known to be predictable: by the regression or as a line."""
-        return max(self.predictable.share, self.line.share if self.line.p < LEVEL else 0.0)
+        return max(self.predictable.share, self.line.share if self.line.p < SIGNIFICANCE else 0.0)
 
     @property
     def matter(self) -> bool:
@@ -250,7 +217,44 @@ class WhitenessDiagnostics(NamedTuple):
 
     @property
     def significant(self) -> bool:
-        return any(part.p < LEVEL for part in self)
+        return any(part.p < SIGNIFICANCE for part in self)
+
+
+class Predictable(NamedTuple):
+    """``share`` of the variance that a constant and ``order`` - 1 lags predict, adjusted for their number."""
+
+    share: float
+    order: int
+    p: float
+
+    @property
+    def matters(self) -> bool:
+        return self.p < SIGNIFICANCE and self.share > MAX_PREDICTABLE_SHARE
+
+
+class SpectralLine(NamedTuple):
+    """The highest line of the periodogram: ``frequency`` [cycles a sample], ``share`` of the variance in its bin."""
+
+    frequency: float
+    share: float
+    p: float
+
+    @property
+    def matters(self) -> bool:
+        return self.p < SIGNIFICANCE and self.share > MAX_PREDICTABLE_SHARE
+
+
+class FrequencyBand(NamedTuple):
+    """An octave ``low`` to ``high`` [cycles a sample]: the density's ``ratio`` to that of white noise."""
+
+    low: float
+    high: float
+    ratio: float
+    p: float
+
+    @property
+    def matters(self) -> bool:
+        return self.p < SIGNIFICANCE and not 1 / MAX_DENSITY_RATIO < self.ratio < MAX_DENSITY_RATIO
 
 
 def whiteness_diagnostics(e: Array) -> WhitenessDiagnostics:
@@ -259,14 +263,14 @@ def whiteness_diagnostics(e: Array) -> WhitenessDiagnostics:
     return WhitenessDiagnostics(predictable(e), line(e), min(found, key=lambda b: (not b.matters, b.p)))
 
 
-def predictable(e: Array, most_lags: int = MOST_LAGS) -> Predictable:
+def predictable(e: Array, most_lags: int = MAX_LAGS) -> Predictable:
     """A regression on a constant and lags; p by the likelihood ratio, Bonferroni over the orders."""
     most = min(most_lags, e.size // 10)
     windows = np.lib.stride_tricks.sliding_window_view(e, most + 1)[:, ::-1]
     n = windows.shape[0]
     gram = np.zeros((most + 2, most + 2))
-    for first in range(0, n, ROWS):
-        part = windows[first : first + ROWS]
+    for first in range(0, n, BLOCK_ROWS):
+        part = windows[first : first + BLOCK_ROWS]
         z = np.column_stack([np.ones(part.shape[0]), part[:, 1:], part[:, 0]])
         gram += z.T @ z
     total = gram[-1, -1]
@@ -296,7 +300,7 @@ def bands(e: Array) -> list[FrequencyBand]:
     if e.size % 2 == 0:
         freedom[-1] = 1.0
     edges = [power.size]
-    while edges[0] // 2 >= LEAST_BINS:
+    while edges[0] // 2 >= MIN_BINS:
         edges.insert(0, edges[0] // 2)
     return [_band(power, freedom, a, b, len(edges), e.size) for a, b in zip([0, *edges], edges, strict=False)]
 
@@ -306,5 +310,3 @@ def _band(power: Array, freedom: Array, first: int, end: int, n_bands: int, n: i
     square = float(power[first:end] @ freedom[first:end])
     p = 2 * n_bands * min(float(stats.chi2.sf(square, dof)), float(stats.chi2.cdf(square, dof)))
     return FrequencyBand(first / n, (end - 1) / n, square / dof, min(1.0, p))
-
-

@@ -163,7 +163,7 @@ def test_all_models_and_effects_can_be_found_again() -> None:
 def test_a_kernel_made_in_a_hurry_gives_the_same_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     record, values = turning_record(), values_of(turning())
     found = []
-    for place, n_rows in (("careful", jit.FEW + 1), ("quick", jit.FEW)):  # for many rows the hurry is not worth it
+    for place, n_rows in (("careful", jit.QUICK_ROWS + 1), ("quick", jit.QUICK_ROWS)):  # quick code only for few rows
         monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path / place))
         monkeypatch.setattr(filter_kernels, "_known", WeakValueDictionary())
         with jit.quickly(n_rows):

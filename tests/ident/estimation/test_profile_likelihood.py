@@ -20,7 +20,7 @@ from ident.estimation.maximum_likelihood import Fit, fit
 from ident.estimation.options import EstimationOptions
 from ident.estimation.output_error import output_error
 from ident.estimation.profile_likelihood import Profile, profile
-from ident.estimation.standard_errors import DROP
+from ident.estimation.standard_errors import DROP_95
 from ident.model.parameter import Parameter
 from ident.model.structure import Model, Output, Sensor, State, plain_model
 from ident.report.page import render
@@ -65,7 +65,7 @@ def test_a_small_normal_sample_has_its_textbook_intervals(method: str) -> None:
     np.testing.assert_allclose(spread.drop, expected, atol=1e-4)
 
     def excess(e: float) -> float:
-        return float(n * (np.log(e / s) + (s / e) ** 2 / 2 - 0.5) - DROP)
+        return float(n * (np.log(e / s) + (s / e) ** 2 / 2 - 0.5) - DROP_95)
 
     assert spread.low == pytest.approx(optimize.brentq(excess, 0.2 * s, s), rel=2e-3)
     assert spread.high == pytest.approx(optimize.brentq(excess, s, 5 * s), rel=2e-3)
@@ -73,7 +73,7 @@ def test_a_small_normal_sample_has_its_textbook_intervals(method: str) -> None:
     assert spread.high > 1.02 * spread.wald_high  # nine samples: the likelihood is not quadratic
     mean = profile(found, [record], "mean")
     np.testing.assert_allclose(mean.drop, n / 2 * np.log1p(((mean.grid - y.mean()) / s) ** 2), atol=1e-4)
-    half = s * math.sqrt(math.exp(2 * DROP / n) - 1)
+    half = s * math.sqrt(math.exp(2 * DROP_95 / n) - 1)
     assert (mean.low, mean.high) == pytest.approx((y.mean() - half, y.mean() + half), rel=2e-3)
 
 
@@ -81,7 +81,7 @@ def test_every_point_is_a_refit() -> None:
     records = [turning_record(seed, 400) for seed in range(2)]
     found = fit(turning().with_free(FREE), records)
     one = profile(found, records, "dd")
-    assert one.drop.max() > DROP
+    assert one.drop.max() > DROP_95
     assert one.drop.min() == 0.0
     assert (np.diff(one.grid) > 0).all()
     assert one.grid.size <= 13
@@ -107,7 +107,7 @@ def test_a_parameter_at_its_bound_has_one_side() -> None:
     found = fit(turning().with_free(FREE).replace_parameters(near), [record])
     one = profile(found, [record], "d")
     assert one.low == one.grid[0] == 3.0
-    assert 0 < one.drop[0] < DROP < one.drop[-1]
+    assert 0 < one.drop[0] < DROP_95 < one.drop[-1]
     assert one.notes == ("lower side: reaches its bound",)
 
 
@@ -137,7 +137,7 @@ def scattered(mean: float, s: float, n: int = 9) -> tuple[Record, float]:
     y = np.random.default_rng(1).normal(0.0, 1.0, n)
     y = (mean + s * (y - y.mean()) / y.std())[:, None]
     record = Record("few", 0.1 * np.arange(n), np.zeros((n, 0)), np.zeros((n, 0)), y, (), ("y",))
-    return record, s * math.sqrt(math.exp(2 * DROP / n) - 1)
+    return record, s * math.sqrt(math.exp(2 * DROP_95 / n) - 1)
 
 
 @pytest.mark.parametrize(("power", "start"), [(2, 0.01), (2, 3.0), (6, 0.2)])
@@ -158,7 +158,7 @@ def test_one_of_two_that_only_their_sum_is_known_of_goes_as_far_as_the_other_can
     found = fit(model, [record])
     one = profile(found, [record], "b1")
     assert (one.low, one.high) == (pytest.approx(-4.3 - half, rel=1e-3), pytest.approx(0.7 + half, abs=0.004))
-    assert one.drop.max() < 4 * DROP  # what only closed a bracket is not drawn
+    assert one.drop.max() < 4 * DROP_95  # what only closed a bracket is not drawn
     other = profile(found, [record], "b2")
     assert (other.low, other.high) == (0.0, 5.0)
     assert other.notes == ("lower side: reaches its bound", "upper side: reaches its bound")
@@ -231,7 +231,7 @@ def test_one_parameter_alone(few: tuple[Fit, Record]) -> None:
     one = profile(fit(model, [record]), [record], "mean")
     assert (one.low, one.high) == pytest.approx((one.wald_low, one.wald_high), rel=1e-4)  # quadratic, known noise
     assert output_error(model).value(record, np.array([one.high, 1.0])) == pytest.approx(
-        output_error(model).value(record, np.array([one.value, 1.0])) - DROP, abs=1e-4)
+        output_error(model).value(record, np.array([one.value, 1.0])) - DROP_95, abs=1e-4)
 
 
 def test_the_report_draws_it(few: tuple[Fit, Record], tmp_path: Path) -> None:
