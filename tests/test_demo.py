@@ -118,7 +118,7 @@ def alive(pid: int) -> bool:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("after", ["devices ready", "steps ahead"])
+@pytest.mark.parametrize("after", ["devices ready", "steps forward"])
 def test_ctrl_c_stops_everything(tmp_path: Path, after: str) -> None:
     command = [sys.executable, "-u", "-m", "seatrial", "demo", "--seed", "3", "--out", str(tmp_path / "demo")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
