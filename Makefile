@@ -11,7 +11,8 @@ PIP := $(BIN)/pip --quiet --disable-pip-version-check --no-input
 # --only-binary: a package that has no wheel for this platform is named at once instead of failing in a compiler.
 LOCKED := --no-compile --only-binary :all: --require-hashes -r constraints.txt
 SEED_OPTION = $(if $(SEED),--seed $(SEED))
-WORKERS ?= 2
+# Of pytest: one more than two cores, since one of them mostly waits for ports (tests/conftest.py).
+WORKERS ?= 3
 PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
 
 .PHONY: help demo test bench study docs dist lint lock clean

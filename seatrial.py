@@ -41,7 +41,7 @@ class Row(NamedTuple):
 
 COMMANDS = {
     "demo": Row("bench.demo:demo", "The whole loop on mock devices, to a report."),
-    "devices": Row("daq.cli:devices", "Find ports and recognise what speaks there."),
+    "devices": Row("daq.cli:devices", "Find ports and identify the devices there."),
     "log": Row("daq.cli:log", "Acquire until Ctrl-C, with a live table."),
     "check": Row("bench.preflight.cli:check", "Preflight of a rig, or the same questions to a log."),
     "bench": Row("bench.cli:bench", "Characterise thrusters: static, steps, chirp, all."),
@@ -121,7 +121,7 @@ class MotionChecksOfIdent:
     """What `seatrial check` asks of ident, imported when it asks."""
 
     def check_log(self, path: Path) -> list[Finding]:
-        """What the motion in a log says of its sensors and thrusters; raises SeatrialError without ident."""
+        """Findings about sensors and thrusters from the motion in a log; raises SeatrialError without ident."""
         try:
             from ident.checks import check_log
         except ModuleNotFoundError as error:
@@ -166,8 +166,8 @@ def _explain(error: BaseException) -> tuple[str, int]:
 def _usage(error: click.UsageError) -> str:
     """The one line for words that make no command."""
     path = "seatrial" if error.ctx is None else error.ctx.command_path
-    said = " ".join(error.format_message().split()).rstrip(".")
-    return f"{path}: {said}{'' if said.endswith(('?', ')')) else ';'} `{path} --help` shows how"
+    text = " ".join(error.format_message().split()).rstrip(".")
+    return f"{path}: {text}{'' if text.endswith(('?', ')')) else ';'} `{path} --help` shows how"
 
 
 def _shown(otherwise: Callable[..., None]) -> Callable[..., None]:
@@ -210,7 +210,7 @@ def main(args: Sequence[str] | None = None) -> None:
     try:
         status = _run(words)
     except BrokenPipeError:
-        # The reader left (`| head`): nobody is there to be told, not even by the interpreter's last flush.
+        # The reader left (`| head`): no message can be printed, not even at the interpreter's last flush.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = FAILED
     except (Exception, KeyboardInterrupt) as error:

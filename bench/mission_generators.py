@@ -1,8 +1,8 @@
 """Generators of plans: static, steps, chirp and all for one thruster on the bench, and missions for a boat.
 
 The bench plans follow the thesis, 4.2: a sequence of progressively increasing steps, and two chirps, one of
-each sign. A mission mixes what a diagnosis needs: steady speeds ahead and astern, turns at several speeds,
-both thrusters apart from each other over their whole range, and oscillation about rest and about way.
+each sign. A mission mixes what a diagnosis needs: steady speeds forward and in reverse, turns at several speeds,
+both thrusters apart from each other over their whole range, and oscillation about rest and about forward speed.
 """
 
 from __future__ import annotations
@@ -74,12 +74,12 @@ def bench_plan(
     sheet = SegmentBuilder(1)
     sheet.rest(STATIC, STATIC_S)
     if kind in ("steps", "all"):
-        for sign, word in ((1.0, "ahead"), (-1.0, "astern")):
+        for sign, word in ((1.0, "forward"), (-1.0, "reverse")):
             levels = step_levels(n_max, count)
             sheet.add(f"steps {word}", [hold_s] * len(levels), [[sign * level] for level in levels])
             sheet.rest("rest", REST_S)
     if kind in ("chirp", "all"):
-        for sign, word in ((1.0, "ahead"), (-1.0, "astern")):
+        for sign, word in ((1.0, "forward"), (-1.0, "reverse")):
             sheet.wave(f"chirp {word}", chirp_s, chirp_rows(sign, n_max, chirp_s))
             sheet.rest("rest", REST_S)
     if kind != "static":
@@ -101,7 +101,7 @@ def make_mission(
 ) -> Mission:
     """A random mission of `kind` (mixed, steps, zigzag, chirp) for two thrusters, the same for the same seed.
 
-    Rows are left, right; `thrusters` says which names these are. Commands are clipped to n_max.
+    Rows are left, right; `thrusters` are their names. Commands are clipped to n_max.
     """
     if kind not in MISSION_KINDS:
         raise ValueError(f"no mission kind {kind!r}")
@@ -143,7 +143,7 @@ def _fit(durations: list[float], until: float) -> list[float]:
 
 
 def _surge_steps(sheet: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
-    """Steady speeds ahead and astern, each with a small difference: resistance over its range."""
+    """Steady speeds forward and in reverse, each with a small difference: resistance over its range."""
     levels = np.array([0.2, 0.35, 0.5, 0.65, 0.8, 1.0, -0.5, 0.0, -0.3]) * n_max
     durations: list[float] = []
     rows: list[list[float]] = []
@@ -182,7 +182,7 @@ def _random_steps(sheet: SegmentBuilder, rng: np.random.Generator, stop: float, 
 
 
 def _chirps(sheet: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
-    """Oscillation about rest and way, of the difference, the sum and both: lags, delays, added mass."""
+    """Oscillation about rest and about forward speed, of the difference, the sum and both: lags, delays, added mass."""
     number = 0
     while stop - sheet.t > RAMP_DT:
         number += 1

@@ -41,7 +41,6 @@ def simulate(
     duration: float,
     run: int = 0,
     *,
-    utc: float = 0.0,
     disturbed: bool = True,
     gear: DeviceSpecs = BOAT,
     faults: Faults | None = None,
@@ -49,11 +48,10 @@ def simulate(
     """Run a boat through commands ``t`` (k,) s, ``n`` (k, 2) left and right, for ``duration`` s.
 
     A command holds until the next. ``run`` names the noise: the same boat with another run is a second mission.
-    ``utc`` is the GNSS time at the start; ``gear`` what is on board and how it is wired; ``faults``
-    (mocks.devices.faults) what
-    goes wrong of devices and controllers. Raises ValueError for commands of the wrong shape.
+    ``gear``: what is on board and how it is wired; ``faults``: those of devices and controllers. GNSS time starts
+    at 0. Raises ValueError for commands of the wrong shape.
     """
-    world = boat_world(boat, run, gear, utc=utc, disturbed=disturbed)
+    world = boat_world(boat, run, gear, utc=0.0, disturbed=disturbed)
     plant = world.plant
     assert isinstance(plant, BoatPlant)
     left, right = plant.shafts
@@ -112,8 +110,8 @@ def _kill(world: World, faults: Faults) -> None:
 
 
 def _spoilt(readings: Sequence[Reading], faults: Faults) -> list[Reading]:
-    told = [(r, faults.reading(r.device, r.sample, r.t)) for r in readings]
-    return [Reading(r.device, sample, r.t) for r, sample in told if sample is not None]
+    sent = [(r, faults.reading(r.device, r.sample, r.t)) for r in readings]
+    return [Reading(r.device, sample, r.t) for r, sample in sent if sample is not None]
 
 
 def _schedule(t: ArrayLike, n: ArrayLike, thrusters: int) -> list[tuple[float, list[float]]]:

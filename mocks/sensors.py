@@ -97,7 +97,7 @@ class AhrsErrors:
         rate = m.r + sum(error(m.r) for error in self._gyros)
         ax, ay = m.ax, m.ay
         for accelerometer in self._accelerometers:
-            ax, ay = accelerometer(ax, ay, m.push, u, m.r)
+            ax, ay = accelerometer(ax, ay, m.thrust, u, m.r)
         if self._mount:
             c, s = math.cos(self._mount), math.sin(self._mount)
             ax, ay = c * ax + s * ay, c * ay - s * ax

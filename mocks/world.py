@@ -49,7 +49,7 @@ class EscSpec:
     name: str = ""  # of the thruster
 
 
-# on_change(t, node, n, why): the effective command changed; n positive ahead, why "command", "timeout" or "dead"
+# on_change(t, node, n, why): the effective command changed; n positive forward, why "command", "timeout" or "dead"
 OnChange = Callable[[float, int, float, str], None]
 
 
@@ -58,7 +58,7 @@ class EscController:
 
     def __init__(self, spec: EscSpec, plant: Plant, thruster: int) -> None:
         self.spec = spec
-        self.n = 0.0  # effective command, positive ahead
+        self.n = 0.0  # effective command, positive forward
         self.dead = False
         self.on_change: OnChange | None = None
         self._plant = plant
@@ -215,17 +215,17 @@ def boat_world(boat: Boat, run: int, gear: DeviceSpecs, *, utc: float = 0.0, dis
 
 
 def bench_world(bench: Bench, run: int, gear: DeviceSpecs, *, utc: float = 0.0, disturbed: bool = True) -> World:
-    """A bench with its gear; AHRS and GNSS on it lie still."""
+    """A bench with its gear; AHRS and GNSS on it are at rest."""
     plant = BenchPlant(bench, run, disturbed=disturbed)
     world = World(plant)
 
-    def still() -> RigidBodyState:
+    def at_rest() -> RigidBodyState:
         return RigidBodyState(world.t, *[0.0] * (len(RigidBodyState._fields) - 1))
 
     for index, (name, rate) in enumerate(gear.ahrs.items()):
-        world.add(name, rate, _ahrs_reader(AhrsSensor(bench.seed, run, rate, (), index), still))
+        world.add(name, rate, _ahrs_reader(AhrsSensor(bench.seed, run, rate, (), index), at_rest))
     for index, (name, rate) in enumerate(gear.gnss.items()):
-        world.add(name, rate, _gnss_reader(GnssSensor(bench.seed, run, rate, index=index), still, utc))
+        world.add(name, rate, _gnss_reader(GnssSensor(bench.seed, run, rate, index=index), at_rest, utc))
     for index, cell in enumerate(gear.cells):
         world.add(cell.name, cell.rate_hz, _cell_reader(LoadCellSensor(bench.seed, run, cell, index), plant.force))
     world.add_escs(gear.escs, bench.seed, run)

@@ -1,7 +1,10 @@
-"""Who runs beside whom: tests that watch the clock take turns, and what takes long begins early.
+"""Distribution of the tests over the workers: tests with deadlines take turns, and long tests start early.
 
-`pytest -n 2 --dist loadgroup` groups by the places below, with a scheduler of our own: pytest-xdist 3.8 groups by a
+`pytest -n 3 --dist loadgroup` groups by the places below, with a scheduler of our own: pytest-xdist 3.8 groups by a
 mark that it writes into the tests' names, which pytest 9.2 no longer takes (pytest-xdist issue 1386).
+
+One worker begins with all tests of real ports. They mostly wait, so there is one worker more than cores; the others
+compute at a lower priority and leave the cores to them.
 """
 
 from __future__ import annotations
@@ -21,11 +24,12 @@ for library in ("OPENBLAS", "OMP", "MKL"):
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# Real ports with deadlines of some milliseconds: two of these at a time would only measure each other.
+# Real ports and processes with deadlines of some milliseconds: two of these at a time would disturb each other.
 PORTS = (
     "tests/bench/preflight/test_check_live.py",
     "tests/bench/execution/test_sequencer.py",
     "tests/bench/execution/test_dronecan.py",
+    "tests/bench/execution/test_operator_interface.py",
     "tests/bench/execution/test_fault_trials.py",
     "tests/bench/execution/test_mavlink.py",
     "tests/bench/execution/test_runner.py",
@@ -34,17 +38,21 @@ PORTS = (
     "tests/bench/execution/test_with_mocks.py",
     "tests/daq/acquisition/test_acquire.py",
     "tests/daq/acquisition/test_acquire_thrust.py",
+    "tests/daq/acquisition/test_ardurover.py",
     "tests/daq/tools/test_discovery.py",
     "tests/daq/tools/test_live.py",
     "tests/daq/acquisition/test_load.py",
     "tests/daq/drivers/test_polling.py",
     "tests/daq/tools/test_replay.py",
     "tests/daq/log/test_segments.py",
+    "tests/daq/test_clock.py",
     "tests/daq/transport/test_transport.py",
     "tests/mocks/test_cli.py",
     "tests/mocks/ports/test_ports.py",
     "tests/mocks/devices/test_slcan.py",
+    "tests/test_demo.py",
 )
+COMPUTING_NICENESS = 10  # of workers, in tests that are not of PORTS
 # Fixtures that are expensive and belong to a module: one worker makes them, once.
 TOGETHER = (
     "tests/ident/cli/test_commands.py",
@@ -74,6 +82,14 @@ def _order(item: pytest.Item) -> int:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What takes long comes first, so that none of it begins when all else is done."""
     items.sort(key=_order)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """A worker that computes, with all processes that it starts, leaves the cores to the one with the ports."""
+    niceness = os.getpriority(os.PRIO_PROCESS, 0)
+    if "PYTEST_XDIST_WORKER" in os.environ and group_of(item.nodeid) != "ports" and niceness < COMPUTING_NICENESS:
+        os.nice(COMPUTING_NICENESS - niceness)
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -1,4 +1,4 @@
-"""Autopilots between us and the thrusters: their parameters, their estimator, arming, and what they do on their own.
+"""Autopilots between us and the thrusters: their parameters, their estimator, arming, and what they do by themselves.
 
 Nothing of theirs is changed but what was asked for: with `arm` they are put into MANUAL and armed, and disarmed again.
 """
@@ -42,7 +42,7 @@ class Autopilots:
         names = dict.fromkeys(rig.thruster(name).device for name in thrusters)
         self._devices = [device for name in names if (device := rig.device(name)).mavlink is not None]
         self._armed: list[str] = []  # by us
-        self._begun = False
+        self._prepared = False
 
     def prepare(self, arm: bool) -> None:
         """Until every autopilot is fit to run the mission; arms it only with `arm`. Raises SeatrialError."""
@@ -58,7 +58,7 @@ class Autopilots:
                 )
             if not link.armed:
                 raise SeatrialError(f"{device.name} is disarmed; arm it from its transmitter, or give --arm")
-        self._begun = True
+        self._prepared = True
 
     def _link(self, device: Device) -> LinkStatus:
         return self._acquisition.status().links.get(device.name, LinkStatus())
@@ -130,22 +130,22 @@ class Autopilots:
             raise SafetyStop(reason)
 
     def _reasons(self, status: Status) -> Iterator[str]:
-        if not self._begun:
+        if not self._prepared:
             return
         for device in self._devices:
             link = status.links.get(device.name, LinkStatus())
             if not link.age <= LINK_AGE_S:
                 yield f"{device.name}: no heartbeat for {link.age:.1f} s"
-            said = f" ({link.alarm})" if link.alarm else ""
+            reason = f" ({link.alarm})" if link.alarm else ""
             if not link.armed:
-                yield f"{device.name} was disarmed{said}"
+                yield f"{device.name} was disarmed{reason}"
             if link.mode != MANUAL:
-                yield f"{device.name} went over to {link.mode}{said}"
+                yield f"{device.name} went over to {link.mode}{reason}"
             if link.alarm:
                 yield f"{device.name} says {link.alarm}"
 
     def release(self) -> None:
-        """Disarm what was armed here; says so where it does not come about. Thrust has to be zero before."""
+        """Disarm what was armed here; reports where that is not confirmed. Thrust has to be zero before."""
         for name in self._armed:
             self._acquisition.request(name, "disarm")
         for name in self._armed:
@@ -153,11 +153,11 @@ class Autopilots:
                 self._say(f"{name}: disarming is not confirmed; disarm it yourself")
 
     def disarm(self) -> None:
-        """Ask to disarm what was armed here and wait a moment, whatever signals come: the way out of trouble."""
+        """Ask to disarm what was armed here and wait a moment, whatever signals come (a run ended by an error)."""
         for name in self._armed:
             self._acquisition.request(name, "disarm")
         deadline = time.monotonic() + LEAVE_S
         while time.monotonic() < deadline and any(self._link(self._rig.device(name)).armed for name in self._armed):
             time.sleep(POLL_S)
         if self._armed:
-            time.sleep(POLL_S)  # its own words about it stand in the log then
+            time.sleep(POLL_S)  # its own texts about it are in the log then

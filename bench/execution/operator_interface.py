@@ -1,7 +1,7 @@
-"""What a person sees while a plan runs: a live line on a terminal, plain lines elsewhere.
+"""The operator's side of a run: its status on the terminal, signals that stop it, and single keys.
 
-Ctrl-C and its relatives as a flag that the runner looks at, never as an exception in the middle of a line.
-Single keys from the terminal while a run goes on.
+The status is a live display on a terminal and plain lines elsewhere. Signals (Ctrl-C and others) set a flag that the
+runner checks; they never raise an exception in the middle of a line.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class MissionStatus:
     warning: str = ""
 
     def values(self) -> str:
-        """Command, rpm, force or speed, and the guard's word."""
+        """Command, rpm, force or speed, and the guard's warning."""
         parts = [
             "n " + " ".join(f"{value:+.2f}" for value in self.n_cmd),
             "rpm " + " ".join("  --" if math.isnan(value) else f"{value:+5.0f}" for value in self.rpm),
@@ -82,7 +82,7 @@ class Display(Protocol):
 
 
 class LiveDisplay:
-    """Two lines that are drawn over again, of 80 columns: where the plan is, and what the devices say."""
+    """Two lines that are drawn over again, of 80 columns: progress of the plan, and what the devices report."""
 
     def __init__(self, console: Console) -> None:
         # No thread of its own: a stuck terminal shall be seen by the deadman.

@@ -1,4 +1,4 @@
-"""Executes a mission; whatever happens on the way, it ends at zero thrust and with a closed log."""
+"""Executes a mission; whatever happens, it ends at zero thrust and with a closed log."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ POLL_S = 0.02  # wall seconds between two looks at the status
 AHEAD_S = 0.5  # wall seconds that set-points are sent ahead of their time, at most
 LEAD_S = 0.2  # wall seconds from the decision to start to the first set-point
 SILENCE_S = 1.0  # wall seconds without a status (there are twenty a second) after which the acquisition hangs
-FLUSH_S = 0.8  # wall seconds after which everything said so far is in the file (it is flushed every 0.25 s)
+FLUSH_S = 0.8  # wall seconds after which everything recorded so far is in the file (it is flushed every 0.25 s)
 
 
 class Interrupted(SeatrialError):
@@ -81,7 +81,7 @@ def new_log_file(path: Path) -> None:
 
 
 class _Runner:
-    """One run: what `run_mission` was given, and the way back to zero."""
+    """One run: what `run_mission` was given, and how thrust returns to zero."""
 
     def __init__(
         self,
@@ -108,7 +108,7 @@ class _Runner:
                 self._vehicles.release()
                 tares = self._tare(course.timeline)
                 self._acquisition.stop()
-                self._say_skipped(course.told)
+                self._say_skipped(course.commanded)
             except BaseException as error:
                 self._end_at_zero(error)
                 raise
@@ -145,13 +145,13 @@ class _Runner:
         self._vehicles.check(status)
         self._guard.check(status)
 
-    def _say_skipped(self, told: int) -> None:
-        """Tell of set-points that this machine was too busy to send in time; the log holds what was sent."""
+    def _say_skipped(self, commanded: int) -> None:
+        """Report set-points that this machine was too busy to send in time; the log holds what was sent."""
         skipped = self._acquisition.status().skipped
         if skipped:
             self._display.say(
-                f"skipped: {skipped} of {told} set-points, overtaken by later ones before they could be sent "
-                "(a busy machine, or rows too close for the clock's speed); the log says what was sent and when"
+                f"skipped: {skipped} of {commanded} set-points, overtaken by later ones before they could be sent "
+                "(a busy machine, or rows too close for the clock's speed); the log has what was sent and when"
             )
 
     def _wait(self, wall_s: float) -> None:
@@ -184,7 +184,7 @@ class _Runner:
         )
 
     def _tare(self, timeline: Schedule) -> list[Tare]:
-        """The load cell's zero from the static segments, said and written as events."""
+        """The load cell's zero from the static segments, printed and written as events."""
         windows = timeline.static_windows()
         if not windows or not any(device.protocol == "loadcell" for device in self._rig.devices):
             return []
@@ -203,8 +203,8 @@ class _Runner:
         """Command zero, note the reason, close the log, and add to the error's line where that log is."""
         reason = " ".join(str(error).split()) or type(error).__name__
         decided = self._clock.now()
-        told = self._tried(lambda: self._acquisition.zero(reason))
-        zero = self._thrusters_heard(told)
+        commanded = self._tried(lambda: self._acquisition.zero(reason))
+        zero = self._zero_received(commanded)
         self._tried(self._vehicles.disarm)
         self._tried(lambda: self._acquisition.mark("stop", reason))
         self._tried(lambda: self._acquisition.mark("decided", f"{decided:.6f} to stop"))
@@ -214,16 +214,16 @@ class _Runner:
         if isinstance(error, SeatrialError):
             error.args = (f"{reason}: {thrust}, {log}",)
 
-    def _thrusters_heard(self, told: bool) -> bool:
-        """Whether zero was commanded, by us or by the acquisition itself, to thrusters that are there to hear it."""
+    def _zero_received(self, commanded: bool) -> bool:
+        """Whether zero was commanded, by us or by the acquisition itself, to thrusters that are there to receive it."""
         try:
             status = self._acquisition.status()
         except SeatrialError:
             return False
-        return (told or bool(status.stopped)) and self._guard.thrusters_heard(status)
+        return (commanded or bool(status.stopped)) and self._guard.thrusters_answer(status)
 
     def _tried(self, action: Callable[[], None]) -> bool:
-        """Whether `action` worked; on the way to zero no failure may keep the next step from being tried."""
+        """Whether `action` worked; no failure may keep the next step to zero from being tried."""
         try:
             action()
         except (SeatrialError, OSError):

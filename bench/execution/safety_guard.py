@@ -1,9 +1,8 @@
-"""The guard: limits on what the devices say, checked at every status. It reads no clock and drives nothing.
+"""The safety guard: limits on what the devices report, checked at every status. It reads no clock and drives nothing.
 
-It stands beside two nets that need no program of ours: the acquisition process commands zero when the runner falls
-silent, and every ESC times out by itself when the acquisition process does.
-
-The geofence: a circle around the start, that a boat has to be able to stop within.
+Its geofence is a circle around the start, within which the boat has to be able to stop. Two further safety nets work
+without it: the acquisition process commands zero when the runner falls silent, and every ESC times out by itself when
+the acquisition process does.
 """
 
 from __future__ import annotations
@@ -87,7 +86,7 @@ class SafetyGuard:
             if not age <= self._patience(device.rate_hz / nodes):
                 yield f"thruster {thruster.name} (node {thruster.node} on {device.name}) is silent{_since(age)}"
 
-    def thrusters_heard(self, status: Status) -> bool:
+    def thrusters_answer(self, status: Status) -> bool:
         """Whether every thruster's port is in order and its controller answers, so that a zero will have reached it."""
         ports = [status.ports.get(thruster.device) for thruster in self._thrusters]
         in_order = all(port is not None and not port.message for port in ports)
@@ -156,7 +155,7 @@ def stopping_distance(speed: float, vehicle: Mapping[str, float]) -> float:
 
 
 class Fence:
-    """Remembers where the run began."""
+    """Keeps the position at the start, and checks that the boat can stop within the circle around it."""
 
     def __init__(self, radius_m: float, vehicle: Mapping[str, float]) -> None:
         self._radius, self._vehicle = radius_m, vehicle

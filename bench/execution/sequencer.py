@@ -1,6 +1,7 @@
-"""The way through a mission: set-points in time, pauses, marks, steps repeated by hand or because they were invalid.
+"""A mission as a sequence in time: set-points, pauses, marks, and steps repeated on request or because of bad data.
 
-Where a run stands in its mission. Run time in, set-points out; reads no clock.
+`MissionSequencer` decides, `Schedule` knows where the run is in its mission. Run time in, set-points out: nothing here
+reads a clock.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ class EventSink(Protocol):
 
 
 class MissionSequencer:
-    """Steers through one mission. `step` is called at every look at the status; reads no clock."""
+    """Takes one mission from set-point to set-point; `step` is called with every status."""
 
     def __init__(
         self,
@@ -46,7 +47,7 @@ class MissionSequencer:
     ) -> None:
         """`lead` [run s] from a decision to the first set-point; `patience` [run s] of the guard by device."""
         self.timeline = Schedule(mission, start)
-        self.told = 0  # set-points given to the acquisition
+        self.commanded = 0  # set-points given to the acquisition
         self._paused_at: float | None = None
         self._acquisition, self._lead, self._patience, self._say = acquisition, lead, patience, say
         self._retries = retries
@@ -57,7 +58,7 @@ class MissionSequencer:
 
     @property
     def segment(self) -> str:
-        """The name of the step under way; empty before the first."""
+        """The name of the present step; empty before the first."""
         return "" if self._span is None else self._span.name
 
     @property
@@ -74,7 +75,7 @@ class MissionSequencer:
         return not self.paused and now >= self.timeline.end
 
     def step(self, now: float, ahead: float, status: Status, keys: str = "") -> None:
-        """Look at the status and at the keys pressed, then send the set-points up to `now + ahead`."""
+        """Act on the status and on the keys pressed, then send the set-points up to `now + ahead`."""
         for key in keys:
             self._press(key, now)
         if self.paused:
@@ -83,7 +84,7 @@ class MissionSequencer:
         self._enter(now, status)
         if rows := self.timeline.rows(now + ahead):
             self._acquisition.schedule(rows)
-            self.told += sum(len(values) for _, values in rows)
+            self.commanded += sum(len(values) for _, values in rows)
 
     def _press(self, key: str, now: float) -> None:
         name = "" if self._span is None else self._span.name
@@ -114,15 +115,15 @@ class MissionSequencer:
         self._span = None
 
     def _watch(self, status: Status) -> None:
-        """Remember the first sensor that was silent for too long in this step."""
+        """Keep the first sensor that was silent for too long in this step."""
         for name, port in status.ports.items():
             if not self._gap and not port.age <= GAP_PART * self._patience(name):
                 self._gap = f"{name} was silent for {port.age:.1f} s"
 
     def _enter(self, now: float, status: Status) -> None:
-        """A step has begun, or the mission ended: judge the one before, and mark the new one."""
-        begun, ended = self.timeline.begun(now), now >= self.timeline.end
-        if self._span is not None and (ended or begun[-1] != self._span):
+        """If a step has started or the mission ended: check the one before, and mark the new one."""
+        started, ended = self.timeline.started(now), now >= self.timeline.end
+        if self._span is not None and (ended or started[-1] != self._span):
             fault = self._fault(status)
             if fault and self._retries > 0:
                 self._retries -= 1
@@ -135,13 +136,13 @@ class MissionSequencer:
                 self._acquisition.mark("invalid", f"{self._span.name}: {fault}")
                 self._say(f"invalid: {self._span.name}: {fault} (--retry N runs up to N such steps again)")
         last = -1 if self._span is None else self._span.segment
-        for span in begun:
+        for span in started:
             if span.segment > last and not ended:
                 self._acquisition.mark("segment", span.name)
                 self._span, self._before, self._gap = span, _counts(status), ""
 
     def _fault(self, status: Status) -> str:
-        """Why the step that has just ended is not worth its place in a fit; empty when it is."""
+        """Why the data of the step that has just ended are invalid; empty when they are valid."""
         words = (("set-point", "skipped"), ("sample", "dropped"), ("port", "lost"))
         for before, after, (what, how) in zip(self._before, _counts(status), words, strict=True):
             if after > before:
@@ -201,8 +202,8 @@ class Schedule:
             self._sent += 1
         return rows
 
-    def begun(self, now: float) -> list[ScheduledSegment]:
-        """The segments that have begun since the start or the restart."""
+    def started(self, now: float) -> list[ScheduledSegment]:
+        """The segments that have started since the start or the restart."""
         return [span for span in self._spans if span.begin <= now]
 
     def elapsed(self, now: float) -> float:

@@ -14,7 +14,7 @@ from daq.log import open_log
 from daq.rig import Rig
 from daq.samples import LoadCell
 
-SETTLE_S = 3.0  # run seconds after the thrust has gone until the water and the rod are still
+SETTLE_S = 3.0  # run seconds after the thrust has gone until the water and the rod are at rest
 
 
 class Tare(NamedTuple):

@@ -1,4 +1,4 @@
-"""The actuator test of a preflight: each thruster for some seconds at low thrust, and what has to be said before."""
+"""The actuator test of a preflight: each thruster for some seconds at low thrust, and the warning before it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ STAIRS, STAIR_S = 6, 0.8  # levels up to the test's, s each: where the shaft beg
 
 
 def actuator_plan(rig: Rig, n: float = N_TEST) -> Mission:
-    """Ahead, astern and a staircase for each thruster, then all together. Raises SeatrialError where there is none."""
+    """Forward, reverse and a staircase for each thruster, then all together. Raises SeatrialError without one."""
     if not rig.thrusters:
         raise SeatrialError(f"{rig.path}: --actuators needs a [[thruster]], and the rig has none")
     n = min(n, rig.limits.n_max)

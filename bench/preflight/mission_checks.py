@@ -21,7 +21,7 @@ CLOSE = 0.8  # of the fence
 
 
 def check_mission(mission: Mission, rig: Rig) -> Iterator[Finding]:
-    """Findings about limits, duration and the way a mission takes."""
+    """Findings about limits, duration and the predicted track of a mission."""
     try:
         dry_run(mission, rig)
     except SeatrialError as error:
@@ -45,7 +45,7 @@ def _fence(mission: Mission, rig: Rig, radius: float) -> Finding:
         t, far = p.t, np.hypot(p.x - p.x[0], p.y - p.y[0]) + p.radius
         by = f"the design, by model {p.model}"
     elif missing := [name for name in NEEDED if name not in rig.vehicle]:
-        text = f"its way is not predicted: [vehicle] of the rig has no {', '.join(missing)}"
+        text = f"its track is not predicted: [vehicle] of the rig has no {', '.join(missing)}"
         return Finding(
             WARNING,
             "track-not-predicted",
@@ -56,7 +56,7 @@ def _fence(mission: Mission, rig: Rig, radius: float) -> Finding:
         )
     else:
         t, x, y = track(mission, rig)
-        far, by = np.hypot(x, y), "the rig's nominal vehicle in still water"
+        far, by = np.hypot(x, y), "the rig's nominal vehicle without current"
     k = int(np.argmax(far))
     text = f"up to {far[k]:.0f} m from the start by {by}, fence {radius:g} m"
     if far[k] > radius:
@@ -75,30 +75,30 @@ def _fence(mission: Mission, rig: Rig, radius: float) -> Finding:
 
 
 def track(mission: Mission, rig: Rig) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Time (K,) s and way x, y (K,) m of the rig's nominal vehicle from rest, heading north, in still water.
+    """Time (K,) s and track x, y (K,) m of the rig's nominal vehicle from rest, heading north, without current.
 
-    Surge, sway and yaw (Fossen 2011, 6.5) with linear and quadratic damping; a thruster pushes with c1 n|n| + c2 n^2.
+    Surge, sway and yaw (Fossen 2011, 6.5) with linear and quadratic damping; the thrust is c1 n|n| + c2 n^2.
     """
     p = {"c2": 0.0, "d_uu": 0.0, "d_vv": 0.0, "d_rr": 0.0, **rig.vehicle}
-    places = [rig.thruster(name).position_m[1] for name in mission.thrusters]
+    y_thruster = [rig.thruster(name).position_m[1] for name in mission.thrusters]
     t_cmd, n_cmd = mission.setpoints()
     t = np.arange(0.0, mission.end + STEP, STEP)
     n = n_cmd[np.clip(np.searchsorted(t_cmd, t, side="right") - 1, 0, None)] * (t >= t_cmd[0])[:, None]
     f = p["c1"] * n * np.abs(n) + p["c2"] * n * n
-    forces, moments = f.sum(axis=1).tolist(), (-f @ np.array(places)).tolist()
+    forces, moments = f.sum(axis=1).tolist(), (-f @ np.array(y_thruster)).tolist()
     state: tuple[float, ...] = (0.0,) * 6
     rows = []
-    for push, moment in zip(forces, moments, strict=True):
+    for thrust, moment in zip(forces, moments, strict=True):
         rows.append(state[:2])
-        state = _step(state, push, moment, p)
-    way = np.array(rows)
-    return t, way[:, 0], way[:, 1]
+        state = _step(state, thrust, moment, p)
+    places = np.array(rows)
+    return t, places[:, 0], places[:, 1]
 
 
-def _step(state: tuple[float, ...], push: float, moment: float, p: Mapping[str, float]) -> tuple[float, ...]:
-    """One semi-implicit Euler step: speeds first, then the way with the new ones."""
+def _step(state: tuple[float, ...], thrust: float, moment: float, p: Mapping[str, float]) -> tuple[float, ...]:
+    """One semi-implicit Euler step: velocities first, then the place with the new ones."""
     x, y, psi, u, v, r = state
-    u_next = u + STEP / p["m_u"] * (push + p["m_v"] * v * r - (p["d_u"] + p["d_uu"] * abs(u)) * u)
+    u_next = u + STEP / p["m_u"] * (thrust + p["m_v"] * v * r - (p["d_u"] + p["d_uu"] * abs(u)) * u)
     v_next = v + STEP / p["m_v"] * (-p["m_u"] * u * r - (p["d_v"] + p["d_vv"] * abs(v)) * v)
     turning = moment - (p["m_v"] - p["m_u"]) * u * v
     r_next = r + STEP / p["m_r"] * (turning - (p["d_r"] + p["d_rr"] * abs(r)) * r)

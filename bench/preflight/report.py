@@ -47,7 +47,7 @@ def _track(mission: Mission, rig: Rig) -> PredictedTrack | None:
 
     if all(name in rig.vehicle for name in NEEDED) and all(name in _names(rig) for name in mission.thrusters):
         _, x, y = track(mission, rig)
-        return PredictedTrack(x, y, "the rig's nominal vehicle in still water")
+        return PredictedTrack(x, y, "the rig's nominal vehicle without current")
     return None
 
 

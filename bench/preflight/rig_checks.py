@@ -64,7 +64,7 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
                 "thruster-silent",
                 "alive",
                 name.split()[1],
-                f"{name} says nothing",
+                f"{name} sends nothing",
                 "its node, its power, the bus",
             )
 

@@ -1,7 +1,7 @@
 """A boat's autopilot on a MAVLink link, as ArduPilot Rover 4.7 behaves towards a ground station. Sans I/O.
 
 It obeys one ground station, arms only on its command and refuses where a real one does, follows RC overrides while it
-is armed and in MANUAL, and takes silence for the end of thrust. What it was told and what it put out are two things.
+is armed and in MANUAL, and takes silence for the end of thrust. Its command and its output are two things.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Autopilot(DeviceEmulator):
         self._t = 0.0
         self._reports = Reports(self.vehicle, self._codec, self._thrusters, controllers)
 
-    # What it says.
+    # What it sends.
 
     def encode(self, sample: Sample, t: float) -> bytes:
         """The messages that are due; an attitude is the tick of the loop."""
@@ -63,8 +63,8 @@ class Autopilot(DeviceEmulator):
             self._reports.take(sample)
         elif isinstance(sample, Ahrs):
             self._judge()
-            said = [self._reports.say(name, sample) for name in list(self._rates) if self._is_due(name)]
-            return b"".join(said) + self._flush()
+            sent = [self._reports.say(name, sample) for name in list(self._rates) if self._is_due(name)]
+            return b"".join(sent) + self._flush()
         return self._flush()
 
     def _is_due(self, name: str) -> bool:
@@ -107,7 +107,7 @@ class Autopilot(DeviceEmulator):
         for controller in self._controllers.values():
             controller.command(self._t, 0.0)
 
-    # What it is told.
+    # What it receives.
 
     def receive(self, data: bytes, t: float) -> bytes:
         """Messages of the host; the answers."""

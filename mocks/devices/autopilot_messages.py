@@ -1,4 +1,4 @@
-"""What a boat's autopilot says of itself and of its sensors, a message by its name. Sans I/O."""
+"""Messages of a boat's autopilot about itself and its sensors, each by its name. Sans I/O."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def parameters(thrusters: list[Thruster], own_system: int, override_s: float) ->
 
 @dataclass
 class Vehicle:
-    """What the autopilot knows of itself."""
+    """State of the autopilot."""
 
     parameters: dict[str, float]
     armed: bool = False

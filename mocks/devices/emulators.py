@@ -119,7 +119,7 @@ class DronecanBus(DeviceEmulator):
 def make_emulator(
     rig: Rig, device: Device, controllers: Mapping[int, EscController], ascii_: bool = False
 ) -> DeviceEmulator:
-    """What speaks at ``device``. Raises SeatrialError for a rig that no mock can serve."""
+    """The emulator of ``device``. Raises SeatrialError for a rig that no mock can serve."""
     if device.protocol == "vectornav":
         return VectorNav(ascii_)
     if device.protocol == "nmea":
@@ -135,7 +135,7 @@ def make_emulator(
 
         return Autopilot(rig, device, controllers, time.time())
     if not device.port.startswith("slcan:"):
-        raise SeatrialError(f"{rig.path}: device {device.name}: a mock speaks CAN as slcan:PORT, not {device.port}")
+        raise SeatrialError(f"{rig.path}: device {device.name}: a mock serves CAN as slcan:PORT, not {device.port}")
     if device.protocol == "dronecan":
         return DronecanBus(controllers)
     return VescBus(controllers, {t.node: t.pole_pairs for t in rig.thrusters if t.device == device.name})

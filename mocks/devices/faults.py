@@ -21,7 +21,7 @@ NOISY = (math.radians(5.0), 0.1, 1.0, 1.0)  # rad, rad/s, m/s2, m/s2
 
 @dataclass(frozen=True)
 class Kind:
-    """One kind of fault: how long it lasts unless told (s), and what it does."""
+    """One kind of fault: how long it lasts by default (s), and what it does."""
 
     seconds: float
     text: str
@@ -29,7 +29,7 @@ class Kind:
 
 KINDS = {
     "pull": Kind(5.0, "the port vanishes and returns"),
-    "silence": Kind(5.0, "the device says nothing"),
+    "silence": Kind(5.0, "the device sends nothing"),
     "garbage": Kind(2.0, "random bytes in place of the device's"),
     "stuck": Kind(5.0, "the last reading over and over"),
     "spike": Kind(0.0, "a reading far off: one, or one a second for SECONDS"),
@@ -66,7 +66,7 @@ class Fault:
 
 
 def parse_fault(text: str, devices: Sequence[str] = (), thrusters: Sequence[str] = ()) -> Fault:
-    """The fault that ``text`` describes. Raises SeatrialError that says what is wrong with it."""
+    """The fault that ``text`` describes. Raises SeatrialError that names what is wrong with it."""
     found = _FORM.fullmatch(text)
     if found is None:
         raise SeatrialError(

@@ -1,4 +1,4 @@
-"""The adapter's side of the LAWICEL protocol: what a CAN-to-serial adapter says on its serial port.
+"""The adapter's side of the LAWICEL protocol: the serial port of a CAN-to-serial adapter.
 
 Source: LAWICEL CANUSB manual, ASCII command set. Sans I/O: bytes from the host in, answers and CAN frames out.
 """

@@ -17,9 +17,9 @@ def _wind(rng: np.random.Generator, scale: float) -> Effect:
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
         rel_n, rel_e = w_n - v_n, w_e - v_e
-        ahead, aside = c * rel_n + s * rel_e, c * rel_e - s * rel_n
-        speed = math.hypot(ahead, aside)
-        return 0.7 * drag * speed * ahead, drag * speed * aside, 0.2 * drag * ahead * aside
+        forward, starboard = c * rel_n + s * rel_e, c * rel_e - s * rel_n
+        speed = math.hypot(forward, starboard)
+        return 0.7 * drag * speed * forward, drag * speed * starboard, 0.2 * drag * forward * starboard
 
     came_from = math.degrees(toward + math.pi) % 360.0
     return Effect(

@@ -27,7 +27,7 @@ def _turning_resistance(rng: np.random.Generator, scale: float) -> Effect:
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
         return -k * abs(r) ** 1.7, 0.0, 0.0
 
-    return Effect("turning-resistance", "turning costs speed ahead", {"k": k}, force=force)
+    return Effect("turning-resistance", "turning costs forward speed", {"k": k}, force=force)
 
 
 def _cubic_drag(rng: np.random.Generator, scale: float) -> Effect:
@@ -51,7 +51,7 @@ def _yaw_bias(rng: np.random.Generator, scale: float) -> Effect:
 
 def _cg_offset(rng: np.random.Generator, scale: float) -> Effect:
     x_g = scale * size(rng, 0.13, signed=True)  # m of the rigid mass of 17 kg
-    where = "ahead of" if x_g > 0.0 else "behind"
+    where = "forward of" if x_g > 0.0 else "behind"
     return Effect("cg-offset", f"the centre of gravity lies {where} amidships", {"x_g": x_g}, x_g=x_g)
 
 

@@ -1,4 +1,4 @@
-"""Effects that no catalogue lists; each says which force it is and what that force depends on."""
+"""Hidden effects that no catalogue lists; the `Answer` of each is its force and the variable behind it."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ def _advance_ratio(rng: np.random.Generator, scale: float) -> Effect:
         loss_r = k * abs(n_r) * a_r / (1.0 + 0.35 * abs(a_r))
         return f_l - loss_l, f_r - loss_r
 
-    return Effect("advance-ratio", "the propellers lose thrust as the boat moves ahead", {"k": k}, thrust=thrust)
+    return Effect("advance-ratio", "the propellers lose thrust as the boat moves forward", {"k": k}, thrust=thrust)
 
 
 def _reverse_thrust(rng: np.random.Generator, scale: float) -> Effect:
@@ -33,7 +33,7 @@ def _reverse_thrust(rng: np.random.Generator, scale: float) -> Effect:
     ) -> tuple[float, float]:
         return f_l * factor(n_l), f_r * factor(n_r)
 
-    sentence = "astern the jets strike the hull and part of the thrust is lost; the bench does not show it"
+    sentence = "in reverse the jets strike the hull and part of the thrust is lost; the bench does not show it"
     return Effect("reverse-thrust", sentence, {"loss": loss}, thrust=thrust)
 
 

@@ -23,9 +23,9 @@ def _compass(rng: np.random.Generator, scale: float) -> Effect:
 
 
 def _lever_arm(rng: np.random.Generator, scale: float) -> Effect:
-    ahead, aside = scale * size(rng, 0.5, signed=True), scale * size(rng, 0.15, signed=True)  # m
-    sentence = "the GNSS antenna is not where the rig file says"
-    return Effect("lever-arm", sentence, {"l_x": ahead, "l_y": aside}, lever_arm=(ahead, aside))
+    forward, starboard = scale * size(rng, 0.5, signed=True), scale * size(rng, 0.15, signed=True)  # m
+    sentence = "the GNSS antenna is not at the place in the rig file"
+    return Effect("lever-arm", sentence, {"l_x": forward, "l_y": starboard}, lever_arm=(forward, starboard))
 
 
 def _gnss_latency(rng: np.random.Generator, scale: float) -> Effect:
@@ -52,8 +52,8 @@ def _gyro_scale(rng: np.random.Generator, scale: float) -> Effect:
 def _accelerometer_tilt(rng: np.random.Generator, scale: float) -> Effect:
     pitch, roll = scale * size(rng, 4e-4), scale * size(rng, 0.04)  # rad/N, rad s2/m
 
-    def accelerometer(a_x: float, a_y: float, push: float, u: float, r: float) -> tuple[float, float]:
-        squat = 0.05 * math.tanh(pitch * push / 0.05)
+    def accelerometer(a_x: float, a_y: float, thrust: float, u: float, r: float) -> tuple[float, float]:
+        squat = 0.05 * math.tanh(pitch * thrust / 0.05)
         heel = 0.12 * math.tanh(roll * u * r / 0.12)
         return a_x + GRAVITY * squat, a_y + GRAVITY * heel
 
@@ -64,7 +64,7 @@ def _accelerometer_tilt(rng: np.random.Generator, scale: float) -> Effect:
 def _accelerometer_scale(rng: np.random.Generator, scale: float) -> Effect:
     k = scale * size(rng, 0.15, signed=True)
 
-    def accelerometer(a_x: float, a_y: float, push: float, u: float, r: float) -> tuple[float, float]:
+    def accelerometer(a_x: float, a_y: float, thrust: float, u: float, r: float) -> tuple[float, float]:
         return a_x * (1.0 + k / (1.0 + 0.1 * abs(a_x))), a_y * (1.0 + k / (1.0 + 0.1 * abs(a_y)))
 
     sentence = "the accelerometers are set to another range than the driver thinks"

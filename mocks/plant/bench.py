@@ -1,6 +1,6 @@
-"""The simulated bench: one thruster on a rod in a pool, pushing on a load cell.
+"""The simulated bench: one thruster on a rod in a pool, its thrust measured by a load cell.
 
-The shaft of a thruster on the bench that nobody has told all about: how it may answer a command otherwise.
+Its hidden effects act on the force (`BenchEffect`) or on the response of the shaft to commands (`ShaftEffect`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _PARAMETERS: dict[str, tuple[str, ...]] = {
     "recirculation": ("wash", "wash_s"),
     "cell-drift": ("drift",),
     "cell-lag": ("smooth_s",),
-    "reverse-loss": ("astern",),
+    "reverse-loss": ("reverse",),
     "thrust-exponent": ("slow_loss",),
     "thrust-dead-band": ("band",),
     "supply-sag": ("sag",),
@@ -47,11 +47,11 @@ class ShaftEffect:
 
     @property
     def any(self) -> bool:
-        """Is there any?"""
+        """Whether there is any."""
         return bool(self.late or self.brisk or self.slew or self.droop or self.sag)
 
 
-AS_TOLD = ShaftEffect()
+NO_SHAFT_EFFECT = ShaftEffect()
 
 
 @dataclass(frozen=True)
@@ -67,10 +67,10 @@ class BenchEffect:
     wash_s: float = 4.0  # s, to set the pool in motion
     drift: float = 0.0  # N/min^1/2 of the cell
     smooth_s: float = 0.0  # s, of the cell's filter, two equal poles
-    astern: float = 0.0  # fraction of thrust lost astern at full speed
+    reverse: float = 0.0  # fraction of thrust lost in reverse at full speed
     slow_loss: float = 0.0  # fraction of thrust lost at the slowest speeds
     band: float = 0.0  # shaft speed below which there is next to no thrust
-    shaft: ShaftEffect = AS_TOLD
+    shaft: ShaftEffect = NO_SHAFT_EFFECT
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -91,7 +91,7 @@ EFFECTS: dict[str, Callable[[np.random.Generator, float], BenchEffect]] = {
         "cell-drift", "the load cell creeps as it warms up", drift=scale * _around(rng, 1.0, signed=True)
     ),
     "reverse-loss": lambda rng, scale: BenchEffect(
-        "reverse-loss", "astern the propeller is less than its coefficients say", astern=scale * _around(rng, 0.15)
+        "reverse-loss", "in reverse the propeller gives less than its coefficients", reverse=scale * _around(rng, 0.15)
     ),
     "supply-sag": lambda rng, scale: _shaft(
         "supply-sag", "the shaft slows down as the battery is used up", sag=scale * _around(rng, 0.08)
@@ -107,10 +107,10 @@ EFFECTS: dict[str, Callable[[np.random.Generator, float], BenchEffect]] = {
         slew=scale * _around(rng, 0.8),
     ),
     "speed-curve": lambda rng, scale: _shaft(
-        "speed-curve", "the shaft falls behind its command the more it is told", droop=scale * _around(rng, 0.08)
+        "speed-curve", "the larger the command, the more the shaft falls behind it", droop=scale * _around(rng, 0.08)
     ),
     "thrust-dead-band": lambda rng, scale: BenchEffect(
-        "thrust-dead-band", "at slow speed the propeller hardly pushes", band=scale * _around(rng, 0.04)
+        "thrust-dead-band", "at slow speed the propeller gives hardly any thrust", band=scale * _around(rng, 0.04)
     ),
     "thrust-exponent": lambda rng, scale: BenchEffect(
         "thrust-exponent", "slow blades lose thrust to viscosity", slow_loss=scale * _around(rng, 0.3)
@@ -167,9 +167,9 @@ class BenchPlant:
         self.step_s = step
         self.steps = 0
         self.energy = 0.0
-        told = bench.effect.shaft
+        effect = bench.effect.shaft
         self.shafts: tuple[Shaft | BenchShaft] = (
-            BenchShaft(bench.thruster, told, step) if told.any else Shaft(bench.thruster, step),
+            BenchShaft(bench.thruster, effect, step) if effect.any else Shaft(bench.thruster, step),
         )
         self._pool = 0.0
         self._disturbance: OrnsteinUhlenbeck | None = None
@@ -186,7 +186,7 @@ class BenchPlant:
         return self.steps * self.step_s
 
     def command(self, thruster: int, t: float, n_cmd: float) -> None:
-        """What thruster 0, the only one, is told from time ``t`` (s) on, -1..1, positive ahead."""
+        """Command of thruster 0, the only one, from time ``t`` (s) on: -1..1, positive forward."""
         self.shafts[thruster].command(t, n_cmd)
 
     def advance(self) -> None:
@@ -204,15 +204,15 @@ class BenchPlant:
         self.steps += 1
 
     def thrust(self, thruster: int = 0) -> float:
-        """Force of the propeller on its shaft, N, positive ahead."""
+        """Force of the propeller on its shaft, N, positive forward."""
         effect, n = self.bench.effect, self.shafts[thruster].n
         if effect.band:
             n -= effect.band * math.tanh(n / effect.band)
         force = thrust(self.bench.thruster, n)
         if effect.wash:
             force *= 1.0 - effect.wash * math.sqrt(self._wash)
-        if effect.astern and n < 0.0:
-            force *= 1.0 - effect.astern * abs(n) ** 1.4
+        if effect.reverse and n < 0.0:
+            force *= 1.0 - effect.reverse * abs(n) ** 1.4
         if effect.slow_loss:
             force *= 1.0 - effect.slow_loss * math.exp(-2.5 * abs(n))
         return force
@@ -272,7 +272,7 @@ class BenchShaft:
         self.energy = 0.0
 
     def command(self, t: float, n_cmd: float) -> None:
-        """Take the command (-1..1, positive ahead) that was received at time ``t`` (s, never decreasing)."""
+        """Take the command (-1..1, positive forward) that was received at time ``t`` (s, never decreasing)."""
         ref = 0.0 if abs(n_cmd) < self._truth.dead_zone else max(-1.0, min(1.0, n_cmd))
         self._pending.append((t + self._truth.delay, ref))
 

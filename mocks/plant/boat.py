@@ -1,4 +1,4 @@
-"""The simulated boat: hull, two thrusters, current, disturbances and, perhaps, an effect that nobody was told of."""
+"""The simulated boat: hull, two thrusters, current, disturbances and hidden effects."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class RigidBodyState(NamedTuple):
     fix_y: float
     fix_vel_n: float
     fix_vel_e: float
-    push: float = 0.0  # N, thrust of both thrusters as their shafts turn
+    thrust: float = 0.0  # N, thrust of both thrusters as their shafts turn
 
 
 class BoatPlant:
@@ -113,7 +113,7 @@ class BoatPlant:
         return self.steps * self.step_s
 
     def command(self, thruster: int, t: float, n_cmd: float) -> None:
-        """What thruster 0 (left) or 1 (right) is told from time ``t`` (s) on, -1..1, positive ahead."""
+        """Command of thruster 0 (left) or 1 (right) from time ``t`` (s) on: -1..1, positive forward."""
         self.shafts[thruster].command(t, n_cmd)
 
     def advance(self) -> None:
@@ -157,8 +157,8 @@ class BoatPlant:
         rate = self._rhs(s, *self._n, self.energy / ENERGY_UNIT, *self._forces)
         vel_n, vel_e = rate[0], rate[1]
         ax, ay = rate[3] - v * r, rate[4] + u * r
-        push = self.thrust(0) + self.thrust(1)
-        return RigidBodyState(self.t, x, y, psi, r, ax, ay, vel_n, vel_e, *self._antenna.place(s), push)
+        thrust = self.thrust(0) + self.thrust(1)
+        return RigidBodyState(self.t, x, y, psi, r, ax, ay, vel_n, vel_e, *self._antenna.place(s), thrust)
 
     def thrust(self, thruster: int) -> float:
         """Force (N) that the shaft speed of a thruster would make at rest; what its motor current follows."""
@@ -196,11 +196,11 @@ class Antenna:
     def _at(self, state: State) -> tuple[float, float, float, float]:
         x, y, psi, u, v, r = state[:6]
         c, s = math.cos(psi), math.sin(psi)
-        ahead, aside = self._arm
-        u_a, v_a = u - r * aside, v + r * ahead
+        forward, starboard = self._arm
+        u_a, v_a = u - r * starboard, v + r * forward
         return (
-            x + c * ahead - s * aside,
-            y + s * ahead + c * aside,
+            x + c * forward - s * starboard,
+            y + s * forward + c * starboard,
             c * u_a - s * v_a,
             s * u_a + c * v_a,
         )

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 # thrust(n_left, n_right, advance_left, advance_right, f_left, f_right, energy) -> (f_left, f_right)
-#   normalised shaft speeds, speed of each thruster through the water ahead (m/s), forces so far (N), energy used:
+#   normalised shaft speeds, speed of each thruster through the water, forward (m/s), forces so far (N), energy used:
 #   the integral of |n|^3 over time and both thrusters, in units of ENERGY_UNIT
 Thrust = Callable[[float, float, float, float, float, float, float], tuple[float, float]]
 # force(cos psi, sin psi, u_w, v_w, r, v_north, v_east) -> (X, Y, N): velocity through the water in body axes, over
@@ -20,7 +20,7 @@ Jet = Callable[[float, float], float]
 Current = Callable[[float], tuple[float, float]]
 # tether(x, y, v_north, v_east) -> (north, east): force (N) at a place (m from the start) and velocity over ground
 Tether = Callable[[float, float, float, float], tuple[float, float]]
-# accelerometer(a_x, a_y, push, u, r) -> (a_x, a_y): m/s2; thrust (N), surge over ground (m/s) and yaw rate (rad/s)
+# accelerometer(a_x, a_y, thrust, u, r) -> (a_x, a_y): m/s2; thrust (N), surge over ground (m/s) and yaw rate (rad/s)
 Accelerometer = Callable[[float, float, float, float, float], tuple[float, float]]
 
 ENERGY_UNIT = 150.0  # s, what a mission of ten minutes uses
@@ -86,7 +86,7 @@ class Effect:
     current: Current | None = None
     wave: Wave | None = None
     gust: Gust | None = None
-    x_g: float = 0.0  # m, centre of gravity ahead of the origin
+    x_g: float = 0.0  # m, centre of gravity forward of the origin
     pendulum: tuple[float, float, float] | None = None  # kg, m, 1/s
     compass: Callable[[float], float] | None = None  # heading -> deviation, rad
     mount: float = 0.0  # rad, the AHRS turned clockwise seen from above

@@ -80,7 +80,7 @@ Forces = Callable[[State, Pair, Pair, Pair, Pair, float, Triple], Triple]
 
 
 def _make_forces(hull: Hull, thruster: ThrusterTruth, effects: Sequence[Effect]) -> Forces:
-    """All that pushes the boat: thrust, damping, what the effects add, and what is given from outside (N, N, N m)."""
+    """All forces on the boat: thrust, damping, those of the effects, and external ones (N, N, N m)."""
     c1, c2 = thruster.c1, thruster.c2
     d_u, d_uu, d_v, d_vv, d_r, d_rr = hull.d_u, hull.d_uu, hull.d_v, hull.d_vv, hull.d_r, hull.d_rr
     thrust_hooks = [e.thrust for e in effects if e.thrust is not None]

@@ -49,7 +49,7 @@ class Shaft:
         self.n = n
 
     def command(self, t: float, n_cmd: float) -> None:
-        """Take the command (-1..1, positive ahead) that was received at time ``t`` (s, never decreasing)."""
+        """Take the command (-1..1, positive forward) that was received at time ``t`` (s, never decreasing)."""
         ref = 0.0 if abs(n_cmd) < self._truth.dead_zone else max(-1.0, min(1.0, n_cmd))
         self._pending.append((t + self._truth.delay, ref))
 
@@ -97,5 +97,5 @@ class Inflow:
 
 
 def thrust(truth: ThrusterTruth, n: float) -> float:
-    """Force (N) of a thruster at rest in still water (thesis, section 4.2)."""
+    """Force (N) of a thruster at rest without current (thesis, section 4.2)."""
     return truth.c1 * n * abs(n) + truth.c2 * n * n

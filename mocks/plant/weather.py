@@ -36,7 +36,7 @@ class Weather:
 
 
 class Sea:
-    """Long-crested waves as a sum of sines; encounter frequency and wavelength are not told apart.
+    """Long-crested waves as a sum of sines; encounter frequency and wavelength are not distinguished.
 
     Sway and yaw follow the slope of the surface, a quarter of a period off the surge.
     """

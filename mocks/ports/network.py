@@ -27,7 +27,7 @@ class NetPort:
         self._peer: Any = None
         self._backlog = bytearray()
         if self._where[0] != "localhost" and not ipaddress.ip_address(self._where[0]).is_loopback:
-            raise SeatrialError(f"{port}: a mock speaks on loopback only; give the rig an address such as 127.0.0.1")
+            raise SeatrialError(f"{port}: a mock serves loopback only; give the rig an address such as 127.0.0.1")
         self.plug()
 
     @property

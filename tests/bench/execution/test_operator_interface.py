@@ -20,7 +20,7 @@ from bench.execution.operator_interface import (
     make_display,
 )
 
-VIEW = MissionStatus("steps ahead", 12.0, 70.0, (0.3,), (1350.0,), force=3.62)
+VIEW = MissionStatus("steps forward", 12.0, 70.0, (0.3,), (1350.0,), force=3.62)
 
 
 def test_the_values_are_command_rpm_force_and_the_guard() -> None:
@@ -36,7 +36,7 @@ def test_plain_lines_come_with_segments_not_with_every_status(capsys: pytest.Cap
         display.show(MissionStatus("rest", 30.0, 70.0, (0.0,), (0.0,)))
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 2
-    assert "12.0/70 s  steps ahead" in lines[0]
+    assert "12.0/70 s  steps forward" in lines[0]
     assert "30.0/70 s  rest" in lines[1]
 
 
@@ -47,7 +47,7 @@ def test_live_display_draws_the_view_and_keeps_what_is_said() -> None:
         display.show(VIEW)
         display.say("tare: [zero]")
     text = out.getvalue()
-    assert "steps ahead" in text
+    assert "steps forward" in text
     assert "12.0/70 s" in text
     assert "force   +3.6 N" in text
     assert "tare: [zero]" in text

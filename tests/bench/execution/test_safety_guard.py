@@ -176,8 +176,8 @@ def test_a_silent_controller_on_a_busy_bus_stops(guard: SafetyGuard) -> None:
     latest = {**now.latest, ("esc", 1): Latest(GOOD["esc", 1], now.t - 1.1)}
     said = reason(guard, replace(now, latest=latest))
     assert said == "thruster left (node 1 on esc) is silent for 1.1 s"
-    assert not guard.thrusters_heard(replace(now, latest=latest))
-    assert guard.thrusters_heard(now)
+    assert not guard.thrusters_answer(replace(now, latest=latest))
+    assert guard.thrusters_answer(now)
 
 
 def test_a_log_that_does_not_grow_stops(guard: SafetyGuard) -> None:

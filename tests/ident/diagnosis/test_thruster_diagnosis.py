@@ -184,5 +184,8 @@ def test_the_command_finds_what_a_bench_hides(tmp_path: Path) -> None:
     assert {(f["force"], f["unit"]) for f in result["residual_forces"]} == {("F", "N"), ("n_dot", "1/s")}
     assert {i["name"] for i in result["inputs"]} == {"n_cmd"}
     assert result["horizon_seconds"] == 1.0
+    assert [e["name"] for e in result["effects"]] == ["recirculation"]
+    free_run = result["errors"]["validation"]["free_run"]["force"]
+    assert free_run["after"] < 0.9 * free_run["before"]
     assert set(result["calibration"]["validation"]["horizon"]) == {"n", "force"}
     assert 'effects = ["disturbance", "recirculation"]' in (out / "model.toml").read_text()

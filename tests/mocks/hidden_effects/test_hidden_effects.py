@@ -246,7 +246,7 @@ def test_the_inertial_sensors_err_as_they_say() -> None:
         assert error == pytest.approx(effect.parameters["k"] * moved, rel=0.2), name
     tilt = make_effect("accelerometer-tilt", 4)
     leaked = AhrsSensor(1, 0, 50.0, (tilt,)).read(m)
-    assert leaked.ax - true.ax == pytest.approx(9.81 * tilt.parameters["pitch"] * m.push, rel=0.2)
+    assert leaked.ax - true.ax == pytest.approx(9.81 * tilt.parameters["pitch"] * m.thrust, rel=0.2)
     assert leaked.ay - true.ay > 0.0
 
 
