@@ -50,7 +50,9 @@ def test_a_name_that_leaves_nothing_is_sure() -> None:
     assert found == EffectAttribution("wind", "identified")
 
 
-@pytest.mark.parametrize(("worth", "attribution"), [(MAX_REMAINING_CRITERION - 1, "identified"), (MAX_REMAINING_CRITERION + 1, "ambiguous")])
+@pytest.mark.parametrize(
+    ("worth", "attribution"), [(MAX_REMAINING_CRITERION - 1, "identified"), (MAX_REMAINING_CRITERION + 1, "ambiguous")]
+)
 def test_what_is_left_counts_beyond_a_little(worth: float, attribution: str) -> None:
     (found,) = of(one_round(refit("lever-arm", 500.0)), left=(score("N(u, r)", worth),))
     assert found.attribution == attribution
@@ -65,7 +67,9 @@ def test_a_little_is_a_share_of_what_was_explained() -> None:
     assert (strong.attribution, weak.attribution) == ("identified", "ambiguous")
 
 
-@pytest.mark.parametrize(("n_left", "attribution"), [(MAX_REMAINING_TESTS, "identified"), (MAX_REMAINING_TESTS + 1, "ambiguous")])
+@pytest.mark.parametrize(
+    ("n_left", "attribution"), [(MAX_REMAINING_TESTS, "identified"), (MAX_REMAINING_TESTS + 1, "ambiguous")]
+)
 def test_many_small_rests_are_a_rest(n_left: int, attribution: str) -> None:
     """A lag in the place of a delay: no test finds much, but a great many find something."""
     left = tuple(score(f"candidate-{k}", 3.0) for k in range(n_left))
@@ -114,8 +118,10 @@ def test_a_name_that_only_says_what_depends_on_what_keeps_with_another_shape() -
 
 def test_of_several_effects_one_may_do_the_work_of_all() -> None:
     """A centre of gravity ahead couples sway and yaw and resists turning: two names do as well as the right one."""
-    pair = (one_round(refit("sway-yaw", 670.0, rivals=("cg-offset", "cross-flow"))),
-            one_round(refit("turning-resistance", 80.0, rivals=("cg-offset",))))
+    pair = (
+        one_round(refit("sway-yaw", 670.0, rivals=("cg-offset", "cross-flow"))),
+        one_round(refit("turning-resistance", 80.0, rivals=("cg-offset",))),
+    )
     coupled, turning = of(*pair, left=(score("cross-flow", -1.0),))
     assert (coupled.attribution, turning.attribution) == ("ambiguous", "identified")
     (alone,) = of(pair[0], left=(score("cross-flow", -1.0),))
@@ -125,8 +131,9 @@ def test_of_several_effects_one_may_do_the_work_of_all() -> None:
 @pytest.mark.parametrize(("criterion", "attribution"), [(172.0, "ambiguous"), (800.0, "identified")])
 def test_a_small_rival_beside_a_strong_effect_may_be_that_ones_true_form(criterion: float, attribution: str) -> None:
     """The shaft's speed bends by a power of the command that is not ours: at the top that looks like a small limit."""
-    curve, limit = of(one_round(refit("speed-curve", 4357.0)),
-                      one_round(refit("speed-limit", criterion, rivals=("speed-curve",))))
+    curve, limit = of(
+        one_round(refit("speed-curve", 4357.0)), one_round(refit("speed-limit", criterion, rivals=("speed-curve",)))
+    )
     assert (curve.attribution, limit.attribution) == ("identified", attribution)
     if limit.reasons:
         assert limit.reasons == ("it may be no more than what speed curve has beyond its formula",)
@@ -134,11 +141,18 @@ def test_a_small_rival_beside_a_strong_effect_may_be_that_ones_true_form(criteri
     assert other.attribution == "identified"
 
 
-@pytest.mark.parametrize(("name", "said"), [
-    ("N(u, r)", "that N depends on u and r"), ("X(past of n_sum)", "that X follows n_sum"),
-    ("X(swing after n_sum)", "that X swings after n_sum"), ("psi(n_diff)", "that the error of psi depends on n_diff"),
-    ("F(t)", "that F depends on t"), ("n_dot(slip)", "that n_dot depends on slip"), ("lag", "lag"),
-])
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("N(u, r)", "that N depends on u and r"),
+        ("X(past of n_sum)", "that X follows n_sum"),
+        ("X(swing after n_sum)", "that X swings after n_sum"),
+        ("psi(n_diff)", "that the error of psi depends on n_diff"),
+        ("F(t)", "that F depends on t"),
+        ("n_dot(slip)", "that n_dot depends on slip"),
+        ("lag", "lag"),
+    ],
+)
 def test_what_is_left_is_said_in_words(name: str, said: str) -> None:
     (found,) = of(one_round(refit("lever-arm", 500.0)), left=(score(name, MAX_REMAINING_CRITERION + 1),))
     assert found.reasons[0].startswith(f"with it the tests still find {said}, worth ")
@@ -146,14 +160,19 @@ def test_what_is_left_is_said_in_words(name: str, said: str) -> None:
 
 def test_two_effects_of_which_nothing_is_left_are_both_sure() -> None:
     assert [j.attribution for j in of(one_round(refit("lever-arm", 9000.0)), one_round(refit("yaw-bias", 120.0)))] == [
-        "identified", "identified"]
+        "identified",
+        "identified",
+    ]
 
 
 def test_a_doubt_stands_under_the_answer(tmp_path: Path) -> None:
     result = diagnosis()
     result["caveat"] = "The name is not sure: a lag explains nearly as much."
-    result["effects"][0] |= {"attribution": "ambiguous", "reasons": ["a lag explains nearly as much"],
-                             "not_excluded": ["lag"]}
+    result["effects"][0] |= {
+        "attribution": "ambiguous",
+        "reasons": ["a lag explains nearly as much"],
+        "not_excluded": ["lag"],
+    }
     write_report(loaded(result), tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count("The name is not sure: a lag explains nearly as much.") == 1
@@ -166,30 +185,41 @@ def test_a_doubt_stands_under_the_answer(tmp_path: Path) -> None:
 HUMP = (Parameter("A", 0.0, "N", "height of the hump"), Parameter("w", 0.2, "m/s", "its width"))
 
 
-@pytest.mark.parametrize(("height", "width", "flags", "reason"), [
-    (6.0, 0.13, (), None),
-    (-6.0, 0.13, (), None),
-    (6.0, 1.0, (("w", AT_BOUND),), "its parameter w (its width) is at its bound, 1 m/s"),
-    (6.0, 0.13, (("d_u", AT_BOUND), ("w", "half of what is known of it is its prior")), None),
-    (-3.1, 0.37, (), "the data do not tell its size: A = -3.1 ± 1 N"),
-])
+@pytest.mark.parametrize(
+    ("height", "width", "flags", "reason"),
+    [
+        (6.0, 0.13, (), None),
+        (-6.0, 0.13, (), None),
+        (6.0, 1.0, (("w", AT_BOUND),), "its parameter w (its width) is at its bound, 1 m/s"),
+        (6.0, 0.13, (("d_u", AT_BOUND), ("w", "half of what is known of it is its prior")), None),
+        (-3.1, 0.37, (), "the data do not tell its size: A = -3.1 ± 1 N"),
+    ],
+)
 def test_a_shape_that_was_bent_into_anothers_place_shows_it(
     height: float, width: float, flags: tuple[tuple[str, str], ...], reason: str | None
 ) -> None:
     """A hump in the place of another resistance: as wide as it may be, or of any height."""
-    fit = SimpleNamespace(names=("d_u", "A", "w"), values=np.array([9.0, height, width]),
-                          errors=np.array([0.1, 1.0, 0.05]), covariance=np.diag([0.01, 1.0, 0.0025]), flags=flags)
+    fit = SimpleNamespace(
+        names=("d_u", "A", "w"),
+        values=np.array([9.0, height, width]),
+        errors=np.array([0.1, 1.0, 0.05]),
+        covariance=np.diag([0.01, 1.0, 0.0025]),
+        flags=flags,
+    )
     (found,) = of(one_round(refit("hump", 800.0, fit=fit, parameters=HUMP)))
     assert found.attribution == ("ambiguous" if reason else "identified")
     assert found.reasons == ((reason,) if reason else ())
 
 
-@pytest.mark.parametrize(("sizes", "errors", "correlation", "attribution"), [
-    ((9.0, 0.1), (1.0, 1.0), 0.0, "identified"),  # of a wind the part across may be nothing
-    ((0.5, 0.1), (1.0, 1.0), 0.0, "ambiguous"),
-    ((0.5, 9.0), (1.0, np.nan), 0.0, "ambiguous"),  # one without a standard error says nothing
-    ((0.5, -0.5), (1.0, 1.0), 0.999, "identified"),  # their sum is not told, but their difference is
-])
+@pytest.mark.parametrize(
+    ("sizes", "errors", "correlation", "attribution"),
+    [
+        ((9.0, 0.1), (1.0, 1.0), 0.0, "identified"),  # of a wind the part across may be nothing
+        ((0.5, 0.1), (1.0, 1.0), 0.0, "ambiguous"),
+        ((0.5, 9.0), (1.0, np.nan), 0.0, "ambiguous"),  # one without a standard error says nothing
+        ((0.5, -0.5), (1.0, 1.0), 0.999, "identified"),  # their sum is not told, but their difference is
+    ],
+)
 def test_sizes_are_told_together(
     sizes: tuple[float, float], errors: tuple[float, float], correlation: float, attribution: str
 ) -> None:
