@@ -22,6 +22,7 @@ from ident.model import (
     Residual,
     Signals,
     State,
+    ThrusterPair,
     Variable,
     curve_name,
 )
@@ -188,10 +189,10 @@ def input_response_effects(model: Model) -> list[Effect]:
     forces = {r.name: r for r in residuals_of(model)}
     found = []
     for variable in variables_of(model):
-        letter, _, kind = variable.name.partition("_")
-        force = forces.get({"sum": "X", "diff": "N"}.get(kind, ""))
-        if letter in ("n", "f") and force is not None:
-            drive = _thrust(letter, kind == "diff")
+        pair = variable.pair
+        force = forces.get("N" if pair.difference else "X") if pair is not None else None
+        if pair is not None and force is not None:
+            drive = _thrust(pair)
             for effect in (
                 lagged_response(force, variable.name, drive),
                 resonant_response(force, variable.name, drive),
@@ -201,14 +202,14 @@ def input_response_effects(model: Model) -> list[Effect]:
     return found
 
 
-def _thrust(letter: str, difference: bool) -> Signal:
+def _thrust(pair: ThrusterPair) -> Signal:
     """Mean or half difference of the thrusts relative to full thrust; thrust is quadratic in shaft speed."""
 
     def read(s: Signals) -> Any:
-        left, right = (getattr(s.u, f"{letter}_{side}") for side in ("left", "right"))
-        if letter == "n":
+        left, right = (getattr(s.u, f"{pair.quantity}_{side}") for side in ("left", "right"))
+        if pair.quantity == "n":
             left, right = left * abs(left), right * abs(right)
-        return (left - right if difference else left + right) / (2 if letter == "n" else 2 * FULL)
+        return (left - right if pair.difference else left + right) / (2 if pair.quantity == "n" else 2 * FULL)
 
     return read
 

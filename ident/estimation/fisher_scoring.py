@@ -77,7 +77,7 @@ class Optimum:
 
 
 Evaluate = Callable[[Array], Evaluation]
-Progress = Callable[[int, float], None]
+Iterations = Callable[[int, float], None]  # is told each iteration's number and objective
 
 
 @dataclass
@@ -162,7 +162,7 @@ def remaining_gain(at: Evaluation, H: Array, z: Array, bounds: Bounds) -> float:
 
 
 def maximise(evaluate: Evaluate, z: Array, bounds: Bounds, *, max_iterations: int, tolerance: float,
-             progress: Progress | None = None) -> Optimum:
+             progress: Iterations | None = None) -> Optimum:
     """From ``z`` until a full step is expected to gain less than ``tolerance``, or no step gains anything.
 
     ``evaluate(z)`` must be finite at the start.

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ident.data import Record
-from ident.estimation.fisher_scoring import Optimum, maximise, refine_lbfgsb
+from ident.estimation.fisher_scoring import Iterations, Optimum, maximise, refine_lbfgsb
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.objective import Problem
 from ident.estimation.options import EstimationOptions, SearchSettings
@@ -28,7 +28,6 @@ from ident.model import with_outlier_model as with_outliers
 from ident.numerics import Array
 
 CLOSE_ENOUGH = 1e-2  # what may be left to gain where no step gains more
-Progress = Callable[[int, float], None]
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ def fit(
     settings: SearchSettings | None = None,
     *,
     start: Mapping[str, float] | None = None,
-    progress: Progress | None = None,
+    progress: Iterations | None = None,
 ) -> Fit:
     """Maximum likelihood (or maximum a posteriori) estimate of the free parameters of a model.
 
@@ -191,7 +190,7 @@ def _estimable(model: Model, options: EstimationOptions) -> tuple[str, ...]:
     return tuple(n for n in model.free if n not in ignored)
 
 
-def _search(problem: Problem, settings: SearchSettings, progress: Progress | None) -> Optimum:
+def _search(problem: Problem, settings: SearchSettings, progress: Iterations | None) -> Optimum:
     tolerance, max_iterations = settings.tolerance, settings.max_iterations
     z = problem.bounds.clip(problem.start)
     if not problem.evaluate(z).finite:

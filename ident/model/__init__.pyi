@@ -23,6 +23,7 @@ from .structure import Sensor as Sensor
 from .structure import Signals as Signals
 from .structure import StartGrid as StartGrid
 from .structure import State as State
+from .structure import ThrusterPair as ThrusterPair
 from .structure import Variable as Variable
 from .structure import curve_name as curve_name
 from .structure import plain_model as plain_model

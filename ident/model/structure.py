@@ -243,6 +243,14 @@ class Residual:
 
 
 @dataclass(frozen=True)
+class ThrusterPair:
+    """Shaft speeds (``n``) or thrusts (``f``) of two thrusters, their mean or their difference."""
+
+    quantity: Literal["n", "f"]
+    difference: bool
+
+
+@dataclass(frozen=True)
 class Variable:
     """What a residual may depend on, read from the signals of a row. ``angle``: wrapped, and described by harmonics;
     ``functions``: how many splines describe it else."""
@@ -252,6 +260,7 @@ class Variable:
     read: Callable[[Signals], Any]
     angle: bool = False
     functions: int = 6
+    pair: ThrusterPair | None = None  # of two thrusters: what a force may follow late
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import Effect, EffectKind, Model, Parameter, ParameterRole, Residual, Signals, State, Variable
+from ident.model import (
+    Effect,
+    EffectKind,
+    Model,
+    Parameter,
+    ParameterRole,
+    Residual,
+    Signals,
+    State,
+    ThrusterPair,
+    Variable,
+)
 
 # stationary standard deviations of the unexplained forces [N, N, N m], and the units of their diffusions
 SIZES = {"X": (1.0, "N/sqrt(s)"), "Y": (1.0, "N/sqrt(s)"), "N": (0.15, "N m/sqrt(s)")}
@@ -71,16 +82,16 @@ MOTION = (
 )
 
 
-def _pair(letter: str, difference: bool) -> Callable[[Signals], Any]:
+def _of_pair(name: str, unit: str, pair: ThrusterPair) -> Variable:
     def read(s: Signals) -> Any:
-        left, right = getattr(s.u, f"{letter}_left"), getattr(s.u, f"{letter}_right")
-        return left - right if difference else (left + right) / 2
+        left, right = getattr(s.u, f"{pair.quantity}_left"), getattr(s.u, f"{pair.quantity}_right")
+        return left - right if pair.difference else (left + right) / 2
 
-    return read
+    return Variable(name, unit, read, pair=pair)
 
 
-SHAFTS = (Variable("n_sum", "", _pair("n", False)), Variable("n_diff", "", _pair("n", True)))
-THRUSTS = (Variable("f_sum", "N", _pair("f", False)), Variable("f_diff", "N", _pair("f", True)))
+SHAFTS = (_of_pair("n_sum", "", ThrusterPair("n", False)), _of_pair("n_diff", "", ThrusterPair("n", True)))
+THRUSTS = (_of_pair("f_sum", "N", ThrusterPair("f", False)), _of_pair("f_diff", "N", ThrusterPair("f", True)))
 PRODUCTS = (("u", "r"), ("u", "v"), ("v", "r"))
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import msgspec
 
 from ident.estimation import FittedModel, HomogeneityTest, Profile
+from ident.models import residuals_of
 from ident.results.answers import calibration_notes, estimation_warnings, sentence, thruster_answer, vehicle_answer
 from ident.results.parts import Provenance, StaticForce, ThrusterResult, VehicleResult
 from ident.results.tables import (
@@ -37,7 +38,7 @@ def vehicle_result(
     """``start``: values that the search began with; ``notes``: that come first."""
     errors, calibration = error_tables(evaluation), calibration_tables(evaluation)
     residuals, cross = residual_rows(evaluation), cross_correlations(evaluation)
-    searchable = "hull" in evaluation.model.provides
+    searchable = bool(residuals_of(evaluation.model))
     said = vehicle_answer(errors, evaluation.horizon, residuals, cross, searchable=searchable)
     return VehicleResult(
         **msgspec.structs.asdict(made),
