@@ -1,7 +1,4 @@
-"""Commands of ident: noise, thruster, vehicle, diagnose, navigate, export, study.
-
-The command `seatrial mission design`: it belongs to bench's group, but needs ident; seatrial.py puts it there.
-Commands of ident that use a fitted model: navigate, export, information.
+"""Commands of ``seatrial ident``, and ``seatrial mission design``, which seatrial.py adds to the group of bench.
 """
 
 from __future__ import annotations
@@ -20,9 +17,9 @@ from ident.cli.options import (
     LOG,
     Lines,
     LiveLine,
-    ahead_option,
     command_line,
     estimation_of,
+    horizon_option,
     known,
     mean_order_option,
     names,
@@ -39,10 +36,10 @@ from ident.cli.options import (
 
 @click.group()
 def ident() -> None:
-    """Fit models to logs, and find what they lack."""
+    """Identify models from logs, and find effects that they lack."""
 
 
-@ident.command(short_help="Fit shaft response and thrust curve to logs of the bench.")
+@ident.command(short_help="Fit shaft dynamics and thrust curve to bench logs.")
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option("--thruster", "name", help="The thruster's name in the rig file, where the log has several.")
 @click.option(
@@ -53,14 +50,14 @@ def ident() -> None:
     help="Seconds left out after each change of command, where only force and command were logged.",
 )
 @click.option("--profile", "profiles", multiple=True, metavar="NAME", help="Profile likelihood of this parameter.")
-@ahead_option
+@horizon_option
 @robust_option
 @reml_option()
 @out_option("thruster")
 def thruster(logs: tuple[Path, ...], out: Path, **how: Any) -> None:
-    """Fit shaft response and thrust curve to bench LOGS of one thruster.
+    """Fit shaft dynamics and thrust curve to bench LOGS of one thruster.
 
-    A log of force and command without shaft speed gives the static curve alone, as a table.
+    A log of force and command without shaft speed gives only the static thrust curve, as a table.
 
     \b
     Example:
@@ -72,32 +69,35 @@ def thruster(logs: tuple[Path, ...], out: Path, **how: Any) -> None:
     run(lambda reporter: characterise(request, command_line(), reporter), out)
 
 
-def _stretches(_context: click.Context, _parameter: click.Parameter, given: Sequence[str]) -> list[tuple[float, float]]:
-    return [_stretch(text) for text in given]
+def _intervals(_context: click.Context, _parameter: click.Parameter, given: Sequence[str]) -> list[tuple[float, float]]:
+    return [_interval(text) for text in given]
 
 
-@click.command(short_help="Where the boat was, and how sure that is, by a fitted model.")
+@click.command(short_help="Estimate position, speeds and current with a fitted model.")
 @click.argument("model", type=LOG)
 @click.argument("logs", nargs=-1, required=True, type=LOG)
-@click.option("--smooth/--filter", "smoothed", default=True, show_default=True, help="By all samples, or those so far.")
+@click.option(
+    "--smooth/--filter", "smoothed", default=True, show_default=True,
+    help="Smoothed (all samples) or filtered (samples so far).",
+)
 @click.option(
     "--gnss-outage",
     "gnss_outages",
     multiple=True,
-    callback=_stretches,
+    callback=_intervals,
     metavar="T0:T1",
-    help="Do as if there were no GNSS in this stretch [s]; may be repeated.",
+    help="Withhold GNSS in this interval [s of the log]; may be repeated.",
 )
-@click.option("--from", "t_from", type=click.FloatRange(0.0), help="Begin here [s of the log].")
-@click.option("--to", "t_to", type=click.FloatRange(0.0), help="End here [s of the log].")
+@click.option("--from", "t_from", type=click.FloatRange(0.0), help="Start [s of the log].")
+@click.option("--to", "t_to", type=click.FloatRange(0.0), help="End [s of the log].")
 @click.option("--thruster", type=LOG, help="The static curve from command to thrust that the model was fitted with.")
 @rate_option
 @out_option("navigation")
 def navigate(model: Path, logs: tuple[Path, ...], out: Path, **how: Any) -> None:
-    """Position, heading, speeds, current and unexplained forces along LOGS, with how sure they are, by a fitted MODEL.
+    """Estimate position, heading, speeds, current and disturbance forces along LOGS with a fitted MODEL.
 
-    GNSS outages are found, and said how far off the position may be at their end. LOGS should not be those that MODEL
-    was fitted to.
+    GNSS outages are listed with the 95 % radius of the position at their end. LOGS should not be those that MODEL was
+    fitted to.
 
     \b
     Example:
@@ -114,17 +114,20 @@ ident.add_command(navigate)
 
 @click.command(short_help="Write a fitted model for Python, CasADi, C or ROS 2.")
 @click.argument("model", type=LOG)
-@click.option("--to", "target", type=click.Choice(("python", "casadi", "c", "ros2")), required=True, help="For what.")
+@click.option(
+    "--to", "target", type=click.Choice(("python", "casadi", "c", "ros2")), required=True,
+    help="Target language or format.",
+)
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="File to write; else the screen.")
-@click.option("--name", help="Prefix of the functions, or name of the node, in place of the model's own name.")
+@click.option("--name", help="Prefix of the functions, or name of the node; default: name of the model.")
 @click.option(
     "--with-disturbance-states",
     "with_nuisance",
     is_flag=True,
-    help="Keep unexplained forces and sensor offsets as states.",
+    help="Keep disturbance forces and sensor biases as states.",
 )
 def export(model: Path, target: str, output: Path | None, name: str | None, with_nuisance: bool) -> None:
-    """Write the fitted MODEL for other programs: equations, parameters, noise, names and units.
+    """Export the fitted MODEL for other programs: equations, parameters, noise, names and units.
 
     \b
     Example:
@@ -147,16 +150,18 @@ def export(model: Path, target: str, output: Path | None, name: str | None, with
 ident.add_command(export)
 
 
-@click.command(short_help="Which stretches of logs tell of which parameter.")
+@click.command(short_help="Fisher information per log segment and parameter.")
 @click.argument("model", type=LOG)
 @click.argument("logs", nargs=-1, required=True, type=LOG)
-@click.option("--seconds", type=click.FloatRange(2.0), default=30.0, show_default=True, help="Length of a stretch.")
+@click.option("--seconds", type=click.FloatRange(2.0), default=30.0, show_default=True, help="Length of a segment.")
 @click.option("--parameters", "chosen", metavar="NAMES", callback=names, help="Only these parameters, d_v,m_v.")
 @click.option("--thruster", type=LOG, help="The static curve from command to thrust that the model was fitted with.")
 @rate_option
 @out_option("information")
 def information(model: Path, logs: tuple[Path, ...], out: Path, **how: Any) -> None:
-    """Which stretches of LOGS tell of which parameter of a fitted MODEL, and what none of them tells.
+    """Fisher information of each segment of LOGS about each parameter of a fitted MODEL.
+
+    Shows which segment a parameter depends on, and which parameters the logs do not inform.
 
     \b
     Example:
@@ -187,14 +192,14 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     run(lambda reporter: noise.noise(logs, out, signals=signals, command=command_line(), reporter=reporter), out)
 
 
-@ident.command(short_help="Fit a model of the boat to logs and judge it on others.")
+@ident.command(short_help="Fit a model of the boat to logs and validate it on others.")
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option(
     "--model",
     default="auto",
     show_default=True,
     help="horizontal:shaft, horizontal:force, horizontal:general (each also with :no-current, or "
-    ":random-walk-current for one that wanders), "
+    ":random-walk-current), "
     "kinematic:shaft|force (measured attitude; :yaw with the yaw equation, and the same two for the current), "
     "surge:force|shaft:position|speed|both, yaw:rate|both, or FILE.py:NAME for your own.",
 )
@@ -202,22 +207,24 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     "--thruster", type=LOG, help="model.toml of the bench: c1 and c2, or the static curve from command to thrust."
 )
 @click.option(
-    "--fix", "fixed", multiple=True, callback=known, help="NAME=VALUE: a parameter that is known; may be repeated."
+    "--fix", "fixed", multiple=True, callback=known, help="NAME=VALUE: fix a known parameter; may be repeated."
 )
-@click.option("--initial", multiple=True, callback=known, help="NAME=VALUE: where the estimate starts.")
+@click.option(
+    "--initial", multiple=True, callback=known, help="NAME=VALUE: initial value of a parameter; may be repeated.",
+)
 @click.option(
     "--prior",
     "priors",
     multiple=True,
     callback=priors,
-    help="NAME=MEAN:SD: what is known of a parameter before, in this fit; may be repeated.",
+    help="NAME=MEAN:SD: prior of a parameter (mean, standard deviation); may be repeated.",
 )
 @click.option(
     "--test-homogeneity",
     "homogeneity",
     multiple=True,
     metavar="NAME",
-    help="Test whether the logs agree on this parameter.",
+    help="Likelihood-ratio test: do the logs agree on this parameter?",
 )
 @click.option("--profile", "profiles", multiple=True, metavar="NAME", help="Profile likelihood of this parameter.")
 @click.option(
@@ -225,7 +232,7 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     "effects",
     multiple=True,
     metavar="EFFECT",
-    help="Add an effect of the catalogue, its parameters free (lever-arm, mount, ...); may be repeated.",
+    help="Add an effect of the catalogue with free parameters (lever-arm, mount, ...); may be repeated.",
 )
 @robust_option
 @reml_option()
@@ -233,14 +240,14 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
 @click.option(
     "--keep-thruster-sides",
     is_flag=True,
-    help="Do not swap the sides of the thrusters where the data say they are.",
+    help="Do not swap left and right thrusters where the data say that they are swapped.",
 )
 @validate_option
-@ahead_option
+@horizon_option
 @rate_option
 @out_option("vehicle")
 def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how: Any) -> None:
-    """Fit a model of the boat to LOGS and judge it on others.
+    """Fit a model of the boat to LOGS and validate it on others.
 
     \b
     Example:
@@ -252,13 +259,15 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how
     run(lambda reporter: vehicle(request, command_line(), reporter), out)
 
 
-@ident.command(short_help="Find what a model lacks, add it, and show before and after.")
+@ident.command(short_help="Find effects that a model lacks; errors before and after.")
 @click.argument("model", type=LOG)
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @validate_option
-@ahead_option
-@click.option("--effects", "effects_file", type=LOG, help="FILE.py with EFFECT or EFFECTS: candidates of your own.")
-@click.option("--max-effects", type=click.IntRange(1, 6), default=3, show_default=True, help="Stop after so many.")
+@horizon_option
+@click.option("--effects", "effects_file", type=LOG, help="FILE.py with EFFECT or EFFECTS: user-defined candidates.")
+@click.option(
+    "--max-effects", type=click.IntRange(1, 6), default=3, show_default=True, help="Largest number of effects to add.",
+)
 @click.option(
     "--thruster",
     metavar="CURVE|NAME",
@@ -269,13 +278,13 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how
 @click.option(
     "--rate",
     type=click.FloatRange(1.0, 200.0),
-    help="Faster sensors are averaged to this many rows a second.  [default: 10, on the bench 50]",
+    help="Rows per second; faster sensors are averaged.  [default: 10, on the bench 50]",
 )
 @out_option("diagnosis")
 def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how: Any) -> None:
-    """Find what MODEL lacks to explain LOGS, add it, and show the error before and after.
+    """Find effects that MODEL lacks to explain LOGS, add them, and compare prediction errors before and after.
 
-    MODEL is a boat's, or a thruster's with logs from the bench.
+    MODEL is a boat's, or a thruster's with bench logs.
 
     \b
     Example:
@@ -291,26 +300,31 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
 
 @ident.command(short_help="Monte Carlo of the estimator: bias, variance, coverage.")
 @click.argument("models", metavar="MODEL...", nargs=-1, required=True)
-@click.option("--replicates", type=click.IntRange(3), default=100, show_default=True, help="Missions to simulate.")
+@click.option(
+    "--replicates", type=click.IntRange(3), default=100, show_default=True, help="Number of simulated missions.",
+)
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True)
 @click.option("--jobs", type=int, default=-1, callback=processes, help="Processes.  [default: one a core, -1]")
-@click.option("--method", type=click.Choice(("pe", "oe")), default="pe", show_default=True, help="The estimator.")
-@click.option("--truth", multiple=True, callback=known, help="NAME=VALUE: another true value; may be repeated.")
+@click.option(
+    "--method", type=click.Choice(("pe", "oe")), default="pe", show_default=True,
+    help="Prediction error or output error.",
+)
+@click.option("--truth", multiple=True, callback=known, help="NAME=VALUE: true value of a parameter; may be repeated.")
 @click.option("--free", multiple=True, metavar="NAME", help="Estimate only this parameter; may be repeated.")
-@click.option("--seconds", type=click.FloatRange(10.0), help="Length of the mission.")
-@click.option("--unbounded", is_flag=True, help="Let damping be estimated below zero.")
+@click.option("--seconds", type=click.FloatRange(10.0), help="Length of the mission [s].")
+@click.option("--unbounded", is_flag=True, help="Damping may be estimated below zero.")
 @reml_option(None)
 @mean_order_option(None)
-@click.option("--docs", type=FILE, help="Write the page of tables as this file, too, its pictures beside it.")
+@click.option("--docs", type=FILE, help="Also write the page of tables to this file, with its pictures.")
 @out_option("study")
 def study(
     models: tuple[str, ...], method: str, unbounded: bool, docs: Path | None, out: Path, **how: Any
 ) -> None:
     """Monte Carlo of the estimator on simulated missions of MODELs: surge, yaw, horizontal, kinematic, thruster,
-    noise, designed; a fitted model.toml; or FILE.py:NAME, a Case of your own.
+    noise, designed; a fitted model.toml; or FILE.py:NAME, a user-defined Case.
 
-    Bias, variance and coverage of the intervals. The estimator is that of the commands, or what made the model.toml,
-    unless told otherwise. What was interrupted goes on where it was.
+    Reports bias, variance and coverage of the intervals. The estimator is that of the commands, or of the model.toml,
+    unless an option changes it. An interrupted study continues.
 
     \b
     Example:
@@ -345,43 +359,46 @@ def _area(_context: click.Context, _parameter: click.Parameter, given: str | Non
 
 
 @click.command(
-    short_help="Design the mission that tells most about a model.",
+    short_help="Design the most informative mission for a model.",
     epilog="Example: seatrial mission design vehicle/model.toml --duration 600 --criterion Ds --parameters d_v,m_v "
     "--area 60x60 --out mission.toml",
 )
 @click.argument("source", metavar="MODEL")
-@click.option("--duration", type=click.FloatRange(10.0, 7200.0), default=600.0, show_default=True, help="Seconds.")
-@click.option("--steps", type=click.IntRange(2, 1000), help="How many steps [default: one in 5 s].")
-@click.option("--min-step", type=click.FloatRange(0.2), default=1.0, show_default=True, help="Shortest step, s.")
+@click.option(
+    "--duration", type=click.FloatRange(10.0, 7200.0), default=600.0, show_default=True,
+    help="Length of the mission [s].",
+)
+@click.option("--steps", type=click.IntRange(2, 1000), help="Number of steps [default: one per 5 s].")
+@click.option("--min-step", type=click.FloatRange(0.2), default=1.0, show_default=True, help="Shortest step [s].")
 @click.option(
     "--criterion",
     type=click.Choice(("D", "A", "E", "Ds")),
     default="D",
     show_default=True,
-    help="Volume, mean variance, or worst direction of the errors; Ds: D of those of --parameters.",
+    help="Determinant, mean variance, or largest variance of the errors; Ds: D of --parameters.",
 )
 @click.option(
-    "--parameters", "chosen", metavar="NAMES", callback=names, help="Parameters to learn, d_v,m_v [default: all]."
+    "--parameters", "chosen", metavar="NAMES", callback=names, help="Parameters to estimate, d_v,m_v [default: all]."
 )
-@click.option("--area", metavar="NxE", callback=_area, help="Metres north by east that the whole track must fit into.")
-@click.option("--max-speed", type=click.FloatRange(0, min_open=True), help="Through the water, m/s.")
+@click.option("--area", metavar="NxE", callback=_area, help="Area for the whole track, north by east [m].")
+@click.option("--max-speed", type=click.FloatRange(0, min_open=True), help="Largest speed through the water [m/s].")
 @click.option("--energy", type=click.FloatRange(0, 1, min_open=True), help="Largest mean of |n|^3, 1: full power.")
 @click.option(
     "--current",
     type=click.FloatRange(0, 2.0),
     default=0.0,
     show_default=True,
-    help="Largest current, m/s, that the track is to be reckoned with, from anywhere.",
+    help="Largest current [m/s], from any direction, that the track must allow for.",
 )
 @click.option("--n-max", type=click.FloatRange(0, 1, min_open=True), default=1.0, show_default=True)
-@click.option("--slew", type=click.FloatRange(0, min_open=True), help="Largest change of a command, 1/s.")
+@click.option("--slew", type=click.FloatRange(0, min_open=True), help="Slew limit of a command [1/s].")
 @click.option(
     "--rate",
     "rates",
     multiple=True,
     callback=known,
     metavar="SENSOR=HZ",
-    help="A sensor's rate, position=1 [default: 10 each]; may be repeated.",
+    help="Rate of a sensor, position=1 [default: 10 each]; may be repeated.",
 )
 @click.option(
     "--average-over",
@@ -389,7 +406,7 @@ def _area(_context: click.Context, _parameter: click.Parameter, given: str | Non
     type=click.IntRange(0, 256),
     default=0,
     show_default=True,
-    help="Average the criterion over so many samples of the parameters.",
+    help="Robust design: average the criterion over this number of parameter samples.",
 )
 @click.option(
     "--prior-halfwidth",
@@ -397,7 +414,7 @@ def _area(_context: click.Context, _parameter: click.Parameter, given: str | Non
     type=click.FloatRange(0, 0.9),
     default=0.25,
     show_default=True,
-    help="Relative half-width of what is believed of the parameters, where MODEL is no model.toml.",
+    help="Relative half-width of the prior of the parameters, where MODEL is not a model.toml.",
 )
 @click.option(
     "--information",
@@ -405,17 +422,22 @@ def _area(_context: click.Context, _parameter: click.Parameter, given: str | Non
     type=click.Choice(("pe", "oe")),
     default="pe",
     show_default=True,
-    help="Information of prediction error, or of output error as in the thesis.",
+    help="Fisher information of prediction error, or of output error as in the thesis.",
 )
 @click.option(
     "--discriminate",
     "between",
     metavar="EFFECTS",
     callback=names,
-    help="Two effects, delay,lag: the mission that tells them apart (T-optimal).",
+    help="Two effects, delay,lag: T-optimal mission that tells them apart.",
 )
-@click.option("--evaluations", type=click.IntRange(500), default=20_000, show_default=True, help="Work of the search.")
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Same seed, same mission.")
+@click.option(
+    "--evaluations", type=click.IntRange(500), default=20_000, show_default=True, help="Evaluations of the search.",
+)
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True,
+    help="Seed; the same seed gives the same mission.",
+)
 @click.option("--thrusters", metavar="NAMES", callback=names, help="Names in the rig, left,right by default.")
 @click.option(
     "-o",
@@ -438,9 +460,9 @@ def design(
     between: tuple[str, ...],
     **rest: Any,
 ) -> None:
-    """Design the mission that tells most about MODEL: a model.toml, horizontal, surge:shaft, FILE.py:NAME.
+    """Design the most informative mission for MODEL: a model.toml, horizontal, surge:shaft, FILE.py:NAME.
 
-    A model.toml brings what it knows already, so the mission is the best one to come next. `seatrial mission show`
+    The standard errors of a model.toml are the prior, so the mission is the best next one. `seatrial mission show`
     draws it, `seatrial mission run` runs it.
     """
     if between and len(between) != 2:
@@ -476,7 +498,7 @@ def _work(work: Any) -> Any:
         return work(LiveLine(console, status))
 
 
-def _stretch(text: str) -> tuple[float, float]:
+def _interval(text: str) -> tuple[float, float]:
     """``60:90`` -> (60, 90) s."""
     first, _, last = text.partition(":")
     try:

@@ -1,4 +1,4 @@
-"""What the commands of ident share: options, and how work is shown."""
+"""Shared options of the ident commands, and the display of progress."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def priors(
 def validate_option(f: Callable[..., Any]) -> Callable[..., Any]:
     """``--validate``, any number of times."""
     return click.option(
-        "--validate", multiple=True, type=LOG, help="A log that the fit does not see; may be repeated."
+        "--validate", multiple=True, type=LOG, help="Validation log, not used by the fit; may be repeated."
     )(f)
 
 
@@ -88,46 +88,46 @@ def rate_option(f: Callable[..., Any]) -> Callable[..., Any]:
         type=click.FloatRange(1.0, 200.0),
         default=10.0,
         show_default=True,
-        help="Faster sensors are averaged to this many rows a second.",
+        help="Rows per second; faster sensors are averaged.",
     )(f)
 
 
-def ahead_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """``--horizon``; None where it is not given."""
+def horizon_option(f: Callable[..., Any]) -> Callable[..., Any]:
+    """``--horizon``; None: the default of the model."""
     return click.option(
         "--horizon",
         "horizon",
         type=click.FloatRange(0.02, 3600.0),
         metavar="SECONDS",
-        help="How far ahead predictions are judged, beside one step and the free run.  [default: 10, on the bench 1]",
+        help="Prediction horizon, beside one step and simulation.  [default: 10, on the bench 1]",
     )(f)
 
 
 def robust_option(f: Callable[..., Any]) -> Callable[..., Any]:
     """``--robust``."""
-    words = "Allow outliers in all sensors, and count them."
+    words = "Robust estimation: allow outliers in all sensors, and count them."
     return click.option("--robust", "outlier_model", is_flag=True, help=words)(f)
 
 
 def reml_option(default: bool | None = True) -> Callable[..., Any]:
-    """``--reml/--no-reml``; None: as what is studied was fitted."""
+    """``--reml/--no-reml``; None: as the studied model was fitted."""
     return click.option(
         "--reml/--no-reml",
         default=default,
         show_default=bool(default),
-        help="Estimate noise without the bias that fitted dynamics give it (REML).",
+        help="Restricted maximum likelihood for noise: without the bias by fitted dynamics.",
     )
 
 
 def mean_order_option(default: bool | None = True) -> Callable[..., Any]:
-    """``--second-order/--no-second-order``; None: as what is studied was fitted."""
+    """``--second-order/--no-second-order``; None: as the studied model was fitted."""
     return click.option(
         "--second-order/--no-second-order",
         "mean_order",
         default=default,
         callback=_order,
         show_default=bool(default),
-        help="Let the filter's mean go with the curvature of drag: less bias.",
+        help="Second-order EKF: the mean includes the curvature of drag, with less bias.",
     )
 
 
