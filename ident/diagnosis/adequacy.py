@@ -1,12 +1,10 @@
-"""Is the effect that was added the one that is missing, or only its nearest relative in the catalogue?
+"""Attribution: is a selected effect identified, or ambiguous with its alternatives? And the recommended experiment.
 
-An effect may improve a model a great deal and still be the wrong one: with the true one out of reach, its neighbour
-takes its place. What tells them apart is what is left: the right effect leaves nothing but the small difference
-between its true form and ours. So the tests are made once more after the last effect, and a name is given as sure
-only if what they find is small beside what the effects explain, no table was needed beside it, and no rival comes
-close. Otherwise the answer is that the effect resembles the missing one.
-
-After a diagnosis: which experiment would settle what is still open.
+An effect may improve a model a great deal and still be the wrong one: where the true effect is not in the catalogue, a
+competing one takes its place. The remaining residual distinguishes them: the right effect leaves only the small
+difference between its true form and that of the catalogue. So the score tests are repeated after the last effect, and
+an attribution is *identified* only if what they find is small compared with what the effects explain, no nonparametric
+curve was needed beside it, and no competing model comes close. Otherwise it is *ambiguous*.
 """
 
 from __future__ import annotations
@@ -22,26 +20,30 @@ from ident.estimation import AT_BOUND, Fit
 from ident.model import Effect, EffectKind, ModelKind
 from ident.models import READINGS
 
-# What may be left beside a right name: its true form is not exactly ours. In units of 2 ln L after paying for the
-# parameters, absolutely and of all that the effects explain (tests/recovery: leave-one-out against the full catalogue)
-LEFT, LEFT_SHARE = 20.0, 0.03
-MANY = 8  # tests that may still pass, however little each is worth: one small difference shows in a few of them
-CLOSE, CLOSE_SHARE = 10.0, 0.05  # a rival that is no further behind than this is not excluded
-TOLD = 4.0  # standard errors that an effect's size is from nothing; right names are farther even at half their size
-FORM = 0.1  # a rival worth less than this share of the effect it stands beside may be that one's true form
+# Largest criterion (2 ln L less the penalty of the parameters) that a score test may still find beside an identified
+# effect, whose true form is not exactly that of the catalogue: absolute, and as a share of what the effects explain
+# (tests/recovery: leave-one-out against the full catalogue)
+MAX_REMAINING_CRITERION, MAX_REMAINING_SHARE = 20.0, 0.03
+MAX_REMAINING_TESTS = 8  # tests that may still pass: a small difference of form shows in a few of them
+# a competing model is not excluded if its criterion is behind by less than this: absolute, and as a share
+MAX_DISTANCE, MAX_DISTANCE_SHARE = 10.0, 0.05
+MIN_SIGNIFICANCE = 4.0  # standard errors of an effect from zero; right effects exceed it even at half their size
+FORM_SHARE = 0.1  # a competing effect below this share of the other may be the difference of its form
 
 
 def assess_alternatives(
     rounds: Sequence[Round], left: Sequence[Score], n: int, untested: Collection[str] = ()
 ) -> tuple[EffectAttribution, ...]:
-    """One judgement for each effect that was added.
+    """Attribution of each selected effect.
 
-    left: what passes the tests after the last effect; n: rows of the estimation data; untested: effects of the
-    catalogue that could not take part, since the data lack an input of theirs.
+    Parameters:
+        left: scores that still pass after the last effect.
+        n: rows of the estimation data.
+        untested: effects of the catalogue that were not tested, since the data lack one of their inputs.
     """
     chosen = [r.chosen for r in rounds if r.chosen is not None]
     total = sum(max(c.criterion, 0.0) for c in chosen)
-    rest = [s for s in left if s.criterion(n) > max(LEFT, LEFT_SHARE * total)]
+    rest = [s for s in left if s.criterion(n) > max(MAX_REMAINING_CRITERION, MAX_REMAINING_SHARE * total)]
     found = []
     for one in rounds:
         if one.chosen is None:
@@ -68,27 +70,29 @@ def _left(rest: Sequence[Score], n: int) -> list[str]:
 
 
 def _many(left: Sequence[Score]) -> list[str]:
-    return [f"with it {len(left)} tests still pass, of {_worded(left[0])} first"] if len(left) > MANY else []
+    if len(left) <= MAX_REMAINING_TESTS:
+        return []
+    return [f"with it {len(left)} tests still pass, of {_worded(left[0])} first"]
 
 
 def _kin(effect: Effect, left: Sequence[Score], n_added: int) -> list[str]:
-    """Where several effects were added: a rival of this one that still passes, however little it is worth, since one
-    effect may then do the work of all."""
+    """Where several effects were added: a declared alternative of this one that still passes, however small, since one
+    effect may then explain all."""
     kin = [s.name for s in left if s.name in effect.rivals] if n_added > 1 else []
     return [f"with it the tests still find its rival {kin[0]}"] if kin else []
 
 
 def _form(chosen: Sequence[Refit], one: Refit) -> list[str]:
-    """Where this one is a small rival of a strong one: what a true form has beyond ours looks like its nearest relative
-    (a shaft that falls behind by a power of the command that is not ours, like a limit to its speed)."""
-    strong = [c.effect for c in chosen if one.criterion < FORM * c.criterion]
+    """Where this effect is a small alternative of a strong one: the difference between the true form of the strong one
+    and
+    that of the catalogue resembles its nearest alternative."""
+    strong = [c.effect for c in chosen if one.criterion < FORM_SHARE * c.criterion]
     kin = [e for e in strong if e.name in one.effect.rivals or one.effect.name in e.rivals]
     return [f"it may be no more than what {kin[0].title} has beyond its formula"] if kin else []
 
 
 def _own(one: Refit) -> list[str]:
-    """What its own parameters say against it when it was added: a shape that is bent into another's place ends at a
-    bound, or is so much at odds with the rest of the model that its size is anyone's guess."""
+    """Evidence against it by its own parameters: a parameter at its bound, or a size that is not significant."""
     fit = one.stage.fit
     own = {fit.names.index(p.name): p for p in one.effect.parameters if p.name in fit.names}
     stuck = {name for name, what in fit.flags if what == AT_BOUND}
@@ -96,7 +100,7 @@ def _own(one: Refit) -> list[str]:
         if p.name in stuck:
             return [f"its parameter {p.name} ({p.meaning}) is at its bound, {fit.values[i]:.3g} {p.unit}".rstrip()]
     sizes = [i for i, p in own.items() if p.value == 0.0 and fit.errors[i] > 0]
-    if not sizes or _from_nothing(fit, sizes) >= TOLD:
+    if not sizes or _from_nothing(fit, sizes) >= MIN_SIGNIFICANCE:
         return []
     at = sizes[0]
     value = f"{fit.names[at]} = {fit.values[at]:.3g} ± {fit.errors[at]:.3g} {own[at].unit}".rstrip()
@@ -104,7 +108,7 @@ def _own(one: Refit) -> list[str]:
 
 
 def _from_nothing(fit: Fit, sizes: Sequence[int]) -> float:
-    """How far the estimates are from zero together, in standard errors: each may be told of the others only."""
+    """Joint distance of the estimates from zero in standard errors (Wald): each may be correlated with the others."""
     values = fit.values[list(sizes)]
     squared = float(values @ np.linalg.lstsq(fit.covariance[np.ix_(sizes, sizes)], values)[0])
     return math.sqrt(max(squared, 0.0))
@@ -123,7 +127,7 @@ def _worded(score: Score) -> str:
 
 
 def _tables(chosen: Sequence[Refit], one: Round) -> list[str]:
-    """A table that had to be added beside a name, or that gains more than the name does."""
+    """A nonparametric curve that was added beside the effect, or that gains more than it."""
     assert one.chosen is not None
     own = one.chosen.effect.nonparametric_of
     beside = [c.effect for c in chosen if c.unknown and not c.effect.is_table_of(own)]
@@ -133,9 +137,9 @@ def _tables(chosen: Sequence[Refit], one: Round) -> list[str]:
 
 
 def _close(one: Round) -> list[Refit]:
-    """Other effects that come close to the chosen one, best first."""
+    """Competing models: other effects whose criterion is close to that of the chosen one, best first."""
     assert one.chosen is not None
-    least = one.chosen.criterion - max(CLOSE, CLOSE_SHARE * one.chosen.criterion)
+    least = one.chosen.criterion - max(MAX_DISTANCE, MAX_DISTANCE_SHARE * one.chosen.criterion)
     others = [q for q in one.refits if q is not one.chosen and not q.unknown and q.criterion > max(least, 0.0)]
     return sorted(others, key=lambda q: -q.criterion)
 
@@ -159,11 +163,11 @@ def _untested(effect: Effect, untested: Collection[str]) -> list[str]:
 
 
 def recommended_experiment(diagnosis: Diagnosis) -> str | None:
-    """What would settle what is still open; ``MODEL`` in a command stands for the model that was diagnosed.
+    """Recommended experiment that would resolve an ambiguity; ``MODEL`` in a command is the diagnosed model.
 
-    For an effect with rivals that the data do not exclude: the experiment that shows it, and the command that designs
-    the mission to tell the two apart. For one that only resembles what is missing: its experiment. Where the tests
-    passed but nothing held on the validation data: the experiment of the likeliest.
+    For an effect with competing models: the experiment that shows it, and the command that designs the discriminating
+    mission. For an ambiguous effect without them: its experiment. Where tests passed but no candidate was confirmed on
+    the validation data: the experiment of the best candidate.
     """
     lines = []
     by_name = {j.effect: j for j in diagnosis.judgements}

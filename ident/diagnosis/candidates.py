@@ -1,6 +1,6 @@
-"""Columns for the score test: the catalogue's effects at zero, and what no catalogue lists.
+"""Candidates of the score test: parametric effects linearised at zero, and nonparametric (spline) alternatives.
 
-Waves as a candidate: what no sensitivity shows, a narrow peak in the spectrum of the innovations.
+Waves are tested by a narrow peak in the spectrum of the innovations, since their score at zero vanishes.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from ident.models import products_of, readings_of, residuals_of, variables_of
 from ident.numerics import Array, wrap
 from ident.validation import SpectralPeak, spectral_peak
 
-SURE = 1e-6  # what merely coloured innovations do not reach (tests/ident/diagnosis/test_spectral_peak.py)
-SLOWEST = 0.25  # s between samples; a slower channel does not see waves
-SMALLEST_P = 1e-300
-SIZE = 0.4  # of the usual forces, at which the refit starts
+MAX_PEAK_P = 1e-6  # p value that coloured innovations do not reach (tests/ident/diagnosis/test_spectral_peak.py)
+MAX_SAMPLE_INTERVAL = 0.25  # s; a slower channel does not resolve waves
+SMALLEST_P = 1e-300  # least p value with a finite chi-square quantile
+INITIAL_WAVE_SIZE = 0.4  # of the usual wave forces, initial value of the refit
 
 
 class TrajectoryLinearisation:
-    """A model along the filter's path on one record, for finite differences around it.
+    """Linearisation of a model along the predicted trajectory of the filter on one record, by finite differences.
 
-    ``record`` carries every input that a candidate may want; x (n_rows, n_states) the predicted states.
+    ``record`` has the inputs of all candidates; x (n_rows, n_states) are the predicted states.
     """
 
     def __init__(self, model: Model, values: Array, record: Record, x: Array) -> None:
@@ -77,7 +77,7 @@ class TrajectoryLinearisation:
             base, changes, names = rowwise(x, u, values), [], []
             for j, p in enumerate(effect.parameters):
                 if p.transform == "log" or p.name in tried or (j > 0 and p.value != 0.0):
-                    continue  # shapes of the effect, not its size
+                    continue  # parameters of the form of the effect, not its size
                 moved = values.copy()
                 moved[len(self.values) + j] += p.step
                 change = (rowwise(x, u, moved) - base) / p.step
@@ -91,8 +91,8 @@ class TrajectoryLinearisation:
             )
 
     def _driven(self, rowwise: VectorisedModel, m: int, all_values: list[Array], u: Array) -> list[Array]:
-        """An effect's own m states, driven along the path while it is at zero (linear, constant coefficients);
-        (n_rows, m) for each set of values."""
+        """States (n_rows, m) of an effect, driven along the trajectory while the effect is at zero (linear, constant
+        coefficients), for each set of values."""
         n = len(self.model.states)
         x = np.column_stack([self.x, np.zeros((len(self.x), m))])
         steps, step_of = np.unique(np.round(self.record.h[:-1], 9), return_inverse=True)
@@ -107,8 +107,10 @@ class TrajectoryLinearisation:
         return found
 
     def generic(self, among: Mapping[str, Array] | None = None) -> Iterator[SensitivityColumns]:
-        """Each residual force as a smooth function of each variable, and of products, or of an input's past; each
-        sensor's error as one of some variables; ``among``: see splines."""
+        """Nonparametric candidates: each residual force as a smooth function of each variable, of products, and as
+        lagged
+        or resonant response to an input; each sensor error as a smooth function of some variables. ``among``: see
+        splines."""
         table = generic_features(self.model, self.own, self.x, among, self.values)
         for residual in (*residuals_of(self.model), *readings_of(self.model)):
             direction = self.state(residual.state)
@@ -145,7 +147,8 @@ def _recursion(transition: Array, drive: Array) -> Array:
 
 
 def variables(model: Model, record: Record, x: Array, values: Array | None = None) -> dict[str, Array]:
-    """What a residual force may depend on, (n_rows,) each; ``values``: of the parameters, by default the model's."""
+    """Variables (n_rows,) that a residual may depend on; ``values``: of the parameters, by default those of the
+    model."""
     p = list(model.values.values()) if values is None else values.tolist()
     bag = model.bag(list(x.T), list(record.u.T), p)
     found = {}
@@ -164,7 +167,7 @@ def generic_features(
 ) -> dict[tuple[str, ...], Array]:
     """Regressors by variables: splines of single variables, harmonics of an angle, products of two of them.
 
-    ``among``: the variables of all records together, so that a column means the same in each of them.
+    ``among``: the variables of all records together, so that a column has the same meaning in each of them.
     """
     z = variables(model, record, x, values)
     among = z if among is None else among
@@ -184,8 +187,8 @@ def generic_features(
 
 
 def splines(z: Array, n_functions: int, among: Array | None = None) -> Array:
-    """Cubic B-splines of z over the middle 99 % of ``among`` (z itself by default), centred there; empty where that
-    does not vary."""
+    """Cubic B-splines of z over the middle 99 % of ``among`` (z itself by default), centred there; empty where
+    z is constant."""
     among = z if among is None else among
     low, high = np.percentile(among, [0.5, 99.5])
     if high - low < 1e-6:
@@ -213,39 +216,39 @@ def _has_inputs(path: TrajectoryLinearisation, effect: Effect) -> bool:
 
 
 def wave_peak_score(stage: FittedModel) -> Score | None:
-    """The candidate ``waves`` for a fitted model, None where no peak is beyond doubt.
+    """Score of the candidate ``waves`` for a fitted model; None where no spectral peak is significant.
 
-    ``step`` and ``scan`` give the refit its start. The peak's p value serves as the block version's too: it is one of
-    averages over blocks, and neighbouring bins keep it valid for coloured innovations.
+    ``step`` and ``scan`` are the initial values of the refit. The p value of the peak is used as the block-robust p
+    value as well: it is of averages over blocks, and neighbouring bins keep it valid for coloured innovations.
     """
     peaks = [peak for view in stage.estimation for peak in _peak(stage.model, view)]
     low, high = next(p.bounds for p in EFFECT.parameters if p.name == "f_wave")
     # a peak beyond the waves' band, as resampled channels have at 5 Hz, is no wave
     best = min((peak for peak in peaks if low <= peak.frequency <= high), key=lambda peak: peak.p, default=None)
-    if best is None or best.p * len(peaks) > SURE:
+    if best is None or best.p * len(peaks) > MAX_PEAK_P:
         return None
     df = len(EFFECT.parameters)
     lm = float(stats.chi2.isf(max(best.p * len(peaks), SMALLEST_P), df))
-    step = {f"A_{force}": SIZE * usual for force, (_, usual) in FORCES.items()}
+    step = {f"A_{force}": INITIAL_WAVE_SIZE * usual for force, (_, usual) in FORCES.items()}
     return Score(EFFECT.name, lm, df, lm, step, {"f_wave": best.frequency})
 
 
 def _peak(model: Model, view: RecordEvaluation) -> list[SpectralPeak]:
-    """At most one for each record: of its rates and accelerations, not of what drifts."""
+    """Spectral peaks of rates and accelerations, at most one for each sample interval."""
     by_step: dict[float, dict[str, Array]] = {}
     for j, output in enumerate(model.outputs):
         there = np.isfinite(view.run.standardised[:, j])
         if "/s" in output.unit and there.sum() > 2:
             t = view.record.t[there]
             step = round(float(np.median(np.diff(t))), 4)
-            if 0.0 < step <= SLOWEST:
+            if 0.0 < step <= MAX_SAMPLE_INTERVAL:
                 by_step.setdefault(step, {})[output.name] = _even(t, view.run.standardised[there, j], step)
     peaks = [spectral_peak(channels, step) for step, channels in by_step.items()]
     return [peak for peak in peaks if peak is not None]
 
 
 def _even(t: Array, e: Array, step: float) -> Array:
-    """On an even grid, NaN where a sample is missing."""
+    """The samples on a regular grid, NaN where one is missing."""
     at = np.round((t - t[0]) / step).astype(int)
     grid = np.full(at[-1] + 1, np.nan)
     grid[at] = e

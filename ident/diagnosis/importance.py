@@ -1,11 +1,10 @@
-"""What each effect that was added is worth: how much worse the model predicts without it.
+"""Effect importance: leave-one-effect-out prediction error.
 
-The search takes the effects in the order of the likelihood that they gain, and that is made one sample ahead: the
-small sums of many neglected things (a delay of some hundredths of a second) can gain more there than what sends the
-boat elsewhere. So the effects are told in the order of what leaving each of them out, with all else fitted again, costs
-further ahead: where the inputs alone take the boat in three seconds, in about the time in which its speed follows its
-thrust (a thruster in one). The unexplained forces are left out of that prediction: they grow into the place of what is
-missing, and carry it along.
+The search selects effects by the gain in likelihood, which is of one-step predictions: the sum of many small neglected
+effects (a delay of some hundredths of a second) can gain more there than an effect that moves the boat elsewhere. So
+the effects are ranked by the loss of predictive accuracy when each is left out and the rest is fitted again: three
+seconds ahead by inputs alone, about the time in which speed follows thrust (1.2 s for a thruster). The disturbance
+forces are set to zero in that prediction: they would take the place of what is missing, and extrapolate it.
 """
 
 from __future__ import annotations
@@ -22,13 +21,13 @@ from ident.model import Model
 from ident.models import residuals_of
 from ident.validation import ahead, pooled
 
-HORIZON = 0.6  # of the block of the score tests: 3 s for a boat, 1.2 s on the bench
+HORIZON = 0.6  # relative to the block of the score tests: 3 s for a boat, 1.2 s on the bench
 
 
 def effect_importance(
     before: FittedModel, rounds: Sequence[Round], records: Sequence[Record], unseen: Sequence[Record]
 ) -> tuple[EffectImportance, ...]:
-    """One for each effect that was added, the weightiest first (``in_order``)."""
+    """Importance of each selected effect, largest first (``by_importance``)."""
     chosen = [r.chosen for r in rounds if r.chosen is not None]
     if not chosen:
         return ()
@@ -38,7 +37,7 @@ def effect_importance(
     every = _added(before, after)
     found, best = [], _log_error(after)
     for one in chosen:
-        # with a name goes the table of its own curve, which would take its place
+        # the nonparametric curve of an effect is left out with it, as it would take its place
         curve = one.effect.nonparametric_of or one.effect.parametric_form_of
         out = {one.effect.name, *(c.effect.name for c in chosen if c.effect.is_table_of(curve))}
         kept = [c for c in chosen if c.effect.name not in out]
@@ -49,11 +48,11 @@ def effect_importance(
 
 
 def by_importance(found: Sequence[EffectImportance], chosen: Sequence[Refit]) -> tuple[EffectImportance, ...]:
-    """The weightiest first.
+    """Effects by importance, largest first.
 
-    A table takes up what no name explains: it comes behind the names that were there before it, and before the lighter
-    ones that were found behind it. The table of the very curve that a name is one shape of comes before that name,
-    which is then no more than a part of it.
+    A nonparametric curve explains what no parametric effect does: it follows the parametric effects that were selected
+    before it, and precedes less important ones selected after it. The curve of which a parametric effect is one form
+    precedes that effect, which is then only a part of it.
     """
     tables = {c.effect.name for c in chosen if c.unknown}
     whole = {
@@ -77,7 +76,7 @@ def _place(
     search: Sequence[str],
     whole: Mapping[str, str],
 ) -> int:
-    """Where a table stands in the order of the names. ``search``: the order in which all were found."""
+    """Rank of a nonparametric curve among the parametric effects. ``search``: the order of selection."""
     if table.effect in whole:
         return order.index(whole[table.effect])
     behind = set(search[search.index(table.effect) + 1 :]) & set(order)
@@ -96,7 +95,7 @@ def _with(
     records: Sequence[Record],
     unseen: Sequence[Record],
 ) -> FittedModel:
-    """Only the effects that are kept, fitted again, roughly; ``before`` where that cannot be fitted."""
+    """Refit with only the kept effects, at rough tolerance; ``before`` where that cannot be fitted."""
     last = chosen[-1].stage.fit.model
     model: Model = before.fit.model
     for other in kept:
@@ -110,7 +109,7 @@ def _with(
 
 
 def _log_error(stage: FittedModel) -> float:
-    """The mean over channels of the logarithm of the error ``HORIZON`` blocks ahead, without unexplained forces."""
+    """The mean over channels of the logarithm of the error ``HORIZON`` blocks ahead, without disturbance forces."""
     model = stage.model
     forces = [i for i, s in enumerate(model.states) if s.name in {r.state for r in residuals_of(model)}]
     parts = []

@@ -1,4 +1,4 @@
-"""What a diagnosis found: the rounds of its search, the refits in them, and how sure each name is."""
+"""Results of a diagnosis: rounds of the search, refits, attribution and importance of the selected effects."""
 
 from __future__ import annotations
 
@@ -79,8 +79,8 @@ class EffectImportance:
 @dataclass(frozen=True)
 class Diagnosis:
     """before, after: the model without and with the effects; left: what still passes the tests at the end, best
-    first; shapes: the tables of unknown effects, and of what only resembles a known one; weights and judgements: one
-    for each effect, the weightiest first."""
+    first; shapes: the curves of nonparametric effects, and of the first ambiguous one; weights and judgements: one for
+    each effect, the most important first."""
 
     before: FittedModel
     after: FittedModel
@@ -92,7 +92,7 @@ class Diagnosis:
 
     @property
     def effects(self) -> tuple[Refit, ...]:
-        """What was added, the weightiest first."""
+        """Refits of the selected effects, the most important first."""
         chosen = {r.chosen.effect.name: r.chosen for r in self.rounds if r.chosen is not None}
         return tuple(chosen[w.effect] for w in self.weights)
 

@@ -1,11 +1,11 @@
-"""Score tests of all candidates at once (Lagrange multiplier tests; Engle 1984), without refitting any.
+"""Score tests (Lagrange multiplier tests; Engle 1984) of all candidates at once, without refitting any.
 
-The fitted filter is linearised along its own path: a column of small changes of rates and outputs, one for
-each fitted parameter and each candidate's parameter at zero, is carried through the same gains. With G the
-whitened sensitivities of the innovations and e the whitened innovations, the score is ``-G' e`` and its
-information ``G' G``; the fitted parameters are projected out of both (Schur complement), which is what
-keeps a clean data set clean. ``LM = s' I^-1 s`` is chi-squared. A second version takes the covariance of the
-score from sums over blocks of five seconds (two on the bench), and stays valid when the innovations are not white.
+The fitted filter is linearised along its predicted trajectory: a column of changes of rates and outputs, one for each
+fitted parameter and each parameter of a candidate at zero, is propagated through the same gains. With G the whitened
+sensitivities of the innovations and e the whitened innovations, the score is ``-G' e`` and its information ``G' G``;
+the fitted parameters are projected out of both (Schur complement), which keeps the size of the test. ``LM = s' I^-1 s``
+is chi-squared. The block-robust version takes the covariance of the score from sums over blocks of five seconds (two on
+the bench), and stays valid where the innovations are not white.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from ident.estimation import FilterResult
 from ident.model import EffectKind, ForceCurve, Model, Parameter, segment_name
 from ident.numerics import Array, scaled_eigen
 
-BLOCK = 5.0  # s
-WIDTH, LENGTH = 96, 256  # columns and rows that are carried through the filter at once: as the processor has at hand
-ALPHA = 0.05  # chance that anything passes the score tests in a clean data set
-P_BLOCK = 0.01  # of the version that holds for coloured innovations
-# evidence that sits in few blocks caps that version; overwhelming evidence may then pass, and validation decides
+BLOCK = 5.0  # s, of the block-robust version
+N_COLUMNS, N_ROWS = 96, 256  # propagated through the filter at a time: a size that fits the cache of the processor
+ALPHA = 0.05  # family-wise false-alarm probability of the score tests
+P_BLOCK = 0.01  # level of the block-robust version
+# evidence in few blocks limits the block-robust version; overwhelming evidence may pass, and validation decides
 P_OVERWHELMING, P_BLOCK_OVERWHELMING = 1e-12, 0.1
 
 
 @dataclass(frozen=True)
 class SensitivityColumns:
-    """A candidate's small changes along one record: d(rates, outputs) per unit of each of its parameters.
+    """Sensitivities of a candidate along one record: d(rates, outputs) per unit of each of its parameters.
 
     delta (n_rows, n_touched, n_parameters) of those of the model's rates and then outputs that it touches;
     touched (n_touched,): which these are, in order, None: all.
@@ -46,19 +46,20 @@ class SensitivityColumns:
     kind: EffectKind = EffectKind.CATALOGUE
     curve: ForceCurve | None = None
     one_sided: bool = False
-    per_record: bool = False  # each record has these parameters for itself
+    per_record: bool = False  # the parameters have their own value in each record
     touched: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True)
 class ColumnIndex:
-    """Where a candidate's columns are among all: ``at``, in each record or, per record, one record after another."""
+    """Indices ``at`` of the columns of a candidate among all; those of per-record parameters one record after
+    another."""
 
     columns: SensitivityColumns
     at: tuple[int, ...]
 
     def of_record(self, i: int) -> tuple[int, ...]:
-        """The places that the columns of record i add to."""
+        """Indices of the columns of record i."""
         if not self.columns.per_record:
             return self.at
         size = self.columns.delta.shape[2]
@@ -74,7 +75,7 @@ class ColumnIndex:
 
 
 def place(columns: Sequence[SensitivityColumns], first: int, n_records: int) -> tuple[list[ColumnIndex], int]:
-    """A place for every candidate, from ``first`` on, and how many columns there are in all."""
+    """Indices for every candidate, from ``first`` on, and the total number of columns."""
     places = []
     for c in columns:
         size = c.delta.shape[2] * (n_records if c.per_record else 1)
@@ -111,7 +112,7 @@ class Score:
         return float(stats.chi2.sf(self.lm_block, self.df))
 
     def criterion(self, n: int) -> float:
-        """Gain after paying for its parameters (BIC); larger is better."""
+        """BIC criterion: LM less ``df ln n``; larger is better."""
         return self.lm - self.df * float(np.log(n))
 
 
@@ -137,9 +138,9 @@ class NormalEquations:
 
 
 class SensitivityFilter:
-    """Carries columns of small changes through the filter of one record.
+    """Propagates columns of sensitivities through the filter of one record.
 
-    run: the filter's account of the record; jacobian (n_rows, n_outputs, n_states): of the outputs at the predicted
+    run: filter result of the record; jacobian (n_rows, n_outputs, n_states): of the outputs at the predicted
     states. ``e``, ``t`` (n_samples,): whitened innovations and their times.
     """
 
@@ -150,7 +151,7 @@ class SensitivityFilter:
         cross = run.P_pred @ self.H.swapaxes(1, 2)
         S = self.H @ cross
         each = np.arange(S.shape[1])
-        S[:, each, each] += np.where(self.seen, run.R, 1.0)  # what was not measured stands apart, with a gain of nought
+        S[:, each, each] += np.where(self.seen, run.R, 1.0)  # missing outputs are decoupled, with a gain of zero
         gain = np.linalg.solve(S, cross.swapaxes(1, 2)).swapaxes(1, 2)
         self.Phi = np.where(self.half > 0, run.Phi, np.eye(cross.shape[1]))
         self.Phi_gain = self.Phi @ gain
@@ -166,8 +167,8 @@ class SensitivityFilter:
         rates, outputs = touched < n_states, touched[touched >= n_states] - n_states
         read = np.where(self.seen[:, outputs, None], delta[:, ~rates], 0.0)
         delta = delta[:, rates]
-        found, dx = [], np.zeros((LENGTH + 1, n_states, delta.shape[2]))
-        for first, last in pairwise([*range(0, n_rows, LENGTH), n_rows]):
+        found, dx = [], np.zeros((N_ROWS + 1, n_states, delta.shape[2]))
+        for first, last in pairwise([*range(0, n_rows, N_ROWS), n_rows]):
             rows, n = slice(first, last), last - first
             drive = self.Phi[rows][:, :, touched[rates]] @ (self.half[rows] * delta[rows])
             drive -= self.Phi_gain[rows][:, :, outputs] @ read[rows]
@@ -184,7 +185,7 @@ class SensitivityFilter:
         return np.concatenate(found)
 
     def _together(self, columns: Sequence[SensitivityColumns]) -> tuple[Array, NDArray[np.int64]]:
-        """The candidates' changes side by side (n_rows, n_touched, n_columns), and what they touch between them."""
+        """Sensitivities of all candidates (n_rows, n_touched, n_columns), and the rates and outputs that they touch."""
         every = np.arange(self.Phi.shape[1] + self.H.shape[1])
         each = [every if c.touched is None else c.touched for c in columns]
         touched = np.unique(np.concatenate(each))
@@ -199,23 +200,24 @@ class SensitivityFilter:
 def propagate_sensitivities(
     run: FilterResult, record: Record, jacobian: Array, fitted: Array, columns: Iterable[SensitivityColumns]
 ) -> tuple[Array, Array, Array, list[SensitivityColumns]]:
-    """Whitened sensitivities of the fitted parameters' columns and then of every candidate's, some at a time, with
-    whitened innovations and their times (``Carrier``).
+    """Whitened sensitivities of the fitted parameters and then of every candidate, with the whitened innovations and
+    their
+    times (``SensitivityFilter``), in batches.
 
-    The candidates come back without their columns: those of the whole catalogue together would fill the memory.
+    The candidates are returned without their columns: those of the whole catalogue would fill the memory.
     """
-    carried = SensitivityFilter(run, record, jacobian)
+    sensitivities = SensitivityFilter(run, record, jacobian)
     parts, slim = [], []
     waiting, width = [SensitivityColumns("fitted", fitted)], fitted.shape[2]
     for c in columns:
-        if width >= WIDTH:
-            parts.append(carried(waiting))
+        if width >= N_COLUMNS:
+            parts.append(sensitivities(waiting))
             waiting, width = [], 0
         waiting.append(c)
         width += c.delta.shape[2]
         slim.append(replace(c, delta=c.delta[:0].copy()))
-    parts.append(carried(waiting))
-    return np.concatenate(parts, axis=1), carried.e, carried.t, slim
+    parts.append(sensitivities(waiting))
+    return np.concatenate(parts, axis=1), sensitivities.e, sensitivities.t, slim
 
 
 def score_tests(
@@ -223,7 +225,7 @@ def score_tests(
 ) -> list[Score]:
     """One score for each candidate; the first ``n_fitted`` columns are the fitted parameters.
 
-    prior (n_fitted,): the information of the priors, on the diagonal.
+    prior (n_fitted,): diagonal of the prior information.
     """
     fitted = normal.information[:n_fitted, :n_fitted] + np.diag(prior)
     scale = np.sqrt(np.maximum(np.diag(fitted), 1e-300))
@@ -241,7 +243,7 @@ def score_tests(
 
 def _one(placed: ColumnIndex, information: Array, score: Array, blocks: Array, before: Array) -> Score | None:
     candidate, names, index = placed.columns, np.array(placed.names), np.asarray(placed.at)
-    # what the fitted parameters can imitate to 1e-8 cannot be tested
+    # a column that the fitted parameters explain to 1e-8 cannot be tested
     alive = np.diag(information)[index] > 1e-8 * np.diag(before)[index]
     if not alive.any():
         return None
@@ -275,7 +277,7 @@ def block_index(t: Array, block: float = BLOCK) -> NDArray[np.int64]:
 
 def fitted_parameters(model: Model, n_records: int) -> list[Parameter]:
     """The fitted dynamic parameters: shared, then those of each record."""
-    noise = model.noises  # their score does not mix with that of the mean
+    noise = model.noises  # their score is uncorrelated with that of the mean
     mean = [p for p in model.parameters if p.free and p.name not in noise]
     shared = [p for p in mean if not p.per_record]
     return shared + [replace(p, segment=i) for i in range(n_records) for p in mean if p.per_record]

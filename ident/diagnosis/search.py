@@ -1,10 +1,10 @@
-"""From the residual to the effect that the model lacks.
+"""Diagnosis: forward selection of missing effects by score tests, refits and validation.
 
-1. Fit the model with unexplained forces and sensor offsets as states.
-2. Score tests of every candidate at once, specific and generic (``ident.diagnosis.score_test``).
-3. Refit with the best few, everything free; compare by ``2 d ln L - df ln n``.
-4. Validation data decide: the gain in log-likelihood there, block by block, has to be significant.
-5. Add the effect and go round again; behind a table only names that are worth much beside it take part.
+1. Fit the model with disturbance forces and sensor biases as states.
+2. Score tests of all candidates, parametric and nonparametric (``ident.diagnosis.score_test``).
+3. Refit with the best few, all parameters free; compare by ``2 d ln L - df ln n`` (Delta BIC).
+4. Validation: the gain in log-likelihood on validation data, block by block, has to be significant.
+5. Add the effect and repeat; after a nonparametric curve only parametric effects of large gain are added.
 
 Kristensen, Madsen and Jorgensen 2004; Engle 1984.
 """
@@ -52,12 +52,12 @@ from ident.model import Effect, EffectKind, ForceCurve, Model, Parameter
 from ident.models import residuals_of, scale_priors, size_of, variables_of
 from ident.reporter import QUIET, Reporter
 
-N_REFITS, N_UNKNOWN = 4, 2
-HOPELESS = 0.05  # of the best score: a refit gains up to ten times what its score promises, not twenty times
-# what an effect's true form has beyond ours looks like other effects, smaller by orders; those are not added
-SMALL = 0.02  # of the largest gain so far
-# so does what a curve has beyond its table, up to a fifteenth of it; what else is missing is mostly worth a third
-BEHIND_TABLE = 0.1  # of the largest gain so far
+N_REFITS, N_UNKNOWN = 4, 2  # parametric and nonparametric candidates that are refitted in a round
+MIN_SCORE_RATIO = 0.05  # of the best score: a refit gains up to ten times its score, not twenty times
+# the difference between the true form of an effect and ours looks like other, much smaller effects: not added
+MIN_GAIN_RATIO = 0.02  # of the largest gain so far
+# the same holds for a curve and its spline, up to a fifteenth of the gain; other missing effects mostly have a third
+MIN_GAIN_RATIO_AFTER_CURVE = 0.1  # of the largest gain so far
 
 
 def diagnose(
@@ -70,7 +70,7 @@ def diagnose(
     rate: float = 10.0,
     reporter: Reporter = QUIET,
 ) -> Diagnosis:
-    """What does ``model`` lack to explain the runs? ``effects``: the candidates, by default the whole catalogue.
+    """Find effects that ``model`` lacks. ``effects``: the candidates, by default the whole catalogue.
 
     Raises ValueError, naming the run, where a run lacks a signal that the model needs; or the model, where it has no
     hull whose forces X, Y, N could lack anything, and is no thruster on the bench either.
@@ -91,14 +91,14 @@ def diagnose(
     reporter.progress(f"fitting {full.name} with unexplained forces to {counted(len(records), 'run')}")
     before = current = fit_with_rescaling(full, records, unseen)
     size, known = size_of(before.fit.model), catalogue()
-    # the users' own effects have the priors that they gave them
+    # user-defined effects keep their priors
     candidates = {n: scale_priors(e, size) if known.get(n) is e else e for n, e in candidates.items()}
     rounds: list[Round] = []
     unknown, n = False, sum(r.n_rows for r in records)
     while True:
         scores, passed = score_all(current, records, candidates)
         largest = max((r.chosen.criterion for r in rounds if r.chosen is not None), default=0.0)
-        least = BEHIND_TABLE * largest
+        least = MIN_GAIN_RATIO_AFTER_CURVE * largest
         tried = [s for s in passed if not s.generic and s.criterion(n) > least] if unknown else passed
         if len(rounds) >= max_effects or not tried:
             break
@@ -172,7 +172,7 @@ def _round(
 ) -> Round:
     n = sum(r.n_rows for r in records)
     specific = [s for s in passed if not s.generic][:N_REFITS]
-    specific = [s for s in specific if s.criterion(n) > HOPELESS * specific[0].criterion(n)]
+    specific = [s for s in specific if s.criterion(n) > MIN_SCORE_RATIO * specific[0].criterion(n)]
     refits = _refit_all(current, records, unseen, [(candidates[s.name], s) for s in specific], n, reporter)
     first = max((r for r in refits if r.accepted), key=lambda r: r.criterion, default=None)
     best, curve = (-np.inf, None) if first is None else (first.criterion, first.effect.parametric_form_of)
@@ -186,7 +186,7 @@ def _round(
     refits.sort(key=lambda r: -r.criterion)
     names = tuple(s.name for s in passed)
     for r in refits[:3]:
-        if r.accepted and r.criterion > max(0.25 * refits[0].criterion, SMALL * largest):
+        if r.accepted and r.criterion > max(0.25 * refits[0].criterion, MIN_GAIN_RATIO * largest):
             exact = replace(r, stage=fit_and_evaluate(r.stage.fit.model, records, unseen))
             refits[refits.index(r)] = exact
             return Round(tuple(scores), names, tuple(refits), exact, _why(r))
@@ -259,8 +259,8 @@ def _span(stage: FittedModel, curve: ForceCurve) -> tuple[float, float]:
 def _shapes(
     before: FittedModel, rounds: Sequence[Round], judgements: Sequence[EffectAttribution], records: Sequence[Record]
 ) -> list[NonparametricForce]:
-    """The tables of unknown effects; and of the first effect that only resembles what is missing, the residual as a
-    table in its place."""
+    """Nonparametric curves: of selected nonparametric effects, and the residual in place of the first ambiguous
+    effect."""
     found, current = [], before
     chosen = [r for r in rounds if r.chosen is not None]
     first = next((j.effect for j in judgements if j.attribution == "ambiguous"), None)

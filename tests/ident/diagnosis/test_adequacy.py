@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from ident.diagnosis.adequacy import LEFT, MANY, assess_alternatives
+from ident.diagnosis.adequacy import MAX_REMAINING_CRITERION, MAX_REMAINING_TESTS, assess_alternatives
 from ident.diagnosis.results import EffectAttribution, Refit, Round
 from ident.diagnosis.score_test import Score
 from ident.estimation.standard_errors import AT_BOUND
@@ -50,7 +50,9 @@ def test_a_name_that_leaves_nothing_is_sure() -> None:
     assert found == EffectAttribution("wind", "identified")
 
 
-@pytest.mark.parametrize(("worth", "attribution"), [(LEFT - 1, "identified"), (LEFT + 1, "ambiguous")])
+@pytest.mark.parametrize(
+    ("worth", "attribution"), [(MAX_REMAINING_CRITERION - 1, "identified"), (MAX_REMAINING_CRITERION + 1, "ambiguous")]
+)
 def test_what_is_left_counts_beyond_a_little(worth: float, attribution: str) -> None:
     (found,) = of(one_round(refit("lever-arm", 500.0)), left=(score("N(u, r)", worth),))
     assert found.attribution == attribution
@@ -65,7 +67,9 @@ def test_a_little_is_a_share_of_what_was_explained() -> None:
     assert (strong.attribution, weak.attribution) == ("identified", "ambiguous")
 
 
-@pytest.mark.parametrize(("n_left", "attribution"), [(MANY, "identified"), (MANY + 1, "ambiguous")])
+@pytest.mark.parametrize(
+    ("n_left", "attribution"), [(MAX_REMAINING_TESTS, "identified"), (MAX_REMAINING_TESTS + 1, "ambiguous")]
+)
 def test_many_small_rests_are_a_rest(n_left: int, attribution: str) -> None:
     """A lag in the place of a delay: no test finds much, but a great many find something."""
     left = tuple(score(f"candidate-{k}", 3.0) for k in range(n_left))
@@ -140,7 +144,7 @@ def test_a_small_rival_beside_a_strong_effect_may_be_that_ones_true_form(criteri
     ("F(t)", "that F depends on t"), ("n_dot(slip)", "that n_dot depends on slip"), ("lag", "lag"),
 ])
 def test_what_is_left_is_said_in_words(name: str, said: str) -> None:
-    (found,) = of(one_round(refit("lever-arm", 500.0)), left=(score(name, LEFT + 1),))
+    (found,) = of(one_round(refit("lever-arm", 500.0)), left=(score(name, MAX_REMAINING_CRITERION + 1),))
     assert found.reasons[0].startswith(f"with it the tests still find {said}, worth ")
 
 
