@@ -48,7 +48,7 @@ class WhiteWalk:
 
 
 class OrnsteinUhlenbeck:
-    """A force that wanders around zero with standard deviation ``sigma`` and correlation time ``tau`` (s)."""
+    """First-order Gauss-Markov process of standard deviation ``sigma`` and correlation time ``tau`` [s]."""
 
     def __init__(self, draw: Draw, dt: float, sigma: float, tau: float) -> None:
         """Discretised exactly at ``dt`` (s) and stationary from the first sample."""

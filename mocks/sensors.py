@@ -145,12 +145,12 @@ class GnssSensor:
 
 
 class GnssErrors:
-    """Errors of the fix beyond its white noise: a wandering one, and now and then a fix that is plainly wrong."""
+    """Errors of the fix beyond its white noise: a time-correlated one, and now and then an outlier."""
 
     def __init__(self, effects: Sequence[Effect], seed: int, run: int, dt: float, index: int) -> None:
         noises = [e.noise for e in effects if e.noise is not None]
         draw = normals(stream(seed, COLOUR, run, index))
-        self._wander = [
+        self._correlated = [
             (OrnsteinUhlenbeck(draw, dt, *n.colour), OrnsteinUhlenbeck(draw, dt, *n.colour))
             for n in noises
             if n.colour[0]
@@ -160,8 +160,8 @@ class GnssErrors:
 
     def step(self) -> tuple[float, float]:
         """Error to the north and to the east (m) of the next fix."""
-        north = sum(pair[0].step() for pair in self._wander)
-        east = sum(pair[1].step() for pair in self._wander)
+        north = sum(pair[0].step() for pair in self._correlated)
+        east = sum(pair[1].step() for pair in self._correlated)
         for share, far in self._wild:
             if self._rng.uniform() < share:
                 wrong_n, wrong_e = self._rng.normal(0.0, far, 2)

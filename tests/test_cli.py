@@ -72,7 +72,7 @@ def test_help_lists_every_command_with_its_line() -> None:
 def test_runs_as_a_module() -> None:
     words = [sys.executable, "-m", "seatrial", "--version"]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "seatrial 0.1.0\n", "")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "seatrial 0.2.0\n", "")
 
 
 @pytest.mark.parametrize(

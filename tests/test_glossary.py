@@ -36,7 +36,7 @@ ALLOWED: set[tuple[str, str]] = set()
 def prose(page: Path) -> str:
     """A page without code and output of the program: quotes, which other tests compare with their source."""
     text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
-    return re.sub(r"`[^`]*`|\]\([^)]*\)", "", text)
+    return re.sub(r"`[^`]*`|\]\([^)]*\)|^>.*$", "", text, flags=re.MULTILINE)
 
 
 def found(path: str, text: str) -> list[str]:

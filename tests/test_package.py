@@ -112,7 +112,7 @@ def test_the_wheel_runs_from_any_folder(installed: Path, tmp_path: Path) -> None
     def run(*words: str) -> str:
         return python(["-P", "-c", code, *words], tmp_path, PYTHONPATH=str(installed)).stdout
 
-    assert run("--version").splitlines() == [str(installed / "seatrial.py"), "seatrial 0.1.0"]
+    assert run("--version").splitlines() == [str(installed / "seatrial.py"), "seatrial 0.2.0"]
     run("mission", "generate", "--seed", "1", "-o", "mission.toml")
     assert "surge steps" in run("mission", "show", "mission.toml")
     assert "--seed" in run("demo", "--help")

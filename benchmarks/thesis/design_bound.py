@@ -22,7 +22,7 @@ from ident.experiment_design.optimal_design import Design, search
 from ident.experiment_design.task import DesignProblem
 from ident.numerics.arrays import Array
 
-FINEST = 2.0  # s per step: where every change of the command is felt by the shaft at once
+FINEST = 2.0  # s per step: where every change of the command acts on the shaft at once
 MIXES = np.linspace(0.0, 1.0, 101)
 
 

@@ -1,4 +1,4 @@
-"""Chapter 5 once more: the designed experiment, its rivals, the Monte Carlo, and whether repeats deliver."""
+"""Chapter 5 once more: the designed experiment, its baselines, the Monte Carlo, and whether repeats deliver."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ OPENING = """\
 
 600 s for the nine parameters of the horizontal model at the nominal values of Table 1; AHRS and GNSS at 10 Hz, no
 current, shaft speeds behind the commands as in Table 2. D-optimal steps against the best of 20 PRBS and of 20 RGS, each
-at the bandwidth and amplitude that suit the nominal values. The numbers are log det of the Fisher information (in felt
-steps of the parameters); the shares are of 1000 samples of the box of 0.75 to 1.25 of the nominal values, in which the
-design is better than both rivals, and better by 3. Times are CPU seconds.
+at the bandwidth and amplitude that suit the nominal values. The numbers are log det of the Fisher information (in
+characteristic steps of the parameters); the shares are of 1000 samples of the box of 0.75 to 1.25 of the nominal
+values, in which the design is better than both baselines, and better by 3. Times are CPU seconds.
 
-| information | design | best rivals | at nominal | better in | by 3 in | search | 1000 samples |
+| information | design | best baselines | at nominal | better in | by 3 in | search | 1000 samples |
 |---|---|---|---|---|---|---|---|"""
 CLOSING = """
 Output error is the paper's form. Its 60 steps are averaged over 16 parameter samples; a design for the nominal values
@@ -45,7 +45,7 @@ show.
 
 @dataclass(frozen=True)
 class Experiment:
-    """One form of the information: its design, the best rivals, and 1000 parameter samples; CPU seconds."""
+    """One form of the information: its design, the best baselines, and 1000 parameter samples; CPU seconds."""
 
     title: str
     made: Design
@@ -66,7 +66,7 @@ class Experiment:
 
     @property
     def margin(self) -> Array:
-        """Log det of the design over that of the better rival, in each sample (n,)."""
+        """Log det of the design over that of the better baseline, in each sample (n,)."""
         values = self.samples.values
         return np.asarray(values["design"] - np.max([v for n, v in values.items() if n != "design"], axis=0))
 
@@ -113,7 +113,7 @@ def bound_words(pe: Experiment, bound: Bound) -> list[str]:
         "How much more could there be? log det is concave, which bounds it "
         "(`benchmarks/thesis/design_bound.py`): by prediction",
         f"error no input of these 600 s has more than {bound.value:.1f}, {bound.value - pe.value:.1f} above this",
-        f"design and {bound.value - best.value:.1f} above its best rival.",
+        f"design and {bound.value - best.value:.1f} above its best baseline.",
         "",
     ]
 
@@ -122,15 +122,15 @@ def _words(oe: Experiment, pe: Experiment) -> list[str]:
     rows = []
     for one in (oe, pe):
         best = max(one.found.values(), key=lambda r: r.value)
-        rival = ", ".join(f"{r.kind} {r.value:.1f} ({_bandwidth(r)})" for r in one.found.values())
-        rows.append(f"| {one.title} | {one.value:.1f} | {rival} | {one.value - best.value:+.1f} | "
+        baseline = ", ".join(f"{r.kind} {r.value:.1f} ({_bandwidth(r)})" for r in one.found.values())
+        rows.append(f"| {one.title} | {one.value:.1f} | {baseline} | {one.value - best.value:+.1f} | "
                     f"{100 * np.mean(one.margin > 0):.1f} % | {100 * np.mean(one.margin >= 3):.1f} % | "
                     f"{one.search_cpu:.0f} s | {one.samples_cpu:.2f} s |")
     return [*OPENING.splitlines(), *rows, *CLOSING.splitlines(), ""]
 
 
-def _bandwidth(rival: BaselineSignal) -> str:
-    return f"clock {rival.bandwidth:g} s" if rival.kind == "PRBS" else f"corner {rival.bandwidth:g} Hz"
+def _bandwidth(signal: BaselineSignal) -> str:
+    return f"clock {signal.bandwidth:g} s" if signal.kind == "PRBS" else f"corner {signal.bandwidth:g} Hz"
 
 
 def _errors(oe: Experiment, pe: Experiment) -> list[str]:
@@ -145,7 +145,7 @@ def _errors(oe: Experiment, pe: Experiment) -> list[str]:
     rows = [f"| `{n}` | {' | '.join(f'{c[n]:.2g}' for c in columns)} |" for n in names]
     return [
         "Predicted standard errors: what output error promises of its design; and what prediction error expects of",
-        "that design, of its own, and of its best rival.", "",
+        "that design, of its own, and of its best baseline.", "",
         f"| | OE design, by OE | OE design | PE design | {best.kind} |", "|---|---|---|---|---|", *rows, "",
     ]
 

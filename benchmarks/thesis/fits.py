@@ -161,5 +161,5 @@ def predicted(one: Both) -> Array:
 
 
 def with_forces(sailed: Sailed) -> Fit:
-    """Table 5 once more, three degrees of freedom as `seatrial ident vehicle` has them: with unexplained forces."""
+    """Table 5 once more, three degrees of freedom as `seatrial ident vehicle` has them: with disturbance forces."""
     return fit_nominal_model(horizontal_model(), [LogSegment("mission", sailed.channels)], []).fit

@@ -58,7 +58,7 @@ def write(out: Path, seed: int, bench: Path | None, say: Say, *, evaluations: in
         "A boat that leans in turns, pitches with thrust and rolls and pitches in small waves; 400 s of steps on both",
         "thrusters, AHRS at 20 Hz, GNSS at 5 Hz, unknown current. 3DOF is `horizontal:shaft` with white process noise,",
         "as in the paper; 6DOF K is `kinematic:shaft:yaw`, which measures attitude instead of predicting it; the last",
-        "column is what `seatrial ident vehicle` fits: 3DOF with unexplained forces.", "",
+        "column is what `seatrial ident vehicle` fits: 3DOF with disturbance forces.", "",
         *tables.table_5(sailed.truth, three.fit, six.fit, forces), "",
         *_said(sailed.truth, {"3DOF": three.fit, "6DOF K": six.fit, "3DOF with forces": forces}), "",
         "Innovations, in units of the channel (figures 6.3-6.6): a right model leaves them white.", "",

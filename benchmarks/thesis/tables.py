@@ -50,7 +50,7 @@ def tables_3_and_4(one: Both, paper: Mapping[str, Mapping[str, float]]) -> Lines
 
 
 def table_5(truth: Mapping[str, float], three: Fit, six: Fit, forces: Fit) -> Lines:
-    """Three degrees of freedom, measured attitude, and three with unexplained forces."""
+    """Three degrees of freedom, measured attitude, and three with disturbance forces."""
     paper = printed.TABLE_5
     rows = [
         [_named(n), number(paper["3DOF"][n]), number(paper["6DOF K"][n]), number(truth[n]),

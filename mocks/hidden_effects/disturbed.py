@@ -10,7 +10,7 @@ from mocks.plant import Effect, Gust, Maker, Noise, size
 def _gps(rng: np.random.Generator, scale: float) -> Effect:
     sigma = scale * size(rng, 0.3)  # m
     parameters = {"sigma": sigma, "tau": 30.0}
-    return Effect("noise-gps", "the fixes wander", parameters, noise=Noise(colour=(sigma, 30.0)))
+    return Effect("noise-gps", "time-correlated position errors", parameters, noise=Noise(colour=(sigma, 30.0)))
 
 
 def _gusts(rng: np.random.Generator, scale: float) -> Effect:

@@ -55,7 +55,7 @@ class Noise:
     """How the noise of the sensors differs from what their data sheets say."""
 
     gain: float = 1.0  # on all white noise of AHRS and GNSS
-    colour: tuple[float, float] = (0.0, 1.0)  # m, s: a wandering error of the GNSS position
+    colour: tuple[float, float] = (0.0, 1.0)  # m, s: time-correlated (Gauss-Markov) error of the GNSS position
     outliers: tuple[float, float] = (0.0, 0.0)  # share of the fixes that are wrong, and by how much (m)
 
 

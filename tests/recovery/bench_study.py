@@ -172,7 +172,7 @@ def report(rows: Sequence[Row], form: Any) -> str:
     head = "## " if form is as_markdown else ""
     parts = [("Together", summary(rows))]
     for scale in sorted({r["scale"] for r in rows}, reverse=True):
-        parts.append((f"By effect, size {scale:g} (errors: medians, free-running on validation data)",
+        parts.append((f"By effect, size {scale:g} (errors: medians, simulation on validation data)",
                       rates([r for r in rows if r["scale"] == scale])))
     text = "\n\n".join(f"{head}{title}\n\n{form(lines)}" for title, lines in parts)
     words = (

@@ -151,7 +151,7 @@ def errors(stage: FittedModel) -> AllErrors:
 
 
 def rms(table: Mapping[str, Mapping[str, Any]], of: Callable[[Any], float]) -> dict[str, dict[str, float]]:
-    """Root mean squares of the channels that are compared, ten seconds ahead and free-running; ``of``: where a cell of
+    """Root mean squares of the channels that are compared, ten seconds ahead and in simulation; ``of``: where a cell of
     the table has it."""
     return {
         kind: {n: float(f"{of(cell):.4g}") for n, cell in table[kind].items() if n in CHANNELS}

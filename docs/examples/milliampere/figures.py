@@ -34,7 +34,7 @@ def main() -> None:
         print("  settled: " + ", ".join(f"{c:+.1f} -> {v:+.3f}" for c, v in sorted(rows.items())))
         commanded = sample_and_hold(told, n.t)
         lost = (n.value == 0) & (np.abs(commanded) > 0) & (np.abs(sample_and_hold(told, n.t - 5.0)) > 0)
-        print(f"  nought while it was told to turn: {int(lost.sum())} of {n.t.size}")
+        print(f"  zero while commanded to turn: {int(lost.sum())} of {n.t.size}")
 
 
 if __name__ == "__main__":
