@@ -8,6 +8,10 @@ from msgspec import Meta
 
 from ident.results.parts import Part, Result
 
+APART = 0.4  # a fit starts within a factor exp(+-APART) of the truth
+BIAS, COVERAGE, VARIANCE = 0.15, (0.93, 0.97), 0.1  # what is wanted
+AIMS = {"bias": (-BIAS, BIAS), "ratio": (1.0 - VARIANCE, 1.0 + VARIANCE), "coverage": COVERAGE}
+
 
 class ParameterStudy(Part, frozen=True, kw_only=True):
     """Bias, variance and coverage of a parameter in the coordinate in which the estimator moves; intervals are 95 %."""
