@@ -49,6 +49,9 @@ def collect(one: types.Type, found: dict[type[Any], types.StructType]) -> None:
             collect(part, found)
     elif isinstance(one, types.VarTupleType):
         collect(one.item_type, found)
+    elif isinstance(one, types.TupleType):
+        for part in one.item_types:
+            collect(part, found)
     elif isinstance(one, types.DictType):
         collect(one.value_type, found)
     elif isinstance(one, types.StructType) and one.cls not in found:
@@ -79,6 +82,8 @@ def value(one: types.Type) -> str:
         return " or ".join(["null" if isinstance(part, types.NoneType) else value(part) for part in one.types])
     if isinstance(one, types.VarTupleType):
         return f"list of {value(one.item_type)}"
+    if isinstance(one, types.TupleType):
+        return f"list of {len(one.item_types)}: {', '.join(value(part) for part in one.item_types)}"
     if isinstance(one, types.DictType):
         return f"name -> {value(one.value_type)}"
     if isinstance(one, types.StructType):

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.status import Status
 
-    from ident.results import Json, Result
+    from ident.results import Result
 
 # All matrices here are small: threads of the linear algebra library would only wait for each other. Before numpy.
 for _library in ("OPENBLAS", "OMP", "MKL"):
@@ -172,7 +172,7 @@ class LiveLine:
         self.console.print(f"  {text}")
 
 
-def run(work: Callable[[Reporter], Result | Json], out: Path) -> None:
+def run(work: Callable[[Reporter], Result], out: Path) -> None:
     """Do the work with a live line of what it is doing; then show the result and where it is."""
     from rich.console import Console
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from ident.report.access import Row
 from ident.report.drawing import Budget, Figure
 
 
@@ -197,7 +196,6 @@ class Section:
 class Canvas:
     """Collects the page's figures while the sections are built."""
 
-    result: Row
     budget: Budget
     figures: dict[str, Figure] = field(default_factory=dict)
 

@@ -30,7 +30,7 @@ def write_check_page(report: CheckReport, logs: Sequence[CheckEvidence], command
 
     It opens without a network. Raises OSError where ``path`` cannot be written.
     """
-    canvas = Canvas({}, Budget.for_traces(sum(_count(log) for log in logs), POINTS))
+    canvas = Canvas(Budget.for_traces(sum(_count(log) for log in logs), POINTS))
     wrong = [f for f in report.findings if f.level != "ok"]
     opening = Section("top", "", [*([_verdicts(wrong)] if wrong else []), Facts(_facts(report, logs))])
     body = [_mission(canvas, report.mission), *_evidence(canvas, logs)]

@@ -4,76 +4,69 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ident.numerics import Array
 from ident.report import formatting
-from ident.report.access import Row, group, number, rows, text, texts
 from ident.report.blocks import Canvas, Cell, Facts, Grid, Prose, Section, Table
 from ident.report.drawing import AMBER, FAINT, GREEN, MODEL, Budget, Panel, Trace, line, single, stacked
 from ident.report.page import compose
+from ident.results import DesignResult, DesignTrack
 
 COLORS = {"design": MODEL, "PRBS": AMBER, "RGS": GREEN}
 DASHES = {"design": "solid", "PRBS": "dash", "RGS": "dot"}
 BINS = 60
 
 
-def write_design_page(result: Mapping[str, Any], path: Path) -> None:
-    """Write the content of a design's JSON as one HTML page that opens without a network."""
-    canvas = Canvas(result, Budget.for_traces(12))
+def write_design_page(result: DesignResult, path: Path) -> None:
+    """Write a design as one HTML page that opens without a network. Raises OSError where it cannot be written."""
+    canvas = Canvas(Budget.for_traces(12))
     opening = Section("top", "", [Prose(_lead(result), "lead"), Facts(_facts(result))])
-    body = [_errors(result), _inputs(canvas), _track(canvas), _rivals(canvas), _made(result)]
-    page = compose("Mission design", text(result, "answer"), opening, [s for s in body if s.blocks], canvas.figures,
-                   version=text(result, "seatrial"), created=text(result, "created"))
+    body = [_errors(result), _inputs(canvas, result), _track(canvas, result.track), _rivals(canvas, result),
+            _made(result)]
+    page = compose("Mission design", result.answer, opening, [s for s in body if s.blocks], canvas.figures,
+                   version=result.seatrial, created=result.created)
     path.write_text(page, encoding="utf-8", newline="\n")
 
 
-def _lead(result: Row) -> str:
-    form = "with process noise (prediction error)" if text(result, "form") == "prediction error" else (
+def _lead(result: DesignResult) -> str:
+    form = "with process noise (prediction error)" if result.form == "prediction error" else (
         "without process noise (output error)")
-    return (f"Steps that maximise the {text(result, 'criterion')} criterion of the Fisher information of "
-            f"{', '.join(texts(result, 'chosen'))}, {form}. Standard errors after the mission are those of a "
+    return (f"Steps that maximise the {result.criterion} criterion of the Fisher information of "
+            f"{', '.join(result.chosen)}, {form}. Standard errors after the mission are those of a "
             "prediction-error fit of this run together with what was known before.")
 
 
-def _facts(result: Row) -> list[tuple[str, str]]:
-    found = [("model", text(result, "model")), ("criterion", formatting.plain(number(result, "value"), 4))]
-    found += [
-        (f"best of 20 {text(r, 'name')}", formatting.plain(number(r, "value"), 4)) for r in rows(result, "rivals")
-    ]
-    found.append(("better than all in", formatting.percent(number(result, "share_won"), 1) + " of the samples"))
-    apart = group(result, "apart")
-    if apart:
-        first, second = texts(apart, "effects")
-        found += [(f"T if {first} is true", formatting.plain(number(apart, "if_first"))),
-                  (f"T if {second} is true", formatting.plain(number(apart, "if_second")))]
+def _facts(result: DesignResult) -> list[tuple[str, str]]:
+    found = [("model", result.model), ("criterion", formatting.plain(result.value, 4))]
+    found += [(f"best of 20 {r.name}", formatting.plain(r.value, 4)) for r in result.rivals]
+    found.append(("better than all in", formatting.percent(result.share_won, 1) + " of the samples"))
+    if result.apart is not None:
+        first, second = result.apart.effects
+        found += [(f"T if {first} is true", formatting.plain(result.apart.if_first)),
+                  (f"T if {second} is true", formatting.plain(result.apart.if_second))]
     return found
 
 
-def _errors(result: Row) -> Section:
+def _errors(result: DesignResult) -> Section:
     columns = (("parameter", ""), ("value", "num"), ("unit", ""), ("± before", "num"), ("± after", "num"),
-               ("of the value", "num"), (f"± after the best {text(result, 'rival')}", "num"), ("meaning", ""))
+               ("of the value", "num"), (f"± after the best {result.rival}", "num"), ("meaning", ""))
     lines: list[list[Cell | str]] = []
-    for row in rows(result, "parameters"):
-        value, after = number(row, "value"), number(row, "after")
-        share = None if not value or after is None else abs(after / value)
-        lines.append([Cell(text(row, "name"), "symbol strong" if row.get("chosen") else "symbol"),
-                      Cell(formatting.plain(value), "num"), Cell(formatting.tidy(text(row, "unit")), "nowrap"),
-                      Cell(formatting.plain(number(row, "before")), "num"), Cell(formatting.plain(after), "num"),
+    for p in result.parameters:
+        share = None if not p.value or p.after is None else abs(p.after / p.value)
+        lines.append([Cell(p.name, "symbol strong" if p.chosen else "symbol"),
+                      Cell(formatting.plain(p.value), "num"), Cell(formatting.tidy(p.unit), "nowrap"),
+                      Cell(formatting.plain(p.before), "num"), Cell(formatting.plain(p.after), "num"),
                       Cell("> 100 %" if share is not None and share > 1 else formatting.percent(share, 1), "num"),
-                      Cell(formatting.plain(number(row, "rival")), "num"), Cell(text(row, "meaning"), "wide")])
+                      Cell(formatting.plain(p.rival), "num"), Cell(p.meaning, "wide")])
     return Section("errors", "What will be known", [Table(columns, lines)] if lines else [],
                    "Standard errors; a dash before: nothing is known yet.")
 
 
-def _inputs(canvas: Canvas) -> Section:
-    panels = []
-    for row in rows(canvas.result, "inputs"):
-        t, value = np.asarray(row["t"]), np.asarray(row["value"])
-        panels.append(Panel(f"command {text(row, 'name')}, -1..1", [line(t, value, "command", canvas.budget.points)],
-                            {"range": [-1.08, 1.08]}))
+def _inputs(canvas: Canvas, result: DesignResult) -> Section:
+    panels = [Panel(f"command {row.name}, -1..1", [line(row.t, row.value, "command", canvas.budget.points)],
+                    {"range": [-1.08, 1.08]}) for row in result.inputs]
     if not panels:
         return Section("inputs", "", [])
     figure, height = stacked(panels, "time since the first step [s]")
@@ -81,26 +74,23 @@ def _inputs(canvas: Canvas) -> Section:
                    [Grid([canvas.plot(figure, height, "Commands over time")], 600)])
 
 
-def _track(canvas: Canvas) -> Section:
-    track = group(canvas.result, "track")
-    if not track:
+def _track(canvas: Canvas, track: DesignTrack | None) -> Section:
+    if track is None:
         return Section("track", "", [])
-    x, y = np.asarray(track["x"]), np.asarray(track["y"])
     traces: list[Trace] = []
-    for k, other in enumerate(np.asarray(track["others"])):
+    for k, other in enumerate(track.others):
         name = "boats within what is believed, with process noise" if k == 0 else ""
         traces.append(line(other[:, 1], other[:, 0], name, 400, color=FAINT)
                       | {"opacity": 0.35, "showlegend": k == 0, "hoverinfo": "skip"})
-    traces.append(line(y, x, "nominal boat", 400) | {"showlegend": True})
-    traces.append(_dot(y[:1], x[:1]))
-    current = number(track, "current")
+    traces.append(line(track.y, track.x, "nominal boat", 400) | {"showlegend": True})
+    traces.append(_dot(track.y[:1], track.x[:1]))
+    current = track.current
     water = f"the others in currents of up to {formatting.plain(current)} m/s" if current else "without current"
     words = f"The boat starts at 0, 0, at rest, heading north, {water}. Nobody steers: small errors of the "
     words += "model add up, so watch the geofence of the rig file."
-    corner, area, inside = track.get("corner"), track.get("area"), number(track, "inside")
-    if corner is not None and area is not None and inside is not None:
-        south, west = corner
-        words += (f" {formatting.percent(inside)} of the disturbed boats keep to the area (orange) if it begins "
+    if track.corner is not None and track.area is not None and track.inside is not None:
+        (south, west), area = track.corner, track.area
+        words += (f" {formatting.percent(track.inside)} of the disturbed boats keep to the area (orange) if it begins "
                   f"{formatting.plain(-south)} m south and {formatting.plain(-west)} m west of the start.")
         x, y = south + np.array([0, 1, 1, 0, 0]) * area[0], west + np.array([0, 0, 1, 1, 0]) * area[1]
         traces.append(line(y, x, "area", 10, color=AMBER, dash="dash") | {"showlegend": True})
@@ -115,12 +105,12 @@ def _dot(x: Array, y: Array) -> Trace:
             "marker": {"size": 9, "color": MODEL, "symbol": "square"}, "showlegend": True}
 
 
-def _rivals(canvas: Canvas) -> Section:
-    samples = group(canvas.result, "samples")
+def _rivals(canvas: Canvas, result: DesignResult) -> Section:
+    samples = result.samples
     if not samples:
         return Section("rivals", "", [])
-    traces = [_histogram(name, np.asarray(values), edges_of(samples)) for name, values in samples.items()]
-    figure = single(traces, f"{text(canvas.result, 'criterion')} criterion", "samples", showlegend=True,
+    traces = [_histogram(name, values, edges_of(samples)) for name, values in samples.items()]
+    figure = single(traces, f"{result.criterion} criterion", "samples", showlegend=True,
                     legend={"orientation": "h", "y": 1.12})
     lead = ("The criterion at 1000 samples of the parameters, uniform within the spread about the nominal values; "
             "larger is better, one unit is a factor e in the determinant. PRBS and RGS are each the best of 20, at the "
@@ -129,9 +119,9 @@ def _rivals(canvas: Canvas) -> Section:
         Grid([canvas.plot(figure, 300, "Histogram of the criterion")], 520)], lead)
 
 
-def edges_of(samples: Mapping[str, Any]) -> Array:
+def edges_of(samples: Mapping[str, Array]) -> Array:
     """Common bins of all histograms (n,), without the tails' last half per cent."""
-    every = np.concatenate([np.asarray(v) for v in samples.values()])
+    every = np.concatenate(list(samples.values()))
     low, high = np.quantile(every[np.isfinite(every)], [0.002, 0.998])
     return np.linspace(low, max(high, low + 1e-6), BINS + 1)
 
@@ -143,6 +133,6 @@ def _histogram(name: str, values: Array, edges: Array) -> Trace:
     return trace | {"fill": "tozeroy", "opacity": 0.8, "showlegend": True}
 
 
-def _made(result: Row) -> Section:
-    facts = [("command", text(result, "command")), ("simulations", text(result, "evaluations"))]
+def _made(result: DesignResult) -> Section:
+    facts = [("command", result.command), ("simulations", str(result.evaluations))]
     return Section("made", "How it was made", [Facts(facts, "made")])

@@ -14,7 +14,6 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from ident.report import formatting, sections
-from ident.report.access import Row, rows, text
 from ident.report.blocks import Canvas, Section
 from ident.report.drawing import TEMPLATE, Budget, Figure
 from ident.results import Result
@@ -30,7 +29,7 @@ KINDS = {
 }
 
 
-def write_report(result: Result | Row, path: Path) -> None:
+def write_report(result: Result, path: Path) -> None:
     """Write a result as one HTML page that opens without a network.
 
     Sections without data are left out. Raises OSError where ``path`` cannot be written.
@@ -38,19 +37,18 @@ def write_report(result: Result | Row, path: Path) -> None:
     path.write_text(render(result), encoding="utf-8", newline="\n")
 
 
-def render(result: Result | Row) -> str:
+def render(result: Result) -> str:
     """The page's text."""
-    canvas = Canvas({} if isinstance(result, Result) else result, Budget.for_traces(_count_traces(result)))
+    canvas = Canvas(Budget.for_traces(_count_traces(result)))
     opening, body = sections.opening(result), sections.body(canvas, result)
-    kind = str(type(result).__struct_config__.tag) if isinstance(result, Result) else text(result, "kind")
     return compose(
-        KINDS.get(kind, "Report"),
-        result.answer if isinstance(result, Result) else text(result, "answer"),
+        KINDS[str(type(result).__struct_config__.tag)],
+        result.answer,
         opening,
         body,
         canvas.figures,
-        version=result.seatrial if isinstance(result, Result) else text(result, "seatrial"),
-        created=result.created if isinstance(result, Result) else text(result, "created"),
+        version=result.seatrial,
+        created=result.created,
     )
 
 
@@ -95,12 +93,10 @@ def _environment() -> Environment:
     )
 
 
-def _count_traces(result: Result | Row) -> int:
+def _count_traces(result: Result) -> int:
     """About how many long traces the page will hold."""
     weights = {"traces": 4, "track": 3, "inputs": 1, "residuals": 2, "residual_forces": 4, "noise": 2, "navigation": 40}
-    if isinstance(result, Result):
-        return sum(weight * len(getattr(result, key, ())) for key, weight in weights.items())
-    return sum(weight * len(rows(result, key)) for key, weight in weights.items())
+    return sum(weight * len(getattr(result, key, ())) for key, weight in weights.items())
 
 
 def _embedded(value: Any) -> str:

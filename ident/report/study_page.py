@@ -9,17 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
 from scipy import stats
 
 from ident.report import drawing, formatting
-from ident.report.access import Row, number, rows, text, texts
 from ident.report.blocks import Canvas, Cell, Facts, Grid, Heading, Key, Plot, Prose, Section, Table
 from ident.report.drawing import BEFORE, MODEL, Budget, single
 from ident.report.page import compose
-from ident.results import AIMS, APART, BIAS, COVERAGE, VARIANCE
+from ident.results import AIMS, APART, BIAS, COVERAGE, VARIANCE, ModelStudy, ParameterStudy, StudyResult
 
 Aims = Mapping[str, tuple[float, float]]
 ROW_PX, REST_PX = 26, 56  # height of a parameter's row, and of the axis below
@@ -33,7 +32,7 @@ COLUMNS = (
     ("at a bound", "num"),
     ("misses", ""),
 )
-PANELS = (
+PANELS: tuple[tuple[Number, str, float], ...] = (
     ("bias", "bias, standard deviations", 1.0),
     ("ratio", "variance / bound", 1.0),
     ("coverage", "coverage of 95 % intervals, %", 100.0),
@@ -41,33 +40,33 @@ PANELS = (
 NAMES_PX, PANEL_PX, GAP_PX, PICTURE_ROW_PX, TOP_PX, AXIS_PX, KEY_PX = 64, 250, 22, 20, 30, 24, 26
 N_TICKS = 5
 KEY = (("fine", "as wanted"), ("chance", "beyond the aim, perhaps by chance"), ("miss", "beyond the aim"))
-Json = Mapping[str, Any]
+Number = Literal["bias", "ratio", "coverage"]
 HEAD = ("parameter", "n", "at bound", "bias, sd", "variance/reported", "variance/bound", "coverage", "")
 PICTURES = "pictures"  # the folder beside a page
 
 
-def write_study_page(result: Mapping[str, Any], aims: Aims, path: Path) -> None:
+def write_study_page(result: StudyResult, aims: Aims, path: Path) -> None:
     """Write a study's result as one HTML page that opens without a network.
 
     ``aims``: what is wanted of bias (standard deviations), ratio (of variances) and coverage (0..1), low and high.
     Raises OSError where ``path`` cannot be written.
     """
-    canvas = Canvas(result, Budget())
-    body = [_study(canvas, study, aims) for study in rows(result, "studies")]
+    canvas = Canvas(Budget())
+    body = [_study(canvas, study, aims) for study in result.studies]
     opening = Section("top", "", [Prose(_lead(aims), "lead")])
     made = Section(
         "made",
         "How it was made",
-        [Facts([("command", text(result, "command")), ("seed", text(result, "seed"))], "made")],
+        [Facts([("command", result.command), ("seed", str(result.seed))], "made")],
     )
     page = compose(
         "Study of an estimator",
-        text(result, "answer"),
+        result.answer,
         opening,
         [*(s for s in body if s.blocks), made],
         canvas.figures,
-        version=text(result, "seatrial"),
-        created=text(result, "created"),
+        version=result.seatrial,
+        created=result.created,
     )
     path.write_text(page, encoding="utf-8", newline="\n")
 
@@ -81,19 +80,16 @@ def _lead(aims: Aims) -> str:
     )
 
 
-def _study(canvas: Canvas, study: Row, aims: Aims) -> Section:
-    found = rows(study, "parameters")
-    name = text(study, "model")
+def _study(canvas: Canvas, study: ModelStudy, aims: Aims) -> Section:
+    found, name = study.parameters, study.model
     if not found:
         return Section(f"study-{name}", name, [Prose("No replicate can be judged.")])
-    plots = [
-        _forest(canvas, found, key, title, factor, aims[key])
-        for key, title, factor in (
-            ("bias", "bias [standard deviations]", 1.0),
-            ("ratio", "variance over the least possible", 1.0),
-            ("coverage", "coverage of 95 % intervals [%]", 100.0),
-        )
-    ]
+    kinds: tuple[tuple[Number, str, float], ...] = (
+        ("bias", "bias [standard deviations]", 1.0),
+        ("ratio", "variance over the least possible", 1.0),
+        ("coverage", "coverage of 95 % intervals [%]", 100.0),
+    )
+    plots = [_forest(canvas, found, key, title, factor, aims[key]) for key, title, factor in kinds]
     key = Key(
         [
             ("after", "as wanted: estimate with its own 95 % interval; the band is the aim"),
@@ -102,7 +98,7 @@ def _study(canvas: Canvas, study: Row, aims: Aims) -> Section:
     )
     return Section(
         f"study-{name}",
-        f"{name}: {text(study, 'about')}",
+        f"{name}: {study.about}",
         [
             Facts(_facts(study)),
             Heading("Against what is wanted"),
@@ -114,21 +110,20 @@ def _study(canvas: Canvas, study: Row, aims: Aims) -> Section:
     )
 
 
-def _facts(study: Row) -> list[tuple[str, str]]:
-    fit, simulation = number(study, "cpu_fit"), number(study, "cpu_simulation")
+def _facts(study: ModelStudy) -> list[tuple[str, str]]:
     facts = [
-        ("estimator", text(study, "estimator")),
-        *(
-            (word, text(study, key))
-            for key, word in (("replicates", "replicates"), ("failed", "failed"), ("unconverged", "did not converge"))
-        ),
+        ("estimator", study.estimator),
+        ("replicates", str(study.replicates)),
+        ("failed", str(study.failed)),
+        ("did not converge", str(study.unconverged)),
     ]
-    times = [f"{1e3 * t:.0f} ms a {what}" for t, what in ((fit, "fit"), (simulation, "simulation")) if t is not None]
+    both = ((study.cpu_fit, "fit"), (study.cpu_simulation, "simulation"))
+    times = [f"{1e3 * t:.0f} ms a {what}" for t, what in both if t is not None]
     return [*facts, *([("CPU time", ", ".join(times))] if times else [])]
 
 
 def _forest(
-    canvas: Canvas, found: Sequence[Row], key: str, title: str, factor: float, aim: tuple[float, float]
+    canvas: Canvas, found: Sequence[ParameterStudy], key: Number, title: str, factor: float, aim: tuple[float, float]
 ) -> Plot:
     """One number of every parameter with its own interval, against the aim."""
     value, low, high = factor * np.array([interval(row, key) for row in found]).T
@@ -151,7 +146,7 @@ def _forest(
         "x": value.tolist(),
         "y": place.tolist(),
         "error_x": bars,
-        "text": [text(row, "name") for row in found],
+        "text": [row.name for row in found],
         "hovertemplate": "%{text}: %{x:.3g}<extra></extra>",
         "marker": {"color": color, "symbol": symbol, "size": 9, "line": {"width": 1.5}},
     }
@@ -170,7 +165,7 @@ def _forest(
     names = {
         "tickmode": "array",
         "tickvals": place.tolist(),
-        "ticktext": [text(row, "name") for row in found],
+        "ticktext": [row.name for row in found],
         "range": [-0.7, len(found) - 0.3],
         "automargin": True,
         "nticks": len(found),
@@ -182,67 +177,61 @@ def _forest(
     return canvas.plot(figure, REST_PX + ROW_PX * len(found), f"{title} of every parameter")
 
 
-def interval(row: Row, key: str) -> tuple[float, float, float]:
-    """A parameter's bias, ratio or coverage with the ends of its own 95 % interval; NaN where there is none."""
-    column = "bound_ratio" if key == "ratio" else key  # the variance is judged by what is possible
-    value = number(row, column)
-    middle = np.nan if value is None else value
+def interval(row: ParameterStudy, key: Number) -> tuple[float, float, float]:
+    """A parameter's bias, ratio or coverage with the ends of its own 95 % interval."""
     if key == "bias":
-        half = drawing.Z95 * (number(row, "bias_error") or 0.0)
-        return middle, middle - half, middle + half
-    ends = (number(row, f"{column}_low"), number(row, f"{column}_high"))
-    low, high = (middle if end is None else end for end in ends)
-    return middle, low, high
+        half = drawing.Z95 * row.bias_error
+        return row.bias, row.bias - half, row.bias + half
+    if key == "ratio":  # the variance is judged by what is possible
+        return row.bound_ratio, row.bound_ratio_low, row.bound_ratio_high
+    return row.coverage, row.coverage_low, row.coverage_high
 
 
-def verdict_of(row: Row, key: str) -> str:
+def verdict_of(row: ParameterStudy, key: Number) -> str:
     """``fine``, ``chance`` (beyond the aim, but perhaps by chance) or ``miss``."""
     word = {"bias": "bias", "ratio": "variance", "coverage": "coverage"}[key]
-    misses = [miss for miss in texts(row, "misses") if miss.startswith(word)]
+    misses = [miss for miss in row.misses if miss.startswith(word)]
     if not misses:
         return "fine"
     return "chance" if all("chance" in miss for miss in misses) else "miss"
 
 
-def _row(row: Row) -> list[Cell | str]:
+def _row(row: ParameterStudy) -> list[Cell | str]:
     shown = [
-        formatting.with_error(number(row, "bias"), number(row, "bias_error")),
-        formatting.plain(number(row, "ratio")),
+        formatting.with_error(row.bias, row.bias_error),
+        formatting.plain(row.ratio),
         _between(row, "ratio", 1.0, 2),
         f"{_between(row, 'coverage', 100.0, 1)} %",
-        text(row, "at_bound"),
+        str(row.at_bound),
     ]
-    value = (
-        f"{formatting.short(formatting.plain(number(row, 'truth'), 4))} {formatting.tidy(text(row, 'unit'))}".strip()
-    )
-    misses = texts(row, "misses")
-    sure = [miss for miss in misses if "chance" not in miss]
+    value = f"{formatting.short(formatting.plain(row.truth, 4))} {formatting.tidy(row.unit)}".strip()
+    sure = [miss for miss in row.misses if "chance" not in miss]
     return [
-        Cell(text(row, "name"), "symbol"),
+        Cell(row.name, "symbol"),
         Cell(value, "num"),
         *(Cell(words, "num") for words in shown),
-        Cell(", ".join(misses) or "–", "bad wide" if sure else "wide" if misses else "quiet"),
+        Cell(", ".join(row.misses) or "–", "bad wide" if sure else "wide" if row.misses else "quiet"),
     ]
 
 
-def _between(row: Row, key: str, factor: float, digits: int) -> str:
+def _between(row: ParameterStudy, key: Number, factor: float, digits: int) -> str:
     middle, low, high = (factor * number_ for number_ in interval(row, key))
     return f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
 
 
-def picture(study: Row, aims: Aims) -> str:
+def picture(study: ModelStudy, aims: Aims) -> str:
     """SVG of one of ``studies``; ``aims`` as for the page, low and high of each number."""
-    found = rows(study, "parameters")
+    found = study.parameters
     bottom = TOP_PX + PICTURE_ROW_PX * len(found)
     width, height = NAMES_PX + 3 * (PANEL_PX + GAP_PX), bottom + AXIS_PX + KEY_PX
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="sans-serif" '
         f'font-size="12" fill="{drawing.INK}" role="img">',
-        f"<title>Bias, variance and coverage of {escape(text(study, 'model'))}</title>",
+        f"<title>Bias, variance and coverage of {escape(study.model)}</title>",
         f'<rect width="{width}" height="{height}" fill="#ffffff"/>',
     ]
     for k, row in enumerate(found):
-        name = escape(text(row, "name"))
+        name = escape(row.name)
         parts.append(f'<text x="{NAMES_PX - 8}" y="{_middle(k) + 4}" text-anchor="end">{name}</text>')
     for k, (key, title, factor) in enumerate(PANELS):
         left = NAMES_PX + k * (PANEL_PX + GAP_PX)
@@ -255,7 +244,7 @@ def picture(study: Row, aims: Aims) -> str:
 
 
 def _panel(
-    found: Sequence[Row], key: str, factor: float, aim: tuple[float, float], left: int, bottom: int
+    found: Sequence[ParameterStudy], key: Number, factor: float, aim: tuple[float, float], left: int, bottom: int
 ) -> list[str]:
     """One number of every parameter with its own interval, over its aim."""
     table = factor * np.array([interval(row, key) for row in found])
@@ -288,7 +277,7 @@ def _panel(
     return parts
 
 
-def by_chance(key: str, n: int) -> tuple[float, float]:
+def by_chance(key: Number, n: int) -> tuple[float, float]:
     """What holds 95 % of the biases [standard deviations], variance ratios or coverages that an estimator shows in
     ``n`` replicates when there is nothing wrong with it."""
     if key == "bias":
@@ -300,8 +289,8 @@ def by_chance(key: str, n: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _n(found: Sequence[Row]) -> int:
-    return int(np.median([number(row, "n") or 3 for row in found]))
+def _n(found: Sequence[ParameterStudy]) -> int:
+    return int(np.median([row.n for row in found]))
 
 
 def _middle(k: int) -> int:
@@ -328,58 +317,58 @@ def _axis(least: float, most: float, x: Callable[[float], str], bottom: int) -> 
     ]
 
 
-def write_study_docs(result: Json, path: Path) -> None:
+def write_study_docs(result: StudyResult, path: Path) -> None:
     """The page of ``docs/study.md`` as ``path``, and its pictures in a folder beside it.
 
     Raises OSError where they cannot be written.
     """
     (path.parent / PICTURES).mkdir(parents=True, exist_ok=True)
-    for one in result["studies"]:
-        if one["parameters"]:
+    for one in result.studies:
+        if one.parameters:
             drawn = picture(one, AIMS)
             (path.parent / _picture(one)).write_text(drawn, encoding="utf-8", newline="\n")
     path.write_text(page(result), encoding="utf-8", newline="\n")
 
 
-def _picture(one: Json) -> str:
-    return f"{PICTURES}/study-{one['model']}.svg"
+def _picture(one: ModelStudy) -> str:
+    return f"{PICTURES}/study-{one.model}.svg"
 
 
-def table(one: Json) -> list[tuple[str, ...]]:
+def table(one: ModelStudy) -> list[tuple[str, ...]]:
     """Lines of a study, the head first."""
-    return [HEAD, *(_line(r) for r in one["parameters"])]
+    return [HEAD, *(_line(r) for r in one.parameters)]
 
 
-def _line(r: Json) -> tuple[str, ...]:
+def _line(r: ParameterStudy) -> tuple[str, ...]:
     return (
-        r["name"],
-        str(r["n"]),
-        str(r["at_bound"]),
-        f"{r['bias']:+.2f} ± {r['bias_error']:.2f}",
-        f"{r['ratio']:.2f}",
-        f"{r['bound_ratio']:.2f} ({r['bound_ratio_low']:.2f} to {r['bound_ratio_high']:.2f})",
-        f"{100 * r['coverage']:.1f} % ({100 * r['coverage_low']:.1f} to {100 * r['coverage_high']:.1f})",
-        ", ".join(r["misses"]),
+        r.name,
+        str(r.n),
+        str(r.at_bound),
+        f"{r.bias:+.2f} ± {r.bias_error:.2f}",
+        f"{r.ratio:.2f}",
+        f"{r.bound_ratio:.2f} ({r.bound_ratio_low:.2f} to {r.bound_ratio_high:.2f})",
+        f"{100 * r.coverage:.1f} % ({100 * r.coverage_low:.1f} to {100 * r.coverage_high:.1f})",
+        ", ".join(r.misses),
     )
 
 
-def as_text(result: Json) -> str:
+def as_text(result: StudyResult) -> str:
     """The answer and the tables, for a terminal."""
     lines = []
-    for one in result["studies"]:
+    for one in result.studies:
         rows = table(one)
         width = [max(len(row[k]) for row in rows) for k in range(len(HEAD))]
-        lines += ["", f"{one['model']}, {one['method']}: {one['about']}", f"estimator: {one['estimator']}", ""]
+        lines += ["", f"{one.model}, {one.method}: {one.about}", f"estimator: {one.estimator}", ""]
         lines += ["  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)).rstrip() for row in rows]
-    return "\n".join([*lines[1:], "", result["answer"], ""])
+    return "\n".join([*lines[1:], "", result.answer, ""])
 
 
-def page(result: Json) -> str:
+def page(result: StudyResult) -> str:
     """The studies in Markdown: what was done, and a picture and a table each."""
     lines = [
         "# Monte Carlo study of the estimators",
         "",
-        f"    {result['command']}",
+        f"    {result.command}",
         "",
         "Data of each model itself, with process noise, simulated in plain numpy by steps of Heun "
         "(`ident/estimation/stochastic_simulation.py`); "
@@ -399,15 +388,15 @@ def page(result: Json) -> str:
         "into the aim. In the pictures lines are these intervals, the light band is the aim, and dashes hold 95 % of "
         "what chance alone makes of an estimator that is right, with as many replicates (binomial, for the coverage).",
     ]
-    for one in result["studies"]:
+    for one in result.studies:
         head, *rows = table(one)
         lines += [
             "",
-            f"## {one['model']}, {one['method']}",
+            f"## {one.model}, {one.method}",
             "",
-            f"{one['about']}; {one['estimator']}; {one['replicates']} replicates, {one['failed']} failed, "
-            f"{one['unconverged']} did not converge; {1e3 * one['cpu_fit']:.0f} ms CPU a fit, "
-            f"{1e3 * one['cpu_simulation']:.0f} ms a simulation.",
+            f"{one.about}; {one.estimator}; {one.replicates} replicates, {one.failed} failed, "
+            f"{one.unconverged} did not converge; {_ms(one.cpu_fit)} ms CPU a fit, "
+            f"{_ms(one.cpu_simulation)} ms a simulation.",
             "",
             *([f"![bias, variance and coverage of every parameter]({_picture(one)})", ""] if rows else []),
             "| " + " | ".join(head) + " |",
@@ -415,3 +404,7 @@ def page(result: Json) -> str:
             *("| " + " | ".join(r) + " |" for r in rows),
         ]
     return "\n".join(lines) + "\n"
+
+
+def _ms(seconds: float | None) -> str:
+    return "–" if seconds is None else f"{1e3 * seconds:.0f}"

@@ -12,7 +12,6 @@ from ident.diagnosis import Diagnosis, DiagnosisEvaluation, Refit, Round, recomm
 from ident.estimation import FittedModel
 from ident.results import parts
 from ident.results.answers import calibration_notes
-from ident.results.content import format_number
 from ident.results.parts import DiagnosisResult, ErrorComparison, Provenance
 from ident.results.tables import (
     all_inputs,
@@ -21,6 +20,7 @@ from ident.results.tables import (
     error_comparison,
     finite,
     fit_summary,
+    format_number,
     residual_rows,
     traces,
     tracks,

@@ -16,12 +16,27 @@ import numpy as np
 
 from daq.errors import SeatrialError
 from ident.numerics import Array
+from ident.results.design import DesignResult
+from ident.results.information import InformationResult
+from ident.results.navigation import NavigationResult
+from ident.results.noise import NoiseResult
 from ident.results.parts import DiagnosisResult, Part, ThrustCurveResult, ThrusterResult, VehicleResult
+from ident.results.study import StudyResult
 
 DIGITS = 7  # significant, of a number in a file
 EXACT = 22  # powers of ten are exact up to there
 
-AnyResult = VehicleResult | ThrusterResult | ThrustCurveResult | DiagnosisResult
+AnyResult = (
+    VehicleResult
+    | ThrusterResult
+    | ThrustCurveResult
+    | DiagnosisResult
+    | NoiseResult
+    | NavigationResult
+    | InformationResult
+    | DesignResult
+    | StudyResult
+)
 
 
 def to_json(result: Part) -> bytes:

@@ -54,6 +54,11 @@ def finite(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
 
 
+def format_number(value: float) -> str:
+    """Two digits for a sentence: 113, 8.4, 0.66."""
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:#.2g}".rstrip(".")
+
+
 def provenance(loaded: Sequence[LoadedLog], command: str) -> Provenance:
     """What every result says of where it came from."""
     return Provenance(

@@ -247,13 +247,25 @@ def _statistics(name: str, rows: Sequence[Row]) -> ParameterCoverage | None:
         inside / n, (float(interval.low), float(interval.high)))
 
 
-def counts(rows: Sequence[Row]) -> dict[str, float]:
-    """Number of replicates, failed and unconverged ones; median CPU time [s] of a fit and mean of a simulation."""
+@dataclass(frozen=True)
+class ReplicateCounts:
+    """How many replicates there are, failed, did not converge; median CPU time of a fit and mean of a simulation [s],
+    NaN without any."""
+
+    replicates: int
+    failed: int
+    unconverged: int
+    cpu_fit: float
+    cpu_simulation: float
+
+
+def counts(rows: Sequence[Row]) -> ReplicateCounts:
+    """Of rows as ``run_replicates`` makes them."""
     good = [r for r in rows if "error" not in r]
-    return {
-        "replicates": len(rows),
-        "failed": len(rows) - len(good),
-        "unconverged": sum(not r["converged"] for r in good),
-        "cpu_fit": float(np.median([r["cpu"] for r in good])) if good else float("nan"),
-        "cpu_simulation": float(np.mean([r["simulation"] for r in rows])) if rows else float("nan"),
-    }
+    return ReplicateCounts(
+        replicates=len(rows),
+        failed=len(rows) - len(good),
+        unconverged=sum(not r["converged"] for r in good),
+        cpu_fit=float(np.median([r["cpu"] for r in good])) if good else float("nan"),
+        cpu_simulation=float(np.mean([r["simulation"] for r in rows])) if rows else float("nan"),
+    )

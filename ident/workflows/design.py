@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -17,14 +15,12 @@ from ident.effects import catalogue
 from ident.estimation import dynamic_parameters, load_model
 from ident.experiment_design import (
     PRIOR_HALFWIDTH,
-    BaselineSignal,
     Design,
     DesignLimits,
     DesignProblem,
     DiscriminationDesign,
     Kind,
     ParameterPrior,
-    Robustness,
     Steps,
     ThrusterResponse,
     Track,
@@ -42,8 +38,18 @@ from ident.models import make_model
 from ident.numerics import Array, scaled_pseudo_inverse
 from ident.report import tidy, write_design_page
 from ident.reporter import Reporter
-from ident.results import Json, format_number, to_json
-from ident.workflows.output import write_result
+from ident.results import (
+    CommandTrace,
+    DesignedParameter,
+    DesignResult,
+    DesignTrack,
+    Discrimination,
+    RivalSignal,
+    finite,
+    format_number,
+    provenance,
+    write_result,
+)
 
 STATIC_S = 5.0  # s at rest before the steps: noise of the sensors, and the boat comes to rest
 N_SHOWN = 24  # sampled tracks on the page
@@ -72,7 +78,7 @@ class DesignRequest:
     thrusters: tuple[str, ...] = ()
 
 
-def make_design(source: str, wish: DesignRequest, out: Path, command: str, reporter: Reporter) -> Json:
+def make_design(source: str, wish: DesignRequest, out: Path, command: str, reporter: Reporter) -> DesignResult:
     """Search, compare, and write ``out`` (mission.toml) with .json and .html beside it; returns what the JSON holds.
 
     Raises SeatrialError where the model or the wish cannot be used, before anything is written.
@@ -89,9 +95,9 @@ def make_design(source: str, wish: DesignRequest, out: Path, command: str, repor
                             f"--thrusters names {len(thrusters)}")
     task.measure  # noqa: B018  # a wrong --parameters is said before the search
     reporter.progress(f"design: {task.steps.n_steps} steps in {task.steps.duration:g} s for {', '.join(_chosen(task))}")
-    told: Json = {}
+    apart: Discrimination | None = None
     if wish.between:
-        made, told = _between(task, wish, reporter)
+        made, apart = _between(task, wish, reporter)
     else:
         made = design(task, evaluations=wish.evaluations,
                       progress=lambda n, merit: reporter.progress(
@@ -101,11 +107,25 @@ def make_design(source: str, wish: DesignRequest, out: Path, command: str, repor
     samples = monte_carlo(task, {"design": made.command} | {k: r.command for k, r in found.items()}, seed=wish.seed,
                           box=wish.spread)
     track = predicted_track(made)
-    result = _result(made, found, samples, track, command, source) | told
-    result["answer"] = _answer(made, result)
+    best = max(found, key=lambda k: found[k].value)
+    fine = found[best].command[np.minimum(_rows(task), len(task.t) - 1)]
+    parameters = _parameters(made, predicted_errors(task, fine))
+    here = provenance([], command)
+    result = DesignResult(
+        created=here.created, seatrial=here.seatrial, command=here.command, answer=_answer(made, parameters, apart),
+        model=source, criterion=task.criterion, chosen=tuple(_chosen(task)),
+        form="prediction error" if task.process_noise else "output error",
+        value=made.value, evaluations=made.found.evaluations, parameters=parameters,
+        rivals=tuple(RivalSignal(name=k, value=r.value, bandwidth=r.bandwidth, seeds=r.values)
+                     for k, r in found.items()),
+        rival=best, limited=task.limits.bind, samples=dict(samples.values), share_won=samples.share_won(),
+        inputs=tuple(CommandTrace(name=c, t=task.t, value=made.command[:, k])
+                     for k, c in enumerate(task.actuation.channels)),
+        track=None if track is None else _track(track, task.limits), apart=apart,
+    )  # fmt: skip
     title = " against ".join(wish.between) or f"{wish.criterion}-optimal for {', '.join(_chosen(task))}"
     save_new_mission(designed_mission(f"steps, {title}", thrusters, made, track, wish, source, command), out)
-    write_result(to_json(result), beside[".json"])
+    write_result(result, beside[".json"])
     write_design_page(result, beside[".html"])
     return result
 
@@ -169,7 +189,7 @@ def _chosen(task: DesignProblem) -> tuple[str, ...]:
     return task.chosen or task.learned
 
 
-def _between(task: DesignProblem, wish: DesignRequest, reporter: Reporter) -> tuple[Design, Json]:
+def _between(task: DesignProblem, wish: DesignRequest, reporter: Reporter) -> tuple[Design, Discrimination]:
     """The design that tells two effects apart, judged as any other, and how far apart it puts them."""
     a, b = (with_effect(task.model, name) for name in wish.between)
     made: DiscriminationDesign = discriminate(
@@ -180,9 +200,10 @@ def _between(task: DesignProblem, wish: DesignRequest, reporter: Reporter) -> tu
     rng = np.random.default_rng([wish.seed, 31])
     random = [task.commands(z)[:, :, 0] for z in task.steps.random(8, rng)[:, None]]
     others = [min(separation(a, b, task, c)) for c in random]
-    row = {"effects": list(wish.between), "if_second": made.apart[0], "if_first": made.apart[1], "clear": made.clear,
-           "random": others}
-    return Design(task, made.levels, made.durations, value, told[0], made.found), {"apart": row}
+    first, second = wish.between
+    row = Discrimination(effects=(first, second), if_second=made.apart[0], if_first=made.apart[1], clear=made.clear,
+                         random=np.array(others))
+    return Design(task, made.levels, made.durations, value, told[0], made.found), row
 
 
 def with_effect(model: Model, name: str) -> Model:
@@ -202,29 +223,10 @@ def with_effect(model: Model, name: str) -> Model:
     return (model + effect).with_values(sizes)
 
 
-def _result(made: Design, found: Mapping[str, BaselineSignal], samples: Robustness, track: Track | None, command: str,
-            source: str) -> Json:
-    """The content of the JSON file; keys: docs/formats/mission.md."""
-    task = made.task
-    best = max(found, key=lambda k: found[k].value)
-    fine = found[best].command[np.minimum(_rows(task), len(task.t) - 1)]
-    return {
-        "format": "seatrial-result 1", "kind": "design", "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "seatrial": version("seatrial"), "command": command, "model": source, "criterion": task.criterion,
-        "chosen": list(_chosen(task)), "form": "prediction error" if task.process_noise else "output error",
-        "value": made.value, "evaluations": made.found.evaluations,
-        "parameters": _parameters(made, predicted_errors(task, fine)),
-        "rivals": [{"name": k, "value": r.value, "bandwidth": r.bandwidth, "seeds": r.values}
-                   for k, r in found.items()],
-        "rival": best, "limited": task.limits.bind, "samples": dict(samples.values),
-        "share_won": samples.share_won(),
-        "inputs": [{"name": c, "t": task.t, "value": made.command[:, k]}
-                   for k, c in enumerate(task.actuation.channels)],
-        "track": None if track is None else {
-            "t": track.t, "x": track.x, "y": track.y, "radius": track.radius, "inside": track.inside,
-            "others": track.others[:N_SHOWN], "corner": track.corner, "area": task.limits.area,
-            "current": task.limits.current},
-    }
+def _track(track: Track, limits: DesignLimits) -> DesignTrack:
+    corner = None if track.corner is None else (float(track.corner[0]), float(track.corner[1]))
+    return DesignTrack(t=track.t, x=track.x, y=track.y, radius=track.radius, others=tuple(track.others[:N_SHOWN]),
+                       inside=track.inside, corner=corner, area=limits.area, current=limits.current)
 
 
 def _rows(task: DesignProblem) -> NDArray[np.intp]:
@@ -232,50 +234,54 @@ def _rows(task: DesignProblem) -> NDArray[np.intp]:
     return np.asarray(np.searchsorted(task.t, task.finer.t + 1e-9, side="right") - 1)
 
 
-def _parameters(made: Design, rival: Mapping[str, float]) -> list[Json]:
+def _parameters(made: Design, rival: Mapping[str, float]) -> tuple[DesignedParameter, ...]:
     model, before, after = made.task.model, made.before, made.predicted
     chosen = _chosen(made.task)
-    return [{"name": n, "meaning": model.parameter(n).meaning, "unit": model.parameter(n).unit,
-             "value": model.parameter(n).value, "before": before[n], "after": after[n], "form": made.errors[n],
-             "rival": rival[n], "chosen": n in chosen} for n in made.task.learned]
+    return tuple(
+        DesignedParameter(
+            name=p.name, meaning=p.meaning, unit=p.unit, value=p.value, before=finite(before[p.name]),
+            after=finite(after[p.name]), form=finite(made.errors[p.name]), rival=finite(rival[p.name]),
+            chosen=p.name in chosen,
+        )
+        for p in (model.parameter(name) for name in made.task.learned)
+    )  # fmt: skip
 
 
-def _answer(made: Design, result: Json) -> str:
+def _answer(made: Design, parameters: Sequence[DesignedParameter], apart: Discrimination | None) -> str:
     """One sentence."""
-    if "apart" in result:
-        row = result["apart"]
-        first, second = row["effects"]
-        least = min(row["if_first"], row["if_second"])
-        verdict = "tells them apart" if row["clear"] else "may not tell them apart: T should be above 30"
+    if apart is not None:
+        first, second = apart.effects
+        least = min(apart.if_second, apart.if_first)
+        verdict = "tells them apart" if apart.clear else "may not tell them apart: T should be above 30"
         return (f"This mission {verdict}: {first} against {second} differ by at least T = {format_number(least)} "
-                f"(random missions: {format_number(float(np.median(row['random'])))})")
+                f"(random missions: {format_number(float(np.median(apart.random)))})")
     parts = []
-    rows = [r for r in result["parameters"] if r["chosen"]]
-    for row in rows[:NAMED]:
-        share = abs(row["after"] / row["value"]) if row["value"] else np.inf
-        parts.append(f"{row['name']} ±{format_number(row['after'])} {tidy(row['unit'])}"
-                     + (f" ({100 * share:.2g} %)" if share < 1 else ""))
+    rows = [p for p in parameters if p.chosen]
+    for p in rows[:NAMED]:
+        after = np.inf if p.after is None else p.after
+        share = abs(after / p.value) if p.value else np.inf
+        of_value = f" ({100 * share:.2g} %)" if share < 1 else ""
+        parts.append(f"{p.name} ±{format_number(after)} {tidy(p.unit)}{of_value}")
     more = f", and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
     return f"After this mission of {made.task.steps.duration:g} s a fit should know {', '.join(parts)}{more}"
 
 
-def summary(result: Json) -> Sequence[str]:
+def summary(result: DesignResult) -> Sequence[str]:
     """Lines for the terminal: the answer, and a line for each parameter."""
-    lines = [result["answer"], ""]
-    for row in result["parameters"]:
-        before = f"{row['before']:.3g}" if np.isfinite(row["before"]) else "–"
-        unit = tidy(row["unit"])
-        lines.append(f"  {row['name']:<8} {row['value']:10.4g} {unit:<8} ± {before:>8} -> {row['after']:.3g}"
-                     f"   ({result['rival']}: {row['rival']:.3g})")
-    best = max(r["value"] for r in result["rivals"])
+    lines = [result.answer, ""]
+    for p in result.parameters:
+        before, after, rival = ("–" if v is None else f"{v:.3g}" for v in (p.before, p.after, p.rival))
+        lines.append(f"  {p.name:<8} {p.value:10.4g} {tidy(p.unit):<8} ± {before:>8} -> {after}"
+                     f"   ({result.rival}: {rival})")
+    best = max(r.value for r in result.rivals)
     lines.append("")
-    if "apart" not in result:
-        free = " (which keep to no limits)" if result["limited"] else ""
-        gain = f"{result['value'] - best:+.1f} against the best of 20 {result['rival']}{free}"
-        lines.append(f"{result['criterion']} {result['value']:.1f}, {gain}; better than all rivals in "
-                     f"{100 * result['share_won']:.1f} % of 1000 parameter samples")
-    track = result["track"]
-    if track is not None and track["inside"] is not None:
-        water = f"in a current of up to {track['current']:g} m/s" if track["current"] else "no current assumed"
-        lines.append(f"stays inside the area for {100 * track['inside']:.0f} % of disturbed boats; {water}")
+    if result.apart is None:
+        free = " (which keep to no limits)" if result.limited else ""
+        gain = f"{result.value - best:+.1f} against the best of 20 {result.rival}{free}"
+        lines.append(f"{result.criterion} {result.value:.1f}, {gain}; better than all rivals in "
+                     f"{100 * result.share_won:.1f} % of 1000 parameter samples")
+    track = result.track
+    if track is not None and track.inside is not None:
+        water = f"in a current of up to {track.current:g} m/s" if track.current else "no current assumed"
+        lines.append(f"stays inside the area for {100 * track.inside:.0f} % of disturbed boats; {water}")
     return lines

@@ -1,11 +1,12 @@
-"""What ``seatrial ident information`` does: which stretches of logs already taken tell of which parameter."""
+"""What ``seatrial ident information`` does: which segments of logs already taken tell of which parameter."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from daq.errors import SeatrialError
@@ -16,11 +17,21 @@ from ident.model import Model
 from ident.numerics import Array
 from ident.report import write_report
 from ident.reporter import Reporter
-from ident.results import Json, envelope, format_number, input_traces, to_json
+from ident.results import (
+    Information,
+    InformationResult,
+    InformedParameter,
+    Segment,
+    SegmentInformation,
+    finite,
+    format_number,
+    provenance,
+    record_inputs,
+    write_result,
+)
 from ident.workflows.model_inputs import as_logged, completed, known_curve
-from ident.workflows.output import write_result
 
-TELLS = 1.2  # the standard error would grow by so much without a stretch: it is worth naming
+TELLS = 1.2  # the standard error would grow by so much without a segment: it is worth naming
 VAGUE = 0.5  # standard error over value from which a parameter counts as hardly known
 
 
@@ -32,7 +43,7 @@ class InformationRequest:
         model: the model.toml.
         logs: that the model was, or could be, fitted to.
         out: folder for the results.
-        seconds: length of a stretch [s].
+        seconds: length of a segment [s].
         chosen: parameters; none: all dynamic ones.
         thruster: the static curve that the model was fitted with.
         rate: rows a second to which faster sensors are averaged [Hz].
@@ -47,8 +58,8 @@ class InformationRequest:
     rate: float = 10.0
 
 
-def information(request: InformationRequest, command: str, reporter: Reporter) -> Json:
-    """Information of every stretch of the logs about the model's dynamic parameters; ``command``: what was typed.
+def information(request: InformationRequest, command: str, reporter: Reporter) -> InformationResult:
+    """Information of every segment of the logs about the model's dynamic parameters; ``command``: what was typed.
 
     The model's values are those of its file; the current and the offsets of each log are fitted to it. Raises
     SeatrialError where model and logs do not go together.
@@ -65,13 +76,28 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
     for rows in records:
         reporter.progress(f"{rows.name}: its own current and offsets")
         values.append(own_values(model, rows))
-    reporter.progress(f"information of {sum(r.duration for r in records):.0f} s in stretches of {seconds:g} s")
-    stretches = segment_information(model, records, names, seconds=seconds, values=values)
-    result = envelope(loaded, command) | _content(model, names, stretches, loaded, records, seconds)
+    reporter.progress(f"information of {sum(r.duration for r in records):.0f} s in segments of {seconds:g} s")
+    segments = segment_information(model, records, names, seconds=seconds, values=values)
+    found = _rows(segments, loaded, records)
+    parameters = tuple(_parameter(model, name, k, segments, found) for k, name in enumerate(names))
+    made = provenance(loaded, command)
+    result = InformationResult(
+        created=made.created,
+        seatrial=made.seatrial,
+        command=made.command,
+        logs=made.logs,
+        answer=_answer(parameters, len(found)),
+        information=Information(names=names, seconds=seconds, parameters=parameters, segments=found),
+        inputs=tuple(
+            msgspec.structs.replace(row, t=row.t + float(r.meta["t0"]))
+            for r in records
+            for row in record_inputs(model, r)
+        ),
+        notes=tuple(_notes(parameters, records)),
+    )
     out.mkdir(parents=True, exist_ok=True)
-    content = to_json(result)
-    write_result(content, out / "result.json")
-    write_report(content, out / "report.html")
+    write_result(result, out / "result.json")
+    write_report(result, out / "report.html")
     return result
 
 
@@ -92,48 +118,53 @@ def own_values(model: Model, rows: Record) -> Array:
     return np.asarray(fit(model.with_free(own), [rows]).record_values[0])
 
 
-def _content(
-    model: Model, names: Sequence[str], stretches: Sequence[InformationSegment], loaded: Sequence[LoadedLog],
-    records: Sequence[Record], seconds: float,
-) -> Json:
-    """``information`` and what goes with it; keys: docs/formats/result.md."""
+def _rows(
+    segments: Sequence[InformationSegment], loaded: Sequence[LoadedLog], records: Sequence[Record]
+) -> tuple[SegmentInformation, ...]:
+    """Over the times of the logs, with the steps of their missions."""
     starts = {r.name: float(r.meta["t0"]) for r in records}
-    segments = {one.run.name: one.segments for one in loaded}
-    rows = [
-        {
-            "record": s.record,
-            "from": s.t_from + starts[s.record],
-            "to": s.t_to + starts[s.record],
-            "what": _longest(segments[s.record], s.t_from + starts[s.record], s.t_to + starts[s.record]),
-            "weight": s.weight,
-            "lost": np.clip(1.0 - 1.0 / np.square(s.weight), 0.0, 1.0),
-            "alone": s.alone,
-        }
-        for s in stretches
-    ]
-    parameters = [_parameter(model, name, k, stretches, rows) for k, name in enumerate(names)]
-    return {
-        "kind": "information",
-        "answer": _answer(parameters, rows),
-        "information": {"names": list(names), "seconds": seconds, "parameters": parameters, "stretches": rows},
-        "inputs": [row | {"t": row["t"] + starts[r.name]} for r in records for row in input_traces(model, r)],
-        "notes": _notes(parameters, records),
-    }
+    steps = {one.run.name: one.segments for one in loaded}
+    found = []
+    for s in segments:
+        begin, end = s.t_from + starts[s.record], s.t_to + starts[s.record]
+        lost = np.clip(1.0 - 1.0 / np.square(s.weight), 0.0, 1.0)
+        found.append(
+            SegmentInformation(
+                record=s.record,
+                t_from=begin,
+                t_to=end,
+                what=_longest(steps[s.record], begin, end),
+                weight=s.weight,
+                lost=lost,
+                alone=s.alone,
+            )
+        )
+    return tuple(found)
 
 
-def _parameter(model: Model, name: str, k: int, stretches: Sequence[InformationSegment], rows: Sequence[Json]) -> Json:
-    """What all logs tell of one parameter, and the stretch that it hangs on."""
-    best = max(range(len(rows)), key=lambda i: float(np.nan_to_num(stretches[i].weight[k], posinf=np.inf)))
-    p = model.parameter(name)
-    return {
-        "name": name, "meaning": p.meaning, "unit": p.unit, "value": p.value, "se": stretches[best].whole[k],
-        "record": rows[best]["record"], "from": rows[best]["from"], "to": rows[best]["to"], "what": rows[best]["what"],
-        "weight": float(stretches[best].weight[k]), "alone": float(stretches[best].alone[k]),
-    }  # fmt: skip
+def _parameter(
+    model: Model, name: str, k: int, segments: Sequence[InformationSegment], rows: Sequence[SegmentInformation]
+) -> InformedParameter:
+    """What all logs tell of one parameter, and the segment that it hangs on."""
+    best = max(range(len(rows)), key=lambda i: float(np.nan_to_num(segments[i].weight[k], posinf=np.inf)))
+    p, row = model.parameter(name), rows[best]
+    return InformedParameter(
+        record=row.record,
+        t_from=row.t_from,
+        t_to=row.t_to,
+        what=row.what,
+        name=name,
+        meaning=p.meaning,
+        unit=p.unit,
+        value=p.value,
+        se=finite(segments[best].whole[k]),
+        weight=finite(segments[best].weight[k]),
+        alone=finite(segments[best].alone[k]),
+    )
 
 
 def _longest(segments: Sequence[tuple[float, str]], begin: float, end: float) -> str:
-    """The step of the mission that takes up most of a stretch; empty where the log names none."""
+    """The step of the mission that takes up most of a segment; empty where the log names none."""
     length: dict[str, float] = {}
     ends = [t for t, _ in segments[1:]] + [np.inf]
     for (t, name), until in zip(segments, ends, strict=False):
@@ -142,40 +173,47 @@ def _longest(segments: Sequence[tuple[float, str]], begin: float, end: float) ->
     return best if length.get(best, 0.0) > 0 else ""
 
 
-def _place(row: Mapping[str, object]) -> str:
-    words = f"{row['record']}, {row['from']:.0f} to {row['to']:.0f} s"
-    return f"{words} ({row['what']})" if row["what"] else words
+def _place(row: Segment) -> str:
+    words = f"{row.record}, {row.t_from:.0f} to {row.t_to:.0f} s"
+    return f"{words} ({row.what})" if row.what else words
 
 
-def _answer(parameters: Sequence[Json], rows: Sequence[Json]) -> str:
-    """One sentence or two: the stretch that matters most, and what is hardly known."""
-    known = [p for p in parameters if np.isfinite(p["se"])]
+def _answer(parameters: Sequence[InformedParameter], n_segments: int) -> str:
+    """One sentence or two: the segment that matters most, and what is hardly known."""
+    known = [p for p in parameters if p.se is not None]
     if not known:
         return "These logs tell nothing of any parameter."
-    first = max(known, key=lambda p: float(p["weight"]))
-    if len(rows) == 1:
-        words = "There is but one stretch; give more logs, or shorter stretches with --seconds"
-    elif not np.isfinite(first["weight"]):
-        words = f"Only {_place(first)} tells of {first['name']}"
-    elif first["weight"] >= TELLS:
-        words = (f"Most hangs on {_place(first)}: without it the standard error of {first['name']} would be "
-                 f"{format_number(first['weight'])} times as large")
+    first = max(known, key=lambda p: np.inf if p.weight is None else p.weight)
+    if n_segments == 1:
+        words = "There is but one segment; give more logs, or shorter segments with --seconds"
+    elif first.weight is None:
+        words = f"Only {_place(first)} tells of {first.name}"
+    elif first.weight >= TELLS:
+        words = (
+            f"Most hangs on {_place(first)}: without it the standard error of {first.name} would be "
+            f"{format_number(first.weight)} times as large"
+        )
     else:
-        words = "No stretch matters much more than the others: what is known is spread evenly over the logs"
-    vague = [p["name"] for p in parameters if not _is_known(p)]
+        words = "No segment matters much more than the others: what is known is spread evenly over the logs"
+    vague = [p.name for p in parameters if not _is_known(p)]
     return f"{words}. Hardly known from all of it: {', '.join(vague)}." if vague else f"{words}."
 
 
-def _is_known(p: Json) -> bool:
-    return bool(np.isfinite(p["se"]) and (p["value"] == 0 or abs(p["se"]) < VAGUE * abs(p["value"])))
+def _is_known(p: InformedParameter) -> bool:
+    return p.se is not None and (p.value == 0 or abs(p.se) < VAGUE * abs(p.value))
 
 
-def _notes(parameters: Sequence[Json], records: Sequence[Record]) -> list[str]:
-    notes = [f"{r.name}: not in the log, so done without: {', '.join(missing)}." for r in records
-             if (missing := r.meta.get("missing", ()))]
-    notes += [f"{p['name']}: nothing in these logs tells of it." for p in parameters if not np.isfinite(p["se"])]
-    vague = ",".join(p["name"] for p in parameters if not _is_known(p))
+def _notes(parameters: Sequence[InformedParameter], records: Sequence[Record]) -> list[str]:
+    notes = [
+        f"{r.name}: not in the log, so done without: {', '.join(missing)}."
+        for r in records
+        if (missing := r.meta.get("missing", ()))
+    ]
+    notes += [f"{p.name}: nothing in these logs tells of it." for p in parameters if p.se is None]
+    vague = ",".join(p.name for p in parameters if not _is_known(p))
     if vague:
-        notes.append(f"The mission that tells most of what is hardly known: seatrial mission design MODEL "
-                     f"--criterion Ds --parameters {vague}")
+        notes.append(
+            "The mission that tells most of what is hardly known: seatrial mission design MODEL "
+            f"--criterion Ds --parameters {vague}"
+        )
     return notes

@@ -3,22 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from daq.errors import SeatrialError, counted
 from ident.data import LoadedLog, Record, load_run, make_record
 from ident.estimation import ParameterCovariance, load_model
 from ident.model import Model
-from ident.navigation import CURRENT, POSITION, Navigation, Outage, gnss_outages, navigate
+from ident.navigation import CURRENT, POSITION, Navigation, Outage, OutageErrors, gnss_outages, navigate
 from ident.numerics import Array
 from ident.report import write_report
 from ident.reporter import Reporter
-from ident.results import Json, envelope, format_number, input_traces, to_json
+from ident.results import (
+    GnssFixes,
+    GnssOutage,
+    InputTrace,
+    NavigatedRecord,
+    NavigationResult,
+    PositionEllipse,
+    StateTrace,
+    WithheldErrors,
+    finite,
+    format_number,
+    provenance,
+    record_inputs,
+    write_result,
+)
 from ident.workflows.model_inputs import as_logged, completed, known_curve
-from ident.workflows.output import write_result
 
 Columns = list[tuple[str, str, Array]]  # name, unit, values
 
@@ -49,7 +63,7 @@ class NavigationRequest:
     thruster: Path | None = None
 
 
-def run_navigation(request: NavigationRequest, command: str, reporter: Reporter) -> Json:
+def run_navigation(request: NavigationRequest, command: str, reporter: Reporter) -> NavigationResult:
     """Navigate every log; ``command``: what was typed."""
     logs, saved = request.logs, load_model(request.model)
     model = replace(saved.model, second_order=False)  # in a long outage a heading may be spread too widely for it
@@ -66,26 +80,29 @@ def run_navigation(request: NavigationRequest, command: str, reporter: Reporter)
         done, t0 = _navigate(model, loaded[-1], known, request)
         parts.append((done, t0, gnss_outages(done)))
         tables.append(_columns(done, t0))
-    result = envelope(loaded, command) | {
-        "kind": "navigation",
-        "answer": answer([o for _, _, found in parts for o in found], [d for d, _, _ in parts]),
-        "navigation": [_part(d, t0, table) for (d, t0, _), table in zip(parts, tables, strict=True)],
-        "outages": [_row(o, d.record.name, t0) for d, t0, found in parts for o in found],
-        "inputs": [row | {"t": row["t"] + t0} for d, t0, _ in parts for row in input_traces(d.model, d.record)],
-        "notes": _notes(parts, known),
-    }
+    made = provenance(loaded, command)
+    result = NavigationResult(
+        created=made.created,
+        seatrial=made.seatrial,
+        command=made.command,
+        logs=made.logs,
+        answer=answer([o for _, _, found in parts for o in found], [d for d, _, _ in parts]),
+        navigation=tuple(_part(d, t0, table) for (d, t0, _), table in zip(parts, tables, strict=True)),
+        outages=tuple(_row(o, d.record.name, t0) for d, t0, found in parts for o in found),
+        inputs=tuple(row for d, t0, _ in parts for row in _inputs(d, t0)),
+        notes=tuple(_notes(parts, known)),
+    )
     _write(request.out, result, dict(zip(names, tables, strict=True)))
     return result
 
 
-def _write(out: Path, result: Json, tables: Mapping[str, Columns]) -> None:
+def _write(out: Path, result: NavigationResult, tables: Mapping[str, Columns]) -> None:
     """NAME.csv for each table, result.json and report.html."""
     out.mkdir(parents=True, exist_ok=True)
     for name, table in tables.items():
         write_csv(out / f"{name}.csv", table)
-    content = to_json(result)
-    write_result(content, out / "result.json")
-    write_report(content, out / "report.html")
+    write_result(result, out / "result.json")
+    write_report(result, out / "report.html")
 
 
 def _navigate(
@@ -143,7 +160,12 @@ def write_csv(path: Path, columns: Columns) -> None:
     np.savetxt(path, table, fmt=layout, delimiter=",", header=",".join(n for n, _, _ in columns), comments="")
 
 
-def _part(done: Navigation, t0: float, table: Columns) -> Json:
+def _inputs(done: Navigation, t0: float) -> list[InputTrace]:
+    """Over the times of the log."""
+    return [msgspec.structs.replace(row, t=row.t + t0) for row in record_inputs(done.model, done.record)]
+
+
+def _part(done: Navigation, t0: float, table: Columns) -> NavigatedRecord:
     """One record's entry of ``navigation``: rows at ten a second are many, so only states that are drawn."""
     values = {name: value for name, _, value in table}
     meaning = {s.name: s.meaning for s in done.model.states} | {
@@ -155,34 +177,56 @@ def _part(done: Navigation, t0: float, table: Columns) -> Json:
     measured = {o.name: j for j, o in enumerate(done.model.outputs)}
     names = [n for n in values if f"sd_{n}" in values]
     seen = np.isfinite(done.fixes[:, 0])
-    return {
-        "record": done.record.name,
-        "kind": done.kind,
-        "t": done.t + t0,
-        "states": [
-            {
-                "name": n,
-                "unit": units[n],
-                "meaning": meaning[n],
-                "angle": n in angles,
-                "value": values[n],
-                "sd": values[f"sd_{n}"],
-                "measured": done.record.y[:, measured[n]] if n in measured else None,
-            }
+    return NavigatedRecord(
+        record=done.record.name,
+        kind="smoothed" if done.kind == "smoothed" else "filtered",
+        t=done.t + t0,
+        states=tuple(
+            StateTrace(
+                name=n,
+                unit=units[n],
+                meaning=meaning[n],
+                angle=n in angles,
+                value=values[n],
+                sd=values[f"sd_{n}"],
+                measured=done.record.y[:, measured[n]] if n in measured else None,
+            )
             for n in names
-        ],
-        "fixes": {
-            "t": done.t[seen] + t0,
-            "x": done.fixes[seen, 0],
-            "y": done.fixes[seen, 1],
-            "used": done.used[seen].astype(float),
-        },
-    }
+        ),
+        fixes=GnssFixes(
+            t=done.t[seen] + t0,
+            x=done.fixes[seen, 0],
+            y=done.fixes[seen, 1],
+            used=done.used[seen].astype(float),
+        ),
+    )
 
 
-def _row(o: Outage, name: str, t0: float) -> Json:
-    found = asdict(o)
-    return {"record": name, **found, "start": o.start + t0, "end": o.end + t0, "duration": o.duration}
+def _row(o: Outage, name: str, t0: float) -> GnssOutage:
+    e = o.at_end
+    return GnssOutage(
+        record=name,
+        start=o.start + t0,
+        end=o.end + t0,
+        duration=o.duration,
+        open=o.open,
+        withheld=o.withheld,
+        north=o.north,
+        east=o.east,
+        at_end=PositionEllipse(major=e.major, minor=e.minor, azimuth=e.azimuth, radius=e.radius),
+        error=finite(o.error),
+        allowed=finite(o.allowed),
+        inside=o.inside,
+        widest=o.widest,
+        predicted=_withheld(o.predicted),
+        best=_withheld(o.best),
+    )
+
+
+def _withheld(found: OutageErrors | None) -> WithheldErrors | None:
+    if found is None:
+        return None
+    return WithheldErrors(rms=found.rms, largest=found.largest, inside=found.inside, n=found.n)
 
 
 def answer(found: Sequence[Outage], done: Sequence[Navigation]) -> str:

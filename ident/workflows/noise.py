@@ -16,10 +16,9 @@ from ident.characterisation import NoiseFit, estimate_noise, welch
 from ident.data import Channel, LoadedLog, ahrs_channels, load_run
 from ident.report import write_report
 from ident.reporter import Reporter
-from ident.results import Json, envelope, to_json
-from ident.workflows.output import write_result
+from ident.results import ChannelNoise, NoiseResult, finite, provenance, write_result
 
-FORMAT = "seatrial-noise 1"
+FORMAT = "seatrial-noise 2"
 WARNING = "Such numbers do not describe the noise, so do not put them into a filter."
 MOST_SAID = 6  # rejected channels that the answer names
 HUM = "Find what turns or hums at that rate, or at one that the sampling folds there, and take the record without it."
@@ -28,7 +27,7 @@ COLOUR = "Take the raw output of a sensor that filters, stop what shakes it, or 
 
 
 @dataclass(frozen=True)
-class ChannelNoise:
+class NoiseEstimate:
     """The noise of one channel of one log."""
 
     log: str
@@ -64,11 +63,13 @@ class ChannelNoise:
         return said
 
 
-def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: str, reporter: Reporter) -> Json:
+def noise(
+    logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: str, reporter: Reporter
+) -> NoiseResult:
     """White noise and random walk of each channel of logs of sensors at rest."""
     loaded = [load_run(path, "estimation") for path in logs]
     notes: list[str] = []
-    found: list[ChannelNoise] = []
+    found: list[NoiseEstimate] = []
     for path, one in zip(logs, loaded, strict=True):
         chosen = _chosen(path, one, signals)
         for name, channel in chosen.items():
@@ -79,20 +80,23 @@ def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: s
             except ValueError as problem:
                 notes.append(f"Left out: {problem}")
                 continue
-            found.append(ChannelNoise(one.run.name, name, label, channel, fit))
+            found.append(NoiseEstimate(one.run.name, name, label, channel, fit))
     if not found:
         raise SeatrialError(f"{logs[0]}: no channel whose noise could be estimated; {'; '.join(notes)}")
-    result = envelope(loaded, command) | {
-        "kind": "noise",
-        "answer": _answer(found),
-        "noise": [_row(x) for x in found],
-        "notes": notes + _notes(found),
-    }
+    made = provenance(loaded, command)
+    result = NoiseResult(
+        created=made.created,
+        seatrial=made.seatrial,
+        command=made.command,
+        logs=made.logs,
+        answer=_answer(found),
+        noise=tuple(_row(x) for x in found),
+        notes=(*notes, *_notes(found)),
+    )
     out.mkdir(parents=True, exist_ok=True)
     save_noise(out / "noise.toml", found, result)
-    content = to_json(result)
-    write_result(content, out / "result.json")
-    write_report(content, out / "report.html")
+    write_result(result, out / "result.json")
+    write_report(result, out / "report.html")
     return result
 
 
@@ -115,27 +119,27 @@ def _unwrapped(channel: Channel) -> Channel:
     return Channel(channel.t - channel.t[0], value, channel.unit, channel.source)
 
 
-def _row(one: ChannelNoise) -> Json:
+def _row(one: NoiseEstimate) -> ChannelNoise:
     frequency, density = welch(one.channel)
     f = one.fit
-    return {
-        "channel": one.label,
-        "unit": one.channel.unit,
-        "white": f.white,
-        "walk": f.walk,
-        "se_white": f.white_error,
-        "se_walk": f.walk_error,
-        "accepted": not f.rejected,
-        "p": f.ljung_box,
-        "predictable": f.departures.share,
-        "reason": one.reason or None,
-        "frequency": frequency,
-        "psd": density,
-        "psd_model": f.psd(frequency),
-    }
+    return ChannelNoise(
+        channel=one.label,
+        unit=one.channel.unit,
+        white=f.white,
+        random_walk=f.walk,
+        se_white=finite(f.white_error),
+        se_random_walk=finite(f.walk_error),
+        accepted=not f.rejected,
+        p=finite(f.ljung_box),
+        predictable=finite(f.departures.share),
+        reason=one.reason or None,
+        frequency=frequency,
+        psd=density,
+        psd_model=f.psd(frequency),
+    )
 
 
-def _answer(found: Sequence[ChannelNoise]) -> str:
+def _answer(found: Sequence[NoiseEstimate]) -> str:
     bad = [x for x in found if x.fit.rejected]
     good = len(found) - len(bad)
     kind = "white noise plus a random walk"
@@ -152,7 +156,7 @@ def _percent(share: float) -> str:
     return f"{100 * share:.2g} %"
 
 
-def _notes(found: Sequence[ChannelNoise]) -> list[str]:
+def _notes(found: Sequence[NoiseEstimate]) -> list[str]:
     lines = [
         f"{x.label}: not white noise plus a random walk: {x.reason}. {x.remedy}" for x in found if x.fit.rejected
     ]
@@ -165,15 +169,15 @@ def _notes(found: Sequence[ChannelNoise]) -> list[str]:
     return lines + [f"{x.label}: {flag}" for x in found for flag in x.fit.flags]
 
 
-def save_noise(path: Path, found: Sequence[ChannelNoise], result: Json) -> None:
+def save_noise(path: Path, found: Sequence[NoiseEstimate], result: NoiseResult) -> None:
     """Write noise.toml: what other programs need of the result."""
     document = tomlkit.document()
     document["format"] = FORMAT
     document["provenance"] = {
-        "made_by": result["command"],
-        "created": result["created"],
-        "seatrial": result["seatrial"],
-        "logs": [f"{x['path']} sha256:{x['sha256'][:16]}" for x in result["logs"]],
+        "made_by": result.command,
+        "created": result.created,
+        "seatrial": result.seatrial,
+        "logs": [f"{x.path} sha256:{x.sha256[:16]}" for x in result.logs],
     }
     tables = tomlkit.aot()
     for one in found:
@@ -181,8 +185,8 @@ def save_noise(path: Path, found: Sequence[ChannelNoise], result: Json) -> None:
         numbers = {
             "white": f.white,
             "white_se": f.white_error,
-            "walk": f.walk,
-            "walk_se": f.walk_error,
+            "random_walk": f.walk,
+            "random_walk_se": f.walk_error,
             "interval": f.interval,
             "p": f.ljung_box,
             "largest_correlation": f.largest_correlation,

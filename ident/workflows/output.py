@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from ident import results
 from ident.estimation import Fit, FittedModel, save_model
 from ident.report import write_report
-from ident.results import FitResult, Json
+from ident.results import FitResult, write_result
 from ident.validation import shown_inputs
 
 
@@ -27,7 +25,7 @@ def write_all(
     logs = [f"{x.path} sha256:{x.sha256[:16]}" for x in result.logs if x.role == "estimation"]
     made = {"made_by": result.command, "created": result.created, "seatrial": result.seatrial, "logs": logs}
     save_model(out / "model.toml", fit, validity=ranges, provenance=made, effects_file=effects_file)
-    results.write_result(result, out / "result.json")
+    write_result(result, out / "result.json")
     write_report(result, out / "report.html")
 
 
@@ -43,8 +41,3 @@ def validity(stage: FittedModel) -> dict[str, tuple[float, float]]:
         z = np.concatenate([v.record.u[:, j] for v in views])
         found.setdefault(name, (float(z.min()), float(z.max())))  # a yaw rate that is an input, too, is the state's
     return found
-
-
-def write_result(content: Json, path: Path) -> None:
-    """``content``: as of ``ident.results.to_json``."""
-    path.write_text(json.dumps(content, separators=(",", ":"), allow_nan=False), encoding="utf-8")

@@ -7,9 +7,7 @@ import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from functools import cache
-from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
@@ -20,9 +18,8 @@ from daq.errors import SeatrialError
 from ident.estimation import Method
 from ident.report import write_study_docs
 from ident.reporter import QUIET, Reporter
-from ident.results import Json, to_json
+from ident.results import ModelStudy, ParameterStudy, StudyResult, finite, provenance, write_result
 from ident.studies import Case, ParameterCoverage, Row, counts, make_case, run_replicates, summarise
-from ident.workflows.output import write_result
 
 BATCH = 25  # replicates a task at most: they are simulated together
 TASK_S = 10.0  # s of CPU that a task takes: so long a line waits, and so much is lost when the study is stopped
@@ -151,7 +148,7 @@ class StudyRequest:
                           mean_order=self.mean_order) for name in dict.fromkeys(self.models)]
 
 
-def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> Json:
+def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> StudyResult:
     """The studies of the named models; writes NAME.jsonl for each, result.json and study.md; ``command``: what was
     typed."""
     cases, out, method = request.cases(), request.out, request.method
@@ -162,34 +159,33 @@ def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> Json
         rows = study(case, request.replicates, request.seed, out / f"{case.name}.jsonl", method=method,
                      jobs=request.jobs, reporter=reporter)
         parts.append(part(case, rows, method))
-    result = {
-        "format": "seatrial-result 1",
-        "kind": "study",
-        "answer": " ".join(answer(p) for p in parts),
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "seatrial": version("seatrial"),
-        "command": command,
-        "logs": [],
-        "seed": request.seed,
-        "studies": parts,
-    }
-    write_result(to_json(result), out / "result.json")
+    made = provenance([], command)
+    result = StudyResult(
+        created=made.created, seatrial=made.seatrial, command=made.command, answer=" ".join(answer(p) for p in parts),
+        seed=request.seed, studies=tuple(parts),
+    )  # fmt: skip
+    write_result(result, out / "result.json")
     write_study_docs(result, out / "study.md")
     return result
 
 
-def part(case: Case, rows: Sequence[Row], method: Method) -> Json:
+def part(case: Case, rows: Sequence[Row], method: Method) -> ModelStudy:
     """One study's entry of ``studies``."""
-    truth = case.model.values
-    return {
-        "model": case.name,
-        "about": case.about,
-        "method": "PE" if method == "prediction-error" else "OE",
-        "estimator": estimator(case, method),
-        **counts(rows),
-        "parameters": [_row(j, truth[j.name], case.model.parameter(j.name).unit) for j in summarise(rows)
-                       if j.name in truth],  # the starts, which output error estimates too, have no truth of their own
-    }
+    truth, n = case.model.values, counts(rows)
+    return ModelStudy(
+        model=case.name,
+        about=case.about,
+        method="PE" if method == "prediction-error" else "OE",
+        estimator=estimator(case, method),
+        replicates=n.replicates,
+        failed=n.failed,
+        unconverged=n.unconverged,
+        cpu_fit=finite(n.cpu_fit),
+        cpu_simulation=finite(n.cpu_simulation),
+        # the starts, which output error estimates too, have no truth of their own
+        parameters=tuple(_row(j, truth[j.name], case.model.parameter(j.name).unit) for j in summarise(rows)
+                         if j.name in truth),
+    )
 
 
 def estimator(case: Case, method: Method) -> str:
@@ -201,26 +197,26 @@ def estimator(case: Case, method: Method) -> str:
     return f"prediction error, noise by {noise} likelihood, filter's mean of {order} order"
 
 
-def _row(j: ParameterCoverage, truth: float, unit: str) -> Json:
-    return {
-        "name": j.name, "unit": unit, "truth": truth, "n": j.n, "at_bound": j.at_bound, "sd": j.sd, "bias": j.bias,
-        "bias_error": j.bias_error, "ratio": j.ratio, "ratio_low": j.ratio_interval[0],
-        "ratio_high": j.ratio_interval[1], "bound_ratio": j.bound_ratio, "bound_ratio_low": j.bound_interval[0],
-        "bound_ratio_high": j.bound_interval[1], "coverage": j.coverage,
-        "coverage_low": j.coverage_interval[0], "coverage_high": j.coverage_interval[1], "misses": list(j.misses),
-    }
+def _row(j: ParameterCoverage, truth: float, unit: str) -> ParameterStudy:
+    return ParameterStudy(
+        name=j.name, unit=unit, truth=truth, n=j.n, at_bound=j.at_bound, sd=j.sd, bias=j.bias,
+        bias_error=j.bias_error, ratio=j.ratio, ratio_low=j.ratio_interval[0], ratio_high=j.ratio_interval[1],
+        bound_ratio=j.bound_ratio, bound_ratio_low=j.bound_interval[0], bound_ratio_high=j.bound_interval[1],
+        coverage=j.coverage, coverage_low=j.coverage_interval[0], coverage_high=j.coverage_interval[1],
+        misses=j.misses,
+    )  # fmt: skip
 
 
-def answer(one: Json) -> str:
+def answer(one: ModelStudy) -> str:
     """How many parameters keep within what is wanted."""
-    rows = one["parameters"]
+    rows = one.parameters
     if not rows:
-        return f"{one['model']}: no replicate can be judged."
-    sure = {r["name"]: [m for m in r["misses"] if "chance" not in m] for r in rows}
+        return f"{one.model}: no replicate can be judged."
+    sure = {r.name: [m for m in r.misses if "chance" not in m] for r in rows}
     worst = [f"{name} ({', '.join(misses)})" for name, misses in sure.items() if misses]
-    lucky = sum(bool(r["misses"]) and not sure[r["name"]] for r in rows)
-    held = f"{sum(not r['misses'] for r in rows)} of {len(rows)} parameters"
-    parts = [f"{one['model']}, {one['replicates']} replicates: {held} are as wanted"]
+    lucky = sum(bool(r.misses) and not sure[r.name] for r in rows)
+    held = f"{sum(not r.misses for r in rows)} of {len(rows)} parameters"
+    parts = [f"{one.model}, {one.replicates} replicates: {held} are as wanted"]
     parts += [f"{lucky} miss by no more than chance"] if lucky else []
     return ", ".join([*parts, *([f"these do not hold: {', '.join(worst)}"] if worst else [])]) + "."
 

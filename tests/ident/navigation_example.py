@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
 import numpy as np
+
+from ident.results.navigation import NavigationResult
 
 STATES = (
     ("x", "m", "north", False),
@@ -16,8 +19,13 @@ STATES = (
 )
 
 
-def navigation(seed: int = 4) -> dict[str, Any]:
-    """All keys that ``ident.workflows.navigate`` writes."""
+def arrays(_kind: Any, value: Any) -> Any:
+    """What msgspec does not know: a curve."""
+    return np.asarray(value, dtype=np.float64)
+
+
+def navigation(seed: int = 4) -> NavigationResult:
+    """Everything that ``ident.workflows.navigate`` writes."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, 240.0, 0.1)
     angle = t / 20.0
@@ -38,8 +46,8 @@ def navigation(seed: int = 4) -> dict[str, Any]:
                   "allowed": None, "inside": None, "predicted": None, "best": None}
     states = [{"name": n, "unit": unit, "meaning": meaning, "angle": turns, "value": values[n], "sd": sd[n],
                "measured": measured.get(n)} for n, unit, meaning, turns in STATES]
-    return {
-        "format": "seatrial-result 1",
+    content = {
+        "format": "seatrial-result 2",
         "kind": "navigation",
         "answer": "2 GNSS outages, the worst of 30 s: at its end the position may be 1.2 m off (95 %).",
         "created": "2026-02-03T04:05:06+00:00",
@@ -53,3 +61,4 @@ def navigation(seed: int = 4) -> dict[str, Any]:
         "inputs": [{"record": "lake", "name": "n_left", "unit": "", "t": t, "value": np.where(t % 20 < 10, 0.4, 0.6)}],
         "notes": ["lake: not in the log, so done without: ground_velocity."],
     }
+    return msgspec.convert(content, NavigationResult, dec_hook=arrays)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from daq.checks.check_report import CheckReport, DryRun, PredictedTrack
@@ -16,6 +17,9 @@ from ident.checks.evidence import (
     ShaftResponse,
     SignalCurve,
 )
+from ident.results.design import DesignResult
+from ident.results.study import StudyResult
+from tests.ident.navigation_example import arrays
 
 AIMS = {"bias": (-0.15, 0.15), "ratio": (0.9, 1.1), "coverage": (0.93, 0.97)}
 MADE = {"created": "2025-05-06T07:08:09Z", "seatrial": "0.1.0"}
@@ -61,20 +65,20 @@ def checked_log() -> CheckEvidence:
     )  # fmt: skip
 
 
-def design() -> dict[str, Any]:
+def design() -> DesignResult:
     """A designed mission: every key that `ident.workflows.design` writes, with fewer samples."""
     rng = np.random.default_rng(9)
     t = np.arange(0.0, 120.0, 0.5)
     levels = [np.repeat(rng.uniform(-1, 1, 12), 20) for _ in range(2)]
     way = np.linspace(0.0, 4.0, 200)
     track = {"t": np.linspace(0, 120, 200), "x": 15 * np.sin(way), "y": 15 * (1 - np.cos(way)), "radius": 2 * way,
-             "inside": 0.97, "corner": (-25.0, -10.0), "area": (50.0, 45.0)}
+             "inside": 0.97, "corner": (-25.0, -10.0), "area": (50.0, 45.0), "current": 0.0}
     track["others"] = [np.column_stack([track["x"] + k, track["y"] - k]) for k in range(8)]
     names = (("m_u", "kg", 37.0, "surge mass"), ("d_v", "kg/s", 50.0, "linear sway damping"))
-    parameters = [{"name": n, "unit": u, "value": v, "meaning": m, "before": np.nan, "after": 0.02 * v,
+    parameters = [{"name": n, "unit": u, "value": v, "meaning": m, "before": None, "after": 0.02 * v,
                    "form": 0.01 * v, "rival": 0.05 * v, "chosen": True} for n, u, v, m in names]
     samples = {n: rng.normal(size, 2.0, 1000) for n, size in (("design", 40.0), ("PRBS", 35.0), ("RGS", 33.0))}
-    return MADE | {
+    content = MADE | {
         "kind": "design", "command": "seatrial mission design horizontal --out next.toml", "model": "horizontal",
         "criterion": "D", "chosen": ["m_u", "d_v"], "form": "prediction error", "value": 41.2, "evaluations": 20000,
         "parameters": parameters, "rival": "PRBS", "limited": True, "samples": samples, "share_won": 0.992,
@@ -82,22 +86,24 @@ def design() -> dict[str, Any]:
         "inputs": [{"name": n, "t": t, "value": v} for n, v in zip(("left", "right"), levels, strict=True)],
         "track": track, "answer": "After this mission of 120 s a fit should know m_u ±0.74 kg (2 %)",
     }
+    return msgspec.convert(content, DesignResult, dec_hook=arrays)
 
 
-def study() -> dict[str, Any]:
+def study() -> StudyResult:
     """Two studies; of the second one parameter surely misses and one may do so by chance."""
     fine = [_parameter("m_u", "kg", -0.04, 1.05, 0.942, ()), _parameter("d_u", "kg/s", 0.01, 0.98, 0.95, ())]
     poor = [_parameter("d_v", "kg/s", 0.04, 0.93, 0.89, ("coverage",)),
             _parameter("s_u", "m/s/sqrt(s)", -0.17, 1.02, 0.944, ("bias (chance?)",))]
     common = {"method": "PE", "estimator": "prediction error", "replicates": 500, "failed": 0, "unconverged": 1,
               "cpu_fit": 0.006, "cpu_simulation": 0.02}
-    return MADE | {
+    content = MADE | {
         "kind": "study", "command": "seatrial ident study surge yaw", "seed": 1, "logs": [],
         "answer": "surge, 500 replicates: 2 of 2 parameters are as wanted. yaw: these do not hold: d_v (coverage).",
         "studies": [common | {"model": "surge", "about": "300 s, steps of thrust", "parameters": fine},
                     common | {"model": "yaw", "about": "300 s, steps of moment", "parameters": poor},
                     common | {"model": "none", "about": "nothing converged", "parameters": []}],
     }
+    return msgspec.convert(content, StudyResult)
 
 
 def _parameter(name: str, unit: str, bias: float, ratio: float, coverage: float, misses: tuple[str, ...]) -> Any:

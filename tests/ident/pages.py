@@ -22,14 +22,21 @@ from ident.report.design_page import write_design_page
 from ident.report.page import write_report
 from ident.report.study_page import write_study_page
 from ident.report.terminal import print_result
-from ident.results.result_file import from_json
+from ident.results.parts import Result
+from ident.results.result_file import from_json, to_json
 from tests.ident import navigation_example, page_examples, report_example, report_example_bench
+
+
+def content_of(make: Callable[[], Result]) -> Callable[[], dict[str, Any]]:
+    """What the file of a result holds."""
+    return lambda: dict(json.loads(to_json(make())))
+
 
 KINDS = {
     "diagnosis": report_example.diagnosis,
     "thruster": report_example_bench.thruster,
-    "noise": report_example_bench.noise,
-    "navigation": navigation_example.navigation,
+    "noise": content_of(report_example_bench.noise),
+    "navigation": content_of(navigation_example.navigation),
 }
 HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(2)>\"'&"
 
@@ -82,9 +89,8 @@ def shortened(value: Any) -> Any:
 
 
 def loaded(content: dict[str, Any]) -> Any:
-    """A result from the content of its file; what has no type yet is left as it is."""
-    typed = content.get("kind") in ("diagnosis", "thruster", "thrust_curve", "vehicle")
-    return from_json(json.dumps(content).encode()) if typed else content
+    """A result from the content of its file."""
+    return from_json(json.dumps(content).encode())
 
 
 def written(content: dict[str, Any], folder: Path) -> str:

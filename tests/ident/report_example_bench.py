@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
 import numpy as np
 
+from ident.results.noise import NoiseResult
 from tests.ident.calibration_example import calibration
+from tests.ident.navigation_example import arrays
 from tests.ident.report_example import base, commands, fit, listed, log, parameter
 
 
@@ -38,21 +41,23 @@ def thruster() -> dict[str, Any]:
     return result
 
 
-def noise() -> dict[str, Any]:
+def noise() -> NoiseResult:
     """Three channels at rest, of which one is not white plus random walk."""
     rng = np.random.default_rng(3)
-    result = base("noise", "White noise plus a random walk describes gyro and heading; the position needs more.")
+    content = base("noise", "White noise plus a random walk describes gyro and heading; the position needs more.")
     frequency = np.geomspace(1e-3, 25, 4000)
     channels = []
     for channel, unit, white, walk, accepted in (
         ("r", "rad/s", 2.1e-3, 3.4e-6, True),
-        ("psi", "rad", 8e-3, None, True),
+        ("psi", "rad", 8e-3, 1e-9, True),
         ("x", "m", 0.9, 0.02, False),
     ):
-        model = white**2 / 25 + ((walk or 0.0) / (2 * np.pi * frequency)) ** 2
+        model = white**2 / 25 + (walk / (2 * np.pi * frequency)) ** 2
         curves = {"frequency": frequency, "psd": model * rng.chisquare(2, 4000) / 2, "psd_model": model}
-        row = {"channel": channel, "unit": unit, "white": white, "walk": walk, "se_white": white / 90}
-        row |= {"se_walk": walk / 8 if walk else None, "p": 0.37 if accepted else 1e-12, "accepted": accepted}
+        row = {"channel": channel, "unit": unit, "white": white, "random_walk": walk, "se_white": white / 90}
+        row |= {"se_random_walk": walk / 8 if walk > 1e-6 else None, "reason": None}
+        row |= {"p": 0.37 if accepted else 1e-12, "accepted": accepted}
         row |= {"predictable": 0.0 if accepted else 0.42}
         channels.append(row | {key: listed(a) for key, a in curves.items()})
-    return result | {"logs": [log("quay", "estimation", 3600.0)], "noise": channels}
+    content |= {"logs": [log("quay", "estimation", 3600.0)], "noise": channels, "format": "seatrial-result 2"}
+    return msgspec.convert(content, NoiseResult, dec_hook=arrays)

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import msgspec
-import numpy as np
-
-from ident.report.access import Row, text, texts
-from ident.report.blocks import Canvas, Prose, Section
+from ident.report.blocks import Canvas, Section
 from ident.report.sections import (
     answer,
     calibration,
@@ -23,9 +19,9 @@ from ident.report.sections import (
 from ident.results import (
     DiagnosisResult,
     FitResult,
-    InputTrace,
-    LogSummary,
-    Provenance,
+    InformationResult,
+    NavigationResult,
+    NoiseResult,
     Result,
     ThrustCurveResult,
     ThrusterResult,
@@ -33,23 +29,27 @@ from ident.results import (
 )
 
 
-def opening(result: Result | Row) -> Section:
+def opening(result: Result) -> Section:
     """What stands under the answer."""
-    if isinstance(result, Result):
-        return answer.section(result)
-    return Section("answer", "", [Prose(line, "callout") for line in texts(result, "cautions")])
+    return answer.section(result)
 
 
-def body(canvas: Canvas, result: Result | Row) -> list[Section]:
+def body(canvas: Canvas, result: Result) -> list[Section]:
     """The sections that have something to show."""
     if isinstance(result, FitResult):
         found = _fit(canvas, result)
     elif isinstance(result, ThrustCurveResult):
         found = [answer.static_section(canvas, result.static), runs.run_section(canvas, result.logs, ())]
-    elif isinstance(result, Result):
-        raise TypeError(f"no page for a {type(result).__name__}")
+    elif isinstance(result, NoiseResult):
+        found = [noise.section(canvas, result), runs.run_section(canvas, result.logs, ())]
+    elif isinstance(result, NavigationResult):
+        found = [navigation.outages_section(result), navigation.states_section(canvas, result)]
+        found.append(runs.run_section(canvas, result.logs, result.inputs))
+    elif isinstance(result, InformationResult):
+        found = [information.parameters_section(result), information.segments_section(canvas, result)]
+        found.append(runs.run_section(canvas, result.logs, result.inputs))
     else:
-        return [section for section in _untyped(canvas, result) if section.blocks]
+        raise TypeError(f"no page for a {type(result).__name__}")
     found += [errors.notes_section(result.notes), errors.made_section(result)]
     return [section for section in found if section.blocks]
 
@@ -70,25 +70,4 @@ def _fit(canvas: Canvas, result: FitResult) -> list[Section]:
         errors.section(result.errors, result.horizon_seconds),
         calibration.section(canvas, result.calibration, result.horizon_seconds),
         errors.next_section(diagnosis.recommended_experiment if diagnosis else None),
-    ]
-
-
-def _untyped(canvas: Canvas, content: Row) -> list[Section]:
-    """Of results that are not types yet."""
-    logs = msgspec.convert(content.get("logs", ()), tuple[LogSummary, ...])
-    inputs = tuple(
-        InputTrace(record=i["record"], name=i["name"], unit=i["unit"], t=np.array(i["t"]), value=np.array(i["value"]))
-        for i in content.get("inputs", ())
-    )
-    made = Provenance(created=text(content, "created"), seatrial=text(content, "seatrial"),
-                      command=text(content, "command"))
-    return [
-        noise.section(canvas),
-        information.parameters_section(canvas),
-        information.stretches_section(canvas),
-        navigation.outages_section(canvas),
-        navigation.section(canvas),
-        runs.run_section(canvas, logs, inputs),
-        errors.notes_section(texts(content, "notes")),
-        errors.made_section(made),
     ]

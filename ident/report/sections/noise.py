@@ -1,4 +1,4 @@
-"""Noise of each channel: white noise and random walk, and whether that model holds."""
+"""Sensor noise: white noise and random walk of each channel, and whether that model holds."""
 
 from __future__ import annotations
 
@@ -6,45 +6,46 @@ from typing import Any
 
 import numpy as np
 
+from ident.numerics import Array
 from ident.report import drawing, formatting
-from ident.report.access import Row, array, flag, number, rows, text
-from ident.report.blocks import Canvas, Cell, Grid, Prose, Section, Table
+from ident.report.blocks import Canvas, Cell, Grid, Plot, Prose, Section, Table
+from ident.results import ChannelNoise, NoiseResult
 
 
-def section(canvas: Canvas) -> Section:
-    """White noise and random walk of each channel, and whether that model holds."""
-    found = rows(canvas.result, "noise")
-    lines = [_noise_row(row) for row in found]
+def section(canvas: Canvas, result: NoiseResult) -> Section:
+    """A table of all channels, and the densities of each."""
     columns = (("channel", ""), ("white noise", "num"), ("random walk", "num"), ("model holds", ""),
                ("predictable", "num"), ("p", "num"))
-    plots = [_density(canvas, row) for row in found]
-    grid = [Grid([p for p in plots if p], 320)] if any(plots) else []
-    key = "Power spectral densities: grey measured, blue the fitted model."
-    blocks = [Table(columns, lines), *([Prose(key, "quiet"), *grid] if grid else [])] if lines else []
+    blocks: list[Any] = [Table(columns, [_row(c) for c in result.noise])] if result.noise else []
+    plots = [plot for c in result.noise if (plot := _density(canvas, c)) is not None]
+    if plots:
+        blocks += [Prose("Power spectral densities: grey measured, blue the fitted model.", "quiet"), Grid(plots, 320)]
     return Section("noise", "Noise of each channel", blocks)
 
 
-def _noise_row(row: Row) -> list[Cell | str]:
-    factor, unit = formatting.degrees_for(text(row, "unit"))
-    cells: list[Cell | str] = [formatting.named(text(row, "channel"))]
-    for key, shown in (("white", unit), ("walk", f"{unit}/√s" if unit else "1/√s")):
-        value, se = (None if v is None else factor * v for v in (number(row, key), number(row, f"se_{key}")))
-        cells.append(Cell(formatting.with_error(value, se, shown if value is not None else ""), "num"))
-    accepted = flag(row, "accepted")
-    verdict = {True: Cell("✓ yes", "good"), False: Cell("✗ no", "bad"), None: Cell("–")}[accepted]
-    share = Cell(formatting.percent(number(row, "predictable"), 1), "num")
-    return [*cells, verdict, share, Cell(formatting.probability(number(row, "p")), "num")]
+def _row(c: ChannelNoise) -> list[Cell | str]:
+    factor, unit = formatting.degrees_for(c.unit)
+    cells: list[Cell | str] = [formatting.named(c.channel)]
+    for value, se, shown in (
+        (c.white, c.se_white, unit),
+        (c.random_walk, c.se_random_walk, f"{unit}/√s" if unit else "1/√s"),
+    ):
+        cells.append(
+            Cell(formatting.with_error(factor * value, None if se is None else factor * se, shown), "num")
+        )
+    verdict = Cell("✓ yes", "good") if c.accepted else Cell("✗ no", "bad")
+    share = Cell(formatting.percent(c.predictable, 1), "num")
+    return [*cells, verdict, share, Cell(formatting.probability(c.p), "num")]
 
 
-def _density(canvas: Canvas, row: Row) -> Any:
-    frequency, psd, model = (array(row, key) for key in ("frequency", "psd", "psd_model"))
-    factor, unit = formatting.degrees_for(text(row, "unit"))
+def _density(canvas: Canvas, c: ChannelNoise) -> Plot | None:
+    factor, unit = formatting.degrees_for(c.unit)
     traces = []
-    for values, name in ((psd, "measured"), (model, "model")):
-        if frequency is None or values is None or values.size != frequency.size:
+    for values, name in ((c.psd, "measured"), (c.psd_model, "model")):
+        if not np.isfinite(values).any():
             continue
-        good = (frequency > 0) & (values > 0)
-        x, y, limit = frequency[good], factor**2 * values[good], canvas.budget.points
+        good = (c.frequency > 0) & (values > 0)
+        x, y, limit = c.frequency[good], factor**2 * values[good], canvas.budget.points
         if name == "model":
             traces.append(drawing.line(x, y, name, limit))
         else:
@@ -55,13 +56,13 @@ def _density(canvas: Canvas, row: Row) -> Any:
         return None
     log = {"type": "log", "exponentformat": "power", "nticks": 6}
     square = f"({unit})²" if not unit.isalpha() else f"{unit}²"
-    title = formatting.named(text(row, "channel"))
+    title = formatting.named(c.channel)
     shown = f"{title} [{square}/Hz]" if unit else f"{title} [1/Hz]"
-    figure = drawing.single(traces, "frequency [Hz]", xaxis=_ticks(frequency), yaxis=log | {"automargin": True})
+    figure = drawing.single(traces, "frequency [Hz]", xaxis=_ticks(c.frequency), yaxis=log | {"automargin": True})
     return canvas.plot(figure, 230, f"Power spectral density of {title}", shown)
 
 
-def _ticks(frequency: Any) -> dict[str, Any]:
+def _ticks(frequency: Array) -> dict[str, Any]:
     """A logarithmic axis with 1, 2 and 5 of each decade where it has few of them, else with its powers of ten."""
     there = frequency[frequency > 0]
     if not there.size:

@@ -194,24 +194,6 @@ def test_what_has_no_number_is_left_out_and_what_is_wrong_is_named(
     assert n_drawn > len(every) / 4
 
 
-@pytest.mark.parametrize("kind", ["noise", "navigation"])
-def test_whatever_is_missing_is_left_out(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ident.report.page._plotly", lambda: "plotly")
-    result = shortened(KINDS[kind]())
-    every = [path for path in places(result) if path[0] not in ("logs", "inputs")]
-    rng = np.random.default_rng(7)
-    alone = [[(path, value)] for path in every if len(path) == 1 for value in POOR]
-    deep = [[(path, POOR[rng.integers(len(POOR))])] for path in every if len(path) > 1]
-    mixed = [[(path, POOR[rng.integers(len(POOR))]) for path in every if rng.random() < 0.1] for _ in range(20)]
-    for changes in alone + deep + mixed:
-        poorer = changed(result, changes)
-        try:
-            assert "</html>" in written(poorer, tmp_path)
-            assert printed(poorer)
-        except Exception as error:
-            raise AssertionError(f"fails on {changes}") from error
-
-
 def test_the_least_result_is_a_page(tmp_path: Path) -> None:
     static = {key: [] for key in ("n", "force", "sd", "n_model", "force_model", "force_sd")}
     made = {"created": "", "seatrial": "", "command": ""}

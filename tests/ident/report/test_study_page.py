@@ -40,7 +40,7 @@ def test_what_misses_stands_out(tmp_path: Path) -> None:
 
 
 def test_the_picture_has_a_mark_for_every_number_and_the_bands() -> None:
-    fine, poor, _ = page_examples.study()["studies"]
+    fine, poor, _ = page_examples.study().studies
     drawn = ElementTree.fromstring(picture(fine, page_examples.AIMS))
     assert len(drawn.findall(f"{SVG}circle")) == 2 * 3 + 1  # and the key's
     assert len(drawn.findall(f"{SVG}path")) == 2

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from daq.errors import SeatrialError
-from ident.results import content
 from ident.results.parts import InputTrace, ParameterRow
 from ident.results.result_file import from_json, read_result, to_json, write_result
 from tests.ident import report_example, report_example_bench
@@ -81,9 +80,3 @@ def test_a_file_that_is_not_there_is_an_error(tmp_path: Path) -> None:
     result = from_json(json.dumps(shortened(report_example_bench.thruster())).encode())
     with pytest.raises(SeatrialError, match="the result was not saved"):
         write_result(result, tmp_path / "no" / "result.json")
-
-
-def test_content_without_a_type_is_rounded_as_results_are() -> None:
-    assert content.to_json(np.array([0.1], np.float32)) == [0.1]
-    assert content.to_json({"a": np.arange(3), "b": (True, np.bool_(False), None, "x")}) == {
-        "a": [0, 1, 2], "b": [True, False, None, "x"]}

@@ -111,12 +111,12 @@ def test_output_error_holds_where_nothing_disturbs_the_boat(tmp_path: Path) -> N
     """With the first sample taken for the exact start, three of four intervals missed."""
     request = study.StudyRequest(["surge"], 60, 1, tmp_path, "output-error", truth={"s_u": 1e-9, "d_u": 8.4}, jobs=1)
     result = study.run_studies(request, "test", QUIET)
-    (one,) = result["studies"]
-    assert [p["name"] for p in one["parameters"]] == ["m_u", "d_u", "d_uu", "e_x"]
-    for p in one["parameters"]:
-        assert p["n"] == 60
-        assert p["coverage_high"] > 0.95, p["name"]
-        assert p["ratio_low"] < 1.1, p["name"]
+    (one,) = result.studies
+    assert [p.name for p in one.parameters] == ["m_u", "d_u", "d_uu", "e_x"]
+    for p in one.parameters:
+        assert p.n == 60
+        assert p.coverage_high > 0.95, p.name
+        assert p.ratio_low < 1.1, p.name
 
 
 def test_the_numbers_of_a_study() -> None:
@@ -134,7 +134,7 @@ def test_the_numbers_of_a_study() -> None:
     assert j.misses == ("bias (chance?)", "variance (chance?)", "coverage (chance?)")
     rows = [*made_up(d, 1.0), {"converged": False, "cpu": 1.0, "simulation": 2.0}, {"error": "no", "simulation": 2.0}]
     found = counts(rows)
-    assert (found["replicates"], found["failed"], found["unconverged"]) == (7, 1, 1)
+    assert (found.replicates, found.failed, found.unconverged) == (7, 1, 1)
 
 
 def test_what_misses_beyond_chance_is_said() -> None:
@@ -280,7 +280,7 @@ def test_noise_at_rest_and_measured_attitude_can_be_studied() -> None:
     for name, n, seconds in (("noise", 40, 100.0), ("kinematic", 12, 120.0)):
         case = make_case(name, seconds=seconds)
         rows = run_replicates(case, range(n), 3)
-        assert counts(rows)["failed"] == counts(rows)["unconverged"] == 0
+        assert counts(rows).failed == counts(rows).unconverged == 0
         found = summarise(rows)
         assert {j.name for j in found} == set(case.model.free)
         for j in found:

@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 import seatrial
 from daq.log.recorder import Recorder
 from daq.samples import NAN, Ahrs, Frame
+from ident.results.information import InformedParameter
 from ident.workflows.information import _answer, _longest
 from mocks.offline_simulation import simulate
 from tests.missions import T0, StandingClock, boat_with, rig_of
@@ -77,9 +79,9 @@ def test_what_was_excited_is_what_is_told(folder: Path, tmp_path: Path, capsys: 
     result: dict[str, Any] = json.loads((tmp_path / "out/result.json").read_text(encoding="utf-8"))
     part = result["information"]
     assert part["names"] == ["m_u", "m_v", "m_r", "d_v", "d_r", "d_uu", "d_vv", "d_rr"]
-    rows = part["stretches"]
+    rows = part["segments"]
     assert [row["what"] for row in rows] == ["static", "straight ahead", "turns"]
-    assert [(round(row["from"]), round(row["to"])) for row in rows] == [(0, 30), (30, 60), (60, 90)]
+    assert [(round(row["t_from"]), round(row["t_to"])) for row in rows] == [(0, 30), (30, 60), (60, 90)]
     rest, ahead, turns = rows
     at = {name: k for k, name in enumerate(part["names"])}
     infinite = float("inf")
@@ -96,7 +98,7 @@ def test_what_was_excited_is_what_is_told(folder: Path, tmp_path: Path, capsys: 
     assert re.search(r"one, 60 to 90 s \(turns\)", said)
     assert "What these logs tell" in said
     page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
-    for words in ("Information in logs", "What these logs tell", "Stretch by stretch", "heatmap", "hangs most on"):
+    for words in ("Information in logs", "What these logs tell", "Segment by segment", "heatmap", "hangs most on"):
         assert words in page
     assert "Inputs" in page
 
@@ -110,8 +112,8 @@ def test_two_logs_of_the_same_leave_none_indispensable(
     assert status == 0, err
     part = json.loads((tmp_path / "out/result.json").read_text(encoding="utf-8"))["information"]
     assert part["names"] == ["m_r", "d_rr"]
-    assert [row["record"] for row in part["stretches"]] == ["one", "one", "two", "two"]
-    for row in part["stretches"]:
+    assert [row["record"] for row in part["segments"]] == ["one", "one", "two", "two"]
+    for row in part["segments"]:
         # without its stretch in one log the same is still there in the other: at most half of the information goes
         assert all(1.0 <= w < np.sqrt(2.0) + 1e-3 for w in row["weight"])
 
@@ -143,13 +145,13 @@ def test_a_stretch_is_named_by_the_step_that_fills_it() -> None:
 
 
 def test_the_answer_says_what_hangs_on_what() -> None:
-    row = {"record": "a", "from": 0.0, "to": 30.0, "what": "", "name": "m_v", "value": 40.0, "se": 1.0, "weight": 2.5}
-    two = [row, row]
-    assert _answer([row], two) == (
+    row = InformedParameter(record="a", t_from=0.0, t_to=30.0, what="", name="m_v", meaning="", unit="kg", value=40.0,
+                            se=1.0, weight=2.5, alone=None)  # fmt: skip
+    assert _answer([row], 2) == (
         "Most hangs on a, 0 to 30 s: without it the standard error of m_v would be 2.5 times as large."
     )
-    assert _answer([row | {"weight": float("inf")}], two) == "Only a, 0 to 30 s tells of m_v."
-    assert _answer([row | {"weight": 1.1}], two).startswith("No stretch matters much more")
-    assert _answer([row | {"se": 30.0}], two).endswith("Hardly known from all of it: m_v.")
-    assert _answer([row | {"se": float("inf")}], two) == "These logs tell nothing of any parameter."
-    assert "--seconds" in _answer([row], [row])
+    assert _answer([replace(row, weight=None)], 2) == "Only a, 0 to 30 s tells of m_v."
+    assert _answer([replace(row, weight=1.1)], 2).startswith("No segment matters much more")
+    assert _answer([replace(row, se=30.0)], 2).endswith("Hardly known from all of it: m_v.")
+    assert _answer([replace(row, se=None)], 2) == "These logs tell nothing of any parameter."
+    assert "--seconds" in _answer([row], 1)

@@ -50,7 +50,7 @@ def still(tmp_path: Path) -> Path:
 def read(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
     result = json.loads((folder / "result.json").read_text())
     table = tomllib.loads((folder / "noise.toml").read_text())
-    assert table["format"] == "seatrial-noise 1"
+    assert table["format"] == "seatrial-noise 2"
     return result, {c["name"] if len(table["provenance"]["logs"]) == 1 else f"{c['log']} {c['name']}": c
                     for c in table["channel"]}  # fmt: skip
 
@@ -63,7 +63,7 @@ def test_known_noise_is_found(still: Path, tmp_path: Path, capsys: pytest.Captur
     for name, white, walk in (("r", 0.01, 0.002), ("psi", 0.05, 0.0)):
         c = channels[name]
         assert abs(c["white"] - white) < 4 * c["white_se"]
-        assert abs(c["walk"] - walk) < 4 * c.get("walk_se", 0.01)
+        assert abs(c["random_walk"] - walk) < 4 * c.get("random_walk_se", 0.01)
         assert c["accepted"]
         assert "reason" not in c
     assert not channels["smooth"]["accepted"]
@@ -136,7 +136,7 @@ def test_a_vectornav_at_rest(tmp_path: Path) -> None:
     run("import", "raw", "vectornav", capture, "--rate", "40", "-o", tmp_path / "vn.mcap")
     run("ident", "noise", tmp_path / "vn.mcap", "--signal", "psi", "--out", tmp_path / "noise")
     (psi,) = read(tmp_path / "noise")[1].values()
-    assert math.degrees(psi["walk"]) == pytest.approx(0.0104, rel=0.05)
+    assert math.degrees(psi["random_walk"]) == pytest.approx(0.0104, rel=0.05)
     assert "white_se" not in psi  # nearly a pure random walk
     assert psi["accepted"]
 
