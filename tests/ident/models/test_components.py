@@ -39,7 +39,7 @@ def test_the_antenna_of_the_rig_is_the_effect_lever_arm_at_a_known_place() -> No
 
 def test_the_rig_file_places_the_antenna_and_leaves_its_error_to_be_found() -> None:
     device = SimpleNamespace(lever_arm_m=(0.4, 0.0, -0.5))
-    rig = SimpleNamespace(vehicle={}, thrusters=(), devices=(SimpleNamespace(lever_arm_m=None), device))
+    rig = SimpleNamespace(vehicle={}, thrusters=(), devices=(SimpleNamespace(lever_arm_m=(0.0, 0.0, 0.0)), device))
     model, said = apply_rig_geometry(make_model("horizontal:shaft"), rig)
     assert not said
     assert model.values["antenna_x"] == 0.4
