@@ -7,7 +7,6 @@ from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
 
 from ident.numerics.arrays import Array
 
@@ -25,6 +24,8 @@ def first_order_lag(f: Array, tau: float, dt: float, *, hold: Hold = "forward", 
     is held over the step that ends in row k; start: at rest at ``zero``, or ``steady``, with x[0] = f[0].
     Returns: x (n, ...).
     """
+    from scipy.signal import lfilter  # a second of import, which an estimate can do without
+
     keep = np.exp(-dt / tau) if tau > 0.0 else 0.0
     b = [0.0, 1.0 - keep] if hold == "forward" else [1.0 - keep]
     if start == "zero":

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -77,3 +80,9 @@ def test_noise_from_differences_is_robust() -> None:
 def test_angles_are_wrapped_and_nothing_else() -> None:
     np.testing.assert_allclose(wrap(np.array([3.5, -3.5, 0.1]), True), [3.5 - 2 * np.pi, 2 * np.pi - 3.5, 0.1])
     np.testing.assert_array_equal(wrap(np.array([3.5, -3.5]), False), [3.5, -3.5])
+
+
+def test_an_estimate_does_not_wait_for_scipy() -> None:
+    """Its import would take more than half of the time of a small fit."""
+    program = "import sys; from ident.estimation import Likelihood, fit; sys.exit('scipy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
