@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import ast
+import importlib.util
+import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PARTS = ("daq", "bench", "ident", "mocks")
@@ -133,6 +137,22 @@ def test_no_function_has_more_than_eight_parameters() -> None:
                 if n > 8 and not command:
                     wide.append(f"{module}.{node.name}: {n}")
     assert not wide
+
+
+@pytest.mark.parametrize("command", ["seatrial ident vehicle", "seatrial ident diagnose"])
+def test_a_workflow_enters_no_file_twice(command: str) -> None:
+    """From log to result in a straight line: all calls into a file stand together."""
+    spec = importlib.util.spec_from_file_location("architecture", ROOT / "docs/site/architecture.py")
+    assert spec is not None
+    assert spec.loader is not None
+    architecture = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = architecture
+    spec.loader.exec_module(architecture)
+    entered = [step.module for step in architecture.call_path(*architecture.WORKFLOWS[command])]
+    assert entered[0] == "ident.data.loading"
+    assert entered[-1] == "ident.workflows.output"
+    once = [module for k, module in enumerate(entered) if k == 0 or entered[k - 1] != module]
+    assert [module for module in set(once) if once.count(module) > 1] == []
 
 
 def mentioned(tree: ast.AST) -> Iterator[str]:

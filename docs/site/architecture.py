@@ -105,7 +105,66 @@ def tables() -> str:
     for library, out_of, but in kept(rules):
         names = ", ".join(f"`{part}`" for part in out_of)
         lines.append(f"| {library} | {names} | {', '.join(f'`{module}`' for module in but) or '-'} |")
-    return "\n".join([*lines, *wings(rules)])
+    return "\n".join([*lines, *wings(rules), *paths()])
+
+
+WORKFLOWS = {
+    "seatrial ident vehicle": ("ident.workflows.vehicle", "vehicle"),
+    "seatrial ident diagnose": ("ident.workflows.diagnose", "diagnosis"),
+}
+
+
+class Step(NamedTuple):
+    """A call of a workflow: the module that it enters, and the name called there."""
+
+    module: str
+    name: str
+
+
+def call_path(module: str, function: str) -> list[Step]:
+    """The calls of a workflow's function into other modules of ident, in the order in which they are evaluated.
+
+    Its own helpers count as a part of it; a name from a face counts as of the module that defines it.
+    """
+    tree = ast.parse(ROOT.joinpath(*module.split(".")).with_suffix(".py").read_text(encoding="utf-8"))
+    where: dict[str, str] = {}
+    for node in tree.body:
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("ident."):
+            stub = ROOT.joinpath(*(node.module or "").split("."), "__init__.pyi")
+            face = ast.parse(stub.read_text(encoding="utf-8")).body if stub.exists() else []
+            home = {a.name: f"{node.module}.{n.module}" for n in face if isinstance(n, ast.ImportFrom) for a in n.names}
+            where |= {a.asname or a.name: home.get(a.name, node.module or "") for a in node.names}
+    own = {n.name: n for n in tree.body if isinstance(n, ast.FunctionDef)}
+    found: list[Step] = []
+
+    def visit(node: ast.AST) -> None:
+        for child in ast.iter_child_nodes(node):  # arguments are evaluated before the call
+            visit(child)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            name = node.func.id
+            if name in own and name != function:
+                body(name)
+            elif name in where:
+                found.append(Step(where[name], name))
+
+    def body(name: str) -> None:
+        for statement in own[name].body:
+            visit(statement)
+
+    body(function)
+    return found
+
+
+def paths() -> list[str]:
+    """The way from log to result of each workflow, a table each."""
+    lines = ["", "### From log to result", "", "No file is entered twice (`tests/test_house.py`)."]
+    for command, (module, function) in WORKFLOWS.items():
+        lines += ["", f"`{command}`, `{module}.{function}`:", "", "| file | what is called there |", "|---|---|"]
+        steps = call_path(module, function)
+        for home in dict.fromkeys(step.module for step in steps):
+            names = dict.fromkeys(f"`{step.name}`" for step in steps if step.module == home)
+            lines.append(f"| `{home.replace('.', '/')}.py` | {', '.join(names)} |")
+    return lines
 
 
 def wings(rules: list[dict[str, Any]]) -> list[str]:

@@ -253,7 +253,8 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how
     Example:
       seatrial ident vehicle estimation.mcap --thruster thruster/model.toml --validate validation.mcap --out vehicle
     """
-    from ident.workflows.vehicle import VehicleRequest, vehicle
+    from ident.workflows.vehicle import vehicle
+    from ident.workflows.vehicle_model import VehicleRequest
 
     request = VehicleRequest(logs, validate, out, **estimation_of(how))
     run(lambda reporter: vehicle(request, command_line(), reporter), out)

@@ -7,7 +7,6 @@ from .fitted_model import fit_and_evaluate as fit_and_evaluate
 from .fitted_model import fit_nominal_model as fit_nominal_model
 from .fitted_model import fit_with_rescaling as fit_with_rescaling
 from .fitted_model import nominal as nominal
-from .fitted_model import outliers as outliers
 from .fitted_model import superset as superset
 from .fitted_model import validation_gain as validation_gain
 from .fitted_model import without_absent_sensors as without_absent_sensors

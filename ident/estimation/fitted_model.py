@@ -37,6 +37,17 @@ class FittedModel:
     estimation: tuple[RecordEvaluation, ...]
     validation: tuple[RecordEvaluation, ...]
 
+    @property
+    def records(self) -> list[Record]:
+        """Those that it was fitted to."""
+        return [v.record for v in self.estimation]
+
+    @property
+    def outlier_notes(self) -> list[str]:
+        """Outliers in the estimation data: a line for each channel in which they are allowed."""
+        runs, measured = [v.run.outliers for v in self.estimation], [np.isfinite(r.y) for r in self.records]
+        return outlier_notes(self.model, runs, measured)
+
 
 @dataclass(frozen=True)
 class RecordEvaluation:
@@ -190,12 +201,6 @@ def reset_collapsed_noise(model: Model, records: Sequence[Record]) -> Model:
         if p.value < COLLAPSED_NOISE * white:
             new.append(p.at(white))
     return model.replace_parameters(*new)
-
-
-def outliers(stage: FittedModel) -> list[str]:
-    """What was taken for outliers in the estimation data, a line for each channel where they are allowed."""
-    views = stage.estimation
-    return outlier_notes(stage.model, [v.run.outliers for v in views], [np.isfinite(v.record.y) for v in views])
 
 
 def validation_gain(before: FittedModel, after: FittedModel) -> tuple[float, float]:

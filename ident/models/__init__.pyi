@@ -31,6 +31,7 @@ from .thruster import delayed_channels as delayed_channels
 from .thruster import on_a_copy as on_a_copy
 from .thruster import thruster_model as thruster_model
 from .user_code import check_user_model as check_user_model
+from .user_code import effects_for as effects_for
 from .user_code import load_effects as load_effects
 from .user_code import load_object as load_object
 from .yaw import yaw_model as yaw_model

@@ -55,6 +55,18 @@ def load_effects(path: Path) -> dict[str, Effect]:
     return {e.name: e for e in found}
 
 
+def effects_for(model: Model, path: Path) -> dict[str, Effect]:
+    """The effects that a Python file defines, each tried on the model where the model can have it.
+
+    Raises SeatrialError with file, line and reason where one cannot be evaluated.
+    """
+    found = load_effects(path)
+    for effect in found.values():
+        if model.accepts(effect):
+            check_user_model(model + effect, path)
+    return found
+
+
 def check_user_model(model: Model, path: Path) -> Model:
     """The model, after its functions of ``path`` have been called once with symbols, as every estimate does.
 

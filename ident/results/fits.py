@@ -34,15 +34,16 @@ def vehicle_result(
     *,
     start: Mapping[str, float],
     notes: Sequence[str],
+    lead: str = "",
 ) -> VehicleResult:
-    """``start``: values that the search began with; ``notes``: that come first."""
+    """``start``: values that the search began with; ``notes``: that come first; ``lead``: begins the answer."""
     errors, calibration = error_tables(evaluation), calibration_tables(evaluation)
     residuals, cross = residual_rows(evaluation), cross_correlations(evaluation)
     searchable = bool(residuals_of(evaluation.model))
     said = vehicle_answer(errors, evaluation.horizon, residuals, cross, searchable=searchable)
     return VehicleResult(
         **msgspec.structs.asdict(made),
-        answer=" ".join([said, *(sentence(a) for a in homogeneity)]),
+        answer=" ".join(filter(None, [lead, said, *(sentence(a) for a in homogeneity)])),
         warnings=tuple(estimation_warnings(stage.fit, [v.record for v in stage.estimation])),
         notes=(*notes, *calibration_notes(calibration, evaluation.horizon)),
         fit=fit_summary(stage.fit, start),

@@ -9,12 +9,12 @@ from pathlib import Path
 from ident.data import load_all
 from ident.diagnosis import diagnose, evaluate_diagnosis
 from ident.effects import catalogue
-from ident.estimation import EstimationOptions, load_model, outliers
+from ident.estimation import EstimationOptions, load_model
 from ident.model import with_outlier_model as with_outliers
-from ident.models import check_user_model, load_effects
+from ident.models import effects_for
 from ident.reporter import Reporter
 from ident.results import DiagnosisResult, diagnosis_result, estimation_warnings, provenance
-from ident.workflows.model_inputs import _posed, check_ahead
+from ident.workflows.model_inputs import check_ahead, model_of_logs
 from ident.workflows.output import validity, write_all
 
 
@@ -50,16 +50,13 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
     """Find what the model lacks, and write the model that has it; ``command``: what was typed."""
     loaded, unseen = load_all(request.logs, request.validation)
     horizon, effects_file = request.estimation.horizon, request.effects_file
-    check_ahead(horizon, loaded, unseen)
-    own = load_effects(effects_file) if effects_file else {}
     saved = load_model(request.model)
     # Maxima of the plain likelihood are compared, by a filter of first order: neither changes what is found, and on
     # that the blind tests were made.
     plain = replace(saved.model, second_order=False)
-    model, runs, others, usual = _posed(plain, request.model, loaded, unseen, request.thruster)
-    for effect in own.values():
-        if effects_file is not None and model.accepts(effect):
-            check_user_model(model + effect, effects_file)
+    check_ahead(horizon, loaded, unseen)
+    model, runs, others, usual = model_of_logs(plain, request.model, loaded, unseen, request.thruster)
+    own = effects_for(model, effects_file) if effects_file else {}
     found = diagnose(
         with_outliers(model) if request.estimation.outlier_model else model,
         runs,
@@ -74,7 +71,7 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
         evaluate_diagnosis(found, horizon),
         provenance([*loaded, *unseen], command),
         warnings=estimation_warnings(found.after.fit, [v.record for v in found.after.estimation]),
-        notes=outliers(found.after),
+        notes=found.after.outlier_notes,
         model_path=str(request.model),
     )
     write_all(request.out, result, found.after.fit, validity(found.after), effects_file or saved.effects_file)

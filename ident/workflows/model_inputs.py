@@ -76,7 +76,7 @@ def as_logged(signal: Input, hold: str) -> Input:
     return replace(signal, hold="linear") if hold == "linear" else signal
 
 
-def _posed(
+def model_of_logs(
     model: Model, model_path: Path, loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog], thruster: str | None
 ) -> tuple[Model, list[LogSegment], list[LogSegment], float]:
     """The saved model as these logs can ask it; its runs to estimate and to validate; its usual rows a second."""

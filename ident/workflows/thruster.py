@@ -30,7 +30,7 @@ from ident.characterisation import (
     thruster_name,
 )
 from ident.data import Channel, LoadedLog, Record, build_record, load_run
-from ident.estimation import EstimationOptions, Fit, FittedModel, RecordEvaluation, outliers, profile
+from ident.estimation import EstimationOptions, Fit, FittedModel, RecordEvaluation, profile
 from ident.model import Model
 from ident.models import thruster_model
 from ident.numerics import Array, steady_segments
@@ -107,7 +107,7 @@ def characterise(
         [profile(fitted, records, p) for p in profiles],
         _static(fitted, loaded, name) if has_force else None,
         start=model.values,
-        notes=outliers(stage),
+        notes=stage.outlier_notes,
     )
     ranges = {"n_cmd": _range(np.concatenate([r.u[:, 0] for r in records]))}
     write_all(request.out, result, fitted, ranges)

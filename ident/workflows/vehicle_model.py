@@ -1,0 +1,94 @@
+"""The vehicle model of a fit: structure, rig geometry, bench results, prior knowledge, thruster sides."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ident.characterisation import load_curve
+from ident.checks import check_sides, swap_sides
+from ident.data import LoadedLog, LogSegment
+from ident.estimation import (
+    EstimationOptions,
+    apply_rig_geometry,
+    fix_parameters,
+    nominal,
+    set_initial_values,
+    set_priors,
+    with_effects,
+)
+from ident.model import Model
+from ident.workflows.model_inputs import check_ahead, check_names, choose_model, completed
+
+
+@dataclass(frozen=True)
+class VehicleRequest:
+    """A vehicle model to be fitted, as the options of the command say it.
+
+    Attributes:
+        logs, validation: logs that the fit sees, and others that judge it.
+        out: folder for the results.
+        estimation: how parameters are estimated.
+        model: name of the structure, or ``auto`` for the horizontal one with the inputs that the logs have.
+        thruster: model.toml of the bench, or a static curve from command to thrust.
+        fixed, initial: values of parameters that are known, and where the estimate of others starts.
+        priors: mean and standard deviation of parameters.
+        effects: of the catalogue, added with their parameters free.
+        keep_thruster_sides: even where the data say that they are swapped.
+        homogeneity: parameters to test for one value in all logs.
+        profiles: parameters that get a profile likelihood.
+        rate: rows a second to which faster sensors are averaged [Hz].
+    """
+
+    logs: Sequence[Path]
+    validation: Sequence[Path]
+    out: Path
+    estimation: EstimationOptions = field(default_factory=lambda: EstimationOptions(reml=True, mean_order=2))
+    model: str = "auto"
+    thruster: Path | None = None
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    initial: Mapping[str, float] = field(default_factory=dict)
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    effects: Sequence[str] = ()
+    keep_thruster_sides: bool = False
+    homogeneity: Sequence[str] = ()
+    profiles: Sequence[str] = ()
+    rate: float = 10.0
+
+
+@dataclass(frozen=True)
+class VehicleProblem:
+    """What is fitted to what: a model with its prior knowledge, segments to estimate and to validate.
+
+    ``notes``: what the rig's geometry says; ``sides``: a line where the thrusters' sides are swapped, else empty.
+    """
+
+    model: Model
+    segments: list[LogSegment]
+    validation: list[LogSegment]
+    notes: list[str]
+    sides: str
+
+
+def vehicle_problem(
+    request: VehicleRequest, loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog]
+) -> VehicleProblem:
+    """The model that a request asks for, for these logs. Raises SeatrialError where they lack what it needs."""
+    curve, source = load_curve(request.thruster) if request.thruster is not None else None, request.model
+    if curve is not None and source == "auto":
+        source = "horizontal:force"
+    loaded, unseen = ([completed(x, source, curve) for x in part] for part in (loaded, unseen))
+    check_ahead(request.estimation.horizon, loaded, unseen)
+    model, notes = apply_rig_geometry(choose_model(source, [*loaded, *unseen]), loaded[0].rig)
+    model = set_initial_values(set_priors(with_effects(model, request.effects), request.priors), request.initial)
+    model = fix_parameters(model, request.thruster if curve is None else None, request.fixed)
+    sides, line = check_sides([(x.run.name, x.run.channels) for x in loaded]) if "y_left" in model.values else None, ""
+    if sides is not None and sides.swapped:
+        line = sides.line
+        if request.keep_thruster_sides:
+            line = line.removesuffix(" Fitted with the sides swapped.")
+        else:
+            model = swap_sides(model)
+    check_names(nominal(model), request.profiles, len(loaded))
+    return VehicleProblem(model, [x.run for x in loaded], [x.run for x in unseen], notes, line)
