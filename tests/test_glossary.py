@@ -74,19 +74,14 @@ PENDING = {
     "ident/report/design_page.py",
     "ident/report/drawing.py",
     "ident/report/sections/answer.py",
-    "ident/report/sections/information.py",
     "ident/report/sections/runs.py",
     "ident/report/sections/search.py",
-    "ident/report/terminal.py",
     "ident/results/parts.py",
     "ident/results/tables.py",
     "ident/validation/calibration.py",
     "ident/validation/evaluation.py",
     "ident/validation/prediction_errors.py",
-    "ident/workflows/design.py",
-    "ident/workflows/information.py",
     "ident/workflows/navigate.py",
-    "ident/workflows/thruster.py",
 }
 
 
