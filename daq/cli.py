@@ -136,7 +136,7 @@ def info(log: Path) -> None:
 
 @click.command()
 @click.argument("log", type=LOG)
-@click.option("-o", "--out", type=_NEW, help="The whole log to write (default: LOG with -salvaged in its name).")
+@click.option("-o", "--out", type=_NEW, help="The whole log to write (default: LOG with -recovered in its name).")
 @click.option("--force", is_flag=True, help="Replace OUT where it exists.")
 def recover(log: Path, out: Path | None, force: bool) -> None:
     """Recover the LOG of a killed run or a damaged disk, all its segments, into one whole file.
@@ -149,7 +149,7 @@ def recover(log: Path, out: Path | None, force: bool) -> None:
     """
     from daq.log import recover_log as run
 
-    target = out or log.with_name(f"{log.stem}-salvaged.mcap")
+    target = out or log.with_name(f"{log.stem}-recovered.mcap")
     done = run(log, target, force)
     for warning in done.warnings:
         click.echo(f"warning: {warning}", err=True)

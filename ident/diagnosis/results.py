@@ -51,11 +51,15 @@ class Round:
 
 @dataclass(frozen=True)
 class EffectAttribution:
-    """How sure the name of an added effect is.
+    """Attribution of a selected effect.
 
-    identified: it explains what was missing, and nothing else does. ambiguous: it explains much of it, but something is
-    left that it should have explained, or another explains it about as well (``reasons``, for people). ``rivals``:
-    names that the data do not exclude, closest first. nonparametric: no name, a table.
+    Attributes:
+        effect: its name.
+        attribution: ``identified``: it explains what was missing, and no competing model does; ``ambiguous``: something
+            is left that it should have explained, or a competing model comes close; ``nonparametric``: a curve without
+            a name.
+        reasons: why it is ambiguous, for people.
+        rivals: names of the competing models that the data do not exclude, closest first.
     """
 
     effect: str
@@ -66,10 +70,15 @@ class EffectAttribution:
 
 @dataclass(frozen=True)
 class EffectImportance:
-    """effect: its name; gain: 2 d ln L on the estimation data that it brings when it comes last; error: what the
-    inputs alone predict three seconds ahead (``ident.diagnosis.importance``) is off by without it, over that with it;
-    the geometric
-    mean over the channels of the validation data, of the estimation data where there are none."""
+    """Importance of a selected effect.
+
+    Attributes:
+        effect: its name.
+        gain: 2 d ln L on the estimation data, when it is added last.
+        error: ratio of the prediction error three seconds ahead without it to that with it
+            (``ident.diagnosis.importance``); geometric mean over the channels of the validation data, else of the
+            estimation data.
+    """
 
     effect: str
     gain: float
@@ -98,5 +107,5 @@ class Diagnosis:
 
     @property
     def sure(self) -> bool:
-        """Every effect that was added is named without doubt."""
+        """Whether all selected effects are identified."""
         return all(j.attribution == "identified" for j in self.judgements)

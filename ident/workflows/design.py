@@ -207,7 +207,8 @@ def _between(task: DesignProblem, wish: DesignRequest, reporter: Reporter) -> tu
 
 
 def with_effect(model: Model, name: str) -> Model:
-    """The model with an effect of a size that matters: half of its prior, or five felt steps; as fitted where the model
+    """The model with an effect of a size that matters: half of its prior, or five characteristic steps; as fitted where
+    the model
     has it already."""
     if name in {e.name for e in model.effects}:
         return model

@@ -166,7 +166,7 @@ def _range(z: Array) -> tuple[float, float]:
 def static_curve(
     loaded: Sequence[LoadedLog], request: ThrusterRequest, command: str, reporter: Reporter
 ) -> ThrustCurveResult:
-    """Fit a curve to steady stretches of bench logs that have a force and a command but no shaft speed."""
+    """Fit a curve to steady segments of bench logs that have a force and a command but no shaft speed."""
     if len(loaded) != 1:
         raise SeatrialError(f"{loaded[1].about['path']}: a static curve is made of one log; give one")
     one = loaded[0]
