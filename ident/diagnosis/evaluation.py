@@ -8,15 +8,13 @@ from dataclasses import dataclass
 from ident.diagnosis.results import Diagnosis
 from ident.models import residuals_of
 from ident.validation import (
-    ByHorizon,
+    Intervals,
     PredictionEvaluation,
     SmoothedForce,
     evaluate,
     ratio_intervals,
     smoothed_forces,
 )
-
-Intervals = ByHorizon[Mapping[str, tuple[float, float]]]
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Results: what is reported, as content of result.json and sentences."""
+"""Results: what is reported, as types, sentences and result.json."""
 
 import lazy_loader
 

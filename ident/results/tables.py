@@ -37,16 +37,14 @@ from ident.results.parts import (
     WhitenessTests,
 )
 from ident.validation import (
-    ByHorizon,
     Calibration,
     ChannelResiduals,
+    Intervals,
     PredictionErrors,
     PredictionEvaluation,
     RecordPrediction,
     shown_inputs,
 )
-
-Intervals = ByHorizon[Mapping[str, tuple[float, float]]]
 
 
 def finite(value: float | None) -> float | None:

@@ -1,7 +1,7 @@
 from .calibration import Calibration as Calibration
 from .evaluation import FEWEST as FEWEST
-from .evaluation import ByHorizon as ByHorizon
 from .evaluation import ChannelResiduals as ChannelResiduals
+from .evaluation import Intervals as Intervals
 from .evaluation import PredictionEvaluation as PredictionEvaluation
 from .evaluation import RecordPrediction as RecordPrediction
 from .evaluation import SmoothedForce as SmoothedForce

@@ -40,6 +40,9 @@ class ByHorizon(Generic[T]):
     free_run: T
 
 
+Intervals = ByHorizon[Mapping[str, tuple[float, float]]]  # of 95 %, by channel
+
+
 @dataclass(frozen=True)
 class RecordPrediction:
     """A record and what the model predicts of it from the inputs alone."""
@@ -157,9 +160,7 @@ def shown_inputs(model: Model) -> list[tuple[int, str, str]]:
     return shown
 
 
-def ratio_intervals(
-    before: PredictionEvaluation, after: PredictionEvaluation, role: str
-) -> ByHorizon[Mapping[str, tuple[float, float]]]:
+def ratio_intervals(before: PredictionEvaluation, after: PredictionEvaluation, role: str) -> Intervals:
     """95 % intervals of the error after over that before, by channel."""
     old, new = before.sets[role].errors, after.sets[role].errors
 
@@ -169,7 +170,7 @@ def ratio_intervals(
         return {name: ratio_interval(a[name], b[name], block=block) for name in a}
 
     # errors over a horizon hang together for as long as it lasts
-    return ByHorizon[Mapping[str, tuple[float, float]]](
+    return Intervals(
         of(old.one_step, new.one_step, BLOCK),
         of(old.horizon, new.horizon, max(BLOCK, after.horizon)),
         of(old.free_run, new.free_run, BLOCK),

@@ -24,7 +24,7 @@ from ident.estimation.fitted_model import FittedModel
 from ident.results.diagnosis import diagnosis_result
 from ident.results.parts import DiagnosisResult, ParameterRow
 from ident.results.tables import provenance
-from ident.validation.prediction_errors import HORIZON, PredictionErrors, ahead, free_run, one_step, pooled
+from ident.validation.prediction_errors import PredictionErrors, ahead, free_run, one_step, pooled
 from mocks.offline_simulation import Recording, simulate
 from tests.missions import boat_with, channels_of
 from tests.recovery.kinds import Case, boat_of, model_of, with_gaps
@@ -145,7 +145,7 @@ def errors(stage: FittedModel) -> AllErrors:
     model, views = stage.model, stage.validation
     return {
         "one_step": pooled([one_step(model, v.record, v.run) for v in views]),
-        "horizon": pooled([ahead(model, v.record, v.values, v.run.x_filt, HORIZON) for v in views]),
+        "horizon": pooled([ahead(model, v.record, v.values, v.run.x_filt, model.horizon) for v in views]),
         "free_run": pooled([dict(free_run(model, v.record, v.values).errors) for v in views]),
     }
 

@@ -12,6 +12,7 @@ import pytest
 from ident.characterisation.thruster import THRUSTER_RATE, fit_thruster
 from ident.data.record import build_record
 from ident.effects.nonparametric import NonparametricForce
+from ident.estimation.options import EstimationOptions
 from ident.models.thruster import delayed_channels, thruster_model
 from ident.results.tables import fit_summary
 from mocks.hidden_effects.catalogue import EFFECTS, OUTSIDE
@@ -91,7 +92,7 @@ def test_the_bench_finds_its_thruster(seed: int) -> None:
     channels = delayed_channels(found["n_cmd_thruster"]) | {"n": found["n_thruster"], "force": found["force"]}
     model = thruster_model()
     record = build_record(model, channels, name="bench", rate=THRUSTER_RATE)
-    fitted = fit_thruster(model, [record])
+    fitted = fit_thruster(model, [record], EstimationOptions())
     truth = bench.truth()
     assert fitted.converged
     for name, true in (("a", "pole"), ("c1", "c1"), ("c2", "c2")):

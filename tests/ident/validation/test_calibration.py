@@ -64,7 +64,7 @@ def test_the_bands_are_right_where_the_model_is() -> None:
     assert calibration_notes(calibration_tables(judged), 10.0) == []
 
 
-def test_too_little_noise_is_too_sure_at_once() -> None:
+def test_too_little_noise_is_overconfident_at_once() -> None:
     judged = evaluate(with_values(stage(), {"e_xy": 0.5, "e_psi": 0.5}))
     found = validated(judged).one_step
     assert {n for n, c in found.items() if c.verdict == "overconfident"} >= {"x", "y", "psi"}
@@ -73,13 +73,13 @@ def test_too_little_noise_is_too_sure_at_once() -> None:
     assert any("one step ahead, errors are larger than the model says" in line for line in notes)
 
 
-def test_too_little_process_noise_is_too_sure_ten_seconds_ahead() -> None:
+def test_too_little_process_noise_is_overconfident_over_the_horizon() -> None:
     found = validated(evaluate(with_values(stage(), {"q_X": 0.1, "q_Y": 0.1, "q_N": 0.1})))
     assert found.horizon["psi"].verdict == "overconfident"
     assert found.horizon["vx"].verdict == "overconfident"
 
 
-def test_too_much_noise_is_too_cautious() -> None:
+def test_too_much_noise_is_underconfident() -> None:
     found = validated(evaluate(with_values(stage(), {"e_xy": 2.0, "q_X": 3.0, "q_Y": 3.0, "q_N": 3.0})))
     assert found.one_step["x"].verdict == "underconfident"
     assert found.horizon["psi"].verdict == "underconfident"
