@@ -27,7 +27,8 @@ except KeyboardInterrupt:  # Ctrl-C before there is a command to take it
 
 if TYPE_CHECKING:
     from bench.preflight.report import MotionChecks
-    from daq.checks import CheckReport, Finding
+    from daq.checks.check_report import CheckReport
+    from daq.checks.findings import Finding
 
 OK, FAILED, WRONG_USAGE, INTERRUPTED = 0, 1, 2, 130
 
@@ -123,7 +124,7 @@ class MotionChecksOfIdent:
     def check_log(self, path: Path) -> list[Finding]:
         """Findings about sensors and thrusters from the motion in a log; raises SeatrialError without ident."""
         try:
-            from ident.checks import check_log
+            from ident.checks.log_checks import check_log
         except ModuleNotFoundError as error:
             raise SeatrialError(_needs("that", error.name or "ident")) from error
         return check_log(path)
@@ -131,7 +132,7 @@ class MotionChecksOfIdent:
     def write_check_page(self, report: CheckReport, out: Path) -> None:
         """Write the page of a check; raises SeatrialError without ident."""
         try:
-            from ident.workflows import write_check
+            from ident.workflows.check import write_check
         except ModuleNotFoundError as error:
             raise SeatrialError(_needs("--report", error.name or "ident")) from error
         write_check(report, " ".join(["seatrial", *sys.argv[1:]]), out)

@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 
 from bench import mission_generators
-from bench.mission_text import describe
+from bench.mission_text import describe_mission
 from daq.config import Mission, load_mission, load_rig, save_mission
 from daq.errors import SeatrialError, counted
 from daq.rig import Rig
@@ -100,7 +100,7 @@ def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: 
 @click.argument("mission_path", metavar="MISSION", type=EXISTING)
 def show(mission_path: Path) -> None:
     """Show a mission as text: its segments, the range of each thruster's command, and what a design predicted."""
-    click.echo(describe(load_mission(mission_path)))
+    click.echo(describe_mission(load_mission(mission_path)))
 
 
 @mission.command(

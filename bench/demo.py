@@ -39,7 +39,7 @@ class StepFailed(SeatrialError):
     """A command of the demo failed; the message names it."""
 
 
-class Interrupted(SeatrialError):
+class DemoInterrupted(SeatrialError):
     """The user ended the demo."""
 
     exit_status = 130
@@ -61,9 +61,9 @@ def demo(seed: int | None, out: Path | None, speed: float) -> None:
     folder = fresh_folder(out, seed)
     click.echo(f"demo: seed {seed}, {speed:g} times real time, in {folder}")
     for name in ("bench", "boat"):
-        write_rig(name, folder, speed)
+        write_demo_rig(name, folder, speed)
     start = time.monotonic()
-    steps = Steps(folder)
+    steps = DemoSteps(folder)
     with steps.signals():
         missing = run_steps(steps, seed)
     click.echo(f"total: {time.monotonic() - start:.1f} s")
@@ -86,7 +86,7 @@ def fresh_folder(out: Path | None, seed: int) -> Path:
     return folder
 
 
-def write_rig(name: str, folder: Path, speed: float) -> None:
+def write_demo_rig(name: str, folder: Path, speed: float) -> None:
     """Copy the mocks' rig file into the folder, with the demo's clock speed in it."""
     text = (files("mocks") / "rigs" / f"{name}.toml").read_text(encoding="utf-8")
     text, count = re.subn(r"(?m)^speed\s*=\s*[0-9.]+", f"speed = {speed!r}", text)
@@ -95,7 +95,7 @@ def write_rig(name: str, folder: Path, speed: float) -> None:
     (folder / f"{name}-rig.toml").write_text(text, encoding="utf-8")
 
 
-def run_steps(steps: Steps, seed: int) -> list[str]:
+def run_steps(steps: DemoSteps, seed: int) -> list[str]:
     """Run the whole loop; returns the commands that this installation does not have."""
     missing: list[str] = []
     mock = ("mock", "bench", "bench-rig.toml", "--seed", str(seed))
@@ -110,7 +110,7 @@ def run_steps(steps: Steps, seed: int) -> list[str]:
     return missing
 
 
-def _mission(steps: Steps, seed: int, run: int, seconds: float, name: str) -> None:
+def _mission(steps: DemoSteps, seed: int, run: int, seconds: float, name: str) -> None:
     """Generate and run one mission on a newly started mock boat: the same boat and effect, other noise."""
     plan, mission_seed = f"{name}.toml", str(100 * seed + run)
     steps.run(
@@ -122,7 +122,7 @@ def _mission(steps: Steps, seed: int, run: int, seconds: float, name: str) -> No
     _record(steps, "boat", mock, f"{name} run", "mission", "run", plan, "boat-rig.toml", "-o", f"{name}.mcap")
 
 
-def _record(steps: Steps, rig: str, mock: tuple[str, ...], name: str, *words: str) -> None:
+def _record(steps: DemoSteps, rig: str, mock: tuple[str, ...], name: str, *words: str) -> None:
     """Record against a mock; where this machine could not keep up, once more at half the speed.
 
     At 20 times real time a pause of 50 ms is a second of the boat's time, in which the shaft speeds, which have no
@@ -143,10 +143,10 @@ def _record(steps: Steps, rig: str, mock: tuple[str, ...], name: str, *words: st
     log = steps.folder / words[-1]
     if log.exists():
         log.rename(log.with_name(f"{log.stem}-late.mcap"))
-    write_rig(rig, steps.folder, speed / 2)
+    write_demo_rig(rig, steps.folder, speed / 2)
     with steps.mock(*mock):
         steps.run(name, *words)
-    write_rig(rig, steps.folder, speed)
+    write_demo_rig(rig, steps.folder, speed)
 
 
 def _speed(rig: Path) -> float:
@@ -154,7 +154,7 @@ def _speed(rig: Path) -> float:
     return float(found[1]) if found else 1.0
 
 
-def _explain(steps: Steps, missing: list[str], name: str, *words: str) -> None:
+def _explain(steps: DemoSteps, missing: list[str], name: str, *words: str) -> None:
     """Run one step of ident, or note that it is not installed; later steps need the earlier ones."""
     if not missing:
         try:
@@ -230,7 +230,7 @@ def _read_json(path: Path) -> dict[str, Any]:
     return content
 
 
-class Steps:
+class DemoSteps:
     """Runs `seatrial ...` commands in `folder`; everything still running ends when the context does."""
 
     def __init__(self, folder: Path) -> None:
@@ -325,7 +325,7 @@ class Steps:
 
     def _check_signal(self) -> None:
         if self._signalled:
-            raise Interrupted("demo: interrupted; thrusters at zero, mock devices stopped")
+            raise DemoInterrupted("demo: interrupted; thrusters at zero, mock devices stopped")
 
     def _end(self, process: subprocess.Popen[bytes]) -> None:
         """End a process and its group: SIGTERM, then SIGKILL; no process is left behind."""

@@ -9,7 +9,7 @@ import numpy as np
 from daq.config import FloatArray, Mission, Prediction
 
 
-def describe(mission: Mission) -> str:
+def describe_mission(mission: Mission) -> str:
     """Name, limits and origin, a line for each segment, then the prediction of the design that made it."""
     slew = f", slew at most {mission.slew_per_s:g} 1/s" if np.isfinite(mission.slew_per_s) else ""
     lines = [

@@ -25,7 +25,7 @@ from pyubx2 import UBXReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from benchmarks.measure import Figure, best_ms
-from daq.log.cdr import NANO, definition, layout
+from daq.log.cdr import NANO, cdr_layout, definition
 from daq.log.mcap_writer import CHUNK_BYTES, RecordWriter
 from daq.log.schema import TYPES, messages
 from daq.protocol import dronecan, mip, nmea, nmea2000, slcan, ubx, vectornav, vesc
@@ -195,7 +195,7 @@ def _cdr_packing() -> tuple[Call, Call]:
     name, values = TYPES[Gnss], messages("gnss", Frame(GNSS, T, T))[0].values
     store, kinds = _typestore(name)
     header = kinds["std_msgs/msg/Header"](kinds["builtin_interfaces/msg/Time"](1, 2), "gnss")
-    ours, theirs = layout(name, b"gnss"), kinds[name](header, *values)
+    ours, theirs = cdr_layout(name, b"gnss"), kinds[name](header, *values)
     return lambda: [ours.pack(NANO, *values) for _ in range(N)], lambda: [
         store.serialize_cdr(theirs, name) for _ in range(N)
     ]
@@ -203,7 +203,7 @@ def _cdr_packing() -> tuple[Call, Call]:
 
 def _cdr_reading() -> tuple[Call, Call]:
     name = TYPES[Gnss]
-    found = layout(name, b"gnss")
+    found = cdr_layout(name, b"gnss")
     body = found.pack(NANO, *messages("gnss", Frame(GNSS, T, T))[0].values)
     store, _ = _typestore(name)
     return lambda: np.frombuffer(body * N, found.dtype)["lat"].sum(), lambda: [

@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from bench.demo import write_rig
+from bench.demo import write_demo_rig
 from benchmarks.measure import Figure
 from daq.acquisition.session import Acquisition
 from daq.clock import RunClock
@@ -93,7 +93,7 @@ def read_all(path: Path, n_messages: int) -> Iterator[Figure]:
 
 def acquire(folder: Path, seed: int) -> Iterator[Figure]:
     """The acquisition process on the mock boat at twenty times the speed of the world."""
-    write_rig("boat", folder, SPEED)
+    write_demo_rig("boat", folder, SPEED)
     rig = load_rig(folder / "boat-rig.toml")
     words = [sys.executable, "-m", "seatrial", "mock", "boat", "boat-rig.toml", "--seed", str(seed)]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}

@@ -125,13 +125,13 @@ def info(log: Path) -> None:
     from rich.console import Console
 
     from daq.log import open_log
-    from daq.tools import show
+    from daq.tools import show_log
 
     console = Console(highlight=False)
     if not console.is_terminal:
         console.width = 140  # a pipe has no width of its own
     with open_log(log) as opened:
-        show(opened, console)
+        show_log(opened, console)
 
 
 @click.command()
@@ -183,7 +183,7 @@ def import_csv(map_: Path, files: tuple[Path, ...], out: Path | None, out_dir: P
     Example:
       seatrial import csv docs/examples/blueboat/blueboat.toml runs/*.csv --out-dir logs
     """
-    from daq.importers import import_csv as run
+    from daq.importers.csv_import import import_csv as run
 
     if out is not None and out_dir is not None:
         raise click.UsageError("give -o or --out-dir, not both")
@@ -207,7 +207,7 @@ def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: P
       seatrial import mavlink steps.tlog --rig boat.toml -o steps.mcap
     """
     from daq.config import load_rig
-    from daq.importers import import_mavlink as run
+    from daq.importers.mavlink import import_mavlink as run
 
     rig = None if rig_path is None else load_rig(rig_path)
     path, said = run(file, rig=rig, system=system, out=out, force=force)
@@ -230,7 +230,7 @@ def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, 
     Example:
       seatrial import raw vectornav standing_still.txt --rate 40 -o still.mcap
     """
-    from daq.importers import import_raw as run
+    from daq.importers.raw import import_raw as run
 
     path, said = run(protocol, file, rate=rate, out=out, force=force)
     click.echo(f"{path}: {said}")
@@ -254,7 +254,7 @@ def import_ros2(bag: Path, topics: tuple[str, ...], axes: str, out: Path | None,
     Example:
       seatrial import ros2 run1 --topic /imu/data=ahrs --topic /fix=gnss -o run1.mcap
     """
-    from daq.importers import import_ros2 as run
+    from daq.importers.ros2 import import_ros2 as run
 
     wanted = dict(word.partition("=")[::2] for word in topics)
     path, said = run(bag, topics=wanted or None, axes=axes, out=out, force=force)
@@ -272,7 +272,7 @@ def import_ulog(file: Path, out: Path | None, force: bool) -> None:
     Example:
       seatrial import ulog log_5.ulg -o run5.mcap
     """
-    from daq.importers import import_ulog as run
+    from daq.importers.ulog import import_ulog as run
 
     path, said = run(file, out=out, force=force)
     click.echo(f"{path}: {said}")

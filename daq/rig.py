@@ -48,7 +48,7 @@ HIGHEST_ID = 255
 
 
 @dataclass(frozen=True)
-class Calibration:
+class LoadCellCalibration:
     """Load cell: counts -> force at the thruster."""
 
     newton_per_count: float
@@ -105,7 +105,7 @@ class Device:
     lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     pattern: str = DEFAULT_PATTERN
     saturation: float | None = None
-    calibration: Calibration | None = None
+    calibration: LoadCellCalibration | None = None
     mavlink: MavlinkSettings | None = None
     declination: float | None = None  # rad, east positive: true heading minus magnetic; None: magnetic is not taken
     dbc: str = ""  # absolute path
@@ -115,7 +115,7 @@ class Device:
 
 
 @dataclass(frozen=True)
-class Output:
+class AutopilotOutput:
     """A thruster behind an autopilot: the channel that commands it and the pulse widths of input and output."""
 
     rc_channel: int  # RC_CHANNELS_OVERRIDE, from 1
@@ -149,7 +149,7 @@ class Thruster:
     rpm_max: float  # n = rpm / rpm_max
     reversed: bool = False  # a positive command gives reverse thrust
     timeout_s: float = 1.0  # the ESC's own, run seconds
-    output: Output | None = None  # behind an autopilot
+    output: AutopilotOutput | None = None  # behind an autopilot
 
 
 Named = TypeVar("Named", Device, Thruster)

@@ -15,13 +15,13 @@ import click
 
 from daq.config import load_rig
 from daq.errors import SeatrialError
-from daq.rig import Calibration, Rig, Thruster
+from daq.rig import LoadCellCalibration, Rig, Thruster
 from mocks.devices import KINDS, LOOP_HZ, Faults, by_side, make_emulator, parse_fault
 from mocks.hidden_effects import catalogue
 from mocks.plant import Bench, Boat, draw_bench, draw_boat, draw_thruster
 from mocks.plant import bench as bench_plant
-from mocks.ports import NetPort, Port
-from mocks.random_streams import FAULT, stream
+from mocks.ports import NetPort, PtyPort
+from mocks.random_streams import FAULT, random_stream
 from mocks.sensors import CellSpec
 from mocks.server import Server
 from mocks.truth_file import ground_truth, write_truth
@@ -119,7 +119,7 @@ def _gear(rig: Rig, thrusters: Sequence[Thruster]) -> DeviceSpecs:
         if device.protocol in rates:
             rates[device.protocol][device.name] = device.rate_hz
         elif device.protocol == "loadcell":
-            of = device.calibration or Calibration(0.001)
+            of = device.calibration or LoadCellCalibration(0.001)
             gain, top = of.newton_per_count * of.lever_ratio, device.saturation or 8388607.0
             cells.append(CellSpec(device.name, device.rate_hz, gain, of.zero_counts, top))
         elif device.protocol == "mavlink":
@@ -144,13 +144,13 @@ def _serve(
 ) -> None:
     """Open the ports, say so, and serve until a signal comes."""
     names, thrusters = [d.name for d in rig.devices], [t.name for t in rig.thrusters]
-    schedule = Faults([parse_fault(text, names, thrusters) for text in faults], stream(plant.seed, FAULT, run))
+    schedule = Faults([parse_fault(text, names, thrusters) for text in faults], random_stream(plant.seed, FAULT, run))
     with contextlib.ExitStack() as stack:
         speakers = {}
         for device in rig.devices:
             controllers = {c.spec.node: c for c in world.controllers if c.spec.device == device.name}
             speakers[device.name] = make_emulator(rig, device, controllers, ascii_)
-        ports: dict[str, Port | NetPort] = {}
+        ports: dict[str, PtyPort | NetPort] = {}
         for device in rig.devices:
             ports[device.name] = _port(device.port)
             stack.callback(ports[device.name].close)
@@ -165,10 +165,10 @@ def _serve(
         _report(server)
 
 
-def _port(port: str) -> Port | NetPort:
+def _port(port: str) -> PtyPort | NetPort:
     if port.partition(":")[0] in ("udp", "udpin", "udpout", "tcp"):
         return NetPort(port)
-    return Port(Path(port.removeprefix("slcan:")))
+    return PtyPort(Path(port.removeprefix("slcan:")))
 
 
 @contextlib.contextmanager

@@ -14,7 +14,7 @@ PARAMETERS, CURRENT, EFFECT_NAME, EFFECT_SIZE, THRUSTER = range(5)
 START, DISTURBANCE, AHRS, GNSS, ESC, LOADCELL, FAULT, WAVES, GUSTS, COLOUR, OUTLIERS = range(5, 16)
 
 
-def stream(seed: int, name: int, run: int | None = None, index: int = 0) -> np.random.Generator:
+def random_stream(seed: int, name: int, run: int | None = None, index: int = 0) -> np.random.Generator:
     """The generator of one stream of one seed; ``run`` None for what belongs to the boat and not to the run."""
     return np.random.default_rng([seed, name, 0 if run is None else run + 1, index])
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from daq.samples import NAN, Ahrs, Esc, Gnss, LoadCell
-from mocks.plant import GRAVITY, Effect, RigidBodyState
+from mocks.plant import GRAVITY, HiddenEffect, RigidBodyState
 from mocks.random_streams import (
     AHRS,
     COLOUR,
@@ -21,7 +21,7 @@ from mocks.random_streams import (
     OrnsteinUhlenbeck,
     WhiteWalk,
     normals,
-    stream,
+    random_stream,
 )
 
 DEG = math.pi / 180.0
@@ -46,11 +46,11 @@ def geodetic(north: float, east: float) -> tuple[float, float]:
 class AhrsSensor:
     """Attitude, rates and specific force; the boat is level but for the noise of roll and pitch."""
 
-    def __init__(self, seed: int, run: int, rate: float, effects: Sequence[Effect] = (), index: int = 0) -> None:
+    def __init__(self, seed: int, run: int, rate: float, effects: Sequence[HiddenEffect] = (), index: int = 0) -> None:
         """``rate`` in Hz, ``index`` of several; ``effects``: those of the boat, of which some are the sensor's."""
         self._errors = AhrsErrors(effects)
         gain = _noise_gain(effects)
-        draw = normals(stream(seed, AHRS, run, index))
+        draw = normals(random_stream(seed, AHRS, run, index))
         dt = 1.0 / rate
         self._yaw = WhiteWalk(draw, dt, gain * 0.5 * DEG, 0.01 * DEG)
         self._tilt = [WhiteWalk(draw, dt, gain * 0.05 * DEG) for _ in range(2)]
@@ -84,7 +84,7 @@ class AhrsSensor:
 class AhrsErrors:
     """What the hidden effects do to heading, yaw rate and accelerations, before there is any noise."""
 
-    def __init__(self, effects: Sequence[Effect]) -> None:
+    def __init__(self, effects: Sequence[HiddenEffect]) -> None:
         self._compasses = [e.compass for e in effects if e.compass is not None]
         self._gyros = [e.gyro for e in effects if e.gyro is not None]
         self._accelerometers = [e.accelerometer for e in effects if e.accelerometer is not None]
@@ -104,7 +104,7 @@ class AhrsErrors:
         return psi, rate, ax, ay
 
 
-def _noise_gain(effects: Sequence[Effect]) -> float:
+def _noise_gain(effects: Sequence[HiddenEffect]) -> float:
     return math.prod(e.noise.gain for e in effects if e.noise is not None)
 
 
@@ -112,10 +112,16 @@ class GnssSensor:
     """Position and velocity of the antenna."""
 
     def __init__(
-        self, seed: int, run: int, rate: float, effects: Sequence[Effect] = (), sigma: float = 0.15, index: int = 0
+        self,
+        seed: int,
+        run: int,
+        rate: float,
+        effects: Sequence[HiddenEffect] = (),
+        sigma: float = 0.15,
+        index: int = 0,
     ) -> None:
         """``rate`` in Hz, ``sigma`` (m) the white part of each horizontal axis, ``index`` of several."""
-        draw, gain = normals(stream(seed, GNSS, run, index)), _noise_gain(effects)
+        draw, gain = normals(random_stream(seed, GNSS, run, index)), _noise_gain(effects)
         dt = 1.0 / rate
         self._sigma = sigma
         self._position = [WhiteWalk(draw, dt, gain * sigma, 0.003) for _ in range(2)]
@@ -147,16 +153,16 @@ class GnssSensor:
 class GnssErrors:
     """Errors of the fix beyond its white noise: a time-correlated one, and now and then an outlier."""
 
-    def __init__(self, effects: Sequence[Effect], seed: int, run: int, dt: float, index: int) -> None:
+    def __init__(self, effects: Sequence[HiddenEffect], seed: int, run: int, dt: float, index: int) -> None:
         noises = [e.noise for e in effects if e.noise is not None]
-        draw = normals(stream(seed, COLOUR, run, index))
+        draw = normals(random_stream(seed, COLOUR, run, index))
         self._correlated = [
             (OrnsteinUhlenbeck(draw, dt, *n.colour), OrnsteinUhlenbeck(draw, dt, *n.colour))
             for n in noises
             if n.colour[0]
         ]
         self._wild = [n.outliers for n in noises if n.outliers[0]]
-        self._rng = stream(seed, OUTLIERS, run, index)
+        self._rng = random_stream(seed, OUTLIERS, run, index)
 
     def step(self) -> tuple[float, float]:
         """Error to the north and to the east (m) of the next fix."""
@@ -173,7 +179,7 @@ class EscSensor:
     """Shaft speed with 5 rev/min of noise; current and temperature follow the thrust, voltage the battery."""
 
     def __init__(self, seed: int, run: int, node: int, rpm_max: float) -> None:
-        self._draw = normals(stream(seed, ESC, run, node))
+        self._draw = normals(random_stream(seed, ESC, run, node))
         self._node = node
         self._rpm_max = rpm_max
         self._heat = 0.0
@@ -213,7 +219,7 @@ class LoadCellSensor:
 
     def __init__(self, seed: int, run: int, spec: CellSpec, index: int = 0) -> None:
         """``index`` of several."""
-        draw = normals(stream(seed, LOADCELL, run, index))
+        draw = normals(random_stream(seed, LOADCELL, run, index))
         self._noise = WhiteWalk(draw, 1.0 / spec.rate_hz, 0.1, 0.001, bias=0.3)
         self._spec = spec
 

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import IO
 
 from mocks.devices import DeviceEmulator, Faults
-from mocks.ports import NetPort, Port
+from mocks.ports import NetPort, PtyPort
 from mocks.world import World
 
 PRIORITY, REAL_TIME = -10, 2  # niceness, and of 99: where the system lets us
@@ -28,7 +28,7 @@ class Server:
         self,
         world: World,
         speakers: Mapping[str, DeviceEmulator],
-        ports: Mapping[str, Port | NetPort],
+        ports: Mapping[str, PtyPort | NetPort],
         speed: float,
         faults: Faults,
         trace: IO[str] | None = None,

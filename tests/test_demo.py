@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from bench import demo
-from bench.demo import StepFailed, Steps
+from bench.demo import DemoSteps, StepFailed
 from daq.config.rig_file import load_rig
 from daq.errors import SeatrialError
 
@@ -88,12 +88,12 @@ def test_the_folder_is_new_or_refused(tmp_path: Path, monkeypatch: pytest.Monkey
 
 @pytest.mark.parametrize("name", ["bench", "boat"])
 def test_the_packaged_rigs_get_the_speed(tmp_path: Path, name: str) -> None:
-    demo.write_rig(name, tmp_path, 7.5)
+    demo.write_demo_rig(name, tmp_path, 7.5)
     assert load_rig(tmp_path / f"{name}-rig.toml").speed == 7.5
 
 
 def test_a_failing_step_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    steps = Steps(tmp_path)
+    steps = DemoSteps(tmp_path)
     with pytest.raises(StepFailed, match=r"`seatrial mission show` failed with exit status 2"):
         steps.run("show", "mission", "show", "nowhere.toml")
     assert "$ seatrial mission show nowhere.toml" in capfd.readouterr().out
@@ -188,7 +188,7 @@ class Rehearsal:
 
 @pytest.mark.parametrize("fails", [False, True])
 def test_a_recording_that_a_busy_machine_spoilt_is_repeated_at_half_the_speed(tmp_path: Path, fails: bool) -> None:
-    demo.write_rig("boat", tmp_path, 20.0)
+    demo.write_demo_rig("boat", tmp_path, 20.0)
     steps = Rehearsal(tmp_path, [90.0, 3.0], fails)
     demo._record(steps, "boat", ("mock", "boat"), "run", "mission", "run", "-o", "a.mcap")
     assert steps.speeds == ["speed = 20.0", "speed = 10.0"]
@@ -197,7 +197,7 @@ def test_a_recording_that_a_busy_machine_spoilt_is_repeated_at_half_the_speed(tm
 
 
 def test_a_run_that_failed_on_a_machine_with_time_to_spare_is_a_failure(tmp_path: Path) -> None:
-    demo.write_rig("boat", tmp_path, 20.0)
+    demo.write_demo_rig("boat", tmp_path, 20.0)
     steps = Rehearsal(tmp_path, [3.0], fails=True)
     with pytest.raises(StepFailed, match="exit status 3"):
         demo._record(steps, "boat", ("mock", "boat"), "run", "mission", "run", "-o", "a.mcap")

@@ -29,7 +29,7 @@ SILENCE_S = 1.0  # wall seconds without a status (there are twenty a second) aft
 FLUSH_S = 0.8  # wall seconds after which everything recorded so far is in the file (it is flushed every 0.25 s)
 
 
-class Interrupted(SeatrialError):
+class RunInterrupted(SeatrialError):
     """A signal ended the run."""
 
     def __init__(self, line: str, number: signal.Signals) -> None:
@@ -158,7 +158,7 @@ class _Runner:
         """Wait, unless a signal comes: that raises Interrupted."""
         if self._signals.wait(wall_s) and self._signals.caught is not None:
             number = self._signals.caught
-            raise Interrupted(f"stopped by {WORDS[number]}", number)
+            raise RunInterrupted(f"stopped by {WORDS[number]}", number)
 
     def _view(self, status: Status, course: MissionSequencer, now: float) -> MissionStatus:
         force = speed = math.nan

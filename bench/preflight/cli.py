@@ -13,7 +13,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from daq.checks import FAULT, OK, WARNING, CheckReport, Finding, lines, paragraphs, summary, worst_first
+from daq.checks import (
+    FAULT,
+    OK,
+    WARNING,
+    CheckReport,
+    Finding,
+    findings_lines,
+    findings_paragraphs,
+    findings_summary,
+    worst_first,
+)
 from daq.cli import LOG
 from daq.config import load_rig
 from daq.errors import SeatrialError
@@ -88,7 +98,7 @@ def check(
     if faults:
         where = ", ".join(str(path) for path in paths)
         raise SeatrialError(
-            f"{where}: {summary(found)}; not as it should be: {', '.join(faults)} (see the lines above)"
+            f"{where}: {findings_summary(found)}; not as it should be: {', '.join(faults)} (see the lines above)"
         )
 
 
@@ -112,7 +122,7 @@ def _tell(found: Sequence[Finding], as_json: bool) -> list[str]:
     _show(found, as_json)
     faults = list(dict.fromkeys(finding.where for finding in worst_first(found) if finding.level == FAULT))
     if not (as_json or faults):
-        click.echo(summary(found))
+        click.echo(findings_summary(found))
     return faults
 
 
@@ -125,7 +135,7 @@ def _show(found: Sequence[Finding], as_json: bool) -> None:
         click.echo(written(found))
         return
     width = shutil.get_terminal_size().columns
-    for line in paragraphs(found, width) if sys.stdout.isatty() else lines(found):
+    for line in findings_paragraphs(found, width) if sys.stdout.isatty() else findings_lines(found):
         level = line.split(" ", 1)[0]
         click.echo(click.style(level, **STYLES[level]) + line[len(level) :] if level in STYLES else line)
 

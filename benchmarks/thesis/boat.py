@@ -23,7 +23,7 @@ from ident.models.kinematic import turning
 from ident.models.rotations import oriented, rotation
 from ident.numerics.arrays import Array
 from ident.numerics.signal_processing import first_order_lag
-from ident.studies.cases import steps
+from ident.studies.cases import random_levels
 
 STEP = 0.05  # s between AHRS samples
 FIX = 4  # AHRS samples to a fix
@@ -89,7 +89,7 @@ def _output(s: Signals) -> None:
 def sail(truth: Mapping[str, float], seconds: float, seed: int) -> Sailed:
     """A mission of steps on both thrusters; AHRS at 20 Hz, GNSS at 5 Hz."""
     t: Array = np.asarray(np.arange(round(seconds / STEP) + 1) * STEP)
-    command = steps(t, lambda rng: rng.uniform(-0.4, 1.0, 2), (3.0, 9.0), seed)
+    command = random_levels(t, lambda rng: rng.uniform(-0.4, 1.0, 2), (3.0, 9.0), seed)
     n = first_order_lag(command, 1.0 / SHAFT_POLE, STEP)
     model = rolling_boat(truth)
     values = np.array([list(model.values.values())])

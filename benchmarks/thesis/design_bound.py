@@ -17,8 +17,8 @@ from functools import partial
 
 import numpy as np
 
-from ident.experiment_design.excitation import Steps
-from ident.experiment_design.optimal_design import Design, search
+from ident.experiment_design.excitation import StepInput
+from ident.experiment_design.optimal_design import Design, search_design
 from ident.experiment_design.task import DesignProblem
 from ident.numerics.arrays import Array
 
@@ -52,7 +52,7 @@ def upper_bound(made: Design, *, rounds: int = 2, evaluations: int = 14_000, see
         judge = partial(_along, told, np.asarray(np.linalg.inv(M)))
         starts = finer.steps.random(64, rng)
         starts = np.vstack([warm, starts[np.argsort(-judge(starts)[0])[:1]]])
-        best = search(finer.steps, judge, evaluations, seed + k, starts, None)
+        best = search_design(finer.steps, judge, evaluations, seed + k, starts, None)
         found.append(reached + max(best.value, float(q)) - q)  # the design itself has q
         mixed = (1 - MIXES[:, None, None]) * M + MIXES[:, None, None] * told(best.z[None])
         values = task.measure(mixed)
@@ -72,7 +72,7 @@ def _finer(task: DesignProblem) -> DesignProblem:
     return replace(task, steps=replace(steps, n_steps=n_steps, shortest=min(steps.shortest, 2 * steps.grid)))
 
 
-def as_point(steps: Steps, command: Array, grid: float) -> Array:
+def as_point(steps: StepInput, command: Array, grid: float) -> Array:
     """The point (size,) of steps with a command (n_rows, n_channels) on rows ``grid`` apart; long ones are split."""
     change = np.flatnonzero(np.any(np.diff(command[:-1], axis=0) != 0, axis=1)) + 1
     edges = np.concatenate([[0], change, [round(steps.duration / grid)]])

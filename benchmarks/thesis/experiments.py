@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.thesis.design_bound import Bound, upper_bound
 from benchmarks.thesis.figures import Chart, Curve, Drawing, Part
 from ident.experiment_design.baselines import BaselineSignal, Robustness, baseline_signals, monte_carlo
-from ident.experiment_design.excitation import Steps
+from ident.experiment_design.excitation import StepInput
 from ident.experiment_design.optimal_design import Design, design, predicted_errors, predicted_track
 from ident.experiment_design.task import DesignProblem
 from ident.models.horizontal import horizontal_model
@@ -76,11 +76,11 @@ def experiment(title: str, *, process_noise: bool, seed: int, evaluations: int) 
     began = time.process_time()
     model = horizontal_model(current=False)
     if process_noise:
-        task = DesignProblem(model, Steps(120, 2, SECONDS, 1.0, GRID), seed=seed)
+        task = DesignProblem(model, StepInput(120, 2, SECONDS, 1.0, GRID), seed=seed)
     else:  # rows of 0.4 s, since 16 samples of the parameters are simulated for each input
         coarse = 2 * GRID
         task = DesignProblem(
-            model, Steps(60, 2, SECONDS, 2.0, coarse), process_noise=False, robust=16, seed=seed, grid=coarse
+            model, StepInput(60, 2, SECONDS, 2.0, coarse), process_noise=False, robust=16, seed=seed, grid=coarse
         )
     made = design(task, evaluations=evaluations)
     search_cpu = time.process_time() - began

@@ -10,7 +10,19 @@ from typing import Literal
 
 from ident.numerics.arrays import Array
 from ident.report.blocks import Canvas, Grid, Prose, Section
-from ident.report.drawing import BEFORE, GREEN, LINES, MEASURED, MODEL, Budget, Panel, Trace, between, line, stacked
+from ident.report.drawing import (
+    BEFORE,
+    GREEN,
+    LINES,
+    MEASURED,
+    MODEL,
+    Budget,
+    Panel,
+    Trace,
+    between,
+    line_trace,
+    stacked,
+)
 from ident.report.page import compose
 
 COLORS = {"measured": MEASURED, "model": MODEL, "other": BEFORE, "truth": GREEN}
@@ -101,5 +113,5 @@ def _traces(chart: Chart, limit: int) -> list[Trace]:
         color = COLORS.get(curve.role) or LINES[alike % len(LINES)]
         alike += curve.role == "axis"
         dash = "dot" if curve.role == "other" else "solid"
-        found.append(line(curve.x, curve.y, curve.name, limit, color=color, dash=dash))
+        found.append(line_trace(curve.x, curve.y, curve.name, limit, color=color, dash=dash))
     return found

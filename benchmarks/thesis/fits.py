@@ -13,10 +13,10 @@ from benchmarks.thesis import printed
 from benchmarks.thesis.boat import Sailed, sail
 from ident.characterisation.sensor_noise import NoiseFit, estimate_noise
 from ident.data.record import Channel, LogSegment, Record, build_record
-from ident.estimation import EstimationOptions
 from ident.estimation.fitted_model import fit_nominal_model
 from ident.estimation.likelihood import FilterResult, Likelihood
 from ident.estimation.maximum_likelihood import Fit, fit
+from ident.estimation.options import EstimationOptions
 from ident.estimation.output_error import Simulation, simulate
 from ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
 from ident.model.structure import Model
@@ -28,9 +28,9 @@ from ident.models.thruster import DELAY_STEP, thruster_model
 from ident.models.yaw import yaw_model
 from ident.numerics.arrays import Array
 from ident.reporter import QUIET
-from ident.studies.cases import N_DELAYS, steps
+from ident.studies.cases import N_DELAYS, random_levels
 from ident.studies.monte_carlo import Case, make_record
-from ident.validation.prediction_errors import free_run
+from ident.validation.prediction_errors import simulation_run
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def both(case: Case, seed: int) -> Both:
 def yaw_experiment(seed: int) -> Both:
     """Table 3: differential thrust in steps, gyro; truth: the paper's PE estimate."""
     t = np.arange(0.0, 180.0, 0.05)
-    moment = steps(t, lambda rng: rng.uniform(-9.0, 9.0, 1), (4.0, 10.0), seed)
+    moment = random_levels(t, lambda rng: rng.uniform(-9.0, 9.0, 1), (4.0, 10.0), seed)
     model = yaw_model().with_values(printed.TABLE_3["PE"] | {"s_r": 0.02, "e_r": 0.01})
     return both(Case("yaw", model, SampledInputs.held(t, moment), {}), seed)
 
@@ -75,7 +75,7 @@ def yaw_experiment(seed: int) -> Both:
 def surge_experiment(seed: int) -> Both:
     """Table 4: common thrust in steps, position; truth: the paper's PE estimate, whose d_u is next to nothing."""
     t = np.arange(0.0, 180.0, 0.2)
-    force = steps(t, lambda rng: rng.uniform(-20.0, 75.0, 1), (6.0, 15.0), seed)
+    force = random_levels(t, lambda rng: rng.uniform(-20.0, 75.0, 1), (6.0, 15.0), seed)
     model = surge_model().with_values(printed.TABLE_4["PE"] | {"s_u": 0.02, "e_x": 0.05})
     return both(Case("surge", model, SampledInputs.held(t, force), {}), seed)
 
@@ -157,7 +157,7 @@ def at_rest(seed: int) -> dict[str, Rest]:
 
 def predicted(one: Both) -> Array:
     """Free prediction of a bench run from its commands (n_rows, n_outputs)."""
-    return free_run(one.pe.model, one.record, one.pe.record_values[0]).y
+    return simulation_run(one.pe.model, one.record, one.pe.record_values[0]).y
 
 
 def with_forces(sailed: Sailed) -> Fit:

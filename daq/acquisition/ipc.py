@@ -48,7 +48,7 @@ class ParentAlive:
 
 
 @dataclass(frozen=True)
-class Schedule:
+class ScheduleSetpoints:
     """Set-points to append: rows of (run time [s], {thruster: n_cmd})."""
 
     rows: Sequence[tuple[float, Mapping[str, float]]]
@@ -120,13 +120,13 @@ class WatchdogReady:
 
 
 Message = (
-    Configuration | ParentAlive | Schedule | ZeroThrust | LogEvent | DriverRequest | Stop
+    Configuration | ParentAlive | ScheduleSetpoints | ZeroThrust | LogEvent | DriverRequest | Stop
     | StatusReport | Failed | Closed | WatchdogConfiguration | WatchdogReady
 )  # fmt: skip
 _TYPES: dict[str, type[Message]] = {kind.__name__: kind for kind in Message.__args__}
 
 
-def encode(message: Message) -> bytes:
+def encode_message(message: Message) -> bytes:
     """One line of JSON, its end included; NaN and Infinity are written as Python's json does."""
     values: dict[str, Any] = {name.name: getattr(message, name.name) for name in dataclasses.fields(message)}
     if isinstance(message, Configuration):
@@ -136,7 +136,7 @@ def encode(message: Message) -> bytes:
     return json.dumps([type(message).__name__, values], separators=(",", ":")).encode() + b"\n"
 
 
-def decode(line: bytes | bytearray) -> Message:
+def decode_message(line: bytes | bytearray) -> Message:
     """The inverse of `encode`."""
     name, values = json.loads(line)
     kind = _TYPES[name]
@@ -161,7 +161,7 @@ class AcquisitionChannel:
 
     def send(self, message: Message) -> None:
         """Send one message; raises OSError when the other end is closed."""
-        data = encode(message)
+        data = encode_message(message)
         with self._lock:
             self._socket.sendall(data)
 
@@ -176,7 +176,7 @@ class AcquisitionChannel:
         self._buffer += data
         *lines, rest = self._buffer.split(b"\n")
         self._buffer = rest
-        return [decode(line) for line in lines]
+        return [decode_message(line) for line in lines]
 
     def receive_first(self) -> Message:
         """Wait for the first message. Raises EOFError when the other end is closed before."""

@@ -27,7 +27,7 @@ from daq.acquisition.ipc import (
     LogEvent,
     Message,
     ParentAlive,
-    Schedule,
+    ScheduleSetpoints,
     Stop,
     ZeroThrust,
 )
@@ -161,7 +161,7 @@ class Process:
         match message:
             case ParentAlive():
                 self._runner_seen = self._parent_seen if message.runner else self._runner_seen
-            case Schedule():
+            case ScheduleSetpoints():
                 self._schedule(message)
             case ZeroThrust():
                 self._zero()
@@ -174,7 +174,7 @@ class Process:
             case Stop():
                 self._end("closed as asked", unrequested=False)
 
-    def _schedule(self, message: Schedule) -> None:
+    def _schedule(self, message: ScheduleSetpoints) -> None:
         if self._stopped:
             return  # rows that were under way when thrust was ended
         self._runner_seen = self._parent_seen

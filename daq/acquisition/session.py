@@ -25,7 +25,7 @@ from daq.acquisition.ipc import (
     LogEvent,
     Message,
     ParentAlive,
-    Schedule,
+    ScheduleSetpoints,
     StatusReport,
     Stop,
     ZeroThrust,
@@ -137,7 +137,7 @@ class Acquisition:
                 self.rig.thruster(name)
                 if not (math.isfinite(t) and abs(n) <= limit):
                     raise SeatrialError(f"set-point {n} for {name} at {t}: only -{limit:g} to {limit:g} is allowed")
-        self._send(Schedule([(t, dict(row)) for t, row in rows]))
+        self._send(ScheduleSetpoints([(t, dict(row)) for t, row in rows]))
 
     def zero(self, reason: str) -> None:
         """Clear the schedule and command zero to all thrusters at once; `reason` is logged as an event."""

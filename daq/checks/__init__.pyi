@@ -6,7 +6,7 @@ from .findings import FAULT as FAULT
 from .findings import OK as OK
 from .findings import WARNING as WARNING
 from .findings import Finding as Finding
-from .findings import lines as lines
-from .findings import paragraphs as paragraphs
-from .findings import summary as summary
+from .findings import findings_lines as findings_lines
+from .findings import findings_paragraphs as findings_paragraphs
+from .findings import findings_summary as findings_summary
 from .findings import worst_first as worst_first

@@ -49,7 +49,7 @@ def check_devices(log: Log) -> Iterator[Finding]:
         t = np.sort(np.concatenate([table["t"] for _, _, table in tables]))
         yield from _rate(source, t, rig, tables)
         for _, name, table in tables:
-            yield from stamps(name, table, log.end if rig else None, rig.speed if rig else 1.0)
+            yield from check_timestamps(name, table, log.end if rig else None, rig.speed if rig else 1.0)
         for kind, name, table in tables:
             yield from _stuck(kind, name, table)
             yield from _VALUES.get(kind, _nothing)(name, table, rig)
@@ -307,7 +307,7 @@ def _imported(log: Log) -> Iterator[Finding]:
     for source in log.sources(Scalar):
         table = log.table(Scalar, source)
         # A command that is imported lasts until the next one: a pause in it is none in the recording.
-        here = stamps(source, table, None)
+        here = check_timestamps(source, table, None)
         yield from (f for f in here if f.check != "gap" or log.role(source) == "output")
         yield from lost_zeros(source, table["t"])
         if len(table) > 20 and log.role(source) == "output" and np.nanstd(table["value"]) == 0.0:
@@ -315,7 +315,7 @@ def _imported(log: Log) -> Iterator[Finding]:
             yield Finding(WARNING, "signal-constant", "stuck", source, text, "not connected, or another column")
 
 
-def stamps(name: str, table: Any, end: float | None, speed: float = 1.0) -> Iterator[Finding]:
+def check_timestamps(name: str, table: Any, end: float | None, speed: float = 1.0) -> Iterator[Finding]:
     """Findings on the times of one table (t, t_rx, t_device).
 
     ``end``: of the log, None for an imported signal, whose times are those of its file and which may be a command that

@@ -34,13 +34,13 @@ def worst_first(findings: Iterable[Finding]) -> list[Finding]:
     return sorted(findings, key=lambda f: order.index(f.level))
 
 
-def lines(findings: Sequence[Finding]) -> list[str]:
+def findings_lines(findings: Sequence[Finding]) -> list[str]:
     """A table, one line a finding, columns as wide as they have to be."""
     both = zip(_heads(findings), findings, strict=True)
     return [f"{head}{f.text}{f': {f.advice}' if f.advice else ''}" for head, f in both]
 
 
-def paragraphs(findings: Sequence[Finding], width: int) -> list[str]:
+def findings_paragraphs(findings: Sequence[Finding], width: int) -> list[str]:
     """The same for a terminal of ``width`` columns: wrapped, and what to do on a line of its own."""
     heads = _heads(findings)
     beside = len(heads[0]) <= width // 2 if heads else True
@@ -61,7 +61,7 @@ def _heads(findings: Sequence[Finding]) -> list[str]:
     return [f"{f.level:<{LEVEL}} {f.where:<{wide}}  {f.check:<{what}}  " for f in findings]
 
 
-def summary(findings: Sequence[Finding]) -> str:
+def findings_summary(findings: Sequence[Finding]) -> str:
     """How many of each."""
     count = {level: sum(f.level == level for f in findings) for level in (FAULT, WARNING, OK)}
     return f"{counted(count[FAULT], 'fault')}, {counted(count[WARNING], 'warning')}, {count[OK]} in order"

@@ -20,13 +20,13 @@ from daq.rig import (
     OTHER_RATES,
     OWN_NODE,
     RATES,
-    Calibration,
+    AutopilotOutput,
     DbcSignal,
     Device,
     Limits,
     Live,
+    LoadCellCalibration,
     MavlinkSettings,
-    Output,
     Rig,
     Segments,
     Thruster,
@@ -193,7 +193,7 @@ def _calibration(table: TomlTable, folder: Path) -> dict[str, Any]:
     if gain == 0.0:
         raise inner.error("newton_per_count", "must not be zero")
     zero, ratio = inner.number("zero_counts", 0.0), inner.number("lever_ratio", 1.0, positive=True)
-    found = Calibration(gain, zero, ratio)
+    found = LoadCellCalibration(gain, zero, ratio)
     inner.done()
     return {"calibration": found}
 
@@ -305,11 +305,11 @@ def _thruster(table: TomlTable, devices: Sequence[Device]) -> Thruster:
     return found
 
 
-def read_output(table: TomlTable, node: int) -> Output:
+def read_output(table: TomlTable, node: int) -> AutopilotOutput:
     """The MAVLink keys of a [[thruster]] at servo output `node`."""
     if not 1 <= node <= 16:
         raise table.error("node", f"is the number of a servo output, 1 .. 16, not {node}")
-    return Output(
+    return AutopilotOutput(
         table.integer("rc_channel", low=1, high=18),
         _pulses(table, "rc_us", (1000.0, 1500.0, 2000.0)),
         _pulses(table, "pwm_us", (1100.0, 1500.0, 1900.0)),

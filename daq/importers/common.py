@@ -12,11 +12,11 @@ import numpy as np
 
 from daq.errors import SeatrialError
 from daq.importers.csv_reader import SignalData
-from daq.log import LOG_FORMAT, NANO, LogWriter, collect, layout, schema
+from daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, schema
 from daq.samples import Frame, Scalar
 
 
-class Row(NamedTuple):
+class SignalRow(NamedTuple):
     """One sample: its time [s since 1970], its device (or the name of the signal) and itself."""
 
     t: float
@@ -61,14 +61,14 @@ def _write(
     writer: LogWriter, signals: Sequence[SignalData], t_ns: Sequence[np.typing.NDArray[np.int64]], note: str, first: int
 ) -> None:
     event = writer.channel("/event", schema.EVENT)
-    writer.add(event, first, first, 0, layout(schema.EVENT, b"").pack(first, tail=(b"import", note.encode())))
+    writer.add(event, first, first, 0, cdr_layout(schema.EVENT, b"").pack(first, tail=(b"import", note.encode())))
     channels, layouts = [], []
     for one in signals:
         signal = one.signal
         about = {"unit": one.unit, "hold": signal.hold, "role": signal.role}
         topic = schema.topic(Scalar, signal.name)
         channels.append(writer.channel(topic, schema.TYPES[Scalar], about))
-        layouts.append(layout(schema.TYPES[Scalar], signal.name.encode()))
+        layouts.append(cdr_layout(schema.TYPES[Scalar], signal.name.encode()))
     times = np.concatenate(list(t_ns))
     which = np.repeat(np.arange(len(signals)), [len(t) for t in t_ns])
     row = np.concatenate([np.arange(len(t)) for t in t_ns])
@@ -80,7 +80,7 @@ def _write(
 
 def write_frames(
     out: Path,
-    rows: Sequence[Row],
+    rows: Sequence[SignalRow],
     *,
     metadata: Mapping[str, str],
     note: str,
@@ -102,13 +102,15 @@ def write_frames(
         writer = LogWriter(part, metadata=about, attachments={}, time_ns=first)
         try:
             event = writer.channel("/event", schema.EVENT)
-            writer.add(event, first, first, 0, layout(schema.EVENT, b"").pack(first, tail=(b"import", note.encode())))
+            writer.add(
+                event, first, first, 0, cdr_layout(schema.EVENT, b"").pack(first, tail=(b"import", note.encode()))
+            )
             _write_frames(writer, ordered, units or {})
         finally:
             writer.close()
 
 
-def _write_frames(writer: LogWriter, rows: Sequence[Row], units: Mapping[str, str]) -> None:
+def _write_frames(writer: LogWriter, rows: Sequence[SignalRow], units: Mapping[str, str]) -> None:
     channels: dict[str, int] = {}
     for sequence, (t, device, frame) in enumerate(rows, start=1):
         t_ns = round(t * NANO)
@@ -118,7 +120,7 @@ def _write_frames(writer: LogWriter, rows: Sequence[Row], units: Mapping[str, st
                 if isinstance(frame.sample, Scalar):
                     extra = {"unit": units.get(device, ""), "hold": "linear", "role": "output"}
                 channels[message.topic] = writer.channel(message.topic, message.type_name, extra)
-            data = layout(message.type_name, message.frame_id.encode()).pack(t_ns, *message.values)
+            data = cdr_layout(message.type_name, message.frame_id.encode()).pack(t_ns, *message.values)
             writer.add(channels[message.topic], t_ns, t_ns, sequence & 0xFFFFFFFF, data)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from daq.clock import ClockMap
 from daq.errors import SeatrialError, counted
 from daq.importers.common import Timed, replacing
-from daq.log import LOG_FORMAT, NANO, LogWriter, collect, layout, schema
+from daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, schema
 from daq.protocol import Head, MavlinkDecoder, Samples, head, is_whole, make_samples
 from daq.rig import Device, Rig
 from daq.samples import Event
@@ -138,7 +138,7 @@ def _write(
 
 def _add_all(writer: LogWriter, device: str, rows: Sequence[Timed], first: int, note: str) -> None:
     event = writer.channel("/event", schema.EVENT)
-    about = layout(schema.EVENT, b"")
+    about = cdr_layout(schema.EVENT, b"")
     writer.add(event, first, first, 0, about.pack(first, tail=(b"import", note.encode())))
     channels: dict[str, int] = {}
     for sequence, (frame, t) in enumerate(rows, start=1):
@@ -150,5 +150,5 @@ def _add_all(writer: LogWriter, device: str, rows: Sequence[Timed], first: int, 
         for message in schema.messages(device, frame):
             if message.topic not in channels:
                 channels[message.topic] = writer.channel(message.topic, message.type_name)
-            data = layout(message.type_name, message.frame_id.encode()).pack(stamp_ns, *message.values)
+            data = cdr_layout(message.type_name, message.frame_id.encode()).pack(stamp_ns, *message.values)
             writer.add(channels[message.topic], log_ns, stamp_ns, sequence, data)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from daq.config import default_decoder
 from daq.errors import SeatrialError, counted
-from daq.importers.common import Row, write_frames
+from daq.importers.common import SignalRow, write_frames
 from daq.protocol import Decoder, nmea, ubx
 from daq.samples import Ahrs, Frame, Gnss, LoadCell
 
@@ -37,7 +37,7 @@ def import_raw(
     metadata = {"import": "raw", "import.protocol": protocol, "source.1.name": path.name, "source.1.sha256": sha256}
     if rate:
         metadata["import.rate_hz"] = repr(rate)
-    rows = [Row(t, device, frame._replace(t_rx=t)) for t, frame in zip(times, frames, strict=True)]
+    rows = [SignalRow(t, device, frame._replace(t_rx=t)) for t, frame in zip(times, frames, strict=True)]
     if min(times) < 0.0 or max(times) >= 2**31:
         raise SeatrialError(f"{target}: the device's times do not lie between 1970 and 2038; give --rate instead")
     write_frames(target, rows, metadata=metadata, note=f"{path.name} as {protocol}: {said}", force=force)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from daq.errors import SeatrialError, counted
-from daq.importers.common import Row, write_frames
+from daq.importers.common import SignalRow, write_frames
 from daq.log import schema
 from daq.samples import NAN, Ahrs, Frame, Gnss, Scalar, wrap_angle
 
@@ -43,7 +43,7 @@ def import_ros2(
     `axes` is "ros" (REP-103) or "ned" for bags that use our own axes already. The time of a message is its header's
     stamp, or else when the bag got it. Raises SeatrialError.
     """
-    rows: list[Row] = []
+    rows: list[SignalRow] = []
     left_out: Counter[str] = Counter()
     for topic, kind, t, message in _messages(path, topics):
         name = (topics or {}).get(topic) or _name(topic)
@@ -93,14 +93,14 @@ def _name(topic: str) -> str:
     return name if name[:1].isalpha() else f"t_{name}"
 
 
-def _rows(kind: str, name: str, t: float, message: Any, axes: str) -> Iterator[Row]:
+def _rows(kind: str, name: str, t: float, message: Any, axes: str) -> Iterator[SignalRow]:
     if kind == IMU:
-        yield Row(t, name, Frame(_ahrs(message, axes), t, NAN))
+        yield SignalRow(t, name, Frame(_ahrs(message, axes), t, NAN))
     elif kind == FIX:
-        yield Row(t, name, Frame(_gnss(message, t), t, NAN))
+        yield SignalRow(t, name, Frame(_gnss(message, t), t, NAN))
     else:
         for field, value in _numbers(message):
-            yield Row(t, f"{name}_{field}", Frame(Scalar(value), t, NAN))
+            yield SignalRow(t, f"{name}_{field}", Frame(Scalar(value), t, NAN))
 
 
 def _ahrs(message: Any, axes: str) -> Ahrs:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from daq.errors import SeatrialError, counted
-from daq.importers.common import Row, write_frames
+from daq.importers.common import SignalRow, write_frames
 from daq.log import schema
 from daq.samples import NAN, Ahrs, Frame, Gnss, Scalar
 
@@ -29,7 +29,7 @@ def import_ulog(path: Path, *, out: Path | None = None, force: bool = False) -> 
     log = _read(path)
     data = {f"{d.name}_{d.multi_id}" if d.multi_id else d.name: d.data for d in log.data_list}
     offset = _utc_offset(data)
-    rows: list[Row] = []
+    rows: list[SignalRow] = []
     for name, columns in data.items():
         t = 1e-6 * np.asarray(columns["timestamp"], dtype=np.float64) + offset
         rows += list(_CONVERT.get(name, _signals)(name, columns, t, data))
@@ -65,7 +65,7 @@ def _utc_offset(data: dict[str, Any]) -> float:
 Columns = dict[str, Any]
 
 
-def _attitude(name: str, columns: Columns, t: Any, data: dict[str, Columns]) -> Iterator[Row]:
+def _attitude(name: str, columns: Columns, t: Any, data: dict[str, Columns]) -> Iterator[SignalRow]:
     w, x, y, z = (np.asarray(columns[f"q[{k}]"], dtype=np.float64) for k in range(4))
     yaw, pitch, roll = schema.angles(x, y, z, w)
     rates = data.get("vehicle_angular_velocity")
@@ -76,10 +76,10 @@ def _attitude(name: str, columns: Columns, t: Any, data: dict[str, Columns]) -> 
             pqr[k] = np.where(newest >= 0, np.asarray(rates[f"xyz[{k}]"])[np.maximum(newest, 0)], np.nan)
     for k in range(len(t)):
         sample = Ahrs(float(yaw[k]), float(pitch[k]), float(roll[k]), *(float(row[k]) for row in pqr))
-        yield Row(float(t[k]), name, Frame(sample, float(t[k]), NAN))
+        yield SignalRow(float(t[k]), name, Frame(sample, float(t[k]), NAN))
 
 
-def _gnss(name: str, columns: Columns, t: Any, data: dict[str, Columns]) -> Iterator[Row]:
+def _gnss(name: str, columns: Columns, t: Any, data: dict[str, Columns]) -> Iterator[SignalRow]:
     new = "latitude_deg" in columns  # PX4 1.14 and later; before: 1e-7 degrees and millimetres
     lat, lon = (np.asarray(columns["latitude_deg" if new else "lat"]) * (1.0 if new else 1e-7),
                 np.asarray(columns["longitude_deg" if new else "lon"]) * (1.0 if new else 1e-7))  # fmt: skip
@@ -91,18 +91,18 @@ def _gnss(name: str, columns: Columns, t: Any, data: dict[str, Columns]) -> Iter
             north, east, down, _FIXES.get(int(columns["fix_type"][k]), 0), int(columns["satellites_used"][k]),
             float(columns["hdop"][k]), float(columns["eph"][k]) / 2.0**0.5,
         )  # fmt: skip
-        yield Row(float(t[k]), name, Frame(sample, float(t[k]), NAN))
+        yield SignalRow(float(t[k]), name, Frame(sample, float(t[k]), NAN))
 
 
-def _signals(name: str, columns: Columns, t: Any, data: dict[str, Columns]) -> Iterator[Row]:
+def _signals(name: str, columns: Columns, t: Any, data: dict[str, Columns]) -> Iterator[SignalRow]:
     for field, values in columns.items():
         if field.startswith(("timestamp", "_padding")):
             continue
         signal = re.sub(r"[^A-Za-z0-9]+", "_", f"{name}_{field}").strip("_")
         for when, value in zip(t.tolist(), np.asarray(values, dtype=np.float64).tolist(), strict=True):
-            yield Row(when, signal, Frame(Scalar(value), when, NAN))
+            yield SignalRow(when, signal, Frame(Scalar(value), when, NAN))
 
 
-_CONVERT: dict[str, Callable[[str, Columns, Any, dict[str, Columns]], Iterator[Row]]] = {
+_CONVERT: dict[str, Callable[[str, Columns, Any, dict[str, Columns]], Iterator[SignalRow]]] = {
     "vehicle_attitude": _attitude, "sensor_gps": _gnss, "vehicle_gps_position": _gnss,
 }  # fmt: skip

@@ -1,7 +1,7 @@
 from . import schema as schema
 from .cdr import NANO as NANO
+from .cdr import cdr_layout as cdr_layout
 from .cdr import full_definition as full_definition
-from .cdr import layout as layout
 from .mcap_writer import LogWriter as LogWriter
 from .provenance import collect as collect
 from .reader import Log as Log

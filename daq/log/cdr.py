@@ -89,7 +89,7 @@ def flatten(type_name: str, prefix: str = "") -> list[Field]:
     return found
 
 
-class Layout:
+class CdrLayout:
     """How one message type looks on the wire for one `frame_id`.
 
     `dtype` is the fixed part, encapsulation included; `tail` are the variable fields behind it.
@@ -157,9 +157,9 @@ def doubles(*values: float) -> bytes:
 
 
 @cache
-def layout(type_name: str, frame_id: bytes) -> Layout:
+def cdr_layout(type_name: str, frame_id: bytes) -> CdrLayout:
     """The layout of a type for a frame_id (computed once)."""
-    return Layout(type_name, frame_id)
+    return CdrLayout(type_name, frame_id)
 
 
 def stamps(rows: NDArray[np.void]) -> NDArray[np.float64]:

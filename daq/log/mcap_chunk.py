@@ -86,7 +86,7 @@ def chunk_at(head: bytes, start: int, stop: int, cut: bool = False) -> ChunkAt:
     return ChunkAt(begin, stop, name, size, checksum)
 
 
-def unpack(packed: bytes, chunk: ChunkAt) -> Buffer:
+def unpack_chunk(packed: bytes, chunk: ChunkAt) -> Buffer:
     """The uncompressed bytes. Raises one of DAMAGE where size or checksum does not hold."""
     data = packed
     if chunk.compression == "zstd":

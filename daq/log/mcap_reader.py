@@ -38,7 +38,7 @@ from daq.log.mcap_chunk import (
     Offsets,
     chunk_at,
     scan,
-    unpack,
+    unpack_chunk,
     unpack_cut,
 )
 
@@ -215,7 +215,7 @@ class RawLog(Chunked):
             self._cache.move_to_end(number)
             return self._cache[number]
         at = self._chunks[number]
-        buffer = unpack(self._read(at.start, at.stop), at)
+        buffer = unpack_chunk(self._read(at.start, at.stop), at)
         self._cache[number] = buffer
         self._cached += buffer.nbytes
         while self._cached > CACHE_BYTES and len(self._cache) > 1:

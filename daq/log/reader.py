@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from daq.config import parse_rig
 from daq.errors import SeatrialError
 from daq.log import schema
-from daq.log.cdr import ENCAPSULATION, HEAD, NANO, Layout, layout, stamps
+from daq.log.cdr import ENCAPSULATION, HEAD, NANO, CdrLayout, cdr_layout, stamps
 from daq.log.schema import Measured
 from daq.log.segments import open_raw, read_note
 from daq.rig import Rig
@@ -259,7 +259,7 @@ class Log:
             rows = self._file.rows(messages, found.dtype)
             if np.all(rows["n_frame"] == rows["n_frame"][0]) and np.all(rows["endian"] == _LITTLE):
                 return messages, rows
-        rows = np.zeros(len(messages), layout(type_name, b"").dtype)
+        rows = np.zeros(len(messages), cdr_layout(type_name, b"").dtype)
         heads = self._file.rows(messages, HEAD)
         if np.any(heads["endian"] != _LITTLE):
             raise wrong
@@ -277,7 +277,7 @@ class Log:
         """Stamp, fixed part and variable fields of each message of a topic, in the order written."""
         messages, rows = self._rows(topic, type_name)
         for t, message, row in zip(stamps(rows), messages, rows, strict=True):
-            found = layout(type_name, b"\0" * (int(row["n_frame"]) - 1))
+            found = cdr_layout(type_name, b"\0" * (int(row["n_frame"]) - 1))
             try:
                 tail = found.unpack_tail(self._file.payload(message))
             except ValueError as error:
@@ -285,9 +285,9 @@ class Log:
             yield float(t), row, tail
 
 
-def _layout(type_name: str, n_frame: int) -> Layout | None:
+def _layout(type_name: str, n_frame: int) -> CdrLayout | None:
     """The layout for a frame_id of so many bytes, its end included; None where that makes no sense."""
-    return layout(type_name, b"\0" * (int(n_frame) - 1)) if 1 <= n_frame <= MAX_FRAME_ID else None
+    return cdr_layout(type_name, b"\0" * (int(n_frame) - 1)) if 1 <= n_frame <= MAX_FRAME_ID else None
 
 
 def _table(kind: type[Measured], t: NDArray[np.float64], columns: schema.Columns) -> NDArray[np.void]:

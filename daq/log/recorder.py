@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 
 from daq.errors import SeatrialError, counted
 from daq.log import schema
-from daq.log.cdr import NANO, layout
+from daq.log.cdr import NANO, cdr_layout
 from daq.log.mcap_writer import DiskFull, LogWriter
 from daq.log.provenance import collect
 from daq.log.segments import segment_path
@@ -108,25 +108,25 @@ class Recorder:
         for topic, type_name, frame_id, values in messages:
             pack = self._packers.get(topic)  # a topic has one type and one frame_id
             if pack is None:
-                pack = self._packers[topic] = layout(type_name, frame_id.encode()).pack
+                pack = self._packers[topic] = cdr_layout(type_name, frame_id.encode()).pack
             self._add(topic, type_name, log_ns, stamp_ns, sequence, pack(stamp_ns, *values))
 
     def write_raw(self, device: str, direction: str, data: bytes, t: float) -> None:
         """Bytes as read from ("rx") or written to ("tx") a port at t."""
         log_ns, stamp_ns = self._times(t, t)
-        message = layout(schema.RAW, device.encode()).pack(stamp_ns, _DIRECTIONS[direction], tail=(data,))
+        message = cdr_layout(schema.RAW, device.encode()).pack(stamp_ns, _DIRECTIONS[direction], tail=(data,))
         self._add(f"/raw/{device}", schema.RAW, log_ns, stamp_ns, 0, message)
 
     def event(self, t: float, kind: str, text: str) -> None:
         """Something that happened at t."""
         log_ns, stamp_ns = self._times(t, t)
-        message = layout(schema.EVENT, b"").pack(stamp_ns, tail=(_line(kind), _line(text)))
+        message = cdr_layout(schema.EVENT, b"").pack(stamp_ns, tail=(_line(kind), _line(text)))
         self._add("/event", schema.EVENT, log_ns, stamp_ns, 0, message)
 
     def health(self, device: str, health: PortHealth, t: float) -> None:
         """The counters of a device's port at t."""
         log_ns, stamp_ns = self._times(t, t)
-        message = layout(schema.HEALTH, device.encode()).pack(
+        message = cdr_layout(schema.HEALTH, device.encode()).pack(
             stamp_ns,
             health.bytes_in,
             health.frames,

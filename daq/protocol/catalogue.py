@@ -15,7 +15,7 @@ SERIAL, CAN, NET = "serial", "can", "net"  # NET: a serial device or a socket
 GNSS_BAUDS = (9600, 38400, 115200, 4800, 57600, 460800, 230400, 921600)
 
 
-class Row(NamedTuple):
+class DeviceType(NamedTuple):
     """One protocol: its description, its bus, its keys in the rig file, its decoder."""
 
     says: str
@@ -89,7 +89,7 @@ def _mavlink(device: Device, rig: Rig) -> Decoder:
 def _dbc(device: Device, rig: Rig) -> Decoder:
     from daq.protocol import dbc
 
-    return dbc.Decoder(dbc.load(device.dbc), device.signals)
+    return dbc.Decoder(dbc.load_dbc(device.dbc), device.signals)
 
 
 def _dronecan(device: Device, rig: Rig) -> Decoder:
@@ -105,27 +105,31 @@ def _nmea2000(device: Device, rig: Rig) -> Decoder:
     return nmea2000.Decoder(device.declination)
 
 
-DEVICES: dict[str, Row] = {
-    "vectornav": Row("VectorNav AHRS, ASCII and binary", SERIAL, _vectornav, (), (115200, 921600, 460800, 230400)),
-    "mip": Row("MicroStrain inertial sensor, MIP", SERIAL, _mip, (), (115200, 921600, 460800, 230400)),
-    "nmea": Row("GNSS receiver or compass, NMEA 0183", SERIAL, _nmea, ("declination_deg",), GNSS_BAUDS),
-    "ubx": Row("u-blox GNSS receiver, UBX and NMEA mixed", SERIAL, _ubx, ("declination_deg",), GNSS_BAUDS),
-    "loadcell": Row(
+DEVICES: dict[str, DeviceType] = {
+    "vectornav": DeviceType(
+        "VectorNav AHRS, ASCII and binary", SERIAL, _vectornav, (), (115200, 921600, 460800, 230400)
+    ),
+    "mip": DeviceType("MicroStrain inertial sensor, MIP", SERIAL, _mip, (), (115200, 921600, 460800, 230400)),
+    "nmea": DeviceType("GNSS receiver or compass, NMEA 0183", SERIAL, _nmea, ("declination_deg",), GNSS_BAUDS),
+    "ubx": DeviceType("u-blox GNSS receiver, UBX and NMEA mixed", SERIAL, _ubx, ("declination_deg",), GNSS_BAUDS),
+    "loadcell": DeviceType(
         "load cell, a line of text a reading", SERIAL, _loadcell, ("pattern", "saturation", "calibration"),
         (115200, 9600, 57600, 38400),
     ),
-    "openscale": Row(
+    "openscale": DeviceType(
         "SparkFun OpenScale", SERIAL, _openscale, ("saturation", "calibration"), (9600, 115200, 57600, 38400)
     ),
-    "mantracourt": Row(
+    "mantracourt": DeviceType(
         "Mantracourt DSCUSB, DCell: asked for each reading", SERIAL, _mantracourt,
         ("query", "saturation", "calibration"),
     ),
-    "vesc": Row("VESC speed controllers", CAN, _vesc, ("bitrate",)),
-    "dbc": Row("shaft speed from any CAN bus, by a DBC file", CAN, _dbc, ("bitrate", "dbc")),
-    "dronecan": Row("DroneCAN speed controllers", CAN, _dronecan, ("bitrate", "own_node")),
-    "nmea2000": Row("ship's bus: compass, attitude, GNSS", CAN, _nmea2000, ("bitrate", "declination_deg")),
-    "mavlink": Row("autopilot: AHRS, GNSS, outputs, battery", NET, _mavlink, ("mavlink",), (57600, 115200, 921600)),
+    "vesc": DeviceType("VESC speed controllers", CAN, _vesc, ("bitrate",)),
+    "dbc": DeviceType("shaft speed from any CAN bus, by a DBC file", CAN, _dbc, ("bitrate", "dbc")),
+    "dronecan": DeviceType("DroneCAN speed controllers", CAN, _dronecan, ("bitrate", "own_node")),
+    "nmea2000": DeviceType("ship's bus: compass, attitude, GNSS", CAN, _nmea2000, ("bitrate", "declination_deg")),
+    "mavlink": DeviceType(
+        "autopilot: AHRS, GNSS, outputs, battery", NET, _mavlink, ("mavlink",), (57600, 115200, 921600)
+    ),
 }  # fmt: skip
 SERIAL_PROTOCOLS = tuple(name for name, row in DEVICES.items() if row.bus == SERIAL)
 

@@ -27,7 +27,7 @@ class _Wanted(NamedTuple):
     signals: tuple[DbcSignal, ...]
 
 
-def load(path: str) -> Any:
+def load_dbc(path: str) -> Any:
     """The database in a DBC file. Raises SeatrialError where it is none."""
     import cantools  # takes a while to import, and only CAN needs it
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from daq.protocol.framing import StreamDecoder
 from daq.protocol.mavlink_wire import ESC_STATUS, Codec, dialect, head, is_known, is_whole
-from daq.rig import Device, Output, Rig
+from daq.rig import AutopilotOutput, Device, Rig
 from daq.samples import NAN, Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, Sample, Servo
 
 # Besides messages that become samples: those that the driver of the link needs.
@@ -136,7 +136,7 @@ class Samples:
 
     def __init__(
         self,
-        outputs: Mapping[int, Output] | None = None,
+        outputs: Mapping[int, AutopilotOutput] | None = None,
         reversed_nodes: frozenset[int] = frozenset(),
         gnss: str = "raw",
     ) -> None:

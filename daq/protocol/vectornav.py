@@ -56,7 +56,7 @@ _NUMBER = re.compile(rb"[+-]?\d+(\.\d*)?\Z")
 Values = dict[str, tuple[float, ...]]
 
 
-class Layout(NamedTuple):
+class MessageLayout(NamedTuple):
     """Layout of a binary message: length of header and message, and (name, struct, offset) of the fields read."""
 
     header: int
@@ -65,7 +65,7 @@ class Layout(NamedTuple):
 
 
 @functools.lru_cache(maxsize=256)
-def layout(header: bytes) -> Layout | None:
+def message_layout(header: bytes) -> MessageLayout | None:
     """Layout of the message whose bytes after the sync byte are `header` (groups, then a word for each).
 
     None if the header asks for a field that does not exist, or for none at all.
@@ -88,7 +88,7 @@ def layout(header: bytes) -> Layout | None:
     for group, bit, what, inside in KEPT:
         if (group, bit) in places and what not in kept:
             kept[what] = (what, struct.Struct(_FORMAT[what]), places[group, bit] + inside)
-    return Layout(1 + len(header), offset + 2, tuple(kept.values()))
+    return MessageLayout(1 + len(header), offset + 2, tuple(kept.values()))
 
 
 class Decoder(StreamDecoder[Frame]):
@@ -113,7 +113,7 @@ class Decoder(StreamDecoder[Frame]):
         header_end = start + 2 + 2 * groups.bit_count()
         if len(buffer) < header_end:
             return 0
-        found = layout(bytes(buffer[start + 1 : header_end]))
+        found = message_layout(bytes(buffer[start + 1 : header_end]))
         if found is None:
             return -1
         if len(buffer) < start + found.length:

@@ -1,7 +1,7 @@
 from .discovery import find as find
 from .discovery import identify_protocol as identify_protocol
 from .export import export_log as export_log
-from .info import show as show
+from .info import show_log as show_log
 from .live_server import LiveServer as LiveServer
 from .live_table import default_log_path as default_log_path
 from .live_table import log_summary as log_summary

@@ -26,7 +26,7 @@ ROWS = 65536  # written at a time
 KINDS: tuple[type[Any], ...] = (Ahrs, Gnss, Esc, Command, Servo, LoadCell, Battery, Autopilot, Scalar)
 
 
-class Part(NamedTuple):
+class ExportTable(NamedTuple):
     """One table of a log: the name of its file without an ending, its rows, its units by column."""
 
     name: str
@@ -34,7 +34,7 @@ class Part(NamedTuple):
     units: dict[str, str]
 
 
-def parts(log: Log) -> Iterator[Part]:
+def parts(log: Log) -> Iterator[ExportTable]:
     """Every table of samples, in the order of the kinds."""
     for kind in KINDS:
         for source in log.sources(kind):
@@ -46,7 +46,7 @@ def parts(log: Log) -> Iterator[Part]:
                 units = {column: UNITS[column] for column in names if column in UNITS}
                 if kind is Scalar:
                     units["value"] = log.unit(source)
-                yield Part(name, rows, units)
+                yield ExportTable(name, rows, units)
 
 
 def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[Path]:
@@ -87,7 +87,7 @@ def _new(folder: Path, name: str, ending: str, written: list[Path], force: bool)
     return path
 
 
-def _csv(path: Path, part: Part) -> None:
+def _csv(path: Path, part: ExportTable) -> None:
     names = list(part.rows.dtype.names or ())
     heads = [f"{name} [{part.units[name]}]" if part.units.get(name) else name for name in names]
     rows = (row for at in range(0, len(part.rows), ROWS) for row in part.rows[at : at + ROWS].tolist())
@@ -101,14 +101,14 @@ def _write_csv(path: Path, heads: list[str], rows: Iterator[list[str]]) -> None:
         writer.writerows(rows)
 
 
-def _parquet() -> Callable[[Path, Part], None]:
+def _parquet() -> Callable[[Path, ExportTable], None]:
     try:
         import pyarrow
         import pyarrow.parquet
     except ModuleNotFoundError as error:
         raise SeatrialError("Parquet needs the package pyarrow: pip install 'seatrial[parquet]'") from error
 
-    def write(path: Path, part: Part) -> None:
+    def write(path: Path, part: ExportTable) -> None:
         fields = [
             pyarrow.field(
                 name,

@@ -27,7 +27,7 @@ _ABOUT = {
 FOLDED = ("skipped", "parameter")  # kinds of events that come in swarms
 
 
-def show(log: Log, console: Console) -> None:
+def show_log(log: Log, console: Console) -> None:
     """Print duration, topics with rates, health counters, events and warnings."""
     size = sum(path.stat().st_size for path in log.paths)
     pieces = f" in {len(log.paths)} segments" if len(log.paths) > 1 else ""

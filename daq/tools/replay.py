@@ -45,7 +45,7 @@ def replay_log(
     names = recorded(log, devices)
     folder.mkdir(parents=True, exist_ok=True)
     ports: dict[str, ReplayPort] = {}
-    rig = write_rig(log, names, folder, speed)
+    rig = write_replay_rig(log, names, folder, speed)
     try:
         for name in names:
             ports[name] = ReplayPort(folder / name)
@@ -169,7 +169,7 @@ class ReplayPort:
         self._slave = self._master = -1
 
 
-def write_rig(log: Log, devices: Sequence[str], folder: Path, speed: float) -> Path | None:
+def write_replay_rig(log: Log, devices: Sequence[str], folder: Path, speed: float) -> Path | None:
     """Write FOLDER/replay.toml for `devices`, whose ports are FOLDER/DEVICE; None where the log has no rig for them.
 
     Logs go to the folder of `log`. Raises SeatrialError where another file is in the way.

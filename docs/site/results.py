@@ -13,8 +13,7 @@ from typing import Any
 
 from msgspec import inspect as types
 
-from ident.results.parts import FitResult, Part, Result
-from ident.results.result_file import AnyResult
+from ident.results import AnyResult, FitResult, Part, Result
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs/formats/result.md"

@@ -11,7 +11,7 @@ import numpy as np
 from daq.log import Log, open_log
 from daq.samples import Ahrs, Esc, Gnss, LoadCell, Scalar
 from ident.checks.log_checks import sides_of
-from ident.checks.motion import SURGE_LAGS, YAW_LAGS, ThrusterForces, ahead, delayed_forces, filled, forces
+from ident.checks.motion import SURGE_LAGS, YAW_LAGS, ThrusterForces, ahead, delayed_forces, fill_gaps, thruster_forces
 from ident.checks.sensors import STEP, WINDOW, Channels
 from ident.data import Channel, block_mean, channels
 from ident.numerics import Array
@@ -139,12 +139,12 @@ def _shafts(c: Channels) -> list[ShaftResponse]:
 
 def push(c: Channels, sides: Mapping[str, float]) -> list[PushResponseCurve]:
     """Yaw rate and speed ahead, measured and as the thrusters' push would have them; ``sides``: m to starboard."""
-    given = forces(c, sides)
+    given = thruster_forces(c, sides)
     if given is None:
         return []
     found: list[PushResponseCurve] = []
     if given.side.any():
-        r = filled(given.t, block_mean(c["r"], given.edges)[0])
+        r = fill_gaps(given.t, block_mean(c["r"], given.edges)[0])
         found.append(_pushed("yaw rate", "rad/s", given, r, given.f @ given.side, YAW_LAGS))
     if (u := ahead(c, given.t)) is not None:
         found.append(_pushed("speed ahead over ground", "m/s", given, u, given.f.sum(axis=1), SURGE_LAGS))

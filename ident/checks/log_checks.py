@@ -9,9 +9,9 @@ from daq.checks import Finding
 from daq.errors import SeatrialError
 from daq.log import Log, open_log
 from daq.samples import Command, Esc
-from ident.checks.motion import motion
+from ident.checks.motion import check_motion
 from ident.checks.sensors import Channels, gyro_and_heading, position_and_velocity, velocity_and_acceleration
-from ident.checks.shafts import shafts
+from ident.checks.shafts import check_shafts
 from ident.data import channels
 
 # Starboard positions (m) of an imported log's thrusters, of which only the side is known.
@@ -33,9 +33,9 @@ def findings(found: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     yield from gyro_and_heading(found)
     yield from velocity_and_acceleration(found)
     yield from position_and_velocity(found)
-    of_shafts = list(shafts(found))
+    of_shafts = list(check_shafts(found))
     yield from of_shafts
-    yield from motion(found, sides, {f.where for f in of_shafts if f.check == "dead"})
+    yield from check_motion(found, sides, {f.where for f in of_shafts if f.check == "dead"})
 
 
 def sides_of(log: Log) -> dict[str, float]:

@@ -58,12 +58,12 @@ class ThrusterForces(NamedTuple):
     side: Array
 
 
-def motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] = ()) -> Iterator[Finding]:
+def check_motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] = ()) -> Iterator[Finding]:
     """Whether the boat moves as its thrusters push; ``sides``: thruster -> position to starboard [m].
 
     Nothing more is said of thrusters that are known to be ``dead``.
     """
-    found = pushes(c, sides)
+    found = thrust_responses(c, sides)
     if found is None:
         return
     side = _side(sides, found.names)
@@ -120,18 +120,18 @@ def _most(effect: RegressionEffect) -> Array:
     return np.where(effect.t != 0, bound / size[clear].max(), 1.0)
 
 
-def pushes(c: Channels, sides: Mapping[str, float]) -> PushResponse | None:
+def thrust_responses(c: Channels, sides: Mapping[str, float]) -> PushResponse | None:
     """Regressions of yaw rate and speed ahead on each thruster's push; None as for `forces`."""
-    given = forces(c, sides)
+    given = thruster_forces(c, sides)
     if given is None:
         return None
     names, t, edges, f, side = given
-    r = filled(t, block_mean(c["r"], edges)[0])
+    r = fill_gaps(t, block_mean(c["r"], edges)[0])
     moment = _effect(r, (f @ side)[:, None], [], YAW_LAGS).t[0] if side.any() else 0.0
     return PushResponse(names, _effect(r, f, [], YAW_LAGS), _surge(c, t, edges, f), float(moment))
 
 
-def forces(c: Channels, sides: Mapping[str, float]) -> ThrusterForces | None:
+def thruster_forces(c: Channels, sides: Mapping[str, float]) -> ThrusterForces | None:
     """The thrusters' pushes on common times; None without push or yaw rate, or where the log is too short."""
     found = {n: s for n in sides if (s := _push(c, n)) is not None}
     if not found or "r" not in c:
@@ -172,7 +172,7 @@ def _surge(c: Channels, t: Array, edges: Array, f: Array) -> RegressionEffect:
     if (u := ahead(c, t)) is not None:
         found = _effect(u, f, drift, SURGE_LAGS)
     if "ax" in c and np.abs(found.t).max() < 2 * SIGNIFICANT_T:
-        ax = filled(t, block_mean(c["ax"], edges)[0])
+        ax = fill_gaps(t, block_mean(c["ax"], edges)[0])
         other = _effect(ax, f, [], SURGE_LAGS, washed=True)
         if np.abs(other.t).sum() > np.abs(found.t).sum():
             return other
@@ -246,7 +246,7 @@ def ahead(c: Channels, t: Array) -> Array | None:
     return None
 
 
-def filled(t: Array, values: Array) -> Array:
+def fill_gaps(t: Array, values: Array) -> Array:
     """Values (n,) at t (n,) with NaN filled in between the others."""
     good = np.isfinite(values)
     return np.interp(t, t[good], values[good])

@@ -39,7 +39,7 @@ class Response(NamedTuple):
     band_gain: float  # part of the error without a dead band that the dead band explains
 
 
-def shafts(c: Channels) -> Iterator[Finding]:
+def check_shafts(c: Channels) -> Iterator[Finding]:
     """Each thruster that has a command and a speed: is it alive, and how does it follow?"""
     for name in sorted(n.removeprefix("n_cmd_") for n in c if n.startswith("n_cmd_")):
         if f"n_{name}" in c and c[f"n_{name}"].t is not c[f"n_cmd_{name}"].t:

@@ -1,5 +1,4 @@
-"""Commands of ``seatrial ident``, and ``seatrial mission design``, which seatrial.py adds to the group of bench.
-"""
+"""Commands of ``seatrial ident``, and ``seatrial mission design``, which seatrial.py adds to the group of bench."""
 
 from __future__ import annotations
 
@@ -20,16 +19,16 @@ from ident.cli.options import (
     command_line,
     estimation_of,
     horizon_option,
-    known,
     mean_order_option,
-    names,
     out_option,
-    priors,
+    parse_names,
+    parse_priors,
+    parse_values,
     processes,
     rate_option,
     reml_option,
     robust_option,
-    run,
+    run_workflow,
     validate_option,
 )
 
@@ -66,7 +65,7 @@ def thruster(logs: tuple[Path, ...], out: Path, **how: Any) -> None:
     from ident.workflows.thruster import ThrusterRequest, characterise
 
     request = ThrusterRequest(logs, out, **estimation_of(how))
-    run(lambda reporter: characterise(request, command_line(), reporter), out)
+    run_workflow(lambda reporter: characterise(request, command_line(), reporter), out)
 
 
 def _intervals(_context: click.Context, _parameter: click.Parameter, given: Sequence[str]) -> list[tuple[float, float]]:
@@ -77,7 +76,10 @@ def _intervals(_context: click.Context, _parameter: click.Parameter, given: Sequ
 @click.argument("model", type=LOG)
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option(
-    "--smooth/--filter", "smoothed", default=True, show_default=True,
+    "--smooth/--filter",
+    "smoothed",
+    default=True,
+    show_default=True,
     help="Smoothed (all samples) or filtered (samples so far).",
 )
 @click.option(
@@ -103,10 +105,10 @@ def navigate(model: Path, logs: tuple[Path, ...], out: Path, **how: Any) -> None
     Example:
       seatrial ident navigate vehicle/model.toml validation.mcap --gnss-outage 60:90 --out navigation
     """
-    from ident.workflows.navigate import NavigationRequest, run_navigation
+    from ident.workflows.navigate import NavigationRequest, navigate_logs
 
     request = NavigationRequest(model, logs, out, **how)
-    run(lambda reporter: run_navigation(request, command_line(), reporter), out)
+    run_workflow(lambda reporter: navigate_logs(request, command_line(), reporter), out)
 
 
 ident.add_command(navigate)
@@ -115,7 +117,10 @@ ident.add_command(navigate)
 @click.command(short_help="Write a fitted model for Python, CasADi, C or ROS 2.")
 @click.argument("model", type=LOG)
 @click.option(
-    "--to", "target", type=click.Choice(("python", "casadi", "c", "ros2")), required=True,
+    "--to",
+    "target",
+    type=click.Choice(("python", "casadi", "c", "ros2")),
+    required=True,
     help="Target language or format.",
 )
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="File to write; else the screen.")
@@ -154,7 +159,7 @@ ident.add_command(export)
 @click.argument("model", type=LOG)
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option("--seconds", type=click.FloatRange(2.0), default=30.0, show_default=True, help="Length of a segment.")
-@click.option("--parameters", "chosen", metavar="NAMES", callback=names, help="Only these parameters, d_v,m_v.")
+@click.option("--parameters", "chosen", metavar="NAMES", callback=parse_names, help="Only these parameters, d_v,m_v.")
 @click.option("--thruster", type=LOG, help="The static curve from command to thrust that the model was fitted with.")
 @rate_option
 @out_option("information")
@@ -170,7 +175,7 @@ def information(model: Path, logs: tuple[Path, ...], out: Path, **how: Any) -> N
     from ident.workflows import information
 
     request = information.InformationRequest(model, logs, out, **how)
-    run(lambda reporter: information.information(request, command_line(), reporter), out)
+    run_workflow(lambda reporter: information.information(request, command_line(), reporter), out)
 
 
 ident.add_command(information)
@@ -189,7 +194,9 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     """
     from ident.workflows import noise
 
-    run(lambda reporter: noise.noise(logs, out, signals=signals, command=command_line(), reporter=reporter), out)
+    run_workflow(
+        lambda reporter: noise.noise(logs, out, signals=signals, command=command_line(), reporter=reporter), out
+    )
 
 
 @ident.command(short_help="Fit a model of the boat to logs and validate it on others.")
@@ -207,16 +214,19 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     "--thruster", type=LOG, help="model.toml of the bench: c1 and c2, or the static curve from command to thrust."
 )
 @click.option(
-    "--fix", "fixed", multiple=True, callback=known, help="NAME=VALUE: fix a known parameter; may be repeated."
+    "--fix", "fixed", multiple=True, callback=parse_values, help="NAME=VALUE: fix a known parameter; may be repeated."
 )
 @click.option(
-    "--initial", multiple=True, callback=known, help="NAME=VALUE: initial value of a parameter; may be repeated.",
+    "--initial",
+    multiple=True,
+    callback=parse_values,
+    help="NAME=VALUE: initial value of a parameter; may be repeated.",
 )
 @click.option(
     "--prior",
     "priors",
     multiple=True,
-    callback=priors,
+    callback=parse_priors,
     help="NAME=MEAN:SD: prior of a parameter (mean, standard deviation); may be repeated.",
 )
 @click.option(
@@ -257,7 +267,7 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how
     from ident.workflows.vehicle_model import VehicleRequest
 
     request = VehicleRequest(logs, validate, out, **estimation_of(how))
-    run(lambda reporter: vehicle(request, command_line(), reporter), out)
+    run_workflow(lambda reporter: vehicle(request, command_line(), reporter), out)
 
 
 @ident.command(short_help="Find effects that a model lacks; errors before and after.")
@@ -267,7 +277,11 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how
 @horizon_option
 @click.option("--effects", "effects_file", type=LOG, help="FILE.py with EFFECT or EFFECTS: user-defined candidates.")
 @click.option(
-    "--max-effects", type=click.IntRange(1, 6), default=3, show_default=True, help="Largest number of effects to add.",
+    "--max-effects",
+    type=click.IntRange(1, 6),
+    default=3,
+    show_default=True,
+    help="Largest number of effects to add.",
 )
 @click.option(
     "--thruster",
@@ -296,21 +310,30 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
     from ident.workflows.diagnose import DiagnosisRequest, diagnosis
 
     request = DiagnosisRequest(model, logs, validate, out, **estimation_of(how))
-    run(lambda reporter: diagnosis(request, command_line(), reporter), out)
+    run_workflow(lambda reporter: diagnosis(request, command_line(), reporter), out)
 
 
 @ident.command(short_help="Monte Carlo of the estimator: bias, variance, coverage.")
 @click.argument("models", metavar="MODEL...", nargs=-1, required=True)
 @click.option(
-    "--replicates", type=click.IntRange(3), default=100, show_default=True, help="Number of simulated missions.",
+    "--replicates",
+    type=click.IntRange(3),
+    default=100,
+    show_default=True,
+    help="Number of simulated missions.",
 )
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True)
 @click.option("--jobs", type=int, default=-1, callback=processes, help="Processes.  [default: one a core, -1]")
 @click.option(
-    "--method", type=click.Choice(("pe", "oe")), default="pe", show_default=True,
+    "--method",
+    type=click.Choice(("pe", "oe")),
+    default="pe",
+    show_default=True,
     help="Prediction error or output error.",
 )
-@click.option("--truth", multiple=True, callback=known, help="NAME=VALUE: true value of a parameter; may be repeated.")
+@click.option(
+    "--truth", multiple=True, callback=parse_values, help="NAME=VALUE: true value of a parameter; may be repeated."
+)
 @click.option("--free", multiple=True, metavar="NAME", help="Estimate only this parameter; may be repeated.")
 @click.option("--seconds", type=click.FloatRange(10.0), help="Length of the mission [s].")
 @click.option("--unbounded", is_flag=True, help="Damping may be estimated below zero.")
@@ -318,9 +341,7 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
 @mean_order_option(None)
 @click.option("--docs", type=FILE, help="Also write the page of tables to this file, with its pictures.")
 @out_option("study")
-def study(
-    models: tuple[str, ...], method: str, unbounded: bool, docs: Path | None, out: Path, **how: Any
-) -> None:
+def study(models: tuple[str, ...], method: str, unbounded: bool, docs: Path | None, out: Path, **how: Any) -> None:
     """Monte Carlo of the estimator on simulated missions of MODELs: surge, yaw, horizontal, kinematic, thruster,
     noise, designed; a fitted model.toml; or FILE.py:NAME, a user-defined Case.
 
@@ -366,7 +387,10 @@ def _area(_context: click.Context, _parameter: click.Parameter, given: str | Non
 )
 @click.argument("source", metavar="MODEL")
 @click.option(
-    "--duration", type=click.FloatRange(10.0, 7200.0), default=600.0, show_default=True,
+    "--duration",
+    type=click.FloatRange(10.0, 7200.0),
+    default=600.0,
+    show_default=True,
     help="Length of the mission [s].",
 )
 @click.option("--steps", type=click.IntRange(2, 1000), help="Number of steps [default: one per 5 s].")
@@ -379,7 +403,11 @@ def _area(_context: click.Context, _parameter: click.Parameter, given: str | Non
     help="Determinant, mean variance, or largest variance of the errors; Ds: D of --parameters.",
 )
 @click.option(
-    "--parameters", "chosen", metavar="NAMES", callback=names, help="Parameters to estimate, d_v,m_v [default: all]."
+    "--parameters",
+    "chosen",
+    metavar="NAMES",
+    callback=parse_names,
+    help="Parameters to estimate, d_v,m_v [default: all].",
 )
 @click.option("--area", metavar="NxE", callback=_area, help="Area for the whole track, north by east [m].")
 @click.option("--max-speed", type=click.FloatRange(0, min_open=True), help="Largest speed through the water [m/s].")
@@ -397,7 +425,7 @@ def _area(_context: click.Context, _parameter: click.Parameter, given: str | Non
     "--rate",
     "rates",
     multiple=True,
-    callback=known,
+    callback=parse_values,
     metavar="SENSOR=HZ",
     help="Rate of a sensor, position=1 [default: 10 each]; may be repeated.",
 )
@@ -429,17 +457,24 @@ def _area(_context: click.Context, _parameter: click.Parameter, given: str | Non
     "--discriminate",
     "between",
     metavar="EFFECTS",
-    callback=names,
+    callback=parse_names,
     help="Two effects, delay,lag: T-optimal mission that tells them apart.",
 )
 @click.option(
-    "--evaluations", type=click.IntRange(500), default=20_000, show_default=True, help="Evaluations of the search.",
+    "--evaluations",
+    type=click.IntRange(500),
+    default=20_000,
+    show_default=True,
+    help="Evaluations of the search.",
 )
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=1, show_default=True,
+    "--seed",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
     help="Seed; the same seed gives the same mission.",
 )
-@click.option("--thrusters", metavar="NAMES", callback=names, help="Names in the rig, left,right by default.")
+@click.option("--thrusters", metavar="NAMES", callback=parse_names, help="Names in the rig, left,right by default.")
 @click.option(
     "-o",
     "--out",
@@ -471,7 +506,7 @@ def design(
     if rest["criterion"] == "Ds" and not rest["chosen"]:
         raise click.BadParameter("Ds needs --parameters: which parameters?", param_hint="--criterion")
     from ident.experiment_design import DesignLimits
-    from ident.workflows import DesignRequest, make_design, summary
+    from ident.workflows.design import DesignRequest, design_summary, make_design
 
     wish = DesignRequest(
         shortest=min_step,
@@ -485,7 +520,7 @@ def design(
         result = _work(lambda reporter: make_design(source, wish, out, command_line(), reporter))
     except (ValueError, KeyError) as problem:
         raise SeatrialError(f"{source}: {str(problem).strip(chr(39) + chr(34))}") from problem
-    for line in summary(result):
+    for line in design_summary(result):
         click.echo(line)
     click.echo(f"{out}; report: {out.with_suffix('.html')}")
 

@@ -28,7 +28,7 @@ FOLDER = click.Path(file_okay=False, path_type=Path)
 FILE = click.Path(dir_okay=False, path_type=Path)
 
 
-def known(_context: click.Context, _parameter: click.Parameter, given: Sequence[str]) -> dict[str, float]:
+def parse_values(_context: click.Context, _parameter: click.Parameter, given: Sequence[str]) -> dict[str, float]:
     """Callback of options NAME=VALUE."""
     found = {}
     for item in given:
@@ -47,12 +47,12 @@ def processes(_context: click.Context, _parameter: click.Parameter, given: int) 
     return given
 
 
-def names(_context: click.Context, _parameter: click.Parameter, given: str | None) -> tuple[str, ...]:
+def parse_names(_context: click.Context, _parameter: click.Parameter, given: str | None) -> tuple[str, ...]:
     """Callback of options NAME,NAME."""
     return tuple(n.strip() for n in given.split(",") if n.strip()) if given else ()
 
 
-def priors(
+def parse_priors(
     _context: click.Context, _parameter: click.Parameter, given: Sequence[str]
 ) -> dict[str, tuple[float, float]]:
     """Callback of options NAME=MEAN:SD."""
@@ -172,7 +172,7 @@ class LiveLine:
         self.console.print(f"  {text}")
 
 
-def run(work: Callable[[Reporter], Result], out: Path) -> None:
+def run_workflow(work: Callable[[Reporter], Result], out: Path) -> None:
     """Do the work with a live line of what it is doing; then show the result and where it is."""
     from rich.console import Console
 

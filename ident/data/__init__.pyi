@@ -3,10 +3,10 @@ from .loading import load_all as load_all
 from .loading import load_run as load_run
 from .log_channels import ahrs_channels as ahrs_channels
 from .log_channels import channels as channels
+from .prepared_record import InitialCondition as InitialCondition
 from .prepared_record import Prepared as Prepared
 from .prepared_record import Preparer as Preparer
-from .prepared_record import Start as Start
-from .prepared_record import start_of as start_of
+from .prepared_record import initial_condition as initial_condition
 from .record import TIME_INPUT as TIME_INPUT
 from .record import WORK_INPUT as WORK_INPUT
 from .record import WORK_UNIT as WORK_UNIT

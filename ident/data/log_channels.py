@@ -23,17 +23,7 @@ from numpy.typing import NDArray
 
 from daq.log import Log
 from daq.rig import Thruster
-from daq.samples import (
-    WGS84_ECCENTRICITY_2,
-    WGS84_SEMI_MAJOR_AXIS,
-    Ahrs,
-    Command,
-    Esc,
-    Gnss,
-    LoadCell,
-    Scalar,
-    Servo,
-)
+from daq.samples import WGS84_ECCENTRICITY_2, WGS84_SEMI_MAJOR_AXIS, Ahrs, Command, Esc, Gnss, LoadCell, Scalar, Servo
 from ident.data.record import Channel
 from ident.numerics import Array, LagData, first_order_lag, fit_first_order_lag
 

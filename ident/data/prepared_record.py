@@ -145,7 +145,7 @@ def _distances(samples: Array, angle: bool) -> Array:
 
 
 @dataclass(frozen=True)
-class Start:
+class InitialCondition:
     """The state at the start of a record and its derivative by the parameters.
 
     s (n_s,): mean and, with a covariance, its upper triangle; tangent: list of (entry of s, parameter, slope).
@@ -155,7 +155,7 @@ class Start:
     tangent: tuple[tuple[int, int, float], ...]
 
 
-def start_of(model: Model, values: Array, first: Array, covariance: bool) -> Start:
+def initial_condition(model: Model, values: Array, first: Array, covariance: bool) -> InitialCondition:
     """Mean: first measurement (``from_output``), parameter or number; covariance: diag(sd0^2)."""
     n = len(model.states)
     outputs = [o.name for o in model.outputs]
@@ -177,4 +177,4 @@ def start_of(model: Model, values: Array, first: Array, covariance: bool) -> Sta
             s[at] = sd * sd
             if isinstance(state.sd0, str):
                 tangent.append((at, index[state.sd0], 2.0 * float(sd)))
-    return Start(s, tuple(tangent))
+    return InitialCondition(s, tuple(tangent))

@@ -7,14 +7,7 @@ from dataclasses import dataclass
 
 from ident.diagnosis.results import Diagnosis
 from ident.models import residuals_of
-from ident.validation import (
-    Intervals,
-    PredictionEvaluation,
-    SmoothedForce,
-    evaluate,
-    ratio_intervals,
-    smoothed_forces,
-)
+from ident.validation import Intervals, PredictionEvaluation, SmoothedForce, evaluate, ratio_intervals, smoothed_forces
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from ident.engine import quickly
 from ident.estimation import ROUGH, FittedModel, fit_and_evaluate
 from ident.model import Model
 from ident.models import residuals_of
-from ident.validation import ahead, pooled
+from ident.validation import horizon_errors, pooled_errors
 
 HORIZON = 0.6  # relative to the block of the score tests: 3 s for a boat, 1.2 s on the bench
 
@@ -116,5 +116,5 @@ def _log_error(stage: FittedModel) -> float:
     for v in stage.validation or stage.estimation:
         x = v.run.x_filt.copy()
         x[:, forces] = 0.0
-        parts.append(ahead(model, v.record, v.values, x, HORIZON * model.block))
-    return float(np.mean([np.log(e.rms) for e in pooled(parts).values()]))
+        parts.append(horizon_errors(model, v.record, v.values, x, HORIZON * model.block))
+    return float(np.mean([np.log(e.rms) for e in pooled_errors(parts).values()]))

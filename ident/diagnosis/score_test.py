@@ -283,15 +283,15 @@ def fitted_parameters(model: Model, n_records: int) -> list[Parameter]:
     return shared + [replace(p, segment=i) for i in range(n_records) for p in mean if p.per_record]
 
 
-def threshold(score: Score, among: Sequence[Score]) -> float:
+def score_threshold(score: Score, among: Sequence[Score]) -> float:
     """Critical value of the statistic, chi-squared: `ALPHA` is shared by the parametric and the nonparametric effects,
     and by the tests of either kind ``among`` all (Bonferroni)."""
     n_tests = sum(s.generic == score.generic for s in among)
     return float(stats.chi2.isf(ALPHA / 2 / n_tests, score.df))
 
 
-def passes(score: Score, among: Sequence[Score]) -> bool:
+def score_test_passes(score: Score, among: Sequence[Score]) -> bool:
     """Whether the statistic exceeds its `threshold`, and the version from blocks agrees."""
     if score.p < P_OVERWHELMING and score.p_block < P_BLOCK_OVERWHELMING:
         return True
-    return score.lm > threshold(score, among) and score.p_block < P_BLOCK
+    return score.lm > score_threshold(score, among) and score.p_block < P_BLOCK

@@ -39,7 +39,7 @@ class Programs:
 
     def __init__(self, model: Model, covariance: bool, joseph: bool) -> None:
         self._model, self._covariance, self._joseph = model, covariance, joseph
-        written = kernel_cache.key_of(model, covariance, joseph) if len(model.sensors) <= MAX_BITS else None
+        written = kernel_cache.kernel_key(model, covariance, joseph) if len(model.sensors) <= MAX_BITS else None
         self._kept = written if jit.AVAILABLE else None
         self.key = written or self.graphs.key
 
@@ -92,10 +92,10 @@ class Programs:
                     made: Any = getattr(self._plans, name)()
                     return made  # type: ignore[no-any-return]
 
-            known = kernel_cache.recall(self._kept, name) if self._kept else None
+            known = kernel_cache.load_kernel(self._kept, name) if self._kept else None
             kernel = Kernel.at_hand(*known, plan) if known else None
             if kernel is None:
                 kernel = Kernel(plan())
                 if self._kept:
-                    kernel_cache.remember(self._kept, name, kernel.layout, kernel.code)
+                    kernel_cache.store_kernel(self._kept, name, kernel.layout, kernel.code)
             return kernel

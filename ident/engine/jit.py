@@ -79,27 +79,27 @@ def target() -> tuple[Any, ...]:
     return (llvm.llvm_version_info if AVAILABLE else None, CPU, FEATURES, OPTIMISE, CODEGEN, ORDER)
 
 
-def key_of(ir: str) -> str:
+def machine_code_key(ir: str) -> str:
     """The name of the machine code of ``ir``."""
     return hashlib.sha256(repr((*target(), _levels(), ir)).encode()).hexdigest()
 
 
-def load(ir: str, symbol: str) -> tuple[Any, int]:
+def load_machine_code(ir: str, symbol: str) -> tuple[Any, int]:
     """The library made of ``ir`` (keep it as long as the code is used) and the address of ``symbol``."""
     if not AVAILABLE:
         raise RuntimeError("llvmlite is not installed, so nothing can be compiled")
-    key = key_of(ir)
+    key = machine_code_key(ir)
     known = load_known(key, symbol)
     if known is not None:
         return known
     machine_code = _compile(ir)
-    write(f"{key}.o", machine_code)
+    write_cache(f"{key}.o", machine_code)
     return _link(machine_code, key, symbol)
 
 
 def load_known(key: str, symbol: str) -> tuple[Any, int] | None:
     """The same by the name of the machine code; None where it is not at hand."""
-    machine_code = read(f"{key}.o") if AVAILABLE else None
+    machine_code = read_cache(f"{key}.o") if AVAILABLE else None
     return None if machine_code is None else _link(machine_code, key, symbol)
 
 
@@ -122,7 +122,7 @@ def _compile(ir: str) -> bytes:
     return bytes(machine.emit_object(module))
 
 
-def read(name: str) -> bytes | None:
+def read_cache(name: str) -> bytes | None:
     """A file of the cache; None if it is not there, or not as it was written."""
     try:
         path = cache_folder() / name
@@ -134,7 +134,7 @@ def read(name: str) -> bytes | None:
     return kept if hashlib.sha256(kept).digest() == digest else None
 
 
-def write(name: str, content: bytes) -> None:
+def write_cache(name: str, content: bytes) -> None:
     """Keep a file for the next process. A cache that cannot be written is not an error."""
     try:
         folder = cache_folder()

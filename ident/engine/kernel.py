@@ -150,8 +150,8 @@ class Kernel:
         from ident.engine.llvm_emitter import LlvmEmitter
 
         ir = LlvmEmitter(self.plan).ir()
-        self.code = jit.key_of(ir)
-        return self._linked(*jit.load(ir, "kernel"))
+        self.code = jit.machine_code_key(ir)
+        return self._linked(*jit.load_machine_code(ir, "kernel"))
 
     def _linked(self, library: Any, address: int) -> Loop:
         summed, n_arrays = self.layout.summed, len(self.layout.sizes)

@@ -108,7 +108,7 @@ def _name(operand: Any) -> str:
     raise TypeError(f"{type(operand).__name__} is not written down")
 
 
-def key_of(model: Model, covariance: bool, joseph: bool) -> str | None:
+def kernel_key(model: Model, covariance: bool, joseph: bool) -> str | None:
     """The same for two models only if their kernels are; None where a function of the model cannot be written down."""
     lines: list[str] = []
     try:
@@ -136,9 +136,9 @@ def _code() -> str:
     return digest.hexdigest()
 
 
-def recall(key: str, name: str) -> tuple[Layout, str] | None:
+def load_kernel(key: str, name: str) -> tuple[Layout, str] | None:
     """Layout and name of the machine code of the kernel ``name``; None if it was never made here."""
-    content = jit.read(f"{key}.{name}.json")
+    content = jit.read_cache(f"{key}.{name}.json")
     if content is None:
         return None
     table = json.loads(content)
@@ -147,7 +147,7 @@ def recall(key: str, name: str) -> tuple[Layout, str] | None:
     return layout, str(table["code"])
 
 
-def remember(key: str, name: str, layout: Layout, code: str) -> None:
+def store_kernel(key: str, name: str, layout: Layout, code: str) -> None:
     """Keep them for the next process."""
     table = {field: sorted(v) if isinstance(v, frozenset) else v for field, v in asdict(layout).items()}
-    jit.write(f"{key}.{name}.json", json.dumps(table | {"code": code}).encode())
+    jit.write_cache(f"{key}.{name}.json", json.dumps(table | {"code": code}).encode())

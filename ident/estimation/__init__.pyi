@@ -8,7 +8,6 @@ from .fitted_model import fit_nominal_model as fit_nominal_model
 from .fitted_model import fit_with_rescaling as fit_with_rescaling
 from .fitted_model import nominal as nominal
 from .fitted_model import superset as superset
-from .fitted_model import validation_gain as validation_gain
 from .fitted_model import without_absent_sensors as without_absent_sensors
 from .homogeneity import HomogeneityTest as HomogeneityTest
 from .homogeneity import homogeneity_test as homogeneity_test

@@ -18,7 +18,7 @@ from ident.estimation.smoother import SmootherResult, smooth
 from ident.model import Effect, EffectKind, Model, outlier_notes
 from ident.model import with_outlier_model as with_outliers
 from ident.models import for_diagnosis, forces_of, rescale, residuals_of, size_of
-from ident.numerics import NORMAL_MAD, Array, noise_from_differences
+from ident.numerics import Array, noise_from_differences
 from ident.reporter import QUIET, Reporter
 
 COLLAPSED_NOISE = 1e-2  # of the white noise that the samples show: noise below it has collapsed to zero
@@ -201,27 +201,3 @@ def reset_collapsed_noise(model: Model, records: Sequence[Record]) -> Model:
         if p.value < COLLAPSED_NOISE * white:
             new.append(p.at(white))
     return model.replace_parameters(*new)
-
-
-def validation_gain(before: FittedModel, after: FittedModel) -> tuple[float, float]:
-    """Gain in log-likelihood on the validation data: its sum, and t over blocks of ten seconds (four on the bench).
-
-    t is the larger of the plain one, which counts evidence that sits in few blocks, and of one with the blocks
-    drawn in to three robust standard deviations, so that one glitch of a clock or a sensor, which no model
-    foresees, does not outvote all the rest.
-    """
-    gains = []
-    for a, b in zip(before.validation, after.validation, strict=True):
-        block = np.floor(a.record.t / (2 * before.model.block)).astype(int)
-        gains.append(np.bincount(block, b.ll - a.ll))
-    if not gains:
-        return 0.0, 0.0
-    per_block: Array = np.concatenate(gains).astype(np.float64)
-    middle = np.median(per_block)
-    reach = 3 * NORMAL_MAD * np.median(np.abs(per_block - middle))
-    drawn_in = np.clip(per_block, middle - reach, middle + reach)
-    return float(per_block.sum()), max(_t(per_block), _t(drawn_in))
-
-
-def _t(x: Array) -> float:
-    return float(x.mean() / (x.std(ddof=1) / np.sqrt(x.size) + 1e-12)) if x.size > 1 else 0.0

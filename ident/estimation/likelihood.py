@@ -15,9 +15,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.data import Prepared, Preparer, Record, Start, start_of
+from ident.data import InitialCondition, Prepared, Preparer, Record, initial_condition
 from ident.engine import ArenaPool, Kernel, Programs, programs_for
-from ident.model import LIKELY, Model, weight
+from ident.model import LIKELY, Model, robust_weight
 from ident.numerics import Array
 
 
@@ -74,7 +74,9 @@ class FilterResult:
     def outliers(self) -> NDArray[np.bool_]:
         """Samples that are more likely outliers than not (n_rows, n_outputs)."""
         left = np.zeros(self.eps.shape, dtype=bool) if self.left is None else self.left
-        return left if self.allowed is None else left | self.allowed & (weight(self.eps / np.sqrt(self.S)) < LIKELY)
+        return (
+            left if self.allowed is None else left | self.allowed & (robust_weight(self.eps / np.sqrt(self.S)) < LIKELY)
+        )
 
 
 class Likelihood:
@@ -195,11 +197,11 @@ class Likelihood:
         """Number of measured values of a record that enter the likelihood."""
         return self._prepare(record).n_measured
 
-    def _start(self, record: Record, values: Array) -> tuple[Prepared, Start]:
+    def _start(self, record: Record, values: Array) -> tuple[Prepared, InitialCondition]:
         if np.shape(values) != (len(self._index),):
             raise ValueError(f"model {self.model.name} has {len(self._index)} parameters, got {np.shape(values)}")
         data = self._prepare(record)
-        return data, start_of(self.model, values, data.first, self.process_noise)
+        return data, initial_condition(self.model, values, data.first, self.process_noise)
 
 
 def _own(values: Array) -> Array:

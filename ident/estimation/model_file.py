@@ -21,7 +21,7 @@ from ident.model import Effect, EffectKind, ForceCurve, Model, Parameter, robust
 from ident.models import (
     ANTENNA,
     CURRENT_WALK,
-    antenna_of,
+    antenna_component,
     current_walk,
     disturbance_of,
     load_effects,
@@ -229,7 +229,7 @@ def _effect(name: str, model: Model, curves: Mapping[str, Any]) -> Effect:
     if name == "sensor-bias":
         return sensor_bias([s.name for s in model.sensors])
     if name == ANTENNA:
-        return antenna_of(model)
+        return antenna_component(model)
     if name == CURRENT_WALK:
         return current_walk()
     if name in curves:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.data import Prepared, Preparer, Record, start_of
+from ident.data import Prepared, Preparer, Record, initial_condition
 from ident.engine import Kernel, programs_for
 from ident.estimation.likelihood import Likelihood
 from ident.model import Model, Parameter, segment_name
@@ -96,7 +96,7 @@ def simulate(model: Model, record: Record, values: Array | None = None, x0: Arra
     """
     values = _values(model, values)
     data = Preparer(model)(record)
-    start = start_of(model, values, data.first, covariance=False).s if x0 is None else x0
+    start = initial_condition(model, values, data.first, covariance=False).s if x0 is None else x0
     y, x = _run(_kernel(model), data, values, start, 0, data.n_rows)
     return Simulation(record.t, x, y)
 

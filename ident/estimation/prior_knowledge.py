@@ -11,7 +11,7 @@ from daq.rig import Rig
 from ident.effects import catalogue
 from ident.estimation.model_file import load_model
 from ident.model import Effect, Model, Parameter
-from ident.models import CURRENT_WALK, SIDES, antenna_of, current_walk, scale_priors, size_of
+from ident.models import CURRENT_WALK, SIDES, antenna_component, current_walk, scale_priors, size_of
 
 GNSS = {"x", "y", "vx", "vy"}
 
@@ -33,7 +33,7 @@ def _with_antenna(model: Model, rig: Rig) -> tuple[Model, list[str]]:
     if not arms or not seen:
         return model, []
     where = ", ".join(f"{a:g} m {way}" for a, way in zip(arms[0], ("ahead", "to starboard", "down"), strict=True))
-    part = antenna_of(model, arms[0])
+    part = antenna_component(model, arms[0])
     if not model.accepts(part):
         return model, [f"the rig's antenna ({where}) is not in model {model.name}, which takes "
                        f"{', '.join(seen)} as that of the origin"]

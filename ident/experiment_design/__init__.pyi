@@ -5,7 +5,7 @@ from .discrimination import DiscriminationDesign as DiscriminationDesign
 from .discrimination import discriminate as discriminate
 from .discrimination import separation as separation
 from .excitation import SHAFT_POLE as SHAFT_POLE
-from .excitation import Steps as Steps
+from .excitation import StepInput as StepInput
 from .excitation import ThrusterResponse as ThrusterResponse
 from .information import InformationSegment as InformationSegment
 from .information import segment_information as segment_information

@@ -32,7 +32,7 @@ from ident.experiment_design.information import (
     start_in_lanes,
     with_covariance,
 )
-from ident.experiment_design.optimal_design import search
+from ident.experiment_design.optimal_design import search_design
 from ident.experiment_design.task import DesignProblem
 from ident.model import Model
 from ident.numerics import Array, SearchResult
@@ -177,7 +177,7 @@ def discriminate(model_a: Model, model_b: Model, task: DesignProblem, *, evaluat
                                   for k in range(0, command.shape[2], 32)]
         return np.log(np.maximum(np.concatenate(parts), 1e-12)), task.broken(command)
 
-    found = search(task.steps, judge, evaluations, task.seed, None, progress, n_start=128)
+    found = search_design(task.steps, judge, evaluations, task.seed, None, progress, n_start=128)
     if found.violation > 0:
         raise SeatrialError("no sequence that keeps to the limits was found; give more room or time")
     levels, durations = (a[..., 0] for a in task.steps.unpack(found.z[None]))

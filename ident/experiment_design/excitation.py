@@ -130,7 +130,7 @@ class ThrusterResponse:
 
 
 @dataclass(frozen=True)
-class Steps:
+class StepInput:
     """Input class of the search (thesis chapter 5): ``n_steps`` steps of free levels and durations at a fixed total
     duration. A search point z (n_steps (n_channels + 1),) has the levels, then the shares of time, each in 0..1."""
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from daq.errors import SeatrialError
 from ident.estimation import SampledInputs, simulate, simulate_stochastic
-from ident.experiment_design.excitation import Steps
+from ident.experiment_design.excitation import StepInput
 from ident.experiment_design.information import errors_of, planned_record, prediction_information, prior_information
 from ident.experiment_design.task import N_TRACKS, DesignProblem
 from ident.numerics import Array, Evaluate, PatternSearch, SearchResult
@@ -117,8 +117,14 @@ def predicted_track(made: Design, points: int = 61) -> Track | None:
     u = task.actuation.inputs(made.command[:, :, None])[:, :, 0]
     nominal = simulate(task.model, planned_record(task.model, task.t, u)).x[:, columns]
     rngs = [np.random.default_rng([task.seed, 20, k]) for k in range(N_BAND)]
-    others = simulate_stochastic(task.model, SampledInputs.linear(task.t, u), task.boats(N_BAND, 3), rngs,
-                            x0=np.zeros((N_BAND, len(names))), substep=task.grid / 2)[0][:, :, columns]
+    others = simulate_stochastic(
+        task.model,
+        SampledInputs.linear(task.t, u),
+        task.boats(N_BAND, 3),
+        rngs,
+        x0=np.zeros((N_BAND, len(names))),
+        substep=task.grid / 2,
+    )[0][:, :, columns]
     inside, corner = None, task.corner(u)
     if corner is not None and task.limits.area is not None:
         kept = (others >= corner) & (others <= corner + np.array(task.limits.area))
@@ -138,7 +144,7 @@ def design(
     if warm is None and task.process_noise:
         warm = _block(task, evaluations, progress)
         evaluations = evaluations if warm is None else evaluations // 2
-    found = search(task.steps, lambda z: task.judge(task.commands(z)), evaluations, task.seed, warm, progress)
+    found = search_design(task.steps, lambda z: task.judge(task.commands(z)), evaluations, task.seed, warm, progress)
     levels, durations = (a[..., 0] for a in task.steps.unpack(found.z[None]))
     levels = levels.round(LEVEL_DIGITS)
     rounded = task.actuation.limited(levels[:, :, None], durations[:, None])
@@ -156,20 +162,35 @@ def _block(task: DesignProblem, evaluations: int, progress: Progress | None) -> 
     simulated faster, so it is searched more thoroughly for half of the evaluations.
     """
     steps = task.steps
-    parts = [k for k in range(2, 13) if steps.n_steps % k == 0 and steps.n_steps // k >= 8
-             and BLOCK <= steps.duration / k <= 2 * BLOCK
-             and np.isclose(steps.duration / k / task.grid, round(steps.duration / k / task.grid))]
+    parts = [
+        k
+        for k in range(2, 13)
+        if steps.n_steps % k == 0
+        and steps.n_steps // k >= 8
+        and BLOCK <= steps.duration / k <= 2 * BLOCK
+        and np.isclose(steps.duration / k / task.grid, round(steps.duration / k / task.grid))
+    ]
     if not parts:
         return None
     k = min(parts, key=lambda n: abs(steps.duration / n - 1.4 * BLOCK))
     short = replace(task, steps=replace(steps, n_steps=steps.n_steps // k, duration=steps.duration / k))
-    z = search(short.steps, lambda z: short.judge(short.commands(z)), evaluations * k // 2, task.seed, None, progress).z
+    z = search_design(
+        short.steps, lambda z: short.judge(short.commands(z)), evaluations * k // 2, task.seed, None, progress
+    ).z
     n_levels = short.steps.n_steps * short.steps.n_channels
     return np.append(np.tile(z[:n_levels], k), np.tile(z[n_levels:], k))[None]
 
 
-def search(steps: Steps, evaluate: Evaluate, evaluations: int, seed: int, warm: Array | None,
-           progress: Progress | None, *, n_start: int = N_START) -> SearchResult:
+def search_design(
+    steps: StepInput,
+    evaluate: Evaluate,
+    evaluations: int,
+    seed: int,
+    warm: Array | None,
+    progress: Progress | None,
+    *,
+    n_start: int = N_START,
+) -> SearchResult:
     """Pattern search over step sequences, from the best of n_start random ones or from ``warm`` (n, size)."""
     if warm is None:
         starts = steps.random(n_start, np.random.default_rng([seed, 13]))
@@ -185,6 +206,8 @@ def _too_tight(task: DesignProblem, violation: float) -> str:
     named = [f"--area {limits.area[0]:g}x{limits.area[1]:g}"] if limits.area else []
     named += [f"--max-speed {limits.speed:g}"] if limits.speed else []
     named += [f"--energy {limits.energy:g}"] if limits.energy else []
-    return (f"no sequence of {task.steps.n_steps} steps in {task.steps.duration:g} s was found that keeps to "
-            f"{', '.join(named)} for all of {N_TRACKS} parameter samples (exceeded by {100 * violation:.0f} %); "
-            "give more room, a shorter --duration, a smaller --prior-halfwidth, or a model.toml with smaller errors")
+    return (
+        f"no sequence of {task.steps.n_steps} steps in {task.steps.duration:g} s was found that keeps to "
+        f"{', '.join(named)} for all of {N_TRACKS} parameter samples (exceeded by {100 * violation:.0f} %); "
+        "give more room, a shorter --duration, a smaller --prior-halfwidth, or a model.toml with smaller errors"
+    )

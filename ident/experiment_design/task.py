@@ -11,7 +11,7 @@ import numpy as np
 from daq.errors import SeatrialError
 from ident.estimation import SavedModel, dynamic_parameters
 from ident.experiment_design.criteria import Criterion, Kind, characteristic_steps
-from ident.experiment_design.excitation import Steps, ThrusterResponse
+from ident.experiment_design.excitation import StepInput, ThrusterResponse
 from ident.experiment_design.information import Experiments, prior_information
 from ident.experiment_design.track_extent import TrackExtent, in_current
 from ident.model import Model
@@ -92,7 +92,7 @@ class DesignProblem:
     """
 
     model: Model
-    steps: Steps
+    steps: StepInput
     criterion: Kind = "D"
     chosen: tuple[str, ...] = ()
     rates: Mapping[str, float] = field(default_factory=dict)

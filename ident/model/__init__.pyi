@@ -4,7 +4,7 @@ from .names import tap_name as tap_name
 from .outlier_density import LIKELY as LIKELY
 from .outlier_density import outlier_notes as outlier_notes
 from .outlier_density import robust_sensors as robust_sensors
-from .outlier_density import weight as weight
+from .outlier_density import robust_weight as robust_weight
 from .outlier_density import with_outlier_model as with_outlier_model
 from .parameter import INF as INF
 from .parameter import Parameter as Parameter

@@ -34,21 +34,21 @@ def log_density(z: Any) -> Any:
     return np.log(_good(z) + _wild(z))
 
 
-def weight(z: Any) -> Any:
+def robust_weight(z: Any) -> Any:
     """The probability that the sample is a good one."""
     return _good(z) / (_good(z) + _wild(z))
 
 
 def score(z: Any) -> Any:
     """``psi = -d ln p / dz``."""
-    w = weight(z)
+    w = robust_weight(z)
     return w * z + (1.0 - w) * _wild_score(z)
 
 
 def score_slope(z: Any) -> Any:
     """``psi'``: 1 for good samples, about 0 for wild ones, negative where it is not clear which (the state is then
     less certain than before: it may be in two places). Never above 1, so P stays positive."""
-    w, apart, square = weight(z), z - _wild_score(z), WIDTH**2 + z * z
+    w, apart, square = robust_weight(z), z - _wild_score(z), WIDTH**2 + z * z
     return w + (1.0 - w) * 2.0 * (WIDTH**2 - z * z) / (square * square) - w * (1.0 - w) * apart * apart
 
 

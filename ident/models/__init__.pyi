@@ -2,7 +2,7 @@ from . import rotations as rotations
 from .catalogue import make_model as make_model
 from .components import ANTENNA as ANTENNA
 from .components import CURRENT_WALK as CURRENT_WALK
-from .components import antenna_of as antenna_of
+from .components import antenna_component as antenna_component
 from .components import current_walk as current_walk
 from .components import shift as shift
 from .disturbances import READINGS as READINGS

@@ -40,7 +40,7 @@ def antenna(x: float = 0.0, y: float = 0.0, z: float | None = None) -> Effect:
     )
 
 
-def antenna_of(model: Model, arm: Sequence[float] = (0.0, 0.0, 0.0)) -> Effect:
+def antenna_component(model: Model, arm: Sequence[float] = (0.0, 0.0, 0.0)) -> Effect:
     """The same as this model can have it; arm (3,) m, ahead, to starboard and down."""
     return antenna(*arm) if "attitude" in model.provides else antenna(*arm[:2])
 

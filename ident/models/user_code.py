@@ -29,7 +29,7 @@ def load_python(path: Path) -> ModuleType:
     try:
         spec.loader.exec_module(module)
     except Exception as problem:
-        raise SeatrialError(f"{place(problem, path)}: cannot be loaded: {error_message(problem)}") from problem
+        raise SeatrialError(f"{error_place(problem, path)}: cannot be loaded: {error_message(problem)}") from problem
     return module
 
 
@@ -42,7 +42,7 @@ def load_object(source: str) -> Any:
         return found() if callable(found) else found
     except Exception as problem:
         raise SeatrialError(
-            f"{place(problem, Path(file))}: {name} cannot be loaded: {error_message(problem)}"
+            f"{error_place(problem, Path(file))}: {name} cannot be loaded: {error_message(problem)}"
         ) from problem
 
 
@@ -77,11 +77,11 @@ def check_user_model(model: Model, path: Path) -> Model:
     try:
         EkfGraphs(model)
     except Exception as problem:
-        raise SeatrialError(f"{place(problem, path, model)}: {error_message(problem)}") from problem
+        raise SeatrialError(f"{error_place(problem, path, model)}: {error_message(problem)}") from problem
     return model
 
 
-def place(problem: BaseException, path: Path, model: Model | None = None) -> str:
+def error_place(problem: BaseException, path: Path, model: Model | None = None) -> str:
     """``FILE:LINE`` of the last line of the user's own that led to the problem; without one, of the function that ends
     the model's rates or outputs."""
     if isinstance(problem, SyntaxError) and problem.lineno:

@@ -24,13 +24,13 @@ BATCH = 64  # points that are evaluated together
 PATIENCE = 6  # batches without gain before the mesh is halved, where a poll is a single batch
 
 
-def merit_of(value: Array, violation: Array) -> Array:
+def penalised_objective(value: Array, violation: Array) -> Array:
     """One number to compare by: the value where no constraint is broken."""
     return np.where(violation > 0, -VIOLATION_PENALTY * (1.0 + violation), value)
 
 
 @dataclass
-class Search:
+class SearchState:
     """One running search: where it is, what that is worth, and its mesh. order: coordinates still to be polled; idle:
     batches since the last gain."""
 
@@ -63,8 +63,9 @@ class SearchResult:
 class PatternSearch:
     """``evaluate(z (n, size)) -> value (n,), violation (n,)`` within low, high (size,)."""
 
-    def __init__(self, evaluate: Evaluate, low: Array, high: Array, seed: int,
-                 groups: NDArray[np.intp] | None = None) -> None:
+    def __init__(
+        self, evaluate: Evaluate, low: Array, high: Array, seed: int, groups: NDArray[np.intp] | None = None
+    ) -> None:
         self.evaluate, self.low, self.high = evaluate, low, high
         self.rng = np.random.default_rng([seed, 7])
         self.groups = np.arange(low.size) if groups is None else groups  # coordinates that move together in a search
@@ -74,7 +75,10 @@ class PatternSearch:
     ) -> SearchResult:
         """From each of ``starts`` (m, size) with half of the evaluations, then from the best with the rest."""
         value, violation = self.evaluate(starts)
-        searches = [Search(z.copy(), m) for z, m in zip(starts, merit_of(value, violation).tolist(), strict=True)]
+        searches = [
+            SearchState(z.copy(), m)
+            for z, m in zip(starts, penalised_objective(value, violation).tolist(), strict=True)
+        ]
         share = evaluations // (2 * len(searches)) if len(searches) > 1 else evaluations
         for search in searches:
             self._advance(search, share, progress)
@@ -87,22 +91,22 @@ class PatternSearch:
         spent = sum(s.evaluations for s in searches)
         return SearchResult(best.z, float(value[0]), float(violation[0]), spent, tuple(best.history), merits)
 
-    def _advance(self, search: Search, until: int, progress: Callable[[int, float], None] | None) -> None:
+    def _advance(self, search: SearchState, until: int, progress: Callable[[int, float], None] | None) -> None:
         while search.evaluations < until and not search.done:
             self._batch(search)
             search.history.append((search.evaluations, search.merit))
             if progress is not None:
                 progress(search.evaluations, search.merit)
 
-    def _batch(self, search: Search) -> None:
+    def _batch(self, search: SearchState) -> None:
         if not search.order:
             if search.idle >= max(PATIENCE, -(-self.low.size // (BATCH // 4))):
                 search.mesh, search.idle = search.mesh / 2.0, 0
             search.order = self.rng.permutation(self.low.size).tolist()
-        chosen, search.order = search.order[: BATCH // 4], search.order[BATCH // 4:]
+        chosen, search.order = search.order[: BATCH // 4], search.order[BATCH // 4 :]
         trials = np.concatenate([self._poll(search, chosen), self._moves(search, BATCH // 2 - 3)])
         trials = np.clip(np.concatenate([trials, *(z[None] for z in search.ahead)]), self.low, self.high)
-        merit = merit_of(*self.evaluate(trials))
+        merit = penalised_objective(*self.evaluate(trials))
         search.evaluations += len(trials)
         at, better = int(np.argmax(merit)), np.flatnonzero(merit > search.merit)
         search.ahead, search.idle = [], search.idle + 1
@@ -110,18 +114,21 @@ class PatternSearch:
             moves = trials[better] - search.z
             away = moves[np.argsort(-merit[better])[:12]]
             first = np.argmax(np.abs(away) > 0, axis=0)  # the best move decides on each coordinate
-            search.ahead = [search.z + away[first, np.arange(self.low.size)], trials[at] + moves[better == at][0],
-                            trials[at] + 3.0 * moves[better == at][0]]
+            search.ahead = [
+                search.z + away[first, np.arange(self.low.size)],
+                trials[at] + moves[better == at][0],
+                trials[at] + 3.0 * moves[better == at][0],
+            ]
             search.z, search.merit, search.idle = trials[at].copy(), float(merit[at]), 0
 
-    def _poll(self, search: Search, chosen: list[int]) -> Array:
+    def _poll(self, search: SearchState, chosen: list[int]) -> Array:
         step = search.mesh * (self.high - self.low)[chosen]
         trials = np.repeat(search.z[None], 2 * len(chosen), axis=0)
         trials[np.arange(len(chosen)), chosen] += step
         trials[np.arange(len(chosen)) + len(chosen), chosen] -= step
         return trials
 
-    def _moves(self, search: Search, n: int) -> Array:
+    def _moves(self, search: SearchState, n: int) -> Array:
         """One to three groups of coordinates moved by the mesh size at random, or one of them drawn anew."""
         trials, labels = np.repeat(search.z[None], n, axis=0), np.unique(self.groups)
         for k in range(n):

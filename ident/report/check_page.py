@@ -16,7 +16,7 @@ from ident.checks import CheckEvidence
 from ident.numerics import Array
 from ident.report import drawing, formatting
 from ident.report.blocks import Canvas, Facts, Grid, Key, Prose, Section, Verdict, Verdicts, tabbed
-from ident.report.drawing import BEFORE, MODEL, Budget, Panel, dots, line, single, stacked
+from ident.report.drawing import BEFORE, MODEL, Budget, Panel, dots, line_trace, single, stacked
 from ident.report.page import compose
 
 LEVELS = {"fault": "faults", "warning": "warnings", "ok": "in order"}
@@ -38,7 +38,7 @@ def write_check_page(report: CheckReport, logs: Sequence[CheckEvidence], command
     body.append(Section("made", "How it was made", [Facts([("command", command)], "made")] if command else []))
     page = compose(
         "Preflight" if report.rig is not None else "Check of a log",
-        answer(report),
+        check_answer(report),
         opening,
         [section for section in body if section.blocks],
         canvas.figures,
@@ -48,7 +48,7 @@ def write_check_page(report: CheckReport, logs: Sequence[CheckEvidence], command
     path.write_text(page, encoding="utf-8", newline="\n")
 
 
-def answer(report: CheckReport) -> str:
+def check_answer(report: CheckReport) -> str:
     """May it be used, and if not, why not."""
     found, subject, rig = report.findings, report.subject, report.rig is not None
     faults, warnings = ([f for f in found if f.level == level] for level in ("fault", "warning"))
@@ -133,7 +133,7 @@ def _push(log: CheckEvidence, limit: int) -> list[Panel]:
     for row in log.push:
         factor, unit = formatting.degrees_for(row.unit)
         traces = [dots(row.t, factor * row.measured, "measured", limit),
-                  line(row.t, factor * row.expected, "as pushed", limit)]
+                  line_trace(row.t, factor * row.expected, "as pushed", limit)]
         panels.append(Panel(_capital(row.title) + formatting.bracket(unit), traces))
     return panels
 
@@ -142,7 +142,7 @@ def _shafts(log: CheckEvidence, limit: int) -> list[Panel]:
     panels = []
     for row in log.shafts:
         told = _held(row.t_command, row.n_command, row.end)
-        traces = [line(*told, "told", limit, color=BEFORE, dash="dash"), line(row.t, row.n, "turns", limit)]
+        traces = [line_trace(*told, "told", limit, color=BEFORE, dash="dash"), line_trace(row.t, row.n, "turns", limit)]
         panels.append(Panel(f"{_capital(row.name)}, part of full speed", traces))
     return panels
 
@@ -157,7 +157,7 @@ def _sensors(log: CheckEvidence, limit: int) -> list[Panel]:
     for row in log.sensors:
         factor, unit = formatting.degrees_for(row.unit)
         first, second = row.names
-        traces = [dots(row.t, factor * row.one, first, limit), line(row.t, factor * row.other, second, limit)]
+        traces = [dots(row.t, factor * row.one, first, limit), line_trace(row.t, factor * row.other, second, limit)]
         panels.append(Panel(_capital(row.title) + formatting.bracket(unit), traces))
     return panels
 
@@ -180,7 +180,7 @@ def _intervals(log: CheckEvidence, limit: int) -> list[Panel]:
         traces, top = [dots(t, pause, "pause", limit, color=MODEL)], float(pause.max())
         if row.expected is not None:
             ends, top = np.array([t[0], t[-1]]), max(top, 1e3 * row.expected)
-            traces.append(line(ends, np.full(2, 1e3 * row.expected), "by the rig", 2, color=BEFORE, dash="dash"))
+            traces.append(line_trace(ends, np.full(2, 1e3 * row.expected), "by the rig", 2, color=BEFORE, dash="dash"))
         panels.append(Panel(f"{row.source} [ms]", traces, {"range": [0.0, 1.2 * top]}))
     return panels
 
@@ -191,7 +191,7 @@ def _mission(canvas: Canvas, mission: DryRun | None) -> Section:
         return Section("mission", "", [])
     panels = []
     for column, name in enumerate(mission.thrusters):
-        told = line(*_held(mission.t, mission.n[:, column], mission.end), name, canvas.budget.points)
+        told = line_trace(*_held(mission.t, mission.n[:, column], mission.end), name, canvas.budget.points)
         panels.append(Panel(f"{_capital(name)}: command, part of full speed", [told], {"range": [-1.08, 1.08]}))
     figure, high = stacked(panels, "time since the start of the mission [s]")
     blocks: list[Any] = [Grid([canvas.plot(figure, high, "Commands of the mission")], 320)]
@@ -206,15 +206,15 @@ def _mission(canvas: Canvas, mission: DryRun | None) -> Section:
 
 def _way(track: PredictedTrack, fence: float | None) -> list[drawing.Trace]:
     x, y = track.x - track.x[0], track.y - track.y[0]
-    traces = [line(y, x, "predicted track", 4000)]
+    traces = [line_trace(y, x, "predicted track", 4000)]
     angle = np.linspace(0.0, 2.0 * np.pi, 121)
     if track.radius is not None:
         wide = int(np.argmax(np.hypot(x, y) + track.radius))
         around = (y[wide] + track.radius[wide] * np.sin(angle), x[wide] + track.radius[wide] * np.cos(angle))
-        traces.append(line(*around, "95 % of the boats, where farthest", 200, color=drawing.FAINT))
+        traces.append(line_trace(*around, "95 % of the boats, where farthest", 200, color=drawing.FAINT))
     if fence is not None:
         circle = (fence * np.sin(angle), fence * np.cos(angle))
-        traces.append(line(*circle, "fence", 200, color=drawing.AMBER, dash="dash"))
+        traces.append(line_trace(*circle, "fence", 200, color=drawing.AMBER, dash="dash"))
     marker = {"size": 9, "color": drawing.MEASURED, "symbol": "square"}
     traces.append({"type": "scatter", "mode": "markers", "x": [0.0], "y": [0.0], "name": "start", "marker": marker})
     return [trace | {"showlegend": True} for trace in traces]

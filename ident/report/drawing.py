@@ -110,7 +110,7 @@ def said(words: str) -> str:
     return html.escape(words, quote=False).replace("%{", "% {")
 
 
-def line(x: Array, y: Array, name: str, limit: int, *, color: str = MODEL, dash: str = "solid") -> Trace:
+def line_trace(x: Array, y: Array, name: str, limit: int, *, color: str = MODEL, dash: str = "solid") -> Trace:
     """A line of at most ``limit`` points; it breaks where y is NaN."""
     at = thinned(y, limit)
     style = {"color": color, "width": 1.6, "dash": dash}

@@ -12,7 +12,7 @@ from .fits import vehicle_result as vehicle_result
 from .information import Information as Information
 from .information import InformationResult as InformationResult
 from .information import InformedParameter as InformedParameter
-from .information import Segment as Segment
+from .information import LogSpan as LogSpan
 from .information import SegmentInformation as SegmentInformation
 from .navigation import GnssFixes as GnssFixes
 from .navigation import GnssOutage as GnssOutage
@@ -43,6 +43,7 @@ from .parts import LogSummary as LogSummary
 from .parts import NonparametricCurve as NonparametricCurve
 from .parts import ParameterChange as ParameterChange
 from .parts import ParameterRow as ParameterRow
+from .parts import Part as Part
 from .parts import ProfileCurve as ProfileCurve
 from .parts import Provenance as Provenance
 from .parts import Refit as Refit
@@ -58,7 +59,7 @@ from .parts import Track as Track
 from .parts import VehicleResult as VehicleResult
 from .parts import Verdict as Verdict
 from .parts import WhitenessTests as WhitenessTests
-from .result_file import read_result as read_result
+from .result_file import AnyResult as AnyResult
 from .result_file import write_result as write_result
 from .study import AIMS as AIMS
 from .study import APART as APART

@@ -113,10 +113,10 @@ def estimation_warnings(fit: Fit, records: Sequence[Record]) -> list[str]:
             f"The fit did not converge: it {fit.message}. Take no estimate or error from it: look for a stuck or "
             "missing signal first, then give --initial or --prior, or a model with fewer free parameters."
         )
-    return said + [line for record in records for line in stuck(record)]
+    return said + [line for record in records for line in stuck_sensors(record)]
 
 
-def stuck(record: Record) -> list[str]:
+def stuck_sensors(record: Record) -> list[str]:
     """A line for each channel of a record whose samples are all the same."""
     lines = []
     for j, name in enumerate(record.outputs):
@@ -156,7 +156,7 @@ def curve_notes(levels: Levels, curve: Curve, quadratic: Quadratic) -> list[str]
     return notes
 
 
-def sentence(a: HomogeneityTest) -> str:
+def homogeneity_sentence(a: HomogeneityTest) -> str:
     """What the test says, for people."""
     each = ", ".join(f"{v:.3g} ± {e:.2g}" for v, e in zip(a.values, a.errors, strict=True))
     low, high = a.interval

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import msgspec
 import numpy as np
 
-from ident.diagnosis import Diagnosis, DiagnosisEvaluation, Refit, Round, recommended_experiment, threshold
+from ident.diagnosis import Diagnosis, DiagnosisEvaluation, Refit, Round, recommended_experiment, score_threshold
 from ident.estimation import FittedModel
 from ident.results import parts
 from ident.results.answers import calibration_notes
@@ -60,8 +60,8 @@ def diagnosis_result(
     recommended = recommended_experiment(diagnosis)
     return DiagnosisResult(
         **msgspec.structs.asdict(made),
-        answer=answer(diagnosis, (errors.validation or errors.estimation).free_run, role),
-        caveat=caveat(diagnosis),
+        answer=diagnosis_answer(diagnosis, (errors.validation or errors.estimation).free_run, role),
+        caveat=diagnosis_caveat(diagnosis),
         warnings=tuple(warnings),
         notes=(*notes, *_notes(diagnosis), *calibration_notes(calibration, after.horizon)),
         fit=fit_summary(diagnosis.after.fit, diagnosis.before.model.values),
@@ -98,7 +98,7 @@ def diagnosis_result(
     )
 
 
-def answer(diagnosis: Diagnosis, free_run: Mapping[str, ErrorComparison], role: str) -> str:
+def diagnosis_answer(diagnosis: Diagnosis, free_run: Mapping[str, ErrorComparison], role: str) -> str:
     """What is missing, and what it changes, in one sentence."""
     if not diagnosis.effects:
         if diagnosis.rounds and min(s.p for s in diagnosis.rounds[-1].scores) > HARDLY:
@@ -153,7 +153,7 @@ def what_is_lacking(diagnosis: Diagnosis) -> str:
     return f"{found}, and beside it {_listed(unknown)}" if unknown else found
 
 
-def caveat(diagnosis: Diagnosis) -> str | None:
+def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
     """Why a name is not sure, in a sentence; None where all are."""
     reasons = [reason for j in diagnosis.judgements if j.attribution == "ambiguous" for reason in j.reasons]
     return f"The name is not sure: {reasons[0]}." if reasons else None
@@ -205,7 +205,7 @@ def _round(one: Round) -> parts.Round:
                 p=s.p,
                 p_block=finite(s.p_block),
                 generic=s.generic,
-                threshold=threshold(s, one.scores),
+                threshold=score_threshold(s, one.scores),
                 passed=s.name in one.passed,
             )
             for s in best

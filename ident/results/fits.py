@@ -8,7 +8,13 @@ import msgspec
 
 from ident.estimation import FittedModel, HomogeneityTest, Profile
 from ident.models import residuals_of
-from ident.results.answers import calibration_notes, estimation_warnings, sentence, thruster_answer, vehicle_answer
+from ident.results.answers import (
+    calibration_notes,
+    estimation_warnings,
+    homogeneity_sentence,
+    thruster_answer,
+    vehicle_answer,
+)
 from ident.results.parts import Provenance, StaticForce, ThrusterResult, VehicleResult
 from ident.results.tables import (
     all_inputs,
@@ -43,7 +49,7 @@ def vehicle_result(
     said = vehicle_answer(errors, evaluation.horizon, residuals, cross, searchable=searchable)
     return VehicleResult(
         **msgspec.structs.asdict(made),
-        answer=" ".join(filter(None, [lead, said, *(sentence(a) for a in homogeneity)])),
+        answer=" ".join(filter(None, [lead, said, *(homogeneity_sentence(a) for a in homogeneity)])),
         warnings=tuple(estimation_warnings(stage.fit, [v.record for v in stage.estimation])),
         notes=(*notes, *calibration_notes(calibration, evaluation.horizon)),
         fit=fit_summary(stage.fit, start),

@@ -10,7 +10,7 @@ from ident.numerics import Array
 from ident.results.parts import InputTrace, Part, Result
 
 
-class Segment(Part, frozen=True, kw_only=True):
+class LogSpan(Part, frozen=True, kw_only=True):
     """A part of a log."""
 
     record: str
@@ -19,7 +19,7 @@ class Segment(Part, frozen=True, kw_only=True):
     what: Annotated[str, Meta(description="the step of the mission that takes up most of it, or empty")]
 
 
-class InformedParameter(Segment, frozen=True, kw_only=True):
+class InformedParameter(LogSpan, frozen=True, kw_only=True):
     """What all logs tell of a parameter, and the segment that this hangs on most."""
 
     name: str
@@ -33,7 +33,7 @@ class InformedParameter(Segment, frozen=True, kw_only=True):
     alone: Annotated[float | None, Meta(description="standard error from the segment alone; null: it tells nothing")]
 
 
-class SegmentInformation(Segment, frozen=True, kw_only=True):
+class SegmentInformation(LogSpan, frozen=True, kw_only=True):
     """What a segment tells of each parameter, in the order of `names`; null: no number."""
 
     weight: Annotated[

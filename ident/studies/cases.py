@@ -20,7 +20,7 @@ from daq.errors import SeatrialError
 from ident.characterisation import noise_model
 from ident.data import TIME_INPUT
 from ident.estimation import EstimationOptions, SampledInputs, load_model
-from ident.experiment_design import GRID, SHAFT_POLE, Design, DesignProblem, Steps, design
+from ident.experiment_design import GRID, SHAFT_POLE, Design, DesignProblem, StepInput, design
 from ident.model import INF, Model
 from ident.models import (
     DELAY_STEP,
@@ -37,12 +37,23 @@ from ident.studies.monte_carlo import Case, run_replicates
 
 MISSION_SEED = 20  # the mission is the same for all replicates
 # Table 5, 3 DOF: the boat as it was identified. Table 1's d_u and d_vv are at their bound of zero for any such record.
-HULL = {"m_u": 43.0775, "m_v": 49.8655, "m_r": 13.5756, "d_u": 8.4193, "d_v": 81.3337, "d_r": 6.4794,
-        "d_uu": 27.8441, "d_vv": 11.7343, "d_rr": 19.9464}
+HULL = {
+    "m_u": 43.0775,
+    "m_v": 49.8655,
+    "m_r": 13.5756,
+    "d_u": 8.4193,
+    "d_v": 81.3337,
+    "d_r": 6.4794,
+    "d_uu": 27.8441,
+    "d_vv": 11.7343,
+    "d_rr": 19.9464,
+}
 N_DELAYS = round(0.2 / DELAY_STEP) + 1  # up to twice the true delay
 
 
-def steps(t: Array, levels: Callable[[np.random.Generator], Array], hold: tuple[float, float], seed: int) -> Array:
+def random_levels(
+    t: Array, levels: Callable[[np.random.Generator], Array], hold: tuple[float, float], seed: int
+) -> Array:
     """Random step sequence (n_rows, n_inputs): each level is held for a random time within ``hold`` [s]."""
     rng = np.random.default_rng(seed)
     u, until = np.zeros((t.size, len(levels(np.random.default_rng(0))))), 0.0
@@ -60,7 +71,7 @@ def _shaft_speeds(command: Array, step: float) -> Array:
 def surge_case(seconds: float = 300.0) -> Case:
     """Forward and reverse thrust in steps, position at 10 Hz."""
     t = _clock(seconds, 0.1)
-    force = steps(t, lambda rng: rng.uniform(-30.0, 80.0, 1), (5.0, 15.0), MISSION_SEED)
+    force = random_levels(t, lambda rng: rng.uniform(-30.0, 80.0, 1), (5.0, 15.0), MISSION_SEED)
     model = _at(surge_model(), HULL | {"s_u": 0.02, "e_x": 0.05})
     return Case(
         "surge", model, SampledInputs.held(t, force), {}, f"{seconds:g} s, thrust in steps of 5-15 s, position 10 Hz"
@@ -70,7 +81,7 @@ def surge_case(seconds: float = 300.0) -> Case:
 def yaw_case(seconds: float = 300.0) -> Case:
     """Differential thrust in steps, gyro at 20 Hz."""
     t = _clock(seconds, 0.05)
-    moment = steps(t, lambda rng: rng.uniform(-12.0, 12.0, 1), (2.0, 8.0), MISSION_SEED)
+    moment = random_levels(t, lambda rng: rng.uniform(-12.0, 12.0, 1), (2.0, 8.0), MISSION_SEED)
     model = _at(yaw_model(), HULL | {"s_r": 0.02, "e_r": 0.01})
     return Case("yaw", model, SampledInputs.held(t, moment), {}, f"{seconds:g} s, moment in steps of 2-8 s, gyro 20 Hz")
 
@@ -78,16 +89,21 @@ def yaw_case(seconds: float = 300.0) -> Case:
 def horizontal_case(seconds: float = 400.0) -> Case:
     """Both thrusters in steps; heading, gyro and accelerometers at 10 Hz, position and velocity at 5 Hz."""
     t = _clock(seconds, 0.1)
-    n = _shaft_speeds(steps(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED), 0.1)
+    n = _shaft_speeds(random_levels(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED), 0.1)
     model = _at(horizontal_model(), HULL | {"s_u": 0.02, "s_v": 0.02, "s_r": 0.01})
-    return Case("horizontal", model, SampledInputs.linear(t, n), {"position": 2, "ground_velocity": 2},
-                f"{seconds:g} s, both thrusters in steps of 3-10 s, AHRS 10 Hz, GNSS 5 Hz, unknown current")
+    return Case(
+        "horizontal",
+        model,
+        SampledInputs.linear(t, n),
+        {"position": 2, "ground_velocity": 2},
+        f"{seconds:g} s, both thrusters in steps of 3-10 s, AHRS 10 Hz, GNSS 5 Hz, unknown current",
+    )
 
 
 def thruster_case(seconds: float = 100.0) -> Case:
     """Steps on the bench; command, shaft speed and force at 80 Hz."""
     t = _clock(seconds, DELAY_STEP)  # so that the delayed commands change at rows
-    command = steps(t, lambda rng: rng.uniform(-1.0, 1.0, 1), (1.0, 4.0), MISSION_SEED)[:, 0]
+    command = random_levels(t, lambda rng: rng.uniform(-1.0, 1.0, 1), (1.0, 4.0), MISSION_SEED)[:, 0]
     whole = [np.searchsorted(t, t - k * DELAY_STEP + 1e-9, side="right") - 1 for k in range(N_DELAYS)]
     u = np.column_stack([command[np.maximum(at, 0)] for at in whole])
     model = thruster_model(n_delays=N_DELAYS).with_values({"tau": 0.1, "s_n": 0.02, "e_n": 0.005})
@@ -99,12 +115,17 @@ def thruster_case(seconds: float = 100.0) -> Case:
 def kinematic_case(seconds: float = 400.0) -> Case:
     """Horizontal case with measured attitude and rates, on a boat that rolls by 3 and pitches by 2 degrees."""
     t = _clock(seconds, 0.1)
-    n = _shaft_speeds(steps(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED), 0.1)
+    n = _shaft_speeds(random_levels(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED), 0.1)
     model = _at(kinematic_model(), HULL | {"s_u": 0.02, "s_v": 0.02})
-    inputs = SampledInputs.linear(t, np.column_stack([n, attitude(t, turned(t, n))]))
-    return Case("kinematic", model, inputs, {"position": 2, "ground_velocity": 2},
-                f"{seconds:g} s, both thrusters in steps of 3-10 s, attitude and accelerometers 10 Hz, GNSS 5 Hz, "
-                "unknown current")
+    inputs = SampledInputs.linear(t, np.column_stack([n, simulated_attitude(t, turned(t, n))]))
+    return Case(
+        "kinematic",
+        model,
+        inputs,
+        {"position": 2, "ground_velocity": 2},
+        f"{seconds:g} s, both thrusters in steps of 3-10 s, attitude and accelerometers 10 Hz, GNSS 5 Hz, "
+        "unknown current",
+    )
 
 
 def turned(t: Array, n: Array) -> Array:
@@ -119,12 +140,15 @@ def turned(t: Array, n: Array) -> Array:
     return psi
 
 
-def attitude(t: Array, psi: Array) -> Array:
+def simulated_attitude(t: Array, psi: Array) -> Array:
     """phi, theta, psi [rad] and the body rates p, q, r [rad/s] that go with them (n_rows, 6); Fossen 2011, eq. 2.27."""
     phi, theta = 0.052 * np.sin(2 * np.pi * t / 2.3), 0.035 * np.sin(2 * np.pi * t / 3.1)
     d_phi, d_theta, d_psi = (np.gradient(angle, t) for angle in (phi, theta, psi))
-    rates = (d_phi - np.sin(theta) * d_psi, np.cos(phi) * d_theta + np.sin(phi) * np.cos(theta) * d_psi,
-             np.cos(phi) * np.cos(theta) * d_psi - np.sin(phi) * d_theta)
+    rates = (
+        d_phi - np.sin(theta) * d_psi,
+        np.cos(phi) * d_theta + np.sin(phi) * np.cos(theta) * d_psi,
+        np.cos(phi) * np.cos(theta) * d_psi - np.sin(phi) * d_theta,
+    )
     return np.column_stack([phi, theta, psi, *rates])
 
 
@@ -132,15 +156,16 @@ def noise_case(seconds: float = 300.0) -> Case:
     """One axis at rest: white noise and a random walk, as `seatrial ident noise` fits them."""
     t = _clock(seconds, 0.05)
     model = noise_model(1e-3).with_values({"white": 1.0, "walk": 0.3})
-    return Case("noise", model, SampledInputs.held(t, np.empty((t.size, 0))), {}, f"{seconds:g} s at rest, 20 Hz",
-                reml=False)
+    return Case(
+        "noise", model, SampledInputs.held(t, np.empty((t.size, 0))), {}, f"{seconds:g} s at rest, 20 Hz", reml=False
+    )
 
 
 def optimal_design_case(seconds: float = 300.0) -> Case:
     """Optimal design for the nine parameters of Table 1: do fits reach the predicted errors?"""
     rates = {"position": 5.0, "ground_velocity": 5.0}
     task = DesignProblem(
-        horizontal_model(current=False), Steps(round(seconds / 5.0), 2, seconds, 1.0, GRID), rates=rates
+        horizontal_model(current=False), StepInput(round(seconds / 5.0), 2, seconds, 1.0, GRID), rates=rates
     )
     case = designed_case(design(task, evaluations=2000))
     return replace(case, about=f"{seconds:g} s, designed steps of at least 1 s, AHRS 10 Hz, GNSS 5 Hz, no current")
@@ -156,8 +181,14 @@ def _at(model: Model, values: Mapping[str, float]) -> Model:
 
 
 CASES: dict[str, Callable[..., Case]] = {
-    "surge": surge_case, "yaw": yaw_case, "horizontal": horizontal_case, "kinematic": kinematic_case,
-    "thruster": thruster_case, "noise": noise_case, "designed": optimal_design_case}
+    "surge": surge_case,
+    "yaw": yaw_case,
+    "horizontal": horizontal_case,
+    "kinematic": kinematic_case,
+    "thruster": thruster_case,
+    "noise": noise_case,
+    "designed": optimal_design_case,
+}
 STEP = 0.1  # s
 HOLD = (3.0, 10.0)  # s, of a level
 GNSS = ("position", "ground_velocity")
@@ -167,8 +198,14 @@ MAX_ERROR = 8.0  # predicted standard errors from the truth: beyond it the fit s
 
 
 def make_case(
-    name: str, truth: Mapping[str, float] | None = None, free: Sequence[str] = (), seconds: float | None = None,
-    *, bounded: bool = True, reml: bool | None = None, mean_order: Literal[1, 2] | None = None,
+    name: str,
+    truth: Mapping[str, float] | None = None,
+    free: Sequence[str] = (),
+    seconds: float | None = None,
+    *,
+    bounded: bool = True,
+    reml: bool | None = None,
+    mean_order: Literal[1, 2] | None = None,
 ) -> Case:
     """A case by name or file; at other true values, with only the parameters ``free`` estimated, of another length, if
     given. Not ``bounded``: damping may be estimated below zero. ``reml``, ``mean_order``: how it is estimated,
@@ -235,9 +272,7 @@ def _marked(case: Case, path: Path) -> Case:
     return replace(case, model=replace(case.model, source=f"{case.model.source} {digest}"))
 
 
-def _of_model(
-    model: Model, ranges: Mapping[str, tuple[float, float]], source: str, seconds: float, seed: int
-) -> Case:
+def _of_model(model: Model, ranges: Mapping[str, tuple[float, float]], source: str, seconds: float, seed: int) -> Case:
     t = np.asarray(np.arange(round(seconds / STEP) + 1) * STEP, dtype=np.float64)
     rng = np.random.default_rng(seed)
     u = np.empty((t.size, len(model.inputs)))
@@ -321,5 +356,12 @@ def _delivered(made: Design, name: str, d: Array) -> Delivered:
     n = int(regular.sum())
     low, high = np.sqrt(stats.chi2.ppf([0.025, 0.975], n - 1) / (n - 1))
     ratio = float(np.std(z[regular], ddof=1))
-    return Delivered(name, predicted, len(z), ratio, (ratio / float(high), ratio / float(low)),
-                     float(np.mean(np.abs(z) < stats.norm.ppf(0.975))), int((~regular).sum()))
+    return Delivered(
+        name,
+        predicted,
+        len(z),
+        ratio,
+        (ratio / float(high), ratio / float(low)),
+        float(np.mean(np.abs(z) < stats.norm.ppf(0.975))),
+        int((~regular).sum()),
+    )

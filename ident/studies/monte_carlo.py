@@ -17,9 +17,12 @@ bounds in the metric of that information (Self and Liang 1987, Andrews 1999).
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -48,6 +51,8 @@ from ident.results import APART, BIAS, COVERAGE, VARIANCE
 Row = dict[str, Any]
 Z95 = 1.96
 N_DRAWS = 400  # samples of an efficient estimate near bounds, for each replicate
+# The wings that a study's results hang on.
+HASHED_WINGS = ("data", "engine", "estimation", "model", "models", "numerics", "studies")
 
 
 @dataclass(frozen=True)
@@ -269,3 +274,12 @@ def counts(rows: Sequence[Row]) -> ReplicateCounts:
         cpu_fit=float(np.median([r["cpu"] for r in good])) if good else float("nan"),
         cpu_simulation=float(np.mean([r["simulation"] for r in rows])) if rows else float("nan"),
     )
+
+
+@cache
+def estimator_code_hash() -> str:
+    """A hash of what a result depends on."""
+    digest, root = hashlib.sha256(), Path(__file__).parents[1]
+    for path in sorted(path for wing in HASHED_WINGS for path in (root / wing).glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]

@@ -10,8 +10,8 @@ from .evaluation import ratio_intervals as ratio_intervals
 from .evaluation import shown_inputs as shown_inputs
 from .evaluation import smoothed_forces as smoothed_forces
 from .prediction_errors import PredictionErrors as PredictionErrors
-from .prediction_errors import ahead as ahead
-from .prediction_errors import pooled as pooled
+from .prediction_errors import horizon_errors as horizon_errors
+from .prediction_errors import pooled_errors as pooled_errors
 from .whiteness import SpectralPeak as SpectralPeak
 from .whiteness import WhitenessDiagnostics as WhitenessDiagnostics
 from .whiteness import autocorrelation as autocorrelation

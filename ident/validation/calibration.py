@@ -23,7 +23,7 @@ from ident.engine import VectorisedModel
 from ident.estimation import FilterResult, Likelihood
 from ident.model import Model
 from ident.numerics import Array, effective_sample_size, wrap
-from ident.validation.prediction_errors import MOST, WARM_UP, FreeRun
+from ident.validation.prediction_errors import MOST, WARM_UP, SimulationRun
 
 STRIDE = 0.2  # of the horizon, between the starts of predictions over it
 LATE = 0.2  # of the horizon, or a row where that is longer: within which after its end a sample must come
@@ -76,12 +76,12 @@ def calibration_test(series: Sequence[Array], effective: float | None = None) ->
                        float(np.sqrt(square)), float(low), float(high), pit)
 
 
-def one_step(model: Model, run: FilterResult) -> dict[str, Array]:
+def one_step_calibration(model: Model, run: FilterResult) -> dict[str, Array]:
     """Standardised innovations by channel."""
     return {o.name: run.standardised[:, j] for j, o in enumerate(model.outputs)}
 
 
-def ahead(
+def horizon_calibration(
     model: Model, record: Record, values: Array, run: FilterResult, seconds: float, likelihood: Likelihood | None = None
 ) -> dict[str, Array]:
     """``seconds`` ahead of filtered states, from five starts in that time, or fewer in a long record; the sample is
@@ -123,14 +123,14 @@ def _next(there: NDArray[np.bool_], due: NDArray[np.int64]) -> NDArray[np.int64]
     return np.asarray(rows[np.searchsorted(rows, due)])
 
 
-def free_run(model: Model, record: Record, run: FreeRun) -> dict[str, Array]:
+def simulation_calibration(model: Model, record: Record, run: SimulationRun) -> dict[str, Array]:
     """Predictions from the inputs alone after the first 15 s."""
     blind = record.t > record.t[0] + WARM_UP
     return {o.name: wrap(record.y[blind, j] - run.y[blind, j], o.angle) / run.sd[blind, j]
             for j, o in enumerate(model.outputs)}
 
 
-def pooled(parts: Sequence[Mapping[str, Array]], *, together: bool = False) -> dict[str, Calibration]:
+def pooled_calibration(parts: Sequence[Mapping[str, Array]], *, together: bool = False) -> dict[str, Calibration]:
     """Calibration of every channel over several records. ``together``: the channels share their errors, so each counts
     as many independent ones as that with the fewest has. So it is in a free run, which is one experiment: the error of
     the heading turns every velocity over ground."""

@@ -16,13 +16,13 @@ from ident.validation import calibration
 from ident.validation.calibration import Calibration
 from ident.validation.prediction_errors import (
     BLOCK,
-    FreeRun,
     PredictionErrors,
-    ahead,
-    free_run,
-    one_step,
-    pooled,
+    SimulationRun,
+    horizon_errors,
+    one_step_errors,
+    pooled_errors,
     ratio_interval,
+    simulation_run,
 )
 from ident.validation.whiteness import CrossCorrelation, Whiteness, cross_correlation, whiteness_test
 
@@ -48,7 +48,7 @@ class RecordPrediction:
     """A record and what the model predicts of it from the inputs alone."""
 
     record: Record
-    free: FreeRun
+    free: SimulationRun
 
 
 @dataclass(frozen=True)
@@ -114,20 +114,20 @@ def _evaluated(
 ) -> SetEvaluation:
     model = stage.model
     free = [
-        free_run(model, v.record, v.values, likelihood, parameter_uncertainty(stage.fit, i if fitted else None))
+        simulation_run(model, v.record, v.values, likelihood, parameter_uncertainty(stage.fit, i if fitted else None))
         for i, v in enumerate(views)
     ]
     errors = ByHorizon[Mapping[str, PredictionErrors]](
-        pooled([one_step(model, v.record, v.run) for v in views]),
-        pooled([ahead(model, v.record, v.values, v.run.x_filt, seconds) for v in views]),
-        pooled([f.errors for f in free]),
+        pooled_errors([one_step_errors(model, v.record, v.run) for v in views]),
+        pooled_errors([horizon_errors(model, v.record, v.values, v.run.x_filt, seconds) for v in views]),
+        pooled_errors([f.errors for f in free]),
     )
-    far = [calibration.ahead(model, v.record, v.values, v.run, seconds, likelihood) for v in views]
-    alone = [calibration.free_run(model, v.record, f) for v, f in zip(views, free, strict=True)]
+    far = [calibration.horizon_calibration(model, v.record, v.values, v.run, seconds, likelihood) for v in views]
+    alone = [calibration.simulation_calibration(model, v.record, f) for v, f in zip(views, free, strict=True)]
     calibrated = ByHorizon[Mapping[str, Calibration]](
-        calibration.pooled([calibration.one_step(model, v.run) for v in views]),
-        calibration.pooled(far),
-        calibration.pooled(alone, together=True),
+        calibration.pooled_calibration([calibration.one_step_calibration(model, v.run) for v in views]),
+        calibration.pooled_calibration(far),
+        calibration.pooled_calibration(alone, together=True),
     )
     records = tuple(RecordPrediction(v.record, f) for v, f in zip(views, free, strict=True))
     return SetEvaluation(records, errors, calibrated)

@@ -34,7 +34,7 @@ class PredictionErrors:
 
 
 @dataclass(frozen=True)
-class FreeRun:
+class SimulationRun:
     """Predicted from the inputs alone after the first 15 s: y, sd (n_rows, n_outputs), errors per channel."""
 
     y: Array
@@ -42,13 +42,15 @@ class FreeRun:
     errors: Mapping[str, PredictionErrors]
 
 
-def one_step(model: Model, record: Record, run: FilterResult) -> dict[str, PredictionErrors]:
+def one_step_errors(model: Model, record: Record, run: FilterResult) -> dict[str, PredictionErrors]:
     """Innovations, in the unit of each channel."""
     found = {o.name: _errors(record.t, run.e[:, j]) for j, o in enumerate(model.outputs)}
     return {name: e for name, e in found.items() if e.e.size}
 
 
-def ahead(model: Model, record: Record, values: Array, x: Array, seconds: float) -> dict[str, PredictionErrors]:
+def horizon_errors(
+    model: Model, record: Record, values: Array, x: Array, seconds: float
+) -> dict[str, PredictionErrors]:
     """Errors of predictions from the states x (n_rows, n_states), such as the filtered ones, and the inputs alone, by
     channel; the unexplained forces decay."""
     rows = np.arange(0, record.n_rows, max(THIN, record.n_rows // MOST))
@@ -59,13 +61,13 @@ def ahead(model: Model, record: Record, values: Array, x: Array, seconds: float)
     return {name: e for name, e in errors.items() if e.e.size}
 
 
-def free_run(
+def simulation_run(
     model: Model,
     record: Record,
     values: Array,
     likelihood: Likelihood | None = None,
     doubt: ParameterUncertainty | None = None,
-) -> FreeRun:
+) -> SimulationRun:
     """The filter gets 15 s of measurements and then the inputs only; its covariance is the prediction's own band, and
     its mean is of first order.
 
@@ -92,10 +94,10 @@ def free_run(
         if e.e.size:
             seen = record.y[blind, j][np.isfinite(record.y[blind, j])]
             errors[o.name] = replace(e, spread=float((np.unwrap(seen) if o.angle else seen).std()))
-    return FreeRun(predicted, np.sqrt(np.maximum(variance, 0)), errors)
+    return SimulationRun(predicted, np.sqrt(np.maximum(variance, 0)), errors)
 
 
-def pooled(parts: Sequence[Mapping[str, PredictionErrors]]) -> dict[str, PredictionErrors]:
+def pooled_errors(parts: Sequence[Mapping[str, PredictionErrors]]) -> dict[str, PredictionErrors]:
     """Errors of several records as one, their times one after the other."""
     found: dict[str, PredictionErrors] = {}
     for name in dict.fromkeys(n for p in parts for n in p):

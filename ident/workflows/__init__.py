@@ -1,5 +1,1 @@
 """The work of one command each, from logs to results."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -21,7 +21,7 @@ from ident.experiment_design import (
     DiscriminationDesign,
     Kind,
     ParameterPrior,
-    Steps,
+    StepInput,
     ThrusterResponse,
     Track,
     baseline_signals,
@@ -91,21 +91,26 @@ def make_design(source: str, wish: DesignRequest, out: Path, command: str, repor
     own = task.actuation.thrusters
     thrusters = wish.thrusters or own
     if len(thrusters) != len(own):
-        raise SeatrialError(f"a mission for model {task.model.name} commands {len(own)} thrusters ({', '.join(own)}); "
-                            f"--thrusters names {len(thrusters)}")
+        raise SeatrialError(
+            f"a mission for model {task.model.name} commands {len(own)} thrusters ({', '.join(own)}); "
+            f"--thrusters names {len(thrusters)}"
+        )
     task.measure  # noqa: B018  # a wrong --parameters is said before the search
     reporter.progress(f"design: {task.steps.n_steps} steps in {task.steps.duration:g} s for {', '.join(_chosen(task))}")
     apart: Discrimination | None = None
     if wish.between:
         made, apart = _between(task, wish, reporter)
     else:
-        made = design(task, evaluations=wish.evaluations,
-                      progress=lambda n, merit: reporter.progress(
-                          f"design: {n} simulations, {wish.criterion} {merit:.2f}"))
+        made = design(
+            task,
+            evaluations=wish.evaluations,
+            progress=lambda n, merit: reporter.progress(f"design: {n} simulations, {wish.criterion} {merit:.2f}"),
+        )
     reporter.progress("rivals, Monte Carlo, track")
     found = baseline_signals(task, seed=wish.seed)
-    samples = monte_carlo(task, {"design": made.command} | {k: r.command for k, r in found.items()}, seed=wish.seed,
-                          box=wish.spread)
+    samples = monte_carlo(
+        task, {"design": made.command} | {k: r.command for k, r in found.items()}, seed=wish.seed, box=wish.spread
+    )
     track = predicted_track(made)
     best = max(found, key=lambda k: found[k].value)
     fine = found[best].command[np.minimum(_rows(task), len(task.t) - 1)]
@@ -131,7 +136,12 @@ def make_design(source: str, wish: DesignRequest, out: Path, command: str, repor
 
 
 def designed_mission(
-    name: str, thrusters: Sequence[str], made: Design, track: Track | None, wish: DesignRequest, source: str,
+    name: str,
+    thrusters: Sequence[str],
+    made: Design,
+    track: Track | None,
+    wish: DesignRequest,
+    source: str,
     command: str,
 ) -> Mission:
     """The designed steps as a mission, after a segment at rest; numbers to the digits that a person reads."""
@@ -151,8 +161,17 @@ def designed_mission(
         )
         prediction = Prediction(source, t, x, y, radius, before)
     return Mission(
-        name, "mission", tuple(thrusters), segments, float(edges[-1]), n_max=wish.n_max, slew_per_s=wish.slew,
-        made_by=command, seed=wish.seed, predicted_errors=predicted, prediction=prediction,
+        name,
+        "mission",
+        tuple(thrusters),
+        segments,
+        float(edges[-1]),
+        n_max=wish.n_max,
+        slew_per_s=wish.slew,
+        made_by=command,
+        seed=wish.seed,
+        predicted_errors=predicted,
+        prediction=prediction,
     )
 
 
@@ -167,13 +186,23 @@ def make_task(source: str, wish: DesignRequest) -> DesignProblem:
     model = saved.model if saved is not None else make_model(source)
     unknown = set(wish.rates) - {s.name for s in model.sensors}
     if unknown:
-        raise SeatrialError(f"model {model.name} has no sensor {sorted(unknown)[0]!r}; it has "
-                            f"{', '.join(s.name for s in model.sensors)}")
+        raise SeatrialError(
+            f"model {model.name} has no sensor {sorted(unknown)[0]!r}; it has "
+            f"{', '.join(s.name for s in model.sensors)}"
+        )
     n_channels = len(ThrusterResponse(model, np.array([0.0, 1.0])).channels)
     n_steps = wish.steps or max(8, round(wish.duration / 5.0))
     task = DesignProblem(
-        model, Steps(n_steps, n_channels, wish.duration, wish.shortest, 0.2, wish.n_max), wish.criterion, wish.chosen,
-        wish.rates, wish.limits, wish.slew, robust=wish.robust, process_noise=wish.process_noise, seed=wish.seed,
+        model,
+        StepInput(n_steps, n_channels, wish.duration, wish.shortest, 0.2, wish.n_max),
+        wish.criterion,
+        wish.chosen,
+        wish.rates,
+        wish.limits,
+        wish.slew,
+        robust=wish.robust,
+        process_noise=wish.process_noise,
+        seed=wish.seed,
     )
     if not dynamic_parameters(model):
         raise SeatrialError(f"model {model.name} has no free parameters to learn")
@@ -193,16 +222,25 @@ def _between(task: DesignProblem, wish: DesignRequest, reporter: Reporter) -> tu
     """The design that tells two effects apart, judged as any other, and how far apart it puts them."""
     a, b = (with_effect(task.model, name) for name in wish.between)
     made: DiscriminationDesign = discriminate(
-        a, b, task, evaluations=max(wish.evaluations // 8, 500),
-        progress=lambda n, merit: reporter.progress(f"design: {n} comparisons, T {np.exp(merit):.3g}"))
+        a,
+        b,
+        task,
+        evaluations=max(wish.evaluations // 8, 500),
+        progress=lambda n, merit: reporter.progress(f"design: {n} comparisons, T {np.exp(merit):.3g}"),
+    )
     told = task.experiments(task.actuation.inputs(made.command[:, :, None])).information
     value = float(task.measure(told + task.prior)[0])
     rng = np.random.default_rng([wish.seed, 31])
     random = [task.commands(z)[:, :, 0] for z in task.steps.random(8, rng)[:, None]]
     others = [min(separation(a, b, task, c)) for c in random]
     first, second = wish.between
-    row = Discrimination(effects=(first, second), if_second=made.apart[0], if_first=made.apart[1], clear=made.clear,
-                         random=np.array(others))
+    row = Discrimination(
+        effects=(first, second),
+        if_second=made.apart[0],
+        if_first=made.apart[1],
+        clear=made.clear,
+        random=np.array(others),
+    )
     return Design(task, made.levels, made.durations, value, told[0], made.found), row
 
 
@@ -226,8 +264,17 @@ def with_effect(model: Model, name: str) -> Model:
 
 def _track(track: Track, limits: DesignLimits) -> DesignTrack:
     corner = None if track.corner is None else (float(track.corner[0]), float(track.corner[1]))
-    return DesignTrack(t=track.t, x=track.x, y=track.y, radius=track.radius, others=tuple(track.others[:N_SHOWN]),
-                       inside=track.inside, corner=corner, area=limits.area, current=limits.current)
+    return DesignTrack(
+        t=track.t,
+        x=track.x,
+        y=track.y,
+        radius=track.radius,
+        others=tuple(track.others[:N_SHOWN]),
+        inside=track.inside,
+        corner=corner,
+        area=limits.area,
+        current=limits.current,
+    )
 
 
 def _rows(task: DesignProblem) -> NDArray[np.intp]:
@@ -254,8 +301,10 @@ def _answer(made: Design, parameters: Sequence[DesignedParameter], apart: Discri
         first, second = apart.effects
         least = min(apart.if_second, apart.if_first)
         verdict = "tells them apart" if apart.clear else "may not tell them apart: T should be above 30"
-        return (f"This mission {verdict}: {first} against {second} differ by at least T = {format_number(least)} "
-                f"(random missions: {format_number(float(np.median(apart.random)))})")
+        return (
+            f"This mission {verdict}: {first} against {second} differ by at least T = {format_number(least)} "
+            f"(random missions: {format_number(float(np.median(apart.random)))})"
+        )
     parts = []
     rows = [p for p in parameters if p.chosen]
     for p in rows[:NAMED]:
@@ -267,20 +316,23 @@ def _answer(made: Design, parameters: Sequence[DesignedParameter], apart: Discri
     return f"After this mission of {made.task.steps.duration:g} s a fit should know {', '.join(parts)}{more}"
 
 
-def summary(result: DesignResult) -> Sequence[str]:
+def design_summary(result: DesignResult) -> Sequence[str]:
     """Lines for the terminal: the answer, and a line for each parameter."""
     lines = [result.answer, ""]
     for p in result.parameters:
         before, after, rival = ("–" if v is None else f"{v:.3g}" for v in (p.before, p.after, p.rival))
-        lines.append(f"  {p.name:<8} {p.value:10.4g} {tidy(p.unit):<8} ± {before:>8} -> {after}"
-                     f"   ({result.rival}: {rival})")
+        lines.append(
+            f"  {p.name:<8} {p.value:10.4g} {tidy(p.unit):<8} ± {before:>8} -> {after}   ({result.rival}: {rival})"
+        )
     best = max(r.value for r in result.rivals)
     lines.append("")
     if result.apart is None:
         free = " (which keep to no limits)" if result.limited else ""
         gain = f"{result.value - best:+.1f} against the best of 20 {result.rival}{free}"
-        lines.append(f"{result.criterion} {result.value:.1f}, {gain}; better than all rivals in "
-                     f"{100 * result.share_won:.1f} % of 1000 parameter samples")
+        lines.append(
+            f"{result.criterion} {result.value:.1f}, {gain}; better than all rivals in "
+            f"{100 * result.share_won:.1f} % of 1000 parameter samples"
+        )
     track = result.track
     if track is not None and track.inside is not None:
         water = f"in a current of up to {track.current:g} m/s" if track.current else "no current assumed"

@@ -21,7 +21,7 @@ from ident.results import (
     Information,
     InformationResult,
     InformedParameter,
-    Segment,
+    LogSpan,
     SegmentInformation,
     finite,
     format_number,
@@ -173,7 +173,7 @@ def _longest(segments: Sequence[tuple[float, str]], begin: float, end: float) ->
     return best if length.get(best, 0.0) > 0 else ""
 
 
-def _place(row: Segment) -> str:
+def _place(row: LogSpan) -> str:
     words = f"{row.record}, {row.t_from:.0f} to {row.t_to:.0f} s"
     return f"{words} ({row.what})" if row.what else words
 

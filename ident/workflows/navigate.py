@@ -63,7 +63,7 @@ class NavigationRequest:
     thruster: Path | None = None
 
 
-def run_navigation(request: NavigationRequest, command: str, reporter: Reporter) -> NavigationResult:
+def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) -> NavigationResult:
     """Navigate every log; ``command``: what was typed."""
     logs, saved = request.logs, load_model(request.model)
     model = replace(saved.model, second_order=False)  # in a long outage a heading may be spread too widely for it
@@ -86,7 +86,7 @@ def run_navigation(request: NavigationRequest, command: str, reporter: Reporter)
         seatrial=made.seatrial,
         command=made.command,
         logs=made.logs,
-        answer=answer([o for _, _, found in parts for o in found], [d for d, _, _ in parts]),
+        answer=navigation_answer([o for _, _, found in parts for o in found], [d for d, _, _ in parts]),
         navigation=tuple(_part(d, t0, table) for (d, t0, _), table in zip(parts, tables, strict=True)),
         outages=tuple(_row(o, d.record.name, t0) for d, t0, found in parts for o in found),
         inputs=tuple(row for d, t0, _ in parts for row in _inputs(d, t0)),
@@ -229,7 +229,7 @@ def _withheld(found: OutageErrors | None) -> WithheldErrors | None:
     return WithheldErrors(rms=found.rms, largest=found.largest, inside=found.inside, n=found.n)
 
 
-def answer(found: Sequence[Outage], done: Sequence[Navigation]) -> str:
+def navigation_answer(found: Sequence[Outage], done: Sequence[Navigation]) -> str:
     """The worst outage in a sentence, or how sure the position is where there is none."""
     if not found:
         radius = max(float(np.median(np.hypot(*n.best.sd[:, [n.states.index(p) for p in POSITION]].T))) for n in done)

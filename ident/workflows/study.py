@@ -7,7 +7,6 @@ import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
@@ -19,33 +18,48 @@ from ident.estimation import Method
 from ident.report import write_study_docs
 from ident.reporter import QUIET, Reporter
 from ident.results import ModelStudy, ParameterStudy, StudyResult, finite, provenance, write_result
-from ident.studies import Case, ParameterCoverage, Row, counts, make_case, run_replicates, summarise
+from ident.studies import (
+    Case,
+    ParameterCoverage,
+    Row,
+    counts,
+    estimator_code_hash,
+    make_case,
+    run_replicates,
+    summarise,
+)
 
 BATCH = 25  # replicates a task at most: they are simulated together
 TASK_S = 10.0  # s of CPU that a task takes: so long a line waits, and so much is lost when the study is stopped
 ROWS = 3  # version of what a line holds
-# The wings that a study's results hang on.
-OWN = ("data", "engine", "estimation", "model", "models", "numerics", "studies")
 
 
-def study(case: Case, n: int, seed: int, out: Path | str, *, method: Method = "prediction-error",
-          jobs: int | None = None, reporter: Reporter = QUIET) -> list[Row]:
+def run_study(
+    case: Case,
+    n: int,
+    seed: int,
+    out: Path | str,
+    *,
+    method: Method = "prediction-error",
+    jobs: int | None = None,
+    reporter: Reporter = QUIET,
+) -> list[Row]:
     """All replicates of a case, those of earlier runs from ``out``, a file of JSON lines.
 
     ``jobs`` processes, or what ``joblib.parallel_config`` says where it is None: any backend of joblib will do.
     """
     key, out = _key(case, seed, method), Path(out)
-    done = {r["k"]: r for r in read(out) if r["key"] == key and r["k"] < n}
+    done = {r["k"]: r for r in read_replicates(out) if r["key"] == key and r["k"] < n}
     todo = [k for k in range(n) if k not in done]
     if done:
         reporter.progress(f"{case.name}: {len(done)} replicates are there already")
-        if any(r["code"] != code_state() for r in done.values()):
+        if any(r["code"] != estimator_code_hash() for r in done.values()):
             reporter.warning(f"some of {out} were made by another state of the code; give another --out to begin anew")
     out.parent.mkdir(parents=True, exist_ok=True)
     with out.open("a", encoding="utf-8") as file:
         for rows in _results(case, todo, seed, method, jobs):
             for row in rows:
-                done[row["k"]] = row | {"key": key, "code": code_state()}
+                done[row["k"]] = row | {"key": key, "code": estimator_code_hash()}
                 file.write(json.dumps(done[row["k"]]) + "\n")
             file.flush()
             reporter.progress(f"{case.name}: {len(done)} of {n} replicates")
@@ -98,7 +112,7 @@ def _timed(case: Case, numbers: Sequence[int], seed: int, method: Method) -> tup
     return time.process_time() - began, rows
 
 
-def read(out: Path) -> list[Row]:
+def read_replicates(out: Path) -> list[Row]:
     """Lines of earlier runs; one that was cut short is left out, and so is a replicate that failed."""
     rows = []
     for text in out.read_text(encoding="utf-8").splitlines() if out.exists() else ():
@@ -144,8 +158,18 @@ class StudyRequest:
 
     def cases(self) -> list[Case]:
         """One for each model."""
-        return [make_case(name, self.truth, self.free, self.seconds, bounded=self.bounded, reml=self.reml,
-                          mean_order=self.mean_order) for name in dict.fromkeys(self.models)]
+        return [
+            make_case(
+                name,
+                self.truth,
+                self.free,
+                self.seconds,
+                bounded=self.bounded,
+                reml=self.reml,
+                mean_order=self.mean_order,
+            )
+            for name in dict.fromkeys(self.models)
+        ]
 
 
 def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> StudyResult:
@@ -156,12 +180,20 @@ def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> Stud
         raise SeatrialError(f"{out}: is a file; give a folder")
     parts = []
     for case in cases:
-        rows = study(case, request.replicates, request.seed, out / f"{case.name}.jsonl", method=method,
-                     jobs=request.jobs, reporter=reporter)
+        rows = run_study(
+            case,
+            request.replicates,
+            request.seed,
+            out / f"{case.name}.jsonl",
+            method=method,
+            jobs=request.jobs,
+            reporter=reporter,
+        )
         parts.append(part(case, rows, method))
     made = provenance([], command)
     result = StudyResult(
-        created=made.created, seatrial=made.seatrial, command=made.command, answer=" ".join(answer(p) for p in parts),
+        created=made.created, seatrial=made.seatrial, command=made.command,
+        answer=" ".join(study_answer(p) for p in parts),
         seed=request.seed, studies=tuple(parts),
     )  # fmt: skip
     write_result(result, out / "result.json")
@@ -183,8 +215,9 @@ def part(case: Case, rows: Sequence[Row], method: Method) -> ModelStudy:
         cpu_fit=finite(n.cpu_fit),
         cpu_simulation=finite(n.cpu_simulation),
         # the starts, which output error estimates too, have no truth of their own
-        parameters=tuple(_row(j, truth[j.name], case.model.parameter(j.name).unit) for j in summarise(rows)
-                         if j.name in truth),
+        parameters=tuple(
+            _row(j, truth[j.name], case.model.parameter(j.name).unit) for j in summarise(rows) if j.name in truth
+        ),
     )
 
 
@@ -207,7 +240,7 @@ def _row(j: ParameterCoverage, truth: float, unit: str) -> ParameterStudy:
     )  # fmt: skip
 
 
-def answer(one: ModelStudy) -> str:
+def study_answer(one: ModelStudy) -> str:
     """How many parameters keep within what is wanted."""
     rows = one.parameters
     if not rows:
@@ -224,19 +257,17 @@ def answer(one: ModelStudy) -> str:
 def _key(case: Case, seed: int, method: Method) -> str:
     """Replicates with the same key are of the same study: mission, model, truth, seed and estimator."""
     parameters = [(p.name, p.value, p.bounds, p.free) for p in case.model.parameters]
-    values: Any = (case.name, parameters, sorted(case.every.items()), seed, estimator(case, method), case.model.source,
-                   ROWS)
+    values: Any = (
+        case.name,
+        parameters,
+        sorted(case.every.items()),
+        seed,
+        estimator(case, method),
+        case.model.source,
+        ROWS,
+    )
     inputs = case.inputs
     digest = hashlib.sha256(repr(values).encode())
     for array in (inputs.t, inputs.u, inputs.u_next):
         digest.update(array.tobytes())
-    return digest.hexdigest()[:12]
-
-
-@cache
-def code_state() -> str:
-    """A hash of what a result depends on."""
-    digest, root = hashlib.sha256(), Path(__file__).parents[1]
-    for path in sorted(path for wing in OWN for path in (root / wing).glob("*.py")):
-        digest.update(path.read_bytes())
     return digest.hexdigest()[:12]

@@ -27,7 +27,7 @@ NEUTRAL_N = 0.02  # a stick further out forbids arming
 
 
 @final
-class Autopilot(DeviceEmulator):
+class AutopilotEmulator(DeviceEmulator):
     """One autopilot: `encode` is called at its loop rate with the attitude, `receive` with what the host sends."""
 
     def __init__(

@@ -131,9 +131,9 @@ def make_emulator(
             )
         return LoadCellLine()
     if device.protocol == "mavlink":
-        from mocks.devices.autopilot import Autopilot  # brings pymavlink with it
+        from mocks.devices.autopilot import AutopilotEmulator  # brings pymavlink with it
 
-        return Autopilot(rig, device, controllers, time.time())
+        return AutopilotEmulator(rig, device, controllers, time.time())
     if not device.port.startswith("slcan:"):
         raise SeatrialError(f"{rig.path}: device {device.name}: a mock serves CAN as slcan:PORT, not {device.port}")
     if device.protocol == "dronecan":

@@ -7,8 +7,8 @@ drawn with its size within 15 % of the one named in its comment, and with a sign
 from __future__ import annotations
 
 from mocks.hidden_effects import disturbed, environment, hull, outside, propulsion, sensing
-from mocks.plant import ENERGY_UNIT, Effect, Maker
-from mocks.random_streams import EFFECT_NAME, EFFECT_SIZE, stream
+from mocks.plant import ENERGY_UNIT, HiddenEffect, Maker
+from mocks.random_streams import EFFECT_NAME, EFFECT_SIZE, random_stream
 
 __all__ = [
     "DEMO",
@@ -17,7 +17,7 @@ __all__ = [
     "NOISE",
     "OUTSIDE",
     "SMALL",
-    "Effect",
+    "HiddenEffect",
     "draw_name",
     "make_effect",
     "mixture",
@@ -54,15 +54,15 @@ SMALL = 0.05  # of its full size has every other effect in a mixture
 _GROUPS = ((0, EFFECTS), (200, OUTSIDE), (300, NOISE))  # the first stream of each
 
 
-def make_effect(name: str, seed: int, scale: float = 1.0) -> Effect:
+def make_effect(name: str, seed: int, scale: float = 1.0) -> HiddenEffect:
     """The effect ``name`` (KeyError if there is none) as ``seed`` draws it, ``scale`` times its full size."""
     for first, group in _GROUPS:
         if name in group:
-            return group[name](stream(seed, EFFECT_SIZE, index=first + list(group).index(name)), scale)
+            return group[name](random_stream(seed, EFFECT_SIZE, index=first + list(group).index(name)), scale)
     raise KeyError(name)
 
 
-def mixture(name: str, seed: int, scale: float = 1.0, small: float = SMALL) -> tuple[Effect, ...]:
+def mixture(name: str, seed: int, scale: float = 1.0, small: float = SMALL) -> tuple[HiddenEffect, ...]:
     """The effect ``name`` and, beside it, every other one of EFFECTS at ``small`` times its full size."""
     rest = (make_effect(other, seed, small) for other in EFFECTS if other != name)
     return (make_effect(name, seed, scale), *rest)
@@ -70,4 +70,4 @@ def mixture(name: str, seed: int, scale: float = 1.0, small: float = SMALL) -> t
 
 def draw_name(seed: int, names: tuple[str, ...] = DEMO) -> str:
     """The name that ``--effect draw`` takes at this seed."""
-    return names[int(stream(seed, EFFECT_NAME).integers(len(names)))]
+    return names[int(random_stream(seed, EFFECT_NAME).integers(len(names)))]

@@ -4,31 +4,31 @@ from __future__ import annotations
 
 import numpy as np
 
-from mocks.plant import Effect, Gust, Maker, Noise, size
+from mocks.plant import Gust, HiddenEffect, Maker, Noise, effect_size
 
 
-def _gps(rng: np.random.Generator, scale: float) -> Effect:
-    sigma = scale * size(rng, 0.3)  # m
+def _gps(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    sigma = scale * effect_size(rng, 0.3)  # m
     parameters = {"sigma": sigma, "tau": 30.0}
-    return Effect("noise-gps", "time-correlated position errors", parameters, noise=Noise(colour=(sigma, 30.0)))
+    return HiddenEffect("noise-gps", "time-correlated position errors", parameters, noise=Noise(colour=(sigma, 30.0)))
 
 
-def _gusts(rng: np.random.Generator, scale: float) -> Effect:
-    sigma = scale * size(rng, 1.5)  # N
+def _gusts(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    sigma = scale * effect_size(rng, 1.5)  # N
     gust = Gust((sigma, sigma, 0.12 * sigma), 8.0, 97.0)
-    return Effect("noise-gusts", "gusts come and go", {"sigma": sigma, "tau": gust.tau}, gust=gust)
+    return HiddenEffect("noise-gusts", "gusts come and go", {"sigma": sigma, "tau": gust.tau}, gust=gust)
 
 
-def _outliers(rng: np.random.Generator, scale: float) -> Effect:
-    share = scale * size(rng, 0.01)
+def _outliers(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    share = scale * effect_size(rng, 0.01)
     noise = Noise(outliers=(share, 3.0))
-    return Effect("noise-outliers", "one fix in a hundred is wrong", {"share": share}, noise=noise)
+    return HiddenEffect("noise-outliers", "one fix in a hundred is wrong", {"share": share}, noise=noise)
 
 
-def _small_r(rng: np.random.Generator, scale: float) -> Effect:
+def _small_r(rng: np.random.Generator, scale: float) -> HiddenEffect:
     gain = 1.0 + scale * (2.0**0.5 - 1.0)
     sentence = "the sensors have twice the noise variance that is declared"
-    return Effect("noise-small-r", sentence, {"gain": gain}, noise=Noise(gain=gain))
+    return HiddenEffect("noise-small-r", sentence, {"gain": gain}, noise=Noise(gain=gain))
 
 
 MAKERS: dict[str, Maker] = {

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from mocks.plant import Effect, Maker, Wave, size
+from mocks.plant import HiddenEffect, Maker, Wave, effect_size
 
 
-def _wind(rng: np.random.Generator, scale: float) -> Effect:
+def _wind(rng: np.random.Generator, scale: float) -> HiddenEffect:
     drag = scale * 0.28  # N s2/m2, broadside
-    speed = size(rng, 5.3)  # m/s: 8 N broadside
+    speed = effect_size(rng, 5.3)  # m/s: 8 N broadside
     toward = 2.0 * math.pi * rng.uniform()
     w_n, w_e = speed * math.cos(toward), speed * math.sin(toward)
 
@@ -22,7 +22,7 @@ def _wind(rng: np.random.Generator, scale: float) -> Effect:
         return 0.7 * drag * speed * forward, drag * speed * starboard, 0.2 * drag * forward * starboard
 
     came_from = math.degrees(toward + math.pi) % 360.0
-    return Effect(
+    return HiddenEffect(
         "wind",
         f"a steady wind of {speed:.1f} m/s blows from {came_from:.0f} deg",
         {"wind_n": w_n, "wind_e": w_e, "drag": drag},
@@ -30,8 +30,8 @@ def _wind(rng: np.random.Generator, scale: float) -> Effect:
     )
 
 
-def _current_drift(rng: np.random.Generator, scale: float) -> Effect:
-    change, toward = scale * size(rng, 0.22), 2.0 * math.pi * rng.uniform()  # m/s
+def _current_drift(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    change, toward = scale * effect_size(rng, 0.22), 2.0 * math.pi * rng.uniform()  # m/s
     north, east = change * math.cos(toward), change * math.sin(toward)
 
     def current(t: float) -> tuple[float, float]:
@@ -39,11 +39,11 @@ def _current_drift(rng: np.random.Generator, scale: float) -> Effect:
         return part * north, part * east
 
     sentence = f"the tide turns: the current changes by {0.8 * change:.2f} m/s in 400 s"
-    return Effect("current-drift", sentence, {"change_n": north, "change_e": east}, current=current)
+    return HiddenEffect("current-drift", sentence, {"change_n": north, "change_e": east}, current=current)
 
 
-def _tether(rng: np.random.Generator, scale: float) -> Effect:
-    k = scale * size(rng, 0.08)  # N s2/m3
+def _tether(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    k = scale * effect_size(rng, 0.08)  # N s2/m3
     slack = 8.0  # m
 
     def tether(x: float, y: float, v_n: float, v_e: float) -> tuple[float, float]:
@@ -53,27 +53,34 @@ def _tether(rng: np.random.Generator, scale: float) -> Effect:
         return -pull * v_n, -pull * v_e
 
     sentence = "a line to the shore drags the more, the more of it is in the water"
-    return Effect("tether", sentence, {"k": k, "slack": slack}, tether=tether)
+    return HiddenEffect("tether", sentence, {"k": k, "slack": slack}, tether=tether)
 
 
-def _waves(rng: np.random.Generator, scale: float) -> Effect:
-    frequency, toward = size(rng, 0.45), 2.0 * math.pi * rng.uniform()  # Hz, rad
-    wave = Wave(frequency, 0.12, toward, scale * size(rng, 7.0), scale * size(rng, 6.0), scale * size(rng, 0.7))
+def _waves(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    frequency, toward = effect_size(rng, 0.45), 2.0 * math.pi * rng.uniform()  # Hz, rad
+    wave = Wave(
+        frequency,
+        0.12,
+        toward,
+        scale * effect_size(rng, 7.0),
+        scale * effect_size(rng, 6.0),
+        scale * effect_size(rng, 0.7),
+    )
     came_from = math.degrees(toward + math.pi) % 360.0
     parameters = {"frequency_hz": frequency, "surge": wave.surge, "sway": wave.sway, "yaw": wave.yaw}
     sentence = f"waves of {frequency:.2f} Hz come from {came_from:.0f} deg"
-    return Effect("waves", sentence, parameters, wave=wave)
+    return HiddenEffect("waves", sentence, parameters, wave=wave)
 
 
-def _heading_moment(rng: np.random.Generator, scale: float) -> Effect:
-    n, at = scale * size(rng, 0.5), 2.0 * math.pi * rng.uniform()  # N m
+def _heading_moment(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    n, at = scale * effect_size(rng, 0.5), 2.0 * math.pi * rng.uniform()  # N m
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
         along, across = c * math.cos(at) + s * math.sin(at), s * math.cos(at) - c * math.sin(at)
         return 0.0, 0.0, n * 2.0 * along * across / (1.0 + 0.3 * along)
 
     sentence = "a moment turns the boat towards two headings, as a long swell does"
-    return Effect("heading-moment", sentence, {"n": n, "at": at}, force=force)
+    return HiddenEffect("heading-moment", sentence, {"n": n, "at": at}, force=force)
 
 
 MAKERS: dict[str, Maker] = {

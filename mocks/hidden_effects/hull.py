@@ -6,60 +6,62 @@ import math
 
 import numpy as np
 
-from mocks.plant import Effect, Maker, size
+from mocks.plant import HiddenEffect, Maker, effect_size
 
 
-def _sway_yaw(rng: np.random.Generator, scale: float) -> Effect:
-    y_r = scale * size(rng, 8.0, signed=True)  # N s at 0.75 m/s
-    n_v = math.copysign(scale * size(rng, 3.0), y_r)  # N s
+def _sway_yaw(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    y_r = scale * effect_size(rng, 8.0, signed=True)  # N s at 0.75 m/s
+    n_v = math.copysign(scale * effect_size(rng, 3.0), y_r)  # N s
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
         gain = 0.4 + 0.8 * abs(u)
         return 0.0, -y_r * gain * r, -n_v * gain * v
 
     sentence = "sway and yaw are damped together: the hull is not alike fore and aft"
-    return Effect("sway-yaw", sentence, {"y_r": y_r, "n_v": n_v}, force=force)
+    return HiddenEffect("sway-yaw", sentence, {"y_r": y_r, "n_v": n_v}, force=force)
 
 
-def _turning_resistance(rng: np.random.Generator, scale: float) -> Effect:
-    k = scale * size(rng, 7.5)  # N at 1 rad/s
+def _turning_resistance(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    k = scale * effect_size(rng, 7.5)  # N at 1 rad/s
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
         return -k * abs(r) ** 1.7, 0.0, 0.0
 
-    return Effect("turning-resistance", "turning costs forward speed", {"k": k}, force=force)
+    return HiddenEffect("turning-resistance", "turning costs forward speed", {"k": k}, force=force)
 
 
-def _cubic_drag(rng: np.random.Generator, scale: float) -> Effect:
-    k = scale * size(rng, 11.0)  # N at 1 m/s
+def _cubic_drag(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    k = scale * effect_size(rng, 11.0)  # N at 1 m/s
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
         return -k * u * abs(u) ** 2.2, 0.0, 0.0
 
-    return Effect("cubic-drag", "the bow wave makes drag grow faster than the square of speed", {"k": k}, force=force)
+    return HiddenEffect(
+        "cubic-drag", "the bow wave makes drag grow faster than the square of speed", {"k": k}, force=force
+    )
 
 
-def _yaw_bias(rng: np.random.Generator, scale: float) -> Effect:
-    n_0 = scale * size(rng, 0.28, signed=True)  # N m
+def _yaw_bias(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    n_0 = scale * effect_size(rng, 0.28, signed=True)  # N m
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
         return 0.0, 0.0, n_0 * (0.8 + 0.3 * abs(u))
 
     side = "starboard" if n_0 > 0.0 else "port"
-    return Effect("yaw-bias", f"something on the hull pulls it to {side}", {"n_0": n_0}, force=force)
+    return HiddenEffect("yaw-bias", f"something on the hull pulls it to {side}", {"n_0": n_0}, force=force)
 
 
-def _cg_offset(rng: np.random.Generator, scale: float) -> Effect:
-    x_g = scale * size(rng, 0.13, signed=True)  # m of the rigid mass of 17 kg
+def _cg_offset(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    x_g = scale * effect_size(rng, 0.13, signed=True)  # m of the rigid mass of 17 kg
     where = "forward of" if x_g > 0.0 else "behind"
-    return Effect("cg-offset", f"the centre of gravity lies {where} amidships", {"x_g": x_g}, x_g=x_g)
+    return HiddenEffect("cg-offset", f"the centre of gravity lies {where} amidships", {"x_g": x_g}, x_g=x_g)
 
 
-def _pendulum(rng: np.random.Generator, scale: float) -> Effect:
-    mass, frequency = scale * size(rng, 5.0), size(rng, 0.55)  # kg, Hz
+def _pendulum(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    mass, frequency = scale * effect_size(rng, 5.0), effect_size(rng, 0.55)  # kg, Hz
     omega = 2.0 * math.pi * frequency
     length, damping = 9.81 / omega**2, 2.0 * 0.06 * omega
-    return Effect(
+    return HiddenEffect(
         "pendulum",
         f"{mass:.1f} kg hang in the hull and swing fore and aft at {frequency:.2f} Hz when it gathers way",
         {"mass": mass, "frequency_hz": frequency, "damping_ratio": 0.06},
@@ -67,45 +69,47 @@ def _pendulum(rng: np.random.Generator, scale: float) -> Effect:
     )
 
 
-def _cross_flow(rng: np.random.Generator, scale: float) -> Effect:
-    d_vr = scale * size(rng, 40.0)  # kg
-    n_vr = scale * size(rng, 10.0)  # kg m
+def _cross_flow(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    d_vr = scale * effect_size(rng, 40.0)  # kg
+    n_vr = scale * effect_size(rng, 10.0)  # kg m
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
         return 0.0, -d_vr * abs(r) ** 1.15 * v, -n_vr * math.hypot(v, 0.05) * r
 
     sentence = "in turns the cross-flow along the hull damps sway and yaw more than either alone would"
-    return Effect("cross-flow", sentence, {"d_vr": d_vr, "n_vr": n_vr}, force=force)
+    return HiddenEffect("cross-flow", sentence, {"d_vr": d_vr, "n_vr": n_vr}, force=force)
 
 
-def _lift(rng: np.random.Generator, scale: float) -> Effect:
-    y_uv, n_ur = scale * size(rng, 30.0), scale * size(rng, 9.0)  # kg/m, kg m
+def _lift(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    y_uv, n_ur = scale * effect_size(rng, 30.0), scale * effect_size(rng, 9.0)  # kg/m, kg m
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
         gain = u * u / math.hypot(u, 0.15)
         return 0.0, -y_uv * gain * v, -n_ur * gain * r
 
     sentence = "the skegs lift: sway and yaw are damped the more, the faster the boat goes"
-    return Effect("lift", sentence, {"y_uv": y_uv, "n_ur": n_ur}, force=force)
+    return HiddenEffect("lift", sentence, {"y_uv": y_uv, "n_ur": n_ur}, force=force)
 
 
-def _hump(rng: np.random.Generator, scale: float) -> Effect:
-    height, speed, width = scale * size(rng, 7.0), size(rng, 0.80), 0.17  # N, m/s, m/s
+def _hump(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    height, speed, width = scale * effect_size(rng, 7.0), effect_size(rng, 0.80), 0.17  # N, m/s, m/s
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
         return -height / math.cosh((abs(u) - speed) / width) ** 2 * math.tanh(u / 0.2), 0.0, 0.0
 
     sentence = f"at {speed:.2f} m/s the boat sits in the trough of its own wave, and drag has a hump there"
-    return Effect("hump", sentence, {"height": height, "speed": speed, "width": width}, force=force)
+    return HiddenEffect("hump", sentence, {"height": height, "speed": speed, "width": width}, force=force)
 
 
-def _coulomb(rng: np.random.Generator, scale: float) -> Effect:
-    friction = scale * size(rng, 4.0)  # N
+def _coulomb(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    friction = scale * effect_size(rng, 4.0)  # N
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
         return -friction * u / math.hypot(u, 0.06), 0.0, 0.0
 
-    return Effect("coulomb", "weed drags along with a force that speed does not change", {"f": friction}, force=force)
+    return HiddenEffect(
+        "coulomb", "weed drags along with a force that speed does not change", {"f": friction}, force=force
+    )
 
 
 MAKERS: dict[str, Maker] = {

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from mocks.plant import Answer, Effect, Maker, ThrusterTruth, size
+from mocks.plant import Answer, HiddenEffect, Maker, ThrusterTruth, effect_size
 from mocks.plant import thrust as thrust_at_rest
 
 
-def _thrust_band(rng: np.random.Generator, scale: float) -> Effect:
-    loss, at = scale * size(rng, 0.28), size(rng, 0.55)
+def _thrust_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    loss, at = scale * effect_size(rng, 0.28), effect_size(rng, 0.55)
 
     def lost(n: float) -> float:
         return loss / (1.0 + ((n - at) / 0.12) ** 4)
@@ -27,11 +27,11 @@ def _thrust_band(rng: np.random.Generator, scale: float) -> Effect:
 
     sentence = f"both propellers draw air in a band of shaft speeds around {at:.2f}"
     answer = Answer("X", "n_sum", curve)
-    return Effect("thrust-band", sentence, {"loss": loss, "at": at}, thrust=thrust, answer=answer)
+    return HiddenEffect("thrust-band", sentence, {"loss": loss, "at": at}, thrust=thrust, answer=answer)
 
 
-def _yaw_saddle(rng: np.random.Generator, scale: float) -> Effect:
-    n, at = scale * size(rng, 0.7, signed=True), size(rng, 0.55)  # N m, m/s
+def _yaw_saddle(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    n, at = scale * effect_size(rng, 0.7, signed=True), effect_size(rng, 0.55)  # N m, m/s
 
     def curve(u: float) -> float:
         z = (u - at) / 0.3
@@ -41,11 +41,11 @@ def _yaw_saddle(rng: np.random.Generator, scale: float) -> Effect:
         return 0.0, 0.0, curve(u)
 
     sentence = "a bent bow turns the boat one way at low speed and the other way at high speed"
-    return Effect("yaw-saddle", sentence, {"n": n, "at": at}, force=force, answer=Answer("N", "u", curve))
+    return HiddenEffect("yaw-saddle", sentence, {"n": n, "at": at}, force=force, answer=Answer("N", "u", curve))
 
 
-def _surge_step(rng: np.random.Generator, scale: float) -> Effect:
-    relief, at = scale * size(rng, 6.0), size(rng, 0.75)  # N, m/s
+def _surge_step(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    relief, at = scale * effect_size(rng, 6.0), effect_size(rng, 0.75)  # N, m/s
 
     def curve(u: float) -> float:
         return relief * 0.5 * (1.0 + math.tanh((u - at) / 0.05))
@@ -54,11 +54,13 @@ def _surge_step(rng: np.random.Generator, scale: float) -> Effect:
         return curve(u), 0.0, 0.0
 
     sentence = f"above {at:.2f} m/s the stern breaks free and the boat drags less"
-    return Effect("surge-step", sentence, {"relief": relief, "at": at}, force=force, answer=Answer("X", "u", curve))
+    return HiddenEffect(
+        "surge-step", sentence, {"relief": relief, "at": at}, force=force, answer=Answer("X", "u", curve)
+    )
 
 
-def _heading_third(rng: np.random.Generator, scale: float) -> Effect:
-    n, at = scale * size(rng, 0.5), 2.0 * math.pi * rng.uniform()  # N m
+def _heading_third(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    n, at = scale * effect_size(rng, 0.5), 2.0 * math.pi * rng.uniform()  # N m
 
     def curve(psi: float) -> float:
         return n * math.sin(3.0 * (psi - at))
@@ -67,11 +69,11 @@ def _heading_third(rng: np.random.Generator, scale: float) -> Effect:
         return 0.0, 0.0, curve(math.atan2(s, c))
 
     sentence = "waves thrown back by three quays turn the boat, by a moment of three cycles in a circle"
-    return Effect("heading-third", sentence, {"n": n, "at": at}, force=force, answer=Answer("N", "psi", curve))
+    return HiddenEffect("heading-third", sentence, {"n": n, "at": at}, force=force, answer=Answer("N", "psi", curve))
 
 
-def _jet_on_hull(rng: np.random.Generator, scale: float) -> Effect:
-    y = scale * size(rng, 5.0, signed=True)  # N
+def _jet_on_hull(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    y = scale * effect_size(rng, 5.0, signed=True)  # N
 
     def curve(difference: float) -> float:
         return y * math.exp(-0.5 * ((difference - 0.35) / 0.15) ** 2)
@@ -80,7 +82,7 @@ def _jet_on_hull(rng: np.random.Generator, scale: float) -> Effect:
         return curve(n_l - n_r)
 
     sentence = "at one difference of the shaft speeds a jet strikes the keel and shoves the boat sideways"
-    return Effect("jet-on-hull", sentence, {"y": y}, jet=jet, answer=Answer("Y", "n_diff", curve))
+    return HiddenEffect("jet-on-hull", sentence, {"y": y}, jet=jet, answer=Answer("Y", "n_diff", curve))
 
 
 MAKERS: dict[str, Maker] = {

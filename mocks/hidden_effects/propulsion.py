@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from mocks.plant import Effect, Maker, size
+from mocks.plant import HiddenEffect, Maker, effect_size
 
 
-def _advance_ratio(rng: np.random.Generator, scale: float) -> Effect:
-    k = scale * size(rng, 7.0)  # N s/m: at n = 0.6 and 1 m/s 3 of 14 N are lost
+def _advance_ratio(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    k = scale * effect_size(rng, 7.0)  # N s/m: at n = 0.6 and 1 m/s 3 of 14 N are lost
 
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
@@ -19,11 +19,13 @@ def _advance_ratio(rng: np.random.Generator, scale: float) -> Effect:
         loss_r = k * abs(n_r) * a_r / (1.0 + 0.35 * abs(a_r))
         return f_l - loss_l, f_r - loss_r
 
-    return Effect("advance-ratio", "the propellers lose thrust as the boat moves forward", {"k": k}, thrust=thrust)
+    return HiddenEffect(
+        "advance-ratio", "the propellers lose thrust as the boat moves forward", {"k": k}, thrust=thrust
+    )
 
 
-def _reverse_thrust(rng: np.random.Generator, scale: float) -> Effect:
-    loss = scale * size(rng, 0.40)  # 0.29 of the thrust at n = -0.5
+def _reverse_thrust(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    loss = scale * effect_size(rng, 0.40)  # 0.29 of the thrust at n = -0.5
 
     def factor(n: float) -> float:
         return 1.0 if n >= 0.0 else 1.0 - loss * (1.0 - math.exp(2.5 * n))
@@ -34,11 +36,11 @@ def _reverse_thrust(rng: np.random.Generator, scale: float) -> Effect:
         return f_l * factor(n_l), f_r * factor(n_r)
 
     sentence = "in reverse the jets strike the hull and part of the thrust is lost; the bench does not show it"
-    return Effect("reverse-thrust", sentence, {"loss": loss}, thrust=thrust)
+    return HiddenEffect("reverse-thrust", sentence, {"loss": loss}, thrust=thrust)
 
 
-def _mismatch(rng: np.random.Generator, scale: float) -> Effect:
-    eps = scale * size(rng, 0.05, signed=True)
+def _mismatch(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    eps = scale * effect_size(rng, 0.05, signed=True)
 
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
@@ -46,11 +48,11 @@ def _mismatch(rng: np.random.Generator, scale: float) -> Effect:
         return f_l * (1.0 + eps * (0.8 + 0.3 * abs(n_l))), f_r * (1.0 - eps * (0.8 + 0.3 * abs(n_r)))
 
     stronger = "left" if eps > 0.0 else "right"
-    return Effect("mismatch", f"the {stronger} thruster is the stronger one", {"eps": eps}, thrust=thrust)
+    return HiddenEffect("mismatch", f"the {stronger} thruster is the stronger one", {"eps": eps}, thrust=thrust)
 
 
-def _thruster_interaction(rng: np.random.Generator, scale: float) -> Effect:
-    kappa = scale * size(rng, 0.17)
+def _thruster_interaction(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    kappa = scale * effect_size(rng, 0.17)
 
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
@@ -58,11 +60,11 @@ def _thruster_interaction(rng: np.random.Generator, scale: float) -> Effect:
         return f_l * (1.0 - kappa * abs(n_r) ** 1.3), f_r * (1.0 - kappa * abs(n_l) ** 1.3)
 
     sentence = "each thruster draws from the water that the other has set in motion"
-    return Effect("thruster-interaction", sentence, {"kappa": kappa}, thrust=thrust)
+    return HiddenEffect("thruster-interaction", sentence, {"kappa": kappa}, thrust=thrust)
 
 
-def _battery_sag(rng: np.random.Generator, scale: float) -> Effect:
-    beta = scale * size(rng, 0.20)  # 0.16 of the thrust after a mission of ten minutes
+def _battery_sag(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    beta = scale * effect_size(rng, 0.20)  # 0.16 of the thrust after a mission of ten minutes
 
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
@@ -70,11 +72,11 @@ def _battery_sag(rng: np.random.Generator, scale: float) -> Effect:
         gain = 1.0 - beta * (1.0 - math.exp(-1.6 * energy))
         return gain * f_l, gain * f_r
 
-    return Effect("battery-sag", "thrust fades as the battery is used up", {"beta": beta}, thrust=thrust)
+    return HiddenEffect("battery-sag", "thrust fades as the battery is used up", {"beta": beta}, thrust=thrust)
 
 
-def _dead_band(rng: np.random.Generator, scale: float) -> Effect:
-    band = scale * size(rng, 0.06)
+def _dead_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    band = scale * effect_size(rng, 0.06)
     soft = 0.25 * band
 
     def part(n: float) -> float:
@@ -91,19 +93,19 @@ def _dead_band(rng: np.random.Generator, scale: float) -> Effect:
         return f_l * part(n_l), f_r * part(n_r)
 
     sentence = "slow propellers slip through the water and make hardly any thrust"
-    return Effect("dead-band", sentence, {"band": band}, thrust=thrust)
+    return HiddenEffect("dead-band", sentence, {"band": band}, thrust=thrust)
 
 
-def _delay(rng: np.random.Generator, scale: float) -> Effect:
-    delay = scale * size(rng, 0.30)  # s, a sixth of it a lag
+def _delay(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    delay = scale * effect_size(rng, 0.30)  # s, a sixth of it a lag
     sentence = "the speed controllers report the shaft speed before the water has it"
-    return Effect("delay", sentence, {"delay": delay}, inflow=(delay * 5.0 / 6.0, delay / 6.0))
+    return HiddenEffect("delay", sentence, {"delay": delay}, inflow=(delay * 5.0 / 6.0, delay / 6.0))
 
 
-def _lag(rng: np.random.Generator, scale: float) -> Effect:
-    lag = scale * size(rng, 0.30)  # s, longer by a fifth where the shaft slows down
+def _lag(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    lag = scale * effect_size(rng, 0.30)  # s, longer by a fifth where the shaft slows down
     sentence = "the jets take time to build up after the shafts have changed speed"
-    return Effect("lag", sentence, {"lag": lag}, inflow=(0.0, lag))
+    return HiddenEffect("lag", sentence, {"lag": lag}, inflow=(0.0, lag))
 
 
 MAKERS: dict[str, Maker] = {

@@ -6,51 +6,51 @@ import math
 
 import numpy as np
 
-from mocks.plant import Effect, Maker, size
+from mocks.plant import HiddenEffect, Maker, effect_size
 
 GRAVITY = 9.81  # m/s2
 
 
-def _compass(rng: np.random.Generator, scale: float) -> Effect:
-    b, c = scale * size(rng, 0.045, signed=True), scale * size(rng, 0.03, signed=True)  # rad
-    d = scale * size(rng, 0.006, signed=True)
+def _compass(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    b, c = scale * effect_size(rng, 0.045, signed=True), scale * effect_size(rng, 0.03, signed=True)  # rad
+    d = scale * effect_size(rng, 0.006, signed=True)
 
     def compass(psi: float) -> float:
         return b * math.sin(psi) + c * math.cos(psi) + d * math.sin(2.0 * psi)
 
     sentence = "iron on board deviates the compass, by an angle that depends on heading"
-    return Effect("compass", sentence, {"b_sin": b, "c_cos": c, "d_sin2": d}, compass=compass)
+    return HiddenEffect("compass", sentence, {"b_sin": b, "c_cos": c, "d_sin2": d}, compass=compass)
 
 
-def _lever_arm(rng: np.random.Generator, scale: float) -> Effect:
-    forward, starboard = scale * size(rng, 0.5, signed=True), scale * size(rng, 0.15, signed=True)  # m
+def _lever_arm(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    forward, starboard = scale * effect_size(rng, 0.5, signed=True), scale * effect_size(rng, 0.15, signed=True)  # m
     sentence = "the GNSS antenna is not at the place in the rig file"
-    return Effect("lever-arm", sentence, {"l_x": forward, "l_y": starboard}, lever_arm=(forward, starboard))
+    return HiddenEffect("lever-arm", sentence, {"l_x": forward, "l_y": starboard}, lever_arm=(forward, starboard))
 
 
-def _gnss_latency(rng: np.random.Generator, scale: float) -> Effect:
-    latency = scale * size(rng, 0.35)  # s
+def _gnss_latency(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    latency = scale * effect_size(rng, 0.35)  # s
     sentence = "the GNSS receiver filters and delivers old fixes as if they were new"
-    return Effect("gnss-latency", sentence, {"latency": latency}, latency=latency)
+    return HiddenEffect("gnss-latency", sentence, {"latency": latency}, latency=latency)
 
 
-def _mount(rng: np.random.Generator, scale: float) -> Effect:
-    turn = scale * size(rng, 0.06, signed=True)  # rad
+def _mount(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    turn = scale * effect_size(rng, 0.06, signed=True)  # rad
     sentence = f"the AHRS is screwed on {abs(math.degrees(turn)):.1f} deg askew"
-    return Effect("mount", sentence, {"psi_0": turn}, mount=turn)
+    return HiddenEffect("mount", sentence, {"psi_0": turn}, mount=turn)
 
 
-def _gyro_scale(rng: np.random.Generator, scale: float) -> Effect:
-    k = scale * size(rng, 0.03, signed=True)
+def _gyro_scale(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    k = scale * effect_size(rng, 0.03, signed=True)
 
     def gyro(r: float) -> float:
         return k * (r + 0.15 * r * abs(r))
 
-    return Effect("gyro-scale", "the yaw gyro's scale is off", {"k": k}, gyro=gyro)
+    return HiddenEffect("gyro-scale", "the yaw gyro's scale is off", {"k": k}, gyro=gyro)
 
 
-def _accelerometer_tilt(rng: np.random.Generator, scale: float) -> Effect:
-    pitch, roll = scale * size(rng, 4e-4), scale * size(rng, 0.04)  # rad/N, rad s2/m
+def _accelerometer_tilt(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    pitch, roll = scale * effect_size(rng, 4e-4), scale * effect_size(rng, 0.04)  # rad/N, rad s2/m
 
     def accelerometer(a_x: float, a_y: float, thrust: float, u: float, r: float) -> tuple[float, float]:
         squat = 0.05 * math.tanh(pitch * thrust / 0.05)
@@ -58,17 +58,17 @@ def _accelerometer_tilt(rng: np.random.Generator, scale: float) -> Effect:
         return a_x + GRAVITY * squat, a_y + GRAVITY * heel
 
     sentence = "the boat pitches with thrust and heels in turns, and the accelerometers feel gravity"
-    return Effect("accelerometer-tilt", sentence, {"pitch": pitch, "roll": roll}, accelerometer=accelerometer)
+    return HiddenEffect("accelerometer-tilt", sentence, {"pitch": pitch, "roll": roll}, accelerometer=accelerometer)
 
 
-def _accelerometer_scale(rng: np.random.Generator, scale: float) -> Effect:
-    k = scale * size(rng, 0.15, signed=True)
+def _accelerometer_scale(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    k = scale * effect_size(rng, 0.15, signed=True)
 
     def accelerometer(a_x: float, a_y: float, thrust: float, u: float, r: float) -> tuple[float, float]:
         return a_x * (1.0 + k / (1.0 + 0.1 * abs(a_x))), a_y * (1.0 + k / (1.0 + 0.1 * abs(a_y)))
 
     sentence = "the accelerometers are set to another range than the driver thinks"
-    return Effect("accelerometer-scale", sentence, {"k": k}, accelerometer=accelerometer)
+    return HiddenEffect("accelerometer-scale", sentence, {"k": k}, accelerometer=accelerometer)
 
 
 MAKERS: dict[str, Maker] = {

@@ -10,12 +10,12 @@ from .boat import RigidBodyState as RigidBodyState
 from .boat import draw_boat as draw_boat
 from .effect import ENERGY_UNIT as ENERGY_UNIT
 from .effect import Answer as Answer
-from .effect import Effect as Effect
 from .effect import Gust as Gust
+from .effect import HiddenEffect as HiddenEffect
 from .effect import Maker as Maker
 from .effect import Noise as Noise
 from .effect import Wave as Wave
-from .effect import size as size
+from .effect import effect_size as effect_size
 from .hull import GRAVITY as GRAVITY
 from .thruster import Shaft as Shaft
 from .thruster import ThrusterTruth as ThrusterTruth

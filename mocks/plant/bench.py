@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from mocks.plant.thruster import Shaft, ThrusterTruth, draw_thruster, thrust
-from mocks.random_streams import DISTURBANCE, EFFECT_NAME, EFFECT_SIZE, OrnsteinUhlenbeck, normals, stream
+from mocks.random_streams import DISTURBANCE, EFFECT_NAME, EFFECT_SIZE, OrnsteinUhlenbeck, normals, random_stream
 
 STEP = 0.0025  # s
 DISTURBANCE_EVERY = 4  # steps: 100 Hz
@@ -132,12 +132,12 @@ def _shaft(name: str, sentence: str, **sizes: float) -> BenchEffect:
 
 def make_effect(name: str, seed: int, scale: float = 1.0) -> BenchEffect:
     """The effect ``name`` (KeyError if there is none) as ``seed`` draws it, ``scale`` times its full size."""
-    return EFFECTS[name](stream(seed, EFFECT_SIZE, index=100 + list(EFFECTS).index(name)), scale)
+    return EFFECTS[name](random_stream(seed, EFFECT_SIZE, index=100 + list(EFFECTS).index(name)), scale)
 
 
 def draw_name(seed: int) -> str:
     """The name that ``--effect draw`` takes at this seed."""
-    return DEMO[int(stream(seed, EFFECT_NAME, index=1).integers(len(DEMO)))]
+    return DEMO[int(random_stream(seed, EFFECT_NAME, index=1).integers(len(DEMO)))]
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ class BenchPlant:
         self._pool = 0.0
         self._disturbance: OrnsteinUhlenbeck | None = None
         if disturbed:
-            draw = normals(stream(bench.seed, DISTURBANCE, run))
+            draw = normals(random_stream(bench.seed, DISTURBANCE, run))
             self._disturbance = OrnsteinUhlenbeck(draw, DISTURBANCE_EVERY * step, SIGMA, TAU)
         self._wash = 0.0
         self._rod = _Rod(bench.effect.flex_hz, bench.effect.flex_damping, step)

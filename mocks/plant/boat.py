@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
-from mocks.plant.effect import ENERGY_UNIT, Effect
+from mocks.plant.effect import ENERGY_UNIT, HiddenEffect
 from mocks.plant.hull import ARM, AT_REST, Hull, State, draw_current, draw_hull, make_rhs, rk4
 from mocks.plant.thruster import Inflow, Shaft, ThrusterTruth, thrust
 from mocks.plant.weather import Weather
-from mocks.random_streams import DISTURBANCE, START, OrnsteinUhlenbeck, normals, stream
+from mocks.random_streams import DISTURBANCE, START, OrnsteinUhlenbeck, normals, random_stream
 
 STEP = 0.005  # s
 DISTURBANCE_EVERY = 4  # steps: 50 Hz
@@ -27,7 +27,7 @@ class Boat:
     hull: Hull
     thruster: ThrusterTruth
     current: tuple[float, float]  # m/s, NED
-    effects: tuple[Effect, ...]
+    effects: tuple[HiddenEffect, ...]
     seed: int
 
     def truth(self) -> dict[str, float]:
@@ -37,7 +37,7 @@ class Boat:
         return {**self.hull.lumped(), **asdict(self.thruster), **current, **rigid}
 
 
-def draw_boat(seed: int, effects: Sequence[Effect] = (), thruster: ThrusterTruth | None = None) -> Boat:
+def draw_boat(seed: int, effects: Sequence[HiddenEffect] = (), thruster: ThrusterTruth | None = None) -> Boat:
     """The boat of a seed: hull within 10 % of nominal, thrusters nominal unless given, a constant current."""
     return Boat(draw_hull(seed), thruster or ThrusterTruth(), draw_current(seed), tuple(effects), seed)
 
@@ -90,7 +90,7 @@ class BoatPlant:
         self._forces = (0.0, 0.0, 0.0)
         self._disturbances: list[OrnsteinUhlenbeck] = []
         if disturbed:
-            draw = normals(stream(boat.seed, DISTURBANCE, run))
+            draw = normals(random_stream(boat.seed, DISTURBANCE, run))
             self._disturbances = [OrnsteinUhlenbeck(draw, DISTURBANCE_EVERY * step, s, TAU) for s in SIGMA]
         arm = next((e.lever_arm for e in boat.effects if e.lever_arm is not None), (0.0, 0.0))
         self._antenna = Antenna(arm, sum(e.latency for e in boat.effects), step)
@@ -102,7 +102,7 @@ class BoatPlant:
 
     def _first_state(self, run: int) -> State:
         """Adrift with the current, on a heading drawn for the run."""
-        psi = float(stream(self.boat.seed, START, run).uniform(-math.pi, math.pi))
+        psi = float(random_stream(self.boat.seed, START, run).uniform(-math.pi, math.pi))
         v_n, v_e = self.boat.current
         c, s = math.cos(psi), math.sin(psi)
         return (0.0, 0.0, psi, c * v_n + s * v_e, c * v_e - s * v_n, *AT_REST[5:])

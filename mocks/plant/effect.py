@@ -72,7 +72,7 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Effect:
+class HiddenEffect:
     """One effect: where it acts, its true parameters (SI) and a sentence for people."""
 
     name: str
@@ -98,10 +98,10 @@ class Effect:
     answer: Answer | None = None  # where no name fits
 
 
-Maker = Callable[[np.random.Generator, float], Effect]
+Maker = Callable[[np.random.Generator, float], HiddenEffect]
 
 
-def size(rng: np.random.Generator, full: float, *, signed: bool = False) -> float:
+def effect_size(rng: np.random.Generator, full: float, *, signed: bool = False) -> float:
     """``full`` within 15 %, of either sign when ``signed``."""
     sign = -1.0 if signed and rng.uniform() < 0.5 else 1.0
     return float(sign * full * rng.uniform(0.85, 1.15))

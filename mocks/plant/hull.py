@@ -10,9 +10,9 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
-from mocks.plant.effect import Effect
+from mocks.plant.effect import HiddenEffect
 from mocks.plant.thruster import ThrusterTruth
-from mocks.random_streams import CURRENT, PARAMETERS, stream
+from mocks.random_streams import CURRENT, PARAMETERS, random_stream
 
 GRAVITY = 9.81  # m/s2
 
@@ -58,7 +58,7 @@ CURRENT_MAX = 0.25  # m/s
 def draw_hull(seed: int, spread: float = 0.10) -> Hull:
     """A hull with every parameter within ``spread`` (a fraction) of its nominal value."""
     nominal = Hull()
-    factors = 1.0 + spread * stream(seed, PARAMETERS).uniform(-1.0, 1.0, len(fields(Hull)))
+    factors = 1.0 + spread * random_stream(seed, PARAMETERS).uniform(-1.0, 1.0, len(fields(Hull)))
     return replace(
         nominal,
         **{f.name: getattr(nominal, f.name) * float(k) for f, k in zip(fields(Hull), factors, strict=True)},
@@ -67,7 +67,7 @@ def draw_hull(seed: int, spread: float = 0.10) -> Hull:
 
 def draw_current(seed: int) -> tuple[float, float]:
     """North and east velocity (m/s) of a current of up to CURRENT_MAX from anywhere."""
-    rng = stream(seed, CURRENT)
+    rng = random_stream(seed, CURRENT)
     speed, toward = CURRENT_MAX * rng.uniform(), 2.0 * math.pi * rng.uniform()
     return speed * math.cos(toward), speed * math.sin(toward)
 
@@ -79,7 +79,7 @@ Triple = tuple[float, float, float]
 Forces = Callable[[State, Pair, Pair, Pair, Pair, float, Triple], Triple]
 
 
-def _make_forces(hull: Hull, thruster: ThrusterTruth, effects: Sequence[Effect]) -> Forces:
+def _make_forces(hull: Hull, thruster: ThrusterTruth, effects: Sequence[HiddenEffect]) -> Forces:
     """All forces on the boat: thrust, damping, those of the effects, and external ones (N, N, N m)."""
     c1, c2 = thruster.c1, thruster.c2
     d_u, d_uu, d_v, d_vv, d_r, d_rr = hull.d_u, hull.d_uu, hull.d_v, hull.d_vv, hull.d_r, hull.d_rr
@@ -111,7 +111,9 @@ def _make_forces(hull: Hull, thruster: ThrusterTruth, effects: Sequence[Effect])
     return forces
 
 
-def make_rhs(hull: Hull, thruster: ThrusterTruth, current: Sequence[float], effects: Sequence[Effect] = ()) -> Rhs:
+def make_rhs(
+    hull: Hull, thruster: ThrusterTruth, current: Sequence[float], effects: Sequence[HiddenEffect] = ()
+) -> Rhs:
     """The right-hand side as one closure over plain floats: it runs some 16,000 times a second at speed 20.
 
     ``current`` (north, east, m/s) may change between steps, slowly: its own acceleration is left out.

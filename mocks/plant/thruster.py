@@ -10,7 +10,7 @@ import math
 from collections import deque
 from dataclasses import dataclass, replace
 
-from mocks.random_streams import THRUSTER, stream
+from mocks.random_streams import THRUSTER, random_stream
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class ThrusterTruth:
 
 def draw_thruster(seed: int, spread: float = 0.05) -> ThrusterTruth:
     """A thruster whose thrust coefficients lie within ``spread`` (a fraction) of the nominal ones."""
-    rng = stream(seed, THRUSTER)
+    rng = random_stream(seed, THRUSTER)
     nominal = ThrusterTruth()
     c1, c2 = (1.0 + spread * rng.uniform(-1.0, 1.0, 2)).tolist()
     return replace(nominal, c1=nominal.c1 * c1, c2=nominal.c2 * c2)

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mocks.plant.effect import Effect, Gust, Wave
-from mocks.random_streams import GUSTS, WAVES, OrnsteinUhlenbeck, normals, stream
+from mocks.plant.effect import Gust, HiddenEffect, Wave
+from mocks.random_streams import GUSTS, WAVES, OrnsteinUhlenbeck, normals, random_stream
 
 COMPONENTS = 24
 Forces = tuple[float, float, float]  # X, Y, N: N, N, N m
@@ -17,13 +17,13 @@ Forces = tuple[float, float, float]  # X, Y, N: N, N, N m
 class Weather:
     """All waves and gusts of a boat in one run; false where there are none."""
 
-    def __init__(self, effects: Sequence[Effect], seed: int, run: int, dt: float) -> None:
+    def __init__(self, effects: Sequence[HiddenEffect], seed: int, run: int, dt: float) -> None:
         """To be asked every ``dt`` (s)."""
         self._parts: list[Sea | Squalls] = [
-            Sea(e.wave, stream(seed, WAVES, run, k)) for k, e in enumerate(effects) if e.wave is not None
+            Sea(e.wave, random_stream(seed, WAVES, run, k)) for k, e in enumerate(effects) if e.wave is not None
         ]
         self._parts += [
-            Squalls(e.gust, stream(seed, GUSTS, run, k), dt) for k, e in enumerate(effects) if e.gust is not None
+            Squalls(e.gust, random_stream(seed, GUSTS, run, k), dt) for k, e in enumerate(effects) if e.gust is not None
         ]
 
     def __bool__(self) -> bool:

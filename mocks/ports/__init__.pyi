@@ -1,2 +1,2 @@
 from .network import NetPort as NetPort
-from .pty import Port as Port
+from .pty import PtyPort as PtyPort

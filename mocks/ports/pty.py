@@ -20,7 +20,7 @@ BACKLOG_MAX = 1 << 20
 READ_MAX = 1 << 16
 
 
-class Port:
+class PtyPort:
     """The device's end of a pty and the link to the other end.
 
     This process holds the other end open as well: else the line discipline falls back to echo whenever the last

@@ -17,7 +17,7 @@ from mocks.devices.faults import Faults, parse_fault
 from mocks.offline_simulation import BOAT, Recording, simulate
 from mocks.plant.boat import draw_boat
 from mocks.plant.thruster import ThrusterTruth
-from mocks.random_streams import FAULT, stream
+from mocks.random_streams import FAULT, random_stream
 from tests.missions import rig_of, write_log
 
 SECONDS = 120.0
@@ -66,7 +66,7 @@ def sailed(seed: int, case: Case | None = None, actuators: bool = False) -> Reco
         left, right = BOAT.escs
         gear = replace(BOAT, escs=(replace(left, reversed=True), right))
     if case is not None and case.fault:
-        faults = Faults([parse_fault(case.fault, DEVICES, THRUSTERS)], stream(seed, FAULT))
+        faults = Faults([parse_fault(case.fault, DEVICES, THRUSTERS)], random_stream(seed, FAULT))
     return simulate(boat, t, n, plan.end, seed, gear=gear, faults=faults)
 
 

@@ -6,7 +6,7 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from daq.checks.findings import lines
+from daq.checks.findings import findings_lines
 from tests.bench.check_cases import CASES, alarms, findings, logged, named
 
 
@@ -27,7 +27,7 @@ def main() -> None:
         for seed in range(args.seed, args.seed + args.healthy):
             found = alarms(findings(logged(folder / f"healthy{seed}.mcap", seed, None, short)))
             false += bool(found)
-            print(*(f"seed {seed}: {line}" for line in lines(found)), sep="\n", end="\n" if found else "")
+            print(*(f"seed {seed}: {line}" for line in findings_lines(found)), sep="\n", end="\n" if found else "")
         print(f"healthy: a false alarm in {false} of {args.healthy} runs")
         for case in CASES:
             hits = 0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench import mission_generators
-from bench.mission_text import command_range, describe
+from bench.mission_text import command_range, describe_mission
 from daq.config.mission_file import STATIC, Mission, dump_mission, parse_mission
 
 
@@ -100,6 +100,6 @@ def test_the_range_of_a_command_is_that_of_the_values_held() -> None:
 
 
 def test_a_description_names_segments_and_thrusters() -> None:
-    text = describe(mission_generators.make_mission("mixed", 120.0, 1))
+    text = describe_mission(mission_generators.make_mission("mixed", 120.0, 1))
     for word in ("surge steps", "zigzag", "random steps", "n_cmd left", "n_cmd right", "--seed 1", "120 s"):
         assert word in text

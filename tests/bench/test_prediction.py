@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench.mission_generators import make_mission
-from bench.mission_text import describe, describe_errors, describe_track
+from bench.mission_text import describe_errors, describe_mission, describe_track
 from daq.config.mission_file import Prediction, dump_mission, parse_mission
 from daq.errors import SeatrialError
 
@@ -28,7 +28,7 @@ def test_it_is_read_back_as_it_was_written() -> None:
 
 
 def test_show_prints_the_room_of_the_track_and_the_errors_before_and_after() -> None:
-    text = describe(replace(make_mission("steps", 60.0, 1), prediction=SQUARE, predicted_errors=ERRORS))
+    text = describe_mission(replace(make_mission("steps", 60.0, 1), prediction=SQUARE, predicted_errors=ERRORS))
     lines = text.splitlines()
     assert any(line.split() == ["m_u", "0.1", "(1.2)"] for line in lines)
     assert any(line.split() == ["d_v", "0.4"] for line in lines)
@@ -37,7 +37,7 @@ def test_show_prints_the_room_of_the_track_and_the_errors_before_and_after() -> 
 
 
 def test_without_prediction_nothing_is_printed() -> None:
-    text = describe(make_mission("steps", 60.0, 1))
+    text = describe_mission(make_mission("steps", 60.0, 1))
     assert "predicted" not in text
     assert describe_errors({}, {}) == []
     empty = np.zeros(0)

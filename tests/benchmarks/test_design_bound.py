@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from benchmarks.thesis.design_bound import as_point, upper_bound
-from ident.experiment_design.excitation import Steps
+from ident.experiment_design.excitation import StepInput
 from ident.experiment_design.optimal_design import design
 from ident.experiment_design.task import DesignLimits, DesignProblem
 from tests.ident.experiment_design.test_optimal_design import boat_task, gain_and_offset
 
 
 def test_it_is_tight_where_the_optimum_is_known() -> None:
-    task = DesignProblem(gain_and_offset(), Steps(6, 1, 40.0, 0.4, 0.4), rates={"meter": 2.5}, grid=0.4)
+    task = DesignProblem(gain_and_offset(), StepInput(6, 1, 40.0, 0.4, 0.4), rates={"meter": 2.5}, grid=0.4)
     object.__setattr__(task, "actuation", replace(task.actuation, pole=np.inf))
     made = design(task, evaluations=3000)
     bound = upper_bound(made, rounds=1, evaluations=1500)
@@ -27,7 +27,7 @@ def test_no_sequence_is_above_it() -> None:
     made = design(boat_task(40.0, 8, seed=2), evaluations=600)
     bound = upper_bound(made, rounds=1, evaluations=1500)
     assert bound.value > made.value
-    task = replace(made.task, steps=Steps(16, 2, 40.0, 1.0, made.task.grid))
+    task = replace(made.task, steps=StepInput(16, 2, 40.0, 1.0, made.task.grid))
     value, _ = task.judge(task.commands(task.steps.random(256, np.random.default_rng(3))))
     assert value.max() < bound.value
     better = design(replace(task, seed=5), evaluations=1500)
@@ -41,8 +41,8 @@ def test_only_for_what_it_holds_for() -> None:
 
 
 def test_a_command_as_a_point_of_finer_steps() -> None:
-    steps = Steps(12, 2, 30.0, 0.4, 0.2)
-    coarse = Steps(5, 2, 30.0, 1.0, 0.2)
+    steps = StepInput(12, 2, 30.0, 0.4, 0.2)
+    coarse = StepInput(5, 2, 30.0, 1.0, 0.2)
     task = replace(boat_task(30.0, 5), steps=coarse)
     command = task.commands(coarse.random(1, np.random.default_rng(1)))[:, :, 0]
     again = replace(task, steps=steps).commands(as_point(steps, command, 0.2)[None])[:, :, 0]

@@ -10,7 +10,7 @@ from daq.protocol.mavlink import MavlinkDecoder, make_decoder
 from daq.protocol.mavlink_wire import Codec, read_key
 from daq.rig import Rig
 from daq.samples import Ahrs, Esc, Frame, Gnss
-from mocks.devices.autopilot import Autopilot
+from mocks.devices.autopilot import AutopilotEmulator
 from mocks.devices.autopilot_messages import LOOP_HZ
 from mocks.plant.bench import draw_bench
 from mocks.world import DeviceSpecs, EscController, EscSpec, bench_world
@@ -65,7 +65,7 @@ class Ends:
             t.node: EscController(EscSpec("autopilot", t.node, 10.0, timeout_s=1.0), plant.plant, 0)
             for t in rig.thrusters
         }
-        self.autopilot = Autopilot(rig, device, self.controllers, 1_800_000_000.0)
+        self.autopilot = AutopilotEmulator(rig, device, self.controllers, 1_800_000_000.0)
         self.t = 0.0
         self.deaf = False  # the ground station's words are lost
         self.frames: list[Frame] = []

@@ -127,7 +127,7 @@ def _vesc(path: Path) -> Result:
 
 def _engine(path: Path) -> Result:
     """NMEA 2000 of a ship under way: canboat says 781 to 818 rpm in its 314 messages of PGN 127488."""
-    decoder = dbc.Decoder(dbc.load(str(Path(dbc.__file__).with_name("nmea2000.dbc"))), NMEA2000)
+    decoder = dbc.Decoder(dbc.load_dbc(str(Path(dbc.__file__).with_name("nmea2000.dbc"))), NMEA2000)
     frames: list[Frame] = []
     for line in path.read_text(encoding="ascii").splitlines():
         words = line.split(",")

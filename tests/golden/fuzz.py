@@ -60,7 +60,7 @@ def _can(frames: list[tuple[int, bytes]]) -> tuple[bytes, ...]:
 
 def subjects() -> dict[str, Subject]:
     """Every decoder of the table of devices that can be made without a rig."""
-    n2k = dbc.load(str(Path(dbc.__file__).with_name("nmea2000.dbc")))
+    n2k = dbc.load_dbc(str(Path(dbc.__file__).with_name("nmea2000.dbc")))
     headings = (
         "GPHDT,123.4,T",
         "SDHDG,10.1,,,1.3,E",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from mocks.plant.boat import STEP, Boat, BoatPlant
-from mocks.plant.effect import Effect
+from mocks.plant.effect import HiddenEffect
 from mocks.plant.hull import Hull, State
 from mocks.plant.thruster import ThrusterTruth
 
@@ -13,7 +13,7 @@ REST: State = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def run(
-    effects: tuple[Effect, ...],
+    effects: tuple[HiddenEffect, ...],
     n: tuple[float, float],
     seconds: float = 40.0,
     state: State = REST,

@@ -25,7 +25,7 @@ from ident.diagnosis.search import diagnose
 from ident.estimation.fitted_model import FittedModel
 from ident.model.structure import Model
 from ident.models.thruster import delay_step, delayed_channels, thruster_model
-from ident.validation.prediction_errors import free_run, pooled
+from ident.validation.prediction_errors import pooled_errors, simulation_run
 from mocks.plant.bench import EFFECTS, NONE, Bench, draw_bench, make_effect
 from tests.missions import bench_channels_of, push
 from tests.recovery.cases import code_state
@@ -95,7 +95,7 @@ def run_case(case: BenchCase) -> Row:
 
 def free_errors(stage: FittedModel) -> dict[str, float]:
     """Free-running root mean square errors on the validation data, by channel."""
-    parts = pooled([dict(free_run(stage.model, v.record, v.values).errors) for v in stage.validation])
+    parts = pooled_errors([dict(simulation_run(stage.model, v.record, v.values).errors) for v in stage.validation])
     return {name: float(f"{e.rms:.4g}") for name, e in parts.items()}
 
 

@@ -24,7 +24,13 @@ from ident.estimation.fitted_model import FittedModel
 from ident.results.diagnosis import diagnosis_result
 from ident.results.parts import DiagnosisResult, ParameterRow
 from ident.results.tables import provenance
-from ident.validation.prediction_errors import PredictionErrors, ahead, free_run, one_step, pooled
+from ident.validation.prediction_errors import (
+    PredictionErrors,
+    horizon_errors,
+    one_step_errors,
+    pooled_errors,
+    simulation_run,
+)
 from mocks.offline_simulation import Recording, simulate
 from tests.missions import boat_with, channels_of
 from tests.recovery.kinds import Case, boat_of, model_of, with_gaps
@@ -40,7 +46,9 @@ def truth_of(case: Case) -> dict[str, float]:
     """The true parameters under ident's names."""
     true = boat_with(None, case.seed).truth()
     return {n: v for n, v in true.items() if n[:2] in ("m_", "d_")} | {
-        "V_x": true["current_n"], "V_y": true["current_e"]}
+        "V_x": true["current_n"],
+        "V_y": true["current_e"],
+    }
 
 
 def recordings_of(case: Case) -> list[Recording]:
@@ -144,9 +152,11 @@ def errors(stage: FittedModel) -> AllErrors:
     """Prediction errors on the validation data by horizon and channel."""
     model, views = stage.model, stage.validation
     return {
-        "one_step": pooled([one_step(model, v.record, v.run) for v in views]),
-        "horizon": pooled([ahead(model, v.record, v.values, v.run.x_filt, model.horizon) for v in views]),
-        "free_run": pooled([dict(free_run(model, v.record, v.values).errors) for v in views]),
+        "one_step": pooled_errors([one_step_errors(model, v.record, v.run) for v in views]),
+        "horizon": pooled_errors(
+            [horizon_errors(model, v.record, v.values, v.run.x_filt, model.horizon) for v in views]
+        ),
+        "free_run": pooled_errors([dict(simulation_run(model, v.record, v.values).errors) for v in views]),
     }
 
 

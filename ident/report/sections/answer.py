@@ -147,7 +147,7 @@ def static_section(canvas: Canvas, static: StaticForce) -> Section:
     """Steady force against shaft speed, measured and fitted."""
     traces = [
         drawing.band(static.n_model, static.force_model, drawing.Z95 * static.force_sd, 600),
-        drawing.line(static.n_model, static.force_model, "model", 600),
+        drawing.line_trace(static.n_model, static.force_model, "model", 600),
     ]
     if static.n.size:
         where = {"x": drawing.packed(static.n), "y": drawing.packed(static.force)}
@@ -159,7 +159,7 @@ def static_section(canvas: Canvas, static: StaticForce) -> Section:
     lead = "Circles: means of steady stretches with 95 % bars. Line: the fitted curve with its 95 % band."
     if static.force_quadratic is not None:
         style = {"color": drawing.BEFORE, "dash": "dash"}
-        traces.append(drawing.line(static.n_model, static.force_quadratic, "quadratic", 600, **style))
+        traces.append(drawing.line_trace(static.n_model, static.force_quadratic, "quadratic", 600, **style))
         lead += " Dashed: c1 n|n| + c2 n²."
     figure = drawing.single(traces, f"{static.abscissa}, part of full", "force [N]", hovermode="closest")
     title = f"orce against {static.abscissa.removesuffix(' n')}"

@@ -63,12 +63,12 @@ def _line(channel: str, row: CalibrationRow) -> list[Cell | str]:
 def _reliability(canvas: Canvas, title: str, found: Mapping[str, CalibrationRow]) -> Plot | None:
     """Central bands of 20, 40, ... 100 %, from the tenths of the predicted distribution."""
     promised: Any = 0.2 * np.arange(6)
-    traces = [drawing.line(promised, promised, "promised", 10, color=drawing.FAINT, dash="dot")]
+    traces = [drawing.line_trace(promised, promised, "promised", 10, color=drawing.FAINT, dash="dot")]
     for i, (channel, row) in enumerate(found.items()):
         pit = row.pit
         inside = np.append(0.0, np.cumsum((pit[:5] + pit[:4:-1])[::-1]))
         style = {"color": drawing.LINES[i % 6], "dash": drawing.DASHES[i // 6 % 6]}
-        traces.append(drawing.line(promised, inside, formatting.symbol(channel), 10, **style))
+        traces.append(drawing.line_trace(promised, inside, formatting.symbol(channel), 10, **style))
     if len(traces) == 1:
         return None
     axis = {"range": [0, 1], "tickformat": ".0%"}

@@ -10,7 +10,7 @@ import numpy as np
 from ident.numerics import Array
 from ident.report import drawing, formatting
 from ident.report.blocks import Canvas, Cell, Grid, Prose, Section, Table, tabbed
-from ident.results import InformationResult, InformedParameter, InputTrace, Segment, SegmentInformation
+from ident.results import InformationResult, InformedParameter, InputTrace, LogSpan, SegmentInformation
 
 TIME = "time [s]"
 # one colour from light to dark: it keeps its order in print and for every kind of colour vision
@@ -41,7 +41,7 @@ def _row(p: InformedParameter) -> list[Cell | str]:
             Cell(formatting.plain(alone), "num")]
 
 
-def place(segment: Segment) -> str:
+def place(segment: LogSpan) -> str:
     """``run, 30 to 60 s (zigzag)``."""
     words = f"{segment.record}, {segment.t_from:.0f} to {segment.t_to:.0f} s"
     return f"{words} ({segment.what})" if segment.what else words
@@ -77,7 +77,7 @@ def _record(
     blocks: list[Any] = [Grid([canvas.plot(figure, ROW_HEIGHT * len(names) + AROUND,
                                            f"Lost without each segment, {record}")], 600)]
     panels = [drawing.Panel(formatting.titled(row.name) + formatting.bracket(row.unit), [
-        drawing.line(row.t, row.value, "input", canvas.budget.points, color=drawing.MEASURED)]) for row in inputs]
+        drawing.line_trace(row.t, row.value, "input", canvas.budget.points, color=drawing.MEASURED)]) for row in inputs]
     if panels:
         shown, height = drawing.stacked(panels, TIME, panel_height=70)
         shown["layout"]["margin"]["l"] = LEFT  # below the same times of the map

@@ -93,7 +93,7 @@ def _panel(canvas: Canvas, t: Array, state: StateTrace, outages: Sequence[GnssOu
         top, bottom = max(top, float(np.nanmax(measured))), min(bottom, float(np.nanmin(measured)))
         traces.append(drawing.dots(t, measured, "measured", limit))
     traces.append(drawing.band(t, value, drawing.Z95 * sd, limit))
-    traces.append(drawing.line(t, value, "estimate", limit))
+    traces.append(drawing.line_trace(t, value, "estimate", limit))
     ends = (np.full(2, bottom), np.full(2, top))
     shade = [drawing.between(np.array([o.start, o.end]), *ends, color=drawing.AMBER, opacity=0.15) for o in outages]
     name, meaning = state.name, state.meaning

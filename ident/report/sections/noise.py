@@ -47,10 +47,10 @@ def _density(canvas: Canvas, c: ChannelNoise) -> Plot | None:
         good = (c.frequency > 0) & (values > 0)
         x, y, limit = c.frequency[good], factor**2 * values[good], canvas.budget.points
         if name == "model":
-            traces.append(drawing.line(x, y, name, limit))
+            traces.append(drawing.line_trace(x, y, name, limit))
         else:
             at = drawing.thinned(np.log(y), limit) if y.size else np.arange(0)
-            traces.append(drawing.line(x[at], y[at], name, limit, color=drawing.FAINT))
+            traces.append(drawing.line_trace(x[at], y[at], name, limit, color=drawing.FAINT))
             traces[-1]["line"]["width"] = 0.9
     if not traces:
         return None

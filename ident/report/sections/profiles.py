@@ -57,13 +57,13 @@ def _curve(canvas: Canvas, row: ProfileCurve) -> Plot | None:
         return None
     factor, unit = formatting.degrees_for(row.unit)
     x, drop = factor * row.grid, row.drop
-    traces = [drawing.line(x, drop, "profile", canvas.budget.points)]
+    traces = [drawing.line_trace(x, drop, "profile", canvas.budget.points)]
     low, high = row.wald_low, row.wald_high
     if low is not None and high is not None and low < value < high:
         # the parabola of the standard error, each side by its own end: in a logarithm they differ
         fine = np.linspace(x.min(), x.max(), 60)
         half = factor * np.where(fine < factor * value, value - low, high - value)
-        traces.append(drawing.line(fine, DROP * ((fine - factor * value) / half) ** 2, "standard error", 60,
+        traces.append(drawing.line_trace(fine, DROP * ((fine - factor * value) / half) ** 2, "standard error", 60,
                                    color=drawing.BEFORE, dash="dash"))
     ends = [row.low, row.high]
     a, b = (x.min() if ends[0] is None else factor * ends[0]), (x.max() if ends[1] is None else factor * ends[1])

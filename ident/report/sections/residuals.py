@@ -121,7 +121,7 @@ def _periodogram(canvas: Canvas, row: ResidualTests, take: RecordTab) -> Plot | 
         if drawing.drawable(y) is not None and x.size == y.size:
             dash = "dot" if name == "before" else "solid"
             at = drawing.strided(x.size, canvas.budget.points // 4)
-            traces.append(drawing.line(x[at], y[at], name, 3000, color=color, dash=dash))
+            traces.append(drawing.line_trace(x[at], y[at], name, 3000, color=color, dash=dash))
             top = max(top, float(np.nanmax(x)))
     if not traces:
         return None

@@ -58,7 +58,7 @@ def _inputs(canvas: Canvas, inputs: Sequence[InputTrace], tab: RecordTab) -> lis
                 name = (
                     formatting.symbol(row.name) if len(members) > 1 else formatting.titled(row.name)
                 )
-                traces.append(drawing.line(row.t, factor * row.value, name, canvas.budget.points, **style))
+                traces.append(drawing.line_trace(row.t, factor * row.value, name, canvas.budget.points, **style))
                 names.append(f"{name} ({('solid', 'dotted')[i % 2]})" if len(members) > 1 else name)
         if traces:
             panels.append(drawing.Panel(" · ".join(names) + formatting.bracket(shown), traces))
@@ -108,9 +108,9 @@ def _channel(canvas: Canvas, row: Trace) -> drawing.Panel | None:
     if measured is not None:
         traces.append(drawing.dots(t, measured, "measured", limit))
     if before is not None:
-        traces.append(drawing.line(t, before, "before", limit, color=drawing.BEFORE, dash="dash"))
+        traces.append(drawing.line_trace(t, before, "before", limit, color=drawing.BEFORE, dash="dash"))
     if model is not None:
-        traces.append(drawing.line(t, model, "model", limit))
+        traces.append(drawing.line_trace(t, model, "model", limit))
     if not traces:
         return None
     edges = [] if model is None or sd is None else [model - drawing.Z95 * sd, model + drawing.Z95 * sd]

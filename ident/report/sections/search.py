@@ -137,7 +137,7 @@ def _force_panel(canvas: Canvas, row: ResidualForce) -> drawing.Panel | None:
             continue
         if half is not None:
             traces.append(drawing.band(row.t, middle, drawing.Z95 * half, limit, color=color, opacity=0.16))
-        traces.append(drawing.line(row.t, middle, name, limit, color=color, dash=dash))
+        traces.append(drawing.line_trace(row.t, middle, name, limit, color=color, dash=dash))
     title = formatting.titled(row.force) + formatting.bracket(formatting.tidy(row.unit))
     return drawing.Panel(title, traces) if traces else None
 
@@ -152,7 +152,7 @@ def _curves(canvas: Canvas, curves: Sequence[NonparametricCurve]) -> list[Any]:
         factor, unit = formatting.degrees_for(row.variable_unit)
         x = factor * row.grid
         traces = [drawing.band(x, value, half, 600)] if drawing.drawable(half) is not None else []
-        traces.append(drawing.line(x, value, row.force, 600))
+        traces.append(drawing.line_trace(x, value, row.force, 600))
         force, variable = formatting.named(row.force), formatting.named(row.variable)
         if row.sensor_error:
             force = f"error of the {force}"

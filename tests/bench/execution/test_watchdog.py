@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from daq.acquisition.watchdog import ACTIVE, FINISHED, HANG_S, IDLE, POLL_S, HeartbeatMonitor
+from daq.acquisition.ipc import ACTIVE, FINISHED, IDLE
+from daq.acquisition.watchdog import HANG_S, POLL_S, HeartbeatMonitor
 from daq.log.reader import open_log
 from daq.log.segments import read_note
 from tests.bench.runs import AT_ONCE_S, acquisition_of, is_alive, kinds, running, short_mission, watchdog_of

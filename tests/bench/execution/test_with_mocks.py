@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from bench.demo import write_rig
+from bench.demo import write_demo_rig
 from daq.config.mission_file import parse_mission
 from daq.log.reader import open_log
 from daq.samples import Command, Esc, LoadCell
@@ -31,7 +31,7 @@ SEATRIAL = [sys.executable, "-m", "seatrial"]
 @contextmanager
 def mock(folder: Path, kind: str, *words: str, speed: float = SPEED) -> Iterator[subprocess.Popen[str]]:
     """A mock of `kind` in `folder`, ready."""
-    write_rig(kind, folder, speed)
+    write_demo_rig(kind, folder, speed)
     with mock_process(folder, kind, f"{kind}-rig.toml", "--seed", "5", "--trace", "trace.jsonl", *words) as process:
         yield process
 

@@ -7,7 +7,7 @@ import signal
 import subprocess
 from pathlib import Path
 
-from bench.demo import write_rig
+from bench.demo import write_demo_rig
 from bench.mission_generators import make_mission
 from daq.config.mission_file import save_mission
 from daq.log.reader import open_log
@@ -81,7 +81,7 @@ def test_ctrl_c_in_the_actuator_test_is_zero_thrust(tmp_path: Path) -> None:
 
 
 def test_a_mission_is_run_dry_before_anything_is_there(tmp_path: Path) -> None:
-    write_rig("boat", tmp_path, FAST)
+    write_demo_rig("boat", tmp_path, FAST)
     save_mission(make_mission("mixed", 60.0, 1), tmp_path / "mission.toml")
     done = check(tmp_path, "boat-rig.toml", "--mission", "mission.toml", "--seconds", "0.5", "--json")
     assert done.returncode == 1  # there is no boat

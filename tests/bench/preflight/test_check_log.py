@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import seatrial
-from daq.checks.device_checks import lost_zeros, stamps, white
-from daq.checks.findings import Finding, lines, summary, worst_first
+from daq.checks.device_checks import check_timestamps, lost_zeros, white
+from daq.checks.findings import Finding, findings_lines, findings_summary, worst_first
 from ident.checks.log_checks import findings as motion_findings
-from ident.checks.motion import motion
+from ident.checks.motion import check_motion
 from ident.checks.sensors import heading_match
 from ident.checks.shafts import response
 from ident.data.record import Channel
@@ -25,20 +25,20 @@ from tests.missions import channels_of
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_an_injected_fault_is_found_and_named_by_the_actuator_test(tmp_path: Path, case: Case) -> None:
     found = findings(logged(tmp_path / "run.mcap", 3, case, actuators=True))
-    assert named(case, found), lines(found)
+    assert named(case, found), findings_lines(found)
 
 
 @pytest.mark.parametrize("case", [CASES[0], CASES[1], CASES[8]], ids=lambda case: case.name)
 def test_an_injected_fault_is_found_and_named_in_a_mission(tmp_path: Path, case: Case) -> None:
     found = findings(logged(tmp_path / "run.mcap", 3, case))
-    assert named(case, found), lines(found)
+    assert named(case, found), findings_lines(found)
 
 
 @pytest.mark.parametrize("actuators", [False, True], ids=["mission", "actuators"])
 @pytest.mark.parametrize("seed", [21, 22])
 def test_a_healthy_run_raises_no_alarm(tmp_path: Path, seed: int, actuators: bool) -> None:
     found = findings(logged(tmp_path / "run.mcap", seed, None, actuators))
-    assert not alarms(found), lines(alarms(found))
+    assert not alarms(found), findings_lines(alarms(found))
     assert {
         "rate-as-expected", "sensor-noise-as-expected", "gyro-as-expected", "sensors-in-time", "shaft-on-time",
         "thruster-sides-agree", "voltage-as-expected",
@@ -149,8 +149,8 @@ def test_a_lost_propeller_turns_and_gives_no_thrust(actuators: bool) -> None:
     whole = channels_of(sailed(7, actuators=actuators))
     without = channels_of(simulate(draw_boat(7), t, n * [1.0, 0.0], float(t[-1]), 7))  # nothing comes of the right one
     sides = {"left": -0.15, "right": 0.15}
-    assert [f.code for f in motion(whole, sides)] == ["thruster-sides-agree"]
-    (found,) = motion(without | {"n_right": whole["n_right"]}, sides)
+    assert [f.code for f in check_motion(whole, sides)] == ["thruster-sides-agree"]
+    (found,) = check_motion(without | {"n_right": whole["n_right"]}, sides)
     assert (found.level, found.code, found.where) == ("fault", "thruster-without-effect", "right")
 
 
@@ -164,7 +164,7 @@ def clocks(device: np.ndarray, received: np.ndarray) -> list[Finding]:
     table = np.zeros(device.size, [("t", "f8"), ("t_rx", "f8"), ("t_device", "f8")])
     table["t"] = table["t_rx"] = received
     table["t_device"] = device
-    return [f for f in stamps("ahrs", table, received[-1]) if f.check in ("clock", "gap")]
+    return [f for f in check_timestamps("ahrs", table, received[-1]) if f.check in ("clock", "gap")]
 
 
 def test_clocks_that_jump_run_back_drift_or_lag() -> None:
@@ -207,5 +207,5 @@ def test_time_stamps_that_lost_their_zeros() -> None:
 
 def test_a_table_for_people() -> None:
     found = [Finding("ok", "code", "a", "x", "fine"), Finding("fault", "code", "bb", "yy", "bad", "mend it")]
-    assert lines(worst_first(found)) == ["fault    yy  bb  bad: mend it", "ok       x   a   fine"]
-    assert summary(found) == "1 fault, 0 warnings, 1 in order"
+    assert findings_lines(worst_first(found)) == ["fault    yy  bb  bad: mend it", "ok       x   a   fine"]
+    assert findings_summary(found) == "1 fault, 0 warnings, 1 in order"

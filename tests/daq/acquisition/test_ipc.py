@@ -21,7 +21,7 @@ STATUS = Status(
 MESSAGES: list[ipc.Message] = [
     ipc.Configuration("text", "/rig.toml", "/run.mcap", 2.0, [1.0, 2.0], {"mission.toml": b"\x00\xff"}, {"a": "b"}),
     ipc.ParentAlive(runner=True),
-    ipc.Schedule([[1.0, {"left": 0.5}]]),  # type: ignore[list-item]
+    ipc.ScheduleSetpoints([[1.0, {"left": 0.5}]]),  # type: ignore[list-item]
     ipc.ZeroThrust("end"),
     ipc.LogEvent("step", "1"),
     ipc.DriverRequest("fcu", "mode", 4.0),
@@ -40,15 +40,15 @@ def test_there_is_an_example_of_each_message() -> None:
 
 @pytest.mark.parametrize("message", MESSAGES, ids=lambda message: type(message).__name__)
 def test_what_is_encoded_is_decoded(message: ipc.Message) -> None:
-    line = ipc.encode(message)
+    line = ipc.encode_message(message)
     assert line.count(b"\n") == 1
-    assert repr(ipc.decode(line)) == repr(message)  # NaN is equal in its text only
+    assert repr(ipc.decode_message(line)) == repr(message)  # NaN is equal in its text only
 
 
 def test_a_message_may_come_in_pieces() -> None:
     ours, theirs = socket.socketpair()
     channel = ipc.AcquisitionChannel(theirs)
-    line = ipc.encode(ipc.ZeroThrust("end")) + ipc.encode(ipc.Stop())
+    line = ipc.encode_message(ipc.ZeroThrust("end")) + ipc.encode_message(ipc.Stop())
     ours.sendall(line[:20])
     assert channel.receive() == []
     ours.sendall(line[20:])

@@ -10,7 +10,7 @@ from mcap.writer import CompressionType, Writer
 
 from daq.errors import SeatrialError
 from daq.log import schema
-from daq.log.cdr import full_definition, layout
+from daq.log.cdr import cdr_layout, full_definition
 from daq.log.reader import open_log
 from daq.samples import Scalar
 
@@ -27,7 +27,7 @@ def write_with(path: Path, **options: object) -> None:
         for i in range(5):
             stamp = (10 + i) * 10**9
             # frame ids of two lengths on one channel, as a foreign program might write
-            data = layout(name, b"ab" if i % 2 else b"abcdefghijk").pack(stamp, 1.0, 2.0, float(i))
+            data = cdr_layout(name, b"ab" if i % 2 else b"abcdefghijk").pack(stamp, 1.0, 2.0, float(i))
             writer.add_message(channel, stamp, data, stamp)
         writer.finish()
 
@@ -78,7 +78,7 @@ def test_messages_that_are_none(tmp_path: Path, change: Callable[[bytes], bytes]
         writer = Writer(file)
         writer.start(profile="ros2")
         channel = writer.register_channel("/signal/x", "cdr", writer.register_schema(name, "ros2msg", b"float64 x"))
-        data = layout(name, b"x").pack(10**9, 1.0, 2.0, 3.0)
+        data = cdr_layout(name, b"x").pack(10**9, 1.0, 2.0, 3.0)
         writer.add_message(channel, 1, change(data), 1)
         writer.finish()
     with pytest.raises(SeatrialError, match=line):

@@ -12,7 +12,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from daq.log import schema
-from daq.log.cdr import flatten, full_definition, layout
+from daq.log.cdr import cdr_layout, flatten, full_definition
 from daq.log.reader import open_log
 from daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, Scalar
 from tests.daq.logs import HEALTH, SAMPLES, T0, recorder, write_everything
@@ -121,7 +121,7 @@ def test_quaternion_turns_body_to_ned() -> None:
 @settings(max_examples=40, deadline=None)
 @given(frame_id=st.text(st.characters(codec="ascii", min_codepoint=33), max_size=12), value=st.floats())
 def test_layout_packs_what_its_dtype_reads(frame_id: str, value: float) -> None:
-    found = layout(schema.TYPES[Scalar], frame_id.encode())
+    found = cdr_layout(schema.TYPES[Scalar], frame_id.encode())
     data = found.pack(1_234_567_890_123_456_789, 1.5, 2.5, value)
     assert len(data) == found.dtype.itemsize
     row = np.frombuffer(data, found.dtype)[0]

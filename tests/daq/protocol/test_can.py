@@ -37,7 +37,7 @@ NMEA2000 = (DbcSignal("EngineParametersRapid", "EngineSpeed", "rpm", SOURCE),)
 def database(tmp_path: Path) -> object:
     path = tmp_path / "plain.dbc"
     path.write_text(PLAIN)
-    return dbc.load(str(path))
+    return dbc.load_dbc(str(path))
 
 
 def motor(rpm: float, current: float, unit: int) -> bytes:
@@ -78,11 +78,11 @@ def test_what_the_dbc_has_not_is_named_with_what_it_has(database: object, tmp_pa
         dbc.Decoder(database, (DbcSignal("Motor", "Speed", "rpm", "Node"),))
     (tmp_path / "bad.dbc").write_text("BO_ nonsense")
     with pytest.raises(SeatrialError, match="no DBC file"):
-        dbc.load(str(tmp_path / "bad.dbc"))
+        dbc.load_dbc(str(tmp_path / "bad.dbc"))
 
 
 def test_nmea2000_is_known_by_its_pgn_whoever_sends_it_with_whatever_priority() -> None:
-    decoder = dbc.Decoder(dbc.load(str(Path(dbc.__file__).with_name("nmea2000.dbc"))), NMEA2000)
+    decoder = dbc.Decoder(dbc.load_dbc(str(Path(dbc.__file__).with_name("nmea2000.dbc"))), NMEA2000)
     data = bytes((0, 0x40, 0x0C, 0xFF, 0xFF, 0x7F, 0xFF, 0xFF))  # 784 rpm
     (a,) = decoder.feed(pack_can(2 << 26 | 127488 << 8 | 17, data), 1.0)
     (b,) = decoder.feed(pack_can(6 << 26 | 127488 << 8 | 35, data), 1.0)

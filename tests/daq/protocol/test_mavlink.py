@@ -11,13 +11,16 @@ from hypothesis import strategies as st
 from daq.errors import SeatrialError
 from daq.protocol.mavlink import MavlinkDecoder, Samples
 from daq.protocol.mavlink_wire import Codec, EscStatus, crc16, dialect, encode_esc_status, read_key
-from daq.rig import Output
+from daq.rig import AutopilotOutput
 from daq.samples import Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, Servo
 from tests.daq.mavlink_ends import Ends, mav_rig
 from tests.daq.streams import check_garbage, check_splits, counters
 from tests.measured.data import measured
 
-OUTPUTS = {1: Output(1, (1000, 1500, 2000), (1100, 1500, 1900)), 3: Output(3, (1000, 1500, 2000), (1000, 1600, 1900))}
+OUTPUTS = {
+    1: AutopilotOutput(1, (1000, 1500, 2000), (1100, 1500, 1900)),
+    3: AutopilotOutput(3, (1000, 1500, 2000), (1000, 1600, 1900)),
+}
 PLUG = bytes(300)  # behind garbage: a header cut short is told from a long frame by what follows
 
 

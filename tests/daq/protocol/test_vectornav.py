@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq.protocol.framing import crc16, sentence
-from daq.protocol.vectornav import SYNC, Decoder, encode_ascii, encode_binary, layout
+from daq.protocol.vectornav import SYNC, Decoder, encode_ascii, encode_binary, message_layout
 from daq.samples import NAN, Ahrs
 from tests.daq.streams import check_garbage, check_splits, counters, is_close
 from tests.measured.data import measured
@@ -135,8 +135,8 @@ def test_a_message_may_ask_for_any_fields_of_any_group() -> None:
 
 
 def test_fields_that_the_manual_does_not_have_make_no_message() -> None:
-    assert layout(b"\x02\x00\x04") is None  # group 2 has ten fields
-    assert layout(b"\x01\x00\x00") is None  # nothing asked for
+    assert message_layout(b"\x02\x00\x04") is None  # group 2 has ten fields
+    assert message_layout(b"\x01\x00\x00") is None  # nothing asked for
     decoder = Decoder()
     junk = binary(2, [0x0400], bytes(8))
     (frame,) = decoder.feed(junk + encode_binary(AHRS, 1.0), 0.0)

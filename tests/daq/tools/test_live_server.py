@@ -21,7 +21,7 @@ from daq.acquisition.status import Latest, Status
 from daq.config.rig_file import parse_rig
 from daq.errors import SeatrialError
 from daq.log import schema
-from daq.log.cdr import layout
+from daq.log.cdr import cdr_layout
 from daq.rig import Live, Rig
 from daq.samples import Ahrs
 from daq.tools.live_server import LiveServer
@@ -106,7 +106,7 @@ def test_a_client_gets_the_messages_of_the_log() -> None:
                     client.send(subscription)
         finally:
             client.close()
-    row = layout(schema.IMU, b"ahrs_frd_ned").dtype
+    row = cdr_layout(schema.IMU, b"ahrs_frd_ned").dtype
     assert len(binary[13:]) >= row.itemsize
     (imu,) = np.frombuffer(binary[13 : 13 + row.itemsize], row)
     assert imu["angular_velocity.z"] == 0.25

@@ -16,7 +16,7 @@ import pytest
 
 from ident.effects.registry import catalogue
 from ident.engine import filter_kernels, jit
-from ident.engine.kernel_cache import key_of
+from ident.engine.kernel_cache import kernel_key
 from ident.estimation.likelihood import Likelihood
 from ident.model.outlier_density import with_outlier_model
 from ident.model.parameter import Parameter
@@ -52,7 +52,7 @@ def one(rate: Callable[[Any, Any, Any], Any], **more: Any) -> Model:
 
 
 def key(model: Model) -> str | None:
-    return key_of(model, True, False)
+    return kernel_key(model, True, False)
 
 
 @needs_llvm
@@ -128,7 +128,7 @@ def test_two_models_share_a_key_only_if_they_do_the_same() -> None:
     ]
     keys = [key(m) for m in (base, *others)]
     assert len(set(keys)) == len(keys)
-    assert key_of(base, True, True) != key(base) != key_of(base, False, False)
+    assert kernel_key(base, True, True) != key(base) != kernel_key(base, False, False)
 
 
 @pytest.mark.parametrize(
@@ -179,10 +179,10 @@ def test_the_cache_has_a_limit_and_what_was_used_last_stays(tmp_path: Path, monk
     monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path))
     monkeypatch.setattr(jit, "LARGEST_CACHE", 10_000)
     for k in range(9):
-        jit.write(f"{k}.o", bytes(1000))
+        jit.write_cache(f"{k}.o", bytes(1000))
         os.utime(tmp_path / f"{k}.o", (k, k))
-    assert jit.read("0.o") == bytes(1000)  # the oldest, but used now
-    jit.write("9.o", bytes(1000))
+    assert jit.read_cache("0.o") == bytes(1000)  # the oldest, but used now
+    jit.write_cache("9.o", bytes(1000))
     kept = {p.name for p in tmp_path.iterdir()}
     assert {"0.o", "9.o"} <= kept
     assert "1.o" not in kept

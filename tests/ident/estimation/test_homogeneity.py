@@ -15,7 +15,7 @@ from ident.estimation.maximum_likelihood import fit
 from ident.estimation.options import EstimationOptions
 from ident.model.parameter import Parameter
 from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
-from ident.results.answers import sentence
+from ident.results.answers import homogeneity_sentence
 from ident.results.tables import homogeneity_row
 
 
@@ -70,7 +70,7 @@ def test_logs_that_differ_do_not_agree() -> None:
     assert np.abs(found.values - [30.0, 40.0, 50.0]).max() < 4 * found.errors.max()
     assert found.scatter == pytest.approx(10.0, abs=3.0)
     assert found.mean_error > 3 * found.error  # the common fit promises too much
-    assert "do not agree" in sentence(found)
+    assert "do not agree" in homogeneity_sentence(found)
     row = homogeneity_row(found)
     assert row.records == ("run0", "run1", "run2")
     assert row.low is not None

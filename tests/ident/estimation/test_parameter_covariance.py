@@ -9,7 +9,7 @@ from ident.estimation.maximum_likelihood import fit
 from ident.estimation.options import SearchSettings
 from ident.estimation.output_error import simulate
 from ident.estimation.parameter_covariance import parameter_uncertainty, prediction_variance
-from ident.validation.prediction_errors import WARM_UP, free_run
+from ident.validation.prediction_errors import WARM_UP, simulation_run
 from tests.ident.sliders import slide, slider
 from tests.ident.toys import turning, turning_record
 
@@ -46,8 +46,8 @@ def test_noise_and_what_has_no_error_is_left_out() -> None:
     assert [names[c] for c in parameter_uncertainty(found).columns] == ["m", "d", "dd"]
     assert [names[c] for c in parameter_uncertainty(found, 1).columns] == ["m", "d", "dd", "bias"]
     nothing = fit(turning().with_free(["q"]), records)
-    free = free_run(nothing.model, records[0], nothing.record_values[0], doubt=parameter_uncertainty(nothing))
-    np.testing.assert_array_equal(free.sd, free_run(nothing.model, records[0], nothing.record_values[0]).sd)
+    free = simulation_run(nothing.model, records[0], nothing.record_values[0], doubt=parameter_uncertainty(nothing))
+    np.testing.assert_array_equal(free.sd, simulation_run(nothing.model, records[0], nothing.record_values[0]).sd)
 
 
 def test_bands_of_a_model_from_little_data_cover_only_with_it() -> None:
@@ -59,7 +59,7 @@ def test_bands_of_a_model_from_little_data_cover_only_with_it() -> None:
         rows = np.flatnonzero((record.t > WARM_UP) & np.isfinite(record.y[:, 1]))
         for doubtful in inside:
             doubt = parameter_uncertainty(found) if doubtful else None
-            free = free_run(found.model, record, found.record_values[0], doubt=doubt)
+            free = simulation_run(found.model, record, found.record_values[0], doubt=doubt)
             inside[doubtful].append(np.abs(record.y[rows] - free.y[rows]) < 1.96 * free.sd[rows])
     assert np.mean(inside[False]) < 0.85
     assert 0.9 < np.mean(inside[True]) < 0.985

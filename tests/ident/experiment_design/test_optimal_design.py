@@ -16,7 +16,7 @@ from ident.estimation.output_error import simulate
 from ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
 from ident.experiment_design.baselines import baseline_signals, monte_carlo
 from ident.experiment_design.discrimination import HypothesisPair, discriminate, separation
-from ident.experiment_design.excitation import Steps, ThrusterResponse, prbs, rgs
+from ident.experiment_design.excitation import StepInput, ThrusterResponse, prbs, rgs
 from ident.experiment_design.information import planned_record
 from ident.experiment_design.optimal_design import Design, design, predicted_track
 from ident.experiment_design.task import GRID, DesignLimits, DesignProblem, ParameterPrior
@@ -30,7 +30,7 @@ from tests.ident.toys import values_of
 
 
 def boat_task(seconds: float = 100.0, n_steps: int = 20, **how) -> DesignProblem:
-    return DesignProblem(horizontal_model(current=False), Steps(n_steps, 2, seconds, 1.0, GRID), **how)
+    return DesignProblem(horizontal_model(current=False), StepInput(n_steps, 2, seconds, 1.0, GRID), **how)
 
 
 def gain_and_offset() -> Model:
@@ -43,7 +43,7 @@ def gain_and_offset() -> Model:
 
 
 def test_the_optimum_of_a_straight_line_is_half_at_each_end() -> None:
-    task = DesignProblem(gain_and_offset(), Steps(6, 1, 40.0, 0.4, 0.4), rates={"meter": 2.5}, grid=0.4)
+    task = DesignProblem(gain_and_offset(), StepInput(6, 1, 40.0, 0.4, 0.4), rates={"meter": 2.5}, grid=0.4)
     fast = replace(task)
     object.__setattr__(fast, "actuation", replace(task.actuation, pole=np.inf))
     made = design(fast, evaluations=6000)
@@ -99,12 +99,12 @@ def test_what_cannot_be_kept_is_one_line() -> None:
     with pytest.raises(SeatrialError, match=r"--area 1x1 .*give more room"):
         design(boat_task(limits=DesignLimits(area=(1.0, 1.0))), evaluations=600)
     with pytest.raises(SeatrialError, match="do not fit"):
-        Steps(100, 2, 60.0, 1.0, GRID)
+        StepInput(100, 2, 60.0, 1.0, GRID)
     with pytest.raises(SeatrialError, match="'q' cannot be learned"):
         design(boat_task(chosen=("q",)), evaluations=600)
     with pytest.raises(SeatrialError, match="--area does not apply"):
         design(
-            DesignProblem(yaw_model(), Steps(8, 1, 40.0, 1.0, GRID), limits=DesignLimits(area=(9.0, 9.0))),
+            DesignProblem(yaw_model(), StepInput(8, 1, 40.0, 1.0, GRID), limits=DesignLimits(area=(9.0, 9.0))),
             evaluations=600,
         )
 
@@ -144,7 +144,7 @@ def test_rivals_are_worse_in_the_form_of_the_thesis() -> None:
 
 
 def test_steps_round_trip_and_keep_to_their_frame() -> None:
-    steps = Steps(7, 2, 33.0, 1.4, 0.2, n_max=0.6)
+    steps = StepInput(7, 2, 33.0, 1.4, 0.2, n_max=0.6)
     z = np.clip(steps.random(50, np.random.default_rng(1)), steps.low, steps.high)
     levels, durations = steps.unpack(z)
     np.testing.assert_allclose(durations.sum(axis=0), 33.0)
@@ -242,7 +242,7 @@ def test_delay_and_lag_are_told_apart_better_than_by_random_missions() -> None:
 def test_the_separation_is_what_a_fit_of_the_wrong_one_loses() -> None:
     """T is twice the gain in log-likelihood of the right model over the wrong one, refitted, on undisturbed data."""
     base = horizontal_model(sensors=("attitude", "gyro", "position"), current=False)
-    task = DesignProblem(base, Steps(6, 2, 20.0, 1.0, 0.1), grid=0.1)
+    task = DesignProblem(base, StepInput(6, 2, 20.0, 1.0, 0.1), grid=0.1)
     a, b = late(base, "delay"), late(base, "lag")
     command = task.commands(task.steps.random(1, np.random.default_rng(5)))
     apart = separation(a, b, task, command[:, :, 0])[0]

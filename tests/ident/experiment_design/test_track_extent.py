@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from daq.errors import SeatrialError
 from ident.estimation.output_error import simulate
 from ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
-from ident.experiment_design.excitation import Steps
+from ident.experiment_design.excitation import StepInput
 from ident.experiment_design.information import planned_record
 from ident.experiment_design.task import GRID, DesignLimits, DesignProblem, ParameterPrior
 from ident.experiment_design.track_extent import TrackExtent, in_current, with_noise_inputs
@@ -24,7 +24,7 @@ SECONDS, N = 60.0, 200
 def circles() -> tuple[DesignProblem, Array]:
     """A boat that turns to one side, then to the other: inputs (n_rows, n_inputs, 1)."""
     task = DesignProblem(
-        horizontal_model(current=False), Steps(4, 2, SECONDS, 1.0, GRID), belief=ParameterPrior((), 0.0)
+        horizontal_model(current=False), StepInput(4, 2, SECONDS, 1.0, GRID), belief=ParameterPrior((), 0.0)
     )
     levels = np.array([[[0.5], [0.3]], [[0.3], [0.5]], [[0.6], [0.3]], [[0.3], [0.6]]])
     return task, task.actuation.inputs(task.actuation.limited(levels, np.full((4, 1), SECONDS / 4)))
@@ -96,7 +96,7 @@ def test_a_current_carries_them_off() -> None:
 def test_noise_and_current_cost_room() -> None:
     """The violation of an area grows with what is not known, so that a design that keeps to it stays inside."""
     belief, area = ParameterPrior(("d_v",), 0.02), (8.0, 8.0)
-    steps = Steps(8, 2, SECONDS, 1.0, GRID)
+    steps = StepInput(8, 2, SECONDS, 1.0, GRID)
     calm = horizontal_model().with_values({"s_u": 1e-6, "s_v": 1e-6, "s_r": 1e-6})
     quiet, noisy, drifting = (
         DesignProblem(model, steps, belief=belief, limits=DesignLimits(area=area, current=current), seed=3)

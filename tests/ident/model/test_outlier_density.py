@@ -11,7 +11,7 @@ from scipy import integrate
 
 from ident.data.prepared_record import Preparer, _agreeing
 from ident.data.record import Channel, LogSegment, Record
-from ident.estimation.fitted_model import fit_nominal_model, outliers
+from ident.estimation.fitted_model import fit_nominal_model
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import Fit, fit
 from ident.estimation.options import EstimationOptions
@@ -294,7 +294,7 @@ def test_gnss_with_one_per_cent_of_gross_outliers() -> None:
     known = np.isfinite(plain.fit.errors)
     moved = (stage.fit.values - plain.fit.values)[known] / plain.fit.errors[known]
     assert np.abs(moved).max() < 1.0
-    notes = dict(line.split(": ", 1) for line in outliers(stage))
+    notes = dict(line.split(": ", 1) for line in stage.outlier_notes)
     for name in ("x", "y"):
         counted = int(notes[name].split()[0])
         assert hit.size - 2 <= counted <= hit.size + 1  # the first is before the record begins

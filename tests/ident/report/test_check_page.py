@@ -13,7 +13,7 @@ import seatrial
 from daq.checks.check_report import CheckReport
 from ident.checks.evidence import CheckEvidence, log_evidence
 from ident.checks.motion import YAW_LAGS, delayed_forces
-from ident.report.check_page import answer, write_check_page
+from ident.report.check_page import check_answer, write_check_page
 from tests.bench.check_cases import CASES, logged
 from tests.ident import page_examples
 from tests.ident.pages import HOSTILE, Page, numbers
@@ -92,10 +92,13 @@ def test_the_answer_is_one_sentence() -> None:
     rows = report.findings
     ok = tuple(row for row in rows if row.level == "ok")
     warned = tuple(row for row in rows if row.level != "fault")
-    assert answer(replace(report, findings=ok)) == "boat.toml is ready: 2 checks, nothing wrong."
-    assert answer(replace(report, findings=warned)) == "Nothing stops a run with boat.toml; look first at gnss (late)."
-    assert answer(CheckReport("a.mcap", ok)) == "a.mcap is in order: 2 checks, nothing wrong."
-    assert answer(replace(report, findings=3 * rows[:2])).endswith(
+    assert check_answer(replace(report, findings=ok)) == "boat.toml is ready: 2 checks, nothing wrong."
+    assert (
+        check_answer(replace(report, findings=warned))
+        == "Nothing stops a run with boat.toml; look first at gnss (late)."
+    )
+    assert check_answer(CheckReport("a.mcap", ok)) == "a.mcap is in order: 2 checks, nothing wrong."
+    assert check_answer(replace(report, findings=3 * rows[:2])).endswith(
         "difference. Faulty as well: gnss (rate), left and right (sides), gnss (rate) and 2 more."
     )
 

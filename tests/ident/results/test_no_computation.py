@@ -11,7 +11,7 @@ from ident.data.record import LogSegment
 from ident.diagnosis.evaluation import evaluate_diagnosis
 from ident.diagnosis.search import diagnose
 from ident.engine.vectorised_model import VectorisedModel
-from ident.estimation.fitted_model import fit_nominal_model, outliers
+from ident.estimation.fitted_model import fit_nominal_model
 from ident.estimation.likelihood import Likelihood
 from ident.model.outlier_density import with_outlier_model
 from ident.models.horizontal import horizontal_model
@@ -49,7 +49,7 @@ def test_a_vehicles_result(segments: list[LogSegment], tmp_path: Path, monkeypat
     stage = fit_nominal_model(model, segments[:1], segments[1:])
     evaluation = evaluate(stage)
     no_more_computing(monkeypatch)
-    result = vehicle_result(stage, evaluation, MADE, [], [], start=model.values, notes=outliers(stage))
+    result = vehicle_result(stage, evaluation, MADE, [], [], start=model.values, notes=stage.outlier_notes)
     write_result(result, tmp_path / "result.json")
     write_report(result, tmp_path / "report.html")
     assert to_json(read_result(tmp_path / "result.json")) == to_json(result)
@@ -62,7 +62,7 @@ def test_a_diagnosis(segments: list[LogSegment], tmp_path: Path, monkeypatch: py
     found = diagnose(horizontal_model(), segments[:1], segments[1:], max_effects=1)
     evaluation = evaluate_diagnosis(found)
     no_more_computing(monkeypatch)
-    notes = outliers(found.after)
+    notes = found.after.outlier_notes
     result = diagnosis_result(found, evaluation, MADE, warnings=(), notes=notes, model_path="model.toml")
     write_result(result, tmp_path / "result.json")
     write_report(result, tmp_path / "report.html")

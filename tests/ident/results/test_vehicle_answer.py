@@ -11,7 +11,7 @@ from ident.data.record import Record
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import fit
 from ident.estimation.stochastic_simulation import simulate_stochastic
-from ident.results.answers import estimation_warnings, stuck, vehicle_answer
+from ident.results.answers import estimation_warnings, stuck_sensors, vehicle_answer
 from ident.results.parts import CrossCorrelation, ErrorComparison, Errors, ErrorTable, ResidualTests
 from ident.results.tables import cross_rows, residual_row
 from ident.studies.cases import make_case
@@ -90,10 +90,10 @@ def constant() -> Record:
 
 def test_a_sensor_that_is_stuck_is_named() -> None:
     record = constant()
-    (line,) = stuck(record)
+    (line,) = stuck_sensors(record)
     n = int(np.isfinite(record.y[:, 0]).sum())
     assert line == f"run: {record.outputs[0]} reads 0.5 in all of its {n} samples: a stuck sensor?"
-    assert stuck(turning_record(n_rows=200)) == []
+    assert stuck_sensors(turning_record(n_rows=200)) == []
 
 
 def test_channels_of_which_nothing_can_be_told_are_left_out() -> None:

@@ -178,19 +178,19 @@ def test_the_least_variance_near_a_bound_is_that_of_a_truncated_normal() -> None
 
 def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     case, out = make_case("surge", seconds=60.0), tmp_path / "surge.jsonl"
-    first = study.study(case, 4, 2, out, jobs=1)
+    first = study.run_study(case, 4, 2, out, jobs=1)
     lines = out.read_text().splitlines()
     out.write_text("\n".join([lines[0], lines[1], json.dumps({**json.loads(lines[2]), "error": "x"}), lines[3][:50]]))
     done: list[int] = []
     monkeypatch.setattr(study, "run_replicates", lambda case, numbers, *rest: done.extend(numbers)
                         or run_replicates(case, numbers, *rest))
     out.write_text(out.read_text() + "\n")
-    again = study.study(case, 4, 2, out, jobs=1)
+    again = study.run_study(case, 4, 2, out, jobs=1)
     assert done == [2, 3]
     for a, b in zip(first, again, strict=True):
         assert a["d"] == pytest.approx(b["d"], abs=1e-9)
     done.clear()
-    study.study(case, 4, 3, out, jobs=1)  # another seed is another study
+    study.run_study(case, 4, 3, out, jobs=1)  # another seed is another study
     assert done == [0, 1, 2, 3]
 
 
@@ -201,18 +201,18 @@ def test_a_study_that_is_killed_leaves_what_it_has_done(tmp_path: Path) -> None:
     running = subprocess.Popen([sys.executable, "-m", "seatrial", *words], stderr=subprocess.DEVNULL)
     try:
         until = time.monotonic() + 120.0
-        while not study.read(out):
+        while not study.read_replicates(out):
             assert time.monotonic() < until
             assert running.poll() is None
             time.sleep(0.02)
     finally:
         running.kill()
         running.wait()
-    found = study.read(out)
+    found = study.read_replicates(out)
     assert 1 <= len(found) < 20
     assert [r["k"] for r in found] == list(range(len(found)))
     told = Kept()
-    study.study(make_case("yaw"), len(found), 1, out, jobs=1, reporter=told)
+    study.run_study(make_case("yaw"), len(found), 1, out, jobs=1, reporter=told)
     assert told.lines == [f"yaw: {len(found)} replicates are there already"]
 
 
@@ -239,8 +239,8 @@ def test_any_backend_of_joblib_does_it(backend: str, tmp_path: Path) -> None:
 
     case = make_case("surge", seconds=30.0)
     with joblib.parallel_config(backend=backend, n_jobs=2):
-        rows = study.study(case, 3, 2, tmp_path / "a.jsonl")
-    alone = study.study(case, 3, 2, tmp_path / "b.jsonl", jobs=1)
+        rows = study.run_study(case, 3, 2, tmp_path / "a.jsonl")
+    alone = study.run_study(case, 3, 2, tmp_path / "b.jsonl", jobs=1)
     assert [r["d"] for r in rows] == [r["d"] for r in alone]
 
 
@@ -264,7 +264,7 @@ def test_it_is_the_estimator_of_the_commands_unless_told_otherwise(tmp_path: Pat
     assert not noise.model.second_order
     how = {"first": {"mean_order": 1}, "both": {}, "plain": {"reml": False, "mean_order": 1}}
     cases = {name: make_case("surge", seconds=60.0, **flags) for name, flags in how.items()}
-    done = {name: study.study(case, 3, 1, tmp_path / "one.jsonl", jobs=1) for name, case in cases.items()}
+    done = {name: study.run_study(case, 3, 1, tmp_path / "one.jsonl", jobs=1) for name, case in cases.items()}
     assert len((tmp_path / "one.jsonl").read_text().splitlines()) == 9  # none was taken for another
     s_u = {name: [r["d"]["s_u"] for r in rows] for name, rows in done.items()}
     assert all(a > b + 0.01 for a, b in zip(s_u["first"], s_u["plain"], strict=True))

@@ -17,7 +17,7 @@ from ident.models.horizontal import horizontal_model
 from ident.numerics.autocorrelation import effective_sample_size
 from ident.results.answers import calibration_notes
 from ident.results.tables import calibration_tables
-from ident.validation.calibration import Calibration, calibration_test, pooled
+from ident.validation.calibration import Calibration, calibration_test, pooled_calibration
 from ident.validation.evaluation import ByHorizon, PredictionEvaluation, evaluate
 from tests.ident.toys import turning, turning_record, values_of
 from tests.missions import boat_with, channels_of, sail
@@ -119,9 +119,9 @@ def test_the_interval_of_the_scale_holds_for_errors_that_hang_together() -> None
 def test_a_single_experiment_says_little() -> None:
     rng = np.random.default_rng(1)
     drift, quick = np.full(500, 1.9), 1.9 * rng.normal(size=500)
-    apart = pooled([{"slow": drift, "quick": quick}])
+    apart = pooled_calibration([{"slow": drift, "quick": quick}])
     assert apart["quick"].verdict == "overconfident"
-    together = pooled([{"slow": drift, "quick": quick}], together=True)
+    together = pooled_calibration([{"slow": drift, "quick": quick}], together=True)
     assert together["quick"].verdict == together["slow"].verdict == "insufficient_data"
     assert calibration_test([np.full(5, np.nan)]) is None
 

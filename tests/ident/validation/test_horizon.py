@@ -26,7 +26,7 @@ from ident.studies.monte_carlo import make_record
 from ident.validation import calibration
 from ident.validation.calibration import Calibration
 from ident.validation.evaluation import evaluate, ratio_intervals
-from ident.validation.prediction_errors import MOST, WARM_UP, free_run
+from ident.validation.prediction_errors import MOST, WARM_UP, simulation_run
 from mocks.plant.bench import draw_bench
 from tests.missions import bench_log, boat_log, boat_with, channels_of, sail
 
@@ -81,7 +81,8 @@ def test_errors_on_the_bench_are_of_all_logs(bench: list[Path], tmp_path: Path) 
     for name, row in result["errors"]["estimation"]["free_run"].items():
         errors = [
             (np.array(t["measured"]) - np.array(t["model"]))[np.array(t["t"]) > t["t"][0] + WARM_UP]
-            for t in result["traces"] if t["channel"] == name
+            for t in result["traces"]
+            if t["channel"] == name
         ]
         assert len(errors) == 2
         assert row["after"] == pytest.approx(np.sqrt(np.mean(np.concatenate(errors) ** 2)), rel=1e-3)
@@ -103,8 +104,19 @@ def test_the_horizon_of_a_boat_can_be_chosen(boat: list[Path], tmp_path: Path) -
     for kind in ("one_step", "free_run"):
         assert errors[4.0][kind] == errors[10.0][kind]
     out = tmp_path / "diagnosis"
-    done("diagnose", tmp_path / "model.toml", boat[0], "--validate", boat[1], "--horizon", 4, "--max-effects", 1,
-         "--out", out)
+    done(
+        "diagnose",
+        tmp_path / "model.toml",
+        boat[0],
+        "--validate",
+        boat[1],
+        "--horizon",
+        4,
+        "--max-effects",
+        1,
+        "--out",
+        out,
+    )
     result = result_of(out)
     assert result["horizon_seconds"] == 4.0
     row = result["errors"]["validation"]["horizon"]["psi"]
@@ -122,8 +134,17 @@ def test_no_prediction_goes_further_than_the_logs(boat: list[Path], bench: list[
 
 
 def test_the_notes_say_the_horizon() -> None:
-    row = CalibrationRow(n=9, n_effective=9.0, inside_50=0.3, inside_95=0.8, scale=1.52, low=1.2, high=1.8,
-                         pit=np.full(10, 0.1), verdict="overconfident")
+    row = CalibrationRow(
+        n=9,
+        n_effective=9.0,
+        inside_50=0.3,
+        inside_95=0.8,
+        scale=1.52,
+        low=1.2,
+        high=1.8,
+        pit=np.full(10, 0.1),
+        verdict="overconfident",
+    )
     wrong = Calibrations(estimation=CalibrationTable(one_step={}, horizon={"n": row}, free_run={}))
     (line,) = calibration_notes(wrong, 2.5)
     assert line == "On estimation data, 2.5 s ahead, errors are larger than the model says, by these factors: n 1.5."
@@ -138,10 +159,12 @@ def test_on_the_benchs_own_data_the_bands_are_right() -> None:
     for k in range(trials):
         record, p = make_record(case, y[k], "r"), values[k]
         run = likelihood.filter(record, p)
-        found += calibration.pooled([calibration.one_step(case.model, run)]).values()
-        found += calibration.pooled([calibration.ahead(case.model, record, p, run, 1.0, likelihood)]).values()
-        free = calibration.free_run(case.model, record, free_run(case.model, record, p, likelihood))
-        found += calibration.pooled([free], together=True).values()
+        found += calibration.pooled_calibration([calibration.one_step_calibration(case.model, run)]).values()
+        found += calibration.pooled_calibration(
+            [calibration.horizon_calibration(case.model, record, p, run, 1.0, likelihood)]
+        ).values()
+        free = calibration.simulation_calibration(case.model, record, simulation_run(case.model, record, p, likelihood))
+        found += calibration.pooled_calibration([free], together=True).values()
     assert len(found) == 6 * trials
     assert {c.verdict for c in found} == {"right"}
     assert stats.binomtest(sum(c.low < 1 < c.high for c in found), len(found), 0.95).pvalue > 1e-3
@@ -149,8 +172,8 @@ def test_on_the_benchs_own_data_the_bands_are_right() -> None:
     # too little process noise shows after a second, and a horizon of a row or two is thinned to what can be computed
     p = p * [0.2 if q.name == "s_n" else 1.0 for q in case.model.parameters]
     run = likelihood.filter(record, p)
-    poor, near = (calibration.ahead(case.model, record, p, run, s, likelihood) for s in (1.0, 0.02))
-    assert calibration.pooled([poor])["n"].verdict == "overconfident"
+    poor, near = (calibration.horizon_calibration(case.model, record, p, run, s, likelihood) for s in (1.0, 0.02))
+    assert calibration.pooled_calibration([poor])["n"].verdict == "overconfident"
     assert record.n_rows > MOST >= near["n"].size > MOST / 3
 
 
@@ -159,8 +182,6 @@ def test_errors_that_hang_together_for_longer_are_drawn_in_longer_blocks() -> No
         LogSegment(name, channels_of(sail(boat_with(None, 2), 150.0, k, run=k)[0])) for k, name in enumerate("ab", 1)
     ]
     stage = fit_nominal_model(horizontal_model(), runs[:1], runs[1:])
-    far, near = (
-        ratio_intervals(one, one, "validation") for one in (evaluate(stage, 60.0), evaluate(stage))
-    )
+    far, near = (ratio_intervals(one, one, "validation") for one in (evaluate(stage, 60.0), evaluate(stage)))
     assert near.horizon["psi"][0] == far.one_step["x"][0] == pytest.approx(1.0)
     assert np.isnan(far.horizon["psi"][0])  # 90 s of errors are not four blocks of 60 s

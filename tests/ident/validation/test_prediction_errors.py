@@ -16,11 +16,11 @@ from ident.numerics.signal_processing import wrap
 from ident.validation.prediction_errors import (
     WARM_UP,
     PredictionErrors,
-    ahead,
-    free_run,
-    one_step,
-    pooled,
+    horizon_errors,
+    one_step_errors,
+    pooled_errors,
     ratio_interval,
+    simulation_run,
 )
 from tests.ident.sliders import D, M, slide, slider
 from tests.ident.toys import turning, turning_record, values_of
@@ -41,20 +41,23 @@ def solved(record: Record, x: np.ndarray, first: int, last: int) -> np.ndarray:
 def test_one_step_errors_are_the_innovations() -> None:
     record, model = turning_record(), turning()
     run = Likelihood(model).filter(record, values_of(model))
-    found = one_step(model, record, run)
+    found = one_step_errors(model, record, run)
     assert list(found) == ["psi", "gyro", "second"]
     seen = np.isfinite(record.y[:, 0])
     np.testing.assert_array_equal(found["psi"].t, record.t[seen])
     np.testing.assert_array_equal(found["psi"].e, run.e[seen, 0])
     nothing = replace(record, y=np.where(np.arange(3) == 0, np.nan, record.y))
-    assert list(one_step(model, nothing, Likelihood(model).filter(nothing, values_of(model)))) == ["gyro", "second"]
+    assert list(one_step_errors(model, nothing, Likelihood(model).filter(nothing, values_of(model)))) == [
+        "gyro",
+        "second",
+    ]
 
 
 @pytest.mark.parametrize("seconds", [10.0, 1.5])
 def test_what_is_ahead_is_the_equation_solved_from_the_filtered_state(seconds: float) -> None:
     record = slide(1, 300)
     run = Likelihood(MODEL).filter(record, VALUES)
-    found = ahead(MODEL, record, VALUES, run.x_filt, seconds)
+    found = horizon_errors(MODEL, record, VALUES, run.x_filt, seconds)
     assert set(found) == {"speed", "place"}
     assert found["speed"].t[0] == pytest.approx(seconds)
     assert found["speed"].t[-1] <= record.t[-1]
@@ -70,11 +73,11 @@ def test_what_is_ahead_is_the_equation_solved_from_the_filtered_state(seconds: f
 
 def test_a_free_run_knows_only_its_first_seconds() -> None:
     record = slide(2, 400)
-    free = free_run(MODEL, record, VALUES)
+    free = simulation_run(MODEL, record, VALUES)
     blind = record.t > WARM_UP
     other = record.y.copy()
     other[blind] += 5.0
-    np.testing.assert_array_equal(free_run(MODEL, replace(record, y=other), VALUES).y, free.y)
+    np.testing.assert_array_equal(simulation_run(MODEL, replace(record, y=other), VALUES).y, free.y)
     assert free.errors["speed"].t[0] > WARM_UP
     last = int(np.flatnonzero(~blind)[-1])
     run = Likelihood(MODEL).filter(replace(record, y=np.where(blind[:, None], np.nan, record.y)), VALUES)
@@ -100,7 +103,7 @@ def test_a_free_run_goes_no_faster_than_the_boat_when_its_heading_is_lost() -> N
     y, none = np.column_stack([np.sin(psi) / 0.1, psi]), np.empty((t.size, 0))
     record = Record("lost", t, none, none, y, (), ("x", "psi"))
     bent = replace(model, second_order=True)
-    free = free_run(bent, record, values_of(bent), Likelihood(bent))
+    free = simulation_run(bent, record, values_of(bent), Likelihood(bent))
     assert np.abs(np.diff(free.y[:, 0])).max() < 0.11
     assert free.errors["x"].rms < 25.0  # a circle of 10 m, its centre off by the last heading that was seen
 
@@ -110,7 +113,7 @@ def test_the_band_of_a_free_run_covers() -> None:
     inside = []
     for seed in range(40):
         record = slide(100 + seed, 400)
-        free = free_run(MODEL, record, VALUES, Likelihood(MODEL))
+        free = simulation_run(MODEL, record, VALUES, Likelihood(MODEL))
         rows = np.flatnonzero((record.t > WARM_UP) & np.isfinite(record.y[:, 1]))
         inside.append(np.abs(record.y[rows] - free.y[rows]) < 1.96 * free.sd[rows])
     rate = np.mean(inside, axis=0)  # (rows, channels)
@@ -119,18 +122,19 @@ def test_the_band_of_a_free_run_covers() -> None:
 
 
 def test_angles_are_wrapped() -> None:
-    np.testing.assert_allclose(wrap(np.array([3.5, -3.5, 0.1, 6.3]), True),
-                               [3.5 - 2 * np.pi, 2 * np.pi - 3.5, 0.1, 6.3 - 2 * np.pi])
+    np.testing.assert_allclose(
+        wrap(np.array([3.5, -3.5, 0.1, 6.3]), True), [3.5 - 2 * np.pi, 2 * np.pi - 3.5, 0.1, 6.3 - 2 * np.pi]
+    )
     np.testing.assert_array_equal(wrap(np.array([3.5]), False), [3.5])
     record, model = turning_record(n_rows=400), turning()
-    free = free_run(model, record, values_of(model))
+    free = simulation_run(model, record, values_of(model))
     assert np.abs(free.errors["psi"].e).max() <= np.pi
 
 
 def test_pooled_errors_keep_records_apart_in_time() -> None:
     a = PredictionErrors(np.array([1.0, 2.0]), np.array([3.0, 4.0]), 1.0)
     b = PredictionErrors(np.array([0.5, 1.5]), np.array([0.0, 0.0]), 3.0)
-    found = pooled([{"x": a, "r": b}, {"x": b}])
+    found = pooled_errors([{"x": a, "r": b}, {"x": b}])
     assert found["x"].e.tolist() == [3.0, 4.0, 0.0, 0.0]
     assert (np.diff(found["x"].t) > 0).all()
     assert found["x"].rms == pytest.approx(2.5)

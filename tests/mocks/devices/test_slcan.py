@@ -14,7 +14,7 @@ import can
 import pytest
 
 from mocks.devices.slcan_adapter import Adapter, CanFrame
-from mocks.ports.pty import Port
+from mocks.ports.pty import PtyPort
 
 
 def test_answers_by_the_manual() -> None:
@@ -69,7 +69,7 @@ class Far:
     """An adapter on a port, served by a thread until the block ends."""
 
     def __init__(self, path: Path) -> None:
-        self.port = Port(path)
+        self.port = PtyPort(path)
         self.adapter = Adapter()
         self.frames: list[CanFrame] = []
         self.outbox: SimpleQueue[bytes] = SimpleQueue()

@@ -9,7 +9,7 @@ import pytest
 
 from mocks.hidden_effects.catalogue import DEMO, EFFECTS, OUTSIDE, draw_name, make_effect
 from mocks.plant.boat import STEP, Boat, BoatPlant
-from mocks.plant.effect import Effect
+from mocks.plant.effect import HiddenEffect
 from mocks.plant.hull import Hull, State
 from mocks.plant.thruster import ThrusterTruth
 from mocks.plant.weather import Sea
@@ -159,7 +159,7 @@ def test_the_pendulum_swings_at_its_frequency_and_keeps_momentum() -> None:
     effect = make_effect("pendulum", 7)
     assert effect.pendulum is not None
     mass, length, _ = effect.pendulum
-    still = (Effect("pendulum", "", pendulum=(mass, length, 0.0)),)
+    still = (HiddenEffect("pendulum", "", pendulum=(mass, length, 0.0)),)
     hull = Hull(d_u=0.0, d_uu=0.0)
     plant = BoatPlant(Boat(hull, ThrusterTruth(), (0.0, 0.0), still, 0), state=(*REST[:6], 0.05, 0.0), disturbed=False)
     momentum, angle = [], []

@@ -10,15 +10,17 @@ import numpy as np
 import pytest
 
 from mocks.plant.boat import STEP, Boat, BoatPlant, draw_boat
-from mocks.plant.effect import Effect
+from mocks.plant.effect import HiddenEffect
 from mocks.plant.hull import ARM, CURRENT_MAX, Hull, State, draw_current, draw_hull
 from mocks.plant.thruster import Shaft, ThrusterTruth, thrust
 
 STILL = (0.0, 0.0)
-CG = Effect("cg-offset", "", x_g=0.2)
+CG = HiddenEffect("cg-offset", "", x_g=0.2)
 
 
-def boat(hull: Hull | None = None, current: tuple[float, float] = STILL, effects: tuple[Effect, ...] = ()) -> Boat:
+def boat(
+    hull: Hull | None = None, current: tuple[float, float] = STILL, effects: tuple[HiddenEffect, ...] = ()
+) -> Boat:
     return Boat(hull or Hull(), ThrusterTruth(), current, effects, seed=0)
 
 
@@ -70,7 +72,7 @@ def test_adrift_the_boat_goes_with_the_current() -> None:
 
 
 @pytest.mark.parametrize("effects", [(), (CG,)])
-def test_a_current_only_carries_the_boat(effects: tuple[Effect, ...]) -> None:
+def test_a_current_only_carries_the_boat(effects: tuple[HiddenEffect, ...]) -> None:
     """In a constant current everything happens as in still water, seen from the water (Galilei)."""
     v_n, v_e = 0.3, -0.2
     c, s = math.cos(1.0), math.sin(1.0)

@@ -14,21 +14,21 @@ import pytest
 import serial
 
 from daq.errors import SeatrialError
-from mocks.ports.pty import CHECK, PATIENCE, Port
+from mocks.ports.pty import CHECK, PATIENCE, PtyPort
 
 
 @pytest.fixture
-def port(tmp_path: Path) -> Iterator[Port]:
-    port = Port(tmp_path / "ports" / "ahrs")
+def port(tmp_path: Path) -> Iterator[PtyPort]:
+    port = PtyPort(tmp_path / "ports" / "ahrs")
     yield port
     port.close()
 
 
-def opened(port: Port, timeout: float = 5.0) -> serial.Serial:
+def opened(port: PtyPort, timeout: float = 5.0) -> serial.Serial:
     return serial.Serial(str(port.path), 115200, timeout=timeout)
 
 
-def test_bytes_go_both_ways_unchanged(port: Port) -> None:
+def test_bytes_go_both_ways_unchanged(port: PtyPort) -> None:
     every = bytes(range(256))
     with opened(port) as host:
         port.write(every, 1.0)
@@ -42,7 +42,7 @@ def test_bytes_go_both_ways_unchanged(port: Port) -> None:
         assert port.read() == b""
 
 
-def test_a_pulled_port_hangs_up_and_returns(port: Port) -> None:
+def test_a_pulled_port_hangs_up_and_returns(port: PtyPort) -> None:
     with opened(port) as host:
         port.unplug()
         assert not os.path.lexists(port.path)
@@ -56,34 +56,34 @@ def test_a_pulled_port_hangs_up_and_returns(port: Port) -> None:
 
 
 def test_close_leaves_nothing_behind(tmp_path: Path) -> None:
-    port = Port(tmp_path / "gnss")
+    port = PtyPort(tmp_path / "gnss")
     port.close()
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_dead_mocks_link_is_replaced(tmp_path: Path) -> None:
     (tmp_path / "can").symlink_to("/dev/pts/nowhere")
-    port = Port(tmp_path / "can")
+    port = PtyPort(tmp_path / "can")
     with opened(port) as host:
         port.write(b"x", 1.0)
         assert host.read(1) == b"x"
     port.close()
 
 
-def test_another_mock_on_the_same_port_is_refused(port: Port) -> None:
+def test_another_mock_on_the_same_port_is_refused(port: PtyPort) -> None:
     with pytest.raises(SeatrialError, match="another mock serves this port"):
-        Port(port.path)
+        PtyPort(port.path)
 
 
 def test_a_real_file_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "ahrs").write_text("precious")
     with pytest.raises(SeatrialError, match="is no mock's port"):
-        Port(tmp_path / "ahrs")
+        PtyPort(tmp_path / "ahrs")
     assert (tmp_path / "ahrs").read_text() == "precious"
     assert [path.name for path in tmp_path.iterdir()] == ["ahrs"]
 
 
-def test_a_slow_reader_loses_nothing(port: Port) -> None:
+def test_a_slow_reader_loses_nothing(port: PtyPort) -> None:
     sent = os.urandom(50_000)
     with opened(port) as host:
         port.write(b"hello", 1.0)
@@ -101,7 +101,7 @@ def test_a_slow_reader_loses_nothing(port: Port) -> None:
 class Watcher:
     """The host's end, opened by somebody who does not read: how much lies there."""
 
-    def __init__(self, port: Port) -> None:
+    def __init__(self, port: PtyPort) -> None:
         self._fd = os.open(port.path, os.O_RDWR | os.O_NOCTTY)
 
     def __enter__(self) -> Watcher:
@@ -125,7 +125,7 @@ class Watcher:
             assert time.monotonic() < deadline
 
 
-def test_without_a_reader_only_one_write_is_kept(port: Port) -> None:
+def test_without_a_reader_only_one_write_is_kept(port: PtyPort) -> None:
     with Watcher(port) as late:
         for k in range(100):
             port.write(b"%06d\n" % k, wall=1.0 + CHECK * k)
@@ -138,7 +138,7 @@ def test_without_a_reader_only_one_write_is_kept(port: Port) -> None:
         assert late.read() == b"000100\n000101\n"
 
 
-def test_a_reader_that_leaves_is_noticed(port: Port) -> None:
+def test_a_reader_that_leaves_is_noticed(port: PtyPort) -> None:
     with opened(port) as host:
         port.write(b"seen", 1.0)
         assert host.read(4) == b"seen"
@@ -153,7 +153,7 @@ def test_a_reader_that_leaves_is_noticed(port: Port) -> None:
     assert PATIENCE < 60 * CHECK
 
 
-def test_a_host_that_asks_gets_its_answer_at_once(port: Port) -> None:
+def test_a_host_that_asks_gets_its_answer_at_once(port: PtyPort) -> None:
     with opened(port) as host:
         port.write(b"probe", 1.0)
         assert host.read(5) == b"probe"
