@@ -122,7 +122,7 @@ def test_the_sensor_of_the_how_to_passes_its_tests(tmp_path: Path, monkeypatch: 
 
 def test_the_row_of_the_new_sensor_is_one_of_the_table_of_devices() -> None:
     text = how_to("add-a-sensor").read_text(encoding="utf-8")
-    (row,) = re.findall(r'^    "os5000": (Row\(.*\)),$', text, re.MULTILINE)
+    (row,) = re.findall(r'^    "os5000": (DeviceType\(.*\)),$', text, re.MULTILINE)
     (function,) = re.findall(r"^    (def _os5000.*?)^\S", text, re.MULTILINE | re.DOTALL)
     scope = dict(vars(device_table))
     exec(textwrap.dedent("    " + function), scope)

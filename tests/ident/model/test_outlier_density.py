@@ -301,4 +301,4 @@ def test_gnss_with_one_per_cent_of_gross_outliers() -> None:
     assert int(notes["psi"].split()[0]) <= 3
     harmed = fit_nominal_model(model, [LogSegment("run", spoilt)], [])
     assert harmed.fit.estimate("e_xy")[0] > 3 * plain.fit.estimate("e_xy")[0]
-    assert outliers(harmed) == []
+    assert harmed.outlier_notes == []
