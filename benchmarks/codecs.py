@@ -111,6 +111,7 @@ def _slcan() -> tuple[Call, Call]:
 def _vesc() -> tuple[Call, Call]:
     frame = vesc.encode_status(ESC, 7)[0]
     database = cantools.database.load_file(Path(vesc.__file__).with_name("vesc.dbc"))
+    assert isinstance(database, cantools.database.can.Database)
     status = database.get_message_by_name("STATUS_1")
     return _feed(lambda: vesc.Decoder({1: 7}), _packed([frame] * N)), lambda: [
         status.decode(frame[1], decode_choices=False) for _ in range(N)
@@ -186,7 +187,7 @@ def _mcap() -> tuple[Call, Call]:
         channel = writer.register_channel("/a", "cdr", writer.register_schema("a", "ros2msg", b""))
         for k in range(N):
             writer.add_message(channel, k, body, k, k)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
 
     return ours, library
 

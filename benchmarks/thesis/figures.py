@@ -72,7 +72,7 @@ class Part:
 def write_figures(path: Path, kind: str, answer: str, lead: str, parts: Sequence[Part]) -> None:
     """One self-contained page that opens without a network."""
     n_curves = sum(len(c.curves) for p in parts for d in p.drawings for c in d.charts)
-    canvas = Canvas({}, Budget.for_traces(n_curves, POINTS))
+    canvas = Canvas(Budget.for_traces(n_curves, POINTS))
     body = [_section(canvas, part) for part in parts]
     opening = Section("top", "", [Prose(lead, "lead")])
     page = compose(kind, answer, opening, body, canvas.figures, version=version("seatrial"))

@@ -11,6 +11,7 @@ import numpy as np
 
 from benchmarks.thesis import printed
 from benchmarks.thesis.boat import Sailed, sail
+from daq.errors import SeatrialError
 from ident.characterisation.sensor_noise import NoiseFit, estimate_noise
 from ident.data.record import Channel, LogSegment, Record, build_record
 from ident.estimation.fitted_model import fit_nominal_model
@@ -28,6 +29,7 @@ from ident.models.thruster import DELAY_STEP, thruster_model
 from ident.models.yaw import yaw_model
 from ident.numerics.arrays import Array
 from ident.reporter import QUIET
+from ident.results.parts import ThrusterResult
 from ident.studies.cases import N_DELAYS, random_levels
 from ident.studies.monte_carlo import Case, make_record
 from ident.validation.prediction_errors import simulation_run
@@ -99,7 +101,9 @@ def bench_log(path: Path) -> tuple[dict[str, tuple[float, float]], str]:
 
     with tempfile.TemporaryDirectory() as folder:
         result = characterise(ThrusterRequest([path], Path(folder)), "", QUIET)
-    rows = {r["name"]: (r["value"], r["se"]) for r in result["fit"]["parameters"]}
+    if not isinstance(result, ThrusterResult):
+        raise SeatrialError(f"{path}: has no shaft speed, so the tables of the thruster cannot be made of it")
+    rows = {r.name: (r.value, float("nan") if r.se is None else r.se) for r in result.fit.parameters}
     return {n: rows[n] for n in printed.TABLE_2}, path.name
 
 

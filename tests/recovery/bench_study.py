@@ -23,6 +23,7 @@ from ident.data.record import Channel, LogSegment, Record, build_record
 from ident.diagnosis.results import Diagnosis
 from ident.diagnosis.search import diagnose
 from ident.estimation.fitted_model import FittedModel
+from ident.estimation.options import EstimationOptions
 from ident.model.structure import Model
 from ident.models.thruster import delay_step, delayed_channels, thruster_model
 from ident.validation.prediction_errors import pooled_errors, simulation_run
@@ -71,7 +72,7 @@ def diagnose_bench(case: BenchCase) -> Diagnosis:
     def records(model: Model) -> list[Record]:
         return [build_record(model, bench_run(found[0], 1, model).channels, name="run 1", rate=THRUSTER_RATE)]
 
-    model = fit_on_a_copy(thruster_model(), records(thruster_model()), records)[0].model
+    model = fit_on_a_copy(thruster_model(), records(thruster_model()), records, EstimationOptions())[0].model
     return diagnose(model, [bench_run(found[0], 1, model)], [bench_run(found[1], 2, model)], rate=THRUSTER_RATE)
 
 

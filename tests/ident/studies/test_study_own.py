@@ -88,9 +88,9 @@ def test_a_changed_file_is_another_study(tmp_path: Path) -> None:
         told = Kept()
         result = study.run_studies(study.StudyRequest([f"{file}:mine"], 3, 1, out, jobs=1), "", told)
         assert any("are there already" in line for line in told.lines) is resumed
-    (part,) = result["studies"]
-    assert part["model"] == "mine"
-    assert {p["name"]: p["truth"] for p in part["parameters"]}["d_u"] == 6.0
+    (part,) = result.studies
+    assert part.model == "mine"
+    assert {p.name: p.truth for p in part.parameters}["d_u"] == 6.0
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ def test_a_robust_model_stays_robust(out: Path, logs: tuple[Path, Path]) -> None
     assert robust_sensors(saved.model) == tuple(table["sensors"])
     request = DiagnosisRequest(out / "model.toml", logs[:1], logs[1:], out / "diagnosis", rate=10.0, max_effects=1)
     again = diagnosis(request, "test", QUIET)
-    assert any("taken for outliers" in line for line in again["notes"])
+    assert any("taken for outliers" in line for line in again.notes)
     assert tomllib.loads((out / "diagnosis/model.toml").read_text(encoding="utf-8"))["robust"] == table["robust"]
 
 
