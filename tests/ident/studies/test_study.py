@@ -353,7 +353,7 @@ def test_a_number_of_processes_is_one_or_all(
     assert leaving.value.code == 2
     assert "is neither a number of processes nor -1" in capsys.readouterr().err
     asked: list[int] = []
-    monkeypatch.setattr(study, "study", lambda *args, jobs, **more: asked.append(jobs) or [])
+    monkeypatch.setattr(study, "run_study", lambda *args, jobs, **more: asked.append(jobs) or [])
     for words in ([], ["--jobs", "-1"], ["--jobs", "3"]):
         with pytest.raises(SystemExit):
             seatrial.main(["ident", "study", "surge", *words, "--out", str(tmp_path)])
