@@ -21,12 +21,14 @@ from ident.model import Effect, EffectKind, ForceCurve, Model, Parameter, robust
 from ident.models import (
     ANTENNA,
     CURRENT_WALK,
+    TELEMETRY_AGE,
     antenna_component,
     current_walk,
     disturbance_of,
     load_effects,
     make_model,
     sensor_bias,
+    telemetry_age,
 )
 from ident.numerics import Array
 from ident.reporter import QUIET, Reporter
@@ -232,6 +234,8 @@ def _effect(name: str, model: Model, curves: Mapping[str, Any]) -> Effect:
         return antenna_component(model)
     if name == CURRENT_WALK:
         return current_walk()
+    if name == TELEMETRY_AGE:
+        return telemetry_age()
     if name in curves:
         return _unlisted(model, curves[name])
     if name not in catalogue():
