@@ -1,6 +1,7 @@
 from .calibration import Calibration as Calibration
 from .evaluation import FEWEST as FEWEST
 from .evaluation import ChannelResiduals as ChannelResiduals
+from .evaluation import HorizonPrediction as HorizonPrediction
 from .evaluation import PredictionEvaluation as PredictionEvaluation
 from .evaluation import RecordPrediction as RecordPrediction
 from .evaluation import SmoothedForce as SmoothedForce
