@@ -103,6 +103,7 @@ class StandIn:
         self.motion: list[tuple[float, float]] = [(time.monotonic(), 0.0)]  # changes of what the thruster does
         self.extra_force = 0.0
         self.current_per_n = 20.0
+        self.temperature, self.voltage = 30.0, 24.0  # NaN: their status frames are not sent
         self._garbage = b""
         self._pull: Port | None = None
         self._stop = False
@@ -190,7 +191,7 @@ class StandIn:
         if not self.can.open:
             return
         n = self.n
-        esc = Esc(NODE, n * RPM_MAX, self.current_per_n * abs(n), n, 24.0, 30.0)
+        esc = Esc(NODE, n * RPM_MAX, self.current_per_n * abs(n), n, self.voltage, self.temperature)
         for identifier, data in vesc.encode_status(esc, POLE_PAIRS):
             self.can.write(b"T%08X%d%s\r" % (identifier, len(data), data.hex().upper().encode()))
 

@@ -12,6 +12,7 @@ from tests.recovery.kinds import NONE
 from tests.recovery.verdict import UNKNOWN, all_right, extra, first_answer, first_right, likened, wrong_as_sure
 
 Lines = list[list[str]]
+RIGS_HEADING = "# Other rigs"  # in docs/recovery.md: from here on it is of the study of rigs
 
 
 def by_effect(rows: Sequence[Row]) -> dict[str, list[Row]]:
@@ -64,6 +65,16 @@ def coverage(rows: Sequence[Row]) -> Lines:
 
 def share(count: int, n: int) -> str:
     return f"{count}/{n}"
+
+
+def interval(count: int, n: int) -> str:
+    """The 95 % interval of a share (Wilson 1927), in per cent."""
+    if n == 0:
+        return ""
+    z = 1.959964
+    middle, reach = count / n + z * z / (2 * n), z * np.sqrt(count / n * (1 - count / n) / n + z * z / (4 * n * n))
+    low, high = ((middle + sign * reach) / (1 + z * z / n) for sign in (-1, 1))
+    return f"{100 * max(low, 0.0):.1f}-{100 * min(high, 1.0):.1f}"
 
 
 def change(before: Sequence[float], after: Sequence[float]) -> str:

@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+import math
 import os
 import random
 import signal
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from daq.log.reader import open_log
 from daq.samples import Command
-from tests.bench.runs import AT_ONCE_S, DEADMAN_S, SPEED, acquisition_of, is_alive, kinds, running, short_mission
+from tests.bench.runs import (
+    AT_ONCE_S,
+    DEADMAN_S,
+    SPEED,
+    acquisition_of,
+    assert_plan_was_run,
+    is_alive,
+    kinds,
+    running,
+    short_mission,
+)
 from tests.bench.standin import TIMEOUT_S, StandIn, until
 
 
@@ -178,3 +190,49 @@ def test_too_much_force_is_a_safety_stop(standin: StandIn, tmp_path: Path) -> No
     assert run.line().endswith("limit 60 N: thrust is zero, the log is run.mcap")
     stops = [text for _, kind, text in open_log(run.log).events() if kind == "stop"]
     assert any("force is" in text for text in stops)
+
+
+@pytest.mark.parametrize(
+    ("key", "silence"),
+    [
+        ("temperature_c", {"temperature": math.nan}),
+        ("voltage_min_v", {"voltage": math.nan}),
+        ("force_n", {"calibration": ""}),
+    ],
+)
+def test_a_limit_that_nothing_reports_is_refused_before_thrust(
+    standin: StandIn, tmp_path: Path, key: str, silence: dict[str, Any]
+) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    if "calibration" in silence:
+        text = standin.rig.read_text(encoding="utf-8")
+        begin, end = text.index("[device.calibration]"), text.index("[[thruster]]")
+        standin.rig.write_text(text[:begin] + text[end:], encoding="utf-8")
+    else:
+        vars(standin).update(silence)
+    with running(tmp_path) as run:
+        assert run.end() == 1
+    assert f"limits.{key} = " in run.line()
+    assert f'unwatched = ["{key}"]' in run.line()
+    assert not any(n for _, n in standin.commands)
+
+
+def test_a_limited_quantity_that_falls_silent_ends_the_run_at_zero(standin: StandIn, tmp_path: Path) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    with running(tmp_path) as run:
+        run.until_turning(standin)
+        standin.temperature = math.nan
+        assert run.end() == 3
+    assert "limits.temperature_c is not watched any more" in run.line()
+    assert standin.commands[-1][1] == 0.0
+    assert open_log(run.log).table(Command, "esc", node=1)["n_cmd"][-1] == 0.0
+
+
+def test_a_limit_may_be_left_unwatched_in_so_many_words(standin: StandIn, tmp_path: Path) -> None:
+    mission = short_mission(tmp_path)
+    standin.temperature = math.nan
+    with standin.rig.open("a", encoding="utf-8") as file:
+        file.write('unwatched = ["temperature_c"]\n')
+    with running(tmp_path) as run:
+        assert run.end() == 0
+    assert_plan_was_run(run.log, mission)
