@@ -165,7 +165,7 @@ class EffectKind(StrEnum):
     LAGGED = "lagged"  # a force of first order behind an input
     RESONANT = "resonant"  # a force of second order behind an input
     DISTURBANCE = "disturbance"  # an unexplained force, for the filter
-    SENSOR_OFFSET = "sensor-offset"  # a walking offset of a sensor, for the filter
+    SENSOR_OFFSET = "sensor-offset"  # a walking offset or an age of a sensor, for the filter
 
     @property
     def unknown(self) -> bool:

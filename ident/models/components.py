@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import Effect, Input, Model, Parameter, Signals, State
+from ident.model import Effect, EffectKind, Input, Model, Parameter, Signals, State
 from ident.models import rotations
 from ident.models.horizontal import SIDES, shift_in_time
 
@@ -96,4 +96,5 @@ def telemetry_age() -> Effect:
         inputs=tuple(i.delayed(-k) for i in now for k in range(1, N_AHEAD + 1)),
         place="sensor",
         requires=("n_input",),
+        kind=EffectKind.SENSOR_OFFSET,
     )
