@@ -199,9 +199,12 @@ def run_workflow(work: Callable[[Reporter], Result], out: Path) -> None:
     except (ValueError, KeyError) as problem:
         raise SeatrialError(str(problem).strip("'\"")) from problem
     from ident.report import print_result
+    from ident.results import FitResult
 
     print_result(result, console)
     click.echo(f"report: {out / 'report.html'}")
+    if isinstance(result, FitResult) and not result.converged:
+        raise click.exceptions.Exit(1)
 
 
 def command_line() -> str:
