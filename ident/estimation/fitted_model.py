@@ -174,7 +174,7 @@ def superset(
     derived = {"t", "work"} if nominal.provides and "n" in nominal.provides else {"t"}
     everything, kept = nominal, {}
     for name, effect in candidates.items():
-        wanted = {i.tap_of if i.tap else i.name for i in effect.inputs} - derived
+        wanted = {i.tap_of or i.name for i in effect.inputs} - derived
         if all(wanted <= set(run.channels) for run in runs):
             everything, kept[name] = everything + effect, effect
     return everything, kept
