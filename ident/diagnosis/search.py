@@ -33,6 +33,7 @@ from ident.diagnosis.score_test import (
     propagate_sensitivities,
     score_test_passes,
     score_tests,
+    score_threshold,
 )
 from ident.effects import NonparametricForce, catalogue, input_response_effects, nonparametric_effect, shape
 from ident.engine import quickly
@@ -155,7 +156,7 @@ def score_all(
     first: dict[str, Score] = {}
     for s in scores:
         first.setdefault(s.name, s)
-    best = list(first.values())
+    best = [replace(s, threshold=score_threshold(s, scores)) for s in first.values()]
     return best, [s for s in best if score_test_passes(s, scores)]
 
 

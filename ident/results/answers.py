@@ -12,6 +12,7 @@ import numpy as np
 from ident.characterisation import Curve, Levels, Quadratic
 from ident.data import Record
 from ident.estimation import Fit, HomogeneityTest
+from ident.model import Model
 from ident.results.parts import (
     Calibrations,
     CrossCorrelation,
@@ -20,7 +21,7 @@ from ident.results.parts import (
     PredictionFit,
     ResidualTests,
 )
-from ident.validation import FEWEST
+from ident.validation import FEWEST, OUTLYING, ChannelResiduals
 
 NAMES = {
     "x": "north",
@@ -154,6 +155,20 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
                 notes.append(f"On {role} data, {words}, errors are {what} than the model says, by these factors: "
                              f"{', '.join(wrong)}.")
     return notes
+
+
+def outlier_lines(residuals: Sequence[ChannelResiduals], model: Model) -> list[str]:
+    """A line for each channel that has innovations far beyond its noise, and what can be done."""
+    robust = {o.name for o in model.outputs if o.robust}
+    lines = []
+    for r in residuals:
+        if r.tests.outliers and r.channel not in robust:
+            lines.append(
+                f"{r.record}: {r.tests.outliers} of {r.e.size} innovations of {r.channel} are beyond {OUTLYING:g} "
+                f"standard deviations, the largest at {r.tests.largest:.2g}: outliers, or an event that the model "
+                "lacks. --robust gives outliers little weight."
+            )
+    return lines
 
 
 def not_converged(fit: Fit) -> str | None:
