@@ -89,7 +89,7 @@ def diagnose(
     records = [make_record(everything, r, rate) for r in estimation]
     unseen = [make_record(everything, r, rate) for r in validation]
     full = without_absent_sensors(full, records + unseen)
-    reporter.progress(f"fitting {full.name} with unexplained forces to {counted(len(records), 'run')}")
+    reporter.progress(f"fitting {full.name} with disturbance forces to {counted(len(records), 'run')}")
     before = current = fit_with_rescaling(full, records, unseen)
     size, known = size_of(before.fit.model), catalogue()
     # user-defined effects keep their priors

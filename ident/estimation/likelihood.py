@@ -176,7 +176,7 @@ class Likelihood:
             record.t, *_mean_and_covariance(done["predicted"], n), *_mean_and_covariance(done["filtered"], n),
             done["Phi"].reshape(n_rows, n, n).swapaxes(1, 2), done["e"], R,
             np.hstack([rows[f"e{b}"] for b in bits]), np.hstack([rows[f"S{b}"] for b in bits]), done["ll"][:, 0],
-            np.array([o.robust for o in self.model.outputs]), data.wild)
+            np.array([o.robust for o in self.model.outputs]), data.outliers)
 
     def forecast(self, record: Record, values: Array, x: Array, P: Array, first: int, last: int) -> tuple[Array, Array]:
         """Prediction from the inputs alone, without measurements.

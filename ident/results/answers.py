@@ -59,16 +59,16 @@ def change_sentence(change: PredictionChange, horizon: float) -> str:
         said = f"prediction error rises by {shift:.0f} % (95 %: {low:.0f} to {high:.0f} %)"
     else:
         said = f"prediction error is {change.ratio:.2g} times as large (95 %: {change.low:.2g} to {change.high:.2g})"
-    named = [("better", change.better), ("worse", change.worse)]
-    parts = [said, *(f"{word}: {_listed(names)}" for word, names in named if names)]
+    named = [("better", change.better, MOST_NAMES), ("worse", change.worse, len(change.worse))]
+    parts = [said, *(f"{word}: {_listed(names, most)}" for word, names, most in named if names)]
     return f"{begin}{'; '.join(parts)}."
 
 
-def _listed(channels: Sequence[str]) -> str:
+def _listed(channels: Sequence[str], most: int = MOST_NAMES) -> str:
     """The first few by name."""
     names = [NAMES.get(name, name) for name in channels]
-    more = len(names) - MOST_NAMES
-    return ", ".join(names) if more <= 0 else f"{', '.join(names[:MOST_NAMES])} and {more} more"
+    more = len(names) - most
+    return ", ".join(names) if more <= 0 else f"{', '.join(names[:most])} and {more} more"
 
 
 def _percent(share: float) -> str:
@@ -117,7 +117,7 @@ def _residuals(
         least = f"that takes {FEWEST} samples of a channel"
         return f"Too little was measured to tell whether the residuals are white: {least}."
     if not known and not coloured:
-        hidden = "; whether the unexplained forces hide an effect, `seatrial ident diagnose` tells"
+        hidden = "; whether the disturbance forces hide an effect, `seatrial ident diagnose` tells"
         unseen = _unseen(errors, residuals)
         return f"The residuals are white and know nothing of the inputs{hidden if searchable else ''}{unseen}."
     if known and known <= MEASURED:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import msgspec
 
 from ident.diagnosis import Diagnosis, DiagnosisEvaluation, Refit, Round, recommended_experiment
+from ident.effects import catalogue
 from ident.estimation import FittedModel
 from ident.results import parts
 from ident.results.answers import calibration_notes, change_sentence, not_converged, outlier_lines
@@ -166,7 +167,7 @@ QUIET = parts.Round(why="no candidate passes the score tests")
 
 
 def _round(one: Round) -> parts.Round:
-    titles = {r.effect.name: r.effect.title for r in one.refits}
+    titles = {n: e.title for n, e in catalogue().items()} | {r.effect.name: r.effect.title for r in one.refits}
     best = sorted(one.scores, key=lambda s: -s.lm / max(s.df, 1))[:MOST_CANDIDATES]
     return parts.Round(
         candidates=tuple(

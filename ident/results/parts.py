@@ -515,7 +515,7 @@ class EffectRow(Part, frozen=True, kw_only=True):
     error_ratio_without: Annotated[
         float | None,
         Meta(
-            description="the error three seconds ahead, on the bench 1.2, without it over that with it, unexplained "
+            description="the error three seconds ahead, on the bench 1.2, without it over that with it, disturbance "
             "forces left out; geometric mean over the channels of the validation data"
         ),
     ]
@@ -534,7 +534,7 @@ class RemainingCandidate(Part, frozen=True, kw_only=True):
 
 
 class NonparametricCurve(Part, frozen=True, kw_only=True):
-    """An unknown effect as the data draw it."""
+    """A nonparametric effect as the data draw it."""
 
     force: Annotated[str, Meta(description="force, or the sensor whose error it is")]
     sensor_error: Annotated[bool, Meta(description="not a force, but the error of this sensor")]
@@ -592,7 +592,7 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
     remaining_candidates: tuple[RemainingCandidate, ...] = ()
     nonparametric_effects: Annotated[
         tuple[NonparametricCurve, ...],
-        Meta(description="unknown effects, and the residual that the first effect only resembles"),
+        Meta(description="nonparametric effects, and the residual that the first effect only resembles"),
     ] = ()
     residual_forces: Annotated[tuple[ResidualForce, ...], Meta(description="one a record and force")] = ()
     parameters_before_after: tuple[ParameterChange, ...] = ()

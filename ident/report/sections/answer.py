@@ -152,7 +152,7 @@ def static_section(canvas: Canvas, static: StaticForce) -> Section:
         bars = {"type": "data", "array": drawing.packed(drawing.Z95 * static.sd), "thickness": 1.2, "width": 0}
         errors = {"error_y": {**bars, "color": drawing.INK}}
         traces.append({**points, "name": "measured", "marker": marker, **errors})
-    lead = "Circles: means of steady stretches with 95 % bars. Line: the fitted curve with its 95 % band."
+    lead = "Circles: means of steady segments with 95 % bars. Line: the fitted curve with its 95 % band."
     if static.force_quadratic is not None:
         n, force = static.n_model, static.force_quadratic
         traces.append(drawing.line_trace(n, force, "quadratic", 600, color=drawing.BEFORE, dash="dash"))

@@ -15,7 +15,7 @@ SHOWN = 14
 
 
 def section(canvas: Canvas, result: DiagnosisResult) -> Section:
-    """Rounds in tabs; then residual forces and unknown effects."""
+    """Rounds in tabs; then residual forces and nonparametric effects."""
     found = result.rounds
     blocks: list[Any] = tabbed([(_round_title(i, row), _round(row)) for i, row in enumerate(found, 1)])
     blocks += _forces(canvas, result) + _curves(canvas, result.nonparametric_effects)

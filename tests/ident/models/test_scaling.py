@@ -1,4 +1,4 @@
-"""A ferry is diagnosed like a dinghy: priors, steps and unexplained forces go with the size of the boat."""
+"""A ferry is diagnosed like a dinghy: priors, steps and disturbance forces go with the size of the boat."""
 
 from __future__ import annotations
 
