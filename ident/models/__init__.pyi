@@ -5,9 +5,11 @@ from .catalogue import make_model as make_model
 from .catalogue import own_model as own_model
 from .components import ANTENNA as ANTENNA
 from .components import CURRENT_WALK as CURRENT_WALK
+from .components import TELEMETRY_AGE as TELEMETRY_AGE
 from .components import antenna_component as antenna_component
 from .components import current_walk as current_walk
 from .components import shift as shift
+from .components import telemetry_age as telemetry_age
 from .disturbances import READINGS as READINGS
 from .disturbances import THRUST_LOSSES as THRUST_LOSSES
 from .disturbances import TIME as TIME
@@ -22,7 +24,9 @@ from .disturbances import thrust_losses_of as thrust_losses_of
 from .disturbances import variables_of as variables_of
 from .horizontal import SENSORS as SENSORS
 from .horizontal import SIDES as SIDES
+from .horizontal import first_order as first_order
 from .horizontal import horizontal_model as horizontal_model
+from .horizontal import shift_in_time as shift_in_time
 from .kinematic import kinematic_model as kinematic_model
 from .scaling import DRAG_AREA as DRAG_AREA
 from .scaling import rescale as rescale
