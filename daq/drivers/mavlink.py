@@ -17,6 +17,7 @@ from typing import Any, final
 from daq.drivers.ardupilot_parameters import GROUND_STATION_NAMES, parameter_names
 from daq.drivers.base import DeviceDriver, LinkRole, LinkStatus
 from daq.drivers.setpoints import Due
+from daq.errors import printable
 from daq.protocol import ARMED, ESC_STATUS, INVALID, SEVERITIES, Codec, dialect, mode_name
 from daq.rig import Device, Thruster
 from daq.samples import Event
@@ -147,10 +148,11 @@ class MavlinkDriver(DeviceDriver):
             self._status = replace(self._status, parameters=parameters)
 
     def _receive_text(self, m: Any) -> None:
-        if m.text.startswith(("PreArm:", "Arm:")):
-            self._reasons = [*self._reasons, m.text][-3:]
-        if m.severity <= CRITICAL and not m.text.startswith(("PreArm:", "Arm:")):
-            self._status = replace(self._status, alarm=f"{SEVERITIES[m.severity]}: {m.text}")
+        text = printable(m.text)
+        if text.startswith(("PreArm:", "Arm:")):
+            self._reasons = [*self._reasons, text][-3:]
+        elif m.severity <= CRITICAL:
+            self._status = replace(self._status, alarm=f"{SEVERITIES[m.severity]}: {text}")
 
     def request(self, action: str, value: float) -> None:
         """`arm`, `disarm`, `mode` with its number, or `leave`: disarm what was armed by us."""
