@@ -140,7 +140,8 @@ class Codec:
     def __init__(
         self, system: int, component: int, key: bytes | None = None, now_unix: float = EPOCH_2015, link: int = 0
     ) -> None:
-        """Our own ids; `now_unix` [s since 1970] starts the clock of signatures, which never goes back on one `link`."""
+        """Our own ids; `now_unix` [s since 1970] starts the signatures' clock, which never goes back on one `link`."""
+        self.system = system
         self._mav = dialect().MAVLink(None, srcSystem=system, srcComponent=component)
         if key is not None:
             self._mav.signing.secret_key = key
