@@ -148,7 +148,7 @@ def write_cache(name: str, content: bytes) -> None:
 
 
 def _prune(folder: Path) -> None:
-    """Unknown effects and models of one's own are compiled anew each time: without a limit they would fill the disk."""
+    """Nonparametric effects and user models are compiled anew each time: without a limit they would fill the disk."""
     files = [(f.stat().st_mtime, f.stat().st_size, f) for f in folder.iterdir()]
     total = sum(size for _, size, _ in files)
     if total <= LARGEST_CACHE:
