@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ident.model import Model, Sensor
 from ident.numerics import Array
@@ -120,15 +121,12 @@ class Record:
 
     def part(self, t_from: float, t_to: float, name: str = "") -> Record:
         """The rows with t_from <= t < t_to."""
-        rows = (self.t >= t_from) & (self.t < t_to)
-        return replace(
-            self,
-            name=name or f"{self.name}[{t_from:g}:{t_to:g}]",
-            t=self.t[rows],
-            u=self.u[rows],
-            u_next=self.u_next[rows],
-            y=self.y[rows],
-        )
+        within = self.rows((self.t >= t_from) & (self.t < t_to))
+        return replace(within, name=name or f"{self.name}[{t_from:g}:{t_to:g}]")
+
+    def rows(self, which: slice | NDArray[np.bool_]) -> Record:
+        """Some of the rows."""
+        return replace(self, t=self.t[which], u=self.u[which], u_next=self.u_next[which], y=self.y[which])
 
 
 def build_record(
@@ -246,7 +244,7 @@ def _rows(measured: Sequence[Array], switches: Sequence[Array], start: float, en
 
 
 def _changes(channel: Channel) -> Array:
-    """When the value becomes another one: a command that is repeated is no news."""
+    """When the value becomes another one: a command that is repeated adds no row."""
     return np.asarray(channel.t[1:][np.diff(channel.value) != 0.0])
 
 

@@ -164,7 +164,7 @@ class EffectKind(StrEnum):
     NONPARAMETRIC = "nonparametric"  # a force as a fitted function of a variable
     LAGGED = "lagged"  # a force of first order behind an input
     RESONANT = "resonant"  # a force of second order behind an input
-    DISTURBANCE = "disturbance"  # an unexplained force, for the filter
+    DISTURBANCE = "disturbance"  # a disturbance force, for the filter
     SENSOR_OFFSET = "sensor-offset"  # a walking offset or an age of a sensor, for the filter
 
     @property
@@ -205,6 +205,7 @@ class Effect:
     requires: tuple[str, ...] = ()
     one_sided: bool = False  # the first parameter cannot be negative
     rivals: tuple[str, ...] = ()
+    nests: tuple[str, ...] = ()  # effects that it is for some values of its parameters: it always explains as much
     scan: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # values to try where there is no gradient
     kind: EffectKind = EffectKind.CATALOGUE
     curve: ForceCurve | None = None  # of an effect that no catalogue lists: what depends on what
@@ -239,7 +240,8 @@ class Residual:
     ``state``: the disturbance that stands for it (``ident.models.disturbances``); ``scale``: what an unknown table of
     it may reach, one standard deviation of the prior; ``add``: how an extra of its unit enters, behind ``stage``;
     ``of``: the variables that it may depend on, all of the model's where none are named; ``place`` and ``requires``:
-    of the nonparametric effects on it.
+    of the nonparametric effects on it. ``relative``: a factor, whose part at zero of the variable belongs to other
+    parameters, and for which no disturbance stands.
     """
 
     name: str
@@ -252,6 +254,7 @@ class Residual:
     of: tuple[str, ...] = ()
     place: Place = "hull"
     requires: tuple[str, ...] = ()
+    relative: bool = False
 
 
 @dataclass(frozen=True)
