@@ -88,7 +88,7 @@ def place(columns: Sequence[SensitivityColumns], first: int, n_records: int) -> 
 @dataclass(frozen=True)
 class Score:
     """``step``: the one-step estimate of each parameter; ``lm_block``: the version from blocks; ``kind`` and ``curve``:
-    of the effect that is tested."""
+    of the effect that is tested; ``threshold``: critical value of ``lm`` among the tests that were made with it."""
 
     name: str
     lm: float
@@ -98,6 +98,7 @@ class Score:
     scan: dict[str, float]
     kind: EffectKind = EffectKind.CATALOGUE
     curve: ForceCurve | None = None
+    threshold: float = float("nan")
 
     @property
     def generic(self) -> bool:

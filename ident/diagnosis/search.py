@@ -23,7 +23,7 @@ from ident.diagnosis.adequacy import assess_alternatives
 from ident.diagnosis.candidates import normal_equations, variables, wave_peak_score
 from ident.diagnosis.importance import effect_importance
 from ident.diagnosis.results import Diagnosis, EffectAttribution, Refit, Round
-from ident.diagnosis.score_test import Score, fitted_parameters, score_test_passes, score_tests
+from ident.diagnosis.score_test import Score, fitted_parameters, score_test_passes, score_tests, score_threshold
 from ident.effects import NonparametricForce, catalogue, input_response_effects, nonparametric_effect, shape
 from ident.engine import quickly
 from ident.estimation import (
@@ -78,7 +78,7 @@ def diagnose(
     records = [make_record(everything, r, rate) for r in estimation]
     unseen = [make_record(everything, r, rate) for r in validation]
     full = without_absent_sensors(full, records + unseen)
-    reporter.progress(f"fitting {full.name} with unexplained forces to {counted(len(records), 'run')}")
+    reporter.progress(f"fitting {full.name} with disturbance forces to {counted(len(records), 'run')}")
     before = current = fit_with_rescaling(full, records, unseen)
     size, known = size_of(before.fit.model), catalogue()
     # user-defined effects keep their priors
@@ -128,7 +128,7 @@ def score_all(
     first: dict[str, Score] = {}
     for s in scores:
         first.setdefault(s.name, s)
-    best = list(first.values())
+    best = [replace(s, threshold=score_threshold(s, scores)) for s in first.values()]
     return best, [s for s in best if score_test_passes(s, scores)]
 
 

@@ -85,7 +85,7 @@ def fit_nominal_model(
     rate: float = 10.0,
     reporter: Reporter = QUIET,
 ) -> FittedModel:
-    """The model fitted as it is, with unexplained forces and sensor offsets as states; no search for missing effects.
+    """The model fitted as it is, with disturbance forces and sensor offsets as states; no search for missing effects.
 
     Parameters:
         model: its ``nominal`` form is fitted.
@@ -160,7 +160,7 @@ def _view(model: Model, record: Record, values: Array) -> RecordEvaluation:
 
 
 def nominal(model: Model) -> Model:
-    """With unexplained forces and sensor offsets, unless it has them; a model without a hull stays as it is."""
+    """With disturbance forces and sensor offsets, unless it has them; a model without a hull stays as it is."""
     if not (forces_of(model) or residuals_of(model)):
         return model
     present = any(e.kind is EffectKind.DISTURBANCE for e in model.effects)
@@ -189,7 +189,7 @@ def without_absent_sensors(model: Model, records: Sequence[Record]) -> Model:
 
 
 def reset_collapsed_noise(model: Model, records: Sequence[Record]) -> Model:
-    """With a start for noise that an earlier fit put to nought, from where no search comes back: the median second
+    """With a start for noise that an earlier fit put to zero, from where no search comes back: the median second
     difference of what was measured, as white noise has it."""
     new, names = [], records[0].outputs
     for o in model.outputs:

@@ -250,7 +250,7 @@ class Likelihood:
 
         R = np.array([p[self._index[o.noise]] ** 2 for o in self.model.outputs])
         robust = np.array([o.robust for o in self.model.outputs])
-        return FilterResult(record.t, x_pred, x_filt, covariances, e, R, eps, S, ll, robust, data.wild)
+        return FilterResult(record.t, x_pred, x_filt, covariances, e, R, eps, S, ll, robust, data.outliers)
 
     def forecast(self, record: Record, values: Array, x: Array, P: Array, first: int, last: int) -> tuple[Array, Array]:
         """Prediction from the inputs alone, without measurements.

@@ -95,7 +95,7 @@ def save_model(
         document["effects_file"], document["effects_sha256"] = beside.name, file_digest(beside)
     document["provenance"] = {k: v for k, v in provenance.items() if v is not None}
     document["validity"] = {k: [float(a), float(b)] for k, (a, b) in validity.items()}
-    # unexplained forces get the size of the boat whenever a fit begins (ident.models.scaling); a prior of that size
+    # disturbance forces get the size of the boat whenever a fit begins (ident.models.scaling); a prior of that size
     # would get
     # it twice
     sized_anew = {p.name for e in model.effects if e.kind is EffectKind.DISTURBANCE for p in e.parameters}

@@ -53,7 +53,7 @@ def _with_antenna(model: Model, rig: Rig) -> tuple[Model, list[str]]:
 def with_effects(model: Model, names: Sequence[str]) -> Model:
     """The model with effects by name, their parameters free; one that has another form for this model takes that.
 
-    They start a felt step from doing nothing, where the likelihood of some has no slope.
+    They start a step that matters from doing nothing, where the likelihood of some has no slope.
     """
     for name in names:
         effect = scale_priors(_effect_for(model, name), size_of(model))

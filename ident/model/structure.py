@@ -164,7 +164,7 @@ class EffectKind(StrEnum):
     NONPARAMETRIC = "nonparametric"  # a force as a fitted function of a variable
     LAGGED = "lagged"  # a force of first order behind an input
     RESONANT = "resonant"  # a force of second order behind an input
-    DISTURBANCE = "disturbance"  # an unexplained force, for the filter
+    DISTURBANCE = "disturbance"  # a disturbance force, for the filter
     SENSOR_OFFSET = "sensor-offset"  # a walking offset or an age of a sensor, for the filter
 
     @property

@@ -57,7 +57,7 @@ def _tilted(s: Signals) -> None:
 
 
 def current_walk() -> Effect:
-    """A current that wanders: a random walk in NED beside the constant one (Fossen 2011, section 8.3)."""
+    """A current with a random walk in NED beside the constant one (Fossen 2011, section 8.3)."""
 
     def drift(s: Signals) -> None:
         s.rate["x"], s.rate["y"] = s.rate["x"] + s.x.drift_x, s.rate["y"] + s.x.drift_y
@@ -65,7 +65,7 @@ def current_walk() -> Effect:
 
     return Effect(
         CURRENT_WALK,
-        "a current that wanders",
+        "a random-walk current",
         {"rate": drift},
         parameters=(Parameter("q_V", 0.005, "m/s/sqrt(s)", "diffusion of the current", "log", prior=(0.005, 0.01)),),
         states=(

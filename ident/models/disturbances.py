@@ -25,7 +25,7 @@ from ident.model import (
     Variable,
 )
 
-# stationary standard deviations of the unexplained forces [N, N, N m], and the units of their diffusions
+# stationary standard deviations of the disturbance forces [N, N, N m], and the units of their diffusions
 SIZES = {"X": (1.0, "N/sqrt(s)"), "Y": (1.0, "N/sqrt(s)"), "N": (0.15, "N m/sqrt(s)")}
 TIME = Variable("t", "s", lambda s: s.u.t)
 
@@ -139,12 +139,13 @@ def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
 
     return Effect(
         "disturbance",
-        "unexplained forces",
+        "disturbance forces",
         {"force": add, "rate": decay},
         parameters=(
             *(_diffusion(n, s0 * float(np.sqrt(2 / tau)), unit) for n, s0, unit in zip(names, sd, units, strict=True)),
             Parameter(
-                "tau_b", tau, "s", "memory of the unexplained forces", "log", prior=(tau, tau), bounds=(0.2, 10.0),
+                "tau_b", tau, "s", "correlation time of the disturbance forces", "log", prior=(tau, tau),
+                bounds=(0.2, 10.0),
                 role=ParameterRole.DISTURBANCE,
             ),
         ),
@@ -196,7 +197,7 @@ def shaft_disturbance() -> Effect:
 
 
 def disturbance_of(model: Model) -> Effect:
-    """What the model names itself, or the unexplained forces of a vehicle."""
+    """What the model names itself, or the disturbance forces of a vehicle."""
     return model.disturbance or disturbance(forces_of(model))
 
 

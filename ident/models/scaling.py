@@ -57,7 +57,7 @@ def size_of(model: Model) -> VesselScale:
 
 
 def rescale(model: Model, size: VesselScale) -> Model:
-    """The model with unexplained forces for a boat of this size: their spread at the start, and what is plausible
+    """The model with disturbance forces for a boat of this size: their spread at the start, and what is plausible
     for their diffusion."""
     factors = {"X": size.force, "Y": size.force, "N": size.moment}
     of_state = {f"b_{name}": name for name in factors}

@@ -20,5 +20,5 @@ def vehicle_for(effect: Effect) -> Model:
 
 
 def carrier(effect: Effect) -> Model:
-    """The same with unexplained forces; a bench for what is found on one."""
+    """The same with disturbance forces; a bench for what is found on one."""
     return for_diagnosis(thruster_model(n_delays=9) if "bench" in effect.requires else vehicle_for(effect))
