@@ -536,7 +536,7 @@ class RemainingCandidate(Part, frozen=True, kw_only=True):
 class NonparametricCurve(Part, frozen=True, kw_only=True):
     """A nonparametric effect as the data draw it."""
 
-    force: Annotated[str, Meta(description="force, or the sensor whose error it is")]
+    force: Annotated[str, Meta(description="force, or relative change of thrust (`T`, `T_left`), or sensor in error")]
     sensor_error: Annotated[bool, Meta(description="not a force, but the error of this sensor")]
     variable: str
     unit: str
