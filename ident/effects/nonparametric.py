@@ -206,7 +206,7 @@ def _thrust(pair: ThrusterPair) -> Signal:
     """Mean or half difference of the thrusts relative to full thrust; thrust is quadratic in shaft speed."""
 
     def read(s: Signals) -> Any:
-        left, right = (getattr(s.u, f"{pair.quantity}_{side}") for side in ("left", "right"))
+        left, right = (s.state_or_input(f"{pair.quantity}_{side}") for side in ("left", "right"))
         if pair.quantity == "n":
             left, right = left * abs(left), right * abs(right)
         return (left - right if pair.difference else left + right) / (2 if pair.quantity == "n" else 2 * FULL)

@@ -19,6 +19,7 @@ from ident.model import Effect, EffectKind, ForceCurve, Model, Parameter, robust
 from ident.models import (
     ANTENNA,
     CURRENT_WALK,
+    TELEMETRY_AGE,
     antenna_component,
     catalogue_model,
     current_walk,
@@ -28,6 +29,7 @@ from ident.models import (
     load_effects,
     own_model,
     sensor_bias,
+    telemetry_age,
     trusted_file,
 )
 from ident.numerics import Array
@@ -221,6 +223,8 @@ def _effect(name: str, model: Model, curves: Mapping[str, Any]) -> Effect:
         return antenna_component(model)
     if name == CURRENT_WALK:
         return current_walk()
+    if name == TELEMETRY_AGE:
+        return telemetry_age()
     if name in curves:
         return _unlisted(model, curves[name])
     if name not in catalogue():

@@ -5,9 +5,11 @@ from .catalogue import make_model as make_model
 from .catalogue import own_model as own_model
 from .components import ANTENNA as ANTENNA
 from .components import CURRENT_WALK as CURRENT_WALK
+from .components import TELEMETRY_AGE as TELEMETRY_AGE
 from .components import antenna_component as antenna_component
 from .components import current_walk as current_walk
 from .components import shift as shift
+from .components import telemetry_age as telemetry_age
 from .disturbances import READINGS as READINGS
 from .disturbances import TIME as TIME
 from .disturbances import disturbance_of as disturbance_of
@@ -20,7 +22,9 @@ from .disturbances import sensor_bias as sensor_bias
 from .disturbances import variables_of as variables_of
 from .horizontal import SENSORS as SENSORS
 from .horizontal import SIDES as SIDES
+from .horizontal import first_order as first_order
 from .horizontal import horizontal_model as horizontal_model
+from .horizontal import shift_in_time as shift_in_time
 from .kinematic import kinematic_model as kinematic_model
 from .scaling import rescale as rescale
 from .scaling import scale_priors as scale_priors

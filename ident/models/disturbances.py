@@ -84,7 +84,7 @@ MOTION = (
 
 def _of_pair(name: str, unit: str, pair: ThrusterPair) -> Variable:
     def read(s: Signals) -> Any:
-        left, right = getattr(s.u, f"{pair.quantity}_left"), getattr(s.u, f"{pair.quantity}_right")
+        left, right = (s.state_or_input(f"{pair.quantity}_{side}") for side in ("left", "right"))
         return left - right if pair.difference else (left + right) / 2
 
     return Variable(name, unit, read, pair=pair)
@@ -229,8 +229,8 @@ def variables_of(model: Model) -> tuple[Variable, ...]:
     """What residuals may depend on: the model's own list, or for a hull its motion, time and thrusters."""
     if model.variables or "hull" not in model.provides:
         return model.variables
-    inputs = {i.name for i in model.inputs}
-    shafts, thrusts = ({f"{letter}_left", f"{letter}_right"} <= inputs for letter in ("n", "f"))
+    known = {i.name for i in model.inputs} | {s.name for s in model.states}
+    shafts, thrusts = ({f"{letter}_left", f"{letter}_right"} <= known for letter in ("n", "f"))
     return MOTION + (SHAFTS if shafts else THRUSTS if thrusts else ())
 
 

@@ -27,7 +27,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
-from ident.model import Input, Model, Output, Sensor, Signals, State, resolve_initial_states
+from ident.model import Hold, Input, Model, Output, Sensor, Signals, State, resolve_initial_states
 from ident.models.horizontal import (
     ARMS,
     CURRENT,
@@ -68,7 +68,7 @@ def kinematic_model(
     *,
     current: bool = True,
     yaw: bool = False,
-    hold: Literal["zero", "linear"] = "linear",
+    hold: Hold = "linear",
 ) -> Model:
     """The model with measured attitude.
 
@@ -93,7 +93,7 @@ def kinematic_model(
         tuple(chosen),
         (*(p for p in own if p.name not in unused), *noise),
         (*first, ("force", turning if yaw else force), ("rate", rate), ("output", output)),
-        provides=("plane", "attitude", *(["turn"] if yaw else [])),
+        provides=("plane", "attitude", *(["turn"] if yaw else []), *(["n_input"] if propulsion == "shaft" else [])),
         source=":".join(["kinematic", *options]),
     )
 

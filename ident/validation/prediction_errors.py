@@ -118,7 +118,7 @@ def simulation_run(
     n = len(model.states)
     predicted = rowwise(run.x_pred, record.u, values)[:, n:]
     H = rowwise.output_jacobian(run.x_pred, record.u, values)
-    variance = np.einsum("kij,kjl,kil->ki", H, run.P_pred, H) + run.R
+    variance = run.output_variance(H)
     if uncertainty is not None and blind.any():
         variance += prediction_variance(uncertainty, model, record, values, int(np.argmax(blind)), likelihood)
     errors, diverged = {}, {}

@@ -110,7 +110,7 @@ def _navigate(
 ) -> tuple[Navigation, float]:
     """One log, and its time at the record's first row."""
     rate, without = request.rate, request.gnss_outages
-    model = replace(model, inputs=tuple(as_logged(i, one.holds.get(i.name, "")) for i in model.inputs))
+    model = as_logged(model, one.holds)
     last = max(float(c.t[-1]) for c in one.run.channels.values())
     if (one.run.t_from or 0.0) >= last:
         begin = one.run.t_from or 0.0

@@ -14,6 +14,8 @@ def vehicle_for(effect: Effect) -> Model:
     if "attitude" in effect.requires:
         return kinematic_model(yaw=True)
     sensors = tuple(SENSORS)[: len(SENSORS) if "body_velocity" in effect.requires else -1]
+    if "n_state" in effect.requires:
+        return horizontal_model("command", sensors)
     return horizontal_model("force" if "f_input" in effect.requires else "shaft", sensors)
 
 
