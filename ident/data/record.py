@@ -244,7 +244,7 @@ def _rows(measured: Sequence[Array], switches: Sequence[Array], start: float, en
 
 
 def _changes(channel: Channel) -> Array:
-    """When the value becomes another one: a command that is repeated tells nothing new."""
+    """When the value becomes another one: a command that is repeated adds no row."""
     return np.asarray(channel.t[1:][np.diff(channel.value) != 0.0])
 
 

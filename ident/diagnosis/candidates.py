@@ -32,8 +32,8 @@ from ident.diagnosis.score_test import (
 from ident.effects import EFFECT, FORCES, harmonics, input_response_effects
 from ident.engine import VectorisedModel
 from ident.estimation import FittedModel, RecordEvaluation
-from ident.model import Effect, EffectKind, ForceCurve, Model, Parameter, curve_name
-from ident.models import products_of, readings_of, residuals_of, variables_of
+from ident.model import Effect, EffectKind, ForceCurve, Model, Parameter, Residual, curve_name
+from ident.models import products_of, readings_of, residuals_of, thrust_losses_of, variables_of
 from ident.numerics import Array, wrap
 from ident.validation import SpectralPeak, spectral_peak
 
@@ -94,6 +94,13 @@ class TrajectoryLinearisation:
         change[:, index] = 0.0  # its own decay is not an effect on the boat
         return change
 
+    def relative(self, residual: Residual) -> Array:
+        """d(rates, outputs) / d relative change; exact, since it enters linearly."""
+        name = f"change_of_{residual.name}"
+        hooks = {residual.stage: lambda s: residual.add(s, getattr(s.p, name))}
+        larger = self.model + Effect(name, residual.title, hooks, parameters=(Parameter(name, 0.0),))
+        return VectorisedModel(larger)(self.x, self.own.u, np.append(self.values, 1.0)) - self.base
+
     def effect(self, effect: Effect) -> Iterator[SensitivityColumns]:
         """One candidate, or one for each combination of its scanned parameters."""
         key, n, m = (effect.name, effect.curve), len(self.model.states), len(effect.states)
@@ -152,8 +159,8 @@ class TrajectoryLinearisation:
         or resonant response to an input; each sensor error as a smooth function of some variables. ``among``: see
         splines."""
         table = generic_features(self.model, self.own, self.x, among, self.values)
-        for residual in (*residuals_of(self.model), *readings_of(self.model)):
-            direction = self.state(residual.state)
+        for residual in (*residuals_of(self.model), *readings_of(self.model), *thrust_losses_of(self.model)):
+            direction = self.relative(residual) if residual.relative else self.state(residual.state)
             touched = np.flatnonzero(direction.any(axis=0))
             direction = direction[:, touched]
             for of, feature in table.items():

@@ -239,7 +239,8 @@ class Residual:
     ``state``: the disturbance that stands for it (``ident.models.disturbances``); ``scale``: what an unknown table of
     it may reach, one standard deviation of the prior; ``add``: how an extra of its unit enters, behind ``stage``;
     ``of``: the variables that it may depend on, all of the model's where none are named; ``place`` and ``requires``:
-    of the nonparametric effects on it.
+    of the nonparametric effects on it. ``relative``: a factor, whose part at zero of the variable belongs to other
+    parameters, and for which no disturbance stands.
     """
 
     name: str
@@ -252,6 +253,7 @@ class Residual:
     of: tuple[str, ...] = ()
     place: Place = "hull"
     requires: tuple[str, ...] = ()
+    relative: bool = False
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from .components import current_walk as current_walk
 from .components import shift as shift
 from .components import telemetry_age as telemetry_age
 from .disturbances import READINGS as READINGS
+from .disturbances import THRUST_LOSSES as THRUST_LOSSES
 from .disturbances import TIME as TIME
 from .disturbances import disturbance_of as disturbance_of
 from .disturbances import for_diagnosis as for_diagnosis
@@ -19,6 +20,7 @@ from .disturbances import products_of as products_of
 from .disturbances import readings_of as readings_of
 from .disturbances import residuals_of as residuals_of
 from .disturbances import sensor_bias as sensor_bias
+from .disturbances import thrust_losses_of as thrust_losses_of
 from .disturbances import variables_of as variables_of
 from .horizontal import SENSORS as SENSORS
 from .horizontal import SIDES as SIDES
@@ -26,6 +28,7 @@ from .horizontal import first_order as first_order
 from .horizontal import horizontal_model as horizontal_model
 from .horizontal import shift_in_time as shift_in_time
 from .kinematic import kinematic_model as kinematic_model
+from .scaling import DRAG_AREA as DRAG_AREA
 from .scaling import rescale as rescale
 from .scaling import scale_priors as scale_priors
 from .scaling import size_of as size_of

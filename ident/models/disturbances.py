@@ -69,6 +69,30 @@ READINGS = tuple(
 )
 
 
+def _factor(*sides: str) -> Callable[[Signals, Any], None]:
+    """Changes the thrust of these sides by a part of itself."""
+
+    def add(s: Signals, extra: Any) -> None:
+        for side in sides:
+            s.f[side] = s.f[side] * (1 + extra)
+
+    return add
+
+
+# What a stalled propeller does: it acts on surge and yaw at once, as no curve of one force can
+THRUST_LOSSES = tuple(
+    Residual(
+        name, "", "", 0.3, title, _factor(*sides), "thrust", ("v", "r"), place="actuator", requires=("hull", "f"),
+        relative=True,
+    )
+    for name, title, sides in (
+        ("T", "the thrust of both thrusters", ("left", "right")),
+        ("T_left", "the thrust of the left thruster", ("left",)),
+        ("T_right", "the thrust of the right thruster", ("right",)),
+    )
+)
+
+
 def _state(name: str) -> Callable[[Signals], Any]:
     return lambda s: getattr(s.x, name)
 
@@ -121,7 +145,7 @@ def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
             *(_diffusion(n, s0 * float(np.sqrt(2 / tau)), unit) for n, s0, unit in zip(names, sd, units, strict=True)),
             Parameter(
                 "tau_b", tau, "s", "correlation time of the disturbance forces", "log", prior=(tau, tau),
-                bounds=(0.2, 60.0),
+                bounds=(0.2, 10.0),
                 role=ParameterRole.DISTURBANCE,
             ),
         ),
@@ -223,6 +247,11 @@ def readings_of(model: Model) -> tuple[Residual, ...]:
     """The sensors whose readings may be off by more than the offsets that the model has for them."""
     states = {s.name for s in model.states}
     return tuple(r for r in READINGS if r.state in states) if "hull" in model.provides else ()
+
+
+def thrust_losses_of(model: Model) -> tuple[Residual, ...]:
+    """The thrusts of a vehicle that may fall in turns."""
+    return THRUST_LOSSES if {"hull", "f"} <= set(model.provides) else ()
 
 
 def variables_of(model: Model) -> tuple[Variable, ...]:

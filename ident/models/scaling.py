@@ -13,6 +13,7 @@ from math import sqrt
 from ident.model import Effect, Model, Parameter
 from ident.models.disturbances import SIZES
 
+DRAG_AREA = "N s2/m2"  # unit of half the density of air times area times drag coefficient
 MASS, INERTIA = 37.0, 9.69  # kg, kg m2: the thesis' boat with its added mass (Table 1)
 
 
@@ -25,6 +26,8 @@ class VesselScale:
 
     def of(self, unit: str) -> float:
         """Factor of a coefficient with this unit; 1 where no mass or force is in it."""
+        if unit == DRAG_AREA:  # area goes with the square of length, mass with its cube
+            return float(self.force ** (2 / 3))
         above, _, below = unit.partition("/")
         power = _power(above) - _power(below)
         if power == 0:
