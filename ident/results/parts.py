@@ -58,10 +58,12 @@ class Result(Provenance, frozen=True, kw_only=True):
     """What every result says."""  # subclasses add tag_field="kind" and their kind as tag
 
     format: Literal["seatrial-result 2"] = "seatrial-result 2"
-    answer: Annotated[str, Meta(description="the answer in a sentence or two, for people")]
+    answer: Annotated[
+        str, Meta(description="the answer in a sentence or two, for people; of a fit that did not converge, that alone")
+    ]
     warnings: Annotated[
         tuple[str, ...],
-        Meta(description="lines to read before the estimates: the fit did not converge, a sensor was stuck"),
+        Meta(description="lines to read before the estimates: a sensor was stuck"),
     ] = ()
     notes: Annotated[
         tuple[str, ...],
