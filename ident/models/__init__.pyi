@@ -18,6 +18,7 @@ from .disturbances import readings_of as readings_of
 from .disturbances import residuals_of as residuals_of
 from .disturbances import sensor_bias as sensor_bias
 from .disturbances import variables_of as variables_of
+from .horizontal import NOISE as NOISE
 from .horizontal import SENSORS as SENSORS
 from .horizontal import SIDES as SIDES
 from .horizontal import horizontal_model as horizontal_model

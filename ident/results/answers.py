@@ -13,7 +13,7 @@ import numpy as np
 from ident.characterisation import Curve, Levels, Quadratic
 from ident.data import Record
 from ident.estimation import Fit, HomogeneityTest
-from ident.results.parts import Calibrations, CrossCorrelation, Errors, ResidualTests
+from ident.results.parts import Calibrations, CrossCorrelation, Errors, Provenance, ResidualTests
 from ident.validation import FEWEST
 
 WORDS = {
@@ -114,6 +114,21 @@ def estimation_warnings(fit: Fit, records: Sequence[Record]) -> list[str]:
             "missing signal first, then give --initial or --prior, or a model with fewer free parameters."
         )
     return said + [line for record in records for line in stuck_sensors(record)]
+
+
+def faults_first(made: Provenance) -> str:
+    """What every answer begins with where logs with faults were used all the same; else empty."""
+    faults = [f"{log.path}: {f.where}: {f.text}" for log in made.logs for f in log.findings if f.spoils]
+    return f"Despite faults of the logs, which may make all of this meaningless ({'; '.join(faults)}): " * bool(faults)
+
+
+def check_warnings(made: Provenance) -> list[str]:
+    """A line for each finding of the checks before the fit that is not in order."""
+    return [
+        f"{log.path}: {f.where}: {f.text} [{f.code}]{': ' * bool(f.advice)}{f.advice}."
+        for log in made.logs
+        for f in log.findings
+    ]
 
 
 def stuck_sensors(record: Record) -> list[str]:

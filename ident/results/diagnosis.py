@@ -11,7 +11,7 @@ import numpy as np
 from ident.diagnosis import Diagnosis, DiagnosisEvaluation, Refit, Round, recommended_experiment, score_threshold
 from ident.estimation import FittedModel
 from ident.results import parts
-from ident.results.answers import calibration_notes
+from ident.results.answers import calibration_notes, check_warnings, faults_first
 from ident.results.parts import DiagnosisResult, ErrorComparison, Provenance
 from ident.results.tables import (
     all_inputs,
@@ -60,9 +60,10 @@ def diagnosis_result(
     recommended = recommended_experiment(diagnosis)
     return DiagnosisResult(
         **msgspec.structs.asdict(made),
-        answer=diagnosis_answer(diagnosis, (errors.validation or errors.estimation).free_run, role),
+        answer=faults_first(made)
+        + diagnosis_answer(diagnosis, (errors.validation or errors.estimation).free_run, role),
         caveat=diagnosis_caveat(diagnosis),
-        warnings=tuple(warnings),
+        warnings=(*check_warnings(made), *warnings),
         notes=(*notes, *_notes(diagnosis), *calibration_notes(calibration, after.horizon)),
         fit=fit_summary(diagnosis.after.fit, diagnosis.before.model.values),
         horizon_seconds=after.horizon,

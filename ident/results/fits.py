@@ -10,7 +10,9 @@ from ident.estimation import FittedModel, HomogeneityTest, Profile
 from ident.models import residuals_of
 from ident.results.answers import (
     calibration_notes,
+    check_warnings,
     estimation_warnings,
+    faults_first,
     homogeneity_sentence,
     thruster_answer,
     vehicle_answer,
@@ -40,17 +42,16 @@ def vehicle_result(
     *,
     start: Mapping[str, float],
     notes: Sequence[str],
-    lead: str = "",
 ) -> VehicleResult:
-    """``start``: values that the search began with; ``notes``: that come first; ``lead``: begins the answer."""
+    """``start``: values that the search began with; ``notes``: that come first."""
     errors, calibration = error_tables(evaluation), calibration_tables(evaluation)
     residuals, cross = residual_rows(evaluation), cross_correlations(evaluation)
     searchable = bool(residuals_of(evaluation.model))
     said = vehicle_answer(errors, evaluation.horizon, residuals, cross, searchable=searchable)
     return VehicleResult(
         **msgspec.structs.asdict(made),
-        answer=" ".join(filter(None, [lead, said, *(homogeneity_sentence(a) for a in homogeneity)])),
-        warnings=tuple(estimation_warnings(stage.fit, [v.record for v in stage.estimation])),
+        answer=faults_first(made) + " ".join([said, *(homogeneity_sentence(a) for a in homogeneity)]),
+        warnings=(*check_warnings(made), *estimation_warnings(stage.fit, [v.record for v in stage.estimation])),
         notes=(*notes, *calibration_notes(calibration, evaluation.horizon)),
         fit=fit_summary(stage.fit, start),
         horizon_seconds=evaluation.horizon,
