@@ -23,7 +23,7 @@ def listen(rig: Rig, wall_s: float, path: Path, guard: SafetyGuard) -> Status:
     """Record every device for `wall_s` wall seconds at `path`; commands nothing. Returns the last status; ``guard`` has
     seen them all."""
     clock = RunClock(rig.speed)
-    with Acquisition(rig, path, clock=clock) as acquisition:
+    with Acquisition(rig, path, clock=clock, ask=True) as acquisition:
         until = clock.now() + wall_s * clock.speed
         while clock.now() < until:
             guard.unwatched(acquisition.status())

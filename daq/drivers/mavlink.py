@@ -1,4 +1,7 @@
-"""The ground station's half of a MAVLink link: heartbeats, requests and their answers, set-points as RC override.
+"""Our half of a MAVLink link: as the ground station heartbeats, requests and their answers, set-points as RC override.
+
+Who does not drive is no ground station (`LinkRole`): an autopilot that hears heartbeats of one would miss the loss of
+the operator's, and would see the loss of ours.
 
 No I/O and no clock: `now` is given. Services: mavlink.io/en/services/{heartbeat,command,parameter}.html.
 """
@@ -12,8 +15,9 @@ from dataclasses import dataclass, replace
 from typing import Any, final
 
 from daq.drivers.ardupilot_parameters import GROUND_STATION_NAMES, parameter_names
-from daq.drivers.base import DeviceDriver, LinkStatus
+from daq.drivers.base import DeviceDriver, LinkRole, LinkStatus
 from daq.drivers.setpoints import Due
+from daq.errors import printable
 from daq.protocol import ARMED, ESC_STATUS, INVALID, SEVERITIES, Codec, dialect, mode_name
 from daq.rig import Device, Thruster
 from daq.samples import Event
@@ -24,6 +28,7 @@ ANSWER_S = 0.4  # to a command, before it is sent again
 TRIES = 4
 PARAMETER_S = 0.5
 PARAMETER_TRIES = 5
+REBOOT_MS = 1000  # its clock back by more: it has restarted
 NEUTRAL_S = 0.05  # between neutral overrides while nothing is commanded
 SET_INTERVAL, SET_MODE, ARM = 511, 176, 400  # MAV_CMD
 ACCEPTED, TEMPORARILY_REJECTED, IN_PROGRESS = 0, 1, 5  # MAV_RESULT
@@ -52,8 +57,9 @@ class _Command:
 class MavlinkDriver(DeviceDriver):
     """Driver of one autopilot; `receive` gets every message that the decoder accepts."""
 
-    def __init__(self, device: Device, thrusters: Sequence[Thruster], codec: Codec) -> None:
+    def __init__(self, device: Device, thrusters: Sequence[Thruster], codec: Codec, role: LinkRole) -> None:
         assert device.mavlink is not None
+        self._role = role
         self._settings, self._rate_hz, self._codec = device.mavlink, device.rate_hz, codec
         self._outputs = {t.node: (t.output, t.reversed) for t in thrusters if t.output is not None}
         self._names = parameter_names(thrusters) if self._outputs else ()
@@ -73,10 +79,15 @@ class MavlinkDriver(DeviceDriver):
         self._asked = -math.inf
         self._reasons: list[str] = []
         self._started = False
+        self._boot_ms = 0  # the newest
 
     def receive(self, message: Any, now: float) -> None:
         """A message of the autopilot."""
         name = message.get_type()
+        if name == "ATTITUDE":
+            if message.time_boot_ms < self._boot_ms - REBOOT_MS:
+                self.opened(now)  # it has forgotten what it was asked for
+            self._boot_ms = message.time_boot_ms
         if name == "HEARTBEAT" and message.autopilot != INVALID:
             self._receive_heartbeat(message, now)
         elif name == "COMMAND_ACK":
@@ -102,6 +113,8 @@ class MavlinkDriver(DeviceDriver):
             ]
 
     def _receive_answer(self, m: Any) -> None:
+        if m.target_system not in (0, self._codec.system):
+            return  # the answer to another ground station
         if not self._commands or self._commands[0].number != m.command or m.result == IN_PROGRESS:
             return
         command = self._commands[0]
@@ -143,10 +156,11 @@ class MavlinkDriver(DeviceDriver):
             self._status = replace(self._status, parameters=parameters)
 
     def _receive_text(self, m: Any) -> None:
-        if m.text.startswith(("PreArm:", "Arm:")):
-            self._reasons = [*self._reasons, m.text][-3:]
-        if m.severity <= CRITICAL and not m.text.startswith(("PreArm:", "Arm:")):
-            self._status = replace(self._status, alarm=f"{SEVERITIES[m.severity]}: {m.text}")
+        text = printable(m.text)
+        if text.startswith(("PreArm:", "Arm:")):
+            self._reasons = [*self._reasons, text][-3:]
+        elif m.severity <= CRITICAL and not m.chunk_seq:  # a later part of a long text has no beginning to go by
+            self._status = replace(self._status, alarm=f"{SEVERITIES[m.severity]}: {text}")
 
     def request(self, action: str, value: float) -> None:
         """`arm`, `disarm`, `mode` with its number, or `leave`: disarm what was armed by us."""
@@ -167,9 +181,12 @@ class MavlinkDriver(DeviceDriver):
 
     def poll(self, now: float) -> bytes:
         """Heartbeat, the first command of the queue, parameter requests, neutral while no thrust is commanded."""
+        if self._role is LinkRole.LISTEN:
+            self._requests.clear()
+            return b""
         self._take_requests()
         out = b""
-        if now - self._beat >= HEARTBEAT_S:
+        if self._role is LinkRole.DRIVE and now - self._beat >= HEARTBEAT_S:
             self._beat = now
             out += self._codec.encode("HEARTBEAT", GROUND_STATION, INVALID, 0, 0, ACTIVE, VERSION)
         if self._started:
@@ -220,7 +237,9 @@ class MavlinkDriver(DeviceDriver):
         """Seconds until `poll` may have something."""
         if self._requests:
             return 0.0
-        times = [self._beat + HEARTBEAT_S]
+        if self._role is LinkRole.LISTEN:
+            return math.inf
+        times = [self._beat + HEARTBEAT_S if self._role is LinkRole.DRIVE else math.inf]
         if self._started and self._commands:
             times.append(self._commands[0].sent + ANSWER_S)
         if self._started and (self._awaited or self._status.parameters_pending):
@@ -248,6 +267,13 @@ class MavlinkDriver(DeviceDriver):
             channels[output.rc_channel - 1] = output.command(-n if is_reversed else n)
         who = (self._settings.system_id, self._settings.component_id)
         return self._codec.encode("RC_CHANNELS_OVERRIDE", *who, *channels)
+
+    @property
+    def hint(self) -> str:
+        """What a listener does not get."""
+        if self._role is not LinkRole.LISTEN:
+            return ""
+        return "only listened to, so the rates are the autopilot's own; --request-rates asks for those of the rig"
 
     def shutdown_bytes(self, now: float) -> bytes:
         """Disarm what was armed by us. Sent twice, since no answer is awaited."""

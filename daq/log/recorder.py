@@ -88,6 +88,11 @@ class Recorder:
         return self._writer.path
 
     @property
+    def is_deleted(self) -> bool:
+        """Whether the file being written has been deleted."""
+        return self._writer.is_deleted
+
+    @property
     def size(self) -> int:
         """Bytes on disk, of all segments."""
         return self._size_before + self._writer.size

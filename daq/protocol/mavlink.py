@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
+from daq.errors import printable
 from daq.protocol.framing import StreamDecoder
 from daq.protocol.mavlink_wire import ESC_STATUS, Codec, dialect, head, is_known, is_whole
 from daq.rig import AutopilotOutput, Device, Rig
@@ -65,6 +66,7 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         super().__init__()
         self.foreign: dict[int, int] = {}  # frames of other systems
         self.unsigned = 0
+        self.accepted = 0  # messages of the autopilot, signed where there is a key
         self.listener: Callable[[Any], None] | None = None
         self._samples, self._who = samples, (system, component)
         self._codec = codec or Codec(255, 190)
@@ -73,6 +75,10 @@ class MavlinkDecoder(StreamDecoder[Frame]):
     def secure(self, codec: Codec) -> None:
         """Decode, and check signatures, by this codec from now on."""
         self._codec = codec
+
+    def begin_datagram(self) -> None:
+        """Discard an incomplete frame: the next bytes are of another sender."""
+        super().reset()
 
     def reset(self) -> None:
         """Discard an incomplete frame and all received state (the port was reopened). Counters stay."""
@@ -108,6 +114,7 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         if message is None:
             self.unsigned += 1
             return
+        self.accepted += 1
         self._out += [Frame(sample, t_rx, t) for sample, t in self._samples.take(message)]
         if self.listener is not None:
             self.listener(message)
@@ -340,7 +347,8 @@ class Samples:
 
     def _text(self, m: Any) -> Found:
         number, before = self._chunks
-        text = before + m.text if m.id and m.id == number and m.chunk_seq else m.text
+        said = printable(m.text)
+        text = before + said if m.id and m.id == number and m.chunk_seq else said
         if m.id and len(m.text) == CHUNK:
             self._chunks = (m.id, text)
             return []

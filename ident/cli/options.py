@@ -188,7 +188,7 @@ class LiveLine:
         self.status.update(text)
 
     def warning(self, text: str) -> None:
-        self.console.print(f"  {text}")
+        self.console.print(f"  {text}", markup=False)
 
 
 def run_workflow(work: Callable[[Reporter], Result], out: Path) -> None:
@@ -205,9 +205,12 @@ def run_workflow(work: Callable[[Reporter], Result], out: Path) -> None:
     except (ValueError, KeyError) as problem:
         raise SeatrialError(str(problem).strip("'\"")) from problem
     from ident.report import print_result
+    from ident.results import FitResult
 
     print_result(result, console)
     click.echo(f"report: {out / 'report.html'}")
+    if isinstance(result, FitResult) and not result.converged:
+        raise click.exceptions.Exit(1)
 
 
 def command_line() -> str:

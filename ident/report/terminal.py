@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ident.report import formatting
-from ident.report.sections.errors import by_role, horizons
+from ident.report.sections.errors import by_role, error_words, horizons
 from ident.report.sections.profiles import interval
 from ident.report.terminal_tables import tables_of, titled_table
 from ident.results import (
@@ -110,12 +110,15 @@ def _candidates(rounds: Sequence[Round]) -> Table | None:
         return None
     every = found[0].candidates
     chosen = [row.chosen for row in found if row.chosen]
-    table = titled_table(f"Candidates, first round ({min(len(every), MOST_CANDIDATES)} of {len(every)})")
+    shown = every[:MOST_CANDIDATES]
+    title = f"First round: {found[0].passed} of {found[0].tested} candidates passed the score test, {len(shown)} best"
+    table = titled_table(title)
+    table.caption, table.caption_justify = "✓ added to the model   · passed   (blank) not passed", "left"
     table.add_column("", no_wrap=True)
     table.add_column("", no_wrap=True, overflow="ellipsis", max_width=38)
     for title in ("score", "threshold", "p by blocks"):
         table.add_column(title, justify="right", no_wrap=True)
-    for row in every[:MOST_CANDIDATES]:
+    for row in shown:
         won = row.name in chosen
         style = "bold green" if won else "" if row.passed else "dim"
         numbers = (
@@ -149,6 +152,6 @@ def _step(row: ErrorComparison | None) -> Text:
     factor = 1.0 if row is None else formatting.degrees_for(row.unit)[0]
     before, after = (None, None) if row is None else formatting.scaled(factor, row.before, row.after)
     if before is None or after is None:
-        return Text(formatting.plain(after))
-    color = "green" if after < 0.98 * before else "red" if after > 1.02 * before else ""
+        return Text("" if row is None else error_words(after))
+    color = {"fell": "green", "rose": "red"}.get(row.verdict or "" if row else "", "")
     return Text.assemble(f"{formatting.plain(before)} → ", (formatting.plain(after), color))

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import msgspec
-import numpy as np
 
-from ident.diagnosis import Diagnosis, DiagnosisEvaluation, Refit, Round, recommended_experiment, score_threshold
+from ident.diagnosis import Diagnosis, DiagnosisEvaluation, Refit, Round, recommended_experiment
+from ident.effects import catalogue
 from ident.estimation import FittedModel
 from ident.results import parts
-from ident.results.answers import calibration_notes, check_warnings, faults_first
-from ident.results.parts import DiagnosisResult, ErrorComparison, Provenance
+from ident.results.answers import (
+    calibration_notes,
+    change_sentence,
+    check_warnings,
+    faults_first,
+    not_converged,
+    outlier_lines,
+)
+from ident.results.parts import DiagnosisResult, Provenance
 from ident.results.tables import (
     all_inputs,
     calibration_tables,
@@ -20,7 +26,7 @@ from ident.results.tables import (
     error_comparison,
     finite,
     fit_summary,
-    format_number,
+    prediction_change,
     residual_rows,
     traces,
     tracks,
@@ -28,18 +34,6 @@ from ident.results.tables import (
 
 MOST_CANDIDATES = 24  # of a round that are reported
 HARDLY = 1e-6  # p value of a score test that a data set with nothing missing may well bring forth
-NAMES = {
-    "x": "north",
-    "y": "east",
-    "psi": "heading",
-    "r": "yaw rate",
-    "u": "surge speed",
-    "v": "sway speed",
-    "vx": "velocity north",
-    "vy": "velocity east",
-    "ax": "surge acceleration",
-    "ay": "sway acceleration",
-}
 
 
 def diagnosis_result(
@@ -55,16 +49,24 @@ def diagnosis_result(
     recommended."""
     before, after = evaluation.before, evaluation.after
     other = after if diagnosis.effects else None
-    errors, role = error_comparison(before, after, evaluation.changes), list(after.sets)[-1]
+    errors, role = error_comparison(before, after, evaluation.changes), after.judged
+    prediction = prediction_change(evaluation.changes[role], role) if diagnosis.effects else None
+    failed = not_converged(diagnosis.before.fit) or not_converged(diagnosis.after.fit)
     calibration = calibration_tables(after)
     recommended = recommended_experiment(diagnosis)
     return DiagnosisResult(
         **msgspec.structs.asdict(made),
-        answer=faults_first(made)
-        + diagnosis_answer(diagnosis, (errors.validation or errors.estimation).free_run, role),
-        caveat=diagnosis_caveat(diagnosis),
+        answer=faults_first(made) + (failed or diagnosis_answer(diagnosis, prediction, after.horizon)),
+        caveat=None if failed else diagnosis_caveat(diagnosis),
+        prediction=prediction,
+        converged_before=diagnosis.before.fit.converged,
         warnings=(*check_warnings(made), *warnings),
-        notes=(*notes, *_notes(diagnosis), *calibration_notes(calibration, after.horizon)),
+        notes=(
+            *notes,
+            *_notes(diagnosis),
+            *outlier_lines(after.residuals, after.model),
+            *calibration_notes(calibration, after.horizon),
+        ),
         fit=fit_summary(diagnosis.after.fit, diagnosis.before.model.values),
         horizon_seconds=after.horizon,
         errors=errors,
@@ -99,33 +101,21 @@ def diagnosis_result(
     )
 
 
-def diagnosis_answer(diagnosis: Diagnosis, free_run: Mapping[str, ErrorComparison], role: str) -> str:
-    """What is missing, and what it changes, in one sentence."""
-    if not diagnosis.effects:
-        if diagnosis.rounds and min(s.p for s in diagnosis.rounds[-1].scores) > HARDLY:
-            one = diagnosis.rounds[-1]
-            return f"Nothing is missing that these data can show: {_passed(one)} passed the first test, but {one.why}."
-        if diagnosis.rounds:
-            return (
-                "The residuals are not what the model predicts, but no candidate explains them: "
-                + diagnosis.rounds[-1].why
-                + "."
-            )
-        return "Nothing is missing: no effect in the catalogue, and no unknown one, is seen in these data."
-    lacks = what_is_lacking(diagnosis)
-    best = most_improved(free_run)
-    if best is None:
-        return f"{lacks}."
-    row = free_run[best]
-    before, after = (math.inf if value is None else value for value in (row.before, row.after))
-    degrees = row.unit.startswith("rad")
-    scale = 180 / np.pi if degrees else 1.0
-    unit = row.unit.replace("rad", "deg")
-    return (
-        f"{lacks}; with it the free-running error on {role} data falls from "
-        f"{format_number(before * scale)} to {format_number(after * scale)}{unit and ' '}{unit} "
-        f"({NAMES.get(best, best)})."
-    )
+def diagnosis_answer(diagnosis: Diagnosis, prediction: parts.PredictionChange | None, horizon: float) -> str:
+    """What is missing, and how the prediction over the horizon [s] changes with it."""
+    if diagnosis.effects:
+        changed = "" if prediction is None else f" {change_sentence(prediction, horizon)}"
+        return f"{what_is_lacking(diagnosis)}.{changed}"
+    if diagnosis.rounds and min(s.p for s in diagnosis.rounds[-1].scores) > HARDLY:
+        one = diagnosis.rounds[-1]
+        return f"Nothing is missing that these data can show: {_passed(one)} passed the first test, but {one.why}."
+    if diagnosis.rounds:
+        return (
+            "The residuals are not what the model predicts, but no candidate explains them: "
+            + diagnosis.rounds[-1].why
+            + "."
+        )
+    return "Nothing is missing: no effect in the catalogue, and no unknown one, is seen in these data."
 
 
 def _passed(one: Round) -> str:
@@ -164,16 +154,6 @@ def _listed(titles: Sequence[str]) -> str:
     return titles[0] if len(titles) == 1 else ", ".join(titles[:-1]) + " and " + titles[-1]
 
 
-def most_improved(rows: Mapping[str, ErrorComparison]) -> str | None:
-    """The channel whose error falls most; accelerations say little of a path."""
-    ratios = {
-        n: r.after / r.before
-        for n, r in rows.items()
-        if r.before and r.after is not None and n not in ("ax", "ay")
-    }
-    return min(ratios, key=lambda n: ratios[n]) if ratios else None
-
-
 def _forces(evaluation: DiagnosisEvaluation, changed: bool) -> tuple[parts.ResidualForce, ...]:
     return tuple(
         parts.ResidualForce(
@@ -194,7 +174,7 @@ QUIET = parts.Round(why="no candidate passes the score tests")
 
 
 def _round(one: Round) -> parts.Round:
-    titles = {r.effect.name: r.effect.title for r in one.refits}
+    titles = {n: e.title for n, e in catalogue().items()} | {r.effect.name: r.effect.title for r in one.refits}
     best = sorted(one.scores, key=lambda s: -s.lm / max(s.df, 1))[:MOST_CANDIDATES]
     return parts.Round(
         candidates=tuple(
@@ -206,11 +186,13 @@ def _round(one: Round) -> parts.Round:
                 p=s.p,
                 p_block=finite(s.p_block),
                 generic=s.generic,
-                threshold=score_threshold(s, one.scores),
+                threshold=s.threshold,
                 passed=s.name in one.passed,
             )
             for s in best
         ),
+        tested=len(one.scores),
+        passed=len(one.passed),
         refits=tuple(_refit(r) for r in one.refits),
         chosen=one.chosen.effect.name if one.chosen else None,
         why=one.why,
@@ -252,8 +234,10 @@ def _effects(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
                 source=e.source,
                 place=e.place,
                 experiment=e.experiment,
-                rivals=tuple(
-                    parts.Rival(name=q.effect.name, title=q.effect.title, criterion_behind=r.criterion - q.criterion)
+                alternatives=tuple(
+                    parts.Alternative(
+                        name=q.effect.name, title=q.effect.title, criterion_behind=r.criterion - q.criterion
+                    )
                     for q in rounds[e.name].refits
                     if q is not r
                 ),

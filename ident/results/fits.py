@@ -11,13 +11,15 @@ from ident.models import residuals_of
 from ident.results.answers import (
     calibration_notes,
     check_warnings,
-    estimation_warnings,
     faults_first,
     homogeneity_sentence,
+    not_converged,
+    outlier_lines,
+    stuck_sensors,
     thruster_answer,
     vehicle_answer,
 )
-from ident.results.parts import Provenance, StaticForce, ThrusterResult, VehicleResult
+from ident.results.parts import Calibrations, Provenance, StaticForce, ThrusterResult, VehicleResult
 from ident.results.tables import (
     all_inputs,
     calibration_tables,
@@ -25,6 +27,7 @@ from ident.results.tables import (
     error_tables,
     fit_summary,
     homogeneity_row,
+    prediction_fit,
     profile_curve,
     residual_rows,
     traces,
@@ -47,12 +50,15 @@ def vehicle_result(
     errors, calibration = error_tables(evaluation), calibration_tables(evaluation)
     residuals, cross = residual_rows(evaluation), cross_correlations(evaluation)
     searchable = bool(residuals_of(evaluation.model))
-    said = vehicle_answer(errors, evaluation.horizon, residuals, cross, searchable=searchable)
+    prediction = prediction_fit(evaluation)
+    said = vehicle_answer(prediction, errors, evaluation.horizon, residuals, cross, searchable=searchable)
+    answer = " ".join([said, *(homogeneity_sentence(a) for a in homogeneity)])
     return VehicleResult(
         **msgspec.structs.asdict(made),
-        answer=faults_first(made) + " ".join([said, *(homogeneity_sentence(a) for a in homogeneity)]),
-        warnings=(*check_warnings(made), *estimation_warnings(stage.fit, [v.record for v in stage.estimation])),
-        notes=(*notes, *calibration_notes(calibration, evaluation.horizon)),
+        answer=faults_first(made) + (not_converged(stage.fit) or answer),
+        prediction=prediction,
+        warnings=(*check_warnings(made), *stuck_sensors(stage.records)),
+        notes=_notes(notes, evaluation, calibration),
         fit=fit_summary(stage.fit, start),
         horizon_seconds=evaluation.horizon,
         errors=errors,
@@ -82,9 +88,9 @@ def thruster_result(
     calibration = calibration_tables(evaluation)
     return ThrusterResult(
         **msgspec.structs.asdict(made),
-        answer=thruster_answer(stage.fit, static is not None),
-        warnings=tuple(estimation_warnings(stage.fit, [v.record for v in stage.estimation])),
-        notes=(*notes, *calibration_notes(calibration, evaluation.horizon)),
+        answer=not_converged(stage.fit) or thruster_answer(stage.fit, static is not None),
+        warnings=tuple(stuck_sensors(stage.records)),
+        notes=_notes(notes, evaluation, calibration),
         fit=fit_summary(stage.fit, start),
         horizon_seconds=evaluation.horizon,
         errors=error_tables(evaluation),
@@ -97,3 +103,8 @@ def thruster_result(
         static=static,
         profiles=tuple(profile_curve(p) for p in profiles),
     )
+
+
+def _notes(first: Sequence[str], evaluation: PredictionEvaluation, calibration: Calibrations) -> tuple[str, ...]:
+    outliers = outlier_lines(evaluation.residuals, evaluation.model)
+    return (*first, *outliers, *calibration_notes(calibration, evaluation.horizon))

@@ -14,6 +14,9 @@ Role = Literal["estimation", "validation"]
 Verdict = Literal["right", "overconfident", "underconfident", "insufficient_data"]
 
 
+Change = Literal["fell", "rose", "unchanged"]
+
+
 class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A table of a result: immutable, fields by keyword (subclasses say ``frozen=True, kw_only=True`` again).
 
@@ -139,7 +142,7 @@ class FitSummary(Part, frozen=True, kw_only=True):
 
 
 class Trace(Part, frozen=True, kw_only=True):
-    """A channel of a record, measured and predicted from the inputs alone."""
+    """A channel of a record: measured, predicted over the horizon, and simulated from the inputs alone."""
 
     record: str
     role: Role
@@ -148,12 +151,22 @@ class Trace(Part, frozen=True, kw_only=True):
     angle: Annotated[bool, Meta(description="an angle, known but for whole turns")]
     t: Annotated[Array, Meta(description="[s]")]
     measured: Array
-    model: Annotated[Array, Meta(description="free-running")]
-    sd: Annotated[Array, Meta(description="standard deviation of the model's prediction")]
-    before: Annotated[Array | None, Meta(description="diagnosis: free-running without the effects")] = None
+    model: Annotated[Array, Meta(description="simulated")]
+    sd: Annotated[Array, Meta(description="standard deviation of the simulation")]
+    diverged: Annotated[
+        float | None, Meta(description="when the simulation left what was measured by ten times its range [s]")
+    ] = None
+    t_horizon: Annotated[Array, Meta(description="of the predictions over `horizon_seconds` [s]")]
+    horizon: Annotated[Array, Meta(description="predicted over `horizon_seconds`")]
+    sd_horizon: Annotated[Array, Meta(description="standard deviation of that prediction")]
+    before: Annotated[Array | None, Meta(description="diagnosis: simulated without the effects")] = None
+    horizon_before: Annotated[
+        Array | None, Meta(description="diagnosis: predicted over `horizon_seconds` without the effects")
+    ] = None
 
     def __post_init__(self) -> None:
         same_length(self, "t", "measured", "model", "sd", "before")
+        same_length(self, "t_horizon", "horizon", "sd_horizon", "horizon_before")
 
 
 class Track(Part, frozen=True, kw_only=True):
@@ -194,7 +207,9 @@ class WhitenessTests(Part, frozen=True, kw_only=True):
     periodogram_p: Annotated[float | None, Meta(description="p value of the cumulative periodogram")]
     cumulative: Annotated[Array, Meta(description="cumulative periodogram at `frequency`, 0..1")]
     normal_p: Annotated[float | None, Meta(description="p value of D'Agostino and Pearson's test of normality")]
-    white: Annotated[bool, Meta(description="by both tests together, at 1 %")]
+    white: Annotated[bool, Meta(description="by both tests together at 1 % (Bonferroni: neither p below 0.5 %)")]
+    outliers: Annotated[int, Meta(description="innovations beyond 6 standard deviations")]
+    largest: Annotated[float, Meta(description="largest innovation, absolute, in standard deviations")]
 
 
 class ResidualTests(WhitenessTests, frozen=True, kw_only=True):
@@ -241,13 +256,14 @@ class ErrorComparison(Part, frozen=True, kw_only=True):
     before: Annotated[float | None, Meta(description="diagnosis: without the effects")] = None
     after: Annotated[float | None, Meta(description="of the model; null: the prediction diverged")]
     unit: str
-    low: Annotated[float | None, Meta(description="95 % interval of after / before")] = None
+    low: Annotated[float | None, Meta(description="over the horizon: 95 % interval of after / before")] = None
     high: float | None = None
+    verdict: Annotated[Change | None, Meta(description="over the horizon: of the change, by the interval")] = None
     spread: Annotated[
         float | None,
         Meta(
-            description="free run: standard deviation of what was measured, about its mean in each record; the fit in "
-            "per cent is 100 (1 - error / spread)"
+            description="standard deviation of what was measured, about its mean in each record (an angle's: about its "
+            "circular mean); the fit in per cent is 100 (1 - error / spread)"
         ),
     ] = None
 
@@ -257,7 +273,30 @@ class ErrorTable(Part, frozen=True, kw_only=True):
 
     one_step: dict[str, ErrorComparison]
     horizon: Annotated[dict[str, ErrorComparison], Meta(description="over `horizon_seconds`")]
-    free_run: Annotated[dict[str, ErrorComparison], Meta(description="from the inputs alone")]
+    simulation: Annotated[dict[str, ErrorComparison], Meta(description="from the inputs alone")]
+
+
+class PredictionFit(Part, frozen=True, kw_only=True):
+    """How much of all channels together is predicted over the horizon: one less the geometric mean over them of RMS
+    prediction error over standard deviation of what was measured."""
+
+    role: Role
+    fit: float
+    low: Annotated[float | None, Meta(description="95 % interval of `fit`; null: the data are too short")] = None
+    high: float | None = None
+
+
+class PredictionChange(Part, frozen=True, kw_only=True):
+    """Change of the prediction errors over the horizon by the effects that were added: the geometric mean over all
+    channels of RMS error after / before."""
+
+    role: Role
+    ratio: float
+    low: Annotated[float | None, Meta(description="95 % interval of `ratio`; null: the data are too short")] = None
+    high: float | None = None
+    verdict: Annotated[Change, Meta(description="by the interval")]
+    better: Annotated[tuple[str, ...], Meta(description="channels whose own error fell beyond its interval")] = ()
+    worse: Annotated[tuple[str, ...], Meta(description="channels whose own error rose beyond its interval")] = ()
 
 
 class Errors(Part, frozen=True, kw_only=True):
@@ -296,7 +335,7 @@ class CalibrationTable(Part, frozen=True, kw_only=True):
 
     one_step: dict[str, CalibrationRow]
     horizon: Annotated[dict[str, CalibrationRow], Meta(description="over `horizon_seconds`")]
-    free_run: Annotated[dict[str, CalibrationRow], Meta(description="from the inputs alone")]
+    simulation: Annotated[dict[str, CalibrationRow], Meta(description="from the inputs alone")]
 
 
 class Calibrations(Part, frozen=True, kw_only=True):
@@ -360,11 +399,16 @@ class Homogeneity(Part, frozen=True, kw_only=True):
 class FitResult(Result, frozen=True, kw_only=True):
     """A fit, what the fitted model predicts, and what it leaves."""
 
+    @property
+    def converged(self) -> bool:
+        """Whether every fit did that the answer rests on."""
+        return self.fit.converged
+
     fit: FitSummary
     horizon_seconds: Annotated[
         float,
         Meta(
-            description="how far ahead was predicted between one step and the free run (`--horizon`) [s]: 10 by "
+            description="how far ahead was predicted between one step and the simulation (`--horizon`) [s]: 10 by "
             "default, 1 on the bench"
         ),
     ]
@@ -397,6 +441,7 @@ class StaticForce(Part, frozen=True, kw_only=True):
 class VehicleResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag="vehicle"):
     """`seatrial ident vehicle`: the model of a vehicle."""
 
+    prediction: Annotated[PredictionFit | None, Meta(description="null: nothing was predicted over the horizon")] = None
     profiles: Annotated[tuple[ProfileCurve, ...], Meta(description="with `--profile`: one a parameter")] = ()
     homogeneity: Annotated[
         tuple[Homogeneity, ...], Meta(description="with `--test-homogeneity`: one a parameter")
@@ -426,7 +471,7 @@ class Candidate(Part, frozen=True, kw_only=True):
     p: float
     p_block: Annotated[float | None, Meta(description="p value of the test from blocks of the data")]
     generic: Annotated[bool, Meta(description="a force without a formula, not an effect of the catalogue")]
-    threshold: Annotated[float, Meta(description="of `lm`, for as many tests as there are")]
+    threshold: Annotated[float, Meta(description="of `lm`, for as many tests as the search made")]
     passed: bool
 
 
@@ -446,13 +491,15 @@ class Refit(Part, frozen=True, kw_only=True):
 class Round(Part, frozen=True, kw_only=True):
     """A round of the search."""
 
-    candidates: Annotated[tuple[Candidate, ...], Meta(description="the best ones first")] = ()
+    tested: Annotated[int, Meta(description="number of candidates")] = 0
+    passed: Annotated[int, Meta(description="how many of them passed the score test")] = 0
+    candidates: Annotated[tuple[Candidate, ...], Meta(description="the best 24, best first")] = ()
     refits: tuple[Refit, ...] = ()
     chosen: Annotated[str | None, Meta(description="name of what was added")] = None
     why: str
 
 
-class Rival(Part, frozen=True, kw_only=True):
+class Alternative(Part, frozen=True, kw_only=True):
     """What was refitted in the same round and not chosen."""
 
     name: str
@@ -469,7 +516,7 @@ class EffectRow(Part, frozen=True, kw_only=True):
     source: str
     place: Annotated[str, Meta(description="what it acts on")]
     experiment: Annotated[str, Meta(description="what shows it")]
-    rivals: tuple[Rival, ...]
+    alternatives: tuple[Alternative, ...]
     attribution: Annotated[
         Literal["identified", "ambiguous", "nonparametric"],
         Meta(
@@ -483,7 +530,7 @@ class EffectRow(Part, frozen=True, kw_only=True):
     error_ratio_without: Annotated[
         float | None,
         Meta(
-            description="the error three seconds ahead, on the bench 1.2, without it over that with it, unexplained "
+            description="the error three seconds ahead, on the bench 1.2, without it over that with it, disturbance "
             "forces left out; geometric mean over the channels of the validation data"
         ),
     ]
@@ -502,7 +549,7 @@ class RemainingCandidate(Part, frozen=True, kw_only=True):
 
 
 class NonparametricCurve(Part, frozen=True, kw_only=True):
-    """An unknown effect as the data draw it."""
+    """A nonparametric effect as the data draw it."""
 
     force: Annotated[str, Meta(description="force, or the sensor whose error it is")]
     sensor_error: Annotated[bool, Meta(description="not a force, but the error of this sensor")]
@@ -548,13 +595,19 @@ class ParameterChange(Part, frozen=True, kw_only=True):
 class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag="diagnosis"):
     """`seatrial ident diagnose`: what a model lacks. `fit` and `calibration` are of the model with its effects."""
 
+    @property
+    def converged(self) -> bool:
+        return self.fit.converged and self.converged_before
+
     caveat: Annotated[str | None, Meta(description="why a name in the answer is not sure, a sentence")] = None
+    converged_before: Annotated[bool, Meta(description="whether the fit without the effects converged")]
+    prediction: Annotated[PredictionChange | None, Meta(description="null: no effect was added")] = None
     rounds: tuple[Round, ...]
     effects: Annotated[tuple[EffectRow, ...], Meta(description="what was added, the most important first")] = ()
     remaining_candidates: tuple[RemainingCandidate, ...] = ()
     nonparametric_effects: Annotated[
         tuple[NonparametricCurve, ...],
-        Meta(description="unknown effects, and the residual that the first effect only resembles"),
+        Meta(description="nonparametric effects, and the residual that the first effect only resembles"),
     ] = ()
     residual_forces: Annotated[tuple[ResidualForce, ...], Meta(description="one a record and force")] = ()
     parameters_before_after: tuple[ParameterChange, ...] = ()

@@ -21,6 +21,8 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
     loaded, unseen = load_all(request.logs, request.validation)
     problem = vehicle_problem(request, loaded, unseen)
     loaded, unseen = check_first(loaded, unseen, problem.model, request.despite_faults)
+    if problem.thrust:
+        reporter.progress(problem.thrust)
     for line in problem.notes:
         reporter.warning(line)
     fitted = fit_nominal_model(
@@ -36,7 +38,7 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
         profiles,
         homogeneity,
         start=problem.model.values,
-        notes=[*problem.notes, *fitted.outlier_notes],
+        notes=[*filter(None, [problem.thrust]), *problem.notes, *fitted.outlier_notes],
     )
     write_all(request.out, result, fitted.fit, validity(fitted))
     return result

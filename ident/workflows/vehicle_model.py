@@ -19,7 +19,7 @@ from ident.estimation import (
 )
 from ident.model import Model
 from ident.workflows.check import with_noise_floors
-from ident.workflows.model_inputs import check_ahead, check_names, choose_model, completed
+from ident.workflows.model_inputs import check_ahead, check_names, choose_model, completed, thrust_from
 
 
 @dataclass(frozen=True)
@@ -61,13 +61,14 @@ class VehicleRequest:
 class VehicleProblem:
     """What is fitted to what: a model with its prior knowledge, segments to estimate and to validate.
 
-    ``notes``: what the rig's geometry says, and which noises have a floor.
+    ``notes``: what the rig's geometry says, and which noises have a floor; ``thrust``: what the thrust follows.
     """
 
     model: Model
     segments: list[LogSegment]
     validation: list[LogSegment]
     notes: list[str]
+    thrust: str
 
 
 def vehicle_problem(
@@ -84,4 +85,5 @@ def vehicle_problem(
     model = fix_parameters(model, request.thruster if curve is None else None, request.fixed)
     model, floors = with_noise_floors(model, loaded)
     check_names(nominal(model), request.profiles, len(loaded))
-    return VehicleProblem(model, [x.run for x in loaded], [x.run for x in unseen], [*notes, *floors])
+    segments, validation = ([x.run for x in part] for part in (loaded, unseen))
+    return VehicleProblem(model, segments, validation, [*notes, *floors], thrust_from(model))

@@ -29,7 +29,7 @@ def rates(rows: Sequence[Row]) -> Lines:
     for name, cases in by_effect(rows).items():
         answers = [first_answer(r) for r in cases]
         n = len(cases)
-        ratios = [r["ratio"]["free_run"] for r in cases if "ratio" in r]
+        ratios = [r["ratio"]["simulation"] for r in cases if "ratio" in r]
         lines.append([
             name, str(n), share(sum(map(first_right, cases)), n), share(sum(map(all_right, cases)), n),
             share(answers.count(NONE), n), share(answers.count(UNKNOWN), n), share(sum(map(likened, cases)), n),
@@ -88,8 +88,8 @@ def position(errors: dict[str, dict[str, float]]) -> float:
 
 
 def heading(errors: dict[str, dict[str, float]]) -> float:
-    """Free-running, degrees."""
-    return float(np.degrees(errors["free_run"]["psi"]))
+    """In simulation, degrees."""
+    return float(np.degrees(errors["simulation"]["psi"]))
 
 
 def as_text(lines: Lines) -> str:

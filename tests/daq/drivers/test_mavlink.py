@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from daq.drivers.ardupilot_parameters import check_parameters
+from daq.drivers.base import LinkRole
+from daq.drivers.factory import make_driver
 from daq.drivers.setpoints import Due
+from daq.protocol.catalogue import make_decoder
+from daq.protocol.mavlink_wire import Codec, Head, head
 from daq.samples import Ahrs, Servo
 from mocks.devices.autopilot import HOLD
 from tests.daq.mavlink_ends import Ends, mav_rig
@@ -160,6 +165,15 @@ def test_signed_both_ways(tmp_path: Path) -> None:
         ("SERVO1_FUNCTION", 1.0, True),  # passthrough moves it while disarmed
         ("SERVO3_MAX", 2000.0, True),
         ("RC1_TRIM", 1480.0, True),
+        ("FS_THR_ENABLE", 0.0, True),
+        ("FS_ACTION", 0.0, True),
+        ("FS_ACTION", 1.0, False),
+        ("RC_OPTIONS", 34.0, True),
+        ("RC1_REVERSED", 1.0, True),
+        ("SERVO1_REVERSED", 1.0, True),
+        ("MOT_THST_ASYM", 2.0, False),
+        ("MOT_THR_MAX", 60.0, False),
+        ("MANUAL_STR_EXPO", 0.6, False),
         ("MOT_SLEWRATE", 100.0, False),
         ("RC3_DZ", 30.0, False),
     ],
@@ -179,3 +193,70 @@ def test_a_parameter_that_changes_under_way_is_an_event() -> None:
     ends.autopilot._say_parameter("MOT_SLEWRATE")
     ends.run(0.1)
     assert "MOT_SLEWRATE was changed: 0 to 50" in [event.text for event in ends.driver.events()]
+
+
+@pytest.mark.parametrize(("role", "sends"), [(LinkRole.LISTEN, False), (LinkRole.ASK, True)])
+def test_who_does_not_drive_is_no_ground_station(role: LinkRole, sends: bool) -> None:
+    rig = mav_rig()
+    device = rig.device("autopilot")
+    decoder = make_decoder(device, rig)
+    driver = make_driver(device, rig, decoder, role)
+    assert driver is not None
+    autopilot, ear = Codec(1, 1), Codec(9, 1)
+    sent, t = [], 0.0
+    driver.opened(t)
+    for k in range(200):
+        t += 0.05
+        if k % 20 == 0:
+            decoder.feed(autopilot.encode("HEARTBEAT", 11, 3, 81, 0, 4, 3), t)
+        for asked in ("leave", "arm") if k == 100 and role is LinkRole.LISTEN else ():
+            driver.request(asked, 0.0)
+        sent += parsed(ear, driver.poll(t))
+        assert driver.wait(t) >= 0.0
+    assert bool(sent) is sends
+    assert not {"HEARTBEAT", "RC_CHANNELS_OVERRIDE"} & {message.get_type() for message in sent}
+    assert device.mavlink is not None
+    assert all(message.get_srcSystem() not in (1, device.mavlink.own_system_id) for message in sent)
+    assert bool(driver.hint) is not sends
+
+
+def parsed(codec: Codec, data: bytes) -> list[Any]:
+    """The messages in whole frames."""
+    found = []
+    while data:
+        about = head(data, 0)
+        assert isinstance(about, Head)
+        found.append(codec.decode(data[: about.total]))
+        data = data[about.total :]
+    return found
+
+
+def test_the_answer_to_another_ground_station_is_not_ours() -> None:
+    ends = ready(Ends(mav_rig()))
+    ends.deaf = True
+    ends.driver.request("arm", 0.0)
+    ends.run(0.1)
+    vehicle = Codec(1, 1)
+    for target, told in ((254, ""), (255, "arm: failed")):
+        ends.to_ground(vehicle.encode("COMMAND_ACK", 400, 4, 0, 0, target, 190))
+        assert ends.driver.link_at(ends.t).answer == told
+
+
+def test_the_second_half_of_a_long_text_is_no_alarm() -> None:
+    ends = ready(Ends(mav_rig()))
+    vehicle = Codec(1, 1)
+    for part, text in enumerate((b"PreArm: AHRS: EKF3 Yaw inconsistent 21 deg. Wait o", b"r reboot")):
+        ends.to_ground(vehicle.encode("STATUSTEXT", 2, text, 7, part))
+    assert ends.driver.link_at(ends.t).alarm == ""
+    ends.to_ground(vehicle.encode("STATUSTEXT", 2, b"Leak detected"))
+    assert "Leak" in ends.driver.link_at(ends.t).alarm
+
+
+def test_after_a_reboot_everything_is_asked_for_again() -> None:
+    ends = ready(Ends(mav_rig()))
+    vehicle, ear = Codec(1, 1), Codec(9, 1)
+    ends.deaf = True
+    ends.to_ground(vehicle.encode("ATTITUDE", 5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    ends.to_ground(vehicle.encode("HEARTBEAT", 11, 3, 81, 0, 4, 3))
+    asked = {message.get_type() for message in parsed(ear, ends.driver.poll(ends.t + 1.0))}
+    assert {"COMMAND_LONG", "PARAM_REQUEST_READ"} <= asked
