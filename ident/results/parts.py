@@ -32,6 +32,18 @@ def same_length(part: Part, *names: str) -> None:
         raise ValueError(f"{' and '.join(sizes)} must be of one length, not {sizes}")
 
 
+class LogFinding(Part, frozen=True, kw_only=True):
+    """What a check of a log found (`seatrial check`)."""
+
+    level: Annotated[str, Meta(description="`warning` or `fault`")]
+    code: Annotated[str, Meta(description="what was found, for programs")]
+    check: str
+    where: Annotated[str, Meta(description="device, thruster or signal")]
+    text: str
+    advice: Annotated[str, Meta(description="what to do about it")] = ""
+    spoils: Annotated[bool, Meta(description="a fit to this log means nothing (`--despite-faults`)")] = False
+
+
 class LogSummary(Part, frozen=True, kw_only=True):
     """A log that a result was made from."""
 
@@ -43,6 +55,9 @@ class LogSummary(Part, frozen=True, kw_only=True):
     rig: Annotated[str | None, Meta(description="name of the rig")] = None
     mission: Annotated[str | None, Meta(description="name of the mission")] = None
     warnings: Annotated[tuple[str, ...], Meta(description="what is wrong with the log")] = ()
+    findings: Annotated[
+        tuple[LogFinding, ...], Meta(description="what the checks before a fit found that is not in order")
+    ] = ()
 
 
 class Provenance(Part, frozen=True, kw_only=True):
