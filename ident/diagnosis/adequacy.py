@@ -138,10 +138,15 @@ def _tables(chosen: Sequence[Refit], one: Round) -> list[str]:
 
 
 def _close(one: Round) -> list[Refit]:
-    """Competing models: other effects whose criterion is close to that of the chosen one, best first."""
+    """Competing models: other effects whose criterion is close to that of the chosen one, best first. One that nests
+    the chosen effect competes only if its further parameters are worth their number."""
     assert one.chosen is not None
-    least = one.chosen.criterion - max(MAX_DISTANCE, MAX_DISTANCE_SHARE * one.chosen.criterion)
-    others = [q for q in one.refits if q is not one.chosen and not q.unknown and q.criterion > max(least, 0.0)]
+    name, best = one.chosen.effect.name, one.chosen.criterion
+    least = max(best - max(MAX_DISTANCE, MAX_DISTANCE_SHARE * best), 0.0)
+    others = [
+        q for q in one.refits
+        if q is not one.chosen and not q.unknown and q.criterion > (best if name in q.effect.nests else least)
+    ]
     return sorted(others, key=lambda q: -q.criterion)
 
 

@@ -37,5 +37,6 @@ EFFECT = Effect(
     experiment="runs away from the fixed point in several directions, slack and taut",
     requires=("hull",),
     one_sided=True,
+    nests=("steady-pull",),
     rivals=("tether", "steady-pull", "current-drift", "wind"),
 )

@@ -113,6 +113,7 @@ def test_a_weak_effect_is_found_with_its_size(case: str) -> None:
     boat, gyro, name, truth = FOUND[case]
     found = found_on(boat, gyro)
     assert [q.effect.name for q in found.effects] == [name]
+    assert found.judgements[0].attribution == ("nonparametric" if name.startswith("unknown") else "identified")
     for parameter, (value, error) in estimates(found, list(truth)).items():
         assert value == pytest.approx(truth[parameter], abs=4 * error), parameter
         assert error < max(0.15 * abs(truth[parameter]), 0.1) or parameter.endswith("_tether"), parameter
