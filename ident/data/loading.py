@@ -25,6 +25,7 @@ class LoadedLog:
     rig: Rig | None
     propulsion: PropulsionInput | None = None
     segments: tuple[tuple[float, str], ...] = ()  # steps of its mission: when each began [s of the log], and its name
+    path: Path = Path()
 
 
 def load_all(logs: Sequence[Path], validate: Sequence[Path]) -> tuple[list[LoadedLog], list[LoadedLog]]:
@@ -56,7 +57,7 @@ def load_run(path: Path, role: str, t_from: float | None = None, t_to: float | N
         holds = {n: c.hold or _hold(log, n) for n, c in found.items()}
         segments = tuple((t - start, text) for t, kind, text in log.events() if kind == "segment")
         propulsion = propulsion_input(log, moved, holds)
-        return LoadedLog(LogSegment(path.stem, moved, t_from, t_to), about, holds, log.rig, propulsion, segments)
+        return LoadedLog(LogSegment(path.stem, moved, t_from, t_to), about, holds, log.rig, propulsion, segments, path)
 
 
 def _hold(log: Log, name: str) -> str:

@@ -10,6 +10,8 @@ from ident.estimation import FittedModel, HomogeneityTest, Profile
 from ident.models import residuals_of
 from ident.results.answers import (
     calibration_notes,
+    check_warnings,
+    faults_first,
     homogeneity_sentence,
     not_converged,
     outlier_lines,
@@ -43,21 +45,19 @@ def vehicle_result(
     *,
     start: Mapping[str, float],
     notes: Sequence[str],
-    lead: str = "",
 ) -> VehicleResult:
-    """``start``: values that the search began with; ``notes``: that come first; ``lead``: begins the answer."""
+    """``start``: values that the search began with; ``notes``: that come first."""
     errors, calibration = error_tables(evaluation), calibration_tables(evaluation)
     residuals, cross = residual_rows(evaluation), cross_correlations(evaluation)
     searchable = bool(residuals_of(evaluation.model))
     prediction = prediction_fit(evaluation)
     said = vehicle_answer(prediction, errors, evaluation.horizon, residuals, cross, searchable=searchable)
-    failed = not_converged(stage.fit)
-    answer = [failed, lead] if failed else [lead, said, *(homogeneity_sentence(a) for a in homogeneity)]
+    answer = not_converged(stage.fit) or " ".join([said, *(homogeneity_sentence(a) for a in homogeneity)])
     return VehicleResult(
         **msgspec.structs.asdict(made),
-        answer=" ".join(filter(None, answer)),
+        answer=faults_first(made) + answer,
         prediction=prediction,
-        warnings=tuple(stuck_sensors(stage.records)),
+        warnings=(*check_warnings(made), *stuck_sensors(stage.records)),
         notes=_notes(notes, evaluation, calibration),
         fit=fit_summary(stage.fit, start),
         horizon_seconds=evaluation.horizon,

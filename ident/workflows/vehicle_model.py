@@ -1,4 +1,4 @@
-"""The vehicle model of a fit: structure, rig geometry, bench results, prior knowledge, thruster sides."""
+"""The vehicle model of a fit: structure, rig geometry, bench results, prior knowledge, noise floors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ident.characterisation import load_curve
-from ident.checks import check_sides, swap_sides
 from ident.data import LoadedLog, LogSegment
 from ident.estimation import (
     EstimationOptions,
@@ -19,6 +18,7 @@ from ident.estimation import (
     with_effects,
 )
 from ident.model import Model
+from ident.workflows.check import with_noise_floors
 from ident.workflows.model_inputs import check_ahead, check_names, choose_model, completed, thrust_from
 
 
@@ -35,7 +35,7 @@ class VehicleRequest:
         fixed, initial: values of parameters that are known, and where the estimate of others starts.
         priors: mean and standard deviation of parameters.
         effects: of the catalogue, added with their parameters free.
-        keep_thruster_sides: even where the data say that they are swapped.
+        despite_faults: fit also where the checks of the logs find what makes a fit meaningless.
         homogeneity: parameters to test for one value in all logs.
         profiles: parameters that get a profile likelihood.
         rate: rows a second to which faster sensors are averaged [Hz].
@@ -51,7 +51,7 @@ class VehicleRequest:
     initial: Mapping[str, float] = field(default_factory=dict)
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     effects: Sequence[str] = ()
-    keep_thruster_sides: bool = False
+    despite_faults: bool = False
     homogeneity: Sequence[str] = ()
     profiles: Sequence[str] = ()
     rate: float = 10.0
@@ -61,15 +61,13 @@ class VehicleRequest:
 class VehicleProblem:
     """What is fitted to what: a model with its prior knowledge, segments to estimate and to validate.
 
-    ``notes``: what the rig's geometry says; ``sides``: a line where the thrusters' sides are swapped, else empty;
-    ``thrust``: what the thrust follows.
+    ``notes``: what the rig's geometry says, and which noises have a floor; ``thrust``: what the thrust follows.
     """
 
     model: Model
     segments: list[LogSegment]
     validation: list[LogSegment]
     notes: list[str]
-    sides: str
     thrust: str
 
 
@@ -85,12 +83,7 @@ def vehicle_problem(
     model, notes = apply_rig_geometry(choose_model(source, [*loaded, *unseen]), loaded[0].rig)
     model = set_initial_values(set_priors(with_effects(model, request.effects), request.priors), request.initial)
     model = fix_parameters(model, request.thruster if curve is None else None, request.fixed)
-    sides, line = check_sides([(x.run.name, x.run.channels) for x in loaded]) if "y_left" in model.values else None, ""
-    if sides is not None and sides.swapped:
-        line = sides.line
-        if request.keep_thruster_sides:
-            line = line.removesuffix(" Fitted with the sides swapped.")
-        else:
-            model = swap_sides(model)
+    model, floors = with_noise_floors(model, loaded)
     check_names(nominal(model), request.profiles, len(loaded))
-    return VehicleProblem(model, [x.run for x in loaded], [x.run for x in unseen], notes, line, thrust_from(model))
+    segments, validation = ([x.run for x in part] for part in (loaded, unseen))
+    return VehicleProblem(model, segments, validation, [*notes, *floors], thrust_from(model))
