@@ -310,6 +310,8 @@ def _correlation(channels: Mapping[str, Channel], time_constant: float) -> tuple
 
 def swap_sides(model: Model) -> Model:
     """The model with its thrusters on each other's side."""
+    if "side" in model.values:
+        return model.with_values({"side": -model.values["side"]})
     arms = {n: model.parameter(n) for n in ("y_left", "y_right")}
     return model.replace_parameters(
         replace(arms["y_left"], value=arms["y_right"].value), replace(arms["y_right"], value=arms["y_left"].value)

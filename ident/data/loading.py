@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ class LoadedLog:
     holds: Mapping[str, str]
     rig: Rig | None
     segments: tuple[tuple[float, str], ...] = ()  # steps of its mission: when each began [s of the log], and its name
+    vehicle: Mapping[str, float] = field(default_factory=dict)  # what rig or map know of the boat, parameters by name
 
 
 def load_all(logs: Sequence[Path], validate: Sequence[Path]) -> tuple[list[LoadedLog], list[LoadedLog]]:
@@ -54,7 +55,7 @@ def load_run(path: Path, role: str, t_from: float | None = None, t_to: float | N
         }
         holds = {n: _hold(log, n) for n in found}
         segments = tuple((t - start, text) for t, kind, text in log.events() if kind == "segment")
-        return LoadedLog(LogSegment(path.stem, moved, t_from, t_to), about, holds, log.rig, segments)
+        return LoadedLog(LogSegment(path.stem, moved, t_from, t_to), about, holds, log.rig, segments, log.vehicle)
 
 
 def _hold(log: Log, name: str) -> str:

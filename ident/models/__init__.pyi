@@ -1,4 +1,5 @@
 from . import rotations as rotations
+from .catalogue import KNOWN_SIGNALS as KNOWN_SIGNALS
 from .catalogue import make_model as make_model
 from .components import ANTENNA as ANTENNA
 from .components import CURRENT_WALK as CURRENT_WALK
@@ -18,7 +19,10 @@ from .disturbances import variables_of as variables_of
 from .horizontal import SENSORS as SENSORS
 from .horizontal import SIDES as SIDES
 from .horizontal import horizontal_model as horizontal_model
+from .horizontal import symmetric_arms as symmetric_arms
 from .kinematic import kinematic_model as kinematic_model
+from .scaling import force_power as force_power
+from .scaling import is_moment as is_moment
 from .scaling import rescale as rescale
 from .scaling import scale_priors as scale_priors
 from .scaling import size_of as size_of

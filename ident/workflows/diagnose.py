@@ -14,7 +14,7 @@ from ident.model import with_outlier_model as with_outliers
 from ident.models import effects_for
 from ident.reporter import Reporter
 from ident.results import DiagnosisResult, diagnosis_result, estimation_warnings, provenance
-from ident.workflows.model_inputs import check_ahead, model_of_logs
+from ident.workflows.model_inputs import check_ahead, model_of_logs, unused_signals
 from ident.workflows.output import validity, write_all
 
 
@@ -56,6 +56,7 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
     plain = replace(saved.model, second_order=False)
     check_ahead(horizon, loaded, unseen)
     model, runs, others, usual = model_of_logs(plain, request.model, loaded, unseen, request.thruster)
+    unused = unused_signals(model, [*loaded, *unseen])
     own = effects_for(model, effects_file) if effects_file else {}
     found = diagnose(
         with_outliers(model) if request.estimation.outlier_model else model,
@@ -73,6 +74,7 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
         warnings=estimation_warnings(found.after.fit, [v.record for v in found.after.estimation]),
         notes=found.after.outlier_notes,
         model_path=str(request.model),
+        unused=unused,
     )
     write_all(request.out, result, found.after.fit, validity(found.after), effects_file or saved.effects_file)
     return result

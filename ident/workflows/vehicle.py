@@ -5,8 +5,9 @@ from __future__ import annotations
 from ident.data import load_all
 from ident.estimation import fit_nominal_model, homogeneity_test, profile
 from ident.reporter import Reporter
-from ident.results import VehicleResult, provenance, vehicle_result
+from ident.results import Posed, VehicleResult, provenance, vehicle_result
 from ident.validation import evaluate
+from ident.workflows.model_inputs import unused_lines
 from ident.workflows.output import validity, write_all
 from ident.workflows.vehicle_model import VehicleRequest, vehicle_problem
 
@@ -18,7 +19,7 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
     """
     loaded, unseen = load_all(request.logs, request.validation)
     problem = vehicle_problem(request, loaded, unseen)
-    for line in filter(None, [*problem.notes, problem.sides]):
+    for line in filter(None, [*problem.notes, problem.sides, *unused_lines(problem.unused)]):
         reporter.warning(line)
     fitted = fit_nominal_model(
         problem.model, problem.segments, problem.validation, request.estimation, rate=request.rate, reporter=reporter
@@ -32,9 +33,13 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
         provenance([*loaded, *unseen], command),
         profiles,
         homogeneity,
-        start=problem.model.values,
-        notes=[*problem.notes, *fitted.outlier_notes],
-        lead=problem.sides,
+        Posed(
+            problem.model.values,
+            [*problem.notes, *fitted.outlier_notes],
+            problem.sides,
+            problem.unused,
+            loaded[0].vehicle.get("length"),
+        ),
     )
     write_all(request.out, result, fitted.fit, validity(fitted))
     return result

@@ -14,12 +14,14 @@ from ident.estimation import (
     apply_rig_geometry,
     fix_parameters,
     nominal,
+    pose_scale,
     set_initial_values,
     set_priors,
     with_effects,
 )
 from ident.model import Model
-from ident.workflows.model_inputs import check_ahead, check_names, choose_model, completed
+from ident.results import UnusedSignal
+from ident.workflows.model_inputs import check_ahead, check_names, choose_model, completed, unused_signals
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,8 @@ class VehicleRequest:
 class VehicleProblem:
     """What is fitted to what: a model with its prior knowledge, segments to estimate and to validate.
 
-    ``notes``: what the rig's geometry says; ``sides``: a line where the thrusters' sides are swapped, else empty.
+    ``notes``: what the rig's geometry says; ``sides``: a line where the thrusters' sides are swapped, else empty;
+    ``unused``: signals of the logs that the model does not take.
     """
 
     model: Model
@@ -69,6 +72,7 @@ class VehicleProblem:
     validation: list[LogSegment]
     notes: list[str]
     sides: str
+    unused: list[UnusedSignal]
 
 
 def vehicle_problem(
@@ -80,10 +84,12 @@ def vehicle_problem(
         source = "horizontal:force"
     loaded, unseen = ([completed(x, source, curve) for x in part] for part in (loaded, unseen))
     check_ahead(request.estimation.horizon, loaded, unseen)
-    model, notes = apply_rig_geometry(choose_model(source, [*loaded, *unseen]), loaded[0].rig)
+    model = choose_model(source, [*loaded, *unseen])
+    model, notes = apply_rig_geometry(model, loaded[0].rig, loaded[0].vehicle)
     model = set_initial_values(set_priors(with_effects(model, request.effects), request.priors), request.initial)
-    model = fix_parameters(model, request.thruster if curve is None else None, request.fixed)
-    sides, line = check_sides([(x.run.name, x.run.channels) for x in loaded]) if "y_left" in model.values else None, ""
+    model = pose_scale(fix_parameters(model, request.thruster if curve is None else None, request.fixed))
+    armed = {"y_left", "y_arm"} & set(model.values)
+    sides, line = check_sides([(x.run.name, x.run.channels) for x in loaded]) if armed else None, ""
     if sides is not None and sides.swapped:
         line = sides.line
         if request.keep_thruster_sides:
@@ -91,4 +97,5 @@ def vehicle_problem(
         else:
             model = swap_sides(model)
     check_names(nominal(model), request.profiles, len(loaded))
-    return VehicleProblem(model, [x.run for x in loaded], [x.run for x in unseen], notes, line)
+    unused = unused_signals(model, [*loaded, *unseen])
+    return VehicleProblem(model, [x.run for x in loaded], [x.run for x in unseen], notes, line, unused)

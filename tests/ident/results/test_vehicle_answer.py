@@ -92,7 +92,8 @@ def test_a_sensor_that_is_stuck_is_named() -> None:
     record = constant()
     (line,) = stuck_sensors(record)
     n = int(np.isfinite(record.y[:, 0]).sum())
-    assert line == f"run: {record.outputs[0]} reads 0.5 in all of its {n} samples: a stuck sensor?"
+    assert line.code == "stuck-sensor"
+    assert line.text == f"run: {record.outputs[0]} reads 0.5 in all of its {n} samples: a stuck sensor?"
     assert stuck_sensors(turning_record(n_rows=200)) == []
 
 
@@ -111,5 +112,5 @@ def test_a_fit_that_stopped_short_is_told() -> None:
     assert estimation_warnings(found, [turning_record(n_rows=300)]) == []
     short = replace(found, converged=False, message="stopped after 60 iterations with 667 left to gain")
     first, second = estimation_warnings(short, [constant()])
-    assert first.startswith("The fit did not converge: it stopped after 60 iterations with 667 left to gain. Take no")
-    assert second.endswith("a stuck sensor?")
+    assert (first.code, second.code) == ("not-converged", "stuck-sensor")
+    assert "stopped after 60 iterations with 667 left to gain" in first.text
