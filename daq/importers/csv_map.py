@@ -10,12 +10,12 @@ from pathlib import Path
 
 from daq.config import TomlTable, parse_toml, read_text
 from daq.importers.units import UNITS
+from daq.rig import NAME
 
 FORMAT = "seatrial-import-csv 1"
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 GEOMETRY = ("y_left", "y_right", "length")  # thrusters to starboard, and the hull's length [m]
 SCALE = ("c1", "c2")  # thrust of one thruster at n = 1 and -1: c1 + c2 and -(c1 - c2) [N]
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,7 @@ def _origin(table: TomlTable) -> float:
 
 def _signal(table: TomlTable, style: CsvStyle) -> Signal:
     name = table.text("name")
-    if not _NAME.fullmatch(name):
+    if not NAME.fullmatch(name):
         raise table.error("name", f"'{name}' becomes a topic of the log: a letter, then letters, digits or _")
     unit = table.text("unit")
     if unit not in UNITS:

@@ -13,6 +13,7 @@ from ident.results.answers import (
     calibration_notes,
     estimation_warnings,
     homogeneity_sentence,
+    not_converged,
     thruster_answer,
     vehicle_answer,
 )
@@ -25,6 +26,7 @@ from ident.results.tables import (
     fit_summary,
     homogeneity_reported,
     homogeneity_row,
+    prediction_fit,
     profile_curve,
     residual_rows,
     traces,
@@ -66,11 +68,14 @@ def vehicle_result(
     errors, calibration = error_tables(evaluation), calibration_tables(evaluation)
     residuals, cross = residual_rows(evaluation), cross_correlations(evaluation)
     searchable = bool(residuals_of(evaluation.model))
-    said = vehicle_answer(errors, evaluation.horizon, residuals, cross, searchable=searchable)
+    prediction = prediction_fit(evaluation)
+    said = vehicle_answer(prediction, errors, evaluation.horizon, residuals, cross, searchable=searchable)
+    answer = " ".join(filter(None, [posed.lead, said, *(homogeneity_sentence(a) for a in homogeneity)]))
     return VehicleResult(
         **msgspec.structs.asdict(made),
-        answer=" ".join(filter(None, [posed.lead, said, *(homogeneity_sentence(a) for a in homogeneity)])),
-        warnings=tuple(estimation_warnings(stage.fit, [v.record for v in stage.estimation], posed.length)),
+        answer=not_converged(stage.fit) or answer,
+        prediction=prediction,
+        warnings=tuple(estimation_warnings(stage.fit, stage.records, posed.length)),
         notes=(*posed.notes, *calibration_notes(calibration, evaluation.horizon)),
         fit=fit_summary(stage.fit, posed.start),
         horizon_seconds=evaluation.horizon,
@@ -101,8 +106,8 @@ def thruster_result(
     bands = calibration_tables(evaluation)
     return ThrusterResult(
         **msgspec.structs.asdict(made),
-        answer=thruster_answer(stage.fit, static is not None, calibration),
-        warnings=tuple(estimation_warnings(stage.fit, [v.record for v in stage.estimation])),
+        answer=not_converged(stage.fit) or thruster_answer(stage.fit, static is not None, calibration),
+        warnings=tuple(estimation_warnings(stage.fit, stage.records)),
         notes=(*posed.notes, *calibration_notes(bands, evaluation.horizon)),
         fit=fit_summary(stage.fit, posed.start, calibration if static is not None else 0.0),
         horizon_seconds=evaluation.horizon,

@@ -71,7 +71,7 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
         found,
         evaluate_diagnosis(found, horizon),
         provenance([*loaded, *unseen], command),
-        warnings=estimation_warnings(found.after.fit, [v.record for v in found.after.estimation]),
+        warnings=estimation_warnings(found.after.fit, found.after.records),
         notes=found.after.outlier_notes,
         model_path=str(request.model),
         unused=unused,

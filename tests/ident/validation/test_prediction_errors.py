@@ -1,4 +1,4 @@
-"""Prediction errors: one step, over a horizon, free-running, against the model's own equations solved elsewhere."""
+"""Prediction errors: one step, over a horizon and in simulation, against the model's own equations solved elsewhere."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ident.validation.prediction_errors import (
     horizon_errors,
     one_step_errors,
     pooled_errors,
-    ratio_interval,
+    prediction_change,
     simulation_run,
 )
 from tests.ident.sliders import D, M, slide, slider
@@ -71,7 +71,7 @@ def test_what_is_ahead_is_the_equation_solved_from_the_filtered_state(seconds: f
             assert found["place"].e[at] == pytest.approx(record.y[last, 1] - x[0], abs=1e-6)
 
 
-def test_a_free_run_knows_only_its_first_seconds() -> None:
+def test_a_simulation_knows_only_its_first_seconds() -> None:
     record = slide(2, 400)
     free = simulation_run(MODEL, record, VALUES)
     blind = record.t > WARM_UP
@@ -88,7 +88,7 @@ def test_a_free_run_knows_only_its_first_seconds() -> None:
     assert free.errors["speed"].spread == pytest.approx(seen[np.isfinite(seen)].std())
 
 
-def test_a_free_run_goes_no_faster_than_the_boat_when_its_heading_is_lost() -> None:
+def test_a_simulation_goes_no_faster_than_the_boat_when_its_heading_is_lost() -> None:
     """Of the cosine of a heading that is spread over the whole circle a series of second order makes any speed."""
     model = plain_model(
         "adrift",
@@ -108,7 +108,7 @@ def test_a_free_run_goes_no_faster_than_the_boat_when_its_heading_is_lost() -> N
     assert free.errors["x"].rms < 25.0  # a circle of 10 m, its centre off by the last heading that was seen
 
 
-def test_the_band_of_a_free_run_covers() -> None:
+def test_the_band_of_a_simulation_covers() -> None:
     """Over many runs 95 % of the errors lie within 1.96 of their standard deviations, near and far."""
     inside = []
     for seed in range(40):
@@ -132,8 +132,8 @@ def test_angles_are_wrapped() -> None:
 
 
 def test_pooled_errors_keep_records_apart_in_time() -> None:
-    a = PredictionErrors(np.array([1.0, 2.0]), np.array([3.0, 4.0]), 1.0)
-    b = PredictionErrors(np.array([0.5, 1.5]), np.array([0.0, 0.0]), 3.0)
+    a = PredictionErrors(np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.array([1.0, -1.0]))
+    b = PredictionErrors(np.array([0.5, 1.5]), np.array([0.0, 0.0]), np.array([3.0, -3.0]))
     found = pooled_errors([{"x": a, "r": b}, {"x": b}])
     assert found["x"].e.tolist() == [3.0, 4.0, 0.0, 0.0]
     assert (np.diff(found["x"].t) > 0).all()
@@ -143,20 +143,80 @@ def test_pooled_errors_keep_records_apart_in_time() -> None:
     assert np.isnan(PredictionErrors(np.zeros(0), np.zeros(0)).rms)
 
 
-def test_the_interval_of_a_ratio_covers_and_is_honest_about_few_blocks() -> None:
-    covered = []
-    for seed in range(200):
+def moving_average(rng: np.random.Generator, n: int, width: int) -> np.ndarray:
+    """Errors that are correlated for as long as a horizon of ``width`` samples lasts."""
+    return np.convolve(rng.normal(size=n + width - 1), np.full(width, width**-0.5), "valid")
+
+
+def test_the_interval_of_a_change_covers_where_errors_are_correlated_over_the_horizon() -> None:
+    covered: dict[str, list[bool]] = {"all": [], "x": [], "r": []}
+    for seed in range(300):
         rng = np.random.default_rng(seed)
-        t = 0.5 * np.arange(800)
-        common = rng.normal(size=800)
-        before = PredictionErrors(t, common + 0.5 * rng.normal(size=800))
-        after = PredictionErrors(t, 0.6 * (common + 0.5 * rng.normal(size=800)))
-        low, high = ratio_interval(before, after, seed=seed)
-        assert low < high
-        covered.append(low < 0.6 < high)
-    assert 0.87 < np.mean(covered) < 0.99  # a bootstrap over forty blocks is a little narrow
-    short = PredictionErrors(np.arange(30.0), np.ones(30))
-    assert all(np.isnan(ratio_interval(short, short)))
-    assert all(np.isnan(ratio_interval(PredictionErrors(t, common), PredictionErrors(t[1:], common[1:]))))
-    again = [ratio_interval(before, after, seed=3) for _ in range(2)]
-    assert again[0] == again[1]
+        t = 0.5 * np.arange(1200)
+        pair: list[dict[str, PredictionErrors]] = [{}, {}]
+        for name, ratio in (("x", 0.6), ("r", 1.5)):
+            common = moving_average(rng, 1200, 20)
+            for errors, factor in zip(pair, (1.0, ratio), strict=True):
+                e = factor * (common + 0.5 * moving_average(rng, 1200, 20))
+                errors[name] = PredictionErrors(t, e)
+        found = prediction_change(*pair, horizon=10.0)
+        covered["all"].append(found.low < (0.6 * 1.5) ** 0.5 < found.high)
+        covered["x"].append(found.channels["x"].low < 0.6 < found.channels["x"].high)
+        covered["r"].append(found.channels["r"].low < 1.5 < found.channels["r"].high)
+    for name, inside in covered.items():
+        assert 0.90 < np.mean(inside) < 0.98, name
+
+
+def test_a_change_of_the_prediction_errors_is_of_all_channels() -> None:
+    rng, t = np.random.default_rng(1), np.arange(0.0, 400.0, 0.5)
+    old = {name: PredictionErrors(t, rng.normal(size=t.size)) for name in ("x", "y", "r")}
+    new = {n: PredictionErrors(t, k * old[n].e) for n, k in (("x", 0.5), ("y", 0.5), ("r", 2.0))}
+    found = prediction_change(old, new, 10.0)
+    assert found.ratio == pytest.approx(0.5 ** (1 / 3))
+    assert (found.verdict, found.named("fell"), found.named("rose")) == ("fell", ["x", "y"], ["r"])
+    assert found.channels["r"].before == pytest.approx(old["r"].rms)
+    assert found.channels["r"].after == pytest.approx(2 * old["r"].rms)
+    same = prediction_change(old, old, 10.0)
+    assert (same.ratio, same.low, same.high, same.verdict) == (1.0, 1.0, 1.0, "unchanged")
+    # of other starts the common times are compared, and a channel that one model lacks is not
+    later = {n: PredictionErrors(e.t[100:], e.e[100:]) for n, e in new.items() if n != "y"}
+    shifted = prediction_change(old, later, 10.0)
+    assert set(shifted.channels) == {"x", "r"}
+    assert shifted.ratio == pytest.approx(1.0)
+
+
+def test_no_verdict_without_an_interval_or_a_change_that_can_be_written() -> None:
+    t = np.arange(0.0, 60.0, 0.5)
+    e = PredictionErrors(t, np.random.default_rng(1).normal(size=t.size))
+    short = prediction_change({"x": e}, {"x": PredictionErrors(t, 0.1 * e.e)}, 10.0)
+    assert short.ratio == pytest.approx(0.1)
+    assert np.isnan(short.low)
+    assert short.verdict == short.channels["x"].verdict == "unchanged"
+    assert prediction_change({"x": e}, {"x": PredictionErrors(t, 0.999 * e.e)}, 1.0).verdict == "unchanged"
+    assert prediction_change({"x": e}, {"x": PredictionErrors(t, 0.99 * e.e)}, 1.0).verdict == "fell"
+    assert np.isnan(prediction_change({}, {}, 10.0).ratio)
+
+
+def test_a_diverged_prediction_is_an_error_and_not_left_out() -> None:
+    t = np.arange(0.0, 400.0, 0.5)
+    e = np.random.default_rng(1).normal(size=t.size)
+    lost = np.where(t % 20.0 < 1.0, np.inf, 0.5 * e)
+    assert np.isinf(PredictionErrors(t, lost).rms)
+    found = prediction_change({"x": PredictionErrors(t, e)}, {"x": PredictionErrors(t, lost)}, 10.0)
+    assert found.verdict == "rose"
+
+
+def test_no_channel_is_lost_by_the_choice_of_prediction_starts() -> None:
+    """Sensors on odd rows, and on every third: each is predicted at its own samples, at most a row more than the
+    horizon later."""
+    record = slide(1, 600)
+    rows = np.arange(record.n_rows)
+    odd = replace(record, y=np.column_stack([record.y[:, 0], np.where(rows % 2, 0.1, np.nan)]))
+    run = Likelihood(MODEL).filter(odd, VALUES)
+    found = horizon_errors(MODEL, odd, VALUES, run.x_filt, 10.0)
+    assert (found["speed"].e.size, found["place"].e.size) == (250, 250)
+    uneven = replace(odd, t=record.t + 0.03 * (rows % 3 == 1))
+    later = horizon_errors(MODEL, uneven, VALUES, run.x_filt, 10.0)
+    assert later["place"].e.size > 240
+    late = later["place"].t - uneven.t[np.searchsorted(uneven.t, later["place"].t - 10.0 + 1e-6, "right") - 1]
+    assert ((late >= 10.0 - 2e-6) & (late < 10.14)).all()
