@@ -14,7 +14,7 @@ from ident.results.result_file import AnyResult, read_result
 from mocks.offline_simulation import Recording
 from tests.missions import write_log
 
-THRUST = ("--fix", "c1=40.05", "--fix", "c2=1.11")  # nominal; the boats' own are up to 5 % off
+THRUST = ("--fix", "c1=40.05", "--fix", "c2=1.11")  # of these simulated boats
 ESTIMATION, VALIDATION = "estimation.mcap", "validation.mcap"
 
 
