@@ -51,4 +51,5 @@ from .thrust_scale import ThrustScale as ThrustScale
 from .thrust_scale import against_priors as against_priors
 from .thrust_scale import least_inertia as least_inertia
 from .thrust_scale import pose_scale as pose_scale
+from .thrust_scale import reported_units as reported_units
 from .thrust_scale import scale_of as scale_of

@@ -125,19 +125,45 @@ def _with_arms(model: Model) -> Model:
 
 
 @dataclass(frozen=True)
+class ReportedUnits:
+    """The units that numbers of a model are reported in; ``thrust`` [N] and ``arm`` [m]: what ratios are to."""
+
+    scale: ThrustScale
+    thrust: float = 1.0
+    arm: float = 1.0
+
+    def factor(self, unit: str) -> float:
+        """By which a number in ``unit`` is multiplied."""
+        thrust, arm = self.scale.powers(unit)
+        return float(self.thrust**-thrust * self.arm**-arm) if thrust or arm else 1.0
+
+
+def reported_units(model: Model) -> ReportedUnits:
+    """Of a model with its values."""
+    scale, p = scale_of(model), model.values
+    thrust = p["c1"] + p["c2"] if scale.relative else 1.0
+    if not scale.relative_yaw:
+        return ReportedUnits(scale, thrust)
+    return ReportedUnits(scale, thrust, p["y_arm"] if "y_arm" in p else 0.5 * abs(p["y_right"] - p["y_left"]))
+
+
+@dataclass(frozen=True)
 class ReportedEstimates:
     """The estimates of a fit as they can be reported: in units of the thrust where its scale is unknown."""
 
     fit: Fit
 
     @cached_property
+    def units(self) -> ReportedUnits:
+        return reported_units(self.fit.model)
+
+    @property
     def scale(self) -> ThrustScale:
-        return scale_of(self.fit.model)
+        return self.units.scale
 
     def factor(self, unit: str) -> float:
         """By which a number in ``unit`` is multiplied."""
-        thrust, arm = self.scale.powers(unit)
-        return float(self._thrust ** -thrust * self._arm ** -arm) if thrust or arm else 1.0
+        return self.units.factor(unit)
 
     def estimate(self, p: Parameter, record: int = 0) -> tuple[float, float]:
         """Value and standard error (NaN: none) of a parameter in a record."""
@@ -160,21 +186,10 @@ class ReportedEstimates:
         root = np.sqrt(np.diag(self._covariance))
         return np.asarray(self._covariance / np.outer(root, root))
 
-    @cached_property
-    def _thrust(self) -> float:
-        return self.fit.estimate("c1")[0] + self.fit.estimate("c2")[0] if self.scale.relative else 1.0
-
-    @cached_property
-    def _arm(self) -> float:
-        if not self.scale.relative_yaw:
-            return 1.0
-        if "y_arm" in self.fit.model.values:
-            return self.fit.estimate("y_arm")[0]
-        return 0.5 * abs(self.fit.estimate("y_right")[0] - self.fit.estimate("y_left")[0])
-
     def _log_gradient(self, thrust: int, arm: int) -> Array:
         """Of ``T^a y^b`` by the estimates, over itself (n,)."""
-        by = {"c1": thrust / self._thrust, "c2": thrust / self._thrust, "y_arm": arm / self._arm}
+        of_thrust, of_arm = thrust / self.units.thrust, arm / self.units.arm
+        by = {"c1": of_thrust, "c2": of_thrust, "y_arm": of_arm}
         return np.array([by.get(p.name, 0.0) for p in self.fit.parameters])
 
     @cached_property
