@@ -30,6 +30,7 @@ from ident.model import (
 from ident.models import (
     ANTENNA,
     CURRENT_WALK,
+    TELEMETRY_AGE,
     antenna_component,
     catalogue_model,
     current_walk,
@@ -39,6 +40,7 @@ from ident.models import (
     load_effects,
     own_model,
     sensor_bias,
+    telemetry_age,
     trusted_file,
 )
 from ident.numerics import Array
@@ -114,7 +116,7 @@ def save_model(
     if (scale := _scale_table(model, calibration)) is not None:
         document["scale"] = scale
     document["validity"] = {k: [float(a), float(b)] for k, (a, b) in validity.items()}
-    # unexplained forces get the size of the boat whenever a fit begins (ident.models.scaling); a prior of that size
+    # disturbance forces get the size of the boat whenever a fit begins (ident.models.scaling); a prior of that size
     # would get
     # it twice
     sized_anew = {p.name for e in model.effects if e.kind is EffectKind.DISTURBANCE for p in e.parameters}
@@ -260,6 +262,8 @@ def _effect(name: str, model: Model, curves: Mapping[str, Any]) -> Effect:
         return antenna_component(model)
     if name == CURRENT_WALK:
         return current_walk()
+    if name == TELEMETRY_AGE:
+        return telemetry_age()
     if name in curves:
         return _unlisted(model, curves[name])
     if name not in catalogue():

@@ -80,7 +80,7 @@ def _is_step(options: Sequence[str]) -> bool:
 def _horizontal(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
     from ident.models.horizontal import SENSORS, STANDARD, SYMMETRIC, horizontal_model, symmetric_arms
 
-    kinds, currents = ("shaft", "force", "general"), ("no-current", "random-walk-current")
+    kinds, currents = ("shaft", "command", "force", "general"), ("no-current", "random-walk-current")
     wrong = [o for o in options if o not in (*kinds, *currents, SYMMETRIC)]
     if wrong or (SYMMETRIC in options and "general" in options):
         others = f"{', '.join(currents)} or {SYMMETRIC}"

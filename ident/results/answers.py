@@ -13,6 +13,7 @@ import numpy as np
 from ident.characterisation import Curve, Levels, Quadratic
 from ident.data import Record
 from ident.estimation import Fit, HomogeneityTest, ThrustScale, against_priors, least_inertia, scale_of
+from ident.model import Model
 from ident.results.parts import (
     Calibrations,
     CrossCorrelation,
@@ -22,7 +23,7 @@ from ident.results.parts import (
     ResidualTests,
     ResultWarning,
 )
-from ident.validation import FEWEST
+from ident.validation import FEWEST, OUTLYING, ChannelResiduals
 
 NAMES = {
     "x": "north",
@@ -60,16 +61,16 @@ def change_sentence(change: PredictionChange, horizon: float) -> str:
         said = f"prediction error rises by {shift:.0f} % (95 %: {low:.0f} to {high:.0f} %)"
     else:
         said = f"prediction error is {change.ratio:.2g} times as large (95 %: {change.low:.2g} to {change.high:.2g})"
-    named = [("better", change.better), ("worse", change.worse)]
-    parts = [said, *(f"{word}: {_listed(names)}" for word, names in named if names)]
+    named = [("better", change.better, MOST_NAMES), ("worse", change.worse, len(change.worse))]
+    parts = [said, *(f"{word}: {_listed(names, most)}" for word, names, most in named if names)]
     return f"{begin}{'; '.join(parts)}."
 
 
-def _listed(channels: Sequence[str]) -> str:
+def _listed(channels: Sequence[str], most: int = MOST_NAMES) -> str:
     """The first few by name."""
     names = [NAMES.get(name, name) for name in channels]
-    more = len(names) - MOST_NAMES
-    return ", ".join(names) if more <= 0 else f"{', '.join(names[:MOST_NAMES])} and {more} more"
+    more = len(names) - most
+    return ", ".join(names) if more <= 0 else f"{', '.join(names[:most])} and {more} more"
 
 
 def _percent(share: float) -> str:
@@ -118,7 +119,7 @@ def _residuals(
         least = f"that takes {FEWEST} samples of a channel"
         return f"Too little was measured to tell whether the residuals are white: {least}."
     if not known and not coloured:
-        hidden = "; whether the unexplained forces hide an effect, `seatrial ident diagnose` tells"
+        hidden = "; whether the disturbance forces hide an effect, `seatrial ident diagnose` tells"
         unseen = _unseen(errors, residuals)
         return f"The residuals are white and know nothing of the inputs{hidden if searchable else ''}{unseen}."
     if known and known <= MEASURED:
@@ -197,6 +198,20 @@ def scale_warnings(scale: ThrustScale) -> list[ResultWarning]:
         )
         said.append(ResultWarning(code="arm-unknown", text=text))
     return said
+
+
+def outlier_lines(residuals: Sequence[ChannelResiduals], model: Model) -> list[str]:
+    """A line for each channel that has innovations far beyond its noise, and what can be done."""
+    robust = {o.name for o in model.outputs if o.robust}
+    lines = []
+    for r in residuals:
+        if r.tests.outliers and r.channel not in robust:
+            lines.append(
+                f"{r.record}: {r.tests.outliers} of {r.e.size} innovations of {r.channel} are beyond {OUTLYING:g} "
+                f"standard deviations, the largest at {r.tests.largest:.2g}: outliers, or an event that the model "
+                "lacks. --robust gives outliers little weight."
+            )
+    return lines
 
 
 def not_converged(fit: Fit) -> str | None:

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import msgspec
 
-from ident.diagnosis import Diagnosis, DiagnosisEvaluation, Refit, Round, recommended_experiment, score_threshold
+from ident.diagnosis import Diagnosis, DiagnosisEvaluation, Refit, Round, recommended_experiment
+from ident.effects import catalogue
 from ident.estimation import FittedModel, ReportedEstimates
 from ident.results import parts
-from ident.results.answers import calibration_notes, change_sentence, not_converged
+from ident.results.answers import calibration_notes, change_sentence, not_converged, outlier_lines
 from ident.results.parts import DiagnosisResult, Provenance
 from ident.results.tables import (
     all_inputs,
@@ -56,7 +57,12 @@ def diagnosis_result(
         prediction=prediction,
         converged_before=diagnosis.before.fit.converged,
         warnings=tuple(warnings),
-        notes=(*notes, *_notes(diagnosis), *calibration_notes(calibration, after.horizon)),
+        notes=(
+            *notes,
+            *_notes(diagnosis),
+            *outlier_lines(after.residuals, after.model),
+            *calibration_notes(calibration, after.horizon),
+        ),
         fit=fit_summary(diagnosis.after.fit, diagnosis.before.model.values),
         horizon_seconds=after.horizon,
         errors=errors,
@@ -167,7 +173,7 @@ QUIET = parts.Round(why="no candidate passes the score tests")
 
 
 def _round(one: Round) -> parts.Round:
-    titles = {r.effect.name: r.effect.title for r in one.refits}
+    titles = {n: e.title for n, e in catalogue().items()} | {r.effect.name: r.effect.title for r in one.refits}
     best = sorted(one.scores, key=lambda s: -s.lm / max(s.df, 1))[:MOST_CANDIDATES]
     return parts.Round(
         candidates=tuple(
@@ -179,11 +185,13 @@ def _round(one: Round) -> parts.Round:
                 p=s.p,
                 p_block=finite(s.p_block),
                 generic=s.generic,
-                threshold=score_threshold(s, one.scores),
+                threshold=s.threshold,
                 passed=s.name in one.passed,
             )
             for s in best
         ),
+        tested=len(one.scores),
+        passed=len(one.passed),
         refits=tuple(_refit(r) for r in one.refits),
         chosen=one.chosen.effect.name if one.chosen else None,
         why=one.why,
@@ -228,8 +236,10 @@ def _effects(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
                 source=e.source,
                 place=e.place,
                 experiment=e.experiment,
-                rivals=tuple(
-                    parts.Rival(name=q.effect.name, title=q.effect.title, criterion_behind=r.criterion - q.criterion)
+                alternatives=tuple(
+                    parts.Alternative(
+                        name=q.effect.name, title=q.effect.title, criterion_behind=r.criterion - q.criterion
+                    )
                     for q in rounds[e.name].refits
                     if q is not r
                 ),

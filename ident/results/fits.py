@@ -14,10 +14,11 @@ from ident.results.answers import (
     estimation_warnings,
     homogeneity_sentence,
     not_converged,
+    outlier_lines,
     thruster_answer,
     vehicle_answer,
 )
-from ident.results.parts import Provenance, StaticForce, ThrusterResult, UnusedSignal, VehicleResult
+from ident.results.parts import Calibrations, Provenance, StaticForce, ThrusterResult, UnusedSignal, VehicleResult
 from ident.results.tables import (
     all_inputs,
     calibration_tables,
@@ -76,7 +77,7 @@ def vehicle_result(
         answer=not_converged(stage.fit) or answer,
         prediction=prediction,
         warnings=tuple(estimation_warnings(stage.fit, stage.records, posed.length)),
-        notes=(*posed.notes, *calibration_notes(calibration, evaluation.horizon)),
+        notes=_notes(posed.notes, evaluation, calibration),
         fit=fit_summary(stage.fit, posed.start),
         horizon_seconds=evaluation.horizon,
         errors=errors,
@@ -108,7 +109,7 @@ def thruster_result(
         **msgspec.structs.asdict(made),
         answer=not_converged(stage.fit) or thruster_answer(stage.fit, static is not None, calibration),
         warnings=tuple(estimation_warnings(stage.fit, stage.records)),
-        notes=(*posed.notes, *calibration_notes(bands, evaluation.horizon)),
+        notes=_notes(posed.notes, evaluation, bands),
         fit=fit_summary(stage.fit, posed.start, calibration if static is not None else 0.0),
         horizon_seconds=evaluation.horizon,
         errors=error_tables(evaluation),
@@ -121,3 +122,8 @@ def thruster_result(
         static=static,
         profiles=tuple(profile_curve(p, ReportedEstimates(stage.fit)) for p in profiles),
     )
+
+
+def _notes(first: Sequence[str], evaluation: PredictionEvaluation, calibration: Calibrations) -> tuple[str, ...]:
+    outliers = outlier_lines(evaluation.residuals, evaluation.model)
+    return (*first, *outliers, *calibration_notes(calibration, evaluation.horizon))

@@ -19,6 +19,8 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
     """
     loaded, unseen = load_all(request.logs, request.validation)
     problem = vehicle_problem(request, loaded, unseen)
+    if problem.thrust:
+        reporter.progress(problem.thrust)
     for line in filter(None, [*problem.notes, problem.sides, *unused_lines(problem.unused)]):
         reporter.warning(line)
     fitted = fit_nominal_model(
@@ -35,7 +37,7 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
         homogeneity,
         Posed(
             problem.model.values,
-            [*problem.notes, *fitted.outlier_notes],
+            [*filter(None, [problem.thrust]), *problem.notes, *fitted.outlier_notes],
             problem.sides,
             problem.unused,
             loaded[0].vehicle.get("length"),

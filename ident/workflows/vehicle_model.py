@@ -21,7 +21,14 @@ from ident.estimation import (
 )
 from ident.model import Model
 from ident.results import UnusedSignal
-from ident.workflows.model_inputs import check_ahead, check_names, choose_model, completed, unused_signals
+from ident.workflows.model_inputs import (
+    check_ahead,
+    check_names,
+    choose_model,
+    completed,
+    thrust_from,
+    unused_signals,
+)
 
 
 @dataclass(frozen=True)
@@ -64,7 +71,7 @@ class VehicleProblem:
     """What is fitted to what: a model with its prior knowledge, segments to estimate and to validate.
 
     ``notes``: what the rig's geometry says; ``sides``: a line where the thrusters' sides are swapped, else empty;
-    ``unused``: signals of the logs that the model does not take.
+    ``thrust``: what the thrust follows; ``unused``: signals of the logs that the model does not take.
     """
 
     model: Model
@@ -72,6 +79,7 @@ class VehicleProblem:
     validation: list[LogSegment]
     notes: list[str]
     sides: str
+    thrust: str
     unused: list[UnusedSignal]
 
 
@@ -97,5 +105,12 @@ def vehicle_problem(
         else:
             model = swap_sides(model)
     check_names(nominal(model), request.profiles, len(loaded))
-    unused = unused_signals(model, [*loaded, *unseen])
-    return VehicleProblem(model, [x.run for x in loaded], [x.run for x in unseen], notes, line, unused)
+    return VehicleProblem(
+        model,
+        [x.run for x in loaded],
+        [x.run for x in unseen],
+        notes,
+        line,
+        thrust_from(model),
+        unused_signals(model, [*loaded, *unseen]),
+    )
