@@ -1,6 +1,10 @@
+from .cross_validation import TimeBlocks as TimeBlocks
+from .cross_validation import time_blocks as time_blocks
 from .fisher_scoring import Bounds as Bounds
 from .fisher_scoring import Evaluation as Evaluation
 from .fisher_scoring import solve_step as solve_step
+from .fitted_model import FIT_ERRORS as FIT_ERRORS
+from .fitted_model import FailedRun as FailedRun
 from .fitted_model import FittedModel as FittedModel
 from .fitted_model import RecordEvaluation as RecordEvaluation
 from .fitted_model import fit_and_evaluate as fit_and_evaluate
@@ -8,6 +12,9 @@ from .fitted_model import fit_nominal_model as fit_nominal_model
 from .fitted_model import fit_with_rescaling as fit_with_rescaling
 from .fitted_model import nominal as nominal
 from .fitted_model import superset as superset
+from .fitted_model import Unseen as Unseen
+from .fitted_model import validated_in_blocks as validated_in_blocks
+from .fitted_model import validation_records as validation_records
 from .fitted_model import without_absent_sensors as without_absent_sensors
 from .homogeneity import HomogeneityTest as HomogeneityTest
 from .homogeneity import homogeneity_test as homogeneity_test
