@@ -7,17 +7,24 @@ from dataclasses import dataclass
 
 from ident.diagnosis.results import Diagnosis
 from ident.models import residuals_of
-from ident.validation import Intervals, PredictionEvaluation, SmoothedForce, evaluate, ratio_intervals, smoothed_forces
+from ident.validation import (
+    PredictionChange,
+    PredictionEvaluation,
+    SmoothedForce,
+    evaluate,
+    prediction_changes,
+    smoothed_forces,
+)
 
 
 @dataclass(frozen=True)
 class DiagnosisEvaluation:
     """What the models of a diagnosis predict, and what they leave: computed once, before anything is reported.
-    ``intervals``: by role, of the error after over that before; forces: unexplained, as of both models."""
+    ``changes``: by role, of the prediction errors over the horizon; forces: disturbances, as of both models."""
 
     before: PredictionEvaluation
     after: PredictionEvaluation
-    intervals: Mapping[str, Intervals]
+    changes: Mapping[str, PredictionChange]
     forces_before: tuple[SmoothedForce, ...]
     forces_after: tuple[SmoothedForce, ...]
 
@@ -30,7 +37,7 @@ def evaluate_diagnosis(diagnosis: Diagnosis, horizon: float | None = None) -> Di
     return DiagnosisEvaluation(
         before,
         after,
-        {role: ratio_intervals(before, after, role) for role in after.sets},
+        prediction_changes(before, after),
         smoothed_forces(diagnosis.before, forces),
         smoothed_forces(diagnosis.after, forces),
     )

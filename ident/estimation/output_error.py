@@ -29,16 +29,6 @@ class Simulation:
     y: Array
 
 
-@dataclass(frozen=True)
-class HorizonPrediction:
-    """Predictions: from row ``start`` to row ``end`` (n,), outputs y (n, n_outputs) and states x (n, n_states) then."""
-
-    start: NDArray[np.int64]
-    end: NDArray[np.int64]
-    y: Array
-    x: Array
-
-
 def output_error(model: Model) -> Likelihood:
     """The likelihood of a model without process noise."""
     return Likelihood(model, process_noise=False)
@@ -102,28 +92,20 @@ def simulate(model: Model, record: Record, values: Array | None = None, x0: Arra
 
 
 def predict_ahead(
-    model: Model, record: Record, values: Array | None, states: Array, *, seconds: float | None = None,
-    steps: int | None = None, rows: NDArray[np.int64] | None = None,
-) -> HorizonPrediction:
-    """Predict from the states at many rows, each for ``seconds`` or for a number of rows ahead.
+    model: Model, record: Record, values: Array | None, states: Array, start: NDArray[np.int64], end: NDArray[np.int64]
+) -> Simulation:
+    """Predict rows from the states at earlier rows and the inputs between them.
 
-    states (n_rows, n_states): where to start, as the filtered states of ``ident.estimation.likelihood`` (one line for
-    each row of
-    the record); rows: the rows to start from, all by default. Starts whose end is beyond the record are left out.
+    Parameters: states (n_rows, n_states): where to start, as the filtered states of ``ident.estimation.likelihood``;
+    start, end (n,): rows of the record, ``start < end``. Returns what is predicted at the n ends.
     """
-    if (seconds is None) == (steps is None):
-        raise ValueError("say either seconds or steps")
     values = _values(model, values)
     data, kernel = Preparer(model)(record), _kernel(model)
-    start = np.arange(record.n_rows) if rows is None else np.asarray(rows, dtype=np.int64)
-    ahead = np.inf if seconds is None else seconds - 1e-6  # a microsecond is no delay
-    end = start + int(steps or 0) if seconds is None else np.searchsorted(record.t, record.t[start] + ahead)
-    start, end = start[end < record.n_rows], end[end < record.n_rows]
     y, x = np.empty((start.size, len(model.outputs))), np.empty((start.size, len(model.states)))
     for k, (first, last) in enumerate(zip(start.tolist(), end.tolist(), strict=True)):
         outputs, along = _run(kernel, data, values, states[first], first, last + 1)
         y[k], x[k] = outputs[-1], along[-1]
-    return HorizonPrediction(start.astype(np.int64), end.astype(np.int64), y, x)
+    return Simulation(record.t[end], x, y)
 
 
 def _run(kernel: Kernel, data: Prepared, values: Array, x0: Array, start: int, stop: int) -> tuple[Array, Array]:

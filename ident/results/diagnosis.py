@@ -55,7 +55,7 @@ def diagnosis_result(
     recommended."""
     before, after = evaluation.before, evaluation.after
     other = after if diagnosis.effects else None
-    errors, role = error_comparison(before, after, evaluation.intervals), list(after.sets)[-1]
+    errors, role = error_comparison(before, after, evaluation.changes), list(after.sets)[-1]
     calibration = calibration_tables(after)
     recommended = recommended_experiment(diagnosis)
     return DiagnosisResult(

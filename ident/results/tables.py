@@ -39,7 +39,7 @@ from ident.results.parts import (
 from ident.validation import (
     Calibration,
     ChannelResiduals,
-    Intervals,
+    PredictionChange,
     PredictionErrors,
     PredictionEvaluation,
     RecordPrediction,
@@ -127,23 +127,24 @@ def error_tables(evaluation: PredictionEvaluation) -> Errors:
 
 
 def error_comparison(
-    before: PredictionEvaluation, after: PredictionEvaluation, intervals: Mapping[str, Intervals]
+    before: PredictionEvaluation, after: PredictionEvaluation, changes: Mapping[str, PredictionChange]
 ) -> Errors:
-    """Errors of two models; ``intervals``: by role, of the error after over that before."""
+    """Errors of two models; ``changes``: by role, of those over the horizon."""
     units = {o.name: o.unit for o in after.model.outputs}
 
     def table(
         old: Mapping[str, PredictionErrors],
         new: Mapping[str, PredictionErrors],
-        spans: Mapping[str, tuple[float, float]],
+        change: PredictionChange | None = None,
     ) -> dict[str, ErrorComparison]:
+        spans = {} if change is None else change.channels
         return {
             name: ErrorComparison(
                 before=finite(e.rms),
                 after=finite(new[name].rms),
                 unit=units[name],
-                low=finite(spans[name][0]),
-                high=finite(spans[name][1]),
+                low=finite(spans[name].low) if name in spans else None,
+                high=finite(spans[name].high) if name in spans else None,
                 spread=finite(e.spread),
             )
             for name, e in old.items()
@@ -151,11 +152,11 @@ def error_comparison(
 
     found = {}
     for role, one in before.sets.items():
-        old, new, spans = one.errors, after.sets[role].errors, intervals[role]
+        old, new = one.errors, after.sets[role].errors
         found[role] = ErrorTable(
-            one_step=table(old.one_step, new.one_step, spans.one_step),
-            horizon=table(old.horizon, new.horizon, spans.horizon),
-            free_run=table(old.free_run, new.free_run, spans.free_run),
+            one_step=table(old.one_step, new.one_step),
+            horizon=table(old.horizon, new.horizon, changes[role]),
+            free_run=table(old.free_run, new.free_run),
         )
     return Errors(**found)
 

@@ -1,14 +1,14 @@
 from .calibration import Calibration as Calibration
 from .evaluation import FEWEST as FEWEST
 from .evaluation import ChannelResiduals as ChannelResiduals
-from .evaluation import Intervals as Intervals
 from .evaluation import PredictionEvaluation as PredictionEvaluation
 from .evaluation import RecordPrediction as RecordPrediction
 from .evaluation import SmoothedForce as SmoothedForce
 from .evaluation import evaluate as evaluate
-from .evaluation import ratio_intervals as ratio_intervals
+from .evaluation import prediction_changes as prediction_changes
 from .evaluation import shown_inputs as shown_inputs
 from .evaluation import smoothed_forces as smoothed_forces
+from .prediction_errors import PredictionChange as PredictionChange
 from .prediction_errors import PredictionErrors as PredictionErrors
 from .prediction_errors import horizon_errors as horizon_errors
 from .prediction_errors import pooled_errors as pooled_errors

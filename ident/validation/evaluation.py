@@ -15,13 +15,13 @@ from ident.numerics import Array
 from ident.validation import calibration
 from ident.validation.calibration import Calibration
 from ident.validation.prediction_errors import (
-    BLOCK,
+    PredictionChange,
     PredictionErrors,
     SimulationRun,
     horizon_errors,
     one_step_errors,
     pooled_errors,
-    ratio_interval,
+    prediction_change,
     simulation_run,
 )
 from ident.validation.whiteness import CrossCorrelation, Whiteness, cross_correlation, whiteness_test
@@ -38,9 +38,6 @@ class ByHorizon(Generic[T]):
     one_step: T
     horizon: T
     free_run: T
-
-
-Intervals = ByHorizon[Mapping[str, tuple[float, float]]]  # of 95 %, by channel
 
 
 @dataclass(frozen=True)
@@ -119,7 +116,7 @@ def _evaluated(
     ]
     errors = ByHorizon[Mapping[str, PredictionErrors]](
         pooled_errors([one_step_errors(model, v.record, v.run) for v in views]),
-        pooled_errors([horizon_errors(model, v.record, v.values, v.run.x_filt, seconds) for v in views]),
+        pooled_horizon_errors(views, seconds),
         pooled_errors([f.errors for f in free]),
     )
     far = [calibration.horizon_calibration(model, v.record, v.values, v.run, seconds, likelihood) for v in views]
@@ -131,6 +128,16 @@ def _evaluated(
     )
     records = tuple(RecordPrediction(v.record, f) for v, f in zip(views, free, strict=True))
     return SetEvaluation(records, errors, calibrated)
+
+
+def pooled_horizon_errors(
+    views: Sequence[RecordEvaluation], seconds: float | None = None
+) -> dict[str, PredictionErrors]:
+    """Errors over a horizon [s], by default the model's own, in all records of a set together, by channel: what
+    ``prediction_change`` compares."""
+    return pooled_errors(
+        [horizon_errors(v.model, v.record, v.values, v.run.x_filt, seconds or v.model.horizon) for v in views]
+    )
 
 
 def residual_tests(model: Model, record: Record, eps: Array) -> list[ChannelResiduals]:
@@ -160,21 +167,12 @@ def shown_inputs(model: Model) -> list[tuple[int, str, str]]:
     return shown
 
 
-def ratio_intervals(before: PredictionEvaluation, after: PredictionEvaluation, role: str) -> Intervals:
-    """95 % intervals of the error after over that before, by channel."""
-    old, new = before.sets[role].errors, after.sets[role].errors
-
-    def of(
-        a: Mapping[str, PredictionErrors], b: Mapping[str, PredictionErrors], block: float
-    ) -> dict[str, tuple[float, float]]:
-        return {name: ratio_interval(a[name], b[name], block=block) for name in a}
-
-    # errors over a horizon hang together for as long as it lasts
-    return Intervals(
-        of(old.one_step, new.one_step, BLOCK),
-        of(old.horizon, new.horizon, max(BLOCK, after.horizon)),
-        of(old.free_run, new.free_run, BLOCK),
-    )
+def prediction_changes(before: PredictionEvaluation, after: PredictionEvaluation) -> dict[str, PredictionChange]:
+    """By role, the change of the prediction errors over the horizon from one model to the other."""
+    return {
+        role: prediction_change(one.errors.horizon, after.sets[role].errors.horizon, after.horizon)
+        for role, one in before.sets.items()
+    }
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,15 @@
-"""How well a model predicts: one step, over a horizon and free-running, per channel."""
+"""Prediction errors of a model: one step ahead, over its horizon and in simulation; and how they change.
+
+`prediction_change` compares two models, and is what everything that says "better" asks: by channel the ratio of the RMS
+prediction errors over the horizon, and over all channels the geometric mean of these ratios, which is the Gaussian
+likelihood ratio with the variance of each channel concentrated out.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -13,10 +19,13 @@ from ident.estimation import FilterResult, Likelihood, ParameterUncertainty, pre
 from ident.model import Model
 from ident.numerics import Array, wrap
 
-THIN = 2  # predictions over the horizon start from every second row,
+THIN = 2  # of a channel, predictions over the horizon start from every second row,
 MOST = 4000  # or, where a sensor is fast, from about so many
-WARM_UP = 15.0  # s of measurements that a free run starts from
-BLOCK = 10.0  # s of errors that are drawn together for the interval of a ratio
+WARM_UP = 15.0  # s of measurements that a simulation starts from
+BLOCK = 2.0  # horizons: errors over a horizon are correlated for as long as it lasts
+FEWEST_BLOCKS, ENOUGH_BLOCKS = 4, 15  # for an interval; with more of them the blocks are longer instead
+DIVERGED = 1e9  # of any unit: an error that is larger counts as this one
+LEAST_CHANGE = 0.005  # of a ratio: less than what is written as one per cent is no change
 
 
 @dataclass(frozen=True)
@@ -52,13 +61,22 @@ def horizon_errors(
     model: Model, record: Record, values: Array, x: Array, seconds: float
 ) -> dict[str, PredictionErrors]:
     """Errors of predictions from the states x (n_rows, n_states), such as the filtered ones, and the inputs alone, by
-    channel; the unexplained forces decay."""
-    rows = np.arange(0, record.n_rows, max(THIN, record.n_rows // MOST))
-    found = predict_ahead(model, record, values, x, seconds=seconds, rows=rows)
-    t = record.t[found.end]
-    errors = {o.name: _errors(t, wrap(record.y[found.end, j] - found.y[:, j], o.angle))
-              for j, o in enumerate(model.outputs)}
-    return {name: e for name, e in errors.items() if e.e.size}
+    channel; the disturbance forces decay. Each channel is predicted at its own samples, from the last row that is at
+    least ``seconds`` earlier; a prediction that diverged has an infinite error."""
+    begin = np.searchsorted(record.t, record.t - seconds + 1e-6, side="right") - 1  # a microsecond is no delay
+    stride = max(THIN, record.n_rows // MOST)
+    ends = []
+    for j in range(len(model.outputs)):
+        seen = np.flatnonzero(np.isfinite(record.y[:, j]) & (begin >= 0))
+        ends.append(seen[np.unique(begin[seen] // stride, return_index=True)[1]])
+    every = np.unique(np.concatenate(ends))
+    found = predict_ahead(model, record, values, x, begin[every], every)
+    errors = {}
+    for j, (o, end) in enumerate(zip(model.outputs, ends, strict=True)):
+        if end.size:
+            e = wrap(record.y[end, j] - found.y[np.searchsorted(every, end), j], o.angle)
+            errors[o.name] = PredictionErrors(record.t[end], np.where(np.isfinite(e), e, np.inf))
+    return errors
 
 
 def simulation_run(
@@ -113,19 +131,105 @@ def pooled_errors(parts: Sequence[Mapping[str, PredictionErrors]]) -> dict[str, 
     return found
 
 
-def ratio_interval(
-    before: PredictionErrors, after: PredictionErrors, *, block: float = BLOCK, n: int = 400, seed: int = 0
-) -> tuple[float, float]:
-    """95 % interval of rms(after) / rms(before) by a block bootstrap over the same blocks of time."""
-    index = np.unique(np.floor(before.t / block), return_inverse=True)[1]
-    n_blocks = int(index.max(initial=-1)) + 1
-    if n_blocks < 4 or before.e.size != after.e.size:
-        return float("nan"), float("nan")
-    sums = np.array([np.bincount(index, e**2, n_blocks) for e in (before.e, after.e)])
-    pick = np.random.default_rng(seed).integers(0, n_blocks, (n, n_blocks))
-    ratio = np.sqrt(sums[1][pick].sum(1) / np.maximum(sums[0][pick].sum(1), 1e-300))
-    low, high = np.percentile(ratio, [2.5, 97.5])
-    return float(low), float(high)
+@dataclass(frozen=True)
+class ErrorRatio:
+    """RMS prediction error after a change of the model over that before it, with its 95 % interval (NaN where the data
+    are too short for one)."""
+
+    ratio: float
+    low: float
+    high: float
+
+    @property
+    def verdict(self) -> Literal["fell", "rose", "unchanged"]:
+        """By the interval: ``unchanged`` where it holds one, where there is none, and below half a per cent."""
+        if self.high < 1.0 and self.ratio < 1.0 - LEAST_CHANGE:
+            return "fell"
+        return "rose" if self.low > 1.0 and self.ratio > 1.0 + LEAST_CHANGE else "unchanged"
+
+
+@dataclass(frozen=True)
+class ChannelChange(ErrorRatio):
+    """The same of one channel, with its RMS errors before and after in its unit."""
+
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
+class PredictionChange(ErrorRatio):
+    """Over all channels: the geometric mean of their ratios, its interval and verdict.
+
+    Attributes:
+        horizon: how far ahead was predicted [s].
+        channels: each with its own ratio and interval.
+    """
+
+    horizon: float
+    channels: Mapping[str, ChannelChange]
+
+    def named(self, verdict: Literal["fell", "rose"]) -> list[str]:
+        """The channels of one verdict, the largest change first."""
+        found = [n for n, c in self.channels.items() if c.verdict == verdict]
+        return sorted(found, key=lambda n: -abs(np.log(self.channels[n].ratio)))
+
+
+def prediction_change(
+    before: Mapping[str, PredictionErrors], after: Mapping[str, PredictionErrors], horizon: float
+) -> PredictionChange:
+    """Change of the prediction errors over a horizon [s] from one model to another, with 95 % intervals.
+
+    Both of the same channels, records and prediction starts (``pooled_errors`` of ``horizon_errors``); of others the
+    errors at common times are compared. The intervals are those of a delete-one jackknife of the logarithms of the
+    ratios, with Student's t, over blocks of two horizons in all records, or longer ones where that would be more than
+    fifteen (Efron 1982; Künsch 1989). A channel with errors in fewer than four blocks is left out of the mean where
+    others have more.
+    """
+    seconds, times = BLOCK * horizon, [e.t for e in before.values()]
+    seconds *= max(1.0, np.unique(np.floor(np.concatenate(times or [np.zeros(0)]) / seconds)).size / ENOUGH_BLOCKS)
+    found = {n: _block_sums(before[n], after[n], seconds) for n in before if n in after}
+    sums = {n: of for n, of in found.items() if of.before.sum() > 0 and of.after.sum() > 0}
+    if not sums:
+        return PredictionChange(float("nan"), float("nan"), float("nan"), horizon, {})
+    blocks = np.unique(np.concatenate([of.block for of in sums.values()]))
+    channels, logs = {}, np.zeros((len(sums), 1 + blocks.size))  # of all, and without each block
+    for row, (name, of) in zip(logs, sums.items(), strict=True):
+        at = np.append(0, 1 + np.searchsorted(blocks, of.block))
+        row[:] = 0.5 * np.log(of.after.sum() / of.before.sum())
+        with np.errstate(divide="ignore", invalid="ignore"):  # a lone block
+            row[at[1:]] = 0.5 * np.log((of.after.sum() - of.after) / (of.before.sum() - of.before))
+        rms = (float(np.sqrt(part.sum() / of.n)) for part in (of.before, of.after))
+        channels[name] = ChannelChange(*_jackknife(row[at]), *rms)
+    enough = np.array([of.block.size >= FEWEST_BLOCKS for of in sums.values()])
+    return PredictionChange(*_jackknife(logs[enough if enough.any() else ~enough].mean(axis=0)), horizon, channels)
+
+
+class _BlockSums(NamedTuple):
+    """Sums of squares by block, (n_blocks,) each, of the n errors of a channel at times that both models have."""
+
+    n: int
+    block: Array
+    before: Array
+    after: Array
+
+
+def _block_sums(before: PredictionErrors, after: PredictionErrors, seconds: float) -> _BlockSums:
+    t, i, j = np.intersect1d(before.t, after.t, return_indices=True)
+    block, index = np.unique(np.floor(t / seconds), return_inverse=True)
+    old, new = (np.minimum(np.abs(e), DIVERGED) ** 2 for e in (before.e[i], after.e[j]))
+    old, new = (np.bincount(index, e2, block.size).astype(np.float64) for e2 in (old, new))
+    return _BlockSums(t.size, block, old, new)
+
+
+def _jackknife(logs: Array) -> tuple[float, float, float]:
+    """Ratio and its 95 % interval from the logarithm of all and those without each block (1 + n_blocks,)."""
+    from scipy import stats
+
+    n, reach = logs.size - 1, float("nan")
+    if n >= FEWEST_BLOCKS:
+        spread = np.sqrt((n - 1) / n * np.sum((logs[1:] - logs[1:].mean()) ** 2))
+        reach = float(stats.t.ppf(0.975, n - 1) * spread)
+    return float(np.exp(logs[0])), float(np.exp(logs[0] - reach)), float(np.exp(logs[0] + reach))
 
 
 def _errors(t: Array, e: Array) -> PredictionErrors:

@@ -170,26 +170,19 @@ def test_a_method_that_there_is_not() -> None:
 def test_predictions_ahead_are_pieces_of_a_simulation() -> None:
     model, record = turning(), turning_record()
     simulated = simulate(model, record)
-    for how in ({"steps": 1}, {"steps": 7}, {"seconds": 1.5}):
-        ahead = predict_ahead(model, record, None, simulated.x, **how)  # type: ignore[arg-type]
-        np.testing.assert_allclose(ahead.y, simulated.y[ahead.end], rtol=1e-12, atol=1e-12)
-        np.testing.assert_allclose(ahead.x, simulated.x[ahead.end], rtol=1e-12, atol=1e-12)
-        if "seconds" in how:
-            late = record.t[ahead.end] - record.t[ahead.start]
-            assert (late >= 1.5 - 1e-6).all()
-            assert (late < 1.7).all()
-        else:
-            assert (ahead.end - ahead.start == how["steps"]).all()
-    few = predict_ahead(model, record, None, simulated.x, steps=5, rows=np.array([3, 50, 118]))
-    assert few.start.tolist() == [3, 50]
-    with pytest.raises(ValueError, match="either seconds or steps"):
-        predict_ahead(model, record, None, simulated.x)
+    for steps in (1, 7):
+        end = np.arange(steps, record.n_rows)
+        ahead = predict_ahead(model, record, None, simulated.x, end - steps, end)
+        np.testing.assert_array_equal(ahead.t, record.t[end])
+        np.testing.assert_allclose(ahead.y, simulated.y[end], rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(ahead.x, simulated.x[end], rtol=1e-12, atol=1e-12)
 
 
 def test_one_step_from_filtered_states_is_the_filters_prediction() -> None:
     model, record = turning(), turning_record()
     run = Likelihood(model).filter(record, values_of(model))
-    ahead = predict_ahead(model, record, None, run.x_filt, steps=1)
+    end = np.arange(1, record.n_rows)
+    ahead = predict_ahead(model, record, None, run.x_filt, end - 1, end)
     np.testing.assert_allclose(ahead.x, run.x_pred[1:], rtol=1e-12, atol=1e-12)
 
 

@@ -25,7 +25,7 @@ from ident.studies.cases import make_case
 from ident.studies.monte_carlo import make_record
 from ident.validation import calibration
 from ident.validation.calibration import Calibration
-from ident.validation.evaluation import evaluate, ratio_intervals
+from ident.validation.evaluation import evaluate, prediction_changes
 from ident.validation.prediction_errors import MOST, WARM_UP, simulation_run
 from mocks.plant.bench import draw_bench
 from tests.missions import bench_log, boat_log, boat_with, channels_of, sail
@@ -177,11 +177,11 @@ def test_on_the_benchs_own_data_the_bands_are_right() -> None:
     assert record.n_rows > MOST >= near["n"].size > MOST / 3
 
 
-def test_errors_that_hang_together_for_longer_are_drawn_in_longer_blocks() -> None:
+def test_errors_over_a_longer_horizon_are_drawn_in_longer_blocks() -> None:
     runs = [
         LogSegment(name, channels_of(sail(boat_with(None, 2), 150.0, k, run=k)[0])) for k, name in enumerate("ab", 1)
     ]
     stage = fit_nominal_model(horizontal_model(), runs[:1], runs[1:])
-    far, near = (ratio_intervals(one, one, "validation") for one in (evaluate(stage, 60.0), evaluate(stage)))
-    assert near.horizon["psi"][0] == far.one_step["x"][0] == pytest.approx(1.0)
-    assert np.isnan(far.horizon["psi"][0])  # 90 s of errors are not four blocks of 60 s
+    far, near = (prediction_changes(one, one) for one in (evaluate(stage, 60.0), evaluate(stage)))
+    assert near["validation"].channels["psi"].low == pytest.approx(1.0)
+    assert np.isnan(far["validation"].channels["psi"].low)  # 90 s of errors are not four blocks of 120 s

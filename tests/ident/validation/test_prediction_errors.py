@@ -19,7 +19,7 @@ from ident.validation.prediction_errors import (
     horizon_errors,
     one_step_errors,
     pooled_errors,
-    ratio_interval,
+    prediction_change,
     simulation_run,
 )
 from tests.ident.sliders import D, M, slide, slider
@@ -143,20 +143,80 @@ def test_pooled_errors_keep_records_apart_in_time() -> None:
     assert np.isnan(PredictionErrors(np.zeros(0), np.zeros(0)).rms)
 
 
-def test_the_interval_of_a_ratio_covers_and_is_honest_about_few_blocks() -> None:
-    covered = []
-    for seed in range(200):
+def moving_average(rng: np.random.Generator, n: int, width: int) -> np.ndarray:
+    """Errors that are correlated for as long as a horizon of ``width`` samples lasts."""
+    return np.convolve(rng.normal(size=n + width - 1), np.full(width, width**-0.5), "valid")
+
+
+def test_the_interval_of_a_change_covers_where_errors_are_correlated_over_the_horizon() -> None:
+    covered: dict[str, list[bool]] = {"all": [], "x": [], "r": []}
+    for seed in range(300):
         rng = np.random.default_rng(seed)
-        t = 0.5 * np.arange(800)
-        common = rng.normal(size=800)
-        before = PredictionErrors(t, common + 0.5 * rng.normal(size=800))
-        after = PredictionErrors(t, 0.6 * (common + 0.5 * rng.normal(size=800)))
-        low, high = ratio_interval(before, after, seed=seed)
-        assert low < high
-        covered.append(low < 0.6 < high)
-    assert 0.87 < np.mean(covered) < 0.99  # a bootstrap over forty blocks is a little narrow
-    short = PredictionErrors(np.arange(30.0), np.ones(30))
-    assert all(np.isnan(ratio_interval(short, short)))
-    assert all(np.isnan(ratio_interval(PredictionErrors(t, common), PredictionErrors(t[1:], common[1:]))))
-    again = [ratio_interval(before, after, seed=3) for _ in range(2)]
-    assert again[0] == again[1]
+        t = 0.5 * np.arange(1200)
+        pair: list[dict[str, PredictionErrors]] = [{}, {}]
+        for name, ratio in (("x", 0.6), ("r", 1.5)):
+            common = moving_average(rng, 1200, 20)
+            for errors, factor in zip(pair, (1.0, ratio), strict=True):
+                e = factor * (common + 0.5 * moving_average(rng, 1200, 20))
+                errors[name] = PredictionErrors(t, e)
+        found = prediction_change(*pair, horizon=10.0)
+        covered["all"].append(found.low < (0.6 * 1.5) ** 0.5 < found.high)
+        covered["x"].append(found.channels["x"].low < 0.6 < found.channels["x"].high)
+        covered["r"].append(found.channels["r"].low < 1.5 < found.channels["r"].high)
+    for name, inside in covered.items():
+        assert 0.90 < np.mean(inside) < 0.98, name
+
+
+def test_a_change_of_the_prediction_errors_is_of_all_channels() -> None:
+    rng, t = np.random.default_rng(1), np.arange(0.0, 400.0, 0.5)
+    old = {name: PredictionErrors(t, rng.normal(size=t.size)) for name in ("x", "y", "r")}
+    new = {n: PredictionErrors(t, k * old[n].e) for n, k in (("x", 0.5), ("y", 0.5), ("r", 2.0))}
+    found = prediction_change(old, new, 10.0)
+    assert found.ratio == pytest.approx(0.5 ** (1 / 3))
+    assert (found.verdict, found.named("fell"), found.named("rose")) == ("fell", ["x", "y"], ["r"])
+    assert found.channels["r"].before == pytest.approx(old["r"].rms)
+    assert found.channels["r"].after == pytest.approx(2 * old["r"].rms)
+    same = prediction_change(old, old, 10.0)
+    assert (same.ratio, same.low, same.high, same.verdict) == (1.0, 1.0, 1.0, "unchanged")
+    # of other starts the common times are compared, and a channel that one model lacks is not
+    later = {n: PredictionErrors(e.t[100:], e.e[100:]) for n, e in new.items() if n != "y"}
+    shifted = prediction_change(old, later, 10.0)
+    assert set(shifted.channels) == {"x", "r"}
+    assert shifted.ratio == pytest.approx(1.0)
+
+
+def test_no_verdict_without_an_interval_or_a_change_that_can_be_written() -> None:
+    t = np.arange(0.0, 60.0, 0.5)
+    e = PredictionErrors(t, np.random.default_rng(1).normal(size=t.size))
+    short = prediction_change({"x": e}, {"x": PredictionErrors(t, 0.1 * e.e)}, 10.0)
+    assert short.ratio == pytest.approx(0.1)
+    assert np.isnan(short.low)
+    assert short.verdict == short.channels["x"].verdict == "unchanged"
+    assert prediction_change({"x": e}, {"x": PredictionErrors(t, 0.999 * e.e)}, 1.0).verdict == "unchanged"
+    assert prediction_change({"x": e}, {"x": PredictionErrors(t, 0.99 * e.e)}, 1.0).verdict == "fell"
+    assert np.isnan(prediction_change({}, {}, 10.0).ratio)
+
+
+def test_a_diverged_prediction_is_an_error_and_not_left_out() -> None:
+    t = np.arange(0.0, 400.0, 0.5)
+    e = np.random.default_rng(1).normal(size=t.size)
+    lost = np.where(t % 20.0 < 1.0, np.inf, 0.5 * e)
+    assert np.isinf(PredictionErrors(t, lost).rms)
+    found = prediction_change({"x": PredictionErrors(t, e)}, {"x": PredictionErrors(t, lost)}, 10.0)
+    assert found.verdict == "rose"
+
+
+def test_no_channel_is_lost_by_the_choice_of_prediction_starts() -> None:
+    """Sensors on odd rows, and on every third: each is predicted at its own samples, at most a row more than the
+    horizon later."""
+    record = slide(1, 600)
+    rows = np.arange(record.n_rows)
+    odd = replace(record, y=np.column_stack([record.y[:, 0], np.where(rows % 2, 0.1, np.nan)]))
+    run = Likelihood(MODEL).filter(odd, VALUES)
+    found = horizon_errors(MODEL, odd, VALUES, run.x_filt, 10.0)
+    assert (found["speed"].e.size, found["place"].e.size) == (250, 250)
+    uneven = replace(odd, t=record.t + 0.03 * (rows % 3 == 1))
+    later = horizon_errors(MODEL, uneven, VALUES, run.x_filt, 10.0)
+    assert later["place"].e.size > 240
+    late = later["place"].t - uneven.t[np.searchsorted(uneven.t, later["place"].t - 10.0 + 1e-6, "right") - 1]
+    assert ((late >= 10.0 - 2e-6) & (late < 10.14)).all()
