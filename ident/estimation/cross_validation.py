@@ -1,15 +1,16 @@
-"""Blocked cross-validation: each block in time is predicted with what the other blocks tell (Burman, Chow and Nolan 1994).
+"""Blocked cross-validation: each block in time is predicted with what the others tell (Burman, Chow and Nolan 1994).
 
 The fit without a block is one Newton step away from the fit to all (approximate leave-one-out; Beirami et al. 2017), so
-that no model is fitted twice. A block begins anew, with its own state and sensor offsets; what the nominal model has for
-each record (the current) is then adapted to the block, as it is to a validation run. What an effect has for each record
-(a drift of the current) is not: it comes from the other blocks, or it would be judged by the data that it was fitted to.
+that no model is fitted twice. A block begins anew, with its own state and sensor offsets; what the nominal model has
+for each record (the current) is then adapted to the block, as it is to a validation run. What an effect has for each
+record (a drift of the current) is not: it comes from the other blocks, or it would be judged by its own data.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -43,12 +44,14 @@ def time_blocks(records: Sequence[Record], block: float) -> TimeBlocks:
     for i, record in enumerate(records):
         n = min(max(int(record.duration / (BLOCK_LENGTH * block)), 2), MOST_BLOCKS)
         edges = np.linspace(record.t[0], np.nextafter(record.t[-1], np.inf), n + 1).tolist()
-        parts += [record.part(low, high) for low, high in zip(edges, edges[1:], strict=False)]
+        parts += [record.part(low, high) for low, high in pairwise(edges)]
         of += [i] * n
     return TimeBlocks(tuple(parts), tuple(of))
 
 
-def leave_one_block_out(model: Model, blocks: TimeBlocks, values: Array, parameters: Sequence[Parameter]) -> list[Array]:
+def leave_one_block_out(
+    model: Model, blocks: TimeBlocks, values: Array, parameters: Sequence[Parameter]
+) -> list[Array]:
     """Estimates for each block that its own data had no part in, but for the current and the like.
 
     Parameters:
@@ -80,7 +83,7 @@ def leave_one_block_out(model: Model, blocks: TimeBlocks, values: Array, paramet
 
     def of_block(b: int, z: Array) -> Array:
         """The values that belong to a block at these coordinates (n_parameters,)."""
-        found = values[blocks.of[b]].copy()
+        found: Array = values[blocks.of[b]].copy()
         for k in places[b]:
             found[index[parameters[k].name]] = np.clip(parameters[k].from_free(float(z[k])), *parameters[k].bounds)
         return found
@@ -111,4 +114,4 @@ def _adapted(model: Model, block: Record, values: Array) -> Array:
     if not own:
         return values
     held = model.with_values(dict(zip(model.values, values.tolist(), strict=True)))
-    return fit(held.with_free(own), [block], settings=ROUGH).record_values[0]
+    return np.asarray(fit(held.with_free(own), [block], settings=ROUGH).record_values[0])

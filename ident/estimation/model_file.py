@@ -15,6 +15,7 @@ import tomlkit
 
 from daq.errors import SeatrialError
 from ident.effects import catalogue, input_response_effects, nonparametric_effect
+from ident.estimation.homogeneity import BETWEEN, between_runs_effect
 from ident.estimation.maximum_likelihood import Fit
 from ident.estimation.parameter_covariance import ParameterCovariance
 from ident.model import Effect, EffectKind, ForceCurve, Model, Parameter, robust_sensors, with_outlier_model
@@ -234,6 +235,8 @@ def _effect(name: str, model: Model, curves: Mapping[str, Any]) -> Effect:
         return current_walk()
     if name in curves:
         return _unlisted(model, curves[name])
+    if name.startswith(BETWEEN):
+        return between_runs_effect(model, name.removeprefix(BETWEEN))
     if name not in catalogue():
         raise ValueError(f"there is no effect {name!r} in the catalogue")
     return catalogue()[name]

@@ -10,6 +10,7 @@ from .parameter import INF as INF
 from .parameter import Parameter as Parameter
 from .parameter import ParameterRole as ParameterRole
 from .structure import HISTORY_STEP as HISTORY_STEP
+from .structure import PARAMETERS as PARAMETERS
 from .structure import Effect as Effect
 from .structure import EffectKind as EffectKind
 from .structure import ForceCurve as ForceCurve
