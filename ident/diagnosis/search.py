@@ -57,11 +57,12 @@ from ident.estimation import (
     FittedModel,
     Unseen,
     between_runs,
+    blocks_of,
+    cross_validated,
     fit_and_evaluate,
     fit_with_rescaling,
     nominal,
     superset,
-    time_blocks,
     validation_records,
     without_absent_sensors,
 )
@@ -141,15 +142,13 @@ def diagnose(
 
 
 def _first_fit(full: Model, records: list[Record], runs: list[Record]) -> tuple[FittedModel, Unseen]:
-    """The nominal model fitted, and what validates it: the validation runs that can be evaluated; blocks in time of the
-    estimation runs where there are none."""
-    if runs:
-        stage = fit_with_rescaling(full, records, runs)
-        if stage.validation:
-            return stage, runs
-        return replace(_first_fit(full, records, [])[0], failed=stage.failed), time_blocks(records, full.block)
-    blocks = time_blocks(records, full.block)
-    return fit_with_rescaling(full, records, blocks), blocks
+    """The nominal model fitted, and what validates it: the validation runs; where none can be evaluated, blocks in time
+    of the estimation runs."""
+    stage = fit_with_rescaling(full, records, runs)
+    if stage.validation:
+        return stage, runs
+    blocks = blocks_of(stage.estimation, full.block)
+    return cross_validated(stage, blocks), blocks
 
 
 def _reservations(before: FittedModel, after: FittedModel) -> list[str]:

@@ -1,5 +1,4 @@
 from .cross_validation import TimeBlocks as TimeBlocks
-from .cross_validation import time_blocks as time_blocks
 from .fisher_scoring import Bounds as Bounds
 from .fisher_scoring import Evaluation as Evaluation
 from .fisher_scoring import solve_step as solve_step
@@ -8,6 +7,8 @@ from .fitted_model import FailedRun as FailedRun
 from .fitted_model import FittedModel as FittedModel
 from .fitted_model import RecordEvaluation as RecordEvaluation
 from .fitted_model import Unseen as Unseen
+from .fitted_model import blocks_of as blocks_of
+from .fitted_model import cross_validated as cross_validated
 from .fitted_model import fit_and_evaluate as fit_and_evaluate
 from .fitted_model import fit_nominal_model as fit_nominal_model
 from .fitted_model import fit_with_rescaling as fit_with_rescaling

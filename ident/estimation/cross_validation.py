@@ -1,15 +1,16 @@
 """Blocked cross-validation: each block in time is predicted with what the others tell (Burman, Chow and Nolan 1994).
 
 The fit without a block is one Newton step away from the fit to all (approximate leave-one-out; Beirami et al. 2017), so
-that no model is fitted twice. A block begins anew, with its own state and sensor offsets; what the nominal model has
-for each record (the current) is then adapted to the block, as it is to a validation run. What an effect has for each
-record (a drift of the current) is not: it comes from the other blocks, or it would be judged by its own data.
+that no model is fitted twice. A block begins anew, anywhere where the states of its record have been, with sensor
+offsets of its own; what the nominal model has for each record (the current) is then adapted to the block, as it is to a
+validation run. What an effect has for each record (a drift of the current) is not: it comes from the other blocks, or
+it would be judged by its own data.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -36,15 +37,21 @@ class TimeBlocks:
     of: tuple[int, ...]
 
 
-def time_blocks(records: Sequence[Record], block: float) -> TimeBlocks:
-    """Records cut into blocks in time, two to eight each, of a minute or longer where there is time enough; ``block``
-    [s]: ``Model.block``."""
+def time_blocks(
+    records: Sequence[Record], block: float, starts: Sequence[Mapping[str, tuple[float, float]]]
+) -> TimeBlocks:
+    """Records cut into blocks in time, two to eight each, of a minute or longer where there is time enough.
+
+    Parameters:
+        block: of the model (``Model.block``) [s].
+        starts: for each record ``Record.start`` of its blocks.
+    """
     parts: list[Record] = []
     of: list[int] = []
-    for i, record in enumerate(records):
+    for i, (record, start) in enumerate(zip(records, starts, strict=True)):
         n = min(max(int(record.duration / (BLOCK_LENGTH * block)), 2), MOST_BLOCKS)
         edges = np.linspace(record.t[0], np.nextafter(record.t[-1], np.inf), n + 1).tolist()
-        parts += [record.part(low, high) for low, high in pairwise(edges)]
+        parts += [replace(record.part(low, high), start=start) for low, high in pairwise(edges)]
         of += [i] * n
     return TimeBlocks(tuple(parts), tuple(of))
 

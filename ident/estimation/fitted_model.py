@@ -178,9 +178,28 @@ def fit_and_evaluate(
     if not isinstance(unseen, TimeBlocks):
         judged, failed = _adapted(fitted, unseen, replace(settings, robust_errors=False))
         return FittedModel(model, fitted, views, tuple(judged), tuple(failed))
-    values = leave_one_block_out(fitted.model, unseen, fitted.record_values, fitted.parameters)
-    blocks = tuple(_view(fitted.model, r, v) for r, v in zip(unseen.records, values, strict=True))
-    return FittedModel(model, fitted, views, blocks, cross_validated=True)
+    return cross_validated(FittedModel(model, fitted, views, ()), unseen)
+
+
+def cross_validated(stage: FittedModel, blocks: TimeBlocks) -> FittedModel:
+    """The fit judged on blocks in time of its estimation records, each with the estimates of the others. Raises
+    ValueError where a block cannot be evaluated."""
+    fitted = stage.fit
+    values = leave_one_block_out(fitted.model, blocks, fitted.record_values, fitted.parameters)
+    views = tuple(_view(fitted.model, r, v) for r, v in zip(blocks.records, values, strict=True))
+    return replace(stage, validation=views, cross_validated=True)
+
+
+def blocks_of(views: Sequence[RecordEvaluation], block: float) -> TimeBlocks:
+    """The records of ``views`` cut into blocks in time; ``block`` [s]: ``Model.block``."""
+    return time_blocks([v.record for v in views], block, [_starts_anywhere(v) for v in views])
+
+
+def _starts_anywhere(view: RecordEvaluation) -> dict[str, tuple[float, float]]:
+    """Mean and standard deviation of each state over a record, with the filter's own uncertainty."""
+    mean, variance = view.run.x_filt.mean(axis=0), view.run.x_filt.var(axis=0)
+    sd = np.sqrt(variance + np.diagonal(view.run.P_filt, axis1=1, axis2=2).mean(axis=0))
+    return {s.name: (float(m), float(e)) for s, m, e in zip(view.model.states, mean, sd, strict=True)}
 
 
 def _adapted(
@@ -214,7 +233,7 @@ def validated_in_blocks(stage: FittedModel) -> FittedModel:
     """
     if stage.cross_validated or not stage.validation:
         return stage
-    blocks, model = time_blocks([v.record for v in stage.validation], stage.model.block), stage.fit.model
+    blocks, model = blocks_of(stage.validation, stage.model.block), stage.fit.model
     own = [p for p in model.parameters if p.free and p.per_record]
     parameters = [replace(p, segment=i) for i in range(len(stage.validation)) for p in own]
     values = leave_one_block_out(model, blocks, np.array([v.values for v in stage.validation]), parameters)
