@@ -147,7 +147,7 @@ def _first_fit(full: Model, records: list[Record], runs: list[Record]) -> tuple[
     stage = fit_with_rescaling(full, records, runs)
     if stage.validation:
         return stage, runs
-    blocks = blocks_of(stage.estimation, full.block)
+    blocks = blocks_of(records, stage.estimation, full.block)
     return cross_validated(stage, blocks), blocks
 
 

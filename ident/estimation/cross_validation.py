@@ -24,7 +24,7 @@ from ident.model import Model, Parameter
 from ident.numerics import Array
 
 BLOCK_LENGTH = 12  # blocks of the model's own length (``Model.block``): a minute for a boat
-MOST_BLOCKS = 8  # in time, of a record
+FEWEST_BLOCKS, MOST_BLOCKS = 5, 8  # in time, of a record
 LARGE_GAIN = 10.0  # that a step promises: beyond it the likelihood may not be quadratic, and it is looked at
 HALVINGS = 6  # of such a step
 
@@ -40,7 +40,7 @@ class TimeBlocks:
 def time_blocks(
     records: Sequence[Record], block: float, starts: Sequence[Mapping[str, tuple[float, float]]]
 ) -> TimeBlocks:
-    """Records cut into blocks in time, two to eight each, of a minute or longer where there is time enough.
+    """Records cut into blocks in time, five to eight each, of a minute or longer where there is time enough.
 
     Parameters:
         block: of the model (``Model.block``) [s].
@@ -49,7 +49,7 @@ def time_blocks(
     parts: list[Record] = []
     of: list[int] = []
     for i, (record, start) in enumerate(zip(records, starts, strict=True)):
-        n = min(max(int(record.duration / (BLOCK_LENGTH * block)), 2), MOST_BLOCKS)
+        n = min(max(int(record.duration / (BLOCK_LENGTH * block)), FEWEST_BLOCKS), MOST_BLOCKS)
         edges = np.linspace(record.t[0], np.nextafter(record.t[-1], np.inf), n + 1).tolist()
         parts += [replace(record.part(low, high), start=start) for low, high in pairwise(edges)]
         of += [i] * n

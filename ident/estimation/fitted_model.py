@@ -190,9 +190,10 @@ def cross_validated(stage: FittedModel, blocks: TimeBlocks) -> FittedModel:
     return replace(stage, validation=views, cross_validated=True)
 
 
-def blocks_of(views: Sequence[RecordEvaluation], block: float) -> TimeBlocks:
-    """The records of ``views`` cut into blocks in time; ``block`` [s]: ``Model.block``."""
-    return time_blocks([v.record for v in views], block, [_starts_anywhere(v) for v in views])
+def blocks_of(records: Sequence[Record], views: Sequence[RecordEvaluation], block: float) -> TimeBlocks:
+    """Records cut into blocks in time; ``views``: a model on them, whose states say how a block may begin; ``block``
+    [s]: ``Model.block``."""
+    return time_blocks(records, block, [_starts_anywhere(v) for v in views])
 
 
 def _starts_anywhere(view: RecordEvaluation) -> dict[str, tuple[float, float]]:
@@ -233,7 +234,8 @@ def validated_in_blocks(stage: FittedModel) -> FittedModel:
     """
     if stage.cross_validated or not stage.validation:
         return stage
-    blocks, model = blocks_of(stage.validation, stage.model.block), stage.fit.model
+    model = stage.fit.model
+    blocks = blocks_of([v.record for v in stage.validation], stage.validation, model.block)
     own = [p for p in model.parameters if p.free and p.per_record]
     parameters = [replace(p, segment=i) for i in range(len(stage.validation)) for p in own]
     values = leave_one_block_out(model, blocks, np.array([v.values for v in stage.validation]), parameters)
