@@ -74,6 +74,7 @@ study: .venv/ready
 	@$(BIN)/seatrial ident study surge yaw horizontal kinematic thruster noise --replicates 2000 --out build/study \
 	    --docs docs/study.md $(SEED_OPTION)
 	@$(BIN)/python -m tests.recovery.study $(SEED_OPTION) --docs
+	@$(BIN)/python -m tests.recovery.rigs $(SEED_OPTION) --docs
 	@$(BIN)/python -m tests.recovery.bench_study $(SEED_OPTION) --docs
 	@$(BIN)/python -m tests.golden.fuzz --n 1000000 $(SEED_OPTION)
 	@$(BIN)/python -m tests.bench.fault_trials --n $(or $(N),20) $(SEED_OPTION)

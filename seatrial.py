@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 
 try:
+    import errno
     import importlib
     import os
     import traceback
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from daq.checks.check_report import CheckReport
     from daq.checks.findings import Finding
 
-OK, FAILED, WRONG_USAGE, INTERRUPTED = 0, 1, 2, 130
+OK, FAILED, WRONG_USAGE, HUNG_UP, INTERRUPTED = 0, 1, 2, 129, 130
 
 
 class Row(NamedTuple):
@@ -154,6 +155,8 @@ def _explain(error: BaseException) -> tuple[str, int]:
         line, status = str(error), error.exit_status
     elif isinstance(error, (KeyboardInterrupt, click.Abort)):
         line, status = "interrupted", INTERRUPTED
+    elif isinstance(error, OSError) and error.errno == errno.EIO and error.filename is None:
+        line, status = "the terminal was closed", HUNG_UP
     elif isinstance(error, OSError) and error.filename is not None:
         line, status = f"{error.filename}: {error.strerror}", FAILED
     elif isinstance(error, ModuleNotFoundError) and error.name:
@@ -218,8 +221,18 @@ def main(args: Sequence[str] | None = None) -> None:
         if debug:
             traceback.print_exc()
         line, status = _explain(error)
-        print(f"seatrial: {line}", file=sys.stderr)
+        try:
+            print(f"seatrial: {line}", file=sys.stderr)
+        except OSError:  # the terminal was closed
+            _mute()
     sys.exit(status)
+
+
+def _mute() -> None:
+    """Send what is still to be printed nowhere: not even the interpreter's last flush can be read by anybody."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (sys.stdout, sys.stderr):
+        os.dup2(nowhere, stream.fileno())
 
 
 if __name__ == "__main__":

@@ -202,20 +202,21 @@ def found_effects(result: dict[str, Any]) -> list[str]:
 
 
 def error_lines(result: dict[str, Any]) -> list[str]:
-    """The free-running error (root mean square) on validation data before and after, a line a channel."""
+    """The RMS prediction error over the horizon on validation data before and after, a line a channel."""
     try:
-        channels = result["errors"]["validation"]["free_run"]
-        return [_error_line(name, row) for name, row in channels.items()]
+        channels, horizon = result["errors"]["validation"]["horizon"], result["horizon_seconds"]
+        return [_error_line(name, row, horizon) for name, row in channels.items()]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise SeatrialError(f"demo: {ANSWER} has no error before and after ({error!r})") from error
 
 
-def _error_line(name: str, row: dict[str, Any]) -> str:
+def _error_line(name: str, row: dict[str, Any], horizon: float) -> str:
     unit, scale = str(row["unit"]), 1.0
     if unit.startswith("rad"):  # degrees are for people
         unit, scale = unit.replace("rad", "deg", 1), math.degrees(1.0)
-    before, after = scale * row["before"], scale * row["after"]
-    return f"  {name:<6} free-running error on validation data {before:.3g} {unit} before, {after:.3g} {unit} after"
+    errors = (row["before"], row["after"])
+    before, after = ("diverged" if e is None else f"{scale * e:.3g} {unit}".rstrip() for e in errors)
+    return f"  {name:<6} error {horizon:g} s ahead on validation data {before} before, {after} after"
 
 
 def _read_json(path: Path) -> dict[str, Any]:

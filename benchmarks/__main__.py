@@ -1,4 +1,4 @@
-"""python -m benchmarks [--seed S] [--only sde,speed,diagnosis,logging,acquisition,codecs] [--json FILE]"""
+"""python -m benchmarks [--seed S] [--only sde,speed,diagnosis,long,logging,acquisition,codecs] [--json FILE]"""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import importlib  # noqa: E402
 
 from benchmarks.measure import Figure, table  # noqa: E402
 
-PARTS = ("sde", "speed", "diagnosis", "logging", "acquisition", "codecs")
+PARTS = ("sde", "speed", "diagnosis", "long", "logging", "acquisition", "codecs")
 
 
 def main() -> int:

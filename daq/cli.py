@@ -52,9 +52,10 @@ LOG = LogPath()
 
 @contextlib.contextmanager
 def _stop_signal() -> Iterator[threading.Event]:
-    """An event that SIGINT and SIGTERM set, instead of their usual effect."""
+    """An event that SIGINT, SIGTERM and SIGHUP set, instead of their usual effect."""
     stop = threading.Event()
-    before = {number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGINT, signal.SIGTERM)}
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, lambda *_: stop.set()) for number in numbers}
     try:
         yield stop
     finally:
@@ -77,11 +78,15 @@ def _stop_signal() -> Iterator[threading.Event]:
     metavar="FILE",
     help="The log; a name made of rig and date if not given.",
 )
+@click.option(
+    "--request-rates", "ask", is_flag=True, help="Ask autopilots for the rates of RIG; else nothing is sent to them."
+)
 @click.option("--live", "serve", is_flag=True, help="Serve the samples to Foxglove, too (see [live] in the rig).")
-def log(rig: Path, duration: float | None, output: Path | None, serve: bool) -> None:
+def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve: bool) -> None:
     """Record every device of RIG until Ctrl-C, with a live table.
 
-    Devices may be plugged in and out meanwhile; missing and silent ones are reported. Commands no thrust.
+    Devices may be plugged in and out meanwhile; missing and silent ones are reported. Commands no thrust, and sends no
+    heartbeat to an autopilot: its failsafes go by its own ground station.
     """
     from rich.console import Console
 
@@ -98,7 +103,7 @@ def log(rig: Path, duration: float | None, output: Path | None, serve: bool) -> 
     console = Console(highlight=False)
     with (
         _stop_signal() as stop,
-        Acquisition(loaded, path, clock=clock) as acquisition,
+        Acquisition(loaded, path, clock=clock, ask=ask) as acquisition,
         contextlib.ExitStack() as stack,
     ):
         if serve:

@@ -40,6 +40,33 @@ class RunClock:
             time.sleep(left)
 
 
+class SuspendDetector:
+    """Tells when the computer was suspended: the monotonic clock stands still then, the boot-time clock does not.
+
+    Without it a command from before would go on as if no time had passed. Where a system has no such clock (its
+    monotonic clock runs on), nothing is ever detected: the timeouts see the pause themselves.
+    """
+
+    LEAST = 0.1  # s
+
+    def __init__(self) -> None:
+        self._ahead = self._difference()
+
+    @staticmethod
+    def _difference() -> float:
+        clock = getattr(time, "CLOCK_BOOTTIME", None)
+        return 0.0 if clock is None else time.clock_gettime(clock) - time.clock_gettime(time.CLOCK_MONOTONIC)
+
+    def slept(self) -> float:
+        """Seconds that the computer was suspended since the last call; 0 where it was not."""
+        ahead = self._difference()
+        slept = ahead - self._ahead
+        if slept <= self.LEAST:
+            return 0.0
+        self._ahead = ahead
+        return slept
+
+
 class _Hull:
     """Lower convex hull of (device time, offset) points that arrive in the order of device time."""
 

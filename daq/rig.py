@@ -5,6 +5,7 @@ daq.config reads them from rig.toml; the keys are described in docs/formats/rig.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")  # of devices, thrusters and signals; a whole one, by fullmatch
 DRIVES = ("vesc", "dronecan", "mavlink")  # protocols that drive thrusters
 DEFAULT_PATTERN = r"^(?P<counts>-?\d+)$"
 OWN_NODE = 100  # our node on a DroneCAN bus; 10 is an autopilot's, 126 and 127 are for tools
@@ -169,6 +171,7 @@ class Limits:
     roll_deg: float | None = None
     pitch_deg: float | None = None
     battery_min: float | None = None  # 0..1 of the charge
+    unwatched: tuple[str, ...] = ()  # limits that nothing need report: they are compared where something does
 
 
 @dataclass(frozen=True)

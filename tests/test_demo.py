@@ -22,9 +22,10 @@ from daq.errors import SeatrialError
 RESULT = {
     "answer": "The residual is explained by advance-ratio loss.",
     "effects": [{"name": "advance-ratio"}],
+    "horizon_seconds": 10.0,
     "errors": {
         "validation": {
-            "free_run": {
+            "horizon": {
                 "x": {"before": 0.21, "after": 0.034, "unit": "m"},
                 "r": {"before": 0.1, "after": 0.01, "unit": "rad/s"},
             }
@@ -49,7 +50,7 @@ def test_the_ground_truth_is_the_very_last_line(tmp_path: Path, capsys: pytest.C
     assert lines[-2].endswith("and the hidden effect match")
     assert not any("advance-ratio (" in line for line in lines[:-1])
     assert any("5.73 deg/s before, 0.573 deg/s after" in line for line in lines)
-    assert any("x      free-running error on validation data 0.21 m before, 0.034 m after" in line for line in lines)
+    assert any("x      error 10 s ahead on validation data 0.21 m before, 0.034 m after" in line for line in lines)
 
 
 @pytest.mark.parametrize(

@@ -44,11 +44,16 @@ class Autopilots:
         self._armed: list[str] = []  # by us
         self._prepared = False
 
-    def prepare(self, arm: bool) -> None:
-        """Until every autopilot is fit to run the mission; arms it only with `arm`. Raises SeatrialError."""
+    def await_ready(self) -> None:
+        """Until every autopilot is fit to run the mission. Raises SeatrialError."""
         for device in self._devices:
             self._await_parameters(device)
             self._await_estimator(device)
+
+    def prepare(self, arm: bool) -> None:
+        """See that every autopilot is armed and passes the commands on; arms it only with `arm`. Raises
+        SeatrialError."""
+        for device in self._devices:
             if arm:
                 self._arm(device)
             link = self._link(device)

@@ -1,15 +1,16 @@
-"""Waiting for the devices: every one has to send a sample before anything moves."""
+"""Waiting for the devices: before anything moves, each has to send a sample, and each limit needs its source."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
 
+from bench.execution.safety_guard import SafetyGuard
 from daq.acquisition import Acquisition, Status
 from daq.errors import SeatrialError
 from daq.rig import Rig
 
-AWAIT_S = 10.0  # wall seconds for the first sample of every device
+AWAIT_S = 10.0  # wall seconds for the first sample of every device, and then for that of every limit
 POLL_S = 0.02
 
 
@@ -39,3 +40,13 @@ def await_devices(
             )
         wait(POLL_S)
     return [device.name for device in rig.devices]
+
+
+def await_limits(rig: Rig, acquisition: Acquisition, guard: SafetyGuard, wait: Callable[[float], None]) -> None:
+    """Wait until every limit has a source that has spoken. Raises SeatrialError that names limit, source and remedy."""
+    deadline = time.monotonic() + AWAIT_S
+    while unwatched := guard.unwatched(status := acquisition.status()):
+        if time.monotonic() > deadline:
+            more = f" (and {len(unwatched) - 1} more)" if len(unwatched) > 1 else ""
+            raise SeatrialError(f"{rig.path}: {unwatched[0].refusal(status.t)}{more}")
+        wait(POLL_S)

@@ -82,7 +82,10 @@ class Display(Protocol):
 
 
 class LiveDisplay:
-    """Two lines that are drawn over again, of 80 columns: progress of the plan, and what the devices report."""
+    """Two lines that are drawn over again, of 80 columns: progress of the plan, and what the devices report.
+
+    A terminal that has been closed is no error here: SIGHUP ends the run, or nobody, as under nohup.
+    """
 
     def __init__(self, console: Console) -> None:
         # No thread of its own: a stuck terminal shall be seen by the deadman.
@@ -98,18 +101,21 @@ class LiveDisplay:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Take the lines away."""
-        self._live.stop()
+        with contextlib.suppress(OSError):
+            self._live.stop()
 
     def show(self, view: MissionStatus) -> None:
         """Draw at most ten times a second."""
         if time.monotonic() - self._last < LIVE_EVERY_S:
             return
         self._last = time.monotonic()
-        self._live.update(_drawn(view), refresh=True)
+        with contextlib.suppress(OSError):
+            self._live.update(_drawn(view), refresh=True)
 
     def say(self, line: str) -> None:
         """Print above the lines."""
-        self._live.console.print(line, markup=False, highlight=False, soft_wrap=True)
+        with contextlib.suppress(OSError):
+            self._live.console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 def _drawn(view: MissionStatus) -> Group:

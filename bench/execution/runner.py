@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bench.execution.autopilots import Autopilots
-from bench.execution.device_startup import await_devices
+from bench.execution.device_startup import await_devices, await_limits
 from bench.execution.operator_interface import HELP, WORDS, Display, Keys, MissionStatus, StopSignals
 from bench.execution.safety_guard import SafetyGuard
 from bench.execution.sequencer import MissionSequencer, Schedule
@@ -118,6 +118,8 @@ class _Runner:
         """Wait for the devices, then send every set-point in time; returns how it went."""
         names = await_devices(self._rig, self._acquisition, self._mission.thrusters, self._wait)
         self._display.say(f"devices: {', '.join(names)}; recording {self._path}")
+        self._vehicles.await_ready()
+        await_limits(self._rig, self._acquisition, self._guard, self._wait)
         self._vehicles.prepare(arm)
         if keys.there:
             self._display.say(HELP)

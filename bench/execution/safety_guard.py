@@ -1,20 +1,24 @@
 """The safety guard: limits on what the devices report, checked at every status. It reads no clock and drives nothing.
 
-Its geofence is a circle around the start, within which the boat has to be able to stop. Two further safety nets work
-without it: the acquisition process commands zero when the runner falls silent, and every ESC times out by itself when
-the acquisition process does.
+A limit needs a source: something that reports the limited quantity as a number, and goes on doing so. Without one
+nothing moves, and a run whose limit loses its source ends. The geofence is a circle around the start, within which the
+boat has to be able to stop. Two further safety nets work without the guard: the acquisition process commands zero when
+the runner falls silent, and every ESC times out by itself when the acquisition process does.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
 
-from daq.acquisition import Status
+from daq.acquisition import Source, Status
 from daq.errors import SafetyStop
-from daq.rig import Rig
-from daq.samples import Ahrs, Battery, Esc, Gnss, LoadCell
+from daq.rig import Rig, Thruster
+from daq.samples import NAN, Ahrs, Battery, Esc, Gnss, LoadCell, Sample
 
+LOAD_CELLS = ("loadcell", "openscale", "mantracourt")  # protocols
 SATURATED, SPIKE = 1, 2  # LoadCell.flags
 STALE_S = 1.0  # run seconds a device may be silent, at least
 STALE_PERIODS = 5.0
@@ -22,9 +26,117 @@ STALE_PERIODS = 5.0
 # one run second is 50 ms, and a busy machine makes longer pauses by itself.
 STALE_WALL_S = 1.0
 STUCK_WALL_S = 3.0  # the log's file must grow within this; it is flushed every 0.25 s
+# A limited quantity may be missing for so many times the patience with its device: longer than the device itself, so
+# that a plug that was pulled is called that; position, temperature, voltage and charge come more slowly.
+QUICK, SLOW = 1.5, 3.0
 EARTH_RADIUS_M = 6_371_008.8  # IUGG mean radius
 STOPPED = 0.05  # m/s; a boat slower than this drifts and does not coast
 REACTION_S = 0.1  # from the fix to zero thrust
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    """What a limit limits: its name, who reports it, and what helps where nobody does."""
+
+    name: str
+    value: Mapping[type[Any], Callable[[Any], float]]  # by kind of sample; NaN where it does not tell
+    remedy: str
+    slow: bool = False
+
+
+def _position(fix: Gnss) -> float:
+    return fix.lat + fix.lon if fix.fix >= 2 else NAN
+
+
+_STATUS = "let the controller send its status"
+_QUANTITIES = {  # by key of [limits]
+    "force_n": _Quantity(
+        "force",
+        {LoadCell: lambda cell: NAN if cell.flags else cell.force},
+        "give the load cell its [device.calibration]",
+    ),
+    "rpm": _Quantity("shaft speed", {Esc: lambda esc: esc.rpm}, _STATUS),
+    "current_a": _Quantity("current", {Esc: lambda esc: esc.current}, _STATUS),
+    "temperature_c": _Quantity("temperature", {Esc: lambda esc: esc.temperature}, f"{_STATUS} (VESC: 4)", slow=True),
+    "voltage_min_v": _Quantity(
+        "voltage",
+        {Esc: lambda esc: esc.voltage, Battery: lambda battery: battery.voltage},
+        f"{_STATUS} (VESC: 5), or an autopilot that of the battery",
+        slow=True,
+    ),
+    "battery_min": _Quantity(
+        "charge", {Battery: lambda battery: battery.remaining}, "let an autopilot send that of the battery", slow=True
+    ),
+    "roll_deg": _Quantity("roll", {Ahrs: lambda ahrs: ahrs.roll}, "add an AHRS to the rig"),
+    "pitch_deg": _Quantity("pitch", {Ahrs: lambda ahrs: ahrs.pitch}, "add an AHRS to the rig"),
+    "radius_m": _Quantity("position", {Gnss: _position}, "wait for a fix of the GNSS receiver", slow=True),
+}
+
+
+@dataclass
+class LimitSource:
+    """A limit, whom it protects, and what has last reported a number for it."""
+
+    key: str  # of [limits]
+    limit: float
+    whom: str  # a thruster or a load cell; empty where any source will do
+    place: str  # of the thruster
+    takes: Callable[[Source, Sample], bool]
+    source: str = ""  # the device
+    t: float = -math.inf  # run time of that number
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether it may be silent for a little longer."""
+        return _QUANTITIES[self.key].slow
+
+    def observe(self, source: Source, sample: Sample, t: float) -> None:
+        """Note a sample that holds the quantity."""
+        value = _QUANTITIES[self.key].value.get(type(sample))
+        if value is not None and t > self.t and self.takes(source, sample) and math.isfinite(value(sample)):
+            self.source, self.t = source[0].partition("/")[0], t
+
+    def silence(self, now: float) -> str:
+        """Of whom nothing is heard, and for how long."""
+        whom = f" of {self.whom}" if self.whom else ""
+        return f"no {_QUANTITIES[self.key].name}{whom}{self.place}{_since(now - self.t)}"
+
+    def refusal(self, now: float) -> str:
+        """Why nothing may move, and what to do about it."""
+        remedy = f'{_QUANTITIES[self.key].remedy}, or write unwatched = ["{self.key}"] in [limits]'
+        return f"limits.{self.key} = {self.limit:g} is not watched: {self.silence(now)}; {remedy}"
+
+
+def _limit_sources(rig: Rig, thrusters: list[Thruster]) -> Iterator[LimitSource]:
+    """The limits of a rig that have to be watched: those of a thruster once for each, of force for each load cell."""
+    cells = [device.name for device in rig.devices if device.protocol in LOAD_CELLS]
+    for key, quantity in _QUANTITIES.items():
+        limit = getattr(rig.limits, key)
+        if limit is None or key in rig.limits.unwatched:
+            continue
+        if Esc in quantity.value:
+            for thruster in thrusters:
+                place = f" (node {thruster.node} on {thruster.device})"
+                yield LimitSource(key, limit, f"thruster {thruster.name}", place, _of_thruster(thruster))
+        elif key == "force_n" and cells:
+            for cell in cells:
+                yield LimitSource(key, limit, cell, "", _of_device(cell))
+        else:
+            yield LimitSource(key, limit, "", "", lambda source, sample: True)
+
+
+def _of_thruster(thruster: Thruster) -> Callable[[Source, Sample], bool]:
+    """A controller's own samples; those of a battery count for every thruster."""
+
+    def takes(source: Source, sample: Sample) -> bool:
+        own = (source[0].partition("/")[0], source[1]) == (thruster.device, thruster.node)
+        return own or isinstance(sample, Battery)
+
+    return takes
+
+
+def _of_device(name: str) -> Callable[[Source, Sample], bool]:
+    return lambda source, sample: source[0].partition("/")[0] == name
 
 
 class SafetyGuard:
@@ -38,6 +150,21 @@ class SafetyGuard:
         self._size = -1
         self._grown_at = math.nan
         self._saturated_at = math.nan
+        self.limits = list(_limit_sources(rig, self._thrusters))
+
+    def unwatched(self, status: Status) -> list[LimitSource]:
+        """The limits without a source that still speaks at this status; thrust is for when there are none."""
+        for source, latest in status.latest.items():
+            for limit in self.limits:
+                limit.observe(source, latest.sample, latest.t)
+        return [limit for limit in self.limits if not status.t - limit.t <= self._limit_patience(limit)]
+
+    def _limit_patience(self, limit: LimitSource) -> float:
+        if not limit.source:
+            return 0.0
+        device = self._rig.device(limit.source)
+        nodes = sum(thruster.device == device.name for thruster in self._rig.thrusters)
+        return self._patience(device.rate_hz / max(nodes, 1)) * (SLOW if limit.is_slow else QUICK)
 
     def check(self, status: Status) -> None:
         """Raise SafetyStop with the reason, in one line, at the first limit that is passed."""
@@ -60,6 +187,8 @@ class SafetyGuard:
                 yield from self._attitude(source[0], sample)
             elif isinstance(sample, Battery):
                 yield from self._battery(source[0].partition("/")[0], sample)
+        for limit in self.unwatched(status):
+            yield f"limits.{limit.key} is not watched any more: {limit.silence(status.t)}"
 
     def patience(self, device: str) -> float:
         """How long [run s] a device may be silent."""

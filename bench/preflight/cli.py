@@ -165,17 +165,19 @@ def _rig(
 
 def _listened(rig: Rig, seconds: float, mission: Any, path: Path) -> list[Finding]:
     """Listen, recording at ``path``; nothing moves."""
+    from bench.execution import SafetyGuard
     from bench.preflight.mission_checks import check_mission
-    from bench.preflight.rig_checks import check_computer, check_ports, listen
+    from bench.preflight.rig_checks import check_computer, check_limits, check_ports, listen
     from daq.checks import check_devices
     from daq.log import open_log
 
-    status = listen(rig, seconds, path)
+    guard = SafetyGuard(rig, rig.speed, tuple(thruster.name for thruster in rig.thrusters))
+    status = listen(rig, seconds, path, guard)
     found = list(check_ports(rig, status))
     silent = {finding.where for finding in found if finding.check == "alive"}
     with open_log(path) as log:
         found += [finding for finding in check_devices(log) if finding.where not in silent]
-    found += check_computer(rig, status)
+    found += [*check_computer(rig, status), *check_limits(rig, guard, status)]
     return found if mission is None else [*found, *check_mission(mission, rig)]
 
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
-from dataclasses import fields
 from pathlib import Path
 
-from bench.execution import silent_devices
+from bench.execution import SafetyGuard, silent_devices
 from daq.acquisition import Acquisition, Status
 from daq.checks import FAULT, OK, WARNING, Finding
 from daq.clock import RunClock
@@ -17,14 +16,18 @@ from daq.rig import Device, Rig
 RATE_TOLERANCE = 0.2  # a rate within this part of the expected one is good
 STILL_WALL_S = 1.0  # wall s of silence that a busy machine may make by itself
 HOURS = 4.0  # of logging, for which there should be room
-POSITIONED = {"nmea", "ubx", "mavlink"}  # protocols of devices that know where they are
+POLL_WALL_S = 0.05  # between two looks at the status
 
 
-def listen(rig: Rig, wall_s: float, path: Path) -> Status:
-    """Record every device for `wall_s` wall seconds at `path`; commands nothing. Returns the last status."""
+def listen(rig: Rig, wall_s: float, path: Path, guard: SafetyGuard) -> Status:
+    """Record every device for `wall_s` wall seconds at `path`; commands nothing. Returns the last status; ``guard`` has
+    seen them all."""
     clock = RunClock(rig.speed)
-    with Acquisition(rig, path, clock=clock) as acquisition:
-        clock.sleep_until(clock.now() + wall_s * clock.speed)
+    with Acquisition(rig, path, clock=clock, ask=True) as acquisition:
+        until = clock.now() + wall_s * clock.speed
+        while clock.now() < until:
+            guard.unwatched(acquisition.status())
+            clock.sleep_until(min(until, clock.now() + POLL_WALL_S * clock.speed))
         return acquisition.status()
 
 
@@ -114,7 +117,7 @@ def _autopilot(rig: Rig, device: Device, status: Status) -> Iterator[Finding]:
 
 
 def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
-    """Room on the disk of the logs, and which limits the guard watches."""
+    """Room on the disk of the logs."""
     place = rig.log_directory
     while not place.exists() and place != place.parent:
         place = place.parent
@@ -137,13 +140,24 @@ def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
         )
     else:
         yield Finding(OK, "disk-as-expected", "disk", str(place), text)
-    kinds = {device.protocol for device in rig.devices}
-    if rig.limits.radius_m is not None and not kinds & POSITIONED:
-        text = f"radius_m = {rig.limits.radius_m:g} without a GNSS receiver"
-        yield Finding(
-            FAULT, "fence-without-position", "fence", rig.name, text, "a device that knows its position, or no radius_m"
-        )
-    if rig.thrusters:
-        limits = {f.name: getattr(rig.limits, f.name) for f in fields(rig.limits)}
-        watched = ", ".join(f"{name} {value:g}" for name, value in limits.items() if value is not None)
-        yield Finding(OK, "limits-watched", "limits", rig.name, f"watched: {watched}")
+
+
+def check_limits(rig: Rig, guard: SafetyGuard, status: Status) -> Iterator[Finding]:
+    """Which limits the guard would watch, by which source and how old its last number is."""
+    if not rig.thrusters:
+        return
+    silent = guard.unwatched(status)
+    for limit in silent:
+        text, _, remedy = limit.refusal(status.t).partition("; ")
+        yield Finding(FAULT, "limit-without-source", "limits", rig.name, text, remedy)
+    for key in rig.limits.unwatched:
+        text = f"limits.{key} = {getattr(rig.limits, key):g} is not watched, as [limits] says"
+        yield Finding(WARNING, "limit-unwatched", "limits", rig.name, text, "a source for it")
+    watched = [f"n_max {rig.limits.n_max:g}"]
+    watched += [
+        f"{limit.key} {limit.limit:g}{f' of {limit.whom}' * (limit.whom not in ('', limit.source))} by {limit.source}"
+        f", {max(status.t - limit.t, 0.0):.2f} s old"
+        for limit in guard.limits
+        if limit not in silent
+    ]
+    yield Finding(OK, "limits-watched", "limits", rig.name, f"watched: {'; '.join(watched)}")

@@ -13,15 +13,16 @@ from collections.abc import Callable
 from daq.acquisition.log_thread import LogItem, LogSink
 from daq.acquisition.sensor_health import SensorHealth
 from daq.acquisition.status import Latest, PortStatus, Source
-from daq.clock import ClockMap, RunClock
+from daq.clock import ClockMap, RunClock, SuspendDetector
 from daq.drivers import DeviceDriver, Due, LinkStatus, Setpoints
-from daq.protocol import Decoder
+from daq.protocol import DatagramDecoder, Decoder
 from daq.rig import Device
 from daq.samples import NAN, Ahrs, Command, Esc, Event, Frame, Gnss, PortHealth, Sample, Servo
 from daq.transport import Port, PortError
 
 IDLE_S = 0.5  # wall; longest wait for bytes
 RETRY_S = (0.05, 0.1, 0.2, 0.5, 1.0)  # wall; waits between attempts to open
+DRIVEN_RETRY_S = 0.1
 MUTE_BYTES = 2000  # so many without a valid frame are no start-up noise
 STUCK_S = 0.25  # wall; a thread that commands thrust has a turn every 20 ms
 JOIN_BYTES = 256  # as much may be the rest of a frame
@@ -33,12 +34,25 @@ def _is_attitude(sample: Sample) -> bool:
     return isinstance(sample, Ahrs) and not math.isnan(sample.yaw)
 
 
+def decode_read(port: Port, decoder: Decoder, data: bytes, t_rx: float) -> list[Frame]:
+    """The samples of one read. On a network, who has sent a frame of the device is the one to answer."""
+    if not isinstance(decoder, DatagramDecoder):
+        return decoder.feed(data, t_rx)
+    if not port.is_confirmed:
+        decoder.begin_datagram()
+    before = decoder.accepted
+    frames = decoder.feed(data, t_rx)
+    if decoder.accepted > before:
+        port.confirm()
+    return frames
+
+
 class DeviceLoop(threading.Thread):
     """The thread of one port, with its counters and newest samples.
 
     `setpoints` makes it an actuator too: due set-points are sent from this thread as `driver` encodes them, which
-    may also send messages of its own. When the port is lost while thrust is commanded, `on_lost(reason)` is called from
-    this thread.
+    may also send messages of its own. When the port is lost while thrust is commanded, or the computer was suspended,
+    `on_lost(reason)` is called from this thread.
     """
 
     def __init__(
@@ -59,6 +73,7 @@ class DeviceLoop(threading.Thread):
         self._many, self._attitudes = device.protocol in MANY, False
         self._clock_map = ClockMap()
         self._sensor_health = SensorHealth()
+        self._suspended = SuspendDetector()
         self._has_clock = False
         self._ending = False
         self._wake_read, self._wake_write = os.pipe()
@@ -97,9 +112,20 @@ class DeviceLoop(threading.Thread):
                 # Whatever the error, the port is opened again, and the error is in the status and in the log.
                 known = isinstance(error, PortError)
                 self._lost(str(error) if known else f"internal error ({type(error).__name__}: {error})")
-                self._wait(-1, RETRY_S[min(failures, len(RETRY_S) - 1)])
+                self._wait(-1, self._retry_s(failures))
                 failures += 1
         self._finish()
+
+    def _retry_s(self, failures: int) -> float:
+        """Seconds to the next attempt to open; a port that has commanded thrust is wanted back for its zero."""
+        drives = self._setpoints is not None and bool(self._setpoints.held)
+        return min(RETRY_S[min(failures, len(RETRY_S) - 1)], DRIVEN_RETRY_S if drives else math.inf)
+
+    def is_at_zero(self, now: float) -> bool:
+        """Whether the port is open and zero has been repeated on it; true of one that has never commanded thrust."""
+        if self._setpoints is None or not self._setpoints.held:
+            return True
+        return self._open and self._setpoints.is_settled(now)
 
     def _start(self) -> None:
         self._opened += 1
@@ -132,9 +158,16 @@ class DeviceLoop(threading.Thread):
             if data:
                 self._received(data, t_rx)
         if self._setpoints is not None:
+            self._check_suspend(self._setpoints)
             self._send(self._setpoints.due(self._clock.now(), time.monotonic()))
         if self._driver is not None:
             self._poll_driver(self._driver)
+
+    def _check_suspend(self, setpoints: Setpoints) -> None:
+        """Zero after the computer was suspended: it is a command of long ago that would be repeated."""
+        if (slept := self._suspended.slept()) and setpoints.active:
+            setpoints.zero(time.monotonic())
+            self._on_lost(f"the computer was suspended for {slept:.1f} s")
 
     def _poll_driver(self, driver: DeviceDriver) -> None:
         """Send the bytes and log the events of the driver."""
@@ -156,7 +189,7 @@ class DeviceLoop(threading.Thread):
 
     def _received(self, data: bytes, t_rx: float) -> None:
         frames_before = self._decoder.frames
-        frames = [(frame, self._estimate(frame)) for frame in self._decoder.feed(data, t_rx)]
+        frames = [(frame, self._estimate(frame)) for frame in decode_read(self._port, self._decoder, data, t_rx)]
         for frame, t in frames:
             if not isinstance(frame.sample, Event):
                 self._latest[self._source(frame.sample)] = Latest(frame.sample, t)
@@ -250,8 +283,8 @@ class DeviceLoop(threading.Thread):
 
     @property
     def hint(self) -> str:
-        """A possible improvement of the port, in one line; empty without one."""
-        return self._port.hint
+        """A possible improvement of the port or of the link, in one line; empty without one."""
+        return self._port.hint or ("" if self._driver is None else self._driver.hint)
 
     def health(self) -> PortHealth:
         """The counters, for the log."""

@@ -5,7 +5,7 @@
 | parent | acquisition process | Configuration first; ParentAlive, Schedule, ZeroThrust, LogEvent, DriverRequest, Stop |
 | acquisition process | parent | StatusReport, then Failed or Closed as the last |
 | acquisition process | watchdog | WatchdogConfiguration first, then heartbeats of one byte: ACTIVE, IDLE, FINISHED |
-| watchdog | acquisition process | WatchdogReady |
+| watchdog | acquisition process | WatchdogReady first, then an answer of one byte to heartbeats |
 
 Each message is one line of JSON on a stream socket: the name of its type, and its fields.
 """
@@ -25,6 +25,7 @@ from typing import Any
 from daq.acquisition.status import Status, from_json, to_json
 
 ACTIVE, IDLE, FINISHED = b"1", b"0", b"q"  # heartbeats: thrust is commanded; it is not; nothing is left to watch
+ANSWER = b"a"  # of the watchdog
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,7 @@ class Configuration:
     path: str  # of the log, absolute
     speed: float  # run seconds per wall second
     origin: Sequence[float]  # of the run clock: `RunClock.origin`
+    role: str  # LinkRole, to the autopilots
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     metadata: Mapping[str, str] = field(default_factory=dict)
 

@@ -18,6 +18,7 @@ from daq.samples import Event, Frame, PortHealth
 QUEUE_ITEMS = 20_000
 WRITE_S = 0.01  # wall
 HEALTH_S = 1.0
+DELETED = "the log was deleted while it is recorded: what comes now is lost"
 
 
 class LogItem(NamedTuple):
@@ -65,7 +66,7 @@ class LogThread(threading.Thread):
         self.messages = 0
         self.size = recorder.size
         self.failure = ""
-        self.alarm = ""  # why nothing is written now, though it may be again
+        self.alarm = ""  # why nothing is kept now, though it may be again
 
     def run(self) -> None:
         """Until `end`: write what there is, every 10 ms, and the counters every second."""
@@ -79,7 +80,7 @@ class LogThread(threading.Thread):
                     health_at += HEALTH_S
                     self._health()
                 self._recorder.tick()
-                self.alarm = self._recorder.paused
+                self.alarm = self._recorder.paused or (DELETED if self._recorder.is_deleted else "")
                 self.size = self._recorder.size
             self._write()
             self._health()

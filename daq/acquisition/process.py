@@ -36,7 +36,7 @@ from daq.acquisition.status_reporter import StatusReporter
 from daq.acquisition.watchdog import Heartbeat
 from daq.clock import RunClock
 from daq.config import parse_rig
-from daq.drivers import Setpoints, make_driver
+from daq.drivers import LinkRole, Setpoints, make_driver
 from daq.errors import SeatrialError
 from daq.log import Recorder, check_room
 from daq.protocol import make_decoder
@@ -48,6 +48,7 @@ from daq.transport import make_port
 STATUS_S = 0.05  # wall, as all of these
 SILENCE_S = 0.25  # the parent, while thrust is commanded
 RECORD_ON_S = 1.0  # after a stop that the parent did not request
+RETURN_S = 3.0  # for a thruster's port that was lost to come back, so that it gets its zero
 
 
 class Process:
@@ -59,8 +60,10 @@ class Process:
         rig: Rig,
         recorder: Recorder,
         clock: RunClock,
+        role: LinkRole,
         heartbeat: Heartbeat | None = None,
     ) -> None:
+        self._role = role
         self._link, self._rig, self._clock, self._heartbeat = link, rig, clock, heartbeat
         self._sink = LogSink()
         self._setpoints = {device.name: Setpoints() for device in rig.devices if device.protocol in DRIVES}
@@ -114,7 +117,7 @@ class Process:
             self._clock,
             self._sink,
             self._setpoints.get(name),
-            make_driver(device, self._rig, decoder),
+            make_driver(device, self._rig, decoder, self._role),
             self._stop_thrust,
         )
 
@@ -135,8 +138,8 @@ class Process:
             return
         active = any(setpoints.active for setpoints in self._setpoints.values())
         self._heartbeat.beat(active, now, at_once)
-        if self._heartbeat.lost and active and not self._stopped:
-            self._stop_thrust("the watchdog is gone")
+        if self._heartbeat.trouble and active and not self._stopped:
+            self._stop_thrust(self._heartbeat.trouble)
 
     def _check_timeouts(self) -> None:
         """Stop on timeouts and failures. Called after receiving: a pause of this process is not the parent's."""
@@ -215,11 +218,10 @@ class Process:
         self._event("stop" if self._unrequested else "end", self._end_reason)
         for loop in self._loops.values():
             loop.request("leave", 0.0)
-        if self._unrequested:
-            until = time.monotonic() + RECORD_ON_S
-            while (left := until - time.monotonic()) > 0.0 and not self._writer.failure:
-                time.sleep(min(left, WRITE_S))
-                self._beat()
+        begun = time.monotonic()
+        while not self._may_close(time.monotonic() - begun):
+            time.sleep(WRITE_S)
+            self._beat()
         for loop in self._loops.values():
             loop.end()
         for loop in self._loops.values():
@@ -233,6 +235,13 @@ class Process:
         with contextlib.suppress(OSError):  # the parent may be gone
             why = self._writer.failure
             self._link.send(Failed(why) if why else Closed(self._end_reason))
+
+    def _may_close(self, since: float) -> bool:
+        """Whether zero has been repeated to every thruster, or its port has not come back in time."""
+        if self._unrequested and since < RECORD_ON_S and not self._writer.failure:
+            return False
+        now = time.monotonic()
+        return since > RETURN_S or all(loop.is_at_zero(now) for loop in self._loops.values())
 
     def _report(self) -> None:
         try:
@@ -265,7 +274,7 @@ def main() -> None:
             path, rig=rig, clock=clock, attachments=begin.attachments, metadata=begin.metadata, patient=True
         )
         heartbeat = _connect_watchdog(rig, path) if len(sys.argv) > 2 else None
-        process = Process(link, rig, recorder, clock, heartbeat)
+        process = Process(link, rig, recorder, clock, LinkRole(begin.role), heartbeat)
     except SeatrialError as error:
         link.send(Failed(str(error)))
         return

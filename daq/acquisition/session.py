@@ -32,6 +32,7 @@ from daq.acquisition.ipc import (
 )
 from daq.acquisition.status import Status
 from daq.clock import RunClock
+from daq.drivers import LinkRole
 from daq.errors import SeatrialError
 from daq.log import read_note
 from daq.realtime_priority import set_realtime_priority
@@ -49,6 +50,7 @@ class Acquisition:
     The process is safe against any failure here: when this process dies or stops answering, or when thrust is
     commanded and `alive` is not called for 0.25 s (wall), it commands zero, records one second more and closes the
     log. With `drive` a watchdog process monitors it (daq.acquisition.watchdog); no thrust may be commanded without.
+    Autopilots are only listened to, but for `drive`, and with `ask` for their parameters and the rates of the rig.
     All methods may be called from any thread; all but `alive` raise SeatrialError when the process has failed.
     """
 
@@ -61,8 +63,10 @@ class Acquisition:
         attachments: Mapping[str, bytes] | None = None,
         metadata: Mapping[str, str] | None = None,
         drive: bool = False,
+        ask: bool = False,
     ) -> None:
         self._drive = drive
+        self._role = LinkRole.DRIVE if drive else LinkRole.ASK if ask else LinkRole.LISTEN
         self.rig, self.path, self.clock = rig, Path(path), clock
         self._attachments, self._metadata = dict(attachments or {}), dict(metadata or {})
         self._changed = threading.Condition()
@@ -186,6 +190,7 @@ class Acquisition:
             path=str(self.path.absolute()),
             speed=self.clock.speed,
             origin=self.clock.origin,
+            role=self._role.value,
             attachments=self._attachments,
             metadata={"command_line": " ".join(sys.argv), **self._metadata},
         )
@@ -262,8 +267,11 @@ class Acquisition:
             self._process.kill()
             self._process.wait()
         if self._watchdog is not None:
-            with contextlib.suppress(subprocess.TimeoutExpired):  # it may still be sending zero
-                self._watchdog.wait(timeout=WATCHDOG_S)
+            try:
+                self._watchdog.wait(timeout=WATCHDOG_S)  # it may still be sending zero
+            except subprocess.TimeoutExpired:  # it hangs
+                self._watchdog.kill()
+                self._watchdog.wait()
         for thread in self._threads:
             if thread.ident is not None:
                 thread.join()

@@ -9,6 +9,7 @@ did and why to `LOG.stop`, since no process writes the log any more. Started by 
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import select
 import signal
@@ -18,10 +19,11 @@ import threading
 import time
 from pathlib import Path
 
-from daq.acquisition.ipc import ACTIVE, FINISHED, IDLE, AcquisitionChannel, WatchdogConfiguration, WatchdogReady
+from daq.acquisition.device_loop import decode_read
+from daq.acquisition.ipc import ACTIVE, ANSWER, FINISHED, IDLE, AcquisitionChannel, WatchdogConfiguration, WatchdogReady
 from daq.config import parse_rig
 from daq.log import note_path
-from daq.protocol import pack_can, vesc
+from daq.protocol import Decoder, pack_can, vesc
 from daq.realtime_priority import set_realtime_priority
 from daq.rig import DRIVES, Device, Rig
 from daq.transport import Port, PortError, make_port
@@ -33,16 +35,23 @@ HEARTBEAT_S = 0.02  # between heartbeats, at least
 READY_S = 20.0
 OPEN_S = 3.0  # for a port to be free again
 ZERO_S = 1.0  # zero is sent for so long
+ANSWER_S = 1.0  # for the watchdog to answer a heartbeat
 
 
 class Heartbeat:
-    """The acquisition's side. Raises nothing while thrust is commanded: `lost` means that the watchdog is gone."""
+    """The acquisition's side. Raises nothing while thrust is commanded: `trouble` says why the watchdog cannot help.
+
+    Each side hears the other: the watchdog answers what it gets, and when it has answered nothing for `ANSWER_S` it
+    hangs (stopped, swapped out) and would not step in.
+    """
 
     def __init__(self, sock: socket.socket, rig: Rig, log: Path) -> None:
         """Returns when the watchdog is ready. Raises OSError or EOFError when it does not start."""
-        self.lost = False
+        self.trouble = ""
         self._socket = sock
         self._next = 0.0
+        self._unanswered_since = math.inf
+        self._looked = 0.0
         sock.settimeout(READY_S)
         link = AcquisitionChannel(sock)
         link.send(WatchdogConfiguration(rig.text, str(rig.path), os.getpid(), str(log.absolute())))
@@ -50,10 +59,21 @@ class Heartbeat:
         sock.setblocking(False)
 
     def beat(self, active: bool, now: float, at_once: bool = False) -> None:
-        """Send a heartbeat: whether thrust is commanded."""
+        """Send a heartbeat, whether thrust is commanded, and hear the answers to earlier ones."""
         if at_once or now >= self._next:
             self._next = now + HEARTBEAT_S
             self._send(ACTIVE if active else IDLE)
+            self._hear(now)
+
+    def _hear(self, now: float) -> None:
+        with contextlib.suppress(OSError):
+            if self._socket.recv(4096):
+                self._unanswered_since = math.inf
+        paused = now - self._looked > 0.5 * ANSWER_S  # a pause of this process: the answer may have been there in time
+        self._unanswered_since = now if paused else min(self._unanswered_since, now)
+        self._looked = now
+        if now - self._unanswered_since > ANSWER_S:
+            self.trouble = f"the watchdog has not answered for {ANSWER_S:g} s"
 
     def end(self) -> None:
         """End the monitoring: the thrusters are at zero and the ports will be closed."""
@@ -65,7 +85,7 @@ class Heartbeat:
         except BlockingIOError:
             return  # it has not read for so long that it hangs itself; it will find out when it goes on
         except OSError:
-            self.lost = True
+            self.trouble = "the watchdog is gone"
 
 
 class HeartbeatMonitor:
@@ -101,11 +121,13 @@ class FailsafeSender(threading.Thread):
         self.outcome = "not tried"
         self._port: Port = make_port(device)
         self._driver = None
+        self._decoder: Decoder | None = None
         if device.protocol != "vesc":
-            from daq.drivers import make_driver
+            from daq.drivers import LinkRole, make_driver
             from daq.protocol import make_decoder
 
-            self._driver = make_driver(device, rig, make_decoder(device, rig))
+            self._decoder = make_decoder(device, rig)
+            self._driver = make_driver(device, rig, self._decoder, LinkRole.DRIVE)
             self._zero()  # whatever has to be loaded for it is loaded now
         else:
             self._frames = b"".join(pack_can(*vesc.encode_duty(t.node, 0.0)) for t in self._thrusters)
@@ -136,7 +158,9 @@ class FailsafeSender(threading.Thread):
         while time.monotonic() < until:
             ready, _, _ = select.select([self._port.fileno()], [], [], POLL_S)
             if ready:
-                self._port.read()  # a listening UDP port learns the address to answer from this
+                data = self._port.read()
+                if self._decoder is not None:  # a listening UDP port learns the address to answer from this
+                    decode_read(self._port, self._decoder, data, 0.0)
             self._port.write(self._zero())
 
 
@@ -181,6 +205,9 @@ def _watch(sock: socket.socket) -> str:
                 words = b""
             except OSError:
                 words = None
+        if words:
+            with contextlib.suppress(OSError):  # it does not read any more: nobody is there to be answered
+                sock.send(ANSWER)
         found = watch.look(time.monotonic(), words)
         if found is not None:
             return found

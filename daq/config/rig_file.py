@@ -16,6 +16,7 @@ from daq.rig import (
     DRIVES,
     ESC_FIELDS,
     HIGHEST_ID,
+    NAME,
     NET_KINDS,
     OTHER_RATES,
     OWN_NODE,
@@ -35,7 +36,6 @@ from daq.rig import (
 FORMAT = "seatrial-rig 1"
 PROTOCOLS = tuple(DEVICES)
 HIGHEST_NODE = {"dronecan": 19}  # a command has room for so many
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
 def load_rig(path: Path | str) -> Rig:
@@ -114,7 +114,7 @@ def _unique(root: TomlTable, key: str, names: Sequence[str]) -> None:
 
 def _name(table: TomlTable) -> str:
     name = table.text("name")
-    if not _NAME.fullmatch(name):
+    if not NAME.fullmatch(name):
         raise table.error("name", f"'{name}' becomes a topic of the log: a letter, then letters, digits or _")
     return name
 
@@ -326,6 +326,10 @@ def _pulses(table: TomlTable, key: str, default: tuple[float, float, float]) -> 
 def _limits(table: TomlTable | None) -> Limits:
     if table is None:
         return Limits()
+    unwatched = table.texts("unwatched", ())
+    for key in unwatched:
+        if key == "n_max" or not table.has(key):
+            raise table.error("unwatched", f"'{key}' is no limit that stands here")
     found = Limits(
         table.number("n_max", 1.0, low=0.0, high=1.0),
         table.maybe_number("force_n", low=0.0),
@@ -337,6 +341,7 @@ def _limits(table: TomlTable | None) -> Limits:
         table.maybe_number("roll_deg", low=0.0),
         table.maybe_number("pitch_deg", low=0.0),
         table.number("battery_min", low=0.0, high=1.0) if table.has("battery_min") else None,
+        unwatched,
     )
     table.done()
     return found

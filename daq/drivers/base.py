@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import enum
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -11,6 +12,14 @@ from typing import final
 
 from daq.drivers.setpoints import Due
 from daq.samples import Event
+
+
+class LinkRole(enum.StrEnum):
+    """What we are to the device at the other end of a link."""
+
+    LISTEN = "listen"  # nothing is sent: not even a heartbeat, which an autopilot takes for its ground station's
+    ASK = "ask"  # requests (rates, parameters) under a system id of its own; no heartbeat, no command
+    DRIVE = "drive"  # the ground station: heartbeats, requests, commands
 
 
 @dataclass(frozen=True)
@@ -67,6 +76,11 @@ class DeviceDriver(ABC):
     def link_at(self, now: float) -> LinkStatus | None:
         """State of the device at the other end; None where it reports none."""
         return None
+
+    @property
+    def hint(self) -> str:
+        """A possible improvement of the link, in one line; empty without one."""
+        return ""
 
     def message(self) -> str:
         """The fault of the link, in one line; empty without one."""

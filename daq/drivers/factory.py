@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import time
 
-from daq.drivers.base import DeviceDriver, PollingDriver
+from daq.drivers.base import DeviceDriver, LinkRole, PollingDriver
 from daq.drivers.vesc import VescDriver
 from daq.protocol import Decoder, mantracourt
 from daq.rig import Device, Rig
 
+SPARE_IDS = (254, 253, 252)  # system ids for who only asks: no autopilot takes it for its ground station
 
-def make_driver(device: Device, rig: Rig, decoder: Decoder) -> DeviceDriver | None:
+
+def make_driver(device: Device, rig: Rig, decoder: Decoder, role: LinkRole) -> DeviceDriver | None:
     """The driver of a device, None for one that is only listened to. Raises SeatrialError for a bad signing key."""
     here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
     if device.protocol == "vesc":
@@ -32,8 +34,10 @@ def make_driver(device: Device, rig: Rig, decoder: Decoder) -> DeviceDriver | No
     assert isinstance(decoder, mavlink.MavlinkDecoder)
     settings = device.mavlink
     key = None if settings.key_file is None else mavlink_wire.read_key(settings.key_file)
-    codec = mavlink_wire.Codec(settings.own_system_id, settings.own_component_id, key, time.time())
-    driver = MavlinkDriver(device, here, codec)
+    spare = next(number for number in SPARE_IDS if number not in (settings.system_id, settings.own_system_id))
+    own = settings.own_system_id if role is LinkRole.DRIVE else spare
+    codec = mavlink_wire.Codec(own, settings.own_component_id, key, time.time())
+    driver = MavlinkDriver(device, here, codec, role)
     decoder.secure(codec)
     decoder.listener = lambda message: driver.receive(message, time.monotonic())
     return driver

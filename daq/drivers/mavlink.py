@@ -1,4 +1,7 @@
-"""The ground station's half of a MAVLink link: heartbeats, requests and their answers, set-points as RC override.
+"""Our half of a MAVLink link: as the ground station heartbeats, requests and their answers, set-points as RC override.
+
+Who does not drive is no ground station (`LinkRole`): an autopilot that hears heartbeats of one would miss the loss of
+the operator's, and would see the loss of ours.
 
 No I/O and no clock: `now` is given. Services: mavlink.io/en/services/{heartbeat,command,parameter}.html.
 """
@@ -12,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any, final
 
 from daq.drivers.ardupilot_parameters import GROUND_STATION_NAMES, parameter_names
-from daq.drivers.base import DeviceDriver, LinkStatus
+from daq.drivers.base import DeviceDriver, LinkRole, LinkStatus
 from daq.drivers.setpoints import Due
 from daq.protocol import ARMED, ESC_STATUS, INVALID, SEVERITIES, Codec, dialect, mode_name
 from daq.rig import Device, Thruster
@@ -52,8 +55,9 @@ class _Command:
 class MavlinkDriver(DeviceDriver):
     """Driver of one autopilot; `receive` gets every message that the decoder accepts."""
 
-    def __init__(self, device: Device, thrusters: Sequence[Thruster], codec: Codec) -> None:
+    def __init__(self, device: Device, thrusters: Sequence[Thruster], codec: Codec, role: LinkRole) -> None:
         assert device.mavlink is not None
+        self._role = role
         self._settings, self._rate_hz, self._codec = device.mavlink, device.rate_hz, codec
         self._outputs = {t.node: (t.output, t.reversed) for t in thrusters if t.output is not None}
         self._names = parameter_names(thrusters) if self._outputs else ()
@@ -167,9 +171,12 @@ class MavlinkDriver(DeviceDriver):
 
     def poll(self, now: float) -> bytes:
         """Heartbeat, the first command of the queue, parameter requests, neutral while no thrust is commanded."""
+        if self._role is LinkRole.LISTEN:
+            self._requests.clear()
+            return b""
         self._take_requests()
         out = b""
-        if now - self._beat >= HEARTBEAT_S:
+        if self._role is LinkRole.DRIVE and now - self._beat >= HEARTBEAT_S:
             self._beat = now
             out += self._codec.encode("HEARTBEAT", GROUND_STATION, INVALID, 0, 0, ACTIVE, VERSION)
         if self._started:
@@ -220,7 +227,9 @@ class MavlinkDriver(DeviceDriver):
         """Seconds until `poll` may have something."""
         if self._requests:
             return 0.0
-        times = [self._beat + HEARTBEAT_S]
+        if self._role is LinkRole.LISTEN:
+            return math.inf
+        times = [self._beat + HEARTBEAT_S if self._role is LinkRole.DRIVE else math.inf]
         if self._started and self._commands:
             times.append(self._commands[0].sent + ANSWER_S)
         if self._started and (self._awaited or self._status.parameters_pending):
@@ -248,6 +257,13 @@ class MavlinkDriver(DeviceDriver):
             channels[output.rc_channel - 1] = output.command(-n if is_reversed else n)
         who = (self._settings.system_id, self._settings.component_id)
         return self._codec.encode("RC_CHANNELS_OVERRIDE", *who, *channels)
+
+    @property
+    def hint(self) -> str:
+        """What a listener does not get."""
+        if self._role is not LinkRole.LISTEN:
+            return ""
+        return "only listened to, so the rates are the autopilot's own; --request-rates asks for those of the rig"
 
     def shutdown_bytes(self, now: float) -> bytes:
         """Disarm what was armed by us. Sent twice, since no answer is awaited."""

@@ -58,6 +58,11 @@ class Setpoints:
         with self._lock:
             return self._active()
 
+    def is_settled(self, now_wall: float) -> bool:
+        """Whether no thrust is commanded, and zero has been repeated for as long as it should."""
+        with self._lock:
+            return not self._active() and (not self._held or now_wall >= self._repeat_until)
+
     @property
     def pending(self) -> int:
         """Rows that have not been sent."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from daq.errors import SeatrialError
 from daq.importers.csv_reader import SignalData
-from daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, schema
+from daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, discard_note, schema
 from daq.samples import Frame, Scalar
 
 
@@ -133,5 +133,6 @@ def replacing(out: Path, force: bool) -> Iterator[Path]:
     try:
         yield part
         os.replace(part, out)
+        discard_note(out)
     finally:
         part.unlink(missing_ok=True)

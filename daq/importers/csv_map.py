@@ -9,10 +9,10 @@ from pathlib import Path
 
 from daq.config import TomlTable, parse_toml, read_text
 from daq.importers.units import UNITS
+from daq.rig import NAME
 
 FORMAT = "seatrial-import-csv 1"
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ def _origin(table: TomlTable) -> float:
 
 def _signal(table: TomlTable, style: CsvStyle) -> Signal:
     name = table.text("name")
-    if not _NAME.fullmatch(name):
+    if not NAME.fullmatch(name):
         raise table.error("name", f"'{name}' becomes a topic of the log: a letter, then letters, digits or _")
     unit = table.text("unit")
     if unit not in UNITS:

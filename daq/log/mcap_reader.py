@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import stat
 import struct
 import zlib
 from collections import OrderedDict
@@ -81,8 +82,12 @@ class RawLog(Chunked):
     def _open(self) -> tuple[int, int]:
         # Plain reads, no mmap: the file may still be growing, and a disk that fails must end in a line, not a signal.
         try:
-            fd = os.open(self.path, os.O_RDONLY)
-            magic, size = os.read(fd, len(MCAP0_MAGIC)), os.fstat(fd).st_size
+            fd = os.open(self.path, os.O_RDONLY | os.O_NONBLOCK)  # a named pipe would wait for a writer
+            about = os.fstat(fd)
+            if not stat.S_ISREG(about.st_mode):
+                os.close(fd)
+                raise SeatrialError(f"{self.path}: is not a file")
+            magic, size = os.read(fd, len(MCAP0_MAGIC)), about.st_size
         except OSError as error:
             raise SeatrialError(f"{self.path}: cannot be read: {error.strerror}") from error
         if magic != MCAP0_MAGIC:

@@ -123,6 +123,11 @@ class LogWriter:
         """Bytes on disk."""
         return self._stream.tell()
 
+    @property
+    def is_deleted(self) -> bool:
+        """Whether the file has been deleted."""
+        return not self._closed and self._stream.is_deleted
+
     def channel(self, topic: str, type_name: str, metadata: Mapping[str, str] | None = None) -> int:
         """Register a topic and return the number of its channel."""
         self._check()

@@ -83,6 +83,11 @@ class WholeRecordStream:
             view = view[written:]
             at += written
 
+    @property
+    def is_deleted(self) -> bool:
+        """Whether no name leads to the file any more: what is written is lost when it is closed."""
+        return os.fstat(self._fd).st_nlink == 0
+
     def flush(self) -> None:
         """Nothing is buffered here."""
 

@@ -15,7 +15,7 @@ from daq.log import schema
 from daq.log.cdr import NANO, cdr_layout
 from daq.log.mcap_writer import DiskFull, LogWriter
 from daq.log.provenance import collect
-from daq.log.segments import segment_path
+from daq.log.segments import discard_note, segment_path
 from daq.rig import Rig
 from daq.samples import Event, Frame, PortHealth
 
@@ -73,6 +73,7 @@ class Recorder:
         self._packers: dict[str, Callable[..., bytes]] = {}
         self._size_before = 0
         self._open(self.first_path, 0)
+        discard_note(self.first_path)
 
     def _open(self, path: Path, number: int) -> None:
         """Begin a segment: each contains everything that a reader needs."""
@@ -85,6 +86,11 @@ class Recorder:
     def path(self) -> Path:
         """The file being written."""
         return self._writer.path
+
+    @property
+    def is_deleted(self) -> bool:
+        """Whether the file being written has been deleted."""
+        return self._writer.is_deleted
 
     @property
     def size(self) -> int:

@@ -11,7 +11,7 @@ from daq.errors import SeatrialError
 from daq.log.mcap_chunk import by_chunk
 from daq.log.mcap_reader import RawLog
 from daq.log.mcap_writer import RecordWriter
-from daq.log.segments import SegmentedLog, open_raw
+from daq.log.segments import SegmentedLog, discard_note, open_raw
 
 CHUNK_BYTES = 1024 * 1024
 
@@ -39,6 +39,7 @@ def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
             out.parent.mkdir(parents=True, exist_ok=True)
             _copy(log, part)
             os.replace(part, out)
+            discard_note(out)
         except OSError as error:
             raise SeatrialError(f"{out}: cannot be written: {error.strerror}") from error
         finally:

@@ -6,6 +6,7 @@ chance. Numbers may be missing, and each segment may be cut off or damaged by it
 
 from __future__ import annotations
 
+import contextlib
 import re
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from daq.log.mcap_reader import MAX_WARNINGS, RawLog
 
 SAME = ("origin", "rig", "host")  # what segments of one log have in common
 LONGEST = 500  # characters
+NOTE = re.compile(r"\d{4}-\d\d-\d\dT\S+ watchdog: ")  # how a watchdog's note begins
 
 
 def open_raw(path: Path) -> RawLog | SegmentedLog:
@@ -150,8 +152,16 @@ def note_path(log: Path) -> Path:
 
 def read_note(log: Path) -> str:
     """What a watchdog wrote beside a log, in one line; empty where it did not have to."""
+    path = note_path(log)
     try:
-        text = note_path(log).read_text(encoding="utf-8", errors="replace")
+        text = path.read_bytes()[: 4 * LONGEST].decode("utf-8", errors="replace") if path.is_file() else ""
     except OSError:
         return ""
     return " ".join(text.split())[:LONGEST]
+
+
+def discard_note(log: Path) -> None:
+    """Take away what a watchdog wrote of an earlier log of this name: a new one must not be blamed for it."""
+    if NOTE.match(read_note(log)):
+        with contextlib.suppress(OSError):
+            note_path(log).unlink()

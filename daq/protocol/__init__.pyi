@@ -16,6 +16,7 @@ from .catalogue import CAN as CAN
 from .catalogue import DEVICES as DEVICES
 from .catalogue import SERIAL_PROTOCOLS as SERIAL_PROTOCOLS
 from .catalogue import make_decoder as make_decoder
+from .decoder import DatagramDecoder as DatagramDecoder
 from .decoder import Decoder as Decoder
 from .dronecan import NUMBERS as NUMBERS
 from .dronecan import Assembler as Assembler

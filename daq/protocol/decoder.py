@@ -7,7 +7,7 @@ found. How the bytes were cut into reads makes no difference to the samples or t
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from daq.samples import Frame
 
@@ -26,4 +26,15 @@ class Decoder(Protocol):
 
     def reset(self) -> None:
         """Discard an incomplete frame (the port was reopened). Counters stay."""
+        ...
+
+
+@runtime_checkable
+class DatagramDecoder(Decoder, Protocol):
+    """A decoder of datagrams that anybody may send: it tells whether they are the device's own."""
+
+    accepted: int  # frames of the device itself, signed where there is a key
+
+    def begin_datagram(self) -> None:
+        """The next bytes are of another sender: no frame may be put together of both."""
         ...

@@ -65,6 +65,7 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         super().__init__()
         self.foreign: dict[int, int] = {}  # frames of other systems
         self.unsigned = 0
+        self.accepted = 0  # messages of the autopilot, signed where there is a key
         self.listener: Callable[[Any], None] | None = None
         self._samples, self._who = samples, (system, component)
         self._codec = codec or Codec(255, 190)
@@ -73,6 +74,10 @@ class MavlinkDecoder(StreamDecoder[Frame]):
     def secure(self, codec: Codec) -> None:
         """Decode, and check signatures, by this codec from now on."""
         self._codec = codec
+
+    def begin_datagram(self) -> None:
+        """Discard an incomplete frame: the next bytes are of another sender."""
+        super().reset()
 
     def reset(self) -> None:
         """Discard an incomplete frame and all received state (the port was reopened). Counters stay."""
@@ -108,6 +113,7 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         if message is None:
             self.unsigned += 1
             return
+        self.accepted += 1
         self._out += [Frame(sample, t_rx, t) for sample, t in self._samples.take(message)]
         if self.listener is not None:
             self.listener(message)

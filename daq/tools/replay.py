@@ -1,10 +1,13 @@
 """`seatrial replay`: the raw bytes of a log, sent again on serial ports (ptys) at the times of receipt.
 
-A rig file with these ports stands beside them, so that `seatrial log` records the log anew.
+A rig file with these ports stands beside them, so that `seatrial log` records the log anew. Names come from the log,
+which may be anybody's: only those that a rig could give to a device are taken, everything is made anew within the one
+folder, and nothing but what was made here is taken away.
 """
 
 from __future__ import annotations
 
+import contextlib
 import heapq
 import os
 import select
@@ -19,13 +22,14 @@ from daq.config import parse_rig
 from daq.errors import SeatrialError
 from daq.log import Log
 from daq.protocol import CAN_FRAME, EXTENDED, FRAME_BYTES
+from daq.rig import NAME
 from daq.samples import PortHealth
 
 SETTLE_S = 0.1  # a host configures the port after it has opened it
 WAIT_S = 0.05
 READ_BYTES = 65536
 Chunk = tuple[float, str, bytes]
-NAME = "replay.toml"
+RIG = "replay.toml"
 HEAD = "# Made by `seatrial replay`, and taken away when it ends: the log's own rig with the ports of the replay.\n"
 
 
@@ -43,12 +47,12 @@ def replay_log(
     `speed` is recorded seconds per second. `said` gets progress messages, `stopped` is called often.
     """
     names = recorded(log, devices)
-    folder.mkdir(parents=True, exist_ok=True)
+    place = ReplayFolder(folder)
     ports: dict[str, ReplayPort] = {}
-    rig = write_replay_rig(log, names, folder, speed)
     try:
+        rig = write_replay_rig(log, names, place, speed)
         for name in names:
-            ports[name] = ReplayPort(folder / name)
+            ports[name] = ReplayPort(place, name)
         again = f"; `seatrial log {rig}` records them anew" if rig else ""
         said(f"waiting for a reader of {', '.join(str(port.path) for port in ports.values())}{again}")
         while {port.has_host() for port in ports.values()} != {True}:  # every port is called: the call holds it open
@@ -58,14 +62,67 @@ def replay_log(
         said(f"replaying {log.duration:.1f} s at speed {speed:g}")
         return _send(chunks(log, names), ports, speed, stopped)
     finally:
-        if rig is not None:
-            rig.unlink(missing_ok=True)
+        place.close()
         for port in ports.values():
             port.close()
 
 
+class ReplayFolder:
+    """The folder of the ports. Nothing in it is replaced, and only what was made here is taken away."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        except OSError as error:
+            raise SeatrialError(f"{folder}: {error.strerror}; --dir names another folder") from error
+        self._made: dict[str, tuple[int, int, int]] = {}  # by name
+
+    def link(self, name: str, target: str) -> Path:
+        """Make a symbolic link. Raises SeatrialError where anything has that name."""
+        return self._make(name, lambda: os.symlink(target, name, dir_fd=self._fd))
+
+    def write(self, name: str, text: str) -> Path:
+        """Write a new file. Raises SeatrialError where anything has that name."""
+
+        def write() -> None:
+            fd = os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o644, dir_fd=self._fd)
+            with os.fdopen(fd, "w", encoding="utf-8") as file:
+                file.write(text)
+
+        return self._make(name, write)
+
+    def _make(self, name: str, make: Callable[[], None]) -> Path:
+        try:
+            make()
+        except FileExistsError:
+            raise SeatrialError(
+                f"{self.path / name}: is there already, and a replay replaces nothing; take it away if an earlier "
+                "replay was killed, or name another folder with --dir"
+            ) from None
+        except OSError as error:
+            raise SeatrialError(f"{self.path / name}: {error.strerror}") from error
+        self._made[name] = self._identity(name)
+        return self.path / name
+
+    def _identity(self, name: str) -> tuple[int, int, int]:
+        """What tells an entry from any other of that name; an inode alone is given again."""
+        there = os.stat(name, dir_fd=self._fd, follow_symlinks=False)
+        return there.st_dev, there.st_ino, there.st_ctime_ns
+
+    def close(self) -> None:
+        """Take away what was made here and is still the same."""
+        for name, made in self._made.items():
+            with contextlib.suppress(OSError):
+                if self._identity(name) == made:
+                    os.unlink(name, dir_fd=self._fd)
+        os.close(self._fd)
+
+
 def recorded(log: Log, devices: Sequence[str] = ()) -> list[str]:
-    """The devices of a log whose bytes can be replayed. Raises SeatrialError for one without."""
+    """The devices of a log whose bytes can be replayed. Raises SeatrialError for one without, and for a name that no
+    rig would have: it is a path in the folder of the ports."""
     there = [name for name in log.sources(PortHealth) if f"/raw/{name}" in log.counts]
     there = there or [topic.removeprefix("/raw/") for topic in log.counts if topic.startswith("/raw/")]
     if not there:
@@ -73,7 +130,11 @@ def recorded(log: Log, devices: Sequence[str] = ()) -> list[str]:
     for name in devices:
         if name not in there:
             raise SeatrialError(f"{log.path}: no raw bytes of '{name}'; there are those of {', '.join(there)}")
-    return list(devices) or there
+    names = list(devices) or there
+    for name in names:
+        if not NAME.fullmatch(name):
+            raise SeatrialError(f"{log.path}: /raw/{name!r} names no device: a letter, then letters, digits or _")
+    return names
 
 
 def chunks(log: Log, devices: Sequence[str]) -> Iterator[Chunk]:
@@ -124,19 +185,20 @@ def _send(pieces: Iterator[Chunk], ports: dict[str, ReplayPort], speed: float, s
 
 
 class ReplayPort:
-    """The device's end of a pty, linked at `path`. The host's bytes are thrown away."""
+    """The device's end of a pty, linked in the folder. The host's bytes are thrown away."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, folder: ReplayFolder, name: str) -> None:
         self.backlog = bytearray()
         self._slave = -1
-        if os.path.lexists(path) and not path.is_symlink():
-            raise SeatrialError(f"{path}: exists and is not a link; --dir names another folder for the ports")
         self._master, slave = os.openpty()
-        path.unlink(missing_ok=True)
-        path.symlink_to(os.ttyname(slave))
+        self._tty = os.ttyname(slave)
         os.close(slave)  # so that a host that opens it can be detected
         os.set_blocking(self._master, False)
+        try:
+            self.path = folder.link(name, self._tty)
+        except SeatrialError:
+            self.close()
+            raise
 
     def has_host(self) -> bool:
         """Whether a host has the other end open; from then on we hold it open, too."""
@@ -147,7 +209,7 @@ class ReplayPort:
         if any(event & select.POLLHUP for _, event in poll.poll(0)):
             return False
         time.sleep(SETTLE_S)
-        self._slave = os.open(os.readlink(self.path), os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        self._slave = os.open(self._tty, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         tty.setraw(self._slave)  # else the first bytes would come back to us as an echo
         return True
 
@@ -161,31 +223,26 @@ class ReplayPort:
             return  # no room, nothing to read, or the host has gone
 
     def close(self) -> None:
-        """Remove the port."""
-        self.path.unlink(missing_ok=True)
+        """Hang up."""
         for fd in (self._slave, self._master):
             if fd >= 0:
                 os.close(fd)
         self._slave = self._master = -1
 
 
-def write_replay_rig(log: Log, devices: Sequence[str], folder: Path, speed: float) -> Path | None:
+def write_replay_rig(log: Log, devices: Sequence[str], folder: ReplayFolder, speed: float) -> Path | None:
     """Write FOLDER/replay.toml for `devices`, whose ports are FOLDER/DEVICE; None where the log has no rig for them.
 
     Logs go to the folder of `log`. Raises SeatrialError where another file is in the way.
     """
-    path = folder / NAME
-    if path.exists() and not path.read_text(encoding="utf-8", errors="replace").startswith(HEAD):
-        raise SeatrialError(f"{path}: exists and is not from a replay; --dir names another folder")
     try:
         text = _text(log, devices, speed)
         if text is None:
             return None
-        parse_rig(text, path)
+        parse_rig(text, folder.path / RIG)
     except (SeatrialError, tomlkit.exceptions.TOMLKitError):
         return None  # the rig of another version: the bytes are replayed all the same
-    path.write_text(text, encoding="utf-8")
-    return path
+    return folder.write(RIG, text)
 
 
 def _text(log: Log, devices: Sequence[str], speed: float) -> str | None:
@@ -203,6 +260,7 @@ def _text(log: Log, devices: Sequence[str], speed: float) -> str | None:
         table.pop("key_file", None)  # the log does not hold it: signatures are not checked
     document["device"] = here
     document["thruster"] = [table for table in document.get("thruster", []) if table["device"] in devices]
+    document.pop("live", None)  # a log does not decide who may listen
     document["clock"] = {"speed": speed}
     document["log"] = {**document.get("log", {}), "directory": str(log.path.parent.absolute())}
     return HEAD + tomlkit.dumps(document)

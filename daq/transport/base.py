@@ -26,6 +26,15 @@ class Port(ABC):
         self.unparsed_bytes = 0
         self.hint = ""  # what could be better about it, in one line; known when it is open
 
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether the bytes of the last read are the device's; of an unknown sender `confirm` has to say so."""
+        return True
+
+    def confirm(self) -> None:
+        """The bytes of the last read held a frame of the device."""
+        return
+
     @abstractmethod
     def open(self) -> None:
         """Open; raises PortError."""

@@ -1,8 +1,9 @@
 """Ports on a network: UDP and TCP.
 
-udpin (and udp) listens at a local address and answers the first sender; it changes to another address only when that
-one has been silent for a while, so that a second program cannot take over the link. udpout sends to an address, tcp
-connects to one. UDP has no hang-up: a lost sender is detected by its silence.
+udpin (and udp) listens at a local address and answers the first sender of a frame that is the device's (`confirm`); it
+changes to another address only when none has come from there for a while, so that neither a stray byte nor a second
+program can take over the link. udpout sends to an address, tcp connects to one. UDP has no hang-up: a lost sender is
+detected by its silence.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 from daq.transport.base import WRITE_S, Port, PortError, os_error_text
 
 READ_BYTES = 65536
+MOST = 256  # datagrams a read: a flood must not keep the thread from its set-points
 SILENT_S = 2.0  # wall; the first sender keeps the link until it is silent for this long
 CONNECT_S = 2.0  # wall
 BUFFER_BYTES = 1 << 20  # for bursts while this process waits for its turn
@@ -38,6 +40,7 @@ class UdpPort(Port):
         self._host, self._number, self._listen = host, number, listen
         self._socket: socket.socket | None = None
         self._peer: Any = None
+        self._candidate: Any = None  # who sent the last read, before a frame of it was found to be the device's
         self._heard = 0.0
 
     def open(self) -> None:
@@ -62,10 +65,12 @@ class UdpPort(Port):
         return -1 if self._socket is None else self._socket.fileno()
 
     def read(self) -> bytes:
-        """Bytes received from the present sender."""
+        """Bytes received from the present sender; without one a single datagram, of whoever sent it."""
         assert self._socket is not None
-        parts = []
-        while True:
+        parts: list[bytes] = []
+        open_to_others = self._listen and (self._peer is None or time.monotonic() - self._heard >= SILENT_S)
+        self._candidate = None
+        for _ in range(1 if open_to_others else MOST):
             try:
                 data, sender = self._socket.recvfrom(READ_BYTES)
             except BlockingIOError:
@@ -74,24 +79,28 @@ class UdpPort(Port):
                 continue
             except OSError as error:
                 raise PortError(os_error_text(error)) from error
-            if self._takes(sender):
-                parts.append(data)
-            else:
-                self.unparsed_bytes += len(data)
             self.bytes_in += len(data)
+            if open_to_others:
+                self._candidate = sender
+            elif self._listen and sender != self._peer:
+                self.unparsed_bytes += len(data)
+                continue
+            parts.append(data)
         return b"".join(parts)
 
-    def _takes(self, sender: Any) -> bool:
-        now = time.monotonic()
-        if self._listen and sender != self._peer:
-            if self._peer is not None and now - self._heard < SILENT_S:
-                return False
-            self._peer = sender
-        self._heard = now
-        return True
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether the bytes of the last read came from the present sender."""
+        return self._candidate is None or self._candidate == self._peer
+
+    def confirm(self) -> None:
+        """The sender of the last read is the one to answer."""
+        if self._candidate is not None:
+            self._peer = self._candidate
+        self._heard = time.monotonic()
 
     def write(self, data: bytes) -> None:
-        """Send to the other end; nothing before the first datagram from it."""
+        """Send to the other end; nothing before the first frame from it."""
         if self._socket is None or self._peer is None:
             return
         try:

@@ -29,6 +29,7 @@ from ident.cli.options import (
     reml_option,
     robust_option,
     run_workflow,
+    trust_option,
     validate_option,
 )
 
@@ -94,6 +95,7 @@ def _intervals(_context: click.Context, _parameter: click.Parameter, given: Sequ
 @click.option("--to", "t_to", type=click.FloatRange(0.0), help="End [s of the log].")
 @click.option("--thruster", type=LOG, help="The static curve from command to thrust that the model was fitted with.")
 @rate_option
+@trust_option
 @out_option("navigation")
 def navigate(model: Path, logs: tuple[Path, ...], out: Path, **how: Any) -> None:
     """Estimate position, heading, speeds, current and disturbance forces along LOGS with a fitted MODEL.
@@ -131,6 +133,7 @@ ident.add_command(navigate)
     is_flag=True,
     help="Keep disturbance forces and sensor biases as states.",
 )
+@trust_option
 def export(model: Path, target: str, output: Path | None, name: str | None, with_nuisance: bool) -> None:
     """Export the fitted MODEL for other programs: equations, parameters, noise, names and units.
 
@@ -162,6 +165,7 @@ ident.add_command(export)
 @click.option("--parameters", "chosen", metavar="NAMES", callback=parse_names, help="Only these parameters, d_v,m_v.")
 @click.option("--thruster", type=LOG, help="The static curve from command to thrust that the model was fitted with.")
 @rate_option
+@trust_option
 @out_option("information")
 def information(model: Path, logs: tuple[Path, ...], out: Path, **how: Any) -> None:
     """Fisher information of each segment of LOGS about each parameter of a fitted MODEL.
@@ -255,6 +259,7 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
 @validate_option
 @horizon_option
 @rate_option
+@trust_option
 @out_option("vehicle")
 def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how: Any) -> None:
     """Fit a model of the boat to LOGS and validate it on others.
@@ -295,6 +300,7 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how
     type=click.FloatRange(1.0, 200.0),
     help="Rows per second; faster sensors are averaged.  [default: 10, on the bench 50]",
 )
+@trust_option
 @out_option("diagnosis")
 def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how: Any) -> None:
     """Find effects that MODEL lacks to explain LOGS, add them, and compare prediction errors before and after.
@@ -340,6 +346,7 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
 @reml_option(None)
 @mean_order_option(None)
 @click.option("--docs", type=FILE, help="Also write the page of tables to this file, with its pictures.")
+@trust_option
 @out_option("study")
 def study(models: tuple[str, ...], method: str, unbounded: bool, docs: Path | None, out: Path, **how: Any) -> None:
     """Monte Carlo of the estimator on simulated missions of MODELs: surge, yaw, horizontal, kinematic, thruster,
@@ -483,6 +490,7 @@ def _area(_context: click.Context, _parameter: click.Parameter, given: str | Non
     show_default=True,
     help="The mission to write; it must not exist. A page and its numbers go beside it.",
 )
+@trust_option
 def design(
     source: str,
     out: Path,

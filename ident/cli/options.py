@@ -81,6 +81,19 @@ def out_option(default: str) -> Callable[..., Any]:
     return click.option("--out", type=FOLDER, default=Path(default), show_default=True, help="Folder for the results.")
 
 
+def _trust(context: click.Context, _parameter: click.Parameter, given: bool) -> None:
+    if given:
+        from ident.models import trusting_code
+
+        context.with_resource(trusting_code())
+
+
+def trust_option(f: Callable[..., Any]) -> Callable[..., Any]:
+    """``--trust-code``; for the whole of the command."""
+    words = "Run the Python files that a model.toml names, wherever they are and whatever has changed."
+    return click.option("--trust-code", is_flag=True, expose_value=False, callback=_trust, help=words)(f)
+
+
 def rate_option(f: Callable[..., Any]) -> Callable[..., Any]:
     """``--rate``, 10 by default."""
     return click.option(
@@ -186,9 +199,12 @@ def run_workflow(work: Callable[[Reporter], Result], out: Path) -> None:
     except (ValueError, KeyError) as problem:
         raise SeatrialError(str(problem).strip("'\"")) from problem
     from ident.report import print_result
+    from ident.results import FitResult
 
     print_result(result, console)
     click.echo(f"report: {out / 'report.html'}")
+    if isinstance(result, FitResult) and not result.converged:
+        raise click.exceptions.Exit(1)
 
 
 def command_line() -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
 import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
@@ -23,14 +21,17 @@ from ident.models import (
     ANTENNA,
     CURRENT_WALK,
     antenna_component,
+    catalogue_model,
     current_walk,
     disturbance_of,
+    file_digest,
+    is_own_model,
     load_effects,
-    make_model,
+    own_model,
     sensor_bias,
+    trusted_file,
 )
 from ident.numerics import Array
-from ident.reporter import QUIET, Reporter
 
 FORMAT = "seatrial-model 1"
 
@@ -66,13 +67,15 @@ def save_model(
     provenance: Mapping[str, Any],
     effects_file: Path | None = None,
 ) -> None:
-    """Write the model of a fit. ``effects_file``: where effects that are not in the catalogue come from."""
+    """Write the model of a fit, and beside it a copy of each Python file of the user's own that it is made with.
+    ``effects_file``: where effects that are not in the catalogue come from."""
     model, document = fit.model, tomlkit.document()
     document["format"] = FORMAT
     document["name"] = model.name
     file, _, own = model.source.rpartition(":")
-    if file.endswith(".py") and Path(file).is_file():
-        document["source"], document["source_sha256"] = f"{_beside(path, Path(file))}:{own}", _digest(Path(file))
+    if is_own_model(model.source) and Path(file).is_file():
+        beside = _copied(path, Path(file))
+        document["source"], document["source_sha256"] = f"{beside.name}:{own}", file_digest(beside)
     else:
         document["source"] = model.source
     document["sensors"] = [s.name for s in model.sensors]
@@ -87,7 +90,8 @@ def save_model(
     if unlisted:
         document["curves"] = unlisted
     if effects_file is not None:
-        document["effects_file"], document["effects_sha256"] = _beside(path, effects_file), _digest(effects_file)
+        beside = _copied(path, effects_file)
+        document["effects_file"], document["effects_sha256"] = beside.name, file_digest(beside)
     document["provenance"] = {k: v for k, v in provenance.items() if v is not None}
     document["validity"] = {k: [float(a), float(b)] for k, (a, b) in validity.items()}
     # unexplained forces get the size of the boat whenever a fit begins (ident.models.scaling); a prior of that size
@@ -113,16 +117,14 @@ def _curve_table(effect: Effect) -> dict[str, Any]:
     return table | ({"span": list(effect.span)} if effect.span is not None else {})
 
 
-def _beside(path: Path, file: Path) -> str:
-    """The file as seen from the model's folder, wherever both are moved to."""
-    try:
-        return Path(os.path.relpath(file.resolve(), path.parent.resolve())).as_posix()
-    except ValueError:  # on another drive
-        return file.resolve().as_posix()
-
-
-def _digest(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
+def _copied(path: Path, file: Path) -> Path:
+    """The file in the model's folder: itself or a copy, under a name of its own where another file has its name."""
+    text, place = file.read_bytes(), path.parent / file.name
+    if place.exists() and place.read_bytes() != text:
+        place = path.parent / f"{file.stem}_{file_digest(file)}.py"
+    if not place.exists():
+        place.write_bytes(text)
+    return place
 
 
 def _row(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, Any]:
@@ -145,8 +147,8 @@ def _row(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, Any]:
     return row if flag is None else row | {"flag": flag}
 
 
-def load_model(path: Path, reporter: Reporter = QUIET) -> SavedModel:
-    """Read a model.toml. ``reporter``: is warned where a Python file of the user's own has changed since.
+def load_model(path: Path) -> SavedModel:
+    """Read a model.toml. A Python file that it names is run only where `ident.models.trusted_file` allows it.
 
     Raises SeatrialError with what is wrong and where.
     """
@@ -159,7 +161,7 @@ def load_model(path: Path, reporter: Reporter = QUIET) -> SavedModel:
     if table.get("format") != FORMAT:
         raise SeatrialError(f"{path}: format is {table.get('format')!r}, not {FORMAT!r}: give a model.toml of seatrial")
     try:
-        source, effects_file = _own_files(table, path, reporter)
+        source, effects_file = _own_files(table, path)
         model = _build(table, source, load_effects(effects_file) if effects_file is not None else {})
         errors = {row["name"]: float(row.get("se", np.nan)) for row in table["parameter"]}
         validity = {k: (float(a), float(b)) for k, (a, b) in table.get("validity", {}).items()}
@@ -173,32 +175,19 @@ def load_model(path: Path, reporter: Reporter = QUIET) -> SavedModel:
     return SavedModel(model, errors, validity, made, names, correlation, effects_file, reml)
 
 
-def _own_files(table: Mapping[str, Any], path: Path, reporter: Reporter) -> tuple[str, Path | None]:
+def _own_files(table: Mapping[str, Any], path: Path) -> tuple[str, Path | None]:
     """The source of the structure and the file of effects, as they are found from here."""
     source, effects = str(table["source"]), None
     file, _, name = source.rpartition(":")
-    if file.endswith(".py"):
-        source = f"{_found(path, file, table.get('source_sha256'), reporter)}:{name}"
+    if is_own_model(source):
+        source = f"{trusted_file(path, file, table.get('source_sha256'))}:{name}"
     if "effects_file" in table:
-        effects = _found(path, str(table["effects_file"]), table.get("effects_sha256"), reporter)
+        effects = trusted_file(path, str(table["effects_file"]), table.get("effects_sha256"))
     return source, effects
 
 
-def _found(path: Path, file: str, digest: str | None, reporter: Reporter) -> Path:
-    """A Python file that a model names: from the model's folder, or, in files without its hash, which are older, from
-    where the command was typed, often the folder above."""
-    places = [path.parent / file] if digest is not None else [Path(file), path.parent / file, path.parent.parent / file]
-    there = [Path(os.path.normpath(p)) for p in places if p.is_file()]
-    if not there:
-        place = os.path.normpath(path.parent / file)
-        raise SeatrialError(f"{path}: {place}: no such Python file; the model was made with it, so put it there")
-    if digest is not None and _digest(there[0]) != digest:
-        reporter.warning(f"{there[0]} has changed since {path} was written; fit again where that matters")
-    return there[0]
-
-
 def _build(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> Model:
-    model = make_model(source, table["sensors"])
+    model = own_model(source) if is_own_model(source) else catalogue_model(source, table["sensors"])
     for name in table["effects"]:
         if name not in {e.name for e in model.effects}:
             model = model + (own[name] if name in own else _effect(name, model, table.get("curves", {})))

@@ -1,5 +1,8 @@
 from . import rotations as rotations
+from .catalogue import catalogue_model as catalogue_model
+from .catalogue import is_own_model as is_own_model
 from .catalogue import make_model as make_model
+from .catalogue import own_model as own_model
 from .components import ANTENNA as ANTENNA
 from .components import CURRENT_WALK as CURRENT_WALK
 from .components import antenna_component as antenna_component
@@ -32,6 +35,9 @@ from .thruster import on_a_copy as on_a_copy
 from .thruster import thruster_model as thruster_model
 from .user_code import check_user_model as check_user_model
 from .user_code import effects_for as effects_for
+from .user_code import file_digest as file_digest
 from .user_code import load_effects as load_effects
 from .user_code import load_object as load_object
+from .user_code import trusted_file as trusted_file
+from .user_code import trusting_code as trusting_code
 from .yaw import yaw_model as yaw_model

@@ -23,14 +23,23 @@ OPTIONS: dict[str, tuple[tuple[str, ...], ...]] = {
 
 
 def make_model(source: str, sensors: Sequence[str] | None = None) -> Model:
-    """A model by name: ``horizontal:shaft``, ``horizontal:force:no-current``, ``kinematic:shaft:yaw``, ``surge``, or
-    ``FILE.py:NAME``, where NAME is a Model or a function that returns one. ``sensors`` leaves out those that a log
-    does not have.
+    """A model as typed: a name of the catalogue, or ``FILE.py:NAME``, where NAME is a Model or a function that returns
+    one. ``sensors`` leaves out those that a log does not have.
 
     Raises SeatrialError when there is no such model.
     """
-    if ".py:" in source:
-        return _own_model(source)
+    return own_model(source) if is_own_model(source) else catalogue_model(source, sensors)
+
+
+def is_own_model(source: str) -> bool:
+    """Whether a model is ``FILE.py:NAME``, and not one of the catalogue."""
+    return source.rpartition(":")[0].endswith(".py")
+
+
+def catalogue_model(source: str, sensors: Sequence[str] | None = None) -> Model:
+    """A model by name: ``horizontal:shaft``, ``horizontal:force:no-current``, ``kinematic:shaft:yaw``, ``surge``. Loads
+    no file, whatever the name. Raises SeatrialError when there is no such model.
+    """
     kind, *options = source.split(":")
     if kind not in BUILT_IN:
         raise SeatrialError(f"no model {source!r}: there are {', '.join(BUILT_IN)}, or FILE.py:NAME for your own")
@@ -93,7 +102,8 @@ def _kinematic(source: str, options: Sequence[str], sensors: Sequence[str] | Non
     return replace(model + current_walk(), source=source) if "random-walk-current" in options else model
 
 
-def _own_model(source: str) -> Model:
+def own_model(source: str) -> Model:
+    """The model of ``FILE.py:NAME``; runs the file. Raises SeatrialError."""
     file, _, name = source.rpartition(":")
     model = load_object(source)
     if not isinstance(model, Model):

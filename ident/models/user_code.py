@@ -1,9 +1,18 @@
-"""User-defined models and effects, loaded from Python files and validated."""
+"""User-defined models and effects, loaded from Python files and validated.
+
+A Python file that was typed on the command line is run. One that a *file* names is run only from that file's own folder
+and unchanged (`trusted_file`), or with `--trust-code`.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import importlib.util
 import inspect
+import os
+from collections.abc import Iterator
+from contextvars import ContextVar
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -20,14 +29,57 @@ ADVICE = {
 }
 
 
+_TRUST: ContextVar[bool] = ContextVar("trust_code", default=False)
+
+
+@contextlib.contextmanager
+def trusting_code() -> Iterator[None]:
+    """While it lasts, any Python file that a model.toml names is run, as with `--trust-code`."""
+    before = _TRUST.set(True)
+    try:
+        yield
+    finally:
+        _TRUST.reset(before)
+
+
+def trusted_file(named_by: Path, file: str, digest: str | None) -> Path:
+    """The Python file that a model.toml, ``named_by``, names with its SHA-256 ``digest`` (the first 16 digits).
+
+    It has to lie in the folder of model.toml, symbolic links resolved, and to be what it was when that was written;
+    with `--trust-code` neither. Raises SeatrialError, before anything of it is run.
+    """
+    folder, path = named_by.parent.resolve(), named_by.parent / file
+    if not path.is_file():
+        place = os.path.normpath(path)
+        raise SeatrialError(f"{named_by}: {place}: no such Python file; the model was made with it, so put it there")
+    found = Path(os.path.normpath(path))
+    if _TRUST.get():
+        return found
+    if not path.resolve().is_relative_to(folder):
+        why = "is not in its folder"
+    elif digest is None:
+        why = "is named without its hash"
+    elif file_digest(path) != digest:
+        why = "has changed since it was written"
+    else:
+        return found
+    raise SeatrialError(f"{named_by}: {found} {why}, so it is not run; read it, and run it with --trust-code")
+
+
+def file_digest(path: Path) -> str:
+    """The first 16 digits of a file's SHA-256."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+
+
 def load_python(path: Path) -> ModuleType:
     """Run a Python file and return what it defines. Raises SeatrialError with the file, its line and the reason."""
     spec = importlib.util.spec_from_file_location(path.stem, path)
-    if not path.is_file() or spec is None or spec.loader is None:
+    if not path.is_file() or spec is None:
         raise SeatrialError(f"{path}: no such Python file")
     module = importlib.util.module_from_spec(spec)
     try:
-        spec.loader.exec_module(module)
+        # Not by the loader: that would take bytecode that lies beside the file for the file.
+        exec(compile(path.read_bytes(), str(path), "exec"), vars(module))
     except Exception as problem:
         raise SeatrialError(f"{error_place(problem, path)}: cannot be loaded: {error_message(problem)}") from problem
     return module

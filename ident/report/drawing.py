@@ -110,14 +110,29 @@ def said(words: str) -> str:
     return html.escape(words, quote=False).replace("%{", "% {")
 
 
-def line_trace(x: Array, y: Array, name: str, limit: int, *, color: str = MODEL, dash: str = "solid") -> Trace:
-    """A line of at most ``limit`` points; it breaks where y is NaN."""
+def line_trace(
+    x: Array, y: Array, name: str, limit: int, *, color: str = MODEL, dash: str = "solid", turn: float | None = None
+) -> Trace:
+    """A line of at most ``limit`` points; it breaks where y is NaN, and an angle where it jumps by a ``turn``."""
     at = thinned(y, limit)
     style = {"color": color, "width": 1.6, "dash": dash}
-    return _scatter(x[at], y[at], name, mode="lines", line=style, connectgaps=False)
+    return _scatter(*_broken(x[at], y[at], turn), name, mode="lines", line=style, connectgaps=False)
 
 
-def dots(x: Array, y: Array, name: str, limit: int, *, color: str = MEASURED) -> Trace:
+def _jumps(y: Array, turn: float | None) -> Index:
+    """Points before which a wrapped angle jumps to the other side."""
+    return np.flatnonzero(np.abs(np.diff(y)) > turn / 2) + 1 if turn else np.zeros(0, dtype=np.intp)
+
+
+def _broken(x: Array, y: Array, turn: float | None) -> tuple[Array, Array]:
+    """With a NaN at each jump."""
+    at = _jumps(y, turn)
+    return np.insert(x, at, x[at]), np.insert(y, at, np.nan)
+
+
+def dots(
+    x: Array, y: Array, name: str, limit: int, *, color: str = MEASURED, turn: float | None = None
+) -> Trace:
     """Measured values: dots where they are few, a thin line (broken at gaps) where they are many."""
     x, y = x[np.isfinite(y)], y[np.isfinite(y)]
     if x.size <= 700:
@@ -126,19 +141,28 @@ def dots(x: Array, y: Array, name: str, limit: int, *, color: str = MEASURED) ->
     x, y = np.insert(x, gap + 1, x[gap]), np.insert(y, gap + 1, np.nan)
     at = thinned(y, limit)
     at = np.union1d(at, gap + 1 + np.arange(gap.size)) if gap.size < limit // 4 else at
-    return _scatter(x[at], y[at], name, mode="lines", line={"color": color, "width": 0.9})
+    return _scatter(*_broken(x[at], y[at], turn), name, mode="lines", line={"color": color, "width": 0.9})
 
 
-def band(x: Array, middle: Array, half: Array, limit: int, *, color: str = MODEL, opacity: float = 0.18) -> Trace:
-    """The stretch between middle - half and middle + half, filled."""
+def band(
+    x: Array, middle: Array, half: Array, limit: int, *, color: str = MODEL, opacity: float = 0.18,
+    turn: float | None = None,
+) -> Trace:
+    """What is between middle - half and middle + half, filled; in pieces where an angle jumps by a ``turn``."""
     good = np.flatnonzero(np.isfinite(x) & np.isfinite(middle) & np.isfinite(half))
     at = good[strided(good.size, max(limit // 2, 100))]
-    return between(x[at], middle[at] - half[at], middle[at] + half[at], color=color, opacity=opacity)
+    ends = _jumps(middle[at], turn)
+    return between(x[at], middle[at] - half[at], middle[at] + half[at], color=color, opacity=opacity, ends=ends)
 
 
-def between(x: Array, low: Array, high: Array, *, color: str = MODEL, opacity: float = 0.18) -> Trace:
-    """The stretch between two curves, filled; it does not answer the pointer."""
-    around_x, around_y = np.append(x, x[::-1]), np.append(high, low[::-1])
+def between(
+    x: Array, low: Array, high: Array, *, color: str = MODEL, opacity: float = 0.18, ends: Index | None = None
+) -> Trace:
+    """What is between two curves, filled; it does not answer the pointer. ``ends``: points that begin a new piece."""
+    pieces = [np.split(a, [] if ends is None else ends) for a in (x, low, high)]
+    around = [(np.append(t, t[::-1]), np.append(b, a[::-1])) for t, a, b in zip(*pieces, strict=True)]
+    sides = ([np.append(a, np.nan) for a in side] for side in zip(*around, strict=True))
+    around_x, around_y = (np.concatenate(side)[:-1] for side in sides)
     red, green, blue = (int(color[i : i + 2], 16) for i in (1, 3, 5))
     fill = {"fill": "toself", "fillcolor": f"rgba({red},{green},{blue},{opacity})", "line": {"width": 0}}
     return _scatter(around_x, around_y, "", mode="lines", hoverinfo="skip", **fill)

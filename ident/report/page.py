@@ -95,7 +95,7 @@ def _environment() -> Environment:
 
 def _count_traces(result: Result) -> int:
     """About how many long traces the page will hold."""
-    weights = {"traces": 4, "track": 3, "inputs": 1, "residuals": 2, "residual_forces": 4, "noise": 2, "navigation": 40}
+    weights = {"traces": 8, "track": 3, "inputs": 1, "residuals": 2, "residual_forces": 4, "noise": 2, "navigation": 40}
     return sum(weight * len(getattr(result, key, ())) for key, weight in weights.items())
 
 

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ident.report import formatting
-from ident.report.sections.errors import by_role, horizons
+from ident.report.sections.errors import by_role, error_words, horizons
 from ident.report.sections.profiles import interval
 from ident.report.terminal_tables import tables_of, titled_table
 from ident.results import (
@@ -149,6 +149,6 @@ def _step(row: ErrorComparison | None) -> Text:
     factor = 1.0 if row is None else formatting.degrees_for(row.unit)[0]
     before, after = (None, None) if row is None else formatting.scaled(factor, row.before, row.after)
     if before is None or after is None:
-        return Text(formatting.plain(after))
-    color = "green" if after < 0.98 * before else "red" if after > 1.02 * before else ""
+        return Text("" if row is None else error_words(after))
+    color = {"fell": "green", "rose": "red"}.get(row.verdict or "" if row else "", "")
     return Text.assemble(f"{formatting.plain(before)} → ", (formatting.plain(after), color))

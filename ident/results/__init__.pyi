@@ -1,5 +1,5 @@
 from .answers import curve_notes as curve_notes
-from .answers import estimation_warnings as estimation_warnings
+from .answers import stuck_sensors as stuck_sensors
 from .design import CommandTrace as CommandTrace
 from .design import DesignedParameter as DesignedParameter
 from .design import DesignResult as DesignResult

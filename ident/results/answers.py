@@ -1,11 +1,10 @@
-"""What the fit of a vehicle says in a sentence or two.
+"""What a fit says in a sentence or two, and how its prediction errors changed.
 
 What must be said before an estimate is read: that the fit stopped short, that a sensor was stuck.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,24 +12,70 @@ import numpy as np
 from ident.characterisation import Curve, Levels, Quadratic
 from ident.data import Record
 from ident.estimation import Fit, HomogeneityTest
-from ident.results.parts import Calibrations, CrossCorrelation, Errors, ResidualTests
+from ident.results.parts import (
+    Calibrations,
+    CrossCorrelation,
+    Errors,
+    PredictionChange,
+    PredictionFit,
+    ResidualTests,
+)
 from ident.validation import FEWEST
 
-WORDS = {
-    "x": "position",
-    "vx": "velocity",
+NAMES = {
+    "x": "north",
+    "y": "east",
     "psi": "heading",
-    "u": "surge speed",
     "r": "yaw rate",
+    "u": "surge speed",
+    "v": "sway speed",
+    "vx": "velocity north",
+    "vy": "velocity east",
+    "ax": "surge specific force",
+    "ay": "sway specific force",
     "speed": "speed over ground",
+    "n": "shaft speed",
 }
-SPELLED = {1.0: "One second", 10.0: "Ten seconds"}
+MOST_NAMES = 4  # channels that a sentence lists
+TIMES = 3.0  # a ratio of errors above it is said as such
 LEVEL = 0.01
 MEASURED = {"phi", "theta", "psi", "p", "q", "r"}  # inputs that are a sensor's output, with its noise
 FEWEST_SAMPLES = 10  # samples that are all the same before a sensor is called stuck
 
 
+def change_sentence(change: PredictionChange, horizon: float) -> str:
+    """How the prediction errors of all channels over the horizon [s] changed. That they fall or rise is said only where
+    the interval says so."""
+    begin = f"{horizon:g} s ahead on {change.role} data, all channels: "
+    if change.low is None or change.high is None:
+        return f"{begin}the data are too short to tell whether the prediction error changes."
+    shift, low, high = (100 * (r - 1) for r in (change.ratio, change.low, change.high))
+    if change.verdict == "unchanged":
+        said = f"no significant change of the prediction error ({shift:+.0f} %; 95 %: {low:+.0f} to {high:+.0f} %)"
+    elif change.verdict == "fell":
+        said = f"prediction error falls by {-shift:.0f} % (95 %: {-high:.0f} to {-low:.0f} %)"
+    elif change.ratio < TIMES:
+        said = f"prediction error rises by {shift:.0f} % (95 %: {low:.0f} to {high:.0f} %)"
+    else:
+        said = f"prediction error is {change.ratio:.2g} times as large (95 %: {change.low:.2g} to {change.high:.2g})"
+    named = [("better", change.better), ("worse", change.worse)]
+    parts = [said, *(f"{word}: {_listed(names)}" for word, names in named if names)]
+    return f"{begin}{'; '.join(parts)}."
+
+
+def _listed(channels: Sequence[str]) -> str:
+    """The first few by name."""
+    names = [NAMES.get(name, name) for name in channels]
+    more = len(names) - MOST_NAMES
+    return ", ".join(names) if more <= 0 else f"{', '.join(names[:MOST_NAMES])} and {more} more"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
 def vehicle_answer(
+    prediction: PredictionFit | None,
     errors: Errors,
     horizon: float,
     residuals: Sequence[ResidualTests],
@@ -38,19 +83,25 @@ def vehicle_answer(
     *,
     searchable: bool,
 ) -> str:
-    """The error over the horizon [s], and what the residuals know. ``searchable``: `ident diagnose` can search
-    further."""
-    role, table = ("estimation", errors.estimation) if errors.validation is None else ("validation", errors.validation)
-    words = {n: w for n, w in WORDS.items() if n in table.horizon} or {n: n for n in table.horizon}
-    said = []
-    for name, word in words.items():
-        row = table.horizon[name]
-        value = math.inf if row.after is None else row.after
-        degrees, unit = row.unit.startswith("rad"), row.unit.replace("rad", "deg")
-        said.append(f"{word} {value * 180 / np.pi if degrees else value:.2g} {unit}".rstrip())
-    far = SPELLED.get(horizon, f"{horizon:g} s")
-    ahead = f"{far} ahead on {role} data the model errs by {', '.join(said)} (rms). " if said else ""
-    return f"{ahead}{_residuals(errors, residuals, cross, searchable)}"
+    """How much of all channels is predicted over the horizon [s], and whether the residuals are white. ``searchable``:
+    `ident diagnose` can search further."""
+    said = "" if prediction is None else f"{_fit(prediction, errors, horizon)} "
+    return f"{said}{_residuals(errors, residuals, cross, searchable)}"
+
+
+def _fit(prediction: PredictionFit, errors: Errors, horizon: float) -> str:
+    """With the channels that are predicted best and worst."""
+    begin = f"{horizon:g} s ahead on {prediction.role} data, all channels: "
+    table = errors.estimation if errors.validation is None else errors.validation
+    lost = [n for n, row in table.horizon.items() if row.after is None]
+    if lost:
+        return f"{begin}the prediction diverges ({_listed(lost)})."
+    each = {n: 1 - (row.after or 0.0) / row.spread for n, row in table.horizon.items() if row.spread}
+    low, high = prediction.low, prediction.high
+    interval = "" if low is None or high is None else f" (95 %: {100 * low:.0f} to {100 * high:.0f} %)"
+    ends = [f"{_percent(each[n])} ({NAMES.get(n, n)})" for n in sorted(each, key=lambda n: -each[n])]
+    span = f", from {ends[0]} to {ends[-1]}" if len(ends) > 1 else ""
+    return f"{begin}fit {_percent(prediction.fit)}{interval}{span}."
 
 
 def _residuals(
@@ -93,7 +144,7 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
     if table is None:
         role, table = "estimation", calibration.estimation
     kinds = (
-        ("one step ahead", table.one_step), (f"{horizon:g} s ahead", table.horizon), ("free-running", table.free_run)
+        ("one step ahead", table.one_step), (f"{horizon:g} s ahead", table.horizon), ("simulated", table.simulation)
     )
     notes = []
     for verdict, what in (("overconfident", "larger"), ("underconfident", "smaller")):
@@ -105,19 +156,22 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
     return notes
 
 
-def estimation_warnings(fit: Fit, records: Sequence[Record]) -> list[str]:
-    """Lines for people, the fit's first; none where all is well."""
-    said = []
-    if not fit.converged:
-        said.append(
-            f"The fit did not converge: it {fit.message}. Take no estimate or error from it: look for a stuck or "
-            "missing signal first, then give --initial or --prior, or a model with fewer free parameters."
-        )
-    return said + [line for record in records for line in stuck_sensors(record)]
+def not_converged(fit: Fit) -> str | None:
+    """What is said in place of an answer where the fit did not converge; None where it did."""
+    if fit.converged:
+        return None
+    return (
+        f"The fit did not converge: it {fit.message}. Take no estimate or error from it: look for a stuck or "
+        "missing signal first, then give --initial or --prior, or a model with fewer free parameters."
+    )
 
 
-def stuck_sensors(record: Record) -> list[str]:
+def stuck_sensors(records: Sequence[Record]) -> list[str]:
     """A line for each channel of a record whose samples are all the same."""
+    return [line for record in records for line in _stuck(record)]
+
+
+def _stuck(record: Record) -> list[str]:
     lines = []
     for j, name in enumerate(record.outputs):
         y = record.y[:, j]

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import msgspec
-import numpy as np
 
 from ident.diagnosis import Diagnosis, DiagnosisEvaluation, Refit, Round, recommended_experiment, score_threshold
 from ident.estimation import FittedModel
 from ident.results import parts
-from ident.results.answers import calibration_notes
-from ident.results.parts import DiagnosisResult, ErrorComparison, Provenance
+from ident.results.answers import calibration_notes, change_sentence, not_converged
+from ident.results.parts import DiagnosisResult, Provenance
 from ident.results.tables import (
     all_inputs,
     calibration_tables,
@@ -20,7 +18,7 @@ from ident.results.tables import (
     error_comparison,
     finite,
     fit_summary,
-    format_number,
+    prediction_change,
     residual_rows,
     traces,
     tracks,
@@ -28,18 +26,6 @@ from ident.results.tables import (
 
 MOST_CANDIDATES = 24  # of a round that are reported
 HARDLY = 1e-6  # p value of a score test that a data set with nothing missing may well bring forth
-NAMES = {
-    "x": "north",
-    "y": "east",
-    "psi": "heading",
-    "r": "yaw rate",
-    "u": "surge speed",
-    "v": "sway speed",
-    "vx": "velocity north",
-    "vy": "velocity east",
-    "ax": "surge acceleration",
-    "ay": "sway acceleration",
-}
 
 
 def diagnosis_result(
@@ -55,13 +41,17 @@ def diagnosis_result(
     recommended."""
     before, after = evaluation.before, evaluation.after
     other = after if diagnosis.effects else None
-    errors, role = error_comparison(before, after, evaluation.changes), list(after.sets)[-1]
+    errors, role = error_comparison(before, after, evaluation.changes), after.judged
+    prediction = prediction_change(evaluation.changes[role], role) if diagnosis.effects else None
+    failed = not_converged(diagnosis.before.fit) or not_converged(diagnosis.after.fit)
     calibration = calibration_tables(after)
     recommended = recommended_experiment(diagnosis)
     return DiagnosisResult(
         **msgspec.structs.asdict(made),
-        answer=diagnosis_answer(diagnosis, (errors.validation or errors.estimation).free_run, role),
-        caveat=diagnosis_caveat(diagnosis),
+        answer=failed or diagnosis_answer(diagnosis, prediction, after.horizon),
+        caveat=None if failed else diagnosis_caveat(diagnosis),
+        prediction=prediction,
+        converged_before=diagnosis.before.fit.converged,
         warnings=tuple(warnings),
         notes=(*notes, *_notes(diagnosis), *calibration_notes(calibration, after.horizon)),
         fit=fit_summary(diagnosis.after.fit, diagnosis.before.model.values),
@@ -98,33 +88,21 @@ def diagnosis_result(
     )
 
 
-def diagnosis_answer(diagnosis: Diagnosis, free_run: Mapping[str, ErrorComparison], role: str) -> str:
-    """What is missing, and what it changes, in one sentence."""
-    if not diagnosis.effects:
-        if diagnosis.rounds and min(s.p for s in diagnosis.rounds[-1].scores) > HARDLY:
-            one = diagnosis.rounds[-1]
-            return f"Nothing is missing that these data can show: {_passed(one)} passed the first test, but {one.why}."
-        if diagnosis.rounds:
-            return (
-                "The residuals are not what the model predicts, but no candidate explains them: "
-                + diagnosis.rounds[-1].why
-                + "."
-            )
-        return "Nothing is missing: no effect in the catalogue, and no unknown one, is seen in these data."
-    lacks = what_is_lacking(diagnosis)
-    best = most_improved(free_run)
-    if best is None:
-        return f"{lacks}."
-    row = free_run[best]
-    before, after = (math.inf if value is None else value for value in (row.before, row.after))
-    degrees = row.unit.startswith("rad")
-    scale = 180 / np.pi if degrees else 1.0
-    unit = row.unit.replace("rad", "deg")
-    return (
-        f"{lacks}; with it the free-running error on {role} data falls from "
-        f"{format_number(before * scale)} to {format_number(after * scale)}{unit and ' '}{unit} "
-        f"({NAMES.get(best, best)})."
-    )
+def diagnosis_answer(diagnosis: Diagnosis, prediction: parts.PredictionChange | None, horizon: float) -> str:
+    """What is missing, and how the prediction over the horizon [s] changes with it."""
+    if diagnosis.effects:
+        changed = "" if prediction is None else f" {change_sentence(prediction, horizon)}"
+        return f"{what_is_lacking(diagnosis)}.{changed}"
+    if diagnosis.rounds and min(s.p for s in diagnosis.rounds[-1].scores) > HARDLY:
+        one = diagnosis.rounds[-1]
+        return f"Nothing is missing that these data can show: {_passed(one)} passed the first test, but {one.why}."
+    if diagnosis.rounds:
+        return (
+            "The residuals are not what the model predicts, but no candidate explains them: "
+            + diagnosis.rounds[-1].why
+            + "."
+        )
+    return "Nothing is missing: no effect in the catalogue, and no unknown one, is seen in these data."
 
 
 def _passed(one: Round) -> str:
@@ -161,16 +139,6 @@ def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
 
 def _listed(titles: Sequence[str]) -> str:
     return titles[0] if len(titles) == 1 else ", ".join(titles[:-1]) + " and " + titles[-1]
-
-
-def most_improved(rows: Mapping[str, ErrorComparison]) -> str | None:
-    """The channel whose error falls most; accelerations say little of a path."""
-    ratios = {
-        n: r.after / r.before
-        for n, r in rows.items()
-        if r.before and r.after is not None and n not in ("ax", "ay")
-    }
-    return min(ratios, key=lambda n: ratios[n]) if ratios else None
 
 
 def _forces(evaluation: DiagnosisEvaluation, changed: bool) -> tuple[parts.ResidualForce, ...]:

@@ -10,8 +10,9 @@ from ident.estimation import FittedModel, HomogeneityTest, Profile
 from ident.models import residuals_of
 from ident.results.answers import (
     calibration_notes,
-    estimation_warnings,
     homogeneity_sentence,
+    not_converged,
+    stuck_sensors,
     thruster_answer,
     vehicle_answer,
 )
@@ -23,6 +24,7 @@ from ident.results.tables import (
     error_tables,
     fit_summary,
     homogeneity_row,
+    prediction_fit,
     profile_curve,
     residual_rows,
     traces,
@@ -46,11 +48,14 @@ def vehicle_result(
     errors, calibration = error_tables(evaluation), calibration_tables(evaluation)
     residuals, cross = residual_rows(evaluation), cross_correlations(evaluation)
     searchable = bool(residuals_of(evaluation.model))
-    said = vehicle_answer(errors, evaluation.horizon, residuals, cross, searchable=searchable)
+    prediction = prediction_fit(evaluation)
+    said = vehicle_answer(prediction, errors, evaluation.horizon, residuals, cross, searchable=searchable)
+    answer = " ".join(filter(None, [lead, said, *(homogeneity_sentence(a) for a in homogeneity)]))
     return VehicleResult(
         **msgspec.structs.asdict(made),
-        answer=" ".join(filter(None, [lead, said, *(homogeneity_sentence(a) for a in homogeneity)])),
-        warnings=tuple(estimation_warnings(stage.fit, [v.record for v in stage.estimation])),
+        answer=not_converged(stage.fit) or answer,
+        prediction=prediction,
+        warnings=tuple(stuck_sensors(stage.records)),
         notes=(*notes, *calibration_notes(calibration, evaluation.horizon)),
         fit=fit_summary(stage.fit, start),
         horizon_seconds=evaluation.horizon,
@@ -81,8 +86,8 @@ def thruster_result(
     calibration = calibration_tables(evaluation)
     return ThrusterResult(
         **msgspec.structs.asdict(made),
-        answer=thruster_answer(stage.fit, static is not None),
-        warnings=tuple(estimation_warnings(stage.fit, [v.record for v in stage.estimation])),
+        answer=not_converged(stage.fit) or thruster_answer(stage.fit, static is not None),
+        warnings=tuple(stuck_sensors(stage.records)),
         notes=(*notes, *calibration_notes(calibration, evaluation.horizon)),
         fit=fit_summary(stage.fit, start),
         horizon_seconds=evaluation.horizon,

@@ -14,6 +14,9 @@ Role = Literal["estimation", "validation"]
 Verdict = Literal["right", "overconfident", "underconfident", "insufficient_data"]
 
 
+Change = Literal["fell", "rose", "unchanged"]
+
+
 class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A table of a result: immutable, fields by keyword (subclasses say ``frozen=True, kw_only=True`` again).
 
@@ -124,7 +127,7 @@ class FitSummary(Part, frozen=True, kw_only=True):
 
 
 class Trace(Part, frozen=True, kw_only=True):
-    """A channel of a record, measured and predicted from the inputs alone."""
+    """A channel of a record: measured, predicted over the horizon, and simulated from the inputs alone."""
 
     record: str
     role: Role
@@ -133,12 +136,22 @@ class Trace(Part, frozen=True, kw_only=True):
     angle: Annotated[bool, Meta(description="an angle, known but for whole turns")]
     t: Annotated[Array, Meta(description="[s]")]
     measured: Array
-    model: Annotated[Array, Meta(description="free-running")]
-    sd: Annotated[Array, Meta(description="standard deviation of the model's prediction")]
-    before: Annotated[Array | None, Meta(description="diagnosis: free-running without the effects")] = None
+    model: Annotated[Array, Meta(description="simulated")]
+    sd: Annotated[Array, Meta(description="standard deviation of the simulation")]
+    diverged: Annotated[
+        float | None, Meta(description="when the simulation left what was measured by ten times its range [s]")
+    ] = None
+    t_horizon: Annotated[Array, Meta(description="of the predictions over `horizon_seconds` [s]")]
+    horizon: Annotated[Array, Meta(description="predicted over `horizon_seconds`")]
+    sd_horizon: Annotated[Array, Meta(description="standard deviation of that prediction")]
+    before: Annotated[Array | None, Meta(description="diagnosis: simulated without the effects")] = None
+    horizon_before: Annotated[
+        Array | None, Meta(description="diagnosis: predicted over `horizon_seconds` without the effects")
+    ] = None
 
     def __post_init__(self) -> None:
         same_length(self, "t", "measured", "model", "sd", "before")
+        same_length(self, "t_horizon", "horizon", "sd_horizon", "horizon_before")
 
 
 class Track(Part, frozen=True, kw_only=True):
@@ -226,13 +239,14 @@ class ErrorComparison(Part, frozen=True, kw_only=True):
     before: Annotated[float | None, Meta(description="diagnosis: without the effects")] = None
     after: Annotated[float | None, Meta(description="of the model; null: the prediction diverged")]
     unit: str
-    low: Annotated[float | None, Meta(description="95 % interval of after / before")] = None
+    low: Annotated[float | None, Meta(description="over the horizon: 95 % interval of after / before")] = None
     high: float | None = None
+    verdict: Annotated[Change | None, Meta(description="over the horizon: of the change, by the interval")] = None
     spread: Annotated[
         float | None,
         Meta(
-            description="free run: standard deviation of what was measured, about its mean in each record; the fit in "
-            "per cent is 100 (1 - error / spread)"
+            description="standard deviation of what was measured, about its mean in each record (an angle's: about its "
+            "circular mean); the fit in per cent is 100 (1 - error / spread)"
         ),
     ] = None
 
@@ -242,7 +256,30 @@ class ErrorTable(Part, frozen=True, kw_only=True):
 
     one_step: dict[str, ErrorComparison]
     horizon: Annotated[dict[str, ErrorComparison], Meta(description="over `horizon_seconds`")]
-    free_run: Annotated[dict[str, ErrorComparison], Meta(description="from the inputs alone")]
+    simulation: Annotated[dict[str, ErrorComparison], Meta(description="from the inputs alone")]
+
+
+class PredictionFit(Part, frozen=True, kw_only=True):
+    """How much of all channels together is predicted over the horizon: one less the geometric mean over them of RMS
+    prediction error over standard deviation of what was measured."""
+
+    role: Role
+    fit: float
+    low: Annotated[float | None, Meta(description="95 % interval of `fit`; null: the data are too short")] = None
+    high: float | None = None
+
+
+class PredictionChange(Part, frozen=True, kw_only=True):
+    """Change of the prediction errors over the horizon by the effects that were added: the geometric mean over all
+    channels of RMS error after / before."""
+
+    role: Role
+    ratio: float
+    low: Annotated[float | None, Meta(description="95 % interval of `ratio`; null: the data are too short")] = None
+    high: float | None = None
+    verdict: Annotated[Change, Meta(description="by the interval")]
+    better: Annotated[tuple[str, ...], Meta(description="channels whose own error fell beyond its interval")] = ()
+    worse: Annotated[tuple[str, ...], Meta(description="channels whose own error rose beyond its interval")] = ()
 
 
 class Errors(Part, frozen=True, kw_only=True):
@@ -281,7 +318,7 @@ class CalibrationTable(Part, frozen=True, kw_only=True):
 
     one_step: dict[str, CalibrationRow]
     horizon: Annotated[dict[str, CalibrationRow], Meta(description="over `horizon_seconds`")]
-    free_run: Annotated[dict[str, CalibrationRow], Meta(description="from the inputs alone")]
+    simulation: Annotated[dict[str, CalibrationRow], Meta(description="from the inputs alone")]
 
 
 class Calibrations(Part, frozen=True, kw_only=True):
@@ -345,11 +382,16 @@ class Homogeneity(Part, frozen=True, kw_only=True):
 class FitResult(Result, frozen=True, kw_only=True):
     """A fit, what the fitted model predicts, and what it leaves."""
 
+    @property
+    def converged(self) -> bool:
+        """Whether every fit did that the answer rests on."""
+        return self.fit.converged
+
     fit: FitSummary
     horizon_seconds: Annotated[
         float,
         Meta(
-            description="how far ahead was predicted between one step and the free run (`--horizon`) [s]: 10 by "
+            description="how far ahead was predicted between one step and the simulation (`--horizon`) [s]: 10 by "
             "default, 1 on the bench"
         ),
     ]
@@ -382,6 +424,7 @@ class StaticForce(Part, frozen=True, kw_only=True):
 class VehicleResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag="vehicle"):
     """`seatrial ident vehicle`: the model of a vehicle."""
 
+    prediction: Annotated[PredictionFit | None, Meta(description="null: nothing was predicted over the horizon")] = None
     profiles: Annotated[tuple[ProfileCurve, ...], Meta(description="with `--profile`: one a parameter")] = ()
     homogeneity: Annotated[
         tuple[Homogeneity, ...], Meta(description="with `--test-homogeneity`: one a parameter")
@@ -533,7 +576,13 @@ class ParameterChange(Part, frozen=True, kw_only=True):
 class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag="diagnosis"):
     """`seatrial ident diagnose`: what a model lacks. `fit` and `calibration` are of the model with its effects."""
 
+    @property
+    def converged(self) -> bool:
+        return self.fit.converged and self.converged_before
+
     caveat: Annotated[str | None, Meta(description="why a name in the answer is not sure, a sentence")] = None
+    converged_before: Annotated[bool, Meta(description="whether the fit without the effects converged")]
+    prediction: Annotated[PredictionChange | None, Meta(description="null: no effect was added")] = None
     rounds: tuple[Round, ...]
     effects: Annotated[tuple[EffectRow, ...], Meta(description="what was added, the most important first")] = ()
     remaining_candidates: tuple[RemainingCandidate, ...] = ()

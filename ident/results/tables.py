@@ -10,6 +10,7 @@ from importlib.metadata import version
 import msgspec
 import numpy as np
 
+from ident import validation
 from ident.data import LoadedLog, Record
 from ident.estimation import Fit, HomogeneityTest, Profile
 from ident.model import Model, segment_name
@@ -28,6 +29,8 @@ from ident.results.parts import (
     InputTrace,
     LogSummary,
     ParameterRow,
+    PredictionChange,
+    PredictionFit,
     ProfileCurve,
     Provenance,
     ResidualTests,
@@ -39,12 +42,14 @@ from ident.results.parts import (
 from ident.validation import (
     Calibration,
     ChannelResiduals,
-    PredictionChange,
+    HorizonPrediction,
     PredictionErrors,
     PredictionEvaluation,
     RecordPrediction,
     shown_inputs,
 )
+
+NONE = HorizonPrediction(*(np.zeros(0),) * 3)  # of a channel without a sample after the horizon
 
 
 def finite(value: float | None) -> float | None:
@@ -119,7 +124,7 @@ def error_tables(evaluation: PredictionEvaluation) -> Errors:
             role: ErrorTable(
                 one_step=table(one.errors.one_step),
                 horizon=table(one.errors.horizon),
-                free_run=table(one.errors.free_run),
+                simulation=table(one.errors.simulation),
             )
             for role, one in evaluation.sets.items()
         }
@@ -127,7 +132,7 @@ def error_tables(evaluation: PredictionEvaluation) -> Errors:
 
 
 def error_comparison(
-    before: PredictionEvaluation, after: PredictionEvaluation, changes: Mapping[str, PredictionChange]
+    before: PredictionEvaluation, after: PredictionEvaluation, changes: Mapping[str, validation.PredictionChange]
 ) -> Errors:
     """Errors of two models; ``changes``: by role, of those over the horizon."""
     units = {o.name: o.unit for o in after.model.outputs}
@@ -135,7 +140,7 @@ def error_comparison(
     def table(
         old: Mapping[str, PredictionErrors],
         new: Mapping[str, PredictionErrors],
-        change: PredictionChange | None = None,
+        change: validation.PredictionChange | None = None,
     ) -> dict[str, ErrorComparison]:
         spans = {} if change is None else change.channels
         return {
@@ -145,6 +150,7 @@ def error_comparison(
                 unit=units[name],
                 low=finite(spans[name].low) if name in spans else None,
                 high=finite(spans[name].high) if name in spans else None,
+                verdict=spans[name].verdict if name in spans else None,
                 spread=finite(e.spread),
             )
             for name, e in old.items()
@@ -156,9 +162,33 @@ def error_comparison(
         found[role] = ErrorTable(
             one_step=table(old.one_step, new.one_step),
             horizon=table(old.horizon, new.horizon, changes[role]),
-            free_run=table(old.free_run, new.free_run),
+            simulation=table(old.simulation, new.simulation),
         )
     return Errors(**found)
+
+
+def prediction_fit(evaluation: PredictionEvaluation) -> PredictionFit | None:
+    """How much is predicted over the horizon, on data that the fit has not seen where there are some."""
+    found = evaluation.sets[evaluation.judged].explained
+    if not found.channels:
+        return None
+    low, high = finite(1 - found.high), finite(1 - found.low)
+    return PredictionFit(role=evaluation.judged, fit=1 - found.ratio, low=low, high=high)
+
+
+def prediction_change(found: validation.PredictionChange, role: Role) -> PredictionChange | None:
+    """Change of the errors over the horizon; None where no channel can be compared."""
+    if not found.channels:
+        return None
+    return PredictionChange(
+        role=role,
+        ratio=found.ratio,
+        low=finite(found.low),
+        high=finite(found.high),
+        verdict=found.verdict,
+        better=tuple(found.named("fell")),
+        worse=tuple(found.named("rose")),
+    )
 
 
 def calibration_tables(evaluation: PredictionEvaluation) -> Calibrations:
@@ -185,7 +215,7 @@ def calibration_tables(evaluation: PredictionEvaluation) -> Calibrations:
             role: CalibrationTable(
                 one_step=table(one.calibration.one_step),
                 horizon=table(one.calibration.horizon),
-                free_run=table(one.calibration.free_run),
+                simulation=table(one.calibration.simulation),
             )
             for role, one in evaluation.sets.items()
         }
@@ -193,7 +223,8 @@ def calibration_tables(evaluation: PredictionEvaluation) -> Calibrations:
 
 
 def traces(after: PredictionEvaluation, before: PredictionEvaluation | None = None) -> tuple[Trace, ...]:
-    """Every channel that was measured, and the free run; ``before``: of another model."""
+    """Every channel that was measured, its prediction over the horizon and its simulation; ``before``: of another
+    model."""
     return tuple(
         Trace(
             record=now.record.name,
@@ -203,13 +234,19 @@ def traces(after: PredictionEvaluation, before: PredictionEvaluation | None = No
             angle=o.angle,
             t=now.record.t[seen],
             measured=now.record.y[seen, j],
-            model=now.free.y[seen, j],
-            sd=now.free.sd[seen, j],
-            before=None if then is None else then.free.y[seen, j],
+            model=now.simulation.y[seen, j],
+            sd=now.simulation.sd[seen, j],
+            diverged=now.simulation.diverged.get(o.name),
+            before=None if then is None else then.simulation.y[seen, j],
+            t_horizon=far.t,
+            horizon=far.y,
+            sd_horizon=far.sd,
+            horizon_before=None if then is None else then.horizon.get(o.name, NONE).y,
         )
         for role, now, then in _pairs(after, before)
         for j, o in enumerate(after.model.outputs)
         if (seen := np.isfinite(now.record.y[:, j])).any()
+        for far in [now.horizon.get(o.name, NONE)]
     )
 
 
@@ -225,10 +262,10 @@ def tracks(after: PredictionEvaluation, before: PredictionEvaluation | None = No
             role=role,
             x_measured=now.record.y[seen, i],
             y_measured=now.record.y[seen, j],
-            x_model=now.free.y[seen, i],
-            y_model=now.free.y[seen, j],
-            x_before=None if then is None else then.free.y[seen, i],
-            y_before=None if then is None else then.free.y[seen, j],
+            x_model=now.simulation.y[seen, i],
+            y_model=now.simulation.y[seen, j],
+            x_before=None if then is None else then.simulation.y[seen, i],
+            y_before=None if then is None else then.simulation.y[seen, j],
         )
         for role, now, then in _pairs(after, before)
         if (seen := np.isfinite(now.record.y[:, i])).any()

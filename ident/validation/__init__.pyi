@@ -3,6 +3,7 @@ from .calibration import one_step_calibration as one_step_calibration
 from .calibration import pooled_calibration as pooled_calibration
 from .evaluation import FEWEST as FEWEST
 from .evaluation import ChannelResiduals as ChannelResiduals
+from .evaluation import HorizonPrediction as HorizonPrediction
 from .evaluation import PredictionEvaluation as PredictionEvaluation
 from .evaluation import RecordPrediction as RecordPrediction
 from .evaluation import SmoothedForce as SmoothedForce

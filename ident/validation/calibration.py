@@ -81,9 +81,18 @@ def one_step_calibration(model: Model, run: FilterResult) -> dict[str, Array]:
     return {o.name: run.standardised[:, j] for j, o in enumerate(model.outputs)}
 
 
-def horizon_calibration(
+@dataclass(frozen=True)
+class Forecast:
+    """Predictions of a channel over a horizon: times t (n,) [s], errors e and their predicted standard deviations."""
+
+    t: Array
+    e: Array
+    sd: Array
+
+
+def horizon_forecasts(
     model: Model, record: Record, values: Array, run: FilterResult, seconds: float, likelihood: Likelihood | None = None
-) -> dict[str, Array]:
+) -> dict[str, Forecast]:
     """``seconds`` ahead of filtered states, from five starts in that time, or fewer in a long record; the sample is
     the first one after the horizon."""
     likelihood = likelihood or Likelihood(model)
@@ -113,8 +122,13 @@ def horizon_calibration(
             predicted = rowwise(x[j, good], u, values)[:, len(model.states) + j]
             H = rowwise.output_jacobian(x[j, good], u, values)[:, j]
             variance = np.einsum("ki,kij,kj->k", H, P[j, good], H) + run.R[j]
-            found[o.name] = wrap(y - predicted, o.angle) / np.sqrt(variance)
+            found[o.name] = Forecast(t[ends[j, good]], wrap(y - predicted, o.angle), np.sqrt(variance))
     return found
+
+
+def horizon_calibration(forecasts: Mapping[str, Forecast]) -> dict[str, Array]:
+    """Standardised errors over the horizon by channel."""
+    return {name: f.e / f.sd for name, f in forecasts.items()}
 
 
 def _next(there: NDArray[np.bool_], due: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -132,8 +146,8 @@ def simulation_calibration(model: Model, record: Record, run: SimulationRun) -> 
 
 def pooled_calibration(parts: Sequence[Mapping[str, Array]], *, together: bool = False) -> dict[str, Calibration]:
     """Calibration of every channel over several records. ``together``: the channels share their errors, so each counts
-    as many independent ones as that with the fewest has. So it is in a free run, which is one experiment: the error of
-    the heading turns every velocity over ground."""
+    as many independent ones as that with the fewest has. So it is in a simulation, which is one experiment: the error
+    of the heading turns every velocity over ground."""
     counts = [[effective_sample_size(z[np.isfinite(z)]) for z in p.values() if np.isfinite(z).any()] for p in parts]
     least = float(sum(min(c) for c in counts if c)) if together else None
     found = {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Generic, Literal, TypeVar
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from ident.estimation import FittedModel, Likelihood, RecordEvaluation, paramete
 from ident.model import Model, Residual
 from ident.numerics import Array
 from ident.validation import calibration
-from ident.validation.calibration import Calibration
+from ident.validation.calibration import Calibration, Forecast
 from ident.validation.prediction_errors import (
     PredictionChange,
     PredictionErrors,
@@ -37,15 +37,25 @@ class ByHorizon(Generic[T]):
 
     one_step: T
     horizon: T
-    free_run: T
+    simulation: T
+
+
+@dataclass(frozen=True)
+class HorizonPrediction:
+    """A channel as predicted over the horizon: y and its standard deviation sd (n,) at t (n,) [s]."""
+
+    t: Array
+    y: Array
+    sd: Array
 
 
 @dataclass(frozen=True)
 class RecordPrediction:
-    """A record and what the model predicts of it from the inputs alone."""
+    """A record and what the model predicts of it: over the horizon, by channel, and from the inputs alone."""
 
     record: Record
-    free: SimulationRun
+    horizon: Mapping[str, HorizonPrediction]
+    simulation: SimulationRun
 
 
 @dataclass(frozen=True)
@@ -69,16 +79,18 @@ class ChannelResiduals:
 
 @dataclass(frozen=True)
 class SetEvaluation:
-    """Of all records of a set of data together: errors and calibration by channel."""
+    """Of all records of a set of data together: errors and calibration by channel; ``explained``: the errors over the
+    horizon against those of a prediction by the mean of what was measured."""
 
     records: tuple[RecordPrediction, ...]
     errors: ByHorizon[Mapping[str, PredictionErrors]]
+    explained: PredictionChange
     calibration: ByHorizon[Mapping[str, Calibration]]
 
 
 @dataclass(frozen=True)
 class PredictionEvaluation:
-    """``horizon``: s that predictions go ahead between one step and the free run; ``residuals``: of the estimation
+    """``horizon``: s that predictions go ahead between one step and the simulation; ``residuals``: of the estimation
     data."""
 
     model: Model
@@ -86,6 +98,11 @@ class PredictionEvaluation:
     estimation: SetEvaluation
     validation: SetEvaluation | None
     residuals: tuple[ChannelResiduals, ...]
+
+    @property
+    def judged(self) -> Literal["estimation", "validation"]:
+        """The set that headlines are of: data that the fit has not seen, where there are some."""
+        return "estimation" if self.validation is None else "validation"
 
     @property
     def sets(self) -> dict[str, SetEvaluation]:
@@ -110,24 +127,36 @@ def _evaluated(
     stage: FittedModel, views: Sequence[RecordEvaluation], fitted: bool, seconds: float, likelihood: Likelihood
 ) -> SetEvaluation:
     model = stage.model
-    free = [
+    simulated = [
         simulation_run(model, v.record, v.values, likelihood, parameter_uncertainty(stage.fit, i if fitted else None))
         for i, v in enumerate(views)
     ]
+    ahead = [horizon_errors(model, v.record, v.values, v.run.x_filt, seconds) for v in views]
     errors = ByHorizon[Mapping[str, PredictionErrors]](
         pooled_errors([one_step_errors(model, v.record, v.run) for v in views]),
-        pooled_horizon_errors(views, seconds),
-        pooled_errors([f.errors for f in free]),
+        pooled_errors(ahead),
+        pooled_errors([s.errors for s in simulated]),
     )
-    far = [calibration.horizon_calibration(model, v.record, v.values, v.run, seconds, likelihood) for v in views]
-    alone = [calibration.simulation_calibration(model, v.record, f) for v, f in zip(views, free, strict=True)]
+    forecasts = [calibration.horizon_forecasts(model, v.record, v.values, v.run, seconds, likelihood) for v in views]
+    alone = [calibration.simulation_calibration(model, v.record, s) for v, s in zip(views, simulated, strict=True)]
     calibrated = ByHorizon[Mapping[str, Calibration]](
         calibration.pooled_calibration([calibration.one_step_calibration(model, v.run) for v in views]),
-        calibration.pooled_calibration(far),
+        calibration.pooled_calibration([calibration.horizon_calibration(f) for f in forecasts]),
         calibration.pooled_calibration(alone, together=True),
     )
-    records = tuple(RecordPrediction(v.record, f) for v, f in zip(views, free, strict=True))
-    return SetEvaluation(records, errors, calibrated)
+    records = tuple(
+        RecordPrediction(v.record, {n: _predicted(v.record, n, e, f.get(n)) for n, e in far.items()}, s)
+        for v, far, f, s in zip(views, ahead, forecasts, simulated, strict=True)
+    )
+    mean = {name: PredictionErrors(e.t, e.about) for name, e in errors.horizon.items()}
+    return SetEvaluation(records, errors, prediction_change(mean, errors.horizon, seconds), calibrated)
+
+
+def _predicted(record: Record, name: str, errors: PredictionErrors, forecast: Forecast | None) -> HorizonPrediction:
+    """The standard deviation between the forecasts, which are fewer, is interpolated."""
+    y = record.y[np.searchsorted(record.t, errors.t), record.outputs.index(name)] - errors.e
+    sd = np.full(y.size, np.nan) if forecast is None else np.interp(errors.t, forecast.t, forecast.sd)
+    return HorizonPrediction(errors.t, np.where(np.isfinite(y), y, np.nan), sd)
 
 
 def pooled_horizon_errors(

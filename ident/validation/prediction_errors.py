@@ -8,7 +8,7 @@ likelihood ratio with the variance of each channel concentrated out.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -21,39 +21,54 @@ from ident.numerics import Array, wrap
 
 THIN = 2  # of a channel, predictions over the horizon start from every second row,
 MOST = 4000  # or, where a sensor is fast, from about so many
+APART = 1e3  # s between the times of two records
 WARM_UP = 15.0  # s of measurements that a simulation starts from
 BLOCK = 2.0  # horizons: errors over a horizon are correlated for as long as it lasts
 FEWEST_BLOCKS, ENOUGH_BLOCKS = 4, 15  # for an interval; with more of them the blocks are longer instead
-DIVERGED = 1e9  # of any unit: an error that is larger counts as this one
+DIVERGED = 1e9  # of any unit: an error that is larger is of a prediction that diverged
+RUNAWAY = 10.0  # times the range of what was measured: a simulation that is farther off has diverged
 LEAST_CHANGE = 0.005  # of a ratio: less than what is written as one per cent is no change
 
 
 @dataclass(frozen=True)
 class PredictionErrors:
-    """Errors of one channel: their times (n,) and measured less predicted (n,); ``spread``: the standard deviation
-    of what was measured then, about its mean in each record (NaN where it was not asked for)."""
+    """Errors of one channel.
+
+    Attributes:
+        t: their times (n,) [s].
+        e: measured less predicted (n,), angles wrapped to a half turn; infinite where the prediction diverged.
+        about: measured less its mean in the record (n,), angles about their circular mean: the errors of a
+            prediction by that mean.
+    """
 
     t: Array
     e: Array
-    spread: float = float("nan")
+    about: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def rms(self) -> float:
         return float(np.sqrt(np.mean(self.e**2))) if self.e.size else float("nan")
 
+    @property
+    def spread(self) -> float:
+        """Standard deviation of what was measured, about its mean in each record."""
+        return float(np.sqrt(np.mean(self.about**2))) if self.about.size else float("nan")
+
 
 @dataclass(frozen=True)
 class SimulationRun:
-    """Predicted from the inputs alone after the first 15 s: y, sd (n_rows, n_outputs), errors per channel."""
+    """Predicted from the inputs alone after the first 15 s: y, sd (n_rows, n_outputs), errors per channel;
+    ``diverged``: when a channel left what was measured by ten times its range [s]."""
 
     y: Array
     sd: Array
     errors: Mapping[str, PredictionErrors]
+    diverged: Mapping[str, float] = field(default_factory=dict)
 
 
 def one_step_errors(model: Model, record: Record, run: FilterResult) -> dict[str, PredictionErrors]:
     """Innovations, in the unit of each channel."""
-    found = {o.name: _errors(record.t, run.e[:, j]) for j, o in enumerate(model.outputs)}
+    found = {o.name: _errors(record.t, record.y[:, j], run.e[:, j], o.angle) for j, o in enumerate(model.outputs)}
     return {name: e for name, e in found.items() if e.e.size}
 
 
@@ -74,8 +89,8 @@ def horizon_errors(
     errors = {}
     for j, (o, end) in enumerate(zip(model.outputs, ends, strict=True)):
         if end.size:
-            e = wrap(record.y[end, j] - found.y[np.searchsorted(every, end), j], o.angle)
-            errors[o.name] = PredictionErrors(record.t[end], np.where(np.isfinite(e), e, np.inf))
+            y = record.y[end, j]
+            errors[o.name] = _errors(record.t[end], y, y - found.y[np.searchsorted(every, end), j], o.angle)
     return errors
 
 
@@ -106,28 +121,27 @@ def simulation_run(
     variance = np.einsum("kij,kjl,kil->ki", H, run.P_pred, H) + run.R
     if doubt is not None and blind.any():
         variance += prediction_variance(doubt, model, record, values, int(np.argmax(blind)), likelihood)
-    errors = {}
+    errors, diverged = {}, {}
     for j, o in enumerate(model.outputs):
-        e = _errors(record.t[blind], wrap(record.y[blind, j] - predicted[blind, j], o.angle))
+        y, at = record.y[blind, j], record.t[blind]
+        e = _errors(at, y, y - predicted[blind, j], o.angle)
         if e.e.size:
-            seen = record.y[blind, j][np.isfinite(record.y[blind, j])]
-            errors[o.name] = replace(e, spread=float((np.unwrap(seen) if o.angle else seen).std()))
-    return SimulationRun(predicted, np.sqrt(np.maximum(variance, 0)), errors)
+            errors[o.name] = e
+            low, high = np.nanmin(y), np.nanmax(y)
+            far = ~(np.abs(predicted[blind, j] - (low + high) / 2) <= RUNAWAY * (high - low))
+            if far.any() and not o.angle and high > low:
+                diverged[o.name] = float(at[np.argmax(far)])
+    return SimulationRun(predicted, np.sqrt(np.maximum(variance, 0)), errors, diverged)
 
 
 def pooled_errors(parts: Sequence[Mapping[str, PredictionErrors]]) -> dict[str, PredictionErrors]:
     """Errors of several records as one, their times one after the other."""
+    starts = np.cumsum([0.0, *(max(e.t[-1] for e in p.values()) + APART if p else 0.0 for p in parts)])
     found: dict[str, PredictionErrors] = {}
     for name in dict.fromkeys(n for p in parts for n in p):
-        t, e, spread, offset = [], [], 0.0, 0.0
-        for p in parts:
-            if name in p:
-                t.append(p[name].t + offset)
-                e.append(p[name].e)
-                spread += p[name].spread ** 2 * p[name].e.size
-                offset = float(t[-1][-1]) + 1e3
-        errors = np.concatenate(e)
-        found[name] = PredictionErrors(np.concatenate(t), errors, float(np.sqrt(spread / errors.size)))
+        own = [(p[name], start) for p, start in zip(parts, starts, strict=False) if name in p]
+        columns = zip(*((e.t + start, e.e, e.about) for e, start in own), strict=True)
+        found[name] = PredictionErrors(*(np.concatenate(column) for column in columns))
     return found
 
 
@@ -232,6 +246,9 @@ def _jackknife(logs: Array) -> tuple[float, float, float]:
     return float(np.exp(logs[0])), float(np.exp(logs[0] - reach)), float(np.exp(logs[0] + reach))
 
 
-def _errors(t: Array, e: Array) -> PredictionErrors:
-    good = np.isfinite(e)
-    return PredictionErrors(t[good], e[good])
+def _errors(t: Array, y: Array, e: Array, angle: bool) -> PredictionErrors:
+    """At the samples y (n,) of a channel, NaN where there is none."""
+    seen = np.isfinite(y)
+    t, y, e = t[seen], y[seen], wrap(e[seen], angle)
+    mean = np.angle(np.exp(1j * y).sum()) if angle else y.mean() if y.size else 0.0
+    return PredictionErrors(t, np.where(np.abs(e) < DIVERGED, e, np.inf), wrap(y - mean, angle))

@@ -13,7 +13,7 @@ from ident.estimation import EstimationOptions, load_model
 from ident.model import with_outlier_model as with_outliers
 from ident.models import effects_for
 from ident.reporter import Reporter
-from ident.results import DiagnosisResult, diagnosis_result, estimation_warnings, provenance
+from ident.results import DiagnosisResult, diagnosis_result, provenance, stuck_sensors
 from ident.workflows.model_inputs import check_ahead, model_of_logs
 from ident.workflows.output import validity, write_all
 
@@ -70,7 +70,7 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
         found,
         evaluate_diagnosis(found, horizon),
         provenance([*loaded, *unseen], command),
-        warnings=estimation_warnings(found.after.fit, [v.record for v in found.after.estimation]),
+        warnings=stuck_sensors(found.after.records),
         notes=found.after.outlier_notes,
         model_path=str(request.model),
     )

@@ -63,11 +63,15 @@ class Port:
 
     def __init__(self, link: Path) -> None:
         self.link = link
+        link.parent.mkdir(exist_ok=True)
+        self.plug()
+
+    def plug(self) -> None:
+        """Make the pty and the link; again, after it was pulled."""
         self.master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self.master, False)
-        link.parent.mkdir(exist_ok=True)
-        link.symlink_to(os.ttyname(self._slave))
+        self.link.symlink_to(os.ttyname(self._slave))
         self.open = True
 
     def write(self, data: bytes) -> None:
@@ -103,8 +107,10 @@ class StandIn:
         self.motion: list[tuple[float, float]] = [(time.monotonic(), 0.0)]  # changes of what the thruster does
         self.extra_force = 0.0
         self.current_per_n = 20.0
+        self.temperature, self.voltage = 30.0, 24.0  # NaN: their status frames are not sent
         self._garbage = b""
         self._pull: Port | None = None
+        self._plug: Port | None = None
         self._stop = False
         self._line = b""
         self._thread = threading.Thread(target=self._loop, name="stand-in")
@@ -135,6 +141,11 @@ class StandIn:
         self._pull = port
         until(lambda: not port.open, 5.0)
 
+    def plug(self, port: Port) -> None:
+        """Put it in again."""
+        self._plug = port
+        until(lambda: port.open, 5.0)
+
     def zero_after(self, t: float) -> float:
         """Monotonic time from which the thruster stood still for good, `t` at the earliest; inf while it turns."""
         if self.n != 0.0:
@@ -148,6 +159,9 @@ class StandIn:
             if self._pull is not None:
                 self._pull.pull()
                 self._pull = None
+            if self._plug is not None:
+                self._plug.plug()
+                self._plug = None
             watched = [port.master for port in (self.can, self.cell) if port.open]
             select.select(watched, [], [], 0.002)
             self._listen()
@@ -190,7 +204,7 @@ class StandIn:
         if not self.can.open:
             return
         n = self.n
-        esc = Esc(NODE, n * RPM_MAX, self.current_per_n * abs(n), n, 24.0, 30.0)
+        esc = Esc(NODE, n * RPM_MAX, self.current_per_n * abs(n), n, self.voltage, self.temperature)
         for identifier, data in vesc.encode_status(esc, POLE_PAIRS):
             self.can.write(b"T%08X%d%s\r" % (identifier, len(data), data.hex().upper().encode()))
 

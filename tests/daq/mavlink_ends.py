@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from daq.config.rig_file import parse_rig
+from daq.drivers.base import LinkRole
 from daq.drivers.mavlink import MavlinkDriver
 from daq.protocol.mavlink import MavlinkDecoder, make_decoder
 from daq.protocol.mavlink_wire import Codec, read_key
@@ -53,13 +54,13 @@ def mav_rig(folder: Path | None = None, **how: object) -> Rig:
 class Ends:
     """Both ends on one clock; `run` moves it on."""
 
-    def __init__(self, rig: Rig, key: Path | None = None) -> None:
+    def __init__(self, rig: Rig, key: Path | None = None, role: LinkRole = LinkRole.DRIVE) -> None:
         device = rig.device("autopilot")
         assert device.mavlink is not None
         codec = Codec(device.mavlink.own_system_id, 190, None if key is None else read_key(key), 1_800_000_000.0)
         self.decoder: MavlinkDecoder = make_decoder(device, rig)
         self.decoder.secure(codec)
-        self.driver = MavlinkDriver(device, rig.thrusters, codec)
+        self.driver = MavlinkDriver(device, rig.thrusters, codec, role)
         plant = bench_world(draw_bench(1), 0, DeviceSpecs({}, {}, [], []))
         self.controllers = {
             t.node: EscController(EscSpec("autopilot", t.node, 10.0, timeout_s=1.0), plant.plant, 0)

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from daq.config.rig_file import parse_rig
+from daq.drivers.base import LinkRole
 from daq.drivers.mavlink import MavlinkDriver
 from daq.protocol import (
     dbc,
@@ -107,7 +108,7 @@ def _autopilot_link() -> Decoder:
     decoder = mavlink.make_decoder(RIG.devices[0], RIG)
     codec = Codec(255, 190)
     decoder.secure(codec)
-    driver = MavlinkDriver(RIG.devices[0], RIG.thrusters, codec)
+    driver = MavlinkDriver(RIG.devices[0], RIG.thrusters, codec, LinkRole.DRIVE)
 
     def hear(message: object) -> None:
         driver.receive(message, 5.0)

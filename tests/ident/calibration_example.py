@@ -16,10 +16,10 @@ def calibration(seed: int = 6) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for role in ("estimation", "validation"):
         found[role] = {}
-        for kind, n in (("one_step", 2000), ("horizon", 150), ("free_run", 12)):
+        for kind, n in (("one_step", 2000), ("horizon", 150), ("simulation", 12)):
             found[role][kind] = {}
             for channel, size in sizes.items():
-                one = calibration_test([size * rng.normal(size=n)], effective=5.0 if kind == "free_run" else None)
+                one = calibration_test([size * rng.normal(size=n)], effective=5.0 if kind == "simulation" else None)
                 assert one is not None
                 found[role][kind][channel] = vars(one) | {"pit": one.pit.tolist(), "verdict": one.verdict}
     return found

@@ -84,6 +84,10 @@ def record(rng: Any, name: str, role: str, duration: float) -> dict[str, Any]:
             track |= {f"{channel}_measured": listed(measured), f"{channel}_model": listed(model)}
             track[f"{channel}_before"] = listed(before[channel])
         values = {"t": t, "measured": measured, "model": model, "sd": spread, "before": before[channel]}
+        late = t >= 10.0
+        near, worse = (truth[channel] + k * sd * np.sin(t / 9) for k in (1.0, 3.0))
+        far = {"t_horizon": t, "horizon": near, "sd_horizon": np.full(t.size, sd), "horizon_before": worse}
+        values |= {key: a[late] for key, a in far.items()}
         common = {**tag, "channel": channel, "unit": unit, "angle": angle}
         traces.append(common | {key: listed(a) for key, a in values.items()})
     shafts = zip(SHAFTS, n, strict=True)
@@ -175,14 +179,17 @@ def correlation(rng: Any, names: list[str]) -> dict[str, Any]:
 
 
 def errors(rng: Any, scale: float) -> dict[str, Any]:
-    sizes = {"one_step": (1.0, 0.96), "horizon": (3.0, 0.6), "free_run": (22.0, 0.3)}
+    sizes = {"one_step": (1.0, 0.96), "horizon": (3.0, 0.6), "simulation": (22.0, 0.3)}
     found: dict[str, Any] = {}
     for horizon, (size, ratio) in sizes.items():
         table = found[horizon] = {}
         for channel, unit, sd, _ in CHANNELS:
             own = ratio * rng.uniform(0.85, 1.15) if channel != "ax" else 1.004
             row = {"before": scale * size * sd, "after": scale * size * sd * own, "unit": unit}
-            table[channel] = {**row, "low": 0.9 * own, "high": 1.11 * own}
+            row |= {"spread": scale * size * sd * 40.0}
+            verdict = "unchanged" if own > 0.9 else "fell"
+            interval = {"low": 0.9 * own, "high": 1.11 * own, "verdict": verdict}
+            table[channel] = row | (interval if horizon == "horizon" else {})
     return found
 
 
@@ -252,6 +259,9 @@ def diagnosis() -> dict[str, Any]:
         diagnosis_round(None, 0.009, "No candidate passes the test: what is left looks like noise."),
     ]
     result["effects"] = [effect()]
+    result["converged_before"] = True
+    change = {"role": "validation", "ratio": 0.65, "low": 0.6, "high": 0.7, "verdict": "fell"}
+    result["prediction"] = change | {"better": ["psi", "x"], "worse": []}
     grid = np.linspace(-0.4, 1.6, 60)
     curve = {"grid": grid, "value": 2 - 5 * grid**2, "sd": 0.4 + 0.6 * (grid - 0.6) ** 2}
     curve |= {"band": 1.0 + 1.6 * (grid - 0.6) ** 2}

@@ -33,9 +33,10 @@ def thruster() -> dict[str, Any]:
     common = {"record": "pool", "role": "estimation", "channel": "force", "unit": "N", "angle": False, "t": listed(t)}
     curves = {"measured": listed(model + rng.standard_normal(t.size)), "model": listed(model)}
     result |= {"logs": [log("pool", "estimation", 120.0)], "fit": {**fit(rng, table), "method": "OE"}}
-    result |= {"traces": [{**common, **curves, "sd": listed(0.0 * t + 1.0), "before": None}]}
+    far = {"t_horizon": listed(t[50:]), "horizon": listed(model[50:]), "sd_horizon": listed(0.0 * t[50:] + 1.0)}
+    result |= {"traces": [{**common, **curves, **far, "sd": listed(0.0 * t + 1.0), "before": None}]}
     result |= {"horizon_seconds": 1.0, "track": [], "residuals": [], "cross": [], "calibration": calibration()}
-    result |= {"errors": {"estimation": {kind: {} for kind in ("one_step", "horizon", "free_run")}}}
+    result |= {"errors": {"estimation": {kind: {} for kind in ("one_step", "horizon", "simulation")}}}
     result |= {"static": {key: listed(a) for key, a in static.items()}}
     result |= {"inputs": [{"record": "pool", "name": "n_cmd", "unit": "", "t": listed(t), "value": listed(command)}]}
     return result

@@ -22,7 +22,7 @@ NOISE = ("e_uv=0.05", "e_r=0.02", "e_psi=0.03", "e_xy=0.3")
 
 
 def percent(result: dict[str, Any], channel: str, when: str) -> float:
-    row = result["errors"]["validation"]["free_run"][channel]
+    row = result["errors"]["validation"]["simulation"][channel]
     return float(100.0 * (1.0 - row[when] / row["spread"]))
 
 
@@ -59,7 +59,7 @@ def test_the_diagnosis_finds_something_that_predicts_the_unused_runs_better(
     found = results["diagnosis"]
     assert found["effects"]
     assert percent(found, "r", "after") > percent(found, "r", "before") + 15.0
-    assert found["errors"]["validation"]["free_run"]["r"]["high"] < 1.0  # also of its 95 % interval
+    assert found["errors"]["validation"]["simulation"]["r"]["high"] < 1.0  # also of its 95 % interval
     assert percent(found, "v", "after") > percent(found, "v", "before")
 
 

@@ -48,8 +48,8 @@ def agreement(result: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def free_run(result: dict[str, Any]) -> float:
-    return float(result["errors"]["validation"]["free_run"]["speed"]["after"])
+def simulation(result: dict[str, Any]) -> float:
+    return float(result["errors"]["validation"]["simulation"]["speed"]["after"])
 
 
 def test_the_quadratic_does_not_describe_the_bench(folder: Path) -> None:
@@ -91,9 +91,9 @@ def test_the_delay_is_certain_and_without_it_they_agree_on_a_wrong_mass(results:
 
 
 def test_unseen_runs_tell_the_models_apart(results: dict[str, dict[str, Any]]) -> None:
-    assert free_run(results["both"]) == pytest.approx(0.039, abs=0.003)
-    assert free_run(results["delayed"]) == pytest.approx(0.107, abs=0.005)
-    assert free_run(results["shifted"]) == pytest.approx(0.052, abs=0.004)
+    assert simulation(results["both"]) == pytest.approx(0.039, abs=0.003)
+    assert simulation(results["delayed"]) == pytest.approx(0.107, abs=0.005)
+    assert simulation(results["shifted"]) == pytest.approx(0.052, abs=0.004)
     # Although it makes the steps agree, and fits them better.
     assert agreement(results["shifted"])["agree"]
     assert results["shifted"]["fit"]["log_likelihood"] > results["both"]["fit"]["log_likelihood"] + 5

@@ -55,7 +55,7 @@ def test_the_speed_is_the_command_up_to_its_limit(folder: Path, k: int) -> None:
 
 def test_a_first_order_shaft_is_not_enough(folder: Path) -> None:
     result = json.loads((folder / "thruster/result.json").read_text())
-    error = result["errors"]["estimation"]["free_run"]["n"]["after"]
+    error = result["errors"]["estimation"]["simulation"]["n"]["after"]
     assert error > 0.05  # of full command, where every steady speed is known to 0.003
     assert "without a load cell nothing is known of its thrust" in result["answer"]
     delay = next(p for p in result["fit"]["parameters"] if p["name"] == "tau")
@@ -70,7 +70,7 @@ def test_the_diagnosis_finds_the_limit_of_the_speed(folder: Path) -> None:
     assert (effect["name"], effect["attribution"]) == ("speed-limit", "identified")
     limit = next(p for p in effect["parameters"] if p["name"] == "n_top")
     assert abs(limit["value"] - 0.75) < 0.02
-    error = result["errors"]["validation"]["free_run"]["n"]
+    error = result["errors"]["validation"]["simulation"]["n"]
     assert error["after"] < 0.15 * error["before"]
     delay = next(p for p in result["fit"]["parameters"] if p["name"] == "tau")
     assert delay["value"] < 0.6  # of several tops the highest

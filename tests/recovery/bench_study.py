@@ -95,7 +95,7 @@ def run_case(case: BenchCase) -> Row:
 
 
 def free_errors(stage: FittedModel) -> dict[str, float]:
-    """Free-running root mean square errors on the validation data, by channel."""
+    """Root mean square errors in simulation on the validation data, by channel."""
     parts = pooled_errors([dict(simulation_run(stage.model, v.record, v.values).errors) for v in stage.validation])
     return {name: float(f"{e.rms:.4g}") for name, e in parts.items()}
 

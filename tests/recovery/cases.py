@@ -122,7 +122,7 @@ def judged(case: Case, runs: Sequence[LogSegment], result: DiagnosisResult) -> R
     """How good that is: errors on validation data against those of the true structure, estimates, shapes."""
     table = result.errors.validation
     assert table is not None
-    both = {"horizon": table.horizon, "free_run": table.free_run}
+    both = {"horizon": table.horizon, "simulation": table.simulation}
     row: Row = {
         "z": z_scores(result.fit.parameters, truth_of(case)),
         "before": rms(both, lambda cell: cell.before),
@@ -156,7 +156,7 @@ def errors(stage: FittedModel) -> AllErrors:
         "horizon": pooled_errors(
             [horizon_errors(model, v.record, v.values, v.run.x_filt, model.horizon) for v in views]
         ),
-        "free_run": pooled_errors([dict(simulation_run(model, v.record, v.values).errors) for v in views]),
+        "simulation": pooled_errors([dict(simulation_run(model, v.record, v.values).errors) for v in views]),
     }
 
 
@@ -165,7 +165,7 @@ def rms(table: Mapping[str, Mapping[str, Any]], of: Callable[[Any], float]) -> d
     the table has it."""
     return {
         kind: {n: float(f"{of(cell):.4g}") for n, cell in table[kind].items() if n in CHANNELS}
-        for kind in ("horizon", "free_run")
+        for kind in ("horizon", "simulation")
     }
 
 

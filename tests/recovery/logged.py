@@ -28,13 +28,14 @@ def write_logs(folder: Path, recordings: Sequence[Recording]) -> list[LogSegment
 def diagnosed(folder: Path) -> tuple[AnyResult, float]:
     """The result of `seatrial ident diagnose` with the model of `seatrial ident vehicle`, and the CPU seconds of the
     diagnosis. Raises RuntimeError with the command's own line where it fails."""
-    _seatrial(folder, "ident", "vehicle", ESTIMATION, "--validate", VALIDATION, "--out", "vehicle")
-    before = _cpu()
-    _seatrial(folder, "ident", "diagnose", "vehicle/model.toml", ESTIMATION, "--validate", VALIDATION, "--out", "found")
-    return read_result(folder / "found" / "result.json"), _cpu() - before
+    seatrial(folder, "ident", "vehicle", ESTIMATION, "--validate", VALIDATION, "--out", "vehicle")
+    before = spent()
+    seatrial(folder, "ident", "diagnose", "vehicle/model.toml", ESTIMATION, "--validate", VALIDATION, "--out", "found")
+    return read_result(folder / "found" / "result.json"), spent() - before
 
 
-def _seatrial(folder: Path, *words: str) -> None:
+def seatrial(folder: Path, *words: str) -> None:
+    """A command, in a process of its own. Raises RuntimeError with its last line where it fails."""
     done = subprocess.run(
         [sys.executable, "-m", "seatrial", *words], cwd=folder, capture_output=True, text=True, check=False
     )
@@ -42,6 +43,7 @@ def _seatrial(folder: Path, *words: str) -> None:
         raise RuntimeError(f"seatrial {' '.join(words[:2])}: {(done.stderr.strip() or 'no message').splitlines()[-1]}")
 
 
-def _cpu() -> float:
+def spent() -> float:
+    """CPU seconds of the processes that have ended."""
     spent = resource.getrusage(resource.RUSAGE_CHILDREN)
     return spent.ru_utime + spent.ru_stime

@@ -43,7 +43,9 @@ def main(words: Sequence[str] | None = None) -> int:
         return 130
     print(report(rows, tables.as_text))
     if given.docs:
-        DOCS.write_text(document(rows, given), encoding="utf-8")
+        # what the study of other rigs has written stays
+        _, heading, rigs = DOCS.read_text(encoding="utf-8").partition(f"\n{tables.RIGS_HEADING}\n")
+        DOCS.write_text(document(rows, given) + heading + rigs, encoding="utf-8")
         print(f"written: {DOCS.name}")
     return 1 if any("error" in r for r in rows) else 0
 

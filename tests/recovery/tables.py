@@ -12,6 +12,7 @@ from tests.recovery.kinds import NONE
 from tests.recovery.verdict import UNKNOWN, all_right, extra, first_answer, first_right, likened, wrong_as_sure
 
 Lines = list[list[str]]
+RIGS_HEADING = "# Other rigs"  # in docs/recovery.md: from here on it is of the study of rigs
 
 
 def by_effect(rows: Sequence[Row]) -> dict[str, list[Row]]:
@@ -28,7 +29,7 @@ def rates(rows: Sequence[Row]) -> Lines:
     for name, cases in by_effect(rows).items():
         answers = [first_answer(r) for r in cases]
         n = len(cases)
-        ratios = [r["ratio"]["free_run"] for r in cases if "ratio" in r]
+        ratios = [r["ratio"]["simulation"] for r in cases if "ratio" in r]
         lines.append([
             name, str(n), share(sum(map(first_right, cases)), n), share(sum(map(all_right, cases)), n),
             share(answers.count(NONE), n), share(answers.count(UNKNOWN), n), share(sum(map(likened, cases)), n),
@@ -66,6 +67,16 @@ def share(count: int, n: int) -> str:
     return f"{count}/{n}"
 
 
+def interval(count: int, n: int) -> str:
+    """The 95 % interval of a share (Wilson 1927), in per cent."""
+    if n == 0:
+        return ""
+    z = 1.959964
+    middle, reach = count / n + z * z / (2 * n), z * np.sqrt(count / n * (1 - count / n) / n + z * z / (4 * n * n))
+    low, high = ((middle + sign * reach) / (1 + z * z / n) for sign in (-1, 1))
+    return f"{100 * max(low, 0.0):.1f}-{100 * min(high, 1.0):.1f}"
+
+
 def change(before: Sequence[float], after: Sequence[float]) -> str:
     """Medians."""
     return f"{np.median(before):.3g} -> {np.median(after):.3g}"
@@ -77,8 +88,8 @@ def position(errors: dict[str, dict[str, float]]) -> float:
 
 
 def heading(errors: dict[str, dict[str, float]]) -> float:
-    """Free-running, degrees."""
-    return float(np.degrees(errors["free_run"]["psi"]))
+    """In simulation, degrees."""
+    return float(np.degrees(errors["simulation"]["psi"]))
 
 
 def as_text(lines: Lines) -> str:

@@ -83,7 +83,7 @@ def targets(rows: Sequence[Row]) -> Lines:
 
 
 def _oracle_line(rows: Sequence[Row]) -> Lines:
-    ratios = [r["ratio"]["free_run"] for r in good(rows, "single") if "ratio" in r]
+    ratios = [r["ratio"]["simulation"] for r in good(rows, "single") if "ratio" in r]
     if not ratios:
         return []
     middle = float(np.median(ratios))
@@ -148,7 +148,7 @@ def oracles(rows: Sequence[Row]) -> Lines:
         found = [r["ratio"] for r in good(rows, name, lacking=True) if "ratio" in r]
         if found:
             cells = []
-            for horizon in ("horizon", "free_run"):
+            for horizon in ("horizon", "simulation"):
                 values = [r[horizon] for r in found]
                 cells += [f"{np.median(values):.3f}", f"{np.quantile(values, 0.9):.3f}"]
             lines.append([name, str(len(found)), *cells])

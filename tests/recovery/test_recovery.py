@@ -46,7 +46,7 @@ def test_an_effect_is_named_first_and_makes_the_model_better(effect: str) -> Non
     assert row["error_ratio_without"][0] > 1.0
     assert verdict.first_right(row)
     assert row["answer"].startswith("The model lacks ")
-    assert 0.9 < row["ratio"]["free_run"] < 1.1
+    assert 0.9 < row["ratio"]["simulation"] < 1.1
     assert tables.position(row["after"]) < tables.position(row["before"])
     assert row["after"]["horizon"]["r"] <= 1.01 * row["before"]["horizon"]["r"]
 
@@ -103,7 +103,7 @@ def test_the_bench_finds_its_thruster(seed: int) -> None:
 
 
 def fake(effect: str, seed: int, found: list[str], kind: str = "single", **more: object) -> Row:
-    errors = {"horizon": dict.fromkeys(("x", "y", "r"), 3.0), "free_run": {"psi": 0.1}}
+    errors = {"horizon": dict.fromkeys(("x", "y", "r"), 3.0), "simulation": {"psi": 0.1}}
     sure = ["nonparametric" if name.startswith("unknown") else "identified" for name in found]
     return {
         "key": Case(effect, seed, kind).key, "effect": effect, "seed": seed, "kind": kind, "found": found,
@@ -111,7 +111,7 @@ def fake(effect: str, seed: int, found: list[str], kind: str = "single", **more:
         "attribution": sure,
         "nonparametric_effects": [n.removeprefix("unknown ") for n in found if n.startswith("unknown")],
         "z": {"m_u": 2.5}, "before": errors, "after": errors, "cpu": 1.0, "code": code_state(),
-        "ratio": {"horizon": 1.0, "free_run": 1.02}, **more,
+        "ratio": {"horizon": 1.0, "simulation": 1.02}, **more,
     }
 
 
@@ -219,7 +219,7 @@ def test_drop_outs_leave_holes_and_nothing_else(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_ratios_and_bands() -> None:
-    assert ratio({"free_run": {"x": 2.0, "y": 0.5}}, {"free_run": {"x": 1.0, "y": 1.0}}) == {"free_run": 1.0}
+    assert ratio({"simulation": {"x": 2.0, "y": 0.5}}, {"simulation": {"x": 1.0, "y": 1.0}}) == {"simulation": 1.0}
     grid = np.linspace(-1.0, 1.0, 41)
     drag = NonparametricForce("X", "u", grid, grid, grid, grid, "N", "m/s")
     np.testing.assert_allclose(_beyond(drag, 3.0 + 2.0 * grid - grid * np.abs(grid)), 0.0, atol=1e-12)

@@ -1,4 +1,4 @@
-"""The fit in per cent of a result.json on the runs that no fit has seen: 100 (1 - error / spread), free-running."""
+"""The fit in per cent of a result.json on the runs that no fit has seen: 100 (1 - error / spread), simulated."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def percent(row: dict[str, Any], key: str) -> float | None:
 
 def main() -> None:
     path = Path(sys.argv[1])
-    rows = json.loads(path.read_text(encoding="utf-8"))["errors"]["validation"]["free_run"]
+    rows = json.loads(path.read_text(encoding="utf-8"))["errors"]["validation"]["simulation"]
     for name in ("u", "v", "r"):
         before, after = percent(rows[name], "before"), percent(rows[name], "after")
         said = f"{after:6.1f} %" if before is None else f"{before:6.1f} % before, {after:6.1f} % after"

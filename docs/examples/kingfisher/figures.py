@@ -26,7 +26,7 @@ def load(folder: Path, name: str) -> dict[str, Any]:
 
 
 def traces(result: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Measured and free-running speed by the short name of the log."""
+    """Measured and simulated speed by the short name of the log."""
     return {t["record"].removeprefix("surge_").removeprefix("rest_"): t for t in result["traces"]}
 
 
@@ -95,12 +95,12 @@ def masses(folder: Path, path: Path) -> None:
         figure.add_trace(line(grid, error, f"each of {len(left)} runs", PLAIN, opacity=0.45, showlegend=k == 0), 1, 2)
     figure.add_trace(line(grid, np.nanmean([error for _, error in left], axis=0), "their mean", MODEL), 1, 2)
     figure.update_xaxes(title_text="time after the last command [s]", col=2)
-    figure.update_yaxes(title_text="measured less free-running [m/s]", col=2)
+    figure.update_yaxes(title_text="measured less simulated [m/s]", col=2)
     page(figure, path, 1100, 460)
 
 
 def _left(result: dict[str, Any], grid: Any) -> list[tuple[str, Any]]:
-    """Measured less free-running speed around the end of the thrust, of the runs with more than 25 N."""
+    """Measured less simulated speed around the end of the thrust, of the runs with more than 25 N."""
     inputs = {i["record"]: i for i in result["inputs"] if i["name"] == "X"}
     found = []
     for trace in result["traces"]:

@@ -61,13 +61,14 @@ def _fit(canvas: Canvas, result: FitResult) -> list[Section]:
     changes = diagnosis.parameters_before_after if diagnosis else ()
     return [
         *([answer.static_section(canvas, static)] if static else []),
-        runs.run_section(canvas, result.logs, result.inputs),
+        runs.prediction_section(canvas, result),
+        errors.section(result.errors, result.horizon_seconds),
         runs.traces_section(canvas, result),
+        runs.run_section(canvas, result.logs, result.inputs),
         parameters.section(canvas, result.fit, changes),
         profiles.section(canvas, profiled),
         residuals.section(canvas, result),
         *([search.section(canvas, diagnosis)] if diagnosis else []),
-        errors.section(result.errors, result.horizon_seconds),
         calibration.section(canvas, result.calibration, result.horizon_seconds),
         errors.next_section(diagnosis.recommended_experiment if diagnosis else None),
     ]

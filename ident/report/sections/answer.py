@@ -6,6 +6,7 @@ from typing import Any
 
 from ident.report import drawing, formatting
 from ident.report.blocks import Canvas, Dumbbell, Dumbbells, EffectCard, Facts, Grid, Prose, Section
+from ident.report.sections.errors import by_role
 from ident.results import (
     DiagnosisResult,
     EffectRow,
@@ -32,21 +33,16 @@ def section(result: Result) -> Section:
 
 
 def headline(result: DiagnosisResult) -> list[Any]:
-    """Free-running error before and after on validation data, else the best there is."""
-    known, unseen = result.errors.estimation, result.errors.validation
-    sets = [("free-running", "estimation", known.free_run)]
-    if unseen is not None:
-        over = f"over {result.horizon_seconds:g} s"
-        sets = [("free-running", "validation", unseen.free_run), (over, "validation", unseen.horizon), *sets]
-    for words, data, table in sets:
-        items = [(name, row) for name, row in table.items() if row.before is not None and row.after is not None]
-        if items:
-            caption = (
-                f"Error of the model {words} on {data} data, before → after "
-                "(root mean square; the axis is relative to before, the thin line a 95 % interval)"
-            )
-            return [Dumbbells(_dumbbells(items), caption)]
-    return []
+    """Errors over the horizon before and after, on validation data where there are some."""
+    role, data = by_role(result.errors.validation, result.errors.estimation)[0]
+    items = [(n, row) for n, row in data.horizon.items() if row.before is not None and row.after is not None]
+    if not items or not result.converged:
+        return []
+    caption = (
+        f"RMS prediction error {result.horizon_seconds:g} s ahead on {role} data, before → after; the axis is relative "
+        "to before, the thin line is the 95 % interval. Only what changed beyond its interval is coloured."
+    )
+    return [Dumbbells(_dumbbells(items), caption)]
 
 
 def _dumbbells(items: list[tuple[str, ErrorComparison]]) -> list[Dumbbell]:
@@ -70,7 +66,7 @@ def _dumbbell(name: str, row: ErrorComparison, ratio: float, scale: float) -> Du
         min(ratio * scale, 100.0),
         None if low is None else min(low * scale, 100.0),
         None if high is None else min(high * scale, 100.0),
-        "same" if same else "better" if ratio < 1 else "worse",
+        {"fell": "better", "rose": "worse"}.get(row.verdict or "", "same"),
     )
 
 
@@ -158,8 +154,8 @@ def static_section(canvas: Canvas, static: StaticForce) -> Section:
         traces.append({**points, "name": "measured", "marker": marker, **errors})
     lead = "Circles: means of steady stretches with 95 % bars. Line: the fitted curve with its 95 % band."
     if static.force_quadratic is not None:
-        style = {"color": drawing.BEFORE, "dash": "dash"}
-        traces.append(drawing.line_trace(static.n_model, static.force_quadratic, "quadratic", 600, **style))
+        n, force = static.n_model, static.force_quadratic
+        traces.append(drawing.line_trace(n, force, "quadratic", 600, color=drawing.BEFORE, dash="dash"))
         lead += " Dashed: c1 n|n| + c2 n²."
     figure = drawing.single(traces, f"{static.abscissa}, part of full", "force [N]", hovermode="closest")
     title = f"orce against {static.abscissa.removesuffix(' n')}"

@@ -36,13 +36,13 @@ def section(canvas: Canvas, calibration: Calibrations, seconds: float) -> Sectio
 def _tables(canvas: Canvas, role: str, data: CalibrationTable, seconds: float) -> list[Any]:
     lines: list[list[Cell | str]] = []
     plots = []
-    for title, found in zip(titles(seconds), (data.one_step, data.horizon, data.free_run), strict=True):
+    for title, found in zip(titles(seconds), (data.one_step, data.horizon, data.simulation), strict=True):
         lines += [[Cell(title, "group")], *(_line(n, row) for n, row in found.items())] if found else []
         plot = _reliability(canvas, f"{title}, {role} data", found)
         plots += [plot] if plot is not None else []
     if not lines:
         return []
-    note = "A free run is one experiment: its errors hang together, and few of them are independent."
+    note = "A simulation is one experiment: its errors are correlated, and few of them are independent."
     drawn = "Shares of the errors inside the predicted bands against those promised; below the diagonal is too sure."
     return [Table(COLUMNS, lines), Prose(note, "quiet"), *([Prose(drawn, "quiet"), Grid(plots, 220)] if plots else [])]
 
@@ -67,8 +67,8 @@ def _reliability(canvas: Canvas, title: str, found: Mapping[str, CalibrationRow]
     for i, (channel, row) in enumerate(found.items()):
         pit = row.pit
         inside = np.append(0.0, np.cumsum((pit[:5] + pit[:4:-1])[::-1]))
-        style = {"color": drawing.LINES[i % 6], "dash": drawing.DASHES[i // 6 % 6]}
-        traces.append(drawing.line_trace(promised, inside, formatting.symbol(channel), 10, **style))
+        color, dash = drawing.LINES[i % 6], drawing.DASHES[i // 6 % 6]
+        traces.append(drawing.line_trace(promised, inside, formatting.symbol(channel), 10, color=color, dash=dash))
     if len(traces) == 1:
         return None
     axis = {"range": [0, 1], "tickformat": ".0%"}

@@ -14,13 +14,14 @@ Kinds = Sequence[tuple[str, Mapping[str, ErrorComparison]]]
 
 
 def horizons(table: ErrorTable, seconds: float) -> list[tuple[str, Mapping[str, ErrorComparison]]]:
-    """Title and rows of each kind of prediction; ``seconds``: the horizon."""
-    return list(zip(titles(seconds), (table.one_step, table.horizon, table.free_run), strict=True))
+    """Title and rows of each kind of prediction, that over the horizon of ``seconds`` first."""
+    one_step, horizon, simulation = titles(seconds)
+    return [(horizon, table.horizon), (one_step, table.one_step), (simulation, table.simulation)]
 
 
 def titles(seconds: float) -> tuple[str, str, str]:
     """Of each kind of prediction, in the order of a table."""
-    return "One step ahead", f"{seconds:g} s ahead", "Free-running"
+    return "One step ahead", f"{seconds:g} s ahead", "Simulation"
 
 
 def by_role(validation: T | None, estimation: T) -> list[tuple[str, T]]:
@@ -31,7 +32,7 @@ def by_role(validation: T | None, estimation: T) -> list[tuple[str, T]]:
 def compared(errors: Errors) -> bool:
     """Whether there is an error before."""
     tables = [table for _, table in by_role(errors.validation, errors.estimation)]
-    kinds = [kind for table in tables for kind in (table.one_step, table.horizon, table.free_run)]
+    kinds = [kind for table in tables for kind in (table.one_step, table.horizon, table.simulation)]
     return any(row.before is not None for kind in kinds for row in kind.values())
 
 
@@ -43,7 +44,7 @@ def section(errors: Errors, seconds: float) -> Section:
     tabs = [(f"{role} data", table(horizons(data, seconds))) for role, data in both]
     lead = "Root mean square of measured less predicted."
     if two:
-        lead += " A ratio below 1 is an improvement."
+        lead += " ▼ and ▲: fell or rose beyond the 95 % interval of the ratio."
     return Section("errors", "Error before and after" if two else "Prediction error", tabbed(tabs), lead)
 
 
@@ -75,10 +76,15 @@ def _single(channel: str, row: ErrorComparison) -> list[Cell | str]:
     fit = None if error is None or not row.spread else 1 - error / row.spread
     return [
         formatting.named(channel),
-        Cell("–" if error is None else formatting.plain(factor * error), "num"),
+        Cell(error_words(error if error is None else factor * error), "num"),
         Cell(unit, "nowrap"),
         Cell("–" if fit is None else f"{100 * fit:.0f} %", "num"),
     ]
+
+
+def error_words(error: float | None) -> str:
+    """An RMS error that is not finite is of a prediction that diverged."""
+    return "diverged" if error is None else formatting.plain(error)
 
 
 def _row(channel: str, row: ErrorComparison) -> list[Cell | str]:
@@ -86,14 +92,13 @@ def _row(channel: str, row: ErrorComparison) -> list[Cell | str]:
     before, after = formatting.scaled(factor, row.before, row.after)
     low, high = row.low, row.high
     ratio = after / before if before and after is not None else None
-    sure = "" if ratio is None else "good" if high is not None and high < 1 else "bad" if low and low > 1 else ""
-    mark = {"good": "▼ ", "bad": "▲ ", "": ""}[sure]
+    mark, style = {"fell": ("▼ ", "good"), "rose": ("▲ ", "bad")}.get(row.verdict or "", ("", ""))
     return [
         formatting.named(channel),
-        Cell(formatting.plain(before), "num"),
-        Cell(formatting.plain(after), "num"),
+        Cell(error_words(before), "num"),
+        Cell(error_words(after), "num"),
         Cell(unit, "nowrap"),
-        Cell("–" if ratio is None else f"{mark}{ratio:.2f}", f"num {sure}".strip()),
+        Cell("–" if ratio is None else f"{mark}{ratio:.2f}", f"num {style}".strip()),
         Cell("–" if low is None or high is None else f"{low:.2f} to {high:.2f}", "num"),
     ]
 

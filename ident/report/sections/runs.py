@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from ident.numerics import Array
 from ident.report import drawing, formatting
 from ident.report.blocks import Canvas, Cell, Grid, Key, Lines, Prose, Section, Table, tabbed
 from ident.report.record_tabs import RecordTab, of_record, record_tabs, roles_of
-from ident.results import FitResult, InputTrace, LogSummary, Trace, Track
+from ident.results import ErrorComparison, ErrorTable, FitResult, InputTrace, LogSummary, Trace, Track
 
 TIME = "time [s]"
 
@@ -54,11 +55,12 @@ def _inputs(canvas: Canvas, inputs: Sequence[InputTrace], tab: RecordTab) -> lis
         traces, names = [], []
         for i, row in enumerate(members):
             if drawing.drawable(row.value) is not None:
-                style = {"color": drawing.LINES[i % 6], "dash": ("solid", "dot")[i % 2]}
+                color, dash = drawing.LINES[i % 6], ("solid", "dot")[i % 2]
                 name = (
                     formatting.symbol(row.name) if len(members) > 1 else formatting.titled(row.name)
                 )
-                traces.append(drawing.line_trace(row.t, factor * row.value, name, canvas.budget.points, **style))
+                value, limit = factor * row.value, canvas.budget.points
+                traces.append(drawing.line_trace(row.t, value, name, limit, color=color, dash=dash))
                 names.append(f"{name} ({('solid', 'dotted')[i % 2]})" if len(members) > 1 else name)
         if traces:
             panels.append(drawing.Panel(" · ".join(names) + formatting.bracket(shown), traces))
@@ -68,55 +70,122 @@ def _inputs(canvas: Canvas, inputs: Sequence[InputTrace], tab: RecordTab) -> lis
     return [Grid([canvas.plot(figure, height, f"Inputs over time, {tab.title}")], 320)]
 
 
+def prediction_section(canvas: Canvas, result: FitResult) -> Section:
+    """Every channel measured and predicted over the horizon, one tab a record: what the headline is about."""
+    seconds = result.horizon_seconds
+    found = record_tabs(result.traces, roles_of(result.logs, result.traces))
+    tabs = [(tab.title, _predicted(canvas, result, of_record(result.traces, tab), tab)) for tab in found]
+    if not any(blocks for _, blocks in tabs):
+        return Section("prediction", "", [])
+    compared = any(row.horizon_before is not None for row in result.traces)
+    lead = f"Each sample from the state {seconds:g} s earlier and the inputs since; the fit is of all records of a set."
+    key = _key(f"predicted {seconds:g} s ahead", compared)
+    return Section("prediction", f"Predicted {seconds:g} s ahead against measured", [key, *tabbed(tabs)], lead)
+
+
 def traces_section(canvas: Canvas, result: FitResult) -> Section:
-    """Every channel measured and free-running, and the track, one tab a record."""
+    """Every channel measured and simulated, and the track, one tab a record."""
     tabs = [
-        (tab.title, _channels(canvas, of_record(result.traces, tab), tab) + _track(canvas, result.track, tab))
+        (tab.title, _simulated(canvas, result, of_record(result.traces, tab), tab) + _track(canvas, result.track, tab))
         for tab in record_tabs([*result.traces, *result.track], roles_of(result.logs, result.traces))
     ]
     if not any(blocks for _, blocks in tabs):
         return Section("traces", "", [])
-    before = any(row.before is not None for row in result.traces)
-    return Section("traces", "Measured against model", [_key(before), *tabbed(tabs)])
+    compared = any(row.before is not None for row in result.traces)
+    lead = "From the inputs alone after the first 15 s: small errors of speed and heading add up in the position."
+    return Section("traces", "Simulated against measured", [_key("simulated", compared), *tabbed(tabs)], lead)
 
 
-def _key(before: bool) -> Key:
-    items = [("measured", "measured"), ("after", "model, free-running, with 95 % band")]
-    return Key([*items, ("before", "before the effects were added")] if before else items)
+def _key(model: str, compared: bool) -> Key:
+    items = [("measured", "measured"), ("after", f"{model}, with 95 % interval")]
+    return Key([*items, ("before", f"{model}, before the effects were added")] if compared else items)
 
 
-def _channels(canvas: Canvas, rows: Sequence[Trace], tab: RecordTab) -> list[Any]:
-    panels = [panel for row in rows if (panel := _channel(canvas, row))]
+@dataclass(frozen=True)
+class _Curves:
+    """What is drawn of a channel beside its samples, at times t (n,) [s]: a model, its deviation sd, and another."""
+
+    t: Array
+    model: Array
+    sd: Array
+    before: Array | None
+
+
+def _predicted(canvas: Canvas, result: FitResult, rows: Sequence[Trace], tab: RecordTab) -> list[Any]:
+    panels = []
+    for row in rows:
+        curves = _Curves(row.t_horizon, row.horizon, row.sd_horizon, row.horizon_before)
+        note = _fit_note(_errors_of(result, row.role).horizon.get(row.channel))
+        if panel := _channel(canvas, row, curves, note):
+            panels.append(panel)
+    return _stacked(canvas, panels, f"Measured and predicted {result.horizon_seconds:g} s ahead, {tab.title}")
+
+
+def _simulated(canvas: Canvas, result: FitResult, rows: Sequence[Trace], tab: RecordTab) -> list[Any]:
+    panels = []
+    for row in rows:
+        note, model, sd = _fit_note(_errors_of(result, row.role).simulation.get(row.channel)), row.model, row.sd
+        if row.diverged is not None:
+            note = f"simulation diverged after {row.diverged - row.t[0]:.0f} s"
+            model, sd = (np.where(row.t < row.diverged, curve, np.nan) for curve in (model, sd))
+        if panel := _channel(canvas, row, _Curves(row.t, model, sd, row.before), note):
+            panels.append(panel)
+    return _stacked(canvas, panels, f"Measured and simulated over time, {tab.title}")
+
+
+def _errors_of(result: FitResult, role: str) -> ErrorTable:
+    known, unseen = result.errors.estimation, result.errors.validation
+    return unseen if role == "validation" and unseen is not None else known
+
+
+def _fit_note(row: ErrorComparison | None) -> str:
+    """Fit in per cent, before and after."""
+    if row is None or not row.spread:
+        return ""
+    errors = (row.after,) if row.before is None else (row.before, row.after)
+    return "fit " + " → ".join("diverged" if e is None else f"{100 * (1 - e / row.spread):.0f} %" for e in errors)
+
+
+def _stacked(canvas: Canvas, panels: Sequence[drawing.Panel], label: str) -> list[Any]:
     if not panels:
         return []
     figure, height = drawing.stacked(panels, TIME)
-    plots = [Grid([canvas.plot(figure, height, f"Measured and model over time, {tab.title}")], 320)]
-    cut = "Cut where a band or a curve leaves the frame; a double click shows all of it."
-    return [*plots, Prose(cut, "caption")] if any(panel.y for panel in panels) else plots
+    plots = [Grid([canvas.plot(figure, height, label)], 320)]
+    cut = "Cut where an interval or a curve leaves the frame; a double click shows all of it."
+    return [*plots, Prose(cut, "caption")] if any("range" in p.y and "dtick" not in p.y for p in panels) else plots
 
 
-def _channel(canvas: Canvas, row: Trace) -> drawing.Panel | None:
-    t, limit = row.t, canvas.budget.points
+def _channel(canvas: Canvas, row: Trace, curves: _Curves, note: str) -> drawing.Panel | None:
+    limit = canvas.budget.points
     factor, unit = formatting.degrees_for(row.unit)
-    curves = (drawing.drawable(a) for a in (row.measured, row.model, row.sd, row.before))
-    measured, model, sd, before = (None if a is None else factor * a for a in curves)
-    if row.angle and row.unit == "rad":
-        measured, model, before = _one_turn([measured, model, before])
+    found = (drawing.drawable(a) for a in (row.measured, curves.model, curves.sd, curves.before))
+    measured, model, sd, before = (None if a is None else factor * a for a in found)
+    turn = 2 * np.pi * factor if row.angle else None
+    measured, model, before = (_wrapped(a, turn) for a in (measured, model, before))
     traces = []
     if model is not None and sd is not None:
-        traces.append(drawing.band(t, model, drawing.Z95 * sd, limit))
+        traces.append(drawing.band(curves.t, model, drawing.Z95 * sd, limit, turn=turn))
     if measured is not None:
-        traces.append(drawing.dots(t, measured, "measured", limit))
+        traces.append(drawing.dots(row.t, measured, "measured", limit, turn=turn))
     if before is not None:
-        traces.append(drawing.line_trace(t, before, "before", limit, color=drawing.BEFORE, dash="dash"))
+        line = drawing.line_trace(curves.t, before, "before", limit, color=drawing.BEFORE, dash="dash", turn=turn)
+        traces.append(line)
     if model is not None:
-        traces.append(drawing.line_trace(t, model, "model", limit))
+        traces.append(drawing.line_trace(curves.t, model, "model", limit, turn=turn))
     if not traces:
         return None
     edges = [] if model is None or sd is None else [model - drawing.Z95 * sd, model + drawing.Z95 * sd]
     frame = _frame([measured, model], [before, *edges])
-    title = formatting.titled(row.channel) + formatting.bracket(unit)
-    return drawing.Panel(title, traces, {"range": frame} if frame else {})
+    axis: dict[str, Any] = {"range": frame} if frame else {}
+    if turn:
+        axis = {"range": [-turn / 2, turn / 2], "tick0": 0, "dtick": turn / 4}
+    title = formatting.titled(row.channel) + formatting.bracket(unit) + (f" · {note}" if note else "")
+    return drawing.Panel(title, traces, axis)
+
+
+def _wrapped(angle: Array | None, turn: float | None) -> Array | None:
+    """Within half a turn of zero."""
+    return angle if angle is None or turn is None else np.mod(angle + turn / 2, turn) - turn / 2
 
 
 def _frame(shown: list[Array | None], wide: list[Array | None]) -> list[float] | None:
@@ -133,22 +202,6 @@ def _span(curves: list[Array | None]) -> tuple[float, float]:
     finite = [curve[np.isfinite(curve)] for curve in curves if curve is not None]
     every = np.concatenate(finite) if finite else np.empty(0)
     return (float(every.min()), float(every.max())) if every.size else (np.nan, np.nan)
-
-
-def _one_turn(curves: list[Array | None]) -> list[Array | None]:
-    """Angles [deg] without jumps at the half turn, all starting on the same turn."""
-    start: float | None = None
-    shown: list[Array | None] = []
-    for curve in curves:
-        if curve is None:
-            shown.append(None)
-            continue
-        good, smooth = np.isfinite(curve), curve.copy()
-        smooth[good] = np.unwrap(curve[good], period=360.0)
-        first = float(smooth[good][0])
-        start = first if start is None else start
-        shown.append(smooth - 360.0 * round((first - start) / 360.0))
-    return shown
 
 
 def _track(canvas: Canvas, tracks: Sequence[Track], tab: RecordTab) -> list[Any]:

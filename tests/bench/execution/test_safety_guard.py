@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.execution.safety_guard import STOPPED, SafetyGuard, stopping_distance
+from bench.execution.safety_guard import QUICK, SLOW, STOPPED, SafetyGuard, stopping_distance
 from daq.acquisition.status import Latest, PortStatus, Status
 from daq.config.rig_file import parse_rig
 from daq.errors import SafetyStop
@@ -202,3 +202,65 @@ def test_a_rig_without_limits_has_the_two_that_need_none(rig: Rig) -> None:
     guard.check(status(0.0, loadcell=LoadCell(0.0, 1e6), esc=Esc(1, 0.0, 1e6, temperature=1e6)))
     guard.check(status(0.1, 1001, gnss=Gnss(T, 10.0, 10.0, fix=3)))
     assert "does not grow" in reason(guard, status(3.2, 1001))
+
+
+SILENT: list[tuple[str, Sample, str, float]] = [  # a source, a sample of it without the quantity, the limit, patience
+    ("esc", Esc(1, NAN, 5.0, 0.2, 24.0, 30.0), "rpm", QUICK),
+    ("esc", Esc(1, 900.0, NAN, 0.2, 24.0, 30.0), "current_a", QUICK),
+    ("esc", Esc(1, 900.0, 5.0, 0.2, 24.0, NAN), "temperature_c", SLOW),
+    ("loadcell", LoadCell(85000.0), "force_n", QUICK),
+    ("loadcell", LoadCell(85000.0, 0.8, 2), "force_n", QUICK),
+    ("gnss", Gnss(T, NAN, NAN, fix=0), "radius_m", SLOW),
+    ("gnss", Gnss(T, 41.18, -8.70, fix=1), "radius_m", SLOW),
+    ("ahrs", Ahrs(1.0, 0.1, NAN), "roll_deg", QUICK),
+    ("ahrs", Ahrs(1.0, NAN, -0.1), "pitch_deg", QUICK),
+    ("ahrs/battery", Battery(15.0, 3.0, NAN), "battery_min", SLOW),
+]
+
+
+@pytest.mark.parametrize(("name", "sample", "limit", "patience"), SILENT)
+def test_a_limit_that_nothing_reports_any_more_stops(
+    guard: SafetyGuard, name: str, sample: Sample, limit: str, patience: float
+) -> None:
+    guard.check(status(patience - 0.05, 1001, **{name: sample}))
+    said = reason(guard, status(patience + 0.05, 1002, **{name: sample}))
+    assert said.startswith(f"limits.{limit} is not watched any more")
+
+
+@pytest.mark.parametrize(("name", "sample", "limit", "patience"), SILENT)
+def test_a_limit_without_a_source_is_named_before_anything_moves(
+    rig: Rig, name: str, sample: Sample, limit: str, patience: float
+) -> None:
+    (missing,) = SafetyGuard(rig, 1.0, ("left",)).unwatched(status(0.0, **{name: sample}))
+    assert missing.key == limit
+    said = missing.refusal(T)
+    assert f"limits.{limit} = " in said
+    assert f'unwatched = ["{limit}"]' in said
+    assert "since the start" in said
+    free = replace(rig, limits=replace(rig.limits, unwatched=(limit,)))
+    assert not SafetyGuard(free, 1.0, ("left",)).unwatched(status(0.0, **{name: sample}))
+
+
+def test_a_voltage_is_watched_by_the_controller_or_by_the_battery(rig: Rig) -> None:
+    guard = SafetyGuard(rig, 1.0, ("left",))
+    mute, flat = Esc(1, 900.0, 5.0, 0.2, NAN, 30.0), Battery(NAN, 3.0, 0.8)
+    assert not guard.unwatched(status(0.0, esc=mute))
+    (missing,) = SafetyGuard(rig, 1.0, ("left",)).unwatched(status(0.0, esc=mute, **{"ahrs/battery": flat}))
+    assert missing.key == "voltage_min_v"
+
+
+def test_a_limit_that_need_not_be_watched_still_stops(rig: Rig) -> None:
+    guard = SafetyGuard(replace(rig, limits=replace(rig.limits, unwatched=("temperature_c",))), 1.0, ("left",))
+    guard.check(status(0.0, esc=Esc(1, 900.0, 5.0, 0.2, 24.0)))
+    guard.check(status(2.9, 1001, esc=Esc(1, 900.0, 5.0, 0.2, 24.0)))
+    assert "temperature" in reason(guard, status(3.0, 1002, esc=Esc(1, 900.0, 5.0, 0.2, 24.0, 81.0)))
+
+
+def test_each_thruster_and_each_cell_needs_its_own_source(rig: Rig) -> None:
+    second, right = replace(rig.device("loadcell"), name="other"), replace(rig.thrusters[0], name="right", node=2)
+    both = replace(rig, devices=(*rig.devices, second), thrusters=(*rig.thrusters, right))
+    missing = SafetyGuard(both, 1.0, ("left", "right")).unwatched(status(0.0))
+    assert [(row.key, row.whom) for row in missing] == [
+        ("force_n", "other"), ("rpm", "thruster right"), ("current_a", "thruster right"),
+        ("temperature_c", "thruster right"),
+    ]  # fmt: skip

@@ -2,18 +2,35 @@
 
 from __future__ import annotations
 
+import fcntl
+import math
 import os
 import random
 import signal
+import subprocess
+import sys
+import termios
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from daq.drivers.setpoints import REPEAT_S, ZERO_FOR_S
 from daq.log.reader import open_log
 from daq.samples import Command
-from tests.bench.runs import AT_ONCE_S, DEADMAN_S, SPEED, acquisition_of, is_alive, kinds, running, short_mission
-from tests.bench.standin import TIMEOUT_S, StandIn, until
+from tests.bench.runs import (
+    AT_ONCE_S,
+    DEADMAN_S,
+    SPEED,
+    acquisition_of,
+    assert_plan_was_run,
+    is_alive,
+    kinds,
+    running,
+    short_mission,
+)
+from tests.bench.standin import SLOW_ESC_S, TIMEOUT_S, StandIn, until
 
 
 @pytest.mark.parametrize("moment", range(4))
@@ -32,6 +49,71 @@ def test_ctrl_c_at_any_moment_is_zero_at_once(standin: StandIn, tmp_path: Path, 
     assert not log.warnings
     assert "stop" in kinds(run.log)
     assert log.table(Command, "esc", node=1)["n_cmd"][-1] == 0.0
+
+
+def test_zero_is_repeated_for_half_a_second(standin: StandIn, tmp_path: Path) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    with running(tmp_path) as run:
+        run.until_turning(standin)
+        run.process.send_signal(signal.SIGINT)
+        assert run.end() == 130
+    last = max(k for k, (_, n) in enumerate(standin.commands) if n != 0.0)
+    zeros = [t for t, _ in standin.commands[last + 1 :]]
+    assert zeros[-1] - zeros[0] > 0.9 * ZERO_FOR_S
+    assert len({round(t, 2) for t in zeros}) > 0.5 * ZERO_FOR_S / REPEAT_S  # and not some at once
+
+
+@pytest.mark.parametrize("after", [0.3, 1.0])
+def test_a_port_that_comes_back_gets_its_zero_though_the_run_has_ended(tmp_path: Path, after: float) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    with StandIn(tmp_path, timeout_s=SLOW_ESC_S) as standin, running(tmp_path) as run:
+        run.until_turning(standin)
+        standin.pull(standin.can)
+        time.sleep(after)
+        assert standin.n != 0.0  # nobody could tell it
+        told = len(standin.commands)
+        standin.plug(standin.can)
+        until(lambda: standin.n == 0.0, 3.0)
+        assert run.end() == 3
+    assert "own time-out" in run.line()
+    zeros = [t for t, n in standin.commands[told:] if n == 0.0]
+    assert len(zeros) == len(standin.commands[told:])
+    assert zeros[-1] - zeros[0] > 0.9 * ZERO_FOR_S
+    assert not open_log(run.log).warnings
+
+
+def test_a_closed_terminal_ends_it_like_any_signal(standin: StandIn, tmp_path: Path) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    master, slave = os.openpty()
+    words = ["-m", "seatrial", "mission", "run", "mission.toml", "bench-rig.toml", "-o", "run.mcap"]
+    run = subprocess.Popen(
+        [sys.executable, *words], cwd=tmp_path, stdin=slave, stdout=slave, stderr=slave, start_new_session=True,
+        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+    )  # fmt: skip
+    os.close(slave)
+    try:
+        until(lambda: standin.n != 0.0 or run.poll() is not None, 20.0)
+        sent = time.monotonic()
+        os.close(master)
+        assert run.wait(20.0) == 128 + signal.SIGHUP
+    finally:
+        run.kill()
+        run.wait()
+    assert standin.zero_after(sent) - sent < AT_ONCE_S
+    log = open_log(tmp_path / "run.mcap")
+    assert not log.warnings
+    assert any("SIGHUP" in text for _, kind, text in log.events() if kind == "stop")
+
+
+def test_a_log_that_is_deleted_ends_it(standin: StandIn, tmp_path: Path) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    with running(tmp_path) as run:
+        run.until_turning(standin)
+        sent = time.monotonic()
+        run.log.unlink()
+        assert run.end() == 3
+    assert standin.zero_after(sent) - sent < AT_ONCE_S
+    assert "the log was deleted" in run.line()
 
 
 def test_ctrl_c_again_and_again_does_not_keep_it_from_zero(standin: StandIn, tmp_path: Path) -> None:
@@ -178,3 +260,49 @@ def test_too_much_force_is_a_safety_stop(standin: StandIn, tmp_path: Path) -> No
     assert run.line().endswith("limit 60 N: thrust is zero, the log is run.mcap")
     stops = [text for _, kind, text in open_log(run.log).events() if kind == "stop"]
     assert any("force is" in text for text in stops)
+
+
+@pytest.mark.parametrize(
+    ("key", "silence"),
+    [
+        ("temperature_c", {"temperature": math.nan}),
+        ("voltage_min_v", {"voltage": math.nan}),
+        ("force_n", {"calibration": ""}),
+    ],
+)
+def test_a_limit_that_nothing_reports_is_refused_before_thrust(
+    standin: StandIn, tmp_path: Path, key: str, silence: dict[str, Any]
+) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    if "calibration" in silence:
+        text = standin.rig.read_text(encoding="utf-8")
+        begin, end = text.index("[device.calibration]"), text.index("[[thruster]]")
+        standin.rig.write_text(text[:begin] + text[end:], encoding="utf-8")
+    else:
+        vars(standin).update(silence)
+    with running(tmp_path) as run:
+        assert run.end() == 1
+    assert f"limits.{key} = " in run.line()
+    assert f'unwatched = ["{key}"]' in run.line()
+    assert not any(n for _, n in standin.commands)
+
+
+def test_a_limited_quantity_that_falls_silent_ends_the_run_at_zero(standin: StandIn, tmp_path: Path) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    with running(tmp_path) as run:
+        run.until_turning(standin)
+        standin.temperature = math.nan
+        assert run.end() == 3
+    assert "limits.temperature_c is not watched any more" in run.line()
+    assert standin.commands[-1][1] == 0.0
+    assert open_log(run.log).table(Command, "esc", node=1)["n_cmd"][-1] == 0.0
+
+
+def test_a_limit_may_be_left_unwatched_in_so_many_words(standin: StandIn, tmp_path: Path) -> None:
+    mission = short_mission(tmp_path)
+    standin.temperature = math.nan
+    with standin.rig.open("a", encoding="utf-8") as file:
+        file.write('unwatched = ["temperature_c"]\n')
+    with running(tmp_path) as run:
+        assert run.end() == 0
+    assert_plan_was_run(run.log, mission)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from daq.acquisition.ipc import ACTIVE, FINISHED, IDLE
-from daq.acquisition.watchdog import HANG_S, POLL_S, HeartbeatMonitor
+from daq.acquisition.watchdog import ANSWER_S, HANG_S, POLL_S, HeartbeatMonitor
 from daq.log.reader import open_log
 from daq.log.segments import read_note
 from tests.bench.runs import AT_ONCE_S, acquisition_of, is_alive, kinds, running, short_mission, watchdog_of
@@ -92,6 +92,20 @@ def test_without_its_watchdog_nothing_goes_on_driving(standin: StandIn, tmp_path
         assert run.end() == 3
     assert run.line().startswith("seatrial: the watchdog is gone: thrust is zero")
     assert "stop" in kinds(run.log)
+
+
+def test_a_watchdog_that_hangs_is_no_watchdog(standin: StandIn, tmp_path: Path) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    with running(tmp_path) as run:
+        run.until_turning(standin)
+        watchdog = watchdog_of(run.process.pid)
+        begun = time.monotonic()
+        os.kill(watchdog, signal.SIGSTOP)
+        until(lambda: standin.n == 0.0, 10.0)
+        assert standin.zero_after(begun) - begun < ANSWER_S + AT_ONCE_S
+        assert run.end() == 3
+        assert not is_alive(watchdog)
+    assert run.line().startswith(f"seatrial: the watchdog has not answered for {ANSWER_S:g} s: thrust is zero")
 
 
 def test_a_run_that_ends_well_leaves_no_note_and_no_process(standin: StandIn, tmp_path: Path) -> None:

@@ -115,7 +115,8 @@ def test_check_says_good_and_bad(tmp_path: Path) -> None:
         )
     assert done.returncode == 1
     faults = [line for line in done.stdout.splitlines() if line.startswith("fault")]
-    assert [line.split()[1] for line in faults] == ["gnss"]
+    assert [line.split()[1] for line in faults] == ["gnss", "mock"]
+    assert "limits.radius_m = 300 is not watched" in faults[1]
     assert done.stderr.count("\n") == 1
     assert "not as it should be: gnss" in done.stderr
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import signal
 import subprocess
 from pathlib import Path
@@ -13,7 +14,7 @@ from daq.config.mission_file import save_mission
 from daq.log.reader import open_log
 from daq.samples import Command
 from tests.bench.execution.test_with_mocks import SEATRIAL, mock, trace, turning
-from tests.bench.standin import until
+from tests.bench.standin import StandIn, until
 
 FAST = 5.0  # ten wall seconds of actuator test
 
@@ -64,6 +65,24 @@ def test_nothing_turns_unless_it_is_asked_for_and_agreed(tmp_path: Path) -> None
         assert "not tested: there are faults already: first gnss" in done.stdout
         assert not trace(tmp_path)
     assert not list(tmp_path.rglob("*.mcap"))
+
+
+def test_a_limit_without_a_source_is_a_fault_and_the_others_name_theirs(tmp_path: Path) -> None:
+    with StandIn(tmp_path) as standin:
+        standin.temperature = math.nan
+        done = check(tmp_path, "bench-rig.toml", "--seconds", "1", "--json")
+        with standin.rig.open("a", encoding="utf-8") as file:
+            file.write('unwatched = ["temperature_c"]\n')
+        without = check(tmp_path, "bench-rig.toml", "--seconds", "1", "--json")
+    assert done.returncode == 1
+    told = [f for f in json.loads(done.stdout)["findings"] if f["check"] == "limits"]
+    assert [f["level"] for f in told] == ["fault", "ok"]
+    assert "limits.temperature_c = 80 is not watched" in told[0]["text"]
+    assert "unwatched" in told[0]["advice"]
+    assert "force_n 60 by loadcell" in told[1]["text"]
+    assert "temperature_c" not in told[1]["text"]
+    told = [f for f in json.loads(without.stdout)["findings"] if f["check"] == "limits"]
+    assert [f["level"] for f in told] == ["warning", "ok"]
 
 
 def test_ctrl_c_in_the_actuator_test_is_zero_thrust(tmp_path: Path) -> None:

@@ -15,13 +15,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from daq.acquisition.device_loop import DeviceLoop
+from daq.acquisition.log_thread import LogSink
 from daq.acquisition.session import Acquisition
-from daq.clock import RunClock
+from daq.clock import RunClock, SuspendDetector
 from daq.config.rig_file import load_rig
-from daq.drivers.setpoints import REPEAT_S
+from daq.drivers.base import LinkRole
+from daq.drivers.factory import make_driver
+from daq.drivers.setpoints import REPEAT_S, Setpoints
 from daq.errors import SeatrialError
 from daq.log.reader import open_log
+from daq.protocol.catalogue import make_decoder
 from daq.samples import Ahrs, Command
+from daq.transport.factory import make_port
 from tests.daq.acquiring import acquiring, assert_ends_at_zero, is_closed, living
 from tests.daq.ptys import TestBoat, commands_in, wait_for
 
@@ -143,8 +149,10 @@ def test_without_thrust_a_silent_runner_ends_nothing(tmp_path: Path) -> None:
 PARENT = """
 import sys, time
 from pathlib import Path
+from daq.acquisition.device_loop import DeviceLoop
+from daq.acquisition.log_thread import LogSink
 from daq.acquisition.session import Acquisition
-from daq.clock import RunClock
+from daq.clock import RunClock, SuspendDetector
 from daq.config.rig_file import load_rig
 rig = load_rig(sys.argv[1])
 clock = RunClock(rig.speed)
@@ -271,3 +279,37 @@ def test_a_log_that_cannot_grow_any_more_ends_thrust(tmp_path: Path) -> None:
                 acquisition.stop()
         assert_ends_at_zero(boat)
     assert len(open_log(tmp_path / "run.mcap").table(Ahrs, "ahrs")) > 10
+
+
+def test_after_a_suspend_a_command_of_before_is_zero(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asleep = [0.0]
+    monkeypatch.setattr(SuspendDetector, "_difference", staticmethod(lambda: asleep[0]))
+    with TestBoat(tmp_path) as boat:
+        rig, setpoints, said = load_rig(boat.rig_path), Setpoints(), list[str]()
+        device = rig.device("esc")
+        decoder = make_decoder(device, rig)
+        driver = make_driver(device, rig, decoder, LinkRole.DRIVE)
+        port = make_port(device)
+        loop = DeviceLoop(device, port, decoder, RunClock(), LogSink(), setpoints, driver, said.append)
+        loop.start()
+        setpoints.append([(0.0, {1: 0.5}), (time.time() + 60.0, {1: 0.6})])
+        loop.wake()
+        wait_for(lambda: (1, 0.5) in boat.ports["can"].commands())
+        asleep[0] = 0.05  # the clocks are not read at the same instant
+        before = len(boat.ports["can"].commands())
+        wait_for(lambda: len(boat.ports["can"].commands()) > before + 3)
+        assert boat.ports["can"].commands()[-1] == (1, 0.5)
+        asleep[0] = 7.0
+        wait_for(lambda: boat.ports["can"].commands()[-1] == (1, 0.0))
+        loop.end()
+        loop.join()
+        last = boat.ports["can"].commands()[-1]
+    assert last == (1, 0.0)
+    assert not setpoints.active
+    assert said == ["the computer was suspended for 7.0 s"]
+
+
+def test_the_clocks_that_tell_of_a_suspend_agree_while_there_is_none() -> None:
+    detector = SuspendDetector()
+    for _ in range(1000):
+        assert detector.slept() == 0.0

@@ -82,9 +82,23 @@ def port(tmp_path: Path) -> Iterator[int]:
             process.kill()
 
 
+def test_a_log_sends_nothing_to_a_real_autopilot(tmp_path: Path, port: int) -> None:
+    (tmp_path / "rig.toml").write_text(RIG.format(port=port), encoding="utf-8")
+    command = [sys.executable, "-m", "seatrial", "log", "rig.toml", "--duration", "5", "-o", "run.mcap"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    with open_log(tmp_path / "run.mcap") as log:
+        raw = list(log.raw("autopilot"))
+        hints = [text for _, kind, text in log.events() if kind == "hint"]
+    assert [data for _, direction, data in raw if direction == "rx"]
+    assert not [data for _, direction, data in raw if direction == "tx"]
+    assert any("--request-rates" in text for text in hints)
+
+
 def test_attitude_and_outputs_of_a_real_autopilot_are_logged(tmp_path: Path, port: int) -> None:
     (tmp_path / "rig.toml").write_text(RIG.format(port=port), encoding="utf-8")
     command = [sys.executable, "-m", "seatrial", "log", "rig.toml", "--duration", "7", "-o", "run.mcap"]
+    command += ["--request-rates"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     with open_log(tmp_path / "run.mcap") as log:

@@ -19,7 +19,7 @@ STATUS = Status(
     links={"fcu": LinkStatus(received=True, refused=("ATTITUDE",))}, hints=("a hint",),
 )  # fmt: skip
 MESSAGES: list[ipc.Message] = [
-    ipc.Configuration("text", "/rig.toml", "/run.mcap", 2.0, [1.0, 2.0], {"mission.toml": b"\x00\xff"}, {"a": "b"}),
+    ipc.Configuration("text", "/rig.toml", "/run.mcap", 2.0, [1.0, 2.0], "ask", {"m.toml": b"\x00\xff"}, {"a": "b"}),
     ipc.ParentAlive(runner=True),
     ipc.ScheduleSetpoints([[1.0, {"left": 0.5}]]),  # type: ignore[list-item]
     ipc.ZeroThrust("end"),

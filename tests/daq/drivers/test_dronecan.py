@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from daq.config.rig_file import parse_rig
+from daq.drivers.base import LinkRole
 from daq.drivers.dronecan import STATUS_S, DronecanDriver
 from daq.drivers.factory import make_driver
 from daq.drivers.setpoints import Due
@@ -143,7 +144,7 @@ def said(raw: bytes) -> tuple[list[list[float]], int]:
 
 
 def test_one_message_tells_every_controller() -> None:
-    driver = make_driver(rig().devices[0], rig(), make_decoder(rig().devices[0], rig()))
+    driver = make_driver(rig().devices[0], rig(), make_decoder(rig().devices[0], rig()), LinkRole.DRIVE)
     assert isinstance(driver, DronecanDriver)
     ((raw, carried),) = driver.command([Due(1, 0.5, True)], {1: 0.5}, 10.0)
     assert carried == [Due(1, 0.5, True)]
@@ -184,4 +185,4 @@ def test_the_rig_says_what_cannot_be(tmp_path: Path) -> None:
     with pytest.raises(SeatrialError, match=r"own_node.*127"):
         rig(own=128)
     alone = parse_rig(RIG.partition("[[thruster]]")[0].format(own=100), "rig.toml")
-    assert make_driver(alone.devices[0], alone, make_decoder(alone.devices[0], alone)) is None
+    assert make_driver(alone.devices[0], alone, make_decoder(alone.devices[0], alone), LinkRole.DRIVE) is None

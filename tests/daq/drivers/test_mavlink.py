@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from daq.drivers.ardupilot_parameters import check_parameters
+from daq.drivers.base import LinkRole
+from daq.drivers.factory import make_driver
 from daq.drivers.setpoints import Due
+from daq.protocol.catalogue import make_decoder
+from daq.protocol.mavlink_wire import Codec, Head, head
 from daq.samples import Ahrs, Servo
 from mocks.devices.autopilot import HOLD
 from tests.daq.mavlink_ends import Ends, mav_rig
@@ -179,3 +184,39 @@ def test_a_parameter_that_changes_under_way_is_an_event() -> None:
     ends.autopilot._say_parameter("MOT_SLEWRATE")
     ends.run(0.1)
     assert "MOT_SLEWRATE was changed: 0 to 50" in [event.text for event in ends.driver.events()]
+
+
+@pytest.mark.parametrize(("role", "sends"), [(LinkRole.LISTEN, False), (LinkRole.ASK, True)])
+def test_who_does_not_drive_is_no_ground_station(role: LinkRole, sends: bool) -> None:
+    rig = mav_rig()
+    device = rig.device("autopilot")
+    decoder = make_decoder(device, rig)
+    driver = make_driver(device, rig, decoder, role)
+    assert driver is not None
+    autopilot, ear = Codec(1, 1), Codec(9, 1)
+    sent, t = [], 0.0
+    driver.opened(t)
+    for k in range(200):
+        t += 0.05
+        if k % 20 == 0:
+            decoder.feed(autopilot.encode("HEARTBEAT", 11, 3, 81, 0, 4, 3), t)
+        for asked in ("leave", "arm") if k == 100 and role is LinkRole.LISTEN else ():
+            driver.request(asked, 0.0)
+        sent += parsed(ear, driver.poll(t))
+        assert driver.wait(t) >= 0.0
+    assert bool(sent) is sends
+    assert not {"HEARTBEAT", "RC_CHANNELS_OVERRIDE"} & {message.get_type() for message in sent}
+    assert device.mavlink is not None
+    assert all(message.get_srcSystem() not in (1, device.mavlink.own_system_id) for message in sent)
+    assert bool(driver.hint) is not sends
+
+
+def parsed(codec: Codec, data: bytes) -> list[Any]:
+    """The messages in whole frames."""
+    found = []
+    while data:
+        about = head(data, 0)
+        assert isinstance(about, Head)
+        found.append(codec.decode(data[: about.total]))
+        data = data[about.total :]
+    return found

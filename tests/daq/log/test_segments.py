@@ -21,6 +21,8 @@ from daq.errors import SeatrialError
 from daq.log import recorder as recorder_module
 from daq.log.reader import open_log
 from daq.log.recorder import Recorder, check_room
+from daq.log.recovery import recover_log
+from daq.log.segments import note_path
 from daq.rig import Segments
 from daq.samples import Ahrs, Frame, Gnss
 from tests.daq.logs import T0, StoppedClock, rig
@@ -221,3 +223,33 @@ def test_the_acquisition_warns_within_a_second_and_goes_on(small_disk: Path, tmp
         assert np.all(np.diff(np.round(1e3 * table["r"])) == 1)  # the boat counts: none is missing
         assert [kind for _, kind, _ in opened.events()].count("disk") == 1
         assert len(opened.paths) == 2
+
+
+def test_what_a_watchdog_wrote_of_an_earlier_log_is_not_said_of_a_new_one(tmp_path: Path) -> None:
+    path, out = tmp_path / "run.mcap", tmp_path / "whole.mcap"
+    note_path(path).write_text("2026-05-01T12:00:00Z watchdog: the acquisition process died\n")
+    note_path(out).write_text("2026-05-01T12:00:00Z watchdog: the acquisition process died\n")
+    log = segmented(path)
+    write(log, 20)
+    log.close()
+    recover_log(path, out)
+    for one in (path, out):
+        with open_log(one) as opened:
+            assert opened.warnings == []
+    note_path(path).write_text("2026-05-01T12:00:00Z watchdog: the acquisition process died\n")
+    with open_log(path) as opened:  # of this log
+        assert len(opened.warnings) == 1
+    note_path(tmp_path / "other.mcap").write_text("mine")
+    segmented(tmp_path / "other.mcap").close()
+    assert note_path(tmp_path / "other.mcap").read_text() == "mine"
+
+
+def test_a_named_pipe_is_no_log_and_no_note(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    os.mkfifo(path)
+    with pytest.raises(SeatrialError, match="is not a file"):
+        open_log(path)
+    path.unlink()
+    segmented(path).close()
+    os.mkfifo(note_path(path))
+    open_log(path).close()

@@ -107,10 +107,6 @@ def test_the_logs_own_rig_stands_beside_the_ports_while_they_are_there(recorded:
     assert [thruster.device for thruster in rig.thrusters] == ["esc"] * len(own.thrusters)
     assert (rig.speed, rig.log_directory, rig.name) == (2.0, recorded.parent, own.name)
     assert list((tmp_path / "ports").iterdir()) == []
-    (tmp_path / "ports/replay.toml").write_text("mine")
-    with open_log(recorded) as log, pytest.raises(SeatrialError, match="exists and is not from a replay"):
-        replay_log(log, [], tmp_path / "ports")
-    assert (tmp_path / "ports/replay.toml").read_text() == "mine"
 
 
 def test_frames_of_both_kinds_become_slcan_lines() -> None:
@@ -118,6 +114,53 @@ def test_frames_of_both_kinds_become_slcan_lines() -> None:
     plain = CAN_FRAME.pack(0x123, 3, b"\x0a\x0b\x0c\0\0\0\0\0")
     assert as_slcan(extended + plain) == b"T0000090120102\rt12330A0B0C\r"
     assert slcan.Decoder().feed(as_slcan(extended + plain), 0.0) == [extended.ljust(16, b"\0"), plain]
+
+
+@pytest.mark.parametrize("name", ["/tmp/x", "../x", "a/b", "replay.toml", ".bashrc", "", "ahrs\n", "ünder"])
+def test_a_name_that_no_rig_would_have_makes_no_port(tmp_path: Path, name: str) -> None:
+    log = recorder(tmp_path / "hostile.mcap")
+    log.write_raw(name, "rx", b"echo pwned\n", T0)
+    log.close()
+    ports = tmp_path / "deep" / "ports"
+    with open_log(tmp_path / "hostile.mcap") as opened, pytest.raises(SeatrialError):
+        replay_log(opened, [], ports, stopped=lambda: True)
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["hostile.mcap"]
+
+
+@pytest.mark.parametrize("name", ["ahrs", "esc", "replay.toml"])
+@pytest.mark.parametrize("kind", ["file", "link", "dangling"])
+def test_nothing_that_is_there_is_replaced_or_taken_away(recorded: Path, tmp_path: Path, name: str, kind: str) -> None:
+    (tmp_path / "mine").write_text("mine")
+    (tmp_path / "ports").mkdir()
+    there = tmp_path / "ports" / name
+    if kind == "file":
+        there.write_text("mine")
+    else:
+        there.symlink_to(tmp_path / ("mine" if kind == "link" else "nowhere"))
+    before = os.lstat(there)
+    with open_log(recorded) as log, pytest.raises(SeatrialError, match="replaces nothing"):
+        replay_log(log, [], tmp_path / "ports", stopped=lambda: True)
+    assert os.lstat(there).st_ino == before.st_ino
+    assert [path.name for path in (tmp_path / "ports").iterdir()] == [name]
+    assert (tmp_path / "mine").read_text() == "mine"
+    assert not os.path.lexists(tmp_path / "nowhere")
+
+
+def test_what_somebody_put_in_the_place_of_a_port_stays_and_is_not_opened(recorded: Path, tmp_path: Path) -> None:
+    (tmp_path / "mine").write_text("mine")
+    looks = []
+
+    def stopped() -> bool:
+        looks.append(1)
+        if len(looks) == 1:
+            (tmp_path / "ports/ahrs").unlink()
+            (tmp_path / "ports/ahrs").symlink_to(tmp_path / "mine")
+        return len(looks) > 3
+
+    with open_log(recorded) as log:
+        assert replay_log(log, ["ahrs"], tmp_path / "ports", stopped=stopped) == 0
+    assert [path.name for path in (tmp_path / "ports").iterdir()] == ["ahrs"]
+    assert (tmp_path / "mine").read_text() == "mine"
 
 
 def test_a_log_without_raw_bytes_cannot_be_replayed(tmp_path: Path) -> None:

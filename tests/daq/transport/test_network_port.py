@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import select
 import socket
 from collections.abc import Iterator
@@ -9,12 +10,22 @@ from pathlib import Path
 
 import pytest
 
+from daq.acquisition.device_loop import DeviceLoop, decode_read
+from daq.acquisition.log_thread import LogSink
+from daq.clock import RunClock
 from daq.config.rig_file import parse_rig
+from daq.drivers.base import LinkRole
+from daq.drivers.factory import make_driver
+from daq.drivers.setpoints import Setpoints
 from daq.errors import SeatrialError
+from daq.protocol.catalogue import make_decoder
+from daq.protocol.mavlink import MavlinkDecoder
+from daq.protocol.mavlink_wire import Codec
 from daq.transport.base import Port, PortError
-from daq.transport.factory import make_net_port
+from daq.transport.factory import make_net_port, make_port
 from daq.transport.network_port import SILENT_S, UdpPort
 from tests.daq.mavlink_ends import rig_text
+from tests.daq.ptys import wait_for
 
 
 @pytest.fixture
@@ -36,14 +47,19 @@ def read(port: Port) -> bytes:
     return port.read()
 
 
-def test_who_speaks_first_is_answered_and_keeps_the_link(other: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_is_confirmed_is_answered_and_keeps_the_link(other: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
     number = free()
     port = make_net_port(f"udp:127.0.0.1:{number}")
     port.open()
     port.write(b"nobody is there")  # lost, and no error
     other.sendto(b"one", ("127.0.0.1", number))
     other.sendto(b"two", ("127.0.0.1", number))
-    assert read(port) + b"" in (b"onetwo", b"one")
+    assert read(port) == b"one"
+    assert not port.is_confirmed
+    port.write(b"nobody is known")
+    assert read(port) == b"two"
+    port.confirm()
+    assert port.is_confirmed
     port.write(b"answer")
     assert other.recv(100) == b"answer"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
@@ -54,6 +70,8 @@ def test_who_speaks_first_is_answered_and_keeps_the_link(other: socket.socket, m
         port._heard -= SILENT_S  # as if the first had been silent for so long
         stranger.sendto(b"mine", ("127.0.0.1", number))
         assert read(port) == b"mine"
+        assert not port.is_confirmed
+        port.confirm()
         stranger.settimeout(2.0)
         port.write(b"yours")
         assert stranger.recv(100) == b"yours"
@@ -130,3 +148,80 @@ def test_rates_are_asked_for_in_order_and_may_be_set() -> None:
     assert list(rates)[:2] == ["ATTITUDE", "SERVO_OUTPUT_RAW"]
     assert (rates["ATTITUDE"], rates["SERVO_OUTPUT_RAW"], rates["GLOBAL_POSITION_INT"]) == (10.0, 25.0, 5.0)
     assert not {"RAW_IMU", "GPS_RAW_INT"} & set(rates)
+
+
+KEY = bytes(range(32))
+
+
+def rover(key: bytes | None = None, system: int = 1) -> Codec:
+    return Codec(system, 1, key, 1_800_000_000.0)
+
+
+def heartbeat(codec: Codec) -> bytes:
+    return codec.encode("HEARTBEAT", 11, 3, 81, 0, 4, 3)
+
+
+@pytest.mark.parametrize("signed", [False, True])
+def test_the_peer_is_the_first_sender_of_a_frame_of_the_autopilot(tmp_path: Path, signed: bool) -> None:
+    """Neither a stray byte, half a frame, another system, nor (where there is a key) an unsigned frame locks it out."""
+    number = free()
+    (tmp_path / "key").write_bytes(KEY)
+    more = 'key_file = "key"' if signed else ""
+    rig = parse_rig(rig_text(f"udp:127.0.0.1:{number}", more=more), tmp_path / "rig.toml")
+    device = rig.devices[0]
+    decoder, port = make_decoder(device, rig), make_port(device)
+    driver = make_driver(device, rig, decoder, LinkRole.DRIVE)
+    loop = DeviceLoop(device, port, decoder, RunClock(), LogSink(), Setpoints(), driver)
+    autopilot = rover(KEY if signed else None)
+    loop.start()
+    here = ("127.0.0.1", number)
+    strange = [b"\xfd", heartbeat(rover(KEY if signed else None, system=7)), heartbeat(rover())[:-3]]
+    strange += [heartbeat(rover())] if signed else []
+    with contextlib.ExitStack() as stack:
+        strangers = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in strange]
+        own = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        for sock in (own, *strangers):
+            sock.settimeout(5.0)
+        wait_for(lambda: port.fileno() >= 0)
+        for sock, data in zip(strangers, strange, strict=True):
+            sock.sendto(data, here)
+        wait_for(lambda: port.bytes_in == sum(map(len, strange)))
+        own.sendto(heartbeat(autopilot), here)
+        assert own.recv(1000)  # its ground station answers
+        for sock in strangers:
+            sock.setblocking(False)
+            with pytest.raises(BlockingIOError):
+                sock.recv(1000)
+        # After silence another address of the same autopilot is learnt again, and by a frame alone.
+        assert isinstance(port, UdpPort)
+        port._heard -= SILENT_S
+        strangers[0].sendto(b"\xfd", here)
+        new = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        new.settimeout(5.0)
+        new.sendto(heartbeat(autopilot), here)
+        assert new.recv(1000)
+        with pytest.raises(BlockingIOError):
+            strangers[0].recv(1000)
+    loop.end()
+    loop.join()
+
+
+def test_a_frame_is_not_put_together_of_two_senders(tmp_path: Path) -> None:
+    """Else a stranger's head would make the autopilot's own frame confirm the stranger."""
+    number = free()
+    rig = parse_rig(rig_text(f"udp:127.0.0.1:{number}"), tmp_path / "rig.toml")
+    device = rig.devices[0]
+    decoder, port = make_decoder(device, rig), make_port(device)
+    port.open()
+    frame = heartbeat(rover())
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other_one,
+    ):
+        for sock, data in ((one, frame[:10]), (other_one, frame[10:])):
+            sock.sendto(data, ("127.0.0.1", number))
+            decode_read(port, decoder, read(port), 0.0)
+            assert not port.is_confirmed
+    assert isinstance(decoder, MavlinkDecoder)
+    assert decoder.accepted == 0
+    port.close()

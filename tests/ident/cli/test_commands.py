@@ -105,7 +105,7 @@ def test_vehicle(fitted: Path) -> None:
     assert set(result["errors"]) == {"estimation", "validation"}
     assert result["errors"]["validation"]["horizon"]["r"]["after"] < 0.1
     assert result["horizon_seconds"] == 10.0
-    assert result["answer"].startswith("Ten seconds ahead on validation data the model errs by position")
+    assert result["answer"].startswith("10 s ahead on validation data, all channels: fit ")
     saved = load_model(fitted / "vehicle" / "model.toml")
     low, high = saved.validity["u"]
     assert -1.0 < low < 0.3 < high < 2.0
@@ -121,7 +121,7 @@ def test_diagnose(fitted: Path, run: Run) -> None:
     assert [e["name"] for e in result["effects"]] == [EFFECT]
     assert "wave-making resistance" in result["answer"]
     assert result["answer"].split()[0] in out
-    errors = result["errors"]["validation"]["free_run"]
+    errors = result["errors"]["validation"]["simulation"]
     assert errors["x"]["after"] < errors["x"]["before"]
     saved = load_model(fitted / "diagnosis" / "model.toml")
     assert EFFECT in [e.name for e in saved.model.effects]

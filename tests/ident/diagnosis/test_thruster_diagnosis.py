@@ -180,12 +180,13 @@ def test_the_command_finds_what_a_bench_hides(tmp_path: Path) -> None:
         assert left.value.code == 0
     result = json.loads((out / "result.json").read_text())
     assert result["kind"] == "diagnosis"
-    assert result["answer"].startswith("The model lacks the loss of thrust by recirculation in the basin; with it")
+    assert result["answer"].startswith("The model lacks the loss of thrust by recirculation in the basin. 1 s ahead on")
+    assert (result["prediction"]["verdict"] == "fell") == ("error falls by" in result["answer"])
     assert {(f["force"], f["unit"]) for f in result["residual_forces"]} == {("F", "N"), ("n_dot", "1/s")}
     assert {i["name"] for i in result["inputs"]} == {"n_cmd"}
     assert result["horizon_seconds"] == 1.0
     assert [e["name"] for e in result["effects"]] == ["recirculation"]
-    free_run = result["errors"]["validation"]["free_run"]["force"]
-    assert free_run["after"] < 0.9 * free_run["before"]
+    simulation = result["errors"]["validation"]["simulation"]["force"]
+    assert simulation["after"] < 0.9 * simulation["before"]
     assert set(result["calibration"]["validation"]["horizon"]) == {"n", "force"}
     assert 'effects = ["disturbance", "recirculation"]' in (out / "model.toml").read_text()

@@ -1,4 +1,4 @@
-"""The errors of the parameters in the band of a free run: by brute force, and whether the band then covers."""
+"""The errors of the parameters in the band of a simulation: by brute force, and whether the band then covers."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ SECONDS = 60.0
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_minute_of_free_running_agrees_to_a_millimetre(seed: int) -> None:
+def test_a_minute_of_simulationning_agrees_to_a_millimetre(seed: int) -> None:
     boat = draw_boat(seed)
     plant = BoatPlant(boat, disturbed=False)
     t, n = sail(boat, SECONDS, seed)[1].setpoints()

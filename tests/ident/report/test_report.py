@@ -63,9 +63,12 @@ def test_one_plotly_and_only_the_known_scripts_may_run(small: dict[str, Any], tm
     [
         (
             "diagnosis",
-            ["run", "traces", "parameters", "residuals", "search", "errors", "calibration", "next", "notes", "made"],
+            [
+                *("prediction", "errors", "traces", "run", "parameters", "residuals", "search", "calibration"),
+                *("next", "notes", "made"),
+            ],
         ),
-        ("thruster", ["static", "run", "traces", "parameters", "calibration", "made"]),
+        ("thruster", ["static", "prediction", "traces", "run", "parameters", "calibration", "made"]),
         ("noise", ["noise", "run", "made"]),
         ("navigation", ["outages", "navigation", "run", "notes", "made"]),
     ],
@@ -81,9 +84,10 @@ def test_every_section_that_has_data_is_there(kind: str, sections: list[str], tm
 
 def test_the_answer_and_its_figures_come_first(diagnosis: dict[str, Any], tmp_path: Path) -> None:
     words = " ".join(Page(written(diagnosis, tmp_path)).words.split())
-    first = words[: words.index("What was run", words.index(diagnosis["answer"]))]
-    row = diagnosis["errors"]["validation"]["free_run"]["psi"]
-    assert f"{np.degrees(row['before']):.1f} → {np.degrees(row['after']):.2f} deg" in first
+    start = words.index(diagnosis["answer"])
+    first = words[: words.index("Predicted 10 s ahead against measured", start)]
+    row = diagnosis["errors"]["validation"]["horizon"]["psi"]
+    assert f"{np.degrees(row['before']):.2f} → {np.degrees(row['after']):.2f} deg" in first
     assert "f_i -= k_J |n_i| (u - y_i r)" in first
     assert "6.08 ± 0.27 kg/s" in first
     assert "72 %" in first
@@ -98,12 +102,34 @@ def test_figures_are_json_of_sound_arrays(diagnosis: dict[str, Any], tmp_path: P
     assert max(sizes) <= 3100
 
 
-def test_angles_are_shown_in_degrees_without_jumps(diagnosis: dict[str, Any], tmp_path: Path) -> None:
+def test_angles_are_wrapped_and_their_lines_break_where_they_jump(diagnosis: dict[str, Any], tmp_path: Path) -> None:
     figures = Page(written(diagnosis, tmp_path)).figures()
-    [heading] = [t for f in figures.values() for t in f["data"] if t.get("name") == "model" and "yaxis" in t][:1]
-    y = numbers(heading["y"])
-    assert np.abs(np.diff(y)).max() < 30
-    assert np.ptp(y) > 180
+    firsts = {name: (f["layout"].get("annotations") or [{}])[0].get("text", "") for name, f in figures.items()}
+    headings = [figures[name] for name, title in firsts.items() if "Heading" in title and "fit" in title]
+    assert len(headings) == 4  # predicted and simulated, two records
+    for figure in headings:
+        assert figure["layout"]["yaxis"]["range"] == pytest.approx([-180.0, 180.0])
+        for trace in figure["data"]:
+            y = numbers(trace["y"])
+            if trace["yaxis"] == "y" and trace["name"] in ("model", "before", "measured"):
+                assert np.nanmax(np.abs(y)) <= 180.001
+                assert np.isnan(y).any()
+                assert np.nanmax(np.abs(np.diff(y))) < 90
+
+
+def test_a_simulation_that_diverged_is_cut_and_said(diagnosis: dict[str, Any], tmp_path: Path) -> None:
+    result = copy.deepcopy(diagnosis)
+    [row] = [t for t in result["traces"] if t["record"] == "afternoon" and t["channel"] == "x"]
+    row["model"] = [y if k < 400 else 1e6 * (k - 400) for k, y in enumerate(row["model"])]
+    row["diverged"] = 40.0
+    result["errors"]["validation"]["simulation"]["x"]["after"] = None
+    page = Page(written(result, tmp_path))
+    titles = [a["text"] for f in page.figures().values() for a in f["layout"].get("annotations", [])]
+    [title] = [t for t in titles if t.endswith("simulation diverged after 40 s")]
+    assert "north" in title
+    assert "diverged" in " ".join(page.words.split())
+    drawn = [numbers(t["y"]) for f in page.figures().values() for t in f["data"] if t.get("name") == "model"]
+    assert max(np.nanmax(y) for y in drawn) < 1e4
 
 
 def test_a_long_result_stays_small(diagnosis: dict[str, Any], tmp_path: Path) -> None:
@@ -128,7 +154,7 @@ def hostile(value: Any) -> Any:
 def test_text_from_a_log_is_data(kind: str, tmp_path: Path) -> None:
     result = hostile(shortened(KINDS[kind]()))
     if "errors" in result:
-        result["errors"]["estimation"]["free_run"] = {HOSTILE: {"before": 2.0, "after": 1.0, "unit": HOSTILE}}
+        result["errors"]["estimation"]["simulation"] = {HOSTILE: {"before": 2.0, "after": 1.0, "unit": HOSTILE}}
     text = written(result, tmp_path)
     page = Page(text)
     assert "<script>alert" not in text
@@ -209,7 +235,7 @@ def test_the_terminal_has_the_key_figures(diagnosis: dict[str, Any]) -> None:
     lines = text.splitlines()
     assert len(lines) <= 42
     assert max(map(len, lines)) <= 80
-    for words in ("6.08 ± 0.27", "loss of thrust with forward speed", "15.1 → 4.75", "deg/s", "free-running"):
+    for words in ("6.08 ± 0.27", "loss of thrust with forward speed", "15.1 → 4.75", "deg/s", "simulation"):
         assert words in text
 
 

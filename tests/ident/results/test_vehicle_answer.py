@@ -1,22 +1,36 @@
-"""The sentence on the residuals: sure of what was tested, and of no more."""
+"""Sentences on the prediction and on the residuals: certain of what was tested, and of no more."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from ident.data.record import Record
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import fit
 from ident.estimation.stochastic_simulation import simulate_stochastic
-from ident.results.answers import estimation_warnings, stuck_sensors, vehicle_answer
-from ident.results.parts import CrossCorrelation, ErrorComparison, Errors, ErrorTable, ResidualTests
-from ident.results.tables import cross_rows, residual_row
+from ident.results.answers import NAMES, change_sentence, not_converged, stuck_sensors, vehicle_answer
+from ident.results.parts import (
+    CrossCorrelation,
+    ErrorComparison,
+    Errors,
+    ErrorTable,
+    PredictionChange,
+    PredictionFit,
+    ResidualTests,
+)
+from ident.results.tables import cross_rows, prediction_change, residual_row
 from ident.studies.cases import make_case
 from ident.studies.monte_carlo import make_record
 from ident.validation.evaluation import residual_tests
+from ident.validation.prediction_errors import ChannelChange
+from ident.validation.prediction_errors import PredictionChange as Found
 from tests.ident.toys import turning, turning_record
 
 WHITE = "The residuals are white and know nothing of the inputs"
@@ -33,16 +47,79 @@ def said(residuals: list[float], cross: list[tuple[str, float]], channels: str =
         CrossCorrelation(record="r", channel="x", input=name, lags=none, z=none, p=p) for name, p in cross
     ]
     one_step = dict.fromkeys(channels, ErrorComparison(after=1.0, unit="m"))
-    errors = Errors(estimation=ErrorTable(one_step=one_step, horizon={}, free_run={}))
-    return vehicle_answer(errors, 10.0, rows, with_inputs, searchable=False)
+    errors = Errors(estimation=ErrorTable(one_step=one_step, horizon={}, simulation={}))
+    return vehicle_answer(None, errors, 10.0, rows, with_inputs, searchable=False)
 
 
-@pytest.mark.parametrize(("horizon", "words"), [(10.0, "Ten seconds"), (1.0, "One second"), (2.5, "2.5 s")])
-def test_the_horizon_is_told(horizon: float, words: str) -> None:
-    far = {"x": ErrorComparison(after=1.5, unit="m")}
-    errors = Errors(estimation=ErrorTable(one_step={}, horizon=far, free_run={}))
-    answer = vehicle_answer(errors, horizon, [], [], searchable=True)
-    assert answer.startswith(f"{words} ahead on estimation data the model errs by position 1.5 m (rms).")
+RATIOS = st.floats(0.01, 100.0) | st.floats(0.98, 1.02)
+CHANNELS = st.dictionaries(st.sampled_from(sorted(NAMES)), st.tuples(RATIOS, RATIOS, RATIOS), min_size=1)
+
+
+def in_order(numbers: tuple[float, float, float], known: bool) -> tuple[float, float, float]:
+    """Ratio, low, high."""
+    low, ratio, high = sorted(numbers)
+    return (ratio, low, high) if known else (ratio, float("nan"), float("nan"))
+
+
+@given(st.tuples(RATIOS, RATIOS, RATIOS), CHANNELS, st.booleans(), st.sampled_from([1.0, 2.5, 10.0]))
+def test_no_sentence_says_falls_where_the_yardstick_does_not_fall_beyond_its_interval(
+    numbers: tuple[float, float, float],
+    channels: dict[str, tuple[float, float, float]],
+    known: bool,
+    horizon: float,
+) -> None:
+    each = {n: ChannelChange(*in_order(x, known), before=1.0, after=1.0) for n, x in channels.items()}
+    found = Found(*in_order(numbers, known), horizon, each)
+    change = prediction_change(found, "validation")
+    assert change is not None
+    sentence = change_sentence(change, horizon)
+    head = sentence.split("; ")[0]
+    if re.search(r"falls|fell|better|improve|less|smaller", head):
+        assert found.high < 1.0
+        assert not re.search(r"by 0 %", head)
+    if re.search(r"rises|worse|times as large", head):
+        assert found.low > 1.0
+        assert not re.search(r"by 0 %", head)
+    assert ("significant" in head) == (known and change.verdict == "unchanged")
+    assert all(each[n].high < 1.0 for n in change.better)
+    assert all(each[n].low > 1.0 for n in change.worse)
+    assert ("better: " in sentence) == bool(change.better and known)
+    assert ("worse: " in sentence) == bool(change.worse and known)
+    assert "nan" not in sentence
+    assert sentence.startswith(f"{horizon:g} s ahead on validation data, all channels: ")
+
+
+def test_a_change_is_said_with_its_interval_and_its_channels() -> None:
+    change = PredictionChange(role="validation", ratio=0.58, low=0.54, high=0.63, verdict="fell",
+                              better=("psi", "x"), worse=("ax",))
+    assert change_sentence(change, 10.0) == (
+        "10 s ahead on validation data, all channels: prediction error falls by 42 % (95 %: 37 to 46 %); "
+        "better: heading, north; worse: surge specific force."
+    )
+    rose = msgspec.structs.replace(change, ratio=1.12, low=1.05, high=1.2, verdict="rose", better=(), worse=("ax",))
+    assert "rises by 12 % (95 %: 5 to 20 %); worse: surge" in change_sentence(rose, 10.0)
+    same = msgspec.structs.replace(change, ratio=0.97, low=0.9, high=1.05, verdict="unchanged", better=(), worse=())
+    assert "no significant change of the prediction error (-3 %; 95 %: -10 to +5 %)." in change_sentence(same, 10.0)
+    short = msgspec.structs.replace(change, low=None, high=None, verdict="unchanged", better=(), worse=())
+    assert change_sentence(short, 1.0).endswith("the data are too short to tell whether the prediction error changes.")
+    lost = msgspec.structs.replace(change, ratio=50.0, low=20.0, high=90.0, verdict="rose")
+    assert "is 50 times as large (95 %: 20 to 90)" in change_sentence(lost, 1.0)
+
+
+@pytest.mark.parametrize(("horizon", "words"), [(10.0, "10 s"), (1.0, "1 s"), (2.5, "2.5 s")])
+def test_the_fit_of_all_channels_comes_first(horizon: float, words: str) -> None:
+    far = {n: ErrorComparison(after=e, unit="", spread=1.0) for n, e in (("x", 0.01), ("ax", 0.9))}
+    errors = Errors(estimation=ErrorTable(one_step={}, horizon=far, simulation={}))
+    fitted = PredictionFit(role="estimation", fit=0.905, low=0.88, high=0.92)
+    answer = vehicle_answer(fitted, errors, horizon, [], [], searchable=True)
+    assert answer.startswith(
+        f"{words} ahead on estimation data, all channels: fit 90 % (95 %: 88 to 92 %), from 99 % (north) to 10 % "
+        "(surge specific force). "
+    )
+    far["ax"] = ErrorComparison(after=None, unit="", spread=1.0)
+    assert "all channels: the prediction diverges (surge" in vehicle_answer(
+        fitted, errors, horizon, [], [], searchable=True
+    )
 
 
 def test_nothing_tested_is_not_white() -> None:
@@ -70,13 +147,13 @@ def test_the_right_model_is_called_so() -> None:
     values = np.tile(list(case.model.values.values()), (trials, 1))
     _, y = simulate_stochastic(case.model, case.inputs, values, [np.random.default_rng([9, k]) for k in range(trials)])
     likelihood, answers = Likelihood(case.model), []
-    errors = Errors(estimation=ErrorTable(one_step={}, horizon={}, free_run={}))
+    errors = Errors(estimation=ErrorTable(one_step={}, horizon={}, simulation={}))
     for k in range(trials):
         record = make_record(case, y[k], "r")
         found = residual_tests(case.model, record, likelihood.filter(record, values[k]).standardised)
         residuals = [residual_row(r) for r in found]
         cross = [row for r in found for row in cross_rows(r)]
-        answers.append(vehicle_answer(errors, 10.0, residuals, cross, searchable=False))
+        answers.append(vehicle_answer(None, errors, 10.0, residuals, cross, searchable=False))
     assert len(residuals) == 8
     assert sum(not a.startswith(WHITE) for a in answers) <= 4  # 1.2 expected; more have one chance in 150
 
@@ -90,10 +167,10 @@ def constant() -> Record:
 
 def test_a_sensor_that_is_stuck_is_named() -> None:
     record = constant()
-    (line,) = stuck_sensors(record)
+    (line,) = stuck_sensors([record])
     n = int(np.isfinite(record.y[:, 0]).sum())
     assert line == f"run: {record.outputs[0]} reads 0.5 in all of its {n} samples: a stuck sensor?"
-    assert stuck_sensors(turning_record(n_rows=200)) == []
+    assert stuck_sensors([turning_record(n_rows=200)]) == []
 
 
 def test_channels_of_which_nothing_can_be_told_are_left_out() -> None:
@@ -106,10 +183,10 @@ def test_channels_of_which_nothing_can_be_told_are_left_out() -> None:
     assert {r.channel for r in found} == {c.channel for r in found for c in r.inputs} == kept
 
 
-def test_a_fit_that_stopped_short_is_told() -> None:
+def test_a_fit_that_stopped_short_has_no_other_answer() -> None:
     found = fit(turning().with_free(("m", "d")), [turning_record(n_rows=300)], start={"m": 15.0})
-    assert estimation_warnings(found, [turning_record(n_rows=300)]) == []
+    assert not_converged(found) is None
     short = replace(found, converged=False, message="stopped after 60 iterations with 667 left to gain")
-    first, second = estimation_warnings(short, [constant()])
-    assert first.startswith("The fit did not converge: it stopped after 60 iterations with 667 left to gain. Take no")
-    assert second.endswith("a stuck sensor?")
+    said = not_converged(short)
+    assert said is not None
+    assert said.startswith("The fit did not converge: it stopped after 60 iterations with 667 left to gain. Take no")

@@ -59,7 +59,7 @@ def test_the_bands_are_right_where_the_model_is() -> None:
             assert abs(c.inside_50 - 0.5) < 0.5 * wide
             assert abs(c.inside_95 - 0.95) < 0.22 * wide
             assert c.pit.sum() == pytest.approx(1.0)
-    assert all(c.verdict != "overconfident" for c in found.free_run.values())
+    assert all(c.verdict != "overconfident" for c in found.simulation.values())
     assert found.horizon["x"].n > 100
     assert calibration_notes(calibration_tables(judged), 10.0) == []
 

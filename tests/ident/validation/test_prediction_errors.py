@@ -1,4 +1,4 @@
-"""Prediction errors: one step, over a horizon, free-running, against the model's own equations solved elsewhere."""
+"""Prediction errors: one step, over a horizon and in simulation, against the model's own equations solved elsewhere."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_what_is_ahead_is_the_equation_solved_from_the_filtered_state(seconds: f
             assert found["place"].e[at] == pytest.approx(record.y[last, 1] - x[0], abs=1e-6)
 
 
-def test_a_free_run_knows_only_its_first_seconds() -> None:
+def test_a_simulation_knows_only_its_first_seconds() -> None:
     record = slide(2, 400)
     free = simulation_run(MODEL, record, VALUES)
     blind = record.t > WARM_UP
@@ -88,7 +88,7 @@ def test_a_free_run_knows_only_its_first_seconds() -> None:
     assert free.errors["speed"].spread == pytest.approx(seen[np.isfinite(seen)].std())
 
 
-def test_a_free_run_goes_no_faster_than_the_boat_when_its_heading_is_lost() -> None:
+def test_a_simulation_goes_no_faster_than_the_boat_when_its_heading_is_lost() -> None:
     """Of the cosine of a heading that is spread over the whole circle a series of second order makes any speed."""
     model = plain_model(
         "adrift",
@@ -108,7 +108,7 @@ def test_a_free_run_goes_no_faster_than_the_boat_when_its_heading_is_lost() -> N
     assert free.errors["x"].rms < 25.0  # a circle of 10 m, its centre off by the last heading that was seen
 
 
-def test_the_band_of_a_free_run_covers() -> None:
+def test_the_band_of_a_simulation_covers() -> None:
     """Over many runs 95 % of the errors lie within 1.96 of their standard deviations, near and far."""
     inside = []
     for seed in range(40):
@@ -132,8 +132,8 @@ def test_angles_are_wrapped() -> None:
 
 
 def test_pooled_errors_keep_records_apart_in_time() -> None:
-    a = PredictionErrors(np.array([1.0, 2.0]), np.array([3.0, 4.0]), 1.0)
-    b = PredictionErrors(np.array([0.5, 1.5]), np.array([0.0, 0.0]), 3.0)
+    a = PredictionErrors(np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.array([1.0, -1.0]))
+    b = PredictionErrors(np.array([0.5, 1.5]), np.array([0.0, 0.0]), np.array([3.0, -3.0]))
     found = pooled_errors([{"x": a, "r": b}, {"x": b}])
     assert found["x"].e.tolist() == [3.0, 4.0, 0.0, 0.0]
     assert (np.diff(found["x"].t) > 0).all()

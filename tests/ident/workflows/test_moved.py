@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.util
+import marshal
 import re
 import shutil
+import struct
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +17,7 @@ import pytest
 import seatrial
 from daq.errors import SeatrialError
 from ident.estimation.model_file import load_model
+from ident.models.user_code import trusting_code
 from tests.ident.models.test_user_code import MAP, OWN, decay
 from tests.missions import boat_log, boat_with
 from tests.test_how_to import ROOT
@@ -56,41 +60,109 @@ def test_it_is_used_from_another_folder(work: Path, monkeypatch: pytest.MonkeyPa
     assert "def step(x, u, dt, p=P)" in Path("rolling_model.py").read_text(encoding="utf-8")
     assert capsys.readouterr().err == ""
     table = tomllib.loads((work / "out/model.toml").read_text(encoding="utf-8"))
-    assert table["source"] == "../rolling.py:rolling"
+    assert table["source"] == "rolling.py:rolling"
+    assert (work / "out/rolling.py").read_bytes() == (work / "rolling.py").read_bytes()
     assert table["source_sha256"] == hashlib.sha256((work / "rolling.py").read_bytes()).hexdigest()[:16]
 
 
-def test_it_moves_with_its_file_and_says_when_that_has_changed(
-    work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
+def test_it_goes_with_its_file_and_a_changed_one_is_not_run(
+    work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lab = copied(work, tmp_path)
+    (lab / "work/out").rename(tmp_path / "other")
     monkeypatch.chdir(tmp_path)
-    assert load_model(Path("lab/work/out/model.toml")).model.source == "lab/work/rolling.py:rolling"
-    assert capsys.readouterr().err == ""
-    file = lab / "work/rolling.py"
+    assert load_model(Path("other/model.toml")).model.source == "other/rolling.py:rolling"
+    file = tmp_path / "other/rolling.py"
     file.write_text(file.read_text().replace("abs(x.p) * x.p", "abs(x.p)**3"), encoding="utf-8")
-    load_model(Path("lab/work/out/model.toml"))
-    assert capsys.readouterr().err == ("seatrial: lab/work/rolling.py has changed since lab/work/out/model.toml was "
-                                       "written; fit again where that matters\n")
+    with pytest.raises(SeatrialError, match=r"has changed since it was written, so it is not run; .*--trust-code"):
+        load_model(Path("other/model.toml"))
+    with trusting_code():
+        load_model(Path("other/model.toml"))
     file.unlink()
     with pytest.raises(SeatrialError) as caught:
-        load_model(Path("lab/work/out/model.toml"))
-    assert str(caught.value) == ("lab/work/out/model.toml: lab/work/rolling.py: no such Python file; the model was "
-                                 "made with it, so put it there")
+        load_model(Path("other/model.toml"))
+    assert str(caught.value) == (
+        "other/model.toml: other/rolling.py: no such Python file; the model was made with it, so put it there"
+    )
 
 
-@pytest.mark.parametrize("here", ["work", "work/out", "elsewhere"])
-def test_a_file_of_before_is_still_found(
-    work: Path, tmp_path: Path, here: str, monkeypatch: pytest.MonkeyPatch, capsys: Said
+def hostile(work: Path, tmp_path: Path, source: str, digest: str | None) -> Path:
+    """A model.toml in a folder of its own that names this source."""
+    folder = tmp_path / "got"
+    folder.mkdir(exist_ok=True)
+    text = re.sub(r"(?m)^source(_sha256)? =.*\n", "", (work / "out/model.toml").read_text(encoding="utf-8"))
+    named = f'source = "{source}"\n' + (f'source_sha256 = "{digest}"\n' if digest else "")
+    (folder / "model.toml").write_text(text.replace("sensors =", named + "sensors =", 1), encoding="utf-8")
+    return folder / "model.toml"
+
+
+@pytest.mark.parametrize(
+    ("source", "hashed"),
+    [
+        ("evil.py:rolling", False),  # beside it, without a hash, as files of before were
+        ("../evil.py:rolling", True),
+        ("{tmp}/evil.py:rolling", True),
+        ("link.py:rolling", True),  # a symbolic link in the folder to a file outside
+        ("linked/evil.py:rolling", True),
+        ("evil.py:x:rolling", True),
+        ("evil:rolling", True),
+        ("horizontal:shaft:../evil.py", True),
+        ("thruster:{tmp}/evil.py:rolling", True),
+    ],
+)
+def test_python_that_a_model_names_is_not_run_unless_it_is_its_own(
+    work: Path, tmp_path: Path, source: str, hashed: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Which names the Python file as it was typed, without a hash."""
-    lab = copied(work, tmp_path)
-    path = lab / "work/out/model.toml"
-    text = re.sub(r"(?m)^source_sha256.*\n", "", path.read_text(encoding="utf-8"))
-    path.write_text(text.replace("../rolling.py", "rolling.py"), encoding="utf-8")
-    monkeypatch.chdir(lab / here)
-    assert load_model(path).model.name == "rolling"
-    assert capsys.readouterr().err == ""
+    evil = f"open({str(tmp_path / 'pwned')!r}, 'w')\n" + (work / "rolling.py").read_text(encoding="utf-8")
+    digest = hashlib.sha256(evil.encode()).hexdigest()[:16]
+    path = hostile(work, tmp_path, source.format(tmp=tmp_path), digest if hashed else None)
+    for place in (tmp_path / "evil.py", tmp_path / "evil.py:x", tmp_path / "evil", tmp_path / "got/evil.py:x"):
+        place.write_text(evil, encoding="utf-8")
+    if not hashed:
+        (tmp_path / "got/evil.py").write_text(evil, encoding="utf-8")
+    (tmp_path / "got/link.py").symlink_to(tmp_path / "evil.py")
+    (tmp_path / "got/linked").symlink_to(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SeatrialError):
+        load_model(path)
+    assert run("ident", "export", path, "--to", "python") == 1
+    assert not (tmp_path / "pwned").exists()
+
+
+def test_effects_that_a_model_names_keep_to_the_same_rule(work: Path, tmp_path: Path) -> None:
+    path = hostile(work, tmp_path, "horizontal:shaft", None)
+    (tmp_path / "evil.py").write_text(f"open({str(tmp_path / 'pwned')!r}, 'w')\n", encoding="utf-8")
+    digest = hashlib.sha256((tmp_path / "evil.py").read_bytes()).hexdigest()[:16]
+    text = path.read_text(encoding="utf-8")
+    for named in ("../evil.py", str(tmp_path / "evil.py")):
+        more = f'effects_file = "{named}"\neffects_sha256 = "{digest}"\nsensors ='
+        path.write_text(text.replace("sensors =", more, 1), encoding="utf-8")
+        with pytest.raises(SeatrialError, match="--trust-code"):
+            load_model(path)
+    assert not (tmp_path / "pwned").exists()
+
+
+def test_bytecode_beside_the_file_is_not_taken_for_it(work: Path, tmp_path: Path) -> None:
+    shutil.copytree(work / "out", tmp_path / "got")
+    real = tmp_path / "got/rolling.py"
+    evil = tmp_path / "evil.py"
+    evil.write_text(f"open({str(tmp_path / 'pwned')!r}, 'w')\n", encoding="utf-8")
+    cache = Path(importlib.util.cache_from_source(str(real)))
+    cache.parent.mkdir()
+    code = marshal.dumps(compile(evil.read_bytes(), str(real), "exec"))
+    about = real.stat()
+    head = importlib.util.MAGIC_NUMBER + struct.pack("<LLL", 0, int(about.st_mtime) & 0xFFFFFFFF, about.st_size)
+    cache.write_bytes(head + code)
+    assert load_model(tmp_path / "got/model.toml").model.name == "rolling"
+    assert not (tmp_path / "pwned").exists()
+
+
+def test_code_is_run_where_the_command_line_says_so(work: Path, tmp_path: Path, capsys: Said) -> None:
+    path = hostile(work, tmp_path, f"{work}/rolling.py:rolling", None)
+    assert run("ident", "export", path, "--to", "python") == 1
+    assert "--trust-code" in capsys.readouterr().err
+    assert run("ident", "export", path, "--to", "python", "--trust-code") == 0
+    assert run("ident", "export", path, "--to", "python") == 1  # it was for that command alone
 
 
 def test_effects_of_ones_own_are_found_from_anywhere_and_stay_with_the_model(
@@ -110,9 +182,9 @@ def test_effects_of_ones_own_are_found_from_anywhere_and_stay_with_the_model(
     Path("mine/own.py").write_text(OWN)
     assert run("ident", "vehicle", "a.mcap", "--out", "vehicle") == 0
     first = diagnosed("vehicle/model.toml", "one/diagnosis", ["--effects", "mine/own.py"])
-    assert first["effects_file"] == "../../mine/own.py"
+    assert first["effects_file"] == "own.py"
     again = diagnosed("one/diagnosis/model.toml", "two")
-    assert again["effects_file"] == "../mine/own.py"
+    assert again["effects_file"] == "own.py"
     assert again["effects_sha256"] == first["effects_sha256"]
     monkeypatch.chdir("/")
-    assert load_model(tmp_path / "two/model.toml").effects_file == tmp_path / "mine/own.py"
+    assert load_model(tmp_path / "two/model.toml").effects_file == tmp_path / "two/own.py"

@@ -136,7 +136,7 @@ def test_ones_own_model_with_a_static_curve(logs: Path, tmp_path: Path) -> None:
     assert row["agree"]
     assert row["df"] == 1
     assert "they agree" in found["answer"]
-    assert found["errors"]["validation"]["free_run"]["speed"]["after"] < 0.05
+    assert found["errors"]["validation"]["simulation"]["speed"]["after"] < 0.05
     assert "diagnose" not in found["answer"]  # nothing to search with in a model without a hull
     again = load_model(tmp_path / "v/model.toml")
     assert again.model.values["m"] == pytest.approx(estimate(found, "m")[0])

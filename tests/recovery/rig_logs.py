@@ -1,0 +1,381 @@
+"""What other rigs log of a mock boat: one table of rigs, each a way from simulated readings to log files.
+
+A rig with an autopilot goes through the emulated autopilot's own messages and the decoder's clock, at a link that is
+late by chance; what a spreadsheet would hold is written as CSV and imported; the rest is written by daq's recorder.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import redirect_stdout, suppress
+from dataclasses import dataclass, field, replace
+from functools import partial
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import seatrial
+from bench.mission_generators import make_mission
+from daq.clock import ClockMap
+from daq.log.recorder import Recorder
+from daq.protocol import Codec, dialect
+from daq.protocol.mavlink import MavlinkDecoder, make_samples
+from daq.samples import NAN, Ahrs, Command, Esc, Frame, Gnss
+from ident.data.log_channels import local_ned
+from mocks.devices.autopilot import AutopilotEmulator
+from mocks.hidden_effects.catalogue import make_effect
+from mocks.offline_simulation import BOAT, Recording, simulate, tables
+from mocks.plant.boat import Boat, draw_boat
+from mocks.plant.thruster import draw_thruster
+from mocks.random_streams import random_stream
+from mocks.world import DeviceSpecs, EscSpec, Reading
+from tests.missions import RPM_MAX, T0, StandingClock, rig_of, write_log
+from tests.recovery.kinds import DECLARED, NONE
+
+Array = NDArray[np.float64]
+Log = Callable[[Path, Sequence[Reading]], Path]  # writes the readings of one mission; returns the log's path
+LINK_DELAY, LINK_JITTER = 0.005, 0.01  # s: least and mean further delay of a message on a telemetry link
+LINK = 900  # stream of random numbers of the link's delays
+SHAFTS = ("n_left", "n_right")  # where no shaft is measured, these are the commands
+AUTOPILOT = DeviceSpecs(
+    {"autopilot": 50.0},
+    {"autopilot": 5.0},
+    (),
+    tuple(EscSpec("autopilot", k, 25.0, name=side) for k, side in ((1, "left"), (3, "right"))),
+)
+TEN_HERTZ = replace(BOAT, ahrs={"ahrs": 10.0}, gnss={"gnss": 10.0})
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What a boat carries, what is logged of it, and what its owner tells the commands.
+
+    Attributes:
+        says: what it is, a phrase.
+        log: how the readings of a mission become a log.
+        gear: the devices on board.
+        estimation, validation: length of each mission [s].
+        declared: declared standard deviations of the sensors over those of the data sheets; None: estimated.
+        scale_known: the owner knows the thrust coefficients, and gives them.
+        payload: on board in each mission [kg], those to validate last; nothing by default.
+        blind: effects that nothing in these logs can show.
+    """
+
+    name: str
+    says: str
+    log: Log
+    gear: DeviceSpecs = BOAT
+    estimation: tuple[float, ...] = (400.0,)
+    validation: tuple[float, ...] = (250.0,)
+    declared: float | None = None
+    scale_known: bool = True
+    payload: tuple[float, ...] = ()
+    blind: frozenset[str] = field(default_factory=frozenset)
+
+    def boat(self, effect: str | None, seed: int) -> Boat:
+        """The boat of a seed, its thrusters its own; of an unknown scale, up to twice or half the usual one."""
+        thruster = draw_thruster(seed)
+        if not self.scale_known:
+            factor = float(2.0 ** random_stream(seed, LINK, index=1).uniform(-1.0, 1.0))
+            thruster = replace(thruster, c1=factor * thruster.c1, c2=factor * thruster.c2)
+        return draw_boat(seed, [make_effect(effect, seed)] if effect else [], thruster)
+
+    def sail(self, boat: Boat, folder: Path) -> tuple[list[Path], list[Path]]:
+        """The logs to estimate and to validate, of random missions."""
+        paths = []
+        payload = self.payload or (0.0,) * len((*self.estimation, *self.validation))
+        for run, (seconds, kg) in enumerate(zip((*self.estimation, *self.validation), payload, strict=True), 1):
+            t, n = make_mission("mixed", seconds, 100 * run + boat.seed).setpoints()
+            loaded = replace(boat, hull=replace(boat.hull, mass=boat.hull.mass + kg))
+            recording: Recording = simulate(loaded, t, n, seconds, run, gear=self.gear)
+            paths.append(self.log(folder / f"run{run}.mcap", recording.readings))
+        return paths[: len(self.estimation)], paths[len(self.estimation) :]
+
+    def options(self, boat: Boat) -> list[str]:
+        """What the owner knows, as options of `seatrial ident vehicle`."""
+        known = {"y_left": -0.15, "y_right": 0.15}
+        if self.scale_known:
+            known |= {"c1": boat.thruster.c1, "c2": boat.thruster.c2}
+        if self.declared is not None:
+            known |= {name: self.declared * float(sd) for name, sd in DECLARED.items()}
+        return [word for name, value in known.items() for word in ("--fix", f"{name}={value!r}")]
+
+
+def vesc_log(path: Path, readings: Sequence[Reading]) -> Path:
+    """The boat of the mocks: an AHRS, a receiver and VESC controllers, as daq's recorder writes them."""
+    return write_log(path, "boat", readings)
+
+
+class Output:
+    """What an emulated autopilot sees of a speed controller: the command that it obeys."""
+
+    duty = 0.0
+
+
+def autopilot_log(path: Path, readings: Sequence[Reading], *, signed: bool) -> Path:
+    """Behind an autopilot, through its own messages: attitude and outputs at 25 Hz, fixes at 5 Hz.
+
+    ``signed``: a DroneCAN bus beside the link gives the shafts' speeds with their signs and times, 25 of each a second;
+    else they are ESC_TELEMETRY's, ten a second, unsigned, at the time at which they came.
+    """
+    rig = rig_of("mavboat")
+    device = rig.device("autopilot")
+    assert device.mavlink is not None
+    outputs = {thruster.node: Output() for thruster in rig.thrusters}
+    autopilot = AutopilotEmulator(rig, device, outputs)  # type: ignore[arg-type]
+    ground, decoder = Codec(device.mavlink.own_system_id, 190), MavlinkDecoder(make_samples(device, rig))
+    rates = device.mavlink.requested(device.rate_hz)
+    rates |= {"ESC_TELEMETRY_1_TO_4": 0.0} if signed else {}
+    for name, rate in rates.items():
+        if rate:
+            autopilot.receive(interval(ground, name, rate), 0.0)
+    rng, clock = np.random.default_rng([len(readings), LINK]), ClockMap()
+    recorder, arrived = Recorder(path, rig=rig, clock=StandingClock()), 0.0
+    for _, sample, t in readings:
+        if isinstance(sample, Command):
+            outputs[sample.node].duty = sample.n_cmd
+            recorder.write("autopilot", Frame(sample, T0 + t, NAN), T0 + t)
+            continue
+        if signed and isinstance(sample, Esc):
+            recorder.write("autopilot", Frame(sample, T0 + t + 1e-3, NAN), T0 + t + 1e-3)
+        data = autopilot.encode(sample, t)  # type: ignore[arg-type]
+        arrived = max(arrived, t + LINK_DELAY + float(rng.exponential(LINK_JITTER)))  # nothing overtakes
+        for frame in decoder.feed(data, T0 + arrived):
+            t = clock.estimate(frame.t_device, frame.t_rx, True) if np.isfinite(frame.t_device) else frame.t_rx
+            recorder.write("autopilot", frame, t)
+    recorder.close()
+    return path
+
+
+def interval(ground: Codec, name: str, rate: float) -> bytes:
+    """MAV_CMD_SET_MESSAGE_INTERVAL."""
+    number = getattr(dialect(), f"MAVLINK_MSG_ID_{name}")
+    return ground.encode("COMMAND_LONG", 1, 1, 511, 0, number, 1e6 / rate, 0, 0, 0, 0, 0)
+
+
+Columns = dict[str, tuple[Array, Array]]  # times (n,) [s] and values (n,), by name
+
+
+def csv_log(
+    path: Path, readings: Sequence[Reading], *, of: Callable[[Sequence[Reading]], Columns], hold: str = "linear"
+) -> Path:
+    """A table with one column a signal and empty cells where it has no sample, imported by a map.
+
+    ``hold``: of the inputs: zero for commands, linear for shafts whose speed was measured.
+    """
+    columns, rows = of(readings), dict[float, dict[str, float]]()
+    for name, (t, values) in columns.items():
+        for at, value in zip(t.tolist(), values.tolist(), strict=True):
+            rows.setdefault(round(at, 4), {})[name] = value
+    table, how = path.with_suffix(".csv"), path.with_suffix(".toml")
+    with table.open("w", newline="", encoding="ascii") as file:
+        writer = csv.DictWriter(file, ["t", *columns], restval="")
+        writer.writeheader()
+        for at in sorted(rows):
+            writer.writerow({"t": f"{at:.4f}"} | {name: f"{value:.7g}" for name, value in rows[at].items()})
+    how.write_text(csv_map(columns, hold), encoding="utf-8")
+    import_csv(how, table, path)
+    return path
+
+
+def import_csv(how: Path, table: Path, path: Path) -> None:
+    """`seatrial import csv`, quietly. Raises RuntimeError where it fails."""
+    with redirect_stdout(StringIO()):
+        try:
+            seatrial.main(["import", "csv", str(how), str(table), "-o", str(path), "--force"])
+        except SystemExit as left:
+            if left.code:
+                raise RuntimeError(f"{table.name} cannot be imported") from None
+
+
+def csv_map(columns: Iterable[str], hold: str) -> str:
+    """``hold``: of the inputs between samples."""
+    units = {"x": "m", "y": "m", "psi": "rad", "r": "rad/s", "ax": "m/s2", "ay": "m/s2"}
+    text = 'format = "seatrial-import-csv 1"\n[csv]\nnan = "drop"\n[time]\ncolumn = "t"\n'
+    for name in columns:
+        text += f'[[signal]]\nname = "{name}"\ncolumn = "{name}"\n'
+        if name in SHAFTS:
+            text += f'unit = "1"\nrole = "input"\nhold = "{hold}"\n'
+        else:
+            text += f'unit = "{units.get(name, "m/s")}"\n' + 'angle = "unwrap"\n' * (name == "psi")
+    return text
+
+
+def measured_columns(readings: Sequence[Reading]) -> Columns:
+    """All that the sensors of the boat said, and its shafts, by the names of an import."""
+    table = tables(readings)
+    ahrs, gnss = table["ahrs"], table["gnss"]
+    x, y = local_ned(gnss["lat"], gnss["lon"])
+    found = {name: (ahrs["t"], ahrs[of]) for name, of in (("psi", "yaw"), ("r", "r"), ("ax", "ax"), ("ay", "ay"))}
+    found |= {"x": (gnss["t"], x), "y": (gnss["t"], y), "vx": (gnss["t"], gnss["vel_n"])}
+    found |= {"vy": (gnss["t"], gnss["vel_e"])}
+    for node, side in ((1, "left"), (2, "right")):
+        state = table[f"esc/{node}/state"]
+        found[f"n_{side}"] = (state["t"], state["rpm"] / RPM_MAX)
+    return found
+
+
+def commands_only(readings: Sequence[Reading], *, rate: float) -> Columns:
+    """Without the shafts: the command that held, looked at ``rate`` times a second."""
+    table, found = tables(readings), measured_columns(readings)
+    at = np.arange(0.0, found["psi"][0][-1], 1.0 / rate)
+    sent = {}
+    for node, name in zip((1, 2), SHAFTS, strict=True):
+        told = table[f"esc/{node}/command"]
+        held = np.append(0.0, told["n_cmd"])[np.searchsorted(told["t"], at, side="right")]
+        sent[name] = (at, held)
+    return sent | {name: column for name, column in found.items() if name not in SHAFTS}
+
+
+def position_and_compass(readings: Sequence[Reading]) -> Columns:
+    """A receiver and a compass; no gyro, no accelerometer."""
+    return {name: column for name, column in measured_columns(readings).items() if name not in ("r", "ax", "ay")}
+
+
+def navigation_filter(readings: Sequence[Reading]) -> Columns:
+    """What an autopilot's own estimator makes of the same sensors, ten times a second: smooth, and of one mind.
+
+    Acceleration integrated in NED, drawn to the fixes; the heading integrated from the gyro, drawn to the compass.
+    """
+    rows, psi, r = [], None, 0.0
+    p, v, b = np.zeros(2), np.zeros(2), np.zeros(2)  # m, m/s, and the error of the acceleration, m/s2
+    origin, last, due = None, 0.0, 0.0
+    for _, sample, t in readings:
+        if isinstance(sample, Ahrs):
+            dt, last = t - last, t
+            psi = sample.yaw if psi is None else psi
+            psi += sample.r * dt + dt / 2.0 * ((sample.yaw - psi + np.pi) % (2.0 * np.pi) - np.pi)
+            r += min(1.0, dt / 0.05) * (sample.r - r)
+            c, s = np.cos(psi), np.sin(psi)
+            acceleration = np.array([c * sample.ax - s * sample.ay, s * sample.ax + c * sample.ay]) - b
+            p, v = p + dt * v, v + dt * acceleration
+            if t >= due:
+                due += 0.1
+                rows.append((t, *p, psi, r, c * v[0] + s * v[1], c * v[1] - s * v[0]))
+        elif isinstance(sample, Gnss):
+            origin = (sample.lat, sample.lon) if origin is None else origin
+            north, east = local_ned(np.array([origin[0], sample.lat]), np.array([origin[1], sample.lon]))
+            off, error = np.array([north[1], east[1]]) - p, np.array([sample.vel_n, sample.vel_e]) - v
+            p, v, b = p + 0.2 * off, v + 0.1 * error + 0.05 * off, b - 0.005 * error
+    table = np.array(rows)
+    table = table[table[:, 0] > 10.0]  # it has converged
+    found = {name: (table[:, 0], table[:, k]) for k, name in enumerate(("x", "y", "psi", "r", "u", "v"), start=1)}
+    return found | {name: column for name, column in measured_columns(readings).items() if name in SHAFTS}
+
+
+NO_RATES = frozenset({"gyro-scale", "accelerometer-tilt", "accelerometer-scale", "mount", "waves", "pendulum"})
+SHAFT = frozenset({"delay", "lag", "dead-band"})  # the shaft's own, where its speed is not measured
+VESC = Rig("vesc", "shaft speeds measured and signed, AHRS, GNSS, thrust known", vesc_log)
+RIGS: dict[str, Rig] = {
+    rig.name: rig
+    for rig in (
+        VESC,
+        Rig("mavlink-signed", "an autopilot, and signed shaft speeds from a DroneCAN bus",
+            partial(autopilot_log, signed=True), AUTOPILOT),
+        Rig("mavlink-unsigned", "an autopilot, and its unsigned ESC telemetry at the time of arrival",
+            partial(autopilot_log, signed=False), AUTOPILOT),
+        *(
+            Rig(f"commands-{rate}hz", f"CSV: commands held at {rate} Hz, no shaft speed",
+                partial(csv_log, of=partial(commands_only, rate=float(rate)), hold="zero"), blind=SHAFT)
+            for rate in (5, 10, 20, 50)
+        ),
+        Rig("gnss-compass", "CSV: GNSS and compass at 10 Hz, no gyro, shaft speeds measured",
+            partial(csv_log, of=position_and_compass), TEN_HERTZ, blind=NO_RATES),
+        Rig("ekf", "CSV: position, heading, yaw rate and body velocities smoothed by an estimator, 10 Hz",
+            partial(csv_log, of=navigation_filter), blind=NO_RATES | {"gnss-latency"}),
+        replace(VESC, name="noise-third", says="sensor noise declared a third of the true one", declared=1 / 3),
+        replace(VESC, name="noise-triple", says="sensor noise declared three times the true one", declared=3.0),
+        replace(VESC, name="scale-unknown", says="thrust known to nobody", scale_known=False),
+        replace(VESC, name="no-validation", says="one log, none to validate", validation=()),
+        replace(VESC, name="short", says="60 s to estimate, 60 s to validate", estimation=(60.0,), validation=(60.0,)),
+        replace(VESC, name="payload", says="5 kg more on board in the second of two runs, and 20 kg to validate",
+                estimation=(300.0, 300.0), payload=(0.0, 5.0, 20.0)),
+        replace(VESC, name="eight-runs", says="eight runs of 100 s", estimation=(100.0,) * 8),
+    )
+}
+
+
+@dataclass(frozen=True)
+class Plant:
+    """Runs that another program simulated, in the folder that SEATRIAL_DATA says.
+
+    Attributes:
+        folder: where they are.
+        effect: what was switched on, by the catalogue's name.
+        there: effects of the catalogue that the simulator's equations have in any case.
+        diagnosed: whether its model is one that can be diagnosed.
+    """
+
+    name: str
+    folder: str
+    effect: str = NONE
+    there: frozenset[str] = frozenset()
+    diagnosed: bool = True
+
+    @property
+    def path(self) -> Path:
+        """Raises FileNotFoundError where the data sets are not."""
+        path = Path(os.environ.get("SEATRIAL_DATA", "SEATRIAL_DATA is not set"), self.folder)
+        if not path.exists():
+            raise FileNotFoundError(f"{path}")
+        return path
+
+    def logs(self, folder: Path) -> tuple[list[Path], list[Path]]:
+        """The logs to estimate and to validate."""
+        if not self.diagnosed:
+            return [import_tlog(self.path, folder / "steps.mcap")], []
+        how = folder / "otter.toml"
+        with (self.path / "run1.csv").open(encoding="ascii") as file:
+            names = [n for n in next(csv.reader(file)) if n != "t" and not n.startswith("cmd_")]
+        how.write_text(csv_map(names, "linear"), encoding="utf-8")
+        logs = [folder / f"run{k}.mcap" for k in (1, 2, 3)]
+        for log in logs:
+            import_csv(how, self.path / f"{log.stem}.csv", log)
+        return logs[:2], logs[2:]
+
+    @property
+    def options(self) -> list[str]:
+        """What its owner knows: the thrusters; or a model of its own."""
+        if not self.diagnosed:
+            return ["--model", f"{ARDUROVER / 'steered_boat.py'}:boat", "--rate", "25"]
+        true = json.loads((self.path / "truth.json").read_text(encoding="utf-8"))
+        known = {"c1": true["c1"], "c2": true["c2"], "y_left": -OTTER_ARM, "y_right": OTTER_ARM}
+        return [word for name, value in known.items() for word in ("--fix", f"{name}={value!r}")]
+
+    def truth(self) -> dict[str, float]:
+        """True parameters, those that mean the same in the simulator as here."""
+        if not self.diagnosed:
+            return {"m_u": 2.0, "d_uu": 0.5}
+        mass = json.loads((self.path / "truth.json").read_text(encoding="utf-8"))["M"]
+        return {name: mass[k][k] for name, k in (("m_u", 0), ("m_v", 1), ("m_r", 5))}
+
+
+def import_tlog(tlog: Path, path: Path) -> Path:
+    """`seatrial import mavlink` of the example's rig, quietly."""
+    with redirect_stdout(StringIO()), suppress(SystemExit):
+        seatrial.main(["import", "mavlink", str(tlog), "--rig", str(ARDUROVER / "rig.toml"), "-o", str(path)])
+    return path
+
+
+ARDUROVER = Path(__file__).parents[2] / "docs" / "examples" / "ardurover"
+OTTER_ARM = 0.395  # m
+# The Otter's cross-flow drag is a strip integral, its centre of gravity lies ahead of its origin.
+STRIPS = frozenset({"cross-flow", "cg-offset", "sway-yaw"})
+PLANTS: dict[str, Plant] = {
+    plant.name: plant
+    for plant in (
+        Plant("otter-none-full", "otter/none_full", there=STRIPS),
+        Plant("otter-none", "otter/none_pos", there=STRIPS),
+        Plant("otter-current", "otter/current_pos", there=STRIPS),
+        Plant("otter-mismatch", "otter/weak_left_full", "mismatch", STRIPS),
+        Plant("otter-payload", "otter/payload_side_pos", "cg-offset", STRIPS | {"yaw-bias"}),
+        Plant("otter-latency", "otter/gps_latency_pos", "gnss-latency", STRIPS),
+        Plant("otter-advance", "otter/advance_pos", "advance-ratio", STRIPS),
+        Plant("ardurover", "ardurover/steps_boat.tlog", diagnosed=False),
+    )
+}

@@ -1,0 +1,324 @@
+"""The study on other rigs than the mocks' own, and on plants of other authorship.
+
+    python -m tests.recovery.rigs [--rigs vesc,ekf] [--effects none,wind] [--seeds N] [--seed S] [--jobs 2]
+                                  [--out FILE] [--report] [--docs]
+
+Each case is a boat of its own with one effect or none, logged as the rig logs it (`rig_logs`), and the two commands of
+a user: `seatrial ident vehicle` and `seatrial ident diagnose`. Nothing but their result files is judged. A case is a
+line in the out file as soon as it is done; a study that was interrupted goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from ident.results.parts import DiagnosisResult, VehicleResult
+from ident.results.result_file import read_result
+from mocks.hidden_effects.catalogue import DEMO, EFFECTS, OUTSIDE
+from mocks.plant.boat import Boat
+from tests.recovery import tables
+from tests.recovery.cases import Row, code_state, z_scores
+from tests.recovery.kinds import NONE
+from tests.recovery.logged import seatrial, spent
+from tests.recovery.resumable import read, resume
+from tests.recovery.rig_logs import PLANTS, RIGS, Plant
+
+OUT = Path("build/rigs.jsonl")
+DOCS = Path(__file__).parents[2] / "docs" / "recovery.md"
+CHOSEN = (NONE, *DEMO, "tether", "delay", "lag", "reverse-thrust")
+
+
+@dataclass(frozen=True)
+class RigCase:
+    """An effect (or ``none``) on the boat of a seed, logged by one of RIGS; or one of PLANTS, which has no seed."""
+
+    rig: str
+    effect: str
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """By which a case is found again among the results."""
+        return f"{self.rig}/{self.effect}/{self.seed}"
+
+
+def cases_of(rigs: Sequence[str], effects: Sequence[str], seed: int, seeds: int) -> list[RigCase]:
+    """Seed by seed, so that a study cut short has some of everything; no effect that a rig cannot see."""
+    found = [
+        RigCase(rig, effect, s)
+        for s in range(seed, seed + seeds)
+        for effect in effects
+        for rig in rigs
+        if rig in RIGS and effect not in RIGS[rig].blind
+    ]
+    return [*(RigCase(name, PLANTS[name].effect, 0) for name in rigs if name in PLANTS), *found]
+
+
+def run_case(case: RigCase) -> Row:
+    """One line of the study; a case that fails is a line too."""
+    row: Row = {"key": case.key, "rig": case.rig, "effect": case.effect, "seed": case.seed, "code": code_state()}
+    before, began = spent(), time.monotonic()
+    try:
+        with TemporaryDirectory() as folder:
+            row |= _plant(PLANTS[case.rig], Path(folder)) if case.rig in PLANTS else _boat(case, Path(folder))
+    except Exception as problem:  # the study goes on, and counts it
+        row |= {"error": f"{type(problem).__name__}: {problem}"}
+    return row | {"cpu": round(spent() - before, 1), "seconds": round(time.monotonic() - began, 1)}
+
+
+def _boat(case: RigCase, folder: Path) -> Row:
+    rig = RIGS[case.rig]
+    boat = rig.boat(None if case.effect == NONE else case.effect, case.seed)
+    row = _identified(folder, *rig.sail(boat, folder), rig.options(boat))
+    z = {} if rig.payload else z_scores(row.pop("fit").parameters, truth_of(boat))
+    return {k: v for k, v in row.items() if k != "fit"} | {"z": z}
+
+
+def _plant(plant: Plant, folder: Path) -> Row:
+    estimation, validation = plant.logs(folder)
+    row = _identified(folder, estimation, validation, plant.options, diagnose=plant.diagnosed)
+    return row | {"z": z_scores(row.pop("fit").parameters, plant.truth())}
+
+
+def _identified(
+    folder: Path, estimation: Sequence[Path], validation: Sequence[Path], options: Sequence[str], diagnose: bool = True
+) -> Row:
+    """What the two commands say of the logs, and the fit of the first."""
+    logs = [p.name for p in estimation] + [w for p in validation for w in ("--validate", p.name)]
+    seatrial(folder, "ident", "vehicle", *logs, *options, "--out", "vehicle")
+    vehicle = read_result(folder / "vehicle" / "result.json")
+    assert isinstance(vehicle, VehicleResult)
+    row: Row = {"vehicle": vehicle.answer, "warnings": list(vehicle.warnings), "fit": vehicle.fit}
+    row["converged"] = vehicle.fit.converged
+    if not diagnose:
+        return row | {"found": [], "attribution": [], "rivals": [], "answer": ""}
+    seatrial(folder, "ident", "diagnose", "vehicle/model.toml", *logs, "--out", "found")
+    found = read_result(folder / "found" / "result.json")
+    assert isinstance(found, DiagnosisResult)
+    return row | {
+        "found": [e.name for e in found.effects],
+        "attribution": [e.attribution for e in found.effects],
+        "rivals": [list(e.not_excluded) for e in found.effects],
+        "answer": found.answer,
+    }
+
+
+def truth_of(boat: Boat) -> dict[str, float]:
+    """The true parameters under ident's names."""
+    true = boat.truth()
+    hull = {n: v for n, v in true.items() if n[:2] in ("m_", "d_")}
+    return hull | {"V_x": true["current_n"], "V_y": true["current_e"]}
+
+
+# What a line is worth.
+
+RIGHT, FALSE_ALARM = "nothing, rightly", "false alarm"
+NAMED, LIKENED, DRAWN = "named", "likened", "drawn"
+MISSED, OTHER, WRONG = "missed", "likened to others", "wrong as sure"
+
+
+def verdict(row: Row) -> str:
+    """One of the words above. A boat that lacks nothing is right only where nothing is found, sure or not."""
+    there = {row["effect"]} if row["rig"] in RIGS else {row["effect"], *PLANTS[row["rig"]].there}
+    found = [name for name in row["found"] if not _expected(row, name)]
+    if row["effect"] == NONE:
+        return RIGHT if not set(found) - there else FALSE_ALARM
+    if not found:
+        return MISSED
+    sure = [n for n, how in zip(row["found"], row["attribution"], strict=True) if how == "identified"]
+    if set(sure) - there - {n for n in sure if _expected(row, n)}:
+        return WRONG
+    if row["effect"] in sure:
+        return NAMED
+    like = {row["found"][k] for k, how in enumerate(row["attribution"]) if how == "ambiguous"}
+    like |= {name for k, how in enumerate(row["attribution"]) if how == "ambiguous" for name in row["rivals"][k]}
+    if row["effect"] in like:
+        return LIKENED
+    return DRAWN if row["attribution"][0] == "nonparametric" else OTHER
+
+
+def _expected(row: Row, name: str) -> bool:
+    """That a parameter differs between runs is true where the payload does."""
+    return row["rig"] == "payload" and "differs" in name
+
+
+# Tables.
+
+
+def report(rows: Sequence[Row], form: Callable[[tables.Lines], str]) -> str:
+    """All tables: what is asked for, then by rig and by effect, and what failed."""
+    head = "## " if form is tables.as_markdown else ""
+    done = [r for r in rows if "error" not in r]
+    boats, others = [r for r in done if r["rig"] in RIGS], [r for r in done if r["rig"] in PLANTS]
+    parts = [
+        ("What is asked for on all rigs", asked(boats)),
+        ("By rig", by_rig(boats)),
+        ("By effect, over all rigs that can see it", by_effect(boats)),
+        ("Parameters of clean boats", parameters(boats)),
+        ("Plants of other authorship", plants(others)),
+        ("What failed", failures(rows)),
+    ]
+    return "\n\n".join(f"{head}{title}\n\n{form(lines)}" for title, lines in parts if len(lines) > 1)
+
+
+def asked(rows: Sequence[Row]) -> tables.Lines:
+    """Shares over all rigs, each with its 95 % interval and what is asked for."""
+    words = [verdict(r) for r in rows]
+    clean = [w for w in words if w in (RIGHT, FALSE_ALARM)]
+    lacking = [w for w in words if w not in clean]
+    z = _z(rows)
+    lines = [
+        ("clean boats told that something is missing", clean.count(FALSE_ALARM), len(clean), "<=", 0.02),
+        ("effects named or likened", sum(w in (NAMED, LIKENED) for w in lacking), len(lacking), ">=", 0.90),
+        ("a wrong name as sure", lacking.count(WRONG), len(lacking), "<=", 0.02),
+        ("clean estimates within three standard errors", int(np.sum(np.abs(z) <= 3)), z.size, ">=", 0.99),
+    ]
+    table = [["share", "asked for", "found", "95 % interval", "cases", "met"]]
+    for says, k, n, sign, limit in lines:
+        if n:
+            met = k / n >= limit if sign == ">=" else k / n <= limit
+            table.append([says, f"{sign} {limit:.0%}", f"{k / n:.1%}", tables.interval(k, n), f"{k}/{n}",
+                          "yes" if met else "no"])
+    return table
+
+
+def by_rig(rows: Sequence[Row]) -> tables.Lines:
+    """One line a rig: its clean boats, then those with an effect."""
+    lines = [["rig", "what is logged", "clean", "false alarms", "95 %", "within 3 s.e.", "effects", "named", "likened",
+              "drawn", "missed", "likened to others", "wrong as sure", "95 %", "CPU s"]]
+    for name, rig in RIGS.items():
+        own = [r for r in rows if r["rig"] == name]
+        if not own:
+            continue
+        count = Counter(verdict(r) for r in own)
+        clean = count[RIGHT] + count[FALSE_ALARM]
+        n, z = len(own) - clean, _z(own)
+        lines.append([
+            name, rig.says, str(clean), str(count[FALSE_ALARM]), tables.interval(count[FALSE_ALARM], clean),
+            f"{int(np.sum(np.abs(z) <= 3))}/{z.size}" if z.size else "", str(n),
+            *(str(count[w]) for w in (NAMED, LIKENED, DRAWN, MISSED, OTHER, WRONG)), tables.interval(count[WRONG], n),
+            f"{np.median([r['cpu'] for r in own]):.0f}",
+        ])
+    return lines
+
+
+def by_effect(rows: Sequence[Row]) -> tables.Lines:
+    """One line an effect, over all rigs."""
+    words = (NAMED, LIKENED, DRAWN, MISSED, OTHER, WRONG)
+    lines = [["truth", "cases", *words, "named or likened, 95 %"]]
+    for effect in dict.fromkeys(r["effect"] for r in rows if r["effect"] != NONE):
+        own = [r for r in rows if r["effect"] == effect]
+        count = Counter(verdict(r) for r in own)
+        lines.append([effect, str(len(own)), *(str(count[w]) for w in words),
+                      tables.interval(count[NAMED] + count[LIKENED], len(own))])
+    return lines
+
+
+def parameters(rows: Sequence[Row]) -> tables.Lines:
+    """(estimate - truth) / standard error of the clean boats by parameter, and the rigs where it is beyond three."""
+    clean = [r for r in rows if r["effect"] == NONE and r["z"]]
+    lines = [["parameter", "estimates", "mean z", "sd of z", "within 3", "rigs beyond"]]
+    for name in dict.fromkeys(n for r in clean for n in r["z"]):
+        own = [(r["rig"], r["z"][name]) for r in clean if name in r["z"]]
+        z, beyond = np.array([v for _, v in own]), Counter(rig for rig, v in own if abs(v) > 3)
+        within = f"{z.size - beyond.total()}/{z.size}"
+        lines.append([name, str(z.size), f"{z.mean():+.2f}", f"{z.std():.2f}", within,
+                      ", ".join(f"{rig} {n}" for rig, n in beyond.most_common())])
+    return lines
+
+
+def plants(rows: Sequence[Row]) -> tables.Lines:
+    """One line a plant: what it has, what was said."""
+    lines = [["plant", "switched on", "in its equations besides", "found", "how", "verdict", "beyond 3 s.e."]]
+    for r in rows:
+        beyond = ", ".join(f"{n} {z:+.1f}" for n, z in r["z"].items() if abs(z) > 3)
+        lines.append([r["rig"], r["effect"], ", ".join(sorted(PLANTS[r["rig"]].there)), ", ".join(r["found"]) or NONE,
+                      ", ".join(r["attribution"]), verdict(r), beyond])
+    return lines
+
+
+def failures(rows: Sequence[Row]) -> tables.Lines:
+    """Cases that ended in an error, by rig and message."""
+    counts = Counter((r["rig"], r["error"]) for r in rows if "error" in r)
+    return [["rig", "cases", "error"], *([rig, str(n), text] for (rig, text), n in counts.most_common())]
+
+
+def _z(rows: Sequence[Row]) -> Any:
+    return np.array([z for r in rows if r["effect"] == NONE for z in r["z"].values()])
+
+
+# The command.
+
+
+def line(row: Row) -> str:
+    """A case in a few words."""
+    if "error" in row:
+        return f"{row['key']}: failed: {row['error']}"
+    z = max((abs(v) for v in row["z"].values()), default=0.0)
+    return f"{row['key']}: {', '.join(row['found']) or 'nothing'} ({verdict(row)}; z {z:.1f}, {row['cpu']:.0f} s)"
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run what is not yet there, then print the tables."""
+    given = _parser().parse_args(words)
+    wanted = cases_of(given.rigs, given.effects, given.seed, given.seeds)
+    try:
+        rows = list(read(given.out).values()) if given.report else resume(wanted, run_case, line, given.jobs, given.out)
+    except KeyboardInterrupt:
+        print(f"interrupted; run the same again to go on ({given.out})", file=sys.stderr)
+        return 130
+    print(report(rows, tables.as_text))
+    if given.docs:
+        states = ", ".join(sorted({str(r["code"]) for r in rows}))
+        head = (
+            f"\n{tables.RIGS_HEADING}\n\nThe same boats on other rigs: what is logged differs, the commands are a "
+            "user's (`tests/recovery/rig_logs.py`); and runs of plants that others wrote. Intervals are Wilson's, of "
+            "95 %.\n\n"
+            f"    python -m tests.recovery.rigs --seed {given.seed} --seeds {given.seeds} --docs\n\n"
+            f"{len(rows)} cases; states of the code: {states}.\n\n"
+        )
+        page, _, _ = DOCS.read_text(encoding="utf-8").partition(f"\n{tables.RIGS_HEADING}\n")
+        DOCS.write_text(page + head + report(rows, tables.as_markdown) + "\n", encoding="utf-8")
+        print(f"written: {DOCS.name}")
+    return 1 if any("error" in r for r in rows) else 0
+
+
+def _listed(word: str, known: Sequence[str]) -> Callable[[str], list[str]]:
+    def parse(text: str) -> list[str]:
+        names = text.split(",")
+        for name in names:
+            if name not in known:
+                raise argparse.ArgumentTypeError(f"no {word} {name!r}; there are {', '.join(known)}")
+        return names
+
+    return parse
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser("python -m tests.recovery.rigs", description="The study on other rigs.")
+    every = [*RIGS, *PLANTS]
+    parser.add_argument("--rigs", type=_listed("rig", every), default=every, help=", ".join(every))
+    parser.add_argument("--effects", type=_listed("effect", (NONE, *EFFECTS, *OUTSIDE)), default=list(CHOSEN),
+                        help=f"by default {','.join(CHOSEN)}")
+    parser.add_argument("--seed", type=int, default=1, help="the first boat's")
+    parser.add_argument("--seeds", type=int, default=10, help="boats in each cell")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--out", type=Path, default=OUT, help="results, a JSON line a case")
+    parser.add_argument("--report", action="store_true", help="run nothing, show what the out file holds")
+    parser.add_argument("--docs", action="store_true", help="write its part of docs/recovery.md")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

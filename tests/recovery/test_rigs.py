@@ -1,0 +1,127 @@
+"""Other rigs: their logs hold what they say and no more, and every line is judged for what it is worth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.log.reader import open_log
+from daq.samples import Esc
+from ident.data.loading import load_run
+from mocks.offline_simulation import simulate
+from tests.missions import boat_with
+from tests.recovery import rigs, tables
+from tests.recovery.cases import Row, code_state
+from tests.recovery.rig_logs import PLANTS, RIGS, measured_columns, navigation_filter
+from tests.recovery.rigs import RigCase, cases_of, verdict
+
+
+@pytest.mark.parametrize("name", ["mavlink-signed", "mavlink-unsigned", "commands-5hz", "gnss-compass", "ekf"])
+def test_a_rig_logs_what_it_says(name: str, tmp_path: Path) -> None:
+    rig = replace(RIGS[name], estimation=(45.0,), validation=())
+    logs, _ = rig.sail(rig.boat(None, 3), tmp_path)
+    loaded = load_run(logs[0], "estimation")
+    found = loaded.run.channels
+    assert {"psi", "x", "y", "n_left", "n_right"} <= set(found)
+    assert {"gnss-compass": "r" not in found, "ekf": "u" in found}.get(name, "ax" in found)
+    if name.startswith("commands"):
+        assert loaded.holds["n_left"] == "zero"
+        assert np.median(np.diff(found["n_left"].t)) == pytest.approx(0.2)
+    if name.startswith("mavlink"):
+        with open_log(logs[0]) as log:
+            rpm = log.table(Esc, "autopilot", node=1)
+        late = (rpm["rpm"] * rpm["duty"] < 0).any()  # a shaft that has yet to follow a reversal
+        assert late == (name == "mavlink-signed")
+        assert np.median(np.diff(rpm["t"])) == pytest.approx(0.04 if name == "mavlink-signed" else 0.1, rel=0.1)
+
+
+def test_the_owner_gives_what_he_knows() -> None:
+    boat = RIGS["vesc"].boat("wind", 1)
+    assert f"c1={boat.thruster.c1!r}" in RIGS["vesc"].options(boat)
+    unknown = RIGS["scale-unknown"]
+    assert not any(word.startswith("c1") for word in unknown.options(unknown.boat(None, 1)))
+    assert len({round(unknown.boat(None, seed).thruster.c1) for seed in range(5)}) == 5
+    declared = dict(word.split("=") for word in RIGS["noise-third"].options(boat) if word.startswith("e_"))
+    assert float(declared["e_r"]) == pytest.approx(0.01 / 3 / 5**0.5)
+
+
+def test_an_estimator_is_smooth_and_near_the_truth() -> None:
+    done = simulate(boat_with(None, 1), [0.0, 20.0], [[0.5, 0.3], [0.2, 0.6]], 60.0, 1)
+    smooth, measured, truth = navigation_filter(done.readings), measured_columns(done.readings), done.truth
+    for name, near in (("psi", 0.02), ("u", 0.1), ("r", 0.03)):
+        t, value = smooth[name]
+        true = np.interp(t, truth["t"], np.unwrap(truth[name]) if name == "psi" else truth[name])
+        if name == "u":  # over ground
+            c, s = np.cos(np.interp(t, truth["t"], truth["psi"])), np.sin(np.interp(t, truth["t"], truth["psi"]))
+            true = c * np.gradient(np.interp(t, truth["t"], truth["x"]), t) + s * np.gradient(
+                np.interp(t, truth["t"], truth["y"]), t
+            )
+        error = value - true
+        error -= 2 * np.pi * np.round(error / (2 * np.pi))
+        assert np.sqrt(np.mean(error**2)) < near, name
+    assert np.std(np.diff(smooth["x"][1], 2)) < 0.2 * np.std(np.diff(measured["x"][1], 2))
+
+
+def row(rig: str, effect: str, found: list[str], how: str = "identified", rivals: tuple[str, ...] = ()) -> Row:
+    return {
+        "key": f"{rig}/{effect}/1", "rig": rig, "effect": effect, "seed": 1, "code": code_state(), "found": found,
+        "attribution": [how] * len(found), "rivals": [list(rivals)] * len(found), "answer": "", "cpu": 1.0,
+        "z": {"m_u": 4.0, "m_v": 1.0} if effect == "none" else {},
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("line", "worth"),
+    [
+        (row("vesc", "none", []), rigs.RIGHT),
+        (row("vesc", "none", ["wind"], "ambiguous"), rigs.FALSE_ALARM),
+        (row("vesc", "wind", ["wind"]), rigs.NAMED),
+        (row("vesc", "wind", ["compass"], "ambiguous", ("wind",)), rigs.LIKENED),
+        (row("vesc", "wind", ["compass"], "ambiguous", ("mount",)), rigs.OTHER),
+        (row("vesc", "wind", ["unknown N(psi)"], "nonparametric"), rigs.DRAWN),
+        (row("vesc", "wind", []), rigs.MISSED),
+        (row("vesc", "wind", ["wind", "lag"]), rigs.WRONG),
+        (row("payload", "none", ["m_u differs between runs"]), rigs.RIGHT),
+        (row("payload", "wind", ["m_u differs between runs"]), rigs.MISSED),
+        (row("vesc", "none", ["m_u differs between runs"]), rigs.FALSE_ALARM),
+        (row("otter-none", "none", ["cross-flow"]), rigs.RIGHT),
+        (row("otter-none", "none", ["lag"]), rigs.FALSE_ALARM),
+    ],
+)
+def test_what_a_line_is_worth(line: Row, worth: str) -> None:
+    assert verdict(line) == worth
+
+
+def test_the_tables_of_the_rigs() -> None:
+    rows = [row("vesc", "none", []), row("ekf", "none", ["lag"]), row("vesc", "wind", ["wind"]),
+            row("ekf", "wind", []), row("otter-none", "none", []), row("ekf", "lag", []) | {"error": "no"}]  # fmt: skip
+    text = rigs.report(rows, tables.as_text)
+    assert [line[2:] for line in rigs.asked(rows[:4])[1:]] == [
+        ["50.0%", "9.5-90.5", "1/2", "no"], ["50.0%", "9.5-90.5", "1/2", "no"], ["0.0%", "0.0-65.8", "0/2", "yes"],
+        ["50.0%", "15.0-85.0", "2/4", "no"],
+    ]  # fmt: skip
+    assert "What failed" in text
+    assert "otter-none" in text
+    assert tables.interval(0, 300) == "0.0-1.3"
+
+
+def test_cases_leave_out_what_a_rig_cannot_see() -> None:
+    cases = cases_of(["commands-5hz", "vesc", "otter-none"], ["none", "lag"], 7, 2)
+    assert cases[0] == RigCase("otter-none", "none", 0)
+    assert RigCase("vesc", "lag", 7) in cases
+    assert not any(c.rig == "commands-5hz" and c.effect == "lag" for c in cases)
+    assert len(cases) == 1 + 2 * 3
+    assert set(PLANTS).isdisjoint(RIGS)
+
+
+@pytest.mark.slow
+def test_the_house_rig_is_diagnosed_by_the_commands() -> None:
+    done = rigs.run_case(RigCase("vesc", "mismatch", 2))
+    assert done.get("error") is None
+    assert verdict(done) in (rigs.NAMED, rigs.LIKENED)
+    clean = rigs.run_case(RigCase("short", "none", 2))
+    assert clean.get("error") is None
+    assert verdict(clean) == rigs.RIGHT
