@@ -4,5 +4,6 @@ from .evaluation import evaluate_diagnosis as evaluate_diagnosis
 from .results import Diagnosis as Diagnosis
 from .results import Refit as Refit
 from .results import Round as Round
+from .results import ValidationMismatch as ValidationMismatch
 from .score_test import score_threshold as score_threshold
 from .search import diagnose as diagnose

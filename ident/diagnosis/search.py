@@ -105,10 +105,12 @@ def diagnose(
     full = nominal(model)
     candidates = {n: e for n, e in (catalogue() if effects is None else effects).items() if full.accepts(e)}
     wanted = set(candidates)
-    everything, candidates = superset(full, candidates, [*estimation, *validation])
+    failed = validation_records(full, validation, rate)[1]
+    usable = [r for r in validation if r.name not in {f.record for f in failed}]
+    everything, candidates = superset(full, candidates, [*estimation, *usable])
     untested = wanted - set(candidates)
     records = [make_record(everything, r, rate) for r in estimation]
-    runs, failed = validation_records(everything, validation, rate)
+    runs = [make_record(everything, r, rate) for r in usable]
     full = without_absent_sensors(full, records + runs)
     reporter.progress(f"fitting {full.name} with unexplained forces to {counted(len(records), 'run')}")
     before, unseen = _first_fit(full, records, runs)

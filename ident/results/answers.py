@@ -11,7 +11,7 @@ import numpy as np
 
 from ident.characterisation import Curve, Levels, Quadratic
 from ident.data import Record
-from ident.estimation import Fit, HomogeneityTest
+from ident.estimation import FailedRun, Fit, HomogeneityTest
 from ident.results.parts import (
     Calibrations,
     CrossCorrelation,
@@ -164,6 +164,11 @@ def not_converged(fit: Fit) -> str | None:
         f"The fit did not converge: it {fit.message}. Take no estimate or error from it: look for a stuck or "
         "missing signal first, then give --initial or --prior, or a model with fewer free parameters."
     )
+
+
+def failed_run_notes(failed: Sequence[FailedRun]) -> list[str]:
+    """A line for each validation run that could not be evaluated."""
+    return [f"Left out of the validation: {f.record}, which cannot be evaluated: {f.reason}." for f in failed]
 
 
 def stuck_sensors(records: Sequence[Record]) -> list[str]:

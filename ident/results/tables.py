@@ -10,7 +10,7 @@ from importlib.metadata import version
 import msgspec
 import numpy as np
 
-from ident import validation
+from ident import estimation, validation
 from ident.data import LoadedLog, Record
 from ident.estimation import Fit, HomogeneityTest, Profile
 from ident.model import Model, segment_name
@@ -24,6 +24,7 @@ from ident.results.parts import (
     ErrorComparison,
     Errors,
     ErrorTable,
+    FailedRun,
     FitSummary,
     Homogeneity,
     InputTrace,
@@ -379,6 +380,11 @@ def profile_curve(found: Profile) -> ProfileCurve:
         wald_high=finite(found.wald_high),
         notes=tuple(found.notes),
     )
+
+
+def failed_runs(failed: Sequence[estimation.FailedRun]) -> tuple[FailedRun, ...]:
+    """Validation runs that could not be evaluated."""
+    return tuple(FailedRun(record=f.record, reason=f.reason) for f in failed)
 
 
 def homogeneity_row(a: HomogeneityTest) -> Homogeneity:
