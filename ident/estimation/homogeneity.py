@@ -149,7 +149,7 @@ def between_runs_effect(model: Model, what: str) -> Effect:
         sd = PAYLOAD_SHARE * model.values["m_u"]
         carried = Parameter(
             "m_payload", 0.0, "kg", "mass more than on average over the runs", prior=(0.0, sd), per_record=True,
-            bounds=(-0.9 * min(model.values["m_u"], model.values["m_v"]), np.inf), step=0.05 * sd,
+            step=0.05 * sd,
         )
         return _between(PAYLOAD, "a payload that differs between runs", load, carried, "m_u + m, m_v + m in each run")
     names = ("c1", "c2") if what == THRUST else (what,)
