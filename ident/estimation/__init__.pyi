@@ -1,4 +1,3 @@
-from .cross_validation import TimeBlocks as TimeBlocks
 from .fisher_scoring import Bounds as Bounds
 from .fisher_scoring import Evaluation as Evaluation
 from .fisher_scoring import solve_step as solve_step
