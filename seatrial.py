@@ -21,7 +21,7 @@ try:
     import click
     from click.shell_completion import CompletionItem
 
-    from daq.errors import SeatrialError, SeatrialWarning
+    from daq.errors import SeatrialError, SeatrialWarning, printable
 except KeyboardInterrupt:  # Ctrl-C before there is a command to take it
     sys.stderr.write("\nseatrial: interrupted\n")
     raise SystemExit(130) from None
@@ -164,13 +164,13 @@ def _explain(error: BaseException) -> tuple[str, int]:
     else:
         line = f"internal error ({type(error).__name__}: {error}); run again with --debug to see where"
         status = FAILED
-    return " ".join(line.split()), status
+    return printable(" ".join(line.split())), status
 
 
 def _usage(error: click.UsageError) -> str:
     """The one line for words that make no command."""
     path = "seatrial" if error.ctx is None else error.ctx.command_path
-    text = " ".join(error.format_message().split()).rstrip(".")
+    text = printable(" ".join(error.format_message().split()).rstrip("."))
     return f"{path}: {text}{'' if text.endswith(('?', ')')) else ';'} `{path} --help` shows how"
 
 
@@ -179,7 +179,7 @@ def _shown(otherwise: Callable[..., None]) -> Callable[..., None]:
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
         if issubclass(category, SeatrialWarning):
-            print(f"seatrial: {message}", file=sys.stderr)
+            print(f"seatrial: {printable(str(message))}", file=sys.stderr)
         else:
             otherwise(message, category, *where, **more)
 

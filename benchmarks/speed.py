@@ -96,7 +96,7 @@ def saved(record: Record, folder: Path) -> Path:
 
 
 def large() -> Model:
-    """13 states, 27 parameters: the plane with current, unexplained forces and sensor offsets."""
+    """13 states, 27 parameters: the plane with current, disturbance forces and sensor offsets."""
     full = for_diagnosis(horizontal_model("shaft"))
     return full.with_free(full.values)
 

@@ -113,7 +113,10 @@ def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve
             console.print(f"live at {server.address}", markup=False)
         deadline = math.inf if duration is None else clock.now() + duration
         watch(acquisition, loaded, clock, deadline, stop, console)
-    console.print(log_summary(acquisition.status(), path), soft_wrap=True, markup=False)
+    last = acquisition.status()
+    console.print(log_summary(last, path), soft_wrap=True, markup=False)
+    if not any(port.samples for port in last.ports.values()):
+        raise SeatrialError(f"{path}: nothing came from any device; look at power, cables, ports and baud rates")
 
 
 @click.command()

@@ -26,3 +26,11 @@ class SeatrialWarning(RuntimeWarning):
 def counted(number: int, word: str) -> str:
     """1 fault, 2 faults."""
     return f"{number} {word}{'' if number == 1 else 's'}"
+
+
+def printable(text: str) -> str:
+    """A text of somebody else's, for a terminal: what would move its cursor, colour it or turn it around is spelled.
+    Lines stay lines."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c == "\n" else " " if c.isspace() else ascii(c)[1:-1] for c in text)

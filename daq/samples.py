@@ -146,6 +146,7 @@ class PortHealth:
     clock_spread: float  # s
 
 
+MEASURED = (Ahrs, Gnss, Esc, LoadCell, Servo, Battery, Autopilot, Scalar)  # what a device or a file has said
 Sample = Ahrs | Gnss | Esc | LoadCell | Command | Servo | Battery | Autopilot | Scalar | Event | PortHealth
 
 

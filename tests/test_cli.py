@@ -82,6 +82,7 @@ def test_runs_as_a_module() -> None:
         (SeatrialError("two\n  lines"), 1, "two lines"),
         (SafetyStop("left motor above 80 degC; let it cool"), 3, "left motor above 80 degC; let it cool"),
         (click.ClickException("no such thing"), 1, "no such thing"),
+        (SeatrialError("\x1b[2Ja \u202e\x07"), 1, "\\x1b[2Ja \\u202e\\x07"),
         (FileNotFoundError(2, "No such file or directory", "a.mcap"), 1, "a.mcap: No such file or directory"),
         (KeyboardInterrupt(), 130, "interrupted"),
     ],

@@ -48,6 +48,13 @@ def test_links_and_files_exist(page: Path) -> None:
     assert not [word for word in quoted if not (ROOT / word).exists()]
 
 
+@pytest.mark.parametrize("page", [ROOT / "docs/threats.md"], ids=name)
+def test_the_tests_that_a_page_names_are_there(page: Path) -> None:
+    named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", page.read_text(encoding="utf-8"))
+    assert len(named) > 10
+    assert not [f"{file}::{test}" for file, test in named if f"\ndef {test}(" not in (ROOT / file).read_text("utf-8")]
+
+
 def shell_lines() -> Iterator[tuple[str, str]]:
     """(where, command line) of everything that a reader may copy."""
     for page in PAGES:

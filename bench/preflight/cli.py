@@ -223,12 +223,18 @@ def _logs(motion: MotionChecks, paths: Sequence[Path]) -> list[Finding]:
     """Findings of each log: of its devices here, of the motion by ident where that is installed."""
     from daq.checks import check_devices
     from daq.log import open_log
+    from daq.samples import MEASURED
 
     found = []
     for path in paths:
         with open_log(path) as log:
             here, counts = list(check_devices(log)), log.counts
-        here += _motion(motion, path)
+            samples = any(log.sources(kind) for kind in MEASURED)
+        if samples:
+            here += _motion(motion, path)
+        else:
+            advice = "`seatrial info` shows what is in it"
+            here.append(Finding(FAULT, "log-empty", "log", "all of it", "it holds no sample of any device", advice))
         if not here:
             here = [
                 Finding(

@@ -27,6 +27,7 @@ MUTE_BYTES = 2000  # so many without a valid frame are no start-up noise
 STUCK_S = 0.25  # wall; a thread that commands thrust has a turn every 20 ms
 JOIN_BYTES = 256  # as much may be the rest of a frame
 RATE_WINDOW_S = 2.0  # wall
+UNORDERED = ("nmea", "ubx")  # as those of MANY: an attitude of now comes before the fix of a moment ago
 MANY = ("mavlink", "nmea2000")  # several kinds of samples over one port, and not all count for its rate
 
 
@@ -71,6 +72,7 @@ class DeviceLoop(threading.Thread):
         self._port, self._decoder, self._clock, self._sink = port, decoder, clock, sink
         self._setpoints, self._driver, self._on_lost = setpoints, driver, on_lost
         self._many, self._attitudes = device.protocol in MANY, False
+        self._unordered = self._many or device.protocol in UNORDERED
         self._clock_map = ClockMap()
         self._sensor_health = SensorHealth()
         self._suspended = SuspendDetector()
@@ -237,7 +239,7 @@ class DeviceLoop(threading.Thread):
         if math.isnan(frame.t_device):
             return frame.t_rx
         self._has_clock = True
-        return self._clock_map.estimate(frame.t_device, frame.t_rx, self._many)
+        return self._clock_map.estimate(frame.t_device, frame.t_rx, self._unordered)
 
     def _send(self, dues: list[Due]) -> None:
         """Write the set-points that are due."""

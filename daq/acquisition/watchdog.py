@@ -22,6 +22,7 @@ from pathlib import Path
 from daq.acquisition.device_loop import decode_read
 from daq.acquisition.ipc import ACTIVE, ANSWER, FINISHED, IDLE, AcquisitionChannel, WatchdogConfiguration, WatchdogReady
 from daq.config import parse_rig
+from daq.drivers import DeviceDriver
 from daq.log import note_path
 from daq.protocol import Decoder, pack_can, vesc
 from daq.realtime_priority import set_realtime_priority
@@ -116,21 +117,25 @@ class FailsafeSender(threading.Thread):
 
     def __init__(self, device: Device, rig: Rig) -> None:
         super().__init__(name=f"failsafe {device.name}")
-        self._device = device
+        self._device, self._rig = device, rig
         self._thrusters = [thruster for thruster in rig.thrusters if thruster.device == device.name]
         self.outcome = "not tried"
         self._port: Port = make_port(device)
-        self._driver = None
+        self._driver: DeviceDriver | None = None
         self._decoder: Decoder | None = None
         if device.protocol != "vesc":
-            from daq.drivers import LinkRole, make_driver
-            from daq.protocol import make_decoder
-
-            self._decoder = make_decoder(device, rig)
-            self._driver = make_driver(device, rig, self._decoder, LinkRole.DRIVE)
+            self._prepare()
             self._zero()  # whatever has to be loaded for it is loaded now
         else:
             self._frames = b"".join(pack_can(*vesc.encode_duty(t.node, 0.0)) for t in self._thrusters)
+
+    def _prepare(self) -> None:
+        """A decoder and a driver that begin now: a signature of long ago is refused."""
+        from daq.drivers import LinkRole, make_driver
+        from daq.protocol import make_decoder
+
+        self._decoder = make_decoder(self._device, self._rig)
+        self._driver = make_driver(self._device, self._rig, self._decoder, LinkRole.RESCUE)
 
     def _zero(self) -> bytes:
         if self._driver is None:
@@ -140,6 +145,8 @@ class FailsafeSender(threading.Thread):
     def run(self) -> None:
         """Open, send zero for a second, close."""
         deadline = time.monotonic() + OPEN_S
+        if self._driver is not None:
+            self._prepare()
         while True:
             try:
                 self._port.open()

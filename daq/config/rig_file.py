@@ -58,6 +58,7 @@ def parse_rig(text: str, source: Path | str) -> Rig:
     if not devices:
         raise root.error("device", "missing; a rig needs at least one [[device]]")
     _unique(root, "device", [device.name for device in devices])
+    _own_ports(root, devices)
     thrusters = tuple(_thruster(table, devices) for table in root.tables("thruster"))
     _unique(root, "thruster", [thruster.name for thruster in thrusters])
     _unique(root, "thruster", [f"{t.device} node {t.node}" for t in thrusters])
@@ -104,6 +105,18 @@ def _live(table: TomlTable | None) -> Live:
     found = Live(table.text("host", Live.host), table.integer("port", Live.port, low=0, high=65535))
     table.done()
     return found
+
+
+def _own_ports(root: TomlTable, devices: Sequence[Device]) -> None:
+    """Only a CAN interface of the system and connections to others can have several users."""
+    owner: dict[str, str] = {}
+    for device in devices:
+        if device.port.startswith(("socketcan:", "udpout:", "tcp:")):
+            continue
+        port = device.port.removeprefix("udpin:").removeprefix("udp:")
+        if port in owner:
+            raise root.error("device", f"{owner[port]} and {device.name} have the same port, {device.port}")
+        owner[port] = device.name
 
 
 def _unique(root: TomlTable, key: str, names: Sequence[str]) -> None:

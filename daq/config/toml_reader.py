@@ -10,6 +10,7 @@ from pathlib import Path
 from daq.errors import SeatrialError, counted
 
 _MISSING = object()
+HUGE = 1e15  # numbers beyond are not written out: they may have thousands of digits
 
 
 def parse_toml(text: str, source: Path | str) -> TomlTable:
@@ -18,6 +19,8 @@ def parse_toml(text: str, source: Path | str) -> TomlTable:
         return TomlTable(tomllib.loads(text), str(source))
     except tomllib.TOMLDecodeError as error:
         raise SeatrialError(f"{source}: not valid TOML: {error}") from error
+    except (RecursionError, ValueError) as error:  # brackets in thousands, or a number of thousands of digits
+        raise SeatrialError(f"{source}: not read: nested too deeply, or a number with too many digits") from error
 
 
 def read_text(path: Path) -> str:
@@ -158,11 +161,13 @@ class TomlTable:
     def _check_range(self, key: str, value: float, low: float | None, high: float | None) -> None:
         if (low is not None and value < low) or (high is not None and value > high):
             bounds = f"{'' if low is None else low} .. {'' if high is None else high}".strip()
-            raise self.error(key, f"must be within {bounds}, not {value:g}")
+            raise self.error(key, f"must be within {bounds}, not {_kind(value)}")
 
 
 def _kind(value: object) -> str:
-    if isinstance(value, (bool, int, float)):
+    if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, (int, float)):
+        return f"{value:g}" if not abs(value) >= HUGE else "so large a number"
     names: dict[type, str] = {str: "text", list: "a list", dict: "a table"}
     return names.get(type(value), "a date or time")

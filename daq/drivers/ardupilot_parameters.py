@@ -14,6 +14,8 @@ from daq.rig import Thruster
 TWO_PADDLES = 1
 THROTTLES = (70.0, 73.0, 74.0)  # SERVOn_FUNCTION: throttle, throttle left, throttle right
 OVERRIDE_MAX_S = 1.0
+HOLD, TERMINATE = 2.0, 5.0  # FS_ACTION
+IGNORES_OVERRIDES = 1 << 1  # of RC_OPTIONS
 GROUND_STATION_NAMES = ("MAV_GCS_SYSID", "SYSID_MYGCS")  # from 4.7 on, and before
 
 
@@ -34,7 +36,8 @@ class ParameterMismatch(NamedTuple):
 def parameter_names(thrusters: Sequence[Thruster]) -> tuple[str, ...]:
     """The parameters to ask for, for the thrusters behind one autopilot."""
     names = ["PILOT_STEER_TYPE", "MOT_SLEWRATE", "MOT_THR_MIN", "MOT_THST_EXPO", "RC_OVERRIDE_TIME"]
-    names += ["FS_GCS_ENABLE", "FS_TIMEOUT", "FS_ACTION", "SCHED_LOOP_RATE", *GROUND_STATION_NAMES]
+    names += ["FS_GCS_ENABLE", "FS_THR_ENABLE", "FS_TIMEOUT", "FS_ACTION", "RC_OPTIONS", "MOT_THST_ASYM", "MOT_THR_MAX"]
+    names += ["MANUAL_STR_EXPO", "SCHED_LOOP_RATE", *GROUND_STATION_NAMES]
     for thruster in thrusters:
         if thruster.output is None:
             continue
@@ -67,6 +70,18 @@ def _safety(p: Mapping[str, float], own_system: int) -> list[ParameterMismatch]:
         found.append(
             ParameterMismatch("FS_GCS_ENABLE", failsafe, "1", "without it a lost ground station stops nothing", True)
         )
+    throttle = p.get("FS_THR_ENABLE")
+    if throttle != 1.0:
+        why = "without it the last override holds for ever where no transmitter was ever heard"
+        found.append(ParameterMismatch("FS_THR_ENABLE", throttle, "1", why, True))
+    action = p.get("FS_ACTION", HOLD)
+    if action not in (HOLD, TERMINATE):
+        why = "a lost link stops nothing" if action == 0.0 else "after a lost link the boat drives by itself"
+        found.append(ParameterMismatch("FS_ACTION", action, "2 (hold) or 5 (terminate)", why, action == 0.0))
+    options = int(p.get("RC_OPTIONS", 0.0))
+    if options & IGNORES_OVERRIDES:
+        why = "with bit 1 it ignores every command of ours"
+        found.append(ParameterMismatch("RC_OPTIONS", float(options), f"{options & ~IGNORES_OVERRIDES}", why, True))
     ground = p.get("MAV_GCS_SYSID", p.get("SYSID_MYGCS"))
     if ground != float(own_system):
         name = "SYSID_MYGCS" if "SYSID_MYGCS" in p else "MAV_GCS_SYSID"
@@ -86,6 +101,9 @@ def _mixing(p: Mapping[str, float]) -> list[ParameterMismatch]:
         ("MOT_SLEWRATE", 0.0, "the autopilot would ramp every step"),
         ("MOT_THR_MIN", 0.0, "the autopilot would jump over the smallest thrust"),
         ("MOT_THST_EXPO", 0.0, "the autopilot would bend the thrust curve"),
+        ("MOT_THST_ASYM", 1.0, "the autopilot would stretch commands in reverse"),
+        ("MOT_THR_MAX", 100.0, "the autopilot would cut off large commands"),
+        ("MANUAL_STR_EXPO", 0.0, "the autopilot would bend the difference of the commands"),
     )
     found += [
         ParameterMismatch(name, p[name], f"{want:g}", why, False)
@@ -112,7 +130,9 @@ def _thruster(p: Mapping[str, float], thruster: Thruster) -> list[ParameterMisma
             if value != pulses[k]:
                 why = f"{key} of thruster {thruster.name} in the rig says so; one of both is wrong"
                 found.append(ParameterMismatch(f"{prefix}_{end}", value, f"{pulses[k]:g}", why, True))
-    for name, why in ((f"{channel}_DZ", "a dead zone around neutral"), (f"{channel}_REVERSED", "the sign turns")):
+    turns = "the sign of the command or of the output alone turns"
+    dead = "a dead zone around neutral"
+    for name, why in ((f"{channel}_DZ", dead), (f"{channel}_REVERSED", turns), (f"{servo}_REVERSED", turns)):
         if p.get(name, 0.0) != 0.0:
-            found.append(ParameterMismatch(name, p[name], "0", why, False))
+            found.append(ParameterMismatch(name, p[name], "0", why, why == turns))
     return found

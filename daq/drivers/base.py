@@ -20,6 +20,7 @@ class LinkRole(enum.StrEnum):
     LISTEN = "listen"  # nothing is sent: not even a heartbeat, which an autopilot takes for its ground station's
     ASK = "ask"  # requests (rates, parameters) under a system id of its own; no heartbeat, no command
     DRIVE = "drive"  # the ground station: heartbeats, requests, commands
+    RESCUE = "rescue"  # the watchdog in the place of who drove: zero alone, signed as a link of its own
 
 
 @dataclass(frozen=True)

@@ -35,8 +35,8 @@ def make_driver(device: Device, rig: Rig, decoder: Decoder, role: LinkRole) -> D
     settings = device.mavlink
     key = None if settings.key_file is None else mavlink_wire.read_key(settings.key_file)
     spare = next(number for number in SPARE_IDS if number not in (settings.system_id, settings.own_system_id))
-    own = settings.own_system_id if role is LinkRole.DRIVE else spare
-    codec = mavlink_wire.Codec(own, settings.own_component_id, key, time.time())
+    own = settings.own_system_id if role in (LinkRole.DRIVE, LinkRole.RESCUE) else spare
+    codec = mavlink_wire.Codec(own, settings.own_component_id, key, time.time(), int(role is LinkRole.RESCUE))
     driver = MavlinkDriver(device, here, codec, role)
     decoder.secure(codec)
     decoder.listener = lambda message: driver.receive(message, time.monotonic())

@@ -17,6 +17,7 @@ from typing import Any, final
 from daq.drivers.ardupilot_parameters import GROUND_STATION_NAMES, parameter_names
 from daq.drivers.base import DeviceDriver, LinkRole, LinkStatus
 from daq.drivers.setpoints import Due
+from daq.errors import printable
 from daq.protocol import ARMED, ESC_STATUS, INVALID, SEVERITIES, Codec, dialect, mode_name
 from daq.rig import Device, Thruster
 from daq.samples import Event
@@ -27,6 +28,7 @@ ANSWER_S = 0.4  # to a command, before it is sent again
 TRIES = 4
 PARAMETER_S = 0.5
 PARAMETER_TRIES = 5
+REBOOT_MS = 1000  # its clock back by more: it has restarted
 NEUTRAL_S = 0.05  # between neutral overrides while nothing is commanded
 SET_INTERVAL, SET_MODE, ARM = 511, 176, 400  # MAV_CMD
 ACCEPTED, TEMPORARILY_REJECTED, IN_PROGRESS = 0, 1, 5  # MAV_RESULT
@@ -77,10 +79,15 @@ class MavlinkDriver(DeviceDriver):
         self._asked = -math.inf
         self._reasons: list[str] = []
         self._started = False
+        self._boot_ms = 0  # the newest
 
     def receive(self, message: Any, now: float) -> None:
         """A message of the autopilot."""
         name = message.get_type()
+        if name == "ATTITUDE":
+            if message.time_boot_ms < self._boot_ms - REBOOT_MS:
+                self.opened(now)  # it has forgotten what it was asked for
+            self._boot_ms = message.time_boot_ms
         if name == "HEARTBEAT" and message.autopilot != INVALID:
             self._receive_heartbeat(message, now)
         elif name == "COMMAND_ACK":
@@ -106,6 +113,8 @@ class MavlinkDriver(DeviceDriver):
             ]
 
     def _receive_answer(self, m: Any) -> None:
+        if m.target_system not in (0, self._codec.system):
+            return  # the answer to another ground station
         if not self._commands or self._commands[0].number != m.command or m.result == IN_PROGRESS:
             return
         command = self._commands[0]
@@ -147,10 +156,11 @@ class MavlinkDriver(DeviceDriver):
             self._status = replace(self._status, parameters=parameters)
 
     def _receive_text(self, m: Any) -> None:
-        if m.text.startswith(("PreArm:", "Arm:")):
-            self._reasons = [*self._reasons, m.text][-3:]
-        if m.severity <= CRITICAL and not m.text.startswith(("PreArm:", "Arm:")):
-            self._status = replace(self._status, alarm=f"{SEVERITIES[m.severity]}: {m.text}")
+        text = printable(m.text)
+        if text.startswith(("PreArm:", "Arm:")):
+            self._reasons = [*self._reasons, text][-3:]
+        elif m.severity <= CRITICAL and not m.chunk_seq:  # a later part of a long text has no beginning to go by
+            self._status = replace(self._status, alarm=f"{SEVERITIES[m.severity]}: {text}")
 
     def request(self, action: str, value: float) -> None:
         """`arm`, `disarm`, `mode` with its number, or `leave`: disarm what was armed by us."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from daq.config import default_decoder
@@ -15,6 +16,7 @@ from daq.samples import Ahrs, Frame, Gnss, LoadCell
 
 _NAMES: dict[type, str] = {Ahrs: "ahrs", Gnss: "gnss", LoadCell: "load_cell"}
 _CHUNK = 1 << 16
+UNDATED = 2 * nmea.DAY  # s since 1970; a time of day without a date is given the day of the receipt, which is 0 here
 
 
 def import_raw(
@@ -23,7 +25,8 @@ def import_raw(
     """Decode a capture and write its samples; returns the path of the log and a summary in one line.
 
     A capture has no times of its own. With `rate` [Hz] the samples are put 1/rate apart, beginning in 1970; without
-    it each carries the device's own time. Raises SeatrialError.
+    it each carries the device's own time. NMEA before its first date has that of the date which follows, and the day of
+    1970-01-01 where none does. Raises SeatrialError.
     """
     decoder = default_decoder(protocol)
     frames, sha256 = _decode(decoder, path)
@@ -56,8 +59,25 @@ def _decode(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
         raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
     if isinstance(decoder, (nmea.Decoder, ubx.Decoder)):
         frames += decoder.flush()
+        frames = _dated(frames)
     decoder.reset()  # an incomplete frame counts as unparsed
     return frames, digest.hexdigest()
+
+
+def _dated(frames: list[Frame]) -> list[Frame]:
+    """Frames of a time of day, before the first date, moved to the day of what follows them."""
+    times = [frame.t_device for frame in frames]
+    near = nmea.DAY / 2 if any(t < 0.0 for t in times) else math.nan  # without any date: within 1970-01-01
+    for k in reversed(range(len(frames))):
+        if times[k] < UNDATED and math.isfinite(near):
+            times[k] = nmea.nearest_day(times[k], near)
+        near = times[k] if math.isfinite(times[k]) else near
+    return [_at(frame, t) if t != frame.t_device else frame for frame, t in zip(frames, times, strict=True)]
+
+
+def _at(frame: Frame, t: float) -> Frame:
+    sample = frame.sample
+    return frame._replace(t_device=t, sample=replace(sample, utc=t) if isinstance(sample, Gnss) else sample)
 
 
 def _device_times(path: Path, frames: Sequence[Frame]) -> list[float]:

@@ -13,6 +13,7 @@ import struct
 import zlib
 from collections import OrderedDict
 from collections.abc import Callable
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import TypeVar
@@ -24,7 +25,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from daq.errors import SeatrialError, counted
+from daq.errors import SeatrialError, counted, printable
 from daq.log.mcap_chunk import (
     CHUNK_HEAD,
     CHUNK_NAME,
@@ -195,9 +196,12 @@ class RawLog(Chunked):
             (checksum,) = struct.unpack_from("<I", data, len(data) - 4)
             if checksum not in (0, zlib.crc32(data[:-4])):
                 raise ValueError("checksum of an attachment")
-            self.attachments.append(_parse(Attachment.read, data))
+            found = _parse(Attachment.read, data)
+            self.attachments.append(replace(found, name=printable(found.name)))
         elif opcode == Opcode.METADATA:
-            self.metadata.append(_parse(Metadata.read, self._read(start, stop)))
+            about = _parse(Metadata.read, self._read(start, stop))
+            texts = {printable(key): printable(value) for key, value in about.metadata.items()}
+            self.metadata.append(replace(about, metadata=texts))
         elif opcode == Opcode.HEADER:
             self.profile = _parse(Header.read, self._read(start, stop)).profile
 
@@ -205,10 +209,11 @@ class RawLog(Chunked):
         try:
             if opcode == Opcode.SCHEMA:
                 schema = _parse(Schema.read, data)
-                self.schemas[schema.id] = schema
+                self.schemas[schema.id] = replace(schema, name=printable(schema.name))
             else:
                 channel = _parse(Channel.read, data)
-                self.channels[channel.id] = channel
+                about = {printable(key): printable(value) for key, value in channel.metadata.items()}
+                self.channels[channel.id] = replace(channel, topic=printable(channel.topic), metadata=about)
         except DAMAGE as error:
             self._warn(f"a schema or channel is damaged and left out ({_what(error)})")
 

@@ -19,7 +19,7 @@ from mcap.records import Channel
 from numpy.typing import NDArray
 
 from daq.config import parse_rig
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, printable
 from daq.log import schema
 from daq.log.cdr import ENCAPSULATION, HEAD, NANO, CdrLayout, cdr_layout, stamps
 from daq.log.schema import Measured
@@ -192,7 +192,7 @@ class Log:
             return []
         found = []
         for t, _, tail in self._whole("/event", schema.EVENT):
-            kind, text = (part.decode("utf-8", errors="replace") for part in tail)
+            kind, text = (printable(part.decode("utf-8", errors="replace")) for part in tail)
             found.append((t, kind, text))
         return found
 
@@ -202,7 +202,7 @@ class Log:
         for t, row, (port,) in self._whole(f"/health/{device}", schema.HEALTH):
             n_in, n_frames, n_bad, n_unparsed, n_dropped, n_again = (int(row[name]) for name in _COUNTERS)
             bias, spread = float(row["clock_bias"]), float(row["clock_spread"])
-            name = port.decode("utf-8", errors="replace")
+            name = printable(port.decode("utf-8", errors="replace"))
             found.append((t, PortHealth(name, n_in, n_frames, n_bad, n_unparsed, n_dropped, n_again, bias, spread)))
         return found
 

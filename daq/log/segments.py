@@ -14,7 +14,7 @@ import numpy as np
 from mcap.records import Attachment, Channel, Metadata, Schema
 from numpy.typing import NDArray
 
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, printable
 from daq.log.mcap_chunk import MESSAGE, Buffer, Chunked
 from daq.log.mcap_reader import MAX_WARNINGS, RawLog
 
@@ -157,7 +157,7 @@ def read_note(log: Path) -> str:
         text = path.read_bytes()[: 4 * LONGEST].decode("utf-8", errors="replace") if path.is_file() else ""
     except OSError:
         return ""
-    return " ".join(text.split())[:LONGEST]
+    return printable(" ".join(text.split())[:LONGEST])
 
 
 def discard_note(log: Path) -> None:

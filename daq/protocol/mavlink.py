@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
+from daq.errors import printable
 from daq.protocol.framing import StreamDecoder
 from daq.protocol.mavlink_wire import ESC_STATUS, Codec, dialect, head, is_known, is_whole
 from daq.rig import AutopilotOutput, Device, Rig
@@ -346,7 +347,8 @@ class Samples:
 
     def _text(self, m: Any) -> Found:
         number, before = self._chunks
-        text = before + m.text if m.id and m.id == number and m.chunk_seq else m.text
+        said = printable(m.text)
+        text = before + said if m.id and m.id == number and m.chunk_seq else said
         if m.id and len(m.text) == CHUNK:
             self._chunks = (m.id, text)
             return []

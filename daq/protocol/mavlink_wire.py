@@ -137,13 +137,17 @@ def is_whole(frame: bytes, found: Head) -> bool:
 class Codec:
     """One end of a link: frames to messages and messages to frames, signed where there is a key."""
 
-    def __init__(self, system: int, component: int, key: bytes | None = None, now_unix: float = EPOCH_2015) -> None:
-        """Our own ids; `now_unix` [s since 1970] starts the signatures' clock, which must never go back."""
+    def __init__(
+        self, system: int, component: int, key: bytes | None = None, now_unix: float = EPOCH_2015, link: int = 0
+    ) -> None:
+        """Our own ids; `now_unix` [s since 1970] starts the signatures' clock, which never goes back on one `link`."""
+        self.system = system
         self._mav = dialect().MAVLink(None, srcSystem=system, srcComponent=component)
         if key is not None:
             self._mav.signing.secret_key = key
             self._mav.signing.timestamp = int(max(now_unix - EPOCH_2015, 0.0) * 1e5)
             self._mav.signing.sign_outgoing = True
+            self._mav.signing.link_id = link
         self._key = key
 
     def decode(self, frame: bytes) -> Any | None:

@@ -85,7 +85,11 @@ class Sentences:
         kind = body[2:5].decode("ascii") if body[5:6] == b"," and body[:1] != b"P" else ""
         if kind in KINDS:
             return self.epochs.take(kind, body, t_rx)
-        return self.headings.take(kind, body, t_rx)
+        found = self.headings.take(kind, body, t_rx)
+        if found and body.startswith(b"PASHR"):  # the one heading with a time of its own
+            seconds = _seconds(body.split(b","), 1)
+            found = [frame._replace(t_device=self.epochs.utc_of(seconds, t_rx)) for frame in found]
+        return found
 
     def forget(self) -> None:
         """The port was reopened."""
@@ -222,13 +226,20 @@ class Epochs:
             midnight = datetime.datetime.combine(epoch.date, datetime.time(), datetime.UTC)
             utc = midnight.timestamp() + epoch.seconds
         else:
-            near = self._last_utc if math.isfinite(self._last_utc) else epoch.t_rx
-            if not math.isfinite(near):
-                return NAN
-            utc = math.floor(near / DAY) * DAY + epoch.seconds
-            utc += round((near - utc) / DAY) * DAY  # past midnight
+            utc = self.utc_of(epoch.seconds, epoch.t_rx)
         self._last_utc = utc
         return utc
+
+    def utc_of(self, seconds: float, t_rx: float) -> float:
+        """UTC of a time of the day [s] without a date: the nearest to the last epoch, or else to its receipt."""
+        return nearest_day(seconds, self._last_utc if math.isfinite(self._last_utc) else t_rx)
+
+
+def nearest_day(t: float, near: float) -> float:
+    """The time [s] moved by whole days to where it is nearest to another; NaN without either."""
+    if not math.isfinite(t + near):
+        return NAN
+    return t + round((near - t) / DAY) * DAY
 
 
 def _gnss(epoch: _Epoch, utc: float, mode_gsa: int) -> Gnss:

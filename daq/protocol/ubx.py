@@ -17,7 +17,7 @@ import time
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from daq.protocol import nmea
 from daq.samples import NAN, WGS84_FLATTENING, WGS84_SEMI_MAJOR_AXIS, Ahrs, Frame, Gnss, wrap_angle
@@ -46,11 +46,15 @@ _TIMEGPS = struct.Struct("<IihbBI")
 _DOP = struct.Struct("<I7H")
 _HPPOSLLH = struct.Struct("<B2xBI4i4b2I")
 _ATT = struct.Struct("<IB3x3i3I")
+_STATUS = struct.Struct("<I4B2I")
+_HNR_PVT = struct.Struct("<IH6Bi2B2x8i4I4x")
+HNR_PVT = (0x28, 0x00)
 # Kind -> lengths of payload that it may have.
 LENGTHS: dict[tuple[int, int], frozenset[int]] = {
     (0x01, 0x07): frozenset({84, 92}), (0x01, 0x02): frozenset({28}), (0x01, 0x06): frozenset({52}),
     (0x01, 0x12): frozenset({36}), (0x01, 0x21): frozenset({20}), (0x01, 0x20): frozenset({16}),
     (0x01, 0x04): frozenset({18}), (0x01, 0x14): frozenset({36}), (0x01, 0x05): frozenset({32}),
+    (0x01, 0x03): frozenset({16}), HNR_PVT: frozenset({72}),
 }  # fmt: skip
 _CARRIES = frozenset({0x07, 0x02, 0x06, 0x14})  # a position, or that there is none
 _FIX = {1: 1, 2: 2, 3: 3, 4: 3}  # gpsFix -> Gnss.fix; 5 is a fix of time only, at a place known from before
@@ -169,12 +173,17 @@ class Epochs:
         self._emitted = False
         self._kinds: deque[set[int]] = deque(maxlen=REMEMBERED)
         self._expected: set[int] = set()
+        self._is_high_rate = False  # whether HNR-PVT has come
+        self._utc, self._utc_tow = NAN, 0  # of the last epoch: UTC [s since 1970], time of week [ms]
 
     def take(self, kind: tuple[int, int], payload: bytes, t_rx: float) -> list[Frame]:
         """Take one message whose kind and length are in LENGTHS; the samples it completes."""
         number = kind[1]
+        if kind == HNR_PVT:
+            return self._high_rate(payload, t_rx)
         if number == 0x05:
-            return _attitude(payload, t_rx)
+            utc = self._utc_of(struct.unpack_from("<I", payload)[0])
+            return [frame._replace(t_device=utc) for frame in _attitude(payload, t_rx)]
         self.has_position = self.has_position or number in _CARRIES
         (i_tow,) = struct.unpack_from("<I", payload, 4 if number == 0x14 else 0)
         out: list[Frame] = []
@@ -196,8 +205,24 @@ class Epochs:
         if epoch is None or self._emitted or not epoch.kinds & _CARRIES:
             return []
         self._emitted = True
+        if self._is_high_rate:
+            return []
         sample = _gnss(epoch.values)
+        if math.isfinite(sample.utc):
+            self._utc, self._utc_tow = sample.utc, epoch.i_tow
+        else:
+            sample = replace(sample, utc=self._utc_of(epoch.i_tow))
         return [Frame(sample, epoch.t_rx, sample.utc)]
+
+    def _high_rate(self, payload: bytes, t_rx: float) -> list[Frame]:
+        """A solution at the rate of the inertial sensors; it replaces those of the navigation epochs."""
+        self.has_position = self._is_high_rate = True
+        sample = _hnr_pvt(payload)
+        return [Frame(sample, t_rx, sample.utc)]
+
+    def _utc_of(self, i_tow: int) -> float:
+        """UTC of a time of week [ms], from the last epoch whose UTC is known; NaN before."""
+        return self._utc + math.remainder(1e-3 * (i_tow - self._utc_tow), WEEK)
 
     def forget(self) -> None:
         """Discard the incomplete epoch (the port was reopened)."""
@@ -205,16 +230,16 @@ class Epochs:
 
 
 def _gnss(v: dict[str, float]) -> Gnss:
-    fix = int(v.get("fix", v.get("sol_fix", 0)))
+    fix = int(v.get("fix", v.get("sol_fix", v.get("status_fix", 0))))
     lat, lon = (v.get(f"hp_{name}", v.get(name, v.get(f"sol_{name}", NAN))) for name in ("lat", "lon"))
     has_place = "place" in v and abs(lat) <= 90.0 and abs(lon) <= 180.0
     fix, lat, lon = (fix, lat, lon) if has_place else (0, NAN, NAN)
     return Gnss(
         v.get("utc", v.get("sol_utc", NAN)), lat, lon,
         alt=v.get("hp_alt", v.get("alt", NAN)) if has_place else NAN,
-        vel_n=v.get("vel_n", NAN) if fix else NAN,
-        vel_e=v.get("vel_e", NAN) if fix else NAN,
-        vel_d=v.get("vel_d", NAN) if fix else NAN,
+        vel_n=v.get("vel_n", v.get("sol_vel_n", NAN)) if fix else NAN,
+        vel_e=v.get("vel_e", v.get("sol_vel_e", NAN)) if fix else NAN,
+        vel_d=v.get("vel_d", v.get("sol_vel_d", NAN)) if fix else NAN,
         fix=fix,
         n_sat=int(v.get("n_sat", -1)),
         hdop=v.get("hdop", NAN),
@@ -264,7 +289,7 @@ def _hpposllh(v: dict[str, float], payload: bytes) -> None:
 
 
 def _sol(v: dict[str, float], payload: bytes) -> None:
-    i_tow, f_tow, week, fix, flags, x, y, z, *_, n_sat, _ = _SOL.unpack(payload)
+    i_tow, f_tow, week, fix, flags, x, y, z, _, vel_x, vel_y, vel_z, *_, n_sat, _ = _SOL.unpack(payload)
     v["sol_fix"] = 0
     if fix:
         v["place"] = 1.0
@@ -273,7 +298,36 @@ def _sol(v: dict[str, float], payload: bytes) -> None:
     if flags & 0x0C == 0x0C and week > 0:  # week and time of week are valid
         v["sol_utc"] = gps_to_utc(GPS_EPOCH + week * WEEK + 1e-3 * i_tow + 1e-9 * f_tow)
     v["n_sat"] = n_sat
-    v["sol_lat"], v["sol_lon"] = _geodetic(1e-2 * x, 1e-2 * y, 1e-2 * z)
+    v["sol_lat"], v["sol_lon"] = lat, lon = _geodetic(1e-2 * x, 1e-2 * y, 1e-2 * z)
+    v["sol_vel_n"], v["sol_vel_e"], v["sol_vel_d"] = _local(1e-2 * vel_x, 1e-2 * vel_y, 1e-2 * vel_z, lat, lon)
+
+
+def _status(v: dict[str, float], payload: bytes) -> None:
+    _, fix, flags, *_ = _STATUS.unpack(payload)
+    v["status_fix"] = 0
+    if fix:
+        v["place"] = 1.0
+    if flags & 1:
+        v["status_fix"] = 4 if flags & 2 and fix in (2, 3, 4) else _FIX.get(fix, 0)
+
+
+def _hnr_pvt(payload: bytes) -> Gnss:
+    (
+        _, year, month, day, hour, minute, second, valid, nano, gps_fix, flags, lon, lat, _, h_msl, ground, _, course,
+        _, h_acc, *_,
+    ) = _HNR_PVT.unpack(payload)  # fmt: skip
+    fix = (4 if flags & 2 and gps_fix in (2, 3, 4) else _FIX.get(gps_fix, 0)) if flags & 1 else 0
+    known = bool(gps_fix) and abs(lat) <= 90e7 and abs(lon) <= 180e7
+    heading = math.radians(1e-5 * course)
+    return Gnss(
+        _utc(year, month, day, hour, minute, second, nano) if valid & 3 == 3 else NAN,
+        1e-7 * lat if known else NAN, 1e-7 * lon if known else NAN,
+        alt=1e-3 * h_msl if known else NAN,
+        vel_n=1e-3 * ground * math.cos(heading) if fix and known else NAN,
+        vel_e=1e-3 * ground * math.sin(heading) if fix and known else NAN,
+        fix=fix if known else 0,
+        sigma_h=1e-3 * h_acc / math.sqrt(2.0) if known else NAN,
+    )  # fmt: skip
 
 
 def _velned(v: dict[str, float], payload: bytes) -> None:
@@ -320,6 +374,15 @@ def _geodetic(x: float, y: float, z: float) -> tuple[float, float]:
     return math.degrees(lat), math.degrees(math.atan2(y, x))
 
 
+def _local(x: float, y: float, z: float, lat: float, lon: float) -> tuple[float, float, float]:
+    """A vector in ECEF as north, east, down at a place [deg]; Farrell 2008, eq. 2.24."""
+    phi, lam = math.radians(lat), math.radians(lon)
+    outward = math.cos(lam) * x + math.sin(lam) * y
+    north = math.cos(phi) * z - math.sin(phi) * outward
+    return north, math.cos(lam) * y - math.sin(lam) * x, -math.cos(phi) * outward - math.sin(phi) * z
+
+
 _READ: dict[int, Callable[[dict[str, float], bytes], None]] = {
     0x07: _pvt, 0x02: _posllh, 0x14: _hpposllh, 0x06: _sol, 0x12: _velned, 0x21: _timeutc, 0x20: _timegps, 0x04: _dop,
+    0x03: _status,
 }  # fmt: skip

@@ -70,7 +70,7 @@ def _topics(log: Log) -> Table:
             name = signals[topic]
             notes = [f"{log.role(name)} [{log.unit(name)}], hold {log.hold(name)}"]
         count = str(log.counts[topic])
-        table.add_row(escape(topic), type_name, count, _number(rate, 2), _number(gap, 4), *map(escape, notes))
+        table.add_row(escape(topic), escape(type_name), count, _number(rate, 2), _number(gap, 4), *map(escape, notes))
     return table
 
 
@@ -92,7 +92,7 @@ def _health(log: Log) -> Table:
         delay = "-"
         if math.isfinite(last.clock_bias):
             delay = f"{last.clock_bias * 1e3:.2f} ± {_number(last.clock_spread * 1e3, 2)}"
-        table.add_row(device, escape(last.port), *(str(counter) for counter in counters), delay)
+        table.add_row(escape(device), escape(last.port), *(str(counter) for counter in counters), delay)
     return table
 
 

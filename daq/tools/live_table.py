@@ -99,7 +99,7 @@ def table(status: Status, rig: Rig, width: int) -> Group:
         values = [describe(sample, rig, port.name) for sample in latest] or [port.message or "nothing yet"]
         rows.add_row(*_cells(port, rig.speed, wide), Text(values[0], style=BAD if not latest else ""))
         for value in values[1:]:
-            rows.add_row(*[""] * (len(columns) - 1), value)
+            rows.add_row(*[""] * (len(columns) - 1), Text(value))
     parts: list[Table | Text] = [_header(status, rig), Text(), rows, Text()]
     parts += [Text(f"! {warning}", style=BAD) for warning in status.warnings]
     parts += [Text(f"hint: {hint}", style=DIM) for hint in status.hints]

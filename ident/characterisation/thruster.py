@@ -55,8 +55,8 @@ def _restricted(top: Fit, records: Sequence[Record]) -> Fit:
 
 
 def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOptions) -> Fit:
-    """The model fitted from least squares. The end of the dead zone is felt only within it, so it is looked for on a
-    grid, and again with what the fit then says of all else, until it stays."""
+    """The model fitted from least squares. The likelihood depends on the end of the dead zone only within it, so that
+    is looked for on a grid, and again with what the fit then says of all else, until it stays."""
     guess = first_guess(records, "thrust" in model.provides)
     guess["tau"] = min(guess["tau"], 0.95 * model.parameter("tau").bounds[1])
     fitted = fit(model, records, options, start=guess)

@@ -207,7 +207,7 @@ def holds(told: Channel, shaft: Channel) -> list[Hold]:
 
 
 def _steps(name: str, told: Channel, shaft: Channel) -> Iterator[Finding]:
-    """What single steps show and a fit over everything does not: slow news, a limit, drop-outs."""
+    """What single steps show and a fit over everything does not: slow telemetry, a limit, drop-outs."""
     there = holds(told, shaft)
     half = []
     for before, now in pairwise(there):

@@ -182,7 +182,7 @@ class LiveLine:
         self.status.update(text)
 
     def warning(self, text: str) -> None:
-        self.console.print(f"  {text}")
+        self.console.print(f"  {text}", markup=False)
 
 
 def run_workflow(work: Callable[[Reporter], Result], out: Path) -> None:

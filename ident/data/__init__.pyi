@@ -1,6 +1,9 @@
 from .loading import LoadedLog as LoadedLog
 from .loading import load_all as load_all
 from .loading import load_run as load_run
+from .log_channels import COMMANDS as COMMANDS
+from .log_channels import SHAFTS as SHAFTS
+from .log_channels import PropulsionInput as PropulsionInput
 from .log_channels import ahrs_channels as ahrs_channels
 from .log_channels import channels as channels
 from .prepared_record import InitialCondition as InitialCondition

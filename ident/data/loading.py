@@ -4,25 +4,26 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from daq.errors import SeatrialError
 from daq.log import Log, open_log
 from daq.rig import Rig
-from ident.data.log_channels import channels
-from ident.data.record import Channel, LogSegment
+from ident.data.log_channels import PropulsionInput, channels, propulsion_input
+from ident.data.record import LogSegment
 
 
 @dataclass(frozen=True)
 class LoadedLog:
-    """A log in memory: its signals, and what the report says of it."""
+    """A log in memory: its signals, and what the report says of it. ``propulsion``: what it says of its thrusters."""
 
     run: LogSegment
     about: dict[str, Any]
     holds: Mapping[str, str]
     rig: Rig | None
+    propulsion: PropulsionInput | None = None
     segments: tuple[tuple[float, str], ...] = ()  # steps of its mission: when each began [s of the log], and its name
 
 
@@ -41,7 +42,7 @@ def load_run(path: Path, role: str, t_from: float | None = None, t_to: float | N
         if not found:
             raise SeatrialError(f"{path}: no signal that ident knows; see what it holds with `seatrial info {path}`")
         start = min(c.t[0] for c in found.values())
-        moved = {n: Channel(c.t - start, c.value, c.unit, c.source) for n, c in found.items()}
+        moved = {n: replace(c, t=c.t - start) for n, c in found.items()}
         about = {
             "path": path.name,
             "sha256": log.sha256,
@@ -52,9 +53,10 @@ def load_run(path: Path, role: str, t_from: float | None = None, t_to: float | N
             "mission": _mission_name(log),
             "warnings": list(log.warnings),
         }
-        holds = {n: _hold(log, n) for n in found}
+        holds = {n: c.hold or _hold(log, n) for n, c in found.items()}
         segments = tuple((t - start, text) for t, kind, text in log.events() if kind == "segment")
-        return LoadedLog(LogSegment(path.stem, moved, t_from, t_to), about, holds, log.rig, segments)
+        propulsion = propulsion_input(log, moved, holds)
+        return LoadedLog(LogSegment(path.stem, moved, t_from, t_to), about, holds, log.rig, propulsion, segments)
 
 
 def _hold(log: Log, name: str) -> str:

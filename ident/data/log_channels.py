@@ -5,18 +5,22 @@
 | psi, phi, theta | AHRS: yaw, roll and pitch (unwrapped by whoever averages them) |
 | p, q, r, ax, ay | AHRS: body rates, specific force |
 | x, y, vx, vy | GNSS: metres north and east of the first fix, velocity over ground |
-| n_left, n_right | shaft speed over the rig's rpm_max, positive ahead; else what the autopilot's output said |
+| n_left, n_right | shaft speed over the rig's rpm_max, positive ahead |
 | n_cmd_left, n_cmd_right | commands; where an autopilot is between, its output instead |
 | servo_1, servo_2, ... | pulses of an autopilot's outputs (us), where no rig names thrusters |
 | force | load cell, tared by the static segments of the plan |
 | speed | along the track, from velocity over ground (imported speed_x and speed_y, or vx and vy) |
 | any other | imported signals, by their own names |
 
-Where a controller reports the magnitude of the shaft speed only, as an autopilot's ESC telemetry does, `with_sign`
-gives it the sign of the delayed and lagged command.
+Where a controller reports the magnitude of the shaft speed only, as an autopilot's ESC telemetry does, `shaft_speed`
+gives it the sign of the delayed and lagged command. `propulsion_input` says which of the signals a model is driven by.
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +33,38 @@ from ident.numerics import Array, LagData, first_order_lag, fit_first_order_lag
 
 Table = NDArray[np.void]  # of `Log.table`, shape (n,)
 TRACK_WINDOW = 20.0  # s either way, over which the direction of travel is averaged
-GRID_STEP = 0.02  # s, on which the command of a shaft of unknown sign is filtered
+GRID_STEP = 0.01  # s, on which the command of a shaft of unknown sign is filtered
 DELAYS = tuple(np.arange(0.0, 1.01, 0.05).tolist())  # s, that are tried for it
 TIME_CONSTANTS = tuple(1.0 / (1.5 * 1.5**k) for k in range(9))  # s, that are tried, from 0.67 to 0.026
+NEAR_DELAYS = np.arange(-0.05, 0.051, 0.01)  # s, and factors on the time constant: about the best of these
+NEAR_TIME_CONSTANTS = np.array([0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4])
+
+
+class PropulsionInput(StrEnum):
+    """What a log says of its thrusters; the first is the best."""
+
+    MEASURED = "measured"  # shaft speeds with their sign, when they were
+    TELEMETRY = "telemetry"  # shaft speeds relayed by an autopilot: late by an unknown time, and without a sign
+    COMMAND = "command"  # commands only: of the shafts nothing is known, or too seldom
+
+
+SHAFTS, COMMANDS = ("n_left", "n_right"), ("n_cmd_left", "n_cmd_right")
+SLOWEST_TELEMETRY = 0.15  # s between shaft speeds; from slower ones no change of the thrust can be timed
+
+
+def propulsion_input(log: Log, found: Mapping[str, Channel], holds: Mapping[str, str]) -> PropulsionInput | None:
+    """What drives a model of the boat, by where its signals come from, their hold and their rate; None: no such signal.
+
+    A shaft speed that is held from one sample to the next is a command: no shaft jumps.
+    """
+    if not all(n in found for n in SHAFTS):
+        return PropulsionInput.COMMAND if all(n in found for n in COMMANDS) else None
+    if any(holds.get(n) == "zero" for n in SHAFTS):
+        return PropulsionInput.COMMAND
+    if all(n in found for n in COMMANDS) and max(np.median(np.diff(found[n].t)) for n in SHAFTS) > SLOWEST_TELEMETRY:
+        return PropulsionInput.COMMAND
+    by_autopilot = any(t.output is not None for t in (log.rig.thrusters if log.rig else ()))
+    return PropulsionInput.TELEMETRY if by_autopilot else PropulsionInput.MEASURED
 
 
 def channels(log: Log) -> dict[str, Channel]:
@@ -103,15 +136,14 @@ def _thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> None:
         if node in log.nodes(Servo, device) and follows_command(state["rpm"], state["duty"]):
             # Telemetry has no sign, and the shaft follows its output late.
             output = _channel(log.table(Servo, device, node=node), "n", "", device)
-            shaft = Channel(shaft.t, with_sign(shaft.t, shaft.value, output.t, output.value), "", device)
+            t, rpm = shaft_speed(shaft.t, shaft.value, output.t, output.value)
+            shaft = Channel(t, rpm, "", device, "average")
         found[f"voltage_{thruster.name}"] = _channel(state, "voltage", "V", device)
     if shaft is not None and shaft.t.size > 1 and np.isfinite(thruster.rpm_max):
-        found[f"n_{thruster.name}"] = Channel(shaft.t, shaft.value / thruster.rpm_max, "", device)
+        found[f"n_{thruster.name}"] = replace(shaft, value=shaft.value / thruster.rpm_max)
     if node in log.nodes(Servo, device):
         # What the autopilot put out is what the thruster was told: between it and our command are its own delays.
-        output = _channel(log.table(Servo, device, node=node), "n", "", device)
-        found[f"n_cmd_{thruster.name}"] = output
-        found.setdefault(f"n_{thruster.name}", output)
+        found[f"n_cmd_{thruster.name}"] = _channel(log.table(Servo, device, node=node), "n", "", device)
     elif node in log.nodes(Command, device):
         found[f"n_cmd_{thruster.name}"] = _channel(log.table(Command, device, node=node), "n_cmd", "", device)
 
@@ -159,20 +191,36 @@ def follows_command(rpm: Array, n: Array) -> bool:
     return bool(np.any(np.diff(signs)) and np.all(np.sign(rpm[both]) == signs))
 
 
-def with_sign(t: Array, speed: Array, t_told: Array, told: Array) -> Array:
-    """Speeds (k,) at times ``t`` (k,) s with the sign that their shaft had, told ``told`` (m,) from ``t_told`` (m,) s
-    on, each held until the next."""
+def shaft_speed(t: Array, speed: Array, t_told: Array, told: Array) -> tuple[Array, Array]:
+    """The speed of a shaft with its sign, from its magnitude ``speed`` (k,) at times ``t`` (k,) s and what it was told,
+    ``told`` (m,) from ``t_told`` (m,) s on, each held until the next.
+
+    What the command explains, by the delay and the first-order lag that fit best, and the rest, which is small and
+    smooth, interpolated: a straight line from one sample of slow telemetry to the next would round off every step.
+    Returns: times (n,) s, ``GRID_STEP`` apart, and speeds (n,), each held until the next.
+    """
     speed = np.abs(speed)
     clock = np.arange(t[0] - DELAYS[-1], t[-1] + GRID_STEP, GRID_STEP)
     held = told[np.maximum(np.searchsorted(t_told, clock, side="right") - 1, 0)]
 
+    def scale(size: Array) -> float:
+        return float(size @ speed) / max(float(size @ size), 1e-12)
+
     def misfit(lagged: Array, delay: float) -> float:
         size = np.abs(np.interp(t - delay, clock, lagged))
-        scale = float(size @ speed) / max(float(size @ size), 1e-12)
-        return float(np.sum((speed - scale * size) ** 2))
+        return float(np.sum((speed - scale(size) * size) ** 2))
 
-    best = fit_first_order_lag([LagData(held, misfit)], DELAYS, TIME_CONSTANTS, GRID_STEP, hold="backward")
-    if not np.isfinite(best.misfit):
-        return np.copysign(speed, np.interp(t, clock, held))
-    lagged = first_order_lag(held, best.time_constant, GRID_STEP, hold="backward")
-    return np.copysign(speed, np.interp(t - best.delay, clock, lagged))
+    delays, time_constants = np.array(DELAYS), np.array(TIME_CONSTANTS)
+    for near in (1.0, 0.2, 0.0):  # each time closer about the best
+        best = fit_first_order_lag(
+            [LagData(held, misfit)], delays.tolist(), time_constants.tolist(), GRID_STEP, hold="backward"
+        )
+        delays, time_constants = best.delay + near * NEAR_DELAYS, best.time_constant * NEAR_TIME_CONSTANTS**near
+    delay, lagged = 0.0, held
+    if np.isfinite(best.misfit):
+        delay, lagged = best.delay, first_order_lag(held, best.time_constant, GRID_STEP, hold="backward")
+    then = np.interp(t - delay, clock, lagged)
+    gain = scale(np.abs(then))
+    rest = np.convolve(np.pad(np.copysign(speed, then) - gain * then, 1, mode="edge"), np.full(3, 1 / 3), mode="valid")
+    own = clock[clock >= t[0]]
+    return own - GRID_STEP / 2, gain * np.interp(own - delay, clock, lagged) + np.interp(own, t, rest)

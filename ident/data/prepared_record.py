@@ -25,7 +25,7 @@ class Prepared:
 
     rows: ``u``, ``u_next`` (n_rows, n_inputs), ``y`` (n_rows, n_outputs), ``h`` (n_rows,) [s]; mask (n_rows,): a bit
     for each sensor that has a sample in that row; first (n_outputs,): the first measurement, NaN where there is none;
-    n_measured: measured values; wild (n_rows, n_outputs): outliers before the first measurement, without their bit;
+    n_measured: measured values; outliers (n_rows, n_outputs): those before the first measurement, without their bit;
     start: of ``Record``.
     """
 
@@ -34,7 +34,7 @@ class Prepared:
     mask: NDArray[np.uint32]
     first: Array
     n_measured: int
-    wild: NDArray[np.bool_]
+    outliers: NDArray[np.bool_]
     start: Mapping[str, tuple[float, float]]
 
 
@@ -63,7 +63,7 @@ class Preparer:
             record = record.for_model(model)
         self._check(record)
         there = np.isfinite(record.y)
-        first, wild = _first(model, record, there)
+        first, outliers = _first(model, record, there)
         mask = np.zeros(record.n_rows, np.uint32)
         first_output = 0
         for bit, sensor in enumerate(model.sensors):
@@ -74,12 +74,13 @@ class Preparer:
             if partly.size:
                 raise ValueError(f"record {record.name}: a sample of {sensor.name} at {record.t[partly[0]]:g} s has "
                                  "some of its outputs and lacks others")
-            of_it = wild[:, first_output - len(sensor.outputs):first_output]
+            of_it = outliers[:, first_output - len(sensor.outputs):first_output]
             of_it |= of_it.any(axis=1, keepdims=True)  # a sample is taken or left as a whole
             mask |= np.where(whole & ~of_it[:, 0], np.uint32(1 << bit), np.uint32(0))
         rows = {"u": record.u, "u_next": record.u_next, "y": record.y, "h": record.h}
         contiguous = {name: np.ascontiguousarray(a, dtype=np.float64) for name, a in rows.items()}
-        return Prepared(record.n_rows, contiguous, mask, first, int((there & ~wild).sum()), wild, record.start)
+        n_measured = int((there & ~outliers).sum())
+        return Prepared(record.n_rows, contiguous, mask, first, n_measured, outliers, record.start)
 
     def _check(self, record: Record) -> None:
         model, n = self.model, record.n_rows
@@ -106,13 +107,13 @@ def _first(model: Model, record: Record, there: NDArray[np.bool_]) -> tuple[Arra
     To begin elsewhere is not enough: while the state is uncertain any sample is likely, so the filter would take an
     outlier in full, be sure of it, and take the good ones after it for outliers.
     """
-    found, wild = np.full(there.shape[1], np.nan), np.zeros(there.shape, dtype=bool)
+    found, outliers = np.full(there.shape[1], np.nan), np.zeros(there.shape, dtype=bool)
     for j in np.flatnonzero(there.any(axis=0)):
         output = model.outputs[j]
         rows = np.flatnonzero(there[:, j])
         k = _agreeing(record.t[rows], record.y[rows, j], output.angle) if output.robust else 0
-        found[j], wild[rows[:k], j] = record.y[rows[k], j], True
-    return found, wild
+        found[j], outliers[rows[:k], j] = record.y[rows[k], j], True
+    return found, outliers
 
 
 def _agreeing(t: Array, samples: Array, angle: bool) -> int:
@@ -120,7 +121,7 @@ def _agreeing(t: Array, samples: Array, angle: bool) -> int:
     (Siegel 1982: its slope is the median of each sample's median slope to all others), or one before it that the next
     two lead to, as in a curve.
 
-    Far is several times what second differences typically are; where they are nought, as they often are of a sensor of
+    Far is several times what second differences typically are; where they are zero, as they often are of a sensor of
     coarse resolution, they do not count.
     """
     bend = wrap(np.diff(wrap(np.diff(samples), angle)), angle)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ident.model import Model, Sensor
 from ident.numerics import Array
@@ -19,12 +20,14 @@ SAME_TIME = 1e-6  # s; times closer than this are one row (seconds since 1970 ha
 
 @dataclass(frozen=True)
 class Channel:
-    """One signal on its own clock: ``t`` (n,) seconds, never decreasing; ``value`` (n,)."""
+    """One signal on its own clock: ``t`` (n,) seconds, never decreasing; ``value`` (n,). ``hold``: what is known of it
+    between the samples (``ident.model.Input``), empty: nothing."""
 
     t: Array
     value: Array
     unit: str = ""
     source: str = ""
+    hold: str = ""
 
 
 def sample_and_hold(channel: Channel, t: Array) -> Array:
@@ -120,15 +123,12 @@ class Record:
 
     def part(self, t_from: float, t_to: float, name: str = "") -> Record:
         """The rows with t_from <= t < t_to."""
-        rows = (self.t >= t_from) & (self.t < t_to)
-        return replace(
-            self,
-            name=name or f"{self.name}[{t_from:g}:{t_to:g}]",
-            t=self.t[rows],
-            u=self.u[rows],
-            u_next=self.u_next[rows],
-            y=self.y[rows],
-        )
+        within = self.rows((self.t >= t_from) & (self.t < t_to))
+        return replace(within, name=name or f"{self.name}[{t_from:g}:{t_to:g}]")
+
+    def rows(self, which: slice | NDArray[np.bool_]) -> Record:
+        """Some of the rows."""
+        return replace(self, t=self.t[which], u=self.u[which], u_next=self.u_next[which], y=self.y[which])
 
 
 def build_record(
@@ -146,7 +146,7 @@ def build_record(
 
     A sensor faster than ``rate`` [Hz] is averaged over blocks of 1/rate, whose noise is then smaller by the
     root of their size; a slower one keeps its own times. Rows are the union of all times, with more where a
-    gap exceeds ``max_step`` [s] or where a zero-order-hold input changes. A sensor with a channel missing
+    gap exceeds ``max_step`` [s] or where an input of hold ``zero`` changes. A sensor with a channel missing
     is left out, and said in ``meta["missing"]``.
     """
     channels = {**channels, **_derived_inputs(model, channels)}
@@ -158,7 +158,7 @@ def build_record(
     if end - start < 2.0 / rate:
         raise ValueError(f"{name}: inputs and sensors overlap for only {end - start:.2f} s")
     samples = {s.name: _sensor_samples(s, channels, start, end, rate) for s in present}
-    switches = [channels[i.name].t for i in own if i.hold == "zero"]
+    switches = [_changes(channels[i.name]) for i in own if i.hold == "zero"]
     t = _rows([times for times, _ in samples.values()], switches, start, end, max_step)
     missing = tuple(s.name for s in model.sensors if s.name not in samples)
     return Record(
@@ -202,9 +202,10 @@ def _derived_inputs(model: Model, channels: Mapping[str, Channel]) -> dict[str, 
     for signal in (i for i in model.inputs if i.name not in channels):
         if signal.tap and signal.tap_of in channels:
             c = channels[signal.tap_of]
-            derived[signal.name] = Channel(c.t + signal.delay, c.value, c.unit, c.source)
+            derived[signal.name] = replace(c, t=c.t + signal.delay)
         elif signal.name == WORK_INPUT:
-            shafts = [channels[n] for n in ("n_left", "n_right") if n in channels]
+            pairs = (("n_left", "n_right"), ("n_cmd_left", "n_cmd_right"))
+            shafts = next(([channels[n] for n in pair] for pair in pairs if set(pair) <= set(channels)), [])
             if shafts:
                 t = shafts[0].t
                 power = np.sum([np.abs(np.interp(t, c.t, c.value)) ** 3 for c in shafts], axis=0)
@@ -244,7 +245,13 @@ def _rows(measured: Sequence[Array], switches: Sequence[Array], start: float, en
     return np.asarray(np.append(np.concatenate(filled), t[-1]))
 
 
+def _changes(channel: Channel) -> Array:
+    """When the value becomes another one: a command that is repeated adds no row."""
+    return np.asarray(channel.t[1:][np.diff(channel.value) != 0.0])
+
+
 def _inputs(model: Model, channels: Mapping[str, Channel], t: Array, start: float) -> tuple[Array, Array]:
+    """Inputs at the rows t (n_rows,) and at the ends of their intervals (n_rows, n_inputs)."""
     u, u_next = np.empty((2, t.size, len(model.inputs)))
     for j, signal in enumerate(model.inputs):
         if signal.name == TIME_INPUT:
@@ -252,8 +259,31 @@ def _inputs(model: Model, channels: Mapping[str, Channel], t: Array, start: floa
         elif signal.hold == "linear":
             value = channels[signal.name].value
             at = np.interp(t, channels[signal.name].t, np.unwrap(value) if signal.angle else value)
+        elif signal.hold == "average":
+            u[:, j], u_next[:, j] = held_lines(channels[signal.name], t)
+            continue
         else:
             u[:, j] = u_next[:, j] = sample_and_hold(channels[signal.name], t)
             continue
         u[:, j], u_next[:, j] = at, np.append(at[1:], at[-1])
     return u, u_next
+
+
+def held_lines(channel: Channel, t: Array) -> tuple[Array, Array]:
+    """A zero-order hold as a straight line in each interval between the times t (n,) [s]: the line's values at the
+    start and at the end of the interval (n,) each.
+
+    The line is the least-squares one. It has the signal's mean and first moment, so that behind a lag no change is
+    moved in time and none is smeared, to third order of the interval, though no row is where the signal changes.
+    """
+    changes = _changes(channel)
+    edges = np.unique(np.concatenate([t, changes[(changes > t[0]) & (changes < t[-1])]]))
+    start, end = edges[:-1], edges[1:]
+    value = sample_and_hold(channel, (start + end) / 2)
+    row = np.searchsorted(t, (start + end) / 2) - 1
+    h, middle = np.diff(t), (t[:-1] + t[1:]) / 2
+    mean = np.bincount(row, value * (end - start), h.size) / h
+    moment = value * ((end - middle[row]) ** 2 - (start - middle[row]) ** 2) / 2
+    half = 6.0 * np.bincount(row, moment, h.size) / h**2
+    last = sample_and_hold(channel, t[-1:])
+    return np.append(mean - half, last), np.append(mean + half, last)

@@ -5,5 +5,4 @@ from .results import Diagnosis as Diagnosis
 from .results import Refit as Refit
 from .results import Round as Round
 from .results import ValidationMismatch as ValidationMismatch
-from .score_test import score_threshold as score_threshold
 from .search import diagnose as diagnose

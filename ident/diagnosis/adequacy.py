@@ -19,7 +19,7 @@ from ident.diagnosis.results import Diagnosis, EffectAttribution, EffectImportan
 from ident.diagnosis.score_test import Score
 from ident.estimation import AT_BOUND, Fit
 from ident.model import Effect, EffectKind, ModelKind
-from ident.models import READINGS
+from ident.models import READINGS, THRUST_LOSSES
 
 # Largest criterion (2 ln L less the penalty of the parameters) that a score test may still find beside an identified
 # effect, whose true form is not exactly that of the catalogue: absolute, and as a share of what the effects explain
@@ -134,7 +134,8 @@ def _worded(score: Score) -> str:
         return f"that {curve.force} follows {curve.variable}"
     if score.kind is EffectKind.RESONANT:
         return f"that {curve.force} swings after {curve.variable}"
-    what = f"the error of {curve.force}" if curve.force in {r.name for r in READINGS} else curve.force
+    known = {r.name: f"the error of {r.name}" for r in READINGS} | {r.name: r.title for r in THRUST_LOSSES}
+    what = known.get(curve.force, curve.force)
     return f"that {what} depends on {' and '.join(v for v in (curve.variable, curve.second) if v)}"
 
 
@@ -149,10 +150,15 @@ def _tables(chosen: Sequence[Refit], one: Round) -> list[str]:
 
 
 def _close(one: Round) -> list[Refit]:
-    """Competing models: other effects whose criterion is close to that of the chosen one, best first."""
+    """Competing models: other effects whose criterion is close to that of the chosen one, best first. One that nests
+    the chosen effect competes only if its further parameters are worth their number."""
     assert one.chosen is not None
-    least = one.chosen.criterion - max(MAX_DISTANCE, MAX_DISTANCE_SHARE * one.chosen.criterion)
-    others = [q for q in one.refits if q is not one.chosen and not q.unknown and q.criterion > max(least, 0.0)]
+    name, best = one.chosen.effect.name, one.chosen.criterion
+    least = max(best - max(MAX_DISTANCE, MAX_DISTANCE_SHARE * best), 0.0)
+    others = [
+        q for q in one.refits
+        if q is not one.chosen and not q.unknown and q.criterion > (best if name in q.effect.nests else least)
+    ]
     return sorted(others, key=lambda q: -q.criterion)
 
 

@@ -5,9 +5,12 @@ Waves are tested by a narrow peak in the spectrum of the innovations, since thei
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -15,12 +18,22 @@ from scipy.interpolate import BSpline
 from scipy.linalg import expm, solve_banded
 
 from ident.data import TIME_INPUT, Record
-from ident.diagnosis.score_test import Score, SensitivityColumns
+from ident.diagnosis.score_test import (
+    ColumnIndex,
+    NormalEquations,
+    Score,
+    SensitivityColumns,
+    SensitivityFilter,
+    block_index,
+    place,
+    propagate_sensitivities,
+    whole_blocks,
+)
 from ident.effects import EFFECT, FORCES, harmonics, input_response_effects
 from ident.engine import VectorisedModel
 from ident.estimation import FittedModel, RecordEvaluation
-from ident.model import Effect, EffectKind, ForceCurve, Model, curve_name
-from ident.models import products_of, readings_of, residuals_of, variables_of
+from ident.model import Effect, EffectKind, ForceCurve, Model, Parameter, Residual, curve_name
+from ident.models import products_of, readings_of, residuals_of, thrust_losses_of, variables_of
 from ident.numerics import Array, wrap
 from ident.validation import SpectralPeak, spectral_peak
 
@@ -40,8 +53,27 @@ class TrajectoryLinearisation:
         self.model, self.values, self.record, self.x = model, values, record, x
         self.rowwise = VectorisedModel(model)
         self.own = record.for_model(model)
-        self.base = self.rowwise(x, self.own.u, values)
-        self.jacobian = self.rowwise.output_jacobian(x, self.own.u, values)
+        self._larger: dict[tuple[str, ForceCurve | None], tuple[Model, VectorisedModel]] = {}
+        self._ends: dict[tuple[str, ForceCurve | None], list[Array]] = {}  # states of effects at the last row
+
+    def part(self, rows: slice) -> TrajectoryLinearisation:
+        """Some rows of it; the first of each part is the last of the part before, from where states of effects go
+        on."""
+        part = copy(self)
+        part.record, part.own, part.x = self.record.rows(rows), self.own.rows(rows), self.x[rows]
+        for computed in ("base", "jacobian"):
+            part.__dict__.pop(computed, None)
+        return part
+
+    @cached_property
+    def base(self) -> Array:
+        """Rates and outputs (n_rows, n_states + n_outputs)."""
+        return self.rowwise(self.x, self.own.u, self.values)
+
+    @cached_property
+    def jacobian(self) -> Array:
+        """Of the outputs by the state (n_rows, n_outputs, n_states)."""
+        return self.rowwise.output_jacobian(self.x, self.own.u, self.values)
 
     def parameter(self, name: str) -> Array:
         """d(rates, outputs) / d parameter, (n_rows, n_states + n_outputs)."""
@@ -62,16 +94,29 @@ class TrajectoryLinearisation:
         change[:, index] = 0.0  # its own decay is not an effect on the boat
         return change
 
+    def relative(self, residual: Residual) -> Array:
+        """d(rates, outputs) / d relative change; exact, since it enters linearly."""
+        name = f"change_of_{residual.name}"
+        hooks = {residual.stage: lambda s: residual.add(s, getattr(s.p, name))}
+        larger = self.model + Effect(name, residual.title, hooks, parameters=(Parameter(name, 0.0),))
+        return VectorisedModel(larger)(self.x, self.own.u, np.append(self.values, 1.0)) - self.base
+
     def effect(self, effect: Effect) -> Iterator[SensitivityColumns]:
         """One candidate, or one for each combination of its scanned parameters."""
-        larger = self.model + effect
-        n, m = len(self.model.states), len(effect.states)
-        u, rowwise = self.record.for_model(larger).u, VectorisedModel(larger)
+        key, n, m = (effect.name, effect.curve), len(self.model.states), len(effect.states)
+        if key not in self._larger:
+            self._larger[key] = self.model + effect, VectorisedModel(self.model + effect)
+        larger, rowwise = self._larger[key]
+        u = self.record.for_model(larger).u
         scans = [dict(zip(effect.scan, scan, strict=True)) for scan in product(*effect.scan.values())]
         all_values = [
             np.append(self.values, [tried.get(p.name, p.value) for p in effect.parameters]) for tried in scans
         ]
-        driven = self._driven(rowwise, m, all_values, u) if m else [np.zeros((len(self.x), 0))] * len(scans)
+        driven = [np.zeros((len(self.x), 0))] * len(scans)
+        if m:
+            begin = self._ends.get(key, [np.zeros(m)] * len(scans))
+            driven = self._driven(rowwise, begin, all_values, u)
+            self._ends[key] = [z[-1].copy() for z in driven]
         for tried, values, z in zip(scans, all_values, driven, strict=True):
             x = np.column_stack([self.x, z])
             base, changes, names = rowwise(x, u, values), [], []
@@ -90,30 +135,32 @@ class TrajectoryLinearisation:
                 effect.name, delta, tuple(names), tried, effect.kind, effect.curve, effect.one_sided, own, touched
             )
 
-    def _driven(self, rowwise: VectorisedModel, m: int, all_values: list[Array], u: Array) -> list[Array]:
+    def _driven(
+        self, rowwise: VectorisedModel, begin: list[Array], all_values: list[Array], u: Array
+    ) -> list[Array]:
         """States (n_rows, m) of an effect, driven along the trajectory while the effect is at zero (linear, constant
-        coefficients), for each set of values."""
-        n = len(self.model.states)
+        coefficients), for each set of values, from those at the first row."""
+        n, m = len(self.model.states), begin[0].size
         x = np.column_stack([self.x, np.zeros((len(self.x), m))])
         steps, step_of = np.unique(np.round(self.record.h[:-1], 9), return_inverse=True)
         found = []
-        for values in all_values:
+        for z, values in zip(begin, all_values, strict=True):
             drive = rowwise(x, u, values)[:, n : n + m]
             A = rowwise.rate_jacobian(x[:1], u[:1], values)[0, n:, n:]
             known = [_discrete(A, step) for step in steps]
             transition, weight = (np.stack([pair[i] for pair in known])[step_of] for i in (0, 1))
             mean = (drive[:-1] + drive[1:]) / 2
-            found.append(_recursion(transition, np.einsum("kij,kj->ki", weight, mean)))
+            found.append(_recursion(transition, np.einsum("kij,kj->ki", weight, mean), z))
         return found
 
-    def generic(self, among: Mapping[str, Array] | None = None) -> Iterator[SensitivityColumns]:
+    def generic(self, among: Mapping[str, SplineBasis] | None = None) -> Iterator[SensitivityColumns]:
         """Nonparametric candidates: each residual force as a smooth function of each variable, of products, and as
         lagged
         or resonant response to an input; each sensor error as a smooth function of some variables. ``among``: see
         splines."""
         table = generic_features(self.model, self.own, self.x, among, self.values)
-        for residual in (*residuals_of(self.model), *readings_of(self.model)):
-            direction = self.state(residual.state)
+        for residual in (*residuals_of(self.model), *readings_of(self.model), *thrust_losses_of(self.model)):
+            direction = self.relative(residual) if residual.relative else self.state(residual.state)
             touched = np.flatnonzero(direction.any(axis=0))
             direction = direction[:, touched]
             for of, feature in table.items():
@@ -134,15 +181,15 @@ def _discrete(A: Array, step: float) -> tuple[Array, Array]:
     return block[:m, :m], block[:m, m:]
 
 
-def _recursion(transition: Array, drive: Array) -> Array:
-    """``z_k+1 = transition_k z_k + drive_k`` from zero, (n + 1, m): a banded system with ones on its diagonal."""
+def _recursion(transition: Array, drive: Array, begin: Array) -> Array:
+    """``z_k+1 = transition_k z_k + drive_k`` from ``begin``, (n + 1, m): a banded system with ones on its diagonal."""
     n, m = drive.shape
     band = np.zeros((2 * m, (n + 1) * m))
     band[0] = 1.0
     for i in range(m):
         for j in range(m):
             band[m + i - j, j : n * m : m] = -transition[:, i, j]
-    right = np.concatenate([np.zeros(m), drive.ravel()])
+    right = np.concatenate([begin, drive.ravel()])
     return np.asarray(solve_banded((2 * m - 1, 0), band, right)).reshape(n + 1, m)
 
 
@@ -162,20 +209,18 @@ def generic_features(
     model: Model,
     record: Record,
     x: Array,
-    among: Mapping[str, Array] | None = None,
+    among: Mapping[str, SplineBasis] | None = None,
     values: Array | None = None,
 ) -> dict[tuple[str, ...], Array]:
     """Regressors by variables: splines of single variables, harmonics of an angle, products of two of them.
 
-    ``among``: the variables of all records together, so that a column has the same meaning in each of them.
+    ``among``: bases of the variables of all records together, so that a column has the same meaning in each of them.
     """
     z = variables(model, record, x, values)
-    among = z if among is None else among
     known = variables_of(model)
+    among = spline_bases(model, z) if among is None else among
     table: dict[tuple[str, ...], Array] = {
-        (v.name,): feature
-        for v in known
-        if not v.angle and (feature := splines(z[v.name], v.functions, among[v.name])).size
+        (v.name,): feature for v in known if not v.angle and (feature := among[v.name](z[v.name])).size
     }
     for v in known:
         if v.angle:
@@ -186,23 +231,49 @@ def generic_features(
     return table
 
 
-def splines(z: Array, n_functions: int, among: Array | None = None) -> Array:
-    """Cubic B-splines of z over the middle 99 % of ``among`` (z itself by default), centred there; empty where
-    z is constant."""
-    among = z if among is None else among
+@dataclass(frozen=True)
+class SplineBasis:
+    """Cubic B-splines over ``low`` to ``high``, each less its ``mean`` (n_functions - 1,) among the samples they were
+    made for; without functions where those were constant."""
+
+    low: float
+    high: float
+    knots: Array
+    mean: Array
+
+    def __call__(self, z: Array) -> Array:
+        """At z (n,): (n, n_functions - 1)."""
+        if not self.mean.size:
+            return np.zeros((z.size, 0))
+        return np.asarray(self._raw(z).toarray() - self.mean)
+
+    def _raw(self, z: Array) -> Any:
+        within = np.clip((z - self.low) / (self.high - self.low), 0, 1 - 1e-9)
+        return BSpline.design_matrix(within, self.knots, 3)[:, 1:]
+
+
+def spline_basis(among: Array, n_functions: int) -> SplineBasis:
+    """Over the middle 99 % of the samples ``among`` (n,), centred there."""
     low, high = np.percentile(among, [0.5, 99.5])
+    knots = np.concatenate([[0] * 3, np.linspace(0, 1, n_functions - 2), [1] * 3])
+    basis = SplineBasis(float(low), float(high), knots, np.zeros(0))
     if high - low < 1e-6:
-        return np.zeros((z.size, 0))
-    inner = np.linspace(0, 1, n_functions - 2)
-    knots = np.concatenate([[0] * 3, inner, [1] * 3])
-    basis, all_ = (
-        BSpline.design_matrix(np.clip((w - low) / (high - low), 0, 1 - 1e-9), knots, 3).toarray() for w in (z, among)
-    )
-    return np.asarray(basis[:, 1:] - all_[:, 1:].mean(0))
+        return basis
+    return replace(basis, mean=np.asarray(basis._raw(among).mean(axis=0)).ravel())
+
+
+def spline_bases(model: Model, among: Mapping[str, Array]) -> dict[str, SplineBasis]:
+    """Of all variables that are no angles."""
+    return {v.name: spline_basis(among[v.name], v.functions) for v in variables_of(model) if not v.angle}
+
+
+def splines(z: Array, n_functions: int, among: Array | None = None) -> Array:
+    """``spline_basis`` of ``among`` (z itself by default), at z."""
+    return spline_basis(z if among is None else among, n_functions)(z)
 
 
 def all_columns(
-    path: TrajectoryLinearisation, effects: Iterable[Effect], among: Mapping[str, Array] | None = None
+    path: TrajectoryLinearisation, effects: Iterable[Effect], among: Mapping[str, SplineBasis] | None = None
 ) -> Iterator[SensitivityColumns]:
     """Every candidate along one record, in the same order along each; ``among``: see generic_features."""
     chosen = [e for e in effects if path.model.accepts(e) and _has_inputs(path, e)]
@@ -213,6 +284,37 @@ def all_columns(
 
 def _has_inputs(path: TrajectoryLinearisation, effect: Effect) -> bool:
     return all(i.name in path.record.inputs for i in effect.inputs)
+
+
+def normal_equations(
+    stage: FittedModel, records: Sequence[Record], candidates: Sequence[Effect], fitted: Sequence[Parameter]
+) -> tuple[NormalEquations, list[ColumnIndex]]:
+    """Those of the fitted parameters and of every candidate, over all records, and where each candidate stands in them.
+    Whole blocks of a long record are done one after the other, so that the memory does not grow with it."""
+    model = stage.model
+    paths = [
+        TrajectoryLinearisation(model, v.values, r, v.run.x_pred)
+        for r, v in zip(records, stage.estimation, strict=True)
+    ]
+    seen = [variables(model, p.own, p.x, p.values) for p in paths]
+    among = spline_bases(model, {name: np.concatenate([v[name] for v in seen]) for name in seen[0]})
+    normal: NormalEquations | None = None
+    places: list[ColumnIndex] = []
+    for i, (path, view) in enumerate(zip(paths, stage.estimation, strict=True)):
+        own, begun = [j for j, p in enumerate(fitted) if p.segment in (None, i)], list[Array]()
+        for rows in whole_blocks(path.own.t, model.block):
+            part = path.part(slice(rows.start, rows.stop + 1))  # and the row at which the last interval ends
+            along = np.stack([part.parameter(fitted[j].name) for j in own], axis=2)
+            columns = all_columns(part, candidates, among)
+            carrier = SensitivityFilter(view.run, path.own, part.jacobian, rows)
+            g, slim = propagate_sensitivities(carrier, along, columns, begun)
+            if normal is None:
+                places, total = place(slim, len(fitted), len(records))
+                normal = NormalEquations([str(k) for k in range(total)])
+            at = own + [k for where in places for k in where.of_record(i)]
+            normal.add(at, g, carrier.e, block_index(carrier.t, model.block))
+    assert normal is not None
+    return normal, places
 
 
 def wave_peak_score(stage: FittedModel) -> Score | None:

@@ -25,6 +25,7 @@ from ident.numerics import Array, scaled_eigen
 
 BLOCK = 5.0  # s, of the block-robust version
 N_COLUMNS, N_ROWS = 96, 256  # propagated through the filter at a time: a size that fits the cache of the processor
+WHOLE, PART = 8192, 2048  # rows; a longer record than the first is done in parts of the second
 ALPHA = 0.05  # family-wise false-alarm probability of the score tests
 P_BLOCK = 0.01  # level of the block-robust version
 # evidence in few blocks limits the block-robust version; overwhelming evidence may pass, and validation decides
@@ -87,7 +88,7 @@ def place(columns: Sequence[SensitivityColumns], first: int, n_records: int) -> 
 @dataclass(frozen=True)
 class Score:
     """``step``: the one-step estimate of each parameter; ``lm_block``: the version from blocks; ``kind`` and ``curve``:
-    of the effect that is tested."""
+    of the effect that is tested; ``threshold``: critical value of ``lm`` among the tests that were made with it."""
 
     name: str
     lm: float
@@ -97,6 +98,7 @@ class Score:
     scan: dict[str, float]
     kind: EffectKind = EffectKind.CATALOGUE
     curve: ForceCurve | None = None
+    threshold: float = float("nan")
 
     @property
     def generic(self) -> bool:
@@ -140,34 +142,42 @@ class NormalEquations:
 class SensitivityFilter:
     """Propagates columns of sensitivities through the filter of one record.
 
-    run: filter result of the record; jacobian (n_rows, n_outputs, n_states): of the outputs at the predicted
-    states. ``e``, ``t`` (n_samples,): whitened innovations and their times.
+    run: filter result of the record; rows: those to propagate through; jacobian (n_rows or one more, n_outputs,
+    n_states): of the outputs at their predicted states. ``e``, ``t`` (n_samples,): whitened innovations and their
+    times; ``end`` (n_states, n_columns): sensitivities of the state after the rows, of the last call.
     """
 
-    def __init__(self, run: FilterResult, record: Record, jacobian: Array) -> None:
-        self.half = np.asarray(record.h / 2)[:, None, None]
-        self.seen = np.isfinite(record.y) & ~run.outliers
-        self.H = np.where(self.seen[:, :, None], jacobian, 0.0)
-        cross = run.P_pred @ self.H.swapaxes(1, 2)
+    def __init__(self, run: FilterResult, record: Record, jacobian: Array, rows: slice = slice(None)) -> None:
+        P_pred, _, Phi = run.covariances(rows)
+        self.half = np.asarray(record.h[rows] / 2)[:, None, None]
+        self.seen = np.isfinite(record.y[rows]) & ~run.outliers[rows]
+        self.H = np.where(self.seen[:, :, None], jacobian[: len(P_pred)], 0.0)
+        cross = P_pred @ self.H.swapaxes(1, 2)
         S = self.H @ cross
         each = np.arange(S.shape[1])
         S[:, each, each] += np.where(self.seen, run.R, 1.0)  # missing outputs are decoupled, with a gain of zero
         gain = np.linalg.solve(S, cross.swapaxes(1, 2)).swapaxes(1, 2)
-        self.Phi = np.where(self.half > 0, run.Phi, np.eye(cross.shape[1]))
+        self.Phi = np.where(self.half > 0, Phi, np.eye(cross.shape[1]))
         self.Phi_gain = self.Phi @ gain
         self.transition = self.Phi - self.Phi_gain @ self.H  # from one prediction to the next
         self.whiten = np.linalg.inv(np.linalg.cholesky(S))
-        self.e = (self.whiten @ np.where(self.seen, run.e, 0.0)[:, :, None])[self.seen][:, 0]
-        self.t = np.repeat(record.t, self.seen.sum(axis=1))
+        self.e = (self.whiten @ np.where(self.seen, run.e[rows], 0.0)[:, :, None])[self.seen][:, 0]
+        self.t = np.repeat(record.t[rows], self.seen.sum(axis=1))
+        self.end = np.zeros((cross.shape[1], 0))
 
-    def __call__(self, columns: Sequence[SensitivityColumns]) -> Array:
-        """Whitened sensitivities of the innovations (n_samples, n_columns), of all the candidates' parameters."""
+    def __call__(self, columns: Sequence[SensitivityColumns], begin: Array | None = None) -> Array:
+        """Whitened sensitivities of the innovations (n_samples, n_columns), of all the candidates' parameters.
+
+        The columns may have one row more, at which the last interval ends; ``begin`` (n_states, n_columns):
+        sensitivities of the state before the rows, none at the start of a record.
+        """
         delta, touched = self._together(columns)
-        n_rows, n_states, n_outputs = len(delta), self.Phi.shape[1], self.H.shape[1]
+        n_rows, n_states, n_outputs = len(self.H), self.Phi.shape[1], self.H.shape[1]
         rates, outputs = touched < n_states, touched[touched >= n_states] - n_states
-        read = np.where(self.seen[:, outputs, None], delta[:, ~rates], 0.0)
+        read = np.where(self.seen[:, outputs, None], delta[:n_rows, ~rates], 0.0)
         delta = delta[:, rates]
         found, dx = [], np.zeros((N_ROWS + 1, n_states, delta.shape[2]))
+        dx[0] = 0.0 if begin is None else begin
         for first, last in pairwise([*range(0, n_rows, N_ROWS), n_rows]):
             rows, n = slice(first, last), last - first
             drive = self.Phi[rows][:, :, touched[rates]] @ (self.half[rows] * delta[rows])
@@ -182,6 +192,7 @@ class SensitivityFilter:
             change -= self.H[rows] @ dx[:n]
             found.append((self.whiten[rows] @ change)[self.seen[rows]])
             dx[0] = dx[n]
+        self.end = dx[0].copy()
         return np.concatenate(found)
 
     def _together(self, columns: Sequence[SensitivityColumns]) -> tuple[Array, NDArray[np.int64]]:
@@ -190,7 +201,7 @@ class SensitivityFilter:
         each = [every if c.touched is None else c.touched for c in columns]
         touched = np.unique(np.concatenate(each))
         widths = [c.delta.shape[2] for c in columns]
-        delta, first = np.zeros((len(self.H), touched.size, sum(widths))), 0
+        delta, first = np.zeros((len(columns[0].delta), touched.size, sum(widths))), 0
         for c, own, width in zip(columns, each, widths, strict=True):
             delta[:, np.searchsorted(touched, own), first : first + width] = c.delta
             first += width
@@ -198,26 +209,30 @@ class SensitivityFilter:
 
 
 def propagate_sensitivities(
-    run: FilterResult, record: Record, jacobian: Array, fitted: Array, columns: Iterable[SensitivityColumns]
-) -> tuple[Array, Array, Array, list[SensitivityColumns]]:
-    """Whitened sensitivities of the fitted parameters and then of every candidate, with the whitened innovations and
-    their
-    times (``SensitivityFilter``), in batches.
+    carrier: SensitivityFilter, fitted: Array, columns: Iterable[SensitivityColumns], begun: list[Array]
+) -> tuple[Array, list[SensitivityColumns]]:
+    """Whitened sensitivities of the fitted parameters and then of every candidate (n_samples, n_columns), in batches.
 
+    ``begun``: those of the state before the rows, batch by batch, empty at the start of a record; then those after.
     The candidates are returned without their columns: those of the whole catalogue would fill the memory.
     """
-    sensitivities = SensitivityFilter(run, record, jacobian)
-    parts, slim = [], []
+    parts, slim, ends = [], [], list[Array]()
     waiting, width = [SensitivityColumns("fitted", fitted)], fitted.shape[2]
+
+    def done() -> None:
+        parts.append(carrier(waiting, begun[len(ends)] if begun else None))
+        ends.append(carrier.end)
+
     for c in columns:
         if width >= N_COLUMNS:
-            parts.append(sensitivities(waiting))
+            done()
             waiting, width = [], 0
         waiting.append(c)
         width += c.delta.shape[2]
         slim.append(replace(c, delta=c.delta[:0].copy()))
-    parts.append(sensitivities(waiting))
-    return np.concatenate(parts, axis=1), sensitivities.e, sensitivities.t, slim
+    done()
+    begun[:] = ends
+    return np.concatenate(parts, axis=1), slim
 
 
 def score_tests(
@@ -269,6 +284,18 @@ def _one(placed: ColumnIndex, information: Array, score: Array, blocks: Array, b
         candidate.kind,
         candidate.curve,
     )
+
+
+def whole_blocks(t: Array, block: float) -> list[slice]:
+    """Rows (n_rows,) of a record in parts of some thousands, each of whole blocks of time; a short one is one part."""
+    if t.size <= WHOLE:
+        return [slice(0, t.size)]
+    starts = np.flatnonzero(np.diff(block_index(t, block))) + 1
+    edges = [0]
+    for start in starts.tolist():
+        if start - edges[-1] >= PART and t.size - start >= PART:
+            edges.append(start)
+    return [slice(*pair) for pair in pairwise([*edges, t.size])]
 
 
 def block_index(t: Array, block: float = BLOCK) -> NDArray[np.int64]:

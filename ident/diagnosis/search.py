@@ -24,7 +24,7 @@ from daq.errors import counted
 from ident.data import LogSegment, Record, make_record
 from ident.diagnosis.acceptance import comparison, validation_mismatches
 from ident.diagnosis.adequacy import assess_alternatives
-from ident.diagnosis.candidates import TrajectoryLinearisation, all_columns, variables, wave_peak_score
+from ident.diagnosis.candidates import normal_equations, variables, wave_peak_score
 from ident.diagnosis.importance import effect_importance, fit_without
 from ident.diagnosis.results import (
     Diagnosis,
@@ -36,17 +36,7 @@ from ident.diagnosis.results import (
     Round,
     UntestedCandidate,
 )
-from ident.diagnosis.score_test import (
-    ColumnIndex,
-    NormalEquations,
-    Score,
-    block_index,
-    fitted_parameters,
-    place,
-    propagate_sensitivities,
-    score_test_passes,
-    score_tests,
-)
+from ident.diagnosis.score_test import Score, fitted_parameters, score_test_passes, score_tests, score_threshold
 from ident.effects import NonparametricForce, catalogue, input_response_effects, nonparametric_effect, shape
 from ident.engine import quickly
 from ident.estimation import (
@@ -112,7 +102,7 @@ def diagnose(
     records = [make_record(everything, r, rate) for r in estimation]
     runs = [make_record(everything, r, rate) for r in usable]
     full = without_absent_sensors(full, records + runs)
-    reporter.progress(f"fitting {full.name} with unexplained forces to {counted(len(records), 'run')}")
+    reporter.progress(f"fitting {full.name} with disturbance forces to {counted(len(records), 'run')}")
     before, unseen = _first_fit(full, records, runs)
     size, known = size_of(before.fit.model), catalogue()
     # user-defined effects keep their priors
@@ -173,24 +163,7 @@ def score_all(
     # a parameter that stands at its bound cannot give way to take up what a candidate would explain
     stuck = {n for n, what in stage.fit.flags if what in (AT_BOUND, VAGUE)}
     fitted = [p for p in fitted_parameters(model, len(records)) if p.full_name not in stuck]
-    paths = [
-        TrajectoryLinearisation(model, v.values, r, v.run.x_pred)
-        for r, v in zip(records, stage.estimation, strict=True)
-    ]
-    seen = [variables(model, p.own, p.x, p.values) for p in paths]
-    among = {name: np.concatenate([v[name] for v in seen]) for name in seen[0]}
-    normal: NormalEquations | None = None
-    places: list[ColumnIndex] = []
-    for i, (path, view) in enumerate(zip(paths, stage.estimation, strict=True)):
-        own = [j for j, p in enumerate(fitted) if p.segment in (None, i)]
-        along = np.stack([path.parameter(fitted[j].name) for j in own], axis=2)
-        columns = all_columns(path, candidates.values(), among)
-        g, e, t, slim = propagate_sensitivities(view.run, path.own, path.jacobian, along, columns)
-        if normal is None:
-            places, total = place(slim, len(fitted), len(records))
-            normal = NormalEquations([str(k) for k in range(total)])
-        normal.add(own + [k for where in places for k in where.of_record(i)], g, e, block_index(t, model.block))
-    assert normal is not None
+    normal, places = normal_equations(stage, records, list(candidates.values()), fitted)
     priors = np.array([1 / p.prior[1] ** 2 if p.prior else 0.0 for p in fitted])
     scores = score_tests(normal, len(fitted), priors, places)
     waves = wave_peak_score(stage) if "waves" in candidates else None
@@ -200,7 +173,7 @@ def score_all(
     first: dict[str, Score] = {}
     for s in scores:
         first.setdefault(s.name, s)
-    best = list(first.values())
+    best = [replace(s, threshold=score_threshold(s, scores)) for s in first.values()]
     return best, [s for s in best if score_test_passes(s, scores)]
 
 

@@ -26,7 +26,7 @@ from ident.model import (
     Variable,
     curve_name,
 )
-from ident.models import TIME, readings_of, residuals_of, variables_of
+from ident.models import TIME, readings_of, residuals_of, thrust_losses_of, variables_of
 from ident.numerics import Array
 
 N_KNOTS, N_HARMONICS = 9, 3
@@ -69,9 +69,17 @@ def spline_basis(z: Any, angle: bool, span: tuple[float, float]) -> list[Any]:
     return [(1 - abs(at - k)) * (abs(at - k) < 1) for k in range(N_KNOTS)]
 
 
+def _basis(residual: Residual, z: Any, angle: bool, span: tuple[float, float]) -> list[Any]:
+    """The basis of the variable; of a relative residual without what it is at zero, the scale of the thrust."""
+    basis = spline_basis(z, angle, span)
+    if not residual.relative:
+        return basis
+    return [b - b0 for b, b0 in zip(basis, spline_basis(0.0, angle, span), strict=True)]
+
+
 def partition(model: Model, curve: ForceCurve) -> tuple[Residual, list[Variable]]:
     """The residual and the variable, or the two of a product. Raises ValueError for what the model has not."""
-    residuals = {r.name: r for r in (*residuals_of(model), *readings_of(model))}
+    residuals = {r.name: r for r in (*residuals_of(model), *readings_of(model), *thrust_losses_of(model))}
     variables = {v.name: v for v in (*variables_of(model), TIME)}
     of = [curve.variable, curve.second] if curve.second else [curve.variable]
     wanted = [(curve.force, list(residuals)), *((v, list(variables)) for v in of)]
@@ -94,7 +102,8 @@ def _terms(of: Sequence[Variable]) -> list[str]:
 
 
 def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, float]) -> Effect:
-    """``force += sum_k t_k basis_k(variable)``, or coefficients of the products of two variables."""
+    """``force += sum_k t_k basis_k(variable)``, or coefficients of the products of two variables; of a thrust its
+    relative change."""
     residual, of = partition(model, curve)
     force, variable = curve.force, curve.variables
     terms_of = _terms(of)
@@ -105,7 +114,7 @@ def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, flo
             a, b = (v.read(s) for v in of)
             terms = [a * b, abs(a) * b, a * abs(b)]
         else:
-            terms = spline_basis(of[0].read(s), of[0].angle, span)
+            terms = _basis(residual, of[0].read(s), of[0].angle, span)
         residual.add(s, sum(getattr(s.p, name) * term for name, term in zip(names, terms, strict=True)))
 
     return Effect(
@@ -120,7 +129,7 @@ def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, flo
         ),
         inputs=(Input("t", "s", "linear"),) if curve.variable == "t" else (),
         place=residual.place,
-        formula=f"{force} += g({variable}), a nonparametric curve",
+        formula=f"{force} {'*= 1 +' if residual.relative else '+='} g({variable}), a nonparametric curve",
         source="the residual itself",
         experiment=f"runs that vary {variable} slowly over its whole range, with all else held",
         requires=residual.requires,
@@ -138,7 +147,8 @@ def shape(
     covariance: Array,
     n: int = 60,
 ) -> NonparametricForce | None:
-    """The fitted curve with its band, without its mean (a constant belongs to other parameters).
+    """The fitted curve with its band, without its mean (a constant belongs to other parameters), or of a relative
+    residual what it is beyond that at zero.
 
     None for products of two variables, and for lagged and resonant responses.
     """
@@ -147,8 +157,8 @@ def shape(
         return None
     residual, of = partition(model, curve)
     grid = np.linspace(-np.pi, np.pi, n) if of[0].angle else np.linspace(*span, n)
-    B = np.column_stack([b * np.ones(n) for b in spline_basis(grid, of[0].angle, span)])
-    B = B - B.mean(0)
+    B = np.column_stack([b * np.ones(n) for b in _basis(residual, grid, of[0].angle, span)])
+    B = B if residual.relative else B - B.mean(0)
     own = [p.name for p in effect.parameters]
     at = [list(names).index(name) for name in own]
     P = covariance[np.ix_(at, at)]
@@ -206,7 +216,7 @@ def _thrust(pair: ThrusterPair) -> Signal:
     """Mean or half difference of the thrusts relative to full thrust; thrust is quadratic in shaft speed."""
 
     def read(s: Signals) -> Any:
-        left, right = (getattr(s.u, f"{pair.quantity}_{side}") for side in ("left", "right"))
+        left, right = (s.state_or_input(f"{pair.quantity}_{side}") for side in ("left", "right"))
         if pair.quantity == "n":
             left, right = left * abs(left), right * abs(right)
         return (left - right if pair.difference else left + right) / (2 if pair.quantity == "n" else 2 * FULL)

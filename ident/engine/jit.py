@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -123,9 +124,12 @@ def _compile(ir: str) -> bytes:
 
 
 def read_cache(name: str) -> bytes | None:
-    """A file of the cache; None if it is not there, or not as it was written."""
+    """A file of the cache; None if it is not there, not as it was written, or where somebody else may write: what is
+    in it is run."""
     try:
         path = cache_folder() / name
+        if not (_is_ours(path) and _is_ours(path.parent)):
+            return None
         content = path.read_bytes()
         os.utime(path)  # so that what is used stays
     except (OSError, RuntimeError):  # RuntimeError: the user has no home
@@ -134,13 +138,20 @@ def read_cache(name: str) -> bytes | None:
     return kept if hashlib.sha256(kept).digest() == digest else None
 
 
+def _is_ours(path: Path) -> bool:
+    """Whether only this user, or the administrator, can have written there."""
+    about = path.stat()
+    return about.st_uid in (os.geteuid(), 0) and not about.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+
+
 def write_cache(name: str, content: bytes) -> None:
     """Keep a file for the next process. A cache that cannot be written is not an error."""
     try:
         folder = cache_folder()
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         scratch = folder / f"{name}.{os.getpid()}"
         scratch.write_bytes(hashlib.sha256(content).digest() + content)
+        scratch.chmod(0o600)
         scratch.replace(folder / name)
         _prune(folder)
     except (OSError, RuntimeError):
@@ -148,7 +159,7 @@ def write_cache(name: str, content: bytes) -> None:
 
 
 def _prune(folder: Path) -> None:
-    """Unknown effects and models of one's own are compiled anew each time: without a limit they would fill the disk."""
+    """Nonparametric effects and user models are compiled anew each time: without a limit they would fill the disk."""
     files = [(f.stat().st_mtime, f.stat().st_size, f) for f in folder.iterdir()]
     total = sum(size for _, size, _ in files)
     if total <= LARGEST_CACHE:

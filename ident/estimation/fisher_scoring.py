@@ -121,7 +121,7 @@ def solve_step(at: Evaluation, H: Array, z: Array, bounds: Bounds, damping: floa
     """The damped step, ending on the bounds where it would cross them; ``H`` (n, n): minus the Hessian; ``least`` (n,):
     what its diagonal counts for in the damping at least. What the data do not inform at all stays where it is.
 
-    No logarithm moves by more than ``LARGEST_STEP``: the whole step is shortened. But one that is hardly felt does not
+    No logarithm moves by more than ``LARGEST_STEP``: the whole step is shortened. But one that hardly matters does not
     hold up the rest: a noise that the data do not inform asks for a step of thousands, beside which all others would
     stand still. It alone is held, and the rest is solved for it.
     """

@@ -15,7 +15,7 @@ from ident.estimation.likelihood import FilterResult, Likelihood
 from ident.estimation.maximum_likelihood import Fit, fit
 from ident.estimation.multistart import best_of_starts
 from ident.estimation.options import EstimationOptions, SearchSettings
-from ident.estimation.smoother import SmootherResult, smooth
+from ident.estimation.smoother import SmoothedStates, smoothed_states
 from ident.model import Effect, EffectKind, Model, outlier_notes
 from ident.model import with_outlier_model as with_outliers
 from ident.models import for_diagnosis, forces_of, rescale, residuals_of, size_of
@@ -87,9 +87,9 @@ class RecordEvaluation:
         return Likelihood(self.model).value_by_row(self.record, self.values)
 
     @cached_property
-    def smoothed(self) -> SmootherResult:
+    def smoothed(self) -> SmoothedStates:
         """Smoothed states."""
-        return smooth(self.run)
+        return smoothed_states(self.run)
 
 
 def fit_nominal_model(
@@ -101,7 +101,7 @@ def fit_nominal_model(
     rate: float = 10.0,
     reporter: Reporter = QUIET,
 ) -> FittedModel:
-    """The model fitted as it is, with unexplained forces and sensor offsets as states; no search for missing effects.
+    """The model fitted as it is, with disturbance forces and sensor offsets as states; no search for missing effects.
 
     Parameters:
         model: its ``nominal`` form is fitted.
@@ -249,7 +249,7 @@ def _view(model: Model, record: Record, values: Array) -> RecordEvaluation:
 
 
 def nominal(model: Model) -> Model:
-    """With unexplained forces and sensor offsets, unless it has them; a model without a hull stays as it is."""
+    """With disturbance forces and sensor offsets, unless it has them; a model without a hull stays as it is."""
     if not (forces_of(model) or residuals_of(model)):
         return model
     present = any(e.kind is EffectKind.DISTURBANCE for e in model.effects)
@@ -263,7 +263,7 @@ def superset(
     derived = {"t", "work"} if nominal.provides and "n" in nominal.provides else {"t"}
     everything, kept = nominal, {}
     for name, effect in candidates.items():
-        wanted = {i.tap_of if i.tap else i.name for i in effect.inputs} - derived
+        wanted = {i.tap_of or i.name for i in effect.inputs} - derived
         if all(wanted <= set(run.channels) for run in runs):
             everything, kept[name] = everything + effect, effect
     return everything, kept
@@ -278,7 +278,7 @@ def without_absent_sensors(model: Model, records: Sequence[Record]) -> Model:
 
 
 def reset_collapsed_noise(model: Model, records: Sequence[Record]) -> Model:
-    """With a start for noise that an earlier fit put to nought, from where no search comes back: the median second
+    """With a start for noise that an earlier fit put to zero, from where no search comes back: the median second
     difference of what was measured, as white noise has it."""
     new, names = [], records[0].outputs
     for o in model.outputs:

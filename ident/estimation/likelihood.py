@@ -8,9 +8,10 @@ integrated by Runge-Kutta 4 over each interval, the covariance by the transition
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,10 @@ from ident.data import InitialCondition, Prepared, Preparer, Record, initial_con
 from ident.engine import ArenaPool, Kernel, Programs, programs_for
 from ident.model import LIKELY, Model, robust_weight
 from ident.numerics import Array
+
+# A row takes 4 kB on its way back, and 4 kB of covariances. Of a longer record all is kept of one piece at a time, and
+# of the others the state at their start, from where they are run again; a piece fits the cache of the processor.
+WHOLE, PIECE = 8192, 1024  # rows
 
 
 @dataclass(frozen=True)
@@ -33,12 +38,21 @@ class LikelihoodAndScore:
     by_row: Array | None = None
 
 
+class Covariances(NamedTuple):
+    """Of neighbouring rows, each (n, n_states, n_states): of the state before and after a row's samples, and the
+    transition to the next row."""
+
+    P_pred: Array
+    P_filt: Array
+    Phi: Array
+
+
 @dataclass(frozen=True)
 class FilterResult:
     """EKF output per time step: predicted and filtered means and covariances, and innovations.
 
-    t (n_rows,) [s]; x_pred, x_filt (n_rows, n_states): state means before and after the row's samples; P_pred, P_filt
-    (n_rows, n_states, n_states): their covariances; Phi (n_rows, n_states, n_states): transition to the next row; e
+    t (n_rows,) [s]; x_pred, x_filt (n_rows, n_states): state means before and after the row's samples; covariances: of
+    a slice of rows, which are computed again where a record is long (``pieces``: as they are computed together); e
     (n_rows, n_outputs): measured minus predicted, NaN where nothing was measured; R (n_outputs,): variances of the
     measurement noise; eps, S (n_rows, n_outputs): innovations and their variances in sequential processing, each given
     those before it in its row, so that eps / sqrt(S) is white; ll (n_rows,): contribution of the row to ln L; allowed
@@ -48,10 +62,8 @@ class FilterResult:
 
     t: Array
     x_pred: Array
-    P_pred: Array
     x_filt: Array
-    P_filt: Array
-    Phi: Array
+    covariances: Callable[[slice], Covariances]
     e: Array
     R: Array
     eps: Array
@@ -59,6 +71,32 @@ class FilterResult:
     ll: Array
     allowed: NDArray[np.bool_] | None = None
     left: NDArray[np.bool_] | None = None
+
+    @property
+    def pieces(self) -> list[slice]:
+        """Rows whose covariances are computed together, in order."""
+        return _pieces(self.t.size)
+
+    @property
+    def P_pred(self) -> Array:
+        """Of all rows (n_rows, n_states, n_states), before their samples."""
+        return self.covariances(slice(None)).P_pred
+
+    @property
+    def P_filt(self) -> Array:
+        """Of all rows (n_rows, n_states, n_states), after their samples."""
+        return self.covariances(slice(None)).P_filt
+
+    @property
+    def Phi(self) -> Array:
+        """Transitions from all rows to the next (n_rows, n_states, n_states)."""
+        return self.covariances(slice(None)).Phi
+
+    def output_variance(self, H: Array) -> Array:
+        """Variances of the predicted outputs (n_rows, n_outputs), whose slopes by the state are H (n_rows, n_outputs,
+        n_states)."""
+        each = [np.einsum("kij,kjl,kil->ki", H[rows], self.covariances(rows).P_pred, H[rows]) for rows in self.pieces]
+        return np.concatenate(each) + self.R
 
     @property
     def value(self) -> float:
@@ -113,14 +151,27 @@ class Likelihood:
         """Log-likelihood and its gradient by all parameters (n_parameters,), by the adjoint filter."""
         data, start = self._start(record, values)
         there, back = self._programs.forward, self._programs.backward
-        p = _own(values)
+        p, ll, state = _own(values), np.zeros(1), start.s
+        pieces, begun = _pieces(data.n_rows), list[Array]()
+        given = {"p": p, "g": np.zeros(p.size), "bar": np.zeros(state.size)}
+
+        def forward(piece: slice, s: Array, total: Array) -> dict[str, Array]:
+            rows = {**_inputs(there, data, piece), "p": p, "s": s, "ll": total}
+            return there(piece.stop - piece.start, data.mask[piece], rows, arena=arena)
+
         with self._arenas.borrow() as arena:
-            done = there(data.n_rows, data.mask, {**_inputs(there, data), "p": p, "s": start.s}, arena=arena)
-            value, tapes = float(done["ll"][0]), {name: done[name] for name in self._programs.tapes}
-            bars = back(data.n_rows, data.mask, {**_inputs(back, data), "p": p, **tapes}, arena=arena)
-            gradient = bars["g"].copy()
-            for entry, parameter, slope in start.tangent:
-                gradient[parameter] += slope * bars["bar"][entry]
+            for piece in pieces:
+                begun.append(state.copy())
+                done = forward(piece, state, ll)
+            for piece, s in zip(reversed(pieces), reversed(begun), strict=True):
+                if piece is not pieces[-1]:
+                    done = forward(piece, s, np.zeros(1))
+                tapes = {name: done[name] for name in self._programs.tapes}
+                rows = {**_inputs(back, data, piece), **given, **tapes}
+                back(piece.stop - piece.start, data.mask[piece], rows, arena=arena)
+        value, gradient = float(ll[0]), given["g"]
+        for entry, parameter, slope in start.tangent:
+            gradient[parameter] += slope * given["bar"][entry]
         return value, gradient
 
     def scores(self, record: Record, values: Array, free: Sequence[str] | None = None, *, by_row: bool = False
@@ -165,18 +216,41 @@ class Likelihood:
         if not self.process_noise:
             raise ValueError("output error has no filter; simulate with ident.estimation.output_error")
         data, start = self._start(record, values)
-        kernel, n, n_rows = self._programs.filter, len(self.model.states), data.n_rows
-        rows = {f"{kind}{bit}": np.full((n_rows, len(sensor.outputs)), np.nan)
-                for bit, sensor in enumerate(self.model.sensors) for kind in "eS"}
-        given = {**_inputs(kernel, data), "p": _own(values), "s": start.s, **rows}
-        done = kernel(n_rows, data.mask, given, per_row={"ll"})
-        bits = range(len(self.model.sensors))
-        R = np.array([_own(values)[self._index[o.noise]] ** 2 for o in self.model.outputs])
-        return FilterResult(
-            record.t, *_mean_and_covariance(done["predicted"], n), *_mean_and_covariance(done["filtered"], n),
-            done["Phi"].reshape(n_rows, n, n).swapaxes(1, 2), done["e"], R,
-            np.hstack([rows[f"e{b}"] for b in bits]), np.hstack([rows[f"S{b}"] for b in bits]), done["ll"][:, 0],
-            np.array([o.robust for o in self.model.outputs]), data.wild)
+        kernel, n, n_rows, p = self._programs.filter, len(self.model.states), data.n_rows, _own(values)
+        outputs, pieces = len(self.model.outputs), _pieces(data.n_rows)
+
+        def run(rows: slice, s: Array) -> dict[str, Array]:
+            own = {f"{kind}{bit}": np.full((rows.stop - rows.start, len(sensor.outputs)), np.nan)
+                   for bit, sensor in enumerate(self.model.sensors) for kind in "eS"}
+            given = {**_inputs(kernel, data, rows), "p": p, "s": s, **own}
+            return kernel(rows.stop - rows.start, data.mask[rows], given, per_row={"ll"})
+
+        x_pred, x_filt = np.empty((2, n_rows, n))
+        e, eps, S = np.empty((3, n_rows, outputs))
+        ll, state, begun = np.empty(n_rows), start.s, list[Array]()
+        for rows in pieces:
+            begun.append(state.copy())
+            done = run(rows, state)
+            x_pred[rows], x_filt[rows] = done["predicted"][:, :n], done["filtered"][:, :n]
+            e[rows], ll[rows] = done["e"], done["ll"][:, 0]
+            for kind, into in (("e", eps), ("S", S)):
+                into[rows] = np.hstack([done[f"{kind}{bit}"] for bit in range(len(self.model.sensors))])
+        last = {len(pieces) - 1: _covariances(done, n)}  # of the piece that was asked for last
+
+        def covariances(wanted: slice) -> Covariances:
+            first, end, _ = wanted.indices(n_rows)
+            parts = []
+            for k, rows in enumerate(pieces):
+                if rows.start < end and first < rows.stop:
+                    if k not in last:
+                        last.clear()
+                        last[k] = _covariances(run(rows, begun[k].copy()), n)
+                    parts.append([a[max(first - rows.start, 0):end - rows.start] for a in last[k]])
+            return Covariances(*(p[0] if len(p) == 1 else np.concatenate(p) for p in zip(*parts, strict=True)))
+
+        R = np.array([p[self._index[o.noise]] ** 2 for o in self.model.outputs])
+        robust = np.array([o.robust for o in self.model.outputs])
+        return FilterResult(record.t, x_pred, x_filt, covariances, e, R, eps, S, ll, robust, data.outliers)
 
     def forecast(self, record: Record, values: Array, x: Array, P: Array, first: int, last: int) -> tuple[Array, Array]:
         """Prediction from the inputs alone, without measurements.
@@ -191,7 +265,7 @@ class Likelihood:
                  for bit, sensor in enumerate(self.model.sensors) for kind in "eS"}
         s = np.append(x, P[np.triu_indices(n)])
         done = kernel(n_rows, np.zeros(n_rows, np.uint32), rows | {"p": _own(values), "s": s})
-        return _mean_and_covariance(done["predicted"], n)
+        return done["predicted"][:, :n].copy(), _covariance(done["predicted"], n)
 
     def measured(self, record: Record) -> int:
         """Number of measured values of a record that enter the likelihood."""
@@ -208,8 +282,13 @@ def _own(values: Array) -> Array:
     return np.ascontiguousarray(values, dtype=np.float64)
 
 
-def _inputs(kernel: Kernel, data: Prepared) -> dict[str, Array]:
-    return {name: a for name, a in data.rows.items() if name in kernel.layout.sizes}
+def _inputs(kernel: Kernel, data: Prepared, piece: slice = slice(None)) -> dict[str, Array]:
+    return {name: a[piece] for name, a in data.rows.items() if name in kernel.layout.sizes}
+
+
+def _pieces(n_rows: int) -> list[slice]:
+    size = n_rows if n_rows <= WHOLE else PIECE
+    return [slice(first, min(first + size, n_rows)) for first in range(0, n_rows, size)]
 
 
 def _symmetric(blocks: Array) -> Array:
@@ -219,8 +298,13 @@ def _symmetric(blocks: Array) -> Array:
     return np.asarray(upper + np.triu(upper, 1).T)
 
 
-def _mean_and_covariance(s: Array, n: int) -> tuple[Array, Array]:
+def _covariances(done: Mapping[str, Array], n: int) -> Covariances:
+    Phi = np.ascontiguousarray(done["Phi"].reshape(-1, n, n).swapaxes(1, 2))
+    return Covariances(_covariance(done["predicted"], n), _covariance(done["filtered"], n), Phi)
+
+
+def _covariance(s: Array, n: int) -> Array:
     P = np.empty((len(s), n, n))
     i, j = np.triu_indices(n)
     P[:, i, j] = P[:, j, i] = s[:, n:]
-    return np.ascontiguousarray(s[:, :n]), P
+    return P

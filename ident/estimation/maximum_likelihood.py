@@ -168,8 +168,8 @@ def _with_outliers(model: Model, records: Sequence[Record], options: EstimationO
                    begin: Mapping[str, float]) -> Model:
     """The model with outliers allowed, at the better of two starts: its own values, or those of a plain fit.
 
-    Wild samples are told from good ones by the noise, so its scale must be about right first, which a plain fit
-    sees to; but one very wild sample can spoil that fit, or make it impossible.
+    Outliers are told from good samples by the noise, so its scale must be about right first, which a plain fit
+    sees to; but one far outlier can spoil that fit, or make it impossible.
     """
     own = with_outliers(model)
     try:

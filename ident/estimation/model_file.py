@@ -20,6 +20,7 @@ from ident.model import Effect, EffectKind, ForceCurve, Model, Parameter, robust
 from ident.models import (
     ANTENNA,
     CURRENT_WALK,
+    TELEMETRY_AGE,
     antenna_component,
     catalogue_model,
     current_walk,
@@ -29,6 +30,7 @@ from ident.models import (
     load_effects,
     own_model,
     sensor_bias,
+    telemetry_age,
     trusted_file,
 )
 from ident.numerics import Array
@@ -94,7 +96,7 @@ def save_model(
         document["effects_file"], document["effects_sha256"] = beside.name, file_digest(beside)
     document["provenance"] = {k: v for k, v in provenance.items() if v is not None}
     document["validity"] = {k: [float(a), float(b)] for k, (a, b) in validity.items()}
-    # unexplained forces get the size of the boat whenever a fit begins (ident.models.scaling); a prior of that size
+    # disturbance forces get the size of the boat whenever a fit begins (ident.models.scaling); a prior of that size
     # would get
     # it twice
     sized_anew = {p.name for e in model.effects if e.kind is EffectKind.DISTURBANCE for p in e.parameters}
@@ -222,6 +224,8 @@ def _effect(name: str, model: Model, curves: Mapping[str, Any]) -> Effect:
         return antenna_component(model)
     if name == CURRENT_WALK:
         return current_walk()
+    if name == TELEMETRY_AGE:
+        return telemetry_age()
     if name in curves:
         return _unlisted(model, curves[name])
     if name.startswith(BETWEEN):

@@ -66,9 +66,9 @@ def parameter_uncertainty(fit: Fit, record: int | None = None) -> ParameterUncer
 
 
 def prediction_variance(
-    doubt: ParameterUncertainty, model: Model, record: Record, values: Array, known: int, likelihood: Likelihood
+    uncertainty: ParameterUncertainty, model: Model, record: Record, values: Array, known: int, likelihood: Likelihood
 ) -> Array:
-    """Variance (n_rows, n_outputs) that the doubt adds to predictions from the inputs after the first ``known`` rows,
+    """Variance (n_rows, n_outputs) that this adds to predictions from the inputs after the first ``known`` rows,
     of which the filter has the measurements; before that nothing is added, since those hold the prediction."""
     head, tail = _rows(record, slice(0, known)), _rows(record, slice(known - 1, None))
 
@@ -76,7 +76,7 @@ def prediction_variance(
         return simulate(model, tail, v, likelihood.filter(head, v).x_filt[-1]).y[1:]
 
     total = np.zeros((record.n_rows, len(model.outputs)))
-    for plus, minus in doubt.around(model, values):
+    for plus, minus in uncertainty.around(model, values):
         total[known:] += ((outputs(plus) - outputs(minus)) / 2) ** 2
     return total
 
@@ -118,6 +118,6 @@ def principal_directions(model: Model, values: Array, known: ParameterCovariance
 
 
 def dynamic_parameters(model: Model) -> list[str]:
-    """Free parameters that all records share, without those of noise and of unexplained forces."""
+    """Free parameters that all records share, without those of noise and of disturbance forces."""
     noise = model.noise_parameters
     return [p.name for p in model.parameters if p.free and not p.per_record and p.name not in noise]

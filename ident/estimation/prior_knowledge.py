@@ -11,7 +11,16 @@ from daq.rig import Rig
 from ident.effects import catalogue
 from ident.estimation.model_file import load_model
 from ident.model import Effect, Model, Parameter
-from ident.models import CURRENT_WALK, SIDES, antenna_component, current_walk, scale_priors, size_of
+from ident.models import (
+    CURRENT_WALK,
+    SIDES,
+    TELEMETRY_AGE,
+    antenna_component,
+    current_walk,
+    scale_priors,
+    size_of,
+    telemetry_age,
+)
 
 GNSS = {"x", "y", "vx", "vy"}
 
@@ -44,7 +53,7 @@ def _with_antenna(model: Model, rig: Rig) -> tuple[Model, list[str]]:
 def with_effects(model: Model, names: Sequence[str]) -> Model:
     """The model with effects by name, their parameters free; one that has another form for this model takes that.
 
-    They start a felt step from doing nothing, where the likelihood of some has no slope.
+    They start a step that matters from doing nothing, where the likelihood of some has no slope.
     """
     for name in names:
         effect = scale_priors(_effect_for(model, name), size_of(model))
@@ -57,7 +66,7 @@ def _begun(p: Parameter) -> Parameter:
 
 
 def _effect_for(model: Model, name: str) -> Effect:
-    known = catalogue() | {CURRENT_WALK: current_walk()}
+    known = catalogue() | {CURRENT_WALK: current_walk(), TELEMETRY_AGE: telemetry_age()}
     possible = {e.name: e for e in known.values() if model.accepts(e)}
     can = ", ".join(possible) or "none"
     if name not in known:

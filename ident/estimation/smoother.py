@@ -9,7 +9,9 @@ deviation; the covariance as a sum of two positive parts, so that it stays one.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,26 +37,63 @@ class SmootherResult:
         return np.asarray(np.sqrt(np.maximum(np.diagonal(self.P, axis1=1, axis2=2), 0.0)))
 
 
+class SmoothedStates(NamedTuple):
+    """Smoothed states of a record: means and standard deviations (n_rows, n_states)."""
+
+    x: Array
+    sd: Array
+
+
 def smooth(run: FilterResult) -> SmootherResult:
     """Smooth a filter's run. States without variance keep their values."""
-    Phi, P_filt, P_next = run.Phi[:-1], run.P_filt[:-1], run.P_pred[1:]
-    G = _gains(Phi, P_filt, P_next)
-    x, P = run.x_filt.copy(), run.P_filt.copy()
-    own = _own_part(G, Phi, P_filt, P_next)
-    for k in range(len(G) - 1, -1, -1):
-        x[k] += G[k] @ (x[k + 1] - run.x_pred[k + 1])
-        P[k] = own[k] + G[k] @ P[k + 1] @ G[k].T
-    P = (P + P.swapaxes(1, 2)) / 2
-    return SmootherResult(run.t, x, P, P[1:] @ G.swapaxes(1, 2))
+    parts = list(_backwards(run))[::-1]
+    x, P, lag_one = (np.concatenate(part) for part in zip(*[part[1:] for part in parts], strict=True))
+    return SmootherResult(run.t, x, P, lag_one)
+
+
+def smoothed_states(run: FilterResult) -> SmoothedStates:
+    """Means and standard deviations of ``smooth``; of a long record no more is kept."""
+    x, sd = np.empty((2, *run.x_filt.shape))
+    for rows, mean, P, _ in _backwards(run):
+        x[rows], sd[rows] = mean, np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0))
+    return SmoothedStates(x, sd)
+
+
+def _backwards(run: FilterResult) -> Iterator[tuple[slice, Array, Array, Array]]:
+    """Piece by piece from the last: its rows, their smoothed means and covariances, and those with the row after."""
+    after: tuple[Array, Array, Array] | None = None  # of the row after the piece: x, P, and the predicted P
+    for rows in reversed(run.pieces):
+        P_pred, P_filt, Phi = run.covariances(rows)
+        x, P, x_pred = run.x_filt[rows].copy(), P_filt.copy(), run.x_pred[rows]
+        if after is None:
+            Phi, P_filt, P_next = Phi[:-1], P_filt[:-1], P_pred[1:]
+        else:
+            P_next = np.concatenate([P_pred[1:], after[2][None]])
+            x, P = np.concatenate([x, after[0][None]]), np.concatenate([P, after[1][None]])
+            x_pred = run.x_pred[rows.start:rows.stop + 1]
+        G = _gains(Phi, P_filt, P_next)
+        own = _own_part(G, Phi, P_filt, P_next)
+        for k in range(len(G) - 1, -1, -1):
+            x[k] += G[k] @ (x[k + 1] - x_pred[k + 1])
+            P[k] = own[k] + G[k] @ P[k + 1] @ G[k].T
+        after, n = (x[0].copy(), P[0].copy(), P_pred[0]), rows.stop - rows.start
+        P = (P + P.swapaxes(1, 2)) / 2
+        yield rows, x[:n], P[:n], P[1:] @ G.swapaxes(1, 2)
 
 
 def smoothed_mean(run: FilterResult) -> Array:
     """The means of ``smooth`` alone (n_rows, n_states), in a third of the time."""
-    G = _gains(run.Phi[:-1], run.P_filt[:-1], run.P_pred[1:])
-    x, back = run.x_filt.copy(), run.x_filt[-1]
-    shift = run.x_filt[:-1] - np.einsum("kij,kj->ki", G, run.x_pred[1:])
-    for k in range(len(G) - 1, -1, -1):
-        x[k] = back = shift[k] + G[k] @ back
+    x = run.x_filt.copy()
+    back, P_after = x[-1], run.covariances(slice(x.shape[0] - 1, None)).P_pred
+    for rows in reversed(run.pieces):
+        P_pred, P_filt, Phi = run.covariances(rows)
+        first, last = rows.start, min(rows.stop, len(x) - 1)
+        n, P_after = last - first, np.concatenate([P_pred, P_after])
+        G = _gains(Phi[:n], P_filt[:n], P_after[1:n + 1])
+        shift = x[first:last] - np.einsum("kij,kj->ki", G, run.x_pred[first + 1:last + 1])
+        for k in range(n - 1, -1, -1):
+            x[first + k] = back = shift[k] + G[k] @ back
+        P_after = P_pred[:1]
     return x
 
 

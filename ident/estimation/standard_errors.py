@@ -206,8 +206,8 @@ class LikelihoodInterval:
 
 def flat_coordinates(value: Callable[[Array], float], z: Array, parameters: Sequence[Parameter], information: Array,
              bounds: Bounds) -> list[LikelihoodInterval]:
-    """Coordinates inside their bounds whose error by the ``information`` (n, n) alone is beyond their felt step, though
-    the log-likelihood ``value`` falls within half of it. Logarithms have none: what they stand for is smooth."""
+    """Coordinates inside their bounds whose error by the ``information`` (n, n) alone is beyond the step that matters,
+    though the log-likelihood ``value`` falls within half of it. Logarithms have none: what they stand for is smooth."""
     found = []
     for i, p in enumerate(parameters):
         error = 1.0 / np.sqrt(information[i, i]) if information[i, i] > 0.0 else np.inf

@@ -1,3 +1,4 @@
+from .baselines import BaselineSignal as BaselineSignal
 from .baselines import baseline_signals as baseline_signals
 from .baselines import monte_carlo as monte_carlo
 from .criteria import Kind as Kind

@@ -195,7 +195,7 @@ def planned_record(model: Model, t: Array, u: Array, every: Mapping[str, int] | 
 
     t (n_rows,) s; u (n_rows, n_inputs).
     """
-    held = [i.hold == "zero" for i in model.inputs]
+    held = [i.hold != "linear" for i in model.inputs]
     end = np.where(held, u, following(u))
     columns = tuple(i.name for i in model.inputs), tuple(o.name for o in model.outputs)
     blank = Record(name, t, u, end, np.full((t.size, len(model.outputs)), np.nan), *columns)

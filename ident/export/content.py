@@ -117,9 +117,12 @@ def without_nuisance(model: Model) -> tuple[Model, tuple[State, ...]]:
     states = {s.name for e in effects for s in e.states} | {s.name for s in model.states if s.nuisance}
     parameters = {p.name for e in effects for p in e.parameters}
     parameters |= {p.name for p in model.parameters if p.role is ParameterRole.DISTURBANCE}
+    inputs = {i.name for e in effects for i in e.inputs} - {i.name for e in model.effects for i in e.inputs
+                                                            if not e.kind.nuisance}
     smaller = replace(
         model,
         states=tuple(s for s in model.states if s.name not in states),
+        inputs=tuple(i for i in model.inputs if i.name not in inputs),
         parameters=tuple(p for p in model.parameters if p.name not in parameters),
         effects=tuple(e for e in model.effects if not e.kind.nuisance))
     return smaller, tuple(s for s in model.states if s.name in states)
@@ -174,7 +177,7 @@ def _inputs(c: Content) -> list[str]:
             lines.append(f"  u[{j}] {n} {_unit(i.unit)}{_described(i)}")
     if past:
         lines += [f"  (NAME_ago_K, in seatrial NAME~K, is the input NAME of K times {HISTORY_STEP:g} s ago: keep a",
-                  "  buffer of it.)"]
+                  "  buffer of it; of a held command its mean since the last step is better than its last value.)"]
     return lines
 
 

@@ -14,6 +14,7 @@ from .structure import PARAMETERS as PARAMETERS
 from .structure import Effect as Effect
 from .structure import EffectKind as EffectKind
 from .structure import ForceCurve as ForceCurve
+from .structure import Hold as Hold
 from .structure import Input as Input
 from .structure import Model as Model
 from .structure import ModelFunction as ModelFunction

@@ -3,7 +3,7 @@
     p(z) = (1 - e) N(z; 0, 1) + e C(z; 0, c),   z = innovation / its standard deviation
 
 with C a Cauchy density of scale c. Its score ``psi = -d ln p / dz`` is z for good samples and falls to zero for
-wild ones, and the filter's update that belongs to this likelihood is exactly (Masreliez 1975)
+outliers, and the filter's update that belongs to this likelihood is exactly (Masreliez 1975)
 
     x += P H' / sqrt(S) psi(z),   P -= P H' H P / S psi'(z).
 
@@ -25,8 +25,8 @@ SHARE = 0.01  # e: outliers among the samples, a guess that need not be right
 WIDTH = 20.0  # c: how far they are, in standard deviations, within a factor of ten or so
 # What a sample tells of its mean and of its scale, E[psi^2] and E[(z psi - 1)^2] / 2, over what a normal one tells.
 INFORMATION = (0.9834999, 0.9596000)
-LIKELY = 0.5  # a sample that is more likely wild than good counts as an outlier
-MANY = 0.1  # of the samples; where more are wild, it is not the samples that are wrong
+LIKELY = 0.5  # a sample that is more likely an outlier than good counts as one
+MANY = 0.1  # of the samples; where more are, it is not the samples that are wrong
 
 
 def log_density(z: Any) -> Any:
@@ -46,7 +46,7 @@ def score(z: Any) -> Any:
 
 
 def score_slope(z: Any) -> Any:
-    """``psi'``: 1 for good samples, about 0 for wild ones, negative where it is not clear which (the state is then
+    """``psi'``: 1 for good samples, about 0 for outliers, negative where it is not clear which (the state is then
     less certain than before: it may be in two places). Never above 1, so P stays positive."""
     w, apart, square = robust_weight(z), z - _wild_score(z), WIDTH**2 + z * z
     return w + (1.0 - w) * 2.0 * (WIDTH**2 - z * z) / (square * square) - w * (1.0 - w) * apart * apart
@@ -93,7 +93,7 @@ def outlier_notes(
         n, total = (sum(int(one[:, j].sum()) for one in kind) for kind in (outliers, measured))
         if output.robust and total:
             share = f" ({100 * n / total:.2g} %)" if n else ""
-            doubt = ", too many for wild samples: the model lacks something there, which --robust hides"
+            doubt = ", too many for outliers: the model lacks something there, which --robust hides"
             many = doubt if n > MANY * total else ""
             were = "was" if n == 1 else "were"
             notes.append(f"{output.name}: {n} of {total} samples {were} taken for outliers{share}{many}")

@@ -45,8 +45,13 @@ class Signals(Named):
     rate: dict[str, Any]
     y: dict[str, Any]
 
+    def state_or_input(self, name: str) -> Any:
+        """The state of this name where there is one, else the input."""
+        return getattr(self.x if hasattr(self.x, name) else self.u, name)
+
 
 ModelFunction = Callable[[Signals], None]
+Hold = Literal["zero", "average", "linear"]
 
 
 class ModelKind(StrEnum):
@@ -82,17 +87,18 @@ class Input:
     """A known signal.
 
     Attributes:
-        hold: zero-order, or linear between samples.
+        hold: ``zero``: zero-order, and every change is a row; ``average``: zero-order, and between rows a straight line
+            of the same mean and first moment; ``linear`` between samples.
         angle: unwrapped before it is interpolated.
         label: what people see it as; None: its name; empty: they do not look at it.
         tap_of: the signal that this one is a delayed copy of.
-        tap: that many steps of ``HISTORY_STEP`` later, made of the signal; 0: the data have it.
+        tap: that many steps of ``HISTORY_STEP`` later (negative: earlier), made of the signal; 0: the data have it.
         delay: by which the copy is later [s].
     """
 
     name: str
     unit: str = ""
-    hold: Literal["zero", "linear"] = "zero"
+    hold: Hold = "zero"
     angle: bool = False
     label: str | None = None
     tap_of: str = ""
@@ -104,7 +110,13 @@ class Input:
         if not tap:
             return self
         return replace(self, name=tap_name(self.name, tap), label="", tap_of=self.name, tap=tap,
-                       delay=HISTORY_STEP * tap)
+                       delay=HISTORY_STEP * tap).held(self.hold)
+
+    def held(self, hold: str) -> Input:
+        """This input as a log holds its signal; of a copy no change is a row. Empty: as it is."""
+        if hold == "zero" and (self.tap or self.hold == "average"):
+            hold = "average"
+        return replace(self, hold=hold) if hold else self  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -154,8 +166,8 @@ class EffectKind(StrEnum):
     NONPARAMETRIC = "nonparametric"  # a force as a fitted function of a variable
     LAGGED = "lagged"  # a force of first order behind an input
     RESONANT = "resonant"  # a force of second order behind an input
-    DISTURBANCE = "disturbance"  # an unexplained force, for the filter
-    SENSOR_OFFSET = "sensor-offset"  # a walking offset of a sensor, for the filter
+    DISTURBANCE = "disturbance"  # a disturbance force, for the filter
+    SENSOR_OFFSET = "sensor-offset"  # a walking offset or an age of a sensor, for the filter
 
     @property
     def unknown(self) -> bool:
@@ -195,6 +207,7 @@ class Effect:
     requires: tuple[str, ...] = ()
     one_sided: bool = False  # the first parameter cannot be negative
     rivals: tuple[str, ...] = ()
+    nests: tuple[str, ...] = ()  # effects that it is for some values of its parameters: it always explains as much
     scan: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # values to try where there is no gradient
     kind: EffectKind = EffectKind.CATALOGUE
     curve: ForceCurve | None = None  # of an effect that no catalogue lists: what depends on what
@@ -229,7 +242,8 @@ class Residual:
     ``state``: the disturbance that stands for it (``ident.models.disturbances``); ``scale``: what an unknown table of
     it may reach, one standard deviation of the prior; ``add``: how an extra of its unit enters, behind ``stage``;
     ``of``: the variables that it may depend on, all of the model's where none are named; ``place`` and ``requires``:
-    of the nonparametric effects on it.
+    of the nonparametric effects on it. ``relative``: a factor, whose part at zero of the variable belongs to other
+    parameters, and for which no disturbance stands.
     """
 
     name: str
@@ -242,6 +256,7 @@ class Residual:
     of: tuple[str, ...] = ()
     place: Place = "hull"
     requires: tuple[str, ...] = ()
+    relative: bool = False
 
 
 @dataclass(frozen=True)
@@ -400,11 +415,12 @@ class Model:
             raise ValueError(
                 f"effect {effect.name} needs the signal {sorted(missing)[0]!r}, which model {self.name} has not"
             )
-        inputs = {i.name for i in self.inputs}
+        holds = {i.name: i.hold for i in self.inputs}
         return replace(
             self,
             states=self.states + effect.states,
-            inputs=self.inputs + tuple(i for i in effect.inputs if i.name not in inputs),
+            inputs=self.inputs
+            + tuple(i.held(holds.get(i.tap_of, "")) for i in effect.inputs if i.name not in holds),
             parameters=self.parameters + effect.parameters,
             effects=(*self.effects, effect),
         )

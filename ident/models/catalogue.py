@@ -72,7 +72,7 @@ def _is_step(options: Sequence[str]) -> bool:
 def _horizontal(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
     from ident.models.horizontal import SENSORS, STANDARD, horizontal_model
 
-    kinds, currents = ("shaft", "force", "general"), ("no-current", "random-walk-current")
+    kinds, currents = ("shaft", "command", "force", "general"), ("no-current", "random-walk-current")
     wrong = [o for o in options if o not in (*kinds, *currents)]
     if wrong:
         raise SeatrialError(f"no model {source!r}: horizontal has {', '.join(kinds)}, and {' or '.join(currents)}")

@@ -1,4 +1,5 @@
-"""Components that the rig or the user asks for, and no search adds: antenna lever arm, random-walk current."""
+"""Components that the rig or the user asks for, and no search adds: antenna lever arm, age of telemetry, random-walk
+current."""
 
 from __future__ import annotations
 
@@ -7,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import Effect, Model, Parameter, Signals, State
+from ident.model import Effect, EffectKind, Input, Model, Parameter, Signals, State
 from ident.models import rotations
+from ident.models.horizontal import SIDES, shift_in_time
 
-ANTENNA, CURRENT_WALK = "antenna", "random-walk-current"
+ANTENNA, CURRENT_WALK, TELEMETRY_AGE = "antenna", "random-walk-current", "telemetry-age"
+N_AHEAD = 5  # copies of a shaft speed that is known late, each a step earlier: ages up to half a second
 
 
 def shift(s: Signals, l_x: Any, l_y: Any) -> None:
@@ -54,7 +57,7 @@ def _tilted(s: Signals) -> None:
 
 
 def current_walk() -> Effect:
-    """A current that wanders: a random walk in NED beside the constant one (Fossen 2011, section 8.3)."""
+    """A current with a random walk in NED beside the constant one (Fossen 2011, section 8.3)."""
 
     def drift(s: Signals) -> None:
         s.rate["x"], s.rate["y"] = s.rate["x"] + s.x.drift_x, s.rate["y"] + s.x.drift_y
@@ -62,7 +65,7 @@ def current_walk() -> Effect:
 
     return Effect(
         CURRENT_WALK,
-        "a current that wanders",
+        "a random-walk current",
         {"rate": drift},
         parameters=(Parameter("q_V", 0.005, "m/s/sqrt(s)", "diffusion of the current", "log", prior=(0.005, 0.01)),),
         states=(
@@ -71,4 +74,27 @@ def current_walk() -> Effect:
         ),
         place="environment",
         requires=("plane",),
+    )
+
+
+def telemetry_age() -> Effect:
+    """Shaft speeds that bear the time at which they arrived: the thrust is that of the telemetry ``tau_age`` later, as
+    the record of a past run knows it."""
+
+    def earlier(s: Signals) -> None:
+        shift_in_time(s, "n")
+
+    now = [Input(f"n_{side}", "", "linear") for side in SIDES]
+    return Effect(
+        TELEMETRY_AGE,
+        "shaft speeds that arrive late",
+        {"shaft": earlier},
+        parameters=(
+            Parameter("tau_age", 0.02, "s", "age of the shaft speeds at their time stamp", prior=(0.0, 0.1),
+                      bounds=(0.0, 0.4), step=0.01),
+        ),
+        inputs=tuple(i.delayed(-k) for i in now for k in range(1, N_AHEAD + 1)),
+        place="sensor",
+        requires=("n_input",),
+        kind=EffectKind.SENSOR_OFFSET,
     )

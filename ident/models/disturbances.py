@@ -25,7 +25,7 @@ from ident.model import (
     Variable,
 )
 
-# stationary standard deviations of the unexplained forces [N, N, N m], and the units of their diffusions
+# stationary standard deviations of the disturbance forces [N, N, N m], and the units of their diffusions
 SIZES = {"X": (1.0, "N/sqrt(s)"), "Y": (1.0, "N/sqrt(s)"), "N": (0.15, "N m/sqrt(s)")}
 TIME = Variable("t", "s", lambda s: s.u.t)
 
@@ -69,6 +69,30 @@ READINGS = tuple(
 )
 
 
+def _factor(*sides: str) -> Callable[[Signals, Any], None]:
+    """Changes the thrust of these sides by a part of itself."""
+
+    def add(s: Signals, extra: Any) -> None:
+        for side in sides:
+            s.f[side] = s.f[side] * (1 + extra)
+
+    return add
+
+
+# What a stalled propeller does: it acts on surge and yaw at once, as no curve of one force can
+THRUST_LOSSES = tuple(
+    Residual(
+        name, "", "", 0.3, title, _factor(*sides), "thrust", ("v", "r"), place="actuator", requires=("hull", "f"),
+        relative=True,
+    )
+    for name, title, sides in (
+        ("T", "the thrust of both thrusters", ("left", "right")),
+        ("T_left", "the thrust of the left thruster", ("left",)),
+        ("T_right", "the thrust of the right thruster", ("right",)),
+    )
+)
+
+
 def _state(name: str) -> Callable[[Signals], Any]:
     return lambda s: getattr(s.x, name)
 
@@ -84,7 +108,7 @@ MOTION = (
 
 def _of_pair(name: str, unit: str, pair: ThrusterPair) -> Variable:
     def read(s: Signals) -> Any:
-        left, right = getattr(s.u, f"{pair.quantity}_left"), getattr(s.u, f"{pair.quantity}_right")
+        left, right = (s.state_or_input(f"{pair.quantity}_{side}") for side in ("left", "right"))
         return left - right if pair.difference else (left + right) / 2
 
     return Variable(name, unit, read, pair=pair)
@@ -115,12 +139,13 @@ def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
 
     return Effect(
         "disturbance",
-        "unexplained forces",
+        "disturbance forces",
         {"force": add, "rate": decay},
         parameters=(
             *(_diffusion(n, s0 * float(np.sqrt(2 / tau)), unit) for n, s0, unit in zip(names, sd, units, strict=True)),
             Parameter(
-                "tau_b", tau, "s", "memory of the unexplained forces", "log", prior=(tau, tau), bounds=(0.2, 60.0),
+                "tau_b", tau, "s", "correlation time of the disturbance forces", "log", prior=(tau, tau),
+                bounds=(0.2, 10.0),
                 role=ParameterRole.DISTURBANCE,
             ),
         ),
@@ -172,7 +197,7 @@ def shaft_disturbance() -> Effect:
 
 
 def disturbance_of(model: Model) -> Effect:
-    """What the model names itself, or the unexplained forces of a vehicle."""
+    """What the model names itself, or the disturbance forces of a vehicle."""
     return model.disturbance or disturbance(forces_of(model))
 
 
@@ -224,12 +249,17 @@ def readings_of(model: Model) -> tuple[Residual, ...]:
     return tuple(r for r in READINGS if r.state in states) if "hull" in model.provides else ()
 
 
+def thrust_losses_of(model: Model) -> tuple[Residual, ...]:
+    """The thrusts of a vehicle that may fall in turns."""
+    return THRUST_LOSSES if {"hull", "f"} <= set(model.provides) else ()
+
+
 def variables_of(model: Model) -> tuple[Variable, ...]:
     """What residuals may depend on: the model's own list, or for a hull its motion, time and thrusters."""
     if model.variables or "hull" not in model.provides:
         return model.variables
-    inputs = {i.name for i in model.inputs}
-    shafts, thrusts = ({f"{letter}_left", f"{letter}_right"} <= inputs for letter in ("n", "f"))
+    known = {i.name for i in model.inputs} | {s.name for s in model.states}
+    shafts, thrusts = ({f"{letter}_left", f"{letter}_right"} <= known for letter in ("n", "f"))
     return MOTION + (SHAFTS if shafts else THRUSTS if thrusts else ())
 
 

@@ -9,18 +9,40 @@ current that is constant and irrotational in NED this is exact with the total ma
     m_r r' = N + (m_u - m_v) u v - d_r r - d_rr |r| r
 
 Thrust: ``f = c1 n|n| + c2 n^2`` with n normalised to [-1, 1] (thesis section 4.2), at ``y_L`` and ``y_R``.
+
+Each thruster is one chain, whose parts have their own stages, so that effects in it compose in any order:
+
+    command -> dead zone -> delay -> shaft lag (stage ``shaft``) -> dead band -> lag of the thrust -> thrust
+
+Where the shaft speed is measured, it is the input; where it is not, commands are, and it is a state:
+``T_n n' = n_ref(t - tau_n) - n``, ``n_ref`` the command, zero within its dead zone (thesis section 4.2).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from ident.model import INF, Input, Model, Output, Parameter, Sensor, Signals, State, resolve_initial_states
+from ident.model import (
+    HISTORY_STEP,
+    INF,
+    Hold,
+    Input,
+    Model,
+    ModelFunction,
+    Output,
+    Parameter,
+    Sensor,
+    Signals,
+    State,
+    resolve_initial_states,
+    tap_name,
+)
+from ident.models.thruster import delay_weights
 
-Propulsion = Literal["shaft", "force", "general"]
+Propulsion = Literal["shaft", "command", "force", "general"]
 SIDES = ("left", "right")
 
 HULL = (
@@ -38,6 +60,17 @@ THRUST = (
     Parameter("c1", 40.05, "N", "thrust at full speed, odd part", "log", free=False),
     Parameter("c2", 1.11, "N", "thrust at full speed, even part", free=False, step=0.1),
 )
+N_DELAYS = 11  # copies of each command, ``HISTORY_STEP`` apart: delays up to 1 s
+DEAD_ZONE_EDGE = 0.05  # of the command: over which the dead zone ends
+SHORTEST_LAG = 0.1  # s; Runge-Kutta steps of 0.1 s follow no quicker state
+SHAFT = (
+    Parameter("T_n", 0.2, "s", "time constant of the shafts", prior=(0.2, 0.5), bounds=(0.0, 3.0), step=0.02),
+    Parameter("tau_n", 0.1, "s", "delay of the shafts behind the command", prior=(0.1, 0.3), bounds=(0.0, 1.0),
+              step=0.02),
+    Parameter("dead_zone", 0.03, "", "command below which the shafts stand", prior=(0.0, 0.1), bounds=(0.0, 0.5),
+              step=0.01),
+)
+SHAFT_STATES = tuple(State(f"n_{side}", "", f"shaft speed {side}, normalised", 1e-3, sd0=0.1) for side in SIDES)
 ARMS = (
     Parameter("y_left", -0.15, "m", "left thruster, to starboard", free=False, step=0.01),
     Parameter("y_right", 0.15, "m", "right thruster, to starboard", free=False, step=0.01),
@@ -75,16 +108,15 @@ def horizontal_model(
     sensors: Sequence[str] = STANDARD,
     *,
     current: bool = True,
-    hold: Literal["zero", "linear"] = "linear",
+    hold: Hold = "linear",
 ) -> Model:
     """The horizontal model.
 
-    propulsion: ``shaft`` takes the measured shaft speeds ``n_left``, ``n_right`` (normalised), ``force`` the
-    thrusts ``f_left``, ``f_right`` [N], ``general`` the force ``X`` [N] and the moment ``N`` [N m].
+    propulsion: ``shaft`` takes the measured shaft speeds ``n_left``, ``n_right`` (normalised), ``command`` the commands
+    ``n_cmd_left``, ``n_cmd_right``, held, ``force`` the thrusts ``f_left``, ``f_right`` [N], ``general`` the force
+    ``X`` [N] and the moment ``N`` [N m].
     """
-    names = {"shaft": ["n_left", "n_right"], "force": ["f_left", "f_right"], "general": ["X", "N"]}[propulsion]
-    units = {"shaft": ["", ""], "force": ["N", "N"], "general": ["N", "N m"]}[propulsion]
-    states = (
+    states: tuple[State, ...] = (
         State("x", "m", "north", from_output="x", sd0=1.0),
         State("y", "m", "east", from_output="y", sd0=1.0),
         State("psi", "rad", "heading", from_output="psi", sd0=0.1),
@@ -93,29 +125,89 @@ def horizontal_model(
         State("r", "rad/s", "yaw rate", "s_r", sd0=0.1),
     )
     parameters = HULL + (CURRENT if current else ())
-    parameters += {"shaft": THRUST + ARMS, "force": ARMS, "general": ()}[propulsion]
+    parameters += {"shaft": THRUST + ARMS, "command": SHAFT + THRUST + ARMS, "force": ARMS, "general": ()}[propulsion]
     parameters += DIFFUSION + tuple(NOISE[s] for s in sensors)
-    stages = {"shaft": (("shaft", shaft), ("thrust", thrust)), "force": (("thrust", given_thrust),), "general": ()}
+    inputs: tuple[Input, ...] = (Input("X", "N", hold), Input("N", "N m", hold))
+    first: tuple[tuple[str, ModelFunction], ...] = ()
+    provides: tuple[str, ...] = ()
+    if propulsion == "shaft":
+        inputs, first, provides = pair("n", "", hold), CHAIN, ("n", "f", "n_input")
+    elif propulsion == "force":
+        inputs = pair("f", "N", hold)
+        first, provides = (("shaft", given_thrust), ("thrust_lag", unchanged), ("thrust", unchanged)), ("f", "f_input")
+    elif propulsion == "command":
+        inputs = tuple(i.delayed(k) for i in pair("n_cmd", "", "average") for k in range(N_DELAYS))
+        first, provides, states = (("shaft", driven_shaft), *CHAIN[1:]), ("n", "f", "n_state"), states + SHAFT_STATES
     return Model(
         "horizontal",
         resolve_initial_states(states, (SENSORS[s] for s in sensors)),
-        tuple(Input(n, unit, hold) for n, unit in zip(names, units, strict=True)),
+        inputs,
         tuple(SENSORS[s] for s in sensors),
         parameters,
-        (*stages[propulsion], ("force", force), ("rate", rate), ("output", output)),
-        provides={"shaft": ("n", "f", "hull"), "force": ("f", "f_input", "hull"), "general": ("hull",)}[propulsion]
-        + (("body_velocity",) if "body_velocity" in sensors else ()),
+        (*first, ("force", force), ("rate", rate), ("output", output)),
+        provides=(*provides, "hull", *(("body_velocity",) if "body_velocity" in sensors else ())),
         source=f"horizontal:{propulsion}" + ("" if current else ":no-current"),
     )
+
+
+def pair(quantity: str, unit: str, hold: Hold) -> tuple[Input, ...]:
+    """One input for each thruster."""
+    return tuple(Input(f"{quantity}_{side}", unit, hold) for side in SIDES)
 
 
 def shaft(s: Signals) -> None:
     s.n = {side: getattr(s.u, f"n_{side}") for side in SIDES}
 
 
+def driven_shaft(s: Signals) -> None:
+    """Shafts behind their commands: a dead zone, a delay between the copies of the command, a first-order lag."""
+    weights = delay_weights(s.p.tau_n / HISTORY_STEP, N_DELAYS)
+    s.n = {}
+    for side in SIDES:
+        name = f"n_cmd_{side}"
+        told = [outside_dead_zone(getattr(s.u, tap_name(name, k)), s.p.dead_zone) for k in range(N_DELAYS)]
+        reference = sum(w * n for w, n in zip(weights, told, strict=True))
+        s.n[side] = first_order(s, f"n_{side}", reference, s.p.T_n)
+
+
+def outside_dead_zone(command: Any, dead_zone: Any) -> Any:
+    """The command where it exceeds the dead zone, else zero; a smooth step of width ``DEAD_ZONE_EDGE`` below it."""
+    along = np.minimum(np.maximum((abs(command) - dead_zone) / DEAD_ZONE_EDGE + 1.0, 0.0), 1.0)
+    return command * along * along * (3.0 - 2.0 * along)
+
+
+def first_order(s: Signals, state: str, driven_by: Any, time_constant: Any) -> Any:
+    """A signal behind a first-order lag, whose rate this sets. From ``SHORTEST_LAG`` down to zero it is a mean of the
+    state, which gets no quicker, and of the signal itself, and as late as a lag of that time constant."""
+    x = getattr(s.x, state)
+    s.rate[state] = (driven_by - x) / np.maximum(time_constant, SHORTEST_LAG)
+    return driven_by + np.minimum(time_constant / SHORTEST_LAG, 1.0) * (x - driven_by)
+
+
+def shift_in_time(s: Signals, quantity: str) -> None:
+    """The measured or given input of each thruster, ``tau_delay`` later and the ``age`` of its telemetry earlier, by
+    cubic convolution of those of its copies that the model has: whatever shifts it in time calls this one."""
+    position = (getattr(s.p, "tau_delay", 0.0) - getattr(s.p, "tau_age", 0.0)) / HISTORY_STEP
+    for side in SIDES:
+        name = f"{quantity}_{side}"
+        taps = [k for k in range(-N_DELAYS, 2 * N_DELAYS) if hasattr(s.u, tap_name(name, k))]
+        weights = delay_weights(position - taps[0], len(taps))
+        past = sum(w * getattr(s.u, tap_name(name, k)) for w, k in zip(weights, taps, strict=True))
+        (s.n if quantity == "n" else s.f)[side] = past
+
+
+def unchanged(s: Signals) -> None:
+    """A place in the chain for effects."""
+
+
 def thrust(s: Signals) -> None:
     s.f = {side: s.p.c1 * n * abs(n) + s.p.c2 * n * n for side, n in s.n.items()}
     s.arm = {side: getattr(s.p, f"y_{side}") for side in SIDES}
+
+
+CHAIN: tuple[tuple[str, ModelFunction], ...] = (
+    ("shaft", shaft), ("dead_band", unchanged), ("thrust_lag", unchanged), ("thrust", thrust)
+)
 
 
 def given_thrust(s: Signals) -> None:

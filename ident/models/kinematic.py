@@ -14,7 +14,7 @@ u, v, w through the water along the body's axes, and a hull that stays on the su
 so that level motion is ``ident.models.horizontal`` without its yaw. The added mass in heave is taken to be that in
 sway, as of a body of revolution; its terms are of second order in roll and pitch. Heading and yaw gyro have walking
 offsets, which are subtracted; that of the gyro is seen only through ``v r`` and ``u r``, so its prior counts.
-The noise of these inputs is not modelled; it goes to the unexplained forces and to the accelerometers' noise.
+The noise of these inputs is not modelled; it goes to the disturbance forces and to the accelerometers' noise.
 
 The yaw equation is left out and with it m_r, d_r and d_rr. With ``yaw`` it is there as a state that is seen by the
 gyro and driven by the estimated u and v, while everything else goes on turning with the gyro itself:
@@ -27,7 +27,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
-from ident.model import Input, Model, Output, Sensor, Signals, State, resolve_initial_states
+from ident.model import Hold, Input, Model, Output, Sensor, Signals, State, resolve_initial_states
 from ident.models.horizontal import (
     ARMS,
     CURRENT,
@@ -68,7 +68,7 @@ def kinematic_model(
     *,
     current: bool = True,
     yaw: bool = False,
-    hold: Literal["zero", "linear"] = "linear",
+    hold: Hold = "linear",
 ) -> Model:
     """The model with measured attitude.
 
@@ -93,7 +93,7 @@ def kinematic_model(
         tuple(chosen),
         (*(p for p in own if p.name not in unused), *noise),
         (*first, ("force", turning if yaw else force), ("rate", rate), ("output", output)),
-        provides=("plane", "attitude", *(["turn"] if yaw else [])),
+        provides=("plane", "attitude", *(["turn"] if yaw else []), *(["n_input"] if propulsion == "shaft" else [])),
         source=":".join(["kinematic", *options]),
     )
 

@@ -13,6 +13,7 @@ from math import sqrt
 from ident.model import Effect, Model, Parameter
 from ident.models.disturbances import SIZES
 
+DRAG_AREA = "N s2/m2"  # unit of half the density of air times area times drag coefficient
 MASS, INERTIA = 37.0, 9.69  # kg, kg m2: the thesis' boat with its added mass (Table 1)
 
 
@@ -25,6 +26,8 @@ class VesselScale:
 
     def of(self, unit: str) -> float:
         """Factor of a coefficient with this unit; 1 where no mass or force is in it."""
+        if unit == DRAG_AREA:  # area goes with the square of length, mass with its cube
+            return float(self.force ** (2 / 3))
         above, _, below = unit.partition("/")
         power = _power(above) - _power(below)
         if power == 0:
@@ -54,7 +57,7 @@ def size_of(model: Model) -> VesselScale:
 
 
 def rescale(model: Model, size: VesselScale) -> Model:
-    """The model with unexplained forces for a boat of this size: their spread at the start, and what is plausible
+    """The model with disturbance forces for a boat of this size: their spread at the start, and what is plausible
     for their diffusion."""
     factors = {"X": size.force, "Y": size.force, "N": size.moment}
     of_state = {f"b_{name}": name for name in factors}

@@ -54,10 +54,10 @@ FORCE = (
 )
 SWING = (
     Parameter(
-        "q_f", 0.5, "N/sqrt(s)", "diffusion of the unexplained force", "log", role=ParameterRole.DISTURBANCE
+        "q_f", 0.5, "N/sqrt(s)", "diffusion of the disturbance force", "log", role=ParameterRole.DISTURBANCE
     ),
     Parameter(
-        "tau_f", 0.5, "s", "memory of the unexplained force", "log", prior=(0.5, 0.5), bounds=(0.05, 20.0),
+        "tau_f", 0.5, "s", "correlation time of the disturbance force", "log", prior=(0.5, 0.5), bounds=(0.05, 20.0),
         role=ParameterRole.DISTURBANCE,
     ),
 )
@@ -108,7 +108,7 @@ def thruster_model(
     pace: str = "", *, force: bool = True, swing: bool = True, step: float = DELAY_STEP, n_delays: int = N_DELAYS
 ) -> Model:
     """The bench model. pace: ``slow`` for delays beyond 0.6 s, or the ``step`` itself [s] as text (``on_a_copy``);
-    force: a load cell is there; swing: with the unexplained force ``b_f``."""
+    force: a load cell is there; swing: with the disturbance force ``b_f``."""
     step = SLOW_STEP if pace == "slow" else float(pace or step)
     top = step * (n_delays - 1)
     delay = Parameter("tau", min(0.1, top / 2), "s", "delay of the command", bounds=(0.0, top), step=0.005)
@@ -159,14 +159,14 @@ def _start_grid(longest: float) -> StartGrid:
 
 
 def _parts(force: bool, swing: bool) -> tuple[tuple[State, ...], tuple[Sensor, ...], tuple[Parameter, ...]]:
-    """States, sensors and parameters with a load cell or without, and with an unexplained force on it."""
+    """States, sensors and parameters with a load cell or without, and with a disturbance force on it."""
     states = [State("n", "", "shaft speed, normalised", "s_n", from_output="n", sd0=0.1)]
     sensors, parameters = [Sensor("rpm", (Output("n", "", "e_n"),))], [*SHAFT]
     if force:
         sensors.append(Sensor("load_cell", (Output("force", "N", "e_f"),)))
         parameters += FORCE
     if swing:
-        states.append(State("b_f", "N", "unexplained force", "q_f", sd0=1.0, nuisance=True))
+        states.append(State("b_f", "N", "disturbance force", "q_f", sd0=1.0, nuisance=True))
         parameters += SWING
     return tuple(states), tuple(sensors), tuple(parameters)
 

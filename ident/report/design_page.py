@@ -1,4 +1,4 @@
-"""The page of a designed mission: what it promises, against what rivals, and what the boat is going to do."""
+"""The page of a designed mission: what it promises, against which baseline signals, and where the boat will go."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def write_design_page(result: DesignResult, path: Path) -> None:
         _errors(result),
         _inputs(canvas, result),
         _track(canvas, result.track),
-        _rivals(canvas, result),
+        _baselines(canvas, result),
         _made(result),
     ]
     page = compose(
@@ -57,7 +57,7 @@ def _lead(result: DesignResult) -> str:
 
 def _facts(result: DesignResult) -> list[tuple[str, str]]:
     found = [("model", result.model), ("criterion", formatting.plain(result.value, 4))]
-    found += [(f"best of 20 {r.name}", formatting.plain(r.value, 4)) for r in result.rivals]
+    found += [(f"best of 20 {r.name}", formatting.plain(r.value, 4)) for r in result.baselines]
     found.append(("better than all in", formatting.percent(result.share_won, 1) + " of the samples"))
     if result.apart is not None:
         first, second = result.apart.effects
@@ -76,7 +76,7 @@ def _errors(result: DesignResult) -> Section:
         ("± before", "num"),
         ("± after", "num"),
         ("of the value", "num"),
-        (f"± after the best {result.rival}", "num"),
+        (f"± after the best {result.baseline}", "num"),
         ("meaning", ""),
     )
     lines: list[list[Cell | str]] = []
@@ -90,7 +90,7 @@ def _errors(result: DesignResult) -> Section:
                 Cell(formatting.plain(p.before), "num"),
                 Cell(formatting.plain(p.after), "num"),
                 Cell("> 100 %" if share is not None and share > 1 else formatting.percent(share, 1), "num"),
-                Cell(formatting.plain(p.rival), "num"),
+                Cell(formatting.plain(p.baseline), "num"),
                 Cell(p.meaning, "wide"),
             ]
         )
@@ -174,10 +174,10 @@ def _dot(x: Array, y: Array) -> Trace:
     }
 
 
-def _rivals(canvas: Canvas, result: DesignResult) -> Section:
+def _baselines(canvas: Canvas, result: DesignResult) -> Section:
     samples = result.samples
     if not samples:
-        return Section("rivals", "", [])
+        return Section("baselines", "", [])
     traces = [_histogram(name, values, edges_of(samples)) for name, values in samples.items()]
     figure = single(
         traces, f"{result.criterion} criterion", "samples", showlegend=True, legend={"orientation": "h", "y": 1.12}
@@ -188,7 +188,7 @@ def _rivals(canvas: Canvas, result: DesignResult) -> Section:
         "bandwidth and size that suit the nominal values, and keep to no limits of area, speed or energy."
     )
     return Section(
-        "rivals",
+        "baselines",
         "Against random sequences, and if the boat is another",
         [Grid([canvas.plot(figure, 300, "Histogram of the criterion")], 520)],
         lead,

@@ -68,7 +68,7 @@ def drawable(y: Array | None) -> Array | None:
 
 
 def thinned(y: Array, limit: int) -> Index:
-    """Indices of at most ``limit`` points that keep the smallest and the largest of every stretch."""
+    """Indices of at most ``limit`` points that keep the smallest and the largest of every interval."""
     n = y.size
     if n <= limit:
         return np.arange(n)

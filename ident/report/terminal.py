@@ -110,12 +110,15 @@ def _candidates(rounds: Sequence[Round]) -> Table | None:
         return None
     every = found[0].candidates
     chosen = [row.chosen for row in found if row.chosen]
-    table = titled_table(f"Candidates, first round ({min(len(every), MOST_CANDIDATES)} of {len(every)})")
+    shown = every[:MOST_CANDIDATES]
+    title = f"First round: {found[0].passed} of {found[0].tested} candidates passed the score test, {len(shown)} best"
+    table = titled_table(title)
+    table.caption, table.caption_justify = "✓ added to the model   · passed   (blank) not passed", "left"
     table.add_column("", no_wrap=True)
     table.add_column("", no_wrap=True, overflow="ellipsis", max_width=38)
     for title in ("score", "threshold", "p by blocks"):
         table.add_column(title, justify="right", no_wrap=True)
-    for row in every[:MOST_CANDIDATES]:
+    for row in shown:
         won = row.name in chosen
         style = "bold green" if won else "" if row.passed else "dim"
         numbers = (

@@ -1,11 +1,11 @@
 from .answers import curve_notes as curve_notes
 from .answers import stuck_sensors as stuck_sensors
+from .design import Baseline as Baseline
 from .design import CommandTrace as CommandTrace
 from .design import DesignedParameter as DesignedParameter
 from .design import DesignResult as DesignResult
 from .design import DesignTrack as DesignTrack
 from .design import Discrimination as Discrimination
-from .design import RivalSignal as RivalSignal
 from .diagnosis import diagnosis_result as diagnosis_result
 from .fits import thruster_result as thruster_result
 from .fits import vehicle_result as vehicle_result

@@ -12,6 +12,7 @@ import numpy as np
 from ident.characterisation import Curve, Levels, Quadratic
 from ident.data import Record
 from ident.estimation import FailedRun, Fit, HomogeneityTest
+from ident.model import Model
 from ident.results.parts import (
     Calibrations,
     CrossCorrelation,
@@ -20,7 +21,7 @@ from ident.results.parts import (
     PredictionFit,
     ResidualTests,
 )
-from ident.validation import FEWEST
+from ident.validation import FEWEST, OUTLYING, ChannelResiduals
 
 NAMES = {
     "x": "north",
@@ -58,16 +59,16 @@ def change_sentence(change: PredictionChange, horizon: float) -> str:
         said = f"prediction error rises by {shift:.0f} % (95 %: {low:.0f} to {high:.0f} %)"
     else:
         said = f"prediction error is {change.ratio:.2g} times as large (95 %: {change.low:.2g} to {change.high:.2g})"
-    named = [("better", change.better), ("worse", change.worse)]
-    parts = [said, *(f"{word}: {_listed(names)}" for word, names in named if names)]
+    named = [("better", change.better, MOST_NAMES), ("worse", change.worse, len(change.worse))]
+    parts = [said, *(f"{word}: {_listed(names, most)}" for word, names, most in named if names)]
     return f"{begin}{'; '.join(parts)}."
 
 
-def _listed(channels: Sequence[str]) -> str:
+def _listed(channels: Sequence[str], most: int = MOST_NAMES) -> str:
     """The first few by name."""
     names = [NAMES.get(name, name) for name in channels]
-    more = len(names) - MOST_NAMES
-    return ", ".join(names) if more <= 0 else f"{', '.join(names[:MOST_NAMES])} and {more} more"
+    more = len(names) - most
+    return ", ".join(names) if more <= 0 else f"{', '.join(names[:most])} and {more} more"
 
 
 def _percent(share: float) -> str:
@@ -116,7 +117,7 @@ def _residuals(
         least = f"that takes {FEWEST} samples of a channel"
         return f"Too little was measured to tell whether the residuals are white: {least}."
     if not known and not coloured:
-        hidden = "; whether the unexplained forces hide an effect, `seatrial ident diagnose` tells"
+        hidden = "; whether the disturbance forces hide an effect, `seatrial ident diagnose` tells"
         unseen = _unseen(errors, residuals)
         return f"The residuals are white and know nothing of the inputs{hidden if searchable else ''}{unseen}."
     if known and known <= MEASURED:
@@ -154,6 +155,20 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
                 notes.append(f"On {role} data, {words}, errors are {what} than the model says, by these factors: "
                              f"{', '.join(wrong)}.")
     return notes
+
+
+def outlier_lines(residuals: Sequence[ChannelResiduals], model: Model) -> list[str]:
+    """A line for each channel that has innovations far beyond its noise, and what can be done."""
+    robust = {o.name for o in model.outputs if o.robust}
+    lines = []
+    for r in residuals:
+        if r.tests.outliers and r.channel not in robust:
+            lines.append(
+                f"{r.record}: {r.tests.outliers} of {r.e.size} innovations of {r.channel} are beyond {OUTLYING:g} "
+                f"standard deviations, the largest at {r.tests.largest:.2g}: outliers, or an event that the model "
+                "lacks. --robust gives outliers little weight."
+            )
+    return lines
 
 
 def not_converged(fit: Fit) -> str | None:

@@ -20,11 +20,11 @@ class DesignedParameter(Part, frozen=True, kw_only=True):
     before: Annotated[float | None, Meta(description="by earlier logs")]
     after: Annotated[float | None, Meta(description="with this mission, by prediction error")]
     form: Annotated[float | None, Meta(description="with this mission, by the form of the design")]
-    rival: Annotated[float | None, Meta(description="with the best rival instead, by prediction error")]
+    baseline: Annotated[float | None, Meta(description="with the best baseline signal instead, by prediction error")]
     chosen: Annotated[bool, Meta(description="the criterion is of it")]
 
 
-class RivalSignal(Part, frozen=True, kw_only=True):
+class Baseline(Part, frozen=True, kw_only=True):
     """A random sequence at its best, which the design is compared with."""
 
     name: Annotated[str, Meta(description="`PRBS` or `RGS`")]
@@ -75,11 +75,16 @@ class DesignResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="des
     value: Annotated[float, Meta(description="of the criterion")]
     evaluations: Annotated[int, Meta(description="simulations that the search took")]
     parameters: tuple[DesignedParameter, ...]
-    rivals: tuple[RivalSignal, ...]
-    rival: Annotated[str, Meta(description="the best of the rivals")]
-    limited: Annotated[bool, Meta(description="the design had to keep to limits, which rivals do not")]
+    baselines: tuple[Baseline, ...]
+    baseline: Annotated[str, Meta(description="the best of the baseline signals")]
+    limited: Annotated[bool, Meta(description="the design had to keep to limits, which baseline signals do not")]
     samples: Annotated[dict[str, Array], Meta(description="by input, the criterion at 1000 samples of the parameters")]
     share_won: Annotated[float, Meta(description="share of the samples in which the design is best")]
     inputs: tuple[CommandTrace, ...]
     track: Annotated[DesignTrack | None, Meta(description="null: the model has no position")]
     apart: Annotated[Discrimination | None, Meta(description="null: two effects were not named")] = None
+
+    @property
+    def margin(self) -> float:
+        """Criterion of the design less that of the best baseline signal; negative: the design is worse."""
+        return self.value - max(b.value for b in self.baselines)

@@ -14,12 +14,19 @@ from ident.diagnosis import (
     Round,
     ValidationMismatch,
     recommended_experiment,
-    score_threshold,
 )
+from ident.effects import catalogue
 from ident.estimation import FittedModel, run_differences
 from ident.model import EffectKind
 from ident.results import parts
-from ident.results.answers import NAMES, calibration_notes, change_sentence, failed_run_notes, not_converged
+from ident.results.answers import (
+    NAMES,
+    calibration_notes,
+    change_sentence,
+    failed_run_notes,
+    not_converged,
+    outlier_lines,
+)
 from ident.results.parts import DiagnosisResult, Provenance
 from ident.results.tables import (
     all_inputs,
@@ -64,7 +71,12 @@ def diagnosis_result(
         prediction=prediction,
         converged_before=diagnosis.before.fit.converged,
         warnings=(*warnings, *failed_run_notes(diagnosis.failed_runs), *_untested_notes(diagnosis)),
-        notes=(*notes, *_notes(diagnosis), *calibration_notes(calibration, after.horizon)),
+        notes=(
+            *notes,
+            *_notes(diagnosis),
+            *outlier_lines(after.residuals, after.model),
+            *calibration_notes(calibration, after.horizon),
+        ),
         fit=fit_summary(diagnosis.after.fit, diagnosis.before.model.values),
         failed_runs=failed_runs(diagnosis.failed_runs),
         cross_validated=diagnosis.cross_validated,
@@ -227,7 +239,7 @@ QUIET = parts.Round(why="no candidate passes the score tests")
 
 
 def _round(one: Round) -> parts.Round:
-    titles = {r.effect.name: r.effect.title for r in one.refits}
+    titles = {n: e.title for n, e in catalogue().items()} | {r.effect.name: r.effect.title for r in one.refits}
     best = sorted(one.scores, key=lambda s: -s.lm / max(s.df, 1))[:MOST_CANDIDATES]
     return parts.Round(
         candidates=tuple(
@@ -239,11 +251,13 @@ def _round(one: Round) -> parts.Round:
                 p=s.p,
                 p_block=finite(s.p_block),
                 generic=s.generic,
-                threshold=score_threshold(s, one.scores),
+                threshold=s.threshold,
                 passed=s.name in one.passed,
             )
             for s in best
         ),
+        tested=len(one.scores),
+        passed=len(one.passed),
         refits=tuple(_refit(r) for r in one.refits),
         untested=tuple(
             parts.UntestedCandidate(name=u.effect.name, title=u.effect.title, reason=u.reason) for u in one.untested
@@ -298,8 +312,10 @@ def _effects(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
                 source=e.source,
                 place=e.place,
                 experiment=e.experiment,
-                rivals=tuple(
-                    parts.Rival(name=q.effect.name, title=q.effect.title, criterion_behind=r.criterion - q.criterion)
+                alternatives=tuple(
+                    parts.Alternative(
+                        name=q.effect.name, title=q.effect.title, criterion_behind=r.criterion - q.criterion
+                    )
                     for q in rounds[e.name].refits
                     if q is not r
                 ),

@@ -13,11 +13,12 @@ from ident.results.answers import (
     failed_run_notes,
     homogeneity_sentence,
     not_converged,
+    outlier_lines,
     stuck_sensors,
     thruster_answer,
     vehicle_answer,
 )
-from ident.results.parts import Provenance, StaticForce, ThrusterResult, VehicleResult
+from ident.results.parts import Calibrations, Provenance, StaticForce, ThrusterResult, VehicleResult
 from ident.results.tables import (
     all_inputs,
     calibration_tables,
@@ -58,7 +59,7 @@ def vehicle_result(
         answer=not_converged(stage.fit) or answer,
         prediction=prediction,
         warnings=(*stuck_sensors(stage.records), *failed_run_notes(stage.failed)),
-        notes=(*notes, *calibration_notes(calibration, evaluation.horizon)),
+        notes=_notes(notes, evaluation, calibration),
         fit=fit_summary(stage.fit, start),
         failed_runs=failed_runs(stage.failed),
         horizon_seconds=evaluation.horizon,
@@ -91,7 +92,7 @@ def thruster_result(
         **msgspec.structs.asdict(made),
         answer=not_converged(stage.fit) or thruster_answer(stage.fit, static is not None),
         warnings=(*stuck_sensors(stage.records), *failed_run_notes(stage.failed)),
-        notes=(*notes, *calibration_notes(calibration, evaluation.horizon)),
+        notes=_notes(notes, evaluation, calibration),
         fit=fit_summary(stage.fit, start),
         failed_runs=failed_runs(stage.failed),
         horizon_seconds=evaluation.horizon,
@@ -105,3 +106,8 @@ def thruster_result(
         static=static,
         profiles=tuple(profile_curve(p) for p in profiles),
     )
+
+
+def _notes(first: Sequence[str], evaluation: PredictionEvaluation, calibration: Calibrations) -> tuple[str, ...]:
+    outliers = outlier_lines(evaluation.residuals, evaluation.model)
+    return (*first, *outliers, *calibration_notes(calibration, evaluation.horizon))

@@ -193,7 +193,9 @@ class WhitenessTests(Part, frozen=True, kw_only=True):
     periodogram_p: Annotated[float | None, Meta(description="p value of the cumulative periodogram")]
     cumulative: Annotated[Array, Meta(description="cumulative periodogram at `frequency`, 0..1")]
     normal_p: Annotated[float | None, Meta(description="p value of D'Agostino and Pearson's test of normality")]
-    white: Annotated[bool, Meta(description="by both tests together, at 1 %")]
+    white: Annotated[bool, Meta(description="by both tests together at 1 % (Bonferroni: neither p below 0.5 %)")]
+    outliers: Annotated[int, Meta(description="innovations beyond 6 standard deviations")]
+    largest: Annotated[float, Meta(description="largest innovation, absolute, in standard deviations")]
 
 
 class ResidualTests(WhitenessTests, frozen=True, kw_only=True):
@@ -463,7 +465,7 @@ class Candidate(Part, frozen=True, kw_only=True):
     p: float
     p_block: Annotated[float | None, Meta(description="p value of the test from blocks of the data")]
     generic: Annotated[bool, Meta(description="a force without a formula, not an effect of the catalogue")]
-    threshold: Annotated[float, Meta(description="of `lm`, for as many tests as there are")]
+    threshold: Annotated[float, Meta(description="of `lm`, for as many tests as the search made")]
     passed: bool
 
 
@@ -522,14 +524,16 @@ class ValidationMismatch(Part, frozen=True, kw_only=True):
 class Round(Part, frozen=True, kw_only=True):
     """A round of the search."""
 
-    candidates: Annotated[tuple[Candidate, ...], Meta(description="the best ones first")] = ()
+    tested: Annotated[int, Meta(description="number of candidates")] = 0
+    passed: Annotated[int, Meta(description="how many of them passed the score test")] = 0
+    candidates: Annotated[tuple[Candidate, ...], Meta(description="the best 24, best first")] = ()
     refits: tuple[Refit, ...] = ()
     untested: tuple[UntestedCandidate, ...] = ()
     chosen: Annotated[str | None, Meta(description="name of what was added")] = None
     why: str
 
 
-class Rival(Part, frozen=True, kw_only=True):
+class Alternative(Part, frozen=True, kw_only=True):
     """What was refitted in the same round and not chosen."""
 
     name: str
@@ -546,7 +550,7 @@ class EffectRow(Part, frozen=True, kw_only=True):
     source: str
     place: Annotated[str, Meta(description="what it acts on")]
     experiment: Annotated[str, Meta(description="what shows it")]
-    rivals: tuple[Rival, ...]
+    alternatives: tuple[Alternative, ...]
     attribution: Annotated[
         Literal["identified", "ambiguous", "nonparametric"],
         Meta(
@@ -560,7 +564,7 @@ class EffectRow(Part, frozen=True, kw_only=True):
     error_ratio_without: Annotated[
         float | None,
         Meta(
-            description="the error three seconds ahead, on the bench 1.2, without it over that with it, unexplained "
+            description="the error three seconds ahead, on the bench 1.2, without it over that with it, disturbance "
             "forces left out; geometric mean over the channels of the validation data"
         ),
     ]
@@ -579,7 +583,7 @@ class RemainingCandidate(Part, frozen=True, kw_only=True):
 
 
 class NonparametricCurve(Part, frozen=True, kw_only=True):
-    """An unknown effect as the data draw it."""
+    """A nonparametric effect as the data draw it."""
 
     force: Annotated[str, Meta(description="force, or the sensor whose error it is")]
     sensor_error: Annotated[bool, Meta(description="not a force, but the error of this sensor")]
@@ -645,7 +649,7 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
     remaining_candidates: tuple[RemainingCandidate, ...] = ()
     nonparametric_effects: Annotated[
         tuple[NonparametricCurve, ...],
-        Meta(description="unknown effects, and the residual that the first effect only resembles"),
+        Meta(description="nonparametric effects, and the residual that the first effect only resembles"),
     ] = ()
     residual_forces: Annotated[tuple[ResidualForce, ...], Meta(description="one a record and force")] = ()
     parameters_before_after: tuple[ParameterChange, ...] = ()

@@ -338,6 +338,8 @@ def _whiteness(r: ChannelResiduals) -> WhitenessTests:
         cumulative=r.tests.cumulative,
         normal_p=finite(r.tests.normal),
         white=bool(r.tests.white),
+        outliers=r.tests.outliers,
+        largest=r.tests.largest,
     )
 
 

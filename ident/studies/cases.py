@@ -286,10 +286,10 @@ def _of_model(model: Model, ranges: Mapping[str, tuple[float, float]], source: s
             )
         else:
             levels = _levels(t, *ranges[signal.name], rng)
-            u[:, j] = levels if signal.hold == "zero" else _measured(levels)
+            u[:, j] = _measured(levels) if signal.hold == "linear" else levels
     u_next = u.copy()
     for j, signal in enumerate(model.inputs):
-        if signal.hold != "zero":
+        if signal.hold == "linear":
             u_next[:-1, j] = u[1:, j]
     every = {s.name: 2 for s in model.sensors if s.name in GNSS}
     rates = "sensors 10 Hz" + ", GNSS 5 Hz" * bool(every)

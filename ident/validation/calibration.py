@@ -111,7 +111,8 @@ def horizon_forecasts(
     for k, first in enumerate(starts.tolist()):
         last = int(ends[:, k].max())
         if last > first:
-            mean, covariance = likelihood.forecast(record, values, run.x_filt[first], run.P_filt[first], first, last)
+            P_first = run.covariances(slice(first, first + 1)).P_filt[0]
+            mean, covariance = likelihood.forecast(record, values, run.x_filt[first], P_first, first, last)
             hit = np.flatnonzero(ends[:, k] > first)
             x[hit, k], P[hit, k] = mean[ends[hit, k] - first], covariance[ends[hit, k] - first]
     rowwise, found = VectorisedModel(model), {}

@@ -206,7 +206,7 @@ def prediction_changes(before: PredictionEvaluation, after: PredictionEvaluation
 
 @dataclass(frozen=True)
 class SmoothedForce:
-    """An unexplained force of a record, from all of its data: mean, sd (n,) at t (n,) [s]."""
+    """A disturbance force of a record, from all of its data: mean, sd (n,) at t (n,) [s]."""
 
     record: str
     name: str

@@ -99,13 +99,13 @@ def simulation_run(
     record: Record,
     values: Array,
     likelihood: Likelihood | None = None,
-    doubt: ParameterUncertainty | None = None,
+    uncertainty: ParameterUncertainty | None = None,
 ) -> SimulationRun:
     """The filter gets 15 s of measurements and then the inputs only; its covariance is the prediction's own band, and
     its mean is of first order.
 
-    ``doubt``: of the parameters (``ident.estimation.parameter_covariance``), which widens the band; None takes them
-    for known.
+    ``uncertainty``: of the parameters (``ident.estimation.parameter_covariance``), which widens the band; None takes
+    them for known.
     """
     if model.second_order:  # far ahead a heading is spread too widely for a series of second order in it
         model, likelihood = replace(model, second_order=False), None
@@ -118,9 +118,9 @@ def simulation_run(
     n = len(model.states)
     predicted = rowwise(run.x_pred, record.u, values)[:, n:]
     H = rowwise.output_jacobian(run.x_pred, record.u, values)
-    variance = np.einsum("kij,kjl,kil->ki", H, run.P_pred, H) + run.R
-    if doubt is not None and blind.any():
-        variance += prediction_variance(doubt, model, record, values, int(np.argmax(blind)), likelihood)
+    variance = run.output_variance(H)
+    if uncertainty is not None and blind.any():
+        variance += prediction_variance(uncertainty, model, record, values, int(np.argmax(blind)), likelihood)
     errors, diverged = {}, {}
     for j, o in enumerate(model.outputs):
         y, at = record.y[blind, j], record.t[blind]

@@ -15,6 +15,7 @@ from ident.effects import catalogue
 from ident.estimation import dynamic_parameters, load_model
 from ident.experiment_design import (
     PRIOR_HALFWIDTH,
+    BaselineSignal,
     Design,
     DesignLimits,
     DesignProblem,
@@ -39,12 +40,12 @@ from ident.numerics import Array, scaled_pseudo_inverse
 from ident.report import tidy, write_design_page
 from ident.reporter import Reporter
 from ident.results import (
+    Baseline,
     CommandTrace,
     DesignedParameter,
     DesignResult,
     DesignTrack,
     Discrimination,
-    RivalSignal,
     finite,
     format_number,
     provenance,
@@ -106,7 +107,7 @@ def make_design(source: str, wish: DesignRequest, out: Path, command: str, repor
             evaluations=wish.evaluations,
             progress=lambda n, merit: reporter.progress(f"design: {n} simulations, {wish.criterion} {merit:.2f}"),
         )
-    reporter.progress("rivals, Monte Carlo, track")
+    reporter.progress("baseline signals, Monte Carlo, track")
     found = baseline_signals(task, seed=wish.seed)
     samples = monte_carlo(
         task, {"design": made.command} | {k: r.command for k, r in found.items()}, seed=wish.seed, box=wish.spread
@@ -117,13 +118,14 @@ def make_design(source: str, wish: DesignRequest, out: Path, command: str, repor
     parameters = _parameters(made, predicted_errors(task, fine))
     here = provenance([], command)
     result = DesignResult(
-        created=here.created, seatrial=here.seatrial, command=here.command, answer=_answer(made, parameters, apart),
+        created=here.created, seatrial=here.seatrial, command=here.command,
+        answer=_answer(made, parameters, apart, found[best]),
         model=source, criterion=task.criterion, chosen=tuple(_chosen(task)),
         form="prediction error" if task.process_noise else "output error",
         value=made.value, evaluations=made.found.evaluations, parameters=parameters,
-        rivals=tuple(RivalSignal(name=k, value=r.value, bandwidth=r.bandwidth, seeds=r.values)
+        baselines=tuple(Baseline(name=k, value=r.value, bandwidth=r.bandwidth, seeds=r.values)
                      for k, r in found.items()),
-        rival=best, limited=task.limits.bind, samples=dict(samples.values), share_won=samples.share_won(),
+        baseline=best, limited=task.limits.bind, samples=dict(samples.values), share_won=samples.share_won(),
         inputs=tuple(CommandTrace(name=c, t=task.t, value=made.command[:, k])
                      for k, c in enumerate(task.actuation.channels)),
         track=None if track is None else _track(track, task.limits), apart=apart,
@@ -282,21 +284,23 @@ def _rows(task: DesignProblem) -> NDArray[np.intp]:
     return np.asarray(np.searchsorted(task.t, task.finer.t + 1e-9, side="right") - 1)
 
 
-def _parameters(made: Design, rival: Mapping[str, float]) -> tuple[DesignedParameter, ...]:
+def _parameters(made: Design, baseline: Mapping[str, float]) -> tuple[DesignedParameter, ...]:
     model, before, after = made.task.model, made.before, made.predicted
     chosen = _chosen(made.task)
     return tuple(
         DesignedParameter(
             name=p.name, meaning=p.meaning, unit=p.unit, value=p.value, before=finite(before[p.name]),
-            after=finite(after[p.name]), form=finite(made.errors[p.name]), rival=finite(rival[p.name]),
+            after=finite(after[p.name]), form=finite(made.errors[p.name]), baseline=finite(baseline[p.name]),
             chosen=p.name in chosen,
         )
         for p in (model.parameter(name) for name in made.task.learned)
     )  # fmt: skip
 
 
-def _answer(made: Design, parameters: Sequence[DesignedParameter], apart: Discrimination | None) -> str:
-    """One sentence."""
+def _answer(
+    made: Design, parameters: Sequence[DesignedParameter], apart: Discrimination | None, baseline: BaselineSignal
+) -> str:
+    """First that the design is worse than a random sequence, where it is; then what will be known."""
     if apart is not None:
         first, second = apart.effects
         least = min(apart.if_second, apart.if_first)
@@ -313,24 +317,35 @@ def _answer(made: Design, parameters: Sequence[DesignedParameter], apart: Discri
         of_value = f" ({100 * share:.2g} %)" if share < 1 else ""
         parts.append(f"{p.name} ±{format_number(after)} {tidy(p.unit)}{of_value}")
     more = f", and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
-    return f"After this mission of {made.task.steps.duration:g} s a fit should know {', '.join(parts)}{more}"
+    known = f"After this mission of {made.task.steps.duration:g} s a fit should know {', '.join(parts)}{more}"
+    return known if made.value >= baseline.value else f"{worse_than(baseline, made)} {known}"
+
+
+def worse_than(baseline: BaselineSignal, made: Design) -> str:
+    """That a random sequence would tell more, and what to do about it."""
+    free = ", which keeps to no limits," if made.task.limits.bind else ""
+    return (
+        f"Worse than {baseline.kind}: its {made.task.criterion} criterion is {format_number(made.value)}, the best of "
+        f"20 {baseline.kind}{free} has {format_number(baseline.value)}. Give the search more --evaluations or other "
+        "--steps, a longer mission or wider limits."
+    )
 
 
 def design_summary(result: DesignResult) -> Sequence[str]:
     """Lines for the terminal: the answer, and a line for each parameter."""
     lines = [result.answer, ""]
     for p in result.parameters:
-        before, after, rival = ("–" if v is None else f"{v:.3g}" for v in (p.before, p.after, p.rival))
+        before, after, baseline = ("–" if v is None else f"{v:.3g}" for v in (p.before, p.after, p.baseline))
         lines.append(
-            f"  {p.name:<8} {p.value:10.4g} {tidy(p.unit):<8} ± {before:>8} -> {after}   ({result.rival}: {rival})"
+            f"  {p.name:<8} {p.value:10.4g} {tidy(p.unit):<8} ± {before:>8} -> {after}"
+            f"   ({result.baseline}: {baseline})"
         )
-    best = max(r.value for r in result.rivals)
     lines.append("")
     if result.apart is None:
         free = " (which keep to no limits)" if result.limited else ""
-        gain = f"{result.value - best:+.1f} against the best of 20 {result.rival}{free}"
+        gain = f"{result.margin:+.1f} against the best of 20 {result.baseline}{free}"
         lines.append(
-            f"{result.criterion} {result.value:.1f}, {gain}; better than all rivals in "
+            f"{result.criterion} {result.value:.1f}, {gain}; better than all of them in "
             f"{100 * result.share_won:.1f} % of 1000 parameter samples"
         )
     track = result.track

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -68,8 +68,7 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
     names = _names(saved.model, request.chosen, request.model)
     curve = known_curve(request.thruster)
     loaded = [completed(load_run(path, "judged"), saved.model.source, curve) for path in request.logs]
-    holds = loaded[0].holds
-    model = replace(saved.model, inputs=tuple(as_logged(i, holds.get(i.name, "")) for i in saved.model.inputs))
+    model = as_logged(saved.model, loaded[0].holds)
     records = [make_record(model, one.run, request.rate) for one in loaded]
     model = without_absent_sensors(model, records)
     values = []

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from daq.errors import SeatrialError
 from ident.characterisation import THRUSTER_RATE, ThrustCurve, load_curve, thrust_channels, thruster_runs, total
-from ident.data import Channel, LoadedLog, LogSegment
-from ident.model import Input, Model, ModelKind, segment_name
-from ident.models import SENSORS, make_model
+from ident.data import COMMANDS, SHAFTS, Channel, LoadedLog, LogSegment, PropulsionInput
+from ident.model import Model, ModelKind, segment_name
+from ident.models import SENSORS, TELEMETRY_AGE, make_model, telemetry_age
 
 CURVE_INPUTS = ("f_left", "f_right", "X", "X_n")  # what a static curve makes of commands
 
@@ -29,9 +29,13 @@ def complete(
     """Channels and holds of one log with what follows from them for a model ``source``.
 
     ``f_left``, ``f_right`` and ``X`` from commands by a curve; ``X`` from thrusts; for motion in a straight line
-    ``u`` from the speed over ground. What is in the log stays, except that a curve's thrust goes before it.
+    ``u`` from the speed over ground; commands from shaft speeds, and the reverse, where the log has only the other.
+    What is in the log stays, except that a curve's thrust goes before it.
     """
     found, held = dict(channels), dict(holds)
+    for name, other in zip(SHAFTS + COMMANDS, COMMANDS + SHAFTS, strict=True):
+        if name not in channels and other in channels:
+            found[name], held[name] = channels[other], holds.get(other) or ("zero" if other in COMMANDS else "linear")
     if curve is not None:
         try:
             found |= thrust_channels(channels, curve)
@@ -53,9 +57,11 @@ def completed(one: LoadedLog, source: str, curve: ThrustCurve | None) -> LoadedL
 
 
 def choose_model(source: str, loaded: Sequence[LoadedLog]) -> Model:
-    """``auto`` takes the horizontal model with the inputs that the logs have, and the sensors that any log has."""
+    """``auto`` takes the horizontal model with the inputs that the logs have, and the sensors that any log has: where
+    one of them has commands only, with shafts that are states; where shaft speeds are relayed, with their age."""
     names = set.intersection(*[set(item.run.channels) for item in loaded])
     anywhere = set.union(*[set(item.run.channels) for item in loaded])
+    late = False
     if source == "auto":
         options = {"shaft": {"n_left", "n_right"}, "force": {"f_left", "f_right"}, "general": {"X", "N"}}
         fitting = [kind for kind, wanted in options.items() if wanted <= names]
@@ -64,16 +70,28 @@ def choose_model(source: str, loaded: Sequence[LoadedLog]) -> Model:
                 f"{loaded[0].about['path']}: no inputs for the horizontal model (n_left and n_right, or f_left and "
                 f"f_right, or X and N); the log has {', '.join(sorted(names))}"
             )
-        source = f"horizontal:{fitting[0]}"
+        ways = {item.propulsion for item in loaded} if fitting[0] == "shaft" else set()
+        late = PropulsionInput.COMMAND not in ways and PropulsionInput.TELEMETRY in ways
+        source = "horizontal:command" if PropulsionInput.COMMAND in ways else f"horizontal:{fitting[0]}"
     sensors = [n for n, s in SENSORS.items() if all(o.name in anywhere for o in s.outputs)]
-    model = make_model(source, sensors)
-    return replace(model, inputs=tuple(as_logged(i, loaded[0].holds.get(i.name, "")) for i in model.inputs))
+    model = as_logged(make_model(source, sensors), loaded[0].holds)
+    return model + telemetry_age() if late else model
 
 
-def as_logged(signal: Input, hold: str) -> Input:
-    if hold == "zero":
-        return replace(signal, hold="zero")
-    return replace(signal, hold="linear") if hold == "linear" else signal
+def thrust_from(model: Model) -> str:
+    """A line on what the thrust of a model follows; empty where it is given as such."""
+    if "n_state" in model.provides:
+        return ("thrust from the commands: no shaft speed is measured in time, so the shafts are states with a dead "
+                "zone, a delay and a time constant (--model horizontal:shaft takes the signals as shaft speeds)")
+    if any(e.name == TELEMETRY_AGE for e in model.effects):
+        return ("thrust from the shaft speeds that the autopilot relays, of an age that is estimated, with the sign of "
+                "the delayed output (--model horizontal:shaft takes them as they are, horizontal:command the outputs)")
+    return "thrust from the measured shaft speeds" if "n_input" in model.provides else ""
+
+
+def as_logged(model: Model, holds: Mapping[str, str]) -> Model:
+    """The model with its inputs, and their delayed copies, held as in a log."""
+    return replace(model, inputs=tuple(i.held(holds.get(i.tap_of or i.name, "")) for i in model.inputs))
 
 
 def model_of_logs(
@@ -121,7 +139,7 @@ def _sensed(model: Model, path: Path, loaded: Sequence[LoadedLog], unseen: Seque
         raise SeatrialError(
             f"{loaded[0].about['path']}: none of the sensors of {path} is in the log: {', '.join(lost)}"
         )
-    return replace(model, inputs=tuple(as_logged(i, loaded[0].holds.get(i.name, "")) for i in model.inputs))
+    return as_logged(model, loaded[0].holds)
 
 
 def check_names(model: Model, names: Sequence[str], n_logs: int) -> None:

@@ -46,7 +46,7 @@ class NavigationRequest:
         logs: with names that differ.
         out: folder for the results.
         smoothed: by all samples, or by those so far.
-        gnss_outages: stretches (from, to) in which the GNSS is not used.
+        gnss_outages: segments (from, to) in which the GNSS is not used.
         t_from, t_to: part of each log; None: from its start, to its end.
         rate: rows a second to which faster sensors are averaged [Hz].
         thruster: the static curve that the model was fitted with.
@@ -110,7 +110,7 @@ def _navigate(
 ) -> tuple[Navigation, float]:
     """One log, and its time at the record's first row."""
     rate, without = request.rate, request.gnss_outages
-    model = replace(model, inputs=tuple(as_logged(i, one.holds.get(i.name, "")) for i in model.inputs))
+    model = as_logged(model, one.holds)
     last = max(float(c.t[-1]) for c in one.run.channels.values())
     if (one.run.t_from or 0.0) >= last:
         begin = one.run.t_from or 0.0
@@ -118,12 +118,12 @@ def _navigate(
     rows = make_record(model, replace(one.run, t_to=min(one.run.t_to or last, last)) if one.run.t_to else one.run, rate)
     t0 = float(rows.meta["t0"])
     _has_fixes(rows, t0, without, one.about["path"])
-    stretches = [(a - t0, b - t0) for a, b in without]
-    return navigate(model, rows, smoothed=request.smoothed, without_gnss=stretches, known=known), t0
+    segments = [(a - t0, b - t0) for a, b in without]
+    return navigate(model, rows, smoothed=request.smoothed, without_gnss=segments, known=known), t0
 
 
 def _has_fixes(rows: Record, t0: float, without: Sequence[tuple[float, float]], path: str) -> None:
-    """Raise SeatrialError where there is no position at all, or none in a stretch that is to do without."""
+    """Raise SeatrialError where there is no position at all, or none in a segment that is to do without."""
     if POSITION[0] not in rows.outputs:  # the model has no position, as ``navigate`` says
         return
     fixes = rows.t[np.isfinite(rows.y[:, rows.outputs.index(POSITION[0])])] + t0

@@ -18,6 +18,8 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
     """
     loaded, unseen = load_all(request.logs, request.validation)
     problem = vehicle_problem(request, loaded, unseen)
+    if problem.thrust:
+        reporter.progress(problem.thrust)
     for line in filter(None, [*problem.notes, problem.sides]):
         reporter.warning(line)
     fitted = fit_nominal_model(
@@ -33,7 +35,7 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
         profiles,
         homogeneity,
         start=problem.model.values,
-        notes=[*problem.notes, *fitted.outlier_notes],
+        notes=[*filter(None, [problem.thrust]), *problem.notes, *fitted.outlier_notes],
         lead=problem.sides,
     )
     write_all(request.out, result, fitted.fit, validity(fitted))

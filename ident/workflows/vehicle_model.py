@@ -19,7 +19,7 @@ from ident.estimation import (
     with_effects,
 )
 from ident.model import Model
-from ident.workflows.model_inputs import check_ahead, check_names, choose_model, completed
+from ident.workflows.model_inputs import check_ahead, check_names, choose_model, completed, thrust_from
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,8 @@ class VehicleRequest:
 class VehicleProblem:
     """What is fitted to what: a model with its prior knowledge, segments to estimate and to validate.
 
-    ``notes``: what the rig's geometry says; ``sides``: a line where the thrusters' sides are swapped, else empty.
+    ``notes``: what the rig's geometry says; ``sides``: a line where the thrusters' sides are swapped, else empty;
+    ``thrust``: what the thrust follows.
     """
 
     model: Model
@@ -69,6 +70,7 @@ class VehicleProblem:
     validation: list[LogSegment]
     notes: list[str]
     sides: str
+    thrust: str
 
 
 def vehicle_problem(
@@ -91,4 +93,4 @@ def vehicle_problem(
         else:
             model = swap_sides(model)
     check_names(nominal(model), request.profiles, len(loaded))
-    return VehicleProblem(model, [x.run for x in loaded], [x.run for x in unseen], notes, line)
+    return VehicleProblem(model, [x.run for x in loaded], [x.run for x in unseen], notes, line, thrust_from(model))

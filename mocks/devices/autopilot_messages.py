@@ -23,7 +23,8 @@ def parameters(thrusters: list[Thruster], own_system: int, override_s: float) ->
     """The parameters of a vehicle that is set up for a ground station which drives two thrusters."""
     found = {
         "PILOT_STEER_TYPE": 1.0, "MOT_SLEWRATE": 0.0, "MOT_THR_MIN": 0.0, "MOT_THST_EXPO": 0.0,
-        "RC_OVERRIDE_TIME": override_s, "FS_GCS_ENABLE": 1.0, "FS_TIMEOUT": 5.0, "FS_ACTION": 2.0,
+        "RC_OVERRIDE_TIME": override_s, "FS_GCS_ENABLE": 1.0, "FS_THR_ENABLE": 1.0, "FS_TIMEOUT": 5.0,
+        "FS_ACTION": 2.0, "RC_OPTIONS": 32.0, "MOT_THST_ASYM": 1.0, "MOT_THR_MAX": 100.0, "MANUAL_STR_EXPO": 0.0,
         "MAV_GCS_SYSID": float(own_system), "SCHED_LOOP_RATE": LOOP_HZ,
     }  # fmt: skip
     for thruster in thrusters:

@@ -137,8 +137,9 @@ def make_rhs(
         given = (x_force, y_force, n_moment)
         x, y, n = forces(s, (u_w, v_w), (vel_n, vel_e), (c, si), (n_l, n_r), energy, given)
         if bob_mass:
-            x += bob_mass * (GRAVITY * sin(angle) * cos(angle) + bob_damping * bob_length * rate)
-        u_dot = (x + m * (v + x_g * r) * r + xa * r * v_c + ya * v_w * r) / m_u
+            # the bob is part of the boat's mass, but free to swing fore and aft
+            x += bob_mass * (GRAVITY * sin(angle) * cos(angle) + bob_damping * bob_length * rate - v * r)
+        u_dot = (x + m * (v + x_g * r) * r + xa * r * v_c + ya * v_w * r) / (m_u - bob_mass)
         sway = y - m * u * r - ya * r * u_c - xa * u_w * r
         yaw = n - m_xg * u * r - (ya - xa) * u_w * v_w
         v_dot = (m_r * sway - m_xg * yaw) / det

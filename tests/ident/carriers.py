@@ -14,9 +14,11 @@ def vehicle_for(effect: Effect) -> Model:
     if "attitude" in effect.requires:
         return kinematic_model(yaw=True)
     sensors = tuple(SENSORS)[: len(SENSORS) if "body_velocity" in effect.requires else -1]
+    if "n_state" in effect.requires:
+        return horizontal_model("command", sensors)
     return horizontal_model("force" if "f_input" in effect.requires else "shaft", sensors)
 
 
 def carrier(effect: Effect) -> Model:
-    """The same with unexplained forces; a bench for what is found on one."""
+    """The same with disturbance forces; a bench for what is found on one."""
     return for_diagnosis(thruster_model(n_delays=9) if "bench" in effect.requires else vehicle_for(effect))

@@ -76,13 +76,15 @@ def design() -> DesignResult:
     track["others"] = [np.column_stack([track["x"] + k, track["y"] - k]) for k in range(8)]
     names = (("m_u", "kg", 37.0, "surge mass"), ("d_v", "kg/s", 50.0, "linear sway damping"))
     parameters = [{"name": n, "unit": u, "value": v, "meaning": m, "before": None, "after": 0.02 * v,
-                   "form": 0.01 * v, "rival": 0.05 * v, "chosen": True} for n, u, v, m in names]
+                   "form": 0.01 * v, "baseline": 0.05 * v, "chosen": True} for n, u, v, m in names]
     samples = {n: rng.normal(size, 2.0, 1000) for n, size in (("design", 40.0), ("PRBS", 35.0), ("RGS", 33.0))}
     content = MADE | {
         "kind": "design", "command": "seatrial mission design horizontal --out next.toml", "model": "horizontal",
         "criterion": "D", "chosen": ["m_u", "d_v"], "form": "prediction error", "value": 41.2, "evaluations": 20000,
-        "parameters": parameters, "rival": "PRBS", "limited": True, "samples": samples, "share_won": 0.992,
-        "rivals": [{"name": n, "value": v, "bandwidth": 0.2, "seeds": [v]} for n, v in (("PRBS", 36.0), ("RGS", 34.0))],
+        "parameters": parameters, "baseline": "PRBS", "limited": True, "samples": samples, "share_won": 0.992,
+        "baselines": [
+            {"name": n, "value": v, "bandwidth": 0.2, "seeds": [v]} for n, v in (("PRBS", 36.0), ("RGS", 34.0))
+        ],
         "inputs": [{"name": n, "t": t, "value": v} for n, v in zip(("left", "right"), levels, strict=True)],
         "track": track, "answer": "After this mission of 120 s a fit should know m_u ±0.74 kg (2 %)",
     }

@@ -120,6 +120,8 @@ def whiteness(rng: Any, t: Any, memory: float) -> dict[str, Any]:
         "periodogram_p": 0.44 if white else 2e-9,
         "normal_p": 0.62 if white else 0.04,
         "white": white,
+        "outliers": 0,
+        "largest": float(np.abs(e).max()),
         "frequency": listed(np.fft.rfftfreq(t.size, STEP)[1:]),
         "cumulative": listed(np.cumsum(power) / power.sum()),
     }
@@ -208,7 +210,8 @@ def diagnosis_round(chosen: str | None, factor: float, why: str) -> dict[str, An
         row = {"name": name, "title": title, "gain": gain * factor, "df": df, "criterion": gain * factor - df * 9.2}
         row |= {"validation_gain": validation * factor, "t": t * factor, "parameters": [k_J] * df}
         refits.append({**row, "outcome": "added" if name == chosen else "outranked"})
-    return {"candidates": candidates, "refits": refits, "chosen": chosen, "why": why}
+    counts = {"tested": 73, "passed": sum(row["passed"] for row in candidates)}
+    return {**counts, "candidates": candidates, "refits": refits, "chosen": chosen, "why": why}
 
 
 def effect() -> dict[str, Any]:
@@ -220,7 +223,7 @@ def effect() -> dict[str, Any]:
         "source": "Blanke 1981, bilinear thrust; Fossen 2011, section 9.3",
         "place": "actuator",
         "experiment": "steps of both thrusters at several speeds, then full astern while still moving ahead",
-        "rivals": [{"name": "cubic-drag", "title": "cubic drag in surge", "criterion_behind": 129.0}],
+        "alternatives": [{"name": "cubic-drag", "title": "cubic drag in surge", "criterion_behind": 129.0}],
         "attribution": "identified",
         "reasons": [],
         "not_excluded": [],

@@ -127,7 +127,8 @@ def main(words: Sequence[str] | None = None) -> int:
             kind = f"{name}, {'left out' if left_out else 'fitted'}"
             found[kind] = score(model, records, left_out=left_out)
             failed = found[kind]["unconverged"]
-            print(f"{kind}: no convergence without {', '.join(failed)}" if failed else line(kind, found[kind]["pooled"]))
+            said = f"{kind}: no convergence without {', '.join(failed)}"
+            print(said if failed else line(kind, found[kind]["pooled"]), flush=True)
     last = found[f"{given.model[-1]}, left out"]
     for run, row in last["runs"].items():
         print(line(f"  {run}", row))

@@ -26,15 +26,15 @@ EFFECT = Effect(
     parameters=(
         Parameter("k_tether", 0.0, "kg/m2", "drag coefficient per metre of line", prior=(0.0, 0.15), step=5e-3),
         *(
-            Parameter(f"{axis}_tether", 0.0, "m", f"fixed end, {side} of the first fix", free=False, step=1.0,
-                      prior=(0.0, 10.0))
+            Parameter(f"{axis}_tether", 0.0, "m", f"fixed end, {side} of the first fix", prior=(0.0, 20.0), step=1.0)
             for axis, side in (("x", "north"), ("y", "east"))
         ),
     ),
+    scan={f"{axis}_tether": (-30.0, -12.0, 0.0, 12.0, 30.0) for axis in "xy"},
     formula="F -= k d |V| V, d the distance from the fixed end, V the velocity over ground",
     source="drag of a cable of length d towed along itself; Faltinsen 1990, chapter 8",
     experiment="the same runs near the fixed end of the line and far from it, outbound and inbound",
     requires=("hull",),
     one_sided=True,
-    rivals=("battery-sag", "current-drift", "wind"),
+    rivals=("mooring", "battery-sag", "current-drift", "wind"),
 )

@@ -1,42 +1,63 @@
-"""Lightly damped pendulum or sloshing mass, driven by the surge acceleration: bilge water, a suspended load."""
+"""Lightly damped pendulum or sloshing mass, driven by the acceleration of the hull: bilge water, a suspended load."""
 
 from __future__ import annotations
 
 import math
 
-from ident.model import Effect, Parameter, Signals, State
+from ident.model import Effect, ModelFunction, Parameter, Signals, State
+
+# Hz, natural frequencies that are tried: apart by a twelfth, the width of a resonance of this damping
+FREQUENCIES = tuple(round(0.25 * 1.12**k, 2) for k in range(16))
 
 
-def pull(s: Signals) -> None:
-    omega = 2 * math.pi * s.p.f_p
-    s.X = s.X + s.p.m_p * (2 * s.p.zeta_p * omega * s.x.swing_rate + omega * omega * s.x.swing)
+def _hooks(force: str, of: str) -> dict[str, ModelFunction]:
+    """The mass is part of the boat's own, m_u and m_v, but free along one axis, where only its spring and damper
+    accelerate it: (m - m_p) a = F + m_p (2 zeta w z' + w^2 z), written as the force that makes the whole mass do so."""
+
+    def pull(s: Signals) -> None:
+        omega, x, p = 2 * math.pi * getattr(s.p, f"f_{of}"), s.x, s.p
+        z, z_rate = getattr(x, f"swing_{of}"), getattr(x, f"swing_rate_{of}")
+        spring = 2 * getattr(p, f"zeta_{of}") * omega * z_rate + omega * omega * z
+        free, mass = getattr(p, f"m_{of}"), p.m_u if force == "X" else p.m_v
+        rigid = getattr(s, force) + (p.m_v - p.m_u) * (x.v if force == "X" else x.u) * x.r  # mass times acceleration
+        setattr(s, force, getattr(s, force) + free * (rigid + mass * spring) / (mass - free))
+
+    def swing(s: Signals) -> None:
+        omega = 2 * math.pi * getattr(s.p, f"f_{of}")
+        z, z_rate = getattr(s.x, f"swing_{of}"), getattr(s.x, f"swing_rate_{of}")
+        acceleration = s.rate["u"] - s.x.v * s.x.r if force == "X" else s.rate["v"] + s.x.u * s.x.r
+        s.rate[f"swing_{of}"] = z_rate
+        s.rate[f"swing_rate_{of}"] = -2 * getattr(s.p, f"zeta_{of}") * omega * z_rate - omega * omega * z - acceleration
+
+    return {"force": pull, "rate": swing}
 
 
-def swing(s: Signals) -> None:
-    omega = 2 * math.pi * s.p.f_p
-    acceleration = s.rate["u"] - s.x.v * s.x.r
-    s.rate["swing"] = s.x.swing_rate
-    s.rate["swing_rate"] = -2 * s.p.zeta_p * omega * s.x.swing_rate - omega * omega * s.x.swing - acceleration
+def _effect(name: str, title: str, force: str, of: str, rivals: tuple[str, ...]) -> Effect:
+    axis, chirp = ("x", "equal") if force == "X" else ("y", "opposite")
+    return Effect(
+        name=name,
+        title=title,
+        hooks=_hooks(force, of),
+        parameters=(
+            Parameter(f"m_{of}", 0.0, "kg", "oscillating mass", prior=(0.0, 10.0), step=0.2),
+            Parameter(f"f_{of}", 0.6, "Hz", "natural frequency", "log", prior=(0.6, 0.4), bounds=(0.15, 2.5)),
+            Parameter(f"zeta_{of}", 0.06, "", "damping ratio", "log", prior=(0.06, 0.06), bounds=(0.005, 0.7)),
+        ),
+        states=(
+            State(f"swing_{of}", "m", "displacement of the oscillating mass", 0.0, sd0=0.02),
+            State(f"swing_rate_{of}", "m/s", "velocity of the oscillating mass", 0.0, sd0=0.05),
+        ),
+        scan={f"f_{of}": FREQUENCIES},
+        formula=f"z'' + 2 zeta w z' + w^2 z = -a_{axis}, {force} += m_p (a_{axis} + 2 zeta w z' + w^2 z)",
+        source="thesis section 6 names sloshing; Ibrahim 2005, equivalent mechanical models",
+        experiment=f"chirp of {chirp} thrust through 0.2 to 1.5 Hz",
+        requires=("hull",),
+        one_sided=True,
+        rivals=rivals,
+    )
 
 
-EFFECT = Effect(
-    name="pendulum",
-    title="a sloshing or suspended mass",
-    hooks={"force": pull, "rate": swing},
-    parameters=(
-        Parameter("m_p", 0.0, "kg", "oscillating mass", prior=(0.0, 10.0), step=0.2),
-        Parameter("f_p", 0.6, "Hz", "natural frequency", "log", prior=(0.6, 0.4), bounds=(0.15, 2.5)),
-        Parameter("zeta_p", 0.06, "", "damping ratio", "log", prior=(0.06, 0.06), bounds=(0.005, 0.7)),
-    ),
-    states=(
-        State("swing", "m", "displacement of the oscillating mass", 0.0, sd0=0.02),
-        State("swing_rate", "m/s", "velocity of the oscillating mass", 0.0, sd0=0.05),
-    ),
-    scan={"f_p": (0.25, 0.31, 0.38, 0.46, 0.55, 0.65, 0.78, 0.95, 1.15, 1.4)},
-    formula="z'' + 2 zeta w z' + w^2 z = -a_x, X += m_p (2 zeta w z' + w^2 z)",
-    source="thesis section 6 names sloshing; Ibrahim 2005, equivalent mechanical models",
-    experiment="chirp of equal thrust through 0.2 to 1.5 Hz",
-    requires=("hull",),
-    one_sided=True,
-    rivals=("waves", "lag"),
+EFFECTS = (
+    _effect("pendulum", "a sloshing or suspended mass", "X", "p", ("waves", "lag")),
+    _effect("sway-slosh", "a sloshing mass that swings athwart", "Y", "s", ("waves", "pendulum", "sway-yaw")),
 )

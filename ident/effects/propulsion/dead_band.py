@@ -15,7 +15,7 @@ EFFECT = Effect(
     name="dead-band",
     title="a dead band of the thrusters",
     place="actuator",
-    hooks={"shaft": cut},
+    hooks={"dead_band": cut},
     parameters=(
         Parameter(
             "n_dead",

@@ -10,10 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from ident.effects.propulsion.thrust_history import delayed
-from ident.model import Effect, Input, Parameter, Signals, tap_name
+from ident.model import HISTORY_STEP, Effect, Input, Parameter, Signals, tap_name
 
 N_PAST = 5
+
+
+def _before(past: list[Any], tau: Any) -> Any:
+    """Linear interpolation of the past at tau; past[k] is the value k steps ago."""
+    at = tau / HISTORY_STEP
+    near = [1 - abs(at - k) for k in range(len(past))]
+    return sum(value * w * (w > 0) for value, w in zip(past, near, strict=True))
 
 
 def _delay(s: Signals, thrust_change: Any) -> None:
@@ -32,8 +38,17 @@ def delay_shaft(s: Signals) -> None:
     for side in s.n:
         now = getattr(s.u, f"n_{side}")
         past = [now, *(getattr(s.u, tap_name(f"n_{side}", k)) for k in range(1, N_PAST + 1))]
-        then = delayed(past, s.p.tau_gnss / 2)
+        then = _before(past, s.p.tau_gnss / 2)
         change = change + _static(s, then) - _static(s, now)
+    _delay(s, change)
+
+
+def delay_driven_shaft(s: Signals) -> None:
+    """Of shafts that are states the speed of half the latency earlier is that of now less its rate."""
+    change: Any = 0.0
+    for side in s.n:
+        now = getattr(s.x, f"n_{side}")
+        change = change + _static(s, now - s.p.tau_gnss / 2 * s.rate[f"n_{side}"]) - _static(s, now)
     _delay(s, change)
 
 
@@ -64,8 +79,16 @@ EFFECTS = (
         {"output": delay_shaft},
         (TAU,),
         inputs=PAST,
-        requires=("hull", "n"),
+        requires=("hull", "n_input"),
         **COMMON,
+    ),
+    Effect(
+        "gnss-latency-command",
+        "GNSS latency",
+        {"output": delay_driven_shaft},
+        (TAU,),
+        requires=("hull", "n_state"),
+        **(COMMON | {"rivals": ("lever-arm",)}),
     ),
     Effect(
         "gnss-latency-force",

@@ -71,7 +71,7 @@ def _dumbbell(name: str, row: ErrorComparison, ratio: float, scale: float) -> Du
 
 
 def _behind(criterion: float) -> str:
-    """A rival may be ahead on the fitted data and yet not hold on the others."""
+    """A competing model may be ahead on the fitted data and yet not hold on the others."""
     if criterion < 0:
         return f"{formatting.plain(-criterion)} ahead, but not on the validation data"
     return f"{formatting.plain(criterion)} behind"
@@ -84,12 +84,12 @@ def effect_card(effect: EffectRow) -> EffectCard:
         factor, unit = formatting.degrees_for(row.unit)
         value, se = formatting.scaled(factor, row.value, row.se)
         parameters.append((row.name, formatting.with_error(value, se, unit), row.meaning))
-    rivals = [f"{row.name} ({_behind(row.criterion_behind)})" for row in effect.rivals]
+    alternatives = [f"{row.name} ({_behind(row.criterion_behind)})" for row in effect.alternatives]
     facts = (
         ("Acts on", effect.place),
         ("Source", effect.source),
         ("Shown by", effect.experiment),
-        ("Rivals", ", ".join(rivals)),
+        ("Competing models, Δ BIC", ", ".join(alternatives)),
         ("How sure", how_sure(effect)),
     )
     return EffectCard(
@@ -119,7 +119,7 @@ def how_sure(effect: EffectRow) -> str:
         others = [formatting.titled(name) for name in effect.not_excluded]
         reasons = [*effect.reasons, *([f"not excluded: {', '.join(others)}"] if others else [])]
         return "it resembles this; " + "; ".join(reasons)
-    return {"identified": "nothing is left that this should explain, and no rival comes close",
+    return {"identified": "nothing is left that this should explain, and no competing model comes close",
             "nonparametric": "no known effect explains it; the curve is what the data draw"}[effect.attribution]
 
 
@@ -152,7 +152,7 @@ def static_section(canvas: Canvas, static: StaticForce) -> Section:
         bars = {"type": "data", "array": drawing.packed(drawing.Z95 * static.sd), "thickness": 1.2, "width": 0}
         errors = {"error_y": {**bars, "color": drawing.INK}}
         traces.append({**points, "name": "measured", "marker": marker, **errors})
-    lead = "Circles: means of steady stretches with 95 % bars. Line: the fitted curve with its 95 % band."
+    lead = "Circles: means of steady segments with 95 % bars. Line: the fitted curve with its 95 % band."
     if static.force_quadratic is not None:
         n, force = static.n_model, static.force_quadratic
         traces.append(drawing.line_trace(n, force, "quadratic", 600, color=drawing.BEFORE, dash="dash"))

@@ -26,8 +26,8 @@ def section(canvas: Canvas, result: FitResult) -> Section:
     if not any(blocks for _, blocks in tabs):
         return Section("residuals", "", [])
     lead = "One-step prediction errors in units of their predicted standard deviation. Of a complete model they are "
-    lead += "white: inside the grey bands in 95 of 100 cases. Each channel is judged alone, at 1 %; the answer "
-    lead += "weighs all of them together."
+    lead += "white: inside the grey bands in 95 of 100 cases. Each channel is judged alone, by both tests together at "
+    lead += "1 % (Bonferroni): ✗ where either p is below 0.5 %. The answer weighs all channels together."
     two = any(r.after is not None for r in result.residuals) or any(c.after is not None for c in result.cross)
     key = [Key([("before-dots", "before"), ("after-dots", "after the effects were added")])] if two else []
     return Section("residuals", "Residuals", [*key, *tabbed(tabs)], lead)
@@ -41,7 +41,11 @@ def _versions(row: T, after: T | None) -> list[tuple[str, T, str]]:
 
 
 def _verdicts(found: Sequence[ResidualTests]) -> list[Any]:
-    columns = (("channel", ""), ("white", ""), ("Ljung–Box p", "num"), ("periodogram p", "num"), ("normal p", "num"))
+    columns = (
+        ("channel", ""),
+        ("white", ""),
+        *((title, "num") for title in ("Ljung–Box p", "periodogram p", "normal p", "beyond 6 σ", "largest")),
+    )
     return [Table(columns, [_verdict(row) for row in found])] if found else []
 
 
@@ -53,7 +57,10 @@ def _verdict(row: ResidualTests) -> list[Cell | str]:
         Cell(verdict, "nowrap good" if versions[-1].white else "nowrap bad"),
     ]
     tests = ([v.ljung_box_p for v in versions], [v.periodogram_p for v in versions], [v.normal_p for v in versions])
-    return [*cells, *(Cell(" → ".join(map(formatting.probability, values)), "num") for values in tests)]
+    cells += [Cell(" → ".join(map(formatting.probability, values)), "num") for values in tests]
+    style = "num bad" if versions[-1].outliers else "num"
+    largest = " → ".join(formatting.plain(v.largest, 2) for v in versions)
+    return [*cells, Cell(" → ".join(str(v.outliers) for v in versions), style), Cell(f"{largest} σ", "num")]
 
 
 def _channels(canvas: Canvas, rows: Sequence[ResidualTests], take: RecordTab) -> list[Any]:

@@ -23,7 +23,7 @@ OUTCOMES = {
 
 
 def section(canvas: Canvas, result: DiagnosisResult) -> Section:
-    """Rounds in tabs; then residual forces and unknown effects."""
+    """Rounds in tabs; then residual forces and nonparametric effects."""
     found = result.rounds
     blocks: list[Any] = tabbed([(_round_title(i, row), _round(row)) for i, row in enumerate(found, 1)])
     blocks += _forces(canvas, result) + _curves(canvas, result.nonparametric_effects)
@@ -58,8 +58,11 @@ def ranking(row: Round) -> list[Any]:
     bars = [_bar(c, at(size), at(limit), chosen) for c, size, limit in zip(best, sizes, limits, strict=True)]
     decades = range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)
     ticks = [(at(10.0**d) if d > math.log10(low) else 0.0, f"{10**d:,}" if d >= 0 else f"{10.0**d:g}") for d in decades]
-    left_out = f"; {len(every) - len(best)} weaker ones are not shown" if len(every) > len(best) else ""
-    caption = f"Score statistic (χ², logarithmic axis) of {len(every)} candidates{left_out}"
+    caption = (
+        f"{row.passed} of {row.tested} candidates passed the score test; the {len(best)} best by their statistic (χ², "
+        "logarithmic axis). The upright line is the threshold, for as many tests as were made; pale: not passed; "
+        "hatched: a curve without a name"
+    )
     return [Heading("Candidates"), Ranking(bars, ticks, caption)]
 
 

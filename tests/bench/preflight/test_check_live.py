@@ -15,6 +15,7 @@ from daq.log.reader import open_log
 from daq.samples import Command
 from tests.bench.execution.test_with_mocks import SEATRIAL, mock, trace, turning
 from tests.bench.standin import StandIn, until
+from tests.daq.logs import T0, recorder
 
 FAST = 5.0  # ten wall seconds of actuator test
 
@@ -83,6 +84,15 @@ def test_a_limit_without_a_source_is_a_fault_and_the_others_name_theirs(tmp_path
     assert "temperature_c" not in told[1]["text"]
     told = [f for f in json.loads(without.stdout)["findings"] if f["check"] == "limits"]
     assert [f["level"] for f in told] == ["warning", "ok"]
+
+
+def test_a_log_without_samples_does_not_pass(tmp_path: Path) -> None:
+    log = recorder(tmp_path / "empty.mcap")
+    log.event(T0, "mark", "nothing")
+    log.close()
+    done = check(tmp_path, "empty.mcap", "--json")
+    assert done.returncode == 1
+    assert [f["level"] for f in json.loads(done.stdout)["findings"] if f["check"] == "log"] == ["fault"]
 
 
 def test_ctrl_c_in_the_actuator_test_is_zero_thrust(tmp_path: Path) -> None:

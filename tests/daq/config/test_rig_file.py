@@ -98,3 +98,28 @@ def test_names_that_are_not_there(example: str) -> None:
         rig.device("cell")
     with pytest.raises(SeatrialError, match="no thruster 'right'; there is: left"):
         rig.thruster("right")
+
+
+@pytest.mark.parametrize(
+    ("port", "kind"), [("ports/gnss", "nmea"), ("udp:127.0.0.1:14550", "mavlink"), ("slcan:ports/can", "vesc")]
+)
+def test_two_devices_on_one_port_are_refused(port: str, kind: str) -> None:
+    row = '[[device]]\nname = "{}"\nprotocol = "{}"\nport = "{}"\nrate_hz = 5.0\n'
+    text = 'format = "seatrial-rig 1"\nname = "x"\n' + row.format("a", kind, port) + row.format("b", kind, port)
+    with pytest.raises(SeatrialError, match="a and b have the same port"):
+        parse_rig(text, "rig.toml")
+    for shared in ("socketcan:can0", "tcp:127.0.0.1:5760"):
+        of = "vesc" if shared.startswith("socketcan") else "mavlink"
+        both = 'format = "seatrial-rig 1"\nname = "x"\n' + row.format("a", of, shared) + row.format("b", of, shared)
+        assert len(parse_rig(both, "rig.toml").devices) == 2
+
+
+@pytest.mark.parametrize(
+    "more",
+    [f"x = {'[' * 20_000}", f"x = {'9' * 5_000}", f"[live]\nport = {'9' * 4_000}", f"[clock]\nspeed = {'9' * 4_000}"],
+)
+def test_what_is_too_deep_or_too_long_is_one_line(example: str, more: str) -> None:
+    text = example.replace("[clock]\nspeed = 20.0", "") if "clock" in more else example
+    with pytest.raises(SeatrialError) as caught:
+        parse_rig(f"{text}\n{more}" if more[0] == "[" else f"{more}\n{text}", "rig.toml")
+    assert len(str(caught.value)) < 300

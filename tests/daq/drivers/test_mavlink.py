@@ -165,6 +165,15 @@ def test_signed_both_ways(tmp_path: Path) -> None:
         ("SERVO1_FUNCTION", 1.0, True),  # passthrough moves it while disarmed
         ("SERVO3_MAX", 2000.0, True),
         ("RC1_TRIM", 1480.0, True),
+        ("FS_THR_ENABLE", 0.0, True),
+        ("FS_ACTION", 0.0, True),
+        ("FS_ACTION", 1.0, False),
+        ("RC_OPTIONS", 34.0, True),
+        ("RC1_REVERSED", 1.0, True),
+        ("SERVO1_REVERSED", 1.0, True),
+        ("MOT_THST_ASYM", 2.0, False),
+        ("MOT_THR_MAX", 60.0, False),
+        ("MANUAL_STR_EXPO", 0.6, False),
         ("MOT_SLEWRATE", 100.0, False),
         ("RC3_DZ", 30.0, False),
     ],
@@ -220,3 +229,34 @@ def parsed(codec: Codec, data: bytes) -> list[Any]:
         found.append(codec.decode(data[: about.total]))
         data = data[about.total :]
     return found
+
+
+def test_the_answer_to_another_ground_station_is_not_ours() -> None:
+    ends = ready(Ends(mav_rig()))
+    ends.deaf = True
+    ends.driver.request("arm", 0.0)
+    ends.run(0.1)
+    vehicle = Codec(1, 1)
+    for target, told in ((254, ""), (255, "arm: failed")):
+        ends.to_ground(vehicle.encode("COMMAND_ACK", 400, 4, 0, 0, target, 190))
+        assert ends.driver.link_at(ends.t).answer == told
+
+
+def test_the_second_half_of_a_long_text_is_no_alarm() -> None:
+    ends = ready(Ends(mav_rig()))
+    vehicle = Codec(1, 1)
+    for part, text in enumerate((b"PreArm: AHRS: EKF3 Yaw inconsistent 21 deg. Wait o", b"r reboot")):
+        ends.to_ground(vehicle.encode("STATUSTEXT", 2, text, 7, part))
+    assert ends.driver.link_at(ends.t).alarm == ""
+    ends.to_ground(vehicle.encode("STATUSTEXT", 2, b"Leak detected"))
+    assert "Leak" in ends.driver.link_at(ends.t).alarm
+
+
+def test_after_a_reboot_everything_is_asked_for_again() -> None:
+    ends = ready(Ends(mav_rig()))
+    vehicle, ear = Codec(1, 1), Codec(9, 1)
+    ends.deaf = True
+    ends.to_ground(vehicle.encode("ATTITUDE", 5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    ends.to_ground(vehicle.encode("HEARTBEAT", 11, 3, 81, 0, 4, 3))
+    asked = {message.get_type() for message in parsed(ear, ends.driver.poll(ends.t + 1.0))}
+    assert {"COMMAND_LONG", "PARAM_REQUEST_READ"} <= asked

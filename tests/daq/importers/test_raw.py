@@ -13,6 +13,7 @@ from daq.errors import SeatrialError
 from daq.importers.raw import import_raw
 from daq.log.reader import open_log
 from daq.protocol import nmea, vectornav
+from daq.protocol.framing import sentence
 from daq.samples import Ahrs, Gnss, LoadCell
 from tests.measured.data import measured
 
@@ -60,6 +61,39 @@ def test_a_gnss_receiver_tells_its_time(tmp_path: Path) -> None:
         t = log.table(Gnss, "gnss")["t"]
     assert len(t) >= 4  # the last epoch may still have been open
     assert t[0] == pytest.approx(1.7e9)
+
+
+@pytest.mark.parametrize("before_midnight", [0, 2])
+def test_epochs_before_the_first_date_are_of_its_day(tmp_path: Path, before_midnight: int) -> None:
+    start = 1_700_006_400.0 - before_midnight  # midnight UTC
+    fixes = [Gnss(start + k, 59.0, 10.0 + 1e-5 * k, 3.0, 0.5, 0.1, fix=3, n_sat=9, hdop=1.0) for k in range(8)]
+    gga = [nmea.encode(fix).split(b"\r\n")[0] + b"\r\n" for fix in fixes[:4]]
+    (tmp_path / "gnss.txt").write_bytes(b"".join(gga) + b"".join(nmea.encode(fix) for fix in fixes[4:]))
+    out, _ = import_raw("nmea", tmp_path / "gnss.txt", out=tmp_path / "g.mcap")
+    with open_log(out) as log:
+        table = log.table(Gnss, "gnss")
+    assert table["t"].tolist() == pytest.approx([fix.utc for fix in fixes])
+    assert table["utc"].tolist() == pytest.approx([fix.utc for fix in fixes])
+
+
+def test_without_any_date_the_day_is_that_of_1970(tmp_path: Path) -> None:
+    gga = [nmea.encode(Gnss(1.7e9 + k, 59.0, 10.0, fix=3)).split(b"\r\n")[0] + b"\r\n" for k in range(4)]
+    (tmp_path / "gnss.txt").write_bytes(b"".join(gga))
+    out, _ = import_raw("nmea", tmp_path / "gnss.txt", out=tmp_path / "g.mcap")
+    with open_log(out) as log:
+        assert log.table(Gnss, "gnss")["t"].tolist() == pytest.approx([(1.7e9 + k) % 86400.0 for k in range(4)])
+
+
+def test_an_attitude_with_a_time_of_its_own_keeps_it(tmp_path: Path) -> None:
+    fixes = [nmea.encode(Gnss(1_700_006_400.0 + k, 59.0, 10.0, fix=3)) for k in range(3)]
+    attitudes = [sentence(f"PASHR,00000{k}.{m:02d},90.0,T,0.0,0.0,0.0") for k in range(3) for m in (20, 40, 60, 80)]
+    body = b"".join(fixes[k] + b"".join(attitudes[4 * k : 4 * k + 4]) for k in range(3))
+    (tmp_path / "both.txt").write_bytes(sentence("PASHR,235959.80,90.0,T,0.0,0.0,0.0") + body)
+    out, _ = import_raw("nmea", tmp_path / "both.txt", out=tmp_path / "g.mcap")
+    with open_log(out) as log:
+        t = log.table(Ahrs, "gnss" if "gnss" in log.sources(Ahrs) else "ahrs")["t"]
+    want = [-0.2, *(k + 0.01 * m for k in range(3) for m in (20, 40, 60, 80))]
+    assert (t - 1_700_006_400.0).tolist() == pytest.approx(want, abs=1e-6)
 
 
 def test_a_load_cell(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from daq import cli
 from daq.errors import SeatrialError
 from daq.log.mcap_reader import RawLog
 from daq.log.reader import open_log
+from daq.log.segments import note_path
 from daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, PortHealth, Scalar
 from tests.daq.logs import HEALTH, N_ROUNDS, T0, recorder, tables
 
@@ -141,3 +143,25 @@ def test_the_index_is_only_believed_where_it_is_right(tmp_path: Path) -> None:
         struct.pack_into("<Q", data, at + 9 + 6 + 8, wrong)
         path.write_bytes(data)
         assert open_log(path).table(Scalar, "surge")["value"].tolist() == list(range(20))
+
+
+HOSTILE = "\x1b]0;owned\x07\x1b[2J [/bold] [red]x \u202egnp.exe \x9b31m"
+
+
+def test_a_log_does_not_write_to_the_terminal(tmp_path: Path) -> None:
+    """Escapes and markup of a foreign log are shown as they are spelled."""
+    path = tmp_path / "run.mcap"
+    log = recorder(path, attachments={HOSTILE: b"1"}, metadata={"operator": HOSTILE, HOSTILE: "x"})
+    log.event(T0, HOSTILE, HOSTILE)
+    log.write(HOSTILE.replace("/", "") + "[/]", Frame(Scalar(1.0), T0, float("nan")), T0)
+    log.health(HOSTILE.replace("/", ""), replace(HEALTH, port=HOSTILE), T0)
+    log.close()
+    note_path(path).write_text(f"2026-05-01T12:00:00Z watchdog: {HOSTILE}")
+    for words in ([str(path)],):
+        out = CliRunner().invoke(cli.info, words, catch_exceptions=False).stdout
+        assert "owned" in out
+        assert not [c for c in out if not (c.isprintable() or c == "\n")]
+    with open_log(path) as opened:
+        assert not [c for _, kind, text in opened.events() for c in kind + text if not c.isprintable()]
+    refused = CliRunner().invoke(cli.replay, [str(path), "--dir", str(tmp_path / "ports")])
+    assert refused.exit_code == 1

@@ -255,3 +255,12 @@ def test_a_tlog_as_pymavlinks_own_reader_counts_it() -> None:
     assert lone <= 1  # the first IMU message, before there was an attitude
     assert kinds[Servo] == 2 * (theirs["SERVO_OUTPUT_RAW"] - 1)  # the first is from before there were pulses
     assert not there.foreign
+
+
+def test_a_text_of_the_autopilot_does_not_write_to_the_terminal() -> None:
+    samples = Samples()
+    text = dialect().MAVLink_statustext_message(2, b"\x1b[2Jboo\x07")
+    ((event, _),) = samples.take(text)
+    assert isinstance(event, Event)
+    assert event.text.isprintable()
+    assert "boo" in event.text

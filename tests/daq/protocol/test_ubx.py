@@ -143,3 +143,73 @@ def test_a_wrong_checksum_is_counted_and_gives_nothing() -> None:
     broken[40] ^= 1
     assert decoder.feed(bytes(broken), 5.0) + decoder.flush() == []
     assert (decoder.frames, decoder.checksum_errors) == (0, 1)
+
+
+def test_an_attitude_has_the_time_of_its_week() -> None:
+    decoder = ubx.Decoder()
+    fix = Gnss(1_700_000_000.0, 59.0, 10.0, 3.0, 0.5, 0.1, 0.0, fix=3, n_sat=9)
+    tow = round((fix.utc + 18 - ubx.GPS_EPOCH) * 1000) % 604_800_000
+
+    def attitude(ms: int) -> bytes:
+        payload = struct.pack("<IB3x3i3I", (tow + ms) % 604_800_000, 0, 0, 0, 9_000_000, 100_000, 100_000, 100_000)
+        return ubx.message((0x01, 0x05), payload)
+
+    (before,) = decoder.feed(attitude(-100), 5.0)
+    assert math.isnan(before.t_device)
+    decoder.feed(ubx.encode(fix), 5.1)
+    decoder.flush()
+    found = [frame.t_device for ms in (40, 140, -604_800_000 + 240) for frame in decoder.feed(attitude(ms), 5.2)]
+    assert found == pytest.approx([fix.utc + 0.04, fix.utc + 0.14, fix.utc + 0.24], abs=1e-6)
+
+
+def test_the_velocity_of_sol_is_turned_from_ecef() -> None:
+    """Oracle: the difference of two positions in ECEF, a second apart, north and east of each other."""
+    lat, lon, north, east, down = 59.0, 10.0, 1.5, -0.7, 0.2
+
+    def ecef(lat: float, lon: float, alt: float) -> tuple[float, float, float]:
+        a, e2 = 6378137.0, 6.69437999014e-3
+        n = a / math.sqrt(1.0 - e2 * math.sin(math.radians(lat)) ** 2)
+        flat = (n + alt) * math.cos(math.radians(lat))
+        z = (n * (1.0 - e2) + alt) * math.sin(math.radians(lat))
+        return flat * math.cos(math.radians(lon)), flat * math.sin(math.radians(lon)), z
+
+    before, dt = ecef(lat, lon, 0.0), 1e4  # far enough that the centimetres of the message do not matter
+    step = 1e-6
+    d_north = [(b - a) / step for a, b in zip(before, ecef(lat + step, lon, 0.0), strict=True)]
+    d_east = [(b - a) / step for a, b in zip(before, ecef(lat, lon + step, 0.0), strict=True)]
+    d_down = [a - b for a, b in zip(before, ecef(lat, lon, 1.0), strict=True)]
+    unit = [[x / math.hypot(*vector) for x in vector] for vector in (d_north, d_east, d_down)]
+    v = [north * unit[0][k] + east * unit[1][k] + down * unit[2][k] for k in range(3)]
+    place = [round(100 * x) for x in before]
+    speed = [round(100 * dt * x) for x in v]
+    sol = struct.pack("<IihBB3iI3iIHBBI", 1000, 0, 2288, 3, 0x0D, *place, 100, *speed, 10, 200, 0, 7, 0)
+    (sample,) = read(ubx.message((1, 0x06), sol))
+    assert (sample.lat, sample.lon) == pytest.approx((lat, lon), abs=1e-6)
+    found = [x / dt for x in (sample.vel_n, sample.vel_e, sample.vel_d)]
+    assert found == pytest.approx([north, east, down], abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("gps_fix", "flags", "fix"), [(3, 1, 3), (3, 3, 4), (2, 1, 2), (3, 0, 0), (5, 1, 0), (0, 1, 0)]
+)
+def test_a_position_with_its_status_alone_is_a_fix(gps_fix: int, flags: int, fix: int) -> None:
+    place = old_receiver(1000)[1]
+    (sample,) = read(place + ubx.message((1, 0x03), struct.pack("<I4B2I", 1000, gps_fix, flags, 0, 0, 0, 0)))
+    assert sample.fix == fix
+    assert math.isfinite(sample.lat) is (gps_fix > 0)
+
+
+def hnr(nano: int, flags: int = 1) -> bytes:
+    payload = struct.pack(
+        "<IH6Bi2B2x8i4I4x", 1000, 2023, 11, 14, 22, 13, 20, 0x07, nano, 3, flags, -87654321, 411234567, 60000, 12345,
+        1000, 1000, 9_000_000, 0, 14, 20, 5, 5,
+    )  # fmt: skip
+    return ubx.message((0x28, 0x00), payload)
+
+
+def test_the_high_rate_solution_goes_before_that_of_the_epochs() -> None:
+    samples = read(hnr(0) + hnr(100_000_000) + pvt() + hnr(200_000_000))
+    assert [round(s.utc % 1.0, 3) for s in samples] == [0.0, 0.1, 0.2]
+    assert (samples[0].vel_n, samples[0].vel_e) == pytest.approx((0.0, 1.0), abs=1e-9)
+    assert (samples[0].lat, samples[0].lon, samples[0].fix) == (pytest.approx(41.1234567), pytest.approx(-8.7654321), 3)
+    assert read(hnr(0, flags=0))[0].fix == 0

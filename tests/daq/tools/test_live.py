@@ -211,3 +211,15 @@ def read_some(master: int) -> bytes:
         return os.read(master, 65536)
     except OSError:
         return b""
+
+
+def test_a_log_in_which_nothing_came_is_a_failure(tmp_path: Path) -> None:
+    row = '[[device]]\nname = "gnss"\nprotocol = "nmea"\nport = "nowhere"\nrate_hz = 5.0\n'
+    (tmp_path / "rig.toml").write_text(f'format = "seatrial-rig 1"\nname = "x"\n{row}')
+    words = ["log", str(tmp_path / "rig.toml"), "--duration", "0.5", "-o", str(tmp_path / "run.mcap")]
+    done = subprocess.run(
+        [sys.executable, "-m", "seatrial", *words], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 1
+    assert "nothing came from any device" in done.stderr
+    open_log(tmp_path / "run.mcap").close()

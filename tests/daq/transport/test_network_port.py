@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import select
 import socket
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 
 from daq.acquisition.device_loop import DeviceLoop, decode_read
 from daq.acquisition.log_thread import LogSink
+from daq.acquisition.watchdog import FailsafeSender
 from daq.clock import RunClock
 from daq.config.rig_file import parse_rig
 from daq.drivers.base import LinkRole
@@ -20,7 +22,7 @@ from daq.drivers.setpoints import Setpoints
 from daq.errors import SeatrialError
 from daq.protocol.catalogue import make_decoder
 from daq.protocol.mavlink import MavlinkDecoder
-from daq.protocol.mavlink_wire import Codec
+from daq.protocol.mavlink_wire import Codec, Head, head
 from daq.transport.base import Port, PortError
 from daq.transport.factory import make_net_port, make_port
 from daq.transport.network_port import SILENT_S, UdpPort
@@ -225,3 +227,34 @@ def test_a_frame_is_not_put_together_of_two_senders(tmp_path: Path) -> None:
     assert isinstance(decoder, MavlinkDecoder)
     assert decoder.accepted == 0
     port.close()
+
+
+def test_the_watchdog_is_heard_on_a_signed_link_long_after_it_was_made(tmp_path: Path) -> None:
+    """Oracle: pymavlink's own check of an autopilot that has since heard, and sent, later signatures."""
+    number = free()
+    (tmp_path / "key").write_bytes(KEY)
+    rig = parse_rig(rig_text(f"udp:127.0.0.1:{number}", more='key_file = "key"'), tmp_path / "rig.toml")
+    now = time.time()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(time, "time", lambda: now - 300.0)
+        sender = FailsafeSender(rig.devices[0], rig)
+    autopilot, runner = Codec(1, 1, KEY, now), Codec(255, 190, KEY, now)
+    assert autopilot.decode(heartbeat(runner)) is not None
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
+        own.settimeout(0.02)
+        sender.start()
+        heard: list[str] = []
+        while sender.is_alive():
+            own.sendto(heartbeat(autopilot), ("127.0.0.1", number))
+            with contextlib.suppress(TimeoutError):
+                data = own.recv(1000)
+                while data:
+                    about = head(data, 0)
+                    assert isinstance(about, Head)
+                    message = autopilot.decode(data[: about.total])
+                    heard += [] if message is None else [message.get_type()]
+                    data = data[about.total :]
+        sender.join()
+    assert sender.outcome == "zero was sent"
+    assert heard.count("RC_CHANNELS_OVERRIDE") > 5
+    assert heard.count("COMMAND_LONG") > 5

@@ -73,6 +73,20 @@ def test_a_design_is_a_mission_that_bench_reads_and_shows(tmp_path: Path, capsys
     assert "http://" not in re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
 
 
+def test_a_design_that_is_worse_than_a_random_sequence_says_so_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Eight steps are too few for nine parameters, ten enough for three."""
+    better = ("--evaluations", "1500", "--duration", "40", "--steps", "10")
+    for name, how, worse in (("horizontal:shaft:no-current", QUICK, True), ("surge", better, False)):
+        out = tmp_path / f"{worse}.toml"
+        words = ("design", name, *how, "--seed", "3")
+        assert run(capsys, *words, "--out", str(out))[0] == 0
+        result = json.loads(out.with_suffix(".json").read_text())
+        assert (result["value"] < max(row["value"] for row in result["baselines"])) == worse
+        assert result["answer"].startswith("Worse than " if worse else "After this mission")
+
+
 def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("mission.toml", "mission.html"):
         (tmp_path / name).write_text("mine")

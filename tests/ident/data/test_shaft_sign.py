@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ident.data.log_channels import follows_command, with_sign
+from ident.data.log_channels import GRID_STEP, follows_command, shaft_speed
 
 DT = 1e-3  # s
 Array = NDArray[np.float64]
@@ -33,11 +33,16 @@ def test_the_sign_is_the_shafts_and_not_the_commands(delay: float, pole: float) 
     truth, told = n[::100], command[::100]  # telemetry at 10 Hz
     speed = np.abs(truth + rng.normal(0.0, 0.003, truth.size))
     at = np.searchsorted(t, np.concatenate([[0.0], np.cumsum(held)[:-1]]))
-    found = with_sign(t[::100], speed, t[np.minimum(at, t.size - 1)], levels)
-    error = np.sqrt(np.mean((found - truth) ** 2))
+    own, found = shaft_speed(t[::100], speed, t[np.minimum(at, t.size - 1)], levels)
+    own = own + GRID_STEP / 2  # in the middle of the time for which it is held
+    error = np.sqrt(np.mean((np.interp(t[::100], own, found) - truth) ** 2))
+    own = own[own < t[-1]]
+    rounded = np.interp(own, t[::100], np.copysign(speed, truth))  # straight lines from sample to sample
+    between, smooth = (np.mean(np.abs(x[: own.size] - np.interp(own, t, n))) for x in (found, rounded))
     by_command = np.sqrt(np.mean((np.copysign(speed, told) - truth) ** 2))
     assert by_command > 0.1  # of full speed
     assert error < 0.02 + 0.06 * by_command
+    assert between < 0.8 * smooth
     assert follows_command(np.copysign(speed, told), told)
     assert not follows_command(truth, told)
 

@@ -52,6 +52,16 @@ def test_a_name_that_leaves_nothing_is_sure() -> None:
     assert found == EffectAttribution("wind", "identified")
 
 
+def test_a_larger_form_of_the_same_effect_is_no_rival_unless_it_explains_more() -> None:
+    """It explains as much by its making: what counts is whether its further parameters are worth their number."""
+    chosen = refit("steady-pull", 1500.0)
+    (near,) = of(one_round(chosen, refit("mooring", 1490.0, nests=("steady-pull",))))
+    (stranger,) = of(one_round(chosen, refit("mooring", 1490.0)))
+    (better,) = of(one_round(chosen, refit("mooring", 1510.0, nests=("steady-pull",))))
+    assert near == EffectAttribution("steady-pull", "identified")
+    assert stranger.rivals == better.rivals == ("mooring",)
+
+
 @pytest.mark.parametrize(
     ("worth", "attribution"), [(MAX_REMAINING_CRITERION - 1, "identified"), (MAX_REMAINING_CRITERION + 1, "ambiguous")]
 )

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from scipy import stats
 
 from ident.data.record import Record
-from ident.diagnosis.candidates import TrajectoryLinearisation
+from ident.diagnosis import score_test
+from ident.diagnosis.candidates import TrajectoryLinearisation, normal_equations
 from ident.diagnosis.score_test import (
     BLOCK,
     N_ROWS,
@@ -18,13 +20,18 @@ from ident.diagnosis.score_test import (
     SensitivityColumns,
     SensitivityFilter,
     block_index,
+    fitted_parameters,
     place,
     score_tests,
+    whole_blocks,
 )
 from ident.engine.vectorised_model import VectorisedModel
+from ident.estimation.fitted_model import fit_and_evaluate
 from ident.estimation.likelihood import FilterResult, Likelihood
 from ident.estimation.maximum_likelihood import fit
 from ident.estimation.options import SearchSettings
+from ident.model.parameter import Parameter
+from ident.model.structure import Effect, Signals, State
 from tests.ident.sliders import CUBE, DRAG, PUSH, TAPE, Q, score_of, scores_at, scores_of_columns, slide, slider, whole
 
 N_SETS = 100
@@ -160,6 +167,36 @@ def test_whitened_sensitivities_are_the_derivatives_of_the_innovations() -> None
         moved = [likelihood.filter(record, values + sign * step).e for sign in (0.5, -0.5)]
         wanted = whitened(run, (moved[0] - moved[1]) / 1e-3, H)
         np.testing.assert_allclose(g[:, column], wanted, atol=1e-2 * np.abs(wanted).max())  # h d / 6 m of it
+
+
+def lagging() -> Effect:
+    """A force that follows the speed with a lag: an effect with a state of its own."""
+
+    def hook(s: Signals) -> None:
+        s.rate["z"] = 0.2 * (s.x.v - s.x.z)
+        s.rate["v"] = s.rate["v"] + s.p.k_lagging * s.x.z
+
+    return Effect("lagging", "", {"rate": hook}, (Parameter("k_lagging", 0.0, step=0.01),), (State("z"),))
+
+
+def test_a_long_record_is_tested_in_parts_of_whole_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same statistics as from the whole record, states of effects going on from part to part."""
+    fitted = fit_and_evaluate(slider(), [slide(11, 900, drag=0.1)], [])
+    parameters, effects = fitted_parameters(fitted.model, 1), [PUSH, DRAG, TAPE, lagging()]
+
+    def statistics() -> list[tuple[float, float]]:
+        normal, places = normal_equations(fitted, fitted.records, effects, parameters)
+        scores = score_tests(normal, len(parameters), np.zeros(len(parameters)), places)
+        return [(s.lm, s.lm_block) for s in scores]
+
+    wanted = statistics()
+    monkeypatch.setattr(score_test, "WHOLE", 0)
+    monkeypatch.setattr(score_test, "PART", 120)
+    rows = whole_blocks(fitted.records[0].t, BLOCK)
+    assert len(rows) > 3
+    assert all(a.stop == b.start for a, b in pairwise(rows))
+    assert len({block_index(fitted.records[0].t[r], BLOCK)[0] for r in rows}) == len(rows)
+    np.testing.assert_allclose(statistics(), wanted, rtol=1e-9)
 
 
 def test_the_block_version_holds_where_the_innovations_are_coloured() -> None:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
 
-from ident.effects.propulsion.thrust_history import delayed, lagged
+from ident.data.record import Channel, build_record
 from ident.effects.registry import catalogue
 from ident.engine.vectorised_model import VectorisedModel
-from ident.model.structure import Model
+from ident.estimation.output_error import simulate
+from ident.model.structure import Model, Signals
 from ident.models.horizontal import horizontal_model
 from tests.ident.carriers import carrier
 
@@ -62,12 +65,58 @@ def test_an_effect_changes_something_and_says_what(name: str) -> None:
         assert rival in catalogue(), f"{name} names a rival that is not there: {rival}"
 
 
-def test_a_delay_interpolates_the_past_and_a_lag_integrates_it() -> None:
-    past = list(np.arange(17.0)[::-1])  # rising by one a step
-    assert delayed(past[:9], 0.25) == pytest.approx(16 - 2.5)
-    ramp = [float(-k) for k in range(17)]  # t / 0.1 s
-    for T in (0.03, 0.1, 0.15):  # a ramp is followed one time constant late
-        assert lagged(ramp, T) == pytest.approx(-T / 0.1, abs=2e-3)
+def driven(names: Sequence[str], values: dict[str, float], command: Callable[[np.ndarray], np.ndarray], hold: str) -> (
+    tuple[np.ndarray, np.ndarray]
+):
+    """Rates of surge at rest, and their times, of a boat whose thrust is late: shaft speeds, and all else at zero."""
+    model = horizontal_model("shaft", hold=hold)  # type: ignore[arg-type]
+    for name in names:
+        model = model + catalogue()[name]
+    model = replace(model, stages=tuple((n, f if n != "force" else only_thrust) for n, f in model.stages))
+    t = np.arange(0.0, 20.0, 0.1)
+    shafts = {f"n_{side}": Channel(t, command(t)) for side in ("left", "right")}
+    record = build_record(model, shafts | {"psi": Channel(t, np.zeros(t.size))})
+    run = simulate(model.with_values({"d_u": 0.0, "d_uu": 0.0} | values), record)
+    return record.t, run.x[:, 3]
+
+
+def only_thrust(s: Signals) -> None:
+    s.X, s.Y, s.N = sum(s.f.values()), 0.0, 0.0
+
+
+@pytest.mark.parametrize("hold", ["zero", "linear"])
+def test_delay_dead_band_and_lag_compose_in_any_order(hold: str) -> None:
+    """One chain, in which a command is first late, then cut, then smoothed: the parts are the same in any order."""
+    values = {"tau_delay": 0.23, "T_lag": 0.3, "n_dead": 0.05}
+    found = [
+        driven(names, values, lambda t: np.where((t > 1.0) & (t < 9.0), 0.8, 0.2), hold)[1]
+        for names in permutations(("delay", "lag", "dead-band"))
+    ]
+    for other in found[1:]:
+        np.testing.assert_allclose(other, found[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("hold", ["zero", "linear"])
+@pytest.mark.parametrize(("names", "values", "late"), [
+    (("delay",), {"tau_delay": 0.23}, 0.23), (("lag",), {"T_lag": 0.3}, 0.3), (("lag",), {"T_lag": 0.04}, 0.04),
+    (("lag", "delay"), {"tau_delay": 0.5, "T_lag": 0.3}, 0.8),
+])
+def test_a_change_is_as_late_as_its_delay_and_its_lag_together(
+    names: tuple[str, ...], values: dict[str, float], late: float, hold: str
+) -> None:
+    """Thrust that is linear in the shaft speed about a working point: what is lost of speed is the delay times the
+    change of thrust, whatever the hold."""
+    small = 0.01
+    def step(t: np.ndarray) -> np.ndarray:
+        return 0.5 + small * (t > 4.05)
+
+    t, u = driven((), {}, step, hold)
+    _, behind = driven(names, values, step, hold)
+    settled = t > 12.0
+    of_change = 2 * 2 * (40.05 + 1.11) * 0.5 * small / 37.0  # thrust of both that a change adds, over the mass
+    begun, slow = (driven(n, v, lambda t: 0.5 + 0 * t, hold)[1] for n, v in (((), {}), (names, values)))
+    lost = (u - behind - (begun - slow))[settled]
+    np.testing.assert_allclose(lost / of_change, late, atol=0.01)
 
 
 def test_a_dead_band_has_a_gradient_beyond_it() -> None:

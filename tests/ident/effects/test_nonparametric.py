@@ -10,7 +10,7 @@ import pytest
 
 from ident.effects.nonparametric import N_KNOTS, between_knots, nonparametric_effect, shape, spline_basis
 from ident.engine.vectorised_model import VectorisedModel
-from ident.model.structure import ForceCurve
+from ident.model.structure import ForceCurve, Signals
 from ident.models.disturbances import variables_of
 from ident.models.horizontal import horizontal_model
 
@@ -88,7 +88,7 @@ def test_an_unknown_effect_does_nothing_at_zero_and_says_what_it_is() -> None:
     ("name", "wanted"), [("psi", 0.3), ("t", 7.0), ("n_sum", 0.4), ("n_diff", 0.6), ("f_sum", 15.0), ("f_diff", -10.0)]
 )
 def test_variables_are_read_where_they_stand(name: str, wanted: float) -> None:
-    s: Any = SimpleNamespace(
+    s: Any = Signals(
         x=SimpleNamespace(psi=0.3), u=SimpleNamespace(t=7.0, n_left=0.7, n_right=0.1, f_left=10.0, f_right=20.0)
     )
     model = horizontal_model("force" if name.startswith("f_") else "shaft")

@@ -34,7 +34,7 @@ MODELS: dict[str, Callable[[], Model]] = {
     "turning": turning,
     "robust": lambda: with_outlier_model(turning()),
     "second order": lambda: replace(make_model("horizontal:shaft"), second_order=True),
-    "with unexplained forces": lambda: for_diagnosis(horizontal_model("shaft")),
+    "with disturbance forces": lambda: for_diagnosis(horizontal_model("shaft")),
 }
 
 

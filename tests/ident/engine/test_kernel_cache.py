@@ -187,3 +187,19 @@ def test_the_cache_has_a_limit_and_what_was_used_last_stays(tmp_path: Path, monk
     assert {"0.o", "9.o"} <= kept
     assert "1.o" not in kept
     assert sum(p.stat().st_size for p in tmp_path.iterdir()) <= 7_000
+
+
+@pytest.mark.parametrize("what", ["folder", "file"])
+def test_what_others_may_have_written_is_not_run(
+    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path / "kernels"))
+    jit.write_cache("a.o", b"code")
+    assert jit.read_cache("a.o") == b"code"
+    place = tmp_path / "kernels" / ("a.o" if what == "file" else "")
+    for mode in (0o002, 0o020):
+        before = place.stat().st_mode
+        place.chmod(before | mode)
+        assert jit.read_cache("a.o") is None
+        place.chmod(before)
+    assert jit.read_cache("a.o") == b"code"

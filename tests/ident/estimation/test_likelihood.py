@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ident.data.record import Record
+from ident.estimation import likelihood as likelihood_module
 from ident.estimation.likelihood import Likelihood
 from ident.model.parameter import Parameter
 from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
@@ -138,6 +139,16 @@ def test_gradient_agrees_with_finite_differences(second_order: bool) -> None:
 
         wanted = (4 * central(1e-4) - central(2e-4)) / 3
         assert gradient[i] == pytest.approx(wanted, rel=1e-6, abs=1e-5), name
+
+
+@pytest.mark.parametrize("piece", [1, 7, 64])
+def test_the_gradient_of_a_long_record_is_made_in_pieces(piece: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    likelihood, record, v = Likelihood(turning()), turning_record(), values_of(turning())
+    value, gradient = likelihood.gradient(record, v)
+    monkeypatch.setattr(likelihood_module, "WHOLE", 0)
+    monkeypatch.setattr(likelihood_module, "PIECE", piece)
+    assert likelihood.gradient(record, v)[0] == value
+    np.testing.assert_array_equal(likelihood.gradient(record, v)[1], gradient)
 
 
 def test_tangents_agree_with_the_adjoint_for_any_subset() -> None:

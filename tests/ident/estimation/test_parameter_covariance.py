@@ -46,8 +46,9 @@ def test_noise_and_what_has_no_error_is_left_out() -> None:
     assert [names[c] for c in parameter_uncertainty(found).columns] == ["m", "d", "dd"]
     assert [names[c] for c in parameter_uncertainty(found, 1).columns] == ["m", "d", "dd", "bias"]
     nothing = fit(turning().with_free(["q"]), records)
-    free = simulation_run(nothing.model, records[0], nothing.record_values[0], doubt=parameter_uncertainty(nothing))
-    np.testing.assert_array_equal(free.sd, simulation_run(nothing.model, records[0], nothing.record_values[0]).sd)
+    none, values = parameter_uncertainty(nothing), nothing.record_values[0]
+    free = simulation_run(nothing.model, records[0], values, uncertainty=none)
+    np.testing.assert_array_equal(free.sd, simulation_run(nothing.model, records[0], values).sd)
 
 
 def test_bands_of_a_model_from_little_data_cover_only_with_it() -> None:
@@ -59,7 +60,7 @@ def test_bands_of_a_model_from_little_data_cover_only_with_it() -> None:
         rows = np.flatnonzero((record.t > WARM_UP) & np.isfinite(record.y[:, 1]))
         for doubtful in inside:
             doubt = parameter_uncertainty(found) if doubtful else None
-            free = simulation_run(found.model, record, found.record_values[0], doubt=doubt)
+            free = simulation_run(found.model, record, found.record_values[0], uncertainty=doubt)
             inside[doubtful].append(np.abs(record.y[rows] - free.y[rows]) < 1.96 * free.sd[rows])
     assert np.mean(inside[False]) < 0.85
     assert 0.9 < np.mean(inside[True]) < 0.985

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from ident.data.record import Record
-from ident.estimation.likelihood import FilterResult, Likelihood
-from ident.estimation.smoother import smooth, smoothed_mean
+from ident.estimation import likelihood as likelihood_module
+from ident.estimation.likelihood import Covariances, FilterResult, Likelihood
+from ident.estimation.smoother import smooth, smoothed_mean, smoothed_states
 from ident.model.parameter import Parameter
 from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
 from tests.ident.toys import turning, turning_record, values_of
+
+
+def of_rows(whole: Covariances) -> Callable[[slice], Covariances]:
+    """What a filter result wants of covariances that are there."""
+    return lambda rows: Covariances(*(a[rows] for a in whole))
 
 
 def chain(still: bool = False) -> Model:
@@ -98,8 +105,9 @@ def test_a_singular_covariance_is_no_obstacle() -> None:
 
     Phi = np.zeros((record.n_rows, 4, 4))
     Phi[:, :3, :3], Phi[:, 3, 3], Phi[:, 3, 1] = run.Phi, 1.0, run.Phi[:, 0, 1]
-    twin = FilterResult(run.t, doubled(run.x_pred), doubled(run.P_pred), doubled(run.x_filt), doubled(run.P_filt), Phi,
-                     run.e, run.R, run.eps, run.S, run.ll)
+    covariances = Covariances(doubled(run.P_pred), doubled(run.P_filt), Phi)
+    twin = FilterResult(run.t, doubled(run.x_pred), doubled(run.x_filt), of_rows(covariances), run.e, run.R, run.eps,
+                        run.S, run.ll)
     found, single = smooth(twin), smooth(run)
     np.testing.assert_allclose(found.x[:, :3], single.x, rtol=1e-7, atol=1e-8)
     np.testing.assert_allclose(found.x[:, 3], single.x[:, 0], rtol=1e-7, atol=1e-8)
@@ -116,7 +124,8 @@ def test_six_thousand_rows_of_fifteen_states_take_less_than_a_second() -> None:
     P_pred[1:] = Phi[:-1] @ P_filt[:-1] @ Phi[:-1].swapaxes(1, 2) + 0.1 * np.eye(n)
     x = rng.normal(size=(n_rows, n))
     y = np.empty((n_rows, 1))
-    run = FilterResult(np.arange(n_rows) * 0.1, x, P_pred, x, P_filt, Phi, y, y[0], y, y, y[:, 0])
+    given = of_rows(Covariances(P_pred, P_filt, Phi))
+    run = FilterResult(np.arange(n_rows) * 0.1, x, x, given, y, y[0], y, y, y[:, 0])
     began = time.process_time()
     smooth(run)
     assert time.process_time() - began < 2.0  # a third of a second on an idle machine
@@ -126,3 +135,25 @@ def test_the_means_alone_are_those_of_the_whole_smoother() -> None:
     model, record = turning(), turning_record()
     run = Likelihood(model).filter(record, values_of(model))
     np.testing.assert_allclose(smoothed_mean(run), smooth(run).x, rtol=1e-9, atol=1e-11)
+
+
+@pytest.mark.parametrize("piece", [7, 64])
+def test_a_long_record_is_smoothed_in_pieces(piece: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    model, record = turning(), turning_record()
+    assert record.n_rows % piece
+    whole = Likelihood(model).filter(record, values_of(model))
+    wanted, mean = smooth(whole), smoothed_mean(whole)
+    monkeypatch.setattr(likelihood_module, "WHOLE", 0)
+    monkeypatch.setattr(likelihood_module, "PIECE", piece)
+    run = Likelihood(model).filter(record, values_of(model))
+    assert len(run.pieces) > 1
+    for name in ("x_pred", "x_filt", "e", "eps", "S", "ll", "P_pred", "P_filt", "Phi"):
+        np.testing.assert_array_equal(getattr(run, name), getattr(whole, name), err_msg=name)
+    np.testing.assert_array_equal(run.covariances(slice(40, 90)).Phi, whole.Phi[40:90])
+    H = np.ones((record.n_rows, 1, len(model.states)))
+    np.testing.assert_allclose(run.output_variance(H), whole.output_variance(H), rtol=1e-12)
+    found = smooth(run)
+    for name in ("x", "P", "lag_one"):
+        np.testing.assert_allclose(getattr(found, name), getattr(wanted, name), rtol=1e-9, atol=1e-13, err_msg=name)
+    np.testing.assert_allclose(smoothed_mean(run), mean, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(smoothed_states(run).sd, wanted.sd, rtol=1e-9)

@@ -187,7 +187,7 @@ def test_outliers_are_ignored_and_counted() -> None:
         assert "too many" not in line
         many = np.isfinite(record.y) & (np.arange(len(record.y)) % 5 == 0)[:, None]
         [line, *_] = outlier_density.outlier_notes(found.model, [many], [np.isfinite(record.y)])
-        assert "too many for wild samples: the model lacks something" in line
+        assert "too many for outliers: the model lacks something" in line
     assert np.mean(inside) > 0.97
     assert broken == 6  # without it they do harm: the test can fail
 
@@ -251,9 +251,9 @@ def test_a_sample_at_the_start_is_left_as_a_whole() -> None:
     y = record.y.copy()
     y[first, 2] += 3.0
     spoilt = replace(record, y=y)
-    wild = Preparer(outlier_density.with_outlier_model(turning()))(spoilt).wild
+    wild = Preparer(outlier_density.with_outlier_model(turning()))(spoilt).outliers
     assert np.argwhere(wild).tolist() == [[first, 1], [first, 2]]
-    assert not Preparer(turning())(spoilt).wild.any()
+    assert not Preparer(turning())(spoilt).outliers.any()
     model = outlier_density.with_outlier_model(turning())
     gone = replace(spoilt, y=np.where(wild, np.nan, y))
     assert Likelihood(model).value(spoilt, values_of(model)) == Likelihood(model).value(gone, values_of(model))

@@ -1,11 +1,11 @@
-"""A ferry is diagnosed like a dinghy: priors, steps and unexplained forces go with the size of the boat."""
+"""A ferry is diagnosed like a dinghy: priors, steps and disturbance forces go with the size of the boat."""
 
 from __future__ import annotations
 
 import pytest
 
 from ident.data.record import Channel, LogSegment, make_record
-from ident.diagnosis.score_test import Score
+from ident.diagnosis.score_test import Score, score_threshold
 from ident.diagnosis.search import score_all
 from ident.effects.registry import catalogue
 from ident.estimation.fitted_model import fit_with_rescaling, nominal, superset
@@ -60,3 +60,8 @@ def test_the_scores_do_not_depend_on_the_size_of_the_boat() -> None:
     assert small["yaw-bias"].lm > 5
     for name in ("yaw-bias", "lift", "lever-arm", "coulomb", "N(u)"):
         assert large[name].lm == pytest.approx(small[name].lm, rel=0.05, abs=0.3), name
+    # the threshold is that of all tests that were made, of which a scanned candidate has several
+    once = [score_threshold(s, list(small.values())) for s in small.values()]
+    made = [s.threshold for s in small.values()]
+    assert all(a >= b for a, b in zip(made, once, strict=True))
+    assert max(a - b for a, b in zip(made, once, strict=True)) > 0.1

@@ -62,7 +62,7 @@ def ends(quiet: float = 1.0) -> tuple[Array, Array, Array, Array]:
     """Of all outages: squared distances at their ends by the claimed covariances, whether the true place is inside
     the claimed circle, and the true errors on all rows without GNSS of the filter and of the smoother [m].
 
-    ``quiet``: a navigator that takes unexplained forces for so much smaller than they were estimated."""
+    ``quiet``: a navigator that takes disturbance forces for so much smaller than they were estimated."""
     d2, inside, by_filter, by_smoother = [], [], [], []
     for seed in SEEDS:
         stage = fitted(seed)

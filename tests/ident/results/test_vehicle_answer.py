@@ -15,7 +15,15 @@ from ident.data.record import Record
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import fit
 from ident.estimation.stochastic_simulation import simulate_stochastic
-from ident.results.answers import NAMES, change_sentence, not_converged, stuck_sensors, vehicle_answer
+from ident.model.outlier_density import with_outlier_model
+from ident.results.answers import (
+    NAMES,
+    change_sentence,
+    not_converged,
+    outlier_lines,
+    stuck_sensors,
+    vehicle_answer,
+)
 from ident.results.parts import (
     CrossCorrelation,
     ErrorComparison,
@@ -31,6 +39,7 @@ from ident.studies.monte_carlo import make_record
 from ident.validation.evaluation import residual_tests
 from ident.validation.prediction_errors import ChannelChange
 from ident.validation.prediction_errors import PredictionChange as Found
+from ident.validation.whiteness import Whiteness
 from tests.ident.toys import turning, turning_record
 
 WHITE = "The residuals are white and know nothing of the inputs"
@@ -181,6 +190,26 @@ def test_channels_of_which_nothing_can_be_told_are_left_out() -> None:
     found = residual_tests(model, record, eps)
     kept = {o.name for o in model.outputs[2:]}
     assert {r.channel for r in found} == {c.channel for r in found for c in r.inputs} == kept
+
+
+def test_outliers_that_are_drawn_are_said() -> None:
+    model, record = turning(), turning_record(n_rows=300)
+    eps = np.random.default_rng(0).normal(size=record.y.shape)
+    eps[[20, 60, 90], 1] = (16.0, -9.0, 6.5)
+    found = residual_tests(model, record, eps)
+    spikes = {r.channel: (r.tests.outliers, r.tests.largest) for r in found}
+    assert spikes[model.outputs[1].name] == (3, 16.0)
+    assert sum(n for n, _ in spikes.values()) == 3
+    (line,) = outlier_lines(found, model)
+    assert line.startswith(f"run: 3 of 300 innovations of {model.outputs[1].name} are beyond 6")
+    assert outlier_lines(found, with_outlier_model(model)) == []
+
+
+@pytest.mark.parametrize(("p", "white"), [(0.007, True), (0.004, False)])
+def test_both_tests_together_are_at_one_per_cent(p: float, white: bool) -> None:
+    none = np.empty(0)
+    for tests in ((p, 0.5), (0.5, p)):
+        assert Whiteness("x", 9, 0.0, 1.0, none, 0.1, *tests, none, none, 0.5, 0, 2.0).white == white
 
 
 def test_a_fit_that_stopped_short_has_no_other_answer() -> None:

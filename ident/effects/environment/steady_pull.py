@@ -1,0 +1,30 @@
+"""A steady force in one direction of the earth: a long line, a slope of the surface, wind without a moment."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ident.model import Effect, Parameter, Signals
+
+
+def pull(s: Signals) -> None:
+    cos, sin = np.cos(s.x.psi), np.sin(s.x.psi)
+    s.X = s.X + cos * s.p.F_north + sin * s.p.F_east
+    s.Y = s.Y - sin * s.p.F_north + cos * s.p.F_east
+
+
+EFFECT = Effect(
+    name="steady-pull",
+    title="a steady force in one direction over ground",
+    place="environment",
+    hooks={"force": pull},
+    parameters=(
+        Parameter("F_north", 0.0, "N", "force to the north", prior=(0.0, 10.0), step=0.5),
+        Parameter("F_east", 0.0, "N", "force to the east", prior=(0.0, 10.0), step=0.5),
+    ),
+    formula="(X, Y) += R(psi)' (F_north, F_east)",
+    source="a line that is much longer than the track; the steady part of wind and waves, Fossen 2011, chapter 8",
+    experiment="drifting without thrust on several headings, and straight runs on opposite headings",
+    requires=("hull",),
+    rivals=("wind", "mooring", "steady-force"),
+)

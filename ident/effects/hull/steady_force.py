@@ -1,0 +1,25 @@
+"""A steady surge or sway force in the axes of the body."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals
+
+
+def add(s: Signals) -> None:
+    s.X, s.Y = s.X + s.p.X_0, s.Y + s.p.Y_0
+
+
+EFFECT = Effect(
+    name="steady-force",
+    title="a steady surge or sway force",
+    hooks={"force": add},
+    parameters=(
+        Parameter("X_0", 0.0, "N", "steady surge force", prior=(0.0, 10.0), step=0.5),
+        Parameter("Y_0", 0.0, "N", "steady sway force", prior=(0.0, 10.0), step=0.5),
+    ),
+    formula="X += X_0, Y += Y_0",
+    source="a thruster that does not stand still at rest, a jet of cooling water, an asymmetric hull",
+    experiment="drifting without thrust on several headings",
+    requires=("hull",),
+    rivals=("steady-pull", "coulomb", "reverse-thrust", "mount"),
+)

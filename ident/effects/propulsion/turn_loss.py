@@ -1,0 +1,41 @@
+"""Loss of thrust in turns: propellers in oblique inflow, ventilated or behind the hull."""
+
+from __future__ import annotations
+
+from ident.model import Effect, ForceCurve, ModelFunction, Parameter, Signals
+
+
+def _lose(parameter: str, variable: str) -> ModelFunction:
+    def lose(s: Signals) -> None:
+        kept = 1 / (1 + getattr(s.p, parameter) * abs(getattr(s.x, variable)))
+        for side, f in s.f.items():
+            s.f[side] = f * kept
+
+    return lose
+
+
+def _effect(name: str, title: str, variable: str, parameter: Parameter, rivals: tuple[str, ...]) -> Effect:
+    return Effect(
+        name=name,
+        title=title,
+        place="actuator",
+        hooks={"thrust": _lose(parameter.name, variable)},
+        parameters=(parameter,),
+        formula=f"f_i /= 1 + {parameter.name} |{variable}|",
+        source="propellers in oblique inflow and ventilation, Carlton 2018, chapters 6 and 11",
+        experiment="straight runs and turning circles of several radii at the same shaft speeds",
+        requires=("f",),
+        one_sided=True,
+        rivals=rivals,
+        parametric_form_of=ForceCurve("T", variable),
+    )
+
+
+BY_YAW = Parameter("loss_r", 0.0, "s/rad", "relative loss of thrust per yaw rate", prior=(0.0, 0.7), step=0.01)
+BY_SWAY = Parameter("loss_v", 0.0, "s/m", "relative loss of thrust per sway speed", prior=(0.0, 3.0), step=0.05)
+EFFECTS = (
+    _effect("turn-loss", "the loss of thrust with yaw rate", "r", BY_YAW,
+            ("inflow-loss", "turning-resistance", "advance-ratio", "cg-offset")),
+    _effect("inflow-loss", "the loss of thrust in sway inflow", "v", BY_SWAY,
+            ("turn-loss", "turning-resistance", "cross-flow")),
+)

@@ -1,0 +1,153 @@
+"""A compact simulator of another authorship than the mocks: one rigid body, one added-mass matrix, Heun's
+method at 40 Hz, and effects as plain forces. What it knows of the effects it does not take from ident."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ident.data.record import Channel, LogSegment
+
+STEP = 0.025  # s
+AHRS, GNSS = 2, 8  # steps between samples
+
+# force(boat at this moment) -> X, Y [N], N [N m] in body axes
+Force = Callable[["Moment"], tuple[float, float, float]]
+# thrust(side, boat at this moment) -> factor on the thrust of that side
+Loss = Callable[[str, "Moment"], float]
+
+
+@dataclass
+class Moment:
+    """Where the boat is: m, rad, m/s and rad/s; ``vn, ve`` over ground, ``u, v`` through the water; n of full speed."""
+
+    t: float
+    north: float
+    east: float
+    psi: float
+    u: float
+    v: float
+    r: float
+    vn: float
+    ve: float
+    n: dict[str, float]
+
+    def into_body(self, north: float, east: float) -> tuple[float, float]:
+        """A vector of the earth in body axes."""
+        c, s = math.cos(self.psi), math.sin(self.psi)
+        return c * north + s * east, c * east - s * north
+
+
+@dataclass(frozen=True)
+class Slosh:
+    """A mass on a spring and damper in the hull, at the origin, free to move along one body axis."""
+
+    mass: float  # kg, of the boat's own
+    frequency: float  # Hz
+    damping: float  # ratio
+    axis: str  # surge or sway
+
+
+@dataclass(frozen=True)
+class IndependentBoat:
+    """A twin-screw boat of about 40 kg, or of ``scale`` times its length (masses and forces by Froude's law)."""
+
+    scale: float = 1.0
+    force: Force | None = None
+    loss: Loss | None = None
+    slosh: Slosh | None = None
+    current: tuple[float, float] = (0.12, -0.08)
+
+    @property
+    def weight(self) -> float:
+        return self.scale**3
+
+    @property
+    def full_thrust(self) -> float:
+        return 34.0 * self.weight
+
+    @property
+    def arm(self) -> float:
+        return 0.22 * self.scale
+
+
+def mission(seconds: float, seed: int) -> list[tuple[float, float, float]]:
+    """Steps of both thrusters, each held for 2 to 9 s, now and then equal or opposed: (from when, left, right)."""
+    rng, t, steps = np.random.default_rng(seed), 3.0, [(0.0, 0.0, 0.0)]
+    while t < seconds:
+        mean, turn = rng.uniform(-0.4, 0.9), rng.uniform(-0.6, 0.6) * (rng.uniform() < 0.5)
+        steps.append((t, float(np.clip(mean + turn, -0.9, 0.95)), float(np.clip(mean - turn, -0.9, 0.95))))
+        t += rng.uniform(2.0, 10.0)
+    return steps
+
+
+def sail(boat: IndependentBoat, seconds: float = 300.0, seed: int = 1, gyro: bool = True) -> LogSegment:
+    """A log: shaft speeds, heading, yaw rate and accelerations at 20 Hz, position and velocity over ground at 5 Hz;
+    without ``gyro`` heading, position and velocity alone."""
+    rng, steps, at = np.random.default_rng(seed), mission(seconds, seed), 0
+    slow, sd = math.exp(-STEP / 0.18), (0.25 * boat.weight, 0.25 * boat.weight, 0.03 * boat.weight * boat.scale)
+    calm, state, n = [0.0, 0.0, 0.0], [0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0], {"left": 0.0, "right": 0.0}
+    rows = []
+    for k in range(round(seconds / STEP)):
+        while at + 1 < len(steps) and steps[at + 1][0] <= k * STEP:
+            at += 1
+        calm = [f * (1 - STEP / 1.5) + q * math.sqrt(STEP) * rng.normal() for f, q in zip(calm, sd, strict=True)]
+        later = {side: n[side] * slow + (1 - slow) * to for side, to in zip(n, steps[at][1:], strict=True)}
+        rate, sensed = _rate(boat, k * STEP, state, n, calm)
+        if k % AHRS == 0:
+            rows.append((k * STEP, *n.values(), *sensed))
+        end = [x + STEP * dx for x, dx in zip(state, rate, strict=True)]
+        again, _ = _rate(boat, (k + 1) * STEP, end, later, calm)
+        state = [x + STEP * (d1 + d2) / 2 for x, d1, d2 in zip(state, rate, again, strict=True)]
+        n = later
+    return _measured(np.array(rows), rng, gyro, seed)
+
+
+def _rate(
+    boat: IndependentBoat, t: float, state: list[float], n: dict[str, float], calm: list[float]
+) -> tuple[list[float], tuple[float, ...]]:
+    """The state's rate (north, east, psi, u, v, r and the slosh), and what psi, r, ax, ay, x, y, vx, vy are."""
+    north, east, psi, u, v, r, z, z_rate = state
+    w, one, slosh = boat.weight, boat.scale, boat.slosh
+    c, s = math.cos(psi), math.sin(psi)
+    vn, ve = c * u - s * v + boat.current[0], s * u + c * v + boat.current[1]
+    now = Moment(t, north, east, psi, u, v, r, vn, ve, n)
+    f = {side: boat.full_thrust * z * abs(z) * (boat.loss(side, now) if boat.loss else 1.0) for side, z in n.items()}
+    X = f["left"] + f["right"] - (2.0 + 24.0 * abs(u)) * u * one**2 + calm[0]
+    Y = -(45.0 + 60.0 * abs(v)) * v * one**2 + calm[1]
+    N = boat.arm * (f["left"] - f["right"]) - (5.0 + 7.0 * abs(r)) * r * w * one + calm[2]
+    if boat.force is not None:
+        X, Y, N = (a + b for a, b in zip((X, Y, N), boat.force(now), strict=True))
+    m_u, m_v, m_r, pull = 42.0 * w, 58.0 * w, 8.0 * w * one**2, 0.0
+    along_u, along_v = m_u, m_v
+    if slosh is not None:  # its specific force comes through its spring alone
+        omega = 2 * math.pi * slosh.frequency
+        pull = slosh.mass * (omega * omega * z + 2 * slosh.damping * omega * z_rate)
+        if slosh.axis == "surge":
+            X, along_u = X + pull, m_u - slosh.mass
+        else:
+            Y, along_v = Y + pull, m_v - slosh.mass
+    du = (X + m_v * v * r - (m_u - along_u) * v * r) / along_u
+    dv = (Y - m_u * u * r + (m_v - along_v) * u * r) / along_v
+    dr = (N + (m_u - m_v) * u * v) / m_r
+    ax, ay = du - v * r, dv + u * r
+    z_rate_rate = 0.0 if slosh is None else -pull / slosh.mass - (ax if slosh.axis == "surge" else ay)
+    return [vn, ve, r, du, dv, dr, z_rate, z_rate_rate], (psi, r, ax, ay, north, east, vn, ve)
+
+
+def _measured(rows: np.ndarray, rng: np.random.Generator, gyro: bool, seed: int) -> LogSegment:
+    t = rows[:, 0]
+    names = ("psi", "r", "ax", "ay")
+    noise = dict(zip(names, (0.01, 0.004, 0.04, 0.04), strict=True))
+    channels = {f"n_{side}": Channel(t, rows[:, 1 + i] + 0.001 * rng.normal(size=t.size))
+                for i, side in enumerate(("left", "right"))}
+    for i, name in enumerate(names):
+        if gyro or name == "psi":
+            channels[name] = Channel(t, rows[:, 3 + i] + noise[name] * rng.normal(size=t.size))
+    for i, name in enumerate(("x", "y", "vx", "vy")):
+        fixes = rows[:: GNSS // AHRS, 7 + i]
+        channels[name] = Channel(t[:: GNSS // AHRS], fixes + (0.05 if i < 2 else 0.03) * rng.normal(size=fixes.size))
+    return LogSegment(f"run{seed}", channels)

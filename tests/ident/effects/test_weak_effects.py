@@ -1,0 +1,148 @@
+"""Effects that are easily missed, on boats of a simulator that shares nothing with ident: found, with their sizes, and
+a boat that lacks nothing stays so."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import pytest
+
+from ident.data.record import make_record
+from ident.diagnosis.results import Diagnosis
+from ident.diagnosis.score_test import Score
+from ident.diagnosis.search import diagnose, score_all
+from ident.effects.registry import catalogue
+from ident.estimation.fitted_model import fit_with_rescaling, nominal, superset
+from ident.model.structure import Model
+from ident.models.horizontal import horizontal_model
+from ident.models.scaling import scale_priors, size_of
+from tests.ident.effects.independent_boat import Force, IndependentBoat, Loss, Moment, Slosh, sail
+
+SECONDS = (300.0, 150.0)  # of the estimation run and of the validation run
+
+
+def model_of(boat: IndependentBoat, gyro: bool = True) -> Model:
+    """The horizontal model with this boat's thrust, and a start near enough."""
+    w, one = boat.weight, boat.scale
+    sensors = ("attitude", "gyro", "accelerometer", "position", "ground_velocity")
+    model = horizontal_model(sensors=sensors if gyro else ("attitude", "position", "ground_velocity"))
+    start = {"m_u": 37.0 * w, "m_v": 47.0 * w, "m_r": 9.7 * w * one**2, "d_v": 50 * one**2, "d_uu": 25 * one**2}
+    thrust = {"c1": boat.full_thrust, "c2": 0.0, "y_left": -boat.arm, "y_right": boat.arm}
+    return model.with_values(start | thrust | {"d_r": 4.1 * w * one, "d_rr": 6.2 * w * one})
+
+
+def found_on(boat: IndependentBoat, gyro: bool = True) -> Diagnosis:
+    """The diagnosis of one run, judged by another."""
+    runs = [sail(boat, seconds, seed, gyro) for seed, seconds in zip((12, 11), SECONDS, strict=True)]
+    return diagnose(model_of(boat, gyro), runs[:1], runs[1:])
+
+
+def scores_of(boat: IndependentBoat, gyro: bool = True) -> tuple[list[Score], list[Score]]:
+    """All score tests of the first round, best first, and those that pass."""
+    run, full = sail(boat, SECONDS[0], 12, gyro), nominal(model_of(boat, gyro))
+    wanted = {n: e for n, e in catalogue().items() if full.accepts(e)}
+    everything, candidates = superset(full, wanted, [run])
+    records = [make_record(everything, run, 10.0)]
+    stage = fit_with_rescaling(full, records, ())
+    size = size_of(stage.fit.model)
+    return score_all(stage, records, {n: scale_priors(e, size) for n, e in candidates.items()})
+
+
+def estimates(found: Diagnosis, names: Sequence[str]) -> Mapping[str, tuple[float, float]]:
+    return {n: found.after.fit.estimate(n) for n in names}
+
+
+def spring(stiffness: float, slack: float, north: float, east: float) -> Force:
+    """An elastic line to a fixed point, slack up to its length."""
+
+    def force(now: Moment) -> tuple[float, float, float]:
+        dn, de = now.north - north, now.east - east
+        away = math.hypot(dn, de)
+        tension = stiffness * max(away - slack, 0.0) / (away + 1e-9)
+        return *now.into_body(-tension * dn, -tension * de), 0.0
+
+    return force
+
+
+def line(k: float, north: float, east: float) -> Force:
+    """A line that is paid out from a fixed point and drags along itself."""
+
+    def force(now: Moment) -> tuple[float, float, float]:
+        pull = k * math.hypot(now.north - north, now.east - east) * math.hypot(now.vn, now.ve)
+        return *now.into_body(-pull * now.vn, -pull * now.ve), 0.0
+
+    return force
+
+
+def wind(north: float, east: float, k: float, arm: float) -> Force:
+    """Quadratic in the relative wind; ``arm``: of the lateral force, ahead of the origin."""
+
+    def force(now: Moment) -> tuple[float, float, float]:
+        along, across = now.into_body(north - now.vn, east - now.ve)
+        speed = math.hypot(along, across)
+        return 0.9 * k * speed * along, k * speed * across, arm * k * speed * across
+
+    return force
+
+
+def stalled(*sides: str) -> Loss:
+    """Up to half of the thrust of these sides is lost with the square of the yaw rate."""
+    return lambda side, now: 1 - 0.5 * min(abs(now.r) / 0.8, 1.0) ** 2 * (side in sides)
+
+
+SMALL = 0.6  # times the length: 9 kg
+FOUND: dict[str, tuple[IndependentBoat, bool, str, dict[str, float]]] = {
+    "spring": (IndependentBoat(force=spring(0.9, 6.0, 4.0, -3.0)), True, "mooring",
+               {"k_m": 0.9, "l_slack": 6.0, "F_mx": 3.6, "F_my": -2.7}),
+    "line": (IndependentBoat(force=line(0.08, 8.0, -6.0)), True, "tether",
+             {"k_tether": 0.08, "x_tether": 8.0, "y_tether": -6.0}),
+    "surge": (IndependentBoat(force=lambda now: (-6.4, 0.0, 0.0)), True, "steady-force", {"X_0": -6.4, "Y_0": 0.0}),
+    "sway": (IndependentBoat(force=lambda now: (0.0, 4.0, 0.0)), True, "steady-force", {"X_0": 0.0, "Y_0": 4.0}),
+    "pull": (IndependentBoat(force=lambda now: (*now.into_body(3.0, -4.0), 0.0)), True, "steady-pull",
+             {"F_north": 3.0, "F_east": -4.0}),
+    "wind": (IndependentBoat(SMALL, wind(3.0, -2.5, 0.1, -0.15)), False, "wind", {"w_x": 0.9, "w_n": -0.15}),
+    "stall": (IndependentBoat(loss=stalled("left")), True, "unknown T_left(r)", {}),
+    "both": (IndependentBoat(loss=stalled("left", "right")), True, "unknown T(r)", {}),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", FOUND)
+def test_a_weak_effect_is_found_with_its_size(case: str) -> None:
+    boat, gyro, name, truth = FOUND[case]
+    found = found_on(boat, gyro)
+    assert [q.effect.name for q in found.effects] == [name]
+    assert found.judgements[0].attribution == ("nonparametric" if name.startswith("unknown") else "identified")
+    for parameter, (value, error) in estimates(found, list(truth)).items():
+        assert value == pytest.approx(truth[parameter], abs=4 * error), parameter
+        assert error < max(0.15 * abs(truth[parameter]), 0.1) or parameter.endswith("_tether"), parameter
+    for mass, full in (("m_u", 42.0), ("m_v", 58.0)):
+        value, error = found.after.fit.estimate(mass)
+        assert value == pytest.approx(full * boat.weight, abs=4 * error)
+
+
+@pytest.mark.slow
+def test_a_drawn_thrust_loss_is_that_of_the_boat() -> None:
+    """Over the yaw rates that the boat has: none on a straight course, half of the thrust in the tightest turns."""
+    (curve,) = found_on(IndependentBoat(loss=stalled("left"))).shapes
+    assert (curve.force, curve.variable, curve.unit) == ("T_left", "r", "")
+    wanted = [-0.5 * min(abs(r) / 0.8, 1.0) ** 2 for r in curve.grid]
+    assert curve.value == pytest.approx(wanted, abs=0.06)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axis", ["surge", "sway"])
+def test_a_sloshing_mass_passes_the_score_test_along_either_axis(axis: str) -> None:
+    scores, passed = scores_of(IndependentBoat(slosh=Slosh(9.0, 0.5, 0.05, axis)))
+    name = {"surge": "pendulum", "sway": "sway-slosh"}[axis]
+    assert name in [s.name for s in passed]
+    best = next(s for s in scores if s.name == name)
+    (frequency,) = best.scan.values()
+    assert frequency == pytest.approx(0.5, abs=0.06)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scale", [1.0, SMALL])
+def test_a_boat_that_lacks_nothing_stays_so(scale: float) -> None:
+    assert not found_on(IndependentBoat(scale)).effects
