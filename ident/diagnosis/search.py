@@ -209,7 +209,7 @@ class _Search:
             self.reporter.progress(
                 f"round {len(self.rounds) + 1}: {len(passed)} of {len(scores)} candidates pass, best {tried[0].name}"
             )
-            one = self._round(current, scores, tried, largest)
+            one = self._round(current, scores, tried)
             self.rounds.append(one)
             if one.chosen is None:
                 return current, passed
@@ -235,7 +235,7 @@ class _Search:
             self.reporter.progress(f"fitting without {effect.title}, which does not pay")
             current = fit_without(before, current, chosen, effect, self.records, self.unseen)
 
-    def _round(self, current: FittedModel, scores: list[Score], passed: list[Score], largest: float) -> Round:
+    def _round(self, current: FittedModel, scores: list[Score], passed: list[Score]) -> Round:
         specific = [s for s in passed if not s.generic]
         specific = [s for s in specific if s.criterion(self.n) > MIN_SCORE_RATIO * specific[0].criterion(self.n)]
         refits: list[Refit] = []
@@ -254,11 +254,11 @@ class _Search:
         unknown = [s for s, whole in generic if s.criterion(self.n) > least or whole][:N_UNKNOWN]
         self._refit_all(current, [(_unknown(s, current), s) for s in unknown], refits, untested)
         names = tuple(s.name for s in passed)
-        refits, chosen = self._choose(current, refits, untested, largest)
+        refits, chosen = self._choose(current, refits, untested)
         return Round(tuple(scores), names, tuple(refits), chosen, tuple(untested))
 
     def _choose(
-        self, current: FittedModel, refits: list[Refit], untested: list[UntestedCandidate], largest: float
+        self, current: FittedModel, refits: list[Refit], untested: list[UntestedCandidate]
     ) -> tuple[list[Refit], Refit | None]:
         """The refits with what became of them, best first, and the best that is accepted, fitted exactly."""
         judged: list[Refit] = []
@@ -268,7 +268,7 @@ class _Search:
                 r = replace(r, outcome=Outcome.NOT_SUPPORTED if r.criterion <= 0 else Outcome.NOT_VALIDATED)
             elif chosen is None:
                 try:
-                    r = self._exact(current, r, largest)
+                    r = self._exact(current, r)
                 except FIT_ERRORS as problem:
                     untested.append(UntestedCandidate(r.effect, str(problem)))
                     continue
@@ -276,7 +276,7 @@ class _Search:
             judged.append(r)
         return judged, chosen
 
-    def _exact(self, current: FittedModel, rough: Refit, largest: float) -> Refit:
+    def _exact(self, current: FittedModel, rough: Refit) -> Refit:
         """A validated refit fitted exactly and judged by its prediction. Raises ValueError where that fails or does not
         converge."""
         own = {p.name: p.value for p in rough.effect.parameters if not p.per_record}
@@ -292,7 +292,7 @@ class _Search:
                 continue
             if stage.fit.converged or not current.fit.converged:
                 exact = replace(rough, stage=stage, validation_gain=gain, t=t, prediction=prediction)
-                return replace(exact, outcome=_outcome(exact, largest))
+                return replace(exact, outcome=_outcome(exact, [r.chosen for r in self.rounds if r.chosen is not None]))
             reason = f"the fit with it did not converge: it {stage.fit.message}"
         raise ValueError(reason)
 
@@ -334,15 +334,18 @@ class _Search:
         return UntestedCandidate(effect, reason) if best is None else best
 
 
-def _outcome(exact: Refit, largest: float) -> Outcome:
-    """What becomes of an exact refit; ``largest``: gain so far."""
+def _outcome(exact: Refit, added: Sequence[Refit]) -> Outcome:
+    """What becomes of an exact refit beside what was added. A small one is left out, unless the prediction needs it or
+    it is a declared rival of a strong one: that one is not sure to be all of it."""
     assert exact.prediction is not None
     if not exact.validated:
         return Outcome.NOT_VALIDATED
     if not exact.accepted:
         return Outcome.WORSE_PREDICTION
     needed = exact.prediction.verdict == "fell" and exact.prediction.ratio < MAX_RATIO_OF_SMALL
-    return Outcome.ADDED if needed or exact.criterion > MIN_GAIN_RATIO * largest else Outcome.SMALL
+    kin = any(exact.effect.name in r.effect.rivals or r.effect.name in exact.effect.rivals for r in added)
+    largest = max((r.criterion for r in added), default=0.0)
+    return Outcome.ADDED if needed or kin or exact.criterion > MIN_GAIN_RATIO * largest else Outcome.SMALL
 
 
 def _degrees(effect: Effect, parameter: Parameter, n_records: int) -> int:

@@ -25,6 +25,7 @@ from ident.validation.prediction_errors import PredictionChange
 from mocks.plant.boat import Boat
 from tests.missions import boat_with, channels_of, sail
 
+SAME = PredictionChange(0.99, 0.9, 1.1, 10.0, {})
 FELL, ROSE = PredictionChange(0.7, 0.6, 0.8, 10.0, {}), PredictionChange(1.3, 1.2, 1.4, 10.0, {})
 
 
@@ -44,12 +45,12 @@ def refit(name: str, criterion: float, gain: float = 50.0, t: float = 5.0) -> Re
 def exactly(by_name: dict[str, PredictionChange | Exception]) -> Any:
     """In the place of the exact refit: what the prediction says, or why it fails."""
 
-    def exact(_search: _Search, _current: FittedModel, rough: Refit, largest: float) -> Refit:
+    def exact(_search: _Search, _current: FittedModel, rough: Refit) -> Refit:
         found = by_name.get(rough.effect.name, FELL)
         if isinstance(found, Exception):
             raise found
         one = replace(rough, prediction=found)
-        return replace(one, outcome=search._outcome(one, largest))
+        return replace(one, outcome=search._outcome(one, []))
 
     return exact
 
@@ -70,7 +71,7 @@ def test_the_best_of_the_accepted_is_chosen(
     monkeypatch.setattr(_Search, "_exact", exactly(by_name))
     refused = [refit(name, 1000.0 - k, gain=-5.0, t=-1.0) for k, name in enumerate("abcd")]
     lost: list[UntestedCandidate] = []
-    judged, chosen = a_search()._choose(blank(), [refit("f", 90.0), *refused, refit("e", 100.0)], lost, 0.0)
+    judged, chosen = a_search()._choose(blank(), [refit("f", 90.0), *refused, refit("e", 100.0)], lost)
     assert [r.outcome for r in judged] == outcomes
     added = [r for r in judged if r.outcome is Outcome.ADDED]
     assert [chosen] == (added or [None])
@@ -78,12 +79,20 @@ def test_the_best_of_the_accepted_is_chosen(
 
 
 @pytest.mark.parametrize(
-    ("prediction", "outcome"), [(FELL, Outcome.ADDED), (PredictionChange(0.99, 0.9, 1.1, 10.0, {}), Outcome.SMALL)]
+    ("name", "criterion", "prediction", "outcome"),
+    [
+        ("mount", 100.0, SAME, Outcome.ADDED),  # 1 % of the likelihood of its declared rival: 3 degrees
+        ("lift", 100.0, SAME, Outcome.SMALL),
+        ("lift", 100.0, FELL, Outcome.ADDED),
+        ("lift", 300.0, SAME, Outcome.ADDED),
+        ("mount", 300.0, ROSE, Outcome.WORSE_PREDICTION),
+    ],
 )
-def test_an_effect_that_the_prediction_needs_is_not_small(prediction: PredictionChange, outcome: Outcome) -> None:
-    """A mount of three degrees beside a compass: 1 % of its likelihood."""
-    assert search._outcome(replace(refit("mount", 100.0), prediction=prediction), 10_000.0) is outcome
-    assert search._outcome(replace(refit("mount", 300.0), prediction=prediction), 10_000.0) is Outcome.ADDED
+def test_what_is_small_by_its_likelihood_may_matter(
+    name: str, criterion: float, prediction: PredictionChange, outcome: Outcome
+) -> None:
+    compass = replace(refit("compass", 10_000.0), effect=catalogue()["compass"])
+    assert search._outcome(replace(refit(name, criterion), prediction=prediction), [compass]) is outcome
 
 
 SCANNED = Effect(
