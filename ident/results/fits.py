@@ -53,10 +53,11 @@ def vehicle_result(
     searchable = bool(residuals_of(evaluation.model))
     prediction = prediction_fit(evaluation)
     said = vehicle_answer(prediction, errors, evaluation.horizon, residuals, cross, searchable=searchable)
-    answer = " ".join(filter(None, [lead, said, *(homogeneity_sentence(a) for a in homogeneity)]))
+    failed = not_converged(stage.fit)
+    answer = [failed, lead] if failed else [lead, said, *(homogeneity_sentence(a) for a in homogeneity)]
     return VehicleResult(
         **msgspec.structs.asdict(made),
-        answer=not_converged(stage.fit) or answer,
+        answer=" ".join(filter(None, answer)),
         prediction=prediction,
         warnings=(*stuck_sensors(stage.records), *failed_run_notes(stage.failed)),
         notes=_notes(notes, evaluation, calibration),
