@@ -336,7 +336,7 @@ class _Search:
 
 def _outcome(exact: Refit, added: Sequence[Refit]) -> Outcome:
     """What becomes of an exact refit beside what was added. A small one is left out, unless the prediction needs it or
-    it is a declared rival of a strong one: that one is not sure to be all of it."""
+    it is a declared alternative of a strong one, which is then not sure to be all of it."""
     assert exact.prediction is not None
     if not exact.validated:
         return Outcome.NOT_VALIDATED
