@@ -73,7 +73,8 @@ class Record:
     t (n_rows,) [s], increasing; u (n_rows, n_inputs) at each row; u_next (n_rows, n_inputs) at the end of the
     interval that follows (equal to ``u`` for a zero-order hold); y (n_rows, n_outputs), NaN where nothing was
     measured (a sensor's outputs are all there or all NaN); h (n_rows,) the interval that follows, 0 in the
-    last row.
+    last row; ``start``: of a block from the middle of a run, mean and standard deviation of the states with which it
+    begins, where no measurement gives them: not at rest, as the model has it.
     """
 
     name: str
@@ -84,6 +85,7 @@ class Record:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     meta: Mapping[str, Any] = field(default_factory=dict)
+    start: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def h(self) -> Array:

@@ -12,6 +12,14 @@ from ident.report.record_tabs import RecordTab, of_record, record_tabs, roles_of
 from ident.results import Candidate, DiagnosisResult, NonparametricCurve, Refit, ResidualForce, Round
 
 SHOWN = 14
+OUTCOMES = {
+    "added": "added",
+    "outranked": "accepted; another explains more",
+    "small": "small beside what was found",
+    "not-supported": "does not pay for its parameters",
+    "not-validated": "validation data do not support it",
+    "worse-prediction": "prediction is worse with it",
+}
 
 
 def section(canvas: Canvas, result: DiagnosisResult) -> Section:
@@ -84,6 +92,7 @@ def _refits(row: Round) -> list[Any]:
         ("criterion", "num"),
         ("on validation data Δln L", "num"),
         ("t", "num"),
+        ("outcome", ""),
     )
     chosen = row.chosen
     return [Heading("Refits of the best"), Table(columns, [_refit(r, chosen) for r in found])] if found else []
@@ -106,6 +115,7 @@ def _refit(row: Refit, chosen: str | None) -> list[Cell | str]:
         Cell(formatting.plain(row.criterion), "num"),
         Cell(formatting.plain(row.validation_gain), "num"),
         Cell(formatting.plain(row.t, 2), "num"),
+        OUTCOMES[row.outcome],
     ]
 
 
