@@ -1,4 +1,5 @@
 from .answers import curve_notes as curve_notes
+from .answers import design_warnings as design_warnings
 from .answers import estimation_warnings as estimation_warnings
 from .design import Baseline as Baseline
 from .design import CommandTrace as CommandTrace

@@ -181,6 +181,20 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
     return said + stuck_sensors(records)
 
 
+def design_warnings(model: Model, thrust: float) -> list[ResultWarning]:
+    """What a design rests on that nobody gave: the model's own thrust and arms, or those between command and force;
+    ``thrust``: what one thruster is then taken to give at full speed [N]."""
+    said = scale_warnings(scale_of(model))
+    forces = [i.name for i in model.inputs if i.unit in ("N", "N m")]
+    if forces:
+        text = (
+            f"The model takes {', '.join(forces)} and not commands: the thrust of a command is a built-in "
+            f"{thrust:.0f} N at full speed, on built-in arms, and the standard errors are those of such thrusters."
+        )
+        said.append(ResultWarning(code="thrust-scale-unknown", text=text))
+    return said
+
+
 def scale_warnings(scale: ThrustScale) -> list[ResultWarning]:
     """What nobody gave of thrust and arms, and what follows."""
     said = []

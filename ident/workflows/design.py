@@ -46,6 +46,7 @@ from ident.results import (
     DesignResult,
     DesignTrack,
     Discrimination,
+    design_warnings,
     finite,
     format_number,
     provenance,
@@ -129,6 +130,7 @@ def make_design(source: str, wish: DesignRequest, out: Path, command: str, repor
         inputs=tuple(CommandTrace(name=c, t=task.t, value=made.command[:, k])
                      for k, c in enumerate(task.actuation.channels)),
         track=None if track is None else _track(track, task.limits), apart=apart,
+        warnings=tuple(design_warnings(task.model, task.actuation.full_thrust)),
     )  # fmt: skip
     title = " against ".join(wish.between) or f"{wish.criterion}-optimal for {', '.join(_chosen(task))}"
     save_new_mission(designed_mission(f"steps, {title}", thrusters, made, track, wish, source, command), out)
@@ -340,7 +342,7 @@ def worse_than(baseline: BaselineSignal, made: Design) -> str:
 
 def design_summary(result: DesignResult) -> Sequence[str]:
     """Lines for the terminal: the answer, and a line for each parameter."""
-    lines = [result.answer, ""]
+    lines = [*(f"⚠ {warning.text}" for warning in result.warnings), result.answer, ""]
     for p in result.parameters:
         before, after, baseline = ("–" if v is None else f"{v:.3g}" for v in (p.before, p.after, p.baseline))
         lines.append(
