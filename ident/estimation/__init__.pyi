@@ -46,3 +46,10 @@ from .standard_errors import AT_BOUND as AT_BOUND
 from .standard_errors import VAGUE as VAGUE
 from .stochastic_simulation import SampledInputs as SampledInputs
 from .stochastic_simulation import simulate_stochastic as simulate_stochastic
+from .thrust_scale import ReportedEstimates as ReportedEstimates
+from .thrust_scale import ThrustScale as ThrustScale
+from .thrust_scale import against_priors as against_priors
+from .thrust_scale import least_inertia as least_inertia
+from .thrust_scale import pose_scale as pose_scale
+from .thrust_scale import reported_units as reported_units
+from .thrust_scale import scale_of as scale_of

@@ -8,7 +8,7 @@ import msgspec
 
 from ident.diagnosis import Diagnosis, DiagnosisEvaluation, Refit, Round, recommended_experiment
 from ident.effects import catalogue
-from ident.estimation import FittedModel
+from ident.estimation import FittedModel, ReportedEstimates
 from ident.results import parts
 from ident.results.answers import (
     calibration_notes,
@@ -41,14 +41,17 @@ def diagnosis_result(
     evaluation: DiagnosisEvaluation,
     made: Provenance,
     *,
-    warnings: Sequence[str],
+    warnings: Sequence[parts.ResultWarning],
     notes: Sequence[str],
     model_path: str,
+    unused: Sequence[parts.UnusedSignal] = (),
 ) -> DiagnosisResult:
-    """``notes``: that come first; ``model_path``: of the model that was diagnosed, for the commands that are
+    """``notes``: that come first; ``unused``: signals that the model does not take;
+    ``model_path``: of the model that was diagnosed, for the commands that are
     recommended."""
     before, after = evaluation.before, evaluation.after
-    other = after if diagnosis.effects else None
+    other, reported = after if diagnosis.effects else None, ReportedEstimates(diagnosis.after.fit)
+    factors = {s.unit: reported.factor(s.unit) for s in diagnosis.shapes}
     errors, role = error_comparison(before, after, evaluation.changes), after.judged
     prediction = prediction_change(evaluation.changes[role], role) if diagnosis.effects else None
     failed = not_converged(diagnosis.before.fit) or not_converged(diagnosis.after.fit)
@@ -76,7 +79,8 @@ def diagnosis_result(
         inputs=all_inputs(after),
         residuals=residual_rows(before, other),
         cross=cross_correlations(before, other),
-        residual_forces=_forces(evaluation, bool(diagnosis.effects)),
+        unused_signals=tuple(unused),
+        residual_forces=_forces(diagnosis, evaluation),
         rounds=tuple(_round(r) for r in diagnosis.rounds) or (QUIET,),
         effects=_effects(diagnosis),
         remaining_candidates=tuple(
@@ -87,12 +91,12 @@ def diagnosis_result(
                 force=s.force,
                 sensor_error=s.reading,
                 variable=s.variable,
-                unit=s.unit,
+                unit=reported.scale.unit(s.unit),
                 variable_unit=s.variable_unit,
                 grid=s.grid,
-                value=s.value,
-                sd=s.sd,
-                band=s.band,
+                value=factors[s.unit] * s.value,
+                sd=factors[s.unit] * s.sd,
+                band=factors[s.unit] * s.band,
             )
             for s in diagnosis.shapes
         ),
@@ -154,17 +158,19 @@ def _listed(titles: Sequence[str]) -> str:
     return titles[0] if len(titles) == 1 else ", ".join(titles[:-1]) + " and " + titles[-1]
 
 
-def _forces(evaluation: DiagnosisEvaluation, changed: bool) -> tuple[parts.ResidualForce, ...]:
+def _forces(diagnosis: Diagnosis, evaluation: DiagnosisEvaluation) -> tuple[parts.ResidualForce, ...]:
+    before, after = (ReportedEstimates(stage.fit) for stage in (diagnosis.before, diagnosis.after))
+    changed = bool(diagnosis.effects)
     return tuple(
         parts.ResidualForce(
             record=old.record,
-            force=old.name,
-            unit=old.unit,
+            force=before.scale.name(old.name, old.unit),
+            unit=before.scale.unit(old.unit),
             t=old.t,
-            mean=old.mean,
-            sd=old.sd,
-            after_mean=new.mean if changed else None,
-            after_sd=new.sd if changed else None,
+            mean=before.factor(old.unit) * old.mean,
+            sd=before.factor(old.unit) * old.sd,
+            after_mean=after.factor(old.unit) * new.mean if changed else None,
+            after_sd=after.factor(old.unit) * new.sd if changed else None,
         )
         for old, new in zip(evaluation.forces_before, evaluation.forces_after, strict=True)
     )
@@ -213,9 +219,12 @@ def _refit(r: Refit) -> parts.Refit:
 
 
 def _own(r: Refit, stage: FittedModel) -> tuple[parts.EffectParameter, ...]:
-    rows = [(p, *stage.fit.estimate(p.name)) for p in r.effect.parameters]
+    reported = ReportedEstimates(stage.fit)
+    scale, rows = reported.scale, [(p, *reported.estimate(p)) for p in r.effect.parameters]
     return tuple(
-        parts.EffectParameter(name=p.name, meaning=p.meaning, unit=p.unit, value=value, se=finite(error))
+        parts.EffectParameter(
+            name=scale.name(p.name, p.unit), meaning=p.meaning, unit=scale.unit(p.unit), value=value, se=finite(error)
+        )
         for p, value, error in rows
     )
 
@@ -253,14 +262,15 @@ def _effects(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
 
 
 def _moved(diagnosis: Diagnosis) -> tuple[parts.ParameterChange, ...]:
-    before, after = diagnosis.before.fit, diagnosis.after.fit
-    rows = []
-    for p in before.model.parameters:
+    before, after = (ReportedEstimates(stage.fit) for stage in (diagnosis.before, diagnosis.after))
+    scale, rows = before.scale, []
+    for p in before.fit.model.parameters:
         if p.free and not p.per_record:
-            (a, sa), (b, sb) = before.estimate(p.name), after.estimate(p.name)
+            (a, sa), (b, sb) = before.estimate(p), after.estimate(p)
             rows.append(
                 parts.ParameterChange(
-                    name=p.name, unit=p.unit, before=a, before_se=finite(sa), after=b, after_se=finite(sb)
+                    name=scale.name(p.name, p.unit), unit=scale.unit(p.unit), before=a, before_se=finite(sa), after=b,
+                    after_se=finite(sb),
                 )
             )
     return tuple(rows)

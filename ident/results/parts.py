@@ -69,6 +69,23 @@ class Provenance(Part, frozen=True, kw_only=True):
     logs: tuple[LogSummary, ...] = ()
 
 
+WarningCode = Literal[
+    "log-check",
+    "thrust-scale-unknown",
+    "arm-unknown",
+    "stuck-sensor",
+    "prior-contradicted",
+    "inertia-too-small",
+]
+
+
+class ResultWarning(Part, frozen=True, kw_only=True):
+    """What must be known before an estimate is read."""
+
+    code: WarningCode
+    text: Annotated[str, Meta(description="a line for people")]
+
+
 class Result(Provenance, frozen=True, kw_only=True):
     """What every result says."""  # subclasses add tag_field="kind" and their kind as tag
 
@@ -77,8 +94,8 @@ class Result(Provenance, frozen=True, kw_only=True):
         str, Meta(description="the answer in a sentence or two, for people; of a fit that did not converge, that alone")
     ]
     warnings: Annotated[
-        tuple[str, ...],
-        Meta(description="lines to read before the estimates: a sensor was stuck"),
+        tuple[ResultWarning, ...],
+        Meta(description="to read before the estimates: no thrust scale was given, the fit did not converge"),
     ] = ()
     notes: Annotated[
         tuple[str, ...],
@@ -87,6 +104,48 @@ class Result(Provenance, frozen=True, kw_only=True):
             "in each channel"
         ),
     ] = ()
+
+
+ORIGINS = (
+    "`estimated` from these logs, `measured` on the bench, `given` by the user as a value, `prior`: by the user with a "
+    "standard deviation, `built-in`: by nobody"
+)
+
+
+class ForceScale(Part, frozen=True, kw_only=True):
+    """What forces, masses and damping rest on."""
+
+    thrust: Annotated[str | None, Meta(description=f"provenance of c1; null: the model has none. {ORIGINS}")] = None
+    arm: Annotated[str | None, Meta(description="provenance of the thrusters' arms; null: none, or not needed")] = None
+    relative: Annotated[
+        bool,
+        Meta(
+            description="masses, damping and forces are ratios to T = c1 + c2, the full-ahead thrust of one thruster "
+            "(of both in a surge model): `m_u/T` [kg/N]"
+        ),
+    ] = False
+    relative_yaw: Annotated[
+        bool,
+        Meta(description="what belongs to the yaw equation is a ratio to the arm of the thrusters, too: `m_r/y_arm`"),
+    ] = False
+    statistical_only: Annotated[
+        bool, Meta(description="standard errors leave out how well the thrust itself is known: nobody said")
+    ] = False
+
+
+class UnusedSignal(Part, frozen=True, kw_only=True):
+    """A signal of a log that no input and no sensor of the model takes."""
+
+    signal: str
+    logs: Annotated[tuple[str, ...], Meta(description="names of the logs that have it")]
+    code: Annotated[
+        Literal["incomplete-sensor", "other-name", "not-in-model", "unknown-name"],
+        Meta(
+            description="`incomplete-sensor`: it needs another one beside it; `other-name`: ident knows it by another "
+            "name or unit; `not-in-model`: this model has no place for it; `unknown-name`: no model takes that name"
+        ),
+    ]
+    reason: str
 
 
 class EffectParameter(Part, frozen=True, kw_only=True):
@@ -108,6 +167,7 @@ class ParameterRow(Part, frozen=True, kw_only=True):
     value: float
     se: Annotated[float | None, Meta(description="standard error; null: fixed, at a bound or not informed")]
     free: Annotated[bool, Meta(description="false: it was not estimated")]
+    origin: Annotated[str, Meta(description=f"provenance of the value: {ORIGINS}")] = "estimated"
     prior_share: Annotated[
         float | None, Meta(description="part of its information that came from the prior, 0..1; null: not estimated")
     ] = None
@@ -139,6 +199,7 @@ class FitSummary(Part, frozen=True, kw_only=True):
     log_likelihood: float | None
     iterations: int
     cpu: Annotated[float, Meta(description="CPU time [s]")]
+    scale: ForceScale = ForceScale()
     parameters: tuple[ParameterRow, ...]
     correlation: Correlation
 
@@ -421,6 +482,9 @@ class FitResult(Result, frozen=True, kw_only=True):
     inputs: tuple[InputTrace, ...]
     residuals: Annotated[tuple[ResidualTests, ...], Meta(description="one a record of estimation and channel")]
     cross: Annotated[tuple[CrossCorrelation, ...], Meta(description="one a record of estimation, channel and input")]
+    unused_signals: Annotated[
+        tuple[UnusedSignal, ...], Meta(description="signals of the logs that the model does not take, and why")
+    ] = ()
 
 
 class StaticForce(Part, frozen=True, kw_only=True):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from daq.config import Mission, Prediction, Segment, save_new_mission
 from daq.errors import SeatrialError
 from ident.effects import catalogue
-from ident.estimation import dynamic_parameters, load_model
+from ident.estimation import dynamic_parameters, load_model, reported_units
 from ident.experiment_design import (
     PRIOR_HALFWIDTH,
     BaselineSignal,
@@ -34,7 +34,7 @@ from ident.experiment_design import (
     predicted_track,
     separation,
 )
-from ident.model import Model
+from ident.model import Model, Parameter
 from ident.models import make_model
 from ident.numerics import Array, scaled_pseudo_inverse
 from ident.report import tidy, write_design_page
@@ -153,8 +153,11 @@ def designed_mission(
         Segment("static", np.zeros(1), np.zeros((1, len(thrusters)))),
         Segment("designed steps", significant(edges[:-1], 6), significant(levels, 6)),
     )
+    units, model = reported_units(made.task.model), made.task.model
+    factors = {name: units.factor(model.parameter(name).unit) for name in made.task.learned}
     predicted, before = (
-        {k: float(f"{v:.4g}") for k, v in errors.items() if np.isfinite(v)} for errors in (made.predicted, made.before)
+        {k: float(f"{v * factors[k]:.4g}") for k, v in errors.items() if np.isfinite(v)}
+        for errors in (made.predicted, made.before)
     )
     prediction = None
     if track is not None:
@@ -286,12 +289,16 @@ def _rows(task: DesignProblem) -> NDArray[np.intp]:
 
 def _parameters(made: Design, baseline: Mapping[str, float]) -> tuple[DesignedParameter, ...]:
     model, before, after = made.task.model, made.before, made.predicted
-    chosen = _chosen(made.task)
+    chosen, units = _chosen(made.task), reported_units(model)
+
+    def told(errors: Mapping[str, float], p: Parameter) -> float | None:
+        return finite(errors[p.name] * units.factor(p.unit))
+
     return tuple(
         DesignedParameter(
-            name=p.name, meaning=p.meaning, unit=p.unit, value=p.value, before=finite(before[p.name]),
-            after=finite(after[p.name]), form=finite(made.errors[p.name]), baseline=finite(baseline[p.name]),
-            chosen=p.name in chosen,
+            name=p.name, meaning=p.meaning, unit=units.scale.unit(p.unit),
+            value=p.value * units.factor(p.unit), before=told(before, p), after=told(after, p),
+            form=told(made.errors, p), baseline=told(baseline, p), chosen=p.name in chosen,
         )
         for p in (model.parameter(name) for name in made.task.learned)
     )  # fmt: skip

@@ -239,16 +239,34 @@ def test_the_terminal_has_the_key_figures(diagnosis: dict[str, Any]) -> None:
         assert words in text
 
 
+@pytest.mark.parametrize("fit", ["before", "after"])
+def test_a_fit_that_did_not_converge_has_no_headline(fit: str, diagnosis: dict[str, Any], tmp_path: Path) -> None:
+    result = shortened(copy.deepcopy(diagnosis)) | {"answer": "The fit did not converge: it stopped."}
+    if fit == "after":
+        result["fit"]["converged"] = False
+    else:
+        result["converged_before"] = False
+    words = " ".join(Page(written(result, tmp_path)).words.split())
+    first = words[words.index("The fit did not converge") : words.index("Predicted 10 s ahead against measured")]
+    assert "6.08" not in first
+    assert "before → after" not in first
+    assert printed(result).split()[0] == "⚠"
+    assert not loaded(result).converged
+
+
 def test_the_terminal_says_the_units_of_outages() -> None:
     words = " ".join(printed(KINDS["navigation"]()).split())
     assert "from [s] for [s] 95 % radius [m] off by [m] allowed [m]" in words
 
 
 def test_what_an_estimate_must_not_be_read_without_comes_before_it() -> None:
-    told = {"answer": "Done.", "warnings": ["The fit did not converge.", "gauge: a stuck sensor?"]}
+    told = {"answer": "Done.", "warnings": [
+        {"code": "arm-unknown", "text": "Nobody gave the arms."},
+        {"code": "stuck-sensor", "text": "gauge: a stuck sensor?"},
+    ]}
     words = printed(KINDS["thruster"]() | told)
-    assert words.index("⚠ The fit did not converge.") < words.index("⚠ gauge: a stuck sensor?")
-    assert words.index("Done.") < words.index("⚠ The fit")
+    assert words.index("⚠ Nobody gave the arms.") < words.index("⚠ gauge: a stuck sensor?")
+    assert words.index("⚠ gauge") < words.index("Done.")
 
 
 def test_a_flag_wraps_and_the_numbers_do_not() -> None:
