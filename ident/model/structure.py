@@ -300,6 +300,7 @@ class Model:
     kind: ModelKind = ModelKind.VEHICLE
     horizon: float = 10.0  # s that predictions go ahead where nobody says otherwise
     disturbance: Effect | None = None  # what it does not explain, as states; None: forces on the hull, where it has one
+    max_step: float = 0.1  # s between two rows, at most, for its quickest states
     second_order: bool = False  # the filter's mean goes with the curvature of the rates (engine.graphs)
 
     def __post_init__(self) -> None:

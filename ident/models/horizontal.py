@@ -63,7 +63,8 @@ THRUST = (
 DELAY_STEP, N_DELAYS = 0.05, 17  # s, and copies of each command: delays up to 0.8 s
 FURTHEST = 20  # copies of a measured input, at most
 DEAD_ZONE_EDGE = 0.05  # of the command: over which the dead zone ends
-SHORTEST_LAG = 0.06  # s; Runge-Kutta steps of 0.1 s follow no quicker state
+SHORTEST_LAG = 0.05  # s, and
+DRIVEN_STEP = 0.05  # s: longer Runge-Kutta steps do not follow so quick a state
 SHAFT = (
     Parameter("T_n", 0.2, "s", "time constant of the shafts", prior=(0.2, 0.5), bounds=(0.0, 3.0), step=0.02),
     Parameter("tau_n", 0.1, "s", "delay of the shafts behind the command", prior=(0.1, 0.3), bounds=(0.0, 0.8),
@@ -148,6 +149,7 @@ def horizontal_model(
         (*first, ("force", force), ("rate", rate), ("output", output)),
         provides=(*provides, "hull", *(("body_velocity",) if "body_velocity" in sensors else ())),
         source=f"horizontal:{propulsion}" + ("" if current else ":no-current"),
+        max_step=DRIVEN_STEP if propulsion == "command" else 0.1,
     )
 
 
