@@ -60,8 +60,7 @@ def ranking(row: Round) -> list[Any]:
     ticks = [(at(10.0**d) if d > math.log10(low) else 0.0, f"{10**d:,}" if d >= 0 else f"{10.0**d:g}") for d in decades]
     caption = (
         f"{row.passed} of {row.tested} candidates passed the score test; the {len(best)} best by their statistic (χ², "
-        "logarithmic axis). The upright line is the threshold, for as many tests as were made; pale: not passed; "
-        "hatched: a curve without a name"
+        "logarithmic axis), with the threshold for as many tests as were made"
     )
     return [Heading("Candidates"), Ranking(bars, ticks, caption)]
 
