@@ -210,8 +210,8 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     "--model",
     default="auto",
     show_default=True,
-    help="horizontal:shaft, horizontal:force, horizontal:general (each also with :no-current, or "
-    ":random-walk-current), "
+    help="horizontal:shaft, horizontal:command (held commands, shafts that are states), horizontal:force, "
+    "horizontal:general (each also with :no-current, or :random-walk-current), "
     "kinematic:shaft|force (measured attitude; :yaw with the yaw equation, and the same two for the current), "
     "surge:force|shaft:position|speed|both, yaw:rate|both, or FILE.py:NAME for your own.",
 )

@@ -35,7 +35,9 @@ MOST_PARAMETERS, MOST_CANDIDATES, MOST_CHANNELS = 9, 6, 8
 def print_result(result: Result, console: Console) -> None:
     """Print the answer, the parameters, the ranked candidates, and the error before and after."""
     console.print()
-    console.print(Padding(Text(result.answer, style="bold"), (0, 1)))
+    failed = isinstance(result, FitResult) and not result.converged
+    answer = Text(f"⚠ {result.answer}", "bold yellow") if failed else Text(result.answer, "bold")
+    console.print(Padding(answer, (0, 1)))
     caveat = result.caveat if isinstance(result, DiagnosisResult) else None
     for line in (*([caveat] if caveat else []), *(f"⚠ {line}" for line in result.warnings)):
         console.print(Padding(Text(line, style="yellow"), (0, 1)))

@@ -52,10 +52,10 @@ def vehicle_result(
     searchable = bool(residuals_of(evaluation.model))
     prediction = prediction_fit(evaluation)
     said = vehicle_answer(prediction, errors, evaluation.horizon, residuals, cross, searchable=searchable)
-    answer = " ".join([said, *(homogeneity_sentence(a) for a in homogeneity)])
+    answer = not_converged(stage.fit) or " ".join([said, *(homogeneity_sentence(a) for a in homogeneity)])
     return VehicleResult(
         **msgspec.structs.asdict(made),
-        answer=faults_first(made) + (not_converged(stage.fit) or answer),
+        answer=faults_first(made) + answer,
         prediction=prediction,
         warnings=(*check_warnings(made), *stuck_sensors(stage.records)),
         notes=_notes(notes, evaluation, calibration),

@@ -73,10 +73,12 @@ class Result(Provenance, frozen=True, kw_only=True):
     """What every result says."""  # subclasses add tag_field="kind" and their kind as tag
 
     format: Literal["seatrial-result 2"] = "seatrial-result 2"
-    answer: Annotated[str, Meta(description="the answer in a sentence or two, for people")]
+    answer: Annotated[
+        str, Meta(description="the answer in a sentence or two, for people; of a fit that did not converge, that alone")
+    ]
     warnings: Annotated[
         tuple[str, ...],
-        Meta(description="lines to read before the estimates: the fit did not converge, a sensor was stuck"),
+        Meta(description="lines to read before the estimates: a sensor was stuck"),
     ] = ()
     notes: Annotated[
         tuple[str, ...],
@@ -551,7 +553,7 @@ class RemainingCandidate(Part, frozen=True, kw_only=True):
 class NonparametricCurve(Part, frozen=True, kw_only=True):
     """A nonparametric effect as the data draw it."""
 
-    force: Annotated[str, Meta(description="force, or the sensor whose error it is")]
+    force: Annotated[str, Meta(description="force, or relative change of thrust (`T`, `T_left`), or sensor in error")]
     sensor_error: Annotated[bool, Meta(description="not a force, but the error of this sensor")]
     variable: str
     unit: str

@@ -102,7 +102,7 @@ def _identified(
     row: Row = {"vehicle": vehicle.answer, "warnings": list(vehicle.warnings), "fit": vehicle.fit}
     row["converged"] = vehicle.fit.converged
     if not diagnose:
-        return row | {"found": [], "attribution": [], "rivals": [], "answer": ""}
+        return row | {"found": [], "attribution": [], "rivals": [], "answer": vehicle.answer}
     seatrial(folder, "ident", "diagnose", "vehicle/model.toml", *logs, "--out", "found")
     found = read_result(folder / "found" / "result.json")
     assert isinstance(found, DiagnosisResult)
@@ -150,7 +150,7 @@ def verdict(row: Row) -> str:
 
 def _expected(row: Row, name: str) -> bool:
     """That a parameter differs between runs is true where the payload does."""
-    return row["rig"] == "payload" and "differs" in name
+    return row["rig"] == "payload" and name.startswith("between-runs:")
 
 
 # Tables.
@@ -243,8 +243,9 @@ def plants(rows: Sequence[Row]) -> tables.Lines:
     lines = [["plant", "switched on", "in its equations besides", "found", "how", "verdict", "beyond 3 s.e."]]
     for r in rows:
         beyond = ", ".join(f"{n} {z:+.1f}" for n, z in r["z"].items() if abs(z) > 3)
-        lines.append([r["rig"], r["effect"], ", ".join(sorted(PLANTS[r["rig"]].there)), ", ".join(r["found"]) or NONE,
-                      ", ".join(r["attribution"]), verdict(r), beyond])
+        plant = PLANTS[r["rig"]]
+        said = [", ".join(r["found"]) or NONE, ", ".join(r["attribution"]), verdict(r)] if plant.diagnosed else [""] * 3
+        lines.append([plant.name, r["effect"], ", ".join(sorted(plant.there)), *said, beyond])
     return lines
 
 
