@@ -75,6 +75,7 @@ study: .venv/ready
 	    --docs docs/study.md $(SEED_OPTION)
 	@$(BIN)/python -m tests.recovery.study $(SEED_OPTION) --docs
 	@$(BIN)/python -m tests.recovery.rigs $(SEED_OPTION) --docs
+	@$(BIN)/python -m tests.recovery.misuse $(SEED_OPTION) --docs
 	@$(BIN)/python -m tests.recovery.bench_study $(SEED_OPTION) --docs
 	@$(BIN)/python -m tests.golden.fuzz --n 1000000 $(SEED_OPTION)
 	@$(BIN)/python -m tests.bench.fault_trials --n $(or $(N),20) $(SEED_OPTION)

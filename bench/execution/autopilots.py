@@ -5,14 +5,17 @@ Nothing of theirs is changed but what was asked for: with `arm` they are put int
 
 from __future__ import annotations
 
+import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 
 from daq.acquisition import Acquisition, Status
 from daq.clock import RunClock
 from daq.drivers import LinkStatus, check_parameters
 from daq.errors import SafetyStop, SeatrialError
-from daq.rig import Device, Rig
+from daq.rig import Device, Rig, Thruster
+from daq.samples import Servo
 
 # Wall seconds.
 AWAIT_S = 10.0  # for heartbeats, parameters and answers
@@ -20,10 +23,41 @@ ESTIMATOR_S = 60.0  # it needs 30 to 40 s after power-on
 POLL_S = 0.05
 LINK_AGE_S = 3.0  # heartbeats come once a second
 LEAVE_S = 1.0  # for the disarming at a stop to be seen
+REASONS_S = 1.0  # for the texts that come after a refusal
 NEUTRAL_S = 0.3  # of neutral sticks before arming
 # EKF_STATUS_REPORT: attitude, horizontal velocity, absolute horizontal position; and no constant-position mode.
 EKF_WANTED, EKF_UNWANTED = 1 | 2 | 16, 128
+TOLERANCE, WINDOW_S = 0.05, 0.5  # of an output from the commands of the last moment, and that moment
 MANUAL, MANUAL_NUMBER = "MANUAL", 0.0
+
+
+class OutputCheck:
+    """Compares what an autopilot puts out for a thruster with what was commanded: each parameter that bends, blocks or
+    crosses commands shows there."""
+
+    def __init__(self, thruster: Thruster, speed: float) -> None:
+        self._thruster, self._window = thruster, WINDOW_S * speed
+        self._commands: deque[tuple[float, float]] = deque()  # run time, n_cmd
+        self._wrong_since = math.nan
+
+    def reason(self, status: Status) -> str:
+        """Why the run has to end, in one line; empty while the output is one of the commands of the last moment."""
+        self._commands.append((status.t, status.commanded.get(self._thruster.name, 0.0)))
+        while self._commands[0][0] < status.t - 2.0 * self._window:
+            self._commands.popleft()
+        latest = status.latest.get((self._thruster.device, self._thruster.node))
+        if latest is None or not isinstance(latest.sample, Servo) or not math.isfinite(latest.sample.n):
+            return ""
+        recent = [n for t, n in self._commands if t >= latest.t - self._window]
+        n = latest.sample.n
+        if not recent or min(recent) - TOLERANCE <= n <= max(recent) + TOLERANCE:
+            self._wrong_since = math.nan
+            return ""
+        self._wrong_since = latest.t if math.isnan(self._wrong_since) else self._wrong_since
+        if latest.t - self._wrong_since < self._window:
+            return ""
+        name, device = self._thruster.name, self._thruster.device
+        return f"{device} puts out n = {n:+.2f} for {name}, commanded {recent[-1]:+.2f}: a parameter of it does that"
 
 
 class Autopilots:
@@ -43,6 +77,8 @@ class Autopilots:
         self._devices = [device for name in names if (device := rig.device(name)).mavlink is not None]
         self._armed: list[str] = []  # by us
         self._prepared = False
+        behind = [rig.thruster(name) for name in thrusters if rig.thruster(name).output is not None]
+        self._outputs = [OutputCheck(thruster, clock.speed) for thruster in behind]
 
     def await_ready(self) -> None:
         """Until every autopilot is fit to run the mission. Raises SeatrialError."""
@@ -124,6 +160,9 @@ class Autopilots:
         """Ask, and wait for the answer and for its effect; raises SeatrialError with the autopilot's reason."""
         self._acquisition.request(device.name, action, value)
         link = self._await(device, lambda link: link.answer.startswith(f"{action}:"), AWAIT_S)
+        if link is not None and link.answer != f"{action}: accepted":
+            self._wait(REASONS_S)
+            link = self._link(device)
         if link is None or link.answer != f"{action}: accepted":
             raise SeatrialError(f"{device.name}: {link.answer if link else f'{action}: no answer'}")
         if self._await(device, done, AWAIT_S) is None:
@@ -148,6 +187,9 @@ class Autopilots:
                 yield f"{device.name} went over to {link.mode}{reason}"
             if link.alarm:
                 yield f"{device.name} says {link.alarm}"
+        for output in self._outputs:
+            if reason := output.reason(status):
+                yield reason
 
     def release(self) -> None:
         """Disarm what was armed here; reports where that is not confirmed. Thrust has to be zero before."""

@@ -53,7 +53,7 @@ _QUANTITIES = {  # by key of [limits]
     "force_n": _Quantity(
         "force",
         {LoadCell: lambda cell: NAN if cell.flags else cell.force},
-        "give the load cell its [device.calibration]",
+        "a load cell needs its [device.calibration]",
     ),
     "rpm": _Quantity("shaft speed", {Esc: lambda esc: esc.rpm}, _STATUS),
     "current_a": _Quantity("current", {Esc: lambda esc: esc.current}, _STATUS),

@@ -286,21 +286,14 @@ def _controllers(log: Log) -> Iterator[Finding]:
 def _imported(log: Log) -> Iterator[Finding]:
     """Signals of an imported file: rows that the import left out, stamps that lost their zeros, values that stay."""
     by_map = log.attachments.get("import.toml", b"").replace(b"'", b'"')
-    meant = b'repeats = "drop"' in by_map or b"missing = " in by_map
     k = 1
     while (name := log.metadata.get(f"source.{k}.name")) is not None:
-        dropped = int(log.metadata.get(f"source.{k}.dropped", "0"))
+        left_out = int(log.metadata.get(f"source.{k}.disordered", "0"))
         k += 1
-        if dropped and not meant:
-            text = f"{counted(dropped, 'row')} left out: times that ran back or repeated, or no number"
-            yield Finding(
-                WARNING,
-                "rows-left-out",
-                "time",
-                name,
-                text,
-                "look at its clock; `fraction` of the map mends lost zeros",
-            )
+        if left_out:
+            text = f"{counted(left_out, 'row')} left out: times that ran back or repeated"
+            advice = "look at its clock; `fraction` of the map mends lost zeros"
+            yield Finding(WARNING, "rows-left-out", "time", name, text, advice)
     if b"unpadded-ns" in by_map:
         text = "time stamps whose nanoseconds had lost their zeros, put right by the import's map"
         yield Finding(WARNING, "lost-zeros-restored", "time", log.path.name, text, "mend the logger")

@@ -78,6 +78,7 @@ class MavlinkDriver(DeviceDriver):
         self._awaited: dict[str, int] = {}  # parameters and how often each was requested
         self._asked = -math.inf
         self._reasons: list[str] = []
+        self._refusal = ""  # the last request's, without its reasons
         self._started = False
         self._boot_ms = 0  # the newest
 
@@ -128,7 +129,8 @@ class MavlinkDriver(DeviceDriver):
         else:
             self._commands.popleft()
             self._armed_by_us = self._armed_by_us or (command.what == "arm" and m.result == ACCEPTED)
-            reasons = "" if m.result == ACCEPTED or not self._reasons else f" ({'; '.join(self._reasons)})"
+            self._refusal = "" if m.result == ACCEPTED else f"{command.what}: {word}"
+            reasons = f" ({'; '.join(self._reasons)})" if self._refusal and self._reasons else ""
             self._answer(command.what, word + reasons)
 
     def _refused(self, command: _Command, word: str) -> None:
@@ -159,6 +161,8 @@ class MavlinkDriver(DeviceDriver):
         text = printable(m.text)
         if text.startswith(("PreArm:", "Arm:")):
             self._reasons = [*self._reasons, text][-3:]
+            if self._refusal:  # its reasons come after the answer
+                self._status = replace(self._status, answer=f"{self._refusal} ({'; '.join(self._reasons)})")
         elif m.severity <= CRITICAL and not m.chunk_seq:  # a later part of a long text has no beginning to go by
             self._status = replace(self._status, alarm=f"{SEVERITIES[m.severity]}: {text}")
 
@@ -172,7 +176,7 @@ class MavlinkDriver(DeviceDriver):
             if action == "leave":
                 self._commands += [_Command(ARM, (0.0,) * 7, "disarm")] if self._armed_by_us else []
                 continue
-            self._reasons = []
+            self._reasons, self._refusal = [], ""
             self._status = replace(self._status, answer="")
             if action == "mode":
                 self._commands.append(_Command(SET_MODE, (CUSTOM_MODE, value, 0, 0, 0, 0, 0), action))

@@ -76,6 +76,7 @@ def _write_piece(
         metadata[f"source.{i}.name"] = one.path.name
         metadata[f"source.{i}.sha256"] = one.sha256
         metadata[f"source.{i}.dropped"] = str(one.n_dropped)
+        metadata[f"source.{i}.disordered"] = str(one.n_disordered)
         for signal in one.signals:
             cut = _cut(signal, piece)
             signals.append(replace(cut, t=cut.t + source.time.origin))

@@ -43,6 +43,7 @@ class FileData:
     sha256: str
     signals: tuple[SignalData, ...]
     n_dropped: int  # rows out of order and cells without a number, where the map drops them
+    n_disordered: int  # of these, the rows whose times ran back or repeated
 
 
 class _Cells:
@@ -120,6 +121,7 @@ def read_csv(path: Path, source: Source) -> FileData:
     cells = _Cells(path, source.style, list(dict.fromkeys([*clock, *(s.column for s in source.signals)])))
     t = _times(cells, source.time, source.style)
     kept = _order(cells, t, source)
+    n_disordered = len(t) - int(kept.sum())
     if source.style.repeats == "drop":
         kept &= _news(cells, [s.column for s in source.signals])
     n_dropped = len(t) - int(kept.sum())
@@ -136,7 +138,7 @@ def read_csv(path: Path, source: Source) -> FileData:
         values = signal.sign * (signal.scale * raw[rows] + signal.offset) * factor
         t_signal, values = _expire(t[rows], _angle(values, signal.angle), signal.timeout)
         signals.append(SignalData(signal, unit, t_signal, values))
-    return FileData(path, _sha256(path), tuple(signals), n_dropped)
+    return FileData(path, _sha256(path), tuple(signals), n_dropped, n_disordered)
 
 
 def _sha256(path: Path) -> str:

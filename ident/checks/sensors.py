@@ -7,9 +7,10 @@ never differentiated sample by sample.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.checks import Finding
 from ident.data import Channel
@@ -22,6 +23,7 @@ LAGS = np.arange(-2.0, 2.0 + STEP / 2, STEP)  # s, that are tried
 DELAY_WARNING, DELAY_FAULT = 0.3, 0.6  # s: worth a word; not to be fitted
 MIN_ERROR_REDUCTION = 0.3  # of the error, from which a lag is no chance
 MIN_R2 = 0.6  # R2 below which two sensors have too little in common to compare their times
+SAME_SCALE = 0.15  # by which scales that one clock explains may differ
 MIN_YAW_RATE_SD = 0.02  # rad/s, standard deviation below which the boat has hardly turned
 MIN_VELOCITY_SD = 0.1  # m/s, standard deviation below which the boat has hardly moved
 
@@ -38,9 +40,39 @@ class Match(NamedTuple):
     gain: float = 0.0
 
 
-def gyro_and_heading(c: Channels) -> Iterator[Finding]:
-    """The heading turns as much as the yaw rate says, at the same time, the same way round."""
-    if not {"psi", "r"} <= set(c) or (found := heading_match(c["psi"], c["r"])) is None:
+class Matches(NamedTuple):
+    """How integrals follow what they should be: heading the yaw rate, positions the velocity over ground, velocity over
+    ground the specific force; None where one is missing or the boat hardly moves."""
+
+    heading: Match | None
+    position: Match | None
+    velocity: Match | None
+
+
+def sensor_matches(c: Channels) -> Matches:
+    """All of them, each regression once."""
+    return Matches(heading_match(c), position_match(c), velocity_match(c))
+
+
+def check_time_scale(found: Matches) -> Finding | None:
+    """One factor between every integral and what it should be: time counts in another unit."""
+    scales = [abs(m.scale) for m in found if m is not None and m.r2 > MIN_R2]
+    common = float(np.median(scales)) if scales else 1.0
+    if len(scales) < 2 or 0.75 < common < 1.33 or any(abs(s / common - 1.0) > SAME_SCALE for s in scales):
+        return None
+    return Finding(
+        "fault",
+        "time-scale",
+        "time",
+        "all of it",
+        f"everything moves {common:.3g} times as fast as {len(scales)} sensors of rates say: the clock, not a sensor",
+        "[time] format, column or rate_hz in the import's map",
+    )
+
+
+def gyro_and_heading(c: Channels, found: Match | None) -> Iterator[Finding]:
+    """The heading turns as much as the yaw rate says, and at the same time; its sense is a matter of frames."""
+    if found is None:
         return
     where = _who(c["r"], "r")
     size = abs(found.scale)
@@ -55,7 +87,8 @@ def gyro_and_heading(c: Channels) -> Iterator[Finding]:
         )
         return
     if 30.0 < 1.0 / size < 120.0 or 30.0 < size < 120.0:
-        what = "yaw rate in deg/s" if size < 1.0 else "heading in degrees"
+        radians = np.abs(c["psi"].value).max() < 7.0
+        what = ("yaw rate in deg/s" if radians else "both in degrees?") if size < 1.0 else "heading in degrees"
         yield Finding(
             "fault",
             "angle-in-degrees",
@@ -66,82 +99,79 @@ def gyro_and_heading(c: Channels) -> Iterator[Finding]:
         )
     elif not 0.7 < size < 1.4:
         yield Finding(
-            "fault",
+            "fault" if not 0.6 < size < 1.67 else "warning",  # a compass that motors draw aside lags or leads in turns
             "gyro-scale",
             "gyro",
             where,
-            f"yaw rate is {1.0 / size:.2f} times the change of heading",
-            "range or scale of the gyro; a heading that lags in turns",
+            f"yaw rate is {1.0 / size:.3g} times the change of heading",
+            "range or scale of the gyro; a heading that lags in turns; or the log's clock runs at another rate",
         )
-    elif found.scale < 0.0:
-        yield Finding(
-            "fault",
-            "gyro-sign-reversed",
-            "gyro",
-            where,
-            "yaw rate has the sign opposite to the heading's",
-            "both positive clockwise seen from above: mounting or map",
-        )
-    else:
+    elif found.scale > 0.0:
         yield Finding(
             "ok", "gyro-as-expected", "gyro", where, f"yaw rate is {1.0 / size:.2f} times the change of heading"
         )
     yield from sensor_delay("heading", _who(c["psi"], "psi"), "yaw rate", where, found)
 
 
-def heading_match(psi: Channel, r: Channel) -> Match | None:
+def heading_match(c: Channels) -> Match | None:
     """Increments of heading on those of the integrated yaw rate; None where the boat has hardly turned."""
-    t = _grid(psi, r)
+    if not {"psi", "r"} <= set(c):
+        return None
+    psi, r = c["psi"], c["r"]
+    t = grid(psi, r)
     if t.size < 200:
         return None
-    turned = np.interp(t, psi.t, np.unwrap(psi.value) if np.abs(psi.value).max() < 7.0 else _unwrap_deg(psi.value))
-    integral = _cumulative(t, np.interp(t, r.t, r.value))
-    if np.std(_increments(t, turned, t[t <= t[-1] - WINDOW], WINDOW)) < MIN_YAW_RATE_SD * WINDOW:
+    turned = np.interp(t, psi.t, np.unwrap(psi.value, period=_turn(psi.value)))
+    integral = cumulative(t, np.interp(t, r.t, r.value))
+    at = t[t <= t[-1] - WINDOW]
+    moved = [float(np.std(_increments(t, s, at, WINDOW))) for s in (turned, integral)]
+    if max(moved) < MIN_YAW_RATE_SD * WINDOW or min(moved) < 1e-9:
         return None
     return _best(t, [turned], [[integral], [t]])
 
 
-def velocity_and_acceleration(c: Channels) -> Iterator[Finding]:
-    """GNSS velocity changes as the accelerometer says, at the same time (specific force turned by the heading)."""
+def velocity_match(c: Channels) -> Match | None:
+    """Increments of the velocity over ground on the specific force turned by the heading; None for a calm run."""
     names = ("psi", "ax", "ay", "vx", "vy")
     if not set(names) <= set(c) or c["vx"].t.size < 50:
-        return
-    t = _grid(*(c[n] for n in names))
+        return None
+    t = grid(*(c[n] for n in names))
     if t.size < 400 or np.hypot(c["vx"].value.std(), c["vy"].value.std()) < MIN_VELOCITY_SD:
-        return
+        return None
     psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value))
     ax, ay = (np.interp(t, c[n].t, c[n].value) for n in ("ax", "ay"))
     cos, sin = np.cos(psi), np.sin(psi)
-    north = [_cumulative(t, s) for s in (cos * ax - sin * ay, cos, -sin)]
-    east = [_cumulative(t, s) for s in (sin * ax + cos * ay, sin, cos)]
+    north = [cumulative(t, s) for s in (cos * ax - sin * ay, cos, -sin)]
+    east = [cumulative(t, s) for s in (sin * ax + cos * ay, sin, cos)]
     moved = [np.interp(t, c[n].t, c[n].value) for n in ("vx", "vy")]
-    found = _best(t, moved, [[n, e] for n, e in zip(north, east, strict=True)], 2.0)
+    return _best(t, moved, [[n, e] for n, e in zip(north, east, strict=True)], 2.0)
+
+
+def velocity_and_acceleration(c: Channels, found: Match | None) -> Iterator[Finding]:
+    """GNSS velocity changes when the accelerometer says so; whether by as much is a matter of frames."""
+    if found is None or found.r2 < 0.3:
+        return
     gnss, ahrs = _who(c["vx"], "GNSS"), _who(c["ax"], "ax")
-    if found.r2 < 0.3:
-        return  # a calm run: nothing to compare
-    if not 0.6 < found.scale < 1.6:
-        yield Finding(
-            "fault",
-            "velocity-and-acceleration-scale",
-            "units",
-            gnss,
-            f"velocity changes {found.scale:.2f} times as much as the accelerometer says",
-            "knots, km/h or g for m/s and m/s2? or the accelerometer's axes",
-        )
     yield from sensor_delay("velocity", gnss, "acceleration", ahrs, found)
 
 
-def position_and_velocity(c: Channels) -> Iterator[Finding]:
-    """Positions change as the velocity over ground says."""
+def position_match(c: Channels) -> Match | None:
+    """Increments of the positions on the integrated velocity over ground; None for a boat at rest."""
     if not {"x", "y", "vx", "vy"} <= set(c):
-        return
-    t = _grid(*(c[n] for n in ("x", "y", "vx", "vy")))
+        return None
+    t = grid(*(c[n] for n in ("x", "y", "vx", "vy")))
     speeds = np.hypot(c["vx"].value, c["vy"].value)
     if t.size < 400 or np.median(speeds) < 0.1:
-        return
+        return None
     way = [np.interp(t, c[n].t, c[n].value) for n in ("x", "y")]
-    integrals = [_cumulative(t, np.interp(t, c[n].t, c[n].value)) for n in ("vx", "vy")]
-    found = _best(t, way, [integrals], 5.0)
+    integrals = [cumulative(t, np.interp(t, c[n].t, c[n].value)) for n in ("vx", "vy")]
+    return _best(t, way, [integrals], 5.0)
+
+
+def position_and_velocity(c: Channels, found: Match | None) -> Iterator[Finding]:
+    """Positions change as the velocity over ground says."""
+    if found is None:
+        return
     where = _who(c["vx"], "vx")
     if found.r2 < MIN_R2:
         yield Finding(
@@ -150,7 +180,7 @@ def position_and_velocity(c: Channels) -> Iterator[Finding]:
             "gnss",
             where,
             f"position and velocity agree only to R2 {found.r2:.2f}",
-            "outliers, multipath, or north and east exchanged",
+            "outliers, multipath, or another column",
         )
         return
     if not 0.75 < found.scale < 1.33:
@@ -161,8 +191,8 @@ def position_and_velocity(c: Channels) -> Iterator[Finding]:
             "velocity-unit",
             "units",
             where,
-            f"positions change {found.scale:.2f} times as fast as the velocity says: {unit}?",
-            "the unit of the velocity in the import's map",
+            f"positions change {found.scale:.3g} times as fast as the velocity says: {unit}?",
+            "the unit of the velocity or the positions in the import's map; or the log's clock runs at another rate",
         )
     yield from sensor_delay("position", _who(c["x"], "x"), "velocity", where, found)
 
@@ -204,17 +234,21 @@ def _increments(t: Array, values: Array, at: Array, window: float) -> Array:
     return np.asarray(np.interp(at + window, t, values) - np.interp(at, t, values))
 
 
-def _cumulative(t: Array, rate: Array) -> Array:
-    return np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t)))
+def cumulative(t: Array, rate: NDArray[Any]) -> NDArray[Any]:
+    """Integral (n,) of a rate (n,) at times t (n,) [s], from zero, by trapezoids."""
+    return np.append(np.zeros(1, rate.dtype), np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t)))
 
 
-def _grid(*channels: Channel) -> Array:
+def grid(*channels: Channel) -> Array:
     start, end = max(c.t[0] for c in channels), min(c.t[-1] for c in channels)
     return np.arange(start, end, STEP)
 
 
-def _unwrap_deg(degrees: Array) -> Array:
-    return np.asarray(np.unwrap(degrees, period=360.0))
+def _turn(psi: Array) -> float:
+    """A whole turn of a heading by the range of its values: in radians, in degrees, or converted twice."""
+    if np.abs(psi).max() > 7.0:
+        return 360.0
+    return 2.0 * np.pi if np.ptp(psi) > np.radians(2.0 * np.pi) else np.radians(2.0 * np.pi)
 
 
 def _who(channel: Channel, name: str) -> str:

@@ -17,6 +17,7 @@ from ident.cli.options import (
     Lines,
     LiveLine,
     command_line,
+    despite_option,
     estimation_of,
     horizon_option,
     mean_order_option,
@@ -209,8 +210,8 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     "--model",
     default="auto",
     show_default=True,
-    help="horizontal:shaft, horizontal:force, horizontal:general (each also with :no-current, or "
-    ":random-walk-current), "
+    help="horizontal:shaft, horizontal:command (held commands, shafts that are states), horizontal:force, "
+    "horizontal:general (each also with :no-current, or :random-walk-current), "
     "kinematic:shaft|force (measured attitude; :yaw with the yaw equation, and the same two for the current), "
     "surge:force|shaft:position|speed|both, yaw:rate|both, or FILE.py:NAME for your own.",
 )
@@ -251,11 +252,7 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
 @robust_option
 @reml_option()
 @mean_order_option()
-@click.option(
-    "--keep-thruster-sides",
-    is_flag=True,
-    help="Do not swap left and right thrusters where the data say that they are swapped.",
-)
+@despite_option
 @validate_option
 @horizon_option
 @rate_option
@@ -295,6 +292,7 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how
     "logs have several, its name in the rig.",
 )
 @robust_option
+@despite_option
 @click.option(
     "--rate",
     type=click.FloatRange(1.0, 200.0),

@@ -94,6 +94,12 @@ def trust_option(f: Callable[..., Any]) -> Callable[..., Any]:
     return click.option("--trust-code", is_flag=True, expose_value=False, callback=_trust, help=words)(f)
 
 
+def despite_option(f: Callable[..., Any]) -> Callable[..., Any]:
+    """``--despite-faults``."""
+    words = "Go on where the checks of the logs find swapped sides, wrong units, frames or times (`seatrial check`)."
+    return click.option("--despite-faults", is_flag=True, help=words)(f)
+
+
 def rate_option(f: Callable[..., Any]) -> Callable[..., Any]:
     """``--rate``, 10 by default."""
     return click.option(

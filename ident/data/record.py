@@ -137,15 +137,15 @@ def build_record(
     t_from: float | None = None,
     t_to: float | None = None,
     rate: float = 10.0,
-    max_step: float = 0.1,
+    max_step: float | None = None,
     meta: Mapping[str, Any] | None = None,
 ) -> Record:
     """Rows for a model from channels named like its inputs and outputs.
 
     A sensor faster than ``rate`` [Hz] is averaged over blocks of 1/rate, whose noise is then smaller by the
-    root of their size; a slower one keeps its own times. Rows are the union of all times, with more where a
-    gap exceeds ``max_step`` [s] or where an input of hold ``zero`` changes. A sensor with a channel missing
-    is left out, and said in ``meta["missing"]``.
+    root of their size; a slower one keeps its own times. Rows are the union of all times, with more where a gap exceeds
+    ``max_step`` [s], by default that of the model, or where an input of hold ``zero`` changes. A sensor with a channel
+    missing is left out, and said in ``meta["missing"]``.
     """
     channels = {**channels, **_derived_inputs(model, channels)}
     present = _present(model, channels, name)
@@ -157,7 +157,7 @@ def build_record(
         raise ValueError(f"{name}: inputs and sensors overlap for only {end - start:.2f} s")
     samples = {s.name: _sensor_samples(s, channels, start, end, rate) for s in present}
     switches = [_changes(channels[i.name]) for i in own if i.hold == "zero"]
-    t = _rows([times for times, _ in samples.values()], switches, start, end, max_step)
+    t = _rows([times for times, _ in samples.values()], switches, start, end, max_step or model.max_step)
     missing = tuple(s.name for s in model.sensors if s.name not in samples)
     return Record(
         name,

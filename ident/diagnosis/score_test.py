@@ -209,18 +209,18 @@ class SensitivityFilter:
 
 
 def propagate_sensitivities(
-    carrier: SensitivityFilter, fitted: Array, columns: Iterable[SensitivityColumns], begun: list[Array]
+    carrier: SensitivityFilter, fitted: Array, columns: Iterable[SensitivityColumns], carried: list[Array]
 ) -> tuple[Array, list[SensitivityColumns]]:
     """Whitened sensitivities of the fitted parameters and then of every candidate (n_samples, n_columns), in batches.
 
-    ``begun``: those of the state before the rows, batch by batch, empty at the start of a record; then those after.
+    ``carried``: those of the state before the rows, batch by batch, empty at the start of a record; then those after.
     The candidates are returned without their columns: those of the whole catalogue would fill the memory.
     """
     parts, slim, ends = [], [], list[Array]()
     waiting, width = [SensitivityColumns("fitted", fitted)], fitted.shape[2]
 
     def done() -> None:
-        parts.append(carrier(waiting, begun[len(ends)] if begun else None))
+        parts.append(carrier(waiting, carried[len(ends)] if carried else None))
         ends.append(carrier.end)
 
     for c in columns:
@@ -231,7 +231,7 @@ def propagate_sensitivities(
         width += c.delta.shape[2]
         slim.append(replace(c, delta=c.delta[:0].copy()))
     done()
-    begun[:] = ends
+    carried[:] = ends
     return np.concatenate(parts, axis=1), slim
 
 

@@ -41,7 +41,8 @@ class ThrusterResponse:
     def channels(self) -> tuple[str, ...]:
         """The two thrusters, or the inputs of the model where it has other ones."""
         names = self._own
-        return SIDES if len(names) == 2 and all(n in ("X", "N") or n[2:] in SIDES for n in names) else tuple(names)
+        two = len(names) == 2 and all(n in ("X", "N") or n.rpartition("_")[2] in SIDES for n in names)
+        return SIDES if two else tuple(names)
 
     @property
     def full_thrust(self) -> float:
@@ -94,6 +95,8 @@ class ThrusterResponse:
     def inputs(self, command: Array) -> Array:
         """The model's inputs (n_rows, n_inputs, n) under commands (n_rows, n_channels, n)."""
         n = dict(zip(self.channels, self.shaft(command).transpose(1, 0, 2), strict=True))
+        if any(i.name == "n_cmd_left" for i in self.model.inputs):  # its shafts are states
+            n = dict(zip([f"n_cmd_{c}" for c in self.channels], command.transpose(1, 0, 2), strict=True))
         columns = [
             self._earlier(self._column(i.tap_of, n), i.delay) if i.tap else self._column(i.name, n)
             for i in self.model.inputs

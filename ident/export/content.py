@@ -14,7 +14,7 @@ from ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
 from ident.engine import VectorisedModel
 from ident.estimation import SavedModel
 from ident.export.codegen import Program, parameters_of, programs
-from ident.model import HISTORY_STEP, Input, Model, Parameter, ParameterRole, State
+from ident.model import Input, Model, Parameter, ParameterRole, State
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,8 @@ def _inputs(c: Content) -> list[str]:
         else:
             lines.append(f"  u[{j}] {n} {_unit(i.unit)}{_described(i)}")
     if past:
-        lines += [f"  (NAME_ago_K, in seatrial NAME~K, is the input NAME of K times {HISTORY_STEP:g} s ago: keep a",
+        step = past[0].delay / past[0].tap
+        lines += [f"  (NAME_ago_K, in seatrial NAME~K, is the input NAME of K times {step:g} s ago: keep a",
                   "  buffer of it; of a held command its mean since the last step is better than its last value.)"]
     return lines
 

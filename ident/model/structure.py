@@ -91,7 +91,7 @@ class Input:
         angle: unwrapped before it is interpolated.
         label: what people see it as; None: its name; empty: they do not look at it.
         tap_of: the signal that this one is a delayed copy of.
-        tap: that many steps of ``HISTORY_STEP`` later (negative: earlier), made of the signal; 0: the data have it.
+        tap: that many steps later (negative: earlier), made of the signal; 0: the data have it.
         delay: by which the copy is later [s].
     """
 
@@ -104,12 +104,12 @@ class Input:
     tap: int = 0
     delay: float = 0.0
 
-    def delayed(self, tap: int) -> Input:
-        """This input ``tap`` steps of ``HISTORY_STEP`` ago, named ``NAME~tap``; itself for none."""
+    def delayed(self, tap: int, step: float = HISTORY_STEP) -> Input:
+        """This input ``tap`` steps [s] ago, named ``NAME~tap``; itself for none."""
         if not tap:
             return self
         return replace(self, name=tap_name(self.name, tap), label="", tap_of=self.name, tap=tap,
-                       delay=HISTORY_STEP * tap).held(self.hold)
+                       delay=step * tap).held(self.hold)
 
     def held(self, hold: str) -> Input:
         """This input as a log holds its signal; of a copy no change is a row. Empty: as it is."""
@@ -300,6 +300,7 @@ class Model:
     kind: ModelKind = ModelKind.VEHICLE
     horizon: float = 10.0  # s that predictions go ahead where nobody says otherwise
     disturbance: Effect | None = None  # what it does not explain, as states; None: forces on the hull, where it has one
+    max_step: float = 0.1  # s between two rows, at most, for its quickest states
     second_order: bool = False  # the filter's mean goes with the curvature of the rates (engine.graphs)
 
     def __post_init__(self) -> None:

@@ -23,6 +23,7 @@ from .disturbances import residuals_of as residuals_of
 from .disturbances import sensor_bias as sensor_bias
 from .disturbances import thrust_losses_of as thrust_losses_of
 from .disturbances import variables_of as variables_of
+from .horizontal import NOISE as NOISE
 from .horizontal import SENSORS as SENSORS
 from .horizontal import SIDES as SIDES
 from .horizontal import first_order as first_order

@@ -13,7 +13,7 @@ from ident.models import rotations
 from ident.models.horizontal import SIDES, shift_in_time
 
 ANTENNA, CURRENT_WALK, TELEMETRY_AGE = "antenna", "random-walk-current", "telemetry-age"
-N_AHEAD = 5  # copies of a shaft speed that is known late, each a step earlier: ages up to half a second
+N_AHEAD = 5  # copies of a shaft speed that is known late, each a step earlier: ages up to half a second; and one later
 
 
 def shift(s: Signals, l_x: Any, l_y: Any) -> None:
@@ -90,10 +90,10 @@ def telemetry_age() -> Effect:
         "shaft speeds that arrive late",
         {"shaft": earlier},
         parameters=(
-            Parameter("tau_age", 0.02, "s", "age of the shaft speeds at their time stamp", prior=(0.0, 0.1),
-                      bounds=(0.0, 0.4), step=0.01),
+            Parameter("tau_age", 0.02, "s", "age of the shaft speeds at their time stamp, beyond that of the sensors",
+                      prior=(0.0, 0.1), bounds=(-0.03, 0.4), step=0.01),
         ),
-        inputs=tuple(i.delayed(-k) for i in now for k in range(1, N_AHEAD + 1)),
+        inputs=tuple(i.delayed(-k) for i in now for k in range(-1, N_AHEAD + 1) if k),
         place="sensor",
         requires=("n_input",),
         kind=EffectKind.SENSOR_OFFSET,

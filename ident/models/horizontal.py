@@ -15,7 +15,7 @@ equation alone, but for its Munk moment ``(m_u - m_v) u v``: where they are unkn
 
 Each thruster is one chain, whose parts have their own stages, so that effects in it compose in any order:
 
-    command -> dead zone -> delay -> shaft lag (stage ``shaft``) -> dead band -> lag of the thrust -> thrust
+    command -> delay -> dead zone -> shaft lag (stage ``shaft``) -> dead band -> lag of the thrust -> thrust
 
 Where the shaft speed is measured, it is the input; where it is not, commands are, and it is a state:
 ``T_n n' = n_ref(t - tau_n) - n``, ``n_ref`` the command, zero within its dead zone (thesis section 4.2).
@@ -67,12 +67,14 @@ THRUST = (
     Parameter("c1", 40.05, "N", "thrust at full speed, odd part", "log", free=False, origin=BUILT_IN),
     Parameter("c2", 1.11, "N", "thrust at full speed, even part", free=False, step=0.1, origin=BUILT_IN),
 )
-N_DELAYS = 11  # copies of each command, ``HISTORY_STEP`` apart: delays up to 1 s
+DELAY_STEP, N_DELAYS = 0.05, 17  # s, and copies of each command: delays up to 0.8 s
+FURTHEST = 20  # copies of a measured input, at most
 DEAD_ZONE_EDGE = 0.05  # of the command: over which the dead zone ends
-SHORTEST_LAG = 0.1  # s; Runge-Kutta steps of 0.1 s follow no quicker state
+SHORTEST_LAG = 0.05  # s, and
+DRIVEN_STEP = 0.05  # s: longer Runge-Kutta steps do not follow so quick a state
 SHAFT = (
     Parameter("T_n", 0.2, "s", "time constant of the shafts", prior=(0.2, 0.5), bounds=(0.0, 3.0), step=0.02),
-    Parameter("tau_n", 0.1, "s", "delay of the shafts behind the command", prior=(0.1, 0.3), bounds=(0.0, 1.0),
+    Parameter("tau_n", 0.1, "s", "delay of the shafts behind the command", prior=(0.1, 0.3), bounds=(0.0, 0.8),
               step=0.02),
     Parameter("dead_zone", 0.03, "", "command below which the shafts stand", prior=(0.0, 0.1), bounds=(0.0, 0.5),
               step=0.01),
@@ -87,7 +89,6 @@ UNKNOWN_ARM = (
         "y_arm", 0.3, "m", "arm of both thrusters, by the Munk moment", "log", prior=(0.3, 0.3), step=0.01,
         origin=BUILT_IN,
     ),
-    Parameter("side", 1.0, "", "1: left thruster to port, -1: the sides are swapped", free=False),
 )
 DIFFUSION = (
     Parameter("s_u", 0.01, "m/s/sqrt(s)", "process noise of surge speed", "log"),
@@ -150,7 +151,7 @@ def horizontal_model(
         inputs = pair("f", "N", hold)
         first, provides = (("shaft", given_thrust), ("thrust_lag", unchanged), ("thrust", unchanged)), ("f", "f_input")
     elif propulsion == "command":
-        inputs = tuple(i.delayed(k) for i in pair("n_cmd", "", "average") for k in range(N_DELAYS))
+        inputs = tuple(i.delayed(k, DELAY_STEP) for i in pair("n_cmd", "", "average") for k in range(N_DELAYS))
         first, provides, states = (("shaft", driven_shaft), *CHAIN[1:]), ("n", "f", "n_state"), states + SHAFT_STATES
     return Model(
         "horizontal",
@@ -161,6 +162,7 @@ def horizontal_model(
         (*first, ("force", force), ("rate", rate), ("output", output)),
         provides=(*provides, "hull", *(("body_velocity",) if "body_velocity" in sensors else ())),
         source=f"horizontal:{propulsion}" + ("" if current else ":no-current"),
+        max_step=DRIVEN_STEP if propulsion == "command" else 0.1,
     )
 
 
@@ -174,14 +176,12 @@ def shaft(s: Signals) -> None:
 
 
 def driven_shaft(s: Signals) -> None:
-    """Shafts behind their commands: a dead zone, a delay between the copies of the command, a first-order lag."""
-    weights = delay_weights(s.p.tau_n / HISTORY_STEP, N_DELAYS)
+    """Shafts behind their commands: a delay, cubic between the copies, a dead zone, a first-order lag."""
+    weights = delay_weights(s.p.tau_n / DELAY_STEP, N_DELAYS)
     s.n = {}
     for side in SIDES:
-        name = f"n_cmd_{side}"
-        told = [outside_dead_zone(getattr(s.u, tap_name(name, k)), s.p.dead_zone) for k in range(N_DELAYS)]
-        reference = sum(w * n for w, n in zip(weights, told, strict=True))
-        s.n[side] = first_order(s, f"n_{side}", reference, s.p.T_n)
+        told = sum(w * getattr(s.u, tap_name(f"n_cmd_{side}", k)) for k, w in enumerate(weights))
+        s.n[side] = first_order(s, f"n_{side}", outside_dead_zone(told, s.p.dead_zone), s.p.T_n)
 
 
 def outside_dead_zone(command: Any, dead_zone: Any) -> Any:
@@ -204,7 +204,7 @@ def shift_in_time(s: Signals, quantity: str) -> None:
     position = (getattr(s.p, "tau_delay", 0.0) - getattr(s.p, "tau_age", 0.0)) / HISTORY_STEP
     for side in SIDES:
         name = f"{quantity}_{side}"
-        taps = [k for k in range(-N_DELAYS, 2 * N_DELAYS) if hasattr(s.u, tap_name(name, k))]
+        taps = [k for k in range(-FURTHEST, FURTHEST) if hasattr(s.u, tap_name(name, k))]
         weights = delay_weights(position - taps[0], len(taps))
         past = sum(w * getattr(s.u, tap_name(name, k)) for w, k in zip(weights, taps, strict=True))
         (s.n if quantity == "n" else s.f)[side] = past
@@ -232,7 +232,7 @@ def given_thrust(s: Signals) -> None:
 def _arms(p: Any) -> dict[str, Any]:
     """Lateral position of each thruster [m, to starboard]."""
     if hasattr(p, "y_arm"):
-        return {"left": -p.side * p.y_arm, "right": p.side * p.y_arm}
+        return {"left": -p.y_arm, "right": p.y_arm}
     return {side: getattr(p, f"y_{side}") for side in SIDES}
 
 

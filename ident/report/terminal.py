@@ -38,7 +38,9 @@ def print_result(result: Result, console: Console) -> None:
     console.print()
     for warning in result.warnings:
         console.print(Padding(Text(f"⚠ {warning.text}", style="yellow"), (0, 1)))
-    console.print(Padding(Text(result.answer, style="bold"), (0, 1)))
+    failed = isinstance(result, FitResult) and not result.converged
+    answer = Text(f"⚠ {result.answer}", "bold yellow") if failed else Text(result.answer, "bold")
+    console.print(Padding(answer, (0, 1)))
     if isinstance(result, DiagnosisResult) and result.caveat:
         console.print(Padding(Text(result.caveat, style="yellow"), (0, 1)))
     for table in _tables(result):

@@ -20,6 +20,7 @@ from ident.results.parts import (
     Errors,
     PredictionChange,
     PredictionFit,
+    Provenance,
     ResidualTests,
     ResultWarning,
 )
@@ -226,6 +227,23 @@ def outlier_lines(residuals: Sequence[ChannelResiduals], model: Model) -> list[s
                 "lacks. --robust gives outliers little weight."
             )
     return lines
+
+
+def faults_first(made: Provenance) -> str:
+    """What every answer begins with where logs with faults were used all the same; else empty."""
+    faults = [f"{log.path}: {f.where}: {f.text}" for log in made.logs for f in log.findings if f.spoils]
+    return f"Despite faults of the logs, which may make all of this meaningless ({'; '.join(faults)}): " * bool(faults)
+
+
+def check_warnings(made: Provenance) -> list[ResultWarning]:
+    """One for each finding of the checks before the fit that is not in order."""
+    return [
+        ResultWarning(
+            code=f.code, text=f"{log.path}: {f.where}: {f.text} [{f.code}]{': ' * bool(f.advice)}{f.advice}."
+        )
+        for log in made.logs
+        for f in log.findings
+    ]
 
 
 def not_converged(fit: Fit) -> str | None:

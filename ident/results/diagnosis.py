@@ -10,7 +10,14 @@ from ident.diagnosis import Diagnosis, DiagnosisEvaluation, Refit, Round, recomm
 from ident.effects import catalogue
 from ident.estimation import FittedModel, ReportedEstimates
 from ident.results import parts
-from ident.results.answers import calibration_notes, change_sentence, not_converged, outlier_lines
+from ident.results.answers import (
+    calibration_notes,
+    change_sentence,
+    check_warnings,
+    faults_first,
+    not_converged,
+    outlier_lines,
+)
 from ident.results.parts import DiagnosisResult, Provenance
 from ident.results.tables import (
     all_inputs,
@@ -52,11 +59,11 @@ def diagnosis_result(
     recommended = recommended_experiment(diagnosis)
     return DiagnosisResult(
         **msgspec.structs.asdict(made),
-        answer=failed or diagnosis_answer(diagnosis, prediction, after.horizon),
+        answer=faults_first(made) + (failed or diagnosis_answer(diagnosis, prediction, after.horizon)),
         caveat=None if failed else diagnosis_caveat(diagnosis),
         prediction=prediction,
         converged_before=diagnosis.before.fit.converged,
-        warnings=tuple(warnings),
+        warnings=(*warnings, *check_warnings(made)),
         notes=(
             *notes,
             *_notes(diagnosis),

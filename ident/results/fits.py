@@ -11,7 +11,9 @@ from ident.estimation import FittedModel, HomogeneityTest, Profile, ReportedEsti
 from ident.models import residuals_of
 from ident.results.answers import (
     calibration_notes,
+    check_warnings,
     estimation_warnings,
+    faults_first,
     homogeneity_sentence,
     not_converged,
     outlier_lines,
@@ -43,14 +45,12 @@ class Posed:
     Attributes:
         start: values that the search began with.
         notes: lines that come first.
-        lead: begins the answer.
         unused: signals of the logs that the model does not take.
         length: of the hull, where the rig gives it [m].
     """
 
     start: Mapping[str, float]
     notes: Sequence[str] = ()
-    lead: str = ""
     unused: Sequence[UnusedSignal] = ()
     length: float | None = None
 
@@ -71,12 +71,12 @@ def vehicle_result(
     searchable = bool(residuals_of(evaluation.model))
     prediction = prediction_fit(evaluation)
     said = vehicle_answer(prediction, errors, evaluation.horizon, residuals, cross, searchable=searchable)
-    answer = " ".join(filter(None, [posed.lead, said, *(homogeneity_sentence(a) for a in homogeneity)]))
+    answer = not_converged(stage.fit) or " ".join([said, *(homogeneity_sentence(a) for a in homogeneity)])
     return VehicleResult(
         **msgspec.structs.asdict(made),
-        answer=not_converged(stage.fit) or answer,
+        answer=faults_first(made) + answer,
         prediction=prediction,
-        warnings=tuple(estimation_warnings(stage.fit, stage.records, posed.length)),
+        warnings=(*estimation_warnings(stage.fit, stage.records, posed.length), *check_warnings(made)),
         notes=_notes(posed.notes, evaluation, calibration),
         fit=fit_summary(stage.fit, posed.start),
         horizon_seconds=evaluation.horizon,

@@ -32,6 +32,18 @@ def same_length(part: Part, *names: str) -> None:
         raise ValueError(f"{' and '.join(sizes)} must be of one length, not {sizes}")
 
 
+class LogFinding(Part, frozen=True, kw_only=True):
+    """What a check of a log found (`seatrial check`)."""
+
+    level: Annotated[str, Meta(description="`warning` or `fault`")]
+    code: Annotated[str, Meta(description="what was found, for programs")]
+    check: str
+    where: Annotated[str, Meta(description="device, thruster or signal")]
+    text: str
+    advice: Annotated[str, Meta(description="what to do about it")] = ""
+    spoils: Annotated[bool, Meta(description="a fit to this log means nothing (`--despite-faults`)")] = False
+
+
 class LogSummary(Part, frozen=True, kw_only=True):
     """A log that a result was made from."""
 
@@ -43,6 +55,9 @@ class LogSummary(Part, frozen=True, kw_only=True):
     rig: Annotated[str | None, Meta(description="name of the rig")] = None
     mission: Annotated[str | None, Meta(description="name of the mission")] = None
     warnings: Annotated[tuple[str, ...], Meta(description="what is wrong with the log")] = ()
+    findings: Annotated[
+        tuple[LogFinding, ...], Meta(description="what the checks before a fit found that is not in order")
+    ] = ()
 
 
 class Provenance(Part, frozen=True, kw_only=True):
@@ -54,19 +69,16 @@ class Provenance(Part, frozen=True, kw_only=True):
     logs: tuple[LogSummary, ...] = ()
 
 
-WarningCode = Literal[
-    "thrust-scale-unknown",
-    "arm-unknown",
-    "stuck-sensor",
-    "prior-contradicted",
-    "inertia-too-small",
-]
-
-
 class ResultWarning(Part, frozen=True, kw_only=True):
     """What must be known before an estimate is read."""
 
-    code: WarningCode
+    code: Annotated[
+        str,
+        Meta(
+            description="`thrust-scale-unknown`, `arm-unknown`, `prior-contradicted`, `inertia-too-small`, "
+            "`stuck-sensor`, or that of a finding of the logs' checks"
+        ),
+    ]
     text: Annotated[str, Meta(description="a line for people")]
 
 
@@ -74,10 +86,12 @@ class Result(Provenance, frozen=True, kw_only=True):
     """What every result says."""  # subclasses add tag_field="kind" and their kind as tag
 
     format: Literal["seatrial-result 2"] = "seatrial-result 2"
-    answer: Annotated[str, Meta(description="the answer in a sentence or two, for people")]
+    answer: Annotated[
+        str, Meta(description="the answer in a sentence or two, for people; of a fit that did not converge, that alone")
+    ]
     warnings: Annotated[
         tuple[ResultWarning, ...],
-        Meta(description="to read before the estimates: no thrust scale was given, the fit did not converge"),
+        Meta(description="to read before the estimates: no thrust scale was given, a sensor was stuck"),
     ] = ()
     notes: Annotated[
         tuple[str, ...],
@@ -599,7 +613,7 @@ class RemainingCandidate(Part, frozen=True, kw_only=True):
 class NonparametricCurve(Part, frozen=True, kw_only=True):
     """A nonparametric effect as the data draw it."""
 
-    force: Annotated[str, Meta(description="force, or the sensor whose error it is")]
+    force: Annotated[str, Meta(description="force, or relative change of thrust (`T`, `T_left`), or sensor in error")]
     sensor_error: Annotated[bool, Meta(description="not a force, but the error of this sensor")]
     variable: str
     unit: str

@@ -279,6 +279,8 @@ def _of_model(model: Model, ranges: Mapping[str, tuple[float, float]], source: s
     for j, signal in enumerate(model.inputs):
         if signal.name == TIME_INPUT:
             u[:, j] = t
+        elif signal.tap:
+            continue
         elif signal.name not in ranges:
             raise SeatrialError(
                 f"{source}: no range of the input {signal.name!r} under [validity], so no mission can be made up; "
@@ -287,6 +289,11 @@ def _of_model(model: Model, ranges: Mapping[str, tuple[float, float]], source: s
         else:
             levels = _levels(t, *ranges[signal.name], rng)
             u[:, j] = _measured(levels) if signal.hold == "linear" else levels
+    names = [i.name for i in model.inputs]
+    for j, signal in enumerate(model.inputs):
+        if signal.tap:  # before the start the first value
+            then = np.clip(np.arange(t.size) - round(signal.delay / STEP), 0, t.size - 1)
+            u[:, j] = u[then, names.index(signal.tap_of)]
     u_next = u.copy()
     for j, signal in enumerate(model.inputs):
         if signal.hold == "linear":

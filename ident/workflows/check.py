@@ -1,12 +1,20 @@
-"""What ``seatrial check --report`` does here: a finished check in; its page, with curves from the logs, out."""
+"""Checks of logs: the page of a finished check, and the checks before a fit, which refuse what would mean nothing."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from daq.checks import CheckReport
-from ident.checks import log_evidence
+from daq.checks import OK, CheckReport
+from daq.errors import SeatrialError, counted
+from ident.checks import IMPORTED, check_copies, check_signals, device_faults, log_evidence, smoothed, spoils_a_fit
+from ident.data import LoadedLog
+from ident.model import INF, Model
+from ident.models import NOISE
 from ident.report import write_check_page
+
+BEGIN = 1.5  # where the search for a noise with a floor begins, times the floor
 
 
 def write_check(report: CheckReport, command: str, out: Path) -> None:
@@ -14,3 +22,58 @@ def write_check(report: CheckReport, command: str, out: Path) -> None:
     written."""
     name = report.subject if report.rig is not None and len(report.logs) == 1 else ""
     write_check_page(report, [log_evidence(path, name) for path in report.logs], command, out)
+
+
+def check_first(
+    loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog], model: Model, despite_faults: bool
+) -> tuple[list[LoadedLog], list[LoadedLog]]:
+    """The logs of a fit and those that judge it, with what the checks find in each (``about["findings"]``).
+
+    The thrusters' sides are those of the model's levers, else of the rig. Raises SeatrialError at the first fault that
+    makes a fit meaningless (frames, signs, units, sides, time, frozen signals), unless ``despite_faults``.
+    """
+    logs = [*loaded, *unseen]
+    copies = check_copies([(x.about["path"], x.run.channels) for x in logs])
+    checked = []
+    for log in logs:
+        name = log.about["path"]
+        found = [*device_faults(log.path), *check_signals(log.run.channels, sides_of_model(model, log))]
+        found += [f for f in copies if f.where == name]
+        told = [f for f in found if f.level != OK]
+        refused = [f for f in told if spoils_a_fit(f)]
+        if refused and not despite_faults:
+            first, where = refused[0], "" if refused[0].where == name else f"{refused[0].where}: "
+            rest = f" ({counted(len(refused) - 1, 'more fault')})" if len(refused) > 1 else ""
+            raise SeatrialError(
+                f"{name}: {where}{first.text} [{first.code}]{rest}; "
+                f"{first.advice}. `seatrial check` says all; --despite-faults fits it as it is"
+            )
+        rows = [f._asdict() | {"spoils": spoils_a_fit(f)} for f in told]
+        checked.append(replace(log, about=log.about | {"findings": rows}))
+    return checked[: len(loaded)], checked[len(loaded) :]
+
+
+def sides_of_model(model: Model, log: LoadedLog) -> Mapping[str, float]:
+    """Thruster -> position to starboard [m]: the model's levers, else the rig's, else what the names say."""
+    levers = {side: model.values[f"y_{side}"] for side in ("left", "right") if f"y_{side}" in model.values}
+    if levers:
+        return levers
+    return {t.name: t.position_m[1] for t in log.rig.thrusters} if log.rig else IMPORTED
+
+
+def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, list[str]]:
+    """The model with a floor under the noise of smoothed channels, and a line that names them.
+
+    A filter's output has errors that last and no noise from sample to sample: a fit that takes it for white estimates
+    next to none, and follows it everywhere. The floor is a usual sensor's noise (``ident.models.NOISE``).
+    """
+    usual = {p.name: p.value for p in NOISE.values()}
+    smooth = {name for log in logs for name in smoothed(log.run.channels)}
+    names = {o.noise for o in model.outputs if o.name in smooth and o.noise in usual}
+    found = [p for n in sorted(names) if (p := model.parameter(n)).free]
+    floors = [replace(p, value=max(p.value, BEGIN * usual[p.name]), bounds=(usual[p.name], INF)) for p in found]
+    if not floors:
+        return model, []
+    said = ", ".join(f"{p.name} {p.bounds[0]:g} {p.unit}" for p in floors)
+    line = f"Smoothed signals ({', '.join(sorted(smooth))}): their noise is not estimated below {said}; --fix gives it."
+    return model.replace_parameters(*floors), [line]

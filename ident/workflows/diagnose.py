@@ -14,6 +14,7 @@ from ident.model import with_outlier_model as with_outliers
 from ident.models import effects_for
 from ident.reporter import Reporter
 from ident.results import DiagnosisResult, diagnosis_result, estimation_warnings, provenance
+from ident.workflows.check import check_first, with_noise_floors
 from ident.workflows.model_inputs import check_ahead, model_of_logs, unused_signals
 from ident.workflows.output import validity, write_all
 
@@ -33,6 +34,7 @@ class DiagnosisRequest:
         thruster: file of the static curve that a vehicle's model was fitted with; or which thruster, where the model
             is a thruster's and the logs have several.
         rate: rows a second to which faster sensors are averaged [Hz]; None: the model's usual ones.
+        despite_faults: search also where the checks of the logs find what makes a fit meaningless.
     """
 
     model: Path
@@ -44,6 +46,7 @@ class DiagnosisRequest:
     effects_file: Path | None = None
     thruster: str | None = None
     rate: float | None = None
+    despite_faults: bool = False
 
 
 def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> DiagnosisResult:
@@ -57,6 +60,8 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
     check_ahead(horizon, loaded, unseen)
     model, runs, others, usual = model_of_logs(plain, request.model, loaded, unseen, request.thruster)
     unused = unused_signals(model, [*loaded, *unseen])
+    loaded, unseen = check_first(loaded, unseen, model, request.despite_faults)
+    model, floors = with_noise_floors(model, loaded)
     own = effects_for(model, effects_file) if effects_file else {}
     found = diagnose(
         with_outliers(model) if request.estimation.outlier_model else model,
@@ -72,7 +77,7 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
         evaluate_diagnosis(found, horizon),
         provenance([*loaded, *unseen], command),
         warnings=estimation_warnings(found.after.fit, found.after.records),
-        notes=found.after.outlier_notes,
+        notes=[*floors, *found.after.outlier_notes],
         model_path=str(request.model),
         unused=unused,
     )

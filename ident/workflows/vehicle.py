@@ -7,6 +7,7 @@ from ident.estimation import fit_nominal_model, homogeneity_test, profile
 from ident.reporter import Reporter
 from ident.results import Posed, VehicleResult, provenance, vehicle_result
 from ident.validation import evaluate
+from ident.workflows.check import check_first
 from ident.workflows.model_inputs import unused_lines
 from ident.workflows.output import validity, write_all
 from ident.workflows.vehicle_model import VehicleRequest, vehicle_problem
@@ -15,13 +16,15 @@ from ident.workflows.vehicle_model import VehicleRequest, vehicle_problem
 def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> VehicleResult:
     """Fit a vehicle model to logs, evaluate it on them and on the validation logs, write the results.
 
-    ``command``: what was typed. Raises SeatrialError where the logs cannot be read or lack what the model needs.
+    ``command``: what was typed. Raises SeatrialError where the logs cannot be read, lack what the model needs, or
+    have faults that make a fit meaningless.
     """
     loaded, unseen = load_all(request.logs, request.validation)
     problem = vehicle_problem(request, loaded, unseen)
+    loaded, unseen = check_first(loaded, unseen, problem.model, request.despite_faults)
     if problem.thrust:
         reporter.progress(problem.thrust)
-    for line in filter(None, [*problem.notes, problem.sides, *unused_lines(problem.unused)]):
+    for line in (*problem.notes, *unused_lines(problem.unused)):
         reporter.warning(line)
     fitted = fit_nominal_model(
         problem.model, problem.segments, problem.validation, request.estimation, rate=request.rate, reporter=reporter
@@ -38,7 +41,6 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
         Posed(
             problem.model.values,
             [*filter(None, [problem.thrust]), *problem.notes, *fitted.outlier_notes],
-            problem.sides,
             problem.unused,
             loaded[0].vehicle.get("length"),
         ),

@@ -1,4 +1,4 @@
-"""The vehicle model of a fit: structure, rig geometry, bench results, prior knowledge, thruster sides."""
+"""The vehicle model of a fit: structure, rig geometry, bench results, prior knowledge, noise floors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ident.characterisation import load_curve
-from ident.checks import check_sides, swap_sides
 from ident.data import LoadedLog, LogSegment
 from ident.estimation import (
     EstimationOptions,
@@ -21,6 +20,7 @@ from ident.estimation import (
 )
 from ident.model import Model
 from ident.results import UnusedSignal
+from ident.workflows.check import with_noise_floors
 from ident.workflows.model_inputs import (
     check_ahead,
     check_names,
@@ -44,7 +44,7 @@ class VehicleRequest:
         fixed, initial: values of parameters that are known, and where the estimate of others starts.
         priors: mean and standard deviation of parameters.
         effects: of the catalogue, added with their parameters free.
-        keep_thruster_sides: even where the data say that they are swapped.
+        despite_faults: fit also where the checks of the logs find what makes a fit meaningless.
         homogeneity: parameters to test for one value in all logs.
         profiles: parameters that get a profile likelihood.
         rate: rows a second to which faster sensors are averaged [Hz].
@@ -60,7 +60,7 @@ class VehicleRequest:
     initial: Mapping[str, float] = field(default_factory=dict)
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     effects: Sequence[str] = ()
-    keep_thruster_sides: bool = False
+    despite_faults: bool = False
     homogeneity: Sequence[str] = ()
     profiles: Sequence[str] = ()
     rate: float = 10.0
@@ -70,15 +70,14 @@ class VehicleRequest:
 class VehicleProblem:
     """What is fitted to what: a model with its prior knowledge, segments to estimate and to validate.
 
-    ``notes``: what the rig's geometry says; ``sides``: a line where the thrusters' sides are swapped, else empty;
-    ``thrust``: what the thrust follows; ``unused``: signals of the logs that the model does not take.
+    ``notes``: what the rig's geometry says, and which noises have a floor; ``thrust``: what the thrust follows;
+    ``unused``: signals of the logs that the model does not take.
     """
 
     model: Model
     segments: list[LogSegment]
     validation: list[LogSegment]
     notes: list[str]
-    sides: str
     thrust: str
     unused: list[UnusedSignal]
 
@@ -96,21 +95,8 @@ def vehicle_problem(
     model, notes = apply_rig_geometry(model, loaded[0].rig, loaded[0].vehicle)
     model = set_initial_values(set_priors(with_effects(model, request.effects), request.priors), request.initial)
     model = pose_scale(fix_parameters(model, request.thruster if curve is None else None, request.fixed))
-    armed = {"y_left", "y_arm"} & set(model.values)
-    sides, line = check_sides([(x.run.name, x.run.channels) for x in loaded]) if armed else None, ""
-    if sides is not None and sides.swapped:
-        line = sides.line
-        if request.keep_thruster_sides:
-            line = line.removesuffix(" Fitted with the sides swapped.")
-        else:
-            model = swap_sides(model)
+    model, floors = with_noise_floors(model, loaded)
     check_names(nominal(model), request.profiles, len(loaded))
-    return VehicleProblem(
-        model,
-        [x.run for x in loaded],
-        [x.run for x in unseen],
-        notes,
-        line,
-        thrust_from(model),
-        unused_signals(model, [*loaded, *unseen]),
-    )
+    segments, validation = ([x.run for x in part] for part in (loaded, unseen))
+    unused = unused_signals(model, [*loaded, *unseen])
+    return VehicleProblem(model, segments, validation, [*notes, *floors], thrust_from(model), unused)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from daq.acquisition.watchdog import HANG_S
+from daq.acquisition.watchdog import ANSWER_S, HANG_S
 from daq.config.mission_file import Mission, Segment, save_mission
 
 SPEED = 4.0
@@ -41,7 +41,7 @@ newton_per_count = 0.001
 zero_counts = 84210.0
 
 """
-LIMITS = "[limits]\nforce_n = 60.0\nroll_deg = 60.0\n"
+LIMITS = "[limits]\nroll_deg = 60.0\n"
 
 
 @dataclass(frozen=True)
@@ -94,6 +94,8 @@ KINDS = (
     Kind("acquisition killed", 0.1, "process died", strike=_signalled("acquisition", signal.SIGKILL)),
     Kind("acquisition hangs", HANG_S, "no sign of life", strike=_signalled("acquisition", signal.SIGSTOP)),
     Kind("watchdog killed", 0.1, "watchdog is gone", strike=_signalled("watchdog", signal.SIGKILL)),
+    Kind("watchdog hangs", ANSWER_S, "watchdog has not answered", strike=_signalled("watchdog", signal.SIGSTOP)),
+    Kind("hang-up (SIGHUP)", 0.1, "SIGHUP", strike=_signalled("pid", signal.SIGHUP)),
     Kind("CAN unplugged", ESC_S, "esc ", fault="pull/esc@usr1:8", cut_off=True),
     Kind("CAN silent", STALE_S + GUARD_S, "silent", fault="silence/esc@usr1:8"),
     Kind("AHRS lost", STALE_S + GUARD_S, "ahrs .*silent", fault="pull/ahrs@usr1:8"),
@@ -129,6 +131,7 @@ def write_files(folder: Path, kind: Kind) -> None:
         text = text.replace(":14550", f":{_free_port()}")
     else:
         text = text.replace("[[thruster]]", LOADCELL + "[[thruster]]", 1)
+        text = text.replace(LIMITS, f"{LIMITS}force_n = 60.0\n")
     (folder / "rig.toml").write_text(text, encoding="utf-8")
     rows = (Segment("steps", np.array([0.5, 40.0]), np.array([[0.5, 0.4], [0.3, 0.5]])),)
     save_mission(Mission("trial", "mission", ("left", "right"), rows, 80.0), folder / "mission.toml")

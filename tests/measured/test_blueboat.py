@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import seatrial
 from tests.measured.data import measured, run
 
 pytestmark = [pytest.mark.measured, pytest.mark.slow, pytest.mark.xdist_group("blueboat")]
@@ -17,7 +18,7 @@ pytestmark = [pytest.mark.measured, pytest.mark.slow, pytest.mark.xdist_group("b
 HERE = Path(__file__).resolve().parents[2] / "docs/examples/blueboat"
 FITTED = (218, 220, 222, 224, 230, 233)
 UNUSED = (221, 223, 226, 228, 232)
-BOAT = {"--initial": ("m_u=15", "m_v=20", "m_r=1.7"), "--fix": ("y_left=-0.285", "y_right=0.285")}
+BOAT = {"--initial": ("m_u=15", "m_v=20", "m_r=1.7"), "--fix": ("y_left=0.285", "y_right=-0.285")}
 NOISE = ("e_uv=0.05", "e_r=0.02", "e_psi=0.03", "e_xy=0.3")
 
 
@@ -49,8 +50,18 @@ def results(folder: Path) -> dict[str, dict[str, Any]]:
     return {k: json.loads((folder / k / "result.json").read_text()) for k in ("vehicle", "diagnosis")}
 
 
-def test_swapped_sides_are_reported(results: dict[str, dict[str, Any]]) -> None:
-    assert "left and right are swapped in the data" in results["vehicle"]["answer"]
+def test_sides_as_the_columns_are_named_are_refused(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    logs = [str(folder / f"fixed_00000{n}.mcap") for n in FITTED]
+    with pytest.raises(SystemExit) as left:
+        seatrial.main(["ident", "vehicle", *logs, "--model", "horizontal:force", "--out", str(folder / "refused")])
+    assert left.value.code == 1
+    assert "[thruster-sides-swapped]" in capfd.readouterr().err
+
+
+def test_smoothed_channels_are_said(results: dict[str, dict[str, Any]]) -> None:
+    codes = {f["code"] for log in results["vehicle"]["logs"] for f in log["findings"]}
+    assert "channel-smoothed" in codes
+    assert not [f for log in results["vehicle"]["logs"] for f in log["findings"] if f["spoils"]]
 
 
 def test_the_diagnosis_finds_something_that_predicts_the_unused_runs_better(
@@ -59,7 +70,7 @@ def test_the_diagnosis_finds_something_that_predicts_the_unused_runs_better(
     found = results["diagnosis"]
     assert found["effects"]
     assert percent(found, "r", "after") > percent(found, "r", "before") + 15.0
-    assert found["errors"]["validation"]["simulation"]["r"]["high"] < 1.0  # also of its 95 % interval
+    assert found["prediction"]["verdict"] == "fell"
     assert percent(found, "v", "after") > percent(found, "v", "before")
 
 

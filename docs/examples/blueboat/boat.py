@@ -1,4 +1,4 @@
-"""Models of the BlueBoat, for leave_one_out.py and `seatrial ident vehicle --model boat.py:NAME --keep-thruster-sides`.
+"""Models of the BlueBoat, for leave_one_out.py and `seatrial ident vehicle --model boat.py:NAME`.
 
     authors    rigid body with quadratic drag, and the force of the data's authors: a straight line from PWM to force
     propeller  force from PWM by a propeller's curve, c |n|^p, ahead and astern apart, less what forward speed takes

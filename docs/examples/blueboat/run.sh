@@ -14,19 +14,19 @@ fitted=""
 for run in 218 220 222 224 230 233; do fitted="$fitted logs/fixed_00000$run.mcap"; done
 unused=""
 for run in 221 223 226 228 232; do unused="$unused --validate logs/fixed_00000$run.mcap"; done
-boat="--model horizontal:force --initial m_u=15 --initial m_v=20 --initial m_r=1.7 --fix y_left=-0.285 --fix y_right=0.285"
+boat="--model horizontal:force --initial m_u=15 --initial m_v=20 --initial m_r=1.7 --fix y_left=0.285 --fix y_right=-0.285"
 noise="--fix e_uv=0.05 --fix e_r=0.02 --fix e_psi=0.03 --fix e_xy=0.3"
 
 # The lists are meant to be split into words.
 # shellcheck disable=SC2086
 {
-    seatrial ident vehicle $fitted $unused $boat --out trusting
+    seatrial ident vehicle $fitted $unused $boat --out trusting || true  # it does not converge
     seatrial ident vehicle $fitted $unused $boat $noise --out vehicle
     seatrial ident diagnose vehicle/model.toml $fitted $unused --out diagnosis
     # the commands as shaft speeds, in place of the authors' force
     few="" && for run in 218 221 224 232 233; do few="$few logs/fixed_00000$run.mcap"; done
     other="--validate logs/fixed_00000220.mcap --validate logs/fixed_00000230.mcap"
-    start="--fix c1=41.4 --fix c2=13.8 --initial m_u=15 --initial m_v=20 --prior m_r=3:2"
+    start="--fix y_left=0.15 --fix y_right=-0.15 --fix c1=41.4 --fix c2=13.8 --initial m_u=15 --initial m_v=20 --prior m_r=3:2"
     seatrial ident vehicle $few $other --model horizontal:shaft:no-current $start $noise --out shaft
     seatrial ident diagnose shaft/model.toml $few $other --max-effects 1 --out compass
 }

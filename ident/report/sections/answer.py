@@ -25,7 +25,9 @@ def section(result: Result) -> Section:
     """Without a title: it follows the answer itself."""
     caveat = [result.caveat] if isinstance(result, DiagnosisResult) and result.caveat else []
     blocks: list[Any] = [Prose(line, "callout") for line in caveat]
-    if isinstance(result, DiagnosisResult):
+    if isinstance(result, FitResult) and not result.converged:
+        pass  # its estimates are no answer
+    elif isinstance(result, DiagnosisResult):
         blocks += headline(result) + [effect_card(effect) for effect in result.effects]
     elif isinstance(result, FitResult):
         blocks += key_parameters(result.fit)
@@ -36,7 +38,7 @@ def headline(result: DiagnosisResult) -> list[Any]:
     """Errors over the horizon before and after, on validation data where there are some."""
     role, data = by_role(result.errors.validation, result.errors.estimation)[0]
     items = [(n, row) for n, row in data.horizon.items() if row.before is not None and row.after is not None]
-    if not items or not result.converged:
+    if not items:
         return []
     caption = (
         f"RMS prediction error {result.horizon_seconds:g} s ahead on {role} data, before → after; the axis is relative "

@@ -11,7 +11,7 @@ import pytest
 import seatrial
 from daq.checks.device_checks import check_timestamps, lost_zeros, white
 from daq.checks.findings import Finding, findings_lines, findings_summary, worst_first
-from ident.checks.log_checks import findings as motion_findings
+from ident.checks.log_checks import check_signals
 from ident.checks.motion import check_motion
 from ident.checks.sensors import heading_match
 from ident.checks.shafts import response
@@ -117,7 +117,7 @@ def test_the_delay_and_the_dead_band_are_those_of_the_thruster() -> None:
 def test_a_late_gyro_is_measured(late: float) -> None:
     c = channels_of(sailed(5))
     moved = Channel(c["r"].t + late, c["r"].value)
-    found = heading_match(c["psi"], moved)
+    found = heading_match(c | {"r": moved})
     assert found is not None
     assert found.lag == pytest.approx(-late, abs=0.051)
     assert found.scale == pytest.approx(1.0, abs=0.03)
@@ -130,17 +130,17 @@ def test_units_of_velocity_and_shaft_speed_are_recognised() -> None:
         told = table[f"esc/{node}/command"]
         c[f"n_cmd_{side}"] = Channel(told["t"].copy(), told["n_cmd"].copy())
     sides = {"left": -0.15, "right": 0.15}
-    assert not [f for f in motion_findings(c, sides) if f.level != "ok"]
+    assert not [f for f in check_signals(c, sides) if f.level != "ok"]
     knots = c | {n: Channel(c[n].t, c[n].value / 0.5144) for n in ("vx", "vy")}
-    told = [f for f in motion_findings(knots, sides) if f.code == "velocity-unit"]
+    told = [f for f in check_signals(knots, sides) if f.code == "velocity-unit"]
     assert any("knots" in f.text for f in told)
     slow = c | {"n_left": Channel(c["n_left"].t, c["n_left"].value * 2 * np.pi / 60)}
-    (found,) = [f for f in motion_findings(slow, sides) if f.check == "units"]
+    (found,) = [f for f in check_signals(slow, sides) if f.check == "units"]
     assert (found.where, found.code) == ("left", "shaft-speed-in-rad-per-s")
     backwards = c | {"n_right": Channel(c["n_right"].t, -c["n_right"].value)}
-    assert [f.where for f in motion_findings(backwards, sides) if f.code == "shaft-sign-reversed"] == ["right"]
+    assert [f.where for f in check_signals(backwards, sides) if f.code == "shaft-sign-reversed"] == ["right"]
     turned = c | {"r": Channel(c["r"].t, -c["r"].value)}
-    assert "gyro-sign-reversed" in {f.code for f in motion_findings(turned, sides)}
+    assert "gyro-sign-reversed" in {f.code for f in check_signals(turned, sides)}
 
 
 @pytest.mark.parametrize("actuators", [False, True], ids=["mission", "actuators"])

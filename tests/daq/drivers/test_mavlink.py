@@ -242,6 +242,17 @@ def test_the_answer_to_another_ground_station_is_not_ours() -> None:
         assert ends.driver.link_at(ends.t).answer == told
 
 
+def test_the_reason_of_a_refusal_may_come_after_it() -> None:
+    ends = ready(Ends(mav_rig()))
+    ends.deaf = True
+    ends.driver.request("arm", 0.0)
+    ends.run(0.1)
+    vehicle = Codec(1, 1)
+    ends.to_ground(vehicle.encode("COMMAND_ACK", 400, 4, 0, 0, 255, 190))
+    ends.to_ground(vehicle.encode("STATUSTEXT", 2, b"Arm: Battery 1 below minimum arming voltage"))
+    assert ends.driver.link_at(ends.t).answer == "arm: failed (Arm: Battery 1 below minimum arming voltage)"
+
+
 def test_the_second_half_of_a_long_text_is_no_alarm() -> None:
     ends = ready(Ends(mav_rig()))
     vehicle = Codec(1, 1)

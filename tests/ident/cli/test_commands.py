@@ -143,7 +143,7 @@ def test_a_diagnosed_model_is_where_the_next_diagnosis_starts(fitted: Path, run:
     assert EFFECT not in [e["name"] for e in result_of(fitted / "again")["effects"]]
 
 
-def test_a_swapped_pair_is_said_and_put_right(tmp_path: Path, run: Run) -> None:
+def test_a_swapped_pair_is_refused_and_said_first_where_it_is_fitted_all_the_same(tmp_path: Path, run: Run) -> None:
     boat = boat_with(None, 3)
     recording, mission = sail(boat, 120.0, 5)
     cross = {1: 2, 2: 1}
@@ -152,12 +152,20 @@ def test_a_swapped_pair_is_said_and_put_right(tmp_path: Path, run: Run) -> None:
         for r in recording.readings
     ]
     write_log(tmp_path / "swapped.mcap", "boat", swapped, mission)
-    status, out, err = run("ident", "vehicle", tmp_path / "swapped.mcap", "--out", tmp_path / "vehicle")
+    fit = ("ident", "vehicle", tmp_path / "swapped.mcap", "--model", "horizontal:shaft:no-current")
+    status, _, err = run(*fit, "--out", tmp_path / "refused")
+    assert status == 1
+    assert "[thruster-sides-swapped]" in err
+    assert not (tmp_path / "refused").exists()
+    status, _, err = run(*fit, "--fix", "y_left=0.15", "--fix", "y_right=-0.15", "--out", tmp_path / "vehicle")
     assert (status, err) == (0, "")
-    assert "left and right" in " ".join(out.split())
     values = load_model(tmp_path / "vehicle" / "model.toml").model.values
-    assert (values["y_left"], values["y_right"]) == (0.15, -0.15)
     assert values["m_r"] == pytest.approx(boat.truth()["m_r"], rel=0.3)
+    status, _, err = run(*fit, "--despite-faults", "--fix", "m_u=37", "--out", tmp_path / "despite")
+    assert (status, err) == (0, "")
+    result = result_of(tmp_path / "despite")
+    assert result["answer"].startswith("Despite faults of the logs")
+    assert [f["code"] for f in result["logs"][0]["findings"] if f["spoils"]] == ["thruster-sides-swapped"]
 
 
 def test_known_values_and_starts_are_taken(fitted: Path, tmp_path: Path, run: Run) -> None:

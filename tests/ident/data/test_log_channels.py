@@ -9,14 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.mission_generators import make_mission
 from daq.log.reader import open_log
 from daq.samples import Command, Esc, Servo
-from ident.data.log_channels import channels, local_ned
+from ident.data.loading import load_run
+from ident.data.log_channels import SHAFTS, PropulsionInput, channels, local_ned, propulsion_input
 from ident.data.record import Channel
-from mocks.offline_simulation import Recording
+from mocks.offline_simulation import Recording, simulate
 from mocks.plant.bench import draw_bench
 from mocks.sensors import geodetic
 from tests.missions import T0, bench_channels_of, boat_with, channels_of, push, sail, write_log
+from tests.recovery.rig_logs import AUTOPILOT, autopilot_log
 
 NANOSECOND = 2.5e-7  # what is left of one in seconds since 1970
 
@@ -111,3 +114,28 @@ def test_local_ned_is_metres_on_the_ellipsoid() -> None:
         x, y = local_ned(np.array([degrees, degrees + 1e-3]), np.array([179.9995, -179.9995]))  # over the date line
         assert x[1] == pytest.approx(1e-3 * per_lat, rel=1e-4)
         assert y[1] == pytest.approx(1e-3 * per_lon, rel=1e-4)
+
+
+def test_what_drives_the_boat_is_read_from_the_signals_their_hold_and_their_rate(tmp_path: Path) -> None:
+    run = sail(boat_with(None, 4), 20.0, 3)[0]
+    commands = [r for r in run.readings if not isinstance(r.sample, Esc)]
+    with open_log(write_log(tmp_path / "a.mcap", "boat", run.readings)) as log:
+        found = channels(log)
+        assert propulsion_input(log, found, {}) is PropulsionInput.MEASURED
+        assert propulsion_input(log, found, dict.fromkeys(SHAFTS, "zero")) is PropulsionInput.COMMAND  # no shaft jumps
+        slow = found | {n: Channel(found[n].t[::6], found[n].value[::6]) for n in SHAFTS}
+        assert propulsion_input(log, slow, {}) is PropulsionInput.COMMAND
+        assert propulsion_input(log, {}, {}) is None
+    with open_log(write_log(tmp_path / "b.mcap", "boat", commands)) as log:
+        assert not set(SHAFTS) & set(channels(log))
+        assert propulsion_input(log, channels(log), {}) is PropulsionInput.COMMAND
+
+
+@pytest.mark.parametrize("signed", [True, False])
+def test_shaft_speeds_that_an_autopilot_relays_have_an_age(tmp_path: Path, signed: bool) -> None:
+    boat = boat_with(None, 4)
+    t, n = make_mission("mixed", 60.0, 3).setpoints()
+    run = simulate(boat, t, n, 60.0, 1, gear=AUTOPILOT)
+    one = load_run(autopilot_log(tmp_path / "a.mcap", run.readings, signed=signed), "estimation")
+    assert one.propulsion is PropulsionInput.TELEMETRY
+    assert one.holds["n_left"] == ("" if signed else "average")

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.data.record import WORK_UNIT, Channel, Record, block_mean, build_record, sample_and_hold
+from ident.data.record import WORK_UNIT, Channel, Record, block_mean, build_record, held_lines, sample_and_hold
 from ident.model.parameter import Parameter
 from ident.model.structure import HISTORY_STEP, Effect, Input, Model, Output, Sensor, State, plain_model
 
@@ -110,6 +110,38 @@ def test_a_zero_hold_switches_at_its_own_times_and_a_linear_one_runs_between() -
     wanted = np.interp(linear.t, channels()["w"].t, channels()["w"].value)
     np.testing.assert_allclose(linear.u[:, 0], wanted, atol=1e-12)
     np.testing.assert_allclose(linear.u_next[:-1], linear.u[1:])
+
+
+def test_a_command_that_is_repeated_is_no_row() -> None:
+    t = np.arange(0.0, 10.0, 0.02)
+    repeated = channels() | {"w": Channel(t, np.where(t < 2.04, 1.0, np.where(t < 5.0, -2.0, 3.0)))}
+    record, sparse = build_record(model(), repeated), build_record(model(), channels())
+    assert record.n_rows <= sparse.n_rows + 1
+    assert sparse.n_rows < 0.4 * t.size
+    np.testing.assert_array_equal(record.u[: sparse.n_rows - 3], sparse.u[: sparse.n_rows - 3])
+
+
+def test_a_hold_between_rows_is_the_line_of_its_mean_and_first_moment() -> None:
+    rng = np.random.default_rng(1)
+    held = Channel(np.sort(rng.uniform(-0.5, 10.0, 300)), rng.normal(size=300))
+    t = np.append(np.arange(0.0, 10.0, 0.1), 10.5)
+    start, end = held_lines(held, t)
+    fine = np.arange(0.0, 10.5, 1e-5) + 0.5e-5
+    value, row = sample_and_hold(held, fine), np.searchsorted(t, fine) - 1
+    h, since = np.diff(t), fine - t[row]
+    mean, moment = (np.bincount(row, x) * 1e-5 for x in (value, value * since))
+    np.testing.assert_allclose((start + end)[:-1] / 2 * h, mean, atol=1e-4)
+    np.testing.assert_allclose((start / 2 + (end - start) / 3)[:-1] * h**2, moment, atol=1e-5)
+    still = Channel(np.array([-1.0, 20.0]), np.array([0.3, 0.7]))
+    np.testing.assert_allclose(held_lines(still, t), 0.3, atol=1e-12)
+
+
+def test_a_delayed_copy_is_held_as_its_signal_is() -> None:
+    """Whatever an effect says of its copies: between them a held command would begin to rise too early."""
+    zero = replace(with_taps(0), inputs=(Input("g", "", "zero"),))
+    taps = Effect("late", "late", {}, inputs=tuple(Input("g", "", "linear").delayed(k) for k in (1, 2)))
+    assert [i.hold for i in (zero + taps).inputs] == ["zero", "average", "average"]
+    assert [i.hold for i in (with_taps(0) + taps).inputs[-2:]] == ["linear", "linear"]
 
 
 def test_a_switch_a_hair_after_a_sample_is_not_late() -> None:

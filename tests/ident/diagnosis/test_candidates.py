@@ -266,7 +266,7 @@ def test_all_columns_leave_out_what_a_record_cannot_drive_and_what_is_there() ->
     x = np.random.default_rng(1).normal(size=(N_ROWS, len(model.states))) * 0.4
     values = np.array(list(model.values.values()))
     names = [c.name for c in all_columns(TrajectoryLinearisation(model, values, bare, x), catalogue().values())]
-    assert not {"delay", "lag", "battery-sag", "force-delay", "lever-arm-force"} & set(names)
+    assert not {"delay", "battery-sag", "force-delay", "force-lag", "lever-arm-force"} & set(names)
     assert "advance-ratio" in names
     assert "heading-moment" in names
     assert "N(psi)" in names  # it has a third harmonic that heading-moment has not

@@ -239,6 +239,21 @@ def test_the_terminal_has_the_key_figures(diagnosis: dict[str, Any]) -> None:
         assert words in text
 
 
+@pytest.mark.parametrize("fit", ["before", "after"])
+def test_a_fit_that_did_not_converge_has_no_headline(fit: str, diagnosis: dict[str, Any], tmp_path: Path) -> None:
+    result = shortened(copy.deepcopy(diagnosis)) | {"answer": "The fit did not converge: it stopped."}
+    if fit == "after":
+        result["fit"]["converged"] = False
+    else:
+        result["converged_before"] = False
+    words = " ".join(Page(written(result, tmp_path)).words.split())
+    first = words[words.index("The fit did not converge") : words.index("Predicted 10 s ahead against measured")]
+    assert "6.08" not in first
+    assert "before → after" not in first
+    assert printed(result).split()[0] == "⚠"
+    assert not loaded(result).converged
+
+
 def test_the_terminal_says_the_units_of_outages() -> None:
     words = " ".join(printed(KINDS["navigation"]()).split())
     assert "from [s] for [s] 95 % radius [m] off by [m] allowed [m]" in words

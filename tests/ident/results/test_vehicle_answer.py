@@ -49,7 +49,8 @@ def said(residuals: list[float], cross: list[tuple[str, float]], channels: str =
     none = np.empty(0)
     rows = [
         ResidualTests(record="r", channel="x", unit="m", t=none, e=none, lags=none, acf=none, band=0.1, ljung_box_p=p,
-                      periodogram_p=0.5, frequency=none, cumulative=none, normal_p=0.5, white=p > 0.01)
+                      periodogram_p=0.5, frequency=none, cumulative=none, normal_p=0.5, white=p > 0.01, outliers=0,
+                      largest=3.0)
         for p in residuals
     ]
     with_inputs = [

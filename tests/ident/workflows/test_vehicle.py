@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,13 @@ import pytest
 
 from daq.errors import SeatrialError
 from ident.data.loading import LoadedLog, load_run
+from ident.data.log_channels import PropulsionInput
 from ident.data.record import Channel, LogSegment
 from ident.estimation.fitted_model import fit_nominal_model
 from ident.estimation.prior_knowledge import apply_rig_geometry, fix_parameters
 from ident.models.catalogue import make_model
 from ident.models.horizontal import horizontal_model
-from ident.workflows.model_inputs import choose_model
+from ident.workflows.model_inputs import choose_model, thrust_from
 from ident.workflows.output import validity
 from tests.ident.rolling import Fitted
 from tests.ident.rolling import sail as rolling_sail
@@ -50,6 +52,29 @@ def test_an_input_keeps_the_hold_it_was_logged_with() -> None:
     holds = {"f_left": "zero", "f_right": "linear"}
     model = choose_model("auto", [loaded(*names, holds=holds)])
     assert {i.name: i.hold for i in model.inputs} == holds
+
+
+@pytest.mark.parametrize(
+    ("ways", "source", "aged"),
+    [
+        ((PropulsionInput.MEASURED, PropulsionInput.MEASURED), "horizontal:shaft", False),
+        ((PropulsionInput.MEASURED, PropulsionInput.TELEMETRY), "horizontal:shaft", True),
+        ((PropulsionInput.COMMAND, PropulsionInput.TELEMETRY), "horizontal:command", False),
+    ],
+)
+def test_the_thrust_follows_the_best_that_all_logs_have(
+    ways: tuple[PropulsionInput, ...], source: str, aged: bool
+) -> None:
+    names = ("n_left", "n_right", "n_cmd_left", "n_cmd_right", *AHRS)
+    model = choose_model("auto", [replace(loaded(*names), propulsion=way) for way in ways])
+    assert model.source == source
+    assert ("tau_age" in model.values) == aged
+    assert ("T_n" in model.values) == (source == "horizontal:command")
+    assert thrust_from(model)
+    if source == "horizontal:command":
+        assert {i.hold for i in model.inputs} == {"average"}
+    chosen = choose_model("horizontal:shaft", [replace(loaded(*names), propulsion=way) for way in ways])
+    assert (chosen.source, "tau_age" in chosen.values) == ("horizontal:shaft", False)
 
 
 def test_inputs_that_only_some_logs_have_are_none() -> None:

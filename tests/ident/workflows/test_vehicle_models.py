@@ -181,7 +181,7 @@ def test_the_built_in_yaw_model(tmp_path: Path) -> None:
     for name, truth in (("m_r", 9.7), ("d_r", 4.0), ("d_rr", 6.0)):
         value, se = estimate(found, name)
         assert abs(value - truth) < 4 * se, name
-    assert "yaw rate" in found["answer"]
+    assert found["prediction"]["fit"] > 0.9
 
 
 def test_a_curve_makes_thrust_for_the_horizontal_model(logs: Path, tmp_path: Path) -> None:
@@ -190,7 +190,7 @@ def test_a_curve_makes_thrust_for_the_horizontal_model(logs: Path, tmp_path: Pat
     columns = only(columns, "n_left", "n_right", "u") | {"r": 0.01 * rng.normal(size=600)}
     path = log(tmp_path, "straight", columns)
     run("ident", "vehicle", path, "--thruster", logs / "curve.toml", "--out", tmp_path / "v", "--fix", "V_x=0",
-        "--fix", "V_y=0")  # fmt: skip
+        "--fix", "V_y=0", status=1)  # fmt: skip  # it does not converge: nothing turns
     found = result(tmp_path / "v")
     assert {i["name"] for i in found["inputs"]} == {"f_left", "f_right"}
     f = np.array(next(i["value"] for i in found["inputs"] if i["name"] == "f_left"))

@@ -1,0 +1,188 @@
+"""Each signal of a log by itself: sample interval, range and unit, frozen stretches, smoothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from math import comb
+
+import numpy as np
+
+from daq.checks import Finding
+from ident.checks.sensors import Channels
+from ident.data import Channel
+from ident.numerics import NORMAL_MAD, Array
+
+MOTION = ("psi", "r", "ax", "ay", "x", "y", "vx", "vy", "u", "v")
+# Those that one sensor gives: none of them proves that another one moves.
+GROUPS = (("psi",), ("r",), ("ax", "ay"), ("x", "y"), ("vx", "vy"), ("u", "v"))
+BODY = (("ax", "ay"), ("u", "v"))  # one axis of which may be zero all the time
+LONGEST_INTERVAL, SHORTEST_INTERVAL = 10.0, 2e-4  # s between samples of a boat's sensors
+MOST_N = 1.5  # of full speed: more is another unit
+MOST_YAW_RATE = 5.0  # rad/s
+TWICE = np.radians(2.0 * np.pi)  # rad, a turn of a heading in radians that was taken for degrees
+MOST_TRACK = 0.1  # degrees, of a track that is in degrees
+FROZEN_S, FROZEN_SAMPLES = 5.0, 10  # a value that stays exactly the same for longer than both,
+FROZEN_TIMES = 10.0  # and for so many times what it usually does (99 %), while the boat moves:
+TURNS, DRIVEN = 0.15, 0.1  # standard deviation of the heading [rad]; command as a part of the largest
+# Standard deviations from sample to sample below which no sensor's noise is in a signal (rad, rad/s, m/s2, m, m/s).
+NO_NOISE = {"psi": 1e-4, "r": 1e-4, "ax": 1e-3, "ay": 1e-3, "x": 2e-3, "y": 2e-3, "vx": 1e-3, "vy": 1e-3, "u": 1e-3,
+            "v": 1e-3}  # fmt: skip
+FEWEST = 200  # samples
+
+
+def check_intervals(c: Channels) -> Iterator[Finding]:
+    """Whether time is in seconds, as far as the samples' distance shows it."""
+    for name in (n for n in MOTION if n in c):
+        step = float(np.median(np.diff(c[name].t)))
+        if step > LONGEST_INTERVAL or step < SHORTEST_INTERVAL:
+            unit = "ms" if LONGEST_INTERVAL < step < 1e4 else "us" if step > 1.0 else "another unit than s"
+            yield Finding(
+                "fault",
+                "time-scale",
+                "time",
+                name,
+                f"one sample every {step:.3g} s: is its time in {unit}?",
+                "[time] format in the import's map: s, ms, us, ns",
+            )
+            return
+
+
+def check_ranges(c: Channels) -> Iterator[Finding]:
+    """Values that no boat has: shaft speeds and commands, yaw rate, positions in degrees."""
+    for name in sorted(n for n in c if n.startswith("n_")):
+        most = float(np.quantile(np.abs(c[name].value), 0.99))
+        if most > MOST_N:
+            value = c[name].value
+            pulses = float(np.median(value)) > 700.0 and float(value.max()) < 2600.0
+            what = "a pulse width in us" if pulses else "percent" if most <= 110.0 else "rev/min, or a wrong offset"
+            how = "scale = 0.0025, offset = -3.75" if pulses else f"scale = {0.01 if most <= 110.0 else 1.0 / most:.3g}"
+            yield Finding(
+                "fault",
+                "n-out-of-range",
+                "units",
+                name,
+                f"goes from {value.min():.4g} to {value.max():.4g}, and 1 is full speed: {what}?",
+                f"{how} in the import's map (value = sign * (scale * cell + offset)); rpm_max of the rig",
+            )
+    if "r" in c and (most := float(np.quantile(np.abs(c["r"].value), 0.99))) > MOST_YAW_RATE:
+        text = f"{most:.3g} rad/s: in deg/s?"
+        yield Finding("fault", "angle-in-degrees", "units", "r", text, 'unit = "deg/s" in the import\'s map')
+    if "psi" in c and np.abs(c["psi"].value).max() > 7.0:
+        t = np.arange(c["psi"].t[0], c["psi"].t[-1], max(1.0, 2.0 * float(np.median(np.diff(c["psi"].t)))))
+        rate = np.diff(np.interp(t, c["psi"].t, np.unwrap(c["psi"].value, period=360.0))) / np.diff(t)
+        if rate.size and float(np.quantile(np.abs(rate), 0.95)) > MOST_YAW_RATE:
+            text = f"from {c['psi'].value.min():.4g} to {c['psi'].value.max():.4g} rad: in degrees?"
+            yield Finding("fault", "angle-in-degrees", "units", "psi", text, 'unit = "deg" in the import\'s map')
+    psi = c["psi"].value if "psi" in c else np.zeros(2)
+    if 0.9 * TWICE < np.ptp(psi) < 1.02 * TWICE and np.abs(np.diff(psi)).max() > 0.8 * TWICE:
+        text = f"jumps by {TWICE:.3f} rad, a turn in radians that was taken for degrees"
+        yield Finding("fault", "angle-in-degrees", "units", "psi", text, 'unit = "rad" in the import\'s map')
+    if {"x", "y"} <= set(c):
+        span = [float(np.ptp(c[n].value)) for n in ("x", "y")]
+        away = [abs(float(np.median(c[n].value))) for n in ("x", "y")]
+        small = 0.0 < max(span) < MOST_TRACK and away[0] <= 90.0 and away[1] <= 180.0
+        if small and max(away) > 20.0 * max(span):
+            text = f"a track of {max(span):.2g} m, {away[0]:.4g} and {away[1]:.4g} m from its origin: degrees?"
+            yield Finding(
+                "fault", "positions-in-degrees", "units", "x, y", text,
+                "x and y are metres north and east: scale = 111200 for latitude, 111200 cos(latitude) for longitude",
+            )  # fmt: skip
+
+
+def check_frozen(c: Channels) -> Iterator[Finding]:
+    """Signals that stay exactly the same while the boat moves, for a while or all the time."""
+    for group in GROUPS:
+        held = {name: _longest_hold(c[name]) for name in group if name in c}
+        held = {name: (begin, end) for name, (begin, end) in held.items() if end - begin > FROZEN_S}
+        for name, (begin, end) in held.items():
+            same = [n for n, (a, b) in held.items() if min(b, end) - max(a, begin) > 0.8 * (end - begin)]
+            whole = len(same) == len([n for n in group if n in c])
+            if (group in BODY and not whole) or not _moves(c, group, whole, begin, end):
+                continue
+            start, duration = float(c[name].t[0]), float(np.ptp(c[name].t))
+            value = float(c[name].value[np.searchsorted(c[name].t, begin)])
+            if end - begin >= 0.99 * duration:
+                text, code = f"{value:g} all the time, and the boat moves", "channel-constant"
+            else:
+                code = "channel-frozen"
+                text = f"{value:.6g} for {end - begin:.1f} s, from {begin - start:.1f} s on, and the boat moves"
+            advice = "another column, or leave that time out: [[log]] t_from, t_to in the import's map"
+            yield Finding("fault", code, "stuck", name, text, advice)
+
+
+def _longest_hold(channel: Channel) -> tuple[float, float]:
+    """When the longest time of one value begins and ends [s]; nothing where that is usual."""
+    first = np.flatnonzero(np.diff(channel.value, prepend=np.nan) != 0)
+    last = np.append(first[1:], channel.value.size) - 1
+    held = channel.t[last] - channel.t[first]
+    k = int(np.argmax(held))
+    usual = float(np.quantile(held, 0.99)) if held.size > 100 else 0.0
+    if last[k] - first[k] < FROZEN_SAMPLES or held[k] < FROZEN_TIMES * usual:
+        return 0.0, 0.0
+    return float(channel.t[first[k]]), float(channel.t[last[k]])
+
+
+def _moves(c: Channels, group: Sequence[str], whole: bool, begin: float, end: float) -> bool:
+    """Whether the boat turns in that time, by another sensor or else by its thrusters; where the ``whole`` group
+    stays the same, also whether it is driven."""
+    if any(np.std(turn) > TURNS for turn in _turns(c, group, begin, end)):
+        return True
+    inputs = {n: _part(c[n], begin, end) for n in ("n_left", "n_right", "f_left", "f_right") if n in c}
+    most = max((float(np.abs(c[n].value).max()) for n in inputs), default=0.0)
+    if group in (("psi",), ("r",)):
+        if {"psi", "r"} <= set(c):
+            return False
+        pairs = [(inputs[f"{k}_left"], inputs[f"{k}_right"]) for k in "nf" if f"{k}_left" in inputs]
+        steps = np.linspace(begin, end, 50)
+        return any(np.std(np.interp(steps, *a) - np.interp(steps, *b)) > DRIVEN * most for a, b in pairs)
+    return whole and any(np.mean(np.abs(value)) > DRIVEN * most for _, value in inputs.values())
+
+
+def _turns(c: Channels, group: Sequence[str], begin: float, end: float) -> Iterator[Array]:
+    """Heading [rad] in that time by the sensors that are not of the group, less what a frozen yaw rate says."""
+    if "psi" in c and "psi" not in group:
+        t, psi = _part(Channel(c["psi"].t, np.unwrap(c["psi"].value)), begin, end)
+        rate = float(np.interp(begin, c["r"].t, c["r"].value)) if group == ("r",) else 0.0
+        yield psi - rate * t if psi.size else np.zeros(1)
+    if "r" in c and "r" not in group:
+        t, r = _part(c["r"], begin, end)
+        yield np.cumsum(r[1:] * np.diff(t)) if r.size > 1 else np.zeros(1)
+
+
+def _part(channel: Channel, begin: float, end: float) -> tuple[Array, Array]:
+    inside = (channel.t >= begin) & (channel.t <= end)
+    return channel.t[inside], channel.value[inside]
+
+
+def check_smoothing(c: Channels) -> Iterator[Finding]:
+    """Signals without any sensor's noise: what a filter made of sensors, with errors that last."""
+    smooth = smoothed(c)
+    if smooth:
+        text = "no sensor's noise is seen from sample to sample: smoothed by a filter, whose errors last for seconds"
+        yield Finding(
+            "warning", "channel-smoothed", "noise", ", ".join(smooth), text,
+            "give the noise of these channels (--fix e_psi=0.03, ...); else a usual sensor's is the least fitted",
+        )  # fmt: skip
+
+
+def smoothed(c: Channels) -> tuple[str, ...]:
+    """The signals of motion in which no white noise is seen."""
+    return tuple(n for n in MOTION if n in c and noise_floor(c[n]) < NO_NOISE[n])
+
+
+def noise_floor(channel: Channel) -> float:
+    """Upper bound of a signal's white noise (standard deviation) from differences of rising order; inf for few samples.
+
+    White noise is the same in all orders; a smooth signal goes to zero with the order (von Neumann's ratio, extended).
+    Values that repeat the one before are no samples.
+    """
+    new = np.append(True, np.diff(channel.value) != 0)
+    value = channel.value[new]
+    if value.size < FEWEST:
+        return np.inf
+    value = np.unwrap(value) if channel.unit == "rad" else value
+    return min(_scatter(np.diff(value, order), order) for order in (2, 4, 6))
+
+
+def _scatter(differences: Array, order: int) -> float:
+    return float(NORMAL_MAD * np.median(np.abs(differences)) / np.sqrt(comb(2 * order, order)))

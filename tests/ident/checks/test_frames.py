@@ -1,0 +1,93 @@
+"""Which signal is the mirror of the others; smoothed signals and the floor under their noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from ident.checks.frames import Relation, culprit
+from ident.checks.log_checks import check_copies, check_signals
+from ident.checks.signals import check_frozen, noise_floor, smoothed
+from ident.data.loading import LoadedLog
+from ident.data.record import Channel, LogSegment
+from ident.models.horizontal import horizontal_model
+from ident.workflows.check import with_noise_floors
+from tests.missions import boat_with, channels_of, sail
+
+SIDES = {"left": -0.15, "right": 0.15}
+ALL: tuple[Relation, ...] = (
+    ("position", "heading"), ("velocity", "heading"), ("position", "velocity"), ("heading", "gyro"),
+    ("thrusters", "gyro"), ("thrusters", "heading"),
+)  # fmt: skip
+
+
+def signs(*mirrored: str, known: tuple[Relation, ...] = ALL) -> Mapping[Relation, int]:
+    """As they are where these are mirrored and the rest is right."""
+    return {pair: 1 - 2 * (len(set(pair) & set(mirrored)) % 2) for pair in known}
+
+
+@pytest.mark.parametrize("one", ["heading", "gyro", "position", "velocity", "thrusters"])
+def test_one_mirror_is_named(one: str) -> None:
+    assert culprit(signs(one)) == (one,)
+
+
+def test_two_of_one_device_are_named_and_nothing_where_all_agree() -> None:
+    assert culprit(signs()) is None
+    assert culprit({}) is None
+    assert culprit(signs("heading", "gyro")) == ("gyro", "heading")
+    assert culprit(signs("position", "velocity")) == ("position", "velocity")
+
+
+def test_what_cannot_be_told_apart_is_named_together() -> None:
+    assert culprit(signs("heading", known=(("position", "heading"),))) == ("heading", "position")
+    known: tuple[Relation, ...] = (("position", "heading"), ("heading", "gyro"))
+    assert culprit(signs("position", known=known)) == ("gyro", "heading", "position")
+    assert culprit(signs("gyro", known=known)) == ("gyro",)
+
+
+@pytest.fixture(scope="module")
+def run() -> dict[str, Channel]:
+    return channels_of(sail(boat_with(None, 3), 120.0, 5)[0])
+
+
+def filtered(c: Channel, samples: int = 25) -> Channel:
+    """By a smoother: several passes of a moving mean."""
+    value, kernel = np.unwrap(c.value), np.full(samples, 1.0 / samples)
+    for _ in range(4):
+        value = np.convolve(np.pad(value, samples // 2, mode="edge"), kernel, mode="valid")
+    return Channel(c.t, value, c.unit)
+
+
+def test_a_smoothed_signal_is_told_and_its_noise_has_a_floor(run: dict[str, Channel]) -> None:
+    assert smoothed(run) == ()
+    assert noise_floor(run["r"]) == pytest.approx(0.01, rel=0.2)  # that of the mocks' gyro
+    ekf = run | {"r": filtered(run["r"])}
+    assert smoothed(ekf) == ("r",)
+    assert [f.code for f in check_signals(ekf, SIDES) if f.level == "warning"] == ["channel-smoothed"]
+    log = LoadedLog(LogSegment("run", ekf), {}, {}, None)
+    model, said = with_noise_floors(horizontal_model(), [log])
+    assert model.parameter("e_r").bounds[0] == 0.005
+    assert model.parameter("e_r").value > 0.005
+    assert model.parameter("e_psi") == horizontal_model().parameter("e_psi")
+    assert len(said) == 1
+    assert with_noise_floors(horizontal_model(), [])[1] == []
+
+
+def test_a_boat_at_rest_is_not_frozen_and_a_driven_one_is(run: dict[str, Channel]) -> None:
+    t = run["psi"].t
+    held = {n: Channel(c.t, np.where((c.t > 30.0) & (c.t < 60.0), c.value[np.searchsorted(c.t, 30.0)], c.value))
+            for n, c in run.items()}  # fmt: skip
+    still = Channel(t, np.where((t > 29.0) & (t < 61.0), 0.0, run["r"].value))
+    assert not list(check_frozen({"psi": held["psi"], "r": still}))
+    assert [f.code for f in check_frozen(run | {"r": held["r"]})] == ["channel-frozen"]
+    assert [f.code for f in check_frozen(run | {"x": held["x"], "y": held["y"]})] == ["channel-frozen"] * 2
+    rounded = Channel(t, np.round(run["psi"].value, 1))  # a coarse compass repeats itself
+    assert not list(check_frozen(run | {"psi": rounded}))
+
+
+def test_a_part_of_a_log_is_a_copy(run: dict[str, Channel]) -> None:
+    later = {n: Channel(c.t[c.t > 60.0] - 60.0, c.value[c.t > 60.0]) for n, c in run.items()}
+    other = channels_of(sail(boat_with(None, 3), 120.0, 5, run=2)[0])
+    assert [f.where for f in check_copies([("a", run), ("b", other), ("c", later)])] == ["c"]

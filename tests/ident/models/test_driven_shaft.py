@@ -1,0 +1,115 @@
+"""Boats of which commands alone are logged, from a simulator of their own: shafts are states, and nothing is missing.
+
+``T n' = n_ref(t - tau) - n``, ``f = 12 n|n|``, Runge-Kutta steps of 5 ms, commands held at 5 to 50 Hz.
+"""
+
+from __future__ import annotations
+
+import time
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ident.data.record import Channel, LogSegment, build_record
+from ident.diagnosis.search import diagnose
+from ident.estimation.fitted_model import fit_nominal_model
+from ident.model.structure import Model
+from ident.models.horizontal import horizontal_model
+
+Array = NDArray[np.float64]
+DT, ARM, C1 = 0.005, 0.2, 12.0  # s, m, N
+TRUTH = {"m_u": 12.0, "m_v": 17.0, "m_r": 1.3, "d_u": 2.0, "d_uu": 8.0, "d_v": 10.0, "d_vv": 20.0, "d_r": 1.0}
+TRUTH |= {"d_rr": 1.5}
+CURRENT = np.array([0.05, -0.03])  # m/s
+
+
+def commands(seconds: float, rng: np.random.Generator) -> Array:
+    """Steps of each side, of both, and oscillations, of 1 to 5 s (n, 2), as an operator wants them."""
+    t = DT * np.arange(round(seconds / DT))
+    wanted, i = np.zeros((t.size, 2)), 0
+    while i < t.size:
+        j = min(i + round(rng.uniform(1.0, 5.0) / DT), t.size)
+        kind = rng.integers(3)
+        wave = np.sin(2 * np.pi * rng.uniform(0.2, 1.2) * t[i:j, None] + np.array([0.0, 2.0]))
+        swing = rng.uniform(-0.3, 0.6) + rng.uniform(0.1, 0.45, 2) * wave
+        wanted[i:j] = (rng.uniform(-1, 1, 2), rng.uniform(-0.5, 1), swing)[kind]
+        i = j
+    return np.clip(wanted, -1.0, 1.0)
+
+
+def rates(x: Array, n_ref: Array, T: float) -> Array:
+    p, (psi, u, v, r), n = TRUTH, x[2:6], x[6:]
+    f = C1 * n * np.abs(n)
+    north, east = np.cos(psi) * u - np.sin(psi) * v, np.sin(psi) * u + np.cos(psi) * v
+    du = (f.sum() - p["d_u"] * u - p["d_uu"] * abs(u) * u + p["m_v"] * v * r) / p["m_u"]
+    dv = (-p["d_v"] * v - p["d_vv"] * abs(v) * v - p["m_u"] * u * r) / p["m_v"]
+    moment = ARM * (f[0] - f[1]) - p["d_r"] * r - p["d_rr"] * abs(r) * r + (p["m_u"] - p["m_v"]) * u * v
+    return np.array([north + CURRENT[0], east + CURRENT[1], r, du, dv, moment / p["m_r"], *(n_ref - n) / T])
+
+
+@cache
+def sailed(seed: int, seconds: float, hertz: float, T: float = 0.25, tau: float = 0.0) -> dict[str, Channel]:
+    """What the log of a run has: heading, yaw rate and accelerations at 50 Hz, GNSS at 5 Hz, and the commands."""
+    rng = np.random.default_rng(seed)
+    wanted = commands(seconds, rng)
+    n, every = len(wanted), round(1 / hertz / DT)
+    held = np.round(wanted[::every], 3)
+    n_ref = np.repeat(held, every, axis=0)[:n]
+    n_ref = np.vstack([np.zeros((round(tau / DT), 2)), n_ref])[:n]
+    x, state, accelerations = np.zeros((n, 8)), np.zeros(8), np.zeros((n, 2))
+    gusts = np.sqrt(DT) * rng.standard_normal((n, 3)) * np.array([0.02, 0.02, 0.01])
+    for k in range(n):
+        x[k], k1 = state, rates(state, n_ref[k], T)
+        accelerations[k] = k1[3] - state[4] * state[5], k1[4] + state[3] * state[5]
+        k2 = rates(state + DT / 2 * k1, n_ref[k], T)
+        k3 = rates(state + DT / 2 * k2, n_ref[k], T)
+        state = state + DT / 6 * (k1 + 2 * k2 + 2 * k3 + rates(state + DT * k3, n_ref[k], T))
+        state[3:6] += gusts[k]
+    t, (psi, u, v) = DT * np.arange(n), x[:, 2:5].T
+    ground = np.column_stack([np.cos(psi) * u - np.sin(psi) * v, np.sin(psi) * u + np.cos(psi) * v])
+    seen = {"psi": (psi, 4, 0.01), "r": (x[:, 5], 4, 0.01)}
+    seen |= {name: (accelerations[:, j], 4, 0.1) for j, name in enumerate(("ax", "ay"))}
+    seen |= {name: (x[:, j], 40, 0.1) for j, name in enumerate(("x", "y"))}
+    seen |= {name: (ground[:, j] + CURRENT[j], 40, 0.04) for j, name in enumerate(("vx", "vy"))}
+    found = {
+        name: Channel(t[::k], value[::k] + sd * rng.standard_normal(value[::k].size))
+        for name, (value, k, sd) in seen.items()
+    }
+    return found | {f"n_cmd_{side}": Channel(t[::every], held[:, j]) for j, side in enumerate(("left", "right"))}
+
+
+def boat() -> Model:
+    model = horizontal_model("command")
+    known = {"c1": C1, "c2": 0.0, "y_left": -ARM, "y_right": ARM}
+    return model.replace_parameters(*[model.parameter(name).at(value) for name, value in known.items()])
+
+
+@pytest.mark.parametrize(
+    ("hertz", "T", "tau"), [(5.0, 0.25, 0.0), (10.0, 0.25, 0.13), (50.0, 0.14, 0.345), (20.0, 0.08, 0.17)]
+)
+def test_commands_alone_give_the_boat_and_its_shafts(hertz: float, T: float, tau: float) -> None:
+    log = sailed(7, 150.0, hertz, T, tau)
+    fit = fit_nominal_model(boat(), [LogSegment("run", log)], []).fit
+    assert fit.converged
+    for name, true in TRUTH.items():
+        value, error = fit.estimate(name)
+        assert abs(value - true) < 3 * error, f"{name} {value} +- {error}, not {true}"
+    for name, true in (("T_n", T), ("tau_n", tau)):
+        assert fit.estimate(name)[0] == pytest.approx(true, abs=0.01)
+
+
+def test_a_boat_that_lacks_nothing_lacks_nothing_where_only_its_commands_are_known() -> None:
+    runs = [LogSegment(str(seed), sailed(seed, seconds, 10.0)) for seed, seconds in ((1, 200.0), (101, 120.0))]
+    began = time.process_time()
+    found = diagnose(boat(), runs[:1], runs[1:])
+    assert [r.chosen for r in found.rounds if r.chosen is not None] == []
+    assert time.process_time() - began < 60.0
+    value, error = found.before.fit.estimate("T_n")
+    assert abs(value - 0.25) < 3 * error < 0.02
+
+
+def test_rows_do_not_grow_with_the_rate_of_the_commands() -> None:
+    rows = [build_record(boat(), sailed(7, 150.0, hertz)).n_rows for hertz in (5.0, 50.0)]
+    assert rows[1] <= rows[0] + 2
