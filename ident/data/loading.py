@@ -25,8 +25,8 @@ class LoadedLog:
     rig: Rig | None
     propulsion: PropulsionInput | None = None
     segments: tuple[tuple[float, str], ...] = ()  # steps of its mission: when each began [s of the log], and its name
-    path: Path = Path()
     vehicle: Mapping[str, float] = field(default_factory=dict)  # what rig or map know of the boat, parameters by name
+    path: Path = Path()
 
 
 def load_all(logs: Sequence[Path], validate: Sequence[Path]) -> tuple[list[LoadedLog], list[LoadedLog]]:
@@ -59,7 +59,7 @@ def load_run(path: Path, role: str, t_from: float | None = None, t_to: float | N
         segments = tuple((t - start, text) for t, kind, text in log.events() if kind == "segment")
         propulsion = propulsion_input(log, moved, holds)
         run = LogSegment(path.stem, moved, t_from, t_to)
-        return LoadedLog(run, about, holds, log.rig, propulsion, segments, path, log.vehicle)
+        return LoadedLog(run, about, holds, log.rig, propulsion, segments, log.vehicle, path)
 
 
 def _hold(log: Log, name: str) -> str:

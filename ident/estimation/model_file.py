@@ -13,6 +13,7 @@ import tomlkit
 
 from daq.errors import SeatrialError
 from ident.effects import catalogue, input_response_effects, nonparametric_effect
+from ident.estimation.homogeneity import BETWEEN, between_runs_effect
 from ident.estimation.maximum_likelihood import Fit
 from ident.estimation.parameter_covariance import ParameterCovariance
 from ident.estimation.thrust_scale import scale_of
@@ -266,6 +267,8 @@ def _effect(name: str, model: Model, curves: Mapping[str, Any]) -> Effect:
         return telemetry_age()
     if name in curves:
         return _unlisted(model, curves[name])
+    if name.startswith(BETWEEN):
+        return between_runs_effect(model, name.removeprefix(BETWEEN))
     if name not in catalogue():
         raise ValueError(f"there is no effect {name!r} in the catalogue")
     return catalogue()[name]

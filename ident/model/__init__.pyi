@@ -11,6 +11,7 @@ from .parameter import Parameter as Parameter
 from .parameter import ParameterOrigin as ParameterOrigin
 from .parameter import ParameterRole as ParameterRole
 from .structure import HISTORY_STEP as HISTORY_STEP
+from .structure import PARAMETERS as PARAMETERS
 from .structure import Effect as Effect
 from .structure import EffectKind as EffectKind
 from .structure import ForceCurve as ForceCurve

@@ -11,6 +11,7 @@ from ident.model.names import segment_name
 
 INF = math.inf
 LARGEST = 700.0  # logarithm of a number that can still be written; a search may ask for more
+ROUNDING = 1e-9  # of a bound: a value that is outside by no more, such as a mean of values on it, stands on it
 
 
 class ParameterRole(StrEnum):
@@ -60,6 +61,9 @@ class Parameter:
         low, high = self.bounds
         if self.transform == "log" and self.value <= 0:
             raise ValueError(f"parameter {self.name}: {self.value} is not positive, but its transform is log")
+        nearest = min(max(self.value, low), high)
+        if 0 < abs(self.value - nearest) <= ROUNDING * abs(nearest):
+            object.__setattr__(self, "value", nearest)
         if not low <= self.value <= high:
             raise ValueError(f"parameter {self.name}: {self.value} is outside its bounds [{low}, {high}]")
 

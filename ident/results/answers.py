@@ -12,7 +12,7 @@ import numpy as np
 
 from ident.characterisation import Curve, Levels, Quadratic
 from ident.data import Record
-from ident.estimation import Fit, HomogeneityTest, ThrustScale, against_priors, least_inertia, scale_of
+from ident.estimation import FailedRun, Fit, HomogeneityTest, ThrustScale, against_priors, least_inertia, scale_of
 from ident.model import Model
 from ident.results.parts import (
     Calibrations,
@@ -239,7 +239,7 @@ def check_warnings(made: Provenance) -> list[ResultWarning]:
     """One for each finding of the checks before the fit that is not in order."""
     return [
         ResultWarning(
-            code=f.code, text=f"{log.path}: {f.where}: {f.text} [{f.code}]{': ' * bool(f.advice)}{f.advice}."
+            code="log-check", text=f"{log.path}: {f.where}: {f.text} [{f.code}]{': ' * bool(f.advice)}{f.advice}."
         )
         for log in made.logs
         for f in log.findings
@@ -254,6 +254,12 @@ def not_converged(fit: Fit) -> str | None:
         f"The fit did not converge: it {fit.message}. Take no estimate or error from it: look for a stuck or "
         "missing signal first, then give --initial or --prior, or a model with fewer free parameters."
     )
+
+
+def failed_run_warnings(failed: Sequence[FailedRun]) -> list[ResultWarning]:
+    """One for each validation run that could not be evaluated."""
+    text = "Left out of the validation: {0.record}, which cannot be evaluated: {0.reason}."
+    return [ResultWarning(code="validation-run-failed", text=text.format(f)) for f in failed]
 
 
 def stuck_sensors(records: Sequence[Record]) -> list[ResultWarning]:

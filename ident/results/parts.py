@@ -15,6 +15,7 @@ Verdict = Literal["right", "overconfident", "underconfident", "insufficient_data
 
 
 Change = Literal["fell", "rose", "unchanged"]
+RefitOutcome = Literal["added", "outranked", "small", "not-supported", "not-validated", "worse-prediction"]
 
 
 class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -69,16 +70,22 @@ class Provenance(Part, frozen=True, kw_only=True):
     logs: tuple[LogSummary, ...] = ()
 
 
+WarningCode = Literal[
+    "log-check",
+    "thrust-scale-unknown",
+    "arm-unknown",
+    "stuck-sensor",
+    "prior-contradicted",
+    "inertia-too-small",
+    "validation-run-failed",
+    "effect-untested",
+]
+
+
 class ResultWarning(Part, frozen=True, kw_only=True):
     """What must be known before an estimate is read."""
 
-    code: Annotated[
-        str,
-        Meta(
-            description="`thrust-scale-unknown`, `arm-unknown`, `prior-contradicted`, `inertia-too-small`, "
-            "`stuck-sensor`, or that of a finding of the logs' checks"
-        ),
-    ]
+    code: WarningCode
     text: Annotated[str, Meta(description="a line for people")]
 
 
@@ -91,7 +98,7 @@ class Result(Provenance, frozen=True, kw_only=True):
     ]
     warnings: Annotated[
         tuple[ResultWarning, ...],
-        Meta(description="to read before the estimates: no thrust scale was given, a sensor was stuck"),
+        Meta(description="to read before the estimates: no thrust scale was given, the fit did not converge"),
     ] = ()
     notes: Annotated[
         tuple[str, ...],
@@ -455,6 +462,13 @@ class Homogeneity(Part, frozen=True, kw_only=True):
     high: float | None
 
 
+class FailedRun(Part, frozen=True, kw_only=True):
+    """A validation run that could not be evaluated."""
+
+    record: str
+    reason: str
+
+
 class FitResult(Result, frozen=True, kw_only=True):
     """A fit, what the fitted model predicts, and what it leaves."""
 
@@ -464,6 +478,7 @@ class FitResult(Result, frozen=True, kw_only=True):
         return self.fit.converged
 
     fit: FitSummary
+    failed_runs: tuple[FailedRun, ...] = ()
     horizon_seconds: Annotated[
         float,
         Meta(
@@ -547,7 +562,46 @@ class Refit(Part, frozen=True, kw_only=True):
     criterion: Annotated[float, Meta(description="gain - df ln n")]
     validation_gain: Annotated[float, Meta(description="d ln L on the validation data")]
     t: Annotated[float, Meta(description="t statistic of `validation_gain` over blocks")]
+    prediction: Annotated[PredictionChange | None, Meta(description="null: it came not as far as that")] = None
+    outcome: Annotated[
+        RefitOutcome,
+        Meta(
+            description="`added`; `outranked`: accepted, another explains more; `small` beside what was found; "
+            "`not-supported` by the estimation data, `not-validated` by the validation data; `worse-prediction`"
+        ),
+    ]
     parameters: tuple[EffectParameter, ...]
+
+
+class UntestedCandidate(Part, frozen=True, kw_only=True):
+    """A candidate that passed the score test and could not be fitted."""
+
+    name: str
+    title: str
+    reason: str
+
+
+class RemovedEffect(Part, frozen=True, kw_only=True):
+    """An effect that was added and removed again: beside the others it does not pay on the validation data."""
+
+    name: str
+    title: str
+    validation_gain: Annotated[float, Meta(description="d ln L on the validation data of having it")]
+    t: Annotated[float, Meta(description="t statistic of `validation_gain` over blocks")]
+    prediction: PredictionChange | None
+
+
+class ValidationMismatch(Part, frozen=True, kw_only=True):
+    """A validation run that is predicted worse than the model says."""
+
+    record: str
+    channel: Annotated[str, Meta(description="whose one-step errors are most too large")]
+    scale: Annotated[float, Meta(description="root mean square of these errors over predicted standard deviation")]
+    parameter: Annotated[str | None, Meta(description="another value of it would explain the run best")] = None
+    unit: str = ""
+    fitted: Annotated[float | None, Meta(description="by the estimation runs")] = None
+    value: Annotated[float | None, Meta(description="by this run alone")] = None
+    se: float | None = None
 
 
 class Round(Part, frozen=True, kw_only=True):
@@ -557,6 +611,7 @@ class Round(Part, frozen=True, kw_only=True):
     passed: Annotated[int, Meta(description="how many of them passed the score test")] = 0
     candidates: Annotated[tuple[Candidate, ...], Meta(description="the best 24, best first")] = ()
     refits: tuple[Refit, ...] = ()
+    untested: tuple[UntestedCandidate, ...] = ()
     chosen: Annotated[str | None, Meta(description="name of what was added")] = None
     why: str
 
@@ -664,7 +719,15 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
     caveat: Annotated[str | None, Meta(description="why a name in the answer is not sure, a sentence")] = None
     converged_before: Annotated[bool, Meta(description="whether the fit without the effects converged")]
     prediction: Annotated[PredictionChange | None, Meta(description="null: no effect was added")] = None
+    cross_validated: Annotated[
+        bool,
+        Meta(description="validation data are blocks in time of the estimation runs, predicted by a fit to the rest"),
+    ] = False
+    mismatches: Annotated[
+        tuple[ValidationMismatch, ...], Meta(description="validation runs that the model claims too much of")
+    ] = ()
     rounds: tuple[Round, ...]
+    removed_effects: tuple[RemovedEffect, ...] = ()
     effects: Annotated[tuple[EffectRow, ...], Meta(description="what was added, the most important first")] = ()
     remaining_candidates: tuple[RemainingCandidate, ...] = ()
     nonparametric_effects: Annotated[

@@ -11,7 +11,7 @@ from importlib.metadata import version
 import msgspec
 import numpy as np
 
-from ident import validation
+from ident import estimation, validation
 from ident.data import LoadedLog, Record
 from ident.estimation import Fit, HomogeneityTest, Profile, ReportedEstimates
 from ident.model import Model, ModelKind, segment_name
@@ -26,6 +26,7 @@ from ident.results.parts import (
     ErrorComparison,
     Errors,
     ErrorTable,
+    FailedRun,
     FitSummary,
     ForceScale,
     Homogeneity,
@@ -409,6 +410,11 @@ def homogeneity_reported(a: HomogeneityTest, reported: ReportedEstimates) -> Hom
         error=k * a.error, robust_error=k * a.robust_error, values=k * a.values, errors=k * a.errors,
         scatter=k * a.scatter, mean=k * a.mean, mean_error=k * a.mean_error, interval=(k * low, k * high),
     )
+
+
+def failed_runs(failed: Sequence[estimation.FailedRun]) -> tuple[FailedRun, ...]:
+    """Validation runs that could not be evaluated."""
+    return tuple(FailedRun(record=f.record, reason=f.reason) for f in failed)
 
 
 def homogeneity_row(a: HomogeneityTest) -> Homogeneity:

@@ -24,7 +24,7 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
     loaded, unseen = check_first(loaded, unseen, problem.model, request.despite_faults)
     if problem.thrust:
         reporter.progress(problem.thrust)
-    for line in (*problem.notes, *unused_lines(problem.unused)):
+    for line in [*problem.notes, *unused_lines(problem.unused)]:
         reporter.warning(line)
     fitted = fit_nominal_model(
         problem.model, problem.segments, problem.validation, request.estimation, rate=request.rate, reporter=reporter

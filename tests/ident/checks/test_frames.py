@@ -79,7 +79,7 @@ def test_a_boat_at_rest_is_not_frozen_and_a_driven_one_is(run: dict[str, Channel
     t = run["psi"].t
     held = {n: Channel(c.t, np.where((c.t > 30.0) & (c.t < 60.0), c.value[np.searchsorted(c.t, 30.0)], c.value))
             for n, c in run.items()}  # fmt: skip
-    still = Channel(t, np.where((t > 29.0) & (t < 61.0), 0.0, run["r"].value))
+    still = Channel(t, np.where((t > 30.0) & (t < 60.0), 0.0, run["r"].value))
     assert not list(check_frozen({"psi": held["psi"], "r": still}))
     assert [f.code for f in check_frozen(run | {"r": held["r"]})] == ["channel-frozen"]
     assert [f.code for f in check_frozen(run | {"x": held["x"], "y": held["y"]})] == ["channel-frozen"] * 2

@@ -143,7 +143,7 @@ def test_a_long_result_stays_small(diagnosis: dict[str, Any], tmp_path: Path) ->
 def hostile(value: Any) -> Any:
     """Every text of a result replaced, but those that say what is what."""
     if isinstance(value, dict):
-        keep = ("format", "kind", "role", "method", "attribution", "verdict")
+        keep = ("format", "kind", "role", "method", "attribution", "verdict", "outcome")
         return {k: v if k in keep else hostile(v) for k, v in value.items()}
     if isinstance(value, list):
         return [hostile(item) for item in value]

@@ -40,7 +40,7 @@ def no_more_computing(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in METHODS:
         monkeypatch.setattr(Likelihood, name, refuse)
     monkeypatch.setattr(VectorisedModel, "__init__", refuse)
-    for place in ("ident.estimation.fitted_model.smooth", "ident.estimation.output_error.simulate"):
+    for place in ("ident.estimation.fitted_model.smoothed_states", "ident.estimation.output_error.simulate"):
         monkeypatch.setattr(place, refuse)
 
 
