@@ -157,10 +157,11 @@ def test_the_import_page_lists_the_signals_that_models_take() -> None:
     page = (ROOT / "docs/formats/import-csv.md").read_text(encoding="utf-8").split("## Signals that models take")[1]
     listed = re.findall(r"`(\w+)`", "".join(line.split("|")[1] for line in page.splitlines() if line.startswith("|")))
     assert sorted(listed) == sorted(KNOWN_SIGNALS)
-    plane = [make_model(f"horizontal:{kind}", tuple(SENSORS)) for kind in ("shaft", "force", "general")]
+    plane = [make_model(f"horizontal:{kind}", tuple(SENSORS)) for kind in ("shaft", "command", "force", "general")]
     others = [make_model(source) for source in ("kinematic:shaft:yaw", "surge:shaft", "surge", "yaw")]
-    taken = {v.name: v.unit for m in (*plane, *others) for v in (*m.inputs, *m.outputs)}
-    bench_and_made = ("force", "n_cmd", "speed")
+    signals = [v for m in (*plane, *others) for v in (*m.inputs, *m.outputs)]
+    taken = {getattr(v, "tap_of", "") or v.name: v.unit for v in signals}
+    bench_and_made = ("force", "speed")
     assert {n: u for n, u in KNOWN_SIGNALS.items() if n not in bench_and_made} == taken
 
 

@@ -89,7 +89,6 @@ UNKNOWN_ARM = (
         "y_arm", 0.3, "m", "arm of both thrusters, by the Munk moment", "log", prior=(0.3, 0.3), step=0.01,
         origin=BUILT_IN,
     ),
-    Parameter("side", 1.0, "", "1: left thruster to port, -1: the sides are swapped", free=False),
 )
 DIFFUSION = (
     Parameter("s_u", 0.01, "m/s/sqrt(s)", "process noise of surge speed", "log"),
@@ -233,7 +232,7 @@ def given_thrust(s: Signals) -> None:
 def _arms(p: Any) -> dict[str, Any]:
     """Lateral position of each thruster [m, to starboard]."""
     if hasattr(p, "y_arm"):
-        return {"left": -p.side * p.y_arm, "right": p.side * p.y_arm}
+        return {"left": -p.y_arm, "right": p.y_arm}
     return {side: getattr(p, f"y_{side}") for side in SIDES}
 
 

@@ -44,11 +44,16 @@ AllErrors = dict[str, dict[str, PredictionErrors]]
 
 def truth_of(case: Case) -> dict[str, float]:
     """The true parameters under ident's names."""
-    true = boat_with(None, case.seed).truth()
-    return {n: v for n, v in true.items() if n[:2] in ("m_", "d_")} | {
-        "V_x": true["current_n"],
-        "V_y": true["current_e"],
-    }
+    return named_truth(boat_with(None, case.seed).truth())
+
+
+def named_truth(true: Mapping[str, float]) -> dict[str, float]:
+    """A mock boat's truth under ident's names, and as ratios to its full-ahead thrust and arm."""
+    hull = {n: v for n, v in true.items() if n[:2] in ("m_", "d_")}
+    thrust = true["c1"] + true["c2"]
+    ratios = {f"{n}/T": v / thrust for n, v in hull.items()}
+    ratios |= {f"{n}/(T y_arm)": v / (thrust * true["arm"]) for n, v in hull.items()}
+    return hull | ratios | {"V_x": true["current_n"], "V_y": true["current_e"]}
 
 
 def recordings_of(case: Case) -> list[Recording]:
@@ -144,7 +149,7 @@ def z_scores(parameters: Sequence[ParameterRow], truth: Mapping[str, float]) -> 
     found: dict[str, float] = {}
     for p in parameters:
         if p.name in truth and p.se is not None:
-            found.setdefault(p.name, round((p.value - truth[p.name]) / p.se, 3))
+            found.setdefault(p.name.partition("/")[0], round((p.value - truth[p.name]) / p.se, 3))
     return found
 
 

@@ -28,7 +28,7 @@ from ident.results.result_file import read_result
 from mocks.hidden_effects.catalogue import DEMO, EFFECTS, OUTSIDE
 from mocks.plant.boat import Boat
 from tests.recovery import tables
-from tests.recovery.cases import Row, code_state, z_scores
+from tests.recovery.cases import Row, code_state, named_truth, z_scores
 from tests.recovery.kinds import NONE
 from tests.recovery.logged import seatrial, spent
 from tests.recovery.resumable import read, resume
@@ -99,7 +99,7 @@ def _identified(
     seatrial(folder, "ident", "vehicle", *logs, *options, "--out", "vehicle")
     vehicle = read_result(folder / "vehicle" / "result.json")
     assert isinstance(vehicle, VehicleResult)
-    row: Row = {"vehicle": vehicle.answer, "warnings": list(vehicle.warnings), "fit": vehicle.fit}
+    row: Row = {"vehicle": vehicle.answer, "warnings": [w.text for w in vehicle.warnings], "fit": vehicle.fit}
     row["converged"] = vehicle.fit.converged
     if not diagnose:
         return row | {"found": [], "attribution": [], "rivals": [], "answer": vehicle.answer}
@@ -116,9 +116,7 @@ def _identified(
 
 def truth_of(boat: Boat) -> dict[str, float]:
     """The true parameters under ident's names."""
-    true = boat.truth()
-    hull = {n: v for n, v in true.items() if n[:2] in ("m_", "d_")}
-    return hull | {"V_x": true["current_n"], "V_y": true["current_e"]}
+    return named_truth(boat.truth())
 
 
 # What a line is worth.
