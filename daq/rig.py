@@ -5,6 +5,7 @@ daq.config reads them from rig.toml; the keys are described in docs/formats/rig.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -56,6 +57,15 @@ class LoadCellCalibration:
     newton_per_count: float
     zero_counts: float = 0.0
     lever_ratio: float = 1.0
+    newton_per_count_sd: float | None = None  # standard uncertainties; None: nobody gave them
+    lever_ratio_sd: float | None = None
+
+    @property
+    def relative_sd(self) -> float | None:
+        """Relative standard uncertainty of a force by gain and lever; None where neither is given."""
+        given = ((self.newton_per_count_sd, self.newton_per_count), (self.lever_ratio_sd, self.lever_ratio))
+        parts = [sd / abs(value) for sd, value in given if sd is not None]
+        return math.hypot(*parts) if parts else None
 
     def force(self, counts: Counts) -> Counts:
         """Force at the thruster, N, of raw counts; a number or an array of any shape."""

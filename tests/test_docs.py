@@ -16,6 +16,8 @@ from daq.config.rig_file import parse_rig
 from daq.importers.csv_map import load_csv_map
 from daq.log.reader import Log
 from ident.estimation.model_file import load_model
+from ident.models.catalogue import KNOWN_SIGNALS, make_model
+from ident.models.horizontal import SENSORS
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")])
@@ -149,6 +151,17 @@ def test_the_maps_of_the_docs_are_maps(tmp_path: Path) -> None:
     for path in sorted((ROOT / "docs/examples").rglob("*.toml")):
         if "seatrial-import-csv" in path.read_text(encoding="utf-8"):
             load_csv_map(path)
+
+
+def test_the_import_page_lists_the_signals_that_models_take() -> None:
+    page = (ROOT / "docs/formats/import-csv.md").read_text(encoding="utf-8").split("## Signals that models take")[1]
+    listed = re.findall(r"`(\w+)`", "".join(line.split("|")[1] for line in page.splitlines() if line.startswith("|")))
+    assert sorted(listed) == sorted(KNOWN_SIGNALS)
+    plane = [make_model(f"horizontal:{kind}", tuple(SENSORS)) for kind in ("shaft", "force", "general")]
+    others = [make_model(source) for source in ("kinematic:shaft:yaw", "surge:shaft", "surge", "yaw")]
+    taken = {v.name: v.unit for m in (*plane, *others) for v in (*m.inputs, *m.outputs)}
+    bench_and_made = ("force", "n_cmd", "speed")
+    assert {n: u for n, u in KNOWN_SIGNALS.items() if n not in bench_and_made} == taken
 
 
 def test_the_model_of_the_docs_is_a_model(tmp_path: Path) -> None:

@@ -206,7 +206,8 @@ def _calibration(table: TomlTable, folder: Path) -> dict[str, Any]:
     if gain == 0.0:
         raise inner.error("newton_per_count", "must not be zero")
     zero, ratio = inner.number("zero_counts", 0.0), inner.number("lever_ratio", 1.0, positive=True)
-    found = LoadCellCalibration(gain, zero, ratio)
+    of_gain, of_ratio = (inner.maybe_number(f"{name}_sd", low=0.0) for name in ("newton_per_count", "lever_ratio"))
+    found = LoadCellCalibration(gain, zero, ratio, of_gain, of_ratio)
     inner.done()
     return {"calibration": found}
 

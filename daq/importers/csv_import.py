@@ -82,8 +82,10 @@ def _write_piece(
             signals.append(replace(cut, t=cut.t + source.time.origin))
     names = ", ".join(one.path.name for one in data)
     note = f"{names} by {csv_map.path.name}" + (f", {piece.name}" if piece.name else "")
-    text = csv_map.text.encode()
-    write_signals(target, signals, metadata=metadata, attachments={"import.toml": text}, note=note, force=force)
+    attachments = {"import.toml": csv_map.text.encode()}
+    if csv_map.vehicle:
+        attachments["vehicle.toml"] = "".join(f"{k} = {v!r}\n" for k, v in csv_map.vehicle.items()).encode()
+    write_signals(target, signals, metadata=metadata, attachments=attachments, note=note, force=force)
 
 
 def _cut(signal: SignalData, piece: Piece) -> SignalData:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from daq.rig import NAME
 
 FORMAT = "seatrial-import-csv 1"
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+GEOMETRY = ("y_left", "y_right", "length")  # thrusters to starboard, and the hull's length [m]
+SCALE = ("c1", "c2")  # thrust of one thruster at n = 1 and -1: c1 + c2 and -(c1 - c2) [N]
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,7 @@ class CsvMap:
     merge: bool
     sources: tuple[Source, ...]
     pieces: tuple[Piece, ...]
+    vehicle: Mapping[str, float] = field(default_factory=dict)  # what is known of the boat, model parameters by name
 
 
 def load_csv_map(path: Path) -> CsvMap:
@@ -104,8 +108,26 @@ def load_csv_map(path: Path) -> CsvMap:
     pieces = tuple(_piece(table) for table in root.tables("log"))
     if len({piece.name for piece in pieces}) < len(pieces):
         raise root.error("log", "two of them have one name")
+    vehicle = _known(root.table("geometry"), GEOMETRY) | _known(root.table("scale"), SCALE)
     root.done()
-    return CsvMap(name, path, text, bool(files), sources, pieces)
+    return CsvMap(name, path, text, bool(files), sources, pieces, vehicle)
+
+
+def _known(table: TomlTable | None, names: Sequence[str]) -> dict[str, float]:
+    """Numbers by name, each with its standard uncertainty ``NAME_sd`` where the table has one."""
+    if table is None:
+        return {}
+    found = {name: table.number(name) for name in names if table.has(name)}
+    for name in tuple(found):
+        if table.has(f"{name}_sd"):
+            found[f"{name}_sd"] = table.number(f"{name}_sd", positive=True)
+    for name in ("c1", "length"):
+        if found.get(name, 1.0) <= 0.0:
+            raise table.error(name, f"must be positive, not {found[name]:g}")
+    if found.get("y_left", -1.0) >= found.get("y_right", 1.0):
+        raise table.error("y_left", "must be less than y_right: positions are counted to starboard")
+    table.done()
+    return found
 
 
 def _source(table: TomlTable, match: str) -> Source:

@@ -11,7 +11,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -45,8 +45,11 @@ def import_ros2(
     """
     rows: list[SignalRow] = []
     left_out: Counter[str] = Counter()
+    measured: dict[str, set[str]] = {}
     for topic, kind, t, message in _messages(path, topics):
         name = (topics or {}).get(topic) or _name(topic)
+        if kind == IMU:
+            measured.setdefault(name, set()).update(_measured(message))
         found = list(_rows(kind, name, t, message, axes))
         rows += found
         if not found:
@@ -54,6 +57,7 @@ def import_ros2(
     said = counted(len(rows), "sample") + (f"; nothing to take in {', '.join(left_out)}" if left_out else "")
     if not rows:
         raise SeatrialError(f"{path}: no messages with numbers in them{' on these topics' if topics else ''}")
+    rows = [_without_unmeasured(row, measured[row.device]) if row.device in measured else row for row in rows]
     target = out or Path(f"{path.stem}-seatrial.mcap")
     metadata = {"import": "ros2", "import.axes": axes, "source.1.name": path.name, "source.1.sha256": _sha256(path)}
     write_frames(target, rows, metadata=metadata, note=f"{path.name}: {said}", force=force)
@@ -103,20 +107,43 @@ def _rows(kind: str, name: str, t: float, message: Any, axes: str) -> Iterator[S
             yield SignalRow(t, f"{name}_{field}", Frame(Scalar(value), t, NAN))
 
 
+# What an Imu may have, the fields of Ahrs that it becomes, and what stands there where nothing was measured
+IMU_PARTS = {
+    "orientation": (("yaw", "pitch", "roll"), ((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))),
+    "angular_velocity": (("p", "q", "r"), ((0.0, 0.0, 0.0),)),
+    "linear_acceleration": (("ax", "ay", "az"), ((0.0, 0.0, 0.0),)),
+}
+
+
+def _measured(message: Any) -> set[str]:
+    """Parts of an Imu with a measurement. By the standard, -1 as the first covariance says that there is none; but many
+    drivers write it for an unknown covariance, so the part is taken all the same once it has other values than its
+    default."""
+    found = set()
+    for part, (_, nothing) in IMU_PARTS.items():
+        value = getattr(message, part)
+        numbers = tuple(float(getattr(value, axis)) for axis in "xyzw" if hasattr(value, axis))
+        if getattr(message, f"{part}_covariance")[0] != -1.0 or numbers not in nothing:
+            found.add(part)
+    return found
+
+
+def _without_unmeasured(row: SignalRow, measured: set[str]) -> SignalRow:
+    gone = [name for part, (names, _) in IMU_PARTS.items() if part not in measured for name in names]
+    if not gone or not isinstance(row.frame.sample, Ahrs):
+        return row
+    return row._replace(frame=row.frame._replace(sample=replace(row.frame.sample, **dict.fromkeys(gone, NAN))))
+
+
 def _ahrs(message: Any, axes: str) -> Ahrs:
     q, w, a = message.orientation, message.angular_velocity, message.linear_acceleration
-    known = [cov[0] != -1.0 for cov in (
-        message.orientation_covariance, message.angular_velocity_covariance, message.linear_acceleration_covariance
-    )]  # fmt: skip
     yaw, pitch, roll = (float(angle[0]) for angle in schema.angles(*(np.array([v]) for v in (q.x, q.y, q.z, q.w))))
     sign = 1.0
     if axes == "ros":
         yaw, pitch, sign = wrap_angle(math.pi / 2.0 - yaw), -pitch, -1.0
-    if not known[0] or q.x == q.y == q.z == q.w == 0.0:
+    if q.x == q.y == q.z == q.w == 0.0:
         yaw = pitch = roll = NAN
-    rates = (w.x, sign * w.y, sign * w.z) if known[1] else (NAN, NAN, NAN)
-    force = (a.x, sign * a.y, sign * a.z) if known[2] else (NAN, NAN, NAN)
-    return Ahrs(yaw, pitch, roll, *rates, *force)
+    return Ahrs(yaw, pitch, roll, w.x, sign * w.y, sign * w.z, a.x, sign * a.y, sign * a.z)
 
 
 def _gnss(message: Any, t: float) -> Gnss:

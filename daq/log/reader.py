@@ -10,7 +10,7 @@ Killed and truncated files open like any other, with all complete messages; `log
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 
@@ -18,7 +18,7 @@ import numpy as np
 from mcap.records import Channel
 from numpy.typing import NDArray
 
-from daq.config import parse_rig
+from daq.config import parse_rig, parse_toml
 from daq.errors import SeatrialError, printable
 from daq.log import schema
 from daq.log.cdr import ENCAPSULATION, HEAD, NANO, CdrLayout, cdr_layout, stamps
@@ -96,6 +96,16 @@ class Log:
             return parse_rig(data.decode(), self.path.parent / f"{self.path.name}:rig.toml")
         except UnicodeDecodeError as error:
             raise self._error("the rig.toml inside is not UTF-8 text") from error
+
+    @cached_property
+    def vehicle(self) -> Mapping[str, float]:
+        """What is known of the boat, model parameters by name: the rig's [vehicle]; of an import, its map's [geometry]
+        and [scale]. Raises SeatrialError where the attachment is damaged."""
+        data = self.attachments.get("vehicle.toml")
+        if data is None:
+            return self.rig.vehicle if self.rig else {}
+        table = parse_toml(data.decode(errors="replace"), self.path.parent / f"{self.path.name}:vehicle.toml")
+        return {name: table.number(name) for name in table.values}
 
     @cached_property
     def counts(self) -> dict[str, int]:

@@ -24,6 +24,7 @@ SAME_S = 0.005  # s of boot time within which attitude and IMU are of one moment
 IMU_AWAITED_S = 1.0  # s of boot time after an IMU message for which an attitude waits for its own
 UNIX_US = 10**14  # a time_usec from here on counts from 1970, below from boot
 ARDUPILOT = 3  # HEARTBEAT.autopilot; its RAW_IMU has units
+ANY = 0  # system id: of all systems, as an autopilot hears them
 INVALID = 8  # HEARTBEAT.autopilot of other components
 ARMED = 128  # HEARTBEAT.base_mode
 FIXES = {2: 2, 3: 3, 4: 4, 5: 6, 6: 5, 7: 3, 8: 4}  # GPS_FIX_TYPE -> samples.Gnss.fix
@@ -96,10 +97,9 @@ class MavlinkDecoder(StreamDecoder[Frame]):
             self.checksum_errors += is_known(found.message_id)
             return -1
         self.frames += 1
-        if (found.system, found.component) != self._who:
-            if found.system != self._who[0]:
-                self.foreign[found.system] = self.foreign.get(found.system, 0) + 1
-        elif self._is_of_use(found.message_id):
+        if self._who[0] not in (found.system, ANY):
+            self.foreign[found.system] = self.foreign.get(found.system, 0) + 1
+        elif found.component == self._who[1] and self._is_of_use(found.message_id):
             self._decode(frame, t_rx)
         return found.total
 

@@ -1,4 +1,4 @@
-"""Each signal of a log by itself: sample interval, range and unit, frozen values, smoothing."""
+"""Each signal of a log by itself: sample interval, range and unit, frozen segments, smoothing."""
 
 from __future__ import annotations
 

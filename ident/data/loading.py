@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ class LoadedLog:
     rig: Rig | None
     propulsion: PropulsionInput | None = None
     segments: tuple[tuple[float, str], ...] = ()  # steps of its mission: when each began [s of the log], and its name
+    vehicle: Mapping[str, float] = field(default_factory=dict)  # what rig or map know of the boat, parameters by name
     path: Path = Path()
 
 
@@ -57,7 +58,8 @@ def load_run(path: Path, role: str, t_from: float | None = None, t_to: float | N
         holds = {n: c.hold or _hold(log, n) for n, c in found.items()}
         segments = tuple((t - start, text) for t, kind, text in log.events() if kind == "segment")
         propulsion = propulsion_input(log, moved, holds)
-        return LoadedLog(LogSegment(path.stem, moved, t_from, t_to), about, holds, log.rig, propulsion, segments, path)
+        run = LogSegment(path.stem, moved, t_from, t_to)
+        return LoadedLog(run, about, holds, log.rig, propulsion, segments, log.vehicle, path)
 
 
 def _hold(log: Log, name: str) -> str:

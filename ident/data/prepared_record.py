@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import weakref
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +25,8 @@ class Prepared:
 
     rows: ``u``, ``u_next`` (n_rows, n_inputs), ``y`` (n_rows, n_outputs), ``h`` (n_rows,) [s]; mask (n_rows,): a bit
     for each sensor that has a sample in that row; first (n_outputs,): the first measurement, NaN where there is none;
-    n_measured: measured values; outliers (n_rows, n_outputs): those before the first measurement, without their bit.
+    n_measured: measured values; outliers (n_rows, n_outputs): those before the first measurement, without their bit;
+    start: of ``Record``.
     """
 
     n_rows: int
@@ -33,6 +35,7 @@ class Prepared:
     first: Array
     n_measured: int
     outliers: NDArray[np.bool_]
+    start: Mapping[str, tuple[float, float]]
 
 
 class Preparer:
@@ -76,7 +79,8 @@ class Preparer:
             mask |= np.where(whole & ~of_it[:, 0], np.uint32(1 << bit), np.uint32(0))
         rows = {"u": record.u, "u_next": record.u_next, "y": record.y, "h": record.h}
         contiguous = {name: np.ascontiguousarray(a, dtype=np.float64) for name, a in rows.items()}
-        return Prepared(record.n_rows, contiguous, mask, first, int((there & ~outliers).sum()), outliers)
+        n_measured = int((there & ~outliers).sum())
+        return Prepared(record.n_rows, contiguous, mask, first, n_measured, outliers, record.start)
 
     def _check(self, record: Record) -> None:
         model, n = self.model, record.n_rows
@@ -155,17 +159,20 @@ class InitialCondition:
     tangent: tuple[tuple[int, int, float], ...]
 
 
-def initial_condition(model: Model, values: Array, first: Array, covariance: bool) -> InitialCondition:
-    """Mean: first measurement (``from_output``), parameter or number; covariance: diag(sd0^2)."""
+def initial_condition(model: Model, values: Array, data: Prepared, covariance: bool) -> InitialCondition:
+    """Mean: first measurement (``from_output``), what the record says, parameter or number; covariance: diag(sd0^2)."""
     n = len(model.states)
     outputs = [o.name for o in model.outputs]
     index = {p.name: i for i, p in enumerate(model.parameters)}
     s = np.zeros(n + n * (n + 1) // 2 if covariance else n)
     tangent: list[tuple[int, int, float]] = []
     for i, state in enumerate(model.states):
-        measured = first[outputs.index(state.from_output)] if state.from_output in outputs else np.nan
+        measured = data.first[outputs.index(state.from_output)] if state.from_output in outputs else np.nan
+        begins = None if np.isfinite(measured) else data.start.get(state.name)
         if np.isfinite(measured):
             s[i] = measured
+        elif begins is not None:
+            s[i] = begins[0]
         elif isinstance(state.x0, str):
             s[i] = values[index[state.x0]]
             tangent.append((i, index[state.x0], 1.0))
@@ -174,7 +181,8 @@ def initial_condition(model: Model, values: Array, first: Array, covariance: boo
         if covariance:
             at = n + i * n - i * (i - 1) // 2  # of P[i, i] in the upper triangle
             sd = values[index[state.sd0]] if isinstance(state.sd0, str) else state.sd0
+            sd = sd if begins is None else begins[1]
             s[at] = sd * sd
-            if isinstance(state.sd0, str):
+            if isinstance(state.sd0, str) and begins is None:
                 tangent.append((at, index[state.sd0], 2.0 * float(sd)))
     return InitialCondition(s, tuple(tangent))

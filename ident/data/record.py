@@ -73,7 +73,8 @@ class Record:
     t (n_rows,) [s], increasing; u (n_rows, n_inputs) at each row; u_next (n_rows, n_inputs) at the end of the
     interval that follows (equal to ``u`` for a zero-order hold); y (n_rows, n_outputs), NaN where nothing was
     measured (a sensor's outputs are all there or all NaN); h (n_rows,) the interval that follows, 0 in the
-    last row.
+    last row; ``start``: of a block from the middle of a run, mean and standard deviation of the states with which it
+    begins, where no measurement gives them: not at rest, as the model has it.
     """
 
     name: str
@@ -84,6 +85,7 @@ class Record:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     meta: Mapping[str, Any] = field(default_factory=dict)
+    start: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def h(self) -> Array:
@@ -100,24 +102,20 @@ class Record:
         return float(self.t[-1] - self.t[0])
 
     def for_model(self, model: Model) -> Record:
-        """The columns that another model wants, in its order; an input that is not here is an error."""
+        """The columns that another model wants, in its order, of the same arrays where they are neighbours; an input
+        that is not here is an error."""
         wanted, known = [i.name for i in model.inputs], [o.name for o in model.outputs]
         lost = [n for n in wanted if n not in self.inputs]
         if lost:
             raise ValueError(f"{self.name}: no signal for the input {lost[0]!r} of model {model.name}")
-        columns = [self.inputs.index(n) for n in wanted]
-        y = np.full((self.n_rows, len(known)), np.nan)
-        for j, name in enumerate(known):
-            if name in self.outputs:
-                y[:, j] = self.y[:, self.outputs.index(name)]
-        return replace(
-            self,
-            u=np.ascontiguousarray(self.u[:, columns]),
-            u_next=np.ascontiguousarray(self.u_next[:, columns]),
-            y=y,
-            inputs=tuple(wanted),
-            outputs=tuple(known),
-        )
+        columns, y = [self.inputs.index(n) for n in wanted], self.y
+        if tuple(known) != self.outputs:
+            y = np.full((self.n_rows, len(known)), np.nan)
+            for j, name in enumerate(known):
+                if name in self.outputs:
+                    y[:, j] = self.y[:, self.outputs.index(name)]
+        u, u_next = _columns(self.u, columns), _columns(self.u_next, columns)
+        return replace(self, u=u, u_next=u_next, y=y, inputs=tuple(wanted), outputs=tuple(known))
 
     def part(self, t_from: float, t_to: float, name: str = "") -> Record:
         """The rows with t_from <= t < t_to."""
@@ -127,6 +125,14 @@ class Record:
     def rows(self, which: slice | NDArray[np.bool_]) -> Record:
         """Some of the rows."""
         return replace(self, t=self.t[which], u=self.u[which], u_next=self.u_next[which], y=self.y[which])
+
+
+def _columns(a: Array, columns: Sequence[int]) -> Array:
+    """Neighbouring columns are not copied: a search keeps a record for each of dozens of models."""
+    first = columns[0] if columns else 0
+    if list(columns) == list(range(first, first + len(columns))):
+        return a[:, first : first + len(columns)]
+    return np.ascontiguousarray(a[:, columns])
 
 
 def build_record(

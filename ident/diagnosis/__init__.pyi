@@ -4,4 +4,5 @@ from .evaluation import evaluate_diagnosis as evaluate_diagnosis
 from .results import Diagnosis as Diagnosis
 from .results import Refit as Refit
 from .results import Round as Round
+from .results import ValidationMismatch as ValidationMismatch
 from .search import diagnose as diagnose

@@ -4,7 +4,8 @@ An effect may improve a model a great deal and still be the wrong one: where the
 competing one takes its place. The remaining residual distinguishes them: the right effect leaves only the small
 difference between its true form and that of the catalogue. So the score tests are repeated after the last effect, and
 an attribution is *identified* only if what they find is small compared with what the effects explain, no nonparametric
-curve was needed beside it, and no competing model comes close. Otherwise it is *ambiguous*.
+curve was needed beside it, no competing model comes close or could not be tested, the prediction of validation data is
+better with it, and nothing speaks against the data or the fit. Otherwise it is *ambiguous*.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from ident.diagnosis.results import Diagnosis, EffectAttribution, Refit, Round
+from ident.diagnosis.results import Diagnosis, EffectAttribution, EffectImportance, Refit, Round
 from ident.diagnosis.score_test import Score
 from ident.estimation import AT_BOUND, Fit
 from ident.model import Effect, EffectKind, ModelKind
@@ -32,7 +33,12 @@ FORM_SHARE = 0.1  # a competing effect below this share of the other may be the 
 
 
 def assess_alternatives(
-    rounds: Sequence[Round], left: Sequence[Score], n: int, untested: Collection[str] = ()
+    rounds: Sequence[Round],
+    left: Sequence[Score],
+    n: int,
+    untested: Collection[str] = (),
+    weights: Sequence[EffectImportance] = (),
+    reservations: Sequence[str] = (),
 ) -> tuple[EffectAttribution, ...]:
     """Attribution of each selected effect.
 
@@ -40,7 +46,10 @@ def assess_alternatives(
         left: scores that still pass after the last effect.
         n: rows of the estimation data.
         untested: effects of the catalogue that were not tested, since the data lack one of their inputs.
+        weights: what each effect is worth to the prediction.
+        reservations: why no effect can be identified on these data.
     """
+    worth = {w.effect: w for w in weights}
     chosen = [r.chosen for r in rounds if r.chosen is not None]
     total = sum(max(c.criterion, 0.0) for c in chosen)
     rest = [s for s in left if s.criterion(n) > max(MAX_REMAINING_CRITERION, MAX_REMAINING_SHARE * total)]
@@ -54,7 +63,8 @@ def assess_alternatives(
             continue
         reasons = [*_left(rest, n), *_many(left), *_kin(one.chosen.effect, left, len(chosen)), *_tables(chosen, one)]
         reasons += [*_form(chosen, one.chosen), *_rivals(one)]
-        reasons += [*_own(one.chosen), *_untested(one.chosen.effect, untested)]
+        reasons += [*_own(one.chosen), *_untested(one.chosen.effect, untested), *_not_fitted(one)]
+        reasons += [*_unpredictive(worth.get(one.chosen.effect.name)), *reservations]
         rivals = [q.effect.name for q in _close(one)]
         rivals += [name for name in one.chosen.effect.rivals if name in untested and name not in rivals]
         name = one.chosen.effect.name
@@ -110,8 +120,10 @@ def _own(one: Refit) -> list[str]:
 def _from_nothing(fit: Fit, sizes: Sequence[int]) -> float:
     """Joint distance of the estimates from zero in standard errors (Wald): each may be correlated with the others."""
     values = fit.values[list(sizes)]
-    squared = float(values @ np.linalg.lstsq(fit.covariance[np.ix_(sizes, sizes)], values)[0])
-    return math.sqrt(max(squared, 0.0))
+    covariance = fit.covariance[np.ix_(sizes, sizes)]
+    if not np.isfinite(covariance).all():
+        return 0.0
+    return math.sqrt(max(float(values @ np.linalg.pinv(covariance, hermitian=True) @ values), 0.0))
 
 
 def _worded(score: Score) -> str:
@@ -168,6 +180,18 @@ def _untested(effect: Effect, untested: Collection[str]) -> list[str]:
     return [f"its rival {name} could not be tested on these data" for name in effect.rivals if name in untested]
 
 
+def _not_fitted(one: Round) -> list[str]:
+    """Candidates of the same round that passed the score test and could not be fitted: any may be the right one."""
+    return [f"{u.effect.title} passes the test too and could not be fitted: {u.reason}" for u in one.untested[:1]]
+
+
+def _unpredictive(weight: EffectImportance | None) -> list[str]:
+    if weight is None or weight.predicts:
+        return []
+    ahead = "" if weight.prediction is None else f" {weight.prediction.horizon:g} s ahead"
+    return [f"the prediction{ahead} is no better with it"]
+
+
 def recommended_experiment(diagnosis: Diagnosis) -> str | None:
     """Recommended experiment that would resolve an ambiguity; ``MODEL`` in a command is the diagnosed model.
 
@@ -178,7 +202,7 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
     lines = []
     by_name = {j.effect: j for j in diagnosis.judgements}
     for one in diagnosis.rounds:
-        if one.chosen is None:
+        if one.chosen is None or one.chosen.effect.name not in by_name:
             if not diagnosis.effects and one.refits and one.refits[0].effect.experiment:
                 e = one.refits[0].effect
                 lines.append(f"To see whether {e.title} is there at all: {e.experiment}.")
@@ -188,7 +212,8 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
         rivals = [r for r in judged.rivals if r in titles] if judged is not None else []
         for rival in rivals[:1]:
             lines.append(f"To tell {effect.title} from {titles[rival]}: {effect.experiment}.")
-            if diagnosis.before.model.kind is ModelKind.VEHICLE and not one.chosen.unknown:
+            named = {q.effect.name for q in one.refits if q.effect.kind is EffectKind.CATALOGUE}
+            if diagnosis.before.model.kind is ModelKind.VEHICLE and {effect.name, rival} <= named:
                 lines.append(f"`seatrial mission design MODEL --discriminate {effect.name},{rival}` makes the mission.")
         if judged is not None and judged.attribution == "ambiguous" and not rivals:
             lines.append(f"To see whether it is {effect.title}: {effect.experiment}.")

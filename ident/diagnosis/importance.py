@@ -14,10 +14,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ident.data import Record
+from ident.diagnosis.acceptance import comparison
 from ident.diagnosis.results import EffectImportance, Refit, Round
 from ident.engine import quickly
-from ident.estimation import ROUGH, FittedModel, fit_and_evaluate
-from ident.model import Model
+from ident.estimation import FIT_ERRORS, ROUGH, FittedModel, Unseen, fit_and_evaluate
+from ident.model import Effect, Model
 from ident.models import residuals_of
 from ident.validation import horizon_errors, pooled_errors
 
@@ -25,26 +26,52 @@ HORIZON = 0.6  # relative to the block of the score tests: 3 s for a boat, 1.2 s
 
 
 def effect_importance(
-    before: FittedModel, rounds: Sequence[Round], records: Sequence[Record], unseen: Sequence[Record]
+    before: FittedModel,
+    after: FittedModel,
+    chosen: Sequence[Refit],
+    rounds: Sequence[Round],
+    records: Sequence[Record],
+    unseen: Unseen,
 ) -> tuple[EffectImportance, ...]:
-    """Importance of each selected effect, largest first (``by_importance``)."""
-    chosen = [r.chosen for r in rounds if r.chosen is not None]
+    """Importance of each ``chosen`` effect of the model ``after``, largest first (``by_importance``)."""
     if not chosen:
         return ()
-    after = chosen[-1].stage
     known = {frozenset(_added(before, q.stage)): q.stage for r in rounds for q in r.refits}
-    known |= {frozenset[str](): before} | {frozenset(_added(before, c.stage)): c.stage for c in chosen}
+    known |= {frozenset[str](): before}
     every = _added(before, after)
     found, best = [], _log_error(after)
     for one in chosen:
-        # the nonparametric curve of an effect is left out with it, as it would take its place
-        curve = one.effect.nonparametric_of or one.effect.parametric_form_of
-        out = {one.effect.name, *(c.effect.name for c in chosen if c.effect.is_table_of(curve))}
+        out = left_out_with(one.effect, chosen)
         kept = [c for c in chosen if c.effect.name not in out]
-        stage = known.get(frozenset(every - out)) or _with(kept, chosen, before, records, unseen)
+        stage = known.get(frozenset(every - out)) or _with(kept, after, before, records, unseen)
         gain = 2 * (after.fit.log_posterior - stage.fit.log_posterior)
-        found.append(EffectImportance(one.effect.name, gain, float(np.exp(_log_error(stage) - best))))
+        error = float(np.exp(_log_error(stage) - best))
+        if one.stage is after and len(out) == 1 and one.prediction is not None:  # as it was accepted
+            worth = (one.validation_gain, one.t), one.prediction
+        else:
+            compared = comparison(stage, after, one.effect)
+            worth = compared.gain, compared.prediction
+        found.append(EffectImportance(one.effect.name, gain, error, *worth[0], worth[1]))
     return by_importance(found, chosen)
+
+
+def left_out_with(effect: Effect, chosen: Sequence[Refit]) -> set[str]:
+    """Names of what goes with an effect: its nonparametric curve, as that would take its place."""
+    curve = effect.nonparametric_of or effect.parametric_form_of
+    return {effect.name, *(c.effect.name for c in chosen if c.effect.is_table_of(curve))}
+
+
+def fit_without(
+    before: FittedModel,
+    after: FittedModel,
+    chosen: Sequence[Refit],
+    effect: Effect,
+    records: Sequence[Record],
+    unseen: Unseen,
+) -> FittedModel:
+    """The model with all ``chosen`` effects but one, fitted exactly."""
+    kept = [c for c in chosen if c.effect is not effect]
+    return _with(kept, after, before, records, unseen, exact=True) if kept else before
 
 
 def by_importance(found: Sequence[EffectImportance], chosen: Sequence[Refit]) -> tuple[EffectImportance, ...]:
@@ -90,21 +117,25 @@ def _added(before: FittedModel, stage: FittedModel) -> set[str]:
 
 def _with(
     kept: Sequence[Refit],
-    chosen: Sequence[Refit],
+    after: FittedModel,
     before: FittedModel,
     records: Sequence[Record],
-    unseen: Sequence[Record],
+    unseen: Unseen,
+    *,
+    exact: bool = False,
 ) -> FittedModel:
-    """Refit with only the kept effects, at rough tolerance; ``before`` where that cannot be fitted."""
-    last = chosen[-1].stage.fit.model
+    """Refit with only the kept effects, from the values of ``after``; ``before`` where that cannot be fitted."""
+    last = after.fit.model
     model: Model = before.fit.model
     for other in kept:
         model = model + other.effect
     model = model.with_values({n: last.values[n] for n in model.values if n in last.values})
     try:
+        if exact:
+            return fit_and_evaluate(model, records, unseen)
         with quickly(sum(r.n_rows for r in records)):
             return fit_and_evaluate(model, records, unseen, settings=ROUGH)
-    except (ValueError, np.linalg.LinAlgError):
+    except FIT_ERRORS:
         return before
 
 

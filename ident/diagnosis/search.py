@@ -3,15 +3,18 @@
 1. Fit the model with disturbance forces and sensor biases as states.
 2. Score tests of all candidates, parametric and nonparametric (``ident.diagnosis.score_test``).
 3. Refit with the best few, all parameters free; compare by ``2 d ln L - df ln n`` (Delta BIC).
-4. Validation: the gain in log-likelihood on validation data, block by block, has to be significant.
-5. Add the effect and repeat; after a nonparametric curve only parametric effects of large gain are added.
+4. Validation (``ident.diagnosis.acceptance``): the gain in log-likelihood on all validation data has to be positive and
+   significant, and the prediction of all channels not worse; the best refit of which that holds is added. Without
+   validation runs, blocks in time of the estimation runs are predicted by the fit to the others.
+5. Repeat; after a nonparametric curve only parametric effects of large gain are added.
+6. Leave each effect out again: one that does not pay beside the others is removed.
 
 Kristensen, Madsen and Jorgensen 2004; Engle 1984.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -19,33 +22,52 @@ import numpy as np
 
 from daq.errors import counted
 from ident.data import LogSegment, Record, make_record
+from ident.diagnosis.acceptance import comparison, validation_mismatches
 from ident.diagnosis.adequacy import assess_alternatives
 from ident.diagnosis.candidates import normal_equations, variables, wave_peak_score
-from ident.diagnosis.importance import effect_importance
-from ident.diagnosis.results import Diagnosis, EffectAttribution, Refit, Round
+from ident.diagnosis.importance import effect_importance, fit_without
+from ident.diagnosis.results import (
+    Diagnosis,
+    EffectAttribution,
+    EffectImportance,
+    Outcome,
+    Refit,
+    RemovedEffect,
+    Round,
+    UntestedCandidate,
+)
 from ident.diagnosis.score_test import Score, fitted_parameters, score_test_passes, score_tests, score_threshold
 from ident.effects import NonparametricForce, catalogue, input_response_effects, nonparametric_effect, shape
 from ident.engine import quickly
 from ident.estimation import (
     AT_BOUND,
+    FIT_ERRORS,
     ROUGH,
     VAGUE,
     FittedModel,
+    Unseen,
+    between_runs,
+    blocks_of,
+    cross_validated,
     fit_and_evaluate,
     fit_with_rescaling,
     nominal,
     superset,
+    validation_records,
     without_absent_sensors,
 )
 from ident.model import Effect, EffectKind, ForceCurve, Model, Parameter
 from ident.models import residuals_of, scale_priors, size_of, variables_of
-from ident.numerics import NORMAL_MAD, Array
 from ident.reporter import QUIET, Reporter
 
 N_REFITS, N_UNKNOWN = 4, 2  # parametric and nonparametric candidates that are refitted in a round
+N_BATCHES = 2  # of parametric ones, where none of the first is accepted
+LOST = 1.0  # in 2 ln L, that a larger model may lose to rounding of the search
+SHORT = 20  # blocks of estimation data (100 s for a boat): below it no name is sure
 MIN_SCORE_RATIO = 0.05  # of the best score: a refit gains up to ten times its score, not twenty times
 # the difference between the true form of an effect and ours looks like other, much smaller effects: not added
-MIN_GAIN_RATIO = 0.02  # of the largest gain so far
+MIN_GAIN_RATIO = 0.02  # of the largest gain so far; an effect that the prediction needs is added all the same
+MAX_RATIO_OF_SMALL = 0.98  # of the prediction errors with a small effect to those without, for that
 # the same holds for a curve and its spline, up to a fifteenth of the gain; other missing effects mostly have a third
 MIN_GAIN_RATIO_AFTER_CURVE = 0.1  # of the largest gain so far
 
@@ -73,41 +95,64 @@ def diagnose(
     full = nominal(model)
     candidates = {n: e for n, e in (catalogue() if effects is None else effects).items() if full.accepts(e)}
     wanted = set(candidates)
-    everything, candidates = superset(full, candidates, [*estimation, *validation])
+    failed = validation_records(full, validation, rate)[1]
+    usable = [r for r in validation if r.name not in {f.record for f in failed}]
+    everything, candidates = superset(full, candidates, [*estimation, *usable])
     untested = wanted - set(candidates)
     records = [make_record(everything, r, rate) for r in estimation]
-    unseen = [make_record(everything, r, rate) for r in validation]
-    full = without_absent_sensors(full, records + unseen)
+    runs = [make_record(everything, r, rate) for r in usable]
+    full = without_absent_sensors(full, records + runs)
     reporter.progress(f"fitting {full.name} with disturbance forces to {counted(len(records), 'run')}")
-    before = current = fit_with_rescaling(full, records, unseen)
+    before, unseen = _first_fit(full, records, runs)
     size, known = size_of(before.fit.model), catalogue()
     # user-defined effects keep their priors
     candidates = {n: scale_priors(e, size) if known.get(n) is e else e for n, e in candidates.items()}
-    rounds: list[Round] = []
-    unknown, n = False, sum(r.n_rows for r in records)
-    while True:
-        scores, passed = score_all(current, records, candidates)
-        largest = max((r.chosen.criterion for r in rounds if r.chosen is not None), default=0.0)
-        least = MIN_GAIN_RATIO_AFTER_CURVE * largest
-        tried = [s for s in passed if not s.generic and s.criterion(n) > least] if unknown else passed
-        if len(rounds) >= max_effects or not tried:
-            break
-        reporter.progress(
-            f"round {len(rounds) + 1}: {len(passed)} of {len(scores)} candidates pass, best {tried[0].name}"
-        )
-        one = _round(current, records, unseen, candidates, scores, tried, largest, reporter)
-        rounds.append(one)
-        if one.chosen is None:
-            break
-        current, unknown = one.chosen.stage, unknown or one.chosen.unknown
-        candidates.pop(one.chosen.effect.name, None)
+    candidates |= between_runs(before.fit)
+    search = _Search(records, unseen, candidates, reporter)
+    current, passed = search.forward(before, max_effects)
     reporter.progress("weighing what was found")
-    weights = effect_importance(before, rounds, records, unseen)
+    current, weights, removed = search.without_what_does_not_pay(before, current)
+    if removed:
+        passed = search.scored(current)[1]
+    gone = {r.effect.name for r in removed}
+    kept = [r for r in search.rounds if r.chosen is None or r.chosen.effect.name not in gone]
     order = [w.effect for w in weights]
-    judgements = assess_alternatives(rounds, passed, n, untested)
+    judgements = assess_alternatives(kept, passed, search.n, untested, weights, _reservations(before, current))
     judgements = tuple(sorted(judgements, key=lambda j: order.index(j.effect)))
-    shapes = _shapes(before, rounds, judgements, records)
-    return Diagnosis(before, current, tuple(rounds), tuple(passed), tuple(shapes), judgements, weights)
+    return Diagnosis(
+        before,
+        current,
+        tuple(search.rounds),
+        tuple(passed),
+        tuple(_shapes(before, kept, judgements, records)),
+        judgements,
+        weights,
+        tuple(removed),
+        (*failed, *before.failed, *(f for f in current.failed if f not in before.failed)),
+        validation_mismatches(current),
+    )
+
+
+def _first_fit(full: Model, records: list[Record], runs: list[Record]) -> tuple[FittedModel, Unseen]:
+    """The nominal model fitted, and what validates it: the validation runs; where none can be evaluated, blocks in time
+    of the estimation runs."""
+    stage = fit_with_rescaling(full, records, runs)
+    if stage.validation:
+        return stage, runs
+    blocks = blocks_of(records, stage.estimation, full.block)
+    return cross_validated(stage, blocks), blocks
+
+
+def _reservations(before: FittedModel, after: FittedModel) -> list[str]:
+    """Why no name can be sure on these data, whatever the effect."""
+    reasons = [
+        f"the fit {which} it did not converge" for which, s in (("without", before), ("with", after))
+        if not s.fit.converged
+    ]
+    seconds = sum(r.duration for r in after.records)
+    if seconds < SHORT * after.model.block:
+        reasons.append(f"the estimation data are short ({seconds:.0f} s)")
+    return reasons
 
 
 def score_all(
@@ -132,79 +177,200 @@ def score_all(
     return best, [s for s in best if score_test_passes(s, scores)]
 
 
-def _round(
-    current: FittedModel,
-    records: Sequence[Record],
-    unseen: Sequence[Record],
-    candidates: Mapping[str, Effect],
-    scores: list[Score],
-    passed: list[Score],
-    largest: float,
-    reporter: Reporter,
-) -> Round:
-    n = sum(r.n_rows for r in records)
-    specific = [s for s in passed if not s.generic][:N_REFITS]
-    specific = [s for s in specific if s.criterion(n) > MIN_SCORE_RATIO * specific[0].criterion(n)]
-    refits = _refit_all(current, records, unseen, [(candidates[s.name], s) for s in specific], n, reporter)
-    first = max((r for r in refits if r.accepted), key=lambda r: r.criterion, default=None)
-    best, curve = (-np.inf, None) if first is None else (first.criterion, first.effect.parametric_form_of)
-    # a table competes only where no name that holds comes close to what the scores promise for it, or where the name
-    # is no more than one shape of the table's curve
-    least = max(0.5 * best, best - 50)
-    generic = [(s, s.kind is EffectKind.NONPARAMETRIC and s.curve == curve) for s in passed if s.generic]
-    unknown = [s for s, whole in generic if s.criterion(n) > least or whole][:N_UNKNOWN]
-    drawn = [(_unknown(s, current), s) for s in unknown]
-    refits += _refit_all(current, records, unseen, drawn, n, reporter)
-    refits.sort(key=lambda r: -r.criterion)
-    names = tuple(s.name for s in passed)
-    for r in refits[:3]:
-        if r.accepted and r.criterion > max(0.25 * refits[0].criterion, MIN_GAIN_RATIO * largest):
-            exact = replace(r, stage=fit_and_evaluate(r.stage.fit.model, records, unseen))
-            refits[refits.index(r)] = exact
-            return Round(tuple(scores), names, tuple(refits), exact, _why(r))
-    why = "no candidate predicts the validation data better"
-    if any(r.accepted for r in refits):
-        why = f"what is left is small beside what was found: {refits[0].effect.title} would gain {refits[0].gain:.0f}"
-    return Round(tuple(scores), names, tuple(refits), None, why)
+class _Search:
+    """The forward selection and its check: what every step needs, and the rounds so far."""
 
+    def __init__(
+        self, records: Sequence[Record], unseen: Unseen, candidates: Mapping[str, Effect], reporter: Reporter
+    ) -> None:
+        self.records, self.unseen, self.candidates, self.reporter = records, unseen, dict(candidates), reporter
+        self.rounds: list[Round] = []
+        self.n = sum(r.n_rows for r in records)
 
-def _why(r: Refit) -> str:
-    if r.validation_gain > 0:
-        return f"the log-likelihood of the validation data rises by {r.validation_gain:.0f} (t = {r.t:.1f})"
-    return f"the log-likelihood rises in most blocks of the validation data (t = {r.t:.1f}); a few outlying ones fall"
-
-
-def _refit_all(
-    current: FittedModel,
-    records: Sequence[Record],
-    unseen: Sequence[Record],
-    tried: Sequence[tuple[Effect, Score]],
-    n: int,
-    reporter: Reporter,
-) -> list[Refit]:
-    def refit(pair: tuple[Effect, Score]) -> Refit | None:
-        effect, score = pair
-        reporter.progress(f"refitting with {effect.title}")
-        start = replace(effect, parameters=tuple(_start(p, score) for p in effect.parameters))
-        larger = current.fit.model + start
+    def scored(self, stage: FittedModel) -> tuple[list[Score], list[Score]]:
+        """All scores on a model, and those that pass. Raises ValueError where its residuals cannot be tested."""
         try:
-            stage = fit_and_evaluate(larger, records, unseen, settings=ROUGH)
-        except (ValueError, np.linalg.LinAlgError):
-            return None  # a candidate that cannot be fitted is no candidate
-        gain = 2 * (stage.fit.log_posterior - current.fit.log_posterior)
-        df = sum(p.free for p in effect.parameters)
-        total, t = validation_gain(current, stage)
-        return Refit(effect, stage, gain, df, gain - df * float(np.log(n)), total, t)
+            return score_all(stage, self.records, self.candidates)
+        except np.linalg.LinAlgError as problem:
+            names = ", ".join(r.name for r in self.records)
+            what = f"the residuals of model {stage.model.name} cannot be tested"
+            raise ValueError(f"{names}: {what}: {problem}; the fit {stage.fit.message}") from problem
 
-    with ThreadPoolExecutor(2) as pool, quickly(n):
-        return [r for r in pool.map(refit, tried) if r is not None]
+    def forward(self, before: FittedModel, max_effects: int) -> tuple[FittedModel, list[Score]]:
+        """Effects added one after the other; the last model, and the scores on it that pass."""
+        current, unknown = before, False
+        while True:
+            scores, passed = self.scored(current)
+            largest = max((r.chosen.criterion for r in self.rounds if r.chosen is not None), default=0.0)
+            least = MIN_GAIN_RATIO_AFTER_CURVE * largest
+            tried = [s for s in passed if not s.generic and s.criterion(self.n) > least] if unknown else passed
+            if len(self.rounds) >= max_effects or not tried:
+                return current, passed
+            self.reporter.progress(
+                f"round {len(self.rounds) + 1}: {len(passed)} of {len(scores)} candidates pass, best {tried[0].name}"
+            )
+            one = self._round(current, scores, tried)
+            self.rounds.append(one)
+            if one.chosen is None:
+                return current, passed
+            current, unknown = one.chosen.stage, unknown or one.chosen.unknown
+            self.candidates.pop(one.chosen.effect.name, None)
+
+    def without_what_does_not_pay(
+        self, before: FittedModel, current: FittedModel
+    ) -> tuple[FittedModel, tuple[EffectImportance, ...], list[RemovedEffect]]:
+        """Backward elimination: each effect is left out in turn, and the one that pays least is removed, until all pay.
+        """
+        removed: list[RemovedEffect] = []
+        while True:
+            gone = {r.effect.name for r in removed}
+            chosen = [r.chosen for r in self.rounds if r.chosen is not None and r.chosen.effect.name not in gone]
+            weights = effect_importance(before, current, chosen, self.rounds, self.records, self.unseen)
+            idle = min((w for w in weights if not w.pays), key=lambda w: w.t, default=None)
+            if idle is None:
+                return current, weights, removed
+            assert idle.prediction is not None
+            effect = next(c.effect for c in chosen if c.effect.name == idle.effect)
+            removed.append(RemovedEffect(effect, idle.validation_gain, idle.t, idle.prediction))
+            self.reporter.progress(f"fitting without {effect.title}, which does not pay")
+            current = fit_without(before, current, chosen, effect, self.records, self.unseen)
+
+    def _round(self, current: FittedModel, scores: list[Score], passed: list[Score]) -> Round:
+        specific = [s for s in passed if not s.generic]
+        specific = [s for s in specific if s.criterion(self.n) > MIN_SCORE_RATIO * specific[0].criterion(self.n)]
+        refits: list[Refit] = []
+        untested: list[UntestedCandidate] = []
+        for first in range(0, N_REFITS * N_BATCHES, N_REFITS):  # the next ones where none of the best is accepted
+            batch = specific[first : first + N_REFITS]
+            self._refit_all(current, [(self.candidates[s.name], s) for s in batch], refits, untested)
+            if any(r.accepted for r in refits):
+                break
+        leading = max((r for r in refits if r.accepted), key=lambda r: r.criterion, default=None)
+        best, curve = (-np.inf, None) if leading is None else (leading.criterion, leading.effect.parametric_form_of)
+        # a table competes only where no name that holds comes close to what the scores promise for it, or where the
+        # name is no more than one shape of the table's curve
+        least = max(0.5 * best, best - 50)
+        generic = [(s, s.kind is EffectKind.NONPARAMETRIC and s.curve == curve) for s in passed if s.generic]
+        unknown = [s for s, whole in generic if s.criterion(self.n) > least or whole][:N_UNKNOWN]
+        self._refit_all(current, [(_unknown(s, current), s) for s in unknown], refits, untested)
+        names = tuple(s.name for s in passed)
+        refits, chosen = self._choose(current, refits, untested)
+        return Round(tuple(scores), names, tuple(refits), chosen, tuple(untested))
+
+    def _choose(
+        self, current: FittedModel, refits: list[Refit], untested: list[UntestedCandidate]
+    ) -> tuple[list[Refit], Refit | None]:
+        """The refits with what became of them, best first, and the best that is accepted, fitted exactly."""
+        judged: list[Refit] = []
+        chosen: Refit | None = None
+        for r in sorted(refits, key=lambda r: -r.criterion):
+            if not r.validated:
+                r = replace(r, outcome=Outcome.NOT_SUPPORTED if r.criterion <= 0 else Outcome.NOT_VALIDATED)
+            elif chosen is None:
+                try:
+                    r = self._exact(current, r)
+                except FIT_ERRORS as problem:
+                    untested.append(UntestedCandidate(r.effect, str(problem)))
+                    continue
+                chosen = r if r.outcome is Outcome.ADDED else None
+            judged.append(r)
+        return judged, chosen
+
+    def _exact(self, current: FittedModel, rough: Refit) -> Refit:
+        """A validated refit fitted exactly and judged by its prediction. Raises ValueError where that fails or does not
+        converge."""
+        own = {p.name: p.value for p in rough.effect.parameters if not p.per_record}
+        again = current.fit.model + rough.effect
+        reason = ""
+        for begin in (rough.stage.fit.model, again, again.with_values({n: 0.5 * v for n, v in own.items()})):
+            try:
+                stage = fit_and_evaluate(begin, self.records, self.unseen)
+                compared = comparison(current, stage, rough.effect)
+                (gain, t), prediction = compared.gain, compared.prediction
+            except FIT_ERRORS as problem:
+                reason = str(problem)
+                continue
+            if stage.fit.converged or not current.fit.converged:
+                exact = replace(rough, stage=stage, validation_gain=gain, t=t, prediction=prediction)
+                return replace(exact, outcome=_outcome(exact, [r.chosen for r in self.rounds if r.chosen is not None]))
+            reason = f"the fit with it did not converge: it {stage.fit.message}"
+        raise ValueError(reason)
+
+    def _refit_all(
+        self,
+        current: FittedModel,
+        tried: Sequence[tuple[Effect, Score]],
+        refits: list[Refit],
+        untested: list[UntestedCandidate],
+    ) -> None:
+        def refit(pair: tuple[Effect, Score]) -> Refit | UntestedCandidate:
+            return self._refit(current, *pair)
+
+        with ThreadPoolExecutor(2) as pool, quickly(self.n):
+            for found in pool.map(refit, tried):
+                if isinstance(found, Refit):
+                    refits.append(found)
+                else:
+                    untested.append(found)
+
+    def _refit(self, current: FittedModel, effect: Effect, score: Score) -> Refit | UntestedCandidate:
+        """The current model and an effect, fitted from the first start that can be fitted and loses nothing: nested
+        models cannot be worse, so that a fit that is has stopped short."""
+        self.reporter.progress(f"refitting with {effect.title}")
+        best, reason = None, ""
+        for start in _starts(effect, score):
+            try:
+                stage = fit_and_evaluate(current.fit.model + start, self.records, self.unseen, settings=ROUGH)
+                gain = 2 * (stage.fit.log_posterior - current.fit.log_posterior)
+                total, t = comparison(current, stage, effect).gain
+            except FIT_ERRORS as problem:
+                reason = reason or str(problem)
+                continue
+            df = sum(_degrees(effect, p, len(self.records)) for p in effect.parameters if p.free)
+            found = Refit(effect, stage, gain, df, gain - df * float(np.log(self.n)), total, t)
+            best = found if best is None or found.gain > best.gain else best
+            if best.gain > -LOST:
+                break
+        return UntestedCandidate(effect, reason) if best is None else best
 
 
-def _start(parameter: Parameter, score: Score) -> Parameter:
-    value = score.scan.get(parameter.name, parameter.value)
+def _outcome(exact: Refit, added: Sequence[Refit]) -> Outcome:
+    """What becomes of an exact refit beside what was added. A small one is left out, unless the prediction needs it or
+    it is a declared alternative of a strong one, which is then not sure to be all of it."""
+    assert exact.prediction is not None
+    if not exact.validated:
+        return Outcome.NOT_VALIDATED
+    if not exact.accepted:
+        return Outcome.WORSE_PREDICTION
+    needed = exact.prediction.verdict == "fell" and exact.prediction.ratio < MAX_RATIO_OF_SMALL
+    kin = any(exact.effect.name in r.effect.rivals or r.effect.name in exact.effect.rivals for r in added)
+    largest = max((r.criterion for r in added), default=0.0)
+    return Outcome.ADDED if needed or kin or exact.criterion > MIN_GAIN_RATIO * largest else Outcome.SMALL
+
+
+def _degrees(effect: Effect, parameter: Parameter, n_records: int) -> int:
+    """Degrees of freedom of a parameter of an effect: what differs between the records has its mean in the model."""
+    if not parameter.per_record:
+        return 1
+    return n_records - 1 if effect.kind is EffectKind.BETWEEN_RUNS else n_records
+
+
+def _starts(effect: Effect, score: Score) -> Iterator[Effect]:
+    """The effect at the one-step estimate of the score test; then nearer to nothing, at the neighbours of a scanned
+    value, and on the other side."""
+    scans = [score.scan]
+    for name, tried in effect.scan.items():
+        at = tried.index(score.scan[name]) if score.scan.get(name) in tried else 0
+        scans += [score.scan | {name: tried[k]} for k in (at - 1, at + 1) if 0 <= k < len(tried)]
+    for scan, share in [(scans[0], 1.0), (scans[0], 0.3), *((s, 1.0) for s in scans[1:]), (scans[0], -0.3)]:
+        yield replace(effect, parameters=tuple(_start(p, score, scan, share) for p in effect.parameters))
+
+
+def _start(parameter: Parameter, score: Score, scan: Mapping[str, float], share: float) -> Parameter:
+    value = scan.get(parameter.name, parameter.value)
     if parameter.name in score.step:
         sd = parameter.prior[1] if parameter.prior else np.inf
-        value = parameter.value + float(np.clip(score.step[parameter.name], -sd, sd))
+        value = parameter.value + share * float(np.clip(score.step[parameter.name], -sd, sd))
         low, high = parameter.bounds
         value = min(max(value, low), high)
     return parameter.at(value)
@@ -259,27 +425,3 @@ def _likely_table(one: Round) -> Score | None:
 def _drawn(effect: Effect, stage: FittedModel) -> NonparametricForce | None:
     f = stage.fit
     return shape(f.model, effect, f.model.values, f.names, f.covariance)
-
-
-def validation_gain(before: FittedModel, after: FittedModel) -> tuple[float, float]:
-    """Gain in log-likelihood on the validation data: its sum, and t over blocks of ten seconds (four on the bench).
-
-    t is the larger of the plain one, which counts evidence that sits in few blocks, and of one with the blocks
-    drawn in to three robust standard deviations, so that one glitch of a clock or a sensor, which no model
-    foresees, does not outvote all the rest.
-    """
-    gains = []
-    for a, b in zip(before.validation, after.validation, strict=True):
-        block = np.floor(a.record.t / (2 * before.model.block)).astype(int)
-        gains.append(np.bincount(block, b.ll - a.ll))
-    if not gains:
-        return 0.0, 0.0
-    per_block: Array = np.concatenate(gains).astype(np.float64)
-    middle = np.median(per_block)
-    reach = 3 * NORMAL_MAD * np.median(np.abs(per_block - middle))
-    drawn_in = np.clip(per_block, middle - reach, middle + reach)
-    return float(per_block.sum()), max(_t(per_block), _t(drawn_in))
-
-
-def _t(x: Array) -> float:
-    return float(x.mean() / (x.std(ddof=1) / np.sqrt(x.size) + 1e-12)) if x.size > 1 else 0.0

@@ -10,6 +10,7 @@ import numpy as np
 
 from daq.errors import counted
 from ident.data import LogSegment, Record, make_record
+from ident.estimation.cross_validation import TimeBlocks, leave_one_block_out, time_blocks
 from ident.estimation.likelihood import FilterResult, Likelihood
 from ident.estimation.maximum_likelihood import Fit, fit
 from ident.estimation.multistart import best_of_starts
@@ -23,6 +24,17 @@ from ident.reporter import QUIET, Reporter
 
 COLLAPSED_NOISE = 1e-2  # of the white noise that the samples show: noise below it has collapsed to zero
 RESCALING_RATIO = 2.0  # of the estimated force or moment to the assumed: from it the priors are scaled anew
+FIT_ERRORS = (ValueError, ArithmeticError, np.linalg.LinAlgError)  # of what cannot be evaluated
+
+Unseen = Sequence[Record] | TimeBlocks  # validation records, or blocks of the estimation records
+
+
+@dataclass(frozen=True)
+class FailedRun:
+    """A validation run, by the name of its record, that cannot be evaluated, and why."""
+
+    record: str
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -30,12 +42,16 @@ class FittedModel:
     """A model, its fit to the estimation data, and its evaluation on every record of both sets.
 
     Parameters of a single record (the current) are estimated on the validation data, too; nothing else is.
+    ``failed``: validation runs that could not be evaluated; ``cross_validated``: ``validation`` are blocks of the
+    estimation records, each with the estimates of the others.
     """
 
     model: Model
     fit: Fit
     estimation: tuple[RecordEvaluation, ...]
     validation: tuple[RecordEvaluation, ...]
+    failed: tuple[FailedRun, ...] = ()
+    cross_validated: bool = False
 
     @property
     def records(self) -> list[Record]:
@@ -96,16 +112,31 @@ def fit_nominal_model(
     """
     full = nominal(model)
     records = [make_record(full, r, rate) for r in estimation]
-    unseen = [make_record(full, r, rate) for r in validation]
+    unseen, failed = validation_records(full, validation, rate)
     reporter.progress(f"fitting {full.name} to {counted(len(records), 'run')}")
     full = without_absent_sensors(full, records + unseen)
-    return fit_with_rescaling(full, records, unseen, options)
+    stage = fit_with_rescaling(full, records, unseen, options)
+    return replace(stage, failed=(*failed, *stage.failed))
+
+
+def validation_records(
+    model: Model, segments: Sequence[LogSegment], rate: float
+) -> tuple[list[Record], tuple[FailedRun, ...]]:
+    """Records of the validation runs, and the runs of which none can be made; ``rate`` [Hz] as in
+    `ident.data.make_record`."""
+    records, failed = list[Record](), list[FailedRun]()
+    for segment in segments:
+        try:
+            records.append(make_record(model, segment, rate))
+        except FIT_ERRORS as problem:
+            failed.append(FailedRun(segment.name, str(problem)))
+    return records, tuple(failed)
 
 
 def fit_with_rescaling(
     full: Model,
     records: Sequence[Record],
-    unseen: Sequence[Record],
+    unseen: Unseen,
     options: EstimationOptions | None = None,
 ) -> FittedModel:
     """The model of ``nominal`` fitted; once more where the boat turns out to be of another size than its start said."""
@@ -120,7 +151,7 @@ def fit_with_rescaling(
 def fit_and_evaluate(
     model: Model,
     records: Sequence[Record],
-    unseen: Sequence[Record],
+    unseen: Unseen,
     options: EstimationOptions | None = None,
     settings: SearchSettings | None = None,
 ) -> FittedModel:
@@ -128,7 +159,8 @@ def fit_and_evaluate(
 
     Parameters:
         model: what is fitted, from its own values; a rough search (without robust errors) tries no other starts.
-        records, unseen: estimation and validation data.
+        records, unseen: estimation and validation data. A validation record that cannot be evaluated is left out and
+            named in ``failed``.
         options, settings: of the fit (``ident.estimation.maximum_likelihood.fit``).
     """
     options, settings = options or EstimationOptions(), settings or SearchSettings()
@@ -142,17 +174,74 @@ def fit_and_evaluate(
     if model.start_grid is not None and settings.robust_errors:
         fitted = best_of_starts(fitted, records, fitted_from)
     model = with_outliers(model) if options.outlier_model else model
-    own = [p.name for p in fitted.model.parameters if p.free and p.per_record]
     views = tuple(_view(fitted.model, r, fitted.record_values[i]) for i, r in enumerate(records))
+    if not isinstance(unseen, TimeBlocks):
+        judged, failed = _adapted(fitted, unseen, replace(settings, robust_errors=False))
+        return FittedModel(model, fitted, views, tuple(judged), tuple(failed))
+    return cross_validated(FittedModel(model, fitted, views, ()), unseen)
+
+
+def cross_validated(stage: FittedModel, blocks: TimeBlocks) -> FittedModel:
+    """The fit judged on blocks in time of its estimation records, each with the estimates of the others. Raises
+    ValueError where a block cannot be evaluated."""
+    fitted = stage.fit
+    values = leave_one_block_out(fitted.model, blocks, fitted.record_values, fitted.parameters)
+    views = tuple(_view(fitted.model, r, v) for r, v in zip(blocks.records, values, strict=True))
+    return replace(stage, validation=views, cross_validated=True)
+
+
+def blocks_of(records: Sequence[Record], views: Sequence[RecordEvaluation], block: float) -> TimeBlocks:
+    """Records cut into blocks in time; ``views``: a model on them, whose states say how a block may begin; ``block``
+    [s]: ``Model.block``."""
+    return time_blocks(records, block, [_starts_anywhere(v) for v in views])
+
+
+def _starts_anywhere(view: RecordEvaluation) -> dict[str, tuple[float, float]]:
+    """Mean and standard deviation of each state over a record, with the filter's own uncertainty."""
+    mean, variance = view.run.x_filt.mean(axis=0), view.run.x_filt.var(axis=0)
+    sd = np.sqrt(variance + np.diagonal(view.run.P_filt, axis1=1, axis2=2).mean(axis=0))
+    return {s.name: (float(m), float(e)) for s, m, e in zip(view.model.states, mean, sd, strict=True)}
+
+
+def _adapted(
+    fitted: Fit, unseen: Sequence[Record], settings: SearchSettings
+) -> tuple[list[RecordEvaluation], list[FailedRun]]:
+    """Validation records with their own parameters (the current) estimated, all at once, or where that fails one by
+    one; and those that cannot be evaluated."""
+    model = fitted.model
+    own = [p.name for p in model.parameters if p.free and p.per_record]
     if not unseen:
-        return FittedModel(model, fitted, views, ())
-    if not own:
-        values = fitted.record_values[0]
-        return FittedModel(model, fitted, views, tuple(_view(fitted.model, r, values) for r in unseen))
-    others = [r.for_model(model) for r in unseen]
-    adapted = fit(fitted.model.with_free(own), others, settings=replace(settings, robust_errors=False))
-    judged = [_view(adapted.model, r, adapted.record_values[i]) for i, r in enumerate(unseen)]
-    return FittedModel(model, fitted, views, tuple(judged))
+        return [], []
+    try:
+        if own:
+            adapted = fit(model.with_free(own), [r.for_model(model) for r in unseen], settings=settings)
+            return [_view(adapted.model, r, adapted.record_values[i]) for i, r in enumerate(unseen)], []
+        views = [_view(model, r, fitted.record_values[0]) for r in unseen]
+        for v in views:
+            if not np.isfinite(v.ll).all():
+                raise ValueError(f"record {v.record.name}: the likelihood of model {model.name} cannot be evaluated")
+        return views, []
+    except FIT_ERRORS as problem:
+        if len(unseen) == 1:
+            return [], [FailedRun(unseen[0].name, str(problem))]
+    parts = [_adapted(fitted, [r], settings) for r in unseen]
+    return [v for views, _ in parts for v in views], [f for _, failed in parts for f in failed]
+
+
+def validated_in_blocks(stage: FittedModel) -> FittedModel:
+    """The same fit judged on blocks in time of its validation records, as an effect must be that has parameters of its
+    own for each run: those come from the other blocks of the run. Raises ValueError where a block cannot be evaluated.
+    """
+    if stage.cross_validated or not stage.validation:
+        return stage
+    model = stage.fit.model
+    blocks = blocks_of([v.record for v in stage.validation], stage.validation, model.block)
+    own = [p for p in model.parameters if p.free and p.per_record]
+    parameters = [replace(p, segment=i) for i in range(len(stage.validation)) for p in own]
+    values = leave_one_block_out(model, blocks, np.array([v.values for v in stage.validation]), parameters)
+    return replace(
+        stage, validation=tuple(_view(model, r, v) for r, v in zip(blocks.records, values, strict=True))
+    )
 
 
 def _view(model: Model, record: Record, values: Array) -> RecordEvaluation:

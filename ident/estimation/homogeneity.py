@@ -1,4 +1,6 @@
-"""Homogeneity test of a parameter across logs: likelihood ratio of one value for all to one for each, and the scatter.
+"""Heterogeneity of parameters between logs: tests, effects that describe it, and shifts in a validation run.
+
+The homogeneity test is the likelihood ratio of one value for all logs to one for each, with the scatter between them.
 
 With values ``m`` (k,) fitted one a log and their covariance V, the logs' own scatter tau is that of
 
@@ -10,7 +12,7 @@ disagree, the standard error of a common fit is too small, and mu with its own e
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,12 +20,20 @@ from scipy import optimize, stats
 
 from daq.errors import SeatrialError
 from ident.data import Record
+from ident.estimation.fitted_model import FIT_ERRORS
+from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import Fit, fit
-from ident.estimation.options import EstimationOptions
-from ident.model import segment_name
+from ident.estimation.options import ROUGH, EstimationOptions
+from ident.estimation.standard_errors import AT_BOUND, VAGUE
+from ident.model import PARAMETERS, Effect, EffectKind, Model, Parameter, Signals, segment_name
 from ident.numerics import Array
 
 LEVEL = 0.01
+BETWEEN, PAYLOAD, THRUST = "between-runs:", "payload", "thrust"
+SPREAD = 0.3  # relative, that a parameter may plausibly differ between runs: one standard deviation of the prior
+LEAST, MOST = -0.9, 9.0  # relative differences that are tried
+PAYLOAD_SHARE = 0.2  # of the surge mass, one standard deviation of the prior of a payload
+MIN_SHIFT = 5.0  # standard errors of both runs together, from which a parameter is said to be another
 
 
 @dataclass(frozen=True)
@@ -112,3 +122,125 @@ def between_log_variance(values: Array, covariance: Array) -> tuple[float, float
     tau = 0.0 if near == 0 else float(found.x)
     mean, information, _ = mean_of(tau)
     return tau, mean, information**-0.5
+
+
+def between_runs(fitted: Fit) -> dict[str, Effect]:
+    """Candidates for what differs between the records of a fit: a payload, the thrust, or one parameter alone; none
+    for a single record."""
+    if len(fitted.records) < 2:
+        return {}
+    model, stuck = fitted.model, {n for n, what in fitted.flags if what in (AT_BOUND, VAGUE)}
+    names = [PAYLOAD] if {"m_u", "m_v"} <= set(model.values) else []
+    names += [THRUST] if "c1" in model.values else []
+    found = {p.name for p in fitted.parameters if p.segment is None} - model.noise_parameters - stuck
+    of_effects = {p.name for e in model.effects for p in e.parameters}
+    names += [n for n in model.values if n in found - of_effects and model.values[n] > 0]
+    return {BETWEEN + n: between_runs_effect(model, n) for n in names}
+
+
+def between_runs_effect(model: Model, what: str) -> Effect:
+    """A payload [kg] on the masses of surge and sway, a factor on the thrust, or on one parameter, in each record its
+    own."""
+    if what == PAYLOAD:
+
+        def load(s: Signals) -> None:
+            s.p.m_u, s.p.m_v = s.p.m_u + s.p.m_payload, s.p.m_v + s.p.m_payload
+
+        sd = PAYLOAD_SHARE * model.values["m_u"]
+        carried = Parameter(
+            "m_payload", 0.0, "kg", "mass more than on average over the runs", prior=(0.0, sd), per_record=True,
+            step=0.05 * sd,
+        )
+        return _between(PAYLOAD, "a payload that differs between runs", load, carried, "m_u + m, m_v + m in each run")
+    names = ("c1", "c2") if what == THRUST else (what,)
+    meaning = "the thrust" if what == THRUST else f"{what} ({model.parameter(what).meaning})"
+
+    def change(s: Signals) -> None:
+        factor = 1.0 + getattr(s.p, f"k_{what}")
+        for name in names:
+            if hasattr(s.p, name):
+                setattr(s.p, name, getattr(s.p, name) * factor)
+
+    factor = Parameter(
+        f"k_{what}", 0.0, "", f"relative difference of {meaning} from its mean over the runs", prior=(0.0, SPREAD),
+        bounds=(LEAST, MOST), per_record=True, step=0.01,
+    )
+    formula = f"{', '.join(names)} (1 + k) in each run"
+    return _between(what, f"a difference of {meaning} between runs", change, factor, formula)
+
+
+def _between(what: str, title: str, change: Callable[[Signals], None], own: Parameter, formula: str) -> Effect:
+    return Effect(
+        BETWEEN + what,
+        title,
+        {PARAMETERS: change},
+        (own,),
+        place="hull",
+        formula=formula,
+        source="DerSimonian and Laird 1986; Viechtbauer 2005",
+        experiment="the same mission with the same load, battery and trim in all runs",
+        kind=EffectKind.BETWEEN_RUNS,
+    )
+
+
+@dataclass(frozen=True)
+class RunDifference:
+    """How much a record's own parameter is more than in the first record, with the standard error of that."""
+
+    record: str
+    value: float
+    error: float
+
+
+def run_differences(fitted: Fit, name: str) -> tuple[RunDifference, ...]:
+    """Differences of a parameter that each record has for itself, from its value in the first record."""
+    at = [fitted.names.index(segment_name(name, i)) for i in range(len(fitted.records))]
+    found = []
+    for record, k in zip(fitted.records[1:], at[1:], strict=True):
+        (a, b), (_, d) = fitted.covariance[np.ix_([at[0], k], [at[0], k])]
+        variance = a - 2 * b + d
+        error = float(np.sqrt(variance)) if variance > 0 else float("nan")
+        found.append(RunDifference(record, float(fitted.values[k] - fitted.values[at[0]]), error))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class ParameterShift:
+    """A parameter, or a payload, that explains best how a run differs from those of a fit: fitted and error of the fit,
+    value and value_error of that run alone, all other parameters kept; gain: d ln L in that run."""
+
+    name: str
+    unit: str
+    fitted: float
+    error: float
+    value: float
+    value_error: float
+    gain: float
+
+
+def parameter_shift(fitted: Fit, record: Record, values: Array) -> ParameterShift | None:
+    """What explains best how a run differs from those of a fit, if anything does by ``MIN_SHIFT`` standard errors.
+
+    values (n_parameters,): as the fit has them for this record.
+    """
+    model = fitted.model.with_values(dict(zip(fitted.model.values, values.tolist(), strict=True)))
+    own = [p.name for p in model.parameters if p.free and p.per_record]
+    shared = {p.name for p in fitted.parameters if p.segment is None} - model.noise_parameters
+    tried = [(n, model.replace_parameters(replace(model.parameter(n), prior=None))) for n in shared]
+    if {"m_u", "m_v"} <= set(model.values):
+        tried.append(("m_payload", model + between_runs_effect(model, PAYLOAD)))
+    found: list[ParameterShift] = []
+    for name, larger in tried:
+        try:
+            alone = fit(larger.with_free({name, *own}), [record.for_model(larger)], settings=ROUGH)
+        except FIT_ERRORS:
+            continue
+        unit, (value, value_error) = larger.parameter(name).unit, alone.estimate(name)
+        was, error = fitted.estimate(name) if name in model.values else (0.0, 0.0)
+        if abs(value - was) > MIN_SHIFT * float(np.hypot(error, value_error)):  # not where an error is not known
+            found.append(ParameterShift(name, unit, was, error, value, value_error, alone.log_likelihood))
+    if not found:
+        return None
+    begun = float(Likelihood(model).value_by_row(record.for_model(model), values).sum())
+    best = max(found, key=lambda s: s.gain)
+    return replace(best, gain=best.gain - begun)

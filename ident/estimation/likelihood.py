@@ -275,7 +275,7 @@ class Likelihood:
         if np.shape(values) != (len(self._index),):
             raise ValueError(f"model {self.model.name} has {len(self._index)} parameters, got {np.shape(values)}")
         data = self._prepare(record)
-        return data, initial_condition(self.model, values, data.first, self.process_noise)
+        return data, initial_condition(self.model, values, data, self.process_noise)
 
 
 def _own(values: Array) -> Array:

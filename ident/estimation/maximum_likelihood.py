@@ -106,7 +106,8 @@ def fit(
         start: values to begin with instead of the model's, ``V_x@0`` those of a record.
         progress: called with the iteration and the log-posterior.
 
-    Raises ValueError, naming the record, where a record does not fit the model or cannot be evaluated.
+    Raises ValueError, naming the record, where a record does not fit the model or cannot be evaluated, and naming all
+    where the search diverges.
     """
     began = time.process_time()
     options, settings = options or EstimationOptions(), settings or SearchSettings()
@@ -123,12 +124,16 @@ def fit(
     likelihood = Likelihood(model, joseph=settings.joseph, process_noise=options.process_noise)
     problem = Problem(likelihood, records, _estimable(model, options), settings.threads, begin)
     _check_enough(problem)
-    optimum = _search(problem, settings, progress)
     mean, weight = problem.prior
-    prior_part = -0.5 * float(weight @ (optimum.z - mean) ** 2)
     options = replace(options, reml=options.reml and options.process_noise)
-    optimum = apply_reml(problem, optimum) if options.reml else optimum
-    known, robust_errors = _known(problem, optimum, settings.robust_errors)
+    try:
+        optimum = _search(problem, settings, progress)
+        prior_part = -0.5 * float(weight @ (optimum.z - mean) ** 2)
+        optimum = apply_reml(problem, optimum) if options.reml else optimum
+        known, robust_errors = _known(problem, optimum, settings.robust_errors)
+    except np.linalg.LinAlgError as error:
+        names = ", ".join(r.name for r in records)
+        raise ValueError(f"{names}: the search for the parameters of model {model.name} diverged: {error}") from error
     if not options.process_noise and settings.robust_errors:  # by prediction error they are seldom looked at
         lost = np.isfinite(known.errors) & np.isnan(robust_errors)
         too_long = [(problem.names[i], TOO_LONG) for i in np.flatnonzero(lost).tolist()]

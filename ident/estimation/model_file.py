@@ -13,9 +13,21 @@ import tomlkit
 
 from daq.errors import SeatrialError
 from ident.effects import catalogue, input_response_effects, nonparametric_effect
+from ident.estimation.homogeneity import BETWEEN, between_runs_effect
 from ident.estimation.maximum_likelihood import Fit
 from ident.estimation.parameter_covariance import ParameterCovariance
-from ident.model import Effect, EffectKind, ForceCurve, Model, Parameter, robust_sensors, with_outlier_model
+from ident.estimation.thrust_scale import scale_of
+from ident.model import (
+    Effect,
+    EffectKind,
+    ForceCurve,
+    Model,
+    ModelKind,
+    Parameter,
+    ParameterOrigin,
+    robust_sensors,
+    with_outlier_model,
+)
 from ident.models import (
     ANTENNA,
     CURRENT_WALK,
@@ -50,6 +62,12 @@ class SavedModel:
     correlation: Array = field(default_factory=lambda: np.zeros((0, 0)))
     effects_file: Path | None = None  # where effects that are not in the catalogue come from
     reml: bool = False
+    calibration: float | None = None  # relative standard uncertainty of the forces that it was fitted to; None: unknown
+
+    def uncertainty(self, name: str) -> float:
+        """Standard uncertainty of an estimated force: of its estimate and of the load cell's calibration."""
+        error, of_scale = self.errors.get(name, np.nan), (self.calibration or 0.0) * self.model.parameter(name).value
+        return float(np.hypot(error if np.isfinite(error) else 0.0, of_scale))
 
     def covariance(self, wanted: Collection[str] | None = None) -> ParameterCovariance:
         """Covariance of the estimates, or of those in ``wanted``, that have a standard error."""
@@ -67,9 +85,11 @@ def save_model(
     validity: Mapping[str, tuple[float, float]],
     provenance: Mapping[str, Any],
     effects_file: Path | None = None,
+    calibration: float | None = None,
 ) -> None:
     """Write the model of a fit, and beside it a copy of each Python file of the user's own that it is made with.
-    ``effects_file``: where effects that are not in the catalogue come from."""
+    ``effects_file``: where effects that are not in the catalogue come from; ``calibration``: relative standard
+    uncertainty of the forces that were measured."""
     model, document = fit.model, tomlkit.document()
     document["format"] = FORMAT
     document["name"] = model.name
@@ -94,6 +114,8 @@ def save_model(
         beside = _copied(path, effects_file)
         document["effects_file"], document["effects_sha256"] = beside.name, file_digest(beside)
     document["provenance"] = {k: v for k, v in provenance.items() if v is not None}
+    if (scale := _scale_table(model, calibration)) is not None:
+        document["scale"] = scale
     document["validity"] = {k: [float(a), float(b)] for k, (a, b) in validity.items()}
     # disturbance forces get the size of the boat whenever a fit begins (ident.models.scaling); a prior of that size
     # would get
@@ -107,6 +129,21 @@ def save_model(
     document["parameter"] = parameters
     document["correlation"] = {"names": list(fit.names), "matrix": np.round(np.nan_to_num(fit.correlation), 6).tolist()}
     path.write_text(tomlkit.dumps(document), encoding="utf-8")
+
+
+def _scale_table(model: Model, calibration: float | None) -> Any:
+    """What the forces rest on; None for a model that has none of its own."""
+    scale, table = scale_of(model), tomlkit.table()
+    if scale.relative:
+        table.add(tomlkit.comment("nobody gave the thrust: masses, damping and forces below are right as ratios to"))
+        table.add(tomlkit.comment("c1 + c2 only, not in kg and N; the motion that they predict is right"))
+    if scale.relative_yaw:
+        table.add(tomlkit.comment("nobody gave the arms: inertia and damping in yaw are right as ratios to them"))
+    facts = {"thrust": scale.thrust, "arm": scale.arm}
+    table.update({name: str(origin) for name, origin in facts.items() if origin is not None})
+    if model.kind is ModelKind.BENCH and "c1" in model.values:
+        table.update({"thrust": "measured"} | ({} if calibration is None else {"calibration": calibration}))
+    return table if len(table) else None
 
 
 def _curve_table(effect: Effect) -> dict[str, Any]:
@@ -137,6 +174,7 @@ def _row(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, Any]:
         "unit": p.unit,
         "meaning": p.meaning,
         "free": p.free,
+        "origin": str(p.provenance),
     }
     if np.isfinite(error):
         row["se"] = float(error)
@@ -172,8 +210,8 @@ def load_model(path: Path) -> SavedModel:
     except (KeyError, TypeError, ValueError) as problem:
         raise SeatrialError(f"{path}: not a complete model: {problem}") from problem
     reml = bool(table.get("reml", False))
-    made = table.get("provenance", {})
-    return SavedModel(model, errors, validity, made, names, correlation, effects_file, reml)
+    made, calibration = table.get("provenance", {}), table.get("scale", {}).get("calibration")
+    return SavedModel(model, errors, validity, made, names, correlation, effects_file, reml, calibration)
 
 
 def _own_files(table: Mapping[str, Any], path: Path) -> tuple[str, Path | None]:
@@ -204,7 +242,9 @@ def _build(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> 
 
 def _parameter(p: Parameter, row: Mapping[str, Any]) -> Parameter:
     """The structure's parameter with what its row says; without a prior there, the structure's own stays."""
-    p = replace(p, value=float(row["value"]), free=bool(row["free"]))
+    origin = ParameterOrigin(row.get("origin", "given"))
+    estimated = origin is ParameterOrigin.ESTIMATED
+    p = replace(p, value=float(row["value"]), free=bool(row["free"]), origin=p.origin if estimated else origin)
     if "prior" not in row:
         return p
     mean, sd = (float(z) for z in row["prior"])
@@ -227,6 +267,8 @@ def _effect(name: str, model: Model, curves: Mapping[str, Any]) -> Effect:
         return telemetry_age()
     if name in curves:
         return _unlisted(model, curves[name])
+    if name.startswith(BETWEEN):
+        return between_runs_effect(model, name.removeprefix(BETWEEN))
     if name not in catalogue():
         raise ValueError(f"there is no effect {name!r} in the catalogue")
     return catalogue()[name]

@@ -86,7 +86,7 @@ def simulate(model: Model, record: Record, values: Array | None = None, x0: Arra
     """
     values = _values(model, values)
     data = Preparer(model)(record)
-    start = initial_condition(model, values, data.first, covariance=False).s if x0 is None else x0
+    start = initial_condition(model, values, data, covariance=False).s if x0 is None else x0
     y, x = _run(_kernel(model), data, values, start, 0, data.n_rows)
     return Simulation(record.t, x, y)
 

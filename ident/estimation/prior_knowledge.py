@@ -10,7 +10,7 @@ from daq.errors import SeatrialError
 from daq.rig import Rig
 from ident.effects import catalogue
 from ident.estimation.model_file import load_model
-from ident.model import Effect, Model, Parameter
+from ident.model import Effect, Model, Parameter, ParameterOrigin
 from ident.models import (
     CURRENT_WALK,
     SIDES,
@@ -25,14 +25,21 @@ from ident.models import (
 GNSS = {"x", "y", "vx", "vy"}
 
 
-def apply_rig_geometry(model: Model, rig: Rig | None) -> tuple[Model, list[str]]:
-    """The model with what the rig file says of the boat, and a line for each thing that it cannot take into account."""
-    if rig is None:
-        return model, []
-    model = model.with_values({n: v for n, v in rig.vehicle.items() if n in model.values})
-    levers = {f"y_{t.name}": t.position_m[1] for t in rig.thrusters if t.name in SIDES}
-    known = [model.parameter(n).at(v).fixed() for n, v in levers.items() if n in model.values]
-    return _with_antenna(model.replace_parameters(*known), rig)
+def apply_rig_geometry(
+    model: Model, rig: Rig | None, vehicle: Mapping[str, float] | None = None
+) -> tuple[Model, list[str]]:
+    """The model with what the rig file says of the boat, and a line for each thing that it cannot take into account.
+    ``vehicle``: what is known of the boat, by default the rig's; ``NAME_sd`` is the standard uncertainty of NAME."""
+    given, known = dict(vehicle if vehicle is not None else rig.vehicle if rig else {}), []
+    levers = {f"y_{t.name}": t.position_m[1] for t in (rig.thrusters if rig else ()) if t.name in SIDES}
+    for name, value in (levers | given).items():
+        if name in model.values:
+            p, sd = model.parameter(name), given.get(f"{name}_sd", 0.0)
+            origin = ParameterOrigin.PRIOR if sd else ParameterOrigin.GIVEN
+            starts = p.free and not sd  # an estimate begins there; what is not estimated is known
+            known.append(p.at(value) if starts else p.known(value, sd, origin))
+    model = model.replace_parameters(*known)
+    return _with_antenna(model, rig) if rig else (model, [])
 
 
 def _with_antenna(model: Model, rig: Rig) -> tuple[Model, list[str]]:
@@ -81,19 +88,21 @@ def _effect_for(model: Model, name: str) -> Effect:
 
 
 def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, float]) -> Model:
-    """Parameters that are known, and fixed: from the bench, from the command line."""
+    """Parameters that are known: from the bench with their standard uncertainty (statistics and calibration), and fixed
+    ones from the command line."""
     known: dict[str, Parameter] = {}
     if thruster is not None:
-        bench = load_model(thruster).model
+        bench = load_model(thruster)
         for name in ("c1", "c2"):
             if name in model.values:
-                known[name] = model.parameter(name).at(bench.parameter(name).value).fixed()
+                value, sd = bench.model.parameter(name).value, bench.uncertainty(name)
+                known[name] = model.parameter(name).known(value, sd, ParameterOrigin.MEASURED)
     for name, value in given.items():
         if name not in model.values:
             raise SeatrialError(
                 f"--fix {name}: model {model.name} has no such parameter; it has {', '.join(model.values)}"
             )
-        known[name] = model.parameter(name).at(value).fixed()
+        known[name] = model.parameter(name).known(value, 0.0, ParameterOrigin.GIVEN)
     return model.replace_parameters(*known.values())
 
 
@@ -104,7 +113,7 @@ def set_priors(model: Model, prior: Mapping[str, tuple[float, float]]) -> Model:
         if name not in model.values:
             raise SeatrialError(f"--prior {name}: model {model.name} has {', '.join(model.values)}")
         try:
-            given.append(replace(model.parameter(name), value=mean, prior=(mean, sd), free=True))
+            given.append(model.parameter(name).known(mean, sd, ParameterOrigin.PRIOR))
         except ValueError as problem:
             raise SeatrialError(f"--prior {name}={mean:g}:{sd:g}: {problem}") from problem
     return model.replace_parameters(*given)

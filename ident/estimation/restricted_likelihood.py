@@ -25,6 +25,7 @@ from ident.numerics import Array, scaled_eigen, unit_diagonal
 
 STEP = 0.05  # of a logarithm, for differences; the log-determinant is nearly linear in it
 MIN_LOG_INFORMATION = 1.0  # on a logarithm: with less not even its order of magnitude is known
+PRIOR_ONLY = 0.5  # part of a parameter's information that is its prior's, from which its value is the prior's
 NULL_SPACE_TOLERANCE = 1e-9  # eigenvalue of the information scaled to unit diagonal: less is no information
 LEAST_DIAGONAL = 1e-300  # of an information matrix, in place of a zero
 
@@ -41,7 +42,11 @@ def apply_reml(problem: Problem, top: Optimum) -> Optimum:
     is_noise = np.array([p.name in names for p in problem.parameters])
     told = problem.bounds.logarithmic & (np.diag(top.at.information) > MIN_LOG_INFORMATION)
     noise = np.flatnonzero(is_noise & inside & told)
-    dynamics = np.flatnonzero(~is_noise & inside)
+    # what is known by its prior alone, such as a thrust, takes no degree of freedom from the data, and stays
+    weight = problem.prior[1] * np.nan_to_num(_errors(top.at.hessian)) ** 2
+    shared = np.array([p.segment is None for p in problem.parameters])
+    prior_only = ~is_noise & shared & (weight > PRIOR_ONLY)
+    dynamics = np.flatnonzero(~is_noise & inside & ~prior_only)
     if not noise.size or not dynamics.size:
         return top
     base = _log_det(problem, top.z, dynamics)
@@ -52,8 +57,9 @@ def apply_reml(problem: Problem, top: Optimum) -> Optimum:
         slope[k] = -0.5 * (_log_det(problem, moved, dynamics) - base) / STEP
     if not np.isfinite(slope).all():
         return top
-    pushed = replace(top.at, gradient=top.at.gradient + slope)
-    step = solve_step(pushed, pushed.hessian, top.z, problem.bounds, 0.0)
+    hessian = top.at.hessian * np.outer(~prior_only, ~prior_only) + np.diag(prior_only * np.diag(top.at.hessian))
+    pushed = replace(top.at, gradient=np.where(prior_only, 0.0, top.at.gradient + slope))
+    step = solve_step(pushed, hessian, top.z, problem.bounds, 0.0)
     if (np.abs(step) > _errors(top.at.hessian)).any():
         return top
     z = problem.bounds.clip(top.z + step)

@@ -45,6 +45,11 @@ class ThrusterResponse:
         return SIDES if two else tuple(names)
 
     @property
+    def full_thrust(self) -> float:
+        """Of one thruster, full ahead [N]; of models that take forces."""
+        return self.curve["c1"] + self.curve["c2"]
+
+    @property
     def thrusters(self) -> tuple[str, ...]:
         """Thrusters that a mission commands; surge or yaw alone takes both thrusters, too."""
         return SIDES if self.channels in (*COMMON_MODE, *DIFFERENTIAL_MODE) else self.channels

@@ -14,7 +14,7 @@ from ident.experiment_design.criteria import Criterion, Kind, characteristic_ste
 from ident.experiment_design.excitation import StepInput, ThrusterResponse
 from ident.experiment_design.information import Experiments, prior_information
 from ident.experiment_design.track_extent import TrackExtent, in_current
-from ident.model import Model
+from ident.model import Model, ParameterOrigin
 from ident.numerics import Array
 
 GRID = 0.2  # s between rows of a search
@@ -22,6 +22,7 @@ RATE = 10.0  # Hz, default rate of a sensor
 PRIOR_HALFWIDTH = 0.25  # relative; default prior: uniform within 0.75 to 1.25 of the nominal values (thesis)
 N_TRACKS = 24  # parameter samples whose tracks must keep to the limits
 DIVERGED = 1e6  # violation
+ESTIMATED = ParameterOrigin.ESTIMATED
 
 
 @dataclass(frozen=True)
@@ -156,7 +157,8 @@ class DesignProblem:
 
     @cached_property
     def prior(self) -> Array:
-        """Prior information (q, q) by ``free``: priors of nuisance parameters, and information of earlier logs."""
+        """Prior information (q, q) by ``free``: priors of nuisance parameters and of what the bench or the user knows,
+        or the information of earlier logs, which has these in it."""
         q = len(self.learned)
         prior = np.zeros((len(self.free), len(self.free)))
         prior[q:, q:] = prior_information([self.model.parameter(n) for n in self.free[q:]])
@@ -165,6 +167,10 @@ class DesignProblem:
             here = [self.learned.index(n) for n in known]
             there = [self.belief.names.index(n) for n in known]
             prior[np.ix_(here, here)] += self.earlier[np.ix_(there, there)]
+        else:  # a thrust is known from the bench; no mission tells it
+            of_learned = [self.model.parameter(n) for n in self.learned]
+            given = np.array([p.provenance is not ESTIMATED for p in of_learned], dtype=float)
+            prior[:q, :q] = prior_information(of_learned) * given
         return prior
 
     @cached_property
@@ -184,7 +190,8 @@ class DesignProblem:
 
     @cached_property
     def belief_or_box(self) -> ParameterPrior:
-        return self.belief or ParameterPrior(self.learned)
+        known = self.model.parameter
+        return self.belief or ParameterPrior(tuple(n for n in self.learned if known(n).provenance is ESTIMATED))
 
     def samples(self, n: int, purpose: int) -> Array:
         """Parameters (n, n_parameters) drawn from what is believed."""

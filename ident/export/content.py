@@ -172,7 +172,7 @@ def _inputs(c: Content) -> list[str]:
     lines, past = [], [i for i in c.model.inputs if i.tap]
     for j, (n, i) in enumerate(zip(c.inputs, c.model.inputs, strict=True)):
         if i.tap:
-            lines.append(f"  u[{j}] {n}: {i.tap_of}, {i.delay:.1f} s ago")
+            lines.append(f"  u[{j}] {n}: {i.tap_of}, {i.delay:g} s ago")
         else:
             lines.append(f"  u[{j}] {n} {_unit(i.unit)}{_described(i)}")
     if past:

@@ -8,8 +8,10 @@ from .outlier_density import robust_weight as robust_weight
 from .outlier_density import with_outlier_model as with_outlier_model
 from .parameter import INF as INF
 from .parameter import Parameter as Parameter
+from .parameter import ParameterOrigin as ParameterOrigin
 from .parameter import ParameterRole as ParameterRole
 from .structure import HISTORY_STEP as HISTORY_STEP
+from .structure import PARAMETERS as PARAMETERS
 from .structure import Effect as Effect
 from .structure import EffectKind as EffectKind
 from .structure import ForceCurve as ForceCurve

@@ -11,6 +11,7 @@ from ident.model.names import segment_name
 
 INF = math.inf
 LARGEST = 700.0  # logarithm of a number that can still be written; a search may ask for more
+ROUNDING = 1e-9  # of a bound: a value that is outside by no more, such as a mean of values on it, stands on it
 
 
 class ParameterRole(StrEnum):
@@ -20,6 +21,16 @@ class ParameterRole(StrEnum):
     NOISE = "noise"  # a standard deviation or a diffusion
     DISTURBANCE = "disturbance"  # of a disturbance that is zero on average, such as its memory
     INITIAL_STATE = "initial-state"
+
+
+class ParameterOrigin(StrEnum):
+    """Provenance of a parameter's value, or of its prior; what is free and has no prior is estimated from the logs."""
+
+    BUILT_IN = "built-in"  # of the structure: nobody gave it for this boat
+    GIVEN = "given"  # by the user: rig file, import map, --fix, a model of the user's own
+    MEASURED = "measured"  # on the bench
+    PRIOR = "prior"  # a mean and a standard deviation that the user gave
+    ESTIMATED = "estimated"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,11 +55,15 @@ class Parameter:
     step: float = 0.0  # a change that is small but felt; 0: a hundredth of the value
     role: ParameterRole = ParameterRole.DYNAMICS
     segment: int | None = None  # of a ``per_record`` one in a fit: the record whose own it is
+    origin: ParameterOrigin = ParameterOrigin.GIVEN  # of the value or of its prior, see ``provenance``
 
     def __post_init__(self) -> None:
         low, high = self.bounds
         if self.transform == "log" and self.value <= 0:
             raise ValueError(f"parameter {self.name}: {self.value} is not positive, but its transform is log")
+        nearest = min(max(self.value, low), high)
+        if 0 < abs(self.value - nearest) <= ROUNDING * abs(nearest):
+            object.__setattr__(self, "value", nearest)
         if not low <= self.value <= high:
             raise ValueError(f"parameter {self.name}: {self.value} is outside its bounds [{low}, {high}]")
 
@@ -56,6 +71,12 @@ class Parameter:
     def full_name(self) -> str:
         """``V_x@0`` of a record's own, else the name."""
         return segment_name(self.name, self.segment)
+
+    @property
+    def provenance(self) -> ParameterOrigin:
+        """Where the value of a fit comes from."""
+        known = self.prior is not None and self.origin in (ParameterOrigin.MEASURED, ParameterOrigin.PRIOR)
+        return self.origin if known or not self.free else ParameterOrigin.ESTIMATED
 
     def to_free(self, value: float) -> float:
         """The coordinate in which the estimator moves."""
@@ -86,6 +107,12 @@ class Parameter:
 
     def fixed(self) -> Parameter:
         return replace(self, free=False)
+
+    def known(self, value: float, sd: float, origin: ParameterOrigin) -> Parameter:
+        """With a value that somebody knows: fixed where ``sd`` is 0 (nobody says how well), else a prior."""
+        if sd == 0.0:
+            return replace(self, value=float(value), free=False, origin=origin)
+        return replace(self, value=float(value), prior=(float(value), float(sd)), free=True, origin=origin)
 
     def freed(self) -> Parameter:
         return replace(self, free=True)

@@ -22,6 +22,7 @@ from ident.model.names import tap_name
 from ident.model.parameter import Parameter, ParameterRole
 
 HISTORY_STEP = 0.1  # s between the taps of an input
+PARAMETERS = "parameters"  # a hook of this label changes parameters before the first stage
 
 
 class Named(SimpleNamespace):
@@ -161,6 +162,7 @@ class EffectKind(StrEnum):
     """What an effect is a model of."""
 
     CATALOGUE = "catalogue"  # a named physical effect
+    BETWEEN_RUNS = "between-runs"  # a parameter that differs between runs
     NONPARAMETRIC = "nonparametric"  # a force as a fitted function of a variable
     LAGGED = "lagged"  # a force of first order behind an input
     RESONANT = "resonant"  # a force of second order behind an input
@@ -188,8 +190,8 @@ def curve_name(kind: EffectKind, curve: ForceCurve) -> str:
 class Effect:
     """A part that changes a model: a candidate for what the model lacks, or a disturbance it needs.
 
-    ``hooks`` maps a stage to a function that runs after it. At the parameters' given values the effect does
-    nothing. ``requires`` names signals a model must provide (``f``: thrust by thruster, ...).
+    ``hooks`` maps a stage to a function that runs after it (``PARAMETERS``: before all of them). At the parameters'
+    given values the effect does nothing. ``requires`` names signals a model must provide (``f``: thrust by thruster).
     """
 
     name: str
@@ -354,6 +356,9 @@ class Model:
     def signals(self, x: Any, u: Any, p: Any) -> Signals:
         """Run all stages on scalars or symbols in the order of states, inputs and parameters."""
         s = self.bag(x, u, p)
+        for effect in self.effects:
+            if PARAMETERS in effect.hooks:
+                effect.hooks[PARAMETERS](s)
         for label, stage in self.stages:
             stage(s)
             for effect in self.effects:

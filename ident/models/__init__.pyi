@@ -1,4 +1,5 @@
 from . import rotations as rotations
+from .catalogue import KNOWN_SIGNALS as KNOWN_SIGNALS
 from .catalogue import catalogue_model as catalogue_model
 from .catalogue import is_own_model as is_own_model
 from .catalogue import make_model as make_model
@@ -28,8 +29,11 @@ from .horizontal import SIDES as SIDES
 from .horizontal import first_order as first_order
 from .horizontal import horizontal_model as horizontal_model
 from .horizontal import shift_in_time as shift_in_time
+from .horizontal import symmetric_arms as symmetric_arms
 from .kinematic import kinematic_model as kinematic_model
 from .scaling import DRAG_AREA as DRAG_AREA
+from .scaling import force_power as force_power
+from .scaling import is_moment as is_moment
 from .scaling import rescale as rescale
 from .scaling import scale_priors as scale_priors
 from .scaling import size_of as size_of

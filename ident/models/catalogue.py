@@ -22,6 +22,14 @@ OPTIONS: dict[str, tuple[tuple[str, ...], ...]] = {
 }
 
 
+# Signals that some built-in model takes, with their units; what is said in docs/formats/import-csv.md
+KNOWN_SIGNALS = {
+    "x": "m", "y": "m", "psi": "rad", "r": "rad/s", "ax": "m/s2", "ay": "m/s2", "vx": "m/s", "vy": "m/s", "u": "m/s",
+    "v": "m/s", "phi": "rad", "theta": "rad", "p": "rad/s", "q": "rad/s", "n_left": "", "n_right": "", "f_left": "N",
+    "f_right": "N", "X": "N", "N": "N m", "n": "", "n_cmd": "", "force": "N", "speed": "m/s",
+}
+
+
 def make_model(source: str, sensors: Sequence[str] | None = None) -> Model:
     """A model as typed: a name of the catalogue, or ``FILE.py:NAME``, where NAME is a Model or a function that returns
     one. ``sensors`` leaves out those that a log does not have.
@@ -70,26 +78,29 @@ def _is_step(options: Sequence[str]) -> bool:
 
 
 def _horizontal(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
-    from ident.models.horizontal import SENSORS, STANDARD, horizontal_model
+    from ident.models.horizontal import SENSORS, STANDARD, SYMMETRIC, horizontal_model, symmetric_arms
 
     kinds, currents = ("shaft", "command", "force", "general"), ("no-current", "random-walk-current")
-    wrong = [o for o in options if o not in (*kinds, *currents)]
-    if wrong:
-        raise SeatrialError(f"no model {source!r}: horizontal has {', '.join(kinds)}, and {' or '.join(currents)}")
+    wrong = [o for o in options if o not in (*kinds, *currents, SYMMETRIC)]
+    if wrong or (SYMMETRIC in options and "general" in options):
+        others = f"{', '.join(currents)} or {SYMMETRIC}"
+        raise SeatrialError(f"no model {source!r}: horizontal has {', '.join(kinds)}, and {others}")
     propulsion: Any = next((o for o in options if o in kinds), "shaft")
     chosen = [s for s in SENSORS if s in sensors] if sensors is not None else None
     current = "no-current" not in options
     model = horizontal_model(propulsion, tuple(chosen or STANDARD), current=current)
+    model = symmetric_arms(model) if SYMMETRIC in options else model
     return replace(model + current_walk(), source=source) if "random-walk-current" in options else model
 
 
 def _kinematic(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
+    from ident.models.horizontal import SYMMETRIC, symmetric_arms
     from ident.models.kinematic import SEEN, kinematic_model
 
     unknown = [
         o
         for k, o in enumerate(options)
-        if o not in (("shaft", "force"), ("yaw", "no-current", "random-walk-current"))[k > 0]
+        if o not in (("shaft", "force"), ("yaw", "no-current", "random-walk-current", SYMMETRIC))[k > 0]
     ]
     if unknown:
         raise SeatrialError(
@@ -99,6 +110,7 @@ def _kinematic(source: str, options: Sequence[str], sensors: Sequence[str] | Non
     chosen = SEEN if sensors is None else [s for s in SEEN if s in sensors] or SEEN
     propulsion: Any = options[0] if options else "shaft"
     model = kinematic_model(propulsion, chosen, current="no-current" not in options, yaw="yaw" in options)
+    model = symmetric_arms(model) if SYMMETRIC in options else model
     return replace(model + current_walk(), source=source) if "random-walk-current" in options else model
 
 

@@ -8,7 +8,10 @@ current that is constant and irrotational in NED this is exact with the total ma
     m_v v' = Y - m_u u r - d_v v - d_vv |v| v
     m_r r' = N + (m_u - m_v) u v - d_r r - d_rr |r| r
 
-Thrust: ``f = c1 n|n| + c2 n^2`` with n normalised to [-1, 1] (thesis section 4.2), at ``y_L`` and ``y_R``.
+Thrust: ``f = c1 n|n| + c2 n^2`` with n normalised to [-1, 1] (thesis section 4.2), at ``y_L`` and ``y_R``. Multiplied
+by one factor, c1, c2, masses and damping give the same motion: the scale has to be known. The arms scale the yaw
+equation alone, but for its Munk moment ``(m_u - m_v) u v``: where they are unknown, that estimates them
+(``symmetric_arms``).
 
 Each thruster is one chain, whose parts have their own stages, so that effects in it compose in any order:
 
@@ -21,6 +24,7 @@ Where the shaft speed is measured, it is the input; where it is not, commands ar
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -34,6 +38,7 @@ from ident.model import (
     ModelFunction,
     Output,
     Parameter,
+    ParameterOrigin,
     Sensor,
     Signals,
     State,
@@ -44,6 +49,8 @@ from ident.models.thruster import delay_weights
 
 Propulsion = Literal["shaft", "command", "force", "general"]
 SIDES = ("left", "right")
+BUILT_IN = ParameterOrigin.BUILT_IN
+SYMMETRIC = "symmetric-arms"  # option of a model's name
 
 HULL = (
     Parameter("m_u", 37.0, "kg", "surge mass with added mass", "log"),
@@ -57,8 +64,8 @@ HULL = (
     Parameter("d_rr", 6.23, "kg m2", "quadratic yaw damping", bounds=(0, INF), step=0.1),
 )
 THRUST = (
-    Parameter("c1", 40.05, "N", "thrust at full speed, odd part", "log", free=False),
-    Parameter("c2", 1.11, "N", "thrust at full speed, even part", free=False, step=0.1),
+    Parameter("c1", 40.05, "N", "thrust at full speed, odd part", "log", free=False, origin=BUILT_IN),
+    Parameter("c2", 1.11, "N", "thrust at full speed, even part", free=False, step=0.1, origin=BUILT_IN),
 )
 DELAY_STEP, N_DELAYS = 0.05, 17  # s, and copies of each command: delays up to 0.8 s
 FURTHEST = 20  # copies of a measured input, at most
@@ -74,8 +81,15 @@ SHAFT = (
 )
 SHAFT_STATES = tuple(State(f"n_{side}", "", f"shaft speed {side}, normalised", 1e-3, sd0=0.1) for side in SIDES)
 ARMS = (
-    Parameter("y_left", -0.15, "m", "left thruster, to starboard", free=False, step=0.01),
-    Parameter("y_right", 0.15, "m", "right thruster, to starboard", free=False, step=0.01),
+    Parameter("y_left", -0.15, "m", "left thruster, to starboard", free=False, step=0.01, origin=BUILT_IN),
+    Parameter("y_right", 0.15, "m", "right thruster, to starboard", free=False, step=0.01, origin=BUILT_IN),
+)
+UNKNOWN_ARM = (
+    Parameter(
+        "y_arm", 0.3, "m", "arm of both thrusters, by the Munk moment", "log", prior=(0.3, 0.3), step=0.01,
+        origin=BUILT_IN,
+    ),
+    Parameter("side", 1.0, "", "1: left thruster to port, -1: the sides are swapped", free=False),
 )
 DIFFUSION = (
     Parameter("s_u", 0.01, "m/s/sqrt(s)", "process noise of surge speed", "log"),
@@ -203,7 +217,7 @@ def unchanged(s: Signals) -> None:
 
 def thrust(s: Signals) -> None:
     s.f = {side: s.p.c1 * n * abs(n) + s.p.c2 * n * n for side, n in s.n.items()}
-    s.arm = {side: getattr(s.p, f"y_{side}") for side in SIDES}
+    s.arm = _arms(s.p)
 
 
 CHAIN: tuple[tuple[str, ModelFunction], ...] = (
@@ -213,7 +227,21 @@ CHAIN: tuple[tuple[str, ModelFunction], ...] = (
 
 def given_thrust(s: Signals) -> None:
     s.f = {side: getattr(s.u, f"f_{side}") for side in SIDES}
-    s.arm = {side: getattr(s.p, f"y_{side}") for side in SIDES}
+    s.arm = _arms(s.p)
+
+
+def _arms(p: Any) -> dict[str, Any]:
+    """Lateral position of each thruster [m, to starboard]."""
+    if hasattr(p, "y_arm"):
+        return {"left": -p.side * p.y_arm, "right": p.side * p.y_arm}
+    return {side: getattr(p, f"y_{side}") for side in SIDES}
+
+
+def symmetric_arms(model: Model) -> Model:
+    """The model with one arm ``y_arm`` for both thrusters, estimated, in place of ``y_left`` and ``y_right``; for a
+    boat whose arms nobody gave. Its prior is wide: a factor of e either way."""
+    own = tuple(p for p in model.parameters if p.name not in ("y_left", "y_right"))
+    return replace(model, parameters=(*own, *UNKNOWN_ARM), source=f"{model.source}:{SYMMETRIC}")
 
 
 def force(s: Signals) -> None:

@@ -28,23 +28,31 @@ class VesselScale:
         """Factor of a coefficient with this unit; 1 where no mass or force is in it."""
         if unit == DRAG_AREA:  # area goes with the square of length, mass with its cube
             return float(self.force ** (2 / 3))
-        above, _, below = unit.partition("/")
-        power = _power(above) - _power(below)
-        if power == 0:
-            return 1.0
-        lengths = (
-            len(re.findall(r"\bm\b", above))
-            + 2 * len(re.findall(r"\bm2\b", above))
-            - len(re.findall(r"\bm2?\b", below))
-        )
-        is_moment = "N m" in above or lengths >= 2
+        moment = is_moment(unit)
         # a coefficient in kg m may be a force or a moment
-        either = lengths == 1 and not is_moment
-        return float((self.moment if is_moment else sqrt(self.force * self.moment) if either else self.force) ** power)
+        either = _lengths(unit) == 1 and not moment
+        factor = self.moment if moment else sqrt(self.force * self.moment) if either else self.force
+        return float(factor ** force_power(unit))
 
 
-def _power(part: str) -> int:
-    return len(re.findall(r"\b(?:kg|N)\b", part))
+def force_power(unit: str) -> int:
+    """Power with which a coefficient of this unit goes with the scale of forces and masses."""
+    above, _, below = unit.partition("/")
+    return len(re.findall(r"\b(?:kg|N)\b", above)) - len(re.findall(r"\b(?:kg|N)\b", below))
+
+
+def is_moment(unit: str) -> bool:
+    """Whether a coefficient of this unit belongs to a moment, else to a force."""
+    return "N m" in unit.partition("/")[0] or _lengths(unit) >= 2
+
+
+def _lengths(unit: str) -> int:
+    above, _, below = unit.partition("/")
+    return (
+        len(re.findall(r"\bm\b", above))
+        + 2 * len(re.findall(r"\bm2\b", above))
+        - len(re.findall(r"\bm2?\b", below))
+    )
 
 
 def size_of(model: Model) -> VesselScale:

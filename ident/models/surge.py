@@ -4,16 +4,30 @@ from __future__ import annotations
 
 from typing import Literal
 
-from ident.model import INF, Input, Model, Output, Parameter, Sensor, Signals, State, resolve_initial_states
+from ident.model import (
+    INF,
+    Input,
+    Model,
+    Output,
+    Parameter,
+    ParameterOrigin,
+    Sensor,
+    Signals,
+    State,
+    resolve_initial_states,
+)
 
 HULL = (
     Parameter("m_u", 37.0, "kg", "surge mass with added mass", "log"),
     Parameter("d_u", 0.2, "kg/s", "linear surge damping", bounds=(0, INF), step=0.3),
     Parameter("d_uu", 25.0, "kg/m", "quadratic surge damping", bounds=(0, INF), step=0.3),
 )
+BUILT_IN = ParameterOrigin.BUILT_IN
 THRUST = (
-    Parameter("c1", 80.1, "N", "thrust of both thrusters at full speed, odd part", "log", free=False),
-    Parameter("c2", 2.22, "N", "thrust of both thrusters at full speed, even part", free=False, step=0.1),
+    Parameter("c1", 80.1, "N", "thrust of both thrusters at full speed, odd part", "log", free=False, origin=BUILT_IN),
+    Parameter(
+        "c2", 2.22, "N", "thrust of both thrusters at full speed, even part", free=False, step=0.1, origin=BUILT_IN
+    ),
 )
 STATES = (
     State("x", "m", "distance made good", from_output="x", sd0=1.0),

@@ -38,6 +38,7 @@ def write_design_page(result: DesignResult, path: Path) -> None:
         canvas.figures,
         version=result.seatrial,
         created=result.created,
+        warnings=[warning.text for warning in result.warnings],
     )
     path.write_text(page, encoding="utf-8", newline="\n")
 

@@ -49,6 +49,7 @@ def render(result: Result) -> str:
         canvas.figures,
         version=result.seatrial,
         created=result.created,
+        warnings=[warning.text for warning in result.warnings],
     )
 
 
@@ -61,8 +62,9 @@ def compose(
     *,
     version: str,
     created: str = "",
+    warnings: Sequence[str] = (),
 ) -> str:
-    """A page of sections and the figures that they point at; ``answer`` is its headline."""
+    """A page of sections and the figures that they point at; ``answer`` is its headline, ``warnings`` above it."""
     scripts = [_plotly(), _asset("report.js")] if figures else [_asset("report.js")]
     return (
         _environment()
@@ -70,6 +72,7 @@ def compose(
         .render(
             kind=kind,
             answer=formatting.tied(answer),
+            warnings=warnings,
             created=formatting.moment(created),
             version=version,
             opening=opening,

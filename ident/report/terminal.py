@@ -21,6 +21,7 @@ from ident.results import (
     Errors,
     FitResult,
     FitSummary,
+    ForceScale,
     ParameterRow,
     ProfileCurve,
     Result,
@@ -35,12 +36,13 @@ MOST_PARAMETERS, MOST_CANDIDATES, MOST_CHANNELS = 9, 6, 8
 def print_result(result: Result, console: Console) -> None:
     """Print the answer, the parameters, the ranked candidates, and the error before and after."""
     console.print()
+    for warning in result.warnings:
+        console.print(Padding(Text(f"⚠ {warning.text}", style="yellow"), (0, 1)))
     failed = isinstance(result, FitResult) and not result.converged
     answer = Text(f"⚠ {result.answer}", "bold yellow") if failed else Text(result.answer, "bold")
     console.print(Padding(answer, (0, 1)))
-    caveat = result.caveat if isinstance(result, DiagnosisResult) else None
-    for line in (*([caveat] if caveat else []), *(f"⚠ {line}" for line in result.warnings)):
-        console.print(Padding(Text(line, style="yellow"), (0, 1)))
+    if isinstance(result, DiagnosisResult) and result.caveat:
+        console.print(Padding(Text(result.caveat, style="yellow"), (0, 1)))
     for table in _tables(result):
         if table is not None:
             console.print()
@@ -72,7 +74,7 @@ def _parameters(fit: FitSummary, added: Sequence[EffectRow]) -> Table | None:
     more = f" ({len(found) - len(shown)} more in the report)" if len(found) > len(shown) else ""
     table = titled_table(f"Parameters{more}")
     table.add_column("", no_wrap=True)
-    table.add_column("value ± s.e.", justify="right", no_wrap=True)
+    table.add_column(error_title(fit.scale), justify="right", no_wrap=True)
     table.add_column("", no_wrap=True)
     table.add_column("", style="dim", overflow="fold")  # a flag may be a sentence: it wraps, the numbers do not
     for row in shown:
@@ -83,6 +85,11 @@ def _parameters(fit: FitSummary, added: Sequence[EffectRow]) -> Table | None:
         words = f"⚠ {flag}" if flag else row.meaning
         table.add_row(name, Text(formatting.with_error(value, se)), Text(unit), Text(words))
     return table
+
+
+def error_title(scale: ForceScale) -> str:
+    """Of the column of standard errors: whether they know of the thrust's own uncertainty."""
+    return "value ± s.e. (statistical only)" if scale.statistical_only else "value ± s.e."
 
 
 def _profiles(found: Sequence[ProfileCurve]) -> Table | None:

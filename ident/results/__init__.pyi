@@ -1,5 +1,6 @@
 from .answers import curve_notes as curve_notes
-from .answers import stuck_sensors as stuck_sensors
+from .answers import design_warnings as design_warnings
+from .answers import estimation_warnings as estimation_warnings
 from .design import Baseline as Baseline
 from .design import CommandTrace as CommandTrace
 from .design import DesignedParameter as DesignedParameter
@@ -7,6 +8,7 @@ from .design import DesignResult as DesignResult
 from .design import DesignTrack as DesignTrack
 from .design import Discrimination as Discrimination
 from .diagnosis import diagnosis_result as diagnosis_result
+from .fits import Posed as Posed
 from .fits import thruster_result as thruster_result
 from .fits import vehicle_result as vehicle_result
 from .information import Information as Information
@@ -38,6 +40,7 @@ from .parts import Errors as Errors
 from .parts import ErrorTable as ErrorTable
 from .parts import FitResult as FitResult
 from .parts import FitSummary as FitSummary
+from .parts import ForceScale as ForceScale
 from .parts import InputTrace as InputTrace
 from .parts import LogSummary as LogSummary
 from .parts import NonparametricCurve as NonparametricCurve
@@ -56,6 +59,7 @@ from .parts import ThrustCurveResult as ThrustCurveResult
 from .parts import ThrusterResult as ThrusterResult
 from .parts import Trace as Trace
 from .parts import Track as Track
+from .parts import UnusedSignal as UnusedSignal
 from .parts import VehicleResult as VehicleResult
 from .parts import Verdict as Verdict
 from .parts import WhitenessTests as WhitenessTests

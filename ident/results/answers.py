@@ -5,13 +5,14 @@ What must be said before an estimate is read: that the fit stopped short, that a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from ident.characterisation import Curve, Levels, Quadratic
 from ident.data import Record
-from ident.estimation import Fit, HomogeneityTest
+from ident.estimation import FailedRun, Fit, HomogeneityTest, ThrustScale, against_priors, least_inertia, scale_of
 from ident.model import Model
 from ident.results.parts import (
     Calibrations,
@@ -21,6 +22,7 @@ from ident.results.parts import (
     PredictionFit,
     Provenance,
     ResidualTests,
+    ResultWarning,
 )
 from ident.validation import FEWEST, OUTLYING, ChannelResiduals
 
@@ -158,6 +160,61 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
     return notes
 
 
+def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | None = None) -> list[ResultWarning]:
+    """What the scale rests on first, then of the fit; none where all is well. ``length``: of the hull [m], or None."""
+    said = scale_warnings(scale_of(fit.model))
+    for p, value, widths in against_priors(fit):
+        mean, sd = p.prior or (math.nan, math.nan)
+        text = (
+            f"The data contradict the prior of {p.full_name}: {mean:.4g} ± {sd:.2g} {p.unit} was said, the estimate is "
+            f"{value:.4g} {p.unit}, {abs(widths):.1f} standard deviations away. The prior is wrong, or what else "
+            "is given (thrust, arms, units)."
+        )
+        said.append(ResultWarning(code="prior-contradicted", text=text))
+    least = least_inertia(fit, length)
+    if least is not None and fit.estimate("m_r")[0] < least:
+        text = (
+            f"m_r is {fit.estimate('m_r')[0]:.3g} kg m2, less than a rigid body with this mass can have, which is at "
+            f"least {least:.2g} kg m2. Look at the thrust, the arms and the unit of the yaw rate."
+        )
+        said.append(ResultWarning(code="inertia-too-small", text=text))
+    return said + stuck_sensors(records)
+
+
+def design_warnings(model: Model, thrust: float) -> list[ResultWarning]:
+    """What a design rests on that nobody gave: the model's own thrust and arms, or those between command and force;
+    ``thrust``: what one thruster is then taken to give at full speed [N]."""
+    said = scale_warnings(scale_of(model))
+    forces = [i.name for i in model.inputs if i.unit in ("N", "N m")]
+    if forces:
+        text = (
+            f"The model takes {', '.join(forces)} and not commands: the thrust of a command is a built-in "
+            f"{thrust:.0f} N at full speed, on built-in arms, and the standard errors are those of such thrusters."
+        )
+        said.append(ResultWarning(code="thrust-scale-unknown", text=text))
+    return said
+
+
+def scale_warnings(scale: ThrustScale) -> list[ResultWarning]:
+    """What nobody gave of thrust and arms, and what follows."""
+    said = []
+    if scale.relative:
+        text = (
+            "Nobody gave the thrust: motion alone tells ratios. Masses, damping and forces are over T, the full-ahead "
+            "thrust of one thruster (c1 + c2); multiply by it. Give --thruster MODEL, --fix c1=..., --prior "
+            "c1=MEAN:SD, or [scale] in the import map."
+        )
+        said.append(ResultWarning(code="thrust-scale-unknown", text=text))
+    if scale.relative_yaw:
+        text = (
+            "Nobody gave the thrusters' arms: inertia and damping in yaw are over the arm y_arm. The Munk moment "
+            "(m_u - m_v) u v tells it roughly, wrong where the hull has other moments of that form. Give the rig's "
+            "[[thruster]] position_m, --fix y_left=... --fix y_right=..., or [geometry] in the import map."
+        )
+        said.append(ResultWarning(code="arm-unknown", text=text))
+    return said
+
+
 def outlier_lines(residuals: Sequence[ChannelResiduals], model: Model) -> list[str]:
     """A line for each channel that has innovations far beyond its noise, and what can be done."""
     robust = {o.name for o in model.outputs if o.robust}
@@ -178,10 +235,12 @@ def faults_first(made: Provenance) -> str:
     return f"Despite faults of the logs, which may make all of this meaningless ({'; '.join(faults)}): " * bool(faults)
 
 
-def check_warnings(made: Provenance) -> list[str]:
-    """A line for each finding of the checks before the fit that is not in order."""
+def check_warnings(made: Provenance) -> list[ResultWarning]:
+    """One for each finding of the checks before the fit that is not in order."""
     return [
-        f"{log.path}: {f.where}: {f.text} [{f.code}]{': ' * bool(f.advice)}{f.advice}."
+        ResultWarning(
+            code="log-check", text=f"{log.path}: {f.where}: {f.text} [{f.code}]{': ' * bool(f.advice)}{f.advice}."
+        )
         for log in made.logs
         for f in log.findings
     ]
@@ -197,22 +256,30 @@ def not_converged(fit: Fit) -> str | None:
     )
 
 
-def stuck_sensors(records: Sequence[Record]) -> list[str]:
-    """A line for each channel of a record whose samples are all the same."""
+def failed_run_warnings(failed: Sequence[FailedRun]) -> list[ResultWarning]:
+    """One for each validation run that could not be evaluated."""
+    text = "Left out of the validation: {0.record}, which cannot be evaluated: {0.reason}."
+    return [ResultWarning(code="validation-run-failed", text=text.format(f)) for f in failed]
+
+
+def stuck_sensors(records: Sequence[Record]) -> list[ResultWarning]:
+    """One for each channel of a record whose samples are all the same."""
     return [line for record in records for line in _stuck(record)]
 
 
-def _stuck(record: Record) -> list[str]:
+def _stuck(record: Record) -> list[ResultWarning]:
     lines = []
     for j, name in enumerate(record.outputs):
         y = record.y[:, j]
         y = y[np.isfinite(y)]
         if y.size >= FEWEST_SAMPLES and np.ptp(y) == 0.0:
-            lines.append(f"{record.name}: {name} reads {y[0]:.6g} in all of its {y.size} samples: a stuck sensor?")
+            text = f"{record.name}: {name} reads {y[0]:.6g} in all of its {y.size} samples: a stuck sensor?"
+            lines.append(ResultWarning(code="stuck-sensor", text=text))
     return lines
 
 
-def thruster_answer(fitted: Fit, has_force: bool) -> str:
+def thruster_answer(fitted: Fit, has_force: bool, calibration: float | None = None) -> str:
+    """``calibration``: relative standard uncertainty of the measured force; None where nobody gave it."""
     a, tau, d = (fitted.estimate(n) for n in ("a", "tau", "d"))
     shaft = (
         f"the shaft follows its command {1e3 * tau[0]:.0f} ms late with a time constant of {1e3 / a[0]:.0f} ms "
@@ -221,8 +288,10 @@ def thruster_answer(fitted: Fit, has_force: bool) -> str:
     if not has_force:
         return shaft[0].upper() + shaft[1:] + "; without a load cell nothing is known of its thrust."
     (c1, s1), (c2, s2) = fitted.estimate("c1"), fitted.estimate("c2")
-    s = float(np.hypot(s1, s2))
-    return f"The thruster gives {c1 + c2:.1f} N ahead and {c1 - c2:.1f} N astern at full speed (± {s:.2g} N); {shaft}."
+    s = math.hypot(s1, s2, (calibration or 0.0) * c1)
+    known = "statistical only" if calibration is None else "with the load cell's calibration"
+    ends = f"{c1 + c2:.1f} N ahead and {c1 - c2:.1f} N astern"
+    return f"The thruster gives {ends} at full speed (± {s:.2g} N, {known}); {shaft}."
 
 
 def curve_notes(levels: Levels, curve: Curve, quadratic: Quadratic) -> list[str]:

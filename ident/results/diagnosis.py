@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import cast
 
 import msgspec
 
-from ident.diagnosis import Diagnosis, DiagnosisEvaluation, Refit, Round, recommended_experiment
+from ident.diagnosis import (
+    Diagnosis,
+    DiagnosisEvaluation,
+    Refit,
+    Round,
+    ValidationMismatch,
+    recommended_experiment,
+)
 from ident.effects import catalogue
-from ident.estimation import FittedModel
+from ident.estimation import FittedModel, ReportedEstimates, run_differences
+from ident.model import EffectKind
 from ident.results import parts
 from ident.results.answers import (
+    NAMES,
     calibration_notes,
     change_sentence,
     check_warnings,
+    failed_run_warnings,
     faults_first,
     not_converged,
     outlier_lines,
@@ -24,6 +35,7 @@ from ident.results.tables import (
     calibration_tables,
     cross_correlations,
     error_comparison,
+    failed_runs,
     finite,
     fit_summary,
     prediction_change,
@@ -41,14 +53,17 @@ def diagnosis_result(
     evaluation: DiagnosisEvaluation,
     made: Provenance,
     *,
-    warnings: Sequence[str],
+    warnings: Sequence[parts.ResultWarning],
     notes: Sequence[str],
     model_path: str,
+    unused: Sequence[parts.UnusedSignal] = (),
 ) -> DiagnosisResult:
-    """``notes``: that come first; ``model_path``: of the model that was diagnosed, for the commands that are
+    """``notes``: that come first; ``unused``: signals that the model does not take;
+    ``model_path``: of the model that was diagnosed, for the commands that are
     recommended."""
     before, after = evaluation.before, evaluation.after
-    other = after if diagnosis.effects else None
+    other, reported = after if diagnosis.effects else None, ReportedEstimates(diagnosis.after.fit)
+    factors = {s.unit: reported.factor(s.unit) for s in diagnosis.shapes}
     errors, role = error_comparison(before, after, evaluation.changes), after.judged
     prediction = prediction_change(evaluation.changes[role], role) if diagnosis.effects else None
     failed = not_converged(diagnosis.before.fit) or not_converged(diagnosis.after.fit)
@@ -60,7 +75,12 @@ def diagnosis_result(
         caveat=None if failed else diagnosis_caveat(diagnosis),
         prediction=prediction,
         converged_before=diagnosis.before.fit.converged,
-        warnings=(*check_warnings(made), *warnings),
+        warnings=(
+            *check_warnings(made),
+            *warnings,
+            *failed_run_warnings(diagnosis.failed_runs),
+            *_untested_warnings(diagnosis),
+        ),
         notes=(
             *notes,
             *_notes(diagnosis),
@@ -68,6 +88,19 @@ def diagnosis_result(
             *calibration_notes(calibration, after.horizon),
         ),
         fit=fit_summary(diagnosis.after.fit, diagnosis.before.model.values),
+        failed_runs=failed_runs(diagnosis.failed_runs),
+        cross_validated=diagnosis.cross_validated,
+        mismatches=tuple(_mismatch(m) for m in diagnosis.mismatches),
+        removed_effects=tuple(
+            parts.RemovedEffect(
+                name=r.effect.name,
+                title=r.effect.title,
+                validation_gain=r.validation_gain,
+                t=r.t,
+                prediction=prediction_change(r.prediction, role),
+            )
+            for r in diagnosis.removed
+        ),
         horizon_seconds=after.horizon,
         errors=errors,
         calibration=calibration,
@@ -76,7 +109,8 @@ def diagnosis_result(
         inputs=all_inputs(after),
         residuals=residual_rows(before, other),
         cross=cross_correlations(before, other),
-        residual_forces=_forces(evaluation, bool(diagnosis.effects)),
+        unused_signals=tuple(unused),
+        residual_forces=_forces(diagnosis, evaluation),
         rounds=tuple(_round(r) for r in diagnosis.rounds) or (QUIET,),
         effects=_effects(diagnosis),
         remaining_candidates=tuple(
@@ -87,12 +121,12 @@ def diagnosis_result(
                 force=s.force,
                 sensor_error=s.reading,
                 variable=s.variable,
-                unit=s.unit,
+                unit=reported.scale.unit(s.unit),
                 variable_unit=s.variable_unit,
                 grid=s.grid,
-                value=s.value,
-                sd=s.sd,
-                band=s.band,
+                value=factors[s.unit] * s.value,
+                sd=factors[s.unit] * s.sd,
+                band=factors[s.unit] * s.band,
             )
             for s in diagnosis.shapes
         ),
@@ -102,20 +136,62 @@ def diagnosis_result(
 
 
 def diagnosis_answer(diagnosis: Diagnosis, prediction: parts.PredictionChange | None, horizon: float) -> str:
-    """What is missing, and how the prediction over the horizon [s] changes with it."""
-    if diagnosis.effects:
-        changed = "" if prediction is None else f" {change_sentence(prediction, horizon)}"
-        return f"{what_is_lacking(diagnosis)}.{changed}"
-    if diagnosis.rounds and min(s.p for s in diagnosis.rounds[-1].scores) > HARDLY:
-        one = diagnosis.rounds[-1]
-        return f"Nothing is missing that these data can show: {_passed(one)} passed the first test, but {one.why}."
-    if diagnosis.rounds:
-        return (
-            "The residuals are not what the model predicts, but no candidate explains them: "
-            + diagnosis.rounds[-1].why
-            + "."
+    """What is missing, how the prediction over the horizon [s] changes with it, and what validated it."""
+    said = [_found(diagnosis)]
+    if diagnosis.effects and prediction is not None:
+        said.append(change_sentence(prediction, horizon))
+    if diagnosis.cross_validated:
+        said.append(
+            "Validated without a run of its own: blocks in time of the estimation data, each predicted by the fit to "
+            "the others."
         )
-    return "Nothing is missing: no effect in the catalogue, and no unknown one, is seen in these data."
+    return " ".join(said)
+
+
+def _found(diagnosis: Diagnosis) -> str:
+    """What is missing, in a sentence or two."""
+    if diagnosis.effects:
+        return f"{what_is_lacking(diagnosis)}."
+    if diagnosis.mismatches:
+        quiet = "" if diagnosis.rounds else " In the estimation data nothing is missing."
+        return f"{' '.join(mismatch_sentence(m) for m in diagnosis.mismatches)}{quiet}"
+    if not diagnosis.rounds:
+        return "Nothing is missing: no effect in the catalogue, and no unknown one, is seen in these data."
+    one = diagnosis.rounds[-1]
+    if diagnosis.untested:
+        titles = _listed([u.effect.title for u in diagnosis.untested])
+        return f"No effect is confirmed, but what may be missing could not be fitted: {titles}."
+    if min(s.p for s in one.scores) > HARDLY:
+        return f"Nothing is missing that these data can show: {_passed(one)} passed the first test, but {one.why}."
+    return f"The residuals are not what the model predicts, but no candidate explains them: {one.why}."
+
+
+def mismatch_sentence(m: ValidationMismatch) -> str:
+    """That a validation run is predicted worse than the model says, and what would explain it."""
+    name = NAMES.get(m.channel, m.channel)
+    said = (
+        f"The model does not hold in {m.record}: its errors one step ahead are {m.scale:.2g} times what the model says "
+        f"({name})"
+    )
+    shift = m.shift
+    if shift is None:
+        return f"{said}."
+    value = f"{shift.value:.4g} ± {shift.value_error:.2g} {shift.unit}".rstrip()
+    return f"{said}; {shift.name} = {value} in that run, not {shift.fitted:.4g}, would explain it best."
+
+
+def _mismatch(m: ValidationMismatch) -> parts.ValidationMismatch:
+    found = parts.ValidationMismatch(record=m.record, channel=m.channel, scale=m.scale)
+    if m.shift is None:
+        return found
+    return msgspec.structs.replace(
+        found,
+        parameter=m.shift.name,
+        unit=m.shift.unit,
+        fitted=m.shift.fitted,
+        value=m.shift.value,
+        se=finite(m.shift.value_error),
+    )
 
 
 def _passed(one: Round) -> str:
@@ -154,17 +230,19 @@ def _listed(titles: Sequence[str]) -> str:
     return titles[0] if len(titles) == 1 else ", ".join(titles[:-1]) + " and " + titles[-1]
 
 
-def _forces(evaluation: DiagnosisEvaluation, changed: bool) -> tuple[parts.ResidualForce, ...]:
+def _forces(diagnosis: Diagnosis, evaluation: DiagnosisEvaluation) -> tuple[parts.ResidualForce, ...]:
+    before, after = (ReportedEstimates(stage.fit) for stage in (diagnosis.before, diagnosis.after))
+    changed = bool(diagnosis.effects)
     return tuple(
         parts.ResidualForce(
             record=old.record,
-            force=old.name,
-            unit=old.unit,
+            force=before.scale.name(old.name, old.unit),
+            unit=before.scale.unit(old.unit),
             t=old.t,
-            mean=old.mean,
-            sd=old.sd,
-            after_mean=new.mean if changed else None,
-            after_sd=new.sd if changed else None,
+            mean=before.factor(old.unit) * old.mean,
+            sd=before.factor(old.unit) * old.sd,
+            after_mean=after.factor(old.unit) * new.mean if changed else None,
+            after_sd=after.factor(old.unit) * new.sd if changed else None,
         )
         for old, new in zip(evaluation.forces_before, evaluation.forces_after, strict=True)
     )
@@ -194,6 +272,9 @@ def _round(one: Round) -> parts.Round:
         tested=len(one.scores),
         passed=len(one.passed),
         refits=tuple(_refit(r) for r in one.refits),
+        untested=tuple(
+            parts.UntestedCandidate(name=u.effect.name, title=u.effect.title, reason=u.reason) for u in one.untested
+        ),
         chosen=one.chosen.effect.name if one.chosen else None,
         why=one.why,
     )
@@ -208,16 +289,28 @@ def _refit(r: Refit) -> parts.Refit:
         criterion=r.criterion,
         validation_gain=r.validation_gain,
         t=r.t,
+        prediction=None if r.prediction is None else prediction_change(r.prediction, "validation"),
+        outcome=cast(parts.RefitOutcome, r.outcome.value),
         parameters=_own(r, r.stage),
     )
 
 
 def _own(r: Refit, stage: FittedModel) -> tuple[parts.EffectParameter, ...]:
-    rows = [(p, *stage.fit.estimate(p.name)) for p in r.effect.parameters]
-    return tuple(
-        parts.EffectParameter(name=p.name, meaning=p.meaning, unit=p.unit, value=value, se=finite(error))
-        for p, value, error in rows
-    )
+    """The estimates of an effect's parameters; of what differs between runs, how much more than in the first run."""
+    reported, rows = ReportedEstimates(stage.fit), []
+    for p in r.effect.parameters:
+        runs = stage.fit.records if p.per_record else ("",)
+        found = [(f", in {run}" if len(runs) > 1 else "", *reported.estimate(p, i)) for i, run in enumerate(runs)]
+        if r.effect.kind is EffectKind.BETWEEN_RUNS:
+            k = reported.factor(p.unit)
+            differences = run_differences(stage.fit, p.name)
+            found = [(f", {d.record} against {runs[0]}", k * d.value, k * d.error) for d in differences]
+        name, unit = reported.scale.name(p.name, p.unit), reported.scale.unit(p.unit)
+        rows += [
+            parts.EffectParameter(name=name, meaning=p.meaning + where, unit=unit, value=value, se=finite(error))
+            for where, value, error in found
+        ]
+    return tuple(rows)
 
 
 def _effects(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
@@ -253,17 +346,23 @@ def _effects(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
 
 
 def _moved(diagnosis: Diagnosis) -> tuple[parts.ParameterChange, ...]:
-    before, after = diagnosis.before.fit, diagnosis.after.fit
-    rows = []
-    for p in before.model.parameters:
+    before, after = (ReportedEstimates(stage.fit) for stage in (diagnosis.before, diagnosis.after))
+    scale, rows = before.scale, []
+    for p in before.fit.model.parameters:
         if p.free and not p.per_record:
-            (a, sa), (b, sb) = before.estimate(p.name), after.estimate(p.name)
+            (a, sa), (b, sb) = before.estimate(p), after.estimate(p)
             rows.append(
                 parts.ParameterChange(
-                    name=p.name, unit=p.unit, before=a, before_se=finite(sa), after=b, after_se=finite(sb)
+                    name=scale.name(p.name, p.unit), unit=scale.unit(p.unit), before=a, before_se=finite(sa), after=b,
+                    after_se=finite(sb),
                 )
             )
     return tuple(rows)
+
+
+def _untested_warnings(diagnosis: Diagnosis) -> list[parts.ResultWarning]:
+    text = "Not tested, as it could not be fitted: {0.effect.title} ({0.reason})."
+    return [parts.ResultWarning(code="effect-untested", text=text.format(u)) for u in diagnosis.untested]
 
 
 def _notes(diagnosis: Diagnosis) -> list[str]:
@@ -274,7 +373,12 @@ def _notes(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.effects and diagnosis.rounds[-1].chosen is None:
         why = diagnosis.rounds[-1].why
         notes.append(f"{why[0].upper()}{why[1:]}.")
-    if not diagnosis.after.validation:
-        notes.append("No validation data were given: nothing here was tested on data that the fit has not seen.")
+    notes += [
+        f"{r.effect.title} was added and removed again: beside the other effects it does not pay on the validation "
+        f"data (d ln L {r.validation_gain:.0f}, t = {r.t:.1f})."
+        for r in diagnosis.removed
+    ]
+    if diagnosis.effects:
+        notes += [mismatch_sentence(m) for m in diagnosis.mismatches]
     notes += [f"{name}: {what}" for name, what in diagnosis.after.fit.flags]
     return notes

@@ -15,6 +15,7 @@ Verdict = Literal["right", "overconfident", "underconfident", "insufficient_data
 
 
 Change = Literal["fell", "rose", "unchanged"]
+RefitOutcome = Literal["added", "outranked", "small", "not-supported", "not-validated", "worse-prediction"]
 
 
 class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -69,6 +70,25 @@ class Provenance(Part, frozen=True, kw_only=True):
     logs: tuple[LogSummary, ...] = ()
 
 
+WarningCode = Literal[
+    "log-check",
+    "thrust-scale-unknown",
+    "arm-unknown",
+    "stuck-sensor",
+    "prior-contradicted",
+    "inertia-too-small",
+    "validation-run-failed",
+    "effect-untested",
+]
+
+
+class ResultWarning(Part, frozen=True, kw_only=True):
+    """What must be known before an estimate is read."""
+
+    code: WarningCode
+    text: Annotated[str, Meta(description="a line for people")]
+
+
 class Result(Provenance, frozen=True, kw_only=True):
     """What every result says."""  # subclasses add tag_field="kind" and their kind as tag
 
@@ -77,8 +97,8 @@ class Result(Provenance, frozen=True, kw_only=True):
         str, Meta(description="the answer in a sentence or two, for people; of a fit that did not converge, that alone")
     ]
     warnings: Annotated[
-        tuple[str, ...],
-        Meta(description="lines to read before the estimates: a sensor was stuck"),
+        tuple[ResultWarning, ...],
+        Meta(description="to read before the estimates: no thrust scale was given, the fit did not converge"),
     ] = ()
     notes: Annotated[
         tuple[str, ...],
@@ -87,6 +107,48 @@ class Result(Provenance, frozen=True, kw_only=True):
             "in each channel"
         ),
     ] = ()
+
+
+ORIGINS = (
+    "`estimated` from these logs, `measured` on the bench, `given` by the user as a value, `prior`: by the user with a "
+    "standard deviation, `built-in`: by nobody"
+)
+
+
+class ForceScale(Part, frozen=True, kw_only=True):
+    """What forces, masses and damping rest on."""
+
+    thrust: Annotated[str | None, Meta(description=f"provenance of c1; null: the model has none. {ORIGINS}")] = None
+    arm: Annotated[str | None, Meta(description="provenance of the thrusters' arms; null: none, or not needed")] = None
+    relative: Annotated[
+        bool,
+        Meta(
+            description="masses, damping and forces are ratios to T = c1 + c2, the full-ahead thrust of one thruster "
+            "(of both in a surge model): `m_u/T` [kg/N]"
+        ),
+    ] = False
+    relative_yaw: Annotated[
+        bool,
+        Meta(description="what belongs to the yaw equation is a ratio to the arm of the thrusters, too: `m_r/y_arm`"),
+    ] = False
+    statistical_only: Annotated[
+        bool, Meta(description="standard errors leave out how well the thrust itself is known: nobody said")
+    ] = False
+
+
+class UnusedSignal(Part, frozen=True, kw_only=True):
+    """A signal of a log that no input and no sensor of the model takes."""
+
+    signal: str
+    logs: Annotated[tuple[str, ...], Meta(description="names of the logs that have it")]
+    code: Annotated[
+        Literal["incomplete-sensor", "other-name", "not-in-model", "unknown-name"],
+        Meta(
+            description="`incomplete-sensor`: it needs another one beside it; `other-name`: ident knows it by another "
+            "name or unit; `not-in-model`: this model has no place for it; `unknown-name`: no model takes that name"
+        ),
+    ]
+    reason: str
 
 
 class EffectParameter(Part, frozen=True, kw_only=True):
@@ -108,6 +170,7 @@ class ParameterRow(Part, frozen=True, kw_only=True):
     value: float
     se: Annotated[float | None, Meta(description="standard error; null: fixed, at a bound or not informed")]
     free: Annotated[bool, Meta(description="false: it was not estimated")]
+    origin: Annotated[str, Meta(description=f"provenance of the value: {ORIGINS}")] = "estimated"
     prior_share: Annotated[
         float | None, Meta(description="part of its information that came from the prior, 0..1; null: not estimated")
     ] = None
@@ -139,6 +202,7 @@ class FitSummary(Part, frozen=True, kw_only=True):
     log_likelihood: float | None
     iterations: int
     cpu: Annotated[float, Meta(description="CPU time [s]")]
+    scale: ForceScale = ForceScale()
     parameters: tuple[ParameterRow, ...]
     correlation: Correlation
 
@@ -398,6 +462,13 @@ class Homogeneity(Part, frozen=True, kw_only=True):
     high: float | None
 
 
+class FailedRun(Part, frozen=True, kw_only=True):
+    """A validation run that could not be evaluated."""
+
+    record: str
+    reason: str
+
+
 class FitResult(Result, frozen=True, kw_only=True):
     """A fit, what the fitted model predicts, and what it leaves."""
 
@@ -407,6 +478,7 @@ class FitResult(Result, frozen=True, kw_only=True):
         return self.fit.converged
 
     fit: FitSummary
+    failed_runs: tuple[FailedRun, ...] = ()
     horizon_seconds: Annotated[
         float,
         Meta(
@@ -421,6 +493,9 @@ class FitResult(Result, frozen=True, kw_only=True):
     inputs: tuple[InputTrace, ...]
     residuals: Annotated[tuple[ResidualTests, ...], Meta(description="one a record of estimation and channel")]
     cross: Annotated[tuple[CrossCorrelation, ...], Meta(description="one a record of estimation, channel and input")]
+    unused_signals: Annotated[
+        tuple[UnusedSignal, ...], Meta(description="signals of the logs that the model does not take, and why")
+    ] = ()
 
 
 class StaticForce(Part, frozen=True, kw_only=True):
@@ -487,7 +562,46 @@ class Refit(Part, frozen=True, kw_only=True):
     criterion: Annotated[float, Meta(description="gain - df ln n")]
     validation_gain: Annotated[float, Meta(description="d ln L on the validation data")]
     t: Annotated[float, Meta(description="t statistic of `validation_gain` over blocks")]
+    prediction: Annotated[PredictionChange | None, Meta(description="null: it came not as far as that")] = None
+    outcome: Annotated[
+        RefitOutcome,
+        Meta(
+            description="`added`; `outranked`: accepted, another explains more; `small` beside what was found; "
+            "`not-supported` by the estimation data, `not-validated` by the validation data; `worse-prediction`"
+        ),
+    ]
     parameters: tuple[EffectParameter, ...]
+
+
+class UntestedCandidate(Part, frozen=True, kw_only=True):
+    """A candidate that passed the score test and could not be fitted."""
+
+    name: str
+    title: str
+    reason: str
+
+
+class RemovedEffect(Part, frozen=True, kw_only=True):
+    """An effect that was added and removed again: beside the others it does not pay on the validation data."""
+
+    name: str
+    title: str
+    validation_gain: Annotated[float, Meta(description="d ln L on the validation data of having it")]
+    t: Annotated[float, Meta(description="t statistic of `validation_gain` over blocks")]
+    prediction: PredictionChange | None
+
+
+class ValidationMismatch(Part, frozen=True, kw_only=True):
+    """A validation run that is predicted worse than the model says."""
+
+    record: str
+    channel: Annotated[str, Meta(description="whose one-step errors are most too large")]
+    scale: Annotated[float, Meta(description="root mean square of these errors over predicted standard deviation")]
+    parameter: Annotated[str | None, Meta(description="another value of it would explain the run best")] = None
+    unit: str = ""
+    fitted: Annotated[float | None, Meta(description="by the estimation runs")] = None
+    value: Annotated[float | None, Meta(description="by this run alone")] = None
+    se: float | None = None
 
 
 class Round(Part, frozen=True, kw_only=True):
@@ -497,6 +611,7 @@ class Round(Part, frozen=True, kw_only=True):
     passed: Annotated[int, Meta(description="how many of them passed the score test")] = 0
     candidates: Annotated[tuple[Candidate, ...], Meta(description="the best 24, best first")] = ()
     refits: tuple[Refit, ...] = ()
+    untested: tuple[UntestedCandidate, ...] = ()
     chosen: Annotated[str | None, Meta(description="name of what was added")] = None
     why: str
 
@@ -604,7 +719,15 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
     caveat: Annotated[str | None, Meta(description="why a name in the answer is not sure, a sentence")] = None
     converged_before: Annotated[bool, Meta(description="whether the fit without the effects converged")]
     prediction: Annotated[PredictionChange | None, Meta(description="null: no effect was added")] = None
+    cross_validated: Annotated[
+        bool,
+        Meta(description="validation data are blocks in time of the estimation runs, predicted by a fit to the rest"),
+    ] = False
+    mismatches: Annotated[
+        tuple[ValidationMismatch, ...], Meta(description="validation runs that the model claims too much of")
+    ] = ()
     rounds: tuple[Round, ...]
+    removed_effects: tuple[RemovedEffect, ...] = ()
     effects: Annotated[tuple[EffectRow, ...], Meta(description="what was added, the most important first")] = ()
     remaining_candidates: tuple[RemainingCandidate, ...] = ()
     nonparametric_effects: Annotated[

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 
 import msgspec
 import numpy as np
 
-from ident import validation
+from ident import estimation, validation
 from ident.data import LoadedLog, Record
-from ident.estimation import Fit, HomogeneityTest, Profile
-from ident.model import Model, segment_name
+from ident.estimation import Fit, HomogeneityTest, Profile, ReportedEstimates
+from ident.model import Model, ModelKind, segment_name
+from ident.models import force_power
 from ident.results.parts import (
     CalibrationRow,
     Calibrations,
@@ -24,7 +26,9 @@ from ident.results.parts import (
     ErrorComparison,
     Errors,
     ErrorTable,
+    FailedRun,
     FitSummary,
+    ForceScale,
     Homogeneity,
     InputTrace,
     LogSummary,
@@ -72,24 +76,27 @@ def provenance(loaded: Sequence[LoadedLog], command: str) -> Provenance:
     )
 
 
-def fit_summary(fit: Fit, start: Mapping[str, float]) -> FitSummary:
-    """Parameters with errors, correlation, how the estimate went; ``start``: values that the search began with."""
-    flags = dict(fit.flags)
-    rows = []
+def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None = None) -> FitSummary:
+    """Parameters with errors, correlation, how the estimate went; ``start``: values that the search began with;
+    ``calibration``: on the bench, relative standard uncertainty of the measured force, which joins the errors."""
+    flags, reported, rows = dict(fit.flags), ReportedEstimates(fit), []
+    scale = reported.scale
     for p in fit.model.parameters:
         names = [segment_name(p.name, i) for i in range(len(fit.records))] if p.per_record and p.free else [p.name]
         for i, name in enumerate(names):
-            value, error = fit.estimate(p.name, i)
+            value, error = reported.estimate(p, i)
+            error = math.hypot(error, (calibration or 0.0) * value * force_power(p.unit))
             rows.append(
                 ParameterRow(
-                    name=p.name,
+                    name=scale.name(p.name, p.unit),
                     meaning=p.meaning,
-                    unit=p.unit,
+                    unit=scale.unit(p.unit),
                     value=value,
                     se=finite(error),
                     free=p.free,
+                    origin=str(p.provenance),
                     prior_share=finite(fit.prior_weight[fit.names.index(name)]) if name in fit.names else None,
-                    start=finite(start.get(p.name)),
+                    start=finite(start[p.name] * reported.factor(p.unit)) if p.name in start else None,
                     flag=flags.get(name),
                     record=fit.records[i] if p.per_record and p.free and len(names) > 1 else None,
                 )
@@ -104,8 +111,18 @@ def fit_summary(fit: Fit, start: Mapping[str, float]) -> FitSummary:
         log_likelihood=finite(fit.log_likelihood),
         iterations=fit.iterations,
         cpu=fit.cpu_seconds,
+        scale=ForceScale(
+            thrust=None if scale.thrust is None else str(scale.thrust),
+            arm=None if scale.arm is None else str(scale.arm),
+            relative=scale.relative,
+            relative_yaw=scale.relative_yaw,
+            statistical_only=scale.statistical or (fit.model.kind is ModelKind.BENCH and calibration is None),
+        ),
         parameters=tuple(rows),
-        correlation=Correlation(names=tuple(fit.names), matrix=fit.correlation),
+        correlation=Correlation(
+            names=tuple(segment_name(scale.name(p.name, p.unit), p.segment) for p in fit.parameters),
+            matrix=reported.correlation,
+        ),
     )
 
 
@@ -367,20 +384,37 @@ def cross_rows(r: ChannelResiduals, after: ChannelResiduals | None = None) -> li
     ]
 
 
-def profile_curve(found: Profile) -> ProfileCurve:
-    """A profile likelihood."""
+def profile_curve(found: Profile, reported: ReportedEstimates) -> ProfileCurve:
+    """A profile likelihood, in the units that estimates are reported in."""
+    scale, factor = reported.scale, reported.factor(found.unit)
     return ProfileCurve(
-        name=found.name,
-        unit=found.unit,
-        value=found.value,
-        grid=found.grid,
+        name=scale.name(found.name, found.unit),
+        unit=scale.unit(found.unit),
+        value=factor * found.value,
+        grid=factor * found.grid,
         drop=found.drop,
-        low=finite(found.low),
-        high=finite(found.high),
-        wald_low=finite(found.wald_low),
-        wald_high=finite(found.wald_high),
+        low=finite(factor * found.low),
+        high=finite(factor * found.high),
+        wald_low=finite(factor * found.wald_low),
+        wald_high=finite(factor * found.wald_high),
         notes=tuple(found.notes),
     )
+
+
+def homogeneity_reported(a: HomogeneityTest, reported: ReportedEstimates) -> HomogeneityTest:
+    """The test in the units that estimates are reported in."""
+    k = reported.factor(a.unit)
+    low, high = a.interval
+    return replace(
+        a, name=reported.scale.name(a.name, a.unit), unit=reported.scale.unit(a.unit), value=k * a.value,
+        error=k * a.error, robust_error=k * a.robust_error, values=k * a.values, errors=k * a.errors,
+        scatter=k * a.scatter, mean=k * a.mean, mean_error=k * a.mean_error, interval=(k * low, k * high),
+    )
+
+
+def failed_runs(failed: Sequence[estimation.FailedRun]) -> tuple[FailedRun, ...]:
+    """Validation runs that could not be evaluated."""
+    return tuple(FailedRun(record=f.record, reason=f.reason) for f in failed)
 
 
 def homogeneity_row(a: HomogeneityTest) -> Homogeneity:

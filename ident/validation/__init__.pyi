@@ -1,4 +1,6 @@
 from .calibration import Calibration as Calibration
+from .calibration import one_step_calibration as one_step_calibration
+from .calibration import pooled_calibration as pooled_calibration
 from .evaluation import FEWEST as FEWEST
 from .evaluation import ChannelResiduals as ChannelResiduals
 from .evaluation import HorizonPrediction as HorizonPrediction
@@ -13,6 +15,7 @@ from .prediction_errors import PredictionChange as PredictionChange
 from .prediction_errors import PredictionErrors as PredictionErrors
 from .prediction_errors import horizon_errors as horizon_errors
 from .prediction_errors import pooled_errors as pooled_errors
+from .prediction_errors import prediction_change as prediction_change
 from .whiteness import OUTLYING as OUTLYING
 from .whiteness import SpectralPeak as SpectralPeak
 from .whiteness import WhitenessDiagnostics as WhitenessDiagnostics

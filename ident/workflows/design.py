@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from daq.config import Mission, Prediction, Segment, save_new_mission
 from daq.errors import SeatrialError
 from ident.effects import catalogue
-from ident.estimation import dynamic_parameters, load_model
+from ident.estimation import dynamic_parameters, load_model, reported_units
 from ident.experiment_design import (
     PRIOR_HALFWIDTH,
     BaselineSignal,
@@ -34,7 +34,7 @@ from ident.experiment_design import (
     predicted_track,
     separation,
 )
-from ident.model import Model
+from ident.model import Model, Parameter
 from ident.models import make_model
 from ident.numerics import Array, scaled_pseudo_inverse
 from ident.report import tidy, write_design_page
@@ -46,6 +46,7 @@ from ident.results import (
     DesignResult,
     DesignTrack,
     Discrimination,
+    design_warnings,
     finite,
     format_number,
     provenance,
@@ -129,6 +130,7 @@ def make_design(source: str, wish: DesignRequest, out: Path, command: str, repor
         inputs=tuple(CommandTrace(name=c, t=task.t, value=made.command[:, k])
                      for k, c in enumerate(task.actuation.channels)),
         track=None if track is None else _track(track, task.limits), apart=apart,
+        warnings=tuple(design_warnings(task.model, task.actuation.full_thrust)),
     )  # fmt: skip
     title = " against ".join(wish.between) or f"{wish.criterion}-optimal for {', '.join(_chosen(task))}"
     save_new_mission(designed_mission(f"steps, {title}", thrusters, made, track, wish, source, command), out)
@@ -153,8 +155,11 @@ def designed_mission(
         Segment("static", np.zeros(1), np.zeros((1, len(thrusters)))),
         Segment("designed steps", significant(edges[:-1], 6), significant(levels, 6)),
     )
+    units, model = reported_units(made.task.model), made.task.model
+    factors = {name: units.factor(model.parameter(name).unit) for name in made.task.learned}
     predicted, before = (
-        {k: float(f"{v:.4g}") for k, v in errors.items() if np.isfinite(v)} for errors in (made.predicted, made.before)
+        {k: float(f"{v * factors[k]:.4g}") for k, v in errors.items() if np.isfinite(v)}
+        for errors in (made.predicted, made.before)
     )
     prediction = None
     if track is not None:
@@ -286,12 +291,16 @@ def _rows(task: DesignProblem) -> NDArray[np.intp]:
 
 def _parameters(made: Design, baseline: Mapping[str, float]) -> tuple[DesignedParameter, ...]:
     model, before, after = made.task.model, made.before, made.predicted
-    chosen = _chosen(made.task)
+    chosen, units = _chosen(made.task), reported_units(model)
+
+    def told(errors: Mapping[str, float], p: Parameter) -> float | None:
+        return finite(errors[p.name] * units.factor(p.unit))
+
     return tuple(
         DesignedParameter(
-            name=p.name, meaning=p.meaning, unit=p.unit, value=p.value, before=finite(before[p.name]),
-            after=finite(after[p.name]), form=finite(made.errors[p.name]), baseline=finite(baseline[p.name]),
-            chosen=p.name in chosen,
+            name=p.name, meaning=p.meaning, unit=units.scale.unit(p.unit),
+            value=p.value * units.factor(p.unit), before=told(before, p), after=told(after, p),
+            form=told(made.errors, p), baseline=told(baseline, p), chosen=p.name in chosen,
         )
         for p in (model.parameter(name) for name in made.task.learned)
     )  # fmt: skip
@@ -333,7 +342,7 @@ def worse_than(baseline: BaselineSignal, made: Design) -> str:
 
 def design_summary(result: DesignResult) -> Sequence[str]:
     """Lines for the terminal: the answer, and a line for each parameter."""
-    lines = [result.answer, ""]
+    lines = [*(f"⚠ {warning.text}" for warning in result.warnings), result.answer, ""]
     for p in result.parameters:
         before, after, baseline = ("–" if v is None else f"{v:.3g}" for v in (p.before, p.after, p.baseline))
         lines.append(

@@ -13,9 +13,9 @@ from ident.estimation import EstimationOptions, load_model
 from ident.model import with_outlier_model as with_outliers
 from ident.models import effects_for
 from ident.reporter import Reporter
-from ident.results import DiagnosisResult, diagnosis_result, provenance, stuck_sensors
+from ident.results import DiagnosisResult, diagnosis_result, estimation_warnings, provenance
 from ident.workflows.check import check_first, with_noise_floors
-from ident.workflows.model_inputs import check_ahead, model_of_logs
+from ident.workflows.model_inputs import check_ahead, model_of_logs, unused_signals
 from ident.workflows.output import validity, write_all
 
 
@@ -61,6 +61,7 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
     model, runs, others, usual = model_of_logs(plain, request.model, loaded, unseen, request.thruster)
     loaded, unseen = check_first(loaded, unseen, model, request.despite_faults)
     model, floors = with_noise_floors(model, loaded)
+    unused = unused_signals(model, [*loaded, *unseen])
     own = effects_for(model, effects_file) if effects_file else {}
     found = diagnose(
         with_outliers(model) if request.estimation.outlier_model else model,
@@ -75,9 +76,10 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
         found,
         evaluate_diagnosis(found, horizon),
         provenance([*loaded, *unseen], command),
-        warnings=stuck_sensors(found.after.records),
+        warnings=estimation_warnings(found.after.fit, found.after.records),
         notes=[*floors, *found.after.outlier_notes],
         model_path=str(request.model),
+        unused=unused,
     )
     write_all(request.out, result, found.after.fit, validity(found.after), effects_file or saved.effects_file)
     return result

@@ -11,7 +11,7 @@ import numpy as np
 
 from daq.errors import SeatrialError
 from ident.data import LoadedLog, Record, load_run, make_record
-from ident.estimation import dynamic_parameters, fit, load_model, without_absent_sensors
+from ident.estimation import dynamic_parameters, fit, load_model, reported_units, without_absent_sensors
 from ident.experiment_design import InformationSegment, segment_information
 from ident.model import Model
 from ident.numerics import Array
@@ -146,7 +146,8 @@ def _parameter(
 ) -> InformedParameter:
     """What all logs tell of one parameter, and the segment that it hangs on."""
     best = max(range(len(rows)), key=lambda i: float(np.nan_to_num(segments[i].weight[k], posinf=np.inf)))
-    p, row = model.parameter(name), rows[best]
+    p, row, units = model.parameter(name), rows[best], reported_units(model)
+    factor = units.factor(p.unit)
     return InformedParameter(
         record=row.record,
         t_from=row.t_from,
@@ -154,11 +155,11 @@ def _parameter(
         what=row.what,
         name=name,
         meaning=p.meaning,
-        unit=p.unit,
-        value=p.value,
-        se=finite(segments[best].whole[k]),
+        unit=units.scale.unit(p.unit),
+        value=factor * p.value,
+        se=finite(factor * segments[best].whole[k]),
         weight=finite(segments[best].weight[k]),
-        alone=finite(segments[best].alone[k]),
+        alone=finite(factor * segments[best].alone[k]),
     )
 
 

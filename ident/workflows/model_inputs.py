@@ -10,7 +10,8 @@ from daq.errors import SeatrialError
 from ident.characterisation import THRUSTER_RATE, ThrustCurve, load_curve, thrust_channels, thruster_runs, total
 from ident.data import COMMANDS, SHAFTS, Channel, LoadedLog, LogSegment, PropulsionInput
 from ident.model import Model, ModelKind, segment_name
-from ident.models import SENSORS, TELEMETRY_AGE, make_model, telemetry_age
+from ident.models import KNOWN_SIGNALS, SENSORS, TELEMETRY_AGE, make_model, telemetry_age
+from ident.results import UnusedSignal
 
 CURVE_INPUTS = ("f_left", "f_right", "X", "X_n")  # what a static curve makes of commands
 
@@ -76,6 +77,58 @@ def choose_model(source: str, loaded: Sequence[LoadedLog]) -> Model:
     sensors = [n for n, s in SENSORS.items() if all(o.name in anywhere for o in s.outputs)]
     model = as_logged(make_model(source, sensors), loaded[0].holds)
     return model + telemetry_age() if late else model
+
+
+# Signals by what they are called elsewhere, and what to do with them
+OTHER_NAMES = {
+    "speed_x": "velocity over ground to the north is called vx",
+    "speed_y": "velocity over ground to the east is called vy",
+    "lat": "positions are x, y in metres north and east", "lon": "positions are x, y in metres north and east",
+    "sog": "velocity over ground is called vx, vy (m/s, north and east)",
+    "cog": "velocity over ground is called vx, vy (m/s, north and east)",
+    "pwm": "a pulse is no shaft speed: map it to n_left, n_right (-1..1) by scale and offset",
+    "servo": "a pulse is no shaft speed: map it to n_left, n_right (-1..1) by scale and offset",
+    "yaw": "the heading is called psi", "heading": "the heading is called psi", "yaw_rate": "the yaw rate is called r",
+}
+
+
+def unused_signals(model: Model, loaded: Sequence[LoadedLog]) -> list[UnusedSignal]:
+    """Signals of the logs that no input and no sensor of the model takes, each with the reason."""
+    taken = {i.tap_of if i.tap else i.name for i in model.inputs} | {o.name for o in model.outputs}
+    there = {n for x in loaded for n in x.run.channels}
+    found = []
+    made = {"speed"} if {"vx", "speed_x"} & there else set()  # of others, when the log was read
+    made |= {"X", "X_n"} if "f_left" in there else set()
+    for pair in zip(SHAFTS, COMMANDS, strict=True):  # two accounts of one thruster: the model takes the better one
+        made |= set(pair) if taken & set(pair) else set()
+    for name in sorted(there - taken - made):
+        logs = tuple(x.run.name for x in loaded if name in x.run.channels)
+        found.append(_unused(name, logs, model, there))
+    return found
+
+
+def _unused(name: str, logs: tuple[str, ...], model: Model, there: set[str]) -> UnusedSignal:
+    known = next((text for other, text in OTHER_NAMES.items() if name == other or name.startswith(f"{other}_")), None)
+    sensors = [[o.name for o in s.outputs] for s in SENSORS.values()]
+    needs = [other for names in sensors if name in names for other in names if other not in there]
+    if needs:
+        reason = f"the model takes it together with {', '.join(needs)}, which no log has"
+        return UnusedSignal(signal=name, logs=logs, code="incomplete-sensor", reason=reason)
+    if known is not None:
+        return UnusedSignal(signal=name, logs=logs, code="other-name", reason=known)
+    if name in KNOWN_SIGNALS or name.partition("_")[0] in ("voltage", "n"):
+        inputs = ", ".join(i.name for i in model.inputs if not i.tap)
+        reason = f"model {model.name} with the inputs {inputs} has no place for it"
+    else:
+        reason = "no model takes this name; docs/formats/import-csv.md lists those that are taken"
+        return UnusedSignal(signal=name, logs=logs, code="unknown-name", reason=reason)
+    return UnusedSignal(signal=name, logs=logs, code="not-in-model", reason=reason)
+
+
+def unused_lines(found: Sequence[UnusedSignal]) -> list[str]:
+    """A line for each reason, with the signals that it is for."""
+    reasons = dict.fromkeys(s.reason for s in found)
+    return [f"not used: {', '.join(s.signal for s in found if s.reason == r)}: {r}" for r in reasons]
 
 
 def thrust_from(model: Model) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from daq.errors import SeatrialError, counted
 from ident.data import LoadedLog, Record, load_run, make_record
-from ident.estimation import ParameterCovariance, load_model
+from ident.estimation import ParameterCovariance, load_model, reported_units
 from ident.model import Model
 from ident.navigation import CURRENT, POSITION, Navigation, Outage, OutageErrors, gnss_outages, navigate
 from ident.numerics import Array
@@ -142,8 +142,10 @@ def _columns(done: Navigation, t0: float) -> Columns:
     states, best = done.model.states, done.best
     drift = set(CURRENT.values()) if done.current() is not None else set()
     columns: Columns = [("t", "s", done.t + t0)]
-    columns += [(s.name, s.unit, best.x[:, i]) for i, s in enumerate(states) if s.name not in drift]
-    columns += [(f"sd_{s.name}", s.unit, best.sd[:, i]) for i, s in enumerate(states) if s.name not in drift]
+    units = reported_units(done.model)
+    kept = [(i, s.name, s.unit, units.scale.unit(s.unit)) for i, s in enumerate(states) if s.name not in drift]
+    columns += [(name, shown, units.factor(unit) * best.x[:, i]) for i, name, unit, shown in kept]
+    columns += [(f"sd_{name}", shown, units.factor(unit) * best.sd[:, i]) for i, name, unit, shown in kept]
     current = done.current()
     if current is not None:
         names = [*CURRENT, *(f"sd_{n}" for n in CURRENT)]

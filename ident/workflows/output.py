@@ -19,12 +19,16 @@ def write_all(
     fit: Fit,
     ranges: Mapping[str, tuple[float, float]],
     effects_file: Path | None = None,
+    calibration: float | None = None,
 ) -> None:
-    """model.toml, result.json and report.html into a folder."""
+    """model.toml, result.json and report.html into a folder; ``calibration``: relative standard uncertainty of the
+    measured forces."""
     out.mkdir(parents=True, exist_ok=True)
     logs = [f"{x.path} sha256:{x.sha256[:16]}" for x in result.logs if x.role == "estimation"]
     made = {"made_by": result.command, "created": result.created, "seatrial": result.seatrial, "logs": logs}
-    save_model(out / "model.toml", fit, validity=ranges, provenance=made, effects_file=effects_file)
+    save_model(
+        out / "model.toml", fit, validity=ranges, provenance=made, effects_file=effects_file, calibration=calibration
+    )
     write_result(result, out / "result.json")
     write_report(result, out / "report.html")
 

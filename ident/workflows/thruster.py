@@ -37,6 +37,7 @@ from ident.numerics import Array, steady_segments
 from ident.report import write_report
 from ident.reporter import Reporter
 from ident.results import (
+    Posed,
     StaticForce,
     ThrustCurveResult,
     ThrusterResult,
@@ -100,18 +101,26 @@ def characterise(
     evaluation = evaluate(stage, horizon)
     if profiles:
         reporter.progress(f"profile likelihood of {', '.join(profiles)}")
+    calibration = _calibration(loaded)
     result = thruster_result(
         stage,
         evaluation,
         provenance(loaded, command),
         [profile(fitted, records, p) for p in profiles],
         _static(fitted, loaded, name) if has_force else None,
-        start=model.values,
-        notes=stage.outlier_notes,
+        Posed(model.values, stage.outlier_notes),
+        calibration,
     )
     ranges = {"n_cmd": _range(np.concatenate([r.u[:, 0] for r in records]))}
-    write_all(request.out, result, fitted, ranges)
+    write_all(request.out, result, fitted, ranges, calibration=calibration)
     return result
+
+
+def _calibration(loaded: Sequence[LoadedLog]) -> float | None:
+    """Relative standard uncertainty of the load cell's force; None where a rig does not give it."""
+    cells = [d.calibration for x in loaded if x.rig for d in x.rig.devices if d.calibration is not None]
+    found = [sd for sd in (c.relative_sd for c in cells) if sd is not None]
+    return max(found) if found else None
 
 
 def _refuse(path: Path, options: Sequence[str]) -> None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from ident.data import load_all
 from ident.estimation import fit_nominal_model, homogeneity_test, profile
 from ident.reporter import Reporter
-from ident.results import VehicleResult, provenance, vehicle_result
+from ident.results import Posed, VehicleResult, provenance, vehicle_result
 from ident.validation import evaluate
 from ident.workflows.check import check_first
+from ident.workflows.model_inputs import unused_lines
 from ident.workflows.output import validity, write_all
 from ident.workflows.vehicle_model import VehicleRequest, vehicle_problem
 
@@ -23,7 +24,7 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
     loaded, unseen = check_first(loaded, unseen, problem.model, request.despite_faults)
     if problem.thrust:
         reporter.progress(problem.thrust)
-    for line in problem.notes:
+    for line in [*problem.notes, *unused_lines(problem.unused)]:
         reporter.warning(line)
     fitted = fit_nominal_model(
         problem.model, problem.segments, problem.validation, request.estimation, rate=request.rate, reporter=reporter
@@ -37,8 +38,12 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
         provenance([*loaded, *unseen], command),
         profiles,
         homogeneity,
-        start=problem.model.values,
-        notes=[*filter(None, [problem.thrust]), *problem.notes, *fitted.outlier_notes],
+        Posed(
+            problem.model.values,
+            [*filter(None, [problem.thrust]), *problem.notes, *fitted.outlier_notes],
+            problem.unused,
+            loaded[0].vehicle.get("length"),
+        ),
     )
     write_all(request.out, result, fitted.fit, validity(fitted))
     return result

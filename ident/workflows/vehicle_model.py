@@ -13,13 +13,22 @@ from ident.estimation import (
     apply_rig_geometry,
     fix_parameters,
     nominal,
+    pose_scale,
     set_initial_values,
     set_priors,
     with_effects,
 )
 from ident.model import Model
+from ident.results import UnusedSignal
 from ident.workflows.check import with_noise_floors
-from ident.workflows.model_inputs import check_ahead, check_names, choose_model, completed, thrust_from
+from ident.workflows.model_inputs import (
+    check_ahead,
+    check_names,
+    choose_model,
+    completed,
+    thrust_from,
+    unused_signals,
+)
 
 
 @dataclass(frozen=True)
@@ -61,7 +70,8 @@ class VehicleRequest:
 class VehicleProblem:
     """What is fitted to what: a model with its prior knowledge, segments to estimate and to validate.
 
-    ``notes``: what the rig's geometry says, and which noises have a floor; ``thrust``: what the thrust follows.
+    ``notes``: what the rig's geometry says, and which noises have a floor; ``thrust``: what the thrust follows;
+    ``unused``: signals of the logs that the model does not take.
     """
 
     model: Model
@@ -69,6 +79,7 @@ class VehicleProblem:
     validation: list[LogSegment]
     notes: list[str]
     thrust: str
+    unused: list[UnusedSignal]
 
 
 def vehicle_problem(
@@ -80,10 +91,12 @@ def vehicle_problem(
         source = "horizontal:force"
     loaded, unseen = ([completed(x, source, curve) for x in part] for part in (loaded, unseen))
     check_ahead(request.estimation.horizon, loaded, unseen)
-    model, notes = apply_rig_geometry(choose_model(source, [*loaded, *unseen]), loaded[0].rig)
+    model = choose_model(source, [*loaded, *unseen])
+    model, notes = apply_rig_geometry(model, loaded[0].rig, loaded[0].vehicle)
     model = set_initial_values(set_priors(with_effects(model, request.effects), request.priors), request.initial)
-    model = fix_parameters(model, request.thruster if curve is None else None, request.fixed)
+    model = pose_scale(fix_parameters(model, request.thruster if curve is None else None, request.fixed))
     model, floors = with_noise_floors(model, loaded)
     check_names(nominal(model), request.profiles, len(loaded))
     segments, validation = ([x.run for x in part] for part in (loaded, unseen))
-    return VehicleProblem(model, segments, validation, [*notes, *floors], thrust_from(model))
+    unused = unused_signals(model, [*loaded, *unseen])
+    return VehicleProblem(model, segments, validation, [*notes, *floors], thrust_from(model), unused)

@@ -44,9 +44,7 @@ class AutopilotEmulator(DeviceEmulator):
         key = None if settings.key_file is None else read_key(settings.key_file)
         self._who = (settings.system_id, settings.component_id)
         self._codec = Codec(*self._who, key, now_unix)
-        self._decoder = mavlink.MavlinkDecoder(
-            Samples({}), settings.own_system_id, settings.own_component_id, self._codec
-        )
+        self._decoder = mavlink.MavlinkDecoder(Samples({}), mavlink.ANY, settings.own_component_id, self._codec)
         self._decoder.listener = self._hear
         self._rates: dict[str, float] = dict(ALWAYS)
         self._sent: dict[str, int] = {}  # the interval in which a message was sent last
@@ -117,6 +115,8 @@ class AutopilotEmulator(DeviceEmulator):
 
     def _hear(self, m: Any) -> None:
         name = m.get_type()
+        if name in ("HEARTBEAT", "RC_CHANNELS_OVERRIDE") and m.get_srcSystem() != self._ground:
+            return  # not its ground station
         if name == "HEARTBEAT":
             self.vehicle.ground_heard = self._t
         elif getattr(m, "target_system", self._who[0]) != self._who[0]:

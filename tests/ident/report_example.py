@@ -208,7 +208,8 @@ def diagnosis_round(chosen: str | None, factor: float, why: str) -> dict[str, An
     for index, gain, validation, t in gains:
         name, title, _, df, _ = CANDIDATES[index]
         row = {"name": name, "title": title, "gain": gain * factor, "df": df, "criterion": gain * factor - df * 9.2}
-        refits.append({**row, "validation_gain": validation * factor, "t": t * factor, "parameters": [k_J] * df})
+        row |= {"validation_gain": validation * factor, "t": t * factor, "parameters": [k_J] * df}
+        refits.append({**row, "outcome": "added" if name == chosen else "outranked"})
     counts = {"tested": 73, "passed": sum(row["passed"] for row in candidates)}
     return {**counts, "candidates": candidates, "refits": refits, "chosen": chosen, "why": why}
 

@@ -14,6 +14,7 @@ from ident.results.result_file import AnyResult, read_result
 from mocks.offline_simulation import Recording
 from tests.missions import write_log
 
+THRUST = ("--fix", "c1=40.05", "--fix", "c2=1.11")  # of these simulated boats
 ESTIMATION, VALIDATION = "estimation.mcap", "validation.mcap"
 
 
@@ -28,7 +29,7 @@ def write_logs(folder: Path, recordings: Sequence[Recording]) -> list[LogSegment
 def diagnosed(folder: Path) -> tuple[AnyResult, float]:
     """The result of `seatrial ident diagnose` with the model of `seatrial ident vehicle`, and the CPU seconds of the
     diagnosis. Raises RuntimeError with the command's own line where it fails."""
-    seatrial(folder, "ident", "vehicle", ESTIMATION, "--validate", VALIDATION, "--out", "vehicle")
+    seatrial(folder, "ident", "vehicle", ESTIMATION, *THRUST, "--validate", VALIDATION, "--out", "vehicle")
     before = spent()
     seatrial(folder, "ident", "diagnose", "vehicle/model.toml", ESTIMATION, "--validate", VALIDATION, "--out", "found")
     return read_result(folder / "found" / "result.json"), spent() - before

@@ -67,12 +67,15 @@ def percent(squares: Array) -> list[float]:
 
 def score(model: Model, records: Sequence[Record], *, left_out: bool) -> dict[str, Any]:
     """Fit in per cent per run and pooled: on the runs left out one by one, or on those that were fitted; and the
-    parameters of all runs with two standard errors, that for coloured residuals and that of the jackknife over runs."""
+    parameters of all runs with two standard errors, that for coloured residuals and that of the jackknife over runs.
+    ``unconverged``: the fits whose score is worth nothing, by the run that was left out."""
     everything = fitted_from_first_samples(model, records, {})
     start, parts, predicted, each = everything.model.values, [], [], []
+    unconverged = [] if everything.converged else ["none"]
     for k, record in enumerate(records):
         others = [*records[:k], *records[k + 1 :]]
-        fitted = fitted_from_first_samples(model, others, start).model if left_out else everything.model
+        without = fitted_from_first_samples(model, others, start) if left_out else everything
+        fitted, unconverged = without.model, unconverged + [record.name] * (left_out and not without.converged)
         each.append([fitted.values[n] for n in everything.names])
         y = simulate(fitted, record).y
         predicted.append(trace(record, y))
@@ -82,7 +85,8 @@ def score(model: Model, records: Sequence[Record], *, left_out: bool) -> dict[st
     jackknife = np.sqrt((len(each) - 1) * np.var(each, axis=0))
     names = zip(everything.names, everything.values, everything.robust_errors, jackknife, strict=True)
     parameters = {n: [float(v), float(e), float(j)] for n, v, e, j in names}
-    return {"runs": rows, "pooled": pooled, "parameters": parameters, "traces": predicted}
+    found = {"runs": rows, "pooled": pooled, "parameters": parameters, "traces": predicted}
+    return {**found, "unconverged": unconverged}
 
 
 def trace(record: Record, predicted: Array) -> dict[str, Any]:
@@ -122,7 +126,9 @@ def main(words: Sequence[str] | None = None) -> int:
         for left_out in (False, True):
             kind = f"{name}, {'left out' if left_out else 'fitted'}"
             found[kind] = score(model, records, left_out=left_out)
-            print(line(kind, found[kind]["pooled"]), flush=True)
+            failed = found[kind]["unconverged"]
+            said = f"{kind}: no convergence without {', '.join(failed)}"
+            print(said if failed else line(kind, found[kind]["pooled"]), flush=True)
     last = found[f"{given.model[-1]}, left out"]
     for run, row in last["runs"].items():
         print(line(f"  {run}", row))
@@ -130,7 +136,7 @@ def main(words: Sequence[str] | None = None) -> int:
         print(f"  {name:<12}{value:10.3f} +- {error:.3f}, by the jackknife {jackknife:.3f}")
     if given.out:
         given.out.write_text(json.dumps(found), encoding="utf-8")
-    return 0
+    return 1 if any(kind["unconverged"] for kind in found.values()) else 0
 
 
 if __name__ == "__main__":

@@ -50,7 +50,8 @@ def body(canvas: Canvas, result: Result) -> list[Section]:
         found.append(runs.run_section(canvas, result.logs, result.inputs))
     else:
         raise TypeError(f"no page for a {type(result).__name__}")
-    found += [errors.notes_section(result.notes), errors.made_section(result)]
+    unused = result.unused_signals if isinstance(result, FitResult) else ()
+    found += [errors.notes_section(result.notes, unused), errors.made_section(result)]
     return [section for section in found if section.blocks]
 
 

@@ -24,7 +24,7 @@ KEY_PARAMETERS = 9
 def section(result: Result) -> Section:
     """Without a title: it follows the answer itself."""
     caveat = [result.caveat] if isinstance(result, DiagnosisResult) and result.caveat else []
-    blocks: list[Any] = [Prose(line, "callout") for line in (*caveat, *result.warnings)]
+    blocks: list[Any] = [Prose(line, "callout") for line in caveat]
     if isinstance(result, FitResult) and not result.converged:
         pass  # its estimates are no answer
     elif isinstance(result, DiagnosisResult):

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 from ident.report import formatting
-from ident.report.blocks import Cell, Facts, Lines, Prose, Section, Table, tabbed
-from ident.results import ErrorComparison, Errors, ErrorTable, Provenance
+from ident.report.blocks import Cell, Facts, Heading, Lines, Prose, Section, Table, tabbed
+from ident.results import ErrorComparison, Errors, ErrorTable, Provenance, UnusedSignal
 
 T = TypeVar("T")
 Kinds = Sequence[tuple[str, Mapping[str, ErrorComparison]]]
@@ -108,9 +108,12 @@ def next_section(words: str | None) -> Section:
     return Section("next", "Next experiment", [Prose(words, "callout")] if words else [])
 
 
-def notes_section(lines: Sequence[str]) -> Section:
-    """What was left out, what failed, what to know."""
-    return Section("notes", "Notes", [Lines(list(lines))] if lines else [])
+def notes_section(lines: Sequence[str], unused: Sequence[UnusedSignal] = ()) -> Section:
+    """What was left out, what failed, what to know; then a line for each signal that the model does not take."""
+    blocks: list[Any] = [Lines(list(lines))] if lines else []
+    if unused:
+        blocks += [Heading("Signals that are not used", ""), Lines([f"{s.signal}: {s.reason}" for s in unused])]
+    return Section("notes", "Notes", blocks)
 
 
 def made_section(made: Provenance) -> Section:

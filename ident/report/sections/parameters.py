@@ -52,7 +52,7 @@ def _row(row: ParameterRow, extra: list[str]) -> list[Cell | str]:
     cells: list[Cell | str] = [
         Cell(row.name, "symbol"),
         Cell(shown, "num"),
-        Cell(error or ("–" if row.free else "fixed"), "num" if error else "num quiet"),
+        Cell(error or ("–" if row.free else row.origin), "num" if error else "num quiet"),
         Cell(unit, "nowrap"),
         Cell(row.meaning, "wide"),
     ]

@@ -12,6 +12,14 @@ from ident.report.record_tabs import RecordTab, of_record, record_tabs, roles_of
 from ident.results import Candidate, DiagnosisResult, NonparametricCurve, Refit, ResidualForce, Round
 
 SHOWN = 14
+OUTCOMES = {
+    "added": "added",
+    "outranked": "accepted; another explains more",
+    "small": "small beside what was found",
+    "not-supported": "does not pay for its parameters",
+    "not-validated": "validation data do not support it",
+    "worse-prediction": "prediction is worse with it",
+}
 
 
 def section(canvas: Canvas, result: DiagnosisResult) -> Section:
@@ -52,8 +60,7 @@ def ranking(row: Round) -> list[Any]:
     ticks = [(at(10.0**d) if d > math.log10(low) else 0.0, f"{10**d:,}" if d >= 0 else f"{10.0**d:g}") for d in decades]
     caption = (
         f"{row.passed} of {row.tested} candidates passed the score test; the {len(best)} best by their statistic (χ², "
-        "logarithmic axis). The upright line is the threshold, for as many tests as were made; pale: not passed; "
-        "hatched: a curve without a name"
+        "logarithmic axis), with the threshold for as many tests as were made"
     )
     return [Heading("Candidates"), Ranking(bars, ticks, caption)]
 
@@ -84,6 +91,7 @@ def _refits(row: Round) -> list[Any]:
         ("criterion", "num"),
         ("on validation data Δln L", "num"),
         ("t", "num"),
+        ("outcome", ""),
     )
     chosen = row.chosen
     return [Heading("Refits of the best"), Table(columns, [_refit(r, chosen) for r in found])] if found else []
@@ -106,6 +114,7 @@ def _refit(row: Refit, chosen: str | None) -> list[Cell | str]:
         Cell(formatting.plain(row.criterion), "num"),
         Cell(formatting.plain(row.validation_gain), "num"),
         Cell(formatting.plain(row.t, 2), "num"),
+        OUTCOMES[row.outcome],
     ]
 
 

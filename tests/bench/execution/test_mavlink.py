@@ -189,3 +189,14 @@ def test_ctrl_c_is_zero_at_once_and_disarmed(tmp_path: Path) -> None:
     assert err == "seatrial: stopped by Ctrl-C: thrust is zero, the log is run.mcap\n"
     with open_log(tmp_path / "run.mcap") as log:
         assert ("statustext", "info: Throttle disarmed") in [(kind, text) for _, kind, text in log.events()]
+
+
+def test_a_check_is_answered_though_it_is_no_ground_station(tmp_path: Path) -> None:
+    write_files(tmp_path, 4.0)
+    with mock(tmp_path):
+        done = subprocess.run(
+            [*SEATRIAL, "check", "rig.toml", "--json"], cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+    told = json.loads(done.stdout)["findings"]
+    assert not [f for f in told if f["check"] in ("parameters", "limits", "alive") and f["level"] == "fault"], told
+    assert "temperature_c 80 of thruster left by autopilot" in next(f["text"] for f in told if f["check"] == "limits")

@@ -196,6 +196,9 @@ def test_an_iso_time_that_is_none(folder: Path) -> None:
         ("[csv]", '[csv]\ndecimal = ","', r"csv\.decimal: is also the delimiter"),
         ('role = "input"', 'role = "input"\nsign = 2', r"signal\[2\]\.sign: must be 1 or -1"),
         ("[csv]", '[[log]]\nname = "a"\nt_from = 3\nt_to = 2\n[csv]', r"log\[1\]\.t_to: must be after t_from"),
+        ("[csv]", "[scale]\nc1 = -12.0\n[csv]", r"scale\.c1: must be positive, not -12"),
+        ("[csv]", "[scale]\nthrust = 12.0\n[csv]", r"scale\.thrust: unknown key"),
+        ("[csv]", "[geometry]\ny_left = 0.2\ny_right = -0.2\n[csv]", r"geometry\.y_left: must be less than y_right"),
         ("[csv]", "[csv]\nskiprows = 2", r"csv\.skiprows: unknown key; known here: delimiter"),
     ],
 )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +29,7 @@ def header(k: int) -> object:
     return STORE.types["std_msgs/msg/Header"](stamp, "base_link")
 
 
-def imu(k: int) -> object:
+def imu(k: int) -> Any:
     """Facing north-west in ROS's way of counting: 135 degrees from east; bow up 10 degrees (pitch -10 there)."""
     vector, turn = STORE.types["geometry_msgs/msg/Vector3"], STORE.types["geometry_msgs/msg/Quaternion"]
     yaw, pitch = math.radians(135.0), math.radians(-10.0)
@@ -88,10 +90,25 @@ def test_imu_and_fix_become_samples_in_our_axes(bag: Path, tmp_path: Path) -> No
     assert ahrs["pitch"] == pytest.approx(math.radians(10.0))  # bow up
     assert ahrs["roll"] == pytest.approx(0.0, abs=1e-12)
     assert (ahrs["p"][0], ahrs["q"][0], ahrs["r"][0]) == (0.1, -0.2, -0.3)
-    assert ahrs["az"][1] == -9.81
-    assert math.isnan(ahrs["az"][0])
+    np.testing.assert_array_equal(ahrs["az"], -9.81)  # measured, though the covariance of one says that it is unknown
     assert (gnss["fix"][0], gnss["sigma_h"][0]) == (4, pytest.approx(0.2))
     np.testing.assert_allclose(gnss["lat"], 41.0 + 1e-6 * np.arange(N))
+
+
+def test_what_an_imu_does_not_measure_is_nan(tmp_path: Path) -> None:
+    """Covariance -1 and nothing but defaults: no orientation; with values in it: an unknown covariance alone."""
+    path, kind, unknown = tmp_path / "bag", "sensor_msgs/msg/Imu", np.array([-1.0] + [0.0] * 8)
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/imu", kind, typestore=STORE)
+        for k in range(N):
+            message = replace(imu(k), angular_velocity_covariance=unknown, orientation_covariance=unknown,
+                              orientation=STORE.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0))
+            writer.write(connection, round((T0 + 0.05 * k) * 1e9), STORE.serialize_cdr(message, kind))
+    with open_log(import_ros2(path, out=tmp_path / "run.mcap")[0]) as log:
+        ahrs = log.table(Ahrs, "imu")
+    assert np.isnan(ahrs["yaw"]).all()
+    np.testing.assert_allclose(ahrs["r"], -(0.3 + np.arange(N)))
+    np.testing.assert_array_equal(ahrs["az"], -9.81)
 
 
 def test_every_number_of_other_messages_is_a_signal(bag: Path, tmp_path: Path) -> None:

@@ -94,12 +94,15 @@ def test_vehicle(fitted: Path) -> None:
         ("estimation.mcap", "estimation"), ("validation.mcap", "validation")]
     assert result["logs"][0]["mission"] == "mixed, seed 101"
     assert len(result["logs"][0]["sha256"]) == 64
-    bench = {r["name"]: r["value"] for r in result_of(fitted / "thruster")["fit"]["parameters"]}
+    bench = {r["name"]: r for r in result_of(fitted / "thruster")["fit"]["parameters"]}
     vehicle = {r["name"]: r for r in result["fit"]["parameters"]}
-    for name in ("c1", "c2"):  # taken from the bench, and fixed
-        assert vehicle[name]["value"] == pytest.approx(bench[name], rel=1e-6)
-        assert not vehicle[name]["free"]
-        assert vehicle[name]["se"] is None
+    for name in ("c1", "c2"):  # taken from the bench, with its errors
+        assert vehicle[name]["value"] == pytest.approx(bench[name]["value"], abs=bench[name]["se"])
+        assert vehicle[name]["origin"] == "measured"
+        assert 0.0 < vehicle[name]["se"] < 1.01 * bench[name]["se"]
+    relative = {n: vehicle[n]["se"] / vehicle[n]["value"] for n in ("c1", "m_u")}
+    assert relative["m_u"] > relative["c1"]  # which is in it
+    assert (result["warnings"], result["fit"]["scale"]["thrust"]) == ([], "measured")
     assert vehicle["m_u"]["start"] == 37.0  # from the rig in the log
     assert vehicle["d_vv"]["start"] == 20.0
     assert set(result["errors"]) == {"estimation", "validation"}

@@ -223,6 +223,8 @@ def test_a_record_serves_other_models_and_parts() -> None:
     own = record.for_model(model())
     assert (own.inputs, own.outputs) == (("w",), ("psi", "a", "b"))
     np.testing.assert_array_equal(own.u[:, 0], record.u[:, 0])
+    assert np.shares_memory(own.u, record.u)  # a search keeps records for dozens of models
+    assert own.y is record.y
     fewer = replace(model(), sensors=model().sensors[1:])
     np.testing.assert_array_equal(record.for_model(fewer).y, record.y[:, 1:])
     with pytest.raises(ValueError, match="no signal for the input 'g' of model cart"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,13 +13,14 @@ import pytest
 from rich.console import Console
 
 from ident.diagnosis.adequacy import MAX_REMAINING_CRITERION, MAX_REMAINING_TESTS, assess_alternatives
-from ident.diagnosis.results import EffectAttribution, Refit, Round
+from ident.diagnosis.results import EffectAttribution, EffectImportance, Refit, Round, UntestedCandidate
 from ident.diagnosis.score_test import Score
 from ident.estimation.standard_errors import AT_BOUND
 from ident.model.parameter import Parameter
 from ident.model.structure import Effect, ForceCurve
 from ident.report.page import write_report
 from ident.report.terminal import print_result
+from ident.validation.prediction_errors import PredictionChange
 from tests.ident.pages import loaded
 from tests.ident.report_example import diagnosis
 from tests.ident.unlisted import kind_of
@@ -34,7 +36,7 @@ def refit(name: str, criterion: float, t: float = 5.0, fit: object = None, **mor
 
 
 def one_round(chosen: Refit, *others: Refit) -> Round:
-    return Round((), (), (chosen, *others), chosen, "")
+    return Round((), (), (chosen, *others), chosen)
 
 
 def score(name: str, criterion: float) -> Score:
@@ -116,6 +118,29 @@ def test_a_rival_that_could_not_be_tested_is_not_excluded() -> None:
     sag = refit("current-drift", 200.0, rivals=("wind", "battery-sag"))
     (found,) = of(one_round(sag), untested=("battery-sag",))
     assert (found.attribution, found.rivals) == ("ambiguous", ("battery-sag",))
+
+
+def test_a_rival_that_could_not_be_fitted_is_not_excluded() -> None:
+    """Else the second best takes its place, as sure."""
+    lost = UntestedCandidate(refit("mismatch", 0.0).effect, "tau_b is outside its bounds")
+    (found,) = of(replace(one_round(refit("heading-moment", 300.0)), untested=(lost,)))
+    assert found.attribution == "ambiguous"
+    assert found.reasons == ("mismatch passes the test too and could not be fitted: tau_b is outside its bounds",)
+
+
+@pytest.mark.parametrize(("error", "attribution"), [(1.3, "identified"), (1.003, "ambiguous")])
+def test_a_name_without_which_the_prediction_is_as_good_is_not_sure(error: float, attribution: str) -> None:
+    """An elastic tether that is fitted as a drifting current: the likelihood rises by thousands, the prediction not."""
+    unchanged = PredictionChange(0.99, 0.9, 1.1, 10.0, {})
+    weight = EffectImportance("current-drift", 4000.0, error, 300.0, 9.0, unchanged)
+    (found,) = assess_alternatives([one_round(refit("current-drift", 4000.0))], (), N, weights=[weight])
+    assert found.attribution == attribution
+
+
+def test_what_speaks_against_the_data_speaks_against_every_name() -> None:
+    short = "the estimation data are short (60 s)"
+    (found,) = assess_alternatives([one_round(refit("wind", 800.0))], (), N, reservations=[short])
+    assert (found.attribution, found.reasons) == ("ambiguous", (short,))
 
 
 def test_a_name_that_only_says_what_depends_on_what_keeps_with_another_shape() -> None:

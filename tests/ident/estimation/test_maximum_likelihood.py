@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from ident.data.record import Record
-from ident.estimation import fisher_scoring
+from ident.estimation import fisher_scoring, maximum_likelihood
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import Fit, fit
 from ident.estimation.objective import Problem
-from ident.estimation.options import SearchSettings
+from ident.estimation.options import ROUGH, SearchSettings
 from ident.model.parameter import INF, Parameter
 from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
 from tests.ident.toys import best_start, turning, turning_record, values_of
@@ -45,6 +45,23 @@ def test_the_truth_is_within_its_errors(found: Fit) -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), found.errors)
     assert found.gradient_norm < 1e-2
     assert not found.flags
+
+
+def test_a_search_that_diverges_names_its_records(monkeypatch: pytest.MonkeyPatch) -> None:
+    def diverging(*_: object, **__: object) -> None:
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    monkeypatch.setattr(maximum_likelihood, "maximise", diverging)
+    with pytest.raises(ValueError, match=r"run 0, run 1: the search .* diverged: SVD did not converge"):
+        fit(turning().with_free(FREE), records(2))
+
+
+def test_a_shared_parameter_at_its_bound_stays_there_whatever_the_number_of_records() -> None:
+    """The mean of six equal values at a bound is outside by rounding."""
+    bounded = replace(turning().parameter("m"), bounds=(18.6, 60.0), value=30.0)
+    model = turning().replace_parameters(bounded).with_free(("m",))
+    for n in (2, 6):
+        assert fit(model, records(n), settings=ROUGH).model.parameter("m").value == pytest.approx(18.6, rel=1e-12)
 
 
 def test_it_is_a_maximum(found: Fit) -> None:

@@ -15,6 +15,7 @@ from ident.data.record import build_record
 from ident.effects.nonparametric import input_response_effects, nonparametric_effect
 from ident.effects.registry import catalogue
 from ident.engine.vectorised_model import VectorisedModel
+from ident.estimation.homogeneity import between_runs_effect
 from ident.estimation.maximum_likelihood import Fit, fit
 from ident.estimation.model_file import load_model, save_model
 from ident.estimation.options import SearchSettings
@@ -101,6 +102,19 @@ def test_unknown_tables_come_back_with_their_span(tmp_path: Path, found: Fit, va
     np.testing.assert_allclose(rates(again), rates(model), rtol=1e-12)
     assert back.effects[0].parameters[0].prior == effect.parameters[0].prior
     assert (back.effects[0].kind, back.effects[0].curve) == (effect.kind, effect.curve)
+
+
+@pytest.mark.parametrize("what", ["payload", "thrust", "d_uu"])
+def test_differences_between_runs_come_back(tmp_path: Path, found: Fit, what: str) -> None:
+    effect = between_runs_effect(found.model, what)
+    name = effect.parameters[0].name
+    model = (found.model + effect).with_values({name: 0.2})
+    path = saved(tmp_path / "model.toml", with_model(found, model))
+    back = load_model(path).model
+    assert back.parameter(name).per_record
+    assert back.parameter(name).prior == pytest.approx(effect.parameters[0].prior)
+    np.testing.assert_allclose(rates(back), rates(model), rtol=1e-12)
+    assert np.abs(rates(model) - rates(model.with_values({name: 0.0}))).max() > 1e-4
 
 
 def test_responses_to_inputs_come_back(tmp_path: Path, found: Fit) -> None:

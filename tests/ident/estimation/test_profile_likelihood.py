@@ -21,6 +21,7 @@ from ident.estimation.options import EstimationOptions
 from ident.estimation.output_error import output_error
 from ident.estimation.profile_likelihood import Profile, profile
 from ident.estimation.standard_errors import DROP_95
+from ident.estimation.thrust_scale import ReportedEstimates
 from ident.model.parameter import Parameter
 from ident.model.structure import Model, Output, Sensor, State, plain_model
 from ident.report.page import render
@@ -238,7 +239,8 @@ def test_the_report_draws_it(few: tuple[Fit, Record], tmp_path: Path) -> None:
     both: list[Profile] = [profile(few[0], [few[1]], n) for n in ("e", "mean")]
     both.append(replace(both[1], name="half<b>", low=float("nan"), wald_low=float("nan"), notes=("lower side: open",)))
     bare = from_json(json.dumps(shortened(thruster())).encode())
-    page = render(msgspec.structs.replace(bare, profiles=tuple(profile_curve(p) for p in both)))
+    curves = tuple(profile_curve(p, ReportedEstimates(few[0])) for p in both)
+    page = render(msgspec.structs.replace(bare, profiles=curves))
     assert '<section id="profiles"' in page
     assert page.count("Profile likelihood of") >= 3
     assert "open to " in page

@@ -143,7 +143,7 @@ def test_a_long_result_stays_small(diagnosis: dict[str, Any], tmp_path: Path) ->
 def hostile(value: Any) -> Any:
     """Every text of a result replaced, but those that say what is what."""
     if isinstance(value, dict):
-        keep = ("format", "kind", "role", "method", "attribution", "verdict")
+        keep = ("format", "kind", "role", "method", "attribution", "verdict", "outcome")
         return {k: v if k in keep else hostile(v) for k, v in value.items()}
     if isinstance(value, list):
         return [hostile(item) for item in value]
@@ -260,10 +260,13 @@ def test_the_terminal_says_the_units_of_outages() -> None:
 
 
 def test_what_an_estimate_must_not_be_read_without_comes_before_it() -> None:
-    told = {"answer": "Done.", "warnings": ["The fit did not converge.", "gauge: a stuck sensor?"]}
+    told = {"answer": "Done.", "warnings": [
+        {"code": "arm-unknown", "text": "Nobody gave the arms."},
+        {"code": "stuck-sensor", "text": "gauge: a stuck sensor?"},
+    ]}
     words = printed(KINDS["thruster"]() | told)
-    assert words.index("⚠ The fit did not converge.") < words.index("⚠ gauge: a stuck sensor?")
-    assert words.index("Done.") < words.index("⚠ The fit")
+    assert words.index("⚠ Nobody gave the arms.") < words.index("⚠ gauge: a stuck sensor?")
+    assert words.index("⚠ gauge") < words.index("Done.")
 
 
 def test_a_flag_wraps_and_the_numbers_do_not() -> None:

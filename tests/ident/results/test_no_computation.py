@@ -17,7 +17,7 @@ from ident.model.outlier_density import with_outlier_model
 from ident.models.horizontal import horizontal_model
 from ident.report.page import write_report
 from ident.results.diagnosis import diagnosis_result
-from ident.results.fits import vehicle_result
+from ident.results.fits import Posed, vehicle_result
 from ident.results.parts import Provenance
 from ident.results.result_file import read_result, to_json, write_result
 from ident.validation.evaluation import evaluate
@@ -40,7 +40,7 @@ def no_more_computing(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in METHODS:
         monkeypatch.setattr(Likelihood, name, refuse)
     monkeypatch.setattr(VectorisedModel, "__init__", refuse)
-    for place in ("ident.estimation.fitted_model.smooth", "ident.estimation.output_error.simulate"):
+    for place in ("ident.estimation.fitted_model.smoothed_states", "ident.estimation.output_error.simulate"):
         monkeypatch.setattr(place, refuse)
 
 
@@ -49,7 +49,7 @@ def test_a_vehicles_result(segments: list[LogSegment], tmp_path: Path, monkeypat
     stage = fit_nominal_model(model, segments[:1], segments[1:])
     evaluation = evaluate(stage)
     no_more_computing(monkeypatch)
-    result = vehicle_result(stage, evaluation, MADE, [], [], start=model.values, notes=stage.outlier_notes)
+    result = vehicle_result(stage, evaluation, MADE, [], [], Posed(model.values, stage.outlier_notes))
     write_result(result, tmp_path / "result.json")
     write_report(result, tmp_path / "report.html")
     assert to_json(read_result(tmp_path / "result.json")) == to_json(result)

@@ -179,7 +179,8 @@ def test_a_sensor_that_is_stuck_is_named() -> None:
     record = constant()
     (line,) = stuck_sensors([record])
     n = int(np.isfinite(record.y[:, 0]).sum())
-    assert line == f"run: {record.outputs[0]} reads 0.5 in all of its {n} samples: a stuck sensor?"
+    assert line.code == "stuck-sensor"
+    assert line.text == f"run: {record.outputs[0]} reads 0.5 in all of its {n} samples: a stuck sensor?"
     assert stuck_sensors([turning_record(n_rows=200)]) == []
 
 

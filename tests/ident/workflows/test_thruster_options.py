@@ -7,16 +7,21 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from daq.config.rig_file import parse_rig
 from daq.errors import SeatrialError
 from daq.samples import LoadCell
 from ident.cli.commands import ident
 from ident.estimation.model_file import load_model
+from ident.estimation.prior_knowledge import fix_parameters
+from ident.models.horizontal import horizontal_model
 from mocks.plant.bench import draw_bench
 from mocks.world import Reading
-from tests.missions import push, write_log
+from tests import missions
+from tests.missions import push, rig_of, write_log
 
 EVERY, WILD = 60, 60_000.0  # readings of the cell, counts
 
@@ -50,6 +55,35 @@ def test_outliers_are_counted_and_a_profile_is_drawn(log: Path) -> None:
     assert 0.5 * total / EVERY < counted < 3 * total / EVERY
     assert "load_cell" in tomllib.loads((folder / "model.toml").read_text(encoding="utf-8"))["robust"]
     assert '<section id="profiles"' in (folder / "report.html").read_text(encoding="utf-8")
+
+
+def test_the_cells_calibration_is_in_the_errors_of_what_stands_on_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without one they are marked as statistical only; 3 and 4 parts in a thousand make 5."""
+    recording, mission = push(draw_bench(4), kind="steps")
+    told = rig_of("bench").text.replace(
+        "newton_per_count = 0.001", "newton_per_count = 0.001\nnewton_per_count_sd = 0.000003\nlever_ratio_sd = 0.004"
+    )
+    rows, found = {}, {}
+    for name, text in (("plain", rig_of("bench").text), ("calibrated", told)):
+        rig = parse_rig(text, Path("bench.toml"))
+        monkeypatch.setattr(missions, "rig_of", lambda kind, rig=rig: rig)
+        log = write_log(tmp_path / f"{name}.mcap", "bench", recording.readings, mission)
+        CliRunner().invoke(ident, ["thruster", str(log), "--out", str(tmp_path / name)], catch_exceptions=False)
+        found[name] = json.loads((tmp_path / name / "result.json").read_text(encoding="utf-8"))
+        rows[name] = {row["name"]: row for row in found[name]["fit"]["parameters"]}
+    assert [found[n]["fit"]["scale"]["statistical_only"] for n in rows] == [True, False]
+    plain, calibrated = (rows[n]["c1"] for n in rows)
+    assert calibrated["value"] == pytest.approx(plain["value"], rel=1e-9)
+    assert calibrated["se"] == pytest.approx(np.hypot(plain["se"], 0.005 * plain["value"]), rel=1e-4)
+    assert rows["calibrated"]["a"]["se"] == rows["plain"]["a"]["se"]
+    saved = load_model(tmp_path / "calibrated" / "model.toml")
+    assert saved.uncertainty("c1") == pytest.approx(calibrated["se"], rel=1e-4)
+    vehicle = fix_parameters(horizontal_model(), tmp_path / "calibrated" / "model.toml", {})
+    mean, sd = vehicle.parameter("c1").prior or (0.0, 0.0)
+    assert (mean, sd) == (pytest.approx(plain["value"], rel=1e-6), pytest.approx(calibrated["se"], rel=1e-4))
+    assert vehicle.parameter("c1").provenance == "measured"
 
 
 def test_a_profile_of_nothing_is_said_before_the_fit(log: Path) -> None:

@@ -24,11 +24,14 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return boat_log(folder / "one.mcap", boat, 120, 1), boat_log(folder / "two.mcap", boat, 80, 2, 2)
 
 
+THRUST = ("--fix", "c1=40.05", "--fix", "c2=1.11")
+
+
 @pytest.fixture(scope="module")
 def out(logs: tuple[Path, Path]) -> Path:
     folder = logs[0].parent / "vehicle"
-    words = ["vehicle", str(logs[0]), "--robust", "--profile", "m_u", "--profile", "V_x", "--out", str(folder)]
-    CliRunner().invoke(ident, words, catch_exceptions=False)
+    words = ["vehicle", str(logs[0]), *THRUST, "--robust", "--profile", "m_u", "--profile", "V_x"]
+    CliRunner().invoke(ident, [*words, "--out", str(folder)], catch_exceptions=False)
     return folder
 
 
@@ -79,9 +82,10 @@ def test_a_profile_that_cannot_be_is_said_before_the_fit(name: str, says: str, l
 def test_restricted_noise_leaves_the_dynamics_and_makes_their_errors_larger(logs: tuple[Path, Path]) -> None:
     """A dozen parameters of the dynamics took a part of what disturbs the boat with them."""
     fits = []
-    for name, words in (("plain", ["--no-reml"]), ("reml", [])):
+    for name, more in (("plain", ["--no-reml"]), ("reml", [])):
         folder = logs[0].parent / name
-        CliRunner().invoke(ident, ["vehicle", str(logs[0]), *words, "--out", str(folder)], catch_exceptions=False)
+        words = ["vehicle", str(logs[0]), *THRUST, *more, "--out", str(folder)]
+        CliRunner().invoke(ident, words, catch_exceptions=False)
         fitted = json.loads((folder / "result.json").read_text(encoding="utf-8"))["fit"]
         restricted = name == "reml"
         assert fitted["restricted"] is load_model(folder / "model.toml").reml is restricted

@@ -23,12 +23,14 @@ def test_a_prior_weighs_as_much_as_it_says(log: Path) -> None:
     found = {}
     for said in ("m_u=60:0.1", "m_u=60:40"):
         out = log.parent / said.partition(":")[2]
-        words = ["vehicle", str(log), "--prior", said, "--out", str(out)]
+        words = ["vehicle", str(log), "--fix", "c1=40.05", "--fix", "c2=1.11", "--prior", said, "--out", str(out)]
         CliRunner().invoke(ident, words, catch_exceptions=False)
         fitted = json.loads((out / "result.json").read_text(encoding="utf-8"))["fit"]["parameters"]
         found[said] = next(p["value"] for p in fitted if p["name"] == "m_u")
         mean, _, sd = said.removeprefix("m_u=").partition(":")
         assert load_model(out / "model.toml").model.parameter("m_u").prior == (float(mean), float(sd))
+        codes = [w["code"] for w in json.loads((out / "result.json").read_text(encoding="utf-8"))["warnings"]]
+        assert codes == (["prior-contradicted"] if said.endswith(":0.1") else [])  # the boat has 37 kg
     assert found["m_u=60:0.1"] == pytest.approx(60.0, abs=1.0)
     assert found["m_u=60:40"] < 50.0  # the boat has 37 kg
 

@@ -1,0 +1,101 @@
+"""Acceptance: do validation data support an effect, and is the prediction better with it?
+
+Two models are compared on the same validation records: by the log-likelihood, whose gain in blocks of time has to be
+significantly positive in total, and by the prediction errors over the horizon of all channels (`prediction_change`).
+An effect with parameters of its own for each run is compared on blocks in time of the validation runs, with the
+estimates of each run's other blocks: else it would be judged by the data that it was fitted to.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ident.diagnosis.results import ValidationMismatch
+from ident.estimation import FittedModel, parameter_shift, validated_in_blocks
+from ident.model import Effect
+from ident.numerics import Array
+from ident.validation import (
+    PredictionChange,
+    horizon_errors,
+    one_step_calibration,
+    pooled_calibration,
+    pooled_errors,
+    prediction_change,
+)
+
+MISMATCH = 1.3  # times that one-step errors of a validation run are larger than the model says
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two models on the validation records that both could be evaluated on."""
+
+    before: FittedModel
+    after: FittedModel
+
+    @cached_property
+    def gain(self) -> tuple[float, float]:
+        """d ln L on all the validation data, and its t statistic over blocks of ten seconds (four on the bench)."""
+        return validation_gain(self.before, self.after)
+
+    @cached_property
+    def prediction(self) -> PredictionChange:
+        """Change of the prediction errors over the model's horizon, on the validation data."""
+        seconds, stages = self.before.model.horizon, (self.before, self.after)
+        common = set.intersection(*({v.record.name for v in s.validation} for s in stages))
+        errors = [
+            pooled_errors([
+                horizon_errors(s.model, v.record, v.values, v.run.x_filt, seconds)
+                for v in s.validation
+                if v.record.name in common
+            ])
+            for s in stages
+        ]
+        return prediction_change(errors[0], errors[1], seconds)
+
+
+def comparison(before: FittedModel, after: FittedModel, effect: Effect) -> Comparison:
+    """The fair comparison of two models of which the second has ``effect``. Raises ValueError where a validation record
+    that the first could be evaluated on cannot be with the second."""
+    if any(p.per_record for p in effect.parameters):
+        before, after = validated_in_blocks(before), validated_in_blocks(after)
+    known = {f.record for f in before.failed}
+    lost = [f for f in after.failed if f.record not in known]
+    if lost:
+        raise ValueError(f"{lost[0].record} cannot be evaluated with it: {lost[0].reason}")
+    return Comparison(before, after)
+
+
+def validation_gain(before: FittedModel, after: FittedModel) -> tuple[float, float]:
+    """Gain in log-likelihood on the validation data: its sum, and t over blocks of ten seconds (four on the bench)."""
+    gains, new = [], {v.record.name: v for v in after.validation}
+    for a in before.validation:
+        if a.record.name in new:
+            t = a.record.t - a.record.t[0]
+            gains.append(np.bincount(np.floor(t / (2 * before.model.block)).astype(int), new[a.record.name].ll - a.ll))
+    if not gains:
+        return 0.0, 0.0
+    per_block: Array = np.concatenate(gains).astype(np.float64)
+    if not np.isfinite(per_block).all():
+        raise ValueError("the likelihood of the validation data is not finite with it")
+    return float(per_block.sum()), _t(per_block)
+
+
+def validation_mismatches(stage: FittedModel) -> tuple[ValidationMismatch, ...]:
+    """The validation runs whose one-step errors are larger than the model says, by more than chance and ``MISMATCH``,
+    and what differs in them."""
+    found = []
+    for v in () if stage.cross_validated else stage.validation:
+        errors = pooled_calibration([one_step_calibration(stage.model, v.run)])
+        name = max(errors, key=lambda n: errors[n].low, default=None)
+        if name is not None and errors[name].low > MISMATCH:
+            shift = parameter_shift(stage.fit, v.record, v.values)
+            found.append(ValidationMismatch(v.record.name, name, errors[name].scale, shift))
+    return tuple(found)
+
+
+def _t(x: Array) -> float:
+    return float(x.mean() / (x.std(ddof=1) / np.sqrt(x.size) + 1e-12)) if x.size > 1 else 0.0

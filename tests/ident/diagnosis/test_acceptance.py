@@ -1,0 +1,112 @@
+"""Do validation data support an effect?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from ident.diagnosis.acceptance import validation_gain
+from ident.diagnosis.results import MIN_ERROR_RATIO, EffectImportance, Outcome, Refit, Round
+from ident.model.structure import Effect
+from ident.validation.prediction_errors import PredictionChange
+
+
+@dataclass
+class View:
+    record: Any
+    ll: np.ndarray
+
+
+def stage(**by_run: np.ndarray) -> Any:
+    """A model with these log-likelihoods, one a second, on each run."""
+    views = [View(SimpleNamespace(name=n, t=100.0 + np.arange(ll.size)), ll) for n, ll in by_run.items()]
+    return SimpleNamespace(model=SimpleNamespace(block=5.0), validation=tuple(views))
+
+
+def test_the_gain_is_over_all_runs_and_its_error_over_blocks_of_ten_seconds() -> None:
+    rng = np.random.default_rng(1)
+    one, two = rng.normal(0.3, 1.0, (2, 200))
+    gain, t = validation_gain(stage(one=np.zeros(200), two=np.zeros(200)), stage(one=one, two=two))
+    blocks = np.concatenate([one.reshape(20, 10).sum(1), two.reshape(20, 10).sum(1)])
+    assert gain == pytest.approx(one.sum() + two.sum())
+    assert t == pytest.approx(blocks.mean() / (blocks.std(ddof=1) / 40**0.5))
+
+
+def test_a_few_blocks_that_lose_much_are_not_taken_for_outliers() -> None:
+    """Two turning circles that a model predicts worse, among forty blocks that gain a little."""
+    ll = np.full(400, 0.5)
+    ll[150:170] = -80.0
+    gain, t = validation_gain(stage(run=np.zeros(400)), stage(run=ll))
+    assert gain < 0
+    assert not refit(gain=gain, t=t).validated
+
+
+def test_only_the_runs_that_both_models_have_are_compared() -> None:
+    gain, _ = validation_gain(stage(a=np.zeros(50), b=np.zeros(50)), stage(a=np.full(50, 1.0)))
+    assert gain == pytest.approx(50.0)
+
+
+def test_what_is_not_finite_is_an_error() -> None:
+    with pytest.raises(ValueError, match="not finite"):
+        validation_gain(stage(a=np.zeros(50)), stage(a=np.full(50, np.nan)))
+
+
+def change(ratio: float, low: float, high: float) -> PredictionChange:
+    return PredictionChange(ratio, low, high, 10.0, {})
+
+
+def refit(*, criterion: float = 50.0, gain: float = 30.0, t: float = 4.0, prediction: Any = None) -> Refit:
+    return Refit(Effect("wind", "wind", {}), cast(Any, None), criterion + 8.0, 1, criterion, gain, t, prediction)
+
+
+@pytest.mark.parametrize(
+    ("given", "accepted"),
+    [
+        ({}, True),
+        ({"criterion": -1.0}, False),
+        ({"gain": -1522.0, "t": 5.9}, False),
+        ({"t": 1.9}, False),
+        ({"prediction": change(1.02, 0.98, 1.06)}, True),
+        ({"prediction": change(0.7, 0.5, 0.9)}, True),
+        ({"prediction": change(1.2, 1.1, 1.3)}, False),
+    ],
+)
+def test_every_condition_counts(given: dict[str, Any], accepted: bool) -> None:
+    assert refit(**given).accepted is accepted
+
+
+@pytest.mark.parametrize(
+    ("prediction", "error", "predicts", "pays"),
+    [
+        (change(0.7, 0.5, 0.9), 1.0, True, True),
+        (change(0.98, 0.7, 1.3), MIN_ERROR_RATIO + 0.01, True, True),
+        (change(0.98, 0.7, 1.3), MIN_ERROR_RATIO - 0.01, False, True),
+        (change(1.2, 1.1, 1.3), 1.5, False, False),
+    ],
+)
+def test_what_pays_and_what_predicts(prediction: Any, error: float, predicts: bool, pays: bool) -> None:
+    weight = EffectImportance("wind", 100.0, error, 30.0, 4.0, prediction)
+    assert (weight.predicts, weight.pays) == (predicts, pays)
+    assert not EffectImportance("wind", 100.0, error, -3.0, 4.0, prediction).pays
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "of_round"),
+    [
+        ((Outcome.OUTRANKED, Outcome.NOT_VALIDATED), Outcome.NOT_VALIDATED),
+        ((Outcome.WORSE_PREDICTION, Outcome.NOT_VALIDATED), Outcome.WORSE_PREDICTION),
+        ((Outcome.SMALL, Outcome.NOT_SUPPORTED), Outcome.SMALL),
+        ((), Outcome.UNTESTED),
+    ],
+)
+def test_a_round_that_added_nothing_says_how_far_the_best_came(outcomes: Any, of_round: Outcome) -> None:
+    from dataclasses import replace
+
+    refits = tuple(replace(refit(), outcome=o) for o in outcomes)
+    one = Round((), (), refits, None)
+    assert one.outcome is of_round
+    assert ("small beside what was found" in one.why) is (of_round is Outcome.SMALL)

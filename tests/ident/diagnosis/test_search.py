@@ -1,0 +1,268 @@
+"""The search for missing effects: what is chosen, what is begun again, what is removed, and what cannot be tested."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from ident.data.record import Channel, LogSegment
+from ident.diagnosis import search
+from ident.diagnosis.results import Diagnosis, EffectImportance, Outcome, Refit, Round, UntestedCandidate
+from ident.diagnosis.score_test import Score
+from ident.diagnosis.search import _Search, _starts, diagnose
+from ident.effects.registry import catalogue
+from ident.estimation.fitted_model import FittedModel
+from ident.estimation.homogeneity import BETWEEN
+from ident.model.parameter import Parameter
+from ident.model.structure import Effect
+from ident.models.horizontal import horizontal_model
+from ident.reporter import QUIET
+from ident.results.diagnosis import diagnosis_answer
+from ident.validation.prediction_errors import PredictionChange
+from mocks.plant.boat import Boat
+from tests.missions import boat_with, channels_of, sail
+
+SAME = PredictionChange(0.99, 0.9, 1.1, 10.0, {})
+FELL, ROSE = PredictionChange(0.7, 0.6, 0.8, 10.0, {}), PredictionChange(1.3, 1.2, 1.4, 10.0, {})
+
+
+def blank(**more: Any) -> Any:
+    """A fitted model of which only some things are asked."""
+    return cast(Any, type("Stage", (), {"fit": None, **more})())
+
+
+def a_search(*candidates: Effect) -> _Search:
+    return _Search([], [], {e.name: e for e in candidates}, QUIET)
+
+
+def refit(name: str, criterion: float, gain: float = 50.0, t: float = 5.0) -> Refit:
+    return Refit(Effect(name, name, {}), blank(), criterion + 8.0, 1, criterion, gain, t)
+
+
+def exactly(by_name: dict[str, PredictionChange | Exception]) -> Any:
+    """In the place of the exact refit: what the prediction says, or why it fails."""
+
+    def exact(_search: _Search, _current: FittedModel, rough: Refit) -> Refit:
+        found = by_name.get(rough.effect.name, FELL)
+        if isinstance(found, Exception):
+            raise found
+        one = replace(rough, prediction=found)
+        return replace(one, outcome=search._outcome(one, []))
+
+    return exact
+
+
+@pytest.mark.parametrize(
+    ("by_name", "outcomes", "untested"),
+    [
+        # four that fail validation do not stand in the way of the fifth
+        ({}, [*[Outcome.NOT_VALIDATED] * 4, Outcome.ADDED, Outcome.OUTRANKED], []),
+        ({"e": ROSE}, [*[Outcome.NOT_VALIDATED] * 4, Outcome.WORSE_PREDICTION, Outcome.ADDED], []),
+        ({"e": ValueError("x0")}, [*[Outcome.NOT_VALIDATED] * 4, Outcome.ADDED], [("e", "x0")]),
+        ({"e": ROSE, "f": ROSE}, [*[Outcome.NOT_VALIDATED] * 4, *[Outcome.WORSE_PREDICTION] * 2], []),
+    ],
+)
+def test_the_best_of_the_accepted_is_chosen(
+    monkeypatch: pytest.MonkeyPatch, by_name: Any, outcomes: list[Outcome], untested: list[tuple[str, str]]
+) -> None:
+    monkeypatch.setattr(_Search, "_exact", exactly(by_name))
+    refused = [refit(name, 1000.0 - k, gain=-5.0, t=-1.0) for k, name in enumerate("abcd")]
+    lost: list[UntestedCandidate] = []
+    judged, chosen = a_search()._choose(blank(), [refit("f", 90.0), *refused, refit("e", 100.0)], lost)
+    assert [r.outcome for r in judged] == outcomes
+    added = [r for r in judged if r.outcome is Outcome.ADDED]
+    assert [chosen] == (added or [None])
+    assert [(u.effect.name, u.reason) for u in lost] == untested
+
+
+@pytest.mark.parametrize(
+    ("name", "criterion", "prediction", "outcome"),
+    [
+        ("mount", 100.0, SAME, Outcome.ADDED),  # 1 % of the likelihood of its declared rival: 3 degrees
+        ("lift", 100.0, SAME, Outcome.SMALL),
+        ("lift", 100.0, FELL, Outcome.ADDED),
+        ("lift", 300.0, SAME, Outcome.ADDED),
+        ("mount", 300.0, ROSE, Outcome.WORSE_PREDICTION),
+    ],
+)
+def test_what_is_small_by_its_likelihood_may_matter(
+    name: str, criterion: float, prediction: PredictionChange, outcome: Outcome
+) -> None:
+    compass = replace(refit("compass", 10_000.0), effect=catalogue()["compass"])
+    assert search._outcome(replace(refit(name, criterion), prediction=prediction), [compass]) is outcome
+
+
+SCANNED = Effect(
+    "scanned", "scanned", {}, (Parameter("A", 0.0, bounds=(-1.0, 1.0), prior=(0.0, 2.0)), Parameter("w", 1.0)),
+    scan={"w": (0.5, 1.0, 2.0)},
+)
+SCORE = Score("scanned", 100.0, 1, 50.0, {"A": 5.0}, {"w": 1.0})
+
+
+def test_a_refit_begins_at_the_score_test_then_nearer_then_at_its_neighbours() -> None:
+    assert [tuple(p.value for p in e.parameters) for e in _starts(SCANNED, SCORE)] == [
+        (1.0, 1.0), (0.6, 1.0), (1.0, 0.5), (1.0, 2.0), (-0.6, 1.0),
+    ]
+
+
+@pytest.mark.parametrize(("n_failures", "untested"), [(0, False), (3, False), (5, True)])
+def test_a_refit_that_fails_is_begun_again_and_named_where_none_helps(
+    monkeypatch: pytest.MonkeyPatch, n_failures: int, untested: bool
+) -> None:
+    tried = []
+
+    class Model:
+        def __add__(self, effect: Effect) -> Effect:
+            return effect
+
+    def fitted(model: Effect, *_: Any, **__: Any) -> Any:
+        tried.append(model)
+        if len(tried) <= n_failures:
+            raise np.linalg.LinAlgError("SVD did not converge") if len(tried) == 1 else ValueError("other")
+        return blank(fit=blank(log_posterior=60.0))
+
+    monkeypatch.setattr(search, "fit_and_evaluate", fitted)
+    monkeypatch.setattr(search, "comparison", lambda *_: blank(gain=(30.0, 4.0)))
+    mine = a_search(SCANNED)
+    mine.n = 1000
+    found = mine._refit(blank(fit=blank(model=Model(), log_posterior=10.0)), SCANNED, SCORE)
+    assert len(tried) == min(n_failures + 1, 5)
+    if untested:
+        assert found == UntestedCandidate(SCANNED, "SVD did not converge")
+    else:
+        assert isinstance(found, Refit)
+        assert found.gain == pytest.approx(100.0)
+
+
+def test_a_nested_model_that_fits_worse_is_begun_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    values = iter([-500.0, 40.0, 90.0])
+
+    class Model:
+        def __add__(self, effect: Effect) -> Effect:
+            return effect
+
+    monkeypatch.setattr(search, "fit_and_evaluate", lambda *_, **__: blank(fit=blank(log_posterior=next(values))))
+    monkeypatch.setattr(search, "comparison", lambda *_: blank(gain=(30.0, 4.0)))
+    mine = a_search(SCANNED)
+    mine.n = 1000
+    found = mine._refit(blank(fit=blank(model=Model(), log_posterior=10.0)), SCANNED, SCORE)
+    assert isinstance(found, Refit)
+    assert found.gain == pytest.approx(60.0)
+
+
+def test_what_does_not_pay_beside_the_others_is_removed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One at a time: without the first of them the second may be needed."""
+    mine = a_search()
+    mine.rounds = [Round((), (), (r,), r) for r in (refit("hump", 900.0), refit("cubic", 300.0), refit("lift", 90.0))]
+    fits = {name: blank(name=name) for name in ("all", "without hump")}
+
+    def weighed(_before: Any, current: Any, chosen: Any, *_: Any) -> tuple[EffectImportance, ...]:
+        names = [c.effect.name for c in chosen]
+        idle = {"hump": 0.3, "cubic": 1.5} if current is fits["all"] else {}
+        return tuple(EffectImportance(n, 10.0, 1.1, 20.0, idle.get(n, 6.0), FELL) for n in names)
+
+    monkeypatch.setattr(search, "effect_importance", weighed)
+    monkeypatch.setattr(search, "fit_without", lambda *given: fits[f"without {given[3].name}"])
+    current, weights, removed = mine.without_what_does_not_pay(blank(), fits["all"])
+    assert current is fits["without hump"]
+    assert [w.effect for w in weights] == ["cubic", "lift"]
+    assert [r.effect.name for r in removed] == ["hump"]
+
+
+def test_what_could_not_be_fitted_is_no_proof_that_nothing_is_missing() -> None:
+    score = Score("mismatch", 1611.0, 1, 50.0, {}, {})
+    lost = UntestedCandidate(catalogue()["mismatch"], "outside its bounds")
+    found = Diagnosis(
+        blank(), blank(cross_validated=False), (Round((score,), ("mismatch",), (), None, (lost,)),), (score,), ()
+    )
+    assert found.untested == (lost,)
+    assert "could not be fitted: a thrust mismatch" in diagnosis_answer(found, None, 10.0)
+
+
+# -- on missions of mock boats ---------------------------------------------------------------------------------------
+
+FEW = {n: e for n, e in catalogue().items() if n in ("mismatch", "yaw-bias", "cubic-drag", "reverse-thrust")}
+
+
+def loaded(boat: Boat, kg: float) -> Boat:
+    return replace(boat, hull=replace(boat.hull, mass=boat.hull.mass + kg))
+
+
+def segments(*boats: Boat, seconds: float = 150.0) -> list[LogSegment]:
+    """A run of each boat, on missions of their own."""
+    return [
+        LogSegment(f"run{k}", channels_of(sail(boat, seconds, 100 + k, k)[0])) for k, boat in enumerate(boats, 1)
+    ]
+
+
+@pytest.mark.slow
+def test_a_payload_in_one_run_is_named() -> None:
+    clean = boat_with(None, 1)
+    runs = segments(clean, loaded(clean, 5.0), clean)
+    found = diagnose(horizontal_model(), runs[:2], runs[2:], effects=FEW)
+    assert [r.effect.name for r in found.effects] == [f"{BETWEEN}payload"]
+    values = [found.after.fit.estimate("m_payload", i)[0] for i in (0, 1)]
+    assert values[1] - values[0] == pytest.approx(5.0, abs=0.6)
+
+
+@pytest.mark.slow
+def test_a_validation_run_with_more_on_board_is_said() -> None:
+    clean = boat_with(None, 1)
+    light, heavy = segments(clean, loaded(clean, 20.0))
+    found = diagnose(horizontal_model(), [light], [heavy], effects=FEW)
+    assert found.effects == ()
+    (mismatch,) = found.mismatches
+    assert (mismatch.record, mismatch.scale > 1.5) == ("run2", True)
+    assert mismatch.shift is not None
+    assert (mismatch.shift.name, mismatch.shift.value) == ("m_payload", pytest.approx(20.0, abs=1.0))
+    answer = diagnosis_answer(found, None, 10.0)
+    assert answer.startswith("The model does not hold in run2: ")
+    assert "m_payload = " in answer
+
+
+@pytest.mark.slow
+def test_one_log_is_cross_validated_and_the_answer_says_so() -> None:
+    found = diagnose(horizontal_model(), segments(boat_with("mismatch", 1), seconds=240.0), [], effects=FEW)
+    assert [(j.effect, j.attribution) for j in found.judgements] == [("mismatch", "identified")]
+    assert found.cross_validated
+    assert len(found.after.validation) == 5
+    values = {v.record.name: v.values[list(v.model.values).index("eps_LR")] for v in found.after.validation}
+    assert len(set(values.values())) == 5  # each from the other blocks
+    assert "the fit to the others" in diagnosis_answer(found, None, 10.0)
+
+
+@pytest.mark.slow
+def test_a_minute_of_data_is_never_sure() -> None:
+    found = diagnose(horizontal_model(), segments(boat_with("mismatch", 1), seconds=60.0), [], effects=FEW)
+    assert [(j.effect, j.attribution) for j in found.judgements] == [("mismatch", "ambiguous")]
+    assert "short" in found.judgements[0].reasons[-1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [8, 32])
+def test_many_short_runs_work_as_two(n: int) -> None:
+    """The mean of the disturbance's memory, which stands at its bound in each of them, is at its bound."""
+    boat, runs = boat_with("mismatch", 1), []
+    channels = channels_of(sail(boat, 320.0, 100)[0])
+    for k in range(n):
+        low, high = 320.0 * k / n, 320.0 * (k + 1) / n
+        runs.append(LogSegment(f"part{k}", channels, low, high))
+    found = diagnose(horizontal_model(), runs, segments(boat), effects=FEW)
+    assert [(j.effect, j.attribution) for j in found.judgements] == [("mismatch", "identified")]
+    assert found.untested == ()
+
+
+@pytest.mark.slow
+def test_a_validation_log_that_cannot_be_used_is_named_and_the_search_goes_on() -> None:
+    good, other = segments(boat_with("mismatch", 1), boat_with("mismatch", 1))
+    lacking = LogSegment("odd", {n: c for n, c in other.channels.items() if n != "n_left"})
+    away = {n: Channel(c.t + 1e4, c.value) if n == "n_left" else c for n, c in other.channels.items()}
+    found = diagnose(horizontal_model(), [good], [lacking, LogSegment("apart", away), other], effects=FEW)
+    assert [f.record for f in found.failed_runs] == ["odd", "apart"]
+    assert "n_left" in found.failed_runs[0].reason
+    assert "overlap" in found.failed_runs[1].reason
+    assert [r.effect.name for r in found.effects] == ["mismatch"]
+    assert len(found.after.validation) == 1

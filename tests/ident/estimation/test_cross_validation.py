@@ -1,0 +1,90 @@
+"""Blocked cross-validation: estimates that a block had no part in, without a second fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ident.data.record import Record
+from ident.estimation.cross_validation import FEWEST_BLOCKS, MOST_BLOCKS, TimeBlocks, leave_one_block_out, time_blocks
+from ident.estimation.fitted_model import fit_and_evaluate, validated_in_blocks
+from ident.estimation.likelihood import Likelihood
+from ident.estimation.maximum_likelihood import fit
+from ident.model.parameter import Parameter
+from ident.model.structure import PARAMETERS, Effect, EffectKind
+from tests.ident.estimation.test_homogeneity import pushed, records
+
+MODEL = replace(pushed(), block=0.4)  # s: a record of 30 s has five blocks at least
+
+
+@pytest.fixture(scope="module")
+def data() -> list[Record]:
+    return records((40.0, 40.0), 3)
+
+
+def split(data: list[Record], block: float = MODEL.block) -> TimeBlocks:
+    return time_blocks(data, block, [{"u": (0.5, 0.5)}] * len(data))
+
+
+def test_blocks_cover_their_records_once(data: list[Record]) -> None:
+    blocks = split(data)
+    assert blocks.of == (*[0] * 6, *[1] * 6)
+    for i, record in enumerate(data):
+        t = np.concatenate([b.t for b, of in zip(blocks.records, blocks.of, strict=True) if of == i])
+        np.testing.assert_array_equal(t, record.t)
+    assert len({b.name for b in blocks.records}) == 12
+    assert len(split(data, 1e-3).of) == 2 * MOST_BLOCKS
+    assert len(split(data, 1e3).of) == 2 * FEWEST_BLOCKS
+
+
+def test_a_newton_step_finds_what_a_fit_to_the_others_finds(data: list[Record]) -> None:
+    blocks, fitted = split(data), fit(MODEL, data)
+    found = leave_one_block_out(fitted.model, blocks, fitted.record_values, fitted.parameters)
+    names = list(MODEL.values)
+    moved = []
+    for k in range(len(blocks.of)):
+        others = fit(MODEL, [b for j, b in enumerate(blocks.records) if j != k])
+        for name in ("m", "d", "e"):
+            error = fitted.errors[fitted.names.index(name)]
+            assert abs(found[k][names.index(name)] - others.estimate(name)[0]) < 0.15 * error, (k, name)
+            moved.append(abs(others.estimate(name)[0] - fitted.estimate(name)[0]) / error)
+    assert max(moved) > 0.5  # the blocks do differ
+
+
+def drifting() -> Effect:
+    """A push of each record's own, more than the known one."""
+    def add(s) -> None:
+        s.u.X = s.u.X + s.p.extra
+
+    own = Parameter("extra", 0.0, "N", prior=(0.0, 5.0), per_record=True, step=0.1)
+    return Effect("extra-push", "a push", {PARAMETERS: add}, (own,))
+
+
+def test_what_an_effect_has_for_each_run_comes_from_the_other_blocks(data: list[Record]) -> None:
+    """And is not adapted to the block that judges it, which what the nominal model has for each run is."""
+    for kind, held_out in ((EffectKind.CATALOGUE, True), (EffectKind.DISTURBANCE, False)):
+        model = MODEL + replace(drifting(), kind=kind)
+        stage = fit_and_evaluate(model, data, data[1:])
+        blocks = validated_in_blocks(stage).validation
+        at = list(model.values).index("extra")
+        for view in blocks:
+            likelihood = Likelihood(stage.fit.model)
+            score = likelihood.scores(view.record, view.values, ["extra"])
+            z = float(score.gradient[0] / np.sqrt(score.information[0, 0]))
+            if held_out:
+                assert abs(view.values[at] - stage.validation[0].values[at]) < 1.0
+            else:
+                prior = view.values[at] / 25.0 / np.sqrt(score.information[0, 0])
+                assert abs(z - prior) < 0.1  # at its maximum, given the prior
+        assert len({round(float(v.values[at]), 9) for v in blocks}) == len(blocks)
+
+
+def test_a_validation_run_that_cannot_be_evaluated_is_named_and_the_others_stay(data: list[Record]) -> None:
+    wild = replace(data[1], name="wild", u=np.full_like(data[1].u, 1e200), u_next=np.full_like(data[1].u, 1e200))
+    for model in (MODEL, MODEL + replace(drifting(), kind=EffectKind.DISTURBANCE)):
+        stage = fit_and_evaluate(model, data[:1], [data[1], wild])
+        assert [v.record.name for v in stage.validation] == ["run1"]
+        assert [f.record for f in stage.failed] == ["wild"]
+        assert "likelihood" in stage.failed[0].reason

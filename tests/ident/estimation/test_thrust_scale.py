@@ -1,0 +1,108 @@
+"""The scale of forces: units of ratios, their errors, and what is said where knowledge contradicts itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ident.data.record import LogSegment, make_record
+from ident.estimation.maximum_likelihood import Fit, fit
+from ident.estimation.thrust_scale import (
+    ReportedEstimates,
+    ThrustScale,
+    against_priors,
+    least_inertia,
+    pose_scale,
+    scale_of,
+)
+from ident.model.parameter import ParameterOrigin
+from ident.models.horizontal import horizontal_model
+from tests.missions import boat_with, channels_of, sail
+
+BUILT_IN, GIVEN, PRIOR = ParameterOrigin.BUILT_IN, ParameterOrigin.GIVEN, ParameterOrigin.PRIOR
+
+
+@pytest.mark.parametrize(
+    ("unit", "thrust", "both"),
+    [
+        ("kg", "kg/N", "kg/N"),
+        ("kg/s", "kg/(s N)", "kg/(s N)"),
+        ("N", "1", "1"),
+        ("N/sqrt(s)", "1/sqrt(s)", "1/sqrt(s)"),
+        ("kg m2/s", "kg m2/(s N)", "kg m2/(s N m)"),
+        ("N m", "m", "1"),
+        ("kg m", "kg m/N", "kg m/N"),
+        ("rad/N", "rad", "rad"),
+        ("m/s", "m/s", "m/s"),
+        ("", "", ""),
+    ],
+)
+def test_units_of_ratios(unit: str, thrust: str, both: str) -> None:
+    assert (ThrustScale(BUILT_IN, GIVEN).unit(unit) or "1") == (thrust or "1")
+    assert (ThrustScale(BUILT_IN, BUILT_IN).unit(unit) or "1") == (both or "1")
+    assert ThrustScale(GIVEN, GIVEN).unit(unit) == unit
+
+
+def test_what_nobody_gave_is_left_to_the_data() -> None:
+    posed = pose_scale(horizontal_model())
+    assert [posed.parameter(n).free for n in ("c1", "c2", "y_arm")] == [False, True, True]
+    assert posed.parameter("c2").prior == (0.0, pytest.approx(4.005))
+    assert "y_left" not in posed.values
+    scale = scale_of(posed)
+    assert (scale.relative, scale.relative_yaw, scale.statistical) == (True, True, False)
+
+    model = horizontal_model()
+    known = [model.parameter(n).known(v, 0.0, GIVEN) for n, v in (("c1", 12.0), ("c2", 0.0), ("y_left", -0.2))]
+    posed = pose_scale(model.replace_parameters(*known))
+    assert posed.values["y_right"] == 0.2
+    assert scale_of(posed) == ThrustScale(GIVEN, GIVEN, True)
+
+    weighed = model.replace_parameters(model.parameter("m_u").known(12.0, 1.0, PRIOR))
+    assert scale_of(pose_scale(weighed)).thrust is ParameterOrigin.ESTIMATED
+
+
+@pytest.fixture(scope="module")
+def fitted() -> Fit:
+    recording, _ = sail(boat_with(None, 3), 60.0, 3)
+    model = horizontal_model().with_free(("m_u", "m_v", "m_r", "d_uu", "d_v", "d_r", "c2"))
+    record = make_record(model, LogSegment("run", channels_of(recording)), 10.0)
+    return fit(model, [record])
+
+
+def test_the_error_of_a_ratio_knows_of_the_thrust_s_own(fitted: Fit) -> None:
+    """Against draws of the estimates from their distribution."""
+    reported = ReportedEstimates(fitted)
+    draws = np.random.default_rng(0).multivariate_normal(fitted.values, fitted.covariance, 200_000)
+    thrust = fitted.estimate("c1")[0] + draws[:, fitted.names.index("c2")]
+    for name, over in (("m_u", thrust), ("m_r", thrust * 0.15)):
+        p = fitted.model.parameter(name)
+        ratio = draws[:, fitted.names.index(name)] / over
+        value, error = reported.estimate(p)
+        assert value == pytest.approx(ratio.mean(), rel=1e-3)
+        assert error == pytest.approx(ratio.std(), rel=0.02)
+    value, error = reported.estimate(fitted.model.parameter("c1"))  # fixed, but its ratio is not
+    ratio = fitted.estimate("c1")[0] / thrust
+    assert (value, error) == (pytest.approx(ratio.mean(), rel=1e-3), pytest.approx(ratio.std(), rel=0.02))
+    np.testing.assert_allclose(np.diag(reported.correlation), 1.0)
+
+
+def test_an_estimate_far_from_its_prior_is_found(fitted: Fit) -> None:
+    assert against_priors(fitted) == []
+    i = fitted.names.index("m_u")
+    value, error = fitted.estimate("m_u")
+    told = replace(fitted.parameters[i], prior=(value - 10 * error, 2 * error))
+    parameters = tuple(told if k == i else p for k, p in enumerate(fitted.parameters))
+    ((p, _, widths),) = against_priors(replace(fitted, parameters=parameters))
+    assert (p.name, widths) == ("m_u", pytest.approx(5.0, rel=0.2))
+
+
+def test_a_yaw_inertia_below_a_bar_between_the_thrusters_cannot_be(fitted: Fit) -> None:
+    assert least_inertia(fitted) is None  # nobody gave thrust and arms
+    names = ("c1", "c2", "y_left", "y_right")
+    known = [replace(fitted.model.parameter(n), origin=GIVEN, free=False) for n in names]
+    sure = replace(fitted, model=fitted.model.replace_parameters(*known))
+    mass = sure.estimate("m_u")[0]
+    assert least_inertia(sure) == pytest.approx(mass * 0.15**2 / 3)
+    assert least_inertia(sure, 10.0) == pytest.approx(mass * 1.5**2)

@@ -1,0 +1,145 @@
+"""A boat as CSV, by a simulator of its own: without thrust and arms nothing is in kilograms, with them all of it is."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from daq.importers.csv_import import import_csv
+from ident.cli.commands import ident
+from ident.estimation.model_file import load_model
+
+# 12 kg of boat: masses [kg], inertia [kg m2], damping, full-ahead thrust [N] and arm [m]
+TRUE = {"m_u": 12.0, "m_v": 17.0, "m_r": 1.30, "d_u": 2.0, "d_v": 12.0, "d_r": 1.5}
+TRUE |= {"d_uu": 9.0, "d_vv": 25.0, "d_rr": 1.2}
+THRUST, ARM = 12.0, 0.2
+MAP = """
+format = "seatrial-import-csv 1"
+[time]
+column = "t"
+"""
+COLUMNS = {"x": "m", "y": "m", "psi": "rad", "r": "rad/s", "vx": "m/s", "vy": "m/s", "n_left": "1", "n_right": "1"}
+
+
+def sailed(seconds: float, seed: int) -> np.ndarray:
+    """Rows of time and COLUMNS, at 10 Hz: Euler steps of 2 ms, gusts as white accelerations, white noise on sensors."""
+    rng, p, h = np.random.default_rng(seed), TRUE, 0.002
+    gusts = rng.normal(size=(round(seconds / h), 3)) * np.sqrt(h) * [0.02, 0.02, 0.04]
+    x = y = psi = u = v = r = 0.0
+    n, rows = np.zeros(2), []
+    for k in range(round(seconds / h)):
+        if k % round(4.0 / h) == 0:
+            told = rng.uniform(-0.4, 1.0) + rng.uniform(-0.5, 0.5) * np.array([1.0, -1.0])
+            told = np.clip(told, -1.0, 1.0)
+        n = n + h / 0.25 * (told - n)
+        if k % round(0.1 / h) == 0:
+            cos, sin = np.cos(psi), np.sin(psi)
+            clean = np.array([x, y, psi, r, cos * u - sin * v, sin * u + cos * v])
+            rows.append([k * h, *(clean + rng.normal(size=6) * [0.02, 0.02, 0.005, 0.003, 0.02, 0.02]), *n])
+        f = THRUST * n * np.abs(n)
+        du = (f.sum() + p["m_v"] * v * r - p["d_u"] * u - p["d_uu"] * abs(u) * u) / p["m_u"]
+        dv = (-p["m_u"] * u * r - p["d_v"] * v - p["d_vv"] * abs(v) * v) / p["m_v"]
+        moment = ARM * (f[0] - f[1]) + (p["m_u"] - p["m_v"]) * u * v
+        dr = (moment - p["d_r"] * r - p["d_rr"] * abs(r) * r) / p["m_r"]
+        x, y = x + h * (np.cos(psi) * u - np.sin(psi) * v), y + h * (np.sin(psi) * u + np.cos(psi) * v)
+        du, dv, dr = gusts[k] + h * np.array([du, dv, dr])
+        psi, u, v, r = psi + h * r, u + du, v + dv, r + dr
+    return np.array(rows)
+
+
+def imported(folder: Path, name: str, tables: str, extra: str = "") -> Path:
+    """The boat's run as a log, by a map with these further tables and columns."""
+    rows = sailed(240.0, 1)
+    header = ["t", *COLUMNS, *extra.split()]
+    rows = np.column_stack([rows, *(rows[:, 1] for _ in extra.split())])
+    csv, text = folder / f"{name}.csv", MAP + tables
+    lines = [",".join(header), *(",".join(f"{z:.6f}" for z in row) for row in rows)]
+    csv.write_text("\n".join(lines), encoding="utf-8")
+    for column in header[1:]:
+        role = "input" if column.startswith("n_") else "output"
+        text += f'[[signal]]\nname = "{column}"\ncolumn = "{column}"\nunit = "{COLUMNS.get(column, "1")}"\n'
+        text += f'role = "{role}"\nhold = "linear"\n'
+    (folder / f"{name}.toml").write_text(text, encoding="utf-8")
+    return import_csv(folder / f"{name}.toml", [csv], out_dir=folder)[0]
+
+
+def fitted(log: Path, *words: str) -> tuple[dict[str, Any], str, Path]:
+    """The result of `seatrial ident vehicle`, the screen, and the folder."""
+    out = log.parent / f"vehicle-{log.stem}-{len(words)}"
+    done = CliRunner().invoke(ident, ["vehicle", str(log), *words, "--out", str(out)], catch_exceptions=False)
+    return json.loads((out / "result.json").read_text(encoding="utf-8")), done.output, out
+
+
+def rows_of(result: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    return {row["name"]: row for row in result["fit"]["parameters"]}
+
+
+def codes(result: dict[str, Any]) -> list[str]:
+    return [warning["code"] for warning in result["warnings"]]
+
+
+@pytest.fixture(scope="module")
+def bare(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str, Path]:
+    return fitted(imported(tmp_path_factory.mktemp("bare"), "run", "", "u lat mystery"))
+
+
+def test_without_thrust_and_arms_there_are_no_kilograms(bare: tuple[dict[str, Any], str, Path]) -> None:
+    result, said, out = bare
+    assert codes(result)[:2] == ["thrust-scale-unknown", "arm-unknown"]
+    scale = result["fit"]["scale"]
+    assert (scale["thrust"], scale["relative"]) == ("built-in", True)
+    assert (scale["arm"], scale["relative_yaw"]) == ("estimated", True)
+    free_of_force = {row["unit"] for row in rows_of(result).values() if "kg" in row["unit"] or "N" in row["unit"]}
+    assert all("/N" in unit or "N)" in unit or "N m)" in unit for unit in free_of_force), free_of_force
+    assert said.index("Nobody gave the thrust") < said.index(result["answer"][:30])
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert page.index("Nobody gave the thrust") < page.index("<h1>")
+    text = (out / "model.toml").read_text(encoding="utf-8")
+    assert 'thrust = "built-in"' in text
+    assert load_model(out / "model.toml").model.parameter("c1").origin == "built-in"
+
+
+def test_the_ratios_are_right(bare: tuple[dict[str, Any], str, Path]) -> None:
+    rows = rows_of(bare[0])
+    for name, true in TRUE.items():
+        yaw = name in ("m_r", "d_r", "d_rr")
+        row = rows[f"{name}/(T y_arm)" if yaw else f"{name}/T"]
+        expected = true / THRUST / (ARM if yaw else 1.0)
+        assert abs(row["value"] - expected) < 3 * row["se"], (name, row, expected)
+    assert abs(rows["y_arm"]["value"] - ARM) < 3 * rows["y_arm"]["se"]
+    assert rows["m_u/T"]["se"] < 0.02
+    assert rows["m_r/(T y_arm)"]["se"] < 0.01
+
+
+def test_a_signal_that_no_sensor_takes_is_named_with_its_reason(bare: tuple[dict[str, Any], str, Path]) -> None:
+    result, said, _ = bare
+    unused = {s["signal"]: s for s in result["unused_signals"]}
+    assert {name: s["code"] for name, s in unused.items()} == {
+        "u": "incomplete-sensor", "lat": "other-name", "mystery": "unknown-name"}
+    assert "not used: u: the model takes it together with v" in said
+
+
+def test_scale_and_geometry_in_the_map_give_kilograms(tmp_path: Path) -> None:
+    tables = "[scale]\nc1 = 12.0\nc2 = 0.0\n[geometry]\ny_left = -0.2\ny_right = 0.2\nlength = 1.2\n"
+    result, _, _ = fitted(imported(tmp_path, "run", tables))
+    rows = rows_of(result)
+    assert codes(result) == []
+    assert result["fit"]["scale"]["statistical_only"]
+    for name, true in TRUE.items():
+        assert abs(rows[name]["value"] - true) < 3 * rows[name]["se"], (name, rows[name])
+    assert rows["c1"]["origin"] == "given"
+    exact = rows["m_u"]["se"]
+
+    uncertain, _, out = fitted(imported(tmp_path, "about", tables.replace("c1 = 12.0", "c1 = 12.0\nc1_sd = 0.6")))
+    rows = rows_of(uncertain)
+    assert not uncertain["fit"]["scale"]["statistical_only"]
+    assert rows["m_u"]["value"] == pytest.approx(12.0, abs=3 * exact)
+    assert rows["m_u"]["se"] == pytest.approx(0.05 * 12.0, rel=0.05)  # dm/dc1 = m/c1
+    assert rows["c1"]["origin"] == "prior"
+    saved = load_model(out / "model.toml")
+    assert saved.model.parameter("c1").prior == (12.0, 0.6)
