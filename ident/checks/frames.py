@@ -243,7 +243,7 @@ def _still(c: Channels, w: Windows) -> str | None:
 
 def half_turn(text: str) -> Finding:
     """A heading, or both axes of a track, with the opposite sign."""
-    advice = "offset = 180 of psi (deg), or sign = -1 of both axes of the track or of u and v, in the import's map"
+    advice = "offset = 180 of psi (deg), or sign = -1 of both axes of track, u and v, or ax and ay, in the import's map"
     return Finding("fault", "heading-half-turn", "frame", "psi", text, advice)
 
 
@@ -330,7 +330,9 @@ def check_accelerometer(c: Channels, found: Match | None) -> Iterator[Finding]:
     fits = {name: regress(d, moved(turn * of(w)), block, bias) for name, of in AXES.items()}
     fits[""] = regress(d, moved(turn * w), block, bias)
     best = preferred(fits) or _reversed(d, block, (moved(turn * w.real), moved(1j * turn * w.imag), *bias))
-    if best is not None:
+    if best == "both signs are reversed":
+        yield half_turn("ax and ay are half a turn from the change of velocity")
+    elif best is not None:
         yield Finding(
             "fault",
             "acceleration-axes",
