@@ -46,6 +46,7 @@ PORTS = (
     "tests/daq/tools/test_replay.py",
     "tests/daq/log/test_segments.py",
     "tests/daq/test_clock.py",
+    "tests/daq/transport/test_network_port.py",
     "tests/daq/transport/test_transport.py",
     "tests/mocks/test_cli.py",
     "tests/mocks/ports/test_ports.py",

@@ -70,7 +70,8 @@ def test_the_diagnosis_finds_something_that_predicts_the_unused_runs_better(
     found = results["diagnosis"]
     assert found["effects"]
     assert percent(found, "r", "after") > percent(found, "r", "before") + 15.0
-    assert found["prediction"]["verdict"] == "fell"
+    assert found["prediction"]["verdict"] != "rose"  # of all channels: no significant change
+    assert found["errors"]["validation"]["horizon"]["r"]["verdict"] == "fell"  # of the yaw rate it is significant
     assert percent(found, "v", "after") > percent(found, "v", "before")
 
 
