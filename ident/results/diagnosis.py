@@ -34,7 +34,7 @@ from ident.results.tables import (
     all_inputs,
     calibration_tables,
     cross_correlations,
-    error_comparison,
+    error_tables,
     failed_runs,
     finite,
     fit_summary,
@@ -64,7 +64,7 @@ def diagnosis_result(
     before, after = evaluation.before, evaluation.after
     other, reported = after if diagnosis.effects else None, ReportedEstimates(diagnosis.after.fit)
     factors = {s.unit: reported.factor(s.unit) for s in diagnosis.shapes}
-    errors, role = error_comparison(before, after, evaluation.changes), after.judged
+    errors, role = error_tables(after, before, evaluation.changes), after.judged
     prediction = prediction_change(evaluation.changes[role], role) if diagnosis.effects else None
     failed = not_converged(diagnosis.before.fit) or not_converged(diagnosis.after.fit)
     calibration = calibration_tables(after)

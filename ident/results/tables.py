@@ -126,60 +126,40 @@ def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None 
     )
 
 
-def error_tables(evaluation: PredictionEvaluation) -> Errors:
-    """Errors of one model, with nothing before it."""
-    units = {o.name: o.unit for o in evaluation.model.outputs}
-
-    def table(found: Mapping[str, PredictionErrors]) -> dict[str, ErrorComparison]:
-        return {
-            name: ErrorComparison(after=finite(e.rms), unit=units[name], spread=finite(e.spread))
-            for name, e in found.items()
-        }
-
-    return Errors(
-        **{
-            role: ErrorTable(
-                one_step=table(one.errors.one_step),
-                horizon=table(one.errors.horizon),
-                simulation=table(one.errors.simulation),
-            )
-            for role, one in evaluation.sets.items()
-        }
-    )
-
-
-def error_comparison(
-    before: PredictionEvaluation, after: PredictionEvaluation, changes: Mapping[str, validation.PredictionChange]
+def error_tables(
+    after: PredictionEvaluation,
+    before: PredictionEvaluation | None = None,
+    changes: Mapping[str, validation.PredictionChange] | None = None,
 ) -> Errors:
-    """Errors of two models; ``changes``: by role, of those over the horizon."""
+    """Errors of a model, beside those of the one ``before``; ``changes``: by role, of those over the horizon."""
     units = {o.name: o.unit for o in after.model.outputs}
 
     def table(
-        old: Mapping[str, PredictionErrors],
         new: Mapping[str, PredictionErrors],
+        old: Mapping[str, PredictionErrors],
         change: validation.PredictionChange | None = None,
     ) -> dict[str, ErrorComparison]:
         spans = {} if change is None else change.channels
         return {
             name: ErrorComparison(
-                before=finite(e.rms),
-                after=finite(new[name].rms),
+                before=finite(old[name].rms) if name in old else None,
+                after=finite(e.rms),
                 unit=units[name],
                 low=finite(spans[name].low) if name in spans else None,
                 high=finite(spans[name].high) if name in spans else None,
                 verdict=spans[name].verdict if name in spans else None,
                 spread=finite(e.spread),
             )
-            for name, e in old.items()
+            for name, e in new.items()
         }
 
     found = {}
-    for role, one in before.sets.items():
-        old, new = one.errors, after.sets[role].errors
+    for role, one in after.sets.items():
+        new, old = one.errors, None if before is None else before.sets[role].errors
         found[role] = ErrorTable(
-            one_step=table(old.one_step, new.one_step),
-            horizon=table(old.horizon, new.horizon, changes[role]),
-            simulation=table(old.simulation, new.simulation),
+            one_step=table(new.one_step, old.one_step if old else {}),
+            horizon=table(new.horizon, old.horizon if old else {}, None if changes is None else changes[role]),
+            simulation=table(new.simulation, old.simulation if old else {}),
         )
     return Errors(**found)
 

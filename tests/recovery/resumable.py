@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import time
 from collections.abc import Callable, Sequence
@@ -55,3 +56,15 @@ def read(out: Path) -> dict[str, Row]:
         if "error" not in row:
             done[row["key"]] = row
     return done
+
+
+def listed(word: str, known: Sequence[str]) -> Callable[[str], list[str]]:
+    """A type for argparse: names between commas, each one of the ``known``."""
+    def parse(text: str) -> list[str]:
+        names = text.split(",")
+        for name in names:
+            if name not in known:
+                raise argparse.ArgumentTypeError(f"no {word} {name!r}; there are {', '.join(known)}")
+        return names
+
+    return parse

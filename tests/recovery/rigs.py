@@ -31,7 +31,7 @@ from tests.recovery import tables
 from tests.recovery.cases import Row, code_state, named_truth, z_scores
 from tests.recovery.kinds import NONE
 from tests.recovery.logged import seatrial, spent
-from tests.recovery.resumable import read, resume
+from tests.recovery.resumable import listed, read, resume
 from tests.recovery.rig_logs import PLANTS, RIGS, Plant
 
 OUT = Path("build/rigs.jsonl")
@@ -293,22 +293,11 @@ def main(words: Sequence[str] | None = None) -> int:
     return 1 if any("error" in r for r in rows) else 0
 
 
-def _listed(word: str, known: Sequence[str]) -> Callable[[str], list[str]]:
-    def parse(text: str) -> list[str]:
-        names = text.split(",")
-        for name in names:
-            if name not in known:
-                raise argparse.ArgumentTypeError(f"no {word} {name!r}; there are {', '.join(known)}")
-        return names
-
-    return parse
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("python -m tests.recovery.rigs", description="The study on other rigs.")
     every = [*RIGS, *PLANTS]
-    parser.add_argument("--rigs", type=_listed("rig", every), default=every, help=", ".join(every))
-    parser.add_argument("--effects", type=_listed("effect", (NONE, *EFFECTS, *OUTSIDE)), default=list(CHOSEN),
+    parser.add_argument("--rigs", type=listed("rig", every), default=every, help=", ".join(every))
+    parser.add_argument("--effects", type=listed("effect", (NONE, *EFFECTS, *OUTSIDE)), default=list(CHOSEN),
                         help=f"by default {','.join(CHOSEN)}")
     parser.add_argument("--seed", type=int, default=1, help="the first boat's")
     parser.add_argument("--seeds", type=int, default=10, help="boats in each cell")

@@ -20,7 +20,7 @@ from mocks.hidden_effects.catalogue import EFFECTS, OUTSIDE
 from tests.recovery import tables, targets
 from tests.recovery.cases import Row, run_case
 from tests.recovery.kinds import KINDS, NONE, Case
-from tests.recovery.resumable import read, resume
+from tests.recovery.resumable import listed, read, resume
 from tests.recovery.verdict import all_right, first_right, likened, wrong_as_sure
 
 OUT = Path("build/recovery.jsonl")
@@ -120,28 +120,17 @@ def document(rows: Sequence[Row], given: argparse.Namespace) -> str:
     )
 
 
-def _listed(word: str, known: Sequence[str]) -> Callable[[str], list[str]]:
-    def parse(text: str) -> list[str]:
-        names = text.split(",")
-        for name in names:
-            if name not in known:
-                raise argparse.ArgumentTypeError(f"no {word} {name!r}; there are {', '.join(known)}")
-        return names
-
-    return parse
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         "python -m tests.recovery.study",
         description="Known truth in, same truth out?",
         epilog="Example: python -m tests.recovery.study --kinds single,mixture --seeds 2 --out build/try.jsonl",
     )
-    parser.add_argument("--kinds", type=_listed("kind", list(KINDS)), default=list(KINDS), help=", ".join(KINDS))
+    parser.add_argument("--kinds", type=listed("kind", list(KINDS)), default=list(KINDS), help=", ".join(KINDS))
     parser.add_argument("--seed", type=int, default=1, help="the first boat's")
     parser.add_argument("--seeds", type=int, help="how many boats for each effect, in every kind")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
-    parser.add_argument("--effects", type=_listed("effect", NAMES), default=[], help="only these; `none` among them")
+    parser.add_argument("--effects", type=listed("effect", NAMES), default=[], help="only these; `none` among them")
     parser.add_argument("--out", type=Path, default=OUT, help="results, a JSON line a case")
     parser.add_argument("--report", action="store_true", help="run nothing, show what the out file holds")
     parser.add_argument("--docs", action="store_true", help="write docs/recovery.md")
