@@ -10,6 +10,7 @@ import contextlib
 import re
 from collections import Counter
 from collections.abc import Collection, Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -50,8 +51,11 @@ def open_raw(path: Path) -> RawLog | SegmentedLog:
             last = number
         else:
             warnings.append(f"{other.name} is of another run and left out")
-    gone = [segment_path(path, number).name for number in range(1, last) if number not in later]
-    warnings += [f"a segment is missing: {name}" for name in gone[:MAX_WARNINGS]]
+    there = [0, *(number for number in later if number <= last)]
+    for before, after in pairwise(there):
+        gone = dict.fromkeys(segment_path(path, number).name for number in (before + 1, after - 1))
+        if after - before > 1 and len(warnings) < MAX_WARNINGS:
+            warnings.append(f"a segment is missing: {' to '.join(gone)}")
     return SegmentedLog(files, warnings) if len(files) > 1 or warnings else first
 
 
