@@ -25,6 +25,7 @@ from daq.log.mcap_writer import LogWriter
 from daq.log.reader import open_log
 from daq.log.recorder import Recorder
 from daq.log.schema import TYPES, topic
+from daq.rig import Rig
 from daq.samples import NAN, Ahrs, Esc, Frame, Gnss, LoadCell, Sample, Scalar
 from tests.missions import T0, StandingClock, rig_of
 
@@ -136,28 +137,36 @@ def read_all(path: Path, n_messages: int) -> Iterator[Figure]:
     yield Figure("log", "reader, all tables", ours, "messages/s", mcap, "peer: mcap's own, undecoded")
 
 
-def acquire(folder: Path, seed: int) -> Iterator[Figure]:
-    """The acquisition process on the mock boat at twenty times the speed of the world."""
+@contextlib.contextmanager
+def mock_boat(folder: Path, seed: int) -> Iterator[Rig]:
+    """The mock boat at `SPEED` in a process of its own, and its rig."""
     write_demo_rig("boat", folder, SPEED)
-    rig = load_rig(folder / "boat-rig.toml")
     words = [sys.executable, "-m", "seatrial", "mock", "boat", "boat-rig.toml", "--seed", str(seed)]
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
     with subprocess.Popen(
-        words, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-    ) as mock:
+        words, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+    ) as mock:  # fmt: skip
         try:
             assert mock.stdout is not None
             while mock.stdout.readline() not in ("ready\n", ""):
                 pass
-            with Acquisition(rig, folder / "acquired.mcap", clock=RunClock(SPEED)) as acquisition:
-                time.sleep(1.0)
-                first, cpu = acquisition.status(), cpu_of(acquisition._process.pid)
-                began = time.monotonic()
-                time.sleep(WALL_S)
-                last, cpu = acquisition.status(), cpu_of(acquisition._process.pid) - cpu
-                took = time.monotonic() - began
+            yield load_rig(folder / "boat-rig.toml")
         finally:
             mock.terminate()
+
+
+def acquire(folder: Path, seed: int) -> Iterator[Figure]:
+    """The acquisition process on the mock boat at twenty times the speed of the world."""
+    with (
+        mock_boat(folder, seed) as rig,
+        Acquisition(rig, folder / "acquired.mcap", clock=RunClock(SPEED)) as acquisition,
+    ):
+        time.sleep(1.0)
+        first, cpu = acquisition.status(), cpu_of(acquisition._process.pid)
+        began = time.monotonic()
+        time.sleep(WALL_S)
+        last, cpu = acquisition.status(), cpu_of(acquisition._process.pid) - cpu
+        took = time.monotonic() - began
     messages = last.messages - first.messages
     group = f"acquisition process, mock boat at speed {SPEED:g}"
     yield Figure(group, "samples", messages / took, "1/s wall")
