@@ -41,6 +41,7 @@ SAMPLE_S = 0.05  # of the outputs that are watched: 25 ms, and as much until the
 AFTER_S = 9.0  # watched after a cut: the failsafe of the ground station acts after 6.5 s
 BACK_S = 8.0
 OWN, STRANGER, HOLD, DISARM = 255, 254, 4, 400
+REBOOT_S = 0.5  # it lets go of its outputs after this
 MARKS = ("<!-- python -m tests.bench.autopilot_faults -->", "<!-- end of the faults -->")
 
 
@@ -82,6 +83,7 @@ class Fault(NamedTuple):
     seen_s: float | None
     strike: Callable[[Run], None]
     watched_s: float = 2.5
+    no_pulses: bool = False  # the outputs themselves end: until the last pulse that pushed
 
 
 def killed(number: signal.Signals, *who: str) -> Callable[[Run], None]:
@@ -105,6 +107,10 @@ def held_up(run: Run) -> None:
     run.rover.process.send_signal(signal.SIGSTOP)
     time.sleep(5.0)
     run.rover.process.send_signal(signal.SIGCONT)
+
+
+def reboot(run: Run) -> None:
+    run.rover.command(246, 1.0, 0.0, 0.0, 0.0, 0.0, 20190226.0)
 
 
 def with_a_second(component_heard: bool) -> Callable[[Run], None]:
@@ -136,7 +142,7 @@ FAULTS = (
     Fault("put into HOLD by another station", 0.0, lambda run: run.rover.command(176, 1.0, float(HOLD))),
     Fault("another station beats with our id", 1.0, with_a_second(True)),
     Fault("the same unseen, and the link cut", None, with_a_second(False), AFTER_S),
-    Fault("autopilot reboots", 0.0, lambda run: run.rover.command(246, 1.0, 0.0, 0.0, 0.0, 0.0, 20190226.0)),
+    Fault("autopilot reboots", REBOOT_S, reboot, 2.5, True),
     Fault("autopilot stands still for 5 s", 5.0, held_up),
 )
 
@@ -209,7 +215,7 @@ def try_fault(folder: Path, rover: Rover, fault: Fault, setting: Setting, measur
     with contextlib.suppress(TimeoutError):
         rover.until(lambda: not rover.pushes, 20.0, "neutral")
     time.sleep(fault.watched_s)
-    seconds = rover.neutral_after(begun)
+    seconds = rover.last_push_after(begun) if fault.no_pulses else rover.neutral_after(begun)
     rover.relay.state = "open"
     rover.beat_as(None)
     with contextlib.suppress(subprocess.TimeoutExpired):

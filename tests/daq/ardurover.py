@@ -257,6 +257,10 @@ class Rover:
         k = pushing[-1] + 1 if pushing else 0
         return rows[k][0] - t if k < len(rows) else float("inf")
 
+    def last_push_after(self, t: float) -> float:
+        """Seconds from monotonic time `t` to the last output away from neutral; 0 if none."""
+        return max((row[0] - t for row in self.outputs if row[0] > t and _away(row)), default=0.0)
+
 
 def _away(row: tuple[float, int, int]) -> bool:
     return any(abs(us - 1500) > NEUTRAL_US for us in row[1:] if us)
