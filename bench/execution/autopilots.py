@@ -62,7 +62,8 @@ class OutputCheck:
         if latest.t - self._wrong_since < self._window:
             return ""
         name, device = self._thruster.name, self._thruster.device
-        return f"{device} puts out n = {n:+.2f} for {name}, commanded {recent[-1]:+.2f}: a parameter of it does that"
+        why = "it was disarmed or blocks commands" if abs(n) <= TOLERANCE else "a parameter of it bends commands"
+        return f"{device} puts out n = {n:+.2f} for {name}, commanded {recent[-1]:+.2f}: {why}"
 
 
 class Autopilots:

@@ -249,7 +249,11 @@ class Samples:
         if self._imu is not None and abs(self._imu[0] - t) <= SAME_S:
             found.append((_joined(ahrs, self._imu), t))
             self._imu = None
-        elif 0.0 <= t - self._imu_at <= IMU_AWAITED_S:
+            return found
+        if self._imu is not None and self._imu[0] < t:  # no attitude will come for it: before this one, in its turn
+            found.append((_joined(Ahrs(NAN, NAN, NAN), self._imu), self._imu[0]))
+            self._imu = None
+        if 0.0 <= t - self._imu_at <= IMU_AWAITED_S:
             self._attitude_waits = (ahrs, t)
         else:
             found.append((ahrs, t))

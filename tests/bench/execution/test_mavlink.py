@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import socket
 import subprocess
@@ -21,6 +22,7 @@ from bench.execution.link_test import LinkTest, require_link_test, save_link_tes
 from daq.config.mission_file import Mission, Segment, save_mission
 from daq.config.rig_file import load_rig
 from daq.drivers.ardupilot_parameters import link_loss_hash
+from daq.drivers.base import DISARMED
 from daq.errors import SeatrialError
 from daq.log.reader import open_log
 from daq.samples import Ahrs, Command, Servo
@@ -179,7 +181,24 @@ def test_whatever_dies_thrust_ends(tmp_path: Path, what: str) -> None:
         assert err.count("\n") == 1
     if what == "link cut":
         assert run.returncode == 3
-        assert "autopilot" in err
+        assert "autopilot WAS ARMED BY US AND MAY STILL BE" in err
+
+
+def test_on_a_signed_link_the_watchdogs_zero_is_obeyed_and_confirmed(tmp_path: Path) -> None:
+    write_files(tmp_path, 60.0)
+    rig = tmp_path / "rig.toml"
+    rig.write_text(rig.read_text().replace("system_id = 1\n", 'system_id = 1\nkey_file = "key"\n', 1))
+    (tmp_path / "key").write_bytes(bytes(range(32)))
+    with mock(tmp_path), running(tmp_path, "--arm") as run:
+        until_turning(tmp_path, run)
+        time.sleep(2.0)  # the autopilot's clock of signatures goes on meanwhile
+        begun = time.monotonic()
+        os.kill(acquisition_of(run.pid), signal.SIGKILL)
+        assert stopped_at(tmp_path) - begun < AT_ONCE_S
+        _, err = run.communicate(timeout=60)
+    assert run.returncode != 0
+    assert f"autopilot: zero was sent{DISARMED}" in err
+    assert "MAY STILL BE" not in err
 
 
 def test_ctrl_c_is_zero_at_once_and_disarmed(tmp_path: Path) -> None:
