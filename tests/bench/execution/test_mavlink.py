@@ -26,7 +26,7 @@ from daq.drivers.base import DISARMED
 from daq.errors import SeatrialError
 from daq.log.reader import open_log
 from daq.samples import Ahrs, Command, Servo
-from ident.data.log_channels import channels
+from ident.data.loading import channels
 from tests.bench.runs import acquisition_of, is_alive
 from tests.bench.standin import until
 
