@@ -1,3 +1,5 @@
+from .autopilot_tables import identify_autopilot as identify_autopilot
+from .discovery import DiscoveredDevice as DiscoveredDevice
 from .discovery import find as find
 from .discovery import identify_protocol as identify_protocol
 from .export import export_log as export_log
