@@ -349,7 +349,7 @@ def _limits(table: TomlTable | None) -> Limits:
         return Limits()
     unwatched = table.texts("unwatched", ())
     for key in unwatched:
-        if key == "n_max" or not table.has(key):
+        if key in ("n_max", "link_test_n") or not table.has(key):
             raise table.error("unwatched", f"'{key}' is no limit that stands here")
     found = Limits(
         table.number("n_max", 1.0, low=0.0, high=1.0),
@@ -362,6 +362,7 @@ def _limits(table: TomlTable | None) -> Limits:
         table.maybe_number("roll_deg", low=0.0),
         table.maybe_number("pitch_deg", low=0.0),
         table.number("battery_min", low=0.0, high=1.0) if table.has("battery_min") else None,
+        table.number("link_test_n", Limits.link_test_n, low=0.0, high=1.0),
         unwatched,
     )
     table.done()
