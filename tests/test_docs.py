@@ -13,7 +13,7 @@ import pytest
 import seatrial
 from daq.config.mission_file import parse_mission
 from daq.config.rig_file import parse_rig
-from daq.importers.csv_map import load_csv_map
+from daq.importers.import_map import load_import_map
 from daq.log.reader import Log
 from ident.estimation.model_file import load_model
 from ident.models.catalogue import KNOWN_SIGNALS, make_model
@@ -147,10 +147,10 @@ def test_the_maps_of_the_docs_are_maps(tmp_path: Path) -> None:
     for k, text in enumerate(blocks(ROOT / "docs/formats/import-csv.md", "toml")):
         path = tmp_path / f"map{k}.toml"
         path.write_text(text, encoding="utf-8")
-        load_csv_map(path)
+        load_import_map(path)
     for path in sorted((ROOT / "docs/examples").rglob("*.toml")):
         if "seatrial-import-csv" in path.read_text(encoding="utf-8"):
-            load_csv_map(path)
+            load_import_map(path)
 
 
 def test_the_import_page_lists_the_signals_that_models_take() -> None:

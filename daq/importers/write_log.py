@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from daq.errors import SeatrialError
-from daq.importers.csv_reader import SignalData
+from daq.importers.signals import SignalData
 from daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, discard_note, schema
 from daq.samples import Frame, Scalar
 
