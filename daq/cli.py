@@ -170,16 +170,11 @@ def recover(log: Path, out: Path | None, force: bool) -> None:
 class _ImportGroup(click.Group):
     """What is no sub-command is a map or a source."""
 
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and args[0] in self.commands:
-            return super().resolve_command(ctx, args)
-        return "map", self.commands["map"], args
+    default = "map"
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if args and args[0] not in (*self.commands, "-h", "--help"):
-            args = ["map", *args]
+            args = [self.default, *args]
         return super().parse_args(ctx, args)
 
 
@@ -200,7 +195,7 @@ def import_() -> None:
 
 @import_.command("map", short_help="MAP SOURCE...: signals by a map; the word map may be left out.")
 @click.argument("sources", metavar="MAP SOURCE...", type=_SOURCE, nargs=-1, required=True)
-@click.option("--guess", is_flag=True, help="Write a map for SOURCE, to the screen or to -o, with a comment per doubt.")
+@click.option("--guess", is_flag=True, help="Write a map of SOURCE, to the screen or to -o, with its caveats.")
 @click.option("-o", "--out", type=_NEW, help="The log (or the map) to write, where it is a single one.")
 @click.option("--out-dir", type=_FOLDER, help="Folder for the logs, named after the sources (default: here).")
 @click.option("--force", is_flag=True, help="Replace files that exist.")
@@ -211,7 +206,7 @@ def import_map(sources: tuple[Path, ...], guess: bool, out: Path | None, out_dir
 
     \b
     Example:
-      seatrial import docs/examples/blueboat/blueboat.toml runs/*.csv --out-dir logs
+      seatrial import map docs/examples/blueboat/blueboat.toml runs/*.csv --out-dir logs
       seatrial import --guess run2.ulg -o px4.toml
     """
     if guess:

@@ -1,4 +1,4 @@
-"""`seatrial import --guess`: a map of a source with what was recognised, and a comment for each doubt."""
+"""`seatrial import --guess`: a map of a source with what was recognised, and a comment for each caveat."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 from daq.errors import SeatrialError
 from daq.importers.recognise import (
     BEHIND,
-    DOUBTS,
+    CAVEATS,
     NAMES,
     PULSES,
     SETPOINT,
@@ -55,7 +55,7 @@ def guess_map(path: Path) -> Guess:
         options = SourceOptions(style)
     tables = [table for table in kind.read(path, options) if table.names]
     head = [
-        f"# From `seatrial import --guess {path.name}`. Look at each doubt, then `seatrial import MAP {path.name}`.",
+        f"# From `seatrial import --guess {path.name}`. Look at each caveat, then `seatrial import MAP {path.name}`.",
         'format = "seatrial-import 1"',
         f"name = {_quoted(path.stem)}",
     ]
@@ -69,7 +69,7 @@ def guess_map(path: Path) -> Guess:
     taken, lines = _choose(candidates, {id(table): _time_of(table) for table in tables})
     problem = _problem(taken, tables)
     head += _style_line(options, kind.name) + times
-    remarks = [f"# doubt: {table.topic}: {table.remark}" for table in tables if table.remark]
+    remarks = [f"# caveat: {table.topic}: {table.remark}" for table in tables if table.remark]
     text = "\n".join([*head, *remarks, "signal = [", *lines, *_unknown(tables, candidates), "]"])
     return Guess(text + (f"\n# no fit: {problem}" if problem else "") + "\n", problem)
 
@@ -123,17 +123,19 @@ def _may_be_time(table: Table, name: str) -> bool:
 
 
 def _clock_lines(tables: Sequence[Table]) -> list[str]:
-    """The line of the map for the time; a doubt where the unit or everything about it is one."""
+    """The line of the map for the time; a caveat where the unit or everything about it is one."""
     if not tables or all(table.t is not None for table in tables):
         return []
     timed = [(table, column) for table in tables if (column := _time_of(table))]
     if not timed:
-        return ["# doubt: no column of times found: its rate is a guess", "time = { rate_hz = 10.0 }"]
+        return ["# caveat: no column of times found: its rate is a guess", "time = { rate_hz = 10.0 }"]
     table, column = timed[0]
-    form, doubt = _time_format(table, column)
+    form, caveat = _time_format(table, column)
     if not _TIME.search(read_name(column).plain):
-        doubt = "its first column rises evenly and is taken for the time"
-    return [f"# doubt: {doubt}"] * bool(doubt) + [f"time = {{ column = {_quoted(column)}, format = {_quoted(form)} }}"]
+        caveat = "its first column rises evenly and is taken for the time"
+    return [f"# caveat: {caveat}"] * bool(caveat) + [
+        f"time = {{ column = {_quoted(column)}, format = {_quoted(form)} }}"
+    ]
 
 
 def _time_format(table: Table, column: str) -> tuple[str, str]:
@@ -179,6 +181,8 @@ def _column_candidates(table: Table, kind: str) -> Iterator[Candidate]:
     names: dict[str, tuple[str, Name]] = {}
     numbers: dict[str, Column] = {}
     for column in table.names:
+        if column == _time_of(table):
+            continue
         try:
             numbers[column] = table.numbers(column)
         except SeatrialError:
@@ -197,9 +201,9 @@ def _column_candidates(table: Table, kind: str) -> Iterator[Candidate]:
             and (not name.meaning or "velocity" in words)
             and (message != "JointState" or "velocity" in words)
         ):
-            group, taken, doubt = found
+            group, taken, caveat = found
             behind = 1 if message == "JointState" else 0
-            yield Candidate(group, behind, table, (taken._replace(columns=(column,)),), doubt)
+            yield Candidate(group, behind, table, (taken._replace(columns=(column,)),), caveat)
         elif name.meaning and name.meaning not in names:
             names[name.meaning] = column, name
     compass = ', frame = "NED"' if kind == "ros" else ""
@@ -209,10 +213,10 @@ def _column_candidates(table: Table, kind: str) -> Iterator[Candidate]:
 def _motion(
     table: Table, names: dict[str, tuple[str, Name]], numbers: dict[str, Column], compass: str
 ) -> Iterator[Candidate]:
-    def pair(group: str, rank: int, a: str, b: str, unit: str, doubt: str = "") -> Iterator[Candidate]:
+    def pair(group: str, rank: int, a: str, b: str, unit: str, caveat: str = "") -> Iterator[Candidate]:
         if a in names and b in names:
             taken = tuple(Taken(n, (names[n][0],), names[n][1].unit or unit) for n in (a, b))
-            yield Candidate(group, rank, table, taken, doubt)
+            yield Candidate(group, rank, table, taken, caveat)
 
     yield from pair("position", 0, "x", "y", "m")
     if "lat" in names and "lon" in names:
@@ -223,8 +227,8 @@ def _motion(
         yield Candidate("position", 1, table, signals)
     plain = names["vx"][1].plain if "vx" in names else ""
     unclear = plain in ("vel_x", "velocity_x", "speed_x")
-    doubt = "vel_x and vel_y are taken for north and east; ahead and to starboard are u and v" if unclear else ""
-    yield from pair("velocity", 0, "vx", "vy", "m/s", doubt)
+    caveat = "vel_x and vel_y are taken for north and east; ahead and to starboard are u and v" if unclear else ""
+    yield from pair("velocity", 0, "vx", "vy", "m/s", caveat)
     yield from pair("body", 0, "u", "v", "m/s")
     yield from pair("acceleration", 0, "ax", "ay", "m/s2")
     if "speed" in names and "course" in names:
@@ -240,14 +244,14 @@ def _motion(
         column, name = names["psi"]
         top = float(np.nanmax(np.abs(numbers[column]), initial=0.0))
         unit = name.unit or ("deg" if top > 6.6 else "rad")
-        doubt = "" if name.unit or top > 6.6 else f"an angle of at most {top:.2f} is taken for radians"
+        caveat = "" if name.unit or top > 6.6 else f"an angle of at most {top:.2f} is taken for radians"
         yield Candidate(
-            "heading", 0, table, (Taken("psi", (column,), unit, "", _extra('angle = "unwrap"', compass)),), doubt
+            "heading", 0, table, (Taken("psi", (column,), unit, "", _extra('angle = "unwrap"', compass)),), caveat
         )
     if "r" in names:
         column, name = names["r"]
-        unit, doubt = (name.unit, "") if name.unit else _rate_unit(numbers, column, names)
-        yield Candidate("rate", 0, table, (Taken("r", (column,), unit),), doubt)
+        unit, caveat = (name.unit, "") if name.unit else _rate_unit(numbers, column, names)
+        yield Candidate("rate", 0, table, (Taken("r", (column,), unit),), caveat)
 
 
 def _extra(*parts: str) -> str:
@@ -265,8 +269,8 @@ def _rate_unit(numbers: dict[str, Column], column: str, names: dict[str, tuple[s
             follows = float(np.corrcoef(turned, size)[0, 1])
         if abs(follows) > 0.5:
             share = float(np.std(turned) / np.std(size))  # rad a row over what the column has
-            doubt = "" if follows > 0.0 else "it is against the heading: sign = -1?"
-            return ("deg/s" if np.nanmax(np.abs(rate)) > 6.0 and share < 0.01 else "rad/s"), doubt
+            caveat = "" if follows > 0.0 else "it is against the heading: sign = -1?"
+            return ("deg/s" if np.nanmax(np.abs(rate)) > 6.0 and share < 0.01 else "rad/s"), caveat
     top = float(np.nanmax(np.abs(rate), initial=0.0))
     unit = "deg/s" if top > 6.0 else "rad/s"
     return unit, f"a yaw rate of at most {top:.3g} is taken for {unit}"
@@ -280,15 +284,15 @@ def _outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
             continue
         known = "n" in nodes[node].columns  # by a rig
         taken = Taken(name, ("n" if known else "pwm",), "1", "", 'role = "input"' if known else PULSES)
-        yield Candidate("drive", 0, nodes[node], (taken,), "" if known else DOUBTS["RCOut"])
+        yield Candidate("drive", 0, nodes[node], (taken,), "" if known else CAVEATS["RCOut"])
     shafts = {int(table.topic.rpartition("_")[2]): table for table in tables if table.kind == "Esc"}
     shafts = {node: table for node, table in shafts.items() if "rpm" in table.columns}
     for k, (node, table) in enumerate(sorted(shafts.items())):
         name = (("n",) if len(shafts) == 1 else ("n_left", "n_right"))[k] if len(shafts) <= 2 else f"n_{node}"
         top = float(np.nanmax(np.abs(table.columns["rpm"]), initial=0.0)) or 1.0
-        doubt = f"controller {node} is taken for {name}, {top:.5g} rev/min (a VESC's: electrical) for full"
+        caveat = f"controller {node} is taken for {name}, {top:.5g} rev/min (a VESC's: electrical) for full"
         taken = Taken(name, ("rpm",), "1", "", f'scale = {1.0 / top:.9g}, role = "input", hold = "linear"')
-        yield Candidate("drive", 1, table, (taken,), doubt)
+        yield Candidate("drive", 1, table, (taken,), caveat)
 
 
 # The choice
@@ -303,7 +307,7 @@ def _choose(candidates: Sequence[Candidate], clocks: dict[int, str]) -> tuple[li
     main = next((clocks[id(c.table)] for c in candidates if clocks[id(c.table)]), "")
     taken: dict[str, Taken] = {}
     has_force = any(s.name in ("f_left", "f_right") for c in candidates for s in c.signals)
-    found: dict[str, tuple[str, str]] = {}  # of each signal its line and the doubt about it
+    found: dict[str, tuple[str, str]] = {}  # of each signal its line and the caveat about it
     others: list[str] = []
     for candidate in sorted(candidates, key=order):
         names = {signal.name for signal in candidate.signals}
@@ -312,15 +316,15 @@ def _choose(candidates: Sequence[Candidate], clocks: dict[int, str]) -> tuple[li
         for signal in candidate.signals:
             line = _line(candidate.table, signal, clocks[id(candidate.table)], main)
             if free:
-                taken[signal.name], found[signal.name] = signal, (line, candidate.doubt)
+                taken[signal.name], found[signal.name] = signal, (line, candidate.caveat)
             else:
                 others.append(f"  # {line},")
     places = {name: k for k, name in enumerate(NAMES)}
     lines, said = [], ""
     for name in sorted(found, key=lambda name: (places.get(name, len(places)), name)):
-        line, doubt = found[name]
-        lines += [f"  # doubt: {doubt}"] * bool(doubt and doubt != said) + [f"  {line},"]
-        said = doubt
+        line, caveat = found[name]
+        lines += [f"  # caveat: {caveat}"] * bool(caveat and caveat != said) + [f"  {line},"]
+        said = caveat
     return list(taken.values()), lines + (["  # also there:", *others] if others else [])
 
 

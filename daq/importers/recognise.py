@@ -19,7 +19,7 @@ class Candidate(NamedTuple):
     rank: int  # the less the better: a sensor before an estimate, an estimate before the truth of a simulator
     table: Table
     signals: tuple[Taken, ...]
-    doubt: str = ""
+    caveat: str = ""
 
 
 class Taken(NamedTuple):
@@ -118,7 +118,7 @@ KNOWN: dict[str, tuple[Row, ...]] = {
     "Gnss": (_fix("lat", "lon", "deg", 0), _vector("velocity", "vx vy", "vel_n vel_e", "m/s", 0)),
 }  # fmt: skip
 KNOWN["vehicle_gps_position"] = KNOWN["sensor_gps"]
-DOUBTS = {
+CAVEATS = {
     "actuator_motors": "PX4's motor 1 is taken for the right one, 2 for the left, as on its differential rovers",
     "actuator_outputs": "output 1 is taken for the right thruster, 2 for the left; 1500 us for rest, 400 us for full",
     "RCOut": "outputs 1 and 3 are taken for left and right, as ArduPilot has them; 1500 us for rest, 400 us for full",
@@ -212,7 +212,7 @@ def message_candidates(table: Table) -> list[Candidate]:
         known = [np.isfinite(table.columns[c]).any() for s in signals for c in s.columns if c in table.columns]
         if len(known) == sum(len(s.columns) for s in signals) and all(known):
             behind = BEHIND if SETPOINT.search(table.topic) else 0
-            found.append(Candidate(group, rank + behind, table, signals, DOUBTS.get(kind, "")))
+            found.append(Candidate(group, rank + behind, table, signals, CAVEATS.get(kind, "")))
     return found
 
 
@@ -228,17 +228,17 @@ def _twist(table: Table, prefix: str) -> tuple[Row, ...]:
 
 def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, Taken, str] | None:
     """Which thruster a column of commands or forces belongs to: its group, how it is taken (without its columns), and
-    the doubt about it. None where it is none."""
+    the caveat about it. None where it is none."""
     if not words & _DRIVES or words & _NOT_DRIVES or not (good := values[np.isfinite(values)]).size:
         return None
     side = "_left" if words & _LEFT and not words & _RIGHT else "_right" if words & _RIGHT and not words & _LEFT else ""
     top = float(np.max(np.abs(good)))
     if unit in ("N", "kgf", "lbf") or (words & {"force", "thrust"} and top > 1.0):
-        doubt = "" if unit else f"its numbers, up to {top:.3g}, are taken for newtons"
-        return "force", Taken(f"f{side}" if side else "X", (), unit or "N", "", 'role = "input"'), doubt
+        caveat = "" if unit else f"its numbers, up to {top:.3g}, are taken for newtons"
+        return "force", Taken(f"f{side}" if side else "X", (), unit or "N", "", 'role = "input"'), caveat
     if top <= 1.0:
-        doubt = "a thrust within -1..1 is taken for a command; newtons are f_left, f_right with unit N"
-        return "drive", Taken(f"n{side}", (), "1", "", 'role = "input"'), doubt if "thrust" in words else ""
+        caveat = "a thrust within -1..1 is taken for a command; newtons are f_left, f_right with unit N"
+        return "drive", Taken(f"n{side}", (), "1", "", 'role = "input"'), caveat if "thrust" in words else ""
     if np.min(good[good != 0.0], initial=top) > 700.0 and top < 2300.0 and not words & {"rpm"}:
         return "drive", Taken(f"n{side}", (), "1", "", PULSES), "1500 us is taken for rest, 400 us more for full ahead"
     if top <= 100.0 and not words & {"rpm", "speed", "velocity"}:
@@ -247,5 +247,5 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, Taken,
             Taken(f"n{side}", (), "%", "", 'role = "input"'),
             f"its numbers, up to {top:.3g}, are taken for %",
         )
-    doubt = f"its greatest number, {top:.4g}, is taken for full ahead"
-    return "drive", Taken(f"n{side}", (), "1", "", f'scale = {1.0 / top:.9g}, role = "input"'), doubt
+    caveat = f"its greatest number, {top:.4g}, is taken for full ahead"
+    return "drive", Taken(f"n{side}", (), "1", "", f'scale = {1.0 / top:.9g}, role = "input"'), caveat
