@@ -67,7 +67,7 @@ def push(bench: Bench, run: int = 0, kind: str = "all") -> tuple[Recording, Miss
 
 
 def channels_of(recording: Recording) -> dict[str, Channel]:
-    """The channels that ``ident.data.log_channels`` would find in the boat's log."""
+    """The channels that ``ident.data.loading`` would find in the boat's log."""
     table, found = tables(recording.readings), {}
     for name, column in (("psi", "yaw"), ("r", "r"), ("ax", "ax"), ("ay", "ay")):
         found[name] = _channel(table["ahrs"], column)

@@ -39,7 +39,7 @@ def test_the_worked_maps_are_valid(path: Path) -> None:
 
 def test_the_documented_map_is_valid(folder: Path) -> None:
     found = re.findall(
-        r"```toml\n(format = \"seatrial-import-csv.*?)```", (DOCS / "formats" / "import-csv.md").read_text(), re.DOTALL
+        r"```toml\n(format = \"seatrial-import .*?)```", (DOCS / "formats" / "import.md").read_text(), re.DOTALL
     )
     assert found
     for text in found:
