@@ -29,7 +29,7 @@ from daq.samples import (
     LoadCell,
     Scalar,
     Servo,
-)  # fmt: skip
+)
 
 IMU = "sensor_msgs/msg/Imu"
 MAG = "sensor_msgs/msg/MagneticField"
@@ -177,14 +177,16 @@ def angles(
     return yaw, pitch, roll
 
 
-def local_ned(lat: NDArray[np.float64], lon: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def local_ned(
+    lat: NDArray[np.float64], lon: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Degrees -> metres north and east of the first point, on the ellipsoid's radii there (Groves 2013, 2.4.2)."""
     phi = np.radians(lat[0])
     w = 1 - WGS84_ECCENTRICITY_2 * np.sin(phi) ** 2
     meridian = WGS84_SEMI_MAJOR_AXIS * (1 - WGS84_ECCENTRICITY_2) / w**1.5
     normal = WGS84_SEMI_MAJOR_AXIS / np.sqrt(w)
     east = np.radians(np.mod(lon - lon[0] + 180, 360) - 180)
-    return meridian * np.radians(lat - lat[0]), np.asarray(normal * np.cos(phi) * east)
+    return meridian * np.radians(lat - lat[0]), normal * np.cos(phi) * east
 
 
 def imu_columns(rows: NDArray[np.void]) -> Columns:
