@@ -393,28 +393,39 @@ def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> Non
 
 
 @click.command()
-@click.argument("form", type=click.Choice(["csv", "parquet", "ros"]))
+@click.argument("form", type=click.Choice(["csv", "parquet", "mat", "netcdf", "ros"]))
 @click.argument("log", type=LOG)
 @click.option("-o", "--out", type=_FOLDER, required=True, help="Folder for the files; made where it is not there.")
 @click.option("--force", is_flag=True, help="Replace files that exist.")
-def export(form: str, log: Path, out: Path, force: bool) -> None:
+@click.option(
+    "--rate", type=click.FloatRange(min=0.0, min_open=True), help="One table of all at this rate, Hz (mat, netcdf: 10)."
+)
+def export(form: str, log: Path, out: Path, force: bool, rate: float | None) -> None:
     """Write LOG as files of FORM.
 
-    csv and parquet: a table per device and kind, and the events. ros: a bag of ROS 2 with the axes and frames of
+    csv and parquet: a table per device and kind, and the events; with --rate one table of all, as mat and netcdf always
+    are. ros: a bag of ROS 2 with the axes and frames of
     REP-103 and REP-105 beside what was logged, the package seatrial_msgs for colcon, and layouts of Foxglove and
     PlotJuggler.
 
     \b
     Examples:
       seatrial export csv logs/run.mcap --out run-csv
+      seatrial export mat logs/run.mcap --rate 20 --out run-mat
       seatrial export ros logs/run.mcap --out run-ros
     """
     from daq.log import open_log
-    from daq.tools import export_log, export_ros
+    from daq.tools import export_log, export_resampled, export_ros
+
+    if form == "ros" and rate is not None:
+        raise click.UsageError("--rate is not for ros, whose messages are as they were logged")
 
     with open_log(log) as opened:
         for warning in opened.warnings:
             click.echo(f"warning: {warning}", err=True)
-        written = export_ros(opened, out, force) if form == "ros" else export_log(opened, form, out, force)
+        if rate is not None:
+            written = [export_resampled(opened, form, out, rate, force)]
+        else:
+            written = export_ros(opened, out, force) if form == "ros" else export_log(opened, form, out, force)
         for path in written:
             click.echo(str(path))

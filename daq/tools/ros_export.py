@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import SeatrialError
-from daq.log import NANO, NODE_TOPICS, Log, by_chunk, local_ned, open_raw, quaternion
+from daq.log import NANO, NODE_TOPICS, Log, local_ned, open_raw, quaternion
 from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar, Servo
 
 PACKAGE = "seatrial_msgs"
@@ -89,9 +89,9 @@ def _as_logged(log: Log) -> Iterator[tuple[int, str, bytes]]:
     """Every message of the log: run time in ns, topic, data; never decreasing."""
     raw = open_raw(log.path)
     try:
-        for _, messages in by_chunk(raw.messages):
-            for message in messages:
-                yield int(message["log_ns"]), raw.channels[int(message["channel"])].topic, bytes(raw.payload(message))
+        for messages in raw.read():
+            for head, data in zip(messages.heads, messages.payloads(), strict=True):
+                yield int(head["log_ns"]), raw.channels[int(head["channel"])].topic, bytes(data)
     finally:
         raw.close()
 
