@@ -75,6 +75,7 @@ WarningCode = Literal[
     "thrust-scale-unknown",
     "arm-unknown",
     "stuck-sensor",
+    "noise-contradicted",
     "prior-contradicted",
     "inertia-too-small",
     "validation-run-failed",
