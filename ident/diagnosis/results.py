@@ -142,13 +142,13 @@ class EffectAttribution:
             is left that it should have explained, or a competing model comes close; ``nonparametric``: a curve without
             a name.
         reasons: why it is ambiguous, for people.
-        rivals: names of the competing models that the data do not exclude, closest first.
+        not_excluded: names of the competing models that the data do not exclude, closest first.
     """
 
     effect: str
     attribution: Attribution
     reasons: tuple[str, ...] = ()
-    rivals: tuple[str, ...] = ()
+    not_excluded: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -396,7 +396,7 @@ def _outcome(exact: Refit, added: Sequence[Refit]) -> Outcome:
         worse = "rose" in {p.verdict for p in (exact.prediction, exact.total) if p is not None}
         return Outcome.WORSE_PREDICTION if worse else Outcome.NO_BETTER_PREDICTION
     needed = exact.prediction.verdict == "fell" and exact.prediction.ratio < MAX_RATIO_OF_SMALL
-    kin = any(exact.effect.name in r.effect.rivals or r.effect.name in exact.effect.rivals for r in added)
+    kin = any(exact.effect.name in r.effect.alternatives or r.effect.name in exact.effect.alternatives for r in added)
     largest = max((r.criterion for r in added), default=0.0)
     return Outcome.ADDED if needed or kin or exact.criterion > MIN_GAIN_RATIO * largest else Outcome.SMALL
 

@@ -141,7 +141,7 @@ def test_a_nonparametric_effect_that_predicts_nothing_beside_the_others_is_remov
 @pytest.mark.parametrize(
     ("name", "criterion", "prediction", "outcome"),
     [
-        ("mount", 100.0, SAME, Outcome.ADDED),  # 1 % of the likelihood of its declared rival: 3 degrees
+        ("mount", 100.0, SAME, Outcome.ADDED),  # 1 % of the likelihood of its declared alternative: 3 degrees
         ("lift", 100.0, SAME, Outcome.SMALL),
         ("lift", 100.0, FELL, Outcome.ADDED),
         ("lift", 300.0, SAME, Outcome.ADDED),
