@@ -29,6 +29,7 @@ MAX_REMAINING_TESTS = 8  # tests that may still pass: a small difference of form
 # a competing model is not excluded if its criterion is behind by less than this: absolute, and as a share
 MAX_DISTANCE, MAX_DISTANCE_SHARE = 10.0, 0.05
 MIN_SIGNIFICANCE = 4.0  # standard errors of an effect from zero; right effects exceed it even at half their size
+REACH = 3.0  # standard errors of a place: where they reach the middle of the track, the place is not known
 FORM_SHARE = 0.1  # a competing effect below this share of the other may be the difference of its form
 
 
@@ -63,7 +64,7 @@ def assess_alternatives(
             continue
         reasons = [*_left(rest, n), *_many(left), *_kin(one.chosen.effect, left, len(chosen)), *_tables(chosen, one)]
         reasons += [*_form(chosen, one.chosen), *_competing(one)]
-        reasons += [*_own(one.chosen), *_untested(one.chosen.effect, untested), *_not_fitted(one)]
+        reasons += [*_own(one.chosen), *_place(one.chosen), *_untested(one.chosen.effect, untested), *_not_fitted(one)]
         reasons += [*_unpredictive(worth.get(one.chosen.effect.name)), *reservations]
         others = [q.effect.name for q in _close(one)]
         others += [name for name in one.chosen.effect.alternatives if name in untested and name not in others]
@@ -115,6 +116,22 @@ def _own(one: Refit) -> list[str]:
     at = sizes[0]
     value = f"{fit.names[at]} = {fit.values[at]:.3g} ± {fit.errors[at]:.3g} {own[at].unit}".rstrip()
     return [f"the data do not tell its size: {value}"]
+
+
+def _place(one: Refit) -> list[str]:
+    """Where the place of an effect (the fixed end of a line) is not known: a small track sees the direction to it, and
+    a prior of its distance; all places along that direction do."""
+    fit, points = one.stage.fit, [p for p in one.effect.parameters if p.name in one.effect.scan and p.unit == "m"]
+    at = [fit.names.index(p.name) for p in points if p.name in fit.names]
+    if not points or len(at) < len(points):
+        return []
+    axes = [p.name[0] for p in points]  # north x or east y
+    seen = [np.concatenate([r.y[:, r.outputs.index(axis)] for r in one.stage.records]) for axis in axes]
+    away = float(np.linalg.norm(fit.values[at] - [np.nanmean(y) for y in seen]))
+    if REACH * float(np.linalg.norm(fit.errors[at])) < away:
+        return []
+    values = ", ".join(f"{fit.names[i]} = {fit.values[i]:.3g} ± {fit.errors[i]:.2g} m" for i in at)
+    return [f"the data do not tell its place, {away:.0f} m from the middle of the track: {values}"]
 
 
 def _from_nothing(fit: Fit, sizes: Sequence[int]) -> float:

@@ -128,6 +128,24 @@ def test_an_alternative_that_could_not_be_fitted_is_not_excluded() -> None:
     assert found.reasons == ("mismatch passes the test too and could not be fitted: tau_b is outside its bounds",)
 
 
+@pytest.mark.parametrize(
+    ("errors", "attribution"), [((1.3, 1.2), "identified"), ((7.3, 6.3), "ambiguous"), ((np.nan, 1.0), "ambiguous")]
+)
+def test_a_line_whose_fixed_end_is_not_located_is_not_sure(errors: tuple[float, float], attribution: str) -> None:
+    """From a track of 12 m: the true end at (40, -30) m is three standard errors away."""
+    names, ends = ("k_tether", "x_tether", "y_tether"), ("x_tether", "y_tether")
+    fit = SimpleNamespace(
+        names=names, flags=(), values=np.array([0.07, 19.6, -15.4]), errors=np.array([0.006, *errors]),
+        covariance=np.diag(np.square([0.006, *errors])),
+    )
+    parameters = tuple(Parameter(n, 0.0 if n == "k_tether" else 1.0, "m" if n in ends else "kg/m2") for n in names)
+    line = refit("tether", 800.0, fit=fit, parameters=parameters, scan=dict.fromkeys(ends, (0.0, 12.0)))
+    track = SimpleNamespace(outputs=("psi", "x", "y"), y=np.array([[0.1, -1.4, -5.1], [0.2, 10.3, 8.4], [np.nan] * 3]))
+    stage = cast(Any, SimpleNamespace(fit=fit, records=[track]))
+    (found,) = of(one_round(replace(line, stage=stage)))
+    assert found.attribution == attribution
+
+
 @pytest.mark.parametrize(("error", "attribution"), [(1.3, "identified"), (1.003, "ambiguous")])
 def test_a_name_without_which_the_prediction_is_as_good_is_not_sure(error: float, attribution: str) -> None:
     """An elastic tether that is fitted as a drifting current: the likelihood rises by thousands, the prediction not."""
