@@ -6,10 +6,12 @@ import hashlib
 import math
 import struct
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from daq.clock import ClockMap
+from daq.drivers import ParameterMismatch, check_parameters
 from daq.errors import SeatrialError, counted
 from daq.importers.common import Timed, replacing
 from daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, schema
@@ -37,11 +39,12 @@ def import_mavlink(
     if data[:2] == b"\xa3\x95":
         from daq.importers.dataflash import read_dataflash
 
-        rows, said = read_dataflash(path, rig, device)
+        rows, said, parameters = read_dataflash(path, rig, device)
     else:
-        rows, said = read_tlog(path, data, rig, device, system)
+        rows, said, parameters = read_tlog(path, data, rig, device, system)
     counts = Counter(type(row.frame.sample).__name__ for row in rows)
     said += ": " + ", ".join(f"{n} {name}" for name, n in counts.most_common())
+    said += "".join(f"; not as the rig has it: {finding}" for finding in _mismatches(parameters, rig, device))
     target = out or Path(f"{path.stem}.mcap")
     digest = hashlib.sha256(data).hexdigest()
     about = {"import": "mavlink", "source.1.name": path.name, "source.1.sha256": digest}
@@ -61,13 +64,21 @@ def _device(rig: Rig | None) -> Device | None:
 
 def read_tlog(
     path: Path, data: bytes, rig: Rig | None, device: Device | None, system: int | None
-) -> tuple[list[Timed], str]:
-    """The samples of a tlog, their device times mapped onto the times at which the ground station received them."""
+) -> tuple[list[Timed], str, dict[str, float]]:
+    """The samples of a tlog, a summary, and the parameters in it; device times are mapped onto the times at which the
+    ground station received them."""
     component = 1
     if system is None:
         system, component = _who(path, data)
     samples = make_samples(device, rig) if device is not None and rig is not None else Samples()
     decoder = MavlinkDecoder(samples, system, component)
+    parameters: dict[str, float] = {}
+
+    def listen(message: Any) -> None:
+        if message.get_type() == "PARAM_VALUE":
+            parameters[message.param_id] = float(message.param_value)
+
+    decoder.listener = listen
     clock = ClockMap()
     rows: list[Timed] = []
     skipped, end = 0, 0
@@ -83,8 +94,15 @@ def read_tlog(
             f"is it a tlog or a BIN? {_others(decoder)}"
         )
     delay = f"device times {1e3 * clock.bias:.1f} ms before their arrival, spread {1e3 * clock.spread:.1f} ms"
-    read = f"{counted(decoder.frames, 'frame')}, {counted(skipped, 'byte')} not understood"
-    return rows, f"system {system}, {read}, {delay}"
+    read = f"{counted(decoder.frames, 'frame')}, {decoder.lost} lost, {counted(skipped, 'byte')} not understood"
+    return rows, f"system {system}, {read}, {delay}", parameters
+
+
+def _mismatches(p: Mapping[str, float], rig: Rig | None, device: Device | None) -> list[ParameterMismatch]:
+    """What the autopilot's outputs are scaled by, where the log says so and the rig says otherwise."""
+    here = [] if rig is None or device is None else [t for t in rig.thrusters if t.device == device.name]
+    outputs = tuple(f"SERVO{thruster.node}_" for thruster in here)
+    return [one for one in check_parameters(p, here, 0) if one.value is not None and one.name.startswith(outputs)]
 
 
 def _others(decoder: MavlinkDecoder) -> str:
