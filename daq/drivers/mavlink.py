@@ -120,6 +120,7 @@ class MavlinkDriver(DeviceDriver):
         if name == "ATTITUDE":
             if message.time_boot_ms < self._boot_ms - REBOOT_MS:
                 self.opened(now)  # it has forgotten what it was asked for
+                self._events.append(Event("autopilot", "it has restarted: rates and parameters are asked for again"))
             self._boot_ms = message.time_boot_ms
             self._attitudes += 1
         if name == "HEARTBEAT" and message.autopilot != INVALID:
@@ -179,7 +180,9 @@ class MavlinkDriver(DeviceDriver):
             return  # sent again when its time has passed
         else:
             self._commands.popleft()
-            self._armed_by_us = self._armed_by_us or (command.what == "arm" and m.result == ACCEPTED)
+            if command.what == "arm" and m.result == ACCEPTED:
+                self._armed_by_us = True
+                self._status = replace(self._status, alarm="")  # of before: it has judged itself fit
             self._refusal = "" if m.result == ACCEPTED else f"{command.what}: {word}"
             reasons = f" ({'; '.join(self._reasons)})" if self._refusal and self._reasons else ""
             self._answer(command.what, word + reasons)

@@ -292,6 +292,19 @@ def test_after_a_reboot_everything_is_asked_for_again() -> None:
     ends.to_ground(vehicle.encode("HEARTBEAT", 11, 3, 81, 0, 4, 3))
     asked = {message.get_type() for message in parsed(ear, ends.driver.poll(ends.t + 1.0))}
     assert {"COMMAND_LONG", "PARAM_REQUEST_READ"} <= asked
+    assert any("restarted" in event.text for event in ends.driver.events())
+
+
+def test_an_alarm_of_before_arming_ends_no_run_and_a_later_one_does() -> None:
+    ends = ready(Ends(mav_rig()))
+    ends.autopilot._text(2, "GCS Failsafe")
+    ends.run(0.1)
+    assert ends.driver.link_at(ends.t).alarm
+    armed(ends)
+    assert ends.driver.link_at(ends.t).alarm == ""
+    ends.autopilot._text(2, "Leak detected, and a text so long that it comes in two parts of fifty")
+    ends.run(0.1)
+    assert ends.driver.link_at(ends.t).alarm.endswith("in two parts of fifty")
 
 
 @pytest.mark.parametrize(
