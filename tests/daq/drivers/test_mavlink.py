@@ -198,6 +198,14 @@ def test_a_parameter_that_is_wrong_is_named(name: str, value: float, fatal: bool
     assert str(found).startswith(f"{name} is {value:g}, wanted ")
 
 
+@pytest.mark.parametrize("name", ["RC_OVERRIDE_TIME", "FS_ACTION", "FS_THR_ENABLE", "FS_GCS_ENABLE", "MAV_GCS_SYSID"])
+def test_a_failsafe_that_was_not_told_is_none(name: str) -> None:
+    parameters = Ends(mav_rig()).autopilot.vehicle.parameters
+    del parameters[name]
+    (found,) = check_parameters(parameters, mav_rig().thrusters, 255)
+    assert (found.name, found.value, found.fatal) == (name, None, True)
+
+
 def test_a_crossed_rig_is_refused_for_both_sides() -> None:
     one, two = mav_rig().thrusters
     assert one.output is not None
