@@ -375,22 +375,28 @@ def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> Non
 
 
 @click.command()
-@click.argument("form", type=click.Choice(["csv", "parquet"]))
+@click.argument("form", type=click.Choice(["csv", "parquet", "ros"]))
 @click.argument("log", type=LOG)
 @click.option("-o", "--out", type=_FOLDER, required=True, help="Folder for the files; made where it is not there.")
 @click.option("--force", is_flag=True, help="Replace files that exist.")
 def export(form: str, log: Path, out: Path, force: bool) -> None:
-    """Write the tables of LOG as files of FORM, csv or parquet: one per device and kind, and the events.
+    """Write LOG as files of FORM.
+
+    csv and parquet: a table per device and kind, and the events. ros: a bag of ROS 2 with the axes and frames of
+    REP-103 and REP-105 beside what was logged, the package seatrial_msgs for colcon, and layouts of Foxglove and
+    PlotJuggler.
 
     \b
-    Example:
+    Examples:
       seatrial export csv logs/run.mcap --out run-csv
+      seatrial export ros logs/run.mcap --out run-ros
     """
     from daq.log import open_log
-    from daq.tools import export_log as run
+    from daq.tools import export_log, export_ros
 
     with open_log(log) as opened:
         for warning in opened.warnings:
             click.echo(f"warning: {warning}", err=True)
-        for path in run(opened, form, out, force):
+        written = export_ros(opened, out, force) if form == "ros" else export_log(opened, form, out, force)
+        for path in written:
             click.echo(str(path))

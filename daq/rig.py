@@ -187,11 +187,12 @@ class Limits:
 
 @dataclass(frozen=True)
 class Segments:
-    """When a log continues in a new file, and the disk space needed to begin one."""
+    """When a log continues in a new file, the disk space needed to begin one, and how much of a log is kept."""
 
     megabytes: float | None = None  # 1e6 bytes; None: never
     seconds: float | None = None  # run seconds
     free_megabytes: float = 50.0
+    keep_gigabytes: float | None = None  # 1e9 bytes; None: everything
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,7 @@ from daq.rig import (
 
 FORMAT = "seatrial-rig 1"
 PROTOCOLS = tuple(DEVICES)
+LEAST_SEGMENTS = 3  # the first, the one being written, and one that is whole
 HIGHEST_NODE = {"dronecan": 19}  # a command has room for so many
 
 
@@ -94,7 +95,13 @@ def _log(root: TomlTable) -> tuple[str, Segments]:
         log.maybe_number("segment_mb", low=1.0),
         log.maybe_number("segment_s", low=1.0),
         log.number("free_mb", Segments.free_megabytes, low=0.0),
+        log.maybe_number("keep_gb", low=0.0),
     )
+    if segments.keep_gigabytes is not None:
+        if segments.megabytes is None and segments.seconds is None:
+            raise log.error("keep_gb", "whole segments are deleted: give segment_mb or segment_s, too")
+        if 1e3 * segments.keep_gigabytes < LEAST_SEGMENTS * (segments.megabytes or 0.0):
+            raise log.error("keep_gb", f"has to hold {LEAST_SEGMENTS} segments of segment_mb")
     log.done()
     return directory, segments
 

@@ -2,6 +2,7 @@ from . import schema as schema
 from .cdr import NANO as NANO
 from .cdr import cdr_layout as cdr_layout
 from .cdr import full_definition as full_definition
+from .mcap_chunk import by_chunk as by_chunk
 from .mcap_writer import LogWriter as LogWriter
 from .provenance import collect as collect
 from .reader import Log as Log
@@ -11,8 +12,11 @@ from .recorder import Recorder as Recorder
 from .recorder import check_room as check_room
 from .recovery import recover_log as recover_log
 from .schema import NODE_TOPICS as NODE_TOPICS
+from .schema import local_ned as local_ned
+from .schema import quaternion as quaternion
 from .segments import discard_note as discard_note
 from .segments import first_of as first_of
 from .segments import first_segments as first_segments
 from .segments import note_path as note_path
+from .segments import open_raw as open_raw
 from .segments import read_note as read_note
