@@ -41,7 +41,7 @@ PARAMETER_TRIES = 5
 REBOOT_MS = 1000  # its clock back by more: it has restarted
 RATE_PART, RATE_BEATS = 0.5, 3  # less than this part of the attitudes for so many heartbeats: somebody else has asked
 LATER_S = 30.0  # until that is looked at again
-TIMESYNC_S = 1.0
+TIMESYNC_S, TRIPS = 1.0, 10  # the shortest of so many is told
 LOST_S = 10.0  # between two events about lost frames
 UNSIGNED_FRAMES = 20  # without one that bears our key
 NEUTRAL_S = 0.05  # between neutral overrides while nothing is commanded
@@ -112,7 +112,7 @@ class MavlinkDriver(DeviceDriver):
         self._boot_ms = 0  # the newest
         self._attitudes = self._slow_beats = 0
         self._chunk = (0, "")
-        self._synced = -math.inf
+        self._synced, self._trips = -math.inf, 0
 
     def receive(self, message: Any, now: float) -> None:
         """A message of the autopilot."""
@@ -163,6 +163,10 @@ class MavlinkDriver(DeviceDriver):
         trip = now - m.ts1 * 1e-9
         if 0.0 < trip < TIMESYNC_S and not trip >= self._status.round_trip:
             self._status = replace(self._status, round_trip=trip)
+        self._trips += 1
+        if self._trips == TRIPS and math.isfinite(self._status.round_trip):
+            text = f"{1e3 * self._status.round_trip:.1f} ms there and back (TIMESYNC): stamps are late by half of it"
+            self._events.append(Event("autopilot", text))
 
     def _receive_answer(self, m: Any) -> None:
         if m.target_system not in (0, self._codec.system):

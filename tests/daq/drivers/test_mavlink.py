@@ -370,6 +370,9 @@ def test_the_round_trip_is_measured() -> None:
     ends.t += 1.55
     ends.to_vehicle(sent)
     assert ends.driver.link_at(ends.t).round_trip == pytest.approx(0.05, abs=1e-6)
+    ends.driver._status = replace(ends.driver._status, round_trip=0.05)
+    ends.run(12.0)
+    assert [event.text for event in ends.driver.events() if "TIMESYNC" in event.text]
 
 
 def test_rates_that_somebody_else_has_lowered_are_asked_for_again() -> None:
