@@ -2,7 +2,6 @@ from . import schema as schema
 from .cdr import NANO as NANO
 from .cdr import cdr_layout as cdr_layout
 from .cdr import full_definition as full_definition
-from .mcap_chunk import by_chunk as by_chunk
 from .mcap_writer import LogWriter as LogWriter
 from .provenance import collect as collect
 from .reader import Log as Log
@@ -18,5 +17,4 @@ from .segments import discard_note as discard_note
 from .segments import first_of as first_of
 from .segments import first_segments as first_segments
 from .segments import note_path as note_path
-from .segments import open_raw as open_raw
 from .segments import read_note as read_note
