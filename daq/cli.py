@@ -11,12 +11,15 @@ import signal
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import click
 
 from daq.errors import SeatrialError, counted
 from daq.protocol import SERIAL_PROTOCOLS
+
+if TYPE_CHECKING:
+    from daq.tools import DiscoveredDevice
 
 _EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
 _NEW = click.Path(dir_okay=False, path_type=Path)
@@ -296,29 +299,39 @@ def import_ulog(file: Path, out: Path | None, force: bool) -> None:
 def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml: bool) -> None:
     """Find the serial ports and CAN buses of this machine, or of PORTs, and identify the protocol of each device.
 
-    Only listens: nothing is sent to a port. Each is tried at one baud rate after the other.
+    Only listens: nothing is sent to a port. Each is tried at one baud rate after the other. PORT may be an autopilot's
+    on a network, as udp:HOST:PORT or tcp:HOST:PORT; with --toml its parameters are read, and none is changed, and its
+    thrusters are written too.
 
     \b
     Example:
       seatrial devices
       seatrial devices /dev/ttyUSB0 --toml
+      seatrial devices udp:127.0.0.1:14550 --toml
     """
-    from daq.tools import find, identify_protocol
+    from daq.rig import NET_KINDS
+    from daq.tools import find, identify_autopilot, identify_protocol
     from daq.transport import UDEV_RULE
 
     def say(text: str) -> None:
         click.echo(text, err=True)
 
-    found = (
-        [identify_protocol(port, bauds=bauds, listen=seconds) for port in ports] if ports else find(seconds, bauds, say)
-    )
+    def identify(port: str) -> DiscoveredDevice:
+        """On a network, and where parameters are wanted, by its own way."""
+        if port.partition(":")[0] in NET_KINDS:
+            return identify_autopilot(port, 0, toml)
+        one = identify_protocol(port, bauds=bauds, listen=seconds)
+        return identify_autopilot(port, one.baud, True) if toml and one.protocol == "mavlink" else one
+
+    found = [identify(port) for port in ports] if ports else find(seconds, bauds, say)
     if not found:
         raise SeatrialError("there is no serial port and no CAN bus; plug the device in, or name its port")
     for k, one in enumerate(found, start=1):
         if toml and one.protocol in _rig_protocols():
             click.echo(one.toml(f"{one.protocol}{k}"))
         elif not toml:
-            at = f"{one.protocol} at {one.baud} baud, {one.rate:.4g}/s" if one.protocol else "-"
+            speed = f" at {one.baud} baud" * bool(one.baud)
+            at = f"{one.protocol}{speed}, {one.rate:.4g}/s" if one.protocol else "-"
             about = f" ({one.description})" if one.description and one.description != "n/a" else ""
             click.echo(f"{one.port}{about}: {at}: {one.says}")
         if one.hint:
@@ -362,22 +375,28 @@ def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> Non
 
 
 @click.command()
-@click.argument("form", type=click.Choice(["csv", "parquet"]))
+@click.argument("form", type=click.Choice(["csv", "parquet", "ros"]))
 @click.argument("log", type=LOG)
 @click.option("-o", "--out", type=_FOLDER, required=True, help="Folder for the files; made where it is not there.")
 @click.option("--force", is_flag=True, help="Replace files that exist.")
 def export(form: str, log: Path, out: Path, force: bool) -> None:
-    """Write the tables of LOG as files of FORM, csv or parquet: one per device and kind, and the events.
+    """Write LOG as files of FORM.
+
+    csv and parquet: a table per device and kind, and the events. ros: a bag of ROS 2 with the axes and frames of
+    REP-103 and REP-105 beside what was logged, the package seatrial_msgs for colcon, and layouts of Foxglove and
+    PlotJuggler.
 
     \b
-    Example:
+    Examples:
       seatrial export csv logs/run.mcap --out run-csv
+      seatrial export ros logs/run.mcap --out run-ros
     """
     from daq.log import open_log
-    from daq.tools import export_log as run
+    from daq.tools import export_log, export_ros
 
     with open_log(log) as opened:
         for warning in opened.warnings:
             click.echo(f"warning: {warning}", err=True)
-        for path in run(opened, form, out, force):
+        written = export_ros(opened, out, force) if form == "ros" else export_log(opened, form, out, force)
+        for path in written:
             click.echo(str(path))

@@ -1,3 +1,5 @@
+from .autopilot_tables import identify_autopilot as identify_autopilot
+from .discovery import DiscoveredDevice as DiscoveredDevice
 from .discovery import find as find
 from .discovery import identify_protocol as identify_protocol
 from .export import export_log as export_log
@@ -7,3 +9,4 @@ from .live_table import default_log_path as default_log_path
 from .live_table import log_summary as log_summary
 from .live_table import watch as watch
 from .replay import replay_log as replay_log
+from .ros_export import export_ros as export_ros

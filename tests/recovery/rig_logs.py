@@ -23,10 +23,10 @@ import seatrial
 from bench.mission_generators import make_mission
 from daq.clock import ClockMap
 from daq.log.recorder import Recorder
+from daq.log.schema import local_ned
 from daq.protocol import Codec, dialect
 from daq.protocol.mavlink import MavlinkDecoder, make_samples
 from daq.samples import NAN, Ahrs, Command, Esc, Frame, Gnss
-from ident.data.log_channels import local_ned
 from mocks.devices.autopilot import AutopilotEmulator
 from mocks.hidden_effects.catalogue import make_effect
 from mocks.offline_simulation import BOAT, Recording, simulate, tables
