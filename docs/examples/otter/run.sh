@@ -12,7 +12,7 @@ cd "$out"
 
 thrust="--fix c1=94.649 --fix c2=25.0328 --fix y_left=-0.395 --fix y_right=0.395" # as a bench would give them
 
-# FOLDER OUT RATE MOST_EFFECTS [OPTION...]: the standard model, what it lacks, and the simulator's structure (with OPTION)
+# FOLDER OUT RATE LIMIT [OPTION...]: the standard model, what it lacks, and the simulator's structure (with OPTION)
 compare() {
     folder=$1 to=$2 rate=$3 most=$4 && shift 4
     seatrial import csv "$here/otter.toml" "$data/$folder"/*.csv --out-dir "$folder" --force
@@ -21,13 +21,13 @@ compare() {
     # shellcheck disable=SC2086
     {
         seatrial ident vehicle $logs $thrust --out "$to/vehicle"
-        seatrial ident diagnose "$to/vehicle/model.toml" $logs --max-effects "$most" --out "$to/diagnosis"
+        seatrial ident diagnose "$to/vehicle/model.toml" $logs $most --out "$to/diagnosis"
         seatrial ident vehicle $logs $thrust --model "$here/hull.py:otter" "$@" --out "$to/truth"
     }
     python "$here/compare.py" "$to/diagnosis/result.json" "$to/truth/result.json"
 }
 
-compare none_pos none 10 3
-compare none_pos none_5 5 3
-compare advance_pos advance 5 4 --effect advance-ratio
-compare gps_latency_pos gps_latency 5 4 --effect gnss-latency
+compare none_pos none 10 ""
+compare none_pos none_5 5 ""
+compare advance_pos advance 5 "--max-effects 4" --effect advance-ratio
+compare gps_latency_pos gps_latency 5 "--max-effects 4" --effect gnss-latency
