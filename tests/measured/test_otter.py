@@ -24,7 +24,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any
     """result.json of the standard model, of that with what was found, and of the simulator's own structure."""
     folder = tmp_path_factory.mktemp("otter")
     files = [str(measured(f"otter/none_pos/run{n}.csv")) for n in (1, 3)]
-    run("import", "csv", str(HERE / "otter.toml"), *files, "--out-dir", str(folder))
+    run("import", str(HERE / "otter.toml"), *files, "--out-dir", str(folder))
     common = [str(folder / "run1.mcap"), "--validate", str(folder / "run3.mcap"), "--rate", "5"]
     common += [word for value in GIVEN for word in ("--fix", value)]
     added = [word for name in FOUND for word in ("--effect", name)]

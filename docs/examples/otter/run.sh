@@ -15,7 +15,7 @@ thrust="--fix c1=94.649 --fix c2=25.0328 --fix y_left=-0.395 --fix y_right=0.395
 # FOLDER OUT RATE LIMIT [OPTION...]: the standard model, what it lacks, and the simulator's structure (with OPTION)
 compare() {
     folder=$1 to=$2 rate=$3 most=$4 && shift 4
-    seatrial import csv "$here/otter.toml" "$data/$folder"/*.csv --out-dir "$folder" --force
+    seatrial import "$here/otter.toml" "$data/$folder"/*.csv --out-dir "$folder" --force
     logs="$folder/run1.mcap $folder/run2.mcap --validate $folder/run3.mcap --rate $rate"
     # The lists are meant to be split into words.
     # shellcheck disable=SC2086
