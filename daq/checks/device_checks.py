@@ -48,6 +48,12 @@ def check_devices(log: Log) -> Iterator[Finding]:
         yield Finding(
             WARNING, "log-damaged", "log", log.path.name, text, "`seatrial recover` makes a whole log of what is there"
         )
+    for text in (text for _, kind, text in log.events() if kind == "clock"):
+        source, _, text = text.partition(": ")
+        yield Finding(FAULT, "clock-ran-back", "clock", source, text, "import what lies before and after by itself")
+    for topic, (n, longest) in log.clock_steps.items():
+        text = f"its times ran back {counted(n, 'time')}, by up to {longest:.1f} s"
+        yield Finding(FAULT, "clock-ran-back", "clock", topic, text, "two clocks, or one that was set?")
     for source, tables in _tables(log).items():
         t = np.sort(np.concatenate([table["t"] for _, _, table in tables]))
         yield from _rate(source, t, rig, tables)

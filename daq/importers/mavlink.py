@@ -11,7 +11,7 @@ from pathlib import Path
 
 from daq.clock import ClockMap
 from daq.errors import SeatrialError, counted
-from daq.importers.write_log import Timed, replacing
+from daq.importers.write_log import Timed, clock_steps, replacing
 from daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, schema
 from daq.protocol import Head, MavlinkDecoder, Samples, head, is_whole, make_samples
 from daq.rig import Device, Rig
@@ -148,6 +148,7 @@ def vehicle_type(path: Path, rows: Sequence[Timed], system: int | None) -> int |
 def _write(
     out: Path, device: str, rows: Sequence[Timed], about: dict[str, str], rig: Rig | None, note: str, force: bool
 ) -> None:
+    steps = clock_steps((device, row.frame, row.frame.t_rx) for row in rows if not isinstance(row.frame.sample, Event))
     rows = sorted(rows, key=lambda row: row.frame.t_rx)
     if rows[0].frame.t_rx < 0.0 or rows[-1].frame.t_rx >= 2**31:
         raise SeatrialError(f"{out}: the file's times do not lie between 1970 and 2038")
@@ -157,15 +158,18 @@ def _write(
     with replacing(out, force) as part:
         writer = LogWriter(part, metadata=metadata, attachments=attachments, time_ns=first)
         try:
-            _add_all(writer, device, rows, first, note)
+            _add_all(writer, device, rows, first, [("import", note), *(("clock", text) for text in steps)])
         finally:
             writer.close()
 
 
-def _add_all(writer: LogWriter, device: str, rows: Sequence[Timed], first: int, note: str) -> None:
+def _add_all(
+    writer: LogWriter, device: str, rows: Sequence[Timed], first: int, events: Sequence[tuple[str, str]]
+) -> None:
     event = writer.channel("/event", schema.EVENT)
     about = cdr_layout(schema.EVENT, b"")
-    writer.add(event, first, first, 0, about.pack(first, tail=(b"import", note.encode())))
+    for kind, text in events:
+        writer.add(event, first, first, 0, about.pack(first, tail=(kind.encode(), text.encode())))
     channels: dict[str, int] = {}
     for sequence, (frame, t) in enumerate(rows, start=1):
         log_ns, stamp_ns = round(frame.t_rx * NANO), round(t * NANO)

@@ -11,7 +11,7 @@ import numpy as np
 from daq.config import load_rig
 from daq.errors import SeatrialError
 from daq.importers.mavlink import read_autopilot, vehicle_type
-from daq.importers.table import SourceOptions, Table
+from daq.importers.table import SourceOptions, Table, ran_back
 from daq.samples import MEASURED, Frame, Gnss
 
 FIX_2D = 2
@@ -41,7 +41,7 @@ def sample_tables(path: Path, rows: Sequence[tuple[str, float, Frame]]) -> list[
         clock, block = np.array(times), np.array(values)
         order = np.argsort(clock, kind="stable")
         columns = {name: block[order, k] for k, name in enumerate(names) if np.isfinite(block[:, k]).any()}
-        tables.append(Table(path, topic, columns, clock[order], kind))
+        tables.append(Table(path, topic, columns, clock[order], kind, remark=ran_back(clock)))
     return tables
 
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.errors import SeatrialError
+from daq.clock import CLOCK_STEP_S
+from daq.errors import SeatrialError, counted
 
 Column = NDArray[np.float64]
 
@@ -51,6 +52,13 @@ class Table:
         """The error of one cell, to be raised."""
         place = f"{self.topic}, '{column}'" if self.topic else f"'{column}'"
         return SeatrialError(f"{self.path}: {place}, row {row + 1}: {problem}")
+
+
+def ran_back(t: Column) -> str:
+    """What is odd about times (n,) [s] in the order of a file: a clock that was set, or two of them; "" nothing."""
+    back = -np.diff(t)
+    far = back > CLOCK_STEP_S
+    return f"its times ran back {counted(int(far.sum()), 'time')}, by up to {back.max():.1f} s" if far.any() else ""
 
 
 @dataclass(frozen=True)

@@ -131,7 +131,7 @@ def sniff_style(path: Path, head: bytes) -> TextStyle | None:
 
 
 def _table_in(lines: list[str], style: TextStyle) -> tuple[float, TextStyle] | None:
-    """The style with its header, and how many cells of numbers these lines have in it, times their share; None: no table."""
+    """The style with its header, and how many numbers these lines have in it, times their share; None: no table."""
     rows = [next((cells for _, cells in _split([line], style)), []) for line in lines]
     widths = Counter(len(cells) for cells in rows[-20:] if cells).most_common(1)
     if not widths:

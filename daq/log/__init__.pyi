@@ -17,7 +17,6 @@ from .segments import discard_note as discard_note
 from .segments import first_of as first_of
 from .segments import first_segments as first_segments
 from .segments import note_path as note_path
-from .segments import open_raw as open_raw
 from .segments import read_note as read_note
 from .tables import LogTable as LogTable
 from .tables import Resampled as Resampled

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.clock import CLOCK_STEP_S
 from daq.config import parse_rig, parse_toml
 from daq.errors import SeatrialError, printable
 from daq.log import schema
@@ -143,6 +144,14 @@ class Log:
     def rate_and_gap(self, topic: str) -> tuple[float, float]:
         """Mean rate [Hz] and longest gap [s] of a topic's messages by their own time; NaN where there is one only."""
         return self._spacing[topic].rate_and_gap()
+
+    @property
+    def clock_steps(self) -> dict[str, tuple[int, float]]:
+        """Topics whose times run back by more than 0.5 s from one message to the next: how often, and the longest [s].
+        It is a clock that was set, or two of them."""
+        found = {topic: (one.n_back, one.longest_back) for topic, one in self._spacing.items() if one.n_back}
+        found.pop("/event", None)
+        return found
 
     @cached_property
     def _spacing(self) -> dict[str, _Spacing]:
@@ -299,6 +308,14 @@ class Log:
         for t, row, (data,) in self._whole(f"/raw/{device}", schema.RAW):
             yield t, _DIRECTIONS[min(int(row["direction"]), 1)], data
 
+    def messages(self) -> Iterator[tuple[int, str, bytes]]:
+        """Every message as it stands: log time [ns since 1970], topic, data; in the order written."""
+        topics = {number: channel.topic for number, channel in self._file.channels.items()}
+        for messages in self._file.read():
+            heads = (messages.heads[name].tolist() for name in ("log_ns", "channel"))
+            for log_ns, channel, data in zip(*heads, messages.payloads(), strict=True):
+                yield log_ns, topics[channel], bytes(data)
+
     def unit(self, signal: str) -> str:
         """Unit of an imported signal."""
         return self._about(signal).get("unit", "")
@@ -436,10 +453,14 @@ class _Spacing:
     """Rate and longest gap of the stamps of a topic."""
 
     def __init__(self) -> None:
-        self._n, self._first, self._last, self._gap = 0, np.inf, -np.inf, 0.0
+        self._n, self._first, self._last, self._gap, self._newest = 0, np.inf, -np.inf, 0.0, -np.inf
+        self.n_back, self.longest_back = 0, 0.0  # steps back in the order of the file
 
     def add(self, t: NDArray[np.float64]) -> None:
         """More stamps [s], behind those before but for jitter."""
+        steps = -np.diff(np.append(self._newest, t))
+        self.n_back += int(np.sum(steps > CLOCK_STEP_S))
+        self.longest_back, self._newest = max(self.longest_back, float(steps.max())), t[-1]
         t = np.sort(t)
         between = t[0] - self._last if self._n else 0.0
         self._gap = max(self._gap, between, float(np.diff(t).max(initial=0.0)))

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import SeatrialError
-from daq.log import NANO, NODE_TOPICS, Log, local_ned, open_raw, quaternion
+from daq.log import NANO, NODE_TOPICS, Log, local_ned, quaternion
 from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar, Servo
 
 PACKAGE = "seatrial_msgs"
@@ -74,7 +74,7 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
             types = log.types() | {one.topic: one.type_name for one in added}
             connections = {name: bag.add_connection(name, kind, typestore=store) for name, kind in types.items()}
             new = ((one.stamp_ns, one.topic, bytes(store.serialize_cdr(one.message, one.type_name))) for one in added)
-            for stamp_ns, name, data in heapq.merge(_as_logged(log), new, key=itemgetter(0)):
+            for stamp_ns, name, data in heapq.merge(log.messages(), new, key=itemgetter(0)):
                 bag.write(connections[name], stamp_ns, data)
         _write_package(made[1])
         plots = _plots(log)
@@ -83,17 +83,6 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
     except OSError as error:
         raise SeatrialError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
     return made
-
-
-def _as_logged(log: Log) -> Iterator[tuple[int, str, bytes]]:
-    """Every message of the log: run time in ns, topic, data; never decreasing."""
-    raw = open_raw(log.path)
-    try:
-        for messages in raw.read():
-            for head, data in zip(messages.heads, messages.payloads(), strict=True):
-                yield int(head["log_ns"]), raw.channels[int(head["channel"])].topic, bytes(data)
-    finally:
-        raw.close()
 
 
 # REP-103 ----------------------------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 from daq import cli
+from daq.checks.device_checks import check_devices
 from daq.errors import SeatrialError
 from daq.log.cdr import NANO, cdr_layout
 from daq.log.mcap_reader import RawLog
@@ -315,3 +316,18 @@ def test_many_segments_are_open_one_at_a_time(tmp_path: Path) -> None:
     opened = open_log(tmp_path / "run.mcap")
     assert [text for _, _, text in opened.events()] == [str(number) for number in range(40)]
     assert len(os.listdir("/proc/self/fd")) <= before + 1
+
+
+def test_stamps_of_two_clocks_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    log = recorder(path)
+    for i in range(20):
+        t = T0 + i + (100.0 if i % 2 else 0.0)
+        log.write("surge", Frame(Scalar(i), T0 + i, float("nan")), t)
+        log.write("sway", Frame(Scalar(i), T0 + i, float("nan")), T0 + i)
+    log.close()
+    with open_log(path) as opened:
+        assert opened.clock_steps == {"/signal/surge": (9, pytest.approx(99.0))}
+        assert [f.where for f in check_devices(opened) if f.code == "clock-ran-back"] == ["/signal/surge"]
+    out = CliRunner().invoke(cli.info, [str(path)], catch_exceptions=False).stdout
+    assert "/signal/surge: its times ran back 9 times, by up to 99.0 s" in out
