@@ -68,7 +68,7 @@ def weed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def test_the_effect_of_the_how_to_does_what_its_test_says(weed: None) -> None:
-    assert set(catalogue()["weed"].rivals) <= set(catalogue())
+    assert set(catalogue()["weed"].alternatives) <= set(catalogue())
     assert run_tests(blocks("add-an-effect", "python")[1]) == 1
 
 
