@@ -27,6 +27,7 @@ class Table:
     frame_id: str = ""  # of ROS: the frame that the header names
     remark: str = ""  # what was odd about its times
     vehicle: int | None = None  # MAV_TYPE, of logs of autopilots that say it
+    parameters: Mapping[str, float] = field(default_factory=dict)  # of the autopilot, where its log has them
     strict = False  # text: rows out of order and cells without a number are errors unless the map says otherwise
 
     @property

@@ -14,10 +14,10 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from daq import cli
 from daq.errors import SeatrialError
-from daq.importers.guess import guess_map
+from daq.importers.guess import guess_map, outputs
 from daq.importers.import_files import import_files
 from daq.importers.recognise import read_name
-from daq.importers.table import TextStyle
+from daq.importers.table import Table, TextStyle
 from daq.importers.text_table import sniff_style
 from tests.daq.csv_files import values
 
@@ -121,6 +121,23 @@ def test_the_unit_of_a_rate_is_told_by_the_heading(tmp_path: Path) -> None:
     assert "sign = -1?" in guess_map(write(tmp_path, against)).text
 
 
+def test_the_parameters_of_an_autopilot_tell_its_outputs() -> None:
+    tables = [
+        Table(Path("x"), f"servo_{k}", {"pwm": 1500.0 + TIME}, TIME, "Servo", parameters=PARAMETERS) for k in (1, 2, 3)
+    ]
+    found = {c.signals[0].name: (c.table.topic, c.signals[0].extra, c.caveat) for c in outputs(tables)}
+    assert found["n_left"] == ("servo_2", 'scale = 0.0025, offset = -3.75, missing = 0, role = "input"', "")
+    assert found["n_right"] == ("servo_1", 'scale = -0.002, offset = 3, missing = 0, role = "input"', "")
+    for table in tables:
+        table.parameters = {}
+    found = {c.signals[0].name: (c.table.topic, bool(c.caveat)) for c in outputs(tables)}
+    assert found == {"n_left": ("servo_1", True), "n_right": ("servo_3", True)}
+
+
+PARAMETERS = {
+    "SERVO2_FUNCTION": 73.0, "SERVO2_TRIM": 1500.0, "SERVO2_MIN": 1100.0, "SERVO2_MAX": 1900.0,
+    "SERVO1_FUNCTION": 74.0, "SERVO1_TRIM": 1500.0, "SERVO1_MIN": 1000.0, "SERVO1_MAX": 2000.0, "SERVO1_REVERSED": 1.0,
+}  # fmt: skip
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 RC_OUT = "std_msgs/Header header\nuint16[] channels\n"
 STORE.register(get_types_from_msg(RC_OUT, "mavros_msgs/msg/RCOut"))
