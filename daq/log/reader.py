@@ -261,21 +261,24 @@ class Log:
         """Positions (dtype MESSAGE) and decoded fixed parts of a topic's messages, both shape (n,)."""
         messages = self._messages(topic, type_name)
         wrong = self._error(f"a message on {topic} is no {type_name} in little-endian CDR")
+        written = [self._file.schemas[channel.schema_id].data for channel in self._channels(topic)]
+        added = schema.ADDED.get(type_name, ())
+        lacking = tuple(name for name in added if not all(f" {name} ".encode() in data for data in written))
         if np.any(messages["length"] < HEAD.itemsize):
             raise wrong
         # Our own logs have one frame_id a topic: what the first message has is tried for all.
-        found = _layout(type_name, self._file.rows(messages[:1], HEAD)["n_frame"][0])
+        found = _layout(type_name, self._file.rows(messages[:1], HEAD)["n_frame"][0], lacking)
         if found is not None and np.all(messages["length"] >= found.dtype.itemsize):
             rows = self._file.rows(messages, found.dtype)
             if np.all(rows["n_frame"] == rows["n_frame"][0]) and np.all(rows["endian"] == _LITTLE):
                 return messages, rows
-        rows = np.zeros(len(messages), cdr_layout(type_name, b"").dtype)
+        rows = np.zeros(len(messages), cdr_layout(type_name, b"", lacking).dtype)
         heads = self._file.rows(messages, HEAD)
         if np.any(heads["endian"] != _LITTLE):
             raise wrong
         for n_frame in np.unique(heads["n_frame"]):
             part = np.flatnonzero(heads["n_frame"] == n_frame)
-            found = _layout(type_name, n_frame)
+            found = _layout(type_name, n_frame, lacking)
             if found is None or np.any(messages["length"][part] < found.dtype.itemsize):
                 raise wrong
             decoded = self._file.rows(messages[part], found.dtype)
@@ -295,9 +298,9 @@ class Log:
             yield float(t), row, tail
 
 
-def _layout(type_name: str, n_frame: int) -> CdrLayout | None:
+def _layout(type_name: str, n_frame: int, lacking: tuple[str, ...]) -> CdrLayout | None:
     """The layout for a frame_id of so many bytes, its end included; None where that makes no sense."""
-    return cdr_layout(type_name, b"\0" * (int(n_frame) - 1)) if 1 <= n_frame <= MAX_FRAME_ID else None
+    return cdr_layout(type_name, b"\0" * (int(n_frame) - 1), lacking) if 1 <= n_frame <= MAX_FRAME_ID else None
 
 
 def _table(kind: type[Measured], t: NDArray[np.float64], columns: schema.Columns) -> NDArray[np.void]:

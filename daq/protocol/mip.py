@@ -144,8 +144,8 @@ def _gnss(fields: Fields) -> Gnss:
     kind, n_sat, _, _ = _INFO.unpack(fields[0x0B]) if len(fields.get(0x0B, b"")) == _INFO.size else (3, 255, 0, 0)
     has_place = bool(valid & 1) and abs(lat) <= 90.0 and abs(lon) <= 180.0
     velocity = _unpack(_VELOCITY, fields.get(0x05)) or ()
-    moves = len(velocity) == 9 and int(velocity[8]) & 1
-    north, east, down = velocity[:3] if moves else _NAN3
+    known = int(velocity[8]) if len(velocity) == 9 else 0
+    north, east, down = velocity[:3] if known & 1 else _NAN3
     dilution = _unpack(_DOP, fields.get(0x07)) or ()
     tow, week, time_valid = _TIME.unpack(fields[0xD3]) if len(fields.get(0xD3, b"")) == _TIME.size else (0.0, 0, 0)
     utc = gps_to_utc(GPS_EPOCH + WEEK * week + tow) if time_valid & 3 == 3 and 0.0 <= tow < WEEK else NAN
@@ -155,4 +155,5 @@ def _gnss(fields: Fields) -> Gnss:
         utc, lat, lon, height, north, east, down, _FIX.get(kind, 0), -1 if n_sat == 255 else n_sat,
         dilution[2] if len(dilution) == 8 and int(dilution[7]) & 4 else NAN,
         h_acc / math.sqrt(2.0) if valid & 8 else NAN,
+        velocity[4] if known & 4 else NAN,
     )  # fmt: skip
