@@ -17,7 +17,7 @@ from daq.config.rig_file import parse_rig
 from daq.log.recorder import Recorder
 from daq.rig import Rig
 from daq.samples import NAN, Ahrs, Frame, LoadCell
-from ident.data.log_channels import local_ned
+from ident.data.loading import local_ned
 from ident.data.record import Channel
 from mocks.hidden_effects.catalogue import make_effect
 from mocks.offline_simulation import Recording, simulate, simulate_bench, tables
@@ -67,7 +67,7 @@ def push(bench: Bench, run: int = 0, kind: str = "all") -> tuple[Recording, Miss
 
 
 def channels_of(recording: Recording) -> dict[str, Channel]:
-    """The channels that ``ident.data.log_channels`` would find in the boat's log."""
+    """The channels that ``ident.data.loading`` would find in the boat's log."""
     table, found = tables(recording.readings), {}
     for name, column in (("psi", "yaw"), ("r", "r"), ("ax", "ax"), ("ay", "ay")):
         found[name] = _channel(table["ahrs"], column)

@@ -21,7 +21,7 @@ from ident.models.kinematic import output as kinematic_output
 from ident.models.kinematic import rate as kinematic_rate
 from ident.models.kinematic import turning
 from ident.models.rotations import oriented, rotation
-from ident.numerics.arrays import Array
+from ident.numerics.linear_algebra import Array
 from ident.numerics.signal_processing import first_order_lag
 from ident.studies.cases import random_levels
 

@@ -20,7 +20,7 @@ import numpy as np
 from ident.experiment_design.excitation import StepInput
 from ident.experiment_design.optimal_design import Design, search_design
 from ident.experiment_design.task import DesignProblem
-from ident.numerics.arrays import Array
+from ident.numerics.linear_algebra import Array
 
 FINEST = 2.0  # s per step: where every change of the command acts on the shaft at once
 MIXES = np.linspace(0.0, 1.0, 101)

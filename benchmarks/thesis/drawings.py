@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from benchmarks.thesis.figures import Chart, Curve, Drawing, Part
 from benchmarks.thesis.fits import Both, Plane, Rest, predicted
 from ident.characterisation.sensor_noise import welch
-from ident.numerics.arrays import Array
+from ident.numerics.linear_algebra import Array
 
 Z95 = 1.96
 START = 5.0  # s until the filter knows where it is

@@ -11,12 +11,20 @@ import numpy as np
 
 from benchmarks.thesis.design_bound import Bound, upper_bound
 from benchmarks.thesis.figures import Chart, Curve, Drawing, Part
-from ident.experiment_design.baselines import BaselineSignal, Robustness, baseline_signals, monte_carlo
 from ident.experiment_design.excitation import StepInput
-from ident.experiment_design.optimal_design import Design, design, predicted_errors, predicted_track
+from ident.experiment_design.optimal_design import (
+    BaselineSignal,
+    Design,
+    Robustness,
+    baseline_signals,
+    design,
+    monte_carlo,
+    predicted_errors,
+    predicted_track,
+)
 from ident.experiment_design.task import DesignProblem
 from ident.models.horizontal import horizontal_model
-from ident.numerics.arrays import Array
+from ident.numerics.linear_algebra import Array
 from ident.studies.cases import Delivered, repeats
 
 Say = Callable[[str], None]

@@ -8,7 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
-from ident.numerics.arrays import Array
+from ident.numerics.linear_algebra import Array
 from ident.report.blocks import Canvas, Grid, Prose, Section
 from ident.report.drawing import (
     BEFORE,

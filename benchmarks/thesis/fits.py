@@ -16,8 +16,7 @@ from ident.characterisation.sensor_noise import NoiseFit, estimate_noise
 from ident.data.record import Channel, LogSegment, Record, build_record
 from ident.estimation.fitted_model import fit_nominal_model
 from ident.estimation.likelihood import FilterResult, Likelihood
-from ident.estimation.maximum_likelihood import Fit, fit
-from ident.estimation.options import EstimationOptions
+from ident.estimation.maximum_likelihood import EstimationOptions, Fit, fit
 from ident.estimation.output_error import Simulation, simulate
 from ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
 from ident.model.structure import Model
@@ -27,7 +26,7 @@ from ident.models.kinematic import kinematic_model
 from ident.models.surge import surge_model
 from ident.models.thruster import DELAY_STEP, thruster_model
 from ident.models.yaw import yaw_model
-from ident.numerics.arrays import Array
+from ident.numerics.linear_algebra import Array
 from ident.reporter import QUIET
 from ident.results.parts import ThrusterResult
 from ident.studies.cases import N_DELAYS, random_levels

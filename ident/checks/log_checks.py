@@ -1,9 +1,13 @@
 """Checks of a log before any fit, by the motion in it: part of `seatrial check`, and what every fit of a boat begins
-with."""
+with.
+
+Evidence of a check, as curves for its page: sample intervals, signals, shafts, and motion against thrust.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +15,22 @@ import numpy as np
 from daq.checks import FAULT, Finding, check_devices
 from daq.errors import SeatrialError
 from daq.log import Log, open_log
-from daq.samples import Command, Esc
+from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar
 from ident.checks.frames import check_accelerometer, check_frames
-from ident.checks.motion import check_motion, turning
+from ident.checks.motion import (
+    SURGE_LAGS,
+    YAW_LAGS,
+    ThrusterForces,
+    ahead,
+    check_motion,
+    delayed_forces,
+    fill_gaps,
+    thruster_forces,
+    turning,
+)
 from ident.checks.sensors import (
+    STEP,
+    WINDOW,
     Channels,
     check_time_scale,
     gyro_and_heading,
@@ -24,8 +40,185 @@ from ident.checks.sensors import (
 )
 from ident.checks.shafts import check_shafts
 from ident.checks.signals import check_frozen, check_intervals, check_ranges, check_smoothing
-from ident.data import channels
+from ident.data import Channel, block_mean, channels
 from ident.numerics import Array
+
+POSITION_WINDOW = 5.0  # s, over which positions are differenced, as the check does
+# Signals of a log in the order of showing; whatever else an imported one holds comes after them.
+SHOWN = ("psi", "r", "ax", "ay", "x", "y", "vx", "vy", "force")
+MOST_SIGNALS = 12
+ELSEWHERE = ("phi", "theta", "p", "q", "speed")  # said by others; thrusters have a plot of their own
+
+
+@dataclass(frozen=True)
+class SampleIntervals:
+    """Seconds between neighbouring samples of a device: ``interval`` (n,) at the times ``t`` (n,) of the later ones;
+    ``expected``: by the rig's rate, None without one."""
+
+    source: str
+    t: Array
+    interval: Array
+    expected: float | None
+
+
+@dataclass(frozen=True)
+class ShaftResponse:
+    """Shaft speed ``n`` (n,) at times ``t``, and its command ``n_command`` (m,) at ``t_command``, each held until the
+    next one; both are parts of full speed. ``end`` [s]: of the shaft's samples."""
+
+    name: str
+    t: Array
+    n: Array
+    t_command: Array
+    n_command: Array
+    end: float
+
+
+@dataclass(frozen=True)
+class PushResponseCurve:
+    """A motion as it was ``measured`` and as the thrusters' push would have it, ``expected``: (n,) at times ``t``."""
+
+    title: str
+    unit: str
+    t: Array
+    measured: Array
+    expected: Array
+
+
+@dataclass(frozen=True)
+class SensorPair:
+    """One motion by two sensors, ``one`` and ``other`` (n,) at times ``t`` (n,); ``names``: of both, for people."""
+
+    title: str
+    unit: str
+    names: tuple[str, str]
+    t: Array
+    one: Array
+    other: Array
+
+
+@dataclass(frozen=True)
+class SignalCurve:
+    """The ``value`` (n,) of a channel at times ``t`` (n,), as it came; ``angle``: it is one, and may jump by a turn."""
+
+    channel: str
+    unit: str
+    t: Array
+    value: Array
+    angle: bool
+
+
+@dataclass(frozen=True)
+class CheckEvidence:
+    """Curves of one log; all times [s] count from its start. ``rig``: the name of the rig in it, None without one."""
+
+    name: str
+    duration: float
+    rig: str | None
+    intervals: tuple[SampleIntervals, ...] = ()
+    shafts: tuple[ShaftResponse, ...] = ()
+    push: tuple[PushResponseCurve, ...] = ()
+    sensors: tuple[SensorPair, ...] = ()
+    signals: tuple[SignalCurve, ...] = ()
+
+
+def log_evidence(path: Path, name: str = "") -> CheckEvidence:
+    """Curves of one log; ``name``: for people, else the file's. Raises SeatrialError where it is no log at all."""
+    with open_log(path) as log:
+        c = {n: Channel(s.t - log.start, s.value, s.unit, s.source) for n, s in channels(log).items()}
+        rig = log.rig
+        duration, intervals, sides = log.duration, _intervals(log), sides_of(log)
+    return CheckEvidence(
+        name or path.stem, duration, rig.name if rig else None, tuple(intervals), tuple(_shafts(c)),
+        tuple(push(c, sides)), tuple(sensors(c)), tuple(_signals(c)),
+    )  # fmt: skip
+
+
+def _intervals(log: Log) -> list[SampleIntervals]:
+    rig = log.rig
+    expected = {d.name: 1.0 / d.rate_hz for d in rig.devices} if rig else {}
+    found: list[SampleIntervals] = []
+    for kind in (Ahrs, Gnss, LoadCell, Scalar):
+        for source in log.sources(kind):
+            if kind is not Scalar or log.role(source) == "output":
+                found.append(_interval(source, log.table(kind, source)["t"], log.start, expected.get(source)))
+    for source in log.sources(Esc):
+        nodes = log.nodes(Esc, source)
+        t = np.sort(np.concatenate([log.table(Esc, source, node)["t"] for node in nodes]))
+        found.append(_interval(source, t, log.start, expected.get(source)))
+    return [row for row in found if row.t.size]
+
+
+def _interval(source: str, t: Array, start: float, expected: float | None) -> SampleIntervals:
+    return SampleIntervals(source, t[1:] - start, np.diff(t), expected)
+
+
+def _shafts(c: Channels) -> list[ShaftResponse]:
+    """Each thruster that has both a command and a speed."""
+    names = [n.removeprefix("n_cmd_") for n in sorted(c) if n.startswith("n_cmd_")]
+    both = [(n, c[f"n_cmd_{n}"], c[f"n_{n}"]) for n in names if f"n_{n}" in c]
+    return [
+        ShaftResponse(n, shaft.t, shaft.value, told.t, told.value, float(shaft.t[-1]))
+        for n, told, shaft in both
+        if shaft.t is not told.t
+    ]
+
+
+def push(c: Channels, sides: Mapping[str, float]) -> list[PushResponseCurve]:
+    """Yaw rate and speed ahead, measured and as the thrusters' push would have them; ``sides``: m to starboard."""
+    given = thruster_forces(c, sides)
+    if given is None:
+        return []
+    found: list[PushResponseCurve] = []
+    if given.side.any():
+        r = fill_gaps(given.t, block_mean(c["r"], given.edges)[0])
+        found.append(_pushed("yaw rate", "rad/s", given, r, given.f @ given.side, YAW_LAGS))
+    if (u := ahead(c, given.t)) is not None:
+        found.append(_pushed("speed ahead over ground", "m/s", given, u, given.f.sum(axis=1), SURGE_LAGS))
+    return [row for row in found if np.isfinite(row.expected).any()]
+
+
+def _pushed(
+    title: str, unit: str, given: ThrusterForces, y: Array, f: Array, lags: Sequence[float]
+) -> PushResponseCurve:
+    expected = delayed_forces(y, f, lags) if np.ptp(f) > 0.0 else np.full(y.size, np.nan)
+    return PushResponseCurve(title, unit, given.t, y, expected)
+
+
+def sensors(c: Channels) -> list[SensorPair]:
+    """What two sensors say of one motion: turning by heading and gyro, velocity by positions and by itself."""
+    found = []
+    if {"psi", "r"} <= set(c):
+        in_radians = np.abs(c["psi"].value).max() < 7.0
+        heading = np.unwrap(c["psi"].value, period=2.0 * np.pi if in_radians else 360.0)
+        names = ("of the heading over 1 s", "of the gyro")
+        found.append(_pair("yaw rate", "rad/s", names, (Channel(c["psi"].t, heading), c["r"]), WINDOW))
+    for where, way, speed in (("north", "x", "vx"), ("east", "y", "vy")):
+        if {way, speed} <= set(c):
+            names = ("of the positions over 5 s", "as the receiver says")
+            found.append(_pair(f"velocity {where}", "m/s", names, (c[way], c[speed]), POSITION_WINDOW))
+    return [row for row in found if row.t.size > 1]
+
+
+def _pair(title: str, unit: str, names: tuple[str, str], both: tuple[Channel, Channel], window: float) -> SensorPair:
+    """The change of one signal over a window against the mean of its rate in that window, at the window's middle."""
+    whole, rate = both
+    start, end = max(whole.t[0], rate.t[0]), min(whole.t[-1], rate.t[-1])
+    t = np.arange(start, end - window, 2.0 * STEP)
+    grid = np.arange(start, end, STEP)
+    of_rate = np.interp(grid, rate.t, rate.value)
+    integral = np.append(0.0, np.cumsum(0.5 * STEP * (of_rate[1:] + of_rate[:-1]))) if grid.size else grid
+    one = (np.interp(t + window, whole.t, whole.value) - np.interp(t, whole.t, whole.value)) / window
+    other = (np.interp(t + window, grid, integral) - np.interp(t, grid, integral)) / window if grid.size else t
+    return SensorPair(title, unit, names, t + window / 2, one, other)
+
+
+def _signals(c: Channels) -> list[SignalCurve]:
+    """Every sensor's values as they came."""
+    others = [n for n in c if n not in SHOWN and n not in ELSEWHERE and not n.startswith(("n_", "f_"))]
+    names = [*(n for n in SHOWN if n in c), *others][:MOST_SIGNALS]
+    return [SignalCurve(n, c[n].unit, c[n].t, c[n].value, n == "psi") for n in names]
+
 
 # Starboard positions (m) of an imported log's thrusters, of which only the side is known.
 IMPORTED = {"left": -1.0, "right": 1.0}
@@ -58,7 +251,7 @@ def check_log(path: Path | str) -> list[Finding]:
 
 
 def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
-    """Findings of channels (ident.data.log_channels); ``sides``: thruster -> position to starboard [m].
+    """Findings of channels (ident.data.loading); ``sides``: thruster -> position to starboard [m].
 
     What needs another signal to be right is not asked where that one is wrong: time, units, frames, thrusters.
     """

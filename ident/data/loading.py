@@ -1,18 +1,237 @@
-"""Logs read into memory: their signals, their rig and mission, and the provenance that goes into results."""
+"""Logs read into memory: their signals, their rig and mission, and the provenance that goes into results.
+
+A log's signals by the names that models use.
+
+| name | from |
+|---|---|
+| psi, phi, theta | AHRS: yaw, roll and pitch (unwrapped by whoever averages them) |
+| p, q, r, ax, ay | AHRS: body rates, specific force |
+| x, y, vx, vy | GNSS: metres north and east of the first fix, velocity over ground |
+| n_left, n_right | shaft speed over the rig's rpm_max, positive ahead |
+| n_cmd_left, n_cmd_right | commands; where an autopilot is between, its output instead |
+| servo_1, servo_2, ... | pulses of an autopilot's outputs (us), where no rig names thrusters |
+| force | load cell, tared by the static segments of the plan |
+| speed | along the track, from velocity over ground (imported speed_x and speed_y, or vx and vy) |
+| any other | imported signals, by their own names |
+
+Where a controller reports the magnitude of the shaft speed only, as an autopilot's ESC telemetry does, `shaft_speed`
+gives it the sign of the delayed and lagged command. `propulsion_input` says which of the signals a model is driven by.
+"""
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from daq.errors import SeatrialError
 from daq.log import Log, open_log
-from daq.rig import Rig
-from ident.data.log_channels import PropulsionInput, channels, propulsion_input
-from ident.data.record import LogSegment
+from daq.rig import Rig, Thruster
+from daq.samples import WGS84_ECCENTRICITY_2, WGS84_SEMI_MAJOR_AXIS, Ahrs, Command, Esc, Gnss, LoadCell, Scalar, Servo
+from ident.data.record import Channel, LogSegment
+from ident.numerics import Array, LagData, first_order_lag, fit_first_order_lag
+
+Table = NDArray[np.void]  # of `Log.table`, shape (n,)
+TRACK_WINDOW = 20.0  # s either way, over which the direction of travel is averaged
+GRID_STEP = 0.01  # s, on which the command of a shaft of unknown sign is filtered
+DELAYS = tuple(np.arange(0.0, 1.01, 0.05).tolist())  # s, that are tried for it
+TIME_CONSTANTS = tuple(1.0 / (1.5 * 1.5**k) for k in range(9))  # s, that are tried, from 0.67 to 0.026
+NEAR_DELAYS = np.arange(-0.05, 0.051, 0.01)  # s, and factors on the time constant: about the best of these
+NEAR_TIME_CONSTANTS = np.array([0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4])
+
+
+class PropulsionInput(StrEnum):
+    """What a log says of its thrusters; the first is the best."""
+
+    MEASURED = "measured"  # shaft speeds with their sign, when they were
+    TELEMETRY = "telemetry"  # shaft speeds relayed by an autopilot: late by an unknown time, and without a sign
+    COMMAND = "command"  # commands only: of the shafts nothing is known, or too seldom
+
+
+SHAFTS, COMMANDS = ("n_left", "n_right"), ("n_cmd_left", "n_cmd_right")
+SLOWEST_TELEMETRY = 0.15  # s between shaft speeds; from slower ones no change of the thrust can be timed
+
+
+def propulsion_input(log: Log, found: Mapping[str, Channel], holds: Mapping[str, str]) -> PropulsionInput | None:
+    """What drives a model of the boat, by where its signals come from, their hold and their rate; None: no such signal.
+
+    A shaft speed that is held from one sample to the next is a command: no shaft jumps.
+    """
+    if not all(n in found for n in SHAFTS):
+        return PropulsionInput.COMMAND if all(n in found for n in COMMANDS) else None
+    if any(holds.get(n) == "zero" for n in SHAFTS):
+        return PropulsionInput.COMMAND
+    if all(n in found for n in COMMANDS) and max(np.median(np.diff(found[n].t)) for n in SHAFTS) > SLOWEST_TELEMETRY:
+        return PropulsionInput.COMMAND
+    by_autopilot = any(t.output is not None for t in (log.rig.thrusters if log.rig else ()))
+    return PropulsionInput.TELEMETRY if by_autopilot else PropulsionInput.MEASURED
+
+
+def channels(log: Log) -> dict[str, Channel]:
+    """Every signal of a log, times in seconds from the log's own start of time (since 1970)."""
+    found: dict[str, Channel] = {}
+    for source in log.sources(Scalar):
+        table = log.table(Scalar, source)
+        found[source] = _channel(table, "value", log.unit(source), source)
+    rig = log.rig
+    for source in log.sources(Ahrs):
+        table = log.table(Ahrs, source)
+        for name, column, unit in (
+            ("psi", "yaw", "rad"),
+            ("phi", "roll", "rad"),
+            ("theta", "pitch", "rad"),
+            ("p", "p", "rad/s"),
+            ("q", "q", "rad/s"),
+            ("r", "r", "rad/s"),
+            ("ax", "ax", "m/s2"),
+            ("ay", "ay", "m/s2"),
+        ):
+            found.setdefault(name, _channel(table, column, unit, source))
+    for source in log.sources(Gnss):
+        found = _gnss(log.table(Gnss, source), source) | found
+    for thruster in rig.thrusters if rig else ():
+        _thruster(log, thruster, found)
+    if rig is None:
+        for source in log.sources(Servo):
+            for node in log.nodes(Servo, source):
+                found.setdefault(f"servo_{node}", _channel(log.table(Servo, source, node), "pwm", "us", source))
+    for source in log.sources(LoadCell):
+        found.setdefault("force", _channel(_good(log.table(LoadCell, source)), "force", "N", source))
+    found = {name: c for name, c in found.items() if c.t.size > 1}
+    for pair in (("speed_x", "speed_y"), ("vx", "vy")):
+        if "speed" not in found and all(n in found for n in pair):
+            x, y = (found[n] for n in pair)
+            if np.array_equal(x.t, y.t):
+                found["speed"] = Channel(x.t, along_track(x.t, x.value, y.value), x.unit, x.source)
+    return found
+
+
+def ahrs_channels(table: Table, source: str) -> dict[str, Channel]:
+    """Every axis of an AHRS that it reported."""
+    names = {"yaw": "psi", "pitch": "theta", "roll": "phi"}
+    rows = (("rad", ("yaw", "pitch", "roll")), ("rad/s", ("p", "q", "r")), ("m/s2", ("ax", "ay", "az")))
+    found = {names.get(c, c): _channel(table, c, unit, source) for unit, columns in rows for c in columns}
+    return {name: c for name, c in found.items() if c.t.size > 1}
+
+
+def _gnss(table: Table, source: str) -> dict[str, Channel]:
+    table = table[(table["fix"] >= 2) & np.isfinite(table["lat"])]
+    if not len(table):
+        return {}
+    x, y = local_ned(table["lat"], table["lon"])
+    t = np.ascontiguousarray(table["t"])
+    found = {"x": Channel(t, x, "m", source), "y": Channel(t, y, "m", source)}
+    for name, column in (("vx", "vel_n"), ("vy", "vel_e")):
+        if np.isfinite(table[column]).any():
+            found[name] = _channel(table, column, "m/s", source)
+    if "vx" not in found and np.isfinite(table["speed"]).any():
+        found["speed"] = _channel(table, "speed", "m/s", source)
+    return found
+
+
+def _thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> None:
+    device, node = thruster.device, thruster.node
+    shaft = None
+    if node in log.nodes(Esc, device):
+        state = log.table(Esc, device, node=node)
+        shaft = _channel(state, "rpm", "", device)
+        if node in log.nodes(Servo, device) and follows_command(state["rpm"], state["duty"]):
+            # Telemetry has no sign, and the shaft follows its output late.
+            output = _channel(log.table(Servo, device, node=node), "n", "", device)
+            t, rpm = shaft_speed(shaft.t, shaft.value, output.t, output.value)
+            shaft = Channel(t, rpm, "", device, "average")
+        found[f"voltage_{thruster.name}"] = _channel(state, "voltage", "V", device)
+    if shaft is not None and shaft.t.size > 1 and np.isfinite(thruster.rpm_max):
+        found[f"n_{thruster.name}"] = replace(shaft, value=shaft.value / thruster.rpm_max)
+    if node in log.nodes(Servo, device):
+        # What the autopilot put out is what the thruster was told: between it and our command are its own delays.
+        found[f"n_cmd_{thruster.name}"] = _channel(log.table(Servo, device, node=node), "n", "", device)
+    elif node in log.nodes(Command, device):
+        found[f"n_cmd_{thruster.name}"] = _channel(log.table(Command, device, node=node), "n_cmd", "", device)
+
+
+def _channel(table: Table, column: str, unit: str, source: str) -> Channel:
+    good = np.isfinite(table[column])
+    t, value = table["t"][good], table[column][good]
+    return Channel(np.ascontiguousarray(t, float), np.ascontiguousarray(value, float), unit, source)
+
+
+def _good(table: Table) -> Table:
+    good: Table = table[table["flags"] == 0]
+    return good
+
+
+def along_track(t: Array, vx: Array, vy: Array) -> Array:
+    """Speed [m/s] along the direction of travel (n,), negative astern.
+
+    The direction is that of the velocity within ``TRACK_WINDOW`` seconds either way, weighted by speed: a boat that
+    drifts at rest before a run has the run's direction. The magnitude alone would turn drift and noise into forward
+    speed.
+    """
+    speed = np.hypot(vx, vy)
+    a, b = np.searchsorted(t, t - TRACK_WINDOW), np.searchsorted(t, t + TRACK_WINDOW, side="right")
+    sums = [np.append(0.0, np.cumsum(speed * v)) for v in (vx, vy)]
+    dx, dy = (s[b] - s[a] for s in sums)
+    length = np.hypot(dx, dy)
+    return np.asarray(np.divide(vx * dx + vy * dy, length, out=np.zeros_like(speed), where=length > 0))
+
+
+def local_ned(lat: Array, lon: Array) -> tuple[Array, Array]:
+    """Degrees -> metres north and east of the first point, on the ellipsoid's radii there (Groves 2013, 2.4.2)."""
+    phi = np.radians(lat[0])
+    w = 1 - WGS84_ECCENTRICITY_2 * np.sin(phi) ** 2
+    meridian = WGS84_SEMI_MAJOR_AXIS * (1 - WGS84_ECCENTRICITY_2) / w**1.5
+    normal = WGS84_SEMI_MAJOR_AXIS / np.sqrt(w)
+    east = np.radians(np.mod(lon - lon[0] + 180, 360) - 180)
+    return meridian * np.radians(lat - lat[0]), normal * np.cos(phi) * east
+
+
+def follows_command(rpm: Array, n: Array) -> bool:
+    """Whether a shaft's speeds (k,) have at each moment the sign of the command ``n`` (k,): no shaft is so quick."""
+    both = (rpm != 0) & (n != 0) & np.isfinite(rpm) & np.isfinite(n)
+    signs = np.sign(n[both])
+    return bool(np.any(np.diff(signs)) and np.all(np.sign(rpm[both]) == signs))
+
+
+def shaft_speed(t: Array, speed: Array, t_told: Array, told: Array) -> tuple[Array, Array]:
+    """The speed of a shaft with its sign, from its magnitude ``speed`` (k,) at times ``t`` (k,) s and what it was told,
+    ``told`` (m,) from ``t_told`` (m,) s on, each held until the next.
+
+    What the command explains, by the delay and the first-order lag that fit best, and the rest, which is small and
+    smooth, interpolated: a straight line from one sample of slow telemetry to the next would round off every step.
+    Returns: times (n,) s, ``GRID_STEP`` apart, and speeds (n,), each held until the next.
+    """
+    speed = np.abs(speed)
+    clock = np.arange(t[0] - DELAYS[-1], t[-1] + GRID_STEP, GRID_STEP)
+    held = told[np.maximum(np.searchsorted(t_told, clock, side="right") - 1, 0)]
+
+    def scale(size: Array) -> float:
+        return float(size @ speed) / max(float(size @ size), 1e-12)
+
+    def misfit(lagged: Array, delay: float) -> float:
+        size = np.abs(np.interp(t - delay, clock, lagged))
+        return float(np.sum((speed - scale(size) * size) ** 2))
+
+    delays, time_constants = np.array(DELAYS), np.array(TIME_CONSTANTS)
+    for near in (1.0, 0.2, 0.0):  # each time closer about the best
+        best = fit_first_order_lag(
+            [LagData(held, misfit)], delays.tolist(), time_constants.tolist(), GRID_STEP, hold="backward"
+        )
+        delays, time_constants = best.delay + near * NEAR_DELAYS, best.time_constant * NEAR_TIME_CONSTANTS**near
+    delay, lagged = 0.0, held
+    if np.isfinite(best.misfit):
+        delay, lagged = best.delay, first_order_lag(held, best.time_constant, GRID_STEP, hold="backward")
+    then = np.interp(t - delay, clock, lagged)
+    gain = scale(np.abs(then))
+    rest = np.convolve(np.pad(np.copysign(speed, then) - gain * then, 1, mode="edge"), np.full(3, 1 / 3), mode="valid")
+    own = clock[clock >= t[0]]
+    return own - GRID_STEP / 2, gain * np.interp(own - delay, clock, lagged) + np.interp(own, t, rest)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -59,6 +59,41 @@ from ident.estimation import (
 from ident.model import Effect, EffectKind, ForceCurve, Model, Parameter
 from ident.models import residuals_of, scale_priors, size_of, variables_of
 from ident.reporter import QUIET, Reporter
+from ident.validation import (
+    PredictionChange,
+    PredictionEvaluation,
+    SmoothedForce,
+    evaluate,
+    prediction_changes,
+    smoothed_forces,
+)
+
+
+@dataclass(frozen=True)
+class DiagnosisEvaluation:
+    """What the models of a diagnosis predict, and what they leave: computed once, before anything is reported.
+    ``changes``: by role, of the prediction errors over the horizon; forces: disturbances, as of both models."""
+
+    before: PredictionEvaluation
+    after: PredictionEvaluation
+    changes: Mapping[str, PredictionChange]
+    forces_before: tuple[SmoothedForce, ...]
+    forces_after: tuple[SmoothedForce, ...]
+
+
+def evaluate_diagnosis(diagnosis: Diagnosis, horizon: float | None = None) -> DiagnosisEvaluation:
+    """``horizon`` [s]: of ``ident.validation.evaluate``."""
+    before = evaluate(diagnosis.before, horizon)
+    after = before if diagnosis.after is diagnosis.before else evaluate(diagnosis.after, horizon)
+    forces = residuals_of(diagnosis.before.model)
+    return DiagnosisEvaluation(
+        before,
+        after,
+        prediction_changes(before, after),
+        smoothed_forces(diagnosis.before, forces),
+        smoothed_forces(diagnosis.after, forces),
+    )
+
 
 N_REFITS, N_UNKNOWN = 4, 2  # parametric and nonparametric candidates that are refitted in a round
 N_BATCHES = 2  # of parametric ones, where none of the first is accepted

@@ -1,5 +1,6 @@
 from .fisher_scoring import Bounds as Bounds
 from .fisher_scoring import Evaluation as Evaluation
+from .fisher_scoring import Problem as Problem
 from .fisher_scoring import solve_step as solve_step
 from .fitted_model import FIT_ERRORS as FIT_ERRORS
 from .fitted_model import FailedRun as FailedRun
@@ -24,16 +25,15 @@ from .homogeneity import parameter_shift as parameter_shift
 from .homogeneity import run_differences as run_differences
 from .likelihood import FilterResult as FilterResult
 from .likelihood import Likelihood as Likelihood
+from .maximum_likelihood import ROUGH as ROUGH
+from .maximum_likelihood import EstimationOptions as EstimationOptions
 from .maximum_likelihood import Fit as Fit
+from .maximum_likelihood import Method as Method
+from .maximum_likelihood import SearchSettings as SearchSettings
 from .maximum_likelihood import fit as fit
 from .model_file import SavedModel as SavedModel
 from .model_file import load_model as load_model
 from .model_file import save_model as save_model
-from .objective import Problem as Problem
-from .options import ROUGH as ROUGH
-from .options import EstimationOptions as EstimationOptions
-from .options import Method as Method
-from .options import SearchSettings as SearchSettings
 from .output_error import free_start as free_start
 from .output_error import predict_ahead as predict_ahead
 from .output_error import simulate as simulate

@@ -18,8 +18,7 @@ import numpy as np
 from ident.data import Record
 from ident.estimation.fisher_scoring import Bounds, Evaluation, expected_gain, solve_step
 from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import fit
-from ident.estimation.options import ROUGH
+from ident.estimation.maximum_likelihood import ROUGH, fit
 from ident.model import Model, Parameter
 from ident.numerics import Array
 

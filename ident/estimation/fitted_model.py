@@ -12,9 +12,8 @@ from daq.errors import counted
 from ident.data import LogSegment, Record, make_record
 from ident.estimation.cross_validation import TimeBlocks, leave_one_block_out, time_blocks
 from ident.estimation.likelihood import FilterResult, Likelihood
-from ident.estimation.maximum_likelihood import Fit, fit
+from ident.estimation.maximum_likelihood import EstimationOptions, Fit, SearchSettings, fit
 from ident.estimation.multistart import best_of_starts
-from ident.estimation.options import EstimationOptions, SearchSettings
 from ident.estimation.smoother import SmoothedStates, smoothed_states
 from ident.model import Effect, EffectKind, Model, outlier_notes
 from ident.model import with_outlier_model as with_outliers

@@ -22,8 +22,7 @@ from daq.errors import SeatrialError
 from ident.data import Record
 from ident.estimation.fitted_model import FIT_ERRORS
 from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import Fit, fit
-from ident.estimation.options import ROUGH, EstimationOptions
+from ident.estimation.maximum_likelihood import ROUGH, EstimationOptions, Fit, fit
 from ident.estimation.standard_errors import AT_BOUND, VAGUE
 from ident.model import PARAMETERS, Effect, EffectKind, Model, Parameter, Signals, segment_name
 from ident.numerics import Array

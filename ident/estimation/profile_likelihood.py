@@ -16,11 +16,9 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from ident.data import Record
-from ident.estimation.fisher_scoring import Bounds, Evaluation, Optimum, maximise
+from ident.estimation.fisher_scoring import Bounds, Evaluation, Optimum, Problem, maximise
 from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import Fit
-from ident.estimation.objective import Problem
-from ident.estimation.options import TOLERANCE
+from ident.estimation.maximum_likelihood import TOLERANCE, Fit
 from ident.estimation.standard_errors import (
     DROP_95,
     NULL_SPACE_TOLERANCE,

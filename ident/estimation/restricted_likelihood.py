@@ -18,8 +18,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.estimation.fisher_scoring import Evaluation, Optimum, solve_step
-from ident.estimation.objective import Problem
+from ident.estimation.fisher_scoring import Evaluation, Optimum, Problem, solve_step
 from ident.estimation.standard_errors import DROP_95
 from ident.numerics import Array, scaled_eigen, unit_diagonal
 

@@ -1,6 +1,3 @@
-from .baselines import BaselineSignal as BaselineSignal
-from .baselines import baseline_signals as baseline_signals
-from .baselines import monte_carlo as monte_carlo
 from .criteria import Kind as Kind
 from .discrimination import DiscriminationDesign as DiscriminationDesign
 from .discrimination import discriminate as discriminate
@@ -10,9 +7,12 @@ from .excitation import StepInput as StepInput
 from .excitation import ThrusterResponse as ThrusterResponse
 from .information import InformationSegment as InformationSegment
 from .information import segment_information as segment_information
+from .optimal_design import BaselineSignal as BaselineSignal
 from .optimal_design import Design as Design
 from .optimal_design import Track as Track
+from .optimal_design import baseline_signals as baseline_signals
 from .optimal_design import design as design
+from .optimal_design import monte_carlo as monte_carlo
 from .optimal_design import predicted_errors as predicted_errors
 from .optimal_design import predicted_track as predicted_track
 from .task import GRID as GRID

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from ident.export.codegen import CASADI, Program
+from ident.export.codegen import CASADI, Content, Program, header
 from ident.export.codegen import write as write_lines
-from ident.export.content import Content, header
 from ident.export.python import constants, unpacked
 
 RESERVED = {"x", "u", "p", "dt", "f", "h", "step", "ca"}

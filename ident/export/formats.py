@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from ident.estimation import SavedModel
 from ident.export import c, casadi_file, python, ros2
-from ident.export.content import Content, content
+from ident.export.codegen import Content, content
 
 TARGETS: dict[str, Callable[[Content], str]] = {
     "python": python.write, "casadi": casadi_file.write, "c": c.write, "ros2": ros2.write,

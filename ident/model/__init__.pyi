@@ -1,6 +1,4 @@
 from . import outlier_density as outlier_density
-from .names import segment_name as segment_name
-from .names import tap_name as tap_name
 from .outlier_density import LIKELY as LIKELY
 from .outlier_density import outlier_notes as outlier_notes
 from .outlier_density import robust_sensors as robust_sensors
@@ -10,6 +8,8 @@ from .parameter import INF as INF
 from .parameter import Parameter as Parameter
 from .parameter import ParameterOrigin as ParameterOrigin
 from .parameter import ParameterRole as ParameterRole
+from .parameter import segment_name as segment_name
+from .parameter import tap_name as tap_name
 from .structure import HISTORY_STEP as HISTORY_STEP
 from .structure import PARAMETERS as PARAMETERS
 from .structure import Effect as Effect

@@ -1,4 +1,7 @@
-"""Parameters: a value, and apart from it what is known of it (unit, transform, prior, free or fixed)."""
+"""Parameters: a value, and apart from it what is known of it (unit, transform, prior, free or fixed).
+
+Composed names: the one place that makes them. Nothing takes a name apart; what it is made of stands in types.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,16 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Literal
 
-from ident.model.names import segment_name
+
+def segment_name(name: str, segment: int | None) -> str:
+    """``V_x@0``: a parameter that each segment of data has for itself; ``m_u``: one that all share (None)."""
+    return name if segment is None else f"{name}@{segment}"
+
+
+def tap_name(name: str, tap: int) -> str:
+    """``n_left~3``: the input ``n_left`` that many steps ago; ``n_left`` itself for none."""
+    return f"{name}~{tap}" if tap else name
+
 
 INF = math.inf
 LARGEST = 700.0  # logarithm of a number that can still be written; a search may ask for more

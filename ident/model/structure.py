@@ -18,8 +18,7 @@ from functools import update_wrapper
 from types import SimpleNamespace
 from typing import Any, Literal
 
-from ident.model.names import tap_name
-from ident.model.parameter import Parameter, ParameterRole
+from ident.model.parameter import Parameter, ParameterRole, tap_name
 
 HISTORY_STEP = 0.1  # s between the taps of an input
 PARAMETERS = "parameters"  # a hook of this label changes parameters before the first stage

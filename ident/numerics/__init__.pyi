@@ -1,7 +1,7 @@
-from .arrays import Array as Array
 from .autocorrelation import block_error as block_error
 from .autocorrelation import effective_sample_size as effective_sample_size
 from .autocorrelation import integrated_autocorrelation_time as integrated_autocorrelation_time
+from .linear_algebra import Array as Array
 from .linear_algebra import covariance_root as covariance_root
 from .linear_algebra import scaled_eigen as scaled_eigen
 from .linear_algebra import scaled_inverse as scaled_inverse

@@ -19,7 +19,7 @@ from typing import Literal
 
 import numpy as np
 
-from ident.numerics.arrays import Array
+from ident.numerics.linear_algebra import Array
 
 WINDOW = 5.0  # autocorrelation times that the window is long (Sokal 1997, section 3)
 MIN_SAMPLES = 3  # of a series, below which its autocorrelation cannot be told from zero

@@ -1,6 +1,8 @@
 """Symmetric matrices whose entries have different units: information and covariance, scaled to unit diagonal first.
 
 Eigenvalues of the scaled matrix do not depend on units, so that one cut-off holds for every model.
+
+The array type of ident: float64, time along the first axis.
 """
 
 from __future__ import annotations
@@ -8,8 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ident.numerics.arrays import Array
+Array = NDArray[np.float64]
 
 
 class ScaledEigen(NamedTuple):

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.numerics.arrays import Array
+from ident.numerics.linear_algebra import Array
 
 Evaluate = Callable[[Array], tuple[Array, Array]]
 VIOLATION_PENALTY = 1e12  # of the merit, by any violation of a constraint

@@ -88,7 +88,7 @@ def compose(
 @cache
 def _environment() -> Environment:
     return Environment(
-        loader=PackageLoader("ident.report.output"),
+        loader=PackageLoader("ident.report"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -16,12 +16,8 @@ import numpy as np
 
 from daq.errors import SeatrialError
 from ident.numerics import Array
-from ident.results.design import DesignResult
-from ident.results.information import InformationResult
-from ident.results.navigation import NavigationResult
-from ident.results.noise import NoiseResult
+from ident.results.commands import DesignResult, InformationResult, NavigationResult, NoiseResult, StudyResult
 from ident.results.parts import DiagnosisResult, Part, ThrustCurveResult, ThrusterResult, VehicleResult
-from ident.results.study import StudyResult
 
 DIGITS = 7  # significant, of a number in a file
 EXACT = 22  # powers of ten are exact up to there

@@ -16,7 +16,7 @@ from ident.effects.nonparametric import nonparametric_effect
 from ident.effects.registry import catalogue
 from ident.engine.vectorised_model import VectorisedModel
 from ident.estimation.model_file import SavedModel
-from ident.export.content import without_nuisance
+from ident.export.codegen import without_nuisance
 from ident.model.parameter import Parameter
 from ident.model.structure import ForceCurve, Input, Model, Output, Sensor, State, plain_model
 from ident.models.disturbances import for_diagnosis

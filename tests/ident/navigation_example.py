@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ident.results.navigation import NavigationResult
+from ident.results.commands import NavigationResult
 
 STATES = (
     ("x", "m", "north", False),

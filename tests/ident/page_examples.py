@@ -9,7 +9,7 @@ import numpy as np
 
 from daq.checks.check_report import CheckReport, DryRun, PredictedTrack
 from daq.checks.findings import Finding
-from ident.checks.evidence import (
+from ident.checks.log_checks import (
     CheckEvidence,
     PushResponseCurve,
     SampleIntervals,
@@ -17,8 +17,7 @@ from ident.checks.evidence import (
     ShaftResponse,
     SignalCurve,
 )
-from ident.results.design import DesignResult
-from ident.results.study import StudyResult
+from ident.results.commands import DesignResult, StudyResult
 from tests.ident.navigation_example import arrays
 
 AIMS = {"bias": (-0.15, 0.15), "ratio": (0.9, 1.1), "coverage": (0.93, 0.97)}
@@ -46,7 +45,7 @@ def check() -> CheckReport:
 
 
 def checked_log() -> CheckEvidence:
-    """Curves as `ident.checks.evidence.log_evidence` gives them."""
+    """Curves as `ident.checks.log_checks.log_evidence` gives them."""
     rng, t = np.random.default_rng(8), np.arange(0.0, 48.0, 0.1)
     told = np.where(np.mod(t, 12.0) < 6.0, 0.3, -0.3)
     r = 0.2 * np.convolve(told, np.exp(-np.arange(0, 6, 0.1)), "full")[: t.size]

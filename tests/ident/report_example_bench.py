@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ident.results.noise import NoiseResult
+from ident.results.commands import NoiseResult
 from tests.ident.calibration_example import calibration
 from tests.ident.navigation_example import arrays
 from tests.ident.report_example import base, commands, fit, listed, log, parameter

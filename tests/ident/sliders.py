@@ -17,8 +17,7 @@ from ident.diagnosis.score_test import (
     score_tests,
 )
 from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import Fit, fit
-from ident.estimation.options import SearchSettings
+from ident.estimation.maximum_likelihood import Fit, SearchSettings, fit
 from ident.model.parameter import Parameter
 from ident.model.structure import Effect, Input, Model, Output, Sensor, Signals, State, plain_model
 

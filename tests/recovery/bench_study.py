@@ -23,7 +23,7 @@ from ident.data.record import Channel, LogSegment, Record, build_record
 from ident.diagnosis.results import Diagnosis
 from ident.diagnosis.search import diagnose
 from ident.estimation.fitted_model import FittedModel
-from ident.estimation.options import EstimationOptions
+from ident.estimation.maximum_likelihood import EstimationOptions
 from ident.model.structure import Model
 from ident.models.thruster import delay_step, delayed_channels, thruster_model
 from ident.validation.prediction_errors import pooled_errors, simulation_run

@@ -16,9 +16,8 @@ import numpy as np
 
 from bench.mission_generators import make_mission
 from ident.data.record import LogSegment
-from ident.diagnosis.evaluation import evaluate_diagnosis
 from ident.diagnosis.results import Diagnosis
-from ident.diagnosis.search import diagnose
+from ident.diagnosis.search import diagnose, evaluate_diagnosis
 from ident.effects.registry import catalogue
 from ident.estimation.fitted_model import FittedModel
 from ident.results.diagnosis import diagnosis_result

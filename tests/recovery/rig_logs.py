@@ -26,7 +26,7 @@ from daq.log.recorder import Recorder
 from daq.protocol import Codec, dialect
 from daq.protocol.mavlink import MavlinkDecoder, make_samples
 from daq.samples import NAN, Ahrs, Command, Esc, Frame, Gnss
-from ident.data.log_channels import local_ned
+from ident.data.loading import local_ned
 from mocks.devices.autopilot import AutopilotEmulator
 from mocks.hidden_effects.catalogue import make_effect
 from mocks.offline_simulation import BOAT, Recording, simulate, tables

@@ -12,7 +12,7 @@ import pytest
 from ident.characterisation.thruster import THRUSTER_RATE, fit_thruster
 from ident.data.record import build_record
 from ident.effects.nonparametric import NonparametricForce
-from ident.estimation.options import EstimationOptions
+from ident.estimation.maximum_likelihood import EstimationOptions
 from ident.models.thruster import delayed_channels, thruster_model
 from ident.results.tables import fit_summary
 from mocks.hidden_effects.catalogue import EFFECTS, OUTSIDE

@@ -3,19 +3,7 @@
 from __future__ import annotations
 
 from ident.report.blocks import Canvas, Section
-from ident.report.sections import (
-    answer,
-    calibration,
-    errors,
-    information,
-    navigation,
-    noise,
-    parameters,
-    profiles,
-    residuals,
-    runs,
-    search,
-)
+from ident.report.sections import answer, navigation, noise, parameters, predictions, residuals, runs, search
 from ident.results import (
     DiagnosisResult,
     FitResult,
@@ -46,12 +34,12 @@ def body(canvas: Canvas, result: Result) -> list[Section]:
         found = [navigation.outages_section(result), navigation.states_section(canvas, result)]
         found.append(runs.run_section(canvas, result.logs, result.inputs))
     elif isinstance(result, InformationResult):
-        found = [information.parameters_section(result), information.segments_section(canvas, result)]
+        found = [parameters.information_section(result), parameters.segments_section(canvas, result)]
         found.append(runs.run_section(canvas, result.logs, result.inputs))
     else:
         raise TypeError(f"no page for a {type(result).__name__}")
     unused = result.unused_signals if isinstance(result, FitResult) else ()
-    found += [errors.notes_section(result.notes, unused), errors.made_section(result)]
+    found += [predictions.notes_section(result.notes, unused), predictions.made_section(result)]
     return [section for section in found if section.blocks]
 
 
@@ -63,13 +51,13 @@ def _fit(canvas: Canvas, result: FitResult) -> list[Section]:
     return [
         *([answer.static_section(canvas, static)] if static else []),
         runs.prediction_section(canvas, result),
-        errors.section(result.errors, result.horizon_seconds),
+        predictions.errors_section(result.errors, result.horizon_seconds),
         runs.traces_section(canvas, result),
         runs.run_section(canvas, result.logs, result.inputs),
-        parameters.section(canvas, result.fit, changes),
-        profiles.section(canvas, profiled),
+        parameters.parameters_section(canvas, result.fit, changes),
+        parameters.profiles_section(canvas, profiled),
         residuals.section(canvas, result),
         *([search.section(canvas, diagnosis)] if diagnosis else []),
-        calibration.section(canvas, result.calibration, result.horizon_seconds),
-        errors.next_section(diagnosis.recommended_experiment if diagnosis else None),
+        predictions.calibration_section(canvas, result.calibration, result.horizon_seconds),
+        predictions.next_section(diagnosis.recommended_experiment if diagnosis else None),
     ]

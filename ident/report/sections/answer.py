@@ -6,7 +6,7 @@ from typing import Any
 
 from ident.report import drawing, formatting
 from ident.report.blocks import Canvas, Dumbbell, Dumbbells, EffectCard, Facts, Grid, Prose, Section
-from ident.report.sections.errors import by_role
+from ident.report.sections.predictions import by_role
 from ident.results import (
     DiagnosisResult,
     EffectRow,

@@ -1,4 +1,9 @@
-"""Parameters: what was estimated and how well, what moved, and what goes with what."""
+"""Parameters: what was estimated and how well, what moved, and what goes with what.
+
+Profile likelihoods: how far each parameter can move before the data object.
+
+Which segments of logs tell of which parameter, as a table and as a map over time.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +14,24 @@ import numpy as np
 
 from ident.numerics import Array
 from ident.report import drawing, formatting
-from ident.report.blocks import Canvas, Cell, Facts, Grid, Heading, Prose, Section, Table
-from ident.results import Correlation, FitSummary, ParameterChange, ParameterRow
+from ident.report.blocks import Canvas, Cell, Facts, Grid, Heading, Key, Plot, Prose, Section, Table, tabbed
+from ident.results import (
+    Correlation,
+    FitSummary,
+    InformationResult,
+    InformedParameter,
+    InputTrace,
+    LogSpan,
+    ParameterChange,
+    ParameterRow,
+    ProfileCurve,
+    SegmentInformation,
+)
 
 MANY = 14  # parameters, above which the correlation's numbers show on hover only
 
 
-def section(canvas: Canvas, fit: FitSummary, changes: Sequence[ParameterChange] = ()) -> Section:
+def parameters_section(canvas: Canvas, fit: FitSummary, changes: Sequence[ParameterChange] = ()) -> Section:
     """Table of the fit, before and after, and the correlation."""
     blocks: list[Any] = _fit_facts(fit)
     table = fit.parameters
@@ -126,3 +142,152 @@ def _strongest(names: Sequence[str], table: Array, n: int = 4) -> str:
     size = np.nan_to_num(np.abs(table[i, j]))
     order = [k for k in np.argsort(-size)[:n] if size[k] >= 0.5]
     return ", ".join(f"{names[i[k]]} and {names[j[k]]} {table[i[k], j[k]]:.2f}".replace("-", "−") for k in order)
+
+
+DROP = 1.92  # of the log-likelihood: the 95 % interval
+TOP = 2.6  # of the picture
+
+
+def profiles_section(canvas: Canvas, table: Sequence[ProfileCurve]) -> Section:
+    """A table of intervals and a small curve for each parameter."""
+    if not table:
+        return Section("profiles", "Profile likelihoods", [])
+    columns = [("parameter", ""), ("value", "num"), ("95 % by profile", "num"), ("95 % by s.e.", "num"), ("unit", "")]
+    noted = any(row.notes for row in table)
+    shown = Table([*columns, ("note", "")] if noted else columns, [_profile_row(row, noted) for row in table])
+    blocks: list[Any] = [shown]
+    plots = [plot for row in table if (plot := _curve(canvas, row)) is not None]
+    if plots:
+        blocks += [Key([("line", "profile"), ("before", "as the standard error has it"), ("bar weak", "95 %")]),
+                   Grid(plots, 240)]
+    lead = "The drop of the log-likelihood as one parameter is moved and all others are fitted again; 1.92 is 95 %."
+    return Section("profiles", "Profile likelihoods", blocks, lead)
+
+
+def _profile_row(row: ProfileCurve, noted: bool) -> list[Cell | str]:
+    factor, unit = formatting.degrees_for(row.unit)
+    ends = ((row.low, row.high), (row.wald_low, row.wald_high))
+    cells: list[Cell | str] = [
+        Cell(row.name, "symbol"),
+        Cell(formatting.plain(factor * row.value), "num"),
+        *(Cell(interval(*formatting.scaled(factor, *pair)), "num") for pair in ends),
+        Cell(unit, "nowrap"),
+    ]
+    return [*cells, Cell("; ".join(row.notes), "wide")] if noted else cells
+
+
+def interval(low: float | None, high: float | None) -> str:
+    """``1.2 to 3.4``; an end that the data do not close is open."""
+    if low is None and high is None:
+        return "–"
+    ends = ["open" if end is None else formatting.plain(end) for end in (low, high)]
+    return f"{ends[0]} to {ends[1]}"
+
+
+def _curve(canvas: Canvas, row: ProfileCurve) -> Plot | None:
+    value = row.value
+    if row.grid.size < 3 or drawing.drawable(row.drop) is None:
+        return None
+    factor, unit = formatting.degrees_for(row.unit)
+    x, drop = factor * row.grid, row.drop
+    traces = [drawing.line_trace(x, drop, "profile", canvas.budget.points)]
+    low, high = row.wald_low, row.wald_high
+    if low is not None and high is not None and low < value < high:
+        # the parabola of the standard error, each side by its own end: in a logarithm they differ
+        fine = np.linspace(x.min(), x.max(), 60)
+        half = factor * np.where(fine < factor * value, value - low, high - value)
+        traces.append(drawing.line_trace(fine, DROP * ((fine - factor * value) / half) ** 2, "standard error", 60,
+                                   color=drawing.BEFORE, dash="dash"))
+    ends = [row.low, row.high]
+    a, b = (x.min() if ends[0] is None else factor * ends[0]), (x.max() if ends[1] is None else factor * ends[1])
+    traces.append(drawing.between(np.array([a, b]), np.zeros(2), np.full(2, DROP), opacity=0.1))
+    name = row.name
+    figure = drawing.single(traces, f"{name} [{unit}]" if unit else name, "drop", yaxis={"range": [0, TOP]})
+    return canvas.plot(figure, 220, f"Profile likelihood of {name}", name)
+
+
+TIME = "time [s]"
+# one colour from light to dark: it keeps its order in print and for every kind of colour vision
+SCALE = [[0.0, "#f4f6f8"], [0.25, "#c3ddee"], [0.5, "#7db8dc"], [0.75, "#2f8dc1"], [1.0, "#00466e"]]
+ROW_HEIGHT, AROUND, LEFT = 26, 104, 74  # px
+
+
+def information_section(result: InformationResult) -> Section:
+    """A row a parameter: what is known of it, and the segment that it hangs on."""
+    found = result.information.parameters
+    columns = [("parameter", ""), ("value", "num"), ("± from all logs", "num"), ("hangs most on", ""),
+               ("± without it", "num"), ("± from it alone", "num")]
+    lead = ("Standard errors by prediction error with the model's own noise; the current and the offsets of each log "
+            "count as unknown.")
+    rows = [_information_row(p) for p in found]
+    return Section("known", "What these logs tell", [Table(columns, rows)] if rows else [], lead)
+
+
+def _information_row(p: InformedParameter) -> list[Cell | str]:
+    factor, unit = formatting.degrees_for(p.unit)
+    name, shown = f"{p.name}  {p.meaning}{formatting.bracket(unit)}", Cell(formatting.plain(factor * p.value), "num")
+    if p.se is None:
+        return [name, shown, Cell("nothing", "num"), "", Cell("–", "num"), Cell("–", "num")]
+    se, alone = factor * p.se, None if p.alone is None else factor * p.alone
+    without = (
+        "unknown" if p.weight is None else f"{formatting.plain(se * p.weight)} (× {formatting.plain(p.weight)})"
+    )
+    return [name, shown, Cell(formatting.plain(se), "num"), place(p), Cell(without, "num"),
+            Cell(formatting.plain(alone), "num")]
+
+
+def place(segment: LogSpan) -> str:
+    """``run, 30 to 60 s (zigzag)``."""
+    words = f"{segment.record}, {segment.t_from:.0f} to {segment.t_to:.0f} s"
+    return f"{words} ({segment.what})" if segment.what else words
+
+
+def segments_section(canvas: Canvas, result: InformationResult) -> Section:
+    """One tab a log: the part of each parameter's information that each segment alone brings, over the inputs."""
+    tabs = []
+    for record in dict.fromkeys(row.record for row in result.information.segments):
+        found = [row for row in result.information.segments if row.record == record]
+        inputs = [row for row in result.inputs if row.record == record]
+        tabs.append((record, _record(canvas, result.information.names, found, inputs)))
+    if not any(blocks for _, blocks in tabs):
+        return Section("segments", "", [])
+    lead = ("Dark: of what all logs tell of the parameter, so much would be lost without this segment (1 − the square "
+            "of the standard error with it over that without it). What others tell as well is not lost.")
+    return Section("segments", "Segment by segment", tabbed(tabs), lead)
+
+
+def _record(
+    canvas: Canvas, names: Sequence[str], found: Sequence[SegmentInformation], inputs: Sequence[InputTrace]
+) -> list[Any]:
+    good = [row for row in found if np.isfinite(row.lost).any()]
+    if not good:
+        return []
+    record = good[0].record
+    edges = np.array([good[0].t_from, *(row.t_to for row in good)])
+    z = np.clip(np.column_stack([row.lost for row in good]), 0.0, 1.0)
+    words = [[place(row) for row in good]] * len(names)
+    every = {"autorange": "reversed", "type": "category", "dtick": 1}
+    figure = drawing.single([_map(edges, z, names, words)], TIME, yaxis=every, hovermode="closest",
+                            margin={"l": LEFT, "r": 8, "t": 56, "b": 44})
+    blocks: list[Any] = [Grid([canvas.plot(figure, ROW_HEIGHT * len(names) + AROUND,
+                                           f"Lost without each segment, {record}")], 600)]
+    panels = [drawing.Panel(formatting.titled(row.name) + formatting.bracket(row.unit), [
+        drawing.line_trace(row.t, row.value, "input", canvas.budget.points, color=drawing.MEASURED)]) for row in inputs]
+    if panels:
+        shown, height = drawing.stacked(panels, TIME, panel_height=70)
+        shown["layout"]["margin"]["l"] = LEFT  # below the same times of the map
+        blocks += [Prose("What was done meanwhile:", "quiet"), Grid([canvas.plot(shown, height, "Inputs")], 600)]
+    return blocks
+
+
+def _map(edges: Array, z: Array, names: Sequence[str], words: Sequence[Sequence[str]]) -> drawing.Trace:
+    shown = [[None if not np.isfinite(v) else round(float(v), 4) for v in line] for line in z]
+    said = [[drawing.said(word) for word in line] for line in words]
+    return {
+        "type": "heatmap", "x": edges.round(3).tolist(), "y": [drawing.said(n) for n in names], "z": shown, "zmin": 0.0,
+        "zmax": 1.0, "colorscale": SCALE, "xgap": 1, "ygap": 2, "text": said, "hoverongaps": False,
+        "hovertemplate": "%{y}: %{z:.0%} lost without<br>%{text}<extra></extra>",
+        "colorbar": {"tickformat": ".0%", "thickness": 8, "outlinewidth": 0, "orientation": "h", "len": 0.4, "x": 1.0,
+                     "xanchor": "right", "y": 1.0, "yanchor": "bottom", "nticks": 5,
+                     "title": {"text": "lost without it", "side": "top"}},
+    }  # fmt: skip

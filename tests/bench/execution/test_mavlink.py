@@ -19,7 +19,7 @@ import pytest
 from daq.config.mission_file import Mission, Segment, save_mission
 from daq.log.reader import open_log
 from daq.samples import Ahrs, Command, Servo
-from ident.data.log_channels import channels
+from ident.data.loading import channels
 from tests.bench.runs import acquisition_of, is_alive
 from tests.bench.standin import until
 

@@ -28,8 +28,7 @@ from ident.diagnosis.score_test import (
 from ident.engine.vectorised_model import VectorisedModel
 from ident.estimation.fitted_model import fit_and_evaluate
 from ident.estimation.likelihood import FilterResult, Likelihood
-from ident.estimation.maximum_likelihood import fit
-from ident.estimation.options import SearchSettings
+from ident.estimation.maximum_likelihood import SearchSettings, fit
 from ident.model.parameter import Parameter
 from ident.model.structure import Effect, Signals, State
 from tests.ident.sliders import CUBE, DRAG, PUSH, TAPE, Q, score_of, scores_at, scores_of_columns, slide, slider, whole

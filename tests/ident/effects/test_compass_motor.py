@@ -10,8 +10,7 @@ import pytest
 from ident.data.record import Channel, Record, build_record
 from ident.effects.registry import catalogue
 from ident.engine.vectorised_model import VectorisedModel
-from ident.estimation.maximum_likelihood import fit
-from ident.estimation.options import EstimationOptions
+from ident.estimation.maximum_likelihood import EstimationOptions, fit
 from ident.estimation.output_error import simulate
 from ident.model.structure import Model
 from ident.models.horizontal import horizontal_model

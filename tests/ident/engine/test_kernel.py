@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ident.data.prepared_record import Preparer
+from ident.data.record import Preparer
 from ident.engine import jit
 from ident.engine.filter_kernels import Programs, programs_for
 from ident.engine.kernel import Arena, Kernel

@@ -11,8 +11,7 @@ from scipy import stats
 from daq.errors import SeatrialError
 from ident.data.record import Record
 from ident.estimation.homogeneity import between_log_variance, homogeneity_test
-from ident.estimation.maximum_likelihood import fit
-from ident.estimation.options import EstimationOptions
+from ident.estimation.maximum_likelihood import EstimationOptions, fit
 from ident.model.parameter import Parameter
 from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
 from ident.results.answers import homogeneity_sentence

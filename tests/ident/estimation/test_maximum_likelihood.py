@@ -10,10 +10,9 @@ import pytest
 
 from ident.data.record import Record
 from ident.estimation import fisher_scoring, maximum_likelihood
+from ident.estimation.fisher_scoring import Problem
 from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import Fit, fit
-from ident.estimation.objective import Problem
-from ident.estimation.options import ROUGH, SearchSettings
+from ident.estimation.maximum_likelihood import ROUGH, Fit, SearchSettings, fit
 from ident.model.parameter import INF, Parameter
 from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
 from tests.ident.toys import best_start, turning, turning_record, values_of

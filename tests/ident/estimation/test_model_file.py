@@ -16,9 +16,8 @@ from ident.effects.nonparametric import input_response_effects, nonparametric_ef
 from ident.effects.registry import catalogue
 from ident.engine.vectorised_model import VectorisedModel
 from ident.estimation.homogeneity import between_runs_effect
-from ident.estimation.maximum_likelihood import Fit, fit
+from ident.estimation.maximum_likelihood import Fit, SearchSettings, fit
 from ident.estimation.model_file import load_model, save_model
-from ident.estimation.options import SearchSettings
 from ident.model.structure import ForceCurve, Model
 from ident.models.catalogue import make_model
 from ident.models.disturbances import for_diagnosis

@@ -11,8 +11,7 @@ from scipy.integrate import solve_ivp
 
 from ident.data.record import Record
 from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import fit
-from ident.estimation.options import EstimationOptions, SearchSettings
+from ident.estimation.maximum_likelihood import EstimationOptions, SearchSettings, fit
 from ident.estimation.output_error import free_start, output_error, predict_ahead, simulate, with_initial_state
 from ident.models.yaw import yaw_model
 from tests.ident.toys import turning, turning_record, values_of

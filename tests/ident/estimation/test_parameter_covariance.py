@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import fit
-from ident.estimation.options import SearchSettings
+from ident.estimation.maximum_likelihood import SearchSettings, fit
 from ident.estimation.output_error import simulate
 from ident.estimation.parameter_covariance import parameter_uncertainty, prediction_variance
 from ident.validation.prediction_errors import WARM_UP, simulation_run

@@ -16,8 +16,7 @@ from scipy import optimize
 
 from daq.errors import SeatrialError
 from ident.data.record import Record
-from ident.estimation.maximum_likelihood import Fit, fit
-from ident.estimation.options import EstimationOptions
+from ident.estimation.maximum_likelihood import EstimationOptions, Fit, fit
 from ident.estimation.output_error import output_error
 from ident.estimation.profile_likelihood import Profile, profile
 from ident.estimation.standard_errors import DROP_95

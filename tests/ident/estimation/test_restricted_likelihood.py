@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from ident.data.record import Record
-from ident.estimation.maximum_likelihood import fit
-from ident.estimation.options import EstimationOptions, SearchSettings
+from ident.estimation.maximum_likelihood import EstimationOptions, SearchSettings, fit
 from ident.estimation.stochastic_simulation import simulate_stochastic
 from ident.model.parameter import Parameter
 from ident.model.structure import Input, Model, Output, Sensor, State, plain_model

@@ -10,15 +10,13 @@ from scipy import stats
 
 from daq.errors import SeatrialError
 from ident.effects.registry import catalogue
-from ident.estimation.maximum_likelihood import fit
-from ident.estimation.options import SearchSettings
+from ident.estimation.maximum_likelihood import SearchSettings, fit
 from ident.estimation.output_error import simulate
 from ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
-from ident.experiment_design.baselines import baseline_signals, monte_carlo
 from ident.experiment_design.discrimination import HypothesisPair, discriminate, separation
 from ident.experiment_design.excitation import StepInput, ThrusterResponse, prbs, rgs
 from ident.experiment_design.information import planned_record
-from ident.experiment_design.optimal_design import Design, design, predicted_track
+from ident.experiment_design.optimal_design import Design, baseline_signals, design, monte_carlo, predicted_track
 from ident.experiment_design.task import GRID, DesignLimits, DesignProblem, ParameterPrior
 from ident.model.parameter import Parameter
 from ident.model.structure import Input, Model, Output, Sensor, State, plain_model

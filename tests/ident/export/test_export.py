@@ -16,7 +16,7 @@ from ident.cli.commands import ident
 from ident.data.record import Record
 from ident.effects.registry import catalogue
 from ident.estimation.output_error import simulate
-from ident.export.content import content, identifiers, prefix
+from ident.export.codegen import content, identifiers, prefix
 from ident.export.formats import TARGETS, export
 from ident.model.parameter import Parameter
 from ident.model.structure import Output, Sensor, State, plain_model

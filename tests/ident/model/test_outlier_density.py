@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-from ident.data.prepared_record import Preparer, _agreeing
-from ident.data.record import Channel, LogSegment, Record
+from ident.data.record import Channel, LogSegment, Preparer, Record, _agreeing
 from ident.estimation.fitted_model import fit_nominal_model
 from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import Fit, fit
-from ident.estimation.options import EstimationOptions
+from ident.estimation.maximum_likelihood import EstimationOptions, Fit, fit
 from ident.estimation.output_error import output_error
 from ident.model import outlier_density
 from ident.model.parameter import Parameter

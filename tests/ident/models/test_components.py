@@ -13,9 +13,8 @@ from ident.data.record import build_record
 from ident.effects.registry import catalogue
 from ident.engine.vectorised_model import VectorisedModel
 from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import fit
+from ident.estimation.maximum_likelihood import SearchSettings, fit
 from ident.estimation.model_file import load_model, save_model
-from ident.estimation.options import SearchSettings
 from ident.estimation.prior_knowledge import apply_rig_geometry
 from ident.models.catalogue import make_model
 from ident.models.components import antenna, current_walk

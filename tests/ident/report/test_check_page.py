@@ -11,7 +11,7 @@ import pytest
 
 import seatrial
 from daq.checks.check_report import CheckReport
-from ident.checks.evidence import CheckEvidence, log_evidence
+from ident.checks.log_checks import CheckEvidence, log_evidence
 from ident.checks.motion import YAW_LAGS, delayed_forces
 from ident.report.check_page import check_answer, write_check_page
 from tests.bench.check_cases import CASES, logged

@@ -8,16 +8,15 @@ from typing import Any, NoReturn
 import pytest
 
 from ident.data.record import LogSegment
-from ident.diagnosis.evaluation import evaluate_diagnosis
-from ident.diagnosis.search import diagnose
+from ident.diagnosis.search import diagnose, evaluate_diagnosis
 from ident.engine.vectorised_model import VectorisedModel
 from ident.estimation.fitted_model import fit_nominal_model
 from ident.estimation.likelihood import Likelihood
 from ident.model.outlier_density import with_outlier_model
 from ident.models.horizontal import horizontal_model
 from ident.report.page import write_report
+from ident.results.commands import Posed, vehicle_result
 from ident.results.diagnosis import diagnosis_result
-from ident.results.fits import Posed, vehicle_result
 from ident.results.parts import Provenance
 from ident.results.result_file import read_result, to_json, write_result
 from ident.validation.evaluation import evaluate

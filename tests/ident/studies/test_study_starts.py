@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.estimation.maximum_likelihood import fit
-from ident.estimation.options import SearchSettings
+from ident.estimation.maximum_likelihood import SearchSettings, fit
 from ident.estimation.stochastic_simulation import simulate_stochastic
 from ident.studies.cases import make_case
 from ident.studies.monte_carlo import make_record

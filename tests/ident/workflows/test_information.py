@@ -14,7 +14,7 @@ from msgspec.structs import replace
 import seatrial
 from daq.log.recorder import Recorder
 from daq.samples import NAN, Ahrs, Frame
-from ident.results.information import InformedParameter
+from ident.results.commands import InformedParameter
 from ident.workflows.information import _answer, _longest
 from mocks.offline_simulation import simulate
 from tests.missions import T0, StandingClock, boat_with, rig_of

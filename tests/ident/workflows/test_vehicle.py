@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from daq.errors import SeatrialError
-from ident.data.loading import LoadedLog, load_run
-from ident.data.log_channels import PropulsionInput
+from ident.data.loading import LoadedLog, PropulsionInput, load_run
 from ident.data.record import Channel, LogSegment
 from ident.estimation.fitted_model import fit_nominal_model
 from ident.estimation.prior_knowledge import apply_rig_geometry, fix_parameters

@@ -11,7 +11,7 @@ import pytest
 
 import seatrial
 from daq.errors import SeatrialError
-from ident.data.log_channels import along_track
+from ident.data.loading import along_track
 from ident.estimation.fitted_model import nominal
 from ident.estimation.model_file import load_model
 from ident.models.catalogue import make_model
