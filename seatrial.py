@@ -161,6 +161,8 @@ def _explain(error: BaseException) -> tuple[str, int]:
         line, status = f"{error.filename}: {error.strerror}", FAILED
     elif isinstance(error, ModuleNotFoundError) and error.name:
         line, status = _needs("this command", error.name), FAILED
+    elif isinstance(error, MemoryError):
+        line, status = "the memory of this computer is not enough: give fewer or shorter logs", FAILED
     else:
         line = f"internal error ({type(error).__name__}: {error}); run again with --debug to see where"
         status = FAILED

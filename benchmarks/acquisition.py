@@ -1,11 +1,13 @@
-"""Acquisition: jitter beside a busy program, loss at full rate, device time behind a slow adapter, kill -9.
+"""Acquisition: jitter beside a busy program, loss at full rate, device time behind a slow adapter, kill -9, segments.
 
-`python -m benchmarks.acquisition --seconds 600 --kills 50` measures for as long as the acceptance asks for.
+`python -m benchmarks.acquisition --seconds 600 --kills 50 --days 7` measures for as long as the acceptance asks for;
+a day takes 72 min.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import random
@@ -20,17 +22,22 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.logging import SPEED, mock_boat
 from benchmarks.measure import Figure, table
 from daq.acquisition.session import Acquisition
 from daq.clock import ClockMap, RunClock
 from daq.config.rig_file import parse_rig
+from daq.log.mcap_reader import RawLog
 from daq.log.reader import open_log
+from daq.log.schema import DEVICE_TIME, TYPES
+from daq.log.segments import segments as later_segments
 from daq.rig import Rig
 from daq.samples import Ahrs
 
 ROOT = Path(__file__).parents[1]
-JITTER_S, LOSS_S = 10.0, 20.0
+JITTER_S, LOSS_S, SOAK_S = 10.0, 20.0, 240.0
 LOSS_RATE = 1250.0  # frames a second and device
+NUMBERED = {DEVICE_TIME, *TYPES.values()}  # types of the first message of a sample
 RECORD = """
 import os, struct, sys, time
 from pathlib import Path
@@ -57,7 +64,7 @@ while True:
 
 def figures(seed: int) -> list[Figure]:
     """All of them, for a short time each."""
-    return [*jitter(JITTER_S), *loss(LOSS_S), *device_time(seed), *kills(2, seed)]
+    return [*jitter(JITTER_S), *loss(LOSS_S), *device_time(seed), *kills(2, seed), *soak(SOAK_S, seed)]
 
 
 def rig_of(folder: Path, n_devices: int, rate: float) -> Rig:
@@ -168,14 +175,72 @@ def _killed(rate: float, after: float) -> float:
         return float(written[-1] - kept[-1])
 
 
+def soak(seconds: float, seed: int) -> Iterator[Figure]:
+    """The mock boat at twenty times the speed of the world, in segments under a disk budget that holds some of them."""
+    keep = min(9000.0 * seconds, 2e9)  # bytes; the boat makes 18 kB a run second
+    with tempfile.TemporaryDirectory() as name, mock_boat(Path(name), seed) as boat:
+        path, largest, memory = Path(name) / "run.mcap", 0, list[float]()
+        limits = f"segment_s = {min(seconds / 16, 3600.0)}\nkeep_gb = {keep / 1e9}\n"
+        limits += f"segment_mb = {keep / 9e6}\n" if keep > 9e6 else ""
+        text, clock = boat.text.replace("[log]\n", f"[log]\n{limits}"), RunClock(SPEED)
+        with Acquisition(parse_rig(text, boat.path), path, clock=clock) as acquisition:
+            end = clock.now() + seconds
+            while clock.now() < end:
+                time.sleep(0.5)
+                largest = max(largest, acquisition.status().bytes)
+                memory.append(rss_mb(acquisition._process.pid))
+        last = acquisition.status()
+        missing, written, kept = continuity(path)
+    group = f"mock boat for {seconds:g} run s at {SPEED:g} times"
+    yield Figure(group, "samples", last.messages, "")
+    yield Figure(group, "counted as dropped", sum(port.dropped for port in last.ports.values()), "")
+    yield Figure(group, "written, but not in order", last.messages - written, "samples")
+    yield Figure(group, "missing or twice within what is kept", missing, "samples")
+    yield Figure(group, "segments kept", kept[0], "", note=f"of {kept[1]}")
+    yield Figure(group, "largest size", largest / keep, "of keep_gb")
+    yield Figure(group, "memory of the process, growth", memory[-1] - memory[len(memory) // 4], "MB")
+
+
+def continuity(path: Path) -> tuple[int, int, tuple[int, int]]:
+    """Of a log in segments: numbers that are missing or twice between neighbours, samples written, segments kept.
+
+    The samples of a topic are numbered through all segments.
+    """
+    last: dict[str, tuple[int, int]] = {}  # by topic: segment and number
+    wrong = 0
+    for segment, file in {0: path, **later_segments(path)}.items():
+        raw = RawLog(file)
+        first = {n: c.topic for n, c in raw.channels.items() if raw.schemas[c.schema_id].name in NUMBERED}
+        for messages in raw.read(first):
+            for number, topic in first.items():
+                found = messages.heads["sequence"][messages.heads["channel"] == number].astype(int)
+                if len(found) and topic in last and last[topic][0] in (segment, segment - 1):
+                    found = np.append(last[topic][1], found)
+                wrong += int(np.sum(np.diff(found) != 1))
+                if len(found):
+                    last[topic] = segment, int(found[-1])
+        raw.close()
+    numbers = later_segments(path)
+    return wrong, sum(n for _, n in last.values()), (1 + len(numbers), 1 + max(numbers, default=0))
+
+
+def rss_mb(pid: int) -> float:
+    """Resident memory of a process [MB]; NaN where the system does not say."""
+    with contextlib.suppress(OSError):
+        return int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+    return float("nan")
+
+
 def main() -> int:
     """Measure for as long as is asked for."""
     parser = argparse.ArgumentParser("python -m benchmarks.acquisition", description=__doc__)
     parser.add_argument("--seconds", type=float, default=LOSS_S, help="of the loss measurement")
     parser.add_argument("--kills", type=int, default=2, help="at each rate")
+    parser.add_argument("--days", type=float, default=SOAK_S / 86_400, help="of the mock boat, in segments")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     found = [*jitter(JITTER_S), *loss(given.seconds), *device_time(given.seed), *kills(given.kills, given.seed)]
+    found += soak(86_400 * given.days, given.seed)
     print(table(found))
     return 0
 

@@ -1,8 +1,12 @@
-"""Recorder, reader and the acquisition process: what a message costs."""
+"""Recorder, reader and the acquisition process: what a message costs; and part of a day's log.
+
+`python -m benchmarks.logging FILE` reads ten minutes of one topic of a day's log (made where there is none).
+"""
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import subprocess
 import sys
@@ -12,24 +16,66 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from bench.demo import write_demo_rig
-from benchmarks.measure import Figure
+from benchmarks.measure import Figure, child, peak_mb
 from daq.acquisition.session import Acquisition
 from daq.clock import RunClock
 from daq.config.rig_file import load_rig
+from daq.log.cdr import NANO, cdr_layout
+from daq.log.mcap_writer import LogWriter
 from daq.log.reader import open_log
 from daq.log.recorder import Recorder
-from daq.samples import NAN, Ahrs, Esc, Frame, Gnss, LoadCell, Sample
+from daq.log.schema import TYPES, topic
+from daq.rig import Rig
+from daq.samples import NAN, Ahrs, Esc, Frame, Gnss, LoadCell, Sample, Scalar
 from tests.missions import T0, StandingClock, rig_of
 
 N_ROUNDS = 20_000
 SPEED, WALL_S = 20.0, 6.0
+ROOT = Path(__file__).parents[1]
+DAY_S, CHUNK_S, TOPICS = 86_400, 0.25, ("surge", "sway", "heave", "yaw")
+FULL_HZ, THIN_HZ, FULL_FROM_S, FULL_TO_S = 1000, 20, 43_000, 44_200  # all chunks of a day; full in some minutes of it
+READ_FROM_S, READ_TO_S = 43_200, 43_800
 
 
 def figures(seed: int) -> Iterator[Figure]:
     """All of them; ``seed`` draws the boat."""
     with tempfile.TemporaryDirectory() as folder:
         yield from record_and_read(Path(folder))
+        yield from read_part_of_a_day(ROOT / "build" / "day.mcap")
         yield from acquire(Path(folder), seed)
+
+
+def read_part_of_a_day(path: Path) -> Iterator[Figure]:
+    """Ten minutes of one topic of a log of 24 h, of four topics at 1 kHz, in a process of its own."""
+    if not path.exists():
+        write_day(path)
+    done = child([sys.executable, "-m", "benchmarks.logging", str(path)], ROOT, os.environ)
+    group = f"a day of 4 x 1 kHz ({path.stat().st_size / 1e6:.0f} MB, thinned but for {FULL_TO_S - FULL_FROM_S} s)"
+    yield Figure(group, "opened, one topic, 10 min: wall", done.wall, "s", note="wanted: 2; with Python's start")
+    yield Figure(group, "opened, one topic, 10 min: CPU", done.cpu, "s")
+    yield Figure(group, "peak memory", done.report["peak_mb"], "MB", note="wanted: 200")
+    yield Figure(group, "samples", done.report["n"], "")
+
+
+def write_day(path: Path) -> None:
+    """A day's log with as many chunks as at 1 kHz; only some minutes have all their messages."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_suffix(".part.mcap")
+    part.unlink(missing_ok=True)
+    log = LogWriter(part, metadata={"format": "seatrial-log 1"}, attachments={}, time_ns=0)
+    channels = [(log.channel(topic(Scalar, name), TYPES[Scalar]), name) for name in TOPICS]
+    packs = [(channel, cdr_layout(TYPES[Scalar], name.encode()).pack) for channel, name in channels]
+    for k in range(round(DAY_S / CHUNK_S)):
+        begin = k * CHUNK_S
+        rate = FULL_HZ if FULL_FROM_S <= begin < FULL_TO_S else THIN_HZ
+        for i in range(round(CHUNK_S * rate)):
+            t = T0 + begin + i / rate
+            stamp = round(t * NANO)
+            for channel, pack in packs:
+                log.add(channel, stamp, stamp, i, pack(stamp, t, NAN, (i * 0.618) % 1.0))
+        log.flush()
+    log.close()
+    part.replace(path)
 
 
 def record_and_read(folder: Path) -> Iterator[Figure]:
@@ -91,28 +137,36 @@ def read_all(path: Path, n_messages: int) -> Iterator[Figure]:
     yield Figure("log", "reader, all tables", ours, "messages/s", mcap, "peer: mcap's own, undecoded")
 
 
-def acquire(folder: Path, seed: int) -> Iterator[Figure]:
-    """The acquisition process on the mock boat at twenty times the speed of the world."""
+@contextlib.contextmanager
+def mock_boat(folder: Path, seed: int) -> Iterator[Rig]:
+    """The mock boat at `SPEED` in a process of its own, and its rig."""
     write_demo_rig("boat", folder, SPEED)
-    rig = load_rig(folder / "boat-rig.toml")
     words = [sys.executable, "-m", "seatrial", "mock", "boat", "boat-rig.toml", "--seed", str(seed)]
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
     with subprocess.Popen(
-        words, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-    ) as mock:
+        words, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+    ) as mock:  # fmt: skip
         try:
             assert mock.stdout is not None
             while mock.stdout.readline() not in ("ready\n", ""):
                 pass
-            with Acquisition(rig, folder / "acquired.mcap", clock=RunClock(SPEED)) as acquisition:
-                time.sleep(1.0)
-                first, cpu = acquisition.status(), cpu_of(acquisition._process.pid)
-                began = time.monotonic()
-                time.sleep(WALL_S)
-                last, cpu = acquisition.status(), cpu_of(acquisition._process.pid) - cpu
-                took = time.monotonic() - began
+            yield load_rig(folder / "boat-rig.toml")
         finally:
             mock.terminate()
+
+
+def acquire(folder: Path, seed: int) -> Iterator[Figure]:
+    """The acquisition process on the mock boat at twenty times the speed of the world."""
+    with (
+        mock_boat(folder, seed) as rig,
+        Acquisition(rig, folder / "acquired.mcap", clock=RunClock(SPEED)) as acquisition,
+    ):
+        time.sleep(1.0)
+        first, cpu = acquisition.status(), cpu_of(acquisition._process.pid)
+        began = time.monotonic()
+        time.sleep(WALL_S)
+        last, cpu = acquisition.status(), cpu_of(acquisition._process.pid) - cpu
+        took = time.monotonic() - began
     messages = last.messages - first.messages
     group = f"acquisition process, mock boat at speed {SPEED:g}"
     yield Figure(group, "samples", messages / took, "1/s wall")
@@ -127,3 +181,14 @@ def cpu_of(pid: int) -> float:
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / float(os.sysconf("SC_CLK_TCK"))
     return float("nan")
+
+
+def main() -> None:
+    """Of a child: read, then say how much and at which peak of memory."""
+    with open_log(sys.argv[1]) as log:
+        rows = log.table(Scalar, TOPICS[1], begin=log.start + READ_FROM_S, end=log.start + READ_TO_S)
+    print(json.dumps({"n": len(rows), "peak_mb": peak_mb()}))
+
+
+if __name__ == "__main__":
+    main()

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 
+CLOCK_STEP_S = 0.5  # times of one device that run back by more are of a clock that was set, or of two
 Origin = tuple[float, float]
 
 

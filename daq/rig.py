@@ -181,16 +181,18 @@ class Limits:
     roll_deg: float | None = None
     pitch_deg: float | None = None
     battery_min: float | None = None  # 0..1 of the charge
+    link_test_n: float = 0.3  # commands beyond this, behind an autopilot, need a test of what a lost link does
     unwatched: tuple[str, ...] = ()  # limits that nothing need report: they are compared where something does
 
 
 @dataclass(frozen=True)
 class Segments:
-    """When a log continues in a new file, and the disk space needed to begin one."""
+    """When a log continues in a new file, the disk space needed to begin one, and how much of a log is kept."""
 
     megabytes: float | None = None  # 1e6 bytes; None: never
     seconds: float | None = None  # run seconds
     free_megabytes: float = 50.0
+    keep_gigabytes: float | None = None  # 1e9 bytes; None: everything
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ STUCK_LIVE: dict[type, StuckLimit] = {
 }
 STUCK_IN_LOG: dict[type, StuckLimit] = {
     Ahrs: StuckLimit(("yaw", "r", "ax"), 10, 0.5),
-    Gnss: StuckLimit(("lat", "lon", "vel_n", "vel_e", "speed"), 10, 3.0),
+    Gnss: StuckLimit(("utc", "lat", "lon", "vel_n", "vel_e"), 10, 3.0),  # a receiver at rest may hold its position
     LoadCell: StuckLimit(("counts",), 20, 3.0),
 }
 FLAGGED_SHARE = 0.01  # of a load cell's samples: saturated or spikes

@@ -15,9 +15,9 @@ from bench.mission_generators import bench_plan, make_mission
 from daq.config.mission_file import Mission, dump_mission
 from daq.config.rig_file import parse_rig
 from daq.log.recorder import Recorder
+from daq.log.schema import local_ned
 from daq.rig import Rig
 from daq.samples import NAN, Ahrs, Frame, LoadCell
-from ident.data.loading import local_ned
 from ident.data.record import Channel
 from mocks.hidden_effects.catalogue import make_effect
 from mocks.offline_simulation import Recording, simulate, simulate_bench, tables

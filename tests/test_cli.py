@@ -85,6 +85,7 @@ def test_runs_as_a_module() -> None:
         (SeatrialError("\x1b[2Ja \u202e\x07"), 1, "\\x1b[2Ja \\u202e\\x07"),
         (FileNotFoundError(2, "No such file or directory", "a.mcap"), 1, "a.mcap: No such file or directory"),
         (KeyboardInterrupt(), 130, "interrupted"),
+        (MemoryError(), 1, "the memory of this computer is not enough: give fewer or shorter logs"),
     ],
 )
 def test_a_failure_is_one_line_and_a_status(run, error: BaseException, status: int, line: str) -> None:

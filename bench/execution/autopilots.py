@@ -10,10 +10,13 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 
+from bench.execution.link_test import require_link_test
 from daq.acquisition import Acquisition, Status
 from daq.clock import RunClock
-from daq.drivers import LinkStatus, check_parameters
+from daq.drivers import DISARMED, LinkStatus, check_parameters
 from daq.errors import SafetyStop, SeatrialError
+from daq.log import read_note
+from daq.protocol import ROVER
 from daq.rig import Device, Rig, Thruster
 from daq.samples import Servo
 
@@ -22,12 +25,14 @@ AWAIT_S = 10.0  # for heartbeats, parameters and answers
 ESTIMATOR_S = 60.0  # it needs 30 to 40 s after power-on
 POLL_S = 0.05
 LINK_AGE_S = 3.0  # heartbeats come once a second
-LEAVE_S = 1.0  # for the disarming at a stop to be seen
+LEAVE_S = 10.0  # for the disarming at a stop to be seen, where the link has to come back first
+ASK_S = 1.0  # between two requests to disarm
 REASONS_S = 1.0  # for the texts that come after a refusal
 NEUTRAL_S = 0.3  # of neutral sticks before arming
 # EKF_STATUS_REPORT: attitude, horizontal velocity, absolute horizontal position; and no constant-position mode.
 EKF_WANTED, EKF_UNWANTED = 1 | 2 | 16, 128
-TOLERANCE, WINDOW_S = 0.05, 0.5  # of an output from the commands of the last moment, and that moment
+TOLERANCE, WINDOW_S = 0.05, 0.25  # of an output from the commands of the last moment, and that moment; run s
+RIVAL = "another ground station has our own system id: its heartbeats hide the loss of ours"
 MANUAL, MANUAL_NUMBER = "MANUAL", 0.0
 
 
@@ -57,7 +62,8 @@ class OutputCheck:
         if latest.t - self._wrong_since < self._window:
             return ""
         name, device = self._thruster.name, self._thruster.device
-        return f"{device} puts out n = {n:+.2f} for {name}, commanded {recent[-1]:+.2f}: a parameter of it does that"
+        why = "it was disarmed or blocks commands" if abs(n) <= TOLERANCE else "a parameter of it bends commands"
+        return f"{device} puts out n = {n:+.2f} for {name}, commanded {recent[-1]:+.2f}: {why}"
 
 
 class Autopilots:
@@ -71,7 +77,10 @@ class Autopilots:
         clock: RunClock,
         wait: Callable[[float], None],
         say: Callable[[str], None],
+        n_max: float = 0.0,
     ) -> None:
+        """`n_max`: the largest command of the mission; beyond `limits.link_test_n` it needs a link test."""
+        self._n_max = n_max
         self._rig, self._acquisition, self._clock, self._wait, self._say = rig, acquisition, clock, wait, say
         names = dict.fromkeys(rig.thruster(name).device for name in thrusters)
         self._devices = [device for name in names if (device := rig.device(name)).mavlink is not None]
@@ -79,6 +88,11 @@ class Autopilots:
         self._prepared = False
         behind = [rig.thruster(name) for name in thrusters if rig.thruster(name).output is not None]
         self._outputs = [OutputCheck(thruster, clock.speed) for thruster in behind]
+
+    @property
+    def names(self) -> list[str]:
+        """Of the autopilots."""
+        return [device.name for device in self._devices]
 
     def await_ready(self) -> None:
         """Until every autopilot is fit to run the mission. Raises SeatrialError."""
@@ -115,8 +129,14 @@ class Autopilots:
     def _await_parameters(self, device: Device) -> None:
         link = self._await(device, lambda link: link.received and not link.parameters_pending, AWAIT_S)
         if link is None:
-            raise SeatrialError(f"{device.name} ({device.port}): no heartbeat or no parameters in {AWAIT_S:g} s")
+            port = self._acquisition.status().ports.get(device.name)
+            why = f" ({port.message})" if port is not None and port.message else ""
+            raise SeatrialError(f"{device.name} ({device.port}): no heartbeat or no parameters in {AWAIT_S:g} s{why}")
         assert device.mavlink is not None
+        if link.vehicle != ROVER:
+            raise SeatrialError(f"{device.name} is {link.vehicle or 'of an unknown kind'}: only {ROVER} is driven")
+        if link.rivals:
+            raise SeatrialError(f"{device.name}: {RIVAL}; end it, or give it another own_system_id")
         here = [thruster for thruster in self._rig.thrusters if thruster.device == device.name]
         found = check_parameters(link.parameters, here, device.mavlink.own_system_id)
         for finding in found:
@@ -129,6 +149,9 @@ class Autopilots:
         if fatal:
             forbid = "parameter forbids" if len(fatal) == 1 else "parameters forbid"
             raise SeatrialError(f"{device.name}: {len(fatal)} {forbid} to drive, yours to set: {'; '.join(fatal)}")
+        if self._n_max > self._rig.limits.link_test_n:
+            seconds = require_link_test(self._rig, device.name, link.parameters, self._n_max)
+            self._acquisition.mark("parameter", f"{device.name}: a lost link was tested, neutral after {seconds:.2f} s")
 
     def _await_estimator(self, device: Device) -> None:
         def ready(link: LinkStatus) -> bool:
@@ -187,6 +210,8 @@ class Autopilots:
                 yield f"{device.name} went over to {link.mode}{reason}"
             if link.alarm:
                 yield f"{device.name} says {link.alarm}"
+            if link.rivals:
+                yield f"{device.name}: {RIVAL}"
         for output in self._outputs:
             if reason := output.reason(status):
                 yield reason
@@ -199,12 +224,25 @@ class Autopilots:
             if self._await(self._rig.device(name), lambda link: not link.armed, AWAIT_S) is None:
                 self._say(f"{name}: disarming is not confirmed; disarm it yourself")
 
+    def maybe_armed(self) -> list[str]:
+        """Those that were armed here and have not said since, in a heartbeat of now, that they are disarmed."""
+        try:
+            links = [self._link(self._rig.device(name)) for name in self._armed]
+        except SeatrialError:  # the acquisition is gone, and the watchdog has sent the zero
+            note = read_note(self._acquisition.path)
+            return [name for name in self._armed if f"{name}: zero was sent{DISARMED}" not in note]
+        found = zip(self._armed, links, strict=True)
+        return [name for name, link in found if link.armed or not link.age <= LINK_AGE_S]
+
     def disarm(self) -> None:
-        """Ask to disarm what was armed here and wait a moment, whatever signals come (a run ended by an error)."""
-        for name in self._armed:
-            self._acquisition.request(name, "disarm")
-        deadline = time.monotonic() + LEAVE_S
-        while time.monotonic() < deadline and any(self._link(self._rig.device(name)).armed for name in self._armed):
+        """Ask to disarm what was armed here until it is, and for a while where the link has to come back first;
+        whatever signals come (a run ended by an error)."""
+        begun, asked = time.monotonic(), -math.inf
+        while (names := self.maybe_armed()) and (now := time.monotonic()) - begun < LEAVE_S:
+            if now - asked >= ASK_S:
+                asked = now
+                for name in names:
+                    self._acquisition.request(name, "disarm")
             time.sleep(POLL_S)
         if self._armed:
             time.sleep(POLL_S)  # its own texts about it are in the log then

@@ -7,8 +7,22 @@ import signal
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from bench.execution.autopilots import Autopilots
 from bench.execution.device_startup import await_devices, await_limits
+from bench.execution.link_test import (
+    HOLD_S,
+    MUTED,
+    NEUTRAL,
+    REST_S,
+    SETTLED_S,
+    SILENCE_S,
+    LinkTest,
+    link_test_plan,
+    measure_link_loss,
+    save_link_tests,
+)
 from bench.execution.operator_interface import HELP, WORDS, Display, Keys, MissionStatus, StopSignals
 from bench.execution.safety_guard import SafetyGuard
 from bench.execution.sequencer import MissionSequencer, Schedule
@@ -18,14 +32,19 @@ from daq.acquisition import Acquisition, Status
 from daq.clock import RunClock
 from daq.config import Mission, dump_mission
 from daq.errors import SafetyStop, SeatrialError
+from daq.log import open_log
 from daq.realtime_priority import realtime_priority
 from daq.rig import Rig
-from daq.samples import Esc, Gnss, LoadCell
+from daq.samples import Esc, Gnss, LoadCell, Servo
 
 POLL_S = 0.02  # wall seconds between two looks at the status
 AHEAD_S = 0.5  # wall seconds that set-points are sent ahead of their time, at most
 LEAD_S = 0.2  # wall seconds from the decision to start to the first set-point
-SILENCE_S = 1.0  # wall seconds without a status (there are twenty a second) after which the acquisition hangs
+NO_STATUS_S = 1.0  # wall seconds without a status (there are twenty a second) after which the acquisition hangs
+OWN_TIMEOUT = (  # what ends thrust where nothing of ours gets through; of an autopilot what the link test measured
+    "each ESC goes to zero by its own time-out",
+    "thrust ends by the autopilot's own failsafe",
+)
 FLUSH_S = 0.8  # wall seconds after which everything recorded so far is in the file (it is flushed every 0.25 s)
 
 
@@ -70,6 +89,26 @@ def run_mission(
         return _Runner(mission, rig, path, clock, acquisition, signals, display).run(arm, retries, keys)
 
 
+def run_link_test(rig: Rig, path: Path, display: Display, metadata: dict[str, str], arm: bool) -> dict[str, LinkTest]:
+    """Measure how soon each autopilot ends thrust when we fall silent, and keep it beside the rig; by device.
+
+    THRUSTERS TURN, at a tenth of full command. Raises what `run_mission` raises.
+    """
+    mission = link_test_plan(rig)
+    dry_run(mission, rig)
+    new_log_file(path)
+    clock = RunClock(rig.speed)
+    attachments = {"mission.toml": dump_mission(mission).encode()}
+    with (
+        StopSignals() as signals,
+        Acquisition(rig, path, clock=clock, attachments=attachments, metadata=metadata, drive=True) as acquisition,
+        realtime_priority(),
+    ):
+        tests = _Runner(mission, rig, path, clock, acquisition, signals, display).test_link(arm)
+    save_link_tests(rig, tests)
+    return tests
+
+
 def new_log_file(path: Path) -> None:
     """Make the folder of a log that is to be written; raises SeatrialError when the file is there already."""
     if path.exists():
@@ -96,7 +135,8 @@ class _Runner:
         self._mission, self._rig, self._path = mission, rig, path
         self._clock, self._acquisition, self._signals, self._display = clock, acquisition, signals, display
         self._guard = SafetyGuard(rig, clock.speed, mission.thrusters)
-        self._vehicles = Autopilots(rig, mission.thrusters, acquisition, clock, self._wait, display.say)
+        n_max = float(np.abs(mission.setpoints()[1]).max(initial=0.0))
+        self._vehicles = Autopilots(rig, mission.thrusters, acquisition, clock, self._wait, display.say, n_max)
         self._segment = mission.segments[0].name
 
     def run(self, arm: bool, retries: int, keys: Keys) -> list[Tare]:
@@ -114,13 +154,64 @@ class _Runner:
                 raise
         return tares
 
-    def _excite(self, arm: bool, retries: int, keys: Keys) -> MissionSequencer:
-        """Wait for the devices, then send every set-point in time; returns how it went."""
+    def test_link(self, arm: bool) -> dict[str, LinkTest]:
+        """From waiting for the devices to what the closed log says about a silence of ours."""
+        with self._display:
+            try:
+                self._await_ready(arm)
+                parameters = {name: self._acquisition.status().links[name].parameters for name in self._vehicles.names}
+                self._fall_silent()
+                self._acquisition.zero("end of the link test")
+                self._vehicles.release()
+                self._acquisition.stop()
+            except BaseException as error:
+                self._end_at_zero(error)
+                raise
+        n = self._mission.n_max or 0.0
+        with open_log(self._path) as log:
+            return {name: measure_link_loss(log, self._rig.device(name), parameters[name], n) for name in parameters}
+
+    def _fall_silent(self) -> None:
+        """Command the plan, send nothing more, and go on when the outputs are at neutral, or have had their time."""
+        speed, start = self._clock.speed, self._clock.now() + LEAD_S * self._clock.speed
+        t, n = self._mission.setpoints()
+        rows = [dict(zip(self._mission.thrusters, map(float, row), strict=True)) for row in n]
+        self._acquisition.schedule(list(zip(start + t, rows, strict=True)))
+        silent_at = start + (REST_S + HOLD_S) * speed
+        muted, neutral_since = False, math.inf
+        while (now := self._clock.now()) < silent_at + SILENCE_S * speed and now - neutral_since < SETTLED_S * speed:
+            status = self._acquisition.status()
+            if not muted and now >= silent_at:
+                for name in self._vehicles.names:
+                    self._acquisition.request(name, "mute", SILENCE_S)
+                self._acquisition.mark(MUTED, "nothing is sent from here on: the link test")
+                muted = True
+            if muted:
+                pushes = any(
+                    abs(latest.sample.n) > NEUTRAL
+                    for latest in status.latest.values()
+                    if isinstance(latest.sample, Servo)
+                )
+                neutral_since = math.inf if pushes else min(neutral_since, now)
+                if status.stopped:
+                    raise SafetyStop(status.stopped)
+                self._guard.check(status)
+            else:
+                self._check(status, now)
+            self._acquisition.alive()
+            self._wait(POLL_S)
+
+    def _await_ready(self, arm: bool) -> None:
+        """Wait for the devices and the sources of the limits; an autopilot is armed then."""
         names = await_devices(self._rig, self._acquisition, self._mission.thrusters, self._wait)
         self._display.say(f"devices: {', '.join(names)}; recording {self._path}")
         self._vehicles.await_ready()
         await_limits(self._rig, self._acquisition, self._guard, self._wait)
         self._vehicles.prepare(arm)
+
+    def _excite(self, arm: bool, retries: int, keys: Keys) -> MissionSequencer:
+        """Wait for the devices, then send every set-point in time; returns how it went."""
+        self._await_ready(arm)
         if keys.there:
             self._display.say(HELP)
         lead, ahead = LEAD_S * self._clock.speed, AHEAD_S * self._clock.speed
@@ -142,8 +233,8 @@ class _Runner:
         """Raise SafetyStop when the acquisition has ended thrust, falls silent, or the guard finds a limit passed."""
         if status.stopped:
             raise SafetyStop(status.stopped)
-        if now - status.t > SILENCE_S * self._clock.speed:
-            raise SafetyStop(f"the acquisition process has not answered for {SILENCE_S:g} s")
+        if now - status.t > NO_STATUS_S * self._clock.speed:
+            raise SafetyStop(f"the acquisition process has not answered for {NO_STATUS_S:g} s")
         self._vehicles.check(status)
         self._guard.check(status)
 
@@ -211,10 +302,12 @@ class _Runner:
         self._tried(lambda: self._acquisition.mark("stop", reason))
         self._tried(lambda: self._acquisition.mark("decided", f"{decided:.6f} to stop"))
         closed = self._tried(self._acquisition.stop)
-        thrust = "thrust is zero" if zero else "each ESC goes to zero by its own time-out"
+        thrust = "thrust is zero" if zero else OWN_TIMEOUT[bool(self._vehicles.names)]
         log = f"the log is {self._path}" if closed else f"the log so far is {self._path} (it opens as it is)"
         if isinstance(error, SeatrialError):
-            error.args = (f"{reason}: {thrust}, {log}",)
+            armed = self._vehicles.maybe_armed()
+            loud = f"; {', '.join(armed)} WAS ARMED BY US AND MAY STILL BE: disarm it yourself" if armed else ""
+            error.args = (f"{reason}: {thrust}, {log}{loud}",)
 
     def _zero_received(self, commanded: bool) -> bool:
         """Whether zero was commanded, by us or by the acquisition itself, to thrusters that are there to receive it."""

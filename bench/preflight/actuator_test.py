@@ -39,7 +39,4 @@ def actuator_plan(rig: Rig, n: float = N_TEST) -> Mission:
 
 def warning(plan: Mission) -> str:
     """What is about to happen, for whoever has to agree."""
-    return (
-        f"{', '.join(plan.thrusters)} will turn, one after the other and then together, at up to n = {plan.n_max:g} "
-        f"for {plan.end:.0f} s"
-    )
+    return f"{', '.join(plan.thrusters)} will turn, at up to n = {plan.n_max:g}, for up to {plan.end:.0f} s"

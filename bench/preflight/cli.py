@@ -48,6 +48,11 @@ STYLES: dict[str, dict[str, Any]] = {FAULT: {"fg": "red", "bold": True}, WARNING
 )
 @click.option("--actuators", is_flag=True, help="THRUSTERS TURN: each at low thrust; which one answers, and how?")
 @click.option(
+    "--link-test",
+    is_flag=True,
+    help="With --actuators, instead of it: 0.1 of thrust, silence; how soon does the autopilot end it?",
+)
+@click.option(
     "--thrust", type=click.FloatRange(0, 1, min_open=True), help="Largest command of that test [default: 0.3]."
 )
 @click.option("--yes", is_flag=True, help="Do not ask before thrusters turn.")
@@ -62,6 +67,7 @@ def check(
     seconds: float,
     mission_path: Path | None,
     actuators: bool,
+    link_test: bool,
     thrust: float | None,
     yes: bool,
     arm: bool,
@@ -75,7 +81,7 @@ def check(
     run; nothing moves but with --actuators. LOG: the same from recorded data, and whether sensors and thrusters
     agree: sides, signs, units, delays, dead bands. Exit status 1 where there is a fault.
     """
-    _consistent(paths, mission_path, actuators, bool(arm or out or thrust))
+    _consistent(paths, mission_path, actuators, bool(arm or out or thrust or link_test))
     with tempfile.TemporaryDirectory(prefix="seatrial-check-") as folder:
         if _is_rig(paths[0]):
             from bench.preflight.report import dry_run_of
@@ -83,7 +89,7 @@ def check(
 
             rig = load_rig(paths[0])
             mission = None if mission_path is None else load_mission(mission_path)
-            test = _Test(_agreed(rig, thrust, yes), out, arm) if actuators else None
+            test = _Test(_agreed(rig, thrust, yes, link_test), out, arm, link_test) if actuators else None
             found, logs = _rig(motion, rig, seconds, mission, test, Path(folder), as_json)
             dry = dry_run_of(mission, rig) if report and mission else None
             done = CheckReport(rig.path.name, tuple(worst_first(found)), tuple(logs), rig.name, dry)
@@ -112,9 +118,9 @@ def _consistent(paths: Sequence[Path], mission: Path | None, actuators: bool, of
     if rig and len(paths) > 1:
         raise click.UsageError("give one RIG, or one or more LOGs")
     if not rig and (mission or actuators or of_actuators):
-        raise click.UsageError("--mission, --actuators, --thrust, --arm and -o need a RIG")
+        raise click.UsageError("--mission, --actuators, --link-test, --thrust, --arm and -o need a RIG")
     if of_actuators and not actuators:
-        raise click.UsageError("--thrust, --arm and -o belong to --actuators")
+        raise click.UsageError("--link-test, --thrust, --arm and -o belong to --actuators")
 
 
 def _tell(found: Sequence[Finding], as_json: bool) -> list[str]:
@@ -146,6 +152,7 @@ class _Test(NamedTuple):
     plan: Any
     out: Path | None
     arm: bool
+    of_link: bool
 
 
 def _rig(
@@ -156,7 +163,8 @@ def _rig(
     found = _listened(rig, seconds, mission, path)
     if test is None:
         return found, [path]
-    out = test.out or rig.log_directory / f"{time.strftime('%Y%m%dT%H%M%S')}-actuator-test.mcap"
+    kind = "link" if test.of_link else "actuator"
+    out = test.out or rig.log_directory / f"{time.strftime('%Y%m%dT%H%M%S')}-{kind}-test.mcap"
     tested = _actuators(motion, rig, test._replace(out=out), found, as_json)
     # Its log answers the questions about devices once more, and about the same devices.
     known = {(finding.check, finding.where) for finding in tested}
@@ -181,11 +189,12 @@ def _listened(rig: Rig, seconds: float, mission: Any, path: Path) -> list[Findin
     return found if mission is None else [*found, *check_mission(mission, rig)]
 
 
-def _agreed(rig: Rig, thrust: float | None, yes: bool) -> Any:
+def _agreed(rig: Rig, thrust: float | None, yes: bool, of_link: bool) -> Any:
     """The plan of the actuator test, after somebody has said that nobody is in its way."""
+    from bench.execution import link_test_plan
     from bench.preflight.actuator_test import N_TEST, actuator_plan, warning
 
-    plan = actuator_plan(rig, thrust or N_TEST)
+    plan = link_test_plan(rig) if of_link else actuator_plan(rig, thrust or N_TEST)
     if not yes:
         if not sys.stdin.isatty():
             raise click.UsageError(f"--actuators: {warning(plan)}; without a terminal to ask at, say --yes")
@@ -208,15 +217,29 @@ def _actuators(motion: MotionChecks, rig: Rig, test: _Test, before: Sequence[Fin
                 f"first {', '.join(dict.fromkeys(faults))}",
             )
         ]
-    from bench.execution import PlainDisplay, make_display, run_mission
+    from bench.execution import PlainDisplay, make_display, run_link_test, run_mission
 
     assert test.out is not None
     if not as_json:
         _show(before, False)  # said now: the run may end in a stop
     with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
         display = PlainDisplay() if as_json else make_display()
-        run_mission(test.plan, rig, test.out, display, {"command": " ".join(["seatrial", *sys.argv[1:]])}, test.arm)
+        metadata = {"command": " ".join(["seatrial", *sys.argv[1:]])}
+        if test.of_link:
+            tests = run_link_test(rig, test.out, display, metadata, test.arm)
+            return [_of_link(name, found.seconds, found.passed) for name, found in tests.items()]
+        run_mission(test.plan, rig, test.out, display, metadata, test.arm)
         return _logs(motion, [test.out])
+
+
+def _of_link(name: str, seconds: float, passed: bool) -> Finding:
+    """What a link test has found."""
+    from bench.execution import ALLOWED_S
+
+    text = f"thrust ended {seconds:.2f} s after our last frame, allowed {ALLOWED_S:g}"
+    if passed:
+        return Finding(OK, "link-loss-ends-thrust", "link test", name, text)
+    return Finding(FAULT, "link-loss-goes-on", "link test", name, text, "RC_OVERRIDE_TIME, FS_THR_ENABLE, FS_ACTION")
 
 
 def _logs(motion: MotionChecks, paths: Sequence[Path]) -> list[Finding]:

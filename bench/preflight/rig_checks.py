@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 from bench.execution import SafetyGuard, silent_devices
-from daq.acquisition import Acquisition, Status
+from daq.acquisition import Acquisition, PortStatus, Status
 from daq.checks import FAULT, OK, WARNING, Finding
 from daq.clock import RunClock
 from daq.drivers import LinkStatus, check_parameters
+from daq.protocol import ROVER
 from daq.rig import Device, Rig
 
 RATE_TOLERANCE = 0.2  # a rate within this part of the expected one is good
 STILL_WALL_S = 1.0  # wall s of silence that a busy machine may make by itself
+LOST = 0.01  # part of an autopilot's frames
 HOURS = 4.0  # of logging, for which there should be room
 POLL_WALL_S = 0.05  # between two looks at the status
 
@@ -57,7 +60,7 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
             if abs(port.rate - device.rate_hz) > RATE_TOLERANCE * device.rate_hz:
                 text = f"{port.rate:.1f} Hz of all messages, expected {device.rate_hz:g}"
                 yield Finding(FAULT, "rate-off", "rate", device.name, text, "rate_hz of the rig, the link's baud rate")
-            yield from _autopilot(rig, device, status)
+            yield from _autopilot(rig, device, status, port)
     if not status.latest:
         return
     for name in silent_devices(rig, status, [thruster.name for thruster in rig.thrusters]):
@@ -72,7 +75,7 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
             )
 
 
-def _autopilot(rig: Rig, device: Device, status: Status) -> Iterator[Finding]:
+def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> Iterator[Finding]:
     link = status.links.get(device.name, LinkStatus())
     if not link.received:
         yield Finding(
@@ -110,10 +113,27 @@ def _autopilot(rig: Rig, device: Device, status: Status) -> Iterator[Finding]:
             f"refuses {line}",
             "SCHED_LOOP_RATE, or a lower rate in the rig",
         )
+    name = device.name
+    if here and link.vehicle != ROVER:
+        text = f"it is {link.vehicle or 'of an unknown kind'}: only {ROVER} is driven"
+        yield Finding(FAULT, "autopilot-not-driven", "link", name, text, "log it; drive it by its own means")
+    if link.rivals:
+        own = device.mavlink.own_system_id
+        text = f"another ground station has system id {own}, as this rig: its heartbeats hide the loss of ours"
+        yield Finding(FAULT, "rival-station", "link", name, text, "end it, or give one of both another id")
+    if link.lost > LOST * port.frames:
+        text = f"{link.lost} frames lost on the way, {port.frames} came"
+        yield Finding(WARNING, "frames-lost", "link", name, text, "range and rate of the radio link; lower rates")
     if link.alarm:
         yield Finding(WARNING, "autopilot-alarm", "link", device.name, f"says {link.alarm}", "what it asks for")
-    text = f"mode {link.mode}, {'armed' if link.armed else 'disarmed'}, EKF flags {link.ekf}"
-    yield Finding(OK, "autopilot-answers", "link", device.name, text)
+    trip = f", {1e3 * link.round_trip:.0f} ms there and back" if math.isfinite(link.round_trip) else ""
+    state = f"mode {link.mode}, {'armed' if link.armed else 'disarmed'}"
+    text = f"{link.vehicle}, {state}, EKF flags {link.ekf}{' (position)' * bool(link.ekf & 16)}{trip}"
+    if link.ekf >= 0 and (not link.ekf & 16 or link.ekf & 128):
+        text, advice = f"{text}: its estimator has no position", "open sky, 40 s after power-on; no run begins before"
+        yield Finding(WARNING, "estimator-not-ready", "link", name, text, advice)
+    else:
+        yield Finding(OK, "autopilot-answers", "link", name, text)
 
 
 def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:

@@ -145,7 +145,8 @@ class Process:
         """Stop on timeouts and failures. Called after receiving: a pause of this process is not the parent's."""
         now = time.monotonic()
         if self._terminated:
-            self._end("SIGTERM", unrequested=False)
+            active = any(setpoints.active for setpoints in self._setpoints.values())
+            self._end("the acquisition process was told to end (SIGTERM)", unrequested=active)
         if self._writer.failure:
             self._end(self._writer.failure, unrequested=False)
         if self._writer.alarm and not self._stopped and any(s.active for s in self._setpoints.values()):
@@ -215,6 +216,7 @@ class Process:
     def _finish(self) -> None:
         self._zero()
         self._beat(at_once=True)
+        self._report()
         self._event("stop" if self._unrequested else "end", self._end_reason)
         for loop in self._loops.values():
             loop.request("leave", 0.0)

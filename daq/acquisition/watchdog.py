@@ -151,7 +151,7 @@ class FailsafeSender(threading.Thread):
             try:
                 self._port.open()
                 self._send_zero()
-                self.outcome = "zero was sent"
+                self.outcome = "zero was sent" + ("" if self._driver is None else self._driver.confirmation)
             except PortError as error:
                 self.outcome = str(error)
                 if time.monotonic() < deadline:

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.checks.findings import FAULT, OK, WARNING, Finding
+from daq.clock import ClockMap
 from daq.errors import counted
 from daq.log import Log
 from daq.rig import Rig
@@ -28,7 +29,9 @@ TOLD, STEP = 0.1, 0.1  # of full command
 NO_FIX = 0.05  # part of the samples
 FEW_SATELLITES = 6
 REPEATED = 0.02  # part of the samples that may share their time with the one before
-BUNCHED = 0.1  # the same of a device without a clock of its own
+BUNCHED, BUNCHES = 0.1, 5  # the same of a device without a clock of its own, and at least so many samples
+FEW_STILL = 0.05  # part of the samples that is enough to judge gravity by
+TURNING = 0.1  # rad/s; the specific force of a boat that turns is not gravity's alone
 GAP_S, GAP_PERIODS = 1.0, 10.0  # a pause longer than both is a section that is missing
 SILENT_S = 5.0  # a device that ends so long before the log has fallen silent
 TICK_S = 1e-3  # two messages of one time may round it to ms and to us; a clock that restarts goes back further
@@ -45,6 +48,12 @@ def check_devices(log: Log) -> Iterator[Finding]:
         yield Finding(
             WARNING, "log-damaged", "log", log.path.name, text, "`seatrial recover` makes a whole log of what is there"
         )
+    for text in (text for _, kind, text in log.events() if kind == "clock"):
+        source, _, text = text.partition(": ")
+        yield Finding(FAULT, "clock-ran-back", "clock", source, text, "import what lies before and after by itself")
+    for topic, (n, longest) in log.clock_steps.items():
+        text = f"its times ran back {counted(n, 'time')}, by up to {longest:.1f} s"
+        yield Finding(FAULT, "clock-ran-back", "clock", topic, text, "two clocks, or one that was set?")
     for source, tables in _tables(log).items():
         t = np.sort(np.concatenate([table["t"] for _, _, table in tables]))
         yield from _rate(source, t, rig, tables)
@@ -160,7 +169,10 @@ def _ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
         of_yaw = f"yaw {math.degrees(yaw):.2g} deg, " if math.isfinite(yaw) else ""
         yield Finding(OK, "sensor-noise-as-expected", "noise", name, f"{of_yaw}yaw rate {rate:.2g} rad/s a sample")
     force = np.sqrt(sum(table[c] ** 2 for c in ("ax", "ay", "az")))
-    g = float(np.median(force[np.isfinite(force)])) if np.isfinite(force).any() else GRAVITY
+    known = np.isfinite(force)
+    still = known & ~(np.abs(table["r"]) > TURNING)
+    known = still if np.count_nonzero(still) > FEW_STILL * np.count_nonzero(known) else known
+    g = float(np.median(force[known])) if known.any() else GRAVITY
     if abs(g / GRAVITY - 1.0) > GRAVITY_PART:
         unit = ": in g?" if abs(g - 1.0) < 0.2 else ": without gravity?" if g < 1.0 else ""
         yield Finding(
@@ -329,7 +341,7 @@ def check_timestamps(name: str, table: Any, end: float | None, speed: float = 1.
             text,
             "its clock runs back or stands; import with its own rate instead",
         )
-    elif repeated > BUNCHED:
+    elif repeated > BUNCHED and np.count_nonzero(pauses <= 0.0) >= BUNCHES:
         text = f"{100 * repeated:.0f} % of the samples came in bunches, their times are those of receipt"
         yield Finding(
             WARNING, "samples-bunched", "time", name, text, "a busy computer, a bunching adapter (latency_timer)"
@@ -398,14 +410,9 @@ def _clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
     span = float(received[-1] - received[0])
     drift = float(np.polyfit(earliest[0] - received[0], earliest[1], 1)[0]) if earliest[0].size > 3 else 0.0
     if span > 60.0 and abs(drift) > max(DRIFT, jitter / span):
-        yield Finding(
-            WARNING,
-            "clock-drifts",
-            "clock",
-            name,
-            f"its clock drifts by {1e6 * drift:.0f} ppm",
-            "the crystal; its clock is followed",
-        )
+        text = f"its clock drifts by {1e6 * drift:.0f} ppm"
+        advice = f"its crystal, or a simulator; beyond {1e6 * ClockMap.SKEW_MAX:.0f} ppm its stamps jump"
+        yield Finding(WARNING, "clock-drifts", "clock", name, text, advice)
     elif late <= max(SPREAD_S, jitter):
         yield Finding(
             OK,

@@ -35,6 +35,7 @@ from daq.rig import (
 
 FORMAT = "seatrial-rig 1"
 PROTOCOLS = tuple(DEVICES)
+LEAST_SEGMENTS = 3  # the first, the one being written, and one that is whole
 HIGHEST_NODE = {"dronecan": 19}  # a command has room for so many
 
 
@@ -94,7 +95,13 @@ def _log(root: TomlTable) -> tuple[str, Segments]:
         log.maybe_number("segment_mb", low=1.0),
         log.maybe_number("segment_s", low=1.0),
         log.number("free_mb", Segments.free_megabytes, low=0.0),
+        log.maybe_number("keep_gb", low=0.0),
     )
+    if segments.keep_gigabytes is not None:
+        if segments.megabytes is None and segments.seconds is None:
+            raise log.error("keep_gb", "whole segments are deleted: give segment_mb or segment_s, too")
+        if 1e3 * segments.keep_gigabytes < LEAST_SEGMENTS * (segments.megabytes or 0.0):
+            raise log.error("keep_gb", f"has to hold {LEAST_SEGMENTS} segments of segment_mb")
     log.done()
     return directory, segments
 
@@ -342,7 +349,7 @@ def _limits(table: TomlTable | None) -> Limits:
         return Limits()
     unwatched = table.texts("unwatched", ())
     for key in unwatched:
-        if key == "n_max" or not table.has(key):
+        if key in ("n_max", "link_test_n") or not table.has(key):
             raise table.error("unwatched", f"'{key}' is no limit that stands here")
     found = Limits(
         table.number("n_max", 1.0, low=0.0, high=1.0),
@@ -355,6 +362,7 @@ def _limits(table: TomlTable | None) -> Limits:
         table.maybe_number("roll_deg", low=0.0),
         table.maybe_number("pitch_deg", low=0.0),
         table.number("battery_min", low=0.0, high=1.0) if table.has("battery_min") else None,
+        table.number("link_test_n", Limits.link_test_n, low=0.0, high=1.0),
         unwatched,
     )
     table.done()

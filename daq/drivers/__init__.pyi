@@ -1,4 +1,9 @@
+from .ardupilot_parameters import LEFT as LEFT
+from .ardupilot_parameters import PADDLES as PADDLES
+from .ardupilot_parameters import RIGHT as RIGHT
 from .ardupilot_parameters import check_parameters as check_parameters
+from .ardupilot_parameters import link_loss_hash as link_loss_hash
+from .base import DISARMED as DISARMED
 from .base import DeviceDriver as DeviceDriver
 from .base import LinkRole as LinkRole
 from .base import LinkStatus as LinkStatus

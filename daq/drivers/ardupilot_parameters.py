@@ -6,17 +6,25 @@ the channels of two thrusters are what a pilot with two paddles moves, and the o
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from daq.rig import Thruster
 
 TWO_PADDLES = 1
-THROTTLES = (70.0, 73.0, 74.0)  # SERVOn_FUNCTION: throttle, throttle left, throttle right
+LEFT, RIGHT = 73.0, 74.0  # SERVOn_FUNCTION: throttle left, throttle right; of 70, throttle, both paddles have a half
+PADDLES = {LEFT: ("RCMAP_ROLL", 1.0), RIGHT: ("RCMAP_THROTTLE", 3.0)}  # the channel of each side, and as delivered
 OVERRIDE_MAX_S = 1.0
+STATION_MAX_S = 5.0  # FS_GCS_TIMEOUT as delivered
 HOLD, TERMINATE = 2.0, 5.0  # FS_ACTION
 IGNORES_OVERRIDES = 1 << 1  # of RC_OPTIONS
 GROUND_STATION_NAMES = ("MAV_GCS_SYSID", "SYSID_MYGCS")  # from 4.7 on, and before
+# What decides how soon thrust ends when we fall silent, and what the boat does then.
+OF_LINK_LOSS = (
+    *("RC_OVERRIDE_TIME", "RC_OPTIONS", "PILOT_STEER_TYPE", "FS_GCS_ENABLE", "FS_GCS_TIMEOUT", "FS_THR_ENABLE"),
+    *("FS_THR_VALUE", "FS_TIMEOUT", "FS_ACTION", "FS_OPTIONS", *GROUND_STATION_NAMES),
+)
 
 
 class ParameterMismatch(NamedTuple):
@@ -35,9 +43,8 @@ class ParameterMismatch(NamedTuple):
 
 def parameter_names(thrusters: Sequence[Thruster]) -> tuple[str, ...]:
     """The parameters to ask for, for the thrusters behind one autopilot."""
-    names = ["PILOT_STEER_TYPE", "MOT_SLEWRATE", "MOT_THR_MIN", "MOT_THST_EXPO", "RC_OVERRIDE_TIME"]
-    names += ["FS_GCS_ENABLE", "FS_THR_ENABLE", "FS_TIMEOUT", "FS_ACTION", "RC_OPTIONS", "MOT_THST_ASYM", "MOT_THR_MAX"]
-    names += ["MANUAL_STR_EXPO", "SCHED_LOOP_RATE", *GROUND_STATION_NAMES]
+    names = [*OF_LINK_LOSS, "MOT_SLEWRATE", "MOT_THR_MIN", "MOT_THST_EXPO", "MOT_THST_ASYM", "MOT_THR_MAX"]
+    names += ["MANUAL_STR_EXPO", "SCHED_LOOP_RATE", *(name for name, _ in PADDLES.values())]
     for thruster in thrusters:
         if thruster.output is None:
             continue
@@ -45,6 +52,12 @@ def parameter_names(thrusters: Sequence[Thruster]) -> tuple[str, ...]:
         names += [f"{channel}_{end}" for end in ("MIN", "TRIM", "MAX", "DZ", "REVERSED")]
         names += [f"{servo}_{end}" for end in ("FUNCTION", "MIN", "TRIM", "MAX", "REVERSED")]
     return tuple(dict.fromkeys(names))
+
+
+def link_loss_hash(parameters: Mapping[str, float]) -> str:
+    """SHA-256 of the parameters that decide what a lost link does, to compare those of a test with those of a run."""
+    text = "\n".join(f"{name}={parameters[name]:g}" for name in OF_LINK_LOSS if name in parameters)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def check_parameters(
@@ -77,7 +90,11 @@ def _safety(p: Mapping[str, float], own_system: int) -> list[ParameterMismatch]:
     action = p.get("FS_ACTION", HOLD)
     if action not in (HOLD, TERMINATE):
         why = "a lost link stops nothing" if action == 0.0 else "after a lost link the boat drives by itself"
-        found.append(ParameterMismatch("FS_ACTION", action, "2 (hold) or 5 (terminate)", why, action == 0.0))
+        found.append(ParameterMismatch("FS_ACTION", action, "2 (hold) or 5 (terminate)", why, True))
+    for name, most in (("FS_GCS_TIMEOUT", STATION_MAX_S), ("FS_TIMEOUT", STATION_MAX_S)):
+        if name in p and p[name] > most:
+            why = "so much later is a lost ground station noticed"
+            found.append(ParameterMismatch(name, p[name], f"at most {most:g} s", why, True))
     options = int(p.get("RC_OPTIONS", 0.0))
     if options & IGNORES_OVERRIDES:
         why = "with bit 1 it ignores every command of ours"
@@ -97,17 +114,18 @@ def _mixing(p: Mapping[str, float]) -> list[ParameterMismatch]:
     if steer != TWO_PADDLES:
         why = "else the channels are throttle and steering, and not left and right"
         found.append(ParameterMismatch("PILOT_STEER_TYPE", steer, "1", why, True))
+    # A distortion of every large command would end the run as soon as it is seen; what bends small ones is reported.
     rows = (
-        ("MOT_SLEWRATE", 0.0, "the autopilot would ramp every step"),
-        ("MOT_THR_MIN", 0.0, "the autopilot would jump over the smallest thrust"),
-        ("MOT_THST_EXPO", 0.0, "the autopilot would bend the thrust curve"),
-        ("MOT_THST_ASYM", 1.0, "the autopilot would stretch commands in reverse"),
-        ("MOT_THR_MAX", 100.0, "the autopilot would cut off large commands"),
-        ("MANUAL_STR_EXPO", 0.0, "the autopilot would bend the difference of the commands"),
+        ("MOT_SLEWRATE", 0.0, "the autopilot would ramp every step", False),
+        ("MOT_THR_MIN", 0.0, "the autopilot would jump over the smallest thrust", False),
+        ("MOT_THST_EXPO", 0.0, "the autopilot would bend the thrust curve", True),
+        ("MOT_THST_ASYM", 1.0, "the autopilot would stretch commands in reverse", True),
+        ("MOT_THR_MAX", 100.0, "the autopilot would cut off large commands", True),
+        ("MANUAL_STR_EXPO", 0.0, "the autopilot would bend the difference of the commands", True),
     )
     found += [
-        ParameterMismatch(name, p[name], f"{want:g}", why, False)
-        for name, want, why in rows
+        ParameterMismatch(name, p[name], f"{want:g}", why, fatal)
+        for name, want, why, fatal in rows
         if p.get(name, want) != want
     ]
     return found
@@ -120,9 +138,14 @@ def _thruster(p: Mapping[str, float], thruster: Thruster) -> list[ParameterMisma
     found = []
     servo, channel = f"SERVO{thruster.node}", f"RC{output.rc_channel}"
     function = p.get(f"{servo}_FUNCTION")
-    if function not in THROTTLES:
-        why = f"output {thruster.node} is no thruster of the autopilot's; passthrough would move it while disarmed"
+    if function not in PADDLES:
+        why = f"output {thruster.node} is no side of a two-paddle mix; passthrough would move it while disarmed"
         found.append(ParameterMismatch(f"{servo}_FUNCTION", function, "73 (left) or 74 (right)", why, True))
+    else:
+        name, delivered = PADDLES[function]
+        if p.get(name, delivered) != output.rc_channel:
+            why = f"{servo}_FUNCTION {function:g} follows that channel, and rc_channel of {thruster.name} is another"
+            found.append(ParameterMismatch(name, p.get(name, delivered), str(output.rc_channel), why, True))
     ends = (("MIN", 0), ("TRIM", 1), ("MAX", 2))
     for prefix, pulses, key in ((channel, output.rc_us, "rc_us"), (servo, output.pwm_us, "pwm_us")):
         for end, k in ends:

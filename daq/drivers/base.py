@@ -13,6 +13,8 @@ from typing import final
 from daq.drivers.setpoints import Due
 from daq.samples import Event
 
+DISARMED = ", and it has disarmed"  # confirmation of a zero
+
 
 class LinkRole(enum.StrEnum):
     """What we are to the device at the other end of a link."""
@@ -28,6 +30,7 @@ class LinkStatus:
     """State of the autopilot at the other end of a link, as last reported."""
 
     received: bool = False  # any heartbeat so far
+    vehicle: str = ""  # its software, as "ArduPilot Rover"
     age: float = math.inf  # wall s since its last heartbeat
     armed: bool = False
     mode: str = ""
@@ -37,6 +40,9 @@ class LinkStatus:
     refused: tuple[str, ...] = ()  # message rates that it refused, one line each
     answer: str = ""  # to the last request: "arm: accepted", "arm: failed (PreArm: ...)"; empty while awaited
     alarm: str = ""  # the last text of severity critical or above
+    rivals: int = 0  # frames of another ground station with our own system id
+    lost: int = 0  # frames that its sequence numbers count and that did not come
+    round_trip: float = math.nan  # wall s, the shortest of a TIMESYNC
 
 
 class DeviceDriver(ABC):
@@ -59,7 +65,8 @@ class DeviceDriver(ABC):
         return math.inf
 
     def request(self, action: str, value: float) -> None:
-        """A request of the operator: `arm`, `disarm`, `mode` with its number. Called from another thread."""
+        """A request of the operator, called from another thread: `arm`, `disarm`, `mode` with its number, or `mute` for
+        so many seconds, in which no command is sent but zero."""
         return
 
     def shutdown_bytes(self, now: float) -> bytes:
@@ -81,6 +88,11 @@ class DeviceDriver(ABC):
     @property
     def hint(self) -> str:
         """A possible improvement of the link, in one line; empty without one."""
+        return ""
+
+    @property
+    def confirmation(self) -> str:
+        """What the device has answered to `zero`, to be added to a line; empty for one that does not answer."""
         return ""
 
     def message(self) -> str:

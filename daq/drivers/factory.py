@@ -37,7 +37,6 @@ def make_driver(device: Device, rig: Rig, decoder: Decoder, role: LinkRole) -> D
     spare = next(number for number in SPARE_IDS if number not in (settings.system_id, settings.own_system_id))
     own = settings.own_system_id if role in (LinkRole.DRIVE, LinkRole.RESCUE) else spare
     codec = mavlink_wire.Codec(own, settings.own_component_id, key, time.time(), int(role is LinkRole.RESCUE))
-    driver = MavlinkDriver(device, here, codec, role)
-    decoder.secure(codec)
+    driver = MavlinkDriver(device, here, codec, role, decoder)
     decoder.listener = lambda message: driver.receive(message, time.monotonic())
     return driver

@@ -15,10 +15,20 @@ from dataclasses import dataclass, replace
 from typing import Any, final
 
 from daq.drivers.ardupilot_parameters import GROUND_STATION_NAMES, parameter_names
-from daq.drivers.base import DeviceDriver, LinkRole, LinkStatus
+from daq.drivers.base import DISARMED, DeviceDriver, LinkRole, LinkStatus
 from daq.drivers.setpoints import Due
 from daq.errors import printable
-from daq.protocol import ARMED, ESC_STATUS, INVALID, SEVERITIES, Codec, dialect, mode_name
+from daq.protocol import (
+    ARMED,
+    ESC_STATUS,
+    INVALID,
+    SEVERITIES,
+    Codec,
+    MavlinkDecoder,
+    dialect,
+    mode_name,
+    vehicle_name,
+)
 from daq.rig import Device, Thruster
 from daq.samples import Event
 
@@ -29,6 +39,11 @@ TRIES = 4
 PARAMETER_S = 0.5
 PARAMETER_TRIES = 5
 REBOOT_MS = 1000  # its clock back by more: it has restarted
+RATE_PART, RATE_BEATS = 0.5, 3  # less than this part of the attitudes for so many heartbeats: somebody else has asked
+LATER_S = 30.0  # until that is looked at again
+TIMESYNC_S = 1.0
+LOST_S = 10.0  # between two events about lost frames
+UNSIGNED_FRAMES = 20  # without one that bears our key
 NEUTRAL_S = 0.05  # between neutral overrides while nothing is commanded
 SET_INTERVAL, SET_MODE, ARM = 511, 176, 400  # MAV_CMD
 ACCEPTED, TEMPORARILY_REJECTED, IN_PROGRESS = 0, 1, 5  # MAV_RESULT
@@ -57,9 +72,18 @@ class _Command:
 class MavlinkDriver(DeviceDriver):
     """Driver of one autopilot; `receive` gets every message that the decoder accepts."""
 
-    def __init__(self, device: Device, thrusters: Sequence[Thruster], codec: Codec, role: LinkRole) -> None:
+    def __init__(
+        self,
+        device: Device,
+        thrusters: Sequence[Thruster],
+        codec: Codec,
+        role: LinkRole,
+        decoder: MavlinkDecoder,
+    ) -> None:
         assert device.mavlink is not None
-        self._role = role
+        self._role, self._decoder = role, decoder
+        decoder.secure(codec)
+        mode_name(0)  # what it loads is loaded before anything is urgent
         self._settings, self._rate_hz, self._codec = device.mavlink, device.rate_hz, codec
         self._outputs = {t.node: (t.output, t.reversed) for t in thrusters if t.output is not None}
         self._names = parameter_names(thrusters) if self._outputs else ()
@@ -69,6 +93,11 @@ class MavlinkDriver(DeviceDriver):
         self._armed_by_us = False
         self._held: dict[int, float] = {}
         self._overridden = -math.inf  # when; minus infinity before the first
+        self._muted_until = -math.inf
+        self._disarmed = False  # an answer says so
+        self._attitude_hz = self._settings.requested(self._rate_hz).get("ATTITUDE", 0.0)
+        self._lost_told, self._lost_at = 0, -math.inf
+        self._rates_at = -math.inf  # when they may be asked for again
         self.opened(0.0)
 
     def opened(self, now: float) -> None:
@@ -81,6 +110,9 @@ class MavlinkDriver(DeviceDriver):
         self._refusal = ""  # the last request's, without its reasons
         self._started = False
         self._boot_ms = 0  # the newest
+        self._attitudes = self._slow_beats = 0
+        self._chunk = (0, "")
+        self._synced = -math.inf
 
     def receive(self, message: Any, now: float) -> None:
         """A message of the autopilot."""
@@ -89,6 +121,7 @@ class MavlinkDriver(DeviceDriver):
             if message.time_boot_ms < self._boot_ms - REBOOT_MS:
                 self.opened(now)  # it has forgotten what it was asked for
             self._boot_ms = message.time_boot_ms
+            self._attitudes += 1
         if name == "HEARTBEAT" and message.autopilot != INVALID:
             self._receive_heartbeat(message, now)
         elif name == "COMMAND_ACK":
@@ -99,23 +132,41 @@ class MavlinkDriver(DeviceDriver):
             self._receive_text(message)
         elif name == "EKF_STATUS_REPORT":
             self._status = replace(self._status, ekf=message.flags)
+        elif name == "TIMESYNC" and message.tc1 and message.ts1:
+            self._receive_timesync(message, now)
 
     def _receive_heartbeat(self, m: Any, now: float) -> None:
-        self._last_heartbeat = now
-        mode, armed = mode_name(m.custom_mode), bool(m.base_mode & ARMED)
+        since, self._last_heartbeat = now - self._last_heartbeat, now
+        mode, armed = mode_name(m.custom_mode, m.type, m.autopilot), bool(m.base_mode & ARMED)
         self._armed_by_us = self._armed_by_us and armed
-        self._status = replace(self._status, received=True, armed=armed, mode=mode)
+        vehicle = vehicle_name(m.autopilot, m.type)
+        self._status = replace(self._status, received=True, vehicle=vehicle, armed=armed, mode=mode)
         if not self._started:
             self._started = True
             self._beat = -math.inf  # on UDP a message without a receiver is lost
             self._awaited = dict.fromkeys(self._names, 0)
-            self._commands += [
-                _interval(message, rate) for message, rate in self._settings.requested(self._rate_hz).items()
-            ]
+            self._ask_rates(now)
+        elif not self._commands and now >= self._rates_at:
+            self._slow_beats = self._slow_beats + 1 if self._attitudes < RATE_PART * self._attitude_hz * since else 0
+            if self._slow_beats >= RATE_BEATS:
+                self._events.append(Event("autopilot", "its rates have fallen: they are asked for again"))
+                self._ask_rates(now)
+        self._attitudes = 0
+
+    def _ask_rates(self, now: float) -> None:
+        self._slow_beats, self._rates_at = 0, now + LATER_S
+        self._commands += [_interval(name, rate) for name, rate in self._settings.requested(self._rate_hz).items()]
+
+    def _receive_timesync(self, m: Any, now: float) -> None:
+        """The answer to one of ours: how long both ways took, at best. The stamps of its samples are late by half."""
+        trip = now - m.ts1 * 1e-9
+        if 0.0 < trip < TIMESYNC_S and not trip >= self._status.round_trip:
+            self._status = replace(self._status, round_trip=trip)
 
     def _receive_answer(self, m: Any) -> None:
         if m.target_system not in (0, self._codec.system):
             return  # the answer to another ground station
+        self._disarmed = self._disarmed or (self._role is LinkRole.RESCUE and m.command == ARM and m.result == ACCEPTED)
         if not self._commands or self._commands[0].number != m.command or m.result == IN_PROGRESS:
             return
         command = self._commands[0]
@@ -136,7 +187,10 @@ class MavlinkDriver(DeviceDriver):
     def _refused(self, command: _Command, word: str) -> None:
         """Log a refused rate and request half of it; the old rate stays until one is accepted."""
         line = f"{command.what} at {command.rate:g} Hz: {word}"
-        self._status = replace(self._status, refused=(*self._status.refused, line))
+        if line not in self._status.refused:
+            self._status = replace(self._status, refused=(*self._status.refused, line))
+        if command.what == "ATTITUDE":
+            self._attitude_hz = command.rate / 2.0
         self._events.append(Event("autopilot", f"refuses {line}"))
         if word == "denied" and command.rate > 1.0:
             self._commands.appendleft(_interval(command.what, command.rate / 2.0))
@@ -158,23 +212,30 @@ class MavlinkDriver(DeviceDriver):
             self._status = replace(self._status, parameters=parameters)
 
     def _receive_text(self, m: Any) -> None:
-        text = printable(m.text)
+        number, before = self._chunk
+        goes_on = bool(m.id and m.id == number and m.chunk_seq)  # a later part of a long text
+        text = before + printable(m.text) if goes_on else printable(m.text)
+        self._chunk = (m.id, text)
         if text.startswith(("PreArm:", "Arm:")):
-            self._reasons = [*self._reasons, text][-3:]
+            self._reasons = [*(self._reasons[:-1] if goes_on else self._reasons), text][-3:]
             if self._refusal:  # its reasons come after the answer
                 self._status = replace(self._status, answer=f"{self._refusal} ({'; '.join(self._reasons)})")
-        elif m.severity <= CRITICAL and not m.chunk_seq:  # a later part of a long text has no beginning to go by
+        elif m.severity <= CRITICAL and (goes_on or not m.chunk_seq):  # without its beginning there is nothing to go by
             self._status = replace(self._status, alarm=f"{SEVERITIES[m.severity]}: {text}")
 
     def request(self, action: str, value: float) -> None:
-        """`arm`, `disarm`, `mode` with its number, or `leave`: disarm what was armed by us."""
+        """`arm`, `disarm`, `mode` with its number, `mute` for so many seconds (nothing is sent but zero, as if the link
+        were cut), or `leave`: disarm what was armed by us."""
         self._requests.append((action, value))
 
-    def _take_requests(self) -> None:
+    def _take_requests(self, now: float) -> None:
         while self._requests:
             action, value = self._requests.popleft()
             if action == "leave":
                 self._commands += [_Command(ARM, (0.0,) * 7, "disarm")] if self._armed_by_us else []
+                continue
+            if action == "mute":
+                self._muted_until = now + value
                 continue
             self._reasons, self._refusal = [], ""
             self._status = replace(self._status, answer="")
@@ -188,16 +249,25 @@ class MavlinkDriver(DeviceDriver):
         if self._role is LinkRole.LISTEN:
             self._requests.clear()
             return b""
-        self._take_requests()
+        self._take_requests(now)
+        if self._is_muted(now):
+            return b""
         out = b""
         if self._role is LinkRole.DRIVE and now - self._beat >= HEARTBEAT_S:
             self._beat = now
             out += self._codec.encode("HEARTBEAT", GROUND_STATION, INVALID, 0, 0, ACTIVE, VERSION)
+        if self._started and now - self._synced >= TIMESYNC_S:
+            self._synced = now
+            out += self._codec.encode("TIMESYNC", 0, round(now * 1e9))
         if self._started:
             out += self._poll_command(now) + self._poll_parameters(now)
         if self._is_idle(now):
             out += self._override(now)
         return out
+
+    def _is_muted(self, now: float) -> bool:
+        """Whether the link is as if cut; a zero is sent in any case."""
+        return now < self._muted_until and any(self._held.values())
 
     def _is_idle(self, now: float) -> bool:
         """Whether neutral is due again: without it a vehicle does not arm, or detects a lost link."""
@@ -243,7 +313,10 @@ class MavlinkDriver(DeviceDriver):
             return 0.0
         if self._role is LinkRole.LISTEN:
             return math.inf
+        if self._is_muted(now):
+            return self._muted_until - now
         times = [self._beat + HEARTBEAT_S if self._role is LinkRole.DRIVE else math.inf]
+        times += [self._synced + TIMESYNC_S] if self._started else []
         if self._started and self._commands:
             times.append(self._commands[0].sent + ANSWER_S)
         if self._started and (self._awaited or self._status.parameters_pending):
@@ -255,7 +328,7 @@ class MavlinkDriver(DeviceDriver):
     def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
         """One RC_CHANNELS_OVERRIDE with every thruster of the link; those without a command are at neutral."""
         self._held = dict(held)
-        return [(self._override(now), list(dues))] if dues else []
+        return [(self._override(now), list(dues))] if dues and not self._is_muted(now) else []
 
     def zero(self, now: float) -> list[tuple[bytes, list[Due]]]:
         """Neutral, and disarm: no further command will follow."""
@@ -286,14 +359,35 @@ class MavlinkDriver(DeviceDriver):
         command = _Command(ARM, (0.0,) * 7, "disarm", tries=1)
         return self._long(command) * 2
 
+    @property
+    def confirmation(self) -> str:
+        """Whether it has answered that it is disarmed."""
+        return DISARMED if self._disarmed else ", and not answered: it may still be armed"
+
+    def message(self) -> str:
+        """What is wrong with signatures, where anything is."""
+        decoder = self._decoder
+        if self._role is not LinkRole.LISTEN and decoder.signed and not self._codec.signs:
+            return "it signs its frames and will ignore ours: the rig has no key_file for it"
+        if self._codec.signs and not decoder.accepted and decoder.unsigned >= UNSIGNED_FRAMES:
+            how = "with another key than key_file" if decoder.signed else "nothing"
+            return f"{decoder.unsigned} of its frames were left out: it signs {how}"
+        return ""
+
     def events(self) -> list[Event]:
         """What happened since the last call."""
+        if self._decoder.lost > self._lost_told and self._last_heartbeat - self._lost_at >= LOST_S:
+            self._lost_told, self._lost_at = self._decoder.lost, self._last_heartbeat
+            text = f"{self._lost_told} of its {self._lost_told + self._decoder.frames} frames were lost on the way"
+            self._events.append(Event("autopilot", text))
         out, self._events = self._events, []
         return out
 
     def link_at(self, now: float) -> LinkStatus:
         """The state at `now`."""
-        return replace(self._status, age=now - self._last_heartbeat)
+        rivals = self._decoder.foreign.get(self._settings.own_system_id, 0)
+        age = now - self._last_heartbeat
+        return replace(self._status, age=age, rivals=rivals, lost=self._decoder.lost)
 
 
 def _interval(message: str, rate: float) -> _Command:

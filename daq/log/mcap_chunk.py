@@ -1,4 +1,4 @@
-"""One MCAP chunk: unpacked within limits, and where its messages are.
+"""MCAP chunks: unpacked within limits, and where their messages are.
 
 The message indexes behind a chunk only speed things up: each entry is checked against the chunk, and what they
 leave out is scanned.
@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from io import BytesIO
-from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import lz4.frame
 import numpy as np
@@ -21,8 +20,11 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 MAX_CHUNK = 64 * 2**20  # bytes, uncompressed
+MAX_PACKED = MAX_CHUNK + 2**20  # what does not compress becomes a little longer
 RECORD = struct.Struct("<BQ")  # opcode, length
 HEADER = RECORD.size
+HEAD_BYTES = 22  # of a message's content, before its data
+INDEX_HEAD = 6  # of a message index's content, before its entries
 _CHUNK = struct.Struct("<QQQII")  # start, end, uncompressed size, checksum, length of the compression's name
 CHUNK_NAME = _CHUNK.size - 4  # offset of the length of the compression's name
 CHUNK_HEAD = _CHUNK.size + 16  # bytes that hold all of a chunk's header
@@ -34,22 +36,10 @@ MESSAGE_HEAD = np.dtype(  # of a message record, up to its data
         "itemsize": 31,
     }
 )
-MESSAGE = np.dtype(  # where a message is: payload at `offset` in the uncompressed chunk number `chunk`
-    [
-        ("chunk", "i4"),
-        ("offset", "i8"),
-        ("length", "i8"),
-        ("channel", "u2"),
-        ("sequence", "u4"),
-        ("log_ns", "i8"),
-        ("stamp_ns", "i8"),
-    ]
-)
 DAMAGE = (
     struct.error,
     ValueError,
     OverflowError,
-    MemoryError,
     EOFError,
     RuntimeError,
     McapError,
@@ -81,14 +71,14 @@ def chunk_at(head: bytes, start: int, stop: int, cut: bool = False) -> ChunkAt:
     begin = start + at + n_name + 8
     if name not in ("", "zstd", "lz4") or (not cut and begin + length != stop):
         raise ValueError("header of a chunk")
-    if size > MAX_CHUNK:
+    if size > MAX_CHUNK or (not cut and length > MAX_PACKED):
         raise ValueError(f"a chunk of {size} bytes; {MAX_CHUNK} is the limit")
     return ChunkAt(begin, stop, name, size, checksum)
 
 
-def unpack_chunk(packed: bytes, chunk: ChunkAt) -> Buffer:
+def unpack_chunk(packed: bytes | memoryview, chunk: ChunkAt) -> Buffer:
     """The uncompressed bytes. Raises one of DAMAGE where size or checksum does not hold."""
-    data = packed
+    data: bytes | memoryview = packed
     if chunk.compression == "zstd":
         # The frame's own claim of its size decides what the library allocates: check it first.
         if zstandard.frame_content_size(packed) not in (-1, chunk.size):
@@ -115,34 +105,76 @@ def unpack_cut(packed: bytes, chunk: ChunkAt) -> Buffer:
     return np.frombuffer(data, np.uint8)
 
 
-def scan(buffer: Buffer, index: Sequence[Offsets], register: Callable[[int, bytes], None]) -> NDArray[np.void]:
-    """Messages of a chunk as MESSAGE rows (chunk number 0): by the index where it is right, else by its records.
+class Messages(NamedTuple):
+    """Messages of some chunks: their bytes one behind the other, where each message begins in them, and its head."""
 
-    `index` are the offsets that the message indexes give; schemas and channels go to `register(opcode, content)`.
+    buffer: Buffer
+    offsets: Offsets  # shape (n,), of the whole record
+    heads: NDArray[np.void]  # dtype MESSAGE_HEAD, shape (n,)
+
+    @property
+    def lengths(self) -> NDArray[np.int64]:
+        """Bytes of each payload, shape (n,)."""
+        return self.heads["length"].astype(np.int64) - HEAD_BYTES
+
+    def where(self, these: NDArray[np.bool_]) -> Messages:
+        """Those of them."""
+        return self if these.all() else Messages(self.buffer, self.offsets[these], self.heads[these])
+
+    def rows(self, dtype: np.dtype[np.void]) -> NDArray[np.void]:
+        """The payloads, each at least as long as `dtype`; shape (n,)."""
+        return rows_at(self.buffer, self.offsets + MESSAGE_HEAD.itemsize, dtype)
+
+    def payloads(self) -> Iterator[memoryview]:
+        """The bytes of each message."""
+        view, starts = memoryview(self.buffer.data), self.offsets + MESSAGE_HEAD.itemsize
+        for start, length in zip(starts.tolist(), self.lengths.tolist(), strict=True):
+            yield view[start : start + length]
+
+
+def scan(chunks: list[tuple[Buffer, bytes]], register: Callable[[int, bytes], None]) -> Messages:
+    """The messages of chunks: by the index of each where it is right, else by its records.
+
+    A chunk comes with the entries of its message indexes; schemas and channels go to `register(opcode, content)`.
     """
-    offsets = np.unique(np.concatenate(index)) if index else np.zeros(0, np.int64)
-    offsets = offsets[(offsets >= 0) & (offsets <= len(buffer) - MESSAGE_HEAD.itemsize)]
+    buffer = chunks[0][0] if len(chunks) == 1 else np.concatenate([data for data, _ in chunks])
+    bounds = np.cumsum([0, *(len(data) for data, _ in chunks)])
+    entries = np.frombuffer(b"".join(index for _, index in chunks), np.int64).reshape(-1, 2)[:, 1]
+    chunk = np.repeat(np.arange(len(chunks)), [len(index) // 16 for _, index in chunks])
+    inside = (entries >= 0) & (entries <= np.diff(bounds)[chunk] - MESSAGE_HEAD.itemsize)
+    offsets = np.sort(entries[inside] + bounds[chunk[inside]])
+    chunk = np.searchsorted(bounds, offsets, side="right") - 1
     heads = rows_at(buffer, offsets, MESSAGE_HEAD)
-    good = (heads["opcode"] == Opcode.MESSAGE) & (heads["length"] >= 22) & (heads["length"] <= len(buffer))
+    good = (heads["opcode"] == Opcode.MESSAGE) & (heads["length"] >= HEAD_BYTES)
     ends = offsets + HEADER + np.minimum(heads["length"], len(buffer)).astype(np.int64)
-    good &= ends <= len(buffer)
+    good &= ends <= bounds[chunk + 1]
     good[1:] &= offsets[1:] >= ends[:-1]
     if not good.all():  # a wrong index is no index
-        offsets, ends = offsets[:0], ends[:0]
-    found: list[int] = []
-    starts, stops = np.append(0, ends), np.append(offsets, len(buffer))
+        right = ~np.isin(chunk, chunk[~good])
+        offsets, ends, heads = offsets[right], ends[right], heads[right]
+    # What lies between messages, or between them and the ends of their chunk.
+    starts, stops = np.sort(np.append(bounds[:-1], ends)), np.sort(np.append(offsets, bounds[1:]))
     view = memoryview(buffer.data)
+    found: list[int] = []
     for i in np.flatnonzero(stops > starts):
         found += _read_gap(view, int(starts[i]), int(stops[i]), register)
     if found:
         offsets = np.sort(np.append(offsets, np.asarray(found, np.int64)))
-    heads = rows_at(buffer, offsets, MESSAGE_HEAD)
-    rows = np.zeros(len(offsets), MESSAGE)
-    rows["offset"] = offsets + MESSAGE_HEAD.itemsize
-    rows["length"] = heads["length"].astype(np.int64) - 22
-    for name in ("channel", "sequence", "log_ns", "stamp_ns"):
-        rows[name] = heads[name]
-    return rows
+        heads = rows_at(buffer, offsets, MESSAGE_HEAD)
+    return Messages(buffer, offsets, heads)
+
+
+def index_entries(data: bytes, at: int) -> bytes:
+    """The entries (time, offset) of the message indexes that lie in `data` from `at` on, as bytes."""
+    parts = []
+    while at + HEADER + INDEX_HEAD <= len(data):
+        opcode, length = RECORD.unpack_from(data, at)
+        end = at + HEADER + length
+        if opcode != Opcode.MESSAGE_INDEX or end > len(data) or (length - INDEX_HEAD) % 16:
+            break
+        parts.append(data[at + HEADER + INDEX_HEAD : end])
+        at = end
+    return b"".join(parts)
 
 
 def _read_gap(view: memoryview, at: int, stop: int, register: Callable[[int, bytes], None]) -> list[int]:
@@ -150,7 +182,7 @@ def _read_gap(view: memoryview, at: int, stop: int, register: Callable[[int, byt
     while at + HEADER <= stop:
         opcode, length = RECORD.unpack_from(view, at)
         end = at + HEADER + length
-        if opcode == 0 or end > stop or (opcode == Opcode.MESSAGE and length < 22):
+        if opcode == 0 or end > stop or (opcode == Opcode.MESSAGE and length < HEAD_BYTES):
             break
         if opcode == Opcode.MESSAGE:
             found.append(at)
@@ -160,8 +192,8 @@ def _read_gap(view: memoryview, at: int, stop: int, register: Callable[[int, byt
     return found
 
 
-def rows_at(buffer: Buffer, offsets: Offsets, dtype: np.dtype[np.void]) -> NDArray[np.void]:
-    """Structures of `dtype` at these offsets, all within the buffer; shape (n,)."""
+def rows_at(buffer: Buffer, offsets: Offsets, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Items of `dtype` at these offsets, all within the buffer; shape (n,)."""
     return _records_at(buffer, offsets, dtype.itemsize).view(dtype) if len(offsets) else np.zeros(0, dtype)
 
 
@@ -169,31 +201,3 @@ def _records_at(buffer: Buffer, offsets: Offsets, size: int) -> NDArray[np.void]
     """As `rows_at`, without the fields: those make numpy slow."""
     starts: NDArray[np.void] = np.ndarray((len(buffer) - size + 1,), f"V{size}", buffer.data, strides=(1,))
     return starts[offsets]
-
-
-def by_chunk(messages: NDArray[np.void]) -> list[tuple[int, NDArray[np.void]]]:
-    """MESSAGE rows in file order, split at the borders of the chunks: (chunk number, its rows)."""
-    if not len(messages):
-        return []
-    borders = np.flatnonzero(np.diff(messages["chunk"])) + 1
-    parts = [messages[a:b] for a, b in pairwise([0, *borders.tolist(), len(messages)])]
-    return [(int(part["chunk"][0]), part) for part in parts]
-
-
-class Chunked:
-    """What is read by position from whatever has chunks: a file, or a set of them."""
-
-    def chunk(self, number: int) -> Buffer:
-        """The uncompressed bytes of a chunk."""
-        raise NotImplementedError
-
-    def rows(self, messages: NDArray[np.void], dtype: np.dtype[np.void]) -> NDArray[np.void]:
-        """Payloads of `messages` (MESSAGE rows in file order), each at least as long as `dtype`; shape (n,)."""
-        size = dtype.itemsize
-        parts = [_records_at(self.chunk(number), part["offset"], size) for number, part in by_chunk(messages)]
-        return np.concatenate(parts).view(dtype) if parts else np.zeros(0, dtype)
-
-    def payload(self, message: np.void) -> memoryview:
-        """The bytes of one message (a MESSAGE row)."""
-        start = int(message["offset"])
-        return memoryview(self.chunk(int(message["chunk"])).data)[start : start + int(message["length"])]

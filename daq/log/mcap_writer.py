@@ -45,11 +45,11 @@ from numpy.typing import NDArray
 
 from daq.errors import SeatrialError
 from daq.log.cdr import full_definition
-from daq.log.mcap_chunk import MESSAGE_HEAD, rows_at
+from daq.log.mcap_chunk import HEAD_BYTES, MESSAGE_HEAD, rows_at
 from daq.log.record_stream import BALLAST_BYTES, FileSyncer, WholeRecordStream
 
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
-_MESSAGE_CODE, _HEAD_BYTES = int(Opcode.MESSAGE), 22  # of a message's content, before its data
+_MESSAGE_CODE = int(Opcode.MESSAGE)
 _INDEX = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
 _FOOTER = struct.Struct("<BQQQ")  # what of the footer its checksum covers
 _SUMMARY_REST = 512  # statistics without its counts, six offsets, footer and magic, generously
@@ -310,7 +310,7 @@ class RecordWriter:
 
     def add_message(self, channel: int, log_ns: int, data: bytes, stamp_ns: int, sequence: int) -> None:
         """Append a message to the chunk."""
-        head = _MESSAGE.pack(_MESSAGE_CODE, _HEAD_BYTES + len(data), channel, sequence, log_ns, stamp_ns)
+        head = _MESSAGE.pack(_MESSAGE_CODE, HEAD_BYTES + len(data), channel, sequence, log_ns, stamp_ns)
         record = head + data
         self._parts.append(record)
         self._offsets.append(self._held)

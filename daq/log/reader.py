@@ -9,33 +9,51 @@ Killed and truncated files open like any other, with all complete messages; `log
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-from collections.abc import Iterator, Mapping
+import importlib
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
-from mcap.records import Channel
 from numpy.typing import NDArray
 
+from daq.clock import CLOCK_STEP_S
 from daq.config import parse_rig, parse_toml
 from daq.errors import SeatrialError, printable
 from daq.log import schema
 from daq.log.cdr import ENCAPSULATION, HEAD, NANO, CdrLayout, cdr_layout, stamps
+from daq.log.mcap_chunk import Messages
+from daq.log.mcap_reader import LAST_NS
 from daq.log.schema import Measured
 from daq.log.segments import open_raw, read_note
+from daq.log.tables import resample
 from daq.rig import Rig
 from daq.samples import Ahrs, Command, Esc, PortHealth, Scalar, Servo
 
 _COUNTERS = ("bytes_in", "frames", "checksum_errors", "unparsed_bytes", "dropped", "reconnects")
 _DIRECTIONS = ("rx", "tx")
 MAX_FRAME_ID = 256
+_COMPANIONS = {  # of an Imu: topics that have the rest of its sample, and which column is which field
+    "device_time": (schema.DEVICE_TIME, {"t_rx": "t_rx", "t_device": "t_device"}),
+    "mag": (schema.MAG, {f"m{axis}": f"magnetic_field.{axis}" for axis in "xyz"}),
+}
 _LITTLE = int.from_bytes(ENCAPSULATION[:2], "little")
 
 
 def open_log(path: Path | str) -> Log:
     """Open a log, whole or killed, with all its segments. Raises SeatrialError where it is no log at all."""
     return Log(Path(path))
+
+
+def _library(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        raise SeatrialError(f"{name} is not installed: pip install 'seatrial[tables]'") from error
 
 
 class Log:
@@ -45,18 +63,14 @@ class Log:
         self.path = path
         self._file = open_raw(path)
         self.paths = [raw.path for raw in self._file.files]  # more than one where the log has segments
-        self.warnings = self._file.warnings
-        if note := read_note(path):
-            self.warnings.append(note)
+        self._note = read_note(path)
         self.complete = self._file.complete
         self.metadata: dict[str, str] = {}
         for record in self._file.metadata:
             if record.name == "seatrial":
                 self.metadata.update(record.metadata)
         self.attachments = {record.name: record.data for record in self._file.attachments}
-        times = self._file.messages["log_ns"]
-        self.start = float(times.min()) / NANO if len(times) else 0.0
-        self.end = float(times.max()) / NANO if len(times) else 0.0
+        self.start, self.end = (ns / NANO for ns in self._file.span_ns or (0, 0))
 
     def __enter__(self) -> Log:
         return self
@@ -67,6 +81,12 @@ class Log:
     def close(self) -> None:
         """Let go of the file; tables already read stay."""
         self._file.close()
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is wrong with the file; reads what was not read yet."""
+        self._file.verify()
+        return [*self._file.warnings, *([self._note] if self._note else [])]
 
     @property
     def duration(self) -> float:
@@ -110,11 +130,9 @@ class Log:
     @cached_property
     def counts(self) -> dict[str, int]:
         """Messages per topic, topics in alphabetical order."""
-        numbers, n = np.unique(self._file.messages["channel"], return_counts=True)
-        found: dict[str, int] = {}
-        for number, count in zip(numbers, n, strict=True):
-            name = self._file.channels[int(number)].topic
-            found[name] = found.get(name, 0) + int(count)
+        found: Counter[str] = Counter()
+        for number, n in self._file.counts.items():
+            found[self._file.channels[number].topic] += n
         return dict(sorted(found.items()))
 
     def types(self) -> dict[str, str]:
@@ -125,12 +143,46 @@ class Log:
 
     def rate_and_gap(self, topic: str) -> tuple[float, float]:
         """Mean rate [Hz] and longest gap [s] of a topic's messages by their own time; NaN where there is one only."""
-        numbers = [channel.id for channel in self._channels(topic)]
-        messages = self._file.messages
-        t = np.sort(messages["stamp_ns"][np.isin(messages["channel"], numbers)]) / NANO
-        if len(t) < 2 or t[-1] == t[0]:
-            return float("nan"), float("nan")
-        return float((len(t) - 1) / (t[-1] - t[0])), float(np.diff(t).max())
+        return self._spacing[topic].rate_and_gap()
+
+    @property
+    def clock_steps(self) -> dict[str, tuple[int, float]]:
+        """Topics whose times run back by more than 0.5 s from one message to the next: how often, and the longest [s].
+        It is a clock that was set, or two of them."""
+        found = {topic: (one.n_back, one.longest_back) for topic, one in self._spacing.items() if one.n_back}
+        found.pop("/event", None)
+        return found
+
+    @cached_property
+    def _spacing(self) -> dict[str, _Spacing]:
+        """Of all topics, by one reading of the file."""
+        found = {topic: _Spacing() for topic in self.counts}
+        topics = {number: channel.topic for number, channel in self._file.channels.items()}
+        for messages in self._file.read():
+            channel, stamp = messages.heads["channel"], messages.heads["stamp_ns"] / NANO
+            for number in np.unique(channel).tolist():
+                found[topics[number]].add(stamp[channel == number])
+        return found
+
+    def to_pandas(self, rate: float = 10.0) -> Any:
+        """A pandas.DataFrame of the whole log at `rate` [Hz], by UTC; units in ``attrs["units"]``. As `resample` does.
+
+        Raises SeatrialError where pandas is not there, or the log has no samples.
+        """
+        pandas = _library("pandas")
+        table = resample(self, rate)
+        index = pandas.to_datetime(np.rint(table.t * NANO).astype(np.int64), unit="ns", utc=True).rename("time")
+        frame = pandas.DataFrame(table.columns, index=index)
+        frame.attrs["units"] = table.units
+        return frame
+
+    def to_xarray(self, rate: float = 10.0) -> Any:
+        """An xarray.Dataset as `to_pandas` has it; ``time`` is UTC, units are attributes. Raises SeatrialError."""
+        xarray = _library("xarray")
+        table = resample(self, rate)
+        time = np.rint(table.t * NANO).astype(np.int64).astype("datetime64[ns]")
+        variables = {name: ("time", values, {"units": table.units[name]}) for name, values in table.columns.items()}
+        return xarray.Dataset(variables, coords={"time": time})
 
     def sources(self, kind: type[Measured] | type[PortHealth]) -> list[str]:
         """Devices (or signal names, for Scalar) that have samples of this kind."""
@@ -153,19 +205,40 @@ class Log:
         parts = [name.split("/")[1:] for name in self.counts]
         return [(p[0], int(p[1])) for p in parts if len(p) == 3 and p[2] == last and p[1].isdecimal()]
 
-    def table(self, kind: type[Measured], source: str, node: int | None = None) -> NDArray[np.void]:
-        """All samples of a kind, shape (n,): t, t_rx, t_device, then the sample's fields.
+    def table(
+        self, kind: type[Measured], source: str, node: int | None = None, begin: float = 0.0, end: float = np.inf
+    ) -> NDArray[np.void]:
+        """Samples of a kind, shape (n,): t, t_rx, t_device, then the sample's fields.
 
-        `t` is the estimated time of the sample in s since 1970 and never decreases. Raises SeatrialError where the
-        log has no such samples.
+        `t` is the estimated time of the sample in s since 1970 and never decreases. `begin` and `end` [s since 1970]
+        bound the time of receipt (`begin <= t_rx < end`): what lies outside is not read. Raises SeatrialError where the
+        log has no such samples, and where the memory does not hold them.
         """
         if kind is Esc or kind is Command or kind is Servo:
             node = self._only_node(kind, source, node)
         topic = schema.topic(kind, source, node)
-        if kind is Ahrs:
-            return _table(kind, *self._ahrs(topic, source))
-        _, rows = self._rows(topic, schema.TYPES[kind])
-        return _table(kind, stamps(rows), schema.own_columns(kind, rows))
+        span = (max(0, round(begin * NANO)), LAST_NS if end >= LAST_NS / NANO else max(0, round(end * NANO)))
+        try:
+            return self._ahrs(topic, source, span) if kind is Ahrs else self._own(kind, topic, span)
+        except MemoryError:
+            raise self._error(
+                f"{topic} has {self.counts.get(topic, 0)} messages, which the memory of this computer does not hold: "
+                "read a part of the time (begin, end), or a segment by itself"
+            ) from None
+
+    def _own(self, kind: type[Measured], topic: str, span: tuple[int, int]) -> NDArray[np.void]:
+        type_name = schema.TYPES[kind]
+        numbers = self._channels(topic, type_name)
+        fixed = cdr_layout(type_name, b"").dtype
+        table = _Growing(_table_type(kind, [name for name in schema.field_names(kind) if fixed[name].kind in "iu"]))
+        for messages in self._file.read(numbers, *span):
+            rows = self._rows(messages, topic, type_name)
+            part = table.more(len(rows))
+            part["t"] = stamps(rows)
+            columns = schema.own_columns(kind, rows)
+            for name in (part.dtype.names or ())[1:]:
+                part[name] = columns[name]
+        return self._in_order(table.done(), topic, span)
 
     def _only_node(self, kind: type[Esc] | type[Command] | type[Servo], source: str, node: int | None) -> int:
         nodes = self.nodes(kind, source)
@@ -175,26 +248,41 @@ class Log:
             raise self._error(f"{source} has nodes {nodes}: name one")
         return 0 if node is None else node
 
-    def _ahrs(self, topic: str, source: str) -> tuple[NDArray[np.float64], schema.Columns]:
-        messages, rows = self._rows(topic, schema.IMU)
-        columns = schema.imu_columns(rows)
-        order = messages["sequence"]
-        numbered = bool(np.all(np.diff(order.astype(np.int64)) > 0)) and len(order) > 0
-        columns["t_rx"] = messages["log_ns"] / NANO
-        for name in ("t_device", "mx", "my", "mz"):
-            columns[name] = np.full(len(rows), np.nan)
-        # What belongs to one sample carries one sequence number; a killed file may end between the two.
-        for other, type_name, names in (
-            ("device_time", schema.DEVICE_TIME, {"t_rx": "t_rx", "t_device": "t_device"}),
-            ("mag", schema.MAG, {f"m{axis}": f"magnetic_field.{axis}" for axis in "xyz"}),
-        ):
-            if not numbered or f"/{source}/{other}" not in self.counts:
-                continue
-            others, other_rows = self._rows(f"/{source}/{other}", type_name)
-            _, here, there = np.intersect1d(order, others["sequence"], return_indices=True)
-            for name, field in names.items():
-                columns[name][here] = other_rows[field][there]
-        return stamps(rows), columns
+    def _ahrs(self, topic: str, source: str, span: tuple[int, int], join: bool = True) -> NDArray[np.void]:
+        numbers = {"imu": self._channels(topic, schema.IMU)}
+        for name, (type_name, _) in _COMPANIONS.items() if join else ():
+            with contextlib.suppress(SeatrialError):
+                numbers[name] = self._channels(f"/{source}/{name}", type_name)
+        table, order = _Growing(_table_type(Ahrs)), _Growing(np.dtype(np.uint32))
+        waiting = {name: _Waiting(np.zeros(0, np.uint32), {}) for name in numbers}
+        last = -1
+        for messages in self._file.read([number for group in numbers.values() for number in group], *span):
+            parts = {n: messages.where(np.isin(messages.heads["channel"], group)) for n, group in numbers.items()}
+            own = parts.pop("imu")
+            rows, part = self._rows(own, topic, schema.IMU), table.more(len(own.heads))
+            part["t"], part["t_rx"], part["t_device"] = stamps(rows), own.heads["log_ns"] / NANO, np.nan
+            for name in ("mx", "my", "mz"):
+                part[name] = np.nan
+            for name, column in schema.imu_columns(rows).items():
+                part[name] = column
+            sequence = np.append(last, own.heads["sequence"])
+            if parts and np.any(np.diff(sequence) <= 0):  # not numbered by us
+                return self._ahrs(topic, source, span, join=False)
+            order.more(len(rows))[:] = sequence[1:]
+            last = sequence[-1]
+            for name, companions in parts.items():
+                type_name, fields = _COMPANIONS[name]
+                found = self._rows(companions, f"/{source}/{name}", type_name)
+                columns = {column: found[field] for column, field in fields.items()}
+                waiting[name] = waiting[name].join(companions.heads["sequence"], columns, table.rows, order.rows)
+        return self._in_order(table.done(), topic, span)
+
+    def _in_order(self, table: NDArray[np.void], topic: str, span: tuple[int, int]) -> NDArray[np.void]:
+        if not len(table) and span == (0, LAST_NS):
+            raise self._error(f"no message on {topic} is readable")
+        # Estimates of the clock may jitter; the order of the samples is the device's and is kept.
+        np.maximum.accumulate(table["t"], out=table["t"])
+        return table
 
     def events(self) -> list[tuple[float, str, str]]:
         """Every event as (t, kind, text), in the order written."""
@@ -221,6 +309,14 @@ class Log:
         for t, row, (data,) in self._whole(f"/raw/{device}", schema.RAW):
             yield t, _DIRECTIONS[min(int(row["direction"]), 1)], data
 
+    def messages(self) -> Iterator[tuple[int, str, bytes]]:
+        """Every message as it stands: log time [ns since 1970], topic, data; in the order written."""
+        topics = {number: channel.topic for number, channel in self._file.channels.items()}
+        for messages in self._file.read():
+            heads = (messages.heads[name].tolist() for name in ("log_ns", "channel"))
+            for log_ns, channel, data in zip(*heads, messages.payloads(), strict=True):
+                yield log_ns, topics[channel], bytes(data)
+
     def unit(self, signal: str) -> str:
         """Unit of an imported signal."""
         return self._about(signal).get("unit", "")
@@ -234,68 +330,71 @@ class Log:
         return self._about(signal).get("role", "output")
 
     def _about(self, signal: str) -> dict[str, str]:
-        return self._channels(schema.topic(Scalar, signal))[0].metadata
+        return self._file.channels[self._channels(schema.topic(Scalar, signal))[0]].metadata
 
     def _error(self, text: str) -> SeatrialError:
         """An error of this log, in one line whatever a damaged file has for names."""
         return SeatrialError(f"{self.path}: {' '.join(text.split())}")
 
-    def _channels(self, topic: str) -> list[Channel]:
-        found = [channel for channel in self._file.channels.values() if channel.topic == topic]
+    def _channels(self, topic: str, type_name: str = "") -> list[int]:
+        """Numbers of a topic's channels. Raises SeatrialError where it has no messages, or those of another type."""
+        found = [number for number, channel in self._file.channels.items() if channel.topic == topic]
         if not found or topic not in self.counts:
             there = ", ".join(self.counts) or "nothing"
             raise self._error(f"no messages on {topic}; there is: {there}")
+        for number in found if type_name else ():
+            channel = self._file.channels[number]
+            told = self._file.schemas.get(channel.schema_id)
+            if told is None or told.name != type_name or channel.message_encoding != "cdr":
+                what = "an unknown type" if told is None else f"{told.name} ({channel.message_encoding})"
+                raise self._error(f"{topic} is {what}, not {type_name} (cdr)")
         return found
 
-    def _messages(self, topic: str, type_name: str) -> NDArray[np.void]:
-        channels = self._channels(topic)
-        for channel in channels:
-            found = self._file.schemas.get(channel.schema_id)
-            if found is None or found.name != type_name or channel.message_encoding != "cdr":
-                what = "an unknown type" if found is None else f"{found.name} ({channel.message_encoding})"
-                raise self._error(f"{topic} is {what}, not {type_name} (cdr)")
-        messages = self._file.messages
-        return messages[np.isin(messages["channel"], [channel.id for channel in channels])]
-
-    def _rows(self, topic: str, type_name: str) -> tuple[NDArray[np.void], NDArray[np.void]]:
-        """Positions (dtype MESSAGE) and decoded fixed parts of a topic's messages, both shape (n,)."""
-        messages = self._messages(topic, type_name)
-        wrong = self._error(f"a message on {topic} is no {type_name} in little-endian CDR")
-        written = [self._file.schemas[channel.schema_id].data for channel in self._channels(topic)]
+    def _lacking(self, topic: str, type_name: str) -> tuple[str, ...]:
+        """The fields that the version that wrote a topic did not have."""
+        channels = [self._file.channels[number] for number in self._channels(topic)]
+        written = [self._file.schemas[c.schema_id].data for c in channels if c.schema_id in self._file.schemas]
         added = schema.ADDED.get(type_name, ())
-        lacking = tuple(name for name in added if not all(f" {name} ".encode() in data for data in written))
-        if np.any(messages["length"] < HEAD.itemsize):
+        return tuple(name for name in added if not all(f" {name} ".encode() in data for data in written))
+
+    def _rows(self, messages: Messages, topic: str, type_name: str) -> NDArray[np.void]:
+        """Decoded fixed parts of messages, shape (n,)."""
+        wrong = self._error(f"a message on {topic} is no {type_name} in little-endian CDR")
+        lacking = self._lacking(topic, type_name)
+        lengths = messages.lengths
+        if np.any(lengths < HEAD.itemsize):
             raise wrong
         # Our own logs have one frame_id a topic: what the first message has is tried for all.
-        found = _layout(type_name, self._file.rows(messages[:1], HEAD)["n_frame"][0], lacking)
-        if found is not None and np.all(messages["length"] >= found.dtype.itemsize):
-            rows = self._file.rows(messages, found.dtype)
-            if np.all(rows["n_frame"] == rows["n_frame"][0]) and np.all(rows["endian"] == _LITTLE):
-                return messages, rows
-        rows = np.zeros(len(messages), cdr_layout(type_name, b"", lacking).dtype)
-        heads = self._file.rows(messages, HEAD)
+        heads = messages.rows(HEAD)
+        found = _layout(type_name, heads["n_frame"][0] if len(heads) else 1, lacking)
+        if found is not None and np.all(lengths >= found.dtype.itemsize):
+            rows = messages.rows(found.dtype)
+            if not len(rows) or (np.all(rows["n_frame"] == rows["n_frame"][0]) and np.all(rows["endian"] == _LITTLE)):
+                return rows
         if np.any(heads["endian"] != _LITTLE):
             raise wrong
+        rows = np.zeros(len(heads), cdr_layout(type_name, b"", lacking).dtype)
         for n_frame in np.unique(heads["n_frame"]):
-            part = np.flatnonzero(heads["n_frame"] == n_frame)
+            these = heads["n_frame"] == n_frame
             found = _layout(type_name, n_frame, lacking)
-            if found is None or np.any(messages["length"][part] < found.dtype.itemsize):
+            if found is None or np.any(lengths[these] < found.dtype.itemsize):
                 raise wrong
-            decoded = self._file.rows(messages[part], found.dtype)
+            decoded = messages.where(these).rows(found.dtype)
             for name in rows.dtype.names or ():
-                rows[name][part] = decoded[name]
-        return messages, rows
+                rows[name][these] = decoded[name]
+        return rows
 
     def _whole(self, topic: str, type_name: str) -> Iterator[tuple[float, np.void, tuple[bytes, ...]]]:
         """Stamp, fixed part and variable fields of each message of a topic, in the order written."""
-        messages, rows = self._rows(topic, type_name)
-        for t, message, row in zip(stamps(rows), messages, rows, strict=True):
-            found = cdr_layout(type_name, b"\0" * (int(row["n_frame"]) - 1))
-            try:
-                tail = found.unpack_tail(self._file.payload(message))
-            except ValueError as error:
-                raise self._error(f"a message on {topic} is no {type_name}") from error
-            yield float(t), row, tail
+        for messages in self._file.read(self._channels(topic, type_name)):
+            rows = self._rows(messages, topic, type_name)
+            for t, row, data in zip(stamps(rows), rows, messages.payloads(), strict=True):
+                found = cdr_layout(type_name, b"\0" * (int(row["n_frame"]) - 1))
+                try:
+                    tail = found.unpack_tail(data)
+                except ValueError as error:
+                    raise self._error(f"a message on {topic} is no {type_name}") from error
+                yield float(t), row, tail
 
 
 def _layout(type_name: str, n_frame: int, lacking: tuple[str, ...]) -> CdrLayout | None:
@@ -303,12 +402,82 @@ def _layout(type_name: str, n_frame: int, lacking: tuple[str, ...]) -> CdrLayout
     return cdr_layout(type_name, b"\0" * (int(n_frame) - 1), lacking) if 1 <= n_frame <= MAX_FRAME_ID else None
 
 
-def _table(kind: type[Measured], t: NDArray[np.float64], columns: schema.Columns) -> NDArray[np.void]:
+def _table_type(kind: type[Measured], integers: Collection[str] = ()) -> np.dtype[np.void]:
     names = ["t", "t_rx", "t_device", *schema.field_names(kind)]
-    dtype = [(name, "i8" if name != "t" and columns[name].dtype.kind in "iu" else "f8") for name in names]
-    table = np.zeros(len(t), dtype)
-    # Estimates of the clock may jitter; the order of the samples is the device's and is kept.
-    table["t"] = np.maximum.accumulate(t) if len(t) else t
-    for name in names[1:]:
-        table[name] = columns[name]
-    return table
+    return np.dtype([(name, "i8" if name in integers else "f8") for name in names])
+
+
+class _Growing:
+    """An array to which rows are added, with at most an eighth more memory than they take."""
+
+    def __init__(self, dtype: np.dtype[Any]) -> None:
+        self._all, self._n = np.zeros(0, dtype), 0
+
+    @property
+    def rows(self) -> NDArray[Any]:
+        """Those so far; not to be kept while more are added."""
+        return self._all[: self._n]
+
+    def more(self, n: int) -> NDArray[Any]:
+        """The place for `n` more rows. Raises MemoryError."""
+        self._n += n
+        if self._n > len(self._all):
+            self._all.resize(self._n + self._n // 8, refcheck=False)
+        return self._all[self._n - n : self._n]
+
+    def done(self) -> NDArray[Any]:
+        """All of them."""
+        self._all.resize(self._n, refcheck=False)
+        return self._all
+
+
+class _Waiting(NamedTuple):
+    """Companions whose sample may stand in the next chunks: sequence numbers and columns."""
+
+    sequence: NDArray[np.uint32]
+    columns: dict[str, NDArray[np.float64]]
+
+    def join(
+        self,
+        sequence: NDArray[np.uint32],
+        columns: dict[str, NDArray[np.float64]],
+        table: NDArray[np.void],
+        order: NDArray[np.uint32],
+    ) -> _Waiting:
+        """Write these and more companions into the rows of `table` that have their number in `order`, which ascends;
+        returns what waits on."""
+        sequence = np.append(self.sequence, sequence)
+        columns = {name: np.append(self.columns.get(name, ()), column) for name, column in columns.items()}
+        place = np.searchsorted(order, sequence)
+        here = np.flatnonzero(place < len(order))
+        here = here[order[place[here]] == sequence[here]]
+        rows, first = np.unique(place[here], return_index=True)  # of two with one number the first counts
+        for name, column in columns.items():
+            table[name][rows] = column[here[first]]
+        later = (place == len(order)) & (np.arange(len(place)) >= len(self.sequence))
+        return _Waiting(sequence[later], {name: column[later] for name, column in columns.items()})
+
+
+class _Spacing:
+    """Rate and longest gap of the stamps of a topic."""
+
+    def __init__(self) -> None:
+        self._n, self._first, self._last, self._gap, self._newest = 0, np.inf, -np.inf, 0.0, -np.inf
+        self.n_back, self.longest_back = 0, 0.0  # steps back in the order of the file
+
+    def add(self, t: NDArray[np.float64]) -> None:
+        """More stamps [s], behind those before but for jitter."""
+        steps = -np.diff(np.append(self._newest, t))
+        self.n_back += int(np.sum(steps > CLOCK_STEP_S))
+        self.longest_back, self._newest = max(self.longest_back, float(steps.max())), t[-1]
+        t = np.sort(t)
+        between = t[0] - self._last if self._n else 0.0
+        self._gap = max(self._gap, between, float(np.diff(t).max(initial=0.0)))
+        self._n += len(t)
+        self._first, self._last = min(self._first, t[0]), max(self._last, t[-1])
+
+    def rate_and_gap(self) -> tuple[float, float]:
+        """Hz and s; NaN of a single time."""
+        if self._n < 2 or self._first == self._last:
+            return float("nan"), float("nan")
+        return float((self._n - 1) / (self._last - self._first)), float(self._gap)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import threading
@@ -41,6 +42,8 @@ class WholeRecordStream:
 
     def __init__(self, path: Path) -> None:
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        for folder in (path.parent, path.absolute().parent.parent):  # or a loss of power may take the whole file
+            sync_folder(folder)
         self._size = 0
         self.failure: OSError | None = None  # the first failed write, even where the ballast saved it
         try:
@@ -99,6 +102,16 @@ class WholeRecordStream:
         """Close the file and free the reserved space."""
         self.ballast.release()
         os.close(self._fd)
+
+
+def sync_folder(folder: Path) -> None:
+    """Wait until the disk has the names in a folder, where the system can do that."""
+    with contextlib.suppress(OSError):
+        fd = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(fd)
+        finally:
+            os.close(fd)
 
 
 class FileSyncer(threading.Thread):

@@ -6,6 +6,7 @@ import contextlib
 import json
 import shutil
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -43,9 +44,11 @@ class Clock(Protocol):
 class Recorder:
     """Writes one log, in as many files as the rig's [log] requires: NAME.mcap, NAME.1.mcap, NAME.2.mcap, ...
 
-    Each holds all that a reader needs. `log_time` is the receive time, but never before that of the message written
-    last. A `patient` recorder does not fail when the disk is full: it ends its file, keeps what it is given
-    (`paused` is the reason), and goes on in a new file when there is room; the caller should not write meanwhile.
+    Each holds all that a reader needs. Beyond `keep_gb` the oldest files that it has made are deleted, but for the
+    first, which has the beginning and the name of the log. `log_time` is the receive time, but never before that of
+    the message written last. A `patient` recorder does not fail when the disk is full: it ends its file, keeps what it
+    is given (`paused` is the reason), and goes on in a new file when there is room; the caller should not write
+    meanwhile.
     """
 
     def __init__(
@@ -72,6 +75,7 @@ class Recorder:
         self._sequences: dict[str, int] = {}
         self._packers: dict[str, Callable[..., bytes]] = {}
         self._size_before = 0
+        self._past: deque[_Segment] = deque()  # what may be deleted
         self._open(self.first_path, 0)
         discard_note(self.first_path)
 
@@ -94,7 +98,7 @@ class Recorder:
 
     @property
     def size(self) -> int:
-        """Bytes on disk, of all segments."""
+        """Bytes on disk, of all segments that are kept."""
         return self._size_before + self._writer.size
 
     def write(self, device: str, frame: Frame, t: float) -> None:
@@ -160,6 +164,20 @@ class Recorder:
             with self._waiting():
                 self._writer.close()
                 self._next()
+        keep = limits.keep_gigabytes
+        while keep is not None and self._past and self.size > 1e9 * keep and not self.paused:
+            self._delete(self._past.popleft(), keep)
+
+    def _delete(self, segment: _Segment, keep: float) -> None:
+        self._size_before -= segment.size
+        try:
+            if _identity(segment.path) != segment.identity:
+                return  # another file has its name
+            segment.path.unlink()
+            text = f"deleted {segment.path.name}: keep_gb is {keep:g}"
+        except OSError as error:
+            text = f"{segment.path.name} could not be deleted ({error.strerror})"
+        self.event(self._log_ns / NANO, "disk", text)
 
     def close(self) -> None:
         """End the log. Raises SeatrialError where its end could not be written."""
@@ -205,10 +223,14 @@ class Recorder:
     def _next(self) -> None:
         """Begin the next segment; a name that is taken is passed over."""
         before, number = self._size_before + self._writer.size, self._number + 1
+        past = self._writer.path
         while (path := segment_path(self.first_path, number)).exists():
             number += 1
         self._open(path, number)
         self._size_before = before
+        with contextlib.suppress(OSError):  # somebody has deleted it
+            if past != self.first_path:
+                self._past.append(_Segment(past, past.stat().st_size, _identity(past)))
 
     def _times(self, t_log: float, t_stamp: float) -> tuple[int, int]:
         self._log_ns = max(self._log_ns, self._ns(t_log, self._log_ns))
@@ -234,6 +256,20 @@ class Recorder:
             self._pause(error)
             if not error.complete:  # else this message is in the file, too
                 self._kept.append(_Message(topic, type_name, log_ns, stamp_ns, sequence, data))
+
+
+class _Segment(NamedTuple):
+    """A file that is finished."""
+
+    path: Path
+    size: int
+    identity: tuple[int, ...]
+
+
+def _identity(path: Path) -> tuple[int, ...]:
+    """What tells a file that is finished from any other; an inode alone is given again."""
+    about = path.stat(follow_symlinks=False)
+    return about.st_dev, about.st_ino, about.st_mtime_ns, about.st_size
 
 
 class _Message(NamedTuple):

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from daq.errors import SeatrialError
-from daq.log.mcap_chunk import by_chunk
 from daq.log.mcap_reader import RawLog
 from daq.log.mcap_writer import RecordWriter
 from daq.log.segments import SegmentedLog, discard_note, open_raw
@@ -28,8 +27,6 @@ def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
     """Copy everything readable of the log that begins at `path`, all its segments, to `out`. Raises SeatrialError."""
     log = open_raw(path)
     try:
-        if not len(log.messages):
-            raise SeatrialError(f"{path}: no message is readable; there is nothing to recover")
         if out.exists() and any(out.samefile(raw.path) for raw in log.files):
             raise SeatrialError(f"{out}: is the log itself, which is not changed; -o names another")
         if out.exists() and not force:
@@ -37,7 +34,9 @@ def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
         part = out.with_name(f".{out.name}.{os.getpid()}.part")
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
-            _copy(log, part)
+            n_messages = _copy(log, part)
+            if not n_messages:
+                raise SeatrialError(f"{path}: no message is readable; there is nothing to recover")
             os.replace(part, out)
             discard_note(out)
         except OSError as error:
@@ -45,12 +44,13 @@ def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
         finally:
             with contextlib.suppress(OSError):
                 part.unlink(missing_ok=True)
-        return RecoveredLog(len(log.messages), len(log.files), log.warnings)
+        return RecoveredLog(n_messages, len(log.files), log.warnings)
     finally:
         log.close()
 
 
-def _copy(log: RawLog | SegmentedLog, part: Path) -> None:
+def _copy(log: RawLog | SegmentedLog, part: Path) -> int:
+    n_messages = 0
     with part.open("xb") as file:
         writer = RecordWriter(file, chunk_bytes=CHUNK_BYTES, profile=log.profile, library="seatrial")
         for record in log.metadata:
@@ -62,15 +62,12 @@ def _copy(log: RawLog | SegmentedLog, part: Path) -> None:
             key: writer.register_channel(c.topic, c.message_encoding, schemas.get(c.schema_id, 0), c.metadata)
             for key, c in log.channels.items()
         }
-        for _, messages in by_chunk(log.messages):
-            for message in messages:
-                writer.add_message(
-                    channels[int(message["channel"])],
-                    int(message["log_ns"]) % 2**64,
-                    bytes(log.payload(message)),
-                    int(message["stamp_ns"]) % 2**64,
-                    int(message["sequence"]),
-                )
+        for found in log.read():
+            heads = (found.heads[name].tolist() for name in ("channel", "log_ns", "stamp_ns", "sequence"))
+            for channel, log_ns, stamp_ns, sequence, data in zip(*heads, found.payloads(), strict=True):
+                writer.add_message(channels[channel], log_ns, bytes(data), stamp_ns, sequence)
+            n_messages += len(found.heads)
         writer.finish()
         file.flush()
         os.fsync(file.fileno())
+    return n_messages

@@ -16,7 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.log.cdr import doubles
-from daq.samples import Ahrs, Autopilot, Battery, Command, Esc, Frame, Gnss, LoadCell, Scalar, Servo
+from daq.samples import (
+    WGS84_ECCENTRICITY_2,
+    WGS84_SEMI_MAJOR_AXIS,
+    Ahrs,
+    Autopilot,
+    Battery,
+    Command,
+    Esc,
+    Frame,
+    Gnss,
+    LoadCell,
+    Scalar,
+    Servo,
+)
 
 IMU = "sensor_msgs/msg/Imu"
 MAG = "sensor_msgs/msg/MagneticField"
@@ -164,6 +177,18 @@ def angles(
     pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
     roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     return yaw, pitch, roll
+
+
+def local_ned(
+    lat: NDArray[np.float64], lon: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Degrees -> metres north and east of the first point, on the ellipsoid's radii there (Groves 2013, 2.4.2)."""
+    phi = np.radians(lat[0])
+    w = 1 - WGS84_ECCENTRICITY_2 * np.sin(phi) ** 2
+    meridian = WGS84_SEMI_MAJOR_AXIS * (1 - WGS84_ECCENTRICITY_2) / w**1.5
+    normal = WGS84_SEMI_MAJOR_AXIS / np.sqrt(w)
+    east = np.radians(np.mod(lon - lon[0] + 180, 360) - 180)
+    return meridian * np.radians(lat - lat[0]), normal * np.cos(phi) * east
 
 
 def imu_columns(rows: NDArray[np.void]) -> Columns:

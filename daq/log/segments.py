@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import contextlib
 import re
+from collections import Counter
+from collections.abc import Collection, Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from mcap.records import Attachment, Channel, Metadata, Schema
-from numpy.typing import NDArray
 
 from daq.errors import SeatrialError, printable
-from daq.log.mcap_chunk import MESSAGE, Buffer, Chunked
-from daq.log.mcap_reader import MAX_WARNINGS, RawLog
+from daq.log.mcap_chunk import Messages
+from daq.log.mcap_reader import LAST_NS, MAX_WARNINGS, RawLog
 
 SAME = ("origin", "rig", "host")  # what segments of one log have in common
 LONGEST = 500  # characters
@@ -36,20 +38,24 @@ def open_raw(path: Path) -> RawLog | SegmentedLog:
     if not later or not _about(first).get("origin"):
         return first
     files, warnings, last = [first], [], 0
+    first.close()  # a week has more files than a process may have open
     for number, other in later.items():
         try:
             raw = RawLog(other)
         except SeatrialError as error:
             warnings.append(f"a segment is left out: {error}")
             continue
+        raw.close()
         if all(_about(raw).get(key) == _about(first).get(key) for key in SAME):
             files.append(raw)
             last = number
         else:
-            raw.close()
             warnings.append(f"{other.name} is of another run and left out")
-    gone = [segment_path(path, number).name for number in range(1, last) if number not in later]
-    warnings += [f"a segment is missing: {name}" for name in gone[:MAX_WARNINGS]]
+    there = [0, *(number for number in later if number <= last)]
+    for before, after in pairwise(there):
+        gone = dict.fromkeys(segment_path(path, number).name for number in (before + 1, after - 1))
+        if after - before > 1 and len(warnings) < MAX_WARNINGS:
+            warnings.append(f"a segment is missing: {' to '.join(gone)}")
     return SegmentedLog(files, warnings) if len(files) > 1 or warnings else first
 
 
@@ -57,36 +63,55 @@ def _about(raw: RawLog) -> dict[str, str]:
     return next((dict(record.metadata) for record in raw.metadata if record.name == "seatrial"), {})
 
 
-class SegmentedLog(Chunked):
-    """Several files with the face of one `RawLog`: chunks are numbered through, channels that are alike are one."""
+class SegmentedLog:
+    """Several files with the face of one `RawLog`: channels that are alike are one. One file is open at a time."""
 
     def __init__(self, files: list[RawLog], warnings: list[str]) -> None:
         self.files = files
         self.path = files[0].path
-        self.warnings = [f"{raw.path.name}: {text}" for raw in files for text in raw.warnings] + warnings
+        self._warnings = warnings
         self.complete = all(raw.complete for raw in files)
         self.profile = files[0].profile
         self.metadata: list[Metadata] = files[0].metadata
         self.attachments: list[Attachment] = files[0].attachments
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, Schema] = {}
-        self._first_chunks: list[int] = []
+        self.counts: Counter[int] = Counter()
         self._known: dict[tuple[object, ...], int] = {}
-        parts, n_chunks = [], 0
-        for raw in files:
-            self._first_chunks.append(n_chunks)
-            parts.append(self._renumbered(raw, n_chunks))
-            n_chunks += raw.n_chunks
-        self.messages: NDArray[np.void] = np.concatenate(parts) if parts else np.zeros(0, MESSAGE)
+        self._numbers = [
+            {own: self._number(channel, raw.schemas.get(channel.schema_id)) for own, channel in raw.channels.items()}
+            for raw in files
+        ]
+        for raw, numbers in zip(files, self._numbers, strict=True):
+            self.counts.update({numbers[own]: n for own, n in raw.counts.items()})
+        spans = [raw.span_ns for raw in files if raw.span_ns]
+        self.span_ns = (min(a for a, _ in spans), max(b for _, b in spans)) if spans else None
 
-    def _renumbered(self, raw: RawLog, first_chunk: int) -> NDArray[np.void]:
-        rows = raw.messages.copy()
-        new = np.zeros(1 << 16, np.uint16)
-        for number, channel in raw.channels.items():
-            new[number] = self._number(channel, raw.schemas.get(channel.schema_id))
-        rows["channel"] = new[rows["channel"]]
-        rows["chunk"] += first_chunk
-        return rows
+    @property
+    def warnings(self) -> list[str]:
+        """Those of all files, as far as they were read."""
+        return [f"{raw.path.name}: {text}" for raw in self.files for text in raw.warnings] + self._warnings
+
+    def verify(self) -> None:
+        """Read what was not read yet, for its warnings."""
+        for raw in self.files:
+            raw.verify()
+            raw.close()
+
+    def read(
+        self, channels: Collection[int] | None = None, begin_ns: int = 0, end_ns: int = LAST_NS
+    ) -> Iterator[Messages]:
+        """As `RawLog.read`, the files one after the other."""
+        for raw, numbers in zip(self.files, self._numbers, strict=True):
+            new = np.zeros(1 << 16, np.uint16)
+            new[list(numbers)] = list(numbers.values())
+            own = [number for number in numbers if channels is None or numbers[number] in channels]
+            if not raw.span_ns or raw.span_ns[1] < begin_ns or raw.span_ns[0] >= end_ns:
+                continue
+            for found in raw.read(own, begin_ns, end_ns):
+                found.heads["channel"] = new[found.heads["channel"]]
+                yield found
+            raw.close()
 
     def _number(self, channel: Channel, schema: Schema | None) -> int:
         """The number of this channel in the set; new ones are given in the order of the files."""
@@ -104,11 +129,6 @@ class SegmentedLog(Chunked):
                 schema_id=number if schema is not None else 0,
             )
         return self._known[key]
-
-    def chunk(self, number: int) -> Buffer:
-        """The uncompressed bytes of a chunk, numbered through the set."""
-        k = int(np.searchsorted(self._first_chunks, number, side="right")) - 1
-        return self.files[k].chunk(number - self._first_chunks[k])
 
     def close(self) -> None:
         """Let go of all files."""

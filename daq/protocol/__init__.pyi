@@ -24,12 +24,13 @@ from .mavlink import ARMED as ARMED
 from .mavlink import FIXES as FIXES
 from .mavlink import GRAVITY as GRAVITY
 from .mavlink import INVALID as INVALID
-from .mavlink import ROVER_MODES as ROVER_MODES
+from .mavlink import ROVER as ROVER
 from .mavlink import SEVERITIES as SEVERITIES
 from .mavlink import MavlinkDecoder as MavlinkDecoder
 from .mavlink import Samples as Samples
 from .mavlink import make_samples as make_samples
 from .mavlink import mode_name as mode_name
+from .mavlink import vehicle_name as vehicle_name
 from .mavlink_wire import EPOCH_2015 as EPOCH_2015
 from .mavlink_wire import ESC_STATUS as ESC_STATUS
 from .mavlink_wire import Codec as Codec

@@ -16,7 +16,7 @@ from daq.samples import NAN, Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, 
 
 # Besides messages that become samples: those that the driver of the link needs.
 SERVICE = (
-    *("HEARTBEAT", "COMMAND_ACK", "PARAM_VALUE", "STATUSTEXT", "EKF_STATUS_REPORT"),
+    *("HEARTBEAT", "COMMAND_ACK", "PARAM_VALUE", "STATUSTEXT", "EKF_STATUS_REPORT", "TIMESYNC"),
     *("RC_CHANNELS_OVERRIDE", "COMMAND_LONG", "PARAM_REQUEST_READ", "PARAM_REQUEST_LIST", "PARAM_SET"),
 )
 GRAVITY = 9.80665
@@ -30,9 +30,12 @@ ARMED = 128  # HEARTBEAT.base_mode
 FIXES = {2: 2, 3: 3, 4: 4, 5: 6, 6: 5, 7: 3, 8: 4}  # GPS_FIX_TYPE -> samples.Gnss.fix
 CHUNK = 50  # characters of STATUSTEXT
 SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
-ROVER_MODES = {
-    0: "MANUAL", 1: "ACRO", 3: "STEERING", 4: "HOLD", 5: "LOITER", 6: "FOLLOW", 7: "SIMPLE", 8: "DOCK", 9: "CIRCLE",
-    10: "AUTO", 11: "RTL", 12: "SMART_RTL", 15: "GUIDED", 16: "INITIALISING",
+PX4 = 12  # HEARTBEAT.autopilot
+BOAT = 11  # MAV_TYPE_SURFACE_BOAT
+ROVER = "ArduPilot Rover"
+VEHICLES = {  # of ArduPilot, by MAV_TYPE
+    **dict.fromkeys((10, BOAT), ROVER), 12: "ArduSub", **dict.fromkeys((2, 3, 4, 13, 14, 15, 29, 35), "ArduCopter"),
+    **dict.fromkeys((1, *range(19, 26)), "ArduPlane"), 5: "AntennaTracker", 7: "Blimp",
 }  # fmt: skip
 Found = list[tuple[Sample, float]]  # with the device's time, s since boot, NaN where the message has none
 
@@ -67,6 +70,9 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         super().__init__()
         self.foreign: dict[int, int] = {}  # frames of other systems
         self.unsigned = 0
+        self.signed = 0  # frames of it that bear a signature, looked at or not
+        self.lost = 0  # frames of it that its sequence numbers count and that did not come
+        self._sequence = -1
         self.accepted = 0  # messages of the autopilot, signed where there is a key
         self.listener: Callable[[Any], None] | None = None
         self._samples, self._who = samples, (system, component)
@@ -85,6 +91,7 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         """Discard an incomplete frame and all received state (the port was reopened). Counters stay."""
         super().reset()
         self._samples.forget()
+        self._sequence = -1
 
     def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
         found = head(buffer, start)
@@ -99,9 +106,17 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         self.frames += 1
         if self._who[0] not in (found.system, ANY):
             self.foreign[found.system] = self.foreign.get(found.system, 0) + 1
-        elif found.component == self._who[1] and self._is_of_use(found.message_id):
-            self._decode(frame, t_rx)
+        elif found.component == self._who[1]:
+            self.signed += found.signed
+            self._count_lost(found.sequence)
+            if self._is_of_use(found.message_id):
+                self._decode(frame, t_rx)
         return found.total
+
+    def _count_lost(self, sequence: int) -> None:
+        gap = (sequence - self._sequence - 1) % 256 if self._sequence >= 0 else 0
+        self.lost += gap if gap < 128 else 0  # a larger one is an older frame, or a restart
+        self._sequence = sequence
 
     def _is_of_use(self, message_id: int) -> bool:
         use = self._ids.get(message_id)
@@ -128,9 +143,20 @@ def message_name(message_id: int) -> str:
     return "" if kind is None else str(kind.msgname)
 
 
-def mode_name(mode: int) -> str:
-    """The name of an ArduPilot Rover mode."""
-    return ROVER_MODES.get(mode, f"mode {mode}")
+def mode_name(mode: int, vehicle: int = BOAT, autopilot: int = ARDUPILOT) -> str:
+    """The name of a mode (HEARTBEAT.custom_mode) of this kind of vehicle (MAV_TYPE)."""
+    from pymavlink import mavutil  # half a second: whoever must not wait for it calls this once before
+
+    if autopilot == PX4:
+        return str(mavutil.interpret_px4_mode(0, mode))
+    return str((mavutil.mode_mapping_bynumber(vehicle) or {}).get(mode, f"mode {mode}"))
+
+
+def vehicle_name(autopilot: int, vehicle: int) -> str:
+    """What sends such a heartbeat: the name of its software, as "ArduPilot Rover" or "PX4"."""
+    if autopilot == PX4:
+        return "PX4"
+    return VEHICLES.get(vehicle, "") if autopilot == ARDUPILOT else f"autopilot {autopilot} (MAV_AUTOPILOT)"
 
 
 class Samples:
@@ -198,7 +224,8 @@ class Samples:
         found: Found = [(self._pilot, NAN)]
         if before is None or (before.armed, before.mode) != (self._pilot.armed, self._pilot.mode):
             word = "armed" if self._pilot.armed else "disarmed"
-            found.append((Event("autopilot", f"{word}, {mode_name(self._pilot.mode)}"), NAN))
+            mode = mode_name(m.custom_mode, m.type, m.autopilot)
+            found.append((Event("autopilot", f"{word}, {mode}"), NAN))
         return found
 
     def _ekf(self, m: Any) -> Found:
@@ -222,7 +249,11 @@ class Samples:
         if self._imu is not None and abs(self._imu[0] - t) <= SAME_S:
             found.append((_joined(ahrs, self._imu), t))
             self._imu = None
-        elif 0.0 <= t - self._imu_at <= IMU_AWAITED_S:
+            return found
+        if self._imu is not None and self._imu[0] < t:  # no attitude will come for it: before this one, in its turn
+            found.append((_joined(Ahrs(NAN, NAN, NAN), self._imu), self._imu[0]))
+            self._imu = None
+        if 0.0 <= t - self._imu_at <= IMU_AWAITED_S:
             self._attitude_waits = (ahrs, t)
         else:
             found.append((ahrs, t))

@@ -84,6 +84,7 @@ class Head(NamedTuple):
     component: int
     payload: int  # bytes
     signed: bool
+    sequence: int  # of the sender's frames on this link, 0 to 255
 
 
 def head(buffer: bytes | bytearray, start: int) -> Head | int:
@@ -99,11 +100,11 @@ def head(buffer: bytes | bytearray, start: int) -> Head | int:
         signed = bool(at[2] & SIGNED)
         message_id = at[7] | at[8] << 8 | at[9] << 16
         total = size + at[1] + CHECKSUM + SIGNATURE * signed
-        return Head(total, message_id, at[5], at[6], at[1], signed)
+        return Head(total, message_id, at[5], at[6], at[1], signed, at[4])
     known = _known(at[5])
     if known is None or at[1] > known[1]:  # version 1 has no truncation and no new messages
         return -1
-    return Head(size + at[1] + CHECKSUM, at[5], at[3], at[4], at[1], False)
+    return Head(size + at[1] + CHECKSUM, at[5], at[3], at[4], at[1], False, at[2])
 
 
 @functools.cache
@@ -149,6 +150,11 @@ class Codec:
             self._mav.signing.sign_outgoing = True
             self._mav.signing.link_id = link
         self._key = key
+
+    @property
+    def signs(self) -> bool:
+        """Whether there is a key."""
+        return self._key is not None
 
     def decode(self, frame: bytes) -> Any | None:
         """The message of a whole frame; None where the signature is missing or wrong."""

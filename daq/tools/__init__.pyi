@@ -1,9 +1,13 @@
+from .autopilot_tables import identify_autopilot as identify_autopilot
+from .discovery import DiscoveredDevice as DiscoveredDevice
 from .discovery import find as find
 from .discovery import identify_protocol as identify_protocol
 from .export import export_log as export_log
+from .export import export_resampled as export_resampled
 from .info import show_log as show_log
 from .live_server import LiveServer as LiveServer
 from .live_table import default_log_path as default_log_path
 from .live_table import log_summary as log_summary
 from .live_table import watch as watch
 from .replay import replay_log as replay_log
+from .ros_export import export_ros as export_ros

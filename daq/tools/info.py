@@ -52,7 +52,11 @@ def show_log(log: Log, console: Console) -> None:
     if log.sources(PortHealth):
         console.print(_health(log))
     _events(log, console)
-    for warning in log.warnings:
+    steps = [
+        f"{topic}: its times ran back {counted(n, 'time')}, by up to {longest:.1f} s"
+        for topic, (n, longest) in log.clock_steps.items()
+    ]
+    for warning in [*steps, *log.warnings]:
         console.print(f"[bold]warning:[/] {escape(warning)}")
 
 

@@ -31,9 +31,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import SeatrialError
-from daq.log import Log, open_log
+from daq.log import Log, local_ned, open_log
 from daq.rig import Rig, Thruster
-from daq.samples import WGS84_ECCENTRICITY_2, WGS84_SEMI_MAJOR_AXIS, Ahrs, Command, Esc, Gnss, LoadCell, Scalar, Servo
+from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar, Servo
 from ident.data.record import Channel, LogSegment
 from ident.numerics import Array, LagData, first_order_lag, fit_first_order_lag
 
@@ -180,16 +180,6 @@ def along_track(t: Array, vx: Array, vy: Array) -> Array:
     dx, dy = (s[b] - s[a] for s in sums)
     length = np.hypot(dx, dy)
     return np.asarray(np.divide(vx * dx + vy * dy, length, out=np.zeros_like(speed), where=length > 0))
-
-
-def local_ned(lat: Array, lon: Array) -> tuple[Array, Array]:
-    """Degrees -> metres north and east of the first point, on the ellipsoid's radii there (Groves 2013, 2.4.2)."""
-    phi = np.radians(lat[0])
-    w = 1 - WGS84_ECCENTRICITY_2 * np.sin(phi) ** 2
-    meridian = WGS84_SEMI_MAJOR_AXIS * (1 - WGS84_ECCENTRICITY_2) / w**1.5
-    normal = WGS84_SEMI_MAJOR_AXIS / np.sqrt(w)
-    east = np.radians(np.mod(lon - lon[0] + 180, 360) - 180)
-    return meridian * np.radians(lat - lat[0]), normal * np.cos(phi) * east
 
 
 def follows_command(rpm: Array, n: Array) -> bool:

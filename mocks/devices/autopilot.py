@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any, final
 
-from daq.protocol import EPOCH_2015, ROVER_MODES, Codec, Samples, mavlink, read_key
+from daq.protocol import EPOCH_2015, Codec, Samples, mavlink, mode_name, read_key
 from daq.rig import Device, Rig
 from daq.samples import Ahrs, Esc, Gnss
 from mocks.devices.autopilot_messages import BOOT_S, EKF_READY, LOOP_HZ, MANUAL, UNUSED, Reports, Vehicle, parameters
@@ -19,7 +19,11 @@ from mocks.devices.base import DeviceEmulator
 from mocks.world import EscController, Sample
 
 INTERVAL_PART = 0.8  # of the loop's rate: a faster message is denied
-HOLD = 4
+HOLD, RTL = 4, 11
+RADIO_S = 0.5  # without a receiver's frame or an override: a failsafe of the throttle
+TERMINATE = 5.0  # FS_ACTION
+IGNORES_OVERRIDES = 2  # of RC_OPTIONS
+CHUNK = 50  # bytes of a STATUSTEXT
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
 INFO, CRITICAL = 6, 2
 ALWAYS = {"HEARTBEAT": 1.0}  # Hz, asked for or not
@@ -49,7 +53,8 @@ class AutopilotEmulator(DeviceEmulator):
         self._rates: dict[str, float] = dict(ALWAYS)
         self._sent: dict[str, int] = {}  # the interval in which a message was sent last
         self._queue: deque[bytes] = deque()
-        self._t = 0.0
+        self._texts: deque[tuple[int, bytes, int, int]] = deque()  # one leaves with each loop, behind its answer
+        self._t, self._text_id = 0.0, 0
         self._reports = Reports(self.vehicle, self._codec, self._thrusters, controllers)
 
     # What it sends.
@@ -62,6 +67,8 @@ class AutopilotEmulator(DeviceEmulator):
         elif isinstance(sample, Ahrs):
             self._judge()
             sent = [self._reports.say(name, sample) for name in list(self._rates) if self._is_due(name)]
+            if self._texts:
+                sent.append(self._codec.encode("STATUSTEXT", *self._texts.popleft()))
             return b"".join(sent) + self._flush()
         return self._flush()
 
@@ -77,17 +84,37 @@ class AutopilotEmulator(DeviceEmulator):
         return out
 
     def _text(self, severity: int, text: str) -> None:
-        self._queue.append(self._codec.encode("STATUSTEXT", severity, text.encode()[:50]))
+        data = text.encode()
+        self._text_id = self._text_id % 0xFFFF + (len(data) > CHUNK)
+        number = self._text_id if len(data) > CHUNK else 0
+        for k in range(0, len(data), CHUNK):
+            part = data[k : k + CHUNK]
+            self._texts.append((severity, part, number, k // CHUNK))
 
     # What it does.
 
     def _judge(self) -> None:
-        """Failsafes: the ground station has fallen silent."""
-        own, silence = self.vehicle, self._t - self.vehicle.ground_heard
-        watched = own.armed and own.parameters["FS_GCS_ENABLE"] and own.mode != HOLD and math.isfinite(silence)
-        if watched and silence > own.parameters["FS_TIMEOUT"] * self._speed:
-            self._set_mode(HOLD)
+        """Overrides that have timed out, and failsafes, as Rover 4.7 has them."""
+        own, p = self.vehicle, self.vehicle.parameters
+        silence = (self._t - own.overridden) / self._speed
+        # An override times out to the receiver's own channels; without a receiver it stays, until its silence is a
+        # failsafe of the throttle.
+        lasts = p["RC_OVERRIDE_TIME"] if own.receiver else RADIO_S if p["FS_THR_ENABLE"] else math.inf
+        if own.armed and own.mode == MANUAL:
+            for node, controller in self._controllers.items():
+                n = own.sticks.get(node, 0.0)
+                if n and silence > lasts >= 0.0:
+                    controller.command(self._t, 0.0)
+                elif n:
+                    controller.command(self._t, n)  # a servo's pulse goes on
+        gone = (self._t - own.ground_heard) / self._speed
+        watched = own.armed and p["FS_GCS_ENABLE"] and p["FS_ACTION"] and math.isfinite(gone)
+        if watched and own.mode == MANUAL and gone > p["FS_GCS_TIMEOUT"] + p["FS_TIMEOUT"]:
             self._text(CRITICAL, "GCS Failsafe")
+            if p["FS_ACTION"] == TERMINATE:
+                self.disarm()
+            else:
+                self._set_mode(RTL if p["FS_ACTION"] == 1.0 else HOLD)
 
     def disarm(self, text: str = "Throttle disarmed") -> None:
         """No thrust from here on."""
@@ -119,6 +146,8 @@ class AutopilotEmulator(DeviceEmulator):
             return  # not its ground station
         if name == "HEARTBEAT":
             self.vehicle.ground_heard = self._t
+        elif name == "TIMESYNC" and not m.tc1:
+            self._queue.append(self._codec.encode("TIMESYNC", round((self._t + BOOT_S) * 1e9), m.ts1))
         elif getattr(m, "target_system", self._who[0]) != self._who[0]:
             return
         elif name == "RC_CHANNELS_OVERRIDE":
@@ -141,8 +170,10 @@ class AutopilotEmulator(DeviceEmulator):
         self._queue.append(self._codec.encode("PARAM_VALUE", name.encode(), value, 9, len(known), known.index(name)))
 
     def _override(self, m: Any) -> None:
-        if self.vehicle.parameters.get("MAV_GCS_SYSID") != self._ground:
+        own = self.vehicle
+        if own.parameters.get("MAV_GCS_SYSID") != self._ground or int(own.parameters["RC_OPTIONS"]) & IGNORES_OVERRIDES:
             return
+        own.overridden = self._t
         for node, thruster in self._thrusters.items():
             assert thruster.output is not None
             pulse = getattr(m, f"chan{thruster.output.rc_channel}_raw")
@@ -158,7 +189,7 @@ class AutopilotEmulator(DeviceEmulator):
         if m.command == 511:
             return self._interval(int(m.param1), m.param2)
         if m.command == 176:
-            if int(m.param2) not in ROVER_MODES:
+            if mode_name(int(m.param2)).startswith("mode "):
                 return FAILED
             self._set_mode(int(m.param2))
             return ACCEPTED
@@ -189,7 +220,7 @@ class AutopilotEmulator(DeviceEmulator):
             return ACCEPTED
         refusal = self._refusal()
         if refusal:
-            self._text(CRITICAL, refusal)
+            self._text(CRITICAL, refusal)  # leaves after the answer
             return FAILED
         self.vehicle.armed = True
         self._text(INFO, "Throttle armed")
@@ -198,7 +229,7 @@ class AutopilotEmulator(DeviceEmulator):
     def _refusal(self) -> str:
         """Why it does not arm; empty when it does."""
         if self._reports.ekf != EKF_READY:
-            return "PreArm: EKF3 is still initialising"
+            return "PreArm: AHRS: EKF3 is still initialising, wait for it or reboot"
         if self.vehicle.mode not in (MANUAL, HOLD):
             return "Arm: Mode not armable"
         if any(abs(n) > NEUTRAL_N for n in self.vehicle.sticks.values()):

@@ -23,9 +23,10 @@ def parameters(thrusters: list[Thruster], own_system: int, override_s: float) ->
     """The parameters of a vehicle that is set up for a ground station which drives two thrusters."""
     found = {
         "PILOT_STEER_TYPE": 1.0, "MOT_SLEWRATE": 0.0, "MOT_THR_MIN": 0.0, "MOT_THST_EXPO": 0.0,
-        "RC_OVERRIDE_TIME": override_s, "FS_GCS_ENABLE": 1.0, "FS_THR_ENABLE": 1.0, "FS_TIMEOUT": 5.0,
-        "FS_ACTION": 2.0, "RC_OPTIONS": 32.0, "MOT_THST_ASYM": 1.0, "MOT_THR_MAX": 100.0, "MANUAL_STR_EXPO": 0.0,
-        "MAV_GCS_SYSID": float(own_system), "SCHED_LOOP_RATE": LOOP_HZ,
+        "RC_OVERRIDE_TIME": override_s, "FS_GCS_ENABLE": 1.0, "FS_GCS_TIMEOUT": 5.0, "FS_THR_ENABLE": 1.0,
+        "FS_THR_VALUE": 910.0, "FS_TIMEOUT": 1.5, "FS_ACTION": 2.0, "FS_OPTIONS": 0.0, "RC_OPTIONS": 32.0,
+        "MOT_THST_ASYM": 1.0, "MOT_THR_MAX": 100.0, "MANUAL_STR_EXPO": 0.0, "MAV_GCS_SYSID": float(own_system),
+        "SCHED_LOOP_RATE": LOOP_HZ,
     }  # fmt: skip
     for thruster in thrusters:
         output = thruster.output
@@ -36,6 +37,7 @@ def parameters(thrusters: list[Thruster], own_system: int, override_s: float) ->
         found |= {f"{servo}_{end}": us for end, us in zip(ends, output.pwm_us, strict=True)}
         side = 73.0 if thruster.position_m[1] < 0.0 else 74.0
         found |= {f"{channel}_DZ": 0.0, f"{channel}_REVERSED": 0.0}
+        found["RCMAP_ROLL" if side == 73.0 else "RCMAP_THROTTLE"] = float(output.rc_channel)
         found |= {f"{servo}_FUNCTION": side, f"{servo}_REVERSED": 0.0}
     return found
 
@@ -49,6 +51,8 @@ class Vehicle:
     mode: int = MANUAL
     ekf_ready_at: float = 0.0  # s, run time
     ground_heard: float = -math.inf  # s, last heartbeat of the ground station
+    overridden: float = -math.inf  # s, last override
+    receiver: bool = True  # a transmitter was heard since boot
     sticks: dict[int, float] = field(default_factory=dict)  # n by output, as overridden last
 
 

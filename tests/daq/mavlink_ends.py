@@ -59,8 +59,7 @@ class Ends:
         assert device.mavlink is not None
         codec = Codec(device.mavlink.own_system_id, 190, None if key is None else read_key(key), 1_800_000_000.0)
         self.decoder: MavlinkDecoder = make_decoder(device, rig)
-        self.decoder.secure(codec)
-        self.driver = MavlinkDriver(device, rig.thrusters, codec, role)
+        self.driver = MavlinkDriver(device, rig.thrusters, codec, role, self.decoder)
         plant = bench_world(draw_bench(1), 0, DeviceSpecs({}, {}, [], []))
         self.controllers = {
             t.node: EscController(EscSpec("autopilot", t.node, 10.0, timeout_s=1.0), plant.plant, 0)

@@ -32,7 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The runs as logs."""
     files = sorted(measured("blueboat").glob("fixed_00000*.csv"))
     folder = tmp_path_factory.mktemp("blueboat")
-    run("import", "csv", str(HERE / "blueboat.toml"), *map(str, files), "--out-dir", str(folder))
+    run("import", str(HERE / "blueboat.toml"), *map(str, files), "--out-dir", str(folder))
     return folder
 
 

@@ -7,7 +7,7 @@ here=$(CDPATH= cd -- "$(dirname -- "$0")" && pwd)
 out=${1:-out/blueboat}
 mkdir -p "$out"
 
-seatrial import csv "$here/blueboat.toml" "$SEATRIAL_DATA"/blueboat/*.csv --out-dir "$out/logs" --force
+seatrial import "$here/blueboat.toml" "$SEATRIAL_DATA"/blueboat/*.csv --out-dir "$out/logs" --force
 cd "$out"
 
 fitted=""

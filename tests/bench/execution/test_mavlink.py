@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import socket
 import subprocess
@@ -15,8 +16,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
+from bench.execution.link_test import LinkTest, require_link_test, save_link_tests
 from daq.config.mission_file import Mission, Segment, save_mission
+from daq.config.rig_file import load_rig
+from daq.drivers.ardupilot_parameters import link_loss_hash
+from daq.drivers.base import DISARMED
+from daq.errors import SeatrialError
 from daq.log.reader import open_log
 from daq.samples import Ahrs, Command, Servo
 from ident.data.loading import channels
@@ -174,7 +181,24 @@ def test_whatever_dies_thrust_ends(tmp_path: Path, what: str) -> None:
         assert err.count("\n") == 1
     if what == "link cut":
         assert run.returncode == 3
-        assert "autopilot" in err
+        assert "autopilot WAS ARMED BY US AND MAY STILL BE" in err
+
+
+def test_on_a_signed_link_the_watchdogs_zero_is_obeyed_and_confirmed(tmp_path: Path) -> None:
+    write_files(tmp_path, 60.0)
+    rig = tmp_path / "rig.toml"
+    rig.write_text(rig.read_text().replace("system_id = 1\n", 'system_id = 1\nkey_file = "key"\n', 1))
+    (tmp_path / "key").write_bytes(bytes(range(32)))
+    with mock(tmp_path), running(tmp_path, "--arm") as run:
+        until_turning(tmp_path, run)
+        time.sleep(2.0)  # the autopilot's clock of signatures goes on meanwhile
+        begun = time.monotonic()
+        os.kill(acquisition_of(run.pid), signal.SIGKILL)
+        assert stopped_at(tmp_path) - begun < AT_ONCE_S
+        _, err = run.communicate(timeout=60)
+    assert run.returncode != 0
+    assert f"autopilot: zero was sent{DISARMED}" in err
+    assert "MAY STILL BE" not in err
 
 
 def test_ctrl_c_is_zero_at_once_and_disarmed(tmp_path: Path) -> None:
@@ -200,3 +224,51 @@ def test_a_check_is_answered_though_it_is_no_ground_station(tmp_path: Path) -> N
     told = json.loads(done.stdout)["findings"]
     assert not [f for f in told if f["check"] in ("parameters", "limits", "alive") and f["level"] == "fault"], told
     assert "temperature_c 80 of thruster left by autopilot" in next(f["text"] for f in told if f["check"] == "limits")
+
+
+def test_a_mission_with_thrust_needs_a_link_test(tmp_path: Path) -> None:
+    write_files(tmp_path, 4.0)
+    rig = tmp_path / "rig.toml"
+    rig.write_text(rig.read_text().replace("link_test_n = 1.0", "link_test_n = 0.3"))
+    with mock(tmp_path):
+        with running(tmp_path, "--arm") as run:
+            _, err = run.communicate(timeout=60)
+        assert run.returncode == 1
+        assert "a link test is needed; it was never done" in err
+        assert trace(tmp_path) == []
+        words = ["check", "rig.toml", "--actuators", "--link-test", "--yes", "--arm", "--json", "-o", "link.mcap"]
+        done = subprocess.run([*SEATRIAL, *words], cwd=tmp_path, capture_output=True, text=True, check=False)
+        (found,) = [f for f in json.loads(done.stdout)["findings"] if f["check"] == "link test"]
+        assert (found["level"], found["code"]) == ("ok", "link-loss-ends-thrust"), done
+        assert not turning(tmp_path)
+        (tmp_path / "run.mcap").unlink()
+        with running(tmp_path, "--arm") as run:
+            _, err = run.communicate(timeout=60)
+        assert run.returncode == 0, err
+    kept = json.loads((tmp_path / "rig.link-test.json").read_text())["devices"]["autopilot"]
+    assert kept["seconds"] == pytest.approx(OVERRIDE_S, abs=0.3)
+    assert kept["n"] == 0.1
+    with open_log(tmp_path / "link.mcap") as log:
+        sent = np.array([t for t, way, _ in log.raw("autopilot") if way == "tx"])
+        assert np.abs(log.table(Servo, "autopilot", node=1)["n"]).max() == pytest.approx(0.1, abs=0.003)
+    assert np.diff(sent).max() > kept["seconds"] * SPEED
+
+
+def test_a_link_test_counts_for_its_parameters_and_only_when_passed(tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    rig = load_rig(tmp_path / "rig.toml")
+    parameters = {"RC_OVERRIDE_TIME": 1.0, "FS_ACTION": 2.0, "MOT_SLEWRATE": 0.0}
+    good = LinkTest(0.55, 0.1, "2026-01-01T00:00:00Z", link_loss_hash(parameters))
+    for test, asked, why in (
+        (None, parameters, "never done"),
+        (replace(good, seconds=10.0), parameters, "went on for 10.00 s"),
+        (good, {**parameters, "FS_ACTION": 5.0}, "have changed since 2026"),
+    ):
+        if test is not None:
+            save_link_tests(rig, {"autopilot": test})
+        with pytest.raises(SeatrialError, match=why):
+            require_link_test(rig, "autopilot", asked, 0.6)
+    assert require_link_test(rig, "autopilot", {**parameters, "MOT_SLEWRATE": 9.0}, 0.6) == 0.55
+    (tmp_path / "rig.link-test.json").write_text("{}")
+    with pytest.raises(SeatrialError, match=r"link-test\.json"):
+        require_link_test(rig, "autopilot", parameters, 0.6)

@@ -152,6 +152,21 @@ def test_other_signals_end_it_the_same_way(standin: StandIn, tmp_path: Path, num
     assert not open_log(run.log).warnings
 
 
+def test_a_signal_to_the_acquisition_process_is_said_as_what_it_is(standin: StandIn, tmp_path: Path) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    with running(tmp_path) as run:
+        run.until_turning(standin)
+        sent = time.monotonic()
+        os.kill(acquisition_of(run.process.pid), signal.SIGTERM)
+        assert run.end() == 3
+    assert standin.zero_after(sent) - sent < AT_ONCE_S
+    assert "SIGTERM" in run.line()
+    assert run.line().endswith(": thrust is zero, the log is run.mcap")
+    log = open_log(run.log)
+    assert not log.warnings
+    assert any("SIGTERM" in text for _, kind, text in log.events() if kind == "stop")
+
+
 def test_a_reader_of_its_output_that_leaves_is_no_danger(standin: StandIn, tmp_path: Path) -> None:
     short_mission(tmp_path, seconds=60.0)
     with running(tmp_path) as run:

@@ -64,6 +64,23 @@ def test_values_that_no_sensor_of_a_boat_has(
     assert [f for f in found if f.code == code and text in f.text], found
 
 
+def test_a_receiver_that_holds_its_position_at_rest_is_not_stuck(tmp_path: Path) -> None:
+    held = [
+        r._replace(sample=replace(s, lat=63.4, lon=9.4, vel_n=0.0, vel_e=0.0)) if isinstance(s := r.sample, Gnss) else r
+        for r in sailed(3, actuators=True).readings
+    ]
+    assert "sensor-stuck" not in {f.code for f in told(write_log(tmp_path / "run.mcap", "boat", held))}
+
+
+def test_a_boat_that_turns_most_of_the_time_is_judged_by_the_rest(tmp_path: Path) -> None:
+    turned = [
+        r._replace(sample=replace(s, r=0.9, ay=0.9 * G)) if isinstance(s := r.sample, Ahrs) and r.t % 30.0 > 10.0 else r
+        for r in sailed(3, actuators=True).readings
+    ]
+    codes = {f.code for f in told(write_log(tmp_path / "run.mcap", "boat", turned))}
+    assert "specific-force-not-gravity" not in codes
+
+
 def test_a_load_cell_that_is_saturated(tmp_path: Path) -> None:
     readings = push(draw_bench(2))[0].readings
     healthy = told(write_log(tmp_path / "healthy.mcap", "bench", readings))

@@ -160,11 +160,16 @@ def test_white_noise_is_measured_under_motion() -> None:
     assert white(np.sin(t) + 0.01 * rng.normal(size=t.size)) == pytest.approx(0.01, rel=0.1)
 
 
-def clocks(device: np.ndarray, received: np.ndarray) -> list[Finding]:
+def stamped(device: np.ndarray, received: np.ndarray) -> np.ndarray:
     table = np.zeros(device.size, [("t", "f8"), ("t_rx", "f8"), ("t_device", "f8")])
     table["t"] = table["t_rx"] = received
     table["t_device"] = device
-    return [f for f in check_timestamps("ahrs", table, received[-1]) if f.check in ("clock", "gap")]
+    return table
+
+
+def clocks(device: np.ndarray, received: np.ndarray) -> list[Finding]:
+    found = check_timestamps("ahrs", stamped(device, received), received[-1])
+    return [f for f in found if f.check in ("clock", "gap")]
 
 
 def test_clocks_that_jump_run_back_drift_or_lag() -> None:
@@ -188,6 +193,9 @@ def test_clocks_that_jump_run_back_drift_or_lag() -> None:
     assert [f.code for f in clocks(rounded, received)] == ["clock-steady"]
     bunched = np.ceil(t / 0.4) * 0.4 + 0.003
     assert "samples-late" in {f.code for f in clocks(t, bunched)}
+    few = np.array([0.0, 0.5, 1.0, 1.5, 1.5, 2.0])  # a battery at 2 Hz, twice in one read
+    assert "samples-bunched" not in {f.code for f in check_timestamps("battery", stamped(few, few), 2.0)}
+    assert "samples-bunched" in {f.code for f in check_timestamps("ahrs", stamped(t, np.ceil(t / 0.4) * 0.4), 120.0)}
     lost = (t < 30.0) | (t > 42.0)
     (gap,) = [f for f in clocks(t[lost], received[lost]) if f.code == "sections-missing"]
     assert "missing: 1 section, 12.0 s" in gap.text

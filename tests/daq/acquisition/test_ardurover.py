@@ -1,13 +1,8 @@
-"""A real ArduPilot Rover (its own simulator on loopback) logged by the public command.
-
-SEATRIAL_ARDUROVER names the simulator's program: `ardurover`, as ArduPilot's `waf configure --board sitl; waf rover`
-builds it.
-"""
+"""A real ArduPilot Rover (its own simulator on loopback) logged, checked and driven by the public commands."""
 
 from __future__ import annotations
 
-import os
-import socket
+import json
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -16,74 +11,38 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from daq.config.rig_file import load_rig
 from daq.log.reader import open_log
 from daq.samples import Ahrs, Servo
+from tests.bench.autopilot_faults import FAULTS, SETTINGS, link_test, ready_rover, start, try_fault, try_parameter
+from tests.daq.ardurover import HEADING_DEG, MISSING, PROGRAM, RIG, Rover
 
-ARDUROVER = os.environ.get("SEATRIAL_ARDUROVER")
-HEADING_DEG = 40.0  # at the start
-PARAMETERS = "FRAME_CLASS 2\nSERVO1_FUNCTION 73\nSERVO3_FUNCTION 74\nSERVO1_TRIM 1500\nSERVO3_TRIM 1500\n"
-RIG = """\
-format = "seatrial-rig 1"
-name = "a simulated rover"
-
-[[device]]
-name = "autopilot"
-protocol = "mavlink"
-port = "udp:127.0.0.1:{port}"
-rate_hz = 25.0
-
-[[thruster]]
-name = "left"
-device = "autopilot"
-node = 1
-rc_channel = 1
-position_m = [0.0, -0.15, 0.0]
-timeout_s = 1.0
-
-[[thruster]]
-name = "right"
-device = "autopilot"
-node = 3
-rc_channel = 3
-position_m = [0.0, 0.15, 0.0]
-timeout_s = 1.0
-"""
-
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(not ARDUROVER, reason="SEATRIAL_ARDUROVER does not say where ArduPilot's simulator is"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(not PROGRAM, reason=MISSING)]
 
 
-def free_ports(count: int) -> list[int]:
-    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
-    for sock in sockets:
-        sock.bind(("127.0.0.1", 0))
-    numbers = [int(sock.getsockname()[1]) for sock in sockets]
-    for sock in sockets:
-        sock.close()
-    return numbers
+@pytest.fixture(scope="module")
+def rover(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rover]:
+    """A boat at rest in MANUAL, disarmed, without a transmitter."""
+    with Rover(tmp_path_factory.mktemp("sitl"), {"SIM_RC_FAIL": 1}) as rover:
+        yield rover
+
+
+@pytest.fixture(scope="module")
+def signed() -> Iterator[tuple[Path, Rover]]:
+    """A boat without a transmitter that signs, with a mission for it."""
+    with ready_rover(SETTINGS[3]) as found:
+        yield found
 
 
 @pytest.fixture
-def port(tmp_path: Path) -> Iterator[int]:
-    """The UDP port that a rover sends to: a boat at rest in MANUAL, disarmed, no transmitter."""
-    assert ARDUROVER
-    link, base, rc = free_ports(3)
-    (tmp_path / "boat.parm").write_text(PARAMETERS, encoding="ascii")
-    command = [ARDUROVER, "--model", "motorboat-skid", "--wipe", "--defaults", "boat.parm"]
-    command += ["--home", f"63.44,10.40,10,{HEADING_DEG:g}", "--base-port", str(base), "--rc-in-port", str(rc)]
-    command += ["--serial0", f"udpclient:127.0.0.1:{link}"]
-    quiet = subprocess.DEVNULL
-    with subprocess.Popen(command, cwd=tmp_path, stdin=quiet, stdout=quiet, stderr=quiet) as process:
-        try:
-            yield link
-        finally:
-            process.kill()
+def port(rover: Rover, tmp_path: Path) -> int:
+    """Where it is heard."""
+    rover.until(lambda: bool(rover.beats), 20.0, "a heartbeat")
+    return rover.port
 
 
 def test_a_log_sends_nothing_to_a_real_autopilot(tmp_path: Path, port: int) -> None:
-    (tmp_path / "rig.toml").write_text(RIG.format(port=port), encoding="utf-8")
+    (tmp_path / "rig.toml").write_text(RIG.format(port=port, more=""), encoding="utf-8")
     command = [sys.executable, "-m", "seatrial", "log", "rig.toml", "--duration", "5", "-o", "run.mcap"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -96,7 +55,7 @@ def test_a_log_sends_nothing_to_a_real_autopilot(tmp_path: Path, port: int) -> N
 
 
 def test_attitude_and_outputs_of_a_real_autopilot_are_logged(tmp_path: Path, port: int) -> None:
-    (tmp_path / "rig.toml").write_text(RIG.format(port=port), encoding="utf-8")
+    (tmp_path / "rig.toml").write_text(RIG.format(port=port, more=""), encoding="utf-8")
     command = [sys.executable, "-m", "seatrial", "log", "rig.toml", "--duration", "7", "-o", "run.mcap"]
     command += ["--request-rates"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
@@ -115,3 +74,57 @@ def test_attitude_and_outputs_of_a_real_autopilot_are_logged(tmp_path: Path, por
         assert len(output) > 60
         assert np.all(output["pwm"][-20:] == 1500.0)  # disarmed: neutral
         assert np.all(output["n"][-20:] == 0.0)
+
+
+def test_the_rig_that_devices_writes_passes_the_check(tmp_path: Path, port: int, rover: Rover) -> None:
+    address = f"udp:127.0.0.1:{port}"
+    rover.until_ready()
+    done = subprocess.run(
+        [sys.executable, "-m", "seatrial", "devices", address, "--toml"], capture_output=True, text=True, check=True
+    )
+    text = f'format = "seatrial-rig 1"\nname = "found"\n{done.stdout}'
+    (tmp_path / "rig.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "wanted.toml").write_text(RIG.format(port=port, more=""), encoding="utf-8")
+    found, wanted = (load_rig(tmp_path / name).thrusters for name in ("rig.toml", "wanted.toml"))
+    assert [(t.name, t.node, t.output) for t in found] == [(t.name, t.node, t.output) for t in wanted]
+    command = [sys.executable, "-m", "seatrial", "check", "rig.toml", "--json"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    told = json.loads(done.stdout)["findings"]
+    assert [f for f in told if f["level"] != "ok"] == []
+    assert any("ArduPilot Rover" in f["text"] for f in told)
+
+
+def test_a_refusal_to_arm_has_its_reason(signed: tuple[Path, Rover]) -> None:
+    folder, rover = signed
+    link_test(folder)
+    rover.set("BATT_ARM_VOLT", 20.0)
+    with start(folder) as run:
+        _, err = run.communicate(timeout=60)
+    rover.set("BATT_ARM_VOLT", 0.0)
+    assert run.returncode == 1
+    assert "below minimum arming voltage" in err
+
+
+@pytest.mark.parametrize("name", ["acquisition killed", "link cut for 8 s"])
+def test_a_fault_on_a_signed_link_ends_thrust_and_disarms(signed: tuple[Path, Rover], name: str) -> None:
+    folder, rover = signed
+    (fault,) = [fault for fault in FAULTS if fault.name == name]
+    trial = try_fault(folder, rover, fault, SETTINGS[3], link_test(folder))
+    assert trial.good, trial
+    assert trial.disarmed
+
+
+@pytest.mark.parametrize(("name", "value"), [("FS_ACTION", 1.0), ("RC_OPTIONS", 34.0), ("MOT_THR_MIN", 40.0)])
+def test_a_wrong_parameter_is_refused_or_ended(signed: tuple[Path, Rover], name: str, value: float) -> None:
+    folder, rover = signed
+    trial = try_parameter(folder, rover, name, value, SETTINGS[3])
+    assert trial.seconds <= trial.allowed, trial
+
+
+def test_an_unsigned_rig_is_told_of_the_signature(signed: tuple[Path, Rover]) -> None:
+    folder, _ = signed
+    rig = (folder / "rig.toml").read_text(encoding="utf-8").replace('key_file = "key"\n', "")
+    (folder / "unsigned.toml").write_text(rig, encoding="utf-8")
+    command = [sys.executable, "-m", "seatrial", "check", "unsigned.toml", "--json"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert any("no key_file" in f["text"] for f in json.loads(done.stdout)["findings"] if f["level"] == "fault")

@@ -1,6 +1,6 @@
 """Four devices at 5,000 frames a second for a moment: every frame is in the log, or counted where it was lost.
 
-`python -m benchmarks.acquisition --seconds 600` measures the same for ten minutes.
+`python -m benchmarks.acquisition --seconds 600 --days 7` measures the same for ten minutes, and a week in segments.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.acquisition import LOSS_RATE, record
+from benchmarks.acquisition import LOSS_RATE, record, soak
 from daq.log.reader import open_log
 from daq.samples import Ahrs, PortHealth
 
@@ -28,3 +28,12 @@ def test_no_frame_is_lost_without_a_trace(tmp_path: Path) -> None:
     assert [health.checksum_errors for health in last] == [0] * 4
     for table in tables:  # the roll rate is the number of the message
         assert np.all(np.diff(table["p"]) >= 1)
+
+
+def test_segments_under_a_disk_budget_lose_and_double_no_sample() -> None:
+    found = {figure.name: figure.value for figure in soak(160.0, 1)}
+    assert found["samples"] > 10_000
+    assert found["written, but not in order"] == 0
+    assert found["missing or twice within what is kept"] == 0
+    assert found["segments kept"] in range(3, 15)  # of 16
+    assert found["largest size"] < 1.1

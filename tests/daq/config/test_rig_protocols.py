@@ -87,3 +87,8 @@ def test_segments() -> None:
     assert rig("nmea", before=log).segments == Segments(200.0, 600.0, 0.0)
     with pytest.raises(SeatrialError, match=r"log\.segment_s: must be within 1\.0"):
         rig("nmea", before="[log]\nsegment_s = 0.5")
+    assert rig("nmea", before="[log]\nsegment_mb = 200\nkeep_gb = 20").segments.keep_gigabytes == 20.0
+    with pytest.raises(SeatrialError, match=r"log\.keep_gb: .*segment_mb or segment_s"):
+        rig("nmea", before="[log]\nkeep_gb = 20")
+    with pytest.raises(SeatrialError, match=r"log\.keep_gb: has to hold 3 segments"):
+        rig("nmea", before="[log]\nsegment_mb = 200\nkeep_gb = 0.5")

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from daq.drivers.ardupilot_parameters import check_parameters
-from daq.drivers.base import LinkRole
+from daq.drivers.base import DISARMED, LinkRole
 from daq.drivers.factory import make_driver
 from daq.drivers.setpoints import Due
 from daq.protocol.catalogue import make_decoder
 from daq.protocol.mavlink_wire import Codec, Head, head
+from daq.rig import Rig
 from daq.samples import Ahrs, Servo
-from mocks.devices.autopilot import HOLD
+from mocks.devices.autopilot import HOLD, AutopilotEmulator
 from tests.daq.mavlink_ends import Ends, mav_rig
 
 
@@ -78,7 +81,9 @@ def test_arming_is_refused_with_the_vehicles_own_reason() -> None:
     ends.autopilot.vehicle.ekf_ready_at = 100.0
     ends.driver.request("arm", 0.0)
     ends.run(1.0)
-    assert ends.driver.link_at(ends.t).answer == "arm: failed (PreArm: EKF3 is still initialising)"
+    assert ends.driver.link_at(ends.t).answer == (
+        "arm: failed (PreArm: AHRS: EKF3 is still initialising, wait for it or reboot)"
+    )
     assert not ends.autopilot.vehicle.armed
 
 
@@ -109,7 +114,7 @@ def test_silence_ends_thrust_by_the_override_timeout_and_then_by_the_failsafe() 
     assert ends.controllers[1].n == pytest.approx(0.5, abs=0.002)
     ends.run(0.2)
     assert [ends.controllers[node].n for node in (1, 3)] == [0.0, 0.0]
-    ends.run(5.0)
+    ends.run(5.6)
     assert ends.autopilot.vehicle.mode == HOLD
     assert ends.driver.link_at(ends.t).alarm == "critical: GCS Failsafe"
 
@@ -167,13 +172,20 @@ def test_signed_both_ways(tmp_path: Path) -> None:
         ("RC1_TRIM", 1480.0, True),
         ("FS_THR_ENABLE", 0.0, True),
         ("FS_ACTION", 0.0, True),
-        ("FS_ACTION", 1.0, False),
+        ("FS_ACTION", 1.0, True),
+        ("FS_ACTION", 3.0, True),
+        ("FS_GCS_TIMEOUT", 120.0, True),
+        ("FS_TIMEOUT", 30.0, True),
+        ("RCMAP_ROLL", 3.0, True),
+        ("RCMAP_THROTTLE", 1.0, True),
+        ("SERVO3_FUNCTION", 70.0, True),
         ("RC_OPTIONS", 34.0, True),
         ("RC1_REVERSED", 1.0, True),
         ("SERVO1_REVERSED", 1.0, True),
-        ("MOT_THST_ASYM", 2.0, False),
-        ("MOT_THR_MAX", 60.0, False),
-        ("MANUAL_STR_EXPO", 0.6, False),
+        ("MOT_THST_ASYM", 2.0, True),
+        ("MOT_THR_MAX", 60.0, True),
+        ("MANUAL_STR_EXPO", 0.6, True),
+        ("MOT_THST_EXPO", 0.5, True),
         ("MOT_SLEWRATE", 100.0, False),
         ("RC3_DZ", 30.0, False),
     ],
@@ -184,6 +196,15 @@ def test_a_parameter_that_is_wrong_is_named(name: str, value: float, fatal: bool
     (found,) = check_parameters(parameters, mav_rig().thrusters, 255)
     assert (found.name, found.value, found.fatal) == (name, value, fatal)
     assert str(found).startswith(f"{name} is {value:g}, wanted ")
+
+
+def test_a_crossed_rig_is_refused_for_both_sides() -> None:
+    one, two = mav_rig().thrusters
+    assert one.output is not None
+    assert two.output is not None
+    crossed = [replace(one, output=two.output), replace(two, output=one.output)]
+    found = check_parameters(Ends(mav_rig()).autopilot.vehicle.parameters, crossed, 255)
+    assert [(f.name, f.fatal) for f in found] == [("RCMAP_ROLL", True), ("RCMAP_THROTTLE", True)]
 
 
 def test_a_parameter_that_changes_under_way_is_an_event() -> None:
@@ -271,3 +292,121 @@ def test_after_a_reboot_everything_is_asked_for_again() -> None:
     ends.to_ground(vehicle.encode("HEARTBEAT", 11, 3, 81, 0, 4, 3))
     asked = {message.get_type() for message in parsed(ear, ends.driver.poll(ends.t + 1.0))}
     assert {"COMMAND_LONG", "PARAM_REQUEST_READ"} <= asked
+
+
+@pytest.mark.parametrize(
+    ("receiver", "failsafe", "ends_after"), [(True, 1.0, 1.0), (False, 1.0, 0.5), (False, 0.0, None)]
+)
+def test_the_mock_holds_the_last_override_where_no_receiver_was_ever_heard(
+    receiver: bool, failsafe: float, ends_after: float | None
+) -> None:
+    ends = armed(ready(Ends(mav_rig())))
+    ends.autopilot.vehicle.receiver = receiver
+    ends.autopilot.vehicle.parameters |= {"FS_THR_ENABLE": failsafe, "FS_ACTION": 0.0}
+    drive(ends, 0.5, 0.5, 0.5)
+    ends.deaf = True
+    begun = ends.t
+    while ends.controllers[1].n != 0.0 and ends.t - begun < 20.0:
+        ends.run(0.02)
+    took = ends.t - begun
+    assert took == pytest.approx(20.0 if ends_after is None else ends_after, abs=0.1)
+
+
+def test_while_muted_nothing_is_sent_but_a_zero_is() -> None:
+    ends = armed(ready(Ends(mav_rig())))
+    drive(ends, 0.1, 0.1, 0.3)
+    ends.driver.request("mute", 5.0)
+    ends.run(0.02)
+    for _ in range(100):
+        ends.run(0.02)
+        assert ends.driver.poll(ends.t) == b""
+        assert ends.driver.command([Due(1, 0.1, False)], {1: 0.1, 3: 0.1}, ends.t) == []
+        assert ends.driver.wait(ends.t) > 0.0
+    assert ends.controllers[1].n == 0.0
+    assert ends.driver.command([Due(1, 0.0, True)], {1: 0.0, 3: 0.0}, ends.t)
+    assert ends.driver.poll(ends.t)
+    ends.driver.request("mute", 1.0)
+    ends.driver.command([Due(1, 0.1, True)], {1: 0.1}, ends.t)
+    ends.run(1.1)
+    assert ends.driver.command([Due(1, 0.1, True)], {1: 0.1}, ends.t)  # it does not last
+
+
+def test_another_station_of_our_id_and_lost_frames_are_counted() -> None:
+    ends = ready(Ends(mav_rig()))
+    assert (ends.driver.link_at(ends.t).rivals, ends.driver.link_at(ends.t).lost) == (0, 0)
+    ends.to_ground(Codec(255, 230).encode("HEARTBEAT", 6, 8, 0, 0, 4, 3))
+    for _ in range(7):
+        ends.autopilot._codec.encode("HEARTBEAT", 11, 3, 81, 0, 4, 3)  # on their way, and lost
+    ends.run(2.0)
+    assert (ends.driver.link_at(ends.t).rivals, ends.driver.link_at(ends.t).lost) == (1, 7)
+    assert any(event.text.startswith("7 of its ") for event in ends.driver.events())
+
+
+def test_the_round_trip_is_measured() -> None:
+    ends = ready(Ends(mav_rig()))
+    ends.driver._status = replace(ends.driver._status, round_trip=math.nan)  # of ends that are joined without a delay
+    sent = ends.driver.poll(ends.t + 1.5)
+    ends.t += 1.55
+    ends.to_vehicle(sent)
+    assert ends.driver.link_at(ends.t).round_trip == pytest.approx(0.05, abs=1e-6)
+
+
+def test_rates_that_somebody_else_has_lowered_are_asked_for_again() -> None:
+    ends = ready(Ends(mav_rig()))
+    ends.run(31.0)
+    for number in (30, 36):  # ATTITUDE, SERVO_OUTPUT_RAW at 1 Hz
+        ends.autopilot._interval(number, 1e6)
+    ends.run(5.0)
+    before = len(ends.frames)
+    ends.run(2.0)
+    assert sum(isinstance(frame.sample, Ahrs) for frame in ends.frames[before:]) == pytest.approx(50, abs=3)
+
+
+def test_mistakes_with_the_key_are_named(tmp_path: Path) -> None:
+    (tmp_path / "key").write_bytes(bytes(range(32)))
+    (tmp_path / "other").write_bytes(bytes(32))
+    signed, other = (mav_rig(tmp_path, more=f'key_file = "{name}"') for name in ("key", "other"))
+
+    def told(ours: Rig, key: str, vehicle: Rig) -> str:
+        ends = Ends(ours, tmp_path / key if key else None)
+        ends.autopilot = AutopilotEmulator(vehicle, vehicle.device("autopilot"), ends.controllers, 1_800_000_000.0)
+        ends.autopilot._rates["ATTITUDE"] = 25.0
+        ends.run(3.0)
+        return ends.driver.message()
+
+    assert told(signed, "key", signed) == ""
+    assert told(mav_rig(), "", mav_rig()) == ""
+    assert "no key_file" in told(mav_rig(), "", signed)
+    assert "another key" in told(other, "other", signed)
+    assert "it signs nothing" in told(signed, "key", mav_rig())
+
+
+@pytest.mark.parametrize(
+    ("kind", "autopilot", "number", "vehicle", "mode"),
+    [
+        (11, 3, 4, "ArduPilot Rover", "HOLD"),
+        (2, 3, 0, "ArduCopter", "STABILIZE"),
+        (12, 3, 19, "ArduSub", "MANUAL"),
+        (20, 3, 7, "ArduPlane", "CRUISE"),
+        (11, 12, 1 << 16, "PX4", "MANUAL"),
+        (11, 3, 99, "ArduPilot Rover", "mode 99"),
+    ],
+)
+def test_vehicles_and_their_modes_have_their_own_names(
+    kind: int, autopilot: int, number: int, vehicle: str, mode: str
+) -> None:
+    ends = Ends(mav_rig())
+    ends.to_ground(Codec(1, 1).encode("HEARTBEAT", kind, autopilot, 129, number, 4, 3))
+    link = ends.driver.link_at(ends.t)
+    assert (link.vehicle, link.mode, link.armed) == (vehicle, mode, True)
+
+
+def test_the_rescuers_zero_is_confirmed_by_an_answer() -> None:
+    ends = armed(ready(Ends(mav_rig())))
+    drive(ends, 0.5, 0.5, 0.3)
+    rescuer = Ends(mav_rig(), role=LinkRole.RESCUE)
+    assert "may still be armed" in rescuer.driver.confirmation
+    for data, _ in rescuer.driver.zero(ends.t):
+        rescuer.to_ground(ends.autopilot.receive(data, ends.t))
+    assert not ends.autopilot.vehicle.armed
+    assert rescuer.driver.confirmation == DISARMED

@@ -9,7 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from daq import cli
-from daq.errors import SeatrialError
+from daq.checks.device_checks import check_devices
+from daq.errors import SeatrialError, SeatrialWarning
 from daq.importers.raw import import_raw
 from daq.log.reader import open_log
 from daq.protocol import nmea, vectornav
@@ -139,3 +140,15 @@ def test_a_vectornav_standing_still(tmp_path: Path) -> None:
         row = log.table(Ahrs, "ahrs")[0]
     assert math.degrees(row["yaw"]) == pytest.approx(first[0])
     assert [row[n] for n in ("ax", "ay", "az", "p", "q", "r")] == pytest.approx(first[6:12])
+
+
+def test_a_clock_that_is_set_back_or_a_second_one_is_told(tmp_path: Path) -> None:
+    capture, out = tmp_path / "gnss.txt", tmp_path / "g.mcap"
+    for times in ([0, 1, 2, 3, 4, 1, 2, 3, 4, 5], [0, 100, 1, 101, 2, 102]):
+        fixes = [Gnss(1.7e9 + t, 59.0, 10.0 + 1e-5 * k, 3.0, 0.5, 0.1, fix=3) for k, t in enumerate(times)]
+        capture.write_bytes(b"".join(nmea.encode(fix) for fix in fixes))
+        with pytest.warns(SeatrialWarning, match="ran back"):
+            import_raw("nmea", capture, out=out, force=True)
+        with open_log(out) as log:
+            assert [f.code for f in check_devices(log)].count("clock-ran-back") == 1
+        assert "ran back" in CliRunner().invoke(cli.info, [str(out)], catch_exceptions=False).stdout

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import struct
+import subprocess
+import sys
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,10 +15,14 @@ import pytest
 from click.testing import CliRunner
 
 from daq import cli
+from daq.checks.device_checks import check_devices
 from daq.errors import SeatrialError
+from daq.log.cdr import NANO, cdr_layout
 from daq.log.mcap_reader import RawLog
+from daq.log.mcap_writer import LogWriter
 from daq.log.reader import open_log
-from daq.log.segments import note_path
+from daq.log.schema import TYPES, topic
+from daq.log.segments import note_path, segment_path
 from daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, PortHealth, Scalar
 from tests.daq.logs import HEALTH, N_ROUNDS, T0, recorder, tables
 
@@ -137,7 +145,7 @@ def test_the_index_is_only_believed_where_it_is_right(tmp_path: Path) -> None:
         log.write("surge", Frame(Scalar(i), T0, float("nan")), T0 + i)
     log.close()
     data = bytearray(path.read_bytes())
-    at = RawLog(path)._chunks[0].stop
+    at = RawLog(path)._chunks[0]["stop"]
     assert data[at] == 7  # message index
     for wrong in (1, 2**40, 2**63 + 5):
         struct.pack_into("<Q", data, at + 9 + 6 + 8, wrong)
@@ -165,3 +173,161 @@ def test_a_log_does_not_write_to_the_terminal(tmp_path: Path) -> None:
         assert not [c for _, kind, text in opened.events() for c in kind + text if not c.isprintable()]
     refused = CliRunner().invoke(cli.replay, [str(path), "--dir", str(tmp_path / "ports")])
     assert refused.exit_code == 1
+
+
+def a_run(path: Path, n: int, kill: bool = False, chunk: int = 250) -> Path:
+    """Two AHRS of 1 kHz, one of them only in the second half; a chunk every `chunk` samples, which parts a sample."""
+    log = recorder(path)
+    for i in range(n):
+        t = T0 + 1e-3 * i
+        for device in ("ahrs", "imu")[: 1 + (2 * i >= n)]:
+            log.write(device, Frame(Ahrs(0.1, 0.2, 0.3, r=float(i), mx=1e-5, my=0.0, mz=0.0), t, float(i)), t)
+            if i % chunk == chunk // 2:
+                log._writer.flush()
+    if kill:
+        log._writer.flush()
+        log._writer._end()
+    else:
+        log.close()
+    return path
+
+
+@pytest.mark.parametrize("kill", [False, True])
+def test_a_time_window_and_a_topic_are_read_without_the_rest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kill: bool
+) -> None:
+    path = a_run(tmp_path / "run.mcap", 4000, kill)
+    read: list[int] = []
+    pread = os.pread
+    monkeypatch.setattr(os, "pread", lambda fd, n, at: read.append(n) or pread(fd, n, at))  # type: ignore[func-returns-value]
+    log = open_log(path)
+    opening = sum(read)
+    read.clear()
+    table = log.table(Ahrs, "ahrs", begin=T0 + 1.0, end=T0 + 1.5)
+    assert table["r"].tolist() == list(range(1000, 1500))
+    np.testing.assert_array_equal(table["t_device"], table["r"])  # joined across chunks
+    assert sum(read) < 0.25 * path.stat().st_size
+    read.clear()
+    log.close()
+    assert len(log.table(Ahrs, "imu")) == 2000
+    assert sum(read) < 0.8 * path.stat().st_size
+    assert opening < 0.25 * path.stat().st_size
+    assert len(log.table(Ahrs, "ahrs", begin=T0 + 100.0)) == 0
+    whole = open_log(path).table(Ahrs, "ahrs")
+    assert repr(table.tolist()) == repr(whole[1000:1500].tolist())
+
+
+def test_a_recording_that_was_cut_off_is_opened_by_its_indexes(tmp_path: Path) -> None:
+    """Cut anywhere, what is counted is what is read."""
+    data = a_run(tmp_path / "run.mcap", 600, chunk=40).read_bytes()
+    path = tmp_path / "cut.mcap"
+    for size in range(len(data) // 2, len(data), len(data) // 37):
+        path.write_bytes(data[:size])
+        with open_log(path) as log:
+            assert len(log.table(Ahrs, "ahrs")) == log.counts["/ahrs/imu"]
+            assert sum(log.counts.values()) == sum(len(found.heads) for found in log._file.read())
+
+
+def test_a_summary_is_not_believed_where_it_does_not_tell_all(tmp_path: Path) -> None:
+    path = a_run(tmp_path / "run.mcap", 600)
+    data = path.read_bytes()
+    last = RawLog(path)._chunks[-1]
+    record = data[last["at"] : last["stop"]]
+    opcode, length, start, offsets, _ = struct.unpack("<BQQQI", data[-37:-8])
+    footer = struct.pack("<BQQQ", opcode, length, start + len(record), offsets + len(record))
+    checksum = struct.pack("<I", zlib.crc32(data[start:-37] + footer))
+    path.write_bytes(data[: last["at"]] + record + data[last["at"] : -37] + footer + checksum + data[-8:])
+    with open_log(path) as log:
+        assert len(log.table(Ahrs, "imu")) > 300  # the chunk is there twice
+        assert (log.complete, log.warnings) == (True, [])
+
+
+MEASURE = """
+import sys
+from benchmarks.measure import peak_mb
+from daq.log.reader import open_log
+from daq.samples import Scalar
+before = peak_mb()
+table = open_log(sys.argv[1]).table(Scalar, "surge")
+print(len(table), table.nbytes, peak_mb() - before)
+"""
+
+
+def test_reading_takes_24_bytes_a_message_and_48_mb_over_what_it_returns(tmp_path: Path) -> None:
+    n, n_topics = 300_000, 4
+    log = LogWriter(tmp_path / "run.mcap", metadata={}, attachments={}, time_ns=0)
+    pack = cdr_layout(TYPES[Scalar], b"").pack
+    channels = [log.channel(topic(Scalar, name), TYPES[Scalar]) for name in ("surge", "sway", "heave", "yaw")]
+    for i in range(n):
+        stamp = round((T0 + 1e-3 * i) * NANO)
+        for channel in channels:
+            log.add(channel, stamp, stamp, i, pack(stamp, stamp / NANO, float("nan"), float(i)))
+    log.close()
+    words = [sys.executable, "-c", MEASURE, str(log.path)]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    n_read, n_bytes, peak = done.stdout.split()
+    assert int(n_read) == n
+    assert float(peak) < (int(n_bytes) + 24 * n * n_topics) / 2**20 + 48
+
+
+LIMITED = """
+import resource, sys
+from daq.log.reader import open_log
+from daq.samples import Ahrs
+log = open_log(sys.argv[1])
+used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + 20 * 2**20,) * 2)
+try:
+    log.table(Ahrs, "ahrs")
+except Exception as error:
+    print(type(error).__name__, error)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of the address space")
+def test_a_memory_that_is_too_small_is_one_line(tmp_path: Path) -> None:
+    path = a_run(tmp_path / "run.mcap", 200_000)
+    done = subprocess.run([sys.executable, "-c", LIMITED, str(path)], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith(f"SeatrialError {path}: /ahrs/imu has 200000 messages")
+    assert done.stdout.count("\n") == 1
+
+
+def test_records_beside_the_messages_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "run.mcap"
+    log = recorder(path, attachments={"huge.bin": bytes(300_000), "small.txt": b"1"})
+    log.event(T0, "mark", "x")
+    log.close()
+    assert set(open_log(path).attachments) == {"rig.toml", "huge.bin", "small.txt"}
+    monkeypatch.setattr("daq.log.mcap_reader.MAX_HELD", 200_000)
+    for data in (path.read_bytes(), path.read_bytes()[:-20]):
+        path.write_bytes(data)
+        with open_log(path) as opened:
+            assert set(opened.attachments) == {"rig.toml", "small.txt"}
+            assert any("attachment at byte" in warning for warning in opened.warnings)
+            assert len(opened.events()) == 1
+
+
+def test_many_segments_are_open_one_at_a_time(tmp_path: Path) -> None:
+    for number in range(40):
+        log = recorder(segment_path(tmp_path / "run.mcap", number) if number else tmp_path / "run.mcap")
+        log.event(T0 + number, "mark", str(number))
+        log.close()
+    before = len(os.listdir("/proc/self/fd"))
+    opened = open_log(tmp_path / "run.mcap")
+    assert [text for _, _, text in opened.events()] == [str(number) for number in range(40)]
+    assert len(os.listdir("/proc/self/fd")) <= before + 1
+
+
+def test_stamps_of_two_clocks_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    log = recorder(path)
+    for i in range(20):
+        t = T0 + i + (100.0 if i % 2 else 0.0)
+        log.write("surge", Frame(Scalar(i), T0 + i, float("nan")), t)
+        log.write("sway", Frame(Scalar(i), T0 + i, float("nan")), T0 + i)
+    log.close()
+    with open_log(path) as opened:
+        assert opened.clock_steps == {"/signal/surge": (9, pytest.approx(99.0))}
+        assert [f.where for f in check_devices(opened) if f.code == "clock-ran-back"] == ["/signal/surge"]
+    out = CliRunner().invoke(cli.info, [str(path)], catch_exceptions=False).stdout
+    assert "/signal/surge: its times ran back 9 times, by up to 99.0 s" in out

@@ -7,6 +7,7 @@ import os
 import subprocess
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from daq.clock import RunClock
 from daq.config.rig_file import parse_rig
 from daq.errors import SeatrialError
 from daq.log import recorder as recorder_module
-from daq.log.reader import open_log
+from daq.log.reader import Log, open_log
 from daq.log.recorder import Recorder, check_room
 from daq.log.recovery import recover_log
 from daq.log.segments import note_path
@@ -253,3 +254,39 @@ def test_a_named_pipe_is_no_log_and_no_note(tmp_path: Path) -> None:
     segmented(path).close()
     os.mkfifo(note_path(path))
     open_log(path).close()
+
+
+def test_the_oldest_segments_but_the_first_go_beyond_the_budget(tmp_path: Path) -> None:
+    log = segmented(tmp_path / "run.mcap", megabytes=1.0, keep_gigabytes=0.004)
+    (tmp_path / "other.1.mcap").write_bytes(bytes(10_000_000))  # not ours
+    rng = np.random.default_rng(3)
+    largest = 0
+    for k in range(300):
+        log.write_raw("ahrs", "rx", rng.bytes(50_000), T0 + k)
+        log.tick()
+        on_disk = sum(p.stat().st_size for p in tmp_path.glob("run*.mcap"))
+        assert on_disk == log.size or k > 150
+        largest = max(largest, on_disk)
+        if k == 150:  # another file in the place of one of them
+            replaced = min(p for p in tmp_path.glob("run.*.mcap") if p != log.path)
+            replaced.unlink()
+            replaced.write_bytes(b"dear to me")
+    log.close()
+    assert largest < 4.2e6
+    assert replaced.read_bytes() == b"dear to me"
+    replaced.unlink()
+    names = sorted((p.name for p in tmp_path.glob("run*.mcap")), key=lambda name: (len(name), name))
+    assert names[0] == "run.mcap"
+    assert 3 <= len(names) <= 4
+    with open_log(tmp_path / "run.mcap") as opened:
+        times = [round(t - T0) for t, _, _ in opened.raw("ahrs")]
+        assert opened.warnings == [f"a segment is missing: run.1.mcap to run.{len(names_of(opened)) - 1}.mcap"]
+        deleted = [text for _, kind, text in opened.events() if kind == "disk"]
+    second = next(k for k, (a, b) in enumerate(pairwise(times)) if b != a + 1) + 1
+    assert times == [*range(second), *range(times[second], 300)]
+    assert all(text.endswith("keep_gb is 0.004") for text in deleted)
+
+
+def names_of(log: Log) -> range:
+    """The numbers of the segments before the second one that is there."""
+    return range(int(log.paths[1].stem.rpartition(".")[2]))

@@ -77,6 +77,16 @@ def test_attitude_and_imu_of_different_moments_are_two_samples_and_none_is_lost(
     assert accelerations == pytest.approx([1.02, 1.06, 1.1, 1.14])  # the last may still find its attitude
 
 
+def test_a_slow_stream_comes_in_the_order_of_its_own_time() -> None:
+    messages: list[tuple[object, ...]] = [HEARTBEAT]
+    for k in range(6):  # groups of 1 Hz: attitude and IMU are milliseconds or a second apart
+        messages.append(("RAW_IMU", 69_092_000 + 1_019_900 * k, 1000, 0, -1000, 0, 0, 0, 0, 0, 0))
+        messages.append(("ATTITUDE", 70_111 + 1001 * k, 0.1, -0.2, 3.0, 0.01, 0.02, 0.03))
+    times = [f.t_device for f in samples(*messages) if isinstance(f.sample, Ahrs)]
+    assert times == sorted(times)
+    assert len(times) >= 10
+
+
 def test_an_attitude_without_imu_is_not_held_back() -> None:
     (found,) = samples(("ATTITUDE", 5, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
     assert isinstance(found.sample, Ahrs)

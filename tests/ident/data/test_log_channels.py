@@ -11,8 +11,9 @@ import pytest
 
 from bench.mission_generators import make_mission
 from daq.log.reader import open_log
+from daq.log.schema import local_ned
 from daq.samples import NAN, Command, Esc, Gnss, Servo
-from ident.data.loading import SHAFTS, PropulsionInput, channels, load_run, local_ned, propulsion_input
+from ident.data.loading import SHAFTS, PropulsionInput, channels, load_run, propulsion_input
 from ident.data.record import Channel
 from mocks.offline_simulation import Recording, simulate
 from mocks.plant.bench import draw_bench

@@ -91,6 +91,16 @@ def stalled(*sides: str) -> Loss:
     return lambda side, now: 1 - 0.5 * min(abs(now.r) / 0.8, 1.0) ** 2 * (side in sides)
 
 
+def partly_linear(share: float) -> Loss:
+    """This share of the thrust is linear in the shaft speed, the rest quadratic."""
+    return lambda side, now: 1 - share + share / max(abs(now.n[side]), 1e-3)
+
+
+def rudder(k: float) -> Force:
+    """A moment by the difference of the sides that grows with the speed squared."""
+    return lambda now: (0.0, 0.0, k * abs(now.u) * now.u * (now.n["left"] - now.n["right"]) / 2)
+
+
 SMALL = 0.6  # times the length: 9 kg
 FOUND: dict[str, tuple[IndependentBoat, bool, str, dict[str, float]]] = {
     "spring": (IndependentBoat(force=spring(0.9, 6.0, 4.0, -3.0)), True, "mooring",
@@ -102,6 +112,8 @@ FOUND: dict[str, tuple[IndependentBoat, bool, str, dict[str, float]]] = {
     "pull": (IndependentBoat(force=lambda now: (*now.into_body(3.0, -4.0), 0.0)), True, "steady-pull",
              {"F_north": 3.0, "F_east": -4.0}),
     "wind": (IndependentBoat(SMALL, wind(3.0, -2.5, 0.1, -0.15)), False, "wind", {"w_x": 0.9, "w_n": -0.15}),
+    "linear": (IndependentBoat(loss=partly_linear(0.6)), True, "thrust-linearity", {"lambda_n": 0.6}),
+    "rudder": (IndependentBoat(force=rudder(12.0)), True, "steering", {"N_delta": 12.0}),
     "stall": (IndependentBoat(loss=stalled("left")), True, "unknown T_left(r)", {}),
     "both": (IndependentBoat(loss=stalled("left", "right")), True, "unknown T(r)", {}),
 }

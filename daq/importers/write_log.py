@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from daq.errors import SeatrialError
-from daq.importers.csv_reader import SignalData
+from daq.clock import CLOCK_STEP_S
+from daq.errors import SeatrialError, SeatrialWarning, counted
+from daq.importers.signals import SignalData
 from daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, discard_note, schema
 from daq.samples import Frame, Scalar
 
@@ -93,6 +95,7 @@ def write_frames(
     """
     if not rows:
         raise SeatrialError(f"{out}: there is nothing in it that seatrial can use")
+    steps = clock_steps((row.device, row.frame, row.t) for row in rows)
     ordered = sorted(rows, key=lambda row: row.t)
     if ordered[0].t < 0.0 or ordered[-1].t >= 2**31:
         raise SeatrialError(f"{out}: the times do not lie between 1970 and 2038")
@@ -102,12 +105,32 @@ def write_frames(
         writer = LogWriter(part, metadata=about, attachments={}, time_ns=first)
         try:
             event = writer.channel("/event", schema.EVENT)
-            writer.add(
-                event, first, first, 0, cdr_layout(schema.EVENT, b"").pack(first, tail=(b"import", note.encode()))
-            )
+            for kind, text in [("import", note), *(("clock", text) for text in steps)]:
+                data = cdr_layout(schema.EVENT, b"").pack(first, tail=(kind.encode(), text.encode()))
+                writer.add(event, first, first, 0, data)
             _write_frames(writer, ordered, units or {})
         finally:
             writer.close()
+
+
+def clock_steps(samples: Iterable[tuple[str, Frame, float]]) -> list[str]:
+    """A line, also as a warning, for each device whose times [s] run back in the order of the file: a clock that was
+    set, or two of them. In the order of time its samples of before and after are mixed."""
+    newest: dict[tuple[object, ...], float] = {}
+    steps: dict[str, list[float]] = {}
+    for device, frame, t in samples:
+        key = device, type(frame.sample), getattr(frame.sample, "node", None)
+        if newest.get(key, t) - t > CLOCK_STEP_S:
+            steps.setdefault(device, []).append(newest[key] - t)
+        newest[key] = t
+    lines = [
+        f"{device}: its times ran back {counted(len(back), 'time')}, by up to {max(back):.1f} s; two clocks, or one "
+        "that was set: where they overlap, two tracks are mixed"
+        for device, back in steps.items()
+    ]
+    for line in lines:
+        warnings.warn(line, SeatrialWarning, stacklevel=2)
+    return lines
 
 
 def _write_frames(writer: LogWriter, rows: Sequence[SignalRow], units: Mapping[str, str]) -> None:

@@ -1,0 +1,359 @@
+"""`seatrial export ros`: a log as ROS tools want it: bag with REP-103 frames, message package, viewers' layouts.
+
+The bag (rosbag2, storage MCAP) has every message of the log as it stands and beside them, in the axes of REP-103 (body
+forward, left, up; world east, north, up) and the frames of REP-105:
+
+| topic | type | from |
+|---|---|---|
+| `/ros/DEVICE/imu` | sensor_msgs/msg/Imu, frame `base_link` | every AHRS |
+| `/odom` | nav_msgs/msg/Odometry, `odom` to `base_link` | the first AHRS with a heading and the first GNSS receiver |
+| `/tf` | tf2_msgs/msg/TFMessage, `odom` to `base_link` | the same |
+
+`odom` is where the first fix is; `base_link` is the origin that the rig file measures lever arms from.
+"""
+
+from __future__ import annotations
+
+import heapq
+import json
+import shutil
+from collections.abc import Iterator, Sequence
+from importlib import resources
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.errors import SeatrialError
+from daq.log import NANO, NODE_TOPICS, Log, local_ned, quaternion
+from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar, Servo
+
+PACKAGE = "seatrial_msgs"
+BAG, PACKAGE_FOLDER, FOXGLOVE, PLOTJUGGLER = "bag", PACKAGE, "foxglove.json", "plotjuggler.xml"
+MAX_GAP_S = 2.0  # between fixes: where there is none for longer, no position is made up
+COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")  # Okabe and Ito: told apart by the colour-blind
+Array = NDArray[np.float64]
+
+
+class RosMessage(NamedTuple):
+    """One message to write: run time in ns, topic, type, and the message as rosbags makes it."""
+
+    stamp_ns: int
+    topic: str
+    type_name: str
+    message: Any
+
+
+def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
+    """Write the bag, the interface package and the layouts to `folder`; returns what was written.
+
+    Raises SeatrialError where rosbags is not installed, something of that name is there already and `force` is not
+    given, or the disk refuses.
+    """
+    try:
+        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    except ModuleNotFoundError as error:
+        raise SeatrialError("bags of ROS 2 need the package rosbags: pip install 'seatrial[ros2]'") from error
+    made = [folder / name for name in (BAG, PACKAGE_FOLDER, FOXGLOVE, PLOTJUGGLER)]
+    for path in made:
+        if path.exists() and not force:
+            raise SeatrialError(f"{path}: is there already; --force replaces it, --out names another folder")
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for definition in _definitions():
+        store.register(get_types_from_msg(definition.read_text(encoding="utf-8"), f"{PACKAGE}/msg/{definition.stem}"))
+    added = sorted(_rep_103(log, store.types), key=lambda one: one.stamp_ns)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for path in made[:2]:
+            shutil.rmtree(path, ignore_errors=True)
+        with Writer(made[0], version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+            types = log.types() | {one.topic: one.type_name for one in added}
+            connections = {name: bag.add_connection(name, kind, typestore=store) for name, kind in types.items()}
+            new = ((one.stamp_ns, one.topic, bytes(store.serialize_cdr(one.message, one.type_name))) for one in added)
+            for stamp_ns, name, data in heapq.merge(log.messages(), new, key=itemgetter(0)):
+                bag.write(connections[name], stamp_ns, data)
+        _write_package(made[1])
+        plots = _plots(log)
+        made[2].write_text(json.dumps(_foxglove(log, plots), indent=1) + "\n", encoding="utf-8")
+        made[3].write_text(_plotjuggler(plots), encoding="utf-8")
+    except OSError as error:
+        raise SeatrialError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
+    return made
+
+
+# REP-103 ----------------------------------------------------------------------------------------------------------
+
+
+def _rep_103(log: Log, types: Any) -> Iterator[RosMessage]:
+    """The topics that a log has only here, in the axes of ROS."""
+    for source in log.sources(Ahrs):
+        for row in log.table(Ahrs, source):
+            yield RosMessage(_ns(row["t"]), f"/ros/{source}/imu", "sensor_msgs/msg/Imu", _imu(row, types))
+    yield from _odometry(log, types)
+
+
+def _imu(row: np.void, types: Any) -> Any:
+    """From forward, starboard, down and the attitude from north: y and z of the body turn round."""
+    angles = [float(row[name]) for name in ("yaw", "pitch", "roll")]
+    rates = [float(row[name]) for name in "pqr"]
+    forces = [float(row[name]) for name in ("ax", "ay", "az")]
+    level = [0.0 if np.isnan(angle) else angle for angle in angles]
+    known = not np.isnan(angles[0])
+    return types["sensor_msgs/msg/Imu"](
+        header=_header(row["t"], "base_link", types),
+        orientation=_quaternion(level, types),
+        orientation_covariance=_covariance(known),
+        angular_velocity=_vector(rates, types),
+        angular_velocity_covariance=_covariance(not np.isnan(sum(rates))),
+        linear_acceleration=_vector(forces, types),
+        linear_acceleration_covariance=_covariance(not np.isnan(sum(forces))),
+    )
+
+
+def _odometry(log: Log, types: Any) -> Iterator[RosMessage]:
+    """Position and velocity of the rig's origin at the times of the AHRS, between the fixes on either side of each."""
+    headed = [(name, rows) for name in log.sources(Ahrs) if np.isfinite((rows := log.table(Ahrs, name))["yaw"]).any()]
+    fixed = [(name, rows[_fixes(rows)]) for name in log.sources(Gnss) if _fixes(rows := log.table(Gnss, name)).any()]
+    if not headed or not fixed:
+        return
+    (_, ahrs), (receiver, gnss) = headed[0], fixed[0]
+    ahrs = ahrs[np.isfinite(ahrs["yaw"])]
+    devices = log.rig.devices if log.rig is not None else ()
+    arm = np.array(next((d.lever_arm_m for d in devices if d.name == receiver), (0.0, 0.0, 0.0)))
+    north, east = local_ned(gnss["lat"], gnss["lon"])
+    down = -(gnss["alt"] - gnss["alt"][0])
+    fixes = np.column_stack([north, east, np.where(np.isfinite(down), down, 0.0)])
+    after = np.clip(np.searchsorted(gnss["t"], ahrs["t"]), 1, len(gnss) - 1) if len(gnss) > 1 else None
+    if after is None:
+        return
+    gap = gnss["t"][after] - gnss["t"][after - 1]
+    share = np.divide(ahrs["t"] - gnss["t"][after - 1], gap, out=np.full(len(ahrs), np.nan), where=gap > 0)
+    good = (share == 0) | (share == 1) | ((share > 0) & (share < 1) & (gap <= MAX_GAP_S))
+    speed = np.column_stack([np.nan_to_num(gnss[name]) for name in ("vel_n", "vel_e", "vel_d")])
+    for i in np.flatnonzero(good):
+        row, k, w = ahrs[i], after[i], share[i]
+        angles = [0.0 if np.isnan(row[name]) else float(row[name]) for name in ("yaw", "pitch", "roll")]
+        R = _rotation(*angles)  # body to NED
+        rates = np.nan_to_num([row[name] for name in "pqr"])
+        place = (1 - w) * fixes[k - 1] + w * fixes[k] - R @ arm
+        velocity = R.T @ ((1 - w) * speed[k - 1] + w * speed[k]) - np.cross(rates, arm)
+        yield from _pose(row["t"], place, angles, velocity, rates, types)
+
+
+def _pose(
+    t: float, place: Array, angles: Sequence[float], velocity: Array, rates: Array, types: Any
+) -> Iterator[RosMessage]:
+    header = _header(t, "odom", types)
+    enu = {"x": float(place[1]), "y": float(place[0]), "z": float(-place[2])}
+    turned = _quaternion(angles, types)
+    pose = types["geometry_msgs/msg/Pose"](position=types["geometry_msgs/msg/Point"](**enu), orientation=turned)
+    twist = types["geometry_msgs/msg/Twist"](linear=_vector(velocity, types), angular=_vector(rates, types))
+    unknown = np.zeros(36)
+    yield RosMessage(_ns(t), "/odom", "nav_msgs/msg/Odometry", types["nav_msgs/msg/Odometry"](
+        header=header, child_frame_id="base_link",
+        pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=unknown),
+        twist=types["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=unknown),
+    ))  # fmt: skip
+    transform = types["geometry_msgs/msg/Transform"](
+        translation=types["geometry_msgs/msg/Vector3"](**enu), rotation=turned
+    )
+    of = types["geometry_msgs/msg/TransformStamped"]
+    stamped = of(header=header, child_frame_id="base_link", transform=transform)
+    yield RosMessage(_ns(t), "/tf", "tf2_msgs/msg/TFMessage", types["tf2_msgs/msg/TFMessage"](transforms=[stamped]))
+
+
+def _fixes(rows: NDArray[np.void]) -> NDArray[np.bool_]:
+    return np.asarray((rows["fix"] >= 2) & np.isfinite(rows["lat"]) & np.isfinite(rows["lon"]))
+
+
+def _ns(t: float) -> int:
+    return round(float(t) * NANO)
+
+
+def _header(t: float, frame: str, types: Any) -> Any:
+    sec, nanosec = divmod(_ns(t), NANO)
+    stamp = types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
+    return types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
+
+
+def _vector(frd: Sequence[float] | Array, types: Any) -> Any:
+    """Forward, starboard, down -> forward, left, up; 0 where it is not known."""
+    x, y, z = (0.0 if np.isnan(value) else float(value) for value in frd)
+    return types["geometry_msgs/msg/Vector3"](x=x, y=-y, z=-z)
+
+
+def _covariance(known: bool) -> Array:
+    """Of sensor_msgs: all zero where only the covariance is unknown, -1 first where the quantity is."""
+    found = np.zeros(9)
+    found[0] = 0.0 if known else -1.0
+    return found
+
+
+def _quaternion(angles: Sequence[float], types: Any) -> Any:
+    """Yaw, pitch and roll of FRD in NED -> of FLU in ENU: from east, and the other way round about y and z."""
+    yaw, pitch, roll = angles
+    x, y, z, w = quaternion(np.pi / 2 - yaw, -pitch, roll)
+    return types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
+
+
+def _rotation(yaw: float, pitch: float, roll: float) -> Array:
+    """Body to NED (Fossen 2011, eq. 2.18)."""
+    x, y, z, w = quaternion(yaw, pitch, roll)
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+
+
+# Interface package ------------------------------------------------------------------------------------------------
+
+
+def _definitions() -> list[Path]:
+    """The definitions of our own messages."""
+    with resources.as_file(resources.files("daq").joinpath("msg", PACKAGE)) as folder:
+        return sorted(folder.glob("*.msg"))
+
+
+def _write_package(folder: Path) -> None:
+    """A package for colcon: what `ros2 topic echo` and a bag's readers need to know our messages."""
+    (folder / "msg").mkdir(parents=True)
+    names = []
+    for definition in _definitions():
+        (folder / "msg" / definition.name).write_bytes(definition.read_bytes())
+        names.append(f'"msg/{definition.name}"')
+    listed = "\n  ".join(names)
+    (folder / "CMakeLists.txt").write_text(CMAKE.format(package=PACKAGE, messages=listed), encoding="utf-8")
+    (folder / "package.xml").write_text(PACKAGE_XML.format(package=PACKAGE), encoding="utf-8")
+
+
+CMAKE = """cmake_minimum_required(VERSION 3.8)
+project({package})
+
+find_package(ament_cmake REQUIRED)
+find_package(rosidl_default_generators REQUIRED)
+find_package(std_msgs REQUIRED)
+
+rosidl_generate_interfaces(${{PROJECT_NAME}}
+  {messages}
+  DEPENDENCIES std_msgs
+)
+
+ament_export_dependencies(rosidl_default_runtime)
+ament_package()
+"""
+PACKAGE_XML = """<?xml version="1.0"?>
+<package format="3">
+  <name>{package}</name>
+  <version>0.2.0</version>
+  <description>Messages of seatrial's logs.</description>
+  <maintainer email="seatrial@users.noreply.github.com">seatrial</maintainer>
+  <license>MIT</license>
+  <buildtool_depend>ament_cmake</buildtool_depend>
+  <build_depend>rosidl_default_generators</build_depend>
+  <depend>std_msgs</depend>
+  <exec_depend>rosidl_default_runtime</exec_depend>
+  <member_of_group>rosidl_interface_packages</member_of_group>
+  <export>
+    <build_type>ament_cmake</build_type>
+  </export>
+</package>
+"""
+
+
+# Layouts ----------------------------------------------------------------------------------------------------------
+
+
+class Plot(NamedTuple):
+    """One plot: its title with the unit, and the curves as topic and field."""
+
+    title: str
+    curves: list[tuple[str, str]]
+
+
+def _plots(log: Log) -> list[Plot]:
+    """What one looks at first, of what the log has."""
+    found = []
+    for source in log.sources(Ahrs):
+        imu = f"/{source}/imu"
+        found.append(Plot(f"{source}: p, q, r [rad/s]", [(imu, f"angular_velocity.{axis}") for axis in "xyz"]))
+        found.append(Plot(f"{source}: specific force [m/s2]", [(imu, f"linear_acceleration.{axis}") for axis in "xy"]))
+    for source in log.sources(Gnss):
+        fix = f"/{source}/gnss"
+        found.append(Plot(f"{source}: velocity north, east [m/s]", [(fix, "vel_n"), (fix, "vel_e")]))
+    for kind, field, title in ((Command, "n_cmd", "command [-1..1]"), (Esc, "rpm", "shaft speed [rev/min]"),
+                               (Servo, "pwm", "pulse [us]")):  # fmt: skip
+        for source in log.sources(kind):
+            nodes = log.nodes(kind, source)
+            found.append(Plot(f"{source}: {title}", [(f"/{source}/{n}/{NODE_TOPICS[kind]}", field) for n in nodes]))
+    for source in log.sources(LoadCell):
+        found.append(Plot(f"{source}: force [N]", [(f"/{source}/counts", "force")]))
+    for source in log.sources(Scalar):
+        found.append(Plot(f"{source} [{log.unit(source) or '-'}]", [(f"/signal/{source}", "value")]))
+    return found
+
+
+def _foxglove(log: Log, plots: Sequence[Plot]) -> dict[str, Any]:
+    """A layout of Foxglove Studio: a map, the frames, and the plots below each other."""
+    panels: dict[str, Any] = {}
+    for number, plot in enumerate(plots):
+        panels[f"Plot!{number}"] = {
+            "title": plot.title,
+            "paths": [
+                {"value": f"{name}.{field}", "enabled": True, "timestampMethod": "headerStamp",
+                 "color": COLORS[i % len(COLORS)]}
+                for i, (name, field) in enumerate(plot.curves)
+            ],
+            "showLegend": True, "isSynced": True, "xAxisVal": "timestamp",
+        }  # fmt: skip
+    side: list[str] = []
+    if receivers := log.sources(Gnss):
+        panels["map!0"] = {"followTopic": f"/{receivers[0]}/fix", "layer": "map"}
+        panels["3D!0"] = {"followTf": "base_link", "fixedFrame": "odom"}
+        side = ["map!0", "3D!0"]
+    columns = [_stacked([name for name in panels if name not in side]), _stacked(side)]
+    left, right = columns
+    layout = left if right is None else right if left is None else {
+        "direction": "row", "first": left, "second": right, "splitPercentage": 65}  # fmt: skip
+    return {"configById": panels, "globalVariables": {}, "userNodes": {}, "playbackConfig": {"speed": 1},
+            "layout": layout}  # fmt: skip
+
+
+def _stacked(names: Sequence[str]) -> Any:
+    """Panels of equal height below each other, as the binary tree that a layout is."""
+    if len(names) < 2:
+        return names[0] if names else None
+    half = (len(names) + 1) // 2
+    return {"direction": "column", "first": _stacked(names[:half]), "second": _stacked(names[half:]),
+            "splitPercentage": 100.0 * half / len(names)}  # fmt: skip
+
+
+def _plotjuggler(plots: Sequence[Plot]) -> str:
+    """A layout of PlotJuggler: one tab, the plots below each other; it opens the bag beside it."""
+    root = ElementTree.Element("root")
+    window = ElementTree.SubElement(root, "tabbed_widget", {"parent": "main_window", "name": "Main Window"})
+    tab = ElementTree.SubElement(window, "Tab", tab_name="log", containers="1")
+    n = max(len(plots), 1)
+    sizes = ";".join([f"{1 / n:.6f}"] * n)
+    split = ElementTree.SubElement(
+        ElementTree.SubElement(tab, "Container"), "DockSplitter", orientation="-", count=str(n), sizes=sizes
+    )
+    for title, curves in plots or [Plot("empty", [])]:
+        area = ElementTree.SubElement(split, "DockArea", name=title)
+        plot = ElementTree.SubElement(
+            area, "plot", mode="TimeSeries", style="Lines", flip_x="false", flip_y="false"
+        )
+        ElementTree.SubElement(plot, "limitY")
+        for i, (name, field) in enumerate(curves):
+            curve = f"{name}/{field.replace('.', '/')}"
+            ElementTree.SubElement(plot, "curve", name=curve, color=COLORS[i % len(COLORS)])
+    ElementTree.SubElement(window, "currentTabIndex", index="0")
+    ElementTree.SubElement(root, "use_relative_time_offset", enabled="1")
+    files = ElementTree.SubElement(root, "previouslyLoaded_Datafiles")
+    ElementTree.SubElement(files, "fileInfo", prefix="", filename=f"{BAG}/{BAG}.mcap")
+    ElementTree.indent(root, " ")
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"

@@ -1,0 +1,27 @@
+"""Thrust that is not quadratic in shaft speed or command: a share of it is linear."""
+
+from __future__ import annotations
+
+from ident.model import Effect, Parameter, Signals
+
+
+def bend(s: Signals) -> None:
+    for side, n in s.n.items():
+        s.f[side] = s.f[side] + s.p.lambda_n * s.p.c1 * (n - n * abs(n))
+
+
+EFFECT = Effect(
+    name="thrust-linearity",
+    title="a share of the thrust that is linear in shaft speed or command",
+    place="actuator",
+    hooks={"thrust": bend},
+    parameters=(
+        Parameter("lambda_n", 0.0, "", "share of the thrust that is linear", prior=(0.0, 0.5), bounds=(-1.0, 1.5),
+                  step=0.02),
+    ),
+    formula="f_i = c1 ((1 - lambda_n) n_i |n_i| + lambda_n n_i) + c2 n_i^2",
+    source="ArduPilot's MOT_THST_EXPO, whose exponent is 1 - lambda_n; jets; controllers that are linearised in thrust",
+    experiment="many levels of steady command, those below a third of full ahead held long",
+    requires=("n", "f"),
+    rivals=("dead-band", "reverse-thrust", "advance-ratio"),
+)

@@ -1,0 +1,359 @@
+"""What dies, on a real autopilot: faults by settings of its failsafes, and the parameters with which it is not driven.
+
+    python -m tests.bench.autopilot_faults --out trials.jsonl --docs docs/safety.md
+
+Each trial is a mission of the public command against ArduPilot Rover in its own simulator (SEATRIAL_ARDUROVER) over a
+relay that can be cut, while another station beside it looks at the outputs 40 times a second. Kept trials are not run
+again. `--docs` puts the table between its marks in a page.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from daq.acquisition.process import SILENCE_S
+from daq.acquisition.watchdog import ANSWER_S, HANG_S
+from daq.config.mission_file import Mission, Segment, save_mission
+from tests.bench.runs import acquisition_of, watchdog_of
+from tests.daq.ardurover import MISSING, PROGRAM, RIG, Rover
+
+SEATRIAL = [sys.executable, "-m", "seatrial"]
+N = 0.3
+AT_ONCE_S = 0.1  # where a program of ours lives
+SAMPLE_S = 0.05  # of the outputs that are watched: 25 ms, and as much until they are read
+AFTER_S = 9.0  # watched after a cut: the failsafe of the ground station acts after 6.5 s
+BACK_S = 8.0
+OWN, STRANGER, HOLD, DISARM = 255, 254, 4, 400
+REBOOT_S = 0.5  # it lets go of its outputs after this
+MARKS = ("<!-- python -m tests.bench.autopilot_faults -->", "<!-- end of the faults -->")
+
+
+class Trial(NamedTuple):
+    """One fault under one setting."""
+
+    fault: str
+    setting: str
+    seconds: float  # from the fault to the last output at neutral
+    allowed: float
+    says: str  # the last line of the run
+    disarmed: bool  # in the end
+    told: bool  # that it may still be armed, where it is
+
+    @property
+    def good(self) -> bool:
+        """As it has to be: thrust ended in time, and who is left armed is named."""
+        return self.seconds <= self.allowed and (self.disarmed or self.told)
+
+
+@dataclass
+class Run:
+    """A mission under way."""
+
+    rover: Rover
+    pid: int
+    acquisition: int
+    watchdog: int
+
+    def kill(self, number: signal.Signals, *who: str) -> None:
+        for name in who:
+            os.kill(getattr(self, name), number)
+
+
+class Fault(NamedTuple):
+    """What fails, and how long it takes to be seen; None: nobody is left, and the link test's time counts."""
+
+    name: str
+    seen_s: float | None
+    strike: Callable[[Run], None]
+    watched_s: float = 2.5
+    no_pulses: bool = False  # the outputs themselves end: until the last pulse that pushed
+
+
+def killed(number: signal.Signals, *who: str) -> Callable[[Run], None]:
+    return lambda run: run.kill(number, *who)
+
+
+def cut(run: Run) -> None:
+    run.rover.relay.state = "cut"
+
+
+def back_later(state: str) -> Callable[[Run], None]:
+    def strike(run: Run) -> None:
+        run.rover.relay.state = state
+        time.sleep(BACK_S)
+        run.rover.relay.state = "open"
+
+    return strike
+
+
+def held_up(run: Run) -> None:
+    run.rover.process.send_signal(signal.SIGSTOP)
+    time.sleep(5.0)
+    run.rover.process.send_signal(signal.SIGCONT)
+
+
+def reboot(run: Run) -> None:
+    run.rover.command(246, 1.0, 0.0, 0.0, 0.0, 0.0, 20190226.0)
+
+
+def with_a_second(component_heard: bool) -> Callable[[Run], None]:
+    def strike(run: Run) -> None:
+        run.rover.beat_as(OWN, 230 if component_heard else 190)
+        if not component_heard:  # the autopilot does not pass on what has our own address: a cut link shows who acts
+            cut(run)
+
+    return strike
+
+
+KILL, STOP = signal.SIGKILL, signal.SIGSTOP
+FAULTS = (
+    Fault("runner killed", 0.0, killed(KILL, "pid")),
+    Fault("runner hangs", SILENCE_S, killed(STOP, "pid")),
+    Fault("acquisition killed", 0.0, killed(KILL, "acquisition")),
+    Fault("acquisition hangs", HANG_S, killed(STOP, "acquisition")),
+    Fault("watchdog killed", 0.0, killed(KILL, "watchdog")),
+    Fault("watchdog hangs", ANSWER_S, killed(STOP, "watchdog")),
+    Fault("runner and acquisition killed", 0.0, killed(KILL, "pid", "acquisition")),
+    Fault("Ctrl-C", 0.0, killed(signal.SIGINT, "pid")),
+    Fault("hang-up (SIGHUP)", 0.0, killed(signal.SIGHUP, "pid")),
+    Fault("SIGTERM", 0.0, killed(signal.SIGTERM, "pid")),
+    Fault("all of ours killed", None, killed(KILL, "watchdog", "acquisition", "pid"), AFTER_S),
+    Fault("link cut", None, cut, AFTER_S),
+    Fault("link cut for 8 s", None, back_later("cut"), 1.0),
+    Fault("link held up for 8 s, all comes late", None, back_later("frozen"), 1.0),
+    Fault("disarmed by another station", 0.0, lambda run: run.rover.command(DISARM, 0.0)),
+    Fault("put into HOLD by another station", 0.0, lambda run: run.rover.command(176, 1.0, float(HOLD))),
+    Fault("another station beats with our id", 1.0, with_a_second(True)),
+    Fault("the same unseen, and the link cut", None, with_a_second(False), AFTER_S),
+    Fault("autopilot reboots", REBOOT_S, reboot, 2.5, True),
+    Fault("autopilot stands still for 5 s", 5.0, held_up),
+)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How an autopilot is set up."""
+
+    name: str
+    parameters: dict[str, float] = field(default_factory=dict)
+    signed: bool = False
+
+
+SETTINGS = (
+    Setting("receiver, FS_ACTION 2"),
+    Setting("receiver, FS_ACTION 5", {"FS_ACTION": 5}),
+    Setting("no receiver, FS_ACTION 2", {"SIM_RC_FAIL": 1}),
+    Setting("no receiver, signed", {"SIM_RC_FAIL": 1}, signed=True),
+)
+# One wrong parameter each, on a boat without a receiver: refused, or ended by the comparison of outputs and commands.
+WRONG: tuple[tuple[str, float], ...] = (
+    *(("FS_THR_ENABLE", value) for value in (0, 2)), *(("FS_ACTION", value) for value in (0, 1, 3, 4)),
+    ("FS_GCS_ENABLE", 0), ("FS_GCS_TIMEOUT", 120), ("FS_TIMEOUT", 30), ("RC_OPTIONS", 34), ("PILOT_STEER_TYPE", 0),
+    *(("RC_OVERRIDE_TIME", value) for value in (-1, 0, 3)), ("MOT_THST_ASYM", 2), ("MOT_THST_EXPO", 0.65),
+    ("MOT_THR_MAX", 60), ("MANUAL_STR_EXPO", 0.6), ("SERVO1_REVERSED", 1), ("RC1_REVERSED", 1), ("RCMAP_ROLL", 3),
+    ("RCMAP_THROTTLE", 1), ("SERVO3_FUNCTION", 70), ("SERVO1_TRIM", 1550), ("MOT_THR_MIN", 40), ("MOT_SLEWRATE", 20),
+    ("RC1_DZ", 190),
+)  # fmt: skip
+SUPERVISED_S = 0.5
+
+
+def write_files(folder: Path, rover: Rover, setting: Setting) -> None:
+    """Rig, key and mission."""
+    (folder / "key").write_bytes(bytes(range(32)))
+    more = 'key_file = "key"\n' if setting.signed else ""
+    text = RIG.format(port=rover.port, more=more) + "\n[limits]\nlink_test_n = 0.2\n"
+    (folder / "rig.toml").write_text(text, encoding="utf-8")
+    rows = (Segment("steps", np.array([0.5]), np.array([[N, N]])),)
+    save_mission(Mission("trial", "mission", ("left", "right"), rows, 120.0), folder / "mission.toml")
+
+
+def link_test(folder: Path) -> float:
+    """Seconds that the link test measures."""
+    words = ["check", "rig.toml", "--actuators", "--link-test", "--yes", "--arm"]
+    done = subprocess.run([*SEATRIAL, *words], cwd=folder, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(done.stdout + done.stderr)
+    return float(json.loads((folder / "rig.link-test.json").read_text())["devices"]["autopilot"]["seconds"])
+
+
+def start(folder: Path) -> subprocess.Popen[str]:
+    log = f"run{len(list(folder.glob('run*.mcap')))}.mcap"
+    words = ["mission", "run", "mission.toml", "rig.toml", "--arm", "-o", log]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(
+        [*SEATRIAL, *words], cwd=folder, stdout=pipe, stderr=pipe, text=True, start_new_session=True
+    )
+
+
+def try_fault(folder: Path, rover: Rover, fault: Fault, setting: Setting, measured: float) -> Trial:
+    """One mission, one fault."""
+    process = start(folder)
+    rover.until(lambda: rover.pushes or process.poll() is not None, 40.0, "thrust")
+    if process.poll() is not None:
+        raise RuntimeError(process.communicate()[1])
+    time.sleep(random.uniform(0.5, 1.0))
+    run = Run(rover, process.pid, acquisition_of(process.pid), watchdog_of(process.pid))
+    begun = time.monotonic()
+    fault.strike(run)
+    with contextlib.suppress(TimeoutError):
+        rover.until(lambda: not rover.pushes, 20.0, "neutral")
+    time.sleep(fault.watched_s)
+    seconds = rover.last_push_after(begun) if fault.no_pulses else rover.neutral_after(begun)
+    rover.relay.state = "open"
+    rover.beat_as(None)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(timeout=20.0 if fault.name not in ("runner hangs",) else 0.1)
+    says, disarmed = "", not rover.armed
+    for pid in (run.pid, run.acquisition, run.watchdog):
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGCONT)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(timeout=20.0)
+    if process.poll() is None:
+        process.kill()
+    says = process.communicate()[1].strip().splitlines()[-1:] or [""]
+    seen = measured if fault.seen_s is None else fault.seen_s
+    allowed = seen + AT_ONCE_S + SAMPLE_S
+    rover.until(lambda: rover.beats[-1][0] > time.monotonic() - 2.0, 60.0, "a heartbeat")
+    disarmed = not rover.armed
+    told = "MAY STILL BE" in says[0] or "all of ours" in fault.name
+    _put_right(rover)
+    return Trial(fault.name, setting.name, seconds, allowed, says[0], disarmed, told)
+
+
+def _put_right(rover: Rover) -> None:
+    """Disarmed, in MANUAL, with a position."""
+
+    def done() -> bool:
+        rover.command(DISARM, 0.0, 21196.0)
+        rover.command(176, 1.0, 0.0)
+        time.sleep(0.5)
+        return not rover.armed and rover.beats[-1][2] == 0 and not rover.pushes
+
+    rover.until(done, 30.0, "the state before a trial")
+    rover.until_ready()
+
+
+def try_parameter(folder: Path, rover: Rover, name: str, value: float, setting: Setting) -> Trial:
+    """A mission with one wrong parameter."""
+    before = rover.get(name)
+    rover.set(name, value)
+    process = start(folder)
+    rover.until(lambda: rover.pushes or process.poll() is not None, 40.0, "thrust or refusal")
+    begun = rover.first_push() if rover.pushes else time.monotonic()
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(timeout=10.0)
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+    says = process.communicate()[1].strip().splitlines()[-1:] or [""]
+    seconds = 0.0 if "to drive" in says[0] else rover.neutral_after(begun)
+    _put_right(rover)
+    rover.set(name, before)
+    allowed = SUPERVISED_S + AT_ONCE_S + SAMPLE_S
+    return Trial(f"{name} {value:g}", setting.name, seconds, allowed, says[0], not rover.armed, False)
+
+
+@contextlib.contextmanager
+def ready_rover(setting: Setting) -> Iterator[tuple[Path, Rover]]:
+    """A rover of this setting with its position, and the files of a mission."""
+    with tempfile.TemporaryDirectory(prefix="seatrial-faults-") as name:
+        folder = Path(name)
+        with Rover(folder / "sitl", setting.parameters) as rover:
+            write_files(folder, rover, setting)
+            rover.until_ready()
+            if setting.signed:
+                rover.sign((folder / "key").read_bytes())
+            yield folder, rover
+
+
+def trials(only: str, known: set[tuple[str, str]]) -> Iterator[Trial]:
+    """Every trial that is not known yet."""
+    wanted = [(s, f) for s in SETTINGS for f in FAULTS if re.search(only, f"{f.name}, {s.name}")]
+    for setting in SETTINGS:
+        faults = [f for s, f in wanted if s is setting and (f.name, s.name) not in known]
+        wrong = [row for row in WRONG if setting is SETTINGS[2] and re.search(only, f"{row[0]} {row[1]:g}")]
+        wrong = [row for row in wrong if (f"{row[0]} {row[1]:g}", setting.name) not in known]
+        if not faults and not wrong:
+            continue
+        with ready_rover(setting) as (folder, rover):
+            measured = link_test(folder)
+            print(f"{setting.name}: link test {measured:.2f} s", flush=True)
+            for fault in faults:
+                yield try_fault(folder, rover, fault, setting, measured)
+            for name, value in wrong:
+                yield try_parameter(folder, rover, name, value, setting)
+
+
+def page(rows: list[Trial]) -> str:
+    """The tables of docs/safety.md, as Markdown: faults by settings, and what is refused."""
+    cells = {(row.fault, row.setting): row for row in rows}
+    out = ["", "| what fails | " + " | ".join(s.name for s in SETTINGS) + " |", "|---|" + "---:|" * len(SETTINGS)]
+    for fault in FAULTS:
+        found = [cells.get((fault.name, setting.name)) for setting in SETTINGS]
+        words = ["-" if t is None else f"{t.seconds:.2f}{'' if t.disarmed else ' (armed)'}" for t in found]
+        out.append(f"| {fault.name} | {' | '.join(words)} |")
+    refused, ended = [], []
+    for name, value in WRONG:
+        trial = cells.get((f"{name} {value:g}", SETTINGS[2].name))
+        if trial is not None:
+            (ended if trial.seconds else refused).append((trial.fault, trial.seconds))
+    out += ["", "Refused before any thrust: " + ", ".join(f"`{name}`" for name, _ in refused) + "."]
+    out += ["", "Ended by the comparison of outputs with commands: "]
+    out[-1] += ", ".join(f"`{name}` after {seconds:.2f} s" for name, seconds in ended) + "."
+    return "\n".join([*out, ""])
+
+
+def into(path: Path, text: str) -> None:
+    """Replace what is between the marks of a page."""
+    before, _, rest = path.read_text(encoding="utf-8").partition(MARKS[0])
+    _, mark, after = rest.partition(MARKS[1])
+    if not mark:
+        raise SystemExit(f"{path}: no '{MARKS[0]}' ... '{MARKS[1]}' in it")
+    path.write_text(f"{before}{MARKS[0]}\n{text}\n{MARKS[1]}{after}", encoding="utf-8")
+
+
+def main() -> None:
+    """Run what is missing, and say what is not as it has to be; exit status 1 then."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", default="", help="regular expression of 'fault, setting' or 'PARAMETER value'")
+    parser.add_argument("--out", type=Path, help="file of JSON lines to keep trials in and to go on from")
+    parser.add_argument("--docs", type=Path, help="page that gets the table")
+    options = parser.parse_args()
+    if not PROGRAM:
+        raise SystemExit(MISSING)
+    lines: list[Any] = options.out.read_text().splitlines() if options.out and options.out.exists() else []
+    rows = [msgspec.json.decode(line, type=Trial) for line in lines]
+    for trial in trials(options.only, {(row.fault, row.setting) for row in rows}):
+        rows.append(trial)
+        state = "ok " if trial.good else "BAD"
+        took = f"{trial.seconds:5.2f} of {trial.allowed:.2f} s"
+        print(f"{state} {took}  {trial.fault}, {trial.setting}: {trial.says}", flush=True)
+        if options.out:
+            with options.out.open("a", encoding="utf-8") as file:
+                file.write(msgspec.json.encode(trial).decode() + "\n")
+    if options.docs:
+        into(options.docs, page(rows))
+    bad = [row for row in rows if not row.good]
+    print(f"{len(rows) - len(bad)} of {len(rows)} as they have to be")
+    raise SystemExit(1 if bad else 0)
+
+
+if __name__ == "__main__":
+    main()
