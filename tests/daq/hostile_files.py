@@ -37,13 +37,13 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
+from tests.daq.importers.test_ros2 import STORE, N, fix, imu
 
 import seatrial
 from daq.protocol import nmea, vectornav
 from daq.samples import Ahrs, Gnss
 from tests.daq.csv_files import MAP, ROWS
 from tests.daq.importers.test_mavlink import dataflash, tlog
-from tests.daq.importers.test_ros2 import STORE, N, fix, imu
 from tests.daq.importers.test_ulog import write_ulog
 from tests.daq.logs import write_everything
 from tests.ident.workflows.test_information import write_model
