@@ -186,10 +186,8 @@ def _competing(one: Round) -> list[str]:
 
 def _compared(other: Refit, behind: float) -> str:
     if behind < 0:
-        return (
-            f"{other.effect.title} explains the fitted data better (by {-behind:.0f} in 2 ln L), "
-            "though not the validation data"
-        )
+        said = f"{other.effect.title} explains the fitted data better (by {-behind:.0f} in 2 ln L)"
+        return f"{said}, the validation data not {'significantly' if other.validated else 'so'}"
     return f"{other.effect.title} explains nearly as much ({behind:.0f} less in 2 ln L)"
 
 
