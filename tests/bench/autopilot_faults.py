@@ -205,7 +205,7 @@ def start(folder: Path) -> subprocess.Popen[str]:
 def try_fault(folder: Path, rover: Rover, fault: Fault, setting: Setting, measured: float) -> Trial:
     """One mission, one fault."""
     process = start(folder)
-    rover.until(lambda: rover.pushes or process.poll() is not None, 40.0, "thrust")
+    rover.until(lambda: rover.pushes or process.poll() is not None, 90.0, "thrust")
     if process.poll() is not None:
         raise RuntimeError(process.communicate()[1])
     time.sleep(random.uniform(0.5, 1.0))
@@ -256,7 +256,7 @@ def try_parameter(folder: Path, rover: Rover, name: str, value: float, setting: 
     before = rover.get(name)
     rover.set(name, value)
     started, process = time.monotonic(), start(folder)
-    rover.until(lambda: rover.pushes or process.poll() is not None, 40.0, "thrust or refusal")
+    rover.until(lambda: rover.pushes or process.poll() is not None, 90.0, "thrust or refusal")
     begun = rover.first_push() if rover.pushes else time.monotonic()
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(timeout=10.0)
