@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from daq.tools import DiscoveredDevice
 
 _EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
+_SOURCE = click.Path(exists=True, path_type=Path)  # a file, or the folder of a bag
 _NEW = click.Path(dir_okay=False, path_type=Path)
 _FOLDER = click.Path(file_okay=False, path_type=Path)
 MAX_NAMED = 8
@@ -169,37 +170,96 @@ def recover(log: Path, out: Path | None, force: bool) -> None:
     click.echo(f"{target}: {counted(done.messages, 'message')}{pieces}{fine}")
 
 
-@click.group("import")
+class _ImportGroup(click.Group):
+    """What is no sub-command is a map or a source."""
+
+    default = "map"
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if args and args[0] not in (*self.commands, "-h", "--help"):
+            args = [self.default, *args]
+        return super().parse_args(ctx, args)
+
+
+@click.group("import", cls=_ImportGroup)
 def import_() -> None:
     """Turn foreign logs into MCAP.
 
-    \b
-    Example:
-      seatrial import csv map.toml run.csv -o run.mcap
-    """
-
-
-@import_.command("csv", short_help="CSV files, by a map from columns to signals.")
-@click.argument("map_", metavar="MAP", type=_EXISTING)
-@click.argument("files", metavar="FILE...", type=_EXISTING, nargs=-1, required=True)
-@click.option("-o", "--out", type=_NEW, help="The log to write, where it is a single one.")
-@click.option("--out-dir", type=_FOLDER, help="Folder for the logs, named after the files (default: here).")
-@click.option("--force", is_flag=True, help="Replace logs that exist.")
-def import_csv(map_: Path, files: tuple[Path, ...], out: Path | None, out_dir: Path | None, force: bool) -> None:
-    """Turn CSV files into logs by a MAP from columns to signals.
-
-    The map is described in docs/formats/import-csv.md.
+    `seatrial import MAP.toml SOURCE...` takes signals by a map from CSV and other text, bags of ROS 1 and 2, PX4
+    (.ulg), ArduPilot (tlog, BIN), MATLAB (.mat), Parquet and CAN logs; `seatrial import --guess SOURCE` writes the map.
+    The sub-commands decode what a device of ours has sent, as if it had been recorded.
 
     \b
     Example:
-      seatrial import csv docs/examples/blueboat/blueboat.toml runs/*.csv --out-dir logs
+      seatrial import --guess run.bag > map.toml
+      seatrial import map.toml run.bag -o run.mcap
     """
-    from daq.importers.csv_import import import_csv as run
+
+
+@import_.command("map", short_help="MAP SOURCE...: signals by a map; the word map may be left out.")
+@click.argument("sources", metavar="MAP SOURCE...", type=_SOURCE, nargs=-1, required=True)
+@click.option("--guess", is_flag=True, help="Write a map of SOURCE, to the screen or to -o, with its caveats.")
+@click.option("-o", "--out", type=_NEW, help="The log (or the map) to write, where it is a single one.")
+@click.option("--out-dir", type=_FOLDER, help="Folder for the logs, named after the sources (default: here).")
+@click.option("--force", is_flag=True, help="Replace files that exist.")
+def import_map(sources: tuple[Path, ...], guess: bool, out: Path | None, out_dir: Path | None, force: bool) -> None:
+    """Turn SOURCEs (files, or folders of ROS 2 bags) into logs by a MAP from columns and topics to signals.
+
+    The map is described in docs/formats/import.md.
+
+    \b
+    Example:
+      seatrial import map docs/examples/blueboat/blueboat.toml runs/*.csv --out-dir logs
+      seatrial import --guess run2.ulg -o px4.toml
+    """
+    if guess:
+        _guess(sources, out, force)
+        return
+    from daq.importers.import_files import import_files as run
 
     if out is not None and out_dir is not None:
         raise click.UsageError("give -o or --out-dir, not both")
-    for path in run(map_, files, out=out, out_dir=out_dir, force=force):
+    if len(sources) < 2:
+        raise click.UsageError("give a map and a source; --guess writes a map")
+    for path in run(sources[0], sources[1:], out=out, out_dir=out_dir, force=force):
         click.echo(str(path))
+
+
+def _guess(sources: tuple[Path, ...], out: Path | None, force: bool) -> None:
+    from daq.importers.guess import guess_map
+
+    if len(sources) != 1:
+        raise click.UsageError("--guess takes one source")
+    found = guess_map(sources[0])
+    if out is None:
+        click.echo(found.text, nl=False)
+    elif out.exists() and not force:
+        raise SeatrialError(f"{out}: the file exists already; --force replaces it, -o names another")
+    else:
+        out.write_text(found.text, encoding="utf-8")
+        click.echo(str(out))
+    if found.problem:
+        click.echo(f"warning: {sources[0]}: no fit: {found.problem}", err=True)
+
+
+@import_.command("can", short_help="A CAN log (candump, .asc, .blf), decoded as if the rig had recorded it.")
+@click.argument("rig", type=_EXISTING)
+@click.argument("file", type=_EXISTING)
+@click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
+@click.option("--force", is_flag=True, help="Replace the log where it exists.")
+def import_can(rig: Path, file: Path, out: Path | None, force: bool) -> None:
+    """Turn FILE, a CAN log, into the log that RIG would have recorded: raw frames and samples of its CAN devices.
+
+    Signals by a DBC, or without a rig, are a matter of a map: `seatrial import --guess FILE`.
+
+    \b
+    Example:
+      seatrial import can boat.toml candump.log -o run.mcap
+    """
+    from daq.importers.can_log import import_can as run
+
+    path, said = run(file, rig, out=out, force=force)
+    click.echo(f"{path}: {said}")
 
 
 @import_.command("mavlink", short_help="A tlog of a ground station or a DataFlash log of ArduPilot.")
@@ -244,48 +304,6 @@ def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, 
     from daq.importers.raw import import_raw as run
 
     path, said = run(protocol, file, rate=rate, out=out, force=force)
-    click.echo(f"{path}: {said}")
-
-
-@import_.command("ros2", short_help="A ROS 2 bag, a file or a folder, MCAP or sqlite3.")
-@click.argument("bag", type=click.Path(exists=True, path_type=Path))
-@click.option("--topic", "topics", multiple=True, metavar="TOPIC[=NAME]", help="Take this one only; may be repeated.")
-@click.option(
-    "--axes", type=click.Choice(["ros", "ned"]), default="ros", show_default=True,
-    help="ros: forward, left, up and east, north, up (REP-103); ned: ours.",
-)  # fmt: skip
-@click.option("-o", "--out", type=_NEW, help="The log to write (default: named after BAG, here).")
-@click.option("--force", is_flag=True, help="Replace the log where it exists.")
-def import_ros2(bag: Path, topics: tuple[str, ...], axes: str, out: Path | None, force: bool) -> None:
-    """Turn BAG, a ROS 2 bag (a file or a folder, MCAP or sqlite3), into a log.
-
-    Imu becomes attitude and rates, NavSatFix positions; of all else every number becomes a signal.
-
-    \b
-    Example:
-      seatrial import ros2 run1 --topic /imu/data=ahrs --topic /fix=gnss -o run1.mcap
-    """
-    from daq.importers.ros2 import import_ros2 as run
-
-    wanted = dict(word.partition("=")[::2] for word in topics)
-    path, said = run(bag, topics=wanted or None, axes=axes, out=out, force=force)
-    click.echo(f"{path}: {said}")
-
-
-@import_.command("ulog", short_help="A flight log of PX4 (.ulg).")
-@click.argument("file", type=_EXISTING)
-@click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
-@click.option("--force", is_flag=True, help="Replace the log where it exists.")
-def import_ulog(file: Path, out: Path | None, force: bool) -> None:
-    """Turn FILE, a flight log of PX4 (.ulg), into a log.
-
-    \b
-    Example:
-      seatrial import ulog log_5.ulg -o run5.mcap
-    """
-    from daq.importers.ulog import import_ulog as run
-
-    path, said = run(file, out=out, force=force)
     click.echo(f"{path}: {said}")
 
 
@@ -375,28 +393,39 @@ def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> Non
 
 
 @click.command()
-@click.argument("form", type=click.Choice(["csv", "parquet", "ros"]))
+@click.argument("form", type=click.Choice(["csv", "parquet", "mat", "netcdf", "ros"]))
 @click.argument("log", type=LOG)
 @click.option("-o", "--out", type=_FOLDER, required=True, help="Folder for the files; made where it is not there.")
 @click.option("--force", is_flag=True, help="Replace files that exist.")
-def export(form: str, log: Path, out: Path, force: bool) -> None:
+@click.option(
+    "--rate", type=click.FloatRange(min=0.0, min_open=True), help="One table of all at this rate, Hz (mat, netcdf: 10)."
+)
+def export(form: str, log: Path, out: Path, force: bool, rate: float | None) -> None:
     """Write LOG as files of FORM.
 
-    csv and parquet: a table per device and kind, and the events. ros: a bag of ROS 2 with the axes and frames of
+    csv and parquet: a table per device and kind, and the events; with --rate one table of all, as mat and netcdf always
+    are. ros: a bag of ROS 2 with the axes and frames of
     REP-103 and REP-105 beside what was logged, the package seatrial_msgs for colcon, and layouts of Foxglove and
     PlotJuggler.
 
     \b
     Examples:
       seatrial export csv logs/run.mcap --out run-csv
+      seatrial export mat logs/run.mcap --rate 20 --out run-mat
       seatrial export ros logs/run.mcap --out run-ros
     """
     from daq.log import open_log
-    from daq.tools import export_log, export_ros
+    from daq.tools import export_log, export_resampled, export_ros
+
+    if form == "ros" and rate is not None:
+        raise click.UsageError("--rate is not for ros, whose messages are as they were logged")
 
     with open_log(log) as opened:
         for warning in opened.warnings:
             click.echo(f"warning: {warning}", err=True)
-        written = export_ros(opened, out, force) if form == "ros" else export_log(opened, form, out, force)
+        if rate is not None:
+            written = [export_resampled(opened, form, out, rate, force)]
+        else:
+            written = export_ros(opened, out, force) if form == "ros" else export_log(opened, form, out, force)
         for path in written:
             click.echo(str(path))

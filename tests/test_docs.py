@@ -13,7 +13,7 @@ import pytest
 import seatrial
 from daq.config.mission_file import parse_mission
 from daq.config.rig_file import parse_rig
-from daq.importers.csv_map import load_csv_map
+from daq.importers.import_map import load_import_map
 from daq.log.reader import Log
 from ident.estimation.model_file import load_model
 from ident.models.catalogue import KNOWN_SIGNALS, make_model
@@ -92,7 +92,12 @@ def resolve(words: list[str]) -> tuple[click.Command, list[str]]:
     """The command that the words lead to, and the words behind its name."""
     command: click.Command = seatrial.cli
     context = click.Context(command)
-    while isinstance(command, click.Group) and words and not words[0].startswith("-"):
+    while isinstance(command, click.Group) and words:
+        if (default := getattr(command, "default", "")) and words[0] not in command.commands:
+            command = command.commands[default]  # whose name may be left out
+            break
+        if words[0].startswith("-"):
+            break
         found = command.get_command(context, words[0])
         assert found is not None, f"no command {words[0]!r} in {' '.join(words)}"
         command, words = found, words[1:]
@@ -144,17 +149,17 @@ def test_the_mission_of_the_docs_is_a_mission() -> None:
 
 
 def test_the_maps_of_the_docs_are_maps(tmp_path: Path) -> None:
-    for k, text in enumerate(blocks(ROOT / "docs/formats/import-csv.md", "toml")):
+    for k, text in enumerate(blocks(ROOT / "docs/formats/import.md", "toml")):
         path = tmp_path / f"map{k}.toml"
         path.write_text(text, encoding="utf-8")
-        load_csv_map(path)
+        load_import_map(path)
     for path in sorted((ROOT / "docs/examples").rglob("*.toml")):
         if "seatrial-import-csv" in path.read_text(encoding="utf-8"):
-            load_csv_map(path)
+            load_import_map(path)
 
 
 def test_the_import_page_lists_the_signals_that_models_take() -> None:
-    page = (ROOT / "docs/formats/import-csv.md").read_text(encoding="utf-8").split("## Signals that models take")[1]
+    page = (ROOT / "docs/formats/import.md").read_text(encoding="utf-8").split("## Signals that models take")[1]
     listed = re.findall(r"`(\w+)`", "".join(line.split("|")[1] for line in page.splitlines() if line.startswith("|")))
     assert sorted(listed) == sorted(KNOWN_SIGNALS)
     plane = [make_model(f"horizontal:{kind}", tuple(SENSORS)) for kind in ("shaft", "command", "force", "general")]

@@ -49,7 +49,6 @@ RETIRED = {
 # A word that is right in one place: (path, words around it).
 ALLOWED = {
     ("docs/how-to/devices.md", "GPS weeks have begun again"),
-    ("ident/diagnosis/results.py", "rivals: names of the competing"),  # the field
 }
 def prose(page: Path) -> str:
     """A page without code and output of the program: other tests compare these with their source."""

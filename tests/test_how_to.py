@@ -68,7 +68,7 @@ def weed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def test_the_effect_of_the_how_to_does_what_its_test_says(weed: None) -> None:
-    assert set(catalogue()["weed"].rivals) <= set(catalogue())
+    assert set(catalogue()["weed"].alternatives) <= set(catalogue())
     assert run_tests(blocks("add-an-effect", "python")[1]) == 1
 
 
@@ -184,7 +184,7 @@ def test_a_model_of_ones_own_goes_through_the_commands(tmp_path: Path) -> None:
         assert left.value.code == 0, words
 
     files = [str(tmp_path / f"run{k}.csv") for k in (1, 2)]
-    call("import", "csv", str(tmp_path / "map.toml"), *files, "--out-dir", str(tmp_path))
+    call("import", str(tmp_path / "map.toml"), *files, "--out-dir", str(tmp_path))
     logs = (str(tmp_path / "run1.mcap"), "--validate", str(tmp_path / "run2.mcap"))
     own = f"{ROOT / 'docs/examples/own_model.py'}:rudder_boat"
     call("ident", "vehicle", *logs, "--model", own, "--fix", "c_t=60", "--out", str(tmp_path / "vehicle"))

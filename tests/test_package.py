@@ -180,7 +180,7 @@ def test_measuring_and_exciting_work_without_the_libraries_of_explaining(tmp_pat
     (tmp_path / "map.toml").write_text(MAP, encoding="utf-8")
     (tmp_path / "run.csv").write_text("t,u\n" + "".join(f"{k},{0.1 * k}\n" for k in range(9)), encoding="utf-8")
     lines = [
-        ["import", "csv", "map.toml", "run.csv", "-o", "run.mcap"],
+        ["import", "map.toml", "run.csv", "-o", "run.mcap"],
         ["info", "run.mcap"],
         ["export", "csv", "run.mcap", "--out", "tables"],
         ["mission", "generate", "--seed", "1", "-o", "mission.toml"],

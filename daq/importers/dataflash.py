@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.errors import SeatrialError, counted
-from daq.importers.common import Timed
+from daq.importers.write_log import Timed
 from daq.protocol import FIXES, mode_name
 from daq.rig import Device, Rig
 from daq.samples import NAN, Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, Sample, Servo, wrap_angle

@@ -13,13 +13,15 @@ from typing import Any
 from daq.clock import ClockMap
 from daq.drivers import ParameterMismatch, check_parameters
 from daq.errors import SeatrialError, counted
-from daq.importers.common import Timed, clock_steps, replacing
+from daq.importers.write_log import Timed, clock_steps, replacing
 from daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, schema
 from daq.protocol import Head, MavlinkDecoder, Samples, head, is_whole, make_samples
 from daq.rig import Device, Rig
 from daq.samples import Event
 
 STAMP = 8  # bytes before each frame of a tlog: us since 1970, big-endian
+DATAFLASH = b"\xa3\x95"
+FIRMWARE = {"ArduRover": 10, "ArduSub": 12, "ArduCopter": 2, "ArduPlane": 1}  # MAV_TYPE
 DEVICE = "autopilot"  # the name in the log where there is no rig
 
 
@@ -31,26 +33,37 @@ def import_mavlink(
     `rig` gives thrusters their names and outputs their scale; its MAVLink device names the topics. Without `system`
     the first autopilot that sends a heartbeat is taken. Raises SeatrialError.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
+    rows, said, parameters = read_autopilot(path, rig, system)
     device = _device(rig)
-    if data[:2] == b"\xa3\x95":
-        from daq.importers.dataflash import read_dataflash
-
-        rows, said, parameters = read_dataflash(path, rig, device)
-    else:
-        rows, said, parameters = read_tlog(path, data, rig, device, system)
     counts = Counter(type(row.frame.sample).__name__ for row in rows)
     said += ": " + ", ".join(f"{n} {name}" for name, n in counts.most_common())
     said += "".join(f"; not as the rig has it: {finding}" for finding in _mismatches(parameters, rig, device))
     target = out or Path(f"{path.stem}.mcap")
-    digest = hashlib.sha256(data).hexdigest()
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
     about = {"import": "mavlink", "source.1.name": path.name, "source.1.sha256": digest}
     name = device.name if device is not None else DEVICE
     _write(target, name, rows, about, rig, f"{path.name}: {said}", force)
     return target, said
+
+
+def read_autopilot(
+    path: Path, rig: Rig | None, system: int | None
+) -> tuple[list[Timed], str, dict[str, float]]:
+    """The samples of a tlog or a DataFlash log, what was read in words, and its parameters. Raises SeatrialError."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
+    if data.startswith(DATAFLASH):
+        from daq.importers.dataflash import read_dataflash
+
+        return read_dataflash(path, rig, _device(rig))
+    return read_tlog(path, data, rig, _device(rig), system)
+
+
+def is_tlog(head: bytes) -> bool:
+    """Whether the first bytes of a file are a time of this century and a MAVLink frame."""
+    return len(head) > STAMP and head[STAMP] in (0xFD, 0xFE) and 2**50 < struct.unpack_from(">Q", head)[0] < 2**52
 
 
 def _device(rig: Rig | None) -> Device | None:
@@ -130,11 +143,26 @@ def _frames(data: bytes) -> Iterator[tuple[float, int, Head]]:
 
 def _who(path: Path, data: bytes) -> tuple[int, int]:
     """System and component of the first heartbeat that is an autopilot's."""
+    for found, _ in _heartbeats(data):
+        return found.system, found.component
+    raise SeatrialError(f"{path}: no heartbeat of an autopilot in it; is it a tlog or a DataFlash BIN?")
+
+
+def _heartbeats(data: bytes) -> Iterator[tuple[Head, int]]:
+    """Head and MAV_TYPE of each heartbeat of an autopilot."""
     for _, at, found in _frames(data):
         payload = at + (10 if data[at] == 0xFD else 6)
         if found.message_id == 0 and found.payload > 5 and data[payload + 5] != 8:
-            return found.system, found.component
-    raise SeatrialError(f"{path}: no heartbeat of an autopilot in it; is it a tlog or a DataFlash BIN?")
+            yield found, data[payload + 4]
+
+
+def vehicle_type(path: Path, rows: Sequence[Timed], system: int | None) -> int | None:
+    """MAV_TYPE of the vehicle that a tlog, or the first texts of a DataFlash log, are of; None: they do not say it."""
+    data = path.read_bytes()
+    if data.startswith(DATAFLASH):
+        texts = [row.frame.sample.text for row in rows if isinstance(row.frame.sample, Event)]
+        return next((number for text in texts for name, number in FIRMWARE.items() if text.startswith(name)), None)
+    return next((kind for found, kind in _heartbeats(data) if system in (None, found.system)), None)
 
 
 def _write(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from daq.config import default_decoder
 from daq.errors import SeatrialError, counted
-from daq.importers.common import SignalRow, write_frames
+from daq.importers.write_log import SignalRow, write_frames
 from daq.protocol import Decoder, nmea, ubx
 from daq.samples import Ahrs, Frame, Gnss, LoadCell
 

@@ -1,108 +1,57 @@
-"""`seatrial import ulog`: a flight log of PX4 -> a log. PX4's axes are ours: forward, starboard, down and north."""
+"""Flight logs of PX4 (.ulg) -> a table for each topic. PX4's axes are ours: forward, starboard, down and north."""
 
 from __future__ import annotations
 
-import hashlib
-import re
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from daq.errors import SeatrialError, counted
-from daq.importers.common import SignalRow, write_frames
-from daq.log import schema
-from daq.samples import NAN, Ahrs, Frame, Gnss, Scalar
+from daq.errors import SeatrialError
+from daq.importers.table import Column, SourceOptions, Table
 
 _PYULOG = "PX4 logs need the package pyulog: pip install 'seatrial[ulog]'"
-_FIXES = {0: 0, 1: 0, 2: 2, 3: 3, 4: 4, 5: 6, 6: 5}  # sensor_gps.fix_type -> Gnss.fix
+FIX_2D = 2  # sensor_gps.fix_type
 
 
-def import_ulog(path: Path, *, out: Path | None = None, force: bool = False) -> tuple[Path, str]:
-    """Import a .ulg file; returns the path of the log and a summary in one line.
+def read_ulog(path: Path, options: SourceOptions) -> list[Table]:
+    """Its topics, the second instance of one as TOPIC_1. Raises SeatrialError.
 
-    Attitude (vehicle_attitude, with the newest vehicle_angular_velocity) becomes Ahrs, the receiver's fixes Gnss;
-    every number of the other topics is a signal, TOPIC_FIELD. Times are those of the autopilot, moved to UTC by its
-    first fix where there is one, else they begin in 1970. Raises SeatrialError.
+    Times are those of the autopilot, moved to UTC by its first fix where there is one, else they begin in 1970.
     """
-    log = _read(path)
-    data = {f"{d.name}_{d.multi_id}" if d.multi_id else d.name: d.data for d in log.data_list}
-    offset = _utc_offset(data)
-    rows: list[SignalRow] = []
-    for name, columns in data.items():
-        t = 1e-6 * np.asarray(columns["timestamp"], dtype=np.float64) + offset
-        rows += list(_CONVERT.get(name, _signals)(name, columns, t, data))
-    said = f"{counted(len(rows), 'sample')} of {counted(len(data), 'topic')}"
-    target = out or Path(f"{path.stem}.mcap")
-    sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
-    metadata = {"import": "ulog", "source.1.name": path.name, "source.1.sha256": sha256}
-    write_frames(target, rows, metadata=metadata, note=f"{path.name}: {said}", force=force)
-    return target, said
-
-
-def _read(path: Path) -> Any:
     try:
         from pyulog import ULog
     except ModuleNotFoundError as error:
         raise SeatrialError(_PYULOG) from error
     try:
         with path.open("rb") as file:  # it does not close what it cannot read
-            return ULog(file)
+            data = ULog(file).data_list
     except Exception as error:  # pyulog has errors of many kinds for a file that is none, or damaged
         raise SeatrialError(f"{path}: cannot be read as a PX4 log: {' '.join(str(error).split())}") from error
-
-
-def _utc_offset(data: dict[str, Any]) -> float:
-    for name in ("sensor_gps", "vehicle_gps_position"):
-        columns = data.get(name, {})
-        for here, utc in zip(columns.get("timestamp", ()), columns.get("time_utc_usec", ()), strict=False):
-            if utc > 0:
-                return float(1e-6 * (int(utc) - int(here)))
-    return 0.0
-
-
-Columns = dict[str, Any]
-
-
-def _attitude(name: str, columns: Columns, t: Any, data: dict[str, Columns]) -> Iterator[SignalRow]:
-    w, x, y, z = (np.asarray(columns[f"q[{k}]"], dtype=np.float64) for k in range(4))
-    yaw, pitch, roll = schema.angles(x, y, z, w)
-    rates = data.get("vehicle_angular_velocity")
-    pqr = np.full((3, len(t)), np.nan)
-    if rates is not None and len(rates["timestamp"]):
-        newest = np.searchsorted(rates["timestamp"], columns["timestamp"], side="right") - 1
-        for k in range(3):
-            pqr[k] = np.where(newest >= 0, np.asarray(rates[f"xyz[{k}]"])[np.maximum(newest, 0)], np.nan)
-    for k in range(len(t)):
-        sample = Ahrs(float(yaw[k]), float(pitch[k]), float(roll[k]), *(float(row[k]) for row in pqr))
-        yield SignalRow(float(t[k]), name, Frame(sample, float(t[k]), NAN))
-
-
-def _gnss(name: str, columns: Columns, t: Any, data: dict[str, Columns]) -> Iterator[SignalRow]:
-    new = "latitude_deg" in columns  # PX4 1.14 and later; before: 1e-7 degrees and millimetres
-    lat, lon = (np.asarray(columns["latitude_deg" if new else "lat"]) * (1.0 if new else 1e-7),
-                np.asarray(columns["longitude_deg" if new else "lon"]) * (1.0 if new else 1e-7))  # fmt: skip
-    alt = np.asarray(columns["altitude_msl_m"]) if new else 1e-3 * np.asarray(columns["alt"])
-    for k in range(len(t)):
-        north, east, down = (float(columns[f"vel_{axis}_m_s"][k]) for axis in "ned")
-        sample = Gnss(
-            float(1e-6 * columns["time_utc_usec"][k]) or NAN, float(lat[k]), float(lon[k]), float(alt[k]),
-            north, east, down, _FIXES.get(int(columns["fix_type"][k]), 0), int(columns["satellites_used"][k]),
-            float(columns["hdop"][k]), float(columns["eph"][k]) / 2.0**0.5,
-        )  # fmt: skip
-        yield SignalRow(float(t[k]), name, Frame(sample, float(t[k]), NAN))
-
-
-def _signals(name: str, columns: Columns, t: Any, data: dict[str, Columns]) -> Iterator[SignalRow]:
-    for field, values in columns.items():
-        if field.startswith(("timestamp", "_padding")):
+    tables = []
+    for one in data:
+        topic = f"{one.name}_{one.multi_id}" if one.multi_id else one.name
+        if options.topics and topic not in options.topics and "gps" not in topic:
             continue
-        signal = re.sub(r"[^A-Za-z0-9]+", "_", f"{name}_{field}").strip("_")
-        for when, value in zip(t.tolist(), np.asarray(values, dtype=np.float64).tolist(), strict=True):
-            yield SignalRow(when, signal, Frame(Scalar(value), when, NAN))
+        columns = {name: np.asarray(values, np.float64) for name, values in one.data.items() if name != "timestamp"}
+        if "fix_type" in columns:
+            for name in {"lat", "lon", "latitude_deg", "longitude_deg"} & set(columns):
+                columns[name] = np.where(columns["fix_type"] < FIX_2D, np.nan, columns[name])
+        order = np.argsort(one.data["timestamp"], kind="stable")
+        t = 1e-6 * np.asarray(one.data["timestamp"], np.float64)
+        tables.append(Table(path, topic, {n: c[order] for n, c in columns.items()}, t[order], one.name))
+    offset = _utc_offset(tables)
+    vehicle = next((int(t.columns["system_type"][-1]) for t in tables if "system_type" in t.columns), None)
+    for table in tables:
+        assert table.t is not None
+        table.vehicle = vehicle
+        table.t = table.t + offset
+    return tables
 
 
-_CONVERT: dict[str, Callable[[str, Columns, Any, dict[str, Columns]], Iterator[SignalRow]]] = {
-    "vehicle_attitude": _attitude, "sensor_gps": _gnss, "vehicle_gps_position": _gnss,
-}  # fmt: skip
+def _utc_offset(tables: list[Table]) -> float:
+    for table in tables:
+        utc: Column | None = table.columns.get("time_utc_usec") if "gps" in table.topic else None
+        if utc is not None and table.t is not None and (utc > 0).any():
+            first = int(np.argmax(utc > 0))
+            return float(1e-6 * utc[first] - table.t[first])
+    return 0.0

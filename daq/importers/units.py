@@ -28,6 +28,8 @@ _LBF = 4.4482216152605  # N
 UNITS: dict[str, tuple[str, float]] = {  # unit of the column -> (unit in the log, factor)
     **{unit: (unit, 1.0) for unit in _SI},
     "deg": ("rad", _RAD),
+    "degE7": ("rad", 1e-7 * _RAD),  # of MAVLink and PX4
+    "cdeg": ("rad", 1e-2 * _RAD),
     "deg/s": ("rad/s", _RAD),
     "deg/s2": ("rad/s2", _RAD),
     "mm": ("m", 1e-3),
@@ -35,6 +37,7 @@ UNITS: dict[str, tuple[str, float]] = {  # unit of the column -> (unit in the lo
     "km": ("m", 1e3),
     "ft": ("m", 0.3048),
     "cm/s": ("m/s", 1e-2),
+    "mm/s": ("m/s", 1e-3),
     "km/h": ("m/s", 1.0 / 3.6),
     "kn": ("m/s", 1852.0 / 3600.0),
     "g": ("m/s2", _G),

@@ -18,3 +18,7 @@ from .segments import first_of as first_of
 from .segments import first_segments as first_segments
 from .segments import note_path as note_path
 from .segments import read_note as read_note
+from .tables import LogTable as LogTable
+from .tables import Resampled as Resampled
+from .tables import log_tables as log_tables
+from .tables import resample as resample

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import importlib
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from functools import cached_property
@@ -29,6 +30,7 @@ from daq.log.mcap_chunk import Messages
 from daq.log.mcap_reader import LAST_NS
 from daq.log.schema import Measured
 from daq.log.segments import open_raw, read_note
+from daq.log.tables import resample
 from daq.rig import Rig
 from daq.samples import Ahrs, Command, Esc, PortHealth, Scalar, Servo
 
@@ -45,6 +47,13 @@ _LITTLE = int.from_bytes(ENCAPSULATION[:2], "little")
 def open_log(path: Path | str) -> Log:
     """Open a log, whole or killed, with all its segments. Raises SeatrialError where it is no log at all."""
     return Log(Path(path))
+
+
+def _library(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        raise SeatrialError(f"{name} is not installed: pip install 'seatrial[tables]'") from error
 
 
 class Log:
@@ -154,6 +163,26 @@ class Log:
             for number in np.unique(channel).tolist():
                 found[topics[number]].add(stamp[channel == number])
         return found
+
+    def to_pandas(self, rate: float = 10.0) -> Any:
+        """A pandas.DataFrame of the whole log at `rate` [Hz], by UTC; units in ``attrs["units"]``. As `resample` does.
+
+        Raises SeatrialError where pandas is not there, or the log has no samples.
+        """
+        pandas = _library("pandas")
+        table = resample(self, rate)
+        index = pandas.to_datetime(np.rint(table.t * NANO).astype(np.int64), unit="ns", utc=True).rename("time")
+        frame = pandas.DataFrame(table.columns, index=index)
+        frame.attrs["units"] = table.units
+        return frame
+
+    def to_xarray(self, rate: float = 10.0) -> Any:
+        """An xarray.Dataset as `to_pandas` has it; ``time`` is UTC, units are attributes. Raises SeatrialError."""
+        xarray = _library("xarray")
+        table = resample(self, rate)
+        time = np.rint(table.t * NANO).astype(np.int64).astype("datetime64[ns]")
+        variables = {name: ("time", values, {"units": table.units[name]}) for name, values in table.columns.items()}
+        return xarray.Dataset(variables, coords={"time": time})
 
     def sources(self, kind: type[Measured] | type[PortHealth]) -> list[str]:
         """Devices (or signal names, for Scalar) that have samples of this kind."""

@@ -3,6 +3,7 @@ from .discovery import DiscoveredDevice as DiscoveredDevice
 from .discovery import find as find
 from .discovery import identify_protocol as identify_protocol
 from .export import export_log as export_log
+from .export import export_resampled as export_resampled
 from .info import show_log as show_log
 from .live_server import LiveServer as LiveServer
 from .live_table import default_log_path as default_log_path

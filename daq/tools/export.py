@@ -1,52 +1,20 @@
-"""`seatrial export`: the tables of a log as CSV or Parquet files, one per source."""
+"""`seatrial export`: the tables of a log as CSV or Parquet files, one per source, or one resampled table."""
 
 from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.errors import SeatrialError
-from daq.log import NODE_TOPICS, Log
-from daq.samples import Ahrs, Autopilot, Battery, Command, Esc, Gnss, LoadCell, Scalar, Servo
+from daq.log import Log, LogTable, Resampled, log_tables, resample
+from daq.samples import Scalar
 
-UNITS = {  # of daq/samples.py, where they are explained
-    "t": "s", "t_rx": "s", "t_device": "s", "utc": "s",
-    "yaw": "rad", "pitch": "rad", "roll": "rad", "p": "rad/s", "q": "rad/s", "r": "rad/s",
-    "ax": "m/s2", "ay": "m/s2", "az": "m/s2", "mx": "T", "my": "T", "mz": "T",
-    "lat": "deg", "lon": "deg", "alt": "m", "vel_n": "m/s", "vel_e": "m/s", "vel_d": "m/s", "sigma_h": "m",
-    "rpm": "rev/min", "current": "A", "voltage": "V", "temperature": "degC", "force": "N", "pwm": "us",
-}  # fmt: skip
 ROWS = 65536  # written at a time
-KINDS: tuple[type[Any], ...] = (Ahrs, Gnss, Esc, Command, Servo, LoadCell, Battery, Autopilot, Scalar)
-
-
-class ExportTable(NamedTuple):
-    """One table of a log: the name of its file without an ending, its rows, its units by column."""
-
-    name: str
-    rows: NDArray[np.void]
-    units: dict[str, str]
-
-
-def parts(log: Log) -> Iterator[ExportTable]:
-    """Every table of samples, in the order of the kinds."""
-    for kind in KINDS:
-        for source in log.sources(kind):
-            for node in log.nodes(kind, source) if kind in NODE_TOPICS else [None]:
-                rows = log.table(kind, source, node)
-                middle = "" if node is None else f"_{node}"
-                name = source if kind is Scalar else f"{source}{middle}_{kind.__name__.lower()}"
-                names = rows.dtype.names or ()
-                units = {column: UNITS[column] for column in names if column in UNITS}
-                if kind is Scalar:
-                    units["value"] = log.unit(source)
-                yield ExportTable(name, rows, units)
+RATE = 10.0  # Hz, of forms that hold one table only
 
 
 def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[Path]:
@@ -55,11 +23,13 @@ def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[P
     `form` is "csv" or "parquet". Numbers are written with all their digits; what was not measured is an empty cell
     in CSV and NaN in Parquet. Times are seconds since 1970.
     """
+    if form not in ("csv", "parquet"):
+        return [export_resampled(log, form, folder, RATE, force)]
     write = _csv if form == "csv" else _parquet()
     written: list[Path] = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for part in parts(log):
+        for part in log_tables(log):
             path = _new(folder, part.name, form, written, force)
             write(path, part)
             written.append(path)
@@ -72,6 +42,69 @@ def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[P
     if not written:
         raise SeatrialError(f"{log.path}: holds no samples to export")
     return written
+
+
+def export_resampled(log: Log, form: str, folder: Path, rate: float, force: bool = False) -> Path:
+    """Write one table of the whole log at `rate` [Hz] to `folder`; returns its file. Raises SeatrialError.
+
+    Times are seconds since 1970: ``t`` in CSV, Parquet and MATLAB, the coordinate ``time`` in NetCDF. Units stand in
+    the heads of CSV, the metadata of Parquet's columns, the struct ``units`` of MATLAB, the attributes of NetCDF.
+    """
+    table = resample(log, rate)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        path = _new(folder, log.path.stem, {"netcdf": "nc"}.get(form, form), [], force)
+        if form in ("csv", "parquet"):
+            columns = {"t": table.t, **table.columns}
+            rows = np.empty(len(table.t), [(name, np.float64) for name in columns])
+            for name, values in columns.items():
+                rows[name] = values
+            units = {"t": "s", **table.units}
+            (_csv if form == "csv" else _parquet())(path, LogTable(path.stem, Scalar, rows, units, False))
+        elif form == "mat":
+            _mat(path, table)
+        else:
+            _netcdf(path, table, log.metadata)
+    except OSError as error:
+        raise SeatrialError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
+    return path
+
+
+def _mat(path: Path, table: Resampled) -> None:
+    from scipy.io import savemat
+
+    names = _identifiers(table.columns, 63)  # as MATLAB has them
+    columns = {names[name]: values for name, values in table.columns.items()}
+    units = {names[name]: unit or "1" for name, unit in table.units.items()}
+    savemat(path, {"t": table.t, **columns, "units": units}, long_field_names=True, oned_as="column")
+
+
+def _netcdf(path: Path, table: Resampled, metadata: Mapping[str, str]) -> None:
+    from scipy.io import netcdf_file
+
+    names = _identifiers(table.columns, 255)
+    with netcdf_file(path, "w") as file:
+        file.source = f"seatrial {metadata.get('seatrial', '')}".strip()
+        file.createDimension("time", len(table.t))
+        time = file.createVariable("time", "d", ("time",))
+        time[:], time.units = table.t, "seconds since 1970-01-01 00:00:00"
+        for name, values in table.columns.items():
+            one = file.createVariable(names[name], "d", ("time",))
+            one[:], one.units = values, table.units[name] or "1"
+
+
+def _identifiers(names: Iterable[str], longest: int) -> dict[str, str]:
+    """Names of variables that every program takes, each its own."""
+    found: dict[str, str] = {}
+    for name in names:
+        plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
+        plain = (plain if plain[:1].isalpha() else f"s_{plain}")[:longest]
+        number = 1
+        while plain in (*found.values(), "t", "time", "units"):
+            number += 1
+            plain = f"{plain[: longest - 4]}_{number}"
+        found[name] = plain
+    return found
 
 
 def _new(folder: Path, name: str, ending: str, written: list[Path], force: bool) -> Path:
@@ -87,7 +120,7 @@ def _new(folder: Path, name: str, ending: str, written: list[Path], force: bool)
     return path
 
 
-def _csv(path: Path, part: ExportTable) -> None:
+def _csv(path: Path, part: LogTable) -> None:
     names = list(part.rows.dtype.names or ())
     heads = [f"{name} [{part.units[name]}]" if part.units.get(name) else name for name in names]
     rows = (row for at in range(0, len(part.rows), ROWS) for row in part.rows[at : at + ROWS].tolist())
@@ -101,14 +134,14 @@ def _write_csv(path: Path, heads: list[str], rows: Iterator[list[str]]) -> None:
         writer.writerows(rows)
 
 
-def _parquet() -> Callable[[Path, ExportTable], None]:
+def _parquet() -> Callable[[Path, LogTable], None]:
     try:
         import pyarrow
         import pyarrow.parquet
     except ModuleNotFoundError as error:
         raise SeatrialError("Parquet needs the package pyarrow: pip install 'seatrial[parquet]'") from error
 
-    def write(path: Path, part: ExportTable) -> None:
+    def write(path: Path, part: LogTable) -> None:
         fields = [
             pyarrow.field(
                 name,

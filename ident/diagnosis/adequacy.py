@@ -29,6 +29,7 @@ MAX_REMAINING_TESTS = 8  # tests that may still pass: a small difference of form
 # a competing model is not excluded if its criterion is behind by less than this: absolute, and as a share
 MAX_DISTANCE, MAX_DISTANCE_SHARE = 10.0, 0.05
 MIN_SIGNIFICANCE = 4.0  # standard errors of an effect from zero; right effects exceed it even at half their size
+REACH = 3.0  # standard errors of a place: where they reach the middle of the track, the place is not known
 FORM_SHARE = 0.1  # a competing effect below this share of the other may be the difference of its form
 
 
@@ -62,13 +63,13 @@ def assess_alternatives(
             found.append(EffectAttribution(one.chosen.effect.name, "nonparametric", (), close))
             continue
         reasons = [*_left(rest, n), *_many(left), *_kin(one.chosen.effect, left, len(chosen)), *_tables(chosen, one)]
-        reasons += [*_form(chosen, one.chosen), *_rivals(one)]
-        reasons += [*_own(one.chosen), *_untested(one.chosen.effect, untested), *_not_fitted(one)]
+        reasons += [*_form(chosen, one.chosen), *_competing(one)]
+        reasons += [*_own(one.chosen), *_place(one.chosen), *_untested(one.chosen.effect, untested), *_not_fitted(one)]
         reasons += [*_unpredictive(worth.get(one.chosen.effect.name)), *reservations]
-        rivals = [q.effect.name for q in _close(one)]
-        rivals += [name for name in one.chosen.effect.rivals if name in untested and name not in rivals]
+        others = [q.effect.name for q in _close(one)]
+        others += [name for name in one.chosen.effect.alternatives if name in untested and name not in others]
         name = one.chosen.effect.name
-        found.append(EffectAttribution(name, "ambiguous" if reasons else "identified", tuple(reasons), tuple(rivals)))
+        found.append(EffectAttribution(name, "ambiguous" if reasons else "identified", tuple(reasons), tuple(others)))
     return tuple(found)
 
 
@@ -88,8 +89,8 @@ def _many(left: Sequence[Score]) -> list[str]:
 def _kin(effect: Effect, left: Sequence[Score], n_added: int) -> list[str]:
     """Where several effects were added: a declared alternative of this one that still passes, however small, since one
     effect may then explain all."""
-    kin = [s.name for s in left if s.name in effect.rivals] if n_added > 1 else []
-    return [f"with it the tests still find its rival {kin[0]}"] if kin else []
+    kin = [s.name for s in left if s.name in effect.alternatives] if n_added > 1 else []
+    return [f"with it the tests still find its alternative {kin[0]}"] if kin else []
 
 
 def _form(chosen: Sequence[Refit], one: Refit) -> list[str]:
@@ -97,7 +98,7 @@ def _form(chosen: Sequence[Refit], one: Refit) -> list[str]:
     and
     that of the catalogue resembles its nearest alternative."""
     strong = [c.effect for c in chosen if one.criterion < FORM_SHARE * c.criterion]
-    kin = [e for e in strong if e.name in one.effect.rivals or one.effect.name in e.rivals]
+    kin = [e for e in strong if e.name in one.effect.alternatives or one.effect.name in e.alternatives]
     return [f"it may be no more than what {kin[0].title} has beyond its formula"] if kin else []
 
 
@@ -115,6 +116,22 @@ def _own(one: Refit) -> list[str]:
     at = sizes[0]
     value = f"{fit.names[at]} = {fit.values[at]:.3g} ± {fit.errors[at]:.3g} {own[at].unit}".rstrip()
     return [f"the data do not tell its size: {value}"]
+
+
+def _place(one: Refit) -> list[str]:
+    """Where the place of an effect (the fixed end of a line) is not known: a small track sees the direction to it, and
+    a prior of its distance; all places along that direction do."""
+    fit, points = one.stage.fit, [p for p in one.effect.parameters if p.name in one.effect.scan and p.unit == "m"]
+    at = [fit.names.index(p.name) for p in points if p.name in fit.names]
+    if not points or len(at) < len(points):
+        return []
+    axes = [p.name[0] for p in points]  # north x or east y
+    seen = [np.concatenate([r.y[:, r.outputs.index(axis)] for r in one.stage.records]) for axis in axes]
+    away = float(np.linalg.norm(fit.values[at] - [np.nanmean(y) for y in seen]))
+    if REACH * float(np.linalg.norm(fit.errors[at])) < away:
+        return []
+    values = ", ".join(f"{fit.names[i]} = {fit.values[i]:.3g} ± {fit.errors[i]:.2g} m" for i in at)
+    return [f"the data do not tell its place, {away:.0f} m from the middle of the track: {values}"]
 
 
 def _from_nothing(fit: Fit, sizes: Sequence[int]) -> float:
@@ -162,22 +179,23 @@ def _close(one: Round) -> list[Refit]:
     return sorted(others, key=lambda q: -q.criterion)
 
 
-def _rivals(one: Round) -> list[str]:
+def _competing(one: Round) -> list[str]:
     assert one.chosen is not None
     return [_compared(q, one.chosen.criterion - q.criterion) for q in _close(one)[:1]]
 
 
-def _compared(rival: Refit, behind: float) -> str:
+def _compared(other: Refit, behind: float) -> str:
     if behind < 0:
         return (
-            f"{rival.effect.title} explains the fitted data better (by {-behind:.0f} in 2 ln L), "
+            f"{other.effect.title} explains the fitted data better (by {-behind:.0f} in 2 ln L), "
             "though not the validation data"
         )
-    return f"{rival.effect.title} explains nearly as much ({behind:.0f} less in 2 ln L)"
+    return f"{other.effect.title} explains nearly as much ({behind:.0f} less in 2 ln L)"
 
 
 def _untested(effect: Effect, untested: Collection[str]) -> list[str]:
-    return [f"its rival {name} could not be tested on these data" for name in effect.rivals if name in untested]
+    lost = [name for name in effect.alternatives if name in untested]
+    return [f"its alternative {name} could not be tested on these data" for name in lost]
 
 
 def _not_fitted(one: Round) -> list[str]:
@@ -209,12 +227,12 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
             continue
         effect, judged = one.chosen.effect, by_name.get(one.chosen.effect.name)
         titles = {q.effect.name: q.effect.title for q in one.refits}
-        rivals = [r for r in judged.rivals if r in titles] if judged is not None else []
-        for rival in rivals[:1]:
-            lines.append(f"To tell {effect.title} from {titles[rival]}: {effect.experiment}.")
+        others = [r for r in judged.not_excluded if r in titles] if judged is not None else []
+        for other in others[:1]:
+            lines.append(f"To tell {effect.title} from {titles[other]}: {effect.experiment}.")
             named = {q.effect.name for q in one.refits if q.effect.kind is EffectKind.CATALOGUE}
-            if diagnosis.before.model.kind is ModelKind.VEHICLE and {effect.name, rival} <= named:
-                lines.append(f"`seatrial mission design MODEL --discriminate {effect.name},{rival}` makes the mission.")
-        if judged is not None and judged.attribution == "ambiguous" and not rivals:
+            if diagnosis.before.model.kind is ModelKind.VEHICLE and {effect.name, other} <= named:
+                lines.append(f"`seatrial mission design MODEL --discriminate {effect.name},{other}` makes the mission.")
+        if judged is not None and judged.attribution == "ambiguous" and not others:
             lines.append(f"To see whether it is {effect.title}: {effect.experiment}.")
     return " ".join(lines) or None

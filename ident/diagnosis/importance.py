@@ -139,6 +139,11 @@ def _with(
         return before
 
 
+def error_ratio(without: FittedModel, having: FittedModel) -> float:
+    """Of ``EffectImportance``."""
+    return float(np.exp(_log_error(without) - _log_error(having)))
+
+
 def _log_error(stage: FittedModel) -> float:
     """The mean over channels of the logarithm of the error ``HORIZON`` blocks ahead, without disturbance forces."""
     model = stage.model

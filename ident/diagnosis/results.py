@@ -27,7 +27,8 @@ class Outcome(StrEnum):
     SMALL = "small"  # accepted, but small beside what was found, and the prediction is no better with it
     NOT_SUPPORTED = "not-supported"  # the estimation data do not pay for its parameters
     NOT_VALIDATED = "not-validated"  # the gain on the validation data is not positive, or not significant
-    WORSE_PREDICTION = "worse-prediction"  # beyond its interval
+    WORSE_PREDICTION = "worse-prediction"  # beyond its interval, than that of the last model or of the nominal one
+    NO_BETTER_PREDICTION = "no-better-prediction"  # of a nonparametric effect
     UNTESTED = "untested"  # of a round: every refit failed
 
 
@@ -37,7 +38,8 @@ class Refit:
 
     gain: 2 d ln L (with priors); df: parameters added; criterion: gain - df ln n; validation_gain: d ln L on all the
     validation data, and t its statistic over blocks; prediction: change of the prediction errors over the horizon, on
-    the validation data, None where it was not asked for.
+    the validation data, None where it was not asked for; total: the same, from the nominal model; error: of
+    ``EffectImportance``, against the round's model.
     """
 
     effect: Effect
@@ -49,6 +51,8 @@ class Refit:
     t: float
     prediction: PredictionChange | None = None
     outcome: Outcome = Outcome.OUTRANKED
+    total: PredictionChange | None = None
+    error: float = float("nan")
 
     @property
     def validated(self) -> bool:
@@ -57,8 +61,12 @@ class Refit:
 
     @property
     def accepted(self) -> bool:
-        """Whether it is validated and the prediction is not worse with it beyond its interval."""
-        return self.validated and (self.prediction is None or self.prediction.verdict != "rose")
+        """Whether it is validated and the prediction is not worse with it beyond its interval, neither than without it
+        nor than that of the nominal model. A nonparametric effect has no story but its prediction: it has to be better.
+        """
+        worse = any(p is not None and p.verdict == "rose" for p in (self.prediction, self.total))
+        idle = self.unknown and self.prediction is not None and not predicts(self.prediction, self.error)
+        return self.validated and not worse and not idle
 
     @property
     def unknown(self) -> bool:
@@ -91,7 +99,10 @@ class Round:
         if self.chosen is not None:
             return Outcome.ADDED
         found = {r.outcome for r in self.refits}
-        order = (Outcome.SMALL, Outcome.WORSE_PREDICTION, Outcome.NOT_VALIDATED, Outcome.NOT_SUPPORTED)
+        order = (
+            Outcome.SMALL, Outcome.WORSE_PREDICTION, Outcome.NO_BETTER_PREDICTION, Outcome.NOT_VALIDATED,
+            Outcome.NOT_SUPPORTED,
+        )
         return next((o for o in order if o in found), Outcome.UNTESTED)
 
     @property
@@ -105,6 +116,7 @@ class Round:
             return f"what is left is small beside what was found: {small.effect.title} would gain {small.gain:.0f}"
         return {
             Outcome.WORSE_PREDICTION: "what explains the data best makes the prediction worse",
+            Outcome.NO_BETTER_PREDICTION: "the prediction is no better with what explains the data best",
             Outcome.UNTESTED: "none of these could be fitted",
         }.get(self.outcome, "no candidate predicts the validation data better")
 
@@ -130,13 +142,13 @@ class EffectAttribution:
             is left that it should have explained, or a competing model comes close; ``nonparametric``: a curve without
             a name.
         reasons: why it is ambiguous, for people.
-        rivals: names of the competing models that the data do not exclude, closest first.
+        not_excluded: names of the competing models that the data do not exclude, closest first.
     """
 
     effect: str
     attribution: Attribution
     reasons: tuple[str, ...] = ()
-    rivals: tuple[str, ...] = ()
+    not_excluded: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -170,8 +182,14 @@ class EffectImportance:
     def predicts(self) -> bool:
         """Whether the prediction is better with it: over the horizon beyond its interval, or, where that says nothing,
         three seconds ahead by inputs alone."""
-        verdict = "unchanged" if self.prediction is None else self.prediction.verdict
-        return verdict == "fell" or (verdict == "unchanged" and self.error > MIN_ERROR_RATIO)
+        return predicts(self.prediction, self.error)
+
+
+def predicts(prediction: PredictionChange | None, error: float) -> bool:
+    """Whether a prediction is better: over the horizon, or, where that says nothing, three seconds ahead by the ratio
+    of errors."""
+    verdict = "unchanged" if prediction is None else prediction.verdict
+    return verdict == "fell" or (verdict == "unchanged" and error > MIN_ERROR_RATIO)
 
 
 @dataclass(frozen=True)

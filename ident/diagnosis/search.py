@@ -22,11 +22,12 @@ import numpy as np
 
 from daq.errors import counted
 from ident.data import LogSegment, Record, make_record
-from ident.diagnosis.acceptance import comparison, validation_mismatches
+from ident.diagnosis.acceptance import Comparison, comparison, validation_mismatches
 from ident.diagnosis.adequacy import assess_alternatives
 from ident.diagnosis.candidates import normal_equations, variables, wave_peak_score
-from ident.diagnosis.importance import effect_importance, fit_without
+from ident.diagnosis.importance import effect_importance, error_ratio, fit_without
 from ident.diagnosis.results import (
+    T_VALIDATION,
     Diagnosis,
     EffectAttribution,
     EffectImportance,
@@ -220,6 +221,7 @@ class _Search:
     ) -> None:
         self.records, self.unseen, self.candidates, self.reporter = records, unseen, dict(candidates), reporter
         self.rounds: list[Round] = []
+        self.nominal: FittedModel | None = None
         self.n = sum(r.n_rows for r in records)
 
     def scored(self, stage: FittedModel) -> tuple[list[Score], list[Score]]:
@@ -233,7 +235,7 @@ class _Search:
 
     def forward(self, before: FittedModel, max_effects: int) -> tuple[FittedModel, list[Score]]:
         """Effects added one after the other; the last model, and the scores on it that pass."""
-        current, unknown = before, False
+        self.nominal, current, unknown = before, before, False
         while True:
             scores, passed = self.scored(current)
             largest = max((r.chosen.criterion for r in self.rounds if r.chosen is not None), default=0.0)
@@ -261,7 +263,11 @@ class _Search:
             gone = {r.effect.name for r in removed}
             chosen = [r.chosen for r in self.rounds if r.chosen is not None and r.chosen.effect.name not in gone]
             weights = effect_importance(before, current, chosen, self.rounds, self.records, self.unseen)
-            idle = min((w for w in weights if not w.pays), key=lambda w: w.t, default=None)
+            tables = {c.effect.name for c in chosen if c.unknown}
+            lost = (w for w in weights if not w.pays or (w.effect in tables and not w.predicts))
+            idle = min(lost, key=lambda w: w.t, default=None)
+            if idle is None and removed and chosen and Comparison(before, current).prediction.verdict == "rose":
+                idle = next(w for w in weights if w.effect == chosen[-1].effect.name)
             if idle is None:
                 return current, weights, removed
             assert idle.prediction is not None
@@ -295,21 +301,27 @@ class _Search:
     def _choose(
         self, current: FittedModel, refits: list[Refit], untested: list[UntestedCandidate]
     ) -> tuple[list[Refit], Refit | None]:
-        """The refits with what became of them, best first, and the best that is accepted, fitted exactly."""
+        """The refits with what became of them, best first, and the best that is accepted, fitted exactly.
+
+        A difference between runs has as many parameters as there are runs, and explains some of anything: it comes
+        after the effects, unless it explains the validation data significantly better than the best of them.
+        """
         judged: list[Refit] = []
         chosen: Refit | None = None
-        for r in sorted(refits, key=lambda r: -r.criterion):
+        for r in sorted(refits, key=lambda r: (r.effect.kind is EffectKind.BETWEEN_RUNS, -r.criterion)):
             if not r.validated:
                 r = replace(r, outcome=Outcome.NOT_SUPPORTED if r.criterion <= 0 else Outcome.NOT_VALIDATED)
-            elif chosen is None:
+            elif chosen is None or (r.criterion > chosen.criterion and _explains_more(r, chosen)):
                 try:
                     r = self._exact(current, r)
                 except FIT_ERRORS as problem:
                     untested.append(UntestedCandidate(r.effect, str(problem)))
                     continue
-                chosen = r if r.outcome is Outcome.ADDED else None
+                if r.outcome is Outcome.ADDED:
+                    judged = [replace(q, outcome=Outcome.OUTRANKED) if q is chosen else q for q in judged]
+                    chosen = r
             judged.append(r)
-        return judged, chosen
+        return sorted(judged, key=lambda r: -r.criterion), chosen
 
     def _exact(self, current: FittedModel, rough: Refit) -> Refit:
         """A validated refit fitted exactly and judged by its prediction. Raises ValueError where that fails or does not
@@ -326,7 +338,12 @@ class _Search:
                 reason = str(problem)
                 continue
             if stage.fit.converged or not current.fit.converged:
-                exact = replace(rough, stage=stage, validation_gain=gain, t=t, prediction=prediction)
+                assert self.nominal is not None
+                total = prediction if current is self.nominal else Comparison(self.nominal, stage).prediction
+                error = error_ratio(current, stage) if rough.unknown else rough.error
+                exact = replace(
+                    rough, stage=stage, validation_gain=gain, t=t, prediction=prediction, total=total, error=error
+                )
                 return replace(exact, outcome=_outcome(exact, [r.chosen for r in self.rounds if r.chosen is not None]))
             reason = f"the fit with it did not converge: it {stage.fit.message}"
         raise ValueError(reason)
@@ -376,11 +393,24 @@ def _outcome(exact: Refit, added: Sequence[Refit]) -> Outcome:
     if not exact.validated:
         return Outcome.NOT_VALIDATED
     if not exact.accepted:
-        return Outcome.WORSE_PREDICTION
+        worse = "rose" in {p.verdict for p in (exact.prediction, exact.total) if p is not None}
+        return Outcome.WORSE_PREDICTION if worse else Outcome.NO_BETTER_PREDICTION
     needed = exact.prediction.verdict == "fell" and exact.prediction.ratio < MAX_RATIO_OF_SMALL
-    kin = any(exact.effect.name in r.effect.rivals or r.effect.name in exact.effect.rivals for r in added)
+    kin = any(exact.effect.name in r.effect.alternatives or r.effect.name in exact.effect.alternatives for r in added)
     largest = max((r.criterion for r in added), default=0.0)
     return Outcome.ADDED if needed or kin or exact.criterion > MIN_GAIN_RATIO * largest else Outcome.SMALL
+
+
+def _explains_more(one: Refit, other: Refit) -> bool:
+    """Whether a difference between runs explains the validation data significantly better than another effect."""
+    if one.effect.kind is not EffectKind.BETWEEN_RUNS:
+        return False
+    try:
+        compared = comparison(other.stage, one.stage, one.effect)
+        gain, t = compared.gain
+    except FIT_ERRORS:
+        return False
+    return gain > 0 and t > T_VALIDATION and compared.prediction.verdict != "rose"
 
 
 def _degrees(effect: Effect, parameter: Parameter, n_records: int) -> int:

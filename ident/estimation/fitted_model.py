@@ -15,13 +15,15 @@ from ident.estimation.likelihood import FilterResult, Likelihood
 from ident.estimation.maximum_likelihood import EstimationOptions, Fit, SearchSettings, fit
 from ident.estimation.multistart import best_of_starts
 from ident.estimation.smoother import SmoothedStates, smoothed_states
-from ident.model import Effect, EffectKind, Model, outlier_notes
+from ident.model import Effect, EffectKind, Model, Parameter, ParameterOrigin, outlier_notes
 from ident.model import with_outlier_model as with_outliers
 from ident.models import for_diagnosis, forces_of, rescale, residuals_of, size_of
-from ident.numerics import Array, noise_from_differences
+from ident.numerics import NORMAL_MAD, Array, noise_from_differences
 from ident.reporter import QUIET, Reporter
 
 COLLAPSED_NOISE = 1e-2  # of the white noise that the samples show: noise below it has collapsed to zero
+# declared noise that the innovations exceed by this ratio is no more than a prior, with this relative deviation
+CONTRADICTED_NOISE, DECLARED_NOISE_SD = 1.5, 0.125
 RESCALING_RATIO = 2.0  # of the estimated force or moment to the assumed: from it the priors are scaled anew
 FIT_ERRORS = (ValueError, ArithmeticError, np.linalg.LinAlgError)  # of what cannot be evaluated
 
@@ -138,13 +140,32 @@ def fit_with_rescaling(
     unseen: Unseen,
     options: EstimationOptions | None = None,
 ) -> FittedModel:
-    """The model of ``nominal`` fitted; once more where the boat turns out to be of another size than its start said."""
+    """The model of ``nominal`` fitted; once more where the boat turns out to be of another size than its start said, or
+    the sensors noisier than declared."""
     stage = fit_and_evaluate(full, records, unseen, options)
-    assumed, found = size_of(full), size_of(stage.fit.model)
+    assumed, found, again = size_of(full), size_of(stage.fit.model), without_contradicted_noise(full, stage)
     ratios = [b / a for a, b in zip(astuple(assumed), astuple(found), strict=True)]
-    if all(1 / RESCALING_RATIO < ratio < RESCALING_RATIO for ratio in ratios):
-        return stage
-    return fit_and_evaluate(rescale(full, found), records, unseen, options)
+    if not all(1 / RESCALING_RATIO < ratio < RESCALING_RATIO for ratio in ratios):
+        again = rescale(again, found)
+    return stage if again is full else fit_and_evaluate(again, records, unseen, options)
+
+
+def without_contradicted_noise(full: Model, stage: FittedModel) -> Model:
+    """With what was declared of the sensors' noise as priors, where it is contradicted by the innovations of a channel.
+
+    Taken for true, noise that is too small makes chance look like an effect, and pins the estimates. The noise of all
+    channels is then doubtful: what one of them lacks the others' innovations hide. The median decides, as outliers
+    are no noise.
+    """
+    declared, ratios = list[Parameter](), list[float]()
+    for e, o in zip(np.concatenate([v.run.standardised for v in stage.estimation]).T, full.outputs, strict=True):
+        if o.noise and not full.parameter(o.noise).free and np.isfinite(e).any():
+            declared.append(full.parameter(o.noise))
+            ratios.append(NORMAL_MAD * float(np.nanmedian(np.abs(e))))
+    if max(ratios, default=0.0) < CONTRADICTED_NOISE:
+        return full
+    priors = [p.known(p.value, DECLARED_NOISE_SD * p.value, ParameterOrigin.PRIOR) for p in declared]
+    return full.replace_parameters(*priors)
 
 
 def fit_and_evaluate(

@@ -219,8 +219,8 @@ def against_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
     found = []
     for p, value, weight in zip(fit.parameters, fit.values.tolist(), fit.prior_weight.tolist(), strict=True):
         prior = p.free_prior()
-        dynamic = fit.model.role(p.name) is ParameterRole.DYNAMICS
-        if prior is None or not dynamic or (p.transform == "log" and value <= 0.0):
+        said = fit.model.role(p.name) is ParameterRole.DYNAMICS or p.origin is ParameterOrigin.PRIOR
+        if prior is None or not said or (p.transform == "log" and value <= 0.0):
             continue
         widths = (p.to_free(value) - prior[0]) / (prior[1] * np.sqrt(max(1.0 - weight, LEAST_DATA)))
         if abs(widths) > PRIOR_WIDTHS:

@@ -205,7 +205,7 @@ class Effect:
     experiment: str = ""
     requires: tuple[str, ...] = ()
     one_sided: bool = False  # the first parameter cannot be negative
-    rivals: tuple[str, ...] = ()
+    alternatives: tuple[str, ...] = ()
     nests: tuple[str, ...] = ()  # effects that it is for some values of its parameters: it always explains as much
     scan: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # values to try where there is no gradient
     kind: EffectKind = EffectKind.CATALOGUE

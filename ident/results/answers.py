@@ -165,6 +165,13 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
     said = scale_warnings(scale_of(fit.model))
     for p, value, widths in against_priors(fit):
         mean, sd = p.prior or (math.nan, math.nan)
+        if p.name in fit.model.noises:
+            text = (
+                f"The residuals contradict the declared {p.meaning}: {p.name} = {mean:.3g} {p.unit} was said, the "
+                f"estimate is {value:.3g} {p.unit}. It is estimated, and what was said is a prior of it."
+            )
+            said.append(ResultWarning(code="noise-contradicted", text=text))
+            continue
         text = (
             f"The data contradict the prior of {p.full_name}: {mean:.4g} ± {sd:.2g} {p.unit} was said, the estimate is "
             f"{value:.4g} {p.unit}, {abs(widths):.1f} standard deviations away. The prior is wrong, or what else "

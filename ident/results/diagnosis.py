@@ -336,7 +336,7 @@ def _effects(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
                 ),
                 attribution=judged.attribution,
                 reasons=tuple(judged.reasons),
-                not_excluded=tuple(judged.rivals),
+                not_excluded=tuple(judged.not_excluded),
                 parameters=_own(r, diagnosis.after),
                 error_ratio_without=finite(weight.error),
                 gain_last=finite(weight.gain),

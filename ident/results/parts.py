@@ -15,7 +15,9 @@ Verdict = Literal["right", "overconfident", "underconfident", "insufficient_data
 
 
 Change = Literal["fell", "rose", "unchanged"]
-RefitOutcome = Literal["added", "outranked", "small", "not-supported", "not-validated", "worse-prediction"]
+RefitOutcome = Literal[
+    "added", "outranked", "small", "not-supported", "not-validated", "worse-prediction", "no-better-prediction"
+]
 
 
 class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -75,6 +77,7 @@ WarningCode = Literal[
     "thrust-scale-unknown",
     "arm-unknown",
     "stuck-sensor",
+    "noise-contradicted",
     "prior-contradicted",
     "inertia-too-small",
     "validation-run-failed",
@@ -567,7 +570,8 @@ class Refit(Part, frozen=True, kw_only=True):
         RefitOutcome,
         Meta(
             description="`added`; `outranked`: accepted, another explains more; `small` beside what was found; "
-            "`not-supported` by the estimation data, `not-validated` by the validation data; `worse-prediction`"
+            "`not-supported` by the estimation data, `not-validated` by the validation data; `worse-prediction`; "
+            "`no-better-prediction`, of a nonparametric effect"
         ),
     ]
     parameters: tuple[EffectParameter, ...]

@@ -120,7 +120,7 @@ def _unused(name: str, logs: tuple[str, ...], model: Model, there: set[str]) -> 
         inputs = ", ".join(i.name for i in model.inputs if not i.tap)
         reason = f"model {model.name} with the inputs {inputs} has no place for it"
     else:
-        reason = "no model takes this name; docs/formats/import-csv.md lists those that are taken"
+        reason = "no model takes this name; docs/formats/import.md lists those that are taken"
         return UnusedSignal(signal=name, logs=logs, code="unknown-name", reason=reason)
     return UnusedSignal(signal=name, logs=logs, code="not-in-model", reason=reason)
 

@@ -17,7 +17,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "docs/examples"
 
 def test_the_swapped_sides_of_the_blueboat(tmp_path: Path) -> None:
     files = sorted(measured("blueboat").glob("fixed_*.csv"))
-    run("import", "csv", str(EXAMPLES / "blueboat/blueboat.toml"), *map(str, files), "--out-dir", str(tmp_path))
+    run("import", str(EXAMPLES / "blueboat/blueboat.toml"), *map(str, files), "--out-dir", str(tmp_path))
     swapped = {}
     for path in sorted(tmp_path.glob("*.mcap")):
         of_sides = [f for f in findings(path) if f.check == "sides"]
@@ -37,7 +37,7 @@ def ferry(tmp_path: Path, thruster: int, **changes: str) -> list[Finding]:
     path = tmp_path / "map.toml"
     path.write_text("\n".join(lines), encoding="utf-8")
     files = [str(folder / f"{name}_{thruster}.csv") for name in ("actuator_ref", "motor_state")]
-    run("import", "csv", str(path), *files, "-o", str(tmp_path / "log.mcap"))
+    run("import", str(path), *files, "-o", str(tmp_path / "log.mcap"))
     return findings(tmp_path / "log.mcap")
 
 

@@ -24,9 +24,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("kingfisher")
     surge = [str(path) for path in sorted(data.glob("surge_*.csv"))]
     bollard = str(data / "bollard_loadcell_raw_20files.csv")
-    run("import", "csv", str(HERE / "bollard.toml"), bollard, "-o", str(out / "bollard.mcap"))
+    run("import", str(HERE / "bollard.toml"), bollard, "-o", str(out / "bollard.mcap"))
     for name in ("surge_steps", "surge_rest"):
-        run("import", "csv", str(HERE / f"{name}.toml"), *surge, "--out-dir", str(out))
+        run("import", str(HERE / f"{name}.toml"), *surge, "--out-dir", str(out))
     run("ident", "thruster", str(out / "bollard.mcap"), "--settle", "0", "--out", str(out / "thruster"))
     steps = [str(path) for path in sorted(out.glob("surge_steps_*.mcap"))]
     unseen = [word for path in sorted(out.glob("surge_rest_*.mcap")) for word in ("--validate", str(path))]

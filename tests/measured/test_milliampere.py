@@ -24,7 +24,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("milliampere")
     for k in (3, 4):
         files = [str(data / f"{name}_{k}.csv") for name in ("actuator_ref", "motor_state")]
-        run("import", "csv", str(HERE / f"thruster{k}.toml"), *files, "-o", str(out / f"thruster{k}.mcap"))
+        run("import", str(HERE / f"thruster{k}.toml"), *files, "-o", str(out / f"thruster{k}.mcap"))
     run("ident", "thruster", str(out / "thruster3.mcap"), "--out", str(out / "thruster"))
     return out
 

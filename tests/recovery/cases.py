@@ -112,7 +112,7 @@ def told(result: DiagnosisResult) -> Row:
     return {
         "found": [e.name for e in effects],
         "attribution": [e.attribution for e in effects],
-        "rivals": [list(e.not_excluded) for e in effects],
+        "not_excluded": [list(e.not_excluded) for e in effects],
         "reasons": [list(e.reasons) for e in effects],
         "error_ratio_without": [round(e.error_ratio_without or math.nan, 3) for e in effects],
         "t": [round(t[e.name], 2) for e in effects],

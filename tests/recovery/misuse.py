@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from daq.errors import SeatrialError
-from daq.importers.common import write_signals
-from daq.importers.csv_map import Signal
-from daq.importers.csv_reader import SignalData
+from daq.importers.import_map import Signal
+from daq.importers.signals import SignalData
+from daq.importers.write_log import write_signals
 from ident.data.loading import load_all
 from ident.data.record import Channel
 from ident.workflows.check import check_first
@@ -166,11 +166,11 @@ def logged(seed: int, rig: str, seconds: float, run: int) -> Channels:
 
 
 def written(path: Path, channels: Channels) -> Path:
-    """The log that `seatrial import csv` would make of them."""
+    """The log that `seatrial import` would make of them."""
     signals = []
     for name, c in channels.items():
         role, hold = ("input", "zero") if name in SHAFTS else ("output", "linear")
-        signal = Signal(name, name, c.unit or "1", 1.0, 0.0, 1.0, "keep", role, hold, "error")
+        signal = Signal(name, (name,), c.unit or "1", role=role, hold=hold)
         signals.append(SignalData(signal, c.unit, T0 + c.t - c.t[0], c.value))
     write_signals(path, signals, metadata={"import": "csv"}, attachments={}, note=path.stem, force=True)
     return path

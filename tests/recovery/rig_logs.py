@@ -179,15 +179,15 @@ def csv_log(
         for at in sorted(rows):
             writer.writerow({"t": f"{at:.4f}"} | {name: f"{value:.7g}" for name, value in rows[at].items()})
     how.write_text(csv_map(columns, hold), encoding="utf-8")
-    import_csv(how, table, path)
+    import_files(how, table, path)
     return path
 
 
-def import_csv(how: Path, table: Path, path: Path) -> None:
-    """`seatrial import csv`, quietly. Raises RuntimeError where it fails."""
+def import_files(how: Path, table: Path, path: Path) -> None:
+    """`seatrial import`, quietly. Raises RuntimeError where it fails."""
     with redirect_stdout(StringIO()):
         try:
-            seatrial.main(["import", "csv", str(how), str(table), "-o", str(path), "--force"])
+            seatrial.main(["import", str(how), str(table), "-o", str(path), "--force"])
         except SystemExit as left:
             if left.code:
                 raise RuntimeError(f"{table.name} cannot be imported") from None
@@ -335,7 +335,7 @@ class Plant:
         how.write_text(csv_map(names, "linear"), encoding="utf-8")
         logs = [folder / f"run{k}.mcap" for k in (1, 2, 3)]
         for log in logs:
-            import_csv(how, self.path / f"{log.stem}.csv", log)
+            import_files(how, self.path / f"{log.stem}.csv", log)
         return logs[:2], logs[2:]
 
     @property

@@ -102,14 +102,14 @@ def _identified(
     row: Row = {"vehicle": vehicle.answer, "warnings": [w.text for w in vehicle.warnings], "fit": vehicle.fit}
     row["converged"] = vehicle.fit.converged
     if not diagnose:
-        return row | {"found": [], "attribution": [], "rivals": [], "answer": vehicle.answer}
+        return row | {"found": [], "attribution": [], "not_excluded": [], "answer": vehicle.answer}
     seatrial(folder, "ident", "diagnose", "vehicle/model.toml", *logs, "--out", "found")
     found = read_result(folder / "found" / "result.json")
     assert isinstance(found, DiagnosisResult)
     return row | {
         "found": [e.name for e in found.effects],
         "attribution": [e.attribution for e in found.effects],
-        "rivals": [list(e.not_excluded) for e in found.effects],
+        "not_excluded": [list(e.not_excluded) for e in found.effects],
         "answer": found.answer,
     }
 
@@ -140,7 +140,7 @@ def verdict(row: Row) -> str:
     if row["effect"] in sure:
         return NAMED
     like = {row["found"][k] for k, how in enumerate(row["attribution"]) if how == "ambiguous"}
-    like |= {name for k, how in enumerate(row["attribution"]) if how == "ambiguous" for name in row["rivals"][k]}
+    like |= {name for k, how in enumerate(row["attribution"]) if how == "ambiguous" for name in row["not_excluded"][k]}
     if row["effect"] in like:
         return LIKENED
     return DRAWN if row["attribution"][0] == "nonparametric" else OTHER

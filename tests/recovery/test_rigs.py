@@ -65,10 +65,10 @@ def test_an_estimator_is_smooth_and_near_the_truth() -> None:
     assert np.std(np.diff(smooth["x"][1], 2)) < 0.2 * np.std(np.diff(measured["x"][1], 2))
 
 
-def row(rig: str, effect: str, found: list[str], how: str = "identified", rivals: tuple[str, ...] = ()) -> Row:
+def row(rig: str, effect: str, found: list[str], how: str = "identified", not_excluded: tuple[str, ...] = ()) -> Row:
     return {
         "key": f"{rig}/{effect}/1", "rig": rig, "effect": effect, "seed": 1, "code": code_state(), "found": found,
-        "attribution": [how] * len(found), "rivals": [list(rivals)] * len(found), "answer": "", "cpu": 1.0,
+        "attribution": [how] * len(found), "not_excluded": [list(not_excluded)] * len(found), "answer": "", "cpu": 1.0,
         "z": {"m_u": 4.0, "m_v": 1.0} if effect == "none" else {},
     }  # fmt: skip
 

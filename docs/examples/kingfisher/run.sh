@@ -9,9 +9,9 @@ data=$(CDPATH= cd -- "$SEATRIAL_DATA/kingfisher" && pwd)
 mkdir -p "$out"
 cd "$out"
 
-seatrial import csv "$here/bollard.toml" "$data/bollard_loadcell_raw_20files.csv" --out-dir logs --force
-seatrial import csv "$here/surge_steps.toml" "$data"/surge_*.csv --out-dir logs --force
-seatrial import csv "$here/surge_rest.toml" "$data"/surge_*.csv --out-dir logs --force
+seatrial import "$here/bollard.toml" "$data/bollard_loadcell_raw_20files.csv" --out-dir logs --force
+seatrial import "$here/surge_steps.toml" "$data"/surge_*.csv --out-dir logs --force
+seatrial import "$here/surge_rest.toml" "$data"/surge_*.csv --out-dir logs --force
 seatrial ident thruster logs/bollard_loadcell_raw_20files.mcap --settle 0 --out thruster
 
 unseen=""

@@ -9,7 +9,7 @@ out=${1:-out/milliampere}
 mkdir -p "$out"
 
 for k in 3 4; do
-    seatrial import csv "$here/thruster$k.toml" "$data/actuator_ref_$k.csv" "$data/motor_state_$k.csv" \
+    seatrial import "$here/thruster$k.toml" "$data/actuator_ref_$k.csv" "$data/motor_state_$k.csv" \
         -o "$out/thruster$k.mcap" --force
 done
 cd "$out"

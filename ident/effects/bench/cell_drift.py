@@ -26,5 +26,5 @@ EFFECT = Effect(
     source="creep and warm-up of strain gauges, OIML R 60",
     experiment="the unloaded cell logged for an hour from switching on; a tare before and after every run",
     requires=("bench", "thrust"),
-    rivals=("recirculation",),
+    alternatives=("recirculation",),
 )

@@ -31,5 +31,5 @@ EFFECT = Effect(
     experiment="a weight dropped from a thread; chirps with the shaft speed measured",
     requires=("bench", "thrust"),
     one_sided=True,
-    rivals=("rod-flex",),
+    alternatives=("rod-flex",),
 )

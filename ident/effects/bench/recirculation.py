@@ -32,5 +32,5 @@ EFFECT = Effect(
     experiment="full speed held for a minute, then the same step after five minutes of rest",
     requires=("bench", "thrust"),
     one_sided=True,
-    rivals=("supply-sag", "cell-drift"),
+    alternatives=("supply-sag", "cell-drift"),
 )

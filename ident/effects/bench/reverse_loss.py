@@ -24,5 +24,5 @@ EFFECT = Effect(
     source="four-quadrant open-water data: blades running on their trailing edge stall",
     experiment="as many steady levels in reverse as in forward, up to full speed",
     requires=("bench", "thrust"),
-    rivals=("thrust-exponent",),
+    alternatives=("thrust-exponent",),
 )

@@ -41,5 +41,5 @@ EFFECT = Effect(
     experiment="steps between zero and half speed with the cell at 80 Hz or more; a tap on the rod at rest",
     requires=("bench", "thrust"),
     one_sided=True,
-    rivals=("cell-lag",),
+    alternatives=("cell-lag",),
 )

@@ -32,5 +32,5 @@ EFFECT = Effect(
     experiment="steps of one size with the shaft speed sampled ten times within its rise, then a chirp",
     requires=("bench",),
     one_sided=True,
-    rivals=("slew-limit", "spin-up"),
+    alternatives=("slew-limit", "spin-up"),
 )

@@ -33,5 +33,5 @@ EFFECT = Effect(
     experiment="steps of many sizes from rest: behind a limit the rise takes longer the larger the step",
     requires=("bench",),
     one_sided=True,
-    rivals=("second-lag", "spin-up"),
+    alternatives=("second-lag", "spin-up"),
 )

@@ -25,5 +25,5 @@ EFFECT = Effect(
     source="speed controllers without feedback: propeller torque grows with the square of speed",
     experiment="many levels of steady command of both signs",
     requires=("bench",),
-    rivals=("supply-sag",),
+    alternatives=("supply-sag",),
 )

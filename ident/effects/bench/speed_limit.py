@@ -33,5 +33,5 @@ EFFECT = Effect(
     experiment="steady commands in small steps up to the highest",
     requires=("bench",),
     one_sided=True,
-    rivals=("speed-curve",),
+    alternatives=("speed-curve",),
 )

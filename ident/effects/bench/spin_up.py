@@ -29,5 +29,5 @@ EFFECT = Effect(
     source="speed controllers that drive a motor but do not brake it; propeller torque acts only in deceleration",
     experiment="steps up and down between the same two speeds, several pairs of them",
     requires=("bench",),
-    rivals=("slew-limit", "second-lag"),
+    alternatives=("slew-limit", "second-lag"),
 )

@@ -32,5 +32,5 @@ EFFECT = Effect(
     experiment="the same steps at the start and at the end of a long run, the voltage logged",
     requires=("bench",),
     one_sided=True,
-    rivals=("speed-curve", "recirculation"),
+    alternatives=("speed-curve", "recirculation"),
 )

@@ -26,5 +26,5 @@ EFFECT = Effect(
     experiment="slow ramps of both signs through zero",
     requires=("bench", "thrust"),
     one_sided=True,
-    rivals=("thrust-exponent",),
+    alternatives=("thrust-exponent",),
 )

@@ -27,5 +27,5 @@ EFFECT = Effect(
     source="Reynolds number and cavitation; manufacturers' curves have exponents of 1.8 to 2.3",
     experiment="many levels of steady speed, those below a third of full speed held long",
     requires=("bench", "thrust"),
-    rivals=("thrust-dead-band", "reverse-loss"),
+    alternatives=("thrust-dead-band", "reverse-loss"),
 )

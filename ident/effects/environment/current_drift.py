@@ -25,5 +25,5 @@ EFFECT = Effect(
     source="tide and eddies; Fossen 2011, section 8.3",
     experiment="drifting without thrust at the start, in the middle and at the end",
     requires=("plane",),
-    rivals=("wind", "battery-sag", "tether"),
+    alternatives=("wind", "battery-sag", "tether"),
 )

@@ -28,5 +28,5 @@ EFFECT = Effect(
     experiment="slow turns through all headings, in both directions",
     requires=("hull",),
     nonparametric_of=ForceCurve("N", "psi"),
-    rivals=("wind", "yaw-bias", "compass"),
+    alternatives=("wind", "yaw-bias", "compass"),
 )

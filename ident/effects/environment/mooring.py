@@ -38,5 +38,5 @@ EFFECT = Effect(
     requires=("hull",),
     one_sided=True,
     nests=("steady-pull",),
-    rivals=("tether", "steady-pull", "current-drift", "wind"),
+    alternatives=("tether", "steady-pull", "current-drift", "wind"),
 )

@@ -26,5 +26,5 @@ EFFECT = Effect(
     source="a line that is much longer than the track; the steady part of wind and waves, Fossen 2011, chapter 8",
     experiment="drifting without thrust on several headings, and straight runs on opposite headings",
     requires=("hull",),
-    rivals=("wind", "mooring", "steady-force"),
+    alternatives=("wind", "mooring", "steady-force"),
 )

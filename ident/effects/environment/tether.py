@@ -36,5 +36,5 @@ EFFECT = Effect(
     experiment="the same runs near the fixed end of the line and far from it, outbound and inbound",
     requires=("hull",),
     one_sided=True,
-    rivals=("mooring", "battery-sag", "current-drift", "wind"),
+    alternatives=("mooring", "battery-sag", "current-drift", "wind"),
 )

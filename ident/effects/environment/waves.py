@@ -62,7 +62,7 @@ EFFECT = Effect(
     experiment="drifting without thrust in beam seas and head seas: the peak stays when the inputs rest",
     requires=("hull",),
     one_sided=True,
-    rivals=("pendulum",),
+    alternatives=("pendulum",),
 )
 
 

@@ -52,5 +52,5 @@ EFFECT = Effect(
     source="Isherwood 1972; Blendermann 1994; Fossen 2011, section 8.1",
     experiment="drifting without thrust on several headings, and straight runs on opposite headings",
     requires=("hull",),
-    rivals=("steady-pull", "steady-force", "current-drift", "heading-moment", "mount"),
+    alternatives=("steady-pull", "steady-force", "current-drift", "heading-moment", "mount"),
 )

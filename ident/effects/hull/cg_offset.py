@@ -29,5 +29,5 @@ EFFECT = Effect(
     source="Fossen 2011, section 3.3",
     experiment="turns at several speeds; turning on the spot; steps of equal thrust from rest",
     requires=("hull",),
-    rivals=("sway-yaw", "turning-resistance", "lever-arm", "mismatch"),
+    alternatives=("sway-yaw", "turning-resistance", "lever-arm", "mismatch"),
 )

@@ -22,5 +22,5 @@ EFFECT = Effect(
     requires=("hull",),
     one_sided=True,
     parametric_form_of=ForceCurve("X", "u"),
-    rivals=("cubic-drag", "dead-band", "hump"),
+    alternatives=("cubic-drag", "dead-band", "hump"),
 )

@@ -22,5 +22,5 @@ EFFECT = Effect(
     source="Norrbin 1970; Fedyaevsky and Sobolev 1963",
     experiment="tight turns at high and at low speed",
     requires=("hull",),
-    rivals=("sway-yaw", "lift", "turning-resistance"),
+    alternatives=("sway-yaw", "lift", "turning-resistance"),
 )

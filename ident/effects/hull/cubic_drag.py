@@ -19,5 +19,5 @@ EFFECT = Effect(
     experiment="long straight runs at five or more speeds up to the highest",
     requires=("hull",),
     parametric_form_of=ForceCurve("X", "u"),
-    rivals=("advance-ratio", "hump", "coulomb"),
+    alternatives=("advance-ratio", "hump", "coulomb"),
 )

@@ -29,5 +29,5 @@ EFFECT = Effect(
     requires=("hull",),
     one_sided=True,
     parametric_form_of=ForceCurve("X", "u"),
-    rivals=("cubic-drag", "coulomb", "advance-ratio"),
+    alternatives=("cubic-drag", "coulomb", "advance-ratio"),
 )

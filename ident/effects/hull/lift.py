@@ -23,5 +23,5 @@ EFFECT = Effect(
     source="hull lift, Norrbin 1970; Blanke 1981; Fossen 2011, section 6.4",
     experiment="the same zigzag at three forward speeds, and turning on the spot",
     requires=("hull",),
-    rivals=("sway-yaw", "cross-flow"),
+    alternatives=("sway-yaw", "cross-flow"),
 )

@@ -32,7 +32,7 @@ def _hooks(force: str, of: str) -> dict[str, ModelFunction]:
     return {"force": pull, "rate": swing}
 
 
-def _effect(name: str, title: str, force: str, of: str, rivals: tuple[str, ...]) -> Effect:
+def _effect(name: str, title: str, force: str, of: str, alternatives: tuple[str, ...]) -> Effect:
     axis, chirp = ("x", "equal") if force == "X" else ("y", "opposite")
     return Effect(
         name=name,
@@ -53,7 +53,7 @@ def _effect(name: str, title: str, force: str, of: str, rivals: tuple[str, ...])
         experiment=f"chirp of {chirp} thrust through 0.2 to 1.5 Hz",
         requires=("hull",),
         one_sided=True,
-        rivals=rivals,
+        alternatives=alternatives,
     )
 
 

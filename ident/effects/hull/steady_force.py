@@ -21,5 +21,5 @@ EFFECT = Effect(
     source="a thruster that does not stand still at rest, a jet of cooling water, an asymmetric hull",
     experiment="drifting without thrust on several headings",
     requires=("hull",),
-    rivals=("steady-pull", "coulomb", "reverse-thrust", "mount"),
+    alternatives=("steady-pull", "coulomb", "reverse-thrust", "mount"),
 )

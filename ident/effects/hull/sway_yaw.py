@@ -25,5 +25,5 @@ EFFECT = Effect(
     source="Fossen 2011, section 6.4; the part with speed is the hull's lift, Norrbin 1970",
     experiment="zigzags at several speeds, and drifting sideways after a turn",
     requires=("hull",),
-    rivals=("cg-offset", "cross-flow", "lift"),
+    alternatives=("cg-offset", "cross-flow", "lift"),
 )

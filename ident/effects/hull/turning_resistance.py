@@ -18,5 +18,5 @@ EFFECT = Effect(
     source="MMG model, Yasukawa and Yoshimura 2015",
     experiment="turning on the spot and turning circles at several speeds",
     requires=("hull",),
-    rivals=("cg-offset", "advance-ratio", "cross-flow"),
+    alternatives=("cg-offset", "advance-ratio", "cross-flow"),
 )

@@ -21,5 +21,5 @@ EFFECT = Effect(
     source="an asymmetric or fouled hull, a bent keel, a trailing line",
     experiment="coasting without thrust, and runs on opposite headings",
     requires=("hull",),
-    rivals=("mismatch", "heading-moment", "sway-yaw"),
+    alternatives=("mismatch", "heading-moment", "sway-yaw"),
 )

@@ -24,5 +24,5 @@ EFFECT = Effect(
     experiment="steps of both thrusters at several speeds, then full reverse while still moving forward",
     requires=("n", "f"),
     one_sided=True,
-    rivals=("cubic-drag", "turning-resistance", "thruster-interaction"),
+    alternatives=("cubic-drag", "turning-resistance", "thruster-interaction"),
 )

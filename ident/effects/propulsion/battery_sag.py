@@ -26,5 +26,5 @@ EFFECT = Effect(
     experiment="the same steps at the start and at the end of a long run",
     requires=("n", "f"),
     one_sided=True,
-    rivals=("current-drift", "tether", "advance-ratio"),
+    alternatives=("current-drift", "tether", "advance-ratio"),
 )

@@ -32,5 +32,5 @@ EFFECT = Effect(
     experiment="small steps of both signs around zero",
     requires=("n", "f"),
     one_sided=True,
-    rivals=("reverse-thrust", "coulomb"),
+    alternatives=("reverse-thrust", "coulomb"),
 )

@@ -22,5 +22,5 @@ EFFECT = Effect(
     source="propeller wear, fouling, ESC end points",
     experiment="equal commands in forward and reverse, at several levels: the yaw rate follows the thrust",
     requires=("f",),
-    rivals=("yaw-bias", "sway-yaw"),
+    alternatives=("yaw-bias", "sway-yaw"),
 )

@@ -20,5 +20,5 @@ EFFECT = Effect(
     source="four-quadrant open-water data; the hull in the slipstream of a reversed thruster",
     experiment="reverse steps of several levels, and turning on the spot",
     requires=("n", "f"),
-    rivals=("dead-band", "mismatch", "thruster-interaction"),
+    alternatives=("dead-band", "mismatch", "thruster-interaction"),
 )

@@ -26,5 +26,5 @@ EFFECT = Effect(
     experiment="one thruster alone, then both, at the same shaft speeds",
     requires=("n", "f"),
     one_sided=True,
-    rivals=("advance-ratio", "reverse-thrust"),
+    alternatives=("advance-ratio", "reverse-thrust"),
 )

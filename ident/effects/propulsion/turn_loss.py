@@ -14,7 +14,7 @@ def _lose(parameter: str, variable: str) -> ModelFunction:
     return lose
 
 
-def _effect(name: str, title: str, variable: str, parameter: Parameter, rivals: tuple[str, ...]) -> Effect:
+def _effect(name: str, title: str, variable: str, parameter: Parameter, alternatives: tuple[str, ...]) -> Effect:
     return Effect(
         name=name,
         title=title,
@@ -26,7 +26,7 @@ def _effect(name: str, title: str, variable: str, parameter: Parameter, rivals: 
         experiment="straight runs and turning circles of several radii at the same shaft speeds",
         requires=("f",),
         one_sided=True,
-        rivals=rivals,
+        alternatives=alternatives,
         parametric_form_of=ForceCurve("T", variable),
     )
 

@@ -22,5 +22,5 @@ EFFECT = Effect(
     source="IEEE Std 1293",
     experiment="hard starts and stops, and turning circles at speed; or the sensor on each of its faces on a table",
     requires=("hull",),
-    rivals=("accelerometer-tilt", "lag"),
+    alternatives=("accelerometer-tilt", "lag"),
 )

@@ -25,5 +25,5 @@ EFFECT = Effect(
     source="IEEE Std 1293; metacentric stability",
     experiment="forward and reverse steps on a straight line, then turns at speed",
     requires=("hull",),
-    rivals=("accelerometer-scale", "cg-offset"),
+    alternatives=("accelerometer-scale", "cg-offset"),
 )

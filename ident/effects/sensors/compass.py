@@ -38,5 +38,5 @@ EFFECT = Effect(
     source="compass adjusters' coefficients B to E; Bowditch, chapter 6",
     experiment="swinging the compass: slow turns through all headings, in both directions",
     requires=("hull",),
-    rivals=("mount", "gyro-scale", "wind"),
+    alternatives=("mount", "gyro-scale", "wind"),
 )

@@ -31,5 +31,5 @@ EFFECT = Effect(
     source="first order of any low-pass filter; autopilot state estimators",
     experiment="chirp of thrust and of thrust difference",
     requires=("hull",),
-    rivals=("lag", "delay"),
+    alternatives=("lag", "delay"),
 )

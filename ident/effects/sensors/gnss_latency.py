@@ -67,7 +67,7 @@ COMMON: dict[str, Any] = {
     "source": "Groves 2013, section 10.5",
     "experiment": "fast straight runs with hard stops, and turns at speed",
     "one_sided": True,
-    "rivals": ("lever-arm", "delay"),
+    "alternatives": ("lever-arm", "delay"),
 }
 PAST = tuple(
     Input(f"n_{side}", "", "linear").delayed(k) for side in ("left", "right") for k in range(1, N_PAST + 1)
@@ -88,7 +88,7 @@ EFFECTS = (
         {"output": delay_driven_shaft},
         (TAU,),
         requires=("hull", "n_state"),
-        **(COMMON | {"rivals": ("lever-arm",)}),
+        **(COMMON | {"alternatives": ("lever-arm",)}),
     ),
     Effect(
         "gnss-latency-force",
@@ -96,6 +96,6 @@ EFFECTS = (
         {"output": delay_force},
         (TAU,),
         requires=("hull", "f_input"),
-        **(COMMON | {"rivals": ("lever-arm", "force-delay")}),
+        **(COMMON | {"alternatives": ("lever-arm", "force-delay")}),
     ),
 )

@@ -19,5 +19,5 @@ EFFECT = Effect(
     source="IEEE Std 1293",
     experiment="several full turns in one direction, then as many in the other",
     requires=("hull",),
-    rivals=("compass",),
+    alternatives=("compass",),
 )

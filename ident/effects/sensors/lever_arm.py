@@ -24,7 +24,7 @@ HEIGHT = Parameter("l_z", 0.0, "m", "antenna below the origin", prior=(0.0, 1.0)
 COMMON: dict[str, Any] = {
     "place": "sensor",
     "source": "Groves 2013, section 2.5",
-    "rivals": ("gnss-latency", "cg-offset"),
+    "alternatives": ("gnss-latency", "cg-offset"),
 }
 TITLE = "a GNSS antenna lever arm"
 EFFECTS = (

@@ -38,7 +38,7 @@ TILT = tuple(
 COMMON: dict[str, Any] = {
     "place": "sensor",
     "source": "boresight alignment, Groves 2013, section 5.6",
-    "rivals": ("compass", "wind"),
+    "alternatives": ("compass", "wind"),
 }
 EFFECTS = (
     Effect(

@@ -22,5 +22,5 @@ EFFECT = Effect(
     source="Groves 2013, section 2.5: velocity of a point of a rotating body",
     experiment="turning on the spot, in both directions",
     requires=("hull", "body_velocity"),
-    rivals=("lever-arm", "cg-offset"),
+    alternatives=("lever-arm", "cg-offset"),
 )

@@ -19,6 +19,7 @@ OUTCOMES = {
     "not-supported": "does not pay for its parameters",
     "not-validated": "validation data do not support it",
     "worse-prediction": "prediction is worse with it",
+    "no-better-prediction": "prediction is no better with it",
 }
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from daq.errors import SeatrialError
-from daq.importers.csv_import import import_csv
-from daq.importers.csv_map import load_csv_map
+from daq.importers.import_files import import_files
+from daq.importers.import_map import load_import_map
 from daq.importers.units import UNITS
 from daq.log.reader import open_log
 from tests.daq.csv_files import DOCS, EXAMPLES, values
@@ -34,17 +34,17 @@ def test_units_agree_with_their_definitions() -> None:
 @pytest.mark.parametrize("path", sorted(EXAMPLES.rglob("*.toml")), ids=lambda path: path.stem)
 def test_the_worked_maps_are_valid(path: Path) -> None:
     if "seatrial-import-csv" in path.read_text(encoding="utf-8"):
-        assert load_csv_map(path).sources
+        assert load_import_map(path).sources
 
 
 def test_the_documented_map_is_valid(folder: Path) -> None:
     found = re.findall(
-        r"```toml\n(format = \"seatrial-import-csv.*?)```", (DOCS / "formats" / "import-csv.md").read_text(), re.DOTALL
+        r"```toml\n(format = \"seatrial-import .*?)```", (DOCS / "formats" / "import.md").read_text(), re.DOTALL
     )
     assert found
     for text in found:
         (folder / "map.toml").write_text(text)
-        assert load_csv_map(folder / "map.toml").sources
+        assert load_import_map(folder / "map.toml").sources
 
 
 @pytest.fixture
@@ -60,7 +60,7 @@ def column(path: Path, name: str) -> list[float]:
 @pytest.mark.measured
 def test_blueboat(folder: Path, measured: Path) -> None:
     files = sorted((measured / "blueboat").glob("*.csv"))
-    logs = import_csv(EXAMPLES / "blueboat" / "blueboat.toml", files)
+    logs = import_files(EXAMPLES / "blueboat" / "blueboat.toml", files)
     assert len(logs) == 11
     for path, out in zip(files, logs, strict=True):
         t, psi = values(out, "psi")
@@ -77,9 +77,9 @@ def test_blueboat(folder: Path, measured: Path) -> None:
 @pytest.mark.measured
 def test_kingfisher(folder: Path, measured: Path) -> None:
     files = sorted((measured / "kingfisher").glob("surge_*.csv"))
-    (out,) = import_csv(EXAMPLES / "kingfisher" / "surge.toml", files)
+    (out,) = import_files(EXAMPLES / "kingfisher" / "surge.toml", files)
     assert (len(values(out, "n_left")[0]), len(values(out, "speed_x")[0])) == (14669, 22716)
-    steps = import_csv(EXAMPLES / "kingfisher" / "surge_steps.toml", files)
+    steps = import_files(EXAMPLES / "kingfisher" / "surge_steps.toml", files)
     assert [path.stem for path in steps] == [f"surge_steps_step{i}" for i in (1, 2, 3, 4)]
     assert open_log(steps[0]).duration == pytest.approx(215.0 - 171.0, abs=0.15)
     t, _ = values(steps[3], "speed_x")
@@ -87,7 +87,7 @@ def test_kingfisher(folder: Path, measured: Path) -> None:
     t, n = map(np.array, values(steps[2], "n_left"))
     assert set(n) == {0.0, 0.4}  # at rest until the step's first command
     assert t[n > 0][0] == pytest.approx(402.69, abs=0.01)
-    (bollard,) = import_csv(
+    (bollard,) = import_files(
         EXAMPLES / "kingfisher" / "bollard.toml", [measured / "kingfisher" / "bollard_loadcell_raw_20files.csv"]
     )
     n, force = np.array(values(bollard, "n_left")[1]), np.array(values(bollard, "force")[1])
@@ -103,11 +103,11 @@ def test_nanoseconds_that_lost_their_zeros(folder: Path, measured: Path) -> None
         '[[signal]]\nname = "speed"\ncolumn = "motor_speed"\nunit = "rev/min"\n'
     )
     path = measured / "milliampere" / "thruster_data_test" / "motor_state_1.csv"
-    (out,) = import_csv(folder / "map.toml", [path])
+    (out,) = import_files(folder / "map.toml", [path])
     t = np.array(values(out, "speed")[0])
     assert len(t) > 5000
     assert np.diff(t).min() > 0.0  # read as decimals, time would run backwards at every lost zero
     decimal = (folder / "map.toml").read_text().replace("unpadded-ns", "decimal")
     (folder / "map.toml").write_text(decimal)
     with pytest.raises(SeatrialError, match="time runs back"):
-        import_csv(folder / "map.toml", [path], force=True)
+        import_files(folder / "map.toml", [path], force=True)

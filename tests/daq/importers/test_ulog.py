@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from daq.errors import SeatrialError
-from daq.importers.ulog import import_ulog
+from daq.importers.guess import guess_map
+from daq.importers.import_files import import_files
 from daq.log.reader import open_log
-from daq.samples import Ahrs, Gnss, Scalar
+from daq.samples import Scalar
 
 HAS_PYULOG = importlib.util.find_spec("pyulog") is not None
 UTC = 1_700_000_000.0
@@ -59,30 +60,31 @@ def write_ulog(path: Path) -> None:
 
 
 @pytest.mark.skipif(not HAS_PYULOG, reason="pyulog is not installed")
-def test_a_px4_log(tmp_path: Path) -> None:
+def test_a_px4_log_goes_through_its_own_guess(tmp_path: Path) -> None:
     write_ulog(tmp_path / "flight.ulg")
-    path, said = import_ulog(tmp_path / "flight.ulg", out=tmp_path / "flight.mcap")
-    assert said == f"{N + N + 3 * N + N} samples of 4 topics"
+    guess = guess_map(tmp_path / "flight.ulg")
+    assert "no commands" in guess.problem
+    (tmp_path / "map.toml").write_text(guess.text)
+    (path,) = import_files(tmp_path / "map.toml", [tmp_path / "flight.ulg"], out=tmp_path / "flight.mcap")
     with open_log(path) as log:
-        ahrs, gnss = log.table(Ahrs, "vehicle_attitude"), log.table(Gnss, "sensor_gps")
-        battery = log.table(Scalar, "battery_status_voltage_v")
-    np.testing.assert_allclose(ahrs["t"], UTC + 0.1 * np.arange(N), atol=1e-6)
-    np.testing.assert_allclose(ahrs["yaw"], 1.0, atol=1e-6)
-    np.testing.assert_allclose(ahrs["r"], 0.001 * np.arange(N), atol=1e-9)
-    assert (gnss["lat"][0], gnss["vel_d"][0], gnss["fix"][0], gnss["n_sat"][0]) == (41.0, 0.125, 5, 17)
-    assert gnss["sigma_h"][0] == pytest.approx(1.0)
-    assert battery["value"][-1] == pytest.approx(16.0 - 0.29)
+        table = {name: log.table(Scalar, name) for name in log.sources(Scalar)}
+    assert set(table) == {"x", "y", "vx", "vy", "psi", "r"}
+    np.testing.assert_allclose(table["psi"]["t"], UTC + 0.1 * np.arange(N), atol=1e-6)
+    np.testing.assert_allclose(table["psi"]["value"], 1.0, atol=1e-6)
+    np.testing.assert_allclose(table["r"]["value"], 0.001 * np.arange(N), atol=1e-9)
+    assert (table["vx"]["value"][0], table["vy"]["value"][0]) == (0.5, 0.25)
+    np.testing.assert_allclose(table["x"]["value"], 0.0, atol=1e-9)
 
 
 @pytest.mark.skipif(not HAS_PYULOG, reason="pyulog is not installed")
-def test_a_file_that_is_none(tmp_path: Path) -> None:
-    (tmp_path / "x.ulg").write_bytes(b"no such log")
+def test_a_file_that_is_damaged(tmp_path: Path) -> None:
+    (tmp_path / "x.ulg").write_bytes(b"ULog\x01\x12\x35")
     with pytest.raises(SeatrialError, match=r"x\.ulg: cannot be read as a PX4 log"):
-        import_ulog(tmp_path / "x.ulg", out=tmp_path / "x.mcap")
+        guess_map(tmp_path / "x.ulg")
 
 
 def test_without_its_library_it_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyulog", None)
     write_ulog(tmp_path / "flight.ulg")
     with pytest.raises(SeatrialError, match=r"pip install 'seatrial\[ulog\]'"):
-        import_ulog(tmp_path / "flight.ulg", out=tmp_path / "x.mcap")
+        guess_map(tmp_path / "flight.ulg")

@@ -5,17 +5,26 @@ from __future__ import annotations
 import csv
 import importlib.util
 import math
+import re
 import sys
 from pathlib import Path
 
+import numpy as np
+import pyarrow.parquet
 import pytest
+import scipy.io
+import xarray
 from click.testing import CliRunner
 
 from daq import cli
 from daq.errors import SeatrialError
+from daq.importers.import_map import Signal
+from daq.importers.signals import SignalData
+from daq.importers.write_log import write_signals
 from daq.log.reader import open_log
+from daq.log.tables import log_tables, resample
 from daq.samples import Ahrs, Frame
-from daq.tools.export import export_log, parts
+from daq.tools.export import export_log, export_resampled
 from tests.daq.logs import T0, recorder, write_everything
 
 
@@ -28,8 +37,8 @@ def log(tmp_path: Path) -> Path:
 def test_csv_holds_every_table_with_all_digits(log: Path, tmp_path: Path) -> None:
     with open_log(log) as opened:
         written = export_log(opened, "csv", tmp_path / "out")
-        assert {path.stem for path in written} == {part.name for part in parts(opened)} | {"events"}
-        for part in parts(opened):
+        assert {path.stem for path in written} == {part.name for part in log_tables(opened)} | {"events"}
+        for part in log_tables(opened):
             with (tmp_path / "out" / f"{part.name}.csv").open(newline="") as file:
                 heads, *rows = csv.reader(file)
             assert [head.partition(" [")[0] for head in heads] == list(part.rows.dtype.names or ())
@@ -81,7 +90,90 @@ def test_parquet_reads_back(log: Path, tmp_path: Path) -> None:
 
     with open_log(log) as opened:
         export_log(opened, "parquet", tmp_path / "out")
-        rows = next(part for part in parts(opened) if part.name == "gnss_gnss").rows
+        rows = next(part for part in log_tables(opened) if part.name == "gnss_gnss").rows
     table = pyarrow.parquet.read_table(tmp_path / "out/gnss_gnss.parquet")
     assert table.column("lat").to_pylist() == pytest.approx(rows["lat"].tolist(), nan_ok=True)
     assert table.schema.field("lat").metadata[b"unit"] == b"deg"
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A command that is held, a fast rate, a heading over the date line of angles, and a gap."""
+    t = T0 + 0.01 * np.arange(1000)
+    psi = np.pi - 0.02 + 0.01 * (t - T0)
+    slow = T0 + np.array([0.0, 1.0, 2.0, 8.0, 9.0, 9.99])
+    signals = [
+        SignalData(Signal("n_left", ("n",), role="input", hold="zero"), "1", slow, np.arange(6.0)),
+        SignalData(Signal("psi", ("psi",), unit="rad"), "rad", t[::20], wrapped(psi[::20])),
+        SignalData(Signal("r", ("r",), unit="rad/s"), "rad/s", t, np.sin(t - T0)),
+        SignalData(Signal("u", ("u",), unit="m/s"), "m/s", slow, np.arange(6.0)),
+    ]
+    write_signals(tmp_path / "run.mcap", signals, metadata={}, attachments={}, note="-")
+    return tmp_path / "run.mcap"
+
+
+def wrapped(angle: np.ndarray) -> np.ndarray:
+    return np.pi - np.mod(np.pi - angle, 2 * np.pi)
+
+
+def test_resampled_by_what_each_signal_is(run: Path) -> None:
+    with open_log(run) as opened:
+        table = resample(opened, 10.0)
+    tau = table.t - T0
+    assert len(tau) == 100
+    assert table.units == {"n_left": "1", "psi": "rad", "r": "rad/s", "u": "m/s"}
+    np.testing.assert_array_equal(table.columns["n_left"][[0, 9, 10, 79, 80]], [0, 0, 1, 2, 3])  # held over the gap
+    np.testing.assert_allclose(table.columns["psi"][:98], wrapped(np.pi - 0.02 + 0.01 * tau[:98]), atol=1e-9)
+    np.testing.assert_allclose(table.columns["r"][1:-1], np.sin(tau[1:-1]), atol=1e-3)  # means of ten
+    u = table.columns["u"]
+    assert u[15] == pytest.approx(1.5)
+    assert np.isnan(u[[30, 60]]).all()  # nothing is made up in 6 s without a sample
+    assert u[80] == pytest.approx(3.0)
+
+
+def test_one_table_as_mat_netcdf_parquet_and_csv(run: Path, tmp_path: Path) -> None:
+    with open_log(run) as opened:
+        table = resample(opened, 10.0)
+        for form in ("mat", "netcdf", "parquet", "csv"):
+            export_resampled(opened, form, tmp_path / "out", 10.0)
+    mat = scipy.io.loadmat(tmp_path / "out/run.mat", squeeze_me=True)
+    xr = xarray.open_dataset(tmp_path / "out/run.nc", engine="scipy")
+    pq = pyarrow.parquet.read_table(tmp_path / "out/run.parquet")
+    with (tmp_path / "out/run.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    for name, values in table.columns.items():
+        np.testing.assert_array_equal(mat[name], values)
+        np.testing.assert_array_equal(xr[name].values, values)
+        np.testing.assert_array_equal(pq[name].to_numpy(), values)
+        cells = [row[f"{name} [{table.units[name]}]"] for row in rows]
+        np.testing.assert_array_equal([float(cell or "nan") for cell in cells], values)
+    np.testing.assert_array_equal(mat["t"], table.t)
+    assert str(mat["units"]["psi"]) == xr["psi"].attrs["units"] == "rad"
+    seconds = (xr["time"].values - np.datetime64("1970-01-01")) / np.timedelta64(1, "s")
+    np.testing.assert_allclose(seconds, table.t, atol=1e-6)
+    xr.close()
+
+
+def test_pandas_and_xarray(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with open_log(run) as opened:
+        table, frame, data = resample(opened, 20.0), opened.to_pandas(20.0), opened.to_xarray(20.0)
+        np.testing.assert_array_equal(frame["r"].to_numpy(), table.columns["r"])
+        np.testing.assert_array_equal(data["r"].values, table.columns["r"])
+        assert frame.attrs["units"]["r"] == data["r"].attrs["units"] == "rad/s"
+        assert frame.index[0].timestamp() == pytest.approx(table.t[0], abs=1e-6)
+        assert data["time"].values[0] == np.datetime64(round(table.t[0] * 1e9), "ns")
+        monkeypatch.setitem(sys.modules, "pandas", None)
+        with pytest.raises(SeatrialError, match=r"pandas is not installed: pip install 'seatrial\[tables\]'"):
+            opened.to_pandas()
+
+
+def test_every_kind_of_sample_is_in_the_one_table(log: Path, tmp_path: Path) -> None:
+    run = CliRunner()
+    words = ["mat", str(log), "--out", str(tmp_path / "out")]
+    assert run.invoke(cli.export, words).exit_code == 0
+    assert run.invoke(cli.export, ["ros", str(log), "--rate", "5", "--out", str(tmp_path / "ros")]).exit_code == 2
+    with open_log(log) as opened:
+        names = set(resample(opened, 10.0).columns)
+    found = {name for name in scipy.io.loadmat(tmp_path / "out" / f"{log.stem}.mat") if not name.startswith("__")}
+    assert found == {re.sub(r"[^A-Za-z0-9_]", "_", name) for name in names} | {"t", "units"}
+    assert {"ahrs_ahrs_yaw", "esc_1_esc_rpm"} <= found

@@ -184,7 +184,7 @@ def write_bench(folder: Path, both: bool = True) -> str:
     np.savetxt(folder / "bench.csv", np.column_stack([command.value, other, force.value]), "%.6f", ",",
                header="n,m,force", comments="")  # fmt: skip
     (folder / "map.toml").write_text(MAP)
-    run("import", "csv", str(folder / "map.toml"), str(folder / "bench.csv"), "-o", str(folder / "bench.mcap"))
+    run("import", str(folder / "map.toml"), str(folder / "bench.csv"), "-o", str(folder / "bench.mcap"))
     return str(folder / "bench.mcap")
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from ident.diagnosis.acceptance import validation_gain
 from ident.diagnosis.results import MIN_ERROR_RATIO, EffectImportance, Outcome, Refit, Round
-from ident.model.structure import Effect
+from ident.model.structure import Effect, EffectKind
 from ident.validation.prediction_errors import PredictionChange
 
 
@@ -59,8 +59,11 @@ def change(ratio: float, low: float, high: float) -> PredictionChange:
     return PredictionChange(ratio, low, high, 10.0, {})
 
 
-def refit(*, criterion: float = 50.0, gain: float = 30.0, t: float = 4.0, prediction: Any = None) -> Refit:
-    return Refit(Effect("wind", "wind", {}), cast(Any, None), criterion + 8.0, 1, criterion, gain, t, prediction)
+def refit(
+    *, criterion: float = 50.0, gain: float = 30.0, t: float = 4.0, kind: EffectKind = EffectKind.CATALOGUE, **more: Any
+) -> Refit:
+    effect = Effect("wind", "wind", {}, kind=kind)
+    return Refit(effect, cast(Any, None), criterion + 8.0, 1, criterion, gain, t, **more)
 
 
 @pytest.mark.parametrize(
@@ -73,6 +76,14 @@ def refit(*, criterion: float = 50.0, gain: float = 30.0, t: float = 4.0, predic
         ({"prediction": change(1.02, 0.98, 1.06)}, True),
         ({"prediction": change(0.7, 0.5, 0.9)}, True),
         ({"prediction": change(1.2, 1.1, 1.3)}, False),
+        # each step is no worse than the one before, and all together are: worse than the nominal model
+        ({"prediction": change(1.1, 0.97, 1.25), "total": change(1.86, 1.09, 3.19)}, False),
+        ({"prediction": change(1.1, 0.97, 1.25), "total": change(1.2, 0.9, 1.5)}, True),
+        # a force without a story has to predict better; an effect with one may gain too little for the interval
+        ({"kind": EffectKind.RESONANT, "prediction": change(0.99, 0.98, 1.004), "error": 1.001}, False),
+        ({"kind": EffectKind.RESONANT, "prediction": change(0.99, 0.98, 1.004), "error": 1.05}, True),
+        ({"kind": EffectKind.NONPARAMETRIC, "prediction": change(0.7, 0.5, 0.9), "error": 1.0}, True),
+        ({"prediction": change(0.99, 0.98, 1.004), "error": 1.001}, True),
     ],
 )
 def test_every_condition_counts(given: dict[str, Any], accepted: bool) -> None:

@@ -1,4 +1,4 @@
-"""How sure a name is: what is left, tables beside it, rivals close to it, rivals that could not be tested."""
+"""How sure a name is: what is left, tables beside it, alternatives that are close or untested."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ def test_a_name_that_leaves_nothing_is_sure() -> None:
     assert found == EffectAttribution("wind", "identified")
 
 
-def test_a_larger_form_of_the_same_effect_is_no_rival_unless_it_explains_more() -> None:
+def test_a_larger_form_of_the_same_effect_is_no_alternative_unless_it_explains_more() -> None:
     """It explains as much by its making: what counts is whether its further parameters are worth their number."""
     chosen = refit("steady-pull", 1500.0)
     (near,) = of(one_round(chosen, refit("mooring", 1490.0, nests=("steady-pull",))))
     (stranger,) = of(one_round(chosen, refit("mooring", 1490.0)))
     (better,) = of(one_round(chosen, refit("mooring", 1510.0, nests=("steady-pull",))))
     assert near == EffectAttribution("steady-pull", "identified")
-    assert stranger.rivals == better.rivals == ("mooring",)
+    assert stranger.not_excluded == better.not_excluded == ("mooring",)
 
 
 @pytest.mark.parametrize(
@@ -101,31 +101,49 @@ def test_a_table_that_explains_more_puts_the_name_in_doubt_unless_validation_ref
     assert (doubted.attribution, kept.attribution) == ("ambiguous", "identified")
 
 
-def test_a_rival_that_comes_close_is_listed() -> None:
+def test_an_alternative_that_comes_close_is_listed() -> None:
     (found,) = of(one_round(refit("delay", 400.0), refit("lag", 385.0), refit("filter-lag", 395.0), refit("lift", 9.0)))
     assert found.attribution == "ambiguous"
-    assert found.rivals == ("filter-lag", "lag")
+    assert found.not_excluded == ("filter-lag", "lag")
     assert found.reasons == ("filter lag explains nearly as much (5 less in 2 ln L)",)
 
 
-def test_a_rival_that_only_fits_better_is_said_so() -> None:
+def test_an_alternative_that_only_fits_better_is_said_so() -> None:
     (found,) = of(one_round(refit("pendulum", 400.0), refit("compass", 439.0, t=1.0)))
     said = "compass explains the fitted data better (by 39 in 2 ln L), though not the validation data"
     assert found.reasons == (said,)
 
 
-def test_a_rival_that_could_not_be_tested_is_not_excluded() -> None:
-    sag = refit("current-drift", 200.0, rivals=("wind", "battery-sag"))
+def test_an_alternative_that_could_not_be_tested_is_not_excluded() -> None:
+    sag = refit("current-drift", 200.0, alternatives=("wind", "battery-sag"))
     (found,) = of(one_round(sag), untested=("battery-sag",))
-    assert (found.attribution, found.rivals) == ("ambiguous", ("battery-sag",))
+    assert (found.attribution, found.not_excluded) == ("ambiguous", ("battery-sag",))
 
 
-def test_a_rival_that_could_not_be_fitted_is_not_excluded() -> None:
+def test_an_alternative_that_could_not_be_fitted_is_not_excluded() -> None:
     """Else the second best takes its place, as sure."""
     lost = UntestedCandidate(refit("mismatch", 0.0).effect, "tau_b is outside its bounds")
     (found,) = of(replace(one_round(refit("heading-moment", 300.0)), untested=(lost,)))
     assert found.attribution == "ambiguous"
     assert found.reasons == ("mismatch passes the test too and could not be fitted: tau_b is outside its bounds",)
+
+
+@pytest.mark.parametrize(
+    ("errors", "attribution"), [((1.3, 1.2), "identified"), ((7.3, 6.3), "ambiguous"), ((np.nan, 1.0), "ambiguous")]
+)
+def test_a_line_whose_fixed_end_is_not_located_is_not_sure(errors: tuple[float, float], attribution: str) -> None:
+    """From a track of 12 m: the true end at (40, -30) m is three standard errors away."""
+    names, ends = ("k_tether", "x_tether", "y_tether"), ("x_tether", "y_tether")
+    fit = SimpleNamespace(
+        names=names, flags=(), values=np.array([0.07, 19.6, -15.4]), errors=np.array([0.006, *errors]),
+        covariance=np.diag(np.square([0.006, *errors])),
+    )
+    parameters = tuple(Parameter(n, 0.0 if n == "k_tether" else 1.0, "m" if n in ends else "kg/m2") for n in names)
+    line = refit("tether", 800.0, fit=fit, parameters=parameters, scan=dict.fromkeys(ends, (0.0, 12.0)))
+    track = SimpleNamespace(outputs=("psi", "x", "y"), y=np.array([[0.1, -1.4, -5.1], [0.2, 10.3, 8.4], [np.nan] * 3]))
+    stage = cast(Any, SimpleNamespace(fit=fit, records=[track]))
+    (found,) = of(one_round(replace(line, stage=stage)))
+    assert found.attribution == attribution
 
 
 @pytest.mark.parametrize(("error", "attribution"), [(1.3, "identified"), (1.003, "ambiguous")])
@@ -154,8 +172,8 @@ def test_a_name_that_only_says_what_depends_on_what_keeps_with_another_shape() -
 def test_of_several_effects_one_may_do_the_work_of_all() -> None:
     """A centre of gravity ahead couples sway and yaw and resists turning: two names do as well as the right one."""
     pair = (
-        one_round(refit("sway-yaw", 670.0, rivals=("cg-offset", "cross-flow"))),
-        one_round(refit("turning-resistance", 80.0, rivals=("cg-offset",))),
+        one_round(refit("sway-yaw", 670.0, alternatives=("cg-offset", "cross-flow"))),
+        one_round(refit("turning-resistance", 80.0, alternatives=("cg-offset",))),
     )
     coupled, turning = of(*pair, left=(score("cross-flow", -1.0),))
     assert (coupled.attribution, turning.attribution) == ("ambiguous", "identified")
@@ -164,10 +182,11 @@ def test_of_several_effects_one_may_do_the_work_of_all() -> None:
 
 
 @pytest.mark.parametrize(("criterion", "attribution"), [(172.0, "ambiguous"), (800.0, "identified")])
-def test_a_small_rival_beside_a_strong_effect_may_be_that_ones_true_form(criterion: float, attribution: str) -> None:
+def test_a_small_alternative_of_a_strong_effect_may_be_its_true_form(criterion: float, attribution: str) -> None:
     """The shaft's speed bends by a power of the command that is not ours: at the top that looks like a small limit."""
     curve, limit = of(
-        one_round(refit("speed-curve", 4357.0)), one_round(refit("speed-limit", criterion, rivals=("speed-curve",)))
+        one_round(refit("speed-curve", 4357.0)),
+        one_round(refit("speed-limit", criterion, alternatives=("speed-curve",))),
     )
     assert (curve.attribution, limit.attribution) == ("identified", attribution)
     if limit.reasons:

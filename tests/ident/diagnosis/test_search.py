@@ -17,7 +17,7 @@ from ident.effects.registry import catalogue
 from ident.estimation.fitted_model import FittedModel
 from ident.estimation.homogeneity import BETWEEN
 from ident.model.parameter import Parameter
-from ident.model.structure import Effect
+from ident.model.structure import Effect, EffectKind
 from ident.models.horizontal import horizontal_model
 from ident.reporter import QUIET
 from ident.results.diagnosis import diagnosis_answer
@@ -79,9 +79,69 @@ def test_the_best_of_the_accepted_is_chosen(
 
 
 @pytest.mark.parametrize(
+    ("gain", "t", "chosen"),
+    [(400.0, 6.0, f"{BETWEEN}payload"), (40.0, 1.4, "wind"), (-40.0, -1.4, "wind")],
+)
+def test_a_difference_between_runs_comes_after_an_effect_unless_it_explains_significantly_more(
+    monkeypatch: pytest.MonkeyPatch, gain: float, t: float, chosen: str
+) -> None:
+    monkeypatch.setattr(_Search, "_exact", exactly({}))
+    monkeypatch.setattr(search, "comparison", lambda *_: blank(gain=(gain, t), prediction=SAME))
+    between = refit(f"{BETWEEN}payload", 500.0)
+    between = replace(between, effect=replace(between.effect, kind=EffectKind.BETWEEN_RUNS))
+    judged, found = a_search()._choose(blank(), [between, refit("lift", 90.0), refit("wind", 100.0)], [])
+    assert found is not None
+    assert [found.effect.name] == [r.effect.name for r in judged if r.outcome is Outcome.ADDED] == [chosen]
+    assert [r.effect.name for r in judged] == [f"{BETWEEN}payload", "wind", "lift"]
+
+
+def test_no_set_of_effects_is_left_that_predicts_worse_than_the_nominal_model(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of three pays beside the others; without the one that did not, the rest are worse than nothing."""
+    mine = a_search()
+    mine.rounds = [Round((), (), (r,), r) for r in (refit("hump", 900.0), refit("cubic", 300.0), refit("lift", 90.0))]
+    left: list[str] = []
+
+    def weighed(_before: Any, current: Any, chosen: Any, *_: Any) -> tuple[EffectImportance, ...]:
+        names = [c.effect.name for c in chosen]
+        return tuple(EffectImportance(n, 10.0, 1.1, 20.0, 0.3 if n == "hump" else 6.0, FELL) for n in names)
+
+    def compared(_before: Any, after: Any) -> Any:
+        left.append(after.name)
+        return blank(prediction=ROSE if after.name == "without hump" else FELL)
+
+    monkeypatch.setattr(search, "effect_importance", weighed)
+    monkeypatch.setattr(search, "Comparison", compared)
+    monkeypatch.setattr(search, "fit_without", lambda *given: blank(name=f"without {given[3].name}"))
+    current, weights, removed = mine.without_what_does_not_pay(blank(), blank(name="all"))
+    assert left == ["without hump", "without lift"]
+    assert [r.effect.name for r in removed] == ["hump", "lift"]
+    assert [w.effect for w in weights] == ["cubic"]
+    assert current.name == "without lift"
+
+
+@pytest.mark.parametrize(("error", "removed"), [(1.001, ["table"]), (1.05, [])])
+def test_a_nonparametric_effect_that_predicts_nothing_beside_the_others_is_removed(
+    monkeypatch: pytest.MonkeyPatch, error: float, removed: list[str]
+) -> None:
+    mine = a_search()
+    table = refit("table", 900.0)
+    table = replace(table, effect=replace(table.effect, kind=EffectKind.LAGGED))
+    mine.rounds = [Round((), (), (r,), r) for r in (table, refit("lift", 90.0))]
+    monkeypatch.setattr(search, "Comparison", lambda *_: blank(prediction=FELL))
+    monkeypatch.setattr(search, "fit_without", lambda *_: blank())
+    monkeypatch.setattr(
+        search, "effect_importance",
+        lambda _b, _c, chosen, *_: tuple(
+            EffectImportance(c.effect.name, 10.0, error, 20.0, 6.0, SAME) for c in chosen
+        ),
+    )
+    assert [r.effect.name for r in mine.without_what_does_not_pay(blank(), blank())[2]] == removed
+
+
+@pytest.mark.parametrize(
     ("name", "criterion", "prediction", "outcome"),
     [
-        ("mount", 100.0, SAME, Outcome.ADDED),  # 1 % of the likelihood of its declared rival: 3 degrees
+        ("mount", 100.0, SAME, Outcome.ADDED),  # 1 % of the likelihood of its declared alternative: 3 degrees
         ("lift", 100.0, SAME, Outcome.SMALL),
         ("lift", 100.0, FELL, Outcome.ADDED),
         ("lift", 300.0, SAME, Outcome.ADDED),
@@ -165,6 +225,7 @@ def test_what_does_not_pay_beside_the_others_is_removed(monkeypatch: pytest.Monk
         return tuple(EffectImportance(n, 10.0, 1.1, 20.0, idle.get(n, 6.0), FELL) for n in names)
 
     monkeypatch.setattr(search, "effect_importance", weighed)
+    monkeypatch.setattr(search, "Comparison", lambda *_: blank(prediction=FELL))
     monkeypatch.setattr(search, "fit_without", lambda *given: fits[f"without {given[3].name}"])
     current, weights, removed = mine.without_what_does_not_pay(blank(), fits["all"])
     assert current is fits["without hump"]

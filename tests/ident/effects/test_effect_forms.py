@@ -1,4 +1,4 @@
-"""Effects whose form is not plain from their formula: the force they make, and that each names its rivals."""
+"""Effects whose form is not plain from their formula: the force they make, and that each names its alternatives."""
 
 from __future__ import annotations
 
@@ -110,8 +110,8 @@ def test_waves_are_seen_in_the_innovations_and_fitted() -> None:
     assert after.fit.estimate("f_wave")[0] == pytest.approx(0.45, abs=0.1)
 
 
-def test_every_vehicle_effect_names_its_rivals() -> None:
+def test_every_vehicle_effect_names_its_alternatives() -> None:
     for name, effect in catalogue().items():
         if "bench" not in effect.requires:
-            assert effect.rivals, name
-            assert name not in effect.rivals
+            assert effect.alternatives, name
+            assert name not in effect.alternatives

@@ -61,8 +61,8 @@ def test_an_effect_changes_something_and_says_what(name: str) -> None:
     for p in effect.parameters:
         assert p.prior is not None
         assert p.meaning
-    for rival in effect.rivals:
-        assert rival in catalogue(), f"{name} names a rival that is not there: {rival}"
+    for other in effect.alternatives:
+        assert other in catalogue(), f"{name} names an alternative that is not there: {other}"
 
 
 def driven(names: Sequence[str], values: dict[str, float], command: Callable[[np.ndarray], np.ndarray], hold: str) -> (

@@ -174,7 +174,7 @@ def test_the_decay_test_of_the_how_to_is_fitted_by_its_command(
     Path("map.toml").write_text(MAP)
     truth = decay(Path("decay.csv"), 1)
     with pytest.raises(SystemExit):
-        seatrial.main(["import", "csv", "map.toml", "decay.csv", "-o", "decay.mcap"])
+        seatrial.main(["import", "map.toml", "decay.csv", "-o", "decay.mcap"])
     words = blocks("own-model", "sh")[1].split()
     assert words[:3] == ["seatrial", "ident", "vehicle"]
     CliRunner().invoke(ident, [*words[2:], "--rate", "20"], catch_exceptions=False)

@@ -43,7 +43,7 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
     decay(folder / "decay.csv", 1)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        assert run("import", "csv", "map.toml", "decay.csv", "-o", "decay.mcap") == 0
+        assert run("import", "map.toml", "decay.csv", "-o", "decay.mcap") == 0
         assert run("ident", "vehicle", "decay.mcap", "--model", "rolling.py:rolling", "--out", "out") == 0
     return folder
 

@@ -43,7 +43,7 @@ def still(tmp_path: Path) -> Path:
     np.savetxt(tmp_path / "still.csv", table, "%.8f", ",", header="r,psi,smooth,dead", comments="")
     units = {"r": "rad/s", "psi": "rad", "smooth": "m", "dead": "V"}
     (tmp_path / "map.toml").write_text(MAP + "".join(SIGNAL.format(n, u) for n, u in units.items()))
-    run("import", "csv", tmp_path / "map.toml", tmp_path / "still.csv", "-o", tmp_path / "still.mcap")
+    run("import", tmp_path / "map.toml", tmp_path / "still.csv", "-o", tmp_path / "still.mcap")
     return tmp_path / "still.mcap"
 
 
@@ -107,7 +107,7 @@ def test_a_hum_is_told_by_its_frequency(tmp_path: Path) -> None:
     hum = rng.normal(size=4000) + np.sin(2 * np.pi * 3.2 * t)
     np.savetxt(tmp_path / "hum.csv", hum, "%.8f", header="r", comments="")
     (tmp_path / "map.toml").write_text(MAP + SIGNAL.format("r", "rad/s"))
-    run("import", "csv", tmp_path / "map.toml", tmp_path / "hum.csv", "-o", tmp_path / "hum.mcap")
+    run("import", tmp_path / "map.toml", tmp_path / "hum.csv", "-o", tmp_path / "hum.mcap")
     run("ident", "noise", tmp_path / "hum.mcap", "--out", tmp_path / "noise")
     result, channels = read(tmp_path / "noise")
     assert channels["r"]["reason"].startswith("a line at 3.2 Hz holds 3")
@@ -121,7 +121,7 @@ def test_gps_at_rest(tmp_path: Path) -> None:
     for name, pattern in (("single", "gps_LAB1_*.csv"), ("rtk", "gps_LAB2_*.csv")):
         (file,) = folder.glob(pattern)
         logs.append(tmp_path / f"{name}.mcap")
-        run("import", "csv", EXAMPLES / f"gps_{name}.toml", file, "-o", logs[-1])
+        run("import", EXAMPLES / f"gps_{name}.toml", file, "-o", logs[-1])
     run("ident", "noise", *logs, "--out", tmp_path / "noise")
     result, channels = read(tmp_path / "noise")
     assert [c for c, row in channels.items() if row["accepted"]] == ["rtk x", "rtk y"]

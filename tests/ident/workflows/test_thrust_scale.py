@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from daq.importers.csv_import import import_csv
+from daq.importers.import_files import import_files
 from ident.cli.commands import ident
 from ident.estimation.model_file import load_model
 
@@ -65,7 +65,7 @@ def imported(folder: Path, name: str, tables: str, extra: str = "") -> Path:
         text += f'[[signal]]\nname = "{column}"\ncolumn = "{column}"\nunit = "{COLUMNS.get(column, "1")}"\n'
         text += f'role = "{role}"\nhold = "linear"\n'
     (folder / f"{name}.toml").write_text(text, encoding="utf-8")
-    return import_csv(folder / f"{name}.toml", [csv], out_dir=folder)[0]
+    return import_files(folder / f"{name}.toml", [csv], out_dir=folder)[0]
 
 
 def fitted(log: Path, *words: str) -> tuple[dict[str, Any], str, Path]:

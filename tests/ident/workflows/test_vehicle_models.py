@@ -101,7 +101,7 @@ def log(folder: Path, name: str, columns: dict[str, np.ndarray]) -> Path:
     (folder / f"{name}.toml").write_text(text)
     np.savetxt(folder / f"{name}.csv", np.column_stack(list(columns.values())), "%.9f", ",",
                header=",".join(columns), comments="")  # fmt: skip
-    run("import", "csv", folder / f"{name}.toml", folder / f"{name}.csv", "-o", folder / f"{name}.mcap")
+    run("import", folder / f"{name}.toml", folder / f"{name}.csv", "-o", folder / f"{name}.mcap")
     return folder / f"{name}.mcap"
 
 

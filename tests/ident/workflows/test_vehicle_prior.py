@@ -50,3 +50,22 @@ def test_a_prior_that_is_none_is_wrong_usage(log: Path, said: str) -> None:
     done = CliRunner().invoke(ident, ["vehicle", str(log), "--prior", said])
     assert done.exit_code == 2
     assert said in done.output
+
+
+@pytest.mark.parametrize("times", [0.33, 1.0, 3.0])
+def test_declared_noise_is_trusted_only_where_the_residuals_do_not_say_that_there_is_more(
+    log: Path, times: float
+) -> None:
+    """Taken for true, a third of the noise puts the estimates ten standard errors off and finds effects on clean boats.
+    """
+    noise = {"e_psi": 0.0039, "e_r": 0.0045, "e_a": 0.045, "e_xy": 0.15, "e_vxy": 0.05}
+    given = [word for n, sd in noise.items() for word in ("--fix", f"{n}={times * sd}")]
+    out = log.parent / f"noise{times}"
+    words = ["vehicle", str(log), "--fix", "c1=40.05", "--fix", "c2=1.11", *given, "--out", str(out)]
+    CliRunner().invoke(ident, words, catch_exceptions=False)
+    warnings = json.loads((out / "result.json").read_text(encoding="utf-8"))["warnings"]
+    contradicted, model = times < 1.0, load_model(out / "model.toml").model
+    assert {w["code"] for w in warnings} == ({"noise-contradicted"} if contradicted else set())
+    for name, sd in noise.items():
+        assert model.parameter(name).free is contradicted
+        assert model.values[name] == pytest.approx(sd if contradicted else times * sd, rel=0.2)

@@ -1,34 +1,36 @@
-"""The map of `seatrial import csv`: which columns become which signals (docs/formats/import-csv.md)."""
+"""The map of `seatrial import`: which columns of which topics become which signals (docs/formats/import.md)."""
 
 from __future__ import annotations
 
+import codecs
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from itertools import zip_longest
 from pathlib import Path
 
 from daq.config import TomlTable, parse_toml, read_text
+from daq.importers.table import SourceOptions, TextStyle
 from daq.importers.units import UNITS
 from daq.rig import NAME
 
-FORMAT = "seatrial-import-csv 1"
+FORMATS = ("seatrial-import 1", "seatrial-import-csv 1")  # every map of the second kind is one of the first
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 GEOMETRY = ("y_left", "y_right", "length")  # thrusters to starboard, and the hull's length [m]
+FRAMES = {"NED": "NED", "FRD": "NED", "ENU": "ENU", "FLU": "ENU"}
+CAN_PROTOCOLS = ("vesc", "dronecan", "nmea2000")
+GEOGRAPHIC = ("north", "east", "velocity_north", "velocity_east")  # have no other frame
+MAKES: dict[str, tuple[str, tuple[str, ...]]] = {  # what is made -> its unit, and the usual units of what it is made of
+    "north": ("m", ("deg", "deg")),  # of latitude and longitude, from the file's first
+    "east": ("m", ("deg", "deg")),
+    "velocity_north": ("m/s", ("m/s", "deg")),  # of speed and course over ground
+    "velocity_east": ("m/s", ("m/s", "deg")),
+    "roll": ("rad", ("1",) * 4),  # of a quaternion x, y, z, w
+    "pitch": ("rad", ("1",) * 4),
+    "yaw": ("rad", ("1",) * 4),
+}
 SCALE = ("c1", "c2")  # thrust of one thruster at n = 1 and -1: c1 + c2 and -(c1 - c2) [N]
-
-
-@dataclass(frozen=True)
-class CsvStyle:
-    """How the text is cut into cells, and what to do about gaps in it."""
-
-    delimiter: str = ","
-    decimal: str = "."
-    skip_rows: int = 0  # lines in front of the header
-    columns: tuple[str, ...] = ()  # names, where the file has no header of its own
-    nan: str = "error"  # error | drop | keep
-    time_order: str = "error"  # error | drop
-    repeats: str = "keep"  # keep | drop: rows whose signals all repeat the row before
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ class TimeColumn:
     """Where time comes from: a column, or a rate where the file has none."""
 
     column: str = ""
-    format: str = "s"  # s | ms | us | ns | iso | a strptime pattern
+    format: str = "s"  # s | ms | us | ns | iso | datenum (MATLAB's days) | a strptime pattern
     fraction: str = ""  # decimal | unpadded-ns: text behind the last point, taken off before `format` applies
     rate_hz: float = 0.0
     origin: float = 0.0  # s since 1970, added
@@ -44,29 +46,39 @@ class TimeColumn:
 
 @dataclass(frozen=True)
 class Signal:
-    """One column's way into the log: value = sign * (scale * cell + offset), then from `unit` to SI."""
+    """The way of a column into the log: sign * (scale * cell + offset), from `unit` to SI, then from `frame` to ours.
+
+    With `make` it is of several columns: their own units are `units`, and `scale` and the rest act on what is made.
+    """
 
     name: str
-    column: str
-    unit: str
-    scale: float
-    offset: float
-    sign: float
-    angle: str  # keep | wrap | unwrap
-    role: str  # input | output
-    hold: str  # zero | linear
-    nan: str
+    columns: tuple[str, ...]
+    unit: str = "1"
+    scale: float = 1.0
+    offset: float = 0.0
+    sign: float = 1.0
+    angle: str = "keep"  # keep | wrap | unwrap
+    role: str = "output"  # input | output
+    hold: str = "linear"  # zero | linear
+    nan: str = ""  # as TextStyle.nan
     timeout: float = 0.0  # s after which an input that is not repeated is zero; 0: never
     missing: float | None = None  # the value of a cell without a measurement
+    topic: str = ""
+    time: str = ""  # the column of its own time, in place of [time]
+    frame: str = (
+        "NED"  # NED: north, east, down and forward, starboard, down; ENU: east, north, up and forward, left, up
+    )
+    make: str = ""  # a key of MAKES
+    units: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Source:
-    """One kind of file: its style, its clock, its signals. `match` is a glob on the file's name."""
+    """One kind of file: how it is read, its clock, its signals. `match` is a glob on the file's name."""
 
     match: str
-    style: CsvStyle
-    time: TimeColumn
+    options: SourceOptions
+    time: TimeColumn | None  # None: the source has times of its own
     signals: tuple[Signal, ...]
 
 
@@ -80,7 +92,7 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class CsvMap:
+class ImportMap:
     """A whole map. `merge`: the files make one log together; otherwise each makes its own."""
 
     name: str
@@ -92,15 +104,15 @@ class CsvMap:
     vehicle: Mapping[str, float] = field(default_factory=dict)  # what is known of the boat, model parameters by name
 
 
-def load_csv_map(path: Path) -> CsvMap:
+def load_import_map(path: Path) -> ImportMap:
     """Read and check a map. Raises SeatrialError that names file and key of whatever is wrong."""
     text = read_text(path)
     root = parse_toml(text, path)
-    root.text("format", choices=(FORMAT,))
+    root.text("format", choices=FORMATS)
     name = root.text("name", path.stem)
     files = root.tables("file")
-    whole = () if files else (_source(root, "*"),)
-    sources = whole or tuple(_source(table, table.text("match")) for table in files)
+    whole = () if files else (_source(root, "*", path.parent),)
+    sources = whole or tuple(_source(table, table.text("match"), path.parent) for table in files)
     names = [signal.name for source in sources for signal in source.signals]
     for one in names:
         if names.count(one) > 1:
@@ -110,7 +122,7 @@ def load_csv_map(path: Path) -> CsvMap:
         raise root.error("log", "two of them have one name")
     vehicle = _known(root.table("geometry"), GEOMETRY) | _known(root.table("scale"), SCALE)
     root.done()
-    return CsvMap(name, path, text, bool(files), sources, pieces, vehicle)
+    return ImportMap(name, path, text, bool(files), sources, pieces, vehicle)
 
 
 def _known(table: TomlTable | None, names: Sequence[str]) -> dict[str, float]:
@@ -130,43 +142,64 @@ def _known(table: TomlTable | None, names: Sequence[str]) -> dict[str, float]:
     return found
 
 
-def _source(table: TomlTable, match: str) -> Source:
-    style = _style(table.table("csv"))
-    time = _time(table, table.table("time"))
-    signals = tuple(_signal(signal, style) for signal in table.tables("signal"))
+def _source(table: TomlTable, match: str, near: Path) -> Source:
+    options = _options(table, near)
+    time_table = table.table("time")
+    time = None if time_table is None else _time(time_table)
+    frame = table.text("frame", "NED", choices=tuple(FRAMES))
+    signals = tuple(_signal(signal, frame) for signal in table.tables("signal"))
     if not signals:
         raise table.error("signal", "missing; a map needs at least one signal")
+    topics = frozenset(signal.topic for signal in signals) - {""}
     if table.where:  # the root has more keys and is done later
         table.done()
-    return Source(match, style, time, signals)
+    return Source(match, replace(options, topics=topics), time, signals)
 
 
-def _style(table: TomlTable | None) -> CsvStyle:
+def _options(parent: TomlTable, near: Path) -> SourceOptions:
+    can, mavlink = parent.table("can"), parent.table("mavlink")
+    found = SourceOptions(
+        _style(parent.table("csv")),
+        None if can is None or not can.has("dbc") else near / can.text("dbc"),
+        "" if can is None else can.text("protocol", "", choices=("", *CAN_PROTOCOLS)),
+        None if mavlink is None or not mavlink.has("rig") else near / mavlink.text("rig"),
+        None if mavlink is None or not mavlink.has("system") else mavlink.integer("system", low=1, high=255),
+    )
+    for table in (can, mavlink):
+        if table is not None:
+            table.done()
+    return found
+
+
+def _style(table: TomlTable | None) -> TextStyle:
     if table is None:
-        return CsvStyle()
+        return TextStyle()
     delimiter = table.text("delimiter", ",")
-    if len(delimiter) != 1:
-        raise table.error("delimiter", f"must be one character, not '{delimiter}'")
+    if len(delimiter) != 1 and delimiter != "blank":
+        raise table.error("delimiter", f"must be one character or 'blank', not '{delimiter}'")
     decimal = table.text("decimal", ".", choices=(".", ","))
     if decimal == delimiter:
         raise table.error("decimal", "is also the delimiter")
-    columns = table.texts("columns", ())
-    found = CsvStyle(
+    encoding = table.text("encoding", "utf-8-sig")
+    try:
+        codecs.lookup(encoding)
+    except (LookupError, ValueError) as error:
+        raise table.error("encoding", f"'{encoding}' is no encoding; try utf-8, latin-1, cp1252, utf-16") from error
+    found = TextStyle(
         delimiter,
         decimal,
+        encoding,
         table.integer("skip_rows", 0, low=0),
-        columns,
-        table.text("nan", "error", choices=("error", "drop", "keep")),
-        table.text("time_order", "error", choices=("error", "drop")),
+        table.texts("columns", ()),
+        table.text("nan", "", choices=("error", "drop", "keep", "")),
+        table.text("time_order", "", choices=("error", "drop", "")),
         table.text("repeats", "keep", choices=("keep", "drop")),
     )
     table.done()
     return found
 
 
-def _time(parent: TomlTable, table: TomlTable | None) -> TimeColumn:
-    if table is None:
-        raise parent.error("time", "missing; give [time] column = ... (or rate_hz = ... where there is none)")
+def _time(table: TomlTable) -> TimeColumn:
     if table.has("column") == table.has("rate_hz"):
         raise table.error("column", "give either column or rate_hz")
     origin = _origin(table)
@@ -174,10 +207,10 @@ def _time(parent: TomlTable, table: TomlTable | None) -> TimeColumn:
         found = TimeColumn(rate_hz=table.number("rate_hz", positive=True), origin=origin)
     else:
         pattern = table.text("format", "s")
-        if pattern not in (*TIME_UNITS, "iso") and "%" not in pattern:
-            raise table.error("format", f"must be s, ms, us, ns, iso or a pattern with %, not '{pattern}'")
+        if pattern not in (*TIME_UNITS, "iso", "datenum") and "%" not in pattern:
+            raise table.error("format", f"must be s, ms, us, ns, iso, datenum or a pattern with %, not '{pattern}'")
         fraction = table.text("fraction", "", choices=("", "decimal", "unpadded-ns"))
-        if fraction and pattern in ("ms", "us", "ns"):
+        if fraction and pattern in ("ms", "us", "ns", "datenum"):
             raise table.error("fraction", "goes with seconds only: format s, iso or a pattern")
         found = TimeColumn(table.text("column"), pattern, fraction, origin=origin)
     table.done()
@@ -195,13 +228,14 @@ def _origin(table: TomlTable) -> float:
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
-def _signal(table: TomlTable, style: CsvStyle) -> Signal:
+def _signal(table: TomlTable, frame: str) -> Signal:
     name = table.text("name")
     if not NAME.fullmatch(name):
         raise table.error("name", f"'{name}' becomes a topic of the log: a letter, then letters, digits or _")
-    unit = table.text("unit")
-    if unit not in UNITS:
-        raise table.error("unit", f"'{unit}' is not known (use scale); known: {', '.join(UNITS)}")
+    topic, make = table.text("topic", ""), table.text("make", "", choices=("", *MAKES))
+    key = ("fields" if make else "field") if topic else ("columns" if make else "column")
+    columns = table.texts(key) if make else (table.text(key),)
+    unit, units = _units(table, make, columns, key)
     role = table.text("role", "output", choices=("input", "output"))
     sign = table.integer("sign", 1)
     if sign not in (1, -1):
@@ -215,7 +249,7 @@ def _signal(table: TomlTable, style: CsvStyle) -> Signal:
         raise table.error("timeout", "needs hold = 'zero': a value that is held until it is repeated")
     found = Signal(
         name,
-        table.text("column"),
+        columns,
         unit,
         table.number("scale", 1.0),
         table.number("offset", 0.0),
@@ -223,12 +257,35 @@ def _signal(table: TomlTable, style: CsvStyle) -> Signal:
         angle,
         role,
         hold,
-        table.text("nan", style.nan, choices=("error", "drop", "keep")),
+        table.text("nan", "", choices=("", "error", "drop", "keep")),
         timeout,
         table.maybe_number("missing"),
+        topic,
+        table.text("time", ""),
+        FRAMES[table.text("frame", "NED" if make in GEOGRAPHIC else frame, choices=tuple(FRAMES))],
+        make,
+        units,
     )
     table.done()
     return found
+
+
+def _units(table: TomlTable, make: str, columns: Sequence[str], key: str) -> tuple[str, tuple[str, ...]]:
+    """The unit of a signal, and those of its columns where it is made of several."""
+    known = f"known: {', '.join(UNITS)}"
+    if not make:
+        unit = table.text("unit")
+        if unit not in UNITS:
+            raise table.error("unit", f"'{unit}' is not known (use scale); {known}")
+        return unit, ()
+    unit, usual = MAKES[make]
+    if len(columns) != len(usual):
+        raise table.error(key, f"{make} is made of {len(usual)}, not {len(columns)}")
+    units = table.texts("units", usual)
+    for one, by_default in zip_longest(units, usual):
+        if one not in UNITS or by_default is None or UNITS[one][0] != UNITS[by_default][0]:
+            raise table.error("units", f"must be like {', '.join(usual)}, not {', '.join(units)}; {known}")
+    return unit, units
 
 
 def _piece(table: TomlTable) -> Piece:

@@ -13,7 +13,7 @@ import numpy as np
 
 from daq.clock import CLOCK_STEP_S
 from daq.errors import SeatrialError, SeatrialWarning, counted
-from daq.importers.csv_reader import SignalData
+from daq.importers.signals import SignalData
 from daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, discard_note, schema
 from daq.samples import Frame, Scalar
 

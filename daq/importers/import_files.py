@@ -1,4 +1,4 @@
-"""`seatrial import csv`: a map and its files -> logs."""
+"""`seatrial import MAP.toml SOURCE...`: a map and its sources -> logs."""
 
 from __future__ import annotations
 
@@ -7,18 +7,20 @@ from collections.abc import Sequence
 from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from daq.errors import SeatrialError
-from daq.importers.common import write_signals
-from daq.importers.csv_map import CsvMap, Piece, Source, load_csv_map
-from daq.importers.csv_reader import FileData, SignalData, read_csv
+from daq.importers.import_map import ImportMap, Piece, Source, load_import_map
+from daq.importers.signals import SignalData, Signals, read_signals
+from daq.importers.sources import sha256_of, source_kind
+from daq.importers.write_log import write_signals
 
 _WHOLE = Piece("", -1e18, 1e18)
 
 
-def import_csv(
+def import_files(
     map_path: Path, files: Sequence[Path], *, out: Path | None = None, out_dir: Path | None = None, force: bool = False
 ) -> list[Path]:
     """Import files by a map and return the logs written, in the order of the files and of the map's [[log]].
@@ -26,65 +28,75 @@ def import_csv(
     `out` names the log where it is a single one; otherwise they go to `out_dir` (default: here), named after the
     files (after the map, where files are merged) and the pieces. Raises SeatrialError.
     """
-    csv_map = load_csv_map(map_path)
-    groups = _groups(csv_map, files)
-    pieces = csv_map.pieces or (_WHOLE,)
+    import_map = load_import_map(map_path)
+    groups = _groups(import_map, files)
+    pieces = import_map.pieces or (_WHOLE,)
     if out is not None and len(groups) * len(pieces) > 1:
         raise SeatrialError(f"{out}: -o names one log, but there will be {len(groups) * len(pieces)}; use --out-dir")
     written: list[Path] = []
     for stem, group in groups:
-        data = [read_csv(path, source) for path, source in group]
+        data = [_read(path, source) for path, source in group]
         for piece in pieces:
             name = f"{stem}_{piece.name}" if piece.name else stem
             target = out or (out_dir or Path()) / f"{name}.mcap"
             if target in written:
                 raise SeatrialError(f"{target}: two of the files would become this log; rename one")
-            _write_piece(csv_map, data, group, piece, target, force)
+            _write_piece(import_map, data, piece, target, force)
             written.append(target)
     return written
 
 
-def _groups(csv_map: CsvMap, files: Sequence[Path]) -> list[tuple[str, list[tuple[Path, Source]]]]:
+def _groups(import_map: ImportMap, files: Sequence[Path]) -> list[tuple[str, list[tuple[Path, Source]]]]:
     """Which files make a log together, each with its part of the map."""
-    if not csv_map.merge:
-        return [(path.stem, [(path, csv_map.sources[0])]) for path in files]
+    if not import_map.merge:
+        return [(path.stem, [(path, import_map.sources[0])]) for path in files]
     group = []
-    for source in csv_map.sources:
+    for source in import_map.sources:
         matching = [path for path in files if fnmatch(path.name, source.match)]
         if len(matching) != 1:
             found = ", ".join(path.name for path in matching) or "none"
-            raise SeatrialError(f"{csv_map.path}: '{source.match}' must match one file, but matches: {found}")
+            raise SeatrialError(f"{import_map.path}: '{source.match}' must match one file, but matches: {found}")
         group.append((matching[0], source))
     used = [path for path, _ in group]
     for path in files:
         if used.count(path) != 1:
-            raise SeatrialError(f"{csv_map.path}: {path.name} must match one [[file]], not {used.count(path)}")
-    return [(csv_map.path.stem, group)]
+            raise SeatrialError(f"{import_map.path}: {path.name} must match one [[file]], not {used.count(path)}")
+    return [(import_map.path.stem, group)]
 
 
-def _write_piece(
-    csv_map: CsvMap,
-    data: Sequence[FileData],
-    group: Sequence[tuple[Path, Source]],
-    piece: Piece,
-    target: Path,
-    force: bool,
-) -> None:
+class _File(NamedTuple):
+    """What one source gave, and which it was."""
+
+    path: Path
+    kind: str
+    sha256: str
+    signals: Signals
+    origin: float
+
+
+def _read(path: Path, source: Source) -> _File:
+    kind = source_kind(path)
+    signals = read_signals(kind.read(path, source.options), source)
+    return _File(path, kind.name, sha256_of(path), signals, source.time.origin if source.time else 0.0)
+
+
+def _write_piece(import_map: ImportMap, data: Sequence[_File], piece: Piece, target: Path, force: bool) -> None:
     signals: list[SignalData] = []
-    metadata = {"import": "csv", "import.map": csv_map.name, "import.map.sha256": _sha256(csv_map.text)}
-    for i, (one, (_, source)) in enumerate(zip(data, group, strict=True), start=1):
+    kinds = ", ".join(dict.fromkeys(one.kind for one in data))
+    metadata = {"import": kinds, "import.map": import_map.name, "import.map.sha256": _sha256(import_map.text)}
+    for i, one in enumerate(data, start=1):
         metadata[f"source.{i}.name"] = one.path.name
         metadata[f"source.{i}.sha256"] = one.sha256
-        metadata[f"source.{i}.dropped"] = str(one.n_dropped)
-        metadata[f"source.{i}.disordered"] = str(one.n_disordered)
-        for signal in one.signals:
+        metadata[f"source.{i}.dropped"] = str(one.signals.n_dropped)
+        metadata[f"source.{i}.disordered"] = str(one.signals.n_disordered)
+        for signal in one.signals.signals:
             cut = _cut(signal, piece)
-            signals.append(replace(cut, t=cut.t + source.time.origin))
+            signals.append(replace(cut, t=cut.t + one.origin))
     names = ", ".join(one.path.name for one in data)
-    note = f"{names} by {csv_map.path.name}" + (f", {piece.name}" if piece.name else "")
-    attachments = {"import.toml": csv_map.text.encode()}
-    if csv_map.vehicle:
-        attachments["vehicle.toml"] = "".join(f"{k} = {v!r}\n" for k, v in csv_map.vehicle.items()).encode()
+    note = f"{names} by {import_map.path.name}" + (f", {piece.name}" if piece.name else "")
+    attachments = {"import.toml": import_map.text.encode()}
+    if import_map.vehicle:
+        attachments["vehicle.toml"] = "".join(f"{k} = {v!r}\n" for k, v in import_map.vehicle.items()).encode()
     write_signals(target, signals, metadata=metadata, attachments=attachments, note=note, force=force)
 
 

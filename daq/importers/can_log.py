@@ -1,0 +1,168 @@
+"""Logs of a CAN bus (candump, Vector's ASC and BLF, and what else python-can reads) -> tables, or a log as if recorded.
+
+Frames become the 16 bytes of `struct can_frame` and go through the decoders that read the live bus.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from daq.config import load_rig
+from daq.errors import SeatrialError, counted
+from daq.importers.import_map import CAN_PROTOCOLS
+from daq.importers.samples import sample_tables
+from daq.importers.table import SourceOptions, Table
+from daq.importers.write_log import replacing
+from daq.log import Recorder
+from daq.protocol import CAN, CAN_FRAME, DEVICES, EXTENDED, Decoder, dbc, dronecan, make_decoder, nmea2000, vesc
+from daq.rig import Device, Rig
+from daq.samples import Frame
+
+ENDINGS = (".log", ".asc", ".blf", ".trc", ".db", ".mf4", ".csv")  # of python-can
+
+
+class BusFrame(NamedTuple):
+    """A data frame: when, on which bus, its identifier with the bit of the long ones, its data."""
+
+    t: float  # s since 1970, or since the start
+    bus: str
+    word: int
+    data: bytes
+
+
+def read_frames(path: Path) -> Iterator[BusFrame]:
+    """The data frames of a log, in the order of the file. Raises SeatrialError."""
+    import can
+    from can.io.canutils import CanutilsLogReader
+
+    try:
+        known = path.suffix in ENDINGS
+        with can.LogReader(path) if known else CanutilsLogReader(path) as reader:
+            for message in reader:
+                if not (message.is_error_frame or message.is_remote_frame or message.is_fd):
+                    word = message.arbitration_id | (EXTENDED if message.is_extended_id else 0)
+                    yield BusFrame(message.timestamp, str(message.channel), word, bytes(message.data))
+    except Exception as error:  # the readers raise whatever a damaged file makes their parsing raise
+        raise SeatrialError(f"{path}: cannot be read as a CAN log: {' '.join(str(error).split())}") from error
+
+
+def read_can(path: Path, options: SourceOptions) -> list[Table]:
+    """Tables of a CAN log: with a DBC one for each of its messages, else the samples of our own decoders.
+
+    They are those of the map's rig or protocol, or else of the protocol that understands most. Raises SeatrialError.
+    """
+    frames = list(read_frames(path))
+    if options.dbc is not None:
+        return _by_dbc(path, frames, options.dbc)
+    if options.rig is not None:
+        rig = load_rig(options.rig)
+        rows = [(device.name, frame) for device, _, frame in _decoded(frames, rig) if frame is not None]
+    else:
+        tried = [_bare(frames, name) for name in ([options.protocol] if options.protocol else CAN_PROTOCOLS)]
+        rows = max(tried, key=len)
+    if not rows:
+        raise SeatrialError(
+            f"{path}: {counted(len(frames), 'frame')}, none of VESC, DroneCAN or NMEA 2000; name a DBC in the map: "
+            '[can] dbc = "boat.dbc"'
+        )
+    return sample_tables(path, [(name, frame.t_rx, frame) for name, frame in rows])
+
+
+def _bare(frames: list[BusFrame], protocol: str) -> list[tuple[str, Frame]]:
+    """Samples without a rig; a VESC's rpm is then that of the field, pole pairs times the shaft's."""
+    decoder: Decoder
+    if protocol == "vesc":
+        decoder = vesc.Decoder(dict.fromkeys(range(256), 1))
+    else:
+        decoder = dronecan.Decoder(frozenset()) if protocol == "dronecan" else nmea2000.Decoder(0.0)
+    return [(protocol, frame) for one in frames for frame in decoder.feed(_wire(one), one.t)]
+
+
+def _wire(frame: BusFrame) -> bytes:
+    return CAN_FRAME.pack(frame.word, len(frame.data), frame.data)
+
+
+def _by_dbc(path: Path, frames: list[BusFrame], database: Path) -> list[Table]:
+    """A table for each message of the DBC that came, as MESSAGE, or MESSAGE_SENDER where a PGN has several senders."""
+    messages = dbc.load_dbc(str(database)).messages
+    exact = {m.frame_id | (EXTENDED if m.is_extended_frame else 0): m for m in messages if not dbc.is_j1939(m)}
+    by_pgn = {dbc.pgn_bits(m.frame_id): m for m in messages if dbc.is_j1939(m)}
+    found: dict[tuple[str, int], tuple[list[float], list[dict[str, Any]]]] = {}
+    for one in frames:
+        message, sender = exact.get(one.word), 0
+        if message is None and one.word & EXTENDED:
+            message, sender = by_pgn.get(dbc.pgn_bits(one.word & ~EXTENDED)), one.word & 0xFF
+        if message is None or len(one.data) < message.length:
+            continue
+        t, rows = found.setdefault((message.name, sender), ([], []))
+        t.append(one.t)
+        rows.append(message.decode(one.data, decode_choices=False, allow_truncated=True))
+    if not found:
+        raise SeatrialError(f"{path}: {counted(len(frames), 'frame')}, none of them in {database}")
+    tables = []
+    for (name, sender), (t, rows) in found.items():
+        several = sum(other == name for other, _ in found) > 1
+        columns = {
+            k: np.array([float(row.get(k, np.nan)) for row in rows]) for k in dict.fromkeys(k for r in rows for k in r)
+        }
+        tables.append(Table(path, f"{name}_{sender}" if several else name, columns, np.array(t), "dbc"))
+    return tables
+
+
+def _decoded(frames: list[BusFrame], rig: Rig) -> Iterator[tuple[Device, BusFrame, Frame | None]]:
+    """Each frame of each CAN device of the rig, and the samples that it completes; None first, for the frame itself."""
+    devices = [device for device in rig.devices if DEVICES[device.protocol].bus == CAN]
+    if not devices:
+        raise SeatrialError(f"{rig.path}: has no device on a CAN bus")
+    there = {frame.bus for frame in frames}
+    decoders = {device.name: make_decoder(device, rig) for device in devices}
+    for one in frames:
+        for device in devices:
+            bus = device.port.rpartition(":")[2]
+            if bus in there and one.bus != bus:  # the log knows the buses of the rig by name
+                continue
+            yield device, one, None
+            for frame in decoders[device.name].feed(_wire(one), one.t):
+                yield device, one, frame
+
+
+class _Start(NamedTuple):
+    """The clock of a recorder that writes what was."""
+
+    t: float
+    speed: float = 1.0
+    origin: object = None
+
+    def now(self) -> float:
+        return self.t
+
+
+def import_can(path: Path, rig_path: Path, *, out: Path | None = None, force: bool = False) -> tuple[Path, str]:
+    """A log of the frames as if they had been recorded by the rig: raw bytes and samples. Returns its path and a
+    summary in one line. Raises SeatrialError."""
+    rig = load_rig(rig_path)
+    frames = sorted(read_frames(path), key=lambda frame: frame.t)
+    if not frames:
+        raise SeatrialError(f"{path}: holds no CAN frames")
+    target, n_samples = out or Path(f"{path.stem}.mcap"), 0
+    with replacing(target, force) as part:
+        recorder = Recorder(part, rig=rig, clock=_Start(frames[0].t), metadata={"import": "can"})
+        try:
+            recorder.event(frames[0].t, "import", path.name)
+            for device, one, frame in _decoded(frames, rig):
+                if frame is None:
+                    recorder.write_raw(device.name, "rx", _wire(one), one.t)
+                else:
+                    recorder.write(device.name, frame, one.t)
+                    n_samples += 1
+                recorder.tick()
+        finally:
+            recorder.close()
+    if not n_samples:
+        target.unlink()
+        raise SeatrialError(f"{path}: {counted(len(frames), 'frame')}, none of a device of {rig_path}")
+    return target, f"{counted(n_samples, 'sample')} of {counted(len(frames), 'frame')}"

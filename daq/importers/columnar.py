@@ -1,0 +1,110 @@
+"""MATLAB files (version 5 to 7.3) and Parquet -> tables of columns of one length."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daq.errors import SeatrialError
+from daq.importers.table import Column, SourceOptions, Table
+
+_H5PY = "MATLAB files of version 7.3 need the package h5py: pip install 'seatrial[matlab]'"
+_PYARROW = "Parquet needs the package pyarrow: pip install 'seatrial[parquet]'"
+WIDEST = 16  # columns of a matrix that are taken
+
+
+def read_matlab(path: Path, options: SourceOptions) -> list[Table]:
+    """Vectors and matrices of numbers: those of the workspace without a topic, those of a struct under its name, with
+    the names of nested structs and dots before their own. Columns of one length make a table. Raises SeatrialError.
+    """
+    try:
+        values = dict(_workspace(path))
+    except SeatrialError:
+        raise
+    except Exception as error:  # scipy and h5py have errors of many kinds for a file that is none, or damaged
+        raise SeatrialError(f"{path}: cannot be read as a MATLAB file: {' '.join(str(error).split())}") from error
+    groups: dict[tuple[str, int], dict[str, Column]] = {}
+    for name, value in values.items():
+        topic, _, field = name.rpartition("\0")
+        array = np.atleast_1d(np.squeeze(value))
+        if array.ndim == 1:
+            groups.setdefault((topic, len(array)), {})[field] = array
+        elif array.ndim == 2 and min(array.shape) <= WIDEST:
+            long = array if array.shape[0] >= array.shape[1] else array.T
+            for k in range(long.shape[1]):
+                groups.setdefault((topic, len(long)), {})[f"{field}[{k}]"] = long[:, k]
+    tables = [Table(path, topic, columns) for (topic, n), columns in groups.items() if n > 1]
+    if not tables:
+        raise SeatrialError(
+            f"{path}: holds no vectors of numbers; objects (timetable, timeseries, table) are for MATLAB only: save "
+            "their columns as vectors, e.g. t = seconds(TT.Time); x = TT.x; save('run.mat', 't', 'x')"
+        )
+    return tables
+
+
+def _workspace(path: Path) -> Iterator[tuple[str, Column]]:
+    """Numbers by name, that of a struct and a zero byte before those of its fields."""
+    with path.open("rb") as file:
+        head = file.read(520)
+    if b"\x89HDF" in head:
+        try:
+            import h5py
+        except ModuleNotFoundError as error:
+            raise SeatrialError(_H5PY) from error
+        with h5py.File(path) as file:
+            for name, value in file.items():
+                if not name.startswith("#"):
+                    yield from _hdf(name, value)
+        return
+    from scipy.io import loadmat
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of objects that it cannot read; they are left out
+        workspace = loadmat(path, squeeze_me=True, struct_as_record=True)
+    for name, value in workspace.items():
+        if not name.startswith("__"):
+            yield from _flat(name, value)
+
+
+def _flat(name: str, value: Any) -> Iterator[tuple[str, Column]]:
+    if isinstance(value, np.ndarray) and value.dtype.names and value.size == 1 and type(value) is np.ndarray:
+        for field in value.dtype.names:
+            yield from _flat(
+                f"{name}{'.' if chr(0) in name else chr(0)}{field}", value.item()[value.dtype.names.index(field)]
+            )
+    elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.size > 1:
+        yield name if "\0" in name else f"\0{name}", value.astype(np.float64)
+
+
+def _hdf(name: str, value: Any) -> Iterator[tuple[str, Column]]:
+    if hasattr(value, "items"):
+        for field, part in value.items():
+            yield from _hdf(f"{name}{'.' if chr(0) in name else chr(0)}{field}", part)
+    elif value.dtype.kind in "biuf" and value.size > 1 and "MATLAB_empty" not in value.attrs:
+        yield name if "\0" in name else f"\0{name}", np.asarray(value, np.float64).T
+
+
+def read_parquet(path: Path, options: SourceOptions) -> list[Table]:
+    """The columns of numbers and times; times are in s since 1970. Raises SeatrialError."""
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ModuleNotFoundError as error:
+        raise SeatrialError(_PYARROW) from error
+    columns: dict[str, Column] = {}
+    try:
+        table = pyarrow.parquet.read_table(path)
+        for name in table.column_names:
+            column, kind = table[name].combine_chunks(), table.schema.field(name).type
+            if pyarrow.types.is_timestamp(kind):
+                ns = column.cast(pyarrow.timestamp("ns", kind.tz)).to_numpy(zero_copy_only=False)
+                columns[name] = np.where(np.isnat(ns), np.nan, ns.astype(np.int64) * 1e-9)
+            elif pyarrow.types.is_floating(kind) or pyarrow.types.is_integer(kind) or pyarrow.types.is_boolean(kind):
+                columns[name] = np.asarray(column.cast(pyarrow.float64()).to_numpy(zero_copy_only=False))
+    except Exception as error:  # pyarrow has errors of many kinds for a file that is none, or damaged
+        raise SeatrialError(f"{path}: cannot be read as Parquet: {' '.join(str(error).split())}") from error
+    return [Table(path, "", columns)]

@@ -1,0 +1,387 @@
+"""`seatrial import --guess`: a map of a source with what was recognised, and a comment for each caveat."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from daq.errors import SeatrialError
+from daq.importers.recognise import (
+    BEHIND,
+    CAVEATS,
+    NAMES,
+    PULSES,
+    SETPOINT,
+    Candidate,
+    Name,
+    Taken,
+    drive,
+    message_candidates,
+    read_name,
+)
+from daq.importers.sources import source_kind, text_head
+from daq.importers.table import Column, SourceOptions, Table
+from daq.importers.text_table import sniff_style
+
+MOTION = ("x", "vx", "u", "psi", "r", "speed")
+FORCES = {"X": "N", "N": "Nm"}  # force ahead and moment, by the letters of the literature
+NED_KINDS = {"ulog", "mavlink", "can"}  # sources whose axes are ours
+MOST_LISTED = 12  # signals that were not recognised and are offered all the same
+_TIME = re.compile(r"(^|_)(t|time|stamp|timestamp|datetime|utc|seconds|secs|epoch)($|_)")
+BOATS = {10, 11, 12}  # MAV_TYPE: rover (ArduPilot's boats too), boat, submarine
+
+
+class Guess(NamedTuple):
+    """The text of a map, and why no fit is possible with it; "" where one should be."""
+
+    text: str
+    problem: str
+
+
+def guess_map(path: Path) -> Guess:
+    """What a source holds, as a map for `seatrial import`. Raises SeatrialError where it cannot be read."""
+    kind = source_kind(path)
+    options = SourceOptions()
+    if kind.name == "csv":
+        style = sniff_style(path, text_head(path))
+        if style is None:
+            raise SeatrialError(f"{path}: no table of numbers found in this text; write the map by hand")
+        options = SourceOptions(style)
+    tables = [table for table in kind.read(path, options) if table.names]
+    head = [
+        f"# From `seatrial import --guess {path.name}`. Look at each caveat, then `seatrial import MAP {path.name}`.",
+        'format = "seatrial-import 1"',
+        f"name = {_quoted(path.stem)}",
+    ]
+    ours = kind.name in NED_KINDS or any(re.search(r"(?i)\bned\b|px4_msgs", t.topic + t.kind) for t in tables)
+    if kind.name == "ros":
+        why = "PX4's or NED topics" if ours else "REP-103: east, north, up; forward, left, up"
+        head.append(f'frame = "{"NED" if ours else "ENU"}"  # {why}; the other one is "{"ENU" if ours else "NED"}"')
+    times = _clock_lines(tables)
+    candidates = [c for table in tables for c in (*message_candidates(table), *_column_candidates(table, kind.name))]
+    candidates += _outputs(tables)
+    taken, lines = _choose(candidates, {id(table): _time_of(table) for table in tables})
+    problem = _problem(taken, tables)
+    head += _style_line(options, kind.name) + times
+    remarks = [f"# caveat: {table.topic}: {table.remark}" for table in tables if table.remark]
+    text = "\n".join([*head, *remarks, "signal = [", *lines, *_unknown(tables, candidates), "]"])
+    return Guess(text + (f"\n# no fit: {problem}" if problem else "") + "\n", problem)
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _style_line(options: SourceOptions, kind: str) -> list[str]:
+    if kind != "csv":
+        return []
+    style = options.style
+    keys = [f"delimiter = {_quoted(style.delimiter)}", f"decimal = {_quoted(style.decimal)}"]
+    if style.encoding != "utf-8-sig":
+        keys.append(f"encoding = {_quoted(style.encoding)}")
+    if style.skip_rows:
+        keys.append(f"skip_rows = {style.skip_rows}")
+    if style.columns:
+        keys.append(f"columns = [{', '.join(_quoted(name) for name in style.columns)}]")
+    return [f'csv = {{ {", ".join(keys)}, nan = "drop", time_order = "drop" }}']
+
+
+# Times
+
+
+def _time_of(table: Table) -> str:
+    """The column of a table's time; "" where it has times of its own, or none."""
+    if table.t is not None:
+        return ""
+    for strict in (True, False):
+        for name in table.names:
+            plain = read_name(name).plain
+            if (plain in ("t", "time", "timestamp") if strict else _TIME.search(plain)) and _may_be_time(table, name):
+                return name
+    first = table.names[0]  # without a name to go by: a first column that rises evenly
+    return first if _may_be_time(table, first) and _is_even(table.numbers(first)) else ""
+
+
+def _is_even(values: Column) -> bool:
+    steps = np.diff(values)
+    return bool(len(steps) > 10 and np.all(steps > 0.0) and np.ptp(steps) < 0.5 * np.mean(steps))
+
+
+def _may_be_time(table: Table, name: str) -> bool:
+    try:
+        values = table.numbers(name)
+    except SeatrialError:  # dates are text
+        return True
+    good = values[np.isfinite(values)]
+    return len(good) > 1 and float(np.mean(np.diff(good) > 0.0)) > 0.5
+
+
+def _clock_lines(tables: Sequence[Table]) -> list[str]:
+    """The line of the map for the time; a caveat where the unit or everything about it is one."""
+    if not tables or all(table.t is not None for table in tables):
+        return []
+    timed = [(table, column) for table in tables if (column := _time_of(table))]
+    if not timed:
+        return ["# caveat: no column of times found: its rate is a guess", "time = { rate_hz = 10.0 }"]
+    table, column = timed[0]
+    form, caveat = _time_format(table, column)
+    if not _TIME.search(read_name(column).plain):
+        caveat = "its first column rises evenly and is taken for the time"
+    return [f"# caveat: {caveat}"] * bool(caveat) + [
+        f"time = {{ column = {_quoted(column)}, format = {_quoted(form)} }}"
+    ]
+
+
+def _time_format(table: Table, column: str) -> tuple[str, str]:
+    try:
+        values = table.numbers(column)
+    except SeatrialError:
+        first = next((text for text in table.text(column) if text.strip()), "").strip()
+        try:
+            datetime.fromisoformat(first)
+            return "iso", ""
+        except ValueError:
+            pattern = "%H:%M:%S" if re.fullmatch(r"\d+:\d+:\d+", first) else "%d.%m.%Y %H:%M:%S"
+            return (
+                pattern,
+                f"times like {first[:40]!r}: write their pattern (strptime), and fraction where they have one",
+            )
+    named = read_name(column).unit
+    if named in ("s", "ms", "us", "ns"):
+        return named, ""
+    top = float(np.nanmax(np.abs(values)))
+    for unit, since_1970 in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)):
+        if top > since_1970:
+            return unit, ""
+    if 7e5 < top < 8e5 and "date" in read_name(column).words:
+        return "datenum", ""
+    step = float(np.nanmedian(np.diff(values)))
+    if step >= 2e6:
+        return "ns", f"steps of {step:.4g} are taken for nanoseconds"
+    if step >= 2e3:
+        return "us", f"steps of {step:.4g} are taken for microseconds"
+    return ("ms", f"steps of {step:.4g} are taken for milliseconds") if step >= 2.0 else ("s", "")
+
+
+# Columns by their names
+
+
+def _column_candidates(table: Table, kind: str) -> Iterator[Candidate]:
+    """What the names of columns say, in tables without known messages."""
+    message = table.kind.rpartition("/")[2]
+    scalar = message in ("Float64", "Float32", "Float64Stamped", "Float32Stamped", "Scalar", "JointState")
+    if table.kind not in ("", "dbc") and not scalar:
+        return
+    names: dict[str, tuple[str, Name]] = {}
+    numbers: dict[str, Column] = {}
+    for column in table.names:
+        if column == _time_of(table):
+            continue
+        try:
+            numbers[column] = table.numbers(column)
+        except SeatrialError:
+            continue
+        alone = scalar and message != "JointState"
+        name = read_name(table.topic.rpartition("/")[2] if alone else column)
+        words = name.words | (read_name(table.topic).words if scalar else frozenset())
+        if SETPOINT.search(table.topic):
+            continue
+        if column in FORCES:
+            yield Candidate("force", 1, table, (Taken(column, (column,), FORCES[column], "", 'role = "input"'),))
+            continue
+        found = drive(frozenset(words), numbers[column], name.unit)
+        if (
+            found is not None
+            and (not name.meaning or "velocity" in words)
+            and (message != "JointState" or "velocity" in words)
+        ):
+            group, taken, caveat = found
+            behind = 1 if message == "JointState" else 0
+            yield Candidate(group, behind, table, (taken._replace(columns=(column,)),), caveat)
+        elif name.meaning and name.meaning not in names:
+            names[name.meaning] = column, name
+    compass = ', frame = "NED"' if kind == "ros" else ""
+    yield from _motion(table, names, numbers, compass)
+
+
+def _motion(
+    table: Table, names: dict[str, tuple[str, Name]], numbers: dict[str, Column], compass: str
+) -> Iterator[Candidate]:
+    def pair(group: str, rank: int, a: str, b: str, unit: str, caveat: str = "") -> Iterator[Candidate]:
+        if a in names and b in names:
+            taken = tuple(Taken(n, (names[n][0],), names[n][1].unit or unit) for n in (a, b))
+            yield Candidate(group, rank, table, taken, caveat)
+
+    yield from pair("position", 0, "x", "y", "m")
+    if "lat" in names and "lon" in names:
+        both = (names["lat"][0], names["lon"][0])
+        top = float(np.nanmax(np.abs(numbers[both[0]]), initial=0.0))
+        extra = 'units = ["degE7", "degE7"]' if top > 1e4 else ""
+        signals = (Taken("x", both, "", "north", extra), Taken("y", both, "", "east", extra))
+        yield Candidate("position", 1, table, signals)
+    plain = names["vx"][1].plain if "vx" in names else ""
+    unclear = plain in ("vel_x", "velocity_x", "speed_x")
+    caveat = "vel_x and vel_y are taken for north and east; ahead and to starboard are u and v" if unclear else ""
+    yield from pair("velocity", 0, "vx", "vy", "m/s", caveat)
+    yield from pair("body", 0, "u", "v", "m/s")
+    yield from pair("acceleration", 0, "ax", "ay", "m/s2")
+    if "speed" in names and "course" in names:
+        both = (names["speed"][0], names["course"][0])
+        radians = float(np.nanmax(np.abs(numbers[both[1]]), initial=0.0)) < 6.3
+        course = names["course"][1].unit or ("rad" if radians else "deg")
+        units = f'units = ["{names["speed"][1].unit or "m/s"}", "{course}"]'
+        signals = (Taken("vx", both, "", "velocity_north", units), Taken("vy", both, "", "velocity_east", units))
+        yield Candidate("velocity", 1, table, signals)
+    elif "speed" in names and "u" not in names:
+        yield Candidate("body", 2, table, (Taken("speed", (names["speed"][0],), names["speed"][1].unit or "m/s"),))
+    if "psi" in names:
+        column, name = names["psi"]
+        top = float(np.nanmax(np.abs(numbers[column]), initial=0.0))
+        unit = name.unit or ("deg" if top > 6.6 else "rad")
+        caveat = "" if name.unit or top > 6.6 else f"an angle of at most {top:.2f} is taken for radians"
+        yield Candidate(
+            "heading", 0, table, (Taken("psi", (column,), unit, "", _extra('angle = "unwrap"', compass)),), caveat
+        )
+    if "r" in names:
+        column, name = names["r"]
+        unit, caveat = (name.unit, "") if name.unit else _rate_unit(numbers, column, names)
+        yield Candidate("rate", 0, table, (Taken("r", (column,), unit),), caveat)
+
+
+def _extra(*parts: str) -> str:
+    return "".join(parts)
+
+
+def _rate_unit(numbers: dict[str, Column], column: str, names: dict[str, tuple[str, Name]]) -> tuple[str, str]:
+    """The unit of a yaw rate, by what the heading does in the same table where there is one."""
+    rate = numbers[column]
+    if "psi" in names:
+        psi = numbers[names["psi"][0]]
+        psi = np.unwrap(np.radians(psi) if np.nanmax(np.abs(psi), initial=0.0) > 6.6 else psi)
+        turned, size = np.gradient(psi), np.nan_to_num(rate)
+        with np.errstate(all="ignore"):
+            follows = float(np.corrcoef(turned, size)[0, 1])
+        if abs(follows) > 0.5:
+            share = float(np.std(turned) / np.std(size))  # rad a row over what the column has
+            caveat = "" if follows > 0.0 else "it is against the heading: sign = -1?"
+            return ("deg/s" if np.nanmax(np.abs(rate)) > 6.0 and share < 0.01 else "rad/s"), caveat
+    top = float(np.nanmax(np.abs(rate), initial=0.0))
+    unit = "deg/s" if top > 6.0 else "rad/s"
+    return unit, f"a yaw rate of at most {top:.3g} is taken for {unit}"
+
+
+def _outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
+    """Outputs of an autopilot, of which 1 and 3 are left and right on ArduPilot's boats, and speed controllers."""
+    nodes = {int(table.topic.rpartition("_")[2]): table for table in tables if table.kind == "Servo"}
+    for node, name in ((1, "n_left"), (3, "n_right")):
+        if node not in nodes or 4 - node not in nodes:
+            continue
+        known = "n" in nodes[node].columns  # by a rig
+        taken = Taken(name, ("n" if known else "pwm",), "1", "", 'role = "input"' if known else PULSES)
+        yield Candidate("drive", 0, nodes[node], (taken,), "" if known else CAVEATS["RCOut"])
+    shafts = {int(table.topic.rpartition("_")[2]): table for table in tables if table.kind == "Esc"}
+    shafts = {node: table for node, table in shafts.items() if "rpm" in table.columns}
+    for k, (node, table) in enumerate(sorted(shafts.items())):
+        name = (("n",) if len(shafts) == 1 else ("n_left", "n_right"))[k] if len(shafts) <= 2 else f"n_{node}"
+        top = float(np.nanmax(np.abs(table.columns["rpm"]), initial=0.0)) or 1.0
+        caveat = f"controller {node} is taken for {name}, {top:.5g} rev/min (a VESC's: electrical) for full"
+        taken = Taken(name, ("rpm",), "1", "", f'scale = {1.0 / top:.9g}, role = "input", hold = "linear"')
+        yield Candidate("drive", 1, table, (taken,), caveat)
+
+
+# The choice
+
+
+def _choose(candidates: Sequence[Candidate], clocks: dict[int, str]) -> tuple[list[Taken], list[str]]:
+    """The best candidate for each signal as lines of the map, the others as comments behind them."""
+
+    def order(c: Candidate) -> tuple[int, int]:
+        return c.rank, -len(c.table)
+
+    main = next((clocks[id(c.table)] for c in candidates if clocks[id(c.table)]), "")
+    taken: dict[str, Taken] = {}
+    has_force = any(s.name in ("f_left", "f_right") for c in candidates for s in c.signals)
+    found: dict[str, tuple[str, str]] = {}  # of each signal its line and the caveat about it
+    others: list[str] = []
+    for candidate in sorted(candidates, key=order):
+        names = {signal.name for signal in candidate.signals}
+        free = candidate.rank < BEHIND and not names & set(taken) and not (names == {"speed"} and "u" in taken)
+        free &= not (candidate.group == "drive" and (has_force or candidate.table.vehicle not in (None, *BOATS)))
+        for signal in candidate.signals:
+            line = _line(candidate.table, signal, clocks[id(candidate.table)], main)
+            if free:
+                taken[signal.name], found[signal.name] = signal, (line, candidate.caveat)
+            else:
+                others.append(f"  # {line},")
+    places = {name: k for k, name in enumerate(NAMES)}
+    lines, said = [], ""
+    for name in sorted(found, key=lambda name: (places.get(name, len(places)), name)):
+        line, caveat = found[name]
+        lines += [f"  # caveat: {caveat}"] * bool(caveat and caveat != said) + [f"  {line},"]
+        said = caveat
+    return list(taken.values()), lines + (["  # also there:", *others] if others else [])
+
+
+def _line(table: Table, signal: Taken, clock: str, main: str) -> str:
+    """One signal as an inline table of TOML."""
+    keys = [f"name = {_quoted(signal.name)}"]
+    if table.topic:
+        keys.append(f"topic = {_quoted(table.topic)}")
+    word = "field" if table.topic else "column"
+    if signal.make:
+        keys += [f"make = {_quoted(signal.make)}", f"{word}s = [{', '.join(_quoted(c) for c in signal.columns)}]"]
+    else:
+        keys += [f"{word} = {_quoted(signal.columns[0])}", f"unit = {_quoted(signal.unit)}"]
+    if clock and clock != main:
+        keys.append(f"time = {_quoted(clock)}")
+    return f"{{ {', '.join([*keys, *([signal.extra] if signal.extra else [])])} }}"
+
+
+def _unknown(tables: Sequence[Table], candidates: Sequence[Candidate]) -> list[str]:
+    """Single numbers that nothing was made of, ready to be named."""
+    used = {(id(c.table), column) for c in candidates for signal in c.signals for column in signal.columns}
+    lines = []
+    for table in tables:
+        if table.kind and table.kind.rpartition("/")[2] not in ("Float64", "Float32", "dbc"):
+            continue
+        for column in table.names:
+            if not column or (id(table), column) in used or column == _time_of(table):
+                continue
+            try:
+                values = table.numbers(column)
+            except SeatrialError:
+                continue
+            if np.isfinite(values).any():
+                line = _line(table, Taken("NAME", (column,), "1"), "", "")
+                lines.append(f"  # {line},  # {np.nanmin(values):.4g} .. {np.nanmax(values):.4g}")
+    if not lines:
+        return []
+    more = [f"  # and {len(lines) - MOST_LISTED} more"] if len(lines) > MOST_LISTED else []
+    return ["  # not recognised:", *lines[:MOST_LISTED], *more]
+
+
+def _problem(taken: Sequence[Taken], tables: Sequence[Table]) -> str:
+    """Why there is nothing to fit; "" where there is."""
+    if any(table.vehicle not in (None, *BOATS) for table in tables):
+        vehicle = next(table.vehicle for table in tables if table.vehicle not in (None, *BOATS))
+        return f"this log is of no boat (MAV_TYPE {vehicle}): its outputs are no thrusters of one"
+    names = {signal.name for signal in taken}
+    if not names & set(MOTION):
+        return "no position, velocity, heading or yaw rate was recognised"
+    if not ({"n_left", "n_right"} <= names or {"f_left", "f_right"} <= names or names & {"n", "X", "N"}):
+        half = names & {"n_left", "n_right", "f_left", "f_right"}
+        return (
+            f"only {', '.join(sorted(half))} of the thrusters was recognised"
+            if half
+            else "no commands, shaft speeds or forces of thrusters were recognised, and a model needs an input"
+        )
+    spans = [t.t[-1] - t.t[0] for t in tables if t.t is not None and len(t.t) > 1]
+    if spans and max(spans) < 1.0:
+        return f"it is {max(spans):.2g} s long"
+    return ""

@@ -1,0 +1,251 @@
+"""What is known of foreign signals: messages of ROS, mavros, PX4 and of our own decoders, and names of columns."""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+import numpy as np
+
+from daq.importers.table import Column, Table
+
+BEHIND = 5  # added to the rank of what is a set-point or the truth of a simulator: not taken
+
+
+class Candidate(NamedTuple):
+    """Signals that could be taken together, of one topic: what they are in a model, and where they come from."""
+
+    group: str  # of candidates with one group the best is taken: position, velocity, body, heading, ...
+    rank: int  # the less the better: a sensor before an estimate, an estimate before the truth of a simulator
+    table: Table
+    signals: tuple[Taken, ...]
+    caveat: str = ""
+
+
+class Taken(NamedTuple):
+    """One signal of a candidate: its name in models, its columns, and what the map says of them."""
+
+    name: str
+    columns: tuple[str, ...]
+    unit: str
+    make: str = ""
+    extra: str = ""  # further keys, as TOML
+
+
+Row = tuple[str, int, tuple[Taken, ...]]  # group, rank and signals of a candidate
+
+
+def _vector(group: str, names: str, fields: str, unit: str, rank: int, extra: str = "") -> Row:
+    return (
+        group,
+        rank,
+        tuple(Taken(n, (f,), unit, "", extra) for n, f in zip(names.split(), fields.split(), strict=True)),
+    )
+
+
+def _heading(prefix: str, rank: int, names: str = "x y z w") -> Row:
+    fields = tuple(f"{prefix}{axis}" for axis in names.split())
+    return "heading", rank, (Taken("psi", fields, "", "yaw", 'angle = "unwrap"'),)
+
+
+def _fix(lat: str, lon: str, unit: str, rank: int) -> Row:
+    extra = "" if unit == "deg" else f'units = ["{unit}", "{unit}"]'
+    signals = (Taken("x", (lat, lon), "", "north", extra), Taken("y", (lat, lon), "", "east", extra))
+    return "position", rank, signals
+
+
+_Q = "q[1] q[2] q[3] q[0]"  # PX4 writes w first
+PULSES = 'scale = 0.0025, offset = -3.75, missing = 0, role = "input"'  # 0: no pulse
+_UNWRAP = 'angle = "unwrap"'
+# Types of messages -> (group, rank, signals). Of ROS the type without its package, of PX4 the topic's name.
+KNOWN: dict[str, tuple[Row, ...]] = {
+    "NavSatFix": (_fix("latitude", "longitude", "deg", 0),),
+    "Imu": (
+        _heading("orientation.", 0),
+        _vector("rate", "r", "angular_velocity.z", "rad/s", 0),
+        _vector("acceleration", "ax ay", "linear_acceleration.x linear_acceleration.y", "m/s2", 0),
+    ),
+    "Odometry": (
+        _vector("position", "x y", "pose.pose.position.x pose.pose.position.y", "m", 1),
+        _heading("pose.pose.orientation.", 1),
+        _vector("body", "u v", "twist.twist.linear.x twist.twist.linear.y", "m/s", 1),
+        _vector("rate", "r", "twist.twist.angular.z", "rad/s", 1),
+    ),
+    "PoseStamped": (
+        _vector("position", "x y", "pose.position.x pose.position.y", "m", 1),
+        _heading("pose.orientation.", 1),
+    ),
+    "PoseWithCovarianceStamped": (
+        _vector("position", "x y", "pose.pose.position.x pose.pose.position.y", "m", 1),
+        _heading("pose.pose.orientation.", 1),
+    ),
+    "Pose": (_vector("position", "x y", "position.x position.y", "m", 1), _heading("orientation.", 1)),
+    "Pose2D": (_vector("position", "x y", "x y", "m", 1), _vector("heading", "psi", "theta", "rad", 1, _UNWRAP)),
+    "vehicle_local_position": (
+        _vector("position", "x y", "x y", "m", 1),
+        _vector("velocity", "vx vy", "vx vy", "m/s", 1),
+        _vector("heading", "psi", "heading", "rad", 2, _UNWRAP),
+    ),
+    "vehicle_odometry": (
+        _vector("position", "x y", "position[0] position[1]", "m", 2),
+        _heading("", 2, _Q),
+        _vector("velocity", "vx vy", "velocity[0] velocity[1]", "m/s", 2),
+    ),
+    "vehicle_attitude": (_heading("", 0, _Q),),
+    "vehicle_angular_velocity": (_vector("rate", "r", "xyz[2]", "rad/s", 0),),
+    "vehicle_acceleration": (_vector("acceleration", "ax ay", "xyz[0] xyz[1]", "m/s2", 0),),
+    "sensor_combined": (
+        _vector("rate", "r", "gyro_rad[2]", "rad/s", 1),
+        _vector("acceleration", "ax ay", "accelerometer_m_s2[0] accelerometer_m_s2[1]", "m/s2", 1),
+    ),
+    "sensor_gps": (
+        _fix("latitude_deg", "longitude_deg", "deg", 0),
+        _fix("lat", "lon", "degE7", 0),
+        _vector("velocity", "vx vy", "vel_n_m_s vel_e_m_s", "m/s", 0),
+    ),
+    "actuator_motors": (_vector("drive", "n_left n_right", "control[1] control[0]", "1", 0, 'role = "input"'),),
+    "actuator_outputs": (
+        _vector("drive", "n_left n_right", "output[1] output[0]", "1", 2, PULSES),
+    ),
+    "RCOut": (
+        _vector("drive", "n_left n_right", "channels[0] channels[2]", "1", 2, PULSES),
+    ),
+    "Ahrs": (
+        _vector("heading", "psi", "yaw", "rad", 0, _UNWRAP),
+        _vector("rate", "r", "r", "rad/s", 0),
+        _vector("acceleration", "ax ay", "ax ay", "m/s2", 0),
+    ),
+    "Gnss": (_fix("lat", "lon", "deg", 0), _vector("velocity", "vx vy", "vel_n vel_e", "m/s", 0)),
+}  # fmt: skip
+KNOWN["vehicle_gps_position"] = KNOWN["sensor_gps"]
+CAVEATS = {
+    "actuator_motors": "PX4's motor 1 is taken for the right one, 2 for the left, as on its differential rovers",
+    "actuator_outputs": "output 1 is taken for the right thruster, 2 for the left; 1500 us for rest, 400 us for full",
+    "RCOut": "outputs 1 and 3 are taken for left and right, as ArduPilot has them; 1500 us for rest, 400 us for full",
+}
+SETPOINT = re.compile(
+    r"(?i)setpoint|desired|target|goal|reference|cmd_vel|/cmd/|waypoint|groundtruth|ground_truth|_sp$"
+)
+_EARTH = re.compile(r"(?i)gps|gnss|navsat|fix|velocity_local|vel_ned|vel_enu")
+_EARTH_FRAMES = {"map", "odom", "world", "earth", "utm"}
+# Names of columns, in small letters and without their unit, by what they are.
+NAMES: dict[str, str] = {
+    "x": "x x0 x_ned pos_x position_x x_pos north pos_n pos_north northing x_n north_m",
+    "y": "y y0 y_ned pos_y position_y y_pos east pos_e pos_east easting y_e east_m",
+    "psi": "psi yaw heading hdg yaw_ned compass compass_hdg heading_true true_heading",
+    "r": "r gyro yaw_rate yawrate gyro_z gyr_z gz wz omega_z imu_gyro_z psi_dot rate_z angular_velocity_z yaw_speed",
+    "u": "u surge surge_velocity surge_speed vel_surge u_body vx_body v_surge",
+    "v": "v sway sway_velocity sway_speed vel_sway v_body vy_body v_sway",
+    "vx": "vx vn v_n vel_n vel_north v_north velocity_north vx_ned vel_x velocity_x speed_x",
+    "vy": "vy ve v_e vel_e vel_east v_east velocity_east vy_ned vel_y velocity_y speed_y",
+    "speed": "speed sog speed_over_ground gps_speed ground_speed groundspeed",
+    "course": "course cog track course_over_ground gps_course ground_course gcrs",
+    "lat": "lat latitude gps_lat gps_latitude",
+    "lon": "lon lng long longitude gps_lon gps_longitude",
+    "ax": "ax acc_x accel_x accx imu_acc_x acceleration_x",
+    "ay": "ay acc_y accel_y accy imu_acc_y acceleration_y",
+}
+_MEANING = {name: meaning for meaning, names in NAMES.items() for name in names.split()}
+_UNITS = {  # as they are written behind names -> as maps have them
+    "deg": "deg", "°": "deg", "degrees": "deg", "rad": "rad", "deg/s": "deg/s", "dps": "deg/s", "deg_s": "deg/s",
+    "rad/s": "rad/s", "rads": "rad/s", "rad_s": "rad/s", "m": "m", "m/s": "m/s", "mps": "m/s", "m_s": "m/s", "kn": "kn",
+    "kts": "kn", "knots": "kn", "km/h": "km/h", "m/s2": "m/s2", "m/s^2": "m/s2", "g": "g", "1/s": "rev/s", "hz": "Hz",
+    "rpm": "rev/min", "pwm": "us", "newton": "N", "nm": "Nm", "s": "s", "ms": "ms", "us": "us", "ns": "ns",
+}  # fmt: skip
+_SUFFIX = re.compile(r"_(deg|degrees|rad|dps|deg_s|rads|rad_s|mps|m_s|kn|kts|knots|ms|us|ns|s|m)$")
+_BRACKET = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
+_LEFT, _RIGHT = {"left", "port", "l", "portside"}, {"right", "starboard", "stbd", "r", "sb"}
+_DRIVES = {
+    "thr",
+    "thrust",
+    "thruster",
+    "thrusters",
+    "motor",
+    "prop",
+    "propeller",
+    "pwm",
+    "cmd",
+    "command",
+    "force",
+    "rpm",
+}
+_DRIVES |= {"throttle", "esc", "servo", "power", "n", "f", "engine", "shaft", "duty"}
+_NOT_DRIVES = {"angle", "rudder", "azimuth", "pos", "position", "zero", "offset", "current", "voltage", "temperature"}
+_NOT_DRIVES |= {"effort", "joint_states", "torque", "std", "bias", "status", "min", "max", "temp", "sp"}
+
+
+class Name(NamedTuple):
+    """A column's name taken apart: what it means in a model ("" unknown), its unit ("" none), its words."""
+
+    meaning: str
+    unit: str
+    words: frozenset[str]
+    plain: str
+
+
+def read_name(column: str) -> Name:
+    """What the name of a column says."""
+    spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", column)
+    bracket = _BRACKET.search(spaced)
+    unit = _UNITS.get(bracket.group(1).strip().lower(), "") if bracket else ""
+    plain = re.sub(r"[^a-z0-9]+", "_", _BRACKET.sub("", spaced).lower()).strip("_")
+    words = frozenset(plain.split("_"))
+    meaning = _MEANING.get(plain, "")
+    if not meaning and (suffix := _SUFFIX.search(plain)) is not None:
+        unit, plain = unit or _UNITS[suffix.group(1)], plain[: suffix.start()]
+        meaning = _MEANING.get(plain, "")
+    return Name(meaning, unit, words, plain)
+
+
+def message_candidates(table: Table) -> list[Candidate]:
+    """What a message of a known type holds."""
+    kind = table.kind.rpartition("/")[2]
+    if table.kind.startswith("px4_msgs/"):
+        kind = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", kind).lower()
+    rows = KNOWN.get(kind, ())
+    if kind in ("TwistStamped", "Twist", "TwistWithCovarianceStamped"):
+        rows = _twist(table, {"Twist": "", "TwistStamped": "twist."}.get(kind, "twist.twist."))
+    if kind == "Vector3Stamped" and re.search("(?i)vel", table.topic):
+        rows = (_vector("velocity", "vx vy", "vector.x vector.y", "m/s", 0),)
+    found = []
+    for group, rank, signals in rows:
+        known = [np.isfinite(table.columns[c]).any() for s in signals for c in s.columns if c in table.columns]
+        if len(known) == sum(len(s.columns) for s in signals) and all(known):
+            behind = BEHIND if SETPOINT.search(table.topic) else 0
+            found.append(Candidate(group, rank + behind, table, signals, CAVEATS.get(kind, "")))
+    return found
+
+
+def _twist(table: Table, prefix: str) -> tuple[Row, ...]:
+    linear = f"{prefix}linear.x {prefix}linear.y"
+    if _EARTH.search(table.topic) or table.frame_id.strip("/") in _EARTH_FRAMES:
+        return (_vector("velocity", "vx vy", linear, "m/s", 0),)
+    return (
+        _vector("body", "u v", linear, "m/s", 1),
+        _vector("rate", "r", f"{prefix}angular.z", "rad/s", 1),
+    )
+
+
+def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, Taken, str] | None:
+    """Which thruster a column of commands or forces belongs to: its group, how it is taken (without its columns), and
+    the caveat about it. None where it is none."""
+    if not words & _DRIVES or words & _NOT_DRIVES or not (good := values[np.isfinite(values)]).size:
+        return None
+    side = "_left" if words & _LEFT and not words & _RIGHT else "_right" if words & _RIGHT and not words & _LEFT else ""
+    top = float(np.max(np.abs(good)))
+    if unit in ("N", "kgf", "lbf") or (words & {"force", "thrust"} and top > 1.0):
+        caveat = "" if unit else f"its numbers, up to {top:.3g}, are taken for newtons"
+        return "force", Taken(f"f{side}" if side else "X", (), unit or "N", "", 'role = "input"'), caveat
+    if top <= 1.0:
+        caveat = "a thrust within -1..1 is taken for a command; newtons are f_left, f_right with unit N"
+        return "drive", Taken(f"n{side}", (), "1", "", 'role = "input"'), caveat if "thrust" in words else ""
+    if np.min(good[good != 0.0], initial=top) > 700.0 and top < 2300.0 and not words & {"rpm"}:
+        return "drive", Taken(f"n{side}", (), "1", "", PULSES), "1500 us is taken for rest, 400 us more for full ahead"
+    if top <= 100.0 and not words & {"rpm", "speed", "velocity"}:
+        return (
+            "drive",
+            Taken(f"n{side}", (), "%", "", 'role = "input"'),
+            f"its numbers, up to {top:.3g}, are taken for %",
+        )
+    caveat = f"its greatest number, {top:.4g}, is taken for full ahead"
+    return "drive", Taken(f"n{side}", (), "1", "", f'scale = {1.0 / top:.9g}, role = "input"'), caveat

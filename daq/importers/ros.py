@@ -1,0 +1,126 @@
+"""Bags of ROS 1 and ROS 2 -> a table for each topic, its columns the numbers of its messages by the names of fields.
+
+Axes are those of the bag; the map turns them (REP-103: forward, left, up; east, north, up).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daq.errors import SeatrialError
+from daq.importers.table import Column, SourceOptions, Table
+
+IMU, FIX = "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix"
+LONGEST = 16  # numbers of an array that become columns; images and clouds do not
+OTHER_CLOCK = 1.0  # s; stamps that are further from the receipt are of another clock
+_ROSBAGS = "bags of ROS need the package rosbags: pip install 'seatrial[ros2]'"
+# What an Imu may have, and what stands there where nothing was measured
+IMU_PARTS = {
+    "orientation": ((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)),
+    "angular_velocity": ((0.0, 0.0, 0.0),),
+    "linear_acceleration": ((0.0, 0.0, 0.0),),
+}
+
+
+def read_bag(path: Path, options: SourceOptions) -> list[Table]:
+    """The topics with numbers. Raises SeatrialError where the bag, or a topic that the map names, is not there.
+
+    The time of a message is its header's stamp, or else when the bag got it. Stamps of another clock (a simulation's)
+    are moved to the bag's by the shortest delay between the two.
+    """
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ModuleNotFoundError as error:
+        raise SeatrialError(_ROSBAGS) from error
+    topics: dict[str, _Topic] = {}
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            there = {connection.topic for connection in reader.connections}
+            for topic in sorted(options.topics - there):
+                raise SeatrialError(f"{path}: no topic {topic}; there is: {', '.join(sorted(there)) or 'none'}")
+            wanted = [c for c in reader.connections if not options.topics or c.topic in options.topics]
+            for connection, log_ns, data in reader.messages(connections=wanted):
+                try:
+                    message = reader.deserialize(data, connection.msgtype)
+                except KeyError:  # of a type that neither the bag nor the library defines
+                    continue
+                topics.setdefault(connection.topic, _Topic(connection.msgtype)).add(1e-9 * log_ns, message)
+    except SeatrialError:
+        raise
+    except Exception as error:  # rosbags has errors of many kinds for a file that is none, or damaged
+        raise SeatrialError(f"{path}: cannot be read as a bag of ROS: {' '.join(str(error).split())}") from error
+    return [table for topic, one in topics.items() if (table := one.table(path, topic)).columns]
+
+
+class _Topic:
+    """The messages of a topic, collected."""
+
+    def __init__(self, kind: str) -> None:
+        self.kind, self.frame_id = kind, ""
+        self.t_log: list[float] = []
+        self.t_stamp: list[float] = []
+        self.rows: list[dict[str, float]] = []
+
+    def add(self, t_log: float, message: Any) -> None:
+        header = getattr(message, "header", None)
+        stamp = getattr(header, "stamp", None)
+        self.frame_id = self.frame_id or str(getattr(header, "frame_id", ""))
+        self.t_log.append(t_log)
+        self.t_stamp.append(np.nan if stamp is None else (stamp.sec + 1e-9 * stamp.nanosec) or np.nan)
+        self.rows.append(dict(_numbers(message)))
+
+    def table(self, path: Path, topic: str) -> Table:
+        t_log, t = np.array(self.t_log), np.array(self.t_stamp)
+        remark = ""
+        stamped = np.isfinite(t)
+        if stamped.any() and abs(np.median((t_log - t)[stamped])) > OTHER_CLOCK:
+            shift = float(np.min((t_log - t)[stamped]))
+            t, remark = t + shift, f"its stamps are of another clock: {shift:+.3f} s"
+        t = np.where(stamped, t, t_log)
+        order = np.argsort(t, kind="stable")
+        names = list(dict.fromkeys(name for row in self.rows for name in row))
+        columns = {name: np.array([row.get(name, np.nan) for row in self.rows])[order] for name in names}
+        if self.kind == IMU:
+            _leave_out_unmeasured(columns)
+        if self.kind == FIX:
+            for name in ("latitude", "longitude"):
+                columns[name] = np.where(columns["status.status"] < 0, np.nan, columns[name])
+        return Table(path, topic, columns, t[order], self.kind, self.frame_id, remark)
+
+
+def _leave_out_unmeasured(columns: dict[str, Column]) -> None:
+    """Take parts of an Imu without a measurement away. By the standard, -1 as the first covariance says that there is
+    none; but many drivers write it for an unknown covariance, so the part stays if it ever has other values than its
+    default."""
+    for part, nothing in IMU_PARTS.items():
+        axes = [name for name in columns if name.startswith(f"{part}.")]
+        values = np.stack([columns[name] for name in axes], axis=1)
+        unmeasured = columns[f"{part}_covariance[0]"] == -1.0
+        default = np.any([np.all(values == one, axis=1) for one in nothing], axis=0)
+        if np.all(unmeasured & default):
+            for name in axes:
+                del columns[name]
+
+
+def _numbers(message: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
+    """Every number of a message by the name of its field, in order; header and text left out. Of a JointState, and
+    what is built like it, the numbers have the names of the joints: velocity.left."""
+    joints = getattr(message, "name", None)
+    for field in fields(message):
+        if field.name in ("header", "__msgtype__") or field.name.isupper():
+            continue
+        value, name = getattr(message, field.name), f"{prefix}{field.name}"
+        if is_dataclass(value):
+            yield from _numbers(value, f"{name}.")
+        elif isinstance(value, (bool, int, float, np.number)):
+            yield name, float(value)
+        elif isinstance(value, np.ndarray) and value.ndim == 1 and len(value) <= LONGEST and value.dtype.kind in "biuf":
+            named = isinstance(joints, list) and len(joints) == len(value)
+            for k, one in enumerate(value.tolist()):
+                yield f"{name}.{joints[k]}" if named and joints else f"{name}[{k}]", float(one)

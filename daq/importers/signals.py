@@ -1,0 +1,220 @@
+"""Columns of tables -> signals in SI and our axes, by a map: the one place where values are converted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.errors import SeatrialError
+from daq.importers.import_map import TIME_UNITS, Signal, Source, TimeColumn
+from daq.importers.table import Column, Table
+from daq.importers.units import UNITS
+from daq.log import local_ned, schema
+
+DAYS_1970 = 719529.0  # MATLAB's datenum of 1970-01-01
+# East, north, up and forward, left, up -> north, east, down and forward, starboard, down: by the signals' meaning.
+_RENAMED = {"x": "y", "y": "x", "vx": "vy", "vy": "vx", "speed_x": "speed_y", "speed_y": "speed_x"}
+_TURNED = {"v", "w", "q", "r", "ay", "az", "theta", "N", "Y"}
+_ATTITUDE = ("roll", "pitch", "yaw")
+
+
+@dataclass(frozen=True)
+class SignalData:
+    """One signal's samples in SI: t in s since 1970, shape (n,), and values, shape (n,)."""
+
+    signal: Signal
+    unit: str
+    t: Column
+    values: Column
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What one file gave."""
+
+    signals: tuple[SignalData, ...]
+    n_dropped: int  # rows out of order and cells without a number, where the map drops them
+    n_disordered: int  # of these, the rows whose times ran back or repeated
+
+
+def read_signals(tables: Sequence[Table], source: Source) -> Signals:
+    """The signals of one file by its part of the map. Raises SeatrialError with the place and what to do."""
+    signals, n_dropped, n_disordered = [], 0, 0
+    clocks: dict[tuple[int, str], tuple[Column, NDArray[np.bool_]]] = {}
+    for signal in source.signals:
+        table = _table(tables, signal)
+        time = TimeColumn(signal.time, source.time.format if source.time else "s") if signal.time else source.time
+        clock = (id(table), signal.time)
+        if clock not in clocks:
+            t = _times(table, time)
+            kept = _order(table, t, source)
+            n_disordered += len(t) - int(kept.sum())
+            if source.options.style.repeats == "drop":
+                shared = [s for s in source.signals if _table(tables, s) is table and s.time == signal.time]
+                kept &= _news(table, [column for s in shared for column in s.columns])
+            n_dropped += len(t) - int(kept.sum())
+            clocks[clock] = t, kept
+        t, kept = clocks[clock]
+        raw = _raw(table, signal)
+        policy = signal.nan or source.options.style.nan or ("error" if table.strict else "drop")
+        rows = kept & ~(np.isnan(raw) if policy == "drop" else np.zeros(len(raw), bool))
+        if signal.missing is not None:
+            rows &= raw != signal.missing
+        n_dropped += int(kept.sum()) - int(rows.sum())
+        bad = np.flatnonzero(np.isnan(raw) & kept)
+        if policy == "error" and len(bad):
+            raise table.error(int(bad[0]), signal.columns[0], 'no number; nan = "drop" or "keep" would allow that')
+        unit, factor = UNITS[signal.unit]
+        values = signal.sign * (signal.scale * raw[rows] + signal.offset) * factor
+        signal, values = _turned(signal, values)
+        t_signal, values = _expire(t[rows], _angle(values, signal.angle), signal.timeout)
+        signals.append(SignalData(signal, unit, t_signal, values))
+    return Signals(tuple(signals), n_dropped, n_disordered)
+
+
+def _table(tables: Sequence[Table], signal: Signal) -> Table:
+    """The table of a signal: the one of its topic, or without a topic the one that has its column."""
+    if len(tables) == 1 and not signal.topic:
+        return tables[0]
+    here = [one for one in tables if one.topic == signal.topic]
+    having = [one for one in here if set(signal.columns) <= set(one.names)]
+    if len(having) == 1:
+        return having[0]
+    if here and not having:
+        return here[0]  # it will say which columns there are
+    if signal.topic or not tables:
+        there = ", ".join(sorted({one.topic for one in tables if one.topic})) or "none"
+        raise SeatrialError(f"{_path(tables)}: no topic {signal.topic}; there is: {there}")
+    raise SeatrialError(
+        f"{_path(tables)}: signal {signal.name}: has {len(tables)} topics; say which with topic and field"
+    )
+
+
+def _path(tables: Sequence[Table]) -> str:
+    return str(tables[0].path) if tables else "the source"
+
+
+def _raw(table: Table, signal: Signal) -> Column:
+    """The values before scale and sign, (n,), in `signal.unit`."""
+    if not signal.make:
+        return table.numbers(signal.columns[0])
+    parts = [table.numbers(c) * UNITS[unit][1] for c, unit in zip(signal.columns, signal.units, strict=True)]
+    if signal.make in _ATTITUDE:
+        size = np.sqrt(sum(part**2 for part in parts))
+        yaw, pitch, roll = schema.angles(*(np.where(size > 0.0, part, np.nan) for part in parts))
+        return {"roll": roll, "pitch": pitch, "yaw": yaw}[signal.make]
+    if signal.make in ("velocity_north", "velocity_east"):
+        # A receiver at rest knows no course; its speed of zero is known all the same.
+        course = np.where(parts[0] == 0.0, 0.0, parts[1])
+        return parts[0] * (np.cos(course) if signal.make == "velocity_north" else np.sin(course))
+    lat, lon = (np.degrees(part) for part in parts)
+    known = np.flatnonzero(np.isfinite(lat) & np.isfinite(lon) & ((lat != 0.0) | (lon != 0.0)))
+    found = np.full(len(lat), np.nan)  # 0, 0 is what receivers without a fix write
+    if len(known):
+        found[known] = local_ned(lat[known], lon[known])[signal.make == "east"]
+    return found
+
+
+def _turned(signal: Signal, values: Column) -> tuple[Signal, Column]:
+    """A signal of the frame ENU in ours: its name and its values."""
+    if signal.frame == "NED":
+        return signal, values
+    if signal.name == "psi":
+        values = np.pi / 2.0 - values
+    sign = -1.0 if signal.name in _TURNED else 1.0
+    return replace(signal, name=_RENAMED.get(signal.name, signal.name)), sign * values
+
+
+def _angle(values: Column, how: str) -> Column:
+    if how == "wrap":
+        return np.asarray(np.pi - np.mod(np.pi - values, 2.0 * np.pi))  # -pi < angle <= pi
+    if how == "unwrap":
+        found = values.copy()
+        known = ~np.isnan(values)
+        found[known] = np.unwrap(values[known])
+        return found
+    return values
+
+
+def _news(table: Table, columns: Sequence[str]) -> NDArray[np.bool_]:
+    """Rows in which any of the columns differs from the row before, shape (n,)."""
+    values = [table.numbers(column) for column in columns]
+    new = np.zeros(len(values[0]), bool)
+    new[0] = True
+    for one in values:
+        new[1:] |= (one[1:] != one[:-1]) & ~(np.isnan(one[1:]) & np.isnan(one[:-1]))
+    return new
+
+
+def _expire(t: Column, values: Column, timeout: float) -> tuple[Column, Column]:
+    """The signal with a zero `timeout` seconds after each sample that the next one does not follow sooner."""
+    if not timeout or not len(t):
+        return t, values
+    last = np.append(np.flatnonzero(np.diff(t) > timeout), len(t) - 1)
+    return np.insert(t, last + 1, t[last] + timeout), np.insert(values, last + 1, 0.0)
+
+
+def _times(table: Table, time: TimeColumn | None) -> Column:
+    """Time of each row in s of the file's clock, shape (n,)."""
+    if time is not None and time.rate_hz:
+        return np.arange(len(table)) / time.rate_hz
+    if table.t is not None and (time is None or time.column not in table.names):
+        return table.t
+    if time is None:
+        raise SeatrialError(
+            f"{table.path}: it has no times of its own; give [time] column = ... in the map (or rate_hz = ...)"
+        )
+    if time.format in (*TIME_UNITS, "datenum") and not time.fraction:
+        raw = table.numbers(time.column)
+        t = (raw - DAYS_1970) * 86400.0 if time.format == "datenum" else raw * TIME_UNITS[time.format]
+        empty = np.flatnonzero(np.isnan(t))
+        if len(empty):
+            raise table.error(int(empty[0]), time.column, "no time; take the line out")
+        return t
+    parse = _parser(time)
+    text = table.text(time.column)
+    found = np.empty(len(text))
+    for row, cell in enumerate(text):
+        try:
+            found[row] = parse(cell.strip())
+        except ValueError as error:
+            raise table.error(row, time.column, f"'{cell[:40]}' is not a time of format {time.format}") from error
+    return found
+
+
+def _parser(time: TimeColumn) -> Callable[[str], float]:
+    def whole(text: str) -> float:
+        if time.format == "s":
+            return float(text)
+        iso = time.format == "iso"
+        moment = datetime.fromisoformat(text) if iso else datetime.strptime(text, time.format)
+        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+
+    def split(text: str) -> float:
+        head, point, tail = text.rpartition(".")
+        if not point:
+            return whole(text)
+        if not (tail.isascii() and tail.isdigit()) or len(tail) > 9:
+            raise ValueError(text)
+        # unpadded-ns: a logger wrote seconds, a point, and the nanoseconds as a bare number
+        return whole(head) + (int(tail) * 1e-9 if time.fraction == "unpadded-ns" else float(f"0.{tail}"))
+
+    return split if time.fraction else whole
+
+
+def _order(table: Table, t: Column, source: Source) -> NDArray[np.bool_]:
+    """Which rows have a time after all rows before them; raises at the first without, unless such rows are dropped."""
+    highest = np.maximum.accumulate(t)
+    later = np.ones(len(t), bool)
+    later[1:] = t[1:] > highest[:-1]
+    policy = source.options.style.time_order or ("error" if table.strict else "drop")
+    if policy == "error" and not later.all():
+        row = int(np.flatnonzero(~later)[0])
+        what = "repeats" if t[row] == highest[row - 1] else f"runs back by {highest[row - 1] - t[row]:.6g} s"
+        column = source.time.column if source.time else "time"
+        raise table.error(row, column, f'time {what}; csv.time_order = "drop" would leave such rows out')
+    return later

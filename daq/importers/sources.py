@@ -1,0 +1,96 @@
+"""A file or folder -> its tables, by what is in it rather than by its name."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from daq.errors import SeatrialError
+from daq.importers.table import SourceOptions, Table
+
+_HEAD = 65536
+_CANDUMP = re.compile(rb"\(\d+\.\d+\) \S+ [0-9A-Fa-f]{3,8}#")
+_ASC = re.compile(rb"(?i)(date |base (hex|dec))")
+
+
+class SourceKind(NamedTuple):
+    """A kind of source: its name in logs and maps, and its reader."""
+
+    name: str
+    read: Callable[[Path, SourceOptions], list[Table]]
+
+
+def source_kind(path: Path) -> SourceKind:
+    """What kind of source this is. Raises SeatrialError where it cannot be read or is of no known kind."""
+    if path.is_dir():
+        return _bag()
+    head = _head(path)
+    if head.startswith((b"#ROSBAG V2.0", b"\x89MCAP0\r\n", b"SQLite format 3\0")):
+        return _bag()
+    if head.startswith(b"ULog\x01\x12\x35"):
+        from daq.importers.ulog import read_ulog
+
+        return SourceKind("ulog", read_ulog)
+    if head.startswith((b"MATLAB 5.0", b"MATLAB 7.3", b"\x89HDF\r\n\x1a\n")):
+        from daq.importers.columnar import read_matlab
+
+        return SourceKind("matlab", read_matlab)
+    if head.startswith(b"PAR1"):
+        from daq.importers.columnar import read_parquet
+
+        return SourceKind("parquet", read_parquet)
+    from daq.importers.mavlink import DATAFLASH, is_tlog
+
+    if head.startswith(DATAFLASH) or is_tlog(head):
+        from daq.importers.samples import read_autopilot_log
+
+        return SourceKind("mavlink", read_autopilot_log)
+    if head.startswith(b"LOGG") or _CANDUMP.match(head) or _ASC.match(head):
+        from daq.importers.can_log import read_can
+
+        return SourceKind("can", read_can)
+    if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):  # UTF-16 is text all the same
+        raise SeatrialError(
+            f"{path}: of no kind that import knows: text, bags of ROS 1 and 2, PX4 (.ulg), ArduPilot (tlog, BIN), "
+            "MATLAB (.mat), Parquet, CAN (candump, .asc, .blf)"
+        )
+    return SourceKind("csv", _read_text)
+
+
+def _bag() -> SourceKind:
+    from daq.importers.ros import read_bag
+
+    return SourceKind("ros", read_bag)
+
+
+def _read_text(path: Path, options: SourceOptions) -> list[Table]:
+    from daq.importers.text_table import TextTable
+
+    return [TextTable(path, options.style)]
+
+
+def _head(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(_HEAD)
+    except OSError as error:
+        raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def text_head(path: Path) -> bytes:
+    """The beginning of a text file, by which its style is told."""
+    return _head(path)
+
+
+def sha256_of(path: Path) -> str:
+    """The digest of a file, or of the files of a folder in the order of their names."""
+    digest = hashlib.sha256()
+    for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+        if file.is_file():
+            with file.open("rb") as opened:
+                while block := opened.read(1 << 20):
+                    digest.update(block)
+    return digest.hexdigest()

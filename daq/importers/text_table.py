@@ -1,0 +1,162 @@
+"""Text tables: CSV, other delimiters, columns between blanks. Every complaint names file, line and column."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from daq.errors import SeatrialError, counted
+from daq.importers.table import Column, Table, TextStyle
+
+_EMPTY = {"", "nan", "na", "null", "none"}
+BLANK = "blank"
+
+
+class TextTable(Table):
+    """Cells as text; a column becomes numbers when it is asked for."""
+
+    strict = True
+
+    def __init__(self, path: Path, style: TextStyle) -> None:
+        super().__init__(path, "", {})
+        self._style = style
+        self.lines: list[int] = []  # of each row
+        self._rows: list[list[str]] = []
+        self._numbers: dict[str, Column] = {}
+        try:
+            with path.open(encoding=style.encoding, newline="") as file:
+                for _ in range(style.skip_rows):
+                    file.readline()
+                self._read(file)
+        except UnicodeDecodeError as error:
+            raise SeatrialError(
+                f"{path}: not {'UTF-8' if 'utf' in style.encoding else style.encoding} text ({error.reason}); "
+                'save it as UTF-8, or say csv.encoding = "latin-1"'
+            ) from error
+        except csv.Error as error:
+            raise SeatrialError(f"{path}: not a CSV file: {error}") from error
+        except OSError as error:
+            raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
+
+    def _read(self, file: Iterable[str]) -> None:
+        rows = _split(file, self._style)
+        header = list(self._style.columns) or next((cells for _, cells in rows), [])
+        self._header = [name.strip() for name in header]
+        if not self._header:
+            raise SeatrialError(f"{self.path}: the file is empty")
+        for line, cells in rows:
+            if len(cells) != len(self._header):
+                raise SeatrialError(
+                    f"{self.path}: line {line + self._style.skip_rows}: {counted(len(cells), 'cell')} where the "
+                    f"header has {len(self._header)}; is the delimiter right, is the last line whole?"
+                )
+            self.lines.append(line + self._style.skip_rows)
+            self._rows.append(cells)
+        if not self.lines:
+            raise SeatrialError(f"{self.path}: no rows below the header")
+
+    @property
+    def names(self) -> list[str]:
+        return self._header
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def text(self, column: str) -> list[str]:
+        if self._header.count(column) != 1:
+            there = ", ".join(one or "(unnamed)" for one in self._header)
+            problem = "appears twice in" if column in self._header else "is not in"
+            raise SeatrialError(f"{self.path}: column '{column}' {problem} the header; there is: {there}")
+        place = self._header.index(column)
+        return [cells[place] for cells in self._rows]
+
+    def error(self, row: int, column: str, problem: str) -> SeatrialError:
+        return SeatrialError(f"{self.path}: line {self.lines[row]}, column '{column}': {problem}")
+
+    def numbers(self, column: str) -> Column:
+        """The column as numbers, NaN where a cell is empty. Raises SeatrialError at the first that is none."""
+        if column in self._numbers:
+            return self._numbers[column]
+        cells, decimal = self.text(column), self._style.decimal
+        found = np.empty(len(cells))
+        for row, cell in enumerate(cells):
+            text = cell.strip()
+            try:
+                # Python's float also takes 1_000, which no instrument writes.
+                found[row] = float((text if decimal == "." else text.replace(decimal, ".")).replace("_", "?"))
+            except ValueError:
+                if text.lower() not in _EMPTY:
+                    raise self.error(row, column, f"'{text[:40]}' is not a number") from None
+                found[row] = math.nan
+            if math.isinf(found[row]):
+                raise self.error(row, column, f"'{text[:40]}' is not a finite number")
+        self._numbers[column] = found
+        return found
+
+
+def _split(file: Iterable[str], style: TextStyle) -> Iterator[tuple[int, list[str]]]:
+    """Number and cells of each line that is not blank."""
+    if style.delimiter == BLANK:
+        for number, line in enumerate(file, start=1):
+            if cells := line.split():
+                yield number, cells
+        return
+    rows = csv.reader(file, delimiter=style.delimiter)
+    for cells in rows:
+        if any(cell.strip() for cell in cells):
+            yield rows.line_num, cells
+
+
+def sniff_style(path: Path, head: bytes) -> TextStyle | None:
+    """The style of a text table of which ``head`` is the beginning; None where it looks like none."""
+    encoding = "utf-8-sig"
+    try:
+        text = head.decode(encoding)
+    except UnicodeDecodeError as error:
+        encoding = "utf-8-sig" if error.start > len(head) - 4 else "latin-1"
+        text = head.decode(encoding, "ignore")
+    lines = text.splitlines()[:-1] or text.splitlines()
+    best: tuple[int, TextStyle] | None = None
+    for delimiter in (",", ";", "\t", BLANK):
+        for decimal in (".", ",") if delimiter != "," else (".",):
+            found = _table_in(lines, TextStyle(delimiter, decimal, encoding))
+            if found is not None and (best is None or found[0] > best[0]):
+                best = found
+    return None if best is None else best[1]
+
+
+def _table_in(lines: list[str], style: TextStyle) -> tuple[int, TextStyle] | None:
+    """How many cells of numbers these lines have in this style, and the style with its header; None: not a table."""
+    rows = [next((cells for _, cells in _split([line], style)), []) for line in lines]
+    width = len(max(rows[-20:], key=len, default=[]))
+    if not width:
+        return None
+    first = next((k for k, cells in enumerate(rows) if len(cells) == width and _share(cells, style) >= 0.5), None)
+    if first is None:
+        return None
+    body = [cells for cells in rows[first:] if cells]
+    if sum(len(cells) == width for cells in body) < 0.9 * len(body):
+        return None
+    n_numbers = sum(round(_share(cells, style) * len(cells)) for cells in body)
+    above = next((k for k in range(first - 1, -1, -1) if rows[k]), None)
+    named = above is not None and len(rows[above]) == width and _share(rows[above], style) < 0.5
+    header: tuple[str, ...] = () if named else tuple(f"column_{k}" for k in range(1, width + 1))
+    skip = above if named and above is not None else first
+    return n_numbers, TextStyle(style.delimiter, style.decimal, style.encoding, skip, header)
+
+
+def _share(cells: list[str], style: TextStyle) -> float:
+    """Which part of the cells are numbers or empty, 0 where none is a number."""
+    n, empty = 0, 0
+    for cell in cells:
+        text = cell.strip()
+        try:
+            float(text if style.decimal == "." else text.replace(style.decimal, "."))
+            n += 1
+        except ValueError:
+            empty += text.lower() in _EMPTY
+    return (n + empty) / len(cells) if n else 0.0

@@ -1,0 +1,110 @@
+"""MATLAB files of versions 5 and 7.3 and Parquet: workspaces, structs, matrices, times of their own."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from scipy.io import savemat
+
+from daq.errors import SeatrialError
+from daq.importers.columnar import read_matlab, read_parquet
+from daq.importers.guess import guess_map
+from daq.importers.import_files import import_files
+from daq.importers.sources import source_kind
+from daq.importers.table import SourceOptions
+from tests.daq.csv_files import values
+
+T = 0.1 * np.arange(50)
+RUN: dict[str, Any] = {
+    "t": T, "yaw": 0.2 * T, "t_cmd": np.arange(6.0), "cmd_left": 0.1 * np.arange(6), "cmd_right": -0.1 * np.arange(6),
+}  # fmt: skip
+
+
+def save_73(path: Path, run: dict[str, Any]) -> None:
+    """As MATLAB does: HDF5 behind 512 bytes of heading, matrices column by column, structs as groups."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, value in run.items():
+            if isinstance(value, dict):
+                group = file.create_group(name)
+                for field, array in value.items():
+                    group[field] = np.atleast_2d(array).reshape(1, -1)
+            else:
+                file[name] = np.atleast_2d(value) if np.ndim(value) < 2 else np.asarray(value).T
+        file.create_group("#refs#")
+    with path.open("r+b") as opened:
+        opened.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512))
+
+
+@pytest.fixture(params=["5", "7.3"])
+def save(request: pytest.FixtureRequest) -> Any:
+    return savemat if request.param == "5" else save_73
+
+
+def test_vectors_of_two_clocks_by_their_guess(save: Any, tmp_path: Path) -> None:
+    path = tmp_path / "run.mat"
+    save(path, RUN)
+    assert source_kind(path).name == "matlab"
+    guess = guess_map(path)
+    assert guess.problem == ""
+    (tmp_path / "map.toml").write_text(guess.text)
+    (out,) = import_files(tmp_path / "map.toml", [path], out=tmp_path / "run.mcap")
+    t, psi = values(out, "psi")
+    np.testing.assert_allclose(t, T, atol=1e-9)
+    np.testing.assert_array_equal(psi, 0.2 * T)
+    assert values(out, "n_right") == (RUN["t_cmd"].tolist(), RUN["cmd_right"].tolist())
+
+
+def test_structs_and_matrices(save: Any, tmp_path: Path) -> None:
+    path = tmp_path / "run.mat"
+    save(path, {"log": {"t": T, "psi": 0.2 * T}, "pos": np.stack([T, 2 * T, 3 * T], axis=1), "g": 9.81})
+    tables = {table.topic: table for table in read_matlab(path, SourceOptions())}
+    assert sorted(tables["log"].names) == ["psi", "t"]
+    np.testing.assert_array_equal(tables["log"].columns["psi"], 0.2 * T)
+    assert sorted(tables[""].names) == ["pos[0]", "pos[1]", "pos[2]"]  # g is no column
+    np.testing.assert_array_equal(tables[""].columns["pos[2]"], 3 * T)
+
+
+def test_matlab_files_that_hold_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    savemat(tmp_path / "a.mat", {"name": "boat"})
+    with pytest.raises(SeatrialError, match=r"a\.mat: holds no vectors of numbers; objects \(timetable"):
+        read_matlab(tmp_path / "a.mat", SourceOptions())
+    (tmp_path / "b.mat").write_bytes(b"MATLAB 5.0 MAT-file, and no more")
+    with pytest.raises(SeatrialError, match=r"b\.mat: cannot be read as a MATLAB file"):
+        read_matlab(tmp_path / "b.mat", SourceOptions())
+    save_73(tmp_path / "c.mat", RUN)
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(SeatrialError, match=r"pip install 'seatrial\[matlab\]'"):
+        read_matlab(tmp_path / "c.mat", SourceOptions())
+
+
+def test_datenum(tmp_path: Path) -> None:
+    days = 739_000.0 + np.arange(20) / 86400.0
+    savemat(tmp_path / "run.mat", {"datenum": days, "psi": np.arange(20.0)})
+    lines = '[time]\ncolumn = "datenum"\nformat = "datenum"\n[[signal]]\nname = "psi"\ncolumn = "psi"\nunit = "deg"\n'
+    (tmp_path / "map.toml").write_text(f'format = "seatrial-import 1"\n{lines}')
+    (out,) = import_files(tmp_path / "map.toml", [tmp_path / "run.mat"], out=tmp_path / "run.mcap")
+    np.testing.assert_allclose(np.diff(values(out, "psi")[0]), 1.0, atol=2e-5)
+    assert values(out, "psi")[0][0] == pytest.approx((739_000 - 719_529) * 86400.0)
+
+
+def test_parquet_with_times_of_its_own(tmp_path: Path) -> None:
+    stamps = pa.array((1_700_000_000_000_000_000 + 1e8 * np.arange(20)).astype("datetime64[ns]"))
+    table = pa.table({"time": stamps, "heading": pa.array(np.arange(20.0)), "who": pa.array(["a"] * 20)})
+    pq.write_table(table, tmp_path / "run.parquet")
+    (found,) = read_parquet(tmp_path / "run.parquet", SourceOptions())
+    assert list(found.names) == ["time", "heading"]
+    guess = guess_map(tmp_path / "run.parquet")
+    (tmp_path / "map.toml").write_text(guess.text)
+    (out,) = import_files(tmp_path / "map.toml", [tmp_path / "run.parquet"], out=tmp_path / "run.mcap")
+    np.testing.assert_allclose(values(out, "psi")[0], 1_700_000_000.0 + 0.1 * np.arange(20), atol=1e-6)
+    np.testing.assert_allclose(values(out, "psi")[1], np.radians(np.arange(20.0)))
+    (tmp_path / "bad.parquet").write_bytes(b"PAR1 and no more")
+    with pytest.raises(SeatrialError, match=r"bad\.parquet: cannot be read as Parquet"):
+        guess_map(tmp_path / "bad.parquet")

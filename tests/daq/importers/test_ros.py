@@ -1,0 +1,212 @@
+"""Bags of ROS 1 and 2, written by rosbags: axes, times, names, and what is wrong in one line."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from daq.errors import SeatrialError
+from daq.importers.import_files import import_files
+from daq.importers.ros import read_bag
+from daq.importers.table import SourceOptions
+from daq.log.reader import Log, open_log
+from daq.samples import Ahrs, Scalar
+from tests.daq.logs import T0, write_everything
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+N = 20
+
+
+def header(k: int) -> object:
+    stamp = STORE.types["builtin_interfaces/msg/Time"](int(T0), 50_000_000 * k)
+    return STORE.types["std_msgs/msg/Header"](stamp, "base_link")
+
+
+def imu(k: int) -> Any:
+    """Facing north-west in ROS's way of counting: 135 degrees from east; bow up 10 degrees (pitch -10 there)."""
+    vector, turn = STORE.types["geometry_msgs/msg/Vector3"], STORE.types["geometry_msgs/msg/Quaternion"]
+    yaw, pitch = math.radians(135.0), math.radians(-10.0)
+    attitude = turn(
+        -math.sin(yaw / 2) * math.sin(pitch / 2), math.cos(yaw / 2) * math.sin(pitch / 2),
+        math.sin(yaw / 2) * math.cos(pitch / 2), math.cos(yaw / 2) * math.cos(pitch / 2),
+    )  # fmt: skip
+    zero, none = np.zeros(9), np.array([-1.0] + [0.0] * 8)
+    return STORE.types["sensor_msgs/msg/Imu"](
+        header(k), attitude, zero, vector(0.1, 0.2, 0.3 + k), zero, vector(0.0, 0.0, 9.81), zero if k else none
+    )
+
+
+def fix(k: int) -> object:
+    status = STORE.types["sensor_msgs/msg/NavSatStatus"](2, 1)
+    covariance = np.array([0.04, 0, 0, 0, 0.04, 0, 0, 0, 0.1])
+    return STORE.types["sensor_msgs/msg/NavSatFix"](header(k), status, 41.0 + 1e-6 * k, -8.0, 12.0, covariance, 2)
+
+
+def odometry(k: int) -> object:
+    types = STORE.types
+    point, turn = types["geometry_msgs/msg/Point"](1.0 * k, 2.0, 3.0), types["geometry_msgs/msg/Quaternion"](0, 0, 0, 1)
+    vector = types["geometry_msgs/msg/Vector3"]
+    pose = types["geometry_msgs/msg/PoseWithCovariance"](types["geometry_msgs/msg/Pose"](point, turn), np.zeros(36))
+    twist = types["geometry_msgs/msg/TwistWithCovariance"](
+        types["geometry_msgs/msg/Twist"](vector(0.5, 0, 0), vector(0, 0, 0.1)), np.zeros(36)
+    )
+    return types["nav_msgs/msg/Odometry"](header(k), "base_link", pose, twist)
+
+
+@pytest.fixture(params=[StoragePlugin.MCAP, StoragePlugin.SQLITE3], ids=["mcap", "sqlite3"])
+def bag(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    path = tmp_path / "bag"
+    said = {
+        "/imu/data": ("sensor_msgs/msg/Imu", imu),
+        "/fix": ("sensor_msgs/msg/NavSatFix", fix),
+        "/odom": ("nav_msgs/msg/Odometry", odometry),
+        "/rpm": ("std_msgs/msg/Float64", lambda k: STORE.types["std_msgs/msg/Float64"](100.0 * k)),
+        "/name": ("std_msgs/msg/String", lambda k: STORE.types["std_msgs/msg/String"]("boat")),
+    }
+    with Writer(path, version=9, storage_plugin=request.param) as writer:
+        for topic, (kind, make) in said.items():
+            connection = writer.add_connection(topic, kind, typestore=STORE)
+            for k in range(N):
+                t_ns = round((T0 + 0.05 * k + 0.01) * 1e9)
+                writer.write(connection, t_ns, STORE.serialize_cdr(make(k), kind))
+    return path
+
+
+def signals(source: Path, folder: Path, lines: str, root: str = 'frame = "ENU"') -> Log:
+    """The log that a map of these signals makes."""
+    path = folder / "map.toml"
+    path.write_text(f'format = "seatrial-import 1"\n{root}\nsignal = [\n{lines}\n]\n')
+    (out,) = import_files(path, [source], out_dir=folder / "logs", force=True)
+    return open_log(out)
+
+
+QUATERNION = 'fields = ["orientation.x", "orientation.y", "orientation.z", "orientation.w"]'
+IMU = f"""
+  {{ name = "psi", topic = "/imu/data", make = "yaw", {QUATERNION} }},
+  {{ name = "theta", topic = "/imu/data", make = "pitch", {QUATERNION} }},
+  {{ name = "q", topic = "/imu/data", field = "angular_velocity.y", unit = "rad/s" }},
+  {{ name = "r", topic = "/imu/data", field = "angular_velocity.z", unit = "rad/s" }},
+  {{ name = "az", topic = "/imu/data", field = "linear_acceleration.z", unit = "m/s2" }},
+"""
+
+
+def test_axes_of_ros_become_ours_by_one_word(bag: Path, tmp_path: Path) -> None:
+    with signals(bag, tmp_path, IMU) as log:
+        assert log.metadata["import"] == "ros"
+        table = {name: log.table(Scalar, name) for name in log.sources(Scalar)}
+    np.testing.assert_allclose(table["psi"]["t"], T0 + 0.05 * np.arange(N), atol=1e-6)  # the header's, not the bag's
+    assert table["psi"]["value"] == pytest.approx(math.radians(-45.0))  # north-west
+    assert table["theta"]["value"] == pytest.approx(math.radians(10.0))  # bow up
+    assert (table["q"]["value"][0], table["r"]["value"][0]) == (-0.2, -0.3)
+    np.testing.assert_array_equal(table["az"]["value"], -9.81)  # measured, though the covariance of one says unknown
+    with signals(bag, tmp_path, IMU, 'frame = "NED"') as log:
+        assert log.table(Scalar, "psi")["value"] == pytest.approx(math.radians(135.0))
+        assert log.table(Scalar, "r")["value"][0] == 0.3
+
+
+def test_positions_of_odometry_and_of_fixes(bag: Path, tmp_path: Path) -> None:
+    lines = """
+  { name = "x", topic = "/odom", field = "pose.pose.position.x", unit = "m" },
+  { name = "y", topic = "/odom", field = "pose.pose.position.y", unit = "m" },
+  { name = "v", topic = "/odom", field = "twist.twist.linear.x", unit = "m/s" },
+"""
+    with signals(bag, tmp_path, lines) as log:  # x counts east there
+        np.testing.assert_array_equal(log.table(Scalar, "y")["value"], np.arange(N))
+        np.testing.assert_array_equal(log.table(Scalar, "x")["value"], 2.0)
+        np.testing.assert_array_equal(log.table(Scalar, "v")["value"], -0.5)
+    lines = """
+  { name = "x", topic = "/fix", make = "north", fields = ["latitude", "longitude"] },
+  { name = "y", topic = "/fix", make = "east", fields = ["latitude", "longitude"] },
+"""
+    with signals(bag, tmp_path, lines) as log:  # geographic: no other frame
+        x = log.table(Scalar, "x")["value"]
+        assert x[-1] == pytest.approx(1e-6 * (N - 1) * 111_061.0, rel=1e-3)
+        np.testing.assert_allclose(log.table(Scalar, "y")["value"], 0.0, atol=1e-9)
+
+
+def test_what_an_imu_does_not_measure_is_left_out(tmp_path: Path) -> None:
+    """Covariance -1 and nothing but defaults: no orientation; with values in it: an unknown covariance alone."""
+    path, kind, unknown = tmp_path / "bag", "sensor_msgs/msg/Imu", np.array([-1.0] + [0.0] * 8)
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/imu", kind, typestore=STORE)
+        for k in range(N):
+            message = replace(imu(k), angular_velocity_covariance=unknown, orientation_covariance=unknown,
+                              orientation=STORE.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0))
+            writer.write(connection, round((T0 + 0.05 * k) * 1e9), STORE.serialize_cdr(message, kind))
+    (table,) = read_bag(path, SourceOptions())
+    assert not [name for name in table.names if name.startswith("orientation.")]
+    np.testing.assert_allclose(table.columns["angular_velocity.z"], 0.3 + np.arange(N))
+    np.testing.assert_array_equal(table.columns["linear_acceleration.z"], 9.81)
+
+
+def test_every_number_has_the_name_of_its_field(bag: Path) -> None:
+    tables = {table.topic: table for table in read_bag(bag, SourceOptions())}
+    assert sorted(tables) == ["/fix", "/imu/data", "/odom", "/rpm"]  # /name has no number
+    assert not [name for name in tables["/odom"].names if "covariance" in name]  # 36 numbers are no columns
+    rpm = tables["/rpm"]
+    assert rpm.columns["data"].tolist() == [100.0 * k for k in range(N)]
+    np.testing.assert_allclose(rpm.t, T0 + 0.05 * np.arange(N) + 0.01, atol=1e-6)  # it has no header
+
+
+def test_joints_and_stamps_of_another_clock(tmp_path: Path) -> None:
+    """A simulator stamps from zero; topics without stamps have the bag's clock, so the others are moved to it."""
+    path, types = tmp_path / "bag", STORE.types
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=STORE)
+        for k in range(N):
+            stamp = types["builtin_interfaces/msg/Time"](1, 50_000_000 * k)
+            head = types["std_msgs/msg/Header"](stamp, "")
+            speeds = np.array([1.0 * k, -2.0 * k])
+            message = types["sensor_msgs/msg/JointState"](head, ["left_engine", "right_engine"], speeds, speeds, speeds)
+            late = 0.02 if k % 2 else 0.005
+            log_ns = round((T0 + 0.05 * k + late) * 1e9)
+            writer.write(connection, log_ns, STORE.serialize_cdr(message, "sensor_msgs/msg/JointState"))
+    (table,) = read_bag(path, SourceOptions())
+    np.testing.assert_array_equal(table.columns["velocity.right_engine"], -2.0 * np.arange(N))
+    np.testing.assert_allclose(table.t, T0 + 0.005 + 0.05 * np.arange(N), atol=1e-6)
+    assert "another clock" in table.remark
+
+
+def test_a_bag_of_ros_1(tmp_path: Path) -> None:
+    from rosbags.rosbag1 import Writer as Writer1
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with Writer1(tmp_path / "run.bag") as writer:
+        connection = writer.add_connection("/speed", "std_msgs/msg/Float64", typestore=store)
+        for k in range(N):
+            message = store.types["std_msgs/msg/Float64"](0.5 * k)
+            data = store.serialize_ros1(message, "std_msgs/msg/Float64")
+            writer.write(connection, round((T0 + 0.1 * k) * 1e9), data)
+    (table,) = read_bag(tmp_path / "run.bag", SourceOptions())
+    assert (table.topic, table.kind) == ("/speed", "std_msgs/msg/Float64")
+    np.testing.assert_array_equal(table.columns["data"], 0.5 * np.arange(N))
+
+
+def test_our_own_log_comes_back(tmp_path: Path) -> None:
+    write_everything(tmp_path / "own.mcap")
+    with signals(tmp_path / "own.mcap", tmp_path, IMU.replace("/imu/data", "/ahrs/imu"), 'frame = "NED"') as log:
+        psi, r = log.table(Scalar, "psi"), log.table(Scalar, "r")
+    with open_log(tmp_path / "own.mcap") as own:
+        ahrs = own.table(Ahrs, "ahrs")
+    np.testing.assert_allclose(psi["value"], ahrs["yaw"], atol=1e-12)
+    np.testing.assert_allclose(r["value"], ahrs["r"][np.isfinite(ahrs["r"])], atol=1e-12)  # NaN is not measured
+
+
+def test_what_is_wrong_is_one_line(bag: Path, tmp_path: Path) -> None:
+    with pytest.raises(SeatrialError, match="no topic /gps; there is: /fix, /imu/data, /name"):
+        signals(bag, tmp_path, '{ name = "x", topic = "/gps", field = "x", unit = "m" }')
+    with pytest.raises(SeatrialError, match="/rpm has no 'rpm'; there is: data"):
+        signals(bag, tmp_path, '{ name = "x", topic = "/rpm", field = "rpm", unit = "m" }')
+    with pytest.raises(SeatrialError, match=r"signal\[1\]\.field: missing"):
+        signals(bag, tmp_path, '{ name = "x", topic = "/rpm", column = "data", unit = "m" }')
+    (tmp_path / "bad.mcap").write_bytes(b"\x89MCAP0\r\n, and nothing more")
+    with pytest.raises(SeatrialError, match="cannot be read as a bag of ROS"):
+        signals(tmp_path / "bad.mcap", tmp_path, '{ name = "x", topic = "/rpm", field = "data", unit = "m" }')
+    assert not list((tmp_path / "logs").glob("*.mcap")) if (tmp_path / "logs").exists() else True

@@ -1,0 +1,279 @@
+"""Logs of other people, and measured runs rewritten as they would have them: by --guess and few edited lines to a fit
+that equals that of the CSV, or one clear line why not."""
+
+from __future__ import annotations
+
+import csv
+import json
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from scipy.io import savemat
+
+from daq.importers.guess import guess_map
+from daq.importers.import_files import import_files
+from daq.log.reader import open_log
+from daq.samples import Scalar
+from tests.measured.data import measured, run
+
+pytestmark = [pytest.mark.measured, pytest.mark.slow]
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "docs/examples"
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+T = STORE.types
+SURGE = ("--model", "surge:force:speed", "--despite-faults")  # a fit of seconds
+Edit = tuple[str, str]
+
+
+def by_guess(source: Path, folder: Path, edits: tuple[Edit, ...] = ()) -> Path:
+    """The log by the guessed map, in which at most five lines are edited."""
+    assert len(edits) <= 5
+    text = guess_map(source).text
+    for old, new in edits:
+        (line,) = [line for line in text.splitlines() if old in line]
+        text = text.replace(line, new if new.startswith("  {") else line.replace(old, new))
+    (folder / "map.toml").write_text(text, encoding="utf-8")
+    (out,) = import_files(folder / "map.toml", [source], out=folder / f"{source.stem}-guess.mcap")
+    return out
+
+
+def signals(path: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    with open_log(path) as log:
+        return {name: (t["t"], t["value"]) for name in log.sources(Scalar) for t in [log.table(Scalar, name)]}
+
+
+def estimates(path: Path, out: Path, *options: str) -> dict[str, float]:
+    """The fit by the command."""
+    run("ident", "vehicle", str(path), *options, "--out", str(out))
+    result = json.loads((out / "result.json").read_text())
+    assert result["fit"]["converged"], result["fit"]
+    return {row["name"]: row["value"] for row in result["fit"]["parameters"] if row["se"]}
+
+
+def same(one: Path, other: Path, names: str, atol: float = 1e-9) -> None:
+    """These signals are the same in both logs, times and values, within the rounding of the format."""
+    a, b = signals(one), signals(other)
+    for name in names.split():
+        np.testing.assert_allclose(b[name][0], a[name][0], rtol=0, atol=1e-6, err_msg=name)
+        turns = 2 * np.pi * np.round((b[name][1] - a[name][1])[0] / (2 * np.pi)) if name == "psi" else 0.0
+        np.testing.assert_allclose(b[name][1] - turns, a[name][1], rtol=0, atol=atol, err_msg=name)
+
+
+def columns(file: Path) -> dict[str, np.ndarray]:
+    with file.open(newline="") as opened:
+        rows = list(csv.DictReader(opened))
+    return {name: np.array([float(row[name]) for row in rows]) for name in rows[0] if name}
+
+
+# The BlueBoat
+
+
+@pytest.fixture(scope="module")
+def blueboat(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, np.ndarray]]:
+    """The log of a run by the map of the example, and the columns of the run."""
+    file = measured("blueboat/fixed_00000232.csv")
+    folder = tmp_path_factory.mktemp("csv")
+    (log,) = import_files(EXAMPLES / "blueboat/blueboat.toml", [file], out_dir=folder)
+    return log, columns(file)
+
+
+def quaternion(yaw: float) -> object:
+    return T["geometry_msgs/msg/Quaternion"](0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2)))
+
+
+def header(t: float, frame: str) -> object:
+    ns = round(t * 1e9)
+    return T["std_msgs/msg/Header"](T["builtin_interfaces/msg/Time"](ns // 10**9, ns % 10**9), frame)
+
+
+def write_bag(path: Path, topics: dict[str, tuple[str, np.ndarray, Callable[[int], object]]]) -> None:
+    """Topics with their type, times and messages, in the order of time."""
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        rows = []
+        for topic, (kind, t, make) in topics.items():
+            connection = writer.add_connection(topic, kind, typestore=STORE)
+            rows += [(t[k], connection, kind, make, k) for k in range(len(t))]
+        for when, connection, kind, make, k in sorted(rows, key=lambda row: row[0]):
+            writer.write(connection, round(when * 1e9), STORE.serialize_cdr(make(k), kind))
+
+
+def test_blueboat_as_a_bag_of_ros_2(blueboat: tuple[Path, dict[str, np.ndarray]], tmp_path: Path) -> None:
+    """Topics of VRX's WAM-V, axes of REP-103; the IMU has no accelerometer."""
+    log, c = blueboat
+    t, yaw = c["original_timestamp"] * 1e-3, np.pi / 2 - np.radians(c["yaw"])
+    vector, unknown = T["geometry_msgs/msg/Vector3"], np.array([-1.0] + [0.0] * 8)
+
+    def odometry(k: int) -> object:
+        point = T["geometry_msgs/msg/Point"](c["y_ned"][k], c["x_ned"][k], 0.0)
+        pose = T["geometry_msgs/msg/PoseWithCovariance"](
+            T["geometry_msgs/msg/Pose"](point, quaternion(yaw[k])), np.zeros(36)
+        )
+        twist = T["geometry_msgs/msg/Twist"](vector(c["surge"][k], -c["sway"][k], 0.0), vector(0.0, 0.0, 0.0))
+        whole = T["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36))
+        return T["nav_msgs/msg/Odometry"](header(t[k], "odom"), "wamv/base_link", pose, whole)
+
+    def imu(k: int) -> object:
+        rate = vector(0.0, 0.0, -c["yaw_rate"][k])
+        zero = vector(0.0, 0.0, 0.0)
+        return T["sensor_msgs/msg/Imu"](
+            header(t[k], "wamv/imu"), quaternion(yaw[k]), np.zeros(9), rate, np.zeros(9), zero, unknown
+        )
+
+    def thrust(name: str) -> Callable[[int], object]:
+        return lambda k: T["std_msgs/msg/Float64"](c[name][k])
+
+    number = "std_msgs/msg/Float64"
+    write_bag(tmp_path / "bag", {
+        "/wamv/sensors/position/odometry": ("nav_msgs/msg/Odometry", t, odometry),
+        "/wamv/sensors/imu/imu/data": ("sensor_msgs/msg/Imu", t, imu),
+        "/wamv/thrusters/left/thrust": (number, t, thrust("left_force")),
+        "/wamv/thrusters/right/thrust": (number, t, thrust("right_force")),
+        "/wamv/thrusters/left/pos": (number, t, lambda k: T["std_msgs/msg/Float64"](0.0)),
+    })  # fmt: skip
+    again = by_guess(tmp_path / "bag", tmp_path)
+    same(log, again, "x y u v psi r f_left f_right")
+    fits = [estimates(path, tmp_path / str(k), *SURGE, "--fix", "e_u=0.05") for k, path in enumerate((log, again))]
+    assert fits[1] == pytest.approx(fits[0], rel=1e-6)
+
+
+def message(kind: bytes, body: bytes) -> bytes:
+    return struct.pack("<Hc", len(body), kind) + body
+
+
+def write_ulog(path: Path, t: np.ndarray, topics: dict[str, tuple[str, np.ndarray]]) -> None:
+    """Header, definitions, data; docs.px4.io, "ULog file format". Of each topic the fields and (n, fields) floats."""
+    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + message(b"B", bytes(40))
+    for name, (fields, _) in topics.items():
+        out += message(b"F", f"{name}:uint64_t timestamp;{fields};".encode())
+    for number, name in enumerate(topics):
+        out += message(b"A", struct.pack("<BH", 0, number) + name.encode())
+    for k, when in enumerate(t):
+        for number, (_, rows) in enumerate(topics.values()):
+            body = struct.pack(f"<HQ{rows.shape[1]}f", number, round(when * 1e6), *rows[k])
+            out += message(b"D", body)
+    path.write_bytes(out)
+
+
+def test_blueboat_as_a_log_of_px4(blueboat: tuple[Path, dict[str, np.ndarray]], tmp_path: Path) -> None:
+    log, c = blueboat
+    t, half = c["original_timestamp"] * 1e-3, np.radians(c["yaw"]) / 2
+    n = {side: signals(log)[f"n_{side}"][1] for side in ("left", "right")}
+    zero = np.zeros(len(t))
+    write_ulog(tmp_path / "run.ulg", t, {
+        "vehicle_local_position": ("float x;float y", np.stack([c["x_ned"], c["y_ned"]], 1)),
+        "vehicle_attitude": ("float[4] q", np.stack([np.cos(half), zero, zero, np.sin(half)], 1)),
+        "vehicle_angular_velocity": ("float[3] xyz", np.stack([zero, zero, c["yaw_rate"]], 1)),
+        "actuator_motors": ("float[2] control", np.stack([n["right"], n["left"]], 1)),
+    })  # fmt: skip
+    again = by_guess(tmp_path / "run.ulg", tmp_path)
+    assert sorted(signals(again)) == ["n_left", "n_right", "psi", "r", "x", "y"]
+    same(log, again, "x y psi r n_left n_right", atol=5e-6)  # float32
+
+
+@pytest.mark.parametrize("form", ["mat", "parquet"])
+def test_blueboat_as_columns(blueboat: tuple[Path, dict[str, np.ndarray]], tmp_path: Path, form: str) -> None:
+    log, c = blueboat
+    path = tmp_path / f"run.{form}"
+    if form == "mat":
+        savemat(path, c)
+    else:
+        import pyarrow
+        import pyarrow.parquet
+
+        pyarrow.parquet.write_table(pyarrow.table(c), path)
+    again = by_guess(path, tmp_path)
+    same(log, again, "x y u v psi r f_left f_right", atol=1e-12)
+
+
+# The Kingfisher: two clocks, commands of -1..1
+
+
+@pytest.mark.parametrize("form", ["bag", "mat"])
+def test_kingfisher(tmp_path: Path, form: str) -> None:
+    files = sorted(measured("kingfisher").glob("surge_*.csv"))
+    reference = (EXAMPLES / "kingfisher/surge.toml").read_text()
+    line, unit = 'column = "cmd_left"\nunit = ', ('"1"', '"N"\nscale = 40')
+    force = f'name = "n_left"\n{line}{unit[0]}', f'name = "X"\n{line}{unit[1]}'
+    (tmp_path / "surge.toml").write_text(reference.replace(*force))  # both thrusters had the same command
+    (log,) = import_files(tmp_path / "surge.toml", files, out_dir=tmp_path)
+    cmd, vel = (columns(file) for file in files)
+    t_cmd, t_vel = cmd["t_s"] + 1.0, vel["t_s"] + 1.0  # stamps of zero are no stamps
+    if form == "bag":
+        def velocity(k: int) -> object:
+            linear = T["geometry_msgs/msg/Vector3"](vel["vel_x"][k], vel["vel_y"][k], 0.0)
+            return T["geometry_msgs/msg/Vector3Stamped"](header(t_vel[k], "odom"), linear)
+
+        def command(side: str) -> Callable[[int], object]:
+            return lambda k: T["std_msgs/msg/Float64"](cmd[f"cmd_{side}"][k])
+
+        write_bag(tmp_path / "bag", {
+            "/left_thrust_cmd": ("std_msgs/msg/Float64", t_cmd, command("left")),
+            "/right_thrust_cmd": ("std_msgs/msg/Float64", t_cmd, command("right")),
+            "/navsat/vel": ("geometry_msgs/msg/Vector3Stamped", t_vel, velocity),
+        })  # fmt: skip
+        source = tmp_path / "bag"
+        edit = 'name = "n_left", topic = "/left_thrust_cmd", field = "data", unit = "1"'
+    else:
+        source = tmp_path / "run.mat"
+        savemat(source, {"t_cmd": t_cmd, "cmd_left": cmd["cmd_left"], "cmd_right": cmd["cmd_right"], "t_vel": t_vel,
+                         "vel_x": vel["vel_x"], "vel_y": vel["vel_y"]})  # fmt: skip
+        edit = 'name = "n_left", column = "cmd_left", unit = "1"'
+    force = edit.replace("n_left", "X").replace('"1"', '"N", scale = 40.0')
+    again = by_guess(source, tmp_path, ((edit, force),))
+    a, b = signals(log), signals(again)
+    np.testing.assert_allclose(b["X"][1], a["X"][1], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(b["n_right"][0] - 1.0, a["n_right"][0], rtol=0, atol=1e-6)
+    speed = [np.hypot(found[x][1], found[y][1]) for found, x, y in ((a, "speed_x", "speed_y"), (b, "vx", "vy"))]
+    np.testing.assert_allclose(speed[1], speed[0], rtol=0, atol=1e-12)
+    fits = [estimates(path, tmp_path / str(k), *SURGE) for k, path in enumerate((log, again))]
+    assert fits[1] == pytest.approx(fits[0], rel=1e-5)
+
+
+# Logs of other people
+
+NO_FIT = {
+    "px4_sample_small.ulg": "of no boat (MAV_TYPE 22)",
+    "px4_tagged.ulg": "of no boat (MAV_TYPE 2)",
+    "roboboat_gps_and_imu_inputs.bag": "no commands, shaft speeds or forces of thrusters",
+    "roboboat_nathan01_merged.bag": "no position, velocity, heading or yaw rate",
+    "vtol.tlog": "of no boat (MAV_TYPE 1)",
+}
+
+
+@pytest.mark.parametrize("name", NO_FIT)
+def test_what_cannot_be_fitted_says_why_in_one_line(name: str, tmp_path: Path) -> None:
+    source = measured(f"foreign/{name}")
+    guess = guess_map(source)
+    assert NO_FIT[name] in guess.problem
+    assert "\n" not in guess.problem
+    log = by_guess(source, tmp_path)  # what is there is read all the same
+    assert signals(log)
+
+
+def test_a_simulators_scalars_go_to_a_fit_by_two_lines(tmp_path: Path) -> None:
+    source = measured("foreign/usv_simulator_trial.bag")
+    force = '  { name = "X", topic = "u_speed", field = "data", unit = "N", role = "input" },'
+    speed = '  { name = "u", topic = "y_speed", field = "data", unit = "m/s" },'
+    log = by_guess(source, tmp_path, (('topic = "u_speed"', force), ('topic = "y_speed"', speed)))
+    found = estimates(log, tmp_path / "fit", "--model", "surge:force:speed")
+    assert found["m_u"] == pytest.approx(31.9, abs=0.5)
+
+
+def test_an_imu_with_unknown_covariances_keeps_what_it_measured(tmp_path: Path) -> None:
+    found = signals(by_guess(measured("foreign/roboboat_gps_and_imu_inputs.bag"), tmp_path))
+    assert set(found) == {"x", "y", "vx", "vy", "psi", "r", "ax", "ay"}
+    assert len(found["psi"][0]) == len(found["r"][0]) == 5266
+    assert len(found["x"][0]) == 89
+
+
+def test_an_autopilots_log_goes_to_its_signals(tmp_path: Path) -> None:
+    source = measured("ardurover/steps_boat.tlog")
+    assert guess_map(source).problem == ""
+    found = signals(by_guess(source, tmp_path))
+    assert {"x", "y", "vx", "vy", "psi", "r", "n_left", "n_right"} <= set(found)
+    assert np.ptp(found["n_left"][1]) > 0.2
