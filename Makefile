@@ -78,6 +78,7 @@ study: .venv/ready
 	@$(BIN)/python -m tests.recovery.misuse $(SEED_OPTION) --docs
 	@$(BIN)/python -m tests.recovery.bench_study $(SEED_OPTION) --docs
 	@$(BIN)/python -m tests.golden.fuzz --n 1000000 $(SEED_OPTION)
+	@$(BIN)/python -m tests.daq.hostile_files $(SEED_OPTION)
 	@$(BIN)/python -m tests.bench.fault_trials --n $(or $(N),20) $(SEED_OPTION)
 	@$(BIN)/python -m tests.bench.check_study --each 10 $(SEED_OPTION)
 	@$(BIN)/python -m tests.bench.check_study --each 10 --actuators $(SEED_OPTION)

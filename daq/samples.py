@@ -44,7 +44,10 @@ class Ahrs:
 
 @dataclass(frozen=True, slots=True)
 class Gnss:
-    """One epoch of a GNSS receiver."""
+    """One epoch of a GNSS receiver.
+
+    A slow receiver has a speed but no course, hence no velocity; a differential or RTK fix may be two-dimensional.
+    """
 
     utc: float  # s since 1970-01-01 UTC
     lat: float  # deg
@@ -57,6 +60,14 @@ class Gnss:
     n_sat: int = -1
     hdop: float = NAN
     sigma_h: float = NAN  # m, standard deviation of the horizontal position per axis
+    speed: float = NAN  # m/s over ground, horizontal; that of the velocity where the receiver does not say it
+    dimensions: int = -1  # 2 with the height held, 3, 0 no fix; that of ``fix`` where it says so; -1 not reported
+
+    def __post_init__(self) -> None:
+        if self.speed != self.speed:
+            object.__setattr__(self, "speed", math.hypot(self.vel_n, self.vel_e))
+        if self.dimensions < 0 and self.fix in (0, 2, 3):
+            object.__setattr__(self, "dimensions", self.fix)
 
 
 @dataclass(frozen=True, slots=True)

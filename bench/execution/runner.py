@@ -261,7 +261,7 @@ class _Runner:
             if isinstance(sample, LoadCell):
                 force = sample.force
             elif isinstance(sample, Gnss):
-                speed = math.hypot(sample.vel_n, sample.vel_e)
+                speed = sample.speed
             elif isinstance(sample, Esc):
                 rpm[device.partition("/")[0], node] = sample.rpm
         thrusters = [self._rig.thruster(name) for name in self._mission.thrusters]

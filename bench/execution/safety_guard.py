@@ -305,7 +305,9 @@ class Fence:
         if distance > self._radius:
             return f"{distance:.0f} m from the start by {name}, limit {self._radius:g} m"
         outward = (north * fix.vel_n + east * fix.vel_e) / length if length > 0.0 else 0.0
-        if not outward > 0.0:  # NaN too: a receiver without velocity
+        if math.isnan(outward):  # a speed without a course may be straight outward
+            outward = fix.speed
+        if not outward > 0.0:  # NaN too: a receiver that says neither
             return ""
         coast = outward * REACTION_S + stopping_distance(outward, self._vehicle)
         if distance + coast > self._radius:

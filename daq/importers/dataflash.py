@@ -65,6 +65,7 @@ class _Reader:
                 fix=fix,
                 n_sat=m.NSats,
                 hdop=m.HDop,
+                speed=m.Spd if moving else NAN,
             )
         ]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ def read_ulog(path: Path, options: SourceOptions) -> list[Table]:
     except ModuleNotFoundError as error:
         raise SeatrialError(_PYULOG) from error
     try:
-        with path.open("rb") as file:  # it does not close what it cannot read
+        with _Bounded(path) as file:  # it does not close what it cannot read
             data = ULog(file).data_list
     except Exception as error:  # pyulog has errors of many kinds for a file that is none, or damaged
         raise SeatrialError(f"{path}: cannot be read as a PX4 log: {' '.join(str(error).split())}") from error
@@ -46,6 +47,22 @@ def read_ulog(path: Path, options: SourceOptions) -> list[Table]:
         table.vehicle = vehicle
         table.t = table.t + offset
     return tables
+
+
+class _Bounded(io.BufferedReader):
+    """A file of which only so much is read: on damage pyulog goes back by a message, and may do so for ever."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(io.FileIO(path))
+        self._left = 100 * path.stat().st_size + (16 << 20)
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """As of any file. Raises SeatrialError beyond the bound."""
+        data = super().read(size)
+        self._left -= len(data) + 16
+        if self._left < 0:
+            raise SeatrialError("too much of it is damaged")
+        return data
 
 
 def _utc_offset(tables: list[Table]) -> float:

@@ -95,8 +95,8 @@ class CdrLayout:
     `dtype` is the fixed part, encapsulation included; `tail` are the variable fields behind it.
     """
 
-    def __init__(self, type_name: str, frame_id: bytes) -> None:
-        fields = flatten(type_name)
+    def __init__(self, type_name: str, frame_id: bytes, lacking: tuple[str, ...] = ()) -> None:
+        fields = [field for field in flatten(type_name) if field.name not in lacking]
         if [field.name for field in fields[:3]] != [
             "header.stamp.sec",
             "header.stamp.nanosec",
@@ -157,9 +157,9 @@ def doubles(*values: float) -> bytes:
 
 
 @cache
-def cdr_layout(type_name: str, frame_id: bytes) -> CdrLayout:
-    """The layout of a type for a frame_id (computed once)."""
-    return CdrLayout(type_name, frame_id)
+def cdr_layout(type_name: str, frame_id: bytes, lacking: tuple[str, ...] = ()) -> CdrLayout:
+    """The layout of a type for a frame_id (computed once), without the fields ``lacking`` in an older version."""
+    return CdrLayout(type_name, frame_id, lacking)
 
 
 def stamps(rows: NDArray[np.void]) -> NDArray[np.float64]:

@@ -235,8 +235,9 @@ class Log:
             rows = self._rows(messages, topic, type_name)
             part = table.more(len(rows))
             part["t"] = stamps(rows)
+            columns = schema.own_columns(kind, rows)
             for name in (part.dtype.names or ())[1:]:
-                part[name] = rows[name]
+                part[name] = columns[name]
         return self._in_order(table.done(), topic, span)
 
     def _only_node(self, kind: type[Esc] | type[Command] | type[Servo], source: str, node: int | None) -> int:
@@ -349,25 +350,33 @@ class Log:
                 raise self._error(f"{topic} is {what}, not {type_name} (cdr)")
         return found
 
+    def _lacking(self, topic: str, type_name: str) -> tuple[str, ...]:
+        """The fields that the version that wrote a topic did not have."""
+        channels = [self._file.channels[number] for number in self._channels(topic)]
+        written = [self._file.schemas[c.schema_id].data for c in channels if c.schema_id in self._file.schemas]
+        added = schema.ADDED.get(type_name, ())
+        return tuple(name for name in added if not all(f" {name} ".encode() in data for data in written))
+
     def _rows(self, messages: Messages, topic: str, type_name: str) -> NDArray[np.void]:
         """Decoded fixed parts of messages, shape (n,)."""
         wrong = self._error(f"a message on {topic} is no {type_name} in little-endian CDR")
+        lacking = self._lacking(topic, type_name)
         lengths = messages.lengths
         if np.any(lengths < HEAD.itemsize):
             raise wrong
         # Our own logs have one frame_id a topic: what the first message has is tried for all.
         heads = messages.rows(HEAD)
-        found = _layout(type_name, heads["n_frame"][0]) if len(heads) else cdr_layout(type_name, b"")
+        found = _layout(type_name, heads["n_frame"][0] if len(heads) else 1, lacking)
         if found is not None and np.all(lengths >= found.dtype.itemsize):
             rows = messages.rows(found.dtype)
             if not len(rows) or (np.all(rows["n_frame"] == rows["n_frame"][0]) and np.all(rows["endian"] == _LITTLE)):
                 return rows
         if np.any(heads["endian"] != _LITTLE):
             raise wrong
-        rows = np.zeros(len(heads), cdr_layout(type_name, b"").dtype)
+        rows = np.zeros(len(heads), cdr_layout(type_name, b"", lacking).dtype)
         for n_frame in np.unique(heads["n_frame"]):
             these = heads["n_frame"] == n_frame
-            found = _layout(type_name, n_frame)
+            found = _layout(type_name, n_frame, lacking)
             if found is None or np.any(lengths[these] < found.dtype.itemsize):
                 raise wrong
             decoded = messages.where(these).rows(found.dtype)
@@ -388,9 +397,9 @@ class Log:
                 yield float(t), row, tail
 
 
-def _layout(type_name: str, n_frame: int) -> CdrLayout | None:
+def _layout(type_name: str, n_frame: int, lacking: tuple[str, ...]) -> CdrLayout | None:
     """The layout for a frame_id of so many bytes, its end included; None where that makes no sense."""
-    return cdr_layout(type_name, b"\0" * (int(n_frame) - 1)) if 1 <= n_frame <= MAX_FRAME_ID else None
+    return cdr_layout(type_name, b"\0" * (int(n_frame) - 1), lacking) if 1 <= n_frame <= MAX_FRAME_ID else None
 
 
 def _table_type(kind: type[Measured], integers: Collection[str] = ()) -> np.dtype[np.void]:

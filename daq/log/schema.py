@@ -61,6 +61,8 @@ _LAST: dict[type, str] = {
 }
 Columns = dict[str, NDArray[np.float64] | NDArray[np.int64]]
 
+ADDED = {TYPES[Gnss]: ("speed", "dimensions")}  # fields at the end that logs of older versions lack
+
 _ZERO9 = doubles(*(0.0,) * 9)  # "covariance unknown" in sensor_msgs
 _NONE9 = doubles(-1.0, *(0.0,) * 8)  # "no estimate of this quantity"
 _UNKNOWN_VARIANCE = 1e6  # rad2, variance of an angle that a compass does not measure; it is written as level
@@ -148,7 +150,7 @@ def _gnss(device: str, s: Gnss) -> list[Message]:
     else:  # the vertical one is not reported; twice the horizontal is the usual rule
         covariance, kind = doubles(variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, 4.0 * variance), 1
     found = [Message(f"/{device}/fix", FIX, device, (status, 1, s.lat, s.lon, s.alt, covariance, kind))]
-    if not (math.isnan(s.vel_n) or math.isnan(s.vel_e)):
+    if s.fix and not (math.isnan(s.vel_n) or math.isnan(s.vel_e)):
         down = 0.0 if math.isnan(s.vel_d) else s.vel_d
         found.append(Message(f"/{device}/velocity", TWIST, f"{device}_ned", (s.vel_n, s.vel_e, down, 0.0, 0.0, 0.0)))
     return found
@@ -207,4 +209,9 @@ def imu_columns(rows: NDArray[np.void]) -> Columns:
 
 def own_columns(kind: type[Measured], rows: NDArray[np.void]) -> Columns:
     """The columns of any other kind, t_rx and t_device among them, from decoded rows of its own message."""
-    return {name: rows[name] for name in ("t_rx", "t_device", *field_names(kind))}
+    columns: Columns = {name: rows[name] for name in rows.dtype.names or ()}
+    if kind is Gnss and "speed" not in columns:  # as `Gnss` fills them in
+        fix = columns["fix"]
+        columns["speed"] = np.hypot(columns["vel_n"], columns["vel_e"])
+        columns["dimensions"] = np.where(np.isin(fix, (0, 2, 3)), fix, -1)
+    return columns

@@ -17,8 +17,8 @@ UNITS = {  # of daq/samples.py, where they are explained
     "t": "s", "t_rx": "s", "t_device": "s", "utc": "s",
     "yaw": "rad", "pitch": "rad", "roll": "rad", "p": "rad/s", "q": "rad/s", "r": "rad/s",
     "ax": "m/s2", "ay": "m/s2", "az": "m/s2", "mx": "T", "my": "T", "mz": "T",
-    "lat": "deg", "lon": "deg", "alt": "m", "vel_n": "m/s", "vel_e": "m/s", "vel_d": "m/s", "sigma_h": "m",
-    "rpm": "rev/min", "current": "A", "voltage": "V", "temperature": "degC", "force": "N", "pwm": "us",
+    "lat": "deg", "lon": "deg", "alt": "m", "vel_n": "m/s", "vel_e": "m/s", "vel_d": "m/s", "speed": "m/s",
+    "sigma_h": "m", "rpm": "rev/min", "current": "A", "voltage": "V", "temperature": "degC", "force": "N", "pwm": "us",
 }  # fmt: skip
 KINDS: tuple[type[Any], ...] = (Ahrs, Gnss, Esc, Command, Servo, LoadCell, Battery, Autopilot, Scalar)
 HELD = (Command, Servo, Autopilot)  # kinds that stay as they are until the next sample

@@ -293,8 +293,8 @@ class Samples:
         self._fix = m.time_usec
         t = self._at(m.time_usec)
         fix = FIXES.get(m.fix_type, 0)
-        moving = fix >= 2 and m.vel != 0xFFFF and m.cog != 0xFFFF
-        course, speed = math.radians(m.cog * 0.01), m.vel * 0.01
+        course = math.radians(m.cog * 0.01) if m.cog != 0xFFFF else NAN
+        speed = m.vel * 0.01 if fix >= 2 and m.vel != 0xFFFF else NAN
         return [
             (
                 Gnss(
@@ -302,12 +302,13 @@ class Samples:
                     lat=m.lat * 1e-7 if fix else NAN,
                     lon=m.lon * 1e-7 if fix else NAN,
                     alt=m.alt * 1e-3 if fix >= 3 else NAN,
-                    vel_n=speed * math.cos(course) if moving else NAN,
-                    vel_e=speed * math.sin(course) if moving else NAN,
+                    vel_n=speed * math.cos(course),
+                    vel_e=speed * math.sin(course),
                     fix=fix,
                     n_sat=-1 if m.satellites_visible == 255 else m.satellites_visible,
                     hdop=NAN if m.eph == 0xFFFF else m.eph * 0.01,
                     sigma_h=m.h_acc * 1e-3 if m.h_acc else NAN,
+                    speed=speed,
                 ),
                 t,
             )

@@ -130,7 +130,7 @@ def _unpack(form: struct.Struct, data: bytes | None) -> tuple[float, ...] | None
 def _attitude(fields: Fields, quaternion: int, euler: int) -> tuple[float, ...]:
     """Roll, pitch, yaw [rad]; NaN where the packet has neither."""
     if (angles := _unpack(_V3, fields.get(euler))) is not None:
-        return angles
+        return _NAN3 if math.isnan(sum(angles)) else angles  # before it has a heading a filter calls NaN valid
     if (turn := _unpack(_Q4, fields.get(quaternion))) is None:
         return _NAN3
     w, x, y, z = turn
@@ -141,18 +141,20 @@ def _attitude(fields: Fields, quaternion: int, euler: int) -> tuple[float, ...]:
 
 def _gnss(fields: Fields) -> Gnss:
     lat, lon, _, height, h_acc, _, valid = _LLH.unpack(fields[0x03])
-    kind, n_sat, _, _ = _INFO.unpack(fields[0x0B]) if len(fields.get(0x0B, b"")) == _INFO.size else (3, 255, 0, 0)
+    kind, n_sat, _, told = _INFO.unpack(fields[0x0B]) if len(fields.get(0x0B, b"")) == _INFO.size else (0, 0, 0, 1)
     has_place = bool(valid & 1) and abs(lat) <= 90.0 and abs(lon) <= 180.0
     velocity = _unpack(_VELOCITY, fields.get(0x05)) or ()
-    moves = len(velocity) == 9 and int(velocity[8]) & 1
-    north, east, down = velocity[:3] if moves else _NAN3
+    known = int(velocity[8]) if len(velocity) == 9 else 0
+    north, east, down = velocity[:3] if known & 1 else _NAN3
     dilution = _unpack(_DOP, fields.get(0x07)) or ()
     tow, week, time_valid = _TIME.unpack(fields[0xD3]) if len(fields.get(0xD3, b"")) == _TIME.size else (0.0, 0, 0)
     utc = gps_to_utc(GPS_EPOCH + WEEK * week + tow) if time_valid & 3 == 3 and 0.0 <= tow < WEEK else NAN
+    n_sat = n_sat if told & 2 else -1
     if not has_place:
-        return Gnss(utc, NAN, NAN, n_sat=-1 if n_sat == 255 else n_sat)
+        return Gnss(utc, NAN, NAN, n_sat=n_sat)
     return Gnss(
-        utc, lat, lon, height, north, east, down, _FIX.get(kind, 0), -1 if n_sat == 255 else n_sat,
+        utc, lat, lon, height if valid & 4 else NAN, north, east, down, _FIX.get(kind, 0) if told & 1 else 0, n_sat,
         dilution[2] if len(dilution) == 8 and int(dilution[7]) & 4 else NAN,
         h_acc / math.sqrt(2.0) if valid & 8 else NAN,
+        velocity[4] if known & 4 else NAN,
     )  # fmt: skip

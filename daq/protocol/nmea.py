@@ -1,6 +1,6 @@
 """NMEA 0183 of GNSS receivers and compasses: the sentences of an epoch become one `Gnss`, a heading an `Ahrs`.
 
-A receiver with two antennas sends both. Headings: HDT, THS, HDG, HDM, ROT and $PASHR.
+A receiver with two antennas sends both. Headings: HDT, THS, HDG, HDM, ROT, XDR, $PASHR and SkyTraq's $PSTI,036.
 Source: NMEA 0183 version 4.11; sentences of a position are split into fields by pynmeagps.
 """
 
@@ -33,7 +33,10 @@ Message = dict[str, Any]
 _NUMBER = re.compile(rb"[+-]?\d+(\.\d*)?\Z")
 _DEG = math.pi / 180.0
 # Preferred sentence of a device that sends several: the one with attitude, then true, then magnetic.
-_RANK = {"PASHR": 5, "HDT": 4, "THS": 3, "HDG": 2, "HDM": 1}
+_RANK = {"PASHR": 5, "PSTI": 5, "HDT": 4, "THS": 3, "HDG": 2, "HDM": 1}
+_ATTITUDE = {"PASHR": (2, 5, 4), "PSTI": (4, 5, 6)}  # where heading, pitch and roll stand
+_HEADING_TIME = {b"PASHR": 1, b"PSTI,": 2}  # the headings with a time of their own
+_LEVEL = {b"PTCH": 0, b"PITCH": 0, b"ROLL": 1}  # transducers of XDR
 _THS_VALID = b"AE"  # autonomous, estimated; M is by hand, S simulated, V void
 
 
@@ -86,8 +89,8 @@ class Sentences:
         if kind in KINDS:
             return self.epochs.take(kind, body, t_rx)
         found = self.headings.take(kind, body, t_rx)
-        if found and body.startswith(b"PASHR"):  # the one heading with a time of its own
-            seconds = _seconds(body.split(b","), 1)
+        if found and body[:5] in _HEADING_TIME:
+            seconds = _seconds(body.split(b","), _HEADING_TIME[body[:5]])
             found = [frame._replace(t_device=self.epochs.utc_of(seconds, t_rx)) for frame in found]
         return found
 
@@ -104,9 +107,8 @@ def encode(gnss: Gnss) -> bytes:
     time = f"{when:%H%M%S}.{milliseconds % 1000:03d}"
     void = gnss.fix == 0 or math.isnan(gnss.lat) or math.isnan(gnss.lon)
     place = ",,," if void else f"{_degrees(gnss.lat, 2, 'NS')},{_degrees(gnss.lon, 3, 'EW')}"
-    speed = math.hypot(gnss.vel_n, gnss.vel_e)
     course = math.degrees(math.atan2(gnss.vel_e, gnss.vel_n)) % 360.0
-    knots, kmh, cog = _text(speed / KNOT, 4), _text(speed * 3.6, 4), _text(course, 4)
+    knots, kmh, cog = _text(gnss.speed / KNOT, 4), _text(gnss.speed * 3.6, 4), _text(course, 4)
     sigma = _text(gnss.sigma_h, 4)
     quality = 0 if void else _FIX_TO_QUALITY[gnss.fix]
     mode = "N" if void else {1: "A", 2: "D", 4: "R", 5: "F", 6: "E"}[quality]
@@ -245,6 +247,8 @@ def nearest_day(t: float, near: float) -> float:
 def _gnss(epoch: _Epoch, utc: float, mode_gsa: int) -> Gnss:
     value = epoch.values
     fix = int(value.get("quality", value.get("mode", 0)))
+    # GSA says it; without one a position with a height has three dimensions, as gpsd has it.
+    dimensions = mode_gsa if mode_gsa in (2, 3) else 3 if "alt" in value else 2
     if fix == 3 and mode_gsa == 2:
         fix = 2
     lat, lon = next((epoch.position[kind] for kind in _POSITION if kind in epoch.position), (NAN, NAN))
@@ -262,6 +266,8 @@ def _gnss(epoch: _Epoch, utc: float, mode_gsa: int) -> Gnss:
         n_sat=int(value.get("n_sat", -1)),
         hdop=value.get("hdop", NAN),
         sigma_h=value.get("sigma_h", NAN),
+        speed=speed,
+        dimensions=dimensions if fix else 0,
     )  # fmt: skip
 
 
@@ -376,8 +382,9 @@ _READ = {
 class Headings:
     """Sentences -> `Ahrs` with yaw, from the best kind of sentence received; roll and pitch where it has them.
 
-    A rate of turn (ROT) goes into the next heading. Magnetic headings become true ones by the variation that HDG
-    carries or else by `declination` [rad, east positive]; without either they give no sample, and `remark` reports it.
+    A rate of turn (ROT), and pitch and roll of XDR, go into the next heading. Magnetic headings become true ones by the
+    variation that HDG carries or else by `declination` [rad, east positive]; without either they give no sample, and
+    `remark` reports it.
     """
 
     def __init__(self, declination: float | None = None) -> None:
@@ -385,25 +392,31 @@ class Headings:
         self._declination = declination
         self._best = 0
         self._rate = NAN
+        self._level = [NAN, NAN]  # pitch, roll
 
     def forget(self) -> None:
         """Discard all received state: a reopened port may have another device."""
-        self._best, self._rate = 0, NAN
+        self._best, self._rate, self._level = 0, NAN, [NAN, NAN]
 
     def take(self, kind: str, body: bytes, t_rx: float) -> list[Frame] | None:
         """Take one sentence; None if its fields make no sense. A sentence of another kind gives nothing."""
         words = body.split(b",")
         if words[0] == b"PASHR" and len(words) > 5 and words[3] == b"T":
             kind = "PASHR"
+        elif words[:2] == [b"PSTI", b"036"] and len(words) > 6:
+            kind = "PSTI"
         if kind == "ROT":
             return self._turn(words)
+        if kind == "XDR":
+            return self._transducers(words)
         rank = _RANK.get(kind, 0)
         if rank < max(self._best, 1):
             return []
-        void = len(words) < 2 or not words[2 if kind == "PASHR" else 1]
+        places = _ATTITUDE.get(kind, (1,))
+        void = len(words) < 2 or not words[places[0]]
         if void or (kind == "THS" and words[-1] not in _THS_VALID):
             return []
-        numbers = _numbers(words, (2, 4, 5) if kind == "PASHR" else (1,))
+        numbers = _numbers(words, places)
         if numbers is None:
             return None
         yaw = numbers[0] * _DEG + self._variation(kind, words)
@@ -411,8 +424,8 @@ class Headings:
             self.remark = "magnetic headings are left out: the rig has no declination_deg for this device"
             return []
         self._best, self.remark = rank, ""
-        roll, pitch = (angle * _DEG for angle in (*numbers[1:], NAN, NAN)[:2])
-        rate, self._rate = self._rate, NAN
+        pitch, roll = [angle * _DEG for angle in numbers[1:]] or self._level
+        rate, self._rate, self._level = self._rate, NAN, [NAN, NAN]
         return [Frame(Ahrs(wrap_angle(yaw), pitch, roll, r=rate), t_rx, NAN)]
 
     def _turn(self, words: list[bytes]) -> list[Frame] | None:
@@ -422,6 +435,16 @@ class Headings:
         if numbers is None:
             return None
         self._rate = numbers[0] * _DEG / 60.0  # degrees a minute, positive to starboard
+        return []
+
+    def _transducers(self, words: list[bytes]) -> list[Frame] | None:
+        """Groups of kind, value, unit and name; pitch and roll are angles in degrees, bow up and starboard down."""
+        for at in range(1, len(words) - 3, 4):
+            if words[at] == b"A" and words[at + 2] == b"D" and words[at + 3] in _LEVEL:
+                numbers = _numbers(words, (at + 1,))
+                if numbers is None:
+                    return None
+                self._level[_LEVEL[words[at + 3]]] = numbers[0] * _DEG
         return []
 
     def _variation(self, kind: str, words: list[bytes]) -> float:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from daq.protocol.canframe import FRAME_BYTES, FrameDecoder
 from daq.samples import NAN, Ahrs, Frame, Gnss, wrap_angle
 
-HEADING, TURN, ATTITUDE, VARIATION, COURSE, FIX = 127250, 127251, 127257, 127258, 129026, 129029
+HEADING, TURN, ATTITUDE, VARIATION, COURSE, FIX, DOPS = 127250, 127251, 127257, 127258, 129026, 129029, 129539
 STALE_S = 2.0  # attitude and course are added to a heading or fix for no longer; a silent sender loses its lead
 SETTLE_S = 1.2  # senders on the bus are collected for so long: most send everything once a second
 MAGNETIC = 1  # direction reference; 0 is true, 2 an error
@@ -24,11 +24,13 @@ _TURN = struct.Struct("<xi")
 _ATTITUDE = struct.Struct("<xhhh")  # yaw, pitch, roll
 _VARIATION = struct.Struct("<xBHh")  # source, age, variation
 _COURSE = struct.Struct("<xBHH")  # reference, course, speed over ground
+_DOPS = struct.Struct("<xB")  # mode: 3 bits that which is wanted, 3 bits that which is
 # Date, time, latitude, longitude, altitude, type and method, integrity, satellites, HDOP, PDOP, height of the geoid.
 _FIX = struct.Struct("<xHIqqqBBBhhi")
 _ANGLE, _SPEED, _RATE, _PLACE, _HEIGHT, _TICK = 1e-4, 0.01, 1e-6 / 32.0, 1e-16, 1e-6, 1e-4
 _DAY = 86400.0
 _METHOD = {0: 0, 1: 3, 2: 4, 3: 3, 4: 5, 5: 6, 6: 1, 7: 1, 8: 3}  # -> Gnss.fix
+_DIMENSIONS = {1: 2, 2: 3}  # mode of DOPS -> Gnss.dimensions
 _PRIORITY = {HEADING: 2, TURN: 2, ATTITUDE: 3, VARIATION: 7, COURSE: 2, FIX: 3}
 
 
@@ -60,7 +62,7 @@ class Decoder(FrameDecoder):
     before one that does not, and a lower address before a higher; the others are used when that one is silent.
     Magnetic headings become true ones by the variation that they or the bus carry, else by `declination` [rad, east
     positive]; without any they give no sample, and `remark` reports it. A fix takes its velocity from the newest course
-    over ground.
+    over ground, of its own sender if that has one.
     """
 
     def __init__(self, declination: float | None = None, settle: float = SETTLE_S) -> None:
@@ -74,15 +76,18 @@ class Decoder(FrameDecoder):
             VARIATION: (_VARIATION.size, self._variation),
             COURSE: (_COURSE.size, self._course),
             FIX: (_FIX.size, self._fix),
+            DOPS: (_DOPS.size, self._dops),
         }
         self._forget()
 
     def _forget(self) -> None:
         self._packets: dict[int, _Packet] = {}  # of fixes, by source
-        self._leaders: dict[int, tuple[tuple[int, int], float]] = {}  # by PGN: rank and source, when received
+        self._senders: dict[int, dict[tuple[int, int], float]] = {}  # by PGN: rank and source, when last received
         self._since: dict[int, float] = {}  # when each PGN was first received
         self._level = (NAN, NAN, -math.inf)  # pitch, roll, when
-        self._velocity = (NAN, NAN, -math.inf)  # north, east, when
+        # By sender, and for all: speed and course over ground, when.
+        self._motions: dict[int | None, tuple[float, float, float]] = {}
+        self._dimensions: dict[int, tuple[int, float]] = {}  # by sender: of its fixes, when
         self._bus_variation = NAN
 
     def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
@@ -134,11 +139,10 @@ class Decoder(FrameDecoder):
         return t_rx - self._since.setdefault(pgn, t_rx) >= self._settle
 
     def _leads(self, pgn: int, rank: int, source: int, t_rx: float) -> bool:
-        leader = self._leaders.get(pgn)
-        if leader is not None and (rank, source) > leader[0] and t_rx - leader[1] <= STALE_S:
-            return False
-        self._leaders[pgn] = (rank, source), t_rx
-        return True
+        """Whether a message is of the best sender; what a sender could do lately, it is taken to be able to do."""
+        senders = self._senders.setdefault(pgn, {})
+        senders[rank, source] = t_rx
+        return min(key for key, when in senders.items() if t_rx - when <= STALE_S)[1] == source
 
     def _heading(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
         raw, deviation, variation, reference = _HEADING.unpack_from(data)
@@ -149,7 +153,7 @@ class Decoder(FrameDecoder):
         if magnetic:
             east = self._east(_signed16(variation, _ANGLE))
             if math.isnan(east):
-                if settled and HEADING not in self._leaders:
+                if settled and HEADING not in self._senders:
                     self.remark = "magnetic headings are left out: the rig has no declination_deg for this device"
                 return []
             turned = _signed16(deviation, _ANGLE)
@@ -195,8 +199,15 @@ class Decoder(FrameDecoder):
             course += self._east(NAN) if reference & 3 == MAGNETIC else NAN
         if speed == 0.0 and math.isnan(course):
             course = 0.0  # at rest there is none, and it does not matter
-        if not math.isnan(course + speed) and self._leads(COURSE, reference & 3, source, t_rx):
-            self._velocity = speed * math.cos(course), speed * math.sin(course), t_rx
+        if not math.isnan(speed):
+            self._motions[source] = speed, course, t_rx
+            if self._leads(COURSE, reference & 3 if course == course else 3, source, t_rx):
+                self._motions[None] = speed, course, t_rx
+        return []
+
+    def _dops(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
+        if (mode := _DOPS.unpack_from(data)[0] >> 3 & 7) in _DIMENSIONS:
+            self._dimensions[source] = _DIMENSIONS[mode], t_rx
         return []
 
     def _fix(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
@@ -208,18 +219,24 @@ class Decoder(FrameDecoder):
         if not (abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0):
             place = NAN, NAN
         utc = day * _DAY + ticks * _TICK if day < 0xFFFD and ticks * _TICK < _DAY + 2.0 else NAN
-        north, east, when = self._velocity
+        motions = (self._motions.get(key, (NAN, NAN, -math.inf)) for key in (source, None))
+        speed, course, _ = next((m for m in motions if t_rx - m[2] <= STALE_S), (NAN, NAN, NAN))
+        fix = _METHOD.get(method >> 4, 0) if not math.isnan(place[0]) else 0
+        # As of NMEA 0183: a position with a height has three dimensions unless its sender says otherwise.
+        dimensions, when = self._dimensions.get(source, (-1, -math.inf))
         if t_rx - when > STALE_S:
-            north = east = NAN
+            dimensions = 3 if alt < 2**63 - 3 else 2
         sample = Gnss(
             utc,
             *place,
             alt=alt * _HEIGHT if alt < 2**63 - 3 else NAN,  # above the sea: receivers send that of their GGA
-            vel_n=north,
-            vel_e=east,
-            fix=_METHOD.get(method >> 4, 0) if not math.isnan(place[0]) else 0,
+            vel_n=speed * math.cos(course),
+            vel_e=speed * math.sin(course),
+            fix=2 if fix == 3 and dimensions == 2 else fix,
             n_sat=n_sat if n_sat < 0xFD else -1,
             hdop=_signed16(hdop, 0.01),
+            speed=speed,
+            dimensions=dimensions if fix else 0,
         )
         return [Frame(sample, t_rx, utc)]
 
@@ -250,9 +267,10 @@ def encode(sample: Ahrs | Gnss, sid: int = 0, source: int = 35) -> list[tuple[in
 
 def _encode_gnss(fix: Gnss, sid: int, source: int) -> list[tuple[int, bytes]]:
     out = []
-    if not math.isnan(fix.vel_n + fix.vel_e):
-        course = round(math.atan2(fix.vel_e, fix.vel_n) % math.tau / _ANGLE)
-        speed = round(math.hypot(fix.vel_n, fix.vel_e) / _SPEED)
+    if not math.isnan(fix.speed):
+        known = not math.isnan(fix.vel_n + fix.vel_e)
+        course = round(math.atan2(fix.vel_e, fix.vel_n) % math.tau / _ANGLE) if known else 0xFFFF
+        speed = round(fix.speed / _SPEED)
         out.append((identifier(COURSE, source), struct.pack("<BBHHH", sid, 0xFC, course, speed, 0xFFFF)))
     day, seconds = divmod(fix.utc, _DAY)
     method = {3: 1, 4: 2, 5: 4, 6: 5, 1: 6}.get(fix.fix, 0)

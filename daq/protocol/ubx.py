@@ -58,6 +58,7 @@ LENGTHS: dict[tuple[int, int], frozenset[int]] = {
 }  # fmt: skip
 _CARRIES = frozenset({0x07, 0x02, 0x06, 0x14})  # a position, or that there is none
 _FIX = {1: 1, 2: 2, 3: 3, 4: 3}  # gpsFix -> Gnss.fix; 5 is a fix of time only, at a place known from before
+_DIMENSIONS = {1: 3, 2: 2, 3: 3, 4: 3, 5: 3}  # gpsFix -> Gnss.dimensions
 
 
 class Decoder(nmea.Decoder):
@@ -130,7 +131,7 @@ def encode(gnss: Gnss) -> bytes:
     nano = round((gnss.utc - whole) * 1e9)
     year, month, day, hour, minute, second = time.gmtime(whole)[:6]
     i_tow = round((gnss.utc + 18 - 315964800) * 1000) % 604_800_000  # GPS time is 18 s ahead of UTC since 2017
-    fix = {0: 0, 1: 1, 2: 2}.get(gnss.fix, 3)
+    fix = {0: 0, 1: 1, 2: 2}.get(gnss.fix, 2 if gnss.dimensions == 2 else 3)
     flags = (1 if gnss.fix else 0) | (2 if gnss.fix >= 4 else 0) | {6: 0x40, 5: 0x80}.get(gnss.fix, 0)
     h_acc = round(_or_zero(gnss.sigma_h) * math.sqrt(2.0) * 1000)
     north, east, down = (round(_or_zero(v) * 1000) for v in (gnss.vel_n, gnss.vel_e, gnss.vel_d))
@@ -162,7 +163,7 @@ class _Epoch:
 class Epochs:
     """Navigation messages -> one sample per epoch.
 
-    A position without a valid fix (gnssFixOK not set, or a fix of time only) is kept, with
+    A position and a velocity without a valid fix (gnssFixOK not set, or a fix of time only) are kept, with
     `fix` 0. An epoch is complete when all kinds of message that came in the last few epochs have come, or else when the
     next begins. `t_rx` of a sample is that of the epoch's first message, `t_device` its UTC.
     """
@@ -237,13 +238,14 @@ def _gnss(v: dict[str, float]) -> Gnss:
     return Gnss(
         v.get("utc", v.get("sol_utc", NAN)), lat, lon,
         alt=v.get("hp_alt", v.get("alt", NAN)) if has_place else NAN,
-        vel_n=v.get("vel_n", v.get("sol_vel_n", NAN)) if fix else NAN,
-        vel_e=v.get("vel_e", v.get("sol_vel_e", NAN)) if fix else NAN,
-        vel_d=v.get("vel_d", v.get("sol_vel_d", NAN)) if fix else NAN,
+        vel_n=v.get("vel_n", v.get("sol_vel_n", NAN)) if has_place else NAN,
+        vel_e=v.get("vel_e", v.get("sol_vel_e", NAN)) if has_place else NAN,
+        vel_d=v.get("vel_d", v.get("sol_vel_d", NAN)) if has_place else NAN,
         fix=fix,
         n_sat=int(v.get("n_sat", -1)),
         hdop=v.get("hdop", NAN),
         sigma_h=v.get("hp_sigma", v.get("sigma", NAN)) if has_place else NAN,
+        dimensions=int(v["place"]) if has_place else 0,
     )  # fmt: skip
 
 
@@ -264,8 +266,8 @@ def _pvt(v: dict[str, float], payload: bytes) -> None:
         vel_n, vel_e, vel_d, *_,
     ) = _PVT.unpack_from(payload)  # fmt: skip
     v["fix"] = 0
-    if fix:
-        v["place"] = 1.0
+    if fix in _DIMENSIONS:
+        v["place"] = _DIMENSIONS[fix]
     if flags & 1:  # gnssFixOK
         carrier = flags >> 6
         v["fix"] = {1: 6, 2: 5}.get(carrier) or (4 if flags & 2 and fix in (2, 3, 4) else _FIX.get(fix, 0))
@@ -291,8 +293,8 @@ def _hpposllh(v: dict[str, float], payload: bytes) -> None:
 def _sol(v: dict[str, float], payload: bytes) -> None:
     i_tow, f_tow, week, fix, flags, x, y, z, _, vel_x, vel_y, vel_z, *_, n_sat, _ = _SOL.unpack(payload)
     v["sol_fix"] = 0
-    if fix:
-        v["place"] = 1.0
+    if fix in _DIMENSIONS:
+        v["place"] = _DIMENSIONS[fix]
     if flags & 1:
         v["sol_fix"] = 4 if flags & 2 and fix in (2, 3, 4) else _FIX.get(fix, 0)
     if flags & 0x0C == 0x0C and week > 0:  # week and time of week are valid
@@ -305,8 +307,8 @@ def _sol(v: dict[str, float], payload: bytes) -> None:
 def _status(v: dict[str, float], payload: bytes) -> None:
     _, fix, flags, *_ = _STATUS.unpack(payload)
     v["status_fix"] = 0
-    if fix:
-        v["place"] = 1.0
+    if fix in _DIMENSIONS:
+        v["place"] = _DIMENSIONS[fix]
     if flags & 1:
         v["status_fix"] = 4 if flags & 2 and fix in (2, 3, 4) else _FIX.get(fix, 0)
 
@@ -317,16 +319,17 @@ def _hnr_pvt(payload: bytes) -> Gnss:
         _, h_acc, *_,
     ) = _HNR_PVT.unpack(payload)  # fmt: skip
     fix = (4 if flags & 2 and gps_fix in (2, 3, 4) else _FIX.get(gps_fix, 0)) if flags & 1 else 0
-    known = bool(gps_fix) and abs(lat) <= 90e7 and abs(lon) <= 180e7
+    known = gps_fix in _DIMENSIONS and abs(lat) <= 90e7 and abs(lon) <= 180e7
     heading = math.radians(1e-5 * course)
     return Gnss(
         _utc(year, month, day, hour, minute, second, nano) if valid & 3 == 3 else NAN,
         1e-7 * lat if known else NAN, 1e-7 * lon if known else NAN,
         alt=1e-3 * h_msl if known else NAN,
-        vel_n=1e-3 * ground * math.cos(heading) if fix and known else NAN,
-        vel_e=1e-3 * ground * math.sin(heading) if fix and known else NAN,
+        vel_n=1e-3 * ground * math.cos(heading) if known else NAN,
+        vel_e=1e-3 * ground * math.sin(heading) if known else NAN,
         fix=fix if known else 0,
         sigma_h=1e-3 * h_acc / math.sqrt(2.0) if known else NAN,
+        dimensions=_DIMENSIONS[gps_fix] if known else 0,
     )  # fmt: skip
 
 

@@ -149,9 +149,9 @@ def describe(sample: Sample, rig: Rig, device: str) -> str:
         )
     if isinstance(sample, Gnss):
         fix = FIX[sample.fix] if 0 <= sample.fix < len(FIX) else f"fix {sample.fix}"
-        speed = math.hypot(sample.vel_n, sample.vel_e)
+        fix += " 2D" if sample.fix > 2 and sample.dimensions == 2 else ""
         satellites = f"{sample.n_sat} sat " if sample.n_sat >= 0 else ""
-        place = _join(("", speed, ".2f", "m/s"), ("", sample.lat, ".6f", ""), ("", sample.lon, ".6f", ""))
+        place = _join(("", sample.speed, ".2f", "m/s"), ("", sample.lat, ".6f", ""), ("", sample.lon, ".6f", ""))
         return f"{fix} {satellites}{place}"
     if isinstance(sample, Esc):
         names = [t.name for t in rig.thrusters if (t.device, t.node) == (device, sample.node)]

@@ -130,6 +130,8 @@ def _gnss(table: Table, source: str) -> dict[str, Channel]:
     for name, column in (("vx", "vel_n"), ("vy", "vel_e")):
         if np.isfinite(table[column]).any():
             found[name] = _channel(table, column, "m/s", source)
+    if "vx" not in found and np.isfinite(table["speed"]).any():
+        found["speed"] = _channel(table, "speed", "m/s", source)
     return found
 
 

@@ -104,6 +104,11 @@ NAN = float("nan")
             Gnss(T, 41.18 + 96 / 111_195, -8.70, vel_n=1.0, vel_e=0.5, fix=3),
             "96 m from the start by gnss and 4 m to stop from 1.0 m/s, limit 100 m",
         ),
+        (
+            "gnss",
+            Gnss(T, 41.18 + 96 / 111_195, -8.70, speed=1.0, fix=3),  # without a course
+            "96 m from the start by gnss and 4 m to stop from 1.0 m/s, limit 100 m",
+        ),
         ("esc", Esc(1, -4001.0), "speed of node 1 is -4001 rpm, limit 4000"),
         ("ahrs", Ahrs(0.0, 0.0, math.radians(-31.0)), "roll is -31 deg by ahrs, limit 30"),
         ("ahrs", Ahrs(0.0, math.radians(21.0), 0.0), "pitch is 21 deg by ahrs, limit 20"),

@@ -77,6 +77,14 @@ def test_a_px4_log_goes_through_its_own_guess(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not HAS_PYULOG, reason="pyulog is not installed")
+def test_a_file_in_which_the_reader_goes_back_for_ever_is_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "loop.ulg"
+    path.write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + b"\xff\xffD" * 30_000)  # the last ones end beyond the file
+    with pytest.raises(SeatrialError, match="too much of it is damaged"):
+        guess_map(path)
+
+
+@pytest.mark.skipif(not HAS_PYULOG, reason="pyulog is not installed")
 def test_a_file_that_is_damaged(tmp_path: Path) -> None:
     (tmp_path / "x.ulg").write_bytes(b"ULog\x01\x12\x35")
     with pytest.raises(SeatrialError, match=r"x\.ulg: cannot be read as a PX4 log"):

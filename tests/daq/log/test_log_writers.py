@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from mcap.writer import CompressionType, Writer
 
@@ -12,7 +13,9 @@ from daq.errors import SeatrialError
 from daq.log import schema
 from daq.log.cdr import cdr_layout, full_definition
 from daq.log.reader import open_log
-from daq.samples import Scalar
+from daq.samples import NAN, Frame, Gnss, Scalar
+
+T = 1.7e9
 
 
 def write_with(path: Path, **options: object) -> None:
@@ -55,6 +58,31 @@ def test_files_of_other_writers(tmp_path: Path, options: dict[str, object]) -> N
     assert table["value"].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
     assert table["t"].tolist() == [10.0, 11.0, 12.0, 13.0, 14.0]
     assert log.rig is None
+
+
+def test_a_log_of_before_the_speed_has_that_of_the_velocity(tmp_path: Path) -> None:
+    name, added = schema.TYPES[Gnss], schema.ADDED[schema.TYPES[Gnss]]
+    now = full_definition(name)
+    before = "".join(line for line in now.splitlines(True) if not any(f" {field} " in line for field in added))
+    fixes = [Gnss(T, 41.0, -8.0, 5.0, 3.0, 4.0, NAN, 3, 9), Gnss(T, 41.0, -8.0, fix=5)]
+    for old in (True, False):
+        path, n = tmp_path / f"{old}.mcap", -len(added) if old else None
+        with path.open("wb") as file:
+            writer = Writer(file)
+            writer.start(profile="ros2")
+            kind = writer.register_schema(name, "ros2msg", (before if old else now).encode())
+            channel = writer.register_channel("/g/gnss", "cdr", kind)
+            for k, fix in enumerate(fixes):
+                (message, *_) = schema.messages("g", Frame(fix, T, T))
+                layout = cdr_layout(name, b"g" * (k + 1), added if old else ())
+                writer.add_message(channel, k, layout.pack(k, *message.values[:n]), k)
+            writer.finish()
+        with open_log(path) as log:
+            table = log.table(Gnss, "g")
+        assert table["speed"][0] == 5.0
+        assert np.isnan(table["speed"][1])
+        assert table["dimensions"].tolist() == [3, -1]
+        assert table["sigma_h"].size == 2
 
 
 def break_messages(data: bytes) -> bytes:

@@ -61,7 +61,23 @@ def test_attitude_and_rate_of_turn() -> None:
     assert math.isnan(read("APROT,-60.0,V", "APHDT,10.0,T")[0].r)
 
 
-@pytest.mark.parametrize("body", ["GPHDT,x,T", "GPHDT,1e3,T", "PASHR,0,1.0,T,x,0", "APROT,?,A"])
+def test_attitude_of_transducers_goes_with_the_next_heading() -> None:
+    first, second = read("APXDR,A,0.5,D,PTCH,A,-3.5,D,ROLL", "APHDT,10.0,T", "APHDT,11.0,T")
+    assert (first.pitch, first.roll) == pytest.approx((math.radians(0.5), math.radians(-3.5)))
+    assert math.isnan(second.pitch)  # it is not said twice
+    assert math.isnan(read("WIXDR,C,20.1,C,PTCH", "APHDT,10.0,T")[0].pitch)
+
+
+def test_the_attitude_of_two_antennas_has_a_time() -> None:
+    data = b"".join(sentence(b) for b in ("PSTI,036,003832.000,290322,244.28,2.77,0.00,R", "PSTI,035,003832.000,,A"))
+    ((sample, _, t_device),) = nmea.Decoder().feed(data, 1_648_514_400.0)
+    assert isinstance(sample, Ahrs)
+    assert math.degrees(sample.yaw) == pytest.approx(244.28 - 360.0)
+    assert (sample.pitch, sample.roll) == (pytest.approx(math.radians(2.77)), 0.0)
+    assert t_device == 1_648_514_312.0
+
+
+@pytest.mark.parametrize("body", ["APXDR,A,x,D,ROLL", "GPHDT,x,T", "GPHDT,1e3,T", "PASHR,0,1.0,T,x,0", "APROT,?,A"])
 def test_a_field_that_is_no_number_is_no_sentence(body: str) -> None:
     decoder = nmea.Decoder()
     assert decoder.feed(sentence(body), 5.0) == []

@@ -52,13 +52,13 @@ def test_with_a_filter_its_attitude_is_taken_beside_the_newest_rates() -> None:
 
 def test_a_fix() -> None:
     place = struct.pack(">4d2fH", 41.5, -8.5, 60.0, 5.0, 0.5, 0.9, 0x1F)
-    motion = struct.pack(">8fH", 1.0, -0.5, 0.25, 0.0, 0.0, 0.0, 0.0, 0.0, 0x1F)
+    motion = struct.pack(">8fH", 1.0, -0.5, 0.25, 1.146, 1.125, 5.82, 0.0, 0.0, 0x1F)
     time = struct.pack(">dHH", 1000.25, 2288, 3)
     fields = {0xD3: time, 0x0B: struct.pack(">BBHH", 6, 19, 0, 7), 0x03: place, 0x05: motion}
     (frame,) = mip.Decoder().feed(mip.packet(mip.GNSS_1, fields), 5.0)
     utc = GPS_EPOCH + 2288 * WEEK + 1000.25 - 18.0
     assert frame.sample == Gnss(
-        utc, 41.5, -8.5, 5.0, 1.0, -0.5, 0.25, 5, 19, frame.sample.hdop, pytest.approx(0.3535534)
+        utc, 41.5, -8.5, 5.0, 1.0, -0.5, 0.25, 5, 19, frame.sample.hdop, pytest.approx(0.3535534), 1.125
     )
     assert frame.t_device == utc
     (void,) = mip.Decoder().feed(mip.packet(mip.GNSS_1, {0x03: bytes(42)}), 5.0)

@@ -141,7 +141,10 @@ def test_fix_kinds(quality: int, fix: int) -> None:
 def test_gsa_tells_a_2d_fix() -> None:
     two = sentence("GPGSA,A,2,23,29,07,,,,,,,,,,1.94,1.18,1.54")
     assert read(two + gga("221320.00"))[0].fix == 2
-    assert read(two + gga("221320.00", 4))[0].fix == 5
+    flat, *_ = read(two + gga("221320.00", 4))
+    assert (flat.fix, flat.dimensions) == (5, 2)
+    assert read(gga("221320.00", 4))[0].dimensions == 3
+    assert read(rmc("221320.00"))[0].dimensions == 2  # a position without a height
 
 
 def test_vtg_is_used_where_there_is_no_rmc() -> None:
@@ -155,6 +158,8 @@ def test_a_receiver_at_rest_has_a_velocity() -> None:
     assert (read(still)[0].vel_n, read(still)[0].vel_e) == (0.0, 0.0)
     slow = sentence("GPRMC,221320.00,A,4106.0000,N,00836.0000,W,0.1,,141123,,,A")
     assert math.isnan(read(slow)[0].vel_n)
+    assert read(slow)[0].speed == pytest.approx(0.1 * 1852 / 3600)
+    assert read(encode(read(slow)[0]))[0].speed == pytest.approx(0.1 * 1852 / 3600, abs=1e-4)
 
 
 def test_two_dollars_and_sentences_of_others() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -133,8 +134,40 @@ def test_of_several_compasses_one_is_heard_and_another_when_it_is_silent() -> No
 
     assert yaws(1.0, magnetic, second, true, second, magnetic, true) == [200, 300, 100, 100]
     assert yaws(2.0, magnetic, second) == []
-    assert yaws(3.5, magnetic) == [200]
-    assert yaws(3.6, true, magnetic) == [100]
+    assert yaws(3.5, magnetic, second) == [300]
+    assert yaws(6.0, magnetic) == [200]
+    assert yaws(6.1, true, magnetic) == [100]
+
+
+def test_a_leader_that_does_not_count_its_satellites_once_still_leads() -> None:
+    there, uncounted = Decoder(settle=0.0), replace(FIX, n_sat=0)
+    other = fast_packet(nmea2000.FIX, encode_body(FIX), 1, source=20)
+    said = []
+    for k in range(30):
+        leader = fast_packet(nmea2000.FIX, encode_body(FIX if k % 3 else uncounted), 1, source=10)
+        said.append(len(fed(*leader, *other, decoder=there, t=k / 2)))
+    assert said[2:] == [1] * 28
+    assert len(fed(*other, decoder=there, t=17.5)) == 1
+
+
+def test_a_speed_without_a_course_and_what_a_differential_fix_knows() -> None:
+    slow = replace(FIX, vel_n=NAN, vel_e=NAN, speed=0.4)
+    ((sample, _, _),) = fed(*encode(slow))
+    assert isinstance(sample, Gnss)
+    assert (sample.speed, math.isnan(sample.vel_n)) == (0.4, True)
+    dops = (identifier(nmea2000.DOPS, 35), b"\x5d\xcf\x3c\x00\x5a\x00\xff\x7f")
+    flat = fed(dops, *encode(FIX))[0].sample
+    assert isinstance(flat, Gnss)
+    assert (flat.fix, flat.dimensions, sample.dimensions) == (FIX.fix, 2, 3)
+
+
+def test_a_fix_has_the_speed_of_its_own_receiver() -> None:
+    there = Decoder(settle=0.0)
+    mine, *fix = encode(FIX, source=18)
+    other, *_ = encode(replace(FIX, vel_n=9.0, speed=NAN), source=3)
+    ((sample, _, _),) = fed(mine, other, *fix, decoder=there)
+    assert isinstance(sample, Gnss)
+    assert sample.vel_n == pytest.approx(FIX.vel_n, abs=6e-3)
 
 
 def test_who_speaks_is_heard_out_first() -> None:

@@ -1,8 +1,9 @@
-"""Our decoders and encoders beside independent libraries: pyubx2, dronecan and nmea2000 (canboat's database)."""
+"""Our decoders and encoders beside independent libraries: pyubx2, dronecan, nmea2000 (canboat's database), MSCL."""
 
 from __future__ import annotations
 
 import calendar
+import json
 import math
 import struct
 from collections.abc import Iterator
@@ -16,9 +17,10 @@ from dronecan.transport import Transfer
 from nmea2000.decoder import NMEA2000Decoder
 from pyubx2 import GET, UBXMessage, UBXReader
 
-from daq.protocol import dronecan, nmea2000, ubx
+from daq.protocol import dronecan, mip, nmea2000, ubx
 from daq.protocol.canframe import pack_can
-from daq.samples import Ahrs, Esc, Gnss
+from daq.samples import NAN, Ahrs, Esc, Gnss
+from tests.golden import mip_oracle
 from tests.measured.data import measured
 
 N = 200  # random messages of each kind
@@ -138,6 +140,38 @@ def test_an_attitude_is_read_as_pyubx2_reads_it() -> None:
         assert math.remainder(ours.yaw - math.radians(theirs.heading), math.tau) == pytest.approx(0.0, abs=1e-12)
 
 
+def test_status_and_high_rate_solutions_are_read_as_pyubx2_reads_them() -> None:
+    random = rng()
+    for _ in range(N):
+        i_tow, fix = int(random.integers(604_800_000)), int(random.integers(5))
+        place, flags = random.integers(-900_000_000, 900_000_001, 2), int(random.integers(4))
+        posllh, there = nav("POSLLH", struct.pack("<I4i2I", i_tow, *place, 0, 5000, 1234, 99))
+        status, kind = nav("STATUS", struct.pack("<I4B2I", i_tow, fix, flags, 0, 0, 0, 0))
+        part = random.integers(-500_000, 500_000)
+        timegps, clock = nav("TIMEGPS", struct.pack("<IihbBI", i_tow, part, 2300, 18, 7, 9))
+        ours = epoch(posllh, status, timegps)
+        week = 315_964_800 + 604_800 * clock.week - clock.leapS
+        assert ours.utc == pytest.approx(week + i_tow / 1e3 + clock.fTOW * 1e-9, abs=1e-6)
+        differential = 4 if kind.diffSoln and kind.gpsFix in (2, 3, 4) else None
+        known = (differential or {4: 3}.get(kind.gpsFix, kind.gpsFix)) if kind.gpsFixOk else 0
+        assert (ours.fix, ours.dimensions) == (known, {0: 0, 2: 2}.get(kind.gpsFix, 3))
+        if kind.gpsFix:
+            assert (ours.lat, ours.lon) == pytest.approx((there.lat, there.lon), abs=1e-9)
+        speed, course = int(random.integers(30_000)), int(random.integers(36_000_000))
+        payload = struct.pack(
+            "<IH6Bi2B2x8i4I4x", i_tow, 2023, 11, 14, 22, 13, 20, 7, random.integers(-500_000_000, 500_000_000), fix,
+            flags, *place, 0, 5000, speed, speed, course, course, 1234, 99, 0, 0,
+        )  # fmt: skip
+        framed = UBXMessage("HNR", "HNR-PVT", GET, payload=payload).serialize()
+        theirs, ours = UBXReader.parse(framed), epoch(framed)
+        assert ours.fix == known
+        if theirs.gpsFix:
+            assert (ours.lat, ours.lon) == pytest.approx((theirs.lat, theirs.lon), abs=1e-9)
+            assert (ours.alt, ours.speed) == pytest.approx((theirs.hMSL / 1e3, theirs.gSpeed / 1e3))
+            north = theirs.gSpeed / 1e3 * math.cos(math.radians(theirs.headMot))
+            assert ours.vel_n == pytest.approx(north, abs=1e-6)
+
+
 @pytest.mark.measured
 def test_a_recorded_ubx_stream_is_read_as_pyubx2_reads_it() -> None:
     path = measured("ardurover") / "ubx.bin"
@@ -151,6 +185,33 @@ def test_a_recorded_ubx_stream_is_read_as_pyubx2_reads_it() -> None:
     assert len(ours) > 40
     for gnss in ours.values():
         assert (round(gnss.lat * 1e7), round(gnss.lon * 1e7), round(gnss.alt * 1e3)) in theirs
+
+
+def test_mip_packets_are_read_as_their_makers_library_reads_them() -> None:
+    """What MSCL 68.4.5 made of them is on file."""
+    units = {"ax": 9.80665, "ay": 9.80665, "az": 9.80665, "mx": 1e-4, "my": 1e-4, "mz": 1e-4, "sigma_h": 0.5**0.5}
+    n_values = 0
+    for line in mip_oracle.FILE.read_text(encoding="ascii").splitlines():
+        packet, values = json.loads(line).values()
+        values = {name: value * units.get(name, 1.0) for name, value in values.items()}
+        found = [frame.sample for frame in mip.Decoder().feed(bytes.fromhex(packet), 0.0)]
+        if not values or math.isnan(values.get("yaw", 0.0)):
+            assert found == []  # an attitude that is not known
+            continue
+        (sample,) = found
+        if isinstance(sample, Gnss):
+            values["fix"] = {0: 3, 1: 2}.get(values.get("fix", -1), 0)
+            values.setdefault("n_sat", -1)
+            values.setdefault("speed", math.hypot(*(values.get(name, NAN) for name in ("vel_n", "vel_e"))))
+            if "lat" not in values:
+                values = {"fix": 0, "n_sat": values["n_sat"]}
+            names = {"lat", "lon", "alt", "vel_n", "vel_e", "vel_d", "speed", "sigma_h", "hdop", "fix", "n_sat"}
+        else:
+            names = {*"pqr", "ax", "ay", "az", "mx", "my", "mz", "yaw", "pitch", "roll"}
+        for name in names:
+            assert getattr(sample, name) == pytest.approx(values.get(name, NAN), rel=1e-12, nan_ok=True), name
+            n_values += name in values
+    assert n_values > 600
 
 
 def transfer(payload: Any, source: int, number: int, priority: int = 16) -> list[tuple[int, bytes]]:
@@ -267,6 +328,35 @@ def test_nmea_2000_messages_are_read_as_nmea2000_reads_them() -> None:
         assert (fix.n_sat, fix.fix) == (
             place["numberOfSvs"],
             {0: 0, 1: 3, 2: 4, 3: 3, 4: 5, 5: 6, 6: 1, 7: 1, 8: 3}[place["method"]],
+        )
+
+
+def test_what_goes_with_headings_and_fixes_is_read_as_nmea2000_reads_it() -> None:
+    """Attitude and variation; course, speed and dimensions."""
+    random, theirs_decoder = rng(), NMEA2000Decoder()
+    for _ in range(N):
+        course, speed, angles = random.integers(62831), random.integers(3000), random.integers(-15000, 15000, 3)
+        mode, heading, east = int(random.integers(1, 3)), int(random.integers(62831)), int(random.integers(-3000, 3000))
+        frames = [
+            (nmea2000.identifier(nmea2000.COURSE, 3), struct.pack("<BBHHH", 1, 0xFC, course, speed, 0xFFFF)),
+            (nmea2000.identifier(nmea2000.DOPS, 3), struct.pack("<BBhhh", 1, 0xC3 | mode << 3, 60, 90, 100)),
+            (nmea2000.identifier(nmea2000.ATTITUDE, 3), struct.pack("<B3hB", 1, *angles, 0xFF)),
+            (nmea2000.identifier(nmea2000.VARIATION, 3), struct.pack("<BBHhH", 1, 0xF8, 19000, east, 0xFFFF)),
+            (nmea2000.identifier(nmea2000.HEADING, 3), struct.pack("<BHhhB", 1, heading, 0x7FFF, 0x7FFF, 0xFD)),
+            *nmea2000.encode(Gnss(T, 41.0, -8.0, fix=4, n_sat=9), source=3),
+        ]
+        theirs = canboat(theirs_decoder, frames)
+        found = nmea2000.Decoder(settle=0.0).feed(b"".join(pack_can(*frame) for frame in frames), 0.0)
+        level, fix = (frame.sample for frame in found)
+        assert isinstance(level, Ahrs)
+        assert isinstance(fix, Gnss)
+        attitude, motion = theirs[nmea2000.ATTITUDE], theirs[nmea2000.COURSE]
+        assert (level.pitch, level.roll) == pytest.approx((attitude["pitch"], attitude["roll"]))
+        true = theirs[nmea2000.HEADING]["heading"] + theirs[nmea2000.VARIATION]["variation"]
+        assert math.remainder(level.yaw - true, math.tau) == pytest.approx(0.0, abs=1e-9)
+        assert (fix.speed, fix.dimensions) == (pytest.approx(motion["sog"]), theirs[nmea2000.DOPS]["actualMode"] + 1)
+        assert (fix.vel_n, fix.vel_e) == pytest.approx(
+            (motion["sog"] * math.cos(motion["cog"]), motion["sog"] * math.sin(motion["cog"]))
         )
 
 

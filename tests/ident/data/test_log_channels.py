@@ -12,7 +12,7 @@ import pytest
 from bench.mission_generators import make_mission
 from daq.log.reader import open_log
 from daq.log.schema import local_ned
-from daq.samples import Command, Esc, Servo
+from daq.samples import NAN, Command, Esc, Gnss, Servo
 from ident.data.loading import SHAFTS, PropulsionInput, channels, load_run, propulsion_input
 from ident.data.record import Channel
 from mocks.offline_simulation import Recording, simulate
@@ -50,6 +50,18 @@ def test_a_boats_log_has_every_channel_of_the_model(tmp_path: Path, boat: Record
     assert (found["x"].value - x + x[0]).std() < 0.25  # metres from the first fix
     n = np.interp(found["n_left"].t - T0, truth["t"], truth["n_left"])
     assert np.abs(np.median(found["n_left"].value - n)) < 0.01
+
+
+def test_a_receiver_without_a_course_has_a_speed(tmp_path: Path, boat: Recording) -> None:
+    still = [
+        r._replace(sample=replace(r.sample, vel_n=NAN, vel_e=NAN)) if isinstance(r.sample, Gnss) else r
+        for r in boat.readings
+    ]
+    with open_log(write_log(tmp_path / "a.mcap", "boat", still)) as log:
+        found = channels(log)
+    wanted = channels_of(boat)
+    assert not {"vx", "vy"} & found.keys()
+    np.testing.assert_allclose(found["speed"].value, np.hypot(wanted["vx"].value, wanted["vy"].value))
 
 
 def test_a_benchs_log_has_command_shaft_speed_and_force(tmp_path: Path) -> None:
