@@ -1,6 +1,7 @@
 from .ardupilot_parameters import LEFT as LEFT
 from .ardupilot_parameters import PADDLES as PADDLES
 from .ardupilot_parameters import RIGHT as RIGHT
+from .ardupilot_parameters import ParameterMismatch as ParameterMismatch
 from .ardupilot_parameters import check_parameters as check_parameters
 from .ardupilot_parameters import link_loss_hash as link_loss_hash
 from .base import DISARMED as DISARMED

@@ -87,9 +87,9 @@ def _safety(p: Mapping[str, float], own_system: int) -> list[ParameterMismatch]:
     if throttle != 1.0:
         why = "without it the last override holds for ever where no transmitter was ever heard"
         found.append(ParameterMismatch("FS_THR_ENABLE", throttle, "1", why, True))
-    action = p.get("FS_ACTION", HOLD)
+    action = p.get("FS_ACTION")
     if action not in (HOLD, TERMINATE):
-        why = "a lost link stops nothing" if action == 0.0 else "after a lost link the boat drives by itself"
+        why = "a lost link stops nothing" if not action else "after a lost link the boat drives by itself"
         found.append(ParameterMismatch("FS_ACTION", action, "2 (hold) or 5 (terminate)", why, True))
     for name, most in (("FS_GCS_TIMEOUT", STATION_MAX_S), ("FS_TIMEOUT", STATION_MAX_S)):
         if name in p and p[name] > most:

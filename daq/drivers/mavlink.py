@@ -41,7 +41,7 @@ PARAMETER_TRIES = 5
 REBOOT_MS = 1000  # its clock back by more: it has restarted
 RATE_PART, RATE_BEATS = 0.5, 3  # less than this part of the attitudes for so many heartbeats: somebody else has asked
 LATER_S = 30.0  # until that is looked at again
-TIMESYNC_S = 1.0
+TIMESYNC_S, TRIPS = 1.0, 10  # the shortest of so many is told
 LOST_S = 10.0  # between two events about lost frames
 UNSIGNED_FRAMES = 20  # without one that bears our key
 NEUTRAL_S = 0.05  # between neutral overrides while nothing is commanded
@@ -112,7 +112,7 @@ class MavlinkDriver(DeviceDriver):
         self._boot_ms = 0  # the newest
         self._attitudes = self._slow_beats = 0
         self._chunk = (0, "")
-        self._synced = -math.inf
+        self._synced, self._trips = -math.inf, 0
 
     def receive(self, message: Any, now: float) -> None:
         """A message of the autopilot."""
@@ -120,6 +120,7 @@ class MavlinkDriver(DeviceDriver):
         if name == "ATTITUDE":
             if message.time_boot_ms < self._boot_ms - REBOOT_MS:
                 self.opened(now)  # it has forgotten what it was asked for
+                self._events.append(Event("autopilot", "it has restarted: rates and parameters are asked for again"))
             self._boot_ms = message.time_boot_ms
             self._attitudes += 1
         if name == "HEARTBEAT" and message.autopilot != INVALID:
@@ -162,6 +163,10 @@ class MavlinkDriver(DeviceDriver):
         trip = now - m.ts1 * 1e-9
         if 0.0 < trip < TIMESYNC_S and not trip >= self._status.round_trip:
             self._status = replace(self._status, round_trip=trip)
+        self._trips += 1
+        if self._trips == TRIPS and math.isfinite(self._status.round_trip):
+            text = f"{1e3 * self._status.round_trip:.1f} ms there and back (TIMESYNC): stamps are late by half of it"
+            self._events.append(Event("autopilot", text))
 
     def _receive_answer(self, m: Any) -> None:
         if m.target_system not in (0, self._codec.system):
@@ -179,7 +184,9 @@ class MavlinkDriver(DeviceDriver):
             return  # sent again when its time has passed
         else:
             self._commands.popleft()
-            self._armed_by_us = self._armed_by_us or (command.what == "arm" and m.result == ACCEPTED)
+            if command.what == "arm" and m.result == ACCEPTED:
+                self._armed_by_us = True
+                self._status = replace(self._status, alarm="")  # of before: it has judged itself fit
             self._refusal = "" if m.result == ACCEPTED else f"{command.what}: {word}"
             reasons = f" ({'; '.join(self._reasons)})" if self._refusal and self._reasons else ""
             self._answer(command.what, word + reasons)

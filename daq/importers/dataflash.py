@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from daq.errors import SeatrialError, counted
 from daq.importers.write_log import Timed
 from daq.protocol import FIXES, mode_name
 from daq.rig import Device, Rig
-from daq.samples import NAN, Ahrs, Battery, Esc, Event, Frame, Gnss, Sample, Servo, wrap_angle
+from daq.samples import NAN, Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, Sample, Servo, wrap_angle
 
 Found = list[Sample]
 
@@ -32,8 +33,11 @@ class _Reader:
         self._n: dict[int, float] = {}
         self.take: dict[str, Callable[[Any], Found]] = {
             "IMU": self._on_imu, "ATT": self._att, "GPS": self._gps, "RCOU": self._rcou, "ESC": self._esc,
-            "BAT": self._bat, "MSG": self._msg, "MODE": self._mode,
+            "BAT": self._bat, "MSG": self._msg, "MODE": self._mode, "ARM": self._arm, "EV": self._ev, "ERR": self._err,
+            "PARM": self._parm,
         }  # fmt: skip
+        self.parameters: dict[str, float] = {}
+        self._pilot = Autopilot(0, 0, 3)
 
     def _on_imu(self, m: Any) -> Found:
         if getattr(m, "I", 0) == 0:
@@ -92,11 +96,26 @@ class _Reader:
         return [Event("statustext", str(m.Message))]
 
     def _mode(self, m: Any) -> Found:
-        return [Event("autopilot", mode_name(m.ModeNum if hasattr(m, "ModeNum") else int(m.Mode)))]
+        self._pilot = replace(self._pilot, mode=m.ModeNum if hasattr(m, "ModeNum") else int(m.Mode))
+        return [self._pilot, Event("autopilot", mode_name(self._pilot.mode))]
+
+    def _arm(self, m: Any) -> Found:
+        self._pilot = replace(self._pilot, armed=int(bool(m.ArmState)), state=3 + bool(m.ArmState))
+        return [self._pilot, Event("autopilot", "armed" if self._pilot.armed else "disarmed")]
+
+    def _ev(self, m: Any) -> Found:
+        return [Event("autopilot", f"event {m.Id} (LogEvent)")]
+
+    def _err(self, m: Any) -> Found:
+        return [Event("autopilot", f"error {m.ECode} of subsystem {m.Subsys} (LogErrorSubsystem)")]
+
+    def _parm(self, m: Any) -> Found:
+        self.parameters[str(m.Name)] = float(m.Value)
+        return []
 
 
-def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[list[Timed], str]:
-    """The samples of a DataFlash log. Raises SeatrialError where it holds none."""
+def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[list[Timed], str, dict[str, float]]:
+    """The samples of a DataFlash log, a summary, and its parameters. Raises SeatrialError where it holds none."""
     reader = _Reader(rig, device)
     rows: list[Timed] = []
     n_messages = 0
@@ -112,7 +131,7 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
             raise SeatrialError(f"{path}: is not a readable DataFlash log ({error})") from error
     if not rows:
         raise SeatrialError(f"{path}: a DataFlash log without attitude, GPS or outputs")
-    return rows, counted(n_messages, "message")
+    return rows, counted(n_messages, "message"), reader.parameters
 
 
 @contextlib.contextmanager

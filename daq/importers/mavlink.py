@@ -6,10 +6,12 @@ import hashlib
 import math
 import struct
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from daq.clock import ClockMap
+from daq.drivers import ParameterMismatch, check_parameters
 from daq.errors import SeatrialError, counted
 from daq.importers.write_log import Timed, clock_steps, replacing
 from daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, schema
@@ -31,10 +33,11 @@ def import_mavlink(
     `rig` gives thrusters their names and outputs their scale; its MAVLink device names the topics. Without `system`
     the first autopilot that sends a heartbeat is taken. Raises SeatrialError.
     """
-    rows, said = read_autopilot(path, rig, system)
+    rows, said, parameters = read_autopilot(path, rig, system)
     device = _device(rig)
     counts = Counter(type(row.frame.sample).__name__ for row in rows)
     said += ": " + ", ".join(f"{n} {name}" for name, n in counts.most_common())
+    said += "".join(f"; not as the rig has it: {finding}" for finding in _mismatches(parameters, rig, device))
     target = out or Path(f"{path.stem}.mcap")
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     about = {"import": "mavlink", "source.1.name": path.name, "source.1.sha256": digest}
@@ -43,8 +46,10 @@ def import_mavlink(
     return target, said
 
 
-def read_autopilot(path: Path, rig: Rig | None, system: int | None) -> tuple[list[Timed], str]:
-    """The samples of a tlog or a DataFlash log, and what was read in words. Raises SeatrialError."""
+def read_autopilot(
+    path: Path, rig: Rig | None, system: int | None
+) -> tuple[list[Timed], str, dict[str, float]]:
+    """The samples of a tlog or a DataFlash log, what was read in words, and its parameters. Raises SeatrialError."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -72,13 +77,21 @@ def _device(rig: Rig | None) -> Device | None:
 
 def read_tlog(
     path: Path, data: bytes, rig: Rig | None, device: Device | None, system: int | None
-) -> tuple[list[Timed], str]:
-    """The samples of a tlog, their device times mapped onto the times at which the ground station received them."""
+) -> tuple[list[Timed], str, dict[str, float]]:
+    """The samples of a tlog, a summary, and the parameters in it; device times are mapped onto the times at which the
+    ground station received them."""
     component = 1
     if system is None:
         system, component = _who(path, data)
     samples = make_samples(device, rig) if device is not None and rig is not None else Samples()
     decoder = MavlinkDecoder(samples, system, component)
+    parameters: dict[str, float] = {}
+
+    def listen(message: Any) -> None:
+        if message.get_type() == "PARAM_VALUE":
+            parameters[message.param_id] = float(message.param_value)
+
+    decoder.listener = listen
     clock = ClockMap()
     rows: list[Timed] = []
     skipped, end = 0, 0
@@ -94,8 +107,15 @@ def read_tlog(
             f"is it a tlog or a BIN? {_others(decoder)}"
         )
     delay = f"device times {1e3 * clock.bias:.1f} ms before their arrival, spread {1e3 * clock.spread:.1f} ms"
-    read = f"{counted(decoder.frames, 'frame')}, {counted(skipped, 'byte')} not understood"
-    return rows, f"system {system}, {read}, {delay}"
+    read = f"{counted(decoder.frames, 'frame')}, {decoder.lost} lost, {counted(skipped, 'byte')} not understood"
+    return rows, f"system {system}, {read}, {delay}", parameters
+
+
+def _mismatches(p: Mapping[str, float], rig: Rig | None, device: Device | None) -> list[ParameterMismatch]:
+    """What the autopilot's outputs are scaled by, where the log says so and the rig says otherwise."""
+    here = [] if rig is None or device is None else [t for t in rig.thrusters if t.device == device.name]
+    outputs = tuple(f"SERVO{thruster.node}_" for thruster in here)
+    return [one for one in check_parameters(p, here, 0) if one.value is not None and one.name.startswith(outputs)]
 
 
 def _others(decoder: MavlinkDecoder) -> str:

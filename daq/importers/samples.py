@@ -48,7 +48,7 @@ def sample_tables(path: Path, rows: Sequence[tuple[str, float, Frame]]) -> list[
 def read_autopilot_log(path: Path, options: SourceOptions) -> list[Table]:
     """The samples of a tlog or a DataFlash log. Raises SeatrialError."""
     rig = None if options.rig is None else load_rig(options.rig)
-    rows, _ = read_autopilot(path, rig, options.system)
+    rows, _, _ = read_autopilot(path, rig, options.system)
     if not (tables := sample_tables(path, [("", row.t, row.frame) for row in rows])):
         raise SeatrialError(f"{path}: no attitude, fixes or outputs in it")
     vehicle = vehicle_type(path, rows, options.system)

@@ -44,26 +44,26 @@ class DiscoveredAutopilot(DiscoveredDevice):
     parameters: Mapping[str, float] = field(default_factory=dict)
 
     def toml(self, name: str) -> str:
-        """A [[device]], and a [[thruster]] for each side that it drives; a comment for each doubt."""
+        """A [[device]], and a [[thruster]] for each side that it drives; a comment for each caveat."""
         p, name = self.parameters, "autopilot"
         loop = LOOP_PART * p.get("SCHED_LOOP_RATE", math.inf)
         own = int(p.get("MAV_GCS_SYSID", p.get("SYSID_MYGCS", 255.0)))
         lines = [f"# {self.vehicle}", "[[device]]", f'name = "{name}"', 'protocol = "mavlink"', f'port = "{self.port}"']
         lines += [f"baud = {self.baud}"] if self.baud else []
         lines += [f"rate_hz = {min(RATE_HZ, loop):.1f}", f"system_id = {self.system_id}", f"own_system_id = {own}"]
-        lines += ['# doubt: it signs its frames; key_file = "signing.key" is missing here'] if self.signed else []
+        lines += ['# caveat: it signs its frames; key_file = "signing.key" is missing here'] if self.signed else []
         lever = [p.get(f"GPS1_POS_{axis}", 0.0) for axis in "XYZ"]
         if any(lever):
-            lines.append(f"# doubt: it knows its GNSS antenna at {lever} m; fixes are its own, corrected only if fused")
+            lines.append(f"# caveat: it knows its GNSS antenna at {lever} m; only fused fixes are corrected for it")
         if self.vehicle != ROVER:
-            return "\n".join([*lines, f"# doubt: only {ROVER} is driven: no [[thruster]] behind {self.vehicle}", ""])
+            return "\n".join([*lines, f"# caveat: only {ROVER} is driven: no [[thruster]] behind {self.vehicle}", ""])
         if not p:
-            return "\n".join([*lines, "# doubt: it has told no parameter: thrusters are yours to write", ""])
+            return "\n".join([*lines, "# caveat: it has told no parameter: thrusters are yours to write", ""])
         thrusters = self._thrusters(name)
         for thruster in thrusters:
             lines += _thruster_lines(thruster)
         lines += self._without(thrusters)
-        lines += [f"# doubt: {finding}" for finding in check_parameters(p, thrusters, own)]
+        lines += [f"# caveat: {finding}" for finding in check_parameters(p, thrusters, own)]
         if p.get("BATT_LOW_VOLT", 0.0) > 0.0:
             lines += [f"# of [limits]: voltage_min_v = {p['BATT_LOW_VOLT']:.1f}, its BATT_LOW_VOLT"]
         if p.get("INS_GYRO_FILTER", 0.0) > 0.0:
@@ -104,13 +104,13 @@ class DiscoveredAutopilot(DiscoveredDevice):
         lines = []
         for node, function in functions.items():
             if function == STEERING:
-                lines.append(f"# doubt: output {node} steers (SERVO{node}_FUNCTION 26): a rudder is not driven")
+                lines.append(f"# caveat: output {node} steers (SERVO{node}_FUNCTION 26): a rudder is not driven")
             elif function == THROTTLE:
-                lines.append(f"# doubt: output {node} is the throttle of both sides (70): only 73 and 74 are driven")
+                lines.append(f"# caveat: output {node} is the throttle of both sides (70): only 73 and 74 are driven")
             elif int(function) in MOTORS:
-                lines.append(f"# doubt: output {node} is motor {int(function) - 32}: omni frames are not driven")
+                lines.append(f"# caveat: output {node} is motor {int(function) - 32}: omni frames are not driven")
         if not thrusters:
-            lines.append("# doubt: no output is a left (73) or right (74) throttle: no [[thruster]]")
+            lines.append("# caveat: no output is a left (73) or right (74) throttle: no [[thruster]]")
         return lines
 
 
@@ -125,7 +125,7 @@ def _thruster_lines(thruster: Thruster) -> list[str]:
     return [
         *("", "[[thruster]]", f'name = "{thruster.name}"', f'device = "{thruster.device}"', f"node = {thruster.node}"),
         *(f"rc_channel = {out.rc_channel}", f"rc_us = {list(out.rc_us)}", f"pwm_us = {list(out.pwm_us)}"),
-        f"position_m = {list(thruster.position_m)}  # doubt: measure it: forward, starboard, down of the reference, m",
+        f"position_m = {list(thruster.position_m)}  # caveat: measure it: forward, starboard, down of the reference, m",
         f"timeout_s = {max(thruster.timeout_s, 0.1):.3g}",
     ]
 

@@ -168,7 +168,7 @@ WRONG: tuple[tuple[str, float], ...] = (
     ("FS_GCS_ENABLE", 0), ("FS_GCS_TIMEOUT", 120), ("FS_TIMEOUT", 30), ("RC_OPTIONS", 34), ("PILOT_STEER_TYPE", 0),
     *(("RC_OVERRIDE_TIME", value) for value in (-1, 0, 3)), ("MOT_THST_ASYM", 2), ("MOT_THST_EXPO", 0.65),
     ("MOT_THR_MAX", 60), ("MANUAL_STR_EXPO", 0.6), ("SERVO1_REVERSED", 1), ("RC1_REVERSED", 1), ("RCMAP_ROLL", 3),
-    ("RCMAP_THROTTLE", 1), ("SERVO3_FUNCTION", 70), ("SERVO1_TRIM", 1550), ("MOT_THR_MIN", 40), ("MOT_SLEWRATE", 20),
+    ("RCMAP_THROTTLE", 1), ("SERVO3_FUNCTION", 70), ("SERVO1_MAX", 1900), ("MOT_THR_MIN", 40), ("MOT_SLEWRATE", 20),
     ("RC1_DZ", 190),
 )  # fmt: skip
 SUPERVISED_S = 0.5
@@ -255,7 +255,7 @@ def try_parameter(folder: Path, rover: Rover, name: str, value: float, setting: 
     """A mission with one wrong parameter."""
     before = rover.get(name)
     rover.set(name, value)
-    process = start(folder)
+    started, process = time.monotonic(), start(folder)
     rover.until(lambda: rover.pushes or process.poll() is not None, 40.0, "thrust or refusal")
     begun = rover.first_push() if rover.pushes else time.monotonic()
     with contextlib.suppress(subprocess.TimeoutExpired):
@@ -263,9 +263,10 @@ def try_parameter(folder: Path, rover: Rover, name: str, value: float, setting: 
     if process.poll() is None:
         process.send_signal(signal.SIGINT)
     says = process.communicate()[1].strip().splitlines()[-1:] or [""]
-    seconds = 0.0 if "to drive" in says[0] else rover.neutral_after(begun)
-    _put_right(rover)
+    refused = "to drive, yours to set" in says[0]
+    seconds = rover.last_push_after(started) if refused else rover.neutral_after(begun)
     rover.set(name, before)
+    _put_right(rover)
     allowed = SUPERVISED_S + AT_ONCE_S + SAMPLE_S
     return Trial(f"{name} {value:g}", setting.name, seconds, allowed, says[0], not rover.armed, False)
 

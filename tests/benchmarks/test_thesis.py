@@ -49,7 +49,7 @@ def test_noise_at_rest_is_what_was_put_in() -> None:
         assert abs(one.found.walk - walk) < 4 * one.found.walk_error, name
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_both_pages(tmp_path: Path) -> None:
     log = bench_log(tmp_path / "bench.mcap", draw_bench(2))
     quick = ["--evaluations", "300", "--repeats", "8"]

@@ -37,8 +37,11 @@ def test_a_clean_boat_lacks_nothing_and_its_parameters_are_true() -> None:
     assert {n: s for n, s in z.items() if abs(s) > 3.0} == {}
 
 
+LONG = [pytest.param(e, marks=pytest.mark.study) for e in ("cubic-drag", "pendulum")]
+
+
+@pytest.mark.parametrize("effect", ["mismatch", *LONG])
 @pytest.mark.slow
-@pytest.mark.parametrize("effect", ["mismatch", "cubic-drag", "pendulum"])
 def test_an_effect_is_named_first_and_makes_the_model_better(effect: str) -> None:
     row = run_case(Case(effect, 2))
     assert row.get("error") is None

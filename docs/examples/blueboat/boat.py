@@ -1,4 +1,4 @@
-"""Models of the BlueBoat, for leave_one_out.py and `seatrial ident vehicle --model boat.py:NAME`.
+"""Models of the BlueBoat, for leave_one_out.py and `seatrial ident vehicle --model boat.py:NAME --keep-thruster-sides`.
 
     authors    rigid body with quadratic drag, and the force of the data's authors: a straight line from PWM to force
     propeller  force from PWM by a propeller's curve, c |n|^p, ahead and astern apart, less what forward speed takes
@@ -83,14 +83,23 @@ PROPELLERS = Effect(
 
 
 def drift_of_heading(s: Signals) -> None:
-    s.y["drift"] = s.p.dev_ms * s.x.drawn_s + s.p.dev_mc * s.x.drawn_c
+    s.y["drift"] = s.p.dev_ms * s.x.drawn_s + s.p.dev_mc * s.x.drawn_c - s.x.psi_b
+
+
+def gyro_bias(s: Signals) -> None:
+    s.rate["psi_b"] = s.p.b_gyro
 
 
 DRIFT = Effect(
     "drift",
     "what the heading gains on the integral of the gyro",
-    {"output": drift_of_heading},
-    parameters=(Parameter("e_drift", 0.1, "rad", "noise of that, gyro bias included", "log", free=False),),
+    {"output": drift_of_heading, "rate": gyro_bias},
+    parameters=(
+        Parameter("e_drift", 0.1, "rad", "noise of that", "log", free=False),
+        # a thousandth of a rad/s is 17 degrees in 300 s; each run has its own
+        Parameter("b_gyro", 0.0, "rad/s", "bias of the yaw gyro", prior=(0.0, 0.002), step=2e-4, per_record=True),
+    ),
+    states=(State("psi_b", "rad", "integral of the gyro's bias", 0.0, sd0=0.0),),
 )
 DRIFT_SENSOR = Sensor("drift", (Output("drift", "rad", "e_drift"),))  # leave_one_out.py makes it from psi and r
 

@@ -1,12 +1,18 @@
 """Leave one run out: fit all runs but one, predict that one from its inputs alone, and so on through all runs.
 
-    python leave_one_out.py LOG... [--model NAME ...] [--fix NAME=VALUE ...] [--out FILE.json]
+    python leave_one_out.py LOG... [--model NAME ...] [--fix NAME=VALUE ...] [--nested] [--out FILE.json]
 
-The fit is by output error (``ident.estimation.output_error``). Fit and prediction start at the first
-sample of the run from the
-speeds and the heading measured there, and the prediction sees nothing but the commands after it. The score is that of
-compare() in MATLAB, which the data's authors use, 100 (1 - |y - y_hat| / |y - mean(y)|) per cent: for each run, and
-pooled, with the squares of all runs summed and every run's own mean taken away.
+The fit is by output error (``ident.estimation.output_error``). Fit and prediction start at the first sample of the run
+from the speeds and the heading measured there, and the prediction sees nothing but the commands after it. The score is
+that of compare() in MATLAB, which the data's authors use, 100 (1 - |y - y_hat| / |y - mean(y)|) per cent: for each run,
+and pooled, with the squares of all runs summed and every run's own mean taken away.
+
+``--nested``: nested cross-validation (Varma and Simon 2006). For each run left out, the model and the weight of the
+heading's gain (``e_drift``) are chosen by leaving out the other runs one by one, by the geometric mean over channels of
+the pooled errors; the choice is then fitted to the others and predicts the run. So nothing about a run, not even which
+model is used for it, comes from that run.
+
+Fits that do not converge are named; they have no score, no choice falls on them, and the exit status is 1.
 """
 
 from __future__ import annotations
@@ -14,11 +20,14 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import boat
+import joblib
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
@@ -31,6 +40,9 @@ Array = NDArray[np.float64]
 CHANNELS = ("u", "v", "r")
 STEP = 0.05  # s; at full speed the yaw damping is too quick for steps of a tenth of a second
 MODELS = ("authors", "propeller", "point", "boat")
+WEIGHTS = (0.4, 0.2, 0.1)  # rad; e_drift of the model ``boat`` among which --nested chooses
+NO_SCORE = np.full((2, len(CHANNELS)), np.nan)
+MOST_RESTARTS = 3  # of a search that stopped short, from where it stopped
 
 
 def records_of(model: Model, logs: Sequence[Path]) -> list[Record]:
@@ -57,7 +69,12 @@ def sums(record: Record, predicted: Array) -> Array:
 def fitted_from_first_samples(model: Model, records: Sequence[Record], start: Mapping[str, float]) -> Fit:
     """Output error from the first samples, taken for exact as the prediction takes them."""
     exact = SearchSettings(initial_state="given", threads=1)
-    return fit(model, records, EstimationOptions(method="output-error"), exact, start=start)
+    for _ in range(1 + MOST_RESTARTS):
+        found = fit(model, records, EstimationOptions(method="output-error"), exact, start=start)
+        if found.converged:
+            break
+        start = dict(zip(found.names, found.values, strict=True))
+    return found
 
 
 def percent(squares: Array) -> list[float]:
@@ -70,23 +87,68 @@ def score(model: Model, records: Sequence[Record], *, left_out: bool) -> dict[st
     parameters of all runs with two standard errors, that for coloured residuals and that of the jackknife over runs.
     ``unconverged``: the fits whose score is worth nothing, by the run that was left out."""
     everything = fitted_from_first_samples(model, records, {})
+    shared = [n for n in everything.names if n in everything.model.values]  # not those that each run has for itself
     start, parts, predicted, each = everything.model.values, [], [], []
     unconverged = [] if everything.converged else ["none"]
     for k, record in enumerate(records):
         others = [*records[:k], *records[k + 1 :]]
         without = fitted_from_first_samples(model, others, start) if left_out else everything
         fitted, unconverged = without.model, unconverged + [record.name] * (left_out and not without.converged)
-        each.append([fitted.values[n] for n in everything.names])
+        each.append([fitted.values[n] for n in shared])
         y = simulate(fitted, record).y
         predicted.append(trace(record, y))
         parts.append(sums(record, y))
-    rows = {r.name: dict(zip(CHANNELS, percent(p), strict=True)) for r, p in zip(records, parts, strict=True)}
-    pooled = dict(zip(CHANNELS, percent(np.sum(parts, axis=0)), strict=True))
     jackknife = np.sqrt((len(each) - 1) * np.var(each, axis=0))
-    names = zip(everything.names, everything.values, everything.robust_errors, jackknife, strict=True)
-    parameters = {n: [float(v), float(e), float(j)] for n, v, e, j in names}
-    found = {"runs": rows, "pooled": pooled, "parameters": parameters, "traces": predicted}
-    return {**found, "unconverged": unconverged}
+    errors = dict(zip(everything.names, everything.robust_errors, strict=True))
+    parameters = {n: [start[n], float(errors[n]), float(j)] for n, j in zip(shared, jackknife, strict=True)}
+    return {
+        **table([r.name for r in records], parts),
+        "parameters": parameters,
+        "traces": predicted,
+        "unconverged": unconverged,
+    }
+
+
+def table(names: Sequence[str], parts: Sequence[Array]) -> dict[str, Any]:
+    """Fit in per cent by run and pooled, of ``sums`` by run."""
+    rows = {n: dict(zip(CHANNELS, percent(p), strict=True)) for n, p in zip(names, parts, strict=True)}
+    return {"runs": rows, "pooled": dict(zip(CHANNELS, percent(np.sum(parts, axis=0)), strict=True))}
+
+
+def candidates(fix: Sequence[str]) -> dict[str, Model]:
+    """The models, and ``boat`` with each weight of the heading's gain."""
+    plain = {name: with_fixed(getattr(boat, name)(), fix) for name in MODELS[:-1]}
+    return plain | {f"boat, e_drift {e:g}": with_fixed(boat.boat(), [*fix, f"e_drift={e}"]) for e in WEIGHTS}
+
+
+def errors_left_out(model: Model, records: Sequence[Record], out: tuple[int, ...]) -> dict[int, Array]:
+    """``sums`` of each run left out, predicted by one fit to all runs but those; not a number without convergence."""
+    found = fitted_from_first_samples(model, [r for i, r in enumerate(records) if i not in out], {})
+    return {i: sums(records[i], simulate(found.model, records[i]).y) if found.converged else NO_SCORE for i in out}
+
+
+def nested(models: Mapping[str, Model], logs: Sequence[Path], jobs: int) -> dict[str, Any]:
+    """Nested leave-one-out: fit in per cent by run and pooled, and what was chosen for each run.
+
+    A fit without the runs i and j serves i left out with j to choose by, and j left out with i to choose by.
+    """
+    records = {name: records_of(model, logs) for name, model in models.items()}
+    names, runs = [r.name for r in next(iter(records.values()))], range(len(logs))
+    work = [(name, out) for name in models for out in [*((i,) for i in runs), *combinations(runs, 2)]]
+    done = joblib.Parallel(n_jobs=jobs)(joblib.delayed(errors_left_out)(models[n], records[n], o) for n, o in work)
+    errors = dict(zip(work, done, strict=True))
+
+    def criterion(name: str, k: int) -> float:
+        """Logarithm of the geometric mean over channels of the errors without run k; infinite without convergence."""
+        pairs = [errors[name, (min(j, k), max(j, k))][j] for j in runs if j != k]
+        squares = np.sum([errors[name, (k,)][k] * 0.0, *pairs], axis=0)  # not a number if the last fit did not converge
+        return float(np.nan_to_num(np.log(squares[0] / squares[1]).mean(), nan=np.inf))
+
+    chosen = [min(models, key=lambda name, k=k: criterion(name, k)) for k in runs]  # type: ignore[misc]
+    failed = [f"{name} without {' and '.join(names[i] for i in out)}" for (name, out), found in errors.items()
+              if np.isnan([*found.values()]).any()]  # fmt: skip
+    found = table(names, [errors[name, (k,)][k] for k, name in enumerate(chosen)])
+    return {**found, "chosen": dict(zip(names, chosen, strict=True)), "unconverged": failed}
 
 
 def trace(record: Record, predicted: Array) -> dict[str, Any]:
@@ -116,10 +178,22 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG")
     parser.add_argument("--model", nargs="+", choices=MODELS, default=list(MODELS))
     parser.add_argument("--fix", nargs="+", default=[], metavar="NAME=VALUE", help="give parameters other values")
+    parser.add_argument("--nested", action="store_true", help="choose the model inside each run left out; see above")
+    parser.add_argument("--jobs", type=int, default=2, help="processes of --nested (2)")
     parser.add_argument("--out", type=Path, help="write everything, for people and plots, as JSON")
     given = parser.parse_args(words)
     found: dict[str, Any] = {}
     print(f"{'fit in per cent':<26}{'surge':>8}{'sway':>8}{'yaw rate':>9}")
+    if given.nested:
+        found = nested(candidates(given.fix), given.logs, given.jobs)
+        print(line("nested, left out", found["pooled"]))
+        for run, row in found["runs"].items():
+            print(f"{line(f'  {run}', row)}   {found['chosen'][run]}")
+        for name, n in Counter(found["chosen"].values()).most_common():
+            print(f"  {name}: chosen for {n} of {len(given.logs)} runs")
+        for which in found["unconverged"]:
+            print(f"  no convergence: {which}")
+        return finish(found, given.out, failed=bool(found["unconverged"]))
     for name in given.model:
         model = with_fixed(getattr(boat, name)(), given.fix)
         records = records_of(model, given.logs)
@@ -134,9 +208,14 @@ def main(words: Sequence[str] | None = None) -> int:
         print(line(f"  {run}", row))
     for name, (value, error, jackknife) in last["parameters"].items():
         print(f"  {name:<12}{value:10.3f} +- {error:.3f}, by the jackknife {jackknife:.3f}")
-    if given.out:
-        given.out.write_text(json.dumps(found), encoding="utf-8")
-    return 1 if any(kind["unconverged"] for kind in found.values()) else 0
+    return finish(found, given.out, failed=any(kind["unconverged"] for kind in found.values()))
+
+
+def finish(found: dict[str, Any], out: Path | None, *, failed: bool) -> int:
+    """Writes what was found; the exit status."""
+    if out:
+        out.write_text(json.dumps(found), encoding="utf-8")
+    return int(failed)
 
 
 if __name__ == "__main__":

@@ -23,5 +23,5 @@ EFFECT = Effect(
     source="lift of a rudder: Fossen 2011, eq. 9.82; jets with a common nozzle",
     experiment="the same difference of the sides at several speeds",
     requires=("n", "hull"),
-    rivals=("mismatch", "turn-loss", "thruster-interaction"),
+    alternatives=("mismatch", "turn-loss", "thruster-interaction"),
 )

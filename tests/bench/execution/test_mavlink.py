@@ -226,6 +226,18 @@ def test_a_check_is_answered_though_it_is_no_ground_station(tmp_path: Path) -> N
     assert "temperature_c 80 of thruster left by autopilot" in next(f["text"] for f in told if f["check"] == "limits")
 
 
+@pytest.mark.parametrize("kind", ["udp", "tcp"])
+def test_the_rig_of_the_mock_is_what_devices_makes_of_its_parameters(tmp_path: Path, kind: str) -> None:
+    write_files(tmp_path, 4.0, kind)
+    rig = load_rig(tmp_path / "rig.toml")
+    with mock(tmp_path):
+        words = ["devices", rig.devices[0].port, "--toml"]
+        done = subprocess.run([*SEATRIAL, *words], cwd=tmp_path, capture_output=True, text=True, check=True)
+    (tmp_path / "found.toml").write_text(f'format = "seatrial-rig 1"\nname = "found"\n{done.stdout}')
+    found = load_rig(tmp_path / "found.toml")
+    assert [(t.name, t.node, t.output) for t in found.thrusters] == [(t.name, t.node, t.output) for t in rig.thrusters]
+
+
 def test_a_mission_with_thrust_needs_a_link_test(tmp_path: Path) -> None:
     write_files(tmp_path, 4.0)
     rig = tmp_path / "rig.toml"

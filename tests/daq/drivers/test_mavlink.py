@@ -198,6 +198,14 @@ def test_a_parameter_that_is_wrong_is_named(name: str, value: float, fatal: bool
     assert str(found).startswith(f"{name} is {value:g}, wanted ")
 
 
+@pytest.mark.parametrize("name", ["RC_OVERRIDE_TIME", "FS_ACTION", "FS_THR_ENABLE", "FS_GCS_ENABLE", "MAV_GCS_SYSID"])
+def test_a_failsafe_that_was_not_told_is_none(name: str) -> None:
+    parameters = Ends(mav_rig()).autopilot.vehicle.parameters
+    del parameters[name]
+    (found,) = check_parameters(parameters, mav_rig().thrusters, 255)
+    assert (found.name, found.value, found.fatal) == (name, None, True)
+
+
 def test_a_crossed_rig_is_refused_for_both_sides() -> None:
     one, two = mav_rig().thrusters
     assert one.output is not None
@@ -292,6 +300,19 @@ def test_after_a_reboot_everything_is_asked_for_again() -> None:
     ends.to_ground(vehicle.encode("HEARTBEAT", 11, 3, 81, 0, 4, 3))
     asked = {message.get_type() for message in parsed(ear, ends.driver.poll(ends.t + 1.0))}
     assert {"COMMAND_LONG", "PARAM_REQUEST_READ"} <= asked
+    assert any("restarted" in event.text for event in ends.driver.events())
+
+
+def test_an_alarm_of_before_arming_ends_no_run_and_a_later_one_does() -> None:
+    ends = ready(Ends(mav_rig()))
+    ends.autopilot._text(2, "GCS Failsafe")
+    ends.run(0.1)
+    assert ends.driver.link_at(ends.t).alarm
+    armed(ends)
+    assert ends.driver.link_at(ends.t).alarm == ""
+    ends.autopilot._text(2, "Leak detected, and a text so long that it comes in two parts of fifty")
+    ends.run(0.1)
+    assert ends.driver.link_at(ends.t).alarm.endswith("in two parts of fifty")
 
 
 @pytest.mark.parametrize(
@@ -349,6 +370,9 @@ def test_the_round_trip_is_measured() -> None:
     ends.t += 1.55
     ends.to_vehicle(sent)
     assert ends.driver.link_at(ends.t).round_trip == pytest.approx(0.05, abs=1e-6)
+    ends.driver._status = replace(ends.driver._status, round_trip=0.05)
+    ends.run(12.0)
+    assert [event.text for event in ends.driver.events() if "TIMESYNC" in event.text]
 
 
 def test_rates_that_somebody_else_has_lowered_are_asked_for_again() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,8 @@ FORMATS = {
     ),
     "BAT": (4, "QBfffffcHB", "<QBfffffhHB", "TimeUS,Inst,Volt,VoltR,Curr,CurrTot,EnrgTot,Temp,Res,RemPct"),
     "MODE": (5, "QMBB", "<QBBB", "TimeUS,Mode,ModeNum,Rsn"),
+    "PARM": (6, "QNf", "<Q16sf", "TimeUS,Name,Value"), "ARM": (7, "QB", "<QB", "TimeUS,ArmState"),
+    "EV": (8, "QB", "<QB", "TimeUS,Id"), "ERR": (9, "QBB", "<QBB", "TimeUS,Subsys,ECode"),
 }  # fmt: skip
 
 
@@ -103,7 +106,7 @@ def dataflash(path: Path) -> None:
         size = 3 + struct.calcsize(code)
         out += b"\xa3\x95\x80" + FMT.pack(number, size, name.encode(), form.encode(), columns.encode())
 
-    def add(name: str, *values: float) -> bytes:
+    def add(name: str, *values: float | bytes) -> bytes:
         number, _, code, _ = FORMATS[name]
         return b"\xa3\x95" + bytes([number]) + struct.pack(code, *values)
 
@@ -116,12 +119,16 @@ def dataflash(path: Path) -> None:
         out += add("BAT", us, 0, 15.5, 15.5, 4.0, 0.0, 0.0, 2500, 0, 77)
         if k == 3:
             out += add("MODE", us, 4, 4, 1)
+            out += add("ARM", us, 1) + add("EV", us, 10) + add("ERR", us, 12, 1)
+            out += add("PARM", us, b"SERVO1_MIN", 1000.0) + add("PARM", us, b"SERVO3_MIN", 1100.0)
     path.write_bytes(out)
 
 
 def test_a_dataflash_log_becomes_a_log(tmp_path: Path) -> None:
     dataflash(tmp_path / "00000001.BIN")
-    out, _ = import_mavlink(tmp_path / "00000001.BIN", rig=mav_rig(), out=tmp_path / "bin.mcap")
+    out, said = import_mavlink(tmp_path / "00000001.BIN", rig=mav_rig(), out=tmp_path / "bin.mcap")
+    assert said.count("not as the rig has it") == 1
+    assert "SERVO1_MIN is 1000, wanted 1100" in said
     with open_log(out) as log:
         ahrs = log.table(Ahrs, "autopilot")
         assert len(ahrs) == 20
@@ -135,7 +142,28 @@ def test_a_dataflash_log_becomes_a_log(tmp_path: Path) -> None:
         assert log.table(Servo, "autopilot", 1)["n"][0] == pytest.approx(0.5)
         assert log.table(Servo, "autopilot", 3)["n"][0] == pytest.approx(0.5)  # reversed in the rig
         assert log.table(Battery, "autopilot")["remaining"][0] == pytest.approx(0.77)
-        assert ("autopilot", "HOLD") in [(kind, text) for _, kind, text in log.events()]
+        told = [text for _, kind, text in log.events() if kind == "autopilot"]
+        assert told == ["HOLD", "armed", "event 10 (LogEvent)", "error 1 of subsystem 12 (LogErrorSubsystem)"]
+        state = log.table(Autopilot, "autopilot")[-1]
+        assert (state["armed"], state["mode"], state["state"]) == (1, 4, 4)
+
+
+def test_lost_frames_and_parameters_of_a_tlog_are_told(tmp_path: Path) -> None:
+    tlog(tmp_path / "run.tlog")
+    data = (tmp_path / "run.tlog").read_bytes()
+    places = [at for at in range(len(data) - 9) if data[at + 8] == 0xFD and data[at : at + 2] == b"\x00\x06"]
+    first, second = places[100:102]
+    (tmp_path / "cut.tlog").write_bytes(data[:first] + data[second:])
+    rig = mav_rig()
+    left = rig.thrusters[0]
+    assert left.output is not None
+    other = replace(rig, thrusters=(replace(left, output=replace(left.output, pwm_us=(1000.0, 1500.0, 2000.0))),))
+    _, said = import_mavlink(tmp_path / "cut.tlog", rig=other, out=tmp_path / "cut.mcap")
+    assert " 1 lost," in said
+    assert "SERVO1_MIN is 1100, wanted 1000" in said
+    _, said = import_mavlink(tmp_path / "run.tlog", rig=rig, out=tmp_path / "run.mcap")
+    assert " 0 lost," in said
+    assert "not as the rig" not in said
 
 
 def test_a_damaged_dataflash_log_is_one_line(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Tables of a rig from an autopilot's parameters: what is driven, and a comment for each doubt."""
+"""Tables of a rig from an autopilot's parameters: what is driven, and a comment for each caveat."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from tests.daq.mavlink_ends import Ends, mav_rig
 
 
 def tables(**changes: float) -> tuple[Rig, list[str]]:
-    """The rig that comes out, and its doubts, of the mock's parameters with these changes."""
+    """The rig that comes out, and its caveats, of the mock's parameters with these changes."""
     parameters = {**Ends(mav_rig()).autopilot.vehicle.parameters, **changes}
     found = DiscoveredAutopilot("udp:127.0.0.1:14550", "", "mavlink", vehicle="ArduPilot Rover", parameters=parameters)
     text = found.toml("mavlink1")
-    doubts = [line.partition("doubt: ")[2] for line in text.splitlines() if "doubt: " in line]
-    return parse_rig(f'format = "seatrial-rig 1"\nname = "found"\n{text}', Path("rig.toml")), doubts
+    caveats = [line.partition("caveat: ")[2] for line in text.splitlines() if "caveat: " in line]
+    return parse_rig(f'format = "seatrial-rig 1"\nname = "found"\n{text}', Path("rig.toml")), caveats
 
 
 def test_the_thrusters_of_the_mock_are_those_of_its_rig() -> None:
-    rig, doubts = tables()
+    rig, caveats = tables()
     wanted = {t.name: (t.node, t.output, t.position_m[1] < 0.0) for t in mav_rig().thrusters}
     assert {t.name: (t.node, t.output, t.position_m[1] < 0.0) for t in rig.thrusters} == wanted
-    assert [doubt for doubt in doubts if "measure" not in doubt] == []
+    assert [caveat for caveat in caveats if "measure" not in caveat] == []
     assert rig.devices[0].mavlink is not None
     assert rig.devices[0].rate_hz == 25.0
 
@@ -45,16 +45,16 @@ def test_channels_pulses_and_ground_station_are_the_autopilots() -> None:
 @pytest.mark.parametrize(
     ("name", "value"), [("FS_ACTION", 1), ("RC_OVERRIDE_TIME", 3), ("SERVO3_REVERSED", 1), ("MOT_THR_MAX", 50)]
 )
-def test_what_forbids_to_drive_is_a_doubt(name: str, value: float) -> None:
-    _, doubts = tables(**{name: value})
-    assert any(doubt.startswith(f"{name} is {value:g}") for doubt in doubts)
+def test_what_forbids_to_drive_is_a_caveat(name: str, value: float) -> None:
+    _, caveats = tables(**{name: value})
+    assert any(caveat.startswith(f"{name} is {value:g}") for caveat in caveats)
 
 
 def test_a_boat_with_a_rudder_has_no_thruster() -> None:
-    rig, doubts = tables(SERVO1_FUNCTION=26, SERVO3_FUNCTION=70)
+    rig, caveats = tables(SERVO1_FUNCTION=26, SERVO3_FUNCTION=70)
     assert rig.thrusters == ()
-    assert any("output 1 steers" in doubt for doubt in doubts)
-    assert any("output 3 is the throttle of both sides" in doubt for doubt in doubts)
+    assert any("output 1 steers" in caveat for caveat in caveats)
+    assert any("output 3 is the throttle of both sides" in caveat for caveat in caveats)
 
 
 @pytest.mark.parametrize("vehicle", ["ArduSub", "ArduCopter", "PX4"])
@@ -65,5 +65,5 @@ def test_other_vehicles_are_named_and_have_no_thruster(vehicle: str) -> None:
     assert rig.thrusters == ()
     assert rig.devices[0].mavlink is not None
     assert rig.devices[0].mavlink.system_id == 3
-    assert text.count("doubt: ") == 2
+    assert text.count("caveat: ") == 2
     assert vehicle in text.splitlines()[0]
