@@ -197,10 +197,11 @@ class Segments:
 
 @dataclass(frozen=True)
 class Live:
-    """Address of the live view: of this machine alone by default."""
+    """The live view: its address, of this machine alone by default, and whose pages may open it."""
 
     host: str = "127.0.0.1"
     port: int = 8765
+    origins: tuple[str, ...] = ("https://app.foxglove.dev",)
 
 
 @dataclass(frozen=True)

@@ -109,7 +109,8 @@ def _log(root: TomlTable) -> tuple[str, Segments]:
 def _live(table: TomlTable | None) -> Live:
     if table is None:
         return Live()
-    found = Live(table.text("host", Live.host), table.integer("port", Live.port, low=0, high=65535))
+    port = table.integer("port", Live.port, low=0, high=65535)
+    found = Live(table.text("host", Live.host), port, table.texts("origins", Live.origins))
     table.done()
     return found
 

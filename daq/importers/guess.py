@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
@@ -31,6 +31,8 @@ from daq.importers.text_table import sniff_style
 
 MOTION = ("x", "vx", "u", "psi", "r", "speed")
 FORCES = {"X": "N", "N": "Nm"}  # force ahead and moment, by the letters of the literature
+LEFT_THROTTLE, RIGHT_THROTTLE = 73.0, 74.0  # SERVOn_FUNCTION of ArduPilot
+PULSE_US = (("MIN", 1100.0), ("TRIM", 1500.0), ("MAX", 1900.0))  # SERVOn_..., us, and what they are by default
 NED_KINDS = {"ulog", "mavlink", "can"}  # sources whose axes are ours
 MOST_LISTED = 12  # signals that were not recognised and are offered all the same
 _TIME = re.compile(r"(^|_)(t|time|stamp|timestamp|datetime|utc|seconds|secs|epoch)($|_)")
@@ -65,7 +67,7 @@ def guess_map(path: Path) -> Guess:
         head.append(f'frame = "{"NED" if ours else "ENU"}"  # {why}; the other one is "{"ENU" if ours else "NED"}"')
     times = _clock_lines(tables)
     candidates = [c for table in tables for c in (*message_candidates(table), *_column_candidates(table, kind.name))]
-    candidates += _outputs(tables)
+    candidates += outputs(tables)
     taken, lines = _choose(candidates, {id(table): _time_of(table) for table in tables})
     problem = _problem(taken, tables)
     head += _style_line(options, kind.name) + times
@@ -276,15 +278,18 @@ def _rate_unit(numbers: dict[str, Column], column: str, names: dict[str, tuple[s
     return unit, f"a yaw rate of at most {top:.3g} is taken for {unit}"
 
 
-def _outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
-    """Outputs of an autopilot, of which 1 and 3 are left and right on ArduPilot's boats, and speed controllers."""
+def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
+    """Outputs of an autopilot, left and right by its parameters or else 1 and 3, as ArduPilot has them; controllers."""
     nodes = {int(table.topic.rpartition("_")[2]): table for table in tables if table.kind == "Servo"}
-    for node, name in ((1, "n_left"), (3, "n_right")):
-        if node not in nodes or 4 - node not in nodes:
-            continue
+    p = tables[0].parameters if tables else {}
+    told = {p.get(f"SERVO{node}_FUNCTION"): node for node in nodes}
+    left, right = (told.get(function, usual) for function, usual in ((LEFT_THROTTLE, 1), (RIGHT_THROTTLE, 3)))
+    for node, name in ((left, "n_left"), (right, "n_right")) if {left, right} <= set(nodes) else ():
         known = "n" in nodes[node].columns  # by a rig
-        taken = Taken(name, ("n" if known else "pwm",), "1", "", 'role = "input"' if known else PULSES)
-        yield Candidate("drive", 0, nodes[node], (taken,), "" if known else CAVEATS["RCOut"])
+        by_parameters = LEFT_THROTTLE in told and RIGHT_THROTTLE in told and f"SERVO{node}_TRIM" in p
+        extra = _pulses(p, node) if by_parameters else PULSES
+        taken = Taken(name, ("n" if known else "pwm",), "1", "", 'role = "input"' if known else extra)
+        yield Candidate("drive", 0, nodes[node], (taken,), "" if known or by_parameters else CAVEATS["RCOut"])
     shafts = {int(table.topic.rpartition("_")[2]): table for table in tables if table.kind == "Esc"}
     shafts = {node: table for node, table in shafts.items() if "rpm" in table.columns}
     for k, (node, table) in enumerate(sorted(shafts.items())):
@@ -293,6 +298,13 @@ def _outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
         caveat = f"controller {node} is taken for {name}, {top:.5g} rev/min (a VESC's: electrical) for full"
         taken = Taken(name, ("rpm",), "1", "", f'scale = {1.0 / top:.9g}, role = "input", hold = "linear"')
         yield Candidate("drive", 1, table, (taken,), caveat)
+
+
+def _pulses(p: Mapping[str, float], node: int) -> str:
+    """The scale of an output by its own parameters."""
+    low, rest, high = (p.get(f"SERVO{node}_{word}", usual) for word, usual in PULSE_US)
+    scale = (-2.0 if p.get(f"SERVO{node}_REVERSED", 0.0) else 2.0) / (high - low)
+    return f'scale = {scale:.9g}, offset = {-scale * rest:.9g}, missing = 0, role = "input"'
 
 
 # The choice

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from fnmatch import fnmatch
@@ -11,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, SeatrialWarning
 from daq.importers.import_map import ImportMap, Piece, Source, load_import_map
 from daq.importers.signals import SignalData, Signals, read_signals
 from daq.importers.sources import sha256_of, source_kind
@@ -76,7 +77,11 @@ class _File(NamedTuple):
 
 def _read(path: Path, source: Source) -> _File:
     kind = source_kind(path)
-    signals = read_signals(kind.read(path, source.options), source)
+    tables = kind.read(path, source.options)
+    for table in tables:
+        if table.remark and any(signal.topic == table.topic for signal in source.signals):
+            warnings.warn(f"{path}: {table.topic}: {table.remark}", SeatrialWarning, stacklevel=2)
+    signals = read_signals(tables, source)
     return _File(path, kind.name, sha256_of(path), signals, source.time.origin if source.time else 0.0)
 
 

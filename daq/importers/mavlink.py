@@ -46,9 +46,7 @@ def import_mavlink(
     return target, said
 
 
-def read_autopilot(
-    path: Path, rig: Rig | None, system: int | None
-) -> tuple[list[Timed], str, dict[str, float]]:
+def read_autopilot(path: Path, rig: Rig | None, system: int | None) -> tuple[list[Timed], str, dict[str, float]]:
     """The samples of a tlog or a DataFlash log, what was read in words, and its parameters. Raises SeatrialError."""
     try:
         data = path.read_bytes()

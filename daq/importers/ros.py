@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from daq.errors import SeatrialError
-from daq.importers.table import Column, SourceOptions, Table
+from daq.importers.table import Column, SourceOptions, Table, ran_back
 
 IMU, FIX = "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix"
 LONGEST = 16  # numbers of an array that become columns; images and clouds do not
@@ -83,6 +83,7 @@ class _Topic:
             shift = float(np.min((t_log - t)[stamped]))
             t, remark = t + shift, f"its stamps are of another clock: {shift:+.3f} s"
         t = np.where(stamped, t, t_log)
+        remark = remark or ran_back(t)
         order = np.argsort(t, kind="stable")
         names = list(dict.fromkeys(name for row in self.rows for name in row))
         columns = {name: np.array([row.get(name, np.nan) for row in self.rows])[order] for name in names}

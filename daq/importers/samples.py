@@ -11,7 +11,7 @@ import numpy as np
 from daq.config import load_rig
 from daq.errors import SeatrialError
 from daq.importers.mavlink import read_autopilot, vehicle_type
-from daq.importers.table import SourceOptions, Table
+from daq.importers.table import SourceOptions, Table, ran_back
 from daq.samples import MEASURED, Frame, Gnss
 
 FIX_2D = 2
@@ -41,17 +41,17 @@ def sample_tables(path: Path, rows: Sequence[tuple[str, float, Frame]]) -> list[
         clock, block = np.array(times), np.array(values)
         order = np.argsort(clock, kind="stable")
         columns = {name: block[order, k] for k, name in enumerate(names) if np.isfinite(block[:, k]).any()}
-        tables.append(Table(path, topic, columns, clock[order], kind))
+        tables.append(Table(path, topic, columns, clock[order], kind, remark=ran_back(clock)))
     return tables
 
 
 def read_autopilot_log(path: Path, options: SourceOptions) -> list[Table]:
     """The samples of a tlog or a DataFlash log. Raises SeatrialError."""
     rig = None if options.rig is None else load_rig(options.rig)
-    rows, _, _ = read_autopilot(path, rig, options.system)
+    rows, _, parameters = read_autopilot(path, rig, options.system)
     if not (tables := sample_tables(path, [("", row.t, row.frame) for row in rows])):
         raise SeatrialError(f"{path}: no attitude, fixes or outputs in it")
     vehicle = vehicle_type(path, rows, options.system)
     for table in tables:
-        table.vehicle = vehicle
+        table.vehicle, table.parameters = vehicle, parameters
     return tables

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.errors import SeatrialError
+from daq.clock import CLOCK_STEP_S
+from daq.errors import SeatrialError, counted
 
 Column = NDArray[np.float64]
 
@@ -26,6 +27,7 @@ class Table:
     frame_id: str = ""  # of ROS: the frame that the header names
     remark: str = ""  # what was odd about its times
     vehicle: int | None = None  # MAV_TYPE, of logs of autopilots that say it
+    parameters: Mapping[str, float] = field(default_factory=dict)  # of the autopilot, where its log has them
     strict = False  # text: rows out of order and cells without a number are errors unless the map says otherwise
 
     @property
@@ -51,6 +53,13 @@ class Table:
         """The error of one cell, to be raised."""
         place = f"{self.topic}, '{column}'" if self.topic else f"'{column}'"
         return SeatrialError(f"{self.path}: {place}, row {row + 1}: {problem}")
+
+
+def ran_back(t: Column) -> str:
+    """What is odd about times (n,) [s] in the order of a file: a clock that was set, or two of them; "" nothing."""
+    back = -np.diff(t)
+    far = back > CLOCK_STEP_S
+    return f"its times ran back {counted(int(far.sum()), 'time')}, by up to {back.max():.1f} s" if far.any() else ""
 
 
 @dataclass(frozen=True)

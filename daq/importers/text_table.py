@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -120,7 +121,7 @@ def sniff_style(path: Path, head: bytes) -> TextStyle | None:
         encoding = "utf-8-sig" if error.start > len(head) - 4 else "latin-1"
         text = head.decode(encoding, "ignore")
     lines = text.splitlines()[:-1] or text.splitlines()
-    best: tuple[int, TextStyle] | None = None
+    best: tuple[float, TextStyle] | None = None
     for delimiter in (",", ";", "\t", BLANK):
         for decimal in (".", ",") if delimiter != "," else (".",):
             found = _table_in(lines, TextStyle(delimiter, decimal, encoding))
@@ -129,24 +130,26 @@ def sniff_style(path: Path, head: bytes) -> TextStyle | None:
     return None if best is None else best[1]
 
 
-def _table_in(lines: list[str], style: TextStyle) -> tuple[int, TextStyle] | None:
-    """How many cells of numbers these lines have in this style, and the style with its header; None: not a table."""
+def _table_in(lines: list[str], style: TextStyle) -> tuple[float, TextStyle] | None:
+    """The style with its header, and how many numbers these lines have in it, times their share; None: no table."""
     rows = [next((cells for _, cells in _split([line], style)), []) for line in lines]
-    width = len(max(rows[-20:], key=len, default=[]))
-    if not width:
+    widths = Counter(len(cells) for cells in rows[-20:] if cells).most_common(1)
+    if not widths:
         return None
+    width = widths[0][0]
     first = next((k for k, cells in enumerate(rows) if len(cells) == width and _share(cells, style) >= 0.5), None)
     if first is None:
         return None
     body = [cells for cells in rows[first:] if cells]
     if sum(len(cells) == width for cells in body) < 0.9 * len(body):
         return None
-    n_numbers = sum(round(_share(cells, style) * len(cells)) for cells in body)
+    shares = [_share(cells, style) for cells in body]
+    score = sum(share**2 * len(cells) for share, cells in zip(shares, body, strict=True))
     above = next((k for k in range(first - 1, -1, -1) if rows[k]), None)
     named = above is not None and len(rows[above]) == width and _share(rows[above], style) < 0.5
     header: tuple[str, ...] = () if named else tuple(f"column_{k}" for k in range(1, width + 1))
     skip = above if named and above is not None else first
-    return n_numbers, TextStyle(style.delimiter, style.decimal, style.encoding, skip, header)
+    return score, TextStyle(style.delimiter, style.decimal, style.encoding, skip, header)
 
 
 def _share(cells: list[str], style: TextStyle) -> float:

@@ -1,14 +1,20 @@
 """`seatrial log --live`: the newest samples on a WebSocket that Foxglove opens (extra `live`).
 
 The messages are those of the log: the same topics, types and encoding. It runs in the process that shows the table,
-never in the one that records.
+never in the one that records. The library's server asks nobody where he comes from, so a gate stands before it: else
+any page in a browser of this computer could read the samples.
 """
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import math
+import random
+import re
+import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Any
 
@@ -19,6 +25,9 @@ from daq.rig import Rig
 from daq.samples import NAN, Frame
 
 PERIOD_S = 0.05  # wall; the status is no newer
+HEAD_S, HEAD_BYTES = 5.0, 16_384  # of a request's head
+_OURS = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?|file://")  # pages and programs of this computer
+_ORIGIN = re.compile(rb"^origin:[ \t]*(.*?)[ \t]*\r?$", re.IGNORECASE | re.MULTILINE)
 _FOXGLOVE = "the live view needs the package foxglove-sdk: pip install 'seatrial[live]'"
 
 
@@ -40,7 +49,7 @@ class LiveServer:
     @property
     def address(self) -> str:
         """The address to open in Foxglove."""
-        return f"ws://{self._rig.live.host}:{self._server.port}"
+        return f"ws://{self._rig.live.host}:{self._gate.port}"
 
     def __enter__(self) -> LiveServer:
         try:
@@ -49,12 +58,19 @@ class LiveServer:
             raise SeatrialError(_FOXGLOVE) from error
         self._foxglove = foxglove
         self._context = foxglove.Context()
-        host, port = self._rig.live.host, self._rig.live.port
-        try:
-            self._server = foxglove.start_server(name="seatrial", host=host, port=port, context=self._context)
-        except Exception as error:  # it raises errors of its own
-            why = " ".join(str(error).split())
-            raise SeatrialError(f"{host}:{port}: the live view cannot listen there: {why}") from error
+        live = self._rig.live
+        behind = "127.0.0.1"
+        if sys.platform == "linux":  # all of 127.0.0.0/8 is this computer: where a page does not find it
+            behind = "127." + ".".join(str(random.SystemRandom().randrange(1, 255)) for _ in range(3))
+        with contextlib.ExitStack() as stack:
+            try:
+                self._server = foxglove.start_server(name="seatrial", host=behind, port=0, context=self._context)
+                stack.callback(self._server.stop)
+                self._gate = OriginGate(live.host, live.port, (behind, self._server.port), live.origins)
+            except Exception as error:  # the library raises errors of its own
+                why = " ".join(str(error).split())
+                raise SeatrialError(f"{live.host}:{live.port}: the live view cannot listen there: {why}") from error
+            stack.pop_all()
         self._thread.start()
         return self
 
@@ -63,6 +79,7 @@ class LiveServer:
     ) -> None:
         self._ending.set()
         self._thread.join()
+        self._gate.close()
         self._server.stop()
 
     def _run(self) -> None:
@@ -93,3 +110,64 @@ class LiveServer:
                 context=self._context,
             )
         return self._channels[topic]
+
+
+class OriginGate:
+    """Listens at an address, and connects to the server behind it whoever is no page of a foreign site: programs, which
+    name no origin, pages of this computer, and those of `origins` (RFC 6454, 7). Raises OSError."""
+
+    def __init__(self, host: str, port: int, behind: tuple[str, int], origins: Sequence[str]) -> None:
+        self._behind, self._origins = behind, origins
+        self._loop = asyncio.new_event_loop()
+        try:
+            listening = asyncio.start_server(self._serve, host, port, limit=HEAD_BYTES)
+            self._server = self._loop.run_until_complete(listening)
+        except OSError:
+            self._loop.close()
+            raise
+        self.port: int = self._server.sockets[0].getsockname()[1]
+        self._thread = threading.Thread(target=self._loop.run_forever, name="live gate", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End it and its connections."""
+        asyncio.run_coroutine_threadsafe(self._end(), self._loop).result()
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+    async def _end(self) -> None:
+        self._server.close()
+        tasks = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        await asyncio.sleep(0)  # what was closed is let go of in the next turn
+
+    def _is_welcome(self, head: bytes) -> bool:
+        origins = [origin.decode("latin-1") for origin in _ORIGIN.findall(head)]
+        return all(origin in self._origins or _OURS.fullmatch(origin) for origin in origins)
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_S)
+            if self._is_welcome(head):
+                server_reader, server_writer = await asyncio.open_connection(*self._behind)
+                server_writer.write(head)
+                await asyncio.gather(_pump(reader, server_writer), _pump(server_reader, writer))
+            else:
+                writer.write(b"HTTP/1.1 403 Forbidden\r\nContent-Length: 0\r\nConnection: close\r\n\r\n")
+                await writer.drain()
+        except (OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, TimeoutError):
+            pass
+        finally:
+            writer.close()
+
+
+async def _pump(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    try:
+        while data := await reader.read(65_536):
+            writer.write(data)
+            await writer.drain()
+    finally:
+        writer.close()

@@ -13,14 +13,17 @@ import click
 from daq.errors import SeatrialError
 from ident.cli.options import (
     FILE,
+    FOLDER,
     LOG,
     Lines,
     LiveLine,
     command_line,
     despite_option,
     estimation_of,
+    force_option,
     horizon_option,
     mean_order_option,
+    not_there,
     out_option,
     parse_names,
     parse_priors,
@@ -126,7 +129,14 @@ ident.add_command(navigate)
     required=True,
     help="Target language or format.",
 )
-@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="File to write; else the screen.")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(dir_okay=False, path_type=Path),
+    callback=not_there,
+    help="File to write; else the screen.",
+)
+@force_option
 @click.option("--name", help="Prefix of the functions, or name of the node; default: name of the model.")
 @click.option(
     "--with-disturbance-states",
@@ -345,7 +355,9 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
 @mean_order_option(None)
 @click.option("--docs", type=FILE, help="Also write the page of tables to this file, with its pictures.")
 @trust_option
-@out_option("study")
+@click.option(
+    "--out", type=FOLDER, default=Path("study"), show_default=True, help="Folder for the results, where it goes on."
+)
 def study(models: tuple[str, ...], method: str, unbounded: bool, docs: Path | None, out: Path, **how: Any) -> None:
     """Monte Carlo of the estimator on simulated missions of MODELs: surge, yaw, horizontal, kinematic, thruster,
     noise, designed; a fitted model.toml; or FILE.py:NAME, a user-defined Case.

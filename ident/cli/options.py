@@ -76,9 +76,29 @@ def validate_option(f: Callable[..., Any]) -> Callable[..., Any]:
     )(f)
 
 
+def force_option(f: Callable[..., Any]) -> Callable[..., Any]:
+    """``--force``, which `not_there` looks at."""
+    help_ = "Replace results that are there."
+    return click.option("--force", is_flag=True, expose_value=False, is_eager=True, callback=_force, help=help_)(f)
+
+
+def _force(context: click.Context, _parameter: click.Parameter, given: bool) -> None:
+    context.meta["force"] = given
+
+
+def not_there(context: click.Context, _parameter: click.Parameter, out: Path | None) -> Path | None:
+    """The file, or folder for results, to write. Raises SeatrialError where it is there already, without --force."""
+    there = out is not None and (out.is_file() or (out / "result.json").exists())
+    if there and not context.meta["force"]:
+        raise SeatrialError(f"{out}: is there already; --force replaces it, or give another name")
+    return out
+
+
 def out_option(default: str) -> Callable[..., Any]:
-    """``--out`` with its default."""
-    return click.option("--out", type=FOLDER, default=Path(default), show_default=True, help="Folder for the results.")
+    """``--out`` with its default, and ``--force``."""
+    words = "Folder for the results."
+    how: dict[str, Any] = {"type": FOLDER, "default": Path(default), "show_default": True, "help": words}
+    return lambda f: click.option("--out", callback=not_there, **how)(force_option(f))
 
 
 def _trust(context: click.Context, _parameter: click.Parameter, given: bool) -> None:

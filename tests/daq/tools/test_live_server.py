@@ -44,16 +44,21 @@ def status(t: float) -> Status:
 class Client:
     """Just enough of RFC 6455 to listen."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, origin: bytes = b"") -> None:
         self._socket = socket.create_connection(("127.0.0.1", port), timeout=10.0)
         self._socket.sendall(
-            b"GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            b"GET / HTTP/1.1\r\nHost: x\r\n"
+            + origin
+            + b"Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
             b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n"
         )
         self._buffer = b""
         while b"\r\n\r\n" not in self._buffer:
             self._buffer += self._socket.recv(4096)
         head, _, self._buffer = self._buffer.partition(b"\r\n\r\n")
+        if b" 403 " in head.splitlines()[0]:
+            self.close()
+            raise PermissionError
         assert b" 101 " in head.splitlines()[0]
 
     def _take(self, size: int) -> bytes:
@@ -114,6 +119,30 @@ def test_a_client_gets_the_messages_of_the_log() -> None:
 
 
 @needs_foxglove
+def test_a_page_of_a_foreign_site_is_refused() -> None:
+    with LiveServer(rig(), lambda: status(time.time())) as server:
+        port = int(server.address.rpartition(":")[2])
+        for origin in (
+            "https://evil.example",
+            "null",
+            "http://localhost.evil.example",
+            "http://127.0.0.1:1@evil.example",
+        ):
+            for header in (
+                f"Origin: {origin}\r\n",
+                f"oRiGiN:{origin} \r\n",
+                f"Origin: http://localhost\r\norigin: {origin}\r\n",
+            ):
+                with pytest.raises(PermissionError):
+                    Client(port, header.encode())
+        for origin in ("https://app.foxglove.dev", "http://localhost:8080", "file://"):
+            Client(port, f"Origin: {origin}\r\n".encode()).close()
+        with socket.create_connection(("127.0.0.1", port), timeout=5.0) as quiet:  # holds up nobody
+            Client(port).close()
+            quiet.sendall(b"\r\n\r\n")
+
+
+@needs_foxglove
 def test_a_port_that_is_taken_is_one_line() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -133,5 +162,7 @@ def test_it_listens_to_this_machine_alone_unless_the_rig_says_otherwise(tmp_path
     assert parse_rig(RIG, tmp_path / "rig.toml").live == Live("127.0.0.1", 8765)
     text = RIG.replace("[[device]]", '[live]\nhost = "0.0.0.0"\nport = 9000\n\n[[device]]', 1)
     assert parse_rig(text, tmp_path / "rig.toml").live == Live("0.0.0.0", 9000)
+    more = text.replace("9000", '9000\norigins = ["http://boat.local"]')
+    assert parse_rig(more, tmp_path / "rig.toml").live.origins == ("http://boat.local",)
     with pytest.raises(SeatrialError, match=r"live\.port: must be within 0 \.\. 65535"):
         parse_rig(text.replace("9000", "90000"), tmp_path / "rig.toml")

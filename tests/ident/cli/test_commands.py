@@ -168,6 +168,23 @@ def test_a_swapped_pair_is_refused_and_said_first_where_it_is_fitted_all_the_sam
     assert [f["code"] for f in result["logs"][0]["findings"] if f["spoils"]] == ["thruster-sides-swapped"]
 
 
+def test_results_are_replaced_only_when_that_is_asked_for(fitted: Path, tmp_path: Path, run: Run) -> None:
+    out, header = tmp_path / "noise", tmp_path / "boat.h"
+    assert run("ident", "noise", fitted / "estimation.mcap", "--out", out)[0] == 0
+    assert run("ident", "export", fitted / "vehicle" / "model.toml", "--to", "c", "-o", header)[0] == 0
+    for words, file in (
+        (("noise", fitted / "estimation.mcap", "--out", out), out / "result.json"),
+        (("export", fitted / "vehicle" / "model.toml", "--to", "c", "-o", header), header),
+    ):
+        file.write_text("mine")
+        status, _, err = run("ident", *words)
+        assert (status, err.count("\n")) == (1, 1)
+        assert "--force replaces it" in err
+        assert file.read_text() == "mine"
+        assert run("ident", *words, "--force")[0] == 0
+        assert file.read_text() != "mine"
+
+
 def test_known_values_and_starts_are_taken(fitted: Path, tmp_path: Path, run: Run) -> None:
     status, _, err = run("ident", "vehicle", fitted / "estimation.mcap", "--fix", "m_u=36.5", "--initial", "d_v=40",
                          "--rate", 5, "--model", "horizontal:shaft:no-current", "--out", tmp_path)

@@ -1,0 +1,195 @@
+"""`import --guess`: styles of text, names of columns with their units, messages of ROS and mavros, the choice."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from daq import cli
+from daq.errors import SeatrialError
+from daq.importers.guess import guess_map, outputs
+from daq.importers.import_files import import_files
+from daq.importers.recognise import read_name
+from daq.importers.table import Table, TextStyle
+from daq.importers.text_table import sniff_style
+from tests.daq.csv_files import values
+
+N = 30
+TIME = 0.1 * np.arange(N)
+
+
+def guessed(path: Path) -> dict[str, dict[str, Any]]:
+    """The signals of a guessed map by name; the map imports."""
+    guess = guess_map(path)
+    map_path = path.with_suffix(".map.toml")
+    map_path.write_text(guess.text, encoding="utf-8")
+    found = {signal["name"]: signal for signal in tomllib.loads(guess.text)["signal"]}
+    if found:
+        import_files(map_path, [path], out=path.with_suffix(".mcap"), force=True)
+    return found
+
+
+def write(folder: Path, columns: dict[str, np.ndarray], delimiter: str = ",", decimal: str = ".") -> Path:
+    lines = [delimiter.join(columns)]
+    for row in zip(*columns.values(), strict=True):
+        lines.append(delimiter.join(f"{value:.9g}".replace(".", decimal) for value in row))
+    path = folder / "run.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "style"),
+    [
+        ("t,psi\n" + "0.5,1.5\n" * 9, TextStyle(",", ".")),
+        ("made by X\n\nt;psi\n" + "0,5;1,5\n" * 9, TextStyle(";", ",", skip_rows=2)),
+        ("t\tpsi\n" + "0.5\t1.5\n" * 9, TextStyle("\t", ".")),
+        ("  t   psi\n" + "  0.5   1.5\n" * 9, TextStyle("blank", ".")),
+        ("Z5\N{DEGREE SIGN}/1\n of a run\n" + "  .5   1.5  \n" * 9,
+         TextStyle("blank", ".", "latin-1", 2, ("column_1", "column_2"))),
+        ("t,psi\n" + "0.5,1.5\n,\n\n" * 9, TextStyle(",", ".")),
+    ],
+)  # fmt: skip
+def test_the_style_of_a_text(text: str, style: TextStyle) -> None:
+    assert sniff_style(Path("x"), text.encode("latin-1")) == style
+
+
+def test_a_text_that_is_no_table(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("Dear reader,\nthis is a letter.\n")
+    with pytest.raises(SeatrialError, match="no table of numbers found in this text"):
+        guess_map(tmp_path / "x.csv")
+    (tmp_path / "x.bin").write_bytes(bytes(100))
+    with pytest.raises(SeatrialError, match="of no kind that import knows"):
+        guess_map(tmp_path / "x.bin")
+
+
+def test_blanks_between_columns_other_encodings_and_blank_rows(tmp_path: Path) -> None:
+    path = tmp_path / "run.dat"
+    rows = "".join(f"  {0.1 * k:.1f}   {10 + k}.0 \n\n" for k in range(N))
+    path.write_bytes(f"Kurs \N{DEGREE SIGN}\n time  yaw[deg]\n{rows}".encode("latin-1"))
+    assert guessed(path)["psi"]["unit"] == "deg"
+    t, psi = values(tmp_path / "run.mcap", "psi")
+    np.testing.assert_allclose(t, TIME, atol=1e-9)
+    np.testing.assert_allclose(psi, np.radians(10.0 + np.arange(N)))
+
+
+@pytest.mark.parametrize(
+    ("column", "meaning", "unit"),
+    [
+        ("yaw [deg]", "psi", "deg"), ("Heading (rad)", "psi", "rad"), ("yawRate", "r", ""), ("sog_kn", "speed", "kn"),
+        ("vel_n", "vx", ""), ("pos_n", "x", ""), ("r_dps", "r", "deg/s"), ("Latitude", "lat", ""), ("rudder", "", ""),
+        ("u_m_s", "u", "m/s"), ("gyro_z (deg/s)", "r", "deg/s"), ("t_ms", "", "ms"),
+    ],
+)  # fmt: skip
+def test_names_of_columns(column: str, meaning: str, unit: str) -> None:
+    name = read_name(column)
+    assert (name.meaning, name.unit) == (meaning, unit)
+
+
+def test_a_receiver_and_a_pwm(tmp_path: Path) -> None:
+    """Speed and course, latitude and longitude, pulses by side, milliseconds."""
+    path = write(tmp_path, {
+        "timestamp": 1e5 + 100.0 * np.arange(N), "lat": 63.0 + 1e-5 * np.arange(N), "lon": 10.0 + 0 * TIME,
+        "sog_kn": 2.0 + 0 * TIME, "cog": 90.0 + 0 * TIME,
+        "pwm_port": 1500.0 + np.arange(N), "pwm_stbd": 1500.0 - np.arange(N),
+    })  # fmt: skip
+    found = guessed(path)
+    assert set(found) == {"x", "y", "vx", "vy", "n_left", "n_right"}
+    log = tmp_path / "run.mcap"
+    np.testing.assert_allclose(np.diff(values(log, "x")[1]), 1.1146, rtol=1e-3)
+    np.testing.assert_allclose(values(log, "vy")[1], 2.0 * 1852 / 3600, rtol=1e-9)
+    np.testing.assert_allclose(values(log, "vx")[1], 0.0, atol=1e-12)
+    t, n = values(log, "n_right")
+    np.testing.assert_allclose(n, -np.arange(N) / 400.0, atol=1e-12)
+    np.testing.assert_allclose(t, 100.0 + TIME, atol=1e-6)
+
+
+def test_the_unit_of_a_rate_is_told_by_the_heading(tmp_path: Path) -> None:
+    psi = 60.0 * np.sin(0.8 * TIME)  # deg, 10 Hz
+    degrees = {"t": TIME, "yaw": psi, "yaw_rate": 48.0 * np.cos(0.8 * TIME)}
+    assert guessed(write(tmp_path, degrees))["r"]["unit"] == "deg/s"
+    radians = {**degrees, "yaw_rate": np.radians(degrees["yaw_rate"])}
+    assert guessed(write(tmp_path, radians))["r"]["unit"] == "rad/s"
+    against = {**radians, "yaw_rate": -radians["yaw_rate"]}
+    assert "sign = -1?" in guess_map(write(tmp_path, against)).text
+
+
+def test_the_parameters_of_an_autopilot_tell_its_outputs() -> None:
+    tables = [
+        Table(Path("x"), f"servo_{k}", {"pwm": 1500.0 + TIME}, TIME, "Servo", parameters=PARAMETERS) for k in (1, 2, 3)
+    ]
+    found = {c.signals[0].name: (c.table.topic, c.signals[0].extra, c.caveat) for c in outputs(tables)}
+    assert found["n_left"] == ("servo_2", 'scale = 0.0025, offset = -3.75, missing = 0, role = "input"', "")
+    assert found["n_right"] == ("servo_1", 'scale = -0.002, offset = 3, missing = 0, role = "input"', "")
+    for table in tables:
+        table.parameters = {}
+    found = {c.signals[0].name: (c.table.topic, bool(c.caveat)) for c in outputs(tables)}
+    assert found == {"n_left": ("servo_1", True), "n_right": ("servo_3", True)}
+
+
+PARAMETERS = {
+    "SERVO2_FUNCTION": 73.0, "SERVO2_TRIM": 1500.0, "SERVO2_MIN": 1100.0, "SERVO2_MAX": 1900.0,
+    "SERVO1_FUNCTION": 74.0, "SERVO1_TRIM": 1500.0, "SERVO1_MIN": 1000.0, "SERVO1_MAX": 2000.0, "SERVO1_REVERSED": 1.0,
+}  # fmt: skip
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+RC_OUT = "std_msgs/Header header\nuint16[] channels\n"
+STORE.register(get_types_from_msg(RC_OUT, "mavros_msgs/msg/RCOut"))
+
+
+def test_the_topics_of_mavros(tmp_path: Path) -> None:
+    """Earth-fixed and body velocities by their topics, the compass in degrees from north, outputs 1 and 3."""
+    types = STORE.types
+
+    def head(k: int) -> Any:
+        return types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](100, 10_000_000 * k), "map")
+
+    def twist(k: int) -> Any:
+        vector = types["geometry_msgs/msg/Vector3"]
+        one = types["geometry_msgs/msg/Twist"](vector(1.0, 2.0, 0.0), vector(0.0, 0.0, 0.5))
+        header = head(k)
+        return types["geometry_msgs/msg/TwistStamped"](header, one)
+
+    def pulses(k: int) -> Any:
+        return types["mavros_msgs/msg/RCOut"](head(k), np.array([1500 + k, 0, 1500 - k, 0], np.uint16))
+
+    said = {
+        "/mavros/local_position/velocity_local": ("geometry_msgs/msg/TwistStamped", twist),
+        "/mavros/setpoint_velocity/cmd_vel": ("geometry_msgs/msg/TwistStamped", twist),
+        "/mavros/global_position/compass_hdg": ("std_msgs/msg/Float64", lambda k: types["std_msgs/msg/Float64"](90.0)),
+        "/mavros/rc/out": ("mavros_msgs/msg/RCOut", pulses),
+    }
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for topic, (kind, make) in said.items():
+            connection = writer.add_connection(topic, kind, typestore=STORE)
+            for k in range(N):
+                writer.write(connection, round((100 + 0.01 * k) * 1e9), STORE.serialize_cdr(make(k), kind))
+    found = guessed(tmp_path / "bag")
+    assert {name: signal["topic"].rpartition("/")[2] for name, signal in found.items()} == {
+        "vx": "velocity_local", "vy": "velocity_local", "psi": "compass_hdg", "n_left": "out", "n_right": "out",
+    }  # fmt: skip
+    log = tmp_path / "bag.mcap"
+    assert values(log, "vx")[1][0] == 2.0  # north is y of ENU
+    assert values(log, "psi")[1][0] == pytest.approx(np.pi / 2)  # a compass counts from north
+    np.testing.assert_allclose(values(log, "n_right")[1], -np.arange(N) / 400.0, atol=1e-12)
+
+
+def test_the_command(tmp_path: Path) -> None:
+    path = write(tmp_path, {"t": TIME, "yaw_deg": 10.0 + TIME})
+    run = CliRunner()
+    done = run.invoke(cli.import_, ["--guess", str(path)])
+    assert done.exit_code == 0
+    assert done.stdout.startswith("# From `seatrial import --guess run.csv`")
+    assert "no fit: no commands" in done.stderr
+    out = tmp_path / "map.toml"
+    assert run.invoke(cli.import_, ["--guess", str(path), "-o", str(out)]).exit_code == 0
+    assert isinstance(run.invoke(cli.import_, ["--guess", str(path), "-o", str(out)]).exception, SeatrialError)
+    done = run.invoke(cli.import_, [str(out), str(path), "-o", str(tmp_path / "run.mcap")])
+    assert done.stdout == f"{tmp_path / 'run.mcap'}\n"
+    assert run.invoke(cli.import_, [str(out)]).exit_code == 2
