@@ -44,6 +44,7 @@ from daq.protocol import nmea, vectornav
 from daq.samples import Ahrs, Gnss
 from tests.daq.csv_files import MAP, ROWS
 from tests.daq.importers.test_mavlink import dataflash, tlog
+from tests.daq.importers.test_ros import STORE, N, fix, imu
 from tests.daq.importers.test_ulog import write_ulog
 from tests.daq.logs import write_everything
 from tests.ident.workflows.test_information import write_model
@@ -432,7 +433,7 @@ class Maker:
         )
         (box / "run.csv").write_bytes(rows)
         (box / "map.toml").write_bytes(map_)
-        return (Command(("import", "csv", "map.toml", "run.csv", "-o", "out/in.mcap"), "out/in.mcap"),)
+        return (Command(("import", "map.toml", "run.csv", "-o", "out/in.mcap"), "out/in.mcap"),)
 
     def _mavlink(self, box: Path, rng: random.Random) -> tuple[Command, ...]:
         name = rng.choice(("run.tlog", "run.BIN"))
@@ -458,7 +459,8 @@ class Maker:
             )
             records = (struct.pack("<Hc", len(r) & 0xFFFF, b"F") + r for r in rng.sample(loops, 3))
             data = head + b"".join(records) + rng.choice((data[16:], b"\xff\xffD" * 99_999, b""))
-        return self._import(box, "run.ulg", data, "ulog")
+        (box / "run.ulg").write_bytes(data)
+        return _by_map(box, "run.ulg", "vehicle_angular_velocity", "xyz[2]")
 
     def _raw(self, box: Path, rng: random.Random) -> tuple[Command, ...]:
         name = rng.choice(("gnss.txt", "ahrs.bin"))
@@ -502,7 +504,7 @@ class Maker:
                 base.commit()
         else:
             data.write_bytes(wounded(data.read_bytes(), rng))
-        return (Command(("import", "ros2", "bag", "-o", "out/in.mcap"), "out/in.mcap"),)
+        return _by_map(box, "bag", "/imu/data", "angular_velocity.z")
 
     def _model(self, box: Path, rng: random.Random) -> tuple[Command, ...]:
         (box / "run.mcap").write_bytes(self._bases.read("boat.mcap"))
@@ -528,6 +530,16 @@ class Maker:
             Command(("check", "rig.toml", "--seconds", "0.5", "--mission", "mission.toml")),
             Command(("mission", "show", "mission.toml")),
         )
+
+
+def _by_map(box: Path, source: str, topic: str, field: str) -> tuple[Command, ...]:
+    """Its guess, and its import by a map of one signal."""
+    signal = f'{{ name = "r", topic = "{topic}", field = "{field}", unit = "rad/s" }}'
+    (box / "one.toml").write_text(f'format = "seatrial-import 1"\nsignal = [{signal}]\n')
+    return (
+        Command(("import", "--guess", source, "-o", "out/map.toml"), "out/map.toml"),
+        Command(("import", "one.toml", source, "-o", "out/in.mcap"), "out/in.mcap"),
+    )
 
 
 def _of(commands: Sequence[Command], name: str) -> tuple[Command, ...]:
