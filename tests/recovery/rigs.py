@@ -147,8 +147,9 @@ def verdict(row: Row) -> str:
 
 
 def _expected(row: Row, name: str) -> bool:
-    """That a parameter differs between runs is true where the payload does."""
-    return row["rig"] == "payload" and name.startswith("between-runs:")
+    """That a parameter differs between runs is true where the payload does; some rigs have an effect of their own."""
+    own = RIGS[row["rig"]].there if row["rig"] in RIGS else frozenset[str]()
+    return name in own or (row["rig"] == "payload" and name.startswith("between-runs:"))
 
 
 # Tables.
