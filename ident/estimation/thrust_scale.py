@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from ident.estimation.maximum_likelihood import Fit
-from ident.model import Model, Parameter, ParameterOrigin, ParameterRole
+from ident.model import Model, Parameter, ParameterOrigin
 from ident.models import SIDES, force_power, is_moment, symmetric_arms
 from ident.numerics import Array
 
@@ -211,7 +211,8 @@ class ReportedEstimates:
 
 
 def against_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
-    """Parameters whose data contradict their prior: with the estimate and the distance in standard deviations.
+    """Parameters whose data contradict the prior that was given for this boat, the estimate and the distance in
+    standard deviations.
 
     An estimate is the mean of what the data say and of the prior, weighted by their informations; with the prior's part
     w of them, the two differ by ``(estimate - mean) / (sd sqrt(1 - w))`` of their common standard deviation.
@@ -219,7 +220,7 @@ def against_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
     found = []
     for p, value, weight in zip(fit.parameters, fit.values.tolist(), fit.prior_weight.tolist(), strict=True):
         prior = p.free_prior()
-        said = fit.model.role(p.name) is ParameterRole.DYNAMICS or p.origin is ParameterOrigin.PRIOR
+        said = p.origin not in (ParameterOrigin.BUILT_IN, ParameterOrigin.ESTIMATED)  # by somebody, for this boat
         if prior is None or not said or (p.transform == "log" and value <= 0.0):
             continue
         widths = (p.to_free(value) - prior[0]) / (prior[1] * np.sqrt(max(1.0 - weight, LEAST_DATA)))

@@ -243,14 +243,12 @@ def faults_first(made: Provenance) -> str:
 
 
 def check_warnings(made: Provenance) -> list[ResultWarning]:
-    """One for each finding of the checks before the fit that is not in order."""
-    return [
-        ResultWarning(
-            code="log-check", text=f"{log.path}: {f.where}: {f.text} [{f.code}]{': ' * bool(f.advice)}{f.advice}."
-        )
-        for log in made.logs
-        for f in log.findings
-    ]
+    """One for each finding of the checks before the fit that is not in order, with all the logs that it is of."""
+    logs: dict[str, list[str]] = {}
+    for log in made.logs:
+        for f in log.findings:
+            logs.setdefault(f"{f.where}: {f.text} [{f.code}]{': ' * bool(f.advice)}{f.advice}.", []).append(log.path)
+    return [ResultWarning(code="log-check", text=f"{_listed(paths)}: {text}") for text, paths in logs.items()]
 
 
 def not_converged(fit: Fit) -> str | None:

@@ -19,6 +19,7 @@ from ident.model.outlier_density import with_outlier_model
 from ident.results.answers import (
     NAMES,
     change_sentence,
+    check_warnings,
     not_converged,
     outlier_lines,
     stuck_sensors,
@@ -29,8 +30,11 @@ from ident.results.parts import (
     ErrorComparison,
     Errors,
     ErrorTable,
+    LogFinding,
+    LogSummary,
     PredictionChange,
     PredictionFit,
+    Provenance,
     ResidualTests,
 )
 from ident.results.tables import cross_rows, prediction_change, residual_row
@@ -41,6 +45,19 @@ from ident.validation.prediction_errors import ChannelChange
 from ident.validation.prediction_errors import PredictionChange as Found
 from ident.validation.whiteness import Whiteness
 from tests.ident.toys import turning, turning_record
+
+
+def test_a_finding_of_many_logs_is_said_once() -> None:
+    one = LogFinding(level="warning", code="channel-smoothed", check="noise", where="psi", text="it is smooth")
+    logs = [
+        LogSummary(path=f"{k}.mcap", sha256="", role="estimation", name=str(k), duration=1.0, findings=(one,))
+        for k in range(11)
+    ]
+    (said,) = check_warnings(Provenance(created="", seatrial="", command="", logs=tuple(logs)))
+    assert said.code == "log-check"
+    assert said.text.startswith("0.mcap, 1.mcap, 2.mcap")
+    assert "more: psi: it is smooth [channel-smoothed]" in said.text
+
 
 WHITE = "The residuals are white and know nothing of the inputs"
 
