@@ -121,7 +121,8 @@ def _own(one: Refit) -> list[str]:
 def _place(one: Refit) -> list[str]:
     """Where the place of an effect (the fixed end of a line) is not known: a small track sees the direction to it, and
     a prior of its distance; all places along that direction do."""
-    fit, points = one.stage.fit, [p for p in one.effect.parameters if p.name in one.effect.scan and p.unit == "m"]
+    fit, scan = one.stage.fit, one.effect.scan
+    points = [p for p in one.effect.parameters if p.name in scan and p.name.startswith(("x_", "y_"))]
     at = [fit.names.index(p.name) for p in points if p.name in fit.names]
     if not points or len(at) < len(points):
         return []

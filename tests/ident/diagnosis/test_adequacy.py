@@ -15,6 +15,7 @@ from rich.console import Console
 from ident.diagnosis.adequacy import MAX_REMAINING_CRITERION, MAX_REMAINING_TESTS, assess_alternatives
 from ident.diagnosis.results import EffectAttribution, EffectImportance, Refit, Round, UntestedCandidate
 from ident.diagnosis.score_test import Score
+from ident.effects.registry import catalogue
 from ident.estimation.standard_errors import AT_BOUND
 from ident.model.parameter import Parameter
 from ident.model.structure import Effect, ForceCurve
@@ -145,6 +146,19 @@ def test_a_line_whose_fixed_end_is_not_located_is_not_sure(errors: tuple[float, 
     stage = cast(Any, SimpleNamespace(fit=fit, records=[track]))
     (found,) = of(one_round(replace(line, stage=stage)))
     assert found.attribution == attribution
+
+
+@pytest.mark.parametrize("name", [n for n, e in catalogue().items() if e.scan and n != "tether"])
+def test_what_else_is_scanned_is_no_place(name: str) -> None:
+    """The lever arm of the wind is in metres, too."""
+    effect = catalogue()[name]
+    fit = SimpleNamespace(
+        names=tuple(p.name for p in effect.parameters), flags=(), values=np.ones(len(effect.parameters)),
+        errors=np.full(len(effect.parameters), 0.1), covariance=0.01 * np.eye(len(effect.parameters)),
+    )
+    stage = cast(Any, SimpleNamespace(fit=fit, records=[]))
+    (found,) = of(one_round(replace(refit(name, 800.0, fit=fit), effect=effect, stage=stage)))
+    assert found.attribution == "identified"
 
 
 @pytest.mark.parametrize(("error", "attribution"), [(1.3, "identified"), (1.003, "ambiguous")])
