@@ -80,7 +80,7 @@ def run_case(case: RigCase) -> Row:
 def _boat(case: RigCase, folder: Path) -> Row:
     rig = RIGS[case.rig]
     boat = rig.boat(None if case.effect == NONE else case.effect, case.seed)
-    row = _identified(folder, *rig.sail(boat, folder), rig.options(boat))
+    row = _identified(folder, *rig.sail(boat, folder), rig.options(boat), inherent=rig.inherent)
     z = {} if rig.payload else z_scores(row.pop("fit").parameters, truth_of(boat))
     return {k: v for k, v in row.items() if k != "fit"} | {"z": z}
 
@@ -92,9 +92,11 @@ def _plant(plant: Plant, folder: Path) -> Row:
 
 
 def _identified(
-    folder: Path, estimation: Sequence[Path], validation: Sequence[Path], options: Sequence[str], diagnose: bool = True
+    folder: Path, estimation: Sequence[Path], validation: Sequence[Path], options: Sequence[str], diagnose: bool = True,
+    inherent: frozenset[str] = frozenset(),
 ) -> Row:
-    """What the two commands say of the logs, and the fit of the first."""
+    """What the two commands say of the logs, and a fit: of the first, or of the second where that found something that
+    is true of the rig by itself."""
     logs = [p.name for p in estimation] + [w for p in validation for w in ("--validate", p.name)]
     seatrial(folder, "ident", "vehicle", *logs, *options, "--out", "vehicle")
     vehicle = read_result(folder / "vehicle" / "result.json")
@@ -106,8 +108,9 @@ def _identified(
     seatrial(folder, "ident", "diagnose", "vehicle/model.toml", *logs, "--out", "found")
     found = read_result(folder / "found" / "result.json")
     assert isinstance(found, DiagnosisResult)
-    return row | {
-        "found": [e.name for e in found.effects],
+    names = [e.name for e in found.effects]
+    return row | ({"fit": found.fit} if inherent & set(names) else {}) | {
+        "found": names,
         "attribution": [e.attribution for e in found.effects],
         "not_excluded": [list(e.not_excluded) for e in found.effects],
         "answer": found.answer,
@@ -147,8 +150,9 @@ def verdict(row: Row) -> str:
 
 
 def _expected(row: Row, name: str) -> bool:
-    """That a parameter differs between runs is true where the payload does."""
-    return row["rig"] == "payload" and name.startswith("between-runs:")
+    """That a parameter differs between runs is true where the payload does; and what is true of a rig by itself."""
+    inherent = RIGS[row["rig"]].inherent if row["rig"] in RIGS else frozenset[str]()
+    return name in inherent or (row["rig"] == "payload" and name.startswith("between-runs:"))
 
 
 # Tables.
