@@ -317,9 +317,9 @@ def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, 
 def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml: bool) -> None:
     """Find the serial ports and CAN buses of this machine, or of PORTs, and identify the protocol of each device.
 
-    Only listens: nothing is sent to a port. Each is tried at one baud rate after the other. PORT may be an autopilot's
-    on a network, as udp:HOST:PORT or tcp:HOST:PORT; with --toml its parameters are read, and none is changed, and its
-    thrusters are written too.
+    Only listens, at one baud rate after the other: nothing is sent to a port. PORT may be an autopilot's on a network,
+    as udp:HOST:PORT or tcp:HOST:PORT; with --toml its parameters are asked for, none is changed, and its thrusters are
+    written too.
 
     \b
     Example:

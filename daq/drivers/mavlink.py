@@ -83,7 +83,6 @@ class MavlinkDriver(DeviceDriver):
         assert device.mavlink is not None
         self._role, self._decoder = role, decoder
         decoder.secure(codec)
-        mode_name(0)  # what it loads is loaded before anything is urgent
         self._settings, self._rate_hz, self._codec = device.mavlink, device.rate_hz, codec
         self._outputs = {t.node: (t.output, t.reversed) for t in thrusters if t.output is not None}
         self._names = parameter_names(thrusters) if self._outputs else ()

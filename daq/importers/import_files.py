@@ -44,6 +44,8 @@ def import_files(
                 raise SeatrialError(f"{target}: two of the files would become this log; rename one")
             _write_piece(import_map, data, piece, target, force)
             written.append(target)
+        for remark in (remark for one in data for remark in one.remarks):
+            warnings.warn(remark, SeatrialWarning, stacklevel=2)
     return written
 
 
@@ -73,16 +75,16 @@ class _File(NamedTuple):
     sha256: str
     signals: Signals
     origin: float
+    remarks: tuple[str, ...]  # what was odd about the times of its topics
 
 
 def _read(path: Path, source: Source) -> _File:
     kind = source_kind(path)
     tables = kind.read(path, source.options)
-    for table in tables:
-        if table.remark and any(signal.topic == table.topic for signal in source.signals):
-            warnings.warn(f"{path}: {table.topic}: {table.remark}", SeatrialWarning, stacklevel=2)
     signals = read_signals(tables, source)
-    return _File(path, kind.name, sha256_of(path), signals, source.time.origin if source.time else 0.0)
+    used = {signal.topic for signal in source.signals}
+    remarks = tuple(f"{path}: {one.topic}: {one.remark}" for one in tables if one.remark and one.topic in used)
+    return _File(path, kind.name, sha256_of(path), signals, source.time.origin if source.time else 0.0, remarks)
 
 
 def _write_piece(import_map: ImportMap, data: Sequence[_File], piece: Piece, target: Path, force: bool) -> None:

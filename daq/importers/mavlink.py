@@ -166,10 +166,12 @@ def vehicle_type(path: Path, rows: Sequence[Timed], system: int | None) -> int |
 def _write(
     out: Path, device: str, rows: Sequence[Timed], about: dict[str, str], rig: Rig | None, note: str, force: bool
 ) -> None:
-    steps = clock_steps((device, row.frame, row.frame.t_rx) for row in rows if not isinstance(row.frame.sample, Event))
+    in_file = rows
     rows = sorted(rows, key=lambda row: row.frame.t_rx)
     if rows[0].frame.t_rx < 0.0 or rows[-1].frame.t_rx >= 2**31:
         raise SeatrialError(f"{out}: the file's times do not lie between 1970 and 2038")
+    said = ((device, row.frame, row.frame.t_rx) for row in in_file if not isinstance(row.frame.sample, Event))
+    steps = clock_steps(said)
     first = round(rows[0].frame.t_rx * NANO)
     metadata = {**collect(), "format": LOG_FORMAT, "speed": "1.0", **about}
     attachments = {} if rig is None else {"rig.toml": rig.text.encode()}

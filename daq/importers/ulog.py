@@ -33,6 +33,8 @@ def read_ulog(path: Path, options: SourceOptions) -> list[Table]:
         topic = f"{one.name}_{one.multi_id}" if one.multi_id else one.name
         if options.topics and topic not in options.topics and "gps" not in topic:
             continue
+        if "timestamp" not in one.data:  # damaged: every topic of PX4 has one
+            continue
         columns = {name: np.asarray(values, np.float64) for name, values in one.data.items() if name != "timestamp"}
         if "fix_type" in columns:
             for name in {"lat", "lon", "latitude_deg", "longitude_deg"} & set(columns):

@@ -95,10 +95,10 @@ def write_frames(
     """
     if not rows:
         raise SeatrialError(f"{out}: there is nothing in it that seatrial can use")
-    steps = clock_steps((row.device, row.frame, row.t) for row in rows)
     ordered = sorted(rows, key=lambda row: row.t)
     if ordered[0].t < 0.0 or ordered[-1].t >= 2**31:
         raise SeatrialError(f"{out}: the times do not lie between 1970 and 2038")
+    steps = clock_steps((row.device, row.frame, row.t) for row in rows)
     first = round(ordered[0].t * NANO)
     about = {**collect(), "format": LOG_FORMAT, "speed": "1.0", **metadata}
     with replacing(out, force) as part:

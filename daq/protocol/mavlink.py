@@ -68,6 +68,7 @@ class MavlinkDecoder(StreamDecoder[Frame]):
 
     def __init__(self, samples: Samples, system: int = 1, component: int = 1, codec: Codec | None = None) -> None:
         super().__init__()
+        mode_name(0)  # what it loads, half a second long, is loaded before anything is urgent
         self.foreign: dict[int, int] = {}  # frames of other systems
         self.unsigned = 0
         self.signed = 0  # frames of it that bear a signature, looked at or not
@@ -145,7 +146,7 @@ def message_name(message_id: int) -> str:
 
 def mode_name(mode: int, vehicle: int = BOAT, autopilot: int = ARDUPILOT) -> str:
     """The name of a mode (HEARTBEAT.custom_mode) of this kind of vehicle (MAV_TYPE)."""
-    from pymavlink import mavutil  # half a second: whoever must not wait for it calls this once before
+    from pymavlink import mavutil
 
     if autopilot == PX4:
         return str(mavutil.interpret_px4_mode(0, mode))

@@ -29,7 +29,7 @@ MAX_REMAINING_TESTS = 8  # tests that may still pass: a small difference of form
 # a competing model is not excluded if its criterion is behind by less than this: absolute, and as a share
 MAX_DISTANCE, MAX_DISTANCE_SHARE = 10.0, 0.05
 MIN_SIGNIFICANCE = 4.0  # standard errors of an effect from zero; right effects exceed it even at half their size
-REACH = 3.0  # standard errors of a place: where they reach the middle of the track, the place is not known
+REACH = 3.0  # standard errors of a place: where they are more than its distance from the boat, it is not known
 FORM_SHARE = 0.1  # a competing effect below this share of the other may be the difference of its form
 
 
@@ -126,12 +126,12 @@ def _place(one: Refit) -> list[str]:
     if not points or len(at) < len(points):
         return []
     axes = [p.name[0] for p in points]  # north x or east y
-    seen = [np.concatenate([r.y[:, r.outputs.index(axis)] for r in one.stage.records]) for axis in axes]
-    away = float(np.linalg.norm(fit.values[at] - [np.nanmean(y) for y in seen]))
+    track = [np.concatenate([r.y[:, r.outputs.index(axis)] for r in one.stage.records]) for axis in axes]
+    away = math.sqrt(sum(float(np.nanmean((y - fit.values[i]) ** 2)) for y, i in zip(track, at, strict=True)))
     if REACH * float(np.linalg.norm(fit.errors[at])) < away:
         return []
     values = ", ".join(f"{fit.names[i]} = {fit.values[i]:.3g} ± {fit.errors[i]:.2g} m" for i in at)
-    return [f"the data do not tell its place, {away:.0f} m from the middle of the track: {values}"]
+    return [f"the data do not tell its place, {away:.0f} m from the boat: {values}"]
 
 
 def _from_nothing(fit: Fit, sizes: Sequence[int]) -> float:
@@ -186,10 +186,8 @@ def _competing(one: Round) -> list[str]:
 
 def _compared(other: Refit, behind: float) -> str:
     if behind < 0:
-        return (
-            f"{other.effect.title} explains the fitted data better (by {-behind:.0f} in 2 ln L), "
-            "though not the validation data"
-        )
+        said = f"{other.effect.title} explains the fitted data better (by {-behind:.0f} in 2 ln L)"
+        return f"{said}, the validation data not {'significantly' if other.validated else 'so'}"
     return f"{other.effect.title} explains nearly as much ({behind:.0f} less in 2 ln L)"
 
 

@@ -4,10 +4,12 @@
 2. Score tests of all candidates, parametric and nonparametric (``ident.diagnosis.score_test``).
 3. Refit with the best few, all parameters free; compare by ``2 d ln L - df ln n`` (Delta BIC).
 4. Validation (``ident.diagnosis.acceptance``): the gain in log-likelihood on all validation data has to be positive and
-   significant, and the prediction of all channels not worse; the best refit of which that holds is added. Without
-   validation runs, blocks in time of the estimation runs are predicted by the fit to the others.
+   significant, and the prediction of all channels not worse than without it, nor than that of the nominal model; of a
+   nonparametric effect it has to be better. The best refit of which that holds is added. Without validation runs,
+   blocks in time of the estimation runs are predicted by the fit to the others.
 5. Repeat; after a nonparametric curve only parametric effects of large gain are added.
-6. Leave each effect out again: one that does not pay beside the others is removed.
+6. Leave each effect out again: one that does not pay beside the others is removed, and the last ones of a set with
+   which the prediction is worse than that of the nominal model.
 
 Kristensen, Madsen and Jorgensen 2004; Engle 1984.
 """

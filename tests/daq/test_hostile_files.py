@@ -42,7 +42,7 @@ MISDEEDS: dict[str, Callable[[Path], object]] = {
     "status 7": lambda box: os._exit(7),
     "status 9": lambda box: too_much(),
     "signal 11": lambda box: os.kill(os.getpid(), signal.SIGSEGV),
-    "0 lines of an error": lambda box: sys.exit(1),
+    "no line of an error": lambda box: sys.exit(1),
     "": lambda box: (box / "out/x").write_text("x"),
 }
 

@@ -64,7 +64,7 @@ class Rig:
         scale_known: the owner knows the thrust coefficients, and gives them.
         payload: on board in each mission [kg], those to validate last; nothing by default.
         blind: effects that nothing in these logs can show.
-        inherent: effects that are true of the rig itself, whatever the boat has.
+        there: effects of the catalogue that every log of it has.
     """
 
     name: str
@@ -77,7 +77,7 @@ class Rig:
     scale_known: bool = True
     payload: tuple[float, ...] = ()
     blind: frozenset[str] = field(default_factory=frozenset)
-    inherent: frozenset[str] = field(default_factory=frozenset)
+    there: frozenset[str] = field(default_factory=frozenset)
 
     def boat(self, effect: str | None, seed: int) -> Boat:
         """The boat of a seed, its thrusters its own; of an unknown scale, up to twice or half the usual one."""
@@ -290,7 +290,7 @@ RIGS: dict[str, Rig] = {
             partial(csv_log, of=position_and_compass), TEN_HERTZ, blind=NO_RATES),
         Rig("ekf", "CSV: position, heading, yaw rate and body velocities smoothed by an estimator, 10 Hz",
             partial(csv_log, of=navigation_filter), blind=NO_RATES | {"gnss-latency"},
-            inherent=frozenset({"filter-lag"})),
+            there=frozenset({"filter-lag"})),  # its yaw rate is late by 50 ms
         replace(VESC, name="noise-third", says="sensor noise declared a third of the true one", declared=1 / 3),
         replace(VESC, name="noise-triple", says="sensor noise declared three times the true one", declared=3.0),
         replace(VESC, name="scale-unknown", says="thrust known to nobody", scale_known=False),

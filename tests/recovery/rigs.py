@@ -80,7 +80,7 @@ def run_case(case: RigCase) -> Row:
 def _boat(case: RigCase, folder: Path) -> Row:
     rig = RIGS[case.rig]
     boat = rig.boat(None if case.effect == NONE else case.effect, case.seed)
-    row = _identified(folder, *rig.sail(boat, folder), rig.options(boat), inherent=rig.inherent)
+    row = _identified(folder, *rig.sail(boat, folder), rig.options(boat))
     z = {} if rig.payload else z_scores(row.pop("fit").parameters, truth_of(boat))
     return {k: v for k, v in row.items() if k != "fit"} | {"z": z}
 
@@ -92,11 +92,9 @@ def _plant(plant: Plant, folder: Path) -> Row:
 
 
 def _identified(
-    folder: Path, estimation: Sequence[Path], validation: Sequence[Path], options: Sequence[str], diagnose: bool = True,
-    inherent: frozenset[str] = frozenset(),
+    folder: Path, estimation: Sequence[Path], validation: Sequence[Path], options: Sequence[str], diagnose: bool = True
 ) -> Row:
-    """What the two commands say of the logs, and a fit: of the first, or of the second where that found something that
-    is true of the rig by itself."""
+    """What the two commands say of the logs, and the fit of the first."""
     logs = [p.name for p in estimation] + [w for p in validation for w in ("--validate", p.name)]
     seatrial(folder, "ident", "vehicle", *logs, *options, "--out", "vehicle")
     vehicle = read_result(folder / "vehicle" / "result.json")
@@ -108,9 +106,8 @@ def _identified(
     seatrial(folder, "ident", "diagnose", "vehicle/model.toml", *logs, "--out", "found")
     found = read_result(folder / "found" / "result.json")
     assert isinstance(found, DiagnosisResult)
-    names = [e.name for e in found.effects]
-    return row | ({"fit": found.fit} if inherent & set(names) else {}) | {
-        "found": names,
+    return row | {
+        "found": [e.name for e in found.effects],
         "attribution": [e.attribution for e in found.effects],
         "not_excluded": [list(e.not_excluded) for e in found.effects],
         "answer": found.answer,
@@ -150,9 +147,9 @@ def verdict(row: Row) -> str:
 
 
 def _expected(row: Row, name: str) -> bool:
-    """That a parameter differs between runs is true where the payload does; and what is true of a rig by itself."""
-    inherent = RIGS[row["rig"]].inherent if row["rig"] in RIGS else frozenset[str]()
-    return name in inherent or (row["rig"] == "payload" and name.startswith("between-runs:"))
+    """That a parameter differs between runs is true where the payload does; some rigs have an effect of their own."""
+    own = RIGS[row["rig"]].there if row["rig"] in RIGS else frozenset[str]()
+    return name in own or (row["rig"] == "payload" and name.startswith("between-runs:"))
 
 
 # Tables.

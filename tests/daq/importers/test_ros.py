@@ -12,7 +12,7 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, SeatrialWarning
 from daq.importers.import_files import import_files
 from daq.importers.ros import read_bag
 from daq.importers.table import SourceOptions
@@ -172,6 +172,9 @@ def test_joints_and_stamps_of_another_clock(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table.columns["velocity.right_engine"], -2.0 * np.arange(N))
     np.testing.assert_allclose(table.t, T0 + 0.005 + 0.05 * np.arange(N), atol=1e-6)
     assert "another clock" in table.remark
+    line = '{ name = "n_left", topic = "/joint_states", field = "velocity.left_engine", unit = "1" }'
+    with pytest.warns(SeatrialWarning, match="/joint_states: its stamps are of another clock"):
+        signals(path, tmp_path, line).close()
 
 
 def test_a_bag_of_ros_1(tmp_path: Path) -> None:

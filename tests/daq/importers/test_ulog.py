@@ -77,6 +77,14 @@ def test_a_px4_log_goes_through_its_own_guess(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not HAS_PYULOG, reason="pyulog is not installed")
+def test_a_topic_without_times_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "flight.ulg"
+    write_ulog(path)
+    path.write_bytes(path.read_bytes().replace(b"uint64_t timestamp;float[4] q", b"uint64_t timestamq;float[4] q"))
+    assert "vehicle_attitude" not in guess_map(path).text
+
+
+@pytest.mark.skipif(not HAS_PYULOG, reason="pyulog is not installed")
 def test_a_file_in_which_the_reader_goes_back_for_ever_is_one_line(tmp_path: Path) -> None:
     path = tmp_path / "loop.ulg"
     path.write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + b"\xff\xffD" * 30_000)  # the last ones end beyond the file

@@ -71,7 +71,8 @@ def imported(folder: Path, name: str, tables: str, extra: str = "") -> Path:
 def fitted(log: Path, *words: str) -> tuple[dict[str, Any], str, Path]:
     """The result of `seatrial ident vehicle`, the screen, and the folder."""
     out = log.parent / f"vehicle-{log.stem}-{len(words)}"
-    done = CliRunner().invoke(ident, ["vehicle", str(log), *words, "--out", str(out)], catch_exceptions=False)
+    given = ["vehicle", str(log), *words, "--out", str(out), "--force"]
+    done = CliRunner().invoke(ident, given, catch_exceptions=False)
     return json.loads((out / "result.json").read_text(encoding="utf-8")), done.output, out
 
 

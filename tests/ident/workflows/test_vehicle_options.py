@@ -112,7 +112,8 @@ def test_a_mean_of_second_order_is_left_out_of_a_model_of_ones_own(logs: tuple[P
     (tmp_path / "own.py").write_text(
         "from dataclasses import replace\nfrom ident.models.horizontal import horizontal_model\n\n\n"
         "def bent():\n    return replace(horizontal_model(), second_order=True)\n", encoding="utf-8")
-    words = ["vehicle", str(logs[0]), "--model", f"{tmp_path / 'own.py'}:bent", "--out", str(tmp_path / "out")]
+    model, out = f"{tmp_path / 'own.py'}:bent", str(tmp_path / "out")
+    words = ["vehicle", str(logs[0]), "--model", model, "--out", out, "--force"]
     for more, there in ([], True), (["--no-second-order"], False):
         CliRunner().invoke(ident, [*words, *more], catch_exceptions=False)
         assert ("second_order = true" in (tmp_path / "out/model.toml").read_text(encoding="utf-8")) is there
