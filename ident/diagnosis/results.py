@@ -62,11 +62,14 @@ class Refit:
     @property
     def accepted(self) -> bool:
         """Whether it is validated and the prediction is not worse with it beyond its interval, neither than without it
-        nor than that of the nominal model. A nonparametric effect has no story but its prediction: it has to be better.
+        nor than that of the nominal model. A nonparametric effect has no story but its prediction: it has to be better,
+        or at least better by the point estimate beside effects that make it better.
         """
         worse = any(p is not None and p.verdict == "rose" for p in (self.prediction, self.total))
-        idle = self.unknown and self.prediction is not None and not predicts(self.prediction, self.error)
-        return self.validated and not worse and not idle
+        earned = self.prediction is None or predicts(self.prediction, self.error)
+        if self.total is not None and self.total.verdict == "fell":
+            earned = earned or helps(self.prediction)
+        return self.validated and not worse and (earned or not self.unknown)
 
     @property
     def unknown(self) -> bool:
@@ -183,6 +186,11 @@ class EffectImportance:
         """Whether the prediction is better with it: over the horizon beyond its interval, or, where that says nothing,
         three seconds ahead by inputs alone."""
         return predicts(self.prediction, self.error)
+
+
+def helps(prediction: PredictionChange | None) -> bool:
+    """Whether the point estimate of a change of the prediction errors is a fall that counts."""
+    return prediction is not None and prediction.ratio < 1 / MIN_ERROR_RATIO
 
 
 def predicts(prediction: PredictionChange | None, error: float) -> bool:

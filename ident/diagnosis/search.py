@@ -38,6 +38,7 @@ from ident.diagnosis.results import (
     RemovedEffect,
     Round,
     UntestedCandidate,
+    helps,
 )
 from ident.diagnosis.score_test import Score, fitted_parameters, score_test_passes, score_tests, score_threshold
 from ident.effects import NonparametricForce, catalogue, input_response_effects, nonparametric_effect, shape
@@ -266,8 +267,8 @@ class _Search:
             chosen = [r.chosen for r in self.rounds if r.chosen is not None and r.chosen.effect.name not in gone]
             weights = effect_importance(before, current, chosen, self.rounds, self.records, self.unseen)
             tables = {c.effect.name for c in chosen if c.unknown}
-            lost = (w for w in weights if not w.pays or (w.effect in tables and not w.predicts))
-            idle = min(lost, key=lambda w: w.t, default=None)
+            idle_tables = {w.effect for w in weights if not (w.predicts or helps(w.prediction))} & tables
+            idle = min((w for w in weights if not w.pays or w.effect in idle_tables), key=lambda w: w.t, default=None)
             if idle is None and removed and chosen and Comparison(before, current).prediction.verdict == "rose":
                 idle = next(w for w in weights if w.effect == chosen[-1].effect.name)
             if idle is None:

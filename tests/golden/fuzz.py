@@ -108,7 +108,7 @@ def _autopilot_link() -> Decoder:
     decoder = mavlink.make_decoder(RIG.devices[0], RIG)
     codec = Codec(255, 190)
     decoder.secure(codec)
-    driver = MavlinkDriver(RIG.devices[0], RIG.thrusters, codec, LinkRole.DRIVE)
+    driver = MavlinkDriver(RIG.devices[0], RIG.thrusters, codec, LinkRole.DRIVE, decoder)
 
     def hear(message: object) -> None:
         driver.receive(message, 5.0)

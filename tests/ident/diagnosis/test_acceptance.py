@@ -83,6 +83,16 @@ def refit(
         ({"kind": EffectKind.RESONANT, "prediction": change(0.99, 0.98, 1.004), "error": 1.001}, False),
         ({"kind": EffectKind.RESONANT, "prediction": change(0.99, 0.98, 1.004), "error": 1.05}, True),
         ({"kind": EffectKind.NONPARAMETRIC, "prediction": change(0.7, 0.5, 0.9), "error": 1.0}, True),
+        # beside effects that make the prediction better the point estimate is enough
+        *(
+            ({"kind": EffectKind.NONPARAMETRIC, "prediction": change(ratio, 0.94, 1.02), "error": 1.0, "total": total},
+             accepted)
+            for ratio, total, accepted in (
+                (0.98, change(0.4, 0.2, 0.7), True),
+                (0.995, change(0.4, 0.2, 0.7), False),
+                (0.98, change(0.9, 0.8, 1.02), False),
+            )
+        ),
         ({"prediction": change(0.99, 0.98, 1.004), "error": 1.001}, True),
     ],
 )
