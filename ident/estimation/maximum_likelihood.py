@@ -15,11 +15,14 @@ from ident.estimation.likelihood import Likelihood
 from ident.estimation.output_error import free_start
 from ident.estimation.restricted_likelihood import apply_reml
 from ident.estimation.standard_errors import (
+    COLOURED,
     TOO_LONG,
+    Sandwich,
     Uncertainty,
     assess,
     flat_coordinates,
     sandwich,
+    widened,
     with_interval_information,
 )
 from ident.model import Model, Parameter, segment_name
@@ -108,8 +111,10 @@ class Fit:
     the far end of its 95 % interval, NaN for all others; covariance, correlation (n, n);
     prior_weight (n,): the part of a parameter's information that its prior gave (1: the data said nothing);
     robust_errors (n,): from the sandwich covariance, valid when the residuals are coloured, NaN where they
-    were not asked for; record_values (n_records, n_parameters): over ``model.parameters`` in order. The log-likelihood
-    is the largest, also where the noise was then restricted; the log-posterior leaves out the constants of the priors.
+    were not asked for; coloured: they are, so that errors and covariance are those of the sandwich where it is the
+    larger (``_coloured``; never in output error); record_values (n_records, n_parameters): over
+    ``model.parameters`` in order. The log-likelihood is the largest, also where the noise was then restricted; the
+    log-posterior leaves out the constants of the priors.
     ``gain_left``: what one more step would gain; ``options``: what was asked for.
     """
 
@@ -124,6 +129,7 @@ class Fit:
     correlation: Array
     prior_weight: Array
     robust_errors: Array
+    coloured: bool
     record_values: Array
     log_likelihood: float
     log_posterior: float
@@ -198,15 +204,17 @@ def fit(
         optimum = _search(problem, settings, progress)
         prior_part = -0.5 * float(weight @ (optimum.z - mean) ** 2)
         optimum = apply_reml(problem, optimum) if options.reml else optimum
-        known, robust_errors = _known(problem, optimum, settings.robust_errors)
+        known, robust = _known(problem, optimum, settings.robust_errors)
     except np.linalg.LinAlgError as error:
         names = ", ".join(r.name for r in records)
         raise ValueError(f"{names}: the search for the parameters of model {model.name} diverged: {error}") from error
     if not options.process_noise and settings.robust_errors:  # by prediction error they are seldom looked at
-        lost = np.isfinite(known.errors) & np.isnan(robust_errors)
+        lost = np.isfinite(known.errors) & np.isnan(robust.errors)
         too_long = [(problem.names[i], TOO_LONG) for i in np.flatnonzero(lost).tolist()]
         known = replace(known, flags=(*known.flags, *too_long))
-    return _report(problem, optimum, known, robust_errors, options, prior_part, time.process_time() - began)
+    coloured = options.process_noise and _coloured(problem, robust)
+    known = widened(known, robust.errors) if coloured else known
+    return _report(problem, optimum, known, robust.errors, coloured, options, prior_part, time.process_time() - began)
 
 
 def _check_enough(problem: Problem) -> None:
@@ -221,8 +229,8 @@ def _check_enough(problem: Problem) -> None:
                          f"{problem.model.name} without a prior; give more data, or fix some of them")
 
 
-def _known(problem: Problem, optimum: Optimum, coloured: bool) -> tuple[Uncertainty, Array]:
-    """What is known of the estimates, and errors that allow for coloured residuals (n,), NaN where not asked for."""
+def _known(problem: Problem, optimum: Optimum, coloured: bool) -> tuple[Uncertainty, Sandwich]:
+    """What is known of the estimates, and errors that allow for coloured residuals, NaN where not asked for."""
     z, slopes = optimum.z, problem.slopes(optimum.z)
     # A search's many rough fits need neither: both cost evaluations.
     flat = flat_coordinates(lambda x: problem.value_and_gradient(x)[0], z, problem.parameters, optimum.at.information,
@@ -231,10 +239,19 @@ def _known(problem: Problem, optimum: Optimum, coloured: bool) -> tuple[Uncertai
         with_interval_information(optimum.at, flat), z, problem.bounds, problem.names, slopes, problem.prior[1]
     )
     known = replace(known, flags=(*known.flags, *[(problem.names[p.at], p.remark) for p in flat]))
-    robust_errors = sandwich(known, problem.by_row(z), slopes) if coloured else np.full(z.size, np.nan)
+    nothing = np.full(z.size, np.nan)
+    robust = sandwich(known, problem.by_row(z), slopes) if coloured else Sandwich(nothing, nothing)
     for p in flat:
-        robust_errors[p.at] = known.errors[p.at]  # no row has a part in it
-    return known, robust_errors
+        robust.errors[p.at] = known.errors[p.at]  # no row has a part in it
+    return known, robust
+
+
+def _coloured(problem: Problem, robust: Sandwich) -> bool:
+    """Whether the information matrix test rejects the errors of any parameter but noise, whose scores depend on the
+    fourth moment of the residuals, too."""
+    noise = problem.model.noise_parameters
+    p = np.array([p for p, q in zip(robust.p.tolist(), problem.parameters, strict=True) if q.name not in noise])
+    return bool((p * np.isfinite(p).sum() < COLOURED).any())
 
 
 def _with_outliers(model: Model, records: Sequence[Record], options: EstimationOptions, settings: SearchSettings,
@@ -276,8 +293,8 @@ def _search(problem: Problem, settings: SearchSettings, progress: Iterations | N
     return optimum
 
 
-def _report(problem: Problem, optimum: Optimum, known: Uncertainty, robust: Array, options: EstimationOptions,
-            prior_part: float, cpu_seconds: float) -> Fit:
+def _report(problem: Problem, optimum: Optimum, known: Uncertainty, robust: Array, coloured: bool,
+            options: EstimationOptions, prior_part: float, cpu_seconds: float) -> Fit:
     record_values = problem.values(optimum.z)
     names = [p.name for p in problem.model.parameters]
     model = problem.model.with_values(dict(zip(names, record_values.mean(axis=0), strict=True)))
@@ -288,7 +305,7 @@ def _report(problem: Problem, optimum: Optimum, known: Uncertainty, robust: Arra
         model=model, options=options, records=tuple(r.name for r in problem.records), parameters=problem.parameters,
         values=problem.own(optimum.z), errors=known.errors, limits=problem.own(known.limits),
         covariance=known.covariance, correlation=known.correlation, prior_weight=known.prior_weight,
-        robust_errors=robust, record_values=record_values,
+        robust_errors=robust, coloured=coloured, record_values=record_values,
         log_likelihood=optimum.at.value - prior_part, log_posterior=optimum.at.value,
         n_measured=sum(problem.likelihood.measured(r) for r in problem.records),
         gradient_norm=known.gradient_norm, gain_left=optimum.gain_left, iterations=optimum.iterations,

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from ident.estimation.fisher_scoring import Bounds, Evaluation
 from ident.model import Parameter
@@ -31,6 +32,7 @@ N_HALVINGS = 12  # of the bracket of an interval's end: to 0.02 %
 Fallen = Callable[[float], bool | None]
 MAX_BLOCKS, MIN_BLOCKS = 40, 12  # of all records, over which the contributions of rows are summed
 BLOCK_LENGTH = 9.0  # autocorrelation times: blocks that miss a twentieth of the variance, which is given back
+COLOURED = 0.001  # p value, over all parameters, from which the errors of the information are too small
 TOO_LONG = "its residuals remember too long for an error that allows for it"
 
 
@@ -154,34 +156,56 @@ def _apart(V: Array) -> Array:
     return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
 
 
-def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes: Array) -> Array:
-    """Standard errors in own units (n,); NaN where there is none, or where the residuals remember too long.
+@dataclass(frozen=True)
+class Sandwich:
+    """errors (n,): standard errors in own units, NaN where there is none, or where the residuals remember too long;
+    p (n,): of a variance as large by chance where the information holds (White's information matrix test, 1982, for
+    each variance alone), NaN with them."""
+
+    errors: Array
+    p: Array
+
+
+def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes: Array) -> Sandwich:
+    """Standard errors and their test against those of the information.
 
     rows: for each record its coordinates, and what each row adds to their gradient (n_rows, n_places). What parameters
     at their bounds add to the errors is added to these, too.
     """
     P = np.nan_to_num(known.P)
     parts = [by_row @ P[places] for places, by_row in rows]  # (n_rows, n): what each row moves the estimate by
-    variance = np.array([_variance([part[:, i] for part in parts], len(P)) for i in range(len(P))])
-    return np.where(np.isfinite(known.errors), np.abs(slopes) * np.sqrt(variance + np.diag(known.spread)), np.nan)
+    found = [_variance([part[:, i] for part in parts], len(P)) for i in range(len(P))]
+    variance, freedom = np.array(found).T
+    seen = np.isfinite(known.errors)
+    errors = np.where(seen, np.abs(slopes) * np.sqrt(variance + np.diag(known.spread)), np.nan)
+    ratio = variance / np.where(np.diag(P) > 0.0, np.diag(P), np.nan)
+    return Sandwich(errors, np.where(seen, stats.chi2.sf(freedom * ratio, freedom), np.nan))
 
 
-def _variance(parts: Sequence[Array], n_parameters: int) -> float:
-    """Of the sum of all rows of all records; what as many parameters have taken of it is given back."""
+def widened(known: Uncertainty, robust: Array) -> Uncertainty:
+    """With the larger of both errors, all correlations as they were."""
+    factor = np.fmax(robust / known.errors, 1.0)
+    factor = np.where(np.isfinite(factor), factor, 1.0)
+    return replace(known, errors=known.errors * factor, covariance=known.covariance * np.outer(factor, factor))
+
+
+def _variance(parts: Sequence[Array], n_parameters: int) -> tuple[float, float]:
+    """Of the sum of all rows of all records, and its degrees of freedom; what as many parameters have taken of it is
+    given back."""
     n = sum(part.size for part in parts)
     remembered = integrated_autocorrelation_time(parts)
     length = max(BLOCK_LENGTH * remembered, n / max(MAX_BLOCKS, 4 * n_parameters))
     counts = [max(int(part.size / length), 1) for part in parts]
     n_blocks = sum(counts)
     if n_blocks < MIN_BLOCKS:
-        return np.nan
+        return np.nan, np.nan
     total = 0.0
     for part, count in zip(parts, counts, strict=True):
         starts = np.linspace(0, part.size, count, endpoint=False).astype(int)
         total += float(np.sum(np.add.reduceat(part, starts) ** 2))
     missed = 0.5 * (remembered - 1.0) / length  # by blocks that cut an exponential memory
     taken = min(n_parameters, n_blocks // 2)  # as if each had fitted a block: a little too careful
-    return total * n_blocks / (n_blocks - taken) / (1.0 - missed)
+    return total * n_blocks / (n_blocks - taken) / (1.0 - missed), float(n_blocks - taken)
 
 
 @dataclass(frozen=True)

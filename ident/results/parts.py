@@ -205,6 +205,9 @@ class FitSummary(Part, frozen=True, kw_only=True):
     log_likelihood: float | None
     iterations: int
     cpu: Annotated[float, Meta(description="CPU time [s]")]
+    coloured: Annotated[
+        bool, Meta(description="residuals are autocorrelated: standard errors are the sandwich's where it is larger")
+    ] = False
     scale: ForceScale = ForceScale()
     parameters: tuple[ParameterRow, ...]
     correlation: Correlation

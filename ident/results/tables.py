@@ -111,6 +111,7 @@ def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None 
         log_likelihood=finite(fit.log_likelihood),
         iterations=fit.iterations,
         cpu=fit.cpu_seconds,
+        coloured=fit.coloured,
         scale=ForceScale(
             thrust=None if scale.thrust is None else str(scale.thrust),
             arm=None if scale.arm is None else str(scale.arm),

@@ -55,6 +55,7 @@ def _fit_facts(fit: FitSummary) -> list[Any]:
         ("Converged", f"{converged}: {message}" if message else converged),
         ("Log-likelihood", "" if log_likelihood is None else f"{log_likelihood:,.1f}".replace("-", "−")),
         ("Iterations", str(fit.iterations)),
+        ("Standard errors", "robust (sandwich): the residuals are autocorrelated" if fit.coloured else ""),
         ("CPU time", f"{formatting.plain(fit.cpu)} s"),
     )
     found = [(label, value) for label, value in facts if value]

@@ -60,6 +60,6 @@ def test_without_it_one_line_says_what_to_give(folder: Path) -> None:
 )
 def test_what_is_no_curve_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch, given: str, says: str) -> None:
     monkeypatch.chdir(folder)
-    done = run("diagnose", "vehicle/model.toml", "one.mcap", "--thruster", given)
+    done = run("diagnose", "vehicle/model.toml", "one.mcap", "--thruster", given, "--out", "found")
     assert isinstance(done.exception, SeatrialError)
     assert says in str(done.exception)

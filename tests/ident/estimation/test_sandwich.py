@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from ident.data.record import Record
 from ident.estimation.fisher_scoring import Bounds, Evaluation
-from ident.estimation.standard_errors import Uncertainty, assess, sandwich
+from ident.estimation.maximum_likelihood import SearchSettings, fit
+from ident.estimation.standard_errors import Uncertainty, assess, sandwich, widened
+from ident.model.parameter import Parameter
+from ident.model.structure import Model, Output, Sensor, State, plain_model
 
 N = 4000
 
@@ -32,7 +36,7 @@ def regression(keep: float, seed: int) -> tuple[float, float]:
     information = A.T @ A
     found = np.linalg.solve(information, A.T @ e)
     known = known_of(information)
-    robust = sandwich(known, [([0, 1], A * (e - A @ found)[:, None])], np.ones(2))
+    robust = sandwich(known, [([0, 1], A * (e - A @ found)[:, None])], np.ones(2)).errors
     return float(found[1] / known.errors[1]), float(found[1] / robust[1])
 
 
@@ -47,7 +51,7 @@ def test_intervals_cover_whatever_the_residuals_remember(keep: float) -> None:
 def test_a_record_no_longer_than_its_memory_has_no_error() -> None:
     walk = np.cumsum(np.random.default_rng(4).standard_normal(N))
     rows = (walk - walk.mean())[:, None]
-    assert np.isnan(sandwich(known_of(np.array([[float(N)]])), [([0], rows)], np.ones(1))).all()
+    assert np.isnan(sandwich(known_of(np.array([[float(N)]])), [([0], rows)], np.ones(1)).errors).all()
 
 
 def test_many_records_are_blocks_themselves() -> None:
@@ -55,5 +59,34 @@ def test_many_records_are_blocks_themselves() -> None:
     walks = [np.cumsum(np.random.default_rng(k).standard_normal(200)) for k in range(30)]
     sums = np.array([w.sum() for w in walks])
     rows = [([0], (w - sums.mean() / 200)[:, None]) for w in walks]
-    (error,) = sandwich(known_of(np.array([[100.0]])), rows, np.ones(1))
+    (error,) = sandwich(known_of(np.array([[100.0]])), rows, np.ones(1)).errors
     assert error == pytest.approx(np.sqrt(30) * sums.std(ddof=1) / 100.0, rel=0.15)
+
+
+def test_errors_are_the_larger_and_correlations_stay() -> None:
+    known = known_of(np.array([[2.0, 1.0], [1.0, 2.0]]))
+    wider = widened(known, known.errors * np.array([3.0, 0.5]))
+    np.testing.assert_allclose(wider.errors, known.errors * [3.0, 1.0])
+    np.testing.assert_allclose(np.sqrt(np.diag(wider.covariance)), wider.errors)
+    assert wider.covariance[0, 1] == pytest.approx(3.0 * known.covariance[0, 1])
+    np.testing.assert_array_equal(widened(known, np.full(2, np.nan)).errors, known.errors)
+
+
+def line() -> Model:
+    return plain_model(
+        "line", f=lambda x, u, p: {"t": 1.0}, h=lambda x, u, p: {"y": p.mean + p.slope * x.t},
+        states=(State("t", sd0=0.0),), inputs=(), sensors=(Sensor("one", (Output("y", noise="e"),)),),
+        parameters=(Parameter("mean", 0.3), Parameter("slope", 0.0), Parameter("e", 1.5, transform="log")))
+
+
+@pytest.mark.parametrize("keep", [0.0, 0.8])
+def test_a_fit_to_coloured_residuals_says_so_and_has_their_errors(keep: float) -> None:
+    empty = np.zeros((N, 0))
+    model = line()
+    record = Record("one", 0.1 * np.arange(N), empty, empty, coloured(keep, 3)[:, None], (), ("y",))
+    plain = fit(model, [record], settings=SearchSettings(robust_errors=False))
+    found = fit(model, [record])
+    assert found.coloured == (keep > 0.0)
+    expected = np.fmax(plain.errors, found.robust_errors) if found.coloured else plain.errors
+    np.testing.assert_allclose(found.errors, expected, rtol=1e-6)
+    assert (found.errors[:2] > 2.0 * plain.errors[:2]).all() == found.coloured
