@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from ident.estimation.fisher_scoring import Bounds, Evaluation
 from ident.model import Parameter
@@ -172,6 +171,8 @@ def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes
     rows: for each record its coordinates, and what each row adds to their gradient (n_rows, n_places). What parameters
     at their bounds add to the errors is added to these, too.
     """
+    from scipy import special  # a fifth of a second: not before there is an estimate
+
     P = np.nan_to_num(known.P)
     parts = [by_row @ P[places] for places, by_row in rows]  # (n_rows, n): what each row moves the estimate by
     found = [_variance([part[:, i] for part in parts], len(P)) for i in range(len(P))]
@@ -179,7 +180,7 @@ def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes
     seen = np.isfinite(known.errors)
     errors = np.where(seen, np.abs(slopes) * np.sqrt(variance + np.diag(known.spread)), np.nan)
     ratio = variance / np.where(np.diag(P) > 0.0, np.diag(P), np.nan)
-    return Sandwich(errors, np.where(seen, stats.chi2.sf(freedom * ratio, freedom), np.nan))
+    return Sandwich(errors, np.where(seen, special.chdtrc(freedom, freedom * ratio), np.nan))
 
 
 def widened(known: Uncertainty, robust: Array) -> Uncertainty:

@@ -153,7 +153,7 @@ def test_the_command_fits_it_and_the_file_reads_back(tmp_path: Path, capsys: pyt
     status, said = run(capsys, "ident", "diagnose", tmp_path / "model.toml", log, "--out", tmp_path / "d")
     assert status == 1
     assert said.startswith("seatrial: model kinematic cannot be diagnosed")
-    status, said = run(capsys, "ident", "vehicle", log, "--model", "kinematic:shaft:pitch", "--out", tmp_path)
+    status, said = run(capsys, "ident", "vehicle", log, "--model", "kinematic:shaft:pitch", "--out", tmp_path / "p")
     assert (status, said.count("\n")) == (1, 1)
     assert "kinematic:shaft|force" in said
 

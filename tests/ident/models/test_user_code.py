@@ -186,9 +186,9 @@ def test_the_decay_test_of_the_how_to_is_fitted_by_its_command(
     block = blocks("own-model", "python")[1]
     Path("rolling.py").write_text(block.replace("p.dd * abs", "p.dq * abs"), encoding="utf-8")
     with pytest.raises(SystemExit):
-        seatrial.main(words[1:])
+        seatrial.main([*words[1:], "--force"])
     Path("rolling.py").write_text(block.replace("abs(x.p)", "max(x.p, -x.p)"), encoding="utf-8")
     with pytest.raises(SystemExit):
-        seatrial.main(words[1:])
+        seatrial.main([*words[1:], "--force"])
     assert [line for line in capsys.readouterr().err.splitlines() if line.startswith("seatrial:")] == blocks(
         "own-model", "text")[0].splitlines()

@@ -92,7 +92,7 @@ def test_errors_on_the_bench_are_of_all_logs(bench: list[Path], tmp_path: Path) 
 def test_the_horizon_of_a_boat_can_be_chosen(boat: list[Path], tmp_path: Path) -> None:
     errors = {}
     for words, horizon in (([], 10.0), (["--horizon", 4], 4.0)):
-        said = done("vehicle", boat[0], "--validate", boat[1], *words, "--out", tmp_path).output
+        said = done("vehicle", boat[0], "--validate", boat[1], *words, "--out", tmp_path, "--force").output
         result = result_of(tmp_path)
         assert result["horizon_seconds"] == horizon
         assert result["answer"].startswith(f"{horizon:g} s ahead on validation data, all channels: fit ")
