@@ -19,7 +19,7 @@ def test_a_clean_bench_lacks_nothing() -> None:
     assert found.effects == ()
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_an_effect_is_named_alone_and_makes_the_model_better() -> None:
     """An effect of the shaft; one of the force goes by the commands (tests/ident/diagnosis/test_thruster_diagnosis)."""
     row = bench_study.run_case(BenchCase("spin-up", 1))

@@ -66,7 +66,7 @@ def test_what_a_mixture_would_miss_most_comes_first() -> None:
     assert {j.effect for j in found.judgements} == {r.effect.name for r in found.effects}
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_name_is_found_behind_a_table() -> None:
     """What throws the boat about by three cycles of heading gains most; the dead band is found once that is drawn."""
     row = run_case(Case("heading-third+dead-band", 51, "beside"))

@@ -120,7 +120,7 @@ def test_cases_leave_out_what_a_rig_cannot_see() -> None:
     assert set(PLANTS).isdisjoint(RIGS)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_house_rig_is_diagnosed_by_the_commands() -> None:
     done = rigs.run_case(RigCase("vesc", "mismatch", 2))
     assert done.get("error") is None

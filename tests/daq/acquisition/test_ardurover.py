@@ -78,6 +78,7 @@ def test_attitude_and_outputs_of_a_real_autopilot_are_logged(tmp_path: Path, por
         assert np.all(output["n"][-20:] == 0.0)
 
 
+@pytest.mark.study
 def test_the_rig_that_devices_writes_passes_the_check(tmp_path: Path, port: int, rover: Rover) -> None:
     address = f"udp:127.0.0.1:{port}"
     rover.until_ready()
@@ -119,7 +120,7 @@ def test_a_fault_on_a_signed_link_ends_thrust_and_disarms(signed: tuple[Path, Ro
     assert said in trial.says
 
 
-@pytest.mark.parametrize(("name", "value"), [("FS_ACTION", 1.0), ("RC_OPTIONS", 34.0), ("MOT_THR_MIN", 40.0)])
+@pytest.mark.parametrize(("name", "value"), [("FS_ACTION", 1.0), ("RC_OPTIONS", 34.0), pytest.param("MOT_THR_MIN", 40.0, marks=pytest.mark.study)])
 def test_a_wrong_parameter_is_refused_or_ended(signed: tuple[Path, Rover], name: str, value: float) -> None:
     folder, rover = signed
     trial = try_parameter(folder, rover, name, value, SETTINGS[3])

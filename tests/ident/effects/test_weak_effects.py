@@ -117,7 +117,7 @@ FOUND: dict[str, tuple[IndependentBoat, bool, str, dict[str, float]]] = {
     "stall": (IndependentBoat(loss=stalled("left")), True, "unknown T_left(r)", {}),
     "both": (IndependentBoat(loss=stalled("left", "right")), True, "unknown T(r)", {}),
 }
-QUICKLY = ("spring", "wind", "linear", "both")  # each time; the others in `make study`
+QUICKLY = ("spring", "linear")  # each time; the others in `make study`
 
 
 @pytest.mark.slow
@@ -135,7 +135,7 @@ def test_a_weak_effect_is_found_with_its_size(case: str) -> None:
         assert value == pytest.approx(full * boat.weight, abs=4 * error)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_drawn_thrust_loss_is_that_of_the_boat() -> None:
     """Over the yaw rates that the boat has: none on a straight course, half of the thrust in the tightest turns."""
     (curve,) = found_on(IndependentBoat(loss=stalled("left"))).shapes
