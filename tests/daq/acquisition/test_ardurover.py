@@ -109,7 +109,11 @@ def test_a_refusal_to_arm_has_its_reason(signed: tuple[Path, Rover]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "said"), [("acquisition killed", DISARMED), ("link cut for 8 s", "thrust ends by the autopilot's own")]
+    ("name", "said"),
+    [
+        pytest.param("acquisition killed", DISARMED, marks=pytest.mark.study),
+        ("link cut for 8 s", "thrust ends by the autopilot's own"),
+    ],
 )
 def test_a_fault_on_a_signed_link_ends_thrust_and_disarms(signed: tuple[Path, Rover], name: str, said: str) -> None:
     folder, rover = signed
@@ -120,7 +124,10 @@ def test_a_fault_on_a_signed_link_ends_thrust_and_disarms(signed: tuple[Path, Ro
     assert said in trial.says
 
 
-@pytest.mark.parametrize(("name", "value"), [("FS_ACTION", 1.0), ("RC_OPTIONS", 34.0), pytest.param("MOT_THR_MIN", 40.0, marks=pytest.mark.study)])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("FS_ACTION", 1.0), ("RC_OPTIONS", 34.0), pytest.param("MOT_THR_MIN", 40.0, marks=pytest.mark.study)],
+)
 def test_a_wrong_parameter_is_refused_or_ended(signed: tuple[Path, Rover], name: str, value: float) -> None:
     folder, rover = signed
     trial = try_parameter(folder, rover, name, value, SETTINGS[3])
