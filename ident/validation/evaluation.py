@@ -159,16 +159,6 @@ def _predicted(record: Record, name: str, errors: PredictionErrors, forecast: Fo
     return HorizonPrediction(errors.t, np.where(np.isfinite(y), y, np.nan), sd)
 
 
-def pooled_horizon_errors(
-    views: Sequence[RecordEvaluation], seconds: float | None = None
-) -> dict[str, PredictionErrors]:
-    """Errors over a horizon [s], by default the model's own, in all records of a set together, by channel: what
-    ``prediction_change`` compares."""
-    return pooled_errors(
-        [horizon_errors(v.model, v.record, v.values, v.run.x_filt, seconds or v.model.horizon) for v in views]
-    )
-
-
 def residual_tests(model: Model, record: Record, eps: Array) -> list[ChannelResiduals]:
     """Of one record from its standardised innovations (n_rows, n_outputs). A channel of fewer than 60 samples, or
     whose innovations are all the same, is left out."""
