@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -74,19 +75,9 @@ def run_mission(
     device or the acquisition fails; in every case thrust is zero and the log is closed first. Call it from the
     main thread: it takes the signals while it runs.
     """
-    dry_run(mission, rig)
-    new_log_file(path)
-    clock = RunClock(rig.speed)
-    attachments = {"mission.toml": dump_mission(mission).encode()}
-    with (
-        StopSignals() as signals,
-        Keys() as keys,
-        Acquisition(
-            rig, path, clock=clock, attachments=attachments, metadata=metadata or {}, drive=True
-        ) as acquisition,
-        realtime_priority(),  # whoever watches the limits
-    ):
-        return _Runner(mission, rig, path, clock, acquisition, signals, display).run(arm, retries, keys)
+    keys = Keys()
+    with _prepared(mission, rig, path, display, metadata or {}, keys) as runner:
+        return runner.run(arm, retries, keys)
 
 
 def run_link_test(rig: Rig, path: Path, display: Display, metadata: dict[str, str], arm: bool) -> dict[str, LinkTest]:
@@ -94,19 +85,33 @@ def run_link_test(rig: Rig, path: Path, display: Display, metadata: dict[str, st
 
     THRUSTERS TURN, at a tenth of full command. Raises what `run_mission` raises.
     """
-    mission = link_test_plan(rig)
+    with _prepared(link_test_plan(rig), rig, path, display, metadata, nullcontext()) as runner:
+        tests = runner.test_link(arm)
+    save_link_tests(rig, tests)
+    return tests
+
+
+@contextmanager
+def _prepared(
+    mission: Mission,
+    rig: Rig,
+    path: Path,
+    display: Display,
+    metadata: dict[str, str],
+    keys: AbstractContextManager[object],
+) -> Iterator[_Runner]:
+    """A runner of a mission that may be driven, with signals, keys and the acquisition up."""
     dry_run(mission, rig)
     new_log_file(path)
     clock = RunClock(rig.speed)
     attachments = {"mission.toml": dump_mission(mission).encode()}
     with (
         StopSignals() as signals,
+        keys,
         Acquisition(rig, path, clock=clock, attachments=attachments, metadata=metadata, drive=True) as acquisition,
-        realtime_priority(),
+        realtime_priority(),  # whoever watches the limits
     ):
-        tests = _Runner(mission, rig, path, clock, acquisition, signals, display).test_link(arm)
-    save_link_tests(rig, tests)
-    return tests
+        yield _Runner(mission, rig, path, clock, acquisition, signals, display)
 
 
 def new_log_file(path: Path) -> None:

@@ -15,8 +15,8 @@ import numpy as np
 from daq.errors import SeatrialError, SeatrialWarning
 from daq.importers.import_map import ImportMap, Piece, Source, load_import_map
 from daq.importers.signals import SignalData, Signals, read_signals
-from daq.importers.sources import sha256_of, source_kind
-from daq.importers.write_log import write_signals
+from daq.importers.sources import source_kind
+from daq.importers.write_log import sha256_of, write_signals
 
 _WHOLE = Piece("", -1e18, 1e18)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import struct
 from collections import Counter
@@ -13,7 +12,7 @@ from typing import Any
 from daq.clock import ClockMap
 from daq.drivers import ParameterMismatch, check_parameters
 from daq.errors import SeatrialError, counted
-from daq.importers.write_log import Timed, clock_steps, replacing
+from daq.importers.write_log import Timed, clock_steps, replacing, sha256_of
 from daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, schema
 from daq.protocol import Head, MavlinkDecoder, Samples, head, is_whole, make_samples
 from daq.rig import Device, Rig
@@ -39,8 +38,7 @@ def import_mavlink(
     said += ": " + ", ".join(f"{n} {name}" for name, n in counts.most_common())
     said += "".join(f"; not as the rig has it: {finding}" for finding in _mismatches(parameters, rig, device))
     target = out or Path(f"{path.stem}.mcap")
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    about = {"import": "mavlink", "source.1.name": path.name, "source.1.sha256": digest}
+    about = {"import": "mavlink", "source.1.name": path.name, "source.1.sha256": sha256_of(path)}
     name = device.name if device is not None else DEVICE
     _write(target, name, rows, about, rig, f"{path.name}: {said}", force)
     return target, said

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -83,14 +82,3 @@ def _head(path: Path) -> bytes:
 def text_head(path: Path) -> bytes:
     """The beginning of a text file, by which its style is told."""
     return _head(path)
-
-
-def sha256_of(path: Path) -> str:
-    """The digest of a file, or of the files of a folder in the order of their names."""
-    digest = hashlib.sha256()
-    for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
-        if file.is_file():
-            with file.open("rb") as opened:
-                while block := opened.read(1 << 20):
-                    digest.update(block)
-    return digest.hexdigest()

@@ -17,7 +17,7 @@ from __future__ import annotations
 import heapq
 import json
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import resources
 from operator import itemgetter
 from pathlib import Path
@@ -39,11 +39,10 @@ Array = NDArray[np.float64]
 
 
 class RosMessage(NamedTuple):
-    """One message to write: run time in ns, topic, type, and the message as rosbags makes it."""
+    """One message to write: run time in ns, topic, and the message as rosbags makes it."""
 
     stamp_ns: int
     topic: str
-    type_name: str
     message: Any
 
 
@@ -65,16 +64,22 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
     store = get_typestore(Stores.ROS2_HUMBLE)
     for definition in _definitions():
         store.register(get_types_from_msg(definition.read_text(encoding="utf-8"), f"{PACKAGE}/msg/{definition.stem}"))
-    added = sorted(_rep_103(log, store.types), key=lambda one: one.stamp_ns)
+    ahrs = {source: log.table(Ahrs, source) for source in log.sources(Ahrs)}
+    added = [*(_imus(source, rows, store.types) for source, rows in ahrs.items()), _odometry(log, ahrs, store.types)]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for path in made[:2]:
             shutil.rmtree(path, ignore_errors=True)
         with Writer(made[0], version=9, storage_plugin=StoragePlugin.MCAP) as bag:
-            types = log.types() | {one.topic: one.type_name for one in added}
-            connections = {name: bag.add_connection(name, kind, typestore=store) for name, kind in types.items()}
-            new = ((one.stamp_ns, one.topic, bytes(store.serialize_cdr(one.message, one.type_name))) for one in added)
-            for stamp_ns, name, data in heapq.merge(log.messages(), new, key=itemgetter(0)):
+            connections = {name: bag.add_connection(name, kind, typestore=store) for name, kind in log.types().items()}
+            for stamp_ns, name, told in heapq.merge(log.messages(), *added, key=itemgetter(0)):
+                if isinstance(told, bytes):
+                    data = told
+                else:
+                    kind = told.__msgtype__
+                    if name not in connections:
+                        connections[name] = bag.add_connection(name, kind, typestore=store)
+                    data = bytes(store.serialize_cdr(told, kind))
                 bag.write(connections[name], stamp_ns, data)
         _write_package(made[1])
         plots = _plots(log)
@@ -88,12 +93,9 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
 # REP-103 ----------------------------------------------------------------------------------------------------------
 
 
-def _rep_103(log: Log, types: Any) -> Iterator[RosMessage]:
-    """The topics that a log has only here, in the axes of ROS."""
-    for source in log.sources(Ahrs):
-        for row in log.table(Ahrs, source):
-            yield RosMessage(_ns(row["t"]), f"/ros/{source}/imu", "sensor_msgs/msg/Imu", _imu(row, types))
-    yield from _odometry(log, types)
+def _imus(source: str, rows: NDArray[np.void], types: Any) -> Iterator[RosMessage]:
+    for row in rows:
+        yield RosMessage(_ns(row["t"]), f"/ros/{source}/imu", _imu(row, types))
 
 
 def _imu(row: np.void, types: Any) -> Any:
@@ -114,22 +116,21 @@ def _imu(row: np.void, types: Any) -> Any:
     )
 
 
-def _odometry(log: Log, types: Any) -> Iterator[RosMessage]:
+def _odometry(log: Log, ahrs_of: Mapping[str, NDArray[np.void]], types: Any) -> Iterator[RosMessage]:
     """Position and velocity of the rig's origin at the times of the AHRS, between the fixes on either side of each."""
-    headed = [(name, rows) for name in log.sources(Ahrs) if np.isfinite((rows := log.table(Ahrs, name))["yaw"]).any()]
-    fixed = [(name, rows[_fixes(rows)]) for name in log.sources(Gnss) if _fixes(rows := log.table(Gnss, name)).any()]
+    headed = [rows for rows in ahrs_of.values() if np.isfinite(rows["yaw"]).any()]
+    fixed = [(name, rows[_fixes(rows)]) for name in log.sources(Gnss) for rows in [log.table(Gnss, name)]]
+    fixed = [(name, rows) for name, rows in fixed if len(rows) > 1]
     if not headed or not fixed:
         return
-    (_, ahrs), (receiver, gnss) = headed[0], fixed[0]
+    ahrs, (receiver, gnss) = headed[0], fixed[0]
     ahrs = ahrs[np.isfinite(ahrs["yaw"])]
     devices = log.rig.devices if log.rig is not None else ()
     arm = np.array(next((d.lever_arm_m for d in devices if d.name == receiver), (0.0, 0.0, 0.0)))
     north, east = local_ned(gnss["lat"], gnss["lon"])
     down = -(gnss["alt"] - gnss["alt"][0])
     fixes = np.column_stack([north, east, np.where(np.isfinite(down), down, 0.0)])
-    after = np.clip(np.searchsorted(gnss["t"], ahrs["t"]), 1, len(gnss) - 1) if len(gnss) > 1 else None
-    if after is None:
-        return
+    after = np.clip(np.searchsorted(gnss["t"], ahrs["t"]), 1, len(gnss) - 1)
     gap = gnss["t"][after] - gnss["t"][after - 1]
     share = np.divide(ahrs["t"] - gnss["t"][after - 1], gap, out=np.full(len(ahrs), np.nan), where=gap > 0)
     good = (share == 0) | (share == 1) | ((share > 0) & (share < 1) & (gap <= MAX_GAP_S))
@@ -153,7 +154,7 @@ def _pose(
     pose = types["geometry_msgs/msg/Pose"](position=types["geometry_msgs/msg/Point"](**enu), orientation=turned)
     twist = types["geometry_msgs/msg/Twist"](linear=_vector(velocity, types), angular=_vector(rates, types))
     unknown = np.zeros(36)
-    yield RosMessage(_ns(t), "/odom", "nav_msgs/msg/Odometry", types["nav_msgs/msg/Odometry"](
+    yield RosMessage(_ns(t), "/odom", types["nav_msgs/msg/Odometry"](
         header=header, child_frame_id="base_link",
         pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=unknown),
         twist=types["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=unknown),
@@ -163,7 +164,7 @@ def _pose(
     )
     of = types["geometry_msgs/msg/TransformStamped"]
     stamped = of(header=header, child_frame_id="base_link", transform=transform)
-    yield RosMessage(_ns(t), "/tf", "tf2_msgs/msg/TFMessage", types["tf2_msgs/msg/TFMessage"](transforms=[stamped]))
+    yield RosMessage(_ns(t), "/tf", types["tf2_msgs/msg/TFMessage"](transforms=[stamped]))
 
 
 def _fixes(rows: NDArray[np.void]) -> NDArray[np.bool_]:
