@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import heapq
 import json
+import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, replace
@@ -70,7 +71,9 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
             shutil.rmtree(path, ignore_errors=True)
         with Writer(made[0], version=9, storage_plugin=StoragePlugin.MCAP) as bag:
             kinds = {**log.types(), **{f"/ros/{source}/imu": schema.IMU for source in ahrs}}
-            connections = {name: bag.add_connection(name, kind, typestore=store) for name, kind in kinds.items()}
+            connections = {
+                name: bag.add_connection(ros_topic(name), kind, typestore=store) for name, kind in kinds.items()
+            }
             for stamp_ns, name, told in heapq.merge(log.messages(), *added, key=itemgetter(0)):
                 if isinstance(told, bytes):
                     data = told
@@ -87,6 +90,11 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
     except OSError as error:
         raise SeatrialError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
     return made
+
+
+def ros_topic(topic: str) -> str:
+    """The name of a topic of ours in ROS 2, where no part begins with a digit (`ros2 bag play` leaves those out)."""
+    return re.sub(r"/(\d)", r"/node_\1", topic)
 
 
 # REP-103 ----------------------------------------------------------------------------------------------------------
@@ -286,8 +294,8 @@ def _plots(log: Log) -> list[Plot]:
     for kind, field, title in ((Command, "n_cmd", "command [-1..1]"), (Esc, "rpm", "shaft speed [rev/min]"),
                                (Servo, "pwm", "pulse [us]")):  # fmt: skip
         for source in log.sources(kind):
-            nodes = log.nodes(kind, source)
-            found.append(Plot(f"{source}: {title}", [(f"/{source}/{n}/{NODE_TOPICS[kind]}", field) for n in nodes]))
+            topics = [ros_topic(f"/{source}/{n}/{NODE_TOPICS[kind]}") for n in log.nodes(kind, source)]
+            found.append(Plot(f"{source}: {title}", [(topic, field) for topic in topics]))
     for source in log.sources(LoadCell):
         found.append(Plot(f"{source}: force [N]", [(f"/{source}/counts", "force")]))
     for source in log.sources(Scalar):

@@ -12,7 +12,6 @@ import contextlib
 import hashlib
 import itertools
 import json
-import re
 import struct
 import threading
 import time
@@ -26,7 +25,7 @@ from daq.errors import SeatrialError, counted
 from daq.log import NANO, schema
 from daq.rig import Rig
 from daq.samples import NAN, Ahrs, Frame
-from daq.tools.ros_export import rep_103_imu, ros_types
+from daq.tools.ros_export import rep_103_imu, ros_topic, ros_types
 
 NODE = "seatrial"
 COMMAND = "std_msgs/msg/Float64"
@@ -164,9 +163,7 @@ class Ros2Node:
         return key
 
     def _topic(self, topic: str) -> str:
-        """The name in ROS 2, where no part begins with a digit."""
-        named = re.sub(r"/(\d)", r"/node_\1", topic)
-        return f"/{self._ros2.namespace}{named}" if self._ros2.namespace else named
+        return f"/{self._ros2.namespace}{topic}" if self._ros2.namespace else topic
 
     def _publish_all(self) -> None:
         look_at = 0.0
@@ -198,7 +195,7 @@ class Ros2Node:
             self.published += 1
 
     def _publisher(self, topic: str, type_name: str) -> _Publisher:
-        name = self._topic(topic)
+        name = self._topic(ros_topic(topic))
         token = self._token("MP", next(self._entities), name, type_name)
         key = f"{self._ros2.domain}{name}/{_dds(type_name)}/{self._types.hash_rihs01(type_name)}"
         # BLOCK: a router that hangs holds up this thread alone, and what is lost is lost in our queue, where it counts.

@@ -20,6 +20,7 @@ from daq.acquisition.session import Acquisition
 from daq.acquisition.status import StreamedSample
 from daq.clock import RunClock
 from daq.config.rig_file import load_rig
+from daq.errors import SeatrialError
 from daq.log.reader import open_log
 from daq.rig import Rig, Ros2
 from daq.samples import Ahrs
@@ -96,6 +97,7 @@ def test_it_takes_commands_whatever_the_type_hash(router: Router, listener: Any)
         time.sleep(0.3)
         commander.send(0.25)
         commander.send(b"nonsense")
+        time.sleep(0.5)  # there is no order between two senders
         listener.put("0/thrusters/left/command/std_msgs::msg::dds_::Float64_/TypeHashNotSupported",
                      b"\x00\x00\x00\x00" + struct.pack(">d", -0.5))  # fmt: skip
         listener.put(f"0/thrusters/left/command/{FLOAT64}", b"x" * 200_000)  # more than is taken
@@ -131,6 +133,12 @@ def test_a_router_may_come_late_and_go(monkeypatch: pytest.MonkeyPatch) -> None:
     node.put(STREAM, 3)  # its thread has ended: nothing is taken out any more
     node.put(STREAM, 3)
     assert "47 samples could not be published" in node.summary()
+
+
+def test_without_the_package_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "zenoh", None)
+    with pytest.raises(SeatrialError, match=r"seatrial\[ros2\]"), Ros2Node(rig_of_logs()):
+        pass
 
 
 def test_a_router_that_hangs_holds_up_neither_log_nor_end(tmp_path: Path) -> None:
