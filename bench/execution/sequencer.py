@@ -13,6 +13,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from bench.execution.link_test import NEUTRAL
 from bench.execution.tare import windows_of
 from daq.acquisition import Status, StreamedSample
 from daq.config import Mission, Segment
@@ -232,7 +233,7 @@ class CommandFollower(MissionSequencer):
         silent = [name for name in self._mission.thrusters if not self._age(name, now) <= self._timeout]
         if silent:
             self._stop_following(f"no command for {', '.join(silent)}")
-        elif not self._follows and all(command.n == 0.0 for _, command in self._heard.values()):
+        elif not self._follows and all(abs(command.n) <= NEUTRAL for _, command in self._heard.values()):
             self._follows = True
             self._acquisition.mark(FOLLOW, "commands are followed from here on")
             self._say("commands are followed")

@@ -225,10 +225,10 @@ class Following:
 
 def test_nothing_is_followed_before_zero() -> None:
     drive = Following()
-    drive.until(102.0, 0.5)
+    drive.until(102.0, 0.03)
     assert drive.acquisition.sent == []
     assert drive.course.segment == "waiting for zero"
-    drive.until(102.1, 0.0)
+    drive.until(102.1, -0.01)
     drive.until(104.0, 0.5)
     assert drive.n == 0.5
     assert drive.course.segment == "follow"
