@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.bench.fault_kinds import AFTER_DECISION_S, KINDS, Kind
+from tests.bench.fault_kinds import AFTER_DECISION_S, KINDS, RIGS, Kind
 from tests.bench.fault_runs import Trial, trials
 
 PART = 10  # trials with one mock boat
@@ -117,30 +117,31 @@ def numbers(kind: Kind, found: Sequence[Trial]) -> tuple[str, str, str, str, str
 def row(kind: Kind, found: Sequence[Trial]) -> str:
     """One line of the table."""
     if not found:
-        return f"{kind.name:<24} {NO_DISK if kind.full else NOT_TRIED}"
+        return f"{kind.name:<30} {NO_DISK if kind.full else NOT_TRIED}"
     good, median, largest, limit, decided = numbers(kind, found)
-    return f"{kind.name:<24} {good:>9} {median:>6} {largest:>6}  {limit:>5} {decided:>8}   {found[0].said[:SAID]}"
+    return f"{kind.name:<30} {good:>9} {median:>6} {largest:>6}  {limit:>5} {decided:>8}   {found[0].said[:SAID]}"
 
 
 def table(results: Results, kinds: Sequence[Kind]) -> str:
     """For the terminal."""
-    head = f"{'what fails':<24} {'good':>9} {'median':>6} {'max':>6}  {'limit':>5} {'decided':>8}   said"
-    lines = [head, f"{'':<24} {'':>9} {'from fault to zero, ms':>22}"]
+    head = f"{'what fails':<30} {'good':>9} {'median':>6} {'max':>6}  {'limit':>5} {'decided':>8}   said"
+    lines = [head, f"{'':<30} {'':>9} {'from fault to zero, ms':>22}"]
     return "\n".join(lines + [row(kind, list(results[kind.name].values())) for kind in kinds])
 
 
 def page(results: Results, kinds: Sequence[Kind]) -> str:
-    """The table of docs/safety.md, as Markdown."""
-    lines = [
-        "| what fails | as it has to be | zero after, median | at most | allowed | from the decision, at most |",
-        "|---|---:|---:|---:|---:|---:|",
-    ]
-    for kind in kinds:
-        found = list(results[kind.name].values())
-        if found:
-            good, median, largest, limit, decided = numbers(kind, found)
-            decided = "-" if kind.cut_off or decided == "-" else f"{decided} ms"
-            lines.append(f"| {kind.name} | {good} | {median} ms | {largest} ms | {limit} ms | {decided} |")
+    """The table of docs/safety.md, as Markdown: a row for each thing that fails, a column for each rig."""
+    lines = ["| what fails | allowed | " + " | ".join(RIGS) + " |", "|---|---:|" + "---:|" * len(RIGS)]
+    for what in dict.fromkeys(kind.what for kind in kinds):
+        cells = dict.fromkeys(RIGS, "-")
+        for kind in (kind for kind in kinds if kind.what == what):
+            found = list(results[kind.name].values())
+            if found:
+                good, median, largest, limit, decided = numbers(kind, found)
+                decided = "" if kind.cut_off or decided == "-" else f" ({decided})"
+                cells[kind.rig] = f"{good}: {median}, {largest}{decided}"
+        if set(cells.values()) != {"-"}:
+            lines.append(f"| {what} | {limit} ms | " + " | ".join(cells.values()) + " |")
     return "\n".join(lines)
 
 

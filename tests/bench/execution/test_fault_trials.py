@@ -11,7 +11,7 @@ from tests.bench.fault_kinds import KINDS
 from tests.bench.fault_runs import Trial, trials
 from tests.bench.fault_trials import NOT_TRIED, PART, Store, page, parts, row, table
 
-SAMPLE = ("AHRS lost", "capsized")
+SAMPLE = ("VESC, temperature not told", "DroneCAN, AHRS lost", "MAVLink, capsized")
 
 
 @pytest.mark.slow
@@ -37,4 +37,4 @@ def test_what_was_interrupted_goes_on_where_it_was(tmp_path: Path) -> None:
     assert parts(kinds, 2, 1, again.results) == [(kinds[1], [1, 2])]
     assert "1/2    350    400" in table(again.results, kinds)
     assert table(again.results, kinds).endswith(NOT_TRIED)
-    assert page(again.results, kinds).endswith("| runner killed | 1/2 | 350 ms | 400 ms | 350 ms | 50 ms |")
+    assert page(again.results, kinds).endswith("| runner killed | 350 ms | 1/2: 350, 400 (50) | - | - |")
