@@ -126,7 +126,7 @@ def _of(rig: str) -> Iterator[Kind]:
     yield Kind("acquisition killed", 0.1, "process died", strike=_signalled(kill, "acquisition"))
     yield Kind("acquisition hangs", HANG_S, "no sign of life", strike=_signalled(hang, "acquisition"))
     yield Kind("acquisition SIGTERM", 0.1, "SIGTERM", strike=_signalled(signal.SIGTERM, "acquisition"))
-    yield Kind("both killed", 0.1, "process died", strike=_signalled(kill, "pid", "acquisition"))
+    yield Kind("both killed", 0.1, "process died", strike=_signalled(kill, "acquisition", "pid"))
     yield Kind("watchdog killed", 0.1, "watchdog is gone", strike=_signalled(kill, "watchdog"))
     yield Kind("watchdog hangs", ANSWER_S, "watchdog has not answered", strike=_signalled(hang, "watchdog"))
     yield Kind("hang-up (SIGHUP)", 0.1, "SIGHUP", strike=_signalled(signal.SIGHUP, "pid"))
