@@ -277,7 +277,7 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE) -> LoadedLog:
             raise SeatrialError(f"{path}: no signal that ident knows; see what it holds with `seatrial info {path}`")
         start = min(c.t[0] for c in found.values()) if start is None else start
         moved = {n: replace(c, t=c.t - start) for n, c in found.items()}
-        last = max(c.t[-1] for c in moved.values())
+        last = float(max(c.t[-1] for c in moved.values()))
         about = {
             "path": path.name if window == WHOLE else f"{path.name}[{window.t_from:g}:{window.t_to:g}]",
             "sha256": log.sha256 if window == WHOLE else "",
