@@ -155,6 +155,7 @@ def trial(kind: Kind, folder: Path, devices: subprocess.Popen[str], boat: Boat, 
             devices.send_signal(signal.SIGUSR1)
         elif kind.strike is not None:
             kind.strike(running)
+            begun = time.monotonic() if kind.full else begun  # a disk is full with its last byte
         wrong = [] if until(lambda: not boat.turning()) else ["thrust did not end"]
         if kind.what == "runner hangs":
             os.kill(process.pid, signal.SIGCONT)
@@ -213,7 +214,7 @@ def _judged(kind: Kind, log: Path, begun: float, boat: Boat, forgiven: float, fo
     def wall(t: float) -> float:
         return float(origin[0] + (t - origin[1]) / speed)
 
-    before = [text for t, event, text in events if event == "stop" and wall(t) < begun]
+    before = [text for t, event, text in events if event == "stop" and wall(t) < boat.struck_at]
     if before:
         return _no_trial(before[0])
     texts = [text for _, event, text in events if event == "stop"] + [read_note(log), line]

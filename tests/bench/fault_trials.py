@@ -5,9 +5,10 @@
 Each trial runs a mission on the mock boat behind real ports, waits until it turns, lets one thing fail at a random
 moment, and looks at when the thrusters stood (the mock's own trace) and at what the log says. Prints a table; exit
 status 1 when one trial was not as it has to be. With --out the trials are kept, one line of JSON each, and what is
-there is not run again; --docs prints the table of docs/safety.md. Jobs wait most of the time, but their deadlines are
-real: more of them than the machine has idle cores measure the machine. What is judged, and the mock that measures, get
-ahead of other programs by themselves; what only begins or ends does not, or two jobs would hold up each other.
+there is not run again; --docs puts the table between its marks in a page. Jobs wait most of the time, but their
+deadlines are real: more of them than the machine has idle cores measure the machine. What is judged, and the mock that
+measures, get ahead of other programs by themselves; what only begins or ends does not, or two jobs would hold up each
+other.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from tests.bench.fault_runs import Trial, trials
 
 PART = 10  # trials with one mock boat
 SAID = 60  # characters
+MARKS = ("<!-- python -m tests.bench.fault_trials -->", "<!-- end of the trials -->")
 NOT_TRIED = "not tried"
 NO_DISK = "not tried: no small file system can be mounted here"
 Results = dict[str, dict[int, Trial]]  # by kind and seed
@@ -107,7 +109,7 @@ def run_all(kinds: Sequence[Kind], n: int, seed: int, jobs: int, store: Store, s
 def numbers(kind: Kind, found: Sequence[Trial]) -> tuple[str, str, str, str, str]:
     """Good of all; median and largest time from fault to zero, its limit, and the largest from the decision [ms]."""
     zero = np.array([t.zero_s for t in found]) * 1e3
-    after = np.array([t.decided_s for t in found]) * 1e3
+    after = np.maximum([t.decided_s for t in found], 0.0) * 1e3  # it may be zero before that is written down
     good = f"{sum(not t.wrong for t in found)}/{len(found)}"
     median, largest = (f"{f(zero):.0f}" if np.isfinite(zero).any() else "-" for f in (np.nanmedian, np.nanmax))
     decided = f"{np.nanmax(after):.0f}" if np.isfinite(after).any() else "-"
@@ -131,7 +133,9 @@ def table(results: Results, kinds: Sequence[Kind]) -> str:
 
 def page(results: Results, kinds: Sequence[Kind]) -> str:
     """The table of docs/safety.md, as Markdown: a row for each thing that fails, a column for each rig."""
-    lines = ["| what fails | allowed | " + " | ".join(RIGS) + " |", "|---|---:|" + "---:|" * len(RIGS)]
+    rows = [trial for kind in kinds for trial in results[kind.name].values()]
+    lines = [f"{sum(not row.wrong for row in rows)} of {len(rows)} trials as they have to be.", ""]
+    lines += ["| what fails | allowed | " + " | ".join(RIGS) + " |", "|---|---:|" + "---:|" * len(RIGS)]
     for what in dict.fromkeys(kind.what for kind in kinds):
         cells = dict.fromkeys(RIGS, "-")
         for kind in (kind for kind in kinds if kind.what == what):
@@ -145,6 +149,15 @@ def page(results: Results, kinds: Sequence[Kind]) -> str:
     return "\n".join(lines)
 
 
+def into(path: Path, marks: tuple[str, str], text: str) -> None:
+    """Replace what is between the marks of a page."""
+    before, _, rest = path.read_text(encoding="utf-8").partition(marks[0])
+    _, mark, after = rest.partition(marks[1])
+    if not mark:
+        raise SystemExit(f"{path}: no '{marks[0]}' ... '{marks[1]}' in it")
+    path.write_text(f"{before}{marks[0]}\n{text}\n{marks[1]}{after}", encoding="utf-8")
+
+
 def main() -> None:
     """Run what was asked for and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -153,7 +166,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", default=[""], help="kinds whose name contains one of these")
     parser.add_argument("--jobs", type=int, default=1, help="trials at once")
     parser.add_argument("--out", type=Path, help="file of JSON lines to keep trials in and to go on from")
-    parser.add_argument("--docs", action="store_true", help="print the table as Markdown")
+    parser.add_argument("--docs", type=Path, help="page that gets the table")
     options = parser.parse_args()
     kinds = [kind for kind in KINDS if any(part in kind.name for part in options.only)]
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -164,7 +177,9 @@ def main() -> None:
         goes_on = f"; the same command goes on from {options.out}" if options.out else ""
         print(f"interrupted{goes_on}", file=sys.stderr)
         sys.exit(130)
-    print((page if options.docs else table)(store.results, kinds))
+    print(table(store.results, kinds))
+    if options.docs:
+        into(options.docs, MARKS, f"\n{page(store.results, kinds)}\n")
     bad = sum(bool(t.wrong) for kind in kinds for t in store.results[kind.name].values())
     if store.spoilt:
         print(f"{store.spoilt} runs had ended before anything failed: the machine was too busy", file=sys.stderr)
