@@ -47,7 +47,7 @@ def check_first(
     checked = []
     for log in logs:
         name = log.about["path"]
-        found = [*device_faults(log.path), *check_signals(log.run.channels, sides_of_model(model, log))]
+        found = [*device_faults(log.path, log.span), *check_signals(log.run.channels, sides_of_model(model, log))]
         found += [f for f in copies if f.where == name]
         told = [f for f in found if f.level != OK]
         refused = [f for f in told if spoils_a_fit(f)]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ident.characterisation import load_curve
-from ident.data import LoadedLog, LogSegment
+from ident.data import WHOLE, LoadedLog, LogSegment, TimeWindow
 from ident.estimation import (
     EstimationOptions,
     apply_rig_geometry,
@@ -49,6 +49,7 @@ class VehicleRequest:
         homogeneity: parameters to test for one value in all logs.
         profiles: parameters that get a profile likelihood.
         rate: rows a second to which faster sensors are averaged [Hz].
+        window: of the logs; those for validation are whole.
     """
 
     logs: Sequence[Path]
@@ -65,6 +66,7 @@ class VehicleRequest:
     homogeneity: Sequence[str] = ()
     profiles: Sequence[str] = ()
     rate: float = 10.0
+    window: TimeWindow = WHOLE
 
 
 @dataclass(frozen=True)
