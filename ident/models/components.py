@@ -10,7 +10,7 @@ import numpy as np
 
 from ident.model import Effect, EffectKind, Input, Model, Parameter, ParameterRole, Signals, State
 from ident.models import rotations
-from ident.models.horizontal import SENSORS, SIDES, shift_in_time
+from ident.models.horizontal import BUILT_IN, SENSORS, SIDES, shift_in_time
 
 ANTENNA, CURRENT_WALK, TELEMETRY_AGE = "antenna", "random-walk-current", "telemetry-age"
 ESTIMATOR_ERROR = "estimator-error"
@@ -137,9 +137,10 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
             for name, sd, unit, tau in dict.fromkeys(errors.values())
             for p in (
                 Parameter(f"A_{name}", sd, unit, f"error of {name} that lasts, standard deviation", "log",
-                          prior=(sd, sd), role=ParameterRole.DISTURBANCE),
+                          prior=(sd, 3 * sd), role=ParameterRole.DISTURBANCE, origin=BUILT_IN),
                 Parameter(f"tau_{name}", tau, "s", f"correlation time of the error of {name}", "log",
-                          prior=(tau, 2 * tau), bounds=(0.2, 200.0), role=ParameterRole.DISTURBANCE),
+                          prior=(tau, 3 * tau), bounds=(0.2, 200.0), role=ParameterRole.DISTURBANCE,
+                          origin=BUILT_IN),
             )
         ),
         states=tuple(

@@ -16,6 +16,7 @@ from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import SearchSettings, fit
 from ident.estimation.model_file import load_model, save_model
 from ident.estimation.prior_knowledge import apply_rig_geometry
+from ident.model.parameter import ParameterOrigin
 from ident.models.catalogue import make_model
 from ident.models.components import antenna, current_walk, estimator_error
 from ident.models.disturbances import for_diagnosis
@@ -79,6 +80,7 @@ def test_the_errors_of_an_estimator_are_gauss_markov_of_the_size_that_it_says() 
     sensors = ("attitude", "gyro", "position", "body_velocity")
     model = (horizontal_model("shaft", sensors) + estimator_error(sensors)).with_values({"A_xy": 0.3, "tau_xy": 7.0})
     names = [s.name for s in model.states]
+    assert {p.origin for p in model.effects[-1].parameters} == {ParameterOrigin.BUILT_IN}  # nobody gave their priors
     assert names[-5:] == ["error_psi", "error_x", "error_y", "error_u", "error_v"]
     k, y = names.index("error_x"), len(names) + [o.name for o in model.outputs].index("x")
     x = np.zeros((2, len(names)))
