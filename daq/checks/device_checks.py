@@ -56,6 +56,7 @@ def check_devices(log: Log) -> Iterator[Finding]:
         yield Finding(FAULT, "clock-ran-back", "clock", topic, text, "two clocks, or one that was set?")
     for source, tables in _tables(log).items():
         t = np.sort(np.concatenate([table["t"] for _, _, table in tables]))
+        tables = [row for row in tables if len(row[2])]  # a part of a log may have none
         yield from _rate(source, t, rig, tables)
         for _, name, table in tables:
             yield from check_timestamps(name, table, log.end if rig else None, rig.speed if rig else 1.0)
