@@ -26,6 +26,7 @@ _SOURCE = click.Path(exists=True, path_type=Path)  # a file, or the folder of a 
 _NEW = click.Path(dir_okay=False, path_type=Path)
 _FOLDER = click.Path(file_okay=False, path_type=Path)
 MAX_NAMED = 8
+ROUTER_S = 1.0  # wall, for the router of ROS 2 to be there
 
 
 @final
@@ -86,7 +87,8 @@ def _stop_signal() -> Iterator[threading.Event]:
     "--request-rates", "ask", is_flag=True, help="Ask autopilots for the rates of RIG; else nothing is sent to them."
 )
 @click.option("--live", "serve", is_flag=True, help="Serve the samples to Foxglove, too (see [live] in the rig).")
-def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve: bool) -> None:
+@click.option("--ros2", is_flag=True, help="Publish the samples to ROS 2, too (see [ros2] in the rig).")
+def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve: bool, ros2: bool) -> None:
     """Record every device of RIG until Ctrl-C, with a live table.
 
     Devices may be plugged in and out meanwhile; missing and silent ones are reported. Commands no thrust, and sends no
@@ -107,6 +109,7 @@ def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve
     console = Console(highlight=False)
     with (
         _stop_signal() as stop,
+        contextlib.ExitStack() as outer,  # what may take its time to end, when the log is closed
         Acquisition(loaded, path, clock=clock, ask=ask) as acquisition,
         contextlib.ExitStack() as stack,
     ):
@@ -115,6 +118,13 @@ def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve
 
             server = stack.enter_context(LiveServer(loaded, acquisition.status))
             console.print(f"live at {server.address}", markup=False)
+        if ros2:
+            from daq.tools import Ros2Node
+
+            node = outer.enter_context(Ros2Node(loaded))
+            console.print(node.await_router(ROUTER_S), markup=False)
+            acquisition.stream(node.put)
+            outer.callback(lambda: console.print(node.summary(), markup=False))
         deadline = math.inf if duration is None else clock.now() + duration
         watch(acquisition, loaded, clock, deadline, stop, console)
     last = acquisition.status()

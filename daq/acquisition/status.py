@@ -20,6 +20,14 @@ class Latest(NamedTuple):
     t: float
 
 
+class StreamedSample(NamedTuple):
+    """A sample of a device as it goes into the log, with its estimated run time."""
+
+    device: str
+    sample: Sample
+    t: float
+
+
 @dataclass(frozen=True)
 class PortStatus:
     """One port. Counters count from the start of the log; rates and ages are in run time."""

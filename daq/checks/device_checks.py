@@ -286,9 +286,13 @@ def _controllers(log: Log) -> Iterator[Finding]:
             if len(t) < 20 or np.isnan(rpm).all():
                 continue
             edges = np.flatnonzero(np.concatenate([[True], rpm[1:] != rpm[:-1], [True]]))
-            for a, b in zip(edges[:-1], edges[1:] - 1, strict=True):
-                during = told["n_cmd"][(told["t"] > t[a]) & (told["t"] < t[b] - 1.0)]
-                if rpm[a] != 0.0 and t[b] - t[a] > 2.0 and during.size > 1 and np.ptp(during) > STEP:
+            first, last = edges[:-1], edges[1:] - 1
+            held = (rpm[first] != 0.0) & (t[last] - t[first] > 2.0)
+            order = np.argsort(told["t"], kind="stable")
+            t_told, n_told = told["t"][order], told["n_cmd"][order]
+            for a, b in zip(first[held], last[held], strict=True):
+                during = n_told[np.searchsorted(t_told, t[a], "right") : np.searchsorted(t_told, t[b] - 1.0)]
+                if during.size > 1 and np.ptp(during) > STEP:
                     text = f"{rpm[a]:.0f} rev/min for {t[b] - t[a]:.1f} s while its command changed"
                     yield Finding(
                         FAULT, "shaft-speed-stuck", "stuck", f"{source} node {node}", text, "its sensor, or the bus"

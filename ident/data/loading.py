@@ -307,7 +307,7 @@ def _mission_name(log: Log) -> str | None:
     text = log.attachments.get("mission.toml")
     if text is None:
         return None
-    try:
-        return str(tomllib.loads(text.decode()).get("name"))
+    try:  # what is before the first table: the samples of a long mission take seconds to read
+        return str(tomllib.loads(text.partition(b"\n[")[0].decode()).get("name"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError):
         return None

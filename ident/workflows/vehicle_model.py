@@ -19,8 +19,9 @@ from ident.estimation import (
     with_effects,
 )
 from ident.model import Model
+from ident.models import is_own_model
 from ident.results import UnusedSignal
-from ident.workflows.check import with_noise_floors
+from ident.workflows.check import with_estimator_errors, with_noise_floors
 from ident.workflows.model_inputs import (
     check_ahead,
     check_names,
@@ -95,10 +96,13 @@ def vehicle_problem(
     check_ahead(request.estimation.horizon, loaded, unseen)
     model = choose_model(source, [*loaded, *unseen])
     model, notes = apply_rig_geometry(model, loaded[0].rig, loaded[0].vehicle)
+    lasting: list[str] = []
+    if not is_own_model(source):
+        model, lasting = with_estimator_errors(model, loaded, {*request.fixed, *request.priors})
     model = set_initial_values(set_priors(with_effects(model, request.effects), request.priors), request.initial)
     model = pose_scale(fix_parameters(model, request.thruster if curve is None else None, request.fixed))
     model, floors = with_noise_floors(model, loaded)
     check_names(nominal(model), request.profiles, len(loaded))
     segments, validation = ([x.run for x in part] for part in (loaded, unseen))
     unused = unused_signals(model, [*loaded, *unseen])
-    return VehicleProblem(model, segments, validation, [*notes, *floors], thrust_from(model), unused)
+    return VehicleProblem(model, segments, validation, [*notes, *lasting, *floors], thrust_from(model), unused)
