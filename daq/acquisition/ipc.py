@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from daq import samples
-from daq.acquisition.status import Status, StreamedSample, from_json, to_json
+from daq.acquisition.status import Status, StreamedSample, fields_of, from_json, to_json
 
 ACTIVE, IDLE, FINISHED = b"1", b"0", b"q"  # heartbeats: thrust is commanded; it is not; nothing is left to watch
 ANSWER = b"a"  # of the watchdog
@@ -152,7 +152,7 @@ def encode_message(message: Message) -> bytes:
         values["status"] = to_json(message.status)
     elif isinstance(message, SampleBatch):
         values["samples"] = [
-            [device, type(sample).__name__, dataclasses.astuple(sample), t] for device, sample, t in message.samples
+            [device, type(sample).__name__, fields_of(sample), t] for device, sample, t in message.samples
         ]
     return json.dumps([type(message).__name__, values], separators=(",", ":")).encode() + b"\n"
 
