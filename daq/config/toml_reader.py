@@ -6,6 +6,7 @@ import math
 import tomllib
 from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import Any
 
 from daq.errors import SeatrialError, counted
 
@@ -39,7 +40,7 @@ class TomlTable:
     """One TOML table whose keys are read one by one; `done` raises for a key that was not read."""
 
     def __init__(self, values: Mapping[str, object], source: str, where: str = "") -> None:
-        self.values = dict(values)
+        self.values: dict[str, Any] = dict(values)
         self.source = source
         self.where = where
         self._taken: list[str] = []

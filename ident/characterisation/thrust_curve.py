@@ -9,7 +9,6 @@ that were left out. The curve's file is described in docs/formats/curve.md.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ import numpy as np
 import tomlkit
 from scipy import interpolate, optimize, stats
 
+from daq.config import parse_toml, read_text
 from daq.errors import SeatrialError
 from ident.data import Channel, sample_and_hold
 from ident.numerics import Array, block_error, integrated_autocorrelation_time, steady_segments
@@ -248,8 +248,8 @@ def _rounded(values: Sequence[float] | Array) -> list[float]:
 def load_curve(path: Path) -> ThrustCurve | None:
     """Read a curve; None where the file says it is something else. Raises SeatrialError for a broken curve."""
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+        table = parse_toml(read_text(path), path).values
+    except SeatrialError:
         return None  # whoever reads it as something else says what is wrong
     if table.get("format") != FORMAT:
         return None

@@ -20,7 +20,6 @@ gives it the sign of the delayed and lagged command. `propulsion_input` says whi
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -31,6 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.config import parse_toml
 from daq.errors import SeatrialError
 from daq.log import Log, local_ned, open_log
 from daq.rig import Rig, Thruster
@@ -308,6 +308,6 @@ def _mission_name(log: Log) -> str | None:
     if text is None:
         return None
     try:  # what is before the first table: the samples of a long mission take seconds to read
-        return str(tomllib.loads(text.partition(b"\n[")[0].decode()).get("name"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError):
+        return str(parse_toml(text.partition(b"\n[")[0].decode(), "mission.toml").values.get("name"))
+    except (SeatrialError, UnicodeDecodeError):
         return None

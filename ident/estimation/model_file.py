@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 import tomlkit
 
+from daq.config import parse_toml, read_text
 from daq.errors import SeatrialError
 from ident.effects import catalogue, input_response_effects, nonparametric_effect
 from ident.estimation.homogeneity import BETWEEN, between_runs_effect
@@ -193,12 +193,7 @@ def load_model(path: Path) -> SavedModel:
 
     Raises SeatrialError with what is wrong and where.
     """
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as problem:
-        raise SeatrialError(f"{path}: cannot be read: {problem}") from problem
-    except tomllib.TOMLDecodeError as problem:
-        raise SeatrialError(f"{path}: not a TOML file: {problem}") from problem
+    table = parse_toml(read_text(path), path).values
     if table.get("format") != FORMAT:
         raise SeatrialError(f"{path}: format is {table.get('format')!r}, not {FORMAT!r}: give a model.toml of seatrial")
     try:

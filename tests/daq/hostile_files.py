@@ -25,6 +25,7 @@ import sqlite3
 import struct
 import sys
 import tempfile
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -571,6 +572,7 @@ def _child(command: Command, box: Path, cache: Path) -> None:
     status = 99
     try:
         os.chdir(box)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         for number, name in ((1, "stdout"), (2, "stderr")):
             os.dup2(os.open(box.with_suffix(f".{name}"), WRITING & ~os.O_RDWR, 0o600), number)
         faulthandler.disable()
@@ -670,7 +672,14 @@ def _why(status: int, said: str, errors: str, audit: str) -> str:
 
 
 def study(
-    n: int, seed: int, first: int, folder: Path, *, keep: bool = False, fits: bool = True
+    n: int,
+    seed: int,
+    first: int,
+    folder: Path,
+    *,
+    keep: bool = False,
+    fits: bool = True,
+    stopped: Callable[[], bool] = bool,
 ) -> Summary:
     """Make files `first` to `first + n` of a seed and run their commands; failures are told as they come."""
     for name in ("daq.tools", "ident.checks.log_checks", *(MODULES if fits else ())):
@@ -681,6 +690,8 @@ def study(
     maker, summary = Maker(Bases(folder / "bases"), seed), Summary()
     gc.freeze()  # so that children share these pages
     for number in range(first, first + n):
+        if stopped():
+            break
         box = folder / f"{number}"
         kind, commands = maker.make(number, box)
         summary.files += 1
@@ -688,7 +699,7 @@ def study(
             if command.words[1] in FITTING and not fits:
                 continue
             found = run(command, box, folder / "cache")
-            if found.why == SLOW and command.words[1] in FITTING:  # machine code is made once, and may take as long
+            if found.why == SLOW:  # machine code is made once, and a computer that stood still counts that, too
                 found = run(command, box, folder / "cache")
             name = command.words[command.words[0] == "ident"]
             summary.runs[name] += 1
@@ -720,8 +731,12 @@ def main() -> int:
     args = parser.parse_args()
     folder = Path("build/hostile").absolute() if args.keep else Path(tempfile.mkdtemp(prefix="hostile-"))
     shutil.rmtree(folder, ignore_errors=True)
+    asked = threading.Event()
+    signal.signal(signal.SIGINT, lambda *_: asked.set())
     try:
-        summary = study(args.n, args.seed, args.first, folder, keep=args.keep, fits=not args.no_fits)
+        summary = study(
+            args.n, args.seed, args.first, folder, keep=args.keep, fits=not args.no_fits, stopped=asked.is_set
+        )
     finally:
         if not args.keep:
             shutil.rmtree(folder, ignore_errors=True)

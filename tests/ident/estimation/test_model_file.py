@@ -11,6 +11,7 @@ import pytest
 import tomlkit
 
 from daq.errors import SeatrialError
+from ident.characterisation.thrust_curve import load_curve
 from ident.data.record import build_record
 from ident.effects.nonparametric import input_response_effects, nonparametric_effect
 from ident.effects.registry import catalogue
@@ -236,3 +237,12 @@ def test_any_cut_of_the_file_is_one_line_or_a_whole_model(tmp_path: Path, found:
         path.write_text(text[:cut], encoding="utf-8")
         with contextlib.suppress(SeatrialError):  # nothing else may come out
             assert isinstance(load_model(path).model, Model)
+
+
+@pytest.mark.parametrize("text", ["a = {" * 9000, "a = " + "[" * 50_000, "a = " + "9" * 20_000])
+def test_what_is_too_deep_or_too_long_is_one_line(tmp_path: Path, text: str) -> None:
+    (tmp_path / "model.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(SeatrialError, match="nested too deeply") as refused:
+        load_model(tmp_path / "model.toml")
+    assert "\n" not in str(refused.value)
+    assert load_curve(tmp_path / "model.toml") is None
