@@ -4,6 +4,8 @@ SHELL := /bin/sh
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 MAKEFLAGS += --no-print-directory
+# What is installed uncompiled (below) would be compiled anew by every process.
+unexport PYTHONDONTWRITEBYTECODE
 
 BIN := .venv/bin
 PIP := $(BIN)/pip --quiet --disable-pip-version-check --no-input
@@ -15,7 +17,7 @@ SEED_OPTION = $(if $(SEED),--seed $(SEED))
 WORKERS ?= 3
 PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
 
-.PHONY: help demo test bench study docs dist lint lock clean
+.PHONY: help demo test compiled bench study docs dist lint lock clean
 
 help:
 	@echo "make demo    the whole loop on mock devices, to a report"
@@ -53,9 +55,14 @@ help:
 demo: .venv/ready
 	@$(BIN)/seatrial demo $(SEED_OPTION)
 
-test: lint
+test: .venv/ready
+	@$(MAKE) -j 2 lint compiled
 	@echo "pytest"
 	@$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup
+
+# What the tests import is compiled once, beside mypy: the workers begin together and would each do all of it.
+compiled: .venv/ready
+	@$(BIN)/python -m pytest --collect-only -qq >/dev/null 2>&1 || true
 
 lint: .venv/ready
 	@echo "ruff"

@@ -12,6 +12,7 @@ try:
     import errno
     import importlib
     import os
+    import threading
     import traceback
     import warnings
     from collections.abc import Callable, Sequence
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from daq.checks.check_report import CheckReport
     from daq.checks.findings import Finding
 
+WAITING = "ROS 2"  # daq.tools.ros_live
 OK, FAILED, WRONG_USAGE, HUNG_UP, INTERRUPTED = 0, 1, 2, 129, 130
 
 
@@ -227,6 +229,9 @@ def main(args: Sequence[str] | None = None) -> None:
             print(f"seatrial: {line}", file=sys.stderr)
         except OSError:  # the terminal was closed
             _mute()
+    if any(thread.name == WAITING for thread in threading.enumerate()):
+        sys.stdout.flush()
+        os._exit(status)  # all is closed but a connection that nobody answers on
     sys.exit(status)
 
 

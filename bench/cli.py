@@ -7,6 +7,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -16,9 +17,13 @@ from daq.config import Mission, load_mission, load_rig, save_mission
 from daq.errors import SeatrialError, counted
 from daq.rig import Rig
 
+if TYPE_CHECKING:
+    from daq.tools import Ros2Node
+
 FILE = click.Path(path_type=Path)
 EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
 N_MAX_BENCH = 0.9
+ROUTER_S = 3.0  # wall, for the router of ROS 2 to be there
 _ARM = click.option("--arm", is_flag=True, help="Put an autopilot into MANUAL, arm it, and disarm it at the end.")
 _RETRY = click.option(
     "--retry", type=click.IntRange(0, 100), default=0, show_default=True, help="Repeat invalid steps, so often in all."
@@ -70,7 +75,7 @@ def _one_thruster(rig: Rig, name: str | None) -> str:
     return rig.thrusters[0].name
 
 
-def _run(plan: Mission, rig: Rig, out: Path | None, arm: bool, retry: int) -> None:
+def _run(plan: Mission, rig: Rig, out: Path | None, arm: bool, retry: int, commands: Ros2Node | None = None) -> None:
     """Run a plan and say where its log is."""
     # Imported late: --help needs none of it.
     from bench.execution import make_display, run_mission
@@ -78,7 +83,8 @@ def _run(plan: Mission, rig: Rig, out: Path | None, arm: bool, retry: int) -> No
     stem = re.sub(r"[^A-Za-z0-9]+", "-", plan.name).strip("-").lower() or "mission"
     path = rig.log_directory / f"{time.strftime('%Y%m%dT%H%M%S')}-{stem}.mcap" if out is None else out
     start = time.monotonic()
-    run_mission(plan, rig, path, make_display(), {"command": " ".join(["seatrial", *sys.argv[1:]])}, arm, retry)
+    metadata = {"command": " ".join(["seatrial", *sys.argv[1:]])}
+    run_mission(plan, rig, path, make_display(), metadata, arm, retry, commands)
     click.echo(f"done: {plan.name}, {plan.end:g} s in {time.monotonic() - start:.1f} s; log {path}")
 
 
@@ -91,6 +97,34 @@ def _run(plan: Mission, rig: Rig, out: Path | None, arm: bool, retry: int) -> No
 def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: int) -> None:
     """Run a mission and record it; Ctrl-C ends it at zero thrust."""
     _run(load_mission(mission_path), load_rig(rig_path), out, arm, retry)
+
+
+@mission.command(epilog="Example: seatrial mission follow boat-rig.toml --seconds 300 -o run.mcap")
+@click.argument("rig_path", metavar="RIG", type=EXISTING)
+@click.option("--seconds", type=click.FloatRange(1.0, 7200.0), default=300.0, show_default=True, help="Run seconds.")
+@click.option(
+    "--n-max", type=click.FloatRange(0, 1, min_open=True), help="Largest command followed [default: limits.n_max]."
+)
+@click.option(
+    "--slew", type=click.FloatRange(0, min_open=True), default=1.0, show_default=True, help="Largest change, 1/s."
+)
+@click.option("-o", "--out", type=FILE, help="The log to write [default: by date in the rig's log directory].")
+@_ARM
+def follow(rig_path: Path, seconds: float, n_max: float | None, slew: float, out: Path | None, arm: bool) -> None:
+    """Let a node of ROS 2 command the thrusters, through the guard, and record it; Ctrl-C ends it at zero thrust.
+
+    RIG has to allow it by `commands = true` in [ros2]. THRUSTERS TURN AS OTHERS COMMAND.
+    """
+    from bench.execution import follow_plan
+    from daq.tools import Ros2Node
+
+    rig = load_rig(rig_path)
+    plan = follow_plan(rig, seconds, n_max, slew)
+    with Ros2Node(rig, plan.thrusters) as node:
+        click.echo(node.await_router(ROUTER_S))
+        click.echo(f"whoever reaches that router commands {', '.join(plan.thrusters)} up to n = {plan.n_max:g}")
+        _run(plan, rig, out, arm, 0, node)
+        click.echo(node.summary())
 
 
 @mission.command(

@@ -26,6 +26,7 @@ _SOURCE = click.Path(exists=True, path_type=Path)  # a file, or the folder of a 
 _NEW = click.Path(dir_okay=False, path_type=Path)
 _FOLDER = click.Path(file_okay=False, path_type=Path)
 MAX_NAMED = 8
+ROUTER_S = 1.0  # wall, for the router of ROS 2 to be there
 
 
 @final
@@ -86,7 +87,8 @@ def _stop_signal() -> Iterator[threading.Event]:
     "--request-rates", "ask", is_flag=True, help="Ask autopilots for the rates of RIG; else nothing is sent to them."
 )
 @click.option("--live", "serve", is_flag=True, help="Serve the samples to Foxglove, too (see [live] in the rig).")
-def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve: bool) -> None:
+@click.option("--ros2", is_flag=True, help="Publish the samples to ROS 2, too (see [ros2] in the rig).")
+def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve: bool, ros2: bool) -> None:
     """Record every device of RIG until Ctrl-C, with a live table.
 
     Devices may be plugged in and out meanwhile; missing and silent ones are reported. Commands no thrust, and sends no
@@ -107,6 +109,7 @@ def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve
     console = Console(highlight=False)
     with (
         _stop_signal() as stop,
+        contextlib.ExitStack() as outer,  # what may take its time to end, when the log is closed
         Acquisition(loaded, path, clock=clock, ask=ask) as acquisition,
         contextlib.ExitStack() as stack,
     ):
@@ -115,6 +118,13 @@ def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve
 
             server = stack.enter_context(LiveServer(loaded, acquisition.status))
             console.print(f"live at {server.address}", markup=False)
+        if ros2:
+            from daq.tools import Ros2Node
+
+            node = outer.enter_context(Ros2Node(loaded))
+            console.print(node.await_router(ROUTER_S), markup=False)
+            acquisition.stream(node.put)
+            outer.callback(lambda: console.print(node.summary(), markup=False))
         deadline = math.inf if duration is None else clock.now() + duration
         watch(acquisition, loaded, clock, deadline, stop, console)
     last = acquisition.status()
@@ -402,18 +412,19 @@ def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> Non
 @click.option(
     "--rate", type=click.FloatRange(min=0.0, min_open=True), help="One table of all at this rate, Hz (mat, netcdf: 10)."
 )
-def export(form: str, log: Path, out: Path, force: bool, rate: float | None) -> None:
+@click.option("--from", "t_from", type=click.FloatRange(0.0), default=0.0, help="Start [s of the log].")
+@click.option("--to", "t_to", type=click.FloatRange(0.0), default=math.inf, help="End [s of the log].")
+def export(form: str, log: Path, out: Path, force: bool, rate: float | None, t_from: float, t_to: float) -> None:
     """Write LOG as files of FORM.
 
     csv and parquet: a table per device and kind, and the events; with --rate one table of all, as mat and netcdf always
-    are. ros: a bag of ROS 2 with the axes and frames of
-    REP-103 and REP-105 beside what was logged, the package seatrial_msgs for colcon, and layouts of Foxglove and
-    PlotJuggler.
+    are. ros: a bag of ROS 2 with the axes and frames of REP-103 and REP-105 beside what was logged, the package
+    seatrial_msgs for colcon, and layouts of Foxglove and PlotJuggler. With --from and --to only a part is read.
 
     \b
     Examples:
       seatrial export csv logs/run.mcap --out run-csv
-      seatrial export mat logs/run.mcap --rate 20 --out run-mat
+      seatrial export mat logs/run.mcap --rate 20 --from 600 --to 1200 --out run-mat
       seatrial export ros logs/run.mcap --out run-ros
     """
     from daq.log import open_log
@@ -423,11 +434,16 @@ def export(form: str, log: Path, out: Path, force: bool, rate: float | None) -> 
         raise click.UsageError("--rate is not for ros, whose messages are as they were logged")
 
     with open_log(log) as opened:
-        for warning in opened.warnings:
+        part = opened
+        if t_from > 0.0 or t_to < math.inf:
+            part = opened.part(opened.start + t_from, opened.start + t_to)
+        if part.start > opened.end or not t_from < t_to:
+            raise SeatrialError(f"{log}: nothing lies from {t_from:g} to {t_to:g} s of its {opened.duration:.0f} s")
+        for warning in part.warnings:
             click.echo(f"warning: {warning}", err=True)
         if rate is not None:
-            written = [export_resampled(opened, form, out, rate, force)]
+            written = [export_resampled(part, form, out, rate, force)]
         else:
-            written = export_ros(opened, out, force) if form == "ros" else export_log(opened, form, out, force)
+            written = export_ros(part, out, force) if form == "ros" else export_log(part, form, out, force)
         for path in written:
             click.echo(str(path))

@@ -205,6 +205,17 @@ class Live:
 
 
 @dataclass(frozen=True)
+class Ros2:
+    """The node of ROS 2: the Zenoh router that it connects to, its names, and whether thrusters may be commanded."""
+
+    router: str = "tcp/127.0.0.1:7447"
+    domain: int = 0  # ROS_DOMAIN_ID
+    namespace: str = ""  # of the node and its topics, without slashes
+    commands: bool = False
+    timeout_s: float = 0.3  # wall; without a command for so long thrust is zero
+
+
+@dataclass(frozen=True)
 class Rig:
     """A rig file, checked. `text` is the file as read, for the log's attachment."""
 
@@ -219,6 +230,7 @@ class Rig:
     vehicle: Mapping[str, float] = field(default_factory=dict)  # nominal model parameters by name
     segments: Segments = field(default_factory=Segments)
     live: Live = field(default_factory=Live)
+    ros2: Ros2 = field(default_factory=Ros2)
 
     def device(self, name: str) -> Device:
         """The device of that name. Raises SeatrialError that lists the known ones."""

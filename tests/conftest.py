@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from typing import Any
 
 import pytest
@@ -19,6 +20,10 @@ import pytest
 # library would only wait for each other and for the other worker.
 for library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
+# Hundreds of tests start a process: a second of CPU each, where Python may not keep what it has compiled.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # Whoever starts the tests in the background of a script has them ignore Ctrl-C, and every process that they start.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -29,6 +34,7 @@ PORTS = (
     "tests/bench/preflight/test_check_live.py",
     "tests/bench/execution/test_sequencer.py",
     "tests/bench/execution/test_dronecan.py",
+    "tests/bench/execution/test_follow.py",
     "tests/bench/execution/test_operator_interface.py",
     "tests/bench/execution/test_fault_trials.py",
     "tests/bench/execution/test_mavlink.py",
@@ -44,6 +50,7 @@ PORTS = (
     "tests/daq/acquisition/test_load.py",
     "tests/daq/drivers/test_polling.py",
     "tests/daq/tools/test_replay.py",
+    "tests/daq/tools/test_ros_live.py",
     "tests/daq/log/test_segments.py",
     "tests/daq/test_clock.py",
     "tests/daq/transport/test_network_port.py",

@@ -26,7 +26,7 @@ from bench.execution.link_test import (
 )
 from bench.execution.operator_interface import HELP, WORDS, Display, Keys, MissionStatus, StopSignals
 from bench.execution.safety_guard import SafetyGuard
-from bench.execution.sequencer import MissionSequencer, Schedule
+from bench.execution.sequencer import CommandFollower, CommandSource, MissionSequencer, Schedule
 from bench.execution.tare import Tare, describe_tares, measure_tares
 from bench.mission_limits import dry_run
 from daq.acquisition import Acquisition, Status
@@ -65,8 +65,11 @@ def run_mission(
     metadata: dict[str, str] | None = None,
     arm: bool = False,
     retries: int = 0,
+    commands: CommandSource | None = None,
 ) -> list[Tare]:
     """Run `mission` on `rig` and record it at `path`; returns the load cell's zeros at start and end.
+
+    With `commands` these are followed, within the mission's limits, in the place of its set-points.
 
     An autopilot between us and the thrusters is armed only with `arm`, and then disarmed again. Steps in which
     set-points or samples were lost are run again, `retries` times in all. Keys (bench.execution.operator_interface)
@@ -76,7 +79,7 @@ def run_mission(
     main thread: it takes the signals while it runs.
     """
     keys = Keys()
-    with _prepared(mission, rig, path, display, metadata or {}, keys) as runner:
+    with _prepared(mission, rig, path, display, metadata or {}, keys, commands) as runner:
         return runner.run(arm, retries, keys)
 
 
@@ -99,6 +102,7 @@ def _prepared(
     display: Display,
     metadata: dict[str, str],
     keys: AbstractContextManager[object],
+    commands: CommandSource | None = None,
 ) -> Iterator[_Runner]:
     """A runner of a mission that may be driven, with signals, keys and the acquisition up."""
     dry_run(mission, rig)
@@ -111,7 +115,7 @@ def _prepared(
         Acquisition(rig, path, clock=clock, attachments=attachments, metadata=metadata, drive=True) as acquisition,
         realtime_priority(),  # whoever watches the limits
     ):
-        yield _Runner(mission, rig, path, clock, acquisition, signals, display)
+        yield _Runner(mission, rig, path, clock, acquisition, signals, display, commands)
 
 
 def new_log_file(path: Path) -> None:
@@ -136,11 +140,12 @@ class _Runner:
         acquisition: Acquisition,
         signals: StopSignals,
         display: Display,
+        commands: CommandSource | None,
     ) -> None:
-        self._mission, self._rig, self._path = mission, rig, path
+        self._mission, self._rig, self._path, self._commands = mission, rig, path, commands
         self._clock, self._acquisition, self._signals, self._display = clock, acquisition, signals, display
         self._guard = SafetyGuard(rig, clock.speed, mission.thrusters)
-        n_max = float(np.abs(mission.setpoints()[1]).max(initial=0.0))
+        n_max = float(np.abs(mission.setpoints()[1]).max(initial=0.0)) if commands is None else mission.n_max
         self._vehicles = Autopilots(rig, mission.thrusters, acquisition, clock, self._wait, display.say, n_max)
         self._segment = mission.segments[0].name
 
@@ -222,8 +227,14 @@ class _Runner:
         lead, ahead = LEAD_S * self._clock.speed, AHEAD_S * self._clock.speed
         start = self._clock.now() + lead
         self._acquisition.mark("start", f"{self._mission.name} at {start:.6f}")
-        patience = self._guard.patience
-        course = MissionSequencer(self._mission, start, lead, self._acquisition, patience, self._display.say, retries)
+        acquisition, say = self._acquisition, self._display.say
+        course: MissionSequencer
+        if self._commands is None:
+            course = MissionSequencer(self._mission, start, lead, acquisition, self._guard.patience, say, retries)
+        else:
+            acquisition.stream(self._commands.put)
+            timeout = self._rig.ros2.timeout_s * self._clock.speed
+            course = CommandFollower(self._mission, start, timeout, acquisition, say, self._commands)
         while not course.is_over(now := self._clock.now()):
             status = self._acquisition.status()
             self._check(status, now)

@@ -1,19 +1,25 @@
 """A mission as a sequence in time: set-points, pauses, marks, and steps repeated on request or because of bad data.
 
-`MissionSequencer` decides, `Schedule` knows where the run is in its mission. Run time in, set-points out: nothing here
-reads a clock.
+`MissionSequencer` decides, `Schedule` knows where the run is in its mission; `CommandFollower` takes the set-points of
+somebody else instead. Run time in, set-points out: nothing here reads a clock.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple, Protocol
 
+import numpy as np
+
+from bench.execution.link_test import NEUTRAL
 from bench.execution.tare import windows_of
-from daq.acquisition import Status
-from daq.config import Mission
-from daq.errors import counted
+from daq.acquisition import Status, StreamedSample
+from daq.config import Mission, Segment
+from daq.errors import SafetyStop, SeatrialError, counted
+from daq.rig import Rig
+from daq.tools import FLOOD, ReceivedCommand
 
 GAP_PART = 0.5  # of the guard's patience: so long a silence spoils a step without ending the run
 Row = tuple[float, dict[str, float]]  # run time, n_cmd by thruster
@@ -153,6 +159,120 @@ class MissionSequencer:
 def _counts(status: Status) -> tuple[int, ...]:
     ports = status.ports.values()
     return status.skipped, sum(port.dropped for port in ports), sum(port.reconnects for port in ports)
+
+
+FOLLOW = "follow"
+
+
+def follow_plan(rig: Rig, seconds: float, n_max: float | None, slew: float) -> Mission:
+    """A mission without set-points of its own: all thrusters, for so many run seconds, up to `n_max` (by default the
+    rig's), changing by `slew` [1/s] at most. Raises SeatrialError where the rig takes no commands."""
+    if not rig.ros2.commands:
+        raise SeatrialError(f"{rig.path}: nobody may command its thrusters: it has no `commands = true` in [ros2]")
+    if not rig.thrusters:
+        raise SeatrialError(f"{rig.path}: has no [[thruster]] to command")
+    if n_max is not None and n_max > rig.limits.n_max:
+        raise SeatrialError(f"{rig.path}: --n-max {n_max:g} is beyond limits.n_max = {rig.limits.n_max:g}")
+    names = tuple(thruster.name for thruster in rig.thrusters)
+    segment = Segment(FOLLOW, np.zeros(1), np.zeros((1, len(names))))
+    limit = rig.limits.n_max if n_max is None else n_max
+    return Mission(FOLLOW, "mission", names, (segment,), seconds, limit, slew, "seatrial mission follow")
+
+
+class CommandSource(Protocol):
+    """Whose commands are followed, and who is told the samples (daq.tools.Ros2Node)."""
+
+    def put(self, samples: Sequence[StreamedSample], dropped: int) -> None:
+        """Samples that were logged; never waits."""
+
+    def take(self) -> Mapping[str, Sequence[ReceivedCommand]]:
+        """The commands since the last call by thruster, oldest first; never waits."""
+
+
+class CommandFollower(MissionSequencer):
+    """Follows commands as they come: within the mission's n_max and slew rate, and zero without them.
+
+    As with a transmitter, neutral comes first: at the start and after each silence or pause nothing moves before every
+    thruster is commanded zero. A command that is none, or beyond n_max, a second sender and a flood end the run.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        start: float,
+        timeout: float,
+        acquisition: EventSink,
+        say: Callable[[str], None],
+        source: CommandSource,
+    ) -> None:
+        """`timeout` [run s] without a command of a thruster, after which thrust is zero."""
+        super().__init__(mission, start, 0.0, acquisition, lambda device: math.inf, say)
+        self._mission, self._timeout, self._source = mission, timeout, source
+        source.take()  # what came before the devices were ready is old
+        self._follows, self._stepped = False, start
+        self._heard: dict[str, tuple[float, ReceivedCommand]] = {}  # when, and what, by thruster
+        self._n = dict.fromkeys(mission.thrusters, 0.0)  # as scheduled last
+
+    @property
+    def segment(self) -> str:
+        """What it does."""
+        return FOLLOW if self._follows else "waiting for zero"
+
+    def step(self, now: float, ahead: float, status: Status, keys: str = "") -> None:
+        """Take what came, then schedule the set-points of now. Raises SafetyStop."""
+        for key in keys:
+            self._press(key, now)
+        for name, received in self._source.take().items():
+            if len(received) >= FLOOD:
+                raise SafetyStop(f"commands for {name} come too fast: {len(received)} at once")
+            for command in received:
+                self._hear(name, command, now)
+        dt, self._stepped = max(now - self._stepped, 0.0), now
+        if self.paused:
+            return
+        silent = [name for name in self._mission.thrusters if not self._age(name, now) <= self._timeout]
+        if silent:
+            self._stop_following(f"no command for {', '.join(silent)}")
+        elif not self._follows and all(abs(command.n) <= NEUTRAL for _, command in self._heard.values()):
+            self._follows = True
+            self._acquisition.mark(FOLLOW, "commands are followed from here on")
+            self._say("commands are followed")
+        if not self._follows:
+            return
+        most = self._mission.slew_per_s * dt
+        wanted = {name: self._heard[name][1].n for name in self._n}
+        self._send(now, {name: n + min(max(wanted[name] - n, -most), most) for name, n in self._n.items()})
+
+    def _hear(self, name: str, command: ReceivedCommand, now: float) -> None:
+        if not abs(command.n) <= self._mission.n_max:  # NaN neither
+            most = f"{self._mission.n_max:g}"
+            raise SafetyStop(f"command n = {command.n:g} for {name}: only -{most} to {most} is followed")
+        before = self._heard.get(name)
+        if before is not None and now - before[0] <= self._timeout and before[1].sender != command.sender:
+            raise SafetyStop(f"two senders command {name}")
+        self._heard[name] = now, command
+
+    def _age(self, name: str, now: float) -> float:
+        return now - self._heard[name][0] if name in self._heard else math.inf
+
+    def _send(self, now: float, n: dict[str, float]) -> None:
+        if n != self._n:
+            self._n = n
+            self._acquisition.schedule([(now, n)])
+            self.commanded += len(n)
+
+    def _stop_following(self, why: str) -> None:
+        """Zero as a set-point, which a stop of the acquisition's own outlasts: only an operator's zero ends that."""
+        if self._follows:
+            self._follows = False
+            self._send(self._stepped, dict.fromkeys(self._n, 0.0))
+            self._acquisition.mark("silence", why)
+            self._say(f"thrust is zero: {why}; waiting for zero from every thruster's sender")
+
+    def _again(self, now: float) -> None:
+        """After a pause or a repetition, both at zero thrust: neutral first."""
+        self._follows, self._heard = False, {}
+        self._n = dict.fromkeys(self._n, 0.0)
 
 
 class ScheduledSegment(NamedTuple):

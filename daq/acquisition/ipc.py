@@ -3,7 +3,8 @@
 | from | to | messages |
 |---|---|---|
 | parent | acquisition process | Configuration first; ParentAlive, Schedule, ZeroThrust, LogEvent, DriverRequest, Stop |
-| acquisition process | parent | StatusReport, then Failed or Closed as the last |
+| | | StreamSamples, once |
+| acquisition process | parent | StatusReport, SampleBatch, then Failed or Closed as the last |
 | acquisition process | watchdog | WatchdogConfiguration first, then heartbeats of one byte: ACTIVE, IDLE, FINISHED |
 | watchdog | acquisition process | WatchdogReady first, then an answer of one byte to heartbeats |
 
@@ -22,7 +23,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from daq.acquisition.status import Status, from_json, to_json
+from daq import samples
+from daq.acquisition.status import Status, StreamedSample, fields_of, from_json, to_json
 
 ACTIVE, IDLE, FINISHED = b"1", b"0", b"q"  # heartbeats: thrust is commanded; it is not; nothing is left to watch
 ANSWER = b"a"  # of the watchdog
@@ -81,6 +83,11 @@ class DriverRequest:
 
 
 @dataclass(frozen=True)
+class StreamSamples:
+    """From here on the samples that are logged are sent to the parent, too."""
+
+
+@dataclass(frozen=True)
 class Stop:
     """Zero thrust, close the log and end."""
 
@@ -90,6 +97,14 @@ class StatusReport:
     """The state of the acquisition, sent every 50 ms."""
 
     status: Status
+
+
+@dataclass(frozen=True)
+class SampleBatch:
+    """Samples that were logged, oldest first, and how many of all could not be sent."""
+
+    samples: Sequence[StreamedSample]
+    dropped: int
 
 
 @dataclass(frozen=True)
@@ -122,8 +137,8 @@ class WatchdogReady:
 
 
 Message = (
-    Configuration | ParentAlive | ScheduleSetpoints | ZeroThrust | LogEvent | DriverRequest | Stop
-    | StatusReport | Failed | Closed | WatchdogConfiguration | WatchdogReady
+    Configuration | ParentAlive | ScheduleSetpoints | ZeroThrust | LogEvent | DriverRequest | StreamSamples | Stop
+    | StatusReport | SampleBatch | Failed | Closed | WatchdogConfiguration | WatchdogReady
 )  # fmt: skip
 _TYPES: dict[str, type[Message]] = {kind.__name__: kind for kind in Message.__args__}
 
@@ -135,6 +150,10 @@ def encode_message(message: Message) -> bytes:
         values["attachments"] = {name: base64.b64encode(data).decode() for name, data in message.attachments.items()}
     elif isinstance(message, StatusReport):
         values["status"] = to_json(message.status)
+    elif isinstance(message, SampleBatch):
+        values["samples"] = [
+            [device, type(sample).__name__, fields_of(sample), t] for device, sample, t in message.samples
+        ]
     return json.dumps([type(message).__name__, values], separators=(",", ":")).encode() + b"\n"
 
 
@@ -146,6 +165,11 @@ def decode_message(line: bytes | bytearray) -> Message:
         values["attachments"] = {name: base64.b64decode(text) for name, text in values["attachments"].items()}
     elif kind is StatusReport:
         values["status"] = from_json(values["status"])
+    elif kind is SampleBatch:
+        values["samples"] = [
+            StreamedSample(device, getattr(samples, kind_name)(*fields), t)
+            for device, kind_name, fields, t in values["samples"]
+        ]
     return kind(**values)
 
 

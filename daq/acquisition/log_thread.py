@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
+from daq.acquisition.status import StreamedSample
 from daq.clock import RunClock
 from daq.errors import SeatrialError
 from daq.log import Recorder
@@ -18,6 +19,7 @@ from daq.samples import Event, Frame, PortHealth
 QUEUE_ITEMS = 20_000
 WRITE_S = 0.01  # wall
 HEALTH_S = 1.0
+STREAM_SAMPLES = 5_000  # that wait for the parent at most
 DELETED = "the log was deleted while it is recorded: what comes now is lost"
 
 
@@ -54,6 +56,31 @@ class LogSink:
         return out
 
 
+class SampleStream:
+    """The samples that were logged, for the parent: the log thread puts, the main thread takes; neither ever waits."""
+
+    def __init__(self, limit: int = STREAM_SAMPLES) -> None:
+        self._samples: deque[StreamedSample] = deque()
+        self._limit = limit
+        self.dropped = 0
+
+    def put(self, sample: StreamedSample) -> None:
+        """Append a sample, or count it as dropped where those before it were not taken."""
+        if len(self._samples) < self._limit:
+            self._samples.append(sample)
+        else:
+            self.dropped += 1
+
+    @property
+    def waiting(self) -> int:
+        """How many there are to take."""
+        return len(self._samples)
+
+    def take(self, most: int) -> list[StreamedSample]:
+        """Remove and return the oldest."""
+        return [self._samples.popleft() for _ in range(min(most, len(self._samples)))]
+
+
 class LogThread(threading.Thread):
     """Empties the queue into the log. The only thread that touches the recorder."""
 
@@ -64,6 +91,7 @@ class LogThread(threading.Thread):
         self._recorder, self._sink, self._health_of, self._clock = recorder, sink, health, clock
         self._ending = threading.Event()
         self.messages = 0
+        self.stream: SampleStream | None = None  # while somebody wants the samples
         self.size = recorder.size
         self.failure = ""
         self.alarm = ""  # why nothing is kept now, though it may be again
@@ -108,6 +136,8 @@ class LogThread(threading.Thread):
                 else:
                     self._recorder.write(item.device, frame, t)
                     self.messages += 1
+                    if self.stream is not None:
+                        self.stream.put(StreamedSample(item.device, frame.sample, t))
 
     def _health(self) -> None:
         for device, health in self._health_of().items():

@@ -27,11 +27,13 @@ from daq.acquisition.ipc import (
     LogEvent,
     Message,
     ParentAlive,
+    SampleBatch,
     ScheduleSetpoints,
     Stop,
+    StreamSamples,
     ZeroThrust,
 )
-from daq.acquisition.log_thread import WRITE_S, LogItem, LogSink, LogThread
+from daq.acquisition.log_thread import WRITE_S, LogItem, LogSink, LogThread, SampleStream
 from daq.acquisition.status_reporter import StatusReporter
 from daq.acquisition.watchdog import Heartbeat
 from daq.clock import RunClock
@@ -47,6 +49,7 @@ from daq.transport import make_port
 
 STATUS_S = 0.05  # wall, as all of these
 SILENCE_S = 0.25  # the parent, while thrust is commanded
+BATCH = 100  # samples of one message to the parent: some 25 kB, which a socket that may be written takes at once
 RECORD_ON_S = 1.0  # after a stop that the parent did not request
 RETURN_S = 3.0  # for a thruster's port that was lost to come back, so that it gets its zero
 
@@ -101,6 +104,7 @@ class Process:
             if now >= status_at:
                 status_at = now + STATUS_S
                 self._report()
+                self._send_samples()
             ready, _, _ = select.select([self._link], [], [], max(status_at - time.monotonic(), 0.0))
             if ready:
                 self._listen()
@@ -175,6 +179,8 @@ class Process:
                 self._event(message.kind, message.text)
             case DriverRequest():
                 self._loops[message.device].request(message.action, message.value)
+            case StreamSamples():
+                self._writer.stream = self._writer.stream or SampleStream()
             case Stop():
                 self._end("closed as asked", unrequested=False)
 
@@ -244,6 +250,16 @@ class Process:
             return False
         now = time.monotonic()
         return since > RETURN_S or all(loop.is_at_zero(now) for loop in self._loops.values())
+
+    def _send_samples(self) -> None:
+        """Send the samples that somebody wants, but never wait for a parent that reads none: it has to be noticed."""
+        if (stream := self._writer.stream) is None:
+            return
+        for _ in range(0, stream.waiting, BATCH):
+            if not select.select([], [self._link], [], 0.0)[1]:
+                return
+            with contextlib.suppress(OSError):  # whether the parent is gone is seen by the next status
+                self._link.send(SampleBatch(stream.take(BATCH), stream.dropped))
 
     def _report(self) -> None:
         try:

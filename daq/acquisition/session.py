@@ -25,12 +25,14 @@ from daq.acquisition.ipc import (
     LogEvent,
     Message,
     ParentAlive,
+    SampleBatch,
     ScheduleSetpoints,
     StatusReport,
     Stop,
+    StreamSamples,
     ZeroThrust,
 )
-from daq.acquisition.status import Status
+from daq.acquisition.status import Status, StreamedSample
 from daq.clock import RunClock
 from daq.drivers import LinkRole
 from daq.errors import SeatrialError
@@ -71,6 +73,7 @@ class Acquisition:
         self._attachments, self._metadata = dict(attachments or {}), dict(metadata or {})
         self._changed = threading.Condition()
         self._status: Status | None = None
+        self._take_samples: Callable[[Sequence[StreamedSample], int], None] | None = None
         self._failure = ""
         self._gone = False  # the process has closed its side of the socket
         self._ended = ""  # why it ended by itself, in good order
@@ -151,6 +154,14 @@ class Acquisition:
         """Write an event to the log."""
         self._send(LogEvent(kind, text))
 
+    def stream(self, take: Callable[[Sequence[StreamedSample], int], None]) -> None:
+        """From here on give every sample that is logged to `take`, twenty times a second, and how many were dropped.
+
+        `take` is called by the thread that receives the status: it must neither wait nor raise.
+        """
+        self._take_samples = take
+        self._send(StreamSamples())
+
     def request(self, device: str, action: str, value: float = 0.0) -> None:
         """Request an autopilot to `arm`, `disarm` or change its `mode`; the answer is in `Status.links`."""
         self.rig.device(device)
@@ -218,6 +229,9 @@ class Acquisition:
     def _listen(self) -> None:
         closed = False
         for message in self._link.messages():
+            if isinstance(message, SampleBatch) and self._take_samples is not None:
+                self._take_samples(message.samples, message.dropped)
+                continue
             with self._changed:
                 if isinstance(message, StatusReport):
                     self._status = message.status

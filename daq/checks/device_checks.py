@@ -56,6 +56,7 @@ def check_devices(log: Log) -> Iterator[Finding]:
         yield Finding(FAULT, "clock-ran-back", "clock", topic, text, "two clocks, or one that was set?")
     for source, tables in _tables(log).items():
         t = np.sort(np.concatenate([table["t"] for _, _, table in tables]))
+        tables = [row for row in tables if len(row[2])]  # a part of a log may have none
         yield from _rate(source, t, rig, tables)
         for _, name, table in tables:
             yield from check_timestamps(name, table, log.end if rig else None, rig.speed if rig else 1.0)
@@ -285,9 +286,13 @@ def _controllers(log: Log) -> Iterator[Finding]:
             if len(t) < 20 or np.isnan(rpm).all():
                 continue
             edges = np.flatnonzero(np.concatenate([[True], rpm[1:] != rpm[:-1], [True]]))
-            for a, b in zip(edges[:-1], edges[1:] - 1, strict=True):
-                during = told["n_cmd"][(told["t"] > t[a]) & (told["t"] < t[b] - 1.0)]
-                if rpm[a] != 0.0 and t[b] - t[a] > 2.0 and during.size > 1 and np.ptp(during) > STEP:
+            first, last = edges[:-1], edges[1:] - 1
+            held = (rpm[first] != 0.0) & (t[last] - t[first] > 2.0)
+            order = np.argsort(told["t"], kind="stable")
+            t_told, n_told = told["t"][order], told["n_cmd"][order]
+            for a, b in zip(first[held], last[held], strict=True):
+                during = n_told[np.searchsorted(t_told, t[a], "right") : np.searchsorted(t_told, t[b] - 1.0)]
+                if during.size > 1 and np.ptp(during) > STEP:
                     text = f"{rpm[a]:.0f} rev/min for {t[b] - t[a]:.1f} s while its command changed"
                     yield Finding(
                         FAULT, "shaft-speed-stuck", "stuck", f"{source} node {node}", text, "its sensor, or the bus"

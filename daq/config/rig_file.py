@@ -29,6 +29,7 @@ from daq.rig import (
     LoadCellCalibration,
     MavlinkSettings,
     Rig,
+    Ros2,
     Segments,
     Thruster,
 )
@@ -55,6 +56,7 @@ def parse_rig(text: str, source: Path | str) -> Rig:
     speed = _speed(root)
     directory, segments = _log(root)
     live = _live(root.table("live"))
+    ros2 = _ros2(root.table("ros2"))
     devices = tuple(_device(table, folder) for table in root.tables("device"))
     if not devices:
         raise root.error("device", "missing; a rig needs at least one [[device]]")
@@ -66,7 +68,7 @@ def parse_rig(text: str, source: Path | str) -> Rig:
     limits = _limits(root.table("limits"))
     vehicle = _vehicle(root.table("vehicle"))
     root.done()
-    return Rig(name, path, text, speed, folder / directory, devices, thrusters, limits, vehicle, segments, live)
+    return Rig(name, path, text, speed, folder / directory, devices, thrusters, limits, vehicle, segments, live, ros2)
 
 
 def default_decoder(protocol: str) -> Decoder:
@@ -111,6 +113,25 @@ def _live(table: TomlTable | None) -> Live:
         return Live()
     port = table.integer("port", Live.port, low=0, high=65535)
     found = Live(table.text("host", Live.host), port, table.texts("origins", Live.origins))
+    table.done()
+    return found
+
+
+def _ros2(table: TomlTable | None) -> Ros2:
+    if table is None:
+        return Ros2()
+    router, namespace = table.text("router", Ros2.router), table.text("namespace", Ros2.namespace)
+    if not re.fullmatch(r"tcp/([\w.-]+|\[[0-9a-fA-F:]+\]):\d{1,5}", router, re.ASCII):
+        raise table.error("router", f"must be tcp/HOST:PORT, not '{router}'")
+    if namespace and not NAME.fullmatch(namespace):
+        raise table.error("namespace", f"'{namespace}' becomes a part of topics: a letter, then letters, digits or _")
+    found = Ros2(
+        router,
+        table.integer("domain", Ros2.domain, low=0, high=232),
+        namespace,
+        table.flag("commands", Ros2.commands),
+        table.number("timeout_s", Ros2.timeout_s, low=0.05, high=2.0),
+    )
     table.done()
     return found
 

@@ -166,7 +166,7 @@ def _write(
 ) -> None:
     in_file = rows
     rows = sorted(rows, key=lambda row: row.frame.t_rx)
-    if rows[0].frame.t_rx < 0.0 or rows[-1].frame.t_rx >= 2**31:
+    if not all(0.0 <= t < 2**31 for row in rows for t in (row.frame.t_rx, row.t)):
         raise SeatrialError(f"{out}: the file's times do not lie between 1970 and 2038")
     said = ((device, row.frame, row.frame.t_rx) for row in in_file if not isinstance(row.frame.sample, Event))
     steps = clock_steps(said)

@@ -79,6 +79,10 @@ KNOWN: dict[str, tuple[Row, ...]] = {
         _vector("position", "x y", "pose.pose.position.x pose.pose.position.y", "m", 1),
         _heading("pose.pose.orientation.", 1),
     ),
+    "TransformStamped": (
+        _vector("position", "x y", "transform.translation.x transform.translation.y", "m", 2),
+        _heading("transform.rotation.", 2),
+    ),
     "Pose": (_vector("position", "x y", "position.x position.y", "m", 1), _heading("orientation.", 1)),
     "Pose2D": (_vector("position", "x y", "x y", "m", 1), _vector("heading", "psi", "theta", "rad", 1, _UNWRAP)),
     "vehicle_local_position": (
@@ -121,6 +125,7 @@ KNOWN["vehicle_gps_position"] = KNOWN["sensor_gps"]
 CAVEATS = {
     "actuator_motors": "PX4's motor 1 is taken for the right one, 2 for the left, as on its differential rovers",
     "actuator_outputs": "output 1 is taken for the right thruster, 2 for the left; 1500 us for rest, 400 us for full",
+    "TransformStamped": "a pose of /tf: who makes it, and how often it is new, the bag does not say",
     "RCOut": "outputs 1 and 3 are taken for left and right, as ArduPilot has them; 1500 us for rest, 400 us for full",
 }
 SETPOINT = re.compile(
@@ -205,6 +210,8 @@ def message_candidates(table: Table) -> list[Candidate]:
     rows = KNOWN.get(kind, ())
     if kind in ("TwistStamped", "Twist", "TwistWithCovarianceStamped"):
         rows = _twist(table, {"Twist": "", "TwistStamped": "twist."}.get(kind, "twist.twist."))
+    if kind == "TransformStamped" and not _is_pose(table):
+        rows = ()
     if kind == "Vector3Stamped" and re.search("(?i)vel", table.topic):
         rows = (_vector("velocity", "vx vy", "vector.x vector.y", "m/s", 0),)
     found = []
@@ -214,6 +221,11 @@ def message_candidates(table: Table) -> list[Candidate]:
             behind = BEHIND if SETPOINT.search(table.topic) else 0
             found.append(Candidate(group, rank + behind, table, signals, CAVEATS.get(kind, "")))
     return found
+
+
+def _is_pose(table: Table) -> bool:
+    """Whether a transform places what moves: from a frame of the earth to one that is none."""
+    return table.frame_id.strip("/") in _EARTH_FRAMES and table.topic.rpartition(":")[2] not in _EARTH_FRAMES
 
 
 def _twist(table: Table, prefix: str) -> tuple[Row, ...]:

@@ -16,6 +16,7 @@ from daq.errors import SeatrialError
 from daq.importers.table import Column, SourceOptions, Table, ran_back
 
 IMU, FIX = "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix"
+TRANSFORM = "geometry_msgs/msg/TransformStamped"
 LONGEST = 16  # numbers of an array that become columns; images and clouds do not
 OTHER_CLOCK = 1.0  # s; stamps that are further from the receipt are of another clock
 _ROSBAGS = "bags of ROS need the package rosbags: pip install 'seatrial[ros2]'"
@@ -31,7 +32,8 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
     """The topics with numbers. Raises SeatrialError where the bag, or a topic that the map names, is not there.
 
     The time of a message is its header's stamp, or else when the bag got it. Stamps of another clock (a simulation's)
-    are moved to the bag's by the shortest delay between the two.
+    are moved to the bag's by the shortest delay between the two. Each pair of frames in a TFMessage is a topic of its
+    own: /tf:odom:base_link.
     """
     try:
         from rosbags.highlevel import AnyReader
@@ -42,20 +44,29 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             there = {connection.topic for connection in reader.connections}
-            for topic in sorted(options.topics - there):
+            named = {topic.partition(":")[0] for topic in options.topics}
+            for topic in sorted(named - there):
                 raise SeatrialError(f"{path}: no topic {topic}; there is: {', '.join(sorted(there)) or 'none'}")
-            wanted = [c for c in reader.connections if not options.topics or c.topic in options.topics]
+            wanted = [c for c in reader.connections if not named or c.topic in named]
             for connection, log_ns, data in reader.messages(connections=wanted):
                 try:
                     message = reader.deserialize(data, connection.msgtype)
                 except KeyError:  # of a type that neither the bag nor the library defines
                     continue
-                topics.setdefault(connection.topic, _Topic(connection.msgtype)).add(1e-9 * log_ns, message)
+                if isinstance(transforms := getattr(message, "transforms", None), list):
+                    for one in transforms:
+                        name = f"{connection.topic}:{one.header.frame_id.strip('/')}:{one.child_frame_id.strip('/')}"
+                        topics.setdefault(name, _Topic(TRANSFORM)).add(1e-9 * log_ns, one)
+                else:
+                    topics.setdefault(connection.topic, _Topic(connection.msgtype)).add(1e-9 * log_ns, message)
+            for topic in sorted(one for one in options.topics - topics.keys() if ":" in one):
+                raise SeatrialError(f"{path}: no transform {topic}; there is: {', '.join(sorted(topics)) or 'none'}")
     except SeatrialError:
         raise
     except Exception as error:  # rosbags has errors of many kinds for a file that is none, or damaged
         raise SeatrialError(f"{path}: cannot be read as a bag of ROS: {' '.join(str(error).split())}") from error
-    return [table for topic, one in topics.items() if (table := one.table(path, topic)).columns]
+    asked = [(topic, one) for topic, one in topics.items() if not options.topics or topic in options.topics]
+    return [table for topic, one in asked if (table := one.table(path, topic)).columns]
 
 
 class _Topic:

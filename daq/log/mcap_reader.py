@@ -177,9 +177,10 @@ class RawLog:
         self._warn(f"more messages than {self._size} bytes can hold in earnest: what follows is left out")
         return True
 
-    def verify(self) -> None:
-        """Read what was not read yet, for its warnings."""
-        for number in np.flatnonzero(self._seen == 0).tolist():
+    def verify(self, begin_ns: int = 0, end_ns: int = LAST_NS) -> None:
+        """Read what was not read yet, of chunks with these log times, for its warnings."""
+        inside = (self._chunks["end_ns"] >= begin_ns) & (self._chunks["begin_ns"] <= end_ns)
+        for number in np.flatnonzero(inside & (self._seen == 0)).tolist():
             with contextlib.suppress(*DAMAGE):
                 self._chunk(number)
 

@@ -10,6 +10,7 @@ Killed and truncated files open like any other, with all complete messages; `log
 from __future__ import annotations
 
 import contextlib
+import copy
 import hashlib
 import importlib
 from collections import Counter
@@ -42,6 +43,7 @@ _COMPANIONS = {  # of an Imu: topics that have the rest of its sample, and which
     "mag": (schema.MAG, {f"m{axis}": f"magnetic_field.{axis}" for axis in "xyz"}),
 }
 _LITTLE = int.from_bytes(ENCAPSULATION[:2], "little")
+_WHOLE = (0, LAST_NS)
 
 
 def open_log(path: Path | str) -> Log:
@@ -71,6 +73,16 @@ class Log:
                 self.metadata.update(record.metadata)
         self.attachments = {record.name: record.data for record in self._file.attachments}
         self.start, self.end = (ns / NANO for ns in self._file.span_ns or (0, 0))
+        self._span_ns = _WHOLE
+
+    def part(self, begin: float, end: float) -> Log:
+        """The log as if it had only what was received from `begin` to before `end` [s since 1970]: the rest is not
+        read. What is counted (`counts`, sources and nodes) is that of the whole log, and so is `sha256`."""
+        found = copy.copy(self)
+        found.__dict__.pop("_spacing", None)
+        found._span_ns = _span_ns(begin, end, self._span_ns)
+        found.start, found.end = max(self.start, begin), max(min(self.end, end), begin)
+        return found
 
     def __enter__(self) -> Log:
         return self
@@ -85,7 +97,7 @@ class Log:
     @property
     def warnings(self) -> list[str]:
         """What is wrong with the file; reads what was not read yet."""
-        self._file.verify()
+        self._file.verify(*self._span_ns)
         return [*self._file.warnings, *([self._note] if self._note else [])]
 
     @property
@@ -158,7 +170,7 @@ class Log:
         """Of all topics, by one reading of the file."""
         found = {topic: _Spacing() for topic in self.counts}
         topics = {number: channel.topic for number, channel in self._file.channels.items()}
-        for messages in self._file.read():
+        for messages in self._file.read(None, *self._span_ns):
             channel, stamp = messages.heads["channel"], messages.heads["stamp_ns"] / NANO
             for number in np.unique(channel).tolist():
                 found[topics[number]].add(stamp[channel == number])
@@ -217,7 +229,7 @@ class Log:
         if kind is Esc or kind is Command or kind is Servo:
             node = self._only_node(kind, source, node)
         topic = schema.topic(kind, source, node)
-        span = (max(0, round(begin * NANO)), LAST_NS if end >= LAST_NS / NANO else max(0, round(end * NANO)))
+        span = _span_ns(begin, end, self._span_ns)
         try:
             return self._ahrs(topic, source, span) if kind is Ahrs else self._own(kind, topic, span)
         except MemoryError:
@@ -278,7 +290,7 @@ class Log:
         return self._in_order(table.done(), topic, span)
 
     def _in_order(self, table: NDArray[np.void], topic: str, span: tuple[int, int]) -> NDArray[np.void]:
-        if not len(table) and span == (0, LAST_NS):
+        if not len(table) and span == _WHOLE:
             raise self._error(f"no message on {topic} is readable")
         # Estimates of the clock may jitter; the order of the samples is the device's and is kept.
         np.maximum.accumulate(table["t"], out=table["t"])
@@ -312,7 +324,7 @@ class Log:
     def messages(self) -> Iterator[tuple[int, str, bytes]]:
         """Every message as it stands: log time [ns since 1970], topic, data; in the order written."""
         topics = {number: channel.topic for number, channel in self._file.channels.items()}
-        for messages in self._file.read():
+        for messages in self._file.read(None, *self._span_ns):
             heads = (messages.heads[name].tolist() for name in ("log_ns", "channel"))
             for log_ns, channel, data in zip(*heads, messages.payloads(), strict=True):
                 yield log_ns, topics[channel], bytes(data)
@@ -386,7 +398,7 @@ class Log:
 
     def _whole(self, topic: str, type_name: str) -> Iterator[tuple[float, np.void, tuple[bytes, ...]]]:
         """Stamp, fixed part and variable fields of each message of a topic, in the order written."""
-        for messages in self._file.read(self._channels(topic, type_name)):
+        for messages in self._file.read(self._channels(topic, type_name), *self._span_ns):
             rows = self._rows(messages, topic, type_name)
             for t, row, data in zip(stamps(rows), rows, messages.payloads(), strict=True):
                 found = cdr_layout(type_name, b"\0" * (int(row["n_frame"]) - 1))
@@ -395,6 +407,12 @@ class Log:
                 except ValueError as error:
                     raise self._error(f"a message on {topic} is no {type_name}") from error
                 yield float(t), row, tail
+
+
+def _span_ns(begin: float, end: float, within: tuple[int, int]) -> tuple[int, int]:
+    """From s to ns since 1970, and within another."""
+    first, last = (LAST_NS if t >= LAST_NS / NANO else max(0, round(t * NANO)) for t in (begin, end))
+    return max(first, within[0]), min(last, within[1])
 
 
 def _layout(type_name: str, n_frame: int, lacking: tuple[str, ...]) -> CdrLayout | None:

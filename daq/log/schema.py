@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.log.cdr import doubles
+from daq.log.cdr import cdr_layout, doubles
 from daq.samples import (
     WGS84_ECCENTRICITY_2,
     WGS84_SEMI_MAJOR_AXIS,
@@ -77,6 +77,10 @@ class Message(NamedTuple):
     type_name: str
     frame_id: str
     values: tuple[float | bytes, ...]
+
+    def pack(self, stamp_ns: int) -> bytes:
+        """The message in CDR."""
+        return cdr_layout(self.type_name, self.frame_id.encode()).pack(stamp_ns, *self.values)
 
 
 def field_names(kind: type[Measured]) -> list[str]:

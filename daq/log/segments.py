@@ -92,10 +92,10 @@ class SegmentedLog:
         """Those of all files, as far as they were read."""
         return [f"{raw.path.name}: {text}" for raw in self.files for text in raw.warnings] + self._warnings
 
-    def verify(self) -> None:
-        """Read what was not read yet, for its warnings."""
+    def verify(self, begin_ns: int = 0, end_ns: int = LAST_NS) -> None:
+        """As `RawLog.verify`, of all files."""
         for raw in self.files:
-            raw.verify()
+            raw.verify(begin_ns, end_ns)
             raw.close()
 
     def read(

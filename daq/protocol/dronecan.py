@@ -95,7 +95,7 @@ def unpack(payload: bytes, reversed_nodes: frozenset[int] = frozenset()) -> Esc:
 
 def encode(esc: Esc, source: int, number: int) -> list[tuple[int, bytes]]:
     """The frames (identifier, data) by which node `source`, 1..127, reports `esc` in its transfer `number`."""
-    values = [0.0 if value != value else value for value in (esc.voltage, esc.current, esc.temperature + KELVIN)]
+    values = (esc.voltage, esc.current, esc.temperature + KELVIN)  # NaN where it is not known, as DSDL has it
     rpm = round(0.0 if esc.rpm != esc.rpm else min(max(esc.rpm, -131072), 131071)) & 0x3FFFF
     payload = _HEAD.pack(0, *values, rpm & 0xFFFF) + bytes((rpm >> 16 << 6, (esc.node & 0x1F) << 2))
     return frames_of(STATUS, payload, source, number)

@@ -1,4 +1,4 @@
-"""Tools on ports and logs: discovery, live table, info, export, replay."""
+"""Tools on ports and logs: discovery, live table, live ROS 2, info, export, replay."""
 
 import lazy_loader
 

@@ -11,3 +11,6 @@ from .live_table import log_summary as log_summary
 from .live_table import watch as watch
 from .replay import replay_log as replay_log
 from .ros_export import export_ros as export_ros
+from .ros_live import FLOOD as FLOOD
+from .ros_live import ReceivedCommand as ReceivedCommand
+from .ros_live import Ros2Node as Ros2Node

@@ -200,7 +200,8 @@ def identify_autopilot(port: str, baud: int, ask: bool) -> DiscoveredDevice:
         t = ears.attitudes
         rate = (len(t) - 1) / (t[-1] - t[0]) if len(t) > 1 and t[-1] > t[0] else math.nan
         signed = ears.decoder.signed > 0
-        says = f"{vehicle}, system {system}{', it signs its frames' * signed}"
+        driven = "" if vehicle == ROVER else f"; only {ROVER} is driven, this is logged"
+        says = f"{vehicle}, system {system}{', it signs its frames' * signed}{driven}"
         return DiscoveredAutopilot(port, "", "mavlink", baud, rate, says, "", vehicle, system, signed, ears.parameters)
     except PortError as error:
         return DiscoveredDevice(port, "", says=str(error))

@@ -20,7 +20,7 @@ from typing import Any
 
 from daq.acquisition import Source, Status
 from daq.errors import SeatrialError
-from daq.log import NANO, cdr_layout, full_definition, schema
+from daq.log import NANO, full_definition, schema
 from daq.rig import Rig
 from daq.samples import NAN, Frame
 
@@ -97,8 +97,7 @@ class LiveServer:
             self._sent[source] = latest.t
             t_ns = round(latest.t * NANO)
             for message in schema.messages(source[0], Frame(latest.sample, latest.t, NAN)):
-                data = cdr_layout(message.type_name, message.frame_id.encode()).pack(t_ns, *message.values)
-                self._channel(message.topic, message.type_name).log(data, log_time=t_ns)
+                self._channel(message.topic, message.type_name).log(message.pack(t_ns), log_time=t_ns)
 
     def _channel(self, topic: str, type_name: str) -> Any:
         if topic not in self._channels:

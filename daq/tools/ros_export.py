@@ -16,8 +16,10 @@ from __future__ import annotations
 
 import heapq
 import json
+import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, replace
 from importlib import resources
 from operator import itemgetter
 from pathlib import Path
@@ -28,8 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import SeatrialError
-from daq.log import NANO, NODE_TOPICS, Log, local_ned, quaternion
-from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar, Servo
+from daq.log import NANO, NODE_TOPICS, Log, local_ned, quaternion, schema
+from daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, Scalar, Servo
 
 PACKAGE = "seatrial_msgs"
 BAG, PACKAGE_FOLDER, FOXGLOVE, PLOTJUGGLER = "bag", PACKAGE, "foxglove.json", "plotjuggler.xml"
@@ -54,24 +56,24 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ModuleNotFoundError as error:
         raise SeatrialError("bags of ROS 2 need the package rosbags: pip install 'seatrial[ros2]'") from error
     made = [folder / name for name in (BAG, PACKAGE_FOLDER, FOXGLOVE, PLOTJUGGLER)]
     for path in made:
         if path.exists() and not force:
             raise SeatrialError(f"{path}: is there already; --force replaces it, --out names another folder")
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    for definition in _definitions():
-        store.register(get_types_from_msg(definition.read_text(encoding="utf-8"), f"{PACKAGE}/msg/{definition.stem}"))
+    store = ros_types()
     ahrs = {source: log.table(Ahrs, source) for source in log.sources(Ahrs)}
-    added = [*(_imus(source, rows, store.types) for source, rows in ahrs.items()), _odometry(log, ahrs, store.types)]
+    added = [*(_imus(source, rows) for source, rows in ahrs.items()), _odometry(log, ahrs, store.types)]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for path in made[:2]:
             shutil.rmtree(path, ignore_errors=True)
         with Writer(made[0], version=9, storage_plugin=StoragePlugin.MCAP) as bag:
-            connections = {name: bag.add_connection(name, kind, typestore=store) for name, kind in log.types().items()}
+            kinds = {**log.types(), **{f"/ros/{source}/imu": schema.IMU for source in ahrs}}
+            connections = {
+                name: bag.add_connection(ros_topic(name), kind, typestore=store) for name, kind in kinds.items()
+            }
             for stamp_ns, name, told in heapq.merge(log.messages(), *added, key=itemgetter(0)):
                 if isinstance(told, bytes):
                     data = told
@@ -90,30 +92,30 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
     return made
 
 
+def ros_topic(topic: str) -> str:
+    """The name of a topic of ours in ROS 2, where no part begins with a digit (`ros2 bag play` leaves those out)."""
+    return re.sub(r"/(\d)", r"/node_\1", topic)
+
+
 # REP-103 ----------------------------------------------------------------------------------------------------------
 
 
-def _imus(source: str, rows: NDArray[np.void], types: Any) -> Iterator[RosMessage]:
+def rep_103_imu(device: str, sample: Ahrs) -> schema.Message:
+    """A message of the axes of REP-103, of a sample from forward, starboard, down and north: y and z turn round."""
+    turned = replace(
+        sample, yaw=np.pi / 2 - sample.yaw, pitch=-sample.pitch,
+        q=-sample.q, r=-sample.r, ay=-sample.ay, az=-sample.az, mx=np.nan, my=np.nan, mz=np.nan,
+    )  # fmt: skip
+    imu = schema.messages(device, Frame(turned, np.nan, np.nan))[-1]
+    known = tuple(0.0 if value != value else value for value in imu.values)  # what is unknown has a covariance of -1
+    return schema.Message(f"/ros/{device}/imu", imu.type_name, "base_link", known)
+
+
+def _imus(source: str, rows: NDArray[np.void]) -> Iterator[RosMessage]:
+    names = [field.name for field in fields(Ahrs)]
     for row in rows:
-        yield RosMessage(_ns(row["t"]), f"/ros/{source}/imu", _imu(row, types))
-
-
-def _imu(row: np.void, types: Any) -> Any:
-    """From forward, starboard, down and the attitude from north: y and z of the body turn round."""
-    angles = [float(row[name]) for name in ("yaw", "pitch", "roll")]
-    rates = [float(row[name]) for name in "pqr"]
-    forces = [float(row[name]) for name in ("ax", "ay", "az")]
-    level = [0.0 if np.isnan(angle) else angle for angle in angles]
-    known = not np.isnan(angles[0])
-    return types["sensor_msgs/msg/Imu"](
-        header=_header(row["t"], "base_link", types),
-        orientation=_quaternion(level, types),
-        orientation_covariance=_covariance(known),
-        angular_velocity=_vector(rates, types),
-        angular_velocity_covariance=_covariance(not np.isnan(sum(rates))),
-        linear_acceleration=_vector(forces, types),
-        linear_acceleration_covariance=_covariance(not np.isnan(sum(forces))),
-    )
+        message = rep_103_imu(source, Ahrs(*(float(row[name]) for name in names)))
+        yield RosMessage(_ns(row["t"]), message.topic, message.pack(_ns(row["t"])))
 
 
 def _odometry(log: Log, ahrs_of: Mapping[str, NDArray[np.void]], types: Any) -> Iterator[RosMessage]:
@@ -182,16 +184,9 @@ def _header(t: float, frame: str, types: Any) -> Any:
 
 
 def _vector(frd: Sequence[float] | Array, types: Any) -> Any:
-    """Forward, starboard, down -> forward, left, up; 0 where it is not known."""
-    x, y, z = (0.0 if np.isnan(value) else float(value) for value in frd)
+    """Forward, starboard, down -> forward, left, up."""
+    x, y, z = map(float, frd)
     return types["geometry_msgs/msg/Vector3"](x=x, y=-y, z=-z)
-
-
-def _covariance(known: bool) -> Array:
-    """Of sensor_msgs: all zero where only the covariance is unknown, -1 first where the quantity is."""
-    found = np.zeros(9)
-    found[0] = 0.0 if known else -1.0
-    return found
 
 
 def _quaternion(angles: Sequence[float], types: Any) -> Any:
@@ -212,6 +207,16 @@ def _rotation(yaw: float, pitch: float, roll: float) -> Array:
 
 
 # Interface package ------------------------------------------------------------------------------------------------
+
+
+def ros_types() -> Any:
+    """The types of ROS 2 and our own, as rosbags knows them. Raises ModuleNotFoundError."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for definition in _definitions():
+        store.register(get_types_from_msg(definition.read_text(encoding="utf-8"), f"{PACKAGE}/msg/{definition.stem}"))
+    return store
 
 
 def _definitions() -> list[Path]:
@@ -289,8 +294,8 @@ def _plots(log: Log) -> list[Plot]:
     for kind, field, title in ((Command, "n_cmd", "command [-1..1]"), (Esc, "rpm", "shaft speed [rev/min]"),
                                (Servo, "pwm", "pulse [us]")):  # fmt: skip
         for source in log.sources(kind):
-            nodes = log.nodes(kind, source)
-            found.append(Plot(f"{source}: {title}", [(f"/{source}/{n}/{NODE_TOPICS[kind]}", field) for n in nodes]))
+            topics = [ros_topic(f"/{source}/{n}/{NODE_TOPICS[kind]}") for n in log.nodes(kind, source)]
+            found.append(Plot(f"{source}: {title}", [(topic, field) for topic in topics]))
     for source in log.sources(LoadCell):
         found.append(Plot(f"{source}: force [N]", [(f"/{source}/counts", "force")]))
     for source in log.sources(Scalar):

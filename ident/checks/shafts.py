@@ -10,7 +10,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.checks import Finding
 from ident.checks.sensors import Channels
@@ -138,7 +137,9 @@ def _scale(name: str, found: Response) -> Iterator[Finding]:
 
 def response(told: Channel, shaft: Channel) -> Response | None:
     """The shaft's answer by a search over delay, time constant and dead band; None where it does not turn."""
-    t = np.arange(max(told.t[0], shaft.t[0]) + DELAYS[-1], min(told.t[-1] + 5.0, shaft.t[-1]), STEP)
+    longest = len(DELAYS) - 1
+    grid = np.arange(max(told.t[0], shaft.t[0]), min(told.t[-1] + 5.0, shaft.t[-1]), STEP)
+    t = grid[longest:]
     if t.size < 40:
         return None
     at = np.searchsorted(shaft.t, t)
@@ -148,10 +149,15 @@ def response(told: Channel, shaft: Channel) -> Response | None:
     used = near < max(0.5, 2.0 * float(np.median(np.diff(shaft.t))))
     if np.quantile(np.abs(n), 0.99) < MIN_SPEED * min(1.0, np.abs(told.value).max()):
         return None
-    commands = np.column_stack([sample_and_hold(told, t - delay) for delay in DELAYS])
+    command, n = sample_and_hold(told, grid), n if used.all() else np.where(used, n, 0.0)
+
+    def delayed(lagged: Array, delay: float) -> Array:
+        late = longest - round(delay / STEP)
+        x = lagged[late : late + n.size]
+        return x if used.all() else np.where(used, x, 0.0)
 
     def fitted(at: slice, band: float) -> LagFit:
-        data = LagData(_outside(commands[:, at], band), lambda lagged, _: _misfit(lagged, n, used)[0])
+        data = LagData(_outside(command, band), lambda lagged, delay: _misfit(delayed(lagged, delay), n)[0])
         return fit_first_order_lag([data], DELAYS[at], TIME_CONSTANTS, STEP, hold="backward", start="steady")
 
     linear = fitted(slice(None), 0.0)
@@ -160,12 +166,10 @@ def response(told: Channel, shaft: Channel) -> Response | None:
     for b in DEAD_BANDS.tolist():
         if (one := fitted(slice(max(k - 3, 0), k + 4), b)).misfit < best.misfit:
             best, band = one, b
-    past = _outside(commands[:, DELAYS.index(best.delay)], band)
-    lagged = first_order_lag(past, best.time_constant, STEP, hold="backward", start="steady")
-    total, gain = float(n[used] @ n[used]), 1.0 - best.misfit / max(linear.misfit, 1e-300)
-    return Response(
-        best.delay, best.time_constant, band, _misfit(lagged, n, used)[1], 1.0 - best.misfit / total, gain
-    )
+    lagged = first_order_lag(_outside(command, band), best.time_constant, STEP, hold="backward", start="steady")
+    total, gain = float(n @ n), 1.0 - best.misfit / max(linear.misfit, 1e-300)
+    scale = _misfit(delayed(lagged, best.delay), n)[1]
+    return Response(best.delay, best.time_constant, band, scale, 1.0 - best.misfit / total, gain)
 
 
 def _outside(command: Array, band: float) -> Array:
@@ -173,14 +177,13 @@ def _outside(command: Array, band: float) -> Array:
     return np.where(np.abs(command) < band, 0.0, command)
 
 
-def _misfit(x: Array, n: Array, used: NDArray[np.bool_]) -> tuple[float, float]:
+def _misfit(x: Array, n: Array) -> tuple[float, float]:
     """Squared error of n by a multiple of x, and that multiple."""
-    a, b = x[used], n[used]
-    size = float(a @ a)
+    size = float(x @ x)
     if size == 0.0:
-        return float(b @ b), 0.0
-    scale = float(a @ b) / size
-    e = b - scale * a
+        return float(n @ n), 0.0
+    scale = float(x @ n) / size
+    e = n - scale * x
     return float(e @ e), scale
 
 
@@ -198,11 +201,12 @@ def holds(told: Channel, shaft: Channel) -> list[Hold]:
     """The commands that were held for some seconds, with what the shaft made of them."""
     found = []
     for held in steady_segments(told.t, told.value, max(told.t[-1], shaft.t[-1])):
-        inside = (shaft.t >= held.start) & (shaft.t < held.end)
-        late = inside & (shaft.t > (held.start + held.end) / 2)
-        if held.duration >= MIN_HOLD and late.sum() >= 2:
-            settled = float(np.median(shaft.value[late]))
-            found.append(Hold(held.start, held.level, settled, shaft.t[inside], shaft.value[inside]))
+        if held.duration >= MIN_HOLD:
+            first, last = np.searchsorted(shaft.t, [held.start, held.end]).tolist()
+            late = slice(max(first, int(np.searchsorted(shaft.t, (held.start + held.end) / 2, "right"))), last)
+            if late.stop - late.start >= 2:
+                settled = float(np.median(shaft.value[late]))
+                found.append(Hold(held.start, held.level, settled, shaft.t[first:last], shaft.value[first:last]))
     return found
 
 

@@ -28,6 +28,7 @@ TURNS, DRIVEN = 0.15, 0.1  # standard deviation of the heading [rad]; command as
 # Standard deviations from sample to sample below which no sensor's noise is in a signal (rad, rad/s, m/s2, m, m/s).
 NO_NOISE = {"psi": 1e-4, "r": 1e-4, "ax": 1e-3, "ay": 1e-3, "x": 2e-3, "y": 2e-3, "vx": 1e-3, "vy": 1e-3, "u": 1e-3,
             "v": 1e-3}  # fmt: skip
+ESTIMATED = 0.03  # m: white noise of a position that is less than this is no receiver's but an estimator's
 FEWEST = 200  # samples
 
 
@@ -172,6 +173,11 @@ def check_smoothing(c: Channels) -> Iterator[Finding]:
 def smoothed(c: Channels) -> tuple[str, ...]:
     """The signals of motion in which no white noise is seen."""
     return tuple(n for n in MOTION if n in c and noise_floor(c[n]) < NO_NOISE[n])
+
+
+def estimated(c: Channels) -> bool:
+    """Whether the position is an estimator's output, or a receiver's with errors of that kind (fixed ambiguities)."""
+    return any(n in c and noise_floor(c[n]) < ESTIMATED for n in ("x", "y"))
 
 
 def noise_floor(channel: Channel) -> float:

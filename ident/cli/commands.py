@@ -35,6 +35,7 @@ from ident.cli.options import (
     run_workflow,
     trust_option,
     validate_option,
+    window_option,
 )
 
 
@@ -95,8 +96,7 @@ def _intervals(_context: click.Context, _parameter: click.Parameter, given: Sequ
     metavar="T0:T1",
     help="Withhold GNSS in this interval [s of the log]; may be repeated.",
 )
-@click.option("--from", "t_from", type=click.FloatRange(0.0), help="Start [s of the log].")
-@click.option("--to", "t_to", type=click.FloatRange(0.0), help="End [s of the log].")
+@window_option
 @click.option("--thruster", type=LOG, help="The static curve from command to thrust that the model was fitted with.")
 @rate_option
 @trust_option
@@ -174,6 +174,7 @@ ident.add_command(export)
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option("--seconds", type=click.FloatRange(2.0), default=30.0, show_default=True, help="Length of a segment.")
 @click.option("--parameters", "chosen", metavar="NAMES", callback=parse_names, help="Only these parameters, d_v,m_v.")
+@window_option
 @click.option("--thruster", type=LOG, help="The static curve from command to thrust that the model was fitted with.")
 @rate_option
 @trust_option
@@ -265,6 +266,7 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
 @mean_order_option()
 @despite_option
 @validate_option
+@window_option
 @horizon_option
 @rate_option
 @trust_option
@@ -287,6 +289,7 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how
 @click.argument("model", type=LOG)
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @validate_option
+@window_option
 @horizon_option
 @click.option("--effects", "effects_file", type=LOG, help="FILE.py with EFFECT or EFFECTS: user-defined candidates.")
 @click.option(

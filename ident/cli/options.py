@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Callable, Sequence
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -74,6 +76,22 @@ def validate_option(f: Callable[..., Any]) -> Callable[..., Any]:
     return click.option(
         "--validate", multiple=True, type=LOG, help="Validation log, not used by the fit; may be repeated."
     )(f)
+
+
+def window_option(f: Callable[..., Any]) -> Callable[..., Any]:
+    """``--from`` and ``--to``, which the command gets as ``window``."""
+
+    @wraps(f)
+    def command(*args: Any, t_from: float, t_to: float, **rest: Any) -> Any:
+        from ident.data import TimeWindow
+
+        if not t_from < t_to:
+            raise click.BadParameter(f"{t_to:g} s is not after --from, {t_from:g} s", param_hint="--to")
+        return f(*args, window=TimeWindow(t_from, t_to), **rest)
+
+    seconds, of = click.FloatRange(0.0), "[s of the log]; of LOGS, whose rest is not read."
+    command = click.option("--to", "t_to", type=seconds, default=math.inf, help=f"End {of}")(command)
+    return click.option("--from", "t_from", type=seconds, default=0.0, help=f"Start {of}")(command)
 
 
 def force_option(f: Callable[..., Any]) -> Callable[..., Any]:

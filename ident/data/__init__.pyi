@@ -1,7 +1,9 @@
 from .loading import COMMANDS as COMMANDS
 from .loading import SHAFTS as SHAFTS
+from .loading import WHOLE as WHOLE
 from .loading import LoadedLog as LoadedLog
 from .loading import PropulsionInput as PropulsionInput
+from .loading import TimeWindow as TimeWindow
 from .loading import ahrs_channels as ahrs_channels
 from .loading import channels as channels
 from .loading import load_all as load_all

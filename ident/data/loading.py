@@ -24,8 +24,9 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from math import inf
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,7 @@ TRACK_WINDOW = 20.0  # s either way, over which the direction of travel is avera
 GRID_STEP = 0.01  # s, on which the command of a shaft of unknown sign is filtered
 DELAYS = tuple(np.arange(0.0, 1.01, 0.05).tolist())  # s, that are tried for it
 TIME_CONSTANTS = tuple(1.0 / (1.5 * 1.5**k) for k in range(9))  # s, that are tried, from 0.67 to 0.026
+MARGIN_S = 60.0  # read before and after a part of a log: what an input was told last, the sample behind the end
 NEAR_DELAYS = np.arange(-0.05, 0.051, 0.01)  # s, and factors on the time constant: about the best of these
 NEAR_TIME_CONSTANTS = np.array([0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4])
 
@@ -54,6 +56,14 @@ class PropulsionInput(StrEnum):
     COMMAND = "command"  # commands only: of the shafts nothing is known, or too seldom
 
 
+class TimeWindow(NamedTuple):
+    """A part of a log, ``t_from <= t < t_to`` [s from its first sample]."""
+
+    t_from: float = 0.0
+    t_to: float = inf
+
+
+WHOLE = TimeWindow()
 SHAFTS, COMMANDS = ("n_left", "n_right"), ("n_cmd_left", "n_cmd_right")
 SLOWEST_TELEMETRY = 0.15  # s between shaft speeds; from slower ones no change of the thrust can be timed
 
@@ -240,30 +250,44 @@ class LoadedLog:
     segments: tuple[tuple[float, str], ...] = ()  # steps of its mission: when each began [s of the log], and its name
     vehicle: Mapping[str, float] = field(default_factory=dict)  # what rig or map know of the boat, parameters by name
     path: Path = Path()
+    span: tuple[float, float] = (0.0, inf)  # what was read of it [s since 1970]
 
 
-def load_all(logs: Sequence[Path], validate: Sequence[Path]) -> tuple[list[LoadedLog], list[LoadedLog]]:
-    """The logs to fit, and those to judge by; the same log in both is an error."""
+def load_all(
+    logs: Sequence[Path], validate: Sequence[Path], window: TimeWindow = WHOLE
+) -> tuple[list[LoadedLog], list[LoadedLog]]:
+    """The logs to fit, of each this window, and those to judge by; the same log in both is an error."""
     same = {p.resolve() for p in logs} & {p.resolve() for p in validate}
     if same:
         raise SeatrialError(f"{sorted(same)[0].name}: the same log to fit and to validate proves nothing; give another")
-    return [load_run(p, "estimation") for p in logs], [load_run(p, "validation") for p in validate]
+    return [load_run(p, "estimation", window) for p in logs], [load_run(p, "validation") for p in validate]
 
 
-def load_run(path: Path, role: str, t_from: float | None = None, t_to: float | None = None) -> LoadedLog:
-    """Times ``t_from`` and ``t_to`` count from the start of the log."""
-    with open_log(path) as log:
+def load_run(path: Path, role: str, window: TimeWindow = WHOLE) -> LoadedLog:
+    """A log, or a window of it: the rest is not read, and so it has no ``sha256``. Times count from the first sample of
+    the whole log. Raises SeatrialError where nothing is there that can be identified."""
+    with open_log(path) as whole:
+        log, span, start = whole, (0.0, inf), None
+        if window != WHOLE:
+            head = channels(whole.part(0.0, whole.start + MARGIN_S))
+            start = min((c.t[0] for c in head.values()), default=whole.start)
+            if start + window.t_from >= whole.end:
+                begin = f"nothing is left from {window.t_from:g} s on"
+                raise SeatrialError(f"{path}: is {whole.end - start:.0f} s long, so {begin}")
+            span = (start + window.t_from - MARGIN_S, start + window.t_to + MARGIN_S)
+            log = whole.part(*span)
         found = channels(log)
         if not found:
             raise SeatrialError(f"{path}: no signal that ident knows; see what it holds with `seatrial info {path}`")
-        start = min(c.t[0] for c in found.values())
+        start = min(c.t[0] for c in found.values()) if start is None else start
         moved = {n: replace(c, t=c.t - start) for n, c in found.items()}
+        last = float(max(c.t[-1] for c in moved.values()))
         about = {
-            "path": path.name,
-            "sha256": log.sha256,
+            "path": path.name if window == WHOLE else f"{path.name}[{window.t_from:g}:{window.t_to:g}]",
+            "sha256": log.sha256 if window == WHOLE else "",
             "role": role,
             "name": path.stem,
-            "duration": log.duration,
+            "duration": log.duration if window == WHOLE else min(window.t_to, last) - window.t_from,
             "rig": log.rig.name if log.rig else None,
             "mission": _mission_name(log),
             "warnings": list(log.warnings),
@@ -271,8 +295,9 @@ def load_run(path: Path, role: str, t_from: float | None = None, t_to: float | N
         holds = {n: c.hold or _hold(log, n) for n, c in found.items()}
         segments = tuple((t - start, text) for t, kind, text in log.events() if kind == "segment")
         propulsion = propulsion_input(log, moved, holds)
-        run = LogSegment(path.stem, moved, t_from, t_to)
-        return LoadedLog(run, about, holds, log.rig, propulsion, segments, log.vehicle, path)
+        t_to = min(window.t_to, last) if window.t_to < inf else None
+        run = LogSegment(path.stem, moved, window.t_from or None, t_to)
+        return LoadedLog(run, about, holds, log.rig, propulsion, segments, log.vehicle, path, span)
 
 
 def _hold(log: Log, name: str) -> str:
@@ -286,7 +311,7 @@ def _mission_name(log: Log) -> str | None:
     text = log.attachments.get("mission.toml")
     if text is None:
         return None
-    try:
-        return str(tomllib.loads(text.decode()).get("name"))
+    try:  # what is before the first table: the samples of a long mission take seconds to read
+        return str(tomllib.loads(text.partition(b"\n[")[0].decode()).get("name"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError):
         return None

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 from scipy.interpolate import BSpline
-from scipy.linalg import expm, solve_banded
+from scipy.linalg import solve_banded
 
 from ident.data import TIME_INPUT, Record
 from ident.diagnosis.score_test import (
@@ -40,6 +40,7 @@ from ident.validation import SpectralPeak, spectral_peak
 MAX_PEAK_P = 1e-6  # p value that coloured innovations do not reach (tests/ident/diagnosis/test_spectral_peak.py)
 MAX_SAMPLE_INTERVAL = 0.25  # s; a slower channel does not resolve waves
 SMALLEST_P = 1e-300  # least p value with a finite chi-square quantile
+TERMS = 14  # of the series of the exponential of a matrix whose norm is at most a half
 INITIAL_WAVE_SIZE = 0.4  # of the usual wave forces, initial value of the refit
 
 
@@ -147,8 +148,7 @@ class TrajectoryLinearisation:
         for z, values in zip(begin, all_values, strict=True):
             drive = rowwise(x, u, values)[:, n : n + m]
             A = rowwise.rate_jacobian(x[:1], u[:1], values)[0, n:, n:]
-            known = [_discrete(A, step) for step in steps]
-            transition, weight = (np.stack([pair[i] for pair in known])[step_of] for i in (0, 1))
+            transition, weight = (matrices[step_of] for matrices in _discrete(A, steps))
             mean = (drive[:-1] + drive[1:]) / 2
             found.append(_recursion(transition, np.einsum("kij,kj->ki", weight, mean), z))
         return found
@@ -175,10 +175,21 @@ class TrajectoryLinearisation:
                 yield replace(columns, name=curve_name(effect.kind, effect.curve))
 
 
-def _discrete(A: Array, step: float) -> tuple[Array, Array]:
+def _discrete(A: Array, steps: Array) -> tuple[Array, Array]:
+    """Transition and weight of a constant drive (n_steps, m, m) of z' = A z + drive over each step: the exponential, by
+    scaling and squaring of all at once. On a bench each of some thousand steps has its own length, and scipy's expm
+    takes them one by one."""
     m = len(A)
-    block = expm(np.block([[A, np.eye(m)], [np.zeros((m, 2 * m))]]) * step)
-    return block[:m, :m], block[:m, m:]
+    rates = np.zeros((2 * m, 2 * m))
+    rates[:m] = np.column_stack([A, np.eye(m)])
+    halvings = max(0, int(np.frexp(np.linalg.norm(rates, 1) * steps.max())[1]) + 1)
+    x = rates * (steps / 2.0**halvings)[:, None, None]
+    blocks = np.broadcast_to(np.eye(2 * m), x.shape)
+    for k in range(TERMS, 0, -1):
+        blocks = np.eye(2 * m) + x @ blocks / k
+    for _ in range(halvings):
+        blocks = blocks @ blocks
+    return blocks[:, :m, :m], blocks[:, :m, m:]
 
 
 def _recursion(transition: Array, drive: Array, begin: Array) -> Array:

@@ -16,6 +16,7 @@ T_VALIDATION = 2.0
 # least error three seconds ahead without an effect over that with it, where the interval over the horizon says nothing:
 # of 153 right names in the recovery study one has less than 1.011, and all wrong ones have
 MIN_ERROR_RATIO = 1.015
+MATERIAL_ERROR_RATIO = 1.005  # the same, below which the prediction is as good without the effect
 Attribution = Literal["identified", "ambiguous", "nonparametric"]
 
 
@@ -177,9 +178,12 @@ class EffectImportance:
 
     @property
     def pays(self) -> bool:
-        """Whether the validation data support it beside the others, and the prediction is not worse with it."""
+        """Whether the validation data support it beside the others, significantly or with a better prediction, and it
+        matters to the prediction, which is not worse with it."""
         worse = self.prediction is not None and self.prediction.verdict == "rose"
-        return self.validation_gain > 0 and self.t > T_VALIDATION and not worse
+        matters = self.predicts or helps(self.prediction) or self.error > MATERIAL_ERROR_RATIO
+        supported = self.validation_gain > 0 and (self.t > T_VALIDATION or self.predicts)
+        return supported and matters and not worse
 
     @property
     def predicts(self) -> bool:

@@ -31,11 +31,13 @@ from ident.model import (
 from ident.models import (
     ANTENNA,
     CURRENT_WALK,
+    ESTIMATOR_ERROR,
     TELEMETRY_AGE,
     antenna_component,
     catalogue_model,
     current_walk,
     disturbance_of,
+    estimator_error,
     file_digest,
     is_own_model,
     load_effects,
@@ -265,6 +267,8 @@ def _effect(name: str, model: Model, curves: Mapping[str, Any]) -> Effect:
         return current_walk()
     if name == TELEMETRY_AGE:
         return telemetry_age()
+    if name == ESTIMATOR_ERROR:
+        return estimator_error([s.name for s in model.sensors])
     if name in curves:
         return _unlisted(model, curves[name])
     if name.startswith(BETWEEN):

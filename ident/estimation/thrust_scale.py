@@ -18,7 +18,7 @@ import numpy as np
 
 from ident.estimation.maximum_likelihood import Fit
 from ident.model import Model, Parameter, ParameterOrigin
-from ident.models import SIDES, force_power, is_moment, symmetric_arms
+from ident.models import SIDES, force_power, is_moment, is_own_model, symmetric_arms
 from ident.numerics import Array
 
 BUILT_IN, ESTIMATED = ParameterOrigin.BUILT_IN, ParameterOrigin.ESTIMATED
@@ -218,9 +218,13 @@ def against_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
     w of them, the two differ by ``(estimate - mean) / (sd sqrt(1 - w))`` of their common standard deviation.
     """
     found = []
+    by_somebody = {ParameterOrigin.MEASURED, ParameterOrigin.PRIOR}
+    if is_own_model(fit.model.source):
+        by_somebody.add(ParameterOrigin.GIVEN)
+    supposed = {p.name for e in fit.model.effects for p in e.parameters}  # how large an effect usually is
     for p, value, weight in zip(fit.parameters, fit.values.tolist(), fit.prior_weight.tolist(), strict=True):
         prior = p.free_prior()
-        said = p.origin not in (ParameterOrigin.BUILT_IN, ParameterOrigin.ESTIMATED)  # by somebody, for this boat
+        said = p.origin in by_somebody and not (p.name in supposed and p.origin is ParameterOrigin.GIVEN)
         if prior is None or not said or (p.transform == "log" and value <= 0.0):
             continue
         widths = (p.to_free(value) - prior[0]) / (prior[1] * np.sqrt(max(1.0 - weight, LEAST_DATA)))

@@ -6,9 +6,12 @@ from .catalogue import make_model as make_model
 from .catalogue import own_model as own_model
 from .components import ANTENNA as ANTENNA
 from .components import CURRENT_WALK as CURRENT_WALK
+from .components import ESTIMATOR_ERROR as ESTIMATOR_ERROR
+from .components import LASTING as LASTING
 from .components import TELEMETRY_AGE as TELEMETRY_AGE
 from .components import antenna_component as antenna_component
 from .components import current_walk as current_walk
+from .components import estimator_error as estimator_error
 from .components import shift as shift
 from .components import telemetry_age as telemetry_age
 from .disturbances import READINGS as READINGS

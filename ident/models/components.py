@@ -1,5 +1,5 @@
-"""Components that the rig or the user asks for, and no search adds: antenna lever arm, age of telemetry, random-walk
-current."""
+"""Components that the rig, the logs or the user ask for, and no search adds: antenna lever arm, age of telemetry,
+random-walk current, time-correlated errors of an estimator."""
 
 from __future__ import annotations
 
@@ -8,11 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import Effect, EffectKind, Input, Model, Parameter, Signals, State
+from ident.model import Effect, EffectKind, Input, Model, Parameter, ParameterRole, Signals, State
 from ident.models import rotations
-from ident.models.horizontal import SIDES, shift_in_time
+from ident.models.horizontal import BUILT_IN, SENSORS, SIDES, shift_in_time
 
 ANTENNA, CURRENT_WALK, TELEMETRY_AGE = "antenna", "random-walk-current", "telemetry-age"
+ESTIMATOR_ERROR = "estimator-error"
+# By sensor: name of the error, standard deviation, unit, correlation time [s]; usual ones of a small boat's estimator.
+LASTING = {
+    "position": ("xy", 0.1, "m", 3.0),
+    "ground_velocity": ("vxy", 0.05, "m/s", 3.0),
+    "body_velocity": ("uv", 0.05, "m/s", 3.0),
+    "attitude": ("psi", 0.01, "rad", 3.0),
+}
 N_AHEAD = 5  # copies of a shaft speed that is known late, each a step earlier: ages up to half a second; and one later
 
 
@@ -96,5 +104,50 @@ def telemetry_age() -> Effect:
         inputs=tuple(i.delayed(-k) for i in now for k in range(-1, N_AHEAD + 1) if k),
         place="sensor",
         requires=("n_input",),
+        kind=EffectKind.SENSOR_OFFSET,
+    )
+
+
+def estimator_error(sensors: Sequence[str]) -> Effect:
+    """Time-correlated measurement errors of a state estimator's output: first-order Gauss-Markov processes beside the
+    white noise (Gelb 1974, section 4.5: coloured measurement noise by state augmentation).
+
+    What an autopilot's filter makes of a receiver and a compass is smooth from sample to sample, and off for seconds.
+    Taken for white, such errors look like motion: masses and damping become those that explain them.
+
+    sensors: those of the model; position, velocities and heading get such an error.
+    """
+    errors = {o.name: LASTING[s] for s in sensors if s in LASTING for o in SENSORS[s].outputs}
+
+    def add(s: Signals) -> None:
+        for output, (name, *_) in errors.items():
+            size = getattr(s.p, f"A_{name}") * np.sqrt(2 / getattr(s.p, f"tau_{name}"))  # unit noise drives the state
+            s.y[output] = s.y[output] + size * getattr(s.x, f"error_{output}")
+
+    def decay(s: Signals) -> None:
+        for output, (name, *_) in errors.items():
+            s.rate[f"error_{output}"] = -getattr(s.x, f"error_{output}") / getattr(s.p, f"tau_{name}")
+
+    return Effect(
+        ESTIMATOR_ERROR,
+        "errors of the estimator that last",
+        {"rate": decay, "output": add},
+        parameters=tuple(
+            p
+            for name, sd, unit, tau in dict.fromkeys(errors.values())
+            for p in (
+                Parameter(f"A_{name}", sd, unit, f"error of {name} that lasts, standard deviation", "log",
+                          prior=(sd, 3 * sd), role=ParameterRole.DISTURBANCE, origin=BUILT_IN),
+                Parameter(f"tau_{name}", tau, "s", f"correlation time of the error of {name}", "log",
+                          prior=(tau, 3 * tau), bounds=(0.2, 200.0), role=ParameterRole.DISTURBANCE,
+                          origin=BUILT_IN),
+            )
+        ),
+        states=tuple(
+            State(f"error_{output}", "", f"error of {output} that lasts, scaled", 1.0, sd0=1.0, nuisance=True)
+            for output in errors
+        ),
+        place="sensor",
+        requires=("hull",),
         kind=EffectKind.SENSOR_OFFSET,
     )

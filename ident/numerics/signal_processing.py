@@ -37,8 +37,7 @@ def first_order_lag(f: Array, tau: float, dt: float, *, hold: Hold = "forward", 
 class LagData(NamedTuple):
     """What one recording says of a delay and a lag.
 
-    f (n,): input, evenly sampled, or (n, n_delays): delayed already, one column a delay; misfit: of the lagged input
-    (n,) and, where that is not delayed yet, the delay [s] at which it is to be sampled.
+    f (n,): input, evenly sampled; misfit: of the lagged input (n,) and the delay [s] at which it is to be sampled.
     """
 
     f: Array
@@ -67,10 +66,8 @@ def fit_first_order_lag(
     best = LagFit(float("nan"), float("nan"), np.inf)
     for tau in time_constants:
         lagged = [first_order_lag(d.f, tau, dt, hold=hold, start=start) for d in data]
-        for k, delay in enumerate(delays):
-            total = 0.0
-            for d, x in zip(data, lagged, strict=True):
-                total += d.misfit(x if x.ndim == 1 else x[:, k], delay)
+        for delay in delays:
+            total = sum(d.misfit(x, delay) for d, x in zip(data, lagged, strict=True))
             if total < best.misfit:
                 best = LagFit(delay, tau, total)
     return best

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from daq.checks import OK, CheckReport
 from daq.errors import SeatrialError, counted
-from ident.checks import IMPORTED, check_copies, check_signals, device_faults, log_evidence, smoothed, spoils_a_fit
+from ident.checks import (
+    IMPORTED,
+    check_copies,
+    check_signals,
+    device_faults,
+    estimated,
+    log_evidence,
+    smoothed,
+    spoils_a_fit,
+)
 from ident.data import LoadedLog
 from ident.model import INF, Model
-from ident.models import NOISE
+from ident.models import ESTIMATOR_ERROR, LASTING, NOISE, estimator_error
 from ident.report import write_check_page
 
+LEAST_WHITE = 0.02  # least white noise of an estimator's output, relative to a usual sensor's
 BEGIN = 1.5  # where the search for a noise with a floor begins, times the floor
 
 
@@ -37,7 +47,7 @@ def check_first(
     checked = []
     for log in logs:
         name = log.about["path"]
-        found = [*device_faults(log.path), *check_signals(log.run.channels, sides_of_model(model, log))]
+        found = [*device_faults(log.path, log.span), *check_signals(log.run.channels, sides_of_model(model, log))]
         found += [f for f in copies if f.where == name]
         told = [f for f in found if f.level != OK]
         refused = [f for f in told if spoils_a_fit(f)]
@@ -61,6 +71,26 @@ def sides_of_model(model: Model, log: LoadedLog) -> Mapping[str, float]:
     return {t.name: t.position_m[1] for t in log.rig.thrusters} if log.rig else IMPORTED
 
 
+def with_estimator_errors(
+    model: Model, logs: Sequence[LoadedLog], given: Collection[str] = ()
+) -> tuple[Model, list[str]]:
+    """The model with time-correlated measurement errors where the position is an estimator's, and a line that says so.
+
+    given: parameters of which the user said something; who says what the noise of the position is, takes it for white.
+    """
+    position = next((o.noise for o in model.outputs if o.name == "x" and o.noise), None)
+    there = ESTIMATOR_ERROR in {e.name for e in model.effects}
+    if position is None or there or "hull" not in model.provides or position in given:
+        return model, []
+    if not any(estimated(log.run.channels) for log in logs):
+        return model, []
+    line = ("Position by an estimator (its noise is less than a receiver's): errors of position, velocity and heading "
+            f"that last are states; --fix {position}=... gives white noise instead.")
+    noises = {o.noise: LEAST_WHITE * NOISE[s.name].value for s in model.sensors if s.name in LASTING for o in s.outputs}
+    floors = [replace(p, bounds=(noises[p.name], INF)) for p in model.parameters if p.name in noises and p.free]
+    return model.replace_parameters(*floors) + estimator_error([s.name for s in model.sensors]), [line]
+
+
 def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, list[str]]:
     """The model with a floor under the noise of smoothed channels, and a line that names them.
 
@@ -68,7 +98,8 @@ def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, l
     next to none, and follows it everywhere. The floor is a usual sensor's noise (``ident.models.NOISE``).
     """
     usual = {p.name: p.value for p in NOISE.values()}
-    smooth = {name for log in logs for name in smoothed(log.run.channels)}
+    lasting = {s.name.removeprefix("error_") for e in model.effects if e.name == ESTIMATOR_ERROR for s in e.states}
+    smooth = {name for log in logs for name in smoothed(log.run.channels)} - lasting
     names = {o.noise for o in model.outputs if o.name in smooth and o.noise in usual}
     found = [p for n in sorted(names) if (p := model.parameter(n)).free]
     floors = [replace(p, value=max(p.value, BEGIN * usual[p.name]), bounds=(usual[p.name], INF)) for p in found]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from ident.data import load_all
+from ident.data import WHOLE, TimeWindow, load_all
 from ident.diagnosis import diagnose, evaluate_diagnosis
 from ident.effects import catalogue
 from ident.estimation import EstimationOptions, load_model
@@ -35,6 +35,7 @@ class DiagnosisRequest:
             is a thruster's and the logs have several.
         rate: rows a second to which faster sensors are averaged [Hz]; None: the model's usual ones.
         despite_faults: search also where the checks of the logs find what makes a fit meaningless.
+        window: of the logs; those for validation are whole.
     """
 
     model: Path
@@ -47,11 +48,12 @@ class DiagnosisRequest:
     thruster: str | None = None
     rate: float | None = None
     despite_faults: bool = False
+    window: TimeWindow = WHOLE
 
 
 def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> DiagnosisResult:
     """Find what the model lacks, and write the model that has it; ``command``: what was typed."""
-    loaded, unseen = load_all(request.logs, request.validation)
+    loaded, unseen = load_all(request.logs, request.validation, request.window)
     horizon, effects_file = request.estimation.horizon, request.effects_file
     saved = load_model(request.model)
     # Maxima of the plain likelihood are compared, by a filter of first order: neither changes what is found, and on

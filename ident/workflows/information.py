@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from daq.errors import SeatrialError
-from ident.data import LoadedLog, Record, load_run, make_record
+from ident.data import WHOLE, LoadedLog, Record, TimeWindow, load_run, make_record
 from ident.estimation import dynamic_parameters, fit, load_model, reported_units, without_absent_sensors
 from ident.experiment_design import InformationSegment, segment_information
 from ident.model import Model
@@ -47,6 +47,7 @@ class InformationRequest:
         chosen: parameters; none: all dynamic ones.
         thruster: the static curve that the model was fitted with.
         rate: rows a second to which faster sensors are averaged [Hz].
+        window: of the logs.
     """
 
     model: Path
@@ -56,6 +57,7 @@ class InformationRequest:
     chosen: Sequence[str] = ()
     thruster: Path | None = None
     rate: float = 10.0
+    window: TimeWindow = WHOLE
 
 
 def information(request: InformationRequest, command: str, reporter: Reporter) -> InformationResult:
@@ -67,7 +69,7 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
     saved, seconds, out = load_model(request.model), request.seconds, request.out
     names = _names(saved.model, request.chosen, request.model)
     curve = known_curve(request.thruster)
-    loaded = [completed(load_run(path, "judged"), saved.model.source, curve) for path in request.logs]
+    loaded = [completed(load_run(path, "judged", request.window), saved.model.source, curve) for path in request.logs]
     model = as_logged(saved.model, loaded[0].holds)
     records = [make_record(model, one.run, request.rate) for one in loaded]
     model = without_absent_sensors(model, records)

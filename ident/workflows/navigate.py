@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from daq.errors import SeatrialError, counted
-from ident.data import LoadedLog, Record, load_run, make_record
+from ident.data import WHOLE, LoadedLog, Record, TimeWindow, load_run, make_record
 from ident.estimation import ParameterCovariance, load_model, reported_units
 from ident.model import Model
 from ident.navigation import CURRENT, POSITION, Navigation, Outage, OutageErrors, gnss_outages, navigate
@@ -47,7 +47,7 @@ class NavigationRequest:
         out: folder for the results.
         smoothed: by all samples, or by those so far.
         gnss_outages: segments (from, to) in which the GNSS is not used.
-        t_from, t_to: part of each log; None: from its start, to its end.
+        window: of the logs.
         rate: rows a second to which faster sensors are averaged [Hz].
         thruster: the static curve that the model was fitted with.
     """
@@ -57,8 +57,7 @@ class NavigationRequest:
     out: Path
     smoothed: bool = True
     gnss_outages: Sequence[tuple[float, float]] = ()
-    t_from: float | None = None
-    t_to: float | None = None
+    window: TimeWindow = WHOLE
     rate: float = 10.0
     thruster: Path | None = None
 
@@ -76,7 +75,7 @@ def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) 
     loaded, parts, tables = [], [], []
     for path in logs:
         reporter.progress(f"navigating {path.name}")
-        loaded.append(completed(load_run(path, "navigated", request.t_from, request.t_to), saved.model.source, curve))
+        loaded.append(completed(load_run(path, "navigated", request.window), saved.model.source, curve))
         done, t0 = _navigate(model, loaded[-1], known, request)
         parts.append((done, t0, gnss_outages(done)))
         tables.append(_columns(done, t0))
@@ -111,11 +110,7 @@ def _navigate(
     """One log, and its time at the record's first row."""
     rate, without = request.rate, request.gnss_outages
     model = as_logged(model, one.holds)
-    last = max(float(c.t[-1]) for c in one.run.channels.values())
-    if (one.run.t_from or 0.0) >= last:
-        begin = one.run.t_from or 0.0
-        raise SeatrialError(f"{one.about['path']}: is {last:.0f} s long, so nothing is left from {begin:g} s on")
-    rows = make_record(model, replace(one.run, t_to=min(one.run.t_to or last, last)) if one.run.t_to else one.run, rate)
+    rows = make_record(model, one.run, rate)
     t0 = float(rows.meta["t0"])
     _has_fixes(rows, t0, without, one.about["path"])
     segments = [(a - t0, b - t0) for a, b in without]

@@ -19,7 +19,7 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
     ``command``: what was typed. Raises SeatrialError where the logs cannot be read, lack what the model needs, or
     have faults that make a fit meaningless.
     """
-    loaded, unseen = load_all(request.logs, request.validation)
+    loaded, unseen = load_all(request.logs, request.validation, request.window)
     problem = vehicle_problem(request, loaded, unseen)
     loaded, unseen = check_first(loaded, unseen, problem.model, request.despite_faults)
     if problem.thrust:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ident.characterisation import load_curve
-from ident.data import LoadedLog, LogSegment
+from ident.data import WHOLE, LoadedLog, LogSegment, TimeWindow
 from ident.estimation import (
     EstimationOptions,
     apply_rig_geometry,
@@ -19,8 +19,9 @@ from ident.estimation import (
     with_effects,
 )
 from ident.model import Model
+from ident.models import is_own_model
 from ident.results import UnusedSignal
-from ident.workflows.check import with_noise_floors
+from ident.workflows.check import with_estimator_errors, with_noise_floors
 from ident.workflows.model_inputs import (
     check_ahead,
     check_names,
@@ -48,6 +49,7 @@ class VehicleRequest:
         homogeneity: parameters to test for one value in all logs.
         profiles: parameters that get a profile likelihood.
         rate: rows a second to which faster sensors are averaged [Hz].
+        window: of the logs; those for validation are whole.
     """
 
     logs: Sequence[Path]
@@ -64,6 +66,7 @@ class VehicleRequest:
     homogeneity: Sequence[str] = ()
     profiles: Sequence[str] = ()
     rate: float = 10.0
+    window: TimeWindow = WHOLE
 
 
 @dataclass(frozen=True)
@@ -93,10 +96,13 @@ def vehicle_problem(
     check_ahead(request.estimation.horizon, loaded, unseen)
     model = choose_model(source, [*loaded, *unseen])
     model, notes = apply_rig_geometry(model, loaded[0].rig, loaded[0].vehicle)
+    lasting: list[str] = []
+    if not is_own_model(source):
+        model, lasting = with_estimator_errors(model, loaded, {*request.fixed, *request.priors})
     model = set_initial_values(set_priors(with_effects(model, request.effects), request.priors), request.initial)
     model = pose_scale(fix_parameters(model, request.thruster if curve is None else None, request.fixed))
     model, floors = with_noise_floors(model, loaded)
     check_names(nominal(model), request.profiles, len(loaded))
     segments, validation = ([x.run for x in part] for part in (loaded, unseen))
     unused = unused_signals(model, [*loaded, *unseen])
-    return VehicleProblem(model, segments, validation, [*notes, *floors], thrust_from(model), unused)
+    return VehicleProblem(model, segments, validation, [*notes, *lasting, *floors], thrust_from(model), unused)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq.errors import SeatrialError
-from daq.samples import Ahrs, Esc, Gnss, LoadCell
+from daq.samples import NAN, Ahrs, Esc, Gnss, LoadCell
 from mocks.world import Sample
 
 SIGNAL = "usr1"
@@ -35,6 +35,7 @@ KINDS = {
     "spike": Kind(0.0, "a reading far off: one, or one a second for SECONDS"),
     "overload": Kind(5.0, "force and current far beyond any limit"),
     "hot": Kind(5.0, "a controller at 150 deg C"),
+    "mute": Kind(5.0, "a controller on CAN that tells neither temperature nor voltage"),
     "flat": Kind(5.0, "the voltage of an empty battery"),
     "away": Kind(5.0, "a position a kilometre off"),
     "capsize": Kind(5.0, "a roll of 120 degrees"),
@@ -162,6 +163,7 @@ def _overloaded(sample: Sample) -> Sample:
 _CHANGES: dict[str, Callable[[Sample], Sample]] = {
     "overload": _overloaded,
     "hot": lambda s: replace(s, temperature=150.0) if isinstance(s, Esc) else s,
+    "mute": lambda s: replace(s, temperature=NAN, voltage=NAN) if isinstance(s, Esc) else s,
     "flat": lambda s: replace(s, voltage=6.0) if isinstance(s, Esc) else s,
     "away": lambda s: replace(s, lat=s.lat + 0.009) if isinstance(s, Gnss) else s,
     "degrees": lambda s: _in_degrees(s) if isinstance(s, Ahrs) else s,

@@ -31,6 +31,7 @@ import numpy as np
 from daq.acquisition.process import SILENCE_S
 from daq.acquisition.watchdog import ANSWER_S, HANG_S
 from daq.config.mission_file import Mission, Segment, save_mission
+from tests.bench.fault_trials import into
 from tests.bench.runs import acquisition_of, watchdog_of
 from tests.daq.ardurover import MISSING, PROGRAM, RIG, Rover
 
@@ -323,15 +324,6 @@ def page(rows: list[Trial]) -> str:
     return "\n".join([*out, ""])
 
 
-def into(path: Path, text: str) -> None:
-    """Replace what is between the marks of a page."""
-    before, _, rest = path.read_text(encoding="utf-8").partition(MARKS[0])
-    _, mark, after = rest.partition(MARKS[1])
-    if not mark:
-        raise SystemExit(f"{path}: no '{MARKS[0]}' ... '{MARKS[1]}' in it")
-    path.write_text(f"{before}{MARKS[0]}\n{text}\n{MARKS[1]}{after}", encoding="utf-8")
-
-
 def main() -> None:
     """Run what is missing, and say what is not as it has to be; exit status 1 then."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -352,7 +344,7 @@ def main() -> None:
             with options.out.open("a", encoding="utf-8") as file:
                 file.write(msgspec.json.encode(trial).decode() + "\n")
     if options.docs:
-        into(options.docs, page(rows))
+        into(options.docs, MARKS, page(rows))
     bad = [row for row in rows if not row.good]
     print(f"{len(rows) - len(bad)} of {len(rows)} as they have to be")
     raise SystemExit(1 if bad else 0)

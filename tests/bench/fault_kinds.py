@@ -8,8 +8,8 @@ import re
 import signal
 import socket
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ import numpy as np
 
 from daq.acquisition.watchdog import ANSWER_S, HANG_S
 from daq.config.mission_file import Mission, Segment, save_mission
+from daq.protocol.vesc import STALE
 
 SPEED = 4.0
 # Wall seconds, as all of these.
@@ -27,9 +28,25 @@ STALE_S = 1.0  # of a silent device
 GUARD_S = 0.2  # a sample, a status, a look of the guard
 SLOW_S = 0.2 / SPEED  # between samples of temperature, voltage and position
 AFTER_DECISION_S = 0.1
-DRONECAN = "boat on DroneCAN"  # the boat with other controllers
+BLINK_S = 0.3  # for which a plug is out
+REOPEN_S = 0.5  # until a port that is back is open again
+VESC, DRONECAN, MAVLINK = RIGS = "VESC", "DroneCAN", "MAVLink"
 DISK = "disk"  # a file system of a few megabytes in the folder, for the trials that fill it
 
+SENSORS = """
+[[device]]
+name = "ahrs"
+protocol = "vectornav"
+port = "ports/ahrs"
+rate_hz = 50.0
+
+[[device]]
+name = "gnss"
+protocol = "nmea"
+port = "ports/gnss"
+rate_hz = 5.0
+
+"""  # of its own, for the boat behind an autopilot
 LOADCELL = """
 [[device]]
 name = "loadcell"
@@ -48,19 +65,24 @@ LIMITS = "[limits]\nroll_deg = 60.0\n"
 class Kind:
     """One thing that fails: how, within what time after it thrust has to be zero, and what has to be said."""
 
-    name: str
+    what: str
     within_s: float  # wall, from the fault to the decision
     says: str  # regular expression, in an event of the log or in the watchdog's note
     fault: str = ""  # of the mock, at USR1
     strike: Callable[[Any], None] | None = None  # what is done to the processes
-    rig: str = "boat"  # of those that come with the mocks
+    rig: str = VESC
     full: bool = False
     cut_off: bool = False  # no command can reach the thrusters: only their own time-out is left
 
     @property
+    def name(self) -> str:
+        """Of the kind on its rig."""
+        return f"{self.rig}, {self.what}"
+
+    @property
     def words(self) -> list[str]:
         """What the run is told besides."""
-        return ["--arm"] if self.rig == "mavboat" else []
+        return ["--arm"] if self.rig == MAVLINK else []
 
     @property
     def lasts_s(self) -> float:
@@ -68,9 +90,10 @@ class Kind:
         return float(self.fault.rpartition(":")[2]) / SPEED if self.fault else 0.0
 
 
-def _signalled(who: str, number: signal.Signals) -> Callable[[Any], None]:
+def _signalled(number: signal.Signals, *who: str) -> Callable[[Any], None]:
     def strike(run: Any) -> None:
-        os.kill(getattr(run, who), number)
+        for one in who:
+            os.kill(getattr(run, one), number)
 
     return strike
 
@@ -81,6 +104,12 @@ def _fill(run: Any) -> None:
             file.write(bytes(1 << 16))
 
 
+def _delete(run: Any) -> None:
+    """The log is gone, but for what is still open of it."""
+    run.deleted = run.log.open("rb")
+    run.log.unlink()
+
+
 def _twice(run: Any) -> None:
     os.kill(run.pid, signal.SIGINT)
     time.sleep(0.05)  # as fast as a hand
@@ -88,50 +117,58 @@ def _twice(run: Any) -> None:
         os.kill(run.pid, signal.SIGINT)
 
 
-KINDS = (
-    Kind("runner killed", DEADMAN_S, "parent", strike=_signalled("pid", signal.SIGKILL)),
-    Kind("runner hangs", DEADMAN_S, "runner|parent", strike=_signalled("pid", signal.SIGSTOP)),
-    Kind("acquisition killed", 0.1, "process died", strike=_signalled("acquisition", signal.SIGKILL)),
-    Kind("acquisition hangs", HANG_S, "no sign of life", strike=_signalled("acquisition", signal.SIGSTOP)),
-    Kind("watchdog killed", 0.1, "watchdog is gone", strike=_signalled("watchdog", signal.SIGKILL)),
-    Kind("watchdog hangs", ANSWER_S, "watchdog has not answered", strike=_signalled("watchdog", signal.SIGSTOP)),
-    Kind("hang-up (SIGHUP)", 0.1, "SIGHUP", strike=_signalled("pid", signal.SIGHUP)),
-    Kind("CAN unplugged", ESC_S, "esc ", fault="pull/esc@usr1:8", cut_off=True),
-    Kind("CAN silent", STALE_S + GUARD_S, "silent", fault="silence/esc@usr1:8"),
-    Kind("AHRS lost", STALE_S + GUARD_S, "ahrs .*silent", fault="pull/ahrs@usr1:8"),
-    Kind("GNSS lost", STALE_S + 5 * SLOW_S + GUARD_S, "gnss .*silent", fault="silence/gnss@usr1:8"),
-    Kind("load cell lost", STALE_S + GUARD_S, "loadcell .*silent", fault="pull/loadcell@usr1:8"),
-    Kind("too much force", GUARD_S, "force is", fault="overload/loadcell@usr1:3"),
-    Kind("too much current", GUARD_S, "current of node", fault="overload/esc@usr1:3"),
-    Kind("too hot", GUARD_S + SLOW_S, "temperature of node", fault="hot/esc@usr1:4"),
-    Kind("battery empty", GUARD_S + SLOW_S, "voltage of node", fault="flat/esc@usr1:4"),
-    Kind("out of the fence", GUARD_S + SLOW_S, "from the start", fault="away/gnss@usr1:4"),
-    Kind("capsized", GUARD_S, "roll is", fault="capsize/ahrs@usr1:3"),
-    Kind("disk full", 0.6, "disk is full", strike=_fill, full=True),  # the next flush meets it, 0.25 s later at most
-    Kind("Ctrl-C twice", 0.1, "Ctrl-C", strike=_twice),
-    Kind("MAVLink cut", ESC_S, "autopilot", fault="pull/autopilot@usr1:8", rig="mavboat", cut_off=True),
-    Kind("MAVLink silent", STALE_S + GUARD_S, "autopilot.* silent", fault="silence/autopilot@usr1:8", rig="mavboat"),
-    Kind("MAVLink, runner killed", DEADMAN_S, "parent", strike=_signalled("pid", signal.SIGKILL), rig="mavboat"),
-    Kind("DroneCAN unplugged", ESC_S, "esc ", fault="pull/esc@usr1:8", rig=DRONECAN, cut_off=True),
-    Kind("DroneCAN, runner killed", DEADMAN_S, "parent", strike=_signalled("pid", signal.SIGKILL), rig=DRONECAN),
-    Kind("DroneCAN, acq. killed", 0.1, "process died", strike=_signalled("acquisition", signal.SIGKILL), rig=DRONECAN),
-)
+def _of(rig: str) -> Iterator[Kind]:
+    """All that can fail on a rig."""
+    link = "autopilot" if rig == MAVLINK else "esc"
+    kill, hang = signal.SIGKILL, signal.SIGSTOP
+    yield Kind("runner killed", DEADMAN_S, "parent", strike=_signalled(kill, "pid"))
+    yield Kind("runner hangs", DEADMAN_S, "runner|parent", strike=_signalled(hang, "pid"))
+    yield Kind("acquisition killed", 0.1, "process died", strike=_signalled(kill, "acquisition"))
+    yield Kind("acquisition hangs", HANG_S, "no sign of life", strike=_signalled(hang, "acquisition"))
+    yield Kind("acquisition SIGTERM", 0.1, "SIGTERM", strike=_signalled(signal.SIGTERM, "acquisition"))
+    yield Kind("both killed", 0.1, "process died", strike=_signalled(kill, "acquisition", "pid"))
+    yield Kind("watchdog killed", 0.1, "watchdog is gone", strike=_signalled(kill, "watchdog"))
+    yield Kind("watchdog hangs", ANSWER_S, "watchdog has not answered", strike=_signalled(hang, "watchdog"))
+    yield Kind("hang-up (SIGHUP)", 0.1, "SIGHUP", strike=_signalled(signal.SIGHUP, "pid"))
+    yield Kind("Ctrl-C twice", 0.1, "Ctrl-C", strike=_twice)
+    yield Kind("log deleted", 0.2, "log was deleted", strike=_delete)
+    yield Kind("disk full", 0.6, "disk is full", strike=_fill, full=True)  # the next flush meets it, in 0.25 s at most
+    yield Kind("link pulled", ESC_S, link, fault=f"pull/{link}@usr1:8", cut_off=True)
+    if rig != MAVLINK:  # a network has no plug that a program sees
+        blink = f"pull/{link}@usr1:{BLINK_S * SPEED}"
+        yield Kind("link out for 0.3 s", BLINK_S + REOPEN_S, link, fault=blink, cut_off=True)
+        lasts = 3 * STALE_S + (STALE / SPEED if rig == VESC else 0.0)
+        says = "temperature.* not watched any more"
+        yield Kind("temperature not told", lasts + GUARD_S, says, fault=f"mute/{link}@usr1:16")
+    yield Kind("link silent", STALE_S + GUARD_S, f"{link}.* silent", fault=f"silence/{link}@usr1:8")
+    yield Kind("link garbled", STALE_S + GUARD_S, f"{link}.* silent", fault=f"garbage/{link}@usr1:8")
+    yield Kind("controller dead", STALE_S + GUARD_S, "left .*silent|for left", fault="esc-dead/left@usr1:8")
+    yield Kind("AHRS lost", STALE_S + GUARD_S, "ahrs .*silent", fault="pull/ahrs@usr1:8")
+    yield Kind("GNSS lost", STALE_S + 5 * SLOW_S + GUARD_S, "gnss .*silent", fault="silence/gnss@usr1:8")
+    yield Kind("load cell lost", STALE_S + GUARD_S, "loadcell .*silent", fault="pull/loadcell@usr1:8")
+    yield Kind("too much force", GUARD_S, "force is", fault="overload/loadcell@usr1:3")
+    yield Kind("too much current", GUARD_S, "current of node", fault=f"overload/{link}@usr1:3")
+    yield Kind("too hot", GUARD_S + SLOW_S, "temperature of node", fault=f"hot/{link}@usr1:4")
+    yield Kind("battery empty", GUARD_S + SLOW_S, "voltage of node|battery of", fault=f"flat/{link}@usr1:4")
+    yield Kind("out of the fence", GUARD_S + SLOW_S, "from the start", fault="away/gnss@usr1:4")
+    yield Kind("capsized", GUARD_S, "roll is", fault="capsize/ahrs@usr1:3")
+
+
+KINDS = tuple(replace(kind, rig=rig) for rig in RIGS for kind in _of(rig))
 
 
 def write_files(folder: Path, kind: Kind) -> None:
     """The rig of a kind, slower than the demo and with a few limits more, and a mission of steps to run on it."""
-    name = "boat" if kind.rig == DRONECAN else kind.rig
+    name = "mavboat" if kind.rig == MAVLINK else "boat"
     text = files("mocks").joinpath("rigs", f"{name}.toml").read_text(encoding="utf-8")
     text = re.sub(r"speed = [\d.]+", f"speed = {SPEED}", text)
     text = re.sub(r"timeout_s = [\d.]+", f"timeout_s = {ESC_S * SPEED}", text)
-    text = text.replace("[limits]\n", LIMITS).replace("[log]\n", "[log]\nfree_mb = 1.0\n")
+    text = text.replace("[limits]\n", f"{LIMITS}force_n = 60.0\n").replace("[log]\n", "[log]\nfree_mb = 1.0\n")
     if kind.rig == DRONECAN:
         text = text.replace('protocol = "vesc"', 'protocol = "dronecan"')
-    if kind.rig == "mavboat":
-        text = text.replace(":14550", f":{_free_port()}")
-    else:
-        text = text.replace("[[thruster]]", LOADCELL + "[[thruster]]", 1)
-        text = text.replace(LIMITS, f"{LIMITS}force_n = 60.0\n")
+    text = text.replace(":14550", f":{_free_port()}")
+    sensors = SENSORS + LOADCELL if kind.rig == MAVLINK else LOADCELL
+    text = text.replace("[[thruster]]", f"{sensors}[[thruster]]", 1)
     (folder / "rig.toml").write_text(text, encoding="utf-8")
     rows = (Segment("steps", np.array([0.5, 40.0]), np.array([[0.5, 0.4], [0.3, 0.5]])),)
     save_mission(Mission("trial", "mission", ("left", "right"), rows, 80.0), folder / "mission.toml")

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from daq.log.reader import open_log
 from daq.log.segments import read_note
@@ -74,6 +74,8 @@ class Running:
     pid: int
     acquisition: int
     watchdog: int
+    log: Path
+    deleted: IO[bytes] | None = None  # the log, where the fault has deleted it
 
 
 def until(condition: Callable[[], bool]) -> bool:
@@ -142,7 +144,7 @@ def trial(kind: Kind, folder: Path, devices: subprocess.Popen[str], boat: Boat, 
     try:
         if not until(lambda: boat.turning() or not process.is_alive()) or not process.is_alive():
             return _no_trial(f"it never turned: {_last_line(folder)}")
-        running = _processes(folder, process.pid)
+        running = _processes(folder, process.pid, log)
         if running is None:
             process.join(PATIENCE_S)
             return _no_trial(f"it was over: {_last_line(folder)}")
@@ -153,8 +155,9 @@ def trial(kind: Kind, folder: Path, devices: subprocess.Popen[str], boat: Boat, 
             devices.send_signal(signal.SIGUSR1)
         elif kind.strike is not None:
             kind.strike(running)
+            begun = time.monotonic() if kind.full else begun  # a disk is full with its last byte
         wrong = [] if until(lambda: not boat.turning()) else ["thrust did not end"]
-        if kind.name == "runner hangs":
+        if kind.what == "runner hangs":
             os.kill(process.pid, signal.SIGCONT)
         process.join(PATIENCE_S)
         ended = until(lambda: not is_alive(running.acquisition) and not is_alive(running.watchdog))
@@ -163,7 +166,10 @@ def trial(kind: Kind, folder: Path, devices: subprocess.Popen[str], boat: Boat, 
         if process.is_alive():
             process.kill()
             process.join()
-    line = _last_line(folder) if kind.full else ""  # no log can say that its disk is full
+    if running.deleted is not None:
+        with running.deleted as deleted:
+            log.write_bytes(deleted.read())
+    line = _last_line(folder) if kind.full or running.deleted else ""  # what the log cannot say
     found = _judged(kind, log, begun, boat, boat.forgiven - forgiven if kind.cut_off else 0.0, [line, *wrong])
     for path in [*log.parent.glob(f"{log.stem}*"), log.parent / "filler"]:
         path.unlink(missing_ok=True)
@@ -189,10 +195,10 @@ def _last_line(folder: Path) -> str:
     return lines[-1] if lines else ""
 
 
-def _processes(folder: Path, pid: int) -> Running | None:
+def _processes(folder: Path, pid: int, log: Path) -> Running | None:
     """Those of a run; None where it is on its way out."""
     try:
-        return Running(folder, pid, acquisition_of(pid), watchdog_of(pid))
+        return Running(folder, pid, acquisition_of(pid), watchdog_of(pid), log)
     except ValueError:
         return None
 
@@ -208,7 +214,7 @@ def _judged(kind: Kind, log: Path, begun: float, boat: Boat, forgiven: float, fo
     def wall(t: float) -> float:
         return float(origin[0] + (t - origin[1]) / speed)
 
-    before = [text for t, event, text in events if event == "stop" and wall(t) < begun]
+    before = [text for t, event, text in events if event == "stop" and wall(t) < boat.struck_at]
     if before:
         return _no_trial(before[0])
     texts = [text for _, event, text in events if event == "stop"] + [read_note(log), line]

@@ -5,9 +5,10 @@
 Each trial runs a mission on the mock boat behind real ports, waits until it turns, lets one thing fail at a random
 moment, and looks at when the thrusters stood (the mock's own trace) and at what the log says. Prints a table; exit
 status 1 when one trial was not as it has to be. With --out the trials are kept, one line of JSON each, and what is
-there is not run again; --docs prints the table of docs/safety.md. Jobs wait most of the time, but their deadlines are
-real: more of them than the machine has idle cores measure the machine. What is judged, and the mock that measures, get
-ahead of other programs by themselves; what only begins or ends does not, or two jobs would hold up each other.
+there is not run again; --docs puts the table between its marks in a page. Jobs wait most of the time, but their
+deadlines are real: more of them than the machine has idle cores measure the machine. What is judged, and the mock that
+measures, get ahead of other programs by themselves; what only begins or ends does not, or two jobs would hold up each
+other.
 """
 
 from __future__ import annotations
@@ -24,11 +25,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.bench.fault_kinds import AFTER_DECISION_S, KINDS, Kind
+from tests.bench.fault_kinds import AFTER_DECISION_S, KINDS, RIGS, Kind
 from tests.bench.fault_runs import Trial, trials
 
 PART = 10  # trials with one mock boat
 SAID = 60  # characters
+MARKS = ("<!-- python -m tests.bench.fault_trials -->", "<!-- end of the trials -->")
 NOT_TRIED = "not tried"
 NO_DISK = "not tried: no small file system can be mounted here"
 Results = dict[str, dict[int, Trial]]  # by kind and seed
@@ -107,7 +109,7 @@ def run_all(kinds: Sequence[Kind], n: int, seed: int, jobs: int, store: Store, s
 def numbers(kind: Kind, found: Sequence[Trial]) -> tuple[str, str, str, str, str]:
     """Good of all; median and largest time from fault to zero, its limit, and the largest from the decision [ms]."""
     zero = np.array([t.zero_s for t in found]) * 1e3
-    after = np.array([t.decided_s for t in found]) * 1e3
+    after = np.maximum([t.decided_s for t in found], 0.0) * 1e3  # it may be zero before that is written down
     good = f"{sum(not t.wrong for t in found)}/{len(found)}"
     median, largest = (f"{f(zero):.0f}" if np.isfinite(zero).any() else "-" for f in (np.nanmedian, np.nanmax))
     decided = f"{np.nanmax(after):.0f}" if np.isfinite(after).any() else "-"
@@ -117,31 +119,43 @@ def numbers(kind: Kind, found: Sequence[Trial]) -> tuple[str, str, str, str, str
 def row(kind: Kind, found: Sequence[Trial]) -> str:
     """One line of the table."""
     if not found:
-        return f"{kind.name:<24} {NO_DISK if kind.full else NOT_TRIED}"
+        return f"{kind.name:<30} {NO_DISK if kind.full else NOT_TRIED}"
     good, median, largest, limit, decided = numbers(kind, found)
-    return f"{kind.name:<24} {good:>9} {median:>6} {largest:>6}  {limit:>5} {decided:>8}   {found[0].said[:SAID]}"
+    return f"{kind.name:<30} {good:>9} {median:>6} {largest:>6}  {limit:>5} {decided:>8}   {found[0].said[:SAID]}"
 
 
 def table(results: Results, kinds: Sequence[Kind]) -> str:
     """For the terminal."""
-    head = f"{'what fails':<24} {'good':>9} {'median':>6} {'max':>6}  {'limit':>5} {'decided':>8}   said"
-    lines = [head, f"{'':<24} {'':>9} {'from fault to zero, ms':>22}"]
+    head = f"{'what fails':<30} {'good':>9} {'median':>6} {'max':>6}  {'limit':>5} {'decided':>8}   said"
+    lines = [head, f"{'':<30} {'':>9} {'from fault to zero, ms':>22}"]
     return "\n".join(lines + [row(kind, list(results[kind.name].values())) for kind in kinds])
 
 
 def page(results: Results, kinds: Sequence[Kind]) -> str:
-    """The table of docs/safety.md, as Markdown."""
-    lines = [
-        "| what fails | as it has to be | zero after, median | at most | allowed | from the decision, at most |",
-        "|---|---:|---:|---:|---:|---:|",
-    ]
-    for kind in kinds:
-        found = list(results[kind.name].values())
-        if found:
-            good, median, largest, limit, decided = numbers(kind, found)
-            decided = "-" if kind.cut_off or decided == "-" else f"{decided} ms"
-            lines.append(f"| {kind.name} | {good} | {median} ms | {largest} ms | {limit} ms | {decided} |")
+    """The table of docs/safety.md, as Markdown: a row for each thing that fails, a column for each rig."""
+    rows = [trial for kind in kinds for trial in results[kind.name].values()]
+    lines = [f"{sum(not row.wrong for row in rows)} of {len(rows)} trials as they have to be.", ""]
+    lines += ["| what fails | allowed | " + " | ".join(RIGS) + " |", "|---|---:|" + "---:|" * len(RIGS)]
+    for what in dict.fromkeys(kind.what for kind in kinds):
+        cells = dict.fromkeys(RIGS, "-")
+        for kind in (kind for kind in kinds if kind.what == what):
+            found = list(results[kind.name].values())
+            if found:
+                good, median, largest, limit, decided = numbers(kind, found)
+                decided = "" if kind.cut_off or decided == "-" else f" ({decided})"
+                cells[kind.rig] = f"{good}: {median}, {largest}{decided}"
+        if set(cells.values()) != {"-"}:
+            lines.append(f"| {what} | {limit} ms | " + " | ".join(cells.values()) + " |")
     return "\n".join(lines)
+
+
+def into(path: Path, marks: tuple[str, str], text: str) -> None:
+    """Replace what is between the marks of a page."""
+    before, _, rest = path.read_text(encoding="utf-8").partition(marks[0])
+    _, mark, after = rest.partition(marks[1])
+    if not mark:
+        raise SystemExit(f"{path}: no '{marks[0]}' ... '{marks[1]}' in it")
+    path.write_text(f"{before}{marks[0]}\n{text}\n{marks[1]}{after}", encoding="utf-8")
 
 
 def main() -> None:
@@ -152,7 +166,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", default=[""], help="kinds whose name contains one of these")
     parser.add_argument("--jobs", type=int, default=1, help="trials at once")
     parser.add_argument("--out", type=Path, help="file of JSON lines to keep trials in and to go on from")
-    parser.add_argument("--docs", action="store_true", help="print the table as Markdown")
+    parser.add_argument("--docs", type=Path, help="page that gets the table")
     options = parser.parse_args()
     kinds = [kind for kind in KINDS if any(part in kind.name for part in options.only)]
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -163,7 +177,9 @@ def main() -> None:
         goes_on = f"; the same command goes on from {options.out}" if options.out else ""
         print(f"interrupted{goes_on}", file=sys.stderr)
         sys.exit(130)
-    print((page if options.docs else table)(store.results, kinds))
+    print(table(store.results, kinds))
+    if options.docs:
+        into(options.docs, MARKS, f"\n{page(store.results, kinds)}\n")
     bad = sum(bool(t.wrong) for kind in kinds for t in store.results[kind.name].values())
     if store.spoilt:
         print(f"{store.spoilt} runs had ended before anything failed: the machine was too busy", file=sys.stderr)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -33,14 +33,16 @@ def short_mission(folder: Path, n: float = 0.6, seconds: float = 8.0) -> Mission
     return mission
 
 
-class Run:
-    """One `seatrial mission run` as a process."""
+MISSION_RUN = ("mission", "run", "mission.toml", "bench-rig.toml")
 
-    def __init__(self, folder: Path) -> None:
+
+class Run:
+    """One `seatrial mission run`, or another command that drives, as a process."""
+
+    def __init__(self, folder: Path, words: Sequence[str] = MISSION_RUN) -> None:
         self.log = folder / "run.mcap"
-        words = ["mission", "run", "mission.toml", "bench-rig.toml", "-o", "run.mcap"]
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "seatrial", *words],
+            [sys.executable, "-m", "seatrial", *words, "-o", "run.mcap"],
             cwd=folder,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -67,8 +69,8 @@ class Run:
 
 
 @contextmanager
-def running(folder: Path) -> Iterator[Run]:
-    run = Run(folder)
+def running(folder: Path, words: Sequence[str] = MISSION_RUN) -> Iterator[Run]:
+    run = Run(folder, words)
     try:
         yield run
     finally:

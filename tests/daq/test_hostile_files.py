@@ -15,7 +15,7 @@ from tests.daq.hostile_files import MEMORY, Command, run, study
 
 
 def test_hostile_files_are_answered_or_refused_in_one_line(tmp_path: Path) -> None:
-    summary = study(8, 3, 0, tmp_path / "few", diagnose=False)
+    summary = study(8, 3, 0, tmp_path / "few", fits=False)
     assert summary.failures == []
     assert summary.runs.total() > 15
     assert len(summary.runs) >= 5
@@ -59,6 +59,6 @@ def test_what_a_command_may_not_do_is_seen(tmp_path: Path, monkeypatch: pytest.M
         sys.exit(0)
 
     monkeypatch.setattr(hostile_files.seatrial, "main", main)
-    told, _, _ = run(Command(("info",), "out/x"), box, tmp_path / "cache")
-    assert told.startswith(why)
-    assert bool(told) == bool(why)
+    found = run(Command(("info",), "out/x"), box, tmp_path / "cache")
+    assert found.why.startswith(why)
+    assert bool(found.why) == bool(why)

@@ -244,18 +244,20 @@ def navigation_filter(readings: Sequence[Reading]) -> Columns:
 
     Acceleration integrated in NED, drawn to the fixes; the heading integrated from the gyro, drawn to the compass.
     """
-    rows, psi, r = [], None, 0.0
+    rows, psi, r, turning = [], None, 0.0, 0.0
     p, v, b = np.zeros(2), np.zeros(2), np.zeros(2)  # m, m/s, and the error of the acceleration, m/s2
-    origin, last, due = None, 0.0, 0.0
+    origin, last, due, pushing = None, 0.0, 0.0, np.zeros(2)
     for _, sample, t in readings:
         if isinstance(sample, Ahrs):
             dt, last = t - last, t
-            psi = sample.yaw if psi is None else psi
-            psi += sample.r * dt + dt / 2.0 * ((sample.yaw - psi + np.pi) % (2.0 * np.pi) - np.pi)
+            psi = sample.yaw if psi is None else psi + (turning + sample.r) / 2.0 * dt
+            psi += dt / 2.0 * ((sample.yaw - psi + np.pi) % (2.0 * np.pi) - np.pi)
+            turning = sample.r
             r += min(1.0, dt / 0.05) * (sample.r - r)
             c, s = np.cos(psi), np.sin(psi)
-            acceleration = np.array([c * sample.ax - s * sample.ay, s * sample.ax + c * sample.ay]) - b
-            p, v = p + dt * v, v + dt * acceleration
+            push = np.array([c * sample.ax - s * sample.ay, s * sample.ax + c * sample.ay])
+            step = dt * ((pushing + push) / 2.0 - b)
+            p, v, pushing = p + dt * (v + step / 2.0), v + step, push
             if t >= due:
                 due += 0.1
                 rows.append((t, *p, psi, r, c * v[0] + s * v[1], c * v[1] - s * v[0]))

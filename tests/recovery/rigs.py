@@ -80,7 +80,7 @@ def run_case(case: RigCase) -> Row:
 def _boat(case: RigCase, folder: Path) -> Row:
     rig = RIGS[case.rig]
     boat = rig.boat(None if case.effect == NONE else case.effect, case.seed)
-    row = _identified(folder, *rig.sail(boat, folder), rig.options(boat))
+    row = _identified(folder, *rig.sail(boat, folder), rig.options(boat), judged_with_effects=bool(rig.there))
     z = {} if rig.payload else z_scores(row.pop("fit").parameters, truth_of(boat))
     return {k: v for k, v in row.items() if k != "fit"} | {"z": z}
 
@@ -92,9 +92,15 @@ def _plant(plant: Plant, folder: Path) -> Row:
 
 
 def _identified(
-    folder: Path, estimation: Sequence[Path], validation: Sequence[Path], options: Sequence[str], diagnose: bool = True
+    folder: Path,
+    estimation: Sequence[Path],
+    validation: Sequence[Path],
+    options: Sequence[str],
+    diagnose: bool = True,
+    judged_with_effects: bool = False,
 ) -> Row:
-    """What the two commands say of the logs, and the fit of the first."""
+    """What the two commands say of the logs, and the fit of the first; or that of the second, where every log has an
+    effect that the first does not know."""
     logs = [p.name for p in estimation] + [w for p in validation for w in ("--validate", p.name)]
     seatrial(folder, "ident", "vehicle", *logs, *options, "--out", "vehicle")
     vehicle = read_result(folder / "vehicle" / "result.json")
@@ -106,7 +112,7 @@ def _identified(
     seatrial(folder, "ident", "diagnose", "vehicle/model.toml", *logs, "--out", "found")
     found = read_result(folder / "found" / "result.json")
     assert isinstance(found, DiagnosisResult)
-    return row | {
+    return row | ({"fit": found.fit} if judged_with_effects else {}) | {
         "found": [e.name for e in found.effects],
         "attribution": [e.attribution for e in found.effects],
         "not_excluded": [list(e.not_excluded) for e in found.effects],

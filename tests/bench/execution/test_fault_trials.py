@@ -9,9 +9,9 @@ import pytest
 
 from tests.bench.fault_kinds import KINDS
 from tests.bench.fault_runs import Trial, trials
-from tests.bench.fault_trials import NOT_TRIED, PART, Store, page, parts, row, table
+from tests.bench.fault_trials import MARKS, NOT_TRIED, PART, Store, into, page, parts, row, table
 
-SAMPLE = ("AHRS lost", "capsized")
+SAMPLE = ("VESC, temperature not told", "DroneCAN, AHRS lost", "MAVLink, capsized")
 
 
 @pytest.mark.slow
@@ -37,4 +37,10 @@ def test_what_was_interrupted_goes_on_where_it_was(tmp_path: Path) -> None:
     assert parts(kinds, 2, 1, again.results) == [(kinds[1], [1, 2])]
     assert "1/2    350    400" in table(again.results, kinds)
     assert table(again.results, kinds).endswith(NOT_TRIED)
-    assert page(again.results, kinds).endswith("| runner killed | 1/2 | 350 ms | 400 ms | 350 ms | 50 ms |")
+    (tmp_path / "page.md").write_text(f"before\n{MARKS[0]}\nold\n{MARKS[1]}\nafter\n", encoding="utf-8")
+    into(tmp_path / "page.md", MARKS, page(again.results, kinds))
+    written = (tmp_path / "page.md").read_text(encoding="utf-8")
+    assert "1 of 2 trials as they have to be." in written
+    assert "old" not in written
+    assert written.endswith(f"{MARKS[1]}\nafter\n")
+    assert page(again.results, kinds).endswith("| runner killed | 350 ms | 1/2: 350, 400 (50) | - | - |")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import pty
 import subprocess
@@ -13,12 +14,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.execution.sequencer import MissionSequencer, Schedule
+from bench.execution.sequencer import CommandFollower, MissionSequencer, Schedule, follow_plan
 from daq.acquisition.status import PortStatus, Status
 from daq.config.mission_file import Mission, Segment
+from daq.config.rig_file import parse_rig
+from daq.errors import SafetyStop, SeatrialError
 from daq.log.reader import open_log
+from daq.tools.ros_live import ReceivedCommand
 from tests.bench.runs import short_mission
-from tests.bench.standin import StandIn, until
+from tests.bench.standin import RIG, StandIn, until
 
 REST = np.zeros((1, 1))
 MISSION = Mission(
@@ -187,3 +191,107 @@ os.setsid()
 fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 os.execv(sys.argv[1], sys.argv[1:])
 """
+
+
+class Following:
+    """A follower of `left` on a run clock of our own, looked at 50 times a second; a command may come each time."""
+
+    def __init__(self) -> None:
+        self.acquisition, self.said, self.waiting = Acquisition(), list[str](), list[ReceivedCommand]()
+        self.waiting.append(ReceivedCommand(0.9, b"old"))
+        mission = Mission("follow", "mission", ("left",), MISSION.segments[:1], 60.0, 0.8, 2.0)
+        self.course = CommandFollower(mission, 100.0, 0.3, self.acquisition, self.said.append, self)
+        self.now = 99.9
+
+    def put(self, samples: object, dropped: int) -> None:
+        raise AssertionError
+
+    def take(self) -> dict[str, list[ReceivedCommand]]:
+        taken, self.waiting = self.waiting, []
+        return {"left": taken}
+
+    def until(self, t: float, n: float | None = None, sender: bytes = b"a", keys: str = "") -> None:
+        while self.now < t:
+            if n is not None:
+                self.waiting.append(ReceivedCommand(n, sender))
+            self.acquisition.now = self.now
+            self.course.step(self.now, 0.5, GOOD, keys)
+            self.now, keys = self.now + 0.02, ""
+
+    @property
+    def n(self) -> float:
+        return self.acquisition.sent[-1][1] if self.acquisition.sent else 0.0
+
+
+def test_nothing_is_followed_before_zero() -> None:
+    drive = Following()
+    drive.until(102.0, 0.03)
+    assert drive.acquisition.sent == []
+    assert drive.course.segment == "waiting for zero"
+    drive.until(102.1, -0.01)
+    drive.until(104.0, 0.5)
+    assert drive.n == 0.5
+    assert drive.course.segment == "follow"
+    steps = np.diff([n for _, n in drive.acquisition.sent])
+    assert steps.max() <= 2.0 * 0.02 + 1e-9  # the slew rate
+    assert drive.course.is_over(160.0)
+
+
+def test_without_commands_thrust_is_zero_and_zero_comes_first_again() -> None:
+    drive = Following()
+    drive.until(101.0, 0.0)
+    assert drive.acquisition.sent == []
+    drive.until(103.0, 0.5)
+    heard = drive.now - 0.02
+    drive.until(104.0)
+    (stopped,) = [t for t, n in drive.acquisition.sent if n == 0.0]
+    assert 0.3 < stopped - heard < 0.34
+    assert drive.acquisition.events[-1] == ("silence", "no command for left")
+    drive.until(105.0, 0.5)
+    assert drive.n == 0.0
+    drive.until(105.1, 0.0)
+    drive.until(106.0, -0.5)
+    assert drive.n == -0.5
+
+
+@pytest.mark.parametrize("n", [math.nan, math.inf, 0.81, -1.0])
+def test_a_command_that_is_none_or_beyond_the_limit_ends_the_run(n: float) -> None:
+    drive = Following()
+    drive.until(101.0, 0.0)
+    with pytest.raises(SafetyStop, match=r"only -0\.8 to 0\.8"):
+        drive.until(101.1, n)
+
+
+def test_a_second_sender_and_a_flood_end_the_run() -> None:
+    drive = Following()
+    drive.until(101.0, 0.0)
+    with pytest.raises(SafetyStop, match="two senders"):
+        drive.until(101.1, 0.0, b"b")
+    drive.until(102.0)
+    drive.until(103.0, 0.0, b"b")  # one after the other may
+    drive.waiting = [ReceivedCommand(0.0, b"b")] * 512
+    with pytest.raises(SafetyStop, match="too fast"):
+        drive.until(103.1)
+
+
+def test_a_pause_is_zero_until_zero_was_commanded() -> None:
+    drive = Following()
+    drive.until(101.0, 0.0)
+    drive.until(103.0, 0.5)
+    drive.until(104.0, 0.5, keys=" ")
+    assert drive.n == 0.0
+    drive.until(105.0, 0.5, keys=" ")
+    assert drive.n == 0.0
+    drive.until(105.1, 0.0)
+    drive.until(106.0, 0.5)
+    assert drive.n == 0.5
+
+
+def test_only_a_rig_that_says_so_is_commanded_by_others() -> None:
+    rig = parse_rig(RIG.format(speed=1.0), Path("rig.toml"))
+    with pytest.raises(SeatrialError, match=r"commands = true.*\[ros2\]"):
+        follow_plan(rig, 60.0, None, 1.0)
+    rig = parse_rig(RIG.format(speed=1.0) + "[ros2]\ncommands = true\n", Path("rig.toml"))
+    assert follow_plan(rig, 60.0, None, 1.0).n_max == 0.9
+    with pytest.raises(SeatrialError, match=r"limits\.n_max"):
+        follow_plan(rig, 60.0, 0.95, 1.0)

@@ -9,13 +9,17 @@ from pathlib import Path
 
 import pytest
 
+from bench.preflight.rig_checks import check_ports
+from daq.acquisition.status import PortStatus, Status
 from daq.checks.device_checks import check_devices
-from daq.checks.findings import Finding
+from daq.checks.findings import FAULT, Finding
+from daq.drivers.base import LinkStatus
 from daq.log.reader import open_log
 from daq.samples import Ahrs, Gnss, LoadCell
 from mocks.plant.bench import draw_bench
 from mocks.world import Sample
 from tests.bench.check_cases import Case, alarms, logged, sailed
+from tests.daq.mavlink_ends import mav_rig
 from tests.missions import push, write_log
 
 G = 9.81  # m/s2
@@ -97,3 +101,13 @@ def test_a_log_that_was_cut_off_says_so(tmp_path: Path) -> None:
     whole = logged(tmp_path / "whole.mcap", 3, actuators=True).read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
     assert "cut off" in next(f.text for f in told(tmp_path / "cut.mcap") if f.code == "log-damaged")
+
+
+def test_check_refuses_thrusters_behind_px4() -> None:
+    rig = mav_rig()
+    port = PortStatus("autopilot", "mavlink", "", 25.0, 25.0, 0.01, 9, 9, 0, 0, 0, 0, 99, 0.0, 0.0, "")
+    link = LinkStatus(received=True, vehicle="PX4", age=0.1)
+    status = Status(1.0, {"autopilot": port}, {}, {}, 0, "", 1, 1, 1.0, "", (), links={"autopilot": link})
+    (found,) = [one for one in check_ports(rig, status) if one.code == "autopilot-not-driven"]
+    assert (found.level, found.where) == (FAULT, "autopilot")
+    assert "PX4: only ArduPilot Rover is driven" in found.text

@@ -8,7 +8,7 @@ import socket
 import pytest
 
 from daq.acquisition import ipc
-from daq.acquisition.status import Latest, PortStatus, Status
+from daq.acquisition.status import Latest, PortStatus, Status, StreamedSample
 from daq.drivers.base import LinkStatus
 from daq.samples import Ahrs, Esc
 
@@ -25,8 +25,10 @@ MESSAGES: list[ipc.Message] = [
     ipc.ZeroThrust("end"),
     ipc.LogEvent("step", "1"),
     ipc.DriverRequest("fcu", "mode", 4.0),
+    ipc.StreamSamples(),
     ipc.Stop(),
     ipc.StatusReport(STATUS),
+    ipc.SampleBatch([StreamedSample("ahrs", Ahrs(1.0, math.nan, 0.2), 1.5)], 3),
     ipc.Failed("the disk is full"),
     ipc.Closed("closed as asked"),
     ipc.WatchdogConfiguration("text", "/rig.toml", 7, "/run.mcap"),

@@ -70,6 +70,10 @@ def test_absolute_and_socketcan_ports_stay_as_they_are(example: str) -> None:
         ("n_max = 1.0", "n_max = 1.5", r"limits\.n_max: must be within 0\.0 \.\. 1\.0"),
         ("[limits]", "[limit]", r"limit: unknown key; known here: format, name"),
         ("[limits]", "[limits", r"not valid TOML.*line"),
+        ("commands = false", "commands = 1", r"ros2\.commands: must be true or false"),
+        ('"tcp/127.0.0.1:7447"', '"udp/10.0.0.1:7447#iface=x"', r"ros2\.router: must be tcp/HOST:PORT"),
+        ('namespace = ""', 'namespace = "a/**"', r"ros2\.namespace: 'a/\*\*' becomes a part of topics"),
+        ("timeout_s = 0.3", "timeout_s = 30.0", r"ros2\.timeout_s: must be within 0\.05 \.\. 2\.0"),
     ],
 )
 def test_what_is_wrong_is_named_in_one_line(example: str, old: str, new: str, line: str) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from daq.errors import SeatrialError
-from daq.importers.mavlink import import_mavlink
+from daq.importers.mavlink import STAMP, _frames, import_mavlink
 from daq.log.reader import open_log
 from daq.samples import Ahrs, Autopilot, Battery, Esc, Gnss, Servo
 from tests.daq.mavlink_ends import LEVEL, Ends, mav_rig
@@ -70,6 +70,20 @@ def test_damage_costs_what_it_hits(tmp_path: Path) -> None:
     data = (tmp_path / "clean.tlog").read_bytes()
     (tmp_path / "cut.tlog").write_bytes(data[: len(data) // 2 + 5])
     import_mavlink(tmp_path / "cut.tlog", out=tmp_path / "cut.mcap")
+
+
+@pytest.mark.parametrize("damaged", [1, 2**63])
+def test_a_damaged_time_that_no_log_can_hold_is_one_line(tmp_path: Path, damaged: int) -> None:
+    """Behind them the device's own times, mapped by them, are no times either."""
+    path = tmp_path / "run.tlog"
+    tlog(path)
+    data = bytearray(path.read_bytes())
+    for at in [at - STAMP for _, at, _ in _frames(bytes(data))][-100:-50]:
+        data[at : at + STAMP] = struct.pack(">Q", damaged)
+    path.write_bytes(data)
+    with pytest.raises(SeatrialError, match="do not lie between 1970 and 2038"):
+        import_mavlink(path, out=tmp_path / "run.mcap")
+    assert not (tmp_path / "run.mcap").exists()
 
 
 def test_what_is_no_tlog_is_one_line(tmp_path: Path) -> None:

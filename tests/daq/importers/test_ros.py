@@ -13,6 +13,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from daq.errors import SeatrialError, SeatrialWarning
+from daq.importers.guess import guess_map
 from daq.importers.import_files import import_files
 from daq.importers.ros import read_bag
 from daq.importers.table import SourceOptions
@@ -213,3 +214,46 @@ def test_what_is_wrong_is_one_line(bag: Path, tmp_path: Path) -> None:
     with pytest.raises(SeatrialError, match="cannot be read as a bag of ROS"):
         signals(tmp_path / "bad.mcap", tmp_path, '{ name = "x", topic = "/rpm", field = "data", unit = "m" }')
     assert not list((tmp_path / "logs").glob("*.mcap")) if (tmp_path / "logs").exists() else True
+
+
+def test_a_bag_with_nothing_but_tf_for_its_pose(tmp_path: Path) -> None:
+    """Eastward at 1 m/s, bow to the north-west; the odometry's correction and a sensor's place are no pose."""
+    types = STORE.types
+    half = math.radians(135.0) / 2
+    turn = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(half), math.cos(half))
+
+    def transform(k: int, parent: str, child: str, x: float) -> Any:
+        stamped = types["geometry_msgs/msg/TransformStamped"]
+        placed = types["geometry_msgs/msg/Transform"](types["geometry_msgs/msg/Vector3"](x, 2.0, 0.5), turn)
+        head = types["std_msgs/msg/Header"](header(k).stamp, parent)  # type: ignore[attr-defined]
+        return stamped(head, child, placed)
+
+    kind = "tf2_msgs/msg/TFMessage"
+    path = tmp_path / "bag"
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        tf = writer.add_connection("/tf", kind, typestore=STORE)
+        drive = writer.add_connection("/thrusters/left/cmd", "std_msgs/msg/Float64", typestore=STORE)
+        for k in range(N):
+            message = types[kind]([
+                transform(k, "map", "odom", 7.0), transform(k, "/odom", "base_link", 0.05 * k),
+                transform(k, "base_link", "imu", 0.3),
+            ])  # fmt: skip
+            t_ns = round((T0 + 0.05 * k + 0.01) * 1e9)
+            writer.write(tf, t_ns, STORE.serialize_cdr(message, kind))
+            command = types["std_msgs/msg/Float64"](0.01 * k)
+            writer.write(drive, t_ns, STORE.serialize_cdr(command, "std_msgs/msg/Float64"))
+    guess = guess_map(path)
+    assert guess.problem == "only n_left of the thrusters was recognised"
+    assert "caveat: a pose of /tf" in guess.text
+    assert guess.text.count("/tf:odom:base_link") >= 3
+    assert "odom:imu" not in guess.text.replace("base_link:imu", "")
+    (tmp_path / "map.toml").write_text(guess.text, encoding="utf-8")
+    (log_path,) = import_files(tmp_path / "map.toml", [path], out_dir=tmp_path)
+    with open_log(log_path) as log:
+        east, heading = log.table(Scalar, "y"), log.table(Scalar, "psi")
+    np.testing.assert_allclose(np.diff(east["value"]) / np.diff(east["t"]), 1.0, rtol=1e-4)
+    np.testing.assert_allclose(heading["value"], math.radians(-45.0), atol=1e-9)
+    wrong = guess.text.replace("/tf:odom:base_link", "/tf:odom:boat")
+    (tmp_path / "wrong.toml").write_text(wrong, encoding="utf-8")
+    with pytest.raises(SeatrialError, match="no transform /tf:odom:boat; there is"):
+        import_files(tmp_path / "wrong.toml", [path], out_dir=tmp_path)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import socket
+import threading
 from pathlib import Path
 
 import pytest
 
 from daq.config.rig_file import parse_rig
+from daq.protocol.mavlink_wire import Codec
 from daq.rig import Rig
-from daq.tools.autopilot_tables import DiscoveredAutopilot
+from daq.tools.autopilot_tables import DiscoveredAutopilot, identify_autopilot
 from tests.daq.mavlink_ends import Ends, mav_rig
 
 
@@ -67,3 +70,34 @@ def test_other_vehicles_are_named_and_have_no_thruster(vehicle: str) -> None:
     assert rig.devices[0].mavlink.system_id == 3
     assert text.count("caveat: ") == 2
     assert vehicle in text.splitlines()[0]
+
+
+@pytest.mark.parametrize(("autopilot", "vehicle", "said"), [
+    (12, 11, "PX4, system 1; only ArduPilot Rover is driven, this is logged"),
+    (3, 12, "ArduSub, system 1; only ArduPilot Rover is driven, this is logged"),
+    (3, 11, "ArduPilot Rover, system 1"),
+])  # fmt: skip
+def test_devices_says_what_is_driven(autopilot: int, vehicle: int, said: str) -> None:
+    """A heartbeat over UDP; with --toml nothing is asked of what is not driven."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+            taken.bind(("127.0.0.1", 0))
+            port = taken.getsockname()[1]
+        codec = Codec(1, 1)
+        ending = threading.Event()
+
+        def beat() -> None:
+            while not ending.wait(0.1):
+                other.sendto(codec.encode("HEARTBEAT", vehicle, autopilot, 0, 0, 4, 3), ("127.0.0.1", port))
+
+        thread = threading.Thread(target=beat)
+        thread.start()
+        found = identify_autopilot(f"udpin:127.0.0.1:{port}", 0, vehicle != 11)
+        ending.set()
+        thread.join()
+        assert found.says == said
+        other.setblocking(False)
+        if "logged" in said:
+            with pytest.raises(BlockingIOError):
+                other.recv(100)

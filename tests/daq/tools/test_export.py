@@ -52,6 +52,26 @@ def test_csv_holds_every_table_with_all_digits(log: Path, tmp_path: Path) -> Non
     assert events[1].endswith('mark,"round 0: Trondheimsfjorden, blåsende"')
 
 
+def test_a_part_of_the_time_only(tmp_path: Path) -> None:
+    log = recorder(tmp_path / "run.mcap")
+    for k in range(500):
+        t = T0 + 0.02 * k
+        log.write("ahrs", Frame(Ahrs(0.1, 0.0, 0.0), t, 0.02 * k), t)
+        if k % 50 == 0:
+            log.event(t, "mark", f"{k}")
+    log.close()
+    words = ["csv", str(tmp_path / "run.mcap"), "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(cli.export, [*words, "--from", "2", "--to", "4"])
+    assert done.exit_code == 0, done.output
+    t = np.loadtxt(tmp_path / "out/ahrs_ahrs.csv", delimiter=",", skiprows=1, usecols=0) - T0
+    assert (t.size, t[0], t[-1]) == (100, pytest.approx(2.0), pytest.approx(3.98))
+    marks = (tmp_path / "out/events.csv").read_text().splitlines()
+    assert [line.rpartition(",")[2] for line in marks[1:]] == ["100", "150"]
+    for window in (("--from", "11"), ("--from", "4", "--to", "2"), ("--from", "nan")):
+        done = CliRunner().invoke(cli.export, [*words, "--force", *window])
+        assert isinstance(done.exception, SeatrialError)
+
+
 def test_units_stand_in_the_heads(log: Path, tmp_path: Path) -> None:
     with open_log(log) as opened:
         export_log(opened, "csv", tmp_path / "out")

@@ -10,11 +10,11 @@ import pytest
 
 from ident.checks.frames import Relation, culprit
 from ident.checks.log_checks import check_copies, check_signals
-from ident.checks.signals import check_frozen, noise_floor, smoothed
+from ident.checks.signals import check_frozen, estimated, noise_floor, smoothed
 from ident.data.loading import LoadedLog
 from ident.data.record import Channel, LogSegment
 from ident.models.horizontal import horizontal_model
-from ident.workflows.check import with_noise_floors
+from ident.workflows.check import with_estimator_errors, with_noise_floors
 from tests.missions import boat_with, channels_of, sail
 
 SIDES = {"left": -0.15, "right": 0.15}
@@ -74,6 +74,20 @@ def test_a_smoothed_signal_is_told_and_its_noise_has_a_floor(run: dict[str, Chan
     assert model.parameter("e_psi") == horizontal_model().parameter("e_psi")
     assert len(said) == 1
     assert with_noise_floors(horizontal_model(), [])[1] == []
+
+
+def test_a_position_without_a_receivers_noise_has_errors_that_last(run: dict[str, Channel]) -> None:
+    assert not estimated(run)
+    smooth = run | {n: filtered(run[n], 5) for n in ("x", "y", "psi")}
+    assert estimated(smooth)
+    log = LoadedLog(LogSegment("run", smooth), {}, {}, None)
+    model, said = with_estimator_errors(horizontal_model(), [log])
+    assert len(said) == 1
+    assert {"A_psi", "A_xy", "A_vxy", "tau_psi", "tau_xy", "tau_vxy"} <= set(model.free)
+    assert with_noise_floors(model, [log]) == (model, [])  # their white noise may go to nearly nothing
+    assert with_estimator_errors(model, [log]) == (model, [])
+    assert with_estimator_errors(horizontal_model(), [log], {"e_xy"}) == (horizontal_model(), [])
+    assert with_estimator_errors(horizontal_model(), [replace(log, run=LogSegment("run", run))])[1] == []
 
 
 def test_a_boat_at_rest_is_not_frozen_and_a_driven_one_is(run: dict[str, Channel]) -> None:

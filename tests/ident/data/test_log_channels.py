@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,15 +11,19 @@ import numpy as np
 import pytest
 
 from bench.mission_generators import make_mission
+from daq.errors import SeatrialError
 from daq.log.reader import open_log
 from daq.log.schema import local_ned
 from daq.samples import NAN, Command, Esc, Gnss, Servo
-from ident.data.loading import SHAFTS, PropulsionInput, channels, load_run, propulsion_input
-from ident.data.record import Channel
+from ident.checks.log_checks import device_faults
+from ident.data import loading
+from ident.data.loading import SHAFTS, PropulsionInput, TimeWindow, channels, load_run, propulsion_input
+from ident.data.record import Channel, make_record
+from ident.models.horizontal import horizontal_model
 from mocks.offline_simulation import Recording, simulate
 from mocks.plant.bench import draw_bench
 from mocks.sensors import geodetic
-from tests.missions import T0, bench_channels_of, boat_with, channels_of, push, sail, write_log
+from tests.missions import T0, bench_channels_of, boat_log, boat_with, channels_of, push, sail, write_log
 from tests.recovery.rig_logs import AUTOPILOT, autopilot_log
 
 NANOSECOND = 2.5e-7  # what is left of one in seconds since 1970
@@ -155,6 +160,34 @@ def test_what_drives_the_boat_is_read_from_the_signals_their_hold_and_their_rate
     with open_log(write_log(tmp_path / "b.mcap", "boat", commands)) as log:
         assert not set(SHAFTS) & set(channels(log))
         assert propulsion_input(log, channels(log), {}) is PropulsionInput.COMMAND
+
+
+def test_a_window_of_a_log_is_the_same_rows_and_the_rest_is_not_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = boat_log(tmp_path / "a.mcap", boat_with(None, 4), 240.0, 3)
+    monkeypatch.setattr(loading, "MARGIN_S", 8.0)  # of a log as short as this
+    whole = load_run(path, "estimation")
+    read: list[int] = []
+    pread = os.pread
+    monkeypatch.setattr(os, "pread", lambda fd, n, at: read.append(n) or pread(fd, n, at))  # type: ignore[func-returns-value]
+    window = TimeWindow(150.0, 180.0)
+    part = load_run(path, "estimation", window)
+    assert device_faults(part.path, part.span) == []
+    assert sum(read) < 0.6 * path.stat().st_size
+    assert part.about["duration"] == pytest.approx(30.0)
+    assert (part.about["path"], part.about["sha256"]) == ("a.mcap[150:180]", "")
+    rows, wanted = (
+        make_record(horizontal_model(), replace(one.run, t_from=150.0, t_to=180.0), 10.0) for one in (part, whole)
+    )
+    assert rows.t.tolist() == wanted.t.tolist()
+    np.testing.assert_array_equal(rows.u, wanted.u)
+    for name, found, y in zip(rows.outputs, rows.y.T, wanted.y.T, strict=True):
+        # The track begins at the first fix that is read, the heading within half a turn of north.
+        begin = np.nanmean(found - y) if name in ("x", "y", "psi") else 0.0
+        np.testing.assert_allclose(found, y + begin, rtol=0.0, atol=1e-3 if begin else 0.0, err_msg=name)
+    with pytest.raises(SeatrialError, match="240 s long, so nothing is left from 300 s on"):
+        load_run(path, "estimation", TimeWindow(300.0))
 
 
 @pytest.mark.parametrize("signed", [True, False])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ident.diagnosis.acceptance import validation_gain
-from ident.diagnosis.results import MIN_ERROR_RATIO, EffectImportance, Outcome, Refit, Round
+from ident.diagnosis.results import MATERIAL_ERROR_RATIO, MIN_ERROR_RATIO, EffectImportance, Outcome, Refit, Round
 from ident.model.structure import Effect, EffectKind
 from ident.validation.prediction_errors import PredictionChange
 
@@ -107,11 +107,13 @@ def test_every_condition_counts(given: dict[str, Any], accepted: bool) -> None:
         (change(0.98, 0.7, 1.3), MIN_ERROR_RATIO + 0.01, True, True),
         (change(0.98, 0.7, 1.3), MIN_ERROR_RATIO - 0.01, False, True),
         (change(1.2, 1.1, 1.3), 1.5, False, False),
+        (change(0.99, 0.9, 1.1), MATERIAL_ERROR_RATIO - 0.001, False, False),  # the same with it and without
     ],
 )
 def test_what_pays_and_what_predicts(prediction: Any, error: float, predicts: bool, pays: bool) -> None:
     weight = EffectImportance("wind", 100.0, error, 30.0, 4.0, prediction)
     assert (weight.predicts, weight.pays) == (predicts, pays)
+    assert replace(weight, t=1.9).pays is (predicts and pays)  # a better prediction is support as well
     assert not EffectImportance("wind", 100.0, error, -3.0, 4.0, prediction).pays
 
 

@@ -92,7 +92,10 @@ def test_an_estimate_far_from_its_prior_is_found(fitted: Fit) -> None:
     assert against_priors(fitted) == []
     i = fitted.names.index("m_u")
     value, error = fitted.estimate("m_u")
-    told = replace(fitted.parameters[i], prior=(value - 10 * error, 2 * error))
+    usual = replace(fitted.parameters[i], prior=(value - 10 * error, 2 * error))
+    parameters = tuple(usual if k == i else p for k, p in enumerate(fitted.parameters))
+    assert against_priors(replace(fitted, parameters=parameters)) == []  # the structure's own: nobody said it
+    told = replace(usual, origin=ParameterOrigin.PRIOR)
     parameters = tuple(told if k == i else p for k, p in enumerate(fitted.parameters))
     ((p, _, widths),) = against_priors(replace(fitted, parameters=parameters))
     assert (p.name, widths) == ("m_u", pytest.approx(5.0, rel=0.2))

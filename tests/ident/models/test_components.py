@@ -1,4 +1,4 @@
-"""The antenna of the rig file and a wandering current: parts that are known or asked for."""
+"""The antenna of the rig file, a wandering current, an estimator's errors: parts that are known or asked for."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import SearchSettings, fit
 from ident.estimation.model_file import load_model, save_model
 from ident.estimation.prior_knowledge import apply_rig_geometry
+from ident.model.parameter import ParameterOrigin
 from ident.models.catalogue import make_model
-from ident.models.components import antenna, current_walk
+from ident.models.components import antenna, current_walk, estimator_error
 from ident.models.disturbances import for_diagnosis
 from ident.models.horizontal import horizontal_model
 from tests.missions import boat_with, channels_of, sail
@@ -62,14 +63,32 @@ def test_an_option_that_is_not_there_is_one_line() -> None:
         make_model("horizontal:sail")
 
 
-def test_both_come_back_from_a_model_file(tmp_path: Path) -> None:
+def test_all_come_back_from_a_model_file(tmp_path: Path) -> None:
     path = tmp_path / "model.toml"
-    full = for_diagnosis(make_model("horizontal:shaft:random-walk-current") + antenna(0.3, 0.1)).with_free(["m_r"])
+    base = make_model("horizontal:shaft:random-walk-current")
+    full = for_diagnosis(base + antenna(0.3, 0.1) + estimator_error([s.name for s in base.sensors])).with_free(["m_r"])
     record = build_record(full, channels_of(sail(boat_with(None, 1), 30.0, 1)[0]))
     save_model(path, fit(full, [record], settings=SearchSettings(max_iterations=2)), validity={}, provenance={})
     model = load_model(path).model
-    assert {"antenna", "random-walk-current"} <= {e.name for e in model.effects}
+    assert {"antenna", "random-walk-current", "estimator-error"} <= {e.name for e in model.effects}
+    assert [s.name for s in model.states] == [s.name for s in full.states]
     assert model.values["antenna_x"] == pytest.approx(0.3)
+
+
+def test_the_errors_of_an_estimator_are_gauss_markov_of_the_size_that_it_says() -> None:
+    """Its states are driven by unit noise: the stationary standard deviation of the error has to be A, whatever tau."""
+    sensors = ("attitude", "gyro", "position", "body_velocity")
+    model = (horizontal_model("shaft", sensors) + estimator_error(sensors)).with_values({"A_xy": 0.3, "tau_xy": 7.0})
+    names = [s.name for s in model.states]
+    assert {p.origin for p in model.effects[-1].parameters} == {ParameterOrigin.BUILT_IN}  # nobody gave their priors
+    assert names[-5:] == ["error_psi", "error_x", "error_y", "error_u", "error_v"]
+    k, y = names.index("error_x"), len(names) + [o.name for o in model.outputs].index("x")
+    x = np.zeros((2, len(names)))
+    x[1, k] = 1.0
+    found = outputs(model, x, np.zeros((2, len(model.inputs))))
+    decay, gain = found[1, k] - found[0, k], found[1, y] - found[0, y]
+    assert decay == pytest.approx(-1 / 7.0)
+    assert gain * np.sqrt(1 / (2 * -decay)) == pytest.approx(0.3)  # the variance of dz = -z/tau dt + dw is tau / 2
 
 
 def test_whatever_moves_the_water_is_in_the_velocity_over_ground_of_the_body() -> None:

@@ -73,6 +73,35 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, s
     return int(left.value.code or 0), said.out, said.err
 
 
+def test_results_are_replaced_only_where_that_is_said(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = tmp_path / "out/result.json"
+    before.parent.mkdir()
+    before.write_text("mine", encoding="utf-8")
+    words = (folder / "model.toml", folder / "one.mcap", "--from", 30, "--out", tmp_path / "out")
+    status, _, err = run(capsys, *words)
+    assert (status, err.count("\n")) == (1, 1)
+    assert "--force" in err
+    assert before.read_text(encoding="utf-8") == "mine"
+    assert run(capsys, *words, "--force")[0] == 0
+    assert before.read_text(encoding="utf-8") != "mine"
+
+
+def test_of_a_window_only_its_segments_are_told(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    window = ("--from", 30, "--to", 60)
+    status, _, err = run(capsys, folder / "model.toml", folder / "one.mcap", *window, "--out", tmp_path / "out")
+    assert status == 0, err
+    result: dict[str, Any] = json.loads((tmp_path / "out/result.json").read_text(encoding="utf-8"))
+    rows = [(row["what"], round(row["t_from"]), round(row["t_to"])) for row in result["information"]["segments"]]
+    assert rows == [("straight ahead", 30, 60)]
+    for words in ((30, 30), (30, 20), ("nan", 40)):
+        given = ("--from", words[0], "--to", words[1])
+        assert run(capsys, folder / "model.toml", folder / "one.mcap", *given, "--out", tmp_path / "no")[0] == 2
+
+
 def test_what_was_excited_is_what_is_told(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     status, said, err = run(capsys, folder / "model.toml", folder / "one.mcap", "--out", tmp_path / "out")
     assert status == 0, err

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from daq.errors import SeatrialError
-from ident.data.loading import LoadedLog, PropulsionInput, load_run
+from ident.data.loading import LoadedLog, PropulsionInput, TimeWindow, load_run
 from ident.data.record import Channel, LogSegment
 from ident.estimation.fitted_model import fit_nominal_model
 from ident.estimation.prior_knowledge import apply_rig_geometry, fix_parameters
@@ -105,10 +105,11 @@ def test_the_range_of_a_state_is_its_own_where_an_input_has_its_name() -> None:
 
 def test_a_log_is_loaded_with_times_from_its_own_start(tmp_path: Path) -> None:
     path = boat_log(tmp_path / "a.mcap", boat_with(None, 1), 20.0, 7)
-    found = load_run(path, "estimation", 3.0, 9.0)
+    found = load_run(path, "estimation", TimeWindow(3.0, 9.0))
     assert (found.run.t_from, found.run.t_to, found.run.name) == (3.0, 9.0, "a")
     assert min(c.t[0] for c in found.run.channels.values()) == 0.0
     about: Any = found.about
     assert (about["role"], about["rig"], about["mission"]) == ("estimation", "mock boat", "mixed, seed 7")
-    assert about["duration"] == pytest.approx(20.0, abs=0.1)
+    assert about["duration"] == pytest.approx(6.0)
+    assert load_run(path, "estimation").about["duration"] == pytest.approx(20.0, abs=0.1)
     assert about["warnings"] == []
