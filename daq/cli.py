@@ -323,19 +323,19 @@ def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, 
 @click.option(
     "--seconds", type=click.FloatRange(min=0.1), default=1.3, show_default=True, help="To listen at each baud rate."
 )
-@click.option("--toml", is_flag=True, help="Print [[device]] tables for the rig file.")
+@click.option("--toml", is_flag=True, help="Print a rig file with its [[device]] tables.")
 def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml: bool) -> None:
     """Find the serial ports and CAN buses of this machine, or of PORTs, and identify the protocol of each device.
 
     Only listens, at one baud rate after the other: nothing is sent to a port. PORT may be an autopilot's on a network,
     as udp:HOST:PORT or tcp:HOST:PORT; with --toml its parameters are asked for, none is changed, and its thrusters are
-    written too.
+    written too: a whole rig file, in which what is yours to measure is a caveat.
 
     \b
     Example:
       seatrial devices
       seatrial devices /dev/ttyUSB0 --toml
-      seatrial devices udp:127.0.0.1:14550 --toml
+      seatrial devices udp:127.0.0.1:14550 --toml > boat.toml
     """
     from daq.rig import NET_KINDS
     from daq.tools import find, identify_autopilot, identify_protocol
@@ -354,6 +354,8 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
     found = [identify(port) for port in ports] if ports else find(seconds, bauds, say)
     if not found:
         raise SeatrialError("there is no serial port and no CAN bus; plug the device in, or name its port")
+    if toml:
+        click.echo('format = "seatrial-rig 1"\nname = "boat"\n')
     for k, one in enumerate(found, start=1):
         if toml and one.protocol in _rig_protocols():
             click.echo(one.toml(f"{one.protocol}{k}"))

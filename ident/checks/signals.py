@@ -15,6 +15,7 @@ from ident.numerics import NORMAL_MAD, Array
 MOTION = ("psi", "r", "ax", "ay", "x", "y", "vx", "vy", "u", "v")
 # Those that one sensor gives: none of them proves that another one moves.
 GROUPS = (("psi",), ("r",), ("ax", "ay"), ("x", "y"), ("vx", "vy"), ("u", "v"))
+PLACES = (("x", "y"), ("vx", "vy"))
 BODY = (("ax", "ay"), ("u", "v"))  # one axis of which may be zero all the time
 LONGEST_INTERVAL, SHORTEST_INTERVAL = 10.0, 2e-4  # s between samples of a boat's sensors
 MOST_N = 1.5  # of full speed: more is another unit
@@ -126,16 +127,19 @@ def _longest_hold(channel: Channel) -> tuple[float, float]:
 def _moves(c: Channels, group: Sequence[str], whole: bool, begin: float, end: float) -> bool:
     """Whether the boat turns in that time, by another sensor or else by its thrusters; where the ``whole`` group
     stays the same, also whether it is driven."""
-    if any(np.std(turn) > TURNS for turn in _turns(c, group, begin, end)):
-        return True
-    inputs = {n: _part(c[n], begin, end) for n in ("n_left", "n_right", "f_left", "f_right") if n in c}
+    turns = any(np.std(turn) > TURNS for turn in _turns(c, group, begin, end))
+    kinds = ("n", "f", "n_cmd")
+    inputs = {n: _part(c[n], begin, end) for n in c if n.rpartition("_")[0] in kinds}
     most = max((float(np.abs(c[n].value).max()) for n in inputs), default=0.0)
+    pairs = [(inputs[f"{k}_left"], inputs[f"{k}_right"]) for k in kinds if f"{k}_left" in inputs]
+    steps = np.linspace(begin, end, 50)
+    sides = [(np.interp(steps, *a), np.interp(steps, *b)) for a, b in pairs if a[0].size and b[0].size]
+    if group in PLACES and sides:  # that it turns says nothing: on the spot its place may well stay the same
+        return (turns or whole) and any(np.mean(np.abs(a + b)) / 2 > DRIVEN * most for a, b in sides)
+    if turns:
+        return True
     if group in (("psi",), ("r",)):
-        if {"psi", "r"} <= set(c):
-            return False
-        pairs = [(inputs[f"{k}_left"], inputs[f"{k}_right"]) for k in "nf" if f"{k}_left" in inputs]
-        steps = np.linspace(begin, end, 50)
-        return any(np.std(np.interp(steps, *a) - np.interp(steps, *b)) > DRIVEN * most for a, b in pairs)
+        return not {"psi", "r"} <= set(c) and any(np.std(a - b) > DRIVEN * most for a, b in sides)
     return whole and any(np.mean(np.abs(value)) > DRIVEN * most for _, value in inputs.values())
 
 

@@ -160,8 +160,12 @@ def _thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> None:
     if shaft is not None and shaft.t.size > 1 and np.isfinite(thruster.rpm_max):
         found[f"n_{thruster.name}"] = replace(shaft, value=shaft.value / thruster.rpm_max)
     if node in log.nodes(Servo, device):
-        # What the autopilot put out is what the thruster was told: between it and our command are its own delays.
-        found[f"n_cmd_{thruster.name}"] = _channel(log.table(Servo, device, node=node), "n", "", device)
+        # What the autopilot put out is what the thruster was told: between it and our command are its own delays. It
+        # is sampled: a change came at some time since the sample before, of which the straight line is the mean.
+        output = _channel(log.table(Servo, device, node=node), "n", "", device)
+        clock = np.arange(output.t[0], output.t[-1] + GRID_STEP, GRID_STEP) if output.t.size else output.t
+        mean = np.interp(clock + GRID_STEP / 2, output.t, output.value)
+        found[f"n_cmd_{thruster.name}"] = replace(output, t=clock, value=mean, hold="average")
     elif node in log.nodes(Command, device):
         found[f"n_cmd_{thruster.name}"] = _channel(log.table(Command, device, node=node), "n_cmd", "", device)
 

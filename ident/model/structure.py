@@ -426,7 +426,9 @@ class Model:
         )
 
     def accepts(self, effect: Effect) -> bool:
-        return not self._missing(effect) and effect.name not in {e.name for e in self.effects}
+        """Whether the effect can be added, and neither it nor what it is about is there already."""
+        had = {e.name for e in self.effects} | set(self.values)
+        return not self._missing(effect) and not had & {effect.name, *(p.name for p in effect.parameters)}
 
     def _missing(self, effect: Effect) -> set[str]:
         """Signals that an effect requires and the model does not provide; a hull moves in the plane."""

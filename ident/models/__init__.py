@@ -1,4 +1,4 @@
-"""Model structures: thruster, surge, yaw, 3-DOF horizontal, kinematic (measured attitude), user-defined."""
+"""Model structures: thruster, surge, yaw, 3-DOF horizontal, Nomoto, kinematic (measured attitude), user-defined."""
 
 import lazy_loader
 

@@ -13,7 +13,7 @@ from ident.model import Model
 from ident.models.components import current_walk
 from ident.models.user_code import check_user_model, load_object
 
-BUILT_IN = ("horizontal", "kinematic", "surge", "yaw", "thruster")
+BUILT_IN = ("horizontal", "nomoto", "kinematic", "surge", "yaw", "thruster")
 # What may follow the name, each in its place: surge:shaft:speed, yaw:both.
 OPTIONS: dict[str, tuple[tuple[str, ...], ...]] = {
     "surge": (("force", "shaft"), ("position", "speed", "both")),
@@ -57,6 +57,8 @@ def catalogue_model(source: str, sensors: Sequence[str] | None = None) -> Model:
         from ident.models.thruster import thruster_model
 
         return thruster_model(*options, force=sensors is None or "load_cell" in sensors)
+    if kind == "nomoto":
+        return _nomoto(source, options, sensors)
     if kind == "kinematic":
         return _kinematic(source, options, sensors)
     module = importlib.import_module(f"ident.models.{kind}")
@@ -90,6 +92,16 @@ def _horizontal(source: str, options: Sequence[str], sensors: Sequence[str] | No
     current = "no-current" not in options
     model = horizontal_model(propulsion, tuple(chosen or STANDARD), current=current)
     model = symmetric_arms(model) if SYMMETRIC in options else model
+    return replace(model + current_walk(), source=source) if "random-walk-current" in options else model
+
+
+def _nomoto(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
+    from ident.models.nomoto import SEEN, nomoto_model
+
+    if options not in ([], ["no-current"], ["random-walk-current"]):
+        raise SeatrialError(f"no model {source!r}: nomoto has no-current or random-walk-current")
+    chosen = SEEN if sensors is None else [s for s in SEEN if s in sensors] or SEEN
+    model = nomoto_model(chosen, current="no-current" not in options)
     return replace(model + current_walk(), source=source) if "random-walk-current" in options else model
 
 

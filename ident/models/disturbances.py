@@ -25,8 +25,9 @@ from ident.model import (
     Variable,
 )
 
-# stationary standard deviations of the disturbance forces [N, N, N m], and the units of their diffusions
-SIZES = {"X": (1.0, "N/sqrt(s)"), "Y": (1.0, "N/sqrt(s)"), "N": (0.15, "N m/sqrt(s)")}
+# stationary standard deviations of the disturbances [N, N, N m, rad/s], and the units of their diffusions
+SIZES = {"X": (1.0, "N/sqrt(s)"), "Y": (1.0, "N/sqrt(s)"), "N": (0.15, "N m/sqrt(s)"),
+         "r_ref": (0.05, "rad/s/sqrt(s)")}
 TIME = Variable("t", "s", lambda s: s.u.t)
 
 
@@ -122,8 +123,9 @@ PRODUCTS = (("u", "r"), ("u", "v"), ("v", "r"))
 def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
     """First-order Gauss-Markov (Ornstein-Uhlenbeck) forces on surge, sway and yaw, for what the model does not explain.
 
-    ``forces``: those that the model has (``forces_of``). Their stationary standard deviations start at ``SIZES``
-    [N, N, N m]. The smoother turns them into residual forces with covariance (Kristensen, Madsen and Jorgensen 2004).
+    ``forces``: those that the model has (``forces_of``), or ``r_ref``, a steady yaw rate. Their stationary standard
+    deviations start at ``SIZES``. The smoother turns them into residual forces with covariance (Kristensen, Madsen and
+    Jorgensen 2004).
     """
     tau = 1.5
     names = tuple(forces)
@@ -150,7 +152,7 @@ def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
             ),
         ),
         states=tuple(
-            State(f"b_{n}", u.split("/")[0], f"unexplained {n}", f"q_{n}", sd0=s0)
+            State(f"b_{n}", u.removesuffix("/sqrt(s)"), f"unexplained {n}", f"q_{n}", sd0=s0)
             for n, s0, u in zip(names, sd, units, strict=True)
         ),
         place="environment",

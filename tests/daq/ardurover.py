@@ -113,9 +113,11 @@ class Relay(threading.Thread):
 class Rover:
     """One simulator with its relay; `outputs` are (monotonic time, us of output 1, us of output 3), newest last."""
 
-    def __init__(self, folder: Path, parameters: Mapping[str, float] | None = None) -> None:
+    def __init__(
+        self, folder: Path, parameters: Mapping[str, float] | None = None, model: str = "motorboat-skid"
+    ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        self.folder, self.port = folder, free_port()
+        self.folder, self.port, self.model = folder, free_port(), model
         self._parameters = {**PARAMETERS, **(parameters or {})}
         self.outputs: list[tuple[float, int, int]] = []
         self.beats: list[tuple[float, bool, int]] = []  # monotonic time, armed, mode
@@ -131,7 +133,7 @@ class Rover:
         self.relay = Relay(self.port)
         self._ear = mavutil.mavlink_connection("udpin:127.0.0.1:0", source_system=250)
         ear = self._ear.port.getsockname()[1]
-        command = [PROGRAM, "--model", "motorboat-skid", "--wipe", "--defaults", "boat.parm"]
+        command = [PROGRAM, "--model", self.model, "--wipe", "--defaults", "boat.parm"]
         command += ["--home", f"63.44,10.40,10,{HEADING_DEG:g}"]
         command += ["--base-port", str(free_port()), "--rc-in-port", str(free_port())]
         command += ["--serial0", f"udpclient:127.0.0.1:{ear}"]
@@ -186,6 +188,12 @@ class Rover:
             self.ekf = m.flags
         elif m.get_type() == "PARAM_VALUE":
             self.values[m.param_id] = m.param_value
+
+    def record(self, path: Path, interval_us: float = 100_000) -> None:
+        """Write what the ear hears from now on to a tlog, attitude, IMU and fixes at this interval."""
+        for name in ("ATTITUDE", "RAW_IMU", "GPS_RAW_INT"):
+            self.command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, getattr(dialect, f"MAVLINK_MSG_ID_{name}"), interval_us)
+        self._ear.setup_logfile(str(path))
 
     def command(self, number: int, *values: float) -> None:
         """COMMAND_LONG of the station beside us."""

@@ -22,7 +22,7 @@ EFFECT = Effect(
     formula="f_i -= k_J |n_i| (u - y_i r)",
     source="Blanke 1981, bilinear thrust; Fossen 2011, section 9.3",
     experiment="steps of both thrusters at several speeds, then full reverse while still moving forward",
-    requires=("n", "f"),
+    requires=("n", "f", "hull"),
     one_sided=True,
     alternatives=("cubic-drag", "turning-resistance", "thruster-interaction"),
 )

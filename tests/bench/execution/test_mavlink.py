@@ -233,7 +233,7 @@ def test_the_rig_of_the_mock_is_what_devices_makes_of_its_parameters(tmp_path: P
     with mock(tmp_path):
         words = ["devices", rig.devices[0].port, "--toml"]
         done = subprocess.run([*SEATRIAL, *words], cwd=tmp_path, capture_output=True, text=True, check=True)
-    (tmp_path / "found.toml").write_text(f'format = "seatrial-rig 1"\nname = "found"\n{done.stdout}')
+    (tmp_path / "found.toml").write_text(done.stdout)
     found = load_rig(tmp_path / "found.toml")
     assert [(t.name, t.node, t.output) for t in found.thrusters] == [(t.name, t.node, t.output) for t in rig.thrusters]
 

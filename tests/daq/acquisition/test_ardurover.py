@@ -85,8 +85,7 @@ def test_the_rig_that_devices_writes_passes_the_check(tmp_path: Path, port: int,
     done = subprocess.run(
         [sys.executable, "-m", "seatrial", "devices", address, "--toml"], capture_output=True, text=True, check=True
     )
-    text = f'format = "seatrial-rig 1"\nname = "found"\n{done.stdout}'
-    (tmp_path / "rig.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "rig.toml").write_text(done.stdout, encoding="utf-8")
     (tmp_path / "wanted.toml").write_text(RIG.format(port=port, more=""), encoding="utf-8")
     found, wanted = (load_rig(tmp_path / name).thrusters for name in ("rig.toml", "wanted.toml"))
     assert [(t.name, t.node, t.output) for t in found] == [(t.name, t.node, t.output) for t in wanted]

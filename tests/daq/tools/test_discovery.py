@@ -123,5 +123,5 @@ def test_the_command_writes_what_a_rig_file_needs(tmp_path: Path) -> None:
             cli.devices, [port, "--baud", "9600", "--baud", "38400", "--seconds", "0.4", "--toml"]
         )
     assert done.exit_code == 0, done.output
-    rig = parse_rig(f'format = "seatrial-rig 1"\nname = "found"\n{done.output}', tmp_path / "rig.toml")
+    rig = parse_rig(done.output, tmp_path / "rig.toml")
     assert (rig.devices[0].protocol, rig.devices[0].baud, rig.devices[0].port) == ("nmea", 38400, port)

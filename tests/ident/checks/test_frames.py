@@ -98,6 +98,10 @@ def test_a_boat_at_rest_is_not_frozen_and_a_driven_one_is(run: dict[str, Channel
     assert not list(check_frozen({"psi": held["psi"], "r": still}))
     assert [f.code for f in check_frozen(run | {"r": held["r"]})] == ["channel-frozen"]
     assert [f.code for f in check_frozen(run | {"x": held["x"], "y": held["y"]})] == ["channel-frozen"] * 2
+    apart = {f"n_{side}": replace(run["n_left"], value=sign * np.abs(run["n_left"].value))
+             for side, sign in (("left", 1.0), ("right", -1.0))}  # fmt: skip
+    on_the_spot = run | apart | {"x": held["x"], "y": held["y"]}
+    assert not list(check_frozen(on_the_spot))
     rounded = Channel(t, np.round(run["psi"].value, 1))  # a coarse compass repeats itself
     assert not list(check_frozen(run | {"psi": rounded}))
 

@@ -117,6 +117,20 @@ def test_telemetry_without_a_sign_gets_that_of_the_shaft_not_of_the_output(tmp_p
         assert np.sqrt(np.mean((c.value - truth) ** 2)) < 0.03
 
 
+def test_a_sampled_output_changes_in_the_middle_between_its_samples_on_the_average(tmp_path: Path) -> None:
+    boat = sail(boat_with(None, 4), 20.0, 3)[0]
+    readings = [r for r in boat.readings if not isinstance(r.sample, Command | Esc)]
+    told = next(r for r in boat.readings if isinstance(r.sample, Command) and r.sample.node == 1)
+    begin = min(r.t for r in readings)
+    outputs = [told._replace(t=begin + 0.1 * k, sample=Servo(1, 1500.0, 0.5 * (k >= 100))) for k in range(200)]
+    readings = sorted(readings + outputs, key=lambda r: r.t)
+    with open_log(write_log(tmp_path / "o.mcap", "boat", readings)) as log:
+        found = channels(log)["n_cmd_left"]
+    assert found.hold == "average"
+    middle = found.t[np.argmax(found.value >= 0.25)] - found.t[0]
+    assert middle == pytest.approx(9.95, abs=0.011)
+
+
 def test_local_ned_is_metres_on_the_ellipsoid() -> None:
     """Against the mocks' own projection, and against the length of a degree (published series)."""
     north, east = np.array([0.0, 120.0, -80.0]), np.array([0.0, -60.0, 200.0])

@@ -1,0 +1,167 @@
+"""From the rig that an autopilot tells to a model, and how far that is from the physics of its simulator.
+
+    python -m tests.bench.skid_missions runs --docs docs/examples/ardurover/README.md
+
+On each frame of ArduPilot Rover's simulator (SEATRIAL_ARDUROVER): `devices --toml`, link test, three missions of 300 s,
+by the public commands; the live log, the tlog of a second station and the autopilot's BIN of each are fitted to the
+first two and compared with the third. What a folder has already is not recorded or fitted again. `--docs` puts the
+table between its marks in a page.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from tests.daq.ardurover import MISSING, PROGRAM, Rover
+
+SEATRIAL = [sys.executable, "-m", "seatrial"]
+SECONDS, N_MAX, AHEAD_S, FILTERED_S = 300.0, 0.5, 60.0, 15.0  # a simulation begins after so long of filtering
+SOURCES = ("live", "tlog", "BIN")
+SETTINGS = {"LOG_FILE_DSRMROT": 1, "SIM_WAVE_ENABLE": 1}  # a BIN each time it is armed; waves roll and pitch the boat
+MARKS = ("<!-- python -m tests.bench.skid_missions -->", "<!-- end of the missions -->")
+STEER = math.radians(360 / (1.8 * math.pi) * 70) / math.sin(math.radians(35)) * math.pi / 180  # rad/m, of small angles
+# Thrust that is given, for masses in kg, and what the source of the simulator has for the rest
+GIVEN = {"motorboat-skid": {"c1": 25.0, "c2": 0.0}, "rover-skid": {"c1": 70.0, "c2": 0.0}}
+TRUTH: Mapping[str, Mapping[str, float]] = {
+    "motorboat-skid": {"m_u": 2.0, "d_u": 0.0, "d_uu": 0.5, "lambda_n": 1.0, "K": 0.0, "K_u": STEER,
+                       "k_3": math.radians(70) ** 2 / 6, "T_r": 0.055},
+    "rover-skid": {"m_u": 10.0, "d_u": 35.0, "d_uu": 0.0, "lambda_n": 1.0, "K": math.radians(280), "K_u": 0.0,
+                   "k_3": 0.0, "T_r": 0.055},
+}  # fmt: skip
+GNSS_AGE = {"live": 0.083, "tlog": 0.083, "BIN": 0.11}  # s; telemetry has the time of the fix less its way by wire
+
+
+class Row(NamedTuple):
+    """One estimate beside the truth."""
+
+    frame: str
+    source: str
+    name: str
+    value: float
+    se: float
+    truth: float
+
+    @property
+    def z(self) -> float:
+        return (self.value - self.truth) / self.se
+
+    @property
+    def percent(self) -> float:
+        return 100 * (self.value / self.truth - 1) if self.truth else math.nan
+
+
+def command(*words: object, cwd: Path) -> str:
+    """What a public command prints. Raises CalledProcessError."""
+    done = subprocess.run([*SEATRIAL, *map(str, words)], cwd=cwd, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"seatrial {' '.join(map(str, words))}: {done.stderr}")
+    return done.stdout
+
+
+def record(frame: str, folder: Path, seconds: float) -> None:
+    """Rig, link test and missions of one frame, with the tlog and the BIN of each."""
+    with Rover(folder / "autopilot", SETTINGS, frame) as rover:
+        rover.until_ready()
+        (folder / "rig.toml").write_text(command("devices", f"udp:127.0.0.1:{rover.port}", "--toml", cwd=folder))
+        command("check", "rig.toml", "--actuators", "--link-test", "--arm", "--yes", "-o", "link.mcap", cwd=folder)
+        for k in (1, 2, 3):
+            words = ("--seconds", seconds, "--seed", k, "--n-max", N_MAX, "-o", f"mission{k}.toml")
+            command("mission", "generate", "--kind", "mixed", *words, cwd=folder)
+            rover.record(folder / f"{k}.tlog")
+            command("mission", "run", f"mission{k}.toml", "rig.toml", "--arm", "-o", f"live{k}.mcap", cwd=folder)
+    kept = sorted((folder / "autopilot" / "logs").glob("*.BIN"), key=lambda path: path.stat().st_size)[-3:]
+    for k, path in enumerate(sorted(kept), start=1):
+        path.rename(folder / f"{k}.BIN")
+
+
+def fit(frame: str, source: str, folder: Path) -> dict[str, Any]:
+    """The result of `ident vehicle` on two missions of a source, with the third to judge by."""
+    out = folder / f"fit-{source}"
+    if not (out / "result.json").exists():
+        for k in (1, 2, 3) if source != "live" else ():
+            words = ("--rig", "rig.toml", "-o", f"{source}{k}.mcap", "--force")
+            command("import", "mavlink", f"{k}.{source}", *words, cwd=folder)
+        given = [word for name, value in GIVEN[frame].items() for word in ("--fix", f"{name}={value:g}")]
+        logs = (f"{source}1.mcap", f"{source}2.mcap", "--validate", f"{source}3.mcap")
+        # a busy machine holds the simulator up now and then, which is a jump of its clock
+        words = ("--model", "nomoto", *given, "--despite-faults", "--out", out.name, "--force")
+        command("ident", "vehicle", *logs, *words, cwd=folder)
+    result: dict[str, Any] = msgspec.json.decode((out / "result.json").read_bytes())
+    return result
+
+
+def rows(frame: str, source: str, result: Mapping[str, Any]) -> Iterator[Row]:
+    """Every parameter whose truth is known; one at its bound, which is the truth, has no error."""
+    found = {p["name"]: (p["value"], p["se"]) for p in result["fit"]["parameters"]}
+    for name, truth in {**TRUTH[frame], "tau_gnss": GNSS_AGE[source]}.items():
+        value, se = found[name]
+        yield Row(frame, source, name, value, se if se else math.nan, truth)
+
+
+def off_after(result: Mapping[str, Any], seconds: float) -> tuple[float, float]:
+    """Errors of heading [deg] and place [m] of the simulated unused mission after so long."""
+    errors = {}
+    for trace in result["traces"]:
+        if trace["role"] == "validation" and trace["channel"] in ("psi", "x", "y"):
+            both = [np.array([math.nan if v is None else v for v in trace[key]]) for key in ("model", "measured")]
+            seen = np.isfinite(both[1])
+            t, error = np.array(trace["t"])[seen], (both[0] - both[1])[seen]
+            errors[trace["channel"]] = np.interp(FILTERED_S + seconds, t, error)
+    turn = (errors["psi"] + math.pi) % (2 * math.pi) - math.pi
+    return abs(math.degrees(turn)), float(np.hypot(errors["x"], errors["y"]))
+
+
+def table(results: Mapping[tuple[str, str], Mapping[str, Any]]) -> str:
+    """Estimates and simulations of all frames and sources in Markdown."""
+    lines = ["| frame | log | parameter | estimate | truth | z | % |", "|---|---|---|---|---|---|---|"]
+    for (frame, source), result in results.items():
+        for row in rows(frame, source, result):
+            z, percent = (f"{x:.1f}" if math.isfinite(x) else "" for x in (row.z, row.percent))
+            error = f" ± {row.se:.2g}" if math.isfinite(row.se) else ""
+            estimate = f"{row.value:.4g}{error} | {row.truth:.4g}"
+            lines.append(f"| {frame} | {source} | {row.name} | {estimate} | {z} | {percent} |")
+    lines += ["", f"| frame | log | heading after {AHEAD_S:g} s | place |", "|---|---|---|---|"]
+    for (frame, source), result in results.items():
+        turn, place = off_after(result, AHEAD_S)
+        lines.append(f"| {frame} | {source} | {turn:.1f} deg | {place:.2f} m |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--frames", nargs="+", default=list(TRUTH), choices=list(TRUTH))
+    parser.add_argument("--seconds", type=float, default=SECONDS)
+    parser.add_argument("--docs", type=Path)
+    options = parser.parse_args()
+    results = {}
+    for frame in options.frames:
+        folder = (options.folder / frame).resolve()
+        folder.mkdir(parents=True, exist_ok=True)
+        if not (folder / "3.BIN").exists():
+            if not os.access(PROGRAM, os.X_OK):
+                raise SystemExit(MISSING)
+            record(frame, folder, options.seconds)
+        results |= {(frame, source): fit(frame, source, folder) for source in SOURCES}
+    text = table(results)
+    print(text)
+    if options.docs is not None:
+        page = options.docs.read_text(encoding="utf-8")
+        pattern = re.escape(MARKS[0]) + ".*?" + re.escape(MARKS[1])
+        page = re.sub(pattern, lambda _: f"{MARKS[0]}\n\n{text}\n\n{MARKS[1]}", page, flags=re.DOTALL)
+        options.docs.write_text(page, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

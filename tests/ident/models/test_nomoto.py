@@ -1,0 +1,70 @@
+"""The Nomoto model: a plant with its own equations, sampled as an autopilot does it, is recovered."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bench.mission_generators import make_mission
+from daq.errors import SeatrialError
+from ident.data.record import Channel, LogSegment
+from ident.effects.registry import catalogue
+from ident.estimation.fitted_model import fit_nominal_model
+from ident.models.catalogue import make_model
+from ident.models.nomoto import nomoto_model
+
+DT = 0.002
+TRUTH = {"m_u": 10.0, "d_u": 35.0, "K": np.radians(280.0), "lambda_n": 1.0, "K_u": 0.0, "T_r": 0.055, "tau_gnss": 0.1}
+
+
+def tracked_vehicle(seconds: float) -> LogSegment:
+    """u' = 3.5 (4 n - u), r = 140 deg/s (n_left - n_right); outputs at 25 Hz of commands that change every 20 ms, a
+    gyro 55 ms late, fixes 0.1 s late."""
+    rng = np.random.default_rng(1)
+    mission = make_mission("mixed", seconds, 1, n_max=0.5)
+    t = np.arange(0.0, mission.end, DT)
+    began, rows = (np.concatenate([getattr(s, name) for s in mission.segments]) for name in ("t", "n"))
+    loop = np.floor(t / 0.02) * 0.02 - 0.007
+    n = rows[np.maximum(np.searchsorted(began, loop, side="right") - 1, 0)]
+    r = np.radians(140.0) * (n[:, 0] - n[:, 1])
+    u = np.zeros(t.size)
+    for k in range(1, t.size):
+        u[k] = u[k - 1] + DT * 3.5 * (4.0 * n[k - 1].mean() - u[k - 1])
+    psi = np.cumsum(r) * DT
+    velocity = {"vx": u * np.cos(psi), "vy": u * np.sin(psi)}
+    told, attitude, fixes = (np.arange(0.5, t[-1], step) for step in (0.04, 0.04, 0.2))
+    clock = np.arange(told[0], told[-1], 0.01)
+    found = {
+        f"n_{side}": Channel(clock, np.interp(clock + 0.005, told, np.interp(told, t, n[:, i])), hold="average")
+        for i, side in enumerate(("left", "right"))
+    }
+    seen = {"psi": (attitude, psi, 0.0, 0.005), "r": (attitude, r, 0.055, 0.005)}
+    for place, name in (("x", "vx"), ("y", "vy")):
+        seen |= {place: (fixes, np.cumsum(velocity[name]) * DT, 0.1, 0.02), name: (fixes, velocity[name], 0.1, 0.01)}
+    for name, (times, signal, late, noise) in seen.items():
+        found[name] = Channel(times, np.interp(times - late, t, signal) + noise * rng.normal(size=times.size))
+    return LogSegment("a", found)
+
+
+def test_a_tracked_vehicle_is_recovered_with_the_delays_of_its_sensors() -> None:
+    model = nomoto_model(current=False, hold="average")
+    given = [model.parameter(name).at(value).fixed() for name, value in (("c1", 70.0), ("c2", 0.0))]
+    fit = fit_nominal_model(model.replace_parameters(*given), [tracked_vehicle(90.0)], []).fit
+    assert fit.converged
+    for name, truth in TRUTH.items():
+        value, se = fit.estimate(name)
+        if not np.isfinite(se):  # at its bound, which is the truth
+            assert value == truth, name
+            continue
+        assert abs(value - truth) < 4.0 * se, (name, value, se)
+        assert abs(value - truth) < (0.1 * truth if name in ("T_r", "tau_gnss") else 0.03 * max(truth, 1.0)), name
+
+
+def test_what_the_model_has_is_no_candidate() -> None:
+    model = make_model("nomoto")
+    assert "lambda_n" in model.values
+    assert not model.accepts(catalogue()["thrust-linearity"])
+    assert model.accepts(catalogue()["dead-band"])
+    assert {"V_x", "V_y"} & set(make_model("nomoto:no-current").values) == set()
+    with pytest.raises(SeatrialError):
+        make_model("nomoto:general")
