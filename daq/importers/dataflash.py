@@ -7,6 +7,7 @@ the calendar by the first GPS week that the log has.
 from __future__ import annotations
 
 import contextlib
+import io
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -136,14 +137,16 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """pymavlink's reader; it leaves its file open, whether it can read it or not."""
+    """pymavlink's reader, which prints what a damaged file holds, and leaves the file open."""
     from pymavlink import DFReader
 
     log = DFReader.DFReader_binary.__new__(DFReader.DFReader_binary)
     try:
-        log.__init__(str(path))
-        yield log
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            log.__init__(str(path))
+            yield log
     finally:
         for name in ("data_map", "filehandle"):
             if (part := getattr(log, name, None)) is not None:
-                part.close()
+                with contextlib.suppress(BufferError):  # of a map that an error on its way still looks into
+                    part.close()

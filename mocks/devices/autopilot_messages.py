@@ -121,7 +121,8 @@ class Reports:
             amps = sum(abs(esc.current) for esc in self._esc.values())
             cells = [round(volts * 1e3)] + [UNUSED] * 9
             percent = min(max(round((volts - 12.0) / 4.8 * 100.0), 0), 100)
-            return self._codec.encode(name, 0, 0, 1, 0x7FFF, cells, round(amps * 100), -1, -1, percent)
+            centiamps = min(round(amps * 100), 0x7FFF)  # the most that the field holds
+            return self._codec.encode(name, 0, 0, 1, 0x7FFF, cells, centiamps, -1, -1, percent)
         if name == "ESC_TELEMETRY_1_TO_4" and self._esc:
             return self._say_escs(name)
         return b""

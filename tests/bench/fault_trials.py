@@ -137,15 +137,16 @@ def page(results: Results, kinds: Sequence[Kind]) -> str:
     lines = [f"{sum(not row.wrong for row in rows)} of {len(rows)} trials as they have to be.", ""]
     lines += ["| what fails | allowed | " + " | ".join(RIGS) + " |", "|---|---:|" + "---:|" * len(RIGS)]
     for what in dict.fromkeys(kind.what for kind in kinds):
-        cells = dict.fromkeys(RIGS, "-")
+        cells, limits = dict.fromkeys(RIGS, "-"), []
         for kind in (kind for kind in kinds if kind.what == what):
             found = list(results[kind.name].values())
             if found:
                 good, median, largest, limit, decided = numbers(kind, found)
                 decided = "" if kind.cut_off or decided == "-" else f" ({decided})"
+                limits.append(limit)
                 cells[kind.rig] = f"{good}: {median}, {largest}{decided}"
         if set(cells.values()) != {"-"}:
-            lines.append(f"| {what} | {limit} ms | " + " | ".join(cells.values()) + " |")
+            lines.append(f"| {what} | {', '.join(dict.fromkeys(limits))} ms | " + " | ".join(cells.values()) + " |")
     return "\n".join(lines)
 
 

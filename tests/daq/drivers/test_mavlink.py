@@ -16,9 +16,9 @@ from daq.drivers.setpoints import Due
 from daq.protocol.catalogue import make_decoder
 from daq.protocol.mavlink_wire import Codec, Head, head
 from daq.rig import Rig
-from daq.samples import Ahrs, Servo
+from daq.samples import Ahrs, Battery, Esc, Servo
 from mocks.devices.autopilot import HOLD, AutopilotEmulator
-from tests.daq.mavlink_ends import Ends, mav_rig
+from tests.daq.mavlink_ends import LEVEL, Ends, mav_rig
 
 
 def ready(ends: Ends) -> Ends:
@@ -434,3 +434,17 @@ def test_the_rescuers_zero_is_confirmed_by_an_answer() -> None:
         rescuer.to_ground(ends.autopilot.receive(data, ends.t))
     assert not ends.autopilot.vehicle.armed
     assert rescuer.driver.confirmation == DISARMED
+
+
+def test_a_battery_of_more_amperes_than_its_field_holds_is_told_as_the_most_of_it() -> None:
+    ends = Ends(mav_rig())
+    ends.run(3.0)
+    for node in ends.controllers:
+        ends.autopilot.encode(Esc(node, -1200.0, 203.0, 0.0, 15.0, 30.0), ends.t)
+    ends.frames.clear()
+    for _ in range(100):
+        ends.t += 0.02
+        ends.to_ground(ends.autopilot.encode(LEVEL, ends.t))
+    currents = [frame.sample.current for frame in ends.frames if isinstance(frame.sample, Battery)]
+    assert currents
+    assert currents == pytest.approx([327.67] * len(currents))

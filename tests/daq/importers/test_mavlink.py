@@ -138,6 +138,21 @@ def dataflash(path: Path) -> None:
     path.write_bytes(out)
 
 
+def test_what_a_damaged_dataflash_log_holds_is_not_printed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dataflash(tmp_path / "00000001.BIN")
+    data = (tmp_path / "00000001.BIN").read_bytes()
+    number, form, code, columns = FORMATS["EV"]
+    whole = FMT.pack(number, 3 + struct.calcsize(code), b"EV", form.encode(), columns.encode())
+    assert whole in data
+    hostile = FMT.pack(number, 3 + struct.calcsize(code), b"EV", b"Q\x02", columns.encode())
+    (tmp_path / "00000001.BIN").write_bytes(data.replace(whole, hostile))
+    with pytest.raises(SeatrialError, match="not a readable DataFlash log"):
+        import_mavlink(tmp_path / "00000001.BIN", out=tmp_path / "bin.mcap")
+    assert capsys.readouterr().out == ""
+
+
 def test_a_dataflash_log_becomes_a_log(tmp_path: Path) -> None:
     dataflash(tmp_path / "00000001.BIN")
     out, said = import_mavlink(tmp_path / "00000001.BIN", rig=mav_rig(), out=tmp_path / "bin.mcap")
