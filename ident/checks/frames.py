@@ -382,7 +382,10 @@ def _reversed(target: Complex, block: NDArray[np.intp], columns: tuple[Complex, 
     at about its size."""
     X = np.column_stack([np.concatenate([z.real, z.imag]) for z in columns])
     y = np.concatenate([target.real, target.imag])
-    inverse = np.linalg.pinv(X.T @ X)
+    squares = X.T @ X
+    if not np.isfinite(squares).all():  # of infinite ones LAPACK seeks the singular values for ever
+        return None
+    inverse = np.linalg.pinv(squares)
     beta = inverse @ X.T @ y
     scores = X * (y - X @ beta)[:, None]
     per_block = np.column_stack([_per_block(s[: target.size] + s[target.size :], block) for s in scores.T])

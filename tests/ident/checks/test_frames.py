@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.checks.frames import Relation, culprit
+from ident.checks.frames import Relation, _reversed, culprit
 from ident.checks.log_checks import check_copies, check_signals
 from ident.checks.signals import check_frozen, estimated, noise_floor, smoothed
 from ident.data.loading import LoadedLog
@@ -110,3 +110,12 @@ def test_a_part_of_a_log_is_a_copy(run: dict[str, Channel]) -> None:
     later = {n: Channel(c.t[c.t > 60.0] - 60.0, c.value[c.t > 60.0]) for n, c in run.items()}
     other = channels_of(sail(boat_with(None, 3), 120.0, 5, run=2)[0])
     assert [f.where for f in check_copies([("a", run), ("b", other), ("c", later)])] == ["c"]
+
+
+@pytest.mark.filterwarnings("ignore:.*encountered:RuntimeWarning")
+def test_a_number_whose_square_is_infinite_is_no_search_without_end() -> None:
+    n = 60
+    rng = np.random.default_rng(1)
+    columns = tuple(rng.normal(size=n) + 1j * rng.normal(size=n) for _ in range(4))
+    columns[0][7] = 1e200
+    assert _reversed(columns[1], np.repeat(np.arange(6), 10), columns) is None
