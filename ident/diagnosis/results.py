@@ -13,6 +13,7 @@ from ident.model import Effect
 from ident.validation import PredictionChange
 
 T_VALIDATION = 2.0
+T_PREDICTING = 1.0  # of a selected effect with which the prediction is better
 # least error three seconds ahead without an effect over that with it, where the interval over the horizon says nothing:
 # of 153 right names in the recovery study one has less than 1.011, and all wrong ones have
 MIN_ERROR_RATIO = 1.015
@@ -182,7 +183,7 @@ class EffectImportance:
         matters to the prediction, which is not worse with it."""
         worse = self.prediction is not None and self.prediction.verdict == "rose"
         matters = self.predicts or helps(self.prediction) or self.error > MATERIAL_ERROR_RATIO
-        supported = self.validation_gain > 0 and (self.t > T_VALIDATION or self.predicts)
+        supported = self.validation_gain > 0 and self.t > (T_PREDICTING if self.predicts else T_VALIDATION)
         return supported and matters and not worse
 
     @property

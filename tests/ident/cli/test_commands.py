@@ -209,7 +209,7 @@ def test_known_values_and_starts_are_taken(fitted: Path, tmp_path: Path, run: Ru
         ("thruster {estimation}", "thrusters with commands and shaft speed: left, right; name one with --thruster"),
         ("thruster {bench} --thruster port", "no signal 'n_cmd_port'"),
         ("diagnose {rig} {estimation}", "not 'seatrial-model 1': give a model.toml of seatrial"),
-        ("diagnose {estimation} {estimation}", "estimation.mcap: cannot be read"),
+        ("diagnose {estimation} {estimation}", "estimation.mcap: not a text file; a TOML file is expected"),
         ("diagnose {model} {bench}", "none of the sensors of"),
         ("vehicle {rig}", "rig.toml"),
     ],

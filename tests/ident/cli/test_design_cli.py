@@ -151,7 +151,7 @@ def test_between_two_effects(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         (("horizontal", "--thrusters", "one"), 1, "--thrusters names 1"),
         (("horizontal", "--steps", "100"), 1, "do not fit"),
         (("catamaran",), 1, "no model 'catamaran'"),
-        (("none.toml",), 1, "none.toml: cannot be read"),
+        (("none.toml",), 1, "none.toml: No such file"),
         (("horizontal:shaft:no-current", "--area", "1x1"), 1, "give more room"),
     ],
 )

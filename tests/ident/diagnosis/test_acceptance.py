@@ -114,6 +114,7 @@ def test_what_pays_and_what_predicts(prediction: Any, error: float, predicts: bo
     weight = EffectImportance("wind", 100.0, error, 30.0, 4.0, prediction)
     assert (weight.predicts, weight.pays) == (predicts, pays)
     assert replace(weight, t=1.9).pays is (predicts and pays)  # a better prediction is support as well
+    assert not replace(weight, t=0.9).pays
     assert not EffectImportance("wind", 100.0, error, -3.0, 4.0, prediction).pays
 
 
