@@ -291,13 +291,27 @@ def main(words: Sequence[str] | None = None) -> int:
             f"\n{tables.RIGS_HEADING}\n\nThe same boats on other rigs: what is logged differs, the commands are a "
             "user's (`tests/recovery/rig_logs.py`); and runs of plants that others wrote. Intervals are Wilson's, of "
             "95 %.\n\n"
-            f"    python -m tests.recovery.rigs --seed {given.seed} --seeds {given.seeds} --docs\n\n"
-            f"{len(rows)} cases; states of the code: {states}.\n\n"
+            f"    {_command(given)}\n\n{progress(rows, wanted)}; states of the code: {states}.\n\n"
         )
         page, _, _ = DOCS.read_text(encoding="utf-8").partition(f"\n{tables.RIGS_HEADING}\n")
         DOCS.write_text(page + head + report(rows, tables.as_markdown) + "\n", encoding="utf-8")
         print(f"written: {DOCS.name}")
     return 1 if any("error" in r for r in rows) else 0
+
+
+def progress(rows: Sequence[Row], wanted: Sequence[RigCase]) -> str:
+    """How many of the cases are done."""
+    done = len({r["key"] for r in rows} & {case.key for case in wanted})
+    so_far = f"{done} of its {len(wanted)} cases so far (it goes on where it was)"
+    return f"{done} cases" if done == len(wanted) else so_far
+
+
+def _command(given: argparse.Namespace) -> str:
+    """What makes the page again."""
+    words = ["python -m tests.recovery.rigs"]
+    words += [] if list(given.rigs) == [*RIGS, *PLANTS] else ["--rigs", ",".join(given.rigs)]
+    words += [] if list(given.effects) == list(CHOSEN) else ["--effects", ",".join(given.effects)]
+    return " ".join([*words, f"--seed {given.seed} --seeds {given.seeds} --docs"])
 
 
 def _parser() -> argparse.ArgumentParser:

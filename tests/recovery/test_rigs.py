@@ -114,6 +114,13 @@ def test_the_tables_of_the_rigs() -> None:
     assert tables.interval(0, 300) == "0.0-1.3"
 
 
+def test_a_study_that_was_cut_short_says_so() -> None:
+    wanted = cases_of(["vesc", "ekf"], ["none"], 1, 1)
+    done = [row("vesc", "none", [])]
+    assert rigs.progress(done, wanted).startswith("1 of its 2 cases")
+    assert rigs.progress([*done, row("ekf", "none", [])], wanted) == "2 cases"
+
+
 def test_cases_leave_out_what_a_rig_cannot_see() -> None:
     cases = cases_of(["commands-5hz", "vesc", "otter-none"], ["none", "lag"], 7, 2)
     assert cases[0] == RigCase("otter-none", "none", 0)
