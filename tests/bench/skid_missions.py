@@ -122,6 +122,10 @@ def off_after(result: Mapping[str, Any], seconds: float) -> tuple[float, float]:
     return abs(math.degrees(turn)), float(np.hypot(errors["x"], errors["y"]))
 
 
+UNITS = {"m_u": "kg", "d_u": "kg/s", "d_uu": "kg/m", "lambda_n": "-", "K": "rad/s", "K_u": "rad/m", "k_3": "-",
+         "T_r": "s", "tau_gnss": "s"}  # fmt: skip
+
+
 def table(results: Mapping[tuple[str, str], Mapping[str, Any]]) -> str:
     """Estimates and simulations of all frames and sources in Markdown."""
     lines = ["| frame | log | parameter | estimate | truth | z | % |", "|---|---|---|---|---|---|---|"]
@@ -130,8 +134,10 @@ def table(results: Mapping[tuple[str, str], Mapping[str, Any]]) -> str:
             z, percent = (f"{x:.1f}" if math.isfinite(x) else "" for x in (row.z, row.percent))
             error = f" ± {row.se:.2g}" if math.isfinite(row.se) else ""
             estimate = f"{row.value:.4g}{error} | {row.truth:.4g}"
-            lines.append(f"| {frame} | {source} | {row.name} | {estimate} | {z} | {percent} |")
-    lines += ["", f"| frame | log | heading after {AHEAD_S:g} s | place |", "|---|---|---|---|"]
+            name = f"{row.name} [{UNITS[row.name]}]"
+            lines.append(f"| {frame} | {source} | {name} | {estimate} | {z} | {percent} |")
+    lines += ["", f"| frame | log | error of the heading after {AHEAD_S:g} s of simulation | of the position |"]
+    lines += ["|---|---|---|---|"]
     for (frame, source), result in results.items():
         turn, place = off_after(result, AHEAD_S)
         lines.append(f"| {frame} | {source} | {turn:.1f} deg | {place:.2f} m |")
