@@ -98,8 +98,9 @@ def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, l
     next to none, and follows it everywhere. The floor is a usual sensor's noise (``ident.models.NOISE``).
     """
     usual = {p.name: p.value for p in NOISE.values()}
-    lasting = {s.name.removeprefix("error_") for e in model.effects if e.name == ESTIMATOR_ERROR for s in e.states}
-    smooth = {name for log in logs for name in smoothed(log.run.channels)} - lasting
+    smooth = {name for log in logs for name in smoothed(log.run.channels)}
+    if ESTIMATOR_ERROR in {e.name for e in model.effects}:  # their errors are states
+        smooth -= {o.name for s in model.sensors if s.name in LASTING for o in s.outputs}
     names = {o.noise for o in model.outputs if o.name in smooth and o.noise in usual}
     found = [p for n in sorted(names) if (p := model.parameter(n)).free]
     floors = [replace(p, value=max(p.value, BEGIN * usual[p.name]), bounds=(usual[p.name], INF)) for p in found]
