@@ -375,12 +375,14 @@ class Preparer:
                                  f"{model.name} needs {shape}")
         if n < 2 or not (np.diff(record.t) > 0).all():
             raise ValueError(f"record {record.name}: its times do not increase, or it has fewer than two rows")
+        known = np.isfinite(record.u) & np.isfinite(record.u_next)
+        whole = np.asarray(known.all(axis=0))  # of hundreds of inputs at once
+        held = np.asarray(np.equal(record.u, record.u_next).all(axis=0))
         for j, signal in enumerate(model.inputs):
-            bad = ~(np.isfinite(record.u[:, j]) & np.isfinite(record.u_next[:, j]))
-            if bad.any():
-                at = record.t[np.argmax(bad)]
+            if not whole[j]:
+                at = record.t[np.argmin(known[:, j])]
                 raise ValueError(f"record {record.name}: the input {signal.name} has no value at {at:g} s")
-            if signal.hold == "zero" and not np.array_equal(record.u[:, j], record.u_next[:, j]):
+            if signal.hold == "zero" and not held[j]:
                 raise ValueError(f"record {record.name}: the input {signal.name} changes within an interval, but "
                                  f"model {model.name} holds it")
 

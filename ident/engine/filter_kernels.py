@@ -6,7 +6,7 @@ import threading
 from collections import deque
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
-from weakref import WeakValueDictionary
+from weakref import WeakValueDictionary, ref
 
 from ident.engine import jit, kernel_cache
 from ident.engine.array_layout import ROWS
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from ident.engine.loop_plan import Plan
 
 _known: WeakValueDictionary[str, Programs] = WeakValueDictionary()
+_met: dict[tuple[int, bool, bool], tuple[ref[Model], ref[Programs]]] = {}  # by the model's id
 _recent: deque[Programs] = deque(maxlen=12)  # kept alive: a search that refits makes hundreds, of some megabytes each
 _lock = threading.RLock()  # CasADi and LLVM build one kernel at a time
 
@@ -26,8 +27,13 @@ _lock = threading.RLock()  # CasADi and LLVM build one kernel at a time
 def programs_for(model: Model, *, covariance: bool = True, joseph: bool = False) -> Programs:
     """The kernels of a model, shared by all models that differ only in their values."""
     with _lock:
-        made = Programs(model, covariance, joseph)
-        found = _known.setdefault(made.key, made)
+        at = id(model), covariance, joseph
+        met, programs = _met.get(at, (None, None))
+        found = programs() if programs and met and met() is model else None
+        if found is None:
+            made = Programs(model, covariance, joseph)
+            found = _known.setdefault(made.key, made)
+            _met[at] = ref(model, lambda _: _met.pop(at, None)), ref(found)
         if found in _recent:
             _recent.remove(found)
         _recent.append(found)

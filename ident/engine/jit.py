@@ -27,6 +27,8 @@ ORDER = "--pre-RA-sched=fast" if AVAILABLE and llvm.llvm_version_info[0] <= 22 e
 DIGEST_BYTES = 32
 LARGEST_CACHE = 400_000_000  # bytes; beyond that what was not used for longest goes
 KEPT_SHARE = 0.7  # of the cache that then stays
+COUNT_SHARE = 0.01  # of it that is written until its files are counted again, of which there may be ten thousand
+_written: dict[Path, int] = {}  # bytes since then, by folder; the first file of a process is counted, too
 
 
 def _host() -> tuple[str, str, int]:
@@ -153,19 +155,23 @@ def write_cache(name: str, content: bytes) -> None:
         scratch.write_bytes(hashlib.sha256(content).digest() + content)
         scratch.chmod(0o600)
         scratch.replace(folder / name)
-        _prune(folder)
+        _written[folder] = _written.get(folder, LARGEST_CACHE) + len(content)
+        if _written[folder] > COUNT_SHARE * LARGEST_CACHE:
+            _written[folder] = 0
+            _prune(folder)
     except (OSError, RuntimeError):
         return
 
 
 def _prune(folder: Path) -> None:
     """Nonparametric effects and user models are compiled anew each time: without a limit they would fill the disk."""
-    files = [(f.stat().st_mtime, f.stat().st_size, f) for f in folder.iterdir()]
+    with os.scandir(folder) as entries:
+        files = [(about.st_mtime, about.st_size, f.path) for f in entries for about in (f.stat(),)]
     total = sum(size for _, size, _ in files)
     if total <= LARGEST_CACHE:
         return
     for _, size, path in sorted(files):
-        path.unlink(missing_ok=True)
+        Path(path).unlink(missing_ok=True)
         total -= size
         if total <= KEPT_SHARE * LARGEST_CACHE:
             return

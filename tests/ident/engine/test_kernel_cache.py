@@ -189,6 +189,18 @@ def test_the_cache_has_a_limit_and_what_was_used_last_stays(tmp_path: Path, monk
     assert sum(p.stat().st_size for p in tmp_path.iterdir()) <= 7_000
 
 
+def test_the_files_are_counted_once_and_then_by_what_was_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path))
+    monkeypatch.setattr(jit, "LARGEST_CACHE", 100_000 / jit.COUNT_SHARE)
+    counted: list[Path] = []
+    monkeypatch.setattr(jit, "_prune", counted.append)
+    for k in range(15):
+        jit.write_cache(f"{k}.o", bytes(10_000))
+    assert counted == [tmp_path, tmp_path]  # with the first file, and with the eleventh after it
+
+
 @pytest.mark.parametrize("what", ["folder", "file"])
 def test_what_others_may_have_written_is_not_run(
     what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
