@@ -289,7 +289,7 @@ class ConstrainedObjective:
         problem = self.problem
         self.z, at = z, problem.evaluate(z)
         flat = flat_coordinates(
-            lambda x: problem.value_and_gradient(x)[0], z, problem.parameters, at.information, self.bounds
+            problem.value, z, problem.parameters, at.information, self.bounds
         )
         self.flat = np.zeros(z.size)
         self.flat[[p.at for p in flat]] = [p.information for p in flat]
