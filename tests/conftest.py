@@ -1,10 +1,10 @@
-"""Distribution of the tests over the workers: tests with deadlines take turns, and long tests start early.
+"""Distribution of the tests over the workers: tests with deadlines take turns, and long files start early.
 
 `pytest -n 3 --dist loadgroup` groups by the places below, with a scheduler of our own: pytest-xdist 3.8 groups by a
 mark that it writes into the tests' names, which pytest 9.2 no longer takes (pytest-xdist issue 1386).
 
-One worker begins with all tests of real ports. They mostly wait, so there is one worker more than cores; the others
-compute at a lower priority and leave the cores to them.
+One worker begins with all tests of real ports, another with those beside them. They mostly wait, so there is one worker
+more than cores; tests that compute do so at a lower priority and leave the cores to them.
 """
 
 from __future__ import annotations
@@ -44,7 +44,6 @@ PORTS = (
     "tests/bench/execution/test_with_mocks.py",
     "tests/daq/acquisition/test_acquire.py",
     "tests/daq/acquisition/test_acquire_thrust.py",
-    "tests/daq/acquisition/test_ardurover.py",
     "tests/daq/tools/test_discovery.py",
     "tests/daq/tools/test_live.py",
     "tests/daq/acquisition/test_load.py",
@@ -58,45 +57,66 @@ PORTS = (
     "tests/mocks/test_cli.py",
     "tests/mocks/ports/test_ports.py",
     "tests/mocks/devices/test_slcan.py",
-    "tests/test_demo.py",
 )
-COMPUTING_NICENESS = 10  # of workers, in tests that are not of PORTS
-# Fixtures that are expensive and belong to a module: one worker makes them, once.
-TOGETHER = (
+# Real time too, but with deadlines of tenths of a second, or that set themselves right on a busy machine.
+BESIDE = ("tests/daq/acquisition/test_ardurover.py", "tests/test_demo.py")
+# What computes for more than ten seconds, the longest first.
+LONG = (
+    "tests/recovery/test_recovery.py",
+    "tests/measured/test_blueboat.py",
+    "tests/ident/validation/test_horizon.py",
+    "tests/ident/report/test_report.py",
+    "tests/ident/workflows/test_thruster_options.py",
     "tests/ident/cli/test_commands.py",
-    "tests/ident/diagnosis/test_score_test.py",
+    "tests/ident/models/test_rotations.py",
+    "tests/ident/diagnosis/test_thruster_diagnosis.py",
+    "tests/ident/workflows/test_thrust_scale.py",
+    "tests/ident/navigation/test_navigation.py",
+    "tests/ident/studies/test_study.py",
+    "tests/ident/models/test_driven_shaft.py",
+    "tests/measured/test_foreign.py",
+    "tests/ident/diagnosis/test_diagnose_curve.py",
+    "tests/ident/diagnosis/test_search.py",
+    "tests/recovery/test_misuse.py",
+    "tests/ident/engine/test_ekf_adjoint.py",
+    "tests/ident/effects/test_weak_effects.py",
+    "tests/ident/experiment_design/test_optimal_design.py",
+    "tests/ident/cli/test_design_cli.py",
+    "tests/ident/workflows/test_vehicle_options.py",
+    "tests/ident/estimation/test_sde_bench.py",
+    "tests/ident/export/test_export.py",
+    "tests/ident/validation/test_whiteness.py",
+    "tests/ident/report/test_report_browser.py",
+    "tests/ident/models/test_kinematic.py",
+    "tests/recovery/test_bench_recovery.py",
+    "tests/ident/studies/test_study_starts.py",
+    "tests/bench/preflight/test_check_log.py",
+    "tests/ident/characterisation/test_sensor_noise.py",
     "tests/ident/checks/test_thruster_sides.py",
-    "tests/test_package.py",
-    "tests/test_site.py",
+    "tests/mocks/hidden_effects/test_hidden_effects.py",
+    "tests/recovery/test_rigs.py",
 )
-
+COMPUTING_NICENESS = 10  # of workers, in tests that compute
 
 def group_of(nodeid: str) -> str:
-    """Tests of one group run on one worker, one after the other; most tests are a group of their own."""
+    """Tests of one group run on one worker, one after the other: those of a file, which share its fixtures."""
     file = nodeid.partition("::")[0]
-    if file in PORTS:
-        return "ports"
-    return file if file in TOGETHER or file.startswith("tests/measured/") else nodeid
+    return "ports" if file in PORTS else "beside" if file in BESIDE else file
 
 
-def _order(item: pytest.Item) -> int:
-    if item.nodeid.partition("::")[0] in PORTS:
-        return 0
-    if item.get_closest_marker("slow") is not None:
-        return 1
-    return 3 if group_of(item.nodeid) == item.nodeid else 2
+ORDER = {group: k for k, group in enumerate(("ports", "beside", *LONG))}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What takes long comes first, so that none of it begins when all else is done."""
-    items.sort(key=_order)
+    items.sort(key=lambda item: ORDER.get(group_of(item.nodeid), len(ORDER)))
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """A worker that computes, with all processes that it starts, leaves the cores to the one with the ports."""
-    niceness = os.getpriority(os.PRIO_PROCESS, 0)
-    if "PYTEST_XDIST_WORKER" in os.environ and group_of(item.nodeid) != "ports" and niceness < COMPUTING_NICENESS:
+    """A worker that computes, with all processes that it starts, leaves the cores to those in real time."""
+    niceness, computes = os.getpriority(os.PRIO_PROCESS, 0), group_of(item.nodeid) not in ("ports", "beside")
+    if "PYTEST_XDIST_WORKER" in os.environ and computes and niceness < COMPUTING_NICENESS:
         os.nice(COMPUTING_NICENESS - niceness)
 
 

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import PORTS, TOGETHER, group_of
+from tests.conftest import BESIDE, LONG, PORTS, group_of
 
 ROOT = Path(__file__).parents[1]
 
 
 def test_groups_are_by_file() -> None:
     assert {group_of(f"{file}::test_a[1]") for file in PORTS} == {"ports"}
-    assert group_of(f"{TOGETHER[0]}::test_a") == TOGETHER[0]
-    assert group_of("tests/daq/log/test_reader.py::test_a") == "tests/daq/log/test_reader.py::test_a"
-    for file in (*PORTS, *TOGETHER):
+    assert {group_of(f"{file}::test_a[1]") for file in BESIDE} == {"beside"}
+    assert group_of("tests/daq/log/test_reader.py::test_a") == "tests/daq/log/test_reader.py"
+    for file in (*PORTS, *BESIDE, *LONG):
         assert (ROOT / file).is_file(), file
 
 
@@ -43,4 +43,4 @@ OPENS_PORTS = re.compile(
 def test_every_test_that_opens_real_ports_is_in_the_group() -> None:
     for path in sorted((ROOT / "tests").rglob("test_*.py")):
         if path != Path(__file__) and OPENS_PORTS.search(path.read_text(encoding="utf-8")):
-            assert path.relative_to(ROOT).as_posix() in PORTS, path
+            assert path.relative_to(ROOT).as_posix() in (*PORTS, *BESIDE), path

@@ -60,6 +60,7 @@ position_m = [0.0, 0.15, 0.0]
 READY = 1 | 2 | 16  # EKF_STATUS_REPORT: attitude, horizontal velocity and position
 NEUTRAL_US = 10.0
 HEADING_DEG = 40.0  # at the start
+HURRY = 10.0  # times real time, until its estimator has a position
 
 
 def _socket() -> socket.socket:
@@ -208,8 +209,18 @@ class Rover:
             time.sleep(0.02)
 
     def until_ready(self) -> None:
-        """Until its estimator has a position."""
-        self.until(lambda: self.ekf & READY == READY and not self.ekf & 128, 90.0, "the estimator")
+        """Until its estimator has a position, for which its time runs faster than ours."""
+
+        def ready() -> bool:
+            return self.ekf & READY == READY and not self.ekf & 128
+
+        if not ready():
+            self.until(lambda: bool(self.beats), 20.0, "a heartbeat")
+            self.set("SIM_SPEEDUP", HURRY)
+            try:
+                self.until(ready, 90.0, "the estimator")
+            finally:
+                self.set("SIM_SPEEDUP", 1.0)
 
     def set(self, name: str, value: float) -> None:
         """Set one parameter, and see it."""

@@ -14,7 +14,7 @@ import pytest
 import seatrial
 from tests.measured.data import measured, run
 
-pytestmark = [pytest.mark.measured, pytest.mark.slow, pytest.mark.xdist_group("blueboat")]
+pytestmark = [pytest.mark.measured, pytest.mark.slow]
 
 HERE = Path(__file__).resolve().parents[2] / "docs/examples/blueboat"
 FITTED = (218, 220, 222, 224, 230, 233)

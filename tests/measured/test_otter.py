@@ -11,7 +11,7 @@ import pytest
 
 from tests.measured.data import measured, run
 
-pytestmark = [pytest.mark.measured, pytest.mark.slow, pytest.mark.xdist_group("otter")]
+pytestmark = [pytest.mark.measured, pytest.mark.slow]
 
 HERE = Path(__file__).resolve().parents[2] / "docs/examples/otter"
 GIVEN = ("c1=94.649", "c2=25.0328", "y_left=-0.395", "y_right=0.395")

@@ -176,12 +176,14 @@ def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
 
 
 def changed(result: dict[str, Any], changes: list[tuple[tuple[Any, ...], Any]]) -> dict[str, Any]:
-    """A copy with values replaced; KeyError takes the key away; what is gone already stays so."""
-    new = copy.deepcopy(result)
+    """A result with values replaced, the rest of it shared; KeyError takes the key away; what is gone already stays
+    so."""
+    new = copy.copy(result)
     for path, value in changes:
         owner: Any = new
         try:
             for step in path[:-1]:
+                owner[step] = copy.copy(owner[step])
                 owner = owner[step]
             owner.pop(path[-1]) if value is KeyError else owner.update({path[-1]: copy.copy(value)})
         except (KeyError, IndexError, TypeError, AttributeError):
