@@ -136,6 +136,11 @@ class RemovedEffect:
     t: float
     prediction: PredictionChange
 
+    @property
+    def immaterial(self) -> bool:
+        """Whether the validation data support it, and it went because the prediction is as good without it."""
+        return self.validation_gain > 0 and self.t > T_VALIDATION and self.prediction.verdict == "unchanged"
+
 
 @dataclass(frozen=True)
 class EffectAttribution:

@@ -141,15 +141,20 @@ def _push(log: CheckEvidence, limit: int) -> list[Panel]:
 def _shafts(log: CheckEvidence, limit: int) -> list[Panel]:
     panels = []
     for row in log.shafts:
-        told = _held(row.t_command, row.n_command, row.end)
+        told = _held(row.t_command, row.n_command, row.end, limit)
         traces = [line_trace(*told, "told", limit, color=BEFORE, dash="dash"), line_trace(row.t, row.n, "turns", limit)]
         panels.append(Panel(f"{_capital(row.name)}, part of full speed", traces))
     return panels
 
 
-def _held(t: Array, value: Array, end: float) -> tuple[Array, Array]:
-    """The corners of a command that is held until the next one."""
-    return np.append(np.repeat(t, 2)[1:], max(end, float(t[-1]))), np.repeat(value, 2)
+def _held(t: Array, value: Array, end: float, limit: int) -> tuple[Array, Array]:
+    """The corners of a command that is held until the next one; where these are too many, what held at equal steps of
+    time: thinned corners would be joined by slopes."""
+    end = max(end, float(t[-1]))
+    if 2 * t.size <= limit:
+        return np.append(np.repeat(t, 2)[1:], end), np.repeat(value, 2)
+    at = np.linspace(t[0], end, limit)
+    return at, value[np.searchsorted(t, at, side="right") - 1]
 
 
 def _sensors(log: CheckEvidence, limit: int) -> list[Panel]:
@@ -191,7 +196,8 @@ def _mission(canvas: Canvas, mission: DryRun | None) -> Section:
         return Section("mission", "", [])
     panels = []
     for column, name in enumerate(mission.thrusters):
-        told = line_trace(*_held(mission.t, mission.n[:, column], mission.end), name, canvas.budget.points)
+        told = line_trace(*_held(mission.t, mission.n[:, column], mission.end, canvas.budget.points), name,
+                          canvas.budget.points)
         panels.append(Panel(f"{_capital(name)}: command, part of full speed", [told], {"range": [-1.08, 1.08]}))
     figure, high = stacked(panels, "time since the start of the mission [s]")
     blocks: list[Any] = [Grid([canvas.plot(figure, high, "Commands of the mission")], 320)]

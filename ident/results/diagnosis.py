@@ -11,6 +11,7 @@ from ident.diagnosis import (
     Diagnosis,
     DiagnosisEvaluation,
     Refit,
+    RemovedEffect,
     Round,
     ValidationMismatch,
     recommended_experiment,
@@ -161,6 +162,12 @@ def _found(diagnosis: Diagnosis) -> str:
     if diagnosis.untested:
         titles = _listed([u.effect.title for u in diagnosis.untested])
         return f"No effect is confirmed, but what may be missing could not be fitted: {titles}."
+    if seen := [r.effect.title for r in diagnosis.removed if r.immaterial]:
+        do = "explains" if len(seen) == 1 else "explain"
+        return (
+            f"Nothing is missing that matters to the prediction: {_listed(seen)} {do} a part of the residuals one step "
+            "ahead, and the prediction is as good without."
+        )
     if min(s.p for s in one.scores) > HARDLY:
         return f"Nothing is missing that these data can show: {_passed(one)} passed the first test, but {one.why}."
     return f"The residuals are not what the model predicts, but no candidate explains them: {one.why}."
@@ -365,6 +372,12 @@ def _untested_warnings(diagnosis: Diagnosis) -> list[parts.ResultWarning]:
     return [parts.ResultWarning(code="effect-untested", text=text.format(u)) for u in diagnosis.untested]
 
 
+def _not_paying(removed: RemovedEffect) -> str:
+    if removed.immaterial:
+        return "the prediction is as good without it"
+    return "beside the other effects it does not pay on the validation data"
+
+
 def _notes(diagnosis: Diagnosis) -> list[str]:
     notes = []
     if diagnosis.left:
@@ -374,8 +387,8 @@ def _notes(diagnosis: Diagnosis) -> list[str]:
         why = diagnosis.rounds[-1].why
         notes.append(f"{why[0].upper()}{why[1:]}.")
     notes += [
-        f"{r.effect.title} was added and removed again: beside the other effects it does not pay on the validation "
-        f"data (d ln L {r.validation_gain:.0f}, t = {r.t:.1f})."
+        f"{r.effect.title} was added and removed again: {_not_paying(r)} (d ln L of the validation data "
+        f"{r.validation_gain:.0f}, t = {r.t:.1f})."
         for r in diagnosis.removed
     ]
     if diagnosis.effects:

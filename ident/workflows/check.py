@@ -86,26 +86,35 @@ def with_estimator_errors(
         return model, []
     line = ("Position by an estimator (its noise is less than a receiver's): errors of position, velocity and heading "
             f"that last are states; --fix {position}=... gives white noise instead.")
-    noises = {o.noise: LEAST_WHITE * NOISE[s.name].value for s in model.sensors if s.name in LASTING for o in s.outputs}
-    floors = [replace(p, bounds=(noises[p.name], INF)) for p in model.parameters if p.name in noises and p.free]
-    return model.replace_parameters(*floors) + estimator_error([s.name for s in model.sensors]), [line]
+    return model + estimator_error([s.name for s in model.sensors]), [line]
 
 
 def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, list[str]]:
     """The model with a floor under the noise of smoothed channels, and a line that names them.
 
     A filter's output has errors that last and no noise from sample to sample: a fit that takes it for white estimates
-    next to none, and follows it everywhere. The floor is a usual sensor's noise (``ident.models.NOISE``).
+    next to none, and follows it everywhere. The floor is a usual sensor's noise (``ident.models.NOISE``); a small part
+    of it, and not worth a line, where errors that last are states.
     """
     usual = {p.name: p.value for p in NOISE.values()}
     smooth = {name for log in logs for name in smoothed(log.run.channels)}
-    if ESTIMATOR_ERROR in {e.name for e in model.effects}:  # their errors are states
-        smooth -= {o.name for s in model.sensors if s.name in LASTING for o in s.outputs}
-    names = {o.noise for o in model.outputs if o.name in smooth and o.noise in usual}
-    found = [p for n in sorted(names) if (p := model.parameter(n)).free]
-    floors = [replace(p, value=max(p.value, BEGIN * usual[p.name]), bounds=(usual[p.name], INF)) for p in found]
+    states = {o.name for s in model.sensors if s.name in LASTING for o in s.outputs}
+    if ESTIMATOR_ERROR in {e.name for e in model.effects}:
+        white = {o.noise: LEAST_WHITE * usual[o.noise] for o in model.outputs if o.name in states and o.noise in usual}
+        model = _with_floors(model, white)
+        smooth -= states
+    floors = {o.noise: usual[o.noise] for o in model.outputs if o.name in smooth and o.noise in usual}
+    floors = {name: least for name, least in sorted(floors.items()) if model.parameter(name).free}
     if not floors:
         return model, []
-    said = ", ".join(f"{p.name} {p.bounds[0]:g} {p.unit}" for p in floors)
+    said = ", ".join(f"{name} {least:g} {model.parameter(name).unit}" for name, least in floors.items())
     line = f"Smoothed signals ({', '.join(sorted(smooth))}): their noise is not estimated below {said}; --fix gives it."
-    return model.replace_parameters(*floors), [line]
+    return _with_floors(model, floors), [line]
+
+
+def _with_floors(model: Model, floors: Mapping[str, float]) -> Model:
+    """No free parameter of ``floors`` below its floor; the search for it begins above."""
+    found = [p for p in model.parameters if p.free and p.name in floors]
+    return model.replace_parameters(
+        *(replace(p, value=max(p.value, BEGIN * floors[p.name]), bounds=(floors[p.name], INF)) for p in found)
+    )

@@ -10,7 +10,7 @@ import pytest
 
 from ident.data.record import Channel, LogSegment
 from ident.diagnosis import search
-from ident.diagnosis.results import Diagnosis, EffectImportance, Outcome, Refit, Round, UntestedCandidate
+from ident.diagnosis.results import Diagnosis, EffectImportance, Outcome, Refit, RemovedEffect, Round, UntestedCandidate
 from ident.diagnosis.score_test import Score
 from ident.diagnosis.search import _Search, _starts, diagnose
 from ident.effects.registry import catalogue
@@ -241,6 +241,20 @@ def test_what_could_not_be_fitted_is_no_proof_that_nothing_is_missing() -> None:
     )
     assert found.untested == (lost,)
     assert "could not be fitted: a thrust mismatch" in diagnosis_answer(found, None, 10.0)
+
+
+def test_what_the_validation_data_support_and_no_prediction_needs_is_named() -> None:
+    """A lag of filtered velocities, t = 6.6: "no candidate predicts the validation data better" was not true."""
+    chosen = refit("filter-lag", 600.0)
+    gone = RemovedEffect(catalogue()["filter-lag"], 662.0, 6.6, SAME)
+    score = Score("filter-lag", 1862.0, 2, 0.0, {}, {})
+    found = Diagnosis(
+        blank(), blank(cross_validated=False), (Round((score,), ("filter-lag",), (chosen,), chosen),), (), (),
+        removed=(gone,),
+    )
+    assert "lag of filtered velocities" in diagnosis_answer(found, None, 10.0)
+    assert not replace(gone, t=1.0).immaterial
+    assert not replace(gone, prediction=ROSE).immaterial
 
 
 # -- on missions of mock boats ---------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ import seatrial
 from daq.checks.check_report import CheckReport
 from ident.checks.log_checks import CheckEvidence, log_evidence
 from ident.checks.motion import YAW_LAGS, delayed_forces
-from ident.report.check_page import check_answer, write_check_page
+from ident.report.check_page import _held, check_answer, write_check_page
 from tests.bench.check_cases import CASES, logged
 from tests.ident import page_examples
 from tests.ident.pages import HOSTILE, Page, numbers
@@ -45,6 +45,17 @@ def test_a_push_is_shown_to_scale_and_through_its_lag() -> None:
         y[k] = y[k - 1] + 0.1 / 1.0 * (0.3 * push[k - 1] - y[k - 1])
     assert delayed_forces(y, push, YAW_LAGS) == pytest.approx(y, abs=0.02)
     assert delayed_forces(-y, push, YAW_LAGS) == pytest.approx(y - 2 * y.mean(), abs=0.02)
+
+
+def test_a_command_is_drawn_as_it_was_held() -> None:
+    """One command for 50 s and then hundreds: thinned corners were joined by a slope over the 50 s."""
+    t = np.concatenate([[0.0], 50.0 + 0.02 * np.arange(2000)])
+    n = np.concatenate([[0.8], np.sin(0.5 * t[1:])])
+    for limit in (600, 10_000):
+        x, y = _held(t, n, 95.0, limit)
+        assert x.size <= limit
+        assert np.interp([10.0, 49.8, 94.0], x, y) == pytest.approx([0.8, 0.8, n[-1]])
+        assert np.interp(t[101::100] + 0.01, x, y) == pytest.approx(n[101::100], abs=0.12)
 
 
 def test_the_page_of_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
