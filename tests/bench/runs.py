@@ -33,16 +33,24 @@ def short_mission(folder: Path, n: float = 0.6, seconds: float = 8.0) -> Mission
     return mission
 
 
+# What never comes is not waited for as long as the command would; the devices are there when it starts.
+IMPATIENT = """
+import sys, seatrial
+from bench.execution import device_startup
+device_startup.AWAIT_S = 3.0
+seatrial.main(sys.argv[1:])
+"""
 MISSION_RUN = ("mission", "run", "mission.toml", "bench-rig.toml")
 
 
 class Run:
     """One `seatrial mission run`, or another command that drives, as a process."""
 
-    def __init__(self, folder: Path, words: Sequence[str] = MISSION_RUN) -> None:
+    def __init__(self, folder: Path, words: Sequence[str] = MISSION_RUN, impatient: bool = False) -> None:
         self.log = folder / "run.mcap"
+        program = ["-c", IMPATIENT] if impatient else ["-m", "seatrial"]
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "seatrial", *words, "-o", "run.mcap"],
+            [sys.executable, *program, *words, "-o", "run.mcap"],
             cwd=folder,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -69,8 +77,8 @@ class Run:
 
 
 @contextmanager
-def running(folder: Path, words: Sequence[str] = MISSION_RUN) -> Iterator[Run]:
-    run = Run(folder, words)
+def running(folder: Path, words: Sequence[str] = MISSION_RUN, impatient: bool = False) -> Iterator[Run]:
+    run = Run(folder, words, impatient)
     try:
         yield run
     finally:

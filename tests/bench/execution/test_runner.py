@@ -104,7 +104,7 @@ def test_a_plan_beyond_the_rigs_limit_moves_nothing(standin: StandIn, tmp_path: 
 def test_a_missing_device_is_named_and_nothing_moves(standin: StandIn, tmp_path: Path) -> None:
     short_mission(tmp_path)
     standin.pull(standin.cell)
-    with running(tmp_path) as run:
+    with running(tmp_path, impatient=True) as run:
         assert run.end() == 1
     assert "loadcell" in run.line()
     assert not any(n for _, n in standin.commands)

@@ -295,7 +295,7 @@ def test_a_limit_that_nothing_reports_is_refused_before_thrust(
         standin.rig.write_text(text[:begin] + text[end:], encoding="utf-8")
     else:
         vars(standin).update(silence)
-    with running(tmp_path) as run:
+    with running(tmp_path, impatient=True) as run:
         assert run.end() == 1
     assert f"limits.{key} = " in run.line()
     assert f'unwatched = ["{key}"]' in run.line()

@@ -63,9 +63,9 @@ def test_what_hangs_or_dies_is_zero_long_before_the_esc_gives_up(tmp_path: Path,
         run.until_turning(standin)
         acquisition = acquisition_of(run.process.pid)
         begun = time.monotonic()
-        if what == "both killed":
-            run.process.kill()
         os.kill(acquisition, signal.SIGSTOP if what == "acquisition hangs" else signal.SIGKILL)
+        if what == "both killed":  # after the other, which would end by itself when it misses its parent
+            run.process.kill()
         until(lambda: standin.n == 0.0, 10.0)
         took = standin.zero_after(begun) - begun
         assert took < (HANG_S if what == "acquisition hangs" else 0.0) + AT_ONCE_S
