@@ -36,8 +36,9 @@ def short_mission(folder: Path, n: float = 0.6, seconds: float = 8.0) -> Mission
 # What never comes is not waited for as long as the command would; the devices are there when it starts.
 IMPATIENT = """
 import sys, seatrial
-from bench.execution import device_startup
-device_startup.AWAIT_S = 3.0
+from bench.execution import autopilots, device_startup
+from daq.acquisition import session
+device_startup.AWAIT_S = autopilots.LEAVE_S = session.WATCHDOG_S = 3.0
 seatrial.main(sys.argv[1:])
 """
 MISSION_RUN = ("mission", "run", "mission.toml", "bench-rig.toml")

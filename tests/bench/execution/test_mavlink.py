@@ -27,7 +27,7 @@ from daq.errors import SeatrialError
 from daq.log.reader import open_log
 from daq.samples import Ahrs, Command, Servo
 from ident.data.loading import channels
-from tests.bench.runs import acquisition_of, is_alive
+from tests.bench.runs import IMPATIENT, acquisition_of, is_alive
 from tests.bench.standin import until
 
 SEATRIAL = [sys.executable, "-m", "seatrial"]
@@ -69,8 +69,9 @@ def mock(folder: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
 
 
 @contextmanager
-def running(folder: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
-    command = [*SEATRIAL, "mission", "run", "mission.toml", "rig.toml", "-o", "run.mcap", *words]
+def running(folder: Path, *words: str, impatient: bool = False) -> Iterator[subprocess.Popen[str]]:
+    program = [sys.executable, "-c", IMPATIENT] if impatient else SEATRIAL
+    command = [*program, "mission", "run", "mission.toml", "rig.toml", "-o", "run.mcap", *words]
     process = subprocess.Popen(
         command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
@@ -161,7 +162,9 @@ def test_a_wrong_parameter_forbids_to_drive_and_is_not_changed(tmp_path: Path) -
 @pytest.mark.parametrize("what", ["runner killed", "link cut"])
 def test_whatever_dies_thrust_ends(tmp_path: Path, what: str) -> None:
     write_files(tmp_path, 60.0)
-    with mock(tmp_path, "--fault", "pull/autopilot@usr1:60") as devices, running(tmp_path, "--arm") as run:
+    impatient = what == "link cut"  # and does not come back
+    fault = ("--fault", "pull/autopilot@usr1:60")
+    with mock(tmp_path, *fault) as devices, running(tmp_path, "--arm", impatient=impatient) as run:
         until_turning(tmp_path, run)
         acquisition = acquisition_of(run.pid)
         begun = time.monotonic()

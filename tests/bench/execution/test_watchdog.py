@@ -96,7 +96,7 @@ def test_without_its_watchdog_nothing_goes_on_driving(standin: StandIn, tmp_path
 
 def test_a_watchdog_that_hangs_is_no_watchdog(standin: StandIn, tmp_path: Path) -> None:
     short_mission(tmp_path, seconds=60.0)
-    with running(tmp_path) as run:
+    with running(tmp_path, impatient=True) as run:
         run.until_turning(standin)
         watchdog = watchdog_of(run.process.pid)
         begun = time.monotonic()
