@@ -233,8 +233,8 @@ def _known(problem: Problem, optimum: Optimum, coloured: bool) -> tuple[Uncertai
     """What is known of the estimates, and errors that allow for coloured residuals, NaN where not asked for."""
     z, slopes = optimum.z, problem.slopes(optimum.z)
     # A search's many rough fits need neither: both cost evaluations.
-    flat = flat_coordinates(problem.value, z, problem.parameters, optimum.at.information,
-                    problem.bounds) if coloured else []
+    information, bounds = optimum.at.information, problem.bounds
+    flat = flat_coordinates(problem.value, z, problem.parameters, information, bounds) if coloured else []
     known = assess(
         with_interval_information(optimum.at, flat), z, problem.bounds, problem.names, slopes, problem.prior[1]
     )

@@ -288,9 +288,7 @@ class ConstrainedObjective:
     def _centre(self, z: Array) -> None:
         problem = self.problem
         self.z, at = z, problem.evaluate(z)
-        flat = flat_coordinates(
-            problem.value, z, problem.parameters, at.information, self.bounds
-        )
+        flat = flat_coordinates(problem.value, z, problem.parameters, at.information, self.bounds)
         self.flat = np.zeros(z.size)
         self.flat[[p.at for p in flat]] = [p.information for p in flat]
         self.top, self.found = at.value, (at.value, z)

@@ -221,7 +221,25 @@ def test_gradient_of_the_posterior_agrees_between_adjoint_and_tangents() -> None
     value, gradient = problem.value_and_gradient(z)
     at = problem.evaluate(z)
     assert value == pytest.approx(at.value, rel=1e-12)
+    assert problem.value(z) == pytest.approx(at.value, rel=1e-12)
     np.testing.assert_allclose(gradient, at.gradient, rtol=1e-8, atol=1e-7)
+
+
+def test_only_the_record_whose_own_coordinate_moves_is_evaluated_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[str] = []
+    value = Likelihood.value
+
+    def counted(self: Likelihood, record: Record, values: np.ndarray) -> float:
+        seen.append(record.name)
+        return value(self, record, values)
+
+    monkeypatch.setattr(Likelihood, "value", counted)
+    problem = Problem(Likelihood(turning()), records(3), FREE, 1)
+    moved = problem.start.copy()
+    moved[problem.names.index("bias@1")] += 0.01
+    for z in (problem.start, moved, problem.start):
+        assert problem.value(z) == pytest.approx(problem.evaluate(z).value, rel=1e-12)
+    assert seen == ["run 0", "run 1", "run 2", "run 1", "run 1"]
 
 
 def quadratic(z: np.ndarray) -> fisher_scoring.Evaluation:
