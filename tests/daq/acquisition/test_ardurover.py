@@ -36,6 +36,12 @@ def signed() -> Iterator[tuple[Path, Rover]]:
         yield found
 
 
+@pytest.fixture(scope="module")
+def measured(signed: tuple[Path, Rover]) -> float:
+    """Seconds that its link test measures."""
+    return link_test(signed[0])
+
+
 @pytest.fixture
 def port(rover: Rover, tmp_path: Path) -> int:
     """Where it is heard."""
@@ -96,9 +102,9 @@ def test_the_rig_that_devices_writes_passes_the_check(tmp_path: Path, port: int,
     assert any("ArduPilot Rover" in f["text"] for f in told)
 
 
+@pytest.mark.usefixtures("measured")
 def test_a_refusal_to_arm_has_its_reason(signed: tuple[Path, Rover]) -> None:
     folder, rover = signed
-    link_test(folder)
     rover.set("BATT_ARM_VOLT", 20.0)
     with start(folder) as run:
         _, err = run.communicate(timeout=60)
@@ -114,10 +120,12 @@ def test_a_refusal_to_arm_has_its_reason(signed: tuple[Path, Rover]) -> None:
         ("link cut for 8 s", "thrust ends by the autopilot's own"),
     ],
 )
-def test_a_fault_on_a_signed_link_ends_thrust_and_disarms(signed: tuple[Path, Rover], name: str, said: str) -> None:
+def test_a_fault_on_a_signed_link_ends_thrust_and_disarms(
+    signed: tuple[Path, Rover], measured: float, name: str, said: str
+) -> None:
     folder, rover = signed
     (fault,) = [fault for fault in FAULTS if fault.name == name]
-    trial = try_fault(folder, rover, fault, SETTINGS[3], link_test(folder))
+    trial = try_fault(folder, rover, fault, SETTINGS[3], measured)
     assert trial.seconds < trial.allowed + BUSY_S, trial
     assert trial.disarmed
     assert said in trial.says
