@@ -58,14 +58,14 @@ def test_a_mission_is_driven_recorded_and_tared(standin: StandIn, tmp_path: Path
 
 def test_a_plan_whose_set_points_were_overtaken_says_so(standin: StandIn, tmp_path: Path) -> None:
     levels = 0.3 + 0.01 * np.arange(30.0)
-    segments = (Segment("rows", 2.0 + 0.4 * np.arange(30.0), levels[:, None]),)  # every 0.1 s of wall time
+    segments = (Segment("rows", 2.0 + 0.2 * np.arange(30.0), levels[:, None]),)  # every 0.05 s of wall time
     mission = Mission("rows", "steps", ("left",), segments, 15.0, n_max=0.9)
     save_mission(mission, tmp_path / "mission.toml")
     with running(tmp_path) as run:
         run.until_turning(standin)
         child = acquisition_of(run.process.pid)
         os.kill(child, signal.SIGSTOP)
-        time.sleep(0.45)  # less than the second after which the runner gives it up
+        time.sleep(0.3)  # half of what the watchdog takes for the end
         os.kill(child, signal.SIGCONT)
         assert run.end() == 0, run.err
     skipped = assert_plan_was_run(run.log, mission)
