@@ -33,8 +33,8 @@ class _Reader:
     def __init__(self, rig: Rig | None, device: Device | None) -> None:
         thrusters = [t for t in rig.thrusters if device is not None and t.device == device.name] if rig else []
         self._outputs = {t.node: (t.output, -1.0 if t.reversed else 1.0) for t in thrusters if t.output is not None}
-        self._imu: list[tuple[float, ...]] = []  # TimeUS and readings
-        self._ages: dict[float, float] = {}  # TimeUS of a fix -> s since it came
+        self._imu: list[tuple[float, ...]] = []  # time and readings
+        self._ages: dict[float, float] = {}  # time of a fix's message -> s since the fix came
         self._seen: set[int] = set()
         self._n: dict[int, float] = {}
         self.take: dict[str, Callable[[Any], Found]] = {
@@ -47,13 +47,13 @@ class _Reader:
 
     def _on_imu(self, m: Any) -> Found:
         if getattr(m, "I", 0) == 0:
-            self._imu.append((m.TimeUS * 1e-6, m.GyrX, m.GyrY, m.GyrZ, m.AccX, m.AccY, m.AccZ))
+            self._imu.append((m._timestamp, m.GyrX, m.GyrY, m.GyrZ, m.AccX, m.AccY, m.AccZ))
         return []
 
     def _gpa(self, m: Any) -> Found:
-        age = m.TimeUS * 1e-6 - getattr(m, "SMS", NAN) * 1e-3
+        age = getattr(m, "TimeUS", NAN) * 1e-6 - getattr(m, "SMS", NAN) * 1e-3
         if getattr(m, "I", 0) == 0 and 0.0 <= age < OLDEST_FIX_S:
-            self._ages[m.TimeUS * 1e-6] = age
+            self._ages[m._timestamp] = age
         return []
 
     def joined(self, rows: list[Timed]) -> Iterator[Timed]:
@@ -63,9 +63,9 @@ class _Reader:
         for row in rows:
             sample, t_rx, t_device = row.frame
             if isinstance(sample, Ahrs) and self._imu:
-                imu = self._imu[int(np.searchsorted(middle, t_device))][1:]
+                imu = self._imu[int(np.searchsorted(middle, row.t))][1:]
                 sample = Ahrs(sample.yaw, sample.pitch, sample.roll, *imu)
-            age = self._ages.get(t_device, 0.0) if isinstance(sample, Gnss) else 0.0
+            age = self._ages.get(row.t, 0.0) if isinstance(sample, Gnss) else 0.0
             yield Timed(Frame(sample, t_rx, t_device - age), row.t - age)
 
     def _att(self, m: Any) -> Found:
