@@ -81,7 +81,7 @@ DIFFUSION = (
     Parameter("s_r", 0.03, "rad/s/sqrt(s)", "process noise of yaw rate", "log"),
     Parameter("s_psi", 0.01, "rad/sqrt(s)", "process noise of the heading", "log"),
     Parameter("q_v", 0.02, "m/s/sqrt(s)", "diffusion of the sideslip", "log", prior=(0.02, 0.06)),
-    Parameter("tau_v", 5.0, "s", "correlation time of the sideslip", "log", prior=(5.0, 10.0), bounds=(0.5, 100.0),
+    Parameter("tau_v", 5.0, "s", "correlation time of the sideslip", "log", prior=(5.0, 10.0), bounds=(0.5, 1000.0),
               role=ParameterRole.DISTURBANCE),
 )
 STATES = (
