@@ -174,10 +174,12 @@ def _quadratic(n: Array, force: Array) -> Array:
 
 @dataclass(frozen=True)
 class ThrustCurve:
-    """Force [N] against command, of ``thrusters`` thrusters together at one command."""
+    """Force [N] against command, of ``thrusters`` thrusters together at one command; ``calibration``: relative standard
+    uncertainty of the load cell's force, None where nobody gave it."""
 
     curve: Curve
     thrusters: int
+    calibration: float | None = None
 
     def of_one(self, n: Array) -> Array:
         """Force of one thruster [N] at commands n (n_samples,)."""
@@ -211,17 +213,19 @@ def total(left: Channel, right: Channel) -> Channel:
 
 
 def save_curve(
-    path: Path, curve: Curve, levels: Levels, quadratic: Quadratic, thrusters: int, provenance: Mapping[str, Any]
+    path: Path, curve: ThrustCurve, levels: Levels, quadratic: Quadratic, provenance: Mapping[str, Any]
 ) -> None:
     """Write a curve, the levels it goes through, and the quadratic it was compared with."""
     document = tomlkit.document()
     document["format"] = FORMAT
-    document["thrusters"] = thrusters
+    document["thrusters"] = curve.thrusters
+    if curve.calibration is not None:
+        document["calibration"] = float(f"{curve.calibration:.4g}")
     document["provenance"] = dict(provenance)
     document["curve"] = {
-        "n": _rounded(curve.n),
-        "force": _rounded(curve.force),
-        "se": _rounded(curve.se),
+        "n": _rounded(curve.curve.n),
+        "force": _rounded(curve.curve.force),
+        "se": _rounded(curve.curve.se),
         "between": "monotone cubic (Fritsch and Carlson); constant beyond the ends",
     }
     document["measured"] = {
@@ -255,11 +259,14 @@ def load_curve(path: Path) -> ThrustCurve | None:
         return None
     try:
         n, force, se = (np.array(table["curve"][k], dtype=float) for k in ("n", "force", "se"))
-        thrusters = int(table["thrusters"])
+        thrusters, given = int(table["thrusters"]), table.get("calibration")
+        calibration = None if given is None else float(given)
     except (KeyError, TypeError, ValueError) as problem:
         raise SeatrialError(f"{path}: not a complete curve: {problem}") from problem
     if not (n.size == force.size == se.size >= 2 and thrusters >= 1 and np.all(np.diff(n) > 0)):
         raise SeatrialError(f"{path}: a curve needs two or more rising n, with as many force and se")
     if not all(np.isfinite(a).all() for a in (n, force, se)):
         raise SeatrialError(f"{path}: a curve has numbers only")
-    return ThrustCurve(Curve(n, force, se), thrusters)
+    if calibration is not None and not 0.0 < calibration < 1.0:
+        raise SeatrialError(f"{path}: calibration is a relative standard uncertainty, more than 0 and less than 1")
+    return ThrustCurve(Curve(n, force, se), thrusters, calibration)

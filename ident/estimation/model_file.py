@@ -33,6 +33,7 @@ from ident.models import (
     CURRENT_WALK,
     ESTIMATOR_ERROR,
     TELEMETRY_AGE,
+    THRUST_CALIBRATION,
     antenna_component,
     catalogue_model,
     current_walk,
@@ -44,6 +45,7 @@ from ident.models import (
     own_model,
     sensor_bias,
     telemetry_age,
+    thrust_calibration,
     trusted_file,
 )
 from ident.numerics import Array
@@ -262,6 +264,8 @@ def _effect(name: str, model: Model, curves: Mapping[str, Any]) -> Effect:
         return current_walk()
     if name == TELEMETRY_AGE:
         return telemetry_age()
+    if name == THRUST_CALIBRATION:
+        return thrust_calibration(model)
     if name == ESTIMATOR_ERROR:
         return estimator_error([s.name for s in model.sensors])
     if name in curves:

@@ -90,6 +90,8 @@ def scale_of(model: Model) -> ThrustScale:
     elif "m_r" in values and "y_left" in values:
         arm = model.parameter("y_left").provenance
     exact = thrust is not None and thrust is not BUILT_IN and not model.parameter("c1").free
+    if any(i.unit.startswith("N") for i in model.inputs):  # forces as given, but for a calibration
+        exact = not ("k_thrust" in values and model.parameter("k_thrust").free)
     return ThrustScale(thrust, arm, exact)
 
 

@@ -9,11 +9,13 @@ from .components import CURRENT_WALK as CURRENT_WALK
 from .components import ESTIMATOR_ERROR as ESTIMATOR_ERROR
 from .components import LASTING as LASTING
 from .components import TELEMETRY_AGE as TELEMETRY_AGE
+from .components import THRUST_CALIBRATION as THRUST_CALIBRATION
 from .components import antenna_component as antenna_component
 from .components import current_walk as current_walk
 from .components import estimator_error as estimator_error
 from .components import shift as shift
 from .components import telemetry_age as telemetry_age
+from .components import thrust_calibration as thrust_calibration
 from .disturbances import READINGS as READINGS
 from .disturbances import THRUST_LOSSES as THRUST_LOSSES
 from .disturbances import TIME as TIME

@@ -1,5 +1,5 @@
 """Components that the rig, the logs or the user ask for, and no search adds: antenna lever arm, age of telemetry,
-random-walk current, time-correlated errors of an estimator."""
+random-walk current, time-correlated errors of an estimator, calibration of a thrust curve."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import Effect, EffectKind, Input, Model, Parameter, ParameterRole, Signals, State
+from ident.model import Effect, EffectKind, Input, Model, Parameter, ParameterOrigin, ParameterRole, Signals, State
 from ident.models import rotations
 from ident.models.horizontal import BUILT_IN, SENSORS, SIDES, shift_in_time
 
 ANTENNA, CURRENT_WALK, TELEMETRY_AGE = "antenna", "random-walk-current", "telemetry-age"
+THRUST_CALIBRATION = "thrust-calibration"
 ESTIMATOR_ERROR = "estimator-error"
 # By sensor: name of the error, standard deviation, unit, correlation time [s]; usual ones of a small boat's estimator.
 LASTING = {
@@ -105,6 +106,28 @@ def telemetry_age() -> Effect:
         place="sensor",
         requires=("n_input",),
         kind=EffectKind.SENSOR_OFFSET,
+    )
+
+
+def thrust_calibration(model: Model, sd: float = 0.05) -> Effect:
+    """A factor of all given thrust, for a curve measured with a load cell that is calibrated to ``sd`` (relative
+    standard uncertainty): the data do not tell it from masses and damping, so its prior is in their errors."""
+
+    def scale_each(s: Signals) -> None:
+        s.f = {side: s.p.k_thrust * f for side, f in s.f.items()}
+
+    def scale_sum(s: Signals) -> None:
+        s.X = s.X + (s.p.k_thrust - 1.0) * s.X_thrust
+
+    return Effect(
+        THRUST_CALIBRATION,
+        "the calibration of the thrust curve",
+        {"thrust": scale_each} if "f_input" in model.provides else {"force": scale_sum},
+        parameters=(
+            Parameter("k_thrust", 1.0, "", "true thrust over that of the curve", "log", prior=(1.0, sd),
+                      origin=ParameterOrigin.MEASURED),
+        ),
+        place="actuator",
     )
 
 

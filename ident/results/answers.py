@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ident.characterisation import Curve, Levels, Quadratic
+from ident.characterisation import Levels, Quadratic, ThrustCurve
 from ident.data import Record
 from ident.estimation import FailedRun, Fit, HomogeneityTest, ThrustScale, against_priors, least_inertia, scale_of
 from ident.model import Model
@@ -299,13 +299,18 @@ def thruster_answer(fitted: Fit, has_force: bool, calibration: float | None = No
     return f"The thruster gives {ends} at full speed (± {s:.2g} N, {known}); {shaft}."
 
 
-def curve_notes(levels: Levels, curve: Curve, quadratic: Quadratic) -> list[str]:
+def curve_notes(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> list[str]:
+    curve, known = measured.curve, measured.calibration
     covariance = np.sqrt(np.diag(quadratic.covariance))
     notes = [
         f"Quadratic: c1 = {quadratic.c1:.2f} ± {covariance[0]:.2f} N, c2 = {quadratic.c2:.2f} ± {covariance[1]:.2f} N, "
         f"chi-square {quadratic.chi2:.3g} with {quadratic.df} degrees of freedom against the levels' own errors.",
-        "Standard errors are of the readings alone, with their autocorrelation; they know nothing of the load cell's "
-        "calibration, of friction in the rig, of the battery, or of another day.",
+        "Standard errors of levels are of the readings alone, with their autocorrelation; they know nothing of "
+        "friction in the rig, of the battery, or of another day.",
+        "Of the load cell's calibration nobody gave an error (newton_per_count_sd, lever_ratio_sd of the rig, or "
+        "`calibration` in model.toml): masses and forces by this curve have statistical errors only."
+        if known is None
+        else f"The load cell's calibration, ± {100 * known:.2g} %, is in the errors of what is fitted with this curve.",
     ]
     moved = np.abs(curve.force - levels.force) > 1e-9
     if moved.any():

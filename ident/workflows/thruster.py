@@ -18,6 +18,7 @@ from ident.characterisation import (
     Curve,
     Levels,
     Quadratic,
+    ThrustCurve,
     adequate,
     curve_left_out,
     find_levels,
@@ -191,11 +192,12 @@ def static_curve(
     except ValueError as problem:
         raise SeatrialError(f"{where}: {problem}") from problem
     curve, quadratic = fit_curve(levels), fit_quadratic(levels)
+    measured = ThrustCurve(curve, len(names), _calibration(loaded))
     result = ThrustCurveResult(
         **msgspec.structs.asdict(provenance(loaded, command)),
-        answer=curve_answer(levels, curve, quadratic, len(names)),
+        answer=curve_answer(levels, measured, quadratic),
         static=_curve_points(levels, curve, quadratic),
-        notes=tuple(curve_notes(levels, curve, quadratic)),
+        notes=tuple(curve_notes(levels, measured, quadratic)),
     )
     out.mkdir(parents=True, exist_ok=True)
     made = {
@@ -204,7 +206,7 @@ def static_curve(
         "seatrial": result.seatrial,
         "logs": [f"{where} sha256:{one.about['sha256'][:16]}"],
     }
-    save_curve(out / "model.toml", curve, levels, quadratic, len(names), made)
+    save_curve(out / "model.toml", measured, levels, quadratic, made)
     write_result(result, out / "result.json")
     write_report(result, out / "report.html")
     return result
@@ -255,12 +257,15 @@ def _curve_points(levels: Levels, curve: Curve, quadratic: Quadratic) -> StaticF
     )
 
 
-def curve_answer(levels: Levels, curve: Curve, quadratic: Quadratic, thrusters: int) -> str:
+def curve_answer(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> str:
+    curve, thrusters, known = measured.curve, measured.thrusters, measured.calibration
     (low, high), words = curve.force[[0, -1]], {1: "The thruster gives", 2: "Both thrusters together give"}
-    end = f"and {-low:.1f} ± {curve.se[0]:.1f} N astern " if curve.n[0] < 0 else ""
+    below, above = np.hypot(curve.se, (known or 0.0) * curve.force)[[0, -1]]
+    end = f"and {-low:.1f} ± {below:.1f} N astern " if curve.n[0] < 0 else ""
     told = (
-        f"{words.get(thrusters, f'The {thrusters} thrusters together give')} {high:.1f} ± {curve.se[-1]:.1f} N ahead "
-        f"{end}at the ends of the command, {levels.n.size} steady levels in all."
+        f"{words.get(thrusters, f'The {thrusters} thrusters together give')} {high:.1f} ± {above:.1f} N ahead "
+        f"{end}at the ends of the command ({'statistical only' if known is None else 'with the calibration'}), "
+        f"{levels.n.size} steady levels in all."
     )
     if adequate(quadratic):
         return f"{told} c1 n|n| + c2 n² describes them within their errors (c1 {quadratic.c1:.2f} N)."

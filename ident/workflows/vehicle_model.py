@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ident.characterisation import load_curve
+from ident.characterisation import ThrustCurve, load_curve
 from ident.data import WHOLE, LoadedLog, LogSegment, TimeWindow
 from ident.estimation import (
     EstimationOptions,
@@ -19,7 +19,7 @@ from ident.estimation import (
     with_effects,
 )
 from ident.model import Model
-from ident.models import is_own_model
+from ident.models import is_own_model, thrust_calibration
 from ident.results import UnusedSignal
 from ident.workflows.check import with_estimator_errors, with_noise_floors
 from ident.workflows.model_inputs import (
@@ -85,6 +85,19 @@ class VehicleProblem:
     unused: list[UnusedSignal]
 
 
+def with_calibration(model: Model, curve: ThrustCurve, own: bool) -> tuple[Model, list[str]]:
+    """The model with the calibration of its thrust curve as a parameter that has a prior, and a line that says so.
+
+    ``own``: the model is the user's, of which nobody knows where its thrust is.
+    """
+    if curve.calibration is None:
+        return model, ["Thrust by a curve without the error of its calibration: the errors below do not have it."]
+    known = f"Thrust by a curve that is calibrated to ± {100 * curve.calibration:.2g} %"
+    if own:
+        return model, [f"{known}, which is not in the errors of a model of your own."]
+    return model + thrust_calibration(model, curve.calibration), [f"{known}: its factor k_thrust is in the errors."]
+
+
 def vehicle_problem(
     request: VehicleRequest, loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog]
 ) -> VehicleProblem:
@@ -96,13 +109,16 @@ def vehicle_problem(
     check_ahead(request.estimation.horizon, loaded, unseen)
     model = choose_model(source, [*loaded, *unseen])
     model, notes = apply_rig_geometry(model, loaded[0].rig, loaded[0].vehicle)
-    lasting: list[str] = []
     if not is_own_model(source):
         model, lasting = with_estimator_errors(model, loaded, {*request.fixed, *request.priors})
+        notes += lasting
+    if curve is not None:
+        model, told = with_calibration(model, curve, own=is_own_model(source))
+        notes += told
     model = set_initial_values(set_priors(with_effects(model, request.effects), request.priors), request.initial)
     model = pose_scale(fix_parameters(model, request.thruster if curve is None else None, request.fixed))
     model, floors = with_noise_floors(model, loaded)
     check_names(nominal(model), request.profiles, len(loaded))
     segments, validation = ([x.run for x in part] for part in (loaded, unseen))
     unused = unused_signals(model, [*loaded, *unseen])
-    return VehicleProblem(model, segments, validation, [*notes, *lasting, *floors], thrust_from(model), unused)
+    return VehicleProblem(model, segments, validation, [*notes, *floors], thrust_from(model), unused)

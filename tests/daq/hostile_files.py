@@ -578,6 +578,7 @@ def _child(command: Command, box: Path, cache: Path) -> None:
         faulthandler.disable()
         sys.stdout, sys.stderr = (os.fdopen(number, "w", 1, "utf-8", closefd=False) for number in (1, 2))
         report = os.open(box.with_suffix(".audit"), os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+        sys.dont_write_bytecode = True  # what Python keeps of a module's code is not written for a file
         os.environ |= {"HOME": str(box / "home"), "SEATRIAL_CACHE": str(cache), "TMPDIR": str(box / "home")}
         tempfile.tempdir = None
         sys.argv = ["seatrial", *command.words]

@@ -13,6 +13,7 @@ import seatrial
 from daq.errors import SeatrialError
 from ident.characterisation.thrust_curve import (
     Levels,
+    ThrustCurve,
     adequate,
     curve_left_out,
     find_levels,
@@ -131,17 +132,19 @@ def test_levels_that_fall_are_pooled_and_say_so() -> None:
 def test_the_file_comes_back(tmp_path: Path) -> None:
     levels = find_levels(*bench(saturating), settle=0.0)
     curve = fit_curve(levels)
-    save_curve(tmp_path / "model.toml", curve, levels, fit_quadratic(levels), 2, {"made_by": "test"})
+    measured = ThrustCurve(curve, 2, 0.02)
+    save_curve(tmp_path / "model.toml", measured, levels, fit_quadratic(levels), {"made_by": "test"})
     found = load_curve(tmp_path / "model.toml")
     assert found is not None
-    assert found.thrusters == 2
+    assert (found.thrusters, found.calibration) == (2, 0.02)
     np.testing.assert_allclose(found.curve.force, curve.force, rtol=1e-6)
     np.testing.assert_allclose(found.of_one(COMMANDS), curve(COMMANDS) / 2, rtol=1e-6)
     other = tmp_path / "other.toml"
     other.write_text('format = "seatrial-model 1"\n')
     assert load_curve(other) is None
     text = (tmp_path / "model.toml").read_text()
-    for bad in (text.replace("thrusters = 2", "thrusters = 0"), text.replace("[curve]", "[curves]")):
+    for bad in (text.replace("thrusters = 2", "thrusters = 0"), text.replace("[curve]", "[curves]"),
+                text.replace("calibration = 0.02", "calibration = 2")):
         other.write_text(bad)
         with pytest.raises(SeatrialError, match=r"other\.toml: "):
             load_curve(other)
@@ -149,7 +152,7 @@ def test_the_file_comes_back(tmp_path: Path) -> None:
 
 def test_thrust_from_commands(tmp_path: Path) -> None:
     levels = find_levels(*bench(saturating), settle=0.0)
-    save_curve(tmp_path / "m.toml", fit_curve(levels), levels, fit_quadratic(levels), 2, {})
+    save_curve(tmp_path / "m.toml", ThrustCurve(fit_curve(levels), 2), levels, fit_quadratic(levels), {})
     curve = load_curve(tmp_path / "m.toml")
     assert curve is not None
     left = Channel(np.array([0.0, 1.0]), np.array([0.4, -0.4]))

@@ -18,7 +18,7 @@ from ident.estimation.model_file import load_model, save_model
 from ident.estimation.prior_knowledge import apply_rig_geometry
 from ident.model.parameter import ParameterOrigin
 from ident.models.catalogue import make_model
-from ident.models.components import antenna, current_walk, estimator_error
+from ident.models.components import antenna, current_walk, estimator_error, thrust_calibration
 from ident.models.disturbances import for_diagnosis
 from ident.models.horizontal import horizontal_model
 from tests.missions import boat_with, channels_of, sail
@@ -45,6 +45,19 @@ def test_the_rig_file_places_the_antenna_and_leaves_its_error_to_be_found() -> N
     assert model.values["antenna_x"] == 0.4
     assert "antenna_x" not in model.free
     assert model.accepts(catalogue()["lever-arm"])
+
+
+@pytest.mark.parametrize(("source", "n_inputs"), [("horizontal:force", 2), ("surge:force:speed", 1)])
+def test_a_factor_of_a_given_thrust_is_as_more_thrust(source: str, n_inputs: int) -> None:
+    base = make_model(source)
+    model = base + thrust_calibration(base, 0.05)
+    n = len(base.states)
+    rng = np.random.default_rng(3)
+    x, u = rng.normal(size=(20, n)), rng.normal(size=(20, n_inputs))
+    more = outputs(model.with_values({"k_thrust": 1.2}), x, u)
+    np.testing.assert_allclose(more, outputs(base, x, 1.2 * u), rtol=1e-12)
+    np.testing.assert_allclose(outputs(model, x, u), outputs(base, x, u), rtol=1e-12)
+    assert model.parameter("k_thrust").prior == (1.0, 0.05)
 
 
 def test_a_current_that_wanders_makes_the_position_less_certain() -> None:

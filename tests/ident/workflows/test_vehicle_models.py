@@ -166,6 +166,24 @@ def test_the_built_in_surge_model(logs: Path, tmp_path: Path) -> None:
         assert [s.name for s in load_model(tmp_path / folder / "model.toml").model.sensors] == ["speed"]
 
 
+def test_the_calibration_of_a_curve_is_in_the_errors(logs: Path, tmp_path: Path) -> None:
+    """A load cell known to 8 %: so are the mass and the damping, and not to a half of a percent."""
+    (tmp_path / "curve.toml").write_text(CURVE.replace("thrusters = 2", "thrusters = 2\ncalibration = 0.08"))
+    words = ["ident", "vehicle", logs / "run0.mcap", logs / "run1.mcap", "--model", "surge:force:speed", "--thruster"]
+    run(*words, logs / "curve.toml", "--out", tmp_path / "exact")
+    run(*words, tmp_path / "curve.toml", "--out", tmp_path / "known")
+    exact, known = (result(tmp_path / name) for name in ("exact", "known"))
+    for name in ("m_u", "d_uu"):
+        (value, alone), (other, error) = estimate(exact, name), estimate(known, name)
+        assert other == pytest.approx(value, rel=0.02)
+        assert error == pytest.approx(np.hypot(alone, 0.08 * value), rel=0.1)
+    assert (exact["fit"]["scale"]["statistical_only"], known["fit"]["scale"]["statistical_only"]) == (True, False)
+    assert load_model(tmp_path / "known/model.toml").model.parameter("k_thrust").prior == (1.0, 0.08)
+    run("ident", "vehicle", logs / "run0.mcap", "--model", f"{logs / 'mine.py'}:mine", "--thruster",
+        tmp_path / "curve.toml", "--out", tmp_path / "own")  # fmt: skip
+    assert any("not in the errors" in note for note in result(tmp_path / "own")["notes"])
+
+
 def test_the_built_in_yaw_model(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     N = np.repeat(rng.uniform(-4.0, 4.0, 40), 50)
