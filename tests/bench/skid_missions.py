@@ -27,7 +27,7 @@ from tests.daq.ardurover import MISSING, PROGRAM, Rover
 
 SEATRIAL = [sys.executable, "-m", "seatrial"]
 SECONDS, N_MAX, AHEAD_S, FILTERED_S = 300.0, 0.5, 60.0, 15.0  # a simulation begins after so long of filtering
-CHANCES = 4  # of each mission
+CHANCES = 6  # of each mission
 SLEW = 1.0  # 1/s: a ramp is known from its samples at 10 Hz, a step is not
 SOURCES = ("live", "tlog", "BIN")
 SETTINGS = {"LOG_FILE_DSRMROT": 1}  # a BIN each time it is armed
@@ -74,14 +74,14 @@ def command(*words: object, cwd: Path) -> str:
     return done.stdout
 
 
-def record(frame: str, folder: Path, seconds: float) -> None:
+def record(frame: str, folder: Path, seconds: float, missions: int) -> None:
     """Rig, link test and missions of one frame, with the tlog and the BIN of each."""
     settings = {**SETTINGS, "SIM_WAVE_ENABLE": float(frame.endswith(WAVES))}
     with Rover(folder / "autopilot", settings, frame.removesuffix(WAVES)) as rover:
         rover.until_ready()
         (folder / "rig.toml").write_text(command("devices", f"udp:127.0.0.1:{rover.port}", "--toml", cwd=folder))
         command("check", "rig.toml", "--actuators", "--link-test", "--arm", "--yes", "-o", "link.mcap", cwd=folder)
-        for k in (1, 2, 3):
+        for k in range(1, missions + 1):
             words = ("--seconds", seconds, "--seed", k, "--n-max", N_MAX, "--slew", SLEW, "-o", f"mission{k}.toml")
             command("mission", "generate", "--kind", "mixed", *words, cwd=folder)
             words = (f"mission{k}.toml", "rig.toml", "--arm", "-o", f"live{k}.mcap")
@@ -95,21 +95,21 @@ def record(frame: str, folder: Path, seconds: float) -> None:
                     if chance == CHANCES - 1:
                         raise
                     (folder / f"live{k}.mcap").unlink(missing_ok=True)
-    kept = sorted((folder / "autopilot" / "logs").glob("*.BIN"), key=lambda path: path.stat().st_size)[-3:]
+    kept = sorted((folder / "autopilot" / "logs").glob("*.BIN"), key=lambda path: path.stat().st_size)[-missions:]
     for k, path in enumerate(sorted(kept), start=1):
         path.rename(folder / f"{k}.BIN")
 
 
-def fit(frame: str, source: str, folder: Path) -> dict[str, Any]:
-    """The result of `ident vehicle` on two missions of a source, with the third to judge by."""
+def fit(frame: str, source: str, folder: Path, missions: int) -> dict[str, Any]:
+    """The result of `ident vehicle` on all missions of a source but the last, with that one to judge by."""
     out = folder / f"fit-{source}"
     if not (out / "result.json").exists():
-        for k in (1, 2, 3) if source != "live" else ():
+        for k in range(1, missions + 1) if source != "live" else ():
             words = ("--rig", "rig.toml", "-o", f"{source}{k}.mcap", "--force")
             command("import", "mavlink", f"{k}.{source}", *words, cwd=folder)
         thrust = GIVEN[frame.removesuffix(WAVES)]
         given = [word for name, value in thrust.items() for word in ("--fix", f"{name}={value:g}")]
-        logs = (f"{source}1.mcap", f"{source}2.mcap", "--validate", f"{source}3.mcap")
+        logs = (*(f"{source}{k}.mcap" for k in range(1, missions)), "--validate", f"{source}{missions}.mcap")
         # a busy machine holds the simulator up now and then, which is a jump of its clock
         words = ("--model", "nomoto", *given, "--despite-faults", "--out", out.name, "--force")
         command("ident", "vehicle", *logs, *words, cwd=folder)
@@ -165,6 +165,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     frames = [*TRUTH, f"motorboat-skid{WAVES}"]
     parser.add_argument("--frames", nargs="+", default=frames, choices=frames)
+    parser.add_argument("--missions", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=SECONDS)
     parser.add_argument("--docs", type=Path)
     options = parser.parse_args()
@@ -172,11 +173,11 @@ def main() -> None:
     for frame in options.frames:
         folder = (options.folder / frame).resolve()
         folder.mkdir(parents=True, exist_ok=True)
-        if not (folder / "3.BIN").exists():
+        if not (folder / f"{options.missions}.BIN").exists():
             if not os.access(PROGRAM, os.X_OK):
                 raise SystemExit(MISSING)
-            record(frame, folder, options.seconds)
-        results |= {(frame, source): fit(frame, source, folder) for source in SOURCES}
+            record(frame, folder, options.seconds, options.missions)
+        results |= {(frame, source): fit(frame, source, folder, options.missions) for source in SOURCES}
     text = table(results)
     print(text)
     if options.docs is not None:
