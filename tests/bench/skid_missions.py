@@ -4,8 +4,8 @@
 
 On each frame of ArduPilot Rover's simulator (SEATRIAL_ARDUROVER): `devices --toml`, link test, missions of 300 s, by
 the public commands; the live log, the tlog of a second station and the autopilot's BIN of all but the last are fitted,
-and the last is simulated. What a folder has already is not recorded or fitted again. `--docs` puts the table between its
-marks in a page.
+and the last is simulated. What a folder has already is not recorded or fitted again. `--docs` puts the table between
+its marks in a page.
 """
 
 from __future__ import annotations
