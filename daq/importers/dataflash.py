@@ -1,7 +1,8 @@
 """ArduPilot's DataFlash log (BIN) -> samples, through pymavlink's DFReader.
 
 Names and units of the messages: ardupilot.org/rover/docs/logmessages.html. Times are TimeUS, s since boot, put on
-the calendar by the first GPS week that the log has.
+the calendar by the first GPS week that the log has. TimeUS is when a loop wrote it: a fix has the time at which it came
+(GPA.SMS), up to a loop before, and an attitude the IMU that is nearest, since a loop writes ATT before IMU.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from daq.errors import SeatrialError, counted
 from daq.importers.write_log import Timed
 from daq.protocol import FIXES, mode_name
@@ -21,33 +24,53 @@ from daq.rig import Device, Rig
 from daq.samples import NAN, Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, Sample, Servo, wrap_angle
 
 Found = list[Sample]
+OLDEST_FIX_S = 1.0  # between a fix and its message: more is no age
 
 
 class _Reader:
-    """Messages -> samples, by type; an attitude takes the newest IMU and field."""
+    """Messages -> samples, by type, and what `joined` adds to them."""
 
     def __init__(self, rig: Rig | None, device: Device | None) -> None:
         thrusters = [t for t in rig.thrusters if device is not None and t.device == device.name] if rig else []
         self._outputs = {t.node: (t.output, -1.0 if t.reversed else 1.0) for t in thrusters if t.output is not None}
-        self._imu = (NAN,) * 6
+        self._imu: list[tuple[float, ...]] = []  # time and readings
+        self._ages: dict[float, float] = {}  # time of a fix's message -> s since the fix came
         self._seen: set[int] = set()
         self._n: dict[int, float] = {}
         self.take: dict[str, Callable[[Any], Found]] = {
             "IMU": self._on_imu, "ATT": self._att, "GPS": self._gps, "RCOU": self._rcou, "ESC": self._esc,
             "BAT": self._bat, "MSG": self._msg, "MODE": self._mode, "ARM": self._arm, "EV": self._ev, "ERR": self._err,
-            "PARM": self._parm,
+            "PARM": self._parm, "GPA": self._gpa,
         }  # fmt: skip
         self.parameters: dict[str, float] = {}
         self._pilot = Autopilot(0, 0, 3)
 
     def _on_imu(self, m: Any) -> Found:
         if getattr(m, "I", 0) == 0:
-            self._imu = (m.GyrX, m.GyrY, m.GyrZ, m.AccX, m.AccY, m.AccZ)
+            self._imu.append((m._timestamp, m.GyrX, m.GyrY, m.GyrZ, m.AccX, m.AccY, m.AccZ))
         return []
+
+    def _gpa(self, m: Any) -> Found:
+        age = getattr(m, "TimeUS", NAN) * 1e-6 - getattr(m, "SMS", NAN) * 1e-3
+        if getattr(m, "I", 0) == 0 and 0.0 <= age < OLDEST_FIX_S:
+            self._ages[m._timestamp] = age
+        return []
+
+    def joined(self, rows: list[Timed]) -> Iterator[Timed]:
+        """Rows whose attitudes have the nearest IMU, and whose fixes have their own times."""
+        times = np.array([row[0] for row in self._imu])
+        middle = (times[1:] + times[:-1]) / 2
+        for row in rows:
+            sample, t_rx, t_device = row.frame
+            if isinstance(sample, Ahrs) and self._imu:
+                imu = self._imu[int(np.searchsorted(middle, row.t))][1:]
+                sample = Ahrs(sample.yaw, sample.pitch, sample.roll, *imu)
+            age = self._ages.get(row.t, 0.0) if isinstance(sample, Gnss) else 0.0
+            yield Timed(Frame(sample, t_rx, t_device - age), row.t - age)
 
     def _att(self, m: Any) -> Found:
         yaw, pitch, roll = (math.radians(angle) for angle in (m.Yaw, m.Pitch, m.Roll))
-        return [Ahrs(wrap_angle(yaw), pitch, roll, *self._imu)]
+        return [Ahrs(wrap_angle(yaw), pitch, roll, *[NAN] * 6)]
 
     def _gps(self, m: Any) -> Found:
         if getattr(m, "I", 0) != 0:
@@ -132,7 +155,7 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
             raise SeatrialError(f"{path}: is not a readable DataFlash log ({error})") from error
     if not rows:
         raise SeatrialError(f"{path}: a DataFlash log without attitude, GPS or outputs")
-    return rows, counted(n_messages, "message"), reader.parameters
+    return list(reader.joined(rows)), counted(n_messages, "message"), reader.parameters
 
 
 @contextlib.contextmanager

@@ -295,7 +295,7 @@ class Samples:
         t = self._at(m.time_usec)
         fix = FIXES.get(m.fix_type, 0)
         course = math.radians(m.cog * 0.01) if m.cog != 0xFFFF else NAN
-        speed = m.vel * 0.01 if fix >= 2 and m.vel != 0xFFFF else NAN
+        speed = _cut(m.vel) if fix >= 2 and m.vel != 0xFFFF else NAN
         return [
             (
                 Gnss(
@@ -322,7 +322,7 @@ class Samples:
         self._fix = m.time_boot_ms
         if m.lat == 0 and m.lon == 0:
             return [(Gnss(t + self._utc_of_boot, NAN, NAN), t)]
-        north, east, down = m.vx * 1e-2, m.vy * 1e-2, m.vz * 1e-2
+        north, east, down = (_cut(v) for v in (m.vx, m.vy, m.vz))
         fix = Gnss(t + self._utc_of_boot, m.lat * 1e-7, m.lon * 1e-7, m.alt * 1e-3, north, east, down, fix=3)
         return [(fix, t)]
 
@@ -388,6 +388,11 @@ class Samples:
         self._chunks = (0, "")
         word = SEVERITIES[m.severity] if m.severity < len(SEVERITIES) else f"severity {m.severity}"
         return [(Event("statustext", f"{word}: {text}"), NAN)]
+
+
+def _cut(velocity: int) -> float:
+    """m/s: the middle of what ArduPilot and PX4 cut to these whole cm/s, towards zero."""
+    return (velocity + math.copysign(0.5, velocity)) * 0.01 if velocity else 0.0
 
 
 def _joined(ahrs: Ahrs, imu: tuple[float, tuple[float, ...], tuple[float, ...]]) -> Ahrs:

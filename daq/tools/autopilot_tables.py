@@ -22,6 +22,7 @@ LISTEN_S, ANSWERS_S, AGAIN_S = 4.0, 6.0, 0.7  # wall: for a heartbeat, for all a
 ASK_AS = 253  # our system id: no autopilot's ground station
 LOOP_PART = 0.8  # of SCHED_LOOP_RATE: a faster message is denied
 RATE_HZ = 25.0
+OUTPUTS_HZ = 50.0  # by a network: what feeds a fit is known at its samples
 STEERING, THROTTLE = 26.0, 70.0  # SERVOn_FUNCTION
 MOTORS = range(33, 41)  # SERVOn_FUNCTION of ArduSub and ArduCopter
 SIDES = {LEFT: ("left", -0.3), RIGHT: ("right", 0.3)}
@@ -55,6 +56,8 @@ class DiscoveredAutopilot(DiscoveredDevice):
         lever = [p.get(f"GPS1_POS_{axis}", 0.0) for axis in "XYZ"]
         if any(lever):
             lines.append(f"# caveat: it knows its GNSS antenna at {lever} m; only fused fixes are corrected for it")
+        if not self.baud and RATE_HZ < loop < math.inf:
+            lines += ["[device.rates]", f"SERVO_OUTPUT_RAW = {min(OUTPUTS_HZ, loop):.1f}"]
         if self.vehicle != ROVER:
             return "\n".join([*lines, f"# caveat: only {ROVER} is driven: no [[thruster]] behind {self.vehicle}", ""])
         if not p:

@@ -171,6 +171,6 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
             for output in errors
         ),
         place="sensor",
-        requires=("hull",),
+        requires=("plane",),
         kind=EffectKind.SENSOR_OFFSET,
     )

@@ -13,9 +13,11 @@ T is zero where nobody gives it a prior (``--prior T=0.5:0.5``): a short one bes
 From ``SHORTEST_LAG`` down to zero it is as in ``ident.models.horizontal.first_order``.
 
 Where nothing is slow, delays count: inputs act ``tau_n`` after their time stamp, the gyro is that of ``T_r`` earlier,
-both by cubic convolution of the inputs' past, and GNSS is that of ``tau_gnss`` earlier: turn and acceleration of the
-time since are integrated over that past and taken off. Accelerometers, which have a delay of their own and feel gravity
-as the vehicle pitches, are not used.
+both by cubic convolution of the inputs' past. GNSS is ``tau_gnss`` old, and a mean over a time of standard deviation
+``sigma_gnss``: what a receiver smooths is short by ``r^2 sigma_gnss^2 / 2`` in a turn, 5 % at 3 rad/s and 0.1 s. A fix
+is the mean of the states that long before and after ``tau_gnss`` ago (Gauss-Hermite quadrature of two points), to which
+the model is integrated back. Accelerometers, which have a delay of their own and feel gravity as the vehicle pitches,
+are not used.
 """
 
 from __future__ import annotations
@@ -53,8 +55,9 @@ from ident.models.horizontal import (
 )
 from ident.models.thruster import delay_weights
 
-STEP, TAPS = 0.05, range(-2, 10)  # s between copies of the inputs, and which there are: 0.1 s ahead, 0.45 s back
+STEP, TAPS = 0.05, range(-2, 12)  # s between copies of the inputs, and which there are: 0.1 s ahead, 0.55 s back
 AHEAD, LONGEST = -STEP * TAPS[0], 0.3  # s: of tau_n; of either sensor's delay, behind an input that is half as late
+WIDEST = 0.15  # s: of sigma_gnss
 LINEARITY = Parameter(
     "lambda_n", 0.0, "", "share of the thrust that is linear", prior=(0.0, 0.5), bounds=(-1.0, 1.5), step=0.02
 )
@@ -70,13 +73,15 @@ TIMING = (
     Parameter("T_r", 0.05, "s", "delay of the gyro", prior=(0.0, 0.1), bounds=(0.0, LONGEST), step=0.01),
     Parameter("tau_gnss", 0.1, "s", "age of the GNSS fix at its time stamp", prior=(0.1, 0.2), bounds=(0.0, LONGEST),
               step=0.02),
+    Parameter("sigma_gnss", 0.05, "s", "spread in time of what a fix is the mean of, standard deviation",
+              prior=(0.0, 0.1), bounds=(0.0, WIDEST), step=0.01),
 )
 DIFFUSION = (
     Parameter("s_u", 0.03, "m/s/sqrt(s)", "process noise of surge speed", "log"),
     Parameter("s_r", 0.03, "rad/s/sqrt(s)", "process noise of yaw rate", "log"),
     Parameter("s_psi", 0.01, "rad/sqrt(s)", "process noise of the heading", "log"),
     Parameter("q_v", 0.02, "m/s/sqrt(s)", "diffusion of the sideslip", "log", prior=(0.02, 0.06)),
-    Parameter("tau_v", 5.0, "s", "correlation time of the sideslip", "log", prior=(5.0, 10.0), bounds=(0.5, 100.0),
+    Parameter("tau_v", 5.0, "s", "correlation time of the sideslip", "log", prior=(5.0, 10.0), bounds=(0.5, 1000.0),
               role=ParameterRole.DISTURBANCE),
 )
 STATES = (
@@ -134,16 +139,24 @@ def _static_thrust(p: Any, n: Any) -> Any:
     return p.c1 * ((1 - p.lambda_n) * n * abs(n) + p.lambda_n * n) + p.c2 * n * n
 
 
-def _steady_rate(s: Signals, left: Any, right: Any) -> Any:
-    delta, p = (left - right) / 2, s.p
-    return (p.K + p.K_u * s.x.u) * delta * (1 - p.k_3 * delta * delta)
+def _steady_rate(s: Signals, u: Any, n: Sequence[Any]) -> Any:
+    delta, p = (n[0] - n[1]) / 2, s.p
+    return (p.K + p.K_u * u) * delta * (1 - p.k_3 * delta * delta)
+
+
+def _damping(s: Signals, u: Any) -> Any:
+    return s.p.d_u * u + s.p.d_uu * abs(u) * u
+
+
+def _inputs(s: Signals, ago: Any) -> list[Any]:
+    """Inputs that acted so long ago [s], by cubic convolution."""
+    weights = delay_weights((s.p.tau_n + ago) / STEP - TAPS[0], len(TAPS))
+    return [sum(w * getattr(s.u, _past(f"n_{side}", k)) for w, k in zip(weights, TAPS, strict=True)) for side in SIDES]
 
 
 def delayed(s: Signals) -> None:
     """Inputs of ``tau_n`` ago."""
-    s.past = [[getattr(s.u, _past(f"n_{side}", k)) for side in SIDES] for k in TAPS]
-    now = _weights_at(s.p.tau_n)
-    s.n = {side: sum(w * n[i] for w, n in zip(now, s.past, strict=True)) for i, side in enumerate(SIDES)}
+    s.n = dict(zip(SIDES, _inputs(s, 0.0), strict=True))
 
 
 def thrust(s: Signals) -> None:
@@ -152,56 +165,53 @@ def thrust(s: Signals) -> None:
 
 def force(s: Signals) -> None:
     """Thrust less damping X [N], and the yaw rate r_ref [rad/s] that the difference of the sides ends at."""
-    p, u = s.p, s.x.u
-    s.X = sum(s.f.values()) - p.d_u * u - p.d_uu * abs(u) * u
-    s.r_ref = _steady_rate(s, *s.n.values())
+    s.X = sum(s.f.values()) - _damping(s, s.x.u)
+    s.r_ref = _steady_rate(s, s.x.u, list(s.n.values()))
 
 
 def rate(s: Signals) -> None:
     x = s.x
     s.r = first_order(s, "r", s.r_ref, s.p.T)
-    s.rate["x"], s.rate["y"] = _over_ground(s, 0.0, 0.0)
+    s.rate["x"], s.rate["y"] = _over_ground(s, x.psi, x.u)
     s.rate["psi"], s.rate["u"], s.rate["v"] = s.r, s.X / s.p.m_u + x.v * s.r, -x.v / s.p.tau_v
 
 
-def _over_ground(s: Signals, turned: Any, gained: Any) -> tuple[Any, Any]:
-    """Velocity north and east [m/s] before this change of heading [rad] and of speed [m/s]."""
-    x, u = s.x, s.x.u - gained
-    cos, sin = np.cos(x.psi - turned), np.sin(x.psi - turned)
-    return cos * u - sin * x.v + getattr(s.p, "V_x", 0.0), sin * u + cos * x.v + getattr(s.p, "V_y", 0.0)
+def _over_ground(s: Signals, psi: Any, u: Any) -> tuple[Any, Any]:
+    """Velocity north and east [m/s]."""
+    cos, sin, v = np.cos(psi), np.sin(psi), s.x.v
+    return cos * u - sin * v + getattr(s.p, "V_x", 0.0), sin * u + cos * v + getattr(s.p, "V_y", 0.0)
+
+
+def _rates_at(s: Signals, ago: Any, u: Any, n: Sequence[Any]) -> tuple[Any, Any]:
+    """Yaw rate [rad/s] and acceleration [m/s2] of so long ago [s], with the disturbances of now."""
+    x, p, now = s.x, s.p, list(s.n.values())
+    direct = 1 - np.minimum(p.T / SHORTEST_LAG, 1.0)  # part of the yaw rate that follows its inputs at once
+    r = s.r - (1 - direct) * ago * s.rate["r"] + direct * (_steady_rate(s, u, n) - _steady_rate(s, x.u, now))
+    gain = sum(_static_thrust(p, one) for one in n) - sum(s.f.values()) - _damping(s, u) + _damping(s, x.u)
+    return r, (s.X + gain) / p.m_u + x.v * r
+
+
+def _back(s: Signals, since: tuple[Any, ...], ago: Any, span: Any, steps: int) -> tuple[Any, ...]:
+    """Place, heading and speed a span [s] before those ``since``, of so long ago [s]: explicit midpoint rule."""
+    north, east, psi, u = since
+    step = span / steps
+    for k in range(steps):
+        middle = ago + (k + 0.5) * step
+        n = _inputs(s, middle)
+        slower = u - step / 2 * _rates_at(s, middle, u, n)[1]
+        r, gain = _rates_at(s, middle, slower, n)
+        v_n, v_e = _over_ground(s, psi - step / 2 * r, slower)
+        north, east, psi, u = north - step * v_n, east - step * v_e, psi - step * r, u - step * gain
+    return north, east, psi, u
 
 
 def output(s: Signals) -> None:
-    x, y, p, tau = s.x, s.y, s.p, s.p.tau_gnss
-    turns = [_steady_rate(s, *n) for n in s.past]
-    pushes = [sum(_static_thrust(p, n) for n in both) for both in s.past]
-    direct = 1 - np.minimum(p.T / SHORTEST_LAG, 1.0)  # part of the yaw rate that follows its inputs at once
-    now, then = _weights_at(p.tau_n), _weights_at(p.tau_n + p.T_r)
-    since = [b - a - tau * w for a, b, w in zip(_weights_to(p.tau_n), _weights_to(p.tau_n + tau), now, strict=True)]
-
-    def weighed(weights: Sequence[Any], values: Sequence[Any]) -> Any:
-        return sum(w * value for w, value in zip(weights, values, strict=True))
-
-    slow = (1 - direct) * s.rate["r"]
+    x, y, p = s.x, s.y, s.p
     y["psi"] = x.psi
-    y["r"] = s.r - p.T_r * slow + direct * (weighed(then, turns) - weighed(now, turns))
-    turned = tau * s.r - tau * tau / 2 * slow + direct * weighed(since, turns)
-    gained = tau * s.rate["u"] + weighed(since, pushes) / p.m_u
-    y["vx"], y["vy"] = _over_ground(s, turned, gained)
-    north, east = _over_ground(s, turned / 2, gained / 2)
-    y["x"], y["y"] = x.x - tau * north, x.y - tau * east
-
-
-def _weights_at(delay: Any) -> list[Any]:
-    """Weights of the copies for the value of so long ago [s]."""
-    return delay_weights(delay / STEP - TAPS[0], len(TAPS))
-
-
-def _weights_to(delay: Any) -> list[Any]:
-    """Weights of the copies for the integral from the first of them to so long ago [s], straight lines between them."""
-    weights: list[Any] = [0.0] * len(TAPS)
-    for k in range(len(TAPS) - 1):
-        part = np.minimum(np.maximum(delay / STEP - TAPS[k], 0.0), 1.0)
-        weights[k] = weights[k] + STEP * (part - part * part / 2)
-        weights[k + 1] = weights[k + 1] + STEP * part * part / 2
-    return weights
+    y["r"] = _rates_at(s, p.T_r, x.u - p.T_r * s.rate["u"], _inputs(s, p.T_r))[0]
+    first = p.tau_gnss - p.sigma_gnss
+    late = _back(s, (x.x, x.y, x.psi, x.u), 0.0, first, 2)
+    early = _back(s, late, first, 2 * p.sigma_gnss, 4)
+    y["x"], y["y"] = (late[0] + early[0]) / 2, (late[1] + early[1]) / 2
+    (a_n, a_e), (b_n, b_e) = (_over_ground(s, *place[2:]) for place in (late, early))
+    y["vx"], y["vy"] = (a_n + b_n) / 2, (a_e + b_e) / 2

@@ -80,7 +80,7 @@ def with_estimator_errors(
     """
     position = next((o.noise for o in model.outputs if o.name == "x" and o.noise), None)
     there = ESTIMATOR_ERROR in {e.name for e in model.effects}
-    if position is None or there or "hull" not in model.provides or position in given:
+    if position is None or there or not {"hull", "nomoto"} & set(model.provides) or position in given:
         return model, []
     if not any(estimated(log.run.channels) for log in logs):
         return model, []

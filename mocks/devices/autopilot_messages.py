@@ -140,7 +140,7 @@ class Reports:
             0 if math.isnan(fix.alt) else round(fix.alt * 1e3),
             UNUSED if math.isnan(fix.hdop) else round(fix.hdop * 100),
             UNUSED,
-            round(math.hypot(fix.vel_n, fix.vel_e) * 100),
+            int(math.hypot(fix.vel_n, fix.vel_e) * 100),  # cut, as the real one does
             round(course * 100) % 36000,
             max(fix.n_sat, 0),
             0,

@@ -9,13 +9,14 @@ import contextlib
 import os
 import select
 import socket
+import struct
 import subprocess
 import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, BinaryIO, Self
 
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -125,6 +126,7 @@ class Rover:
         self.values: dict[str, float] = {}
         self.ekf = 0
         self._beats_as: tuple[int, int] | None = None
+        self._tlogs: list[BinaryIO] = []  # the last is written
         self._ending = False
 
     def __enter__(self) -> Self:
@@ -154,6 +156,8 @@ class Rover:
         self.process.kill()
         self.process.wait()
         self._thread.join()
+        for tlog in self._tlogs:
+            tlog.close()
         self.relay.end()
         self._ear.close()
 
@@ -162,6 +166,8 @@ class Rover:
         while not self._ending:
             message: Any = self._ear.recv_match(blocking=True, timeout=0.1)
             now = time.monotonic()
+            if message is not None and self._tlogs and message.get_type() != "BAD_DATA":
+                self._tlogs[-1].write(struct.pack(">Q", round(time.time() * 1e6)) + message.get_msgbuf())
             if message is not None and message.get_srcSystem() == 1:
                 self._take(message, now)
             if now - asked > 2.0 and self.beats:
@@ -194,7 +200,7 @@ class Rover:
         """Write what the ear hears from now on to a tlog, attitude, IMU and fixes at this interval."""
         for name in ("ATTITUDE", "RAW_IMU", "GPS_RAW_INT"):
             self.command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, getattr(dialect, f"MAVLINK_MSG_ID_{name}"), interval_us)
-        self._ear.setup_logfile(str(path))
+        self._tlogs.append(path.open("wb", buffering=0))  # pymavlink writes none of what comes by UDP
 
     def command(self, number: int, *values: float) -> None:
         """COMMAND_LONG of the station beside us."""

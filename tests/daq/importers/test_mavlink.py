@@ -110,6 +110,8 @@ FORMATS = {
     "MODE": (5, "QMBB", "<QBBB", "TimeUS,Mode,ModeNum,Rsn"),
     "PARM": (6, "QNf", "<Q16sf", "TimeUS,Name,Value"), "ARM": (7, "QB", "<QB", "TimeUS,ArmState"),
     "EV": (8, "QB", "<QB", "TimeUS,Id"), "ERR": (9, "QBB", "<QBB", "TimeUS,Subsys,ECode"),
+    "IMU": (10, "QBffffff", "<QB6f", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
+    "GPA": (11, "QBI", "<QBI", "TimeUS,I,SMS"),
 }  # fmt: skip
 
 
@@ -128,7 +130,9 @@ def dataflash(path: Path) -> None:
         us = 30_000_000 + 100_000 * k
         place = (423580000, -710856831, 150)
         out += add("GPS", us, 0, 4, 3_600_000 + 100 * k, 2400, 12, 80, *place, 1.5, 90.0, 0.1, 0.0, 0.0, 1)
+        out += add("GPA", us, 0, us // 1000 - 17 - 20 * (k % 2))
         out += add("ATT", us, 0, 100, 0, -200, 0, 9000 + 100 * k, 0.0, 0.0)
+        out += add("IMU", us + 90, 0, 0.0, 0.0, 0.1 * k, 0.0, 0.0, -9.8)  # of the same loop, written later
         out += add("RCOU", us, 1700, 0, 1300)
         out += add("BAT", us, 0, 15.5, 15.5, 4.0, 0.0, 0.0, 2500, 0, 77)
         if k == 3:
@@ -165,7 +169,12 @@ def test_a_dataflash_log_becomes_a_log(tmp_path: Path) -> None:
         assert np.degrees(ahrs["roll"][0]) == pytest.approx(1.0)
         assert np.diff(ahrs["t"]) == pytest.approx(np.full(19, 0.1), abs=1e-3)
         assert ahrs["t"][0] > 1.7e9  # the calendar, by the GPS week
-        fix = log.table(Gnss, "autopilot")[0]
+        assert ahrs["r"] == pytest.approx(0.1 * np.arange(20))
+        fixes = log.table(Gnss, "autopilot")
+        fix = fixes[0]
+        late = np.array([0.017, 0.037] * 10)  # when the fix came, not when a loop wrote it
+        assert fixes["t_device"] == pytest.approx(ahrs["t_device"] - late)
+        assert fixes["t"] == pytest.approx(ahrs["t"] - late, abs=1e-3)
         assert (fix["lat"], fix["lon"], fix["fix"]) == (pytest.approx(42.358), pytest.approx(-71.0856831), 4)
         assert (fix["vel_n"], fix["vel_e"]) == (pytest.approx(0.0, abs=1e-6), pytest.approx(1.5))
         assert log.table(Servo, "autopilot", 1)["n"][0] == pytest.approx(0.5)

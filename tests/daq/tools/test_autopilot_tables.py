@@ -31,6 +31,7 @@ def test_the_thrusters_of_the_mock_are_those_of_its_rig() -> None:
     assert [caveat for caveat in caveats if "measure" not in caveat] == []
     assert rig.devices[0].mavlink is not None
     assert rig.devices[0].rate_hz == 25.0
+    assert rig.devices[0].mavlink.rates == {"SERVO_OUTPUT_RAW": 40.0}  # four fifths of its loop, by a network
 
 
 def test_channels_pulses_and_ground_station_are_the_autopilots() -> None:
@@ -42,7 +43,7 @@ def test_channels_pulses_and_ground_station_are_the_autopilots() -> None:
     assert (left.rc_channel, left.rc_us, left.pwm_us) == (5, (1050.0, 1510.0, 1950.0), (1120.0, 1500.0, 1900.0))
     assert rig.devices[0].mavlink is not None
     assert rig.devices[0].mavlink.own_system_id == 250
-    assert rig.devices[0].rate_hz == 20.0  # four fifths of its loop
+    assert (rig.devices[0].rate_hz, rig.devices[0].mavlink.rates) == (20.0, {})  # four fifths of its loop
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from ident.checks.signals import check_frozen, estimated, noise_floor, smoothed
 from ident.data.loading import LoadedLog
 from ident.data.record import Channel, LogSegment
 from ident.models.horizontal import horizontal_model
+from ident.models.nomoto import nomoto_model
 from ident.workflows.check import with_estimator_errors, with_noise_floors
 from tests.missions import boat_with, channels_of, sail
 
@@ -84,6 +85,7 @@ def test_a_position_without_a_receivers_noise_has_errors_that_last(run: dict[str
     model, said = with_estimator_errors(horizontal_model(), [log])
     assert len(said) == 1
     assert {"A_psi", "A_xy", "A_vxy", "tau_psi", "tau_xy", "tau_vxy"} <= set(model.free)
+    assert "A_psi" in with_estimator_errors(nomoto_model(), [log])[0].free
     again, told = with_noise_floors(model, [log])  # their white noise may go to nearly nothing, not to nothing
     assert told == []
     assert again.parameter("e_psi").bounds[0] == pytest.approx(0.02 * model.parameter("e_psi").value)
