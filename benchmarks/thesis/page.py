@@ -43,9 +43,10 @@ and its differences), 6.3 to 6.6 (innovations of acceleration and position, 3DOF
 
 def write(out: Path, seed: int, bench: Path | None, say: Say, *, evaluations: int = 15_000, repeats: int = 50) -> None:
     """thesis.md and thesis.html into a folder. Raises SeatrialError where the log of a bench cannot be used."""
+    measured = None if bench is None else bench_log(bench)  # before anything that takes minutes
     say("thruster")
     thruster = bench_experiment(seed)
-    second = _thruster_part(thruster, bench)
+    second = _thruster_part(thruster, measured)
     say("yaw and surge")
     turn, run = yaw_experiment(seed), surge_experiment(seed)
     say("three degrees of freedom, and measured attitude")
@@ -77,7 +78,8 @@ def write(out: Path, seed: int, bench: Path | None, say: Say, *, evaluations: in
     say(f"written: {out / 'thesis.md'}, {out / 'thesis.html'}")
 
 
-def _thruster_part(simulated: Both, bench: Path | None) -> list[str]:
+def _thruster_part(simulated: Both, bench: tuple[dict[str, tuple[float, float]], str] | None) -> list[str]:
+    """``bench``: estimates and errors of a log, and its name."""
     names = printed.TABLE_2
     columns = {label: {n: f.estimate(n) for n in names} for label, f in (("OE", simulated.oe), ("PE", simulated.pe))}
     lines = [
@@ -87,7 +89,7 @@ def _thruster_part(simulated: Both, bench: Path | None) -> list[str]:
         *tables.table_2(columns, simulated.truth), "",
     ]
     if bench is not None:
-        found, where = bench_log(bench)
+        found, where = bench
         lines += [f"The thruster of the log {where}:", "", *tables.table_2({"PE": found}, None), ""]
     return lines
 
