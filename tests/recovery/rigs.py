@@ -17,12 +17,14 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
+from ident.effects import catalogue
 from ident.results.parts import DiagnosisResult, VehicleResult
 from ident.results.result_file import read_result
 from mocks.hidden_effects.catalogue import DEMO, EFFECTS, OUTSIDE
@@ -132,8 +134,20 @@ NAMED, LIKENED, DRAWN = "named", "likened", "drawn"
 MISSED, OTHER, WRONG = "missed", "likened to others", "wrong as sure"
 
 
+@cache
+def _own_names() -> dict[str, str]:
+    """Names of the catalogue -> those of the effects that they are, of which some models have another form: such forms
+    have the same first parameter."""
+    by_length = sorted((e for e in catalogue().values() if e.parameters), key=lambda e: len(e.name))
+    shortest: dict[str, str] = {}
+    return {e.name: shortest.setdefault(e.parameters[0].name, e.name) for e in by_length}
+
+
 def verdict(row: Row) -> str:
     """One of the words above. A boat that lacks nothing is right only where nothing is found, sure or not."""
+    own = _own_names()
+    row = row | {"found": [own.get(n, n) for n in row["found"]]}
+    row["not_excluded"] = [[own.get(n, n) for n in names] for names in row["not_excluded"]]
     there = {row["effect"]} if row["rig"] in RIGS else {row["effect"], *PLANTS[row["rig"]].there}
     found = [name for name in row["found"] if not _expected(row, name)]
     if row["effect"] == NONE:

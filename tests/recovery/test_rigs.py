@@ -83,6 +83,7 @@ def row(rig: str, effect: str, found: list[str], how: str = "identified", not_ex
         (row("vesc", "none", ["wind"], "ambiguous"), rigs.FALSE_ALARM),
         (row("vesc", "wind", ["wind"]), rigs.NAMED),
         (row("vesc", "wind", ["compass"], "ambiguous", ("wind",)), rigs.LIKENED),
+        (row("commands-5hz", "gnss-latency", ["gnss-latency-command"]), rigs.NAMED),  # its form for such a model
         (row("vesc", "wind", ["compass"], "ambiguous", ("mount",)), rigs.OTHER),
         (row("vesc", "wind", ["unknown N(psi)"], "nonparametric"), rigs.DRAWN),
         (row("vesc", "wind", []), rigs.MISSED),
