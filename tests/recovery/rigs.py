@@ -305,7 +305,7 @@ def main(words: Sequence[str] | None = None) -> int:
             f"\n{tables.RIGS_HEADING}\n\nThe same boats on other rigs: what is logged differs, the commands are a "
             "user's (`tests/recovery/rig_logs.py`); and runs of plants that others wrote. Intervals are Wilson's, of "
             "95 %.\n\n"
-            f"    {_command(given)}\n\n{progress(rows, wanted)}; states of the code: {states}.\n\n"
+            f"{how_made(rows, given.seeds)}\n\nStates of the code: {states}.\n\n"
         )
         page, _, _ = DOCS.read_text(encoding="utf-8").partition(f"\n{tables.RIGS_HEADING}\n")
         DOCS.write_text(page + head + report(rows, tables.as_markdown) + "\n", encoding="utf-8")
@@ -313,19 +313,24 @@ def main(words: Sequence[str] | None = None) -> int:
     return 1 if any("error" in r for r in rows) else 0
 
 
-def progress(rows: Sequence[Row], wanted: Sequence[RigCase]) -> str:
-    """How many of the cases are done."""
-    done = len({r["key"] for r in rows} & {case.key for case in wanted})
-    so_far = f"{done} of its {len(wanted)} cases so far (it goes on where it was)"
-    return f"{done} cases" if done == len(wanted) else so_far
-
-
-def _command(given: argparse.Namespace) -> str:
-    """What makes the page again."""
-    words = ["python -m tests.recovery.rigs"]
-    words += [] if list(given.rigs) == [*RIGS, *PLANTS] else ["--rigs", ",".join(given.rigs)]
-    words += [] if list(given.effects) == list(CHOSEN) else ["--effects", ",".join(given.effects)]
-    return " ".join([*words, f"--seed {given.seed} --seeds {given.seeds} --docs"])
+def how_made(rows: Sequence[Row], seeds: int) -> str:
+    """The commands that make the clean cases and those with an effect, or go on with them, and how far they are;
+    ``seeds``: wanted in each cell."""
+    said = []
+    for clean in (True, False):
+        own = [r for r in rows if r["rig"] in RIGS and (r["effect"] == NONE) is clean]
+        if own:
+            first, last = min(r["seed"] for r in own), max(r["seed"] for r in own)
+            rigs, effects = ([n for n in every if any(r[key] == n for r in own)]
+                             for key, every in (("rig", RIGS), ("effect", (NONE, *EFFECTS, *OUTSIDE))))
+            n = max(seeds, last - first + 1)
+            wanted = {case.key for case in cases_of(rigs, effects, first, n)}
+            done = len({r["key"] for r in own} & wanted)
+            far = f"{done} cases" if done == len(wanted) else f"{done} of its {len(wanted)} cases so far"
+            words = [] if rigs == [*RIGS] else ["--rigs", ",".join(rigs)]
+            words += ["--effects", ",".join(effects), "--seed", str(first), "--seeds", str(n)]
+            said.append(f"    python -m tests.recovery.rigs {' '.join(words)}\n\n{far}.")
+    return "\n\n".join(said)
 
 
 def _parser() -> argparse.ArgumentParser:

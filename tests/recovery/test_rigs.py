@@ -116,10 +116,12 @@ def test_the_tables_of_the_rigs() -> None:
 
 
 def test_a_study_that_was_cut_short_says_so() -> None:
-    wanted = cases_of(["vesc", "ekf"], ["none"], 1, 1)
-    done = [row("vesc", "none", [])]
-    assert rigs.progress(done, wanted).startswith("1 of its 2 cases")
-    assert rigs.progress([*done, row("ekf", "none", [])], wanted) == "2 cases"
+    done = [row("vesc", "none", []), row("ekf", "none", []), row("vesc", "wind", ["wind"])]
+    clean, lacking = (part.split("\n\n") for part in rigs.how_made(done, 2).split("far.\n\n"))
+    command = "    python -m tests.recovery.rigs --rigs"
+    assert clean == [f"{command} vesc,ekf --effects none --seed 1 --seeds 2", "2 of its 4 cases so "]
+    assert lacking == [f"{command} vesc --effects wind --seed 1 --seeds 2", "1 of its 2 cases so far."]
+    assert rigs.how_made(done[:2], 1).endswith("\n\n2 cases.")
 
 
 def test_cases_leave_out_what_a_rig_cannot_see() -> None:
