@@ -23,7 +23,7 @@ from ident.numerics import Array
 
 # A row takes 4 kB on its way back, and 4 kB of covariances. Of a longer record all is kept of one piece at a time, and
 # of the others the state at their start, from where they are run again; a piece fits the cache of the processor.
-WHOLE, PIECE = 8192, 1024  # rows
+WHOLE, PIECE = 16384, 1024  # rows
 
 
 @dataclass(frozen=True)
