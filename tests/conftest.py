@@ -98,6 +98,7 @@ LONG = (
 )
 COMPUTING_NICENESS = 10  # of workers, in tests that compute
 
+
 def group_of(nodeid: str) -> str:
     """Tests of one group run on one worker, one after the other: those of a file, which share its fixtures."""
     file = nodeid.partition("::")[0]

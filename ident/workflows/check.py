@@ -96,25 +96,14 @@ def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, l
     next to none, and follows it everywhere. The floor is a usual sensor's noise (``ident.models.NOISE``); a small part
     of it, and not worth a line, where errors that last are states.
     """
-    usual = {p.name: p.value for p in NOISE.values()}
-    smooth = {name for log in logs for name in smoothed(log.run.channels)}
-    states = {o.name for s in model.sensors if s.name in LASTING for o in s.outputs}
-    if ESTIMATOR_ERROR in {e.name for e in model.effects}:
-        white = {o.noise: LEAST_WHITE * usual[o.noise] for o in model.outputs if o.name in states and o.noise in usual}
-        model = _with_floors(model, white)
-        smooth -= states
-    floors = {o.noise: usual[o.noise] for o in model.outputs if o.name in smooth and o.noise in usual}
-    floors = {name: least for name, least in sorted(floors.items()) if model.parameter(name).free}
-    if not floors:
-        return model, []
-    said = ", ".join(f"{name} {least:g} {model.parameter(name).unit}" for name, least in floors.items())
+    usual, states = {p.name: p.value for p in NOISE.values()}, ESTIMATOR_ERROR in {e.name for e in model.effects}
+    lasting = {o.name for s in model.sensors if states and s.name in LASTING for o in s.outputs}
+    smooth = {name for log in logs for name in smoothed(log.run.channels)} - lasting
+    part = dict.fromkeys(smooth, 1.0) | dict.fromkeys(lasting, LEAST_WHITE)
+    least = {o.noise: part[o.name] * usual[o.noise] for o in model.outputs if o.name in part and o.noise in usual}
+    floors = [replace(p, value=max(p.value, BEGIN * least[p.name]), bounds=(least[p.name], INF))
+              for p in model.parameters if p.free and p.name in least]  # fmt: skip
+    told = {o.noise for o in model.outputs if o.name in smooth}
+    said = ", ".join(f"{p.name} {p.bounds[0]:g} {p.unit}" for p in floors if p.name in told)
     line = f"Smoothed signals ({', '.join(sorted(smooth))}): their noise is not estimated below {said}; --fix gives it."
-    return _with_floors(model, floors), [line]
-
-
-def _with_floors(model: Model, floors: Mapping[str, float]) -> Model:
-    """No free parameter of ``floors`` below its floor; the search for it begins above."""
-    found = [p for p in model.parameters if p.free and p.name in floors]
-    return model.replace_parameters(
-        *(replace(p, value=max(p.value, BEGIN * floors[p.name]), bounds=(floors[p.name], INF)) for p in found)
-    )
+    return model.replace_parameters(*floors), [line] if said else []
