@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.config.toml_reader import TomlTable, parse_toml, read_text
-from daq.protocol import CAN, DEVICES, Decoder, make_decoder
+from daq.protocol import CAN, DEVICES, Decoder, loadcell, make_decoder
 from daq.rig import (
     DEFAULT_PATTERN,
     DEFAULT_QUERY,
@@ -215,11 +215,9 @@ def _own_node(table: TomlTable, folder: Path) -> dict[str, Any]:
 def _pattern(table: TomlTable, folder: Path) -> dict[str, Any]:
     pattern = table.text("pattern", DEFAULT_PATTERN)
     try:
-        groups = re.compile(pattern).groupindex
-    except re.error as error:
-        raise table.error("pattern", f"not a regular expression: {error}") from error
-    if "counts" not in groups:
-        raise table.error("pattern", "must have a group (?P<counts>...) around the reading")
+        loadcell.compile_pattern(pattern)
+    except ValueError as error:
+        raise table.error("pattern", str(error)) from error
     return {"pattern": pattern}
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -125,7 +124,7 @@ def make_emulator(
     if device.protocol == "nmea":
         return Nmea()
     if device.protocol == "loadcell":
-        if re.search(device.pattern, loadcell.encode(-123.0).decode().rstrip()) is None:
+        if loadcell.compile_pattern(device.pattern).search(loadcell.encode(-123.0).decode().rstrip()) is None:
             raise SeatrialError(
                 f"{rig.path}: device {device.name}: the mock sends lines like -123, which the pattern does not match"
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 
 import pytest
 from hypothesis import given, settings
@@ -37,6 +38,22 @@ def test_a_pattern_that_matches_no_number() -> None:
     assert read(Decoder(r"^(?P<counts>\w+)?"), b"abc\n\n5\n")[0].counts == 5.0
     with pytest.raises(ValueError, match="counts"):
         Decoder(r"^\d+$")
+
+
+@pytest.mark.parametrize("pattern", [r"(?P<counts>(?:-?\d+)+)x", r"^(?P<counts>(?:\d|\d\d)+)+x"])
+def test_a_pattern_cannot_hold_up_the_driver(pattern: str) -> None:
+    """Python's own search would go on for longer than the universe."""
+    before = time.process_time()
+    (sample,) = read(Decoder(pattern), b"1" * 250 + b"\n" + b"12x\n")
+    assert sample.counts == 12.0
+    assert time.process_time() - before < 1.0
+
+
+@pytest.mark.parametrize("pattern", [r"(?P<counts>((\d{1000}){1000}){1000})", r"(?P<counts>\d+)(?=x)", r"(?P<counts>["])
+def test_what_re2_cannot_bound_is_no_pattern(pattern: str, capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(ValueError, match="not a regular expression"):
+        Decoder(pattern)
+    assert capfd.readouterr().err == ""
 
 
 def test_saturation_is_flagged_on_both_sides() -> None:
