@@ -5,7 +5,9 @@
 
 Each case is a boat of its own with one effect or none, logged as the rig logs it (`rig_logs`), and the two commands of
 a user: `seatrial ident vehicle` and `seatrial ident diagnose`. Nothing but their result files is judged. A case is a
-line in the out file as soon as it is done; a study that was interrupted goes on where it was.
+line in the out file as soon as it is done; a study that was interrupted goes on where it was. That of all effects takes
+many hours: its cases are kept in `tests/recovery/rigs-effects.jsonl`, from which --out goes on. --docs writes the
+sections of which there are cases and leaves the others.
 """
 
 from __future__ import annotations
@@ -174,18 +176,28 @@ def _expected(row: Row, name: str) -> bool:
 
 # Tables.
 
+CLEAN, LACKING, OTHERS = "Clean boats", "Boats with one effect", "Plants of other authorship"
+
+
+def sections(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """The cases of each section that has some."""
+    found: dict[str, list[Row]] = {CLEAN: [], LACKING: [], OTHERS: []}
+    for r in rows:
+        found[OTHERS if r["rig"] in PLANTS else CLEAN if r["effect"] == NONE else LACKING].append(r)
+    return {title: own for title, own in found.items() if own}
+
 
 def report(rows: Sequence[Row], form: Callable[[tables.Lines], str]) -> str:
-    """All tables: what is asked for, then by rig and by effect, and what failed."""
-    head = "## " if form is tables.as_markdown else ""
+    """The tables of one section: what is asked for, then by rig and by effect, and what failed."""
+    head = "### " if form is tables.as_markdown else ""
     done = [r for r in rows if "error" not in r]
     boats, others = [r for r in done if r["rig"] in RIGS], [r for r in done if r["rig"] in PLANTS]
     parts = [
-        ("What is asked for on all rigs", asked(boats)),
+        ("What is asked for", asked(boats)),
         ("By rig", by_rig(boats)),
         ("By effect, over all rigs that can see it", by_effect(boats)),
-        ("Parameters of clean boats", parameters(boats)),
-        ("Plants of other authorship", plants(others)),
+        ("Parameters", parameters(boats)),
+        ("What was found", plants(others)),
         ("What failed", failures(rows)),
     ]
     return "\n\n".join(f"{head}{title}\n\n{form(lines)}" for title, lines in parts if len(lines) > 1)
@@ -213,22 +225,22 @@ def asked(rows: Sequence[Row]) -> tables.Lines:
 
 
 def by_rig(rows: Sequence[Row]) -> tables.Lines:
-    """One line a rig: its clean boats, then those with an effect."""
-    lines = [["rig", "what is logged", "clean", "false alarms", "95 %", "within 3 s.e.", "effects", "named", "likened",
-              "drawn", "missed", "likened to others", "wrong as sure", "95 %", "CPU s"]]
+    """One line a rig, of its clean boats or of those with an effect."""
+    clean = any(r["effect"] == NONE for r in rows)
+    own_columns = ["false alarms", "95 %", "within 3 s.e."] if clean else ["named", "likened", "drawn", "missed",
+                   "likened to others", "wrong as sure", "95 %"]  # fmt: skip
+    lines = [["rig", "what is logged", "cases", *own_columns, "CPU s"]]
     for name, rig in RIGS.items():
         own = [r for r in rows if r["rig"] == name]
         if not own:
             continue
-        count = Counter(verdict(r) for r in own)
-        clean = count[RIGHT] + count[FALSE_ALARM]
-        n, z = len(own) - clean, _z(own)
-        lines.append([
-            name, rig.says, str(clean), str(count[FALSE_ALARM]), tables.interval(count[FALSE_ALARM], clean),
-            f"{int(np.sum(np.abs(z) <= 3))}/{z.size}" if z.size else "", str(n),
-            *(str(count[w]) for w in (NAMED, LIKENED, DRAWN, MISSED, OTHER, WRONG)), tables.interval(count[WRONG], n),
-            f"{np.median([r['cpu'] for r in own]):.0f}",
-        ])
+        count, n, z = Counter(verdict(r) for r in own), len(own), _z(own)
+        cells = [str(count[w]) for w in (NAMED, LIKENED, DRAWN, MISSED, OTHER, WRONG)]
+        cells.append(tables.interval(count[WRONG], n))
+        if clean:
+            within = f"{int(np.sum(np.abs(z) <= 3))}/{z.size}" if z.size else ""
+            cells = [str(count[FALSE_ALARM]), tables.interval(count[FALSE_ALARM], n), within]
+        lines.append([name, rig.says, str(n), *cells, f"{np.median([r['cpu'] for r in own]):.0f}"])
     return lines
 
 
@@ -298,39 +310,48 @@ def main(words: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"interrupted; run the same again to go on ({given.out})", file=sys.stderr)
         return 130
-    print(report(rows, tables.as_text))
+    for title, own in sections(rows).items():
+        print(f"{title}\n\n{report(own, tables.as_text)}\n")
     if given.docs:
-        states = ", ".join(sorted({str(r["code"]) for r in rows}))
-        head = (
-            f"\n{tables.RIGS_HEADING}\n\nThe same boats on other rigs: what is logged differs, the commands are a "
-            "user's (`tests/recovery/rig_logs.py`); and runs of plants that others wrote. Intervals are Wilson's, of "
-            "95 %.\n\n"
-            f"{how_made(rows, given.seeds)}\n\nStates of the code: {states}.\n\n"
-        )
-        page, _, _ = DOCS.read_text(encoding="utf-8").partition(f"\n{tables.RIGS_HEADING}\n")
-        DOCS.write_text(page + head + report(rows, tables.as_markdown) + "\n", encoding="utf-8")
+        page = DOCS.read_text(encoding="utf-8")
+        for title, own in sections(rows).items():
+            page = with_section(page, title, section(own, given.seeds))
+        DOCS.write_text(page, encoding="utf-8")
         print(f"written: {DOCS.name}")
     return 1 if any("error" in r for r in rows) else 0
 
 
+def with_section(page: str, title: str, text: str) -> str:
+    """The page with another text under a heading of the second level, up to the next one; at its end, where it has no
+    such heading."""
+    heading = f"\n## {title}\n"
+    before, _, rest = page.partition(heading)
+    _, following, after = rest.partition("\n## ")
+    return f"{before}{heading}\n{text}\n{following}{after}"
+
+
+def section(rows: Sequence[Row], seeds: int) -> str:
+    """How these cases are made, how far they are, and their tables."""
+    states = ", ".join(sorted({str(r["code"]) for r in rows}))
+    return f"{how_made(rows, seeds)} States of the code: {states}.\n\n{report(rows, tables.as_markdown)}"
+
+
 def how_made(rows: Sequence[Row], seeds: int) -> str:
-    """The commands that make the clean cases and those with an effect, or go on with them, and how far they are;
-    ``seeds``: wanted in each cell."""
-    said = []
-    for clean in (True, False):
-        own = [r for r in rows if r["rig"] in RIGS and (r["effect"] == NONE) is clean]
-        if own:
-            first, last = min(r["seed"] for r in own), max(r["seed"] for r in own)
-            rigs, effects = ([n for n in every if any(r[key] == n for r in own)]
-                             for key, every in (("rig", RIGS), ("effect", (NONE, *EFFECTS, *OUTSIDE))))
-            n = max(seeds, last - first + 1)
-            wanted = {case.key for case in cases_of(rigs, effects, first, n)}
-            done = len({r["key"] for r in own} & wanted)
-            far = f"{done} cases" if done == len(wanted) else f"{done} of its {len(wanted)} cases so far"
-            words = [] if rigs == [*RIGS] else ["--rigs", ",".join(rigs)]
-            words += ["--effects", ",".join(effects), "--seed", str(first), "--seeds", str(n)]
-            said.append(f"    python -m tests.recovery.rigs {' '.join(words)}\n\n{far}.")
-    return "\n\n".join(said)
+    """The command that makes these cases, or goes on with them, and how far they are; ``seeds``: wanted of each."""
+    own = [r for r in rows if r["rig"] in RIGS]
+    if not own:
+        names = ",".join(n for n in PLANTS if any(r["rig"] == n for r in rows))
+        return f"    python -m tests.recovery.rigs --rigs {names}\n\n{len(rows)} cases."
+    first, last = min(r["seed"] for r in own), max(r["seed"] for r in own)
+    rigs, effects = ([n for n in every if any(r[key] == n for r in own)]
+                     for key, every in (("rig", RIGS), ("effect", (NONE, *EFFECTS, *OUTSIDE))))
+    n = max(seeds, last - first + 1)
+    wanted = {case.key for case in cases_of(rigs, effects, first, n)}
+    done = len({r["key"] for r in own} & wanted)
+    far = f"{done} cases" if done == len(wanted) else f"{done} of its {len(wanted)} cases so far"
+    words = [] if rigs == [*RIGS] else ["--rigs", ",".join(rigs)]
+    words += ["--effects", ",".join(effects), "--seed", str(first), "--seeds", str(n)]
+    return f"    python -m tests.recovery.rigs {' '.join(words)}\n\n{far}."
 
 
 def _parser() -> argparse.ArgumentParser:

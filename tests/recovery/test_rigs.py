@@ -105,23 +105,34 @@ def test_what_a_line_is_worth(line: Row, worth: str) -> None:
 def test_the_tables_of_the_rigs() -> None:
     rows = [row("vesc", "none", []), row("ekf", "none", ["lag"]), row("vesc", "wind", ["wind"]),
             row("ekf", "wind", []), row("otter-none", "none", []), row("ekf", "lag", []) | {"error": "no"}]  # fmt: skip
-    text = rigs.report(rows, tables.as_text)
-    assert [line[2:] for line in rigs.asked(rows[:4])[1:]] == [
-        ["50.0%", "9.5-90.5", "1/2", "no"], ["50.0%", "9.5-90.5", "1/2", "no"], ["0.0%", "0.0-65.8", "0/2", "yes"],
-        ["50.0%", "15.0-85.0", "2/4", "no"],
-    ]  # fmt: skip
-    assert "What failed" in text
-    assert "otter-none" in text
+    parts = rigs.sections(rows)
+    assert {title: len(own) for title, own in parts.items()} == {rigs.CLEAN: 2, rigs.LACKING: 3, rigs.OTHERS: 1}
+    clean, lacking = ([line[2:] for line in rigs.asked(parts[title][:2])[1:]] for title in (rigs.CLEAN, rigs.LACKING))
+    assert clean == [["50.0%", "9.5-90.5", "1/2", "no"], ["50.0%", "15.0-85.0", "2/4", "no"]]
+    assert lacking == [["50.0%", "9.5-90.5", "1/2", "no"], ["0.0%", "0.0-65.8", "0/2", "yes"]]
+    assert "What failed" in rigs.report(parts[rigs.LACKING], tables.as_text)
+    assert "otter-none" in rigs.report(parts[rigs.OTHERS], tables.as_text)
     assert tables.interval(0, 300) == "0.0-1.3"
 
 
+def test_a_section_of_the_page_is_written_and_the_others_stay() -> None:
+    page = "# Rigs\n\n## Clean boats\n\nold\n\n### Part\n\nolder\n\n## Boats with one effect\n\nkept\n"
+    assert rigs.with_section(page, rigs.CLEAN, "new") == (
+        "# Rigs\n\n## Clean boats\n\nnew\n\n## Boats with one effect\n\nkept\n"
+    )
+    assert rigs.with_section(page, rigs.LACKING, "new").endswith("older\n\n## Boats with one effect\n\nnew\n")
+    assert rigs.with_section(page, rigs.OTHERS, "new") == f"{page}\n## Plants of other authorship\n\nnew\n"
+
+
 def test_a_study_that_was_cut_short_says_so() -> None:
-    done = [row("vesc", "none", []), row("ekf", "none", []), row("vesc", "wind", ["wind"])]
-    clean, lacking = (part.split("\n\n") for part in rigs.how_made(done, 2).split("far.\n\n"))
+    clean, lacking = [row("vesc", "none", []), row("ekf", "none", [])], [row("vesc", "wind", ["wind"])]
     command = "    python -m tests.recovery.rigs --rigs"
-    assert clean == [f"{command} vesc,ekf --effects none --seed 1 --seeds 2", "2 of its 4 cases so "]
-    assert lacking == [f"{command} vesc --effects wind --seed 1 --seeds 2", "1 of its 2 cases so far."]
-    assert rigs.how_made(done[:2], 1).endswith("\n\n2 cases.")
+    assert rigs.how_made(clean, 2) == (
+        f"{command} vesc,ekf --effects none --seed 1 --seeds 2\n\n2 of its 4 cases so far."
+    )
+    assert rigs.how_made(lacking, 2) == f"{command} vesc --effects wind --seed 1 --seeds 2\n\n1 of its 2 cases so far."
+    assert rigs.how_made(clean, 1).endswith("\n\n2 cases.")
+    assert rigs.how_made([row("otter-none", "none", [])], 1) == f"{command} otter-none\n\n1 cases."
 
 
 def test_cases_leave_out_what_a_rig_cannot_see() -> None:
