@@ -85,6 +85,8 @@ class Kernel:
     ``code``: the name of its machine code.
     """
 
+    _entry: Callable[..., None] | None = None  # of the machine code
+
     def __init__(self, plan: Plan, compiled: bool | None = None) -> None:
         self.layout, self.code = plan.layout, ""
         self._make: Callable[[], Plan] = lambda: plan
@@ -134,6 +136,40 @@ class Kernel:
         self._loop(n_rows, groups, mask, arrays, per_row)
         return arrays
 
+    def stretches(self, start: Sequence[int], stop: Sequence[int], given: Mapping[str, Array], begin: Array,
+                  wanted: Sequence[str]) -> dict[str, Array]:
+        """Run over many stretches of the same rows, with all sensors, and keep the last row of each: where they are
+        short, calls one by one would mostly prepare arrays.
+
+        Parameters: start, stop (n,): rows [start, stop) of each; given: the arrays in rows, whole, and what all share;
+        begin (n, size): what each carries at its start; wanted: arrays in rows. Returns their last rows (n, size).
+        """
+        layout, longest = self.layout, max((b - a for a, b in zip(start, stop, strict=True)), default=0)
+        (carried,) = layout.carried
+        found = {name: np.empty((len(start), layout.sizes[name])) for name in wanted}
+        state, mask = np.array(begin, dtype=np.float64, order="C"), np.full(longest, ALL_BITS, np.uint32)
+        arrays, moves = {}, []
+        for name, size in layout.sizes.items():
+            own = state if name == carried else given.get(name)
+            a = allocate(layout.shape(name, longest, 1)) if own is None else own
+            if a.dtype != np.float64 or a.size % size or not a.flags.c_contiguous:
+                raise ValueError(f"{name}: contiguous doubles, {size} a row, wanted, got {a.dtype} {a.shape}")
+            arrays[name] = a
+            along_rows, along_stretches = name in layout.rows and name in given, name == carried
+            moves.append((a.ctypes.data, 8 * size * along_rows, 8 * size * along_stretches))
+        flags = [0] * len(layout.summed)
+        for k, (first, last) in enumerate(zip(start, stop, strict=True)):
+            if self._entry is None:
+                own_rows = {name: a[first:last] if name in given else a[:last - first]
+                            for name, a in arrays.items() if name in layout.rows}
+                self._loop(last - first, 1, mask, arrays | own_rows | {carried: state[k]}, frozenset())
+            else:
+                at = [a + first * row + k * stretch for a, row, stretch in moves]
+                self._entry(last - first, 1, mask.ctypes.data, *at, *flags)
+            for name, into in found.items():
+                into[k] = arrays[name][last - first - 1]
+        return found
+
     def seeds(self, size: int, chosen: Sequence[int], groups: int | None = None) -> Array:
         """Unit vectors (groups, size, width): lane j belongs to entry ``chosen[j]``."""
         width = self.layout.width
@@ -156,8 +192,8 @@ class Kernel:
     def _linked(self, library: Any, address: int) -> Loop:
         summed, n_arrays = self.layout.summed, len(self.layout.sizes)
         pointers = [ctypes.c_void_p] * (1 + n_arrays)
-        entry = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64, *pointers,
-                                 *[ctypes.c_int64] * len(summed))(address)
+        entry = self._entry = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64, *pointers,
+                                               *[ctypes.c_int64] * len(summed))(address)
 
         def run(n_rows: int, groups: int, mask: Mask, arrays: Mapping[str, Array], per_row: AbstractSet[str]) -> None:
             assert library is not None  # the code lives as long as its library

@@ -13,11 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.data import Prepared, Preparer, Record, initial_condition
+from ident.data import Preparer, Record, initial_condition
 from ident.engine import Kernel, programs_for
 from ident.estimation.likelihood import Likelihood
 from ident.model import Model, Parameter, segment_name
 from ident.numerics import Array
+
+INPUTS = ("u", "u_next", "h")  # what a simulation takes of a record
 
 
 @dataclass(frozen=True)
@@ -87,8 +89,9 @@ def simulate(model: Model, record: Record, values: Array | None = None, x0: Arra
     values = _values(model, values)
     data = Preparer(model)(record)
     start = initial_condition(model, values, data, covariance=False).s if x0 is None else x0
-    y, x = _run(_kernel(model), data, values, start, 0, data.n_rows)
-    return Simulation(record.t, x, y)
+    given = {n: data.rows[n] for n in INPUTS} | {"p": values, "s": np.array(start, dtype=np.float64)}
+    done = _kernel(model)(data.n_rows, None, given)
+    return Simulation(record.t, done["x"], done["z"])
 
 
 def predict_ahead(
@@ -99,20 +102,10 @@ def predict_ahead(
     Parameters: states (n_rows, n_states): where to start, as the filtered states of ``ident.estimation.likelihood``;
     start, end (n,): rows of the record, ``start < end``. Returns what is predicted at the n ends.
     """
-    values = _values(model, values)
     data, kernel = Preparer(model)(record), _kernel(model)
-    y, x = np.empty((start.size, len(model.outputs))), np.empty((start.size, len(model.states)))
-    for k, (first, last) in enumerate(zip(start.tolist(), end.tolist(), strict=True)):
-        outputs, along = _run(kernel, data, values, states[first], first, last + 1)
-        y[k], x[k] = outputs[-1], along[-1]
-    return Simulation(record.t[end], x, y)
-
-
-def _run(kernel: Kernel, data: Prepared, values: Array, x0: Array, start: int, stop: int) -> tuple[Array, Array]:
-    """Outputs and states at the rows from start up to stop."""
-    given = {n: data.rows[n][start:stop] for n in ("u", "u_next", "h")}
-    done = kernel(stop - start, None, given | {"p": values, "s": np.array(x0, dtype=np.float64)})
-    return done["z"], done["x"]
+    given = {n: data.rows[n] for n in INPUTS} | {"p": _values(model, values)}
+    done = kernel.stretches(start.tolist(), (end + 1).tolist(), given, states[start], ("z", "x"))
+    return Simulation(record.t[end], done["x"], done["z"])
 
 
 def _kernel(model: Model) -> Kernel:

@@ -97,7 +97,7 @@ def test_round_trip(counts: int) -> None:
 
 
 @given(st.lists(st.one_of(st.binary(max_size=300), st.text("0123456789-\r\n", max_size=300).map(str.encode))))
-@settings(max_examples=3000, deadline=None)
+@settings(max_examples=1000, deadline=None)
 def test_anything_may_be_fed(pieces: list[bytes]) -> None:
     decoder = Decoder(saturation=1000.0)
     for piece in pieces:
