@@ -149,7 +149,7 @@ class FailsafeSender(threading.Thread):
             self._prepare()
         while True:
             try:
-                self._port.open()
+                self._port.take_over()
                 self._send_zero()
                 self.outcome = "zero was sent" + ("" if self._driver is None else self._driver.confirmation)
             except PortError as error:

@@ -39,6 +39,11 @@ class Port(ABC):
     def open(self) -> None:
         """Open; raises PortError."""
 
+    def take_over(self) -> None:
+        """Open in the place of a process that hangs or dies, before it has let go where a port allows that. Raises
+        PortError."""
+        self.open()
+
     @abstractmethod
     def fileno(self) -> int:
         """The file descriptor to wait on."""

@@ -45,6 +45,14 @@ class UdpPort(Port):
 
     def open(self) -> None:
         """Bind or connect."""
+        self._open(beside=False)
+
+    def take_over(self) -> None:
+        """Bind beside the process that has it bound, which a killed one has until its memory is returned: the newest
+        gets what arrives."""
+        self._open(beside=True)
+
+    def _open(self, beside: bool) -> None:
         self.close()
         family, address = _resolve(self._host, self._number, socket.SOCK_DGRAM, self._listen)
         sock = socket.socket(family, socket.SOCK_DGRAM)
@@ -52,7 +60,10 @@ class UdpPort(Port):
             sock.setblocking(False)
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
             if self._listen:
+                sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, beside)
                 sock.bind(address)
+                # From now on who asks for it may bind beside this one: not who does so by mistake, but the watchdog.
+                sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, True)
             else:
                 sock.connect(address)
         except OSError as error:

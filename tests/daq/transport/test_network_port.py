@@ -81,6 +81,29 @@ def test_who_is_confirmed_is_answered_and_keeps_the_link(other: socket.socket, m
     assert port.fileno() == -1
 
 
+def test_a_listening_port_is_taken_over_from_a_process_that_still_has_it(other: socket.socket) -> None:
+    number = free()
+    hung, second, watchdog = (make_net_port(f"udp:127.0.0.1:{number}") for _ in range(3))
+    hung.open()
+    with pytest.raises(PortError, match="in use by another program"):
+        second.open()
+    other.sendto(b"before", ("127.0.0.1", number))
+    assert read(hung) == b"before"
+    watchdog.take_over()
+    for k in range(5):
+        other.sendto(b"%d" % k, ("127.0.0.1", number))
+        assert read(watchdog) == b"%d" % k
+    watchdog.confirm()
+    watchdog.write(b"zero")
+    assert other.recvfrom(10) == (b"zero", ("127.0.0.1", number))
+    with pytest.raises(PortError, match="in use by another program"):
+        second.open()
+    watchdog.close()
+    hung.close()
+    second.open()  # nothing is left of it
+    second.close()
+
+
 def test_udpout_speaks_to_an_address_even_before_anybody_listens(other: socket.socket) -> None:
     number = free()
     port = make_net_port(f"udpout:127.0.0.1:{number}")
