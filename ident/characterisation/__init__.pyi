@@ -1,4 +1,5 @@
 from .sensor_noise import NoiseFit as NoiseFit
+from .sensor_noise import band_spectrum as band_spectrum
 from .sensor_noise import estimate_noise as estimate_noise
 from .sensor_noise import noise_model as noise_model
 from .sensor_noise import welch as welch

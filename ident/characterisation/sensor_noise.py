@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from scipy import signal
+from scipy import signal, special
 
 from ident.data import Channel, Record
 from ident.estimation import Likelihood, fit
@@ -23,14 +23,19 @@ from ident.validation import WhitenessDiagnostics, autocorrelation, ljung_box, w
 
 NOISE_FLOOR = 1e-4  # of the channel's scale: a standard deviation below this is zero
 N_LAGS = 20  # of the Ljung-Box test of the innovations
+UNKNOWN = 1e3  # of the channel's scale: what is not known of the first sample. An offset to be fitted would pull the
+# white noise to zero, as the likelihood of the first sample has no bound there.
+Z95_ONE_SIDED = 1.645
+PILE_UP = 17.0  # n walk sqrt(interval) / white, from which a walk is found in 95 of 100 records
+N_SEGMENTS = 8  # half-overlapping, of Welch's method
 
 
 @dataclass(frozen=True)
 class NoiseFit:
     """One axis. white [unit] and walk [unit/sqrt(s)] with standard errors (NaN: none was found, see ``flags``);
-    bias [unit] at the start; interval [s] the median between samples; c, sd_innovation of the innovation form at
-    that interval; innovations (n,) standardised; ljung_box: p value; largest_correlation of the innovations;
-    departures: by how much they are not white."""
+    white_limit, walk_limit: larger ones would have been found in 95 of 100 such records; interval [s] the median
+    between samples; c, sd_innovation of the innovation form at that interval; innovations (n,) standardised;
+    ljung_box: p value; largest_correlation of the innovations; departures: by how much they are not white."""
 
     name: str
     n: int
@@ -39,8 +44,6 @@ class NoiseFit:
     white_error: float
     walk: float
     walk_error: float
-    bias: float
-    bias_error: float
     c: float
     sd_innovation: float
     log_likelihood: float
@@ -49,6 +52,18 @@ class NoiseFit:
     largest_correlation: float
     departures: WhitenessDiagnostics
     flags: tuple[str, ...]
+
+    @property
+    def white_limit(self) -> float:
+        """Beside a random walk: c of the innovation form has a standard error of ``1 / sqrt(n)`` near zero."""
+        c = min(Z95_ONE_SIDED / float(np.sqrt(self.n)), 0.5)
+        return self.walk * float(np.sqrt(self.interval * c)) / (1 - c)
+
+    @property
+    def walk_limit(self) -> float:
+        """Beside white noise: c is near -1, where its estimate is -1 itself with a probability that depends on
+        ``n walk sqrt(interval) / white`` alone (Shephard and Harvey 1990)."""
+        return PILE_UP * self.white / (self.n * float(np.sqrt(self.interval)))
 
     @property
     def rejected(self) -> bool:
@@ -78,18 +93,15 @@ def estimate_noise(channel: Channel, name: str = "") -> NoiseFit:
     record = Record(name, t - t[0], np.empty((t.size, 0)), np.empty((t.size, 0)), y[:, None], (), ("y",))
     found = fit(model, [record])
     run = Likelihood(found.model).filter(record, found.record_values[0])
-    (white, white_error), (walk, walk_error), (bias, bias_error) = (
-        found.estimate(n) for n in ("white", "walk", "bias"))
+    (white, white_error), (walk, walk_error) = (found.estimate(n) for n in ("white", "walk"))
     c, sd = innovation_form(white, walk, dt)
     eps = run.standardised[:, 0]
     acf = autocorrelation(eps, N_LAGS)
     p, largest = ljung_box(acf, eps.size, n_fitted=2), float(acf[np.argmax(np.abs(acf))])  # white and walk
     flags = tuple(f"{n}: {what}" for n, what in found.flags)
     return NoiseFit(
-        name, t.size, dt, white * scale, white_error * scale, walk * scale, walk_error * scale,
-        bias * scale + float(channel.value[good][0]), bias_error * scale, c, sd * scale,
-        found.log_likelihood - t.size * float(np.log(scale)), eps, p, largest, whiteness_diagnostics(eps),
-        flags)
+        name, t.size, dt, white * scale, white_error * scale, walk * scale, walk_error * scale, c, sd * scale,
+        found.log_likelihood - t.size * float(np.log(scale)), eps, p, largest, whiteness_diagnostics(eps), flags)
 
 
 def innovation_form(white: float, walk: float, dt: float) -> tuple[float, float]:
@@ -119,19 +131,46 @@ def noise_model(low_walk: float) -> Model:
         "noise",
         f=lambda x, u, p: {"b": 0.0},
         h=lambda x, u, p: {"y": x.b},
-        states=(State("b", noise="walk", x0="bias", sd0=0.0),),
+        states=(State("b", noise="walk", x0=0.0, sd0=UNKNOWN),),
         inputs=(),
         sensors=(Sensor("sensor", (Output("y", noise="white"),)),),
         parameters=(
             Parameter("white", 1.0, meaning="white noise", transform="log", bounds=(NOISE_FLOOR, INF)),
             Parameter("walk", 2 * low_walk, meaning="random walk", transform="log", bounds=(low_walk, INF)),
-            Parameter("bias", 0.0, meaning="offset at the start"),
         ),
     )
     return replace(model, kind=ModelKind.NOISE)
 
 
-def welch(channel: Channel, n_segments: int = 8) -> tuple[Array, Array]:
+@dataclass(frozen=True)
+class BandSpectrum:
+    """Density averaged over bands of frequency: frequency [Hz], psd, low, high [unit^2/Hz] (n_bands,); low and high are
+    the 95 % interval of the true one."""
+
+    frequency: Array
+    psd: Array
+    low: Array
+    high: Array
+
+
+def band_spectrum(frequency: Array, density: Array, n_segments: int = N_SEGMENTS, per_decade: int = 10) -> BandSpectrum:
+    """Average of a density of `welch` over bands of equal width in the logarithm of the frequency.
+
+    The interval is chi-square's with the degrees of freedom of Hann windows that overlap by half (Welch 1967): the
+    amplitudes of neighbouring segments have a correlation of 1/6, those of neighbouring frequencies of 2/3, and of the
+    next ones of 1/6; the powers of its square.
+    """
+    band = np.floor(per_decade * np.log10(frequency) + 0.5)
+    _, first, size = np.unique(band, return_index=True, return_counts=True)
+    psd = np.add.reduceat(density, first) / size
+    segments = n_segments / (1 + 2 * (1 - 1 / n_segments) / 36)
+    freedom = 2 * segments * size / (1 + 2 * (1 - 1 / size) * 4 / 9 + 2 * np.maximum(1 - 2 / size, 0.0) / 36)
+    low, high = (freedom * psd / special.chdtri(freedom, p) for p in (0.025, 0.975))
+    middle = np.exp(np.add.reduceat(np.log(frequency), first) / size)
+    return BandSpectrum(middle, psd, low, high)
+
+
+def welch(channel: Channel, n_segments: int = N_SEGMENTS) -> tuple[Array, Array]:
     """Frequency [Hz] and one-sided density [unit^2/Hz] of evenly sampled data, by Welch's method (1967)."""
     dt = float(np.median(np.diff(channel.t)))
     length = max(16, int(2 * channel.value.size / (n_segments + 1)))

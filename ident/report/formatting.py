@@ -133,6 +133,14 @@ def with_error(value: float | None, se: float | None, unit: str = "") -> str:
     return f"{joined} {unit}".strip()
 
 
+def noise_level(value: float, se: float | None, limit: float | None, factor: float, unit: str = "") -> str:
+    """A noise times a factor, with its standard error; ``< 0.0021 deg``, where none was found and more would have been.
+    """
+    if se is None and limit is not None:
+        return f"< {plain(factor * limit, 2)} {unit}".strip()
+    return with_error(factor * value, None if se is None else factor * se, unit)
+
+
 def pair(value: float | None, se: float | None) -> tuple[str, str]:
     """Value and standard error as texts of the same precision; the second is empty where there is none."""
     if value is None or se is None or not se > 0:

@@ -68,10 +68,8 @@ def noise_table(result: NoiseResult) -> Table:
     table.add_column("model", no_wrap=True)
     for c in shown:
         factor, unit = formatting.degrees_for(c.unit)
-        white, random_walk = (
-            formatting.with_error(factor * value, None if se is None else factor * se)
-            for value, se in ((c.white, c.se_white), (c.random_walk, c.se_random_walk))
-        )
+        white = formatting.noise_level(c.white, c.se_white, c.white_limit, factor)
+        random_walk = formatting.noise_level(c.random_walk, c.se_random_walk, c.random_walk_limit, factor)
         words = (c.channel, white, random_walk, unit, formatting.percent(c.predictable, 1))
         verdict = Text("holds", "green") if c.accepted else Text("fails", "bold red")
         table.add_row(*(Text(word) for word in words), verdict)

@@ -27,6 +27,7 @@ from .commands import ParameterStudy as ParameterStudy
 from .commands import Posed as Posed
 from .commands import PositionEllipse as PositionEllipse
 from .commands import SegmentInformation as SegmentInformation
+from .commands import SpectrumBands as SpectrumBands
 from .commands import StateTrace as StateTrace
 from .commands import StudyResult as StudyResult
 from .commands import WithheldErrors as WithheldErrors

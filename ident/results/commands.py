@@ -276,6 +276,15 @@ class NavigationResult(Result, frozen=True, kw_only=True, tag_field="kind", tag=
     inputs: tuple[InputTrace, ...]
 
 
+class SpectrumBands(Part, frozen=True, kw_only=True):
+    """A power spectral density averaged over bands of equal width in the logarithm of the frequency."""
+
+    frequency: Annotated[Array, Meta(description="middle of each band [Hz]")]
+    psd: Annotated[Array, Meta(description="[unit^2/Hz]")]
+    low: Annotated[Array, Meta(description="of the 95 % interval of the true one [unit^2/Hz]")]
+    high: Annotated[Array, Meta(description="of the 95 % interval of the true one [unit^2/Hz]")]
+
+
 class ChannelNoise(Part, frozen=True, kw_only=True):
     """White noise plus a random walk, fitted to a channel of a sensor at rest, and whether it is that."""
 
@@ -283,10 +292,15 @@ class ChannelNoise(Part, frozen=True, kw_only=True):
     unit: str
     white: Annotated[float, Meta(description="standard deviation of a sample [unit]")]
     random_walk: Annotated[float, Meta(description="[unit/sqrt(s)]")]
-    se_white: Annotated[float | None, Meta(description="standard error; null: `white` is only a bound from above")]
-    se_random_walk: Annotated[
-        float | None, Meta(description="standard error; null: `random_walk` is only a bound from above")
-    ]
+    se_white: Annotated[float | None, Meta(description="standard error; null: no white noise was found")]
+    se_random_walk: Annotated[float | None, Meta(description="standard error; null: no random walk was found")]
+    white_limit: Annotated[
+        float | None, Meta(description="where none was found: more would have been, in 95 of 100 such records [unit]")
+    ] = None
+    random_walk_limit: Annotated[
+        float | None,
+        Meta(description="where none was found: more would have been, in 95 of 100 such records [unit/sqrt(s)]"),
+    ] = None
     accepted: Annotated[bool, Meta(description="whether the channel is white noise plus a random walk")]
     p: Annotated[float | None, Meta(description="p value of the Ljung-Box test of the innovations")]
     predictable: Annotated[
@@ -296,6 +310,9 @@ class ChannelNoise(Part, frozen=True, kw_only=True):
     frequency: Annotated[Array, Meta(description="[Hz]")]
     psd: Annotated[Array, Meta(description="power spectral density that was measured (Welch) [unit^2/Hz]")]
     psd_model: Annotated[Array, Meta(description="that of the fit [unit^2/Hz]")]
+    bands: Annotated[
+        SpectrumBands | None, Meta(description="the measured one averaged over bands, with its interval")
+    ] = None
 
 
 class NoiseResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="noise"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +13,11 @@ import tomlkit
 from daq.errors import SeatrialError
 from daq.log import open_log
 from daq.samples import Ahrs
-from ident.characterisation import NoiseFit, estimate_noise, welch
+from ident.characterisation import NoiseFit, band_spectrum, estimate_noise, welch
 from ident.data import Channel, LoadedLog, ahrs_channels, load_run
 from ident.report import write_report
 from ident.reporter import Reporter
-from ident.results import ChannelNoise, NoiseResult, finite, provenance, write_result
+from ident.results import ChannelNoise, NoiseResult, SpectrumBands, finite, provenance, write_result
 
 FORMAT = "seatrial-noise 2"
 WARNING = "Such numbers do not describe the noise, so do not put them into a filter."
@@ -121,6 +122,7 @@ def _unwrapped(channel: Channel) -> Channel:
 
 def _row(one: NoiseEstimate) -> ChannelNoise:
     frequency, density = welch(one.channel)
+    averaged = band_spectrum(frequency, density)
     f = one.fit
     return ChannelNoise(
         channel=one.label,
@@ -129,6 +131,8 @@ def _row(one: NoiseEstimate) -> ChannelNoise:
         random_walk=f.walk,
         se_white=finite(f.white_error),
         se_random_walk=finite(f.walk_error),
+        white_limit=None if np.isfinite(f.white_error) else f.white_limit,
+        random_walk_limit=None if np.isfinite(f.walk_error) else f.walk_limit,
         accepted=not f.rejected,
         p=finite(f.ljung_box),
         predictable=finite(f.departures.share),
@@ -136,6 +140,7 @@ def _row(one: NoiseEstimate) -> ChannelNoise:
         frequency=frequency,
         psd=density,
         psd_model=f.psd(frequency),
+        bands=SpectrumBands(**vars(averaged)),
     )
 
 
@@ -147,8 +152,8 @@ def _answer(found: Sequence[NoiseEstimate]) -> str:
         return f"{'The channel is' if good == 1 else f'All {good} channels are'} {kind}."
     if len(found) == 1:
         return f"The channel is not {kind}: {bad[0].reason}. {WARNING}"
-    named = "; ".join(f"{x.label}: {x.reason}" for x in bad[:MOST_SAID])
-    more = f"; and {len(bad) - MOST_SAID} more" if len(bad) > MOST_SAID else ""
+    named = ", ".join(x.label for x in bad[:MOST_SAID])
+    more = f" and {len(bad) - MOST_SAID} more" if len(bad) > MOST_SAID else ""
     return f"{good} of {len(found)} channels are {kind}. Not so: {named}{more}. {WARNING}"
 
 
@@ -191,6 +196,8 @@ def save_noise(path: Path, found: Sequence[NoiseEstimate], result: NoiseResult) 
             "p": f.ljung_box,
             "largest_correlation": f.largest_correlation,
             "predictable": f.departures.share,
+            "white_limit": math.nan if np.isfinite(f.white_error) else f.white_limit,
+            "random_walk_limit": math.nan if np.isfinite(f.walk_error) else f.walk_limit,
         }
         table = tomlkit.table()
         table.update({"log": one.log, "name": one.name, "unit": one.channel.unit, "n": f.n})

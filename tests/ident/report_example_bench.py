@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from ident.characterisation.sensor_noise import band_spectrum
 from ident.results.commands import NoiseResult
 from tests.ident.calibration_example import calibration
 from tests.ident.navigation_example import arrays
@@ -54,11 +55,15 @@ def noise() -> NoiseResult:
         ("x", "m", 0.9, 0.02, False),
     ):
         model = white**2 / 25 + (walk / (2 * np.pi * frequency)) ** 2
-        curves = {"frequency": frequency, "psd": model * rng.chisquare(2, 4000) / 2, "psd_model": model}
+        psd = model * rng.chisquare(2, 4000) / 2
+        curves = {"frequency": frequency, "psd": psd, "psd_model": model}
         row = {"channel": channel, "unit": unit, "white": white, "random_walk": walk, "se_white": white / 90}
         row |= {"se_random_walk": walk / 8 if walk > 1e-6 else None, "reason": None}
+        row |= {"random_walk_limit": None if walk > 1e-6 else 2e-5}
         row |= {"p": 0.37 if accepted else 1e-12, "accepted": accepted}
         row |= {"predictable": 0.0 if accepted else 0.42}
+        bands = vars(band_spectrum(frequency, psd))
+        row |= {"bands": {key: listed(a) for key, a in bands.items()}}
         channels.append(row | {key: listed(a) for key, a in curves.items()})
     content |= {"logs": [log("quay", "estimation", 3600.0)], "noise": channels, "format": "seatrial-result 2"}
     return msgspec.convert(content, NoiseResult, dec_hook=arrays)

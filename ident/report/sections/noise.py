@@ -8,8 +8,8 @@ import numpy as np
 
 from ident.numerics import Array
 from ident.report import drawing, formatting
-from ident.report.blocks import Canvas, Cell, Grid, Plot, Prose, Section, Table
-from ident.results import ChannelNoise, NoiseResult
+from ident.report.blocks import Canvas, Cell, Grid, Key, Plot, Section, Table
+from ident.results import ChannelNoise, NoiseResult, SpectrumBands
 
 
 def section(canvas: Canvas, result: NoiseResult) -> Section:
@@ -19,20 +19,19 @@ def section(canvas: Canvas, result: NoiseResult) -> Section:
     blocks: list[Any] = [Table(columns, [_row(c) for c in result.noise])] if result.noise else []
     plots = [plot for c in result.noise if (plot := _density(canvas, c)) is not None]
     if plots:
-        blocks += [Prose("Power spectral densities: grey measured, blue the fitted model.", "quiet"), Grid(plots, 320)]
+        lines = [("measured", "power spectral density, and its average over bands with 95 % interval")]
+        blocks += [Key([*lines, ("after", "of the fitted model")]), Grid(plots, 320)]
     return Section("noise", "Noise of each channel", blocks)
 
 
 def _row(c: ChannelNoise) -> list[Cell | str]:
     factor, unit = formatting.degrees_for(c.unit)
     cells: list[Cell | str] = [formatting.named(c.channel)]
-    for value, se, shown in (
-        (c.white, c.se_white, unit),
-        (c.random_walk, c.se_random_walk, f"{unit}/√s" if unit else "1/√s"),
-    ):
-        cells.append(
-            Cell(formatting.with_error(factor * value, None if se is None else factor * se, shown), "num")
-        )
+    walk_unit = f"{unit}/√s" if unit else "1/√s"
+    cells += [
+        Cell(formatting.noise_level(c.white, c.se_white, c.white_limit, factor, unit), "num"),
+        Cell(formatting.noise_level(c.random_walk, c.se_random_walk, c.random_walk_limit, factor, walk_unit), "num"),
+    ]
     verdict = Cell("✓ yes", "good") if c.accepted else Cell("✗ no", "bad")
     share = Cell(formatting.percent(c.predictable, 1), "num")
     return [*cells, verdict, share, Cell(formatting.probability(c.p), "num")]
@@ -50,16 +49,26 @@ def _density(canvas: Canvas, c: ChannelNoise) -> Plot | None:
             traces.append(drawing.line_trace(x, y, name, limit))
         else:
             at = drawing.thinned(np.log(y), limit) if y.size else np.arange(0)
-            traces.append(drawing.line_trace(x[at], y[at], name, limit, color=drawing.FAINT))
+            traces.append(drawing.line_trace(x[at], y[at], name, limit, color=drawing.GRID))
             traces[-1]["line"]["width"] = 0.9
     if not traces:
         return None
+    if c.bands is not None:
+        traces.append(_averages(c.bands, factor**2))
     log = {"type": "log", "exponentformat": "power", "nticks": 6}
     square = f"({unit})²" if not unit.isalpha() else f"{unit}²"
     title = formatting.named(c.channel)
     shown = f"{title} [{square}/Hz]" if unit else f"{title} [1/Hz]"
     figure = drawing.single(traces, "frequency [Hz]", xaxis=_ticks(c.frequency), yaxis=log | {"automargin": True})
     return canvas.plot(figure, 230, f"Power spectral density of {title}", shown)
+
+
+def _averages(bands: SpectrumBands, factor: float) -> drawing.Trace:
+    """Dots with bars: what can be told from the model by eye."""
+    y, low, high = (factor * a for a in (bands.psd, bands.low, bands.high))
+    bars = {"type": "data", "symmetric": False, "array": drawing.packed(high - y),
+            "arrayminus": drawing.packed(y - low), "thickness": 1, "width": 0, "color": drawing.MEASURED}  # fmt: skip
+    return drawing.dots(bands.frequency, y, "average", y.size) | {"error_y": bars}
 
 
 def _ticks(frequency: Array) -> dict[str, Any]:

@@ -68,7 +68,7 @@ def test_known_noise_is_found(still: Path, tmp_path: Path, capsys: pytest.Captur
         assert "reason" not in c
     assert not channels["smooth"]["accepted"]
     assert channels["smooth"]["reason"].startswith("its innovations are correlated by +0.")
-    assert "2 of 3 channels are white noise plus a random walk. Not so: smooth: its innovations" in said
+    assert "2 of 3 channels are white noise plus a random walk. Not so: smooth. Such numbers" in said
     assert channels["smooth"]["predictable"] > 0.3
     assert "do not put them into a filter" in said
     assert any(line.startswith("smooth: not white") and line.endswith("at a lower rate.") for line in result["notes"])
