@@ -25,11 +25,16 @@ MOST_TRACK = 0.1  # degrees, of a track that is in degrees
 FROZEN_S, FROZEN_SAMPLES = 5.0, 10  # a value that stays exactly the same for longer than both,
 FROZEN_TIMES = 10.0  # and for so many times what it usually does (99 %), while the boat moves:
 TURNS, DRIVEN = 0.15, 0.1  # standard deviation of the heading [rad]; command as a part of the largest
+SETTLED_S = 1.0  # that a receiver is late at most, after a change that ends a steady motion
+# By what a motion is not steady: a velocity over ground (m/s) off one of constant acceleration in the boat's frame,
+# positions (m) off a straight line at constant speed; or so many times their noise
+UNSTEADY_VELOCITY, UNSTEADY_PLACE, TIMES_NOISE = 0.15, 0.5, 3.0
 # Standard deviations from sample to sample below which no sensor's noise is in a signal (rad, rad/s, m/s2, m, m/s).
 NO_NOISE = {"psi": 1e-4, "r": 1e-4, "ax": 1e-3, "ay": 1e-3, "x": 2e-3, "y": 2e-3, "vx": 1e-3, "vy": 1e-3, "u": 1e-3,
             "v": 1e-3}  # fmt: skip
 ESTIMATED = 0.03  # m: white noise of a position that is less than this is no receiver's but an estimator's
 FEWEST = 200  # samples
+FEWEST_STEADY, FINE_S = 4, 0.02  # samples of a velocity that bears an acceleration out; s, step of its integral
 
 
 def check_intervals(c: Channels) -> Iterator[Finding]:
@@ -101,6 +106,9 @@ def check_frozen(c: Channels) -> Iterator[Finding]:
             whole = len(same) == len([n for n in group if n in c])
             if (group in BODY and not whole) or not _moves(c, group, whole, begin, end):
                 continue
+            noisy = group == ("ax", "ay") and not all(_noiseless(n, c[n]) for n in same)
+            if not noisy and _steady(c, group, begin + SETTLED_S, end - SETTLED_S):
+                continue  # as in simulators, and of a coarse resolution: the same motion is the same value
             start, duration = float(c[name].t[0]), float(np.ptp(c[name].t))
             value = float(c[name].value[np.searchsorted(c[name].t, begin)])
             if end - begin >= 0.99 * duration:
@@ -141,6 +149,43 @@ def _moves(c: Channels, group: Sequence[str], whole: bool, begin: float, end: fl
     if group in (("psi",), ("r",)):
         return not {"psi", "r"} <= set(c) and any(np.std(a - b) > DRIVEN * most for a, b in sides)
     return whole and any(np.mean(np.abs(value)) > DRIVEN * most for _, value in inputs.values())
+
+
+def _noiseless(name: str, channel: Channel) -> bool:
+    """Whether a signal has no noise, or none beyond its resolution."""
+    return noise_floor(channel) < max(NO_NOISE[name], float(np.diff(np.unique(channel.value)).min(initial=np.inf)))
+
+
+def _steady(c: Channels, group: Sequence[str], begin: float, end: float) -> bool:
+    """Whether another sensor bears out what a group says that stays the same in that time: positions a velocity, and
+    velocities over ground an acceleration in the boat's frame. It is unknown of other groups."""
+    if group == ("vx", "vy") and {*group, "x", "y"} <= set(c):
+        misfits = []
+        for place, speed in zip(("x", "y"), group, strict=True):
+            t, value = _part(c[place], begin, end)
+            moved = value - float(np.interp(begin, c[speed].t, c[speed].value)) * t
+            misfits.append(np.std(moved) < max(UNSTEADY_PLACE, TIMES_NOISE * _noise(c[place])))
+        return all(misfits)
+    if group != ("ax", "ay") or not {"psi", "vx", "vy"} <= set(c):
+        return False
+    t, north = _part(c["vx"], begin, end)
+    east = np.interp(t, c["vy"].t, c["vy"].value)
+    if t.size < FEWEST_STEADY:
+        return False
+    fine = np.arange(begin, end, FINE_S)
+    psi = np.interp(fine, c["psi"].t, np.unwrap(c["psi"].value))
+    C, S = (np.interp(t, fine, np.cumsum(f(psi)) * FINE_S) for f in (np.cos, np.sin))
+    one, none = np.ones(t.size), np.zeros(t.size)
+    rows = np.vstack([np.column_stack([C, -S, one, none]), np.column_stack([S, C, none, one])])
+    velocity = np.concatenate([north, east])
+    off = velocity - rows @ np.linalg.lstsq(rows, velocity, rcond=None)[0]
+    return float(np.std(off)) < max(UNSTEADY_VELOCITY, TIMES_NOISE * max(_noise(c["vx"]), _noise(c["vy"])))
+
+
+def _noise(channel: Channel) -> float:
+    """Standard deviation of a signal's noise; zero where too few samples tell it."""
+    floor = noise_floor(channel)
+    return floor if np.isfinite(floor) else 0.0
 
 
 def _turns(c: Channels, group: Sequence[str], begin: float, end: float) -> Iterator[Array]:

@@ -13,7 +13,11 @@ T is zero where nobody gives it a prior (``--prior T=0.5:0.5``): a short one bes
 From ``SHORTEST_LAG`` down to zero it is as in ``ident.models.horizontal.first_order``.
 
 Where nothing is slow, delays count: inputs act ``tau_n`` after their time stamp, the gyro is that of ``T_r`` earlier,
-both by cubic convolution of the inputs' past. GNSS is ``tau_gnss`` old, and a mean over a time of standard deviation
+both by cubic convolution of the inputs' past. Inputs that are known from samples are uncertain in time: each of a side
+acts ``sigma_n`` (standard deviation) later or earlier than ``tau_n`` says, by a first-order Gauss-Markov process of
+``MEMORY``, which is that of a sample. To first order that is nothing where they stand still, and much where they change
+quickly: corners and stairs that are not in a straight line between samples, taken for known, make a light vehicle's
+masses and damping those that explain them. GNSS is ``tau_gnss`` old, and a mean over a time of standard deviation
 ``sigma_gnss``: what a receiver smooths is short by ``r^2 sigma_gnss^2 / 2`` in a turn, 5 % at 3 rad/s and 0.1 s. A fix
 is the mean of the states that long before and after ``tau_gnss`` ago (Gauss-Hermite quadrature of two points), to which
 the model is integrated back. Accelerometers, which have a delay of their own and feel gravity as the vehicle pitches,
@@ -56,6 +60,7 @@ from ident.models.horizontal import (
 from ident.models.thruster import delay_weights
 
 STEP, TAPS = 0.05, range(-2, 12)  # s between copies of the inputs, and which there are: 0.1 s ahead, 0.55 s back
+MEMORY = 0.1  # s, of the inputs' errors in time
 AHEAD, LONGEST = -STEP * TAPS[0], 0.3  # s: of tau_n; of either sensor's delay, behind an input that is half as late
 WIDEST = 0.15  # s: of sigma_gnss
 LINEARITY = Parameter(
@@ -70,6 +75,8 @@ STEERING = (
 TIMING = (
     Parameter("tau_n", 0.0, "s", "delay of thrust and steering behind the inputs' time stamps", prior=(0.0, 0.1),
               bounds=(-AHEAD, LONGEST / 2), step=0.01),
+    Parameter("sigma_n", 0.01, "s", "error of the inputs' time stamps, standard deviation", "log", prior=(0.01, 0.03),
+              role=ParameterRole.DISTURBANCE),
     Parameter("T_r", 0.05, "s", "delay of the gyro", prior=(0.0, 0.1), bounds=(0.0, LONGEST), step=0.01),
     Parameter("tau_gnss", 0.1, "s", "age of the GNSS fix at its time stamp", prior=(0.1, 0.2), bounds=(0.0, LONGEST),
               step=0.02),
@@ -91,6 +98,8 @@ STATES = (
     State("u", "m/s", "speed ahead", "s_u", sd0=0.3),
     State("v", "m/s", "sideslip", "q_v", sd0=0.05, nuisance=True),
     State("r", "rad/s", "yaw rate behind its lag", "s_r", sd0=0.1),
+    *(State(f"late_{side}", "", "error of the input's time stamps, scaled", float(np.sqrt(2 / MEMORY)), sd0=1.0,
+            nuisance=True) for side in SIDES),
 )
 RESIDUALS = (
     Residual("X", "N", "b_X", 10.0, "the force X", adder("X"), of=("u", "r", "psi", "t"), requires=("nomoto",)),
@@ -148,10 +157,20 @@ def _damping(s: Signals, u: Any) -> Any:
     return s.p.d_u * u + s.p.d_uu * abs(u) * u
 
 
-def _inputs(s: Signals, ago: Any) -> list[Any]:
-    """Inputs that acted so long ago [s], by cubic convolution."""
+def _inputs(s: Signals, ago: Any, *, errors: bool = True) -> list[Any]:
+    """Inputs that acted so long ago [s], by cubic convolution, with what is known now of their errors in time."""
     weights = delay_weights((s.p.tau_n + ago) / STEP - TAPS[0], len(TAPS))
-    return [sum(w * getattr(s.u, _past(f"n_{side}", k)) for w, k in zip(weights, TAPS, strict=True)) for side in SIDES]
+    found = []
+    for side in SIDES:
+        known = [getattr(s.u, _past(f"n_{side}", k)) for k in TAPS]
+        if not errors:
+            found.append(sum(w * n for w, n in zip(weights, known, strict=True)))
+            continue
+        beyond = [2 * known[0] - known[1], *known, 2 * known[-1] - known[-2]]
+        change = [(late - early) / (2 * STEP) for early, late in zip(beyond[:-2], beyond[2:], strict=True)]
+        late = s.p.sigma_n * getattr(s.x, f"late_{side}") * np.exp(-ago / MEMORY)
+        found.append(sum(w * (n + late * d) for w, n, d in zip(weights, known, change, strict=True)))
+    return found
 
 
 def delayed(s: Signals) -> None:
@@ -174,6 +193,8 @@ def rate(s: Signals) -> None:
     s.r = first_order(s, "r", s.r_ref, s.p.T)
     s.rate["x"], s.rate["y"] = _over_ground(s, x.psi, x.u)
     s.rate["psi"], s.rate["u"], s.rate["v"] = s.r, s.X / s.p.m_u + x.v * s.r, -x.v / s.p.tau_v
+    for side in SIDES:
+        s.rate[f"late_{side}"] = -getattr(x, f"late_{side}") / MEMORY
 
 
 def _over_ground(s: Signals, psi: Any, u: Any) -> tuple[Any, Any]:
@@ -208,7 +229,8 @@ def _back(s: Signals, since: tuple[Any, ...], ago: Any, span: Any, steps: int) -
 def output(s: Signals) -> None:
     x, y, p = s.x, s.y, s.p
     y["psi"] = x.psi
-    y["r"] = _rates_at(s, p.T_r, x.u - p.T_r * s.rate["u"], _inputs(s, p.T_r))[0]
+    # What is known of the errors is of now, and a gyro that is exact would be late by what makes them fit.
+    y["r"] = _rates_at(s, p.T_r, x.u - p.T_r * s.rate["u"], _inputs(s, p.T_r, errors=False))[0]
     first = p.tau_gnss - p.sigma_gnss
     late = _back(s, (x.x, x.y, x.psi, x.u), 0.0, first, 2)
     early = _back(s, late, first, 2 * p.sigma_gnss, 4)

@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
+from tests.bench.simulator_delays import delays
 from tests.daq.ardurover import MISSING, PROGRAM, Rover
 
 SEATRIAL = [sys.executable, "-m", "seatrial"]
@@ -42,9 +43,6 @@ TRUTH: Mapping[str, Mapping[str, float]] = {
     "rover-skid": {"m_u": 10.0, "d_u": 35.0, "d_uu": 0.0, "lambda_n": 1.0, "K": math.radians(280), "K_u": 0.0,
                    "k_3": 0.0},
 }  # fmt: skip
-# s: a gyro behind a Butterworth filter of 4 Hz; a fix is the mean of the states 0 and 0.2 s before it is received, and
-# its stamp is earlier than that by its way by wire
-SENSORS = {"T_r": math.sqrt(2) / (2 * math.pi * 4), "tau_gnss": 0.083, "sigma_gnss": 0.1}
 
 
 class Row(NamedTuple):
@@ -117,10 +115,10 @@ def fit(frame: str, source: str, folder: Path, missions: int) -> dict[str, Any]:
     return result
 
 
-def rows(frame: str, source: str, result: Mapping[str, Any]) -> Iterator[Row]:
-    """Every parameter whose truth is known; one at its bound, which is the truth, has no error."""
+def rows(frame: str, source: str, result: Mapping[str, Any], sensors: Mapping[str, float]) -> Iterator[Row]:
+    """Every parameter whose truth is known (``sensors``: delays [s]); one at its bound, the truth, has no error."""
     found = {p["name"]: (p["value"], p["se"]) for p in result["fit"]["parameters"]}
-    for name, truth in {**TRUTH[frame.removesuffix(WAVES)], **SENSORS}.items():
+    for name, truth in {**TRUTH[frame.removesuffix(WAVES)], **sensors}.items():
         value, se = found[name]
         yield Row(frame, source, name, value, se if se else math.nan, truth)
 
@@ -142,11 +140,11 @@ UNITS = {"m_u": "kg", "d_u": "kg/s", "d_uu": "kg/m", "lambda_n": "-", "K": "rad/
          "T_r": "s", "tau_gnss": "s", "sigma_gnss": "s"}  # fmt: skip
 
 
-def table(results: Mapping[tuple[str, str], Mapping[str, Any]]) -> str:
-    """Estimates and simulations of all frames and sources in Markdown."""
+def table(results: Mapping[tuple[str, str], Mapping[str, Any]], sensors: Mapping[str, Mapping[str, float]]) -> str:
+    """Estimates and simulations of all frames and sources in Markdown; ``sensors``: delays [s] by frame."""
     lines = ["| frame | log | parameter | estimate | truth | z | % |", "|---|---|---|---|---|---|---|"]
     for (frame, source), result in results.items():
-        for row in rows(frame, source, result):
+        for row in rows(frame, source, result, sensors[frame]):
             z, percent = (f"{x:.1f}" if math.isfinite(x) else "" for x in (row.z, row.percent))
             error = f" ± {row.se:.2g}" if math.isfinite(row.se) else ""
             estimate = f"{row.value:.4g}{error} | {row.truth:.4g}"
@@ -169,7 +167,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=SECONDS)
     parser.add_argument("--docs", type=Path)
     options = parser.parse_args()
-    results = {}
+    results, sensors = {}, {}
     for frame in options.frames:
         folder = (options.folder / frame).resolve()
         folder.mkdir(parents=True, exist_ok=True)
@@ -178,7 +176,8 @@ def main() -> None:
                 raise SystemExit(MISSING)
             record(frame, folder, options.seconds, options.missions)
         results |= {(frame, source): fit(frame, source, folder, options.missions) for source in SOURCES}
-    text = table(results)
+        sensors[frame] = delays(folder / "BIN1.mcap", folder / "1.BIN")
+    text = table(results, sensors)
     print(text)
     if options.docs is not None:
         page = options.docs.read_text(encoding="utf-8")

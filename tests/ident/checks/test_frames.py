@@ -111,6 +111,50 @@ def test_a_boat_at_rest_is_not_frozen_and_a_driven_one_is(run: dict[str, Channel
     assert not list(check_frozen(run | {"psi": rounded}))
 
 
+def quiet_boat(left: float, right: float) -> dict[str, Channel]:
+    """A simulated boat without any noise, in waves of its thrust and for 25 s at these: 2 u' = 25 (n_left + n_right)
+    - u|u| / 2, r = u (n_left - n_right); accelerations in mg, speeds in mm/s."""
+    t = np.arange(0.0, 200.0, 0.01)
+    n = 0.3 + 0.2 * np.column_stack([np.sin(t), np.sin(1.3 * t)])
+    n[(t > 60.0) & (t < 85.0)] = left, right
+    u = np.zeros(t.size)
+    for k in range(1, t.size):
+        u[k] = u[k - 1] + 0.01 * (12.5 * n[k - 1].sum() - 0.25 * u[k - 1] * abs(u[k - 1]))
+    r = u * (n[:, 0] - n[:, 1])
+    psi = np.cumsum(r) * 0.01
+    vx, vy = u * np.cos(psi), u * np.sin(psi)
+    mg = 9.80665e-3
+    found = {"ax": mg * np.round(np.gradient(u, 0.01) / mg), "ay": mg * np.round(u * r / mg), "psi": psi, "r": r}
+    channels = {name: Channel(t[::4], value[::4]) for name, value in found.items()}
+    late = {name: np.interp(t - 0.1, t, value) for name, value in (("vx", vx), ("vy", vy))}
+    channels |= {name: Channel(t[::20], np.round(value, 3)[::20]) for name, value in late.items()}
+    channels |= {place: Channel(t[::20], np.cumsum(late[f"v{place}"])[::20] * 0.01) for place in ("x", "y")}
+    return channels | {f"n_cmd_{side}": Channel(t[::4], n[::4, i]) for i, side in enumerate(("left", "right"))}
+
+
+def hung(c: Channel, begin: float, end: float) -> Channel:
+    """With the value of its begin until its end."""
+    return replace(c, value=np.where((c.t > begin) & (c.t < end), c.value[np.searchsorted(c.t, begin)], c.value))
+
+
+@pytest.mark.parametrize("sides", [(0.4, 0.4), (0.5, 0.3)])
+def test_a_steady_motion_without_noise_is_not_frozen_and_a_sensor_that_hangs_is(sides: tuple[float, float]) -> None:
+    boat = quiet_boat(*sides)
+    assert not list(check_frozen(boat))
+    for names in (("ax", "ay"), ("vx", "vy")):
+        for begin in (20.0, 120.0):
+            stuck = {name: hung(boat[name], begin, begin + 30.0) for name in names}
+            assert [(f.where, f.code) for f in check_frozen(boat | stuck)] == [(n, "channel-frozen") for n in names]
+
+
+def test_an_accelerometer_with_noise_that_hangs_is_frozen_in_steady_motion_too() -> None:
+    boat, rng = quiet_boat(0.4, 0.4), np.random.default_rng(1)
+    noisy = {n: replace(boat[n], value=boat[n].value + 0.05 * rng.normal(size=boat[n].t.size)) for n in ("ax", "ay")}
+    assert not list(check_frozen(boat | noisy))
+    stuck = {name: hung(c, 70.0, 80.0) for name, c in noisy.items()}
+    assert [f.where for f in check_frozen(boat | stuck)] == ["ax", "ay"]
+
+
 def test_a_part_of_a_log_is_a_copy(run: dict[str, Channel]) -> None:
     later = {n: Channel(c.t[c.t > 60.0] - 60.0, c.value[c.t > 60.0]) for n, c in run.items()}
     other = channels_of(sail(boat_with(None, 3), 120.0, 5, run=2)[0])

@@ -21,22 +21,30 @@ TRUTH = {
 }  # fmt: skip
 
 
-def tracked_vehicle(seconds: float) -> LogSegment:
-    """u' = 3.5 (4 n - u), r = 140 deg/s (n_left - n_right); outputs at 25 Hz of commands that change every 20 ms, a
-    gyro 55 ms late, fixes 0.1 s late and smoothed."""
+def tracked_vehicle(
+    seconds: float, every: float = 0.04, slew: float = np.inf, hold: float = 0.02, quiet: float = 1.0
+) -> LogSegment:
+    """u' = 3.5 (4 n - u), r = 140 deg/s (n_left - n_right); outputs known ``every`` so many seconds, of commands of
+    this ``slew`` [1/s] that change after each ``hold`` [s]; a gyro 55 ms late, fixes 0.1 s late and smoothed.
+
+    ``quiet``: times the usual noise, of all but the gyro.
+    """
     rng = np.random.default_rng(1)
     mission = make_mission("mixed", seconds, 1, n_max=0.5)
     t = np.arange(0.0, mission.end, DT)
     began, rows = (np.concatenate([getattr(s, name) for s in mission.segments]) for name in ("t", "n"))
-    loop = np.floor(t / 0.02) * 0.02 - 0.007
-    n = rows[np.maximum(np.searchsorted(began, loop, side="right") - 1, 0)]
+    stairs = np.arange(0.0, t[-1] + hold, hold)
+    steps = rows[np.maximum(np.searchsorted(began, stairs - 0.007, side="right") - 1, 0)]
+    for k in range(1, stairs.size):
+        steps[k] = steps[k - 1] + np.clip(steps[k] - steps[k - 1], -slew * hold, slew * hold)
+    n = steps[np.searchsorted(stairs, t, side="right") - 1]
     r = np.radians(140.0) * (n[:, 0] - n[:, 1])
     u = np.zeros(t.size)
     for k in range(1, t.size):
         u[k] = u[k - 1] + DT * 3.5 * (4.0 * n[k - 1].mean() - u[k - 1])
     psi = np.cumsum(r) * DT
     velocity = {"vx": u * np.cos(psi), "vy": u * np.sin(psi)}
-    told, attitude, fixes = (np.arange(0.5, t[-1], step) for step in (0.04, 0.04, 0.2))
+    told, attitude, fixes = (np.arange(0.5, t[-1], step) for step in (every, 0.04, 0.2))
     clock = np.arange(told[0], told[-1], 0.01)
     found = {
         f"n_{side}": Channel(clock, np.interp(clock + 0.005, told, np.interp(told, t, n[:, i])), hold="average")
@@ -45,7 +53,8 @@ def tracked_vehicle(seconds: float) -> LogSegment:
     seen = {"psi": (attitude, psi, 0.0, 0.005), "r": (attitude, r, 0.055, 0.005)}
     for place, name in (("x", "vx"), ("y", "vy")):
         seen |= {place: (fixes, np.cumsum(velocity[name]) * DT, 0.1, 0.02), name: (fixes, velocity[name], 0.1, 0.01)}
-    for name, (times, signal, late, noise) in seen.items():
+    for name, (times, signal, late, usual) in seen.items():
+        noise = usual * (1.0 if name == "r" else quiet)
         ends = (late - HALF_SPAN, late + HALF_SPAN) if times is fixes else (late,)
         seen_then = np.mean([np.interp(times - end, t, signal) for end in ends], axis=0)
         found[name] = Channel(times, seen_then + noise * rng.normal(size=times.size))
@@ -65,6 +74,20 @@ def test_a_tracked_vehicle_is_recovered_with_the_delays_of_its_sensors() -> None
         assert abs(value - truth) < 4.0 * se, (name, value, se)
         near = 0.1 * truth if name in ("T_r", "tau_gnss", "sigma_gnss") else 0.03 * max(truth, 1.0)
         assert abs(value - truth) < near, name
+
+
+def test_outputs_that_are_known_at_10_hz_are_uncertain_in_time() -> None:
+    """Ramps in stairs of 40 ms: taken for straight lines between their samples (``sigma_n`` nearly zero) they put the
+    mass 9 %, five standard errors, off, and ``sigma_gnss`` to zero; errors are then six times as large."""
+    log = tracked_vehicle(90.0, every=0.1, slew=1.0, hold=0.04, quiet=0.1)
+    model = nomoto_model(current=False, hold="average")
+    given = [model.parameter(name).at(value).fixed() for name, value in (("c1", 70.0), ("c2", 0.0))]
+    fit = fit_nominal_model(model.replace_parameters(*given), [log], []).fit
+    assert fit.converged
+    for name in ("m_u", "d_u", "lambda_n", "K", "K_u", "tau_gnss", "sigma_gnss"):
+        value, se = fit.estimate(name)
+        assert abs(value - TRUTH[name]) < 3.0 * se, (name, value, se)
+    assert fit.estimate("m_u")[1] < 0.06
 
 
 def test_what_the_model_has_is_no_candidate() -> None:

@@ -1,0 +1,97 @@
+"""How late the heading, yaw rate and fixes of a BIN are behind the state that ArduPilot's simulator writes beside them.
+
+`nomoto` takes the heading for true at its time stamps and the velocity for one along it, so that what it estimates is
+how late the others are behind the heading, which is 0.9 ms late itself, and behind a velocity along it: that of the
+simulator is a step of its integration, 0.83 ms, ahead of its own heading. A gyro behind a low-pass filter has no delay
+but one for each frequency: its number is that of the samples of the fit, for the motion that there was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pymavlink import DFReader
+from scipy.interpolate import CubicSpline
+from scipy.optimize import least_squares
+
+from daq.log import open_log
+from ident.data import Channel, block_mean, channels
+
+Array = NDArray[np.float64]
+COARSE_S, MARGIN_S = 0.1, 5.0  # grid on which clocks are matched; left out at both ends
+PASSED_S = 1.0  # an estimator's heading is off for longer than this, and late
+FIT_S, FASTER = 0.1, 0.6  # as the fit has it: samples are averaged over so long where they are closer than that part
+
+
+def simulated(path: Path) -> tuple[Array, Array, Array, Array]:
+    """Times [s], heading [rad] and velocity north and east [m/s] along it that the simulator had."""
+    log = DFReader.DFReader_binary(str(path))
+    rows: dict[str, list[tuple[float, ...]]] = {"SIM": [], "SIM2": []}
+    while (m := log.recv_match(type=list(rows))) is not None:
+        values = (m.Q1, m.Q4) if m.get_type() == "SIM" else (m.VN, m.VE)
+        rows[m.get_type()].append((1e-6 * m.TimeUS, *values))
+    (t, q1, q4), (t_v, north, east) = (np.array(rows[name]).T for name in rows)
+    psi = np.unwrap(2 * np.arctan2(q4, q1))
+    ahead = np.cos(psi) * np.interp(t, t_v, north) + np.sin(psi) * np.interp(t, t_v, east)
+    return t, psi, ahead * np.cos(psi), ahead * np.sin(psi)
+
+
+def delays(log: Path, bin_log: Path) -> dict[str, float]:
+    """T_r, tau_gnss and sigma_gnss [s] of an imported BIN, by the state in the BIN itself."""
+    with open_log(log) as opened:
+        c = channels(opened)
+    t, psi, north, east = simulated(bin_log)
+    heading = CubicSpline(t, psi)
+    first = _matched(c["psi"], t, psi)
+    inside = (t[0] + MARGIN_S, t[-1] - MARGIN_S)
+
+    def part(channel: Channel) -> tuple[Array, Array]:
+        moved = channel.t - first
+        keep = (moved > inside[0]) & (moved < inside[1])
+        return moved[keep], channel.value[keep]
+
+    t_psi, measured = part(Channel(c["psi"].t, np.unwrap(c["psi"].value)))
+    passed = round(PASSED_S / float(np.median(np.diff(t_psi))))
+
+    def quick(x: Array) -> Array:
+        return x - np.convolve(x, np.full(passed, 1 / passed), mode="same")
+
+    late = _best(lambda p: quick(measured - heading(t_psi - p[0])), [0.0])[0]
+    t_r, rate = part(_as_fitted(c["r"]))
+    gyro = _best(lambda p: rate - p[1] - heading(t_r - p[0], 1), [0.05, 0.0])[0]
+    (t_v, v_n), (_, v_e) = part(c["vx"]), part(c["vy"])
+    both = [(CubicSpline(t, of), seen) for of, seen in ((north, v_n), (east, v_e))]
+
+    def of_fix(p: Array) -> Array:
+        then = [(of(t_v - p[0] - p[1]) + of(t_v - p[0] + p[1])) / 2 - seen for of, seen in both]
+        return np.concatenate(then)
+
+    age, spread = _best(of_fix, [0.1, 0.1])
+    return {"T_r": gyro - late, "tau_gnss": age - late, "sigma_gnss": abs(spread)}
+
+
+def _matched(channel: Channel, t: Array, psi: Array) -> float:
+    """What is added to times of the BIN for those of the channel [s], to the grid."""
+    span = channel.t[-1] - channel.t[0], t[-1] - t[0]
+    grids = [np.arange(0.0, s, COARSE_S) for s in span]
+    rates = [np.diff(np.interp(x0 + g, x, y)) for x0, g, x, y in (
+        (channel.t[0], grids[0], channel.t, np.unwrap(channel.value)), (t[0], grids[1], t, psi))]  # fmt: skip
+    lag = int(np.argmax(np.correlate(rates[0], rates[1], mode="full"))) - (rates[1].size - 1)
+    return float(channel.t[0] - t[0] + COARSE_S * lag)
+
+
+def _as_fitted(channel: Channel) -> Channel:
+    """Averaged over blocks where the fit averages."""
+    if float(np.median(np.diff(channel.t))) > FASTER * FIT_S:
+        return channel
+    value, centre = block_mean(channel, np.arange(channel.t[0], channel.t[-1], FIT_S))
+    keep = np.isfinite(value)
+    return Channel(centre[keep], value[keep])
+
+
+def _best(residuals: Callable[[Array], Array], start: list[float]) -> list[float]:
+    found: list[float] = least_squares(residuals, start, x_scale=0.01).x.tolist()
+    return found
