@@ -119,15 +119,19 @@ class TrajectoryLinearisation:
             driven = self._driven(rowwise, begin, all_values, u)
             self._ends[key] = [z[-1].copy() for z in driven]
         for tried, values, z in zip(scans, all_values, driven, strict=True):
-            x = np.column_stack([self.x, z])
-            base, changes, names = rowwise(x, u, values), [], []
-            for j, p in enumerate(effect.parameters):
-                if p.transform == "log" or p.name in tried or (j > 0 and p.value != 0.0):
-                    continue  # parameters of the form of the effect, not its size
+            x, changes, names = np.column_stack([self.x, z]), [], []
+            sizes = [
+                (j, p) for j, p in enumerate(effect.parameters)  # the others are of its form
+                if not (p.transform == "log" or p.name in tried or (j > 0 and p.value != 0.0))
+            ]  # fmt: skip
+            own_columns = [k for k in range(n + m + len(self.model.outputs)) if not n <= k < n + m]
+            at_nothing = all(p.value == 0.0 for _, p in sizes)
+            base = self.base if at_nothing else rowwise(x, u, values)[:, own_columns]
+            for j, p in sizes:
                 moved = values.copy()
                 moved[len(self.values) + j] += p.step
-                change = (rowwise(x, u, moved) - base) / p.step
-                changes.append(np.delete(change, np.s_[n : n + m], axis=1) if m else change)
+                found = rowwise(x, u, moved)
+                changes.append(((found[:, own_columns] if m else found) - base) / p.step)
                 names.append(p.name)
             own = all(p.per_record for p in effect.parameters)
             touched = np.flatnonzero(np.any([c.any(axis=0) for c in changes], axis=0))

@@ -136,9 +136,9 @@ class Kernel:
         self._loop(n_rows, groups, mask, arrays, per_row)
         return arrays
 
-    def stretches(self, start: Sequence[int], stop: Sequence[int], given: Mapping[str, Array], begin: Array,
+    def segments(self, start: Sequence[int], stop: Sequence[int], given: Mapping[str, Array], begin: Array,
                   wanted: Sequence[str]) -> dict[str, Array]:
-        """Run over many stretches of the same rows, with all sensors, and keep the last row of each: where they are
+        """Run over many segments of the same rows, with all sensors, and keep the last row of each: where they are
         short, calls one by one would mostly prepare arrays.
 
         Parameters: start, stop (n,): rows [start, stop) of each; given: the arrays in rows, whole, and what all share;
@@ -155,8 +155,8 @@ class Kernel:
             if a.dtype != np.float64 or a.size % size or not a.flags.c_contiguous:
                 raise ValueError(f"{name}: contiguous doubles, {size} a row, wanted, got {a.dtype} {a.shape}")
             arrays[name] = a
-            along_rows, along_stretches = name in layout.rows and name in given, name == carried
-            moves.append((a.ctypes.data, 8 * size * along_rows, 8 * size * along_stretches))
+            along_rows, along_segments = name in layout.rows and name in given, name == carried
+            moves.append((a.ctypes.data, 8 * size * along_rows, 8 * size * along_segments))
         flags = [0] * len(layout.summed)
         for k, (first, last) in enumerate(zip(start, stop, strict=True)):
             if self._entry is None:
@@ -164,7 +164,7 @@ class Kernel:
                             for name, a in arrays.items() if name in layout.rows}
                 self._loop(last - first, 1, mask, arrays | own_rows | {carried: state[k]}, frozenset())
             else:
-                at = [a + first * row + k * stretch for a, row, stretch in moves]
+                at = [a + first * row + k * segment for a, row, segment in moves]
                 self._entry(last - first, 1, mask.ctypes.data, *at, *flags)
             for name, into in found.items():
                 into[k] = arrays[name][last - first - 1]

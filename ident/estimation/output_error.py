@@ -104,7 +104,7 @@ def predict_ahead(
     """
     data, kernel = Preparer(model)(record), _kernel(model)
     given = {n: data.rows[n] for n in INPUTS} | {"p": _values(model, values)}
-    done = kernel.stretches(start.tolist(), (end + 1).tolist(), given, states[start], ("z", "x"))
+    done = kernel.segments(start.tolist(), (end + 1).tolist(), given, states[start], ("z", "x"))
     return Simulation(record.t[end], done["x"], done["z"])
 
 
