@@ -74,6 +74,16 @@ class Log:
         self.attachments = {record.name: record.data for record in self._file.attachments}
         self.start, self.end = (ns / NANO for ns in self._file.span_ns or (0, 0))
         self._span_ns = _WHOLE
+        self._kept: dict[tuple[str, tuple[int, int]], NDArray[np.void]] | None = None
+
+    @contextlib.contextmanager
+    def keeping_tables(self) -> Iterator[None]:
+        """Within this, tables are read once, and are not to be written to: for who looks at them more than once."""
+        self._kept = {}
+        try:
+            yield
+        finally:
+            self._kept = None
 
     def part(self, begin: float, end: float) -> Log:
         """The log as if it had only what was received from `begin` to before `end` [s since 1970]: the rest is not
@@ -230,8 +240,14 @@ class Log:
             node = self._only_node(kind, source, node)
         topic = schema.topic(kind, source, node)
         span = _span_ns(begin, end, self._span_ns)
+        if self._kept is not None and (topic, span) in self._kept:
+            return self._kept[topic, span]
         try:
-            return self._ahrs(topic, source, span) if kind is Ahrs else self._own(kind, topic, span)
+            table = self._ahrs(topic, source, span) if kind is Ahrs else self._own(kind, topic, span)
+            if self._kept is not None:
+                table.flags.writeable = False
+                self._kept[topic, span] = table
+            return table
         except MemoryError:
             raise self._error(
                 f"{topic} has {self.counts.get(topic, 0)} messages, which the memory of this computer does not hold: "

@@ -286,11 +286,9 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
         yield from check_accelerometer(c, matches.velocity)
 
 
-def device_faults(path: Path, span: tuple[float, float]) -> list[Finding]:
-    """Faults of a log's devices, and thrusters of which nothing was heard, in a ``span`` of it [s since 1970]."""
-    with open_log(path) as whole:
-        log = whole.part(*span)
-        return [f for f in (*check_devices(log), *_mute(log)) if f.level == FAULT]
+def device_faults(log: Log) -> list[Finding]:
+    """Faults of a log's devices, and thrusters of which nothing was heard."""
+    return [f for f in (*check_devices(log), *_mute(log)) if f.level == FAULT]
 
 
 def check_copies(logs: Sequence[tuple[str, Channels]]) -> list[Finding]:

@@ -20,7 +20,7 @@ gives it the sign of the delayed and lagged command. `propulsion_input` says whi
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import inf
@@ -30,6 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.checks import Finding
 from daq.config import parse_toml
 from daq.errors import SeatrialError
 from daq.log import Log, local_ned, open_log
@@ -64,6 +65,7 @@ class TimeWindow(NamedTuple):
 
 
 WHOLE = TimeWindow()
+DeviceChecks = Callable[[Log], Sequence[Finding]]
 SHAFTS, COMMANDS = ("n_left", "n_right"), ("n_cmd_left", "n_cmd_right")
 SLOWEST_TELEMETRY = 0.15  # s between shaft speeds; from slower ones no change of the thrust can be timed
 
@@ -249,34 +251,41 @@ class LoadedLog:
     propulsion: PropulsionInput | None = None
     segments: tuple[tuple[float, str], ...] = ()  # steps of its mission: when each began [s of the log], and its name
     vehicle: Mapping[str, float] = field(default_factory=dict)  # what rig or map know of the boat, parameters by name
-    path: Path = Path()
-    span: tuple[float, float] = (0.0, inf)  # what was read of it [s since 1970]
+    device_faults: tuple[Finding, ...] | None = None  # None: nobody looked for them
 
 
 def load_all(
-    logs: Sequence[Path], validate: Sequence[Path], window: TimeWindow = WHOLE
+    logs: Sequence[Path],
+    validate: Sequence[Path],
+    window: TimeWindow = WHOLE,
+    device_faults: DeviceChecks | None = None,
 ) -> tuple[list[LoadedLog], list[LoadedLog]]:
     """The logs to fit, of each this window, and those to judge by; the same log in both is an error."""
     same = {p.resolve() for p in logs} & {p.resolve() for p in validate}
     if same:
         raise SeatrialError(f"{sorted(same)[0].name}: the same log to fit and to validate proves nothing; give another")
-    return [load_run(p, "estimation", window) for p in logs], [load_run(p, "validation") for p in validate]
+    own = [load_run(p, "estimation", window, device_faults) for p in logs]
+    return own, [load_run(p, "validation", device_faults=device_faults) for p in validate]
 
 
-def load_run(path: Path, role: str, window: TimeWindow = WHOLE) -> LoadedLog:
+def load_run(
+    path: Path, role: str, window: TimeWindow = WHOLE, device_faults: DeviceChecks | None = None
+) -> LoadedLog:
     """A log, or a window of it: the rest is not read, and so it has no ``sha256``. Times count from the first sample of
-    the whole log. Raises SeatrialError where nothing is there that can be identified."""
+    the whole log. ``device_faults``: checks of the open log, which read what is read here. Raises SeatrialError where
+    nothing is there that can be identified."""
     with open_log(path) as whole:
-        log, span, start = whole, (0.0, inf), None
+        log, start = whole, None
         if window != WHOLE:
             head = channels(whole.part(0.0, whole.start + MARGIN_S))
             start = min((c.t[0] for c in head.values()), default=whole.start)
             if start + window.t_from >= whole.end:
                 begin = f"nothing is left from {window.t_from:g} s on"
                 raise SeatrialError(f"{path}: is {whole.end - start:.0f} s long, so {begin}")
-            span = (start + window.t_from - MARGIN_S, start + window.t_to + MARGIN_S)
-            log = whole.part(*span)
-        found = channels(log)
+            log = whole.part(start + window.t_from - MARGIN_S, start + window.t_to + MARGIN_S)
+        with log.keeping_tables():
+            found = channels(log)
+            faults = tuple(device_faults(log)) if device_faults is not None and found else None
         if not found:
             raise SeatrialError(f"{path}: no signal that ident knows; see what it holds with `seatrial info {path}`")
         start = min(c.t[0] for c in found.values()) if start is None else start
@@ -297,7 +306,7 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE) -> LoadedLog:
         propulsion = propulsion_input(log, moved, holds)
         t_to = min(window.t_to, last) if window.t_to < inf else None
         run = LogSegment(path.stem, moved, window.t_from or None, t_to)
-        return LoadedLog(run, about, holds, log.rig, propulsion, segments, log.vehicle, path, span)
+        return LoadedLog(run, about, holds, log.rig, propulsion, segments, log.vehicle, faults)
 
 
 def _hold(log: Log, name: str) -> str:

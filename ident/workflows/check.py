@@ -12,7 +12,6 @@ from ident.checks import (
     IMPORTED,
     check_copies,
     check_signals,
-    device_faults,
     estimated,
     log_evidence,
     smoothed,
@@ -47,7 +46,8 @@ def check_first(
     checked = []
     for log in logs:
         name = log.about["path"]
-        found = [*device_faults(log.path, log.span), *check_signals(log.run.channels, sides_of_model(model, log))]
+        assert log.device_faults is not None, "logs of a fit are loaded with `device_faults`"
+        found = [*log.device_faults, *check_signals(log.run.channels, sides_of_model(model, log))]
         found += [f for f in copies if f.where == name]
         told = [f for f in found if f.level != OK]
         refused = [f for f in told if spoils_a_fit(f)]

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from ident.checks import device_faults
 from ident.data import WHOLE, TimeWindow, load_all
 from ident.diagnosis import diagnose, evaluate_diagnosis
 from ident.effects import catalogue
@@ -53,7 +54,7 @@ class DiagnosisRequest:
 
 def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> DiagnosisResult:
     """Find what the model lacks, and write the model that has it; ``command``: what was typed."""
-    loaded, unseen = load_all(request.logs, request.validation, request.window)
+    loaded, unseen = load_all(request.logs, request.validation, request.window, device_faults)
     horizon, effects_file = request.estimation.horizon, request.effects_file
     saved = load_model(request.model)
     # Maxima of the plain likelihood are compared, by a filter of first order: neither changes what is found, and on

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ident.checks import device_faults
 from ident.data import load_all
 from ident.estimation import fit_nominal_model, homogeneity_test, profile
 from ident.reporter import Reporter
@@ -19,7 +20,7 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
     ``command``: what was typed. Raises SeatrialError where the logs cannot be read, lack what the model needs, or
     have faults that make a fit meaningless.
     """
-    loaded, unseen = load_all(request.logs, request.validation, request.window)
+    loaded, unseen = load_all(request.logs, request.validation, request.window, device_faults)
     problem = vehicle_problem(request, loaded, unseen)
     loaded, unseen = check_first(loaded, unseen, problem.model, request.despite_faults)
     if problem.thrust:

@@ -18,6 +18,7 @@ from daq.errors import SeatrialError
 from daq.importers.import_map import Signal
 from daq.importers.signals import SignalData
 from daq.importers.write_log import write_signals
+from ident.checks.log_checks import device_faults
 from ident.data.loading import load_all
 from ident.data.record import Channel
 from ident.workflows.check import check_first
@@ -180,7 +181,7 @@ def refusal(path: Path, validation: Path) -> str | None:
     """The line with which `seatrial ident vehicle` refuses; None where it would go on."""
     request = VehicleRequest([path], [validation], path.parent / "out")
     try:
-        loaded, unseen = load_all(request.logs, request.validation)
+        loaded, unseen = load_all(request.logs, request.validation, device_faults=device_faults)
         check_first(loaded, unseen, vehicle_problem(request, loaded, unseen).model, False)
     except SeatrialError as refused:
         return str(refused)

@@ -6,13 +6,14 @@ import math
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from bench.mission_generators import make_mission
 from daq.errors import SeatrialError
-from daq.log.reader import open_log
+from daq.log.reader import Log, open_log
 from daq.log.schema import local_ned
 from daq.samples import NAN, Command, Esc, Gnss, Servo
 from ident.checks.log_checks import device_faults
@@ -162,6 +163,33 @@ def test_what_drives_the_boat_is_read_from_the_signals_their_hold_and_their_rate
         assert propulsion_input(log, channels(log), {}) is PropulsionInput.COMMAND
 
 
+def test_a_log_is_read_once_for_its_signals_and_its_devices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = boat_log(tmp_path / "a.mcap", boat_with(None, 4), 60.0, 3)
+    read: list[str] = []
+    own, ahrs = Log._own, Log._ahrs
+
+    def noted_own(log: Log, kind: Any, topic: str, span: tuple[int, int]) -> Any:
+        read.append(topic)
+        return own(log, kind, topic, span)
+
+    def noted_ahrs(log: Log, topic: str, *rest: Any) -> Any:
+        read.append(topic)
+        return ahrs(log, topic, *rest)
+
+    monkeypatch.setattr(Log, "_own", noted_own)
+    monkeypatch.setattr(Log, "_ahrs", noted_ahrs)
+    with open_log(path) as log, log.keeping_tables():
+        source = log.sources(Gnss)[0]
+        with pytest.raises(ValueError, match="read-only"):
+            log.table(Gnss, source)["lat"][0] = 0.0
+    read.clear()
+    loaded = load_run(path, "estimation", device_faults=device_faults)
+    assert loaded.device_faults == ()
+    assert len(read) == len(set(read)) > 4
+    with open_log(path) as log:
+        assert log.table(Gnss, source).flags.writeable
+
+
 def test_a_window_of_a_log_is_the_same_rows_and_the_rest_is_not_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -172,8 +200,8 @@ def test_a_window_of_a_log_is_the_same_rows_and_the_rest_is_not_read(
     pread = os.pread
     monkeypatch.setattr(os, "pread", lambda fd, n, at: read.append(n) or pread(fd, n, at))  # type: ignore[func-returns-value]
     window = TimeWindow(150.0, 180.0)
-    part = load_run(path, "estimation", window)
-    assert device_faults(part.path, part.span) == []
+    part = load_run(path, "estimation", window, device_faults)
+    assert part.device_faults == ()
     assert sum(read) < 0.6 * path.stat().st_size
     assert part.about["duration"] == pytest.approx(30.0)
     assert (part.about["path"], part.about["sha256"]) == ("a.mcap[150:180]", "")
