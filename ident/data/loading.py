@@ -167,7 +167,8 @@ def _thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> None:
         output = _channel(log.table(Servo, device, node=node), "n", "", device)
         clock = np.arange(output.t[0], output.t[-1] + GRID_STEP, GRID_STEP) if output.t.size else output.t
         mean = np.interp(clock + GRID_STEP / 2, output.t, output.value)
-        found[f"n_cmd_{thruster.name}"] = replace(output, t=clock, value=mean, hold="average")
+        interval = float(np.median(np.diff(output.t))) if output.t.size > 1 else 0.0
+        found[f"n_cmd_{thruster.name}"] = replace(output, t=clock, value=mean, hold="average", sampled=interval)
     elif node in log.nodes(Command, device):
         found[f"n_cmd_{thruster.name}"] = _channel(log.table(Command, device, node=node), "n_cmd", "", device)
 

@@ -25,13 +25,15 @@ SAME_TIME = 1e-6  # s; times closer than this are one row (seconds since 1970 ha
 @dataclass(frozen=True)
 class Channel:
     """One signal on its own clock: ``t`` (n,) seconds, never decreasing; ``value`` (n,). ``hold``: what is known of it
-    between the samples (``ident.model.Input``), empty: nothing."""
+    between the samples (``ident.model.Input``), empty: nothing. ``sampled``: s between the samples that it was made of,
+    where it is on a finer clock; else zero."""
 
     t: Array
     value: Array
     unit: str = ""
     source: str = ""
     hold: str = ""
+    sampled: float = 0.0
 
 
 def sample_and_hold(channel: Channel, t: Array) -> Array:

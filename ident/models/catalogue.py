@@ -98,10 +98,10 @@ def _horizontal(source: str, options: Sequence[str], sensors: Sequence[str] | No
 def _nomoto(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
     from ident.models.nomoto import SEEN, nomoto_model
 
-    if options not in ([], ["no-current"], ["random-walk-current"]):
-        raise SeatrialError(f"no model {source!r}: nomoto has no-current or random-walk-current")
+    if [o for o in options if o != "sampled"] not in ([], ["no-current"], ["random-walk-current"]):
+        raise SeatrialError(f"no model {source!r}: nomoto has sampled, and no-current or random-walk-current")
     chosen = SEEN if sensors is None else [s for s in SEEN if s in sensors] or SEEN
-    model = nomoto_model(chosen, current="no-current" not in options)
+    model = nomoto_model(chosen, current="no-current" not in options, sampled="sampled" in options)
     return replace(model + current_walk(), source=source) if "random-walk-current" in options else model
 
 

@@ -13,11 +13,11 @@ T is zero where nobody gives it a prior (``--prior T=0.5:0.5``): a short one bes
 From ``SHORTEST_LAG`` down to zero it is as in ``ident.models.horizontal.first_order``.
 
 Where nothing is slow, delays count: inputs act ``tau_n`` after their time stamp, the gyro is that of ``T_r`` earlier,
-both by cubic convolution of the inputs' past. Inputs that are known from samples are uncertain in time: each of a side
-acts ``sigma_n`` (standard deviation) later or earlier than ``tau_n`` says, by a first-order Gauss-Markov process of
-``MEMORY``, which is that of a sample. To first order that is nothing where they stand still, and much where they change
-quickly: corners and stairs that are not in a straight line between samples, taken for known, make a light vehicle's
-masses and damping those that explain them. GNSS is ``tau_gnss`` old, and a mean over a time of standard deviation
+both by cubic convolution of the inputs' past. Inputs that are known from slow samples (``nomoto:sampled``) are
+uncertain in time: each of a side acts ``sigma_n`` (standard deviation) later or earlier than ``tau_n`` says, by a
+first-order Gauss-Markov process of ``MEMORY``, which is that of a sample. To first order that is nothing where they
+stand still, and much where they change quickly: corners and stairs that are not in a straight line between samples,
+taken for known, make a light vehicle's masses and damping those that explain them. GNSS is ``tau_gnss`` old, and a mean over a time of standard deviation
 ``sigma_gnss``: what a receiver smooths is short by ``r^2 sigma_gnss^2 / 2`` in a turn, 5 % at 3 rad/s and 0.1 s. A fix
 is the mean of the states that long before and after ``tau_gnss`` ago (Gauss-Hermite quadrature of two points), to which
 the model is integrated back. Accelerometers, which have a delay of their own and feel gravity as the vehicle pitches,
@@ -75,8 +75,6 @@ STEERING = (
 TIMING = (
     Parameter("tau_n", 0.0, "s", "delay of thrust and steering behind the inputs' time stamps", prior=(0.0, 0.1),
               bounds=(-AHEAD, LONGEST / 2), step=0.01),
-    Parameter("sigma_n", 0.01, "s", "error of the inputs' time stamps, standard deviation", "log", prior=(0.01, 0.03),
-              role=ParameterRole.DISTURBANCE),
     Parameter("T_r", 0.05, "s", "delay of the gyro", prior=(0.0, 0.1), bounds=(0.0, LONGEST), step=0.01),
     Parameter("tau_gnss", 0.1, "s", "age of the GNSS fix at its time stamp", prior=(0.1, 0.2), bounds=(0.0, LONGEST),
               step=0.02),
@@ -98,9 +96,14 @@ STATES = (
     State("u", "m/s", "speed ahead", "s_u", sd0=0.3),
     State("v", "m/s", "sideslip", "q_v", sd0=0.05, nuisance=True),
     State("r", "rad/s", "yaw rate behind its lag", "s_r", sd0=0.1),
-    *(State(f"late_{side}", "", "error of the input's time stamps, scaled", float(np.sqrt(2 / MEMORY)), sd0=1.0,
-            nuisance=True) for side in SIDES),
 )
+LATENESS = tuple(
+    State(f"late_{side}", "", "error of the input's time stamps, scaled", float(np.sqrt(2 / MEMORY)), sd0=1.0,
+          nuisance=True)
+    for side in SIDES
+)  # fmt: skip
+LATE = Parameter("sigma_n", 0.01, "s", "error of the inputs' time stamps, standard deviation", "log",
+                 prior=(0.01, 0.03), role=ParameterRole.DISTURBANCE)  # fmt: skip
 RESIDUALS = (
     Residual("X", "N", "b_X", 10.0, "the force X", adder("X"), of=("u", "r", "psi", "t"), requires=("nomoto",)),
     Residual("r_ref", "rad/s", "b_r_ref", 0.3, "the steady yaw rate", adder("r_ref"), of=("u", "psi", "t"),
@@ -116,23 +119,27 @@ VARIABLES = (
 )
 
 
-def nomoto_model(sensors: Sequence[str] = SEEN, *, current: bool = True, hold: Hold = "linear") -> Model:
-    """The model, driven by the shaft speeds, or an autopilot's outputs, ``n_left`` and ``n_right`` (normalised)."""
+def nomoto_model(
+    sensors: Sequence[str] = SEEN, *, current: bool = True, sampled: bool = False, hold: Hold = "linear"
+) -> Model:
+    """The model, driven by the shaft speeds, or an autopilot's outputs, ``n_left`` and ``n_right`` (normalised);
+    ``sampled``: inputs are uncertain in time."""
     now = pair("n", "", hold)
     past = tuple(replace(i.delayed(k, STEP), name=_past(i.name, k)) for i in now for k in TAPS if k)
     parameters = tuple(p for p in HULL if p.name in ("m_u", "d_u", "d_uu"))
-    parameters += (*(CURRENT if current else ()), *THRUST, LINEARITY, *STEERING, *TIMING, *DIFFUSION)
+    parameters += (*(CURRENT if current else ()), *THRUST, LINEARITY, *STEERING, *TIMING)
+    parameters += (*((LATE,) if sampled else ()), *DIFFUSION)
     chosen = tuple(SENSORS[s] for s in sensors)
     return Model(
         "nomoto",
-        resolve_initial_states(STATES, chosen),
+        resolve_initial_states((*STATES, *(LATENESS if sampled else ())), chosen),
         (*now, *past),
         chosen,
         (*parameters, *(NOISE[s.name] for s in chosen)),
         (("shaft", delayed), ("dead_band", unchanged), ("thrust_lag", unchanged), ("thrust", thrust), ("force", force),
          ("rate", rate), ("output", output)),
         provides=("n", "f", "n_input", "plane", "nomoto"),
-        source="nomoto" if current else "nomoto:no-current",
+        source="nomoto" + ":sampled" * sampled + ":no-current" * (not current),
         residuals=RESIDUALS,
         variables=VARIABLES,
         disturbance=disturbance(("X", "r_ref")),
@@ -163,7 +170,7 @@ def _inputs(s: Signals, ago: Any, *, errors: bool = True) -> list[Any]:
     found = []
     for side in SIDES:
         known = [getattr(s.u, _past(f"n_{side}", k)) for k in TAPS]
-        if not errors:
+        if not errors or not hasattr(s.x, f"late_{side}"):
             found.append(sum(w * n for w, n in zip(weights, known, strict=True)))
             continue
         beyond = [2 * known[0] - known[1], *known, 2 * known[-1] - known[-2]]
@@ -193,7 +200,7 @@ def rate(s: Signals) -> None:
     s.r = first_order(s, "r", s.r_ref, s.p.T)
     s.rate["x"], s.rate["y"] = _over_ground(s, x.psi, x.u)
     s.rate["psi"], s.rate["u"], s.rate["v"] = s.r, s.X / s.p.m_u + x.v * s.r, -x.v / s.p.tau_v
-    for side in SIDES:
+    for side in SIDES if hasattr(x, "late_left") else ():
         s.rate[f"late_{side}"] = -getattr(x, f"late_{side}") / MEMORY
 
 

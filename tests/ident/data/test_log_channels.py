@@ -128,6 +128,7 @@ def test_a_sampled_output_changes_in_the_middle_between_its_samples_on_the_avera
     with open_log(write_log(tmp_path / "o.mcap", "boat", readings)) as log:
         found = channels(log)["n_cmd_left"]
     assert found.hold == "average"
+    assert found.sampled == pytest.approx(0.1)
     middle = found.t[np.argmax(found.value >= 0.25)] - found.t[0]
     assert middle == pytest.approx(9.95, abs=0.011)
 

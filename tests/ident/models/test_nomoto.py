@@ -7,11 +7,13 @@ import pytest
 
 from bench.mission_generators import make_mission
 from daq.errors import SeatrialError
+from ident.data.loading import LoadedLog
 from ident.data.record import Channel, LogSegment
 from ident.effects.registry import catalogue
 from ident.estimation.fitted_model import fit_nominal_model
 from ident.models.catalogue import make_model
 from ident.models.nomoto import nomoto_model
+from ident.workflows.vehicle_model import with_sampled_inputs
 
 DT = 0.002
 HALF_SPAN = 0.1  # s: a fix is the mean of two of 0.2 s from each other
@@ -80,7 +82,7 @@ def test_outputs_that_are_known_at_10_hz_are_uncertain_in_time() -> None:
     """Ramps in stairs of 40 ms: taken for straight lines between their samples (``sigma_n`` nearly zero) they put the
     mass 9 %, five standard errors, off, and ``sigma_gnss`` to zero; errors are then six times as large."""
     log = tracked_vehicle(90.0, every=0.1, slew=1.0, hold=0.04, quiet=0.1)
-    model = nomoto_model(current=False, hold="average")
+    model = nomoto_model(current=False, sampled=True, hold="average")
     given = [model.parameter(name).at(value).fixed() for name, value in (("c1", 70.0), ("c2", 0.0))]
     fit = fit_nominal_model(model.replace_parameters(*given), [log], []).fit
     assert fit.converged
@@ -98,3 +100,15 @@ def test_what_the_model_has_is_no_candidate() -> None:
     assert {"V_x", "V_y"} & set(make_model("nomoto:no-current").values) == set()
     with pytest.raises(SeatrialError):
         make_model("nomoto:general")
+
+
+@pytest.mark.parametrize(("every", "source"), [(0.1, "nomoto:sampled:no-current"), (0.04, "nomoto:no-current")])
+def test_it_is_chosen_by_how_often_outputs_are_known(every: float, source: str) -> None:
+    t = np.arange(0.0, 60.0, 0.01)
+    channels = {f"n_{side}": Channel(t, np.sin(t), hold="average", sampled=every) for side in ("left", "right")}
+    chosen, said = with_sampled_inputs("nomoto:no-current", [LoadedLog(LogSegment("a", channels), {}, {}, None)])
+    assert chosen == source
+    assert len(said) == (source != "nomoto:no-current")
+    assert make_model(chosen).source == source
+    assert ("sigma_n" in make_model(chosen).values) == bool(said)
+    assert with_sampled_inputs("horizontal:shaft", [LoadedLog(LogSegment("a", channels), {}, {}, None)])[1] == []
