@@ -43,6 +43,7 @@ def how_to(title: str) -> Path:
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_links_and_files_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
+    assert not re.search(r"^(<{7}|>{7}) ", text, re.MULTILINE), "two versions, not merged"
     links = [target.partition("#")[0] for target in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in target]
     missing = [link for link in links if link and not (page.parent / link).exists()]
     assert not missing

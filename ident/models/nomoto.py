@@ -17,11 +17,11 @@ both by cubic convolution of the inputs' past. Inputs that are known from slow s
 uncertain in time: each of a side acts ``sigma_n`` (standard deviation) later or earlier than ``tau_n`` says, by a
 first-order Gauss-Markov process of ``MEMORY``, which is that of a sample. To first order that is nothing where they
 stand still, and much where they change quickly: corners and stairs that are not in a straight line between samples,
-taken for known, make a light vehicle's masses and damping those that explain them. GNSS is ``tau_gnss`` old, and a mean over a time of standard deviation
-``sigma_gnss``: what a receiver smooths is short by ``r^2 sigma_gnss^2 / 2`` in a turn, 5 % at 3 rad/s and 0.1 s. A fix
-is the mean of the states that long before and after ``tau_gnss`` ago (Gauss-Hermite quadrature of two points), to which
-the model is integrated back. Accelerometers, which have a delay of their own and feel gravity as the vehicle pitches,
-are not used.
+taken for known, make a light vehicle's masses and damping those that explain them. GNSS is ``tau_gnss`` old, and a mean
+over a time of standard deviation ``sigma_gnss``: what a receiver smooths is short by ``r^2 sigma_gnss^2 / 2`` in a
+turn, 5 % at 3 rad/s and 0.1 s. A fix is the mean of the states that long before and after ``tau_gnss`` ago
+(Gauss-Hermite quadrature of two points), to which the model is integrated back. Accelerometers, which have a delay of
+their own and feel gravity as the vehicle pitches, are not used.
 """
 
 from __future__ import annotations
