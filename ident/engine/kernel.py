@@ -144,8 +144,13 @@ class Kernel:
         Parameters: start, stop (n,): rows [start, stop) of each; given: the arrays in rows, whole, and what all share;
         begin (n, size): what each carries at its start; wanted: arrays in rows. Returns their last rows (n, size).
         """
-        layout, longest = self.layout, max((b - a for a, b in zip(start, stop, strict=True)), default=0)
+        layout, lengths = self.layout, [b - a for a, b in zip(start, stop, strict=True)]
         (carried,) = layout.carried
+        rows_given = min((given[name].size // layout.sizes[name] for name in layout.rows if name in given), default=0)
+        if len(begin) != len(lengths) or min(lengths, default=1) < 1 or min(start, default=0) < 0 or (
+                max(stop, default=0) > rows_given):  # fmt: skip
+            raise ValueError(f"segments: one or more rows of the {rows_given} given wanted, and a beginning for each")
+        longest = max(lengths, default=0)
         found = {name: np.empty((len(start), layout.sizes[name])) for name in wanted}
         state, mask = np.array(begin, dtype=np.float64, order="C"), np.full(longest, ALL_BITS, np.uint32)
         arrays, moves = {}, []

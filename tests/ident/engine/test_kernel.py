@@ -237,3 +237,6 @@ def test_segments_are_calls_one_by_one(compiled: bool) -> None:
     assert kernel.segments([], [], given, np.zeros((0, 2)), ("z",))["z"].shape == (0, 3)
     with pytest.raises(ValueError, match="u: contiguous doubles"):
         kernel.segments([0], [1], {"u": np.ones(3, np.float32), "p": given["p"]}, begin[:1], ("z",))
+    for first, last in ((0, 21), (5, 5), (-1, 3)):
+        with pytest.raises(ValueError, match="segments: one or more rows of the 20 given"):
+            kernel.segments([first], [last], given, begin[:1], ("z",))
