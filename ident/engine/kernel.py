@@ -146,7 +146,8 @@ class Kernel:
         """
         layout, lengths = self.layout, [b - a for a, b in zip(start, stop, strict=True)]
         (carried,) = layout.carried
-        rows_given = min((given[name].size // layout.sizes[name] for name in layout.rows if name in given), default=0)
+        rows_given = min((given[name].size // size for name, size in layout.sizes.items()
+                          if size and name in layout.rows and name in given), default=0)
         if len(begin) != len(lengths) or min(lengths, default=1) < 1 or min(start, default=0) < 0 or (
                 max(stop, default=0) > rows_given):  # fmt: skip
             raise ValueError(f"segments: one or more rows of the {rows_given} given wanted, and a beginning for each")
@@ -157,7 +158,7 @@ class Kernel:
         for name, size in layout.sizes.items():
             own = state if name == carried else given.get(name)
             a = allocate(layout.shape(name, longest, 1)) if own is None else own
-            if a.dtype != np.float64 or a.size % size or not a.flags.c_contiguous:
+            if a.dtype != np.float64 or (a.size % size if size else a.size) or not a.flags.c_contiguous:
                 raise ValueError(f"{name}: contiguous doubles, {size} a row, wanted, got {a.dtype} {a.shape}")
             arrays[name] = a
             along_rows, along_segments = name in layout.rows and name in given, name == carried

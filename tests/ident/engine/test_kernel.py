@@ -222,21 +222,22 @@ def test_models_that_differ_in_values_share_their_kernels() -> None:
 @pytest.mark.parametrize("compiled", [pytest.param(True, marks=needs_llvm), False])
 def test_segments_are_calls_one_by_one(compiled: bool) -> None:
     """x carried, u and what is made of it in rows, p shared."""
-    x, u, p = (ca.SX.sym(n, size) for n, size in (("x", 2), ("u", 1), ("p", 1)))
-    plan = Plan((stage({"x": x, "u": u, "p": p}, {"z": ca.vertcat(x, u * p), "x": 0.5 * x + u * p}),),
-                frozenset({"u", "z"}))  # fmt: skip
+    x, u, p, none = (ca.SX.sym(n, size) for n, size in (("x", 2), ("u", 1), ("p", 1), ("none", 0)))
+    plan = Plan((stage({"x": x, "u": u, "p": p, "none": none}, {"z": ca.vertcat(x, u * p), "x": 0.5 * x + u * p}),),
+                frozenset({"u", "z", "none"}))  # fmt: skip
     kernel, rng = Kernel(plan, compiled), np.random.default_rng(0)
-    given = {"u": rng.normal(size=(20, 1)), "p": np.array([3.0])}
+    given = {"u": rng.normal(size=(20, 1)), "p": np.array([3.0]), "none": np.zeros((20, 0))}
     start, stop, begin = [0, 7, 7, 19], [1, 12, 20, 20], rng.normal(size=(4, 2))
     kept = begin.copy()
     ends = kernel.segments(start, stop, given, begin, ("z",))["z"]
     for k, (first, last) in enumerate(zip(start, stop, strict=True)):
-        alone = kernel(last - first, None, given | {"u": given["u"][first:last], "x": begin[k].copy()})
+        rows = {name: given[name][first:last] for name in ("u", "none")}
+        alone = kernel(last - first, None, given | rows | {"x": begin[k].copy()})
         np.testing.assert_array_equal(ends[k], alone["z"][-1])
     np.testing.assert_array_equal(begin, kept)
     assert kernel.segments([], [], given, np.zeros((0, 2)), ("z",))["z"].shape == (0, 3)
     with pytest.raises(ValueError, match="u: contiguous doubles"):
-        kernel.segments([0], [1], {"u": np.ones(3, np.float32), "p": given["p"]}, begin[:1], ("z",))
+        kernel.segments([0], [1], given | {"u": np.ones(3, np.float32)}, begin[:1], ("z",))
     for first, last in ((0, 21), (5, 5), (-1, 3)):
         with pytest.raises(ValueError, match="segments: one or more rows of the 20 given"):
             kernel.segments([first], [last], given, begin[:1], ("z",))
