@@ -18,6 +18,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.resources import files
+from itertools import count
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -27,7 +28,7 @@ import click
 from daq.errors import SeatrialError
 
 ESTIMATION_S, VALIDATION_S = 400.0, 250.0  # run seconds of the two missions
-LATE_MS, SLOWEST = 45.0, 8.0  # wall ms that samples may leave late; slower than this is not tried
+LATE_MS, SLOWEST = 45.0, 8.0  # wall ms that samples may leave late; at this speed or slower nothing is repeated
 READY_WITHIN_S = 30.0  # wall seconds for a mock to open its ports; it may have to be compiled first
 TERMINATION_S = 10.0  # wall seconds between SIGTERM and SIGKILL
 LATE = re.compile(r"(?:at most|up to) ([0-9.]+) ms")
@@ -89,8 +90,8 @@ def fresh_folder(out: Path | None, seed: int) -> Path:
 def write_demo_rig(name: str, folder: Path, speed: float) -> None:
     """Copy the mocks' rig file into the folder, with the demo's clock speed in it."""
     text = (files("mocks") / "rigs" / f"{name}.toml").read_text(encoding="utf-8")
-    text, count = re.subn(r"(?m)^speed\s*=\s*[0-9.]+", f"speed = {speed!r}", text)
-    if count != 1:
+    text, n_found = re.subn(r"(?m)^speed\s*=\s*[0-9.]+", f"speed = {speed!r}", text)
+    if n_found != 1:
         raise SeatrialError(f"demo: the packaged rig {name}.toml has no clock speed; install seatrial again")
     (folder / f"{name}-rig.toml").write_text(text, encoding="utf-8")
 
@@ -123,30 +124,30 @@ def _mission(steps: DemoSteps, seed: int, run: int, seconds: float, name: str) -
 
 
 def _record(steps: DemoSteps, rig: str, mock: tuple[str, ...], name: str, *words: str) -> None:
-    """Record against a mock; where this machine could not keep up, once more at half the speed.
+    """Record against a mock; where this machine could not keep up, again at half the speed, down to a quarter.
 
     At 20 times real time a pause of 50 ms is a second of the boat's time, in which the shaft speeds, which have no
     clock of their own, are stamped late. Such a log is kept under another name; it is not a fair one to explain.
     """
-    failed: StepFailed | None = None
-    try:
-        with steps.mock(*mock):
-            steps.run(name, *words)
-    except StepFailed as problem:  # a device that paused for a second is silent, and the guard rightly ends the run
-        failed = problem
-    speed = _speed(steps.folder / f"{rig}-rig.toml")
-    if steps.late_ms <= LATE_MS or speed <= SLOWEST:
-        if failed is not None:
-            raise failed
-        return
-    click.echo(f"  this machine was too busy for {speed:g} times real time; once more at {speed / 2:g} times")
-    log = steps.folder / words[-1]
-    if log.exists():
-        log.rename(log.with_name(f"{log.stem}-late.mcap"))
-    write_demo_rig(rig, steps.folder, speed / 2)
-    with steps.mock(*mock):
-        steps.run(name, *words)
-    write_demo_rig(rig, steps.folder, speed)
+    usual = speed = _speed(steps.folder / f"{rig}-rig.toml")
+    for attempt in count(1):
+        failed: StepFailed | None = None
+        try:
+            with steps.mock(*mock):
+                steps.run(name, *words)
+        except StepFailed as problem:  # a device that paused for a second is silent, and the guard rightly ends the run
+            failed = problem
+        if steps.late_ms <= LATE_MS or speed <= SLOWEST:
+            break
+        click.echo(f"  this machine was too busy for {speed:g} times real time; once more at {speed / 2:g} times")
+        log = steps.folder / words[-1]
+        if log.exists():
+            log.rename(log.with_name(f"{log.stem}-late{attempt if attempt > 1 else ''}.mcap"))
+        speed /= 2
+        write_demo_rig(rig, steps.folder, speed)
+    write_demo_rig(rig, steps.folder, usual)
+    if failed is not None:
+        raise failed
 
 
 def _speed(rig: Path) -> float:

@@ -197,6 +197,14 @@ def test_a_recording_that_a_busy_machine_spoilt_is_repeated_at_half_the_speed(tm
     assert "speed = 20.0" in (tmp_path / "boat-rig.toml").read_text()
 
 
+def test_a_machine_that_stalls_again_gets_a_quarter_of_the_speed(tmp_path: Path) -> None:
+    demo.write_demo_rig("boat", tmp_path, 20.0)
+    steps = Rehearsal(tmp_path, [90.0, 90.0, 90.0], fails=True)
+    demo._record(steps, "boat", ("mock", "boat"), "run", "mission", "run", "-o", "a.mcap")
+    assert steps.speeds == ["speed = 20.0", "speed = 10.0", "speed = 5.0"]
+    assert {p.name for p in tmp_path.glob("*.mcap")} == {"a.mcap", "a-late.mcap", "a-late2.mcap"}
+
+
 def test_a_run_that_failed_on_a_machine_with_time_to_spare_is_a_failure(tmp_path: Path) -> None:
     demo.write_demo_rig("boat", tmp_path, 20.0)
     steps = Rehearsal(tmp_path, [3.0], fails=True)
