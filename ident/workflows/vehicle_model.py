@@ -102,8 +102,8 @@ def with_calibration(model: Model, curve: ThrustCurve, own: bool) -> tuple[Model
 
 def with_sampled_inputs(source: str, loaded: Sequence[LoadedLog]) -> tuple[str, list[str]]:
     """The model that takes inputs for uncertain in time, where there is one and they are known from slow samples, and a
-    line that says so: without it errors from 10 Hz are too small by a factor of two or three, and with it those from 25
-    to 40 Hz (docs/examples/ardurover)."""
+    line that says so: without it errors from 10 Hz are too small by a factor of two or three; from 25 to 40 Hz it makes
+    no estimate better, and two more states (docs/examples/ardurover)."""
     name, *options = source.split(":")
     slowest = max((x.run.channels[n].sampled for x in loaded for n in SHAFTS if n in x.run.channels), default=0.0)
     if name != "nomoto" or "sampled" in options or slowest < SLOW_INPUT_S:
