@@ -108,4 +108,11 @@ class Plans:
 
 
 def _tangent(g: EkfGraphs, expression: Any, ds: Any, dp: Any) -> Any:
-    return ca.jtimes(expression, ca.vertcat(g.s, g.p), ca.vertcat(ds, dp))
+    """Directional derivative. What depends on inputs and parameters alone, and not on the state, comes in by its
+    derivatives by the parameters, which are the same for all lanes: a delayed command has fifty copies, each with a
+    weight, and two parameters."""
+    known = ca.vertcat(g.u, g.u_next, g.y, g.p, g.h)
+    (rest,), symbols, parts = ca.extract_parametric([expression], known, {})
+    q, part = ca.vertcat(ca.SX(0, 1), *symbols), ca.vertcat(ca.SX(0, 1), *parts)
+    moved = ca.jtimes(rest, ca.vertcat(g.s, g.p, q), ca.vertcat(ds, dp, ca.jacobian(part, g.p) @ dp))
+    return ca.substitute(moved, q, part)

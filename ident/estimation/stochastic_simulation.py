@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -51,7 +52,9 @@ def simulate_stochastic(
     each, so that a replicate does not depend on its neighbours. x0 (n_replicates, n_states): where they start; by
     default drawn from the model's own initial distribution (states that start from a measurement: at their x0).
     """
-    p, step = list(np.asarray(values).T), np.diff(inputs.t)
+    step = np.diff(inputs.t)
+    # Numbers where all replicates have the same: of a delay known to be one most copies of a command have no weight.
+    p: list[Any] = [float(own[0]) if (own == own[0]).all() else own for own in np.asarray(values).T]
     n_sub = np.maximum(np.ceil(step / substep - 1e-9), 1).astype(int)
     x = np.array([_start(model, v, r) for v, r in zip(values, rngs, strict=True)]) if x0 is None else np.array(x0)
     shape = (int(n_sub.sum()), len(model.states))
@@ -74,7 +77,7 @@ def simulate_stochastic(
     return states, outputs + white * noise_sd.T[:, None, :]
 
 
-def _heun(model: Model, z: Array, ends: tuple[Array, Array], p: Sequence[Array], step: float, noise: Array) -> Array:
+def _heun(model: Model, z: Array, ends: tuple[Array, Array], p: Sequence[Any], step: float, noise: Array) -> Array:
     """Over one interval in as many substeps as there are ``noise`` (n, n_states, n_replicates); ends: its inputs."""
     n, (begin, end) = len(noise), ends
     h = step / n
@@ -85,7 +88,7 @@ def _heun(model: Model, z: Array, ends: tuple[Array, Array], p: Sequence[Array],
     return z
 
 
-def _rates(model: Model, x: Array, u: Array, p: Sequence[Array]) -> Array:
+def _rates(model: Model, x: Array, u: Array, p: Sequence[Any]) -> Array:
     rate = model.signals(x, u, p).rate
     out = np.empty_like(x)
     for i, state in enumerate(model.states):

@@ -170,13 +170,13 @@ def _inputs(s: Signals, ago: Any, *, errors: bool = True) -> list[Any]:
     found = []
     for side in SIDES:
         known = [getattr(s.u, _past(f"n_{side}", k)) for k in TAPS]
-        if not errors or not hasattr(s.x, f"late_{side}"):
-            found.append(sum(w * n for w, n in zip(weights, known, strict=True)))
-            continue
-        beyond = [2 * known[0] - known[1], *known, 2 * known[-1] - known[-2]]
-        change = [(late - early) / (2 * STEP) for early, late in zip(beyond[:-2], beyond[2:], strict=True)]
-        late = s.p.sigma_n * getattr(s.x, f"late_{side}") * np.exp(-ago / MEMORY)
-        found.append(sum(w * (n + late * d) for w, n, d in zip(weights, known, change, strict=True)))
+        then = sum(w * n for w, n in zip(weights, known, strict=True))
+        if errors and hasattr(s.x, f"late_{side}"):
+            beyond = [2 * known[0] - known[1], *known, 2 * known[-1] - known[-2]]
+            change = [(late - early) / (2 * STEP) for early, late in zip(beyond[:-2], beyond[2:], strict=True)]
+            late = s.p.sigma_n * getattr(s.x, f"late_{side}") * np.exp(-ago / MEMORY)
+            then = then + late * sum(w * d for w, d in zip(weights, change, strict=True))
+        found.append(then)
     return found
 
 
