@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ column = "t"
 COLUMNS = {"x": "m", "y": "m", "psi": "rad", "r": "rad/s", "vx": "m/s", "vy": "m/s", "n_left": "1", "n_right": "1"}
 
 
+@cache
 def sailed(seconds: float, seed: int) -> np.ndarray:
     """Rows of time and COLUMNS, at 10 Hz: Euler steps of 2 ms, gusts as white accelerations, white noise on sensors."""
     rng, p, h = np.random.default_rng(seed), TRUE, 0.002
@@ -54,7 +56,7 @@ def sailed(seconds: float, seed: int) -> np.ndarray:
 
 def imported(folder: Path, name: str, tables: str, extra: str = "") -> Path:
     """The boat's run as a log, by a map with these further tables and columns."""
-    rows = sailed(240.0, 1)
+    rows = sailed(180.0, 1)
     header = ["t", *COLUMNS, *extra.split()]
     rows = np.column_stack([rows, *(rows[:, 1] for _ in extra.split())])
     csv, text = folder / f"{name}.csv", MAP + tables
