@@ -2,7 +2,8 @@
 
 Names and units of the messages: ardupilot.org/rover/docs/logmessages.html. Times are TimeUS, s since boot, put on
 the calendar by the first GPS week that the log has. TimeUS is when a loop wrote it: a fix has the time at which it came
-(GPA.SMS), up to a loop before, and an attitude the IMU that is nearest, since a loop writes ATT before IMU.
+(GPA.SMS, in whole milliseconds), up to a loop before, and an attitude the IMU that is nearest, since a loop writes ATT
+before IMU.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 
 from daq.errors import SeatrialError, counted
 from daq.importers.write_log import Timed
-from daq.protocol import FIXES, mode_name
+from daq.protocol import FIXES, HALF_MS, mode_name
 from daq.rig import Device, Rig
 from daq.samples import NAN, Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, Sample, Servo, wrap_angle
 
@@ -53,7 +54,7 @@ class _Reader:
     def _gpa(self, m: Any) -> Found:
         age = getattr(m, "TimeUS", NAN) * 1e-6 - getattr(m, "SMS", NAN) * 1e-3
         if getattr(m, "I", 0) == 0 and 0.0 <= age < OLDEST_FIX_S:
-            self._ages[m._timestamp] = age
+            self._ages[m._timestamp] = max(age - HALF_MS, 0.0)
         return []
 
     def joined(self, rows: list[Timed]) -> Iterator[Timed]:

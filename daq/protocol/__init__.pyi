@@ -23,6 +23,7 @@ from .dronecan import Assembler as Assembler
 from .mavlink import ARMED as ARMED
 from .mavlink import FIXES as FIXES
 from .mavlink import GRAVITY as GRAVITY
+from .mavlink import HALF_MS as HALF_MS
 from .mavlink import INVALID as INVALID
 from .mavlink import ROVER as ROVER
 from .mavlink import SEVERITIES as SEVERITIES

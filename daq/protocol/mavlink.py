@@ -22,6 +22,7 @@ SERVICE = (
 GRAVITY = 9.80665
 SAME_S = 0.005  # s of boot time within which attitude and IMU are of one moment
 IMU_AWAITED_S = 1.0  # s of boot time after an IMU message for which an attitude waits for its own
+HALF_MS = 0.0005  # s by which a time that was cut to whole milliseconds is too early, on the average
 UNIX_US = 10**14  # a time_usec from here on counts from 1970, below from boot
 ARDUPILOT = 3  # HEARTBEAT.autopilot; its RAW_IMU has units
 ANY = 0  # system id: of all systems, as an autopilot hears them
@@ -238,11 +239,11 @@ class Samples:
 
     def _system_time(self, m: Any) -> Found:
         if m.time_unix_usec >= UNIX_US:
-            self._utc_of_boot = m.time_unix_usec * 1e-6 - m.time_boot_ms * 1e-3
+            self._utc_of_boot = m.time_unix_usec * 1e-6 - _since_boot(m.time_boot_ms)
         return []
 
     def _attitude(self, m: Any) -> Found:
-        t = m.time_boot_ms * 1e-3
+        t = _since_boot(m.time_boot_ms)
         self._boot = t
         found: Found = [self._attitude_waits] if self._attitude_waits is not None else []
         self._attitude_waits = None
@@ -264,7 +265,7 @@ class Samples:
         return self._milli(m, self._at(m.time_usec)) if self._ardupilot else []
 
     def _scaled_imu(self, m: Any) -> Found:
-        return self._milli(m, m.time_boot_ms * 1e-3)
+        return self._milli(m, _since_boot(m.time_boot_ms))
 
     def _milli(self, m: Any, t: float) -> Found:
         """Thousandths of g and of a gauss."""
@@ -293,6 +294,8 @@ class Samples:
             return []
         self._fix = m.time_usec
         t = self._at(m.time_usec)
+        if self._ardupilot and m.time_usec < UNIX_US:  # its milliseconds, times thousand
+            t += HALF_MS
         fix = FIXES.get(m.fix_type, 0)
         course = math.radians(m.cog * 0.01) if m.cog != 0xFFFF else NAN
         speed = _cut(m.vel) if fix >= 2 and m.vel != 0xFFFF else NAN
@@ -316,7 +319,7 @@ class Samples:
         ]
 
     def _position(self, m: Any) -> Found:
-        t = m.time_boot_ms * 1e-3
+        t = _since_boot(m.time_boot_ms)
         if m.time_boot_ms == self._fix:
             return []
         self._fix = m.time_boot_ms
@@ -388,6 +391,11 @@ class Samples:
         self._chunks = (0, "")
         word = SEVERITIES[m.severity] if m.severity < len(SEVERITIES) else f"severity {m.severity}"
         return [(Event("statustext", f"{word}: {text}"), NAN)]
+
+
+def _since_boot(ms: int) -> float:
+    """Seconds of a time in whole milliseconds."""
+    return ms * 1e-3 + HALF_MS
 
 
 def _cut(velocity: int) -> float:

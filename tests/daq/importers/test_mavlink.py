@@ -172,7 +172,7 @@ def test_a_dataflash_log_becomes_a_log(tmp_path: Path) -> None:
         assert ahrs["r"] == pytest.approx(0.1 * np.arange(20))
         fixes = log.table(Gnss, "autopilot")
         fix = fixes[0]
-        late = np.array([0.017, 0.037] * 10)  # when the fix came, not when a loop wrote it
+        late = np.array([0.0165, 0.0365] * 10)  # when the fix came, in whole milliseconds, not when a loop wrote it
         assert fixes["t_device"] == pytest.approx(ahrs["t_device"] - late)
         assert fixes["t"] == pytest.approx(ahrs["t"] - late, abs=1e-3)
         assert (fix["lat"], fix["lon"], fix["fix"]) == (pytest.approx(42.358), pytest.approx(-71.0856831), 4)
