@@ -51,7 +51,7 @@ COMMANDS = {
     "bench": Row("bench.cli:bench", "Characterise thrusters: static, steps, chirp, all."),
     "mission": Row("bench.cli:mission", "Design, make, show and run missions."),
     "import": Row("daq.cli:import_", "Turn foreign logs into MCAP."),
-    "export": Row("daq.cli:export", "Write a log's tables as CSV or Parquet."),
+    "export": Row("daq.cli:export", "Write a log as CSV, Parquet, MATLAB, NetCDF or a bag of ROS 2."),
     "info": Row("daq.cli:info", "Say what a log holds."),
     "recover": Row("daq.cli:recover", "Recover the log of a killed run."),
     "replay": Row("daq.cli:replay", "Send a log's raw bytes again, on ports."),

@@ -32,7 +32,10 @@ _RETRY = click.option(
 
 @click.group(epilog="Example: seatrial bench all bench-rig.toml -o bench.mcap")
 def bench() -> None:
-    """Characterise one thruster on the bench: command, rpm and force into a log."""
+    """Characterise one thruster on the bench: command, rpm and force into a log. `all` is the usual one.
+
+    THRUSTERS TURN at once. Ctrl-C ends at zero thrust; exit status 3: ended by a safety limit.
+    """
 
 
 @click.group(epilog="Example: seatrial mission run mission.toml boat-rig.toml -o run.mcap")
@@ -95,7 +98,11 @@ def _run(plan: Mission, rig: Rig, out: Path | None, arm: bool, retry: int, comma
 @_ARM
 @_RETRY
 def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: int) -> None:
-    """Run a mission and record it; Ctrl-C ends it at zero thrust."""
+    """Run a mission and record it. THRUSTERS TURN at once.
+
+    Keys: space zero thrust, and on again; r repeats the step; m marks the log; Ctrl-C ends at zero thrust. Exit
+    status 3: ended by a safety limit.
+    """
     _run(load_mission(mission_path), load_rig(rig_path), out, arm, retry)
 
 

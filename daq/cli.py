@@ -78,7 +78,8 @@ def _stop_signal() -> Iterator[threading.Event]:
 )
 @click.option(
     "-o",
-    "--output",
+    "--out",
+    "output",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
     help="The log; a name made of rig and date if not given.",
@@ -327,9 +328,9 @@ def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, 
 def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml: bool) -> None:
     """Find the serial ports and CAN buses of this machine, or of PORTs, and identify the protocol of each device.
 
-    Only listens, at one baud rate after the other: nothing is sent to a port. PORT may be an autopilot's on a network,
-    as udp:HOST:PORT or tcp:HOST:PORT; with --toml its parameters are asked for, none is changed, and its thrusters are
-    written too: a whole rig file, in which what is yours to measure is a caveat.
+    Only listens, at one baud rate after the other. PORT may be an autopilot's on a network, as udp:HOST:PORT or
+    tcp:HOST:PORT. With --toml an autopilot that is named, there or on a serial port, is asked for its parameters; none
+    is changed. Its thrusters are written too: a whole rig file, in which what is yours to measure is a caveat.
 
     \b
     Example:

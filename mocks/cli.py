@@ -46,7 +46,7 @@ def _options(effects: Sequence[str]) -> Callable[[Command], Command]:
                 click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True,
                              help="Seed of parameters, current and effect."),
                 click.option("--run", type=click.IntRange(min=0), default=0, show_default=True,
-                             help="Run with the same seed: other noise."),
+                             help="Number of the run: the same boat, other noise."),
                 click.option("--effect", type=choice, default="none", show_default=True, metavar="NAME",
                              help=f"none, draw (the seed draws) or one of {', '.join(effects)}."),
                 click.option("--truth-file", "truth_file", type=click.Path(path_type=Path), metavar="FILE",
@@ -54,7 +54,7 @@ def _options(effects: Sequence[str]) -> Callable[[Command], Command]:
                 click.option("--trace", type=click.Path(path_type=Path), metavar="FILE",
                              help="Write a JSON line for every change of a thruster's effective command."),
                 click.option("--fault", "faults", multiple=True, metavar="NAME[/TARGET]@T[:SECONDS]",
-                             help=f"At run second T, or at signal USR1 with T = usr1. {_FAULT_HELP}."),
+                             help=f"T: run seconds after the mock's start, or usr1: at that signal. {_FAULT_HELP}."),
                 click.option("--ascii", "ascii_", is_flag=True, help="The AHRS sends $VNYMR instead of binary."),
             )
         ):  # fmt: skip

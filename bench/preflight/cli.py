@@ -37,7 +37,14 @@ FILE = click.Path(path_type=Path)
 STYLES: dict[str, dict[str, Any]] = {FAULT: {"fg": "red", "bold": True}, WARNING: {"fg": "yellow"}, OK: {"fg": "green"}}
 
 
-@click.command(epilog="Example: seatrial check boat-rig.toml --mission mission.toml --actuators")
+@click.command(
+    epilog="""\b
+    Examples:
+      seatrial check rig.toml
+      seatrial check rig.toml --mission mission.toml
+      seatrial check run.mcap --report check.html
+      seatrial check rig.toml --actuators"""
+)
 @click.argument("paths", metavar="RIG | LOG...", nargs=-1, required=True, type=LOG)
 @click.option("--seconds", type=click.FloatRange(0.5, 600.0), default=3.0, show_default=True, help="Wall s to listen.")
 @click.option(
@@ -53,7 +60,7 @@ STYLES: dict[str, dict[str, Any]] = {FAULT: {"fg": "red", "bold": True}, WARNING
     help="With --actuators, instead of it: 0.1 of thrust, silence; how soon does the autopilot end it?",
 )
 @click.option(
-    "--thrust", type=click.FloatRange(0, 1, min_open=True), help="Largest command of that test [default: 0.3]."
+    "--thrust", type=click.FloatRange(0, 1, min_open=True), help="Largest command of --actuators [default: 0.3]."
 )
 @click.option("--yes", is_flag=True, help="Do not ask before thrusters turn.")
 @click.option("--arm", is_flag=True, help="Put an autopilot into MANUAL, arm it, and disarm it at the end.")
@@ -78,8 +85,9 @@ def check(
     """Look for what would spoil a run, and say what to do about it.
 
     RIG (a .toml file): devices alive, at their rates, clocks, noise, battery, link, disk, and with --mission its dry
-    run; nothing moves but with --actuators. LOG: the same from recorded data, and whether sensors and thrusters
-    agree: sides, signs, units, delays, dead bands. Exit status 1 where there is a fault.
+    run; nothing moves unless --actuators is given: then the boat has to be free to move. LOG: the same from recorded
+    data, and whether sensors and thrusters agree: sides, signs, units, delays, dead bands. Exit status 1 where there is
+    a fault, 3 where a limit ended the actuator test.
     """
     _consistent(paths, mission_path, actuators, bool(arm or out or thrust or link_test))
     with tempfile.TemporaryDirectory(prefix="seatrial-check-") as folder:

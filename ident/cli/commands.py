@@ -131,7 +131,8 @@ ident.add_command(navigate)
 )
 @click.option(
     "-o",
-    "--output",
+    "--out",
+    "output",
     type=click.Path(dir_okay=False, path_type=Path),
     callback=not_there,
     help="File to write; else the screen.",
