@@ -8,22 +8,23 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from collections.abc import Mapping
 from functools import cache
-from types import ModuleType
+from types import MappingProxyType, ModuleType
 
 import ident.effects
 from ident.model import Effect
 
 
 @cache
-def catalogue() -> dict[str, Effect]:
-    """All effects by name, in alphabetical order."""
+def catalogue() -> Mapping[str, Effect]:
+    """All effects by name, in alphabetical order; the same for all who ask, so that nobody can change it."""
     found: dict[str, Effect] = {}
     for folder in pkgutil.iter_modules(ident.effects.__path__, "ident.effects."):
         if folder.ispkg:
             for file in pkgutil.iter_modules(importlib.import_module(folder.name).__path__, f"{folder.name}."):
                 _register(importlib.import_module(file.name), found)
-    return dict(sorted(found.items()))
+    return MappingProxyType(dict(sorted(found.items())))
 
 
 def _register(module: ModuleType, found: dict[str, Effect]) -> None:

@@ -73,7 +73,7 @@ def _begun(p: Parameter) -> Parameter:
 
 
 def _effect_for(model: Model, name: str) -> Effect:
-    known = catalogue() | {CURRENT_WALK: current_walk(), TELEMETRY_AGE: telemetry_age()}
+    known = {**catalogue(), CURRENT_WALK: current_walk(), TELEMETRY_AGE: telemetry_age()}
     possible = {e.name: e for e in known.values() if model.accepts(e)}
     can = ", ".join(possible) or "none"
     if name not in known:

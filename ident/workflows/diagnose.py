@@ -70,7 +70,7 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
         with_outliers(model) if request.estimation.outlier_model else model,
         runs,
         others,
-        effects=catalogue() | own,
+        effects={**catalogue(), **own},
         rate=request.rate or usual,
         max_effects=request.max_effects,
         reporter=reporter,

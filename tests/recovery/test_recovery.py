@@ -104,8 +104,7 @@ def test_a_name_is_found_behind_a_table() -> None:
 def test_a_sensor_that_no_catalogue_explains_is_drawn() -> None:
     """Without the compass' deviation in the catalogue: the error of the heading over the heading, and no name."""
     case = Case("compass", 2, "leave-one-out")
-    runs, effects = sailed(case, 150.0, 100.0), catalogue()
-    del effects["compass"]
+    runs, effects = sailed(case, 150.0, 100.0), {n: e for n, e in catalogue().items() if n != "compass"}
     found = diagnose(model_of(case), runs[:1], runs[1:], effects=effects, max_effects=1)
     assert [(e.effect.name, e.effect.kind) for e in found.effects] == [("unknown psi(psi)", EffectKind.NONPARAMETRIC)]
     prediction = result_of(found).prediction
