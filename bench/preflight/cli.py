@@ -39,7 +39,7 @@ STYLES: dict[str, dict[str, Any]] = {FAULT: {"fg": "red", "bold": True}, WARNING
 
 @click.command(
     epilog="""\b
-    Examples:
+    Example:
       seatrial check rig.toml
       seatrial check rig.toml --mission mission.toml
       seatrial check run.mcap --report check.html
