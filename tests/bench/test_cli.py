@@ -35,7 +35,7 @@ def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]
 def test_every_command_helps_with_an_example(capsys: pytest.CaptureFixture[str], words: list[str]) -> None:
     status, out, _ = run(capsys, *words, "--help")
     assert status == 0
-    assert f"Example: seatrial {words[0]}" in out
+    assert f"Example: seatrial {words[0]}" in " ".join(out.split())
 
 
 def test_make_and_show_a_mission(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
