@@ -38,7 +38,7 @@ def bench() -> None:
     """
 
 
-@click.group(epilog="Example: seatrial mission run mission.toml boat-rig.toml -o run.mcap")
+@click.group(epilog="Example: seatrial mission run mission.toml rig.toml -o run.mcap")
 def mission() -> None:
     """Generate, show and run missions."""
 
@@ -91,7 +91,7 @@ def _run(plan: Mission, rig: Rig, out: Path | None, arm: bool, retry: int, comma
     click.echo(f"done: {plan.name}, {plan.end:g} s in {time.monotonic() - start:.1f} s; log {path}")
 
 
-@mission.command(epilog="Example: seatrial mission run mission.toml boat-rig.toml -o run.mcap")
+@mission.command(epilog="Example: seatrial mission run mission.toml rig.toml -o run.mcap")
 @click.argument("mission_path", metavar="MISSION", type=EXISTING)
 @click.argument("rig_path", metavar="RIG", type=EXISTING)
 @click.option("-o", "--out", type=FILE, help="The log to write [default: by date in the rig's log directory].")
@@ -106,7 +106,7 @@ def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: 
     _run(load_mission(mission_path), load_rig(rig_path), out, arm, retry)
 
 
-@mission.command(epilog="Example: seatrial mission follow boat-rig.toml --seconds 300 -o run.mcap")
+@mission.command(epilog="Example: seatrial mission follow rig.toml --seconds 300 -o run.mcap")
 @click.argument("rig_path", metavar="RIG", type=EXISTING)
 @click.option("--seconds", type=click.FloatRange(1.0, 7200.0), default=300.0, show_default=True, help="Run seconds.")
 @click.option(

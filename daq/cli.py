@@ -336,7 +336,7 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
     Example:
       seatrial devices
       seatrial devices /dev/ttyUSB0 --toml
-      seatrial devices udp:127.0.0.1:14550 --toml > boat.toml
+      seatrial devices udp:127.0.0.1:14550 --toml > autopilot.toml
     """
     from daq.rig import NET_KINDS
     from daq.tools import find, identify_autopilot, identify_protocol
