@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import pytest
 
-zenoh = pytest.importorskip("zenoh")
+zenoh = pytest.importorskip("zenoh", reason="no Zenoh here (extra ros2)")
 FLOAT64 = "std_msgs::msg::dds_::Float64_/RIHS01_705ba9c3d1a09df43737eb67095534de36fd426c0587779bda2bc51fe790182a"
 
 

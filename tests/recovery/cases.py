@@ -55,20 +55,21 @@ def named_truth(true: Mapping[str, float]) -> dict[str, float]:
     return hull | ratios | {"V_x": true["current_n"], "V_y": true["current_e"]}
 
 
-def recordings_of(case: Case) -> list[Recording]:
-    """The estimation mission and the validation mission, sailed."""
+def recordings_of(case: Case, seconds: tuple[float, float] | None = None) -> list[Recording]:
+    """The estimation mission and the validation mission, sailed, as long as its kind says or `seconds`."""
     boat, how = boat_of(case), case.how
     found = []
-    for seconds, mission_seed, run in zip(how.seconds, (100, 200), (1, 2), strict=True):
-        t, n = make_mission("mixed", seconds, mission_seed + case.seed).setpoints()
-        found.append(simulate(boat, t, how.gain * np.asarray(n), seconds, run))
+    for lasts, mission_seed, run in zip(seconds or how.seconds, (100, 200), (1, 2), strict=True):
+        t, n = make_mission("mixed", lasts, mission_seed + case.seed).setpoints()
+        found.append(simulate(boat, t, how.gain * np.asarray(n), lasts, run))
     return found
 
 
-def runs_of(case: Case) -> list[LogSegment]:
+def runs_of(case: Case, seconds: tuple[float, float] | None = None) -> list[LogSegment]:
     """Both missions in memory."""
     runs = []
-    for name, run, recording in zip(("estimation", "validation"), (1, 2), recordings_of(case), strict=True):
+    recordings = recordings_of(case, seconds)
+    for name, run, recording in zip(("estimation", "validation"), (1, 2), recordings, strict=True):
         channels = channels_of(recording)
         runs.append(LogSegment(name, with_gaps(channels, 10 * case.seed + run) if case.how.gaps else channels))
     return runs

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ident.characterisation.thruster import THRUSTER_RATE, fit_thruster
-from ident.data.record import LogSegment, build_record
+from ident.data.record import build_record
 from ident.diagnosis import diagnose
 from ident.effects.nonparametric import NonparametricForce
 from ident.effects.registry import catalogue
@@ -20,7 +20,7 @@ from ident.models.thruster import delayed_channels, thruster_model
 from ident.results.tables import fit_summary
 from mocks.hidden_effects.catalogue import EFFECTS, OUTSIDE
 from mocks.plant.bench import draw_bench
-from tests.missions import bench_channels_of, channels_of, push, sail
+from tests.missions import bench_channels_of, push
 from tests.recovery import study, tables, targets, verdict
 from tests.recovery.cases import (
     Row,
@@ -38,13 +38,6 @@ from tests.recovery.kinds import KINDS, Case, all_pairs, boat_of, with_gaps
 from tests.recovery.oracle import _beyond
 
 IDENTIFIABLE = {"m_u", "m_v", "m_r", "d_v", "d_r", "d_uu", "d_vv", "d_rr", "V_x", "V_y"}
-
-
-def sailed(case: Case, *seconds: float) -> list[LogSegment]:
-    """Missions of a case's boat as long as this, which find what they must in half the time of the study's."""
-    boat = boat_of(case)
-    missions = [sail(boat, s, 100 * run + case.seed, run)[0] for run, s in enumerate(seconds, 1)]
-    return [LogSegment(str(run), channels_of(mission)) for run, mission in enumerate(missions, 1)]
 
 
 @pytest.mark.slow
@@ -79,7 +72,7 @@ def test_an_effect_is_named_first_and_makes_the_model_better(effect: str) -> Non
 def test_what_a_mixture_would_miss_most_comes_first() -> None:
     """The small delays of all effects together gain most of the likelihood; the boat goes astray by another."""
     case = Case("turning-resistance", 1, "mixture")
-    runs = sailed(case, 240.0, 160.0)
+    runs = runs_of(case, (240.0, 160.0))
     found = diagnose(model_of(case), runs[:1], runs[1:], max_effects=2)
     first = next(r.chosen for r in found.rounds if r.chosen is not None)
     assert first.effect.name == "delay"
@@ -104,7 +97,7 @@ def test_a_name_is_found_behind_a_table() -> None:
 def test_a_sensor_that_no_catalogue_explains_is_drawn() -> None:
     """Without the compass' deviation in the catalogue: the error of the heading over the heading, and no name."""
     case = Case("compass", 2, "leave-one-out")
-    runs, effects = sailed(case, 150.0, 100.0), {n: e for n, e in catalogue().items() if n != "compass"}
+    runs, effects = runs_of(case, (150.0, 100.0)), {n: e for n, e in catalogue().items() if n != "compass"}
     found = diagnose(model_of(case), runs[:1], runs[1:], effects=effects, max_effects=1)
     assert [(e.effect.name, e.effect.kind) for e in found.effects] == [("unknown psi(psi)", EffectKind.NONPARAMETRIC)]
     prediction = result_of(found).prediction

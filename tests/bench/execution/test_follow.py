@@ -19,7 +19,7 @@ from tests.bench.runs import AT_ONCE_S, Run, acquisition_of, kinds, running
 from tests.bench.standin import StandIn, until
 from tests.daq.ros_ends import Commander, Router
 
-pytest.importorskip("rosbags")
+pytest.importorskip("rosbags", reason="no ROS types here (rosbags)")
 FOLLOW = ("mission", "follow", "bench-rig.toml", "--seconds", "400", "--slew", "2")
 TIMEOUT_S = 0.3
 PROGRAM = """

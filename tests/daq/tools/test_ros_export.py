@@ -23,7 +23,7 @@ from daq.samples import Ahrs, Frame, Gnss
 from daq.tools.ros_export import export_ros
 from tests.daq.logs import RIG, T0, StoppedClock, recorder, write_everything
 
-rosbags = pytest.importorskip("rosbags.highlevel")
+rosbags = pytest.importorskip("rosbags.highlevel", reason="no reader of bags here (rosbags)")
 LAT, LON = 63.4, 10.4
 
 

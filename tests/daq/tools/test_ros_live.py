@@ -31,7 +31,7 @@ from tests.daq.logs import rig as rig_of_logs
 from tests.daq.ptys import TestBoat, wait_for
 from tests.daq.ros_ends import FLOAT64, Commander, Router, session, zenoh
 
-typesys = pytest.importorskip("rosbags.typesys")
+typesys = pytest.importorskip("rosbags.typesys", reason="no ROS types here (rosbags)")
 ROOT = Path(__file__).parents[3]
 STREAM = [StreamedSample(device, sample, T0 + 0.25) for device, sample in SAMPLES]
 IMU = "sensor_msgs::msg::dds_::Imu_/RIHS01_7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b"
