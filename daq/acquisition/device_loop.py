@@ -15,10 +15,10 @@ from daq.acquisition.sensor_health import SensorHealth
 from daq.acquisition.status import Latest, PortStatus, Source
 from daq.clock import ClockMap, RunClock, SuspendDetector
 from daq.drivers import DeviceDriver, Due, LinkStatus, Setpoints
-from daq.protocol import DatagramDecoder, Decoder
+from daq.protocol import Decoder
 from daq.rig import Device
 from daq.samples import NAN, Ahrs, Command, Esc, Event, Frame, Gnss, PortHealth, Sample, Servo
-from daq.transport import Port, PortError
+from daq.transport import Port, PortError, decode_read
 
 IDLE_S = 0.5  # wall; longest wait for bytes
 RETRY_S = (0.05, 0.1, 0.2, 0.5, 1.0)  # wall; waits between attempts to open
@@ -33,19 +33,6 @@ MANY = ("mavlink", "nmea2000")  # several kinds of samples over one port, and no
 
 def _is_attitude(sample: Sample) -> bool:
     return isinstance(sample, Ahrs) and not math.isnan(sample.yaw)
-
-
-def decode_read(port: Port, decoder: Decoder, data: bytes, t_rx: float) -> list[Frame]:
-    """The samples of one read. On a network, who has sent a frame of the device is the one to answer."""
-    if not isinstance(decoder, DatagramDecoder):
-        return decoder.feed(data, t_rx)
-    if not port.is_confirmed:
-        decoder.begin_datagram()
-    before = decoder.accepted
-    frames = decoder.feed(data, t_rx)
-    if decoder.accepted > before:
-        port.confirm()
-    return frames
 
 
 class DeviceLoop(threading.Thread):

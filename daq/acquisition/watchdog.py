@@ -19,7 +19,6 @@ import threading
 import time
 from pathlib import Path
 
-from daq.acquisition.device_loop import decode_read
 from daq.acquisition.ipc import ACTIVE, ANSWER, FINISHED, IDLE, AcquisitionChannel, WatchdogConfiguration, WatchdogReady
 from daq.config import parse_rig
 from daq.drivers import DeviceDriver
@@ -27,7 +26,7 @@ from daq.log import note_path
 from daq.protocol import Decoder, pack_can, vesc
 from daq.realtime_priority import set_realtime_priority
 from daq.rig import DRIVES, Device, Rig
-from daq.transport import Port, PortError, make_port
+from daq.transport import Port, PortError, decode_read, make_port
 
 # Wall seconds.
 HANG_S = 0.6  # without a heartbeat: more than a busy machine pauses, less than the second of most ESCs

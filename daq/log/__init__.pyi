@@ -13,12 +13,12 @@ from .recovery import recover_log as recover_log
 from .schema import NODE_TOPICS as NODE_TOPICS
 from .schema import local_ned as local_ned
 from .schema import quaternion as quaternion
-from .segments import discard_note as discard_note
 from .segments import first_of as first_of
 from .segments import first_segments as first_segments
-from .segments import note_path as note_path
-from .segments import read_note as read_note
 from .tables import LogTable as LogTable
 from .tables import Resampled as Resampled
 from .tables import log_tables as log_tables
 from .tables import resample as resample
+from .watchdog_note import discard_note as discard_note
+from .watchdog_note import note_path as note_path
+from .watchdog_note import read_note as read_note

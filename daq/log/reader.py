@@ -30,8 +30,9 @@ from daq.log.cdr import ENCAPSULATION, HEAD, NANO, CdrLayout, cdr_layout, stamps
 from daq.log.mcap_chunk import Messages
 from daq.log.mcap_reader import LAST_NS
 from daq.log.schema import Measured
-from daq.log.segments import open_raw, read_note
+from daq.log.segments import open_raw
 from daq.log.tables import resample
+from daq.log.watchdog_note import read_note
 from daq.rig import Rig
 from daq.samples import Ahrs, Command, Esc, PortHealth, Scalar, Servo
 

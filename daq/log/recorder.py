@@ -16,7 +16,8 @@ from daq.log import schema
 from daq.log.cdr import NANO, cdr_layout
 from daq.log.mcap_writer import DiskFull, LogWriter
 from daq.log.provenance import collect
-from daq.log.segments import discard_note, segment_path
+from daq.log.segments import segment_path
+from daq.log.watchdog_note import discard_note
 from daq.rig import Rig
 from daq.samples import Event, Frame, PortHealth
 

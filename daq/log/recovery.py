@@ -10,7 +10,8 @@ from typing import NamedTuple
 from daq.errors import SeatrialError
 from daq.log.mcap_reader import RawLog
 from daq.log.mcap_writer import RecordWriter
-from daq.log.segments import SegmentedLog, discard_note, open_raw
+from daq.log.segments import SegmentedLog, open_raw
+from daq.log.watchdog_note import discard_note
 
 CHUNK_BYTES = 1024 * 1024
 

@@ -1,4 +1,4 @@
-"""The segments of a log, NAME.mcap, NAME.1.mcap, NAME.2.mcap, ..., read as one; and the note of a watchdog, LOG.stop.
+"""The segments of a log, NAME.mcap, NAME.1.mcap, NAME.2.mcap, ..., read as one.
 
 A file is a segment of the first one when its metadata has the same run clock, rig and host: a name alone may be
 chance. Numbers may be missing, and each segment may be cut off or damaged by itself.
@@ -6,7 +6,6 @@ chance. Numbers may be missing, and each segment may be cut off or damaged by it
 
 from __future__ import annotations
 
-import contextlib
 import re
 from collections import Counter
 from collections.abc import Collection, Iterator
@@ -16,13 +15,11 @@ from pathlib import Path
 import numpy as np
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from daq.errors import SeatrialError, printable
+from daq.errors import SeatrialError
 from daq.log.mcap_chunk import Messages
 from daq.log.mcap_reader import LAST_NS, MAX_WARNINGS, RawLog
 
 SAME = ("origin", "rig", "host")  # what segments of one log have in common
-LONGEST = 500  # characters
-NOTE = re.compile(r"\d{4}-\d\d-\d\dT\S+ watchdog: ")  # how a watchdog's note begins
 
 
 def open_raw(path: Path) -> RawLog | SegmentedLog:
@@ -163,25 +160,3 @@ def first_of(path: Path) -> Path | None:
     match = re.fullmatch(r"(.+)\.\d{1,6}", path.stem)
     first = path.with_name(f"{match[1]}{path.suffix}") if match else path
     return first if first != path and first.is_file() else None
-
-
-def note_path(log: Path) -> Path:
-    """Where the watchdog writes what it did to the run of a log."""
-    return log.with_name(f"{log.name}.stop")
-
-
-def read_note(log: Path) -> str:
-    """What a watchdog wrote beside a log, in one line; empty where it did not have to."""
-    path = note_path(log)
-    try:
-        text = path.read_bytes()[: 4 * LONGEST].decode("utf-8", errors="replace") if path.is_file() else ""
-    except OSError:
-        return ""
-    return printable(" ".join(text.split())[:LONGEST])
-
-
-def discard_note(log: Path) -> None:
-    """Take away what a watchdog wrote of an earlier log of this name: a new one must not be blamed for it."""
-    if NOTE.match(read_note(log)):
-        with contextlib.suppress(OSError):
-            note_path(log).unlink()

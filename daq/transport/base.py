@@ -10,6 +10,9 @@ import errno
 import re
 from abc import ABC, abstractmethod
 
+from daq.protocol import DatagramDecoder, Decoder
+from daq.samples import Frame
+
 READ_BYTES = 65536
 WRITE_S = 0.05  # wall; a port that takes no bytes for longer is as good as gone
 
@@ -85,3 +88,16 @@ def os_error_text(error: BaseException) -> str:
     if number is None and (inner := re.search(r"\((\d+), '", str(error))):  # pyserial quotes the one below it
         number = int(inner[1])
     return _REASONS.get(number or 0) or " ".join(str(error).split()) or type(error).__name__
+
+
+def decode_read(port: Port, decoder: Decoder, data: bytes, t_rx: float) -> list[Frame]:
+    """The samples of one read. On a network, who has sent a frame of the device is the one to answer."""
+    if not isinstance(decoder, DatagramDecoder):
+        return decoder.feed(data, t_rx)
+    if not port.is_confirmed:
+        decoder.begin_datagram()
+    before = decoder.accepted
+    frames = decoder.feed(data, t_rx)
+    if decoder.accepted > before:
+        port.confirm()
+    return frames

@@ -20,7 +20,7 @@ import pytest
 
 from daq.config.mission_file import Mission, Segment, save_mission
 from daq.log.reader import open_log
-from daq.log.segments import read_note
+from daq.log.watchdog_note import read_note
 from daq.samples import Command, Esc
 from tests.bench.runs import AT_ONCE_S, DEADMAN_S, acquisition_of, watchdog_of
 from tests.bench.standin import until

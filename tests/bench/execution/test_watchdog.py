@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -12,7 +14,7 @@ import pytest
 from daq.acquisition.ipc import ACTIVE, FINISHED, IDLE
 from daq.acquisition.watchdog import ANSWER_S, HANG_S, POLL_S, HeartbeatMonitor
 from daq.log.reader import open_log
-from daq.log.segments import read_note
+from daq.log.watchdog_note import read_note
 from tests.bench.runs import AT_ONCE_S, acquisition_of, is_alive, kinds, running, short_mission, watchdog_of
 from tests.bench.standin import SLOW_ESC_S, StandIn, until
 
@@ -54,6 +56,12 @@ def test_the_end_of_the_line_is_a_reason_unless_it_was_announced_or_nothing_move
     assert "died" in str(moving.look(0.02, None))
     leaving = HeartbeatMonitor(0.0)
     assert leaving.look(0.0, ACTIVE + IDLE + FINISHED) == ""
+
+
+def test_it_loads_only_what_it_needs_to_send_zero() -> None:
+    program = "import sys, daq.acquisition.watchdog as w, daq.log; daq.log.note_path; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert not {"numpy", "mcap", "zstandard", "pymavlink", "can"} & set(done.stdout.split())
 
 
 @pytest.mark.parametrize("what", ["acquisition hangs", "acquisition killed", "both killed"])

@@ -22,7 +22,8 @@ from daq.log.mcap_reader import RawLog
 from daq.log.mcap_writer import LogWriter
 from daq.log.reader import open_log
 from daq.log.schema import TYPES, topic
-from daq.log.segments import note_path, segment_path
+from daq.log.segments import segment_path
+from daq.log.watchdog_note import note_path
 from daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, PortHealth, Scalar
 from tests.daq.logs import HEALTH, N_ROUNDS, T0, recorder, tables
 

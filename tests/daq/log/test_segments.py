@@ -23,7 +23,7 @@ from daq.log import recorder as recorder_module
 from daq.log.reader import Log, open_log
 from daq.log.recorder import Recorder, check_room
 from daq.log.recovery import recover_log
-from daq.log.segments import note_path
+from daq.log.watchdog_note import note_path
 from daq.rig import Segments
 from daq.samples import Ahrs, Frame, Gnss
 from tests.daq.logs import T0, StoppedClock, rig

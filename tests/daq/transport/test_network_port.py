@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.acquisition.device_loop import DeviceLoop, decode_read
+from daq.acquisition.device_loop import DeviceLoop
 from daq.acquisition.log_thread import LogSink
 from daq.acquisition.watchdog import FailsafeSender
 from daq.clock import RunClock
@@ -23,7 +23,7 @@ from daq.errors import SeatrialError
 from daq.protocol.catalogue import make_decoder
 from daq.protocol.mavlink import MavlinkDecoder
 from daq.protocol.mavlink_wire import Codec, Head, head
-from daq.transport.base import Port, PortError
+from daq.transport.base import Port, PortError, decode_read
 from daq.transport.factory import make_net_port, make_port
 from daq.transport.network_port import SILENT_S, UdpPort
 from tests.daq.mavlink_ends import rig_text
