@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import multiprocessing
 import os
 import random
@@ -19,7 +20,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from daq.log.reader import open_log
-from daq.log.segments import read_note
+from daq.log.watchdog_note import read_note
 from tests.bench.fault_kinds import AFTER_DECISION_S, DISK, Kind, write_files
 from tests.bench.mock_process import mock_process
 from tests.bench.runs import acquisition_of, is_alive, watchdog_of
@@ -33,15 +34,16 @@ MEMORY = "/dev/shm"  # a file system in memory, on Linux
 class Trial:
     """What came of one."""
 
-    zero_s: float  # wall, from the fault to the last thruster at zero
-    decided_s: float  # wall, from the decision to it; NaN where the decision is not in the log
-    said: str
+    zero_s: float = math.nan  # wall, from the fault to the last thruster at zero
+    decided_s: float = math.nan  # wall, from the decision to it; NaN where the decision is not in the log
+    said: str = ""
     wrong: list[str] = field(default_factory=list)
     spoilt: str = ""  # why the run had ended before anything failed: a machine so busy that a deadman struck
 
     def as_row(self) -> dict[str, Any]:
-        """As JSON can carry it."""
-        return asdict(self)
+        """As JSON can carry it, without what says nothing."""
+        row = asdict(self) | {"zero_s": round(self.zero_s, 4), "decided_s": round(self.decided_s, 4)}
+        return {name: value for name, value in row.items() if value not in ("", []) and value == value}  # no NaN
 
 
 class Boat:
@@ -187,7 +189,7 @@ def _run(folder: str, words: list[str]) -> None:
 
 
 def _no_trial(why: str) -> Trial:
-    return Trial(float("nan"), float("nan"), "", [], why)
+    return Trial(spoilt=why)
 
 
 def _last_line(folder: Path) -> str:
@@ -205,6 +207,7 @@ def _processes(folder: Path, pid: int, log: Path) -> Running | None:
 
 def _judged(kind: Kind, log: Path, begun: float, boat: Boat, forgiven: float, found: list[str]) -> Trial:
     line, *wrong = found
+    folder = log.parent.parent if kind.full else log.parent
     if boat.turning():
         wrong.append("thrust came back")
     with open_log(log) as opened:
@@ -218,9 +221,9 @@ def _judged(kind: Kind, log: Path, begun: float, boat: Boat, forgiven: float, fo
     if before:
         return _no_trial(before[0])
     texts = [text for _, event, text in events if event == "stop"] + [read_note(log), line]
-    said = next((text for text in texts if re.search(kind.says, text)), "")
+    said = next((text for text in texts if re.search(kind.says, text)), "").replace(f"{folder}/", "")
     decided = [float(text.split()[0]) for _, event, text in events if event == "decided"]
-    after = boat.zero_at - wall(decided[0]) if decided else float("nan")
+    after = boat.zero_at - wall(decided[0]) if decided else math.nan
     zero = boat.zero_at - begun - forgiven
     wrong += [] if said else [f"the log does not say why: {texts}"]
     if zero > kind.within_s + AFTER_DECISION_S:

@@ -1,6 +1,6 @@
 """Everything that can end a run, many times each, with the mock boat: is thrust zero in time, and does the log say why?
 
-    python -m tests.bench.fault_trials --n 100 --jobs 2
+    python -m tests.bench.fault_trials --n 100 --jobs 2 --out tests/bench/fault-trials.jsonl --docs docs/safety.md
 
 Each trial runs a mission on the mock boat behind real ports, waits until it turns, lets one thing fail at a random
 moment, and looks at when the thrusters stood (the mock's own trace) and at what the log says. Prints a table; exit
@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import signal
 import sys
 import threading
@@ -93,7 +92,7 @@ def run_all(kinds: Sequence[Kind], n: int, seed: int, jobs: int, store: Store, s
                 del left[0]
         except Exception as error:  # that trial has failed; the others are still worth running
             problem = f"{type(error).__name__}: {error}"
-            store.put(kind, left[0], Trial(math.nan, math.nan, "", [problem]))
+            store.put(kind, left[0], Trial(wrong=[problem]))
             say(f"{kind.name}, seed {left[0]}: {problem}")
 
     with ThreadPoolExecutor(jobs) as pool:
