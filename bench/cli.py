@@ -144,6 +144,13 @@ def show(mission_path: Path) -> None:
     click.echo(describe_mission(load_mission(mission_path)))
 
 
+def _left_and_right(_context: click.Context, _parameter: click.Parameter, given: str) -> tuple[str, str]:
+    names = [name.strip() for name in given.split(",")]
+    if len(names) != 2 or not all(names):
+        raise click.BadParameter(f"two names with a comma between them, such as left,right, not '{given}'")
+    return names[0], names[1]
+
+
 @mission.command(
     short_help="Generate a random mission that excites what a diagnosis needs.",
     epilog="Example: seatrial mission generate --kind mixed --seconds 300 --seed 1 -o mission.toml",
@@ -155,9 +162,10 @@ def show(mission_path: Path) -> None:
 @click.option("--slew", type=click.FloatRange(0, min_open=True), help="Largest change of a command, 1/s.")
 @click.option(
     "--thrusters",
-    nargs=2,
-    default=("left", "right"),
+    metavar="LEFT,RIGHT",
+    default="left,right",
     show_default=True,
+    callback=_left_and_right,
     help="Names in the rig of the left and the right thruster.",
 )
 @click.option("-o", "--out", type=FILE, required=True, help="The mission file to write; it must not exist.")

@@ -127,7 +127,7 @@ def make_mission(
         n_max=n_max,
         made_by=(
             f"seatrial mission generate --kind {kind} --seconds {seconds:g} --seed {seed}"
-            f" --n-max {n_max:g} --thrusters {' '.join(thrusters)}"
+            f" --n-max {n_max:g} --thrusters {','.join(thrusters)}"
         ),
         seed=seed,
     )

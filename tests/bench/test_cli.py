@@ -40,7 +40,7 @@ def test_every_command_helps_with_an_example(capsys: pytest.CaptureFixture[str],
 
 def test_make_and_show_a_mission(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "m.toml"
-    words = ["--kind", "zigzag", "--seconds", "60", "--seed", "4", "--thrusters", "port", "starboard", "-o", str(path)]
+    words = ["--kind", "zigzag", "--seconds", "60", "--seed", "4", "--thrusters", "port,starboard", "-o", str(path)]
     status, out, _ = run(capsys, "mission", "generate", *words)
     assert status == 0
     assert "60 s" in out
@@ -64,6 +64,7 @@ def test_make_and_show_a_mission(capsys: pytest.CaptureFixture[str], tmp_path: P
         ["mission", "generate", "--kind", "tour", "--seed", "1", "-o", "m.toml"],
         ["mission", "generate", "--seed", "1"],
         ["mission", "generate", "-o", "m.toml"],
+        ["mission", "generate", "--seed", "1", "--thrusters", "left", "-o", "m.toml"],
         ["mission", "run", "m.toml"],
         ["bench", "steps"],
         ["bench", "steps", "rig.toml", "--n-max", "1.5"],
