@@ -27,6 +27,11 @@ except KeyboardInterrupt:  # Ctrl-C before there is a command to take it
     sys.stderr.write("\nseatrial: interrupted\n")
     raise SystemExit(130) from None
 
+# All matrices are small: threads of the linear algebra library would only wait for each other, and cost every process
+# a tenth of a second. Before numpy; the processes of a command inherit it.
+for _library in ("OPENBLAS", "OMP", "MKL"):
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+
 if TYPE_CHECKING:
     from bench.preflight.report import MotionChecks
     from daq.checks.check_report import CheckReport

@@ -12,7 +12,7 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
-for _library in ("OPENBLAS", "OMP", "MKL"):  # as in `seatrial ident`: small matrices; before numpy
+for _library in ("OPENBLAS", "OMP", "MKL"):  # as in `seatrial`: small matrices; before numpy
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # or every process measured would compile its libraries anew
 

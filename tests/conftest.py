@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-# As `seatrial ident` does, and before any test imports numpy: all matrices are small, and threads of the linear algebra
+# As `seatrial` does, and before any test imports numpy: all matrices are small, and threads of the linear algebra
 # library would only wait for each other and for the other worker.
 for library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")

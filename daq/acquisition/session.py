@@ -117,8 +117,7 @@ class Acquisition:
             stdin=subprocess.DEVNULL,
             stdout=self._stderr,
             stderr=self._stderr,
-            # Linear algebra has no place there: its threads would only cost memory and a tenth of a second.
-            env={**os.environ, "PYTHONPATH": _search_path(), "OPENBLAS_NUM_THREADS": "1"},
+            env={**os.environ, "PYTHONPATH": _search_path()},
             start_new_session=True,  # Ctrl-C is for the parent; the process ends by a message
         )
 

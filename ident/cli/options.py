@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import sys
 from collections.abc import Callable, Sequence
 from functools import wraps
@@ -20,10 +19,6 @@ if TYPE_CHECKING:
     from rich.status import Status
 
     from ident.results import Result
-
-# All matrices here are small: threads of the linear algebra library would only wait for each other. Before numpy.
-for _library in ("OPENBLAS", "OMP", "MKL"):
-    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 LOG = click.Path(exists=True, dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)

@@ -136,7 +136,7 @@ def trial(kind: Kind, folder: Path, devices: subprocess.Popen[str], boat: Boat, 
     log = folder / (DISK if kind.full else "") / f"run-{seed}.mcap"
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(
-        ["bench.execution.runner", "bench.cli", "bench.execution.operator_interface", "daq.log.reader", "seatrial"]
+        ["seatrial", "bench.execution.runner", "bench.cli", "bench.execution.operator_interface", "daq.log.reader"]
     )
     words = ["mission", "run", "mission.toml", "rig.toml", "-o", str(log), *kind.words]
     process = context.Process(target=_run, args=(str(folder), words))
