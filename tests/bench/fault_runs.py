@@ -27,6 +27,7 @@ from tests.bench.runs import acquisition_of, is_alive, watchdog_of
 
 PATIENCE_S = 20.0
 POLL_S = 0.005
+DEADMAN = "no sign of life of the runner"  # which no fault of a device makes: the machine held it up
 MEMORY = "/dev/shm"  # a file system in memory, on Linux
 
 
@@ -217,11 +218,12 @@ def _judged(kind: Kind, log: Path, begun: float, boat: Boat, forgiven: float, fo
     def wall(t: float) -> float:
         return float(origin[0] + (t - origin[1]) / speed)
 
-    before = [text for t, event, text in events if event == "stop" and wall(t) < boat.struck_at]
-    if before:
-        return _no_trial(before[0])
-    texts = [text for _, event, text in events if event == "stop"] + [read_note(log), line]
+    stops = [(wall(t), text) for t, event, text in events if event == "stop"]
+    texts = [*(text for _, text in stops), read_note(log), line]
     said = next((text for text in texts if re.search(kind.says, text)), "").replace(f"{folder}/", "")
+    too_early = [text for t, text in stops if t < boat.struck_at or (DEADMAN in text and not said)]
+    if too_early and not wrong:
+        return _no_trial(too_early[0])
     decided = [float(text.split()[0]) for _, event, text in events if event == "decided"]
     after = boat.zero_at - wall(decided[0]) if decided else math.nan
     zero = boat.zero_at - begun - forgiven
