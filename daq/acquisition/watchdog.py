@@ -22,7 +22,7 @@ from pathlib import Path
 from daq.acquisition.ipc import ACTIVE, ANSWER, FINISHED, IDLE, AcquisitionChannel, WatchdogConfiguration, WatchdogReady
 from daq.config import parse_rig
 from daq.drivers import DeviceDriver
-from daq.log import note_path
+from daq.log import write_note
 from daq.protocol import Decoder, pack_can, vesc
 from daq.realtime_priority import set_realtime_priority
 from daq.rig import DRIVES, Device, Rig
@@ -170,15 +170,6 @@ class FailsafeSender(threading.Thread):
             self._port.write(self._zero())
 
 
-def run_failsafe(senders: list[FailsafeSender]) -> str:
-    """Send zero on all ports at once; returns the outcome of each port, in one line."""
-    for sender in senders:
-        sender.start()
-    for sender in senders:
-        sender.join()
-    return ", ".join(f"{sender.name.removeprefix('failsafe ')}: {sender.outcome}" for sender in senders)
-
-
 def main() -> None:
     """Receive the rig from the acquisition process, then monitor it."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -224,13 +215,15 @@ def _step_in(pid: int, log: Path, reason: str, senders: list[FailsafeSender]) ->
     if "died" not in reason:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.kill(pid, signal.SIGKILL)  # its end of the socket is open: it is there, and the number is its own
-    when = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-    note = note_path(log)
-    with contextlib.suppress(OSError):  # a full disk must not keep thrust on
-        note.write_text(f"{when} watchdog: {reason}\n", encoding="utf-8")
-    outcome = run_failsafe(senders)
-    with contextlib.suppress(OSError):
-        note.write_text(f"{when} watchdog: {reason}; {outcome}\n", encoding="utf-8")
+    for sender in senders:
+        sender.start()
+    # Thrust ends before anything is written: a disk may be full, or keep a write waiting.
+    said = f"{time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime())} watchdog: {reason}"
+    write_note(log, said)
+    for sender in senders:
+        sender.join()
+    outcome = ", ".join(f"{sender.name.removeprefix('failsafe ')}: {sender.outcome}" for sender in senders)
+    write_note(log, f"{said}; {outcome}")
 
 
 if __name__ == "__main__":

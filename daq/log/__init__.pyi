@@ -20,5 +20,5 @@ from .tables import Resampled as Resampled
 from .tables import log_tables as log_tables
 from .tables import resample as resample
 from .watchdog_note import discard_note as discard_note
-from .watchdog_note import note_path as note_path
 from .watchdog_note import read_note as read_note
+from .watchdog_note import write_note as write_note

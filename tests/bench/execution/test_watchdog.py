@@ -14,7 +14,7 @@ import pytest
 from daq.acquisition.ipc import ACTIVE, FINISHED, IDLE
 from daq.acquisition.watchdog import ANSWER_S, HANG_S, POLL_S, HeartbeatMonitor
 from daq.log.reader import open_log
-from daq.log.watchdog_note import read_note
+from daq.log.watchdog_note import note_path, read_note, write_note
 from tests.bench.runs import AT_ONCE_S, acquisition_of, is_alive, kinds, running, short_mission, watchdog_of
 from tests.bench.standin import SLOW_ESC_S, StandIn, until
 
@@ -59,7 +59,7 @@ def test_the_end_of_the_line_is_a_reason_unless_it_was_announced_or_nothing_move
 
 
 def test_it_loads_only_what_it_needs_to_send_zero() -> None:
-    program = "import sys, daq.acquisition.watchdog as w, daq.log; daq.log.note_path; print(*sys.modules)"
+    program = "import sys, daq.acquisition.watchdog as w, daq.log; daq.log.write_note; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert not {"numpy", "mcap", "zstandard", "pymavlink", "can"} & set(done.stdout.split())
 
@@ -87,6 +87,28 @@ def test_what_hangs_or_dies_is_zero_long_before_the_esc_gives_up(tmp_path: Path,
         assert "watchdog" in run.line() or "has not answered" in run.line()
     log = open_log(run.log)
     assert any("watchdog: the acquisition process" in warning for warning in log.warnings)
+
+
+def test_a_note_that_cannot_be_written_does_not_keep_thrust_on(tmp_path: Path) -> None:
+    short_mission(tmp_path, seconds=60.0)
+    with StandIn(tmp_path, 4.0, timeout_s=SLOW_ESC_S) as standin, running(tmp_path) as run:
+        run.until_turning(standin)
+        os.mkfifo(note_path(run.log))  # to open it waits for a reader, as a write may wait for a disk
+        watchdog = watchdog_of(run.process.pid)
+        begun = time.monotonic()
+        os.kill(acquisition_of(run.process.pid), signal.SIGKILL)
+        until(lambda: standin.n == 0.0, 10.0)
+        assert standin.zero_after(begun) - begun < AT_ONCE_S
+        run.end()
+        until(lambda: not is_alive(watchdog), 10.0)
+
+
+def test_a_note_is_not_written_to_what_a_link_shows(tmp_path: Path) -> None:
+    log, other = tmp_path / "run.mcap", tmp_path / "other.txt"
+    other.write_text("somebody else's")
+    note_path(log).symlink_to(other)
+    write_note(log, "the acquisition process died")
+    assert other.read_text() == "somebody else's"
 
 
 def test_without_its_watchdog_nothing_goes_on_driving(standin: StandIn, tmp_path: Path) -> None:
