@@ -29,6 +29,8 @@ JOIN_BYTES = 256  # as much may be the rest of a frame
 RATE_WINDOW_S = 2.0  # wall
 UNORDERED = ("nmea", "ubx")  # as those of MANY: an attitude of now comes before the fix of a moment ago
 MANY = ("mavlink", "nmea2000")  # several kinds of samples over one port, and not all count for its rate
+# Fixes and attitudes over one port: neither may hide the other. Those of the main kind bear the device's name alone.
+MAIN: dict[str, type] = {"nmea": Gnss, "ubx": Gnss, "vectornav": Ahrs, "mip": Ahrs}
 
 
 def _is_attitude(sample: Sample) -> bool:
@@ -39,8 +41,8 @@ class DeviceLoop(threading.Thread):
     """The thread of one port, with its counters and newest samples.
 
     `setpoints` makes it an actuator too: due set-points are sent from this thread as `driver` encodes them, which
-    may also send messages of its own. When the port is lost while thrust is commanded, or the computer was suspended,
-    `on_lost(reason)` is called from this thread.
+    may also send messages of its own. When the port is lost or the computer was suspended after the first command, also
+    while the thrusters rest, `on_lost(reason)` is called from this thread.
     """
 
     def __init__(
@@ -129,10 +131,10 @@ class DeviceLoop(threading.Thread):
 
     def _lost(self, why: str) -> None:
         was_open, self._open, self._problem = self._open, False, why
-        self._port.close()
-        if was_open and self._setpoints is not None and self._setpoints.active:
+        if was_open and self._setpoints is not None and self._setpoints.held:
             self._setpoints.zero(time.monotonic())
-            self._on_lost(f"{self.device.name} ({self.device.port}) {why}")
+            self._on_lost(f"{self.device.name} ({self.device.port}) {why}")  # before a close that may take its time
+        self._port.close()
 
     def _step(self) -> None:
         self._stepped = time.monotonic()
@@ -154,7 +156,7 @@ class DeviceLoop(threading.Thread):
 
     def _check_suspend(self, setpoints: Setpoints) -> None:
         """Zero after the computer was suspended: it is a command of long ago that would be repeated."""
-        if (slept := self._suspended.slept()) and setpoints.active:
+        if (slept := self._suspended.slept()) and setpoints.held:
             setpoints.zero(time.monotonic())
             self._on_lost(f"the computer was suspended for {slept:.1f} s")
 
@@ -205,10 +207,11 @@ class DeviceLoop(threading.Thread):
     def _source(self, sample: Sample) -> Source:
         name = self.device.name
         if not self._many:
-            return name, sample.node if isinstance(sample, Esc) else None
-        if isinstance(sample, Servo):
+            if isinstance(sample, MAIN.get(self.device.protocol, Sample)):
+                return name, sample.node if isinstance(sample, Esc) else None
+        elif isinstance(sample, Servo):
             return name, sample.node
-        if _is_attitude(sample):
+        elif _is_attitude(sample):
             return name, None
         return f"{name}/{type(sample).__name__.lower()}", sample.node if isinstance(sample, Esc) else None
 
@@ -238,6 +241,7 @@ class DeviceLoop(threading.Thread):
             frames = [(Frame(Command(due.node, due.n), t, NAN), t) for due in carried if due.fresh]
             if not self._sink.put(LogItem(self.device.name, "tx", raw, t, frames)):
                 self._dropped += max(len(frames), 1)
+        self._setpoints.written()
 
     def _finish(self) -> None:
         """Send zero to every thruster, as far as the port allows."""
@@ -263,7 +267,7 @@ class DeviceLoop(threading.Thread):
 
     def is_stuck(self, now: float) -> bool:
         """Whether set-points, due every 20 ms, have not been checked for `STUCK_S`."""
-        commanded = self._setpoints is not None and self._setpoints.active
+        commanded = self._setpoints is not None and not self._setpoints.is_settled(now)
         return commanded and self._open and now - self._stepped > STUCK_S
 
     def link(self) -> LinkStatus | None:
@@ -310,6 +314,7 @@ class DeviceLoop(threading.Thread):
             latency=health.clock_bias,
             latency_spread=health.clock_spread,
             message=self._message(),
+            stuck="" if (kind := self._sensor_health.stuck) is None else kind.__name__,
         )
 
     def _message(self) -> str:

@@ -13,6 +13,7 @@ import select
 import signal
 import socket
 import sys
+import threading
 import time
 from pathlib import Path
 from types import FrameType
@@ -76,9 +77,8 @@ class Process:
         self._reporter = StatusReporter(link, rig, path, clock, self._loops, self._setpoints, self._writer, self._event)
         self._parent_seen = self._runner_seen = time.monotonic()
         self._terminated = False
-        self._stopped = (
-            ""  # set when this process stopped thrust; only a `ZeroThrust` of the parent allows thrust again
-        )
+        self._stopped = ""  # why this process stopped thrust, which is for good: thrust starts with a new run
+        self._thrust = threading.RLock()  # to stop thrust, or to command it
         self._end_reason = ""
         self._unrequested = False
 
@@ -121,9 +121,15 @@ class Process:
             self._clock,
             self._sink,
             self._setpoints.get(name),
-            make_driver(device, self._rig, decoder, self._role),
+            make_driver(device, self._rig, decoder, self._role_of(name)),
             self._stop_thrust,
         )
+
+    def _role_of(self, name: str) -> LinkRole:
+        """What we are to a device: the ground station of those alone that thrusters hang on, since its heartbeats end
+        with the run, and hide meanwhile that the operator's do not come any more."""
+        drives = self._role is not LinkRole.DRIVE or any(thruster.device == name for thruster in self._rig.thrusters)
+        return self._role if drives else LinkRole.ASK
 
     def _listen(self) -> None:
         try:
@@ -140,8 +146,9 @@ class Process:
         now = time.monotonic()
         if self._heartbeat is None or any(loop.is_stuck(now) for loop in self._loops.values()):
             return
+        # The watchdog is needed until zero has left this process and was repeated, not only until it is wanted.
+        self._heartbeat.beat(not all(s.is_settled(now) for s in self._setpoints.values()), now, at_once)
         active = any(setpoints.active for setpoints in self._setpoints.values())
-        self._heartbeat.beat(active, now, at_once)
         if self._heartbeat.trouble and active and not self._stopped:
             self._stop_thrust(self._heartbeat.trouble)
 
@@ -173,7 +180,6 @@ class Process:
                 self._schedule(message)
             case ZeroThrust():
                 self._zero()
-                self._stopped = ""
                 self._event("zero", message.reason)
             case LogEvent():
                 self._event(message.kind, message.text)
@@ -185,8 +191,6 @@ class Process:
                 self._end("closed as asked", unrequested=False)
 
     def _schedule(self, message: ScheduleSetpoints) -> None:
-        if self._stopped:
-            return  # rows that were under way when thrust was ended
         self._runner_seen = self._parent_seen
         nodes = {thruster.name: (thruster.device, thruster.node) for thruster in self._rig.thrusters}
         rows: dict[str, list[tuple[float, dict[int, float]]]] = {}
@@ -197,9 +201,12 @@ class Process:
                 by_device.setdefault(device, {})[node] = n
             for device, part in by_device.items():
                 rows.setdefault(device, []).append((t, part))
-        for device, wanted in rows.items():
-            self._setpoints[device].append(wanted)
-            self._loops[device].wake()
+        with self._thrust:
+            if self._stopped:
+                return  # rows that were under way when thrust was ended
+            for device, wanted in rows.items():
+                self._setpoints[device].append(wanted)
+                self._loops[device].wake()
 
     def _health(self) -> dict[str, PortHealth]:
         return {name: loop.health() for name, loop in self._loops.items()}
@@ -210,9 +217,10 @@ class Process:
             self._loops[name].wake()
 
     def _stop_thrust(self, reason: str) -> None:
-        """Stop thrust without a request of the parent, and keep recording."""
-        self._stopped = reason
-        self._zero()
+        """Stop thrust without a request of the parent, and keep recording. Called from any thread."""
+        with self._thrust:
+            self._stopped = self._stopped or reason
+            self._zero()
         self._event("stop", reason)
 
     def _event(self, kind: str, text: str) -> None:

@@ -134,9 +134,9 @@ class Acquisition:
     def schedule(self, rows: Sequence[tuple[float, Mapping[str, float]]]) -> None:
         """Append set-points (run time, {thruster: n_cmd}), -1..1, positive forward; the last one holds.
 
-        A row whose time has passed is sent at once. Rows are ignored after the process ended thrust by itself
-        (`Status.stopped`) until `zero` is called. Raises SeatrialError for a thruster that the rig has not and for
-        a value beyond `limits.n_max`.
+        A row whose time has passed is sent at once. Rows are ignored once the process has ended thrust by itself
+        (`Status.stopped`): thrust starts only with a new run. Raises SeatrialError for a thruster that the rig has not
+        and for a value beyond `limits.n_max`.
         """
         limit = min(self.rig.limits.n_max, 1.0)
         for t, row in rows:

@@ -48,6 +48,7 @@ class PortStatus:
     latency: float  # s, mean of receive time minus estimated sample time; NaN for a device without a clock
     latency_spread: float  # s
     message: str  # the fault of the port, in one line; empty without a fault
+    stuck: str = ""  # the kind of samples that repeat themselves, as those of a dead sensor do
 
 
 @dataclass(frozen=True)

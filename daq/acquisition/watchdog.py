@@ -22,6 +22,7 @@ from pathlib import Path
 from daq.acquisition.ipc import ACTIVE, ANSWER, FINISHED, IDLE, AcquisitionChannel, WatchdogConfiguration, WatchdogReady
 from daq.config import parse_rig
 from daq.drivers import DeviceDriver
+from daq.errors import SeatrialError
 from daq.log import write_note
 from daq.protocol import Decoder, pack_can, vesc
 from daq.realtime_priority import set_realtime_priority
@@ -97,8 +98,8 @@ class HeartbeatMonitor:
 
     def look(self, now: float, words: bytes | None) -> str | None:
         """Take the bytes read (None: the socket is closed). Returns a reason to step in, "" to end, else None."""
-        if now - self._looked > 3 * POLL_S:
-            self._last_heartbeat += now - self._looked  # a pause of this process does not count
+        if (pause := now - self._looked) > 3 * POLL_S:
+            self._last_heartbeat += pause - POLL_S  # of this process, which counts as one look: pauses come to an end
         self._looked = now
         if words is None:
             return "the acquisition process died while thrust was commanded" if self._active else ""
@@ -145,7 +146,8 @@ class FailsafeSender(threading.Thread):
         """Open, send zero for a second, close."""
         deadline = time.monotonic() + OPEN_S
         if self._driver is not None:
-            self._prepare()
+            with contextlib.suppress(SeatrialError):  # a key file that is gone: what was prepared first has the key
+                self._prepare()
         while True:
             try:
                 self._port.take_over()

@@ -33,6 +33,7 @@ class Setpoints:
         self._zeroed: set[int] = set()  # nodes to command zero at once
         self._next_repeat = -math.inf
         self._repeat_until = -math.inf
+        self._unwritten = False  # what `due` gave last may be on its way still
         # Set-points that were overtaken by a later one before they could be sent: this thread was held up, and an old
         # command must never follow a newer one. It is counted and reported.
         self.skipped = 0
@@ -59,9 +60,10 @@ class Setpoints:
             return self._active()
 
     def is_settled(self, now_wall: float) -> bool:
-        """Whether no thrust is commanded, and zero has been repeated for as long as it should."""
+        """Whether no thrust is commanded, and zero has been written and repeated for as long as it should."""
         with self._lock:
-            return not self._active() and (not self._held or now_wall >= self._repeat_until)
+            waiting = bool(self._zeroed) or self._unwritten or now_wall < self._repeat_until
+            return not self._active() and not (self._held and waiting)
 
     @property
     def pending(self) -> int:
@@ -92,7 +94,13 @@ class Setpoints:
             if now_wall >= self._next_repeat and now_wall < self._repeat_until:
                 out += [Due(node, n, False) for node, n in self._held.items() if node not in fresh]
                 self._next_repeat = now_wall + REPEAT_S
+            self._unwritten = bool(out)
             return out
+
+    def written(self) -> None:
+        """What `due` gave last has left this process."""
+        with self._lock:
+            self._unwritten = False
 
     def wait(self, now_run: float, now_wall: float, speed: float) -> float:
         """Wall seconds until something may be due; infinite when nothing is."""

@@ -22,6 +22,7 @@ SERVICE = (
 GRAVITY = 9.80665
 SAME_S = 0.005  # s of boot time within which attitude and IMU are of one moment
 IMU_AWAITED_S = 1.0  # s of boot time after an IMU message for which an attitude waits for its own
+EKF_POSITION, EKF_STANDS = 16, 128  # EKF_STATUS_REPORT: an absolute horizontal position; constant-position mode
 HALF_MS = 0.0005  # s by which a time that was cut to whole milliseconds is too early, on the average
 UNIX_US = 10**14  # a time_usec from here on counts from 1970, below from boot
 ARDUPILOT = 3  # HEARTBEAT.autopilot; its RAW_IMU has units
@@ -326,7 +327,10 @@ class Samples:
         if m.lat == 0 and m.lon == 0:
             return [(Gnss(t + self._utc_of_boot, NAN, NAN), t)]
         north, east, down = (_cut(v) for v in (m.vx, m.vy, m.vz))
-        fix = Gnss(t + self._utc_of_boot, m.lat * 1e-7, m.lon * 1e-7, m.alt * 1e-3, north, east, down, fix=3)
+        # An estimator that has lost its position goes on sending one: where it was, or where it reckons to be.
+        known = self._ekf_flags < 0 or (self._ekf_flags & EKF_POSITION and not self._ekf_flags & EKF_STANDS)
+        kind = 3 if known else 0
+        fix = Gnss(t + self._utc_of_boot, m.lat * 1e-7, m.lon * 1e-7, m.alt * 1e-3, north, east, down, fix=kind)
         return [(fix, t)]
 
     def _servos(self, m: Any) -> Found:

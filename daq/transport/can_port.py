@@ -9,6 +9,8 @@ from daq.protocol import CAN_FRAME, EXTENDED, slcan
 from daq.transport.base import WRITE_S, Port, PortError, os_error_text
 from daq.transport.serial_port import SerialPort
 
+MOST = 256  # frames a read: a flood must not keep the thread from its set-points
+
 
 class SlcanPort(Port):
     """CAN through an slcan adapter."""
@@ -80,7 +82,9 @@ class SocketCanPort(Port):
         """The frames that have arrived."""
         frames = []
         try:
-            while (message := self._bus.recv(0.0)) is not None:
+            for _ in range(MOST):
+                if (message := self._bus.recv(0.0)) is None:
+                    break
                 if not (message.is_error_frame or message.is_remote_frame or message.is_fd):
                     word = message.arbitration_id | (EXTENDED if message.is_extended_id else 0)
                     frames.append(CAN_FRAME.pack(word, message.dlc, bytes(message.data)))

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ from daq.drivers.setpoints import REPEAT_S, Setpoints
 from daq.errors import SeatrialError
 from daq.log.reader import open_log
 from daq.protocol.catalogue import make_decoder
-from daq.samples import Ahrs, Command
+from daq.samples import Ahrs, Command, Gnss
 from daq.transport.factory import make_port
 from tests.daq.acquiring import acquiring, assert_ends_at_zero, is_closed, living
 from tests.daq.ptys import TestBoat, commands_in, wait_for
@@ -248,10 +249,26 @@ def test_a_bus_that_is_lost_under_thrust_does_not_start_it_again(tmp_path: Path)
         wait_for(lambda: len(boat.ports["can"].commands()) >= 2, what="zero after the return")
         assert {n for _, n in boat.ports["can"].commands()} == {0.0}
         assert acquisition.status().pending == 0
-        acquisition.zero("seen")
+        stopped = acquisition.status().stopped
+        acquisition.zero("pause")  # of an operator who has not seen it
         acquisition.schedule([(clock.now(), {"left": 0.3})])
-        wait_for(lambda: acquisition.status().commanded["left"] == 0.3)
-        assert acquisition.status().stopped == ""
+        seen = acquisition.status().t
+        wait_for(lambda: acquisition.status().t > seen + 1.0)
+        assert acquisition.status().stopped == stopped
+        assert {n for _, n in boat.ports["can"].commands()} == {0.0}
+
+
+def test_a_bus_that_is_lost_at_rest_ends_thrust_for_good(tmp_path: Path) -> None:
+    with TestBoat(tmp_path) as boat, acquiring(boat, tmp_path) as (acquisition, _, clock), living(acquisition):
+        acquisition.schedule([(clock.now(), {"left": 0.5}), (clock.now() + 0.2, {"left": 0.0})])
+        wait_for(lambda: len(boat.ports["can"].commands()) > 4 and acquisition.status().commanded["left"] == 0.0)
+        boat.pull("can")
+        wait_for(lambda: acquisition.status().stopped != "")
+        boat.plug("can")
+        acquisition.schedule([(clock.now() + 0.2, {"left": 0.6})])
+        seen = acquisition.status().t
+        wait_for(lambda: acquisition.status().t > seen + 2.0)
+        assert boat.ports["can"].commands()[-1][1] == 0.0
 
 
 def test_a_log_that_cannot_grow_any_more_ends_thrust(tmp_path: Path) -> None:
@@ -307,6 +324,36 @@ def test_after_a_suspend_a_command_of_before_is_zero(tmp_path: Path, monkeypatch
     assert last == (1, 0.0)
     assert not setpoints.active
     assert said == ["the computer was suspended for 7.0 s"]
+
+
+def test_neither_fixes_nor_attitudes_of_one_port_hide_the_other(tmp_path: Path) -> None:
+    with TestBoat(tmp_path) as boat:
+        rig = load_rig(boat.rig_path)
+        for name, protocol in (("gnss", "nmea"), ("gnss", "ubx"), ("ahrs", "mip"), ("ahrs", "vectornav")):
+            device = replace(rig.device(name), protocol=protocol)
+            loop = DeviceLoop(device, make_port(device), make_decoder(device, rig), RunClock(), LogSink())
+            sources = [loop._source(sample) for sample in (Gnss(0.0, 41.0, -8.0), Ahrs(0.0, 0.0, 0.0))]
+            assert sources == [("gnss", None), ("gnss/ahrs", None)] or sources == [("ahrs/gnss", None), ("ahrs", None)]
+
+
+def test_a_suspend_at_rest_ends_thrust_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asleep = [0.0]
+    monkeypatch.setattr(SuspendDetector, "_difference", staticmethod(lambda: asleep[0]))
+    with TestBoat(tmp_path) as boat:
+        rig, setpoints, said = load_rig(boat.rig_path), Setpoints(), list[str]()
+        device = rig.device("esc")
+        decoder = make_decoder(device, rig)
+        driver = make_driver(device, rig, decoder, LinkRole.DRIVE)
+        loop = DeviceLoop(device, make_port(device), decoder, RunClock(), LogSink(), setpoints, driver, said.append)
+        loop.start()
+        setpoints.append([(0.0, {1: 0.0})])
+        loop.wake()
+        wait_for(lambda: (1, 0.0) in boat.ports["can"].commands())
+        asleep[0] = 3600.0
+        wait_for(lambda: bool(said))
+        loop.end()
+        loop.join()
+    assert said == ["the computer was suspended for 3600.0 s"]
 
 
 def test_the_clocks_that_tell_of_a_suspend_agree_while_there_is_none() -> None:

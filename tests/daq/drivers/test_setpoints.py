@@ -47,6 +47,22 @@ def test_zero_clears_the_schedule_at_once() -> None:
     assert setpoints.wait(9.0, 10.0 + ZERO_FOR_S, 1.0) == math.inf
 
 
+def test_zero_is_settled_when_it_was_written_and_repeated_not_when_it_is_wanted() -> None:
+    setpoints = Setpoints()
+    assert setpoints.is_settled(10.0)
+    setpoints.append([(1.0, {1: 0.5})])
+    setpoints.due(1.0, 10.0)
+    setpoints.written()
+    setpoints.zero(10.0)
+    late = 11.0 + ZERO_FOR_S
+    assert not setpoints.is_settled(late)  # the port's thread has not even taken it
+    setpoints.due(1.0, late)
+    assert not setpoints.is_settled(late)  # the write hangs
+    setpoints.written()
+    assert not setpoints.is_settled(late)
+    assert setpoints.is_settled(late + ZERO_FOR_S)
+
+
 def test_zero_before_any_command_sends_nothing() -> None:
     setpoints = Setpoints()
     setpoints.append([(1.0, {1: 0.5})])

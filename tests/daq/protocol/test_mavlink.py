@@ -44,6 +44,20 @@ def servo(usec: int, left: int, right: int) -> tuple[object, ...]:
     return ("SERVO_OUTPUT_RAW", usec, 0, left, 0, right, *[0] * 13)
 
 
+def test_an_estimator_that_has_lost_its_position_gives_no_fix() -> None:
+    def fix(*flags: int) -> int:
+        position = ("GLOBAL_POSITION_INT", 1000, 423_580_000, -710_856_831, 0, 0, 100, 0, 0, 9000)
+        reports = [("EKF_STATUS_REPORT", flag, 0.0, 0.0, 0.0, 0.0, 0.0) for flag in flags]
+        stream = b"".join(vehicle(HEARTBEAT, *reports, position))
+        found = MavlinkDecoder(Samples(gnss="fused")).feed(stream, 1.0)
+        return next(frame.sample.fix for frame in found if isinstance(frame.sample, Gnss))
+
+    assert fix() == 3  # it says nothing of itself
+    assert fix(831) == 3
+    assert fix(831, 167) == 0  # dead reckoning, constant-position mode
+    assert fix(831, 39) == 0
+
+
 def test_the_checksum_is_pymavlinks() -> None:
     for text in (b"", b"123456789", bytes(range(256))):
         assert crc16(text) == dialect().x25crc(text).crc
