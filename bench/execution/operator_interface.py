@@ -27,6 +27,7 @@ from rich.text import Text
 
 PLAIN_EVERY_S = 2.0  # wall seconds between plain lines within a segment
 LIVE_EVERY_S = 0.1
+AGAIN_S = 1.0  # wall seconds within which a key that comes again is still the same press
 CAUGHT = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 WORDS = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM", signal.SIGHUP: "hang-up (SIGHUP)"}
 HELP = "space: pause and resume, r: repeat the step, m: mark, Ctrl-C: zero and end"
@@ -213,6 +214,7 @@ class Keys:
     def __init__(self) -> None:
         self._fd = -1
         self._before: list[Any] = []
+        self._pressed: dict[str, float] = {}  # wall time, by key
 
     def __enter__(self) -> Self:
         """Take the keys one by one; Ctrl-C stays a signal."""
@@ -243,7 +245,16 @@ class Keys:
         if self._fd < 0 or not select.select([self._fd], [], [], 0.0)[0]:
             return ""
         try:
-            return os.read(self._fd, 64).decode("ascii", errors="ignore")
+            return self._once(os.read(self._fd, 64).decode("ascii", errors="ignore"), time.monotonic())
         except OSError:  # the terminal has gone; SIGHUP says so
             self._fd = -1
             return ""
+
+    def _once(self, keys: str, now: float) -> str:
+        """A key that is held or hit twice counts once: the one that stops also resumes. Marks all count."""
+        taken = ""
+        for key in keys.replace("p", " "):
+            if key == "m" or now - self._pressed.get(key, -math.inf) > AGAIN_S:
+                taken += key
+            self._pressed[key] = now
+        return taken

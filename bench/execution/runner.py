@@ -30,7 +30,7 @@ from bench.execution.sequencer import CommandFollower, CommandSource, MissionSeq
 from bench.execution.tare import Tare, describe_tares, measure_tares
 from bench.mission_limits import dry_run
 from daq.acquisition import Acquisition, Status
-from daq.clock import RunClock
+from daq.clock import RunClock, SuspendDetector
 from daq.config import Mission, dump_mission
 from daq.errors import SafetyStop, SeatrialError
 from daq.log import open_log
@@ -148,6 +148,7 @@ class _Runner:
         n_max = float(np.abs(mission.setpoints()[1]).max(initial=0.0)) if commands is None else mission.n_max
         self._vehicles = Autopilots(rig, mission.thrusters, acquisition, clock, self._wait, display.say, n_max)
         self._segment = mission.segments[0].name
+        self._suspended = SuspendDetector()
 
     def run(self, arm: bool, retries: int, keys: Keys) -> list[Tare]:
         """From waiting for the devices to the closed log."""
@@ -235,7 +236,7 @@ class _Runner:
             acquisition.stream(self._commands.put)
             timeout = self._rig.ros2.timeout_s * self._clock.speed
             course = CommandFollower(self._mission, start, timeout, acquisition, say, self._commands)
-        while not course.is_over(now := self._clock.now()):
+        while not course.is_over(now := self._clock.now()) or course.must_repeat(now, self._acquisition.status()):
             status = self._acquisition.status()
             self._check(status, now)
             course.step(now, ahead, status, keys.take())
@@ -264,7 +265,9 @@ class _Runner:
             )
 
     def _wait(self, wall_s: float) -> None:
-        """Wait, unless a signal comes: that raises Interrupted."""
+        """Wait, unless a signal comes: that raises Interrupted. Raises SafetyStop after the computer was suspended."""
+        if slept := self._suspended.slept():
+            raise SafetyStop(f"the computer was suspended for {slept:.1f} s")
         if self._signals.wait(wall_s) and self._signals.caught is not None:
             number = self._signals.caught
             raise RunInterrupted(f"stopped by {WORDS[number]}", number)
@@ -313,11 +316,11 @@ class _Runner:
         reason = " ".join(str(error).split()) or type(error).__name__
         decided = self._clock.now()
         commanded = self._tried(lambda: self._acquisition.zero(reason))
-        zero = self._zero_received(commanded)
         self._tried(self._vehicles.disarm)
         self._tried(lambda: self._acquisition.mark("stop", reason))
         self._tried(lambda: self._acquisition.mark("decided", f"{decided:.6f} to stop"))
         closed = self._tried(self._acquisition.stop)
+        zero = self._zero_received(commanded, decided)
         thrust = "thrust is zero" if zero else OWN_TIMEOUT[bool(self._vehicles.names)]
         log = f"the log is {self._path}" if closed else f"the log so far is {self._path} (it opens as it is)"
         if isinstance(error, SeatrialError):
@@ -325,13 +328,13 @@ class _Runner:
             loud = f"; {', '.join(armed)} WAS ARMED BY US AND MAY STILL BE: disarm it yourself" if armed else ""
             error.args = (f"{reason}: {thrust}, {log}{loud}",)
 
-    def _zero_received(self, commanded: bool) -> bool:
-        """Whether zero was commanded, by us or by the acquisition itself, to thrusters that are there to receive it."""
+    def _zero_received(self, commanded: bool, decided: float) -> bool:
+        """Whether zero was commanded, by us or by the acquisition itself, to thrusters that were heard after that."""
         try:
             status = self._acquisition.status()
         except SeatrialError:
             return False
-        return (commanded or bool(status.stopped)) and self._guard.thrusters_answer(status)
+        return (commanded or bool(status.stopped)) and self._guard.thrusters_answer(status, decided)
 
     def _tried(self, action: Callable[[], None]) -> bool:
         """Whether `action` worked; no failure may keep the next step to zero from being tried."""

@@ -32,6 +32,7 @@ QUICK, SLOW = 1.5, 3.0
 EARTH_RADIUS_M = 6_371_008.8  # IUGG mean radius
 STOPPED = 0.05  # m/s; a boat slower than this drifts and does not coast
 REACTION_S = 0.1  # from the fix to zero thrust
+OFTEN_HZ = 4.0  # wall: at least two reports while zero is repeated
 
 
 @dataclass(frozen=True)
@@ -149,14 +150,15 @@ class SafetyGuard:
         self._fence = None if rig.limits.radius_m is None else Fence(rig.limits.radius_m, rig.vehicle)
         self._size = -1
         self._grown_at = math.nan
-        self._saturated_at = math.nan
+        self._saturated_at: dict[str, float] = {}  # by load cell
         self.limits = list(_limit_sources(rig, self._thrusters))
 
     def unwatched(self, status: Status) -> list[LimitSource]:
         """The limits without a source that still speaks at this status; thrust is for when there are none."""
         for source, latest in status.latest.items():
-            for limit in self.limits:
-                limit.observe(source, latest.sample, latest.t)
+            if not _is_dead(source, latest.sample, status):  # it watches nothing, whatever its value
+                for limit in self.limits:
+                    limit.observe(source, latest.sample, latest.t)
         return [limit for limit in self.limits if not status.t - limit.t <= self._limit_patience(limit)]
 
     def _limit_patience(self, limit: LimitSource) -> float:
@@ -179,7 +181,7 @@ class SafetyGuard:
             if isinstance(sample, Esc):
                 yield from self._esc(sample)
             elif isinstance(sample, LoadCell):
-                yield from self._force(sample, latest.t)
+                yield from self._force(source[0], sample, latest.t)
             elif isinstance(sample, Gnss):
                 if self._fence is not None and (reason := self._fence.reason(source[0].partition("/")[0], sample)):
                     yield reason
@@ -208,18 +210,25 @@ class SafetyGuard:
 
     def _silent_thrusters(self, status: Status) -> Iterator[str]:
         for thruster in self._thrusters:
-            device = self._rig.device(thruster.device)
-            nodes = sum(other.device == device.name for other in self._rig.thrusters)
-            latest = status.latest.get((device.name, thruster.node))
+            latest = status.latest.get((thruster.device, thruster.node))
             age = math.inf if latest is None else status.t - latest.t
-            if not age <= self._patience(device.rate_hz / nodes):
-                yield f"thruster {thruster.name} (node {thruster.node} on {device.name}) is silent{_since(age)}"
+            if not age <= self._patience(self._report_rate(thruster)):
+                yield f"thruster {thruster.name} (node {thruster.node} on {thruster.device}) is silent{_since(age)}"
 
-    def thrusters_answer(self, status: Status) -> bool:
-        """Whether every thruster's port is in order and its controller answers, so that a zero will have reached it."""
-        ports = [status.ports.get(thruster.device) for thruster in self._thrusters]
-        in_order = all(port is not None and not port.message for port in ports)
-        return in_order and not any(self._silent_thrusters(status))
+    def thrusters_answer(self, status: Status, since: float) -> bool:
+        """Whether every thruster's controller was heard after run time `since`, so that a zero of then reached it; one
+        that reports too seldom for that counts while it is not silent."""
+        for thruster in self._thrusters:
+            latest = status.latest.get((thruster.device, thruster.node))
+            seldom = self._report_rate(thruster) < OFTEN_HZ * self._speed
+            if latest is None or not (latest.t > since or seldom):
+                return False
+        return not any(self._silent_thrusters(status))
+
+    def _report_rate(self, thruster: Thruster) -> float:
+        """Samples a run second that a thruster's controller sends."""
+        device = self._rig.device(thruster.device)
+        return device.rate_hz / sum(other.device == device.name for other in self._rig.thrusters)
 
     def _recorder(self, status: Status) -> Iterator[str]:
         if status.bytes != self._size:
@@ -251,19 +260,25 @@ class SafetyGuard:
         if limits.battery_min is not None and battery.remaining < limits.battery_min:
             yield f"battery of {name} has {100 * battery.remaining:.0f} % left, least {100 * limits.battery_min:g} %"
 
-    def _force(self, cell: LoadCell, t: float) -> Iterator[str]:
+    def _force(self, name: str, cell: LoadCell, t: float) -> Iterator[str]:
         limit = self._rig.limits.force_n
         if limit is None:
             return
         if cell.flags & SATURATED:
             # One saturated reading is a glitch of the converter; the next one decides.
-            if t > self._saturated_at:
-                yield "the load cell is saturated, its force cannot be watched"
-            self._saturated_at = t if math.isnan(self._saturated_at) else self._saturated_at
+            if t > self._saturated_at.setdefault(name, t):
+                yield f"{name} is saturated, its force cannot be watched"
             return
-        self._saturated_at = math.nan
+        self._saturated_at.pop(name, None)
         if not cell.flags & SPIKE and abs(cell.force) > limit:
             yield f"force is {cell.force:.1f} N, limit {limit:g} N"
+
+
+def _is_dead(source: Source, sample: Sample, status: Status) -> bool:
+    """Whether a device repeats its samples as a dead sensor does. A load cell may, at rest: converters are coarse."""
+    port = status.ports.get(source[0].partition("/")[0])
+    rests = isinstance(sample, LoadCell) and not any(status.commanded.values())
+    return port is not None and port.stuck == type(sample).__name__ and not rests
 
 
 def _since(age: float) -> str:

@@ -80,6 +80,11 @@ class MissionSequencer:
         """Whether the mission has been run to its end."""
         return not self.paused and now >= self.timeline.end
 
+    def must_repeat(self, now: float, status: Status) -> bool:
+        """Judge the last step, at the mission's end; whether it is run again."""
+        self._enter(now, status)
+        return not self.is_over(now)
+
     def step(self, now: float, ahead: float, status: Status, keys: str = "") -> None:
         """Act on the status and on the keys pressed, then send the set-points up to `now + ahead`."""
         for key in keys:
@@ -212,6 +217,10 @@ class CommandFollower(MissionSequencer):
         self._follows, self._stepped = False, start
         self._heard: dict[str, tuple[float, ReceivedCommand]] = {}  # when, and what, by thruster
         self._n = dict.fromkeys(mission.thrusters, 0.0)  # as scheduled last
+
+    def must_repeat(self, now: float, status: Status) -> bool:
+        """Commands of somebody else have no steps to run again."""
+        return False
 
     @property
     def segment(self) -> str:

@@ -57,8 +57,9 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
                 FAULT, "device-fell-silent", "alive", device.name, f"silent for {port.age:.1f} s", "power, cable, port"
             )
         if device.mavlink is not None:
-            if abs(port.rate - device.rate_hz) > RATE_TOLERANCE * device.rate_hz:
-                text = f"{port.rate:.1f} Hz of all messages, expected {device.rate_hz:g}"
+            if not abs(port.rate - device.rate_hz) <= RATE_TOLERANCE * device.rate_hz:  # NaN: none at all
+                there = f"{port.rate:.1f} Hz of attitudes" if math.isfinite(port.rate) else "no attitudes"
+                text = f"{there}, expected {device.rate_hz:g}"
                 yield Finding(FAULT, "rate-off", "rate", device.name, text, "rate_hz of the rig, the link's baud rate")
             yield from _autopilot(rig, device, status, port)
     if not status.latest:

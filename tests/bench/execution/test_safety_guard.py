@@ -145,6 +145,39 @@ def test_a_cell_that_stays_saturated_stops(guard: SafetyGuard) -> None:
     assert "saturated" in reason(guard, status(0.2, 1002, loadcell=saturated))
 
 
+def test_a_cell_that_stays_saturated_stops_beside_one_that_is_not(rig: Rig) -> None:
+    guard = SafetyGuard(rig, 1.0, ("left",))
+    guard.check(status(0.0))
+
+    def two(t: float) -> Status:
+        now = status(t, loadcell=LoadCell(8388607, 8300.0, 1))
+        return replace(now, latest=now.latest | {("other", None): Latest(GOOD["loadcell", None], now.t)})
+
+    guard.check(two(0.05))
+    assert reason(guard, two(0.1)) == "loadcell is saturated, its force cannot be watched"
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "words"),
+    [("ahrs", "Ahrs", "no roll"), ("gnss", "Gnss", "no position"), ("loadcell", "LoadCell", "no force")],
+)
+def test_a_dead_sensor_watches_nothing(guard: SafetyGuard, name: str, kind: str, words: str) -> None:
+    def dead(t: float) -> Status:
+        now = status(t, 1000 + round(100 * t))
+        return replace(now, ports=now.ports | {name: replace(port(name), stuck=kind)})
+
+    for k in range(1, 20):
+        guard.check(dead(0.05 * k))
+    assert f"is not watched any more: {words}" in reason(guard, dead(5.0))
+
+
+def test_a_coarse_load_cell_may_repeat_itself_at_rest(guard: SafetyGuard) -> None:
+    for k in range(1, 200):
+        now = status(0.05 * k, 1000 + k)
+        stuck = replace(port("loadcell"), stuck="LoadCell")
+        guard.check(replace(now, ports=now.ports | {"loadcell": stuck}, commanded={"left": 0.0}))
+
+
 def test_the_same_saturated_reading_seen_twice_does_not_stop(guard: SafetyGuard) -> None:
     once = status(0.1, 1001, loadcell=LoadCell(8388607, 8300.0, 1))
     guard.check(once)
@@ -181,8 +214,9 @@ def test_a_silent_controller_on_a_busy_bus_stops(guard: SafetyGuard) -> None:
     latest = {**now.latest, ("esc", 1): Latest(GOOD["esc", 1], now.t - 1.1)}
     said = reason(guard, replace(now, latest=latest))
     assert said == "thruster left (node 1 on esc) is silent for 1.1 s"
-    assert not guard.thrusters_answer(replace(now, latest=latest))
-    assert guard.thrusters_answer(now)
+    assert not guard.thrusters_answer(replace(now, latest=latest), now.t - 2.0)
+    assert guard.thrusters_answer(now, now.t - 0.05)
+    assert not guard.thrusters_answer(now, now.t)  # heard before the zero, not since
 
 
 def test_a_log_that_does_not_grow_stops(guard: SafetyGuard) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.execution.operator_interface import AGAIN_S
 from bench.execution.sequencer import CommandFollower, MissionSequencer, Schedule, follow_plan
 from daq.acquisition.status import PortStatus, Status
 from daq.config.mission_file import Mission, Segment
@@ -71,7 +72,9 @@ class Drive:
         self.now, self.status = 99.9, GOOD
 
     def until(self, t: float, keys: str = "") -> None:
-        while self.now < t and not self.course.is_over(self.now):
+        while self.now < t and (
+            not self.course.is_over(self.now) or self.course.must_repeat(self.now, self.status)
+        ):
             self.acquisition.now = self.now
             self.course.step(self.now, 0.5, self.status, keys)
             self.now, keys = self.now + 0.05, ""
@@ -151,6 +154,16 @@ def test_a_spoilt_step_is_run_again_as_often_as_was_allowed(fault: dict[str, obj
     assert again.names("segment") == ["static", "one", "two", "static"]
 
 
+@pytest.mark.parametrize("retries", [0, 1])
+def test_the_last_step_is_judged_too(retries: int) -> None:
+    drive = Drive(retries)
+    drive.until(107.5)
+    drive.status = replace(GOOD, skipped=3)
+    drive.until(200.0)
+    assert drive.names("retry", "invalid") == ["static: 3 set-points were skipped"]
+    assert drive.now == pytest.approx(108.0 + retries * 2.2, abs=0.2)
+
+
 def test_a_slew_limit_begins_at_zero_after_a_restart() -> None:
     timeline = Schedule(replace(MISSION, slew_per_s=0.8), 0.0)
     assert timeline.rows(3.4)[-1][1]["left"] > 0.4
@@ -172,7 +185,7 @@ def test_keys_on_a_terminal_pause_and_resume_a_run(standin: StandIn, tmp_path: P
         until(lambda: standin.n != 0.0 or run.poll() is not None, 30.0)
         os.write(terminal, b" ")
         until(lambda: standin.n == 0.0, 5.0)
-        time.sleep(0.5)  # paused is paused
+        time.sleep(1.2 * AGAIN_S)  # paused is paused, and a key that comes again sooner is the same press
         assert standin.commands[-1][1] == 0.0
         os.write(terminal, b"m ")
         until(lambda: standin.n != 0.0, 10.0)

@@ -49,6 +49,14 @@ def test_a_pause_of_its_own_is_not_held_against_anybody() -> None:
     assert looks(watch, 5.0, HANG_S / 2)[1] is None
 
 
+def test_on_a_slow_machine_a_hang_is_found_later_and_found() -> None:
+    watch = HeartbeatMonitor(0.0)
+    assert watch.look(0.0, ACTIVE) is None
+    looks_at = (0.07 * k for k in range(1, 100))
+    t = next(t for t in looks_at if watch.look(t, b""))
+    assert HANG_S < t < 4.0 * HANG_S
+
+
 def test_the_end_of_the_line_is_a_reason_unless_it_was_announced_or_nothing_moved() -> None:
     assert HeartbeatMonitor(0.0).look(0.0, None) == ""
     moving = HeartbeatMonitor(0.0)
