@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ident.diagnosis.results import Diagnosis, EffectAttribution, EffectImportance, Refit, Round
 from ident.diagnosis.score_test import Score
-from ident.estimation import AT_BOUND, Fit
+from ident.estimation import AT_BOUND, Fit, FittedModel
 from ident.model import Effect, EffectKind, ModelKind
 from ident.models import READINGS, THRUST_LOSSES
 
@@ -40,6 +41,7 @@ def assess_alternatives(
     untested: Collection[str] = (),
     weights: Sequence[EffectImportance] = (),
     reservations: Sequence[str] = (),
+    after: FittedModel | None = None,
 ) -> tuple[EffectAttribution, ...]:
     """Attribution of each selected effect.
 
@@ -49,11 +51,12 @@ def assess_alternatives(
         untested: effects of the catalogue that were not tested, since the data lack one of their inputs.
         weights: what each effect is worth to the prediction.
         reservations: why no effect can be identified on these data.
+        after: the last model, whose estimates are reported; by default that of each round.
     """
     worth = {w.effect: w for w in weights}
     chosen = [r.chosen for r in rounds if r.chosen is not None]
     total = sum(max(c.criterion, 0.0) for c in chosen)
-    rest = [s for s in left if s.criterion(n) > max(MAX_REMAINING_CRITERION, MAX_REMAINING_SHARE * total)]
+    limit = max(MAX_REMAINING_CRITERION, MAX_REMAINING_SHARE * total)
     found = []
     for one in rounds:
         if one.chosen is None:
@@ -62,9 +65,14 @@ def assess_alternatives(
             close = tuple(q.effect.name for q in _close(one))
             found.append(EffectAttribution(one.chosen.effect.name, "nonparametric", (), close))
             continue
+        # neither beside all effects nor beside this one may it be large
+        own = max(MAX_REMAINING_CRITERION, one.chosen.criterion)
+        rest = [s for s in left if s.criterion(n) > min(limit, own)]
+        stage = one.chosen.stage if after is None else after
         reasons = [*_left(rest, n), *_many(left), *_kin(one.chosen.effect, left, len(chosen)), *_tables(chosen, one)]
         reasons += [*_form(chosen, one.chosen), *_competing(one)]
-        reasons += [*_own(one.chosen), *_place(one.chosen), *_untested(one.chosen.effect, untested), *_not_fitted(one)]
+        reasons += [*_own(one.chosen.effect, stage), *_place(one.chosen.effect, stage)]
+        reasons += [*_untested(one.chosen.effect, untested), *_not_fitted(one)]
         reasons += [*_unpredictive(worth.get(one.chosen.effect.name)), *reservations]
         others = [q.effect.name for q in _close(one)]
         others += [name for name in one.chosen.effect.alternatives if name in untested and name not in others]
@@ -102,14 +110,19 @@ def _form(chosen: Sequence[Refit], one: Refit) -> list[str]:
     return [f"it may be no more than what {kin[0].title} has beyond its formula"] if kin else []
 
 
-def _own(one: Refit) -> list[str]:
+def _own(effect: Effect, stage: FittedModel) -> list[str]:
     """Evidence against it by its own parameters: a parameter at its bound, or a size that is not significant."""
-    fit = one.stage.fit
-    own = {fit.names.index(p.name): p for p in one.effect.parameters if p.name in fit.names}
+    fit = stage.fit
+    named = {p.name: p for p in effect.parameters if not p.per_record}
+    for p in effect.parameters:
+        if p.per_record:
+            named |= {replace(p, segment=run).full_name: p for run in range(len(stage.records))}
+    own = {i: named[name] for i, name in enumerate(fit.names) if name in named}
     stuck = {name for name, what in fit.flags if what == AT_BOUND}
     for i, p in own.items():
-        if p.name in stuck:
-            return [f"its parameter {p.name} ({p.meaning}) is at its bound, {fit.values[i]:.3g} {p.unit}".rstrip()]
+        if fit.names[i] in stuck:
+            value = f"{fit.values[i]:.3g} {p.unit}".rstrip()
+            return [f"its parameter {fit.names[i]} ({p.meaning}) is at its bound, {value}"]
     sizes = [i for i, p in own.items() if p.value == 0.0 and fit.errors[i] > 0]
     if not sizes or _from_nothing(fit, sizes) >= MIN_SIGNIFICANCE:
         return []
@@ -118,16 +131,16 @@ def _own(one: Refit) -> list[str]:
     return [f"the data do not tell its size: {value}"]
 
 
-def _place(one: Refit) -> list[str]:
+def _place(effect: Effect, stage: FittedModel) -> list[str]:
     """Where the place of an effect (the fixed end of a line) is not known: a small track sees the direction to it, and
     a prior of its distance; all places along that direction do."""
-    fit, scan = one.stage.fit, one.effect.scan
-    points = [p for p in one.effect.parameters if p.name in scan and p.name.startswith(("x_", "y_"))]
+    fit, scan = stage.fit, effect.scan
+    points = [p for p in effect.parameters if p.name in scan and p.name.startswith(("x_", "y_"))]
     at = [fit.names.index(p.name) for p in points if p.name in fit.names]
     if not points or len(at) < len(points):
         return []
     axes = [p.name[0] for p in points]  # north x or east y
-    track = [np.concatenate([r.y[:, r.outputs.index(axis)] for r in one.stage.records]) for axis in axes]
+    track = [np.concatenate([r.y[:, r.outputs.index(axis)] for r in stage.records]) for axis in axes]
     away = math.sqrt(sum(float(np.nanmean((y - fit.values[i]) ** 2)) for y, i in zip(track, at, strict=True)))
     if REACH * float(np.linalg.norm(fit.errors[at])) < away:
         return []

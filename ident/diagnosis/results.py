@@ -222,6 +222,17 @@ class ValidationMismatch:
 
 
 @dataclass(frozen=True)
+class ShortData:
+    """Estimation data (``seconds``) too short for ``untestable`` of the ``candidates``: their score tests could not
+    pass whatever the effect's size; with ``needed`` [s] all could."""
+
+    seconds: float
+    needed: float
+    untestable: int
+    candidates: int
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """before, after: the model without and with the effects; left: what still passes the tests at the end, best
     first; shapes: the curves of nonparametric effects, and of the first ambiguous one; weights and judgements: one for
@@ -238,6 +249,7 @@ class Diagnosis:
     removed: tuple[RemovedEffect, ...] = ()
     failed_runs: tuple[FailedRun, ...] = ()
     mismatches: tuple[ValidationMismatch, ...] = ()
+    short: ShortData | None = None
 
     @property
     def effects(self) -> tuple[Refit, ...]:

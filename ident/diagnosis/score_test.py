@@ -88,7 +88,8 @@ def place(columns: Sequence[SensitivityColumns], first: int, n_records: int) -> 
 @dataclass(frozen=True)
 class Score:
     """``step``: the one-step estimate of each parameter; ``lm_block``: the version from blocks; ``kind`` and ``curve``:
-    of the effect that is tested; ``threshold``: critical value of ``lm`` among the tests that were made with it."""
+    of the effect that is tested; ``threshold``: critical value of ``lm`` among the tests that were made with it;
+    ``blocks``: of time, of which ``lm_block`` cannot exceed the number, whatever the effect."""
 
     name: str
     lm: float
@@ -99,6 +100,12 @@ class Score:
     kind: EffectKind = EffectKind.CATALOGUE
     curve: ForceCurve | None = None
     threshold: float = float("nan")
+    blocks: float = float("inf")
+
+    @property
+    def least_blocks(self) -> int:
+        """So many blocks of time are needed for the version from blocks to pass at all."""
+        return int(np.ceil(stats.chi2.isf(P_BLOCK, self.df)))
 
     @property
     def generic(self) -> bool:
@@ -283,6 +290,7 @@ def _one(placed: ColumnIndex, information: Array, score: Array, blocks: Array, b
         candidate.scan,
         candidate.kind,
         candidate.curve,
+        blocks=len(blocks),
     )
 
 

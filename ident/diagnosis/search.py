@@ -37,6 +37,7 @@ from ident.diagnosis.results import (
     Refit,
     RemovedEffect,
     Round,
+    ShortData,
     UntestedCandidate,
     helps,
 )
@@ -103,6 +104,7 @@ N_REFITS, N_UNKNOWN = 4, 2  # parametric and nonparametric candidates that are r
 N_BATCHES = 2  # of parametric ones, where none of the first is accepted
 LOST = 1.0  # in 2 ln L, that a larger model may lose to rounding of the search
 SHORT = 20  # blocks of estimation data (100 s for a boat): below it no name is sure
+SHORT_VALIDATION = 8  # of validation data (40 s), of which two make one of the gain: below it t > 2 is often chance
 MIN_SCORE_RATIO = 0.05  # of the best score: a refit gains up to ten times its score, not twenty times
 # the difference between the true form of an effect and ours looks like other, much smaller effects: not added
 MIN_GAIN_RATIO = 0.02  # of the largest gain so far; an effect that the prediction needs is added all the same
@@ -156,7 +158,7 @@ def diagnose(
     gone = {r.effect.name for r in removed}
     kept = [r for r in search.rounds if r.chosen is None or r.chosen.effect.name not in gone]
     order = [w.effect for w in weights]
-    judgements = assess_alternatives(kept, passed, search.n, untested, weights, _reservations(before, current))
+    judgements = assess_alternatives(kept, passed, search.n, untested, weights, _reservations(before, current), current)
     judgements = tuple(sorted(judgements, key=lambda j: order.index(j.effect)))
     return Diagnosis(
         before,
@@ -169,7 +171,17 @@ def diagnose(
         tuple(removed),
         (*failed, *before.failed, *(f for f in current.failed if f not in before.failed)),
         validation_mismatches(current),
+        _short_data(search.scores, before),
     )
+
+
+def _short_data(scores: Sequence[Score], stage: FittedModel) -> ShortData | None:
+    """Which candidates no effect of any size would let pass, since there are too few blocks of time."""
+    short = [s for s in scores if s.blocks < s.least_blocks]
+    if not short:
+        return None
+    needed = max(s.least_blocks for s in short) * stage.model.block
+    return ShortData(sum(r.duration for r in stage.records), needed, len(short), len(scores))
 
 
 def _first_fit(full: Model, records: list[Record], runs: list[Record]) -> tuple[FittedModel, Unseen]:
@@ -191,6 +203,9 @@ def _reservations(before: FittedModel, after: FittedModel) -> list[str]:
     seconds = sum(r.duration for r in after.records)
     if seconds < SHORT * after.model.block:
         reasons.append(f"the estimation data are short ({seconds:.0f} s)")
+    unseen = sum(v.record.duration for v in after.validation)
+    if unseen < SHORT_VALIDATION * after.model.block:
+        reasons.append(f"the validation data are short ({unseen:.0f} s)")
     return reasons
 
 
@@ -225,12 +240,14 @@ class _Search:
         self.records, self.unseen, self.candidates, self.reporter = records, unseen, dict(candidates), reporter
         self.rounds: list[Round] = []
         self.nominal: FittedModel | None = None
+        self.scores: list[Score] = []  # the last ones
         self.n = sum(r.n_rows for r in records)
 
     def scored(self, stage: FittedModel) -> tuple[list[Score], list[Score]]:
         """All scores on a model, and those that pass. Raises ValueError where its residuals cannot be tested."""
         try:
-            return score_all(stage, self.records, self.candidates)
+            self.scores, passed = score_all(stage, self.records, self.candidates)
+            return self.scores, passed
         except np.linalg.LinAlgError as problem:
             names = ", ".join(r.name for r in self.records)
             what = f"the residuals of model {stage.model.name} cannot be tested"
@@ -281,7 +298,8 @@ class _Search:
 
     def _round(self, current: FittedModel, scores: list[Score], passed: list[Score]) -> Round:
         specific = [s for s in passed if not s.generic]
-        specific = [s for s in specific if s.criterion(self.n) > MIN_SCORE_RATIO * specific[0].criterion(self.n)]
+        if specific and (best := specific[0].criterion(self.n)) > 0:  # what does not pay by its score may by its refit
+            specific = [s for s in specific if s.criterion(self.n) > MIN_SCORE_RATIO * best]
         refits: list[Refit] = []
         untested: list[UntestedCandidate] = []
         for first in range(0, N_REFITS * N_BATCHES, N_REFITS):  # the next ones where none of the best is accepted
@@ -290,10 +308,10 @@ class _Search:
             if any(r.accepted for r in refits):
                 break
         leading = max((r for r in refits if r.accepted), key=lambda r: r.criterion, default=None)
-        best, curve = (-np.inf, None) if leading is None else (leading.criterion, leading.effect.parametric_form_of)
+        most, curve = (-np.inf, None) if leading is None else (leading.criterion, leading.effect.parametric_form_of)
         # a table competes only where no name that holds comes close to what the scores promise for it, or where the
         # name is no more than one shape of the table's curve
-        least = max(0.5 * best, best - 50)
+        least = max(0.5 * most, most - 50)
         generic = [(s, s.kind is EffectKind.NONPARAMETRIC and s.curve == curve) for s in passed if s.generic]
         unknown = [s for s, whole in generic if s.criterion(self.n) > least or whole][:N_UNKNOWN]
         self._refit_all(current, [(_unknown(s, current), s) for s in unknown], refits, untested)

@@ -157,6 +157,11 @@ def _found(diagnosis: Diagnosis) -> str:
         quiet = "" if diagnosis.rounds else " In the estimation data nothing is missing."
         return f"{' '.join(mismatch_sentence(m) for m in diagnosis.mismatches)}{quiet}"
     if not diagnosis.rounds:
+        if (short := diagnosis.short) is not None:
+            return (
+                f"No effect is seen, but {short.seconds:.0f} s of estimation data are too short to test "
+                f"{short.untestable} of {short.candidates} candidates: give {short.needed:.0f} s or more."
+            )
         return "Nothing is missing: no effect in the catalogue, and no unknown one, is seen in these data."
     one = diagnosis.rounds[-1]
     if diagnosis.untested:
@@ -168,9 +173,10 @@ def _found(diagnosis: Diagnosis) -> str:
             f"Nothing is missing that matters to the prediction: {_listed(seen)} {do} a part of the residuals one step "
             "ahead, and the prediction is as good without."
         )
+    why = "what was added does not pay for itself" if one.chosen is not None else one.why  # and was removed
     if min(s.p for s in one.scores) > HARDLY:
-        return f"Nothing is missing that these data can show: {_passed(one)} passed the first test, but {one.why}."
-    return f"The residuals are not what the model predicts, but no candidate explains them: {one.why}."
+        return f"Nothing is missing that these data can show: {_passed(one)} passed the first test, but {why}."
+    return f"The residuals are not what the model predicts, but no candidate explains them: {why}."
 
 
 def mismatch_sentence(m: ValidationMismatch) -> str:

@@ -298,3 +298,38 @@ def test_sizes_are_told_together(
     across = (Parameter("F_x", 0.0, "N"), Parameter("F_y", 0.0, "N"))
     (found,) = of(one_round(refit("wind", 800.0, fit=fit, parameters=across)))
     assert found.attribution == attribution
+
+
+def test_a_parameter_of_each_run_is_told_as_those_of_all_are() -> None:
+    drift = (Parameter("V_dx", 0.0, "m/s^2", "drift", per_record=True),)
+    records = SimpleNamespace(records=("a", "b"))
+    for values, attribution in (((0.5, -9.0), "identified"), ((0.5, 0.1), "ambiguous")):
+        fit = SimpleNamespace(
+            names=("V_dx@0", "V_dx@1"), values=np.array(values), errors=np.ones(2), covariance=np.eye(2), flags=()
+        )
+        one = refit("current-drift", 800.0, fit=fit, parameters=drift)
+        stage = cast(Any, SimpleNamespace(fit=fit, **vars(records)))
+        (found,) = of(one_round(replace(one, stage=stage)))
+        assert found.attribution == attribution
+    assert found.reasons == ("the data do not tell its size: V_dx@0 = 0.5 ± 1 m/s^2",)
+
+
+def test_the_estimates_of_the_last_model_count() -> None:
+    """What was told in its own round is not, beside an effect that came later."""
+
+    def stage(value: float) -> Any:
+        fit = SimpleNamespace(
+            names=("F",), values=np.array([value]), errors=np.ones(1), covariance=np.eye(1), flags=()
+        )
+        return SimpleNamespace(fit=fit)
+
+    one = refit("wind", 800.0, fit=stage(6.0).fit, parameters=(Parameter("F", 0.0, "N"),))
+    (alone,) = assess_alternatives([one_round(one)], (), N)
+    (beside,) = assess_alternatives([one_round(one)], (), N, after=stage(1.5))
+    assert (alone.attribution, beside.attribution) == ("identified", "ambiguous")
+
+
+def test_more_may_not_be_left_than_an_effect_explains() -> None:
+    large, small = one_round(refit("wind", 30000.0)), one_round(refit("lift", 650.0))
+    both = of(large, small, left=(score("mooring", 700.0),))
+    assert [found.attribution for found in both] == ["identified", "ambiguous"]

@@ -10,7 +10,16 @@ import pytest
 
 from ident.data.record import Channel, LogSegment
 from ident.diagnosis import search
-from ident.diagnosis.results import Diagnosis, EffectImportance, Outcome, Refit, RemovedEffect, Round, UntestedCandidate
+from ident.diagnosis.results import (
+    Diagnosis,
+    EffectImportance,
+    Outcome,
+    Refit,
+    RemovedEffect,
+    Round,
+    ShortData,
+    UntestedCandidate,
+)
 from ident.diagnosis.score_test import Score
 from ident.diagnosis.search import _Search, _starts, diagnose
 from ident.effects.registry import catalogue
@@ -93,6 +102,31 @@ def test_a_difference_between_runs_comes_after_an_effect_unless_it_explains_sign
     assert found is not None
     assert [found.effect.name] == [r.effect.name for r in judged if r.outcome is Outcome.ADDED] == [chosen]
     assert [r.effect.name for r in judged] == [f"{BETWEEN}payload", "wind", "lift"]
+
+
+def test_a_candidate_that_does_not_pay_by_its_score_is_refitted_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[str] = []
+    note = lambda _self, _current, pairs, *_: tried.extend(effect.name for effect, _ in pairs)  # noqa: E731
+    monkeypatch.setattr(_Search, "_refit_all", note)
+    alone = a_search(Effect("compass", "compass", {}))
+    alone.n = 5000
+    score = Score("compass", 28.0, 4, 20.0, {}, {})
+    assert score.criterion(alone.n) < 0
+    alone._round(blank(), [score], [score])
+    assert tried == ["compass"]
+
+
+def test_data_too_short_for_a_test_are_not_said_to_lack_nothing() -> None:
+    """The statistic from blocks cannot exceed their number: below it no effect of any size passes."""
+    scores = [Score("wind", 900.0, df, 5.0, {}, {}, blocks=12) for df in (1, 4, 8)]
+    short = search._short_data(scores, blank(records=[blank(duration=60.0)], model=blank(block=5.0)))
+    assert short == ShortData(60.0, 105.0, 2, 3)
+    answer = diagnosis_answer(Diagnosis(blank(), blank(cross_validated=False), (), (), (), short=short), None, 10.0)
+    assert answer == (
+        "No effect is seen, but 60 s of estimation data are too short to test 2 of 3 candidates: give 105 s or more."
+    )
+    assert search._short_data([replace(s, blocks=21) for s in scores], blank()) is None
+    assert [scores[k].least_blocks for k in range(3)] == [7, 14, 21]
 
 
 def test_no_set_of_effects_is_left_that_predicts_worse_than_the_nominal_model(monkeypatch: pytest.MonkeyPatch) -> None:
