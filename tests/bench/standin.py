@@ -106,7 +106,7 @@ class StandIn:
         self.commands: list[tuple[float, float]] = []  # (monotonic s, n) as received
         self.motion: list[tuple[float, float]] = [(time.monotonic(), 0.0)]  # changes of what the thruster does
         self.extra_force = 0.0
-        self.dead_cell, self._flicker = False, 0
+        self._flicker = 1
         self.current_per_n = 20.0
         self.temperature, self.voltage = 30.0, 24.0  # NaN: their status frames are not sent
         self._garbage = b""
@@ -212,7 +212,7 @@ class StandIn:
     def _say_cell(self) -> None:
         if self.cell.open:
             force = 40.0 * self.n * abs(self.n) + self.extra_force
-            self._flicker = 0 if self.dead_cell else 1 - self._flicker  # as the last digit of any converter
+            self._flicker = -self._flicker  # as the last digit of any converter
             self.cell.write(loadcell.encode(round(ZERO_COUNTS + force / NEWTON_PER_COUNT) + self._flicker))
 
 
