@@ -216,6 +216,8 @@ def _not_fitted(one: Round) -> list[str]:
 
 
 def _unpredictive(weight: EffectImportance | None) -> list[str]:
+    if weight is not None and weight.untested is not None:
+        return [f"what the prediction is without it could not be tested: {weight.untested}"]
     if weight is None or weight.predicts:
         return []
     ahead = "" if weight.prediction is None else f" {weight.prediction.horizon:g} s ahead"

@@ -374,8 +374,18 @@ def _moved(diagnosis: Diagnosis) -> tuple[parts.ParameterChange, ...]:
 
 
 def _untested_warnings(diagnosis: Diagnosis) -> list[parts.ResultWarning]:
-    text = "Not tested, as it could not be fitted: {0.effect.title} ({0.reason})."
-    return [parts.ResultWarning(code="effect-untested", text=text.format(u)) for u in diagnosis.untested]
+    said = [f"Not tested, as it could not be fitted: {u.effect.title} ({u.reason})." for u in diagnosis.untested]
+    said += [
+        f"What {r.effect.title} is worth beside the others is not known, as the model without it could not be fitted: "
+        f"{w.untested}."
+        for r, w in zip(diagnosis.effects, diagnosis.weights, strict=True)
+        if w.untested is not None
+    ]
+    found = [parts.ResultWarning(code="effect-untested", text=text) for text in said]
+    if diagnosis.undrawn is not None:
+        text = f"No curve in place of {diagnosis.undrawn}."
+        found.append(parts.ResultWarning(code="curve-not-drawn", text=text))
+    return found
 
 
 def _not_paying(removed: RemovedEffect) -> str:

@@ -170,6 +170,13 @@ def test_a_name_without_which_the_prediction_is_as_good_is_not_sure(error: float
     assert found.attribution == attribution
 
 
+def test_a_name_whose_weight_is_not_known_is_not_sure() -> None:
+    weight = EffectImportance("wind", float("nan"), float("nan"), untested="x0")
+    (found,) = assess_alternatives([one_round(refit("wind", 800.0))], (), N, weights=[weight])
+    assert found.attribution == "ambiguous"
+    assert found.reasons == ("what the prediction is without it could not be tested: x0",)
+
+
 def test_what_speaks_against_the_data_speaks_against_every_name() -> None:
     short = "the estimation data are short (60 s)"
     (found,) = assess_alternatives([one_round(refit("wind", 800.0))], (), N, reservations=[short])

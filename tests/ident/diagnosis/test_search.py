@@ -12,6 +12,7 @@ from ident.data.record import Channel, LogSegment
 from ident.diagnosis import search
 from ident.diagnosis.results import (
     Diagnosis,
+    EffectAttribution,
     EffectImportance,
     Outcome,
     Refit,
@@ -26,14 +27,15 @@ from ident.effects.registry import catalogue
 from ident.estimation.fitted_model import FittedModel
 from ident.estimation.homogeneity import BETWEEN
 from ident.model.parameter import Parameter
-from ident.model.structure import Effect, EffectKind
+from ident.model.structure import Effect, EffectKind, ForceCurve
 from ident.models.horizontal import horizontal_model
 from ident.reporter import QUIET
-from ident.results.diagnosis import diagnosis_answer
+from ident.results.diagnosis import _untested_warnings, diagnosis_answer
 from ident.validation.prediction_errors import PredictionChange
 from mocks.plant.boat import Boat
 from tests.missions import boat_with, channels_of, sail
 
+NAN = float("nan")
 SAME = PredictionChange(0.99, 0.9, 1.1, 10.0, {})
 FELL, ROSE = PredictionChange(0.7, 0.6, 0.8, 10.0, {}), PredictionChange(1.3, 1.2, 1.4, 10.0, {})
 
@@ -265,6 +267,49 @@ def test_what_does_not_pay_beside_the_others_is_removed(monkeypatch: pytest.Monk
     assert current is fits["without hump"]
     assert [w.effect for w in weights] == ["cubic", "lift"]
     assert [r.effect.name for r in removed] == ["hump"]
+
+
+def test_a_removal_that_could_not_be_tested_removes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither where the weight is not known, nor where the exact fit without the effect fails."""
+    mine, whole = a_search(), blank()
+    mine.rounds = [Round((), (), (r,), r) for r in (refit("hump", 900.0), refit("cubic", 300.0))]
+    weights = (EffectImportance("cubic", 10.0, 1.1, 20.0, 0.3, FELL), EffectImportance("hump", NAN, NAN, untested="x0"))
+
+    def fails(*_: Any) -> Any:
+        raise ValueError("not finite")
+
+    monkeypatch.setattr(search, "effect_importance", lambda *_: weights)
+    monkeypatch.setattr(search, "fit_without", fails)
+    current, found, removed = mine.without_what_does_not_pay(blank(), whole)
+    assert current is whole
+    assert removed == []
+    assert [w.untested for w in found] == ["not finite", "x0"]
+
+
+def test_the_picture_of_a_doubt_is_left_out_where_it_cannot_be_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: Any) -> Any:
+        raise ValueError("x0")
+
+    table = Score("X(u)", 100.0, 1, 0.0, {}, {}, EffectKind.NONPARAMETRIC, ForceCurve("X", "u"))
+    chosen = refit("hump", 900.0)
+    rounds = [Round((table,), ("X(u)",), (chosen,), chosen)]
+    monkeypatch.setattr(search, "_unknown", fails)
+    drawn, undrawn = search._shapes(blank(), rounds, [EffectAttribution("hump", "ambiguous")], [])
+    assert (drawn, undrawn) == ([], "hump: x0")
+    judged = (EffectAttribution("hump", "ambiguous"),)
+    found = Diagnosis(
+        blank(), blank(), tuple(rounds), (), (), judged, (EffectImportance("hump", NAN, NAN, untested="y0"),),
+        undrawn=undrawn,
+    )
+    assert [(w.code, w.text.rpartition(": ")[2]) for w in _untested_warnings(found)] == [
+        ("effect-untested", "y0."), ("curve-not-drawn", "x0."),
+    ]
+
+
+def test_a_start_nearer_to_nothing_is_within_the_bounds() -> None:
+    """A ratio of 1 whose half is outside."""
+    ratio = Effect("own", "own", {}, (Parameter("ratio", 1.0, bounds=(0.6, 3.0)), Parameter("A", 1.0)))
+    assert search._half_values(ratio) == {"ratio": 0.6, "A": 0.5}
 
 
 def test_what_could_not_be_fitted_is_no_proof_that_nothing_is_missing() -> None:
