@@ -20,17 +20,18 @@ from ident.diagnosis.results import (
     Round,
     ShortData,
     UntestedCandidate,
+    ValidationMismatch,
 )
 from ident.diagnosis.score_test import Score
 from ident.diagnosis.search import _Search, _starts, diagnose
 from ident.effects.registry import catalogue
 from ident.estimation.fitted_model import FittedModel
-from ident.estimation.homogeneity import BETWEEN
+from ident.estimation.homogeneity import BETWEEN, ParameterShift
 from ident.model.parameter import Parameter
 from ident.model.structure import Effect, EffectKind, ForceCurve
 from ident.models.horizontal import horizontal_model
 from ident.reporter import QUIET
-from ident.results.diagnosis import _untested_warnings, diagnosis_answer
+from ident.results.diagnosis import _mismatch, _untested_warnings, diagnosis_answer, reported_mismatches
 from ident.validation.prediction_errors import PredictionChange
 from mocks.plant.boat import Boat
 from tests.missions import boat_with, channels_of, sail
@@ -320,6 +321,19 @@ def test_what_could_not_be_fitted_is_no_proof_that_nothing_is_missing() -> None:
     )
     assert found.untested == (lost,)
     assert "could not be fitted: a thrust mismatch" in diagnosis_answer(found, None, 10.0)
+
+
+def test_a_payload_has_no_kilograms_where_the_thrust_is_not_known() -> None:
+    model = horizontal_model()
+    thrust = model.values["c1"] + model.values["c2"]
+    shift = ParameterShift("m_payload", "kg", 0.0, 0.0, 0.2 * thrust, 0.01 * thrust, 90.0)
+    after = blank(fit=blank(model=model), cross_validated=False)
+    found = Diagnosis(blank(), after, (), (), (), mismatches=(ValidationMismatch("tue/run", "r", 2.0, shift),))
+    said = diagnosis_answer(found, None, 10.0)
+    assert "m_payload/T = 0.2 ± 0.01 kg/N in that run, not 0, would explain it best" in said
+    (row,) = map(_mismatch, reported_mismatches(found))
+    assert (row.parameter, row.unit) == ("m_payload/T", "kg/N")
+    assert (row.fitted, row.value, row.se) == pytest.approx((0.0, 0.2, 0.01))
 
 
 def test_what_the_validation_data_support_and_no_prediction_needs_is_named() -> None:
