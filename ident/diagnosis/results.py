@@ -81,7 +81,8 @@ class Refit:
 
 @dataclass(frozen=True)
 class UntestedCandidate:
-    """A candidate that passed the score test and could not be fitted, from any start, and why."""
+    """A candidate that passed the score test and could not be fitted, from any start, and why; or one of the user's own
+    that could not even have a score test."""
 
     effect: Effect
     reason: str
@@ -240,7 +241,8 @@ class Diagnosis:
     first; shapes: the curves of nonparametric effects, and of the first ambiguous one; weights and judgements: one for
     each effect, the most important first; removed: effects that were added and did not pay; failed_runs: validation
     runs that could not be evaluated; mismatches: validation runs that are predicted worse than the model says;
-    undrawn: why there is no curve of the first ambiguous effect, where it could not be fitted."""
+    undrawn: why there is no curve of the first ambiguous effect, where it could not be fitted; refused: candidates of
+    the user's own that could not be tested."""
 
     before: FittedModel
     after: FittedModel
@@ -254,6 +256,7 @@ class Diagnosis:
     mismatches: tuple[ValidationMismatch, ...] = ()
     short: ShortData | None = None
     undrawn: str | None = None
+    refused: tuple[UntestedCandidate, ...] = ()
 
     @property
     def effects(self) -> tuple[Refit, ...]:

@@ -56,6 +56,7 @@ from ident.estimation import (
     cross_validated,
     fit_and_evaluate,
     fit_with_rescaling,
+    lacking_inputs,
     nominal,
     superset,
     validation_records,
@@ -134,7 +135,8 @@ def diagnose(
             "the horizontal model instead"
         )
     full = nominal(model)
-    candidates = {n: e for n, e in (catalogue() if effects is None else effects).items() if full.accepts(e)}
+    given = catalogue() if effects is None else effects
+    candidates = {n: e for n, e in given.items() if full.accepts(e)}
     wanted = set(candidates)
     failed = validation_records(full, validation, rate)[1]
     usable = [r for r in validation if r.name not in {f.record for f in failed}]
@@ -174,7 +176,20 @@ def diagnose(
         validation_mismatches(current),
         _short_data(search.scores, before),
         undrawn,
+        _refused(full, given, [*estimation, *usable]),
     )
+
+
+def _refused(model: Model, given: Mapping[str, Effect], runs: Sequence[LogSegment]) -> tuple[UntestedCandidate, ...]:
+    """Candidates of the user's own that cannot be tested, and why. Of the catalogue many do not concern a model."""
+    known, found = catalogue(), []
+    for effect in (e for name, e in given.items() if known.get(name) is not e):
+        reason = model.refusal(effect)
+        lacking = ((run, lacking_inputs(model, effect, run)) for run in runs if reason is None)
+        reason = next((f"{run.name} lacks its input {min(names)}" for run, names in lacking if names), reason)
+        if reason is not None:
+            found.append(UntestedCandidate(effect, reason))
+    return tuple(found)
 
 
 def _short_data(scores: Sequence[Score], stage: FittedModel) -> ShortData | None:

@@ -12,6 +12,7 @@ from .fitted_model import cross_validated as cross_validated
 from .fitted_model import fit_and_evaluate as fit_and_evaluate
 from .fitted_model import fit_nominal_model as fit_nominal_model
 from .fitted_model import fit_with_rescaling as fit_with_rescaling
+from .fitted_model import lacking_inputs as lacking_inputs
 from .fitted_model import nominal as nominal
 from .fitted_model import superset as superset
 from .fitted_model import validated_in_blocks as validated_in_blocks

@@ -280,13 +280,17 @@ def superset(
     nominal: Model, candidates: Mapping[str, Effect], runs: Sequence[LogSegment]
 ) -> tuple[Model, dict[str, Effect]]:
     """The model with every candidate whose inputs all runs have, so that one record serves them all."""
-    derived = {"t", "work"} if nominal.provides and "n" in nominal.provides else {"t"}
     everything, kept = nominal, {}
     for name, effect in candidates.items():
-        wanted = {i.tap_of or i.name for i in effect.inputs} - derived
-        if all(wanted <= set(run.channels) for run in runs):
+        if not any(lacking_inputs(nominal, effect, run) for run in runs):
             everything, kept[name] = everything + effect, effect
     return everything, kept
+
+
+def lacking_inputs(nominal: Model, effect: Effect, run: LogSegment) -> set[str]:
+    """Inputs of an effect that a run has not, nor what they follow from."""
+    derived = {"t", "work"} if nominal.provides and "n" in nominal.provides else {"t"}
+    return {i.tap_of or i.name for i in effect.inputs} - derived - set(run.channels)
 
 
 def without_absent_sensors(model: Model, records: Sequence[Record]) -> Model:

@@ -427,8 +427,15 @@ class Model:
 
     def accepts(self, effect: Effect) -> bool:
         """Whether the effect can be added, and neither it nor what it is about is there already."""
+        return self.refusal(effect) is None
+
+    def refusal(self, effect: Effect) -> str | None:
+        """Why the effect cannot be added; None: it can."""
+        if missing := self._missing(effect):
+            return f"it needs the signal {min(missing)!r}, which model {self.name} has not"
         had = {e.name for e in self.effects} | set(self.values)
-        return not self._missing(effect) and not had & {effect.name, *(p.name for p in effect.parameters)}
+        there = had & {effect.name, *(p.name for p in effect.parameters)}
+        return f"model {self.name} has {min(there)} already" if there else None
 
     def _missing(self, effect: Effect) -> set[str]:
         """Signals that an effect requires and the model does not provide; a hull moves in the plane."""

@@ -393,6 +393,7 @@ def _moved(diagnosis: Diagnosis) -> tuple[parts.ParameterChange, ...]:
 
 def _untested_warnings(diagnosis: Diagnosis) -> list[parts.ResultWarning]:
     said = [f"Not tested, as it could not be fitted: {u.effect.title} ({u.reason})." for u in diagnosis.untested]
+    said += [f"Not tested: {u.effect.title} ({u.reason})." for u in diagnosis.refused]
     said += [
         f"What {r.effect.title} is worth beside the others is not known, as the model without it could not be fitted: "
         f"{w.untested}."

@@ -28,7 +28,7 @@ from ident.effects.registry import catalogue
 from ident.estimation.fitted_model import FittedModel
 from ident.estimation.homogeneity import BETWEEN, ParameterShift
 from ident.model.parameter import Parameter
-from ident.model.structure import Effect, EffectKind, ForceCurve
+from ident.model.structure import Effect, EffectKind, ForceCurve, Input
 from ident.models.horizontal import horizontal_model
 from ident.reporter import QUIET
 from ident.results.diagnosis import _mismatch, _untested_warnings, diagnosis_answer, reported_mismatches
@@ -305,6 +305,27 @@ def test_the_picture_of_a_doubt_is_left_out_where_it_cannot_be_fitted(monkeypatc
     assert [(w.code, w.text.rpartition(": ")[2]) for w in _untested_warnings(found)] == [
         ("effect-untested", "y0."), ("curve-not-drawn", "x0."),
     ]
+
+
+def test_a_candidate_of_the_users_own_that_cannot_be_tested_is_named() -> None:
+    """Of the catalogue nobody asks why a sailing effect is not tested on a barge."""
+    model = horizontal_model()
+    seen = Channel(np.arange(3.0), np.zeros(3))
+    runs = [LogSegment("mon/run", {"tide": seen}), LogSegment("tue/run", {})]
+    tide = Effect("tide", "a tide", {}, inputs=(Input("tide", "m", "linear"),))
+    sail = Effect("sail", "a sail", {}, requires=("sail_area",))
+    twice = Effect("twice", "a mass", {}, (Parameter("m_u", 1.0),))
+    fine = Effect("fine", "a fine one", {}, (Parameter("own", 0.0),))
+    given = {**catalogue(), **{e.name: e for e in (tide, sail, twice, fine)}}
+    refused = search._refused(model, given, runs)
+    assert [(u.effect.name, u.reason) for u in refused] == [
+        ("tide", "tue/run lacks its input tide"),
+        ("sail", f"it needs the signal 'sail_area', which model {model.name} has not"),
+        ("twice", f"model {model.name} has m_u already"),
+    ]
+    found = Diagnosis(blank(), blank(), (), (), (), refused=refused)
+    (first, *_) = _untested_warnings(found)
+    assert (first.code, first.text) == ("effect-untested", "Not tested: a tide (tue/run lacks its input tide).")
 
 
 def test_a_start_nearer_to_nothing_is_within_the_bounds() -> None:
