@@ -174,6 +174,8 @@ class MavlinkDriver(DeviceDriver):
         if not self._commands or self._commands[0].number != m.command or m.result == IN_PROGRESS:
             return
         command = self._commands[0]
+        if not command.tries:
+            return  # the answer to the arming that it has taken the place of
         word = RESULTS[m.result] if m.result < len(RESULTS) else f"result {m.result}"
         if command.number == SET_INTERVAL:
             self._commands.popleft()
@@ -238,7 +240,8 @@ class MavlinkDriver(DeviceDriver):
         while self._requests:
             action, value = self._requests.popleft()
             if action == "leave":
-                self._commands += [_Command(ARM, (0.0,) * 7, "disarm")] if self._armed_by_us else []
+                if self._armed_by_us:
+                    self._put_first(_Command(ARM, (0.0,) * 7, "disarm"))
                 continue
             if action == "mute":
                 self._muted_until = now + value
@@ -246,9 +249,14 @@ class MavlinkDriver(DeviceDriver):
             self._reasons, self._refusal = [], ""
             self._status = replace(self._status, answer="")
             if action == "mode":
-                self._commands.append(_Command(SET_MODE, (CUSTOM_MODE, value, 0, 0, 0, 0, 0), action))
+                self._put_first(_Command(SET_MODE, (CUSTOM_MODE, value, 0, 0, 0, 0, 0), action))
             else:  # param2 stays 0: no forced arming, ever
-                self._commands.append(_Command(ARM, (float(action == "arm"), 0, 0, 0, 0, 0, 0), action))
+                self._put_first(_Command(ARM, (float(action == "arm"), 0, 0, 0, 0, 0, 0), action))
+
+    def _put_first(self, command: _Command) -> None:
+        """Before the rates, of which each may take a second and more, and in the place of an earlier request: a disarm
+        waits for nothing, and no arming comes after it."""
+        self._commands = deque([command, *(one for one in self._commands if one.number == SET_INTERVAL)])
 
     def poll(self, now: float) -> bytes:
         """Heartbeat, the first command of the queue, parameter requests, neutral while no thrust is commanded."""

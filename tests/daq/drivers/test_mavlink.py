@@ -20,6 +20,8 @@ from daq.samples import Ahrs, Battery, Esc, Servo
 from mocks.devices.autopilot import HOLD, AutopilotEmulator
 from tests.daq.mavlink_ends import LEVEL, Ends, mav_rig
 
+LONG = "COMMAND_LONG"
+
 
 def ready(ends: Ends) -> Ends:
     ends.run(2.0)
@@ -247,6 +249,19 @@ def test_who_does_not_drive_is_no_ground_station(role: LinkRole, sends: bool) ->
     assert device.mavlink is not None
     assert all(message.get_srcSystem() not in (1, device.mavlink.own_system_id) for message in sent)
     assert bool(driver.hint) is not sends
+
+
+def test_a_request_goes_before_rates_and_takes_the_place_of_an_earlier_one() -> None:
+    ends = ready(Ends(mav_rig()))
+    ends.deaf = True
+    ends.driver._ask_rates(ends.t)  # of which none is answered
+    ends.run(0.1)
+    ends.driver.request("arm", 0.0)
+    ends.run(0.02)
+    ends.driver.request("disarm", 0.0)
+    ear = Codec(9, 1)
+    sent = [m for k in range(3) for m in parsed(ear, ends.driver.poll(ends.t + 0.5 * k)) if m.get_type() == LONG]
+    assert [(m.command, m.param1) for m in sent] == [(400, 0.0)] * 3
 
 
 def parsed(codec: Codec, data: bytes) -> list[Any]:
