@@ -94,6 +94,10 @@ class Autopilots:
         """Of the autopilots."""
         return [device.name for device in self._devices]
 
+    def begin_link_test(self) -> None:
+        """What runs is the link test itself, which needs none before it, however little `limits.link_test_n` allows."""
+        self._n_max = 0.0
+
     def await_ready(self) -> None:
         """Until every autopilot is fit to run the mission. Raises SeatrialError."""
         for device in self._devices:

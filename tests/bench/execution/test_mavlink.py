@@ -244,10 +244,11 @@ def test_the_rig_of_the_mock_is_what_devices_makes_of_its_parameters(tmp_path: P
     assert [(t.name, t.node, t.output) for t in found.thrusters] == [(t.name, t.node, t.output) for t in rig.thrusters]
 
 
-def test_a_mission_with_thrust_needs_a_link_test(tmp_path: Path) -> None:
+@pytest.mark.parametrize("allowed", [0.3, 0.05])  # below a link test's own command: the test itself needs none
+def test_a_mission_with_thrust_needs_a_link_test(tmp_path: Path, allowed: float) -> None:
     write_files(tmp_path, 4.0)
     rig = tmp_path / "rig.toml"
-    rig.write_text(rig.read_text().replace("link_test_n = 1.0", "link_test_n = 0.3"))
+    rig.write_text(rig.read_text().replace("link_test_n = 1.0", f"link_test_n = {allowed}"))
     with mock(tmp_path):
         with running(tmp_path, "--arm") as run:
             _, err = run.communicate(timeout=60)
