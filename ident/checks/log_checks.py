@@ -27,6 +27,7 @@ from ident.checks.motion import (
     delayed_forces,
     fill_gaps,
     thruster_forces,
+    turn_rate,
     turning,
 )
 from ident.checks.sensors import (
@@ -41,7 +42,7 @@ from ident.checks.sensors import (
 )
 from ident.checks.shafts import check_shafts
 from ident.checks.signals import check_frozen, check_intervals, check_ranges, check_smoothing
-from ident.data import Channel, block_mean, channels
+from ident.data import Channel, channels
 from ident.numerics import Array
 
 POSITION_WINDOW = 5.0  # s, over which positions are differenced, as the check does
@@ -172,18 +173,27 @@ def push(c: Channels, sides: Mapping[str, float]) -> list[PushResponseCurve]:
         return []
     found: list[PushResponseCurve] = []
     if given.side.any():
-        r = fill_gaps(given.t, block_mean(c["r"], given.edges)[0])
-        found.append(_pushed("yaw rate", "rad/s", given, r, given.f @ given.side, YAW_LAGS))
+        r = _yaw_rate(c, given.edges)
+        if r is not None:
+            found.append(_pushed("yaw rate", "rad/s", given, r, given.f @ given.side, YAW_LAGS))
     if (u := ahead(c, given.t)) is not None:
         found.append(_pushed("speed ahead over ground", "m/s", given, u, given.f.sum(axis=1), SURGE_LAGS))
     return [row for row in found if np.isfinite(row.expected).any()]
 
 
+def _yaw_rate(c: Channels, edges: Array) -> Array | None:
+    """Of the best sensor there is, as the check takes it."""
+    rates = (turn_rate(c, edges, name) for name in ("gyro", "heading", "course"))
+    return next((rate for rate in rates if rate is not None and np.isfinite(rate).any()), None)
+
+
 def _pushed(
     title: str, unit: str, given: ThrusterForces, y: Array, f: Array, lags: Sequence[float]
 ) -> PushResponseCurve:
-    expected = delayed_forces(y, f, lags) if np.ptp(f) > 0.0 else np.full(y.size, np.nan)
-    return PushResponseCurve(title, unit, given.t, y, expected)
+    there = np.isfinite(y)  # not where the boat is too slow for a course
+    filled = fill_gaps(given.t, y)
+    expected = delayed_forces(filled, f, lags) if np.ptp(f) > 0.0 else np.full(y.size, np.nan)
+    return PushResponseCurve(title, unit, given.t[there], y[there], expected[there])
 
 
 def sensors(c: Channels) -> list[SensorPair]:

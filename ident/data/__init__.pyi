@@ -8,6 +8,7 @@ from .loading import ahrs_channels as ahrs_channels
 from .loading import channels as channels
 from .loading import load_all as load_all
 from .loading import load_run as load_run
+from .loading import load_runs as load_runs
 from .record import TIME_INPUT as TIME_INPUT
 from .record import WORK_INPUT as WORK_INPUT
 from .record import WORK_UNIT as WORK_UNIT

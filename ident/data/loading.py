@@ -23,6 +23,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from itertools import chain, count
 from math import inf
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -266,7 +267,35 @@ def load_all(
     if same:
         raise SeatrialError(f"{sorted(same)[0].name}: the same log to fit and to validate proves nothing; give another")
     own = [load_run(p, "estimation", window, device_faults) for p in logs]
-    return own, [load_run(p, "validation", device_faults=device_faults) for p in validate]
+    others = [load_run(p, "validation", device_faults=device_faults) for p in validate]
+    named = told_apart([*own, *others], [*logs, *validate])
+    return named[: len(own)], named[len(own) :]
+
+
+def load_runs(logs: Sequence[Path], role: str, window: TimeWindow = WHOLE) -> list[LoadedLog]:
+    """Logs of one role (``load_run``), told apart."""
+    return told_apart([load_run(path, role, window) for path in logs], logs)
+
+
+def told_apart(loaded: Sequence[LoadedLog], files: Sequence[Path]) -> list[LoadedLog]:
+    """The logs of these files with a name each. Runs are compared, paired and shown by name, so that two of one name
+    would be taken for each other: they get the folder's name before their own (``mon/run``)."""
+    names = _unique([one.run.name for one in loaded], files)
+    paths = _unique([one.about["path"] for one in loaded], files)
+    return [
+        replace(one, run=replace(one.run, name=name), about=one.about | {"name": name, "path": path})
+        for one, name, path in zip(loaded, names, paths, strict=True)
+    ]
+
+
+def _unique(labels: Sequence[str], files: Sequence[Path]) -> list[str]:
+    """Labels of files; those that several have with the folder, and with a number where that is the same, too."""
+    found: list[str] = []
+    for label, file in zip(labels, files, strict=True):
+        name = f"{file.resolve().parent.name}/{label}" if labels.count(label) > 1 else label
+        numbered = (f"{name} ({k})" for k in count(2))
+        found.append(next(one for one in chain([name], numbered) if one not in found))
+    return found
 
 
 def load_run(

@@ -8,6 +8,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -231,10 +232,10 @@ def _sensor_samples(
     inside = (first.t >= start) & (first.t <= end)
     own = np.median(np.diff(first.t[inside])) if inside.sum() > 2 else np.inf
     if own > 0.6 / rate:
-        columns = [
-            channels[o.name].value[(channels[o.name].t >= start) & (channels[o.name].t <= end)] for o in sensor.outputs
-        ]
-        times, values = first.t[inside], np.column_stack(columns)
+        # an import drops NaN signal by signal: a row has all outputs of one time, or does not exist
+        own_channels = [channels[o.name] for o in sensor.outputs]
+        times = reduce(np.intersect1d, [c.t for c in own_channels[1:]], first.t[inside])
+        values = np.column_stack([c.value[np.searchsorted(c.t, times)] for c in own_channels])
     else:
         edges = np.arange(start, end + 0.5 / rate, 1.0 / rate)
         blocks = [block_mean(channels[o.name], edges, o.angle) for o in sensor.outputs]

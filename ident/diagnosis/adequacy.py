@@ -18,8 +18,8 @@ import numpy as np
 
 from ident.diagnosis.results import Diagnosis, EffectAttribution, EffectImportance, Refit, Round
 from ident.diagnosis.score_test import Score
-from ident.estimation import AT_BOUND, Fit, FittedModel
-from ident.model import Effect, EffectKind, ModelKind
+from ident.estimation import AT_BOUND, Fit, FittedModel, ReportedEstimates
+from ident.model import Effect, EffectKind, ModelKind, Parameter
 from ident.models import READINGS, THRUST_LOSSES
 
 # Largest criterion (2 ln L less the penalty of the parameters) that a score test may still find beside an identified
@@ -113,22 +113,28 @@ def _form(chosen: Sequence[Refit], one: Refit) -> list[str]:
 def _own(effect: Effect, stage: FittedModel) -> list[str]:
     """Evidence against it by its own parameters: a parameter at its bound, or a size that is not significant."""
     fit = stage.fit
-    named = {p.name: p for p in effect.parameters if not p.per_record}
+    named = {p.full_name: p for p in effect.parameters if not p.per_record}
     for p in effect.parameters:
         if p.per_record:
-            named |= {replace(p, segment=run).full_name: p for run in range(len(stage.records))}
+            named |= {q.full_name: q for q in (replace(p, segment=run) for run in range(len(stage.records)))}
     own = {i: named[name] for i, name in enumerate(fit.names) if name in named}
     stuck = {name for name, what in fit.flags if what == AT_BOUND}
-    for i, p in own.items():
-        if fit.names[i] in stuck:
-            value = f"{fit.values[i]:.3g} {p.unit}".rstrip()
-            return [f"its parameter {fit.names[i]} ({p.meaning}) is at its bound, {value}"]
+    for p in own.values():
+        if p.full_name in stuck:
+            name, value, _, unit = _reported(fit, p)
+            return [f"its parameter {name} ({p.meaning}) is at its bound, {value:.3g} {unit}".rstrip()]
     sizes = [i for i, p in own.items() if p.value == 0.0 and fit.errors[i] > 0]
     if not sizes or _from_nothing(fit, sizes) >= MIN_SIGNIFICANCE:
         return []
-    at = sizes[0]
-    value = f"{fit.names[at]} = {fit.values[at]:.3g} ± {fit.errors[at]:.3g} {own[at].unit}".rstrip()
-    return [f"the data do not tell its size: {value}"]
+    name, value, error, unit = _reported(fit, own[sizes[0]])
+    return [f"the data do not tell its size: {name} = {value:.3g} ± {error:.3g} {unit}".rstrip()]
+
+
+def _reported(fit: Fit, p: Parameter) -> tuple[str, float, float, str]:
+    """Name, value, standard error and unit, over the thrust where its scale is unknown."""
+    reported = ReportedEstimates(fit)
+    estimate = reported.estimate(p, p.segment or 0)
+    return reported.scale.name(p.full_name, p.unit), *estimate, reported.scale.unit(p.unit)
 
 
 def _place(effect: Effect, stage: FittedModel) -> list[str]:
@@ -216,6 +222,8 @@ def _not_fitted(one: Round) -> list[str]:
 
 
 def _unpredictive(weight: EffectImportance | None) -> list[str]:
+    if weight is not None and weight.untested is not None:
+        return [f"what the prediction is without it could not be tested: {weight.untested}"]
     if weight is None or weight.predicts:
         return []
     ahead = "" if weight.prediction is None else f" {weight.prediction.horizon:g} s ahead"

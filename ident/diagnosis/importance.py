@@ -33,26 +33,36 @@ def effect_importance(
     records: Sequence[Record],
     unseen: Unseen,
 ) -> tuple[EffectImportance, ...]:
-    """Importance of each ``chosen`` effect of the model ``after``, largest first (``by_importance``)."""
+    """Importance of each ``chosen`` effect of the model ``after``, largest first (``by_importance``); unknown where the
+    model without the effect cannot be fitted: any smaller model in its place would give it the gain of other effects.
+    """
     if not chosen:
         return ()
     known = {frozenset(_added(before, q.stage)): q.stage for r in rounds for q in r.refits}
     known |= {frozenset[str](): before}
     every = _added(before, after)
-    found, best = [], _log_error(after)
+    found = []
     for one in chosen:
         out = left_out_with(one.effect, chosen)
         kept = [c for c in chosen if c.effect.name not in out]
-        stage = known.get(frozenset(every - out)) or _with(kept, after, before, records, unseen)
-        gain = 2 * (after.fit.log_posterior - stage.fit.log_posterior)
-        error = float(np.exp(_log_error(stage) - best))
-        if one.stage is after and len(out) == 1 and one.prediction is not None:  # as it was accepted
-            worth = (one.validation_gain, one.t), one.prediction
-        else:
-            compared = comparison(stage, after, one.effect)
-            worth = compared.gain, compared.prediction
-        found.append(EffectImportance(one.effect.name, gain, error, *worth[0], worth[1]))
+        try:
+            stage = known.get(frozenset(every - out)) or _with(kept, after, before, records, unseen)
+            found.append(_importance(one, stage, after, alone=len(out) == 1))
+        except FIT_ERRORS as problem:
+            unknown = float("nan")
+            found.append(EffectImportance(one.effect.name, unknown, unknown, untested=str(problem)))
     return by_importance(found, chosen)
+
+
+def _importance(one: Refit, without: FittedModel, after: FittedModel, *, alone: bool) -> EffectImportance:
+    """Of an effect, by the model ``without`` it; ``alone``: nothing was left out with it."""
+    gain = 2 * (after.fit.log_posterior - without.fit.log_posterior)
+    if one.stage is after and alone and one.prediction is not None:  # as it was accepted
+        worth, prediction = (one.validation_gain, one.t), one.prediction
+    else:
+        compared = comparison(without, after, one.effect)
+        worth, prediction = compared.gain, compared.prediction
+    return EffectImportance(one.effect.name, gain, error_ratio(without, after), *worth, prediction)
 
 
 def left_out_with(effect: Effect, chosen: Sequence[Refit]) -> set[str]:
@@ -69,7 +79,7 @@ def fit_without(
     records: Sequence[Record],
     unseen: Unseen,
 ) -> FittedModel:
-    """The model with all ``chosen`` effects but one, fitted exactly."""
+    """The model with all ``chosen`` effects but one, fitted exactly. Raises one of ``FIT_ERRORS`` where that fails."""
     kept = [c for c in chosen if c.effect is not effect]
     return _with(kept, after, before, records, unseen, exact=True) if kept else before
 
@@ -88,7 +98,7 @@ def by_importance(found: Sequence[EffectImportance], chosen: Sequence[Refit]) ->
         for table in chosen
         if table.effect.is_table_of(c.effect.parametric_form_of)
     }
-    found = sorted(found, key=lambda w: -w.error)
+    found = sorted(found, key=lambda w: np.inf if np.isnan(w.error) else -w.error)  # the unknown last
     order = [w.effect for w in found if w.effect not in tables]
     for w in found:
         if w.effect in tables:
@@ -124,19 +134,16 @@ def _with(
     *,
     exact: bool = False,
 ) -> FittedModel:
-    """Refit with only the kept effects, from the values of ``after``; ``before`` where that cannot be fitted."""
+    """Refit with only the kept effects, from the values of ``after``."""
     last = after.fit.model
     model: Model = before.fit.model
     for other in kept:
         model = model + other.effect
     model = model.with_values({n: last.values[n] for n in model.values if n in last.values})
-    try:
-        if exact:
-            return fit_and_evaluate(model, records, unseen)
-        with quickly(sum(r.n_rows for r in records)):
-            return fit_and_evaluate(model, records, unseen, settings=ROUGH)
-    except FIT_ERRORS:
-        return before
+    if exact:
+        return fit_and_evaluate(model, records, unseen)
+    with quickly(sum(r.n_rows for r in records)):
+        return fit_and_evaluate(model, records, unseen, settings=ROUGH)
 
 
 def error_ratio(without: FittedModel, having: FittedModel) -> float:

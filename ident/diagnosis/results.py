@@ -173,6 +173,7 @@ class EffectImportance:
             estimation data.
         validation_gain, t: d ln L on the validation data of having it beside the others, and its statistic over blocks.
         prediction: change of the prediction errors over the horizon by having it.
+        untested: why the model without it could not be fitted: then nothing is known of its importance.
     """
 
     effect: str
@@ -181,6 +182,7 @@ class EffectImportance:
     validation_gain: float = float("nan")
     t: float = float("nan")
     prediction: PredictionChange | None = None
+    untested: str | None = None
 
     @property
     def pays(self) -> bool:
@@ -237,7 +239,8 @@ class Diagnosis:
     """before, after: the model without and with the effects; left: what still passes the tests at the end, best
     first; shapes: the curves of nonparametric effects, and of the first ambiguous one; weights and judgements: one for
     each effect, the most important first; removed: effects that were added and did not pay; failed_runs: validation
-    runs that could not be evaluated; shifts: parameters that are another in a validation run."""
+    runs that could not be evaluated; mismatches: validation runs that are predicted worse than the model says;
+    undrawn: why there is no curve of the first ambiguous effect, where it could not be fitted."""
 
     before: FittedModel
     after: FittedModel
@@ -250,6 +253,7 @@ class Diagnosis:
     failed_runs: tuple[FailedRun, ...] = ()
     mismatches: tuple[ValidationMismatch, ...] = ()
     short: ShortData | None = None
+    undrawn: str | None = None
 
     @property
     def effects(self) -> tuple[Refit, ...]:
@@ -273,8 +277,3 @@ class Diagnosis:
     def converged(self) -> bool:
         """Whether the last model's fit did."""
         return self.after.fit.converged
-
-    @property
-    def sure(self) -> bool:
-        """Whether all selected effects are identified."""
-        return all(j.attribution == "identified" for j in self.judgements)

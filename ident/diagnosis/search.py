@@ -160,18 +160,20 @@ def diagnose(
     order = [w.effect for w in weights]
     judgements = assess_alternatives(kept, passed, search.n, untested, weights, _reservations(before, current), current)
     judgements = tuple(sorted(judgements, key=lambda j: order.index(j.effect)))
+    shapes, undrawn = _shapes(before, kept, judgements, records)
     return Diagnosis(
         before,
         current,
         tuple(search.rounds),
         tuple(passed),
-        tuple(_shapes(before, kept, judgements, records)),
+        tuple(shapes),
         judgements,
         weights,
         tuple(removed),
         (*failed, *before.failed, *(f for f in current.failed if f not in before.failed)),
         validation_mismatches(current),
         _short_data(search.scores, before),
+        undrawn,
     )
 
 
@@ -277,24 +279,32 @@ class _Search:
         self, before: FittedModel, current: FittedModel
     ) -> tuple[FittedModel, tuple[EffectImportance, ...], list[RemovedEffect]]:
         """Backward elimination: each effect is left out in turn, and the one that pays least is removed, until all pay.
+        One without which the model cannot be fitted is not removed: whether it pays is not known.
         """
         removed: list[RemovedEffect] = []
+        stuck: dict[str, str] = {}
         while True:
             gone = {r.effect.name for r in removed}
             chosen = [r.chosen for r in self.rounds if r.chosen is not None and r.chosen.effect.name not in gone]
             weights = effect_importance(before, current, chosen, self.rounds, self.records, self.unseen)
+            weights = tuple(replace(w, untested=stuck.get(w.effect, w.untested)) for w in weights)
+            tested = [w for w in weights if w.untested is None]
             tables = {c.effect.name for c in chosen if c.unknown}
-            idle_tables = {w.effect for w in weights if not (w.predicts or helps(w.prediction))} & tables
-            idle = min((w for w in weights if not w.pays or w.effect in idle_tables), key=lambda w: w.t, default=None)
+            idle_tables = {w.effect for w in tested if not (w.predicts or helps(w.prediction))} & tables
+            idle = min((w for w in tested if not w.pays or w.effect in idle_tables), key=lambda w: w.t, default=None)
             if idle is None and removed and chosen and Comparison(before, current).prediction.verdict == "rose":
-                idle = next(w for w in weights if w.effect == chosen[-1].effect.name)
+                idle = next((w for w in tested if w.effect == chosen[-1].effect.name), None)
             if idle is None:
                 return current, weights, removed
             assert idle.prediction is not None
             effect = next(c.effect for c in chosen if c.effect.name == idle.effect)
-            removed.append(RemovedEffect(effect, idle.validation_gain, idle.t, idle.prediction))
             self.reporter.progress(f"fitting without {effect.title}, which does not pay")
-            current = fit_without(before, current, chosen, effect, self.records, self.unseen)
+            try:
+                current = fit_without(before, current, chosen, effect, self.records, self.unseen)
+            except FIT_ERRORS as problem:
+                stuck[idle.effect] = str(problem)
+                continue
+            removed.append(RemovedEffect(effect, idle.validation_gain, idle.t, idle.prediction))
 
     def _round(self, current: FittedModel, scores: list[Score], passed: list[Score]) -> Round:
         specific = [s for s in passed if not s.generic]
@@ -347,10 +357,9 @@ class _Search:
     def _exact(self, current: FittedModel, rough: Refit) -> Refit:
         """A validated refit fitted exactly and judged by its prediction. Raises ValueError where that fails or does not
         converge."""
-        own = {p.name: p.value for p in rough.effect.parameters if not p.per_record}
         again = current.fit.model + rough.effect
         reason = ""
-        for begin in (rough.stage.fit.model, again, again.with_values({n: 0.5 * v for n, v in own.items()})):
+        for begin in (rough.stage.fit.model, again, again.with_values(_half_values(rough.effect))):
             try:
                 stage = fit_and_evaluate(begin, self.records, self.unseen)
                 compared = comparison(current, stage, rough.effect)
@@ -434,6 +443,13 @@ def _explains_more(one: Refit, other: Refit) -> bool:
     return gain > 0 and t > T_VALIDATION and compared.prediction.verdict != "rose"
 
 
+def _half_values(effect: Effect) -> dict[str, float]:
+    """A start nearer to nothing, within the bounds: a parameter whose bounds do not hold its half begins at one."""
+    return {
+        p.name: min(max(0.5 * p.value, p.bounds[0]), p.bounds[1]) for p in effect.parameters if not p.per_record
+    }
+
+
 def _degrees(effect: Effect, parameter: Parameter, n_records: int) -> int:
     """Degrees of freedom of a parameter of an effect: what differs between the records has its mean in the model."""
     if not parameter.per_record:
@@ -482,24 +498,27 @@ def _span(stage: FittedModel, curve: ForceCurve) -> tuple[float, float]:
 
 def _shapes(
     before: FittedModel, rounds: Sequence[Round], judgements: Sequence[EffectAttribution], records: Sequence[Record]
-) -> list[NonparametricForce]:
+) -> tuple[list[NonparametricForce], str | None]:
     """Nonparametric curves: of selected nonparametric effects, and the residual in place of the first ambiguous
-    effect."""
-    found, current = [], before
+    effect; why that one could not be fitted: it is a picture beside the result, which does without it."""
+    found, current, undrawn = [], before, None
     chosen = [r for r in rounds if r.chosen is not None]
     first = next((j.effect for j in judgements if j.attribution == "ambiguous"), None)
     for one, r in ((one, one.chosen) for one in chosen if one.chosen is not None):
         if r.unknown:
             found.append(_drawn(r.effect, r.stage))
         elif r.effect.name == first and (likely := _likely_table(one)):
-            effect = _unknown(likely, current)
-            found.append(_drawn(effect, fit_and_evaluate(current.fit.model + effect, records, ())))
+            try:
+                effect = _unknown(likely, current)
+                found.append(_drawn(effect, fit_and_evaluate(current.fit.model + effect, records, ())))
+            except FIT_ERRORS as problem:
+                undrawn = f"{r.effect.title}: {problem}"
         current = r.stage
     drawn: dict[tuple[str, str], NonparametricForce] = {}
     for s in found:
         if s is not None:  # of one curve the whole, not what is left of it beside a name
             drawn.setdefault((s.force, s.variable), s)
-    return list(drawn.values())
+    return list(drawn.values()), undrawn
 
 
 def _likely_table(one: Round) -> Score | None:

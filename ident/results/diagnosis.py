@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import cast
 
 import msgspec
@@ -17,7 +18,7 @@ from ident.diagnosis import (
     recommended_experiment,
 )
 from ident.effects import catalogue
-from ident.estimation import FittedModel, ReportedEstimates, run_differences
+from ident.estimation import FittedModel, ParameterShift, ReportedEstimates, run_differences
 from ident.model import EffectKind
 from ident.results import parts
 from ident.results.answers import (
@@ -91,7 +92,7 @@ def diagnosis_result(
         fit=fit_summary(diagnosis.after.fit, diagnosis.before.model.values),
         failed_runs=failed_runs(diagnosis.failed_runs),
         cross_validated=diagnosis.cross_validated,
-        mismatches=tuple(_mismatch(m) for m in diagnosis.mismatches),
+        mismatches=tuple(_mismatch(m) for m in reported_mismatches(diagnosis)),
         removed_effects=tuple(
             parts.RemovedEffect(
                 name=r.effect.name,
@@ -155,7 +156,7 @@ def _found(diagnosis: Diagnosis) -> str:
         return f"{what_is_lacking(diagnosis)}."
     if diagnosis.mismatches:
         quiet = "" if diagnosis.rounds else " In the estimation data nothing is missing."
-        return f"{' '.join(mismatch_sentence(m) for m in diagnosis.mismatches)}{quiet}"
+        return f"{' '.join(mismatch_sentence(m) for m in reported_mismatches(diagnosis))}{quiet}"
     if not diagnosis.rounds:
         if (short := diagnosis.short) is not None:
             return (
@@ -177,6 +178,23 @@ def _found(diagnosis: Diagnosis) -> str:
     if min(s.p for s in one.scores) > HARDLY:
         return f"Nothing is missing that these data can show: {_passed(one)} passed the first test, but {why}."
     return f"The residuals are not what the model predicts, but no candidate explains them: {why}."
+
+
+def reported_mismatches(diagnosis: Diagnosis) -> list[ValidationMismatch]:
+    """With what would explain them in units of the thrust where its scale is unknown."""
+    return [
+        m if m.shift is None else replace(m, shift=_reported_shift(m.shift, ReportedEstimates(diagnosis.after.fit)))
+        for m in diagnosis.mismatches
+    ]
+
+
+def _reported_shift(shift: ParameterShift, reported: ReportedEstimates) -> ParameterShift:
+    """The run was fitted with all else kept, the thrust too: its errors are of this parameter alone."""
+    k, scale = reported.factor(shift.unit), reported.scale
+    return replace(
+        shift, name=scale.name(shift.name, shift.unit), unit=scale.unit(shift.unit), fitted=k * shift.fitted,
+        error=k * shift.error, value=k * shift.value, value_error=k * shift.value_error,
+    )  # fmt: skip
 
 
 def mismatch_sentence(m: ValidationMismatch) -> str:
@@ -374,8 +392,18 @@ def _moved(diagnosis: Diagnosis) -> tuple[parts.ParameterChange, ...]:
 
 
 def _untested_warnings(diagnosis: Diagnosis) -> list[parts.ResultWarning]:
-    text = "Not tested, as it could not be fitted: {0.effect.title} ({0.reason})."
-    return [parts.ResultWarning(code="effect-untested", text=text.format(u)) for u in diagnosis.untested]
+    said = [f"Not tested, as it could not be fitted: {u.effect.title} ({u.reason})." for u in diagnosis.untested]
+    said += [
+        f"What {r.effect.title} is worth beside the others is not known, as the model without it could not be fitted: "
+        f"{w.untested}."
+        for r, w in zip(diagnosis.effects, diagnosis.weights, strict=True)
+        if w.untested is not None
+    ]
+    found = [parts.ResultWarning(code="effect-untested", text=text) for text in said]
+    if diagnosis.undrawn is not None:
+        text = f"No curve in place of {diagnosis.undrawn}."
+        found.append(parts.ResultWarning(code="curve-not-drawn", text=text))
+    return found
 
 
 def _not_paying(removed: RemovedEffect) -> str:
@@ -398,6 +426,6 @@ def _notes(diagnosis: Diagnosis) -> list[str]:
         for r in diagnosis.removed
     ]
     if diagnosis.effects:
-        notes += [mismatch_sentence(m) for m in diagnosis.mismatches]
+        notes += [mismatch_sentence(m) for m in reported_mismatches(diagnosis)]
     notes += [f"{name}: {what}" for name, what in diagnosis.after.fit.flags]
     return notes

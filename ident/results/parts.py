@@ -81,6 +81,7 @@ WarningCode = Literal[
     "prior-contradicted",
     "inertia-too-small",
     "validation-run-failed",
+    "curve-not-drawn",
     "effect-untested",
 ]
 
@@ -101,7 +102,7 @@ class Result(Provenance, frozen=True, kw_only=True):
     ]
     warnings: Annotated[
         tuple[ResultWarning, ...],
-        Meta(description="to read before the estimates: no thrust scale was given, the fit did not converge"),
+        Meta(description="to read before the estimates: no thrust scale was given, a validation run failed"),
     ] = ()
     notes: Annotated[
         tuple[str, ...],

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from daq.errors import SeatrialError
-from ident.data import WHOLE, LoadedLog, Record, TimeWindow, load_run, make_record
+from ident.data import WHOLE, LoadedLog, Record, TimeWindow, load_runs, make_record
 from ident.estimation import dynamic_parameters, fit, load_model, reported_units, without_absent_sensors
 from ident.experiment_design import InformationSegment, segment_information
 from ident.model import Model
@@ -69,7 +69,8 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
     saved, seconds, out = load_model(request.model), request.seconds, request.out
     names = _names(saved.model, request.chosen, request.model)
     curve = known_curve(request.thruster)
-    loaded = [completed(load_run(path, "judged", request.window), saved.model.source, curve) for path in request.logs]
+    logs = load_runs(request.logs, "judged", request.window)
+    loaded = [completed(one, saved.model.source, curve) for one in logs]
     model = as_logged(saved.model, loaded[0].holds)
     records = [make_record(model, one.run, request.rate) for one in loaded]
     model = without_absent_sensors(model, records)

@@ -14,7 +14,7 @@ from daq.errors import SeatrialError
 from daq.log import open_log
 from daq.samples import Ahrs
 from ident.characterisation import NoiseFit, band_spectrum, estimate_noise, welch
-from ident.data import Channel, LoadedLog, ahrs_channels, load_run
+from ident.data import Channel, LoadedLog, ahrs_channels, load_runs
 from ident.report import write_report
 from ident.reporter import Reporter
 from ident.results import ChannelNoise, NoiseResult, SpectrumBands, finite, provenance, write_result
@@ -68,7 +68,7 @@ def noise(
     logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: str, reporter: Reporter
 ) -> NoiseResult:
     """White noise and random walk of each channel of logs of sensors at rest."""
-    loaded = [load_run(path, "estimation") for path in logs]
+    loaded = load_runs(logs, "estimation")
     notes: list[str] = []
     found: list[NoiseEstimate] = []
     for path, one in zip(logs, loaded, strict=True):

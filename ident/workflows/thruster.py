@@ -30,7 +30,7 @@ from ident.characterisation import (
     thruster_channels,
     thruster_name,
 )
-from ident.data import Channel, LoadedLog, Record, build_record, load_run
+from ident.data import Channel, LoadedLog, Record, build_record, load_runs
 from ident.estimation import EstimationOptions, Fit, FittedModel, RecordEvaluation, profile
 from ident.model import Model
 from ident.models import thruster_model
@@ -80,7 +80,7 @@ def characterise(
 ) -> ThrusterResult | ThrustCurveResult:
     """Fit the thruster model to bench logs of one thruster, or a static curve where nobody measured the shaft;
     ``command``: what was typed."""
-    loaded, name, profiles = [load_run(path, "estimation") for path in request.logs], request.name, request.profiles
+    loaded, name, profiles = load_runs(request.logs, "estimation"), request.name, request.profiles
     options, horizon = request.estimation, request.estimation.horizon
     if is_static(loaded, name):
         asked = {"--robust": options.outlier_model, "--profile": profiles, "--horizon": horizon is not None}

@@ -233,3 +233,18 @@ def test_a_record_serves_other_models_and_parts() -> None:
     assert part.name == "record[2:4]"
     assert (part.t[0] >= 2.0, part.t[-1] < 4.0, part.n_rows) == (True, True, part.y.shape[0])
     assert isinstance(part, Record)
+
+
+def test_a_row_of_a_sensor_has_all_its_outputs_of_one_time() -> None:
+    """An import drops NaN signal by signal: what is left of two outputs has different times."""
+    found = channels()
+    for name, lost in (("a", 10), ("b", 20)):
+        c = found[name]
+        found[name] = Channel(np.delete(c.t, lost), np.delete(c.value, lost))
+    record = build_record(model(), found, rate=10.0)
+    pair = record.y[:, 1:]
+    whole = np.isfinite(pair).all(axis=1)
+    np.testing.assert_array_equal(np.isfinite(pair).any(axis=1), whole)
+    t = record.t[whole]
+    np.testing.assert_allclose(t, np.delete(np.arange(0, 10.01, 0.25), [10, 20]), atol=1e-9)
+    np.testing.assert_allclose(pair[whole], np.column_stack([np.sin(t), np.cos(t)]))

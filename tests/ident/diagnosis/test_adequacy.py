@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 from rich.console import Console
 
 from ident.diagnosis.adequacy import MAX_REMAINING_CRITERION, MAX_REMAINING_TESTS, assess_alternatives
@@ -19,6 +21,8 @@ from ident.effects.registry import catalogue
 from ident.estimation.standard_errors import AT_BOUND
 from ident.model.parameter import Parameter
 from ident.model.structure import Effect, ForceCurve
+from ident.models.horizontal import horizontal_model
+from ident.numerics import Array
 from ident.report.page import write_report
 from ident.report.terminal import print_result
 from ident.validation.prediction_errors import PredictionChange
@@ -27,6 +31,7 @@ from tests.ident.report_example import diagnosis
 from tests.ident.unlisted import kind_of
 
 N = 4000  # rows
+UNSCALED = SimpleNamespace(values={}, inputs=())  # a model without thrust
 
 
 def refit(name: str, criterion: float, t: float = 5.0, fit: object = None, **more: Any) -> Refit:
@@ -34,6 +39,22 @@ def refit(name: str, criterion: float, t: float = 5.0, fit: object = None, **mor
     effect = Effect(name, name.replace("-", " "), {}, **kind_of(name), **more)
     stage = SimpleNamespace(fit=fit or SimpleNamespace(names=(), flags=()))
     return Refit(effect, cast(Any, stage), criterion + 8.3, 1, criterion, 50.0, t)
+
+
+def a_fit(
+    names: Sequence[str], values: ArrayLike, covariance: Array, model: object = UNSCALED, flags: object = ()
+) -> Any:
+    """Estimates without data."""
+    found, errors = np.asarray(values), np.sqrt(np.diag(covariance))
+
+    def estimate(name: str, record: int = 0) -> tuple[float, float]:
+        i = names.index(name if name in names else f"{name}@{record}")
+        return float(found[i]), float(errors[i])
+
+    return SimpleNamespace(
+        names=tuple(names), values=found, errors=errors, covariance=covariance, flags=flags, model=model,
+        estimate=estimate,
+    )
 
 
 def one_round(chosen: Refit, *others: Refit) -> Round:
@@ -136,10 +157,7 @@ def test_an_alternative_that_could_not_be_fitted_is_not_excluded() -> None:
 def test_a_line_whose_fixed_end_is_not_located_is_not_sure(errors: tuple[float, float], attribution: str) -> None:
     """From a track of 12 m: the true end at (40, -30) m is three standard errors away."""
     names, ends = ("k_tether", "x_tether", "y_tether"), ("x_tether", "y_tether")
-    fit = SimpleNamespace(
-        names=names, flags=(), values=np.array([0.07, 19.6, -15.4]), errors=np.array([0.006, *errors]),
-        covariance=np.diag(np.square([0.006, *errors])),
-    )
+    fit = a_fit(names, [0.07, 19.6, -15.4], np.diag(np.square([0.006, *errors])))
     parameters = tuple(Parameter(n, 0.0 if n == "k_tether" else 1.0, "m" if n in ends else "kg/m2") for n in names)
     line = refit("tether", 800.0, fit=fit, parameters=parameters, scan=dict.fromkeys(ends, (0.0, 12.0)))
     track = SimpleNamespace(outputs=("psi", "x", "y"), y=np.array([[0.1, -1.4, -5.1], [0.2, 10.3, 8.4], [np.nan] * 3]))
@@ -152,10 +170,8 @@ def test_a_line_whose_fixed_end_is_not_located_is_not_sure(errors: tuple[float, 
 def test_what_else_is_scanned_is_no_place(name: str) -> None:
     """The lever arm of the wind is in metres, too."""
     effect = catalogue()[name]
-    fit = SimpleNamespace(
-        names=tuple(p.name for p in effect.parameters), flags=(), values=np.ones(len(effect.parameters)),
-        errors=np.full(len(effect.parameters), 0.1), covariance=0.01 * np.eye(len(effect.parameters)),
-    )
+    n = len(effect.parameters)
+    fit = a_fit(tuple(p.name for p in effect.parameters), np.ones(n), 0.01 * np.eye(n))
     stage = cast(Any, SimpleNamespace(fit=fit, records=[]))
     (found,) = of(one_round(replace(refit(name, 800.0, fit=fit), effect=effect, stage=stage)))
     assert found.attribution == "identified"
@@ -168,6 +184,13 @@ def test_a_name_without_which_the_prediction_is_as_good_is_not_sure(error: float
     weight = EffectImportance("current-drift", 4000.0, error, 300.0, 9.0, unchanged)
     (found,) = assess_alternatives([one_round(refit("current-drift", 4000.0))], (), N, weights=[weight])
     assert found.attribution == attribution
+
+
+def test_a_name_whose_weight_is_not_known_is_not_sure() -> None:
+    weight = EffectImportance("wind", float("nan"), float("nan"), untested="x0")
+    (found,) = assess_alternatives([one_round(refit("wind", 800.0))], (), N, weights=[weight])
+    assert found.attribution == "ambiguous"
+    assert found.reasons == ("what the prediction is without it could not be tested: x0",)
 
 
 def test_what_speaks_against_the_data_speaks_against_every_name() -> None:
@@ -268,16 +291,23 @@ def test_a_shape_that_was_bent_into_anothers_place_shows_it(
     height: float, width: float, flags: tuple[tuple[str, str], ...], reason: str | None
 ) -> None:
     """A hump in the place of another resistance: as wide as it may be, or of any height."""
-    fit = SimpleNamespace(
-        names=("d_u", "A", "w"),
-        values=np.array([9.0, height, width]),
-        errors=np.array([0.1, 1.0, 0.05]),
-        covariance=np.diag([0.01, 1.0, 0.0025]),
-        flags=flags,
-    )
+    fit = a_fit(("d_u", "A", "w"), [9.0, height, width], np.diag([0.01, 1.0, 0.0025]), flags=flags)
     (found,) = of(one_round(refit("hump", 800.0, fit=fit, parameters=HUMP)))
     assert found.attribution == ("ambiguous" if reason else "identified")
     assert found.reasons == ((reason,) if reason else ())
+
+
+def test_a_doubt_has_no_newtons_where_the_thrust_is_not_known() -> None:
+    model = horizontal_model()
+    thrust = model.values["c1"] + model.values["c2"]
+    free = Parameter("A", 0.0, "N", "height of the hump")
+    fit = a_fit(["A"], [0.1 * thrust], np.array([[(0.05 * thrust) ** 2]]), model)
+    fit.parameters = (SimpleNamespace(name="A", unit="N", segment=None),)
+    (found,) = of(one_round(refit("hump", 800.0, fit=fit, parameters=(free,))))
+    assert found.reasons == ("the data do not tell its size: A/T = 0.1 ± 0.05",)
+    fit.flags = (("A", AT_BOUND),)
+    (found,) = of(one_round(refit("hump", 800.0, fit=fit, parameters=(free,))))
+    assert found.reasons == ("its parameter A/T (height of the hump) is at its bound, 0.1",)
 
 
 @pytest.mark.parametrize(
@@ -294,7 +324,7 @@ def test_sizes_are_told_together(
 ) -> None:
     both = np.array(errors)
     covariance = np.outer(both, both) * np.array([[1.0, correlation], [correlation, 1.0]])
-    fit = SimpleNamespace(names=("F_x", "F_y"), values=np.array(sizes), errors=both, covariance=covariance, flags=())
+    fit = a_fit(("F_x", "F_y"), sizes, covariance)
     across = (Parameter("F_x", 0.0, "N"), Parameter("F_y", 0.0, "N"))
     (found,) = of(one_round(refit("wind", 800.0, fit=fit, parameters=across)))
     assert found.attribution == attribution
@@ -304,9 +334,7 @@ def test_a_parameter_of_each_run_is_told_as_those_of_all_are() -> None:
     drift = (Parameter("V_dx", 0.0, "m/s^2", "drift", per_record=True),)
     records = SimpleNamespace(records=("a", "b"))
     for values, attribution in (((0.5, -9.0), "identified"), ((0.5, 0.1), "ambiguous")):
-        fit = SimpleNamespace(
-            names=("V_dx@0", "V_dx@1"), values=np.array(values), errors=np.ones(2), covariance=np.eye(2), flags=()
-        )
+        fit = a_fit(("V_dx@0", "V_dx@1"), values, np.eye(2))
         one = refit("current-drift", 800.0, fit=fit, parameters=drift)
         stage = cast(Any, SimpleNamespace(fit=fit, **vars(records)))
         (found,) = of(one_round(replace(one, stage=stage)))
@@ -318,10 +346,7 @@ def test_the_estimates_of_the_last_model_count() -> None:
     """What was told in its own round is not, beside an effect that came later."""
 
     def stage(value: float) -> Any:
-        fit = SimpleNamespace(
-            names=("F",), values=np.array([value]), errors=np.ones(1), covariance=np.eye(1), flags=()
-        )
-        return SimpleNamespace(fit=fit)
+        return SimpleNamespace(fit=a_fit(("F",), [value], np.eye(1)))
 
     one = refit("wind", 800.0, fit=stage(6.0).fit, parameters=(Parameter("F", 0.0, "N"),))
     (alone,) = assess_alternatives([one_round(one)], (), N)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
-from ident.diagnosis.importance import by_importance
-from ident.diagnosis.results import EffectImportance, Refit
+from ident.diagnosis import importance
+from ident.diagnosis.importance import by_importance, effect_importance
+from ident.diagnosis.results import EffectImportance, Refit, Round
 from ident.model.structure import Effect, ForceCurve
 from tests.ident.unlisted import kind_of
 
@@ -43,3 +47,25 @@ def test_what_the_prediction_would_miss_most_comes_first_and_tables_mostly_last(
 ) -> None:
     weights = [EffectImportance(c.effect.name, 10.0, error) for c, error in found]
     assert [w.effect for w in by_importance(weights, [c for c, _ in found])] == told
+
+
+def test_an_effect_without_which_nothing_can_be_fitted_has_no_weight(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The nominal model in the place of the one without it would give it the gain of all."""
+
+    def stage(log_posterior: float, *effects: Refit) -> Any:
+        model = SimpleNamespace(effects=[c.effect for c in effects])
+        return SimpleNamespace(fit=SimpleNamespace(model=model, log_posterior=log_posterior))
+
+    def fails(*_: Any) -> Any:
+        raise ValueError("x0")
+
+    one, before = chosen("wind"), stage(0.0)
+    one = replace(one, stage=stage(900.0, one))
+    other = replace(chosen("lift"), stage=stage(930.0, one, chosen("lift")), prediction=cast(Any, "fell"))
+    monkeypatch.setattr(importance, "_with", fails)
+    monkeypatch.setattr(importance, "error_ratio", lambda *_: 1.2)
+    rounds = [Round((), (), (c,), c) for c in (one, other)]
+    lift, wind = effect_importance(before, other.stage, [one, other], rounds, [], [])
+    assert (lift.effect, lift.gain, lift.untested) == ("lift", 60.0, None)
+    assert (wind.effect, wind.untested, wind.pays) == ("wind", "x0", False)
+    assert np.isnan([wind.gain, wind.error, wind.t]).all()

@@ -12,6 +12,7 @@ from ident.data.record import Channel, LogSegment
 from ident.diagnosis import search
 from ident.diagnosis.results import (
     Diagnosis,
+    EffectAttribution,
     EffectImportance,
     Outcome,
     Refit,
@@ -19,21 +20,23 @@ from ident.diagnosis.results import (
     Round,
     ShortData,
     UntestedCandidate,
+    ValidationMismatch,
 )
 from ident.diagnosis.score_test import Score
 from ident.diagnosis.search import _Search, _starts, diagnose
 from ident.effects.registry import catalogue
 from ident.estimation.fitted_model import FittedModel
-from ident.estimation.homogeneity import BETWEEN
+from ident.estimation.homogeneity import BETWEEN, ParameterShift
 from ident.model.parameter import Parameter
-from ident.model.structure import Effect, EffectKind
+from ident.model.structure import Effect, EffectKind, ForceCurve
 from ident.models.horizontal import horizontal_model
 from ident.reporter import QUIET
-from ident.results.diagnosis import diagnosis_answer
+from ident.results.diagnosis import _mismatch, _untested_warnings, diagnosis_answer, reported_mismatches
 from ident.validation.prediction_errors import PredictionChange
 from mocks.plant.boat import Boat
 from tests.missions import boat_with, channels_of, sail
 
+NAN = float("nan")
 SAME = PredictionChange(0.99, 0.9, 1.1, 10.0, {})
 FELL, ROSE = PredictionChange(0.7, 0.6, 0.8, 10.0, {}), PredictionChange(1.3, 1.2, 1.4, 10.0, {})
 
@@ -267,6 +270,49 @@ def test_what_does_not_pay_beside_the_others_is_removed(monkeypatch: pytest.Monk
     assert [r.effect.name for r in removed] == ["hump"]
 
 
+def test_a_removal_that_could_not_be_tested_removes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither where the weight is not known, nor where the exact fit without the effect fails."""
+    mine, whole = a_search(), blank()
+    mine.rounds = [Round((), (), (r,), r) for r in (refit("hump", 900.0), refit("cubic", 300.0))]
+    weights = (EffectImportance("cubic", 10.0, 1.1, 20.0, 0.3, FELL), EffectImportance("hump", NAN, NAN, untested="x0"))
+
+    def fails(*_: Any) -> Any:
+        raise ValueError("not finite")
+
+    monkeypatch.setattr(search, "effect_importance", lambda *_: weights)
+    monkeypatch.setattr(search, "fit_without", fails)
+    current, found, removed = mine.without_what_does_not_pay(blank(), whole)
+    assert current is whole
+    assert removed == []
+    assert [w.untested for w in found] == ["not finite", "x0"]
+
+
+def test_the_picture_of_a_doubt_is_left_out_where_it_cannot_be_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: Any) -> Any:
+        raise ValueError("x0")
+
+    table = Score("X(u)", 100.0, 1, 0.0, {}, {}, EffectKind.NONPARAMETRIC, ForceCurve("X", "u"))
+    chosen = refit("hump", 900.0)
+    rounds = [Round((table,), ("X(u)",), (chosen,), chosen)]
+    monkeypatch.setattr(search, "_unknown", fails)
+    drawn, undrawn = search._shapes(blank(), rounds, [EffectAttribution("hump", "ambiguous")], [])
+    assert (drawn, undrawn) == ([], "hump: x0")
+    judged = (EffectAttribution("hump", "ambiguous"),)
+    found = Diagnosis(
+        blank(), blank(), tuple(rounds), (), (), judged, (EffectImportance("hump", NAN, NAN, untested="y0"),),
+        undrawn=undrawn,
+    )
+    assert [(w.code, w.text.rpartition(": ")[2]) for w in _untested_warnings(found)] == [
+        ("effect-untested", "y0."), ("curve-not-drawn", "x0."),
+    ]
+
+
+def test_a_start_nearer_to_nothing_is_within_the_bounds() -> None:
+    """A ratio of 1 whose half is outside."""
+    ratio = Effect("own", "own", {}, (Parameter("ratio", 1.0, bounds=(0.6, 3.0)), Parameter("A", 1.0)))
+    assert search._half_values(ratio) == {"ratio": 0.6, "A": 0.5}
+
+
 def test_what_could_not_be_fitted_is_no_proof_that_nothing_is_missing() -> None:
     score = Score("mismatch", 1611.0, 1, 50.0, {}, {})
     lost = UntestedCandidate(catalogue()["mismatch"], "outside its bounds")
@@ -275,6 +321,19 @@ def test_what_could_not_be_fitted_is_no_proof_that_nothing_is_missing() -> None:
     )
     assert found.untested == (lost,)
     assert "could not be fitted: a thrust mismatch" in diagnosis_answer(found, None, 10.0)
+
+
+def test_a_payload_has_no_kilograms_where_the_thrust_is_not_known() -> None:
+    model = horizontal_model()
+    thrust = model.values["c1"] + model.values["c2"]
+    shift = ParameterShift("m_payload", "kg", 0.0, 0.0, 0.2 * thrust, 0.01 * thrust, 90.0)
+    after = blank(fit=blank(model=model), cross_validated=False)
+    found = Diagnosis(blank(), after, (), (), (), mismatches=(ValidationMismatch("tue/run", "r", 2.0, shift),))
+    said = diagnosis_answer(found, None, 10.0)
+    assert "m_payload/T = 0.2 ± 0.01 kg/N in that run, not 0, would explain it best" in said
+    (row,) = map(_mismatch, reported_mismatches(found))
+    assert (row.parameter, row.unit) == ("m_payload/T", "kg/N")
+    assert (row.fitted, row.value, row.se) == pytest.approx((0.0, 0.2, 0.01))
 
 
 def test_what_the_validation_data_support_and_no_prediction_needs_is_named() -> None:

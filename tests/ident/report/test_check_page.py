@@ -11,8 +11,10 @@ import pytest
 
 import seatrial
 from daq.checks.check_report import CheckReport
-from ident.checks.log_checks import CheckEvidence, log_evidence
+from daq.log import open_log
+from ident.checks.log_checks import CheckEvidence, log_evidence, push, sides_of
 from ident.checks.motion import YAW_LAGS, delayed_forces
+from ident.data import channels
 from ident.report.check_page import _held, check_answer, write_check_page
 from tests.bench.check_cases import CASES, logged
 from tests.ident import page_examples
@@ -35,6 +37,19 @@ def test_swapped_sides_are_mirror_images(tmp_path: Path) -> None:
         both = np.corrcoef(turning.measured, turning.expected)[0, 1]
         assert sign * both > 0.8
         assert np.corrcoef(ahead.measured, ahead.expected)[0, 1] > 0.8
+
+
+def test_a_log_without_a_gyro_has_its_turning_by_heading_or_course(tmp_path: Path) -> None:
+    with open_log(logged(tmp_path / "run.mcap", 3, None, actuators=True)) as log:
+        every = channels(log)
+        sides = sides_of(log)
+    compass = {n: c for n, c in every.items() if n in ("psi", "x", "y") or n.startswith("n_")}  # GNSS and compass alone
+    course = {n: c for n, c in compass.items() if n != "psi"}
+    by_gyro, by_heading, by_course = (push(c, sides)[0] for c in (every, compass, course))
+    assert {row.title for row in (by_gyro, by_heading, by_course)} == {"yaw rate"}
+    assert np.corrcoef(by_heading.measured, np.interp(by_heading.t, by_gyro.t, by_gyro.measured))[0, 1] > 0.8
+    assert np.isfinite(by_course.measured).all()
+    assert by_course.t.size == by_course.expected.size < by_gyro.t.size  # too slow for a course now and then
 
 
 def test_a_push_is_shown_to_scale_and_through_its_lag() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from daq.errors import SeatrialError
-from ident.data.loading import LoadedLog, PropulsionInput, TimeWindow, load_run
+from ident.data.loading import LoadedLog, PropulsionInput, TimeWindow, load_all, load_run, load_runs
 from ident.data.record import Channel, LogSegment
 from ident.estimation.fitted_model import fit_nominal_model
 from ident.estimation.prior_knowledge import apply_rig_geometry, fix_parameters
@@ -101,6 +101,21 @@ def test_the_range_of_a_state_is_its_own_where_an_input_has_its_name() -> None:
     assert ranges["r"] == pytest.approx(tuple(np.percentile(r, (1, 99))))
     assert ranges["r"][1] < view.record.u[:, list(view.record.inputs).index("r")].max()
     assert {"u", "v", "n_left", "phi", "q"} <= set(ranges)
+
+
+def test_logs_of_one_file_name_are_told_apart(tmp_path: Path) -> None:
+    """Validation runs are paired by name: two of one name would be compared with each other."""
+    (tmp_path / "mon").mkdir()
+    first = boat_log(tmp_path / "mon" / "run.mcap", boat_with(None, 1), 20.0, 7)
+    same, alone = [tmp_path / d / "run.mcap" for d in ("tue", "b/mon")], tmp_path / "tue" / "alone.mcap"
+    for path in (*same, alone):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(first.read_bytes())
+    loaded, unseen = load_all([first, alone], same)
+    names = ["mon/run", "alone", "tue/run", "mon/run (2)"]
+    assert [x.run.name for x in (*loaded, *unseen)] == [x.about["name"] for x in (*loaded, *unseen)] == names
+    assert [x.about["path"] for x in unseen] == ["tue/run.mcap", "mon/run.mcap (2)"]
+    assert [x.run.name for x in load_runs([alone], "judged")] == ["alone"]
 
 
 def test_a_log_is_loaded_with_times_from_its_own_start(tmp_path: Path) -> None:
