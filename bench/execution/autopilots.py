@@ -25,7 +25,7 @@ AWAIT_S = 10.0  # for heartbeats, parameters and answers
 ESTIMATOR_S = 60.0  # it needs 30 to 40 s after power-on
 POLL_S = 0.05
 LINK_AGE_S = 3.0  # heartbeats come once a second
-LEAVE_S = 10.0  # for the disarming at a stop to be seen, where the link has to come back first
+LEAVE_S = 10.0  # for the disarming to be seen, where the link has to come back first
 ASK_S = 1.0  # between two requests to disarm
 REASONS_S = 1.0  # for the texts that come after a refusal
 NEUTRAL_S = 0.3  # of neutral sticks before arming
@@ -93,6 +93,10 @@ class Autopilots:
     def names(self) -> list[str]:
         """Of the autopilots."""
         return [device.name for device in self._devices]
+
+    def begin_link_test(self) -> None:
+        """What runs is the link test itself, which needs none before it, however little `limits.link_test_n` allows."""
+        self._n_max = 0.0
 
     def await_ready(self) -> None:
         """Until every autopilot is fit to run the mission. Raises SeatrialError."""
@@ -217,12 +221,11 @@ class Autopilots:
                 yield reason
 
     def release(self) -> None:
-        """Disarm what was armed here; reports where that is not confirmed. Thrust has to be zero before."""
-        for name in self._armed:
-            self._acquisition.request(name, "disarm")
-        for name in self._armed:
-            if self._await(self._rig.device(name), lambda link: not link.armed, AWAIT_S) is None:
-                self._say(f"{name}: disarming is not confirmed; disarm it yourself")
+        """Disarm what was armed here; thrust has to be zero before. Raises SeatrialError where it is not confirmed: a
+        run that leaves a vehicle armed has not ended well."""
+        self.disarm()
+        if armed := self.maybe_armed():
+            raise SeatrialError(f"{', '.join(armed)}: disarming was not confirmed in {LEAVE_S:g} s")
 
     def maybe_armed(self) -> list[str]:
         """Those that were armed here and have not said since, in a heartbeat of now, that they are disarmed."""
@@ -236,13 +239,15 @@ class Autopilots:
 
     def disarm(self) -> None:
         """Ask to disarm what was armed here until it is, and for a while where the link has to come back first;
-        whatever signals come (a run ended by an error)."""
+        whatever signals come."""
         begun, asked = time.monotonic(), -math.inf
-        while (names := self.maybe_armed()) and (now := time.monotonic()) - begun < LEAVE_S:
+        names = self._armed  # all of them at first: an arming may be newer than the last heartbeat
+        while names and (now := time.monotonic()) - begun < LEAVE_S:
             if now - asked >= ASK_S:
                 asked = now
                 for name in names:
                     self._acquisition.request(name, "disarm")
             time.sleep(POLL_S)
+            names = self.maybe_armed()
         if self._armed:
             time.sleep(POLL_S)  # its own texts about it are in the log then

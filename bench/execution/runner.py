@@ -169,6 +169,7 @@ class _Runner:
         """From waiting for the devices to what the closed log says about a silence of ours."""
         with self._display:
             try:
+                self._vehicles.begin_link_test()
                 self._await_ready(arm)
                 parameters = {name: self._acquisition.status().links[name].parameters for name in self._vehicles.names}
                 self._fall_silent()

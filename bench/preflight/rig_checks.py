@@ -50,7 +50,9 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
                 "power, cable, port, baud",
             )
             continue
-        if port.message:
+        if port.message and port.message == port.remark:
+            yield Finding(WARNING, "port-error", "alive", device.name, port.message, "the rig, if not meant so")
+        elif port.message:
             yield Finding(FAULT, "port-error", "alive", device.name, port.message, "power, cable, port")
         elif port.age > max(1.0, 10.0 / device.rate_hz, STILL_WALL_S * rig.speed):
             yield Finding(

@@ -314,6 +314,7 @@ class DeviceLoop(threading.Thread):
             latency=health.clock_bias,
             latency_spread=health.clock_spread,
             message=self._message(),
+            remark=self._decoder.remark,
             stuck="" if (kind := self._sensor_health.stuck) is None else kind.__name__,
         )
 

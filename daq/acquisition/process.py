@@ -39,7 +39,7 @@ from daq.acquisition.status_reporter import StatusReporter
 from daq.acquisition.watchdog import Heartbeat
 from daq.clock import RunClock
 from daq.config import parse_rig
-from daq.drivers import LinkRole, Setpoints, make_driver
+from daq.drivers import LinkRole, Setpoints, check_keys, make_driver
 from daq.errors import SeatrialError
 from daq.log import Recorder, check_room
 from daq.protocol import make_decoder
@@ -295,6 +295,7 @@ def main() -> None:
     rig = parse_rig(begin.rig_text, Path(begin.rig_path))
     try:
         path = Path(begin.path)
+        check_keys(rig)
         check_room(path, rig.segments.free_megabytes)
         recorder = Recorder(
             path, rig=rig, clock=clock, attachments=begin.attachments, metadata=begin.metadata, patient=True

@@ -47,7 +47,8 @@ class PortStatus:
     bytes_in: int
     latency: float  # s, mean of receive time minus estimated sample time; NaN for a device without a clock
     latency_spread: float  # s
-    message: str  # the fault of the port, in one line; empty without a fault
+    message: str  # the fault of the port, in one line, else `remark`; empty without either
+    remark: str = ""  # what a user has to know of the stream though it is in order
     stuck: str = ""  # the kind of samples that repeat themselves, as those of a dead sensor do
 
 

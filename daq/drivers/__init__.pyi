@@ -8,6 +8,7 @@ from .base import DISARMED as DISARMED
 from .base import DeviceDriver as DeviceDriver
 from .base import LinkRole as LinkRole
 from .base import LinkStatus as LinkStatus
+from .factory import check_keys as check_keys
 from .factory import make_driver as make_driver
 from .setpoints import Due as Due
 from .setpoints import Setpoints as Setpoints

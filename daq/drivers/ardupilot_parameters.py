@@ -20,6 +20,8 @@ STATION_MAX_S = 5.0  # FS_GCS_TIMEOUT as delivered
 HOLD, TERMINATE = 2.0, 5.0  # FS_ACTION
 IGNORES_OVERRIDES = 1 << 1  # of RC_OPTIONS
 GROUND_STATION_NAMES = ("MAV_GCS_SYSID", "SYSID_MYGCS")  # from 4.7 on, and before
+# Not in every Rover 4, but in each that says MAV_GCS_SYSID.
+YOUNG = frozenset({"FS_OPTIONS", "FS_GCS_TIMEOUT", "MANUAL_STR_EXPO", "MOT_THST_ASYM"})
 # What decides how soon thrust ends when we fall silent, and what the boat does then.
 OF_LINK_LOSS = (
     *("RC_OVERRIDE_TIME", "RC_OPTIONS", "PILOT_STEER_TYPE", "FS_GCS_ENABLE", "FS_GCS_TIMEOUT", "FS_THR_ENABLE"),
@@ -28,17 +30,18 @@ OF_LINK_LOSS = (
 
 
 class ParameterMismatch(NamedTuple):
-    """One parameter with a wrong value."""
+    """One parameter with a wrong value, or that was not answered."""
 
     name: str
-    value: float | None  # None: the autopilot has no such parameter
+    value: float | None  # None: not answered
     wanted: str
     why: str
     fatal: bool  # no thrust may be commanded like this
 
     def __str__(self) -> str:
-        value = "is missing" if self.value is None else f"is {self.value:g}"
-        return f"{self.name} {value}, wanted {self.wanted}: {self.why}"
+        if self.value is None:
+            return f"{self.name} was not answered (a lossy link?): ask again, nearer, or with lower rates in the rig"
+        return f"{self.name} is {self.value:g}, wanted {self.wanted}: {self.why}"
 
 
 def parameter_names(thrusters: Sequence[Thruster]) -> tuple[str, ...]:
@@ -67,7 +70,25 @@ def check_parameters(
     found = [*_safety(parameters, own_system), *_mixing(parameters)]
     for thruster in thrusters:
         found += _thruster(parameters, thruster)
+    told = {finding.name for finding in found}
+    found += [
+        ParameterMismatch(name, None, "an answer", "what was not answered may be wrong", True)
+        for name in _required(parameters, thrusters)
+        if name not in parameters and name not in told
+    ]
     return tuple(sorted(found, key=lambda finding: not finding.fatal))
+
+
+def _required(p: Mapping[str, float], thrusters: Sequence[Thruster]) -> list[str]:
+    """The parameters that this version has, so that no answer is a loss on the way and not a parameter that it lacks.
+
+    `_safety` asks for one of the GROUND_STATION_NAMES, `_thruster` for the one of RCMAP that is its own, and no thrust
+    depends on SCHED_LOOP_RATE.
+    """
+    newer, _ = GROUND_STATION_NAMES
+    may_lack = {*GROUND_STATION_NAMES, *(name for name, _ in PADDLES.values()), "SCHED_LOOP_RATE"}
+    may_lack |= frozenset() if newer in p else YOUNG
+    return [name for name in parameter_names(thrusters) if name not in may_lack]
 
 
 def _safety(p: Mapping[str, float], own_system: int) -> list[ParameterMismatch]:
@@ -142,10 +163,10 @@ def _thruster(p: Mapping[str, float], thruster: Thruster) -> list[ParameterMisma
         why = f"output {thruster.node} is no side of a two-paddle mix; passthrough would move it while disarmed"
         found.append(ParameterMismatch(f"{servo}_FUNCTION", function, "73 (left) or 74 (right)", why, True))
     else:
-        name, delivered = PADDLES[function]
-        if p.get(name, delivered) != output.rc_channel:
+        name, _ = PADDLES[function]
+        if p.get(name) != output.rc_channel:
             why = f"{servo}_FUNCTION {function:g} follows that channel, and rc_channel of {thruster.name} is another"
-            found.append(ParameterMismatch(name, p.get(name, delivered), str(output.rc_channel), why, True))
+            found.append(ParameterMismatch(name, p.get(name), str(output.rc_channel), why, True))
     ends = (("MIN", 0), ("TRIM", 1), ("MAX", 2))
     for prefix, pulses, key in ((channel, output.rc_us, "rc_us"), (servo, output.pwm_us, "pwm_us")):
         for end, k in ends:

@@ -40,3 +40,12 @@ def make_driver(device: Device, rig: Rig, decoder: Decoder, role: LinkRole) -> D
     driver = MavlinkDriver(device, here, codec, role, decoder)
     decoder.listener = lambda message: driver.receive(message, time.monotonic())
     return driver
+
+
+def check_keys(rig: Rig) -> None:
+    """Raises SeatrialError where a signing key of the rig cannot be read: before there is a log or a watchdog."""
+    for device in rig.devices:
+        if device.mavlink is not None and device.mavlink.key_file is not None:
+            from daq.protocol import mavlink_wire
+
+            mavlink_wire.read_key(device.mavlink.key_file)

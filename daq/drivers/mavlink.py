@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, final
 
-from daq.drivers.ardupilot_parameters import GROUND_STATION_NAMES, parameter_names
+from daq.drivers.ardupilot_parameters import GROUND_STATION_NAMES, YOUNG, parameter_names
 from daq.drivers.base import DISARMED, DeviceDriver, LinkRole, LinkStatus
 from daq.drivers.setpoints import Due
 from daq.errors import printable
@@ -37,7 +37,7 @@ HEARTBEAT_S = 1.0
 ANSWER_S = 0.4  # to a command, before it is sent again
 TRIES = 4
 PARAMETER_S = 0.5
-PARAMETER_TRIES = 5
+PARAMETER_TRIES, YOUNG_TRIES = 10, 5  # fewer for what an older version may lack: it keeps quiet about those
 REBOOT_MS = 1000  # its clock back by more: it has restarted
 RATE_PART, RATE_BEATS = 0.5, 3  # less than this part of the attitudes for so many heartbeats: somebody else has asked
 LATER_S = 30.0  # until that is looked at again
@@ -103,7 +103,7 @@ class MavlinkDriver(DeviceDriver):
         """Request everything again, from the first heartbeat on."""
         self._beat = self._last_heartbeat = -math.inf
         self._commands: deque[_Command] = deque()
-        self._awaited: dict[str, int] = {}  # parameters and how often each was requested
+        self._awaited: dict[str, int] = {}  # parameters and how often each is still to be requested
         self._asked = -math.inf
         self._reasons: list[str] = []
         self._refusal = ""  # the last request's, without its reasons
@@ -144,7 +144,8 @@ class MavlinkDriver(DeviceDriver):
         if not self._started:
             self._started = True
             self._beat = -math.inf  # on UDP a message without a receiver is lost
-            self._awaited = dict.fromkeys(self._names, 0)
+            lacked = YOUNG.union(GROUND_STATION_NAMES)
+            self._awaited = {name: YOUNG_TRIES if name in lacked else PARAMETER_TRIES for name in self._names}
             self._ask_rates(now)
         elif not self._commands and now >= self._rates_at:
             self._slow_beats = self._slow_beats + 1 if self._attitudes < RATE_PART * self._attitude_hz * since else 0
@@ -174,6 +175,8 @@ class MavlinkDriver(DeviceDriver):
         if not self._commands or self._commands[0].number != m.command or m.result == IN_PROGRESS:
             return
         command = self._commands[0]
+        if not command.tries:
+            return  # the answer to the arming that it has taken the place of
         word = RESULTS[m.result] if m.result < len(RESULTS) else f"result {m.result}"
         if command.number == SET_INTERVAL:
             self._commands.popleft()
@@ -238,7 +241,8 @@ class MavlinkDriver(DeviceDriver):
         while self._requests:
             action, value = self._requests.popleft()
             if action == "leave":
-                self._commands += [_Command(ARM, (0.0,) * 7, "disarm")] if self._armed_by_us else []
+                if self._armed_by_us:
+                    self._put_first(_Command(ARM, (0.0,) * 7, "disarm"))
                 continue
             if action == "mute":
                 self._muted_until = now + value
@@ -246,9 +250,14 @@ class MavlinkDriver(DeviceDriver):
             self._reasons, self._refusal = [], ""
             self._status = replace(self._status, answer="")
             if action == "mode":
-                self._commands.append(_Command(SET_MODE, (CUSTOM_MODE, value, 0, 0, 0, 0, 0), action))
+                self._put_first(_Command(SET_MODE, (CUSTOM_MODE, value, 0, 0, 0, 0, 0), action))
             else:  # param2 stays 0: no forced arming, ever
-                self._commands.append(_Command(ARM, (float(action == "arm"), 0, 0, 0, 0, 0, 0), action))
+                self._put_first(_Command(ARM, (float(action == "arm"), 0, 0, 0, 0, 0, 0), action))
+
+    def _put_first(self, command: _Command) -> None:
+        """Before the rates, of which each may take a second and more, and in the place of an earlier request: a disarm
+        waits for nothing, and no arming comes after it."""
+        self._commands = deque([command, *(one for one in self._commands if one.number == SET_INTERVAL)])
 
     def poll(self, now: float) -> bytes:
         """Heartbeat, the first command of the queue, parameter requests, neutral while no thrust is commanded."""
@@ -309,7 +318,9 @@ class MavlinkDriver(DeviceDriver):
             return b""
         self._asked = now
         # It does not answer for what it has not: older and newer versions name things differently.
-        self._awaited = {name: n + 1 for name, n in self._awaited.items() if n < PARAMETER_TRIES}
+        if unanswered := [name for name, left in self._awaited.items() if not left]:
+            self._events.append(Event("parameter", f"not answered: {', '.join(unanswered)}"))
+        self._awaited = {name: left - 1 for name, left in self._awaited.items() if left}
         who = (self._settings.system_id, self._settings.component_id)
         return b"".join(self._codec.encode("PARAM_REQUEST_READ", *who, name.encode(), -1) for name in self._awaited)
 

@@ -12,6 +12,7 @@ import contextlib
 import hashlib
 import itertools
 import json
+import math
 import struct
 import threading
 import time
@@ -34,6 +35,8 @@ THREAD = "ROS 2"  # seatrial.main does not wait for a thread of this name
 QUEUE = 5_000  # samples that wait to be published
 FLOOD = 512  # commands of a thruster between two looks, one of which comes every 20 ms
 LARGEST = 65_536  # bytes of a message that is taken
+ATTACHMENT = struct.Struct("<qqB16s")  # of rmw_zenoh: sequence number, time of sending [ns], bytes of the id, the id
+DRIFT = 5e-4  # s/s between two clocks at most: as fast as NTP moves one
 # Wall seconds.
 WAIT_S, RETRY_S, CONNECTED_S, END_S = 0.05, 1.0, 0.5, 1.0
 _ROS2 = "live ROS 2 needs the packages eclipse-zenoh and rosbags: pip install 'seatrial[ros2]'"
@@ -44,6 +47,31 @@ class ReceivedCommand(NamedTuple):
 
     n: float
     sender: bytes
+    sent: float = NAN  # s, by the sender's clock; NaN where it does not say
+
+
+class LateCommands:
+    """Finds commands that were under way for too long: a congested link delivers all of them, seconds late.
+
+    The clocks of two computers may differ by anything, so a command is compared with the quickest of its sender.
+    """
+
+    def __init__(self, allowed_s: float) -> None:
+        self._allowed = allowed_s
+        self._least: dict[bytes, tuple[float, float]] = {}  # difference of the clocks and the way, and when [s]
+        self.number = 0
+
+    def is_late(self, command: ReceivedCommand, now: float) -> bool:
+        """Whether it took longer than the quickest by more than is allowed; `now` of any clock that is never set."""
+        if not math.isfinite(command.sent):
+            return False
+        took = now - command.sent
+        least, at = self._least.get(command.sender, (took, now))
+        least = min(took, least + DRIFT * (now - at))
+        self._least[command.sender] = least, now
+        late = took - least > self._allowed
+        self.number += late
+        return late
 
 
 class Ros2Node:
@@ -62,6 +90,7 @@ class Ros2Node:
         self._tokens: list[Any] = []
         self._publishers: dict[str, _Publisher] = {}
         self._subscribers: dict[str, Any] = {}
+        self._late = LateCommands(rig.ros2.timeout_s)
         self._lost = self._dropped_before = 0  # by us, and in the acquisition
         self.published = 0  # messages
         self.connected = False
@@ -94,21 +123,30 @@ class Ros2Node:
         self._filled.set()
 
     def take(self) -> Mapping[str, Sequence[ReceivedCommand]]:
-        """The commands since the last call by thruster, oldest first, the newest FLOOD at most; never waits."""
+        """The commands since the last call by thruster, oldest first, the newest FLOOD at most; never waits.
+
+        Late ones are left out, so that a link that only delivers late is silence; but a flood is told as it came.
+        """
         found: dict[str, list[ReceivedCommand]] = {name: [] for name in self._thrusters}
         for name, subscriber in list(self._subscribers.items()):
+            received = []
             with contextlib.suppress(self._zenoh.ZError):  # the session was closed: no command is silence
                 for _ in range(FLOOD):
                     if (sample := subscriber.handler.try_recv()) is None:
                         break
-                    found[name].append(_command(sample))
+                    received.append(_command(sample))
+            now = time.monotonic()
+            in_time = [command for command in received if not self._late.is_late(command, now)]
+            found[name] = received if len(received) >= FLOOD else in_time
         return found
 
     def summary(self) -> str:
         """One line: where, and what was and was not published."""
         dropped = self._lost + self._dropped_before + len(self._queue)
         lost = f"; {counted(dropped, 'sample')} could not be published" if dropped else ""
-        return f"ROS 2, domain {self._ros2.domain} at {self._ros2.router}: {counted(self.published, 'message')}{lost}"
+        late = f"; {counted(self._late.number, 'command')} came too late to be followed" if self._late.number else ""
+        where = f"ROS 2, domain {self._ros2.domain} at {self._ros2.router}"
+        return f"{where}: {counted(self.published, 'message')}{lost}{late}"
 
     def await_router(self, seconds: float) -> str:
         """Wait for the router; one line that says whether it is there."""
@@ -211,8 +249,8 @@ class _Publisher:
         self._gid = hashlib.blake2b(token.encode(), digest_size=16).digest()
 
     def send(self, data: bytes) -> None:
-        head = struct.pack("<qqB", next(self._numbers), time.time_ns(), len(self._gid))
-        self._publisher.put(data, attachment=head + self._gid)
+        about = ATTACHMENT.pack(next(self._numbers), time.time_ns(), len(self._gid), self._gid)
+        self._publisher.put(data, attachment=about)
 
 
 def _dds(type_name: str) -> str:
@@ -223,7 +261,10 @@ def _dds(type_name: str) -> str:
 
 def _command(sample: Any) -> ReceivedCommand:
     data = sample.payload.to_bytes()
-    sender = b"" if sample.attachment is None else sample.attachment.to_bytes()[-16:]
+    about = b"" if sample.attachment is None else sample.attachment.to_bytes()
+    sender, sent = about[-16:], NAN
+    if len(about) == ATTACHMENT.size:
+        sent = ATTACHMENT.unpack(about)[1] / NANO
     if len(data) != 12 or data[0] != 0 or data[1] > 1:  # the encapsulation of CDR, either end first
-        return ReceivedCommand(NAN, sender)
-    return ReceivedCommand(struct.unpack("<d" if data[1] else ">d", data[4:])[0], sender)
+        return ReceivedCommand(NAN, sender, sent)
+    return ReceivedCommand(struct.unpack("<d" if data[1] else ">d", data[4:])[0], sender, sent)

@@ -240,7 +240,7 @@ def _known(problem: Problem, optimum: Optimum, coloured: bool) -> tuple[Uncertai
     )
     known = replace(known, flags=(*known.flags, *[(problem.names[p.at], p.remark) for p in flat]))
     nothing = np.full(z.size, np.nan)
-    robust = sandwich(known, problem.by_row(z), slopes) if coloured else Sandwich(nothing, nothing)
+    robust = sandwich(known, problem.by_row(z), slopes, problem.prior[1]) if coloured else Sandwich(nothing, nothing)
     for p in flat:
         robust.errors[p.at] = known.errors[p.at]  # no row has a part in it
     return known, robust

@@ -155,6 +155,9 @@ def _apart(V: Array) -> Array:
     return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
 
 
+LEAST_BY_DATA = 1e-3  # of a variance: where the prior gives all the rest, the residuals say nothing about it
+
+
 @dataclass(frozen=True)
 class Sandwich:
     """errors (n,): standard errors in own units, NaN where there is none, or where the residuals remember too long;
@@ -165,11 +168,12 @@ class Sandwich:
     p: Array
 
 
-def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes: Array) -> Sandwich:
+def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes: Array, prior: Array) -> Sandwich:
     """Standard errors and their test against those of the information.
 
-    rows: for each record its coordinates, and what each row adds to their gradient (n_rows, n_places). What parameters
-    at their bounds add to the errors is added to these, too.
+    rows: for each record its coordinates, and what each row adds to their gradient (n_rows, n_places); prior (n,): the
+    information of the priors, whose uncertainty goes through to the estimates as it is, P Lambda P. What parameters at
+    their bounds add to the errors is added to these, too.
     """
     from scipy import special  # a fifth of a second: not before there is an estimate
 
@@ -178,8 +182,10 @@ def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes
     found = [_variance([part[:, i] for part in parts], len(P)) for i in range(len(P))]
     variance, freedom = np.array(found).T
     seen = np.isfinite(known.errors)
-    errors = np.where(seen, np.abs(slopes) * np.sqrt(variance + np.diag(known.spread)), np.nan)
-    ratio = variance / np.where(np.diag(P) > 0.0, np.diag(P), np.nan)
+    by_prior = P**2 @ prior
+    errors = np.where(seen, np.abs(slopes) * np.sqrt(variance + by_prior + np.diag(known.spread)), np.nan)
+    by_data = np.diag(P) - by_prior
+    ratio = variance / np.where(by_data > LEAST_BY_DATA * np.diag(P), by_data, np.nan)
     return Sandwich(errors, np.where(seen, special.chdtrc(freedom, freedom * ratio), np.nan))
 
 

@@ -66,9 +66,10 @@ class Commander:
         """Send this from here on."""
         self.n = n
 
-    def send(self, n: float | bytes) -> None:
+    def send(self, n: float | bytes, ago_s: float = 0.0) -> None:
+        """As if it had been under way for `ago_s` and more."""
         self._sent += 1
-        attachment = struct.pack("<qqB", self._sent, time.time_ns(), 16) + self._gid
+        attachment = struct.pack("<qqB", self._sent, time.time_ns() - round(ago_s * 1e9), 16) + self._gid
         data = n if isinstance(n, bytes) else b"\x00\x01\x00\x00" + struct.pack("<d", n)
         self._publisher.put(data, attachment=attachment)
 

@@ -1,15 +1,21 @@
-"""What an autopilot puts out against what was commanded, on statuses made by hand."""
+"""What an autopilot puts out against what was commanded, and whether it disarms, on statuses made by hand."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import cast
 
 import pytest
 
-from bench.execution.autopilots import TOLERANCE, WINDOW_S, OutputCheck
+from bench.execution import autopilots
+from bench.execution.autopilots import TOLERANCE, WINDOW_S, Autopilots, OutputCheck
+from daq.acquisition.session import Acquisition
 from daq.acquisition.status import Latest, Status
+from daq.clock import RunClock
+from daq.drivers.base import LinkStatus
+from daq.errors import SeatrialError
 from daq.samples import Servo
 from tests.daq.mavlink_ends import mav_rig
 
@@ -56,3 +62,39 @@ def test_an_output_that_is_not_the_command_ends_the_run(bent: Callable[[float], 
 
 def test_an_output_that_is_not_known_is_no_reason() -> None:
     assert run(lambda t: math.nan) == (math.inf, "")
+
+
+class Stubborn:
+    """An acquisition with an autopilot that disarms at the request of that number."""
+
+    def __init__(self, obeys_at: float) -> None:
+        self.obeys_at, self.asked = obeys_at, 0
+
+    def request(self, device: str, action: str) -> None:
+        assert (device, action) == ("autopilot", "disarm")
+        self.asked += 1
+
+    def status(self) -> Status:
+        link = LinkStatus(received=True, age=0.1, armed=self.asked < self.obeys_at, mode="MANUAL")
+        return Status(T, {}, {}, {}, 0, "run.mcap", 1, 1, 0.0, "", (), links={"autopilot": link})
+
+
+@pytest.mark.parametrize("obeys_at", [3, math.inf])
+def test_a_normal_end_asks_to_disarm_until_it_is_and_fails_where_it_is_not(
+    obeys_at: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(autopilots, "ASK_S", 0.1)
+    monkeypatch.setattr(autopilots, "LEAVE_S", 1.0)
+    link = Stubborn(obeys_at)
+    acquisition = cast("Acquisition", link)
+    vehicles = Autopilots(mav_rig(), ("left",), acquisition, RunClock(1.0), lambda seconds: None, lambda line: None)
+    vehicles._armed.append("autopilot")
+    if obeys_at < math.inf:
+        vehicles.release()
+        assert link.asked == obeys_at
+        assert vehicles.maybe_armed() == []
+    else:
+        with pytest.raises(SeatrialError, match="autopilot: disarming was not confirmed"):
+            vehicles.release()
+        assert link.asked > 3
+        assert vehicles.maybe_armed() == ["autopilot"]

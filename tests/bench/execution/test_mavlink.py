@@ -207,6 +207,20 @@ def test_on_a_signed_link_the_watchdogs_zero_is_obeyed_and_confirmed(tmp_path: P
     assert "MAY STILL BE" not in err
 
 
+def test_a_wrong_signing_key_is_named_and_leaves_no_log(tmp_path: Path) -> None:
+    write_files(tmp_path, 4.0)
+    rig = tmp_path / "rig.toml"
+    rig.write_text(rig.read_text().replace("system_id = 1\n", 'system_id = 1\nkey_file = "key"\n', 1))
+    for key, why in ((None, "the signing key cannot be read"), (b"short", "a signing key is 32 bytes or 64")):
+        if key is not None:
+            (tmp_path / "key").write_bytes(key)
+        with running(tmp_path, "--arm") as run:
+            _, err = run.communicate(timeout=60)
+        assert run.returncode == 1
+        assert why in err, err
+        assert not list(tmp_path.glob("run*"))
+
+
 def test_ctrl_c_is_zero_at_once_and_disarmed(tmp_path: Path) -> None:
     write_files(tmp_path, 60.0)
     with mock(tmp_path), running(tmp_path, "--arm") as run:
@@ -244,10 +258,11 @@ def test_the_rig_of_the_mock_is_what_devices_makes_of_its_parameters(tmp_path: P
     assert [(t.name, t.node, t.output) for t in found.thrusters] == [(t.name, t.node, t.output) for t in rig.thrusters]
 
 
-def test_a_mission_with_thrust_needs_a_link_test(tmp_path: Path) -> None:
+@pytest.mark.parametrize("allowed", [0.3, 0.05])  # below a link test's own command: the test itself needs none
+def test_a_mission_with_thrust_needs_a_link_test(tmp_path: Path, allowed: float) -> None:
     write_files(tmp_path, 4.0)
     rig = tmp_path / "rig.toml"
-    rig.write_text(rig.read_text().replace("link_test_n = 1.0", "link_test_n = 0.3"))
+    rig.write_text(rig.read_text().replace("link_test_n = 1.0", f"link_test_n = {allowed}"))
     with mock(tmp_path):
         with running(tmp_path, "--arm") as run:
             _, err = run.communicate(timeout=60)

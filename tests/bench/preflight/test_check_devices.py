@@ -12,7 +12,7 @@ import pytest
 from bench.preflight.rig_checks import check_ports
 from daq.acquisition.status import PortStatus, Status
 from daq.checks.device_checks import check_devices
-from daq.checks.findings import FAULT, Finding
+from daq.checks.findings import FAULT, WARNING, Finding
 from daq.drivers.base import LinkStatus
 from daq.log.reader import open_log
 from daq.samples import Ahrs, Gnss, LoadCell
@@ -111,3 +111,19 @@ def test_check_refuses_thrusters_behind_px4() -> None:
     (found,) = [one for one in check_ports(rig, status) if one.code == "autopilot-not-driven"]
     assert (found.level, found.where) == (FAULT, "autopilot")
     assert "PX4: only ArduPilot Rover is driven" in found.text
+
+
+@pytest.mark.parametrize("remark", ["", "frames of node 7, which no thruster of the rig has"])
+def test_what_is_only_to_be_known_of_a_stream_is_no_fault(remark: str) -> None:
+    said = remark or "[Errno 5] it hung up"
+    port = PortStatus("autopilot", "mavlink", "", 25.0, 25.0, 0.01, 9, 9, 0, 0, 0, 0, 99, 0.0, 0.0, said, remark)
+    status = Status(1.0, {"autopilot": port}, {}, {}, 0, "", 1, 1, 1.0, "", ())
+    (found,) = [one for one in check_ports(mav_rig(), status) if one.code == "port-error"]
+    assert (found.level, found.text) == (WARNING if remark else FAULT, said)
+
+
+def test_an_autopilot_without_attitudes_is_said_to_have_none() -> None:
+    port = PortStatus("autopilot", "mavlink", "", 25.0, math.nan, 0.01, 9, 9, 0, 0, 0, 0, 99, 0.0, 0.0, "")
+    status = Status(1.0, {"autopilot": port}, {}, {}, 0, "", 1, 1, 1.0, "", ())
+    (found,) = [one for one in check_ports(mav_rig(), status) if one.code == "rate-off"]
+    assert found.text == "no attitudes, expected 25"

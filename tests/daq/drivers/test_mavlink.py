@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from daq.drivers.ardupilot_parameters import check_parameters
+from daq.drivers.ardupilot_parameters import YOUNG, check_parameters, parameter_names
 from daq.drivers.base import DISARMED, LinkRole
 from daq.drivers.factory import make_driver
 from daq.drivers.setpoints import Due
@@ -19,6 +19,8 @@ from daq.rig import Rig
 from daq.samples import Ahrs, Battery, Esc, Servo
 from mocks.devices.autopilot import HOLD, AutopilotEmulator
 from tests.daq.mavlink_ends import LEVEL, Ends, mav_rig
+
+LONG = "COMMAND_LONG"
 
 
 def ready(ends: Ends) -> Ends:
@@ -198,12 +200,33 @@ def test_a_parameter_that_is_wrong_is_named(name: str, value: float, fatal: bool
     assert str(found).startswith(f"{name} is {value:g}, wanted ")
 
 
-@pytest.mark.parametrize("name", ["RC_OVERRIDE_TIME", "FS_ACTION", "FS_THR_ENABLE", "FS_GCS_ENABLE", "MAV_GCS_SYSID"])
-def test_a_failsafe_that_was_not_told_is_none(name: str) -> None:
+@pytest.mark.parametrize(
+    "name",
+    [name for name in parameter_names(mav_rig().thrusters) if name not in ("SYSID_MYGCS", "SCHED_LOOP_RATE")],
+)
+def test_a_parameter_that_was_not_answered_does_not_pass_as_good(name: str) -> None:
     parameters = Ends(mav_rig()).autopilot.vehicle.parameters
     del parameters[name]
     (found,) = check_parameters(parameters, mav_rig().thrusters, 255)
     assert (found.name, found.value, found.fatal) == (name, None, True)
+    assert str(found).startswith(f"{name} was not answered (a lossy link?): ask again")
+
+
+def test_a_parameter_whose_answers_were_all_lost_is_noted_and_forbids_to_drive() -> None:
+    ends = Ends(mav_rig())
+    del ends.autopilot.vehicle.parameters["FS_TIMEOUT"]
+    ends.run(7.0)
+    link = ends.driver.link_at(ends.t)
+    assert not link.parameters_pending
+    assert "not answered: FS_TIMEOUT" in [event.text for event in ends.driver.events()]
+    (found,) = check_parameters(link.parameters, mav_rig().thrusters, 255)
+    assert (found.name, found.fatal) == ("FS_TIMEOUT", True)
+
+
+def test_a_parameter_that_an_older_version_lacks_is_no_loss() -> None:
+    parameters = Ends(mav_rig()).autopilot.vehicle.parameters
+    older = {name: value for name, value in parameters.items() if name not in YOUNG and name != "MAV_GCS_SYSID"}
+    assert check_parameters({**older, "SYSID_MYGCS": 255.0}, mav_rig().thrusters, 255) == ()
 
 
 def test_a_crossed_rig_is_refused_for_both_sides() -> None:
@@ -247,6 +270,19 @@ def test_who_does_not_drive_is_no_ground_station(role: LinkRole, sends: bool) ->
     assert device.mavlink is not None
     assert all(message.get_srcSystem() not in (1, device.mavlink.own_system_id) for message in sent)
     assert bool(driver.hint) is not sends
+
+
+def test_a_request_goes_before_rates_and_takes_the_place_of_an_earlier_one() -> None:
+    ends = ready(Ends(mav_rig()))
+    ends.deaf = True
+    ends.driver._ask_rates(ends.t)  # of which none is answered
+    ends.run(0.1)
+    ends.driver.request("arm", 0.0)
+    ends.run(0.02)
+    ends.driver.request("disarm", 0.0)
+    ear = Codec(9, 1)
+    sent = [m for k in range(3) for m in parsed(ear, ends.driver.poll(ends.t + 0.5 * k)) if m.get_type() == LONG]
+    assert [(m.command, m.param1) for m in sent] == [(400, 0.0)] * 3
 
 
 def parsed(codec: Codec, data: bytes) -> list[Any]:

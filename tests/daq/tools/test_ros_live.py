@@ -25,7 +25,7 @@ from daq.log.reader import open_log
 from daq.rig import Rig, Ros2
 from daq.samples import Ahrs
 from daq.tools import ros_live
-from daq.tools.ros_live import Ros2Node
+from daq.tools.ros_live import LateCommands, ReceivedCommand, Ros2Node
 from tests.daq.logs import SAMPLES, T0
 from tests.daq.logs import rig as rig_of_logs
 from tests.daq.ptys import TestBoat, wait_for
@@ -89,6 +89,41 @@ def test_topics_and_messages_are_those_of_rmw_zenoh(router: Router, listener: An
     assert {parts[12] for parts in publishers} == {"::,10:,:,:,,"}
     assert len({parts[4] for parts in graph}) == len(graph)
     assert not [p[9] for p in publishers if any(part[:1].isdigit() for part in p[9].split("%"))]
+
+
+AHEAD_S = 3600.0  # the sender's clock before ours
+
+
+def late(ways: list[tuple[float, float]], sender: bytes = b"a", allowed_s: float = 0.3) -> list[bool]:
+    """Whether commands are late that were sent at these times and took so long."""
+    found = LateCommands(allowed_s)
+    return [found.is_late(ReceivedCommand(0.1, sender, at + AHEAD_S), at + took) for at, took in ways]
+
+
+def test_a_command_is_late_by_the_quickest_of_its_sender_whatever_its_clock_says() -> None:
+    assert late([(0.0, 0.02), (0.1, 0.3), (0.2, 0.35), (0.3, 2.0), (0.4, 0.02)]) == [False, False, True, True, False]
+    assert late([(0.05 * k, 0.05 * k) for k in range(10)]) == [False] * 7 + [True] * 3  # a queue that grows
+    found = LateCommands(0.3)
+    assert not found.is_late(ReceivedCommand(0.1, b"a", 100.0), 7.0)
+    assert not found.is_late(ReceivedCommand(0.1, b"b", 0.0), 7.0)  # each has its own clock
+    assert not found.is_late(ReceivedCommand(0.1, b""), 9.0)  # who does not say when it sent has no age
+    assert found.is_late(ReceivedCommand(0.1, b"a", 100.1), 9.0)
+    assert found.number == 1
+
+
+def test_clocks_that_drift_apart_make_no_command_late() -> None:
+    assert not any(late([(at, 0.02 + 1e-4 * at) for at in np.arange(0.0, 36_000.0, 0.5)]))
+
+
+def test_a_command_that_was_held_up_is_not_taken(router: Router) -> None:
+    with Ros2Node(rig(router), ["left"]) as node, Commander(router, 1e-3) as commander:
+        node.await_router(5.0)
+        time.sleep(0.3)
+        commander.send(0.25)
+        commander.send(0.5, ago_s=1.0)
+        time.sleep(0.3)
+        assert [command.n for command in node.take()["left"]] == [0.25]
+        assert "1 command came too late to be followed" in node.summary()
 
 
 def test_it_takes_commands_whatever_the_type_hash(router: Router, listener: Any) -> None:

@@ -36,7 +36,7 @@ def regression(keep: float, seed: int) -> tuple[float, float]:
     information = A.T @ A
     found = np.linalg.solve(information, A.T @ e)
     known = known_of(information)
-    robust = sandwich(known, [([0, 1], A * (e - A @ found)[:, None])], np.ones(2)).errors
+    robust = sandwich(known, [([0, 1], A * (e - A @ found)[:, None])], np.ones(2), np.zeros(2)).errors
     return float(found[1] / known.errors[1]), float(found[1] / robust[1])
 
 
@@ -48,10 +48,26 @@ def test_intervals_cover_whatever_the_residuals_remember(keep: float) -> None:
     assert np.mean(np.abs(plain) < 1.96) < 0.7 or keep < 0.9
 
 
+@pytest.mark.parametrize("sd", [0.01, 0.05, 1.0])  # of the prior: all of what is known, as much as the data, nothing
+def test_what_a_prior_does_not_know_is_in_the_errors_too(sd: float) -> None:
+    found = []
+    for seed in range(100):
+        A, e = np.column_stack([np.ones(N), coloured(0.9, 1000 + seed)]), coloured(0.9, seed)
+        prior = np.array([0.0, sd**-2])
+        offset = np.array([0.0, sd * np.random.default_rng(seed).standard_normal()])  # of its mean
+        x = np.linalg.solve(A.T @ A + np.diag(prior), A.T @ e + prior * offset)
+        zero = np.zeros(2)
+        free = Bounds(zero - np.inf, zero + np.inf, zero > 0)
+        known = assess(Evaluation(0.0, zero, A.T @ A + np.diag(prior), zero), zero, free, ["a", "b"], zero + 1, prior)
+        robust = sandwich(known, [([0, 1], A * (e - A @ x)[:, None])], np.ones(2), prior)
+        found.append(x[1] / robust.errors[1])
+    assert 0.90 < np.mean(np.abs(found) < 1.96) < 0.99
+
+
 def test_a_record_no_longer_than_its_memory_has_no_error() -> None:
     walk = np.cumsum(np.random.default_rng(4).standard_normal(N))
     rows = (walk - walk.mean())[:, None]
-    assert np.isnan(sandwich(known_of(np.array([[float(N)]])), [([0], rows)], np.ones(1)).errors).all()
+    assert np.isnan(sandwich(known_of(np.array([[float(N)]])), [([0], rows)], np.ones(1), np.zeros(1)).errors).all()
 
 
 def test_many_records_are_blocks_themselves() -> None:
@@ -59,7 +75,7 @@ def test_many_records_are_blocks_themselves() -> None:
     walks = [np.cumsum(np.random.default_rng(k).standard_normal(200)) for k in range(30)]
     sums = np.array([w.sum() for w in walks])
     rows = [([0], (w - sums.mean() / 200)[:, None]) for w in walks]
-    (error,) = sandwich(known_of(np.array([[100.0]])), rows, np.ones(1)).errors
+    (error,) = sandwich(known_of(np.array([[100.0]])), rows, np.ones(1), np.zeros(1)).errors
     assert error == pytest.approx(np.sqrt(30) * sums.std(ddof=1) / 100.0, rel=0.15)
 
 
