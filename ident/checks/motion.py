@@ -137,11 +137,15 @@ def _most(effect: RegressionEffect) -> Array:
 
 
 def thrust_responses(c: Channels, sides: Mapping[str, float]) -> PushResponse | None:
-    """Regressions of yaw rate and speed ahead on each thruster's push; None as for `thruster_forces`."""
+    """Regressions of yaw rate and speed ahead on each thruster's push; None as for `thruster_forces`, and where nothing
+    tells how the boat turns."""
     given = thruster_forces(c, sides)
     if given is None:
         return None
-    rate = next(r for name in ("gyro", "heading", "course") if (r := turn_rate(c, given.edges, name)) is not None)
+    rates = (turn_rate(c, given.edges, name) for name in ("gyro", "heading", "course"))
+    rate = next((r for r in rates if r is not None), None)
+    if rate is None:
+        return None
     yaw = _effect(rate, given.f, [], YAW_LAGS)
     return PushResponse(given.names, yaw, _surge(c, given.t, given.edges, given.f), _moment(given, rate))
 

@@ -90,3 +90,9 @@ def test_where_nothing_can_be_said_nothing_is(fleet: list[Channels]) -> None:
     assert set(turning(fleet[0] | {"n_right": fleet[0]["n_left"]}, SIDES).values()) == {0}
     noise = Channel(fleet[0]["r"].t, np.random.default_rng(1).normal(size=fleet[0]["r"].t.size))
     assert turning(fleet[0] | {"r": noise}, SIDES) == {"gyro": 0, "heading": 1}
+
+
+def test_a_log_of_which_nothing_tells_the_turning_has_no_answer(fleet: list[Channels]) -> None:
+    one = {n: c for n, c in fleet[0].items() if n in ("x", "n_left", "n_right")}
+    assert faults(one) == []
+    assert list(check_motion(one, SIDES)) == []
