@@ -89,7 +89,7 @@ def check(
     data, and whether sensors and thrusters agree: sides, signs, units, delays, dead bands. Exit status 1 where there is
     a fault, 3 where a limit ended the actuator test.
     """
-    _consistent(paths, mission_path, actuators, bool(arm or out or thrust or link_test))
+    _consistent(paths, mission_path, actuators, bool(arm or out or thrust or link_test), link_test, thrust)
     with tempfile.TemporaryDirectory(prefix="seatrial-check-") as folder:
         if _is_rig(paths[0]):
             from bench.preflight.report import dry_run_of
@@ -120,7 +120,14 @@ def _is_rig(path: Path) -> bool:
     return path.suffix == ".toml"
 
 
-def _consistent(paths: Sequence[Path], mission: Path | None, actuators: bool, of_actuators: bool) -> None:
+def _consistent(
+    paths: Sequence[Path],
+    mission: Path | None,
+    actuators: bool,
+    of_actuators: bool,
+    link_test: bool,
+    thrust: float | None,
+) -> None:
     """Raise UsageError where what was given does not belong together."""
     rig = any(_is_rig(path) for path in paths)
     if rig and len(paths) > 1:
@@ -129,6 +136,8 @@ def _consistent(paths: Sequence[Path], mission: Path | None, actuators: bool, of
         raise click.UsageError("--mission, --actuators, --link-test, --thrust, --arm and -o need a RIG")
     if of_actuators and not actuators:
         raise click.UsageError("--link-test, --thrust, --arm and -o belong to --actuators")
+    if link_test and thrust is not None:
+        raise click.UsageError("--link-test commands 0.1 of thrust always; leave --thrust out")
 
 
 def _tell(found: Sequence[Finding], as_json: bool) -> list[str]:

@@ -78,6 +78,7 @@ def test_the_command_on_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         (["a.toml", "b.mcap"], "give one RIG"),
         (["b.mcap", "--actuators"], "need a RIG"),
         (["a.toml", "--arm"], "belong to --actuators"),
+        (["a.toml", "--actuators", "--link-test", "--thrust", "0.2"], "0.1 of thrust always"),
     ],
 )
 def test_what_does_not_go_together_is_wrong_usage(
