@@ -16,7 +16,7 @@ from daq.clock import RunClock
 from daq.drivers import DISARMED, LinkStatus, check_parameters
 from daq.errors import SafetyStop, SeatrialError
 from daq.log import read_note
-from daq.protocol import ROVER
+from daq.protocol import EKF_POSITION, EKF_STANDS, ROVER
 from daq.rig import Device, Rig, Thruster
 from daq.samples import Servo
 
@@ -30,7 +30,7 @@ ASK_S = 1.0  # between two requests to disarm
 REASONS_S = 1.0  # for the texts that come after a refusal
 NEUTRAL_S = 0.3  # of neutral sticks before arming
 # EKF_STATUS_REPORT: attitude, horizontal velocity, absolute horizontal position; and no constant-position mode.
-EKF_WANTED, EKF_UNWANTED = 1 | 2 | 16, 128
+EKF_WANTED, EKF_UNWANTED = 1 | 2 | EKF_POSITION, EKF_STANDS
 TOLERANCE, WINDOW_S = 0.05, 0.25  # of an output from the commands of the last moment, and that moment; run s
 RIVAL = "another ground station has our own system id: its heartbeats hide the loss of ours"
 MANUAL, MANUAL_NUMBER = "MANUAL", 0.0

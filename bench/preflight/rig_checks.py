@@ -12,7 +12,7 @@ from daq.acquisition import Acquisition, PortStatus, Status
 from daq.checks import FAULT, OK, WARNING, Finding
 from daq.clock import RunClock
 from daq.drivers import LinkStatus, check_parameters
-from daq.protocol import ROVER
+from daq.protocol import EKF_POSITION, EKF_STANDS, ROVER
 from daq.rig import Device, Rig
 
 RATE_TOLERANCE = 0.2  # a rate within this part of the expected one is good
@@ -131,8 +131,8 @@ def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> It
         yield Finding(WARNING, "autopilot-alarm", "link", device.name, f"says {link.alarm}", "what it asks for")
     trip = f", {1e3 * link.round_trip:.0f} ms there and back" if math.isfinite(link.round_trip) else ""
     state = f"mode {link.mode}, {'armed' if link.armed else 'disarmed'}"
-    text = f"{link.vehicle}, {state}, EKF flags {link.ekf}{' (position)' * bool(link.ekf & 16)}{trip}"
-    if link.ekf >= 0 and (not link.ekf & 16 or link.ekf & 128):
+    text = f"{link.vehicle}, {state}, EKF flags {link.ekf}{' (position)' * bool(link.ekf & EKF_POSITION)}{trip}"
+    if link.ekf >= 0 and (not link.ekf & EKF_POSITION or link.ekf & EKF_STANDS):
         text, advice = f"{text}: its estimator has no position", "open sky, 40 s after power-on; no run begins before"
         yield Finding(WARNING, "estimator-not-ready", "link", name, text, advice)
     else:

@@ -21,6 +21,8 @@ from .decoder import Decoder as Decoder
 from .dronecan import NUMBERS as NUMBERS
 from .dronecan import Assembler as Assembler
 from .mavlink import ARMED as ARMED
+from .mavlink import EKF_POSITION as EKF_POSITION
+from .mavlink import EKF_STANDS as EKF_STANDS
 from .mavlink import FIXES as FIXES
 from .mavlink import GRAVITY as GRAVITY
 from .mavlink import HALF_MS as HALF_MS

@@ -23,11 +23,11 @@ from ident.checks.motion import (
     YAW_LAGS,
     ThrusterForces,
     ahead,
+    best_turn_rate,
     check_motion,
     delayed_forces,
     fill_gaps,
     thruster_forces,
-    turn_rate,
     turning,
 )
 from ident.checks.sensors import (
@@ -173,18 +173,12 @@ def push(c: Channels, sides: Mapping[str, float]) -> list[PushResponseCurve]:
         return []
     found: list[PushResponseCurve] = []
     if given.side.any():
-        r = _yaw_rate(c, given.edges)
+        r = best_turn_rate(c, given.edges)
         if r is not None:
             found.append(_pushed("yaw rate", "rad/s", given, r, given.f @ given.side, YAW_LAGS))
     if (u := ahead(c, given.t)) is not None:
         found.append(_pushed("speed ahead over ground", "m/s", given, u, given.f.sum(axis=1), SURGE_LAGS))
     return [row for row in found if np.isfinite(row.expected).any()]
-
-
-def _yaw_rate(c: Channels, edges: Array) -> Array | None:
-    """Of the best sensor there is, as the check takes it."""
-    rates = (turn_rate(c, edges, name) for name in ("gyro", "heading", "course"))
-    return next((rate for rate in rates if rate is not None and np.isfinite(rate).any()), None)
 
 
 def _pushed(

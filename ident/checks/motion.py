@@ -142,12 +142,17 @@ def thrust_responses(c: Channels, sides: Mapping[str, float]) -> PushResponse | 
     given = thruster_forces(c, sides)
     if given is None:
         return None
-    rates = (turn_rate(c, given.edges, name) for name in ("gyro", "heading", "course"))
-    rate = next((r for r in rates if r is not None), None)
+    rate = best_turn_rate(c, given.edges)
     if rate is None:
         return None
     yaw = _effect(rate, given.f, [], YAW_LAGS)
     return PushResponse(given.names, yaw, _surge(c, given.t, given.edges, given.f), _moment(given, rate))
+
+
+def best_turn_rate(c: Channels, edges: Array) -> Array | None:
+    """``turn_rate`` of the best sensor that tells it: gyro, else heading, else course; None where none does."""
+    rates = (turn_rate(c, edges, name) for name in ("gyro", "heading", "course"))
+    return next((rate for rate in rates if rate is not None and np.isfinite(rate).any()), None)
 
 
 def turning(c: Channels, sides: Mapping[str, float]) -> dict[str, int]:

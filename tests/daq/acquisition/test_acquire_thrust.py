@@ -298,16 +298,21 @@ def test_a_log_that_cannot_grow_any_more_ends_thrust(tmp_path: Path) -> None:
     assert len(open_log(tmp_path / "run.mcap").table(Ahrs, "ahrs")) > 10
 
 
+def driving_loop(boat: TestBoat, setpoints: Setpoints, said: list[str]) -> DeviceLoop:
+    """The thread of the boat's thrusters; `said` gets why thrust was ended."""
+    rig = load_rig(boat.rig_path)
+    device = rig.device("esc")
+    decoder = make_decoder(device, rig)
+    driver = make_driver(device, rig, decoder, LinkRole.DRIVE)
+    return DeviceLoop(device, make_port(device), decoder, RunClock(), LogSink(), setpoints, driver, said.append)
+
+
 def test_after_a_suspend_a_command_of_before_is_zero(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asleep = [0.0]
     monkeypatch.setattr(SuspendDetector, "_difference", staticmethod(lambda: asleep[0]))
     with TestBoat(tmp_path) as boat:
-        rig, setpoints, said = load_rig(boat.rig_path), Setpoints(), list[str]()
-        device = rig.device("esc")
-        decoder = make_decoder(device, rig)
-        driver = make_driver(device, rig, decoder, LinkRole.DRIVE)
-        port = make_port(device)
-        loop = DeviceLoop(device, port, decoder, RunClock(), LogSink(), setpoints, driver, said.append)
+        setpoints, said = Setpoints(), list[str]()
+        loop = driving_loop(boat, setpoints, said)
         loop.start()
         setpoints.append([(0.0, {1: 0.5}), (time.time() + 60.0, {1: 0.6})])
         loop.wake()
@@ -340,11 +345,8 @@ def test_a_suspend_at_rest_ends_thrust_too(tmp_path: Path, monkeypatch: pytest.M
     asleep = [0.0]
     monkeypatch.setattr(SuspendDetector, "_difference", staticmethod(lambda: asleep[0]))
     with TestBoat(tmp_path) as boat:
-        rig, setpoints, said = load_rig(boat.rig_path), Setpoints(), list[str]()
-        device = rig.device("esc")
-        decoder = make_decoder(device, rig)
-        driver = make_driver(device, rig, decoder, LinkRole.DRIVE)
-        loop = DeviceLoop(device, make_port(device), decoder, RunClock(), LogSink(), setpoints, driver, said.append)
+        setpoints, said = Setpoints(), list[str]()
+        loop = driving_loop(boat, setpoints, said)
         loop.start()
         setpoints.append([(0.0, {1: 0.0})])
         loop.wake()
