@@ -168,7 +168,7 @@ def build_record(
     end = min(c.t[-1] for c in used) if t_to is None else t_to
     if end - start < 2.0 / rate:
         raise ValueError(f"{name}: inputs and sensors overlap for only {end - start:.2f} s")
-    samples = {s.name: _sensor_samples(s, channels, start, end, rate) for s in present}
+    samples = {s.name: _sensor_samples(name, s, channels, start, end, rate) for s in present}
     switches = [_changes(channels[i.name]) for i in own if i.hold == "zero"]
     t = _rows([times for times, _ in samples.values()], switches, start, end, max_step or model.max_step)
     missing = tuple(s.name for s in model.sensors if s.name not in samples)
@@ -226,8 +226,9 @@ def _derived_inputs(model: Model, channels: Mapping[str, Channel]) -> dict[str, 
 
 
 def _sensor_samples(
-    sensor: Sensor, channels: Mapping[str, Channel], start: float, end: float, rate: float
+    name: str, sensor: Sensor, channels: Mapping[str, Channel], start: float, end: float, rate: float
 ) -> tuple[Array, Array]:
+    """Times (n,) and values (n, n_outputs) of a sensor. Raises ValueError where its outputs share no time."""
     first = channels[sensor.outputs[0].name]
     inside = (first.t >= start) & (first.t <= end)
     own = np.median(np.diff(first.t[inside])) if inside.sum() > 2 else np.inf
@@ -235,6 +236,12 @@ def _sensor_samples(
         # an import drops NaN signal by signal: a row has all outputs of one time, or does not exist
         own_channels = [channels[o.name] for o in sensor.outputs]
         times = reduce(np.intersect1d, [c.t for c in own_channels[1:]], first.t[inside])
+        if not times.size and inside.any():
+            names = " and ".join(o.name for o in sensor.outputs)
+            raise ValueError(
+                f"{name}: {names} are read together as the sensor {sensor.name}, and no row has them at the same time: "
+                "give them the same time stamps"
+            )
         values = np.column_stack([c.value[np.searchsorted(c.t, times)] for c in own_channels])
     else:
         edges = np.arange(start, end + 0.5 / rate, 1.0 / rate)

@@ -3,8 +3,7 @@
 The search selects effects by the gain in likelihood, which is of one-step predictions: the sum of many small neglected
 effects (a delay of some hundredths of a second) can gain more there than an effect that moves the boat elsewhere. So
 the effects are ranked by the loss of predictive accuracy when each is left out and the rest is fitted again: three
-seconds ahead by inputs alone, about the time in which speed follows thrust (1.2 s for a thruster). The disturbance
-forces are set to zero in that prediction: they would take the place of what is missing, and extrapolate it.
+seconds ahead by inputs alone (``Comparison.error_ratio``).
 """
 
 from __future__ import annotations
@@ -19,10 +18,6 @@ from ident.diagnosis.results import EffectImportance, Refit, Round
 from ident.engine import quickly
 from ident.estimation import FIT_ERRORS, ROUGH, FittedModel, Unseen, fit_and_evaluate
 from ident.model import Effect, Model
-from ident.models import residuals_of
-from ident.validation import horizon_errors, pooled_errors
-
-HORIZON = 0.6  # relative to the block of the score tests: 3 s for a boat, 1.2 s on the bench
 
 
 def effect_importance(
@@ -57,12 +52,12 @@ def effect_importance(
 def _importance(one: Refit, without: FittedModel, after: FittedModel, *, alone: bool) -> EffectImportance:
     """Of an effect, by the model ``without`` it; ``alone``: nothing was left out with it."""
     gain = 2 * (after.fit.log_posterior - without.fit.log_posterior)
+    compared = comparison(without, after, one.effect)
     if one.stage is after and alone and one.prediction is not None:  # as it was accepted
         worth, prediction = (one.validation_gain, one.t), one.prediction
     else:
-        compared = comparison(without, after, one.effect)
         worth, prediction = compared.gain, compared.prediction
-    return EffectImportance(one.effect.name, gain, error_ratio(without, after), *worth, prediction)
+    return EffectImportance(one.effect.name, gain, compared.error_ratio, *worth, prediction)
 
 
 def left_out_with(effect: Effect, chosen: Sequence[Refit]) -> set[str]:
@@ -144,20 +139,3 @@ def _with(
         return fit_and_evaluate(model, records, unseen)
     with quickly(sum(r.n_rows for r in records)):
         return fit_and_evaluate(model, records, unseen, settings=ROUGH)
-
-
-def error_ratio(without: FittedModel, having: FittedModel) -> float:
-    """Of ``EffectImportance``."""
-    return float(np.exp(_log_error(without) - _log_error(having)))
-
-
-def _log_error(stage: FittedModel) -> float:
-    """The mean over channels of the logarithm of the error ``HORIZON`` blocks ahead, without disturbance forces."""
-    model = stage.model
-    forces = [i for i, s in enumerate(model.states) if s.name in {r.state for r in residuals_of(model)}]
-    parts = []
-    for v in stage.validation or stage.estimation:
-        x = v.run.x_filt.copy()
-        x[:, forces] = 0.0
-        parts.append(horizon_errors(model, v.record, v.values, x, HORIZON * model.block))
-    return float(np.mean([np.log(e.rms) for e in pooled_errors(parts).values()]))

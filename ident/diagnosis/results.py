@@ -117,14 +117,19 @@ class Round:
         if self.chosen is not None:
             gain, t = self.chosen.validation_gain, self.chosen.t
             return f"the log-likelihood of the validation data rises by {gain:.0f} (t = {t:.1f})"
-        small = next((r for r in self.refits if r.outcome is Outcome.SMALL), None)
-        if small is not None:
-            return f"what is left is small beside what was found: {small.effect.title} would gain {small.gain:.0f}"
-        return {
-            Outcome.WORSE_PREDICTION: "what explains the data best makes the prediction worse",
-            Outcome.NO_BETTER_PREDICTION: "the prediction is no better with what explains the data best",
-            Outcome.UNTESTED: "none of these could be fitted",
-        }.get(self.outcome, "no candidate predicts the validation data better")
+        # of those that came so far, the one that explains the data best
+        best = next((r for r in self.refits if r.outcome is self.outcome), None)
+        if best is None:
+            return "none of these could be fitted"
+        match self.outcome:
+            case Outcome.SMALL:
+                return f"what is left is small beside what was found: {best.effect.title} would gain {best.gain:.0f}"
+            case Outcome.WORSE_PREDICTION:
+                return f"{best.effect.title} makes the prediction worse"
+            case Outcome.NO_BETTER_PREDICTION:
+                return f"the prediction is no better with {best.effect.title}"
+            case _:
+                return "no candidate predicts the validation data better"
 
 
 @dataclass(frozen=True)

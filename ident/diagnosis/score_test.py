@@ -242,21 +242,41 @@ def propagate_sensitivities(
     return np.concatenate(parts, axis=1), slim
 
 
-def score_tests(
-    normal: NormalEquations, n_fitted: int, prior: Array, candidates: Sequence[ColumnIndex]
-) -> list[Score]:
-    """One score for each candidate; the first ``n_fitted`` columns are the fitted parameters.
+@dataclass(frozen=True)
+class PriorTerms:
+    """What the priors of the fitted parameters add to the normal equations (n_fitted,): the gradient of their log
+    density at the estimate, and their information."""
 
-    prior (n_fitted,): diagonal of the prior information.
+    gradient: Array
+    information: Array
+
+
+def prior_terms(parameters: Sequence[Parameter], values: Array) -> PriorTerms:
+    """Of the parameters, at their values (n_parameters,), in their own units."""
+    gradient, information = np.zeros(len(parameters)), np.zeros(len(parameters))
+    for k, (p, value) in enumerate(zip(parameters, values.tolist(), strict=True)):
+        if (given := p.free_prior()) is not None:
+            mean, sd = given
+            slope = p.slope(value)
+            gradient[k] = (mean - p.to_free(value)) / (sd**2 * slope)
+            information[k] = 1.0 / (sd * slope) ** 2
+    return PriorTerms(gradient, information)
+
+
+def score_tests(normal: NormalEquations, prior: PriorTerms, candidates: Sequence[ColumnIndex]) -> list[Score]:
+    """One score for each candidate; the first columns are the fitted parameters, of which there are as many as
+    ``prior`` has. At their estimate the gradients of likelihood and prior cancel: only their sum says how far the fit
+    is from its maximum.
     """
-    fitted = normal.information[:n_fitted, :n_fitted] + np.diag(prior)
+    n_fitted = prior.gradient.size
+    fitted = normal.information[:n_fitted, :n_fitted] + np.diag(prior.information)
     scale = np.sqrt(np.maximum(np.diag(fitted), 1e-300))
     gain = np.linalg.lstsq(
         fitted / np.outer(scale, scale), normal.information[:n_fitted] / scale[:, None], rcond=1e-12
     )[0]
     gain = gain / scale[:, None]
     information = normal.information - normal.information[:n_fitted].T @ gain
-    score = normal.score - gain.T @ normal.score[:n_fitted]
+    score = normal.score - gain.T @ (normal.score[:n_fitted] + prior.gradient)
     blocks = np.concatenate(normal.blocks)
     blocks = blocks - blocks[:, :n_fitted] @ gain
     scores = [_one(c, information, score, blocks, normal.information) for c in candidates]

@@ -27,7 +27,7 @@ from ident.data import LogSegment, Record, make_record
 from ident.diagnosis.acceptance import Comparison, comparison, validation_mismatches
 from ident.diagnosis.adequacy import assess_alternatives
 from ident.diagnosis.candidates import normal_equations, variables, wave_peak_score
-from ident.diagnosis.importance import effect_importance, error_ratio, fit_without
+from ident.diagnosis.importance import effect_importance, fit_without
 from ident.diagnosis.results import (
     T_VALIDATION,
     Diagnosis,
@@ -41,7 +41,14 @@ from ident.diagnosis.results import (
     UntestedCandidate,
     helps,
 )
-from ident.diagnosis.score_test import Score, fitted_parameters, score_test_passes, score_tests, score_threshold
+from ident.diagnosis.score_test import (
+    Score,
+    fitted_parameters,
+    prior_terms,
+    score_test_passes,
+    score_tests,
+    score_threshold,
+)
 from ident.effects import NonparametricForce, catalogue, input_response_effects, nonparametric_effect, shape
 from ident.engine import quickly
 from ident.estimation import (
@@ -59,8 +66,10 @@ from ident.estimation import (
     lacking_inputs,
     nominal,
     superset,
+    validated_in_blocks,
     validation_records,
     without_absent_sensors,
+    without_untold_sensors,
 )
 from ident.model import Effect, EffectKind, ForceCurve, Model, Parameter
 from ident.models import residuals_of, scale_priors, size_of, variables_of
@@ -78,19 +87,27 @@ from ident.validation import (
 @dataclass(frozen=True)
 class DiagnosisEvaluation:
     """What the models of a diagnosis predict, and what they leave: computed once, before anything is reported.
-    ``changes``: by role, of the prediction errors over the horizon; forces: disturbances, as of both models."""
+    ``changes``: by role, of the prediction errors over the horizon; forces: disturbances, as of both models;
+    ``in_blocks``: the effects with parameters of their own for each run, for whose sake the validation runs are
+    predicted in blocks of time with the estimates of each run's other blocks."""
 
     before: PredictionEvaluation
     after: PredictionEvaluation
     changes: Mapping[str, PredictionChange]
     forces_before: tuple[SmoothedForce, ...]
     forces_after: tuple[SmoothedForce, ...]
+    in_blocks: tuple[Effect, ...] = ()
 
 
 def evaluate_diagnosis(diagnosis: Diagnosis, horizon: float | None = None) -> DiagnosisEvaluation:
     """``horizon`` [s]: of ``ident.validation.evaluate``."""
-    before = evaluate(diagnosis.before, horizon)
-    after = before if diagnosis.after is diagnosis.before else evaluate(diagnosis.after, horizon)
+    one, other = diagnosis.before, diagnosis.after
+    own = tuple(r.effect for r in diagnosis.effects if any(p.per_record for p in r.effect.parameters))
+    own = () if one.cross_validated or not one.validation else own
+    if own:  # as they were accepted: else the headline would be of data that they were fitted to
+        one, other = validated_in_blocks(one), validated_in_blocks(other)
+    before = evaluate(one, horizon)
+    after = before if other is one else evaluate(other, horizon)
     forces = residuals_of(diagnosis.before.model)
     return DiagnosisEvaluation(
         before,
@@ -98,6 +115,7 @@ def evaluate_diagnosis(diagnosis: Diagnosis, horizon: float | None = None) -> Di
         prediction_changes(before, after),
         smoothed_forces(diagnosis.before, forces),
         smoothed_forces(diagnosis.after, forces),
+        own,
     )
 
 
@@ -144,7 +162,8 @@ def diagnose(
     untested = wanted - set(candidates)
     records = [make_record(everything, r, rate) for r in estimation]
     runs = [make_record(everything, r, rate) for r in usable]
-    full = without_absent_sensors(full, records + runs)
+    runs = without_untold_sensors(full, records, runs)
+    full = without_absent_sensors(full, records)
     reporter.progress(f"fitting {full.name} with disturbance forces to {counted(len(records), 'run')}")
     before, unseen = _first_fit(full, records, runs)
     size, known = size_of(before.fit.model), catalogue()
@@ -235,8 +254,8 @@ def score_all(
     stuck = {n for n, what in stage.fit.flags if what in (AT_BOUND, VAGUE)}
     fitted = [p for p in fitted_parameters(model, len(records)) if p.full_name not in stuck]
     normal, places = normal_equations(stage, records, list(candidates.values()), fitted)
-    priors = np.array([1 / p.prior[1] ** 2 if p.prior else 0.0 for p in fitted])
-    scores = score_tests(normal, len(fitted), priors, places)
+    at = np.array([stage.fit.estimate(p.name, p.segment or 0)[0] for p in fitted])
+    scores = score_tests(normal, prior_terms(fitted, at), places)
     waves = wave_peak_score(stage) if "waves" in candidates else None
     scores += [] if waves is None else [waves]
     n = sum(r.n_rows for r in records)
@@ -320,6 +339,8 @@ class _Search:
                 stuck[idle.effect] = str(problem)
                 continue
             removed.append(RemovedEffect(effect, idle.validation_gain, idle.t, idle.prediction))
+            if not effect.kind.unknown:  # the last tests are of all that the model has not
+                self.candidates[effect.name] = effect
 
     def _round(self, current: FittedModel, scores: list[Score], passed: list[Score]) -> Round:
         specific = [s for s in passed if not s.generic]
@@ -385,7 +406,7 @@ class _Search:
             if stage.fit.converged or not current.fit.converged:
                 assert self.nominal is not None
                 total = prediction if current is self.nominal else Comparison(self.nominal, stage).prediction
-                error = error_ratio(current, stage) if rough.unknown else rough.error
+                error = compared.error_ratio if rough.unknown else rough.error
                 exact = replace(
                     rough, stage=stage, validation_gain=gain, t=t, prediction=prediction, total=total, error=error
                 )

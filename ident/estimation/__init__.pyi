@@ -18,6 +18,7 @@ from .fitted_model import superset as superset
 from .fitted_model import validated_in_blocks as validated_in_blocks
 from .fitted_model import validation_records as validation_records
 from .fitted_model import without_absent_sensors as without_absent_sensors
+from .fitted_model import without_untold_sensors as without_untold_sensors
 from .homogeneity import HomogeneityTest as HomogeneityTest
 from .homogeneity import ParameterShift as ParameterShift
 from .homogeneity import between_runs as between_runs

@@ -115,7 +115,8 @@ def fit_nominal_model(
     records = [make_record(full, r, rate) for r in estimation]
     unseen, failed = validation_records(full, validation, rate)
     reporter.progress(f"fitting {full.name} to {counted(len(records), 'run')}")
-    full = without_absent_sensors(full, records + unseen)
+    unseen = without_untold_sensors(full, records, unseen)
+    full = without_absent_sensors(full, records)
     stage = fit_with_rescaling(full, records, unseen, options)
     return replace(stage, failed=(*failed, *stage.failed))
 
@@ -204,7 +205,7 @@ def fit_and_evaluate(
 def cross_validated(stage: FittedModel, blocks: TimeBlocks) -> FittedModel:
     """The fit judged on blocks in time of its estimation records, each with the estimates of the others. Raises
     ValueError where a block cannot be evaluated."""
-    fitted = stage.fit
+    fitted, blocks = stage.fit, _with_own_starts(stage, blocks)
     values = leave_one_block_out(fitted.model, blocks, fitted.record_values, fitted.parameters)
     views = tuple(_view(fitted.model, r, v) for r, v in zip(blocks.records, values, strict=True))
     return replace(stage, validation=views, cross_validated=True)
@@ -214,6 +215,18 @@ def blocks_of(records: Sequence[Record], views: Sequence[RecordEvaluation], bloc
     """Records cut into blocks in time; ``views``: a model on them, whose states say how a block may begin; ``block``
     [s]: ``Model.block``."""
     return time_blocks(records, block, [_starts_anywhere(v) for v in views])
+
+
+def _with_own_starts(stage: FittedModel, blocks: TimeBlocks) -> TimeBlocks:
+    """Blocks that say how the states of the model's effects may begin, too: at rest they would be wrong wherever a run
+    is cut."""
+    known = [r.start for r in blocks.records]
+    if all(s.name in start for s in stage.fit.model.states for start in known):
+        return blocks
+    own = [_starts_anywhere(v) for v in stage.estimation]
+    starts = [{**own[i], **start} for i, start in zip(blocks.of, known, strict=True)]
+    records = (replace(r, start=start) for r, start in zip(blocks.records, starts, strict=True))
+    return replace(blocks, records=tuple(records))
 
 
 def _starts_anywhere(view: RecordEvaluation) -> dict[str, tuple[float, float]]:
@@ -295,10 +308,26 @@ def lacking_inputs(nominal: Model, effect: Effect, run: LogSegment) -> set[str]:
 
 def without_absent_sensors(model: Model, records: Sequence[Record]) -> Model:
     """Fix the noise of sensors that no record has: nothing can be said about it."""
+    return model.replace_parameters(*[model.parameter(n).fixed() for n in _untold_noise(model, records)])
+
+
+def without_untold_sensors(model: Model, records: Sequence[Record], unseen: Sequence[Record]) -> list[Record]:
+    """Validation records without the samples of sensors that no estimation record has: nothing tells their noise,
+    unless it is given, and a guess would judge the model."""
+    untold = {n for n in _untold_noise(model, records) if model.parameter(n).free}
+    out = {o.name for o in model.outputs if o.noise in untold}
+    return [
+        replace(r, y=np.where([name in out for name in r.outputs], np.nan, r.y)) if out & set(r.outputs) else r
+        for r in unseen
+    ]
+
+
+def _untold_noise(model: Model, records: Sequence[Record]) -> set[str]:
+    """The noise parameters of sensors that no record has."""
     columns = {n: j for j, n in enumerate(records[0].outputs)}
     seen = {o.name for o in model.outputs if any(np.isfinite(r.y[:, columns[o.name]]).any() for r in records)}
-    absent = {o.noise for o in model.outputs} - {o.noise for o in model.outputs if o.name in seen}
-    return model.replace_parameters(*[model.parameter(n).fixed() for n in absent if n])
+    told = {o.noise for o in model.outputs if o.name in seen}
+    return {o.noise for o in model.outputs if o.noise} - told
 
 
 def reset_collapsed_noise(model: Model, records: Sequence[Record]) -> Model:

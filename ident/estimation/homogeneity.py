@@ -69,7 +69,10 @@ def homogeneity_test(one: Fit, records: Sequence[Record], name: str) -> Homogene
         raise SeatrialError(f"--test-homogeneity {name}: no free parameter that the logs share; there are {free}")
     if len(records) < 2:
         raise SeatrialError(f"--test-homogeneity {name}: it takes two logs or more")
-    model = one.model.replace_parameters(replace(one.model.parameter(name), per_record=True))
+    shared = one.model.parameter(name)
+    # what was known of the one value is known once, not once for each log: equal values then have the same posterior
+    prior = None if shared.prior is None else (shared.prior[0], shared.prior[1] * np.sqrt(len(records)))
+    model = one.model.replace_parameters(replace(shared, per_record=True, prior=prior))
     each = fit(model, records, EstimationOptions(reml=one.options.reml))
     values, errors = np.array([each.estimate(name, i) for i in range(len(records))]).T
     lr, df = max(0.0, 2.0 * (each.log_posterior - one.log_posterior)), len(records) - 1

@@ -86,6 +86,7 @@ def diagnosis_result(
         notes=(
             *notes,
             *_notes(diagnosis),
+            *_blocks_note(evaluation),
             *outlier_lines(after.residuals, after.model),
             *calibration_notes(calibration, after.horizon),
         ),
@@ -407,6 +408,17 @@ def _untested_warnings(diagnosis: Diagnosis) -> list[parts.ResultWarning]:
     return found
 
 
+def _blocks_note(evaluation: DiagnosisEvaluation) -> list[str]:
+    if not evaluation.in_blocks:
+        return []
+    titles = [e.title for e in evaluation.in_blocks]
+    have = "has parameters of its own" if len(titles) == 1 else "have parameters of their own"
+    return [
+        f"The validation runs are predicted in blocks of time, each with the estimates of the run's other blocks: "
+        f"{_listed(titles)} {have} for each run."
+    ]
+
+
 def _not_paying(removed: RemovedEffect) -> str:
     if removed.immaterial:
         return "the prediction is as good without it"
@@ -417,7 +429,10 @@ def _notes(diagnosis: Diagnosis) -> list[str]:
     notes = []
     if diagnosis.left:
         names = ", ".join(s.name for s in diagnosis.left[:4])
-        notes.append(f"After the last effect these tests still pass: {names}. Something smaller remains.")
+        if diagnosis.effects:
+            notes.append(f"After the last effect these tests still pass: {names}. Something smaller remains.")
+        elif diagnosis.removed:
+            notes.append(f"Of the model without effects these tests pass: {names}.")
     if diagnosis.effects and diagnosis.rounds[-1].chosen is None:
         why = diagnosis.rounds[-1].why
         notes.append(f"{why[0].upper()}{why[1:]}.")

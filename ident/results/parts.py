@@ -146,10 +146,11 @@ class UnusedSignal(Part, frozen=True, kw_only=True):
     signal: str
     logs: Annotated[tuple[str, ...], Meta(description="names of the logs that have it")]
     code: Annotated[
-        Literal["incomplete-sensor", "other-name", "not-in-model", "unknown-name"],
+        Literal["incomplete-sensor", "other-name", "not-in-model", "unknown-name", "validation-only"],
         Meta(
             description="`incomplete-sensor`: it needs another one beside it; `other-name`: ident knows it by another "
-            "name or unit; `not-in-model`: this model has no place for it; `unknown-name`: no model takes that name"
+            "name or unit; `not-in-model`: this model has no place for it; `unknown-name`: no model takes that name; "
+            "`validation-only`: no estimation log has it, so that its noise is not known"
         ),
     ]
     reason: str

@@ -62,7 +62,7 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
     plain = replace(saved.model, second_order=False)
     check_ahead(horizon, loaded, unseen)
     model, runs, others, usual = model_of_logs(plain, request.model, loaded, unseen, request.thruster)
-    unused = unused_signals(model, [*loaded, *unseen])
+    unused = unused_signals(model, loaded, unseen)
     loaded, unseen = check_first(loaded, unseen, model, request.despite_faults)
     model, floors = with_noise_floors(model, loaded)
     own = effects_for(model, effects_file) if effects_file else {}

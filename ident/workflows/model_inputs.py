@@ -92,8 +92,12 @@ OTHER_NAMES = {
 }
 
 
-def unused_signals(model: Model, loaded: Sequence[LoadedLog]) -> list[UnusedSignal]:
-    """Signals of the logs that no input and no sensor of the model takes, each with the reason."""
+def unused_signals(
+    model: Model, estimation: Sequence[LoadedLog], validation: Sequence[LoadedLog]
+) -> list[UnusedSignal]:
+    """Signals of the logs that no input and no sensor of the model takes, each with the reason; and those of sensors
+    that only validation logs have and whose noise nobody gave (``without_untold_sensors``)."""
+    loaded = [*estimation, *validation]
     taken = {i.tap_of if i.tap else i.name for i in model.inputs} | {o.name for o in model.outputs}
     there = {n for x in loaded for n in x.run.channels}
     found = []
@@ -104,6 +108,12 @@ def unused_signals(model: Model, loaded: Sequence[LoadedLog]) -> list[UnusedSign
     for name in sorted(there - taken - made):
         logs = tuple(x.run.name for x in loaded if name in x.run.channels)
         found.append(_unused(name, logs, model, there))
+    noise = {o.name: o.noise for o in model.outputs if o.noise and model.parameter(o.noise).free}
+    told = {noise.get(n) for x in estimation for n in x.run.channels}
+    for name in sorted(n for n in noise.keys() & there if noise[n] not in told):
+        logs = tuple(x.run.name for x in validation if name in x.run.channels)
+        reason = "no estimation log has it, so that its noise is not known"
+        found.append(UnusedSignal(signal=name, logs=logs, code="validation-only", reason=reason))
     return found
 
 

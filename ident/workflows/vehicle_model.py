@@ -136,5 +136,5 @@ def vehicle_problem(
     model, floors = with_noise_floors(model, loaded)
     check_names(nominal(model), request.profiles, len(loaded))
     segments, validation = ([x.run for x in part] for part in (loaded, unseen))
-    unused = unused_signals(model, [*loaded, *unseen])
+    unused = unused_signals(model, loaded, unseen)
     return VehicleProblem(model, segments, validation, [*notes, *floors], thrust_from(model), unused)

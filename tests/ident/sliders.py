@@ -9,6 +9,7 @@ from ident.data.record import Record
 from ident.diagnosis.candidates import TrajectoryLinearisation
 from ident.diagnosis.score_test import (
     NormalEquations,
+    PriorTerms,
     Score,
     SensitivityColumns,
     SensitivityFilter,
@@ -115,7 +116,12 @@ def scores_of_columns(
     normal = NormalEquations([str(k) for k in range(g.shape[1])])
     normal.add(range(g.shape[1]), g, e, block_index(t))
     placed, _ = place(columns, len(fitted), 1)
-    return score_tests(normal, len(fitted), np.zeros(len(fitted)), placed)
+    return score_tests(normal, no_priors(len(fitted)), placed)
+
+
+def no_priors(n_fitted: int) -> PriorTerms:
+    """Of fitted parameters of which nothing is known beforehand."""
+    return PriorTerms(np.zeros(n_fitted), np.zeros(n_fitted))
 
 
 def whole(path: TrajectoryLinearisation, columns: SensitivityColumns) -> np.ndarray:

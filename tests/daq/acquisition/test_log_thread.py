@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from daq.acquisition.log_thread import LogItem, LogSink
-from daq.samples import NAN, Frame, LoadCell
+from daq.samples import NAN, Event, Frame, LoadCell
 
 
 def item(k: int) -> LogItem:
@@ -17,3 +17,12 @@ def test_a_full_queue_refuses_and_keeps_what_it_has() -> None:
     assert sink.take() == []
     assert sink.put(item(9))
     assert [entry.raw for entry in sink.take()] == [b"9\n"]
+
+
+def test_why_a_run_ended_is_kept_where_data_find_no_room() -> None:
+    """A disk that hangs for seconds fills the queue; what ended the run comes after that."""
+    sink = LogSink(limit=3)
+    event = LogItem("", "", b"", 9.0, [(Frame(Event("stop", "the disk hangs"), 9.0, NAN), 9.0)])
+    assert [sink.put(item(k)) for k in range(5)] == [True, True, True, False, False]
+    assert [sink.put(event) for _ in range(5)] == [True, True, True, False, False]  # bounded, too
+    assert [entry.raw for entry in sink.take()] == [b"0\n", b"1\n", b"2\n", b"", b"", b""]

@@ -208,6 +208,12 @@ def test_a_missing_sensor_is_left_out_and_said() -> None:
         (("w",), {}, "run 7: no signal for the input 'w' of model cart; the log has a, b, psi"),
         (("psi", "a"), {}, "run 7: none of the sensors of model cart is in the log: compass, pair"),
         ((), {"w": channel(1.0, 10.0, 20.0)}, "run 7: inputs and sensors overlap for only -10.00 s"),
+        (
+            (),
+            {"b": channel(4.0, 9.0, 0.1)},
+            "run 7: a and b are read together as the sensor pair, and no row has them at the same time: give them the "
+            "same time stamps",
+        ),
     ],
 )
 def test_what_cannot_be_made_is_one_clear_line(drop: tuple[str, ...], change: dict[str, Channel], says: str) -> None:

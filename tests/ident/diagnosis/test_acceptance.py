@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from ident.diagnosis.acceptance import validation_gain
 from ident.diagnosis.results import MATERIAL_ERROR_RATIO, MIN_ERROR_RATIO, EffectImportance, Outcome, Refit, Round
@@ -33,7 +34,18 @@ def test_the_gain_is_over_all_runs_and_its_error_over_blocks_of_ten_seconds() ->
     gain, t = validation_gain(stage(one=np.zeros(200), two=np.zeros(200)), stage(one=one, two=two))
     blocks = np.concatenate([one.reshape(20, 10).sum(1), two.reshape(20, 10).sum(1)])
     assert gain == pytest.approx(one.sum() + two.sum())
-    assert t == pytest.approx(blocks.mean() / (blocks.std(ddof=1) / 40**0.5))
+    student = blocks.mean() / (blocks.std(ddof=1) / 40**0.5)
+    assert t == pytest.approx(stats.norm.isf(stats.t.sf(student, 39)), rel=1e-3)
+
+
+@pytest.mark.parametrize("n_blocks", [3, 5, 12])
+def test_chance_passes_as_seldom_in_few_blocks_as_in_many(n_blocks: int) -> None:
+    """Gains of pure chance: the part beyond two is that of the normal distribution, not 9 % as with 3 blocks."""
+    rng, found = np.random.default_rng(n_blocks), []
+    for _ in range(2000):
+        ll = np.repeat(rng.normal(size=n_blocks), 10)
+        found.append(validation_gain(stage(run=np.zeros(ll.size)), stage(run=ll))[1])
+    assert np.mean(np.array(found) > 2.0) == pytest.approx(0.0228, abs=0.011)
 
 
 def test_a_few_blocks_that_lose_much_are_not_taken_for_outliers() -> None:
@@ -133,4 +145,5 @@ def test_a_round_that_added_nothing_says_how_far_the_best_came(outcomes: Any, of
     refits = tuple(replace(refit(), outcome=o) for o in outcomes)
     one = Round((), (), refits, None)
     assert one.outcome is of_round
+    assert ("wind" in one.why) is (of_round in (Outcome.WORSE_PREDICTION, Outcome.SMALL))  # names whom it is about
     assert ("small beside what was found" in one.why) is (of_round is Outcome.SMALL)

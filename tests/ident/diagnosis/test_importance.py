@@ -63,7 +63,7 @@ def test_an_effect_without_which_nothing_can_be_fitted_has_no_weight(monkeypatch
     one = replace(one, stage=stage(900.0, one))
     other = replace(chosen("lift"), stage=stage(930.0, one, chosen("lift")), prediction=cast(Any, "fell"))
     monkeypatch.setattr(importance, "_with", fails)
-    monkeypatch.setattr(importance, "error_ratio", lambda *_: 1.2)
+    monkeypatch.setattr(importance, "comparison", lambda *_: SimpleNamespace(error_ratio=1.2))
     rounds = [Round((), (), (c,), c) for c in (one, other)]
     lift, wind = effect_importance(before, other.stage, [one, other], rounds, [], [])
     assert (lift.effect, lift.gain, lift.untested) == ("lift", 60.0, None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,11 +18,13 @@ from ident.diagnosis.score_test import (
     N_ROWS,
     ColumnIndex,
     NormalEquations,
+    PriorTerms,
     SensitivityColumns,
     SensitivityFilter,
     block_index,
     fitted_parameters,
     place,
+    prior_terms,
     score_tests,
     whole_blocks,
 )
@@ -31,7 +34,20 @@ from ident.estimation.likelihood import FilterResult, Likelihood
 from ident.estimation.maximum_likelihood import SearchSettings, fit
 from ident.model.parameter import Parameter
 from ident.model.structure import Effect, Signals, State
-from tests.ident.sliders import CUBE, DRAG, PUSH, TAPE, Q, score_of, scores_at, scores_of_columns, slide, slider, whole
+from tests.ident.sliders import (
+    CUBE,
+    DRAG,
+    PUSH,
+    TAPE,
+    Q,
+    no_priors,
+    score_of,
+    scores_at,
+    scores_of_columns,
+    slide,
+    slider,
+    whole,
+)
 
 N_SETS = 100
 Linearised = tuple[TrajectoryLinearisation, FilterResult, list[np.ndarray]]
@@ -185,7 +201,7 @@ def test_a_long_record_is_tested_in_parts_of_whole_blocks(monkeypatch: pytest.Mo
 
     def statistics() -> list[tuple[float, float]]:
         normal, places = normal_equations(fitted, fitted.records, effects, parameters)
-        scores = score_tests(normal, len(parameters), np.zeros(len(parameters)), places)
+        scores = score_tests(normal, no_priors(len(parameters)), places)
         return [(s.lm, s.lm_block) for s in scores]
 
     wanted = statistics()
@@ -235,12 +251,35 @@ def test_a_prior_counts_as_information_of_a_fitted_parameter() -> None:
     normal = NormalEquations(["fitted", "new"])
     normal.add([0, 1], g, e, block_index(np.arange(400) * 0.1))
     column = SensitivityColumns("new", np.zeros((1, 1, 1)), ("k",))
-    (free,) = score_tests(normal, 1, np.array([0.0]), [ColumnIndex(column, (1,))])
-    (held,) = score_tests(normal, 1, np.array([1e12]), [ColumnIndex(column, (1,))])
+    (free,) = score_tests(normal, no_priors(1), [ColumnIndex(column, (1,))])
+    (held,) = score_tests(normal, PriorTerms(np.zeros(1), np.array([1e12])), [ColumnIndex(column, (1,))])
     rest = g[:, 1] - g[:, 0] * (g[:, 0] @ g[:, 1]) / (g[:, 0] @ g[:, 0])
     # the score of the fitted parameter is not zero here, so its part is taken from both
     assert free.lm == pytest.approx((rest @ e) ** 2 / (rest @ rest), rel=1e-9)
     assert held.lm == pytest.approx((g[:, 1] @ e) ** 2 / (g[:, 1] @ g[:, 1]), rel=1e-6)
+
+
+@pytest.mark.parametrize("transform", ["none", "log"])
+def test_a_fit_that_its_prior_holds_back_is_at_its_maximum(transform: Any) -> None:
+    """A sharp prior far from the truth: the likelihood alone would move on, and the posterior has nowhere to go. The
+    one step to the effect is the one that a fit with both finds."""
+    drag = slider().parameter("d")
+    held = replace(drag, value=1.3, prior=(1.3, 0.02), transform=transform)
+    model, record = slider().replace_parameters(held), slide(21, 900)
+    fitted = fit_and_evaluate(model, [record], [])
+    parameters = fitted_parameters(fitted.model, 1)
+    at = np.array([fitted.fit.estimate(p.name)[0] for p in parameters])
+    normal, places = normal_equations(fitted, fitted.records, [PUSH], parameters)
+    n = len(parameters)
+    prior = prior_terms(parameters, at)
+    error = 1 / np.sqrt(np.diag(normal.information)[:n] + prior.information)
+    assert np.abs(error * normal.score[:n]).max() > 2.0  # how far the likelihood alone would move, in standard errors
+    assert np.abs(error * (normal.score[:n] + prior.gradient)).max() < 0.2
+    score = next(s for s in score_tests(normal, prior, places) if s.name == "push")
+    both = fit_and_evaluate(fitted.fit.model + PUSH, [record], [])
+    step, error = both.fit.estimate("k_push")
+    assert score.step["k_push"] == pytest.approx(step, abs=0.1 * error)
+    assert score.lm == pytest.approx(2 * (both.fit.log_posterior - fitted.fit.log_posterior), rel=0.05, abs=0.2)
 
 
 def test_an_effect_of_each_records_own_may_have_opposite_signs() -> None:
@@ -256,7 +295,7 @@ def test_an_effect_of_each_records_own_may_have_opposite_signs() -> None:
     for i in range(2):
         at = [0] + [k for p in places for k in p.of_record(i)]
         normal.add(at, np.column_stack([g[i], g[i][:, 1]]), e[i], block_index(np.arange(300) * 0.1))
-    one, two = score_tests(normal, 1, np.zeros(1), places)
+    one, two = score_tests(normal, no_priors(1), places)
     assert (one.df, two.df) == (1, 2)
     assert one.p > 0.01
     assert two.p < 1e-20

@@ -23,15 +23,21 @@ from ident.diagnosis.results import (
     ValidationMismatch,
 )
 from ident.diagnosis.score_test import Score
-from ident.diagnosis.search import _Search, _starts, diagnose
+from ident.diagnosis.search import _Search, _starts, diagnose, evaluate_diagnosis
 from ident.effects.registry import catalogue
-from ident.estimation.fitted_model import FittedModel
+from ident.estimation.fitted_model import FittedModel, validated_in_blocks
 from ident.estimation.homogeneity import BETWEEN, ParameterShift
 from ident.model.parameter import Parameter
 from ident.model.structure import Effect, EffectKind, ForceCurve, Input
 from ident.models.horizontal import horizontal_model
 from ident.reporter import QUIET
-from ident.results.diagnosis import _mismatch, _untested_warnings, diagnosis_answer, reported_mismatches
+from ident.results.diagnosis import (
+    _blocks_note,
+    _mismatch,
+    _untested_warnings,
+    diagnosis_answer,
+    reported_mismatches,
+)
 from ident.validation.prediction_errors import PredictionChange
 from mocks.plant.boat import Boat
 from tests.missions import boat_with, channels_of, sail
@@ -268,6 +274,7 @@ def test_what_does_not_pay_beside_the_others_is_removed(monkeypatch: pytest.Monk
     assert current is fits["without hump"]
     assert [w.effect for w in weights] == ["cubic", "lift"]
     assert [r.effect.name for r in removed] == ["hump"]
+    assert set(mine.candidates) == {"hump"}  # and the last tests are of it, too
 
 
 def test_a_removal_that_could_not_be_tested_removes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -395,6 +402,13 @@ def test_a_payload_in_one_run_is_named() -> None:
     assert [r.effect.name for r in found.effects] == [f"{BETWEEN}payload"]
     values = [found.after.fit.estimate("m_payload", i)[0] for i in (0, 1)]
     assert values[1] - values[0] == pytest.approx(5.0, abs=0.6)
+    # the payload of the validation run comes from its other blocks, for the headline as for its acceptance
+    evaluation = evaluate_diagnosis(found)
+    assert [e.name for e in evaluation.in_blocks] == [f"{BETWEEN}payload"]
+    for one in (evaluation.before, evaluation.after):
+        assert one.validation is not None
+        assert len(one.validation.records) == len(validated_in_blocks(found.after).validation) > 4
+    assert "has parameters of its own for each run" in _blocks_note(evaluation)[0]
 
 
 @pytest.mark.slow

@@ -9,11 +9,11 @@ import pytest
 
 from ident.data.record import Record
 from ident.estimation.cross_validation import FEWEST_BLOCKS, MOST_BLOCKS, TimeBlocks, leave_one_block_out, time_blocks
-from ident.estimation.fitted_model import fit_and_evaluate, validated_in_blocks
+from ident.estimation.fitted_model import blocks_of, fit_and_evaluate, validated_in_blocks
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import fit
 from ident.model.parameter import Parameter
-from ident.model.structure import PARAMETERS, Effect, EffectKind
+from ident.model.structure import PARAMETERS, Effect, EffectKind, Signals, State
 from tests.ident.estimation.test_homogeneity import pushed, records
 
 MODEL = replace(pushed(), block=0.4)  # s: a record of 30 s has five blocks at least
@@ -79,6 +79,32 @@ def test_what_an_effect_has_for_each_run_comes_from_the_other_blocks(data: list[
                 prior = view.values[at] / 25.0 / np.sqrt(score.information[0, 0])
                 assert abs(z - prior) < 0.1  # at its maximum, given the prior
         assert len({round(float(v.values[at]), 9) for v in blocks}) == len(blocks)
+
+
+def charging() -> Effect:
+    """A push that has built up for longer than a block lasts: its state is at rest nowhere but at the start."""
+
+    def rate(s: Signals) -> None:
+        s.rate["z"] = (1.0 - s.x.z) / 3.0
+        s.rate["u"] = s.rate["u"] + s.p.k_charge * s.x.z
+
+    k = Parameter("k_charge", 0.1, "m/s^2", step=0.01)
+    return Effect("charging", "a push that builds up", {"rate": rate}, (k,), (State("z", sd0=1e-6),))
+
+
+def test_a_block_begins_where_the_states_of_an_effect_have_been(data: list[Record]) -> None:
+    plain = fit_and_evaluate(MODEL, data, [])
+    blocks = blocks_of(data, plain.estimation, MODEL.block)
+    stage = fit_and_evaluate(MODEL + charging(), data, blocks)
+    assert all("z" not in r.start for r in blocks.records)
+    for view, of in zip(stage.validation, blocks.of, strict=True):
+        states = [s.name for s in view.model.states]
+        mean, sd = view.record.start["z"]
+        assert mean == pytest.approx(stage.estimation[of].run.x_filt[:, states.index("z")].mean())
+        assert view.run.x_pred[0, states.index("z")] == pytest.approx(mean)
+        assert 0.5 < mean < 1.0
+        assert sd > 0.1
+        assert view.record.start["u"] == blocks.records[0 if of == 0 else blocks.of.index(of)].start["u"]
 
 
 def test_a_validation_run_that_cannot_be_evaluated_is_named_and_the_others_stay(data: list[Record]) -> None:

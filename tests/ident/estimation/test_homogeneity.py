@@ -60,6 +60,17 @@ def test_equal_logs_agree_as_often_as_the_level_says() -> None:
     assert all(a.df == 2 for a in found)
 
 
+def test_what_was_known_of_the_one_value_is_known_once() -> None:
+    """A prior that the data contradict: counted once for each log it would pull equal logs apart from their mean."""
+    data = [replace(r, name=f"run{k}") for k, r in enumerate([*records((40.0,), 7)] * 4)]
+    told = pushed().replace_parameters(replace(pushed().parameter("m"), prior=(30.0, 2.0)))
+    one = fit(told, data)
+    found = homogeneity_test(one, data, "m")
+    assert one.estimate("m")[0] < fit(pushed(), data).estimate("m")[0] - 0.1
+    np.testing.assert_allclose(found.values, found.value, rtol=1e-5)
+    assert found.lr < 1e-4
+
+
 def test_logs_that_differ_do_not_agree() -> None:
     data = records((30.0, 40.0, 50.0), 0)
     one = fit(pushed(), data)

@@ -1,0 +1,27 @@
+"""What the logs have and a model does not take is said, with the reason."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ident.data.loading import LoadedLog
+from ident.data.record import Channel, LogSegment
+from ident.workflows.model_inputs import unused_signals
+from tests.ident.sliders import slider
+
+C = Channel(np.arange(3.0), np.zeros(3))
+
+
+def log(name: str, *signals: str) -> LoadedLog:
+    return LoadedLog(LogSegment(name, dict.fromkeys(signals, C)), {}, {}, None)
+
+
+def test_a_sensor_that_only_a_validation_log_has_is_not_used_unless_its_noise_is_known() -> None:
+    free = slider().replace_parameters(replace(slider().parameter("e_s"), free=True))
+    logs = [log("a", "w", "speed")], [log("b", "w", "speed"), log("c", "w", "speed", "place")]
+    (found,) = unused_signals(free, *logs)
+    assert (found.signal, found.logs, found.code) == ("place", ("c",), "validation-only")
+    assert unused_signals(slider(), *logs) == []
+    assert unused_signals(free, [log("a", "w", "speed", "place")], logs[1]) == []
