@@ -166,9 +166,14 @@ class DeviceLoop(threading.Thread):
         t = self._clock.now()
         if data:
             self._port.write(data)
-            self._sink.put(LogItem(self.device.name, "tx", data, t, []))
+            self._log("tx", data, t, [])
         if events := driver.events():
-            self._sink.put(LogItem(self.device.name, "", b"", t, [(Frame(event, t, NAN), t) for event in events]))
+            self._log("", b"", t, [(Frame(event, t, NAN), t) for event in events])
+
+    def _log(self, direction: str, raw: bytes, t: float, frames: list[tuple[Frame, float]]) -> None:
+        """Hand over to the log what was read or written, or count it as lost."""
+        if not self._sink.put(LogItem(self.device.name, direction, raw, t, frames)):
+            self._dropped += max(len(frames), 1)
 
     def _wait(self, fd: int, seconds: float) -> bool:
         """Wait for bytes at `fd` (none if negative), for a wake-up or for the time; whether there are bytes."""
@@ -194,8 +199,7 @@ class DeviceLoop(threading.Thread):
             self._join()
         else:
             self._mute_bytes += len(data)
-        if not self._sink.put(LogItem(self.device.name, "rx", data, t_rx, frames)):
-            self._dropped += max(len(frames), 1)
+        self._log("rx", data, t_rx, frames)
 
     def _is_rated(self, sample: Sample) -> bool:
         """Whether a sample counts for the rate: all do; with several kinds the attitude, or fixes without attitude."""
@@ -239,8 +243,7 @@ class DeviceLoop(threading.Thread):
             t = self._clock.now()
             self._port.write(raw)
             frames = [(Frame(Command(due.node, due.n), t, NAN), t) for due in carried if due.fresh]
-            if not self._sink.put(LogItem(self.device.name, "tx", raw, t, frames)):
-                self._dropped += max(len(frames), 1)
+            self._log("tx", raw, t, frames)
         self._setpoints.written()
 
     def _finish(self) -> None:
@@ -252,7 +255,7 @@ class DeviceLoop(threading.Thread):
                     self._send(self._setpoints.due(self._clock.now(), time.monotonic()))
             if self._driver is not None and self._open and (last := self._driver.shutdown_bytes(time.monotonic())):
                 self._port.write(last)
-                self._sink.put(LogItem(self.device.name, "tx", last, self._clock.now(), []))
+                self._log("tx", last, self._clock.now(), [])
         self._port.close()
 
     def latest(self) -> dict[Source, Latest]:

@@ -34,7 +34,8 @@ class LogItem(NamedTuple):
 
 
 class LogSink:
-    """The bounded queue between the ports' threads and the writer. Putting never waits."""
+    """The bounded queue between the ports' threads and the writer. Putting never waits. Events, which say why a run
+    ended, have as much room again: a disk that hangs fills the queue with data."""
 
     def __init__(self, limit: int = QUEUE_ITEMS) -> None:
         self._items: deque[LogItem] = deque()
@@ -42,7 +43,7 @@ class LogSink:
 
     def put(self, item: LogItem) -> bool:
         """Append an item; False when the queue is full."""
-        if len(self._items) >= self._limit:
+        if len(self._items) >= (self._limit if item.raw else 2 * self._limit):
             return False
         self._items.append(item)
         return True
