@@ -28,6 +28,7 @@ LINK_AGE_S = 3.0  # heartbeats come once a second
 LEAVE_S = 10.0  # for the disarming to be seen, where the link has to come back first
 ASK_S = 1.0  # between two requests to disarm
 REASONS_S = 1.0  # for the texts that come after a refusal
+STATUS_AGE_S = 0.1  # of what the acquisition says of a link, at most
 NEUTRAL_S = 0.3  # of neutral sticks before arming
 # EKF_STATUS_REPORT: attitude, horizontal velocity, absolute horizontal position; and no constant-position mode.
 EKF_WANTED, EKF_UNWANTED = 1 | 2 | EKF_POSITION, EKF_STANDS
@@ -84,7 +85,7 @@ class Autopilots:
         self._rig, self._acquisition, self._clock, self._wait, self._say = rig, acquisition, clock, wait, say
         names = dict.fromkeys(rig.thruster(name).device for name in thrusters)
         self._devices = [device for name in names if (device := rig.device(name)).mavlink is not None]
-        self._armed: list[str] = []  # by us
+        self._armed: dict[str, float] = {}  # by us: when arming, then disarming, was asked for first (monotonic)
         self._prepared = False
         behind = [rig.thruster(name) for name in thrusters if rig.thruster(name).output is not None]
         self._outputs = [OutputCheck(thruster, clock.speed) for thruster in behind]
@@ -179,7 +180,7 @@ class Autopilots:
         nodes = {thruster.name: 0.0 for thruster in self._rig.thrusters if thruster.device == device.name}
         self._acquisition.schedule([(self._clock.now(), nodes)])
         self._wait(NEUTRAL_S)
-        self._armed.append(device.name)
+        self._armed[device.name] = time.monotonic()
         self._ask(device, "arm", 0.0, lambda link: link.armed)
         self._say(f"{device.name}: armed")
 
@@ -234,14 +235,20 @@ class Autopilots:
         except SeatrialError:  # the acquisition is gone, and the watchdog has sent the zero
             note = read_note(self._acquisition.path)
             return [name for name in self._armed if f"{name}: zero was sent{DISARMED}" not in note]
-        found = zip(self._armed, links, strict=True)
-        return [name for name, link in found if link.armed or not link.age <= LINK_AGE_S]
+        now, found = time.monotonic(), zip(self._armed.items(), links, strict=True)
+        return [
+            name
+            for (name, asked), link in found
+            # a heartbeat of before the request says nothing of what came of it
+            if link.armed or not link.age <= min(LINK_AGE_S, now - asked - STATUS_AGE_S)
+        ]
 
     def disarm(self) -> None:
         """Ask to disarm what was armed here until it is, and for a while where the link has to come back first;
         whatever signals come."""
         begun, asked = time.monotonic(), -math.inf
-        names = self._armed  # all of them at first: an arming may be newer than the last heartbeat
+        self._armed = dict.fromkeys(self._armed, begun)
+        names = list(self._armed)  # all of them at first: an arming may be newer than the last heartbeat
         while names and (now := time.monotonic()) - begun < LEAVE_S:
             if now - asked >= ASK_S:
                 asked = now

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import signal
+import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
@@ -46,6 +47,8 @@ OWN_TIMEOUT = (  # what ends thrust where nothing of ours gets through; of an au
     "each ESC goes to zero by its own time-out",
     "thrust ends by the autopilot's own failsafe",
 )
+OBEYED_S = 0.25  # wall, after which an output has followed a zero
+STOOD_S = 1.0  # wall seconds between two looks at the run
 FLUSH_S = 0.8  # wall seconds after which everything recorded so far is in the file (it is flushed every 0.25 s)
 
 
@@ -237,8 +240,13 @@ class _Runner:
             acquisition.stream(self._commands.put)
             timeout = self._rig.ros2.timeout_s * self._clock.speed
             course = CommandFollower(self._mission, start, timeout, acquisition, say, self._commands)
+        looked = time.monotonic()
         while not course.is_over(now := self._clock.now()) or course.must_repeat(now, self._acquisition.status()):
             status = self._acquisition.status()
+            # Under thrust the acquisition sees that; after a rest the thrusters would begin in the middle of the plan.
+            stood, looked = time.monotonic() - looked, time.monotonic()
+            if stood > STOOD_S and not status.stopped:
+                raise SafetyStop(f"this program stood still for {stood:.1f} s")
             self._check(status, now)
             course.step(now, ahead, status, keys.take())
             self._acquisition.alive()
@@ -321,21 +329,26 @@ class _Runner:
         self._tried(lambda: self._acquisition.mark("stop", reason))
         self._tried(lambda: self._acquisition.mark("decided", f"{decided:.6f} to stop"))
         closed = self._tried(self._acquisition.stop)
-        zero = self._zero_received(commanded, decided)
-        thrust = "thrust is zero" if zero else OWN_TIMEOUT[bool(self._vehicles.names)]
+        thrust = self._thrust_now(commanded, decided)
         log = f"the log is {self._path}" if closed else f"the log so far is {self._path} (it opens as it is)"
         if isinstance(error, SeatrialError):
             armed = self._vehicles.maybe_armed()
             loud = f"; {', '.join(armed)} WAS ARMED BY US AND MAY STILL BE: disarm it yourself" if armed else ""
             error.args = (f"{reason}: {thrust}, {log}{loud}",)
 
-    def _zero_received(self, commanded: bool, decided: float) -> bool:
-        """Whether zero was commanded, by us or by the acquisition itself, to thrusters that were heard after that."""
+    def _thrust_now(self, commanded: bool, decided: float) -> str:
+        """What is known of the thrust at the end, in words: zero where it was commanded, by us or by the acquisition
+        itself, to thrusters that were heard after that, and no output pushes on."""
+        otherwise = OWN_TIMEOUT[bool(self._vehicles.names)]
         try:
             status = self._acquisition.status()
         except SeatrialError:
-            return False
-        return (commanded or bool(status.stopped)) and self._guard.thrusters_answer(status, decided)
+            return otherwise
+        if pushing := self._guard.pushing(status, decided + OBEYED_S * self._clock.speed):
+            modes = [status.links[name].mode for name in self._vehicles.names if name in status.links]
+            return f"{', '.join(pushing)} STILL PUSH: the autopilot is in {', '.join(modes)}; stop it yourself"
+        zero = (commanded or bool(status.stopped)) and self._guard.thrusters_answer(status, decided)
+        return "thrust is zero" if zero else otherwise
 
     def _tried(self, action: Callable[[], None]) -> bool:
         """Whether `action` worked; no failure may keep the next step to zero from being tried."""

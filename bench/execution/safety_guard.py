@@ -13,10 +13,11 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from bench.execution.link_test import NEUTRAL
 from daq.acquisition import Source, Status
 from daq.errors import SafetyStop
 from daq.rig import Rig, Thruster
-from daq.samples import NAN, Ahrs, Battery, Esc, Gnss, LoadCell, Sample
+from daq.samples import NAN, Ahrs, Battery, Esc, Gnss, LoadCell, Sample, Servo
 
 LOAD_CELLS = ("loadcell", "openscale", "mantracourt")  # protocols
 SATURATED, SPIKE = 1, 2  # LoadCell.flags
@@ -225,6 +226,16 @@ class SafetyGuard:
                 return False
         return not any(self._silent_thrusters(status))
 
+    def pushing(self, status: Status, since: float) -> list[str]:
+        """Thrusters that an autopilot makes push after run time `since`, whatever it was told."""
+        heard = ((t.name, status.latest.get((t.device, t.node))) for t in self._thrusters)
+        return [
+            name
+            for name, latest in heard
+            if latest is not None and latest.t > since and isinstance(latest.sample, Servo)
+            and abs(latest.sample.n) > NEUTRAL
+        ]
+
     def _report_rate(self, thruster: Thruster) -> float:
         """Samples a run second that a thruster's controller sends."""
         device = self._rig.device(thruster.device)
@@ -278,7 +289,7 @@ def _is_dead(source: Source, sample: Sample, status: Status) -> bool:
     """Whether a device repeats its samples as a dead sensor does. A load cell may, at rest: converters are coarse."""
     port = status.ports.get(source[0].partition("/")[0])
     rests = isinstance(sample, LoadCell) and not any(status.commanded.values())
-    return port is not None and port.stuck == type(sample).__name__ and not rests
+    return port is not None and type(sample).__name__ in port.stuck and not rests
 
 
 def _since(age: float) -> str:

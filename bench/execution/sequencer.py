@@ -231,18 +231,17 @@ class CommandFollower(MissionSequencer):
         """Take what came, then schedule the set-points of now. Raises SafetyStop."""
         for key in keys:
             self._press(key, now)
+        dt, self._stepped = max(now - self._stepped, 0.0), now
+        if silent := self._silent(now):  # before what came since: that must not hide the silence before it
+            self._stop_following(f"no command for {', '.join(silent)}")
         for name, received in self._source.take().items():
             if len(received) >= FLOOD:
                 raise SafetyStop(f"commands for {name} come too fast: {len(received)} at once")
             for command in received:
                 self._hear(name, command, now)
-        dt, self._stepped = max(now - self._stepped, 0.0), now
-        if self.paused:
+        if self.paused or self._silent(now):
             return
-        silent = [name for name in self._mission.thrusters if not self._age(name, now) <= self._timeout]
-        if silent:
-            self._stop_following(f"no command for {', '.join(silent)}")
-        elif not self._follows and all(abs(command.n) <= NEUTRAL for _, command in self._heard.values()):
+        if not self._follows and all(abs(command.n) <= NEUTRAL for _, command in self._heard.values()):
             self._follows = True
             self._acquisition.mark(FOLLOW, "commands are followed from here on")
             self._say("commands are followed")
@@ -251,6 +250,9 @@ class CommandFollower(MissionSequencer):
         most = self._mission.slew_per_s * dt
         wanted = {name: self._heard[name][1].n for name in self._n}
         self._send(now, {name: n + min(max(wanted[name] - n, -most), most) for name, n in self._n.items()})
+
+    def _silent(self, now: float) -> list[str]:
+        return [name for name in self._mission.thrusters if not self._age(name, now) <= self._timeout]
 
     def _hear(self, name: str, command: ReceivedCommand, now: float) -> None:
         if not abs(command.n) <= self._mission.n_max:  # NaN neither

@@ -318,7 +318,7 @@ class DeviceLoop(threading.Thread):
             latency_spread=health.clock_spread,
             message=self._message(),
             remark=self._decoder.remark,
-            stuck="" if (kind := self._sensor_health.stuck) is None else kind.__name__,
+            stuck=tuple(kind.__name__ for kind in self._sensor_health.stuck),
         )
 
     def _message(self) -> str:

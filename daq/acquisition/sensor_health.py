@@ -70,13 +70,13 @@ class SensorHealth:
                 self._counters.popleft()
 
     @property
-    def stuck(self) -> type | None:
-        """The kind of samples that repeats itself, as those of a dead sensor do; None where none does."""
-        for kind, same in self._same.items():
-            limit = STUCK_LIVE[kind]
-            if same.repeats >= limit.samples and self._last - same.since >= limit.seconds:
-                return kind
-        return None
+    def stuck(self) -> tuple[type, ...]:
+        """The kinds of samples that repeat themselves, as those of a dead sensor do."""
+        return tuple(
+            kind
+            for kind, same in self._same.items()
+            if same.repeats >= STUCK_LIVE[kind].samples and self._last - same.since >= STUCK_LIVE[kind].seconds
+        )
 
     def message(self) -> str:
         """The fault, in one line; empty without one."""
@@ -88,8 +88,8 @@ class SensorHealth:
             return "saturated: the load is beyond the range of the converter"
         if self._spikes > max(FLAGGED_SHARE * len(self._cell), 1):
             return "spikes: more than 1 reading in 100; look at the wires between converter and controller"
-        if (kind := self.stuck) is not None:
-            return f"stuck: {'its time does not change' if kind is Gnss else 'the same values all the time'}"
+        if kinds := self.stuck:
+            return f"stuck: {'its time does not change' if kinds[0] is Gnss else 'the same values all the time'}"
         if self._now - self._jumped < JUMP_S:
             return f"its clock has jumped (the {self._jumps}. time): it was set, or the device restarted"
         if abs(self._era) > 0.9 * ERA:

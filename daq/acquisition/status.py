@@ -49,7 +49,7 @@ class PortStatus:
     latency_spread: float  # s
     message: str  # the fault of the port, in one line, else `remark`; empty without either
     remark: str = ""  # what a user has to know of the stream though it is in order
-    stuck: str = ""  # the kind of samples that repeat themselves, as those of a dead sensor do
+    stuck: tuple[str, ...] = ()  # the kinds of samples that repeat themselves, as those of a dead sensor do
 
 
 @dataclass(frozen=True)

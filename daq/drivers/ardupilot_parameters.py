@@ -27,6 +27,9 @@ OF_LINK_LOSS = (
     *("RC_OVERRIDE_TIME", "RC_OPTIONS", "PILOT_STEER_TYPE", "FS_GCS_ENABLE", "FS_GCS_TIMEOUT", "FS_THR_ENABLE"),
     *("FS_THR_VALUE", "FS_TIMEOUT", "FS_ACTION", "FS_OPTIONS", *GROUND_STATION_NAMES),
 )
+# What else may make the boat drive by itself; one without battery monitor or fence may not answer them.
+OF_FAILSAFES = ("BATT_FS_LOW_ACT", "BATT_FS_CRT_ACT", "FENCE_ENABLE", "FENCE_ACTION")
+STAYS = (0.0, 2.0, 5.0)  # of their actions: none, hold, terminate
 
 
 class ParameterMismatch(NamedTuple):
@@ -47,7 +50,7 @@ class ParameterMismatch(NamedTuple):
 def parameter_names(thrusters: Sequence[Thruster]) -> tuple[str, ...]:
     """The parameters to ask for, for the thrusters behind one autopilot."""
     names = [*OF_LINK_LOSS, "MOT_SLEWRATE", "MOT_THR_MIN", "MOT_THST_EXPO", "MOT_THST_ASYM", "MOT_THR_MAX"]
-    names += ["MANUAL_STR_EXPO", "SCHED_LOOP_RATE", *(name for name, _ in PADDLES.values())]
+    names += ["MANUAL_STR_EXPO", "SCHED_LOOP_RATE", *OF_FAILSAFES, *(name for name, _ in PADDLES.values())]
     for thruster in thrusters:
         if thruster.output is None:
             continue
@@ -72,7 +75,7 @@ def check_parameters(
         found += _thruster(parameters, thruster)
     told = {finding.name for finding in found}
     found += [
-        ParameterMismatch(name, None, "an answer", "what was not answered may be wrong", True)
+        ParameterMismatch(name, None, "an answer", "what was not answered may be wrong", name not in OF_FAILSAFES)
         for name in _required(parameters, thrusters)
         if name not in parameters and name not in told
     ]
@@ -112,6 +115,13 @@ def _safety(p: Mapping[str, float], own_system: int) -> list[ParameterMismatch]:
     if action not in (HOLD, TERMINATE):
         why = "a lost link stops nothing" if not action else "after a lost link the boat drives by itself"
         found.append(ParameterMismatch("FS_ACTION", action, "2 (hold) or 5 (terminate)", why, True))
+    failsafes = {"BATT_FS_LOW_ACT": "with a low battery", "BATT_FS_CRT_ACT": "with an empty battery"}
+    if p.get("FENCE_ENABLE", 0.0) != 0.0:
+        failsafes["FENCE_ACTION"] = "at its fence"
+    for name, when in failsafes.items():
+        if p.get(name, 0.0) not in STAYS:
+            why = f"{when} the boat drives by itself"
+            found.append(ParameterMismatch(name, p[name], "0, 2 (hold) or 5 (terminate)", why, True))
     for name, most in (("FS_GCS_TIMEOUT", STATION_MAX_S), ("FS_TIMEOUT", STATION_MAX_S)):
         if name in p and p[name] > most:
             why = "so much later is a lost ground station noticed"

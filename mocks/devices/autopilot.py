@@ -19,7 +19,8 @@ from mocks.devices.base import DeviceEmulator
 from mocks.world import EscController, Sample
 
 INTERVAL_PART = 0.8  # of the loop's rate: a faster message is denied
-HOLD, RTL = 4, 11
+HOLD, AUTO, RTL = 4, 10, 11
+OWN_N = 0.4  # of both thrusters where it drives by itself
 RADIO_S = 0.5  # without a receiver's frame or an override: a failsafe of the throttle
 TERMINATE = 5.0  # FS_ACTION
 IGNORES_OVERRIDES = 2  # of RC_OPTIONS
@@ -107,6 +108,7 @@ class AutopilotEmulator(DeviceEmulator):
                     controller.command(self._t, 0.0)
                 elif n:
                     controller.command(self._t, n)  # a servo's pulse goes on
+        self._drive()
         gone = (self._t - own.ground_heard) / self._speed
         watched = own.armed and p["FS_GCS_ENABLE"] and p["FS_ACTION"] and math.isfinite(gone)
         if watched and own.mode == MANUAL and gone > p["FS_GCS_TIMEOUT"] + p["FS_TIMEOUT"]:
@@ -127,6 +129,13 @@ class AutopilotEmulator(DeviceEmulator):
         self.vehicle.mode = mode
         if mode != MANUAL:
             self._stop()
+        self._drive()
+
+    def _drive(self) -> None:
+        """On its own way, which no override of ours ends."""
+        if self.vehicle.armed and self.vehicle.mode in (AUTO, RTL):
+            for controller in self._controllers.values():
+                controller.command(self._t, OWN_N)
 
     def _stop(self) -> None:
         for controller in self._controllers.values():

@@ -26,7 +26,8 @@ def parameters(thrusters: list[Thruster], own_system: int, override_s: float) ->
         "RC_OVERRIDE_TIME": override_s, "FS_GCS_ENABLE": 1.0, "FS_GCS_TIMEOUT": 5.0, "FS_THR_ENABLE": 1.0,
         "FS_THR_VALUE": 910.0, "FS_TIMEOUT": 1.5, "FS_ACTION": 2.0, "FS_OPTIONS": 0.0, "RC_OPTIONS": 32.0,
         "MOT_THST_ASYM": 1.0, "MOT_THR_MAX": 100.0, "MANUAL_STR_EXPO": 0.0, "MAV_GCS_SYSID": float(own_system),
-        "SCHED_LOOP_RATE": LOOP_HZ,
+        "SCHED_LOOP_RATE": LOOP_HZ, "BATT_FS_LOW_ACT": 0.0, "BATT_FS_CRT_ACT": 0.0, "FENCE_ENABLE": 0.0,
+        "FENCE_ACTION": 2.0,
     }  # fmt: skip
     for thruster in thrusters:
         output = thruster.output

@@ -41,7 +41,7 @@ AT_ONCE_S = 0.1  # where a program of ours lives
 SAMPLE_S = 0.05  # of the outputs that are watched: 25 ms, and as much until they are read
 AFTER_S = 9.0  # watched after a cut: the failsafe of the ground station acts after 6.5 s
 BACK_S = 8.0
-OWN, STRANGER, HOLD, DISARM = 255, 254, 4, 400
+OWN, STRANGER, HOLD, RTL, DISARM = 255, 254, 4, 11, 400
 REBOOT_S = 0.5  # it lets go of its outputs after this
 MARKS = ("<!-- python -m tests.bench.autopilot_faults -->", "<!-- end of the faults -->")
 
@@ -141,6 +141,7 @@ FAULTS = (
     Fault("link held up for 8 s, all comes late", None, back_later("frozen"), 1.0),
     Fault("disarmed by another station", 0.0, lambda run: run.rover.command(DISARM, 0.0)),
     Fault("put into HOLD by another station", 0.0, lambda run: run.rover.command(176, 1.0, float(HOLD))),
+    Fault("put into RTL by another station", 0.0, lambda run: run.rover.command(176, 1.0, float(RTL))),
     Fault("another station beats with our id", 1.0, with_a_second(True)),
     Fault("the same unseen, and the link cut", None, with_a_second(False), AFTER_S),
     Fault("autopilot reboots", REBOOT_S, reboot, 2.5, True),
@@ -170,7 +171,7 @@ WRONG: tuple[tuple[str, float], ...] = (
     *(("RC_OVERRIDE_TIME", value) for value in (-1, 0, 3)), ("MOT_THST_ASYM", 2), ("MOT_THST_EXPO", 0.65),
     ("MOT_THR_MAX", 60), ("MANUAL_STR_EXPO", 0.6), ("SERVO1_REVERSED", 1), ("RC1_REVERSED", 1), ("RCMAP_ROLL", 3),
     ("RCMAP_THROTTLE", 1), ("SERVO3_FUNCTION", 70), ("SERVO1_MAX", 1900), ("MOT_THR_MIN", 40), ("MOT_SLEWRATE", 20),
-    ("RC1_DZ", 190),
+    ("RC1_DZ", 190), ("BATT_FS_LOW_ACT", 1), ("BATT_FS_CRT_ACT", 3),
 )  # fmt: skip
 SUPERVISED_S = 0.5
 

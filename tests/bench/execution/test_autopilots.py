@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import cast
@@ -65,17 +66,20 @@ def test_an_output_that_is_not_known_is_no_reason() -> None:
 
 
 class Stubborn:
-    """An acquisition with an autopilot that disarms at the request of that number."""
+    """An acquisition with an autopilot that disarms at the request of that number; its heartbeats are 0.1 s old, but
+    for the first second, when the last one came before it was armed."""
 
-    def __init__(self, obeys_at: float) -> None:
-        self.obeys_at, self.asked = obeys_at, 0
+    def __init__(self, obeys_at: float, beats_at: float = 0.0) -> None:
+        self.obeys_at, self.asked, self.begun, self.beats_at = obeys_at, 0, time.monotonic(), beats_at
 
     def request(self, device: str, action: str) -> None:
         assert (device, action) == ("autopilot", "disarm")
         self.asked += 1
 
     def status(self) -> Status:
-        link = LinkStatus(received=True, age=0.1, armed=self.asked < self.obeys_at, mode="MANUAL")
+        since = time.monotonic() - self.begun
+        age, armed = (0.1, self.asked < self.obeys_at) if since > self.beats_at else (0.9 + since, False)
+        link = LinkStatus(received=True, age=age, armed=armed, mode="MANUAL")
         return Status(T, {}, {}, {}, 0, "run.mcap", 1, 1, 0.0, "", (), links={"autopilot": link})
 
 
@@ -88,13 +92,26 @@ def test_a_normal_end_asks_to_disarm_until_it_is_and_fails_where_it_is_not(
     link = Stubborn(obeys_at)
     acquisition = cast("Acquisition", link)
     vehicles = Autopilots(mav_rig(), ("left",), acquisition, RunClock(1.0), lambda seconds: None, lambda line: None)
-    vehicles._armed.append("autopilot")
+    vehicles._armed["autopilot"] = time.monotonic()
     if obeys_at < math.inf:
         vehicles.release()
-        assert link.asked == obeys_at
+        assert link.asked >= obeys_at
         assert vehicles.maybe_armed() == []
     else:
         with pytest.raises(SeatrialError, match="autopilot: disarming was not confirmed"):
             vehicles.release()
         assert link.asked > 3
         assert vehicles.maybe_armed() == ["autopilot"]
+
+
+def test_a_heartbeat_of_before_the_arming_says_nothing_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C right after the request to arm: the last heartbeat says disarmed, the next one armed."""
+    monkeypatch.setattr(autopilots, "LEAVE_S", 1.5)
+    link = Stubborn(math.inf, beats_at=0.5)
+    acquisition = cast("Acquisition", link)
+    vehicles = Autopilots(mav_rig(), ("left",), acquisition, RunClock(1.0), lambda seconds: None, lambda line: None)
+    vehicles._armed["autopilot"] = link.begun
+    assert vehicles.maybe_armed() == ["autopilot"]
+    vehicles.disarm()
+    assert link.asked == 2
+    assert vehicles.maybe_armed() == ["autopilot"]

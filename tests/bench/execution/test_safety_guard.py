@@ -13,7 +13,7 @@ from daq.acquisition.status import Latest, PortStatus, Status
 from daq.config.rig_file import parse_rig
 from daq.errors import SafetyStop
 from daq.rig import Rig
-from daq.samples import Ahrs, Battery, Esc, Gnss, LoadCell, Sample
+from daq.samples import Ahrs, Battery, Esc, Gnss, LoadCell, Sample, Servo
 from tests.bench.standin import RIG
 
 GNSS = """
@@ -164,17 +164,30 @@ def test_a_cell_that_stays_saturated_stops_beside_one_that_is_not(rig: Rig) -> N
 def test_a_dead_sensor_watches_nothing(guard: SafetyGuard, name: str, kind: str, words: str) -> None:
     def dead(t: float) -> Status:
         now = status(t, 1000 + round(100 * t))
-        return replace(now, ports=now.ports | {name: replace(port(name), stuck=kind)})
+        return replace(now, ports=now.ports | {name: replace(port(name), stuck=(kind,))})
 
     for k in range(1, 20):
         guard.check(dead(0.05 * k))
     assert f"is not watched any more: {words}" in reason(guard, dead(5.0))
 
 
+def test_an_output_that_goes_on_after_the_zero_is_seen(rig: Rig) -> None:
+    guard, now = SafetyGuard(rig, 1.0, ("left",)), status(10.0)
+    source = next(source for source, sample in GOOD.items() if isinstance(sample, Esc))
+
+    def with_output(n: float, age: float) -> Status:
+        return replace(now, latest=now.latest | {source: Latest(Servo(1, 1500.0, n), now.t - age)})
+
+    assert guard.pushing(with_output(0.4, 0.1), now.t - 1.0) == ["left"]
+    assert guard.pushing(with_output(0.4, 2.0), now.t - 1.0) == []  # of before the zero
+    assert guard.pushing(with_output(0.01, 0.1), now.t - 1.0) == []
+    assert guard.pushing(now, now.t - 1.0) == []  # a controller on a bus tells its speed, which runs down
+
+
 def test_a_coarse_load_cell_may_repeat_itself_at_rest(guard: SafetyGuard) -> None:
     for k in range(1, 200):
         now = status(0.05 * k, 1000 + k)
-        stuck = replace(port("loadcell"), stuck="LoadCell")
+        stuck = replace(port("loadcell"), stuck=("LoadCell",))
         guard.check(replace(now, ports=now.ports | {"loadcell": stuck}, commanded={"left": 0.0}))
 
 

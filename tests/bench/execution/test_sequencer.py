@@ -267,6 +267,20 @@ def test_without_commands_thrust_is_zero_and_zero_comes_first_again() -> None:
     assert drive.n == -0.5
 
 
+def test_what_comes_after_a_silence_does_not_hide_it() -> None:
+    """One sender falls silent, and another one is first heard by the look in which the time is over."""
+    drive = Following()
+    drive.until(101.0, 0.0)
+    drive.until(103.0, 0.5)
+    drive.until(103.3)
+    assert drive.n == 0.5
+    drive.until(103.34, -0.5, b"b")
+    assert drive.n == 0.0
+    drive.until(104.0, -0.5, b"b")
+    assert drive.n == 0.0
+    assert drive.course.segment == "waiting for zero"
+
+
 @pytest.mark.parametrize("n", [math.nan, math.inf, 0.81, -1.0])
 def test_a_command_that_is_none_or_beyond_the_limit_ends_the_run(n: float) -> None:
     drive = Following()

@@ -14,8 +14,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from daq.config.mission_file import Mission, Segment, save_mission
 from daq.drivers.setpoints import REPEAT_S, ZERO_FOR_S
 from daq.log.reader import open_log
 from daq.samples import Command
@@ -49,6 +51,25 @@ def test_ctrl_c_at_any_moment_is_zero_at_once(standin: StandIn, tmp_path: Path, 
     assert not log.warnings
     assert "stop" in kinds(run.log)
     assert log.table(Command, "esc", node=1)["n_cmd"][-1] == 0.0
+
+
+def test_a_program_that_stood_still_at_rest_does_not_begin_in_the_middle_of_the_plan(
+    standin: StandIn, tmp_path: Path
+) -> None:
+    """A terminal that holds it up, a debugger, a machine that swaps: nothing is commanded, so nobody else sees it."""
+    segments = (
+        Segment("static", np.array([0.0]), np.zeros((1, 1))),
+        Segment("steps", np.array([10.0 * SPEED]), np.array([[0.6]])),
+    )
+    save_mission(Mission("rest", "steps", ("left",), segments, 15.0 * SPEED, n_max=0.9), tmp_path / "mission.toml")
+    with running(tmp_path) as run:
+        until(lambda: run.log.exists() and run.log.stat().st_size > 1000 and "start" in kinds(run.log), 20.0)
+        run.process.send_signal(signal.SIGSTOP)
+        time.sleep(1.5)
+        run.process.send_signal(signal.SIGCONT)
+        assert run.end() == 3
+    assert "this program stood still for 1." in run.line()
+    assert {n for _, n in standin.commands} <= {0.0}
 
 
 def test_zero_is_repeated_for_half_a_second(standin: StandIn, tmp_path: Path) -> None:

@@ -38,6 +38,14 @@ def test_a_sensor_that_says_the_same_all_the_time_is_stuck() -> None:
     assert seen([Gnss(T0 + k / 20, 41.0, -8.0) for k in range(n)]) == ""
 
 
+def test_both_sensors_of_one_device_may_be_stuck() -> None:
+    watch, limit = SensorHealth(), max(STUCK_LIVE[Ahrs].seconds, STUCK_LIVE[Gnss].seconds)
+    for k in range(round(20 * limit) + 20):
+        for sample in (ahrs(0), Gnss(T0, 41.0, -8.0)):
+            watch.take(Frame(sample, T0 + k / 20, math.nan))
+    assert set(watch.stuck) == {Ahrs, Gnss}
+
+
 def test_a_compass_may_say_the_same_for_long() -> None:
     assert seen([Ahrs(0.1, math.nan, math.nan)] * 500) == ""
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from daq.drivers.ardupilot_parameters import YOUNG, check_parameters, parameter_names
+from daq.drivers.ardupilot_parameters import OF_FAILSAFES, YOUNG, check_parameters, parameter_names
 from daq.drivers.base import DISARMED, LinkRole
 from daq.drivers.factory import make_driver
 from daq.drivers.setpoints import Due
@@ -17,7 +17,7 @@ from daq.protocol.catalogue import make_decoder
 from daq.protocol.mavlink_wire import Codec, Head, head
 from daq.rig import Rig
 from daq.samples import Ahrs, Battery, Esc, Servo
-from mocks.devices.autopilot import HOLD, AutopilotEmulator
+from mocks.devices.autopilot import HOLD, OWN_N, RTL, AutopilotEmulator
 from tests.daq.mavlink_ends import LEVEL, Ends, mav_rig
 
 LONG = "COMMAND_LONG"
@@ -176,6 +176,8 @@ def test_signed_both_ways(tmp_path: Path) -> None:
         ("FS_ACTION", 0.0, True),
         ("FS_ACTION", 1.0, True),
         ("FS_ACTION", 3.0, True),
+        ("BATT_FS_LOW_ACT", 1.0, True),
+        ("BATT_FS_CRT_ACT", 3.0, True),
         ("FS_GCS_TIMEOUT", 120.0, True),
         ("FS_TIMEOUT", 30.0, True),
         ("RCMAP_ROLL", 3.0, True),
@@ -208,7 +210,7 @@ def test_a_parameter_that_was_not_answered_does_not_pass_as_good(name: str) -> N
     parameters = Ends(mav_rig()).autopilot.vehicle.parameters
     del parameters[name]
     (found,) = check_parameters(parameters, mav_rig().thrusters, 255)
-    assert (found.name, found.value, found.fatal) == (name, None, True)
+    assert (found.name, found.value, found.fatal) == (name, None, name not in OF_FAILSAFES)
     assert str(found).startswith(f"{name} was not answered (a lossy link?): ask again")
 
 
@@ -484,3 +486,23 @@ def test_a_battery_of_more_amperes_than_its_field_holds_is_told_as_the_most_of_i
     currents = [frame.sample.current for frame in ends.frames if isinstance(frame.sample, Battery)]
     assert currents
     assert currents == pytest.approx([327.67] * len(currents))
+
+
+def test_a_fence_that_drives_the_boat_home_is_refused_and_one_that_is_off_is_not() -> None:
+    good = Ends(mav_rig()).autopilot.vehicle.parameters
+    thrusters = mav_rig().thrusters
+    assert check_parameters({**good, "FENCE_ACTION": 1.0}, thrusters, 255) == ()
+    (found,) = check_parameters({**good, "FENCE_ACTION": 1.0, "FENCE_ENABLE": 1.0}, thrusters, 255)
+    assert (found.name, found.fatal) == ("FENCE_ACTION", True)
+    without = {name: value for name, value in good.items() if not name.startswith(("FENCE", "BATT"))}
+    found = check_parameters(without, thrusters, 255)  # no monitor of a battery, no fence: said, and no more
+    assert [(one.value, one.fatal) for one in found] == [(None, False)] * 4
+
+
+def test_in_rtl_the_boat_drives_whatever_is_commanded() -> None:
+    ends = armed(ready(Ends(mav_rig())))
+    drive(ends, 0.5, 0.5, 0.5)
+    ends.driver.request("mode", float(RTL))
+    drive(ends, 0.0, 0.0, 1.0)
+    assert ends.autopilot.vehicle.mode == RTL
+    assert [ends.controllers[node].n for node in (1, 3)] == [OWN_N, OWN_N]
