@@ -88,7 +88,8 @@ def resample(log: Log, rate: float) -> Resampled:
 
     What is held (commands, outputs, whole numbers, signals with hold "zero") keeps its last value; of anything else the
     samples of an interval about each time are averaged where there are several, and interpolated where there are none;
-    angles [rad] over the shortest way. Columns are named TABLE_COLUMN, signals by themselves. Raises SeatrialError.
+    angles [rad] and longitudes over the shortest way. Columns are named TABLE_COLUMN, signals by themselves. Raises
+    SeatrialError.
     """
     tables = [table for table in log_tables(log) if len(table.rows)]
     if not tables:
@@ -113,7 +114,8 @@ def resample(log: Log, rate: float) -> Resampled:
             if table.held or table.rows.dtype[column].kind in "iu":
                 columns[name] = _held(grid, t, values)
             else:
-                columns[name] = _smooth(grid, t, values, 1.0 / rate, unit == "rad")
+                period = 2.0 * np.pi if unit == "rad" else 360.0 if column == "lon" else 0.0
+                columns[name] = _smooth(grid, t, values, 1.0 / rate, period)
             units[name] = unit
     return Resampled(grid, columns, units)
 
@@ -123,10 +125,12 @@ def _held(grid: Array, t: Array, values: Array) -> Array:
     return np.where(newest >= 0, values[np.maximum(newest, 0)], np.nan)
 
 
-def _smooth(grid: Array, t: Array, values: Array, step: float, is_angle: bool) -> Array:
-    """Straight lines between the samples, or between the means of those about each time of the grid."""
-    wrapped = is_angle and bool(np.all(np.abs(values) <= np.pi + 1e-9))
-    values = np.unwrap(values) if wrapped else values
+def _smooth(grid: Array, t: Array, values: Array, step: float, period: float) -> Array:
+    """Straight lines between the samples, or between the means of those about each time of the grid. ``period``: of an
+    angle, 0 of what is none; one that was unwrapped before stays so."""
+    within = (-0.5 * period, 0.5 * period), (0.0, period)  # the turn that it is written in
+    turn = next(((low, high) for low, high in within if low <= values.min() and values.max() <= high + 1e-9), None)
+    values = np.unwrap(values, period=period) if period and turn is not None else values
     cell = np.rint((t - grid[0]) / step).astype(np.int64)
     _, which, count = np.unique(cell, return_inverse=True, return_counts=True)
     at, mean = (np.bincount(which, of) / count for of in (t, values))
@@ -137,4 +141,6 @@ def _smooth(grid: Array, t: Array, values: Array, step: float, is_angle: bool) -
         behind = np.clip(np.searchsorted(at, grid), 1, len(at) - 1)
         inside = (grid > at[behind - 1]) & (grid < at[behind])
         found[inside & (gap[behind - 1] > max(GAP_S, 5.0 * float(np.median(gap))))] = np.nan
-    return np.asarray(np.pi - np.mod(np.pi - found, 2.0 * np.pi)) if wrapped else found
+    if not period or turn is None:
+        return found
+    return np.asarray(np.mod(found, period) if turn[0] == 0.0 else turn[1] - np.mod(turn[1] - found, period))

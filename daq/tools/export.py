@@ -55,11 +55,12 @@ def export_resampled(log: Log, form: str, folder: Path, rate: float, force: bool
         folder.mkdir(parents=True, exist_ok=True)
         path = _new(folder, log.path.stem, {"netcdf": "nc"}.get(form, form), [], force)
         if form in ("csv", "parquet"):
-            columns = {"t": table.t, **table.columns}
+            names = {name: "t_" if name == "t" else name for name in table.columns}  # a signal may be called t
+            columns = {"t": table.t, **{names[name]: values for name, values in table.columns.items()}}
             rows = np.empty(len(table.t), [(name, np.float64) for name in columns])
             for name, values in columns.items():
                 rows[name] = values
-            units = {"t": "s", **table.units}
+            units = {"t": "s", **{names[name]: unit for name, unit in table.units.items()}}
             (_csv if form == "csv" else _parquet())(path, LogTable(path.stem, Scalar, rows, units, False))
         elif form == "mat":
             _mat(path, table)

@@ -36,6 +36,7 @@ from daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, Scalar, Servo
 PACKAGE = "seatrial_msgs"
 BAG, PACKAGE_FOLDER, FOXGLOVE, PLOTJUGGLER = "bag", PACKAGE, "foxglove.json", "plotjuggler.xml"
 MAX_GAP_S = 2.0  # between fixes: where there is none for longer, no position is made up
+NO_MEASUREMENT = 1e6  # variance of a speed that no sensor gives: a zero there would be a measured standstill
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")  # Okabe and Ito: told apart by the colour-blind
 Array = NDArray[np.float64]
 
@@ -136,30 +137,36 @@ def _odometry(log: Log, ahrs_of: Mapping[str, NDArray[np.void]], types: Any) -> 
     gap = gnss["t"][after] - gnss["t"][after - 1]
     share = np.divide(ahrs["t"] - gnss["t"][after - 1], gap, out=np.full(len(ahrs), np.nan), where=gap > 0)
     good = (share == 0) | (share == 1) | ((share > 0) & (share < 1) & (gap <= MAX_GAP_S))
-    speed = np.column_stack([np.nan_to_num(gnss[name]) for name in ("vel_n", "vel_e", "vel_d")])
+    speed = np.column_stack([gnss[name] for name in ("vel_n", "vel_e", "vel_d")])
     for i in np.flatnonzero(good):
         row, k, w = ahrs[i], after[i], share[i]
         angles = [0.0 if np.isnan(row[name]) else float(row[name]) for name in ("yaw", "pitch", "roll")]
         R = _rotation(*angles)  # body to NED
-        rates = np.nan_to_num([row[name] for name in "pqr"])
+        measured = np.array([row[name] for name in "pqr"])
+        rates = np.nan_to_num(measured)
         place = (1 - w) * fixes[k - 1] + w * fixes[k] - R @ arm
-        velocity = R.T @ ((1 - w) * speed[k - 1] + w * speed[k]) - np.cross(rates, arm)
-        yield from _pose(row["t"], place, angles, velocity, rates, types)
+        v = (1 - w) * speed[k - 1] + w * speed[k]
+        moving = bool(np.isfinite(v[:2]).all())  # many receivers do not tell how fast they rise and sink
+        velocity = R.T @ np.nan_to_num(v) - np.cross(rates, arm) if moving else np.zeros(3)
+        known = (moving, moving, moving and bool(np.isfinite(v[2])), *np.isfinite(measured).tolist())
+        yield from _pose(row["t"], place, angles, np.concatenate([velocity, rates]), known, types)
 
 
 def _pose(
-    t: float, place: Array, angles: Sequence[float], velocity: Array, rates: Array, types: Any
+    t: float, place: Array, angles: Sequence[float], twist: Array, known: Sequence[bool], types: Any
 ) -> Iterator[RosMessage]:
+    """Odometry and transform: twist (6,) forward, starboard, down and about them, and which of it is ``known``."""
     header = _header(t, "odom", types)
     enu = {"x": float(place[1]), "y": float(place[0]), "z": float(-place[2])}
     turned = _quaternion(angles, types)
     pose = types["geometry_msgs/msg/Pose"](position=types["geometry_msgs/msg/Point"](**enu), orientation=turned)
-    twist = types["geometry_msgs/msg/Twist"](linear=_vector(velocity, types), angular=_vector(rates, types))
+    moved = types["geometry_msgs/msg/Twist"](linear=_vector(twist[:3], types), angular=_vector(twist[3:], types))
     unknown = np.zeros(36)
+    variances = np.diag(np.where(known, 0.0, NO_MEASUREMENT)).ravel()
     yield RosMessage(_ns(t), "/odom", types["nav_msgs/msg/Odometry"](
         header=header, child_frame_id="base_link",
         pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=unknown),
-        twist=types["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=unknown),
+        twist=types["geometry_msgs/msg/TwistWithCovariance"](twist=moved, covariance=variances),
     ))  # fmt: skip
     transform = types["geometry_msgs/msg/Transform"](
         translation=types["geometry_msgs/msg/Vector3"](**enu), rotation=turned

@@ -23,7 +23,7 @@ from daq.importers.signals import SignalData
 from daq.importers.write_log import write_signals
 from daq.log.reader import open_log
 from daq.log.tables import log_tables, resample
-from daq.samples import Ahrs, Frame
+from daq.samples import Ahrs, Frame, Gnss
 from daq.tools.export import export_log, export_resampled
 from tests.daq.logs import T0, recorder, write_everything
 
@@ -197,3 +197,44 @@ def test_every_kind_of_sample_is_in_the_one_table(log: Path, tmp_path: Path) -> 
     found = {name for name in scipy.io.loadmat(tmp_path / "out" / f"{log.stem}.mat") if not name.startswith("__")}
     assert found == {re.sub(r"[^A-Za-z0-9_]", "_", name) for name in names} | {"t", "units"}
     assert {"ahrs_ahrs_yaw", "esc_1_esc_rpm"} <= found
+
+
+def signals_of(path: Path, **angles: np.ndarray) -> Path:
+    """A log of angles [rad] at 50 Hz."""
+    many = [
+        SignalData(Signal(name, (name,), unit="rad"), "rad", T0 + 0.02 * np.arange(len(values)), values)
+        for name, values in angles.items()
+    ]
+    write_signals(path, many, metadata={}, attachments={}, note="-")
+    return path
+
+
+def test_a_compass_of_a_whole_turn_is_not_averaged_through_its_jump(tmp_path: Path) -> None:
+    true = np.radians(350.0) + np.radians(0.08) * np.arange(250)  # to 370 degrees
+    path = signals_of(tmp_path / "run.mcap", psi=np.mod(true, 2 * np.pi), t=true)
+    with open_log(path) as opened:
+        table = resample(opened, 10.0)
+        export_resampled(opened, "csv", tmp_path / "out", 10.0)
+    wanted = np.interp(table.t, T0 + 0.02 * np.arange(250), true)
+    inside = slice(1, -1)
+    error = table.columns["psi"] - wanted
+    np.testing.assert_allclose(np.angle(np.exp(1j * error))[inside], 0.0, atol=2e-3)
+    assert 0.0 <= table.columns["psi"].min() < table.columns["psi"].max() < 2 * np.pi  # as it was written
+    np.testing.assert_allclose(table.columns["t"][inside], wanted[inside], atol=2e-3)  # was unwrapped, and stays so
+    with (tmp_path / "out/run.csv").open(newline="") as file:
+        first = next(iter(csv.DictReader(file)))
+    assert float(first["t [s]"]) == T0  # the time, not the signal of that name
+    assert float(first["t_ [rad]"]) == pytest.approx(true[0], abs=5e-3)
+
+
+def test_longitude_goes_over_the_date_line(tmp_path: Path) -> None:
+    log = recorder(tmp_path / "run.mcap")
+    for k in range(50):
+        t, lon = T0 + 0.1 * k, 179.9999 + 4e-6 * k
+        log.write("gps", Frame(Gnss(utc=t, lat=-17.0, lon=lon if lon <= 180.0 else lon - 360.0, fix=3), t, t), t)
+    log.close()
+    with open_log(tmp_path / "run.mcap") as opened:
+        lon = resample(opened, 20.0).columns["gps_gnss_lon"]
+    assert np.nanmin(np.abs(lon)) > 179.9
+    assert np.nanmax(lon) <= 180.0
+    assert np.nanmin(lon) < -179.9

@@ -20,7 +20,7 @@ from daq.log.reader import Log, open_log
 from daq.log.recorder import Recorder
 from daq.log.schema import local_ned
 from daq.samples import Ahrs, Frame, Gnss
-from daq.tools.ros_export import export_ros
+from daq.tools.ros_export import NO_MEASUREMENT, export_ros
 from tests.daq.logs import RIG, T0, StoppedClock, recorder, write_everything
 
 rosbags = pytest.importorskip("rosbags.highlevel", reason="no reader of bags here (rosbags)")
@@ -110,6 +110,25 @@ def test_no_position_is_made_up_where_fixes_are_missing(tmp_path: Path) -> None:
     stamps = [m.header.stamp.sec + m.header.stamp.nanosec / 1e9 - T0 for m in messages(tmp_path / "out")["/odom"]]
     assert not [t for t in stamps if 2.05 < t < 7.95]
     assert len(stamps) == 21 + 20
+
+
+def test_a_speed_that_no_sensor_gives_is_no_measured_standstill(tmp_path: Path) -> None:
+    """A receiver that tells its position only, one without the vertical speed, and an AHRS without gyros."""
+    log = recorder(tmp_path / "run.mcap")
+    for k in range(40):
+        t = T0 + 0.1 * k
+        log.write("ahrs", Frame(Ahrs(yaw=0.0, pitch=0.0, roll=0.0, r=0.1), t, t), t)
+        moving = {"vel_n": 11.0, "vel_e": 0.0} if k >= 20 else {}
+        log.write("gps", Frame(Gnss(utc=t, lat=LAT + 1e-5 * k, lon=LON, fix=3, **moving), t, t), t)
+    log.close()
+    with open_log(tmp_path / "run.mcap") as opened:
+        export_ros(opened, tmp_path / "out")
+    found = messages(tmp_path / "out")["/odom"]
+    variances = [np.diag(m.twist.covariance.reshape(6, 6)).tolist() for m in found]
+    unknown = NO_MEASUREMENT
+    assert variances[10] == [unknown, unknown, unknown, unknown, unknown, 0.0]
+    assert variances[30] == [0.0, 0.0, unknown, unknown, unknown, 0.0]
+    assert (found[30].twist.twist.linear.x, found[30].twist.twist.angular.z) == (11.0, -0.1)
 
 
 def test_the_origin_of_the_boat_and_not_its_antenna_is_where_odometry_says(tmp_path: Path) -> None:
