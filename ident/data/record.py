@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.model import Model, Sensor
+from ident.model import Input, Model, Sensor
 from ident.numerics import NORMAL_MAD, SECOND_DIFFERENCE, Array, noise_from_differences, wrap
 
+ON_CHANGE = 1.0  # s between two samples of a command that is not written all the time
+SHARE_LOST = 0.1  # of the data, that one signal's early end may cost without a word
 TIME_INPUT = "t"  # an input of this name is the time since the start of the record
 WORK_INPUT = "work"  # an input of this name is the integral of the cubed shaft speeds, over WORK_UNIT
 WORK_UNIT = 150.0  # s, at full power: the input is one after a run at full speed of this duration
@@ -158,20 +160,24 @@ def build_record(
     A sensor faster than ``rate`` [Hz] is averaged over blocks of 1/rate, whose noise is then smaller by the
     root of their size; a slower one keeps its own times. Rows are the union of all times, with more where a gap exceeds
     ``max_step`` [s], by default that of the model, or where an input of hold ``zero`` changes. A sensor with a channel
-    missing is left out, and said in ``meta["missing"]``.
+    missing is left out, and said in ``meta["missing"]``; where a signal ends so early that a tenth of the others is
+    lost, ``meta["cut"]`` has its name and the seconds.
     """
     channels = {**channels, **_derived_inputs(model, channels)}
     present = _present(model, channels, name)
     own = [i for i in model.inputs if i.name != TIME_INPUT and not i.tap]
     used = [channels[o.name] for s in present for o in s.outputs] + [channels[i.name] for i in own]
     start = max(c.t[0] for c in used) if t_from is None else t_from
-    end = min(c.t[-1] for c in used) if t_to is None else t_to
+    ends = _ends(present, own, channels)
+    end = min(ends.values()) if t_to is None else t_to
     if end - start < 2.0 / rate:
         raise ValueError(f"{name}: inputs and sensors overlap for only {end - start:.2f} s")
     samples = {s.name: _sensor_samples(name, s, channels, start, end, rate) for s in present}
     switches = [_changes(channels[i.name]) for i in own if i.hold == "zero"]
     t = _rows([times for times, _ in samples.values()], switches, start, end, max_step or model.max_step)
     missing = tuple(s.name for s in model.sensors if s.name not in samples)
+    lost, first = max(ends.values()) - end, min(ends, key=lambda n: ends[n])
+    cut = {"cut": (first, lost)} if t_to is None and lost > SHARE_LOST * (lost + end - start) else {}
     return Record(
         name,
         t - start,
@@ -179,7 +185,7 @@ def build_record(
         _measured(model, samples, t),
         tuple(i.name for i in model.inputs),
         tuple(o.name for o in model.outputs),
-        {"missing": missing, "t0": start, **(meta or {})},
+        {"missing": missing, "t0": start, **cut, **(meta or {})},
     )
 
 
@@ -194,6 +200,19 @@ def _present(model: Model, channels: Mapping[str, Channel], name: str) -> list[S
         names = ", ".join(s.name for s in model.sensors)
         raise ValueError(f"{name}: none of the sensors of model {model.name} is in the log: {names}")
     return present
+
+
+def _ends(present: Sequence[Sensor], inputs: Sequence[Input], channels: Mapping[str, Channel]) -> dict[str, float]:
+    """The time up to which each signal is known [s]. A command that is written where it changes is held to the end of
+    the sensors, if it has been held for half as long before: else its source may have died."""
+    ends = {o.name: float(channels[o.name].t[-1]) for s in present for o in s.outputs}
+    latest = max(ends.values())
+    for signal in inputs:
+        c = channels[signal.name]
+        longest = float(np.diff(c.t).max(initial=0.0))
+        on_change = signal.hold != "linear" and not c.sampled and longest > ON_CHANGE
+        ends[signal.name] = latest if on_change and 0.0 < latest - c.t[-1] < 2.0 * longest else float(c.t[-1])
+    return ends
 
 
 def _measured(model: Model, samples: Mapping[str, tuple[Array, Array]], t: Array) -> Array:

@@ -185,7 +185,7 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
             f"least {least:.2g} kg m2. Look at the thrust, the arms and the unit of the yaw rate."
         )
         said.append(ResultWarning(code="inertia-too-small", text=text))
-    return said + stuck_sensors(records)
+    return said + cut_records(records) + stuck_sensors(records)
 
 
 def design_warnings(model: Model, thrust: float) -> list[ResultWarning]:
@@ -265,6 +265,18 @@ def failed_run_warnings(failed: Sequence[FailedRun]) -> list[ResultWarning]:
     """One for each validation run that could not be evaluated."""
     text = "Left out of the validation: {0.record}, which cannot be evaluated: {0.reason}."
     return [ResultWarning(code="validation-run-failed", text=text.format(f)) for f in failed]
+
+
+def cut_records(records: Sequence[Record]) -> list[ResultWarning]:
+    """One for each record that ends early, since one of its signals does."""
+    cuts = ((r, *r.meta["cut"]) for r in records if "cut" in r.meta)
+    return [
+        ResultWarning(
+            code="record-cut",
+            text=f"{r.name}: {name} ends {lost:.0f} s before the other signals, and what comes after it is not used.",
+        )
+        for r, name, lost in cuts
+    ]
 
 
 def stuck_sensors(records: Sequence[Record]) -> list[ResultWarning]:

@@ -77,6 +77,7 @@ WarningCode = Literal[
     "thrust-scale-unknown",
     "arm-unknown",
     "stuck-sensor",
+    "record-cut",
     "noise-contradicted",
     "prior-contradicted",
     "inertia-too-small",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from ident.data.record import WORK_UNIT, Channel, Record, block_mean, build_record, held_lines, sample_and_hold
 from ident.model.parameter import Parameter
 from ident.model.structure import HISTORY_STEP, Effect, Input, Model, Output, Sensor, State, plain_model
+from ident.results.answers import cut_records
 
 
 def model(hold: str = "zero") -> Model:
@@ -170,6 +172,27 @@ def test_only_the_common_time_is_used_unless_a_part_is_asked_for() -> None:
     assert (part.name, part.meta["why"], part.meta["t0"]) == ("part", "asked", 3.0)
     assert part.duration == pytest.approx(2.0)
     assert part.u[0, 0] == -2.0
+
+
+@pytest.mark.parametrize(
+    ("at", "end"),
+    [
+        ([0.0, 2.0, 6.0], 10.0),  # written where it changes: held on
+        ([0.0, 2.0, 2.5], 2.5),  # never held for so long before
+        (np.arange(0.0, 5.0, 0.1), 4.9),  # written all the time: its source has died
+    ],
+)
+def test_a_command_that_is_written_where_it_changes_is_held_to_the_end(at: Sequence[float], end: float) -> None:
+    w = Channel(np.array(at), np.ones(len(at)))
+    record = build_record(model(), channels() | {"w": w}, rate=10.0)
+    assert record.t[-1] == pytest.approx(end)
+    if end < 10.0:
+        name, lost = record.meta["cut"]
+        assert (name, lost) == ("w", pytest.approx(10.0 - end))
+        (said,) = cut_records([record])
+        assert (said.code, "w ends" in said.text) == ("record-cut", True)
+    else:
+        assert "cut" not in record.meta
 
 
 def test_an_inputs_past_is_the_input_so_many_steps_ago() -> None:
