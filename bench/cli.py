@@ -15,6 +15,7 @@ from bench import mission_generators
 from bench.mission_text import describe_mission
 from daq.config import Mission, load_mission, load_rig, save_mission
 from daq.errors import SeatrialError, counted
+from daq.options import FiniteRange
 from daq.rig import Rig
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def _bench_command(kind: str, text: str) -> None:
     @click.option("-o", "--out", type=FILE, help="The log to write [default: by date in the rig's log directory].")
     @click.option("--thruster", help="Which thruster, when the rig has more than one.")
     @click.option(
-        "--n-max", type=click.FloatRange(0, 1, min_open=True), help=f"Largest command [default: {N_MAX_BENCH}]."
+        "--n-max", type=FiniteRange(0, 1, min_open=True), help=f"Largest command [default: {N_MAX_BENCH}]."
     )
     @_ARM
     @_RETRY
@@ -108,12 +109,12 @@ def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: 
 
 @mission.command(epilog="Example: seatrial mission follow rig.toml --seconds 300 -o run.mcap")
 @click.argument("rig_path", metavar="RIG", type=EXISTING)
-@click.option("--seconds", type=click.FloatRange(1.0, 7200.0), default=300.0, show_default=True, help="Run seconds.")
+@click.option("--seconds", type=FiniteRange(1.0, 7200.0), default=300.0, show_default=True, help="Run seconds.")
 @click.option(
-    "--n-max", type=click.FloatRange(0, 1, min_open=True), help="Largest command followed [default: limits.n_max]."
+    "--n-max", type=FiniteRange(0, 1, min_open=True), help="Largest command followed [default: limits.n_max]."
 )
 @click.option(
-    "--slew", type=click.FloatRange(0, min_open=True), default=1.0, show_default=True, help="Largest change, 1/s."
+    "--slew", type=FiniteRange(0, min_open=True), default=1.0, show_default=True, help="Largest change, 1/s."
 )
 @click.option("-o", "--out", type=FILE, help="The log to write [default: by date in the rig's log directory].")
 @_ARM
@@ -156,10 +157,10 @@ def _left_and_right(_context: click.Context, _parameter: click.Parameter, given:
     epilog="Example: seatrial mission generate --kind mixed --seconds 300 --seed 1 -o mission.toml",
 )
 @click.option("--kind", type=click.Choice(mission_generators.MISSION_KINDS), default="mixed", show_default=True)
-@click.option("--seconds", type=click.FloatRange(30.0, 7200.0), default=300.0, show_default=True)
+@click.option("--seconds", type=FiniteRange(30.0, 7200.0), default=300.0, show_default=True)
 @click.option("--seed", type=click.IntRange(min=0), required=True, help="The same seed makes the same mission.")
-@click.option("--n-max", type=click.FloatRange(0, 1, min_open=True), default=1.0, show_default=True)
-@click.option("--slew", type=click.FloatRange(0, min_open=True), help="Largest change of a command, 1/s.")
+@click.option("--n-max", type=FiniteRange(0, 1, min_open=True), default=1.0, show_default=True)
+@click.option("--slew", type=FiniteRange(0, min_open=True), help="Largest change of a command, 1/s.")
 @click.option(
     "--thrusters",
     metavar="LEFT,RIGHT",

@@ -26,6 +26,7 @@ from typing import Any
 import click
 
 from daq.errors import SeatrialError
+from daq.options import FiniteRange
 
 ESTIMATION_S, VALIDATION_S = 400.0, 250.0  # run seconds of the two missions
 LATE_MS, SLOWEST = 45.0, 8.0  # wall ms that samples may leave late; at this speed or slower nothing is repeated
@@ -50,7 +51,7 @@ class DemoInterrupted(SeatrialError):
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of everything random; drawn and printed when not given.")
 @click.option("--out", type=click.Path(path_type=Path), help="New folder to work in [default: seatrial-demo-SEED].")
 @click.option(
-    "--speed", type=click.FloatRange(1.0, 50.0), default=20.0, show_default=True, help="Run seconds a wall second."
+    "--speed", type=FiniteRange(1.0, 50.0), default=20.0, show_default=True, help="Run seconds a wall second."
 )
 def demo(seed: int | None, out: Path | None, speed: float) -> None:
     """Bench run, thruster model, two missions, vehicle model, diagnosis: all on mock devices.

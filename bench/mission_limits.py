@@ -14,7 +14,7 @@ def dry_run(mission: Mission, rig: Rig) -> None:
     t, n = mission.setpoints()
     for column, name in enumerate(mission.thrusters):
         rig.thruster(name)
-        beyond = np.flatnonzero(np.abs(n[:, column]) > rig.limits.n_max)
+        beyond = np.flatnonzero(~(np.abs(n[:, column]) <= rig.limits.n_max))  # NaN is beyond any limit
         if beyond.size:
             k = int(beyond[0])
             raise SeatrialError(

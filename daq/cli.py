@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, final
 import click
 
 from daq.errors import SeatrialError, counted
+from daq.options import FiniteRange
 from daq.protocol import SERIAL_PROTOCOLS
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ def _stop_signal() -> Iterator[threading.Event]:
 @click.argument("rig", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option(
     "--duration",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=FiniteRange(min=0.0, min_open=True),
     metavar="S",
     help="Run seconds; until Ctrl-C if not given.",
 )
@@ -299,7 +300,7 @@ def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: P
 @import_.command("raw", short_help="Recorded bytes of a device, decoded by its protocol.")
 @click.argument("protocol", type=click.Choice(SERIAL_PROTOCOLS))
 @click.argument("file", type=_EXISTING)
-@click.option("--rate", type=click.FloatRange(min=0.0, min_open=True), help="Samples per second, for the times.")
+@click.option("--rate", type=FiniteRange(min=0.0, min_open=True), help="Samples per second, for the times.")
 @click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
 @click.option("--force", is_flag=True, help="Replace the log where it exists.")
 def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, force: bool) -> None:
@@ -318,11 +319,23 @@ def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, 
     click.echo(f"{path}: {said}")
 
 
+def _addresses(_context: click.Context, _parameter: click.Parameter, ports: tuple[str, ...]) -> tuple[str, ...]:
+    from daq.rig import NET_KINDS, parse_address
+
+    for port in ports:
+        if port.partition(":")[0] in NET_KINDS:
+            try:
+                parse_address(port)
+            except ValueError as error:
+                raise click.BadParameter(str(error)) from None
+    return ports
+
+
 @click.command()
-@click.argument("ports", nargs=-1, metavar="[PORT]...")
+@click.argument("ports", nargs=-1, metavar="[PORT]...", callback=_addresses)
 @click.option("--baud", "bauds", type=click.IntRange(min=1), multiple=True, help="Try this rate only; may be repeated.")
 @click.option(
-    "--seconds", type=click.FloatRange(min=0.1), default=1.3, show_default=True, help="To listen at each baud rate."
+    "--seconds", type=FiniteRange(min=0.1), default=1.3, show_default=True, help="To listen at each baud rate."
 )
 @click.option("--toml", is_flag=True, help="Print a rig file with its [[device]] tables.")
 def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml: bool) -> None:
@@ -384,7 +397,7 @@ def _rig_protocols() -> tuple[str, ...]:
 @click.option("--dir", "folder", type=_FOLDER, default="ports", show_default=True, help="Where the ports are made.")
 @click.option("--device", "names", multiple=True, help="Only this device; may be repeated.")
 @click.option(
-    "--speed", type=click.FloatRange(min=0.0, min_open=True), default=1.0, show_default=True,
+    "--speed", type=FiniteRange(min=0.0, min_open=True), default=1.0, show_default=True,
     help="Recorded seconds per second.",
 )  # fmt: skip
 def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> None:
@@ -411,11 +424,11 @@ def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> Non
 @click.option("-o", "--out", type=_FOLDER, required=True, help="Folder for the files; made where it is not there.")
 @click.option("--force", is_flag=True, help="Replace files that exist.")
 @click.option(
-    "--rate", type=click.FloatRange(min=0.0, min_open=True), help="One table of all at this rate, Hz (mat, netcdf: 10)."
+    "--rate", type=FiniteRange(min=0.0, min_open=True), help="One table of all at this rate, Hz (mat, netcdf: 10)."
 )
-@click.option("--from", "t_from", type=click.FloatRange(0.0), default=0.0, help="Start [s of the log].")
-@click.option("--to", "t_to", type=click.FloatRange(0.0), default=math.inf, help="End [s of the log].")
-def export(form: str, log: Path, out: Path, force: bool, rate: float | None, t_from: float, t_to: float) -> None:
+@click.option("--from", "t_from", type=FiniteRange(0.0), default=0.0, help="Start [s of the log].")
+@click.option("--to", "t_to", type=FiniteRange(0.0), help="End [s of the log].")
+def export(form: str, log: Path, out: Path, force: bool, rate: float | None, t_from: float, t_to: float | None) -> None:
     """Write LOG as files of FORM.
 
     csv and parquet: a table per device and kind, and the events; with --rate one table of all, as mat and netcdf always
@@ -434,6 +447,7 @@ def export(form: str, log: Path, out: Path, force: bool, rate: float | None, t_f
     if form == "ros" and rate is not None:
         raise click.UsageError("--rate is not for ros, whose messages are as they were logged")
 
+    t_to = math.inf if t_to is None else t_to
     with open_log(log) as opened:
         part = opened
         if t_from > 0.0 or t_to < math.inf:

@@ -241,6 +241,14 @@ class Rig:
         return _named(name, self.thrusters, "thruster", self.path)
 
 
+def parse_address(port: str) -> tuple[str, int]:
+    """Host and number of `udp:HOST:PORT` and its relatives. Raises ValueError for one that has none."""
+    host, _, number = port.partition(":")[2].rpartition(":")
+    if not host or not (number.isascii() and number.isdigit() and 0 < int(number) < 65536):
+        raise ValueError(f"must be udp:HOST:PORT, udpin:, udpout: or tcp: the same way, not '{port}'")
+    return host.strip("[]"), int(number)
+
+
 def _named(name: str, rows: Sequence[Named], what: str, path: Path) -> Named:
     for row in rows:
         if row.name == name:

@@ -44,6 +44,21 @@ def test_every_command_helps_with_an_example_that_parses(words: str) -> None:
             assert option.help or option.type.name == "choice" or option.show_default, f"{words} {option.opts[0]}"
 
 
+RANGES = {
+    f"{words} {option.opts[-1]}": option.type
+    for words, command in EVERY.items()
+    for option in command.params
+    if isinstance(option.type, click.FloatRange)
+}
+
+
+@pytest.mark.parametrize("option", RANGES)
+def test_a_range_of_numbers_takes_none_that_is_not_finite(option: str) -> None:
+    for text in ("nan", "inf"):
+        with pytest.raises(click.BadParameter):
+            RANGES[option].convert(text, None, None)
+
+
 def complete(words: str) -> subprocess.CompletedProcess[str]:
     """What bash gets for the last word; the modules that were imported for it go to stderr."""
     environment = os.environ | {

@@ -29,6 +29,7 @@ SILENCE_S = 10.0  # of ours, at most
 SETTLED_S = 0.5  # at neutral, and it stays there
 ALLOWED_S = 2.0  # RC_OVERRIDE_TIME of a second, or half of one of FS_THR_ENABLE, and what the outputs' rate adds
 NEUTRAL = 0.02  # n of an output that pushes nothing
+PUSHED = 0.5  # of the command: an output of less, before the silence, did not follow it
 MUTED = "muted"  # event: nothing is sent from here on
 
 
@@ -88,6 +89,8 @@ def require_link_test(rig: Rig, device: str, parameters: Mapping[str, float], n_
         why = "it was never done"
     elif not test.passed:
         why = f"on {test.date} thrust went on for {test.seconds:.2f} s"
+    elif test.n < N_TEST:
+        why = f"that of {test.date} commanded n = {test.n:g}, which is below {N_TEST:g}"
     elif test.parameters != link_loss_hash(parameters):
         why = f"parameters that decide it have changed since {test.date}"
     else:
@@ -104,20 +107,25 @@ def link_test_plan(rig: Rig) -> Mission:
     names = tuple(thruster.name for thruster in rig.thrusters if thruster.output is not None)
     if not names:
         raise SeatrialError(f"{rig.path}: --link-test is of an autopilot, and no thruster hangs behind one")
-    n = min(N_TEST, rig.limits.n_max)
+    if rig.limits.n_max < N_TEST:
+        raise SeatrialError(
+            f"{rig.path}: --link-test commands n = {N_TEST:g}, and limits.n_max is {rig.limits.n_max:g}; "
+            "raise it for the test: an output at less cannot be told from one at rest"
+        )
     times = np.array([0.0, REST_S * rig.speed])
     segments = (
         Segment(STATIC, times[:1], np.zeros((1, len(names)))),
-        Segment("silence", times[1:], np.full((1, len(names)), n)),
+        Segment("silence", times[1:], np.full((1, len(names)), N_TEST)),
     )
     end = (REST_S + HOLD_S + SILENCE_S + SETTLED_S) * rig.speed
-    return Mission("link test", "mission", names, segments, end, n_max=n, made_by="seatrial check --link-test")
+    return Mission("link test", "mission", names, segments, end, n_max=N_TEST, made_by="seatrial check --link-test")
 
 
 def measure_link_loss(log: Log, device: Device, parameters: Mapping[str, float], n: float) -> LinkTest:
     """What the log of a link test says about one device; infinite seconds where thrust went on to the end.
 
-    Raises SeatrialError where the log has no such test.
+    Raises SeatrialError where the log has no such test, or where an output did not push before the silence: then its
+    being at neutral says nothing.
     """
     rig = log.rig
     assert rig is not None
@@ -132,6 +140,13 @@ def measure_link_loss(log: Log, device: Device, parameters: Mapping[str, float],
         if thruster.device != device.name:
             continue
         table = log.table(Servo, device.name, thruster.node)
+        before = table["n"][table["t"] <= last]
+        if not (before.size and abs(before[-1]) >= PUSHED * n):
+            told = f"n = {before[-1]:+.2f}" if before.size else "nothing"
+            raise SeatrialError(
+                f"{log.path}: {thruster.name} did not push before the silence, so the link test says nothing: its "
+                f"output was {told}, commanded {n:+.2f}; is {device.name} armed, and does no dead zone (RCn_DZ) eat it?"
+            )
         table = table[(table["t"] > last) & (table["t"] < resumed)]
         pushes = np.flatnonzero(~(np.abs(table["n"]) <= NEUTRAL))
         k = int(pushes[-1]) + 1 if pushes.size else 0

@@ -27,6 +27,7 @@ from daq.checks import (
 from daq.cli import LOG
 from daq.config import load_rig
 from daq.errors import SeatrialError
+from daq.options import FiniteRange
 from daq.rig import Rig
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ STYLES: dict[str, dict[str, Any]] = {FAULT: {"fg": "red", "bold": True}, WARNING
       seatrial check rig.toml --actuators"""
 )
 @click.argument("paths", metavar="RIG | LOG...", nargs=-1, required=True, type=LOG)
-@click.option("--seconds", type=click.FloatRange(0.5, 600.0), default=3.0, show_default=True, help="Wall s to listen.")
+@click.option("--seconds", type=FiniteRange(0.5, 600.0), default=3.0, show_default=True, help="Wall s to listen.")
 @click.option(
     "--mission",
     "mission_path",
@@ -60,7 +61,7 @@ STYLES: dict[str, dict[str, Any]] = {FAULT: {"fg": "red", "bold": True}, WARNING
     help="With --actuators, instead of it: 0.1 of thrust, silence; how soon does the autopilot end it?",
 )
 @click.option(
-    "--thrust", type=click.FloatRange(0, 1, min_open=True), help="Largest command of --actuators [default: 0.3]."
+    "--thrust", type=FiniteRange(0, 1, min_open=True), help="Largest command of --actuators [default: 0.3]."
 )
 @click.option("--yes", is_flag=True, help="Do not ask before thrusters turn.")
 @click.option("--arm", is_flag=True, help="Put an autopilot into MANUAL, arm it, and disarm it at the end.")

@@ -16,7 +16,8 @@ from daq.rig import Rig
 
 FloatArray = npt.NDArray[np.float64]
 STEP = 0.05  # s
-NEEDED = ("m_u", "m_v", "m_r", "d_u", "d_v", "d_r", "c1")  # of [vehicle], for a track
+MASSES = ("m_u", "m_v", "m_r")
+NEEDED = (*MASSES, "d_u", "d_v", "d_r", "c1")  # of [vehicle], for a track
 CLOSE = 0.8  # of the fence
 
 
@@ -45,17 +46,14 @@ def _fence(mission: Mission, rig: Rig, radius: float) -> Finding:
         t, far = p.t, np.hypot(p.x - p.x[0], p.y - p.y[0]) + p.radius
         by = f"the design, by model {p.model}"
     elif missing := [name for name in NEEDED if name not in rig.vehicle]:
-        text = f"its track is not predicted: [vehicle] of the rig has no {', '.join(missing)}"
-        return Finding(
-            WARNING,
-            "track-not-predicted",
-            "fence",
-            mission.name,
-            text,
-            "a model's c1 (N at full speed) there, or a designed mission",
-        )
+        hint = "a model's c1 (N at full speed) there, or a designed mission"
+        return _not_predicted(mission, f"has no {', '.join(missing)}", hint)
+    elif wrong := [name for name in MASSES if not rig.vehicle[name] > 0.0]:
+        return _not_predicted(mission, f"has {' and '.join(wrong)} not above zero", "the masses of a boat there")
     else:
         t, x, y = track(mission, rig)
+        if not np.isfinite([x, y]).all():
+            return _not_predicted(mission, "makes it diverge", "masses and damping of one boat there")
         far, by = np.hypot(x, y), "the rig's nominal vehicle without current"
     k = int(np.argmax(far))
     text = f"up to {far[k]:.0f} m from the start by {by}, fence {radius:g} m"
@@ -74,10 +72,16 @@ def _fence(mission: Mission, rig: Rig, radius: float) -> Finding:
     return Finding(OK, "track-inside-fence", "fence", mission.name, text)
 
 
+def _not_predicted(mission: Mission, why: str, hint: str) -> Finding:
+    text = f"its track is not predicted: [vehicle] of the rig {why}"
+    return Finding(WARNING, "track-not-predicted", "fence", mission.name, text, hint)
+
+
 def track(mission: Mission, rig: Rig) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Time (K,) s and track x, y (K,) m of the rig's nominal vehicle from rest, heading north, without current.
 
-    Surge, sway and yaw (Fossen 2011, 6.5) with linear and quadratic damping; the thrust is c1 n|n| + c2 n^2.
+    Surge, sway and yaw (Fossen 2011, 6.5) with linear and quadratic damping; the thrust is c1 n|n| + c2 n^2. NaN from
+    where it diverges.
     """
     p = {"c2": 0.0, "d_uu": 0.0, "d_vv": 0.0, "d_rr": 0.0, **rig.vehicle}
     y_thruster = [rig.thruster(name).position_m[1] for name in mission.thrusters]
@@ -96,12 +100,19 @@ def track(mission: Mission, rig: Rig) -> tuple[FloatArray, FloatArray, FloatArra
 
 
 def _step(state: tuple[float, ...], thrust: float, moment: float, p: Mapping[str, float]) -> tuple[float, ...]:
-    """One semi-implicit Euler step: velocities first, then the place with the new ones."""
+    """One step: velocities first, then the place with the new ones."""
     x, y, psi, u, v, r = state
-    u_next = u + STEP / p["m_u"] * (thrust + p["m_v"] * v * r - (p["d_u"] + p["d_uu"] * abs(u)) * u)
-    v_next = v + STEP / p["m_v"] * (-p["m_u"] * u * r - (p["d_v"] + p["d_vv"] * abs(v)) * v)
-    turning = moment - (p["m_v"] - p["m_u"]) * u * v
-    r_next = r + STEP / p["m_r"] * (turning - (p["d_r"] + p["d_rr"] * abs(r)) * r)
+    u_next = _accelerate(u, thrust + p["m_v"] * v * r, p["m_u"], p["d_u"], p["d_uu"])
+    v_next = _accelerate(v, -p["m_u"] * u * r, p["m_v"], p["d_v"], p["d_vv"])
+    r_next = _accelerate(r, moment - (p["m_v"] - p["m_u"]) * u * v, p["m_r"], p["d_r"], p["d_rr"])
     psi += STEP * r_next
+    if not math.isfinite(psi):
+        return (math.nan,) * 6
     c, s = math.cos(psi), math.sin(psi)
     return x + STEP * (c * u_next - s * v_next), y + STEP * (s * u_next + c * v_next), psi, u_next, v_next, r_next
+
+
+def _accelerate(speed: float, force: float, mass: float, d: float, dd: float) -> float:
+    """One step of the linearly implicit Euler method, which no damping makes unstable, however light the boat."""
+    slope = max(d + 2.0 * dd * abs(speed), 0.0)
+    return speed + STEP * (force - (d + dd * abs(speed)) * speed) / (mass + STEP * slope)

@@ -140,14 +140,14 @@ def parse_mission(text: str, source: Path | str) -> Mission:
     if end is None:
         raise root.error("end", "missing; from t of [end] on, thrust is zero")
     mission = Mission(
-        name=root.text("name"),
+        name=root.line("name"),
         kind=root.text("kind", choices=KINDS),
         thrusters=thrusters,
         segments=tuple(_segment(table, len(thrusters)) for table in root.tables("segment")),
         end=end.number("t"),
         n_max=limits.number("n_max", 1.0, high=1.0, positive=True),
         slew_per_s=limits.number("slew_per_s", positive=True) if limits.has("slew_per_s") else math.inf,
-        made_by=provenance.text("made_by", ""),
+        made_by=provenance.line("made_by", ""),
         seed=provenance.integer("seed") if provenance.has("seed") else None,
         predicted_errors=_predicted(provenance.table("predicted_errors")),
         prediction=parse_prediction(root.table("prediction")),
@@ -168,19 +168,19 @@ def _items(table: TomlTable, key: str) -> TomlTable:
 
 def _names(root: TomlTable, key: str) -> tuple[str, ...]:
     items = _items(root, key)
-    names = tuple(items.text(item) for item in items.values)
+    names = tuple(items.line(item) for item in items.values)
     if len(set(names)) < len(names):
         raise root.error(key, "names a thruster twice")
     return names
 
 
 def _predicted(table: TomlTable | None) -> dict[str, float]:
-    return {} if table is None else {key: table.number(key) for key in table.values}
+    return {} if table is None else table.named_numbers()
 
 
 def _segment(table: TomlTable, n_thrusters: int) -> Segment:
     """One [[segment]]: equal counts of times and rows, ascending times, finite numbers."""
-    name, t = table.text("name"), np.array(table.numbers("t"), dtype=np.float64)
+    name, t = table.line("name"), np.array(table.numbers("t"), dtype=np.float64)
     items = _items(table, "n")
     n = np.array([items.numbers(item, length=n_thrusters) for item in items.values], dtype=np.float64)
     table.done()
@@ -201,8 +201,8 @@ def parse_prediction(table: TomlTable | None) -> Prediction | None:
     t = np.array(table.numbers("t"), dtype=np.float64)
     x, y, radius = (np.array(table.numbers(key, length=len(t)), dtype=np.float64) for key in ("x", "y", "radius"))
     before = table.table("errors_before")
-    errors = {} if before is None else {key: before.number(key) for key in before.values}
-    found = Prediction(table.text("model"), t, x, y, radius, errors)
+    errors = {} if before is None else before.named_numbers()
+    found = Prediction(table.line("model"), t, x, y, radius, errors)
     table.done()
     return found
 

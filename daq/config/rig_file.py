@@ -32,6 +32,7 @@ from daq.rig import (
     Ros2,
     Segments,
     Thruster,
+    parse_address,
 )
 
 FORMAT = "seatrial-rig 1"
@@ -52,7 +53,7 @@ def parse_rig(text: str, source: Path | str) -> Rig:
     folder = path.absolute().parent
     root = parse_toml(text, path)
     root.text("format", choices=(FORMAT,))
-    name = root.text("name")
+    name = root.line("name")
     speed = _speed(root)
     directory, segments = _log(root)
     live = _live(root.table("live"))
@@ -65,6 +66,8 @@ def parse_rig(text: str, source: Path | str) -> Rig:
     thrusters = tuple(_thruster(table, devices) for table in root.tables("thruster"))
     _unique(root, "thruster", [thruster.name for thruster in thrusters])
     _unique(root, "thruster", [f"{t.device} node {t.node}" for t in thrusters])
+    # An override has one value a channel: the last thruster's, and it would move them all.
+    _unique(root, "thruster", [f"{t.device} rc_channel {t.output.rc_channel}" for t in thrusters if t.output])
     limits = _limits(root.table("limits"))
     vehicle = _vehicle(root.table("vehicle"))
     root.done()
@@ -151,7 +154,7 @@ def _own_ports(root: TomlTable, devices: Sequence[Device]) -> None:
 def _unique(root: TomlTable, key: str, names: Sequence[str]) -> None:
     for name in names:
         if names.count(name) > 1:
-            raise root.error(key, f"'{name}' appears twice; give each its own name and node")
+            raise root.error(key, f"'{name}' appears twice; give each its own")
 
 
 def _name(table: TomlTable) -> str:
@@ -189,9 +192,10 @@ def _port(table: TomlTable, protocol: str, folder: Path) -> str:
 
 
 def _address(table: TomlTable, port: str) -> str:
-    host, _, number = port.partition(":")[2].rpartition(":")
-    if not host or not (number.isascii() and number.isdigit() and 0 < int(number) < 65536):
-        raise table.error("port", f"must be udp:HOST:PORT, udpin:, udpout: or tcp: the same way, not '{port}'")
+    try:
+        parse_address(port)
+    except ValueError as error:
+        raise table.error("port", str(error)) from error
     return port
 
 
@@ -391,4 +395,4 @@ def _limits(table: TomlTable | None) -> Limits:
 
 def _vehicle(table: TomlTable | None) -> dict[str, float]:
     """Any parameter name may stand here, since the model that reads them may be the user's own."""
-    return {} if table is None else {key: table.number(key) for key in table.values}
+    return {} if table is None else table.named_numbers()

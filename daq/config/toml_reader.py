@@ -74,6 +74,13 @@ class TomlTable:
             raise self.error(key, f"{one}, not '{value}'")
         return value
 
+    def line(self, key: str, default: object = _MISSING) -> str:
+        """A string for a terminal, which obeys what is not printable: the file may be somebody else's."""
+        value = self.text(key, default)
+        if not value.isprintable():
+            raise self.error(key, f"has characters that are not printable: {value!r}")
+        return value
+
     def flag(self, key: str, default: object = _MISSING) -> bool:
         """true or false."""
         value = self._take(key, default)
@@ -117,6 +124,13 @@ class TomlTable:
         if length is not None and len(value) != length:
             raise self.error(key, f"must have {counted(length, 'number')}, not {len(value)}")
         return tuple(self._finite(key, item) for item in value)
+
+    def named_numbers(self) -> dict[str, float]:
+        """Every number of the table by its name, which is printable."""
+        for key in self.values:
+            if not key.isprintable():
+                raise self.error(repr(key), "a name with characters that are not printable")
+        return {key: self.number(key) for key in self.values}
 
     def texts(self, key: str, default: object = _MISSING) -> tuple[str, ...]:
         """A list of strings."""

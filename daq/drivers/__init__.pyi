@@ -4,6 +4,7 @@ from .ardupilot_parameters import RIGHT as RIGHT
 from .ardupilot_parameters import ParameterMismatch as ParameterMismatch
 from .ardupilot_parameters import check_parameters as check_parameters
 from .ardupilot_parameters import link_loss_hash as link_loss_hash
+from .ardupilot_parameters import parameter_names as parameter_names
 from .base import DISARMED as DISARMED
 from .base import DeviceDriver as DeviceDriver
 from .base import LinkRole as LinkRole

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from daq.drivers import LEFT, PADDLES, RIGHT, check_parameters
+from daq.drivers import LEFT, PADDLES, RIGHT, check_parameters, parameter_names
 from daq.protocol import INVALID, ROVER, Codec, MavlinkDecoder, Samples, vehicle_name
 from daq.rig import AutopilotOutput, Device, MavlinkSettings, Thruster
 from daq.tools.discovery import DiscoveredDevice
@@ -26,12 +26,7 @@ OUTPUTS_HZ = 50.0  # by a network: what feeds a fit is known at its samples
 STEERING, THROTTLE = 26.0, 70.0  # SERVOn_FUNCTION
 MOTORS = range(33, 41)  # SERVOn_FUNCTION of ArduSub and ArduCopter
 SIDES = {LEFT: ("left", -0.3), RIGHT: ("right", 0.3)}
-GENERAL = (
-    *("RCMAP_ROLL", "RCMAP_THROTTLE", "SCHED_LOOP_RATE", "BATT_LOW_VOLT", "MAV_GCS_SYSID", "SYSID_MYGCS"),
-    *("PILOT_STEER_TYPE", "RC_OVERRIDE_TIME", "FS_GCS_ENABLE", "FS_GCS_TIMEOUT", "FS_THR_ENABLE", "FS_ACTION"),
-    *("FS_TIMEOUT", "RC_OPTIONS", "MOT_THST_ASYM", "MOT_THST_EXPO", "MOT_THR_MAX", "MOT_THR_MIN", "MOT_SLEWRATE"),
-    *("MANUAL_STR_EXPO", "FRAME_CLASS", "INS_GYRO_FILTER", "GPS1_POS_X", "GPS1_POS_Y", "GPS1_POS_Z"),
-)
+OF_TABLES = ("BATT_LOW_VOLT", "INS_GYRO_FILTER", "GPS1_POS_X", "GPS1_POS_Y", "GPS1_POS_Z")
 ENDS = ("MIN", "TRIM", "MAX")
 
 
@@ -46,7 +41,7 @@ class DiscoveredAutopilot(DiscoveredDevice):
 
     def toml(self, name: str) -> str:
         """A [[device]], and a [[thruster]] for each side that it drives; a comment for each caveat."""
-        p, name = self.parameters, "autopilot"
+        p = self.parameters
         loop = LOOP_PART * p.get("SCHED_LOOP_RATE", math.inf)
         own = int(p.get("MAV_GCS_SYSID", p.get("SYSID_MYGCS", 255.0)))
         lines = [f"# {self.vehicle}", "[[device]]", f'name = "{name}"', 'protocol = "mavlink"', f'port = "{self.port}"']
@@ -62,7 +57,7 @@ class DiscoveredAutopilot(DiscoveredDevice):
             return "\n".join([*lines, f"# caveat: only {ROVER} is driven: no [[thruster]] behind {self.vehicle}", ""])
         if not p:
             return "\n".join([*lines, "# caveat: it has told no parameter: thrusters are yours to write", ""])
-        thrusters = self._thrusters(name)
+        thrusters = self.thrusters(name)
         for thruster in thrusters:
             lines += _thruster_lines(thruster)
         lines += self._without(thrusters)
@@ -74,39 +69,42 @@ class DiscoveredAutopilot(DiscoveredDevice):
             lines += [f"# INS_GYRO_FILTER {p['INS_GYRO_FILTER']:g} Hz makes its yaw rate about {late:.0f} ms late"]
         return "\n".join([*lines, ""])
 
-    def _thrusters(self, device: str) -> list[Thruster]:
-        """One for each output that is a side of a two-paddle mix."""
+    def thrusters(self, device: str) -> list[Thruster]:
+        """One for each channel of a two-paddle mix, at the first output that it moves."""
         p = self.parameters
-        found: list[Thruster] = []
+        found: dict[int, Thruster] = {}
         for node in range(1, 17):
             function = p.get(f"SERVO{node}_FUNCTION", 0.0)
             if function not in PADDLES:
                 continue
-            name, y = SIDES[function]
-            number = sum(one.name.startswith(name) for one in found)
             channel = int(p.get(*PADDLES[function]))
+            if channel in found:
+                continue
+            name, y = SIDES[function]
             pulses = [_pulses(p, f"{kind}{k}") for kind, k in (("RC", channel), ("SERVO", node))]
-            found.append(
-                Thruster(
-                    name=f"{name}{number + 1 if number else ''}",
-                    device=device,
-                    node=node,
-                    position_m=(0.0, y, 0.0),
-                    pole_pairs=1,
-                    rpm_max=math.nan,
-                    timeout_s=p.get("RC_OVERRIDE_TIME", 1.0),
-                    output=AutopilotOutput(channel, *pulses),
-                )
+            found[channel] = Thruster(
+                name=name,
+                device=device,
+                node=node,
+                position_m=(0.0, y, 0.0),
+                pole_pairs=1,
+                rpm_max=math.nan,
+                timeout_s=p.get("RC_OVERRIDE_TIME", 1.0),
+                output=AutopilotOutput(channel, *pulses),
             )
-        return found
+        return list(found.values())
 
     def _without(self, thrusters: Sequence[Thruster]) -> list[str]:
         """What else hangs on its outputs and cannot be driven."""
         p = self.parameters
         functions = {node: p.get(f"SERVO{node}_FUNCTION", 0.0) for node in range(1, 17)}
+        driven = {thruster.node for thruster in thrusters}
         lines = []
         for node, function in functions.items():
-            if function == STEERING:
+            if function in PADDLES and node not in driven:
+                side, channel = SIDES[function][0], int(p.get(*PADDLES[function]))
+                lines.append(f"# caveat: output {node} ({side}) turns with channel {channel}, too: nothing watches it")
+            elif function == STEERING:
                 lines.append(f"# caveat: output {node} steers (SERVO{node}_FUNCTION 26): a rudder is not driven")
             elif function == THROTTLE:
                 lines.append(f"# caveat: output {node} is the throttle of both sides (70): only 73 and 74 are driven")
@@ -177,7 +175,10 @@ class _Ears:
 
 
 def identify_autopilot(port: str, baud: int, ask: bool) -> DiscoveredDevice:
-    """Listen for an autopilot at a port; with `ask` its parameters are read. Raises nothing: `says` holds the fault."""
+    """Listen for an autopilot at a port; with `ask` its parameters are read. `says` holds the fault.
+
+    Raises nothing but ValueError, for an address that is none.
+    """
     settings = MavlinkSettings()
     opened = make_port(Device("autopilot", "mavlink", port, baud or 115200, 0, RATE_HZ, mavlink=settings))
     try:
@@ -193,13 +194,10 @@ def identify_autopilot(port: str, baud: int, ask: bool) -> DiscoveredDevice:
         system = ears.heartbeat.get_srcSystem()
         if ask and vehicle == ROVER:
             codec = Codec(ASK_AS, 190)
-            ears.ask(codec, system, [*GENERAL, *(f"SERVO{node}_FUNCTION" for node in range(1, 17))])
-            p = ears.parameters
-            sides = [k for k in range(1, 17) if p.get(f"SERVO{k}_FUNCTION") in PADDLES]
-            inputs = dict.fromkeys(int(p.get(name, delivered)) for name, delivered in PADDLES.values())
-            names = [f"{kind}{k}_{end}" for kind, rows in (("SERVO", sides), ("RC", inputs)) for k in rows
-                     for end in (*ENDS, "REVERSED", *(("DZ",) if kind == "RC" else ()))]  # fmt: skip
-            ears.ask(codec, system, names)
+            functions = (f"SERVO{node}_FUNCTION" for node in range(1, 17))
+            ears.ask(codec, system, [*parameter_names(()), *OF_TABLES, *functions])
+            thrusters = DiscoveredAutopilot(port, "", parameters=ears.parameters).thrusters("")
+            ears.ask(codec, system, parameter_names(thrusters))
         t = ears.attitudes
         rate = (len(t) - 1) / (t[-1] - t[0]) if len(t) > 1 and t[-1] > t[0] else math.nan
         signed = ears.decoder.signed > 0

@@ -96,7 +96,8 @@ class LiveServer:
                 continue
             self._sent[source] = latest.t
             t_ns = round(latest.t * NANO)
-            for message in schema.messages(source[0], Frame(latest.sample, latest.t, NAN)):
+            device = source[0].partition("/")[0]  # one of several kinds is DEVICE/KIND
+            for message in schema.messages(device, Frame(latest.sample, latest.t, NAN)):
                 self._channel(message.topic, message.type_name).log(message.pack(t_ns), log_time=t_ns)
 
     def _channel(self, topic: str, type_name: str) -> Any:

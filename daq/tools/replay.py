@@ -260,7 +260,8 @@ def _text(log: Log, devices: Sequence[str], speed: float) -> str | None:
         table.pop("key_file", None)  # the log does not hold it: signatures are not checked
     document["device"] = here
     document["thruster"] = [table for table in document.get("thruster", []) if table["device"] in devices]
-    document.pop("live", None)  # a log does not decide who may listen
+    for key in ("live", "ros2"):  # a log does not decide who may listen, or command
+        document.pop(key, None)
     document["clock"] = {"speed": speed}
     document["log"] = {**document.get("log", {}), "directory": str(log.path.parent.absolute())}
     return HEAD + tomlkit.dumps(document)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from daq.rig import NET_KINDS, Device
+from daq.rig import NET_KINDS, Device, parse_address
 from daq.transport.base import Port
 from daq.transport.can_port import SlcanPort, SocketCanPort
 from daq.transport.network_port import TcpPort, UdpPort
@@ -22,8 +22,6 @@ def make_port(device: Device) -> Port:
 
 def make_net_port(port: str) -> Port:
     """The port of `udp:HOST:PORT` and its relatives; not open yet."""
-    kind, _, address = port.partition(":")
-    host, _, number = address.rpartition(":")
-    if kind == "tcp":
-        return TcpPort(host.strip("[]"), int(number))
-    return UdpPort(host.strip("[]"), int(number), listen=kind != "udpout")
+    kind = port.partition(":")[0]
+    host, number = parse_address(port)
+    return TcpPort(host, number) if kind == "tcp" else UdpPort(host, number, listen=kind != "udpout")

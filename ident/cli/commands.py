@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from daq.errors import SeatrialError
+from daq.options import FiniteRange
 from ident.cli.options import (
     FILE,
     FOLDER,
@@ -49,7 +50,7 @@ def ident() -> None:
 @click.option("--thruster", "name", help="The thruster's name in the rig file, where the log has several.")
 @click.option(
     "--settle",
-    type=click.FloatRange(0.0),
+    type=FiniteRange(0.0),
     default=1.5,
     show_default=True,
     help="Seconds left out after each change of command, where only force and command were logged.",
@@ -173,7 +174,7 @@ ident.add_command(export)
 @click.command(short_help="Fisher information per log segment and parameter.")
 @click.argument("model", type=LOG)
 @click.argument("logs", nargs=-1, required=True, type=LOG)
-@click.option("--seconds", type=click.FloatRange(2.0), default=30.0, show_default=True, help="Length of a segment.")
+@click.option("--seconds", type=FiniteRange(2.0), default=30.0, show_default=True, help="Length of a segment.")
 @click.option("--parameters", "chosen", metavar="NAMES", callback=parse_names, help="Only these parameters, d_v,m_v.")
 @window_option
 @click.option("--thruster", type=LOG, help="The static curve from command to thrust that the model was fitted with.")
@@ -311,7 +312,7 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how
 @despite_option
 @click.option(
     "--rate",
-    type=click.FloatRange(1.0, 200.0),
+    type=FiniteRange(1.0, 200.0),
     help="Rows per second; faster sensors are averaged.  [default: 10, on the bench 50]",
 )
 @trust_option
@@ -355,7 +356,7 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
     "--truth", multiple=True, callback=parse_values, help="NAME=VALUE: true value of a parameter; may be repeated."
 )
 @click.option("--free", multiple=True, metavar="NAME", help="Estimate only this parameter; may be repeated.")
-@click.option("--seconds", type=click.FloatRange(10.0), help="Length of the mission [s].")
+@click.option("--seconds", type=FiniteRange(10.0), help="Length of the mission [s].")
 @click.option("--unbounded", is_flag=True, help="Damping may be estimated below zero.")
 @reml_option(None)
 @mean_order_option(None)
@@ -411,13 +412,13 @@ def _area(_context: click.Context, _parameter: click.Parameter, given: str | Non
 @click.argument("source", metavar="MODEL")
 @click.option(
     "--duration",
-    type=click.FloatRange(10.0, 7200.0),
+    type=FiniteRange(10.0, 7200.0),
     default=600.0,
     show_default=True,
     help="Length of the mission [s].",
 )
 @click.option("--steps", type=click.IntRange(2, 1000), help="Number of steps [default: one per 5 s].")
-@click.option("--min-step", type=click.FloatRange(0.2), default=1.0, show_default=True, help="Shortest step [s].")
+@click.option("--min-step", type=FiniteRange(0.2), default=1.0, show_default=True, help="Shortest step [s].")
 @click.option(
     "--criterion",
     type=click.Choice(("D", "A", "E", "Ds")),
@@ -433,17 +434,17 @@ def _area(_context: click.Context, _parameter: click.Parameter, given: str | Non
     help="Parameters to estimate, d_v,m_v [default: all].",
 )
 @click.option("--area", metavar="NxE", callback=_area, help="Area for the whole track, north by east [m].")
-@click.option("--max-speed", type=click.FloatRange(0, min_open=True), help="Largest speed through the water [m/s].")
-@click.option("--energy", type=click.FloatRange(0, 1, min_open=True), help="Largest mean of |n|^3, 1: full power.")
+@click.option("--max-speed", type=FiniteRange(0, min_open=True), help="Largest speed through the water [m/s].")
+@click.option("--energy", type=FiniteRange(0, 1, min_open=True), help="Largest mean of |n|^3, 1: full power.")
 @click.option(
     "--current",
-    type=click.FloatRange(0, 2.0),
+    type=FiniteRange(0, 2.0),
     default=0.0,
     show_default=True,
     help="Largest current [m/s], from any direction, that the track must allow for.",
 )
-@click.option("--n-max", type=click.FloatRange(0, 1, min_open=True), default=1.0, show_default=True)
-@click.option("--slew", type=click.FloatRange(0, min_open=True), help="Slew limit of a command [1/s].")
+@click.option("--n-max", type=FiniteRange(0, 1, min_open=True), default=1.0, show_default=True)
+@click.option("--slew", type=FiniteRange(0, min_open=True), help="Slew limit of a command [1/s].")
 @click.option(
     "--rate",
     "rates",
@@ -463,7 +464,7 @@ def _area(_context: click.Context, _parameter: click.Parameter, given: str | Non
 @click.option(
     "--prior-halfwidth",
     "spread",
-    type=click.FloatRange(0, 0.9),
+    type=FiniteRange(0, 0.9),
     default=0.25,
     show_default=True,
     help="Relative half-width of the prior of the parameters, where MODEL is not a model.toml.",

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from daq.errors import SeatrialError
+from daq.options import FiniteRange
 from ident.reporter import Reporter
 
 if TYPE_CHECKING:
@@ -25,13 +26,20 @@ FOLDER = click.Path(file_okay=False, path_type=Path)
 FILE = click.Path(dir_okay=False, path_type=Path)
 
 
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError
+    return number
+
+
 def parse_values(_context: click.Context, _parameter: click.Parameter, given: Sequence[str]) -> dict[str, float]:
     """Callback of options NAME=VALUE."""
     found = {}
     for item in given:
         name, _, value = item.partition("=")
         try:
-            found[name] = float(value)
+            found[name] = _finite(value)
         except ValueError:
             raise click.BadParameter(f"{item!r} is not NAME=NUMBER") from None
     return found
@@ -57,7 +65,7 @@ def parse_priors(
     for item in given:
         name, _, value = item.partition("=")
         try:
-            mean, sd = (float(part) for part in value.split(":"))
+            mean, sd = (_finite(part) for part in value.split(":"))
         except ValueError:
             raise click.BadParameter(f"{item!r} is not NAME=MEAN:SD") from None
         if not sd > 0:
@@ -77,15 +85,16 @@ def window_option(f: Callable[..., Any]) -> Callable[..., Any]:
     """``--from`` and ``--to``, which the command gets as ``window``."""
 
     @wraps(f)
-    def command(*args: Any, t_from: float, t_to: float, **rest: Any) -> Any:
+    def command(*args: Any, t_from: float, t_to: float | None, **rest: Any) -> Any:
         from ident.data import TimeWindow
 
+        t_to = math.inf if t_to is None else t_to
         if not t_from < t_to:
             raise click.BadParameter(f"{t_to:g} s is not after --from, {t_from:g} s", param_hint="--to")
         return f(*args, window=TimeWindow(t_from, t_to), **rest)
 
-    seconds, of = click.FloatRange(0.0), "[s of the log]; of LOGS, whose rest is not read."
-    command = click.option("--to", "t_to", type=seconds, default=math.inf, help=f"End {of}")(command)
+    seconds, of = FiniteRange(0.0), "[s of the log]; of LOGS, whose rest is not read."
+    command = click.option("--to", "t_to", type=seconds, help=f"End {of}")(command)
     return click.option("--from", "t_from", type=seconds, default=0.0, help=f"Start {of}")(command)
 
 
@@ -137,7 +146,7 @@ def rate_option(f: Callable[..., Any]) -> Callable[..., Any]:
     """``--rate``, 10 by default."""
     return click.option(
         "--rate",
-        type=click.FloatRange(1.0, 200.0),
+        type=FiniteRange(1.0, 200.0),
         default=10.0,
         show_default=True,
         help="Rows per second; faster sensors are averaged.",
@@ -149,7 +158,7 @@ def horizon_option(f: Callable[..., Any]) -> Callable[..., Any]:
     return click.option(
         "--horizon",
         "horizon",
-        type=click.FloatRange(0.02, 3600.0),
+        type=FiniteRange(0.02, 3600.0),
         metavar="SECONDS",
         help="Prediction horizon, beside one step and simulation.  [default: 10, on the bench 1]",
     )(f)

@@ -68,6 +68,7 @@ def test_make_and_show_a_mission(capsys: pytest.CaptureFixture[str], tmp_path: P
         ["mission", "run", "m.toml"],
         ["bench", "steps"],
         ["bench", "steps", "rig.toml", "--n-max", "1.5"],
+        ["mission", "generate", "--seed", "1", "--slew", "nan", "-o", "m.toml"],
         ["demo", "--speed", "0"],
     ],
 )

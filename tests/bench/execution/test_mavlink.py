@@ -255,6 +255,7 @@ def test_the_rig_of_the_mock_is_what_devices_makes_of_its_parameters(tmp_path: P
         done = subprocess.run([*SEATRIAL, *words], cwd=tmp_path, capture_output=True, text=True, check=True)
     (tmp_path / "found.toml").write_text(done.stdout)
     found = load_rig(tmp_path / "found.toml")
+    assert "was not answered" not in done.stdout  # whatever is judged was asked for
     assert [(t.name, t.node, t.output) for t in found.thrusters] == [(t.name, t.node, t.output) for t in rig.thrusters]
 
 
@@ -296,11 +297,13 @@ def test_a_link_test_counts_for_its_parameters_and_only_when_passed(tmp_path: Pa
         (None, parameters, "never done"),
         (replace(good, seconds=10.0), parameters, "went on for 10.00 s"),
         (good, {**parameters, "FS_ACTION": 5.0}, "have changed since 2026"),
+        (replace(good, n=0.05), parameters, "commanded n = 0.05, which is below 0.1"),
     ):
         if test is not None:
             save_link_tests(rig, {"autopilot": test})
         with pytest.raises(SeatrialError, match=why):
             require_link_test(rig, "autopilot", asked, 0.6)
+    save_link_tests(rig, {"autopilot": good})
     assert require_link_test(rig, "autopilot", {**parameters, "MOT_SLEWRATE": 9.0}, 0.6) == 0.55
     (tmp_path / "rig.link-test.json").write_text("{}")
     with pytest.raises(SeatrialError, match=r"link-test\.json"):

@@ -62,6 +62,30 @@ def test_a_rig_without_thrust_says_that_nothing_is_predicted() -> None:
     assert told(ahead(0.5, 60.0), replace(BOAT, limits=replace(BOAT.limits, radius_m=None))) == [("limits", "ok")]
 
 
+def test_a_light_boat_with_much_damping_comes_to_its_steady_speed_too() -> None:
+    light = replace(RIG, vehicle={**RIG.vehicle, "m_u": 0.5, "d_uu": 60.0})
+    t, x, _ = track(ahead(0.5, 60.0), light)
+    steady = np.sqrt(2 * (40.05 + 1.11) * 0.25 / 60.0)
+    assert np.diff(x[t > 5.0]).mean() / 0.05 == pytest.approx(steady, rel=0.01)
+    assert told(ahead(0.5, 60.0), light) == [("limits", "ok"), ("fence", "ok")]
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "why"),
+    [
+        ({"m_u": 0.0}, "has m_u not above zero"),
+        ({"m_u": -1.0, "m_r": 0.0}, "has m_u and m_r not above zero"),
+        ({"m_r": 0.02, "d_r": 0.0, "d_rr": 0.0}, "makes it diverge"),
+        ({"d_u": -740.0}, "makes it diverge"),  # STEP times it is m_u
+    ],
+)
+def test_a_vehicle_that_cannot_be_is_not_predicted(vehicle: dict[str, float], why: str) -> None:
+    turn = Mission("turn", "mission", ("left", "right"), (Segment("go", np.zeros(1), np.array([[0.9, 0.3]])),), 60.0)
+    (_, fence) = check_mission(turn, replace(RIG, vehicle={**RIG.vehicle, **vehicle}))
+    assert (fence.level, fence.code) == ("warning", "track-not-predicted")
+    assert fence.text.endswith(f"[vehicle] of the rig {why}")
+
+
 def test_what_the_design_predicts_comes_first() -> None:
     t = np.array([0.0, 30.0, 60.0])
     prediction = Prediction("m", t, np.array([0.0, 250.0, 10.0]), np.zeros(3), np.array([0.0, 60.0, 60.0]))
@@ -73,6 +97,7 @@ def test_what_the_design_predicts_comes_first() -> None:
 def test_a_plan_beyond_the_limit_is_a_fault() -> None:
     limited = replace(RIG, limits=replace(RIG.limits, n_max=0.4))
     assert told(ahead(0.5, 60.0), limited) == [("limits", "fault")]
+    assert told(ahead(np.nan, 60.0), RIG) == [("limits", "fault")]
 
 
 def test_the_actuator_test_is_low_short_and_ends_at_zero() -> None:

@@ -70,6 +70,8 @@ def test_absolute_and_socketcan_ports_stay_as_they_are(example: str) -> None:
         ("n_max = 1.0", "n_max = 1.5", r"limits\.n_max: must be within 0\.0 \.\. 1\.0"),
         ("[limits]", "[limit]", r"limit: unknown key; known here: format, name"),
         ("[limits]", "[limits", r"not valid TOML.*line"),
+        ('name = "mock boat"', 'name = "a\\u001b[2Jb"', r"name: has characters that are not printable: 'a\\x1b\[2Jb'"),
+        ("m_u = ", '"m\\u0007" = ', r"vehicle\.'m\\x07': a name with characters that are not printable"),
         ("commands = false", "commands = 1", r"ros2\.commands: must be true or false"),
         ('"tcp/127.0.0.1:7447"', '"udp/10.0.0.1:7447#iface=x"', r"ros2\.router: must be tcp/HOST:PORT"),
         ('namespace = ""', 'namespace = "a/**"', r"ros2\.namespace: 'a/\*\*' becomes a part of topics"),

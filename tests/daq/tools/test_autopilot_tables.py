@@ -30,7 +30,7 @@ def test_the_thrusters_of_the_mock_are_those_of_its_rig() -> None:
     assert {t.name: (t.node, t.output, t.position_m[1] < 0.0) for t in rig.thrusters} == wanted
     assert [caveat for caveat in caveats if "measure" not in caveat] == []
     assert rig.devices[0].mavlink is not None
-    assert rig.devices[0].rate_hz == 25.0
+    assert (rig.devices[0].name, rig.devices[0].rate_hz) == ("mavlink1", 25.0)
     assert rig.devices[0].mavlink.rates == {"SERVO_OUTPUT_RAW": 40.0}  # four fifths of its loop, by a network
 
 
@@ -59,6 +59,20 @@ def test_a_boat_with_a_rudder_has_no_thruster() -> None:
     assert rig.thrusters == ()
     assert any("output 1 steers" in caveat for caveat in caveats)
     assert any("output 3 is the throttle of both sides" in caveat for caveat in caveats)
+
+
+@pytest.mark.parametrize("changes", [{"SERVO2_FUNCTION": 73.0}, {"SERVO2_FUNCTION": 73.0, "SERVO4_FUNCTION": 73.0}])
+def test_a_second_output_of_a_side_is_a_caveat_and_no_thruster(changes: dict[str, float]) -> None:
+    rig, caveats = tables(**changes)
+    assert [(t.name, t.node) for t in rig.thrusters] == [("left", 1), ("right", 3)]
+    also = [caveat for caveat in caveats if "turns with channel 1, too" in caveat]
+    assert [caveat.partition(" (left)")[0] for caveat in also] == [f"output {name[5]}" for name in changes]
+
+
+def test_sides_on_one_channel_are_one_thruster() -> None:
+    rig, caveats = tables(RCMAP_THROTTLE=1.0)
+    assert [thruster.name for thruster in rig.thrusters] == ["left"]
+    assert any(caveat.startswith("output 3 (right) turns with channel 1, too") for caveat in caveats)
 
 
 @pytest.mark.parametrize("vehicle", ["ArduSub", "ArduCopter", "PX4"])

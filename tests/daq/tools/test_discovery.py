@@ -116,6 +116,13 @@ def test_all_baud_rates_of_the_table_are_tried() -> None:
     assert baud_rates((300,)) == [300]
 
 
+@pytest.mark.parametrize("address", ["tcp:192.168.1.1", "udp:14550x", "udp:127.0.0.1:0"])
+def test_an_address_that_is_none_is_wrong_usage(address: str) -> None:
+    done = CliRunner().invoke(cli.devices, [address])
+    assert done.exit_code == 2, done.output
+    assert f"must be udp:HOST:PORT, udpin:, udpout: or tcp: the same way, not '{address}'" in done.output
+
+
 def test_the_command_writes_what_a_rig_file_needs(tmp_path: Path) -> None:
     baud, say = SAYS["nmea"]
     with device(baud, say) as port:

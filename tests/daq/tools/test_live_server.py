@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from daq.errors import SeatrialError
 from daq.log import schema
 from daq.log.cdr import cdr_layout
 from daq.rig import Live, Rig
-from daq.samples import Ahrs
+from daq.samples import Ahrs, Gnss
 from daq.tools.live_server import LiveServer
 from tests.daq.logs import RIG, T0
 
@@ -37,7 +38,10 @@ def rig(host: str = "127.0.0.1", port: int = 0) -> Rig:
 
 
 def status(t: float) -> Status:
-    latest = {("ahrs", None): Latest(Ahrs(0.5, 0.0, 0.0, r=0.25), t)}
+    latest = {
+        ("ahrs", None): Latest(Ahrs(0.5, 0.0, 0.0, r=0.25), t),
+        ("autopilot/gnss", None): Latest(Gnss(math.nan, 50.0, 8.0, fix=3), t),  # as a device of several kinds
+    }
     return Status(t, {}, latest, {}, 0, "run.mcap", 0, 0, 0.0, "", ())
 
 
@@ -93,11 +97,13 @@ def test_a_client_gets_the_messages_of_the_log() -> None:
         assert server.address.startswith("ws://127.0.0.1:")
         client = Client(int(server.address.rpartition(":")[2]))
         try:
+            channels: dict[str, dict[str, Any]] = {}
             for opcode, data in client.messages():
                 told = json.loads(data) if opcode == 1 else {}
-                channels = {c["topic"]: c for c in told.get("channels", [])}
-                if "/ahrs/imu" in channels:
+                channels |= {c["topic"]: c for c in told.get("channels", [])}
+                if {topic.rpartition("/")[2] for topic in channels} >= {"imu", "gnss", "fix"}:
                     break
+            assert channels.keys() >= {"/ahrs/imu", "/autopilot/gnss", "/autopilot/fix"}
             channel = channels["/ahrs/imu"]
             assert (channel["encoding"], channel["schemaName"]) == ("cdr", schema.IMU)
             subscription = json.dumps({"op": "subscribe", "subscriptions": [{"id": 7, "channelId": channel["id"]}]})

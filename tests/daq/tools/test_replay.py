@@ -19,7 +19,7 @@ from daq.errors import SeatrialError
 from daq.log.reader import open_log
 from daq.protocol import slcan
 from daq.protocol.canframe import CAN_FRAME, pack_can
-from daq.rig import Rig
+from daq.rig import Rig, Ros2
 from daq.samples import Ahrs, Esc
 from daq.tools.replay import as_slcan, replay_log
 from tests.daq.logs import T0, recorder
@@ -31,7 +31,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One and a half seconds of the test boat."""
     folder = tmp_path_factory.mktemp("boat")
     with TestBoat(folder) as boat:
-        rig = parse_rig(boat.rig_path.read_text(), boat.rig_path)
+        rig = parse_rig(f'{boat.rig_path.read_text()}\n[ros2]\nrouter = "tcp/10.0.0.9:7447"\n', boat.rig_path)
         with Acquisition(rig, folder / "log.mcap", clock=RunClock()) as acquisition:
             for port in ("ahrs", "esc"):
                 wait_for(lambda port=port: acquisition.status().ports[port].samples > 120, 30.0, "a hundred samples")
@@ -105,6 +105,7 @@ def test_the_logs_own_rig_stands_beside_the_ports_while_they_are_there(recorded:
     ports = {device.name: device.port for device in rig.devices}
     assert ports == {"ahrs": str(tmp_path / "ports/ahrs"), "esc": f"slcan:{tmp_path}/ports/esc"}
     assert [thruster.device for thruster in rig.thrusters] == ["esc"] * len(own.thrusters)
+    assert own.ros2 != rig.ros2 == Ros2()
     assert (rig.speed, rig.log_directory, rig.name) == (2.0, recorded.parent, own.name)
     assert list((tmp_path / "ports").iterdir()) == []
 

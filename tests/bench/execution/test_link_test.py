@@ -1,0 +1,58 @@
+"""What the log of a link test proves: how soon an output that pushed came to neutral, and nothing where none pushed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.execution.link_test import MUTED, N_TEST, LinkTest, link_test_plan, measure_link_loss
+from daq.errors import SeatrialError
+from tests.daq.mavlink_ends import mav_rig
+
+SILENT, ENDED = 3.0, 3.5  # s: nothing is sent from here on, and the thrust is over
+
+
+def measured(left: float, right: float = N_TEST) -> LinkTest:
+    """Of a log in which both outputs are at these n until ENDED."""
+    rig, t = mav_rig(), np.arange(0.0, 10.0, 0.025)
+    outputs = {1: left, 3: right}
+
+    def table(_kind: object, _device: str, node: int) -> Any:
+        rows = np.zeros(len(t), [("t", "f8"), ("n", "f8")])
+        rows["t"], rows["n"] = t, np.where((t > 1.0) & (t < ENDED), outputs[node], 0.0)
+        return rows
+
+    log: Any = SimpleNamespace(
+        path=Path("link.mcap"),
+        rig=rig,
+        table=table,
+        events=lambda: [(SILENT, MUTED, "")],
+        raw=lambda _device: [(at, "tx", b"") for at in np.arange(0.0, SILENT, 0.02)],
+    )
+    return measure_link_loss(log, rig.device("autopilot"), {}, N_TEST)
+
+
+def test_the_time_from_the_last_frame_to_neutral_is_measured() -> None:
+    found = measured(N_TEST)
+    assert found.seconds == pytest.approx(ENDED - SILENT, abs=0.05)
+    assert (found.passed, found.n) == (True, N_TEST)
+
+
+@pytest.mark.parametrize("n", [0.0, 0.4 * N_TEST, np.nan])
+def test_an_output_that_never_pushed_proves_nothing(n: float) -> None:
+    for outputs, name in (((n, N_TEST), "left"), ((N_TEST, n), "right")):
+        with pytest.raises(SeatrialError, match=f"link.mcap: {name} did not push before the silence") as caught:
+            measured(*outputs)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_limit_below_its_command_is_said() -> None:
+    rig = mav_rig()
+    assert link_test_plan(replace(rig, limits=replace(rig.limits, n_max=N_TEST))).n_max == N_TEST
+    with pytest.raises(SeatrialError, match=r"commands n = 0\.1, and limits\.n_max is 0\.05"):
+        link_test_plan(replace(rig, limits=replace(rig.limits, n_max=0.05)))
