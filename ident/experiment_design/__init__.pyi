@@ -5,6 +5,7 @@ from .discrimination import separation as separation
 from .excitation import SHAFT_POLE as SHAFT_POLE
 from .excitation import StepInput as StepInput
 from .excitation import ThrusterResponse as ThrusterResponse
+from .excitation import not_commanded as not_commanded
 from .information import InformationSegment as InformationSegment
 from .information import segment_information as segment_information
 from .optimal_design import BaselineSignal as BaselineSignal

@@ -12,7 +12,7 @@ import numpy as np
 from daq.errors import SeatrialError
 from ident.data import WHOLE, LoadedLog, Record, TimeWindow, load_runs, make_record
 from ident.estimation import dynamic_parameters, fit, load_model, reported_units, without_absent_sensors
-from ident.experiment_design import InformationSegment, segment_information
+from ident.experiment_design import InformationSegment, not_commanded, segment_information
 from ident.model import Model
 from ident.numerics import Array
 from ident.report import write_report
@@ -95,7 +95,7 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
             for r in records
             for row in record_inputs(model, r)
         ),
-        notes=tuple(_notes(parameters, records)),
+        notes=tuple(_notes(parameters, records, model)),
     )
     out.mkdir(parents=True, exist_ok=True)
     write_result(result, out / "result.json")
@@ -206,7 +206,7 @@ def _is_known(p: InformedParameter) -> bool:
     return p.se is not None and (p.value == 0 or abs(p.se) < VAGUE * abs(p.value))
 
 
-def _notes(parameters: Sequence[InformedParameter], records: Sequence[Record]) -> list[str]:
+def _notes(parameters: Sequence[InformedParameter], records: Sequence[Record], model: Model) -> list[str]:
     notes = [
         f"{r.name}: not in the log, so done without: {', '.join(missing)}."
         for r in records
@@ -214,7 +214,7 @@ def _notes(parameters: Sequence[InformedParameter], records: Sequence[Record]) -
     ]
     notes += [f"{p.name}: nothing in these logs tells of it." for p in parameters if p.se is None]
     vague = ",".join(p.name for p in parameters if not _is_known(p))
-    if vague:
+    if vague and not not_commanded(model):
         notes.append(
             "The mission that tells most of what is hardly known: seatrial mission design MODEL "
             f"--criterion Ds --parameters {vague}"

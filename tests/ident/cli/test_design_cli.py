@@ -151,6 +151,8 @@ def test_between_two_effects(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         (("horizontal", "--thrusters", "one"), 1, "--thrusters names 1"),
         (("horizontal", "--steps", "100"), 1, "do not fit"),
         (("catamaran",), 1, "no model 'catamaran'"),
+        (("kinematic:shaft",), 1, "thrusters do not make its input phi, theta, psi, p, q, r; take a model without"),
+        (("thruster",), 1, "no mission can be designed for model thruster: it is of a thruster on its bench"),
         (("none.toml",), 1, "none.toml: No such file"),
         (("horizontal:shaft:no-current", "--area", "1x1"), 1, "give more room"),
     ],

@@ -186,6 +186,9 @@ def test_inputs_of_other_models() -> None:
     general = replace(ThrusterResponse(horizontal_model("general"), t), pole=np.inf)
     assert general.channels == ("left", "right")
     np.testing.assert_allclose(general.inputs(both)[0, :, 0], [2 * 1.11 * 0.25, moment])
+    bow = replace(surge_model("force"), inputs=(Input("f_bow", "N"),))
+    thrust = replace(ThrusterResponse(bow, t), pole=np.inf).inputs(n)[0, 0, 0]
+    assert thrust == pytest.approx((40.05 + 1.11) * 0.25)
     past = ThrusterResponse(horizontal_model() + catalogue()["delay"], t)
     u = past.inputs(both)[:, :, 0]
     names = [i.name for i in past.model.inputs]

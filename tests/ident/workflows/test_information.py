@@ -14,8 +14,9 @@ from msgspec.structs import replace
 import seatrial
 from daq.log.recorder import Recorder
 from daq.samples import NAN, Ahrs, Frame
+from ident.models.catalogue import make_model
 from ident.results.commands import InformedParameter
-from ident.workflows.information import _answer, _longest
+from ident.workflows.information import _answer, _longest, _notes
 from mocks.offline_simulation import simulate
 from tests.missions import T0, StandingClock, boat_with, rig_of
 
@@ -184,3 +185,10 @@ def test_the_answer_says_what_hangs_on_what() -> None:
     assert _answer([replace(row, se=30.0)], 2).endswith("Hardly known from all of it: m_v.")
     assert _answer([replace(row, se=None)], 2) == "These logs tell nothing of any parameter."
     assert "--seconds" in _answer([row], 1)
+
+
+def test_a_design_is_recommended_only_for_a_model_that_it_takes() -> None:
+    row = InformedParameter(record="a", t_from=0.0, t_to=30.0, what="", name="m_v", meaning="", unit="kg", value=40.0,
+                            se=30.0, weight=2.5, alone=None)  # fmt: skip
+    for model, advised in (("horizontal:shaft", True), ("kinematic:shaft", False), ("thruster", False)):
+        assert any("seatrial mission design" in line for line in _notes([row], [], make_model(model))) == advised
