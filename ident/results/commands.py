@@ -256,6 +256,7 @@ class GnssOutage(Part, frozen=True, kw_only=True):
     end: Annotated[float, Meta(description="[s of the log]")]
     duration: Annotated[float, Meta(description="[s]")]
     open: Annotated[bool, Meta(description="no fix came after it")]
+    leading: Annotated[bool, Meta(description="no fix came before it: what is predicted for its end is a guess")]
     withheld: Annotated[bool, Meta(description="on purpose (`--gnss-outage`)")]
     north: Annotated[float, Meta(description="predicted for the end without GNSS [m]")]
     east: Annotated[float, Meta(description="[m]")]
