@@ -1,4 +1,5 @@
 from .criteria import Kind as Kind
+from .criteria import characteristic_steps as characteristic_steps
 from .discrimination import DiscriminationDesign as DiscriminationDesign
 from .discrimination import discriminate as discriminate
 from .discrimination import separation as separation

@@ -98,6 +98,11 @@ class ThrusterResponse:
         first = begin[index, :, lane].transpose(0, 2, 1)
         return np.asarray(first + np.clip(wanted - first, -since, since))
 
+    @property
+    def shafts_are_states(self) -> bool:
+        """The model takes commands and has the shafts' lag itself."""
+        return any(i.name == "n_cmd_left" for i in self.model.inputs)
+
     def shaft(self, command: Array) -> Array:
         """Shaft speeds: first-order response to held commands, exact at the equidistant rows."""
         if not np.isfinite(self.pole):
@@ -107,7 +112,7 @@ class ThrusterResponse:
     def inputs(self, command: Array) -> Array:
         """The model's inputs (n_rows, n_inputs, n) under commands (n_rows, n_channels, n)."""
         n = dict(zip(self.channels, self.shaft(command).transpose(1, 0, 2), strict=True))
-        if any(i.name == "n_cmd_left" for i in self.model.inputs):  # its shafts are states
+        if self.shafts_are_states:
             n = dict(zip([f"n_cmd_{c}" for c in self.channels], command.transpose(1, 0, 2), strict=True))
         columns = [
             self._earlier(self._column(i.tap_of, n), i.delay) if i.tap else self._column(i.name, n)

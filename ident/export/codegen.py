@@ -162,12 +162,13 @@ def equivalent_noise(whole: Model, kept: Model) -> EquivalentNoise:
     A, H = compiled.rate_jacobian(*at_rest)[0], compiled.output_jacobian(*at_rest)[0]
     gone = [j for j, s in enumerate(whole.states) if s.name not in left and A[j, j] < 0]
     q = np.array([values[s.noise] if isinstance(s.noise, str) else s.noise for s in (whole.states[j] for j in gone)])
-    tau = -1.0 / A[gone, gone]
-    rates, outputs = A[[names.index(s.name) for s in kept.states]][:, gone] * q * tau, H[:, gone] * q * np.sqrt(tau / 2)
+    decay = -A[gone, gone]
+    rates = A[[names.index(s.name) for s in kept.states]][:, gone] * q / decay
+    outputs = H[:, gone] * q / np.sqrt(2 * decay)
     return EquivalentNoise(
         np.sqrt((rates**2).sum(axis=1)),
         np.sqrt((outputs**2).sum(axis=1)),
-        np.where(outputs != 0.0, tau, 0.0).max(axis=1, initial=0.0),
+        np.where(outputs != 0.0, 1.0 / decay, 0.0).max(axis=1, initial=0.0),
     )
 
 

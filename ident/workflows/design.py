@@ -131,7 +131,9 @@ def make_design(source: str, wish: DesignRequest, out: Path, command: str, repor
         inputs=tuple(CommandTrace(name=c, t=task.t, value=made.command[:, k])
                      for k, c in enumerate(task.actuation.channels)),
         track=None if track is None else _track(track, task.limits), apart=apart,
-        warnings=tuple(design_warnings(task.model, task.actuation.full_thrust)),
+        warnings=tuple(design_warnings(
+            task.model, task.actuation.full_thrust, None if task.actuation.shafts_are_states else task.actuation.pole
+        )),
     )  # fmt: skip
     title = " against ".join(wish.between) or f"{wish.criterion}-optimal for {', '.join(_chosen(task))}"
     save_new_mission(designed_mission(f"steps, {title}", thrusters, made, track, wish, source, command), out)
