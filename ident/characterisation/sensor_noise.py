@@ -27,6 +27,8 @@ UNKNOWN = 1e3  # of the channel's scale: what is not known of the first sample. 
 # white noise to zero, as the likelihood of the first sample has no bound there.
 Z95_ONE_SIDED = 1.645
 PILE_UP = 17.0  # n walk sqrt(interval) / white, from which a walk is found in 95 of 100 records
+HEAVY = 4.0  # kurtosis above which standard errors are off by a fifth and more; 3: normal
+COARSE = 2.0  # standard deviations of the innovations: with longer steps between values their noise is hardly seen
 N_SEGMENTS = 8  # half-overlapping, of Welch's method
 
 
@@ -34,8 +36,9 @@ N_SEGMENTS = 8  # half-overlapping, of Welch's method
 class NoiseFit:
     """One axis. white [unit] and walk [unit/sqrt(s)] with standard errors (NaN: none was found, see ``flags``);
     white_limit, walk_limit: larger ones would have been found in 95 of 100 such records; interval [s] the median
-    between samples; c, sd_innovation of the innovation form at that interval; innovations (n,) standardised;
-    ljung_box: p value; largest_correlation of the innovations; departures: by how much they are not white."""
+    between samples; c, sd_innovation of the innovation form at that interval; innovations (n,) standardised, at t (n,)
+    [s] from the first sample; ljung_box: p value; largest_correlation of the innovations; departures: by how much they
+    are not white; resolution [unit] the median step between values that occur."""
 
     name: str
     n: int
@@ -48,6 +51,8 @@ class NoiseFit:
     sd_innovation: float
     log_likelihood: float
     innovations: Array
+    t: Array
+    resolution: float
     ljung_box: float
     largest_correlation: float
     departures: WhitenessDiagnostics
@@ -66,6 +71,21 @@ class NoiseFit:
         return PILE_UP * self.white / (self.n * float(np.sqrt(self.interval)))
 
     @property
+    def kurtosis(self) -> float:
+        """Of the innovations; 3 where they are normal."""
+        return _kurtosis(self.innovations)
+
+    @property
+    def heavy_tailed(self) -> bool:
+        """The innovations are not normal, significantly and by enough to matter."""
+        return _heavy_tailed(self.innovations)
+
+    @property
+    def coarse(self) -> bool:
+        """The noise is small beside the resolution, which then decides what is found of it."""
+        return self.resolution > COARSE * self.sd_innovation
+
+    @property
     def rejected(self) -> bool:
         """The innovations are not white, significantly and by enough to matter."""
         return self.departures.matter
@@ -78,7 +98,8 @@ class NoiseFit:
 
 
 def estimate_noise(channel: Channel, name: str = "") -> NoiseFit:
-    """White noise and random walk of one axis at rest. Samples that are NaN are left out."""
+    """White noise and random walk of one axis at rest. Samples that are NaN are left out. Where the innovations have
+    heavy tails the standard errors are those of a variance with their kurtosis. Raises ValueError."""
     name = name or channel.source or "channel"
     good = np.isfinite(channel.value) & np.isfinite(channel.t) & np.append(True, np.diff(channel.t) > 0)
     t, y = channel.t[good], channel.value[good]
@@ -96,12 +117,24 @@ def estimate_noise(channel: Channel, name: str = "") -> NoiseFit:
     (white, white_error), (walk, walk_error) = (found.estimate(n) for n in ("white", "walk"))
     c, sd = innovation_form(white, walk, dt)
     eps = run.standardised[:, 0]
+    # Of a variance that is estimated from innovations of this kurtosis: a single jump is one event and not n.
+    spread = float(np.sqrt((_kurtosis(eps) - 1.0) / 2.0)) if _heavy_tailed(eps) else 1.0
     acf = autocorrelation(eps, N_LAGS)
     p, largest = ljung_box(acf, eps.size, n_fitted=2), float(acf[np.argmax(np.abs(acf))])  # white and walk
     flags = tuple(f"{n}: {what}" for n, what in found.flags)
     return NoiseFit(
-        name, t.size, dt, white * scale, white_error * scale, walk * scale, walk_error * scale, c, sd * scale,
-        found.log_likelihood - t.size * float(np.log(scale)), eps, p, largest, whiteness_diagnostics(eps), flags)
+        name, t.size, dt, white * scale, white_error * spread * scale, walk * scale, walk_error * spread * scale, c,
+        sd * scale, found.log_likelihood - t.size * float(np.log(scale)), eps, t - t[0],
+        float(np.median(np.diff(np.unique(y)))) * scale, p, largest, whiteness_diagnostics(eps), flags)
+
+
+def _kurtosis(e: Array) -> float:
+    return float(np.mean(e**4) / np.mean(e**2) ** 2)
+
+
+def _heavy_tailed(e: Array) -> bool:
+    """Six of the standard errors that a normal one has: by chance in fewer than one record in a thousand."""
+    return _kurtosis(e) > max(HEAVY, 3.0 + 6.0 * float(np.sqrt(24.0 / e.size)))
 
 
 def innovation_form(white: float, walk: float, dt: float) -> tuple[float, float]:

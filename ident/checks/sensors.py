@@ -160,12 +160,10 @@ def position_match(c: Channels) -> Match | None:
     if not {"x", "y", "vx", "vy"} <= set(c):
         return None
     t = grid(*(c[n] for n in ("x", "y", "vx", "vy")))
-    speeds = np.hypot(c["vx"].value, c["vy"].value)
-    if t.size < 400 or np.median(speeds) < 0.1:
+    way, velocity = ([np.interp(t, c[n].t, c[n].value) for n in names] for names in (("x", "y"), ("vx", "vy")))
+    if t.size < 400 or np.median(np.hypot(*velocity)) < 0.1:
         return None
-    way = [np.interp(t, c[n].t, c[n].value) for n in ("x", "y")]
-    integrals = [cumulative(t, np.interp(t, c[n].t, c[n].value)) for n in ("vx", "vy")]
-    return _best(t, way, [integrals], 5.0)
+    return _best(t, way, [[cumulative(t, v) for v in velocity]], 5.0)
 
 
 def position_and_velocity(c: Channels, found: Match | None) -> Iterator[Finding]:

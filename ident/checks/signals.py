@@ -139,7 +139,7 @@ def _moves(c: Channels, group: Sequence[str], whole: bool, begin: float, end: fl
     kinds = ("n", "f", "n_cmd")
     inputs = {n: _part(c[n], begin, end) for n in c if n.rpartition("_")[0] in kinds}
     most = max((float(np.abs(c[n].value).max()) for n in inputs), default=0.0)
-    pairs = [(inputs[f"{k}_left"], inputs[f"{k}_right"]) for k in kinds if f"{k}_left" in inputs]
+    pairs = [(inputs[f"{k}_left"], inputs[f"{k}_right"]) for k in kinds if {f"{k}_left", f"{k}_right"} <= set(inputs)]
     steps = np.linspace(begin, end, 50)
     sides = [(np.interp(steps, *a), np.interp(steps, *b)) for a, b in pairs if a[0].size and b[0].size]
     if group in PLACES and sides:  # that it turns says nothing: on the spot its place may well stay the same

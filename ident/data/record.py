@@ -330,6 +330,9 @@ N_AGREE = 7  # samples of a sensor with outliers that the first is chosen from
 # A sample at the start is an outlier where it is farther from a straight line than both of
 START_OUTLIER_GATE = 4.0  # times the least distance of all, and
 SAMPLE_OUTLIER_GATE = 4.0 * SECOND_DIFFERENCE / NORMAL_MAD  # standard deviations of the noise: 6.6, beyond any chance
+LATE = 2.0  # usual intervals of an output, after which its first measurement is late
+FAST = 0.95  # quantile of an output's rates of change: beyond it are outliers
+UNKNOWN_ANGLE = float(np.pi / np.sqrt(3.0))  # rad, standard deviation of a direction of which nothing is known
 
 
 @dataclass(frozen=True)
@@ -338,6 +341,7 @@ class Prepared:
 
     rows: ``u``, ``u_next`` (n_rows, n_inputs), ``y`` (n_rows, n_outputs), ``h`` (n_rows,) [s]; mask (n_rows,): a bit
     for each sensor that has a sample in that row; first (n_outputs,): the first measurement, NaN where there is none;
+    moved (n_outputs,): how far the output may have moved before it, zero unless it came late;
     n_measured: measured values; outliers (n_rows, n_outputs): those before the first measurement, without their bit;
     start: of ``Record``.
     """
@@ -346,6 +350,7 @@ class Prepared:
     rows: dict[str, Array]
     mask: NDArray[np.uint32]
     first: Array
+    moved: Array
     n_measured: int
     outliers: NDArray[np.bool_]
     start: Mapping[str, tuple[float, float]]
@@ -393,7 +398,8 @@ class Preparer:
         rows = {"u": record.u, "u_next": record.u_next, "y": record.y, "h": record.h}
         contiguous = {name: np.ascontiguousarray(a, dtype=np.float64) for name, a in rows.items()}
         n_measured = int((there & ~outliers).sum())
-        return Prepared(record.n_rows, contiguous, mask, first, n_measured, outliers, record.start)
+        moved = _moved(model, record, there & ~outliers)
+        return Prepared(record.n_rows, contiguous, mask, first, moved, n_measured, outliers, record.start)
 
     def _check(self, record: Record) -> None:
         model, n = self.model, record.n_rows
@@ -429,6 +435,25 @@ def _first(model: Model, record: Record, there: NDArray[np.bool_]) -> tuple[Arra
         k = _agreeing(record.t[rows], record.y[rows, j], output.angle) if output.robust else 0
         found[j], outliers[rows[:k], j] = record.y[rows[k], j], True
     return found, outliers
+
+
+def _moved(model: Model, record: Record, there: NDArray[np.bool_]) -> Array:
+    """How far each output may have moved before its first measurement (n_outputs,), where that came late: by how fast
+    it and others of its unit change, as boats turn."""
+    delay, rate = np.zeros(there.shape[1]), np.zeros(there.shape[1])
+    for j in np.flatnonzero(there.sum(axis=0) > 1):
+        t = record.t[there[:, j]]
+        steps, late = np.diff(t), t[0] - record.t[0]
+        if late > LATE * np.median(steps):
+            delay[j] = late
+        change = wrap(np.diff(record.y[there[:, j], j]), model.outputs[j].angle)
+        rate[j] = np.quantile(np.abs(change) / steps, FAST)
+    found = np.zeros(there.shape[1])
+    for j in np.flatnonzero(delay):
+        o = model.outputs[j]
+        fastest = max(rate[k] for k, other in enumerate(model.outputs) if other.unit == o.unit)
+        found[j] = min(fastest * delay[j], UNKNOWN_ANGLE if o.angle else np.inf)
+    return found
 
 
 def _agreeing(t: Array, samples: Array, angle: bool) -> int:
@@ -475,7 +500,8 @@ class InitialCondition:
 
 
 def initial_condition(model: Model, values: Array, data: Prepared, covariance: bool) -> InitialCondition:
-    """Mean: first measurement (``from_output``), what the record says, parameter or number; covariance: diag(sd0^2)."""
+    """Mean: first measurement (``from_output``), what the record says, parameter or number; covariance: diag(sd0^2),
+    with what a state may have moved before its first measurement."""
     n = len(model.states)
     outputs = [o.name for o in model.outputs]
     index = {p.name: i for i, p in enumerate(model.parameters)}
@@ -497,7 +523,7 @@ def initial_condition(model: Model, values: Array, data: Prepared, covariance: b
             at = n + i * n - i * (i - 1) // 2  # of P[i, i] in the upper triangle
             sd = values[index[state.sd0]] if isinstance(state.sd0, str) else state.sd0
             sd = sd if begins is None else begins[1]
-            s[at] = sd * sd
+            s[at] = sd * sd + (data.moved[outputs.index(state.from_output)] ** 2 if np.isfinite(measured) else 0.0)
             if isinstance(state.sd0, str) and begins is None:
                 tangent.append((at, index[state.sd0], 2.0 * float(sd)))
     return InitialCondition(s, tuple(tangent))

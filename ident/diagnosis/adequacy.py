@@ -19,7 +19,8 @@ import numpy as np
 from ident.diagnosis.results import Diagnosis, EffectAttribution, EffectImportance, Refit, Round
 from ident.diagnosis.score_test import Score
 from ident.estimation import AT_BOUND, Fit, FittedModel, ReportedEstimates
-from ident.model import Effect, EffectKind, ModelKind, Parameter
+from ident.experiment_design import not_commanded
+from ident.model import Effect, EffectKind, Parameter
 from ident.models import READINGS, THRUST_LOSSES
 
 # Largest criterion (2 ln L less the penalty of the parameters) that a score test may still find beside an identified
@@ -251,7 +252,7 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
         for other in others[:1]:
             lines.append(f"To tell {effect.title} from {titles[other]}: {effect.experiment}.")
             named = {q.effect.name for q in one.refits if q.effect.kind is EffectKind.CATALOGUE}
-            if diagnosis.before.model.kind is ModelKind.VEHICLE and {effect.name, other} <= named:
+            if {effect.name, other} <= named and not not_commanded(diagnosis.before.model):
                 lines.append(f"`seatrial mission design MODEL --discriminate {effect.name},{other}` makes the mission.")
         if judged is not None and judged.attribution == "ambiguous" and not others:
             lines.append(f"To see whether it is {effect.title}: {effect.experiment}.")

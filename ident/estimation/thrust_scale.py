@@ -49,6 +49,15 @@ class ThrustScale:
         """Whether those of the yaw equation are known as ratios to the arm only."""
         return self.arm in (BUILT_IN, ESTIMATED)
 
+    @property
+    def caveats(self) -> tuple[str, ...]:
+        """Lines to read before numbers of the model that stand in kg and N all the same, as other programs need them;
+        none where they are right."""
+        thrust = ("Nobody gave the thrust: masses, damping and forces are right as ratios to c1 + c2 only, not in",
+                  "kg and N; the motion that they predict is right.")
+        arms = ("Nobody gave the arms: inertia and damping in yaw are right as ratios to them only.",)
+        return (*(thrust if self.relative else ()), *(arms if self.relative_yaw else ()))
+
     def powers(self, unit: str) -> tuple[int, int]:
         """Powers of the thrust and of the arm by which what has this unit is divided."""
         power = force_power(unit)

@@ -1,10 +1,12 @@
 from .criteria import Kind as Kind
+from .criteria import characteristic_steps as characteristic_steps
 from .discrimination import DiscriminationDesign as DiscriminationDesign
 from .discrimination import discriminate as discriminate
 from .discrimination import separation as separation
 from .excitation import SHAFT_POLE as SHAFT_POLE
 from .excitation import StepInput as StepInput
 from .excitation import ThrusterResponse as ThrusterResponse
+from .excitation import not_commanded as not_commanded
 from .information import InformationSegment as InformationSegment
 from .information import segment_information as segment_information
 from .optimal_design import BaselineSignal as BaselineSignal

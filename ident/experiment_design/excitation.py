@@ -15,14 +15,31 @@ from scipy import signal
 
 from daq.errors import SeatrialError
 from ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
-from ident.model import Model
+from ident.model import Model, ModelKind
 from ident.numerics import Array, first_order_lag
 
 SIDES = ("left", "right")
 SHAFT_POLE = 2.794  # 1/s, thesis Table 2
 THRUST = {"c1": 40.05, "c2": 1.11}  # N, thesis Table 2
 ARM = 0.15  # m, thesis section 4
+COMMANDED = {"n", "f", "X", "N"}  # what thrusters make: shaft speeds and commands, forces, their sums
 COMMON_MODE, DIFFERENTIAL_MODE = (("X",), ("n",)), (("N",),)  # the input of models that have only one
+
+
+def not_commanded(model: Model) -> str:
+    """Why no mission can be designed for a model, as the end of a sentence: thrusters do not make all of its inputs.
+    Empty where they do."""
+    if model.kind is ModelKind.BENCH:
+        return "it is of a thruster on its bench, whose plans `seatrial bench` runs"
+    inputs = _commanded(model)
+    others = [n for n in inputs if n.partition("_")[0] not in COMMANDED]
+    if others:
+        return f"thrusters do not make its input {', '.join(others)}; take a model without, such as horizontal:shaft"
+    return "" if inputs else "it has no input that thrusters make"
+
+
+def _commanded(model: Model) -> list[str]:
+    return [i.name for i in model.inputs if not i.tap and i.name not in (TIME_INPUT, WORK_INPUT)]
 
 
 @dataclass(frozen=True)
@@ -40,7 +57,7 @@ class ThrusterResponse:
     @property
     def channels(self) -> tuple[str, ...]:
         """The two thrusters, or the inputs of the model where it has other ones."""
-        names = self._own
+        names = _commanded(self.model)
         two = len(names) == 2 and all(n in ("X", "N") or n.rpartition("_")[2] in SIDES for n in names)
         return SIDES if two else tuple(names)
 
@@ -59,11 +76,6 @@ class ThrusterResponse:
         if self.channels in COMMON_MODE:
             return np.hstack([levels, levels])
         return np.hstack([levels, -levels]) if self.channels in DIFFERENTIAL_MODE else levels
-
-    @property
-    def _own(self) -> list[str]:
-        names = [i.name for i in self.model.inputs if not i.tap]
-        return [n for n in names if n not in (TIME_INPUT, WORK_INPUT)]
 
     def limited(self, levels: Array, durations: Array) -> Array:
         """Commands (n_rows, n_channels, n) of step sequences: levels (n_steps, n_channels, n) held for durations
@@ -86,6 +98,11 @@ class ThrusterResponse:
         first = begin[index, :, lane].transpose(0, 2, 1)
         return np.asarray(first + np.clip(wanted - first, -since, since))
 
+    @property
+    def shafts_are_states(self) -> bool:
+        """The model takes commands and has the shafts' lag itself."""
+        return any(i.name == "n_cmd_left" for i in self.model.inputs)
+
     def shaft(self, command: Array) -> Array:
         """Shaft speeds: first-order response to held commands, exact at the equidistant rows."""
         if not np.isfinite(self.pole):
@@ -95,7 +112,7 @@ class ThrusterResponse:
     def inputs(self, command: Array) -> Array:
         """The model's inputs (n_rows, n_inputs, n) under commands (n_rows, n_channels, n)."""
         n = dict(zip(self.channels, self.shaft(command).transpose(1, 0, 2), strict=True))
-        if any(i.name == "n_cmd_left" for i in self.model.inputs):  # its shafts are states
+        if self.shafts_are_states:
             n = dict(zip([f"n_cmd_{c}" for c in self.channels], command.transpose(1, 0, 2), strict=True))
         columns = [
             self._earlier(self._column(i.tap_of, n), i.delay) if i.tap else self._column(i.name, n)
@@ -112,8 +129,8 @@ class ThrusterResponse:
         kind, _, side = name.partition("_")
         if kind == "n" and side in n:
             return n[side]
-        if kind == "f" and side in n:
-            return self._force(n[side])
+        if kind == "f":
+            return self._force(n[side] if side in n else n[name])
         if name not in ("X", "N"):
             return n[name]
         first = n.get("left", n.get(name))

@@ -289,7 +289,8 @@ def segment_information(model: Model, records: Sequence[Record], names: Sequence
 def _increments(model: Model, record: Record, values: Array | None, free: Sequence[str], seconds: float
                 ) -> list[tuple[float, float, Array]]:
     """Start and end [s] of each segment, and the information that it adds."""
-    edges = np.append(np.arange(0.0, record.duration - seconds / 2, seconds), record.duration) + record.t[0]
+    starts = np.arange(0.0, max(record.duration - seconds / 2, seconds / 2), seconds)  # of a short record one
+    edges = np.append(starts, record.duration) + record.t[0]
     past = edges[-1] + 1.0  # the last row belongs to the last segment
     ends = [record.part(record.t[0], past if k == edges.size - 1 else float(edges[k])) for k in range(1, edges.size)]
     totals = parallel(partial(_total, model, ends, values, free), [slice(k, k + 1) for k in range(len(ends))], 2)

@@ -81,7 +81,8 @@ class Design:
 def predicted_errors(task: DesignProblem, command: Array) -> dict[str, float]:
     """Standard errors of ``task.learned`` after a command (n_rows, n_channels) on the rows of ``task.finer``, by
     prediction error, with unknown noise parameters."""
-    model, fine, q = task.model, task.finer, len(task.learned)
+    fine, q = task.finer, len(task.learned)
+    model = fine.observed(task.model)
     u = fine.actuation.inputs(command[:, :, None])[:, :, 0]
     record = planned_record(model, fine.t, u, fine.every)
     free = [*task.learned, *[p.name for p in model.parameters if p.free and p.name not in task.learned]]

@@ -89,7 +89,8 @@ class DesignProblem:
         robust: parameter samples over which the criterion is averaged (0: nominal only; with D this is ELD optimality,
             Walter and Pronzato 1997, section 6.4).
         process_noise: information of prediction error, else of output error.
-        grid: s between rows; a faster sensor counts with the noise of its mean over a row.
+        grid: s between rows; where a sensor's rate is another than its rows have, its noise is larger or smaller by the
+            root of the ratio.
     """
 
     model: Model
@@ -126,8 +127,8 @@ class DesignProblem:
         """The model with the measurement noise that its sensors have on the rows of this problem."""
         noise: dict[str, float] = {}
         for s in model.sensors:
-            shrink = np.sqrt(min(1.0, 1.0 / (self.rate(s.name) * self.grid)))
-            noise |= {o.noise: model.parameter(o.noise).value * float(shrink) for o in s.outputs}
+            factor = np.sqrt(1.0 / (self.rate(s.name) * self.every[s.name] * self.grid))
+            noise |= {o.noise: model.parameter(o.noise).value * float(factor) for o in s.outputs}
         return model.with_values(noise)
 
     @cached_property

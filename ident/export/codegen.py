@@ -20,8 +20,9 @@ import numpy as np
 
 from ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
 from ident.engine import VectorisedModel
-from ident.estimation import SavedModel
+from ident.estimation import SavedModel, scale_of
 from ident.model import Input, Model, Parameter, ParameterRole, Signals, State
+from ident.numerics import Array
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,9 @@ class Content:
             noise.
         values, errors: of ``parameters`` (NaN: no standard error).
         state_noise: diffusions [unit/sqrt(s)].
-        output_noise: standard deviations.
+        output_noise: standard deviations, with the lasting errors that are not exported.
         left_out: disturbance states that are not exported.
+        lasting: for how long [s] what they add to an output lasts, by output.
     """
 
     name: str
@@ -49,6 +51,7 @@ class Content:
     state_noise: tuple[float, ...]
     output_noise: tuple[float, ...]
     left_out: tuple[str, ...]
+    lasting: Mapping[str, float]
 
     @cached_property
     def own(self) -> tuple[Parameter, ...]:
@@ -88,15 +91,18 @@ def content(saved: SavedModel, *, name: str | None = None, nuisance: bool = Fals
     own = [p for p in model.parameters if p.name in used]
     values = model.values
     noise = [values[s.noise] if isinstance(s.noise, str) else float(s.noise) for s in model.states]
-    extra = equivalent_process_noise(saved.model, model) if gone else [0.0] * len(noise)
+    extra = equivalent_noise(saved.model, model)
+    white = [values[o.noise] if o.noise else 0.0 for o in model.outputs]
+    outputs = identifiers(o.name for o in model.outputs)
     return Content(
         prefix(name or model.name), model, saved,
         identifiers(s.name for s in model.states), identifiers(i.name for i in model.inputs),
-        identifiers(o.name for o in model.outputs), identifiers(p.name for p in own),
+        outputs, identifiers(p.name for p in own),
         tuple(p.value for p in own), tuple(saved.errors.get(p.name, math.nan) for p in own),
-        tuple(math.hypot(a, b) for a, b in zip(noise, extra, strict=True)),
-        tuple(values[o.noise] if o.noise else 0.0 for o in model.outputs),
-        tuple(s.name for s in gone))
+        tuple(math.hypot(a, b) for a, b in zip(noise, extra.process, strict=True)),
+        tuple(math.hypot(a, b) for a, b in zip(white, extra.output, strict=True)),
+        tuple(s.name for s in gone),
+        {n: tau for n, tau in zip(outputs, extra.lasting, strict=True) if tau > 0.0})
 
 
 def identifiers(names: Iterable[str]) -> tuple[str, ...]:
@@ -135,24 +141,35 @@ def without_nuisance(model: Model) -> tuple[Model, tuple[State, ...]]:
     return smaller, tuple(s for s in model.states if s.name in states)
 
 
-def equivalent_process_noise(whole: Model, kept: Model) -> list[float]:
-    """Removed disturbance forces as white process noise of the rates: the same variance over times longer than their
-    correlation time, ``|d rate / d force| q tau`` at rest [unit/sqrt(s)]."""
-    names = [s.name for s in whole.states]
-    values = whole.values
-    at_rest = np.zeros((1, len(names)))
-    A = VectorisedModel(whole).rate_jacobian(
-        at_rest, np.zeros((1, len(whole.inputs))), np.array(list(values.values()))
-    )[0]
-    found = []
-    for state in kept.states:
-        variance = 0.0
-        for j, force in enumerate(whole.states):
-            if force.name not in {s.name for s in kept.states} and A[j, j] < 0:
-                diffusion = values[force.noise] if isinstance(force.noise, str) else float(force.noise)
-                variance += (A[names.index(state.name), j] * diffusion / A[j, j]) ** 2
-        found.append(math.sqrt(variance))
-    return found
+@dataclass(frozen=True)
+class EquivalentNoise:
+    """White noise in place of removed states: process (n_states,) [unit/sqrt(s)] and output (n_outputs,) [unit] of the
+    states and outputs that are kept; lasting (n_outputs,): correlation time of what they add to an output, the longest
+    [s]; 0: nothing."""
+
+    process: Array
+    output: Array
+    lasting: Array
+
+
+def equivalent_noise(whole: Model, kept: Model) -> EquivalentNoise:
+    """Removed Gauss-Markov states as white noise, by the Jacobians at rest: of the rates with the same variance over
+    times longer than their correlation time, ``|d rate / d state| q tau``, of the outputs with their stationary
+    variance, ``(d output / d state)^2 q^2 tau / 2``. Random walks, which have none, are left out."""
+    names, left = [s.name for s in whole.states], {s.name for s in kept.states}
+    values, compiled = whole.values, VectorisedModel(whole)
+    at_rest = np.zeros((1, len(names))), np.zeros((1, len(whole.inputs))), np.array(list(values.values()))
+    A, H = compiled.rate_jacobian(*at_rest)[0], compiled.output_jacobian(*at_rest)[0]
+    gone = [j for j, s in enumerate(whole.states) if s.name not in left and A[j, j] < 0]
+    q = np.array([values[s.noise] if isinstance(s.noise, str) else s.noise for s in (whole.states[j] for j in gone)])
+    decay = -A[gone, gone]
+    rates = A[[names.index(s.name) for s in kept.states]][:, gone] * q / decay
+    outputs = H[:, gone] * q / np.sqrt(2 * decay)
+    return EquivalentNoise(
+        np.sqrt((rates**2).sum(axis=1)),
+        np.sqrt((outputs**2).sum(axis=1)),
+        np.where(outputs != 0.0, 1.0 / decay, 0.0).max(axis=1, initial=0.0),
+    )
 
 
 def header(c: Content, target: str) -> list[str]:
@@ -208,6 +225,14 @@ def _remarks(c: Content) -> list[str]:
             "(disturbance forces and sensor offsets; `--with-disturbance-states` keeps them). Over times longer than",
             "their correlation time the forces are part of the process noise here.",
         ]
+    if c.lasting:
+        lasting = ", ".join(f"{n} ({tau:.2g} s)" for n, tau in c.lasting.items())
+        lines += [
+            f"The noise of outputs has what they add to it, with how long that lasts: {lasting}.",
+            "A filter that takes it for white should use samples that far apart, or keep the states.",
+        ]
+    if ratios := scale_of(c.saved.model).caveats:
+        lines += ["", *ratios]
     own = [n for n, p in zip(c.parameters, c.own, strict=True) if p.per_record]
     if own:
         lines += ["", f"Different in each run: {', '.join(own)}. Set them; the values here are the means of the",
@@ -220,9 +245,9 @@ def _unit(unit: str) -> str:
 
 
 def comment(c: Content, i: int) -> str:
-    """Comment of a parameter: unit, standard error, meaning."""
+    """Comment of a parameter: unit, standard error or where its value comes from, meaning."""
     p, error = c.own[i], c.errors[i]
-    known = f"+- {error:.3g}" if math.isfinite(error) else "" if p.free else "given"
+    known = f"+- {error:.3g}" if math.isfinite(error) else "" if p.free else f"{p.provenance},"
     return " ".join(" ".join(part for part in (_unit(p.unit), known, p.meaning) if part).split())
 
 

@@ -53,10 +53,12 @@ class OutageErrors:
 
 @dataclass(frozen=True)
 class Outage:
-    """One outage, from the last fix before it to the first fix after it, or to the last row (``open``).
+    """One outage, from the last fix before it, or the first row, to the first fix after it, or to the last row
+    (``open``).
 
     Attributes:
         start, end: s.
+        leading: no fix came before it, so that what is predicted for its end is a guess.
         withheld: fixes were withheld on purpose.
         north, east: position [m] that the filter predicts for the end without GNSS.
         at_end: confidence ellipse of that prediction.
@@ -71,6 +73,7 @@ class Outage:
     start: float
     end: float
     open: bool
+    leading: bool
     withheld: bool
     north: float
     east: float
@@ -123,10 +126,9 @@ def gnss_outages(navigation: Navigation) -> list[Outage]:
     t = navigation.t
     usual = float(np.median(np.diff(t[np.isfinite(navigation.fixes[:, 0])]))) if used.size > 1 else 0.0
     least = max(MIN_INTERVALS * usual, MIN_DURATION)
-    marks = [*used.tolist(), len(t) - 1] if used[-1] < len(t) - 1 else used.tolist()
+    marks = np.unique([0, *used, len(t) - 1])
     view = _View(navigation)
-    return [view.outage(a, b, b not in set(used.tolist()))
-            for a, b in pairwise(marks) if t[b] - t[a] > least]
+    return [view.outage(int(a), int(b), not navigation.used[b]) for a, b in pairwise(marks) if t[b] - t[a] > least]
 
 
 class _View:
@@ -137,7 +139,7 @@ class _View:
         self.predicted, self.best = (navigation.position(e) for e in (navigation.predicted, navigation.best))
 
     def outage(self, first: int, last: int, is_open: bool) -> Outage:
-        """Between the rows of two fixes, or from a fix to the last row."""
+        """Between the rows of two fixes, from the first row to a fix, or from a fix to the last row."""
         n, t = self.of, self.of.t
         lost = first + np.flatnonzero(n.withheld[first:last + 1])
         judged = last if not is_open else int(lost[-1]) if lost.size else None
@@ -149,7 +151,8 @@ class _View:
         inner = self.best[1][first:last + 1]
         widest = inner[int(np.argmax(np.trace(inner, axis1=1, axis2=2)))]
         north, east = self.predicted[0][last].tolist()
-        return Outage(float(t[first]), float(t[last]), is_open, bool(lost.size), north, east,
+        leading = not n.used[first]
+        return Outage(float(t[first]), float(t[last]), is_open, leading, bool(lost.size), north, east,
                       ellipse(self.predicted[1][last]), error, allowed, inside, ellipse(widest).radius,
                       self._summary(self.predicted, lost), self._summary(self.best, lost))
 

@@ -44,6 +44,8 @@ MOST_NAMES = 4  # channels that a sentence lists
 TIMES = 3.0  # a ratio of errors above it is said as such
 LEVEL = 0.01
 MEASURED = {"phi", "theta", "psi", "p", "q", "r"}  # inputs that are a sensor's output, with its noise
+NO_DEAD_ZONE = 5e-4  # of full command: less is told as 0.0 %
+PASSED = 0.05  # part of the rows with a command whose commands are smaller than any that was tried
 FEWEST_SAMPLES = 10  # samples that are all the same before a sensor is called stuck
 
 
@@ -188,9 +190,10 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
     return said + cut_records(records) + stuck_sensors(records)
 
 
-def design_warnings(model: Model, thrust: float) -> list[ResultWarning]:
+def design_warnings(model: Model, thrust: float, pole: float | None) -> list[ResultWarning]:
     """What a design rests on that nobody gave: the model's own thrust and arms, or those between command and force;
-    ``thrust``: what one thruster is then taken to give at full speed [N]."""
+    ``thrust``: what one thruster is then taken to give at full speed [N]; ``pole``: of the shafts between command and
+    model [1/s], None where the model has them."""
     said = scale_warnings(scale_of(model))
     forces = [i.name for i in model.inputs if i.unit in ("N", "N m")]
     if forces:
@@ -199,6 +202,12 @@ def design_warnings(model: Model, thrust: float) -> list[ResultWarning]:
             f"{thrust:.0f} N at full speed, on built-in arms, and the standard errors are those of such thrusters."
         )
         said.append(ResultWarning(code="thrust-scale-unknown", text=text))
+    if pole is not None:
+        text = (
+            f"Shafts are taken to follow their commands with a built-in time constant of {1e3 / pole:.0f} ms, whatever "
+            "the bench found; with slower ones a fit will know less."
+        )
+        said.append(ResultWarning(code="shaft-lag-built-in", text=text))
     return said
 
 
@@ -295,12 +304,22 @@ def _stuck(record: Record) -> list[ResultWarning]:
     return lines
 
 
-def thruster_answer(fitted: Fit, has_force: bool, calibration: float | None = None) -> str:
-    """``calibration``: relative standard uncertainty of the measured force; None where nobody gave it."""
+def smallest_command(records: Sequence[Record]) -> float:
+    """Of a thruster on its bench, apart from zero and from the few that a ramp passes."""
+    size = np.abs(np.concatenate([r.u[:, r.inputs.index("n_cmd_0")] for r in records]))
+    return float(np.quantile(size[size > 0.0], PASSED)) if size.any() else 1.0
+
+
+def thruster_answer(
+    fitted: Fit, has_force: bool, calibration: float | None = None, smallest: float = 0.0
+) -> str:
+    """``calibration``: relative standard uncertainty of the measured force; None where nobody gave it; ``smallest``:
+    command that was tried, as the dead zone is unknown below it."""
     a, tau, d = (fitted.estimate(n) for n in ("a", "tau", "d"))
     shaft = (
         f"the shaft follows its command {1e3 * tau[0]:.0f} ms late with a time constant of {1e3 / a[0]:.0f} ms "
-        f"and does not turn below {100 * d[0]:.1f} % of full command"
+        + (f"and does not turn below {100 * d[0]:.1f} % of full command" if d[0] >= NO_DEAD_ZONE else
+           f"and has no dead zone above the smallest command tried, {100 * smallest:.2g} %")
     )
     if not has_force:
         return shaft[0].upper() + shaft[1:] + "; without a load cell nothing is known of its thrust."

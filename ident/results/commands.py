@@ -21,6 +21,7 @@ from ident.results.answers import (
     homogeneity_sentence,
     not_converged,
     outlier_lines,
+    smallest_command,
     thruster_answer,
     vehicle_answer,
 )
@@ -127,7 +128,9 @@ def thruster_result(
     bands = calibration_tables(evaluation)
     return ThrusterResult(
         **msgspec.structs.asdict(made),
-        answer=not_converged(stage.fit) or thruster_answer(stage.fit, static is not None, calibration),
+        answer=not_converged(stage.fit) or thruster_answer(
+            stage.fit, static is not None, calibration, smallest_command(stage.records)
+        ),
         warnings=(*estimation_warnings(stage.fit, stage.records), *failed_run_warnings(stage.failed)),
         notes=_notes(posed.notes, evaluation, bands),
         fit=fit_summary(stage.fit, posed.start, calibration if static is not None else 0.0),
@@ -171,6 +174,9 @@ class InformedParameter(LogSpan, frozen=True, kw_only=True):
         float | None, Meta(description="factor by which `se` would grow without the segment; null: nothing else tells")
     ]
     alone: Annotated[float | None, Meta(description="standard error from the segment alone; null: it tells nothing")]
+    known: Annotated[
+        bool, Meta(description="`se` is below half of the value; of a value of 0, of its prior's sd or of five steps")
+    ]
 
 
 class SegmentInformation(LogSpan, frozen=True, kw_only=True):
@@ -256,6 +262,7 @@ class GnssOutage(Part, frozen=True, kw_only=True):
     end: Annotated[float, Meta(description="[s of the log]")]
     duration: Annotated[float, Meta(description="[s]")]
     open: Annotated[bool, Meta(description="no fix came after it")]
+    leading: Annotated[bool, Meta(description="no fix came before it: what is predicted for its end is a guess")]
     withheld: Annotated[bool, Meta(description="on purpose (`--gnss-outage`)")]
     north: Annotated[float, Meta(description="predicted for the end without GNSS [m]")]
     east: Annotated[float, Meta(description="[m]")]

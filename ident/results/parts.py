@@ -76,6 +76,7 @@ WarningCode = Literal[
     "log-check",
     "thrust-scale-unknown",
     "arm-unknown",
+    "shaft-lag-built-in",
     "stuck-sensor",
     "record-cut",
     "noise-contradicted",

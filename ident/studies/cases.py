@@ -344,7 +344,7 @@ def designed_case(made: Design, name: str = "designed") -> Case:
     fine = made.task.finer
     apart = [replace(p, bounds=(-INF, INF)) for p in fine.model.parameters if p.transform == "none"]
     u = fine.actuation.inputs(made.command_on(fine)[:, :, None])[:, :, 0]
-    model = replace(fine.model.replace_parameters(*apart), second_order=True)
+    model = replace(fine.observed(fine.model.replace_parameters(*apart)), second_order=True)
     return Case(name, model, SampledInputs.linear(fine.t, u), fine.every)
 
 

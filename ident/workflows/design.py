@@ -30,6 +30,7 @@ from ident.experiment_design import (
     design,
     discriminate,
     monte_carlo,
+    not_commanded,
     predicted_errors,
     predicted_track,
     separation,
@@ -130,7 +131,9 @@ def make_design(source: str, wish: DesignRequest, out: Path, command: str, repor
         inputs=tuple(CommandTrace(name=c, t=task.t, value=made.command[:, k])
                      for k, c in enumerate(task.actuation.channels)),
         track=None if track is None else _track(track, task.limits), apart=apart,
-        warnings=tuple(design_warnings(task.model, task.actuation.full_thrust)),
+        warnings=tuple(design_warnings(
+            task.model, task.actuation.full_thrust, None if task.actuation.shafts_are_states else task.actuation.pole
+        )),
     )  # fmt: skip
     title = " against ".join(wish.between) or f"{wish.criterion}-optimal for {', '.join(_chosen(task))}"
     save_new_mission(designed_mission(f"steps, {title}", thrusters, made, track, wish, source, command), out)
@@ -188,9 +191,14 @@ def significant(values: Array, digits: int) -> Array:
 
 
 def make_task(source: str, wish: DesignRequest) -> DesignProblem:
-    """The frame of the design. ``source``: a model.toml, a name, or FILE.py:NAME."""
+    """The frame of the design. ``source``: a model.toml, a name, or FILE.py:NAME.
+
+    Raises SeatrialError where the model has no such sensor, nothing to learn, or inputs that no mission commands.
+    """
     saved = load_model(Path(source)) if source.endswith(".toml") else None
     model = saved.model if saved is not None else make_model(source)
+    if why := not_commanded(model):
+        raise SeatrialError(f"no mission can be designed for model {model.name}: {why}")
     unknown = set(wish.rates) - {s.name for s in model.sensors}
     if unknown:
         raise SeatrialError(

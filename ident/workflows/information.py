@@ -12,7 +12,7 @@ import numpy as np
 from daq.errors import SeatrialError
 from ident.data import WHOLE, LoadedLog, Record, TimeWindow, load_runs, make_record
 from ident.estimation import dynamic_parameters, fit, load_model, reported_units, without_absent_sensors
-from ident.experiment_design import InformationSegment, segment_information
+from ident.experiment_design import InformationSegment, characteristic_steps, not_commanded, segment_information
 from ident.model import Model
 from ident.numerics import Array
 from ident.report import write_report
@@ -32,7 +32,8 @@ from ident.results import (
 from ident.workflows.model_inputs import as_logged, completed, known_curve
 
 TELLS = 1.2  # the standard error would grow by so much without a segment: it is worth naming
-VAGUE = 0.5  # standard error over value from which a parameter counts as hardly known
+VAGUE = 0.5  # standard error over value from which a parameter counts as hardly known; of a value of 0,
+STEPS = 5.0  # over its prior's standard deviation or so many of its characteristic steps
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
             for r in records
             for row in record_inputs(model, r)
         ),
-        notes=tuple(_notes(parameters, records)),
+        notes=tuple(_notes(parameters, records, model)),
     )
     out.mkdir(parents=True, exist_ok=True)
     write_result(result, out / "result.json")
@@ -150,7 +151,8 @@ def _parameter(
     """What all logs tell of one parameter, and the segment that it hangs on."""
     best = max(range(len(rows)), key=lambda i: float(np.nan_to_num(segments[i].weight[k], posinf=np.inf)))
     p, row, units = model.parameter(name), rows[best], reported_units(model)
-    factor = units.factor(p.unit)
+    factor, se = units.factor(p.unit), float(segments[best].whole[k])
+    size = abs(p.value) or (p.prior[1] if p.prior else STEPS * float(characteristic_steps(model, (name,))[0]))
     return InformedParameter(
         record=row.record,
         t_from=row.t_from,
@@ -160,9 +162,10 @@ def _parameter(
         meaning=p.meaning,
         unit=units.scale.unit(p.unit),
         value=factor * p.value,
-        se=finite(factor * segments[best].whole[k]),
+        se=finite(factor * se),
         weight=finite(segments[best].weight[k]),
         alone=finite(factor * segments[best].alone[k]),
+        known=se < VAGUE * size,
     )
 
 
@@ -198,23 +201,19 @@ def _answer(parameters: Sequence[InformedParameter], n_segments: int) -> str:
         )
     else:
         words = "No segment matters much more than the others: what is known is spread evenly over the logs"
-    vague = [p.name for p in parameters if not _is_known(p)]
+    vague = [p.name for p in parameters if not p.known]
     return f"{words}. Hardly known from all of it: {', '.join(vague)}." if vague else f"{words}."
 
 
-def _is_known(p: InformedParameter) -> bool:
-    return p.se is not None and (p.value == 0 or abs(p.se) < VAGUE * abs(p.value))
-
-
-def _notes(parameters: Sequence[InformedParameter], records: Sequence[Record]) -> list[str]:
+def _notes(parameters: Sequence[InformedParameter], records: Sequence[Record], model: Model) -> list[str]:
     notes = [
         f"{r.name}: not in the log, so done without: {', '.join(missing)}."
         for r in records
         if (missing := r.meta.get("missing", ()))
     ]
     notes += [f"{p.name}: nothing in these logs tells of it." for p in parameters if p.se is None]
-    vague = ",".join(p.name for p in parameters if not _is_known(p))
-    if vague:
+    vague = ",".join(p.name for p in parameters if not p.known)
+    if vague and not not_commanded(model):
         notes.append(
             "The mission that tells most of what is hardly known: seatrial mission design MODEL "
             f"--criterion Ds --parameters {vague}"

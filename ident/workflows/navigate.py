@@ -207,6 +207,7 @@ def _row(o: Outage, name: str, t0: float) -> GnssOutage:
         end=o.end + t0,
         duration=o.duration,
         open=o.open,
+        leading=o.leading,
         withheld=o.withheld,
         north=o.north,
         east=o.east,
@@ -231,6 +232,15 @@ def navigation_answer(found: Sequence[Outage], done: Sequence[Navigation]) -> st
     if not found:
         radius = max(float(np.median(np.hypot(*n.best.sd[:, [n.states.index(p) for p in POSITION]].T))) for n in done)
         return f"No GNSS outage; the {done[0].kind} position is good to {format_number(radius)} m (standard deviation)."
+    late = [
+        f"Before the first fix, {o.duration:.0f} s after the start, the {done[0].kind} position may be "
+        f"{format_number(o.widest)} m off (95 %)"
+        for o in found
+        if o.leading
+    ]
+    found = [o for o in found if not o.leading]
+    if not found:
+        return "; ".join(late) + "."
     worst = max(found, key=lambda o: o.at_end.radius)
     many = counted(len(found), "GNSS outage")
     words = (
@@ -242,7 +252,7 @@ def navigation_answer(found: Sequence[Outage], done: Sequence[Navigation]) -> st
         words += f"; against the fix then it was {format_number(worst.error)} m off"
     if len(judged) > 1:
         words += f". {sum(bool(o.inside) for o in judged)} of {len(judged)} ends are inside their 95 % regions"
-    return words + "."
+    return ". ".join([words, *late]) + "."
 
 
 def _notes(parts: Sequence[tuple[Navigation, float, list[Outage]]], known: ParameterCovariance) -> list[str]:

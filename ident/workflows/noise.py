@@ -18,9 +18,12 @@ from ident.data import Channel, LoadedLog, ahrs_channels, load_runs
 from ident.report import write_report
 from ident.reporter import Reporter
 from ident.results import ChannelNoise, NoiseResult, SpectrumBands, finite, provenance, write_result
+from ident.validation import OUTLYING
 
 FORMAT = "seatrial-noise 2"
 WARNING = "Such numbers do not describe the noise, so do not put them into a filter."
+SPIKES = "The numbers are of these, too: take the record without them."
+STEPS = "The numbers are hardly those of the noise: take an output of finer resolution."
 MOST_SAID = 6  # rejected channels that the answer names
 HUM = "Find what turns or hums at that rate, or at one that the sampling folds there, and take the record without it."
 DRIFT = "A drift that is steady or has bounds is no walk: let the sensor warm up, or give a filter a state for it."
@@ -46,6 +49,23 @@ class NoiseEstimate:
     def remedy(self) -> str:
         """What to do about that."""
         return self._said()[-1][1]
+
+    @property
+    def exceptions(self) -> list[tuple[str, str]]:
+        """What the model does not say of the channel even where it is not rejected (spikes, jumps, coarse steps), and
+        what that means."""
+        f, said = self.fit, []
+        size = np.abs(f.innovations)
+        beyond, k = int(np.sum(size > OUTLYING)), int(np.argmax(size))
+        if beyond or f.heavy_tailed:
+            tails = f"{beyond} of {f.n} innovations beyond {OUTLYING:g} standard deviations" if beyond else (
+                f"heavy tails (kurtosis {f.kurtosis:.2g})"
+            )
+            said += [(f"{tails}, the largest {size[k]:.2g} at {f.t[k]:.4g} s", SPIKES)]
+        if f.coarse:
+            step = f"{f.resolution:.2g} {self.channel.unit}".strip()
+            said += [(f"steps of {step} from value to value, coarse beside its noise", STEPS)]
+        return said
 
     def _said(self) -> list[tuple[str, str]]:
         """What is wrong and what to do: of a line alone where it is the half of it, else also of the lowest band."""
@@ -146,15 +166,19 @@ def _row(one: NoiseEstimate) -> ChannelNoise:
 
 def _answer(found: Sequence[NoiseEstimate]) -> str:
     bad = [x for x in found if x.fit.rejected]
+    odd = [x for x in found if x.exceptions and not x.fit.rejected]
+    but = f", but with {' and '.join(words for words, _ in odd[0].exceptions)}" if odd else ""
+    if odd and len(found) > 1:
+        but = f", but with spikes, jumps or coarse steps in {', '.join(x.label for x in odd)}"
     good = len(found) - len(bad)
     kind = "white noise plus a random walk"
     if not bad:
-        return f"{'The channel is' if good == 1 else f'All {good} channels are'} {kind}."
+        return f"{'The channel is' if good == 1 else f'All {good} channels are'} {kind}{but}."
     if len(found) == 1:
         return f"The channel is not {kind}: {bad[0].reason}. {WARNING}"
     named = ", ".join(x.label for x in bad[:MOST_SAID])
     more = f" and {len(bad) - MOST_SAID} more" if len(bad) > MOST_SAID else ""
-    return f"{good} of {len(found)} channels are {kind}. Not so: {named}{more}. {WARNING}"
+    return f"{good} of {len(found)} channels are {kind}{but}. Not so: {named}{more}. {WARNING}"
 
 
 def _percent(share: float) -> str:
@@ -171,6 +195,7 @@ def _notes(found: Sequence[NoiseEstimate]) -> list[str]:
         for x in found
         if not x.fit.rejected and x.fit.departures.significant
     ]
+    lines += [f"{x.label}: {words}. {means}" for x in found for words, means in x.exceptions]
     return lines + [f"{x.label}: {flag}" for x in found for flag in x.fit.flags]
 
 

@@ -39,9 +39,10 @@ def navigation(seed: int = 4) -> NavigationResult:
     used = np.where(lost, 0.0, 1.0)
     ellipse = {"major": 1.4, "minor": 0.4, "azimuth": 0.7, "radius": 1.2}
     misses = {"rms": 0.31, "largest": 0.8, "inside": 0.94, "n": 150}
-    one = {"record": "lake", "start": 60.0, "end": 90.0, "duration": 30.0, "open": False, "withheld": True,
-           "north": float(values["x"][900]), "east": float(values["y"][900]), "at_end": ellipse, "error": 0.9,
-           "allowed": 1.3, "inside": True, "widest": 0.2, "predicted": misses, "best": misses | {"rms": 0.22}}
+    one = {"record": "lake", "start": 60.0, "end": 90.0, "duration": 30.0, "open": False, "leading": False,
+           "withheld": True, "north": float(values["x"][900]), "east": float(values["y"][900]), "at_end": ellipse,
+           "error": 0.9, "allowed": 1.3, "inside": True, "widest": 0.2, "predicted": misses,
+           "best": misses | {"rms": 0.22}}
     tail = one | {"start": 228.0, "end": 240.0, "duration": 12.0, "open": True, "withheld": False, "error": None,
                   "allowed": None, "inside": None, "predicted": None, "best": None}
     states = [{"name": n, "unit": unit, "meaning": meaning, "angle": turns, "value": values[n], "sd": sd[n],

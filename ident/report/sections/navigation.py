@@ -113,7 +113,8 @@ def _track(canvas: Canvas, one: NavigatedRecord, outages: Sequence[GnssOutage]) 
     traces.append({"type": "scatter", "mode": "lines", "name": "estimate", "x": drawing.packed(values["y"][at]),
                    "y": drawing.packed(values["x"][at]), "line": line})
     for o in outages:
-        traces.append(_ellipse(o))
+        if not o.leading:  # its ellipse is wider than the track
+            traces.append(_ellipse(o))
     equal = {"scaleanchor": "x", "scaleratio": 1, "nticks": 7}
     figure = drawing.single(traces, "east [m]", "north [m]", hovermode="closest", yaxis=equal)
     return canvas.plot(figure, 420, f"Track, {one.record}", "Track, north up")

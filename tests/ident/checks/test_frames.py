@@ -10,6 +10,7 @@ import pytest
 
 from ident.checks.frames import Relation, _reversed, culprit
 from ident.checks.log_checks import check_copies, check_signals
+from ident.checks.sensors import sensor_matches
 from ident.checks.signals import check_frozen, estimated, noise_floor, smoothed
 from ident.data.loading import LoadedLog
 from ident.data.record import Channel, LogSegment
@@ -109,6 +110,21 @@ def test_a_boat_at_rest_is_not_frozen_and_a_driven_one_is(run: dict[str, Channel
     assert not list(check_frozen(on_the_spot))
     rounded = Channel(t, np.round(run["psi"].value, 1))  # a coarse compass repeats itself
     assert not list(check_frozen(run | {"psi": rounded}))
+
+
+@pytest.mark.parametrize("kind", ["n", "f", "n_cmd"])
+def test_a_frozen_signal_of_a_boat_of_one_thruster(run: dict[str, Channel], kind: str) -> None:
+    boat = {n: run[n] for n in ("psi", "x", "y")} | {"r": hung(run["r"], 30.0, 60.0), f"{kind}_left": run["n_left"]}
+    assert [f.where for f in check_frozen(boat)] == ["r"]
+
+
+def test_a_sample_of_one_velocity_may_be_missing(run: dict[str, Channel]) -> None:
+    whole = sensor_matches(run).position
+    vx = run["vx"]
+    found = sensor_matches(run | {"vx": replace(vx, t=np.delete(vx.t, 100), value=np.delete(vx.value, 100))}).position
+    assert whole is not None
+    assert found is not None
+    assert found.scale == pytest.approx(whole.scale, rel=0.01)
 
 
 def quiet_boat(left: float, right: float) -> dict[str, Channel]:

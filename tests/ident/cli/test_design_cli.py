@@ -43,6 +43,7 @@ def test_a_design_is_a_mission_that_bench_reads_and_shows(tmp_path: Path, capsys
     status, said, _ = run(capsys, *words, "--out", str(out))
     assert status == 0
     assert "m_u ±" in said
+    assert "Shafts are taken to follow their commands with a built-in time constant of 358 ms" in " ".join(said.split())
     assert "kg m²" in said
     assert "kg m2" not in said
     mission = load_mission(out)
@@ -118,7 +119,7 @@ def test_one_input_is_made_by_two_thrusters(tmp_path: Path, capsys: pytest.Captu
     assert status == 0
     assert said.index("built-in 41 N") < said.index("After this mission")
     codes = [w["code"] for w in json.loads(out.with_suffix(".json").read_text())["warnings"]]
-    assert codes == ["thrust-scale-unknown"]
+    assert codes == ["thrust-scale-unknown", "shaft-lag-built-in"]
     mission = load_mission(out)
     assert mission.thrusters == ("port", "star")
     np.testing.assert_array_equal(mission.segments[1].n[:, 0], -mission.segments[1].n[:, 1])
@@ -151,6 +152,8 @@ def test_between_two_effects(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         (("horizontal", "--thrusters", "one"), 1, "--thrusters names 1"),
         (("horizontal", "--steps", "100"), 1, "do not fit"),
         (("catamaran",), 1, "no model 'catamaran'"),
+        (("kinematic:shaft",), 1, "thrusters do not make its input phi, theta, psi, p, q, r; take a model without"),
+        (("thruster",), 1, "no mission can be designed for model thruster: it is of a thruster on its bench"),
         (("none.toml",), 1, "none.toml: No such file"),
         (("horizontal:shaft:no-current", "--area", "1x1"), 1, "give more room"),
     ],

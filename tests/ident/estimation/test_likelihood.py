@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.data.record import Record
+from ident.data.record import Preparer, Record
 from ident.estimation import likelihood as likelihood_module
 from ident.estimation.likelihood import Likelihood
 from ident.model.parameter import Parameter
@@ -305,3 +305,26 @@ def test_initial_state_from_the_first_measurement() -> None:
     w[FREE.index("psi0")] = first
     assert Likelihood(measured).value(record, v) == pytest.approx(Likelihood(model).value(record, w), rel=1e-13)
     assert Likelihood(measured).gradient(record, v)[1][FREE.index("psi0")] == 0.0
+
+
+def test_a_first_measurement_that_is_late_tells_less_of_the_start() -> None:
+    """By how far its output moves meanwhile; what sd0 does to the value stays its derivative."""
+    record, v, at = turning_record(), values_of(turning()), FREE.index("sd0")
+    psi, r = turning().states
+    measured = replace(turning(), states=(psi, replace(r, from_output="gyro")))
+    assert not Preparer(measured)(record).moved.any()
+    y = record.y.copy()
+    y[record.t < record.t[0] + 3.0, 1:] = np.nan
+    late = replace(record, y=y)
+    prepared = Preparer(measured)(late)
+    gyro = y[np.isfinite(y[:, 1]), 1]
+    assert prepared.moved[0] == 0.0
+    assert 0.2 < prepared.moved[1] < 3.0 * np.abs(np.diff(gyro)).max() / 0.02
+    by_hand = replace(r, x0=float(gyro[0]), sd0=float(np.hypot(v[at], prepared.moved[1])))
+    value = Likelihood(replace(turning(), states=(psi, by_hand))).value(late, v)
+    assert Likelihood(measured).value(late, v) == pytest.approx(value, rel=1e-12)
+    step = np.zeros(v.size)
+    step[at] = 1e-4 * v[at]
+    plus, minus = (Likelihood(measured).value(late, v + s) for s in (step, -step))
+    slope = Likelihood(measured).gradient(late, v)[1][at]
+    assert slope == pytest.approx((plus - minus) / (2 * step[at]), rel=1e-4)

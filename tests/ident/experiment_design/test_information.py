@@ -160,6 +160,16 @@ def test_segments_that_turn_inform_of_turning() -> None:
     np.testing.assert_allclose(straight.information + turning_.information, whole, rtol=1e-9)
 
 
+@pytest.mark.parametrize("seconds", [19.0, 21.0, 41.0, 600.0])
+def test_a_record_that_is_shorter_than_a_segment_is_one(seconds: float) -> None:
+    model = surge_model("shaft", "speed")
+    t = np.arange(0.0, 20.05, 0.1)
+    record = planned_record(model, t, np.sign(np.sin(t))[:, None])
+    (one,) = segment_information(model, [record], ("m_u", "d_uu"), seconds=seconds)
+    assert (one.t_from, one.t_to) == (0.0, pytest.approx(20.0))
+    assert np.isfinite(one.whole).all()
+
+
 def test_priors_and_what_nothing_tells_of() -> None:
     model = horizontal_model()
     current = prior_information([model.parameter("V_x"), model.parameter("m_u")])

@@ -16,7 +16,14 @@ from ident.estimation.stochastic_simulation import SampledInputs, simulate_stoch
 from ident.experiment_design.discrimination import HypothesisPair, discriminate, separation
 from ident.experiment_design.excitation import StepInput, ThrusterResponse, prbs, rgs
 from ident.experiment_design.information import planned_record
-from ident.experiment_design.optimal_design import Design, baseline_signals, design, monte_carlo, predicted_track
+from ident.experiment_design.optimal_design import (
+    Design,
+    baseline_signals,
+    design,
+    monte_carlo,
+    predicted_errors,
+    predicted_track,
+)
 from ident.experiment_design.task import GRID, DesignLimits, DesignProblem, ParameterPrior
 from ident.model.parameter import Parameter
 from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
@@ -167,6 +174,30 @@ def test_slew_and_shaft_against_a_plain_loop() -> None:
         now = now + np.clip(target - now, -0.08, 0.08)
 
 
+@pytest.mark.parametrize("rate", [1.0, 3.0, 4.0, 6.0, 7.0, 8.0, 10.0, 15.0])
+def test_a_sensor_counts_with_the_rate_that_was_asked_for(rate: float) -> None:
+    """On rows that it does not fit, too, and what others count does not change with it."""
+    task = boat_task(rates={"position": rate})
+    for on in (task, task.finer):
+        observed = on.observed(task.model)
+        for sensor in task.model.sensors:
+            for o in sensor.outputs:
+                mean = observed.values[o.noise] ** 2 * on.every[sensor.name] * on.grid
+                asked = rate if sensor.name == "position" else 10.0
+                assert mean == pytest.approx(task.model.values[o.noise] ** 2 / asked)
+
+
+def test_the_error_of_a_gain_goes_with_the_root_of_the_rate() -> None:
+    steps = StepInput(6, 1, 40.0, 0.4, 0.4)
+    levels, durations = steps.unpack(steps.random(1, np.random.default_rng(2)))
+    error = {}
+    for rate in (4.0, 7.0, 10.0, 15.0):
+        task = DesignProblem(gain_and_offset(), steps, rates={"meter": rate})
+        error[rate] = predicted_errors(task, task.finer.actuation.limited(levels, durations)[:, :, 0])["a"]
+    for rate, found in error.items():
+        assert found == pytest.approx(error[10.0] * np.sqrt(10.0 / rate), rel=0.03)
+
+
 def test_inputs_of_other_models() -> None:
     t = np.arange(0.0, 8.0, 0.1)
     n = np.where(t < 4.0, 0.5, -0.4)[:, None, None]
@@ -186,6 +217,9 @@ def test_inputs_of_other_models() -> None:
     general = replace(ThrusterResponse(horizontal_model("general"), t), pole=np.inf)
     assert general.channels == ("left", "right")
     np.testing.assert_allclose(general.inputs(both)[0, :, 0], [2 * 1.11 * 0.25, moment])
+    bow = replace(surge_model("force"), inputs=(Input("f_bow", "N"),))
+    thrust = replace(ThrusterResponse(bow, t), pole=np.inf).inputs(n)[0, 0, 0]
+    assert thrust == pytest.approx((40.05 + 1.11) * 0.25)
     past = ThrusterResponse(horizontal_model() + catalogue()["delay"], t)
     u = past.inputs(both)[:, :, 0]
     names = [i.name for i in past.model.inputs]

@@ -18,8 +18,9 @@ from ident.effects.registry import catalogue
 from ident.estimation.output_error import simulate
 from ident.export.codegen import content, identifiers, prefix
 from ident.export.formats import TARGETS, export
-from ident.model.parameter import Parameter
+from ident.model.parameter import Parameter, ParameterOrigin
 from ident.model.structure import Output, Sensor, State, plain_model
+from ident.models.components import estimator_error
 from ident.models.disturbances import for_diagnosis
 from ident.models.horizontal import horizontal_model
 from ident.models.kinematic import kinematic_model
@@ -135,6 +136,37 @@ def test_unexplained_forces_left_out_are_process_noise_of_the_same_strength() ->
     found = speed.std() / math.sqrt(n * dt)
     assert c.state_noise[c.states.index("u")] == pytest.approx(found, rel=0.05)
     assert content(saved(model), nuisance=True).state_noise[3] == 1e-4
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_errors_that_last_are_in_the_noise_of_their_outputs(target: str) -> None:
+    """Of an estimator and, on the bench, of the force: with their stationary variance, and for how long they last."""
+    model = horizontal_model(sensors=("attitude", "gyro", "position"))
+    model = (model + estimator_error([s.name for s in model.sensors])).with_values({"e_xy": 0.001, "A_xy": 0.2})
+    noise = dict(zip(content(saved(model)).outputs, content(saved(model)).output_noise, strict=True))
+    assert noise["x"] == noise["y"] == pytest.approx(math.hypot(0.001, 0.2))
+    assert noise["psi"] == pytest.approx(math.hypot(*(model.values[n] for n in ("e_psi", "A_psi"))))
+    assert noise["r"] == model.values["e_r"]
+    assert "psi (3 s), x (3 s), y (3 s)." in " ".join(export(saved(model), target).split())
+    kept = content(saved(model), nuisance=True)
+    assert (kept.output_noise[kept.outputs.index("x")], kept.lasting) == (0.001, {})
+    bench = thruster_model()
+    force, values = content(saved(bench)).output_noise[-1], bench.values
+    assert force == pytest.approx(math.hypot(values["e_f"], values["q_f"] * math.sqrt(values["tau_f"] / 2)))
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_what_is_right_as_a_ratio_only_is_said_to_be(target: str) -> None:
+    model = horizontal_model()
+    text = export(saved(model), target)
+    assert "Nobody gave the thrust: masses, damping and forces are right as ratios to c1 + c2 only" in text
+    assert "Nobody gave the arms" in text
+    assert "[N] built-in, thrust" in text
+    given = (model.parameter(n).known(v, 0.0, ParameterOrigin.GIVEN)
+             for n, v in (("c1", 40.0), ("y_left", -0.2), ("y_right", 0.2)))
+    text = export(saved(model.replace_parameters(*given)), target)
+    assert "Nobody" not in text
+    assert "[N] given, thrust" in text
 
 
 def test_offsets_of_a_measured_attitude_are_left_out_like_all_others() -> None:

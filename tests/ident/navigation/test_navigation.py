@@ -21,6 +21,7 @@ from ident.estimation.parameter_covariance import ParameterCovariance
 from ident.models.horizontal import horizontal_model
 from ident.navigation.navigator import Navigation, navigate, navigator
 from ident.navigation.outages import circular_error, ellipse, gnss_outages
+from ident.workflows.navigate import navigation_answer
 from mocks.offline_simulation import Truth
 from tests.missions import boat_log, boat_with, channels_of, sail
 
@@ -127,6 +128,26 @@ def test_an_outage_of_the_log_itself_is_found_and_judged_by_the_fix_after_it() -
     assert withheld.best.n == 150
     assert end.open
     assert end.error is not None  # from the last fix withheld
+
+
+def test_before_the_first_fix_the_place_is_as_uncertain_as_is_claimed() -> None:
+    """Of fixes that are late or withheld from the start: an outage, whose track starts where the boat may have been."""
+    rows, truth = mission(1, 2)
+    done = navigate(fitted(1).fit.model, rows, without_gnss=[(-1.0, 40.0)], known=known(fitted(1)))
+    (first,) = gnss_outages(done)
+    assert first.leading
+    assert not first.open
+    assert first.start == rows.t[0]
+    assert first.end == pytest.approx(40.0, abs=0.25)
+    assert first.inside
+    assert first.best is not None
+    e = done.position(done.best)[0][0] - truth_at(done, truth)[0]
+    assert e @ np.linalg.solve(done.position(done.best)[1][0], e) < stats.chi2.isf(SURE, 2)
+    assert navigation_answer([first], [done]).startswith("Before the first fix, 40 s after the start, the smoothed")
+    (gap, *_) = gnss_outages(navigate(fitted(1).fit.model, rows, without_gnss=[(100.0, 130.0)]))
+    both = navigation_answer([first, gap], [done])
+    assert both.startswith("1 GNSS outage, the worst of 30 s")
+    assert "Before the first fix" in both
 
 
 def test_the_current_is_learnt_on_the_way() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -22,7 +24,9 @@ from ident.results.answers import (
     check_warnings,
     not_converged,
     outlier_lines,
+    smallest_command,
     stuck_sensors,
+    thruster_answer,
     vehicle_answer,
 )
 from ident.results.parts import (
@@ -45,6 +49,19 @@ from ident.validation.prediction_errors import ChannelChange
 from ident.validation.prediction_errors import PredictionChange as Found
 from ident.validation.whiteness import Whiteness
 from tests.ident.toys import turning, turning_record
+
+
+def test_a_dead_zone_is_told_as_far_as_it_was_tried() -> None:
+    """Steps of 20 % and more with a ramp to each know nothing of less."""
+    n = np.repeat([0.0, 0.1, 0.2, -0.2, 0.5, 0.0], [50, 1, 50, 50, 50, 50])[:, None]
+    t = 0.02 * np.arange(len(n))
+    tried = smallest_command([Record("bench", t, n, n, np.zeros((len(n), 0)), ("n_cmd_0",), ())])
+    assert tried == 0.2
+    for d, says in ((0.0, "and has no dead zone above the smallest command tried, 20 %;"),
+                    (0.25, "and does not turn below 25.0 % of full command;")):  # fmt: skip
+        known = {"a": 5.0, "tau": 0.1, "d": d}
+        fitted: Any = SimpleNamespace(estimate=lambda name, known=known: (known[name], 0.0))
+        assert says in thruster_answer(fitted, has_force=False, smallest=tried)
 
 
 def test_a_finding_of_many_logs_is_said_once() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 from pathlib import Path
@@ -14,8 +15,12 @@ from msgspec.structs import replace
 import seatrial
 from daq.log.recorder import Recorder
 from daq.samples import NAN, Ahrs, Frame
-from ident.results.commands import InformedParameter
-from ident.workflows.information import _answer, _longest
+from ident.effects.registry import catalogue
+from ident.experiment_design.information import InformationSegment
+from ident.models.catalogue import make_model
+from ident.models.horizontal import horizontal_model
+from ident.results.commands import InformedParameter, SegmentInformation
+from ident.workflows.information import _answer, _longest, _notes, _parameter
 from mocks.offline_simulation import simulate
 from tests.missions import T0, StandingClock, boat_with, rig_of
 
@@ -175,12 +180,32 @@ def test_a_stretch_is_named_by_the_step_that_fills_it() -> None:
 
 def test_the_answer_says_what_hangs_on_what() -> None:
     row = InformedParameter(record="a", t_from=0.0, t_to=30.0, what="", name="m_v", meaning="", unit="kg", value=40.0,
-                            se=1.0, weight=2.5, alone=None)  # fmt: skip
+                            se=1.0, weight=2.5, alone=None, known=True)  # fmt: skip
     assert _answer([row], 2) == (
         "Most hangs on a, 0 to 30 s: without it the standard error of m_v would be 2.5 times as large."
     )
     assert _answer([replace(row, weight=None)], 2) == "Only a, 0 to 30 s tells of m_v."
     assert _answer([replace(row, weight=1.1)], 2).startswith("No segment matters much more")
-    assert _answer([replace(row, se=30.0)], 2).endswith("Hardly known from all of it: m_v.")
+    assert _answer([replace(row, se=30.0, known=False)], 2).endswith("Hardly known from all of it: m_v.")
     assert _answer([replace(row, se=None)], 2) == "These logs tell nothing of any parameter."
     assert "--seconds" in _answer([row], 1)
+
+
+def test_a_parameter_that_was_estimated_at_nought_is_known_by_its_error() -> None:
+    """Over its prior, or over five characteristic steps."""
+    model = horizontal_model() + catalogue()["reverse-thrust"]
+    p = next(p for p in catalogue()["reverse-thrust"].parameters if p.value == 0.0)
+    row = SegmentInformation(record="a", t_from=0.0, t_to=30.0, what="", weight=np.ones(1), lost=np.zeros(1),
+                             alone=np.ones(1))  # fmt: skip
+    for prior, size in ((p.prior or (0.0, 0.3), (p.prior or (0.0, 0.3))[1]), (None, 5.0 * p.step)):
+        of_it = model.replace_parameters(dataclasses.replace(p, prior=prior))
+        for share, known in ((0.4, True), (0.6, False)):
+            told = InformationSegment("a", 0.0, 30.0, np.eye(1), np.ones(1), np.ones(1), np.array([share * size]))
+            assert _parameter(of_it, p.name, 0, [told], [row]).known == known
+
+
+def test_a_design_is_recommended_only_for_a_model_that_it_takes() -> None:
+    row = InformedParameter(record="a", t_from=0.0, t_to=30.0, what="", name="m_v", meaning="", unit="kg", value=40.0,
+                            se=30.0, weight=2.5, alone=None, known=False)  # fmt: skip
+    for model, advised in (("horizontal:shaft", True), ("kinematic:shaft", False), ("thruster", False)):
+        assert any("seatrial mission design" in line for line in _notes([row], [], make_model(model))) == advised

@@ -114,6 +114,28 @@ def test_a_hum_is_told_by_its_frequency(tmp_path: Path) -> None:
     assert "Find what turns or hums" in result["notes"][0]
 
 
+def test_spikes_and_coarse_steps_are_said_first(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    r = 0.01 * rng.normal(size=4000)
+    spikes = r + np.where(np.arange(4000) % 900 == 450, 1.0, 0.0)
+    table = np.column_stack([r, spikes, 0.06 * np.round(rng.normal(size=4000) / 6.0)])
+    np.savetxt(tmp_path / "odd.csv", table, "%.8f", ",", header="r,q,p", comments="")
+    (tmp_path / "map.toml").write_text(MAP + "".join(SIGNAL.format(n, "rad/s") for n in "rqp"))
+    run("import", tmp_path / "map.toml", tmp_path / "odd.csv", "-o", tmp_path / "odd.mcap")
+    for name, says in (
+        ("q", ", but with 4 of 4000 innovations beyond 6 standard deviations, the largest "),
+        ("p", "steps of 0.06 rad/s from value to value, coarse beside its noise."),
+        ("r", "The channel is white noise plus a random walk."),
+    ):
+        run("ident", "noise", tmp_path / "odd.mcap", "--signal", name, "--out", tmp_path / name)
+        result = read(tmp_path / name)[0]
+        assert says in result["answer"]
+        assert any("The numbers are" in line for line in result["notes"]) == (name != "r")
+    run("ident", "noise", tmp_path / "odd.mcap", "--out", tmp_path / "all")
+    both = "All 3 channels are white noise plus a random walk, but with spikes, jumps or coarse steps in q, p."
+    assert read(tmp_path / "all")[0]["answer"] in (both, both.replace("q, p", "p, q"))
+
+
 @pytest.mark.measured
 def test_gps_at_rest(tmp_path: Path) -> None:
     folder = measured("static")
