@@ -80,6 +80,8 @@ WarningCode = Literal[
     "noise-contradicted",
     "prior-contradicted",
     "inertia-too-small",
+    "one-direction",
+    "zero-unknown",
     "validation-run-failed",
     "curve-not-drawn",
     "effect-untested",
