@@ -30,6 +30,14 @@ _RETRY = click.option(
     "--retry", type=click.IntRange(0, 100), default=0, show_default=True, help="Repeat invalid steps, so often in all."
 )
 
+_HOLD = click.option(
+    "--hold",
+    type=click.FloatRange(0, min_open=True),
+    default=mission_generators.HOLD_S,
+    show_default=True,
+    help="Seconds that each level is held: without shaft speed, long enough for readings of the settled force.",
+)
+
 
 @click.group(epilog="Example: seatrial bench all bench-rig.toml -o bench.mcap")
 def bench() -> None:
@@ -45,7 +53,7 @@ def mission() -> None:
 
 
 def _bench_command(kind: str, text: str) -> None:
-    """Add `seatrial bench KIND` to the group; all kinds take the same options."""
+    """Add `seatrial bench KIND` to the group; all kinds take the same options, but for those of steps alone."""
 
     @bench.command(kind, help=text, epilog=f"Example: seatrial bench {kind} bench-rig.toml -o {kind}.mcap")
     @click.argument("rig_path", metavar="RIG", type=EXISTING)
@@ -57,11 +65,20 @@ def _bench_command(kind: str, text: str) -> None:
     @_ARM
     @_RETRY
     def command(
-        rig_path: Path, out: Path | None, thruster: str | None, n_max: float | None, arm: bool, retry: int
+        rig_path: Path,
+        out: Path | None,
+        thruster: str | None,
+        n_max: float | None,
+        arm: bool,
+        retry: int,
+        hold: float = mission_generators.HOLD_S,
     ) -> None:
         rig = load_rig(rig_path)
         largest = min(N_MAX_BENCH, rig.limits.n_max) if n_max is None else n_max
-        _run(mission_generators.bench_plan(kind, _one_thruster(rig, thruster), largest), rig, out, arm, retry)
+        _run(mission_generators.bench_plan(kind, _one_thruster(rig, thruster), largest, hold), rig, out, arm, retry)
+
+    if kind == "steps":
+        _HOLD(command)
 
 
 _bench_command("static", "Ten seconds at rest: the load cell's zero and the sensors' noise.")

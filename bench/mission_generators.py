@@ -12,6 +12,7 @@ import numpy as np
 from daq.config import RAMP_DT, STATIC, FloatArray, Mission, Segment
 
 STATIC_S = 10.0  # s at rest before and after, for the tare
+HOLD_S = 1.8  # s that each step is held: enough for the shaft's dynamics
 REST_S = 3.0  # s of zero between two excitations: the water calms, the shaft stops
 MISSION_STATIC_S = 5.0
 MISSION_KINDS = ("mixed", "steps", "zigzag", "chirp")
@@ -66,7 +67,7 @@ def chirp_rows(sign: float, n_max: float, seconds: float, f0: float = 0.05, f1: 
 
 
 def bench_plan(
-    kind: str, thruster: str, n_max: float = 0.9, hold_s: float = 1.8, chirp_s: float = 20.0, count: int = 6
+    kind: str, thruster: str, n_max: float = 0.9, hold_s: float = HOLD_S, chirp_s: float = 20.0, count: int = 6
 ) -> Mission:
     """The plan `kind` (static, steps, chirp, all) for one thruster; `all` takes about two minutes."""
     if kind not in BENCH_KINDS:

@@ -12,6 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from daq.errors import SeatrialError
+from ident.characterisation.thrust_curve import FALLS, MIN_SAMPLES, falls
+from ident.checks import check_shafts, spoils_a_fit
 from ident.data import Channel, LoadedLog, LogSegment, Record
 from ident.estimation import EstimationOptions, Fit, Likelihood, fit
 from ident.model import Model
@@ -22,6 +24,8 @@ THRUSTER_RATE = 50.0  # Hz, rows of a record with load cell and shaft speed
 GRID_STEP = 0.05  # s, of the delays that are tried for initial values, and of the command meanwhile
 MAX_DELAY = 4.8  # s, of those delays
 DEAD_ZONES = tuple(0.0025 * k for k in range(81))  # of full command, ends of the dead zone that are tried
+WAYS = (1.0, -1.0)  # of a shaft: ahead, astern
+LEAST_SPEED = 0.05  # of full speed: from which a shaft has turned, and is not noise
 N_SEARCHES = 3  # over the dead zone, each with what the fit before it says of all else
 
 
@@ -40,8 +44,8 @@ def fit_on_a_copy(
         exact = thruster_model(pace, force="thrust" in model.provides)
         records = again(exact)
         values = {n: v for n, v in fitted.model.values.items() if n in exact.values}
-        start = exact.with_values(values).replace_parameters(exact.parameter("d").at(values["d"]).freed())
-        fitted = fit(start, records, plain)
+        kept = [fitted.model.parameter(n) for n in ("d", "c2") if n in values]  # free, and perhaps fixed
+        fitted = fit(exact.with_values(values).replace_parameters(*kept), records, plain)
     fitted = _restricted(fitted, records) if options.reml else fitted
     return replace(fitted, options=options), records
 
@@ -56,8 +60,13 @@ def _restricted(top: Fit, records: Sequence[Record]) -> Fit:
 
 def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOptions) -> Fit:
     """The model fitted from least squares. The likelihood depends on the end of the dead zone only within it, so that
-    is looked for on a grid, and again with what the fit then says of all else, until it stays."""
-    guess = first_guess(records, "thrust" in model.provides)
+    is looked for on a grid, and again with what the fit then says of all else, until it stays.
+
+    Where the shaft turned one way only, c1 and c2 are one coefficient, and c2 is fixed at 0.
+    """
+    if "thrust" in model.provides and len(directions(records)) < len(WAYS):
+        model = model.replace_parameters(model.parameter("c2").at(0.0).fixed())
+    guess = first_guess(records, model)
     guess["tau"] = min(guess["tau"], 0.95 * model.parameter("tau").bounds[1])
     fitted = fit(model, records, options, start=guess)
     at, found = [p.name for p in model.parameters].index("d"), -1.0
@@ -76,20 +85,37 @@ def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOpt
     return fitted
 
 
-def first_guess(records: Sequence[Record], has_force: bool) -> dict[str, float]:
+def directions(records: Sequence[Record]) -> tuple[float, ...]:
+    """Which ways the shaft turned: 1 ahead, -1 astern."""
+    n = np.concatenate([r.y[:, 0] for r in records])
+    return tuple(way for way in WAYS if np.count_nonzero(way * n > LEAST_SPEED) >= MIN_SAMPLES)
+
+
+def steady_thrust(fitted: Fit, n: Array) -> tuple[Array, Array]:
+    """Thrust ``c1 n|n| + c2 n^2`` [N] at shaft speeds n (n_samples,), and its standard errors by the covariance of c1
+    and c2; NaN where the data do not tell them."""
+    B = np.column_stack([n * np.abs(n), n * n])
+    force = B @ [fitted.estimate(c)[0] for c in ("c1", "c2")]
+    free = [c for c in ("c1", "c2") if c in fitted.names]  # c2 may be fixed
+    at, B = [fitted.names.index(c) for c in free], B[:, : len(free)]
+    variance = np.einsum("ij,jk,ik->i", B, fitted.covariance[np.ix_(at, at)], B)
+    return force, np.sqrt(np.where(variance >= 0.0, variance, np.nan))
+
+
+def first_guess(records: Sequence[Record], model: Model) -> dict[str, float]:
     """Thrust coefficients by least squares of force on measured shaft speed; the shaft's delay and pole."""
     tau, a = shaft_guess(records)
     guess = {"tau": tau, "a": a}
-    if not has_force:
+    if "thrust" not in model.provides:
         return guess
     rows = []
     for r in records:
         seen = np.isfinite(r.y[:, 1])
         n = np.interp(r.t[seen], r.t[np.isfinite(r.y[:, 0])], r.y[np.isfinite(r.y[:, 0]), 0])
-        rows.append(np.column_stack([n * np.abs(n), n * n, np.ones(n.size), r.y[seen, 1]]))
-    table = np.concatenate(rows)
-    c1, c2, bias = np.linalg.lstsq(table[:, :3], table[:, 3], rcond=None)[0]
-    return guess | {"c1": max(float(c1), 0.1), "c2": float(c2), "bias": float(bias)}
+        rows.append(np.column_stack([n * np.abs(n), np.ones(n.size), n * n, r.y[seen, 1]]))
+    table, told = np.concatenate(rows), 3 if model.parameter("c2").free else 2
+    c1, bias, *c2 = np.linalg.lstsq(table[:, :told], table[:, 3], rcond=None)[0].tolist()
+    return guess | {"c1": max(c1, 0.1), "bias": bias} | ({"c2": c2[0]} if c2 else {})
 
 
 def shaft_guess(records: Sequence[Record]) -> tuple[float, float]:
@@ -131,6 +157,22 @@ def thruster_name(loaded: LoadedLog) -> str:
             f"{loaded.about['path']}: thrusters with commands and shaft speed: {said}; name one with --thruster"
         )
     return moved[0]
+
+
+def check_signs(loaded: LoadedLog, name: str) -> None:
+    """Check of sign and unit before a fit: the shaft's response to its command, the force's to the shaft.
+
+    Raises SeatrialError with what is wrong and what to do.
+    """
+    c, where = loaded.run.channels, loaded.about["path"]
+    for f in check_shafts({n: c[n] for n in (f"n_cmd_{name}", f"n_{name}") if n in c}):
+        if spoils_a_fit(f):
+            raise SeatrialError(f"{where}: {f.where}: {f.text} [{f.code}]; {f.advice}")
+    if "force" in c and f"n_{name}" in c:
+        seen = np.isfinite(c["force"].value)
+        n = np.interp(c["force"].t[seen], c[f"n_{name}"].t, c[f"n_{name}"].value)
+        if falls(n, c["force"].value[seen]):
+            raise SeatrialError(f"{where}: {FALLS}")
 
 
 def thruster_channels(loaded: LoadedLog, model: Model, name: str) -> dict[str, Channel]:

@@ -5,5 +5,6 @@ from .log_checks import check_signals as check_signals
 from .log_checks import device_faults as device_faults
 from .log_checks import log_evidence as log_evidence
 from .log_checks import spoils_a_fit as spoils_a_fit
+from .shafts import check_shafts as check_shafts
 from .signals import estimated as estimated
 from .signals import smoothed as smoothed

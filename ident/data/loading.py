@@ -10,7 +10,7 @@ A log's signals by the names that models use.
 | n_left, n_right | shaft speed over the rig's rpm_max, positive ahead |
 | n_cmd_left, n_cmd_right | commands; where an autopilot is between, its output instead |
 | servo_1, servo_2, ... | pulses of an autopilot's outputs (us), where no rig names thrusters |
-| force | load cell, tared by the static segments of the plan |
+| force | load cell, with whatever offset it has |
 | speed | along the track, from velocity over ground (imported speed_x and speed_y, or vx and vy) |
 | any other | imported signals, by their own names |
 

@@ -69,9 +69,9 @@ class SavedModel:
     calibration: float | None = None  # relative standard uncertainty of the forces that it was fitted to; None: unknown
 
     def uncertainty(self, name: str) -> float:
-        """Standard uncertainty of an estimated force: of its estimate and of the load cell's calibration."""
-        error, of_scale = self.errors.get(name, np.nan), (self.calibration or 0.0) * self.model.parameter(name).value
-        return float(np.hypot(error if np.isfinite(error) else 0.0, of_scale))
+        """Standard uncertainty of an estimated force: of its estimate and of the load cell's calibration; NaN where the
+        estimate has none."""
+        return float(np.hypot(self.errors[name], (self.calibration or 0.0) * self.model.parameter(name).value))
 
     def covariance(self, wanted: Collection[str] | None = None) -> ParameterCovariance:
         """Covariance of the estimates, or of those in ``wanted``, that have a standard error."""

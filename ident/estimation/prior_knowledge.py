@@ -9,7 +9,7 @@ from pathlib import Path
 from daq.errors import SeatrialError
 from daq.rig import Rig
 from ident.effects import catalogue
-from ident.estimation.model_file import load_model
+from ident.estimation.model_file import SavedModel, load_model
 from ident.model import Effect, Model, Parameter, ParameterOrigin
 from ident.models import (
     CURRENT_WALK,
@@ -87,23 +87,44 @@ def _effect_for(model: Model, name: str) -> Effect:
     return fitting[0]
 
 
-def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, float]) -> Model:
+def fix_parameters(
+    model: Model, thruster: Path | None, given: Mapping[str, float]
+) -> tuple[Model, list[str]]:
     """Parameters that are known: from the bench with their standard uncertainty (statistics and calibration), and fixed
-    ones from the command line."""
+    ones from the command line; and a line for what the bench did not measure. Raises SeatrialError where there is no
+    such parameter, or the bench's logs did not tell it."""
     known: dict[str, Parameter] = {}
+    notes = []
     if thruster is not None:
         bench = load_model(thruster)
         for name in ("c1", "c2"):
-            if name in model.values:
-                value, sd = bench.model.parameter(name).value, bench.uncertainty(name)
-                known[name] = model.parameter(name).known(value, sd, ParameterOrigin.MEASURED)
+            if name in model.values and name not in given:
+                p = _of_bench(bench, name, thruster)
+                origin = ParameterOrigin.MEASURED if p.free else p.origin
+                known[name] = model.parameter(name).known(p.value, bench.uncertainty(name) if p.free else 0.0, origin)
+                if name == "c2" and not p.free:
+                    notes.append(f"{thruster} does not tell c2 from c1, since the shaft turned one way: the thrust "
+                                 f"astern is taken for as large as ahead (c2 = {p.value:g} N)")
     for name, value in given.items():
         if name not in model.values:
             raise SeatrialError(
                 f"--fix {name}: model {model.name} has no such parameter; it has {', '.join(model.values)}"
             )
         known[name] = model.parameter(name).known(value, 0.0, ParameterOrigin.GIVEN)
-    return model.replace_parameters(*known.values())
+    return model.replace_parameters(*known.values()), notes
+
+
+def _of_bench(bench: SavedModel, name: str, path: Path) -> Parameter:
+    """A thrust coefficient as the bench told it."""
+    if name not in bench.model.values:
+        raise SeatrialError(f"{path}: has no {name}: a model with a load cell's force is needed")
+    p = bench.model.parameter(name)
+    if p.free and not bench.uncertainty(name) > 0.0:
+        raise SeatrialError(
+            f"{path}: {name} = {p.value:.4g} N has no standard error: its logs did not tell it; add steps ahead and "
+            f"astern on the bench, or give --fix {name}=..."
+        )
+    return p
 
 
 def set_priors(model: Model, prior: Mapping[str, tuple[float, float]]) -> Model:

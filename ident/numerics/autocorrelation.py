@@ -78,3 +78,11 @@ def block_error(x: Array, n_blocks: int = 10) -> float:
     noise."""
     means = [part.mean() for part in np.array_split(x, n_blocks)]
     return float(np.std(means, ddof=1) / np.sqrt(n_blocks))
+
+
+def mean_error(x: Array) -> tuple[float, float]:
+    """Standard error of the mean of evenly sampled readings x (n,), n >= 4, and their integrated autocorrelation time
+    [samples]: the larger of the errors by that time and by blocks."""
+    memory = integrated_autocorrelation_time([x], "positive")
+    by_memory = float(x.std(ddof=1)) * float(np.sqrt(memory / x.size))
+    return max(by_memory, block_error(x, min(10, x.size // 2))), memory

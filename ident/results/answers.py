@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ident.characterisation import Levels, Quadratic, ThrustCurve
+from ident.characterisation import Levels, Quadratic, ThrustCurve, steady_thrust
 from ident.data import Record
 from ident.estimation import FailedRun, Fit, HomogeneityTest, ThrustScale, against_priors, least_inertia, scale_of
 from ident.model import Model
@@ -310,11 +310,22 @@ def smallest_command(records: Sequence[Record]) -> float:
     return float(np.quantile(size[size > 0.0], PASSED)) if size.any() else 1.0
 
 
+def plus_minus(value: float, error: float) -> str:
+    """``40.783 ± 0.029``: a value and two significant digits of its standard error."""
+    decimals = min(max(1 - math.floor(math.log10(error)), 0), 9) if error > 0.0 else 1
+    return f"{round(value, decimals) + 0.0:.{decimals}f} ± {error:.{decimals}f}"  # + 0.0: no minus before nought
+
+
 def thruster_answer(
-    fitted: Fit, has_force: bool, calibration: float | None = None, smallest: float = 0.0
+    fitted: Fit,
+    has_force: bool,
+    ways: Sequence[float] = (1.0, -1.0),
+    calibration: float | None = None,
+    smallest: float = 0.0,
 ) -> str:
-    """``calibration``: relative standard uncertainty of the measured force; None where nobody gave it; ``smallest``:
-    command that was tried, as the dead zone is unknown below it."""
+    """``ways``: that the shaft turned, 1 ahead, -1 astern; ``calibration``: relative standard uncertainty of the
+    measured force, None where nobody gave it; ``smallest``: command that was tried, as the dead zone is unknown below
+    it."""
     a, tau, d = (fitted.estimate(n) for n in ("a", "tau", "d"))
     shaft = (
         f"the shaft follows its command {1e3 * tau[0]:.0f} ms late with a time constant of {1e3 / a[0]:.0f} ms "
@@ -323,20 +334,64 @@ def thruster_answer(
     )
     if not has_force:
         return shaft[0].upper() + shaft[1:] + "; without a load cell nothing is known of its thrust."
-    (c1, s1), (c2, s2) = fitted.estimate("c1"), fitted.estimate("c2")
-    s = math.hypot(s1, s2, (calibration or 0.0) * c1)
     known = "statistical only" if calibration is None else "with the load cell's calibration"
-    ends = f"{c1 + c2:.1f} N ahead and {c1 - c2:.1f} N astern"
-    return f"The thruster gives {ends} at full speed (± {s:.2g} N, {known}); {shaft}."
+    ends, lost = [], []
+    for way, word in ((1.0, "ahead"), (-1.0, "astern")):
+        force, error = (float(z[0]) for z in steady_thrust(fitted, np.array([way])))
+        if way in ways and math.isfinite(error):
+            ends.append(f"{plus_minus(way * force, math.hypot(error, (calibration or 0.0) * force))} N {word}")
+        else:
+            lost.append(f"{word}: not {'told by the data' if way in ways else 'measured'}")
+    if not ends:
+        return f"The logs do not tell the thrust ({', '.join(lost)}); {shaft}."
+    also = "".join(f"; {line}" for line in lost)
+    return f"The thruster gives {' and '.join(ends)} at full speed ({known}{also}); {shaft}."
+
+
+def thruster_warnings(ways: Sequence[float]) -> list[ResultWarning]:
+    """What a bench leaves unmeasured; ``ways``: that the shaft turned, 1 ahead, -1 astern."""
+    if len(ways) != 1:
+        return []
+    one, other = ("ahead", "astern") if ways[0] > 0 else ("astern", "ahead")
+    text = (
+        f"The shaft turned {one} only: c2 is fixed at 0, so that the model takes the thruster to push {other} as hard "
+        f"as {one}, which nobody measured. Add a log with steps {other}."
+    )
+    return [ResultWarning(code="one-direction", text=text)]
+
+
+def curve_warnings(levels: Levels) -> list[ResultWarning]:
+    """What a static curve leaves unknown: the load cell's zero."""
+    if levels.offset is not None:
+        return []
+    text = (
+        "The command is nowhere held at zero: the load cell's zero is unknown, and an offset is in all forces. Rest "
+        "before and after the steps."
+    )
+    return [ResultWarning(code="zero-unknown", text=text)]
 
 
 def curve_notes(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> list[str]:
     curve, known = measured.curve, measured.calibration
-    covariance = np.sqrt(np.diag(quadratic.covariance))
+    errors = np.sqrt(np.diag(quadratic.covariance))
+    c2 = (
+        "c2 not told by commands of one sign" if quadratic.c2 is None
+        else f"c2 = {plus_minus(quadratic.c2, errors[1])} N"
+    )
+    test = f"F with {quadratic.df} and {levels.dof}" if levels.dof else f"chi-squared with {quadratic.df}"
+    between = (
+        f"with a scatter between visits to one level of {levels.scatter:.2g} N ({levels.dof} degrees of freedom)"
+        if levels.dof else "but not the scatter between visits, since no level was visited twice"
+    )
+    zero = (
+        f"The load cell's {plus_minus(levels.offset, levels.offset_se)} N at rest are taken off all levels."
+        if levels.offset is not None else ""
+    )
     notes = [
-        f"Quadratic: c1 = {quadratic.c1:.2f} ± {covariance[0]:.2f} N, c2 = {quadratic.c2:.2f} ± {covariance[1]:.2f} N, "
-        f"chi-square {quadratic.chi2:.3g} with {quadratic.df} degrees of freedom against the levels' own errors.",
-        "Standard errors of levels are of the readings alone, with their autocorrelation; they know nothing of "
+        *filter(None, [zero]),
+        f"Quadratic: c1 = {plus_minus(quadratic.c1, errors[0])} N, {c2}; misfit against the levels' own errors: "
+        f"p = {quadratic.p:.2g} ({test} degrees of freedom).",
+        f"Standard errors of levels are of the readings, with their autocorrelation, {between}; they know nothing of "
         "friction in the rig, of the battery, or of another day.",
         "Of the load cell's calibration nobody gave an error (newton_per_count_sd, lever_ratio_sd of the rig, or "
         "`calibration` in model.toml): masses and forces by this curve have statistical errors only."
@@ -345,8 +400,8 @@ def curve_notes(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> 
     ]
     moved = np.abs(curve.force - levels.force) > 1e-9
     if moved.any():
-        pooled = zip(levels.n[moved], levels.force[moved], levels.se[moved], strict=True)
-        said = ", ".join(f"{f:.2f} ± {s:.2f} N at {n:g}" for n, f, s in pooled)
+        pooled = zip(levels.n[moved], levels.force[moved], levels.error[moved], strict=True)
+        said = ", ".join(f"{plus_minus(f, s)} N at {n:g}" for n, f, s in pooled)
         notes.append(f"Levels that do not rise with the command were made level: {said}.")
     return notes
 

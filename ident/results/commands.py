@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+from ident.characterisation import directions
 from ident.estimation import FittedModel, HomogeneityTest, Profile, ReportedEstimates
 from ident.models import residuals_of
 from ident.numerics import Array
@@ -23,6 +24,7 @@ from ident.results.answers import (
     outlier_lines,
     smallest_command,
     thruster_answer,
+    thruster_warnings,
     vehicle_answer,
 )
 from ident.results.parts import (
@@ -125,13 +127,17 @@ def thruster_result(
 ) -> ThrusterResult:
     """``static``: None where there was no load cell; ``posed``: what came before the fit; ``calibration``: relative
     standard uncertainty of the load cell's force, None where the rig does not give it."""
-    bands = calibration_tables(evaluation)
+    bands, ways = calibration_tables(evaluation), directions(stage.records)
     return ThrusterResult(
         **msgspec.structs.asdict(made),
         answer=not_converged(stage.fit) or thruster_answer(
-            stage.fit, static is not None, calibration, smallest_command(stage.records)
+            stage.fit, static is not None, ways, calibration, smallest_command(stage.records)
         ),
-        warnings=(*estimation_warnings(stage.fit, stage.records), *failed_run_warnings(stage.failed)),
+        warnings=(
+            *(thruster_warnings(ways) if static is not None else ()),
+            *estimation_warnings(stage.fit, stage.records),
+            *failed_run_warnings(stage.failed),
+        ),
         notes=_notes(posed.notes, evaluation, bands),
         fit=fit_summary(stage.fit, posed.start, calibration if static is not None else 0.0),
         failed_runs=failed_runs(stage.failed),

@@ -82,6 +82,8 @@ WarningCode = Literal[
     "noise-contradicted",
     "prior-contradicted",
     "inertia-too-small",
+    "one-direction",
+    "zero-unknown",
     "validation-run-failed",
     "curve-not-drawn",
     "effect-untested",

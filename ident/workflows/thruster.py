@@ -14,19 +14,25 @@ import numpy as np
 
 from daq.errors import SeatrialError, counted
 from ident.characterisation import (
+    FALLS,
     THRUSTER_RATE,
     Curve,
     Levels,
     Quadratic,
     ThrustCurve,
     adequate,
+    check_signs,
     curve_left_out,
+    directions,
+    falls,
     find_levels,
     fit_curve,
     fit_on_a_copy,
     fit_quadratic,
+    hold_advice,
     save_curve,
     shaft_guess,
+    steady_thrust,
     thruster_channels,
     thruster_name,
 )
@@ -34,7 +40,7 @@ from ident.data import Channel, LoadedLog, Record, build_record, load_runs
 from ident.estimation import EstimationOptions, Fit, FittedModel, RecordEvaluation, profile
 from ident.model import Model
 from ident.models import thruster_model
-from ident.numerics import Array, steady_segments
+from ident.numerics import Array, mean_error, steady_segments
 from ident.report import write_report
 from ident.reporter import Reporter
 from ident.results import (
@@ -43,6 +49,8 @@ from ident.results import (
     ThrustCurveResult,
     ThrusterResult,
     curve_notes,
+    curve_warnings,
+    plus_minus,
     provenance,
     thruster_result,
     write_result,
@@ -88,6 +96,8 @@ def characterise(
         return static_curve(loaded, request, command, reporter)
     check_ahead(horizon, loaded)
     name = name or thruster_name(loaded[0])
+    for x in loaded:
+        check_signs(x, name)
     has_force = all("force" in x.run.channels for x in loaded)
     model = thruster_model(force=has_force)
     check_names(model, profiles, len(loaded))
@@ -108,7 +118,7 @@ def characterise(
         evaluation,
         provenance(loaded, command),
         [profile(fitted, records, p) for p in profiles],
-        _static(fitted, loaded, name) if has_force else None,
+        _static(fitted, records, loaded, name) if has_force else None,
         Posed(model.values, stage.outlier_notes),
         calibration,
     )
@@ -138,23 +148,15 @@ def _record(model: Model, loaded: LoadedLog, name: str) -> Record:
     return build_record(model, channels, name=loaded.run.name, rate=THRUSTER_RATE)
 
 
-def _static(fitted: Fit, loaded: Sequence[LoadedLog], name: str) -> StaticForce:
-    """Steady points: the last second of every command that lasted, and the fitted curve with its band."""
+def _static(fitted: Fit, records: Sequence[Record], loaded: Sequence[LoadedLog], name: str) -> StaticForce:
+    """Steady points: the last second of every command that lasted, and the fitted curve with its band, where the shaft
+    turned."""
     points = [p for i, x in enumerate(loaded) for p in _steady(x, name, fitted.estimate("bias", i)[0])]
     n, force, sd = np.array(points).reshape(-1, 3).T
-    grid = np.linspace(-1, 1, 81)
-    B = np.column_stack([grid * np.abs(grid), grid**2])
-    value = {c: fitted.estimate(c)[0] for c in ("c1", "c2")}
-    at = [fitted.names.index(c) for c in ("c1", "c2")]
-    P = fitted.covariance[np.ix_(at, at)]
-    return StaticForce(
-        n=n,
-        force=force,
-        sd=sd,
-        n_model=grid,
-        force_model=B @ [value["c1"], value["c2"]],
-        force_sd=np.sqrt(np.einsum("ij,jk,ik->i", B, P, B)),
-    )
+    ends = (0.0, *directions(records))
+    grid = np.linspace(min(ends), max(ends), 81)
+    force_model, force_sd = steady_thrust(fitted, grid)
+    return StaticForce(n=n, force=force, sd=sd, n_model=grid, force_model=force_model, force_sd=force_sd)
 
 
 def _steady(loaded: LoadedLog, name: str, bias: float) -> list[tuple[float, float, float]]:
@@ -165,7 +167,7 @@ def _steady(loaded: LoadedLog, name: str, bias: float) -> list[tuple[float, floa
             continue
         speed, force = (c.value[(c.t > steady.end - AVERAGED) & (c.t <= steady.end)] for c in (n, f))
         if speed.size > 3 and force.size > 3:
-            points.append((float(speed.mean()), float(force.mean() - bias), float(force.std() / np.sqrt(force.size))))
+            points.append((float(speed.mean()), float(force.mean() - bias), mean_error(force)[0]))
     return points
 
 
@@ -188,7 +190,10 @@ def static_curve(
     try:
         levels = find_levels(channels[names[0]], channels["force"], request.settle)
         if levels.n.size < 4:
-            raise ValueError(f"{levels.n.size} steady commands are too few for a curve; it takes four")
+            advice = hold_advice(channels[names[0]], channels["force"], request.settle)
+            raise ValueError(f"{levels.n.size} steady commands are too few for a curve, which takes four; {advice}")
+        if falls(levels.n, levels.force, float(levels.error.max())):
+            raise ValueError(FALLS)
     except ValueError as problem:
         raise SeatrialError(f"{where}: {problem}") from problem
     curve, quadratic = fit_curve(levels), fit_quadratic(levels)
@@ -196,6 +201,7 @@ def static_curve(
     result = ThrustCurveResult(
         **msgspec.structs.asdict(provenance(loaded, command)),
         answer=curve_answer(levels, measured, quadratic),
+        warnings=tuple(curve_warnings(levels)),
         static=_curve_points(levels, curve, quadratic),
         notes=tuple(curve_notes(levels, measured, quadratic)),
     )
@@ -248,7 +254,7 @@ def _curve_points(levels: Levels, curve: Curve, quadratic: Quadratic) -> StaticF
     return StaticForce(
         n=levels.n,
         force=levels.force,
-        sd=levels.se,
+        sd=levels.error,
         n_model=grid,
         force_model=curve(grid),
         force_sd=curve.error(grid),
@@ -258,19 +264,28 @@ def _curve_points(levels: Levels, curve: Curve, quadratic: Quadratic) -> StaticF
 
 
 def curve_answer(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> str:
+    """The force at the ends of the command, and whether the quadratic describes the levels."""
     curve, thrusters, known = measured.curve, measured.thrusters, measured.calibration
-    (low, high), words = curve.force[[0, -1]], {1: "The thruster gives", 2: "Both thrusters together give"}
-    below, above = np.hypot(curve.se, (known or 0.0) * curve.force)[[0, -1]]
-    end = f"and {-low:.1f} ± {below:.1f} N astern " if curve.n[0] < 0 else ""
+    words = {1: "The thruster gives", 2: "Both thrusters together give"}
+    error = np.hypot(curve.se, (known or 0.0) * curve.force)
+    ends, lost = [], ""
+    for k, way, word in ((-1, 1.0, "ahead"), (0, -1.0, "astern")):
+        if way * curve.n[k] > 0.0:
+            ends.append(f"{plus_minus(way * float(curve.force[k]), float(error[k]))} N {word}")
+        else:
+            lost = f"; {word}: not measured"
     told = (
-        f"{words.get(thrusters, f'The {thrusters} thrusters together give')} {high:.1f} ± {above:.1f} N ahead "
-        f"{end}at the ends of the command ({'statistical only' if known is None else 'with the calibration'}), "
-        f"{levels.n.size} steady levels in all."
+        f"{words.get(thrusters, f'The {thrusters} thrusters together give')} {' and '.join(ends)} at the ends of the "
+        f"command ({'statistical only' if known is None else 'with the calibration'}{lost}), {levels.n.size} steady "
+        "levels in all."
     )
     if adequate(quadratic):
-        return f"{told} c1 n|n| + c2 n² describes them within their errors (c1 {quadratic.c1:.2f} N)."
+        return (
+            f"{told} {quadratic.formula} describes them within their errors (c1 {quadratic.c1:.2f} N, "
+            f"misfit {quadratic.rms:.2g} N rms)."
+        )
     return (
-        f"{told} c1 n|n| + c2 n² does not describe them: it misses them by {quadratic.rms:.1f} N (rms), by "
+        f"{told} {quadratic.formula} does not describe them: it misses them by {quadratic.rms:.1f} N (rms), by "
         f"{quadratic.largest:+.1f} N at n = {quadratic.at:g}; a level left out is missed by "
         f"{quadratic.left_out:.1f} N, by the monotone curve through the others by {curve_left_out(levels):.1f} N."
     )

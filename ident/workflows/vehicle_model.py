@@ -132,9 +132,10 @@ def vehicle_problem(
         model, told = with_calibration(model, curve, own=is_own_model(source))
         notes += told
     model = set_initial_values(set_priors(with_effects(model, request.effects), request.priors), request.initial)
-    model = pose_scale(fix_parameters(model, request.thruster if curve is None else None, request.fixed))
+    model, untold = fix_parameters(model, request.thruster if curve is None else None, request.fixed)
+    model = pose_scale(model)
     model, floors = with_noise_floors(model, loaded)
     check_names(nominal(model), request.profiles, len(loaded))
     segments, validation = ([x.run for x in part] for part in (loaded, unseen))
     unused = unused_signals(model, loaded, unseen)
-    return VehicleProblem(model, segments, validation, [*notes, *floors], thrust_from(model), unused)
+    return VehicleProblem(model, segments, validation, [*notes, *untold, *floors], thrust_from(model), unused)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import seatrial
-from bench.mission_generators import make_mission
-from daq.config.mission_file import load_mission
+from bench.mission_generators import HOLD_S, make_mission
+from daq.config.mission_file import Mission, load_mission
 from tests.bench.standin import RIG
 
 
@@ -36,6 +37,16 @@ def test_every_command_helps_with_an_example(capsys: pytest.CaptureFixture[str],
     status, out, _ = run(capsys, *words, "--help")
     assert status == 0
     assert f"Example: seatrial {words[0]}" in " ".join(out.split())
+
+
+def test_steps_are_held_as_long_as_asked(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    plans: list[Mission] = []
+    monkeypatch.setattr("bench.cli._run", lambda plan, *_: plans.append(plan))
+    rig = str(Path(__file__).resolve().parents[2] / "mocks/rigs/bench.toml")
+    for words in (["steps", rig], ["steps", rig, "--hold", "5"]):
+        assert run(capsys, "bench", *words)[0] == 0
+    assert [round(float(np.diff(plan.segments[1].t)[0]), 3) for plan in plans] == [HOLD_S, 5.0]
+    assert run(capsys, "bench", "chirp", rig, "--hold", "5")[0] == 2
 
 
 def test_make_and_show_a_mission(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -8,22 +8,28 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import seatrial
 from daq.errors import SeatrialError
 from ident.characterisation.thrust_curve import (
     Levels,
     ThrustCurve,
+    _merged,
     adequate,
     curve_left_out,
+    falls,
     find_levels,
     fit_curve,
     fit_quadratic,
+    hold_advice,
     load_curve,
     save_curve,
     thrust_channels,
 )
 from ident.data.record import Channel
+from ident.results.answers import curve_notes, curve_warnings
+from ident.workflows.thruster import curve_answer
 
 COMMANDS = np.round(np.linspace(-1.0, 1.0, 11), 3)
 MAP = """
@@ -73,7 +79,7 @@ def test_errors_are_the_scatter_of_the_levels() -> None:
     z = []
     for seed in range(40):
         levels = find_levels(*bench(saturating, seed), settle=0.0)
-        z.append((levels.force - saturating(levels.n)) / levels.se)
+        z.append(((levels.force - saturating(levels.n)) / levels.error)[~levels.at_rest])
     assert np.std(z) == pytest.approx(1.0, abs=0.2)
     naive = 0.1 / np.sqrt(1 - 0.9**2) / np.sqrt(500)
     assert np.median(levels.se) > 2.5 * naive  # readings that are not independent
@@ -91,6 +97,105 @@ def test_settling_is_left_out_and_visits_are_joined() -> None:
     assert levels.se[1] == pytest.approx(1.0, abs=0.05)  # 10 and 12 differ by far more than their own errors
     with pytest.raises(ValueError, match="nowhere held for 9 s"):
         find_levels(Channel(t, command), Channel(t, force), settle=9.0)
+
+
+def plan(*levels: float, hold: float = 8.0, rate: float = 20.0) -> tuple[np.ndarray, np.ndarray]:
+    """Times and commands of levels that are held."""
+    n = np.repeat(levels, round(hold * rate))
+    return np.arange(n.size) / rate, n
+
+
+def pull(n: np.ndarray, noise: float = 0.3) -> np.ndarray:
+    return 40.0 * n * np.abs(n) + noise * np.random.default_rng(0).standard_normal(n.size)
+
+
+SYMMETRIC = (0, 0.25, -0.25, 0.5, -0.5, 0.75, -0.75, 1, -1, 0)
+
+
+def test_the_load_cells_zero_is_taken_off_with_its_error() -> None:
+    t, n = plan(*SYMMETRIC)
+    levels = find_levels(Channel(t, n), Channel(t, pull(n) + 5.0))
+    assert levels.offset == pytest.approx(5.0, abs=0.1)
+    curve = fit_curve(levels)
+    assert curve(np.zeros(1))[0] == 0.0
+    np.testing.assert_allclose(curve(np.array([-1.0, 1.0])), [-40.0, 40.0], atol=0.2)
+    assert curve.se[-1] == pytest.approx(np.hypot(levels.se[-1], levels.offset_se))
+    found = fit_quadratic(levels)
+    assert adequate(found)
+    assert found.covariance[1, 1] > 2 * levels.offset_se**2  # c2 is known no better than the zero that is in it
+    (note,) = [line for line in curve_notes(levels, ThrustCurve(curve, 1), found) if "at rest" in line]
+    assert note.startswith("The load cell's 5.")
+    assert curve_warnings(levels) == []
+
+
+def test_without_a_rest_the_zero_is_unknown_and_said_so() -> None:
+    t, n = plan(*SYMMETRIC[1:-1])
+    levels = find_levels(Channel(t, n), Channel(t, pull(n)))
+    assert (levels.offset, levels.offset_se) == (None, 0.0)
+    assert adequate(fit_quadratic(levels))
+    (line,) = curve_warnings(levels)
+    assert (line.code, "zero is unknown" in line.text) == ("zero-unknown", True)
+
+
+def test_a_dead_band_gives_no_thrust_at_rest() -> None:
+    """Levels inside it read noise, which pooling would leave at rest."""
+    n = np.array([-0.5, -0.1, 0.0, 0.1, 0.5])
+    levels = Levels(n, np.array([-9.0, 0.2, 0.0, -0.1, 10.0]), np.full(5, 0.1), np.full(5, 50.0), np.ones(5), 5.0, 0.1)
+    assert fit_curve(levels).force.tolist() == [-9.0, 0.0, 0.0, 0.0, 10.0]
+
+
+@pytest.mark.parametrize("commands", [(0, 0.2, 0.4, 0.6, 0.8, 1, 0), (-0.4, -0.6, -0.8, -1), (0.2, 0.5, 0.7, 1)])
+def test_commands_of_one_sign_have_one_coefficient(commands: tuple[float, ...]) -> None:
+    t, n = plan(*commands)
+    levels = find_levels(Channel(t, n), Channel(t, pull(n)))
+    found = fit_quadratic(levels)
+    assert (found.c2, found.covariance.shape) == (None, (1, 1))
+    assert found.df == len(set(commands)) - 1 - (0 in commands)
+    assert abs(found.c1 - 40.0) < 4 * np.sqrt(found.covariance[0, 0])
+    assert adequate(found)
+    said = curve_answer(levels, ThrustCurve(fit_curve(levels), 1), found)
+    lost, there = ("astern", "ahead") if max(commands) > 0 else ("ahead", "astern")
+    assert f"{lost}: not measured" in said
+    assert f"N {there} at the ends" in said
+    assert "c1 n|n| describes them" in said
+
+
+def test_one_variance_between_visits_and_a_test_of_its_right_size() -> None:
+    """Twelve levels of a true quadratic, visited twice, with a scatter far above the errors of the readings."""
+    rng = np.random.default_rng(0)
+    n = np.repeat(np.r_[-np.arange(6, 0, -1), np.arange(1, 7)] * 0.15, 2)
+    rejected, z = 0, []
+    for _ in range(300):
+        force = 40.0 * n * np.abs(n) + 0.5 * rng.standard_normal(n.size)
+        rows = zip(n, force, np.full(n.size, 0.05), np.full(n.size, 100), np.ones(n.size), strict=True)
+        levels = _merged(sorted(rows))
+        rejected += not adequate(fit_quadratic(levels))
+        z.append((levels.force - 40.0 * levels.n * np.abs(levels.n)) / levels.error)
+    assert levels.dof == 12
+    assert rejected <= 9  # 3 are due; with each level's own scatter there were 246
+    assert np.mean(np.abs(z) < stats.t.isf(0.025, 12)) == pytest.approx(0.95, abs=0.02)
+
+
+def test_what_scatters_at_rest_does_not_tell_the_scatter_of_thrust() -> None:
+    rows = [(0.0, 0.0, 0.1, 50, 1.0), (0.0, 3.0, 0.1, 50, 1.0), (0.5, 10.0, 0.1, 50, 1.0), (1.0, 40.0, 0.1, 50, 1.0)]
+    levels = _merged(rows)
+    assert (levels.dof, levels.scatter) == (0, 0.0)
+    np.testing.assert_allclose(levels.se, [1.5, 0.1, 0.1], rtol=0.01)
+
+
+def test_a_hold_that_is_too_short_is_named_with_what_would_do() -> None:
+    t, n = plan(0, 0.2, 0.4, 0.6, 0.8, hold=1.8, rate=20.0)
+    with pytest.raises(ValueError, match=r"held for 1\.8 s, of which --settle 1\.5 s leaves 0\.3 s.*try --settle 0\.8"):
+        find_levels(Channel(t, n), Channel(t, pull(n)))
+    assert find_levels(Channel(t, n), Channel(t, pull(n)), settle=0.8).n.size == 5
+    assert "more than 3.5 s (seatrial bench steps --hold)" in hold_advice(Channel(t, n), Channel(t[::2], n[::2]), 1.5)
+
+
+@pytest.mark.parametrize(("scale", "error", "told"), [(-40.0, 0.1, True), (40.0, 0.1, False), (-0.05, 0.1, False)])
+def test_a_force_that_falls_is_one_beyond_its_errors(scale: float, error: float, *, told: bool) -> None:
+    n = np.linspace(-1, 1, 9)
+    assert falls(n, scale * n * np.abs(n), error) is told
+    assert not falls(n, np.ones(9))
 
 
 def test_the_quadratic_is_recovered_where_it_is_true() -> None:
@@ -181,8 +286,8 @@ def run(*words: str, status: int = 0) -> None:
     assert left.value.code == status, words
 
 
-def write_bench(folder: Path, both: bool = True) -> str:
-    command, force = bench(saturating)
+def write_bench(folder: Path, both: bool = True, sign: float = 1.0) -> str:
+    command, force = bench(lambda n: sign * saturating(n))
     other = command.value if both else 0.5 * command.value
     np.savetxt(folder / "bench.csv", np.column_stack([command.value, other, force.value]), "%.6f", ",",
                header="n,m,force", comments="")  # fmt: skip
@@ -214,3 +319,16 @@ def test_commands_that_differ_have_to_be_named(tmp_path: Path, capsys: pytest.Ca
     run("ident", "thruster", log, "--out", str(tmp_path / "t"), status=1)
     assert "n_left and n_right differ; name the thruster" in capsys.readouterr().err
     run("ident", "thruster", log, "--thruster", "left", "--out", str(tmp_path / "t"))
+
+
+def test_a_reversed_load_cell_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = write_bench(tmp_path, sign=-1.0)
+    run("ident", "thruster", log, "--out", str(tmp_path / "t"), status=1)
+    assert "bench.mcap: the force falls as the command rises: the load cell is reversed" in capsys.readouterr().err
+    assert not (tmp_path / "t/model.toml").exists()
+
+
+def test_too_few_levels_say_what_the_hold_leaves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = write_bench(tmp_path)
+    run("ident", "thruster", log, "--settle", "9.9", "--out", str(tmp_path / "t"), status=1)
+    assert "held for 10 s, of which --settle 9.9 s leaves 0.1 s" in capsys.readouterr().err

@@ -11,6 +11,7 @@ from ident.numerics.autocorrelation import (
     block_error,
     effective_sample_size,
     integrated_autocorrelation_time,
+    mean_error,
 )
 
 N = 20_000
@@ -49,3 +50,11 @@ def test_effective_sample_size_of_first_order_noise() -> None:
 def test_a_drift_is_in_the_error_by_blocks() -> None:
     x = np.random.default_rng(0).normal(size=1000) + np.repeat(np.linspace(-1, 1, 10), 100)
     assert block_error(x) > 0.15 > 3 * x.std() / np.sqrt(1000)
+
+
+def test_the_error_of_a_mean_allows_for_autocorrelation_even_of_few_readings() -> None:
+    errors = [mean_error(ar1(0.9, seed)[:500])[0] for seed in range(20)]
+    scatter = np.std([ar1(0.9, seed)[:500].mean() for seed in range(200)])
+    assert np.mean(errors) == pytest.approx(scatter, rel=0.25)
+    error, memory = mean_error(np.array([0.0, 1.0, 0.0, 1.0]))
+    assert (error > 0.0, memory) == (True, 1.0)

@@ -80,7 +80,7 @@ def test_the_cells_calibration_is_in_the_errors_of_what_stands_on_it(
     assert rows["calibrated"]["a"]["se"] == rows["plain"]["a"]["se"]
     saved = load_model(tmp_path / "calibrated" / "model.toml")
     assert saved.uncertainty("c1") == pytest.approx(calibrated["se"], rel=1e-4)
-    vehicle = fix_parameters(horizontal_model(), tmp_path / "calibrated" / "model.toml", {})
+    vehicle, _ = fix_parameters(horizontal_model(), tmp_path / "calibrated" / "model.toml", {})
     mean, sd = vehicle.parameter("c1").prior or (0.0, 0.0)
     assert (mean, sd) == (pytest.approx(plain["value"], rel=1e-6), pytest.approx(calibrated["se"], rel=1e-4))
     assert vehicle.parameter("c1").provenance == "measured"

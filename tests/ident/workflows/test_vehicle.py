@@ -82,7 +82,7 @@ def test_inputs_that_only_some_logs_have_are_none() -> None:
 
 
 def test_what_is_known_is_taken_and_fixed() -> None:
-    model = fix_parameters(apply_rig_geometry(horizontal_model(), rig_of("boat"))[0], None, {"d_uu": 30.0})
+    model, _ = fix_parameters(apply_rig_geometry(horizontal_model(), rig_of("boat"))[0], None, {"d_uu": 30.0})
     assert (model.values["d_vv"], model.values["d_uu"]) == (20.0, 30.0)
     assert model.parameter("d_vv").free
     assert not model.parameter("d_uu").free

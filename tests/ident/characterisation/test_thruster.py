@@ -1,0 +1,136 @@
+"""What a bench log tells of a thruster's force: one direction, wrong signs, and the errors of both ends."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import seatrial
+from daq.errors import SeatrialError
+from ident.characterisation.thruster import steady_thrust
+from ident.estimation.prior_knowledge import fix_parameters
+from ident.models.horizontal import horizontal_model
+from ident.results.answers import thruster_answer
+from ident.workflows.thruster import _steady
+
+MAP = """
+format = "seatrial-import 1"
+[time]
+column = "t"
+[[signal]]
+name = "n_cmd_left"
+column = "cmd"
+unit = "1"
+role = "input"
+[[signal]]
+name = "n_left"
+column = "n"
+unit = "1"
+[[signal]]
+name = "force"
+column = "force"
+unit = "N"
+"""
+AHEAD = (0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.6, 0.3, 0)
+BOTH = (0, 0.2, 0.4, 0.6, 0.9, 0.5, 0, -0.2, -0.4, -0.6, -0.9, -0.5, 0)
+DT = 0.05
+
+
+def run(*words: str, status: int = 0) -> None:
+    with pytest.raises(SystemExit) as left:
+        seatrial.main(words)
+    assert left.value.code == status, words
+
+
+def write_bench(folder: Path, levels: tuple[float, ...], shaft_sign: float = 1.0, force_sign: float = 1.0) -> str:
+    """A log of levels of 3 s each: first-order shaft, 0.1 s late, 41.1 N ahead and 38.9 N astern at full speed."""
+    rng = np.random.default_rng(0)
+    command = np.repeat(levels, round(3.0 / DT))
+    late, n = np.append([0.0, 0.0], command[:-2]), np.zeros(command.size)
+    for k in range(1, n.size):
+        n[k] = n[k - 1] + (1 - np.exp(-5.0 * DT)) * (late[k - 1] - n[k - 1])
+    force = force_sign * (40 * n * np.abs(n) + 1.1 * n * n) + 0.2 * rng.standard_normal(n.size)
+    shaft = shaft_sign * n + 0.003 * rng.standard_normal(n.size)
+    rows = np.column_stack([np.arange(n.size) * DT, command, shaft, force])
+    np.savetxt(folder / "bench.csv", rows, "%.5f", ",", header="t,cmd,n,force", comments="")
+    (folder / "map.toml").write_text(MAP)
+    run("import", str(folder / "map.toml"), str(folder / "bench.csv"), "-o", str(folder / "bench.mcap"))
+    return str(folder / "bench.mcap")
+
+
+def test_a_thrust_that_nobody_measured_has_no_number(tmp_path: Path) -> None:
+    """Of one direction c1 and c2 are one: c2 is fixed, which the next step says, too."""
+    run("ident", "thruster", write_bench(tmp_path, AHEAD), "--out", str(tmp_path / "t"))
+    result = json.loads((tmp_path / "t/result.json").read_text())
+    assert "41.0" in result["answer"] or "41.1" in result["answer"]
+    assert "astern: not measured" in result["answer"]
+    assert "nan" not in result["answer"]
+    assert result["warnings"][0]["code"] == "one-direction"
+    assert min(result["static"]["n_model"]) == 0.0
+    saved = {p["name"]: p for p in tomllib.loads((tmp_path / "t/model.toml").read_text())["parameter"]}
+    assert (saved["c2"]["value"], saved["c2"]["free"]) == (0.0, False)
+    assert abs(saved["c1"]["value"] - 41.1) < 4 * saved["c1"]["se"] < 1.0
+    vehicle, notes = fix_parameters(horizontal_model(), tmp_path / "t/model.toml", {})
+    c1, c2 = vehicle.parameter("c1"), vehicle.parameter("c2")
+    assert (c1.prior or (0, 0))[1] == pytest.approx(saved["c1"]["se"])
+    assert (c2.value, c2.free, str(c2.provenance)) == (0.0, False, "given")
+    (note,) = notes
+    assert "does not tell c2 from c1" in note
+    # A model.toml of before, where both were free and had no error.
+    text = (tmp_path / "t/model.toml").read_text()
+    bad = "\n".join(line for line in text.splitlines() if not line.startswith("se = "))
+    (tmp_path / "bad.toml").write_text(bad)
+    with pytest.raises(SeatrialError, match=r"bad\.toml: c1 = 41\S* N has no standard error: .* add steps"):
+        fix_parameters(horizontal_model(), tmp_path / "bad.toml", {})
+    fixed, _ = fix_parameters(horizontal_model(), tmp_path / "bad.toml", {"c1": 40.0})
+    assert fixed.parameter("c1").value == 40.0
+
+
+@pytest.mark.parametrize(
+    ("shaft", "force", "said"),
+    [(1.0, -1.0, "the force falls as the command rises"), (-1.0, 1.0, "left: the shaft turns against its command")],
+)
+def test_a_wrong_sign_is_one_line(
+    shaft: float, force: float, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run("ident", "thruster", write_bench(tmp_path, BOTH, shaft, force), "--out", str(tmp_path / "t"), status=1)
+    err = capsys.readouterr().err
+    assert f"bench.mcap: {said}" in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "t/model.toml").exists()
+
+
+def estimates(correlation: float) -> Any:
+    values = {"a": 5.0, "tau": 0.1, "d": 0.05, "c1": 40.0, "c2": 1.0}
+    covariance = np.array([[0.09, correlation * 0.12], [correlation * 0.12, 0.16]])
+    return SimpleNamespace(estimate=lambda n: (values[n], 0.1), names=("c1", "c2"), covariance=covariance)
+
+
+def test_each_end_has_its_own_error_by_the_covariance() -> None:
+    force, error = steady_thrust(estimates(-0.8), np.array([1.0, -1.0, 0.0]))
+    np.testing.assert_allclose(force, [41.0, -39.0, 0.0])
+    np.testing.assert_allclose(error, np.sqrt([0.25 - 2 * 0.096, 0.25 + 2 * 0.096, 0.0]))
+    said = thruster_answer(estimates(-0.8), has_force=True)
+    assert "gives 41.00 ± 0.24 N ahead and 39.00 ± 0.66 N astern at full speed (statistical only)" in said
+    said = thruster_answer(estimates(-0.8), has_force=True, calibration=0.1)
+    assert "gives 41.0 ± 4.1 N ahead and 39.0 ± 4.0 N astern" in said
+    assert "The logs do not tell the thrust" in thruster_answer(estimates(np.nan), has_force=True)
+
+
+def test_steady_points_have_errors_that_allow_for_autocorrelation() -> None:
+    rng = np.random.default_rng(1)
+    t = np.arange(0.0, 4.0, 0.0125)
+    noise = np.zeros(t.size)
+    for k in range(1, t.size):
+        noise[k] = 0.95 * noise[k - 1] + rng.standard_normal()
+    channel = lambda value: SimpleNamespace(t=t, value=value)  # noqa: E731
+    channels = {"n_cmd_a": channel(np.full(t.size, 0.5)), "n_a": channel(np.full(t.size, 0.5)), "force": channel(noise)}
+    ((_, _, sd),) = _steady(SimpleNamespace(run=SimpleNamespace(channels=channels)), "a", 0.0)  # type: ignore[arg-type]
+    last = noise[t > t[-1] - 0.6]
+    assert sd > 2 * last.std() / np.sqrt(last.size)
