@@ -5,9 +5,11 @@ Frames become the 16 bytes of `struct can_frame` and go through the decoders tha
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +25,17 @@ from daq.rig import Device, Rig
 from daq.samples import Frame
 
 ENDINGS = (".log", ".asc", ".blf", ".trc", ".db", ".mf4", ".csv")  # of python-can
+CANDUMP = "CanutilsLogReader"
+_HEAD = 4096
+_CANDUMP = re.compile(rb"\(\d+\.\d+\) \S+ [0-9A-Fa-f]{3,8}#")
+_ASC = re.compile(rb"(?i)(date |base (hex|dec))")
+
+
+def reader_name(head: bytes) -> str:
+    """python-can's reader of a log that begins so; "" where it looks like none."""
+    if head.startswith(b"LOGG"):
+        return "BLFReader"
+    return CANDUMP if _CANDUMP.match(head) else "ASCReader" if _ASC.match(head) else ""
 
 
 class BusFrame(NamedTuple):
@@ -37,11 +50,11 @@ class BusFrame(NamedTuple):
 def read_frames(path: Path) -> Iterator[BusFrame]:
     """The data frames of a log, in the order of the file. Raises SeatrialError."""
     import can
-    from can.io.canutils import CanutilsLogReader
 
     try:
-        known = path.suffix in ENDINGS
-        with can.LogReader(path) if known else CanutilsLogReader(path) as reader:
+        with path.open("rb") as file:
+            name = reader_name(file.read(_HEAD)) or ("LogReader" if path.suffix.lower() in ENDINGS else CANDUMP)
+        with getattr(can, name)(path) as reader:
             for message in reader:
                 if not (message.is_error_frame or message.is_remote_frame or message.is_fd):
                     word = message.arbitration_id | (EXTENDED if message.is_extended_id else 0)
@@ -73,13 +86,15 @@ def read_can(path: Path, options: SourceOptions) -> list[Table]:
 
 
 def _bare(frames: list[BusFrame], protocol: str) -> list[tuple[str, Frame]]:
-    """Samples without a rig; a VESC's rpm is then that of the field, pole pairs times the shaft's."""
-    decoder: Decoder
+    """Samples without a rig, with their buses; a VESC's rpm is then that of the field, pole pairs times the shaft's."""
+    decoders = {bus: _bare_decoder(protocol) for bus in {one.bus for one in frames}}
+    return [(one.bus, frame) for one in frames for frame in decoders[one.bus].feed(_wire(one), one.t)]
+
+
+def _bare_decoder(protocol: str) -> Decoder:
     if protocol == "vesc":
-        decoder = vesc.Decoder(dict.fromkeys(range(256), 1))
-    else:
-        decoder = dronecan.Decoder(frozenset()) if protocol == "dronecan" else nmea2000.Decoder(0.0)
-    return [(protocol, frame) for one in frames for frame in decoder.feed(_wire(one), one.t)]
+        return vesc.Decoder(dict.fromkeys(range(256), 1))
+    return dronecan.Decoder(frozenset()) if protocol == "dronecan" else nmea2000.Decoder(0.0)
 
 
 def _wire(frame: BusFrame) -> bytes:
@@ -87,29 +102,39 @@ def _wire(frame: BusFrame) -> bytes:
 
 
 def _by_dbc(path: Path, frames: list[BusFrame], database: Path) -> list[Table]:
-    """A table for each message of the DBC that came, as MESSAGE, or MESSAGE_SENDER where a PGN has several senders."""
+    """A table for each message of the DBC that came, as MESSAGE, or MESSAGE_SENDER where a PGN has several senders;
+    where several buses have such messages, with the bus in front: can0_MESSAGE."""
     messages = dbc.load_dbc(str(database)).messages
     exact = {m.frame_id | (EXTENDED if m.is_extended_frame else 0): m for m in messages if not dbc.is_j1939(m)}
     by_pgn = {dbc.pgn_bits(m.frame_id): m for m in messages if dbc.is_j1939(m)}
-    found: dict[tuple[str, int], tuple[list[float], list[dict[str, Any]]]] = {}
+    found: dict[tuple[str, str, int], tuple[list[float], list[dict[str, float]]]] = {}
+    refused: Counter[tuple[str, str, int]] = Counter()
     for one in frames:
         message, sender = exact.get(one.word), 0
         if message is None and one.word & EXTENDED:
             message, sender = by_pgn.get(dbc.pgn_bits(one.word & ~EXTENDED)), one.word & 0xFF
-        if message is None or len(one.data) < message.length:
+        if message is None:
             continue
-        t, rows = found.setdefault((message.name, sender), ([], []))
+        key = one.bus, message.name, sender
+        try:
+            raw = message.decode(one.data, decode_choices=False, scaling=False)
+        except Exception:  # too short, or a multiplexer that the DBC does not know
+            refused[key] += 1
+            continue
+        t, rows = found.setdefault(key, ([], []))
         t.append(one.t)
-        rows.append(message.decode(one.data, decode_choices=False, allow_truncated=True))
+        rows.append({name: dbc.number(message, name, value) for name, value in raw.items()})
     if not found:
-        raise SeatrialError(f"{path}: {counted(len(frames), 'frame')}, none of them in {database}")
+        raise SeatrialError(f"{path}: {counted(len(frames), 'frame')}, none of them as {database} has it")
     tables = []
-    for (name, sender), (t, rows) in found.items():
-        several = sum(other == name for other, _ in found) > 1
-        columns = {
-            k: np.array([float(row.get(k, np.nan)) for row in rows]) for k in dict.fromkeys(k for r in rows for k in r)
-        }
-        tables.append(Table(path, f"{name}_{sender}" if several else name, columns, np.array(t), "dbc"))
+    buses = {bus for bus, _, _ in found}
+    for key, (t, rows) in found.items():
+        bus, name, sender = key
+        topic = f"{bus}_{name}" if len(buses) > 1 else name
+        topic += f"_{sender}" if sum(other[:2] == key[:2] for other in found) > 1 else ""
+        columns = {k: np.array([row.get(k, np.nan) for row in rows]) for k in dict.fromkeys(k for r in rows for k in r)}
+        remark = f"{counted(refused[key], 'frame')} left out that the DBC does not fit" if refused[key] else ""
+        tables.append(Table(path, topic, columns, np.array(t), "dbc", remark=remark))
     return tables
 
 
@@ -162,7 +187,6 @@ def import_can(path: Path, rig_path: Path, *, out: Path | None = None, force: bo
                 recorder.tick()
         finally:
             recorder.close()
-    if not n_samples:
-        target.unlink()
-        raise SeatrialError(f"{path}: {counted(len(frames), 'frame')}, none of a device of {rig_path}")
+        if not n_samples:  # before what stood there is replaced
+            raise SeatrialError(f"{path}: {counted(len(frames), 'frame')}, none of a device of {rig_path}")
     return target, f"{counted(n_samples, 'sample')} of {counted(len(frames), 'frame')}"

@@ -103,8 +103,9 @@ def read_parquet(path: Path, options: SourceOptions) -> list[Table]:
             if pyarrow.types.is_timestamp(kind):
                 ns = column.cast(pyarrow.timestamp("ns", kind.tz)).to_numpy(zero_copy_only=False)
                 columns[name] = np.where(np.isnat(ns), np.nan, ns.astype(np.int64) * 1e-9)
+            # Not safe: whole numbers beyond 2^53, as ns since 1970, are rounded (to 256 ns), not refused.
             elif pyarrow.types.is_floating(kind) or pyarrow.types.is_integer(kind) or pyarrow.types.is_boolean(kind):
-                columns[name] = np.asarray(column.cast(pyarrow.float64()).to_numpy(zero_copy_only=False))
+                columns[name] = np.asarray(column.cast(pyarrow.float64(), safe=False).to_numpy(zero_copy_only=False))
     except Exception as error:  # pyarrow has errors of many kinds for a file that is none, or damaged
         raise SeatrialError(f"{path}: cannot be read as Parquet: {' '.join(str(error).split())}") from error
     return [Table(path, "", columns)]

@@ -11,6 +11,9 @@ from __future__ import annotations
 import contextlib
 import io
 import math
+import os
+import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from daq.errors import SeatrialError, counted
+from daq.errors import SeatrialError, SeatrialWarning, counted
 from daq.importers.write_log import Timed
 from daq.protocol import FIXES, HALF_MS, mode_name
 from daq.rig import Device, Rig
@@ -143,34 +146,60 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
     """The samples of a DataFlash log, a summary, and its parameters. Raises SeatrialError where it holds none."""
     reader = _Reader(rig, device)
     rows: list[Timed] = []
-    n_messages = 0
+    n_messages, skipped, stopped = 0, 0, ""
+    strange: Counter[str] = Counter()
     try:
         with _opened(path) as log:
+            skipped = log.data_len - sum(len(log.offsets[kind]) * form.len for kind, form in log.formats.items())
             while (message := log.recv_match(type=list(reader.take))) is not None:
                 n_messages += 1
-                t = float(message._timestamp)
-                t_device = float(getattr(message, "TimeUS", math.nan)) * 1e-6
-                rows += [Timed(Frame(sample, t, t_device), t) for sample in reader.take[message.get_type()](message)]
+                kind, stopped = message.get_type(), f"read to byte {log.offset} of {log.data_len}"
+                try:
+                    t = float(message._timestamp)
+                    t_device = float(getattr(message, "TimeUS", math.nan)) * 1e-6
+                    rows += [Timed(Frame(sample, t, t_device), t) for sample in reader.take[kind](message)]
+                except Exception:  # of another firmware, without a field or with text in the place of a number
+                    strange[kind] += 1
+            stopped = ""
     except Exception as error:  # DFReader raises whatever a damaged file makes its parsing raise
         if not rows:
             raise SeatrialError(f"{path}: is not a readable DataFlash log ({error})") from error
     if not rows:
         raise SeatrialError(f"{path}: a DataFlash log without attitude, GPS or outputs")
-    return list(reader.joined(rows)), counted(n_messages, "message"), reader.parameters
+    odd = [f"{counted(n, 'message')} {kind} of unknown form" for kind, n in strange.items()]
+    odd += [stopped] * bool(stopped)
+    for one in odd:
+        warnings.warn(f"{path}: {one}", SeatrialWarning, stacklevel=2)
+    read = [counted(n_messages, "message"), f"{counted(max(skipped, 0), 'byte')} not understood", *odd]
+    return list(reader.joined(rows)), ", ".join(read), reader.parameters
 
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """pymavlink's reader, which prints what a damaged file holds, and leaves the file open."""
+    """pymavlink's reader, which prints what a damaged file holds, in C too, and leaves the file open."""
     from pymavlink import DFReader
 
     log = DFReader.DFReader_binary.__new__(DFReader.DFReader_binary)
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            log.__init__(str(path))
+            with _quiet():
+                log.__init__(str(path))
             yield log
     finally:
         for name in ("data_map", "filehandle"):
             if (part := getattr(log, name, None)) is not None:
                 with contextlib.suppress(BufferError):  # of a map that an error on its way still looks into
                     part.close()
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Nothing to standard error, by C either, which knows nothing of sys.stderr."""
+    before = os.dup(2)
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(before, 2)
+        os.close(before)

@@ -12,12 +12,15 @@ from typing import NamedTuple
 import numpy as np
 
 from daq.errors import SeatrialError
+from daq.importers.import_map import GEOGRAPHIC, TimeColumn
 from daq.importers.recognise import (
     BEHIND,
     CAVEATS,
+    DRIVES,
     NAMES,
     PULSES,
     SETPOINT,
+    SIDES,
     Candidate,
     Name,
     Taken,
@@ -25,15 +28,18 @@ from daq.importers.recognise import (
     message_candidates,
     read_name,
 )
+from daq.importers.signals import row_times
 from daq.importers.sources import source_kind, text_head
 from daq.importers.table import Column, SourceOptions, Table
 from daq.importers.text_table import sniff_style
+from daq.importers.units import UNITS
 
 MOTION = ("x", "vx", "u", "psi", "r", "speed")
 FORCES = {"X": "N", "N": "Nm"}  # force ahead and moment, by the letters of the literature
 LEFT_THROTTLE, RIGHT_THROTTLE = 73.0, 74.0  # SERVOn_FUNCTION of ArduPilot
 PULSE_US = (("MIN", 1100.0), ("TRIM", 1500.0), ("MAX", 1900.0))  # SERVOn_..., us, and what they are by default
 NED_KINDS = {"ulog", "mavlink", "can"}  # sources whose axes are ours
+_NED = re.compile(r"(?i)\bned\b|px4_msgs")  # topics and types of ROS whose axes are
 MOST_LISTED = 12  # signals that were not recognised and are offered all the same
 _TIME = re.compile(r"(^|_)(t|time|stamp|timestamp|datetime|utc|seconds|secs|epoch)($|_)")
 BOATS = {10, 11, 12}  # MAV_TYPE: rover (ArduPilot's boats too), boat, submarine
@@ -61,13 +67,18 @@ def guess_map(path: Path) -> Guess:
         'format = "seatrial-import 1"',
         f"name = {_quoted(path.stem)}",
     ]
-    ours = kind.name in NED_KINDS or any(re.search(r"(?i)\bned\b|px4_msgs", t.topic + t.kind) for t in tables)
     if kind.name == "ros":
-        why = "PX4's or NED topics" if ours else "REP-103: east, north, up; forward, left, up"
-        head.append(f'frame = "{"NED" if ours else "ENU"}"  # {why}; the other one is "{"ENU" if ours else "NED"}"')
+        head.append('frame = "ENU"  # REP-103: east, north, up; forward, left, up; the other one is "NED"')
     times = _clock_lines(tables)
-    candidates = [c for table in tables for c in (*message_candidates(table), *_column_candidates(table, kind.name))]
+    drives: dict[frozenset[str], list[Column]] = {}  # left and right together have one scale
+    for table in tables:
+        for _, _, words, values in _columns(table):
+            if words & DRIVES:
+                drives.setdefault(words - SIDES, []).append(values)
+    together = {words: np.concatenate(values) for words, values in drives.items()}
+    candidates = [c for t in tables for c in (*message_candidates(t), *_column_candidates(t, kind.name, together))]
     candidates += outputs(tables)
+    candidates = [_with_units(_in_frame(c) if kind.name == "ros" else c) for c in candidates]
     taken, lines = _choose(candidates, {id(table): _time_of(table) for table in tables})
     problem = _problem(taken, tables)
     head += _style_line(options, kind.name) + times
@@ -140,6 +151,17 @@ def _clock_lines(tables: Sequence[Table]) -> list[str]:
     ]
 
 
+def _seconds(table: Table) -> Column | None:
+    """Times of the rows [s], (n,); None where they cannot be told."""
+    column = _time_of(table)
+    if not column:
+        return table.t
+    try:
+        return row_times(table, TimeColumn(column, _time_format(table, column)[0]))
+    except SeatrialError:
+        return None
+
+
 def _time_format(table: Table, column: str) -> tuple[str, str]:
     try:
         values = table.numbers(column)
@@ -149,11 +171,11 @@ def _time_format(table: Table, column: str) -> tuple[str, str]:
             datetime.fromisoformat(first)
             return "iso", ""
         except ValueError:
-            pattern = "%H:%M:%S" if re.fullmatch(r"\d+:\d+:\d+", first) else "%d.%m.%Y %H:%M:%S"
-            return (
-                pattern,
-                f"times like {first[:40]!r}: write their pattern (strptime), and fraction where they have one",
-            )
+            if re.fullmatch(r"\d+:\d+:\d+(\.\d{1,6})?", first):
+                day = 'times of a day: say which, origin = "2025-05-01"; without it is that of 1970-01-01'
+                return "%H:%M:%S.%f" if "." in first else "%H:%M:%S", day
+            caveat = f"times like {first[:40]!r}: write their pattern (strptime), and fraction where they have one"
+            return "%d.%m.%Y %H:%M:%S", caveat
     named = read_name(column).unit
     if named in ("s", "ms", "us", "ns"):
         return named, ""
@@ -174,30 +196,35 @@ def _time_format(table: Table, column: str) -> tuple[str, str]:
 # Columns by their names
 
 
-def _column_candidates(table: Table, kind: str) -> Iterator[Candidate]:
-    """What the names of columns say, in tables without known messages."""
+def _columns(table: Table) -> Iterator[tuple[str, Name, frozenset[str], Column]]:
+    """The columns of numbers of a table without known messages, with what their names and the topic's say."""
     message = table.kind.rpartition("/")[2]
     scalar = message in ("Float64", "Float32", "Float64Stamped", "Float32Stamped", "Scalar", "JointState")
-    if table.kind not in ("", "dbc") and not scalar:
+    if (table.kind not in ("", "dbc") and not scalar) or SETPOINT.search(table.topic):
         return
-    names: dict[str, tuple[str, Name]] = {}
-    numbers: dict[str, Column] = {}
     for column in table.names:
         if column == _time_of(table):
             continue
         try:
-            numbers[column] = table.numbers(column)
+            values = table.numbers(column)
         except SeatrialError:
             continue
         alone = scalar and message != "JointState"
         name = read_name(table.topic.rpartition("/")[2] if alone else column)
-        words = name.words | (read_name(table.topic).words if scalar else frozenset())
-        if SETPOINT.search(table.topic):
-            continue
+        yield column, name, name.words | (read_name(table.topic).words if scalar else frozenset()), values
+
+
+def _column_candidates(table: Table, kind: str, together: Mapping[frozenset[str], Column]) -> Iterator[Candidate]:
+    """What the names of columns say, in tables without known messages; `together` has the numbers of left and right."""
+    message = table.kind.rpartition("/")[2]
+    names: dict[str, tuple[str, Name]] = {}
+    numbers: dict[str, Column] = {}
+    for column, name, words, values in _columns(table):
+        numbers[column] = values
         if column in FORCES:
             yield Candidate("force", 1, table, (Taken(column, (column,), FORCES[column], "", 'role = "input"'),))
             continue
-        found = drive(frozenset(words), numbers[column], name.unit)
+        found = drive(words, together.get(words - SIDES, values), name.unit) if np.isfinite(values).any() else None
         if (
             found is not None
             and (not name.meaning or "velocity" in words)
@@ -208,8 +235,26 @@ def _column_candidates(table: Table, kind: str) -> Iterator[Candidate]:
             yield Candidate(group, behind, table, (taken._replace(columns=(column,)),), caveat)
         elif name.meaning and name.meaning not in names:
             names[name.meaning] = column, name
-    compass = ', frame = "NED"' if kind == "ros" else ""
-    yield from _motion(table, names, numbers, compass)
+    yield from _motion(table, names, numbers, ', frame = "NED"' if kind == "ros" else "")
+
+
+def _in_frame(candidate: Candidate) -> Candidate:
+    """A candidate of a bag whose axes are ENU: signals of a topic that is NED say so."""
+    if candidate.group in ("drive", "force") or not _NED.search(f"{candidate.table.topic} {candidate.table.kind}"):
+        return candidate
+    ned = [s if "frame" in s.extra or s.make in GEOGRAPHIC else _also(s, 'frame = "NED"') for s in candidate.signals]
+    return candidate._replace(signals=tuple(ned))
+
+
+def _also(signal: Taken, key: str) -> Taken:
+    return signal._replace(extra=", ".join(part for part in (signal.extra, key) if part))
+
+
+def _with_units(candidate: Candidate) -> Candidate:
+    """A candidate with a caveat where a unit in the name of a column is none that its signal can have."""
+    columns = {column: read_name(column).no_unit for signal in candidate.signals for column in signal.columns}
+    caveats = [f"{text!r} behind {column!r} is not taken for a unit" for column, text in columns.items() if text]
+    return candidate._replace(caveat="; ".join(part for part in (candidate.caveat, *caveats) if part))
 
 
 def _motion(
@@ -224,7 +269,8 @@ def _motion(
     if "lat" in names and "lon" in names:
         both = (names["lat"][0], names["lon"][0])
         top = float(np.nanmax(np.abs(numbers[both[0]]), initial=0.0))
-        extra = 'units = ["degE7", "degE7"]' if top > 1e4 else ""
+        unit = names["lat"][1].unit or ("degE7" if top > 1e4 else "deg")
+        extra = f'units = ["{unit}", "{unit}"]' if unit != "deg" else ""
         signals = (Taken("x", both, "", "north", extra), Taken("y", both, "", "east", extra))
         yield Candidate("position", 1, table, signals)
     plain = names["vx"][1].plain if "vx" in names else ""
@@ -247,32 +293,31 @@ def _motion(
         top = float(np.nanmax(np.abs(numbers[column]), initial=0.0))
         unit = name.unit or ("deg" if top > 6.6 else "rad")
         caveat = "" if name.unit or top > 6.6 else f"an angle of at most {top:.2f} is taken for radians"
-        yield Candidate(
-            "heading", 0, table, (Taken("psi", (column,), unit, "", _extra('angle = "unwrap"', compass)),), caveat
-        )
+        yield Candidate("heading", 0, table, (Taken("psi", (column,), unit, "", f'angle = "unwrap"{compass}'),), caveat)
     if "r" in names:
         column, name = names["r"]
-        unit, caveat = (name.unit, "") if name.unit else _rate_unit(numbers, column, names)
+        unit, caveat = (name.unit, "") if name.unit else _rate_unit(table, numbers, column, names)
         yield Candidate("rate", 0, table, (Taken("r", (column,), unit),), caveat)
 
 
-def _extra(*parts: str) -> str:
-    return "".join(parts)
-
-
-def _rate_unit(numbers: dict[str, Column], column: str, names: dict[str, tuple[str, Name]]) -> tuple[str, str]:
+def _rate_unit(
+    table: Table, numbers: dict[str, Column], column: str, names: dict[str, tuple[str, Name]]
+) -> tuple[str, str]:
     """The unit of a yaw rate, by what the heading does in the same table where there is one."""
-    rate = numbers[column]
-    if "psi" in names:
-        psi = numbers[names["psi"][0]]
-        psi = np.unwrap(np.radians(psi) if np.nanmax(np.abs(psi), initial=0.0) > 6.6 else psi)
-        turned, size = np.gradient(psi), np.nan_to_num(rate)
+    rate, t = numbers[column], _seconds(table)
+    if "psi" in names and t is not None:
+        psi, unit = numbers[names["psi"][0]], names["psi"][1].unit
+        factor = UNITS[unit or ("deg" if np.nanmax(np.abs(psi), initial=0.0) > 6.6 else "rad")][1]
+        known = np.isfinite(t) & np.isfinite(psi) & np.isfinite(rate)
+        step = np.diff(t[known])
+        turned = np.diff(np.unwrap(factor * psi[known]))[step > 0.0] / step[step > 0.0]
+        size = 0.5 * (rate[known][1:] + rate[known][:-1])[step > 0.0]
         with np.errstate(all="ignore"):
-            follows = float(np.corrcoef(turned, size)[0, 1])
+            follows = float(np.corrcoef(turned, size)[0, 1]) if len(size) > 1 else 0.0
         if abs(follows) > 0.5:
-            share = float(np.std(turned) / np.std(size))  # rad a row over what the column has
+            slope = abs(follows) * np.std(turned) / np.std(size)  # 1, or pi/180 where the column has degrees
             caveat = "" if follows > 0.0 else "it is against the heading: sign = -1?"
-            return ("deg/s" if np.nanmax(np.abs(rate)) > 6.0 and share < 0.01 else "rad/s"), caveat
+            return ("deg/s" if slope < np.radians(1.0) ** 0.5 else "rad/s"), caveat
     top = float(np.nanmax(np.abs(rate), initial=0.0))
     unit = "deg/s" if top > 6.0 else "rad/s"
     return unit, f"a yaw rate of at most {top:.3g} is taken for {unit}"
@@ -287,24 +332,33 @@ def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
     for node, name in ((left, "n_left"), (right, "n_right")) if {left, right} <= set(nodes) else ():
         known = "n" in nodes[node].columns  # by a rig
         by_parameters = LEFT_THROTTLE in told and RIGHT_THROTTLE in told and f"SERVO{node}_TRIM" in p
-        extra = _pulses(p, node) if by_parameters else PULSES
+        extra, caveat = _pulses(p, node) if by_parameters else (PULSES, CAVEATS["RCOut"])
         taken = Taken(name, ("n" if known else "pwm",), "1", "", 'role = "input"' if known else extra)
-        yield Candidate("drive", 0, nodes[node], (taken,), "" if known or by_parameters else CAVEATS["RCOut"])
-    shafts = {int(table.topic.rpartition("_")[2]): table for table in tables if table.kind == "Esc"}
-    shafts = {node: table for node, table in shafts.items() if "rpm" in table.columns}
-    for k, (node, table) in enumerate(sorted(shafts.items())):
+        yield Candidate("drive", 0, nodes[node], (taken,), "" if known else caveat)
+    shafts = sorted((t for t in tables if t.kind == "Esc" and "rpm" in t.columns), key=_node_of)
+    # One scale for all: equal speeds stay equal.
+    top = max((float(np.nanmax(np.abs(t.columns["rpm"]), initial=0.0)) for t in shafts), default=0.0) or 1.0
+    for k, table in enumerate(shafts):
+        node = _node_of(table)[0]
         name = (("n",) if len(shafts) == 1 else ("n_left", "n_right"))[k] if len(shafts) <= 2 else f"n_{node}"
-        top = float(np.nanmax(np.abs(table.columns["rpm"]), initial=0.0)) or 1.0
         caveat = f"controller {node} is taken for {name}, {top:.5g} rev/min (a VESC's: electrical) for full"
         taken = Taken(name, ("rpm",), "1", "", f'scale = {1.0 / top:.9g}, role = "input", hold = "linear"')
         yield Candidate("drive", 1, table, (taken,), caveat)
 
 
-def _pulses(p: Mapping[str, float], node: int) -> str:
-    """The scale of an output by its own parameters."""
+def _node_of(table: Table) -> tuple[int, str]:
+    """The number of a controller, and its whole topic, which has the bus in front where there are several."""
+    return int(table.topic.rpartition("_")[2]), table.topic
+
+
+def _pulses(p: Mapping[str, float], node: int) -> tuple[str, str]:
+    """The scale of an output by its own parameters, and the caveat about it."""
     low, rest, high = (p.get(f"SERVO{node}_{word}", usual) for word, usual in PULSE_US)
     scale = (-2.0 if p.get(f"SERVO{node}_REVERSED", 0.0) else 2.0) / (high - low)
-    return f'scale = {scale:.9g}, offset = {-scale * rest:.9g}, missing = 0, role = "input"'
+    ends = abs(scale) * (high - rest), abs(scale) * (low - rest)
+    caveat = f"SERVO{node}_TRIM is not in the middle: full is {ends[0]:.3g} and {ends[1]:.3g}; name a [mavlink] rig"
+    extra = f'scale = {scale:.9g}, offset = {-scale * rest:.9g}, missing = 0, missing_is = 0, role = "input"'
+    return extra, caveat if high - rest != rest - low else ""
 
 
 # The choice

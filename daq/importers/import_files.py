@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.errors import SeatrialError, SeatrialWarning
+from daq.errors import SeatrialError, SeatrialWarning, counted
 from daq.importers.import_map import ImportMap, Piece, Source, load_import_map
 from daq.importers.signals import SignalData, Signals, read_signals
 from daq.importers.sources import source_kind
@@ -75,7 +75,7 @@ class _File(NamedTuple):
     sha256: str
     signals: Signals
     origin: float
-    remarks: tuple[str, ...]  # what was odd about the times of its topics
+    remarks: tuple[str, ...]  # what was odd about it
 
 
 def _read(path: Path, source: Source) -> _File:
@@ -83,8 +83,13 @@ def _read(path: Path, source: Source) -> _File:
     tables = kind.read(path, source.options)
     signals = read_signals(tables, source)
     used = {signal.topic for signal in source.signals}
-    remarks = tuple(f"{path}: {one.topic}: {one.remark}" for one in tables if one.remark and one.topic in used)
-    return _File(path, kind.name, sha256_of(path), signals, source.time.origin if source.time else 0.0, remarks)
+    remarks = [f"{path}: {one.topic}: {one.remark}" for one in tables if one.remark and one.topic in used]
+    if n := signals.n_disordered:
+        remarks.append(f"{path}: {counted(n, 'row')} left out, where time repeats or runs back")
+    empty = [one.signal.name for one in signals.signals if not len(one.t)]
+    if empty:
+        remarks.append(f"{path}: not in the log, without a sample: {', '.join(empty)}")
+    return _File(path, kind.name, sha256_of(path), signals, source.time.origin if source.time else 0.0, tuple(remarks))
 
 
 def _write_piece(import_map: ImportMap, data: Sequence[_File], piece: Piece, target: Path, force: bool) -> None:

@@ -20,6 +20,8 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 GEOMETRY = ("y_left", "y_right", "length")  # thrusters to starboard, and the hull's length [m]
 FRAMES = {"NED": "NED", "FRD": "NED", "ENU": "ENU", "FLU": "ENU"}
 CAN_PROTOCOLS = ("vesc", "dronecan", "nmea2000")
+# What becomes what from east, north, up and forward, left, up to north, east, down and forward, starboard, down
+RENAMED = {"x": "y", "y": "x", "vx": "vy", "vy": "vx", "speed_x": "speed_y", "speed_y": "speed_x"}
 GEOGRAPHIC = ("north", "east", "velocity_north", "velocity_east")  # have no other frame
 MAKES: dict[str, tuple[str, tuple[str, ...]]] = {  # what is made -> its unit, and the usual units of what it is made of
     "north": ("m", ("deg", "deg")),  # of latitude and longitude, from the file's first
@@ -63,6 +65,7 @@ class Signal:
     nan: str = ""  # as TextStyle.nan
     timeout: float = 0.0  # s after which an input that is not repeated is zero; 0: never
     missing: float | None = None  # the value of a cell without a measurement
+    missing_is: float | None = None  # what such a cell says all the same, in `unit`; None: nothing
     topic: str = ""
     time: str = ""  # the column of its own time, in place of [time]
     frame: str = (
@@ -70,6 +73,11 @@ class Signal:
     )
     make: str = ""  # a key of MAKES
     units: tuple[str, ...] = ()
+
+    @property
+    def log_name(self) -> str:
+        """Name in the log, in our axes."""
+        return self.name if self.frame == "NED" else RENAMED.get(self.name, self.name)
 
 
 @dataclass(frozen=True)
@@ -113,10 +121,10 @@ def load_import_map(path: Path) -> ImportMap:
     files = root.tables("file")
     whole = () if files else (_source(root, "*", path.parent),)
     sources = whole or tuple(_source(table, table.text("match"), path.parent) for table in files)
-    names = [signal.name for source in sources for signal in source.signals]
+    names = [signal.log_name for source in sources for signal in source.signals]
     for one in names:
         if names.count(one) > 1:
-            raise root.error("signal", f"'{one}' appears twice; a name belongs to one column")
+            raise root.error("signal", f"'{one}' appears twice (in the axes of the log); a name belongs to one column")
     pieces = tuple(_piece(table) for table in root.tables("log"))
     if len({piece.name for piece in pieces}) < len(pieces):
         raise root.error("log", "two of them have one name")
@@ -247,6 +255,9 @@ def _signal(table: TomlTable, frame: str) -> Signal:
     timeout = table.number("timeout", positive=True) if table.has("timeout") else 0.0
     if timeout and hold != "zero":
         raise table.error("timeout", "needs hold = 'zero': a value that is held until it is repeated")
+    missing = table.maybe_number("missing")
+    if missing is None and table.has("missing_is"):
+        raise table.error("missing_is", "needs missing: the number in whose place it stands")
     found = Signal(
         name,
         columns,
@@ -259,7 +270,8 @@ def _signal(table: TomlTable, frame: str) -> Signal:
         hold,
         table.text("nan", "", choices=("", "error", "drop", "keep")),
         timeout,
-        table.maybe_number("missing"),
+        missing,
+        table.maybe_number("missing_is"),
         topic,
         table.text("time", ""),
         FRAMES[table.text("frame", "NED" if make in GEOGRAPHIC else frame, choices=tuple(FRAMES))],

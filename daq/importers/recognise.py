@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from daq.importers.table import Column, Table
+from daq.importers.units import UNITS
 
 BEHIND = 5  # added to the rank of what is a set-point or the truth of a simulator: not taken
 
@@ -55,7 +56,7 @@ def _fix(lat: str, lon: str, unit: str, rank: int) -> Row:
 
 
 _Q = "q[1] q[2] q[3] q[0]"  # PX4 writes w first
-PULSES = 'scale = 0.0025, offset = -3.75, missing = 0, role = "input"'  # 0: no pulse
+PULSES = 'scale = 0.0025, offset = -3.75, missing = 0, missing_is = 0, role = "input"'  # no pulse: it stands
 _UNWRAP = 'angle = "unwrap"'
 # Types of messages -> (group, rank, signals). Of ROS the type without its package, of PX4 the topic's name.
 KNOWN: dict[str, tuple[Row, ...]] = {
@@ -150,17 +151,20 @@ NAMES: dict[str, str] = {
     "ax": "ax acc_x accel_x accx imu_acc_x acceleration_x",
     "ay": "ay acc_y accel_y accy imu_acc_y acceleration_y",
 }
+_SI_OF = {"m": "x y", "m/s": "u v vx vy speed", "m/s2": "ax ay", "rad": "psi course lat lon", "rad/s": "r"}
+_SI = {meaning: unit for unit, meanings in _SI_OF.items() for meaning in meanings.split()}
 _MEANING = {name: meaning for meaning, names in NAMES.items() for name in names.split()}
 _UNITS = {  # as they are written behind names -> as maps have them
     "deg": "deg", "°": "deg", "degrees": "deg", "rad": "rad", "deg/s": "deg/s", "dps": "deg/s", "deg_s": "deg/s",
     "rad/s": "rad/s", "rads": "rad/s", "rad_s": "rad/s", "m": "m", "m/s": "m/s", "mps": "m/s", "m_s": "m/s", "kn": "kn",
     "kts": "kn", "knots": "kn", "km/h": "km/h", "m/s2": "m/s2", "m/s^2": "m/s2", "g": "g", "1/s": "rev/s", "hz": "Hz",
-    "rpm": "rev/min", "pwm": "us", "newton": "N", "nm": "Nm", "s": "s", "ms": "ms", "us": "us", "ns": "ns",
+    "rpm": "rev/min", "pwm": "us", "newton": "N", "nm": "Nm", "s": "s", "ms": "ms", "us": "us", "ns": "ns", "-": "1",
 }  # fmt: skip
 _SUFFIX = re.compile(r"_(deg|degrees|rad|dps|deg_s|rads|rad_s|mps|m_s|kn|kts|knots|ms|us|ns|s|m)$")
 _BRACKET = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
 _LEFT, _RIGHT = {"left", "port", "l", "portside"}, {"right", "starboard", "stbd", "r", "sb"}
-_DRIVES = {
+SIDES = _LEFT | _RIGHT
+DRIVES = {
     "thr",
     "thrust",
     "thruster",
@@ -174,32 +178,38 @@ _DRIVES = {
     "force",
     "rpm",
 }
-_DRIVES |= {"throttle", "esc", "servo", "power", "n", "f", "engine", "shaft", "duty"}
+DRIVES |= {"throttle", "esc", "servo", "power", "n", "f", "engine", "shaft", "duty"}
 _NOT_DRIVES = {"angle", "rudder", "azimuth", "pos", "position", "zero", "offset", "current", "voltage", "temperature"}
 _NOT_DRIVES |= {"effort", "joint_states", "torque", "std", "bias", "status", "min", "max", "temp", "sp"}
 
 
 class Name(NamedTuple):
-    """A column's name taken apart: what it means in a model ("" unknown), its unit ("" none), its words."""
+    """A column's name taken apart: what it means in a model ("" unknown), its unit ("" none), its words, and what
+    stands in the place of a unit and is none of what it means."""
 
     meaning: str
     unit: str
     words: frozenset[str]
     plain: str
+    no_unit: str = ""
 
 
 def read_name(column: str) -> Name:
     """What the name of a column says."""
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", column)
-    bracket = _BRACKET.search(spaced)
-    unit = _UNITS.get(bracket.group(1).strip().lower(), "") if bracket else ""
+    bracket = _BRACKET.search(column)
+    behind = bracket.group(1).strip() if bracket else ""
     plain = re.sub(r"[^a-z0-9]+", "_", _BRACKET.sub("", spaced).lower()).strip("_")
     words = frozenset(plain.split("_"))
     meaning = _MEANING.get(plain, "")
     if not meaning and (suffix := _SUFFIX.search(plain)) is not None:
-        unit, plain = unit or _UNITS[suffix.group(1)], plain[: suffix.start()]
+        behind, plain = behind or suffix.group(1), plain[: suffix.start()]
         meaning = _MEANING.get(plain, "")
-    return Name(meaning, unit, words, plain)
+    unit = behind if behind in UNITS else _UNITS.get(behind.lower(), "")
+    if unit == "ms" and _SI.get(meaning) == "m/s":  # m/s, in a name that can have no /
+        unit = "m/s"
+    fits = unit and (not meaning or UNITS.get(unit, ("",))[0] == _SI[meaning])
+    return Name(meaning, unit if fits else "", words, plain, "" if fits or behind.isdecimal() else behind)
 
 
 def message_candidates(table: Table) -> list[Candidate]:
@@ -240,8 +250,9 @@ def _twist(table: Table, prefix: str) -> tuple[Row, ...]:
 
 def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, Taken, str] | None:
     """Which thruster a column of commands or forces belongs to: its group, how it is taken (without its columns), and
-    the caveat about it. None where it is none."""
-    if not words & _DRIVES or words & _NOT_DRIVES or not (good := values[np.isfinite(values)]).size:
+    the caveat about it. None where it is none. `values` are its own and those of the other side, which has the same
+    scale."""
+    if not words & DRIVES or words & _NOT_DRIVES or not (good := values[np.isfinite(values)]).size:
         return None
     side = "_left" if words & _LEFT and not words & _RIGHT else "_right" if words & _RIGHT and not words & _LEFT else ""
     top = float(np.max(np.abs(good)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -15,9 +16,9 @@ from daq.importers.table import Column, Table
 from daq.importers.units import UNITS
 from daq.log import local_ned, schema
 
+DAY = 86400.0  # s
 DAYS_1970 = 719529.0  # MATLAB's datenum of 1970-01-01
-# East, north, up and forward, left, up -> north, east, down and forward, starboard, down: by the signals' meaning.
-_RENAMED = {"x": "y", "y": "x", "vx": "vy", "vy": "vx", "speed_x": "speed_y", "speed_y": "speed_x"}
+# Of another sign in north, east, down and forward, starboard, down than in east, north, up and forward, left, up
 _TURNED = {"v", "w", "q", "r", "ay", "az", "theta", "N", "Y"}
 _ATTITUDE = ("roll", "pitch", "yaw")
 
@@ -44,33 +45,40 @@ class Signals:
 def read_signals(tables: Sequence[Table], source: Source) -> Signals:
     """The signals of one file by its part of the map. Raises SeatrialError with the place and what to do."""
     signals, n_dropped, n_disordered = [], 0, 0
-    clocks: dict[tuple[int, str], tuple[Column, NDArray[np.bool_]]] = {}
+    clocks: dict[tuple[int, str], tuple[Column, NDArray[np.bool_], NDArray[np.bool_]]] = {}
     for signal in source.signals:
         table = _table(tables, signal)
-        time = TimeColumn(signal.time, source.time.format if source.time else "s") if signal.time else source.time
+        time = source.time
+        if signal.time:
+            time = replace(time or TimeColumn(), column=signal.time, rate_hz=0.0)
         clock = (id(table), signal.time)
         if clock not in clocks:
-            t = _times(table, time)
-            kept = _order(table, t, source)
-            n_disordered += len(t) - int(kept.sum())
-            if source.options.style.repeats == "drop":
-                shared = [s for s in source.signals if _table(tables, s) is table and s.time == signal.time]
-                kept &= _news(table, [column for s in shared for column in s.columns])
-            n_dropped += len(t) - int(kept.sum())
-            clocks[clock] = t, kept
-        t, kept = clocks[clock]
+            t = row_times(table, time)
+            ordered = _order(table, t, source)
+            n_disordered += len(t) - int(ordered.sum())
+            shared = [s for s in source.signals if _table(tables, s) is table and s.time == signal.time]
+            columns = [column for s in shared if not s.timeout for column in s.columns]
+            new = ordered
+            if source.options.style.repeats == "drop" and columns:
+                new = ordered & _news(table, columns)
+            n_dropped += len(t) - int(new.sum())
+            clocks[clock] = t, ordered, new
+        t, ordered, new = clocks[clock]
+        kept = ordered if signal.timeout else new  # a command that is repeated stands for longer
         raw = _raw(table, signal)
         policy = signal.nan or source.options.style.nan or ("error" if table.strict else "drop")
         rows = kept & ~(np.isnan(raw) if policy == "drop" else np.zeros(len(raw), bool))
-        if signal.missing is not None:
+        values = signal.sign * (signal.scale * raw + signal.offset)
+        if signal.missing is not None and signal.missing_is is None:
             rows &= raw != signal.missing
+        elif signal.missing is not None:
+            values[raw == signal.missing] = signal.missing_is
         n_dropped += int(kept.sum()) - int(rows.sum())
         bad = np.flatnonzero(np.isnan(raw) & kept)
         if policy == "error" and len(bad):
             raise table.error(int(bad[0]), signal.columns[0], 'no number; nan = "drop" or "keep" would allow that')
         unit, factor = UNITS[signal.unit]
-        values = signal.sign * (signal.scale * raw[rows] + signal.offset) * factor
-        signal, values = _turned(signal, values)
+        signal, values = _turned(signal, values[rows] * factor)
         t_signal, values = _expire(t[rows], _angle(values, signal.angle), signal.timeout)
         signals.append(SignalData(signal, unit, t_signal, values))
     return Signals(tuple(signals), n_dropped, n_disordered)
@@ -126,7 +134,7 @@ def _turned(signal: Signal, values: Column) -> tuple[Signal, Column]:
     if signal.name == "psi":
         values = np.pi / 2.0 - values
     sign = -1.0 if signal.name in _TURNED else 1.0
-    return replace(signal, name=_RENAMED.get(signal.name, signal.name)), sign * values
+    return replace(signal, name=signal.log_name), sign * values
 
 
 def _angle(values: Column, how: str) -> Column:
@@ -158,8 +166,8 @@ def _expire(t: Column, values: Column, timeout: float) -> tuple[Column, Column]:
     return np.insert(t, last + 1, t[last] + timeout), np.insert(values, last + 1, 0.0)
 
 
-def _times(table: Table, time: TimeColumn | None) -> Column:
-    """Time of each row in s of the file's clock, shape (n,)."""
+def row_times(table: Table, time: TimeColumn | None) -> Column:
+    """Time of each row in s of the file's clock, shape (n,). Raises SeatrialError where a cell has none."""
     if time is not None and time.rate_hz:
         return np.arange(len(table)) / time.rate_hz
     if table.t is not None and (time is None or time.column not in table.names):
@@ -170,7 +178,7 @@ def _times(table: Table, time: TimeColumn | None) -> Column:
         )
     if time.format in (*TIME_UNITS, "datenum") and not time.fraction:
         raw = table.numbers(time.column)
-        t = (raw - DAYS_1970) * 86400.0 if time.format == "datenum" else raw * TIME_UNITS[time.format]
+        t = (raw - DAYS_1970) * DAY if time.format == "datenum" else raw * TIME_UNITS[time.format]
         empty = np.flatnonzero(np.isnan(t))
         if len(empty):
             raise table.error(int(empty[0]), time.column, "no time; take the line out")
@@ -183,6 +191,8 @@ def _times(table: Table, time: TimeColumn | None) -> Column:
             found[row] = parse(cell.strip())
         except ValueError as error:
             raise table.error(row, time.column, f"'{cell[:40]}' is not a time of format {time.format}") from error
+    if "%" in time.format and np.all(found < DAY):  # times of a day, which begins anew where they fall that far
+        found[1:] += DAY * np.cumsum(np.diff(found) < -DAY / 2)
     return found
 
 
@@ -192,6 +202,8 @@ def _parser(time: TimeColumn) -> Callable[[str], float]:
             return float(text)
         iso = time.format == "iso"
         moment = datetime.fromisoformat(text) if iso else datetime.strptime(text, time.format)
+        if moment.year == 1900 and not iso and "%Y" not in time.format:  # strptime's, where the pattern has none
+            moment = moment.replace(year=1970)
         return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
     def split(text: str) -> float:
@@ -207,14 +219,31 @@ def _parser(time: TimeColumn) -> Callable[[str], float]:
 
 
 def _order(table: Table, t: Column, source: Source) -> NDArray[np.bool_]:
-    """Which rows have a time after all rows before them; raises at the first without, unless such rows are dropped."""
-    highest = np.maximum.accumulate(t)
-    later = np.ones(len(t), bool)
-    later[1:] = t[1:] > highest[:-1]
-    policy = source.options.style.time_order or ("error" if table.strict else "drop")
-    if policy == "error" and not later.all():
-        row = int(np.flatnonzero(~later)[0])
-        what = "repeats" if t[row] == highest[row - 1] else f"runs back by {highest[row - 1] - t[row]:.6g} s"
+    """The most rows whose times rise; raises where these are not all, unless the others are dropped."""
+    behind = np.flatnonzero(np.diff(t) <= 0.0)
+    if not len(behind):
+        return np.ones(len(t), bool)
+    row = int(behind[0]) + 1
+    if (source.options.style.time_order or ("error" if table.strict else "drop")) == "error":
+        what = "repeats" if t[row] == t[row - 1] else f"runs back by {t[row - 1] - t[row]:.6g} s"
         column = source.time.column if source.time else "time"
         raise table.error(row, column, f'time {what}; csv.time_order = "drop" would leave such rows out')
-    return later
+    return _rising(t)
+
+
+def _rising(t: Column) -> NDArray[np.bool_]:
+    """A longest part of t that rises, (n,), of equal times the first: a single time far ahead costs no row but its own
+    (Fredman, Discrete Mathematics 11, 1975)."""
+    ends: list[float] = []  # of rising parts of 1, 2, ... rows the lowest time they can end with, and its row
+    rows: list[int] = []
+    before = np.full(len(t), -1)
+    for row, time in enumerate(t.tolist()):
+        k = bisect_left(ends, time)
+        if k < len(ends) and ends[k] == time:
+            continue
+        ends[k : k + 1], rows[k : k + 1] = [time], [row]
+        before[row] = rows[k - 1] if k else -1
+    kept, row = np.zeros(len(t), bool), rows[-1]
+    while row >= 0:
+        kept[row], row = True, int(before[row])
+    return kept

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -11,8 +10,6 @@ from daq.errors import SeatrialError
 from daq.importers.table import SourceOptions, Table
 
 _HEAD = 65536
-_CANDUMP = re.compile(rb"\(\d+\.\d+\) \S+ [0-9A-Fa-f]{3,8}#")
-_ASC = re.compile(rb"(?i)(date |base (hex|dec))")
 
 
 class SourceKind(NamedTuple):
@@ -47,9 +44,9 @@ def source_kind(path: Path) -> SourceKind:
         from daq.importers.samples import read_autopilot_log
 
         return SourceKind("mavlink", read_autopilot_log)
-    if head.startswith(b"LOGG") or _CANDUMP.match(head) or _ASC.match(head):
-        from daq.importers.can_log import read_can
+    from daq.importers.can_log import read_can, reader_name
 
+    if reader_name(head):
         return SourceKind("can", read_can)
     if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):  # UTF-16 is text all the same
         raise SeatrialError(

@@ -25,7 +25,7 @@ class Table:
     t: Column | None = None  # s since 1970 or since the start, (n,), in order; None: the map says where time comes from
     kind: str = ""  # type of its messages: sensor_msgs/msg/Imu, vehicle_attitude (PX4), Ahrs
     frame_id: str = ""  # of ROS: the frame that the header names
-    remark: str = ""  # what was odd about its times
+    remark: str = ""  # what was odd about it
     vehicle: int | None = None  # MAV_TYPE, of logs of autopilots that say it
     parameters: Mapping[str, float] = field(default_factory=dict)  # of the autopilot, where its log has them
     strict = False  # text: rows out of order and cells without a number are errors unless the map says otherwise

@@ -49,6 +49,16 @@ def pgn_bits(identifier: int) -> int:
     return identifier & (_PDU_1 if identifier >> 16 & 0xFF < 0xF0 else _PDU_2)
 
 
+def number(message: Any, name: str, raw: float) -> float:
+    """A field in its unit, of its raw number; NaN where J1939 says that it is not available."""
+    about = message.get_signal_by_name(name)
+    if is_j1939(message) and not about.is_float:
+        highest = (1 << about.length - about.is_signed) - 1
+        if raw > highest - (2 if about.length >= 4 else 0):
+            return NAN
+    return float(about.raw_to_scaled(raw, decode_choices=False))
+
+
 class Decoder(FrameDecoder):
     """CAN frames -> `Esc`, by `signals`: one sample for each message that holds an rpm.
 
@@ -100,12 +110,7 @@ class Decoder(FrameDecoder):
     def _value(self, message: Any, signal: DbcSignal, raw: dict[str, Any]) -> float | None:
         if signal.signal not in raw:  # of another multiplexer
             return None
-        number, about = raw[signal.signal], message.get_signal_by_name(signal.signal)
-        if is_j1939(message) and not about.is_float:
-            highest = (1 << about.length - about.is_signed) - 1
-            if number > highest - (2 if about.length >= 4 else 0):
-                return NAN
-        return signal.scale * float(about.raw_to_scaled(number, decode_choices=False)) + signal.offset
+        return signal.scale * number(message, signal.signal, raw[signal.signal]) + signal.offset
 
     def _esc(self, node: int, t_rx: float) -> Esc:
         heard = self._heard[node].items()

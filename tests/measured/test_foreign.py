@@ -245,6 +245,7 @@ NO_FIT = {
 }
 
 
+@pytest.mark.filterwarnings("ignore:.*rows? left out, where time repeats")
 @pytest.mark.parametrize("name", NO_FIT)
 def test_what_cannot_be_fitted_says_why_in_one_line(name: str, tmp_path: Path) -> None:
     source = measured(f"foreign/{name}")

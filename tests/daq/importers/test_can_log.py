@@ -9,11 +9,11 @@ import can
 import numpy as np
 import pytest
 
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, SeatrialWarning
 from daq.importers.can_log import import_can, read_can
 from daq.importers.guess import guess_map
 from daq.importers.import_files import import_files
-from daq.importers.table import SourceOptions
+from daq.importers.table import SourceOptions, Table
 from daq.log.reader import open_log
 from daq.samples import Esc
 from tests.daq.csv_files import values
@@ -27,6 +27,23 @@ BU_: engine
 BO_ 291 Engine: 4 engine
  SG_ Speed : 0|16@1+ (0.25,0) [0|16000] "rpm" engine
  SG_ Thrust : 16|16@1- (0.1,0) [-3000|3000] "N" engine
+"""
+MANY = """VERSION ""
+BS_:
+BU_: A
+BO_ 256 Motor: 8 A
+ SG_ rpm : 0|16@1- (1,0) [0|0] "" A
+
+BO_ 257 Mux: 8 A
+ SG_ M M : 0|8@1+ (1,0) [0|0] "" A
+ SG_ a m0 : 8|8@1+ (1,0) [0|0] "" A
+
+BO_ 2364540158 EEC1: 8 A
+ SG_ EngSpeed : 24|16@1+ (0.125,0) [0|8031.875] "rpm" A
+
+BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
+BA_DEF_DEF_ "VFrameFormat" "StandardCAN";
+BA_ "VFrameFormat" BO_ 2364540158 3;
 """
 RIG = """format = "seatrial-rig 1"
 name = "boat"
@@ -97,6 +114,56 @@ def test_a_dbc_makes_a_topic_of_each_message(log: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(values(out, "force")[1], -1.0 * np.arange(N))
 
 
+def by_dbc(folder: Path, *lines: str) -> list[Table]:
+    """The tables of a candump, a frame each 0.1 s, by `MANY`."""
+    (folder / "many.dbc").write_text(MANY)
+    text = "".join(f"({T0 + 0.1 * k:.6f}) {line}\n" for k, line in enumerate(lines))
+    (folder / "run.log").write_text(text)
+    return read_can(folder / "run.log", SourceOptions(dbc=folder / "many.dbc"))
+
+
+def test_two_buses_are_two_topics(tmp_path: Path) -> None:
+    ahead, astern = "can0 100#E803000000000000", "can1 100#18FC000000000000"
+    found = {table.topic: table.columns["rpm"].tolist() for table in by_dbc(tmp_path, ahead, astern, ahead, astern)}
+    assert found == {"can0_Motor": [1000.0, 1000.0], "can1_Motor": [-1000.0, -1000.0]}
+    assert [table.topic for table in by_dbc(tmp_path, ahead)] == ["Motor"]
+
+
+def test_a_controller_on_each_of_two_buses(tmp_path: Path) -> None:
+    """Without a rig: the same node twice is two controllers."""
+    rows = [(k, bus) for k in range(N) for bus in (0, 1)]
+    text = "".join(f"({T0 + 0.05 * k:.6f}) can{bus} 00000901#{1000 * k * (bus + 1):08X}00000000\n" for k, bus in rows)
+    (tmp_path / "run.log").write_text(text)
+    found = {table.topic: table.columns["rpm"][-1] for table in read_can(tmp_path / "run.log", SourceOptions())}
+    assert found == {"can0_esc_1": 1000.0 * (N - 1), "can1_esc_1": 2000.0 * (N - 1)}
+    text = guess_map(tmp_path / "run.log").text
+    assert 'name = "n_left", topic = "can0_esc_1"' in text
+    assert 'name = "n_right", topic = "can1_esc_1"' in text
+
+
+def test_a_field_of_j1939_that_is_not_available(tmp_path: Path) -> None:
+    (table,) = by_dbc(tmp_path, "can0 18F00400#FFFFFF4038FFFFFF", "can0 18F00400#FFFFFFFFFFFFFFFF")
+    np.testing.assert_array_equal(table.columns["EngSpeed"], [1800.0, np.nan])
+
+
+def test_frames_that_the_dbc_does_not_fit_are_counted(tmp_path: Path) -> None:
+    (table,) = by_dbc(tmp_path, "can0 101#0001000000000000", "can0 101#0501000000000000", "can0 101#00")
+    assert table.columns["a"].tolist() == [1.0]
+    text = 'format = "seatrial-import 1"\ncan = { dbc = "many.dbc" }\n'
+    text += '[[signal]]\nname = "a"\ntopic = "Mux"\nfield = "a"\nunit = "1"\n'
+    (tmp_path / "map.toml").write_text(text)
+    with pytest.warns(SeatrialWarning, match=r"run\.log: Mux: 2 frames left out that the DBC does not fit"):
+        import_files(tmp_path / "map.toml", [tmp_path / "run.log"], out=tmp_path / "x.mcap")
+    with pytest.raises(SeatrialError, match=r"1 frame, none of them as .*many\.dbc has it"):
+        by_dbc(tmp_path, "can0 101#0501000000000000")
+
+
+@pytest.mark.parametrize("name", ["RUN.ASC", "run.txt", "run.log"])
+def test_what_log_it_is_says_its_content(tmp_path: Path, name: str) -> None:
+    path = write_log(tmp_path, "asc").rename(tmp_path / name)
+    assert len(read_can(path, SourceOptions())) == 2
+
+
 def test_a_rig_makes_the_log_that_it_would_have_recorded(tmp_path: Path) -> None:
     path = write_log(tmp_path, "candump")
     (tmp_path / "rig.toml").write_text(RIG)
@@ -122,6 +189,10 @@ def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(SeatrialError, match="2 frames, none of a device of"):
         import_can(path, tmp_path / "rig.toml", out=tmp_path / "x.mcap")
     assert not (tmp_path / "x.mcap").exists()
+    (tmp_path / "x.mcap").write_bytes(b"an earlier log")
+    with pytest.raises(SeatrialError, match="2 frames, none of a device of"):
+        import_can(path, tmp_path / "rig.toml", out=tmp_path / "x.mcap", force=True)
+    assert (tmp_path / "x.mcap").read_bytes() == b"an earlier log"
     path.write_text("(1.000000) can0 123#00\n(1.1")
     with pytest.raises(SeatrialError, match="cannot be read as a CAN log"):
         guess_map(path)

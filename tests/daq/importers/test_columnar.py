@@ -94,6 +94,14 @@ def test_datenum(tmp_path: Path) -> None:
     assert values(out, "psi")[0][0] == pytest.approx((739_000 - 719_529) * 86400.0)
 
 
+def test_parquet_with_whole_numbers_that_a_float_rounds(tmp_path: Path) -> None:
+    stamps = 1_700_000_000_000_000_123 + 100_000_000 * np.arange(20, dtype=np.int64)
+    pq.write_table(pa.table({"stamp_ns": stamps, "heading": np.arange(20.0)}), tmp_path / "run.parquet")
+    (tmp_path / "map.toml").write_text(guess_map(tmp_path / "run.parquet").text)
+    (out,) = import_files(tmp_path / "map.toml", [tmp_path / "run.parquet"], out=tmp_path / "run.mcap")
+    np.testing.assert_allclose(values(out, "psi")[0], 1e-9 * stamps, rtol=0, atol=3e-7)
+
+
 def test_parquet_with_times_of_its_own(tmp_path: Path) -> None:
     stamps = pa.array((1_700_000_000_000_000_000 + 1e8 * np.arange(20)).astype("datetime64[ns]"))
     table = pa.table({"time": stamps, "heading": pa.array(np.arange(20.0)), "who": pa.array(["a"] * 20)})

@@ -14,9 +14,11 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from daq import cli
 from daq.errors import SeatrialError
+from daq.importers import guess
 from daq.importers.guess import guess_map, outputs
 from daq.importers.import_files import import_files
 from daq.importers.recognise import read_name
+from daq.importers.sources import SourceKind
 from daq.importers.table import Table, TextStyle
 from daq.importers.text_table import sniff_style
 from tests.daq.csv_files import values
@@ -27,10 +29,10 @@ TIME = 0.1 * np.arange(N)
 
 def guessed(path: Path) -> dict[str, dict[str, Any]]:
     """The signals of a guessed map by name; the map imports."""
-    guess = guess_map(path)
+    text = guess_map(path).text
     map_path = path.with_suffix(".map.toml")
-    map_path.write_text(guess.text, encoding="utf-8")
-    found = {signal["name"]: signal for signal in tomllib.loads(guess.text)["signal"]}
+    map_path.write_text(text, encoding="utf-8")
+    found = {signal["name"]: signal for signal in tomllib.loads(text)["signal"]}
     if found:
         import_files(map_path, [path], out=path.with_suffix(".mcap"), force=True)
     return found
@@ -85,7 +87,9 @@ def test_blanks_between_columns_other_encodings_and_blank_rows(tmp_path: Path) -
     [
         ("yaw [deg]", "psi", "deg"), ("Heading (rad)", "psi", "rad"), ("yawRate", "r", ""), ("sog_kn", "speed", "kn"),
         ("vel_n", "vx", ""), ("pos_n", "x", ""), ("r_dps", "r", "deg/s"), ("Latitude", "lat", ""), ("rudder", "", ""),
-        ("u_m_s", "u", "m/s"), ("gyro_z (deg/s)", "r", "deg/s"), ("t_ms", "", "ms"),
+        ("u_m_s", "u", "m/s"), ("gyro_z (deg/s)", "r", "deg/s"), ("t_ms", "", "ms"), ("speed_ms", "speed", "m/s"),
+        ("x [cm]", "x", "cm"), ("u [mm/s]", "u", "mm/s"), ("thrust_left [N]", "", "N"), ("lat [degE7]", "lat", "degE7"),
+        ("x_s", "x", ""), ("r [1/s]", "r", ""), ("t [ns]", "", "ns"), ("cmd [-]", "", "1"),
     ],
 )  # fmt: skip
 def test_names_of_columns(column: str, meaning: str, unit: str) -> None:
@@ -111,6 +115,48 @@ def test_a_receiver_and_a_pwm(tmp_path: Path) -> None:
     np.testing.assert_allclose(t, 100.0 + TIME, atol=1e-6)
 
 
+def test_a_unit_that_is_none_is_a_caveat(tmp_path: Path) -> None:
+    path = write(tmp_path, {"t": TIME, "x [fathom]": TIME, "y [cm]": TIME, "heading [m]": 100.0 + TIME})
+    found = guessed(path)
+    assert [found[name]["unit"] for name in ("x", "y", "psi")] == ["m", "cm", "deg"]
+    text = guess_map(path).text
+    assert "  # caveat: 'fathom' behind 'x [fathom]' is not taken for a unit\n" in text
+    assert "  # caveat: 'm' behind 'heading [m]' is not taken for a unit\n" in text
+
+
+def test_no_pulse_is_a_thruster_at_rest(tmp_path: Path) -> None:
+    """Disarmed, an autopilot sends none; the last command does not hold until the end."""
+    pulses = np.where(TIME < 1.0, 1900.0, 0.0)
+    guessed(write(tmp_path, {"t": TIME, "yaw_deg": 100.0 + TIME, "pwm_left": pulses, "pwm_right": pulses}))
+    t, n = values(tmp_path / "run.mcap", "n_left")
+    assert len(t) == N
+    np.testing.assert_allclose(n, np.where(TIME < 1.0, 1.0, 0.0), atol=1e-12)
+
+
+@pytest.mark.parametrize("top", [800.0, 90.0, 0.9])
+def test_left_and_right_have_one_scale(tmp_path: Path, top: float) -> None:
+    """That of the side which goes further: equal numbers stay equal."""
+    speed = np.abs(np.sin(TIME))
+    path = write(tmp_path, {"t": TIME, "yaw_deg": 100.0 + TIME, "cmd_left": 1000.0 * speed, "cmd_right": top * speed})
+    guessed(path)
+    n_left, n_right = (np.array(values(tmp_path / "run.mcap", name)[1]) for name in ("n_left", "n_right"))
+    assert n_left.max() == pytest.approx(1.0)
+    np.testing.assert_allclose(n_right, 1e-3 * top * n_left, rtol=1e-6)
+
+
+def test_controllers_have_one_scale() -> None:
+    tables = [Table(Path("x"), f"esc_{k}", {"rpm": 1000.0 / k + 0 * TIME}, TIME, "Esc") for k in (1, 2)]
+    assert {c.signals[0].extra.split(",")[0] for c in outputs(tables)} == {"scale = 0.001"}
+
+
+def test_times_of_a_day_are_imported(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("time,yaw_deg\n" + "".join(f"12:00:{k:02d},{90 + k}\n" for k in range(N)))
+    assert "psi" in guessed(path)
+    assert "# caveat: times of a day: say which, origin =" in guess_map(path).text
+    assert values(tmp_path / "run.mcap", "psi")[0] == [43200.0 + k for k in range(N)]
+
+
 def test_the_unit_of_a_rate_is_told_by_the_heading(tmp_path: Path) -> None:
     psi = 60.0 * np.sin(0.8 * TIME)  # deg, 10 Hz
     degrees = {"t": TIME, "yaw": psi, "yaw_rate": 48.0 * np.cos(0.8 * TIME)}
@@ -119,6 +165,8 @@ def test_the_unit_of_a_rate_is_told_by_the_heading(tmp_path: Path) -> None:
     assert guessed(write(tmp_path, radians))["r"]["unit"] == "rad/s"
     against = {**radians, "yaw_rate": -radians["yaw_rate"]}
     assert "sign = -1?" in guess_map(write(tmp_path, against)).text
+    slow = {"t": TIME, "yaw": 100.0 + 0.1 * psi, "yaw_rate": 4.8 * np.cos(0.8 * TIME)}
+    assert guessed(write(tmp_path, slow))["r"]["unit"] == "deg/s"  # by the heading, not by the greatest number
 
 
 def test_the_parameters_of_an_autopilot_tell_its_outputs() -> None:
@@ -126,8 +174,13 @@ def test_the_parameters_of_an_autopilot_tell_its_outputs() -> None:
         Table(Path("x"), f"servo_{k}", {"pwm": 1500.0 + TIME}, TIME, "Servo", parameters=PARAMETERS) for k in (1, 2, 3)
     ]
     found = {c.signals[0].name: (c.table.topic, c.signals[0].extra, c.caveat) for c in outputs(tables)}
-    assert found["n_left"] == ("servo_2", 'scale = 0.0025, offset = -3.75, missing = 0, role = "input"', "")
-    assert found["n_right"] == ("servo_1", 'scale = -0.002, offset = 3, missing = 0, role = "input"', "")
+    rest = 'missing = 0, missing_is = 0, role = "input"'
+    assert found["n_left"] == ("servo_2", f"scale = 0.0025, offset = -3.75, {rest}", "")
+    assert found["n_right"] == ("servo_1", f"scale = -0.002, offset = 3, {rest}", "")
+    for table in tables:
+        table.parameters = {**PARAMETERS, "SERVO2_MAX": 2000.0}
+    caveat = next(c.caveat for c in outputs(tables) if c.signals[0].name == "n_left")
+    assert caveat == "SERVO2_TRIM is not in the middle: full is 1.11 and -0.889; name a [mavlink] rig"
     for table in tables:
         table.parameters = {}
     found = {c.signals[0].name: (c.table.topic, bool(c.caveat)) for c in outputs(tables)}
@@ -178,6 +231,21 @@ def test_the_topics_of_mavros(tmp_path: Path) -> None:
     assert values(log, "vx")[1][0] == 2.0  # north is y of ENU
     assert values(log, "psi")[1][0] == pytest.approx(np.pi / 2)  # a compass counts from north
     np.testing.assert_allclose(values(log, "n_right")[1], -np.arange(N) / 400.0, atol=1e-12)
+
+
+def test_a_topic_of_px4_does_not_turn_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    local = dict.fromkeys(("x", "y", "vx", "vy"), TIME)
+    pose = {f"pose.pose.position.{axis}": TIME for axis in "xy"}
+    tables = [
+        Table(Path("x"), "/odom", pose, TIME, "nav_msgs/msg/Odometry"),
+        Table(Path("x"), "/fmu/out/vehicle_local_position", local, TIME, "px4_msgs/msg/VehicleLocalPosition"),
+    ]
+    monkeypatch.setattr(guess, "source_kind", lambda path: SourceKind("ros", lambda path, options: tables))
+    found = tomllib.loads(guess_map(Path("x")).text)
+    assert found["frame"] == "ENU"
+    frames = {signal["name"]: (signal["topic"], signal.get("frame")) for signal in found["signal"]}
+    assert frames["x"] == ("/odom", None)
+    assert frames["vx"] == ("/fmu/out/vehicle_local_position", "NED")
 
 
 def test_the_command(tmp_path: Path) -> None:

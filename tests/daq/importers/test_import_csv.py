@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from daq import cli
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, SeatrialWarning
 from daq.importers.import_files import import_files
 from daq.importers.import_map import load_import_map
 from daq.log.reader import open_log
@@ -128,6 +128,17 @@ def test_a_number_that_stands_for_no_measurement(folder: Path) -> None:
     assert open_log(out).metadata["source.1.dropped"] == "1"
 
 
+def test_a_number_that_stands_for_rest(folder: Path) -> None:
+    """No pulse is no measurement of the pulse, but the thruster stands: the last command does not hold on."""
+    csv_map, files = write(folder, "t,cmd,heading\n0,1900,1\n1,0,2\n2,0,3\n")
+    csv_map.write_text(csv_map.read_text() + "scale = 0.0025\noffset = -3.75\nmissing = 0\nmissing_is = 0\n")
+    (out,) = import_files(csv_map, files)
+    assert values(out, "n_left") == ([0.0, 1.0, 2.0], [1.0, 0.0, 0.0])
+    assert open_log(out).metadata["source.1.dropped"] == "0"
+    (out,) = import_files(*write(folder, signal="missing = -170\nmissing_is = 90"), force=True)
+    np.testing.assert_allclose(values(out, "psi")[1], np.radians([170.0, 90.0, -160.0]))  # in the signal's unit
+
+
 def test_time_that_repeats_or_runs_backwards(folder: Path) -> None:
     repeats = "t,cmd,heading\n0.0,1,1\n0.1,2,2\n0.1,3,3\n0.2,4,4\n"
     with pytest.raises(SeatrialError, match=r"line 4, column 't': time repeats; csv\.time_order = \"drop\""):
@@ -135,8 +146,37 @@ def test_time_that_repeats_or_runs_backwards(folder: Path) -> None:
     backwards = "t,cmd,heading\n0.0,1,1\n0.5,2,2\n0.1,3,3\n0.4,4,4\n0.6,5,5\n"
     with pytest.raises(SeatrialError, match=r"line 4, column 't': time runs back by 0\.4 s"):
         import_files(*write(folder, backwards))
-    (out,) = import_files(*write(folder, backwards, csv='time_order = "drop"'))
-    assert values(out, "n_left") == ([0.0, 0.5, 0.6], [1.0, 2.0, 5.0])
+    with pytest.warns(SeatrialWarning, match=r"run\.csv: 1 row left out, where time repeats or runs back"):
+        (out,) = import_files(*write(folder, backwards, csv='time_order = "drop"'))
+    assert values(out, "n_left") == ([0.0, 0.1, 0.4, 0.6], [1.0, 3.0, 4.0, 5.0])
+    with pytest.warns(SeatrialWarning, match="1 row left out"):
+        (out,) = import_files(*write(folder, repeats, csv='time_order = "drop"'), force=True)
+    assert values(out, "n_left") == ([0.0, 0.1, 0.2], [1.0, 2.0, 4.0])  # the first of those that repeat
+
+
+def test_a_single_wrong_time_costs_its_own_row_only(folder: Path) -> None:
+    rows = "t,cmd,heading\n" + "".join(f"{5000 if k == 50 else k},0,{k}\n" for k in range(100))
+    with pytest.warns(SeatrialWarning, match="1 row left out"):
+        (out,) = import_files(*write(folder, rows, csv='time_order = "drop"'))
+    assert values(out, "psi")[0] == [float(k) for k in range(100) if k != 50]
+    log = open_log(out)
+    assert (log.metadata["source.1.dropped"], log.metadata["source.1.disordered"]) == ("1", "1")
+
+
+def test_a_signal_without_a_sample_is_named(folder: Path) -> None:
+    with pytest.warns(SeatrialWarning, match=r"run\.csv: not in the log, without a sample: psi$"):
+        (out,) = import_files(*write(folder, "t,cmd,heading\n0,1,\n1,2,nan\n", csv='nan = "drop"'))
+    assert open_log(out).sources(Scalar) == ["n_left"]
+
+
+def test_times_of_a_day(folder: Path) -> None:
+    """They count from 1970-01-01, or from the day that `origin` says, and go on behind midnight."""
+    rows = "t,cmd,heading\n11:00:00,0,1\n23:59:59,0,2\n00:00:01,0,3\n11:00:00,0,4\n"
+    seconds = np.array([39600.0, 86399.0, 86401.0, 126000.0])
+    (out,) = import_files(*write(folder, rows, time='format = "%H:%M:%S"'))
+    assert values(out, "psi")[0] == seconds.tolist()
+    (out,) = import_files(*write(folder, rows, time='format = "%H:%M:%S"\norigin = "2025-05-01"'), force=True)
+    assert values(out, "psi")[0] == (1746057600.0 + seconds).tolist()
 
 
 @pytest.mark.parametrize(
@@ -188,6 +228,7 @@ def test_an_iso_time_that_is_none(folder: Path) -> None:
         ('unit = "deg"', 'unit = "m"\nangle = "wrap"', r"signal\[1\]\.angle: goes with deg and rad, not with m"),
         ('column = "t"', 'colum = "t"', r"time\.column: give either column or rate_hz"),
         ('name = "psi"', 'name = "n_left"', "signal: 'n_left' appears twice"),
+        ('unit = "deg"', 'unit = "deg"\nmissing_is = 0', r"signal\[1\]\.missing_is: needs missing"),
         ('name = "psi"', 'name = "p/si"', r"signal\[1\]\.name: 'p/si' becomes a topic"),
         ('column = "t"', 'column = "t"\nformat = "hours"', r"time\.format: must be s, ms, us, ns, iso, datenum"),
         ('column = "t"', 'column = "t"\norigin = "today"', r"time\.origin: not an ISO date and time: 'today'"),
@@ -210,6 +251,14 @@ def test_what_is_wrong_with_a_map_is_one_line(folder: Path, old: str, new: str, 
     with pytest.raises(SeatrialError, match=line) as caught:
         load_import_map(path)
     assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_two_signals_that_one_name_has_in_the_axes_of_the_log(folder: Path) -> None:
+    csv_map, files = write(folder)
+    text = csv_map.read_text().replace('"deg"', '"m"').replace('"n_left"', '"y"')
+    csv_map.write_text(text.replace('name = "psi"', 'name = "x"\nframe = "ENU"'))
+    with pytest.raises(SeatrialError, match=r"signal: 'y' appears twice \(in the axes of the log\)"):
+        import_files(csv_map, files)
 
 
 def test_pieces_begin_with_the_command_that_holds(folder: Path) -> None:
@@ -264,6 +313,24 @@ def test_a_command_that_nobody_repeats_times_out(folder: Path) -> None:
     csv_map, files = write(folder, rows, signal="timeout = 0.25")
     with pytest.raises(SeatrialError, match=r"timeout.* needs hold"):
         import_files(csv_map, files, force=True)
+
+
+def test_repeats_that_are_left_out_keep_a_command_alive(folder: Path) -> None:
+    rows = "t,cmd,heading\n" + "".join(f"{0.1 * k:.1f},0.5,1\n" for k in (0, 1, 2, 3, 9, 10))
+    csv_map, files = write(folder, rows, csv='repeats = "drop"')
+    csv_map.write_text(csv_map.read_text() + "timeout = 0.15\n")
+    (out,) = import_files(csv_map, files)
+    t, n = values(out, "n_left")
+    np.testing.assert_allclose(t, [0.0, 0.1, 0.2, 0.3, 0.45, 0.9, 1.0, 1.15], atol=1e-9)
+    assert n == [0.5, 0.5, 0.5, 0.5, 0.0, 0.5, 0.5, 0.0]
+    assert len(values(out, "psi")[0]) == 1
+    assert open_log(out).metadata["source.1.dropped"] == "5"
+
+
+def test_a_time_of_its_own_has_the_form_of_the_others(folder: Path) -> None:
+    rows = "t,t2,cmd,heading\n17.5,17.99684877,0,1\n18.5,18.99684877,0,2\n"
+    (out,) = import_files(*write(folder, rows, time='fraction = "unpadded-ns"', signal='time = "t2"'))
+    np.testing.assert_allclose(values(out, "psi")[0], [17.099684877, 18.099684877], atol=1e-7)
 
 
 def test_a_piece_knows_what_holds_at_both_ends(folder: Path) -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import struct
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from pymavlink import DFReader
 
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, SeatrialWarning
 from daq.importers.mavlink import STAMP, _frames, import_mavlink
 from daq.log.reader import open_log
 from daq.samples import Ahrs, Autopilot, Battery, Esc, Gnss, Servo
@@ -155,6 +157,48 @@ def test_what_a_damaged_dataflash_log_holds_is_not_printed(
     with pytest.raises(SeatrialError, match="not a readable DataFlash log"):
         import_mavlink(tmp_path / "00000001.BIN", out=tmp_path / "bin.mcap")
     assert capsys.readouterr().out == ""
+
+
+def test_a_message_of_another_form_costs_only_itself(tmp_path: Path) -> None:
+    path = tmp_path / "00000001.BIN"
+    dataflash(path)
+    path.write_bytes(path.read_bytes().replace(b"TimeUS,ArmState", b"TimeUS,Arm_is__"))
+    with pytest.warns(SeatrialWarning, match=r"00000001\.BIN: 1 message ARM of unknown form"):
+        out, said = import_mavlink(path, out=tmp_path / "bin.mcap")
+    assert "0 bytes not understood, 1 message ARM of unknown form" in said
+    with open_log(out) as log:
+        assert len(log.table(Ahrs, "autopilot")) == 20
+
+
+def test_damage_in_a_dataflash_log_is_counted_and_not_printed(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The indexer of pymavlink prints a line for each byte, from C."""
+    path = tmp_path / "00000001.BIN"
+    dataflash(path)
+    data = path.read_bytes()
+    path.write_bytes(data[:3000] + bytes(1000) + data[3000:])
+    out, said = import_mavlink(path, out=tmp_path / "bin.mcap")
+    assert 1000 <= int(said.split(" bytes not understood")[0].rpartition(" ")[2]) < 1100
+    assert capfd.readouterr() == ("", "")
+    with open_log(out) as log:
+        assert len(log.table(Ahrs, "autopilot")) >= 19
+
+
+def test_a_dataflash_log_that_cannot_be_read_to_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "00000001.BIN"
+    dataflash(path)
+    read, size = DFReader.DFReader_binary.recv_match, path.stat().st_size
+
+    def fails_half_way(log: Any, **how: Any) -> Any:
+        if log.offset > size // 2:
+            raise UnicodeDecodeError("utf-8", b"", 0, 1, "damaged")
+        return read(log, **how)
+
+    monkeypatch.setattr(DFReader.DFReader_binary, "recv_match", fails_half_way)
+    with pytest.warns(SeatrialWarning, match=rf"00000001\.BIN: read to byte \d+ of {size}"):
+        _, said = import_mavlink(path, out=tmp_path / "bin.mcap")
+    assert f"of {size}: " in said
 
 
 def test_a_dataflash_log_becomes_a_log(tmp_path: Path) -> None:
