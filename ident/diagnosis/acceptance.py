@@ -33,6 +33,7 @@ from ident.validation import (
 )
 
 HORIZON = 0.6  # of a prediction by inputs alone, relative to the block: 3 s for a boat, 1.2 s on the bench
+FEW = 12  # blocks
 MISMATCH = 1.3  # times that one-step errors of a validation run are larger than the model says
 
 
@@ -45,7 +46,7 @@ class Comparison:
 
     @cached_property
     def gain(self) -> tuple[float, float]:
-        """d ln L on all the validation data, and its t statistic over blocks of ten seconds (four on the bench)."""
+        """d ln L on all the validation data, and its t statistic over blocks of time."""
         return validation_gain(self.before, self.after)
 
     @cached_property
@@ -86,14 +87,17 @@ def comparison(before: FittedModel, after: FittedModel, effect: Effect) -> Compa
 
 
 def validation_gain(before: FittedModel, after: FittedModel) -> tuple[float, float]:
-    """Gain in log-likelihood on the validation data: its sum, and t over blocks of ten seconds (four on the bench)."""
+    """Gain in log-likelihood on the validation data: its sum, and t over blocks of ten seconds (four on the bench), of
+    half of that where there are fewer than ``FEW``."""
     gains, new = [], {v.record.name: v for v in after.validation}
-    for a in before.validation:
-        if a.record.name in new:
-            t = a.record.t - a.record.t[0]
-            gains.append(np.bincount(np.floor(t / (2 * before.model.block)).astype(int), new[a.record.name].ll - a.ll))
-    if not gains:
+    both = [v for v in before.validation if v.record.name in new]
+    if not both:
         return 0.0, 0.0
+    block = before.model.block
+    length = block if sum(v.record.duration for v in both) < FEW * 2 * block else 2 * block
+    for a in both:
+        t = a.record.t - a.record.t[0]
+        gains.append(np.bincount(np.floor(t / length).astype(int), new[a.record.name].ll - a.ll))
     per_block: Array = np.concatenate(gains).astype(np.float64)
     if not np.isfinite(per_block).all():
         raise ValueError("the likelihood of the validation data is not finite with it")

@@ -129,7 +129,7 @@ class Round:
             case Outcome.NO_BETTER_PREDICTION:
                 return f"the prediction is no better with {best.effect.title}"
             case _:
-                return "no candidate predicts the validation data better"
+                return "no candidate predicts the validation data significantly better"
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,10 @@ class View:
 
 def stage(**by_run: np.ndarray) -> Any:
     """A model with these log-likelihoods, one a second, on each run."""
-    views = [View(SimpleNamespace(name=n, t=100.0 + np.arange(ll.size)), ll) for n, ll in by_run.items()]
+    views = [
+        View(SimpleNamespace(name=n, t=100.0 + np.arange(ll.size), duration=ll.size - 1.0), ll)
+        for n, ll in by_run.items()
+    ]
     return SimpleNamespace(model=SimpleNamespace(block=5.0), validation=tuple(views))
 
 
@@ -38,12 +41,12 @@ def test_the_gain_is_over_all_runs_and_its_error_over_blocks_of_ten_seconds() ->
     assert t == pytest.approx(stats.norm.isf(stats.t.sf(student, 39)), rel=1e-3)
 
 
-@pytest.mark.parametrize("n_blocks", [3, 5, 12])
+@pytest.mark.parametrize("n_blocks", [3, 5, 12, 24])
 def test_chance_passes_as_seldom_in_few_blocks_as_in_many(n_blocks: int) -> None:
     """Gains of pure chance: the part beyond two is that of the normal distribution, not 9 % as with 3 blocks."""
     rng, found = np.random.default_rng(n_blocks), []
     for _ in range(2000):
-        ll = np.repeat(rng.normal(size=n_blocks), 10)
+        ll = np.repeat(rng.normal(size=n_blocks), 10 if n_blocks == 24 else 5)  # long enough for blocks of ten seconds
         found.append(validation_gain(stage(run=np.zeros(ll.size)), stage(run=ll))[1])
     assert np.mean(np.array(found) > 2.0) == pytest.approx(0.0228, abs=0.011)
 
