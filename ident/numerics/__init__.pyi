@@ -1,4 +1,3 @@
-from .autocorrelation import block_error as block_error
 from .autocorrelation import effective_sample_size as effective_sample_size
 from .autocorrelation import integrated_autocorrelation_time as integrated_autocorrelation_time
 from .autocorrelation import mean_error as mean_error
