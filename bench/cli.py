@@ -32,7 +32,7 @@ _RETRY = click.option(
 
 _HOLD = click.option(
     "--hold",
-    type=click.FloatRange(0, min_open=True),
+    type=FiniteRange(0, min_open=True),
     default=mission_generators.HOLD_S,
     show_default=True,
     help="Seconds that each level is held: without shaft speed, long enough for readings of the settled force.",

@@ -91,7 +91,7 @@ def to_json(status: Status) -> dict[str, Any]:
 
 def from_json(data: dict[str, Any]) -> Status:
     """The inverse of `to_json`."""
-    ports = {port["name"]: PortStatus(**port) for port in data["ports"]}
+    ports = {port["name"]: PortStatus(**port | {"stuck": tuple(port["stuck"])}) for port in data["ports"]}
     latest: dict[Source, Latest] = {}
     for device, node, kind, values, t in data["latest"]:
         latest[device, node] = Latest(getattr(samples, kind)(*values), t)

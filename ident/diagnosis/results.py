@@ -247,7 +247,8 @@ class Diagnosis:
     each effect, the most important first; removed: effects that were added and did not pay; failed_runs: validation
     runs that could not be evaluated; mismatches: validation runs that are predicted worse than the model says;
     undrawn: why there is no curve of the first ambiguous effect, where it could not be fitted; refused: candidates of
-    the user's own that could not be tested."""
+    the user's own that could not be tested; scores: the last ones, of all candidates; untried: what passed when the
+    search had added as many effects as it may."""
 
     before: FittedModel
     after: FittedModel
@@ -262,6 +263,8 @@ class Diagnosis:
     short: ShortData | None = None
     undrawn: str | None = None
     refused: tuple[UntestedCandidate, ...] = ()
+    scores: tuple[Score, ...] = ()
+    untried: tuple[Score, ...] = ()
 
     @property
     def effects(self) -> tuple[Refit, ...]:

@@ -196,6 +196,8 @@ def diagnose(
         _short_data(search.scores, before),
         undrawn,
         _refused(full, given, [*estimation, *usable]),
+        tuple(search.scores),
+        tuple(search.untried),
     )
 
 
@@ -277,6 +279,7 @@ class _Search:
         self.rounds: list[Round] = []
         self.nominal: FittedModel | None = None
         self.scores: list[Score] = []  # the last ones
+        self.untried: list[Score] = []  # that passed when as many effects were added as may be
         self.n = sum(r.n_rows for r in records)
 
     def scored(self, stage: FittedModel) -> tuple[list[Score], list[Score]]:
@@ -298,6 +301,7 @@ class _Search:
             least = MIN_GAIN_RATIO_AFTER_CURVE * largest
             tried = [s for s in passed if not s.generic and s.criterion(self.n) > least] if unknown else passed
             if len(self.rounds) >= max_effects or not tried:
+                self.untried = tried
                 return current, passed
             self.reporter.progress(
                 f"round {len(self.rounds) + 1}: {len(passed)} of {len(scores)} candidates pass, best {tried[0].name}"

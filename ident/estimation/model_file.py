@@ -122,8 +122,7 @@ def save_model(
         document["scale"] = scale
     document["validity"] = {k: [float(a), float(b)] for k, (a, b) in validity.items()}
     # disturbance forces get the size of the boat whenever a fit begins (ident.models.scaling); a prior of that size
-    # would get
-    # it twice
+    # would get it twice
     sized_anew = {p.name for e in model.effects if e.kind is EffectKind.DISTURBANCE for p in e.parameters}
     parameters = tomlkit.aot()
     for p in model.parameters:
@@ -138,11 +137,8 @@ def save_model(
 def _scale_table(model: Model, calibration: float | None) -> Any:
     """What the forces rest on; None for a model that has none of its own."""
     scale, table = scale_of(model), tomlkit.table()
-    if scale.relative:
-        table.add(tomlkit.comment("nobody gave the thrust: masses, damping and forces below are right as ratios to"))
-        table.add(tomlkit.comment("c1 + c2 only, not in kg and N; the motion that they predict is right"))
-    if scale.relative_yaw:
-        table.add(tomlkit.comment("nobody gave the arms: inertia and damping in yaw are right as ratios to them"))
+    for line in scale.caveats:
+        table.add(tomlkit.comment(line))
     facts = {"thrust": scale.thrust, "arm": scale.arm}
     table.update({name: str(origin) for name, origin in facts.items() if origin is not None})
     if model.kind is ModelKind.BENCH and "c1" in model.values:

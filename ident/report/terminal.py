@@ -29,7 +29,6 @@ from ident.results import (
     ParameterRow,
     ProfileCurve,
     Result,
-    Round,
     ThrusterResult,
     VehicleResult,
 )
@@ -86,7 +85,7 @@ def outage_table(result: NavigationResult) -> Table:
     for title in ("from [s]", "for [s]", "95 % radius [m]", "off by [m]", "allowed [m]"):
         table.add_column(Text(title), justify="right", no_wrap=True)
     for o in shown:
-        words = [formatting.plain(v) for v in (o.start, o.duration, o.at_end.radius, o.error, o.allowed)]
+        words = [f"{o.start:.0f}", *(formatting.plain(v) for v in (o.duration, o.at_end.radius, o.error, o.allowed))]
         style = "bold red" if o.inside is False else ""
         table.add_row(Text(o.record), *(Text(word) for word in words), style=style)
     return table
@@ -163,7 +162,7 @@ def _tables(result: Result) -> Sequence[Table | None]:
     return [
         _parameters(result.fit, diagnosis.effects if diagnosis else ()),
         _profiles(result.profiles if isinstance(result, VehicleResult | ThrusterResult) else ()),
-        _candidates(diagnosis.rounds if diagnosis else ()),
+        _candidates(diagnosis) if diagnosis else None,
         _errors(result.errors, result.horizon_seconds),
     ]
 
@@ -173,6 +172,7 @@ def _parameters(fit: FitSummary, added: Sequence[EffectRow]) -> Table | None:
     effects = [row for effect in added for row in effect.parameters]
     own = {row.name for row in effects}
     fitted = [row for row in fit.parameters if row.free and row.name not in own and "noise" not in row.meaning]
+    fitted.sort(key=lambda row: row.record is not None)  # those of single runs last
     found: list[EffectParameter | ParameterRow] = [*effects, *fitted]
     if not found:
         return None
@@ -187,8 +187,8 @@ def _parameters(fit: FitSummary, added: Sequence[EffectRow]) -> Table | None:
         factor, unit = formatting.degrees_for(row.unit)
         value, se = formatting.scaled(factor, row.value, row.se)
         name = Text(row.name, style="bold green" if row.name in own else "bold")
-        flag = row.flag if isinstance(row, ParameterRow) else None
-        words = f"⚠ {flag}" if flag else row.meaning
+        flag, record = (row.flag, row.record) if isinstance(row, ParameterRow) else (None, None)
+        words = f"⚠ {flag}" if flag else row.meaning + (f", {record}" if record else "")
         table.add_row(name, Text(formatting.with_error(value, se)), Text(unit), Text(words))
     return table
 
@@ -219,16 +219,17 @@ def _profiles(found: Sequence[ProfileCurve]) -> Table | None:
     return table
 
 
-def _candidates(rounds: Sequence[Round]) -> Table | None:
-    found = [row for row in rounds if row.candidates]
+def _candidates(result: DiagnosisResult) -> Table | None:
+    found = [row for row in result.rounds if row.candidates]
     if not found:
         return None
-    every = found[0].candidates
-    chosen = [row.chosen for row in found if row.chosen]
+    every, removed = found[0].candidates, {row.name for row in result.removed_effects}
+    chosen = {row.chosen for row in found} - removed
     shown = every[:MOST_CANDIDATES]
     title = f"First round: {found[0].passed} of {found[0].tested} candidates passed the score test, {len(shown)} best"
     table = titled_table(title)
-    table.caption, table.caption_justify = "✓ added to the model   · passed   (blank) not passed", "left"
+    legend = ["✓ added to the model", *["− added and removed again"] * bool(removed), "· passed", "(blank) not passed"]
+    table.caption, table.caption_justify = "   ".join(legend), "left"
     table.add_column("", no_wrap=True)
     table.add_column("", no_wrap=True, overflow="ellipsis", max_width=38)
     for title in ("score", "threshold", "p by blocks"):
@@ -239,7 +240,7 @@ def _candidates(rounds: Sequence[Round]) -> Table | None:
         numbers = (
             formatting.plain(row.lm), formatting.plain(row.threshold), formatting.probability(row.p_block)
         )
-        mark = "✓" if won else "·" if row.passed else " "
+        mark = "✓" if won else "−" if row.name in removed else "·" if row.passed else " "
         table.add_row(*(Text(part) for part in (mark, row.title or row.name, *numbers)), style=style)
     return table
 
@@ -247,11 +248,14 @@ def _candidates(rounds: Sequence[Round]) -> Table | None:
 def _errors(errors: Errors, seconds: float) -> Table | None:
     role, data = by_role(errors.validation, errors.estimation)[0]
     kinds = [(title, table) for title, table in horizons(data, seconds) if table]
-    channels = list(dict.fromkeys(name for _, table in kinds for name in table))[:MOST_CHANNELS]
+    every = list(dict.fromkeys(name for _, table in kinds for name in table))
+    channels = every[:MOST_CHANNELS]
     if not channels:
         return None
+    more = f" ({len(every) - len(channels)} more in the report)" if len(every) > len(channels) else ""
     compared = any(table[c].before is not None for _, table in kinds for c in channels if c in table)
-    table = titled_table(f"Error before → after, {role} data" if compared else f"Prediction error (rms), {role} data")
+    what = "Error before → after" if compared else "Prediction error (rms)"
+    table = titled_table(f"{what}, {role} data{more}")
     table.add_column("", no_wrap=True)
     table.add_column("", no_wrap=True, style="dim")
     for title, _ in kinds:

@@ -8,6 +8,7 @@ from typing import cast
 
 import msgspec
 
+from daq.errors import counted
 from ident.diagnosis import (
     Diagnosis,
     DiagnosisEvaluation,
@@ -114,7 +115,7 @@ def diagnosis_result(
         cross=cross_correlations(before, other),
         unused_signals=tuple(unused),
         residual_forces=_forces(diagnosis, evaluation),
-        rounds=tuple(_round(r) for r in diagnosis.rounds) or (QUIET,),
+        rounds=tuple(_round(r) for r in diagnosis.rounds) or (_quiet_round(diagnosis),),
         effects=_effects(diagnosis),
         remaining_candidates=tuple(
             parts.RemainingCandidate(name=s.name, lm=s.lm, df=s.df, p=s.p) for s in diagnosis.left
@@ -280,12 +281,19 @@ def _forces(diagnosis: Diagnosis, evaluation: DiagnosisEvaluation) -> tuple[part
     )
 
 
-QUIET = parts.Round(why="no candidate passes the score tests")
+def _quiet_round(diagnosis: Diagnosis) -> parts.Round:
+    """Of a search in which nothing passed: all that was tested."""
+    tested = _round(Round(diagnosis.scores, (), (), None))
+    why = "no candidate passes the score tests"
+    if (short := diagnosis.short) is not None:
+        why += f"; {short.seconds:.0f} s of data are too short to test {short.untestable} of {short.candidates}"
+    return msgspec.structs.replace(tested, why=why)
 
 
 def _round(one: Round) -> parts.Round:
     titles = {n: e.title for n, e in catalogue().items()} | {r.effect.name: r.effect.title for r in one.refits}
-    best = sorted(one.scores, key=lambda s: -s.lm / max(s.df, 1))[:MOST_CANDIDATES]
+    ranked = sorted(one.scores, key=lambda s: -s.lm / max(s.df, 1))
+    best = [s for k, s in enumerate(ranked) if k < MOST_CANDIDATES or s.name in one.passed]
     return parts.Round(
         candidates=tuple(
             parts.Candidate(
@@ -429,8 +437,12 @@ def _notes(diagnosis: Diagnosis) -> list[str]:
     notes = []
     if diagnosis.left:
         names = ", ".join(s.name for s in diagnosis.left[:4])
-        if diagnosis.effects:
-            notes.append(f"After the last effect these tests still pass: {names}. Something smaller remains.")
+        if diagnosis.untried:
+            n = sum(one.chosen is not None for one in diagnosis.rounds)
+            many = f"{counted(n, 'effect')}, as many as --max-effects allows"
+            notes.append(f"The search ended with {many}; not tried: {names}.")
+        elif diagnosis.effects:
+            notes.append(f"After the last effect these tests still pass: {names}.")
         elif diagnosis.removed:
             notes.append(f"Of the model without effects these tests pass: {names}.")
     if diagnosis.effects and diagnosis.rounds[-1].chosen is None:

@@ -38,12 +38,14 @@ def headline(result: DiagnosisResult) -> list[Any]:
     """Errors over the horizon before and after, on validation data where there are some."""
     role, data = by_role(result.errors.validation, result.errors.estimation)[0]
     items = [(n, row) for n, row in data.horizon.items() if row.before is not None and row.after is not None]
+    lost = [name for name, row in data.horizon.items() if row.before is None or row.after is None]
     if not items:
         return []
     caption = (
         f"RMS prediction error {result.horizon_seconds:g} s ahead on {role} data, before → after; the axis is relative "
         "to before, the thin line is the 95 % interval. Only what changed beyond its interval is coloured."
     )
+    caption += f" Not drawn, as a prediction diverged: {', '.join(map(formatting.titled, lost))}." if lost else ""
     return [Dumbbells(_dumbbells(items), caption)]
 
 
@@ -126,15 +128,21 @@ def how_sure(effect: EffectRow) -> str:
 
 
 def key_parameters(fit: FitSummary) -> list[Any]:
-    """The free parameters of the dynamics, not those of the noise."""
+    """The free parameters of the dynamics that all runs share, not those of the noise."""
     found = []
     for row in fit.parameters:
         value, se = row.value, row.se
-        if se is None or not row.free or "noise" in row.meaning:
+        if se is None or not row.free or row.record is not None or "noise" in row.meaning:
             continue
         factor, unit = formatting.degrees_for(row.unit)
-        found.append((row.meaning or row.name, _symbol(row, factor * value, factor * se, unit)))
-    return [Facts(found[:KEY_PARAMETERS], "cards")] if found else []
+        title = row.meaning or row.name
+        title += f" (⚠ {row.flag})" if row.flag else ""
+        found.append((title, _symbol(row, factor * value, factor * se, unit)))
+    if not found:
+        return []
+    said = ["± one standard error" + (", statistical only" if fit.scale.statistical_only else "")]
+    said += [f"{len(found) - KEY_PARAMETERS} more below"] if len(found) > KEY_PARAMETERS else []
+    return [Facts(found[:KEY_PARAMETERS], "cards"), Prose("; ".join(said), "caption")]
 
 
 def _symbol(row: ParameterRow, value: float, se: float, unit: str) -> str:
@@ -154,7 +162,10 @@ def static_section(canvas: Canvas, static: StaticForce) -> Section:
         bars = {"type": "data", "array": drawing.packed(drawing.Z95 * static.sd), "thickness": 1.2, "width": 0}
         errors = {"error_y": {**bars, "color": drawing.INK}}
         traces.append({**points, "name": "measured", "marker": marker, **errors})
-    lead = "Circles: means of steady segments with 95 % bars. Line: the fitted curve with its 95 % band."
+    lead = (
+        "Circles: means of steady segments with 95 % bars. Line: the fitted curve with its 95 % band. Bars and band "
+        "are statistical: the load cell's calibration, which moves all of it together, is not in them."
+    )
     if static.force_quadratic is not None:
         n, force = static.n_model, static.force_quadratic
         traces.append(drawing.line_trace(n, force, "quadratic", 600, color=drawing.BEFORE, dash="dash"))

@@ -36,7 +36,8 @@ def parameters_section(canvas: Canvas, fit: FitSummary, changes: Sequence[Parame
     blocks: list[Any] = _fit_facts(fit)
     table = fit.parameters
     if table:
-        columns = [("parameter", ""), ("value", "num"), ("± s.e.", "num"), ("unit", ""), ("meaning", "")]
+        error = "± s.e. (statistical only)" if fit.scale.statistical_only else "± s.e."
+        columns = [("parameter", ""), ("value", "num"), (error, "num"), ("unit", ""), ("meaning", "")]
         extra = (("prior_share", "from prior", "num"), ("record", "record", ""), ("flag", "note", ""))
         used = [item for item in extra if any(getattr(row, item[0]) is not None for row in table)]
         columns += [(title, style) for _, title, style in used]
@@ -49,13 +50,15 @@ def _fit_facts(fit: FitSummary) -> list[Any]:
     methods = {"OE": "output error (OE)", "PE": "prediction error (PE)"}
     converged, message = "yes" if fit.converged else "no", fit.message
     log_likelihood = fit.log_likelihood
+    errors = ["robust (sandwich): the residuals are autocorrelated"] * fit.coloured
+    errors += ["statistical only: what the forces rest on is taken for exact"] * fit.scale.statistical_only
     facts = (
         ("Model", fit.model),
         ("Method", methods[fit.method]),
         ("Converged", f"{converged}: {message}" if message else converged),
         ("Log-likelihood", "" if log_likelihood is None else f"{log_likelihood:,.1f}".replace("-", "−")),
         ("Iterations", str(fit.iterations)),
-        ("Standard errors", "robust (sandwich): the residuals are autocorrelated" if fit.coloured else ""),
+        ("Standard errors", "; ".join(errors)),
         ("CPU time", f"{formatting.plain(fit.cpu)} s"),
     )
     found = [(label, value) for label, value in facts if value]

@@ -85,7 +85,7 @@ def _over_time(canvas: Canvas, row: ResidualTests, take: RecordTab) -> Plot | No
     if not traces:
         return None
     band = [_level(level) for level in (-drawing.Z95, drawing.Z95)]
-    figure = drawing.single(traces, "time [s]", shapes=band, hovermode="closest")
+    figure = drawing.single(traces, "time since the start of the record [s]", shapes=band, hovermode="closest")
     return canvas.plot(figure, 210, _label("Innovations over time", row, take), "Standardised innovations")
 
 

@@ -14,7 +14,7 @@ from ident.report.blocks import Canvas, Cell, Grid, Key, Lines, Prose, Section, 
 from ident.report.record_tabs import RecordTab, of_record, record_tabs, roles_of
 from ident.results import ErrorComparison, ErrorTable, FitResult, InputTrace, LogSummary, Trace, Track
 
-TIME = "time [s]"
+TIME = "time since the start of the record [s]"
 
 
 def run_section(canvas: Canvas, logs: Sequence[LogSummary], inputs: Sequence[InputTrace]) -> Section:
@@ -92,7 +92,10 @@ def traces_section(canvas: Canvas, result: FitResult) -> Section:
     if not any(blocks for _, blocks in tabs):
         return Section("traces", "", [])
     compared = any(row.before is not None for row in result.traces)
-    lead = "From the inputs alone after the first 15 s: small errors of speed and heading add up in the position."
+    lead = (
+        "From the inputs alone after the first 15 s: small errors of speed and heading add up in the position; the fit "
+        "is of all records of a set."
+    )
     return Section("traces", "Simulated against measured", [_key("simulated", compared), *tabbed(tabs)], lead)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from ident.report import drawing, formatting
@@ -25,23 +25,27 @@ OUTCOMES = {
 
 def section(canvas: Canvas, result: DiagnosisResult) -> Section:
     """Rounds in tabs; then residual forces and nonparametric effects."""
-    found = result.rounds
-    blocks: list[Any] = tabbed([(_round_title(i, row), _round(row)) for i, row in enumerate(found, 1)])
+    found, removed = result.rounds, {row.name for row in result.removed_effects}
+    rounds = [(_round_title(i, row, removed), _round(row, removed)) for i, row in enumerate(found, 1)]
+    blocks: list[Any] = tabbed(rounds)
     blocks += _forces(canvas, result) + _curves(canvas, result.nonparametric_effects)
     lead = "Every candidate is tested on the residual at once, the best are fitted, validation data decide."
     return Section("search", "The search", blocks, lead if found else "")
 
 
-def _round_title(i: int, row: Round) -> str:
-    return f"Round {i}: {row.chosen or 'nothing added'}"
+def _round_title(i: int, row: Round, removed: Collection[str]) -> str:
+    return f"Round {i}: {row.chosen or 'nothing added'}{', removed again' if row.chosen in removed else ''}"
 
 
-def _round(row: Round) -> list[Any]:
+def _round(row: Round, removed: Collection[str]) -> list[Any]:
     blocks: list[Any] = [Prose(row.why, "why")] if row.why else []
-    return blocks + ranking(row) + _refits(row)
+    if row.chosen in removed:
+        blocks.append(Prose("It was removed again: beside the others it does not pay; see the notes.", "why"))
+    chosen = None if row.chosen in removed else row.chosen
+    return blocks + ranking(row, chosen) + _refits(row, chosen)
 
 
-def ranking(row: Round) -> list[Any]:
+def ranking(row: Round, chosen: str | None) -> list[Any]:
     """The best candidates on a logarithmic axis."""
     every = [c for c in row.candidates if c.lm > 0]
     best = every[:SHOWN]
@@ -55,13 +59,13 @@ def ranking(row: Round) -> list[Any]:
     def at(value: float) -> float:
         return 100.0 * min(max(math.log(value / low) / math.log(high / low), 0.004), 1.0)
 
-    chosen = row.chosen
     bars = [_bar(c, at(size), at(limit), chosen) for c, size, limit in zip(best, sizes, limits, strict=True)]
     decades = range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)
     ticks = [(at(10.0**d) if d > math.log10(low) else 0.0, f"{10**d:,}" if d >= 0 else f"{10.0**d:g}") for d in decades]
     caption = (
-        f"{row.passed} of {row.tested} candidates passed the score test; the {len(best)} best by their statistic (χ², "
-        "logarithmic axis), with the threshold for as many tests as were made"
+        f"{row.passed} of {row.tested} candidates passed the score test; the {len(best)} best by their statistic over "
+        "its degrees of freedom; shown is the statistic (χ², logarithmic axis), with the threshold for as many tests "
+        "as were made"
     )
     return [Heading("Candidates"), Ranking(bars, ticks, caption)]
 
@@ -82,7 +86,7 @@ def _bar(candidate: Candidate, width: float, limit: float, chosen: str | None) -
     )
 
 
-def _refits(row: Round) -> list[Any]:
+def _refits(row: Round, chosen: str | None) -> list[Any]:
     found = row.refits
     columns = (
         ("refitted with", ""),
@@ -94,7 +98,6 @@ def _refits(row: Round) -> list[Any]:
         ("t", "num"),
         ("outcome", ""),
     )
-    chosen = row.chosen
     return [Heading("Refits of the best"), Table(columns, [_refit(r, chosen) for r in found])] if found else []
 
 
@@ -115,7 +118,7 @@ def _refit(row: Refit, chosen: str | None) -> list[Cell | str]:
         Cell(formatting.plain(row.criterion), "num"),
         Cell(formatting.plain(row.validation_gain), "num"),
         Cell(formatting.plain(row.t, 2), "num"),
-        OUTCOMES[row.outcome],
+        OUTCOMES[row.outcome] + (", removed again" if row.outcome == "added" and not won else ""),
     ]
 
 
@@ -135,7 +138,7 @@ def _force_tab(canvas: Canvas, forces: Sequence[ResidualForce], tab: RecordTab) 
     panels = [p for row in forces if (p := _force_panel(canvas, row))]
     if not panels:
         return []
-    figure, height = drawing.stacked(panels, "time [s]")
+    figure, height = drawing.stacked(panels, "time since the start of the record [s]")
     return [Grid([canvas.plot(figure, height, f"Residual forces over time, {tab.title}")], 320)]
 
 

@@ -34,6 +34,8 @@ from ident.reporter import QUIET
 from ident.results.diagnosis import (
     _blocks_note,
     _mismatch,
+    _notes,
+    _quiet_round,
     _untested_warnings,
     diagnosis_answer,
     reported_mismatches,
@@ -136,6 +138,28 @@ def test_data_too_short_for_a_test_are_not_said_to_lack_nothing() -> None:
     )
     assert search._short_data([replace(s, blocks=21) for s in scores], blank()) is None
     assert [scores[k].least_blocks for k in range(3)] == [7, 14, 21]
+
+
+def test_a_search_in_which_nothing_passes_says_what_was_tested() -> None:
+    scores = tuple(Score(f"effect{k}", 3.0, 1, 2.0, {}, {}, threshold=12.0) for k in range(40))
+    short = ShortData(60.0, 105.0, 3, 40)
+    one = _quiet_round(Diagnosis(blank(), blank(), (), (), (), scores=scores, short=short))
+    assert (one.tested, one.passed, one.chosen) == (40, 0, None)
+    assert len(one.candidates) > 10
+    assert one.why == "no candidate passes the score tests; 60 s of data are too short to test 3 of 40"
+
+
+def test_a_search_that_may_add_no_more_says_what_it_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is left was never refitted: nobody knows that it is smaller."""
+    mine, score = a_search(Effect("wind", "wind", {})), Score("wind", 900.0, 1, 50.0, {}, {}, threshold=12.0)
+    monkeypatch.setattr(mine, "scored", lambda _stage: ([score], [score]))
+    mine.forward(blank(), 0)
+    assert mine.untried == [score]
+    chosen = refit("hump", 900.0)
+    after = blank(fit=blank(flags=()))
+    found = Diagnosis(after, after, (Round((), (), (chosen,), chosen),), (score,), (), untried=(score,))
+    (note, *_) = _notes(found)
+    assert note == "The search ended with 1 effect, as many as --max-effects allows; not tried: wind."
 
 
 def test_no_set_of_effects_is_left_that_predicts_worse_than_the_nominal_model(monkeypatch: pytest.MonkeyPatch) -> None:

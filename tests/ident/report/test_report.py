@@ -282,6 +282,44 @@ def test_a_flag_wraps_and_the_numbers_do_not() -> None:
     assert max(map(len, text.splitlines())) <= 80
 
 
+def test_an_effect_that_was_removed_again_is_not_shown_as_added(small: dict[str, Any], tmp_path: Path) -> None:
+    result = copy.deepcopy(small)
+    name = result["rounds"][0]["chosen"]
+    gone = {"name": name, "title": name, "validation_gain": 1.0, "t": 0.3, "prediction": None}
+    assert "✓" in printed(result)
+    assert "removed again" not in Page(written(result, tmp_path)).words
+    result |= {"removed_effects": [gone], "effects": [e for e in result["effects"] if e["name"] != name]}
+    text = printed(result)
+    assert "−" in text.split("First round")[1].split("− added and removed again")[0]
+    page = tmp_path / "again"
+    page.mkdir()
+    words = " ".join(Page(written(result, page)).words.split())
+    assert f"Round 1: {name}, removed again" in words
+    assert "It was removed again" in words
+
+
+def test_errors_that_are_statistical_only_are_marked_on_the_page_too(small: dict[str, Any], tmp_path: Path) -> None:
+    result = copy.deepcopy(small)
+    for only in (False, True):
+        result["fit"]["scale"] = {"statistical_only": only}
+        folder = tmp_path / str(only)
+        folder.mkdir()
+        assert ("± s.e. (statistical only)" in Page(written(result, folder)).words) is only
+
+
+def test_a_parameter_of_one_run_names_it_and_comes_last(tmp_path: Path) -> None:
+    result = shortened(KINDS["thruster"]())
+    row = {"meaning": "current", "value": 0.1, "se": 0.01, "unit": "m/s", "free": True}
+    rows = [row | {"name": "V_x", "record": run} for run in ("run1", "run2")]
+    result["fit"]["parameters"] = [*rows, row | {"name": "m_u", "meaning": "mass", "unit": "kg"}]
+    text = printed(result)
+    assert text.index("m_u") < text.index("current, run1") < text.index("current, run2")
+    page = Page(written(result, tmp_path)).words
+    cards = page[: page.index("± one standard error")]
+    assert "m_u = 0.100 ± 0.010 kg" in " ".join(cards.split())
+    assert "V_x" not in cards
+
+
 def test_the_terminal_has_the_intervals_that_were_asked_for() -> None:
     row: dict[str, Any] = {"name": "psi_0", "unit": "rad", "value": 0.1, "low": 0.05, "high": None}
     row |= {"wald_low": 0.04, "wald_high": 0.2}
