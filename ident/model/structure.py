@@ -433,8 +433,8 @@ class Model:
         """Why the effect cannot be added; None: it can."""
         if missing := self._missing(effect):
             return f"it needs the signal {min(missing)!r}, which model {self.name} has not"
-        had = {e.name for e in self.effects} | set(self.values)
-        there = had & {effect.name, *(p.name for p in effect.parameters)}
+        had = {e.name for e in self.effects} | set(self.values) | {s.name for s in self.states}
+        there = had & {effect.name, *(p.name for p in effect.parameters), *(s.name for s in effect.states)}
         return f"model {self.name} has {min(there)} already" if there else None
 
     def _missing(self, effect: Effect) -> set[str]:

@@ -98,7 +98,7 @@ STATES = (
     State("r", "rad/s", "yaw rate behind its lag", "s_r", sd0=0.1),
 )
 LATENESS = tuple(
-    State(f"late_{side}", "", "error of the input's time stamps, scaled", float(np.sqrt(2 / MEMORY)), sd0=1.0,
+    State(f"stamp_error_{side}", "", "error of the input's time stamps, scaled", float(np.sqrt(2 / MEMORY)), sd0=1.0,
           nuisance=True)
     for side in SIDES
 )  # fmt: skip
@@ -171,10 +171,10 @@ def _inputs(s: Signals, ago: Any, *, errors: bool = True) -> list[Any]:
     for side in SIDES:
         known = [getattr(s.u, _past(f"n_{side}", k)) for k in TAPS]
         then = sum(w * n for w, n in zip(weights, known, strict=True))
-        if errors and hasattr(s.x, f"late_{side}"):
+        if errors and hasattr(s.p, "sigma_n"):
             beyond = [2 * known[0] - known[1], *known, 2 * known[-1] - known[-2]]
             change = [(late - early) / (2 * STEP) for early, late in zip(beyond[:-2], beyond[2:], strict=True)]
-            late = s.p.sigma_n * getattr(s.x, f"late_{side}") * np.exp(-ago / MEMORY)
+            late = s.p.sigma_n * getattr(s.x, f"stamp_error_{side}") * np.exp(-ago / MEMORY)
             then = then + late * sum(w * d for w, d in zip(weights, change, strict=True))
         found.append(then)
     return found
@@ -182,7 +182,8 @@ def _inputs(s: Signals, ago: Any, *, errors: bool = True) -> list[Any]:
 
 def delayed(s: Signals) -> None:
     """Inputs of ``tau_n`` ago."""
-    s.n = dict(zip(SIDES, _inputs(s, 0.0), strict=True))
+    s.n_now = _inputs(s, 0.0)  # and stays so: effects change s.n
+    s.n = dict(zip(SIDES, s.n_now, strict=True))
 
 
 def thrust(s: Signals) -> None:
@@ -200,8 +201,8 @@ def rate(s: Signals) -> None:
     s.r = first_order(s, "r", s.r_ref, s.p.T)
     s.rate["x"], s.rate["y"] = _over_ground(s, x.psi, x.u)
     s.rate["psi"], s.rate["u"], s.rate["v"] = s.r, s.X / s.p.m_u + x.v * s.r, -x.v / s.p.tau_v
-    for side in SIDES if hasattr(x, "late_left") else ():
-        s.rate[f"late_{side}"] = -getattr(x, f"late_{side}") / MEMORY
+    for side in SIDES if hasattr(s.p, "sigma_n") else ():
+        s.rate[f"stamp_error_{side}"] = -getattr(x, f"stamp_error_{side}") / MEMORY
 
 
 def _over_ground(s: Signals, psi: Any, u: Any) -> tuple[Any, Any]:
@@ -211,11 +212,15 @@ def _over_ground(s: Signals, psi: Any, u: Any) -> tuple[Any, Any]:
 
 
 def _rates_at(s: Signals, ago: Any, u: Any, n: Sequence[Any]) -> tuple[Any, Any]:
-    """Yaw rate [rad/s] and acceleration [m/s2] of so long ago [s], with the disturbances of now."""
-    x, p, now = s.x, s.p, list(s.n.values())
+    """Yaw rate [rad/s] and acceleration [m/s2] of so long ago [s], with the disturbances of now.
+
+    What effects make of the inputs counts as one of these: only the inputs themselves were others then.
+    """
+    x, p, now = s.x, s.p, s.n_now
     direct = 1 - np.minimum(p.T / SHORTEST_LAG, 1.0)  # part of the yaw rate that follows its inputs at once
     r = s.r - (1 - direct) * ago * s.rate["r"] + direct * (_steady_rate(s, u, n) - _steady_rate(s, x.u, now))
-    gain = sum(_static_thrust(p, one) for one in n) - sum(s.f.values()) - _damping(s, u) + _damping(s, x.u)
+    gain = sum(_static_thrust(p, one) for one in n) - sum(_static_thrust(p, one) for one in now)
+    gain = gain - _damping(s, u) + _damping(s, x.u)
     return r, (s.X + gain) / p.m_u + x.v * r
 
 
@@ -244,3 +249,6 @@ def output(s: Signals) -> None:
     y["x"], y["y"] = (late[0] + early[0]) / 2, (late[1] + early[1]) / 2
     (a_n, a_e), (b_n, b_e) = (_over_ground(s, *place[2:]) for place in (late, early))
     y["vx"], y["vy"] = (a_n + b_n) / 2, (a_e + b_e) / 2
+    for axis, own in zip("xy", _over_ground(s, x.psi, x.u), strict=True):
+        beyond = s.rate[axis] - own  # of effects, such as a current that wanders: steady over a fix's age
+        y[axis], y[f"v{axis}"] = y[axis] - p.tau_gnss * beyond, y[f"v{axis}"] + beyond  # mean age of the two points

@@ -21,6 +21,6 @@ EFFECT = Effect(
     formula="f_L *= 1 + eps, f_R *= 1 - eps",
     source="propeller wear, fouling, ESC end points",
     experiment="equal commands in forward and reverse, at several levels: the yaw rate follows the thrust",
-    requires=("f",),
+    requires=("f", "hull"),
     alternatives=("yaw-bias", "sway-yaw"),
 )

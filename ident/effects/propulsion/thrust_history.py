@@ -66,7 +66,8 @@ def _lag(name: str, title: str, quantity: Quantity, requires: tuple[str, ...], *
 EXPERIMENT = "chirp of both thrusters: a delay shifts the phase without limit, a lag by at most 90 degrees"
 MEASURED, GIVEN = ("n", "f", "n_input"), ("f_input",)
 EFFECTS = (
-    _delay("delay", "n", MEASURED, alternatives=("lag", "gnss-latency")),
+    # with a hull: a Nomoto model has a delay of its own
+    _delay("delay", "n", (*MEASURED, "hull"), alternatives=("lag", "gnss-latency")),
     _lag("lag", "a first-order thrust lag behind the shaft", "n", MEASURED, alternatives=("delay",)),
     _delay("force-delay", "f", GIVEN, alternatives=("force-lag",)),
     _lag("force-lag", "a first-order thrust lag", "f", GIVEN, alternatives=("force-delay",)),

@@ -14,7 +14,9 @@ def _lose(parameter: str, variable: str) -> ModelFunction:
     return lose
 
 
-def _effect(name: str, title: str, variable: str, parameter: Parameter, alternatives: tuple[str, ...]) -> Effect:
+def _effect(
+    name: str, title: str, variable: str, parameter: Parameter, requires: tuple[str, ...], alternatives: tuple[str, ...]
+) -> Effect:
     return Effect(
         name=name,
         title=title,
@@ -24,7 +26,7 @@ def _effect(name: str, title: str, variable: str, parameter: Parameter, alternat
         formula=f"f_i /= 1 + {parameter.name} |{variable}|",
         source="propellers in oblique inflow and ventilation, Carlton 2018, chapters 6 and 11",
         experiment="straight runs and turning circles of several radii at the same shaft speeds",
-        requires=("f",),
+        requires=requires,
         one_sided=True,
         alternatives=alternatives,
         parametric_form_of=ForceCurve("T", variable),
@@ -34,8 +36,8 @@ def _effect(name: str, title: str, variable: str, parameter: Parameter, alternat
 BY_YAW = Parameter("loss_r", 0.0, "s/rad", "relative loss of thrust per yaw rate", prior=(0.0, 0.7), step=0.01)
 BY_SWAY = Parameter("loss_v", 0.0, "s/m", "relative loss of thrust per sway speed", prior=(0.0, 3.0), step=0.05)
 EFFECTS = (
-    _effect("turn-loss", "the loss of thrust with yaw rate", "r", BY_YAW,
+    _effect("turn-loss", "the loss of thrust with yaw rate", "r", BY_YAW, ("f",),
             ("inflow-loss", "turning-resistance", "advance-ratio", "cg-offset")),
-    _effect("inflow-loss", "the loss of thrust in sway inflow", "v", BY_SWAY,
+    _effect("inflow-loss", "the loss of thrust in sway inflow", "v", BY_SWAY, ("f", "hull"),
             ("turn-loss", "turning-resistance", "cross-flow")),
 )

@@ -14,7 +14,8 @@ from ident.effects.registry import catalogue
 from ident.engine.vectorised_model import VectorisedModel
 from ident.estimation.output_error import simulate
 from ident.model.structure import Model, Signals
-from ident.models.horizontal import horizontal_model
+from ident.models.catalogue import make_model
+from ident.models.horizontal import SENSORS, horizontal_model
 from tests.ident.carriers import carrier
 
 RNG = np.random.default_rng(7)
@@ -45,6 +46,24 @@ def test_an_effect_is_neutral_at_its_given_values(name: str) -> None:
     with_it = np.delete(evaluate(model, x, u), np.s_[n : n + m], axis=1)
     own = [[i.name for i in model.inputs].index(i.name) for i in base.inputs]
     np.testing.assert_allclose(with_it, evaluate(base, x[:, :n], u[:, own]), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("source", [
+    "horizontal:shaft", "horizontal:command", "horizontal:force", "horizontal:general", "nomoto", "nomoto:sampled",
+    "kinematic:shaft", "kinematic:force:yaw",
+])
+def test_what_a_model_accepts_is_neutral_on_it_whatever_its_inputs_were_before(source: str) -> None:
+    base = make_model(source, tuple(SENSORS))
+    accepted = [e for e in catalogue().values() if base.accepts(e)]
+    assert accepted
+    n = len(base.states)
+    for effect in accepted:
+        model = base + effect
+        x, _ = points(model)
+        u = RNG.uniform(-1, 1, size=(len(x), len(model.inputs)))
+        with_it = np.delete(evaluate(model, x, u), np.s_[n : n + len(effect.states)], axis=1)
+        without = evaluate(base, x[:, :n], u[:, : len(base.inputs)])
+        np.testing.assert_allclose(with_it, without, rtol=1e-9, atol=1e-9, err_msg=effect.name)
 
 
 @pytest.mark.parametrize("name", catalogue())
@@ -132,3 +151,10 @@ def test_a_dead_band_has_a_gradient_beyond_it() -> None:
 def test_an_effect_that_the_model_cannot_carry_is_refused() -> None:
     with pytest.raises(ValueError, match="advance-ratio needs the signal"):
         horizontal_model("general") + catalogue()["advance-ratio"]
+
+
+def test_an_effect_whose_states_the_model_has_is_refused() -> None:
+    lag = catalogue()["lag"]
+    other = replace(lag, name="other", parameters=(replace(lag.parameters[0], name="T_other"),))
+    model = horizontal_model() + lag
+    assert model.refusal(other) == "model horizontal has late_left already"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,9 @@ from ident.data.loading import LoadedLog
 from ident.data.record import Channel, LogSegment
 from ident.effects.registry import catalogue
 from ident.estimation.fitted_model import fit_nominal_model
+from ident.model.structure import Model, Signals
 from ident.models.catalogue import make_model
+from ident.models.components import current_walk
 from ident.models.nomoto import nomoto_model
 from ident.workflows.vehicle_model import with_sampled_inputs
 
@@ -97,6 +101,8 @@ def test_what_the_model_has_is_no_candidate() -> None:
     assert "lambda_n" in model.values
     assert not model.accepts(catalogue()["thrust-linearity"])
     assert model.accepts(catalogue()["dead-band"])
+    for name in ("delay", "mismatch", "inflow-loss"):  # it has a delay, and neither sides nor a sway of its own
+        assert not model.accepts(catalogue()[name])
     assert {"V_x", "V_y"} & set(make_model("nomoto:no-current").values) == set()
     with pytest.raises(SeatrialError):
         make_model("nomoto:general")
@@ -112,3 +118,60 @@ def test_it_is_chosen_by_how_often_outputs_are_known(every: float, source: str) 
     assert make_model(chosen).source == source
     assert ("sigma_n" in make_model(chosen).values) == bool(said)
     assert with_sampled_inputs("horizontal:shaft", [LoadedLog(LogSegment("a", channels), {}, {}, None)])[1] == []
+
+
+def signals(model: Model, known: dict[str, float], **values: float) -> Signals:
+    """Of a row: states and inputs, whose past is as they are, by name, and zero where they are not named."""
+    model = model.with_values({"tau_gnss": 0.2, "sigma_gnss": 0.05} | values)
+    x: list[Any] = [known.get(s.name, 0.0) for s in model.states]
+    return model.signals(x, [known.get(i.tap_of or i.name, 0.0) for i in model.inputs], list(model.values.values()))
+
+
+STEADY = {"d_u": 0.0, "d_uu": 25.0, "c1": 40.0, "c2": 0.0}
+
+
+@pytest.mark.parametrize("psi", [0.0, 2.0])
+@pytest.mark.parametrize("drifts", [False, True])
+def test_gnss_sees_a_current_that_moves_as_it_sees_a_constant_one(psi: float, drifts: bool) -> None:
+    now = {"u": 0.5, "v": 0.1, "psi": psi, "n_left": 0.6, "n_right": 0.3}
+    constant = signals(nomoto_model(), now, V_x=0.3, V_y=-0.2)
+    if drifts:
+        moving = signals(nomoto_model() + catalogue()["current-drift"], {**now, "t": 900.0}, V_dx=0.3, V_dy=-0.2)
+    else:
+        moving = signals(nomoto_model() + current_walk(), {**now, "drift_x": 0.3, "drift_y": -0.2})
+    for name in ("x", "y", "vx", "vy", "psi", "r"):
+        assert moving.y[name] == pytest.approx(constant.y[name], abs=1e-12), name
+
+
+@pytest.mark.parametrize(("name", "values", "share"), [
+    ("dead-band", {"n_dead": 0.1}, (0.5 / 0.6) ** 2),
+    ("thruster-interaction", {"kappa": 0.2}, 1 - 0.2 * 0.6),
+    ("battery-sag", {"beta_E": 0.3}, 0.7),
+    ("turn-loss", {"loss_r": 0.5}, 0.8),
+])
+def test_a_steady_speed_was_the_same_a_moment_ago(name: str, values: dict[str, float], share: float) -> None:
+    """Also where an effect takes a share of the thrust, which the inputs of then and of now both lack."""
+    u = (2 * 40.0 * 0.6**2 * share / 25.0) ** 0.5
+    now = {"u": u, "r": 0.5, "n_left": 0.6, "n_right": 0.6, "work": 1.0}
+    s = signals(nomoto_model() + catalogue()[name], now, **STEADY, **values)
+    assert s.rate["u"] == pytest.approx(0.0, abs=1e-12)
+    assert s.y["vx"] == pytest.approx(u, abs=1e-12)
+    assert s.y["x"] == pytest.approx(-0.2 * u, abs=1e-12)
+
+
+def test_a_dead_band_is_no_change_of_the_yaw_rate() -> None:
+    now = {"n_left": 0.6, "n_right": -0.2}
+    s = signals(nomoto_model() + catalogue()["dead-band"], now, n_dead=0.1, k_3=0.1, K_u=0.0)
+    assert s.y["r"] == pytest.approx(s.r, abs=1e-12)
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+def test_a_thrust_lag_has_states_of_its_own(sampled: bool) -> None:
+    plain = nomoto_model(sampled=sampled)
+    now = {"u": 0.5, "n_left": 0.6, "n_right": 0.3, "late_left": 0.4, "late_right": 0.2}
+    slow, quick = (signals(plain + catalogue()["lag"], now, T_lag=T) for T in (0.3, 0.0))
+    assert slow.rate["late_left"] == pytest.approx(0.2 / 0.3)
+    assert slow.n["left"] == pytest.approx(0.4)
+    without = signals(plain, now)
+    for name, value in without.y.items():
+        assert quick.y[name] == pytest.approx(value, abs=1e-12), name
