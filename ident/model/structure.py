@@ -204,7 +204,7 @@ class Effect:
     source: str = ""
     experiment: str = ""
     requires: tuple[str, ...] = ()
-    one_sided: bool = False  # the first parameter cannot be negative
+    one_sided: bool = False  # the first parameter cannot be negative: its lower bound is 0
     alternatives: tuple[str, ...] = ()
     nests: tuple[str, ...] = ()  # effects that it is for some values of its parameters: it always explains as much
     scan: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # values to try where there is no gradient
@@ -212,7 +212,7 @@ class Effect:
     curve: ForceCurve | None = None  # of an effect that no catalogue lists: what depends on what
     span: tuple[float, float] | None = None  # of a nonparametric one: the range of its variable that it covers
     parametric_form_of: ForceCurve | None = None  # it is one shape of this curve; others differ in shape only
-    nonparametric_of: ForceCurve | None = None  # it is this curve in any shape: its name says no more
+    nonparametric_of: ForceCurve | None = None  # a series for this curve, of no shape: its name says no more
 
     def is_table_of(self, curve: ForceCurve | None) -> bool:
         """Whether it is this curve as a nonparametric effect."""

@@ -21,7 +21,7 @@ EFFECT = Effect(
     parameters=(
         Parameter(
             "k_wash", 0.0, "", "relative loss of thrust in steady state at full speed", prior=(0.0, 0.3),
-            bounds=(-0.9, 0.9), step=0.01,
+            bounds=(0.0, 0.9), step=0.01,
         ),
         Parameter("T_wash", 4.0, "s", "time constant of recirculation", "log", prior=(4.0, 4.0), bounds=(0.5, 120.0)),
     ),

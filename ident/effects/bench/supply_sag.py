@@ -23,7 +23,7 @@ EFFECT = Effect(
     parameters=(
         Parameter(
             "k_sag", 0.0, "", "relative loss of shaft speed after 30 s at full power", prior=(0.0, 0.3),
-            bounds=(-0.9, 0.9), step=0.005,
+            bounds=(0.0, 0.9), step=0.005,
         ),
     ),
     states=(State("used", "", "work done, over 30 s at full power", 0.0, sd0=1e-4),),

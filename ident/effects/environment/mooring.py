@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ident.model import Effect, Parameter, Signals
+from ident.model import INF, Effect, Parameter, Signals
 
 ROUND = 0.1  # width of the corner at the slack length, relative to the tension that the slack takes away
 
@@ -27,7 +27,7 @@ EFFECT = Effect(
     place="environment",
     hooks={"force": pull},
     parameters=(
-        Parameter("k_m", 0.0, "N/m", "stiffness of the line", prior=(0.0, 3.0), step=0.02),
+        Parameter("k_m", 0.0, "N/m", "stiffness of the line", prior=(0.0, 3.0), bounds=(0.0, INF), step=0.02),
         Parameter("F_mx", 0.0, "N", "its pull to the north at the first fix", prior=(0.0, 20.0), step=0.5),
         Parameter("F_my", 0.0, "N", "its pull to the east at the first fix", prior=(0.0, 20.0), step=0.5),
         Parameter("l_slack", 0.0, "m", "slack length", prior=(0.0, 15.0), bounds=(-20.0, 200.0), step=0.5),

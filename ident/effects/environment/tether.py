@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ident.model import Effect, Parameter, Signals
+from ident.model import INF, Effect, Parameter, Signals
 
 
 def drag(s: Signals) -> None:
@@ -24,7 +24,10 @@ EFFECT = Effect(
     place="environment",
     hooks={"force": drag},
     parameters=(
-        Parameter("k_tether", 0.0, "kg/m2", "drag coefficient per metre of line", prior=(0.0, 0.15), step=5e-3),
+        Parameter(
+            "k_tether", 0.0, "kg/m2", "drag coefficient per metre of line", prior=(0.0, 0.15), bounds=(0.0, INF),
+            step=5e-3,
+        ),
         *(
             Parameter(f"{axis}_tether", 0.0, "m", f"fixed end, {side} of the first fix", prior=(0.0, 20.0), step=1.0)
             for axis, side in (("x", "north"), ("y", "east"))

@@ -1,4 +1,8 @@
-"""Offset of the centre of gravity from the origin: inertial coupling of surge, sway and yaw."""
+"""Offset of the centre of gravity from the origin: inertial coupling of surge, sway and yaw.
+
+The motion shows products of mass and offset, and the mass without added mass is not known: the offsets are those of
+m_u, shorter than the boat's own by her mass over m_u.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +26,11 @@ EFFECT = Effect(
     title="an offset of the centre of gravity (x_g, y_g)",
     hooks={"rate": couple},
     parameters=(
-        Parameter("x_g", 0.0, "m", "centre of gravity forward of the origin", prior=(0.0, 0.3), step=0.01),
-        Parameter("y_g", 0.0, "m", "centre of gravity to starboard of the origin", prior=(0.0, 0.1), step=0.005),
+        Parameter("x_g", 0.0, "m", "centre of gravity forward, times mass / m_u", prior=(0.0, 0.3), step=0.01),
+        Parameter("y_g", 0.0, "m", "centre of gravity to starboard, times mass / m_u", prior=(0.0, 0.1), step=0.005),
     ),
-    formula="m x_g (v' + u r) - m y_g (u' - v r) in yaw, m x_g r' - m y_g r^2 in sway, -m x_g r^2 - m y_g r' in surge",
+    formula="a (v' + u r) - b (u' - v r) in yaw, a r' - b r^2 in sway, -a r^2 - b r' in surge; "
+    "a = m_u x_g, b = m_u y_g",
     source="Fossen 2011, section 3.3",
     experiment="turns at several speeds; turning on the spot; steps of equal thrust from rest",
     requires=("hull",),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ident.model import Effect, ForceCurve, Parameter, Signals
+from ident.model import INF, Effect, ForceCurve, Parameter, Signals
 
 
 def resist(s: Signals) -> None:
@@ -15,7 +15,9 @@ EFFECT = Effect(
     name="coulomb",
     title="Coulomb friction in surge",
     hooks={"force": resist},
-    parameters=(Parameter("f_C", 0.0, "N", "Coulomb friction force", prior=(0.0, 10.0), step=0.5),),
+    parameters=(
+        Parameter("f_C", 0.0, "N", "Coulomb friction force", prior=(0.0, 10.0), bounds=(0.0, INF), step=0.5),
+    ),
     formula="X -= f_C tanh(u / 0.05)",
     source="towed weed or line; smoothed Coulomb friction",
     experiment="slow runs forward and in reverse, and coasting to rest",

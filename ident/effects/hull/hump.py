@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ident.model import Effect, ForceCurve, Parameter, Signals
+from ident.model import INF, Effect, ForceCurve, Parameter, Signals
 
 
 def resist(s: Signals) -> None:
@@ -18,7 +18,7 @@ EFFECT = Effect(
     title="a hump in the resistance curve",
     hooks={"force": resist},
     parameters=(
-        Parameter("A_hump", 0.0, "N", "height of the hump", prior=(0.0, 20.0), step=1.0),
+        Parameter("A_hump", 0.0, "N", "height of the hump", prior=(0.0, 20.0), bounds=(0.0, INF), step=1.0),
         Parameter("u_hump", 0.9, "m/s", "speed of the hump", "log", prior=(0.9, 0.4), bounds=(0.2, 5.0)),
         Parameter("w_hump", 0.2, "m/s", "its width", "log", prior=(0.2, 0.1), bounds=(0.05, 1.0)),
     ),

@@ -8,6 +8,8 @@ from ident.model import Effect, ModelFunction, Parameter, Signals, State
 
 # Hz, natural frequencies that are tried: apart by a twelfth, the width of a resonance of this damping
 FREQUENCIES = tuple(round(0.25 * 1.12**k, 2) for k in range(16))
+# kg, of a boat of 37 kg, with which it goes (ident.models.scaling): with all of the mass free the force is infinite
+LARGEST = 30.0
 
 
 def _hooks(force: str, of: str) -> dict[str, ModelFunction]:
@@ -39,7 +41,7 @@ def _effect(name: str, title: str, force: str, of: str, alternatives: tuple[str,
         title=title,
         hooks=_hooks(force, of),
         parameters=(
-            Parameter(f"m_{of}", 0.0, "kg", "oscillating mass", prior=(0.0, 10.0), step=0.2),
+            Parameter(f"m_{of}", 0.0, "kg", "oscillating mass", prior=(0.0, 10.0), bounds=(0.0, LARGEST), step=0.2),
             Parameter(f"f_{of}", 0.6, "Hz", "natural frequency", "log", prior=(0.6, 0.4), bounds=(0.15, 2.5)),
             Parameter(f"zeta_{of}", 0.06, "", "damping ratio", "log", prior=(0.06, 0.06), bounds=(0.005, 0.7)),
         ),

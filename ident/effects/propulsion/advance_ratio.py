@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ident.model import Effect, Parameter, Signals
+from ident.model import INF, Effect, Parameter, Signals
 
 
 def lose(s: Signals) -> None:
@@ -17,7 +17,10 @@ EFFECT = Effect(
     place="actuator",
     hooks={"thrust": lose},
     parameters=(
-        Parameter("k_J", 0.0, "kg/s", "loss of thrust per inflow velocity at full speed", prior=(0.0, 10.0), step=0.5),
+        Parameter(
+            "k_J", 0.0, "kg/s", "loss of thrust per inflow velocity at full speed", prior=(0.0, 10.0),
+            bounds=(0.0, INF), step=0.5,
+        ),
     ),
     formula="f_i -= k_J |n_i| (u - y_i r)",
     source="Blanke 1981, bilinear thrust; Fossen 2011, section 9.3",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ident.model import Effect, Input, Parameter, Signals
+from ident.model import INF, Effect, Input, Parameter, Signals
 
 
 def sag(s: Signals) -> None:
@@ -17,7 +17,8 @@ EFFECT = Effect(
     hooks={"thrust": sag},
     parameters=(
         Parameter(
-            "beta_E", 0.0, "", "relative loss of thrust per unit of work", prior=(0.0, 0.4), step=0.02
+            "beta_E", 0.0, "", "relative loss of thrust per unit of work", prior=(0.0, 0.4), bounds=(0.0, INF),
+            step=0.02,
         ),
     ),
     inputs=(Input("work", "", "linear"),),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ident.model import Effect, Parameter, Signals
+from ident.model import INF, Effect, Parameter, Signals
 
 
 def lose(s: Signals) -> None:
@@ -18,7 +18,8 @@ EFFECT = Effect(
     hooks={"thrust": lose},
     parameters=(
         Parameter(
-            "kappa", 0.0, "", "relative loss of thrust while the other runs at full speed", prior=(0.0, 0.4), step=0.02
+            "kappa", 0.0, "", "relative loss of thrust while the other runs at full speed", prior=(0.0, 0.4),
+            bounds=(0.0, INF), step=0.02,
         ),
     ),
     formula="f_L *= 1 - kappa |n_R| and the reverse",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ident.model import Effect, ForceCurve, ModelFunction, Parameter, Signals
+from ident.model import INF, Effect, ForceCurve, ModelFunction, Parameter, Signals
 
 
 def _lose(parameter: str, variable: str) -> ModelFunction:
@@ -33,8 +33,12 @@ def _effect(
     )
 
 
-BY_YAW = Parameter("loss_r", 0.0, "s/rad", "relative loss of thrust per yaw rate", prior=(0.0, 0.7), step=0.01)
-BY_SWAY = Parameter("loss_v", 0.0, "s/m", "relative loss of thrust per sway speed", prior=(0.0, 3.0), step=0.05)
+BY_YAW = Parameter(
+    "loss_r", 0.0, "s/rad", "relative loss of thrust per yaw rate", prior=(0.0, 0.7), bounds=(0.0, INF), step=0.01
+)
+BY_SWAY = Parameter(
+    "loss_v", 0.0, "s/m", "relative loss of thrust per sway speed", prior=(0.0, 3.0), bounds=(0.0, INF), step=0.05
+)
 EFFECTS = (
     _effect("turn-loss", "the loss of thrust with yaw rate", "r", BY_YAW, ("f",),
             ("inflow-loss", "turning-resistance", "advance-ratio", "cg-offset")),

@@ -1,4 +1,8 @@
-"""Compass deviation: heading error as a function of heading (hard and soft iron)."""
+"""Compass deviation: heading error as a function of heading (hard and soft iron).
+
+The error is what the compass shows less the truth. The adjusters' deviation is magnetic less compass heading, easterly
+positive: their coefficients have the other sign.
+"""
 
 from __future__ import annotations
 
@@ -29,13 +33,13 @@ EFFECT = Effect(
     place="sensor",
     hooks={"output": deviate},
     parameters=(
-        Parameter("dev_s", 0.0, "rad", "coefficient B, of sin psi", prior=(0.0, 0.15), step=0.01),
-        Parameter("dev_c", 0.0, "rad", "coefficient C, of cos psi", prior=(0.0, 0.15), step=0.01),
-        Parameter("dev_2s", 0.0, "rad", "coefficient D, of sin 2 psi", prior=(0.0, 0.05), step=0.01),
-        Parameter("dev_2c", 0.0, "rad", "coefficient E, of cos 2 psi", prior=(0.0, 0.05), step=0.01),
+        Parameter("dev_s", 0.0, "rad", "of sin psi, minus coefficient B", prior=(0.0, 0.15), step=0.01),
+        Parameter("dev_c", 0.0, "rad", "of cos psi, minus coefficient C", prior=(0.0, 0.15), step=0.01),
+        Parameter("dev_2s", 0.0, "rad", "of sin 2 psi, minus coefficient D", prior=(0.0, 0.05), step=0.01),
+        Parameter("dev_2c", 0.0, "rad", "of cos 2 psi, minus coefficient E", prior=(0.0, 0.05), step=0.01),
     ),
-    formula="psi_measured = psi + B sin psi + C cos psi + D sin 2psi + E cos 2psi",
-    source="compass adjusters' coefficients B to E; Bowditch, chapter 6",
+    formula="psi_measured = psi + dev_s sin psi + dev_c cos psi + dev_2s sin 2psi + dev_2c cos 2psi",
+    source="compass adjusters' coefficients B to E, their sign reversed; Bowditch, chapter 6",
     experiment="swinging the compass: slow turns through all headings, in both directions",
     requires=("hull",),
     alternatives=("mount", "gyro-scale", "wind"),

@@ -1,9 +1,9 @@
 """Magnetic interference of the motor current in the compass, with the lag of the AHRS heading filter.
 
-A magnetic field fixed in the boat causes the deviation ``B sin(psi) + C cos(psi)``. The current of the motors adds
-another. The heading filter of an autopilot trusts its gyro over seconds, so the estimated heading follows with a time
-constant. A body velocity that it computes from velocity over ground and this heading is rotated by the same error, and
-forward speed appears as sway.
+A magnetic field fixed in the boat makes an error of the heading in ``sin(psi)`` and ``cos(psi)``. The current of the
+motors adds another. The heading filter of an autopilot trusts its gyro over seconds, so the estimated heading follows
+with a time constant. A body velocity that it computes from velocity over ground and this heading is rotated by the same
+error, and forward speed appears as sway.
 """
 
 from __future__ import annotations
@@ -45,11 +45,12 @@ EFFECT = Effect(
         ),
     ),
     states=(
-        State("drawn_s", "", "regressor of B: sum|n_i| sin psi behind the heading filter", 0.0, sd0=0.05),
-        State("drawn_c", "", "regressor of C: sum|n_i| cos psi behind the heading filter", 0.0, sd0=0.05),
+        State("drawn_s", "", "regressor of dev_ms: sum|n_i| sin psi behind the heading filter", 0.0, sd0=0.05),
+        State("drawn_c", "", "regressor of dev_mc: sum|n_i| cos psi behind the heading filter", 0.0, sd0=0.05),
     ),
-    formula="psi_measured = psi + delta, T delta' = sum|n_i| (B sin psi + C cos psi) - delta; (u, v) rotated by delta",
-    source="ArduPilot manual, compass/motor interference compensation; Bowditch, chapter 6, coefficients B and C",
+    formula="psi_measured = psi + delta, T delta' = sum|n_i| (dev_ms sin psi + dev_mc cos psi) - delta; "
+    "(u, v) rotated by delta",
+    source="ArduPilot manual, compass/motor interference compensation; Bowditch, chapter 6",
     experiment="full forward and full reverse on four headings, moored as well: the heading must not change",
     requires=("n", "f", "body_velocity"),
     scan={"T_dev": (3.0, 8.0, 20.0)},

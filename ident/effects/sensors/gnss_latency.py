@@ -6,11 +6,12 @@ earlier, with the thrust of that time; else steps of the thrust would look like 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from ident.model import HISTORY_STEP, Effect, Input, Parameter, Signals, tap_name
+from ident.model import HISTORY_STEP, INF, Effect, Input, Parameter, Signals, tap_name
 
 N_PAST = 5
 
@@ -60,7 +61,11 @@ def _static(s: Signals, n: Any) -> Any:
     return s.p.c1 * n * abs(n) + s.p.c2 * n * n
 
 
-TAU = Parameter("tau_gnss", 0.0, "s", "age of the GNSS fix at its time stamp", prior=(0.0, 0.8), step=0.05)
+TAU = Parameter(
+    "tau_gnss", 0.0, "s", "age of the GNSS fix at its time stamp", prior=(0.0, 0.8), bounds=(0.0, INF), step=0.05
+)
+# the thrust of half the latency earlier is known as far back as the inputs go
+TAU_SHAFT = replace(TAU, bounds=(0.0, 2 * N_PAST * HISTORY_STEP))
 COMMON: dict[str, Any] = {
     "place": "sensor",
     "formula": "p_measured(t) = p(t - tau), v_measured(t) = v(t - tau), by their derivatives",
@@ -77,7 +82,7 @@ EFFECTS = (
         "gnss-latency",
         "GNSS latency",
         {"output": delay_shaft},
-        (TAU,),
+        (TAU_SHAFT,),
         inputs=PAST,
         requires=("hull", "n_input"),
         **COMMON,

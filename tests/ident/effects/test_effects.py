@@ -11,11 +11,13 @@ import pytest
 
 from ident.data.record import Channel, build_record
 from ident.effects.registry import catalogue
+from ident.effects.sensors.gnss_latency import N_PAST, _before
 from ident.engine.vectorised_model import VectorisedModel
 from ident.estimation.output_error import simulate
 from ident.model.structure import Model, Signals
 from ident.models.catalogue import make_model
 from ident.models.horizontal import SENSORS, horizontal_model
+from ident.models.scaling import scale_priors, size_of
 from tests.ident.carriers import carrier
 
 RNG = np.random.default_rng(7)
@@ -82,6 +84,25 @@ def test_an_effect_changes_something_and_says_what(name: str) -> None:
         assert p.meaning
     for other in effect.alternatives:
         assert other in catalogue(), f"{name} names an alternative that is not there: {other}"
+
+
+@pytest.mark.parametrize("name", [name for name, effect in catalogue().items() if effect.one_sided])
+def test_a_fit_cannot_make_a_one_sided_effect_negative(name: str) -> None:
+    assert catalogue()[name].parameters[0].bounds[0] == 0.0
+
+
+@pytest.mark.parametrize("name", ["pendulum", "sway-slosh"])
+def test_less_than_the_whole_boat_swings(name: str) -> None:
+    boat = horizontal_model().with_values({"m_u": 400.0})
+    mass = scale_priors(catalogue()[name], size_of(boat)).parameters[0]
+    assert 300.0 < mass.bounds[1] < 400.0
+
+
+def test_the_thrust_is_known_for_every_latency() -> None:
+    latest = catalogue()["gnss-latency"].parameters[0].bounds[1]
+    past = np.arange(N_PAST + 1.0)
+    assert _before(past, latest / 2) == pytest.approx(past[-1])
+    assert _before(past, latest / 4) == pytest.approx(past[-1] / 2)
 
 
 def driven(names: Sequence[str], values: dict[str, float], command: Callable[[np.ndarray], np.ndarray], hold: str) -> (
