@@ -350,8 +350,9 @@ def how_made(rows: Sequence[Row], seeds: int) -> str:
     done = len({r["key"] for r in own} & wanted)
     far = f"{done} cases" if done == len(wanted) else f"{done} of its {len(wanted)} cases so far"
     boats = len({r["seed"] for r in own})
-    far += f", of {boats} boats, each on all of the rigs: cases of one boat are alike, so that the intervals are too "
-    far += "narrow"
+    if len(own) > boats:
+        far += f", of {boats} boat{'s' * (boats > 1)}: cases of one boat are alike, so that the intervals are too "
+        far += "narrow"
     words = [] if rigs == [*RIGS] else ["--rigs", ",".join(rigs)]
     words += ["--effects", ",".join(effects), "--seed", str(first), "--seeds", str(n)]
     return f"    python -m tests.recovery.rigs {' '.join(words)}\n\n{far}."

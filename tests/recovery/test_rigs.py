@@ -127,11 +127,13 @@ def test_a_section_of_the_page_is_written_and_the_others_stay() -> None:
 def test_a_study_that_was_cut_short_says_so() -> None:
     clean, lacking = [row("vesc", "none", []), row("ekf", "none", [])], [row("vesc", "wind", ["wind"])]
     command = "    python -m tests.recovery.rigs --rigs"
+    alike = "of 1 boat: cases of one boat are alike, so that the intervals are too narrow"
     assert rigs.how_made(clean, 2) == (
-        f"{command} vesc,ekf --effects none --seed 1 --seeds 2\n\n2 of its 4 cases so far."
+        f"{command} vesc,ekf --effects none --seed 1 --seeds 2\n\n2 of its 4 cases so far, {alike}."
     )
     assert rigs.how_made(lacking, 2) == f"{command} vesc --effects wind --seed 1 --seeds 2\n\n1 of its 2 cases so far."
-    assert rigs.how_made(clean, 1).endswith("\n\n2 cases.")
+    assert rigs.how_made(clean, 1).endswith(f"\n\n2 cases, {alike}.")
+    assert rigs.how_made(clean[:1], 1).endswith("\n\n1 cases.")  # one rig, one boat: nothing is alike
     assert rigs.how_made([row("otter-none", "none", [])], 1) == f"{command} otter-none\n\n1 cases."
 
 
