@@ -23,6 +23,7 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 
@@ -56,6 +57,11 @@ class RigCase:
         """By which a case is found again among the results."""
         return f"{self.rig}/{self.effect}/{self.seed}"
 
+    @property
+    def boat_seed(self) -> int:
+        """Of the boat and its noise: no two cases share a boat, or their verdicts would not be independent."""
+        return 100_000 * self.seed + crc32(f"{self.rig}/{self.effect}".encode()) % 100_000
+
 
 def cases_of(rigs: Sequence[str], effects: Sequence[str], seed: int, seeds: int) -> list[RigCase]:
     """Seed by seed, so that a study cut short has some of everything; no effect that a rig cannot see."""
@@ -72,6 +78,7 @@ def cases_of(rigs: Sequence[str], effects: Sequence[str], seed: int, seeds: int)
 def run_case(case: RigCase) -> Row:
     """One line of the study; a case that fails is a line too."""
     row: Row = {"key": case.key, "rig": case.rig, "effect": case.effect, "seed": case.seed, "code": code_state()}
+    row |= {"boat": case.boat_seed}
     before, began = spent(), time.monotonic()
     try:
         with TemporaryDirectory() as folder:
@@ -83,7 +90,7 @@ def run_case(case: RigCase) -> Row:
 
 def _boat(case: RigCase, folder: Path) -> Row:
     rig = RIGS[case.rig]
-    boat = rig.boat(None if case.effect == NONE else case.effect, case.seed)
+    boat = rig.boat(None if case.effect == NONE else case.effect, case.boat_seed)
     row = _identified(folder, *rig.sail(boat, folder), rig.options(boat), judged_with_effects=bool(rig.there))
     z = {} if rig.payload else z_scores(row.pop("fit").parameters, truth_of(boat))
     return {k: v for k, v in row.items() if k != "fit"} | {"z": z}
@@ -349,10 +356,7 @@ def how_made(rows: Sequence[Row], seeds: int) -> str:
     wanted = {case.key for case in cases_of(rigs, effects, first, n)}
     done = len({r["key"] for r in own} & wanted)
     far = f"{done} cases" if done == len(wanted) else f"{done} of its {len(wanted)} cases so far"
-    boats = len({r["seed"] for r in own})
-    if len(own) > boats:
-        far += f", of {boats} boat{'s' * (boats > 1)}: cases of one boat are alike, so that the intervals are too "
-        far += "narrow"
+    far += ", each a boat of its own" if len({r["boat"] for r in own}) == len(own) else ""
     words = [] if rigs == [*RIGS] else ["--rigs", ",".join(rigs)]
     words += ["--effects", ",".join(effects), "--seed", str(first), "--seeds", str(n)]
     return f"    python -m tests.recovery.rigs {' '.join(words)}\n\n{far}."

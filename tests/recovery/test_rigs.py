@@ -19,7 +19,7 @@ from tests.recovery import rigs, tables
 from tests.recovery.cases import Row, code_state, z_scores
 from tests.recovery.logged import seatrial
 from tests.recovery.rig_logs import PLANTS, RIGS, measured_columns, navigation_filter
-from tests.recovery.rigs import RigCase, cases_of, verdict
+from tests.recovery.rigs import CHOSEN, RigCase, cases_of, verdict
 
 
 @pytest.mark.parametrize("name", ["mavlink-signed", "mavlink-unsigned", "commands-5hz", "gnss-compass", "ekf"])
@@ -70,7 +70,8 @@ def test_an_estimator_is_smooth_and_near_the_truth() -> None:
 
 def row(rig: str, effect: str, found: list[str], how: str = "identified", not_excluded: tuple[str, ...] = ()) -> Row:
     return {
-        "key": f"{rig}/{effect}/1", "rig": rig, "effect": effect, "seed": 1, "code": code_state(), "found": found,
+        "key": f"{rig}/{effect}/1", "rig": rig, "effect": effect, "seed": 1, "code": code_state(),
+        "boat": RigCase(rig, effect, 1).boat_seed, "found": found,
         "attribution": [how] * len(found), "not_excluded": [list(not_excluded)] * len(found), "answer": "", "cpu": 1.0,
         "z": {"m_u": 4.0, "m_v": 1.0} if effect == "none" else {},
     }  # fmt: skip
@@ -127,13 +128,15 @@ def test_a_section_of_the_page_is_written_and_the_others_stay() -> None:
 def test_a_study_that_was_cut_short_says_so() -> None:
     clean, lacking = [row("vesc", "none", []), row("ekf", "none", [])], [row("vesc", "wind", ["wind"])]
     command = "    python -m tests.recovery.rigs --rigs"
-    alike = "of 1 boat: cases of one boat are alike, so that the intervals are too narrow"
+    alike = "each a boat of its own"
     assert rigs.how_made(clean, 2) == (
         f"{command} vesc,ekf --effects none --seed 1 --seeds 2\n\n2 of its 4 cases so far, {alike}."
     )
-    assert rigs.how_made(lacking, 2) == f"{command} vesc --effects wind --seed 1 --seeds 2\n\n1 of its 2 cases so far."
+    assert rigs.how_made(lacking, 2) == (
+        f"{command} vesc --effects wind --seed 1 --seeds 2\n\n1 of its 2 cases so far, {alike}."
+    )
     assert rigs.how_made(clean, 1).endswith(f"\n\n2 cases, {alike}.")
-    assert rigs.how_made(clean[:1], 1).endswith("\n\n1 cases.")  # one rig, one boat: nothing is alike
+    assert rigs.how_made([{**r, "boat": 1} for r in clean], 1).endswith("\n\n2 cases.")
     assert rigs.how_made([row("otter-none", "none", [])], 1) == f"{command} otter-none\n\n1 cases."
 
 
@@ -144,6 +147,8 @@ def test_cases_leave_out_what_a_rig_cannot_see() -> None:
     assert not any(c.rig == "commands-5hz" and c.effect == "lag" for c in cases)
     assert len(cases) == 1 + 2 * 3
     assert set(PLANTS).isdisjoint(RIGS)
+    every = cases_of([*RIGS], [*CHOSEN], 1, 10)
+    assert len({c.boat_seed for c in every}) == len(every)
 
 
 def test_what_an_estimator_makes_of_sensors_does_not_pass_for_motion(tmp_path: Path) -> None:
