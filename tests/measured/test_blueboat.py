@@ -67,12 +67,14 @@ def test_sides_as_the_columns_are_named_are_refused(folder: Path, capfd: pytest.
     assert "[thruster-sides-swapped]" in capfd.readouterr().err
 
 
+@pytest.mark.study
 def test_smoothed_channels_are_said(results: dict[str, dict[str, Any]]) -> None:
     codes = {f["code"] for log in results["vehicle"]["logs"] for f in log["findings"]}
     assert "channel-smoothed" in codes
     assert not [f for log in results["vehicle"]["logs"] for f in log["findings"] if f["spoils"]]
 
 
+@pytest.mark.study
 def test_the_diagnosis_finds_something_that_predicts_the_unused_runs_better(
     results: dict[str, dict[str, Any]],
 ) -> None:
@@ -84,10 +86,12 @@ def test_the_diagnosis_finds_something_that_predicts_the_unused_runs_better(
     assert percent(found, "v", "after") > percent(found, "v", "before")
 
 
+@pytest.mark.study
 def test_the_yaw_rate_of_the_unused_runs_is_predicted(results: dict[str, dict[str, Any]]) -> None:
     assert percent(results["diagnosis"], "r", "after") > 30.0
 
 
+@pytest.mark.study
 def test_surge_is_not_paid_for_it(results: dict[str, dict[str, Any]]) -> None:
     found = results["diagnosis"]
     assert percent(found, "u", "after") > 40.0

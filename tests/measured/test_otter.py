@@ -46,17 +46,20 @@ def estimate(result: dict[str, Any], name: str) -> tuple[float, float]:
     return row["value"], row["se"]
 
 
+@pytest.mark.study
 def test_what_was_found_predicts_as_well_as_the_structure_of_the_simulator(results: dict[str, dict[str, Any]]) -> None:
     assert ratio(results, "found", "truth") < 1.1
     assert ratio(results, "found", "standard") < 0.6
 
 
+@pytest.mark.study
 def test_the_structure_of_the_simulator_gives_its_values(results: dict[str, dict[str, Any]]) -> None:
     assert results["truth"]["fit"]["converged"]
     for name, true in EQUATIONS.items():
         assert estimate(results["truth"], name)[0] == pytest.approx(true, rel=0.1), name
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("kind", ["found", "truth"])
 def test_the_steady_force_is_that_of_the_payload(results: dict[str, dict[str, Any]], kind: str) -> None:
     """Its weight along the deck at the trim of -1.49 degrees: 6.38 N. Nobody had put it into the model."""

@@ -13,7 +13,7 @@ from tests.recovery.resumable import read
 from tests.recovery.tables import as_markdown
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_clean_bench_lacks_nothing() -> None:
     found = diagnose_bench(BenchCase("none", 1))
     assert found.effects == ()

@@ -8,8 +8,10 @@ import pytest
 
 from tests.recovery.misuse import COPY, KINDS, SENSORS, logged, outcomes, refusal, written
 
+LONG = ("full", "position")
 
-@pytest.mark.parametrize("rig", list(SENSORS))
+
+@pytest.mark.parametrize("rig", [pytest.param(r, marks=pytest.mark.study) if r in LONG else r for r in SENSORS])
 def test_mistakes_are_refused_by_their_names(rig: str, tmp_path: Path) -> None:
     mine = [k for n, k in enumerate(KINDS) if KINDS[k].rigs[n % len(KINDS[k].rigs)] == rig]
     rows = list(outcomes([1], mine, [rig], tmp_path))

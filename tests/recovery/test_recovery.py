@@ -68,7 +68,7 @@ def test_an_effect_is_named_first_and_makes_the_model_better(effect: str) -> Non
     assert row["after"]["horizon"]["r"] <= 1.01 * row["before"]["horizon"]["r"]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_what_a_mixture_would_miss_most_comes_first() -> None:
     """The small delays of all effects together gain most of the likelihood; the boat goes astray by another."""
     case = Case("turning-resistance", 1, "mixture")
@@ -93,7 +93,7 @@ def test_a_name_is_found_behind_a_table() -> None:
     assert row["remaining_candidates"] == []
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_sensor_that_no_catalogue_explains_is_drawn() -> None:
     """Without the compass' deviation in the catalogue: the error of the heading over the heading, and no name."""
     case = Case("compass", 2, "leave-one-out")

@@ -151,6 +151,7 @@ def test_cases_leave_out_what_a_rig_cannot_see() -> None:
     assert len({c.boat_seed for c in every}) == len(every)
 
 
+@pytest.mark.study
 def test_what_an_estimator_makes_of_sensors_does_not_pass_for_motion(tmp_path: Path) -> None:
     """Taken for white, its errors made 4.0 kg m2 (6 standard errors off) of a quadratic yaw damping of 6.06."""
     rig = replace(RIGS["ekf"], estimation=(250.0,), validation=())

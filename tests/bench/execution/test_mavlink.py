@@ -259,7 +259,8 @@ def test_the_rig_of_the_mock_is_what_devices_makes_of_its_parameters(tmp_path: P
     assert [(t.name, t.node, t.output) for t in found.thrusters] == [(t.name, t.node, t.output) for t in rig.thrusters]
 
 
-@pytest.mark.parametrize("allowed", [0.3, 0.05])  # below a link test's own command: the test itself needs none
+# the second is below a link test's own command: the test itself needs none
+@pytest.mark.parametrize("allowed", [pytest.param(0.3, marks=pytest.mark.study), 0.05])
 def test_a_mission_with_thrust_needs_a_link_test(tmp_path: Path, allowed: float) -> None:
     write_files(tmp_path, 4.0)
     rig = tmp_path / "rig.toml"

@@ -116,7 +116,7 @@ def test_no_command_beyond_full(n: float) -> None:
 
 
 @given(st.lists(st.binary(max_size=60)))
-@settings(max_examples=2000, deadline=None)
+@settings(max_examples=500, deadline=None)
 def test_anything_may_be_fed(pieces: list[bytes]) -> None:
     decoder = make()
     for piece in pieces:
@@ -180,7 +180,7 @@ def test_slcan_drops_no_character_unseen() -> None:
 
 
 @given(st.lists(st.one_of(st.binary(max_size=40), st.text("Tt0189ABF\r", max_size=40).map(str.encode))))
-@settings(max_examples=2000, deadline=None)
+@settings(max_examples=500, deadline=None)
 def test_slcan_anything_may_be_fed(pieces: list[bytes]) -> None:
     decoder = slcan.Decoder()
     for piece in pieces:

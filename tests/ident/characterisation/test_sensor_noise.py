@@ -130,7 +130,7 @@ def rejections(make: Callable[[np.random.Generator, int], np.ndarray], trials: i
     return [f for f in fits if f.rejected]
 
 
-@pytest.mark.parametrize("n", [60, 600, pytest.param(2000, marks=pytest.mark.study)])
+@pytest.mark.parametrize("n", [60, *(pytest.param(n, marks=pytest.mark.study) for n in (600, 2000))])
 @pytest.mark.parametrize("walk", [0.0, 0.1, 1.0])
 def test_the_right_model_is_not_rejected(walk: float, n: int) -> None:
     """At 0.1 % a way to depart, 200 trials reject 0.6; five have one chance in 2500."""

@@ -126,6 +126,7 @@ def test_one_input_is_made_by_two_thrusters(tmp_path: Path, capsys: pytest.Captu
     assert mission.prediction is None
 
 
+@pytest.mark.study
 def test_between_two_effects(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "apart.toml"
     short = ("--evaluations", "500", "--duration", "20", "--steps", "6")

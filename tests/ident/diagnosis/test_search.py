@@ -469,7 +469,8 @@ def test_a_minute_of_data_is_never_sure() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("n", [8, pytest.param(32, marks=pytest.mark.study)])
+@pytest.mark.study
+@pytest.mark.parametrize("n", [8, 32])
 def test_many_short_runs_work_as_two(n: int) -> None:
     """The mean of the disturbance's memory, which stands at its bound in each of them, is at its bound."""
     boat, runs = boat_with("mismatch", 1), []

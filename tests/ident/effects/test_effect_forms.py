@@ -89,7 +89,7 @@ def test_the_waves_have_the_size_that_their_parameters_say() -> None:
     assert {p.name for p in waves_at(0.7).parameters if p.value > 0} >= {f"A_{f}" for f in FORCES}
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_waves_are_seen_in_the_innovations_and_fitted() -> None:
     """And on a boat without waves nothing is seen."""
     runs = {

@@ -117,7 +117,7 @@ FOUND: dict[str, tuple[IndependentBoat, bool, str, dict[str, float]]] = {
     "stall": (IndependentBoat(loss=stalled("left")), True, "unknown T_left(r)", {}),
     "both": (IndependentBoat(loss=stalled("left", "right")), True, "unknown T(r)", {}),
 }
-QUICKLY = ("spring", "linear")  # each time; the others in `make study`
+QUICKLY = ("linear",)  # each time; the others in `make study`
 
 
 @pytest.mark.slow

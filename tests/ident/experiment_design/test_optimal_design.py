@@ -259,6 +259,7 @@ def late(model: Model, name: str) -> Model:
     return (model + catalogue()[name]).with_values({"tau_delay": 0.2} if name == "delay" else {"T_lag": 0.2})
 
 
+@pytest.mark.study
 def test_delay_and_lag_are_told_apart_better_than_by_random_missions() -> None:
     task = boat_task(20.0, 8)
     a, b = late(task.model, "delay"), late(task.model, "lag")

@@ -275,6 +275,7 @@ def test_an_unknown_sensor_is_named() -> None:
         outlier_density.with_outlier_model(turning(), ["sonar"])
 
 
+@pytest.mark.study
 def test_gnss_with_one_per_cent_of_gross_outliers() -> None:
     """A boat of the mocks: wild positions change nothing but the count; without --robust the noise swallows them."""
     recording, _ = sail(boat_with(None, 3), 200, 1)

@@ -105,6 +105,7 @@ def test_a_heading_that_passes_south_is_unwrapped() -> None:
     np.testing.assert_allclose(np.diff(record.u[:, j]), 0.5 * np.diff(record.t), atol=1e-9)
 
 
+@pytest.mark.study
 def test_it_finds_a_boat_that_rolls_where_three_degrees_do_not() -> None:
     sailed = sail(printed.TABLE_5["6DOF K"], 240.0, 2)
     names = [n for n in HULL if n not in ("d_u", "d_uu")]  # those two are vague in so short a mission

@@ -82,6 +82,7 @@ def test_a_tracked_vehicle_is_recovered_with_the_delays_of_its_sensors() -> None
         assert abs(value - truth) < near, name
 
 
+@pytest.mark.study
 def test_outputs_that_are_known_at_10_hz_are_uncertain_in_time() -> None:
     """Ramps in stairs of 40 ms: taken for straight lines between their samples (``sigma_n`` nearly zero) they put the
     mass 9 %, five standard errors, off, and ``sigma_gnss`` to zero; errors are then six times as large."""

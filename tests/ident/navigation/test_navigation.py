@@ -85,6 +85,7 @@ def ends(quiet: float = 1.0) -> tuple[Array, Array, Array, Array]:
     return np.array(d2), np.array(inside), np.concatenate(by_filter), np.concatenate(by_smoother)
 
 
+@pytest.mark.study
 def test_the_true_place_is_inside_what_is_claimed_of_an_outage_as_often_as_is_claimed() -> None:
     d2, inside, _, _ = ends()
     n = len(d2)

@@ -185,6 +185,7 @@ def test_an_input_that_is_a_measurement_is_no_proof() -> None:
     assert said([0.5], [("theta", 1e-9), ("n_left", 1e-9)]).startswith("The residuals still know the inputs")
 
 
+@pytest.mark.study
 def test_the_right_model_is_called_so() -> None:
     """At the truth, eight channels with two inputs: each sentence may be wrong in 1 %."""
     case, trials = make_case("horizontal"), 60

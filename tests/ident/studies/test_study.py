@@ -107,6 +107,7 @@ def made_up(d: np.ndarray, se: float, bound: float = 1.0) -> list[Row]:
              "se": {"a": se, "b": None}, "far": {"a": None, "b": None}, "bound": {"a": bound, "b": None}} for x in d]
 
 
+@pytest.mark.study
 def test_output_error_holds_where_nothing_disturbs_the_boat(tmp_path: Path) -> None:
     """With the first sample taken for the exact start, three of four intervals missed."""
     request = study.StudyRequest(["surge"], 60, 1, tmp_path, "output-error", truth={"s_u": 1e-9, "d_u": 8.4}, jobs=1)

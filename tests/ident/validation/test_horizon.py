@@ -152,6 +152,7 @@ def test_the_notes_say_the_horizon() -> None:
     assert line == "On estimation data, 2.5 s ahead, errors are larger than the model says, by these factors: n 1.5."
 
 
+@pytest.mark.study
 def test_on_the_benchs_own_data_the_bands_are_right() -> None:
     """At the truth: every verdict is right, and the intervals of the scale hold it in 95 of 100 runs."""
     case, trials = make_case("thruster"), 30

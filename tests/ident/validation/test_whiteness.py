@@ -110,7 +110,7 @@ def test_a_correlation_with_an_input_is_as_rare_as_its_p_says(kind: str) -> None
         assert rare[0] <= np.sum(p < level) <= often[1]
 
 
-@pytest.mark.parametrize("n", [60, 80, 200, 1000])
+@pytest.mark.parametrize("n", [60, *(pytest.param(n, marks=pytest.mark.study) for n in (80, 200, 1000))])
 def test_short_channels_are_not_found_coloured_more_often(n: int) -> None:
     rng, trials = np.random.default_rng(n), 2000
     found = [whiteness_test("x", T[:n], rng.normal(size=n)) for _ in range(trials)]
