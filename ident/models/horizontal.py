@@ -68,6 +68,7 @@ THRUST = (
     Parameter("c2", 1.11, "N", "thrust at full speed, even part", free=False, step=0.1, origin=BUILT_IN),
 )
 DELAY_STEP, N_DELAYS = 0.05, 17  # s, and copies of each command: delays up to 0.8 s
+LONGEST_DELAY = DELAY_STEP * (N_DELAYS - 1)  # s
 FURTHEST = 20  # copies of a measured input, at most
 DEAD_ZONE_EDGE = 0.05  # of the command: over which the dead zone ends, its middle where the parameter says
 NARROWEST = 1e-9  # of the command: no division by the width of no dead zone
@@ -212,13 +213,13 @@ def shift_in_time(s: Signals, quantity: str) -> None:
     position = (getattr(s.p, "tau_delay", 0.0) - getattr(s.p, "tau_age", 0.0)) / HISTORY_STEP
     for side in SIDES:
         name = f"{quantity}_{side}"
-        taps = copies(s, name)
+        taps = copies_of(s, name)
         weights = delay_weights(position - taps[0], len(taps))
         past = sum(w * getattr(s.u, tap_name(name, k)) for w, k in zip(weights, taps, strict=True))
         (s.n if quantity == "n" else s.f)[side] = past
 
 
-def copies(s: Signals, name: str) -> list[int]:
+def copies_of(s: Signals, name: str) -> list[int]:
     """The copies of a measured or given input that the model has, in steps of ``HISTORY_STEP``, one after the other."""
     return [k for k in range(-FURTHEST, FURTHEST) if hasattr(s.u, tap_name(name, k))]
 
