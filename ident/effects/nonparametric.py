@@ -168,7 +168,7 @@ def shape(
     if not of[0].angle:
         band = band + between_knots(np.array([values[name] for name in own]), grid, span)
     return NonparametricForce(
-        curve.force, curve.variable, grid, value, sd, band, residual.unit, of[0].unit, residual.stage == "output"
+        curve.force, curve.variable, grid, value, sd, band, residual.unit, of[0].unit, residual.stage == "reading"
     )
 
 

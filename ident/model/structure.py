@@ -5,8 +5,9 @@ They are ordered in stages, each reading and writing one bag of signals:
 
     shaft -> thrust -> force -> rate -> output
 
-An effect is a part that hooks in behind a stage; ``model + effect`` is a model again. A model of one's
-own needs no stages: ``plain_model`` takes ``f(x, u, p)`` and ``h(x, u, p)``.
+An effect is a part that hooks in behind a stage; ``model + effect`` is a model again. What has to see the work of all
+other effects of a stage hooks in behind one of its ``LATER`` places, so that it does not matter which was added first.
+A model of one's own needs no stages: ``plain_model`` takes ``f(x, u, p)`` and ``h(x, u, p)``.
 """
 
 from __future__ import annotations
@@ -22,6 +23,14 @@ from ident.model.parameter import Parameter, ParameterRole, tap_name
 
 HISTORY_STEP = 0.1  # s between the taps of an input
 PARAMETERS = "parameters"  # a hook of this label changes parameters before the first stage
+# By stage: places for effects behind all that hook in at the stage itself, in this order
+LATER: Mapping[str, tuple[str, ...]] = {
+    "thrust": ("thrust_loss",),  # factors on the thrust that was made
+    "force": ("loose_mass",),  # what takes its part of the whole force
+    "rate": ("carried",),  # what the boat's acceleration moves
+    # a fix that is late, of where the antenna is; sensors that stand askew or err with heading; their own offsets
+    "output": ("late_fix", "axes", "reading"),
+}
 
 
 class Named(SimpleNamespace):
@@ -36,13 +45,15 @@ class Named(SimpleNamespace):
 
 class Signals(Named):
     """``x``, ``u``, ``p`` by name, ``rate`` and ``y`` as dictionaries, and the rest as each model names it (vehicle
-    models: ``n`` and ``f`` by thruster, ``X``, ``Y``, ``N``)."""
+    models: ``n`` and ``f`` by thruster, ``X``, ``Y``, ``N``). ``again``: a bag of other states, inputs and parameters,
+    by name, in which all has run up to the rates, for an effect that has to know what they were."""
 
     x: Any
     u: Any
     p: Any
     rate: dict[str, Any]
     y: dict[str, Any]
+    again: Callable[[Mapping[str, Any], Mapping[str, Any], Mapping[str, Any]], Signals]
 
     def state_or_input(self, name: str) -> Any:
         """The state of this name where there is one, else the input."""
@@ -189,8 +200,9 @@ def curve_name(kind: EffectKind, curve: ForceCurve) -> str:
 class Effect:
     """A part that changes a model: a candidate for what the model lacks, or a disturbance it needs.
 
-    ``hooks`` maps a stage to a function that runs after it (``PARAMETERS``: before all of them). At the parameters'
-    given values the effect does nothing. ``requires`` names signals a model must provide (``f``: thrust by thruster).
+    ``hooks`` maps a stage, or a place behind one (``LATER``), to a function that runs after it (``PARAMETERS``: before
+    all of them). At the parameters' given values the effect does nothing. ``requires`` names signals a model must
+    provide (``f``: thrust by thruster).
     """
 
     name: str
@@ -358,12 +370,29 @@ class Model:
         for effect in self.effects:
             if PARAMETERS in effect.hooks:
                 effect.hooks[PARAMETERS](s)
+        s.again = lambda x, u, p: self._until_rates(s, x, u, p)
         for label, stage in self.stages:
-            stage(s)
-            for effect in self.effects:
-                if label in effect.hooks:
-                    effect.hooks[label](s)
+            self._run(label, stage, s)
         return s
+
+    def _run(self, label: str, stage: ModelFunction, s: Signals) -> None:
+        stage(s)
+        for place in (label, *LATER.get(label, ())):
+            for effect in self.effects:
+                if place in effect.hooks:
+                    effect.hooks[place](s)
+
+    def _until_rates(
+        self, s: Signals, x: Mapping[str, Any], u: Mapping[str, Any], p: Mapping[str, Any]
+    ) -> Signals:
+        """The stages once more, up to the rates, with some states, inputs and parameters other than those of ``s``."""
+        x, u, p = vars(s.x) | x, vars(s.u) | u, vars(s.p) | p
+        other = Signals(x=States(**x), u=Inputs(**u), p=Parameters(**p), rate={}, y={})
+        for label, stage in self.stages:
+            if label == "output":
+                break
+            self._run(label, stage, other)
+        return other
 
     def with_values(self, values: Mapping[str, float]) -> Model:
         """The same model with other parameter values; unknown names are an error."""

@@ -28,9 +28,12 @@ from .disturbances import residuals_of as residuals_of
 from .disturbances import sensor_bias as sensor_bias
 from .disturbances import thrust_losses_of as thrust_losses_of
 from .disturbances import variables_of as variables_of
+from .horizontal import LONGEST_DELAY as LONGEST_DELAY
 from .horizontal import NOISE as NOISE
 from .horizontal import SENSORS as SENSORS
+from .horizontal import SHORTEST_LAG as SHORTEST_LAG
 from .horizontal import SIDES as SIDES
+from .horizontal import copies_of as copies_of
 from .horizontal import first_order as first_order
 from .horizontal import horizontal_model as horizontal_model
 from .horizontal import shift_in_time as shift_in_time

@@ -104,7 +104,7 @@ def telemetry_age() -> Effect:
         ),
         inputs=tuple(i.delayed(-k) for i in now for k in range(-1, N_AHEAD + 1) if k),
         place="sensor",
-        requires=("n_input",),
+        requires=("n_stamp",),  # a Nomoto model has a delay of its inputs of its own
         kind=EffectKind.SENSOR_OFFSET,
     )
 
@@ -122,7 +122,7 @@ def thrust_calibration(model: Model, sd: float = 0.05) -> Effect:
     return Effect(
         THRUST_CALIBRATION,
         "the calibration of the thrust curve",
-        {"thrust": scale_each} if "f_input" in model.provides else {"force": scale_sum},
+        {"thrust_loss": scale_each} if "f_input" in model.provides else {"force": scale_sum},
         parameters=(
             Parameter("k_thrust", 1.0, "", "true thrust over that of the curve", "log", prior=(1.0, sd),
                       origin=ParameterOrigin.MEASURED),
@@ -154,7 +154,7 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
     return Effect(
         ESTIMATOR_ERROR,
         "errors of the estimator that last",
-        {"rate": decay, "output": add},
+        {"rate": decay, "reading": add},
         parameters=tuple(
             p
             for name, sd, unit, tau in dict.fromkeys(errors.values())

@@ -58,7 +58,7 @@ def _reader(name: str) -> Callable[[Signals, Any], None]:
 # What a sensor may get wrong: a compass by the heading and by the motors' currents, the others by what shakes or turns
 READINGS = tuple(
     Residual(
-        name, unit, f"bias_{name}", scale, f"the reading of the {what}", _reader(name), "output", of,
+        name, unit, f"bias_{name}", scale, f"the reading of the {what}", _reader(name), "reading", of,
         place="sensor", requires=("hull",),
     )
     for name, what, unit, scale, of in (
@@ -83,7 +83,7 @@ def _factor(*sides: str) -> Callable[[Signals, Any], None]:
 # What a stalled propeller does: it acts on surge and yaw at once, as no curve of one force can
 THRUST_LOSSES = tuple(
     Residual(
-        name, "", "", 0.3, title, _factor(*sides), "thrust", ("v", "r"), place="actuator", requires=("hull", "f"),
+        name, "", "", 0.3, title, _factor(*sides), "thrust_loss", ("v", "r"), place="actuator", requires=("hull", "f"),
         relative=True,
     )
     for name, title, sides in (
@@ -223,7 +223,7 @@ def sensor_bias(sensors: Sequence[str]) -> Effect:
     return Effect(
         "sensor-bias",
         "offsets of the sensors",
-        {"rate": still, "output": add},
+        {"rate": still, "reading": add},
         states=tuple(State(f"bias_{n}", unit, f"offset of {n}", walk, sd0=sd) for n, unit, sd, walk in rows),
         place="sensor",
         kind=EffectKind.SENSOR_OFFSET,

@@ -15,7 +15,7 @@ equation alone, but for its Munk moment ``(m_u - m_v) u v``: where they are unkn
 
 Each thruster is one chain, whose parts have their own stages, so that effects in it compose in any order:
 
-    command -> delay -> dead zone -> shaft lag (stage ``shaft``) -> dead band -> lag of the thrust -> thrust
+    command -> delay -> dead zone -> shaft lag (stage ``shaft``) -> dead band -> lag of the thrust -> thrust -> losses
 
 Where the shaft speed is measured, it is the input; where it is not, commands are, and it is a state:
 ``T_n n' = n_ref(t - tau_n) - n``, ``n_ref`` the command, zero within its dead zone (thesis section 4.2).
@@ -68,8 +68,10 @@ THRUST = (
     Parameter("c2", 1.11, "N", "thrust at full speed, even part", free=False, step=0.1, origin=BUILT_IN),
 )
 DELAY_STEP, N_DELAYS = 0.05, 17  # s, and copies of each command: delays up to 0.8 s
+LONGEST_DELAY = DELAY_STEP * (N_DELAYS - 1)  # s
 FURTHEST = 20  # copies of a measured input, at most
-DEAD_ZONE_EDGE = 0.05  # of the command: over which the dead zone ends
+DEAD_ZONE_EDGE = 0.05  # of the command: over which the dead zone ends, its middle where the parameter says
+NARROWEST = 1e-9  # of the command: no division by the width of no dead zone
 SHORTEST_LAG = 0.05  # s, and
 DRIVEN_STEP = 0.05  # s: longer Runge-Kutta steps do not follow so quick a state
 SHAFT = (
@@ -146,7 +148,7 @@ def horizontal_model(
     first: tuple[tuple[str, ModelFunction], ...] = ()
     provides: tuple[str, ...] = ()
     if propulsion == "shaft":
-        inputs, first, provides = pair("n", "", hold), CHAIN, ("n", "f", "n_input")
+        inputs, first, provides = pair("n", "", hold), CHAIN, ("n", "f", "n_input", "n_stamp")
     elif propulsion == "force":
         inputs = pair("f", "N", hold)
         first, provides = (("shaft", given_thrust), ("thrust_lag", unchanged), ("thrust", unchanged)), ("f", "f_input")
@@ -185,9 +187,16 @@ def driven_shaft(s: Signals) -> None:
 
 
 def outside_dead_zone(command: Any, dead_zone: Any) -> Any:
-    """The command where it exceeds the dead zone, else zero; a smooth step of width ``DEAD_ZONE_EDGE`` below it."""
-    along = np.minimum(np.maximum((abs(command) - dead_zone) / DEAD_ZONE_EDGE + 1.0, 0.0), 1.0)
-    return command * along * along * (3.0 - 2.0 * along)
+    """The command where it exceeds the dead zone, else zero; a smooth step of width ``DEAD_ZONE_EDGE`` about its end.
+
+    A dead zone of less than half that width has a step from zero to twice itself: one of zero is the command itself,
+    and its end is where the parameter says all the way down.
+    """
+    width = np.minimum(DEAD_ZONE_EDGE, 2.0 * dead_zone)
+    end = dead_zone + width / 2.0
+    # counted from where it is all over: without a dead zone that is nowhere below any command, of zero too
+    short = np.minimum(np.maximum((end - abs(command)) / np.maximum(width, NARROWEST), 0.0), 1.0)
+    return command * (1.0 - short * short * (3.0 - 2.0 * short))
 
 
 def first_order(s: Signals, state: str, driven_by: Any, time_constant: Any) -> Any:
@@ -204,10 +213,15 @@ def shift_in_time(s: Signals, quantity: str) -> None:
     position = (getattr(s.p, "tau_delay", 0.0) - getattr(s.p, "tau_age", 0.0)) / HISTORY_STEP
     for side in SIDES:
         name = f"{quantity}_{side}"
-        taps = [k for k in range(-FURTHEST, FURTHEST) if hasattr(s.u, tap_name(name, k))]
+        taps = copies_of(s, name)
         weights = delay_weights(position - taps[0], len(taps))
         past = sum(w * getattr(s.u, tap_name(name, k)) for w, k in zip(weights, taps, strict=True))
         (s.n if quantity == "n" else s.f)[side] = past
+
+
+def copies_of(s: Signals, name: str) -> list[int]:
+    """The copies of a measured or given input that the model has, in steps of ``HISTORY_STEP``, one after the other."""
+    return [k for k in range(-FURTHEST, FURTHEST) if hasattr(s.u, tap_name(name, k))]
 
 
 def unchanged(s: Signals) -> None:

@@ -214,7 +214,8 @@ def _over_ground(s: Signals, psi: Any, u: Any) -> tuple[Any, Any]:
 def _rates_at(s: Signals, ago: Any, u: Any, n: Sequence[Any]) -> tuple[Any, Any]:
     """Yaw rate [rad/s] and acceleration [m/s2] of so long ago [s], with the disturbances of now.
 
-    What effects make of the inputs counts as one of these: only the inputs themselves were others then.
+    What effects make of the inputs counts as one of these: only the inputs themselves were others then. So a change of
+    the thrust is taken back without the effects on it (a lag, a dead band, losses), which is exact where it is steady.
     """
     x, p, now = s.x, s.p, s.n_now
     direct = 1 - np.minimum(p.T / SHORTEST_LAG, 1.0)  # part of the yaw rate that follows its inputs at once

@@ -1,4 +1,8 @@
-"""Lightly damped pendulum or sloshing mass, driven by the acceleration of the hull: bilge water, a suspended load."""
+"""Lightly damped pendulum or sloshing mass, driven by the acceleration of the hull: bilge water, a suspended load.
+
+It takes its part of the whole force, whatever else acts, so it has places of its own behind all that does. With the
+effect cg-offset the force is that of a mass at the origin.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +35,7 @@ def _hooks(force: str, of: str) -> dict[str, ModelFunction]:
         s.rate[f"swing_{of}"] = z_rate
         s.rate[f"swing_rate_{of}"] = -2 * getattr(s.p, f"zeta_{of}") * omega * z_rate - omega * omega * z - acceleration
 
-    return {"force": pull, "rate": swing}
+    return {"loose_mass": pull, "carried": swing}
 
 
 def _effect(name: str, title: str, force: str, of: str, alternatives: tuple[str, ...]) -> Effect:

@@ -14,7 +14,7 @@ EFFECT = Effect(
     name="battery-sag",
     title="the loss of thrust with battery discharge",
     place="actuator",
-    hooks={"thrust": sag},
+    hooks={"thrust_loss": sag},
     parameters=(
         Parameter(
             "beta_E", 0.0, "", "relative loss of thrust per unit of work", prior=(0.0, 0.4), bounds=(0.0, INF),

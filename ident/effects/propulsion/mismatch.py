@@ -14,7 +14,7 @@ EFFECT = Effect(
     name="mismatch",
     title="a thrust mismatch of the left and right thrusters",
     place="actuator",
-    hooks={"thrust": scale},
+    hooks={"thrust_loss": scale},
     parameters=(
         Parameter("eps_LR", 0.0, "", "half the relative difference, left minus right", prior=(0.0, 0.2), step=0.01),
     ),

@@ -14,7 +14,7 @@ EFFECT = Effect(
     name="reverse-thrust",
     title="the loss of thrust in reverse",
     place="actuator",
-    hooks={"thrust": lose},
+    hooks={"thrust_loss": lose},
     parameters=(Parameter("rho_rev", 0.0, "", "relative loss of reverse thrust", prior=(0.0, 0.4), step=0.05),),
     formula="f_i *= 1 - rho_rev for n_i < 0",
     source="four-quadrant open-water data; the hull in the slipstream of a reversed thruster",

@@ -3,6 +3,10 @@
 The delay works on delayed copies of the input (``NAME~k``: the input k steps of 0.1 s earlier, held as the input is),
 between which it is cubic (``ident.models.horizontal.shift_in_time``). The lag is a state of each thruster. Both have
 their own place in the thruster's chain, so that it does not matter which was added first, and a derivative at zero.
+
+Of a Nomoto model, which is integrated back to a late fix and a late gyro, the lag is approximate while thrust changes:
+what its thrust and steering were then differs from now by what the inputs alone would make of it, at once. Over a fix
+of ``tau_gnss`` that is as if the lag had no memory; where inputs are steady it is exact.
 """
 
 from __future__ import annotations

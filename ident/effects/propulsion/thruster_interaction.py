@@ -15,7 +15,7 @@ EFFECT = Effect(
     name="thruster-interaction",
     title="thruster-thruster interaction",
     place="actuator",
-    hooks={"thrust": lose},
+    hooks={"thrust_loss": lose},
     parameters=(
         Parameter(
             "kappa", 0.0, "", "relative loss of thrust while the other runs at full speed", prior=(0.0, 0.4),

@@ -21,7 +21,7 @@ def _effect(
         name=name,
         title=title,
         place="actuator",
-        hooks={"thrust": _lose(parameter.name, variable)},
+        hooks={"thrust_loss": _lose(parameter.name, variable)},
         parameters=(parameter,),
         formula=f"f_i /= 1 + {parameter.name} |{variable}|",
         source="propellers in oblique inflow and ventilation, Carlton 2018, chapters 6 and 11",

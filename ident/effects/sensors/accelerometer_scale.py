@@ -14,7 +14,7 @@ EFFECT = Effect(
     name="accelerometer-scale",
     title="a scale-factor error of the accelerometers",
     place="sensor",
-    hooks={"output": scale},
+    hooks={"axes": scale},
     parameters=(
         Parameter("k_acc", 0.0, "", "relative scale-factor error of the accelerometers", prior=(0.0, 0.2), step=0.01),
     ),

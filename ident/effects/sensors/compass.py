@@ -31,7 +31,7 @@ EFFECT = Effect(
     name="compass",
     title="compass deviation",
     place="sensor",
-    hooks={"output": deviate},
+    hooks={"axes": deviate},
     parameters=(
         Parameter("dev_s", 0.0, "rad", "of sin psi, minus coefficient B", prior=(0.0, 0.15), step=0.01),
         Parameter("dev_c", 0.0, "rad", "of cos psi, minus coefficient C", prior=(0.0, 0.15), step=0.01),

@@ -30,7 +30,7 @@ EFFECT = Effect(
     name="compass-motor",
     title="motor-current magnetic interference in the compass",
     place="sensor",
-    hooks={"rate": follow, "output": turn},
+    hooks={"rate": follow, "axes": turn},
     parameters=(
         Parameter("dev_ms", 0.0, "rad", "sin psi, for one motor at full speed", prior=(0.0, 0.3), step=0.02),
         Parameter("dev_mc", 0.0, "rad", "cos psi, for one motor at full speed", prior=(0.0, 0.3), step=0.02),

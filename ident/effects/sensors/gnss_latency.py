@@ -1,17 +1,20 @@
 """GNSS latency: position and velocity refer to a time before their time stamp.
 
-Position and velocity are extrapolated backwards by their derivatives. The acceleration is that of half the latency
-earlier, with the thrust of that time; else steps of the thrust would look like another effect.
+Position and velocity of the antenna are extrapolated backwards by its velocity and acceleration. The acceleration is
+that of half the latency earlier in what drives the thrusters, through whatever lies between them and the motion; else
+steps of the thrust would look like another effect. Of given forces the past is not known, but for their lag.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ident.model import HISTORY_STEP, INF, Effect, Input, Parameter, Signals, tap_name
+from ident.models import LONGEST_DELAY, SHORTEST_LAG, SIDES, copies_of
 
 N_PAST = 5
 
@@ -23,42 +26,59 @@ def _before(past: list[Any], tau: Any) -> Any:
     return sum(value * w * (w > 0) for value, w in zip(past, near, strict=True))
 
 
-def _delay(s: Signals, thrust_change: Any) -> None:
-    tau, x = s.p.tau_gnss, s.x
+def _delay(s: Signals, then: Signals) -> None:
+    """``then``: what the rates would be now with the thrust of half the latency earlier."""
+    tau, x, r = s.p.tau_gnss, s.x, s.x.r
     cos, sin = np.cos(x.psi), np.sin(x.psi)
-    du = s.rate["u"] - x.v * x.r + thrust_change / s.p.m_u
-    dv = s.rate["v"] + x.u * x.r
-    a_x, a_y = cos * du - sin * dv, sin * du + cos * dv
-    s.y["x"] = s.y["x"] - tau * s.rate["x"] + tau * tau / 2 * a_x
-    s.y["y"] = s.y["y"] - tau * s.rate["y"] + tau * tau / 2 * a_y
+    du, dv, dr = then.rate["u"] - x.v * r, then.rate["v"] + x.u * r, then.rate["r"]
+    north, east = s.y["x"] - x.x, s.y["y"] - x.y  # from the origin to the antenna
+    a_x = cos * du - sin * dv - dr * east - r * r * north
+    a_y = sin * du + cos * dv + dr * north - r * r * east
+    s.y["x"] = s.y["x"] - tau * s.y["vx"] + tau * tau / 2 * a_x
+    s.y["y"] = s.y["y"] - tau * s.y["vy"] + tau * tau / 2 * a_y
     s.y["vx"], s.y["vy"] = s.y["vx"] - tau * a_x, s.y["vy"] - tau * a_y
 
 
 def delay_shaft(s: Signals) -> None:
-    change: Any = 0.0
-    for side in s.n:
-        now = getattr(s.u, f"n_{side}")
-        past = [now, *(getattr(s.u, tap_name(f"n_{side}", k)) for k in range(1, N_PAST + 1))]
-        then = _before(past, s.p.tau_gnss / 2)
-        change = change + _static(s, then) - _static(s, now)
-    _delay(s, change)
+    half, earlier = s.p.tau_gnss / 2, {}
+    for side in SIDES:
+        name = f"n_{side}"
+        taps = copies_of(s, name)
+        known = [getattr(s.u, tap_name(name, k)) for k in taps]
+        known += N_PAST * known[-1:]  # further back than any copy: as in the oldest
+        for i, k in enumerate(taps):
+            earlier[tap_name(name, k)] = _before(known[i : i + N_PAST + 1], half)
+    _delay(s, s.again(_lagging(s, earlier), earlier, {}))
 
 
 def delay_driven_shaft(s: Signals) -> None:
-    """Of shafts that are states the speed of half the latency earlier is that of now less its rate."""
-    change: Any = 0.0
-    for side in s.n:
-        now = getattr(s.x, f"n_{side}")
-        change = change + _static(s, now - s.p.tau_gnss / 2 * s.rate[f"n_{side}"]) - _static(s, now)
-    _delay(s, change)
+    """Shafts that are states were, half the latency earlier, at what they are now less their rate."""
+    half = s.p.tau_gnss / 2
+    shafts = {f"n_{side}": getattr(s.x, f"n_{side}") - half * s.rate[f"n_{side}"] for side in SIDES}
+    command = {"tau_n": np.minimum(s.p.tau_n + half, LONGEST_DELAY)}
+    _delay(s, s.again(shafts, {}, command))
 
 
 def delay_force(s: Signals) -> None:
-    _delay(s, 0.0)
+    _delay(s, s.again(_lagging(s, {}), {}, {}))
 
 
-def _static(s: Signals, n: Any) -> Any:
-    return s.p.c1 * n * abs(n) + s.p.c2 * n * n
+def _lagging(s: Signals, inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """Where thrust lags, its states of half the latency earlier, when the inputs were others.
+
+    By their rates as far back as their time constant, since an exponential has forgotten what was before that; further
+    back they are by then their time constant behind what they follow. Either is exact on a straight line.
+    """
+    if not hasattr(s.x, f"late_{SIDES[0]}"):
+        return {}
+    half, lag = s.p.tau_gnss / 2, np.maximum(s.p.T_lag, SHORTEST_LAG)
+    far = np.maximum(half / lag, 0.5)
+    by_rate = np.minimum((2 / far - 1) / far, 1.0)
+    led, found = s.again({}, inputs, {}), {}
+    for name in (f"late_{side}" for side in SIDES):
+        change = lag * (led.rate[name] - s.rate[name])  # of what it follows
+        found[name] = getattr(s.x, name) - by_rate * half * s.rate[name] + (1 - by_rate) * change
+    return found
 
 
 TAU = Parameter(
@@ -81,7 +101,7 @@ EFFECTS = (
     Effect(
         "gnss-latency",
         "GNSS latency",
-        {"output": delay_shaft},
+        {"late_fix": delay_shaft},
         (TAU_SHAFT,),
         inputs=PAST,
         requires=("hull", "n_input"),
@@ -90,7 +110,7 @@ EFFECTS = (
     Effect(
         "gnss-latency-command",
         "GNSS latency",
-        {"output": delay_driven_shaft},
+        {"late_fix": delay_driven_shaft},
         (TAU,),
         requires=("hull", "n_state"),
         **(COMMON | {"alternatives": ("lever-arm",)}),
@@ -98,7 +118,7 @@ EFFECTS = (
     Effect(
         "gnss-latency-force",
         "GNSS latency",
-        {"output": delay_force},
+        {"late_fix": delay_force},
         (TAU,),
         requires=("hull", "f_input"),
         **(COMMON | {"alternatives": ("lever-arm", "force-delay")}),

@@ -44,7 +44,7 @@ EFFECTS = (
     Effect(
         "mount",
         "a mounting misalignment of the AHRS in yaw",
-        {"output": turn},
+        {"axes": turn},
         (PSI,),
         experiment="straight runs on opposite headings, with and against the current",
         formula="psi_measured = psi + psi_0; accelerations rotated by psi_0",
@@ -54,7 +54,7 @@ EFFECTS = (
     Effect(
         "mount-attitude",
         "a mounting misalignment of the AHRS",
-        {"shaft": unturn, "output": feel},
+        {"shaft": unturn, "axes": feel},
         (PSI, *TILT),
         formula="R_measured = R R_m; body rates and accelerations rotated by R_m', R_m of roll, pitch and psi_0",
         experiment="straight runs on opposite headings, with and against the current; turns while it rolls and pitches",

@@ -14,8 +14,9 @@ from ident.effects.registry import catalogue
 from ident.effects.sensors.gnss_latency import N_PAST, _before
 from ident.engine.vectorised_model import VectorisedModel
 from ident.estimation.output_error import simulate
-from ident.model.structure import Model, Signals
+from ident.model.structure import Effect, Model, Signals
 from ident.models.catalogue import make_model
+from ident.models.components import telemetry_age
 from ident.models.horizontal import SENSORS, horizontal_model
 from ident.models.scaling import scale_priors, size_of
 from tests.ident.carriers import carrier
@@ -56,7 +57,7 @@ def test_an_effect_is_neutral_at_its_given_values(name: str) -> None:
 ])
 def test_what_a_model_accepts_is_neutral_on_it_whatever_its_inputs_were_before(source: str) -> None:
     base = make_model(source, tuple(SENSORS))
-    accepted = [e for e in catalogue().values() if base.accepts(e)]
+    accepted = [e for e in (*catalogue().values(), nothing_late()) if base.accepts(e)]
     assert accepted
     n = len(base.states)
     for effect in accepted:
@@ -66,6 +67,17 @@ def test_what_a_model_accepts_is_neutral_on_it_whatever_its_inputs_were_before(s
         with_it = np.delete(evaluate(model, x, u), np.s_[n : n + len(effect.states)], axis=1)
         without = evaluate(base, x[:, :n], u[:, : len(base.inputs)])
         np.testing.assert_allclose(with_it, without, rtol=1e-9, atol=1e-9, err_msg=effect.name)
+
+
+def nothing_late() -> Effect:
+    """The age of telemetry, of none, which a catalogue of what a search may add does not list."""
+    age = telemetry_age()
+    return replace(age, parameters=(age.parameters[0].at(0.0),))
+
+
+def test_a_nomoto_model_has_the_age_of_its_inputs_in_their_delay() -> None:
+    assert not make_model("nomoto").accepts(telemetry_age())
+    assert make_model("horizontal:shaft").accepts(telemetry_age())
 
 
 @pytest.mark.parametrize("name", catalogue())

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from functools import cache
 
+import casadi as ca
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from ident.data.record import Channel, LogSegment, build_record
 from ident.diagnosis.search import Diagnosis, diagnose
 from ident.estimation.fitted_model import fit_nominal_model
 from ident.model.structure import Model
-from ident.models.horizontal import horizontal_model
+from ident.models.horizontal import horizontal_model, outside_dead_zone
 from tests.machine import cpu_seconds
 
 Array = NDArray[np.float64]
@@ -50,13 +51,15 @@ def rates(x: Array, n_ref: Array, T: float) -> Array:
 
 
 @cache
-def sailed(seed: int, seconds: float, hertz: float, T: float = 0.25, tau: float = 0.0) -> dict[str, Channel]:
+def sailed(
+    seed: int, seconds: float, hertz: float, T: float = 0.25, tau: float = 0.0, dead_zone: float = 0.0
+) -> dict[str, Channel]:
     """What the log of a run has: heading, yaw rate and accelerations at 50 Hz, GNSS at 5 Hz, and the commands."""
     rng = np.random.default_rng(seed)
     wanted = commands(seconds, rng)
     n, every = len(wanted), round(1 / hertz / DT)
     held = np.round(wanted[::every], 3)
-    n_ref = np.repeat(held, every, axis=0)[:n]
+    n_ref = np.repeat(np.where(np.abs(held) < dead_zone, 0.0, held), every, axis=0)[:n]
     n_ref = np.vstack([np.zeros((round(tau / DT), 2)), n_ref])[:n]
     x, state, accelerations = np.zeros((n, 8)), np.zeros(8), np.zeros((n, 2))
     gusts = np.sqrt(DT) * rng.standard_normal((n, 3)) * np.array([0.02, 0.02, 0.01])
@@ -102,6 +105,35 @@ def test_commands_alone_give_the_boat_and_its_shafts(hertz: float, T: float, tau
         assert abs(value - true) < 3 * error, f"{name} {value} +- {error}, not {true}"
     for name, true in (("T_n", T), ("tau_n", tau)):
         assert fit.estimate(name)[0] == pytest.approx(true, abs=0.01)
+
+
+def test_a_dead_zone_ends_where_its_parameter_says() -> None:
+    """Motors that stand below 0.2 and turn as told above it; of a search that does not begin far from there, since
+    between small dead zones no command tells."""
+    log = sailed(7, 150.0, 10.0, 0.25, 0.13, 0.2)
+    fit = fit_nominal_model(boat().with_values({"dead_zone": 0.15}), [LogSegment("run", log)], []).fit
+    value, error = fit.estimate("dead_zone")
+    assert value == pytest.approx(0.2, abs=0.01)
+    assert abs(value - 0.2) < 3 * error
+
+
+@pytest.mark.parametrize("dead_zone", [0.003, 0.02, 0.03, 0.2])
+def test_half_of_a_command_at_the_end_of_its_dead_zone_passes(dead_zone: float) -> None:
+    for command in (dead_zone, -dead_zone):
+        assert float(outside_dead_zone(command, dead_zone)) == pytest.approx(command / 2)
+    beyond = min(0.025, dead_zone)
+    assert float(outside_dead_zone(1.001 * (dead_zone + beyond), dead_zone)) == 1.001 * (dead_zone + beyond)
+    assert float(outside_dead_zone(0.999 * (dead_zone - beyond), dead_zone)) == 0.0
+
+
+def test_no_dead_zone_is_the_command_itself_with_all_derivatives() -> None:
+    command, zone = ca.SX.sym("command"), ca.SX.sym("zone")
+    passed = outside_dead_zone(command, zone)
+    both = ca.Function("f", [command, zone], [passed, ca.jacobian(passed, ca.vertcat(command, zone))])
+    for value in (0.0, 1e-12, -1e-7, 0.004, -0.3, 1.0):
+        at, slopes = both(value, 0.0)
+        assert float(at) == value
+        assert np.asarray(slopes).ravel().tolist() == [1.0, 0.0]
 
 
 def test_a_boat_that_lacks_nothing_lacks_nothing_where_only_its_commands_are_known() -> None:
