@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import tomlkit
 
 from daq.config import parse_toml, read_text
 from daq.errors import SeatrialError
+from ident.data import FrameOrigin
 from ident.effects import catalogue, input_response_effects, nonparametric_effect
 from ident.estimation.homogeneity import BETWEEN, between_runs_effect
 from ident.estimation.maximum_likelihood import Fit
@@ -67,6 +68,7 @@ class SavedModel:
     effects_file: Path | None = None  # where effects that are not in the catalogue come from
     reml: bool = False
     calibration: float | None = None  # relative standard uncertainty of the forces that it was fitted to; None: unknown
+    origin: FrameOrigin | None = None  # from which its fixed points count; None: it has none, or nobody knows
 
     def uncertainty(self, name: str) -> float:
         """Standard uncertainty of an estimated force: of its estimate and of the load cell's calibration; NaN where the
@@ -90,10 +92,12 @@ def save_model(
     provenance: Mapping[str, Any],
     effects_file: Path | None = None,
     calibration: float | None = None,
+    origin: FrameOrigin | None = None,
 ) -> None:
     """Write the model of a fit, and beside it a copy of each Python file of the user's own that it is made with.
     ``effects_file``: where effects that are not in the catalogue come from; ``calibration``: relative standard
-    uncertainty of the forces that were measured."""
+    uncertainty of the forces that were measured; ``origin``: of x and y of the logs, which a model with a fixed point
+    keeps."""
     model, document = fit.model, tomlkit.document()
     document["format"] = FORMAT
     document["name"] = model.name
@@ -120,6 +124,8 @@ def save_model(
     document["provenance"] = {k: v for k, v in provenance.items() if v is not None}
     if (scale := _scale_table(model, calibration)) is not None:
         document["scale"] = scale
+    if origin is not None and has_fixed_point(model):
+        document["origin"] = asdict(origin)
     document["validity"] = {k: [float(a), float(b)] for k, (a, b) in validity.items()}
     # disturbance forces get the size of the boat whenever a fit begins (ident.models.scaling); a prior of that size
     # would get it twice
@@ -132,6 +138,11 @@ def save_model(
     document["parameter"] = parameters
     document["correlation"] = {"names": list(fit.names), "matrix": np.round(np.nan_to_num(fit.correlation), 6).tolist()}
     path.write_text(tomlkit.dumps(document), encoding="utf-8")
+
+
+def has_fixed_point(model: Model) -> bool:
+    """Whether one of its effects is at a place over ground, so that its parameters count from an origin of x and y."""
+    return any(e.fixed_point for e in model.effects)
 
 
 def _scale_table(model: Model, calibration: float | None) -> Any:
@@ -198,6 +209,8 @@ def load_model(path: Path) -> SavedModel:
         source, effects_file = _own_files(table, path)
         model = _build(table, source, load_effects(effects_file) if effects_file is not None else {})
         errors = {row["name"]: float(row.get("se", np.nan)) for row in table["parameter"]}
+        place = table.get("origin")
+        origin = place and FrameOrigin(float(place["latitude"]), float(place["longitude"]), str(place.get("log", "")))
         validity = {k: (float(a), float(b)) for k, (a, b) in table.get("validity", {}).items()}
         between = table.get("correlation", {})
         names = tuple(str(n) for n in between.get("names", ()))
@@ -206,7 +219,7 @@ def load_model(path: Path) -> SavedModel:
         raise SeatrialError(f"{path}: not a complete model: {problem}") from problem
     reml = bool(table.get("reml", False))
     made, calibration = table.get("provenance", {}), table.get("scale", {}).get("calibration")
-    return SavedModel(model, errors, validity, made, names, correlation, effects_file, reml, calibration)
+    return SavedModel(model, errors, validity, made, names, correlation, effects_file, reml, calibration, origin)
 
 
 def _own_files(table: Mapping[str, Any], path: Path) -> tuple[str, Path | None]:

@@ -64,6 +64,7 @@ from .parts import Refit as Refit
 from .parts import ResidualForce as ResidualForce
 from .parts import ResidualTests as ResidualTests
 from .parts import Result as Result
+from .parts import ResultWarning as ResultWarning
 from .parts import Round as Round
 from .parts import StaticForce as StaticForce
 from .parts import ThrustCurveResult as ThrustCurveResult
