@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -35,6 +35,7 @@ from ident.models import (
     ESTIMATOR_ERROR,
     TELEMETRY_AGE,
     THRUST_CALIBRATION,
+    VesselScale,
     antenna_component,
     catalogue_model,
     current_walk,
@@ -44,7 +45,9 @@ from ident.models import (
     is_own_model,
     load_effects,
     own_model,
+    scale_priors,
     sensor_bias,
+    size_of,
     telemetry_age,
     thrust_calibration,
     trusted_file,
@@ -235,9 +238,14 @@ def _own_files(table: Mapping[str, Any], path: Path) -> tuple[str, Path | None]:
 
 def _build(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> Model:
     model = own_model(source) if is_own_model(source) else catalogue_model(source, table["sensors"])
+    size = _size(model, table["parameter"])
     for name in table["effects"]:
         if name not in {e.name for e in model.effects}:
-            model = model + (own[name] if name in own else _effect(name, model, table.get("curves", {})))
+            effect = own[name] if name in own else _effect(name, model, table.get("curves", {}))
+            if (name in catalogue() and name not in own) or effect.kind.unknown:
+                _check_units(effect, table["parameter"])
+                effect = _holding(scale_priors(effect, size), table["parameter"])
+            model = model + effect
     model = replace(
         with_outlier_model(model, table.get("robust", [])), second_order=bool(table.get("second_order", False))
     )
@@ -246,6 +254,33 @@ def _build(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> 
     if unknown:
         raise ValueError(f"model {model.name} has no parameter {sorted(unknown)[0]!r}")
     return model.replace_parameters(*(_parameter(p, rows[p.name]) for p in model.parameters if p.name in rows))
+
+
+def _size(model: Model, rows: Sequence[Mapping[str, Any]]) -> VesselScale:
+    """Of the boat that the file is of: steps, bounds and initial states of its effects are not in it."""
+    masses = {row["name"]: float(row["value"]) for row in rows if row["name"] in ("m_u", "m_r")}
+    return size_of(model.with_values({n: z for n, z in masses.items() if n in model.values}))
+
+
+def _check_units(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Raises ValueError where the file has lagged or resonant coefficients in another unit than they have now."""
+    units = {p.name: p.unit for p in effect.parameters} if effect.kind is not EffectKind.NONPARAMETRIC else {}
+    for row in rows:
+        if effect.kind.unknown and row.get("unit", "") != units.get(row["name"], row.get("unit", "")):
+            now = units[row["name"]] or "1"
+            raise ValueError(f"parameter {row['name']} is in {row['unit'] or '1'}, now in {now}: fit the model again")
+
+
+def _holding(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> Effect:
+    """The effect with bounds that hold the file's values: they go with the size of the boat, which the fit that found a
+    value at its bound may have taken for another."""
+    values = {row["name"]: float(row["value"]) for row in rows}
+
+    def wide(p: Parameter) -> Parameter:
+        value, (low, high) = values.get(p.name, p.value), p.bounds
+        return replace(p, bounds=(low and min(low, value), high and max(high, value)))  # zero is so for all sizes
+
+    return replace(effect, parameters=tuple(wide(p) if p.scales else p for p in effect.parameters))
 
 
 def _parameter(p: Parameter, row: Mapping[str, Any]) -> Parameter:

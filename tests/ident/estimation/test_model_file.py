@@ -141,7 +141,7 @@ def test_a_model_of_ones_own_comes_back(tmp_path: Path, found: Fit) -> None:
 
 def test_priors_come_back(tmp_path: Path, found: Fit) -> None:
     """Those that a user gave, and those of an effect for a large boat; disturbance forces get their size anew."""
-    size = VesselScale(20.0, 60.0)
+    size = VesselScale(20.0, 3.0)
     model = for_diagnosis(horizontal_model()) + scale_priors(catalogue()["yaw-bias"], size)
     given = replace(model.parameter("m_r"), prior=(600.0, 50.0)), replace(model.parameter("d_u"), prior=(0.5, 2.0))
     model = rescale(model.replace_parameters(*given), size)
