@@ -35,7 +35,7 @@ class Dimension(NamedTuple):
     @property
     def unit(self) -> str:
         """``kg m2/s``: in words that `dimension` reads, for whole exponents."""
-        above, below = [], []
+        above, below = list[str](), list[str]()
         for word, power in zip(("kg", "m", "s"), self, strict=True):
             if power:
                 (above if power > 0 else below).append(word if abs(power) == 1 else f"{word}{abs(power):g}")
