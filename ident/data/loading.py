@@ -341,7 +341,6 @@ def load_all(
     validate: Sequence[Path],
     window: TimeWindow = WHOLE,
     device_faults: DeviceChecks | None = None,
-    reference: FrameOrigin | None = None,
 ) -> tuple[list[LoadedLog], list[LoadedLog]]:
     """The logs to fit, of each this window, and those to judge by, with x and y from one origin (``share_frame``); the
     same log in both is an error."""
@@ -350,7 +349,7 @@ def load_all(
         raise SeatrialError(f"{sorted(same)[0].name}: the same log to fit and to validate proves nothing; give another")
     own = [load_run(p, "estimation", window, device_faults) for p in logs]
     others = [load_run(p, "validation", device_faults=device_faults) for p in validate]
-    named = share_frame(told_apart([*own, *others], [*logs, *validate]), reference)
+    named = share_frame(told_apart([*own, *others], [*logs, *validate]))
     return named[: len(own)], named[len(own) :]
 
 

@@ -34,7 +34,6 @@ from .maximum_likelihood import Method as Method
 from .maximum_likelihood import SearchSettings as SearchSettings
 from .maximum_likelihood import fit as fit
 from .model_file import SavedModel as SavedModel
-from .model_file import has_fixed_point as has_fixed_point
 from .model_file import load_model as load_model
 from .model_file import save_model as save_model
 from .output_error import free_start as free_start

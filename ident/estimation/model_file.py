@@ -127,7 +127,7 @@ def save_model(
     document["provenance"] = {k: v for k, v in provenance.items() if v is not None}
     if (scale := _scale_table(model, calibration)) is not None:
         document["scale"] = scale
-    if origin is not None and has_fixed_point(model):
+    if origin is not None and any(e.fixed_point for e in model.effects):
         document["origin"] = asdict(origin)
     document["validity"] = {k: [float(a), float(b)] for k, (a, b) in validity.items()}
     # disturbance forces get the size of the boat whenever a fit begins (ident.models.scaling); a prior of that size
@@ -141,11 +141,6 @@ def save_model(
     document["parameter"] = parameters
     document["correlation"] = {"names": list(fit.names), "matrix": np.round(np.nan_to_num(fit.correlation), 6).tolist()}
     path.write_text(tomlkit.dumps(document), encoding="utf-8")
-
-
-def has_fixed_point(model: Model) -> bool:
-    """Whether one of its effects is at a place over ground, so that its parameters count from an origin of x and y."""
-    return any(e.fixed_point for e in model.effects)
 
 
 def _scale_table(model: Model, calibration: float | None) -> Any:

@@ -19,6 +19,7 @@ from ident.results.answers import (
     estimation_warnings,
     failed_run_warnings,
     faults_first,
+    frames_assumed,
     homogeneity_sentence,
     not_converged,
     outlier_lines,
@@ -33,7 +34,6 @@ from ident.results.parts import (
     Part,
     Provenance,
     Result,
-    ResultWarning,
     StaticForce,
     ThrusterResult,
     UnusedSignal,
@@ -66,14 +66,12 @@ class Posed:
         notes: lines that come first.
         unused: signals of the logs that the model does not take.
         length: of the hull, where the rig gives it [m].
-        warnings: of the model and the logs together.
     """
 
     start: Mapping[str, float]
     notes: Sequence[str] = ()
     unused: Sequence[UnusedSignal] = ()
     length: float | None = None
-    warnings: Sequence[ResultWarning] = ()
 
 
 def vehicle_result(
@@ -99,7 +97,7 @@ def vehicle_result(
         prediction=prediction,
         warnings=(
             *check_warnings(made),
-            *posed.warnings,
+            *frames_assumed(stage),
             *estimation_warnings(stage.fit, stage.records, posed.length),
             *failed_run_warnings(stage.failed),
         ),

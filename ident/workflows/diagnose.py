@@ -16,7 +16,7 @@ from ident.models import effects_for
 from ident.reporter import Reporter
 from ident.results import DiagnosisResult, diagnosis_result, estimation_warnings, provenance
 from ident.workflows.check import check_first, with_noise_floors
-from ident.workflows.model_inputs import check_ahead, frame_warnings, model_of_logs, unused_signals
+from ident.workflows.model_inputs import check_ahead, in_one_frame, model_of_logs, unused_signals
 from ident.workflows.output import validity, write_all
 
 
@@ -54,14 +54,14 @@ class DiagnosisRequest:
 
 def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> DiagnosisResult:
     """Find what the model lacks, and write the model that has it; ``command``: what was typed."""
-    saved = load_model(request.model)
-    loaded, unseen = load_all(request.logs, request.validation, request.window, device_faults, saved.origin)
+    loaded, unseen = load_all(request.logs, request.validation, request.window, device_faults)
     horizon, effects_file = request.estimation.horizon, request.effects_file
+    saved = load_model(request.model)
     # Maxima of the plain likelihood are compared, by a filter of first order: neither changes what is found, and on
     # that the blind tests were made.
     plain = replace(saved.model, second_order=False)
     check_ahead(horizon, loaded, unseen)
-    frame_warnings(plain, [*loaded, *unseen], saved.origin)  # refuses before the search what it could not fit
+    loaded, unseen = in_one_frame(plain, loaded, unseen, saved.origin)
     model, runs, others, usual = model_of_logs(plain, request.model, loaded, unseen, request.thruster)
     unused = unused_signals(model, loaded, unseen)
     loaded, unseen = check_first(loaded, unseen, model, request.despite_faults)
@@ -80,10 +80,7 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
         found,
         evaluate_diagnosis(found, horizon),
         provenance([*loaded, *unseen], command),
-        warnings=[
-            *frame_warnings(found.after.model, [*loaded, *unseen], saved.origin),
-            *estimation_warnings(found.after.fit, found.after.records),
-        ],
+        warnings=estimation_warnings(found.after.fit, found.after.records),
         notes=[*floors, *found.after.outlier_notes],
         model_path=str(request.model),
         unused=unused,

@@ -29,7 +29,7 @@ from ident.results import (
     record_inputs,
     write_result,
 )
-from ident.workflows.model_inputs import as_logged, completed, frame_warnings, known_curve
+from ident.workflows.model_inputs import as_logged, completed, known_curve, saved_frame_warnings
 
 TELLS = 1.2  # the standard error would grow by so much without a segment: it is worth naming
 VAGUE = 0.5  # standard error over value from which a parameter counts as hardly known; of a value of 0,
@@ -71,7 +71,7 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
     names = _names(saved.model, request.chosen, request.model)
     curve = known_curve(request.thruster)
     logs = load_runs(request.logs, "judged", request.window, saved.origin)
-    assumed = frame_warnings(saved.model, logs, saved.origin, fitted=True)
+    assumed = saved_frame_warnings(saved.model, logs, saved.origin)
     loaded = [completed(one, saved.model.source, curve) for one in logs]
     model = as_logged(saved.model, loaded[0].holds)
     records = [make_record(model, one.run, request.rate) for one in loaded]

@@ -18,10 +18,11 @@ from ident.data import (
     LogSegment,
     PropulsionInput,
     far_apart,
+    share_frame,
 )
 from ident.model import Model, ModelKind, segment_name
 from ident.models import KNOWN_SIGNALS, SENSORS, TELEMETRY_AGE, make_model, telemetry_age
-from ident.results import ResultWarning, UnusedSignal
+from ident.results import ResultWarning, UnusedSignal, frame_warnings
 
 CURVE_INPUTS = ("f_left", "f_right", "X", "X_n")  # what a static curve makes of commands
 
@@ -167,38 +168,35 @@ def as_logged(model: Model, holds: Mapping[str, str]) -> Model:
     return replace(model, inputs=tuple(i.held(holds.get(i.tap_of or i.name, "")) for i in model.inputs))
 
 
-def frame_warnings(
-    model: Model, logs: Sequence[LoadedLog], reference: FrameOrigin | None = None, *, fitted: bool = False
-) -> list[ResultWarning]:
-    """What is assumed of the logs' x and y where the model has a fixed point (a mooring, a tether), which is one for
-    all of them; none for other models. ``fitted``: the point is of other logs, where ``reference`` is the origin.
+def in_one_frame(
+    model: Model, loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog], reference: FrameOrigin | None
+) -> tuple[list[LoadedLog], list[LoadedLog]]:
+    """The logs with x and y from the origin of a saved model, where it has one (``require_one_frame``)."""
+    placed = share_frame([*loaded, *unseen], reference)
+    require_one_frame(model, placed, reference)
+    return placed[: len(loaded)], placed[len(loaded) :]
 
-    Raises SeatrialError where the logs surely have no common frame.
-    """
+
+def require_one_frame(model: Model, logs: Sequence[LoadedLog], reference: FrameOrigin | None = None) -> None:
+    """Raises SeatrialError where the model has a fixed point (a mooring, a tether), which is one for all logs, and the
+    logs surely have no common frame; ``reference``: the origin of the logs that it was fitted to."""
     points = [e.name for e in model.effects if e.fixed_point]
-    if not points:
-        return []
-    first, known = reference, [one for one in logs if one.origin is not None]
-    for one in known:
-        first = first or one.origin
-        if far_apart([first, one.origin]):
-            assert first is not None
+    for one in logs if points else ():
+        reference = reference or one.origin
+        if reference is not None and far_apart([reference, one.origin]):
             raise SeatrialError(
                 f"{one.about['path']}: it begins more than {SHARED_WITHIN / 1000:g} km from the first fix of "
-                f"{first.log or 'the logs of the model'}, and {points[0]} is at one place for all logs; take logs of "
-                "one place, or a model without it"
+                f"{reference.log or 'the logs of the model'}, and {points[0]} is at one place for all logs; take logs "
+                "of one place, or a model without it"
             )
-    lost = [one.run.name for one in logs if one.unplaced]
-    nowhere = fitted and reference is None
-    if not (lost or nowhere) or (len(logs) < 2 and not fitted):
-        return []
-    why = "the model does not say from where its x and y counted" if nowhere else (
-        f"{', '.join(lost)} {'gives' if len(lost) == 1 else 'give'} x and y without latitude and longitude")
-    text = (
-        f"The fixed point of {' and '.join(points)} is one for all logs, and {why}: all x and y are taken to count "
-        "from one place. Where they do not, the point and its force are wrong."
-    )
-    return [ResultWarning(code="frame-assumed", text=text)]
+
+
+def saved_frame_warnings(
+    model: Model, logs: Sequence[LoadedLog], reference: FrameOrigin | None
+) -> list[ResultWarning]:
+    """What is assumed of the x and y of logs that a saved model is used on as it is (``require_one_frame``)."""
+    require_one_frame(model, logs, reference)
+    return frame_warnings(model, [one.run.name for one in logs if one.unplaced], unsaid=reference is None)
 
 
 def model_of_logs(

@@ -32,7 +32,7 @@ from ident.results import (
     record_inputs,
     write_result,
 )
-from ident.workflows.model_inputs import as_logged, completed, frame_warnings, known_curve
+from ident.workflows.model_inputs import as_logged, completed, known_curve, saved_frame_warnings
 
 Columns = list[tuple[str, str, Array]]  # name, unit, values
 
@@ -78,7 +78,7 @@ def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) 
         (one,) = share_frame([load_run(path, "navigated", request.window)], reference)
         reference = reference or one.origin
         loaded.append(completed(one, saved.model.source, curve))
-        assumed = frame_warnings(model, loaded, saved.origin, fitted=True)
+        assumed = saved_frame_warnings(model, loaded, saved.origin)
         done, t0 = _navigate(model, loaded[-1], known, request)
         parts.append((done, t0, gnss_outages(done)))
         tables.append(_columns(done, t0))

@@ -9,7 +9,7 @@ from ident.reporter import Reporter
 from ident.results import Posed, VehicleResult, provenance, vehicle_result
 from ident.validation import evaluate
 from ident.workflows.check import check_first
-from ident.workflows.model_inputs import frame_warnings, unused_lines
+from ident.workflows.model_inputs import unused_lines
 from ident.workflows.output import validity, write_all
 from ident.workflows.vehicle_model import VehicleRequest, vehicle_problem
 
@@ -22,11 +22,10 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
     """
     loaded, unseen = load_all(request.logs, request.validation, request.window, device_faults)
     problem = vehicle_problem(request, loaded, unseen)
-    assumed = frame_warnings(problem.model, [*loaded, *unseen])
     loaded, unseen = check_first(loaded, unseen, problem.model, request.despite_faults)
     if problem.thrust:
         reporter.progress(problem.thrust)
-    for line in [*(w.text for w in assumed), *problem.notes, *unused_lines(problem.unused)]:
+    for line in [*problem.notes, *unused_lines(problem.unused)]:
         reporter.warning(line)
     fitted = fit_nominal_model(
         problem.model, problem.segments, problem.validation, request.estimation, rate=request.rate, reporter=reporter
@@ -45,7 +44,6 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
             [*filter(None, [problem.thrust]), *problem.notes, *fitted.outlier_notes],
             problem.unused,
             loaded[0].vehicle.get("length"),
-            assumed,
         ),
     )
     write_all(request.out, result, fitted.fit, validity(fitted))

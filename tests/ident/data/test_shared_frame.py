@@ -20,7 +20,8 @@ from ident.estimation.likelihood import Likelihood
 from ident.estimation.model_file import load_model, save_model
 from ident.estimation.prior_knowledge import with_effects
 from ident.models.horizontal import horizontal_model
-from ident.workflows.model_inputs import frame_warnings
+from ident.results.answers import frames_assumed
+from ident.workflows.model_inputs import require_one_frame, saved_frame_warnings
 from mocks.sensors import LATITUDE, LONGITUDE, geodetic
 from mocks.world import Reading
 from tests.ident.effects.independent_boat import Force, IndependentBoat, sail
@@ -132,9 +133,9 @@ def test_logs_far_apart_keep_their_own_origins_and_refuse_a_common_point(tmp_pat
     logs, _ = load_all(placed(tmp_path, (0.0, 0.0), (11_000.0, 0.0)), [])
     assert [one.origin.log for one in logs if one.origin] == ["log0", "log1"]
     plain, moored = horizontal_model(), horizontal_model() + catalogue()["mooring"]
-    assert frame_warnings(plain, logs) == []
+    require_one_frame(plain, logs)
     with pytest.raises(SeatrialError, match="more than 10 km from the first fix of log0, and mooring is at one place"):
-        frame_warnings(moored, logs)
+        require_one_frame(moored, logs)
     untested = _refused(nominal(plain), catalogue(), [one.run for one in logs])
     assert sorted(u.effect.name for u in untested) == ["mooring", "tether"]
     assert "one place over ground" in untested[0].reason
@@ -145,9 +146,10 @@ def test_positions_without_latitude_and_longitude_are_taken_for_one_frame_with_a
     (path,) = placed(tmp_path, (0.0, 0.0))
     known = load_run(path, "estimation")
     unknown = replace(known, origin=None, run=replace(known.run, name="imported", meta={}))
-    moored = horizontal_model() + catalogue()["mooring"]
-    assert frame_warnings(moored, [unknown]) == []  # one log alone has one frame
-    (said,) = frame_warnings(moored, [known, unknown])
+    boat, alone = with_effects(model_of(IndependentBoat()), ["mooring"]), unknown.run
+    assert frames_assumed(fit_nominal_model(boat, [alone], [])) == []  # one log alone has one frame
+    assert frames_assumed(fit_nominal_model(boat, [known.run], [replace(known.run, name="later")])) == []
+    (said,) = frames_assumed(fit_nominal_model(boat, [known.run], [alone]))
     assert said.code == "frame-assumed"
     assert "imported gives x and y without latitude and longitude" in said.text
     assert not share_frame([unknown])[0].origin
@@ -163,11 +165,11 @@ def test_a_saved_model_keeps_where_its_fixed_point_counts_from(tmp_path: Path) -
     assert saved.origin == origin
     (later,) = share_frame([load_run(tmp_path / "log1.mcap", "navigated")], saved.origin)
     assert later.run.channels["x"].value[0] == pytest.approx(40.0, abs=0.2)
-    assert frame_warnings(saved.model, [later], saved.origin, fitted=True) == []
-    (said,) = frame_warnings(saved.model, [later], None, fitted=True)
+    assert saved_frame_warnings(saved.model, [later], saved.origin) == []
+    (said,) = saved_frame_warnings(saved.model, [later], None)
     assert (said.code, "does not say from where" in said.text) == ("frame-assumed", True)
     with pytest.raises(SeatrialError, match=r"log2\.mcap: it begins more than 10 km"):
-        frame_warnings(saved.model, [load_run(tmp_path / "log2.mcap", "navigated")], saved.origin, fitted=True)
+        saved_frame_warnings(saved.model, [load_run(tmp_path / "log2.mcap", "navigated")], saved.origin)
     plain = fit_nominal_model(model_of(IndependentBoat()), [logs[0].run], []).fit
     save_model(path, plain, validity={}, provenance={}, origin=origin)
     assert load_model(path).origin is None  # nothing in it counts from there
