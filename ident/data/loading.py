@@ -6,7 +6,7 @@ A log's signals by the names that models use.
 |---|---|
 | psi, phi, theta | AHRS: yaw, roll and pitch (unwrapped by whoever averages them) |
 | p, q, r, ax, ay | AHRS: body rates, specific force |
-| x, y, vx, vy | GNSS: metres north and east of the first fix, velocity over ground |
+| x, y, vx, vy | GNSS: metres north and east of the first fix (`share_frame`), velocity over ground |
 | n_left, n_right | shaft speed over the rig's rpm_max, positive ahead |
 | n_cmd_left, n_cmd_right | commands; where an autopilot is between, its output instead |
 | servo_1, servo_2, ... | pulses of an autopilot's outputs (us), where no rig names thrusters |
@@ -21,7 +21,7 @@ gives it the sign of the delayed and lagged command. `propulsion_input` says whi
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from itertools import chain, count
 from math import inf
@@ -68,6 +68,8 @@ class TimeWindow(NamedTuple):
 WHOLE = TimeWindow()
 DeviceChecks = Callable[[Log], Sequence[Finding]]
 SHAFTS, COMMANDS = ("n_left", "n_right"), ("n_cmd_left", "n_cmd_right")
+ORIGIN = "origin"  # of a segment's `meta`: the `FrameOrigin` of its x and y, where that is known
+SHARED_WITHIN = 10_000.0  # m between first fixes: farther apart, the logs are of two places on a round earth
 SLOWEST_TELEMETRY = 0.15  # s between shaft speeds; from slower ones no change of the thrust can be timed
 
 
@@ -133,8 +135,13 @@ def ahrs_channels(table: Table, source: str) -> dict[str, Channel]:
     return {name: c for name, c in found.items() if c.t.size > 1}
 
 
+def _fixes(table: Table) -> Table:
+    good: Table = table[(table["fix"] >= 2) & np.isfinite(table["lat"])]
+    return good
+
+
 def _gnss(table: Table, source: str) -> dict[str, Channel]:
-    table = table[(table["fix"] >= 2) & np.isfinite(table["lat"])]
+    table = _fixes(table)
     if not len(table):
         return {}
     x, y = local_ned(table["lat"], table["lon"])
@@ -243,8 +250,31 @@ def shaft_speed(t: Array, speed: Array, t_told: Array, told: Array) -> tuple[Arr
 
 
 @dataclass(frozen=True)
+class FrameOrigin:
+    """Where x = y = 0 is: latitude and longitude (deg), and the log whose first fix that is."""
+
+    latitude: float
+    longitude: float
+    log: str = ""
+
+    def offset(self, other: FrameOrigin) -> tuple[float, float]:
+        """Metres that ``other`` lies north and east of here, by the ellipsoid's radii half way between."""
+        east = (other.longitude - self.longitude + 180.0) % 360.0 - 180.0
+        middle = (0.5 * (self.latitude + other.latitude), self.longitude + 0.5 * east)
+        lat, lon = zip(middle, *((o.latitude, o.longitude) for o in (self, other)), strict=True)
+        x, y = local_ned(np.array(lat), np.array(lon))
+        return float(x[2] - x[1]), float(y[2] - y[1])
+
+
+@dataclass(frozen=True)
 class LoadedLog:
-    """A log in memory: its signals, and what the report says of it. ``propulsion``: what it says of its thrusters."""
+    """A log in memory: its signals, and what the report says of it.
+
+    Attributes:
+        propulsion: what it says of its thrusters.
+        origin: of x and y; None: the log has none, or gives x and y without latitude and longitude.
+        shift: by which x and y were moved there from the log's own first fix (m north, m east).
+    """
 
     run: LogSegment
     about: dict[str, Any]
@@ -254,6 +284,56 @@ class LoadedLog:
     segments: tuple[tuple[float, str], ...] = ()  # steps of its mission: when each began [s of the log], and its name
     vehicle: Mapping[str, float] = field(default_factory=dict)  # what rig or map know of the boat, parameters by name
     device_faults: tuple[Finding, ...] | None = None  # None: nobody looked for them
+    origin: FrameOrigin | None = None
+    shift: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def own_channels(self) -> Mapping[str, Channel]:
+        """The signals with x and y from the log's own first fix."""
+        return _moved(self.run.channels, -self.shift[0], -self.shift[1])
+
+    @property
+    def unplaced(self) -> bool:
+        """Whether it has positions, and nobody knows from where they count."""
+        return self.origin is None and "x" in self.run.channels
+
+
+def _moved(found: Mapping[str, Channel], north: float, east: float) -> Mapping[str, Channel]:
+    if not (north or east):
+        return found
+    return {**found, **{n: replace(found[n], value=found[n].value + by) for n, by in (("x", north), ("y", east))}}
+
+
+def share_frame(logs: Sequence[LoadedLog], reference: FrameOrigin | None = None) -> list[LoadedLog]:
+    """The logs with x and y from one origin: ``reference``, else the first fix of the first log that has latitude and
+    longitude. What is at one place for all logs, such as a mooring, is at one place in x and y then.
+
+    Each log keeps the metres of its own first fix and is moved as a whole: its motion is the same to rounding. A log
+    that begins farther than ``SHARED_WITHIN`` from the reference keeps its own origin, and so does one that gives x and
+    y alone, of which nobody knows from where they count.
+    """
+    reference = reference or next((one.origin for one in logs if one.origin is not None), None)
+    return [one if one.origin is None or reference is None else _placed(one, reference) for one in logs]
+
+
+def _placed(one: LoadedLog, reference: FrameOrigin) -> LoadedLog:
+    assert one.origin is not None
+    north, east = reference.offset(one.origin)
+    if np.hypot(north, east) > SHARED_WITHIN:
+        return one
+    run = replace(one.run, channels=_moved(one.run.channels, north, east))
+    return _at(replace(one, run=run, shift=(one.shift[0] + north, one.shift[1] + east)), reference)
+
+
+def _at(one: LoadedLog, origin: FrameOrigin) -> LoadedLog:
+    """With this origin of x and y, also where results and records look for it."""
+    run = replace(one.run, meta={**one.run.meta, ORIGIN: origin})
+    return replace(one, origin=origin, run=run, about=one.about | {ORIGIN: asdict(origin)})
+
+
+def far_apart(origins: Sequence[object]) -> bool:
+    """Whether logs with these origins (`FrameOrigin`) surely have no common frame; None: nobody knows."""
+    return len({o for o in origins if o is not None}) > 1
 
 
 def load_all(
@@ -262,19 +342,22 @@ def load_all(
     window: TimeWindow = WHOLE,
     device_faults: DeviceChecks | None = None,
 ) -> tuple[list[LoadedLog], list[LoadedLog]]:
-    """The logs to fit, of each this window, and those to judge by; the same log in both is an error."""
+    """The logs to fit, of each this window, and those to judge by, with x and y from one origin (``share_frame``); the
+    same log in both is an error."""
     same = {p.resolve() for p in logs} & {p.resolve() for p in validate}
     if same:
         raise SeatrialError(f"{sorted(same)[0].name}: the same log to fit and to validate proves nothing; give another")
     own = [load_run(p, "estimation", window, device_faults) for p in logs]
     others = [load_run(p, "validation", device_faults=device_faults) for p in validate]
-    named = told_apart([*own, *others], [*logs, *validate])
+    named = share_frame(told_apart([*own, *others], [*logs, *validate]))
     return named[: len(own)], named[len(own) :]
 
 
-def load_runs(logs: Sequence[Path], role: str, window: TimeWindow = WHOLE) -> list[LoadedLog]:
-    """Logs of one role (``load_run``), told apart."""
-    return told_apart([load_run(path, role, window) for path in logs], logs)
+def load_runs(
+    logs: Sequence[Path], role: str, window: TimeWindow = WHOLE, reference: FrameOrigin | None = None
+) -> list[LoadedLog]:
+    """Logs of one role (``load_run``), told apart, with x and y from one origin (``share_frame``)."""
+    return share_frame(told_apart([load_run(path, role, window) for path in logs], logs), reference)
 
 
 def told_apart(loaded: Sequence[LoadedLog], files: Sequence[Path]) -> list[LoadedLog]:
@@ -282,9 +365,13 @@ def told_apart(loaded: Sequence[LoadedLog], files: Sequence[Path]) -> list[Loade
     would be taken for each other: they get the folder's name before their own (``mon/run``)."""
     names = _unique([one.run.name for one in loaded], files)
     paths = _unique([one.about["path"] for one in loaded], files)
-    return [
+    named = (
         replace(one, run=replace(one.run, name=name), about=one.about | {"name": name, "path": path})
         for one, name, path in zip(loaded, names, paths, strict=True)
+    )
+    return [
+        one if one.origin is None or one.origin.log != was.run.name else _at(one, replace(one.origin, log=one.run.name))
+        for one, was in zip(named, loaded, strict=True)
     ]
 
 
@@ -315,6 +402,7 @@ def load_run(
             log = whole.part(start + window.t_from - MARGIN_S, start + window.t_to + MARGIN_S)
         with log.keeping_tables():
             found = channels(log)
+            origin = _first_fix(log, found, path.stem)
             faults = tuple(device_faults(log)) if device_faults is not None and found else None
         if not found:
             raise SeatrialError(f"{path}: no signal that ident knows; see what it holds with `seatrial info {path}`")
@@ -336,7 +424,16 @@ def load_run(
         propulsion = propulsion_input(log, moved, holds)
         t_to = min(window.t_to, last) if window.t_to < inf else None
         run = LogSegment(path.stem, moved, window.t_from or None, t_to)
-        return LoadedLog(run, about, holds, log.rig, propulsion, segments, log.vehicle, faults)
+        one = LoadedLog(run, about, holds, log.rig, propulsion, segments, log.vehicle, faults)
+        return one if origin is None else _at(one, origin)
+
+
+def _first_fix(log: Log, found: Mapping[str, Channel], name: str) -> FrameOrigin | None:
+    """The origin of x and y, where they are of a receiver's latitude and longitude; else None."""
+    if "x" not in found or found["x"].source not in log.sources(Gnss):
+        return None
+    first = _fixes(log.table(Gnss, found["x"].source))[0]
+    return FrameOrigin(float(first["lat"]), float(first["lon"]), name)
 
 
 def _hold(log: Log, name: str) -> str:

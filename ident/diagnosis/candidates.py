@@ -33,7 +33,7 @@ from ident.effects import EFFECT, FORCES, harmonics, input_response_effects
 from ident.engine import VectorisedModel
 from ident.estimation import FittedModel, RecordEvaluation
 from ident.model import Effect, EffectKind, ForceCurve, Model, Parameter, Residual, curve_name
-from ident.models import products_of, readings_of, residuals_of, thrust_losses_of, variables_of
+from ident.models import products_of, readings_of, residuals_of, size_of, thrust_losses_of, variables_of
 from ident.numerics import Array, wrap
 from ident.validation import SpectralPeak, spectral_peak
 
@@ -346,7 +346,8 @@ def wave_peak_score(stage: FittedModel) -> Score | None:
         return None
     df = len(EFFECT.parameters)
     lm = float(stats.chi2.isf(max(best.p * len(peaks), SMALLEST_P), df))
-    step = {f"A_{force}": INITIAL_WAVE_SIZE * usual for force, (_, usual) in FORCES.items()}
+    size = size_of(stage.model)
+    step = {f"A_{force}": INITIAL_WAVE_SIZE * usual * size.of(unit) for force, (unit, usual) in FORCES.items()}
     return Score(EFFECT.name, lm, df, lm, step, {"f_wave": best.frequency})
 
 

@@ -81,8 +81,8 @@ class Refit:
 
 @dataclass(frozen=True)
 class UntestedCandidate:
-    """A candidate that passed the score test and could not be fitted, from any start, and why; or one of the user's own
-    that could not even have a score test."""
+    """A candidate that passed the score test and could not be fitted, from any start, and why; or one of the user's
+    own, or one at a fixed point, that could not even have a score test."""
 
     effect: Effect
     reason: str

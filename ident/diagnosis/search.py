@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq.errors import counted
-from ident.data import LogSegment, Record, make_record
+from ident.data import ORIGIN, LogSegment, Record, far_apart, make_record
 from ident.diagnosis.acceptance import Comparison, comparison, validation_mismatches
 from ident.diagnosis.adequacy import assess_alternatives
 from ident.diagnosis.candidates import normal_equations, variables, wave_peak_score
@@ -158,6 +158,8 @@ def diagnose(
     wanted = set(candidates)
     failed = validation_records(full, validation, rate)[1]
     usable = [r for r in validation if r.name not in {f.record for f in failed}]
+    if _far_apart([*estimation, *usable]):
+        candidates = {n: e for n, e in candidates.items() if not e.fixed_point}
     everything, candidates = superset(full, candidates, [*estimation, *usable])
     untested = wanted - set(candidates)
     records = [make_record(everything, r, rate) for r in estimation]
@@ -201,10 +203,18 @@ def diagnose(
     )
 
 
+def _far_apart(runs: Sequence[LogSegment]) -> bool:
+    return far_apart([run.meta.get(ORIGIN) for run in runs])
+
+
 def _refused(model: Model, given: Mapping[str, Effect], runs: Sequence[LogSegment]) -> tuple[UntestedCandidate, ...]:
-    """Candidates of the user's own that cannot be tested, and why. Of the catalogue many do not concern a model."""
+    """Candidates of the user's own that cannot be tested, and why; of the catalogue, where many do not concern a model,
+    those at a fixed point of logs that have no common frame."""
     known, found = catalogue(), []
-    for effect in (e for name, e in given.items() if known.get(name) is not e):
+    if _far_apart(runs):
+        apart = "it is at one place over ground, and the logs are too far apart to have x and y from one origin"
+        found = [UntestedCandidate(e, apart) for e in given.values() if e.fixed_point and model.accepts(e)]
+    for effect in (e for name, e in given.items() if known.get(name) is not e and e not in [u.effect for u in found]):
         reason = model.refusal(effect)
         lacking = ((run, lacking_inputs(model, effect, run)) for run in runs if reason is None)
         reason = next((f"{run.name} lacks its input {min(names)}" for run, names in lacking if names), reason)

@@ -26,14 +26,14 @@ from ident.model import (
     Variable,
     curve_name,
 )
-from ident.models import TIME, readings_of, residuals_of, thrust_losses_of, variables_of
+from ident.models import TIME, readings_of, residuals_of, thrust_losses_of, unit_over, variables_of
 from ident.numerics import Array
 
 N_KNOTS, N_HARMONICS = 9, 3
 TIME_CONSTANTS = (0.25, 1.0, 4.0)  # s, time constants of the first-order lags
 FREQUENCIES = (0.2, 0.32, 0.5, 0.8, 1.2)  # Hz, natural frequencies that are tried
 DAMPING = 0.1
-FULL = 40.0  # N, full thrust of a thruster: scale of an input in newtons
+FULL = 40.0  # N, full thrust of a thruster of the catalogue's boat: what an input in newtons usually is
 Signal = Callable[[Signals], Any]
 
 
@@ -107,6 +107,7 @@ def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, flo
     residual, of = partition(model, curve)
     force, variable = curve.force, curve.variables
     terms_of = _terms(of)
+    unit = unit_over(residual.unit, *(v.unit for v in of)) if len(of) == 2 else residual.unit
     names = [f"{force}_{curve.variable}{curve.second}_{k}" for k in range(len(terms_of))]
 
     def add(s: Signals) -> None:
@@ -123,7 +124,8 @@ def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, flo
         {residual.stage: add},
         parameters=tuple(
             Parameter(
-                n, 0.0, residual.unit, f"{force} {what}", prior=(0.0, residual.scale), step=0.03 * residual.scale
+                n, 0.0, unit, f"{force} {what}", prior=(0.0, residual.scale), step=0.03 * residual.scale,
+                scales=residual.stage != "output",  # the errors of a sensor are not the boat's
             )
             for n, what in zip(names, terms_of, strict=True)
         ),
@@ -202,10 +204,10 @@ def input_response_effects(model: Model) -> list[Effect]:
         pair = variable.pair
         force = forces.get("N" if pair.difference else "X") if pair is not None else None
         if pair is not None and force is not None:
-            drive = _thrust(pair)
+            drive, unit = _thrust(pair), variable.unit
             for effect in (
-                lagged_response(force, variable.name, drive),
-                resonant_response(force, variable.name, drive),
+                lagged_response(force, variable.name, drive, unit),
+                resonant_response(force, variable.name, drive, unit),
             ):
                 if model.accepts(effect):
                     found.append(effect)
@@ -213,19 +215,28 @@ def input_response_effects(model: Model) -> list[Effect]:
 
 
 def _thrust(pair: ThrusterPair) -> Signal:
-    """Mean or half difference of the thrusts relative to full thrust; thrust is quadratic in shaft speed."""
+    """Mean or half difference of the thrusts, of shafts relative to full thrust (quadratic in shaft speed), else as
+    given [N]."""
 
     def read(s: Signals) -> Any:
         left, right = (s.state_or_input(f"{pair.quantity}_{side}") for side in ("left", "right"))
         if pair.quantity == "n":
             left, right = left * abs(left), right * abs(right)
-        return (left - right if pair.difference else left + right) / (2 if pair.quantity == "n" else 2 * FULL)
+        return (left - right if pair.difference else left + right) / 2
 
     return read
 
 
-def lagged_response(force: Residual, of: str, drive: Signal) -> Effect:
-    """``F += sum_k t_k (z_k - w)``, ``z_k' = (w - z_k) / T_k``: first-order lagged response to w."""
+def _per_drive(force: Residual, unit: str) -> tuple[str, float, float]:
+    """Unit and scale of a coefficient of a drive in this unit, and the drive's own scale; without a unit it is a part
+    of full thrust."""
+    return unit_over(force.unit, unit), force.scale / (FULL if unit else 1.0), FULL if unit else 1.0
+
+
+def lagged_response(force: Residual, of: str, drive: Signal, unit: str) -> Effect:
+    """``F += sum_k t_k (z_k - w)``, ``z_k' = (w - z_k) / T_k``: first-order lagged response to w, which is in ``unit``.
+    """
+    of_drive, scale, full = _per_drive(force, unit)
     names = [f"{force.name}_{of}_late_{k}" for k in range(len(TIME_CONSTANTS))]
     states = [f"late_{of}_{k}" for k in range(len(TIME_CONSTANTS))]
 
@@ -244,13 +255,14 @@ def lagged_response(force: Residual, of: str, drive: Signal) -> Effect:
         f"a nonparametric effect: {force.title} follows {of} with a lag",
         {force.stage: add, "rate": follow},
         parameters=tuple(
-            Parameter(n, 0.0, force.unit, f"{force.name} behind {of} by {memory:g} s", prior=(0.0, 2 * force.scale),
-                      step=0.03 * force.scale)
+            Parameter(n, 0.0, of_drive, f"{force.name} behind {of} by {memory:g} s", prior=(0.0, 2 * scale),
+                      step=0.03 * scale)
             for n, memory in zip(names, TIME_CONSTANTS, strict=True)
         ),
-        states=tuple(State(n, "", f"{of} behind by {memory:g} s", 0.0, sd0=0.05)
+        states=tuple(State(n, unit, f"{of} behind by {memory:g} s", 0.0, sd0=0.05 * full)
                      for n, memory in zip(states, TIME_CONSTANTS, strict=True)),
-        formula=f"{force.name} += sum t_k (z_k - w), z_k' = (w - z_k) / T_k, w the part of full thrust",
+        formula=f"{force.name} += sum t_k (z_k - w), z_k' = (w - z_k) / T_k, "
+        f"w the {'thrust' if unit else 'part of full thrust'}",
         source="the residual itself",
         experiment=f"steps of {of} from rest, each held until all has settled",
         requires=("hull",),
@@ -259,8 +271,9 @@ def lagged_response(force: Residual, of: str, drive: Signal) -> Effect:
     )
 
 
-def resonant_response(force: Residual, of: str, drive: Signal) -> Effect:
-    """``F += a (z - w) + b z' / omega``, z a second-order mode driven by w: resonant response to w."""
+def resonant_response(force: Residual, of: str, drive: Signal, unit: str) -> Effect:
+    """``F += a (z - w) + b z' / omega``, z a second-order mode driven by w: resonant response to w, in ``unit``."""
+    of_drive, scale, full = _per_drive(force, unit)
     names = (f"{force.name}_{of}_swing", f"{force.name}_{of}_swing_rate")
     states, f_name = (f"swing_{of}", f"swing_{of}_rate"), f"f_{force.name}_{of}"
 
@@ -280,14 +293,16 @@ def resonant_response(force: Residual, of: str, drive: Signal) -> Effect:
         f"a nonparametric effect: {force.title} responds to {of} with a resonance",
         {force.stage: add, "rate": swing},
         parameters=(
-            *(Parameter(n, 0.0, force.unit, f"{force.name} resonant to {of}{what}", prior=(0.0, 2 * force.scale),
-                        step=0.03 * force.scale) for n, what in zip(names, ("", ", its quadrature"), strict=True)),
-            Parameter(f_name, 0.5, "Hz", "natural frequency", "log", prior=(0.5, 0.4), bounds=(0.1, 2.5)),
+            *(Parameter(n, 0.0, of_drive, f"{force.name} resonant to {of}{what}", prior=(0.0, 2 * scale),
+                        step=0.03 * scale) for n, what in zip(names, ("", ", its quadrature"), strict=True)),
+            Parameter(f_name, 0.5, "Hz", "natural frequency", "log", prior=(0.5, 0.4), bounds=(0.1, 2.5),
+                      scales=False),  # nobody knows what swings: the frequencies are those that a log can tell
         ),
-        states=tuple(State(n, "", what, 0.0, sd0=0.05)
+        states=tuple(State(n, unit, what, 0.0, sd0=0.05 * full)
                      for n, what in zip(states, (f"resonant response to {of}", "its quadrature"), strict=True)),
         scan={f_name: FREQUENCIES},
-        formula=f"{force.name} += a (z - w) + b z'/w0, z'' + 2 zeta w0 z' = w0^2 (w - z), w the part of full thrust",
+        formula=f"{force.name} += a (z - w) + b z'/w0, z'' + 2 zeta w0 z' = w0^2 (w - z), "
+        f"w the {'thrust' if unit else 'part of full thrust'}",
         source="the residual itself",
         experiment=f"a chirp of {of} through 0.1 to 1.5 Hz",
         requires=("hull",),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -145,7 +145,7 @@ def fit_with_rescaling(
     the sensors noisier than declared."""
     stage = fit_and_evaluate(full, records, unseen, options)
     assumed, found, again = size_of(full), size_of(stage.fit.model), without_contradicted_noise(full, stage)
-    ratios = [b / a for a, b in zip(astuple(assumed), astuple(found), strict=True)]
+    ratios = [found.of(unit) / assumed.of(unit) for unit in ("N", "N m")]
     if not all(1 / RESCALING_RATIO < ratio < RESCALING_RATIO for ratio in ratios):
         again = rescale(again, found)
     return stage if again is full else fit_and_evaluate(again, records, unseen, options)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import tomlkit
 
 from daq.config import parse_toml, read_text
 from daq.errors import SeatrialError
+from ident.data import FrameOrigin
 from ident.effects import catalogue, input_response_effects, nonparametric_effect
 from ident.estimation.homogeneity import BETWEEN, between_runs_effect
 from ident.estimation.maximum_likelihood import Fit
@@ -34,6 +35,7 @@ from ident.models import (
     ESTIMATOR_ERROR,
     TELEMETRY_AGE,
     THRUST_CALIBRATION,
+    VesselScale,
     antenna_component,
     catalogue_model,
     current_walk,
@@ -43,7 +45,9 @@ from ident.models import (
     is_own_model,
     load_effects,
     own_model,
+    scale_priors,
     sensor_bias,
+    size_of,
     telemetry_age,
     thrust_calibration,
     trusted_file,
@@ -67,6 +71,7 @@ class SavedModel:
     effects_file: Path | None = None  # where effects that are not in the catalogue come from
     reml: bool = False
     calibration: float | None = None  # relative standard uncertainty of the forces that it was fitted to; None: unknown
+    origin: FrameOrigin | None = None  # from which its fixed points count; None: it has none, or nobody knows
 
     def uncertainty(self, name: str) -> float:
         """Standard uncertainty of an estimated force: of its estimate and of the load cell's calibration; NaN where the
@@ -90,10 +95,12 @@ def save_model(
     provenance: Mapping[str, Any],
     effects_file: Path | None = None,
     calibration: float | None = None,
+    origin: FrameOrigin | None = None,
 ) -> None:
     """Write the model of a fit, and beside it a copy of each Python file of the user's own that it is made with.
     ``effects_file``: where effects that are not in the catalogue come from; ``calibration``: relative standard
-    uncertainty of the forces that were measured."""
+    uncertainty of the forces that were measured; ``origin``: of x and y of the logs, which a model with a fixed point
+    keeps."""
     model, document = fit.model, tomlkit.document()
     document["format"] = FORMAT
     document["name"] = model.name
@@ -120,6 +127,8 @@ def save_model(
     document["provenance"] = {k: v for k, v in provenance.items() if v is not None}
     if (scale := _scale_table(model, calibration)) is not None:
         document["scale"] = scale
+    if origin is not None and any(e.fixed_point for e in model.effects):
+        document["origin"] = asdict(origin)
     document["validity"] = {k: [float(a), float(b)] for k, (a, b) in validity.items()}
     # disturbance forces get the size of the boat whenever a fit begins (ident.models.scaling); a prior of that size
     # would get it twice
@@ -198,6 +207,8 @@ def load_model(path: Path) -> SavedModel:
         source, effects_file = _own_files(table, path)
         model = _build(table, source, load_effects(effects_file) if effects_file is not None else {})
         errors = {row["name"]: float(row.get("se", np.nan)) for row in table["parameter"]}
+        place = table.get("origin")
+        origin = place and FrameOrigin(float(place["latitude"]), float(place["longitude"]), str(place.get("log", "")))
         validity = {k: (float(a), float(b)) for k, (a, b) in table.get("validity", {}).items()}
         between = table.get("correlation", {})
         names = tuple(str(n) for n in between.get("names", ()))
@@ -206,7 +217,7 @@ def load_model(path: Path) -> SavedModel:
         raise SeatrialError(f"{path}: not a complete model: {problem}") from problem
     reml = bool(table.get("reml", False))
     made, calibration = table.get("provenance", {}), table.get("scale", {}).get("calibration")
-    return SavedModel(model, errors, validity, made, names, correlation, effects_file, reml, calibration)
+    return SavedModel(model, errors, validity, made, names, correlation, effects_file, reml, calibration, origin)
 
 
 def _own_files(table: Mapping[str, Any], path: Path) -> tuple[str, Path | None]:
@@ -222,9 +233,14 @@ def _own_files(table: Mapping[str, Any], path: Path) -> tuple[str, Path | None]:
 
 def _build(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> Model:
     model = own_model(source) if is_own_model(source) else catalogue_model(source, table["sensors"])
+    size = _size(model, table["parameter"])
     for name in table["effects"]:
         if name not in {e.name for e in model.effects}:
-            model = model + (own[name] if name in own else _effect(name, model, table.get("curves", {})))
+            effect = own[name] if name in own else _effect(name, model, table.get("curves", {}))
+            if (name in catalogue() and name not in own) or effect.kind.unknown:
+                _check_units(effect, table["parameter"])
+                effect = _holding(scale_priors(effect, size), table["parameter"])
+            model = model + effect
     model = replace(
         with_outlier_model(model, table.get("robust", [])), second_order=bool(table.get("second_order", False))
     )
@@ -233,6 +249,33 @@ def _build(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> 
     if unknown:
         raise ValueError(f"model {model.name} has no parameter {sorted(unknown)[0]!r}")
     return model.replace_parameters(*(_parameter(p, rows[p.name]) for p in model.parameters if p.name in rows))
+
+
+def _size(model: Model, rows: Sequence[Mapping[str, Any]]) -> VesselScale:
+    """Of the boat that the file is of: steps, bounds and initial states of its effects are not in it."""
+    masses = {row["name"]: float(row["value"]) for row in rows if row["name"] in ("m_u", "m_r")}
+    return size_of(model.with_values({n: z for n, z in masses.items() if n in model.values}))
+
+
+def _check_units(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Raises ValueError where the file has lagged or resonant coefficients in another unit than they have now."""
+    units = {p.name: p.unit for p in effect.parameters} if effect.kind is not EffectKind.NONPARAMETRIC else {}
+    for row in rows:
+        if effect.kind.unknown and row.get("unit", "") != units.get(row["name"], row.get("unit", "")):
+            now = units[row["name"]] or "1"
+            raise ValueError(f"parameter {row['name']} is in {row['unit'] or '1'}, now in {now}: fit the model again")
+
+
+def _holding(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> Effect:
+    """The effect with bounds that hold the file's values: they go with the size of the boat, which the fit that found a
+    value at its bound may have taken for another."""
+    values = {row["name"]: float(row["value"]) for row in rows}
+
+    def wide(p: Parameter) -> Parameter:
+        value, (low, high) = values.get(p.name, p.value), p.bounds
+        return replace(p, bounds=(low and min(low, value), high and max(high, value)))  # zero is so for all sizes
+
+    return replace(effect, parameters=tuple(wide(p) if p.scales else p for p in effect.parameters))
 
 
 def _parameter(p: Parameter, row: Mapping[str, Any]) -> Parameter:

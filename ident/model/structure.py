@@ -225,6 +225,7 @@ class Effect:
     span: tuple[float, float] | None = None  # of a nonparametric one: the range of its variable that it covers
     parametric_form_of: ForceCurve | None = None  # it is one shape of this curve; others differ in shape only
     nonparametric_of: ForceCurve | None = None  # a series for this curve, of no shape: its name says no more
+    fixed_point: bool = False  # it is at one place over ground: x and y of all logs must count from one origin
 
     def is_table_of(self, curve: ForceCurve | None) -> bool:
         """Whether it is this curve as a nonparametric effect."""

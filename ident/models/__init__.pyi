@@ -39,12 +39,13 @@ from .horizontal import horizontal_model as horizontal_model
 from .horizontal import shift_in_time as shift_in_time
 from .horizontal import symmetric_arms as symmetric_arms
 from .kinematic import kinematic_model as kinematic_model
-from .scaling import DRAG_AREA as DRAG_AREA
+from .scaling import VesselScale as VesselScale
 from .scaling import force_power as force_power
 from .scaling import is_moment as is_moment
 from .scaling import rescale as rescale
 from .scaling import scale_priors as scale_priors
 from .scaling import size_of as size_of
+from .scaling import unit_over as unit_over
 from .surge import surge_model as surge_model
 from .thruster import DELAY_STEP as DELAY_STEP
 from .thruster import START_POLES as START_POLES

@@ -76,7 +76,8 @@ def current_walk() -> Effect:
         CURRENT_WALK,
         "a random-walk current",
         {"rate": drift},
-        parameters=(Parameter("q_V", 0.005, "m/s/sqrt(s)", "diffusion of the current", "log", prior=(0.005, 0.01)),),
+        parameters=(Parameter("q_V", 0.005, "m/s/sqrt(s)", "diffusion of the current", "log", prior=(0.005, 0.01),
+                              scales=False),),
         states=(
             State("drift_x", "m/s", "current to the north, beyond V_x", "q_V", sd0=0.0),
             State("drift_y", "m/s", "current to the east, beyond V_y", "q_V", sd0=0.0),
@@ -100,7 +101,7 @@ def telemetry_age() -> Effect:
         {"shaft": earlier},
         parameters=(
             Parameter("tau_age", 0.02, "s", "age of the shaft speeds at their time stamp, beyond that of the sensors",
-                      prior=(0.0, 0.1), bounds=(-0.03, 0.4), step=0.01),
+                      prior=(0.0, 0.1), bounds=(-0.03, 0.4), step=0.01, scales=False),
         ),
         inputs=tuple(i.delayed(-k) for i in now for k in range(-1, N_AHEAD + 1) if k),
         place="sensor",

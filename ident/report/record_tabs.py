@@ -39,6 +39,28 @@ def roles_of(logs: Sequence[LogSummary], traces: Sequence[Trace] = ()) -> dict[s
     return {log.name: log.role for log in logs} | {row.record: row.role for row in traces}
 
 
+def origin_words(logs: Sequence[LogSummary], record: str) -> str:
+    """`` of its first fix`` or `` of the first fix of NAME`` where a record's x and y count from there; else empty."""
+    found = next((log.origin for log in logs if log.name == record), None)
+    if found is None:
+        return ""
+    return " of its first fix" if found.log == record else f" of the first fix of {found.log or 'another log'}"
+
+
+def origin_lines(logs: Sequence[LogSummary]) -> list[str]:
+    """Where x and y of the logs count from, a line for each place."""
+    origins: dict[tuple[float, float, str], list[str]] = {}
+    for log in logs:
+        if log.origin is not None:
+            origins.setdefault((log.origin.latitude, log.origin.longitude, log.origin.log), []).append(log.name)
+    lines = []
+    for (latitude, longitude, first), names in origins.items():
+        of = ", ".join(names) if len(origins) > 1 or len(names) < len(logs) else ""
+        lines.append(f"x and y{' of ' * bool(of)}{of} count from {latitude:.7f}, {longitude:.7f} (latitude, longitude)"
+                     f"{', the first fix of ' * bool(first)}{first}")
+    return lines
+
+
 def record_tabs(rows: Iterable[OfRecord], roles: Mapping[str, str]) -> list[RecordTab]:
     """The records that have rows, validation before estimation, else in the file's order."""
     names = list(dict.fromkeys(row.record for row in rows))

@@ -2,6 +2,7 @@ from .answers import curve_notes as curve_notes
 from .answers import curve_warnings as curve_warnings
 from .answers import design_warnings as design_warnings
 from .answers import estimation_warnings as estimation_warnings
+from .answers import frame_warnings as frame_warnings
 from .answers import plus_minus as plus_minus
 from .commands import AIMS as AIMS
 from .commands import APART as APART
@@ -64,6 +65,7 @@ from .parts import Refit as Refit
 from .parts import ResidualForce as ResidualForce
 from .parts import ResidualTests as ResidualTests
 from .parts import Result as Result
+from .parts import ResultWarning as ResultWarning
 from .parts import Round as Round
 from .parts import StaticForce as StaticForce
 from .parts import ThrustCurveResult as ThrustCurveResult

@@ -11,8 +11,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from ident.characterisation import Levels, Quadratic, ThrustCurve, steady_thrust
-from ident.data import Record
-from ident.estimation import FailedRun, Fit, HomogeneityTest, ThrustScale, against_priors, least_inertia, scale_of
+from ident.data import ORIGIN, Record
+from ident.estimation import (
+    FailedRun,
+    Fit,
+    FittedModel,
+    HomogeneityTest,
+    ThrustScale,
+    against_priors,
+    least_inertia,
+    scale_of,
+)
 from ident.model import Model
 from ident.results.parts import (
     Calibrations,
@@ -258,6 +267,28 @@ def check_warnings(made: Provenance) -> list[ResultWarning]:
         for f in log.findings:
             logs.setdefault(f"{f.where}: {f.text} [{f.code}]{': ' * bool(f.advice)}{f.advice}.", []).append(log.path)
     return [ResultWarning(code="log-check", text=f"{_listed(paths)}: {text}") for text, paths in logs.items()]
+
+
+def frame_warnings(model: Model, unplaced: Sequence[str], *, unsaid: bool = False) -> list[ResultWarning]:
+    """What is assumed where the model has a fixed point, which is one for all logs, and it is not known that x and y of
+    these logs (``unplaced``), or those of the saved model (``unsaid``), count from one place."""
+    points = [e.name for e in model.effects if e.fixed_point]
+    if not points or not (unplaced or unsaid):
+        return []
+    why = "the model does not say from where its x and y counted" if unsaid else (
+        f"{_listed(list(unplaced))} {'gives' if len(unplaced) == 1 else 'give'} x and y without latitude and longitude")
+    text = (
+        f"The fixed point of {_listed(points)} is one for all logs, and {why}: all x and y are taken to count from one "
+        "place. Where they do not, the point and its force are wrong."
+    )
+    return [ResultWarning(code="frame-assumed", text=text)]
+
+
+def frames_assumed(stage: FittedModel) -> list[ResultWarning]:
+    """Those of a fit, where several logs have to have one frame."""
+    records = {r.name: r for r in (*stage.records, *(v.record for v in stage.validation if not stage.cross_validated))}
+    unplaced = [name for name, r in records.items() if "x" in r.outputs and r.meta.get(ORIGIN) is None]
+    return frame_warnings(stage.fit.model, unplaced if len(records) > 1 else ())
 
 
 def not_converged(fit: Fit) -> str | None:

@@ -19,6 +19,7 @@ from ident.results.answers import (
     estimation_warnings,
     failed_run_warnings,
     faults_first,
+    frames_assumed,
     homogeneity_sentence,
     not_converged,
     outlier_lines,
@@ -96,6 +97,7 @@ def vehicle_result(
         prediction=prediction,
         warnings=(
             *check_warnings(made),
+            *frames_assumed(stage),
             *estimation_warnings(stage.fit, stage.records, posed.length),
             *failed_run_warnings(stage.failed),
         ),

@@ -29,6 +29,7 @@ from ident.results.answers import (
     check_warnings,
     failed_run_warnings,
     faults_first,
+    frames_assumed,
     not_converged,
     outlier_lines,
 )
@@ -80,6 +81,7 @@ def diagnosis_result(
         converged_before=diagnosis.before.fit.converged,
         warnings=(
             *check_warnings(made),
+            *frames_assumed(diagnosis.after),
             *warnings,
             *failed_run_warnings(diagnosis.failed_runs),
             *_untested_warnings(diagnosis),

@@ -47,6 +47,14 @@ class LogFinding(Part, frozen=True, kw_only=True):
     spoils: Annotated[bool, Meta(description="a fit to this log means nothing (`--despite-faults`)")] = False
 
 
+class FrameOrigin(Part, frozen=True, kw_only=True):
+    """Where x = y = 0 is."""
+
+    latitude: Annotated[float, Meta(description="[deg]")]
+    longitude: Annotated[float, Meta(description="[deg]")]
+    log: Annotated[str, Meta(description="name of the log whose first fix that is")] = ""
+
+
 class LogSummary(Part, frozen=True, kw_only=True):
     """A log that a result was made from."""
 
@@ -57,6 +65,10 @@ class LogSummary(Part, frozen=True, kw_only=True):
     duration: Annotated[float, Meta(description="[s]")]
     rig: Annotated[str | None, Meta(description="name of the rig")] = None
     mission: Annotated[str | None, Meta(description="name of the mission")] = None
+    origin: Annotated[
+        FrameOrigin | None,
+        Meta(description="of x and y; null: the log does not say from where they count, or has none"),
+    ] = None
     warnings: Annotated[tuple[str, ...], Meta(description="what is wrong with the log")] = ()
     findings: Annotated[
         tuple[LogFinding, ...], Meta(description="what the checks before a fit found that is not in order")
@@ -79,6 +91,7 @@ WarningCode = Literal[
     "shaft-lag-built-in",
     "stuck-sensor",
     "record-cut",
+    "frame-assumed",
     "noise-contradicted",
     "prior-contradicted",
     "inertia-too-small",

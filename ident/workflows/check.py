@@ -47,7 +47,7 @@ def check_first(
     for log in logs:
         name = log.about["path"]
         assert log.device_faults is not None, "logs of a fit are loaded with `device_faults`"
-        found = [*log.device_faults, *check_signals(log.run.channels, sides_of_model(model, log))]
+        found = [*log.device_faults, *check_signals(log.own_channels, sides_of_model(model, log))]
         found += [f for f in copies if f.where == name]
         told = [f for f in found if f.level != OK]
         refused = [f for f in told if spoils_a_fit(f)]

@@ -16,7 +16,7 @@ from ident.models import effects_for
 from ident.reporter import Reporter
 from ident.results import DiagnosisResult, diagnosis_result, estimation_warnings, provenance
 from ident.workflows.check import check_first, with_noise_floors
-from ident.workflows.model_inputs import check_ahead, model_of_logs, unused_signals
+from ident.workflows.model_inputs import check_ahead, in_one_frame, model_of_logs, unused_signals
 from ident.workflows.output import validity, write_all
 
 
@@ -61,6 +61,7 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
     # that the blind tests were made.
     plain = replace(saved.model, second_order=False)
     check_ahead(horizon, loaded, unseen)
+    loaded, unseen = in_one_frame(plain, loaded, unseen, saved.origin)
     model, runs, others, usual = model_of_logs(plain, request.model, loaded, unseen, request.thruster)
     unused = unused_signals(model, loaded, unseen)
     loaded, unseen = check_first(loaded, unseen, model, request.despite_faults)

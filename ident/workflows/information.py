@@ -29,7 +29,7 @@ from ident.results import (
     record_inputs,
     write_result,
 )
-from ident.workflows.model_inputs import as_logged, completed, known_curve
+from ident.workflows.model_inputs import as_logged, completed, known_curve, saved_frame_warnings
 
 TELLS = 1.2  # the standard error would grow by so much without a segment: it is worth naming
 VAGUE = 0.5  # standard error over value from which a parameter counts as hardly known; of a value of 0,
@@ -70,7 +70,8 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
     saved, seconds, out = load_model(request.model), request.seconds, request.out
     names = _names(saved.model, request.chosen, request.model)
     curve = known_curve(request.thruster)
-    logs = load_runs(request.logs, "judged", request.window)
+    logs = load_runs(request.logs, "judged", request.window, saved.origin)
+    assumed = saved_frame_warnings(saved.model, logs, saved.origin)
     loaded = [completed(one, saved.model.source, curve) for one in logs]
     model = as_logged(saved.model, loaded[0].holds)
     records = [make_record(model, one.run, request.rate) for one in loaded]
@@ -96,6 +97,7 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
             for r in records
             for row in record_inputs(model, r)
         ),
+        warnings=tuple(assumed),
         notes=tuple(_notes(parameters, records, model)),
     )
     out.mkdir(parents=True, exist_ok=True)

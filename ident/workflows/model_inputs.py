@@ -8,10 +8,21 @@ from pathlib import Path
 
 from daq.errors import SeatrialError
 from ident.characterisation import THRUSTER_RATE, ThrustCurve, load_curve, thrust_channels, thruster_runs, total
-from ident.data import COMMANDS, SHAFTS, Channel, LoadedLog, LogSegment, PropulsionInput
+from ident.data import (
+    COMMANDS,
+    SHAFTS,
+    SHARED_WITHIN,
+    Channel,
+    FrameOrigin,
+    LoadedLog,
+    LogSegment,
+    PropulsionInput,
+    far_apart,
+    share_frame,
+)
 from ident.model import Model, ModelKind, segment_name
 from ident.models import KNOWN_SIGNALS, SENSORS, TELEMETRY_AGE, make_model, telemetry_age
-from ident.results import UnusedSignal
+from ident.results import ResultWarning, UnusedSignal, frame_warnings
 
 CURVE_INPUTS = ("f_left", "f_right", "X", "X_n")  # what a static curve makes of commands
 
@@ -155,6 +166,37 @@ def thrust_from(model: Model) -> str:
 def as_logged(model: Model, holds: Mapping[str, str]) -> Model:
     """The model with its inputs, and their delayed copies, held as in a log."""
     return replace(model, inputs=tuple(i.held(holds.get(i.tap_of or i.name, "")) for i in model.inputs))
+
+
+def in_one_frame(
+    model: Model, loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog], reference: FrameOrigin | None
+) -> tuple[list[LoadedLog], list[LoadedLog]]:
+    """The logs with x and y from the origin of a saved model, where it has one (``require_one_frame``)."""
+    placed = share_frame([*loaded, *unseen], reference)
+    require_one_frame(model, placed, reference)
+    return placed[: len(loaded)], placed[len(loaded) :]
+
+
+def require_one_frame(model: Model, logs: Sequence[LoadedLog], reference: FrameOrigin | None = None) -> None:
+    """Raises SeatrialError where the model has a fixed point (a mooring, a tether), which is one for all logs, and the
+    logs surely have no common frame; ``reference``: the origin of the logs that it was fitted to."""
+    points = [e.name for e in model.effects if e.fixed_point]
+    for one in logs if points else ():
+        reference = reference or one.origin
+        if reference is not None and far_apart([reference, one.origin]):
+            raise SeatrialError(
+                f"{one.about['path']}: it begins more than {SHARED_WITHIN / 1000:g} km from the first fix of "
+                f"{reference.log or 'the logs of the model'}, and {points[0]} is at one place for all logs; take logs "
+                "of one place, or a model without it"
+            )
+
+
+def saved_frame_warnings(
+    model: Model, logs: Sequence[LoadedLog], reference: FrameOrigin | None
+) -> list[ResultWarning]:
+    """What is assumed of the x and y of logs that a saved model is used on as it is (``require_one_frame``)."""
+    require_one_frame(model, logs, reference)
+    return frame_warnings(model, [one.run.name for one in logs if one.unplaced], unsaid=reference is None)
 
 
 def model_of_logs(

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from daq.errors import SeatrialError, counted
-from ident.data import WHOLE, LoadedLog, Record, TimeWindow, load_run, make_record
+from ident.data import WHOLE, LoadedLog, Record, TimeWindow, load_run, make_record, share_frame
 from ident.estimation import ParameterCovariance, load_model, reported_units
 from ident.model import Model
 from ident.navigation import CURRENT, POSITION, Navigation, Outage, OutageErrors, gnss_outages, navigate
@@ -32,7 +32,7 @@ from ident.results import (
     record_inputs,
     write_result,
 )
-from ident.workflows.model_inputs import as_logged, completed, known_curve
+from ident.workflows.model_inputs import as_logged, completed, known_curve, saved_frame_warnings
 
 Columns = list[tuple[str, str, Array]]  # name, unit, values
 
@@ -72,10 +72,13 @@ def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) 
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
         raise SeatrialError(f"two logs are named {twice[0]}, and so would be their results: navigate them one by one")
-    loaded, parts, tables = [], [], []
+    loaded, parts, tables, reference = list[LoadedLog](), [], [], saved.origin
     for path in logs:
         reporter.progress(f"navigating {path.name}")
-        loaded.append(completed(load_run(path, "navigated", request.window), saved.model.source, curve))
+        (one,) = share_frame([load_run(path, "navigated", request.window)], reference)
+        reference = reference or one.origin
+        loaded.append(completed(one, saved.model.source, curve))
+        assumed = saved_frame_warnings(model, loaded, saved.origin)
         done, t0 = _navigate(model, loaded[-1], known, request)
         parts.append((done, t0, gnss_outages(done)))
         tables.append(_columns(done, t0))
@@ -89,6 +92,7 @@ def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) 
         navigation=tuple(_part(d, t0, table) for (d, t0, _), table in zip(parts, tables, strict=True)),
         outages=tuple(_row(o, d.record.name, t0) for d, t0, found in parts for o in found),
         inputs=tuple(row for d, t0, _ in parts for row in _inputs(d, t0)),
+        warnings=tuple(assumed),
         notes=tuple(_notes(parts, known)),
     )
     _write(request.out, result, dict(zip(names, tables, strict=True)))

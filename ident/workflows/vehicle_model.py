@@ -27,6 +27,7 @@ from ident.workflows.model_inputs import (
     check_names,
     choose_model,
     completed,
+    require_one_frame,
     thrust_from,
     unused_signals,
 )
@@ -131,7 +132,9 @@ def vehicle_problem(
     if curve is not None:
         model, told = with_calibration(model, curve, own=is_own_model(source))
         notes += told
-    model = set_initial_values(set_priors(with_effects(model, request.effects), request.priors), request.initial)
+    model = with_effects(model, request.effects)
+    require_one_frame(model, [*loaded, *unseen])
+    model = set_initial_values(set_priors(model, request.priors), request.initial)
     model, untold = fix_parameters(model, request.thruster if curve is None else None, request.fixed)
     model = pose_scale(model)
     model, floors = with_noise_floors(model, loaded)

@@ -17,8 +17,10 @@ EFFECT = Effect(
     place="environment",
     hooks={"rate": drift},
     parameters=(
-        Parameter("V_dx", 0.0, "m/s", "change to the north in 600 s", prior=(0.0, 0.4), step=0.02, per_record=True),
-        Parameter("V_dy", 0.0, "m/s", "change to the east in 600 s", prior=(0.0, 0.4), step=0.02, per_record=True),
+        Parameter("V_dx", 0.0, "m/s", "change to the north in 600 s", prior=(0.0, 0.4), step=0.02, per_record=True,
+                  scales=False),
+        Parameter("V_dy", 0.0, "m/s", "change to the east in 600 s", prior=(0.0, 0.4), step=0.02, per_record=True,
+                  scales=False),
     ),
     inputs=(Input("t", "s", "linear"),),
     formula="V(t) = V + V_d (t / 600 s - 1/2)",

@@ -28,8 +28,8 @@ EFFECT = Effect(
     hooks={"force": pull},
     parameters=(
         Parameter("k_m", 0.0, "N/m", "stiffness of the line", prior=(0.0, 3.0), bounds=(0.0, INF), step=0.02),
-        Parameter("F_mx", 0.0, "N", "its pull to the north at the first fix", prior=(0.0, 20.0), step=0.5),
-        Parameter("F_my", 0.0, "N", "its pull to the east at the first fix", prior=(0.0, 20.0), step=0.5),
+        Parameter("F_mx", 0.0, "N", "its pull to the north at the origin of x and y", prior=(0.0, 20.0), step=0.5),
+        Parameter("F_my", 0.0, "N", "its pull to the east at the origin of x and y", prior=(0.0, 20.0), step=0.5),
         Parameter("l_slack", 0.0, "m", "slack length", prior=(0.0, 15.0), bounds=(-20.0, 200.0), step=0.5),
     ),
     formula="F = -k (1 - l / d) (p - a) beyond d = |p - a| = l, the fixed point a at (F_mx, F_my) / k",
@@ -37,6 +37,7 @@ EFFECT = Effect(
     experiment="runs away from the fixed point in several directions, slack and taut",
     requires=("hull",),
     one_sided=True,
+    fixed_point=True,
     nests=("steady-pull",),
     alternatives=("tether", "steady-pull", "current-drift", "wind"),
 )

@@ -29,7 +29,7 @@ EFFECT = Effect(
             step=5e-3,
         ),
         *(
-            Parameter(f"{axis}_tether", 0.0, "m", f"fixed end, {side} of the first fix", prior=(0.0, 20.0), step=1.0)
+            Parameter(f"{axis}_tether", 0.0, "m", f"fixed end, {side} of the origin", prior=(0.0, 20.0), step=1.0)
             for axis, side in (("x", "north"), ("y", "east"))
         ),
     ),
@@ -39,5 +39,6 @@ EFFECT = Effect(
     experiment="the same runs near the fixed end of the line and far from it, outbound and inbound",
     requires=("hull",),
     one_sided=True,
+    fixed_point=True,
     alternatives=("mooring", "battery-sag", "current-drift", "wind"),
 )

@@ -45,7 +45,8 @@ EFFECT = Effect(
             )
             for force, (unit, size) in FORCES.items()
         ),
-        Parameter("f_wave", 0.5, "Hz", "peak frequency", "log", prior=(0.5, 0.4), bounds=(0.1, 2.5)),
+        Parameter("f_wave", 0.5, "Hz", "peak frequency", "log", prior=(0.5, 0.4), bounds=(0.1, 2.5),
+                  scales=False),
         Parameter("zeta_wave", 0.1, "", "relative width of the peak, a damping ratio", "log", prior=(0.1, 0.1),
                   bounds=(0.01, 0.7)),
     ),

@@ -30,7 +30,8 @@ def _delay(name: str, quantity: Quantity, requires: tuple[str, ...], **described
         name,
         "a thrust delay",
         {"shaft": late},
-        (Parameter("tau_delay", 0.0, "s", "delay of the thrust", prior=(0.0, 0.5), bounds=(0.0, 0.75), step=0.05),),
+        (Parameter("tau_delay", 0.0, "s", "delay of the thrust", prior=(0.0, 0.5), bounds=(0.0, 0.75), step=0.05,
+                   scales=False),),
         inputs=tuple(i.delayed(k) for i in now for k in range(1, N_DELAY + 1)),
         place="actuator",
         formula="n_eff(t) = n(t - tau)",
@@ -53,7 +54,8 @@ def _lag(name: str, title: str, quantity: Quantity, requires: tuple[str, ...], *
         name,
         title,
         {"thrust_lag": lagged},
-        (Parameter("T_lag", 0.0, "s", "time constant of the thrust", prior=(0.0, 0.5), bounds=(0.0, 1.2), step=0.05),),
+        (Parameter("T_lag", 0.0, "s", "time constant of the thrust", prior=(0.0, 0.5), bounds=(0.0, 1.2), step=0.05,
+                   scales=False),),
         states=tuple(
             State(f"late_{side}", unit, f"{side}, behind its lag", 1e-3 * full, sd0=0.1 * full) for side in SIDES
         ),

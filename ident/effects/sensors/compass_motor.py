@@ -42,6 +42,7 @@ EFFECT = Effect(
             "log",
             prior=(8.0, 6.0),
             bounds=(0.3, 100.0),
+            scales=False,
         ),
     ),
     states=(

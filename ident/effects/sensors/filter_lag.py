@@ -24,8 +24,8 @@ EFFECT = Effect(
     place="sensor",
     hooks={"output": lag},
     parameters=(
-        Parameter("T_r", 0.0, "s", "lag of the yaw rate", prior=(0.0, 0.3), step=0.02),
-        Parameter("T_uv", 0.0, "s", "lag of the body velocities", prior=(0.0, 0.3), step=0.02),
+        Parameter("T_r", 0.0, "s", "lag of the yaw rate", prior=(0.0, 0.3), step=0.02, scales=False),
+        Parameter("T_uv", 0.0, "s", "lag of the body velocities", prior=(0.0, 0.3), step=0.02, scales=False),
     ),
     formula="u_measured = u - T_uv u', v_measured = v - T_uv v', r_measured = r - T_r r'",
     source="first order of any low-pass filter; autopilot state estimators",

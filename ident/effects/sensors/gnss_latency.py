@@ -82,7 +82,8 @@ def _lagging(s: Signals, inputs: Mapping[str, Any]) -> dict[str, Any]:
 
 
 TAU = Parameter(
-    "tau_gnss", 0.0, "s", "age of the GNSS fix at its time stamp", prior=(0.0, 0.8), bounds=(0.0, INF), step=0.05
+    "tau_gnss", 0.0, "s", "age of the GNSS fix at its time stamp", prior=(0.0, 0.8), bounds=(0.0, INF), step=0.05,
+    scales=False,
 )
 # the thrust of half the latency earlier is known as far back as the inputs go
 TAU_SHAFT = replace(TAU, bounds=(0.0, 2 * N_PAST * HISTORY_STEP))

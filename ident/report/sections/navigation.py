@@ -10,6 +10,7 @@ import numpy as np
 from ident.numerics import Array
 from ident.report import drawing, formatting
 from ident.report.blocks import Canvas, Cell, Grid, Key, Plot, Prose, Section, Table, tabbed
+from ident.report.record_tabs import origin_words
 from ident.results import GnssFixes, GnssOutage, NavigatedRecord, NavigationResult, StateTrace
 
 TIME = "time [s]"
@@ -58,16 +59,17 @@ def states_section(canvas: Canvas, result: NavigationResult) -> Section:
     """One tab a record: the track, then all states over time."""
     tabs = []
     for one in result.navigation:
-        tabs.append((one.record, _record(canvas, one, [o for o in result.outages if o.record == one.record])))
+        outages, of = [o for o in result.outages if o.record == one.record], origin_words(result.logs, one.record)
+        tabs.append((one.record, _record(canvas, one, outages, of)))
     if not any(blocks for _, blocks in tabs):
         return Section("navigation", "", [])
     lead = "Line: the estimate with its 95 % band (the parameters' own errors included). Grey: what was measured."
     return Section("navigation", "Track and states", tabbed(tabs), lead)
 
 
-def _record(canvas: Canvas, one: NavigatedRecord, outages: Sequence[GnssOutage]) -> list[Any]:
+def _record(canvas: Canvas, one: NavigatedRecord, outages: Sequence[GnssOutage], of: str) -> list[Any]:
     blocks: list[Any] = []
-    track = _track(canvas, one, outages)
+    track = _track(canvas, one, outages, of)
     if track is not None:
         key = Key([("after", "estimate, with 95 % ellipses"), ("measured", "fixes"), ("before", "fixes withheld")])
         blocks += [key, Grid([track], 320)]
@@ -103,7 +105,7 @@ def _panel(canvas: Canvas, t: Array, state: StateTrace, outages: Sequence[GnssOu
     return drawing.Panel(title + formatting.bracket(unit), [*shade, *traces])
 
 
-def _track(canvas: Canvas, one: NavigatedRecord, outages: Sequence[GnssOutage]) -> Plot | None:
+def _track(canvas: Canvas, one: NavigatedRecord, outages: Sequence[GnssOutage], of: str) -> Plot | None:
     values = {s.name: s.value for s in one.states}
     if not {"x", "y"} <= set(values):
         return None
@@ -116,7 +118,7 @@ def _track(canvas: Canvas, one: NavigatedRecord, outages: Sequence[GnssOutage]) 
         if not o.leading:  # its ellipse is wider than the track
             traces.append(_ellipse(o))
     equal = {"scaleanchor": "x", "scaleratio": 1, "nticks": 7}
-    figure = drawing.single(traces, "east [m]", "north [m]", hovermode="closest", yaxis=equal)
+    figure = drawing.single(traces, f"east{of} [m]", f"north{of} [m]", hovermode="closest", yaxis=equal)
     return canvas.plot(figure, 420, f"Track, {one.record}", "Track, north up")
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from ident.numerics import Array
 from ident.report import drawing, formatting
 from ident.report.blocks import Canvas, Cell, Grid, Key, Lines, Prose, Section, Table, tabbed
-from ident.report.record_tabs import RecordTab, of_record, record_tabs, roles_of
-from ident.results import ErrorComparison, ErrorTable, FitResult, InputTrace, LogSummary, Trace, Track
+from ident.report.record_tabs import RecordTab, of_record, origin_lines, origin_words, record_tabs, roles_of
+from ident.results import ErrorComparison, ErrorTable, FitResult, InputTrace, LogSummary, Trace
 
 TIME = "time since the start of the record [s]"
 
@@ -21,6 +21,8 @@ def run_section(canvas: Canvas, logs: Sequence[LogSummary], inputs: Sequence[Inp
     """Logs with their roles, and what the thrusters were told."""
     columns = (("log", ""), ("role", ""), ("duration", "num"), ("rig", ""), ("mission", ""), ("SHA-256", ""))
     blocks: list[Any] = [Table(columns, [_log_row(row) for row in logs])] if logs else []
+    if places := origin_lines(logs):
+        blocks.append(Lines(places))
     warnings = [f"{_log_name(row)}: {line}" for row in logs for line in row.warnings]
     if warnings:
         blocks.append(Lines(warnings, "warning"))
@@ -86,7 +88,7 @@ def prediction_section(canvas: Canvas, result: FitResult) -> Section:
 def traces_section(canvas: Canvas, result: FitResult) -> Section:
     """Every channel measured and simulated, and the track, one tab a record."""
     tabs = [
-        (tab.title, _simulated(canvas, result, of_record(result.traces, tab), tab) + _track(canvas, result.track, tab))
+        (tab.title, _simulated(canvas, result, of_record(result.traces, tab), tab) + _track(canvas, result, tab))
         for tab in record_tabs([*result.traces, *result.track], roles_of(result.logs, result.traces))
     ]
     if not any(blocks for _, blocks in tabs):
@@ -207,9 +209,9 @@ def _span(curves: list[Array | None]) -> tuple[float, float]:
     return (float(every.min()), float(every.max())) if every.size else (np.nan, np.nan)
 
 
-def _track(canvas: Canvas, tracks: Sequence[Track], tab: RecordTab) -> list[Any]:
-    plots = []
-    for row in of_record(tracks, tab):
+def _track(canvas: Canvas, result: FitResult, tab: RecordTab) -> list[Any]:
+    plots, of = [], origin_words(result.logs, tab.name)
+    for row in of_record(result.track, tab):
         styles = (
             ("measured", row.x_measured, row.y_measured),
             ("before", row.x_before, row.y_before),
@@ -218,7 +220,7 @@ def _track(canvas: Canvas, tracks: Sequence[Track], tab: RecordTab) -> list[Any]
         traces = [t for style, x, y in styles for t in _path(style, x, y, canvas.budget.points)]
         if traces:
             equal = {"scaleanchor": "x", "scaleratio": 1, "nticks": 7}
-            figure = drawing.single(traces, "east [m]", "north [m]", hovermode="closest", yaxis=equal)
+            figure = drawing.single(traces, f"east{of} [m]", f"north{of} [m]", hovermode="closest", yaxis=equal)
             plots.append(canvas.plot(figure, 420, f"Track, {tab.title}", "Track, north up"))
     return [Grid(plots, 320, "narrow" if len(plots) == 1 else "")] if plots else []
 

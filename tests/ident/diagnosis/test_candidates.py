@@ -225,7 +225,7 @@ def test_the_columns_of_a_steady_wind_are_those_of_its_force() -> None:
     states, p = [s.name for s in path.model.states], path.model.values
     psi = path.x[:, states.index("psi")]
     for factor in (1.0, 0.2):
-        effect = scale_priors(catalogue()["wind"], VesselScale(factor, factor))
+        effect = scale_priors(catalogue()["wind"], VesselScale(factor))
         w_x = next(q.value for q in effect.parameters if q.name == "w_x")
         for columns in path.effect(effect):
             assert columns.parameters[:2] == ("F_wx", "F_wy")

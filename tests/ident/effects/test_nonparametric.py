@@ -80,7 +80,7 @@ def test_an_unknown_effect_does_nothing_at_zero_and_says_what_it_is() -> None:
     effect = nonparametric_effect(horizontal_model(), ForceCurve("N", "u", "r"), SPAN)
     assert effect.name == "unknown N(u, r)"
     assert [p.name for p in effect.parameters] == ["N_ur_0", "N_ur_1", "N_ur_2"]
-    assert {p.unit for p in effect.parameters} == {"N m"}
+    assert {p.unit for p in effect.parameters} == {"kg m"}
     assert nonparametric_effect(horizontal_model(), ForceCurve("X", "t"), SPAN).inputs[0].name == "t"
 
 

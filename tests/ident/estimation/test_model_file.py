@@ -23,7 +23,7 @@ from ident.model.structure import ForceCurve, Model
 from ident.models.catalogue import make_model
 from ident.models.disturbances import for_diagnosis
 from ident.models.horizontal import horizontal_model
-from ident.models.scaling import VesselScale, rescale, scale_priors
+from ident.models.scaling import VesselScale, rescale, scale_priors, size_of
 from tests.missions import boat_with, channels_of, sail
 
 SPAN = (-0.3, 1.1)
@@ -126,6 +126,33 @@ def test_responses_to_inputs_come_back(tmp_path: Path, found: Fit) -> None:
         assert back.values == pytest.approx(model.values)
 
 
+def test_responses_in_another_unit_are_refused(tmp_path: Path, found: Fit) -> None:
+    """Coefficients in N of a part of the thrust are not those of newtons."""
+    model = horizontal_model("force") + input_response_effects(horizontal_model("force"))[0]
+    path = saved(tmp_path / "model.toml", with_model(found, model))
+    document = tomlkit.parse(path.read_text(encoding="utf-8"))
+    for row in document["parameter"]:
+        if row["name"].startswith("X_f_sum"):
+            row["unit"] = "N"
+    path.write_text(tomlkit.dumps(document), encoding="utf-8")
+    with pytest.raises(SeatrialError, match=r"X_f_sum_late_0 is in N, now in 1: fit the model again"):
+        load_model(path)
+
+
+def test_a_large_boats_effect_comes_back_with_its_bounds_and_states(tmp_path: Path, found: Fit) -> None:
+    """400 kg swing in a boat of 1 t; the catalogue's bounds are those of a boat of 37 kg."""
+    boat = horizontal_model("force").with_values({"m_u": 1000.0, "m_r": 2000.0})
+    model = boat
+    for name in ("pendulum", "force-lag"):
+        model = model + scale_priors(catalogue()[name], size_of(boat))
+    model = model.with_values({"m_p": 400.0})
+    back = load_model(saved(tmp_path / "model.toml", with_model(found, model))).model
+    assert back.parameter("m_p") == model.parameter("m_p")
+    assert [s.sd0 for s in back.states] == [s.sd0 for s in model.states]
+    full = model.with_values({"m_p": model.parameter("m_p").bounds[1], "m_u": 990.0})  # the boat turns out lighter
+    assert load_model(saved(tmp_path / "again.toml", with_model(found, full))).model.values["m_p"] > 800.0
+
+
 def test_a_model_of_ones_own_comes_back(tmp_path: Path, found: Fit) -> None:
     file = tmp_path / "mine.py"
     file.write_text(
@@ -141,7 +168,7 @@ def test_a_model_of_ones_own_comes_back(tmp_path: Path, found: Fit) -> None:
 
 def test_priors_come_back(tmp_path: Path, found: Fit) -> None:
     """Those that a user gave, and those of an effect for a large boat; disturbance forces get their size anew."""
-    size = VesselScale(20.0, 60.0)
+    size = VesselScale(20.0, 3.0)
     model = for_diagnosis(horizontal_model()) + scale_priors(catalogue()["yaw-bias"], size)
     given = replace(model.parameter("m_r"), prior=(600.0, 50.0)), replace(model.parameter("d_u"), prior=(0.5, 2.0))
     model = rescale(model.replace_parameters(*given), size)

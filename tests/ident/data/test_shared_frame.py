@@ -1,0 +1,175 @@
+"""Logs of one command count x and y from one origin, so that what is at one place is at one place in all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.errors import SeatrialError
+from daq.samples import Ahrs, Esc, Gnss
+from ident.data.loading import FrameOrigin, LoadedLog, load_all, load_run, share_frame
+from ident.data.record import LogSegment, make_record
+from ident.diagnosis.search import _refused
+from ident.effects.registry import catalogue
+from ident.estimation.fitted_model import FittedModel, fit_nominal_model, nominal
+from ident.estimation.likelihood import Likelihood
+from ident.estimation.model_file import load_model, save_model
+from ident.estimation.prior_knowledge import with_effects
+from ident.models.horizontal import horizontal_model
+from ident.results.answers import frames_assumed
+from ident.workflows.model_inputs import require_one_frame, saved_frame_warnings
+from mocks.sensors import LATITUDE, LONGITUDE, geodetic
+from mocks.world import Reading
+from tests.ident.effects.independent_boat import Force, IndependentBoat, sail
+from tests.ident.effects.test_weak_effects import line, model_of, spring
+from tests.missions import RPM_MAX, write_log
+
+APART = (22.0, -17.0)  # m north and east between the first fixes of two missions from one pier
+POINT = (8.0, -6.0)  # m from the first log's start: where the line is made fast
+
+
+def written(path: Path, segment: LogSegment, at: tuple[float, float] = (0.0, 0.0)) -> Path:
+    """The segment as a log of the mocks' rig, whose start lies at this place (m north, m east)."""
+    c, readings = segment.channels, list[Reading]()
+    for k, t in enumerate(c["psi"].t.tolist()):
+        psi, r, ax, ay = (float(c[n].value[k]) for n in ("psi", "r", "ax", "ay"))
+        readings.append(Reading("ahrs", Ahrs(psi, 0.0, 0.0, 0.0, 0.0, r, ax, ay, -9.81), t))
+        for node, side in ((1, "left"), (2, "right")):
+            readings.append(Reading("esc", Esc(node, rpm=RPM_MAX * float(c[f"n_{side}"].value[k])), t))
+    for k, t in enumerate(c["x"].t.tolist()):
+        x, y, vx, vy = (float(c[n].value[k]) for n in ("x", "y", "vx", "vy"))
+        lat, lon = geodetic(x + at[0], y + at[1])
+        readings.append(Reading("gnss", Gnss(t, lat, lon, vel_n=vx, vel_e=vy, fix=3), t))
+    return write_log(path, "boat", sorted(readings, key=lambda one: one.t))
+
+
+def two_logs(folder: Path, force: Callable[[float, float], Force], seconds: float) -> list[LoadedLog]:
+    """Two missions of one boat on one line; ``force(north, east)`` is that of a line made fast there."""
+    paths = []
+    for k, at in enumerate(((0.0, 0.0), APART)):
+        fast = (POINT[0] - at[0], POINT[1] - at[1])  # as the boat of this log sees it from its start
+        segment = sail(IndependentBoat(force=force(*fast)), seconds, 11 + k)
+        paths.append(written(folder / f"mission{k}.mcap", segment, at))
+    return load_all(paths, [])[0]
+
+
+def fitted(logs: list[LoadedLog], effect: str) -> FittedModel:
+    model = with_effects(model_of(IndependentBoat()), [effect])
+    return fit_nominal_model(model, [one.run for one in logs], [])
+
+
+def short(name: str = "short") -> LogSegment:
+    return replace(sail(IndependentBoat(), 30.0, 3), name=name)
+
+
+def placed(tmp_path: Path, *places: tuple[float, float]) -> list[Path]:
+    return [written(tmp_path / f"log{k}.mcap", short(), at) for k, at in enumerate(places)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", ["tether", "mooring"])
+def test_a_fixed_point_is_where_it_is_in_two_logs_from_one_pier(effect: str, tmp_path: Path) -> None:
+    stiff = 0.9
+
+    def force(north: float, east: float) -> Force:
+        return line(0.08, north, east) if effect == "tether" else spring(stiff, 6.0, north, east)
+
+    logs = two_logs(tmp_path, force, 150.0)
+    fit = fitted(logs, effect).fit
+    names = ("x_tether", "y_tether") if effect == "tether" else ("F_mx", "F_my")
+    for name, metres in zip(names, POINT, strict=True):
+        value, error = fit.estimate(name)
+        truth = metres * (1.0 if effect == "tether" else stiff)
+        assert value == pytest.approx(truth, abs=3 * error), name
+        assert error < 2.0, name
+
+
+def test_the_logs_of_one_command_count_from_the_first_fix_of_the_first(tmp_path: Path) -> None:
+    paths = placed(tmp_path, (0.0, 0.0), APART, (5000.0, -3000.0))
+    alone = [load_run(p, "estimation") for p in paths]
+    estimation, validation = load_all(paths[:1], paths[1:])
+    assert all(one.origin == estimation[0].origin for one in validation)
+    assert np.array_equal(estimation[0].run.channels["x"].value, alone[0].run.channels["x"].value)
+    for one, own, at in zip(validation, alone[1:], (APART, (5000.0, -3000.0)), strict=True):
+        moved = [float(one.run.channels[n].value[0] - own.run.channels[n].value[0]) for n in ("x", "y")]
+        assert moved == pytest.approx(at, abs=0.1 if at is APART else 2.0)  # the mocks' earth is flat
+        for n in ("x", "y"):  # the same track: no other metres
+            there, here = one.run.channels[n].value, own.run.channels[n].value
+            assert there - there[0] == pytest.approx(here - here[0], abs=1e-9)
+            assert one.own_channels[n].value == pytest.approx(here, abs=1e-9)
+        assert one.about["origin"] == asdict(estimation[0].origin)
+    origin = estimation[0].origin
+    assert origin is not None
+    assert origin.log == "log0"
+    assert (origin.latitude, origin.longitude) == pytest.approx((LATITUDE, LONGITUDE), abs=1e-5)
+
+
+def test_a_frame_of_another_place_does_not_change_a_fit(tmp_path: Path) -> None:
+    """The state starts at the first position, and only a fixed point knows where that is."""
+    model, (path,) = nominal(horizontal_model()), placed(tmp_path, (0.0, 0.0))
+    one = load_run(path, "estimation")
+    assert one.origin is not None
+    far = FrameOrigin(one.origin.latitude + 0.05, one.origin.longitude - 0.05, "another")
+    values = np.array([p.value for p in model.parameters])
+    here, there = (
+        Likelihood(model).value_by_row(make_record(model, x.run, 10.0), values) for x in (one, *share_frame([one], far))
+    )
+    assert there.sum() == pytest.approx(here.sum(), rel=1e-9)
+    assert there == pytest.approx(here, abs=1e-6)
+
+
+def test_offsets_go_both_ways_and_over_the_date_line() -> None:
+    a, b = FrameOrigin(60.0, 179.99), FrameOrigin(60.05, -179.98)
+    there, back = a.offset(b), b.offset(a)
+    assert there == pytest.approx((5571.0, 1671.0), abs=5.0)
+    assert there == pytest.approx([-z for z in back], abs=1e-6)
+
+
+def test_logs_far_apart_keep_their_own_origins_and_refuse_a_common_point(tmp_path: Path) -> None:
+    logs, _ = load_all(placed(tmp_path, (0.0, 0.0), (11_000.0, 0.0)), [])
+    assert [one.origin.log for one in logs if one.origin] == ["log0", "log1"]
+    plain, moored = horizontal_model(), horizontal_model() + catalogue()["mooring"]
+    require_one_frame(plain, logs)
+    with pytest.raises(SeatrialError, match="more than 10 km from the first fix of log0, and mooring is at one place"):
+        require_one_frame(moored, logs)
+    untested = _refused(nominal(plain), catalogue(), [one.run for one in logs])
+    assert sorted(u.effect.name for u in untested) == ["mooring", "tether"]
+    assert "one place over ground" in untested[0].reason
+    assert not _refused(nominal(plain), catalogue(), [logs[0].run])
+
+
+def test_positions_without_latitude_and_longitude_are_taken_for_one_frame_with_a_warning(tmp_path: Path) -> None:
+    (path,) = placed(tmp_path, (0.0, 0.0))
+    known = load_run(path, "estimation")
+    unknown = replace(known, origin=None, run=replace(known.run, name="imported", meta={}))
+    boat, alone = with_effects(model_of(IndependentBoat()), ["mooring"]), unknown.run
+    assert frames_assumed(fit_nominal_model(boat, [alone], [])) == []  # one log alone has one frame
+    assert frames_assumed(fit_nominal_model(boat, [known.run], [replace(known.run, name="later")])) == []
+    (said,) = frames_assumed(fit_nominal_model(boat, [known.run], [alone]))
+    assert said.code == "frame-assumed"
+    assert "imported gives x and y without latitude and longitude" in said.text
+    assert not share_frame([unknown])[0].origin
+
+
+def test_a_saved_model_keeps_where_its_fixed_point_counts_from(tmp_path: Path) -> None:
+    logs, _ = load_all(placed(tmp_path, (0.0, 0.0), (40.0, 10.0), (30_000.0, 0.0)), [])
+    moored = with_effects(model_of(IndependentBoat()), ["mooring"])
+    fit = fit_nominal_model(moored, [logs[0].run], []).fit
+    path, origin = tmp_path / "model.toml", logs[0].origin
+    save_model(path, fit, validity={}, provenance={}, origin=origin)
+    saved = load_model(path)
+    assert saved.origin == origin
+    (later,) = share_frame([load_run(tmp_path / "log1.mcap", "navigated")], saved.origin)
+    assert later.run.channels["x"].value[0] == pytest.approx(40.0, abs=0.2)
+    assert saved_frame_warnings(saved.model, [later], saved.origin) == []
+    (said,) = saved_frame_warnings(saved.model, [later], None)
+    assert (said.code, "does not say from where" in said.text) == ("frame-assumed", True)
+    with pytest.raises(SeatrialError, match=r"log2\.mcap: it begins more than 10 km"):
+        saved_frame_warnings(saved.model, [load_run(tmp_path / "log2.mcap", "navigated")], saved.origin)
+    plain = fit_nominal_model(model_of(IndependentBoat()), [logs[0].run], []).fit
+    save_model(path, plain, validity={}, provenance={}, origin=origin)
+    assert load_model(path).origin is None  # nothing in it counts from there
