@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Hashable
 
 CLOCK_STEP_S = 0.5  # times of one device that run back by more are of a clock that was set, or of two
 Origin = tuple[float, float]
@@ -140,7 +139,7 @@ class ClockMap:
         self._young: _Hull | None = None
         self._last_device = -math.inf
         self._last_run = -math.inf
-        self._kinds: dict[Hashable, _Kind] = {}
+        self._kinds: dict[object, _Kind] = {}
         self._skew = 0.0
         self._base = 0.0  # offset of the line at device time zero of the map
         self._zero = 0.0  # device time of the map's first point
@@ -156,7 +155,7 @@ class ClockMap:
         """
         return self.estimate(t_device, t_rx)
 
-    def estimate(self, t_device: float, t_rx: float, unordered: bool = False, kind: Hashable = None) -> float:
+    def estimate(self, t_device: float, t_rx: float, unordered: bool = False, kind: object = None) -> float:
         """As `update`; of an `unordered` device, a time up to `LATE` behind the newest only asks the map.
 
         Such a device sends things of different age over one link: an attitude of now, then a fix of a while ago. The
@@ -202,7 +201,7 @@ class ClockMap:
     def _mapped(self, t_device: float) -> float:
         return t_device + self._base + self._skew * (t_device - self._zero)
 
-    def _jumped(self, t_device: float, t_rx: float, unordered: bool, kind: Hashable) -> bool:
+    def _jumped(self, t_device: float, t_rx: float, unordered: bool, kind: object) -> bool:
         late = t_rx - self._mapped(t_device)
         if late < -self.JUMP or self._last_device - t_device > (self.LATE if unordered else 0.0):
             return True
