@@ -104,10 +104,10 @@ class _Hull:
 class _Kind:
     """What is known of the times of one kind of sample."""
 
-    __slots__ = ("back", "least", "newest", "since")
+    __slots__ = ("back", "last", "least", "newest", "since")
 
     def __init__(self, newest: float, least: float) -> None:
-        self.newest = newest  # device time
+        self.newest = self.last = newest  # device time
         self.least = least  # s, the least that it was late by
         self.since = math.inf  # run time from which all of it is late
         self.back = 0.0  # s by which the last one was late if it ran back
@@ -205,11 +205,13 @@ class ClockMap:
         late = t_rx - self._mapped(t_device)
         if late < -self.JUMP or self._last_device - t_device > (self.LATE if unordered else 0.0):
             return True
-        seen = self._kinds.setdefault(kind, _Kind(t_device, late))
+        if (seen := self._kinds.get(kind)) is None:
+            self._kinds[kind] = _Kind(t_device, late)
+            return False
         excess = late - seen.least
         if seen.newest - t_device > self.STEP:
             return True
-        if seen.back:
+        if seen.back and t_device != seen.last:
             if excess > 0.5 * seen.back:  # the next one is late too: not overtaken, but of a clock that was set back
                 return True
             seen.back = 0.0
@@ -221,6 +223,7 @@ class ClockMap:
             return True
         else:
             seen.since = min(seen.since, t_rx)
+        seen.last = t_device
         seen.newest, seen.least = max(seen.newest, t_device), min(seen.least, late)
         return False
 

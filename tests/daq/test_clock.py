@@ -140,6 +140,17 @@ def test_packets_that_overtake_each_other_are_no_step() -> None:
     assert clock_map.resets == 0
 
 
+def test_a_time_that_is_repeated_for_a_while_is_no_step() -> None:
+    clock_map = ClockMap()
+    for k in range(500):
+        t = 0.2 * k
+        clock_map.estimate(10.0 if 10.0 < t < 15.0 else t, t + 0.05, True, "fix")
+    assert clock_map.resets == 0
+    for k in range(500, 800):  # and for good
+        clock_map.estimate(99.8, 0.2 * k + 0.05, True, "fix")
+    assert 1 <= clock_map.resets <= 6
+
+
 def test_a_link_that_starts_slowly_is_no_step() -> None:
     clock_map = ClockMap()
     for k in range(3000):
