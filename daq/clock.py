@@ -1,6 +1,6 @@
 """Run clock, shared by all parts, and the mapping of device clocks onto it.
 
-Run time is seconds since 1970 that never step: one reading of the wall clock, then the monotonic clock. Against
+Run time is seconds since 1970 that never step: one reading of the wall clock, then the raw monotonic clock. Against
 mocks the run clock may go faster than the wall (`speed` run seconds a wall second); with real devices it is 1.
 """
 
@@ -11,25 +11,29 @@ import time
 
 CLOCK_STEP_S = 0.5  # times of one device that run back by more are of a clock that was set, or of two
 Origin = tuple[float, float]
+# The plain monotonic clock is slewed: chrony takes half a second off in six, and every stamp of a device clock would be
+# off by as much until the map has followed. Deadlines and watchdogs keep to the plain one; the two never meet.
+_RAW = getattr(time, "CLOCK_MONOTONIC_RAW", time.CLOCK_MONOTONIC)
 
 
 class RunClock:
     """Run seconds since 1970, monotonic. Another process given the same `origin` and `speed` agrees with it.
 
-    `origin` is (monotonic seconds, run seconds) of the same instant. The monotonic clock is that of the machine,
-    not of the process, so a plain tuple is all that two processes need to share.
+    `origin` is (raw monotonic seconds, run seconds) of the same instant. The raw monotonic clock is that of the
+    machine, not of the process, so a plain tuple is all that two processes need to share. It goes at the rate of the
+    machine's crystal, whatever sets or slews the wall clock meanwhile.
     """
 
     def __init__(self, speed: float = 1.0, origin: Origin | None = None) -> None:
         if not (math.isfinite(speed) and speed > 0.0):
             raise ValueError(f"clock speed must be a positive number, not {speed}")
         self.speed = speed
-        self.origin: Origin = (time.monotonic(), time.time()) if origin is None else (origin[0], origin[1])
+        self.origin: Origin = (time.clock_gettime(_RAW), time.time()) if origin is None else (origin[0], origin[1])
 
     def now(self) -> float:
         """Run time now [s since 1970]."""
-        monotonic, run = self.origin
-        return run + (time.monotonic() - monotonic) * self.speed
+        raw, run = self.origin
+        return run + (time.clock_gettime(_RAW) - raw) * self.speed
 
     def wall(self, dt_run: float) -> float:
         """Wall seconds that `dt_run` run seconds take."""
@@ -97,6 +101,18 @@ class _Hull:
         return 0.0
 
 
+class _Kind:
+    """What is known of the times of one kind of sample."""
+
+    __slots__ = ("back", "last", "least", "newest", "since")
+
+    def __init__(self, newest: float, least: float) -> None:
+        self.newest = self.last = newest  # device time
+        self.least = least  # s, the least that it was late by
+        self.since = math.inf  # run time from which all of it is late
+        self.back = 0.0  # s by which the last one was late if it ran back
+
+
 class ClockMap:
     """Maps a device's clock to run time, online, by the lower convex hull of (device time, delay).
 
@@ -111,8 +127,10 @@ class ClockMap:
 
     SKEW_MAX = 300e-6  # two crystals are closer than this; bounds the slope of a short hull
     JUMP = 0.5  # s, device time ahead of the map by more: its clock was set
-    LATE = 1.0  # s, behind the map by more, for LATE_FOR: its clock was stopped or set back
-    LATE_FOR = 10.0
+    LATE = 1.0  # s, behind the newest by more: its clock was set back, or it restarted
+    STEP = 0.2  # s behind its kind, or for STEP_FOR later than its kind ever was: its clock was set back, or stopped
+    STEP_FOR = 10.0
+    AGAIN = 0.05  # s late where a time runs back: of a packet that was overtaken, unless the next one is late too
 
     def __init__(self, window: float = 100.0) -> None:
         self.window = window
@@ -121,7 +139,7 @@ class ClockMap:
         self._young: _Hull | None = None
         self._last_device = -math.inf
         self._last_run = -math.inf
-        self._late_since = math.inf
+        self._kinds: dict[object, _Kind] = {}
         self._skew = 0.0
         self._base = 0.0  # offset of the line at device time zero of the map
         self._zero = 0.0  # device time of the map's first point
@@ -135,29 +153,36 @@ class ClockMap:
 
         A device time that is not finite gives `t_rx` and leaves the map alone.
         """
+        return self.estimate(t_device, t_rx)
+
+    def estimate(self, t_device: float, t_rx: float, unordered: bool = False, kind: object = None) -> float:
+        """As `update`; of an `unordered` device, a time up to `LATE` behind the newest only asks the map.
+
+        Such a device sends things of different age over one link: an attitude of now, then a fix of a while ago. The
+        times of one `kind` ascend: where they run back, and stay late, its clock was set back.
+        """
         if not math.isfinite(t_device):
             return t_rx
-        if self._old is not None and self._jumped(t_device, t_rx):
+        if self._old is not None and self._jumped(t_device, t_rx, unordered, kind):
             self._old = self._young = None
+            self._kinds.clear()
             self.resets += 1
-        if t_device > self._last_device or self._old is None:
+        if self._old is None:
             self._push(t_device, t_rx)
+            self._kinds[kind] = _Kind(t_device, 0.0)
+        elif t_device < self._last_device:
+            return min(self._mapped(t_device), t_rx)
+        elif t_device > self._last_device:
+            before = self._mapped(t_device)
+            self._push(t_device, t_rx)
+            if (fell := before - self._mapped(t_device)) > 0.0:  # by a message that came sooner: all others are later
+                for each in self._kinds.values():
+                    each.least += fell
         self._last_device = t_device
-        x = t_device - self._zero
-        t = min(t_device + self._base + self._skew * x, t_rx)
-        t = min(max(t, self._last_run), t_rx)
+        t = min(max(self._mapped(t_device), self._last_run), t_rx)
         self._last_run = t
         self._note(t_rx - t)
         return t
-
-    def estimate(self, t_device: float, t_rx: float, unordered: bool = False) -> float:
-        """As `update`; of an `unordered` device, a time up to `LATE` behind the newest only asks the map.
-
-        Such a device sends things of different age over one link: an attitude of now, then a fix of a while ago.
-        """
-        if unordered and self._old is not None and 0.0 < self._last_device - t_device < self.LATE:
-            return min(t_device + self._base + self._skew * (t_device - self._zero), t_rx)
-        return self.update(t_device, t_rx)
 
     @property
     def bias(self) -> float:
@@ -173,23 +198,39 @@ class ClockMap:
         """Reset `bias` and `spread`; the map stays."""
         self._count, self._mean, self._m2 = 0, 0.0, 0.0
 
-    def _jumped(self, t_device: float, t_rx: float) -> bool:
-        late = t_rx - (t_device + self._base + self._skew * (t_device - self._zero))
-        if t_device < self._last_device or late < -self.JUMP:
+    def _mapped(self, t_device: float) -> float:
+        return t_device + self._base + self._skew * (t_device - self._zero)
+
+    def _jumped(self, t_device: float, t_rx: float, unordered: bool, kind: object) -> bool:
+        late = t_rx - self._mapped(t_device)
+        if late < -self.JUMP or self._last_device - t_device > (self.LATE if unordered else 0.0):
             return True
-        if late < self.LATE:
-            self._late_since = math.inf
-        elif t_rx - self._late_since > self.LATE_FOR:
+        if (seen := self._kinds.get(kind)) is None:
+            self._kinds[kind] = _Kind(t_device, late)
+            return False
+        excess = late - seen.least
+        if seen.newest - t_device > self.STEP:
+            return True
+        if seen.back and t_device != seen.last:
+            if excess > 0.5 * seen.back:  # the next one is late too: not overtaken, but of a clock that was set back
+                return True
+            seen.back = 0.0
+        elif t_device <= seen.newest and excess > self.AGAIN:
+            seen.back = excess
+        if excess < self.STEP:
+            seen.since = math.inf
+        elif t_rx - seen.since > self.STEP_FOR:
             return True
         else:
-            self._late_since = min(self._late_since, t_rx)
+            seen.since = min(seen.since, t_rx)
+        seen.last = t_device
+        seen.newest, seen.least = max(seen.newest, t_device), min(seen.least, late)
         return False
 
     def _push(self, t_device: float, t_rx: float) -> None:
         if self._old is None or self._young is None:
             # Offsets are taken relative to the first point, so that doubles keep their digits.
             self._zero, self._first_offset = t_device, t_rx - t_device
-            self._late_since = math.inf
             self._old, self._young = _Hull(0.0), _Hull(0.0)
         x, offset = t_device - self._zero, t_rx - t_device - self._first_offset
         if x - self._young.start > 0.5 * self.window:

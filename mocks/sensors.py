@@ -196,7 +196,7 @@ class EscSensor:
         return Esc(
             self._node,
             n * self._rpm_max + (5.0 * draw() if n else 0.0),
-            math.copysign(current, n) + 0.1 * draw(),
+            current + 0.1 * draw(),  # of a motor that drives, whichever way
             duty,
             16.4 - 0.008 * energy - 0.02 * current + 0.02 * draw(),
             24.0 + self._heat + 0.1 * draw(),

@@ -123,7 +123,9 @@ class Server:
         for device, whole, _ in self._world.readings():
             sample = self._faults.reading(device, whole, t)
             if sample is not None:
-                data = self._faults.bytes(device, self._speakers[device].encode(sample, t), t)
+                speaker = self._speakers[device]
+                speaker.clock_error = self._faults.clock_error(device, t)
+                data = self._faults.bytes(device, speaker.encode(sample, t), t)
                 wall = time.monotonic()
                 self.max_lag = max(self.max_lag, wall - self._start - t / self._speed)
                 self._ports[device].write(data, wall)

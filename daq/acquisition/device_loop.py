@@ -233,7 +233,7 @@ class DeviceLoop(threading.Thread):
         if math.isnan(frame.t_device):
             return frame.t_rx
         self._has_clock = True
-        return self._clock_map.estimate(frame.t_device, frame.t_rx, self._unordered)
+        return self._clock_map.estimate(frame.t_device, frame.t_rx, self._unordered, type(frame.sample))
 
     def _send(self, dues: list[Due]) -> None:
         """Write the set-points that are due."""

@@ -32,7 +32,8 @@ OLDEST_FIX_S = 1.0  # between a fix and its message: more is no age
 
 
 class _Reader:
-    """Messages -> samples, by type, and what `joined` adds to them."""
+    """Messages -> samples, by type, and what `joined` adds to them: where no shaft speed of a log is below zero, its
+    sign is that of the output."""
 
     def __init__(self, rig: Rig | None, device: Device | None) -> None:
         thrusters = [t for t in rig.thrusters if device is not None and t.device == device.name] if rig else []
@@ -41,6 +42,7 @@ class _Reader:
         self._ages: dict[float, float] = {}  # time of a fix's message -> s since the fix came
         self._seen: set[int] = set()
         self._n: dict[int, float] = {}
+        self._is_signed = False  # whether telemetry of the controllers has a sign of its own
         self.take: dict[str, Callable[[Any], Found]] = {
             "IMU": self._on_imu, "ATT": self._att, "GPS": self._gps, "RCOU": self._rcou, "ESC": self._esc,
             "BAT": self._bat, "MSG": self._msg, "MODE": self._mode, "ARM": self._arm, "EV": self._ev, "ERR": self._err,
@@ -69,6 +71,8 @@ class _Reader:
             if isinstance(sample, Ahrs) and self._imu:
                 imu = self._imu[int(np.searchsorted(middle, row.t))][1:]
                 sample = Ahrs(sample.yaw, sample.pitch, sample.roll, *imu)
+            if isinstance(sample, Esc) and not self._is_signed and abs(sample.duty) > 0.0:  # a magnitude alone
+                sample = replace(sample, rpm=math.copysign(sample.rpm, sample.duty))
             age = self._ages.get(row.t, 0.0) if isinstance(sample, Gnss) else 0.0
             yield Timed(Frame(sample, t_rx, t_device - age), row.t - age)
 
@@ -112,8 +116,8 @@ class _Reader:
 
     def _esc(self, m: Any) -> Found:
         node = m.Instance + 1
-        n = self._n.get(node, NAN)
-        return [Esc(node, math.copysign(m.RPM, n) if n else m.RPM, m.Curr, n, m.Volt, m.Temp)]
+        self._is_signed = self._is_signed or m.RPM < 0.0
+        return [Esc(node, m.RPM, m.Curr, self._n.get(node, NAN), m.Volt, m.Temp)]
 
     def _bat(self, m: Any) -> Found:
         if getattr(m, "Inst", getattr(m, "I", 0)) != 0:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -94,7 +93,7 @@ def read_tlog(
     for t_rx, at, found in _frames(data):
         skipped, end = skipped + at - STAMP - end, at + found.total
         for frame in decoder.feed(data[at:end], t_rx):
-            t = t_rx if math.isnan(frame.t_device) else clock.estimate(frame.t_device, t_rx, unordered=True)
+            t = clock.estimate(frame.t_device, t_rx, unordered=True, kind=type(frame.sample))
             rows.append(Timed(frame, t))
     skipped += len(data) - end
     if not rows:

@@ -59,9 +59,15 @@ def _decode(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
         raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
     if isinstance(decoder, (nmea.Decoder, ubx.Decoder)):
         frames += decoder.flush()
-        frames = _dated(frames)
+        frames = _dated([_timed(frame) for frame in frames])
     decoder.reset()  # an incomplete frame counts as unparsed
     return frames, digest.hexdigest()
+
+
+def _timed(frame: Frame) -> Frame:
+    """A fix from before the receiver knew the time, with the time that it thought it was: a file has no other."""
+    sample = frame.sample
+    return frame._replace(t_device=sample.utc) if isinstance(sample, Gnss) else frame
 
 
 def _dated(frames: list[Frame]) -> list[Frame]:

@@ -1,8 +1,9 @@
 """Shaft speed, current, voltage and temperature from any CAN bus, as a DBC file lays its messages out.
 
 The fields are unpacked by cantools. NMEA 2000 and J1939 identifiers hold a priority and the sender beside the number
-of the message (PGN), so there a message is known by its PGN (SAE J1939-21, 5.2); there, too, a field of all ones is
-"not available" (SAE J1939-71, 5.1). One PGN ships with seatrial: nmea2000.dbc, 127488, engine parameters.
+of the message (PGN), so there a message is known by its PGN (SAE J1939-21, 5.2); there, too, the highest numbers of a
+field are "error" and "not available": from 0xFB in the highest byte on (SAE J1939-71, 5.1), or in NMEA 2000 the last
+three (canboat). One PGN ships with seatrial: nmea2000.dbc, 127488, engine parameters.
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ from daq.samples import NAN, Esc, Frame
 STALE = 2.0  # s; values of other messages are not repeated for longer than this
 _PDU_1 = 0x03FF_0000  # PGN below 0xF000: its low byte is an address
 _PDU_2 = 0x03FF_FF00
+_PAGE_1 = 0x0100_0000  # NMEA 2000 has its own PGNs there
+_SPEED_UNITS = ("rpm", "1/min", "r/min", "rev/min")
+_RESERVED = 0xFB  # of J1939: from here on the highest byte means that there is no value
 
 
 class _Wanted(NamedTuple):
@@ -49,14 +53,26 @@ def pgn_bits(identifier: int) -> int:
     return identifier & (_PDU_1 if identifier >> 16 & 0xFF < 0xF0 else _PDU_2)
 
 
-def number(message: Any, name: str, raw: float) -> float:
-    """A field in its unit, of its raw number; NaN where J1939 says that it is not available."""
+def number(message: Any, name: str, raw: float, field: str = "") -> float:
+    """A field in its unit, of its raw number; NaN where J1939 or NMEA 2000 says that there is none.
+
+    A shaft speed (by its unit, or `field` rpm) is held to the rule of J1939 in both: gateways pass its codes on, and
+    no shaft turns at 16,000 rev/min.
+    """
     about = message.get_signal_by_name(name)
-    if is_j1939(message) and not about.is_float:
-        highest = (1 << about.length - about.is_signed) - 1
-        if raw > highest - (2 if about.length >= 4 else 0):
-            return NAN
+    is_speed = field == "rpm" or (about.unit or "").lower() in _SPEED_UNITS
+    if is_j1939(message) and not about.is_float and raw >= _first_code(message, about, is_speed):
+        return NAN
     return float(about.raw_to_scaled(raw, decode_choices=False))
+
+
+def _first_code(message: Any, about: Any, is_speed: bool) -> int:
+    """The lowest raw number of a field that is no value."""
+    own = bool(message.frame_id & _PAGE_1)  # NMEA 2000's; other PGNs, and those of manufacturers, may be of either
+    length, is_signed = int(about.length), bool(about.is_signed)
+    if length >= 8 and not is_signed and (is_speed or not own):
+        return _RESERVED << length - 8
+    return (1 << length - is_signed) - (3 if length >= 8 else 2 if length >= 4 else 1)
 
 
 class Decoder(FrameDecoder):
@@ -110,7 +126,8 @@ class Decoder(FrameDecoder):
     def _value(self, message: Any, signal: DbcSignal, raw: dict[str, Any]) -> float | None:
         if signal.signal not in raw:  # of another multiplexer
             return None
-        return signal.scale * number(message, signal.signal, raw[signal.signal]) + signal.offset
+        value = number(message, signal.signal, raw[signal.signal], signal.field)
+        return signal.scale * value + signal.offset
 
     def _esc(self, node: int, t_rx: float) -> Esc:
         heard = self._heard[node].items()

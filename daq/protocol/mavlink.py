@@ -24,6 +24,7 @@ SAME_S = 0.005  # s of boot time within which attitude and IMU are of one moment
 IMU_AWAITED_S = 1.0  # s of boot time after an IMU message for which an attitude waits for its own
 EKF_POSITION, EKF_STANDS = 16, 128  # EKF_STATUS_REPORT: an absolute horizontal position; constant-position mode
 HALF_MS = 0.0005  # s by which a time that was cut to whole milliseconds is too early, on the average
+RESTART_S = 1.0  # s by which time since boot runs back in no link: the autopilot has restarted
 UNIX_US = 10**14  # a time_usec from here on counts from 1970, below from boot
 ARDUPILOT = 3  # HEARTBEAT.autopilot; its RAW_IMU has units
 ANY = 0  # system id: of all systems, as an autopilot hears them
@@ -167,7 +168,8 @@ class Samples:
 
     An attitude waits for the IMU message of the same moment, and both make one `Ahrs`; where they are of different
     moments each makes one, with NaN for what it has not. A fix that is sent again is
-    dropped. ESC_TELEMETRY has no sign: it gets that of the output. Nothing here depends on the time of day.
+    dropped; a lost fix is one sample, without a time of its own. ESC_TELEMETRY has no sign: it gets that of the output.
+    Nothing here depends on the time of day.
     """
 
     def __init__(
@@ -195,7 +197,7 @@ class Samples:
         self._attitude_waits: tuple[Ahrs, float] | None = None
         self._imu: tuple[float, tuple[float, ...], tuple[float, ...]] | None = None
         self._imu_at = -math.inf
-        self._fix = -1
+        self._fix = (-1, -1)  # time and type of the newest
         self._n: dict[int, float] = {}  # by output
         self._counts: dict[int, int] = {}
         self._seen: set[int] = set()
@@ -216,6 +218,14 @@ class Samples:
         t = usec * 1e-6
         if wraps and not math.isnan(self._boot):
             t += round((self._boot - t) / 2**32 * 1e6) * 2**32 * 1e-6
+        return t
+
+    def _boot_time(self, t: float) -> float:
+        """Take a time since boot [s]: where it runs back, all that was received is of before a restart."""
+        if self._boot - t > RESTART_S:
+            ardupilot = self._ardupilot
+            self.forget()
+            self._ardupilot = ardupilot
         return t
 
     def _heartbeat(self, m: Any) -> Found:
@@ -239,13 +249,13 @@ class Samples:
         return [(self._pilot, NAN)]
 
     def _system_time(self, m: Any) -> Found:
+        t = self._boot_time(_since_boot(m.time_boot_ms))
         if m.time_unix_usec >= UNIX_US:
-            self._utc_of_boot = m.time_unix_usec * 1e-6 - _since_boot(m.time_boot_ms)
+            self._utc_of_boot = m.time_unix_usec * 1e-6 - t
         return []
 
     def _attitude(self, m: Any) -> Found:
-        t = _since_boot(m.time_boot_ms)
-        self._boot = t
+        self._boot = t = self._boot_time(_since_boot(m.time_boot_ms))
         found: Found = [self._attitude_waits] if self._attitude_waits is not None else []
         self._attitude_waits = None
         ahrs = Ahrs(m.yaw, m.pitch, m.roll, m.rollspeed, m.pitchspeed, m.yawspeed)
@@ -278,7 +288,7 @@ class Samples:
         return self._take_imu(self._at(m.time_usec), (m.xacc, m.yacc, m.zacc), field)
 
     def _take_imu(self, t: float, accel: tuple[float, ...], field: tuple[float, ...]) -> Found:
-        self._imu_at = t
+        self._imu_at = self._boot_time(t)
         imu = (t, accel, field if any(field) else (NAN, NAN, NAN))
         found: Found = []
         if self._imu is not None:  # no attitude came for that one: it is a sample of its own
@@ -291,13 +301,13 @@ class Samples:
         return found if waiting is None else [*found, waiting]
 
     def _gps(self, m: Any) -> Found:
-        if m.time_usec == self._fix:
+        if (m.time_usec, m.fix_type) == self._fix:
             return []
-        self._fix = m.time_usec
-        t = self._at(m.time_usec)
+        self._fix = m.time_usec, m.fix_type
+        fix = FIXES.get(m.fix_type, 0)
+        t = self._at(m.time_usec) if fix else NAN  # ArduPilot's stands still without a fix, at 0 before the first
         if self._ardupilot and m.time_usec < UNIX_US:  # its milliseconds, times thousand
             t += HALF_MS
-        fix = FIXES.get(m.fix_type, 0)
         course = math.radians(m.cog * 0.01) if m.cog != 0xFFFF else NAN
         speed = _cut(m.vel) if fix >= 2 and m.vel != 0xFFFF else NAN
         return [
@@ -312,7 +322,8 @@ class Samples:
                     fix=fix,
                     n_sat=-1 if m.satellites_visible == 255 else m.satellites_visible,
                     hdop=NAN if m.eph == 0xFFFF else m.eph * 0.01,
-                    sigma_h=m.h_acc * 1e-3 if m.h_acc else NAN,
+                    # As of UBX, whose hAcc autopilots pass on: of both axes together.
+                    sigma_h=m.h_acc * 1e-3 / math.sqrt(2.0) if fix and m.h_acc else NAN,
                     speed=speed,
                 ),
                 t,
@@ -320,10 +331,10 @@ class Samples:
         ]
 
     def _position(self, m: Any) -> Found:
-        t = _since_boot(m.time_boot_ms)
-        if m.time_boot_ms == self._fix:
+        t = self._boot_time(_since_boot(m.time_boot_ms))
+        if m.time_boot_ms == self._fix[0]:
             return []
-        self._fix = m.time_boot_ms
+        self._fix = m.time_boot_ms, 0
         if m.lat == 0 and m.lon == 0:
             return [(Gnss(t + self._utc_of_boot, NAN, NAN), t)]
         north, east, down = (_cut(v) for v in (m.vx, m.vy, m.vz))

@@ -19,6 +19,8 @@ from daq.samples import NAN, Ahrs, Frame, Gnss
 SYNC = b"\x75\x65"
 G = 9.80665  # m/s2, by which the sensor divides
 GAUSS = 1e-4  # T
+FILTER_S = 1.0  # without an attitude of the filter for so long, the sensor is heard alone
+STALE_S = 1.5  # rates, accelerations and field are added to an attitude for no longer
 SENSOR, GNSS, FILTER, GNSS_1 = 0x80, 0x81, 0x82, 0x91
 _NAN3 = (NAN, NAN, NAN)
 _V3, _Q4 = struct.Struct(">3f"), struct.Struct(">4f")
@@ -44,20 +46,21 @@ class Decoder(StreamDecoder[Frame]):
     """Packets -> `Ahrs` and `Gnss`.
 
     There is an `Ahrs` for each filter packet that has an attitude, with the newest rates and accelerations of the
-    sensor; before the first of these, one for each sensor packet. `t_device` of a fix is its UTC; an `Ahrs` has none.
+    sensor; as long as there is none of these, one for each sensor packet. `t_device` of a fix is its UTC; an `Ahrs` has
+    none.
     """
 
     sync = re.compile(rb"\x75")
 
     def __init__(self) -> None:
         super().__init__()
-        self._filter = False
-        self._vectors: dict[str, tuple[float, ...]] = {}
+        self._filtered = -math.inf  # when the filter had an attitude last
+        self._vectors: dict[str, tuple[tuple[float, ...], float]] = {}  # with the time of receipt
 
     def reset(self) -> None:
         """Discard an incomplete packet and all received state (the port was reopened). Counters stay."""
         super().reset()
-        self._filter = False
+        self._filtered = -math.inf
         self._vectors.clear()
 
     def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
@@ -87,22 +90,30 @@ class Decoder(StreamDecoder[Frame]):
 
     def _sensor(self, fields: Fields, t_rx: float) -> None:
         for name, kind in (("accel", 0x04), ("rate", 0x05), ("mag", 0x06)):
-            self._vectors[name] = _unpack(_V3, fields.get(kind)) or _NAN3
-        if not self._filter:
+            if kind in fields:  # each may have a rate of its own, in packets of its own
+                self._vectors[name] = _unpack(_V3, fields[kind]) or _NAN3, t_rx
+        if t_rx - self._filtered > FILTER_S:
             self._emit(_attitude(fields, quaternion=0x0A, euler=0x0C), t_rx)
 
     def _estimate(self, fields: Fields, t_rx: float) -> None:
         angles = _attitude(fields, quaternion=0x03, euler=0x05)
         if angles != _NAN3:
-            self._filter = True
+            self._filtered = t_rx
             self._emit(angles, t_rx)
+        elif 0x03 in fields or 0x05 in fields:  # it has lost it, and says so
+            self._filtered = -math.inf
 
     def _emit(self, angles: tuple[float, ...], t_rx: float) -> None:
         roll, pitch, yaw = angles
-        ax, ay, az = (G * a for a in self._vectors.get("accel", _NAN3))
-        mx, my, mz = (GAUSS * b for b in self._vectors.get("mag", _NAN3))
-        p, q, r = self._vectors.get("rate", _NAN3)
+        ax, ay, az = (G * a for a in self._newest("accel", t_rx))
+        mx, my, mz = (GAUSS * b for b in self._newest("mag", t_rx))
+        p, q, r = self._newest("rate", t_rx)
         self._out.append(Frame(Ahrs(yaw, pitch, roll, p, q, r, ax, ay, az, mx, my, mz), t_rx, NAN))
+
+
+    def _newest(self, name: str, t_rx: float) -> tuple[float, ...]:
+        values, when = self._vectors.get(name, (_NAN3, -math.inf))
+        return values if t_rx - when <= STALE_S else _NAN3
 
 
 def _fields(payload: bytes) -> Fields | None:

@@ -37,7 +37,8 @@ _RANK = {"PASHR": 5, "PSTI": 5, "HDT": 4, "THS": 3, "HDG": 2, "HDM": 1}
 _ATTITUDE = {"PASHR": (2, 5, 4), "PSTI": (4, 5, 6)}  # where heading, pitch and roll stand
 _HEADING_TIME = {b"PASHR": 1, b"PSTI,": 2}  # the headings with a time of their own
 _LEVEL = {b"PTCH": 0, b"PITCH": 0, b"ROLL": 1}  # transducers of XDR
-_THS_VALID = b"AE"  # autonomous, estimated; M is by hand, S simulated, V void
+_THS_VALID = (b"A", b"E")  # autonomous, estimated; M is by hand, S simulated, V void
+_FULL_TURN = 360.0  # deg; what is beyond, as 999.9, means that there is none
 
 
 class Decoder(StreamDecoder[Frame]):
@@ -91,7 +92,8 @@ class Sentences:
         found = self.headings.take(kind, body, t_rx)
         if found and body[:5] in _HEADING_TIME:
             seconds = _seconds(body.split(b","), _HEADING_TIME[body[:5]])
-            found = [frame._replace(t_device=self.epochs.utc_of(seconds, t_rx)) for frame in found]
+            utc = self.epochs.utc_of(seconds, t_rx) if self.epochs.has_time else NAN
+            found = [frame._replace(t_device=utc) for frame in found]
         return found
 
     def forget(self) -> None:
@@ -151,7 +153,11 @@ class Epochs:
 
     An epoch is complete when all kinds of sentence that came in the last few epochs have come, or else when the next
     begins. `t_rx` of a sample is that of the epoch's first sentence, which is nearest to the measurement; `t_device` is
-    its UTC. Without a date (no RMC or ZDA yet) the day is the one that puts the time next to `t_rx`.
+    its UTC, NaN before the first fix: until then the time is that of the receiver's own clock, which the fix corrects
+    by up to seconds. Without a date (no RMC or ZDA yet) the day is the one that puts the time next to `t_rx`.
+
+    VTG carries no time. It belongs to the sentence that came before, unless it comes between two epochs and nearer to
+    the later one: then it is the first of its burst.
     """
 
     def __init__(self) -> None:
@@ -162,6 +168,10 @@ class Epochs:
         self._expected: set[str] = set()
         self._last_utc = NAN
         self._mode_gsa = 0
+        self._timed: bool | None = None  # whether there has been a fix; None before the first position
+        self._t_last = -math.inf  # of the last sentence
+        self._vtg_leads = False
+        self._vtg: tuple[float, Message, float] | None = None  # the last sentence: when, and s since the one before
 
     def take(self, kind: str, body: bytes, t_rx: float) -> list[Frame] | None:
         """Take one sentence whose kind is one of KINDS; the samples it completes, None if it is none after all."""
@@ -178,7 +188,13 @@ class Epochs:
 
     def forget(self) -> None:
         """Forget the epoch that is not complete (the port was reopened)."""
-        self._epoch = None
+        self._epoch = self._vtg = self._timed = None
+        self._t_last, self._vtg_leads = -math.inf, False
+
+    @property
+    def has_time(self) -> bool:
+        """Whether times are those of a fix, as far as positions tell."""
+        return self._timed is not False
 
     def _given(self) -> list[Frame]:
         out, self._out = self._out, []
@@ -187,15 +203,34 @@ class Epochs:
     def _sentence(self, kind: str, message: Message, words: list[bytes], t_rx: float) -> None:
         if kind == "GSA":
             self._mode_gsa = _integer(message.get("navMode"), 0)
-        elif kind == "VTG":
-            self._add(kind, message)  # it carries no time: it belongs to the sentence that came before
-        else:
-            seconds = _seconds(words, _TIME_FIELD[kind])
-            if math.isnan(seconds):
-                return
-            if self._epoch is None or self._epoch.seconds != seconds:
-                self._begin(seconds, t_rx)
-            self._add(kind, message)
+            return
+        if kind == "VTG":
+            self._vtg = t_rx, message, t_rx - self._t_last
+            self._t_last = t_rx
+            if not self._vtg_leads:
+                self._add(kind, message)
+            return
+        seconds = _seconds(words, _TIME_FIELD[kind])
+        if math.isnan(seconds):
+            return
+        vtg, self._vtg = self._vtg, None
+        begins = self._epoch is None or self._epoch.seconds != seconds
+        held = vtg if self._vtg_leads else None
+        if begins:
+            self._begin(seconds, t_rx if held is None else held[0])
+        if vtg is not None and begins:
+            self._learn(before=vtg[2], after=t_rx - vtg[0])
+        self._t_last = t_rx
+        if held is not None:
+            self._add("VTG", held[1])
+        self._add(kind, message)
+
+    def _learn(self, before: float, after: float) -> None:
+        """Of a VTG between two epochs: the time [s] to the sentence before it, and to the one behind it."""
+        if math.isfinite(before) and before > 2.0 * after:
+            self._vtg_leads = True
+        elif after > before:
+            self._vtg_leads = False
 
     def _begin(self, seconds: float, t_rx: float) -> None:
         if self._epoch is not None:
@@ -221,7 +256,9 @@ class Epochs:
         utc = self._utc(epoch)
         if epoch.kinds.isdisjoint(_POSITION):
             return
-        self._out.append(Frame(_gnss(epoch, utc, self._mode_gsa), epoch.t_rx, utc))
+        sample = _gnss(epoch, utc, self._mode_gsa)
+        self._timed = bool(self._timed) or sample.fix >= 2
+        self._out.append(Frame(sample, epoch.t_rx, utc if self._timed else NAN))
 
     def _utc(self, epoch: _Epoch) -> float:
         if epoch.date is not None:
@@ -413,12 +450,13 @@ class Headings:
         if rank < max(self._best, 1):
             return []
         places = _ATTITUDE.get(kind, (1,))
-        void = len(words) < 2 or not words[places[0]]
-        if void or (kind == "THS" and words[-1] not in _THS_VALID):
+        if len(words) < 2 or not words[places[0]] or _is_void(kind, words):
             return []
         numbers = _numbers(words, places)
         if numbers is None:
             return None
+        if abs(numbers[0]) > _FULL_TURN:
+            return []
         yaw = numbers[0] * _DEG + self._variation(kind, words)
         if math.isnan(yaw):
             self.remark = "magnetic headings are left out: the rig has no declination_deg for this device"
@@ -456,6 +494,16 @@ class Headings:
         if math.isnan(variation):
             variation = NAN if self._declination is None else self._declination
         return variation + (0.0 if math.isnan(deviation) else deviation)
+
+
+def _is_void(kind: str, words: list[bytes]) -> bool:
+    """Whether a heading's own status calls it void."""
+    if kind == "THS":
+        return words[-1] not in _THS_VALID
+    if kind == "PSTI":  # a mode as that of RMC; N is void
+        return len(words) > 7 and words[7] in (b"", b"N")
+    # No position, and of GNSS alone: inertial sensors (not 0) know their attitude without one.
+    return kind == "PASHR" and words[10:12] == [b"0", b"0"]
 
 
 def _signed(words: list[bytes], at: int) -> float:

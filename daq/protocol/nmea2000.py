@@ -58,8 +58,9 @@ class _Packet:
 class Decoder(FrameDecoder):
     """Headings -> `Ahrs` with the newest pitch and roll; rates of turn -> `Ahrs` of their own; fixes -> `Gnss`.
 
-    Where several on the bus send the same, a true heading goes before a magnetic one, a fix that counts its satellites
-    before one that does not, and a lower address before a higher; the others are used when that one is silent.
+    Where several on the bus send the same, a true heading goes before a magnetic one, a receiver with a fix before one
+    without, a fix that counts its satellites before one that does not, and a lower address before a higher; the others
+    are used when that one is silent.
     Magnetic headings become true ones by the variation that they or the bus carry, else by `declination` [rad, east
     positive]; without any they give no sample, and `remark` reports it. A fix takes its velocity from the newest course
     over ground, of its own sender if that has one.
@@ -89,6 +90,7 @@ class Decoder(FrameDecoder):
         self._motions: dict[int | None, tuple[float, float, float]] = {}
         self._dimensions: dict[int, tuple[int, float]] = {}  # by sender: of its fixes, when
         self._bus_variation = NAN
+        self._timed: set[int] = set()  # senders that had a fix: before it their time is that of their own clock
 
     def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
         pgn, source = split_identifier(identifier)
@@ -213,15 +215,18 @@ class Decoder(FrameDecoder):
     def _fix(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
         day, ticks, lat, lon, alt, method, _, n_sat, hdop, _, _ = _FIX.unpack_from(data)
         counts = 0 < n_sat < 0xFD  # a device that relays the fixes of others often omits the satellites
-        if not self._leads(FIX, 0 if counts else 1, source, t_rx) or not self._settled(FIX, t_rx):
-            return []
         place = lat * _PLACE, lon * _PLACE
         if not (abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0):
             place = NAN, NAN
+        fix = _METHOD.get(method >> 4, 0) if not math.isnan(place[0]) else 0
+        if fix >= 2:
+            self._timed.add(source)
+        rank = (0 if fix >= 2 else 2 if fix else 4) + (0 if counts else 1)
+        if not self._leads(FIX, rank, source, t_rx) or not self._settled(FIX, t_rx):
+            return []
         utc = day * _DAY + ticks * _TICK if day < 0xFFFD and ticks * _TICK < _DAY + 2.0 else NAN
         motions = (self._motions.get(key, (NAN, NAN, -math.inf)) for key in (source, None))
         speed, course, _ = next((m for m in motions if t_rx - m[2] <= STALE_S), (NAN, NAN, NAN))
-        fix = _METHOD.get(method >> 4, 0) if not math.isnan(place[0]) else 0
         # As of NMEA 0183: a position with a height has three dimensions unless its sender says otherwise.
         dimensions, when = self._dimensions.get(source, (-1, -math.inf))
         if t_rx - when > STALE_S:
@@ -238,7 +243,7 @@ class Decoder(FrameDecoder):
             speed=speed,
             dimensions=dimensions if fix else 0,
         )
-        return [Frame(sample, t_rx, utc)]
+        return [Frame(sample, t_rx, utc if source in self._timed else NAN)]
 
 
 def _unsigned16(raw: int, scale: float) -> float:

@@ -29,6 +29,8 @@ NAV_PVT = (0x01, 0x07)
 GPS_EPOCH = 315_964_800  # s since 1970 of 1980-01-06
 WEEK = 604_800.0
 REMEMBERED = 10  # epochs; some messages do not come with each
+HIGH_RATE_S = 2.0  # without HNR-PVT for so long, the solutions of the epochs are used again
+TIME_ACC_NS = 10_000_000  # a time without a fix that is no better is of the receiver's own clock
 # Seconds since 1970 from which GPS time is one more second ahead of UTC (IERS Bulletin C).
 LEAPS = tuple(
     calendar.timegm((year, month, 1, 0, 0, 0))
@@ -56,6 +58,7 @@ LENGTHS: dict[tuple[int, int], frozenset[int]] = {
     (0x01, 0x04): frozenset({18}), (0x01, 0x14): frozenset({36}), (0x01, 0x05): frozenset({32}),
     (0x01, 0x03): frozenset({16}), HNR_PVT: frozenset({72}),
 }  # fmt: skip
+_LENGTHS_OF = {bytes(kind): lengths for kind, lengths in LENGTHS.items()}
 _CARRIES = frozenset({0x07, 0x02, 0x06, 0x14})  # a position, or that there is none
 _FIX = {1: 1, 2: 2, 3: 3, 4: 3}  # gpsFix -> Gnss.fix; 5 is a fix of time only, at a place known from before
 _DIMENSIONS = {1: 3, 2: 2, 3: 3, 4: 3, 5: 3}  # gpsFix -> Gnss.dimensions
@@ -99,6 +102,8 @@ class Decoder(nmea.Decoder):
         if n_payload > LENGTH_MAX or (known is not None and n_payload not in known):
             return -1
         length = HEAD + n_payload + 2
+        if known is None and _holds_message(buffer, start + 1, start + length):
+            return -1  # the length was damaged: waiting for its end would hold back the fixes behind it
         if len(buffer) < start + length:
             return 0
         body = bytes(buffer[start + 2 : start + length - 2])
@@ -112,6 +117,18 @@ class Decoder(nmea.Decoder):
 
     def _kept(self, found: list[Frame]) -> list[Frame]:
         return [f for f in found if not (self._epochs.has_position and isinstance(f.sample, Gnss))]
+
+
+def _holds_message(buffer: bytearray, start: int, end: int) -> bool:
+    """Whether a whole message that we read lies between two places, as it does in no message of a receiver."""
+    while (start := buffer.find(SYNC, start, end)) >= 0:
+        n_payload = int.from_bytes(buffer[start + 4 : start + HEAD], "little")
+        tail = start + HEAD + n_payload
+        is_read = n_payload in _LENGTHS_OF.get(bytes(buffer[start + 2 : start + 4]), ())
+        if is_read and tail + 2 <= end and buffer[tail : tail + 2] == checksum(bytes(buffer[start + 2 : tail])):
+            return True
+        start += 1
+    return False
 
 
 def checksum(body: bytes) -> bytes:
@@ -165,7 +182,8 @@ class Epochs:
 
     A position and a velocity without a valid fix (gnssFixOK not set, or a fix of time only) are kept, with
     `fix` 0. An epoch is complete when all kinds of message that came in the last few epochs have come, or else when the
-    next begins. `t_rx` of a sample is that of the epoch's first message, `t_device` its UTC.
+    next begins. `t_rx` of a sample is that of the epoch's first message, `t_device` its UTC, NaN as long as the
+    receiver has not resolved it: until then its own clock tells the time, up to seconds off.
     """
 
     def __init__(self) -> None:
@@ -174,7 +192,7 @@ class Epochs:
         self._emitted = False
         self._kinds: deque[set[int]] = deque(maxlen=REMEMBERED)
         self._expected: set[int] = set()
-        self._is_high_rate = False  # whether HNR-PVT has come
+        self._high_rate_at = -math.inf  # when HNR-PVT came last
         self._utc, self._utc_tow = NAN, 0  # of the last epoch: UTC [s since 1970], time of week [ms]
 
     def take(self, kind: tuple[int, int], payload: bytes, t_rx: float) -> list[Frame]:
@@ -206,28 +224,34 @@ class Epochs:
         if epoch is None or self._emitted or not epoch.kinds & _CARRIES:
             return []
         self._emitted = True
-        if self._is_high_rate:
-            return []
-        sample = _gnss(epoch.values)
-        if math.isfinite(sample.utc):
+        sample, resolved = _gnss(epoch.values), not epoch.values.get("unresolved")
+        if math.isfinite(sample.utc) and resolved:
             self._utc, self._utc_tow = sample.utc, epoch.i_tow
-        else:
+        if epoch.t_rx - self._high_rate_at <= HIGH_RATE_S:
+            return []
+        if math.isnan(sample.utc):
             sample = replace(sample, utc=self._utc_of(epoch.i_tow))
-        return [Frame(sample, epoch.t_rx, sample.utc)]
+        return [Frame(sample, epoch.t_rx, sample.utc if resolved else NAN)]
 
     def _high_rate(self, payload: bytes, t_rx: float) -> list[Frame]:
         """A solution at the rate of the inertial sensors; it replaces those of the navigation epochs."""
-        self.has_position = self._is_high_rate = True
-        sample = _hnr_pvt(payload)
-        return [Frame(sample, t_rx, sample.utc)]
+        self.has_position, self._high_rate_at = True, t_rx
+        sample, resolved = _hnr_pvt(payload), payload[11] & 7 == 7
+        if math.isfinite(sample.utc) and resolved:
+            self._utc, self._utc_tow = sample.utc, struct.unpack_from("<I", payload)[0]
+        return [Frame(sample, t_rx, sample.utc if resolved else NAN)]
 
     def _utc_of(self, i_tow: int) -> float:
         """UTC of a time of week [ms], from the last epoch whose UTC is known; NaN before."""
         return self._utc + math.remainder(1e-3 * (i_tow - self._utc_tow), WEEK)
 
     def forget(self) -> None:
-        """Discard the incomplete epoch (the port was reopened)."""
-        self._epoch = None
+        """Discard all received state: a reopened port may have another receiver, or this one another configuration."""
+        self._epoch, self._emitted, self.has_position = None, False, False
+        self._kinds.clear()
+        self._expected = set()
+        self._high_rate_at = -math.inf
+        self._utc, self._utc_tow = NAN, 0
 
 
 def _gnss(v: dict[str, float]) -> Gnss:
@@ -262,8 +286,8 @@ def _attitude(payload: bytes, t_rx: float) -> list[Frame]:
 
 def _pvt(v: dict[str, float], payload: bytes) -> None:
     (
-        _, year, month, day, hour, minute, second, valid, _, nano, fix, flags, _, n_sat, lon, lat, _, h_msl, h_acc, _,
-        vel_n, vel_e, vel_d, *_,
+        _, year, month, day, hour, minute, second, valid, t_acc, nano, fix, flags, _, n_sat, lon, lat, _, h_msl, h_acc,
+        _, vel_n, vel_e, vel_d, *_,
     ) = _PVT.unpack_from(payload)  # fmt: skip
     v["fix"] = 0
     if fix in _DIMENSIONS:
@@ -273,6 +297,7 @@ def _pvt(v: dict[str, float], payload: bytes) -> None:
         v["fix"] = {1: 6, 2: 5}.get(carrier) or (4 if flags & 2 and fix in (2, 3, 4) else _FIX.get(fix, 0))
     if valid & 3 == 3:  # date and time
         v["utc"] = _utc(year, month, day, hour, minute, second, nano)
+        v["unresolved"] = not valid & 4 or not (v["fix"] or t_acc <= TIME_ACC_NS)
     v["n_sat"] = n_sat
     v["lat"], v["lon"], v["alt"], v["sigma"] = 1e-7 * lat, 1e-7 * lon, 1e-3 * h_msl, 1e-3 * h_acc / math.sqrt(2.0)
     v["vel_n"], v["vel_e"], v["vel_d"] = 1e-3 * vel_n, 1e-3 * vel_e, 1e-3 * vel_d
@@ -340,7 +365,7 @@ def _velned(v: dict[str, float], payload: bytes) -> None:
 
 def _timeutc(v: dict[str, float], payload: bytes) -> None:
     _, _, nano, year, month, day, hour, minute, second, valid = _TIMEUTC.unpack(payload)
-    if valid & 4:
+    if valid & 4:  # the leap seconds are known, too
         v["utc"] = _utc(year, month, day, hour, minute, second, nano)
 
 

@@ -9,7 +9,35 @@ from daq.protocol import CAN_FRAME, EXTENDED, slcan
 from daq.transport.base import WRITE_S, Port, PortError, os_error_text
 from daq.transport.serial_port import SerialPort
 
+CR, BELL = b"\r"[0], b"\a"[0]  # an adapter's yes and no
 MOST = 256  # frames a read: a flood must not keep the thread from its set-points
+
+
+class _OpeningAnswers:
+    """What an adapter answers to the commands that open its channel: an empty line, C, bit rate and O.
+
+    Not all answer to the empty line, and C is refused where the channel is closed: the last two answers count. Adapters
+    that answer nothing at all are taken at their word.
+    """
+
+    def __init__(self) -> None:
+        self._answers: list[bool] = []  # whether it was a refusal
+        self._in_line = False  # of a frame, or of an answer to one
+
+    def feed(self, data: bytes) -> bool | None:
+        """Take bytes; whether bit rate or channel were refused, None as long as that is not certain."""
+        for byte in data:
+            if byte not in (CR, BELL):
+                self._in_line = True
+                continue
+            if not self._in_line:
+                self._answers.append(byte == BELL)
+            certain = len(self._answers) == 4 or (self._in_line and len(self._answers) == 3)
+            self._in_line = False
+            if certain:
+                return any(self._answers[-2:])
+        # Of three answers these are no beginning of four good ones.
+        return True if len(self._answers) == 3 and any(self._answers[1:]) and self._answers != [0, 1, 0] else None
 
 
 class SlcanPort(Port):
@@ -20,6 +48,7 @@ class SlcanPort(Port):
         self._serial = SerialPort(path, baud)
         self._bitrate = bitrate
         self._decoder = slcan.Decoder()
+        self._opening: _OpeningAnswers | None = None
 
     def open(self) -> None:
         """Open the adapter, then its channel."""
@@ -30,6 +59,7 @@ class SlcanPort(Port):
         self._serial.open()
         self.hint = self._serial.hint
         self._decoder.reset()
+        self._opening = _OpeningAnswers()
         self._serial.write(commands)
 
     def fileno(self) -> int:
@@ -38,7 +68,12 @@ class SlcanPort(Port):
 
     def read(self) -> bytes:
         """The frames that are complete."""
-        frames = self._decoder.feed(self._serial.read(), 0.0)
+        data = self._serial.read()
+        if self._opening is not None and (refused := self._opening.feed(data)) is not None:
+            self._opening = None
+            if refused:
+                self.hint = f"the adapter refused the bit rate {self._bitrate}, or to open its channel"
+        frames = self._decoder.feed(data, 0.0)
         self.bytes_in, self.unparsed_bytes = self._serial.bytes_in, self._decoder.unparsed_bytes
         return b"".join(frames)
 

@@ -23,6 +23,7 @@ HOLD, AUTO, RTL = 4, 10, 11
 OWN_N = 0.4  # of both thrusters where it drives by itself
 RADIO_S = 0.5  # without a receiver's frame or an override: a failsafe of the throttle
 TERMINATE = 5.0  # FS_ACTION
+RELEASED = 8  # the last channel that an override of 0 releases; behind it 0 is no value
 IGNORES_OVERRIDES = 2  # of RC_OPTIONS
 CHUNK = 50  # bytes of a STATUSTEXT
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
@@ -63,6 +64,7 @@ class AutopilotEmulator(DeviceEmulator):
     def encode(self, sample: Sample, t: float) -> bytes:
         """The messages that are due; an attitude is the tick of the loop."""
         self._t = self._reports.t = t
+        self._reports.clock_error = self.clock_error
         if isinstance(sample, Esc | Gnss):
             self._reports.take(sample)
         elif isinstance(sample, Ahrs):
@@ -185,10 +187,13 @@ class AutopilotEmulator(DeviceEmulator):
         own.overridden = self._t
         for node, thruster in self._thrusters.items():
             assert thruster.output is not None
-            pulse = getattr(m, f"chan{thruster.output.rc_channel}_raw")
-            if pulse in (0, UNUSED):
+            channel = thruster.output.rc_channel
+            pulse = getattr(m, f"chan{channel}_raw")
+            # 0 gives the channels 1 to 8 back to the receiver, whose sticks rest; without one the last value stays.
+            if pulse == UNUSED or (pulse == 0 and not (channel <= RELEASED and own.receiver)):
                 continue
             low, neutral, high = thruster.output.rc_us
+            pulse = pulse or neutral
             n = (pulse - neutral) / (high - neutral if pulse > neutral else neutral - low)
             self.vehicle.sticks[node] = max(-1.0, min(1.0, n))
             if self.vehicle.armed and self.vehicle.mode == MANUAL and node in self._controllers:

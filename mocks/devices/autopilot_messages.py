@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from daq.protocol import GRAVITY, Codec
 from daq.rig import Thruster
-from daq.samples import Ahrs, Esc, Gnss
+from daq.samples import NAN, Ahrs, Esc, Gnss
 from mocks.world import EscController
 
 LOOP_HZ = 50.0  # SCHED_LOOP_RATE
@@ -16,6 +16,7 @@ MANUAL = 0
 BOOT_S = 20.0  # since boot when the mock starts
 EKF_READY = 0x33F  # attitude, velocities and positions, no constant-position mode
 EKF_INITIALISING = 0x0A7
+NO_FIX = 1  # GPS_FIX_TYPE
 ROVER, ARDUPILOT, UNUSED = 11, 3, 0xFFFF  # MAV_TYPE_SURFACE_BOAT, MAV_AUTOPILOT_ARDUPILOTMEGA, no value
 
 
@@ -72,8 +73,10 @@ class Reports:
         self._vehicle, self._codec, self._thrusters, self._controllers = vehicle, codec, thrusters, controllers
         self._esc: dict[int, Esc] = {}
         self._esc_counts: dict[int, int] = {}
-        self._fix: Gnss | None = None
-        self._fix_at = 0.0
+        self.clock_error = 0.0  # s by which its clock is ahead
+        self._sight: Gnss | None = None  # what the receiver said last
+        self._fix: Gnss | None = None  # and when it had a fix
+        self._fix_at, self._fix_ms = 0.0, 0
 
     def take(self, sample: Esc | Gnss) -> None:
         """Telemetry of a speed controller, or a fix."""
@@ -81,7 +84,9 @@ class Reports:
             self._esc[sample.node] = sample
             self._esc_counts[sample.node] = self._esc_counts.get(sample.node, 0) % 0xFFFF + 1
         else:
-            self._fix, self._fix_at = sample, self.t
+            self._sight = sample
+            if sample.fix >= 2:  # without one the place stays, and so does the time
+                self._fix, self._fix_at, self._fix_ms = sample, self.t, self._boot_ms
 
     @property
     def ekf(self) -> int:
@@ -90,7 +95,11 @@ class Reports:
 
     @property
     def _boot_ms(self) -> int:
-        return round((self.t + BOOT_S) * 1e3)
+        return self._boot_us // 1000  # cut, as the real one does
+
+    @property
+    def _boot_us(self) -> int:
+        return round((self.t + self.clock_error + BOOT_S) * 1e6)
 
     def say(self, name: str, ahrs: Ahrs) -> bytes:
         """One message by its name; nothing for what there is nothing to say about."""
@@ -101,9 +110,9 @@ class Reports:
             accel = (round(a / GRAVITY * 1e3) for a in (ahrs.ax, ahrs.ay, ahrs.az))
             gyro = (round(w * 1e3) for w in (ahrs.p, ahrs.q, ahrs.r))
             field_ = (0 if math.isnan(b) else round(b * 1e7) for b in (ahrs.mx, ahrs.my, ahrs.mz))
-            return self._codec.encode(name, ms * 1000, *accel, *gyro, *field_)
+            return self._codec.encode(name, self._boot_us, *accel, *gyro, *field_)
         if name == "SERVO_OUTPUT_RAW":
-            return self._codec.encode(name, ms * 1000 % 2**32, 0, *(self._pulse(node) for node in range(1, 17)))
+            return self._codec.encode(name, self._boot_us % 2**32, 0, *(self._pulse(node) for node in range(1, 17)))
         if name == "HEARTBEAT":
             mode = 128 * self._vehicle.armed + 1 + 64
             return self._codec.encode(name, ROVER, ARDUPILOT, mode, self._vehicle.mode, 3 + self._vehicle.armed, 3)
@@ -115,8 +124,8 @@ class Reports:
         return self._say_slow(name)
 
     def _say_slow(self, name: str) -> bytes:
-        if name == "GPS_RAW_INT" and self._fix is not None:
-            return self._say_fix(self._fix)
+        if name == "GPS_RAW_INT" and self._sight is not None:
+            return self._say_fix(self._sight)
         if name == "BATTERY_STATUS" and self._esc:
             volts = sum(esc.voltage for esc in self._esc.values()) / len(self._esc)
             amps = sum(abs(esc.current) for esc in self._esc.values())
@@ -128,22 +137,23 @@ class Reports:
             return self._say_escs(name)
         return b""
 
-    def _say_fix(self, fix: Gnss) -> bytes:
+    def _say_fix(self, sight: Gnss) -> bytes:
+        """The time is that of the newest fix, 0 before there was one; so are the place and what belongs to it."""
+        fix = self._fix or Gnss(0.0, NAN, NAN)
         course = math.degrees(math.atan2(fix.vel_e, fix.vel_n)) % 360.0
-        fix_type = {2: 2, 3: 3, 4: 4, 5: 6, 6: 5}.get(fix.fix, 0)
-        sigma = 0 if math.isnan(fix.sigma_h) else round(fix.sigma_h * 1e3)
+        sigma = _whole(fix.sigma_h * math.sqrt(2.0) * 1e3)  # of both axes together
         return self._codec.encode(
             "GPS_RAW_INT",
-            round((self._fix_at + BOOT_S) * 1e6),
-            fix_type,
-            round(fix.lat * 1e7),
-            round(fix.lon * 1e7),
-            0 if math.isnan(fix.alt) else round(fix.alt * 1e3),
-            UNUSED if math.isnan(fix.hdop) else round(fix.hdop * 100),
+            self._fix_ms * 1000,
+            {2: 2, 3: 3, 4: 4, 5: 6, 6: 5}.get(sight.fix, NO_FIX),
+            _whole(fix.lat * 1e7),
+            _whole(fix.lon * 1e7),
+            _whole(fix.alt * 1e3),
+            _whole(sight.hdop * 100, UNUSED),
             UNUSED,
-            int(math.hypot(fix.vel_n, fix.vel_e) * 100),  # cut, as the real one does
-            round(course * 100) % 36000,
-            max(fix.n_sat, 0),
+            UNUSED if math.isnan(fix.speed) else int(fix.speed * 100),  # cut, as the real one does
+            UNUSED if math.isnan(course) else round(course * 100) % 36000,
+            max(sight.n_sat, 0),
             0,
             sigma,
             sigma,
@@ -170,3 +180,8 @@ class Reports:
         low, neutral, high = thruster.output.pwm_us
         n = controller.duty
         return round(neutral + n * (high - neutral if n > 0.0 else neutral - low))
+
+
+def _whole(value: float, none: int = 0) -> int:
+    """The nearest whole number; `none` for NaN."""
+    return none if math.isnan(value) else round(value)

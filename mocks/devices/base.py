@@ -10,6 +10,8 @@ from mocks.world import Sample
 class DeviceEmulator(ABC):
     """What sits at the far end of one port."""
 
+    clock_error = 0.0  # s by which its own clock is ahead of what it was set to
+
     @abstractmethod
     def encode(self, sample: Sample, t: float) -> bytes:
         """The bytes of a sample that the device takes at its own time ``t`` (s)."""

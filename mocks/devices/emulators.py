@@ -29,7 +29,9 @@ class VectorNav(DeviceEmulator):
     def encode(self, sample: Sample, t: float) -> bytes:
         """One message."""
         assert isinstance(sample, Ahrs)
-        return vectornav.encode_ascii(sample) if self._ascii else vectornav.encode_binary(sample, t)
+        if self._ascii:
+            return vectornav.encode_ascii(sample)
+        return vectornav.encode_binary(sample, max(t + self.clock_error, 0.0))
 
 
 @final
@@ -39,7 +41,7 @@ class Nmea(DeviceEmulator):
     def encode(self, sample: Sample, t: float) -> bytes:
         """GGA, RMC, VTG and GST."""
         assert isinstance(sample, Gnss)
-        return nmea.encode(sample)
+        return nmea.encode(replace(sample, utc=sample.utc + self.clock_error))
 
 
 @final

@@ -16,6 +16,7 @@ from mocks.world import Sample
 
 SIGNAL = "usr1"
 LATE_S = 1.0
+BACK_S, SKEW = 0.6, 100e-6
 NOISY = (math.radians(5.0), 0.1, 1.0, 1.0)  # rad, rad/s, m/s2, m/s2
 
 
@@ -39,6 +40,9 @@ KINDS = {
     "flat": Kind(5.0, "the voltage of an empty battery"),
     "away": Kind(5.0, "a position a kilometre off"),
     "capsize": Kind(5.0, "a roll of 120 degrees"),
+    "no-fix": Kind(5.0, "a receiver that sees too few satellites"),
+    "clock-back": Kind(math.inf, "a device whose clock is set back by 0.6 s"),
+    "clock-skew": Kind(math.inf, "a device whose clock is 100 ppm fast"),
     "esc-dead": Kind(math.inf, "a thruster's controller dies: no thrust, no word"),
     "slow": Kind(math.inf, "every other reading is lost"),
     "late": Kind(math.inf, "readings come a second late, stamped as if they were new"),
@@ -134,6 +138,11 @@ class Faults:
                 sample = change(sample)
         return _spiked(sample) if self._spike_due(device, t) else sample
 
+    def clock_error(self, device: str, t: float) -> float:
+        """Seconds by which the device's clock is ahead at ``t`` (s)."""
+        starts = [(f.kind, f.start) for f in self._faults if f.start is not None and f.hits(device) and f.active(t)]
+        return sum({"clock-back": -BACK_S, "clock-skew": SKEW * (t - at)}.get(kind, 0.0) for kind, at in starts)
+
     def bytes(self, device: str, data: bytes, t: float) -> bytes:
         """What the wire makes of the device's bytes."""
         return self._rng.bytes(len(data)) if self._faults and self.active("garbage", device, t) else data
@@ -166,6 +175,7 @@ _CHANGES: dict[str, Callable[[Sample], Sample]] = {
     "mute": lambda s: replace(s, temperature=NAN, voltage=NAN) if isinstance(s, Esc) else s,
     "flat": lambda s: replace(s, voltage=6.0) if isinstance(s, Esc) else s,
     "away": lambda s: replace(s, lat=s.lat + 0.009) if isinstance(s, Gnss) else s,
+    "no-fix": lambda s: Gnss(s.utc, NAN, NAN, n_sat=3) if isinstance(s, Gnss) else s,
     "degrees": lambda s: _in_degrees(s) if isinstance(s, Ahrs) else s,
     "capsize": lambda s: replace(s, roll=math.radians(120.0)) if isinstance(s, Ahrs) else s,
 }

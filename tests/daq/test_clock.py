@@ -102,6 +102,73 @@ def test_a_clock_that_is_set_forward_or_stood_still(jump: float) -> None:
     assert forward.resets == behind.resets == 1
 
 
+@pytest.mark.parametrize("rate", [1.0, 5.0, 50.0])
+@pytest.mark.parametrize("step", [-0.3, -0.6, -0.9, -1.0])
+def test_a_clock_that_is_set_back_by_less_than_a_second(step: float, rate: float) -> None:
+    rng, clock_map, off = np.random.default_rng(4), ClockMap(), []
+    for k in range(int(150 * rate)):
+        t = 1000.0 + k / rate
+        t_rx = t + rng.uniform(0.06, 0.09)
+        estimate = clock_map.estimate(1.7e9 + t + (step if t >= 1060.0 else 0.0), t_rx, unordered=True, kind="fix")
+        assert t_rx - estimate < 0.05 or t < 1060.0 + ClockMap.STEP_FOR + 2.0 / rate + 1.0
+        off.append(t_rx - estimate > 0.05)
+    assert clock_map.resets == 1
+    # What runs back is known at once or from the next one; a step of less than the period by its lasting.
+    assert sum(off) / rate <= (ClockMap.STEP_FOR + 2.0 if -step < 1.0 / rate else 1.0 / rate)
+
+
+def test_a_step_is_seen_between_samples_of_other_kinds() -> None:
+    clock_map, rng = ClockMap(), np.random.default_rng(5)
+    late = []
+    for k in range(100 * 50):
+        t = 0.02 * k
+        at = 500.0 + t - (0.6 if t >= 60.0 else 0.0)
+        clock_map.estimate(at, t + rng.uniform(0.001, 0.003), True, "attitude")
+        if k % 10 == 0:  # a fix is older than the attitude before it
+            late.append(t + 0.003 - clock_map.estimate(at - 0.15, t + 0.003, True, "fix"))
+    assert clock_map.resets == 1
+    assert late == pytest.approx([0.15] * len(late), abs=0.01)
+
+
+def test_packets_that_overtake_each_other_are_no_step() -> None:
+    rng, clock_map = np.random.default_rng(6), ClockMap()
+    order = np.arange(20_000)
+    for at in range(100, 19_900, 100):
+        order[[at, at + 1]] = order[[at + 1, at]]
+    for k, of in enumerate(order):
+        clock_map.estimate(0.1 * of, 1000.0 + 0.1 * max(k, of) + rng.uniform(0.001, 0.02), True, "attitude")
+    assert clock_map.resets == 0
+
+
+def test_a_time_that_is_repeated_for_a_while_is_no_step() -> None:
+    clock_map = ClockMap()
+    for k in range(500):
+        t = 0.2 * k
+        clock_map.estimate(10.0 if 10.0 < t < 15.0 else t, t + 0.05, True, "fix")
+    assert clock_map.resets == 0
+    for k in range(500, 800):  # and for good
+        clock_map.estimate(99.8, 0.2 * k + 0.05, True, "fix")
+    assert 1 <= clock_map.resets <= 6
+
+
+def test_a_link_that_starts_slowly_is_no_step() -> None:
+    clock_map = ClockMap()
+    for k in range(3000):
+        t, queued = 0.02 * k, 0.4 if k < 100 else 0.0  # what the host had kept before the port was read
+        clock_map.estimate(t, 1000.0 + t + queued + 0.002, True, "attitude")
+        clock_map.estimate(t - 0.3, 1000.0 + t + queued + 0.003, True, "fix")
+    assert clock_map.resets == 0
+
+
+@pytest.mark.skipif(not hasattr(time, "CLOCK_MONOTONIC_RAW"), reason="a system without a raw clock")
+def test_a_host_clock_that_is_slewed_does_not_reach_run_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, raw, plain = RunClock(), time.CLOCK_MONOTONIC_RAW, time.clock_gettime
+    monkeypatch.setattr(time, "monotonic", lambda: 1.08 * plain(time.CLOCK_MONOTONIC))  # as chrony slews
+    before, from_raw = clock.now(), plain(raw)
+    time.sleep(0.2)
+    assert clock.now() - before == pytest.approx(plain(raw) - from_raw, abs=0.01)
+
+
 def test_a_pause_of_the_reader_is_no_jump() -> None:
     clock_map = ClockMap()
     estimates = [clock_map.update(0.01 * k, 1000.0 + max(0.01 * k, 5.0 if 300 < k < 500 else 0.0)) for k in range(2000)]

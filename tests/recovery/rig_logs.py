@@ -148,7 +148,7 @@ def autopilot_log(path: Path, readings: Sequence[Reading], *, signed: bool) -> P
         data = autopilot.encode(sample, t)  # type: ignore[arg-type]
         arrived = max(arrived, t + LINK_DELAY + float(rng.exponential(LINK_JITTER)))  # nothing overtakes
         for frame in decoder.feed(data, T0 + arrived):
-            t = clock.estimate(frame.t_device, frame.t_rx, True) if np.isfinite(frame.t_device) else frame.t_rx
+            t = clock.estimate(frame.t_device, frame.t_rx, True, type(frame.sample))
             recorder.write("autopilot", frame, t)
     recorder.close()
     return path

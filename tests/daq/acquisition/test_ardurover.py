@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,7 +15,8 @@ import pytest
 from daq.config.rig_file import load_rig
 from daq.drivers.base import DISARMED
 from daq.log.reader import open_log
-from daq.samples import Ahrs, Servo
+from daq.protocol.mavlink import MavlinkDecoder, Samples
+from daq.samples import Ahrs, Gnss, Servo
 from tests.bench.autopilot_faults import FAULTS, SETTINGS, link_test, ready_rover, start, try_fault, try_parameter
 from tests.daq.ardurover import HEADING_DEG, MISSING, PROGRAM, RIG, Rover
 
@@ -82,6 +84,26 @@ def test_attitude_and_outputs_of_a_real_autopilot_are_logged(tmp_path: Path, por
         assert len(output) > 60
         assert np.all(output["pwm"][-20:] == 1500.0)  # disarmed: neutral
         assert np.all(output["n"][-20:] == 0.0)
+
+
+def test_a_fix_that_a_real_autopilot_loses_is_told(tmp_path: Path, rover: Rover) -> None:
+    """Its time of a fix stands still without one, at 0 since boot: neither a duplicate nor a device time."""
+    rover.until(lambda: bool(rover.beats), 20.0, "a heartbeat")
+    rover.record(tmp_path / "run.tlog", 200_000)
+    rover.until_ready()
+    rover.set("SIM_GPS1_ENABLE", 0.0)
+    try:
+        time.sleep(5.0)
+    finally:
+        rover.set("SIM_GPS1_ENABLE", 1.0)
+    decoder, data = MavlinkDecoder(Samples()), (tmp_path / "run.tlog").read_bytes()
+    fixes = [f for f in decoder.feed(data, 0.0) if isinstance(f.sample, Gnss)]
+    kinds = [f.sample.fix for f in fixes if isinstance(f.sample, Gnss)]
+    lost = len(kinds) - kinds[::-1].index(0) - 1
+    assert max(kinds[:lost]) >= 3
+    assert all(np.isnan(f.t_device) == (kind == 0) for f, kind in zip(fixes, kinds, strict=True))
+    times = [f.t_device for f in fixes if np.isfinite(f.t_device)]
+    assert times == sorted(times)
 
 
 @pytest.mark.study

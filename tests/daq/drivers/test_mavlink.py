@@ -16,7 +16,7 @@ from daq.drivers.setpoints import Due
 from daq.protocol.catalogue import make_decoder
 from daq.protocol.mavlink_wire import Codec, Head, head
 from daq.rig import Rig
-from daq.samples import Ahrs, Battery, Esc, Servo
+from daq.samples import NAN, Ahrs, Battery, Esc, Gnss, Servo
 from mocks.devices.autopilot import HOLD, OWN_N, RTL, AutopilotEmulator
 from tests.daq.mavlink_ends import LEVEL, Ends, mav_rig
 
@@ -506,3 +506,40 @@ def test_in_rtl_the_boat_drives_whatever_is_commanded() -> None:
     drive(ends, 0.0, 0.0, 1.0)
     assert ends.autopilot.vehicle.mode == RTL
     assert [ends.controllers[node].n for node in (1, 3)] == [OWN_N, OWN_N]
+
+
+def test_a_receiver_without_a_fix_stops_its_time() -> None:
+    blind = Gnss(1_800_000_000.0, NAN, NAN, n_sat=3)
+
+    def run(ends: Ends, fixes: list[Gnss]) -> list[tuple[int, float]]:
+        """Fix and device time of what comes while the receiver says these, at 5 Hz."""
+        before = len(ends.frames)
+        for fix in fixes:
+            ends.autopilot.encode(fix, ends.t)
+            for _ in range(10):
+                ends.t += 0.02
+                ends.to_ground(ends.autopilot.encode(LEVEL, ends.t))
+        found = [frame for frame in ends.frames[before:] if isinstance(frame.sample, Gnss)]
+        return [(frame.sample.fix, frame.t_device) for frame in found if isinstance(frame.sample, Gnss)]
+
+    ends = ready(Ends(mav_rig()))
+    run(ends, [replace(blind, lat=38.7, lon=-9.1, fix=3)])
+    ((fix, t_device),) = run(ends, [blind] * 10)
+    assert (fix, math.isnan(t_device)) == (0, True)
+    t = ends.t + 20.0
+    assert [(f, round(at - t, 2)) for f, at in run(ends, [replace(blind, lat=38.7, lon=-9.1, fix=3)])] == [(3, 0.0)]
+    fresh = Ends(mav_rig())
+    fresh.autopilot._rates["GPS_RAW_INT"] = 5.0
+    ((fix, t_device),) = run(fresh, [blind] * 10)  # since boot: a time of 0
+    assert (fix, math.isnan(t_device)) == (0, True)
+
+
+def test_an_override_of_zero_gives_a_channel_back() -> None:
+    ends = armed(ready(Ends(mav_rig())))
+    drive(ends, 0.5, 0.5, 1.0)
+    assert ends.controllers[1].n > 0.4
+    codec = Codec(255, 190)
+    release = codec.encode("RC_CHANNELS_OVERRIDE", 1, 1, 0, *[0xFFFF] * 7, *[0] * 10)
+    ends.autopilot.receive(release, ends.t)
+    assert ends.autopilot.vehicle.sticks[1] == 0.0
+    assert abs(ends.autopilot.vehicle.sticks[3]) == pytest.approx(0.5, abs=0.01)  # 0xFFFF leaves a channel alone

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,11 @@ import pytest
 from pymavlink import DFReader
 
 from daq.errors import SeatrialError, SeatrialWarning
+from daq.importers.dataflash import _Reader
 from daq.importers.mavlink import STAMP, _frames, import_mavlink
+from daq.importers.write_log import Timed
 from daq.log.reader import open_log
-from daq.samples import Ahrs, Autopilot, Battery, Esc, Gnss, Servo
+from daq.samples import Ahrs, Autopilot, Battery, Esc, Frame, Gnss, Servo
 from tests.daq.mavlink_ends import LEVEL, Ends, mav_rig
 
 T0 = 1_790_000_000.0
@@ -228,6 +231,26 @@ def test_a_dataflash_log_becomes_a_log(tmp_path: Path) -> None:
         assert told == ["HOLD", "armed", "event 10 (LogEvent)", "error 1 of subsystem 12 (LogErrorSubsystem)"]
         state = log.table(Autopilot, "autopilot")[-1]
         assert (state["armed"], state["mode"], state["state"]) == (1, 4, 4)
+
+
+@pytest.mark.parametrize(
+    ("has_rig", "told", "found"),
+    [
+        (False, (-1200.0, 900.0), (-1200.0, 900.0)),
+        (True, (-1200.0, 900.0), (-1200.0, 900.0)),  # astern while the output is ahead: it coasts
+        (True, (1200.0, 900.0), (1200.0, -900.0)),  # magnitudes
+        (False, (1200.0, 900.0), (1200.0, 900.0)),
+    ],
+)
+def test_the_sign_of_a_shaft_speed(has_rig: bool, told: tuple[float, ...], found: tuple[float, ...]) -> None:
+    rig = mav_rig() if has_rig else None
+    reader = _Reader(rig, None if rig is None else rig.device("autopilot"))
+    rows = []
+    for rpm, pulse in zip(told, (1700, 1300), strict=True):
+        reader.take["RCOU"](SimpleNamespace(C1=pulse))
+        (esc,) = reader.take["ESC"](SimpleNamespace(Instance=0, RPM=rpm, Curr=3.0, Volt=15.0, Temp=30.0))
+        rows.append(Timed(Frame(esc, 1.0, 1.0), 1.0))
+    assert tuple(row.frame.sample.rpm for row in reader.joined(rows) if isinstance(row.frame.sample, Esc)) == found
 
 
 def test_lost_frames_and_parameters_of_a_tlog_are_told(tmp_path: Path) -> None:

@@ -144,3 +144,36 @@ def test_two_nodes_may_be_interleaved() -> None:
     wire = b"".join(frame for pair in zip(a, b, strict=True) for frame in pair)
     found = [frame.sample for frame in dronecan.Decoder().feed(wire, 1.0)]
     assert [(s.node, s.rpm) for s in found if isinstance(s, Esc)] == [(1, 100.0), (2, 200.0)]
+
+
+def test_codes_in_the_place_of_a_number_are_none(tmp_path: Path) -> None:
+    (tmp_path / "j1939.dbc").write_text(
+        """VERSION ""
+NS_ :
+BS_:
+BU_: X
+BO_ 2364540158 EEC1: 8 X
+ SG_ EngineSpeed : 24|16@1+ (0.125,0) [0|8031.875] "rpm" X
+ SG_ Load : 16|8@1+ (1,0) [0|250] "%" X
+ SG_ Distance : 40|24@1+ (1,0) [0|0] "m" X
+BO_ 2314338814 Page1: 8 X
+ SG_ Raw : 0|16@1+ (1,0) [0|0] "" X
+ SG_ Angle : 16|16@1- (1,0) [0|0] "" X
+ SG_ Four : 32|4@1+ (1,0) [0|0] "" X
+BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
+BA_DEF_DEF_ "VFrameFormat" "J1939PG";
+BA_ "VFrameFormat" BO_ 2364540158 3;
+BA_ "VFrameFormat" BO_ 2314338814 3;
+"""
+    )
+    eec1, page_1 = dbc.load_dbc(str(tmp_path / "j1939.dbc")).messages
+    if eec1.name != "EEC1":
+        eec1, page_1 = page_1, eec1
+    shipped = dbc.load_dbc(str(Path(dbc.__file__).with_name("nmea2000.dbc"))).messages[0]
+    for message, name, last in (
+        (eec1, "EngineSpeed", 0xFAFF), (eec1, "Load", 0xFA), (eec1, "Distance", 0xFAFFFF),
+        (page_1, "Raw", 0xFFFC), (page_1, "Angle", 0x7FFC), (page_1, "Four", 0xD),
+        (shipped, "EngineSpeed", 0xFAFF), (shipped, "EngineInstance", 0xFC),
+    ):  # fmt: skip
+        assert math.isfinite(dbc.number(message, name, last)), name
+        assert math.isnan(dbc.number(message, name, last + 1)), name

@@ -32,6 +32,16 @@ def test_true_headings() -> None:
     assert yaws("GNTHS,,V", "GNTHS,12.0,V", "GPHDT,,T") == []
 
 
+def test_a_heading_that_its_sender_calls_void_is_none() -> None:
+    assert yaws("GPTHS,123.4,") == []  # without a mode
+    assert yaws("HEHDT,999.9,T") == []
+    assert yaws("PSTI,036,054314.000,030521,191.69,-16.35,0.00,N") == []
+    assert len(yaws("PSTI,036,054314.000,030521,191.69,-16.35,0.00,F")) == 1
+    pashr = "PASHR,054314.00,123.40,T,+1.00,-2.00,+0.10,0.5,0.5,9.9,"
+    assert yaws(pashr + "0,0") == []
+    assert yaws(pashr + "0,1") == yaws(pashr + "1,0") == yaws(pashr + "2") == [123.4]  # inertial, with a fix, unknown
+
+
 def test_a_magnetic_heading_needs_a_declination() -> None:
     decoder = nmea.Decoder()
     assert decoder.feed(sentence("HCHDM,100.0,M"), 5.0) == []

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
 from pathlib import Path
@@ -9,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq.errors import SeatrialError
+from daq.protocol import ubx
 from daq.protocol.mavlink import MavlinkDecoder, Samples
 from daq.protocol.mavlink_wire import Codec, EscStatus, crc16, dialect, encode_esc_status, read_key
 from daq.rig import AutopilotOutput
@@ -130,7 +132,7 @@ def test_a_repeated_fix_is_one_fix() -> None:
     assert fix.utc == pytest.approx(1_795_144_521.05)
     assert (fix.lat, fix.lon, fix.alt) == pytest.approx((42.358, -71.0856831, 1.5))
     assert (fix.vel_n, fix.vel_e) == pytest.approx((4.455 * math.cos(math.radians(89.98)), 4.455), rel=1e-6)
-    assert (fix.fix, fix.n_sat, fix.hdop, fix.sigma_h) == (5, 10, 1.21, 0.3)
+    assert (fix.fix, fix.n_sat, fix.hdop, fix.sigma_h) == (5, 10, 1.21, pytest.approx(0.3 / math.sqrt(2.0)))
     slow = list(gps(70_450_000))
     slow[9] = 0xFFFF  # no course
     (found,) = samples(time, tuple(slow))
@@ -293,3 +295,40 @@ def test_a_text_of_the_autopilot_does_not_write_to_the_terminal() -> None:
     assert isinstance(event, Event)
     assert event.text.isprintable()
     assert "boo" in event.text
+
+
+def raw_fix(usec: int, kind: int) -> tuple[object, ...]:
+    return ("GPS_RAW_INT", usec, kind, 387_000_000, -90_000_000, 0, 100, 0xFFFF, 0, 0, 9, 0, 1000, 1000)
+
+
+def test_a_lost_fix_is_a_sample_without_a_time() -> None:
+    attitude = ("ATTITUDE", 30_000, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    messages = [raw_fix(0, 1), attitude, raw_fix(0, 1), raw_fix(31_000_000, 3), *[raw_fix(31_000_000, 1)] * 3]
+    found = [f for f in samples(HEARTBEAT, *messages, raw_fix(35_000_000, 3)) if isinstance(f.sample, Gnss)]
+    assert [f.sample.fix for f in found if isinstance(f.sample, Gnss)] == [0, 3, 0, 3]
+    assert [f.t_device for f in found] == pytest.approx([math.nan, 31.0005, math.nan, 35.0005], nan_ok=True)
+    lost = found[2].sample
+    assert isinstance(lost, Gnss)
+    assert all(map(math.isnan, (lost.utc, lost.lat, lost.lon, lost.sigma_h, lost.speed)))
+
+
+def test_the_accuracy_of_a_fix_is_that_of_ubx() -> None:
+    """One receiver with hAcc 1 m, by its own protocol and through an autopilot."""
+    own = ubx.Decoder()
+    frames = own.feed(ubx.encode(Gnss(1.8e9, 38.7, -9.0, fix=3, sigma_h=math.sqrt(0.5))), 1.0) + own.flush()
+    said = [f.sample.sigma_h for f in [*frames, *samples(raw_fix(1000, 3))] if isinstance(f.sample, Gnss)]
+    assert said == pytest.approx([math.sqrt(0.5)] * 2, abs=1e-3)
+
+
+def test_a_restart_of_the_autopilot_leaves_nothing_from_before() -> None:
+    def at(ms: int) -> list[tuple[object, ...]]:
+        attitude = ("ATTITUDE", ms, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return [attitude, ("RAW_IMU", (ms + 20) * 1000, 0, 0, -1000, 0, 0, 0, 0, 0, 0)]
+
+    time = ("SYSTEM_TIME", 1_795_144_521_000_000, 500_000)
+    before, after = [*at(500_000), *at(500_040)], [*at(3000), *at(3040)]
+    for later in (after, after[1:]):  # whichever comes first
+        found = samples(HEARTBEAT, time, *before, *later, raw_fix(3_050_000, 3))
+        times = [f.t_device for f in found if isinstance(f.sample, Ahrs)]
+        assert sum(b < a for a, b in itertools.pairwise(times)) == 1
+        assert math.isnan(next(f.sample.utc for f in found if isinstance(f.sample, Gnss)))

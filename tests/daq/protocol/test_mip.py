@@ -80,3 +80,26 @@ def test_what_is_damaged_is_counted() -> None:
     decoder = mip.Decoder()
     assert decoder.feed(body + mip.checksum(body), 5.0) == []
     assert counters(decoder)[:2] == (0, 0)
+
+
+def test_vectors_of_several_packets_come_together() -> None:
+    """Rates at 100 Hz and accelerations at 50 Hz are in packets of their own now and then."""
+    accel = mip.packet(mip.SENSOR, {0x04: struct.pack(">3f", 0.0, 0.0, -1.0)})
+    rate = mip.packet(mip.SENSOR, {0x05: struct.pack(">3f", 0.1, 0.2, 0.3)})
+    decoder = mip.Decoder()
+    decoder.feed(accel, 5.0)
+    for data in (rate, FILTER):
+        (frame,) = decoder.feed(data, 5.1)
+        assert isinstance(frame.sample, Ahrs)
+        assert (frame.sample.p, frame.sample.az) == pytest.approx((0.1, -9.80665), abs=1e-6)
+    (later,) = decoder.feed(FILTER, 5.0 + mip.STALE_S + 0.05)
+    assert isinstance(later.sample, Ahrs)
+    assert (later.sample.r, math.isnan(later.sample.az)) == (pytest.approx(0.3), True)  # too old to be repeated
+
+
+def test_a_filter_that_loses_its_attitude_does_not_silence_the_sensor() -> None:
+    invalid = mip.packet(mip.FILTER, {0x05: struct.pack(">3fH", 0.01, -0.02, 1.5, 0)})
+    decoder = mip.Decoder()
+    said = [len(decoder.feed(data, 5.0)) for data in (SENSOR, FILTER, SENSOR, invalid, SENSOR, SENSOR, FILTER, SENSOR)]
+    assert said == [1, 1, 0, 0, 1, 1, 1, 0]
+    assert len(decoder.feed(SENSOR, 5.0 + mip.FILTER_S + 0.1)) == 1  # of the filter nothing came any more

@@ -153,6 +153,39 @@ def test_vtg_is_used_where_there_is_no_rmc() -> None:
     assert read(gga("221320.00") + vtg + rmc("221320.00"))[0].vel_e == pytest.approx(1852 / 3600)
 
 
+def test_a_vtg_that_comes_first_is_of_the_epoch_behind_it() -> None:
+    decoder = Decoder()
+    found = []
+    for k in range(8):
+        t = T + k
+        found += decoder.feed(sentence(f"GPVTG,0.0,T,,M,,N,{float(k)},K,A"), t + 0.1)
+        found += decoder.feed(gga(f"22132{k}.00"), t + 0.12)
+    rows = [(f.t_device - T, f.t_rx - T - 0.1, f.sample.speed * 3.6) for f in found[2:] if isinstance(f.sample, Gnss)]
+    assert sum(rows, ()) == pytest.approx([k for k in range(2, 8) for _ in range(3)], abs=1e-5)  # and each at once
+    decoder, found = Decoder(), []
+    for k in range(8):  # behind its GGA, on a slow line
+        found += decoder.feed(gga(f"22132{k}.00"), T + 0.15 + k)
+        found += decoder.feed(sentence(f"GPVTG,0.0,T,,M,,N,{float(k)},K,A"), T + 0.3 + k)
+    speeds = [f.sample.speed * 3.6 for f in found if isinstance(f.sample, Gnss)]
+    assert speeds == pytest.approx(range(8))
+
+
+def test_before_its_first_fix_a_receiver_has_no_time_of_its_own() -> None:
+    decoder = Decoder()
+    void = "GPRMC,22132{}.00,V,,,,,,,141123,,,N"
+    found = [f for k in (0, 1) for f in decoder.feed(sentence(void.format(k)), 1.0 + k)]
+    found += decoder.feed(sentence("PASHR,221321.50,10.0,T,0.0,0.0,0.0"), 2.5)
+    for k in (2, 3):
+        found += decoder.feed(rmc(f"22132{k}.00"), 1.0 + k)
+    found += decoder.feed(sentence("PASHR,221323.50,10.0,T,0.0,0.0,0.0"), 4.5)
+    found += decoder.feed(sentence(void.format(4)), 5.0) + decoder.flush()  # it keeps the time through an outage
+    assert [f.t_device - T for f in found] == pytest.approx([NAN, NAN, NAN, 2.0, 3.0, 3.5, 4.0], nan_ok=True)
+    assert [f.sample.utc - T for f in found if isinstance(f.sample, Gnss)] == [0.0, 1.0, 2.0, 3.0, 4.0]
+    decoder.reset()
+    (again,) = decoder.feed(sentence(void.format(5)), 6.0)
+    assert math.isnan(again.t_device)  # the port may have another receiver
+
+
 def test_a_receiver_at_rest_has_a_velocity() -> None:
     still = sentence("GPRMC,221320.00,A,4106.0000,N,00836.0000,W,0.0,,141123,,,A")
     assert (read(still)[0].vel_n, read(still)[0].vel_e) == (0.0, 0.0)
@@ -242,7 +275,7 @@ def test_any_fields_may_stand_behind_a_right_checksum(kind: str, fields: str) ->
 def test_ardupilots_simulated_receivers(name: str) -> None:
     decoder = Decoder()
     frames = decoder.feed(measured(f"ardurover/{name}").read_bytes(), 0.0) + decoder.flush()
-    times = [frame.t_device for frame in frames]
+    times = [frame.t_device for frame in frames if math.isfinite(frame.t_device)]  # from the first fix on
     assert len(times) > 40
     assert all(0.05 < b - a < 0.45 for a, b in itertools.pairwise(times))
     fixes = [frame.sample for frame in frames if isinstance(frame.sample, Gnss) and frame.sample.fix]

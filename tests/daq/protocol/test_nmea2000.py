@@ -215,3 +215,17 @@ def test_the_rate_is_that_of_headings_or_else_of_fixes(tmp_path: Path, says: tup
     for k in range(7):
         loop._received(can([frame for sample in says for frame in encode(sample, sid=k)]), 10.0 + k)
     assert loop._rated == 5  # from 1.2 s on
+
+
+def test_a_receiver_with_a_fix_goes_before_one_without() -> None:
+    there, said = Decoder(settle=0.0), []
+    void = replace(FIX, lat=NAN, lon=NAN, fix=0, n_sat=3)
+    for k in range(6):
+        blind = fast_packet(nmea2000.FIX, encode_body(void), k, source=5)
+        seeing = fast_packet(nmea2000.FIX, encode_body(FIX), k, source=10)
+        said += fed(*blind, *seeing, decoder=there, t=k / 2)
+    assert [frame.sample.fix for frame in said if isinstance(frame.sample, Gnss)] == [0, *[5] * 6]
+    assert math.isnan(said[0].t_device)  # before its first fix a receiver's time is that of its own clock
+    assert said[1].t_device == pytest.approx(FIX.utc, abs=1e-4)
+    blind = fast_packet(nmea2000.FIX, encode_body(void), 0, source=5)
+    assert len(fed(*blind, decoder=there, t=2.5 + nmea2000.STALE_S + 0.1)) == 1  # the other is silent

@@ -66,6 +66,21 @@ def test_without_a_valid_date_there_is_no_device_time() -> None:
     assert math.isnan(frame.t_device)
 
 
+def test_a_time_that_is_not_resolved_is_of_the_receivers_own_clock() -> None:
+    def said(message: bytes) -> Frame:
+        decoder = ubx.Decoder()
+        (frame,) = [*decoder.feed(message, 5.0), *decoder.flush()]
+        return frame
+
+    vague = bytearray(pvt(fix=0, flags=0)[6:-2])
+    struct.pack_into("<I", vague, 12, 1_000_000_000)  # accurate to a second
+    for frame in (said(pvt(valid=3)), said(ubx.message(ubx.NAV_PVT, bytes(vague)))):
+        assert math.isnan(frame.t_device)
+        assert isinstance(frame.sample, Gnss)
+        assert frame.sample.utc == T
+    assert said(pvt()).t_device == said(pvt(fix=0, flags=0)).t_device == T  # in an outage it keeps its time
+
+
 def old_receiver(i_tow: int, n_sat: int = 7) -> list[bytes]:
     """SOL, POSLLH, VELNED and DOP of one epoch, as u-blox 5 and 6 send it; week 2288, no leap second message."""
     sol = struct.pack("<IihBB3iI3iIHBBI", i_tow, 250_000, 2288, 3, 0x0D, 0, 0, 0, 100, 0, 0, 0, 10, 200, 0, n_sat, 0)
@@ -148,6 +163,23 @@ def test_a_wrong_checksum_is_counted_and_gives_nothing() -> None:
     assert (decoder.frames, decoder.checksum_errors) == (0, 1)
 
 
+@pytest.mark.parametrize("kind", [b"\x0d\x55", b"\x01\x99"])
+def test_a_damaged_length_holds_no_fix_back(kind: bytes) -> None:
+    stream = b"\xb5\x62" + kind + b"\xf0\x1f"  # 8176 bytes, at 100 bytes/s 82 s
+    decoder, late = ubx.Decoder(), []
+    decoder.feed(stream, 0.0)
+    for k in range(1, 10):
+        message = ubx.encode(Gnss(T + k, 41.0, -8.0, fix=3))
+        stream += message
+        late += [frame.t_rx - (frame.t_device - T) for frame in decoder.feed(message, float(k))]
+    assert late == [0.0] * 9
+    check_splits(ubx.Decoder, stream)
+    whole = ubx.message((0x02, 0x15), b"\xb5\x62" * 500) + pvt()  # a long one of a kind that is not read
+    decoder = ubx.Decoder()
+    assert len(decoder.feed(whole, 1.0) + decoder.flush()) == 1
+    assert (decoder.frames, decoder.unparsed_bytes) == (2, 0)
+
+
 def test_an_attitude_has_the_time_of_its_week() -> None:
     decoder = ubx.Decoder()
     fix = Gnss(1_700_000_000.0, 59.0, 10.0, 3.0, 0.5, 0.1, 0.0, fix=3, n_sat=9)
@@ -216,3 +248,17 @@ def test_the_high_rate_solution_goes_before_that_of_the_epochs() -> None:
     assert (samples[0].vel_n, samples[0].vel_e) == pytest.approx((0.0, 1.0), abs=1e-9)
     assert (samples[0].lat, samples[0].lon, samples[0].fix) == (pytest.approx(41.1234567), pytest.approx(-8.7654321), 3)
     assert read(hnr(0, flags=0))[0].fix == 0
+
+
+def test_where_the_high_rate_solution_ends_the_epochs_go_on() -> None:
+    decoder = ubx.Decoder()
+    decoder.feed(hnr(0), 1.0)
+    payload = struct.pack("<IB3x3i3I", 1050, 0, 0, 0, 9_000_000, 100_000, 100_000, 100_000)
+    (attitude,) = decoder.feed(ubx.message((0x01, 0x05), payload), 1.1)
+    assert attitude.t_device == pytest.approx(T + 0.05)  # from the time of the high-rate solution
+    assert decoder.feed(pvt(i_tow=2000) + pvt(i_tow=3000), 2.0) == []
+    found = [frame.t_rx for k in range(4, 9) for frame in decoder.feed(pvt(i_tow=1000 * k), float(k))]
+    assert found == [4.0, 5.0, 6.0, 7.0, 8.0]
+    decoder.feed(hnr(0), 9.0)
+    decoder.reset()  # the port was reopened, and the receiver lost its configuration
+    assert len(decoder.feed(pvt(i_tow=10_000), 9.5) + decoder.flush()) == 1

@@ -113,6 +113,33 @@ def test_an_slcan_adapter(tmp_path: Path) -> None:
     pty.pull()
 
 
+@pytest.mark.parametrize(
+    ("answers", "refused"),
+    [
+        (b"\r\a\r\r", False),  # closed before
+        (b"\r\r\r\r", False),
+        (b"\a\r\rT000009010\r", False),  # no answer to an empty line
+        (b"T000009010\r\a\r\rz\rT000009010\r", False),  # a frame from before, and the answer to one
+        (b"T000009010\rT000009020\r", False),  # an adapter that answers nothing
+        (b"\r\a\a\r", True),
+        (b"\r\a\r\a", True),
+        (b"\a\a\r", True),
+        (b"\r\a\rT000009010\r", True),
+    ],
+)
+def test_an_adapter_that_refuses_the_bit_rate_is_named(tmp_path: Path, answers: bytes, refused: bool) -> None:
+    pty = Pty(tmp_path / "can")
+    port = SlcanPort(str(pty.path), 115200, 250_000)
+    port.open()
+    for at in range(len(answers)):
+        pty.write(answers[at : at + 1])
+        assert select.select([port.fileno()], [], [], 5.0)[0]
+        port.read()
+    assert ("refused the bit rate 250000" in port.hint) == refused
+    port.close()
+    pty.pull()
+
+
 def test_a_bit_rate_that_slcan_has_not(tmp_path: Path) -> None:
     pty = Pty(tmp_path / "can")
     with pytest.raises(PortError, match="no bit rate 42"):

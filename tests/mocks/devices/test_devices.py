@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from daq.clock import ClockMap
 from daq.config.rig_file import load_rig, parse_rig
 from daq.errors import SeatrialError
 from daq.protocol import loadcell, nmea, slcan, vectornav, vesc
@@ -21,6 +22,7 @@ from mocks.devices.faults import Faults, parse_fault
 from mocks.devices.slcan_adapter import CanFrame
 from mocks.plant.bench import draw_bench
 from mocks.plant.boat import draw_boat
+from mocks.sensors import EscSensor
 from mocks.world import EscController, EscSpec, World, bench_world, boat_world
 
 
@@ -226,6 +228,35 @@ def test_faults_do_what_they_say_when_they_say() -> None:
     assert [k for k, r in enumerate(through("spike@5")) if r != 0.1] == [5]
     assert [k for k, r in enumerate(through("spike@5:2")) if r != 0.1] == [5, 6, 7]
     assert through("silence@usr1:2", trigger=7.0) == [*whole[:7], None, None, *whole[9:]]
+
+
+def test_the_clock_of_a_device_that_is_set_back_is_followed() -> None:
+    """The map of each device's clock onto run time, through a step and beside a skew."""
+    rig = packaged("boat")
+    world = boat_world(draw_boat(3), 0, _gear(rig, by_side(rig)), utc=1.8e9)
+    texts = ("clock-back/gnss@20", "clock-back/ahrs@20", "clock-skew@0")
+    faults = Faults([parse_fault(text, ("ahrs", "gnss")) for text in texts], RNG)
+    speakers = {name: make_emulator(rig, rig.device(name), {}) for name in ("ahrs", "gnss")}
+    decoders = {"ahrs": vectornav.Decoder(), "gnss": nmea.Decoder()}
+    maps = {name: ClockMap() for name in speakers}
+    off: dict[str, list[float]] = {name: [] for name in speakers}
+    while world.t < 40.0:
+        for name, sample, t in world.readings():
+            if name in speakers:
+                speakers[name].clock_error = faults.clock_error(name, t)
+                for frame in decoders[name].feed(speakers[name].encode(sample, t), t):
+                    estimate = maps[name].estimate(frame.t_device, frame.t_rx, name == "gnss", type(frame.sample))
+                    off[name].append(frame.t_rx - estimate)
+        world.advance()
+    assert [maps[name].resets for name in speakers] == [1, 1]
+    assert [sum(late > 0.01 for late in off[name]) for name in speakers] == [0, 0]
+    assert faults.clock_error("ahrs", 40.0) == pytest.approx(40.0 * 100e-6 - 0.6)
+
+
+def test_a_motor_draws_current_whichever_way_it_turns() -> None:
+    for n in (0.8, -0.8):
+        sensor = EscSensor(1, 0, 1, 4500.0)
+        assert np.mean([sensor.read(n, 20.0 * n, n, 0.0, 0.1).current for _ in range(50)]) > 3.0
 
 
 def test_garbage_is_as_long_as_what_it_replaces() -> None:
