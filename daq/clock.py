@@ -128,8 +128,9 @@ class ClockMap:
     SKEW_MAX = 300e-6  # two crystals are closer than this; bounds the slope of a short hull
     JUMP = 0.5  # s, device time ahead of the map by more: its clock was set
     LATE = 1.0  # s, behind the newest by more: its clock was set back, or it restarted
-    STEP = 0.2  # s behind its kind, or for STEP_FOR later than its kind ever was: its clock was set back, or stopped
-    STEP_FOR = 10.0
+    STEP = 0.2  # s behind its kind: its clock was set back
+    LATER = 0.5  # s later than its kind ever was, for LATER_FOR: set back, or stopped; less is a link with a queue
+    LATER_FOR = 10.0
     AGAIN = 0.05  # s late where a time runs back: of a packet that was overtaken, unless the next one is late too
 
     def __init__(self, window: float = 100.0) -> None:
@@ -217,9 +218,9 @@ class ClockMap:
             seen.back = 0.0
         elif t_device <= seen.newest and excess > self.AGAIN:
             seen.back = excess
-        if excess < self.STEP:
+        if excess < self.LATER:
             seen.since = math.inf
-        elif t_rx - seen.since > self.STEP_FOR:
+        elif t_rx - seen.since > self.LATER_FOR:
             return True
         else:
             seen.since = min(seen.since, t_rx)
