@@ -263,8 +263,9 @@ def _with_outliers(model: Model, records: Sequence[Record], options: EstimationO
     """
     own = with_outliers(model)
     try:
+        # output error's starts are free in this model already, or meant to be as they are
         plain = fit(model, records, EstimationOptions(method=options.method),
-                    SearchSettings(max_iterations=settings.max_iterations, threads=settings.threads), start=begin).model
+                    replace(settings, initial_state="given", robust_errors=False), start=begin).model
     except ValueError:
         return own
     likelihood, starts = Likelihood(own, process_noise=options.process_noise), (own, with_outliers(plain))
