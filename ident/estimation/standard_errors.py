@@ -59,7 +59,7 @@ def assess(at: Evaluation, z: Array, bounds: Bounds, names: Sequence[str], slope
     gradient_norm: the length of the gradient in standard errors, zero at the optimum.
     """
     n = z.size
-    at_bound = (z <= bounds.low) | (z >= bounds.high)
+    at_bound = np.logical_or(*bounds.reached(z))
     flags = [(names[i], AT_BOUND) for i in np.flatnonzero(at_bound).tolist()]
     P = np.full((n, n), np.nan)
     inside: list[int] = np.flatnonzero(~at_bound).tolist()
@@ -106,8 +106,9 @@ def _beside_bounds(
     spread, limits = np.zeros((n, n)), np.full(n, np.nan)
     good = np.flatnonzero(np.isfinite(np.diag(P)))
     flags: dict[str, str] = {}
-    for b in np.flatnonzero(((z <= bounds.low) | (z >= bounds.high)) & (np.diag(at.information) > 0)).tolist():
-        inward, room = (1.0, bounds.high[b] - z[b]) if z[b] <= bounds.low[b] else (-1.0, z[b] - bounds.low[b])
+    below, above = bounds.reached(z)
+    for b in np.flatnonzero((below | above) & (np.diag(at.information) > 0)).tolist():
+        inward, room = (1.0, bounds.high[b] - z[b]) if below[b] else (-1.0, z[b] - bounds.low[b])
         follow = -P[np.ix_(good, good)] @ at.information[good, b]
         alone = at.information[b, b]
         curvature = max(alone + at.information[b, good] @ follow, NULL_SPACE_TOLERANCE * alone)

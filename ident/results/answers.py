@@ -155,7 +155,8 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
     notes = []
     for verdict, what in (("overconfident", "larger"), ("underconfident", "smaller")):
         for words, channels in kinds:
-            wrong = [f"{n} {c.scale:.2g}" for n, c in channels.items() if c.verdict == verdict and c.scale is not None]
+            wrong = [f"{n} {'diverged' if c.scale is None else format(c.scale, '.2g')}" for n, c in channels.items()
+                     if c.verdict == verdict]
             if wrong:
                 notes.append(f"On {role} data, {words}, errors are {what} than the model says, by these factors: "
                              f"{', '.join(wrong)}.")
