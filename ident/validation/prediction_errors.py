@@ -215,9 +215,9 @@ def prediction_change(
 
     Both of the same records (``pooled_errors`` of ``horizon_errors``; else `prediction_change_by_record`); of channels
     that both have, the errors at common times are compared. The intervals are those of a delete-one jackknife of the
-    logarithms of the ratios, with Student's t, over blocks of two horizons in all records, or longer ones where that would be
-    more than fifteen (Efron 1982; Künsch 1989). A channel with errors in fewer than four blocks is left out of the mean
-    where others have more.
+    logarithms of the ratios, with Student's t, over blocks of two horizons in all records, or longer ones where that
+    would be more than fifteen (Efron 1982; Künsch 1989). A channel with errors in fewer than four blocks is left out of
+    the mean where others have more.
     """
     seconds, times = BLOCK * horizon, [e.t for e in before.values()]
     seconds *= max(1.0, np.unique(np.floor(np.concatenate(times or [np.zeros(0)]) / seconds)).size / ENOUGH_BLOCKS)
