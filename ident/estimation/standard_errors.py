@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ident.estimation.fisher_scoring import Bounds, Evaluation
 from ident.model import Parameter
-from ident.numerics import Array, memory, scaled_eigen, scaled_inverse
+from ident.numerics import Array, correlation_length, scaled_eigen, scaled_inverse
 
 NULL_SPACE_TOLERANCE = 1e-10  # eigenvalue of the information scaled to unit diagonal: below it nothing is identified
 MEMBER_WEIGHT = 0.1  # in an eigenvector of unit length: from it a parameter is part of the combination
@@ -30,7 +30,7 @@ TRIED_STEPS = 10.0 ** np.arange(-2.0, 5.0)  # times the parameter's characterist
 N_HALVINGS = 12  # of the bracket of an interval's end: to 0.02 %
 Fallen = Callable[[float], bool | None]
 MAX_BLOCKS, MIN_BLOCKS = 40, 12  # of all records, over which the contributions of rows are summed
-BLOCK_LENGTH = 9.0  # times the memory: blocks that miss an eighteenth of the variance, which is given back
+BLOCK_LENGTH = 9.0  # times the correlation length: blocks that miss an eighteenth of the variance, which is given back
 MOST_MISSED = 0.5  # of the variance, that is given back where no blocks are long enough
 COLOURED = 0.001  # p value, over all parameters, from which the errors of the information are too small
 TOO_LONG = "its residuals remember too long for an error that allows for it"
@@ -162,7 +162,7 @@ LEAST_BY_DATA = 1e-3  # of a variance: where the prior gives all the rest, the r
 
 @dataclass(frozen=True)
 class Sandwich:
-    """errors (n,): standard errors in own units, NaN where there is none, or where the residuals remember too long;
+    """errors (n,): standard errors in own units, NaN where there is none, or where the residuals are correlated for too long;
     least (n,): the same, but then by the longest blocks that there are, which miss a part of it; p (n,): of a variance
     as large by chance where the information holds (White's information matrix test, 1982, for each variance alone)."""
 
@@ -206,8 +206,8 @@ def _variance(parts: Sequence[Array], n_parameters: int) -> tuple[float, float, 
     n = sum(part.size for part in parts)
     if n < MIN_BLOCKS:
         return np.nan, np.nan, False
-    remembered = memory(parts)
-    length = max(BLOCK_LENGTH * remembered, n / max(MAX_BLOCKS, 4 * n_parameters))
+    correlated = correlation_length(parts)
+    length = max(BLOCK_LENGTH * correlated, n / max(MAX_BLOCKS, 4 * n_parameters))
     counts = [max(int(part.size / length), 1) for part in parts]
     whole = sum(counts) >= MIN_BLOCKS
     if not whole:
@@ -218,8 +218,7 @@ def _variance(parts: Sequence[Array], n_parameters: int) -> tuple[float, float, 
     for part, count in zip(parts, counts, strict=True):
         starts = np.linspace(0, part.size, count, endpoint=False).astype(int)
         total += float(np.sum(np.add.reduceat(part, starts) ** 2))
-    # blocks cut the memory of the rows, but records are not cut
-    missed = min(0.5 * remembered / length, MOST_MISSED)
+    missed = min(0.5 * correlated / length, MOST_MISSED)
     taken = min(n_parameters, n_blocks // 2)  # as if each had fitted a block: a little too careful
     return total * n_blocks / (n_blocks - taken) / (1.0 - missed), float(n_blocks - taken), whole
 

@@ -12,7 +12,7 @@ section 3) for the pooled contributions to a gradient, and the *initial positive
 that drift, whose correlation is long and would outlast a window.
 
 A window ends before a tail that is long and weak, one per cent over hundreds of samples, though that may be most of the
-variance of a sum. In sums over ever more samples it is no longer weak: `memory` looks there, too.
+variance of a sum. In sums over ever more samples it is no longer weak: `correlation_length` looks there, too.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def integrated_autocorrelation_time(series: Sequence[Array], truncation: Truncat
     return max(_window(rho) if truncation == "window" else _initial_positive(rho), 1.0)
 
 
-def memory(series: Sequence[Array]) -> float:
+def correlation_length(series: Sequence[Array]) -> float:
     """Samples m by which blocks are cut: of the variance of the sum of all, blocks of L samples miss ``m / 2L``.
 
     Of first-order noise, where it is ``tau - 1 / tau``, and taken to be that of any: of the samples by their window, or
@@ -72,7 +72,7 @@ def memory(series: Sequence[Array]) -> float:
     while n >= LEAST_SUMS * length:
         sums = [x[: x.size // length * length].reshape(-1, length).sum(axis=1) for x in kept]
         rho, z = _neighbours(sums)
-        here = length * 8.0 / 3.0 * rho / (1.0 - rho**2)  # of sums over an exponential memory, to 5 % up to its length
+        here = length * 8.0 / 3.0 * rho / (1.0 - rho**2)  # of sums over first-order noise, to 5 % up to its length
         if z > CORRELATED_SUMS and here * (1.0 - 2.0 / z) > found:
             found = here
         length *= 2

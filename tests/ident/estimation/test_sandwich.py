@@ -95,8 +95,8 @@ def test_a_slow_sensor_has_the_errors_of_its_samples(every: int) -> None:
     assert (short.p < 0.001).all()
 
 
-def test_a_weak_long_memory_is_in_the_errors_or_withholds_them() -> None:
-    """A tenth of the variance remembers 200 rows: it is nine tenths of that of the mean."""
+def test_a_weak_long_correlation_is_in_the_errors_or_withholds_them() -> None:
+    """A tenth of the variance is correlated over 200 rows: it is nine tenths of that of the mean."""
     n, found, least, withheld = 60_000, [], [], []
     for seed in range(20):
         x = np.sqrt(0.1) * coloured(0.99, seed, n) + np.sqrt(0.9) * coloured(0.0, 100 + seed, n)

@@ -9,10 +9,10 @@ from scipy.signal import lfilter
 from ident.numerics.autocorrelation import (
     Truncation,
     block_error,
+    correlation_length,
     effective_sample_size,
     integrated_autocorrelation_time,
     mean_error,
-    memory,
 )
 
 N = 20_000
@@ -49,29 +49,29 @@ def test_what_blocks_cut_of_first_order_noise(rho: float, every: int) -> None:
     for seed in range(5):
         x = np.zeros(N)
         x[::every] = ar1(rho, seed, N // every)
-        found.append(memory([x]))
+        found.append(correlation_length([x]))
     tau = (1 + rho) / (1 - rho)
     assert np.mean(found) == pytest.approx(every * (tau - 1 / tau), rel=0.3)
 
 
 def test_a_tail_that_is_weak_and_long_is_seen_in_sums() -> None:
-    """A tenth of the variance remembers 400 samples, and is nine tenths of that of a mean."""
+    """A tenth of the variance is correlated over 400 samples, and is nine tenths of that of a mean."""
     found, windows = [], []
     for seed in range(5):
         tail = ar1(0.995, seed) * np.sqrt(1 - 0.995**2)
         x = np.sqrt(0.1) * tail + np.sqrt(0.9) * np.random.default_rng(100 + seed).normal(size=N)
-        found.append(memory([x]))
+        found.append(correlation_length([x]))
         windows.append(integrated_autocorrelation_time([x]))
     assert np.mean(found) == pytest.approx(400.0, rel=0.4)
     assert np.mean(windows) < 80.0
 
 
-def test_white_noise_has_no_memory_but_by_chance() -> None:
+def test_white_noise_is_correlated_but_by_chance() -> None:
     for n in (60, 300, 3000):
-        found = np.array([memory([np.random.default_rng(seed).normal(size=n)]) for seed in range(200)])
+        found = np.array([correlation_length([np.random.default_rng(seed).normal(size=n)]) for seed in range(200)])
         assert np.mean(found > 0.0) < 0.08
         assert np.mean(found > n / 108) < 0.03  # of twelve blocks nine times as long
-    assert memory([np.zeros(50)]) == memory([np.ones(50)]) == memory([np.ones(2)]) == 0.0
+    assert [correlation_length([x]) for x in (np.zeros(50), np.ones(50), np.ones(2))] == [0.0, 0.0, 0.0]
 
 
 def test_effective_sample_size_of_first_order_noise() -> None:
