@@ -76,7 +76,7 @@ def correlation_length(series: Sequence[Array]) -> float:
         if z > CORRELATED_SUMS and here * (1.0 - 2.0 / z) > found:
             found = here
         length *= 2
-    return found * rows / n
+    return float(found * rows / n)
 
 
 def _neighbours(series: Sequence[Array]) -> tuple[float, float]:
