@@ -332,6 +332,7 @@ START_OUTLIER_GATE = 4.0  # times the least distance of all, and
 SAMPLE_OUTLIER_GATE = 4.0 * SECOND_DIFFERENCE / NORMAL_MAD  # standard deviations of the noise: 6.6, beyond any chance
 LATE = 2.0  # usual intervals of an output, after which its first measurement is late
 FAST = 0.95  # quantile of an output's rates of change: beyond it are outliers
+START_SPREAD = 5.0  # times its noise: what a first measurement then tells twice is 4 % of its information
 UNKNOWN_ANGLE = float(np.pi / np.sqrt(3.0))  # rad, standard deviation of a direction of which nothing is known
 
 
@@ -341,7 +342,8 @@ class Prepared:
 
     rows: ``u``, ``u_next`` (n_rows, n_inputs), ``y`` (n_rows, n_outputs), ``h`` (n_rows,) [s]; mask (n_rows,): a bit
     for each sensor that has a sample in that row; first (n_outputs,): the first measurement, NaN where there is none;
-    moved (n_outputs,): how far the output may have moved before it, zero unless it came late;
+    moved (n_outputs,): how far the output may have moved before it, zero unless it came late; noise (n_outputs,): its
+    standard deviation by differences, or more, zero where nothing tells it;
     n_measured: measured values; outliers (n_rows, n_outputs): those before the first measurement, without their bit;
     start: of ``Record``.
     """
@@ -351,6 +353,7 @@ class Prepared:
     mask: NDArray[np.uint32]
     first: Array
     moved: Array
+    noise: Array
     n_measured: int
     outliers: NDArray[np.bool_]
     start: Mapping[str, tuple[float, float]]
@@ -398,8 +401,8 @@ class Preparer:
         rows = {"u": record.u, "u_next": record.u_next, "y": record.y, "h": record.h}
         contiguous = {name: np.ascontiguousarray(a, dtype=np.float64) for name, a in rows.items()}
         n_measured = int((there & ~outliers).sum())
-        moved = _moved(model, record, there & ~outliers)
-        return Prepared(record.n_rows, contiguous, mask, first, moved, n_measured, outliers, record.start)
+        moved, noise = _moved(model, record, there & ~outliers), _noise(model, record, there & ~outliers)
+        return Prepared(record.n_rows, contiguous, mask, first, moved, noise, n_measured, outliers, record.start)
 
     def _check(self, record: Record) -> None:
         model, n = self.model, record.n_rows
@@ -456,6 +459,22 @@ def _moved(model: Model, record: Record, there: NDArray[np.bool_]) -> Array:
     return found
 
 
+def _noise(model: Model, record: Record, there: NDArray[np.bool_]) -> Array:
+    """White noise of each output from which a state starts (n_outputs,), of the unit of its samples: from how far these
+    are from a straight line between their neighbours in time. What the boat bends there adds to it, which only makes
+    the start less certain; a sample like the one before is none, as of a slow sensor that is read often."""
+    found, wanted = np.zeros(there.shape[1]), {s.from_output for s in model.states}
+    for j, output in enumerate(model.outputs):
+        if output.name in wanted and there[:, j].any():
+            t, y = record.t[there[:, j]], record.y[there[:, j], j]
+            new = np.append(True, np.diff(y) != 0.0)
+            h, d = np.diff(t[new]), wrap(np.diff(y[new]), output.angle)
+            before, after = h[1:] / (h[:-1] + h[1:]), h[:-1] / (h[:-1] + h[1:])
+            bend = (before * d[:-1] - after * d[1:]) / np.sqrt(1.0 + before**2 + after**2)
+            found[j] = min(noise_from_differences(SECOND_DIFFERENCE * bend), UNKNOWN_ANGLE if output.angle else np.inf)
+    return found
+
+
 def _agreeing(t: Array, samples: Array, angle: bool) -> int:
     """The first sample that is not far from where most of those at the start are, along a straight line through them
     (Siegel 1982: its slope is the median of each sample's median slope to all others), or one before it that the next
@@ -501,14 +520,19 @@ class InitialCondition:
 
 def initial_condition(model: Model, values: Array, data: Prepared, covariance: bool) -> InitialCondition:
     """Mean: first measurement (``from_output``), what the record says, parameter or number; covariance: diag(sd0^2),
-    with what a state may have moved before its first measurement."""
+    with what a state may have moved before its first measurement.
+
+    That measurement is filtered, too, so the start must know much less than it: where ``sd0`` is below
+    ``START_SPREAD`` times its noise, that takes its place. A state that is known exactly (``sd0`` zero) stays so.
+    """
     n = len(model.states)
     outputs = [o.name for o in model.outputs]
     index = {p.name: i for i, p in enumerate(model.parameters)}
     s = np.zeros(n + n * (n + 1) // 2 if covariance else n)
     tangent: list[tuple[int, int, float]] = []
     for i, state in enumerate(model.states):
-        measured = data.first[outputs.index(state.from_output)] if state.from_output in outputs else np.nan
+        j = outputs.index(state.from_output) if state.from_output in outputs else -1
+        measured = data.first[j] if j >= 0 else np.nan
         begins = None if np.isfinite(measured) else data.start.get(state.name)
         if np.isfinite(measured):
             s[i] = measured
@@ -523,7 +547,8 @@ def initial_condition(model: Model, values: Array, data: Prepared, covariance: b
             at = n + i * n - i * (i - 1) // 2  # of P[i, i] in the upper triangle
             sd = values[index[state.sd0]] if isinstance(state.sd0, str) else state.sd0
             sd = sd if begins is None else begins[1]
-            s[at] = sd * sd + (data.moved[outputs.index(state.from_output)] ** 2 if np.isfinite(measured) else 0.0)
-            if isinstance(state.sd0, str) and begins is None:
+            least = START_SPREAD * float(data.noise[j]) if np.isfinite(measured) and sd != 0.0 else 0.0
+            s[at] = max(float(sd), least) ** 2 + (data.moved[j] ** 2 if np.isfinite(measured) else 0.0)
+            if isinstance(state.sd0, str) and begins is None and sd >= least:
                 tangent.append((at, index[state.sd0], 2.0 * float(sd)))
     return InitialCondition(s, tuple(tangent))

@@ -1,7 +1,8 @@
 """Acceptance: do validation data support an effect, and is the prediction better with it?
 
 Two models are compared on the same validation records: by the log-likelihood, whose gain in blocks of time has to be
-significantly positive in total, and by the prediction errors over the horizon of all channels (`prediction_change`).
+significantly positive in total, and by the prediction errors over the horizon of all channels
+(`prediction_change_by_record`).
 A third measure is the prediction three seconds ahead by inputs alone, about the time in which speed follows thrust (1.2
 s for a thruster): the disturbance forces are set to zero in it, since they would take the place of what is missing, and
 extrapolate it.
@@ -29,7 +30,7 @@ from ident.validation import (
     one_step_calibration,
     pooled_calibration,
     pooled_errors,
-    prediction_change,
+    prediction_change_by_record,
 )
 
 HORIZON = 0.6  # of a prediction by inputs alone, relative to the block: 3 s for a boat, 1.2 s on the bench
@@ -53,11 +54,11 @@ class Comparison:
     def prediction(self) -> PredictionChange:
         """Change of the prediction errors over the model's horizon, on the validation data."""
         seconds = self.before.model.horizon
-        errors = [
-            pooled_errors([horizon_errors(s.model, v.record, v.values, v.run.x_filt, seconds) for v in views])
+        before, after = (
+            {v.record.name: horizon_errors(s.model, v.record, v.values, v.run.x_filt, seconds) for v in views}
             for s, views in self._common
-        ]
-        return prediction_change(errors[0], errors[1], seconds)
+        )
+        return prediction_change_by_record(before, after, seconds)
 
     @cached_property
     def error_ratio(self) -> float:

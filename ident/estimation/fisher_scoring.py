@@ -31,6 +31,7 @@ MAX_SENSITIVITY_RATIO = 1e6  # of the information after a step to the largest be
 DAMPING_FLOOR = 1e-4  # of the largest information that a coordinate ever had: the least that its damping goes by
 LBFGSB_TOLERANCE = 0.05  # of the fit's tolerance: gain of a step of L-BFGS-B that is not worth the next one
 QUADRATIC_GAIN = 3.0  # of the log-likelihood in one step: below it the objective is about quadratic
+ROUNDING = 1e-12  # of a bound: z + (bound - z) need not be the bound
 MAX_BFGS_PAIRS = 12  # of steps and changes of the gradient that a BFGS correction is made of
 
 
@@ -71,7 +72,13 @@ class Bounds:
 
     def held(self, z: Array, gradient: Array) -> Flags:
         """Coordinates at a bound that the objective pushes against."""
-        return np.asarray(((z <= self.low) & (gradient < 0)) | ((z >= self.high) & (gradient > 0)))
+        low, high = self.reached(z)
+        return np.asarray((low & (gradient < 0)) | (high & (gradient > 0)))
+
+    def reached(self, z: Array) -> tuple[Flags, Flags]:
+        """Coordinates at their lower and at their upper bound, to the rounding of the step that ended there."""
+        near = [ROUNDING * np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (self.low, self.high)]
+        return np.asarray(z <= self.low + near[0]), np.asarray(z >= self.high - near[1])
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from daq.errors import SeatrialError
 from ident.data import Record
 from ident.estimation.fitted_model import FIT_ERRORS
 from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import ROUGH, EstimationOptions, Fit, fit
+from ident.estimation.maximum_likelihood import ROUGH, Fit, SearchSettings, fit
 from ident.estimation.standard_errors import AT_BOUND, VAGUE
 from ident.model import PARAMETERS, Effect, EffectKind, Model, Parameter, Signals, segment_name
 from ident.numerics import Array
@@ -38,8 +38,9 @@ MIN_SHIFT = 5.0  # standard errors of both runs together, from which a parameter
 @dataclass(frozen=True)
 class HomogeneityTest:
     """value, error, robust_error: of the fit with one value; values, errors (n_records,): of the fit with one a
-    record; lr with df degrees of freedom; scatter: between the records, beyond their errors; mean, mean_error and
-    interval (95 %, Student's t) with that scatter."""
+    record; left_out: records that do not inform the parameter, which ``df`` does not count; lr with df degrees of
+    freedom; scatter: between the records, beyond their errors; mean, mean_error and interval (95 %, Student's t by the
+    records with an error) with that scatter."""
 
     name: str
     unit: str
@@ -56,6 +57,7 @@ class HomogeneityTest:
     mean: float
     mean_error: float
     interval: tuple[float, float]
+    left_out: tuple[str, ...] = ()
 
     @property
     def agree(self) -> bool:
@@ -73,12 +75,20 @@ def homogeneity_test(one: Fit, records: Sequence[Record], name: str) -> Homogene
     # what was known of the one value is known once, not once for each log: equal values then have the same posterior
     prior = None if shared.prior is None else (shared.prior[0], shared.prior[1] * np.sqrt(len(records)))
     model = one.model.replace_parameters(replace(shared, per_record=True, prior=prior))
-    each = fit(model, records, EstimationOptions(reml=one.options.reml))
+    each = _again(one, model, records, range(len(records)))
     values, errors = np.array([each.estimate(name, i) for i in range(len(records))]).T
-    lr, df = max(0.0, 2.0 * (each.log_posterior - one.log_posterior)), len(records) - 1
     at = [each.names.index(segment_name(name, i)) for i in range(len(records))]
+    # at a bound it has no error, but the record has pushed it there
+    stuck = {n for n, what in each.flags if what == AT_BOUND}
+    known = np.isfinite(errors)
+    informs = [i for i, k in enumerate(at) if known[i] or each.names[k] in stuck]
+    lr, df = 2.0 * (each.log_posterior - one.log_posterior), len(informs) - 1
+    if 0 < df < len(records) - 1:  # what the others say of noise, with a value of their own, is not of the parameter
+        lr = 2.0 * (_again(one, model, records, informs).log_posterior
+                    - _again(one, one.model, records, informs).log_posterior)
+    lr, df = max(lr, 0.0), max(df, 0)
     scatter, mean, mean_error = between_log_variance(values, each.covariance[np.ix_(at, at)])
-    half = float(stats.t.ppf(0.975, df)) * mean_error
+    half = float(stats.t.ppf(0.975, max(int(known.sum()) - 1, 1))) * mean_error
     value, error = one.estimate(name)
     return HomogeneityTest(
         name,
@@ -91,12 +101,22 @@ def homogeneity_test(one: Fit, records: Sequence[Record], name: str) -> Homogene
         errors,
         lr,
         df,
-        float(stats.chi2.sf(lr, df)),
+        float(stats.chi2.sf(lr, df)) if df else 1.0,
         scatter,
         mean,
         mean_error,
         (mean - half, mean + half),
+        tuple(r.name for i, r in enumerate(records) if i not in informs),
     )
+
+
+def _again(one: Fit, model: Model, records: Sequence[Record], which: Sequence[int]) -> Fit:
+    """Another model fitted to some of the records as ``one`` was, for only then their likelihoods compare: its model
+    has the outliers and the free starts of output error already, and each record begins where it ended."""
+    begin = {segment_name(p.name, k): float(v) for k, i in enumerate(which)
+             for p, v in zip(one.parameters, one.values, strict=True) if p.segment == i}
+    return fit(model, [records[i] for i in which], replace(one.options, outlier_model=False),
+               SearchSettings(initial_state="given"), start=begin)
 
 
 def between_log_variance(values: Array, covariance: Array) -> tuple[float, float, float]:

@@ -208,12 +208,12 @@ def fit(
     except np.linalg.LinAlgError as error:
         names = ", ".join(r.name for r in records)
         raise ValueError(f"{names}: the search for the parameters of model {model.name} diverged: {error}") from error
-    if not options.process_noise and settings.robust_errors:  # by prediction error they are seldom looked at
+    coloured = options.process_noise and _coloured(problem, robust)
+    if coloured or (not options.process_noise and settings.robust_errors):
         lost = np.isfinite(known.errors) & np.isnan(robust.errors)
         too_long = [(problem.names[i], TOO_LONG) for i in np.flatnonzero(lost).tolist()]
         known = replace(known, flags=(*known.flags, *too_long))
-    coloured = options.process_noise and _coloured(problem, robust)
-    known = widened(known, robust.errors) if coloured else known
+    known = widened(known, robust.least) if coloured else known
     return _report(problem, optimum, known, robust.errors, coloured, options, prior_part, time.process_time() - began)
 
 
@@ -239,10 +239,11 @@ def _known(problem: Problem, optimum: Optimum, coloured: bool) -> tuple[Uncertai
         with_interval_information(optimum.at, flat), z, problem.bounds, problem.names, slopes, problem.prior[1]
     )
     known = replace(known, flags=(*known.flags, *[(problem.names[p.at], p.remark) for p in flat]))
-    nothing = np.full(z.size, np.nan)
-    robust = sandwich(known, problem.by_row(z), slopes, problem.prior[1]) if coloured else Sandwich(nothing, nothing)
+    robust = Sandwich(*np.full((3, z.size), np.nan))
+    if coloured:
+        robust = sandwich(known, problem.by_row(z), slopes, problem.prior[1])
     for p in flat:
-        robust.errors[p.at] = known.errors[p.at]  # no row has a part in it
+        robust.errors[p.at] = robust.least[p.at] = known.errors[p.at]  # no row has a part in it
     return known, robust
 
 
@@ -263,8 +264,9 @@ def _with_outliers(model: Model, records: Sequence[Record], options: EstimationO
     """
     own = with_outliers(model)
     try:
+        # output error's starts are free in this model already, or meant to be as they are
         plain = fit(model, records, EstimationOptions(method=options.method),
-                    SearchSettings(max_iterations=settings.max_iterations, threads=settings.threads), start=begin).model
+                    replace(settings, initial_state="given", robust_errors=False), start=begin).model
     except ValueError:
         return own
     likelihood, starts = Likelihood(own, process_noise=options.process_noise), (own, with_outliers(plain))

@@ -70,7 +70,7 @@ def prediction_variance(
 ) -> Array:
     """Variance (n_rows, n_outputs) that this adds to predictions from the inputs after the first ``known`` rows,
     of which the filter has the measurements; before that nothing is added, since those hold the prediction."""
-    head, tail = _rows(record, slice(0, known)), _rows(record, slice(known - 1, None))
+    head, tail = record.rows(slice(0, known)), record.rows(slice(known - 1, None))
 
     def outputs(v: Array) -> Array:
         return simulate(model, tail, v, likelihood.filter(head, v).x_filt[-1]).y[1:]
@@ -79,11 +79,6 @@ def prediction_variance(
     for plus, minus in uncertainty.around(model, values):
         total[known:] += ((outputs(plus) - outputs(minus)) / 2) ** 2
     return total
-
-
-def _rows(record: Record, rows: slice) -> Record:
-    return Record(record.name, record.t[rows], record.u[rows], record.u_next[rows], record.y[rows], record.inputs,
-                  record.outputs)
 
 
 @dataclass(frozen=True)

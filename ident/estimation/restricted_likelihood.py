@@ -37,7 +37,7 @@ def apply_reml(problem: Problem, top: Optimum) -> Optimum:
     maximum. Where there is no noise to be estimated, or the step leads nowhere (``_errors``), ``top`` is returned.
     """
     names = problem.model.noise_parameters
-    inside = (top.z > problem.bounds.low) & (top.z < problem.bounds.high) & (np.diag(top.at.information) > 0)
+    inside = ~np.logical_or(*problem.bounds.reached(top.z)) & (np.diag(top.at.information) > 0)
     is_noise = np.array([p.name in names for p in problem.parameters])
     told = problem.bounds.logarithmic & (np.diag(top.at.information) > MIN_LOG_INFORMATION)
     noise = np.flatnonzero(is_noise & inside & told)

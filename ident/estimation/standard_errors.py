@@ -3,7 +3,7 @@
 - `assess`: from the inverse of the information, without combinations that the data do not identify, and wider where a
   parameter at its bound may leave it;
 - `sandwich`: valid where residuals are autocorrelated (White 1982): the covariance of the score is taken from sums over
-  blocks of rows, which are longer than the autocorrelation;
+  blocks of rows, which are longer than the autocorrelation, also where that is long and weak;
 - `flat_coordinates`: practical identifiability: parameters whose likelihood is flat around the estimate but falls a
   little further off get the width of that interval (Raue et al. 2009).
 """
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ident.estimation.fisher_scoring import Bounds, Evaluation
 from ident.model import Parameter
-from ident.numerics import Array, integrated_autocorrelation_time, scaled_eigen, scaled_inverse
+from ident.numerics import Array, correlation_length, scaled_eigen, scaled_inverse
 
 NULL_SPACE_TOLERANCE = 1e-10  # eigenvalue of the information scaled to unit diagonal: below it nothing is identified
 MEMBER_WEIGHT = 0.1  # in an eigenvector of unit length: from it a parameter is part of the combination
@@ -30,7 +30,8 @@ TRIED_STEPS = 10.0 ** np.arange(-2.0, 5.0)  # times the parameter's characterist
 N_HALVINGS = 12  # of the bracket of an interval's end: to 0.02 %
 Fallen = Callable[[float], bool | None]
 MAX_BLOCKS, MIN_BLOCKS = 40, 12  # of all records, over which the contributions of rows are summed
-BLOCK_LENGTH = 9.0  # autocorrelation times: blocks that miss a twentieth of the variance, which is given back
+BLOCK_LENGTH = 9.0  # times the correlation length: blocks that miss an eighteenth of the variance, which is given back
+MOST_MISSED = 0.5  # of the variance, that is given back where no blocks are long enough
 COLOURED = 0.001  # p value, over all parameters, from which the errors of the information are too small
 TOO_LONG = "its residuals remember too long for an error that allows for it"
 
@@ -59,7 +60,7 @@ def assess(at: Evaluation, z: Array, bounds: Bounds, names: Sequence[str], slope
     gradient_norm: the length of the gradient in standard errors, zero at the optimum.
     """
     n = z.size
-    at_bound = (z <= bounds.low) | (z >= bounds.high)
+    at_bound = np.logical_or(*bounds.reached(z))
     flags = [(names[i], AT_BOUND) for i in np.flatnonzero(at_bound).tolist()]
     P = np.full((n, n), np.nan)
     inside: list[int] = np.flatnonzero(~at_bound).tolist()
@@ -106,8 +107,9 @@ def _beside_bounds(
     spread, limits = np.zeros((n, n)), np.full(n, np.nan)
     good = np.flatnonzero(np.isfinite(np.diag(P)))
     flags: dict[str, str] = {}
-    for b in np.flatnonzero(((z <= bounds.low) | (z >= bounds.high)) & (np.diag(at.information) > 0)).tolist():
-        inward, room = (1.0, bounds.high[b] - z[b]) if z[b] <= bounds.low[b] else (-1.0, z[b] - bounds.low[b])
+    below, above = bounds.reached(z)
+    for b in np.flatnonzero((below | above) & (np.diag(at.information) > 0)).tolist():
+        inward, room = (1.0, bounds.high[b] - z[b]) if below[b] else (-1.0, z[b] - bounds.low[b])
         follow = -P[np.ix_(good, good)] @ at.information[good, b]
         alone = at.information[b, b]
         curvature = max(alone + at.information[b, good] @ follow, NULL_SPACE_TOLERANCE * alone)
@@ -160,11 +162,12 @@ LEAST_BY_DATA = 1e-3  # of a variance: where the prior gives all the rest, the r
 
 @dataclass(frozen=True)
 class Sandwich:
-    """errors (n,): standard errors in own units, NaN where there is none, or where the residuals remember too long;
-    p (n,): of a variance as large by chance where the information holds (White's information matrix test, 1982, for
-    each variance alone), NaN with them."""
+    """errors (n,): standard errors in own units, NaN where there is none, or where the residuals are correlated for too
+    long; least (n,): the same, but then by the longest blocks that there are, which miss a part of it; p (n,): of a variance
+    as large by chance where the information holds (White's information matrix test, 1982, for each variance alone)."""
 
     errors: Array
+    least: Array
     p: Array
 
 
@@ -180,13 +183,14 @@ def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes
     P = np.nan_to_num(known.P)
     parts = [by_row @ P[places] for places, by_row in rows]  # (n_rows, n): what each row moves the estimate by
     found = [_variance([part[:, i] for part in parts], len(P)) for i in range(len(P))]
-    variance, freedom = np.array(found).T
+    variance, freedom, whole = np.array(found).T
     seen = np.isfinite(known.errors)
     by_prior = P**2 @ prior
-    errors = np.where(seen, np.abs(slopes) * np.sqrt(variance + by_prior + np.diag(known.spread)), np.nan)
+    least = np.where(seen, np.abs(slopes) * np.sqrt(variance + by_prior + np.diag(known.spread)), np.nan)
     by_data = np.diag(P) - by_prior
     ratio = variance / np.where(by_data > LEAST_BY_DATA * np.diag(P), by_data, np.nan)
-    return Sandwich(errors, np.where(seen, special.chdtrc(freedom, freedom * ratio), np.nan))
+    p = np.where(seen, special.chdtrc(freedom, freedom * ratio), np.nan)
+    return Sandwich(np.where(whole > 0.0, least, np.nan), least, p)
 
 
 def widened(known: Uncertainty, robust: Array) -> Uncertainty:
@@ -196,23 +200,27 @@ def widened(known: Uncertainty, robust: Array) -> Uncertainty:
     return replace(known, errors=known.errors * factor, covariance=known.covariance * np.outer(factor, factor))
 
 
-def _variance(parts: Sequence[Array], n_parameters: int) -> tuple[float, float]:
-    """Of the sum of all rows of all records, and its degrees of freedom; what as many parameters have taken of it is
-    given back."""
+def _variance(parts: Sequence[Array], n_parameters: int) -> tuple[float, float, bool]:
+    """Of the sum of all rows of all records, its degrees of freedom, and whether blocks are as long as they should be;
+    what as many parameters have taken of it is given back."""
     n = sum(part.size for part in parts)
-    remembered = integrated_autocorrelation_time(parts)
-    length = max(BLOCK_LENGTH * remembered, n / max(MAX_BLOCKS, 4 * n_parameters))
+    if n < MIN_BLOCKS:
+        return np.nan, np.nan, False
+    correlated = correlation_length(parts)
+    length = max(BLOCK_LENGTH * correlated, n / max(MAX_BLOCKS, 4 * n_parameters))
     counts = [max(int(part.size / length), 1) for part in parts]
+    whole = sum(counts) >= MIN_BLOCKS
+    if not whole:
+        length = n / MIN_BLOCKS
+        counts = [max(round(part.size / length), 1) for part in parts]
     n_blocks = sum(counts)
-    if n_blocks < MIN_BLOCKS:
-        return np.nan, np.nan
     total = 0.0
     for part, count in zip(parts, counts, strict=True):
         starts = np.linspace(0, part.size, count, endpoint=False).astype(int)
         total += float(np.sum(np.add.reduceat(part, starts) ** 2))
-    missed = 0.5 * (remembered - 1.0) / length  # by blocks that cut an exponential memory
+    missed = min(0.5 * correlated / length, MOST_MISSED)
     taken = min(n_parameters, n_blocks // 2)  # as if each had fitted a block: a little too careful
-    return total * n_blocks / (n_blocks - taken) / (1.0 - missed), float(n_blocks - taken)
+    return total * n_blocks / (n_blocks - taken) / (1.0 - missed), float(n_blocks - taken), whole
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,5 @@
+from .autocorrelation import correlation_length as correlation_length
 from .autocorrelation import effective_sample_size as effective_sample_size
-from .autocorrelation import integrated_autocorrelation_time as integrated_autocorrelation_time
 from .autocorrelation import mean_error as mean_error
 from .linear_algebra import Array as Array
 from .linear_algebra import covariance_root as covariance_root

@@ -8,8 +8,11 @@ Two quantities, because the variance of a mean and that of a mean of squares dif
   `effective_sample_size`).
 
 The sum over noisy estimates of rho_k has to end somewhere, and two rules are of use: the *window* of Sokal (1997,
-section 3) for the pooled contributions to a gradient, whose correlation is short, and the *initial positive sequence*
-of Geyer (1992) for readings that drift, whose correlation is long and would outlast a window.
+section 3) for the pooled contributions to a gradient, and the *initial positive sequence* of Geyer (1992) for readings
+that drift, whose correlation is long and would outlast a window.
+
+A window ends before a tail that is long and weak, one per cent over hundreds of samples, though that may be most of the
+variance of a sum. In sums over ever more samples it is no longer weak: `correlation_length` looks there, too.
 """
 
 from __future__ import annotations
@@ -22,6 +25,9 @@ import numpy as np
 from ident.numerics.linear_algebra import Array
 
 WINDOW = 5.0  # autocorrelation times that the window is long (Sokal 1997, section 3)
+LEAST_SUMS = 24  # of samples, below which their correlation says nothing
+# standard errors from which samples are taken to be correlated, and sums, which are tried at many lengths
+CORRELATED, CORRELATED_SUMS = 2.0, 3.3
 MIN_SAMPLES = 3  # of a series, below which its autocorrelation cannot be told from zero
 Truncation = Literal["window", "positive"]
 
@@ -45,6 +51,40 @@ def integrated_autocorrelation_time(series: Sequence[Array], truncation: Truncat
         return 1.0
     rho = covariance / covariance[0]
     return max(_window(rho) if truncation == "window" else _initial_positive(rho), 1.0)
+
+
+def correlation_length(series: Sequence[Array]) -> float:
+    """Samples m by which blocks are cut: of the variance of the sum of all, blocks of L samples miss ``m / 2L``.
+
+    Of first-order noise, where it is ``tau - 1 / tau``, and taken to be that of any: of the samples by their window, or
+    of sums over two, four, ... of them by the correlation of neighbours, where that is longer by more than chance. Zero
+    for white noise.
+
+    Parameters: series: of one kind, each (n,); exact zeros are no samples, but the rows between those of a slow sensor.
+    """
+    kept = [x[x != 0.0] for x in series]
+    n, rows = sum(x.size for x in kept), sum(x.size for x in series)
+    if n < MIN_SAMPLES:
+        return 0.0
+    tau = integrated_autocorrelation_time([x for x in kept if x.size])
+    z = max(_neighbours(kept)[1], (tau - 1.0) / (tau * np.sqrt(2.0 * (2.0 * WINDOW * tau + 1.0) / n)))  # Sokal, 3.19
+    found, length = tau - 1.0 / tau if z > CORRELATED else 0.0, 2
+    while n >= LEAST_SUMS * length:
+        sums = [x[: x.size // length * length].reshape(-1, length).sum(axis=1) for x in kept]
+        rho, z = _neighbours(sums)
+        here = length * 8.0 / 3.0 * rho / (1.0 - rho**2)  # of sums over first-order noise, to 5 % up to its length
+        if z > CORRELATED_SUMS and here * (1.0 - 2.0 / z) > found:
+            found = here
+        length *= 2
+    return float(found * rows / n)
+
+
+def _neighbours(series: Sequence[Array]) -> tuple[float, float]:
+    """The correlation of neighbours in series without their means, and how many standard errors that is."""
+    centred = [x - x.mean() for x in series if x.size]
+    pairs = np.concatenate([np.zeros(1), *(x[1:] * x[:-1] for x in centred)])
+    power, error = sum(float(x @ x) for x in centred), float(np.sqrt(pairs @ pairs))
+    return (float(pairs.sum()) / power, float(pairs.sum()) / error) if error > 0.0 else (0.0, 0.0)
 
 
 def _window(rho: Array) -> float:

@@ -164,7 +164,8 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
     notes = []
     for verdict, what in (("overconfident", "larger"), ("underconfident", "smaller")):
         for words, channels in kinds:
-            wrong = [f"{n} {c.scale:.2g}" for n, c in channels.items() if c.verdict == verdict and c.scale is not None]
+            wrong = [f"{n} {'diverged' if c.scale is None else format(c.scale, '.2g')}" for n, c in channels.items()
+                     if c.verdict == verdict]
             if wrong:
                 notes.append(f"On {role} data, {words}, errors are {what} than the model says, by these factors: "
                              f"{', '.join(wrong)}.")
@@ -442,10 +443,13 @@ def homogeneity_sentence(a: HomogeneityTest) -> str:
     each = ", ".join(f"{v:.3g} ± {e:.2g}" for v, e in zip(a.values, a.errors, strict=True))
     low, high = a.interval
     verdict = "agree" if a.agree else "do not agree"
+    silent = f" {', '.join(a.left_out)} do{'es' if len(a.left_out) == 1 else ''} not inform it." if a.left_out else ""
+    if a.df == 0:
+        return f"{a.name}: whether the logs agree cannot be told.{silent}"
     return (
         f"{a.name}: {a.value:.3g} ± {a.error:.2g} {a.unit} from all logs together (robust error {a.robust_error:.2g}); "
         f"one by one {each}: they {verdict} (likelihood ratio {a.lr:.1f}, chi-square with {a.df} "
         f"degree{'s' if a.df > 1 else ''} of freedom: p = {a.p:.2g}). "
         f"Scatter between logs {a.scatter:.2g}; with it {a.mean:.3g} ± {a.mean_error:.2g}, "
-        f"95 % interval {low:.3g} to {high:.3g} {a.unit}."
+        f"95 % interval {low:.3g} to {high:.3g} {a.unit}.{silent}"
     )

@@ -15,7 +15,7 @@ from .prediction_errors import PredictionChange as PredictionChange
 from .prediction_errors import PredictionErrors as PredictionErrors
 from .prediction_errors import horizon_errors as horizon_errors
 from .prediction_errors import pooled_errors as pooled_errors
-from .prediction_errors import prediction_change as prediction_change
+from .prediction_errors import prediction_change_by_record as prediction_change_by_record
 from .whiteness import OUTLYING as OUTLYING
 from .whiteness import SpectralPeak as SpectralPeak
 from .whiteness import WhitenessDiagnostics as WhitenessDiagnostics

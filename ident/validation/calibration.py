@@ -60,20 +60,27 @@ class Calibration:
 
 
 def calibration_test(series: Sequence[Array], effective: float | None = None) -> Calibration | None:
-    """From standardised errors in their order, one series a record; NaN are left out. None where there are none.
-    ``effective``: how many independent ones they are worth, where that is not told by their own correlation."""
+    """From standardised errors in their order, one series a record; NaN, where nothing was measured, are left out,
+    infinite ones, of predictions that diverged, count. None where there are none. ``effective``: how many independent
+    ones they are worth, where that is not told by their own correlation."""
     from scipy import stats
 
-    kept = [z[np.isfinite(z)] for z in series]
+    kept = [z[~np.isnan(z)] for z in series]
     if not sum(z.size for z in kept):
         return None
     z = np.concatenate(kept)
-    effective = sum(effective_sample_size(one) for one in kept if one.size) if effective is None else effective
+    effective = sum(_effective(one) for one in kept if one.size) if effective is None else effective
     square = float(np.mean(z**2))
     low, high = (np.sqrt(square * effective / stats.chi2.ppf(q, effective)) for q in (0.975, 0.025))
     pit = np.histogram(stats.norm.cdf(z), BINS, (0.0, 1.0))[0] / z.size
     return Calibration(z.size, effective, float(np.mean(np.abs(z) < HALF)), float(np.mean(np.abs(z) < NEARLY_ALL)),
                        float(np.sqrt(square)), float(low), float(high), pit)
+
+
+def _effective(z: Array) -> float:
+    """Independent ones among standardised errors z (n,), no NaN; all that diverged are one."""
+    finite = z[np.isfinite(z)]
+    return effective_sample_size(finite) if finite.size else 1.0
 
 
 def one_step_calibration(model: Model, run: FilterResult) -> dict[str, Array]:
@@ -129,7 +136,15 @@ def horizon_forecasts(
 
 def horizon_calibration(forecasts: Mapping[str, Forecast]) -> dict[str, Array]:
     """Standardised errors over the horizon by channel."""
-    return {name: f.e / f.sd for name, f in forecasts.items()}
+    return {name: _standardised(f.e, f.sd, np.ones(f.e.size, dtype=bool)) for name, f in forecasts.items()}
+
+
+def _standardised(e: Array, sd: Array, measured: NDArray[np.bool_]) -> Array:
+    """Errors over their standard deviations; infinite where there is a measurement and the prediction of it, or its
+    standard deviation, diverged: to leave these out would judge a prediction until it breaks."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = e / sd
+    return np.where(measured & ~(np.isfinite(e) & ~np.isnan(sd)), np.inf, z)
 
 
 def _next(there: NDArray[np.bool_], due: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -141,7 +156,9 @@ def _next(there: NDArray[np.bool_], due: NDArray[np.int64]) -> NDArray[np.int64]
 def simulation_calibration(model: Model, record: Record, run: SimulationRun) -> dict[str, Array]:
     """Predictions from the inputs alone after the first 15 s."""
     blind = record.t > record.t[0] + WARM_UP
-    return {o.name: wrap(record.y[blind, j] - run.y[blind, j], o.angle) / run.sd[blind, j]
+    with np.errstate(invalid="ignore"):  # an angle that is infinite
+        e = [wrap(record.y[blind, j] - run.y[blind, j], o.angle) for j, o in enumerate(model.outputs)]
+    return {o.name: _standardised(e[j], run.sd[blind, j], np.isfinite(record.y[blind, j]))
             for j, o in enumerate(model.outputs)}
 
 
@@ -149,7 +166,8 @@ def pooled_calibration(parts: Sequence[Mapping[str, Array]], *, together: bool =
     """Calibration of every channel over several records. ``together``: the channels share their errors, so each counts
     as many independent ones as that with the fewest has. So it is in a simulation, which is one experiment: the error
     of the heading turns every velocity over ground."""
-    counts = [[effective_sample_size(z[np.isfinite(z)]) for z in p.values() if np.isfinite(z).any()] for p in parts]
+    kept = [[z[~np.isnan(z)] for z in p.values()] for p in parts]
+    counts = [[_effective(z) for z in series if z.size] for series in kept]
     least = float(sum(min(c) for c in counts if c)) if together else None
     found = {}
     for name in dict.fromkeys(n for p in parts for n in p):

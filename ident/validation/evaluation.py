@@ -22,6 +22,7 @@ from ident.validation.prediction_errors import (
     one_step_errors,
     pooled_errors,
     prediction_change,
+    prediction_change_by_record,
     simulation_run,
 )
 from ident.validation.whiteness import CrossCorrelation, Whiteness, cross_correlation, whiteness_test
@@ -51,10 +52,12 @@ class HorizonPrediction:
 
 @dataclass(frozen=True)
 class RecordPrediction:
-    """A record and what the model predicts of it: over the horizon, by channel, and from the inputs alone."""
+    """A record and what the model predicts of it: over the horizon, by channel, with its errors, and from the inputs
+    alone."""
 
     record: Record
     horizon: Mapping[str, HorizonPrediction]
+    errors: Mapping[str, PredictionErrors]
     simulation: SimulationRun
 
 
@@ -145,7 +148,7 @@ def _evaluated(
         calibration.pooled_calibration(alone, together=True),
     )
     records = tuple(
-        RecordPrediction(v.record, {n: _predicted(v.record, n, e, f.get(n)) for n, e in far.items()}, s)
+        RecordPrediction(v.record, {n: _predicted(v.record, n, e, f.get(n)) for n, e in far.items()}, far, s)
         for v, far, f, s in zip(views, ahead, forecasts, simulated, strict=True)
     )
     mean = {name: PredictionErrors(e.t, e.about) for name, e in errors.horizon.items()}
@@ -187,11 +190,12 @@ def shown_inputs(model: Model) -> list[tuple[int, str, str]]:
 
 
 def prediction_changes(before: PredictionEvaluation, after: PredictionEvaluation) -> dict[str, PredictionChange]:
-    """By role, the change of the prediction errors over the horizon from one model to the other."""
-    return {
-        role: prediction_change(one.errors.horizon, after.sets[role].errors.horizon, after.horizon)
-        for role, one in before.sets.items()
-    }
+    """By role, the change of the prediction errors over the horizon from one model to the other, on the records that
+    both could be evaluated on."""
+    of_role = [{role: {r.record.name: r.errors for r in one.records} for role, one in of.sets.items()}
+               for of in (before, after)]
+    return {role: prediction_change_by_record(of, of_role[1].get(role, {}), after.horizon)
+            for role, of in of_role[0].items()}
 
 
 @dataclass(frozen=True)

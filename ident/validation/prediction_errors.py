@@ -134,15 +134,23 @@ def simulation_run(
     return SimulationRun(predicted, np.sqrt(np.maximum(variance, 0)), errors, diverged)
 
 
-def pooled_errors(parts: Sequence[Mapping[str, PredictionErrors]]) -> dict[str, PredictionErrors]:
-    """Errors of several records as one, their times one after the other."""
-    starts = np.cumsum([0.0, *(max(e.t[-1] for e in p.values()) + APART if p else 0.0 for p in parts)])
+def pooled_errors(
+    parts: Sequence[Mapping[str, PredictionErrors]], ends: Sequence[float] | None = None
+) -> dict[str, PredictionErrors]:
+    """Errors of several records as one, their times one after the other; ``ends`` [s] of the records, where others are
+    pooled to be compared with these."""
+    lengths = [_end(p) + APART if p else 0.0 for p in parts] if ends is None else [end + APART for end in ends]
+    starts = np.cumsum([0.0, *lengths])
     found: dict[str, PredictionErrors] = {}
     for name in dict.fromkeys(n for p in parts for n in p):
         own = [(p[name], start) for p, start in zip(parts, starts, strict=False) if name in p]
         columns = zip(*((e.t + start, e.e, e.about) for e, start in own), strict=True)
         found[name] = PredictionErrors(*(np.concatenate(column) for column in columns))
     return found
+
+
+def _end(part: Mapping[str, PredictionErrors]) -> float:
+    return max((float(e.t[-1]) for e in part.values()), default=0.0)
 
 
 @dataclass(frozen=True)
@@ -188,16 +196,28 @@ class PredictionChange(ErrorRatio):
         return sorted(found, key=lambda n: -abs(np.log(self.channels[n].ratio)))
 
 
+def prediction_change_by_record(
+    before: Mapping[str, Mapping[str, PredictionErrors]], after: Mapping[str, Mapping[str, PredictionErrors]],
+    horizon: float,
+) -> PredictionChange:
+    """The change on the records, by their names, that both models have: one that a model could not be evaluated on is
+    left out, and the times of all others stay the same for both."""
+    both = [(before[name], after[name]) for name in before if name in after]
+    ends = [max(map(_end, pair)) for pair in both]
+    old, new = (pooled_errors([pair[k] for pair in both], ends) for k in (0, 1))
+    return prediction_change(old, new, horizon)
+
+
 def prediction_change(
     before: Mapping[str, PredictionErrors], after: Mapping[str, PredictionErrors], horizon: float
 ) -> PredictionChange:
     """Change of the prediction errors over a horizon [s] from one model to another, with 95 % intervals.
 
-    Both of the same channels, records and prediction starts (``pooled_errors`` of ``horizon_errors``); of others the
-    errors at common times are compared. The intervals are those of a delete-one jackknife of the logarithms of the
-    ratios, with Student's t, over blocks of two horizons in all records, or longer ones where that would be more than
-    fifteen (Efron 1982; Künsch 1989). A channel with errors in fewer than four blocks is left out of the mean where
-    others have more.
+    Both of the same records (``pooled_errors`` of ``horizon_errors``; else `prediction_change_by_record`); of channels
+    that both have, the errors at common times are compared. The intervals are those of a delete-one jackknife of the
+    logarithms of the ratios, with Student's t, over blocks of two horizons in all records, or longer ones where that
+    would be more than fifteen (Efron 1982; Künsch 1989). A channel with errors in fewer than four blocks is left out of
+    the mean where others have more.
     """
     seconds, times = BLOCK * horizon, [e.t for e in before.values()]
     seconds *= max(1.0, np.unique(np.floor(np.concatenate(times or [np.zeros(0)]) / seconds)).size / ENOUGH_BLOCKS)

@@ -270,6 +270,7 @@ def whiteness_diagnostics(e: Array) -> WhitenessDiagnostics:
 
 def predictable(e: Array, most_lags: int = MAX_LAGS) -> Predictable:
     """A regression on a constant and lags; p by the likelihood ratio, Bonferroni over the orders."""
+    e = e / (np.sqrt(np.mean(e**2)) or 1.0)  # beside the constant: else what follows would depend on the unit
     most = min(most_lags, e.size // 10)
     windows = np.lib.stride_tricks.sliding_window_view(e, most + 1)[:, ::-1]
     n = windows.shape[0]

@@ -174,6 +174,12 @@ def test_the_share_that_is_predictable_is_that_of_the_truth() -> None:
     assert not small.matters  # significant, and 1 % of the variance
 
 
+def test_what_is_predictable_does_not_depend_on_the_unit() -> None:
+    e = np.random.default_rng(9).normal(size=2000) + 0.2
+    for unit in (1e-8, 1e4, 1e8):
+        np.testing.assert_allclose(predictable(unit * e), predictable(e), rtol=1e-6)
+
+
 def test_white_noise_has_uniform_p_values() -> None:
     acf = [autocorrelation(np.random.default_rng(seed).normal(size=500), 20) for seed in range(200)]
     p = [ljung_box(r, 500, n_fitted=2) for r in acf]

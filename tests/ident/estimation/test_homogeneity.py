@@ -11,7 +11,7 @@ from scipy import stats
 from daq.errors import SeatrialError
 from ident.data.record import Record
 from ident.estimation.homogeneity import between_log_variance, homogeneity_test
-from ident.estimation.maximum_likelihood import EstimationOptions, fit
+from ident.estimation.maximum_likelihood import EstimationOptions, Method, fit
 from ident.model.parameter import Parameter
 from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
 from ident.results.answers import homogeneity_sentence
@@ -108,6 +108,39 @@ def test_a_value_without_an_error_takes_no_part() -> None:
     V = np.diag([1.0, np.nan, 1.0])
     assert between_log_variance(np.array([1.0, 99.0, 3.0]), V)[1] == pytest.approx(2.0)
     assert np.isnan(between_log_variance(np.array([1.0, 99.0]), np.diag([1.0, np.nan]))[1])
+
+
+@pytest.mark.parametrize("method", ["prediction-error", "output-error"])
+def test_both_fits_are_made_in_the_same_way(method: Method) -> None:
+    """Else an output-error fit is worse than a prediction-error one by hundreds, and equal boats differ."""
+    data = records((40.0, 40.0, 40.0), 4)
+    one = fit(pushed(), data, EstimationOptions(method=method))
+    found = homogeneity_test(one, data, "m")
+    of_each = pushed().replace_parameters(replace(pushed().parameter("m"), per_record=True))
+    each = fit(of_each, data, EstimationOptions(method=method))
+    assert found.lr == pytest.approx(2.0 * (each.log_posterior - one.log_posterior), abs=1e-3)
+    assert found.lr < 30.0
+    outliers = fit(pushed(), data, EstimationOptions(method=method, outlier_model=True))
+    assert homogeneity_test(outliers, data, "m").lr == pytest.approx(found.lr, abs=1.0)
+
+
+def test_a_log_that_does_not_inform_the_parameter_is_left_out() -> None:
+    """At rest the mass is not seen: neither the test nor Student's t may count that log."""
+    data, (still,) = records((40.0, 40.0), 0), records((40.0,), 1)
+    still = replace(still, name="still", u=0.0 * still.u, u_next=0.0 * still.u, y=0.0 * still.y)
+    model = pushed().with_free(["m"])
+    one = fit(model, [*data, still])
+    found = homogeneity_test(one, [*data, still], "m")
+    without = homogeneity_test(fit(model, data), data, "m")
+    assert (found.df, found.left_out) == (1, ("still",))
+    np.testing.assert_allclose([found.lr, found.p], [without.lr, without.p], atol=1e-3)
+    np.testing.assert_allclose(found.interval, without.interval, rtol=1e-3)
+    assert "still does not inform it" in homogeneity_sentence(found)
+    lone = [data[0], still, replace(still, name="also")]
+    alone = homogeneity_test(fit(model, lone), lone, "m")
+    assert (alone.df, alone.left_out) == (0, ("still", "also"))
+    assert homogeneity_sentence(alone) == "m: whether the logs agree cannot be told. still, also do not inform it."
+    assert homogeneity_row(alone).low is None
 
 
 def test_what_cannot_be_tested_is_said() -> None:

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.data.record import Preparer, Record
+from ident.data.record import Preparer, Record, initial_condition
 from ident.estimation import likelihood as likelihood_module
 from ident.estimation.likelihood import Likelihood
+from ident.estimation.maximum_likelihood import SearchSettings, fit
 from ident.model.parameter import Parameter
 from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
 from tests.ident.toys import NumpyFilter, turning, turning_record, values_of
@@ -305,6 +306,52 @@ def test_initial_state_from_the_first_measurement() -> None:
     w[FREE.index("psi0")] = first
     assert Likelihood(measured).value(record, v) == pytest.approx(Likelihood(model).value(record, w), rel=1e-13)
     assert Likelihood(measured).gradient(record, v)[1][FREE.index("psi0")] == 0.0
+
+
+def drifting(unit: float, sd0: float) -> Model:
+    """A position that moves at a speed nobody knows, in metres over ``unit``."""
+    return plain_model(
+        "drift", f=lambda x, u, p: {"x": p.V}, h=lambda x, u, p: {"y": x.x},
+        states=(State("x", sd0=sd0, from_output="y"),), inputs=(), sensors=(Sensor("gnss", (Output("y", noise="e"),)),),
+        parameters=(Parameter("V", 0.0), Parameter("e", 3.0 / unit, transform="log", free=False)))
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-3])
+def test_the_first_measurement_is_not_used_twice(unit: float) -> None:
+    """Its start beside a noise of 3 m: the error of a drift is that of a straight line with an offset of its own."""
+    t, rng, z = 1.0 * np.arange(60), np.random.default_rng(0), []
+    empty = np.zeros((t.size, 0))
+    line = 3.0 / unit / np.sqrt(np.sum((t - t.mean()) ** 2))
+    for _ in range(40):
+        y = (0.2 * t + 3.0 * rng.normal(size=t.size)) / unit
+        record = Record("run", t, empty, empty, y[:, None], (), ("y",))
+        value, error = fit(drifting(unit, 1.0), [record], settings=SearchSettings(robust_errors=False)).estimate("V")
+        assert error == pytest.approx(line, rel=0.03)
+        z.append((value - 0.2 / unit) / error)
+    assert np.std(z) == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_good_sensor_leaves_the_start_as_the_model_has_it() -> None:
+    """And so does a start that is known exactly, whatever the sensor; an angle's noise does not see its wrap, nor the
+    noise of a boat under way its irregular samples."""
+    rng = np.random.default_rng(0)
+    t = np.cumsum(rng.choice([0.1, 0.2, 1.0], 400))
+    empty = np.zeros((t.size, 0))
+
+    def start(noise: float, sd0: float, sensor: Output) -> float:
+        y = 0.7 * t + noise * rng.normal(size=t.size)
+        y = np.mod(y, 2 * np.pi) if sensor.angle else y
+        model = replace(drifting(1.0, sd0), sensors=(Sensor("gnss", (sensor,)),))
+        record = Record("run", t, empty, empty, y[:, None], (), ("y",))
+        data = Preparer(model)(record)
+        assert data.noise[0] == pytest.approx(noise, rel=0.2)
+        return float(initial_condition(model, values_of(model), data, True).s[1]) ** 0.5
+
+    position, heading = Output("y", noise="e"), Output("y", noise="e", angle=True)
+    assert start(0.15, 1.0, position) == 1.0
+    assert start(3.0, 0.0, position) == 0.0
+    assert start(3.0, 1.0, position) == pytest.approx(15.0, rel=0.2)
+    assert start(0.05, 0.1, heading) == pytest.approx(0.25, rel=0.2)
 
 
 def test_a_first_measurement_that_is_late_tells_less_of_the_start() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -131,6 +131,17 @@ def test_a_noisy_first_sample_is_not_the_start() -> None:
     spread = np.sqrt(np.mean(np.square(z), axis=0))
     np.testing.assert_allclose(spread[0], 1.0, atol=0.35)
     assert np.nanmax(spread[1]) > 2.0
+
+
+@pytest.mark.parametrize("initial_state", ["free", "given"])
+def test_outliers_are_allowed_whatever_the_start(initial_state: Literal["free", "given"]) -> None:
+    model = turning().with_free(("d", "dd", "e_psi", "e_r"))
+    model = replace(model, states=tuple(replace(s, x0=0.0, from_output="psi" if s.name == "psi" else "")
+                                        for s in model.states))
+    record, settings = turning_record(n_rows=200), SearchSettings(initial_state=initial_state, robust_errors=False)
+    found = fit(model, [record], replace(OUTPUT_ERROR, outlier_model=True), settings)
+    assert ("x0_psi@0" in found.names) == (initial_state == "free")
+    assert found.converged
 
 
 def test_starts_of_each_record_begin_at_its_first_samples() -> None:

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
+import numpy as np
+import pytest
+
+from ident.data.record import Record
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import SearchSettings, fit
 from ident.estimation.output_error import simulate
 from ident.estimation.parameter_covariance import parameter_uncertainty, prediction_variance
+from ident.model.parameter import Parameter
+from ident.model.structure import Output, Sensor, State, plain_model
 from ident.validation.prediction_errors import WARM_UP, simulation_run
 from tests.ident.sliders import slide, slider
 from tests.ident.toys import turning, turning_record
@@ -35,6 +41,25 @@ def test_it_is_the_variance_over_drawn_parameters() -> None:
         tracks.append(simulate(found.model, record.part(record.t[known - 1], 1e9), moved, start).y[1:])
     drawn = np.std(tracks, axis=0)[-100:]
     np.testing.assert_allclose(np.sqrt(added[-100:]) / drawn, 1.0, atol=0.2)
+
+
+def test_a_block_begins_as_it_says() -> None:
+    """A state that no measurement gives, in a block from the middle of a run."""
+    model = plain_model(
+        "behind", f=lambda x, u, p: {"n": 0.02 * (1.0 - x.n), "v": p.k * x.n - x.v}, h=lambda x, u, p: {"y": x.v},
+        states=(State("n", sd0=1e-3), State("v", noise=1e-3, sd0=1.0)), inputs=(),
+        sensors=(Sensor("one", (Output("y", noise="e"),)),),
+        parameters=(Parameter("k", 1.0), Parameter("e", 0.02, transform="log")))
+    t = 0.1 * np.arange(600)
+    n = 1.0 - np.exp(-0.02 * t)
+    y = (n + 0.02 * np.random.default_rng(0).normal(size=t.size))[:, None]
+    empty = np.zeros((t.size, 0))
+    run = Record("run", t, empty, empty, y, (), ("y",))
+    found, values, likelihood = fit(model, [run]), np.array([1.0, 0.02]), Likelihood(model)
+    block = replace(run.part(30.0, 60.0), start={"n": (float(n[300]), 1e-3), "v": (float(n[300]), 0.1)})
+    added = prediction_variance(parameter_uncertainty(found), model, block, values, 150, likelihood)
+    # k n / 1: its sensitivity is n, about a half at the end
+    assert np.sqrt(added[-1, 0]) == pytest.approx(found.errors[0] * n[-1], rel=0.1)
 
 
 def test_noise_and_what_has_no_error_is_left_out() -> None:

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from ident.data.record import Record
 from ident.estimation.fisher_scoring import Bounds, Evaluation
 from ident.estimation.maximum_likelihood import SearchSettings, fit
-from ident.estimation.standard_errors import Uncertainty, assess, sandwich, widened
+from ident.estimation.standard_errors import TOO_LONG, Sandwich, Uncertainty, assess, sandwich, widened
 from ident.model.parameter import Parameter
 from ident.model.structure import Model, Output, Sensor, State, plain_model
 
@@ -70,6 +70,55 @@ def test_a_record_no_longer_than_its_memory_has_no_error() -> None:
     assert np.isnan(sandwich(known_of(np.array([[float(N)]])), [([0], rows)], np.ones(1), np.zeros(1)).errors).all()
 
 
+def sparse(x: np.ndarray, every: int) -> np.ndarray:
+    found = np.zeros(x.size * every)
+    found[::every] = x
+    return found
+
+
+def scores_error(scores: list[np.ndarray]) -> Sandwich:
+    """Of a mean of unit information a sample, from its scores."""
+    n = sum(np.count_nonzero(s) for s in scores)
+    rows = [([0], s[:, None]) for s in scores]
+    return sandwich(known_of(np.array([[float(n)]])), rows, np.ones(1), np.zeros(1))
+
+
+@pytest.mark.parametrize("every", [1, 2, 5, 10])
+def test_a_slow_sensor_has_the_errors_of_its_samples(every: int) -> None:
+    """Between its samples rows are empty: these are no white noise."""
+    dense = scores_error([coloured(0.9, 1)]).errors
+    np.testing.assert_allclose(scores_error([sparse(coloured(0.9, 1), every)]).errors, dense, rtol=0.1)
+    assert dense == pytest.approx(np.sqrt(19.0 / N), rel=0.35)
+    short = scores_error([sparse(coloured(0.9, 1, 300), every)])
+    assert np.isnan(short.errors).all()
+    assert (short.least > 2.0 / np.sqrt(300)).all()
+    assert (short.p < 0.001).all()
+
+
+def test_a_weak_long_correlation_is_in_the_errors_or_withholds_them() -> None:
+    """A tenth of the variance is correlated over 200 rows: it is nine tenths of that of the mean."""
+    n, found, least, withheld = 60_000, [], [], []
+    for seed in range(20):
+        x = np.sqrt(0.1) * coloured(0.99, seed, n) + np.sqrt(0.9) * coloured(0.0, 100 + seed, n)
+        robust = scores_error([x - x.mean()])
+        found.append(float(robust.errors[0]))
+        short = scores_error([x[:4000] - x[:4000].mean()])
+        withheld.append(bool(np.isnan(short.errors[0])))
+        least.append(float(short.least[0]))
+    assert np.sqrt(np.nanmean(np.square(found))) == pytest.approx(np.sqrt((0.9 + 0.1 * 199) / n), rel=0.15)
+    assert np.mean(np.isnan(found)) < 0.1
+    assert np.mean(withheld) > 0.85
+    assert np.sqrt(np.mean(np.square(least))) == pytest.approx(np.sqrt((0.9 + 0.1 * 199) / 4000), rel=0.3)
+
+
+@pytest.mark.parametrize(("n", "every"), [(60, 10), (300, 1), (300, 10), (3000, 1)])
+def test_white_scores_are_hardly_ever_said_to_remember(n: int, every: int) -> None:
+    found = [scores_error([sparse(np.random.default_rng(k).normal(size=n), every)]) for k in range(300)]
+    assert np.mean([np.isnan(f.errors[0]) for f in found]) < 0.03
+    assert np.sqrt(np.nanmean([f.errors[0] ** 2 for f in found])) == pytest.approx(n**-0.5, rel=0.08)
+    assert np.mean([f.p[0] < 0.01 for f in found]) < 0.03
+
+
 def test_many_records_are_blocks_themselves() -> None:
     """Of random walks, each of another record, no length of blocks within one would do."""
     walks = [np.cumsum(np.random.default_rng(k).standard_normal(200)) for k in range(30)]
@@ -106,3 +155,16 @@ def test_a_fit_to_coloured_residuals_says_so_and_has_their_errors(keep: float) -
     expected = np.fmax(plain.errors, found.robust_errors) if found.coloured else plain.errors
     np.testing.assert_allclose(found.errors, expected, rtol=1e-6)
     assert (found.errors[:2] > 2.0 * plain.errors[:2]).all() == found.coloured
+
+
+def test_a_fit_whose_residuals_remember_too_long_says_so() -> None:
+    """Its errors are those of the longest blocks, and flagged."""
+    empty = np.zeros((600, 0))
+    y = 0.7 * coloured(0.98, 4, 600) + 0.7 * coloured(0.0, 5, 600)
+    record = Record("one", 0.1 * np.arange(600), empty, empty, y[:, None], (), ("y",))
+    plain = fit(line(), [record], settings=SearchSettings(robust_errors=False))
+    found = fit(line(), [record])
+    assert found.coloured
+    assert ("mean", TOO_LONG) in found.flags
+    assert np.isnan(found.robust_errors[0])
+    assert found.errors[0] > 2.5 * plain.errors[0]

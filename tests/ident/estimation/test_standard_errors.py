@@ -28,6 +28,18 @@ def test_a_bound_that_is_just_reached_widens_as_if_it_were_not_there() -> None:
     assert found.flags == (("b", "at its bound"), ("a", "its error allows for b off its bound: 3.2 times that at it"))
 
 
+def test_a_step_that_ends_on_a_bound_but_for_its_rounding_is_at_it() -> None:
+    """3 + (0.1 - 3) is not 0.1."""
+    bounds, z = Bounds(np.array([0.1, -np.inf]), np.array([np.inf, 0.7]), np.zeros(2, dtype=bool)), np.array([0.0, 0.7])
+    z[0] = 3.0 + (0.1 - 3.0)
+    assert z[0] > 0.1
+    at = Evaluation(0.0, np.array([-1.0, 1.0]), np.eye(2), np.zeros(2))
+    assert bounds.held(z, at.gradient).all()
+    found = assess(at, z, bounds, ("a", "b"), np.ones(2), np.zeros(2))
+    assert [what for _, what in found.flags] == ["at its bound", "at its bound"]
+    assert np.isfinite(found.limits).all()
+
+
 def test_the_harder_it_is_pushed_against_the_less_it_widens() -> None:
     errors, limits = zip(*[(f.errors[0], f.limits[1]) for f in (assessed(0.95, (3.0, b))[1] for b in (-0.5, -3, -30))],
                          strict=True)

@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 from ident.numerics.autocorrelation import (
     Truncation,
     block_error,
+    correlation_length,
     effective_sample_size,
     integrated_autocorrelation_time,
     mean_error,
@@ -38,6 +39,39 @@ def test_constants_and_ramps(truncation: Truncation) -> None:
 def test_short_series_are_pooled() -> None:
     parts = [ar1(0.8, seed, 3000) for seed in range(12)]
     assert integrated_autocorrelation_time(parts) == pytest.approx((1 + 0.8) / (1 - 0.8), rel=0.15)
+
+
+@pytest.mark.parametrize("every", [1, 10])
+@pytest.mark.parametrize("rho", [0.8, 0.95])
+def test_what_blocks_cut_of_first_order_noise(rho: float, every: int) -> None:
+    """Of a sensor in every row, and of a slow one, whose other rows are zero."""
+    found = []
+    for seed in range(5):
+        x = np.zeros(N)
+        x[::every] = ar1(rho, seed, N // every)
+        found.append(correlation_length([x]))
+    tau = (1 + rho) / (1 - rho)
+    assert np.mean(found) == pytest.approx(every * (tau - 1 / tau), rel=0.3)
+
+
+def test_a_tail_that_is_weak_and_long_is_seen_in_sums() -> None:
+    """A tenth of the variance is correlated over 400 samples, and is nine tenths of that of a mean."""
+    found, windows = [], []
+    for seed in range(5):
+        tail = ar1(0.995, seed) * np.sqrt(1 - 0.995**2)
+        x = np.sqrt(0.1) * tail + np.sqrt(0.9) * np.random.default_rng(100 + seed).normal(size=N)
+        found.append(correlation_length([x]))
+        windows.append(integrated_autocorrelation_time([x]))
+    assert np.mean(found) == pytest.approx(400.0, rel=0.4)
+    assert np.mean(windows) < 80.0
+
+
+def test_white_noise_is_correlated_but_by_chance() -> None:
+    for n in (60, 300, 3000):
+        found = np.array([correlation_length([np.random.default_rng(seed).normal(size=n)]) for seed in range(200)])
+        assert np.mean(found > 0.0) < 0.08
+        assert np.mean(found > n / 108) < 0.03  # of twelve blocks nine times as long
+    assert [correlation_length([x]) for x in (np.zeros(50), np.ones(50), np.ones(2))] == [0.0, 0.0, 0.0]
 
 
 def test_effective_sample_size_of_first_order_noise() -> None:

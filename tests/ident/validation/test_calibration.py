@@ -10,15 +10,18 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ident.data.record import LogSegment
+from ident.data.record import LogSegment, Record
 from ident.estimation.fitted_model import FittedModel, RecordEvaluation, fit_nominal_model
 from ident.estimation.likelihood import Likelihood
+from ident.model.parameter import Parameter
+from ident.model.structure import Input, Output, Sensor, State, plain_model
 from ident.models.horizontal import horizontal_model
 from ident.numerics.autocorrelation import effective_sample_size
 from ident.results.answers import calibration_notes
 from ident.results.tables import calibration_tables
-from ident.validation.calibration import Calibration, calibration_test, pooled_calibration
+from ident.validation.calibration import Calibration, calibration_test, pooled_calibration, simulation_calibration
 from ident.validation.evaluation import ByHorizon, PredictionEvaluation, evaluate
+from ident.validation.prediction_errors import WARM_UP, simulation_run
 from tests.ident.toys import turning, turning_record, values_of
 from tests.missions import boat_with, channels_of, sail
 
@@ -124,6 +127,35 @@ def test_a_single_experiment_says_little() -> None:
     together = pooled_calibration([{"slow": drift, "quick": quick}], together=True)
     assert together["quick"].verdict == together["slow"].verdict == "insufficient_data"
     assert calibration_test([np.full(5, np.nan)]) is None
+
+
+def test_a_prediction_that_diverged_is_not_right_until_it_broke() -> None:
+    z = np.random.default_rng(0).normal(size=300)
+    diverged, unmeasured = (np.append(z, np.full(300, what)) for what in (np.inf, np.nan))
+    for parts in ([{"x": diverged}], [{"x": z}, {"x": np.full(9, np.inf)}]):
+        for together in (False, True):
+            found = pooled_calibration(parts, together=together)["x"]
+            assert (found.verdict, found.scale) == ("overconfident", np.inf)
+    assert pooled_calibration([{"x": unmeasured}])["x"].verdict == "right"
+
+
+def test_a_simulation_that_diverged_is_not_calibrated() -> None:
+    """v' = 0.3 v^2 + u leaves every bound in finite time: rows without a measurement stay without an error."""
+    model = plain_model(
+        "runaway", f=lambda x, u, p: {"v": 0.3 * x.v * x.v + u.c}, h=lambda x, u, p: {"y": x.v},
+        states=(State("v", noise=0.05, sd0=0.1),), inputs=(Input("c"),),
+        sensors=(Sensor("one", (Output("y", noise="e"),)),), parameters=(Parameter("e", 0.05, transform="log"),))
+    n, rng = 1500, np.random.default_rng(0)
+    y, c = (0.3 + 0.05 * rng.normal(size=n))[:, None], np.full((n, 1), -0.017)
+    y[::2] = np.nan
+    record = Record("run", 0.1 * np.arange(n), c, c, y, ("c",), ("y",))
+    run = simulation_run(model, record, np.array([0.05]))
+    z = simulation_calibration(model, record, run)
+    assert run.diverged
+    assert np.isinf(z["y"]).sum() > 100
+    measured = np.isfinite(y[record.t > WARM_UP, 0])
+    assert (np.isnan(z["y"]) == ~measured).all()
+    assert pooled_calibration([z], together=True)["y"].verdict == "overconfident"
 
 
 def verdict_of(scale: float, n: int) -> str:

@@ -20,6 +20,7 @@ from ident.validation.prediction_errors import (
     one_step_errors,
     pooled_errors,
     prediction_change,
+    prediction_change_by_record,
     simulation_run,
 )
 from tests.ident.sliders import D, M, slide, slider
@@ -183,6 +184,23 @@ def test_a_change_of_the_prediction_errors_is_of_all_channels() -> None:
     shifted = prediction_change(old, later, 10.0)
     assert set(shifted.channels) == {"x", "r"}
     assert shifted.ratio == pytest.approx(1.0)
+
+
+def test_records_are_compared_with_themselves() -> None:
+    """A record that one model could not be evaluated on moves no other; nor does a channel that ends later."""
+    t = 0.1 * np.arange(600)
+
+    def errors(seed: int, scale: float) -> dict[str, PredictionErrors]:
+        return {"x": PredictionErrors(t, scale * np.random.default_rng(seed).normal(size=t.size))}
+
+    hard, easy = errors(1, 10.0), errors(2, 1.0)
+    late = PredictionErrors(t + 2.0, easy["x"].e)
+    for after in ({"hard": hard, "easy": easy}, {"easy": easy}, {"hard": {**hard, "late": late}, "easy": easy}):
+        for one, other in ((after, {"easy": easy}), ({"easy": easy}, after), (after, {"hard": hard, "easy": easy})):
+            found = prediction_change_by_record(one, other, 1.0)
+            assert (found.ratio, found.verdict, set(found.channels)) == (1.0, "unchanged", {"x"})
+    assert prediction_change_by_record({"a": easy, "b": hard}, {"b": errors(1, 5.0)}, 1.0).ratio == pytest.approx(0.5)
+    assert np.isnan(prediction_change_by_record({"a": easy}, {"b": easy}, 1.0).ratio)
 
 
 def test_no_verdict_without_an_interval_or_a_change_that_can_be_written() -> None:
