@@ -1,7 +1,7 @@
 """Multistart: the best of fits from several initial values, where the likelihood is multimodal.
 
 With low-rate shaft telemetry a long delay before a quick shaft and a short delay before a slow one explain much the
-same data, and a search ends at the maximum that it starts below.
+same data, and a search ends at the maximum that it starts below. So it does with a dead zone that no command is near.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import Fit
 
 N_STARTS = 2
+WORTH = 2.0  # in the log-likelihood, of one parameter alone, by which a point is likelier than the fit: not by chance
 MIN_GAIN = 0.5  # in the log-posterior, by which another maximum has to be higher
 
 
@@ -53,8 +54,11 @@ def alternative_starts(first: Fit, records: Sequence[Record]) -> list[dict[str, 
     others = list(product(*grid.values[1:]))
     merit = np.array([[value((a, *rest)) for rest in others] for a in grid.values[0]])
     found: list[dict[str, float]] = []
+    least = sum(map(likelihood.value, rows, first.record_values)) + WORTH if grid.gaining else -np.inf
     for at in np.argsort(-merit.max(axis=1)).tolist():
         taken = [model.values[grid.names[0]], *[f[grid.names[0]] for f in found]]
+        if merit[at].max() <= least:
+            break
         if len(found) < N_STARTS and min(abs(grid.values[0][at] - other) for other in taken) > 1.5 * grid.apart:
             point = (grid.values[0][at], *others[int(np.argmax(merit[at]))])
             found.append(dict(zip(grid.names, map(float, point), strict=True)))

@@ -240,11 +240,13 @@ class StartGrid:
         names: parameters; the first tells starts apart.
         values: values of each to try.
         apart: least distance of two starts in the first parameter, in its unit.
+        gaining: only those that are likelier than the fit, with all else as it was fitted.
     """
 
     names: tuple[str, ...]
     values: tuple[tuple[float, ...], ...]
     apart: float
+    gaining: bool = False
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,7 @@ from ident.model import (
     ParameterOrigin,
     Sensor,
     Signals,
+    StartGrid,
     State,
     resolve_initial_states,
     tap_name,
@@ -81,6 +82,7 @@ SHAFT = (
     Parameter("dead_zone", 0.03, "", "command below which the shafts stand", prior=(0.0, 0.1), bounds=(0.0, 0.5),
               step=0.01),
 )
+DEAD_ZONES = StartGrid(("dead_zone",), ((0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4),), 0.03, gaining=True)
 SHAFT_STATES = tuple(State(f"n_{side}", "", f"shaft speed {side}, normalised", 1e-3, sd0=0.1) for side in SIDES)
 ARMS = (
     Parameter("y_left", -0.15, "m", "left thruster, to starboard", free=False, step=0.01, origin=BUILT_IN),
@@ -165,6 +167,7 @@ def horizontal_model(
         provides=(*provides, "hull", *(("body_velocity",) if "body_velocity" in sensors else ())),
         source=f"horizontal:{propulsion}" + ("" if current else ":no-current"),
         max_step=DRIVEN_STEP if propulsion == "command" else 0.1,
+        start_grid=DEAD_ZONES if propulsion == "command" else None,
     )
 
 
