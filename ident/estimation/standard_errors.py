@@ -163,8 +163,9 @@ LEAST_BY_DATA = 1e-3  # of a variance: where the prior gives all the rest, the r
 @dataclass(frozen=True)
 class Sandwich:
     """errors (n,): standard errors in own units, NaN where there is none, or where the residuals are correlated for too
-    long; least (n,): the same, but then by the longest blocks that there are, which miss a part of it; p (n,): of a variance
-    as large by chance where the information holds (White's information matrix test, 1982, for each variance alone)."""
+    long; least (n,): the same, but then by the longest blocks that there are, which miss a part of it; p (n,): of a
+    variance as large by chance where the information holds (White's information matrix test, 1982, for each variance
+    alone)."""
 
     errors: Array
     least: Array
