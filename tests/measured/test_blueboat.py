@@ -125,9 +125,9 @@ def test_the_explanation_is_physical(left_out: dict[str, dict[str, Any]]) -> Non
     assert abs(found["b_y"][0]) < 0.5  # the point that is measured is on board
     drawn, error, jackknife = found["dev_mc"]
     # The compass is drawn aside while the motors run; a gyro bias in each run takes a part of that drift.
-    assert drawn < -1.96 * max(error, jackknife)
+    assert drawn < -1.96 * np.fmax(error, jackknife)  # its residuals may be correlated for too long for an error
     ratios = np.array([j / e for _, e, j in found.values() if e > 0.0])
-    assert 0.7 < np.median(ratios) < 3.0  # the jackknife's are 2.2 times as large: runs differ by more than noise
+    assert 0.7 < np.median(ratios) < 3.0  # the jackknife's are 1.8 times as large: runs differ by more than noise
 
 
 def test_nothing_about_a_run_chooses_the_model_that_predicts_it(monkeypatch: pytest.MonkeyPatch) -> None:
