@@ -104,13 +104,15 @@ class _Hull:
 class _Kind:
     """What is known of the times of one kind of sample."""
 
-    __slots__ = ("back", "last", "least", "newest", "since")
+    __slots__ = ("after", "back", "back_at", "last", "least", "newest", "since")
 
     def __init__(self, newest: float, least: float) -> None:
         self.newest = self.last = newest  # device time
         self.least = least  # s, the least that it was late by
         self.since = math.inf  # run time from which all of it is late
-        self.back = 0.0  # s by which the last one was late if it ran back
+        self.back = 0.0  # s by which one that ran back was late, until one comes that is not,
+        self.back_at = math.inf  # its run time,
+        self.after = 0  # and those since
 
 
 class ClockMap:
@@ -128,10 +130,10 @@ class ClockMap:
     SKEW_MAX = 300e-6  # two crystals are closer than this; bounds the slope of a short hull
     JUMP = 0.5  # s, device time ahead of the map by more: its clock was set
     LATE = 1.0  # s, behind the newest by more: its clock was set back, or it restarted
-    STEP = 0.2  # s behind its kind: its clock was set back
     LATER = 0.5  # s later than its kind ever was, for LATER_FOR: set back, or stopped; less is a link with a queue
     LATER_FOR = 10.0
-    AGAIN = 0.05  # s late where a time runs back: of a packet that was overtaken, unless the next one is late too
+    AGAIN = 0.05  # s late where a time runs back: of a packet that was overtaken, unless all are as late for AGAIN_FOR
+    AGAIN_FOR, AGAIN_N = 1.0, 3  # s, and samples
 
     def __init__(self, window: float = 100.0) -> None:
         self.window = window
@@ -210,14 +212,16 @@ class ClockMap:
             self._kinds[kind] = _Kind(t_device, late)
             return False
         excess = late - seen.least
-        if seen.newest - t_device > self.STEP:
-            return True
-        if seen.back and t_device != seen.last:
-            if excess > 0.5 * seen.back:  # the next one is late too: not overtaken, but of a clock that was set back
+        if t_device == seen.last:
+            pass  # another sample of the same message, mostly
+        elif seen.back and excess < max(0.5 * seen.back, seen.back - self.AGAIN):
+            seen.back = 0.0  # it was overtaken: the link is as quick as before
+        elif seen.back:
+            seen.after += 1
+            if seen.after >= self.AGAIN_N and t_rx - seen.back_at >= self.AGAIN_FOR:
                 return True
-            seen.back = 0.0
-        elif t_device <= seen.newest and excess > self.AGAIN:
-            seen.back = excess
+        elif t_device < seen.newest and excess > self.AGAIN:
+            seen.back, seen.back_at, seen.after = excess, t_rx, 0
         if excess < self.LATER:
             seen.since = math.inf
         elif t_rx - seen.since > self.LATER_FOR:

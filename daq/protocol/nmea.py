@@ -22,6 +22,7 @@ _FIX_TO_QUALITY = {0: 0, 1: 6, 2: 1, 3: 1, 4: 2, 5: 4, 6: 5}
 KNOT = 1852.0 / 3600.0  # m/s
 DAY = 86400.0
 REMEMBERED = 10  # epochs; some sentences do not come with each
+ORDER_BY = 3  # epochs in a row tell another order of sentences; in one of them a pause of the link may
 _TIME = re.compile(rb"(\d\d)(\d\d)(\d\d(?:\.\d*)?)\Z")
 _TIME_FIELD = {"GGA": 1, "RMC": 1, "GST": 1, "ZDA": 1, "GNS": 1, "GLL": 5}
 _POSITION = ("GGA", "GNS", "RMC", "GLL")  # the first of them that has one gives the position
@@ -171,6 +172,7 @@ class Epochs:
         self._timed: bool | None = None  # whether there has been a fix; None before the first position
         self._t_last = -math.inf  # of the last sentence
         self._vtg_leads = False
+        self._agreeing = ORDER_BY - 1  # epochs that tell another order; the first is believed at once
         self._vtg: tuple[float, Message, float] | None = None  # the last sentence: when, and s since the one before
 
     def take(self, kind: str, body: bytes, t_rx: float) -> list[Frame] | None:
@@ -189,7 +191,7 @@ class Epochs:
     def forget(self) -> None:
         """Forget the epoch that is not complete (the port was reopened)."""
         self._epoch = self._vtg = self._timed = None
-        self._t_last, self._vtg_leads = -math.inf, False
+        self._t_last, self._vtg_leads, self._agreeing = -math.inf, False, ORDER_BY - 1
 
     @property
     def has_time(self) -> bool:
@@ -228,9 +230,14 @@ class Epochs:
     def _learn(self, before: float, after: float) -> None:
         """Of a VTG between two epochs: the time [s] to the sentence before it, and to the one behind it."""
         if math.isfinite(before) and before > 2.0 * after:
-            self._vtg_leads = True
+            leads = True
         elif after > before:
-            self._vtg_leads = False
+            leads = False
+        else:
+            return
+        self._agreeing = self._agreeing + 1 if leads != self._vtg_leads else 0
+        if self._agreeing >= ORDER_BY:
+            self._vtg_leads, self._agreeing = leads, 0
 
     def _begin(self, seconds: float, t_rx: float) -> None:
         if self._epoch is not None:

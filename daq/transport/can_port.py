@@ -36,8 +36,9 @@ class _OpeningAnswers:
             self._in_line = False
             if certain:
                 return any(self._answers[-2:])
-        # Of three answers these are no beginning of four good ones.
-        return True if len(self._answers) == 3 and any(self._answers[1:]) and self._answers != [0, 1, 0] else None
+        # Of three answers these are no beginning of four good ones: an empty line, and closing what is not open, may
+        # be refused.
+        return True if len(self._answers) == 3 and self._answers[2] else None
 
 
 class SlcanPort(Port):

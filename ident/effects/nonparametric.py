@@ -33,6 +33,7 @@ N_KNOTS, N_HARMONICS = 9, 3
 TIME_CONSTANTS = (0.25, 1.0, 4.0)  # s, time constants of the first-order lags
 FREQUENCIES = (0.2, 0.32, 0.5, 0.8, 1.2)  # Hz, natural frequencies that are tried
 DAMPING = 0.1
+OF_SENSORS = ("output", "reading")  # stages of what a sensor gets wrong, which is not the boat's
 FULL = 40.0  # N, full thrust of a thruster of the catalogue's boat: what an input in newtons usually is
 Signal = Callable[[Signals], Any]
 
@@ -125,7 +126,7 @@ def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, flo
         parameters=tuple(
             Parameter(
                 n, 0.0, unit, f"{force} {what}", prior=(0.0, residual.scale), step=0.03 * residual.scale,
-                scales=residual.stage != "output",  # the errors of a sensor are not the boat's
+                scales=residual.stage not in OF_SENSORS,
             )
             for n, what in zip(names, terms_of, strict=True)
         ),
@@ -170,7 +171,7 @@ def shape(
     if not of[0].angle:
         band = band + between_knots(np.array([values[name] for name in own]), grid, span)
     return NonparametricForce(
-        curve.force, curve.variable, grid, value, sd, band, residual.unit, of[0].unit, residual.stage == "reading"
+        curve.force, curve.variable, grid, value, sd, band, residual.unit, of[0].unit, residual.stage in OF_SENSORS
     )
 
 

@@ -32,6 +32,7 @@ BETWEEN, PAYLOAD, THRUST = "between-runs:", "payload", "thrust"
 SPREAD = 0.3  # relative, that a parameter may plausibly differ between runs: one standard deviation of the prior
 LEAST, MOST = -0.9, 9.0  # relative differences that are tried
 PAYLOAD_SHARE = 0.2  # of the surge mass, one standard deviation of the prior of a payload
+TOLD = 0.95  # of the prior's width: an error above it is the prior's own, and the record says nothing
 MIN_SHIFT = 5.0  # standard errors of both runs together, from which a parameter is said to be another
 
 
@@ -72,22 +73,23 @@ def homogeneity_test(one: Fit, records: Sequence[Record], name: str) -> Homogene
     if len(records) < 2:
         raise SeatrialError(f"--test-homogeneity {name}: it takes two logs or more")
     shared = one.model.parameter(name)
-    # what was known of the one value is known once, not once for each log: equal values then have the same posterior
-    prior = None if shared.prior is None else (shared.prior[0], shared.prior[1] * np.sqrt(len(records)))
-    model = one.model.replace_parameters(replace(shared, per_record=True, prior=prior))
+    model = _with_one_each(one.model, shared, len(records))
     each = _again(one, model, records, range(len(records)))
     values, errors = np.array([each.estimate(name, i) for i in range(len(records))]).T
     at = [each.names.index(segment_name(name, i)) for i in range(len(records))]
     # at a bound it has no error, but the record has pushed it there
     stuck = {n for n, what in each.flags if what == AT_BOUND}
-    known = np.isfinite(errors)
+    prior = model.parameter(name).free_prior()
+    widest = np.array([np.inf if prior is None else TOLD * prior[1] * shared.slope(value) for value in values])
+    known = errors < widest
     informs = [i for i, k in enumerate(at) if known[i] or each.names[k] in stuck]
     lr, df = 2.0 * (each.log_posterior - one.log_posterior), len(informs) - 1
     if 0 < df < len(records) - 1:  # what the others say of noise, with a value of their own, is not of the parameter
-        lr = 2.0 * (_again(one, model, records, informs).log_posterior
-                    - _again(one, one.model, records, informs).log_posterior)
+        of_each = _again(one, _with_one_each(one.model, shared, len(informs)), records, informs)
+        lr = 2.0 * (of_each.log_posterior - _again(one, one.model, records, informs).log_posterior)
     lr, df = max(lr, 0.0), max(df, 0)
-    scatter, mean, mean_error = between_log_variance(values, each.covariance[np.ix_(at, at)])
+    told = [k for k, is_known in zip(at, known, strict=True) if is_known]
+    scatter, mean, mean_error = between_log_variance(values[known], each.covariance[np.ix_(told, told)])
     half = float(stats.t.ppf(0.975, max(int(known.sum()) - 1, 1))) * mean_error
     value, error = one.estimate(name)
     return HomogeneityTest(
@@ -108,6 +110,13 @@ def homogeneity_test(one: Fit, records: Sequence[Record], name: str) -> Homogene
         (mean - half, mean + half),
         tuple(r.name for i, r in enumerate(records) if i not in informs),
     )
+
+
+def _with_one_each(model: Model, shared: Parameter, n: int) -> Model:
+    """With a value for each of n records. What was known of the one value is known once, not once for each record:
+    equal values then have the same posterior."""
+    prior = None if shared.prior is None else (shared.prior[0], shared.prior[1] * np.sqrt(n))
+    return model.replace_parameters(replace(shared, per_record=True, prior=prior))
 
 
 def _again(one: Fit, model: Model, records: Sequence[Record], which: Sequence[int]) -> Fit:

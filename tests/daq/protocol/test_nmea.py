@@ -170,6 +170,15 @@ def test_a_vtg_that_comes_first_is_of_the_epoch_behind_it() -> None:
     assert speeds == pytest.approx(range(8))
 
 
+def test_one_pause_of_the_line_does_not_turn_the_order() -> None:
+    decoder, found = Decoder(), []
+    for k in range(9):  # that of the fourth epoch is read late, together with the fifth's position
+        found += decoder.feed(gga(f"22132{k}.00"), T + 0.02 + k)
+        found += decoder.feed(sentence(f"GPVTG,0.0,T,,M,,N,{float(k)},K,A"), T + (k + 0.04 if k != 4 else 5.01))
+    found += decoder.flush()
+    assert [f.sample.speed * 3.6 for f in found if isinstance(f.sample, Gnss)] == pytest.approx(range(9))
+
+
 def test_before_its_first_fix_a_receiver_has_no_time_of_its_own() -> None:
     decoder = Decoder()
     void = "GPRMC,22132{}.00,V,,,,,,,141123,,,N"

@@ -123,7 +123,7 @@ def test_an_slcan_adapter(tmp_path: Path) -> None:
         (b"T000009010\rT000009020\r", False),  # an adapter that answers nothing
         (b"\r\a\a\r", True),
         (b"\r\a\r\a", True),
-        (b"\a\a\r", True),
+        (b"\a\a\r\r", False),  # neither an empty line nor closing what is closed
         (b"\r\a\rT000009010\r", True),
     ],
 )
