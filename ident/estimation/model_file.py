@@ -26,6 +26,7 @@ from ident.model import (
     ModelKind,
     Parameter,
     ParameterOrigin,
+    State,
     robust_sensors,
     with_outlier_model,
 )
@@ -55,6 +56,7 @@ from ident.models import (
 from ident.numerics import Array
 
 FORMAT = "seatrial-model 1"
+STATE_NUMBERS = ("sd0", "noise")  # of a state, where no parameter holds them
 
 
 @dataclass(frozen=True)
@@ -130,6 +132,8 @@ def save_model(
     if origin is not None and any(e.fixed_point for e in model.effects):
         document["origin"] = asdict(origin)
     document["validity"] = {k: [float(a), float(b)] for k, (a, b) in validity.items()}
+    if states := _states_table(model, effects_file):
+        document["states"] = states
     # disturbance forces get the size of the boat whenever a fit begins (ident.models.scaling); a prior of that size
     # would get it twice
     sized_anew = {p.name for e in model.effects if e.kind is EffectKind.DISTURBANCE for p in e.parameters}
@@ -141,6 +145,18 @@ def save_model(
     document["parameter"] = parameters
     document["correlation"] = {"names": list(fit.names), "matrix": np.round(np.nan_to_num(fit.correlation), 6).tolist()}
     path.write_text(tomlkit.dumps(document), encoding="utf-8")
+
+
+def _states_table(model: Model, effects_file: Path | None) -> dict[str, dict[str, float]]:
+    """Numbers of the states of effects, which go with the size of the boat that the fit began with."""
+    own = load_effects(effects_file) if effects_file is not None else {}
+    return {s.name: {k: float(z) for k in STATE_NUMBERS if not isinstance(z := getattr(s, k), str)}
+            for e in model.effects if _is_sized(e, own) for s in e.states}
+
+
+def _is_sized(effect: Effect, own: Mapping[str, Effect]) -> bool:
+    """Whether it goes with the size of the boat (``scale_priors``); the user's own are as they were written."""
+    return (effect.name in catalogue() and effect.name not in own) or effect.kind.unknown
 
 
 def _scale_table(model: Model, calibration: float | None) -> Any:
@@ -237,9 +253,11 @@ def _build(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> 
     for name in table["effects"]:
         if name not in {e.name for e in model.effects}:
             effect = own[name] if name in own else _effect(name, model, table.get("curves", {}))
-            if (name in catalogue() and name not in own) or effect.kind.unknown:
+            if _is_sized(effect, own):
                 _check_units(effect, table["parameter"])
                 effect = _holding(scale_priors(effect, size), table["parameter"])
+                begun = table.get("states", {})
+                effect = replace(effect, states=tuple(_begun(s, begun.get(s.name, {})) for s in effect.states))
             model = model + effect
     model = replace(
         with_outlier_model(model, table.get("robust", [])), second_order=bool(table.get("second_order", False))
@@ -251,8 +269,13 @@ def _build(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> 
     return model.replace_parameters(*(_parameter(p, rows[p.name]) for p in model.parameters if p.name in rows))
 
 
+def _begun(state: State, row: Mapping[str, Any]) -> State:
+    numbers: dict[str, Any] = {k: float(row[k]) for k in STATE_NUMBERS if k in row}
+    return replace(state, **numbers)
+
+
 def _size(model: Model, rows: Sequence[Mapping[str, Any]]) -> VesselScale:
-    """Of the boat that the file is of: steps, bounds and initial states of its effects are not in it."""
+    """Of the boat that the file is of: steps and bounds of its effects are not in it."""
     masses = {row["name"]: float(row["value"]) for row in rows if row["name"] in ("m_u", "m_r")}
     return size_of(model.with_values({n: z for n, z in masses.items() if n in model.values}))
 

@@ -150,7 +150,9 @@ def test_a_large_boats_effect_comes_back_with_its_bounds_and_states(tmp_path: Pa
     assert back.parameter("m_p") == model.parameter("m_p")
     assert [s.sd0 for s in back.states] == [s.sd0 for s in model.states]
     full = model.with_values({"m_p": model.parameter("m_p").bounds[1], "m_u": 990.0})  # the boat turns out lighter
-    assert load_model(saved(tmp_path / "again.toml", with_model(found, full))).model.values["m_p"] > 800.0
+    again = load_model(saved(tmp_path / "again.toml", with_model(found, full))).model
+    assert again.values["m_p"] > 800.0
+    assert [(s.sd0, s.noise) for s in again.states] == [(s.sd0, s.noise) for s in model.states]  # of what it began with
 
 
 def test_a_model_of_ones_own_comes_back(tmp_path: Path, found: Fit) -> None:
