@@ -27,7 +27,7 @@ from ident.numerics.linear_algebra import Array
 WINDOW = 5.0  # autocorrelation times that the window is long (Sokal 1997, section 3)
 LEAST_SUMS = 24  # of samples, below which their correlation says nothing
 # standard errors from which samples are taken to be correlated, and sums, which are tried at many lengths
-CORRELATED, CORRELATED_SUMS = 2.0, 3.3
+CORRELATED, CORRELATED_SUMS = 1.5, 3.3
 MIN_SAMPLES = 3  # of a series, below which its autocorrelation cannot be told from zero
 Truncation = Literal["window", "positive"]
 

@@ -216,7 +216,10 @@ def _judged(kind: Kind, log: Path, begun: float, boat: Boat, forgiven: float, fo
         origin, speed = json.loads(opened.metadata["origin"]), float(opened.metadata["speed"])
 
     def wall(t: float) -> float:
-        return float(origin[0] + (t - origin[1]) / speed)
+        """The plain monotonic clock, which the stand-ins look at, at a run time, which is of the raw one."""
+        return float(origin[0] + (t - origin[1]) / speed) + slewed
+
+    slewed = time.monotonic() - time.clock_gettime(time.CLOCK_MONOTONIC_RAW)
 
     stops = [(wall(t), text) for t, event, text in events if event == "stop"]
     texts = [*(text for _, text in stops), read_note(log), line]
