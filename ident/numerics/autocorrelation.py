@@ -27,7 +27,8 @@ from ident.numerics.linear_algebra import Array
 WINDOW = 5.0  # autocorrelation times that the window is long (Sokal 1997, section 3)
 LEAST_SUMS = 24  # of samples, below which their correlation says nothing
 # standard errors from which samples are taken to be correlated, and sums, which are tried at many lengths
-CORRELATED, CORRELATED_SUMS = 1.5, 3.3
+CORRELATED, CORRELATED_SUMS = 2.0, 3.3
+UNLIKELY = 4.0  # standard errors that white noise has, of its autocorrelation time, which scatters more to above
 MIN_SAMPLES = 3  # of a series, below which its autocorrelation cannot be told from zero
 Truncation = Literal["window", "positive"]
 
@@ -67,8 +68,10 @@ def correlation_length(series: Sequence[Array]) -> float:
     if n < MIN_SAMPLES:
         return 0.0
     tau = integrated_autocorrelation_time([x for x in kept if x.size])
-    z = max(_neighbours(kept)[1], (tau - 1.0) / (tau * np.sqrt(2.0 * (2.0 * WINDOW * tau + 1.0) / n)))  # Sokal, 3.19
-    found, length = tau - 1.0 / tau if z > CORRELATED else 0.0, 2
+    error, of_white = (t * np.sqrt(2.0 * (2.0 * WINDOW * t + 1.0) / n) for t in (tau, 1.0))  # Sokal, 3.19
+    z = max(_neighbours(kept)[1], (tau - 1.0) / error)
+    # the error of a long time is about as large as that time itself; white noise has none that is so long
+    found, length = tau - 1.0 / tau if z > CORRELATED or tau - 1.0 > UNLIKELY * of_white else 0.0, 2
     while n >= LEAST_SUMS * length:
         sums = [x[: x.size // length * length].reshape(-1, length).sum(axis=1) for x in kept]
         rho, z = _neighbours(sums)

@@ -249,7 +249,9 @@ def test_the_clock_of_a_device_that_is_set_back_is_followed() -> None:
                     off[name].append(frame.t_rx - estimate)
         world.advance()
     assert [maps[name].resets for name in speakers] == [1, 1]
-    assert [sum(late > 0.01 for late in off[name]) for name in speakers] == [0, 0]
+    late = {name: sum(late > 0.01 for late in off[name]) for name in speakers}
+    assert late["ahrs"] == 0
+    assert late["gnss"] <= 5 * ClockMap.AGAIN_FOR + 1  # at 5 Hz; its messages are of no order, and may be overtaken
     assert faults.clock_error("ahrs", 40.0) == pytest.approx(40.0 * 100e-6 - 0.6)
 
 
