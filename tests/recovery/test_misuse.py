@@ -8,7 +8,7 @@ import pytest
 
 from tests.recovery.misuse import COPY, KINDS, SENSORS, logged, outcomes, refusal, written
 
-LONG = ("full", "position")
+LONG = ("full", "position", "body")
 
 
 @pytest.mark.parametrize("rig", [pytest.param(r, marks=pytest.mark.study) if r in LONG else r for r in SENSORS])

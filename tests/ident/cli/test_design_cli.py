@@ -98,6 +98,7 @@ def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[st
         (tmp_path / name).unlink()
 
 
+@pytest.mark.study
 def test_a_fitted_model_brings_what_it_knows(fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     belief = believed(load_model(fitted))
     assert belief.names == ("m_u",)

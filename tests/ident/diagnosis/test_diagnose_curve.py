@@ -33,6 +33,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return where
 
 
+@pytest.mark.study
 def test_the_curve_gives_the_model_its_thrust_again(folder: Path) -> None:
     words = "diagnose", folder / "vehicle/model.toml", folder / "one.mcap", "--max-effects", 1
     done = run(*words, "--thruster", folder / "curve.toml", "--out", folder / "diagnosis")

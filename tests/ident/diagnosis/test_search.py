@@ -418,7 +418,7 @@ def segments(*boats: Boat, seconds: float = 150.0) -> list[LogSegment]:
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_payload_in_one_run_is_named() -> None:
     clean = boat_with(None, 1)
     runs = segments(clean, loaded(clean, 5.0), clean)

@@ -117,11 +117,10 @@ FOUND: dict[str, tuple[IndependentBoat, bool, str, dict[str, float]]] = {
     "stall": (IndependentBoat(loss=stalled("left")), True, "unknown T_left(r)", {}),
     "both": (IndependentBoat(loss=stalled("left", "right")), True, "unknown T(r)", {}),
 }
-QUICKLY = ("linear",)  # each time; the others in `make study`
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("case", [c if c in QUICKLY else pytest.param(c, marks=pytest.mark.study) for c in FOUND])
+@pytest.mark.study
+@pytest.mark.parametrize("case", FOUND)
 def test_a_weak_effect_is_found_with_its_size(case: str) -> None:
     boat, gyro, name, truth = FOUND[case]
     found = found_on(boat, gyro)

@@ -242,6 +242,7 @@ def small_design() -> Design:
     return design(boat_task(80.0, 16, rates={"position": 5.0, "ground_velocity": 5.0}), evaluations=600)
 
 
+@pytest.mark.study
 def test_repeats_deliver_what_the_design_predicted() -> None:
     found = repeats(small_design(), 24, seed=3)
     assert [one.name for one in found] == ["m_u", "m_v", "m_r", "d_u", "d_v", "d_r", "d_uu", "d_vv", "d_rr"]

@@ -150,6 +150,7 @@ def _scores(scale: float) -> tuple[dict[str, Score], float]:
     return {s.name: s for s in scores}, stage.fit.model.values["m_u"]
 
 
+@pytest.mark.study
 def test_the_scores_do_not_depend_on_the_size_of_the_boat() -> None:
     """The ferry is not announced: the fit starts from the dinghy's masses."""
     (small, m_small), (large, m_large) = _scores(1.0), _scores(FERRY)

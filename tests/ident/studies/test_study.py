@@ -276,6 +276,7 @@ def test_it_is_the_estimator_of_the_commands_unless_told_otherwise(tmp_path: Pat
     assert words[1].endswith("by maximum likelihood, filter's mean of first order")
 
 
+@pytest.mark.study
 def test_noise_at_rest_and_measured_attitude_can_be_studied() -> None:
     """Estimates of the data of each model itself are about the truth, and their intervals hold it."""
     for name, n, seconds in (("noise", 40, 100.0), ("kinematic", 12, 120.0)):
