@@ -356,7 +356,7 @@ def how_made(rows: Sequence[Row], seeds: int) -> str:
     wanted = {case.key for case in cases_of(rigs, effects, first, n)}
     done = len({r["key"] for r in own} & wanted)
     far = f"{done} cases" if done == len(wanted) else f"{done} of its {len(wanted)} cases so far"
-    far += ", each a boat of its own" if len({r["boat"] for r in own}) == len(own) else ""
+    far += ", each a boat of its own" if len({r.get("boat", r["seed"]) for r in own}) == len(own) else ""
     words = [] if rigs == [*RIGS] else ["--rigs", ",".join(rigs)]
     words += ["--effects", ",".join(effects), "--seed", str(first), "--seeds", str(n)]
     return f"    python -m tests.recovery.rigs {' '.join(words)}\n\n{far}."
