@@ -4,7 +4,8 @@
 mark that it writes into the tests' names, which pytest 9.2 no longer takes (pytest-xdist issue 1386).
 
 One worker begins with all tests of real ports, another with those beside them. They mostly wait, so there is one worker
-more than cores; tests that compute do so at a lower priority and leave the cores to them.
+more than cores; tests that compute do so at a lower priority and leave the cores to them. One with deadlines that
+failed while the machine stood still is repeated (tests/stalls.py).
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ import sys
 from typing import Any
 
 import pytest
+
+from tests.stalls import StallWatch, run_repeated, summarise
 
 # As `seatrial` does, and before any test imports numpy: all matrices are small, and threads of the linear algebra
 # library would only wait for each other and for the other worker.
@@ -97,6 +100,7 @@ LONG = (
     "tests/recovery/test_rigs.py",
 )
 COMPUTING_NICENESS = 10  # of workers, in tests that compute
+WATCH = pytest.StashKey[StallWatch]()
 
 
 def group_of(nodeid: str) -> str:
@@ -119,6 +123,23 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     niceness, computes = os.getpriority(os.PRIO_PROCESS, 0), group_of(item.nodeid) not in ("ports", "beside")
     if "PYTEST_XDIST_WORKER" in os.environ and computes and niceness < COMPUTING_NICENESS:
         os.nice(COMPUTING_NICENESS - niceness)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
+    """Tests with deadlines are repeated where the machine, and not seatrial, was late."""
+    if group_of(item.nodeid) not in ("ports", "beside"):
+        return None
+    watch = item.config.stash.get(WATCH, None)
+    if watch is None:
+        watch = item.config.stash[WATCH] = StallWatch()
+        item.config.add_cleanup(watch.close)
+    return run_repeated(item, nextitem, watch)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Repetitions are named."""
+    summarise(terminalreporter)
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from tests.conftest import BESIDE, LONG, PORTS, group_of
+from tests.stalls import StallWatch
 
 ROOT = Path(__file__).parents[1]
 
@@ -44,3 +47,68 @@ def test_every_test_that_opens_real_ports_is_in_the_group() -> None:
     for path in sorted((ROOT / "tests").rglob("test_*.py")):
         if path != Path(__file__) and OPENS_PORTS.search(path.read_text(encoding="utf-8")):
             assert path.relative_to(ROOT).as_posix() in (*PORTS, *BESIDE), path
+
+
+STANDS = """
+from tests.stalls import run_repeated, summarise
+
+class Stalls:
+    def longest(self, since):
+        return {stall}
+
+def pytest_runtest_protocol(item, nextitem):
+    return run_repeated(item, nextitem, Stalls())
+
+def pytest_terminal_summary(terminalreporter):
+    summarise(terminalreporter)
+"""
+LATE = """
+import pytest
+runs, tries = [], []
+
+@pytest.fixture(scope="module")
+def slow():
+    tries.append(1)
+    assert len(tries) > 1
+
+def test_late_once():
+    runs.append(1)
+    assert len(runs) == 2
+
+def test_late_fixture(slow):
+    pass
+
+def test_wrong():
+    assert False
+"""
+
+
+def test_a_failure_on_a_machine_that_stood_is_repeated_at_most_twice_and_named(tmp_path: Path) -> None:
+    (tmp_path / "test_late.py").write_text(LATE, encoding="utf-8")
+    found = []
+    for stall in (0.3, 0.01):
+        (tmp_path / "conftest.py").write_text(STANDS.format(stall=stall), encoding="utf-8")
+        words = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--rootdir", str(tmp_path), str(tmp_path)]
+        done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
+        found.append(done.stdout)
+    assert "1 failed, 2 passed" in found[0]
+    assert "test_late.py::test_late_once: 0.30 s" in found[0]
+    assert "test_late.py::test_wrong: 0.30, 0.30 s" in found[0]
+    assert "2 failed, 1 error" in found[1]
+    assert "repeated" not in found[1]
+
+
+def test_a_core_that_is_held_up_is_seen() -> None:
+    watch = StallWatch()
+    try:
+        began = time.monotonic()
+        for number in (signal.SIGSTOP, signal.SIGCONT):  # as a host that takes the core away
+            time.sleep(0.3)
+            watch.watchers[0].send_signal(number)
+        wait_until = time.monotonic() + 5.0
+        while watch.longest(began) < 0.25 and time.monotonic() < wait_until:
+            time.sleep(0.01)
+        assert 0.25 < watch.longest(began) < 5.0
+        assert watch.longest(time.monotonic() + 1.0) == 0.0
+    finally:
+        watch.close()
