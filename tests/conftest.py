@@ -65,8 +65,8 @@ PORTS = (
 BESIDE = ("tests/daq/acquisition/test_ardurover.py", "tests/test_demo.py")
 # What computes for more than ten seconds, the longest first.
 LONG = (
+    "tests/test_package.py",
     "tests/recovery/test_recovery.py",
-    "tests/measured/test_blueboat.py",
     "tests/ident/validation/test_horizon.py",
     "tests/ident/report/test_report.py",
     "tests/ident/workflows/test_thruster_options.py",

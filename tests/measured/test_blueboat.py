@@ -109,6 +109,7 @@ def left_out(folder: Path) -> dict[str, dict[str, Any]]:
     return {name: script.score(model, script.records_of(model, logs), left_out=True) for name, model in made.items()}
 
 
+@pytest.mark.study
 def test_runs_that_no_fit_has_seen_are_predicted_from_their_inputs(left_out: dict[str, dict[str, Any]]) -> None:
     """Nested, with nothing chosen by the run: 85.0 / 14.5 / 64.0. The sway of eleven runs is no sharper than ten."""
     boat, authors = left_out["boat"]["pooled"], left_out["authors"]["pooled"]
@@ -118,6 +119,7 @@ def test_runs_that_no_fit_has_seen_are_predicted_from_their_inputs(left_out: dic
     assert not left_out["boat"]["unconverged"]
 
 
+@pytest.mark.study
 def test_the_explanation_is_physical(left_out: dict[str, dict[str, Any]]) -> None:
     found = left_out["boat"]["parameters"]
     assert 12.0 < found["m_u"][0] < 22.0  # a boat of 15 kg and the water it takes along

@@ -11,7 +11,7 @@ import pytest
 
 from tests.measured.data import measured, run
 
-pytestmark = [pytest.mark.measured, pytest.mark.slow]
+pytestmark = [pytest.mark.measured, pytest.mark.slow, pytest.mark.study]
 
 HERE = Path(__file__).resolve().parents[2] / "docs/examples/kingfisher"
 MODELS = ("immediate", "delayed", "both", "shifted")

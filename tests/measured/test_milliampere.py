@@ -62,6 +62,7 @@ def test_a_first_order_shaft_is_not_enough(folder: Path) -> None:
     assert delay["value"] < 2.0  # what news there is after a command shows the new speed
 
 
+@pytest.mark.study
 def test_the_diagnosis_finds_the_limit_of_the_speed(folder: Path) -> None:
     logs = [str(folder / "thruster3.mcap"), "--validate", str(folder / "thruster4.mcap")]
     run("ident", "diagnose", str(folder / "thruster/model.toml"), *logs, "--out", str(folder / "diagnosis"))

@@ -143,6 +143,7 @@ def test_a_diagnosed_model_is_where_the_next_diagnosis_starts(fitted: Path, run:
     assert EFFECT not in [e["name"] for e in result_of(fitted / "again")["effects"]]
 
 
+@pytest.mark.study
 def test_a_swapped_pair_is_refused_and_said_first_where_it_is_fitted_all_the_same(tmp_path: Path, run: Run) -> None:
     boat = boat_with(None, 3)
     recording, mission = sail(boat, 120.0, 5)

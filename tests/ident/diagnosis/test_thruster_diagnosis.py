@@ -166,6 +166,7 @@ def test_a_log_says_which_thruster_and_what_it_lacks() -> None:
         thruster.thruster_runs([one], thruster_model(force=False), "bow")
 
 
+@pytest.mark.study
 @pytest.mark.slow
 def test_the_command_finds_what_a_bench_hides(tmp_path: Path) -> None:
     bench = draw_bench(3, make_effect("recirculation", 3))

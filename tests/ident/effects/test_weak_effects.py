@@ -144,7 +144,7 @@ def test_a_drawn_thrust_loss_is_that_of_the_boat() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("axis", ["surge", "sway"])
+@pytest.mark.parametrize("axis", ["surge", pytest.param("sway", marks=pytest.mark.study)])
 def test_a_sloshing_mass_passes_the_score_test_along_either_axis(axis: str) -> None:
     scores, passed = scores_of(IndependentBoat(slosh=Slosh(9.0, 0.5, 0.05, axis)))
     name = {"surge": "pendulum", "sway": "sway-slosh"}[axis]
@@ -155,6 +155,6 @@ def test_a_sloshing_mass_passes_the_score_test_along_either_axis(axis: str) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scale", [1.0, SMALL])
+@pytest.mark.parametrize("scale", [pytest.param(1.0, marks=pytest.mark.study), SMALL])
 def test_a_boat_that_lacks_nothing_stays_so(scale: float) -> None:
     assert not found_on(IndependentBoat(scale)).effects

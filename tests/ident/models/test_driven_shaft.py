@@ -92,8 +92,10 @@ def boat() -> Model:
 @pytest.mark.parametrize(
     ("hertz", "T", "tau"),
     [
-        (5.0, 0.25, 0.0), (50.0, 0.14, 0.345),
-        *(pytest.param(*case, marks=pytest.mark.study) for case in ((10.0, 0.25, 0.13), (20.0, 0.08, 0.17))),
+        (50.0, 0.14, 0.345),
+        *(pytest.param(*case, marks=pytest.mark.study) for case in (
+            (5.0, 0.25, 0.0), (10.0, 0.25, 0.13), (20.0, 0.08, 0.17),
+        )),
     ],
 )  # fmt: skip
 def test_commands_alone_give_the_boat_and_its_shafts(hertz: float, T: float, tau: float) -> None:
@@ -136,6 +138,7 @@ def test_no_dead_zone_is_the_command_itself_with_all_derivatives() -> None:
         assert np.asarray(slopes).ravel().tolist() == [1.0, 0.0]
 
 
+@pytest.mark.study
 def test_a_boat_that_lacks_nothing_lacks_nothing_where_only_its_commands_are_known() -> None:
     runs = [LogSegment(str(seed), sailed(seed, seconds, 10.0)) for seed, seconds in ((1, 200.0), (101, 120.0))]
     answers: list[Diagnosis] = []
@@ -146,6 +149,7 @@ def test_a_boat_that_lacks_nothing_lacks_nothing_where_only_its_commands_are_kno
     assert abs(value - 0.25) < 3 * error < 0.02
 
 
+@pytest.mark.study
 def test_rows_do_not_grow_with_the_rate_of_the_commands() -> None:
     rows = [build_record(boat(), sailed(7, 150.0, hertz)).n_rows for hertz in (5.0, 50.0)]
     assert rows[1] <= rows[0] + 2

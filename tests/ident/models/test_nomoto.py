@@ -67,6 +67,7 @@ def tracked_vehicle(
     return LogSegment("a", found)
 
 
+@pytest.mark.study
 def test_a_tracked_vehicle_is_recovered_with_the_delays_of_its_sensors() -> None:
     model = nomoto_model(current=False, hold="average")
     given = [model.parameter(name).at(value).fixed() for name, value in (("c1", 70.0), ("c2", 0.0))]

@@ -33,6 +33,7 @@ def fitted(model: Model, boat: Fitted, seconds: float, seed: int) -> FittedModel
     return fit_nominal_model(model, [LogSegment("mission", channels)], [], rate=20.0)
 
 
+@pytest.mark.study
 def test_the_arm_and_the_mounting_are_found_with_the_hull() -> None:
     model = with_effects(make_model("kinematic:shaft:yaw"), ["lever-arm", "mount"])
     assert [e.name for e in model.effects] == ["lever-arm-attitude", "mount-attitude"]
@@ -46,6 +47,7 @@ def test_the_arm_and_the_mounting_are_found_with_the_hull() -> None:
         assert error < 0.05 * abs(true), name
 
 
+@pytest.mark.study
 def test_an_arm_that_the_rig_file_gives_is_all_that_was_missing() -> None:
     """With the height of the antenna, which a boat that rolls feels."""
     boat, fits = Fitted(ARM), {}
@@ -61,6 +63,7 @@ def test_an_arm_that_the_rig_file_gives_is_all_that_was_missing() -> None:
         assert abs(value - TRUTH[name]) < 4 * error < 0.05 * value, name
 
 
+@pytest.mark.study
 def test_a_current_that_wanders_is_followed() -> None:
     boat = Fitted(wander=0.01)
     channels, current = sail(boat, 300.0, 3)

@@ -94,6 +94,7 @@ def test_the_true_place_is_inside_what_is_claimed_of_an_outage_as_often_as_is_cl
     assert stats.chi2.ppf(SURE / 2, 2 * n) < d2.sum() < stats.chi2.isf(SURE / 2, 2 * n)  # neither too sure nor too shy
 
 
+@pytest.mark.study
 def test_a_navigator_that_is_too_sure_is_told_from_one_that_is_right() -> None:
     d2, inside, _, _ = ends(quiet=0.2)
     assert stats.binomtest(int(inside.sum()), len(d2), 0.95).pvalue < SURE

@@ -191,6 +191,7 @@ def changed(result: dict[str, Any], changes: list[tuple[tuple[Any, ...], Any]]) 
     return new
 
 
+SHARE = 0.4  # of the places below the first level, drawn by a seed: a page each
 POOR = (KeyError, None, [], {}, "text", float("nan"), True, -1)
 
 
@@ -211,6 +212,7 @@ def test_what_has_no_number_is_left_out_and_what_is_wrong_is_named(
     every, n_drawn, rng = places(result), 0, np.random.default_rng(7)
     poor = [value for value in POOR if value == value]  # JSON knows no NaN
     some = {path: poor if len(path) == 1 else [poor[rng.integers(len(poor))]] for path in every}
+    some = {path: values for path, values in some.items() if len(path) == 1 or rng.random() < SHARE}
     for path, value in ((path, value) for path, values in some.items() for value in values):
         poorer = changed(result, [(path, value)])
         if refused := refusal(poorer):
@@ -219,7 +221,7 @@ def test_what_has_no_number_is_left_out_and_what_is_wrong_is_named(
         n_drawn += 1
         assert "</html>" in written(poorer, tmp_path), f"fails on {path} {value}"
         assert printed(poorer)
-    assert n_drawn > len(every) / 8
+    assert n_drawn > len(some) / 8
 
 
 def test_the_least_result_is_a_page(tmp_path: Path) -> None:

@@ -51,6 +51,7 @@ def validated(judged: PredictionEvaluation) -> ByHorizon[Mapping[str, Calibratio
     return judged.validation.calibration
 
 
+@pytest.mark.study
 def test_the_bands_are_right_where_the_model_is() -> None:
     judged = evaluate(stage())
     found = validated(judged)

@@ -75,6 +75,7 @@ def test_a_thruster_is_judged_a_second_ahead_and_its_bands_are_right(bench: list
     assert "10 s ahead" not in page
 
 
+@pytest.mark.study
 def test_errors_on_the_bench_are_of_all_logs(bench: list[Path], tmp_path: Path) -> None:
     done("thruster", *bench, "--horizon", 0.5, "--out", tmp_path)
     result = result_of(tmp_path)
@@ -89,6 +90,7 @@ def test_errors_on_the_bench_are_of_all_logs(bench: list[Path], tmp_path: Path) 
         assert row["after"] == pytest.approx(np.sqrt(np.mean(np.concatenate(errors) ** 2)), rel=1e-3)
 
 
+@pytest.mark.study
 def test_the_horizon_of_a_boat_can_be_chosen(boat: list[Path], tmp_path: Path) -> None:
     errors = {}
     for words, horizon in (([], 10.0), (["--horizon", 4], 4.0)):

@@ -93,6 +93,7 @@ def test_a_profile_of_nothing_is_said_before_the_fit(log: Path) -> None:
     assert "fitting" not in done.output
 
 
+@pytest.mark.study
 def test_noise_is_restricted_unless_told_otherwise(log: Path) -> None:
     """The curve took part of the force's noise with it, and it stays; model.toml says how it was fitted."""
     fits = {}

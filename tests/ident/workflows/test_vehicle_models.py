@@ -202,6 +202,7 @@ def test_the_built_in_yaw_model(tmp_path: Path) -> None:
     assert found["prediction"]["fit"] > 0.9
 
 
+@pytest.mark.study
 def test_a_curve_makes_thrust_for_the_horizontal_model(logs: Path, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     columns = surge_run(0, 60.0)

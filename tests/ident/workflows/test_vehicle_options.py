@@ -30,14 +30,14 @@ THRUST = ("--fix", "c1=40.05", "--fix", "c2=1.11")
 @pytest.fixture(scope="module")
 def out(logs: tuple[Path, Path]) -> Path:
     folder = logs[0].parent / "vehicle"
-    words = ["vehicle", str(logs[0]), *THRUST, "--robust", "--profile", "m_u", "--profile", "V_x"]
+    words = ["vehicle", str(logs[0]), *THRUST, "--robust", "--profile", "V_x"]
     CliRunner().invoke(ident, [*words, "--out", str(folder)], catch_exceptions=False)
     return folder
 
 
 def test_the_vehicle_command_profiles_and_counts(out: Path) -> None:
     result = json.loads((out / "result.json").read_text(encoding="utf-8"))
-    assert [p["name"] for p in result["profiles"]] == ["m_u", "V_x@0"]
+    assert [p["name"] for p in result["profiles"]] == ["V_x@0"]
     for row in result["profiles"]:
         (one,) = [p for p in result["fit"]["parameters"] if p["name"] == row["name"].partition("@")[0]]
         assert row["low"] < one["value"] < row["high"]
