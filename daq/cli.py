@@ -370,9 +370,10 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
         raise SeatrialError("there is no serial port and no CAN bus; plug the device in, or name its port")
     if toml:
         click.echo('format = "seatrial-rig 1"\nname = "boat"\n')
+    alone = sum(one.protocol == "mavlink" for one in found) < 2
     for k, one in enumerate(found, start=1):
         if toml and one.protocol in _rig_protocols():
-            click.echo(one.toml(f"{one.protocol}{k}"))
+            click.echo(one.toml(f"{one.protocol}{k}", alone))
         elif not toml:
             speed = f" at {one.baud} baud" * bool(one.baud)
             at = f"{one.protocol}{speed}, {one.rate:.4g}/s" if one.protocol else "-"

@@ -39,7 +39,7 @@ class DiscoveredAutopilot(DiscoveredDevice):
     signed: bool = False
     parameters: Mapping[str, float] = field(default_factory=dict)
 
-    def toml(self, name: str) -> str:
+    def toml(self, name: str, alone: bool = True) -> str:
         """A [[device]], and a [[thruster]] for each side that it drives; a comment for each caveat."""
         p = self.parameters
         loop = LOOP_PART * p.get("SCHED_LOOP_RATE", math.inf)
@@ -57,7 +57,7 @@ class DiscoveredAutopilot(DiscoveredDevice):
             return "\n".join([*lines, f"# caveat: only {ROVER} is driven: no [[thruster]] behind {self.vehicle}", ""])
         if not p:
             return "\n".join([*lines, "# caveat: it has told no parameter: thrusters are yours to write", ""])
-        thrusters = self.thrusters(name)
+        thrusters = self.thrusters(name, "" if alone else f"{name}_")
         for thruster in thrusters:
             lines += _thruster_lines(thruster)
         lines += self._without(thrusters)
@@ -69,8 +69,8 @@ class DiscoveredAutopilot(DiscoveredDevice):
             lines += [f"# INS_GYRO_FILTER {p['INS_GYRO_FILTER']:g} Hz makes its yaw rate about {late:.0f} ms late"]
         return "\n".join([*lines, ""])
 
-    def thrusters(self, device: str) -> list[Thruster]:
-        """One for each channel of a two-paddle mix, at the first output that it moves."""
+    def thrusters(self, device: str, prefix: str = "") -> list[Thruster]:
+        """One for each channel of a two-paddle mix, at the first output that it moves, named by its side."""
         p = self.parameters
         found: dict[int, Thruster] = {}
         for node in range(1, 17):
@@ -83,7 +83,7 @@ class DiscoveredAutopilot(DiscoveredDevice):
             name, y = SIDES[function]
             pulses = [_pulses(p, f"{kind}{k}") for kind, k in (("RC", channel), ("SERVO", node))]
             found[channel] = Thruster(
-                name=name,
+                name=prefix + name,
                 device=device,
                 node=node,
                 position_m=(0.0, y, 0.0),

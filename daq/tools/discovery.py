@@ -35,8 +35,8 @@ class DiscoveredDevice:
     says: str = ""  # for people: what it is, or why it is not known
     hint: str = ""  # what could be better about the port
 
-    def toml(self, name: str) -> str:
-        """A [[device]] for the rig file."""
+    def toml(self, name: str, alone: bool = True) -> str:
+        """A [[device]] for the rig file; ``alone``: no other one there names thrusters."""
         rate = f"{self.rate:.3g}" if math.isfinite(self.rate) else "1"
         return (
             f'[[device]]\nname = "{name}"\nprotocol = "{self.protocol}"\nport = "{self.port}"\nbaud = {self.baud}\n'

@@ -34,6 +34,19 @@ def test_the_thrusters_of_the_mock_are_those_of_its_rig() -> None:
     assert rig.devices[0].mavlink.rates == {"SERVO_OUTPUT_RAW": 40.0}  # four fifths of its loop, by a network
 
 
+def test_two_boats_in_one_rig_have_thrusters_of_their_own() -> None:
+    parameters = Ends(mav_rig()).autopilot.vehicle.parameters
+    boats = [
+        DiscoveredAutopilot(f"udp:127.0.0.1:{port}", "", "mavlink", vehicle="ArduPilot Rover", parameters=parameters)
+        for port in (14550, 14560)
+    ]
+    tables = "\n".join(boat.toml(f"mavlink{k}", alone=False) for k, boat in enumerate(boats, start=1))
+    rig = parse_rig(f'format = "seatrial-rig 1"\nname = "found"\n{tables}', Path("rig.toml"))
+    assert [(t.name, t.device) for t in rig.thrusters] == [
+        (f"{device}_{side}", device) for device in ("mavlink1", "mavlink2") for side in ("left", "right")
+    ]
+
+
 def test_channels_pulses_and_ground_station_are_the_autopilots() -> None:
     rig, _ = tables(
         RCMAP_ROLL=5, RC5_MIN=1050, RC5_TRIM=1510, RC5_MAX=1950, SERVO1_MIN=1120, MAV_GCS_SYSID=250, SCHED_LOOP_RATE=25
