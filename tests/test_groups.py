@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import subprocess
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import BESIDE, LONG, PORTS, group_of
+from tests.conftest import BESIDE, COMPUTING_NICENESS, LONG, PORTS, group_of
 from tests.stalls import StallWatch
 
 ROOT = Path(__file__).parents[1]
@@ -36,6 +37,16 @@ def test_a_group_runs_on_one_worker() -> None:
     workers = re.findall(r"\[(gw\d)\] \[ *\d+%\] PASSED", done.stdout)
     assert len(workers) > 4
     assert len(set(workers)) == 1
+
+
+def test_who_computes_is_behind_every_session_that_does_not() -> None:
+    code = "from tests.conftest import step_back; step_back(); step_back(); import os; print(os.nice(0), os.getsid(0))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60, check=True
+    )
+    niceness, session = map(int, done.stdout.split())
+    assert niceness == COMPUTING_NICENESS
+    assert session != os.getsid(0)
 
 
 OPENS_PORTS = re.compile(
