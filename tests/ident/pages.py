@@ -8,6 +8,7 @@ import json
 import shutil
 import subprocess
 from collections.abc import Callable
+from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -28,13 +29,14 @@ from tests.ident import navigation_example, page_examples, report_example, repor
 
 
 def content_of(make: Callable[[], Result]) -> Callable[[], dict[str, Any]]:
-    """What the file of a result holds."""
-    return lambda: dict(json.loads(to_json(make())))
+    """What the file of a result holds; it is made once, and each caller has a copy."""
+    made = cache(lambda: to_json(make()))
+    return lambda: dict(json.loads(made()))
 
 
 KINDS = {
-    "diagnosis": report_example.diagnosis,
-    "thruster": report_example_bench.thruster,
+    "diagnosis": content_of(lambda: loaded(report_example.diagnosis())),
+    "thruster": content_of(lambda: loaded(report_example_bench.thruster())),
     "noise": content_of(report_example_bench.noise),
     "navigation": content_of(navigation_example.navigation),
 }

@@ -277,7 +277,7 @@ from daq.log.reader import open_log
 from daq.samples import Ahrs
 log = open_log(sys.argv[1])
 used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
-resource.setrlimit(resource.RLIMIT_AS, (used + 20 * 2**20,) * 2)
+resource.setrlimit(resource.RLIMIT_AS, (used + 4 * 2**20,) * 2)
 try:
     log.table(Ahrs, "ahrs")
 except Exception as error:
@@ -287,9 +287,9 @@ except Exception as error:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of the address space")
 def test_a_memory_that_is_too_small_is_one_line(tmp_path: Path) -> None:
-    path = a_run(tmp_path / "run.mcap", 200_000)
+    path = a_run(tmp_path / "run.mcap", 40_000)
     done = subprocess.run([sys.executable, "-c", LIMITED, str(path)], capture_output=True, text=True, check=True)
-    assert done.stdout.startswith(f"SeatrialError {path}: /ahrs/imu has 200000 messages")
+    assert done.stdout.startswith(f"SeatrialError {path}: /ahrs/imu has 40000 messages")
     assert done.stdout.count("\n") == 1
 
 

@@ -436,6 +436,7 @@ def test_a_payload_in_one_run_is_named() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.study
 def test_a_validation_run_with_more_on_board_is_said() -> None:
     clean = boat_with(None, 1)
     light, heavy = segments(clean, loaded(clean, 20.0))

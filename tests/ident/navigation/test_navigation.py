@@ -101,6 +101,7 @@ def test_a_navigator_that_is_too_sure_is_told_from_one_that_is_right() -> None:
     assert d2.sum() > stats.chi2.isf(SURE / 2, 2 * len(d2))
 
 
+@pytest.mark.study
 def test_the_smoother_is_better_than_the_filter() -> None:
     _, _, by_filter, by_smoother = ends()
     assert np.sqrt(np.mean(by_smoother**2)) < 0.6 * np.sqrt(np.mean(by_filter**2))

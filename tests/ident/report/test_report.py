@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from ident.report import drawing, formatting
-from tests.ident import report_example
 from tests.ident.pages import HOSTILE, KINDS, Page, loaded, numbers, printed, shortened, written
 
 MEGABYTE = 1_000_000
@@ -23,7 +22,7 @@ MEGABYTE = 1_000_000
 
 @pytest.fixture(scope="module")
 def diagnosis() -> dict[str, Any]:
-    return report_example.diagnosis()
+    return KINDS["diagnosis"]()
 
 
 @pytest.fixture(scope="module")
@@ -191,7 +190,7 @@ def changed(result: dict[str, Any], changes: list[tuple[tuple[Any, ...], Any]]) 
     return new
 
 
-SHARE = 0.4  # of the places below the first level, drawn by a seed: a page each
+SHARE = 0.2  # of the places below the first level, drawn by a seed: a page each
 POOR = (KeyError, None, [], {}, "text", float("nan"), True, -1)
 
 

@@ -88,6 +88,7 @@ def test_a_replicate_does_not_depend_on_its_neighbours() -> None:
     assert run_replicates(case, [2], 8)[0]["d"] != alone[0]["d"]
 
 
+@pytest.mark.study
 def test_estimates_of_the_models_own_data_are_right_and_output_errors_are_not() -> None:
     case = make_case("yaw", seconds=120.0)
     right = {j.name: j for j in summarise(run_replicates(case, range(80), 3))}

@@ -184,6 +184,7 @@ def test_on_the_benchs_own_data_the_bands_are_right() -> None:
     assert record.n_rows > MOST >= near["n"].size > MOST / 3
 
 
+@pytest.mark.study
 def test_errors_over_a_longer_horizon_are_drawn_in_longer_blocks() -> None:
     runs = [
         LogSegment(name, channels_of(sail(boat_with(None, 2), 150.0, k, run=k)[0])) for k, name in enumerate("ab", 1)

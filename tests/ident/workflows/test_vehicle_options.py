@@ -52,6 +52,7 @@ def test_the_vehicle_command_profiles_and_counts(out: Path) -> None:
     assert "samples were taken for outliers" in page
 
 
+@pytest.mark.study
 def test_a_robust_model_stays_robust(out: Path, logs: tuple[Path, Path]) -> None:
     table = tomllib.loads((out / "model.toml").read_text(encoding="utf-8"))
     assert table["robust"] == table["sensors"]
@@ -108,6 +109,7 @@ def test_a_mean_of_second_order_stays_with_the_model_and_a_diagnosis_goes_withou
     assert not load_model(folder / "diagnosis/model.toml").model.second_order
 
 
+@pytest.mark.study
 def test_a_mean_of_second_order_is_left_out_of_a_model_of_ones_own(logs: tuple[Path, Path], tmp_path: Path) -> None:
     (tmp_path / "own.py").write_text(
         "from dataclasses import replace\nfrom ident.models.horizontal import horizontal_model\n\n\n"
