@@ -26,13 +26,16 @@ from typing import Any
 import click
 
 from daq.errors import SeatrialError
+from daq.log import open_log
 from daq.options import FiniteRange
 
 ESTIMATION_S, VALIDATION_S = 400.0, 250.0  # run seconds of the two missions
 LATE_MS, SLOWEST = 45.0, 8.0  # wall ms that samples may leave late; at this speed or slower nothing is repeated
+SKIPPED = 100  # set-points of a run that may be overtaken: samples are then stamped as late as those were sent
 READY_WITHIN_S = 30.0  # wall seconds for a mock to open its ports; it may have to be compiled first
 TERMINATION_S = 10.0  # wall seconds between SIGTERM and SIGKILL
 LATE = re.compile(r"(?:at most|up to) ([0-9.]+) ms")
+OVERTAKEN = re.compile(r"([0-9]+) set-points? (?:was|were) skipped")  # as `said_of_losses` has it
 ANSWER, TRUTH = "diagnosis/result.json", "truth.json"
 EPILOG = "Example: seatrial demo --seed 3 --out /tmp/demo"
 
@@ -138,10 +141,10 @@ def _record(steps: DemoSteps, rig: str, mock: tuple[str, ...], name: str, *words
                 steps.run(name, *words)
         except StepFailed as problem:  # a device that paused for a second is silent, and the guard rightly ends the run
             failed = problem
-        if steps.late_ms <= LATE_MS or speed <= SLOWEST:
+        log = steps.folder / words[-1]
+        if (steps.late_ms <= LATE_MS and n_skipped(log) <= SKIPPED) or speed <= SLOWEST:
             break
         click.echo(f"  this machine was too busy for {speed:g} times real time; once more at {speed / 2:g} times")
-        log = steps.folder / words[-1]
         if log.exists():
             log.rename(log.with_name(f"{log.stem}-late{attempt if attempt > 1 else ''}.mcap"))
         speed /= 2
@@ -149,6 +152,16 @@ def _record(steps: DemoSteps, rig: str, mock: tuple[str, ...], name: str, *words
     write_demo_rig(rig, steps.folder, usual)
     if failed is not None:
         raise failed
+
+
+def n_skipped(path: Path) -> int:
+    """Set-points that were overtaken in a run, by the events of its log; 0 where there is none that can be read."""
+    try:
+        with open_log(path) as log:
+            told = [OVERTAKEN.search(text) for _, kind, text in log.events() if kind == "invalid"]
+    except SeatrialError:
+        return 0
+    return sum(int(found[1]) for found in told if found)
 
 
 def _speed(rig: Path) -> float:

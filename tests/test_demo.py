@@ -16,8 +16,10 @@ import pytest
 
 from bench import demo
 from bench.demo import DemoSteps, StepFailed
+from bench.execution.sequencer import said_of_losses
 from daq.config.rig_file import load_rig
 from daq.errors import SeatrialError
+from tests.daq.logs import T0, recorder
 
 RESULT = {
     "answer": "The residual is explained by advance-ratio loss.",
@@ -195,6 +197,24 @@ def test_a_recording_that_a_busy_machine_spoilt_is_repeated_at_half_the_speed(tm
     assert steps.speeds == ["speed = 20.0", "speed = 10.0"]
     assert (tmp_path / "a-late.mcap").exists()
     assert "speed = 20.0" in (tmp_path / "boat-rig.toml").read_text()
+
+
+def test_a_run_whose_set_points_were_overtaken_is_repeated_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    demo.write_demo_rig("boat", tmp_path, 20.0)
+    skipped = iter([demo.SKIPPED + 1, demo.SKIPPED])
+    monkeypatch.setattr(demo, "n_skipped", lambda log: next(skipped))
+    steps = Rehearsal(tmp_path, [3.0, 3.0])
+    demo._record(steps, "boat", ("mock", "boat"), "run", "mission", "run", "-o", "a.mcap")
+    assert steps.speeds == ["speed = 20.0", "speed = 10.0"]
+
+
+def test_overtaken_set_points_are_counted_by_what_a_run_wrote(tmp_path: Path) -> None:
+    log = recorder(tmp_path / "run.mcap")
+    for counts in ((1, 0, 0), (12, 3, 0), (0, 5, 0)):
+        log.event(T0, "invalid", f"chirp: {said_of_losses((0, 0, 0), counts)}")
+    log.close()
+    assert demo.n_skipped(tmp_path / "run.mcap") == 13
+    assert demo.n_skipped(tmp_path / "none.mcap") == 0
 
 
 def test_a_machine_that_stalls_again_gets_a_quarter_of_the_speed(tmp_path: Path) -> None:

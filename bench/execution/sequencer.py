@@ -154,11 +154,16 @@ class MissionSequencer:
 
     def _fault(self, status: Status) -> str:
         """Why the data of the step that has just ended are invalid; empty when they are valid."""
-        words = (("set-point", "skipped"), ("sample", "dropped"), ("port", "lost"))
-        for before, after, (what, how) in zip(self._before, _counts(status), words, strict=True):
-            if after > before:
-                return f"{counted(after - before, what)} {'was' if after - before == 1 else 'were'} {how}"
-        return self._gap
+        return said_of_losses(self._before, _counts(status)) or self._gap
+
+
+def said_of_losses(before: tuple[int, ...], after: tuple[int, ...]) -> str:
+    """What was lost between two counts of set-points skipped, samples dropped and ports lost: the first of them."""
+    words = (("set-point", "skipped"), ("sample", "dropped"), ("port", "lost"))
+    for earlier, later, (what, how) in zip(before, after, words, strict=True):
+        if later > earlier:
+            return f"{counted(later - earlier, what)} {'was' if later - earlier == 1 else 'were'} {how}"
+    return ""
 
 
 def _counts(status: Status) -> tuple[int, ...]:
