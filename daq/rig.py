@@ -10,15 +10,17 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from daq.errors import SeatrialError
+from daq.samples import Ahrs, Gnss
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")  # of devices, thrusters and signals; a whole one, by fullmatch
+MANY_KINDS = ("mavlink", "nmea2000")  # protocols with several kinds of samples over one port
 DRIVES = ("vesc", "dronecan", "mavlink")  # protocols that drive thrusters
 DEFAULT_PATTERN = r"^(?P<counts>-?\d+)$"
 OWN_NODE = 100  # our node on a DroneCAN bus; 10 is an autopilot's, 126 and 127 are for tools
@@ -124,6 +126,20 @@ class Device:
     signals: tuple[DbcSignal, ...] = ()
     query: str = ""  # request for each sample, of a device that sends only on request
     own_node: int = OWN_NODE  # ours on a DroneCAN bus
+
+    @property
+    def sends_many_kinds(self) -> bool:
+        """Whether several kinds of samples come over its port, of which one counts for ``rate_hz``."""
+        return self.protocol in MANY_KINDS
+
+    def is_rated(self, kind: type, yaw: Any, with_attitudes: bool) -> Any:
+        """Whether a sample of a kind counts for ``rate_hz``, or each of a table: all of a port do; of one with several
+        kinds the attitudes, or on a ship's bus without any the fixes. ``yaw``: of an Ahrs, else of no meaning."""
+        if not self.sends_many_kinds:
+            return True
+        if kind is Ahrs:
+            return yaw == yaw
+        return self.protocol == "nmea2000" and kind is Gnss and not with_attitudes
 
 
 @dataclass(frozen=True)

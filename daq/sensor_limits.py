@@ -2,12 +2,14 @@
 
 A sensor is stuck when its values stay exactly the same for more samples and longer than its noise allows. The live
 warning (daq.acquisition.sensor_health) waits longer than the check of a log (daq.checks.device_checks): a false alarm
-during a run distracts, a section of a log that is found in vain costs a glance.
+during a run distracts, a section of a log that is found in vain costs a glance. Which samples can be stuck at all is
+one rule for both: ``can_be_stuck``.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 from daq.samples import Ahrs, Gnss, LoadCell
 
@@ -20,16 +22,32 @@ class StuckLimit(NamedTuple):
     seconds: float
 
 
-# A compass rounds so coarsely that it may repeat for a minute, hence the rates and accelerations beside yaw. A receiver
-# at rest may repeat its position: live, its time is compared.
+_MOTION = ("yaw", "p", "q", "r", "ax", "ay", "az")
+# A receiver at rest may repeat its position: live, its time is compared.
 STUCK_LIVE: dict[type, StuckLimit] = {
-    Ahrs: StuckLimit(("yaw", "p", "q", "r", "ax", "ay", "az"), 20, 5.0),
+    Ahrs: StuckLimit(_MOTION, 20, 5.0),
     Gnss: StuckLimit(("utc",), 20, 5.0),
     LoadCell: StuckLimit(("counts",), 20, 5.0),
 }
 STUCK_IN_LOG: dict[type, StuckLimit] = {
-    Ahrs: StuckLimit(("yaw", "r", "ax"), 10, 0.5),
+    Ahrs: StuckLimit(_MOTION, 10, 0.5),
     Gnss: StuckLimit(("utc", "lat", "lon", "vel_n", "vel_e"), 10, 3.0),  # a receiver at rest may hold its position
     LoadCell: StuckLimit(("counts",), 20, 3.0),
 }
+FINE_COUNTS = 1000.0  # a whole number beyond is a converter's own, which always flickers; 0.00 kg may well stay
 FLAGGED_SHARE = 0.01  # of a load cell's samples: saturated or spikes
+
+
+def can_be_stuck(kind: type, values: Callable[[str], Any]) -> Any:
+    """Whether a sample, or each of a table, would change if its sensor were alive; ``values``: of a field.
+
+    A compass rounds so coarsely that it alone may repeat for a minute, and so may the thousandths of g of an
+    autopilot's accelerometer. A receiver without a time repeats that it knows nothing, a scale at rest its 0.00.
+    """
+    if kind is Ahrs:
+        p, yaw, ax = values("p"), values("yaw"), values("ax")
+        return (p == p) | ((yaw == yaw) & (ax == ax))
+    if kind is Gnss:
+        return values("utc") == values("utc")
+    counts = values("counts")
+    return (abs(counts) >= FINE_COUNTS) & (counts % 1.0 == 0.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from importlib.resources import files
@@ -99,9 +99,20 @@ def write_log(
     path: Path, kind: str, readings: Sequence[Reading], mission: Mission | None = None, events: Sequence[str] = ()
 ) -> Path:
     """Record readings as the acquisition of the packaged rig ``kind`` would; ``events`` are marks at the end."""
-    rig = rig_of(kind)
     attachments = {} if mission is None else {"mission.toml": dump_mission(mission).encode()}
-    recorder = Recorder(path, rig=rig, clock=StandingClock(), attachments=attachments)
+    return record(path, rig_of(kind), readings, attachments, events)
+
+
+def record(
+    path: Path,
+    rig: Rig,
+    readings: Sequence[Reading],
+    attachments: Mapping[str, bytes] | None = None,
+    events: Sequence[str] = (),
+    metadata: Mapping[str, str] | None = None,
+) -> Path:
+    """Record readings as the acquisition of a rig would."""
+    recorder = Recorder(path, rig=rig, clock=StandingClock(), attachments=attachments, metadata=metadata)
     force = {d.name: d.calibration.force for d in rig.devices if d.calibration is not None}
     for device, sample, t in readings:
         if isinstance(sample, LoadCell):

@@ -8,6 +8,7 @@ again, at most twice, and the summary names it; a test that fails on a machine t
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import subprocess
 import sys
@@ -48,6 +49,8 @@ class StallWatch:
 
     def __init__(self) -> None:
         self._seen = tempfile.TemporaryFile("w+")  # noqa: SIM115 - as long as the worker lives
+        # The watchers share its position with us, and would write over what we have read.
+        fcntl.fcntl(self._seen, fcntl.F_SETFL, fcntl.fcntl(self._seen, fcntl.F_GETFL) | os.O_APPEND)
         cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [0]
         self.watchers = [
             subprocess.Popen(

@@ -35,29 +35,33 @@ HELP = "space: pause and resume, r: repeat the step, m: mark, Ctrl-C: zero and e
 
 @dataclass(frozen=True)
 class MissionStatus:
-    """One moment of a run, ready to be shown; times in run seconds, NaN where a value is not known."""
+    """One moment of a run, ready to be shown; times in run seconds, NaN where a value is not known, or not any more."""
 
     segment: str
     elapsed: float
     total: float
     n_cmd: tuple[float, ...]
     rpm: tuple[float, ...]
-    force: float = math.nan  # N
-    speed: float = math.nan  # m/s over ground
+    force: float | None = None  # N; None where nothing measures it
+    speed: float | None = None  # m/s over ground
     warning: str = ""
 
     def values(self) -> str:
         """Command, rpm, force or speed, and the guard's warning."""
         parts = [
             "n " + " ".join(f"{value:+.2f}" for value in self.n_cmd),
-            "rpm " + " ".join("  --" if math.isnan(value) else f"{value:+5.0f}" for value in self.rpm),
+            "rpm " + " ".join(_shown(value, "+5.0f") for value in self.rpm),
         ]
-        if math.isfinite(self.force):
-            parts.append(f"force {self.force:+6.1f} N")
-        if math.isfinite(self.speed):
-            parts.append(f"speed {self.speed:4.2f} m/s")
+        if self.force is not None:
+            parts.append(f"force {_shown(self.force, '+6.1f')} N")
+        if self.speed is not None:
+            parts.append(f"speed {_shown(self.speed, '4.2f')} m/s")
         parts.append(f"warning: {self.warning}" if self.warning else "guard ok")
         return "  ".join(parts)
+
+
+def _shown(value: float, form: str) -> str:
+    return "  --" if math.isnan(value) else f"{value:{form}}"
 
 
 class Display(Protocol):

@@ -30,7 +30,7 @@ from bench.execution.safety_guard import SafetyGuard
 from bench.execution.sequencer import CommandFollower, CommandSource, MissionSequencer, Schedule
 from bench.execution.tare import Tare, describe_tares, measure_tares
 from bench.mission_limits import dry_run
-from daq.acquisition import Acquisition, Status
+from daq.acquisition import NO_STATUS_S, Acquisition, Status
 from daq.clock import RunClock, SuspendDetector
 from daq.config import Mission, dump_mission
 from daq.errors import SafetyStop, SeatrialError
@@ -42,7 +42,6 @@ from daq.samples import Esc, Gnss, LoadCell, Servo
 POLL_S = 0.02  # wall seconds between two looks at the status
 AHEAD_S = 0.5  # wall seconds that set-points are sent ahead of their time, at most
 LEAD_S = 0.2  # wall seconds from the decision to start to the first set-point
-NO_STATUS_S = 1.0  # wall seconds without a status (there are twenty a second) after which the acquisition hangs
 OWN_TIMEOUT = (  # what ends thrust where nothing of ours gets through; of an autopilot what the link test measured
     "each ESC goes to zero by its own time-out",
     "thrust ends by the autopilot's own failsafe",
@@ -129,6 +128,25 @@ def new_log_file(path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise SeatrialError(f"{path.parent}: {error.strerror}; give another place for the log with -o") from error
+
+
+def newest_values(
+    status: Status, guard: SafetyGuard
+) -> tuple[float | None, float | None, dict[tuple[str, int | None], float]]:
+    """Force [N], speed [m/s] and the rev/min of each node as last measured: NaN where that was too long ago, None where
+    nothing measures it. Of two sources the one that still speaks counts."""
+    force: float | None = None
+    speed: float | None = None
+    rpm: dict[tuple[str, int | None], float] = {}
+    for source, latest in status.latest.items():
+        sample, outdated = latest.sample, guard.is_outdated(source, latest, status.t)
+        if isinstance(sample, LoadCell) and math.isfinite(sample.force):
+            force = sample.force if not outdated else math.nan if force is None else force
+        elif isinstance(sample, Gnss) and math.isfinite(sample.speed):
+            speed = sample.speed if not outdated else math.nan if speed is None else speed
+        elif isinstance(sample, Esc):
+            rpm[source[0].partition("/")[0], source[1]] = math.nan if outdated else sample.rpm
+    return force, speed, rpm
 
 
 class _Runner:
@@ -282,16 +300,7 @@ class _Runner:
             raise RunInterrupted(f"stopped by {WORDS[number]}", number)
 
     def _view(self, status: Status, course: MissionSequencer, now: float) -> MissionStatus:
-        force = speed = math.nan
-        rpm = {}
-        for (device, node), latest in status.latest.items():
-            sample = latest.sample
-            if isinstance(sample, LoadCell):
-                force = sample.force
-            elif isinstance(sample, Gnss):
-                speed = sample.speed
-            elif isinstance(sample, Esc):
-                rpm[device.partition("/")[0], node] = sample.rpm
+        force, speed, rpm = newest_values(status, self._guard)
         thrusters = [self._rig.thruster(name) for name in self._mission.thrusters]
         return MissionStatus(
             segment="paused" if course.paused else self._segment,

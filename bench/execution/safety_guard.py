@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bench.execution.link_test import NEUTRAL
-from daq.acquisition import Source, Status
+from daq.acquisition import Latest, Source, Status
 from daq.errors import SafetyStop
 from daq.rig import Rig, Thruster
 from daq.samples import NAN, Ahrs, Battery, Esc, Gnss, LoadCell, Sample, Servo
@@ -200,6 +200,13 @@ class SafetyGuard:
     def _patience(self, rate_hz: float) -> float:
         return max(STALE_S, STALE_PERIODS / rate_hz, STALE_WALL_S * self._speed)
 
+    def is_outdated(self, source: Source, latest: Latest, now: float) -> bool:
+        """Whether a source has been silent for so long that its newest sample no longer says how things are."""
+        name = source[0].partition("/")[0]
+        nodes = 1 if source[1] is None else sum(thruster.device == name for thruster in self._rig.thrusters)
+        slow = SLOW if name != source[0] else QUICK  # the further kinds of a device come more slowly
+        return not now - latest.t <= slow * self._patience(self._rig.device(name).rate_hz / max(nodes, 1))
+
     def _stale(self, status: Status) -> Iterator[str]:
         for device in self._rig.devices:
             port = status.ports.get(device.name)
@@ -232,7 +239,9 @@ class SafetyGuard:
         return [
             name
             for name, latest in heard
-            if latest is not None and latest.t > since and isinstance(latest.sample, Servo)
+            if latest is not None
+            and latest.t > since
+            and isinstance(latest.sample, Servo)
             and abs(latest.sample.n) > NEUTRAL
         ]
 

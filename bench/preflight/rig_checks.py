@@ -15,7 +15,6 @@ from daq.drivers import LinkStatus, check_parameters
 from daq.protocol import EKF_POSITION, EKF_STANDS, ROVER
 from daq.rig import Device, Rig
 
-RATE_TOLERANCE = 0.2  # a rate within this part of the expected one is good
 STILL_WALL_S = 1.0  # wall s of silence that a busy machine may make by itself
 LOST = 0.01  # part of an autopilot's frames
 HOURS = 4.0  # of logging, for which there should be room
@@ -59,10 +58,6 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
                 FAULT, "device-fell-silent", "alive", device.name, f"silent for {port.age:.1f} s", "power, cable, port"
             )
         if device.mavlink is not None:
-            if not abs(port.rate - device.rate_hz) <= RATE_TOLERANCE * device.rate_hz:  # NaN: none at all
-                there = f"{port.rate:.1f} Hz of attitudes" if math.isfinite(port.rate) else "no attitudes"
-                text = f"{there}, expected {device.rate_hz:g}"
-                yield Finding(FAULT, "rate-off", "rate", device.name, text, "rate_hz of the rig, the link's baud rate")
             yield from _autopilot(rig, device, status, port)
     if not status.latest:
         return

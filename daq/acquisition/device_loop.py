@@ -27,8 +27,8 @@ MUTE_BYTES = 2000  # so many without a valid frame are no start-up noise
 STUCK_S = 0.25  # wall; a thread that commands thrust has a turn every 20 ms
 JOIN_BYTES = 256  # as much may be the rest of a frame
 RATE_WINDOW_S = 2.0  # wall
-UNORDERED = ("nmea", "ubx")  # as those of MANY: an attitude of now comes before the fix of a moment ago
-MANY = ("mavlink", "nmea2000")  # several kinds of samples over one port, and not all count for its rate
+# As where many kinds come over one port: an attitude of now comes before the fix of a moment ago.
+UNORDERED = ("nmea", "ubx")
 # Fixes and attitudes over one port: neither may hide the other. Those of the main kind bear the device's name alone.
 MAIN: dict[str, type] = {"nmea": Gnss, "ubx": Gnss, "vectornav": Ahrs, "mip": Ahrs}
 
@@ -60,8 +60,8 @@ class DeviceLoop(threading.Thread):
         self.device = device
         self._port, self._decoder, self._clock, self._sink = port, decoder, clock, sink
         self._setpoints, self._driver, self._on_lost = setpoints, driver, on_lost
-        self._many, self._attitudes = device.protocol in MANY, False
-        self._unordered = self._many or device.protocol in UNORDERED
+        self._attitudes = False
+        self._unordered = device.sends_many_kinds or device.protocol in UNORDERED
         self._clock_map = ClockMap()
         self._sensor_health = SensorHealth()
         self._suspended = SuspendDetector()
@@ -202,15 +202,14 @@ class DeviceLoop(threading.Thread):
         self._log("rx", data, t_rx, frames)
 
     def _is_rated(self, sample: Sample) -> bool:
-        """Whether a sample counts for the rate: all do; with several kinds the attitude, or fixes without attitude."""
-        if not self._many or _is_attitude(sample):
-            self._attitudes = True
-            return True
-        return self.device.protocol == "nmea2000" and not self._attitudes and isinstance(sample, Gnss)
+        """Whether a sample counts for the rate; there are no attitudes as long as none has come."""
+        self._attitudes |= _is_attitude(sample)
+        yaw = sample.yaw if isinstance(sample, Ahrs) else NAN
+        return bool(self.device.is_rated(type(sample), yaw, self._attitudes))
 
     def _source(self, sample: Sample) -> Source:
         name = self.device.name
-        if not self._many:
+        if not self.device.sends_many_kinds:
             if isinstance(sample, MAIN.get(self.device.protocol, Sample)):
                 return name, sample.node if isinstance(sample, Esc) else None
         elif isinstance(sample, Servo):

@@ -13,9 +13,8 @@ from typing import NamedTuple
 
 from daq.protocol import SATURATED, SPIKE
 from daq.samples import Ahrs, Frame, Gnss, LoadCell
-from daq.sensor_limits import FLAGGED_SHARE, STUCK_LIVE
+from daq.sensor_limits import FLAGGED_SHARE, STUCK_LIVE, can_be_stuck
 
-FINE_COUNTS = 1000.0  # a whole number beyond is a converter's own, which always flickers; 0.00 kg may well stay
 SPIKES_S = 10.0
 FLOOD_S = 5.0
 FLOOD_SHARE = 0.05  # of the frames
@@ -29,14 +28,20 @@ class _Same(NamedTuple):
 
     key: tuple[float, ...]
     since: float
+    until: float
     repeats: int
+
+
+# A kind of sample, and which of its compared fields it has: an autopilot's attitudes and the accelerations between them
+# are compared each with their own.
+_Form = tuple[type, tuple[bool, ...]]
 
 
 class SensorHealth:
     """Checks the samples and counters of one device."""
 
     def __init__(self) -> None:
-        self._same: dict[type, _Same] = {}
+        self._same: dict[_Form, _Same] = {}
         self._last = self._now = 0.0
         self._jumps, self._jumped = 0, -math.inf
         self._cell: deque[tuple[float, int]] = deque()  # flags of the last SPIKES_S
@@ -47,16 +52,11 @@ class SensorHealth:
     def take(self, frame: Frame) -> None:
         """Take a decoded sample."""
         sample, t = frame.sample, frame.t_rx
-        if isinstance(sample, Ahrs):
-            if math.isfinite(sample.p) or math.isfinite(sample.ax):  # a compass alone repeats itself
-                self._repeat(sample, t)
-        elif isinstance(sample, Gnss):
-            if math.isfinite(sample.utc):
-                self._repeat(sample, t)
-                self._era = sample.utc - t
+        if isinstance(sample, Ahrs | Gnss | LoadCell) and can_be_stuck(type(sample), sample.__getattribute__):
+            self._repeat(sample, t)
+        if isinstance(sample, Gnss) and math.isfinite(sample.utc):
+            self._era = sample.utc - t
         elif isinstance(sample, LoadCell):
-            if abs(sample.counts) >= FINE_COUNTS and float(sample.counts).is_integer():
-                self._repeat(sample, t)
             self._flags(t, sample.flags)
 
     def count(self, t: float, frames: int, errors: int, jumps: int = 0) -> None:
@@ -72,11 +72,12 @@ class SensorHealth:
     @property
     def stuck(self) -> tuple[type, ...]:
         """The kinds of samples that repeat themselves, as those of a dead sensor do."""
-        return tuple(
-            kind
-            for kind, same in self._same.items()
-            if same.repeats >= STUCK_LIVE[kind].samples and self._last - same.since >= STUCK_LIVE[kind].seconds
-        )
+        return tuple(dict.fromkeys(form[0] for form in self._same if self._is_stuck(form)))
+
+    def _is_stuck(self, form: _Form) -> bool:
+        same, limit = self._same[form], STUCK_LIVE[form[0]]
+        still_sent = self._last - same.until < limit.seconds
+        return still_sent and same.repeats >= limit.samples and same.until - same.since >= limit.seconds
 
     def message(self) -> str:
         """The fault, in one line; empty without one."""
@@ -98,14 +99,15 @@ class SensorHealth:
 
     def _repeat(self, sample: Ahrs | Gnss | LoadCell, t: float) -> None:
         kind = type(sample)
-        values = (getattr(sample, name) for name in STUCK_LIVE[kind].fields)
+        values = [getattr(sample, name) for name in STUCK_LIVE[kind].fields]
         key = tuple(0.0 if value != value else value for value in values)  # NaN equals NaN here
+        form = kind, tuple([value == value for value in values])
         self._last = t
-        before = self._same.get(kind)
+        before = self._same.get(form)
         if before is None or before.key != key:
-            self._same[kind] = _Same(key, t, 1)
+            self._same[form] = _Same(key, t, t, 1)
         else:
-            self._same[kind] = before._replace(repeats=before.repeats + 1)
+            self._same[form] = before._replace(until=t, repeats=before.repeats + 1)
 
     def _flags(self, t: float, flags: int) -> None:
         self._cell.append((t, flags))

@@ -10,6 +10,7 @@ from daq import samples
 from daq.drivers import LinkStatus
 from daq.samples import Sample
 
+NO_STATUS_S = 1.0  # wall seconds without a status (there are twenty a second) after which the acquisition hangs
 Source = tuple[str, int | None]  # device and node; `DEVICE/KIND` for the further kinds of a device that has several
 
 

@@ -16,12 +16,14 @@ from daq.checks.findings import FAULT, OK, WARNING, Finding
 from daq.clock import ClockMap
 from daq.errors import counted
 from daq.log import Log
-from daq.rig import Rig
-from daq.samples import Ahrs, Battery, Command, Esc, Gnss, LoadCell, PortHealth, Scalar
-from daq.sensor_limits import FLAGGED_SHARE, STUCK_IN_LOG
+from daq.rig import Device, Rig
+from daq.samples import Ahrs, Autopilot, Battery, Command, Esc, Gnss, LoadCell, PortHealth, Scalar
+from daq.sensor_limits import FLAGGED_SHARE, STUCK_IN_LOG, can_be_stuck
 
+Tables = list[tuple[type, str, Any]]  # kind of sample, name for people, table
 FloatArray = npt.NDArray[np.float64]
 RATE_TOLERANCE = 0.2  # a rate within this part of the expected one is good
+WRONG_RATE = "the device's output rate, its baud rate, or rate_hz of the rig"
 # White noise of one sample above which an AHRS is not what a fit expects: a few times that of a VN-100 on a boat.
 NOISE = {"yaw": (math.radians(2.0), "rad"), "r": (0.05, "rad/s")}
 GRAVITY, GRAVITY_PART = 9.81, 0.15
@@ -35,7 +37,8 @@ TURNING = 0.1  # rad/s; the specific force of a boat that turns is not gravity's
 GAP_S, GAP_PERIODS = 1.0, 10.0  # a pause longer than both is a section that is missing
 SILENT_S = 5.0  # a device that ends so long before the log has fallen silent
 TICK_S = 1e-3  # two messages of one time may round it to ms and to us; a clock that restarts goes back further
-BLOCK_S = 2.0  # the earliest arrival in each block carries the device's clock
+# The earliest arrival in each block carries the device's clock; a block is at least so long, and so many samples.
+BLOCK_S, BLOCK_SAMPLES = 2.0, 5.0
 JUMP_S, SPREAD_S, DRIFT = 0.1, 0.1, 500e-6  # s, s, 1
 WALL_JITTER_S = 0.05  # wall s by which a busy machine is late at the best of times
 LEAST = 200  # samples that the digits of the time stamps are judged by
@@ -55,11 +58,13 @@ def check_devices(log: Log) -> Iterator[Finding]:
         text = f"its times ran back {counted(n, 'time')}, by up to {longest:.1f} s"
         yield Finding(FAULT, "clock-ran-back", "clock", topic, text, "two clocks, or one that was set?")
     for source, tables in _tables(log).items():
-        t = np.sort(np.concatenate([table["t"] for _, _, table in tables]))
         tables = [row for row in tables if len(row[2])]  # a part of a log may have none
-        yield from _rate(source, t, rig, tables)
+        device = next((d for d in rig.devices if d.name == source), None) if rig else None
+        of_times: list[Finding] = []
         for _, name, table in tables:
-            yield from check_timestamps(name, table, log.end if rig else None, rig.speed if rig else 1.0)
+            of_times += check_timestamps(name, table, log.end if rig else None, rig.speed if rig else 1.0)
+        yield from _rate(source, device, log, tables, any(f.code == "sections-missing" for f in of_times))
+        yield from of_times
         for kind, name, table in tables:
             yield from _stuck(kind, name, table)
             yield from _VALUES.get(kind, _nothing)(name, table, rig)
@@ -69,9 +74,9 @@ def check_devices(log: Log) -> Iterator[Finding]:
     yield from _imported(log)
 
 
-def _tables(log: Log) -> dict[str, list[tuple[type, str, Any]]]:
-    """Samples by device: kind, name for people, table."""
-    found: dict[str, list[tuple[type, str, Any]]] = {}
+def _tables(log: Log) -> dict[str, Tables]:
+    """Samples by device; none of an autopilot that says only how it is."""
+    found: dict[str, Tables] = {}
     for kind in (Ahrs, Gnss, LoadCell, Battery):
         for source in log.sources(kind):
             name = f"{source} {kind.__name__.lower()}" if source in found else source
@@ -79,6 +84,8 @@ def _tables(log: Log) -> dict[str, list[tuple[type, str, Any]]]:
     for source in log.sources(Esc):
         for node in log.nodes(Esc, source):
             found.setdefault(source, []).append((Esc, f"{source} node {node}", log.table(Esc, source, node)))
+    for source in log.sources(Autopilot):
+        found.setdefault(source, [])
     return found
 
 
@@ -98,11 +105,20 @@ def _absent(log: Log, rig: Rig | None) -> Iterator[Finding]:
             )
 
 
-def _rate(source: str, t: FloatArray, rig: Rig | None, tables: list[tuple[type, str, Any]]) -> Iterator[Finding]:
-    """Rate of the samples against the rig's rate_hz."""
-    device = next((d for d in rig.devices if d.name == source), None) if rig else None
+def _rate(source: str, device: Device | None, log: Log, tables: Tables, gaps_known: bool) -> Iterator[Finding]:
+    """Rate of the samples against the rig's rate_hz; ``gaps_known``: whether there is a finding on missing sections."""
+    # A ground station recorded an autopilot at the rates that it had asked for itself.
+    ours = device is not None and (device.protocol != "mavlink" or log.metadata.get("import") != "mavlink")
+    t = _rated_times(device if ours else None, tables)
+    if device is not None and device.protocol == "mavlink" and ours and t.size < 3:
+        text = f"{counted(t.size, 'attitude') if t.size else 'no attitudes'}, expected {device.rate_hz:g}"
+        yield Finding(FAULT, "rate-off", "rate", source, text, WRONG_RATE)
+        return
     if t.size < 3 or t[-1] == t[0]:
-        yield Finding(FAULT, "too-few-samples", "rate", source, f"{t.size} samples in all", "power, cable, protocol")
+        if tables:
+            yield Finding(
+                FAULT, "too-few-samples", "rate", source, f"{t.size} samples in all", "power, cable, protocol"
+            )
         return
     # Nodes of a bus send one after the other: a gap is one that all of them have.
     pause = np.diff(t)
@@ -110,35 +126,38 @@ def _rate(source: str, t: FloatArray, rig: Rig | None, tables: list[tuple[type, 
     span = float(t[-1] - t[0])
     rate = (t.size - 1) / span
     without = (t.size - 1) / max(span - away, 1e-9)
-    if device is not None and abs(without / device.rate_hz - 1.0) < RATE_TOLERANCE:
+    if device is not None and gaps_known and abs(without / device.rate_hz - 1.0) < RATE_TOLERANCE:
         rate = without  # samples lost in gaps are reported as missing sections
-    if device is None or device.protocol == "mavlink":
+    if device is None or not ours:
         yield Finding(OK, "rate-measured", "rate", source, f"{rate:.4g} Hz")
     elif abs(rate - device.rate_hz) > RATE_TOLERANCE * device.rate_hz:
-        text = f"{rate:.4g} Hz, expected {device.rate_hz:g}"
-        yield Finding(
-            FAULT, "rate-off", "rate", source, text, "the device's output rate, its baud rate, or rate_hz of the rig"
-        )
+        yield Finding(FAULT, "rate-off", "rate", source, f"{rate:.4g} Hz, expected {device.rate_hz:g}", WRONG_RATE)
     else:
         yield Finding(OK, "rate-as-expected", "rate", source, f"{rate:.4g} Hz, expected {device.rate_hz:g}")
 
 
+def _rated_times(device: Device | None, tables: Tables) -> FloatArray:
+    """Times of the samples that count for the rate, in order: as in the live table; all where there is no rate_hz."""
+    with_attitudes = any(kind is Ahrs and np.isfinite(table["yaw"]).any() for kind, _, table in tables)
+    found = [np.empty(0)]
+    for kind, _, table in tables:
+        rated = device is None or device.is_rated(kind, table["yaw"] if kind is Ahrs else None, with_attitudes)
+        found.append(table["t"][np.broadcast_to(rated, len(table))])
+    return np.sort(np.concatenate(found))
+
+
 def _stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
     """The longest time for which every value of a sensor stays exactly the same."""
-    if kind not in STUCK_IN_LOG or len(table) < 2:
+    if kind not in STUCK_IN_LOG:
         return
-    columns, samples, seconds = STUCK_IN_LOG[kind]
-    same = np.ones(len(table) - 1, dtype=bool)
-    for column in columns:
-        values = table[column]
-        same &= (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
-    runs = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= samples]
-    runs = [(a, b) for a, b in runs if table["t"][b] - table["t"][a] >= seconds]
-    if runs and not np.isnan(table[columns[0]]).all():
-        a, b = max(runs, key=lambda run: run[1] - run[0])
-        t = table["t"]
-        text = f"the same reading for {t[b] - t[a]:.1f} s, from {t[a] - t[0]:.1f} s on"
+    start = float(table["t"][0])
+    table = table[can_be_stuck(kind, table.__getitem__)]
+    known = np.stack([~np.isnan(table[column]) for column in STUCK_IN_LOG[kind].fields], axis=1)
+    # An autopilot's attitudes and the accelerations between them: each is compared with its own.
+    found = [run for form in np.unique(known, axis=0) for run in _holds(kind, table[(known == form).all(axis=1)])]
+    if found:
+        since, until = max(found, key=lambda run: run[1] - run[0])
+        text = f"the same reading for {until - since:.1f} s, from {since - start:.1f} s on"
         yield Finding(
             FAULT,
             "sensor-stuck",
@@ -149,11 +168,24 @@ def _stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
         )
 
 
+def _holds(kind: type, table: Any) -> Iterator[tuple[float, float]]:
+    """From when to when the same reading comes again and again, for too long."""
+    columns, samples, seconds = STUCK_IN_LOG[kind]
+    same = np.ones(max(len(table) - 1, 0), dtype=bool)
+    for column in columns:
+        values = table[column]
+        same &= (values[1:] == values[:-1]) | np.isnan(values[1:])  # the rows know the same columns
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
+    for a, b in zip(edges[::2], edges[1::2], strict=True):
+        since, until = float(table["t"][a]), float(table["t"][b])
+        if b - a >= samples and until - since >= seconds:
+            yield since, until
+
+
 def _ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    fine = True
+    fine, noises = True, dict[str, float]()
     for column, (most, unit) in NOISE.items():
-        values = np.unwrap(table[column]) if column == "yaw" else table[column]
-        noise = white(values)
+        noise = noises[column] = white(_known(table, column))
         if noise > most:
             fine = False
             text = f"{column} has white noise of {noise:.2g} {unit}, expected below {most:.2g}"
@@ -165,7 +197,7 @@ def _ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
                 text,
                 "vibration, mounting, interference; or the unit of that value",
             )
-    yaw, rate = white(np.unwrap(table["yaw"])), white(table["r"])
+    yaw, rate = noises["yaw"], noises["r"]
     if fine and math.isfinite(rate):
         of_yaw = f"yaw {math.degrees(yaw):.2g} deg, " if math.isfinite(yaw) else ""
         yield Finding(OK, "sensor-noise-as-expected", "noise", name, f"{of_yaw}yaw rate {rate:.2g} rad/s a sample")
@@ -190,6 +222,12 @@ def _ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
         yield Finding(
             WARNING, "sensor-not-level", "mounting", name, text, "forward, starboard, down; its reference frame"
         )
+
+
+def _known(table: Any, column: str) -> FloatArray:
+    """The values of a column that its rows have, headings without jumps; some rows have only other columns."""
+    values: FloatArray = table[column][np.isfinite(table[column])]
+    return np.unwrap(values) if column == "yaw" else values
 
 
 def white(values: FloatArray) -> float:
@@ -352,18 +390,18 @@ def check_timestamps(name: str, table: Any, end: float | None, speed: float = 1.
             WARNING, "samples-bunched", "time", name, text, "a busy computer, a bunching adapter (latency_timer)"
         )
     else:
-        yield from _gaps(name, t, pauses, speed)
+        yield from _gaps(name, t, pauses, speed, imported)
     if end is not None and end - t[-1] > SILENT_S * max(1.0, 0.2 * speed):
         text = f"nothing for the last {end - t[-1]:.0f} s of the log"
         yield Finding(FAULT, "device-fell-silent", "silent", name, text, "power, cable, bus")
     yield from _clock(name, table, speed)
 
 
-def _gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float) -> Iterator[Finding]:
+def _gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, imported: bool) -> Iterator[Finding]:
     least = max(GAP_S, GAP_PERIODS * float(np.median(pauses)), 4.0 * WALL_JITTER_S * speed)
     long = np.flatnonzero(pauses > least)
-    # A signal that is written when it changes has pauses by nature.
-    if long.size and long.size < 0.02 * t.size + 1.0:
+    # A signal of a file that is written when it changes has pauses by nature; a device goes on sending.
+    if long.size and (not imported or long.size < 0.02 * t.size + 1.0):
         k = int(long[np.argmax(pauses[long])])
         missing = f"missing: {counted(long.size, 'section')}, {pauses[long].sum():.1f} s in all"
         text = f"{missing}, the longest at {t[k] - t[0]:.1f} s"
@@ -388,6 +426,8 @@ def _clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
         return
     offset = received - device
     earliest = _earliest(received, offset)
+    if earliest[0].size < 2:
+        return
     jitter = 2.0 * WALL_JITTER_S * max(speed, 1.0)
     late = float(np.quantile(offset - np.interp(received, *earliest), 0.95))
     steps = np.abs(np.diff(earliest[1]))
@@ -429,8 +469,9 @@ def _clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
 
 
 def _earliest(received: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Time and offset of the earliest arrival in each block."""
-    block = ((received - received[0]) / BLOCK_S).astype(int)
+    """Time and offset of the earliest arrival in each block, which is longer for a slow device."""
+    long = max(BLOCK_S, BLOCK_SAMPLES * float(np.median(np.diff(received))))
+    block = ((received - received[0]) / long).astype(int)
     best = [rows[np.argmin(offset[rows])] for k in np.unique(block) if (rows := np.flatnonzero(block == k)).size > 2]
     return received[best], offset[best]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import threading
 import time
@@ -12,11 +13,11 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from daq.acquisition import Acquisition, PortStatus, Status
+from daq.acquisition import NO_STATUS_S, Acquisition, Latest, PortStatus, Source, Status
 from daq.clock import RunClock
 from daq.errors import counted
 from daq.rig import Rig
-from daq.samples import Ahrs, Esc, Gnss, LoadCell, Sample
+from daq.samples import Ahrs, Autopilot, Battery, Esc, Gnss, LoadCell, Sample, Servo
 
 TABLE_S = 0.2  # wall
 LINE_S = 5.0  # wall, where there is no terminal
@@ -24,6 +25,8 @@ FIRST_LINE_S = 0.5
 STALE_PERIODS = 5.0
 STALE_S = 1.0
 STALE_WALL_S = 0.25
+SELDOM = 3.0  # times as long a further kind of a device may be silent: fixes and batteries come more slowly
+NO_ANSWER = "the acquisition does not answer"
 RATE_TOLERANCE = 0.1
 WIDE = 110  # columns from which the table has all its columns
 FIX = ("no fix", "dead reckoning", "2D", "3D", "DGPS", "RTK fixed", "RTK float")
@@ -54,20 +57,34 @@ def watch(
                 for hint in set(status.hints) - shown:  # once; only a table has room to repeat it
                     console.print(f"hint: {hint}", soft_wrap=True, markup=False)
                 shown.update(status.hints)
-                console.print(line(status), soft_wrap=True, markup=False)
+                console.print(line(status, rig, clock.now()), soft_wrap=True, markup=False)
                 line_at += LINE_S
         return
     with Live(console=console, auto_refresh=False, screen=False) as live:
         while not stop.wait(_pause(clock, deadline, time.monotonic() + TABLE_S)) and clock.now() < deadline:
-            live.update(table(acquisition.status(), rig, console.width), refresh=True)
+            live.update(table(acquisition.status(), rig, console.width, clock.now()), refresh=True)
 
 
 def _pause(clock: RunClock, deadline: float, until_wall: float) -> float:
     return max(min(clock.wall(deadline - clock.now()), until_wall - time.monotonic()), 0.001)
 
 
-def table(status: Status, rig: Rig, width: int) -> Group:
-    """The live table for `width` columns: a header line, a row per device (or speed controller), and the warnings."""
+def _as_of(status: Status, rig: Rig, now: float) -> tuple[Status, bool]:
+    """The status with its ages and rates as they are at run time `now`, and whether the acquisition still answers: it
+    counts ages itself, and one that hangs would seem alive."""
+    late = max(now - status.t, 0.0)
+    answers = late <= NO_STATUS_S * rig.speed
+    ports = {
+        name: dataclasses.replace(port, age=port.age + late, rate=port.rate if answers else math.nan)
+        for name, port in status.ports.items()
+    }
+    return dataclasses.replace(status, t=status.t + late, ports=ports), answers
+
+
+def table(status: Status, rig: Rig, width: int, now: float) -> Group:
+    """The live table for `width` columns at run time `now`: a header line, a row per device (or speed controller, or
+    further kind of samples), and the warnings."""
+    status, answers = _as_of(status, rig, now)
     wide = width >= WIDE
     rows = Table(box=None, expand=True, padding=(0, 1, 0, 0), header_style="bold")
     columns = ["device", "rate/Hz", "of", "age/s", "frames", "errors", "latest"]
@@ -95,21 +112,41 @@ def table(status: Status, rig: Rig, width: int) -> Group:
             ratio=1 if name == "latest" else None,
         )
     for port in status.ports.values():
-        latest = [entry.sample for (device, _), entry in sorted(status.latest.items(), key=str) if device == port.name]
-        values = [describe(sample, rig, port.name) for sample in latest] or [port.message or "nothing yet"]
-        rows.add_row(*_cells(port, rig.speed, wide), Text(values[0], style=BAD if not latest else ""))
+        values = [
+            _newest(source, latest, port, rig, status.t)
+            for source, latest in sorted(status.latest.items(), key=str)
+            if source[0].partition("/")[0] == port.name  # one of several kinds is DEVICE/KIND
+        ] or [Text(port.message or "nothing yet", style=BAD)]
+        rows.add_row(*_cells(port, rig.speed, wide), values[0])
         for value in values[1:]:
-            rows.add_row(*[""] * (len(columns) - 1), Text(value))
-    parts: list[Table | Text] = [_header(status, rig), Text(), rows, Text()]
+            rows.add_row(*[""] * (len(columns) - 1), value)
+    parts: list[Table | Text] = [_header(status, rig, answers), Text(), rows, Text()]
     parts += [Text(f"! {warning}", style=BAD) for warning in status.warnings]
     parts += [Text(f"hint: {hint}", style=DIM) for hint in status.hints]
     parts.append(Text("Ctrl-C ends the log", style=DIM))
     return Group(*parts)
 
 
-def _header(status: Status, rig: Rig) -> Text:
+def _newest(source: Source, latest: Latest, port: PortStatus, rig: Rig, now: float) -> Text:
+    """A source's newest sample; the age of one that is old comes first, since the line may be cut off."""
+    nodes = 1 if source[1] is None else sum(thruster.device == port.name for thruster in rig.thrusters)
+    seldom = SELDOM if source[0] != port.name else 1.0
+    said, age = describe(latest.sample, rig, port.name), now - latest.t
+    stale = age > seldom * _patience(port.expected / max(nodes, 1), rig.speed)
+    return Text(f"STALE {age:.0f} s: {said}", style=BAD) if stale else Text(said)
+
+
+def _patience(rate: float, speed: float) -> float:
+    """How long [run s] whoever sends at this rate may be silent."""
+    return max(STALE_S, STALE_PERIODS / rate, STALE_WALL_S * speed)
+
+
+def _header(status: Status, rig: Rig, answers: bool) -> Text:
     text = Text(no_wrap=True, overflow="ellipsis")
-    text.append(" REC ", style="reverse bold")
+    if answers:
+        text.append(" REC ", style="reverse bold")
+    else:
+        text.append(f"! {NO_ANSWER}", style=BAD)
     text.append(f" {duration_text(status.duration)}", style="bold")
     if rig.speed != 1.0:
         text.append(f" at speed {rig.speed:g}", style=DIM)
@@ -118,8 +155,7 @@ def _header(status: Status, rig: Rig) -> Text:
 
 
 def _cells(port: PortStatus, speed: float, wide: bool) -> list[Text]:
-    patience = max(STALE_S, STALE_PERIODS / port.expected, STALE_WALL_S * speed)
-    stale = port.age > patience
+    stale = port.age > _patience(port.expected, speed)
     off = not abs(port.rate - port.expected) <= RATE_TOLERANCE * port.expected
     age = "never" if math.isinf(port.age) else f"{port.age:.1f}" if stale else f"{port.age:.2f}"
     cells = [
@@ -161,6 +197,13 @@ def describe(sample: Sample, rig: Rig, device: str) -> str:
     if isinstance(sample, LoadCell):
         flags = " saturated" * (sample.flags & 1) + " spike" * (sample.flags >> 1 & 1)
         return _join(("", sample.force, ".2f", "N"), ("", sample.counts, ".0f", "counts")) + flags
+    if isinstance(sample, Battery):
+        level = ("", 100.0 * sample.remaining, ".0f", "%")
+        return "battery " + _join(("", sample.voltage, ".1f", "V"), ("", sample.current, ".1f", "A"), level)
+    if isinstance(sample, Servo):
+        return f"output {sample.node}: " + _join(("", sample.pwm, ".0f", "us"), ("n", sample.n, ".2f", ""))
+    if isinstance(sample, Autopilot):
+        return f"{'armed' if sample.armed else 'not armed'}, mode {sample.mode}"
     return str(sample)
 
 
@@ -173,8 +216,9 @@ def _join(*parts: tuple[str, float, str, str]) -> str:
     return " ".join(said)
 
 
-def line(status: Status) -> str:
-    """The status in one line, for a file or a pipe."""
+def line(status: Status, rig: Rig, now: float) -> str:
+    """The status in one line at run time `now`, for a file or a pipe."""
+    status, answers = _as_of(status, rig, now)
     ports = []
     for port in status.ports.values():
         rate = "-" if math.isnan(port.rate) else f"{port.rate:.1f}"
@@ -185,7 +229,8 @@ def line(status: Status) -> str:
         wrong = "".join(f" {word}" for count, word in zip(counts, said, strict=True) if count)
         ports.append(f"{port.name} {rate}{wrong}")
     warnings = "".join(f"; {warning}" for warning in status.warnings)
-    return f"{duration_text(status.duration)} {size_text(status.bytes)}: {', '.join(ports)}{warnings}"
+    silence = "" if answers else f" {NO_ANSWER}"
+    return f"{duration_text(status.duration)} {size_text(status.bytes)}{silence}: {', '.join(ports)}{warnings}"
 
 
 def log_summary(status: Status, path: Path) -> str:

@@ -6,6 +6,7 @@ The boat's response to its thrusters is checked by `ident.checks.motion`.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from enum import Enum
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -23,6 +24,9 @@ DEAD_BANDS = np.array([0.0, *np.arange(0.02, 0.41, 0.01)])  # of full command, t
 MAX_DELAY, MAX_DEAD_BAND = 0.6, 0.15  # s; of full command: what is still usual for an ESC
 MIN_COMMAND, MIN_SPEED = 0.1, 0.02  # of full command, of full speed: from which a shaft should turn, and turns
 MIN_HOLD, MIN_STEP = 4.0, 0.05  # s; of full command: from which the end of a step is known, and its size
+FEWEST = 40  # samples of the common grid
+# What explains a response clearly worse: a misfit larger by this part, and by so many variances of a sample.
+CLEARLY, CLEARLY_VARIANCES = 0.1, 30.0
 MAX_RISE_TIME = 1.0  # s until half of a step shows
 RAD_PER_S = 2.0 * np.pi / 60.0  # of one revolution a minute
 
@@ -36,6 +40,14 @@ class Response(NamedTuple):
     scale: float
     r2: float
     band_gain: float  # part of the error without a dead band that the dead band explains
+    delay_known: bool  # no delay on the other side of MAX_DELAY explains it nearly as well
+
+
+class NoResponse(Enum):
+    """Why it is not known how a shaft follows its command."""
+
+    TOO_SHORT = "too short"
+    STILL = "does not turn"
 
 
 def check_shafts(c: Channels) -> Iterator[Finding]:
@@ -61,7 +73,17 @@ def _shaft(name: str, told: Channel, shaft: Channel) -> Iterator[Finding]:
             )
         return
     found = response(told, shaft)
-    if found is None:
+    if found is NoResponse.TOO_SHORT:
+        yield Finding(
+            "warning",
+            "shaft-too-short",
+            "shaft",
+            name,
+            "commanded, and the log is too short to tell how the shaft follows",
+            f"a log of {DELAYS[-1] + 2.0 * FEWEST * STEP:.0f} s or more",
+        )
+        return
+    if found is NoResponse.STILL:
         yield Finding(
             "fault",
             "shaft-does-not-turn",
@@ -76,7 +98,7 @@ def _shaft(name: str, told: Channel, shaft: Channel) -> Iterator[Finding]:
         return
     of_steps = list(_steps(name, told, shaft))
     yield from of_steps
-    if found.delay > MAX_DELAY + STEP / 2:
+    if found.delay_known and found.delay > MAX_DELAY + STEP / 2:
         yield Finding(
             "fault",
             "shaft-late",
@@ -85,7 +107,7 @@ def _shaft(name: str, told: Channel, shaft: Channel) -> Iterator[Finding]:
             f"the shaft follows {found.delay:.2f} s after its command",
             "the link's rate and queues; the controller's ramp",
         )
-    elif not any(f.check == "delay" for f in of_steps):
+    elif found.delay_known and not any(f.check == "delay" for f in of_steps):
         yield Finding("ok", "shaft-on-time", "delay", name, f"the shaft follows {found.delay:.2f} s after its command")
     if found.band_gain > 0.2 and found.band > 0.0:
         wide = found.band > MAX_DEAD_BAND + 0.005
@@ -135,20 +157,20 @@ def _scale(name: str, found: Response) -> Iterator[Finding]:
         )
 
 
-def response(told: Channel, shaft: Channel) -> Response | None:
-    """The shaft's answer by a search over delay, time constant and dead band; None where it does not turn."""
+def response(told: Channel, shaft: Channel) -> Response | NoResponse:
+    """The shaft's answer by a search over delay, time constant and dead band."""
     longest = len(DELAYS) - 1
     grid = np.arange(max(told.t[0], shaft.t[0]), min(told.t[-1] + 5.0, shaft.t[-1]), STEP)
     t = grid[longest:]
-    if t.size < 40:
-        return None
+    if t.size < FEWEST:
+        return NoResponse.TOO_SHORT
     at = np.searchsorted(shaft.t, t)
     after, before = shaft.t[np.clip(at, 0, shaft.t.size - 1)] - t, t - shaft.t[np.clip(at - 1, 0, None)]
     near = np.minimum(np.abs(after), np.abs(before))
     n = np.interp(t, shaft.t, shaft.value)
     used = near < max(0.5, 2.0 * float(np.median(np.diff(shaft.t))))
     if np.quantile(np.abs(n), 0.99) < MIN_SPEED * min(1.0, np.abs(told.value).max()):
-        return None
+        return NoResponse.STILL
     command, n = sample_and_hold(told, grid), n if used.all() else np.where(used, n, 0.0)
 
     def delayed(lagged: Array, delay: float) -> Array:
@@ -169,7 +191,12 @@ def response(told: Channel, shaft: Channel) -> Response | None:
     lagged = first_order_lag(_outside(command, band), best.time_constant, STEP, hold="backward", start="steady")
     total, gain = float(n @ n), 1.0 - best.misfit / max(linear.misfit, 1e-300)
     scale = _misfit(delayed(lagged, best.delay), n)[1]
-    return Response(best.delay, best.time_constant, band, scale, 1.0 - best.misfit / total, gain)
+    # A command that stays the same shows no delay, nor does one whose steps all lie before the first time of the fit.
+    limit = round(MAX_DELAY / STEP) + 1
+    other = fitted(slice(0, limit) if DELAYS.index(best.delay) >= limit else slice(limit, None), band)
+    clear = best.misfit * max(CLEARLY, CLEARLY_VARIANCES / n.size)
+    known = bool(np.ptp(command[longest:]) > MIN_STEP) and other.misfit - best.misfit > clear
+    return Response(best.delay, best.time_constant, band, scale, 1.0 - best.misfit / total, gain, known)
 
 
 def _outside(command: Array, band: float) -> Array:

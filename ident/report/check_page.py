@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -55,7 +56,7 @@ def check_answer(report: CheckReport) -> str:
     if faults:
         first, *more = faults
         rest = f" Faulty as well: {_named(more)}." if more else ""
-        return f"{subject} {'is not ready' if rig else 'cannot be trusted yet'}: {_phrase(first)}.{rest}"
+        return f"{subject} {'is not ready' if rig else 'cannot be trusted yet'}: {_sentence(_phrase(first))}{rest}"
     if warnings:
         fine = f"Nothing stops a run with {subject}" if rig else f"{subject} can be used"
         return f"{fine}; look first at {_named(warnings)}."
@@ -66,7 +67,12 @@ def check_answer(report: CheckReport) -> str:
 
 def _phrase(finding: Finding) -> str:
     where, what = finding.where, finding.text
-    return what if where.rsplit(": ", 1)[-1] in what else f"{where}, {what}"
+    named = re.search(rf"(?<!\w){re.escape(where.rsplit(': ', 1)[-1])}(?!\w)", what)  # `r` is in many a word
+    return what if named else f"{where}, {what}"
+
+
+def _sentence(phrase: str) -> str:
+    return phrase if phrase.endswith("?") else f"{phrase}."
 
 
 def _named(found: Sequence[Finding]) -> str:

@@ -33,6 +33,7 @@ from ident.results.parts import (
     ResidualTests,
     ResultWarning,
 )
+from ident.results.tables import format_number
 from ident.validation import FEWEST, OUTLYING, ChannelResiduals
 
 NAMES = {
@@ -50,6 +51,7 @@ NAMES = {
     "n": "shaft speed",
 }
 MOST_NAMES = 4  # channels that a sentence lists
+FINE_SHIFT = 2.0  # %; a smaller change is told to a tenth of it
 TIMES = 3.0  # a ratio of errors above it is said as such
 LEVEL = 0.01
 MEASURED = {"phi", "theta", "psi", "p", "q", "r"}  # inputs that are a sensor's output, with its noise
@@ -65,14 +67,19 @@ def change_sentence(change: PredictionChange, horizon: float) -> str:
     if change.low is None or change.high is None:
         return f"{begin}the data are too short to tell whether the prediction error changes."
     shift, low, high = (100 * (r - 1) for r in (change.ratio, change.low, change.high))
+    places = 0 if abs(shift) >= FINE_SHIFT else 1
+    rounded = [round(r, places) + 0.0 for r in (shift, low, high)]  # no -0
+    by, least, most = (f"{abs(r):.{places}f}" for r in rounded)
     if change.verdict == "unchanged":
-        said = f"no significant change of the prediction error ({shift:+.0f} %; 95 %: {low:+.0f} to {high:+.0f} %)"
+        by, least, most = (f"{r:+.{places}f}" for r in rounded)
+        said = f"no significant change of the prediction error ({by} %; 95 %: {least} to {most} %)"
     elif change.verdict == "fell":
-        said = f"prediction error falls by {-shift:.0f} % (95 %: {-high:.0f} to {-low:.0f} %)"
+        said = f"prediction error falls by {by} % (95 %: {most} to {least} %)"
     elif change.ratio < TIMES:
-        said = f"prediction error rises by {shift:.0f} % (95 %: {low:.0f} to {high:.0f} %)"
+        said = f"prediction error rises by {by} % (95 %: {least} to {most} %)"
     else:
-        said = f"prediction error is {change.ratio:.2g} times as large (95 %: {change.low:.2g} to {change.high:.2g})"
+        said = f"prediction error is {format_number(change.ratio)} times as large (95 %: {format_number(change.low)} "
+        said += f"to {format_number(change.high)})"
     named = [("better", change.better, MOST_NAMES), ("worse", change.worse, len(change.worse))]
     parts = [said, *(f"{word}: {_listed(names, most)}" for word, names, most in named if names)]
     return f"{begin}{'; '.join(parts)}."
@@ -362,7 +369,7 @@ def thruster_answer(
     shaft = (
         f"the shaft follows its command {1e3 * tau[0]:.0f} ms late with a time constant of {1e3 / a[0]:.0f} ms "
         + (f"and does not turn below {100 * d[0]:.1f} % of full command" if d[0] >= NO_DEAD_ZONE else
-           f"and has no dead zone above the smallest command tried, {100 * smallest:.2g} %")
+           f"and has no dead zone above the smallest command tried, {format_number(100 * smallest)} %")
     )
     if not has_force:
         return shaft[0].upper() + shaft[1:] + "; without a load cell nothing is known of its thrust."

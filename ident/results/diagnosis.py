@@ -159,15 +159,12 @@ def _found(diagnosis: Diagnosis) -> str:
     if diagnosis.effects:
         return f"{what_is_lacking(diagnosis)}."
     if diagnosis.mismatches:
-        quiet = "" if diagnosis.rounds else " In the estimation data nothing is missing."
+        quiet = "" if diagnosis.rounds else f" {_too_short(diagnosis) or 'In the estimation data no effect is seen.'}"
         return f"{' '.join(mismatch_sentence(m) for m in reported_mismatches(diagnosis))}{quiet}"
     if not diagnosis.rounds:
-        if (short := diagnosis.short) is not None:
-            return (
-                f"No effect is seen, but {short.seconds:.0f} s of estimation data are too short to test "
-                f"{short.untestable} of {short.candidates} candidates: give {short.needed:.0f} s or more."
-            )
-        return "Nothing is missing: no effect in the catalogue, and no unknown one, is seen in these data."
+        return _too_short(diagnosis) or (
+            "Nothing is missing: no effect in the catalogue, and no unknown one, is seen in these data."
+        )
     one = diagnosis.rounds[-1]
     if diagnosis.untested:
         titles = _listed([u.effect.title for u in diagnosis.untested])
@@ -182,6 +179,15 @@ def _found(diagnosis: Diagnosis) -> str:
     if min(s.p for s in one.scores) > HARDLY:
         return f"Nothing is missing that these data can show: {_passed(one)} passed the first test, but {why}."
     return f"The residuals are not what the model predicts, but no candidate explains them: {why}."
+
+
+def _too_short(diagnosis: Diagnosis) -> str:
+    """What could not be tested; empty where all could."""
+    short = diagnosis.short
+    return "" if short is None else (
+        f"No effect is seen, but {short.seconds:.0f} s of estimation data are too short to test "
+        f"{short.untestable} of {short.candidates} candidates: give {short.needed:.0f} s or more."
+    )
 
 
 def reported_mismatches(diagnosis: Diagnosis) -> list[ValidationMismatch]:

@@ -63,7 +63,8 @@ def finite(value: float | None) -> float | None:
 
 def format_number(value: float) -> str:
     """Two digits for a sentence: 113, 8.4, 0.66."""
-    return f"{value:.0f}" if abs(value) >= 100 else f"{value:#.2g}".rstrip(".")
+    # What two digits round up to a hundred is a hundred: 99.6 has no exponent.
+    return f"{value:.0f}" if abs(value) >= 99.5 else f"{value:#.2g}".rstrip(".")
 
 
 def provenance(loaded: Sequence[LoadedLog], command: str) -> Provenance:

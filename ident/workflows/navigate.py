@@ -253,7 +253,9 @@ def navigation_answer(found: Sequence[Outage], done: Sequence[Navigation]) -> st
     )
     judged = [o for o in found if o.error is not None]
     if worst.error is not None:
-        words += f"; against the fix then it was {format_number(worst.error)} m off"
+        # One that never ends is judged by its last fix, which may lie long before the end.
+        words += f"; against {'the last fix withheld' if worst.open else 'the fix then'} it was "
+        words += f"{format_number(worst.error)} m off"
     if len(judged) > 1:
         words += f". {sum(bool(o.inside) for o in judged)} of {len(judged)} ends are inside their 95 % regions"
     return ". ".join([words, *late]) + "."

@@ -263,6 +263,11 @@ def _curve_points(levels: Levels, curve: Curve, quadratic: Quadratic) -> StaticF
     )
 
 
+def _newtons(force: float) -> str:
+    """To a tenth, of a small thruster to two digits."""
+    return f"{force:.1f} N" if abs(force) >= 1.0 else f"{force:.2g} N"
+
+
 def curve_answer(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> str:
     """The force at the ends of the command, and whether the quadratic describes the levels."""
     curve, thrusters, known = measured.curve, measured.thrusters, measured.calibration
@@ -281,11 +286,12 @@ def curve_answer(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) ->
     )
     if adequate(quadratic):
         return (
-            f"{told} {quadratic.formula} describes them within their errors (c1 {quadratic.c1:.2f} N, "
+            f"{told} {quadratic.formula} describes them within their errors (c1 {quadratic.c1:.4g} N, "
             f"misfit {quadratic.rms:.2g} N rms)."
         )
     return (
-        f"{told} {quadratic.formula} does not describe them: it misses them by {quadratic.rms:.1f} N (rms), by "
-        f"{quadratic.largest:+.1f} N at n = {quadratic.at:g}; a level left out is missed by "
-        f"{quadratic.left_out:.1f} N, by the monotone curve through the others by {curve_left_out(levels):.1f} N."
+        f"{told} {quadratic.formula} does not describe them: it misses them by {_newtons(quadratic.rms)} (rms), by "
+        f"{'+' * (quadratic.largest > 0.0)}{_newtons(quadratic.largest)} at n = {quadratic.at:g}; a level left out is "
+        f"missed by {_newtons(quadratic.left_out)}, by the monotone curve through the others by "
+        f"{_newtons(curve_left_out(levels))}."
     )

@@ -29,6 +29,8 @@ def test_the_values_are_command_rpm_force_and_the_guard() -> None:
     assert VIEW.values() == "n +0.30  rpm +1350  force   +3.6 N  guard ok"
     boat = MissionStatus("zigzag", 1.0, 2.0, (0.5, -0.25), (float("nan"), -900.0), speed=1.234, warning="gnss: no fix")
     assert boat.values() == "n +0.50 -0.25  rpm   --  -900  speed 1.23 m/s  warning: gnss: no fix"
+    lost = MissionStatus("zigzag", 1.0, 2.0, (0.5,), (900.0,), force=float("nan"), speed=float("nan"))
+    assert lost.values() == "n +0.50  rpm  +900  force   -- N  speed   -- m/s  guard ok"
 
 
 def test_plain_lines_come_with_segments_not_with_every_status(capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from bench.execution.runner import newest_values
 from bench.execution.safety_guard import QUICK, SLOW, STOPPED, SafetyGuard, stopping_distance
 from daq.acquisition.status import Latest, PortStatus, Status
 from daq.config.rig_file import parse_rig
@@ -15,6 +16,7 @@ from daq.errors import SafetyStop
 from daq.rig import Rig
 from daq.samples import Ahrs, Battery, Esc, Gnss, LoadCell, Sample, Servo
 from tests.bench.standin import RIG
+from tests.daq.mavlink_ends import mav_rig
 
 GNSS = """
 [[device]]
@@ -316,3 +318,27 @@ def test_each_thruster_and_each_cell_needs_its_own_source(rig: Rig) -> None:
         ("force_n", "other"), ("rpm", "thruster right"), ("current_a", "thruster right"),
         ("temperature_c", "thruster right"),
     ]  # fmt: skip
+
+
+def test_what_was_last_said_long_ago_is_no_value_of_now() -> None:
+    guard, now = SafetyGuard(mav_rig(), 1.0, ("left",)), status(200.0)
+
+    def with_ages(speed: float, rpm: float) -> Status:
+        fix = Latest(Gnss(T, 41.0, -8.0, fix=3, speed=1.37), now.t - speed)
+        esc = Latest(Esc(1, 1500.0), now.t - rpm)
+        return replace(now, latest={("autopilot/gnss", None): fix, ("autopilot/esc", 1): esc})
+
+    assert newest_values(with_ages(0.2, 0.1), guard) == (None, 1.37, {("autopilot", 1): 1500.0})
+    force, speed, rpm = newest_values(with_ages(120.0, 60.0), guard)
+    assert force is None
+    assert speed is not None
+    assert math.isnan(speed)
+    assert math.isnan(rpm["autopilot", 1])
+
+
+def test_of_two_receivers_the_one_that_speaks_counts(guard: SafetyGuard) -> None:
+    now = status(200.0)
+    old, new = (Latest(Gnss(T, 41.0, -8.0, fix=3, speed=v), now.t - age) for v, age in ((1.37, 120.0), (0.5, 0.1)))
+    for pair in ((old, new), (new, old)):
+        latest = dict(zip([("gnss", None), ("ahrs/gnss", None)], pair, strict=True))
+        assert newest_values(replace(now, latest=latest), guard)[1] == 0.5

@@ -120,10 +120,3 @@ def test_what_is_only_to_be_known_of_a_stream_is_no_fault(remark: str) -> None:
     status = Status(1.0, {"autopilot": port}, {}, {}, 0, "", 1, 1, 1.0, "", ())
     (found,) = [one for one in check_ports(mav_rig(), status) if one.code == "port-error"]
     assert (found.level, found.text) == (WARNING if remark else FAULT, said)
-
-
-def test_an_autopilot_without_attitudes_is_said_to_have_none() -> None:
-    port = PortStatus("autopilot", "mavlink", "", 25.0, math.nan, 0.01, 9, 9, 0, 0, 0, 0, 99, 0.0, 0.0, "")
-    status = Status(1.0, {"autopilot": port}, {}, {}, 0, "", 1, 1, 1.0, "", ())
-    (found,) = [one for one in check_ports(mav_rig(), status) if one.code == "rate-off"]
-    assert found.text == "no attitudes, expected 25"

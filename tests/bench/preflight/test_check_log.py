@@ -14,7 +14,7 @@ from daq.checks.findings import Finding, findings_lines, findings_summary, worst
 from ident.checks.log_checks import check_signals
 from ident.checks.motion import check_motion
 from ident.checks.sensors import heading_match
-from ident.checks.shafts import response
+from ident.checks.shafts import Response, response
 from ident.data.record import Channel
 from mocks.offline_simulation import simulate, tables
 from mocks.plant.boat import draw_boat
@@ -107,7 +107,7 @@ def test_the_delay_and_the_dead_band_are_those_of_the_thruster() -> None:
     table = tables(recording.readings)
     told = Channel(table["esc/1/command"]["t"].copy(), table["esc/1/command"]["n_cmd"].copy())
     found = response(told, channels_of(recording)["n_left"])
-    assert found is not None
+    assert isinstance(found, Response)
     assert found.delay == pytest.approx(0.345, abs=0.06)
     assert found.time_constant == pytest.approx(1 / 7.2115, abs=0.1)
     assert 0.05 < found.band <= 0.1  # between the stairs at 0.05 and 0.1, and it is 0.086

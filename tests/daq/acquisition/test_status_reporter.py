@@ -50,7 +50,7 @@ def test_a_hint_is_in_every_status_and_once_in_the_log(tmp_path: Path) -> None:
     assert events == [("hint", line), ("warning", "thrust was stopped: the disk is full")]
     console = Console(width=200)
     with console.capture() as capture:
-        console.print(table(statuses[0], here, 200))
+        console.print(table(statuses[0], here, 200, statuses[0].t))
     assert f"hint: {line}" in capture.get()
     log.close()
     link.close()

@@ -41,10 +41,10 @@ def status() -> Status:
         ),
     }
     latest = {
-        ("ahrs", None): Latest(Ahrs(math.pi, 0.1, -0.2, 0.0, 0.0, -0.5), 1.0),
-        ("gnss", None): Latest(Gnss(1.0, 41.123456, -8.654321, fix=5, n_sat=17, vel_n=0.3, vel_e=0.4), 1.0),
-        ("esc", 2): Latest(Esc(2, -1234.0, 12.0, 0.5, 15.9, NAN), 1.0),
-        ("esc", 1): Latest(Esc(1, 1234.0, 12.0, 0.5, 15.9, 31.0), 1.0),
+        ("ahrs", None): Latest(Ahrs(math.pi, 0.1, -0.2, 0.0, 0.0, -0.5), 8.99),
+        ("gnss", None): Latest(Gnss(1.0, 41.123456, -8.654321, fix=5, n_sat=17, vel_n=0.3, vel_e=0.4), 8.9),
+        ("esc", 2): Latest(Esc(2, -1234.0, 12.0, 0.5, 15.9, NAN), 8.9),
+        ("esc", 1): Latest(Esc(1, 1234.0, 12.0, 0.5, 15.9, 31.0), 8.9),
     }
     warnings = ("esc (/p/can): hung up", "cell (/p/cell): is not there")
     return Status(9.0, ports, latest, {"left": 0.5}, 3, "/logs/run.mcap", 12_345_678, 99, 61.25, "", warnings)
@@ -54,7 +54,7 @@ def rendered(width: int) -> list[str]:
     rig = parse_rig(RIG.format(speed=1.0), "rig.toml")
     console = Console(width=width, force_terminal=True, color_system=None, highlight=False)
     with console.capture() as capture:
-        console.print(table(status(), rig, width))
+        console.print(table(status(), rig, width, 9.0))
     return [row.rstrip() for row in capture.get().splitlines()]
 
 
@@ -98,7 +98,7 @@ def test_the_table_has_all_counters_in_120_columns() -> None:
 
 
 def test_plain_lines_and_the_last_line() -> None:
-    text = line(status())
+    text = line(status(), parse_rig(RIG.format(speed=1.0), "rig.toml"), 9.0)
     assert "ahrs 100.2/100 Hz, " in text
     assert "gnss 12.0/20 Hz 3 checksum errors 123 unparsed bytes" in text
     assert "cell silent" in text

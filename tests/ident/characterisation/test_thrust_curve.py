@@ -160,6 +160,16 @@ def test_commands_of_one_sign_have_one_coefficient(commands: tuple[float, ...]) 
     assert "c1 n|n| describes them" in said
 
 
+@pytest.mark.parametrize(("factor", "said"), [(1.0, "by -3.8 N at"), (0.01, "by -0.038 N at")])
+def test_the_misses_of_a_small_thruster_are_not_rounded_to_nothing(factor: float, said: str) -> None:
+    n = np.linspace(-1.0, 1.0, 11)
+    force = factor * (40.0 * n * np.abs(n) + 4.0 * np.sin(9.0 * n))
+    levels = Levels(n, force, np.full(11, 0.01 * factor), np.full(11, 50.0), np.ones(11), 5.0, 0.01 * factor)
+    answer = curve_answer(levels, ThrustCurve(fit_curve(levels), 1), fit_quadratic(levels))
+    assert said in answer
+    assert " 0.0 N" not in answer
+
+
 def test_one_variance_between_visits_and_a_test_of_its_right_size() -> None:
     """Twelve levels of a true quadratic, visited twice, with a scatter far above the errors of the readings."""
     rng = np.random.default_rng(0)

@@ -136,6 +136,11 @@ def test_data_too_short_for_a_test_are_not_said_to_lack_nothing() -> None:
     assert answer == (
         "No effect is seen, but 60 s of estimation data are too short to test 2 of 3 candidates: give 105 s or more."
     )
+    missed = ValidationMismatch("run 2", "x", 3.0, None)
+    answer = diagnosis_answer(
+        Diagnosis(blank(), blank(cross_validated=False), (), (), (), short=short, mismatches=(missed,)), None, 10.0
+    )
+    assert answer.endswith("too short to test 2 of 3 candidates: give 105 s or more.")
     assert search._short_data([replace(s, blocks=21) for s in scores], blank()) is None
     assert [scores[k].least_blocks for k in range(3)] == [7, 14, 21]
 

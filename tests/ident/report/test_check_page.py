@@ -11,6 +11,7 @@ import pytest
 
 import seatrial
 from daq.checks.check_report import CheckReport
+from daq.checks.findings import Finding
 from daq.log import open_log
 from ident.checks.log_checks import CheckEvidence, log_evidence, push, sides_of
 from ident.checks.motion import YAW_LAGS, delayed_forces
@@ -127,6 +128,13 @@ def test_the_answer_is_one_sentence() -> None:
     assert check_answer(replace(report, findings=3 * rows[:2])).endswith(
         "difference. Faulty as well: gnss (rate), left and right (sides), gnss (rate) and 2 more."
     )
+
+
+def test_a_signal_is_named_unless_its_name_is_a_word_of_what_was_found() -> None:
+    fault = Finding("fault", "angle-in-degrees", "units", "r", "86 rad/s: in deg/s?")
+    assert check_answer(CheckReport("a.mcap", (fault,))) == "a.mcap cannot be trusted yet: r, 86 rad/s: in deg/s?"
+    swapped = fault._replace(where="a: left and right", text="left and right are swapped")
+    assert check_answer(CheckReport("a.mcap", (swapped,))).endswith("yet: left and right are swapped.")
 
 
 def test_what_is_not_there_is_left_out_and_text_is_data(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from daq.errors import SeatrialError
-from ident.results.parts import InputTrace, ParameterRow
+from ident.results.parts import FrameOrigin, InputTrace, LogSummary, ParameterRow
 from ident.results.result_file import from_json, read_result, to_json, write_result
 from tests.ident import report_example, report_example_bench
 from tests.ident.pages import shortened
@@ -40,6 +40,12 @@ def test_a_number_is_written_with_seven_digits_or_not_at_all() -> None:
     row = ParameterRow(name="m", meaning="", unit="kg", value=np.float64(1 / 3), se=float("nan"), free=True)
     assert json.loads(to_json(row))["value"] == 0.3333333
     assert json.loads(to_json(row))["se"] is None
+
+
+def test_an_origin_is_written_to_the_millimetre() -> None:
+    origin = FrameOrigin(latitude=37.812345678, longitude=-122.478255123, log="run")
+    log = LogSummary(path="", sha256="", role="estimation", name="run", duration=1.0, origin=origin)
+    assert json.loads(to_json(log))["origin"] == {"latitude": 37.812345678, "longitude": -122.478255123, "log": "run"}
 
 
 @pytest.mark.parametrize("kind", EXAMPLES)

@@ -41,7 +41,7 @@ from ident.results.parts import (
     Provenance,
     ResidualTests,
 )
-from ident.results.tables import cross_rows, prediction_change, residual_row
+from ident.results.tables import cross_rows, format_number, prediction_change, residual_row
 from ident.studies.cases import make_case
 from ident.studies.monte_carlo import make_record
 from ident.validation.evaluation import residual_tests
@@ -144,10 +144,23 @@ def test_a_change_is_said_with_its_interval_and_its_channels() -> None:
     assert "rises by 12 % (95 %: 5 to 20 %); worse: surge" in change_sentence(rose, 10.0)
     same = msgspec.structs.replace(change, ratio=0.97, low=0.9, high=1.05, verdict="unchanged", better=(), worse=())
     assert "no significant change of the prediction error (-3 %; 95 %: -10 to +5 %)." in change_sentence(same, 10.0)
+    little = msgspec.structs.replace(same, ratio=0.996, low=0.991, high=0.9996, verdict="fell")
+    assert "falls by 0.4 % (95 %: 0.0 to 0.9 %)." in change_sentence(little, 10.0)
+    least = msgspec.structs.replace(same, ratio=0.9999, low=0.98, high=1.02)
+    assert "(+0.0 %; 95 %: -2.0 to +2.0 %)" in change_sentence(least, 10.0)
     short = msgspec.structs.replace(change, low=None, high=None, verdict="unchanged", better=(), worse=())
     assert change_sentence(short, 1.0).endswith("the data are too short to tell whether the prediction error changes.")
     lost = msgspec.structs.replace(change, ratio=50.0, low=20.0, high=90.0, verdict="rose")
     assert "is 50 times as large (95 %: 20 to 90)" in change_sentence(lost, 1.0)
+    far = msgspec.structs.replace(lost, ratio=120.0, low=99.6, high=150.0)
+    assert "is 120 times as large (95 %: 100 to 150)" in change_sentence(far, 1.0)
+
+
+@pytest.mark.parametrize(("value", "said"), [
+    (99.4, "99"), (99.6, "100"), (-99.6, "-100"), (113.2, "113"), (9.96, "10"), (8.4, "8.4"), (0.0312, "0.031"),
+])
+def test_a_number_in_a_sentence_has_two_digits_and_no_exponent_below_a_hundred(value: float, said: str) -> None:
+    assert format_number(value) == said
 
 
 @pytest.mark.parametrize(("horizon", "words"), [(10.0, "10 s"), (1.0, "1 s"), (2.5, "2.5 s")])

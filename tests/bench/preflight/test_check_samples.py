@@ -1,0 +1,187 @@
+"""What a check says of the samples of one device: their rate, what repeats itself, noise, gaps and clocks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.checks.device_checks import check_devices, check_timestamps
+from daq.checks.findings import Finding
+from daq.config.rig_file import parse_rig
+from daq.log.reader import open_log
+from daq.rig import Rig
+from daq.samples import NAN, Ahrs, Autopilot, Gnss, LoadCell, Sample
+from mocks.world import Reading
+from tests.daq.mavlink_ends import mav_rig
+from tests.missions import record
+
+UTC = 1.75e9
+NOISE = np.random.default_rng(3).normal(0.0, 0.003, 20_000)
+RIG = """
+format = "seatrial-rig 1"
+name = "one"
+[[device]]
+name = "one"
+protocol = "{protocol}"
+port = "{port}"
+rate_hz = {rate}
+"""
+COUNTS = "[device.calibration]\nnewton_per_count = 1.0\n"
+
+
+def rig_with(protocol: str, rate: float, port: str = "/dev/ttyUSB0", more: str = "") -> Rig:
+    return parse_rig(RIG.format(protocol=protocol, port=port, rate=rate) + more, Path("rig.toml"))
+
+
+def bus(rate: float = 10.0) -> Rig:
+    return rig_with("nmea2000", rate, "socketcan:can0")
+
+
+def sampled(make: Callable[[float], Sample], rate: float, seconds: float, first: float = 0.0) -> list[Reading]:
+    name = "one"
+    return [Reading(name, make(k / rate), first + k / rate) for k in range(round(rate * seconds))]
+
+
+def told(path: Path, rig: Rig, readings: Iterable[Reading], metadata: dict[str, str] | None = None) -> list[Finding]:
+    device = rig.devices[0].name
+    rows = sorted((r._replace(device=device) for r in readings), key=lambda r: r.t)
+    with open_log(record(path / "run.mcap", rig, rows, metadata=metadata)) as log:
+        return list(check_devices(log))
+
+
+def codes(found: Iterable[Finding]) -> set[str]:
+    return {f.code for f in found}
+
+
+def heading(t: float) -> Ahrs:
+    return Ahrs(0.5 + 0.3 * math.sin(0.2 * t) + float(NOISE[round(100 * t) % NOISE.size]), NAN, NAN)
+
+
+def turning(t: float) -> Ahrs:
+    return Ahrs(NAN, NAN, NAN, r=0.06 * math.cos(0.2 * t))
+
+
+def attitude(t: float) -> Ahrs:
+    noise = float(NOISE[round(100 * t) % NOISE.size])
+    return Ahrs(0.5 + noise, 0.1 * noise, 0.0, noise, noise, noise)
+
+
+def fix(t: float) -> Gnss:
+    return Gnss(UTC + t, 63.4, 10.4, vel_n=0.0, vel_e=0.0, fix=3, n_sat=12)
+
+
+@pytest.mark.parametrize("degrees", [0.1, 1.0])
+def test_a_compass_that_repeats_itself_is_not_stuck(tmp_path: Path, degrees: float) -> None:
+    def rounded(t: float) -> Ahrs:
+        swing = 0.02 if degrees == 0.1 else 30.0
+        steps = round((40.0 + swing * math.sin(0.2 * t)) / degrees)
+        return Ahrs(math.radians(degrees * steps), NAN, NAN)
+
+    assert "sensor-stuck" not in codes(told(tmp_path, rig_with("nmea", 10.0), sampled(rounded, 10.0, 60.0)))
+
+
+def test_a_receiver_that_knows_nothing_yet_is_not_stuck(tmp_path: Path) -> None:
+    def cold(t: float) -> Gnss:
+        return Gnss(NAN, NAN, NAN) if t < 20.0 else fix(t)
+
+    assert "sensor-stuck" not in codes(told(tmp_path, rig_with("ubx", 5.0), sampled(cold, 5.0, 60.0)))
+
+
+@pytest.mark.parametrize(("counts", "stuck"), [(0.0, False), (12.5, False), (1234.5, False), (84210.0, True)])
+def test_a_scale_at_rest_is_not_stuck_and_a_converter_is(tmp_path: Path, counts: float, stuck: bool) -> None:
+    found = told(tmp_path, rig_with("loadcell", 10.0, more=COUNTS), sampled(lambda t: LoadCell(counts), 10.0, 10.0))
+    assert ("sensor-stuck" in codes(found)) == stuck
+
+
+def test_an_attitude_that_hangs_between_accelerations_that_do_not_is_stuck(tmp_path: Path) -> None:
+    def acceleration(t: float) -> Ahrs:
+        return Ahrs(NAN, NAN, NAN, ax=float(NOISE[round(100 * t)]), ay=0.0, az=-9.81)
+
+    hung = sampled(lambda t: attitude(min(t, 5.0)), 10.0, 20.0)
+    (found,) = [
+        f for f in told(tmp_path, mav_rig(rate=10.0), [*hung, *sampled(acceleration, 10.0, 20.0, 0.03)])
+        if f.code == "sensor-stuck"
+    ]  # fmt: skip
+    assert found.text.startswith("the same reading for 14.9 s, from 5.0 s on")
+
+
+def test_headings_count_for_the_rate_of_a_ships_bus(tmp_path: Path) -> None:
+    others = [*sampled(turning, 10.0, 20.0, 0.01), *sampled(fix, 5.0, 20.0, 0.02)]
+    (of_rate,) = [f for f in told(tmp_path, bus(), [*sampled(heading, 10.0, 20.0), *others]) if f.check == "rate"]
+    assert (of_rate.code, of_rate.text) == ("rate-as-expected", "10 Hz, expected 10")
+
+
+def test_fixes_count_for_the_rate_of_a_ships_bus_without_a_compass(tmp_path: Path) -> None:
+    rows = [*sampled(turning, 10.0, 20.0), *sampled(fix, 5.0, 20.0, 0.02)]
+    (of_rate,) = [f for f in told(tmp_path, bus(5.0), rows) if f.check == "rate"]
+    assert (of_rate.code, of_rate.text) == ("rate-as-expected", "5 Hz, expected 5")
+
+
+@pytest.mark.parametrize("noise", [False, True])
+def test_the_noise_of_headings_between_rates_of_turn_is_seen(tmp_path: Path, noise: bool) -> None:
+    def shaken(t: float) -> Ahrs:
+        return Ahrs(heading(t).yaw + 150.0 * noise * float(NOISE[round(100 * t)]), NAN, NAN)
+
+    found = told(tmp_path, bus(), [*sampled(shaken, 10.0, 20.0), *sampled(turning, 10.0, 20.0, 0.05)])
+    assert ("sensor-noisy" in codes(found)) == noise
+
+
+def test_one_heading_that_is_missing_does_not_hide_the_noise_of_the_others(tmp_path: Path) -> None:
+    def shaken(t: float) -> Ahrs:
+        return Ahrs(NAN if t == 1.0 else 100.0 * float(NOISE[round(100 * t)]), 0.0, 0.0, r=0.0)
+
+    assert "sensor-noisy" in codes(told(tmp_path, rig_with("nmea", 10.0), sampled(shaken, 10.0, 20.0)))
+
+
+@pytest.mark.parametrize(
+    ("rate", "metadata", "code", "text"),
+    [
+        (10.0, {}, "rate-as-expected", "10 Hz, expected 10"),
+        (4.0, {}, "rate-off", "4 Hz, expected 10"),
+        (0.01, {}, "rate-off", "no attitudes, expected 10"),
+        (4.0, {"import": "mavlink"}, "rate-measured", "9.0"),  # the rates of a ground station; all kinds together
+    ],
+)
+def test_attitudes_count_for_the_rate_of_an_autopilot(
+    tmp_path: Path, rate: float, metadata: dict[str, str], code: str, text: str
+) -> None:
+    rows = [*sampled(attitude, rate, 20.0), *sampled(fix, 5.0, 20.0, 0.02)]
+    (of_rate,) = [f for f in told(tmp_path, mav_rig(rate=10.0), rows, metadata) if f.check == "rate"]
+    assert of_rate.code == code
+    assert of_rate.text.startswith(text)
+
+
+def test_an_autopilot_that_says_only_how_it_is_has_no_attitudes(tmp_path: Path) -> None:
+    found = told(tmp_path, mav_rig(), sampled(lambda t: Autopilot(0, 0, 3), 1.0, 5.0))
+    assert [(f.level, f.text) for f in found if f.code == "rate-off"] == [("fault", "no attitudes, expected 25")]
+
+
+def test_three_losses_of_half_a_minute_are_said(tmp_path: Path) -> None:
+    rows = [r._replace(t=r.t + 30.0 * (k // 25)) for k, r in enumerate(sampled(fix, 1.0, 100.0))]
+    (gap,) = [f for f in told(tmp_path, rig_with("ubx", 1.0), rows) if f.check == "gap"]
+    assert gap.code == "sections-missing"
+    assert gap.text.startswith("missing: 3 sections, 93.0 s in all")
+
+
+def _with_clock(t: np.ndarray, late: np.ndarray) -> np.ndarray:
+    table = np.zeros(t.size, dtype=[("t", float), ("t_rx", float), ("t_device", float)])
+    table["t"], table["t_rx"], table["t_device"] = t, t + late, t
+    return table
+
+
+@pytest.mark.parametrize("period", [0.9, 1.0, 5.0])
+def test_the_clock_of_a_slow_device_is_compared(period: float) -> None:
+    t = period * np.arange(100.0)
+    late = 0.02 * np.random.default_rng(1).random(t.size)
+    assert "clock-steady" in codes(check_timestamps("gnss", _with_clock(t, late), t[-1]))
+    jumps = late + np.where(t > 50.0 * period, 3.0, 0.0)
+    assert "clock-jumps" in codes(check_timestamps("gnss", _with_clock(t, jumps), t[-1]))
+
+
+def test_too_few_samples_of_a_clock_end_in_no_error() -> None:
+    t = np.sort(np.concatenate([1e-3 * np.arange(49.0), [500.0, 900.0]]))
+    list(check_timestamps("gnss", _with_clock(t, np.zeros(t.size)), t[-1]))

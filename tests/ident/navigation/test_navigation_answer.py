@@ -1,0 +1,18 @@
+"""What is said of the worst outage: which fix its error is of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from ident.navigation.outages import Ellipse, Outage
+from ident.workflows.navigate import navigation_answer
+
+WORST = Outage(
+    start=10.0, end=70.0, open=False, leading=False, withheld=True, north=0.0, east=0.0,
+    at_end=Ellipse(4.0, 3.0, 0.0, 4.0), error=2.3, allowed=5.0, inside=True, widest=4.0, predicted=None, best=None,
+)  # fmt: skip
+
+
+def test_an_outage_that_never_ends_is_judged_by_its_last_fix() -> None:
+    assert "; against the fix then it was 2.3 m off" in navigation_answer([WORST], [])
+    assert "; against the last fix withheld it was 2.3 m off" in navigation_answer([replace(WORST, open=True)], [])
