@@ -43,7 +43,8 @@ def import_raw(
     rows = [SignalRow(t, device, frame._replace(t_rx=t)) for t, frame in zip(times, frames, strict=True)]
     if min(times) < 0.0 or max(times) >= 2**31:
         raise SeatrialError(f"{target}: the device's times do not lie between 1970 and 2038; give --rate instead")
-    write_frames(target, rows, metadata=metadata, note=f"{path.name} as {protocol}: {said}", force=force)
+    note = f"{path.name} as {protocol}: {said}"
+    write_frames(target, rows, metadata=metadata, note=note, force=force, reads=[path])
     return target, said
 
 

@@ -258,6 +258,9 @@ def test_the_command(tmp_path: Path) -> None:
     out = tmp_path / "map.toml"
     assert run.invoke(cli.import_, ["--guess", str(path), "-o", str(out)]).exit_code == 0
     assert isinstance(run.invoke(cli.import_, ["--guess", str(path), "-o", str(out)]).exception, SeatrialError)
+    assert run.invoke(cli.import_, ["--guess", str(path), "-o", str(out), "--force"]).exit_code == 0
+    refused = run.invoke(cli.import_, ["--guess", str(path), "-o", str(path), "--force"]).exception
+    assert "is what is read here, and is never replaced" in str(refused)
     done = run.invoke(cli.import_, [str(out), str(path), "-o", str(tmp_path / "run.mcap")])
     assert done.stdout == f"{tmp_path / 'run.mcap'}\n"
     assert run.invoke(cli.import_, [str(out)]).exit_code == 2

@@ -118,6 +118,8 @@ def test_what_is_wrong_is_one_line(ascii_capture: Path, tmp_path: Path) -> None:
     import_raw("vectornav", ascii_capture, rate=40.0, out=tmp_path / "x.mcap")
     with pytest.raises(SeatrialError, match="the file exists already"):
         import_raw("vectornav", ascii_capture, rate=40.0, out=tmp_path / "x.mcap")
+    with pytest.raises(SeatrialError, match="is what is read here, and is never replaced"):
+        import_raw("vectornav", ascii_capture, rate=40.0, out=ascii_capture, force=True)
 
 
 def test_the_command(ascii_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
