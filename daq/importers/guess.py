@@ -33,13 +33,16 @@ from daq.importers.sources import source_kind, text_head
 from daq.importers.table import Column, SourceOptions, Table
 from daq.importers.text_table import sniff_style
 from daq.importers.units import UNITS
+from daq.log import LOG_FORMAT, open_log
 
 MOTION = ("x", "vx", "u", "psi", "r", "speed")
 FORCES = {"X": "N", "N": "Nm"}  # force ahead and moment, by the letters of the literature
 LEFT_THROTTLE, RIGHT_THROTTLE = 73.0, 74.0  # SERVOn_FUNCTION of ArduPilot
 PULSE_US = (("MIN", 1100.0), ("TRIM", 1500.0), ("MAX", 1900.0))  # SERVOn_..., us, and what they are by default
-NED_KINDS = {"ulog", "mavlink", "can"}  # sources whose axes are ours
-_NED = re.compile(r"(?i)\bned\b|px4_msgs")  # topics and types of ROS whose axes are
+_NED = re.compile(
+    r"(?i)(?<![a-z])(ned|frd)(?![a-z])|px4_msgs|seatrial_msgs"
+)  # topics, types and frames of ROS that are
+SCALARS = ("Float64", "Float32", "Float64Stamped", "Float32Stamped", "Scalar")  # messages that only their topics name
 MOST_LISTED = 12  # signals that were not recognised and are offered all the same
 _TIME = re.compile(r"(^|_)(t|time|stamp|timestamp|datetime|utc|seconds|secs|epoch)($|_)")
 BOATS = {10, 11, 12}  # MAV_TYPE: rover (ArduPilot's boats too), boat, submarine
@@ -55,6 +58,8 @@ class Guess(NamedTuple):
 def guess_map(path: Path) -> Guess:
     """What a source holds, as a map for `seatrial import`. Raises SeatrialError where it cannot be read."""
     kind = source_kind(path)
+    if kind.name == "ros" and _is_log(path):
+        raise SeatrialError(f"{path}: is a log of seatrial: check, ident and export take it as it is")
     options = SourceOptions()
     if kind.name == "csv":
         style = sniff_style(path, text_head(path))
@@ -76,7 +81,7 @@ def guess_map(path: Path) -> Guess:
             if words & DRIVES:
                 drives.setdefault(words - SIDES, []).append(values)
     together = {words: np.concatenate(values) for words, values in drives.items()}
-    candidates = [c for t in tables for c in (*message_candidates(t), *_column_candidates(t, kind.name, together))]
+    candidates = [c for t in tables for c in (*message_candidates(t), *_column_candidates(t, together))]
     candidates += outputs(tables)
     candidates = [_with_units(_in_frame(c) if kind.name == "ros" else c) for c in candidates]
     taken, lines = _choose(candidates, {id(table): _time_of(table) for table in tables})
@@ -85,6 +90,14 @@ def guess_map(path: Path) -> Guess:
     remarks = [f"# caveat: {table.topic}: {table.remark}" for table in tables if table.remark]
     text = "\n".join([*head, *remarks, "signal = [", *lines, *_unknown(tables, candidates), "]"])
     return Guess(text + (f"\n# no fit: {problem}" if problem else "") + "\n", problem)
+
+
+def _is_log(path: Path) -> bool:
+    try:
+        with open_log(path) as log:
+            return log.metadata.get("format") == LOG_FORMAT
+    except SeatrialError:  # a bag of another format, or damaged: its reader says what is wrong
+        return False
 
 
 def _quoted(text: str) -> str:
@@ -199,7 +212,8 @@ def _time_format(table: Table, column: str) -> tuple[str, str]:
 def _columns(table: Table) -> Iterator[tuple[str, Name, frozenset[str], Column]]:
     """The columns of numbers of a table without known messages, with what their names and the topic's say."""
     message = table.kind.rpartition("/")[2]
-    scalar = message in ("Float64", "Float32", "Float64Stamped", "Float32Stamped", "Scalar", "JointState")
+    alone = message in SCALARS and not table.kind.startswith("seatrial_msgs/")
+    scalar = alone or message == "JointState"
     if (table.kind not in ("", "dbc") and not scalar) or SETPOINT.search(table.topic):
         return
     for column in table.names:
@@ -209,12 +223,11 @@ def _columns(table: Table) -> Iterator[tuple[str, Name, frozenset[str], Column]]
             values = table.numbers(column)
         except SeatrialError:
             continue
-        alone = scalar and message != "JointState"
         name = read_name(table.topic.rpartition("/")[2] if alone else column)
         yield column, name, name.words | (read_name(table.topic).words if scalar else frozenset()), values
 
 
-def _column_candidates(table: Table, kind: str, together: Mapping[frozenset[str], Column]) -> Iterator[Candidate]:
+def _column_candidates(table: Table, together: Mapping[frozenset[str], Column]) -> Iterator[Candidate]:
     """What the names of columns say, in tables without known messages; `together` has the numbers of left and right."""
     message = table.kind.rpartition("/")[2]
     names: dict[str, tuple[str, Name]] = {}
@@ -235,15 +248,27 @@ def _column_candidates(table: Table, kind: str, together: Mapping[frozenset[str]
             yield Candidate(group, behind, table, (taken._replace(columns=(column,)),), caveat)
         elif name.meaning and name.meaning not in names:
             names[name.meaning] = column, name
-    yield from _motion(table, names, numbers, ', frame = "NED"' if kind == "ros" else "")
+    yield from _motion(table, names, numbers)
 
 
 def _in_frame(candidate: Candidate) -> Candidate:
-    """A candidate of a bag whose axes are ENU: signals of a topic that is NED say so."""
-    if candidate.group in ("drive", "force") or not _NED.search(f"{candidate.table.topic} {candidate.table.kind}"):
-        return candidate
-    ned = [s if "frame" in s.extra or s.make in GEOGRAPHIC else _also(s, 'frame = "NED"') for s in candidate.signals]
-    return candidate._replace(signals=tuple(ned))
+    """A candidate of a bag whose axes are ENU: signals of a topic that is NED say so, a number alone has a caveat."""
+    table, caveat = candidate.table, candidate.caveat
+    is_ned = bool(_NED.search(f"{table.topic} {table.kind} {table.frame_id}"))
+    if not is_ned and table.kind.rpartition("/")[2] in SCALARS:
+        words, also = read_name(table.topic).words, ""
+        if candidate.group == "heading" and words & {"compass", "heading", "hdg"}:
+            is_ned = True
+            also = "" if "compass" in words else 'taken from north, clockwise; from east it is frame = "ENU"'
+        elif candidate.group == "heading":
+            also = 'taken from east, counter-clockwise, as in REP-103; from north it is frame = "NED"'
+        elif candidate.group == "rate":
+            also = 'taken positive to port, as in REP-103; to starboard it is frame = "NED"'
+        caveat = "; ".join(part for part in (caveat, also) if part)
+    if candidate.group in ("drive", "force") or not is_ned:
+        return candidate._replace(caveat=caveat)
+    ned = [s if s.make in GEOGRAPHIC else _also(s, 'frame = "NED"') for s in candidate.signals]
+    return candidate._replace(signals=tuple(ned), caveat=caveat)
 
 
 def _also(signal: Taken, key: str) -> Taken:
@@ -257,9 +282,7 @@ def _with_units(candidate: Candidate) -> Candidate:
     return candidate._replace(caveat="; ".join(part for part in (candidate.caveat, *caveats) if part))
 
 
-def _motion(
-    table: Table, names: dict[str, tuple[str, Name]], numbers: dict[str, Column], compass: str
-) -> Iterator[Candidate]:
+def _motion(table: Table, names: dict[str, tuple[str, Name]], numbers: dict[str, Column]) -> Iterator[Candidate]:
     def pair(group: str, rank: int, a: str, b: str, unit: str, caveat: str = "") -> Iterator[Candidate]:
         if a in names and b in names:
             taken = tuple(Taken(n, (names[n][0],), names[n][1].unit or unit) for n in (a, b))
@@ -293,7 +316,7 @@ def _motion(
         top = float(np.nanmax(np.abs(numbers[column]), initial=0.0))
         unit = name.unit or ("deg" if top > 6.6 else "rad")
         caveat = "" if name.unit or top > 6.6 else f"an angle of at most {top:.2f} is taken for radians"
-        yield Candidate("heading", 0, table, (Taken("psi", (column,), unit, "", f'angle = "unwrap"{compass}'),), caveat)
+        yield Candidate("heading", 0, table, (Taken("psi", (column,), unit, "", 'angle = "unwrap"'),), caveat)
     if "r" in names:
         column, name = names["r"]
         unit, caveat = (name.unit, "") if name.unit else _rate_unit(table, numbers, column, names)

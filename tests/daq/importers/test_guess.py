@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from daq import cli
 from daq.errors import SeatrialError
 from daq.importers import guess
-from daq.importers.guess import guess_map, outputs
+from daq.importers.guess import Guess, guess_map, outputs
 from daq.importers.import_files import import_files
 from daq.importers.recognise import read_name
 from daq.importers.sources import SourceKind
@@ -231,6 +232,62 @@ def test_the_topics_of_mavros(tmp_path: Path) -> None:
     assert values(log, "vx")[1][0] == 2.0  # north is y of ENU
     assert values(log, "psi")[1][0] == pytest.approx(np.pi / 2)  # a compass counts from north
     np.testing.assert_allclose(values(log, "n_right")[1], -np.arange(N) / 400.0, atol=1e-12)
+
+
+Guessing = Callable[..., Guess]
+
+
+@pytest.fixture
+def guess_of(monkeypatch: pytest.MonkeyPatch) -> Guessing:
+    """The guess of a source that has these tables."""
+
+    def guess_of(kind: str, *tables: Table) -> Guess:
+        monkeypatch.setattr(guess, "source_kind", lambda path: SourceKind(kind, lambda path, options: list(tables)))
+        return guess_map(Path("x"))
+
+    return guess_of
+
+
+def scalar(topic: str, values: np.ndarray) -> Table:
+    """A topic of numbers alone."""
+    return Table(Path("x"), topic, {"data": values}, TIME, "std_msgs/msg/Float64")
+
+
+@pytest.mark.parametrize(
+    ("topic", "frame_id", "is_ned"),
+    [
+        ("/vel_ned", "", True), ("/imu/velocity_ned", "", True), ("/NED/vel", "", True), ("/vel", "ins_frd_ned", True),
+        ("/vel", "gnss_ned", True), ("/vel", "map_ned", True), ("/vel_planned", "", False), ("/vel", "map", False),
+        ("/vel", "nedlib", False),
+    ],
+)  # fmt: skip
+def test_axes_of_a_topic_by_its_name_or_its_frame(guess_of: Guessing, topic: str, frame_id: str, is_ned: bool) -> None:
+    velocity = {"vector.x": TIME, "vector.y": TIME}
+    table = Table(Path("x"), topic, velocity, TIME, "geometry_msgs/msg/Vector3Stamped", frame_id)
+    signals = tomllib.loads(guess_of("ros", table).text)["signal"]
+    assert [signal.get("frame") for signal in signals] == ["NED" if is_ned else None] * 2
+
+
+@pytest.mark.parametrize(
+    ("topic", "frame", "caveat"),
+    [
+        ("/mavros/global_position/compass_hdg", "NED", ""),
+        ("/state/heading", "NED", "taken from north, clockwise"),
+        ("/state/yaw", None, "taken from east, counter-clockwise"),
+        ("/state/yaw_ned", "NED", ""),
+    ],
+)
+def test_a_heading_alone_in_a_bag(guess_of: Guessing, topic: str, frame: str | None, caveat: str) -> None:
+    text = guess_of("ros", scalar(topic, 200.0 + TIME)).text
+    (signal,) = tomllib.loads(text)["signal"]
+    assert signal.get("frame") == frame
+    assert (f"# caveat: {caveat}" in text) if caveat else ("taken from" not in text)
+
+
+def test_yaw_and_its_rate_alone_have_the_axes_of_the_bag(guess_of: Guessing) -> None:
+    text = guess_of("ros", scalar("/state/yaw", TIME), scalar("/state/yaw_rate", 1.0 + 0.0 * TIME)).text
+    assert [signal.get("frame") for signal in tomllib.loads(text)["signal"]] == [None, None]
+    assert "taken positive to port" in text
 
 
 def test_a_topic_of_px4_does_not_turn_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,8 @@ from daq.importers.import_files import import_files
 from daq.importers.ros import read_bag
 from daq.importers.table import SourceOptions
 from daq.log.reader import Log, open_log
-from daq.samples import Ahrs, Scalar
+from daq.samples import Ahrs, Gnss, Scalar
+from daq.tools import export_ros
 from tests.daq.logs import T0, write_everything
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -138,8 +139,12 @@ def test_what_an_imu_does_not_measure_is_left_out(tmp_path: Path) -> None:
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connection = writer.add_connection("/imu", kind, typestore=STORE)
         for k in range(N):
-            message = replace(imu(k), angular_velocity_covariance=unknown, orientation_covariance=unknown,
-                              orientation=STORE.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0))
+            message = replace(
+                imu(k),
+                angular_velocity_covariance=unknown,
+                orientation_covariance=unknown,
+                orientation=STORE.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
+            )
             writer.write(connection, round((T0 + 0.05 * k) * 1e9), STORE.serialize_cdr(message, kind))
     (table,) = read_bag(path, SourceOptions())
     assert not [name for name in table.names if name.startswith("orientation.")]
@@ -201,6 +206,24 @@ def test_our_own_log_comes_back(tmp_path: Path) -> None:
         ahrs = own.table(Ahrs, "ahrs")
     np.testing.assert_allclose(psi["value"], ahrs["yaw"], atol=1e-12)
     np.testing.assert_allclose(r["value"], ahrs["r"][np.isfinite(ahrs["r"])], atol=1e-12)  # NaN is not measured
+
+
+def test_our_own_bag_by_its_guess(tmp_path: Path) -> None:
+    """`export ros` keeps the topics of the log, in our axes, beside those of REP-103. The log itself needs no map."""
+    write_everything(tmp_path / "own.mcap", 12)
+    with pytest.raises(SeatrialError, match="is a log of seatrial: check, ident and export take it as it is"):
+        guess_map(tmp_path / "own.mcap")
+    with open_log(tmp_path / "own.mcap") as own:
+        export_ros(own, tmp_path / "ros")
+        ahrs, gnss = own.table(Ahrs, "ahrs"), own.table(Gnss, "gnss")
+    (tmp_path / "map.toml").write_text(guess_map(tmp_path / "ros/bag").text, encoding="utf-8")
+    (out,) = import_files(tmp_path / "map.toml", [tmp_path / "ros/bag"], out=tmp_path / "again.mcap")
+    with open_log(out) as log:
+        assert {"psi", "r", "vx", "vy"} <= set(log.sources(Scalar))
+        psi, r, vx = (log.table(Scalar, name)["value"] for name in ("psi", "r", "vx"))
+    np.testing.assert_allclose(np.exp(1j * psi), np.exp(1j * ahrs["yaw"]), atol=1e-12)
+    np.testing.assert_allclose(r[r != 0.0], ahrs["r"][np.isfinite(ahrs["r"])], atol=1e-12)  # 0: not measured
+    np.testing.assert_allclose(vx, gnss["vel_n"][np.isfinite(gnss["vel_n"])], atol=1e-12)
 
 
 def test_what_is_wrong_is_one_line(bag: Path, tmp_path: Path) -> None:
