@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from daq.errors import SeatrialError
-from daq.importers.import_map import GEOGRAPHIC, TimeColumn
+from daq.importers.clocks import Clock, clock_of, row_seconds
+from daq.importers.import_map import GEOGRAPHIC
 from daq.importers.recognise import (
     BEHIND,
     CAVEATS,
@@ -28,7 +28,6 @@ from daq.importers.recognise import (
     message_candidates,
     read_name,
 )
-from daq.importers.signals import row_times
 from daq.importers.sources import source_kind, text_head
 from daq.importers.table import Column, SourceOptions, Table
 from daq.importers.text_table import sniff_style
@@ -44,7 +43,7 @@ _NED = re.compile(
 )  # topics, types and frames of ROS that are
 SCALARS = ("Float64", "Float32", "Float64Stamped", "Float32Stamped", "Scalar")  # messages that only their topics name
 MOST_LISTED = 12  # signals that were not recognised and are offered all the same
-_TIME = re.compile(r"(^|_)(t|time|stamp|timestamp|datetime|utc|seconds|secs|epoch)($|_)")
+Clocks = Mapping[int, Clock]  # of each table, by its id
 BOATS = {10, 11, 12}  # MAV_TYPE: rover (ArduPilot's boats too), boat, submarine
 
 
@@ -74,21 +73,22 @@ def guess_map(path: Path) -> Guess:
     ]
     if kind.name == "ros":
         head.append('frame = "ENU"  # REP-103: east, north, up; forward, left, up; the other one is "NED"')
-    times = _clock_lines(tables)
+    clocks = {id(table): clock_of(table) for table in tables}
     drives: dict[frozenset[str], list[Column]] = {}  # left and right together have one scale
     for table in tables:
-        for _, _, words, values in _columns(table):
+        for _, _, words, values in _columns(table, clocks):
             if words & DRIVES:
                 drives.setdefault(words - SIDES, []).append(values)
     together = {words: np.concatenate(values) for words, values in drives.items()}
-    candidates = [c for t in tables for c in (*message_candidates(t), *_column_candidates(t, together))]
+    candidates = [c for t in tables for c in (*message_candidates(t), *_column_candidates(t, clocks, together))]
     candidates += outputs(tables)
     candidates = [_with_units(_in_frame(c) if kind.name == "ros" else c) for c in candidates]
-    taken, lines = _choose(candidates, {id(table): _time_of(table) for table in tables})
+    main = _main_clock(candidates, clocks)
+    taken, lines = _choose(candidates, clocks, main)
     problem = _problem(taken, tables)
-    head += _style_line(options, kind.name) + times
+    head += _style_line(options, kind.name) + _clock_lines(tables, candidates, clocks, main)
     remarks = [f"# caveat: {table.topic}: {table.remark}" for table in tables if table.remark]
-    text = "\n".join([*head, *remarks, "signal = [", *lines, *_unknown(tables, candidates), "]"])
+    text = "\n".join([*head, *remarks, "signal = [", *lines, *_unknown(tables, candidates, clocks), "]"])
     return Guess(text + (f"\n# no fit: {problem}" if problem else "") + "\n", problem)
 
 
@@ -121,95 +121,32 @@ def _style_line(options: SourceOptions, kind: str) -> list[str]:
 # Times
 
 
-def _time_of(table: Table) -> str:
-    """The column of a table's time; "" where it has times of its own, or none."""
-    if table.t is not None:
-        return ""
-    for strict in (True, False):
-        for name in table.names:
-            plain = read_name(name).plain
-            if (plain in ("t", "time", "timestamp") if strict else _TIME.search(plain)) and _may_be_time(table, name):
-                return name
-    first = table.names[0]  # without a name to go by: a first column that rises evenly
-    return first if _may_be_time(table, first) and _is_even(table.numbers(first)) else ""
+def _main_clock(candidates: Sequence[Candidate], clocks: Clocks) -> Clock:
+    """The clock that [time] of the map has: of the first table with something in it."""
+    found = [clocks[id(candidate.table)] for candidate in candidates]
+    return next((clock for clock in (*found, *clocks.values()) if clock.column), Clock())
 
 
-def _is_even(values: Column) -> bool:
-    steps = np.diff(values)
-    return bool(len(steps) > 10 and np.all(steps > 0.0) and np.ptp(steps) < 0.5 * np.mean(steps))
-
-
-def _may_be_time(table: Table, name: str) -> bool:
-    try:
-        values = table.numbers(name)
-    except SeatrialError:  # dates are text
-        return True
-    good = values[np.isfinite(values)]
-    return len(good) > 1 and float(np.mean(np.diff(good) > 0.0)) > 0.5
-
-
-def _clock_lines(tables: Sequence[Table]) -> list[str]:
-    """The line of the map for the time; a caveat where the unit or everything about it is one."""
+def _clock_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> list[str]:
+    """The line of the map for the time, and a caveat for each clock that has one."""
     if not tables or all(table.t is not None for table in tables):
         return []
-    timed = [(table, column) for table in tables if (column := _time_of(table))]
-    if not timed:
+    if not main.column:
         return ["# caveat: no column of times found: its rate is a guess", "time = { rate_hz = 10.0 }"]
-    table, column = timed[0]
-    form, caveat = _time_format(table, column)
-    if not _TIME.search(read_name(column).plain):
-        caveat = "its first column rises evenly and is taken for the time"
-    return [f"# caveat: {caveat}"] * bool(caveat) + [
-        f"time = {{ column = {_quoted(column)}, format = {_quoted(form)} }}"
-    ]
-
-
-def _seconds(table: Table) -> Column | None:
-    """Times of the rows [s], (n,); None where they cannot be told."""
-    column = _time_of(table)
-    if not column:
-        return table.t
-    try:
-        return row_times(table, TimeColumn(column, _time_format(table, column)[0]))
-    except SeatrialError:
-        return None
-
-
-def _time_format(table: Table, column: str) -> tuple[str, str]:
-    try:
-        values = table.numbers(column)
-    except SeatrialError:
-        first = next((text for text in table.text(column) if text.strip()), "").strip()
-        try:
-            datetime.fromisoformat(first)
-            return "iso", ""
-        except ValueError:
-            if re.fullmatch(r"\d+:\d+:\d+(\.\d{1,6})?", first):
-                day = 'times of a day: say which, origin = "2025-05-01"; without it is that of 1970-01-01'
-                return "%H:%M:%S.%f" if "." in first else "%H:%M:%S", day
-            caveat = f"times like {first[:40]!r}: write their pattern (strptime), and fraction where they have one"
-            return "%d.%m.%Y %H:%M:%S", caveat
-    named = read_name(column).unit
-    if named in ("s", "ms", "us", "ns"):
-        return named, ""
-    top = float(np.nanmax(np.abs(values)))
-    for unit, since_1970 in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)):
-        if top > since_1970:
-            return unit, ""
-    if 7e5 < top < 8e5 and "date" in read_name(column).words:
-        return "datenum", ""
-    step = float(np.nanmedian(np.diff(values)))
-    if step >= 2e6:
-        return "ns", f"steps of {step:.4g} are taken for nanoseconds"
-    if step >= 2e3:
-        return "us", f"steps of {step:.4g} are taken for microseconds"
-    return ("ms", f"steps of {step:.4g} are taken for milliseconds") if step >= 2.0 else ("s", "")
+    caveats = [main.caveat] if main.caveat else []
+    for table in (candidate.table for candidate in candidates):
+        clock = clocks[id(table)]
+        if clock.caveat and clock != main:
+            place = f"{table.topic}, {clock.column!r}" if table.topic else repr(clock.column)
+            caveats.append(f"{place}: {clock.caveat}")
+    line = f"time = {{ column = {_quoted(main.column)}, format = {_quoted(main.form)} }}"
+    return [*(f"# caveat: {caveat}" for caveat in dict.fromkeys(caveats)), line]
 
 
 # Columns by their names
 
 
-def _columns(table: Table) -> Iterator[tuple[str, Name, frozenset[str], Column]]:
+def _columns(table: Table, clocks: Clocks) -> Iterator[tuple[str, Name, frozenset[str], Column]]:
     """The columns of numbers of a table without known messages, with what their names and the topic's say."""
     message = table.kind.rpartition("/")[2]
     alone = message in SCALARS and not table.kind.startswith("seatrial_msgs/")
@@ -217,7 +154,7 @@ def _columns(table: Table) -> Iterator[tuple[str, Name, frozenset[str], Column]]
     if (table.kind not in ("", "dbc") and not scalar) or SETPOINT.search(table.topic):
         return
     for column in table.names:
-        if column == _time_of(table):
+        if column == clocks[id(table)].column:
             continue
         try:
             values = table.numbers(column)
@@ -227,12 +164,12 @@ def _columns(table: Table) -> Iterator[tuple[str, Name, frozenset[str], Column]]
         yield column, name, name.words | (read_name(table.topic).words if scalar else frozenset()), values
 
 
-def _column_candidates(table: Table, together: Mapping[frozenset[str], Column]) -> Iterator[Candidate]:
+def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset[str], Column]) -> Iterator[Candidate]:
     """What the names of columns say, in tables without known messages; `together` has the numbers of left and right."""
     message = table.kind.rpartition("/")[2]
     names: dict[str, tuple[str, Name]] = {}
     numbers: dict[str, Column] = {}
-    for column, name, words, values in _columns(table):
+    for column, name, words, values in _columns(table, clocks):
         numbers[column] = values
         if column in FORCES:
             yield Candidate("force", 1, table, (Taken(column, (column,), FORCES[column], "", 'role = "input"'),))
@@ -248,7 +185,7 @@ def _column_candidates(table: Table, together: Mapping[frozenset[str], Column]) 
             yield Candidate(group, behind, table, (taken._replace(columns=(column,)),), caveat)
         elif name.meaning and name.meaning not in names:
             names[name.meaning] = column, name
-    yield from _motion(table, names, numbers)
+    yield from _motion(table, row_seconds(table, clocks[id(table)]), names, numbers)
 
 
 def _in_frame(candidate: Candidate) -> Candidate:
@@ -282,7 +219,9 @@ def _with_units(candidate: Candidate) -> Candidate:
     return candidate._replace(caveat="; ".join(part for part in (candidate.caveat, *caveats) if part))
 
 
-def _motion(table: Table, names: dict[str, tuple[str, Name]], numbers: dict[str, Column]) -> Iterator[Candidate]:
+def _motion(
+    table: Table, t: Column | None, names: dict[str, tuple[str, Name]], numbers: dict[str, Column]
+) -> Iterator[Candidate]:
     def pair(group: str, rank: int, a: str, b: str, unit: str, caveat: str = "") -> Iterator[Candidate]:
         if a in names and b in names:
             taken = tuple(Taken(n, (names[n][0],), names[n][1].unit or unit) for n in (a, b))
@@ -319,15 +258,15 @@ def _motion(table: Table, names: dict[str, tuple[str, Name]], numbers: dict[str,
         yield Candidate("heading", 0, table, (Taken("psi", (column,), unit, "", 'angle = "unwrap"'),), caveat)
     if "r" in names:
         column, name = names["r"]
-        unit, caveat = (name.unit, "") if name.unit else _rate_unit(table, numbers, column, names)
+        unit, caveat = (name.unit, "") if name.unit else _rate_unit(t, numbers, column, names)
         yield Candidate("rate", 0, table, (Taken("r", (column,), unit),), caveat)
 
 
 def _rate_unit(
-    table: Table, numbers: dict[str, Column], column: str, names: dict[str, tuple[str, Name]]
+    t: Column | None, numbers: dict[str, Column], column: str, names: dict[str, tuple[str, Name]]
 ) -> tuple[str, str]:
     """The unit of a yaw rate, by what the heading does in the same table where there is one."""
-    rate, t = numbers[column], _seconds(table)
+    rate = numbers[column]
     if "psi" in names and t is not None:
         psi, unit = numbers[names["psi"][0]], names["psi"][1].unit
         factor = UNITS[unit or ("deg" if np.nanmax(np.abs(psi), initial=0.0) > 6.6 else "rad")][1]
@@ -387,13 +326,12 @@ def _pulses(p: Mapping[str, float], node: int) -> tuple[str, str]:
 # The choice
 
 
-def _choose(candidates: Sequence[Candidate], clocks: dict[int, str]) -> tuple[list[Taken], list[str]]:
+def _choose(candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> tuple[list[Taken], list[str]]:
     """The best candidate for each signal as lines of the map, the others as comments behind them."""
 
     def order(c: Candidate) -> tuple[int, int]:
         return c.rank, -len(c.table)
 
-    main = next((clocks[id(c.table)] for c in candidates if clocks[id(c.table)]), "")
     taken: dict[str, Taken] = {}
     has_force = any(s.name in ("f_left", "f_right") for c in candidates for s in c.signals)
     found: dict[str, tuple[str, str]] = {}  # of each signal its line and the caveat about it
@@ -402,8 +340,10 @@ def _choose(candidates: Sequence[Candidate], clocks: dict[int, str]) -> tuple[li
         names = {signal.name for signal in candidate.signals}
         free = candidate.rank < BEHIND and not names & set(taken) and not (names == {"speed"} and "u" in taken)
         free &= not (candidate.group == "drive" and (has_force or candidate.table.vehicle not in (None, *BOATS)))
+        clock = clocks[id(candidate.table)]
+        free &= bool(candidate.table.t is not None or clock.column or not main.column)  # it has times, or none has
         for signal in candidate.signals:
-            line = _line(candidate.table, signal, clocks[id(candidate.table)], main)
+            line = _line(candidate.table, signal, clock, main)
             if free:
                 taken[signal.name], found[signal.name] = signal, (line, candidate.caveat)
             else:
@@ -417,7 +357,7 @@ def _choose(candidates: Sequence[Candidate], clocks: dict[int, str]) -> tuple[li
     return list(taken.values()), lines + (["  # also there:", *others] if others else [])
 
 
-def _line(table: Table, signal: Taken, clock: str, main: str) -> str:
+def _line(table: Table, signal: Taken, clock: Clock, main: Clock) -> str:
     """One signal as an inline table of TOML."""
     keys = [f"name = {_quoted(signal.name)}"]
     if table.topic:
@@ -427,12 +367,13 @@ def _line(table: Table, signal: Taken, clock: str, main: str) -> str:
         keys += [f"make = {_quoted(signal.make)}", f"{word}s = [{', '.join(_quoted(c) for c in signal.columns)}]"]
     else:
         keys += [f"{word} = {_quoted(signal.columns[0])}", f"unit = {_quoted(signal.unit)}"]
-    if clock and clock != main:
-        keys.append(f"time = {_quoted(clock)}")
+    if clock.column and (clock.column, clock.form) != (main.column, main.form):
+        keys.append(f"time = {_quoted(clock.column)}")
+        keys += [f"time_format = {_quoted(clock.form)}"] * (clock.form != main.form)
     return f"{{ {', '.join([*keys, *([signal.extra] if signal.extra else [])])} }}"
 
 
-def _unknown(tables: Sequence[Table], candidates: Sequence[Candidate]) -> list[str]:
+def _unknown(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: Clocks) -> list[str]:
     """Single numbers that nothing was made of, ready to be named."""
     used = {(id(c.table), column) for c in candidates for signal in c.signals for column in signal.columns}
     lines = []
@@ -440,14 +381,14 @@ def _unknown(tables: Sequence[Table], candidates: Sequence[Candidate]) -> list[s
         if table.kind and table.kind.rpartition("/")[2] not in ("Float64", "Float32", "dbc"):
             continue
         for column in table.names:
-            if not column or (id(table), column) in used or column == _time_of(table):
+            if not column or (id(table), column) in used or column == clocks[id(table)].column:
                 continue
             try:
                 values = table.numbers(column)
             except SeatrialError:
                 continue
             if np.isfinite(values).any():
-                line = _line(table, Taken("NAME", (column,), "1"), "", "")
+                line = _line(table, Taken("NAME", (column,), "1"), Clock(), Clock())
                 lines.append(f"  # {line},  # {np.nanmin(values):.4g} .. {np.nanmax(values):.4g}")
     if not lines:
         return []

@@ -159,6 +159,7 @@ _UNITS = {  # as they are written behind names -> as maps have them
     "rad/s": "rad/s", "rads": "rad/s", "rad_s": "rad/s", "m": "m", "m/s": "m/s", "mps": "m/s", "m_s": "m/s", "kn": "kn",
     "kts": "kn", "knots": "kn", "km/h": "km/h", "m/s2": "m/s2", "m/s^2": "m/s2", "g": "g", "1/s": "rev/s", "hz": "Hz",
     "rpm": "rev/min", "pwm": "us", "newton": "N", "nm": "Nm", "s": "s", "ms": "ms", "us": "us", "ns": "ns", "-": "1",
+    "sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "usec": "us", "µs": "us", "nsec": "ns",
 }  # fmt: skip
 _SUFFIX = re.compile(r"_(deg|degrees|rad|dps|deg_s|rads|rad_s|mps|m_s|kn|kts|knots|ms|us|ns|s|m)$")
 _BRACKET = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")

@@ -12,10 +12,12 @@ import pytest
 from click.testing import CliRunner
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.io import savemat
 
 from daq import cli
 from daq.errors import SeatrialError
 from daq.importers import guess
+from daq.importers.clocks import Clock, clock_of
 from daq.importers.guess import Guess, guess_map, outputs
 from daq.importers.import_files import import_files
 from daq.importers.recognise import read_name
@@ -148,6 +150,62 @@ def test_left_and_right_have_one_scale(tmp_path: Path, top: float) -> None:
 def test_controllers_have_one_scale() -> None:
     tables = [Table(Path("x"), f"esc_{k}", {"rpm": 1000.0 / k + 0 * TIME}, TIME, "Esc") for k in (1, 2)]
     assert {c.signals[0].extra.split(",")[0] for c in outputs(tables)} == {"scale = 0.001"}
+
+
+@pytest.mark.parametrize(
+    ("name", "times", "form", "caveat"),
+    [
+        ("time", TIME, "s", ""),
+        ("time", 1.7e9 + np.arange(N), "s", ""),
+        ("time", 1.7e9 + 5.0 * np.arange(N), "s", ""),
+        ("time", 1.7e12 + 100.0 * np.arange(N), "ms", ""),
+        ("time", 1.7e15 + 1e5 * np.arange(N), "us", ""),
+        ("time", 1.7e18 + 1e8 * np.arange(N), "ns", ""),
+        ("time", 1.5e9 + 2e4 * np.arange(N), "us", "steps of 2e+04 are taken for microseconds"),  # since its start
+        ("time", 1.5e12 + 2e7 * np.arange(N), "ns", "steps of 2e+07 are taken for nanoseconds"),
+        ("time", 739_000.5 + TIME / 86400.0, "datenum", ""),
+        ("time", 1.0 * np.arange(N), "s", "steps of 1 are taken for seconds"),
+        ("time", 1e-4 * np.arange(N), "s", "steps of 0.0001 are taken for seconds"),
+        ("time [min]", TIME, "s", "'min' behind 'time [min]' is not taken for a unit of time"),
+        ("time [sec]", TIME, "s", ""),
+        ("time (UTC)", TIME, "s", ""),
+        ("t [µs]", 1e5 * TIME, "us", ""),
+        ("utc", 120000.0 + TIME, "s", "of a time of day, hhmmss, it is"),
+        ("utc", np.append(55.0 + np.arange(5), 100.0 + np.arange(10)), "s", "of a time of day, hhmmss, it is"),
+        ("t", 12000.0 + 5.0 * TIME, "s", "of a time of day, hhmmss, it is"),
+        ("t", 12050.0 + 5.0 * TIME, "s", ""),  # no minute has more than 59 seconds
+    ],
+)  # fmt: skip
+def test_the_unit_of_a_time(name: str, times: np.ndarray, form: str, caveat: str) -> None:
+    clock = clock_of(Table(Path("x"), "", {name: times, "yaw": 200.0 + times}))
+    assert (clock.column, clock.form) == (name, form)
+    assert caveat in clock.caveat
+    assert bool(caveat) == bool(clock.caveat)
+
+
+def test_a_first_column_that_is_a_command_or_a_signal_is_no_time() -> None:
+    for name in ("PWM (µs)", "yaw"):
+        assert clock_of(Table(Path("x"), "", {name: TIME, "force": TIME})) == Clock()
+    assert clock_of(Table(Path("x"), "", {"k": TIME, "yaw": TIME})).caveat.startswith("its first column rises evenly")
+
+
+def test_each_table_has_its_own_clock(tmp_path: Path) -> None:
+    """Two names that are one, in s and ms; and a table in front of which nothing is taken."""
+    battery = {"t_batt": np.arange(7.0), "volts": 12.0 + np.arange(7.0)}
+    path = tmp_path / "run.mat"
+    savemat(path, {
+        **battery, "t": TIME, "x": TIME, "y": TIME, "cmd_left": np.sin(TIME), "cmd_right": np.cos(TIME),
+        "imu": {"t": 50.0 * np.arange(40), "yaw": 200.0 + np.arange(40)}, "yaw_rate": np.arange(11.0),
+    })  # fmt: skip
+    found = guessed(path)
+    text = guess_map(path).text
+    assert tomllib.loads(text)["time"] == {"column": "t", "format": "s"}
+    assert (found["psi"]["time"], found["psi"]["time_format"]) == ("t", "ms")
+    assert "# caveat: imu, 't': steps of 50 are taken for milliseconds" in text
+    assert "r" not in found  # it has no times
+    assert '# { name = "r", column = "yaw_rate"' in text
+    log = tmp_path / "run.mcap"
+    assert [values(log, name)[0][-1] for name in ("x", "n_left", "psi")] == pytest.approx([2.9, 2.9, 1.95])
 
 
 def test_times_of_a_day_are_imported(tmp_path: Path) -> None:

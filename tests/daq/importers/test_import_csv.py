@@ -45,6 +45,15 @@ def test_a_file_becomes_a_log(folder: Path) -> None:
     assert log.events() == [(0.0, "import", "run.csv by map.toml")]
 
 
+def test_a_clock_of_its_own_with_a_format_of_its_own(folder: Path) -> None:
+    rows = "t,t_ms,cmd,heading\n0.0,100,0.5,170\n0.1,200,0.6,171\n"
+    (out,) = import_files(*write(folder, rows, signal='time = "t_ms"\ntime_format = "ms"'))
+    assert (values(out, "psi")[0], values(out, "n_left")[0]) == ([0.1, 0.2], [0.0, 0.1])
+    for signal, message in (('time_format = "ms"', "needs time"), ('time = "t_ms"\ntime_format = "h"', "must be s,")):
+        with pytest.raises(SeatrialError, match=rf"signal\[1\]\.time_format: {message}"):
+            import_files(*write(folder, rows, signal=signal))
+
+
 def test_what_is_read_is_never_replaced(folder: Path) -> None:
     """With --force too: neither the source, which may stand where its log would go, nor the map."""
     csv_map, (file,) = write(folder)
