@@ -43,6 +43,7 @@ _NED = re.compile(
 )  # topics, types and frames of ROS that are
 SCALARS = ("Float64", "Float32", "Float64Stamped", "Float32Stamped", "Scalar")  # messages that only their topics name
 MOST_LISTED = 12  # signals that were not recognised and are offered all the same
+TURN = 6.6  # rad: a whole turn and a little
 Clocks = Mapping[int, Clock]  # of each table, by its id
 BOATS = {10, 11, 12}  # MAV_TYPE: rover (ArduPilot's boats too), boat, submarine
 
@@ -234,32 +235,60 @@ def _motion(
         unit = names["lat"][1].unit or ("degE7" if top > 1e4 else "deg")
         extra = f'units = ["{unit}", "{unit}"]' if unit != "deg" else ""
         signals = (Taken("x", both, "", "north", extra), Taken("y", both, "", "east", extra))
-        yield Candidate("position", 1, table, signals)
+        if unit == "deg" and top > 90.0:
+            yield Candidate("position", BEHIND, table, signals, f"no latitude in degrees is {top:.7g}; ddmm.mmmm?")
+        else:
+            yield Candidate("position", 1, table, signals)
     plain = names["vx"][1].plain if "vx" in names else ""
     unclear = plain in ("vel_x", "velocity_x", "speed_x")
     caveat = "vel_x and vel_y are taken for north and east; ahead and to starboard are u and v" if unclear else ""
     yield from pair("velocity", 0, "vx", "vy", "m/s", caveat)
     yield from pair("body", 0, "u", "v", "m/s")
-    yield from pair("acceleration", 0, "ax", "ay", "m/s2")
-    if "speed" in names and "course" in names:
-        both = (names["speed"][0], names["course"][0])
-        radians = float(np.nanmax(np.abs(numbers[both[1]]), initial=0.0)) < 6.3
-        course = names["course"][1].unit or ("rad" if radians else "deg")
-        units = f'units = ["{names["speed"][1].unit or "m/s"}", "{course}"]'
-        signals = (Taken("vx", both, "", "velocity_north", units), Taken("vy", both, "", "velocity_east", units))
-        yield Candidate("velocity", 1, table, signals)
-    elif "speed" in names and "u" not in names:
-        yield Candidate("body", 2, table, (Taken("speed", (names["speed"][0],), names["speed"][1].unit or "m/s"),))
+    known = all(names[n][1].unit for n in ("ax", "ay") if n in names)
+    yield from pair(
+        "acceleration", 0, "ax", "ay", "m/s2", "" if known else "accelerations are taken for m/s2, not for g"
+    )
+    if "speed" in names:
+        column, name = names["speed"]
+        speed = name.unit or "m/s"
+        caveat = (
+            "" if name.unit else f"a speed of at most {np.nanmax(numbers[column], initial=0.0):.3g} is taken for m/s"
+        )
+        if "course" in names:
+            both = (column, names["course"][0])
+            course, also = _angle_unit(names["course"][1], numbers[both[1]])
+            units = f'units = ["{speed}", "{course}"]'
+            signals = (Taken("vx", both, "", "velocity_north", units), Taken("vy", both, "", "velocity_east", units))
+            yield Candidate("velocity", 1, table, signals, "; ".join(part for part in (caveat, also) if part))
+        elif "u" not in names:
+            yield Candidate("body", 2, table, (Taken("speed", (column,), speed),), caveat)
     if "psi" in names:
         column, name = names["psi"]
-        top = float(np.nanmax(np.abs(numbers[column]), initial=0.0))
-        unit = name.unit or ("deg" if top > 6.6 else "rad")
-        caveat = "" if name.unit or top > 6.6 else f"an angle of at most {top:.2f} is taken for radians"
+        unit, caveat = _angle_unit(name, numbers[column])
         yield Candidate("heading", 0, table, (Taken("psi", (column,), unit, "", 'angle = "unwrap"'),), caveat)
     if "r" in names:
         column, name = names["r"]
         unit, caveat = (name.unit, "") if name.unit else _rate_unit(t, numbers, column, names)
         yield Candidate("rate", 0, table, (Taken("r", (column,), unit),), caveat)
+
+
+def _angle_unit(name: Name, values: Column) -> tuple[str, str]:
+    """The unit of a heading or a course, and the caveat about it. Only a jump by a whole turn, or a start beyond one,
+    tells degrees from radians that somebody has unwrapped."""
+    good = values[np.isfinite(values)]
+    if name.unit or not len(good):
+        return name.unit or "rad", ""
+    top, first = float(np.max(np.abs(good))), abs(float(good[0]))
+    if top <= TURN:
+        return "rad", f"an angle of at most {top:.2f} is taken for radians"
+    jump = float(np.max(np.abs(np.diff(good)), initial=0.0))
+    for unit, turn in (("deg", 360.0), ("cdeg", 36000.0)):
+        if top <= 1.01 * turn and jump > 0.8 * turn:
+            return unit, ""
+    if first > 720.0:
+        return "cdeg", f"an angle that begins at {first:.5g} is taken for centidegrees"
+    caveat = f"an angle of up to {top:.5g}, without a jump by a turn, is taken for degrees"
+    return "deg", "" if TURN < first <= 360.0 and top <= 720.0 else caveat
 
 
 def _rate_unit(
@@ -268,8 +297,9 @@ def _rate_unit(
     """The unit of a yaw rate, by what the heading does in the same table where there is one."""
     rate = numbers[column]
     if "psi" in names and t is not None:
-        psi, unit = numbers[names["psi"][0]], names["psi"][1].unit
-        factor = UNITS[unit or ("deg" if np.nanmax(np.abs(psi), initial=0.0) > 6.6 else "rad")][1]
+        psi = numbers[names["psi"][0]]
+        unit, guessed = _angle_unit(names["psi"][1], psi)
+        factor = UNITS[unit][1]
         known = np.isfinite(t) & np.isfinite(psi) & np.isfinite(rate)
         step = np.diff(t[known])
         turned = np.diff(np.unwrap(factor * psi[known]))[step > 0.0] / step[step > 0.0]
@@ -278,8 +308,10 @@ def _rate_unit(
             follows = float(np.corrcoef(turned, size)[0, 1]) if len(size) > 1 else 0.0
         if abs(follows) > 0.5:
             slope = abs(follows) * np.std(turned) / np.std(size)  # 1, or pi/180 where the column has degrees
-            caveat = "" if follows > 0.0 else "it is against the heading: sign = -1?"
-            return ("deg/s" if slope < np.radians(1.0) ** 0.5 else "rad/s"), caveat
+            found = "deg/s" if slope < np.radians(1.0) ** 0.5 else "rad/s"
+            caveats = [f"{found} if the heading is in {unit}"] * bool(guessed)
+            caveats += ["it is against the heading: sign = -1?"] * (follows < 0.0)
+            return found, "; ".join(caveats)
     top = float(np.nanmax(np.abs(rate), initial=0.0))
     unit = "deg/s" if top > 6.0 else "rad/s"
     return unit, f"a yaw rate of at most {top:.3g} is taken for {unit}"
@@ -347,7 +379,8 @@ def _choose(candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> tup
             if free:
                 taken[signal.name], found[signal.name] = signal, (line, candidate.caveat)
             else:
-                others.append(f"  # {line},")
+                why = f"  # {candidate.caveat}" if candidate.caveat and candidate.rank >= BEHIND else ""
+                others.append(f"  # {line},{why}")
     places = {name: k for k, name in enumerate(NAMES)}
     lines, said = [], ""
     for name in sorted(found, key=lambda name: (places.get(name, len(places)), name)):

@@ -216,10 +216,43 @@ def test_times_of_a_day_are_imported(tmp_path: Path) -> None:
     assert values(tmp_path / "run.mcap", "psi")[0] == [43200.0 + k for k in range(N)]
 
 
+@pytest.mark.parametrize(
+    ("values", "unit", "caveat"),
+    [
+        (np.mod(300.0 + 10.0 * np.arange(N), 360.0), "deg", ""),  # it jumps
+        (200.0 + TIME, "deg", ""),  # it begins beyond a turn
+        (0.5 * np.arange(N), "deg", "an angle of up to 14.5, without a jump by a turn, is taken for degrees"),
+        (5.0 + 100.0 * np.arange(N), "deg", "an angle of up to 2905, without a jump"),
+        (TIME, "rad", "an angle of at most 2.90 is taken for radians"),
+        (np.mod(30000.0 + 1000.0 * np.arange(N), 36000.0), "cdeg", ""),
+        (20000.0 + TIME, "cdeg", "an angle that begins at 20000 is taken for centidegrees"),
+    ],
+)
+def test_the_unit_of_an_angle(guess_of: Guessing, values: np.ndarray, unit: str, caveat: str) -> None:
+    text = guess_of("matlab", Table(Path("x"), "", {"hdg": values}, TIME)).text
+    assert tomllib.loads(text)["signal"][0]["unit"] == unit
+    assert (f"# caveat: {caveat}" in text) if caveat else ("# caveat" not in text)
+    text = guess_of("matlab", Table(Path("x"), "", {"sog [kn]": TIME, "cog": values}, TIME)).text
+    assert tomllib.loads(text)["signal"][0]["units"] == ["kn", unit]
+    assert bool(caveat) == ("# caveat" in text)
+
+
+def test_units_that_no_name_says_have_caveats(guess_of: Guessing) -> None:
+    columns = {"sog": TIME, "acc_x": TIME, "acc_y": TIME, "lat": 3845.95 + TIME, "lon": 9012.5 + TIME}
+    text = guess_of("matlab", Table(Path("x"), "", columns, TIME)).text
+    assert "# caveat: a speed of at most 2.9 is taken for m/s\n" in text
+    assert "# caveat: accelerations are taken for m/s2, not for g\n" in text
+    assert {signal["name"] for signal in tomllib.loads(text)["signal"]} == {"speed", "ax", "ay"}
+    assert "# no latitude in degrees is 3848.85; ddmm.mmmm?" in text
+    known = {f"{name} [{unit}]": TIME for name, unit in (("sog", "kn"), ("acc_x", "g"), ("acc_y", "g"), ("cog", "deg"))}
+    assert "# caveat" not in guess_of("matlab", Table(Path("x"), "", known, TIME)).text
+
+
 def test_the_unit_of_a_rate_is_told_by_the_heading(tmp_path: Path) -> None:
     psi = 60.0 * np.sin(0.8 * TIME)  # deg, 10 Hz
     degrees = {"t": TIME, "yaw": psi, "yaw_rate": 48.0 * np.cos(0.8 * TIME)}
     assert guessed(write(tmp_path, degrees))["r"]["unit"] == "deg/s"
+    assert "# caveat: deg/s if the heading is in deg\n" in guess_map(tmp_path / "run.csv").text
     radians = {**degrees, "yaw_rate": np.radians(degrees["yaw_rate"])}
     assert guessed(write(tmp_path, radians))["r"]["unit"] == "rad/s"
     against = {**radians, "yaw_rate": -radians["yaw_rate"]}
