@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,14 +19,16 @@ from daq.importers.recognise import (
     DRIVES,
     NAMES,
     PULSES,
+    SET_POINTS,
     SETPOINT,
-    SIDES,
     Candidate,
     Name,
     Taken,
     drive,
     message_candidates,
+    quantity,
     read_name,
+    without_unit,
 )
 from daq.importers.sources import source_kind, text_head
 from daq.importers.table import Column, SourceOptions, Table
@@ -36,7 +38,9 @@ from daq.log import LOG_FORMAT, open_log
 
 MOTION = ("x", "vx", "u", "psi", "r", "speed")
 FORCES = {"X": "N", "N": "Nm"}  # force ahead and moment, by the letters of the literature
+LETTERS = {"X": "force ahead", "N": "moment"}
 LEFT_THROTTLE, RIGHT_THROTTLE = 73.0, 74.0  # SERVOn_FUNCTION of ArduPilot
+FUNCTIONS = {26.0: "steering", 70.0: "throttle", LEFT_THROTTLE: "throttle left", RIGHT_THROTTLE: "throttle right"}
 PULSE_US = (("MIN", 1100.0), ("TRIM", 1500.0), ("MAX", 1900.0))  # SERVOn_..., us, and what they are by default
 _NED = re.compile(
     r"(?i)(?<![a-z])(ned|frd)(?![a-z])|px4_msgs|seatrial_msgs"
@@ -79,7 +83,7 @@ def guess_map(path: Path) -> Guess:
     for table in tables:
         for _, _, words, values in _columns(table, clocks):
             if words & DRIVES:
-                drives.setdefault(words - SIDES, []).append(values)
+                drives.setdefault(quantity(words), []).append(values)
     together = {words: np.concatenate(values) for words, values in drives.items()}
     candidates = [c for t in tables for c in (*message_candidates(t), *_column_candidates(t, clocks, together))]
     candidates += outputs(tables)
@@ -170,23 +174,39 @@ def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset
     message = table.kind.rpartition("/")[2]
     names: dict[str, tuple[str, Name]] = {}
     numbers: dict[str, Column] = {}
+    letters = {without_unit(column) for column in table.names}
     for column, name, words, values in _columns(table, clocks):
         numbers[column] = values
-        if column in FORCES:
-            yield Candidate("force", 1, table, (Taken(column, (column,), FORCES[column], "", 'role = "input"'),))
+        letter = without_unit(column)
+        if letter in FORCES or (letter == "E" and "N" in letters):
+            stated = name.unit or name.no_unit
+            if axis := _axis(letter, letters, stated):
+                names.setdefault(axis, (column, name._replace(meaning=axis)))
+            elif letter in FORCES:
+                unit = stated if UNITS.get(stated, ("",))[0] == FORCES[letter] else FORCES[letter]
+                caveat = "" if unit == stated else f"{letter} is taken for the {LETTERS[letter]} in {unit}"
+                yield Candidate("force", 1, table, (Taken(letter, (column,), unit, "", 'role = "input"'),), caveat)
             continue
-        found = drive(words, together.get(words - SIDES, values), name.unit) if np.isfinite(values).any() else None
+        found = drive(words, together.get(quantity(words), values), name.unit) if np.isfinite(values).any() else None
         if (
             found is not None
             and (not name.meaning or "velocity" in words)
             and (message != "JointState" or "velocity" in words)
         ):
             group, taken, caveat = found
-            behind = 1 if message == "JointState" else 0
-            yield Candidate(group, behind, table, (taken._replace(columns=(column,)),), caveat)
+            behind = (message == "JointState") + bool(words & SET_POINTS)
+            signals = (taken._replace(columns=(column,)),)
+            yield Candidate(group, behind, table, signals, caveat, quantity(words))
         elif name.meaning and name.meaning not in names:
             names[name.meaning] = column, name
     yield from _motion(table, row_seconds(table, clocks[id(table)]), names, numbers)
+
+
+def _axis(letter: str, letters: Collection[str], stated: str) -> str:
+    """x or y where a capital of this name is a position, by its unit or by the letters beside it; "" where none is."""
+    beside = (letter == "X" and "Y" in letters and "N" not in letters) or (letter != "X" and {"N", "E"} <= set(letters))
+    is_length = UNITS.get(stated, ("",))[0] == "m"
+    return ("y" if letter == "E" else "x") if is_length or (beside and not stated) else ""
 
 
 def _in_frame(candidate: Candidate) -> Candidate:
@@ -216,7 +236,12 @@ def _also(signal: Taken, key: str) -> Taken:
 def _with_units(candidate: Candidate) -> Candidate:
     """A candidate with a caveat where a unit in the name of a column is none that its signal can have."""
     columns = {column: read_name(column).no_unit for signal in candidate.signals for column in signal.columns}
-    caveats = [f"{text!r} behind {column!r} is not taken for a unit" for column, text in columns.items() if text]
+    units = {signal.unit for signal in candidate.signals}
+    caveats = [
+        f"{text!r} behind {column!r} is not taken for a unit"
+        for column, text in columns.items()
+        if text and text not in units
+    ]
     return candidate._replace(caveat="; ".join(part for part in (candidate.caveat, *caveats) if part))
 
 
@@ -228,7 +253,10 @@ def _motion(
             taken = tuple(Taken(n, (names[n][0],), names[n][1].unit or unit) for n in (a, b))
             yield Candidate(group, rank, table, taken, caveat)
 
-    yield from pair("position", 0, "x", "y", "m")
+    capital = "x" in names and names["x"][0] == "X"
+    yield from pair(
+        "position", 0, "x", "y", "m", 'X is taken for a position; a force has unit = "N"' if capital else ""
+    )
     if "lat" in names and "lon" in names:
         both = (names["lat"][0], names["lon"][0])
         top = float(np.nanmax(np.abs(numbers[both[0]]), initial=0.0))
@@ -321,11 +349,14 @@ def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
     """Outputs of an autopilot, left and right by its parameters or else 1 and 3, as ArduPilot has them; controllers."""
     nodes = {int(table.topic.rpartition("_")[2]): table for table in tables if table.kind == "Servo"}
     p = tables[0].parameters if tables else {}
-    told = {p.get(f"SERVO{node}_FUNCTION"): node for node in nodes}
-    left, right = (told.get(function, usual) for function, usual in ((LEFT_THROTTLE, 1), (RIGHT_THROTTLE, 3)))
+    functions = _functions(tables)
+    told = {function: node for node, function in functions.items()}
+    # Where the log says what any output does, those that it does not call a left and a right throttle are none.
+    left, right = (told.get(LEFT_THROTTLE), told.get(RIGHT_THROTTLE)) if functions else (1, 3)
     for node, name in ((left, "n_left"), (right, "n_right")) if {left, right} <= set(nodes) else ():
+        assert node is not None
         known = "n" in nodes[node].columns  # by a rig
-        by_parameters = LEFT_THROTTLE in told and RIGHT_THROTTLE in told and f"SERVO{node}_TRIM" in p
+        by_parameters = bool(functions) and f"SERVO{node}_TRIM" in p
         extra, caveat = _pulses(p, node) if by_parameters else (PULSES, CAVEATS["RCOut"])
         taken = Taken(name, ("n" if known else "pwm",), "1", "", 'role = "input"' if known else extra)
         yield Candidate("drive", 0, nodes[node], (taken,), "" if known else caveat)
@@ -340,6 +371,13 @@ def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
         yield Candidate("drive", 1, table, (taken,), caveat)
 
 
+def _functions(tables: Sequence[Table]) -> dict[int, float]:
+    """SERVOn_FUNCTION of the outputs in an autopilot's log, by n, as far as the log has them."""
+    p = tables[0].parameters if tables else {}
+    nodes = sorted(int(table.topic.rpartition("_")[2]) for table in tables if table.kind == "Servo")
+    return {node: p[key] for node in nodes if (key := f"SERVO{node}_FUNCTION") in p}
+
+
 def _node_of(table: Table) -> tuple[int, str]:
     """The number of a controller, and its whole topic, which has the bus in front where there are several."""
     return int(table.topic.rpartition("_")[2]), table.topic
@@ -348,6 +386,8 @@ def _node_of(table: Table) -> tuple[int, str]:
 def _pulses(p: Mapping[str, float], node: int) -> tuple[str, str]:
     """The scale of an output by its own parameters, and the caveat about it."""
     low, rest, high = (p.get(f"SERVO{node}_{word}", usual) for word, usual in PULSE_US)
+    if not low < high:
+        return PULSES, f"SERVO{node}_MIN is not below SERVO{node}_MAX: {CAVEATS['RCOut']}"
     scale = (-2.0 if p.get(f"SERVO{node}_REVERSED", 0.0) else 2.0) / (high - low)
     ends = abs(scale) * (high - rest), abs(scale) * (low - rest)
     caveat = f"SERVO{node}_TRIM is not in the middle: full is {ends[0]:.3g} and {ends[1]:.3g}; name a [mavlink] rig"
@@ -361,9 +401,16 @@ def _pulses(p: Mapping[str, float], node: int) -> tuple[str, str]:
 def _choose(candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> tuple[list[Taken], list[str]]:
     """The best candidate for each signal as lines of the map, the others as comments behind them."""
 
-    def order(c: Candidate) -> tuple[int, int]:
-        return c.rank, -len(c.table)
+    sides: dict[frozenset[str], set[str]] = {}
+    for c in candidates:
+        sides.setdefault(c.quantity, set()).update(signal.name for signal in c.signals)
 
+    def order(c: Candidate) -> tuple[int, int]:
+        """A thruster without the one of the other side stands behind a pair."""
+        single = c.quantity and len({"n_left", "n_right", "f_left", "f_right"} & sides[c.quantity]) == 1
+        return c.rank + 2 * bool(single), -len(c.table)
+
+    quantities: dict[str, frozenset[str]] = {}  # of the thrusters that were taken, by their group
     taken: dict[str, Taken] = {}
     has_force = any(s.name in ("f_left", "f_right") for c in candidates for s in c.signals)
     found: dict[str, tuple[str, str]] = {}  # of each signal its line and the caveat about it
@@ -372,8 +419,11 @@ def _choose(candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> tup
         names = {signal.name for signal in candidate.signals}
         free = candidate.rank < BEHIND and not names & set(taken) and not (names == {"speed"} and "u" in taken)
         free &= not (candidate.group == "drive" and (has_force or candidate.table.vehicle not in (None, *BOATS)))
+        free &= not candidate.quantity or quantities.get(candidate.group, candidate.quantity) == candidate.quantity
         clock = clocks[id(candidate.table)]
         free &= bool(candidate.table.t is not None or clock.column or not main.column)  # it has times, or none has
+        if free and candidate.quantity:
+            quantities[candidate.group] = candidate.quantity
         for signal in candidate.signals:
             line = _line(candidate.table, signal, clock, main)
             if free:
@@ -438,6 +488,12 @@ def _problem(taken: Sequence[Taken], tables: Sequence[Table]) -> str:
     if not names & set(MOTION):
         return "no position, velocity, heading or yaw rate was recognised"
     if not ({"n_left", "n_right"} <= names or {"f_left", "f_right"} <= names or names & {"n", "X", "N"}):
+        functions = _functions(tables)
+        if functions and not {LEFT_THROTTLE, RIGHT_THROTTLE} <= set(functions.values()):
+            said = (
+                f"SERVO{n}_FUNCTION {f:g}{f' ({FUNCTIONS[f]})' if f in FUNCTIONS else ''}" for n, f in functions.items()
+            )
+            return f"its outputs are no left and right throttles: {', '.join(said)}"
         half = names & {"n_left", "n_right", "f_left", "f_right"}
         return (
             f"only {', '.join(sorted(half))} of the thrusters was recognised"

@@ -127,6 +127,85 @@ def test_a_unit_that_is_none_is_a_caveat(tmp_path: Path) -> None:
     assert "  # caveat: 'm' behind 'heading [m]' is not taken for a unit\n" in text
 
 
+def thrusters(guess: Guess) -> dict[str, tuple[str, str, str]]:
+    """Column, unit and hold of each signal of a guess."""
+    signals = tomllib.loads(guess.text)["signal"]
+    usual = {"input": "zero", "output": "linear"}
+    return {
+        s["name"]: (s["column"], s["unit"], s.get("hold", usual[s.get("role", "output")])) for s in signals
+    }  # fmt: skip
+
+
+def columns(*names: str, top: float = 40.0) -> Table:
+    """Columns that swing up to about `top`."""
+    return Table(Path("x"), "", {name: top * np.sin(TIME + k) for k, name in enumerate(names)}, TIME)
+
+
+@pytest.mark.parametrize(
+    ("names", "found", "caveat"),
+    [
+        (("X", "Y"), {"x": ("X", "m", "linear"), "y": ("Y", "m", "linear")}, "X is taken for a position"),
+        (("N", "E"), {"x": ("N", "m", "linear"), "y": ("E", "m", "linear")}, ""),
+        (("X [m]", "Y [m]"), {"x": ("X [m]", "m", "linear"), "y": ("Y [m]", "m", "linear")}, ""),
+        (("X", "N"), {"X": ("X", "N", "zero"), "N": ("N", "Nm", "zero")}, "X is taken for the force ahead in N"),
+        (("X", "Y", "N"), {"X": ("X", "N", "zero"), "N": ("N", "Nm", "zero")}, "N is taken for the moment in Nm"),
+        (("X [kgf]", "N [Nm]"), {"X": ("X [kgf]", "kgf", "zero"), "N": ("N [Nm]", "Nm", "zero")}, ""),
+    ],
+)
+def test_capitals_are_forces_or_a_position(
+    guess_of: Guessing, names: tuple[str, ...], found: dict[str, tuple[str, str, str]], caveat: str
+) -> None:
+    guess = guess_of("matlab", columns(*names))
+    assert thrusters(guess) == found
+    assert (f"# caveat: {caveat}" in guess.text) if caveat else ("# caveat" not in guess.text)
+
+
+@pytest.mark.parametrize(
+    ("name", "top", "found", "caveat"),
+    [
+        ("thrust_left [%]", 40.0, ("n_left", "%", "zero"), ""),
+        ("thrust_left [%]", 0.9, ("n_left", "%", "zero"), "its numbers are at most 0.9: percent, or a share of 1?"),
+        ("thrust_left [N]", 40.0, ("f_left", "N", "zero"), ""),
+        ("thrust_left", 40.0, ("f_left", "N", "zero"), "its numbers, up to 40, are taken for newtons"),
+        ("f_left", 40.0, ("f_left", "N", "zero"), "its numbers, up to 40, are taken for newtons"),
+        ("thrust_left [us]", 1900.0, ("n_left", "1", "zero"), "1500 us is taken for rest"),
+        ("thrust_left [rpm]", 900.0, ("n_left", "1", "linear"), "its greatest number, 900, is taken for full ahead; "
+         'taken for a measured shaft speed; a command has hold = "zero"'),
+        ("rpm_left", 900.0, ("n_left", "1", "linear"), "its greatest number, 900, is taken for full ahead; taken"),
+        ("rpm_cmd_left", 900.0, ("n_left", "1", "zero"), "its greatest number, 900, is taken for full ahead\n"),
+        ("cmd_left", 0.9, ("n_left", "1", "zero"), ""),
+        ("n_left", 0.9, ("n_left", "1", "zero"), ""),
+        ("n", 0.9, ("n", "1", "zero"), ""),
+        ("n_sat", 9.0, None, ""),
+        ("n_satellites", 9.0, None, ""),
+        ("n_bytes", 9.0, None, ""),
+        ("motor_left [W]", 90.0, None, ""),
+        ("motor_left [deg]", 90.0, None, ""),
+    ],
+)  # fmt: skip
+def test_the_numbers_of_a_thruster(
+    guess_of: Guessing, name: str, top: float, found: tuple[str, str, str] | None, caveat: str
+) -> None:
+    guess = guess_of("matlab", Table(Path("x"), "", {name: np.linspace(0.5 * top, top, N)}, TIME))
+    assert thrusters(guess) == ({} if found is None else {found[0]: (name, *found[1:])})
+    assert (f"# caveat: {caveat}" in guess.text) if caveat else ("# caveat" not in guess.text)
+
+
+def test_left_and_right_are_of_one_quantity(guess_of: Guessing) -> None:
+    """A measurement before its set-point, a pair before a single one, whatever comes first."""
+    names = ("rpm_left_setpoint", "rpm_left", "rpm_right", "rpm_right_setpoint")
+    found = thrusters(guess_of("matlab", columns(*names, top=500.0)))
+    assert found == {"n_left": ("rpm_left", "1", "linear"), "n_right": ("rpm_right", "1", "linear")}
+    found = thrusters(guess_of("matlab", columns("duty_left", "cmd_right", "cmd_left", top=1.0)))
+    assert {name: one[0] for name, one in found.items()} == {"n_left": "cmd_left", "n_right": "cmd_right"}
+    found = thrusters(guess_of("matlab", columns("duty_left", "cmd_right", top=1.0)))
+    assert len(found) == 1
+    found = thrusters(guess_of("matlab", columns("motor_left_setpoint", "motor_right_setpoint", top=1.0)))
+    assert found["n_left"] == ("motor_left_setpoint", "1", "zero")
+    found = thrusters(guess_of("matlab", columns("motor_1_left", "motor_2_right", top=1.0)))
+    assert set(found) == {"n_left", "n_right"}
+
+
 def test_no_pulse_is_a_thruster_at_rest(tmp_path: Path) -> None:
     """Disarmed, an autopilot sends none; the last command does not hold until the end."""
     pulses = np.where(TIME < 1.0, 1900.0, 0.0)
@@ -277,6 +356,35 @@ def test_the_parameters_of_an_autopilot_tell_its_outputs() -> None:
         table.parameters = {}
     found = {c.signals[0].name: (c.table.topic, bool(c.caveat)) for c in outputs(tables)}
     assert found == {"n_left": ("servo_1", True), "n_right": ("servo_3", True)}
+
+
+@pytest.mark.parametrize(
+    ("parameters", "problem"),
+    [
+        ({"SERVO1_FUNCTION": 26.0, "SERVO3_FUNCTION": 70.0},
+         "SERVO1_FUNCTION 26 (steering), SERVO3_FUNCTION 70 (throttle)"),
+        ({"SERVO3_FUNCTION": 73.0}, "SERVO3_FUNCTION 73 (throttle left)"),
+        ({"SERVO1_FUNCTION": 33.0, "SERVO2_FUNCTION": 34.0}, "SERVO1_FUNCTION 33, SERVO2_FUNCTION 34"),
+    ],
+)  # fmt: skip
+def test_outputs_that_are_no_left_and_right_throttle(
+    guess_of: Guessing, parameters: dict[str, float], problem: str
+) -> None:
+    pulses = {"pwm": 1500.0 + TIME}
+    tables = [Table(Path("x"), f"servo_{k}", pulses, TIME, "Servo", parameters=parameters) for k in (1, 2, 3)]
+    assert not list(outputs(tables))
+    attitude = Table(Path("x"), "ahrs", {"yaw": TIME}, TIME, "Ahrs", parameters=parameters)
+    guess = guess_of("mavlink", *tables, attitude)
+    assert guess.problem == f"its outputs are no left and right throttles: {problem}"
+
+
+def test_an_output_without_a_range_has_the_usual_one() -> None:
+    parameters = {**PARAMETERS, "SERVO2_MIN": 1500.0, "SERVO2_MAX": 1500.0}
+    pulses = {"pwm": 1500.0 + TIME}
+    tables = [Table(Path("x"), f"servo_{k}", pulses, TIME, "Servo", parameters=parameters) for k in (1, 2)]
+    (left,) = (c for c in outputs(tables) if c.signals[0].name == "n_left")
+    assert left.caveat.startswith("SERVO2_MIN is not below SERVO2_MAX: ")
+    assert left.signals[0].extra.startswith("scale = 0.0025, offset = -3.75")
 
 
 PARAMETERS = {
