@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from daq.errors import SeatrialError, SeatrialWarning
 from daq.importers.guess import guess_map
 from daq.importers.import_files import import_files
-from daq.importers.ros import read_bag
+from daq.importers.ros import _Topic, read_bag
 from daq.importers.table import SourceOptions
 from daq.log.reader import Log, open_log
 from daq.samples import Ahrs, Gnss, Scalar
@@ -181,6 +182,36 @@ def test_joints_and_stamps_of_another_clock(tmp_path: Path) -> None:
     line = '{ name = "n_left", topic = "/joint_states", field = "velocity.left_engine", unit = "1" }'
     with pytest.warns(SeatrialWarning, match="/joint_states: its stamps are of another clock"):
         signals(path, tmp_path, line).close()
+
+
+def test_messages_in_a_message_and_fields_that_come_late(tmp_path: Path) -> None:
+    """As telemetry of several controllers; the second one is switched on after the first message, and off again."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg("int32 rpm\n", "esc_msgs/msg/Esc"))
+    store.register(get_types_from_msg("uint8 count\nesc_msgs/Esc[] esc\n", "esc_msgs/msg/Escs"))
+    one, several = store.types["esc_msgs/msg/Esc"], store.types["esc_msgs/msg/Escs"]
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/esc", "esc_msgs/msg/Escs", typestore=store)
+        for k, n in enumerate((1, 2, 2, 1, 17)):  # of so many no columns are made, as of an image
+            message = several(n, [one(100 * k + j) for j in range(n)])
+            data = store.serialize_cdr(message, "esc_msgs/msg/Escs")
+            writer.write(connection, round((T0 + 0.1 * k) * 1e9), data)
+    (table,) = read_bag(tmp_path / "bag", SourceOptions())
+    assert list(table.names) == ["count", "esc[0].rpm", "esc[1].rpm"]
+    np.testing.assert_array_equal(table.columns["count"], [1.0, 2.0, 2.0, 1.0, 17.0])
+    np.testing.assert_array_equal(table.columns["esc[0].rpm"], [0.0, 100.0, 200.0, 300.0, np.nan])
+    np.testing.assert_array_equal(table.columns["esc[1].rpm"], [np.nan, 101.0, 201.0, np.nan, np.nan])
+
+
+def test_the_numbers_of_a_bag_are_not_boxed() -> None:
+    topic, message = _Topic("sensor_msgs/msg/Imu"), imu(0)
+    topic.add(0.0, message)
+    tracemalloc.start()
+    for k in range(1000):
+        topic.add(1.0 * k, message)
+    used, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert used < 1000 * 8 * 2.5 * len(topic.columns)  # boxed, with names: 5 kB a message
 
 
 def test_a_bag_of_ros_1(tmp_path: Path) -> None:
