@@ -18,6 +18,7 @@ _TIME = re.compile(r"(^|_)(t|time|stamp|timestamp|datetime|utc|seconds|secs|epoc
 DATES = (1e9, 4e9)  # s since 1970, of the years 2001 to 2096
 FASTEST, SLOWEST = 5e-4, 60.0  # s between rows, of the loggers of boats
 DATENUM = (7e5, 8e5)  # MATLAB's days, of the years 1916 to 2190
+_COUNTS = {"index", "row", "id"}  # rise evenly, and say nothing of time
 _ZONES = {"utc", "gmt", "local"}  # behind the name of a time, in the place of a unit
 
 
@@ -33,14 +34,15 @@ def clock_of(table: Table) -> Clock:
     """The clock of a table, as far as it can be told."""
     if table.t is not None:
         return Clock()
-    for strict in (True, False):
-        for name in table.names:
-            plain = read_name(name).plain
-            if (plain in ("t", "time", "timestamp") if strict else _TIME.search(plain)) and _may_be_time(table, name):
-                return Clock(name, *_format(table, name))
+    plain = {name: read_name(name).plain for name in table.names}
+    strict = [name for name in table.names if plain[name] in ("t", "time", "timestamp")]
+    loose = [name for name in table.names if _TIME.search(plain[name])]
+    for name in (*strict, *(name for name in table.names if name in table.seconds), *loose):
+        if _may_be_time(table, name):
+            return Clock(name, *_format(table, name))
     # Without a name to go by: a first column that rises evenly, and is no signal by its name.
     first = read_name(table.names[0])
-    known = bool(first.meaning or first.words & DRIVES)
+    known = bool(first.meaning or first.words & (DRIVES | _COUNTS))
     if not known and _may_be_time(table, table.names[0]) and _is_even(table.numbers(table.names[0])):
         form, _ = _format(table, table.names[0])
         return Clock(table.names[0], form, "its first column rises evenly and is taken for the time")
@@ -66,16 +68,22 @@ def _may_be_time(table: Table, name: str) -> bool:
     try:
         values = table.numbers(name)
     except SeatrialError:  # dates are text
-        return True
+        return any(character.isdigit() for character in _first_text(table, name))
     good = values[np.isfinite(values)]
     return len(good) > 1 and float(np.mean(np.diff(good) > 0.0)) > 0.5
 
 
+def _first_text(table: Table, column: str) -> str:
+    return next((text.strip() for text in table.text(column) if text.strip()), "")
+
+
 def _format(table: Table, column: str) -> tuple[str, str]:
+    if column in table.seconds:
+        return "s", ""
     try:
         values = table.numbers(column)
     except SeatrialError:
-        return _format_of_text(next((text for text in table.text(column) if text.strip()), "").strip())
+        return _format_of_text(_first_text(table, column))
     name = read_name(column)
     if name.unit in TIME_UNITS:
         return name.unit, ""

@@ -92,7 +92,7 @@ def guess_map(path: Path) -> Guess:
     taken, lines = _choose(candidates, clocks, main)
     problem = _problem(taken, tables)
     head += _style_line(options, kind.name) + _clock_lines(tables, candidates, clocks, main)
-    remarks = [f"# caveat: {table.topic}: {table.remark}" for table in tables if table.remark]
+    remarks = [f"# caveat: {table.said}" for table in tables if table.remark]
     text = "\n".join([*head, *remarks, "signal = [", *lines, *_unknown(tables, candidates, clocks), "]"])
     return Guess(text + (f"\n# no fit: {problem}" if problem else "") + "\n", problem)
 

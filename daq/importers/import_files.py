@@ -83,7 +83,7 @@ def _read(path: Path, source: Source) -> _File:
     tables = kind.read(path, source.options)
     signals = read_signals(tables, source)
     used = {signal.topic for signal in source.signals}
-    remarks = [f"{path}: {one.topic}: {one.remark}" for one in tables if one.remark and one.topic in used]
+    remarks = [f"{path}: {one.said}" for one in tables if one.remark and one.topic in used]
     if n := signals.n_disordered:
         remarks.append(f"{path}: {counted(n, 'row')} left out, where time repeats or runs back")
     empty = [one.signal.name for one in signals.signals if not len(one.t)]
