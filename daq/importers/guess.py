@@ -42,9 +42,8 @@ LETTERS = {"X": "force ahead", "N": "moment"}
 LEFT_THROTTLE, RIGHT_THROTTLE = 73.0, 74.0  # SERVOn_FUNCTION of ArduPilot
 FUNCTIONS = {26.0: "steering", 70.0: "throttle", LEFT_THROTTLE: "throttle left", RIGHT_THROTTLE: "throttle right"}
 PULSE_US = (("MIN", 1100.0), ("TRIM", 1500.0), ("MAX", 1900.0))  # SERVOn_..., us, and what they are by default
-_NED = re.compile(
-    r"(?i)(?<![a-z])(ned|frd)(?![a-z])|px4_msgs|seatrial_msgs"
-)  # topics, types and frames of ROS that are
+# Topics, types and frames of ROS whose axes are ours
+_NED = re.compile(r"(?i)(?<![a-z])(ned|frd)(?![a-z])|px4_msgs|seatrial_msgs")
 SCALARS = ("Float64", "Float32", "Float64Stamped", "Float32Stamped", "Scalar")  # messages that only their topics name
 MOST_LISTED = 12  # signals that were not recognised and are offered all the same
 TURN = 6.6  # rad: a whole turn and a little
