@@ -239,16 +239,16 @@ def import_map(sources: tuple[Path, ...], guess: bool, out: Path | None, out_dir
 
 def _guess(sources: tuple[Path, ...], out: Path | None, force: bool) -> None:
     from daq.importers.guess import guess_map
+    from daq.importers.write_log import replacing
 
     if len(sources) != 1:
         raise click.UsageError("--guess takes one source")
     found = guess_map(sources[0])
     if out is None:
         click.echo(found.text, nl=False)
-    elif out.exists() and not force:
-        raise SeatrialError(f"{out}: the file exists already; --force replaces it, -o names another")
     else:
-        out.write_text(found.text, encoding="utf-8")
+        with replacing(out, force, sources) as part:
+            part.write_text(found.text, encoding="utf-8")
         click.echo(str(out))
     if found.problem:
         click.echo(f"warning: {sources[0]}: no fit: {found.problem}", err=True)

@@ -174,7 +174,7 @@ def import_can(path: Path, rig_path: Path, *, out: Path | None = None, force: bo
     if not frames:
         raise SeatrialError(f"{path}: holds no CAN frames")
     target, n_samples = out or Path(f"{path.stem}.mcap"), 0
-    with replacing(target, force) as part:
+    with replacing(target, force, [path, rig_path]) as part:
         recorder = Recorder(part, rig=rig, clock=_Start(frames[0].t), metadata={"import": "can"})
         try:
             recorder.event(frames[0].t, "import", path.name)

@@ -89,23 +89,52 @@ def _hdf(name: str, value: Any) -> Iterator[tuple[str, Column]]:
 
 
 def read_parquet(path: Path, options: SourceOptions) -> list[Table]:
-    """The columns of numbers and times; times are in s since 1970. Raises SeatrialError."""
+    """The columns of numbers, times and text; times are in s since 1970, those of a day since midnight, durations in s.
+    A remark names what is none of these. Raises SeatrialError."""
     try:
         import pyarrow
         import pyarrow.parquet
     except ModuleNotFoundError as error:
         raise SeatrialError(_PYARROW) from error
     columns: dict[str, Column] = {}
+    texts: dict[str, list[str]] = {}
+    seconds: set[str] = set()
+    left_out: list[str] = []
     try:
         table = pyarrow.parquet.read_table(path)
         for name in table.column_names:
-            column, kind = table[name].combine_chunks(), table.schema.field(name).type
-            if pyarrow.types.is_timestamp(kind):
-                ns = column.cast(pyarrow.timestamp("ns", kind.tz)).to_numpy(zero_copy_only=False)
-                columns[name] = np.where(np.isnat(ns), np.nan, ns.astype(np.int64) * 1e-9)
+            column = table[name].combine_chunks()
+            if pyarrow.types.is_dictionary(column.type):
+                column = column.dictionary_decode()
+            kind, types = column.type, pyarrow.types
+            if types.is_string(kind) or types.is_large_string(kind):
+                texts[name] = [text or "" for text in column.to_pylist()]
+            elif types.is_temporal(kind) and not types.is_interval(kind):
+                columns[name] = _seconds(pyarrow, column)
+                seconds.add(name)
             # Not safe: whole numbers beyond 2^53, as ns since 1970, are rounded (to 256 ns), not refused.
-            elif pyarrow.types.is_floating(kind) or pyarrow.types.is_integer(kind) or pyarrow.types.is_boolean(kind):
+            elif types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind) or types.is_decimal(kind):
                 columns[name] = np.asarray(column.cast(pyarrow.float64(), safe=False).to_numpy(zero_copy_only=False))
+            else:
+                left_out.append(f"{name} ({kind})")
     except Exception as error:  # pyarrow has errors of many kinds for a file that is none, or damaged
         raise SeatrialError(f"{path}: cannot be read as Parquet: {' '.join(str(error).split())}") from error
-    return [Table(path, "", columns)]
+    remark = f"of a type that is not read: {', '.join(left_out)}" if left_out else ""
+    return [Table(path, "", columns, remark=remark, texts=texts, seconds=frozenset(seconds))]
+
+
+def _seconds(pyarrow: Any, column: Any) -> Column:
+    """A column of dates, times or durations in s, (n,); NaN where a row has none."""
+    kind, types = column.type, pyarrow.types
+    if types.is_date(kind):
+        column = column.cast(pyarrow.timestamp("ns"))
+    elif types.is_time(kind):
+        column = column.cast(pyarrow.time64("ns")).cast(pyarrow.int64())
+    elif types.is_duration(kind):
+        column = column.cast(pyarrow.duration("ns")).cast(pyarrow.int64())
+    else:
+        column = column.cast(pyarrow.timestamp("ns", kind.tz))
+    if types.is_timestamp(column.type):
+        column = column.cast(pyarrow.int64())
+    missing = np.asarray(column.is_null().to_numpy(zero_copy_only=False), bool)
+    return np.where(missing, np.nan, np.asarray(column.fill_null(0).to_numpy(zero_copy_only=False)) * 1e-9)

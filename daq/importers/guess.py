@@ -4,44 +4,50 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from datetime import datetime
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from daq.errors import SeatrialError
-from daq.importers.import_map import GEOGRAPHIC, TimeColumn
+from daq.importers.clocks import Clock, clock_of, row_seconds
+from daq.importers.import_map import GEOGRAPHIC
 from daq.importers.recognise import (
     BEHIND,
     CAVEATS,
     DRIVES,
     NAMES,
     PULSES,
+    SET_POINTS,
     SETPOINT,
-    SIDES,
     Candidate,
     Name,
     Taken,
     drive,
     message_candidates,
+    quantity,
     read_name,
+    without_unit,
 )
-from daq.importers.signals import row_times
 from daq.importers.sources import source_kind, text_head
 from daq.importers.table import Column, SourceOptions, Table
 from daq.importers.text_table import sniff_style
 from daq.importers.units import UNITS
+from daq.log import LOG_FORMAT, open_log
 
 MOTION = ("x", "vx", "u", "psi", "r", "speed")
 FORCES = {"X": "N", "N": "Nm"}  # force ahead and moment, by the letters of the literature
+LETTERS = {"X": "force ahead", "N": "moment"}
 LEFT_THROTTLE, RIGHT_THROTTLE = 73.0, 74.0  # SERVOn_FUNCTION of ArduPilot
+FUNCTIONS = {26.0: "steering", 70.0: "throttle", LEFT_THROTTLE: "throttle left", RIGHT_THROTTLE: "throttle right"}
 PULSE_US = (("MIN", 1100.0), ("TRIM", 1500.0), ("MAX", 1900.0))  # SERVOn_..., us, and what they are by default
-NED_KINDS = {"ulog", "mavlink", "can"}  # sources whose axes are ours
-_NED = re.compile(r"(?i)\bned\b|px4_msgs")  # topics and types of ROS whose axes are
+# Topics, types and frames of ROS whose axes are ours
+_NED = re.compile(r"(?i)(?<![a-z])(ned|frd)(?![a-z])|px4_msgs|seatrial_msgs")
+SCALARS = ("Float64", "Float32", "Float64Stamped", "Float32Stamped", "Scalar")  # messages that only their topics name
 MOST_LISTED = 12  # signals that were not recognised and are offered all the same
-_TIME = re.compile(r"(^|_)(t|time|stamp|timestamp|datetime|utc|seconds|secs|epoch)($|_)")
+TURN = 6.6  # rad: a whole turn and a little
+Clocks = Mapping[int, Clock]  # of each table, by its id
 BOATS = {10, 11, 12}  # MAV_TYPE: rover (ArduPilot's boats too), boat, submarine
 
 
@@ -55,6 +61,8 @@ class Guess(NamedTuple):
 def guess_map(path: Path) -> Guess:
     """What a source holds, as a map for `seatrial import`. Raises SeatrialError where it cannot be read."""
     kind = source_kind(path)
+    if kind.name == "ros" and _is_log(path):
+        raise SeatrialError(f"{path}: is a log of seatrial: check, ident and export take it as it is")
     options = SourceOptions()
     if kind.name == "csv":
         style = sniff_style(path, text_head(path))
@@ -69,22 +77,31 @@ def guess_map(path: Path) -> Guess:
     ]
     if kind.name == "ros":
         head.append('frame = "ENU"  # REP-103: east, north, up; forward, left, up; the other one is "NED"')
-    times = _clock_lines(tables)
+    clocks = {id(table): clock_of(table) for table in tables}
     drives: dict[frozenset[str], list[Column]] = {}  # left and right together have one scale
     for table in tables:
-        for _, _, words, values in _columns(table):
+        for _, _, words, values in _columns(table, clocks):
             if words & DRIVES:
-                drives.setdefault(words - SIDES, []).append(values)
+                drives.setdefault(quantity(words), []).append(values)
     together = {words: np.concatenate(values) for words, values in drives.items()}
-    candidates = [c for t in tables for c in (*message_candidates(t), *_column_candidates(t, kind.name, together))]
+    candidates = [c for t in tables for c in (*message_candidates(t), *_column_candidates(t, clocks, together))]
     candidates += outputs(tables)
     candidates = [_with_units(_in_frame(c) if kind.name == "ros" else c) for c in candidates]
-    taken, lines = _choose(candidates, {id(table): _time_of(table) for table in tables})
+    main = _main_clock(candidates, clocks)
+    taken, lines = _choose(candidates, clocks, main)
     problem = _problem(taken, tables)
-    head += _style_line(options, kind.name) + times
-    remarks = [f"# caveat: {table.topic}: {table.remark}" for table in tables if table.remark]
-    text = "\n".join([*head, *remarks, "signal = [", *lines, *_unknown(tables, candidates), "]"])
+    head += _style_line(options, kind.name) + _clock_lines(tables, candidates, clocks, main)
+    remarks = [f"# caveat: {table.said}" for table in tables if table.remark]
+    text = "\n".join([*head, *remarks, "signal = [", *lines, *_unknown(tables, candidates, clocks), "]"])
     return Guess(text + (f"\n# no fit: {problem}" if problem else "") + "\n", problem)
+
+
+def _is_log(path: Path) -> bool:
+    try:
+        with open_log(path) as log:
+            return log.metadata.get("format") == LOG_FORMAT
+    except SeatrialError:  # a bag of another format, or damaged: its reader says what is wrong
+        return False
 
 
 def _quoted(text: str) -> str:
@@ -108,142 +125,107 @@ def _style_line(options: SourceOptions, kind: str) -> list[str]:
 # Times
 
 
-def _time_of(table: Table) -> str:
-    """The column of a table's time; "" where it has times of its own, or none."""
-    if table.t is not None:
-        return ""
-    for strict in (True, False):
-        for name in table.names:
-            plain = read_name(name).plain
-            if (plain in ("t", "time", "timestamp") if strict else _TIME.search(plain)) and _may_be_time(table, name):
-                return name
-    first = table.names[0]  # without a name to go by: a first column that rises evenly
-    return first if _may_be_time(table, first) and _is_even(table.numbers(first)) else ""
+def _main_clock(candidates: Sequence[Candidate], clocks: Clocks) -> Clock:
+    """The clock that [time] of the map has: of the first table with something in it."""
+    found = [clocks[id(candidate.table)] for candidate in candidates]
+    return next((clock for clock in (*found, *clocks.values()) if clock.column), Clock())
 
 
-def _is_even(values: Column) -> bool:
-    steps = np.diff(values)
-    return bool(len(steps) > 10 and np.all(steps > 0.0) and np.ptp(steps) < 0.5 * np.mean(steps))
-
-
-def _may_be_time(table: Table, name: str) -> bool:
-    try:
-        values = table.numbers(name)
-    except SeatrialError:  # dates are text
-        return True
-    good = values[np.isfinite(values)]
-    return len(good) > 1 and float(np.mean(np.diff(good) > 0.0)) > 0.5
-
-
-def _clock_lines(tables: Sequence[Table]) -> list[str]:
-    """The line of the map for the time; a caveat where the unit or everything about it is one."""
+def _clock_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> list[str]:
+    """The line of the map for the time, and a caveat for each clock that has one."""
     if not tables or all(table.t is not None for table in tables):
         return []
-    timed = [(table, column) for table in tables if (column := _time_of(table))]
-    if not timed:
+    if not main.column:
         return ["# caveat: no column of times found: its rate is a guess", "time = { rate_hz = 10.0 }"]
-    table, column = timed[0]
-    form, caveat = _time_format(table, column)
-    if not _TIME.search(read_name(column).plain):
-        caveat = "its first column rises evenly and is taken for the time"
-    return [f"# caveat: {caveat}"] * bool(caveat) + [
-        f"time = {{ column = {_quoted(column)}, format = {_quoted(form)} }}"
-    ]
-
-
-def _seconds(table: Table) -> Column | None:
-    """Times of the rows [s], (n,); None where they cannot be told."""
-    column = _time_of(table)
-    if not column:
-        return table.t
-    try:
-        return row_times(table, TimeColumn(column, _time_format(table, column)[0]))
-    except SeatrialError:
-        return None
-
-
-def _time_format(table: Table, column: str) -> tuple[str, str]:
-    try:
-        values = table.numbers(column)
-    except SeatrialError:
-        first = next((text for text in table.text(column) if text.strip()), "").strip()
-        try:
-            datetime.fromisoformat(first)
-            return "iso", ""
-        except ValueError:
-            if re.fullmatch(r"\d+:\d+:\d+(\.\d{1,6})?", first):
-                day = 'times of a day: say which, origin = "2025-05-01"; without it is that of 1970-01-01'
-                return "%H:%M:%S.%f" if "." in first else "%H:%M:%S", day
-            caveat = f"times like {first[:40]!r}: write their pattern (strptime), and fraction where they have one"
-            return "%d.%m.%Y %H:%M:%S", caveat
-    named = read_name(column).unit
-    if named in ("s", "ms", "us", "ns"):
-        return named, ""
-    top = float(np.nanmax(np.abs(values)))
-    for unit, since_1970 in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)):
-        if top > since_1970:
-            return unit, ""
-    if 7e5 < top < 8e5 and "date" in read_name(column).words:
-        return "datenum", ""
-    step = float(np.nanmedian(np.diff(values)))
-    if step >= 2e6:
-        return "ns", f"steps of {step:.4g} are taken for nanoseconds"
-    if step >= 2e3:
-        return "us", f"steps of {step:.4g} are taken for microseconds"
-    return ("ms", f"steps of {step:.4g} are taken for milliseconds") if step >= 2.0 else ("s", "")
+    caveats = [main.caveat] if main.caveat else []
+    for table in (candidate.table for candidate in candidates):
+        clock = clocks[id(table)]
+        if clock.caveat and clock != main:
+            place = f"{table.topic}, {clock.column!r}" if table.topic else repr(clock.column)
+            caveats.append(f"{place}: {clock.caveat}")
+    line = f"time = {{ column = {_quoted(main.column)}, format = {_quoted(main.form)} }}"
+    return [*(f"# caveat: {caveat}" for caveat in dict.fromkeys(caveats)), line]
 
 
 # Columns by their names
 
 
-def _columns(table: Table) -> Iterator[tuple[str, Name, frozenset[str], Column]]:
+def _columns(table: Table, clocks: Clocks) -> Iterator[tuple[str, Name, frozenset[str], Column]]:
     """The columns of numbers of a table without known messages, with what their names and the topic's say."""
     message = table.kind.rpartition("/")[2]
-    scalar = message in ("Float64", "Float32", "Float64Stamped", "Float32Stamped", "Scalar", "JointState")
+    alone = message in SCALARS and not table.kind.startswith("seatrial_msgs/")
+    scalar = alone or message == "JointState"
     if (table.kind not in ("", "dbc") and not scalar) or SETPOINT.search(table.topic):
         return
     for column in table.names:
-        if column == _time_of(table):
+        if column == clocks[id(table)].column:
             continue
         try:
             values = table.numbers(column)
         except SeatrialError:
             continue
-        alone = scalar and message != "JointState"
         name = read_name(table.topic.rpartition("/")[2] if alone else column)
         yield column, name, name.words | (read_name(table.topic).words if scalar else frozenset()), values
 
 
-def _column_candidates(table: Table, kind: str, together: Mapping[frozenset[str], Column]) -> Iterator[Candidate]:
+def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset[str], Column]) -> Iterator[Candidate]:
     """What the names of columns say, in tables without known messages; `together` has the numbers of left and right."""
     message = table.kind.rpartition("/")[2]
     names: dict[str, tuple[str, Name]] = {}
     numbers: dict[str, Column] = {}
-    for column, name, words, values in _columns(table):
+    letters = {without_unit(column) for column in table.names}
+    for column, name, words, values in _columns(table, clocks):
         numbers[column] = values
-        if column in FORCES:
-            yield Candidate("force", 1, table, (Taken(column, (column,), FORCES[column], "", 'role = "input"'),))
+        letter = without_unit(column)
+        if letter in FORCES or (letter == "E" and "N" in letters):
+            stated = name.unit or name.no_unit
+            if axis := _axis(letter, letters, stated):
+                names.setdefault(axis, (column, name._replace(meaning=axis)))
+            elif letter in FORCES:
+                unit = stated if UNITS.get(stated, ("",))[0] == FORCES[letter] else FORCES[letter]
+                caveat = "" if unit == stated else f"{letter} is taken for the {LETTERS[letter]} in {unit}"
+                yield Candidate("force", 1, table, (Taken(letter, (column,), unit, "", 'role = "input"'),), caveat)
             continue
-        found = drive(words, together.get(words - SIDES, values), name.unit) if np.isfinite(values).any() else None
+        found = drive(words, together.get(quantity(words), values), name.unit) if np.isfinite(values).any() else None
         if (
             found is not None
             and (not name.meaning or "velocity" in words)
             and (message != "JointState" or "velocity" in words)
         ):
             group, taken, caveat = found
-            behind = 1 if message == "JointState" else 0
-            yield Candidate(group, behind, table, (taken._replace(columns=(column,)),), caveat)
+            behind = (message == "JointState") + bool(words & SET_POINTS)
+            signals = (taken._replace(columns=(column,)),)
+            yield Candidate(group, behind, table, signals, caveat, quantity(words))
         elif name.meaning and name.meaning not in names:
             names[name.meaning] = column, name
-    yield from _motion(table, names, numbers, ', frame = "NED"' if kind == "ros" else "")
+    yield from _motion(table, row_seconds(table, clocks[id(table)]), names, numbers)
+
+
+def _axis(letter: str, letters: Collection[str], stated: str) -> str:
+    """x or y where a capital of this name is a position, by its unit or by the letters beside it; "" where none is."""
+    beside = (letter == "X" and "Y" in letters and "N" not in letters) or (letter != "X" and {"N", "E"} <= set(letters))
+    is_length = UNITS.get(stated, ("",))[0] == "m"
+    return ("y" if letter == "E" else "x") if is_length or (beside and not stated) else ""
 
 
 def _in_frame(candidate: Candidate) -> Candidate:
-    """A candidate of a bag whose axes are ENU: signals of a topic that is NED say so."""
-    if candidate.group in ("drive", "force") or not _NED.search(f"{candidate.table.topic} {candidate.table.kind}"):
-        return candidate
-    ned = [s if "frame" in s.extra or s.make in GEOGRAPHIC else _also(s, 'frame = "NED"') for s in candidate.signals]
-    return candidate._replace(signals=tuple(ned))
+    """A candidate of a bag whose axes are ENU: signals of a topic that is NED say so, a number alone has a caveat."""
+    table, caveat = candidate.table, candidate.caveat
+    is_ned = bool(_NED.search(f"{table.topic} {table.kind} {table.frame_id}"))
+    if not is_ned and table.kind.rpartition("/")[2] in SCALARS:
+        words, also = read_name(table.topic).words, ""
+        if candidate.group == "heading" and words & {"compass", "heading", "hdg"}:
+            is_ned = True
+            also = "" if "compass" in words else 'taken from north, clockwise; from east it is frame = "ENU"'
+        elif candidate.group == "heading":
+            also = 'taken from east, counter-clockwise, as in REP-103; from north it is frame = "NED"'
+        elif candidate.group == "rate":
+            also = 'taken positive to port, as in REP-103; to starboard it is frame = "NED"'
+        caveat = "; ".join(part for part in (caveat, also) if part)
+    if candidate.group in ("drive", "force") or not is_ned:
+        return candidate._replace(caveat=caveat)
+    ned = [s if s.make in GEOGRAPHIC else _also(s, 'frame = "NED"') for s in candidate.signals]
+    return candidate._replace(signals=tuple(ned), caveat=caveat)
 
 
 def _also(signal: Taken, key: str) -> Taken:
@@ -253,61 +235,98 @@ def _also(signal: Taken, key: str) -> Taken:
 def _with_units(candidate: Candidate) -> Candidate:
     """A candidate with a caveat where a unit in the name of a column is none that its signal can have."""
     columns = {column: read_name(column).no_unit for signal in candidate.signals for column in signal.columns}
-    caveats = [f"{text!r} behind {column!r} is not taken for a unit" for column, text in columns.items() if text]
+    units = {signal.unit for signal in candidate.signals}
+    caveats = [
+        f"{text!r} behind {column!r} is not taken for a unit"
+        for column, text in columns.items()
+        if text and text not in units
+    ]
     return candidate._replace(caveat="; ".join(part for part in (candidate.caveat, *caveats) if part))
 
 
 def _motion(
-    table: Table, names: dict[str, tuple[str, Name]], numbers: dict[str, Column], compass: str
+    table: Table, t: Column | None, names: dict[str, tuple[str, Name]], numbers: dict[str, Column]
 ) -> Iterator[Candidate]:
     def pair(group: str, rank: int, a: str, b: str, unit: str, caveat: str = "") -> Iterator[Candidate]:
         if a in names and b in names:
             taken = tuple(Taken(n, (names[n][0],), names[n][1].unit or unit) for n in (a, b))
             yield Candidate(group, rank, table, taken, caveat)
 
-    yield from pair("position", 0, "x", "y", "m")
+    capital = "x" in names and names["x"][0] == "X"
+    yield from pair(
+        "position", 0, "x", "y", "m", 'X is taken for a position; a force has unit = "N"' if capital else ""
+    )
     if "lat" in names and "lon" in names:
         both = (names["lat"][0], names["lon"][0])
         top = float(np.nanmax(np.abs(numbers[both[0]]), initial=0.0))
         unit = names["lat"][1].unit or ("degE7" if top > 1e4 else "deg")
         extra = f'units = ["{unit}", "{unit}"]' if unit != "deg" else ""
         signals = (Taken("x", both, "", "north", extra), Taken("y", both, "", "east", extra))
-        yield Candidate("position", 1, table, signals)
+        if unit == "deg" and top > 90.0:
+            yield Candidate("position", BEHIND, table, signals, f"no latitude in degrees is {top:.7g}; ddmm.mmmm?")
+        else:
+            yield Candidate("position", 1, table, signals)
     plain = names["vx"][1].plain if "vx" in names else ""
     unclear = plain in ("vel_x", "velocity_x", "speed_x")
     caveat = "vel_x and vel_y are taken for north and east; ahead and to starboard are u and v" if unclear else ""
     yield from pair("velocity", 0, "vx", "vy", "m/s", caveat)
     yield from pair("body", 0, "u", "v", "m/s")
-    yield from pair("acceleration", 0, "ax", "ay", "m/s2")
-    if "speed" in names and "course" in names:
-        both = (names["speed"][0], names["course"][0])
-        radians = float(np.nanmax(np.abs(numbers[both[1]]), initial=0.0)) < 6.3
-        course = names["course"][1].unit or ("rad" if radians else "deg")
-        units = f'units = ["{names["speed"][1].unit or "m/s"}", "{course}"]'
-        signals = (Taken("vx", both, "", "velocity_north", units), Taken("vy", both, "", "velocity_east", units))
-        yield Candidate("velocity", 1, table, signals)
-    elif "speed" in names and "u" not in names:
-        yield Candidate("body", 2, table, (Taken("speed", (names["speed"][0],), names["speed"][1].unit or "m/s"),))
+    known = all(names[n][1].unit for n in ("ax", "ay") if n in names)
+    yield from pair(
+        "acceleration", 0, "ax", "ay", "m/s2", "" if known else "accelerations are taken for m/s2, not for g"
+    )
+    if "speed" in names:
+        column, name = names["speed"]
+        speed = name.unit or "m/s"
+        caveat = (
+            "" if name.unit else f"a speed of at most {np.nanmax(numbers[column], initial=0.0):.3g} is taken for m/s"
+        )
+        if "course" in names:
+            both = (column, names["course"][0])
+            course, also = _angle_unit(names["course"][1], numbers[both[1]])
+            units = f'units = ["{speed}", "{course}"]'
+            signals = (Taken("vx", both, "", "velocity_north", units), Taken("vy", both, "", "velocity_east", units))
+            yield Candidate("velocity", 1, table, signals, "; ".join(part for part in (caveat, also) if part))
+        elif "u" not in names:
+            yield Candidate("body", 2, table, (Taken("speed", (column,), speed),), caveat)
     if "psi" in names:
         column, name = names["psi"]
-        top = float(np.nanmax(np.abs(numbers[column]), initial=0.0))
-        unit = name.unit or ("deg" if top > 6.6 else "rad")
-        caveat = "" if name.unit or top > 6.6 else f"an angle of at most {top:.2f} is taken for radians"
-        yield Candidate("heading", 0, table, (Taken("psi", (column,), unit, "", f'angle = "unwrap"{compass}'),), caveat)
+        unit, caveat = _angle_unit(name, numbers[column])
+        yield Candidate("heading", 0, table, (Taken("psi", (column,), unit, "", 'angle = "unwrap"'),), caveat)
     if "r" in names:
         column, name = names["r"]
-        unit, caveat = (name.unit, "") if name.unit else _rate_unit(table, numbers, column, names)
+        unit, caveat = (name.unit, "") if name.unit else _rate_unit(t, numbers, column, names)
         yield Candidate("rate", 0, table, (Taken("r", (column,), unit),), caveat)
 
 
+def _angle_unit(name: Name, values: Column) -> tuple[str, str]:
+    """The unit of a heading or a course, and the caveat about it. Only a jump by a whole turn, or a start beyond one,
+    tells degrees from radians that somebody has unwrapped."""
+    good = values[np.isfinite(values)]
+    if name.unit or not len(good):
+        return name.unit or "rad", ""
+    top, first = float(np.max(np.abs(good))), abs(float(good[0]))
+    if top <= TURN:
+        return "rad", f"an angle of at most {top:.2f} is taken for radians"
+    jump = float(np.max(np.abs(np.diff(good)), initial=0.0))
+    for unit, turn in (("deg", 360.0), ("cdeg", 36000.0)):
+        if top <= 1.01 * turn and jump > 0.8 * turn:
+            return unit, ""
+    if first > 720.0:
+        return "cdeg", f"an angle that begins at {first:.5g} is taken for centidegrees"
+    caveat = f"an angle of up to {top:.5g}, without a jump by a turn, is taken for degrees"
+    return "deg", "" if TURN < first <= 360.0 and top <= 720.0 else caveat
+
+
 def _rate_unit(
-    table: Table, numbers: dict[str, Column], column: str, names: dict[str, tuple[str, Name]]
+    t: Column | None, numbers: dict[str, Column], column: str, names: dict[str, tuple[str, Name]]
 ) -> tuple[str, str]:
     """The unit of a yaw rate, by what the heading does in the same table where there is one."""
-    rate, t = numbers[column], _seconds(table)
+    rate = numbers[column]
     if "psi" in names and t is not None:
-        psi, unit = numbers[names["psi"][0]], names["psi"][1].unit
-        factor = UNITS[unit or ("deg" if np.nanmax(np.abs(psi), initial=0.0) > 6.6 else "rad")][1]
+        psi = numbers[names["psi"][0]]
+        unit, guessed = _angle_unit(names["psi"][1], psi)
+        factor = UNITS[unit][1]
         known = np.isfinite(t) & np.isfinite(psi) & np.isfinite(rate)
         step = np.diff(t[known])
         turned = np.diff(np.unwrap(factor * psi[known]))[step > 0.0] / step[step > 0.0]
@@ -316,8 +335,10 @@ def _rate_unit(
             follows = float(np.corrcoef(turned, size)[0, 1]) if len(size) > 1 else 0.0
         if abs(follows) > 0.5:
             slope = abs(follows) * np.std(turned) / np.std(size)  # 1, or pi/180 where the column has degrees
-            caveat = "" if follows > 0.0 else "it is against the heading: sign = -1?"
-            return ("deg/s" if slope < np.radians(1.0) ** 0.5 else "rad/s"), caveat
+            found = "deg/s" if slope < np.radians(1.0) ** 0.5 else "rad/s"
+            caveats = [f"{found} if the heading is in {unit}"] * bool(guessed)
+            caveats += ["it is against the heading: sign = -1?"] * (follows < 0.0)
+            return found, "; ".join(caveats)
     top = float(np.nanmax(np.abs(rate), initial=0.0))
     unit = "deg/s" if top > 6.0 else "rad/s"
     return unit, f"a yaw rate of at most {top:.3g} is taken for {unit}"
@@ -327,11 +348,14 @@ def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
     """Outputs of an autopilot, left and right by its parameters or else 1 and 3, as ArduPilot has them; controllers."""
     nodes = {int(table.topic.rpartition("_")[2]): table for table in tables if table.kind == "Servo"}
     p = tables[0].parameters if tables else {}
-    told = {p.get(f"SERVO{node}_FUNCTION"): node for node in nodes}
-    left, right = (told.get(function, usual) for function, usual in ((LEFT_THROTTLE, 1), (RIGHT_THROTTLE, 3)))
+    functions = _functions(tables)
+    told = {function: node for node, function in functions.items()}
+    # Where the log says what any output does, those that it does not call a left and a right throttle are none.
+    left, right = (told.get(LEFT_THROTTLE), told.get(RIGHT_THROTTLE)) if functions else (1, 3)
     for node, name in ((left, "n_left"), (right, "n_right")) if {left, right} <= set(nodes) else ():
+        assert node is not None
         known = "n" in nodes[node].columns  # by a rig
-        by_parameters = LEFT_THROTTLE in told and RIGHT_THROTTLE in told and f"SERVO{node}_TRIM" in p
+        by_parameters = bool(functions) and f"SERVO{node}_TRIM" in p
         extra, caveat = _pulses(p, node) if by_parameters else (PULSES, CAVEATS["RCOut"])
         taken = Taken(name, ("n" if known else "pwm",), "1", "", 'role = "input"' if known else extra)
         yield Candidate("drive", 0, nodes[node], (taken,), "" if known else caveat)
@@ -346,6 +370,13 @@ def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
         yield Candidate("drive", 1, table, (taken,), caveat)
 
 
+def _functions(tables: Sequence[Table]) -> dict[int, float]:
+    """SERVOn_FUNCTION of the outputs in an autopilot's log, by n, as far as the log has them."""
+    p = tables[0].parameters if tables else {}
+    nodes = sorted(int(table.topic.rpartition("_")[2]) for table in tables if table.kind == "Servo")
+    return {node: p[key] for node in nodes if (key := f"SERVO{node}_FUNCTION") in p}
+
+
 def _node_of(table: Table) -> tuple[int, str]:
     """The number of a controller, and its whole topic, which has the bus in front where there are several."""
     return int(table.topic.rpartition("_")[2]), table.topic
@@ -354,6 +385,8 @@ def _node_of(table: Table) -> tuple[int, str]:
 def _pulses(p: Mapping[str, float], node: int) -> tuple[str, str]:
     """The scale of an output by its own parameters, and the caveat about it."""
     low, rest, high = (p.get(f"SERVO{node}_{word}", usual) for word, usual in PULSE_US)
+    if not low < high:
+        return PULSES, f"SERVO{node}_MIN is not below SERVO{node}_MAX: {CAVEATS['RCOut']}"
     scale = (-2.0 if p.get(f"SERVO{node}_REVERSED", 0.0) else 2.0) / (high - low)
     ends = abs(scale) * (high - rest), abs(scale) * (low - rest)
     caveat = f"SERVO{node}_TRIM is not in the middle: full is {ends[0]:.3g} and {ends[1]:.3g}; name a [mavlink] rig"
@@ -364,13 +397,19 @@ def _pulses(p: Mapping[str, float], node: int) -> tuple[str, str]:
 # The choice
 
 
-def _choose(candidates: Sequence[Candidate], clocks: dict[int, str]) -> tuple[list[Taken], list[str]]:
+def _choose(candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> tuple[list[Taken], list[str]]:
     """The best candidate for each signal as lines of the map, the others as comments behind them."""
 
-    def order(c: Candidate) -> tuple[int, int]:
-        return c.rank, -len(c.table)
+    sides: dict[frozenset[str], set[str]] = {}
+    for c in candidates:
+        sides.setdefault(c.quantity, set()).update(signal.name for signal in c.signals)
 
-    main = next((clocks[id(c.table)] for c in candidates if clocks[id(c.table)]), "")
+    def order(c: Candidate) -> tuple[int, int]:
+        """A thruster without the one of the other side stands behind a pair."""
+        single = c.quantity and len({"n_left", "n_right", "f_left", "f_right"} & sides[c.quantity]) == 1
+        return c.rank + 2 * bool(single), -len(c.table)
+
+    quantities: dict[str, frozenset[str]] = {}  # of the thrusters that were taken, by their group
     taken: dict[str, Taken] = {}
     has_force = any(s.name in ("f_left", "f_right") for c in candidates for s in c.signals)
     found: dict[str, tuple[str, str]] = {}  # of each signal its line and the caveat about it
@@ -379,12 +418,18 @@ def _choose(candidates: Sequence[Candidate], clocks: dict[int, str]) -> tuple[li
         names = {signal.name for signal in candidate.signals}
         free = candidate.rank < BEHIND and not names & set(taken) and not (names == {"speed"} and "u" in taken)
         free &= not (candidate.group == "drive" and (has_force or candidate.table.vehicle not in (None, *BOATS)))
+        free &= not candidate.quantity or quantities.get(candidate.group, candidate.quantity) == candidate.quantity
+        clock = clocks[id(candidate.table)]
+        free &= bool(candidate.table.t is not None or clock.column or not main.column)  # it has times, or none has
+        if free and candidate.quantity:
+            quantities[candidate.group] = candidate.quantity
         for signal in candidate.signals:
-            line = _line(candidate.table, signal, clocks[id(candidate.table)], main)
+            line = _line(candidate.table, signal, clock, main)
             if free:
                 taken[signal.name], found[signal.name] = signal, (line, candidate.caveat)
             else:
-                others.append(f"  # {line},")
+                why = f"  # {candidate.caveat}" if candidate.caveat and candidate.rank >= BEHIND else ""
+                others.append(f"  # {line},{why}")
     places = {name: k for k, name in enumerate(NAMES)}
     lines, said = [], ""
     for name in sorted(found, key=lambda name: (places.get(name, len(places)), name)):
@@ -394,7 +439,7 @@ def _choose(candidates: Sequence[Candidate], clocks: dict[int, str]) -> tuple[li
     return list(taken.values()), lines + (["  # also there:", *others] if others else [])
 
 
-def _line(table: Table, signal: Taken, clock: str, main: str) -> str:
+def _line(table: Table, signal: Taken, clock: Clock, main: Clock) -> str:
     """One signal as an inline table of TOML."""
     keys = [f"name = {_quoted(signal.name)}"]
     if table.topic:
@@ -404,12 +449,13 @@ def _line(table: Table, signal: Taken, clock: str, main: str) -> str:
         keys += [f"make = {_quoted(signal.make)}", f"{word}s = [{', '.join(_quoted(c) for c in signal.columns)}]"]
     else:
         keys += [f"{word} = {_quoted(signal.columns[0])}", f"unit = {_quoted(signal.unit)}"]
-    if clock and clock != main:
-        keys.append(f"time = {_quoted(clock)}")
+    if clock.column and (clock.column, clock.form) != (main.column, main.form):
+        keys.append(f"time = {_quoted(clock.column)}")
+        keys += [f"time_format = {_quoted(clock.form)}"] * (clock.form != main.form)
     return f"{{ {', '.join([*keys, *([signal.extra] if signal.extra else [])])} }}"
 
 
-def _unknown(tables: Sequence[Table], candidates: Sequence[Candidate]) -> list[str]:
+def _unknown(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: Clocks) -> list[str]:
     """Single numbers that nothing was made of, ready to be named."""
     used = {(id(c.table), column) for c in candidates for signal in c.signals for column in signal.columns}
     lines = []
@@ -417,14 +463,14 @@ def _unknown(tables: Sequence[Table], candidates: Sequence[Candidate]) -> list[s
         if table.kind and table.kind.rpartition("/")[2] not in ("Float64", "Float32", "dbc"):
             continue
         for column in table.names:
-            if not column or (id(table), column) in used or column == _time_of(table):
+            if not column or (id(table), column) in used or column == clocks[id(table)].column:
                 continue
             try:
                 values = table.numbers(column)
             except SeatrialError:
                 continue
             if np.isfinite(values).any():
-                line = _line(table, Taken("NAME", (column,), "1"), "", "")
+                line = _line(table, Taken("NAME", (column,), "1"), Clock(), Clock())
                 lines.append(f"  # {line},  # {np.nanmin(values):.4g} .. {np.nanmax(values):.4g}")
     if not lines:
         return []
@@ -441,6 +487,12 @@ def _problem(taken: Sequence[Taken], tables: Sequence[Table]) -> str:
     if not names & set(MOTION):
         return "no position, velocity, heading or yaw rate was recognised"
     if not ({"n_left", "n_right"} <= names or {"f_left", "f_right"} <= names or names & {"n", "X", "N"}):
+        functions = _functions(tables)
+        if functions and not {LEFT_THROTTLE, RIGHT_THROTTLE} <= set(functions.values()):
+            said = (
+                f"SERVO{n}_FUNCTION {f:g}{f' ({FUNCTIONS[f]})' if f in FUNCTIONS else ''}" for n, f in functions.items()
+            )
+            return f"its outputs are no left and right throttles: {', '.join(said)}"
         half = names & {"n_left", "n_right", "f_left", "f_right"}
         return (
             f"only {', '.join(sorted(half))} of the thrusters was recognised"

@@ -42,7 +42,7 @@ def import_files(
             target = out or (out_dir or Path()) / f"{name}.mcap"
             if target in written:
                 raise SeatrialError(f"{target}: two of the files would become this log; rename one")
-            _write_piece(import_map, data, piece, target, force)
+            _write_piece(import_map, data, piece, target, force, [map_path, *files, *_beside(import_map)])
             written.append(target)
         for remark in (remark for one in data for remark in one.remarks):
             warnings.warn(remark, SeatrialWarning, stacklevel=2)
@@ -83,7 +83,7 @@ def _read(path: Path, source: Source) -> _File:
     tables = kind.read(path, source.options)
     signals = read_signals(tables, source)
     used = {signal.topic for signal in source.signals}
-    remarks = [f"{path}: {one.topic}: {one.remark}" for one in tables if one.remark and one.topic in used]
+    remarks = [f"{path}: {one.said}" for one in tables if one.remark and one.topic in used]
     if n := signals.n_disordered:
         remarks.append(f"{path}: {counted(n, 'row')} left out, where time repeats or runs back")
     empty = [one.signal.name for one in signals.signals if not len(one.t)]
@@ -92,7 +92,15 @@ def _read(path: Path, source: Source) -> _File:
     return _File(path, kind.name, sha256_of(path), signals, source.time.origin if source.time else 0.0, tuple(remarks))
 
 
-def _write_piece(import_map: ImportMap, data: Sequence[_File], piece: Piece, target: Path, force: bool) -> None:
+def _beside(import_map: ImportMap) -> list[Path]:
+    """The files that a map names."""
+    named = [path for source in import_map.sources for path in (source.options.dbc, source.options.rig)]
+    return [path for path in named if path is not None]
+
+
+def _write_piece(
+    import_map: ImportMap, data: Sequence[_File], piece: Piece, target: Path, force: bool, reads: Sequence[Path]
+) -> None:
     signals: list[SignalData] = []
     kinds = ", ".join(dict.fromkeys(one.kind for one in data))
     metadata = {"import": kinds, "import.map": import_map.name, "import.map.sha256": _sha256(import_map.text)}
@@ -109,7 +117,7 @@ def _write_piece(import_map: ImportMap, data: Sequence[_File], piece: Piece, tar
     attachments = {"import.toml": import_map.text.encode()}
     if import_map.vehicle:
         attachments["vehicle.toml"] = "".join(f"{k} = {v!r}\n" for k, v in import_map.vehicle.items()).encode()
-    write_signals(target, signals, metadata=metadata, attachments=attachments, note=note, force=force)
+    write_signals(target, signals, metadata=metadata, attachments=attachments, note=note, force=force, reads=reads)
 
 
 def _cut(signal: SignalData, piece: Piece) -> SignalData:

@@ -68,6 +68,7 @@ class Signal:
     missing_is: float | None = None  # what such a cell says all the same, in `unit`; None: nothing
     topic: str = ""
     time: str = ""  # the column of its own time, in place of [time]
+    time_format: str = ""  # of that column, in place of [time]'s
     frame: str = (
         "NED"  # NED: north, east, down and forward, starboard, down; ENU: east, north, up and forward, left, up
     )
@@ -214,15 +215,20 @@ def _time(table: TomlTable) -> TimeColumn:
     if table.has("rate_hz"):
         found = TimeColumn(rate_hz=table.number("rate_hz", positive=True), origin=origin)
     else:
-        pattern = table.text("format", "s")
-        if pattern not in (*TIME_UNITS, "iso", "datenum") and "%" not in pattern:
-            raise table.error("format", f"must be s, ms, us, ns, iso, datenum or a pattern with %, not '{pattern}'")
+        pattern = _time_format(table, "format", "s")
         fraction = table.text("fraction", "", choices=("", "decimal", "unpadded-ns"))
         if fraction and pattern in ("ms", "us", "ns", "datenum"):
             raise table.error("fraction", "goes with seconds only: format s, iso or a pattern")
         found = TimeColumn(table.text("column"), pattern, fraction, origin=origin)
     table.done()
     return found
+
+
+def _time_format(table: TomlTable, key: str, usual: str) -> str:
+    pattern = table.text(key, usual)
+    if pattern not in (*TIME_UNITS, "iso", "datenum", usual) and "%" not in pattern:
+        raise table.error(key, f"must be s, ms, us, ns, iso, datenum or a pattern with %, not '{pattern}'")
+    return pattern
 
 
 def _origin(table: TomlTable) -> float:
@@ -255,6 +261,9 @@ def _signal(table: TomlTable, frame: str) -> Signal:
     timeout = table.number("timeout", positive=True) if table.has("timeout") else 0.0
     if timeout and hold != "zero":
         raise table.error("timeout", "needs hold = 'zero': a value that is held until it is repeated")
+    time, time_format = table.text("time", ""), _time_format(table, "time_format", "")
+    if time_format and not time:
+        raise table.error("time_format", "needs time: the column of its own time that has it")
     missing = table.maybe_number("missing")
     if missing is None and table.has("missing_is"):
         raise table.error("missing_is", "needs missing: the number in whose place it stands")
@@ -273,7 +282,8 @@ def _signal(table: TomlTable, frame: str) -> Signal:
         missing,
         table.maybe_number("missing_is"),
         topic,
-        table.text("time", ""),
+        time,
+        time_format,
         FRAMES[table.text("frame", "NED" if make in GEOGRAPHIC else frame, choices=tuple(FRAMES))],
         make,
         units,

@@ -39,7 +39,9 @@ def import_mavlink(
     target = out or Path(f"{path.stem}.mcap")
     about = {"import": "mavlink", "source.1.name": path.name, "source.1.sha256": sha256_of(path)}
     name = device.name if device is not None else DEVICE
-    _write(target, name, rows, about, rig, f"{path.name}: {said}", force)
+    reads = [path] if rig is None else [path, rig.path]
+    with replacing(target, force, reads) as part:
+        _write(target, part, name, rows, about, rig, f"{path.name}: {said}")
     return target, said
 
 
@@ -161,7 +163,7 @@ def vehicle_type(path: Path, rows: Sequence[Timed], system: int | None) -> int |
 
 
 def _write(
-    out: Path, device: str, rows: Sequence[Timed], about: dict[str, str], rig: Rig | None, note: str, force: bool
+    out: Path, part: Path, device: str, rows: Sequence[Timed], about: dict[str, str], rig: Rig | None, note: str
 ) -> None:
     in_file = rows
     rows = sorted(rows, key=lambda row: row.frame.t_rx)
@@ -172,12 +174,11 @@ def _write(
     first = round(rows[0].frame.t_rx * NANO)
     metadata = {**collect(), "format": LOG_FORMAT, "speed": "1.0", **about}
     attachments = {} if rig is None else {"rig.toml": rig.text.encode()}
-    with replacing(out, force) as part:
-        writer = LogWriter(part, metadata=metadata, attachments=attachments, time_ns=first)
-        try:
-            _add_all(writer, device, rows, first, [("import", note), *(("clock", text) for text in steps)])
-        finally:
-            writer.close()
+    writer = LogWriter(part, metadata=metadata, attachments=attachments, time_ns=first)
+    try:
+        _add_all(writer, device, rows, first, [("import", note), *(("clock", text) for text in steps)])
+    finally:
+        writer.close()
 
 
 def _add_all(

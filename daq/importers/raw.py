@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -24,9 +25,10 @@ def import_raw(
 ) -> tuple[Path, str]:
     """Decode a capture and write its samples; returns the path of the log and a summary in one line.
 
-    A capture has no times of its own. With `rate` [Hz] the samples are put 1/rate apart, beginning in 1970; without
-    it each carries the device's own time. NMEA before its first date has that of the date which follows, and the day of
-    1970-01-01 where none does. Raises SeatrialError.
+    A capture has no times of its own. With `rate` [Hz] the samples are put 1/rate apart, beginning in 1970: those of
+    the most frequent kind, rarer ones (headings between fixes) at the one before them. Without it each carries the
+    device's own time. NMEA before its first date has that of the date which follows, and the day of 1970-01-01 where
+    none does. Raises SeatrialError.
     """
     decoder = default_decoder(protocol)
     frames, sha256 = _decode(decoder, path)
@@ -34,7 +36,7 @@ def import_raw(
     if not frames:
         raise SeatrialError(f"{path}: no {protocol} samples among {decoder.frames} whole frames ({wrong})")
     device = _NAMES[type(frames[0].sample)]
-    times = [k / rate for k in range(len(frames))] if rate else _device_times(path, frames)
+    times = _even_times(frames, rate) if rate else _device_times(path, frames)
     said = f"{counted(len(frames), 'sample')} of {counted(decoder.frames, f'{protocol} frame')}; {wrong}"
     target = out or Path(f"{path.stem}.mcap")
     metadata = {"import": "raw", "import.protocol": protocol, "source.1.name": path.name, "source.1.sha256": sha256}
@@ -43,7 +45,8 @@ def import_raw(
     rows = [SignalRow(t, device, frame._replace(t_rx=t)) for t, frame in zip(times, frames, strict=True)]
     if min(times) < 0.0 or max(times) >= 2**31:
         raise SeatrialError(f"{target}: the device's times do not lie between 1970 and 2038; give --rate instead")
-    write_frames(target, rows, metadata=metadata, note=f"{path.name} as {protocol}: {said}", force=force)
+    note = f"{path.name} as {protocol}: {said}"
+    write_frames(target, rows, metadata=metadata, note=note, force=force, reads=[path])
     return target, said
 
 
@@ -84,6 +87,21 @@ def _dated(frames: list[Frame]) -> list[Frame]:
 def _at(frame: Frame, t: float) -> Frame:
     sample = frame.sample
     return frame._replace(t_device=t, sample=replace(sample, utc=t) if isinstance(sample, Gnss) else sample)
+
+
+def _even_times(frames: Sequence[Frame], rate: float) -> list[float]:
+    """Times [s] 1/rate apart of the most frequent kind of sample, and of one that comes as often but for the ends of
+    the capture; rarer ones have the time of the most frequent one before them."""
+    kinds = [type(frame.sample) for frame in frames]
+    numbers = Counter(kinds)
+    most, n_most = numbers.most_common(1)[0]
+    so_far: Counter[type] = Counter()
+    times = []
+    for kind in kinds:
+        so_far[kind] += 1
+        n = so_far[kind if numbers[kind] >= n_most - 2 else most]
+        times.append(max(n - 1, 0) / rate)
+    return times
 
 
 def _device_times(path: Path, frames: Sequence[Frame]) -> list[float]:

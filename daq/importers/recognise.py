@@ -21,6 +21,7 @@ class Candidate(NamedTuple):
     table: Table
     signals: tuple[Taken, ...]
     caveat: str = ""
+    quantity: frozenset[str] = frozenset()  # of thrusters: what left and right must share; empty: they need not
 
 
 class Taken(NamedTuple):
@@ -159,6 +160,7 @@ _UNITS = {  # as they are written behind names -> as maps have them
     "rad/s": "rad/s", "rads": "rad/s", "rad_s": "rad/s", "m": "m", "m/s": "m/s", "mps": "m/s", "m_s": "m/s", "kn": "kn",
     "kts": "kn", "knots": "kn", "km/h": "km/h", "m/s2": "m/s2", "m/s^2": "m/s2", "g": "g", "1/s": "rev/s", "hz": "Hz",
     "rpm": "rev/min", "pwm": "us", "newton": "N", "nm": "Nm", "s": "s", "ms": "ms", "us": "us", "ns": "ns", "-": "1",
+    "sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "usec": "us", "µs": "us", "nsec": "ns",
 }  # fmt: skip
 _SUFFIX = re.compile(r"_(deg|degrees|rad|dps|deg_s|rads|rad_s|mps|m_s|kn|kts|knots|ms|us|ns|s|m)$")
 _BRACKET = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
@@ -180,7 +182,14 @@ DRIVES = {
 }
 DRIVES |= {"throttle", "esc", "servo", "power", "n", "f", "engine", "shaft", "duty"}
 _NOT_DRIVES = {"angle", "rudder", "azimuth", "pos", "position", "zero", "offset", "current", "voltage", "temperature"}
-_NOT_DRIVES |= {"effort", "joint_states", "torque", "std", "bias", "status", "min", "max", "temp", "sp"}
+_NOT_DRIVES |= {"effort", "torque", "std", "bias", "status", "min", "max", "temp", "sp", "sat", "sats", "satellites"}
+_LETTERS = {"n", "f"}  # of a thruster only where nothing but a side stands beside them
+SET_POINTS = {"setpoint", "desired", "target", "goal", "reference", "ref"}
+_COMMANDS = SET_POINTS | {"cmd", "command", "pwm"}
+_SPEEDS = {"rpm", "speed", "velocity", "shaft"}
+_SPEED_UNITS = {"rev/min", "rev/s", "rad/s", "Hz"}
+_FORCE_UNITS = {"N", "kgf", "lbf"}
+_DRIVE_UNITS = {"", "1", "%", "us"} | _SPEED_UNITS | _FORCE_UNITS  # what has another, a power or a current, drives not
 
 
 class Name(NamedTuple):
@@ -192,6 +201,11 @@ class Name(NamedTuple):
     words: frozenset[str]
     plain: str
     no_unit: str = ""
+
+
+def without_unit(column: str) -> str:
+    """The name of a column without what stands behind it in brackets."""
+    return _BRACKET.sub("", column).strip()
 
 
 def read_name(column: str) -> Name:
@@ -248,27 +262,45 @@ def _twist(table: Table, prefix: str) -> tuple[Row, ...]:
     )
 
 
+def quantity(words: frozenset[str]) -> frozenset[str]:
+    """What the words about a thruster say beside its side and number: left and right of one quantity have the same."""
+    return frozenset(word.rstrip("0123456789") for word in words - SIDES) - {""}
+
+
 def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, Taken, str] | None:
     """Which thruster a column of commands or forces belongs to: its group, how it is taken (without its columns), and
     the caveat about it. None where it is none. `values` are its own and those of the other side, which has the same
     scale."""
-    if not words & DRIVES or words & _NOT_DRIVES or not (good := values[np.isfinite(values)]).size:
+    said = words & DRIVES
+    if not said or words & _NOT_DRIVES or (said <= _LETTERS and quantity(words) - _LETTERS):
+        return None
+    good = values[np.isfinite(values)]
+    if unit not in _DRIVE_UNITS or not good.size:
         return None
     side = "_left" if words & _LEFT and not words & _RIGHT else "_right" if words & _RIGHT and not words & _LEFT else ""
     top = float(np.max(np.abs(good)))
-    if unit in ("N", "kgf", "lbf") or (words & {"force", "thrust"} and top > 1.0):
+    forces = words & {"force", "thrust", "f"}
+    if unit in _FORCE_UNITS or (not unit and forces and top > 1.0):
         caveat = "" if unit else f"its numbers, up to {top:.3g}, are taken for newtons"
         return "force", Taken(f"f{side}" if side else "X", (), unit or "N", "", 'role = "input"'), caveat
-    if top <= 1.0:
-        caveat = "a thrust within -1..1 is taken for a command; newtons are f_left, f_right with unit N"
-        return "drive", Taken(f"n{side}", (), "1", "", 'role = "input"'), caveat if "thrust" in words else ""
-    if np.min(good[good != 0.0], initial=top) > 700.0 and top < 2300.0 and not words & {"rpm"}:
-        return "drive", Taken(f"n{side}", (), "1", "", PULSES), "1500 us is taken for rest, 400 us more for full ahead"
-    if top <= 100.0 and not words & {"rpm", "speed", "velocity"}:
-        return (
-            "drive",
-            Taken(f"n{side}", (), "%", "", 'role = "input"'),
-            f"its numbers, up to {top:.3g}, are taken for %",
-        )
-    caveat = f"its greatest number, {top:.4g}, is taken for full ahead"
-    return "drive", Taken(f"n{side}", (), "1", "", f'scale = {1.0 / top:.9g}, role = "input"'), caveat
+    speed = bool(unit in _SPEED_UNITS or words & _SPEEDS)
+    role, caveat = 'role = "input"', ""
+    if speed and not words & _COMMANDS:
+        role += ', hold = "linear"'
+        caveat = 'taken for a measured shaft speed; a command has hold = "zero"'
+
+    def found(unit: str, extra: str, *caveats: str) -> tuple[str, Taken, str]:
+        return "drive", Taken(f"n{side}", (), unit, "", extra), "; ".join(one for one in (*caveats, caveat) if one)
+
+    if unit == "%":
+        return found("%", role, "" if top > 1.0 else f"its numbers are at most {top:.3g}: percent, or a share of 1?")
+    if top <= 1.0 and unit in ("", "1"):
+        share = "a thrust within -1..1 is taken for a command; newtons are f_left, f_right with unit N"
+        return found("1", role, share if forces and not unit else "")
+    pulses = np.min(good[good != 0.0], initial=top) > 700.0 and top < 2300.0 and "rpm" not in words
+    if unit == "us" or (not unit and pulses):
+        return found("1", PULSES, "1500 us is taken for rest, 400 us more for full ahead")
+    if top <= 100.0 and not unit and not speed:
+        return found("%", role, f"its numbers, up to {top:.3g}, are taken for %")
+    scale = f"scale = {1.0 / top:.9g}, " if top > 0.0 else ""
+    return found("1", scale + role, f"its greatest number, {top:.4g}, is taken for full ahead")

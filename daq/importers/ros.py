@@ -5,6 +5,7 @@ Axes are those of the bag; the map turns them (REP-103: forward, left, up; east,
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -74,9 +75,8 @@ class _Topic:
 
     def __init__(self, kind: str) -> None:
         self.kind, self.frame_id = kind, ""
-        self.t_log: list[float] = []
-        self.t_stamp: list[float] = []
-        self.rows: list[dict[str, float]] = []
+        self.t_log, self.t_stamp = array("d"), array("d")
+        self.columns: dict[str, array[float]] = {}  # 8 bytes a number: a bag of an hour has tens of millions
 
     def add(self, t_log: float, message: Any) -> None:
         header = getattr(message, "header", None)
@@ -84,7 +84,14 @@ class _Topic:
         self.frame_id = self.frame_id or str(getattr(header, "frame_id", ""))
         self.t_log.append(t_log)
         self.t_stamp.append(np.nan if stamp is None else (stamp.sec + 1e-9 * stamp.nanosec) or np.nan)
-        self.rows.append(dict(_numbers(message)))
+        rows = len(self.t_log)
+        for name, value in _numbers(message):
+            column = self.columns.get(name)
+            if column is None:
+                column = self.columns[name] = array("d")
+            if len(column) < rows:  # once a row, and NaN where rows before had no such field
+                column.extend([np.nan] * (rows - 1 - len(column)))
+                column.append(value)
 
     def table(self, path: Path, topic: str) -> Table:
         t_log, t = np.array(self.t_log), np.array(self.t_stamp)
@@ -96,14 +103,18 @@ class _Topic:
         t = np.where(stamped, t, t_log)
         remark = remark or ran_back(t)
         order = np.argsort(t, kind="stable")
-        names = list(dict.fromkeys(name for row in self.rows for name in row))
-        columns = {name: np.array([row.get(name, np.nan) for row in self.rows])[order] for name in names}
+        columns = {name: self._column(name)[order] for name in self.columns}
         if self.kind == IMU:
             _leave_out_unmeasured(columns)
         if self.kind == FIX:
             for name in ("latitude", "longitude"):
                 columns[name] = np.where(columns["status.status"] < 0, np.nan, columns[name])
         return Table(path, topic, columns, t[order], self.kind, self.frame_id, remark)
+
+    def _column(self, name: str) -> Column:
+        found = np.full(len(self.t_log), np.nan)
+        found[: len(self.columns[name])] = self.columns[name]
+        return found
 
 
 def _leave_out_unmeasured(columns: dict[str, Column]) -> None:
@@ -122,7 +133,8 @@ def _leave_out_unmeasured(columns: dict[str, Column]) -> None:
 
 def _numbers(message: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
     """Every number of a message by the name of its field, in order; header and text left out. Of a JointState, and
-    what is built like it, the numbers have the names of the joints: velocity.left."""
+    what is built like it, the numbers have the names of the joints: velocity.left; of several messages in one their
+    places: esc[0].rpm."""
     joints = getattr(message, "name", None)
     for field in fields(message):
         if field.name in ("header", "__msgtype__") or field.name.isupper():
@@ -130,6 +142,10 @@ def _numbers(message: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
         value, name = getattr(message, field.name), f"{prefix}{field.name}"
         if is_dataclass(value):
             yield from _numbers(value, f"{name}.")
+        elif isinstance(value, list) and len(value) <= LONGEST:
+            for k, one in enumerate(value):
+                if is_dataclass(one):
+                    yield from _numbers(one, f"{name}[{k}].")
         elif isinstance(value, (bool, int, float, np.number)):
             yield name, float(value)
         elif isinstance(value, np.ndarray) and value.ndim == 1 and len(value) <= LONGEST and value.dtype.kind in "biuf":

@@ -45,18 +45,20 @@ class Signals:
 def read_signals(tables: Sequence[Table], source: Source) -> Signals:
     """The signals of one file by its part of the map. Raises SeatrialError with the place and what to do."""
     signals, n_dropped, n_disordered = [], 0, 0
-    clocks: dict[tuple[int, str], tuple[Column, NDArray[np.bool_], NDArray[np.bool_]]] = {}
+    clocks: dict[tuple[int, str, str], tuple[Column, NDArray[np.bool_], NDArray[np.bool_]]] = {}
     for signal in source.signals:
         table = _table(tables, signal)
         time = source.time
         if signal.time:
             time = replace(time or TimeColumn(), column=signal.time, rate_hz=0.0)
-        clock = (id(table), signal.time)
+            if signal.time_format:
+                time = replace(time, format=signal.time_format, fraction="")
+        clock = (id(table), signal.time, signal.time_format)
         if clock not in clocks:
             t = row_times(table, time)
             ordered = _order(table, t, source)
             n_disordered += len(t) - int(ordered.sum())
-            shared = [s for s in source.signals if _table(tables, s) is table and s.time == signal.time]
+            shared = [s for s in source.signals if (id(_table(tables, s)), s.time, s.time_format) == clock]
             columns = [column for s in shared if not s.timeout for column in s.columns]
             new = ordered
             if source.options.style.repeats == "drop" and columns:

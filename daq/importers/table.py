@@ -28,18 +28,27 @@ class Table:
     remark: str = ""  # what was odd about it
     vehicle: int | None = None  # MAV_TYPE, of logs of autopilots that say it
     parameters: Mapping[str, float] = field(default_factory=dict)  # of the autopilot, where its log has them
+    texts: Mapping[str, Sequence[str]] = field(default_factory=dict)  # columns of text, by name, which have no numbers
+    seconds: frozenset[str] = frozenset()  # columns that the source calls times or durations: they are in s
     strict = False  # text: rows out of order and cells without a number are errors unless the map says otherwise
 
     @property
     def names(self) -> Sequence[str]:
         """Names of the columns."""
-        return list(self.columns)
+        return [*self.columns, *self.texts]
+
+    @property
+    def said(self) -> str:
+        """The remark with its topic."""
+        return f"{self.topic}: {self.remark}" if self.topic else self.remark
 
     def __len__(self) -> int:
-        return len(next(iter(self.columns.values()), ()))
+        return len(next(iter((*self.columns.values(), *self.texts.values())), ()))
 
     def numbers(self, column: str) -> Column:
         """A column (n,). Raises SeatrialError where there is no such column, or a cell is no number."""
+        if column in self.texts:
+            raise self.error(0, column, f"{''.join(self.texts[column][:1])[:40]!r} is text, no number")
         if column not in self.columns:
             there = ", ".join(self.names) or "none"
             raise SeatrialError(f"{self.path}: {self.topic or 'the table'} has no '{column}'; there is: {there}")
@@ -47,7 +56,7 @@ class Table:
 
     def text(self, column: str) -> list[str]:
         """A column as text, for times that are no numbers."""
-        return [repr(value) for value in self.numbers(column).tolist()]
+        return list(self.texts.get(column, ())) or [repr(value) for value in self.numbers(column).tolist()]
 
     def error(self, row: int, column: str, problem: str) -> SeatrialError:
         """The error of one cell, to be raised."""

@@ -42,8 +42,10 @@ def write_signals(
     attachments: Mapping[str, bytes],
     note: str,
     force: bool = False,
+    reads: Sequence[Path] = (),
 ) -> None:
-    """Write one log of signals, messages in the order of time, with `note` as its first event."""
+    """Write one log of signals, messages in the order of time, with `note` as its first event; never in the place of
+    what it is made of, `reads`."""
     times = [one.t for one in signals if len(one.t)]
     if not times:
         raise SeatrialError(f"{out}: no samples left to write; look at the map's t_from, t_to and nan")
@@ -52,7 +54,7 @@ def write_signals(
     t_ns = [np.rint(one.t * NANO).astype(np.int64) for one in signals]
     first = min(int(t[0]) for t in t_ns if len(t))
     about = {**collect(), "format": LOG_FORMAT, "speed": "1.0", **metadata}
-    with replacing(out, force) as part:
+    with replacing(out, force, reads) as part:
         writer = LogWriter(part, metadata=about, attachments=attachments, time_ns=first)
         try:
             _write(writer, signals, t_ns, note, first)
@@ -89,8 +91,10 @@ def write_frames(
     note: str,
     units: Mapping[str, str] | None = None,
     force: bool = False,
+    reads: Sequence[Path] = (),
 ) -> None:
-    """Write samples in the order of time, with `note` as the first event; `units` are those of the signals.
+    """Write samples in the order of time, with `note` as the first event; `units` are those of the signals, `reads`
+    what they are made of.
 
     Raises SeatrialError where there is nothing to write, and for times that lie not between 1970 and 2038.
     """
@@ -102,7 +106,7 @@ def write_frames(
     steps = clock_steps((row.device, row.frame, row.t) for row in rows)
     first = round(ordered[0].t * NANO)
     about = {**collect(), "format": LOG_FORMAT, "speed": "1.0", **metadata}
-    with replacing(out, force) as part:
+    with replacing(out, force, reads) as part:
         writer = LogWriter(part, metadata=about, attachments={}, time_ns=first)
         try:
             event = writer.channel("/event", schema.EVENT)
@@ -149,8 +153,14 @@ def _write_frames(writer: LogWriter, rows: Sequence[SignalRow], units: Mapping[s
 
 
 @contextlib.contextmanager
-def replacing(out: Path, force: bool) -> Iterator[Path]:
-    """A path to write to; it becomes `out` when the block ends well, and nothing stays behind when not."""
+def replacing(out: Path, force: bool, reads: Sequence[Path]) -> Iterator[Path]:
+    """A path to write to; it becomes `out` when the block ends well, and nothing stays behind when not.
+
+    What the block `reads`, files and folders, stays as it is even with `force`: a recording cannot be made again.
+    """
+    for path in reads if out.exists() else ():
+        if (path.exists() and out.samefile(path)) or path.resolve() in out.resolve().parents:
+            raise SeatrialError(f"{out}: is what is read here, and is never replaced; -o names another file")
     if out.exists() and not force:
         raise SeatrialError(f"{out}: the file exists already; --force replaces it, -o names another")
     part = out.with_name(f".{out.name}.{os.getpid()}.part")

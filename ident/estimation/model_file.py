@@ -150,8 +150,12 @@ def save_model(
 def _states_table(model: Model, effects_file: Path | None) -> dict[str, dict[str, float]]:
     """Numbers of the states of effects, which go with the size of the boat that the fit began with."""
     own = load_effects(effects_file) if effects_file is not None else {}
-    return {s.name: {k: float(z) for k in STATE_NUMBERS if not isinstance(z := getattr(s, k), str)}
-            for e in model.effects if _is_sized(e, own) for s in e.states}
+    return {
+        s.name: {k: float(z) for k in STATE_NUMBERS if not isinstance(z := getattr(s, k), str)}
+        for e in model.effects
+        if _is_sized(e, own)
+        for s in e.states
+    }
 
 
 def _is_sized(effect: Effect, own: Mapping[str, Effect]) -> bool:
@@ -229,10 +233,11 @@ def load_model(path: Path) -> SavedModel:
         between = table.get("correlation", {})
         names = tuple(str(n) for n in between.get("names", ()))
         correlation = np.asarray(between.get("matrix", ()), dtype=float).reshape(len(names), len(names))
-    except (KeyError, TypeError, ValueError) as problem:
+        reml = bool(table.get("reml", False))
+        made, calibration = dict(table.get("provenance", {})), table.get("scale", {}).get("calibration")
+        calibration = None if calibration is None else float(calibration)
+    except (AttributeError, KeyError, TypeError, ValueError) as problem:  # attribute: a value where a table should be
         raise SeatrialError(f"{path}: not a complete model: {problem}") from problem
-    reml = bool(table.get("reml", False))
-    made, calibration = table.get("provenance", {}), table.get("scale", {}).get("calibration")
     return SavedModel(model, errors, validity, made, names, correlation, effects_file, reml, calibration, origin)
 
 

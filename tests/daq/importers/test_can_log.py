@@ -193,6 +193,8 @@ def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(SeatrialError, match="2 frames, none of a device of"):
         import_can(path, tmp_path / "rig.toml", out=tmp_path / "x.mcap", force=True)
     assert (tmp_path / "x.mcap").read_bytes() == b"an earlier log"
+    with pytest.raises(SeatrialError, match="is what is read here, and is never replaced"):
+        import_can(path, tmp_path / "rig.toml", out=tmp_path / "rig.toml", force=True)
     path.write_text("(1.000000) can0 123#00\n(1.1")
     with pytest.raises(SeatrialError, match="cannot be read as a CAN log"):
         guess_map(path)

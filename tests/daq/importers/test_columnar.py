@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import pytest
 from scipy.io import savemat
 
 from daq.errors import SeatrialError
+from daq.importers.clocks import Clock, clock_of
 from daq.importers.columnar import read_matlab, read_parquet
 from daq.importers.guess import guess_map
 from daq.importers.import_files import import_files
@@ -107,7 +109,10 @@ def test_parquet_with_times_of_its_own(tmp_path: Path) -> None:
     table = pa.table({"time": stamps, "heading": pa.array(np.arange(20.0)), "who": pa.array(["a"] * 20)})
     pq.write_table(table, tmp_path / "run.parquet")
     (found,) = read_parquet(tmp_path / "run.parquet", SourceOptions())
-    assert list(found.names) == ["time", "heading"]
+    assert list(found.names) == ["time", "heading", "who"]
+    assert found.text("who") == ["a"] * 20
+    with pytest.raises(SeatrialError, match="'who', row 1: 'a' is text, no number"):
+        found.numbers("who")
     guess = guess_map(tmp_path / "run.parquet")
     (tmp_path / "map.toml").write_text(guess.text)
     (out,) = import_files(tmp_path / "map.toml", [tmp_path / "run.parquet"], out=tmp_path / "run.mcap")
@@ -116,3 +121,37 @@ def test_parquet_with_times_of_its_own(tmp_path: Path) -> None:
     (tmp_path / "bad.parquet").write_bytes(b"PAR1 and no more")
     with pytest.raises(SeatrialError, match=r"bad\.parquet: cannot be read as Parquet"):
         guess_map(tmp_path / "bad.parquet")
+
+
+def clock(path: Path, columns: dict[str, Any]) -> Clock:
+    """The clock of a Parquet file with these columns."""
+    pq.write_table(pa.table(columns), path)
+    return clock_of(read_parquet(path, SourceOptions())[0])
+
+
+def test_types_of_parquet(tmp_path: Path) -> None:
+    path, n = tmp_path / "run.parquet", np.arange(20)
+    ns = 1_700_000_000_000_000_000 + 100_000_000 * n
+    stamps = pa.array(ns.astype("datetime64[ns]"))
+    assert clock(path, {"k": n, "timestamp_ns": stamps}) == Clock("timestamp_ns")  # its type goes before its name
+    assert clock(path, {"k": n, "when": stamps}) == Clock("when")
+    assert clock(path, {"k": n, "elapsed": pa.array(n * 10**8, pa.duration("ns"))}) == Clock("elapsed")
+    texts = pa.array([f"2025-05-01T12:00:{k:02d}" for k in n])
+    assert clock(path, {"k": n, "time": texts.dictionary_encode()}) == Clock("time", "iso")
+    zones = pa.array(["UTC"] * 20)
+    assert clock(path, {"time_zone": zones, "t_gps": 0.1 * n}) == Clock("t_gps")
+    assert clock(path, {"__index_level_0__": n, "yaw": n}) == Clock()
+    pq.write_table(pa.table({
+        "day": pa.array(n.tolist(), pa.date32()),
+        "clock": pa.array([*n[:-1].tolist(), None], pa.time32("s")),
+        "volts": pa.array([Decimal(int(k)) / 4 for k in n], pa.decimal128(9, 2)),
+        "list": pa.array([[1.0]] * 20),
+        "stamp": pa.array([*(ns // 10**6)[:-1].tolist(), None], pa.timestamp("ms", "UTC")),
+    }), path)  # fmt: skip
+    (table,) = read_parquet(path, SourceOptions())
+    np.testing.assert_allclose(table.columns["day"], 86400.0 * n)
+    np.testing.assert_allclose(table.columns["clock"], [*(1.0 * n[:-1]), np.nan])
+    np.testing.assert_array_equal(table.columns["volts"], n / 4)
+    np.testing.assert_allclose(table.columns["stamp"], [*(1.7e9 + 0.1 * n[:-1]), np.nan])
+    assert table.remark.startswith("of a type that is not read: list (list<")
+    assert "# caveat: of a type that is not read: list" in guess_map(path).text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,13 @@ import pytest
 from click.testing import CliRunner
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.io import savemat
 
 from daq import cli
 from daq.errors import SeatrialError
 from daq.importers import guess
-from daq.importers.guess import guess_map, outputs
+from daq.importers.clocks import Clock, clock_of
+from daq.importers.guess import Guess, guess_map, outputs
 from daq.importers.import_files import import_files
 from daq.importers.recognise import read_name
 from daq.importers.sources import SourceKind
@@ -124,6 +127,85 @@ def test_a_unit_that_is_none_is_a_caveat(tmp_path: Path) -> None:
     assert "  # caveat: 'm' behind 'heading [m]' is not taken for a unit\n" in text
 
 
+def thrusters(guess: Guess) -> dict[str, tuple[str, str, str]]:
+    """Column, unit and hold of each signal of a guess."""
+    signals = tomllib.loads(guess.text)["signal"]
+    usual = {"input": "zero", "output": "linear"}
+    return {
+        s["name"]: (s["column"], s["unit"], s.get("hold", usual[s.get("role", "output")])) for s in signals
+    }  # fmt: skip
+
+
+def columns(*names: str, top: float = 40.0) -> Table:
+    """Columns that swing up to about `top`."""
+    return Table(Path("x"), "", {name: top * np.sin(TIME + k) for k, name in enumerate(names)}, TIME)
+
+
+@pytest.mark.parametrize(
+    ("names", "found", "caveat"),
+    [
+        (("X", "Y"), {"x": ("X", "m", "linear"), "y": ("Y", "m", "linear")}, "X is taken for a position"),
+        (("N", "E"), {"x": ("N", "m", "linear"), "y": ("E", "m", "linear")}, ""),
+        (("X [m]", "Y [m]"), {"x": ("X [m]", "m", "linear"), "y": ("Y [m]", "m", "linear")}, ""),
+        (("X", "N"), {"X": ("X", "N", "zero"), "N": ("N", "Nm", "zero")}, "X is taken for the force ahead in N"),
+        (("X", "Y", "N"), {"X": ("X", "N", "zero"), "N": ("N", "Nm", "zero")}, "N is taken for the moment in Nm"),
+        (("X [kgf]", "N [Nm]"), {"X": ("X [kgf]", "kgf", "zero"), "N": ("N [Nm]", "Nm", "zero")}, ""),
+    ],
+)
+def test_capitals_are_forces_or_a_position(
+    guess_of: Guessing, names: tuple[str, ...], found: dict[str, tuple[str, str, str]], caveat: str
+) -> None:
+    guess = guess_of("matlab", columns(*names))
+    assert thrusters(guess) == found
+    assert (f"# caveat: {caveat}" in guess.text) if caveat else ("# caveat" not in guess.text)
+
+
+@pytest.mark.parametrize(
+    ("name", "top", "found", "caveat"),
+    [
+        ("thrust_left [%]", 40.0, ("n_left", "%", "zero"), ""),
+        ("thrust_left [%]", 0.9, ("n_left", "%", "zero"), "its numbers are at most 0.9: percent, or a share of 1?"),
+        ("thrust_left [N]", 40.0, ("f_left", "N", "zero"), ""),
+        ("thrust_left", 40.0, ("f_left", "N", "zero"), "its numbers, up to 40, are taken for newtons"),
+        ("f_left", 40.0, ("f_left", "N", "zero"), "its numbers, up to 40, are taken for newtons"),
+        ("thrust_left [us]", 1900.0, ("n_left", "1", "zero"), "1500 us is taken for rest"),
+        ("thrust_left [rpm]", 900.0, ("n_left", "1", "linear"), "its greatest number, 900, is taken for full ahead; "
+         'taken for a measured shaft speed; a command has hold = "zero"'),
+        ("rpm_left", 900.0, ("n_left", "1", "linear"), "its greatest number, 900, is taken for full ahead; taken"),
+        ("rpm_cmd_left", 900.0, ("n_left", "1", "zero"), "its greatest number, 900, is taken for full ahead\n"),
+        ("cmd_left", 0.9, ("n_left", "1", "zero"), ""),
+        ("n_left", 0.9, ("n_left", "1", "zero"), ""),
+        ("n", 0.9, ("n", "1", "zero"), ""),
+        ("n_sat", 9.0, None, ""),
+        ("n_satellites", 9.0, None, ""),
+        ("n_bytes", 9.0, None, ""),
+        ("motor_left [W]", 90.0, None, ""),
+        ("motor_left [deg]", 90.0, None, ""),
+    ],
+)  # fmt: skip
+def test_the_numbers_of_a_thruster(
+    guess_of: Guessing, name: str, top: float, found: tuple[str, str, str] | None, caveat: str
+) -> None:
+    guess = guess_of("matlab", Table(Path("x"), "", {name: np.linspace(0.5 * top, top, N)}, TIME))
+    assert thrusters(guess) == ({} if found is None else {found[0]: (name, *found[1:])})
+    assert (f"# caveat: {caveat}" in guess.text) if caveat else ("# caveat" not in guess.text)
+
+
+def test_left_and_right_are_of_one_quantity(guess_of: Guessing) -> None:
+    """A measurement before its set-point, a pair before a single one, whatever comes first."""
+    names = ("rpm_left_setpoint", "rpm_left", "rpm_right", "rpm_right_setpoint")
+    found = thrusters(guess_of("matlab", columns(*names, top=500.0)))
+    assert found == {"n_left": ("rpm_left", "1", "linear"), "n_right": ("rpm_right", "1", "linear")}
+    found = thrusters(guess_of("matlab", columns("duty_left", "cmd_right", "cmd_left", top=1.0)))
+    assert {name: one[0] for name, one in found.items()} == {"n_left": "cmd_left", "n_right": "cmd_right"}
+    found = thrusters(guess_of("matlab", columns("duty_left", "cmd_right", top=1.0)))
+    assert len(found) == 1
+    found = thrusters(guess_of("matlab", columns("motor_left_setpoint", "motor_right_setpoint", top=1.0)))
+    assert found["n_left"] == ("motor_left_setpoint", "1", "zero")
+    found = thrusters(guess_of("matlab", columns("motor_1_left", "motor_2_right", top=1.0)))
+    assert set(found) == {"n_left", "n_right"}
+
+
 def test_no_pulse_is_a_thruster_at_rest(tmp_path: Path) -> None:
     """Disarmed, an autopilot sends none; the last command does not hold until the end."""
     pulses = np.where(TIME < 1.0, 1900.0, 0.0)
@@ -149,6 +231,62 @@ def test_controllers_have_one_scale() -> None:
     assert {c.signals[0].extra.split(",")[0] for c in outputs(tables)} == {"scale = 0.001"}
 
 
+@pytest.mark.parametrize(
+    ("name", "times", "form", "caveat"),
+    [
+        ("time", TIME, "s", ""),
+        ("time", 1.7e9 + np.arange(N), "s", ""),
+        ("time", 1.7e9 + 5.0 * np.arange(N), "s", ""),
+        ("time", 1.7e12 + 100.0 * np.arange(N), "ms", ""),
+        ("time", 1.7e15 + 1e5 * np.arange(N), "us", ""),
+        ("time", 1.7e18 + 1e8 * np.arange(N), "ns", ""),
+        ("time", 1.5e9 + 2e4 * np.arange(N), "us", "steps of 2e+04 are taken for microseconds"),  # since its start
+        ("time", 1.5e12 + 2e7 * np.arange(N), "ns", "steps of 2e+07 are taken for nanoseconds"),
+        ("time", 739_000.5 + TIME / 86400.0, "datenum", ""),
+        ("time", 1.0 * np.arange(N), "s", "steps of 1 are taken for seconds"),
+        ("time", 1e-4 * np.arange(N), "s", "steps of 0.0001 are taken for seconds"),
+        ("time [min]", TIME, "s", "'min' behind 'time [min]' is not taken for a unit of time"),
+        ("time [sec]", TIME, "s", ""),
+        ("time (UTC)", TIME, "s", ""),
+        ("t [µs]", 1e5 * TIME, "us", ""),
+        ("utc", 120000.0 + TIME, "s", "of a time of day, hhmmss, it is"),
+        ("utc", np.append(55.0 + np.arange(5), 100.0 + np.arange(10)), "s", "of a time of day, hhmmss, it is"),
+        ("t", 12000.0 + 5.0 * TIME, "s", "of a time of day, hhmmss, it is"),
+        ("t", 12050.0 + 5.0 * TIME, "s", ""),  # no minute has more than 59 seconds
+    ],
+)  # fmt: skip
+def test_the_unit_of_a_time(name: str, times: np.ndarray, form: str, caveat: str) -> None:
+    clock = clock_of(Table(Path("x"), "", {name: times, "yaw": 200.0 + times}))
+    assert (clock.column, clock.form) == (name, form)
+    assert caveat in clock.caveat
+    assert bool(caveat) == bool(clock.caveat)
+
+
+def test_a_first_column_that_is_a_command_or_a_signal_is_no_time() -> None:
+    for name in ("PWM (µs)", "yaw"):
+        assert clock_of(Table(Path("x"), "", {name: TIME, "force": TIME})) == Clock()
+    assert clock_of(Table(Path("x"), "", {"k": TIME, "yaw": TIME})).caveat.startswith("its first column rises evenly")
+
+
+def test_each_table_has_its_own_clock(tmp_path: Path) -> None:
+    """Two names that are one, in s and ms; and a table in front of which nothing is taken."""
+    battery = {"t_batt": np.arange(7.0), "volts": 12.0 + np.arange(7.0)}
+    path = tmp_path / "run.mat"
+    savemat(path, {
+        **battery, "t": TIME, "x": TIME, "y": TIME, "cmd_left": np.sin(TIME), "cmd_right": np.cos(TIME),
+        "imu": {"t": 50.0 * np.arange(40), "yaw": 200.0 + np.arange(40)}, "yaw_rate": np.arange(11.0),
+    })  # fmt: skip
+    found = guessed(path)
+    text = guess_map(path).text
+    assert tomllib.loads(text)["time"] == {"column": "t", "format": "s"}
+    assert (found["psi"]["time"], found["psi"]["time_format"]) == ("t", "ms")
+    assert "# caveat: imu, 't': steps of 50 are taken for milliseconds" in text
+    assert "r" not in found  # it has no times
+    assert '# { name = "r", column = "yaw_rate"' in text
+    log = tmp_path / "run.mcap"
+    assert [values(log, name)[0][-1] for name in ("x", "n_left", "psi")] == pytest.approx([2.9, 2.9, 1.95])
+
+
 def test_times_of_a_day_are_imported(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("time,yaw_deg\n" + "".join(f"12:00:{k:02d},{90 + k}\n" for k in range(N)))
@@ -157,10 +295,43 @@ def test_times_of_a_day_are_imported(tmp_path: Path) -> None:
     assert values(tmp_path / "run.mcap", "psi")[0] == [43200.0 + k for k in range(N)]
 
 
+@pytest.mark.parametrize(
+    ("values", "unit", "caveat"),
+    [
+        (np.mod(300.0 + 10.0 * np.arange(N), 360.0), "deg", ""),  # it jumps
+        (200.0 + TIME, "deg", ""),  # it begins beyond a turn
+        (0.5 * np.arange(N), "deg", "an angle of up to 14.5, without a jump by a turn, is taken for degrees"),
+        (5.0 + 100.0 * np.arange(N), "deg", "an angle of up to 2905, without a jump"),
+        (TIME, "rad", "an angle of at most 2.90 is taken for radians"),
+        (np.mod(30000.0 + 1000.0 * np.arange(N), 36000.0), "cdeg", ""),
+        (20000.0 + TIME, "cdeg", "an angle that begins at 20000 is taken for centidegrees"),
+    ],
+)
+def test_the_unit_of_an_angle(guess_of: Guessing, values: np.ndarray, unit: str, caveat: str) -> None:
+    text = guess_of("matlab", Table(Path("x"), "", {"hdg": values}, TIME)).text
+    assert tomllib.loads(text)["signal"][0]["unit"] == unit
+    assert (f"# caveat: {caveat}" in text) if caveat else ("# caveat" not in text)
+    text = guess_of("matlab", Table(Path("x"), "", {"sog [kn]": TIME, "cog": values}, TIME)).text
+    assert tomllib.loads(text)["signal"][0]["units"] == ["kn", unit]
+    assert bool(caveat) == ("# caveat" in text)
+
+
+def test_units_that_no_name_says_have_caveats(guess_of: Guessing) -> None:
+    columns = {"sog": TIME, "acc_x": TIME, "acc_y": TIME, "lat": 3845.95 + TIME, "lon": 9012.5 + TIME}
+    text = guess_of("matlab", Table(Path("x"), "", columns, TIME)).text
+    assert "# caveat: a speed of at most 2.9 is taken for m/s\n" in text
+    assert "# caveat: accelerations are taken for m/s2, not for g\n" in text
+    assert {signal["name"] for signal in tomllib.loads(text)["signal"]} == {"speed", "ax", "ay"}
+    assert "# no latitude in degrees is 3848.85; ddmm.mmmm?" in text
+    known = {f"{name} [{unit}]": TIME for name, unit in (("sog", "kn"), ("acc_x", "g"), ("acc_y", "g"), ("cog", "deg"))}
+    assert "# caveat" not in guess_of("matlab", Table(Path("x"), "", known, TIME)).text
+
+
 def test_the_unit_of_a_rate_is_told_by_the_heading(tmp_path: Path) -> None:
     psi = 60.0 * np.sin(0.8 * TIME)  # deg, 10 Hz
     degrees = {"t": TIME, "yaw": psi, "yaw_rate": 48.0 * np.cos(0.8 * TIME)}
     assert guessed(write(tmp_path, degrees))["r"]["unit"] == "deg/s"
+    assert "# caveat: deg/s if the heading is in deg\n" in guess_map(tmp_path / "run.csv").text
     radians = {**degrees, "yaw_rate": np.radians(degrees["yaw_rate"])}
     assert guessed(write(tmp_path, radians))["r"]["unit"] == "rad/s"
     against = {**radians, "yaw_rate": -radians["yaw_rate"]}
@@ -185,6 +356,35 @@ def test_the_parameters_of_an_autopilot_tell_its_outputs() -> None:
         table.parameters = {}
     found = {c.signals[0].name: (c.table.topic, bool(c.caveat)) for c in outputs(tables)}
     assert found == {"n_left": ("servo_1", True), "n_right": ("servo_3", True)}
+
+
+@pytest.mark.parametrize(
+    ("parameters", "problem"),
+    [
+        ({"SERVO1_FUNCTION": 26.0, "SERVO3_FUNCTION": 70.0},
+         "SERVO1_FUNCTION 26 (steering), SERVO3_FUNCTION 70 (throttle)"),
+        ({"SERVO3_FUNCTION": 73.0}, "SERVO3_FUNCTION 73 (throttle left)"),
+        ({"SERVO1_FUNCTION": 33.0, "SERVO2_FUNCTION": 34.0}, "SERVO1_FUNCTION 33, SERVO2_FUNCTION 34"),
+    ],
+)  # fmt: skip
+def test_outputs_that_are_no_left_and_right_throttle(
+    guess_of: Guessing, parameters: dict[str, float], problem: str
+) -> None:
+    pulses = {"pwm": 1500.0 + TIME}
+    tables = [Table(Path("x"), f"servo_{k}", pulses, TIME, "Servo", parameters=parameters) for k in (1, 2, 3)]
+    assert not list(outputs(tables))
+    attitude = Table(Path("x"), "ahrs", {"yaw": TIME}, TIME, "Ahrs", parameters=parameters)
+    guess = guess_of("mavlink", *tables, attitude)
+    assert guess.problem == f"its outputs are no left and right throttles: {problem}"
+
+
+def test_an_output_without_a_range_has_the_usual_one() -> None:
+    parameters = {**PARAMETERS, "SERVO2_MIN": 1500.0, "SERVO2_MAX": 1500.0}
+    pulses = {"pwm": 1500.0 + TIME}
+    tables = [Table(Path("x"), f"servo_{k}", pulses, TIME, "Servo", parameters=parameters) for k in (1, 2)]
+    (left,) = (c for c in outputs(tables) if c.signals[0].name == "n_left")
+    assert left.caveat.startswith("SERVO2_MIN is not below SERVO2_MAX: ")
+    assert left.signals[0].extra.startswith("scale = 0.0025, offset = -3.75")
 
 
 PARAMETERS = {
@@ -233,6 +433,62 @@ def test_the_topics_of_mavros(tmp_path: Path) -> None:
     np.testing.assert_allclose(values(log, "n_right")[1], -np.arange(N) / 400.0, atol=1e-12)
 
 
+Guessing = Callable[..., Guess]
+
+
+@pytest.fixture
+def guess_of(monkeypatch: pytest.MonkeyPatch) -> Guessing:
+    """The guess of a source that has these tables."""
+
+    def guess_of(kind: str, *tables: Table) -> Guess:
+        monkeypatch.setattr(guess, "source_kind", lambda path: SourceKind(kind, lambda path, options: list(tables)))
+        return guess_map(Path("x"))
+
+    return guess_of
+
+
+def scalar(topic: str, values: np.ndarray) -> Table:
+    """A topic of numbers alone."""
+    return Table(Path("x"), topic, {"data": values}, TIME, "std_msgs/msg/Float64")
+
+
+@pytest.mark.parametrize(
+    ("topic", "frame_id", "is_ned"),
+    [
+        ("/vel_ned", "", True), ("/imu/velocity_ned", "", True), ("/NED/vel", "", True), ("/vel", "ins_frd_ned", True),
+        ("/vel", "gnss_ned", True), ("/vel", "map_ned", True), ("/vel_planned", "", False), ("/vel", "map", False),
+        ("/vel", "nedlib", False),
+    ],
+)  # fmt: skip
+def test_axes_of_a_topic_by_its_name_or_its_frame(guess_of: Guessing, topic: str, frame_id: str, is_ned: bool) -> None:
+    velocity = {"vector.x": TIME, "vector.y": TIME}
+    table = Table(Path("x"), topic, velocity, TIME, "geometry_msgs/msg/Vector3Stamped", frame_id)
+    signals = tomllib.loads(guess_of("ros", table).text)["signal"]
+    assert [signal.get("frame") for signal in signals] == ["NED" if is_ned else None] * 2
+
+
+@pytest.mark.parametrize(
+    ("topic", "frame", "caveat"),
+    [
+        ("/mavros/global_position/compass_hdg", "NED", ""),
+        ("/state/heading", "NED", "taken from north, clockwise"),
+        ("/state/yaw", None, "taken from east, counter-clockwise"),
+        ("/state/yaw_ned", "NED", ""),
+    ],
+)
+def test_a_heading_alone_in_a_bag(guess_of: Guessing, topic: str, frame: str | None, caveat: str) -> None:
+    text = guess_of("ros", scalar(topic, 200.0 + TIME)).text
+    (signal,) = tomllib.loads(text)["signal"]
+    assert signal.get("frame") == frame
+    assert (f"# caveat: {caveat}" in text) if caveat else ("taken from" not in text)
+
+
+def test_yaw_and_its_rate_alone_have_the_axes_of_the_bag(guess_of: Guessing) -> None:
+    text = guess_of("ros", scalar("/state/yaw", TIME), scalar("/state/yaw_rate", 1.0 + 0.0 * TIME)).text
+    assert [signal.get("frame") for signal in tomllib.loads(text)["signal"]] == [None, None]
+    assert "taken positive to port" in text
+
+
 def test_a_topic_of_px4_does_not_turn_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     local = dict.fromkeys(("x", "y", "vx", "vy"), TIME)
     pose = {f"pose.pose.position.{axis}": TIME for axis in "xy"}
@@ -258,6 +514,9 @@ def test_the_command(tmp_path: Path) -> None:
     out = tmp_path / "map.toml"
     assert run.invoke(cli.import_, ["--guess", str(path), "-o", str(out)]).exit_code == 0
     assert isinstance(run.invoke(cli.import_, ["--guess", str(path), "-o", str(out)]).exception, SeatrialError)
+    assert run.invoke(cli.import_, ["--guess", str(path), "-o", str(out), "--force"]).exit_code == 0
+    refused = run.invoke(cli.import_, ["--guess", str(path), "-o", str(path), "--force"]).exception
+    assert "is what is read here, and is never replaced" in str(refused)
     done = run.invoke(cli.import_, [str(out), str(path), "-o", str(tmp_path / "run.mcap")])
     assert done.stdout == f"{tmp_path / 'run.mcap'}\n"
     assert run.invoke(cli.import_, [str(out)]).exit_code == 2

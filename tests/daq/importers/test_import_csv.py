@@ -15,6 +15,7 @@ from daq import cli
 from daq.errors import SeatrialError, SeatrialWarning
 from daq.importers.import_files import import_files
 from daq.importers.import_map import load_import_map
+from daq.importers.write_log import replacing
 from daq.log.reader import open_log
 from daq.samples import Scalar
 from tests.daq.csv_files import EXAMPLES, values, write
@@ -42,6 +43,38 @@ def test_a_file_becomes_a_log(folder: Path) -> None:
     assert log.metadata["source.1.name"] == "run.csv"
     assert log.metadata["source.1.sha256"] == hashlib.sha256(files[0].read_bytes()).hexdigest()
     assert log.events() == [(0.0, "import", "run.csv by map.toml")]
+
+
+def test_a_clock_of_its_own_with_a_format_of_its_own(folder: Path) -> None:
+    rows = "t,t_ms,cmd,heading\n0.0,100,0.5,170\n0.1,200,0.6,171\n"
+    (out,) = import_files(*write(folder, rows, signal='time = "t_ms"\ntime_format = "ms"'))
+    assert (values(out, "psi")[0], values(out, "n_left")[0]) == ([0.1, 0.2], [0.0, 0.1])
+    for signal, message in (('time_format = "ms"', "needs time"), ('time = "t_ms"\ntime_format = "h"', "must be s,")):
+        with pytest.raises(SeatrialError, match=rf"signal\[1\]\.time_format: {message}"):
+            import_files(*write(folder, rows, signal=signal))
+
+
+def test_what_is_read_is_never_replaced(folder: Path) -> None:
+    """With --force too: neither the source, which may stand where its log would go, nor the map."""
+    csv_map, (file,) = write(folder)
+    source = file.rename(folder / "run.mcap")
+    (folder / "link.csv").symlink_to(source)
+    (folder / "bag").mkdir()
+    kept = [csv_map, source, folder / "link.csv"]
+    before = [path.read_bytes() for path in kept]
+    for out in (None, csv_map, folder / "link.csv"):
+        with pytest.raises(SeatrialError, match="is what is read here, and is never replaced"):
+            import_files(csv_map, [source], out=out, force=True)
+    (folder / "bag/part.mcap").write_bytes(b"of a bag")
+    with (
+        pytest.raises(SeatrialError, match="never replaced"),
+        replacing(folder / "bag/part.mcap", True, [folder / "bag"]),
+    ):
+        pass
+    assert [path.read_bytes() for path in kept] == before
+    assert (folder / "bag/part.mcap").read_bytes() == b"of a bag"
+    import_files(csv_map, [source], out=folder / "log.mcap")
+    import_files(csv_map, [source], out=folder / "log.mcap", force=True)
 
 
 @pytest.mark.parametrize(

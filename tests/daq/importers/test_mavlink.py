@@ -64,6 +64,8 @@ def test_a_tlog_becomes_a_log_on_the_autopilots_own_times(tmp_path: Path) -> Non
             assert len(log.table(kind, "autopilot")) > 5
         assert log.nodes(Servo, "autopilot") == log.nodes(Esc, "autopilot") == [1, 3]
         assert log.metadata["source.1.name"] == "run.tlog"
+    with pytest.raises(SeatrialError, match="is what is read here, and is never replaced"):
+        import_mavlink(tmp_path / "run.tlog", out=tmp_path / "run.tlog", force=True)
 
 
 def test_damage_costs_what_it_hits(tmp_path: Path) -> None:
@@ -147,9 +149,7 @@ def dataflash(path: Path) -> None:
     path.write_bytes(out)
 
 
-def test_what_a_damaged_dataflash_log_holds_is_not_printed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_damaged_dataflash_log_holds_is_not_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     dataflash(tmp_path / "00000001.BIN")
     data = (tmp_path / "00000001.BIN").read_bytes()
     number, form, code, columns = FORMATS["EV"]

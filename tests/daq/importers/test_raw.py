@@ -44,6 +44,21 @@ def test_samples_are_put_evenly_apart(ascii_capture: Path, tmp_path: Path) -> No
     assert not said.endswith(" 0 bytes unparsed")  # boot, the bad one, the half one
 
 
+def test_two_kinds_of_sentences_at_a_rate(tmp_path: Path) -> None:
+    """A heading beside each fix does not halve the rate; one of ten is where it came."""
+    fixes = [nmea.encode(Gnss(1.7e9 + 0.1 * k, 59.0, 10.0, fix=3)) for k in range(20)]
+    headings = [sentence(f"HEHDT,{90 + k}.0,T") for k in range(20)]
+    for every in (1, 10):
+        pairs = (fix + (headings[k] if k % every == 0 else b"") for k, fix in enumerate(fixes))
+        (tmp_path / "both.txt").write_bytes(b"".join(pairs))
+        out, _ = import_raw("nmea", tmp_path / "both.txt", rate=10.0, out=tmp_path / "g.mcap", force=True)
+        with open_log(out) as log:
+            (gnss,), (ahrs,) = log.sources(Gnss), log.sources(Ahrs)
+            t, t_heading = log.table(Gnss, gnss)["t"], log.table(Ahrs, ahrs)["t"]
+        assert t.tolist() == pytest.approx([0.1 * k for k in range(20)])
+        assert t_heading.tolist() == pytest.approx([0.1 * every * k for k in range(20 // every)], abs=0.11)
+
+
 def test_a_devices_own_time(tmp_path: Path) -> None:
     capture = tmp_path / "imu.bin"
     capture.write_bytes(b"".join(vectornav.encode_binary(s, 5.0 + 0.02 * k) for k, s in enumerate(SAMPLES)))
@@ -118,6 +133,8 @@ def test_what_is_wrong_is_one_line(ascii_capture: Path, tmp_path: Path) -> None:
     import_raw("vectornav", ascii_capture, rate=40.0, out=tmp_path / "x.mcap")
     with pytest.raises(SeatrialError, match="the file exists already"):
         import_raw("vectornav", ascii_capture, rate=40.0, out=tmp_path / "x.mcap")
+    with pytest.raises(SeatrialError, match="is what is read here, and is never replaced"):
+        import_raw("vectornav", ascii_capture, rate=40.0, out=ascii_capture, force=True)
 
 
 def test_the_command(ascii_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

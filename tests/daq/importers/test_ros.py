@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,15 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from daq.errors import SeatrialError, SeatrialWarning
 from daq.importers.guess import guess_map
 from daq.importers.import_files import import_files
-from daq.importers.ros import read_bag
+from daq.importers.ros import _Topic, read_bag
 from daq.importers.table import SourceOptions
 from daq.log.reader import Log, open_log
-from daq.samples import Ahrs, Scalar
+from daq.samples import Ahrs, Gnss, Scalar
+from daq.tools import export_ros
 from tests.daq.logs import T0, write_everything
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -138,8 +140,12 @@ def test_what_an_imu_does_not_measure_is_left_out(tmp_path: Path) -> None:
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connection = writer.add_connection("/imu", kind, typestore=STORE)
         for k in range(N):
-            message = replace(imu(k), angular_velocity_covariance=unknown, orientation_covariance=unknown,
-                              orientation=STORE.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0))
+            message = replace(
+                imu(k),
+                angular_velocity_covariance=unknown,
+                orientation_covariance=unknown,
+                orientation=STORE.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
+            )
             writer.write(connection, round((T0 + 0.05 * k) * 1e9), STORE.serialize_cdr(message, kind))
     (table,) = read_bag(path, SourceOptions())
     assert not [name for name in table.names if name.startswith("orientation.")]
@@ -178,6 +184,36 @@ def test_joints_and_stamps_of_another_clock(tmp_path: Path) -> None:
         signals(path, tmp_path, line).close()
 
 
+def test_messages_in_a_message_and_fields_that_come_late(tmp_path: Path) -> None:
+    """As telemetry of several controllers; the second one is switched on after the first message, and off again."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg("int32 rpm\n", "esc_msgs/msg/Esc"))
+    store.register(get_types_from_msg("uint8 count\nesc_msgs/Esc[] esc\n", "esc_msgs/msg/Escs"))
+    one, several = store.types["esc_msgs/msg/Esc"], store.types["esc_msgs/msg/Escs"]
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/esc", "esc_msgs/msg/Escs", typestore=store)
+        for k, n in enumerate((1, 2, 2, 1, 17)):  # of so many no columns are made, as of an image
+            message = several(n, [one(100 * k + j) for j in range(n)])
+            data = store.serialize_cdr(message, "esc_msgs/msg/Escs")
+            writer.write(connection, round((T0 + 0.1 * k) * 1e9), data)
+    (table,) = read_bag(tmp_path / "bag", SourceOptions())
+    assert list(table.names) == ["count", "esc[0].rpm", "esc[1].rpm"]
+    np.testing.assert_array_equal(table.columns["count"], [1.0, 2.0, 2.0, 1.0, 17.0])
+    np.testing.assert_array_equal(table.columns["esc[0].rpm"], [0.0, 100.0, 200.0, 300.0, np.nan])
+    np.testing.assert_array_equal(table.columns["esc[1].rpm"], [np.nan, 101.0, 201.0, np.nan, np.nan])
+
+
+def test_the_numbers_of_a_bag_are_not_boxed() -> None:
+    topic, message = _Topic("sensor_msgs/msg/Imu"), imu(0)
+    topic.add(0.0, message)
+    tracemalloc.start()
+    for k in range(1000):
+        topic.add(1.0 * k, message)
+    used, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert used < 1000 * 8 * 2.5 * len(topic.columns)  # boxed, with names: 5 kB a message
+
+
 def test_a_bag_of_ros_1(tmp_path: Path) -> None:
     from rosbags.rosbag1 import Writer as Writer1
 
@@ -201,6 +237,24 @@ def test_our_own_log_comes_back(tmp_path: Path) -> None:
         ahrs = own.table(Ahrs, "ahrs")
     np.testing.assert_allclose(psi["value"], ahrs["yaw"], atol=1e-12)
     np.testing.assert_allclose(r["value"], ahrs["r"][np.isfinite(ahrs["r"])], atol=1e-12)  # NaN is not measured
+
+
+def test_our_own_bag_by_its_guess(tmp_path: Path) -> None:
+    """`export ros` keeps the topics of the log, in our axes, beside those of REP-103. The log itself needs no map."""
+    write_everything(tmp_path / "own.mcap", 12)
+    with pytest.raises(SeatrialError, match="is a log of seatrial: check, ident and export take it as it is"):
+        guess_map(tmp_path / "own.mcap")
+    with open_log(tmp_path / "own.mcap") as own:
+        export_ros(own, tmp_path / "ros")
+        ahrs, gnss = own.table(Ahrs, "ahrs"), own.table(Gnss, "gnss")
+    (tmp_path / "map.toml").write_text(guess_map(tmp_path / "ros/bag").text, encoding="utf-8")
+    (out,) = import_files(tmp_path / "map.toml", [tmp_path / "ros/bag"], out=tmp_path / "again.mcap")
+    with open_log(out) as log:
+        assert {"psi", "r", "vx", "vy"} <= set(log.sources(Scalar))
+        psi, r, vx = (log.table(Scalar, name)["value"] for name in ("psi", "r", "vx"))
+    np.testing.assert_allclose(np.exp(1j * psi), np.exp(1j * ahrs["yaw"]), atol=1e-12)
+    np.testing.assert_allclose(r[r != 0.0], ahrs["r"][np.isfinite(ahrs["r"])], atol=1e-12)  # 0: not measured
+    np.testing.assert_allclose(vx, gnss["vel_n"][np.isfinite(gnss["vel_n"])], atol=1e-12)
 
 
 def test_what_is_wrong_is_one_line(bag: Path, tmp_path: Path) -> None:

@@ -1,0 +1,127 @@
+"""The clock of a table: which of its columns is its time, in which format, and the caveat where that is a guess."""
+
+from __future__ import annotations
+
+import re
+from datetime import datetime
+from typing import NamedTuple
+
+import numpy as np
+
+from daq.errors import SeatrialError
+from daq.importers.import_map import TIME_UNITS, TimeColumn
+from daq.importers.recognise import DRIVES, Name, read_name
+from daq.importers.signals import row_times
+from daq.importers.table import Column, Table
+
+_TIME = re.compile(r"(^|_)(t|time|stamp|timestamp|datetime|utc|seconds|secs|epoch)($|_)")
+DATES = (1e9, 4e9)  # s since 1970, of the years 2001 to 2096
+FASTEST, SLOWEST = 5e-4, 60.0  # s between rows, of the loggers of boats
+DATENUM = (7e5, 8e5)  # MATLAB's days, of the years 1916 to 2190
+_COUNTS = {"index", "row", "id"}  # rise evenly, and say nothing of time
+_ZONES = {"utc", "gmt", "local"}  # behind the name of a time, in the place of a unit
+
+
+class Clock(NamedTuple):
+    """Where a table has its times."""
+
+    column: str = ""  # "" where it has times of its own, or none
+    form: str = "s"  # as a map has it
+    caveat: str = ""
+
+
+def clock_of(table: Table) -> Clock:
+    """The clock of a table, as far as it can be told."""
+    if table.t is not None:
+        return Clock()
+    plain = {name: read_name(name).plain for name in table.names}
+    strict = [name for name in table.names if plain[name] in ("t", "time", "timestamp")]
+    loose = [name for name in table.names if _TIME.search(plain[name])]
+    for name in (*strict, *(name for name in table.names if name in table.seconds), *loose):
+        if _may_be_time(table, name):
+            return Clock(name, *_format(table, name))
+    # Without a name to go by: a first column that rises evenly, and is no signal by its name.
+    first = read_name(table.names[0])
+    known = bool(first.meaning or first.words & (DRIVES | _COUNTS))
+    if not known and _may_be_time(table, table.names[0]) and _is_even(table.numbers(table.names[0])):
+        form, _ = _format(table, table.names[0])
+        return Clock(table.names[0], form, "its first column rises evenly and is taken for the time")
+    return Clock()
+
+
+def row_seconds(table: Table, clock: Clock) -> Column | None:
+    """Times of the rows [s], (n,); None where they cannot be told."""
+    if not clock.column:
+        return table.t
+    try:
+        return row_times(table, TimeColumn(clock.column, clock.form))
+    except SeatrialError:
+        return None
+
+
+def _is_even(values: Column) -> bool:
+    steps = np.diff(values)
+    return bool(len(steps) > 10 and np.all(steps > 0.0) and np.ptp(steps) < 0.5 * np.mean(steps))
+
+
+def _may_be_time(table: Table, name: str) -> bool:
+    try:
+        values = table.numbers(name)
+    except SeatrialError:  # dates are text
+        return any(character.isdigit() for character in _first_text(table, name))
+    good = values[np.isfinite(values)]
+    return len(good) > 1 and float(np.mean(np.diff(good) > 0.0)) > 0.5
+
+
+def _first_text(table: Table, column: str) -> str:
+    return next((text.strip() for text in table.text(column) if text.strip()), "")
+
+
+def _format(table: Table, column: str) -> tuple[str, str]:
+    if column in table.seconds:
+        return "s", ""
+    try:
+        values = table.numbers(column)
+    except SeatrialError:
+        return _format_of_text(_first_text(table, column))
+    name = read_name(column)
+    if name.unit in TIME_UNITS:
+        return name.unit, ""
+    form, caveat = _format_of_numbers(values[np.isfinite(values)], name)
+    no_unit = name.no_unit or name.unit
+    if no_unit and no_unit.lower() not in _ZONES:
+        odd = f"{no_unit!r} behind {column!r} is not taken for a unit of time, which are {', '.join(TIME_UNITS)}"
+        caveat = "; ".join(part for part in (odd, caveat) if part)
+    return form, caveat
+
+
+def _format_of_text(first: str) -> tuple[str, str]:
+    try:
+        datetime.fromisoformat(first)
+        return "iso", ""
+    except ValueError:
+        if re.fullmatch(r"\d+:\d+:\d+(\.\d{1,6})?", first):
+            day = 'times of a day: say which, origin = "2025-05-01"; without it is that of 1970-01-01'
+            return "%H:%M:%S.%f" if "." in first else "%H:%M:%S", day
+        caveat = f"times like {first[:40]!r}: write their pattern (strptime), and fraction where they have one"
+        return "%d.%m.%Y %H:%M:%S", caveat
+
+
+def _format_of_numbers(values: Column, name: Name) -> tuple[str, str]:
+    top, steps = float(np.max(np.abs(values))), np.diff(values)
+    step = float(np.median(steps))
+    for unit, size in TIME_UNITS.items():
+        if DATES[0] < size * top < DATES[1] and size * step < SLOWEST:
+            return unit, ""
+    if DATENUM[0] < top < DATENUM[1] and ("date" in name.words or 0.0 < step < FASTEST):
+        return "datenum", ""
+    for unit, usual, word in (("ns", 2e6, "nano"), ("us", 2e3, "micro"), ("ms", 2.0, "milli")):
+        if step >= usual:
+            return unit, f"steps of {step:.4g} are taken for {word}seconds"
+    # Hours, minutes and seconds in one number, 120059, 120100: no part above 59, and a step over the rest of a minute.
+    parts = values >= 0.0, values < 240000.0, values % 100.0 < 60.0, values // 100.0 % 100.0 < 60.0
+    if np.all(parts) and (values[0] >= 1e4 or np.any(np.abs(steps - step - 40.0) < 0.5)):
+        return "s", f'{values[0]:.6g} is taken for seconds; of a time of day, hhmmss, it is format = "%H%M%S"'
+    if step < FASTEST or (step >= 1.0 and not np.any(values % 1.0)):
+        return "s", f"steps of {step:.4g} are taken for seconds"
+    return "s", ""
