@@ -235,7 +235,7 @@ def _chosen(task: DesignProblem) -> tuple[str, ...]:
 
 def _between(task: DesignProblem, wish: DesignRequest, reporter: Reporter) -> tuple[Design, Discrimination]:
     """The design that tells two effects apart, judged as any other, and how far apart it puts them."""
-    a, b = (with_effect(task.model, name) for name in wish.between)
+    a, b = hypotheses(task.model, wish.between)
     made: DiscriminationDesign = discriminate(
         a,
         b,
@@ -257,6 +257,19 @@ def _between(task: DesignProblem, wish: DesignRequest, reporter: Reporter) -> tu
         random=np.array(others),
     )
     return Design(task, made.levels, made.durations, value, told[0], made.found), row
+
+
+def hypotheses(model: Model, names: Sequence[str]) -> tuple[Model, Model]:
+    """The two models that a discrimination compares: each has its own effect and lacks the other's, which the model may
+    have. With both in one, that one would be nearly as right whichever is true.
+
+    Raises SeatrialError where there is no such effect, or one of them can be all that the other is.
+    """
+    first, second = names
+    for one, other in ((first, second), (second, first)):
+        if one == other or (one in catalogue() and other in catalogue()[one].nests):
+            raise SeatrialError(f"--discriminate: {one} can be all that {other} is: no mission tells them apart")
+    return with_effect(model.without(second), first), with_effect(model.without(first), second)
 
 
 def with_effect(model: Model, name: str) -> Model:

@@ -11,10 +11,12 @@ import pytest
 
 import seatrial
 from daq.config.mission_file import dump_mission, load_mission, parse_mission
+from daq.errors import SeatrialError
+from ident.effects.registry import catalogue
 from ident.estimation.model_file import load_model
 from ident.experiment_design.task import believed
 from ident.models.horizontal import horizontal_model
-from ident.workflows.design import STATIC_S, with_effect
+from ident.workflows.design import STATIC_S, hypotheses, with_effect
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "formats" / "model.md"
 QUICK = ("--evaluations", "500", "--duration", "40", "--steps", "8")
@@ -140,6 +142,20 @@ def test_between_two_effects(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     model = with_effect(horizontal_model(), "delay")
     assert model.values["tau_delay"] == 0.25
     assert with_effect(model, "delay") is model
+
+
+def test_each_hypothesis_of_a_discrimination_has_its_own_effect_alone() -> None:
+    """In the documented use the model has one of them already: with it in both, T was the price of a prior."""
+    fitted = (horizontal_model() + catalogue()["lag"]).with_values({"T_lag": 0.17})
+    late, lagged = hypotheses(fitted, ("delay", "lag"))
+    assert [e.name for e in late.effects] == ["delay"]
+    assert [e.name for e in lagged.effects] == ["lag"]
+    assert lagged.values["T_lag"] == 0.17
+    assert late.values["tau_delay"] == 0.25
+    assert [s.name for s in late.states] == [s.name for s in horizontal_model().states]
+    for names in (("mooring", "steady-pull"), ("lag", "lag")):
+        with pytest.raises(SeatrialError, match="no mission tells them apart"):
+            hypotheses(horizontal_model(), names)
 
 
 @pytest.mark.parametrize(
