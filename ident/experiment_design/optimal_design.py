@@ -21,6 +21,7 @@ import numpy as np
 
 from daq.errors import SeatrialError
 from ident.estimation import SampledInputs, simulate, simulate_stochastic
+from ident.experiment_design.criteria import SINGULAR
 from ident.experiment_design.excitation import StepInput, prbs, rgs
 from ident.experiment_design.information import errors_of, planned_record, prediction_information, prior_information
 from ident.experiment_design.task import N_TRACKS, PRIOR_HALFWIDTH, DesignProblem, ParameterPrior
@@ -155,6 +156,8 @@ def design(
     levels = levels.round(LEVEL_DIGITS)
     rounded = task.actuation.limited(levels[:, :, None], durations[:, None])
     value, violation = task.judge(rounded)
+    if value[0] <= SINGULAR:
+        raise SeatrialError(_uninformative(task))
     if violation[0] > 10.0**-LEVEL_DIGITS:
         raise SeatrialError(_too_tight(task, float(violation[0])))
     information = task.experiments(task.actuation.inputs(rounded)).information[0]
@@ -174,7 +177,7 @@ def _block(task: DesignProblem, evaluations: int, progress: Progress | None) -> 
         if steps.n_steps % k == 0
         and steps.n_steps // k >= 8
         and BLOCK <= steps.duration / k <= 2 * BLOCK
-        and np.isclose(steps.duration / k / task.grid, round(steps.duration / k / task.grid))
+        and np.isclose(steps.duration / k / steps.grid, round(steps.duration / k / steps.grid))
     ]
     if not parts:
         return None
@@ -205,6 +208,15 @@ def search_design(
     k = np.arange(steps.n_steps)
     together = np.append(np.repeat(k, steps.n_channels), k)
     return PatternSearch(evaluate, steps.low, steps.high, seed, together).run(warm, evaluations, progress)
+
+
+def _uninformative(task: DesignProblem) -> str:
+    names = ", ".join(task.chosen or task.learned)
+    return (
+        f"no sequence of {task.steps.n_steps} steps in {task.steps.duration:g} s was found that tells all of {names}: "
+        f"the sensors do not tell them from each other, or the simulation diverges on rows of {task.grid:g} s; give "
+        "fewer --parameters, or other --steps"
+    )
 
 
 def _too_tight(task: DesignProblem, violation: float) -> str:

@@ -89,8 +89,8 @@ class DesignProblem:
         robust: parameter samples over which the criterion is averaged (0: nominal only; with D this is ELD optimality,
             Walter and Pronzato 1997, section 6.4).
         process_noise: information of prediction error, else of output error.
-        grid: s between rows; where a sensor's rate is another than its rows have, its noise is larger or smaller by the
-            root of the ratio.
+        grid: s between rows, no more than ``row_spacing`` allows; where a sensor's rate is another than its rows have,
+            its noise is larger or smaller by the root of the ratio.
     """
 
     model: Model

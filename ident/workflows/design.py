@@ -14,6 +14,8 @@ from daq.errors import SeatrialError
 from ident.effects import catalogue
 from ident.estimation import dynamic_parameters, load_model, reported_units
 from ident.experiment_design import (
+    GRID,
+    N_TRACKS,
     PRIOR_HALFWIDTH,
     BaselineSignal,
     Design,
@@ -33,6 +35,7 @@ from ident.experiment_design import (
     not_commanded,
     predicted_errors,
     predicted_track,
+    row_spacing,
     separation,
 )
 from ident.model import Model, Parameter
@@ -221,12 +224,13 @@ def make_task(source: str, wish: DesignRequest) -> DesignProblem:
     )
     if not dynamic_parameters(model):
         raise SeatrialError(f"model {model.name} has no free parameters to learn")
-    if saved is None:
-        return replace(task, belief=ParameterPrior(task.learned, wish.spread))
-    belief = believed(saved)
-    return replace(
-        task, belief=belief, earlier=scaled_pseudo_inverse(belief.covariance) if belief.covariance is not None else None
-    )
+    belief = ParameterPrior(task.learned, wish.spread) if saved is None else believed(saved)
+    known = belief.covariance
+    task = replace(task, belief=belief, earlier=None if known is None else scaled_pseudo_inverse(known))
+    compared = hypotheses(model, wish.between) if wish.between else ()
+    spacings = [row_spacing(model, task.samples(N_TRACKS, 2), GRID, wish.n_max)]
+    spacings += [row_spacing(m, np.array([list(m.values.values())]), GRID, wish.n_max) for m in compared]
+    return replace(task, grid=min(spacings))
 
 
 def _chosen(task: DesignProblem) -> tuple[str, ...]:
