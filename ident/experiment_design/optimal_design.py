@@ -94,10 +94,10 @@ def predicted_errors(task: DesignProblem, command: Array) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Track:
-    """Predicted track.
+    """Predicted track, from the rest before the steps to the end of the coasting after them.
 
     Attributes:
-        t (n,): s.
+        t (n,): s since the beginning of the mission.
         x, y (n,): m, of the nominal boat from its start, heading north.
         others (k, n, 2): m, of boats sampled from the prior, with process noise.
         radius (n,): m, holds 95 % of them.
@@ -121,24 +121,24 @@ def predicted_track(made: Design, points: int = 61) -> Track | None:
     if not {"x", "y"} <= set(names):
         return None
     columns = [names.index("x"), names.index("y")]
-    u = task.actuation.inputs(made.command[:, :, None])[:, :, 0]
-    nominal = simulate(task.model, planned_record(task.model, task.t, u)).x[:, columns]
+    t, u = task.t_whole, task.whole_inputs(made.command[:, :, None])[:, :, 0]
+    nominal = simulate(task.model, planned_record(task.model, t, u)).x[:, columns]
     rngs = [np.random.default_rng([task.seed, 20, k]) for k in range(N_BAND)]
     others = simulate_stochastic(
         task.model,
-        SampledInputs.linear(task.t, u),
+        SampledInputs.linear(t, u),
         task.boats(N_BAND, 3),
         rngs,
         x0=np.zeros((N_BAND, len(names))),
         substep=task.grid / 2,
     )[0][:, :, columns]
-    inside, corner = None, task.corner(u)
+    inside, corner = None, task.corner(made.command)
     if corner is not None and task.limits.area is not None:
         kept = (others >= corner) & (others <= corner + np.array(task.limits.area))
         inside = float(np.mean(kept.all(axis=(1, 2))))
-    at = np.unique(np.linspace(0, task.t.size - 1, points).round().astype(int))
+    at = np.unique(np.linspace(0, t.size - 1, points).round().astype(int))
     radius = np.quantile(np.hypot(*(others - nominal).transpose(2, 0, 1)), 0.95, axis=0)
-    return Track(task.t[at], nominal[at, 0], nominal[at, 1], radius[at], others[:, at], inside, corner)
+    return Track(t[at], nominal[at, 0], nominal[at, 1], radius[at], others[:, at], inside, corner)
 
 
 def design(

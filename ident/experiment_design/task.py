@@ -18,6 +18,8 @@ from ident.model import Model, ParameterOrigin
 from ident.numerics import Array
 
 GRID = 0.2  # s between rows of a search
+REST_S = 5.0  # s before the steps: noise of the sensors, and the boat comes to rest
+COAST_S = 10.0  # s after the last step, without thrust, until somebody takes the boat over
 RATE = 10.0  # Hz, default rate of a sensor
 PRIOR_HALFWIDTH = 0.25  # relative; default prior: uniform within 0.75 to 1.25 of the nominal values (thesis)
 N_TRACKS = 24  # parameter samples whose tracks must keep to the limits
@@ -31,7 +33,7 @@ class DesignLimits:
 
     Attributes:
         area: sides (north, east) [m] of a rectangle that holds the whole track, wherever in it the boat starts,
-            heading north.
+            heading north: the rest before the steps (``REST_S``) and the coasting after them (``COAST_S``), too.
         speed: through the water [m/s].
         energy: mean of ``|n|^3``, the share of full power.
         current: largest current [m/s], from any direction, that the track must allow for.
@@ -110,6 +112,22 @@ class DesignProblem:
     @cached_property
     def t(self) -> Array:
         return np.asarray(np.arange(round(self.steps.duration / self.grid) + 1) * self.grid)
+
+    @cached_property
+    def t_whole(self) -> Array:
+        """Times [s] of the whole mission: the rest before the steps, these, and the coasting after them."""
+        return np.asarray(np.arange(sum(self._around) + self.t.size) * self.grid)
+
+    @property
+    def _around(self) -> tuple[int, int]:
+        """Rows without thrust, before and after."""
+        return round(REST_S / self.grid), round(COAST_S / self.grid)
+
+    def whole_inputs(self, command: Array) -> Array:
+        """The model's inputs (n_rows, n_inputs, n) at ``t_whole`` under commands (n_rows, n_channels, n) at ``t``."""
+        before, after = (np.zeros((n, *command.shape[1:])) for n in self._around)
+        whole = np.concatenate([before, command[:-1], np.zeros((1, *command.shape[1:])), after])
+        return replace(self.actuation, t=self.t_whole).inputs(whole)
 
     @cached_property
     def actuation(self) -> ThrusterResponse:
@@ -212,7 +230,7 @@ class DesignProblem:
     def reach(self) -> TrackExtent:
         """Extent of the track of the nominal boat and of sampled ones with process noise, all from the same start."""
         nominal = self.experiments.values
-        return TrackExtent(self.model, self.t, np.vstack([nominal, self.boats(N_TRACKS, 2)]), [self.seed, 30])
+        return TrackExtent(self.model, self.t_whole, np.vstack([nominal, self.boats(N_TRACKS, 2)]), [self.seed, 30])
 
     def commands(self, z: Array) -> Array:
         """Commands (n_rows, n_channels, n) of search points."""
@@ -222,37 +240,38 @@ class DesignProblem:
         """Criterion (n,) and violation (n,) of commands (n_rows, n_channels, n)."""
         u = self.actuation.inputs(command)
         value = self._expected(u) if self.robust else self.measure(self.experiments(u).information + self.prior)
-        return value, self.broken(command, u)
+        return value, self.broken(command)
 
     def values(self, u: Array, values: Array) -> Array:
         """The criterion (n,) of one input (n_rows, n_inputs) at many parameter values (n, n_parameters)."""
         return self.measure(self.experiments(u, values).information + self.prior)
 
-    def broken(self, command: Array, u: Array | None = None) -> Array:
+    def broken(self, command: Array) -> Array:
         """Violation (n,) of the limits: sum of the relative excesses; 0: all limits are kept."""
         broken = np.zeros(command.shape[2])
         if self.limits.energy is not None:
             broken = np.maximum(self.actuation.energy(command) / self.limits.energy - 1.0, 0.0)
         if not self.limits.concern_the_track:
             return broken
-        return broken + self._violation(*self.extents(self.actuation.inputs(command) if u is None else u))
+        return broken + self._violation(*self.extents(command))
 
     def _expected(self, u: Array) -> Array:
         n, k = u.shape[2], len(self._robust_samples)
         outcome = self.experiments(np.repeat(u, k, axis=2), np.tile(self._robust_samples, (n, 1)))
         return np.asarray(self.measure(outcome.information + self.prior).reshape(n, k).mean(axis=1))
 
-    def extents(self, u: Array) -> tuple[Array, Array]:
-        """Minimum and maximum (n, k) of ``experiments.extremes`` over all boats; inputs u (n_rows, n_inputs, n)."""
-        low, high = self.reach(u)
+    def extents(self, command: Array) -> tuple[Array, Array]:
+        """Minimum and maximum (n, k) of ``experiments.extremes`` over all boats in the whole mission of commands
+        (n_rows, n_channels, n)."""
+        low, high = self.reach(self.whole_inputs(command))
         return low.min(axis=1), high.max(axis=1)
 
-    def corner(self, u: Array) -> Array | None:
-        """South-west corner (2,) of the area relative to the start [m] that centres the extent of one input (n_rows,
-        n_inputs); None without an area."""
+    def corner(self, command: Array) -> Array | None:
+        """South-west corner (2,) of the area relative to the start [m] that centres the extent of one command (n_rows,
+        n_channels); None without an area."""
         if self.limits.area is None:
             return None
-        low, high = self.extents(u[:, :, None])
+        low, high = self.extents(command[:, :, None])
         at = [self.experiments.extremes.index(name) for name in ("x", "y")]
         return np.asarray((low[0, at] + high[0, at] - np.array(self.limits.area)) / 2)
 

@@ -368,9 +368,9 @@ class CommandTrace(Part, frozen=True, kw_only=True):
 
 
 class DesignTrack(Part, frozen=True, kw_only=True):
-    """Where the boat is expected to go, from rest, heading north."""
+    """Where the boat is expected to go, from rest, heading north: before the steps, in them, and after them."""
 
-    t: Annotated[Array, Meta(description="[s]")]
+    t: Annotated[Array, Meta(description="since the beginning of the mission [s]")]
     x: Annotated[Array, Meta(description="north of the start [m]")]
     y: Annotated[Array, Meta(description="east of the start [m]")]
     radius: Annotated[Array, Meta(description="95 % of the sampled boats are within it [m]")]
@@ -379,6 +379,8 @@ class DesignTrack(Part, frozen=True, kw_only=True):
     corner: Annotated[tuple[float, float] | None, Meta(description="south-west corner of the area from the start [m]")]
     area: Annotated[tuple[float, float] | None, Meta(description="north by east [m]")]
     current: Annotated[float, Meta(description="the largest that they meet [m/s]")]
+    rest: Annotated[float, Meta(description="before the steps [s]")] = 0.0
+    coasting: Annotated[float, Meta(description="without thrust after the steps [s]")] = 0.0
 
 
 class Discrimination(Part, frozen=True, kw_only=True):

@@ -14,9 +14,11 @@ from daq.errors import SeatrialError
 from ident.effects import catalogue
 from ident.estimation import dynamic_parameters, load_model, reported_units
 from ident.experiment_design import (
+    COAST_S,
     GRID,
     N_TRACKS,
     PRIOR_HALFWIDTH,
+    REST_S,
     BaselineSignal,
     Design,
     DesignLimits,
@@ -57,7 +59,6 @@ from ident.results import (
     write_result,
 )
 
-STATIC_S = 5.0  # s at rest before the steps: noise of the sensors, and the boat comes to rest
 N_SHOWN = 24  # sampled tracks on the page
 NAMED = 3  # parameters in the answer
 
@@ -156,7 +157,7 @@ def designed_mission(
 ) -> Mission:
     """The designed steps as a mission, after a segment at rest; numbers to the digits that a person reads."""
     levels = made.task.actuation.for_thrusters(made.levels)
-    edges = np.round(STATIC_S + np.concatenate([[0.0], np.cumsum(made.durations)]), 3)
+    edges = np.round(REST_S + np.concatenate([[0.0], np.cumsum(made.durations)]), 3)
     segments = (
         Segment("static", np.zeros(1), np.zeros((1, len(thrusters)))),
         Segment("designed steps", significant(edges[:-1], 6), significant(levels, 6)),
@@ -170,7 +171,7 @@ def designed_mission(
     prediction = None
     if track is not None:
         t, x, y, radius = (
-            significant(v, 6) for v in (track.t + STATIC_S, track.x.round(2), track.y.round(2), track.radius.round(2))
+            significant(v, 6) for v in (track.t, track.x.round(2), track.y.round(2), track.radius.round(2))
         )
         prediction = Prediction(source, t, x, y, radius, before)
     return Mission(
@@ -306,6 +307,8 @@ def _track(track: Track, limits: DesignLimits) -> DesignTrack:
         corner=corner,
         area=limits.area,
         current=limits.current,
+        rest=REST_S,
+        coasting=COAST_S,
     )
 
 
@@ -385,5 +388,8 @@ def design_summary(result: DesignResult) -> Sequence[str]:
     track = result.track
     if track is not None and track.inside is not None:
         water = f"in a current of up to {track.current:g} m/s" if track.current else "no current assumed"
-        lines.append(f"stays inside the area for {100 * track.inside:.0f} % of disturbed boats; {water}")
+        lines.append(
+            f"{100 * track.inside:.0f} % of disturbed boats stay inside the area, coasting for {track.coasting:g} s "
+            f"after the end included; {water}"
+        )
     return lines

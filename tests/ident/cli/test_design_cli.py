@@ -14,9 +14,9 @@ from daq.config.mission_file import dump_mission, load_mission, parse_mission
 from daq.errors import SeatrialError
 from ident.effects.registry import catalogue
 from ident.estimation.model_file import load_model
-from ident.experiment_design.task import believed
+from ident.experiment_design.task import COAST_S, REST_S, believed
 from ident.models.horizontal import horizontal_model
-from ident.workflows.design import STATIC_S, hypotheses, with_effect
+from ident.workflows.design import hypotheses, with_effect
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "formats" / "model.md"
 QUICK = ("--evaluations", "500", "--duration", "40", "--steps", "8")
@@ -52,11 +52,11 @@ def test_a_design_is_a_mission_that_bench_reads_and_shows(tmp_path: Path, capsys
     assert parse_mission(dump_mission(mission), "again") == mission
     assert mission.thrusters == ("left", "right")
     assert (mission.n_max, mission.slew_per_s, mission.seed) == (0.8, 2.0, 3)
-    assert mission.end == pytest.approx(STATIC_S + 40.0)
+    assert mission.end == pytest.approx(REST_S + 40.0)
     assert [s.name for s in mission.segments] == ["static", "designed steps"]
     assert set(mission.predicted_errors) == {"m_u", "m_v", "m_r", "d_u", "d_v", "d_r", "d_uu", "d_vv", "d_rr"}
     assert mission.prediction is not None
-    assert mission.prediction.t[0] == STATIC_S
+    assert mission.prediction.t[[0, -1]].tolist() == [0.0, mission.end + COAST_S]
     status, shown, _ = run(capsys, "show", str(out))
     assert status == 0
     assert "predicted standard errors" in shown
@@ -67,7 +67,7 @@ def test_a_design_is_a_mission_that_bench_reads_and_shows(tmp_path: Path, capsys
         assert rows[name]["after"] == pytest.approx(error, rel=1e-3)
     assert {len(v) for v in result["samples"].values()} == {1000}
     t, n = mission.setpoints()
-    at = np.searchsorted(t, np.array(result["inputs"][0]["t"][:-1]) + STATIC_S + 1e-6, side="right") - 1
+    at = np.searchsorted(t, np.array(result["inputs"][0]["t"][:-1]) + REST_S + 1e-6, side="right") - 1
     assert np.abs(n[at, 0] - np.array(result["inputs"][0]["value"][:-1])).max() < 0.45  # within a row of the same ramps
     page = out.with_suffix(".html").read_text(encoding="utf-8")
     assert re.search(r'<td class="symbol[^"]*">m_u</td>', page)  # alone: beside its meaning it is five lines on a phone

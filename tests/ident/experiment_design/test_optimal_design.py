@@ -299,9 +299,9 @@ def test_the_band_of_the_track_is_that_of_the_sampled_boats() -> None:
     track = predicted_track(made)
     assert track is not None
     model = made.task.model
-    record = planned_record(model, made.task.t, made.task.actuation.inputs(made.command[:, :, None])[:, :, 0])
+    record = planned_record(model, made.task.t_whole, made.task.whole_inputs(made.command[:, :, None])[:, :, 0])
     x = simulate(model, record).x
-    at = np.searchsorted(made.task.t, track.t)
+    at = np.searchsorted(made.task.t_whole, track.t)
     np.testing.assert_allclose(np.hypot(track.x - x[at, 0], track.y - x[at, 1]), 0.0, atol=1e-9)
     away = np.hypot(track.others[:, :, 0] - track.x, track.others[:, :, 1] - track.y)
     share = np.mean(away <= track.radius, axis=0)[1:]
