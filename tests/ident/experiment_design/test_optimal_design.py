@@ -159,6 +159,17 @@ def test_steps_round_trip_and_keep_to_their_frame() -> None:
     np.testing.assert_array_equal(levels[:, 1, 3], z[3, 1:14:2])
 
 
+@pytest.mark.parametrize(("n_steps", "seconds", "shortest"), [(100, 40.0, 0.35), (20, 12.0, 0.5), (2, 10.0, 5.0)])
+def test_no_step_is_shorter_than_asked_for(n_steps: int, seconds: float, shortest: float) -> None:
+    """Also where the shortest is no multiple of the grid, and the steps just fit."""
+    steps = StepInput(n_steps, 1, seconds, shortest, 0.2)
+    _, durations = steps.unpack(steps.random(20, np.random.default_rng(1)))
+    assert durations.min() >= shortest - 1e-9
+    np.testing.assert_allclose(durations.sum(axis=0), seconds)
+    with pytest.raises(SeatrialError, match="do not fit"):
+        StepInput(n_steps + 1, 1, seconds, shortest, 0.2)
+
+
 def test_slew_and_shaft_against_a_plain_loop() -> None:
     t = np.arange(0.0, 12.0, 0.1)
     actuation = ThrusterResponse(horizontal_model(current=False), t, slew=0.8)
