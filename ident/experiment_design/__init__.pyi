@@ -22,6 +22,7 @@ from .task import COAST_S as COAST_S
 from .task import GRID as GRID
 from .task import N_TRACKS as N_TRACKS
 from .task import PRIOR_HALFWIDTH as PRIOR_HALFWIDTH
+from .task import RATE as RATE
 from .task import REST_S as REST_S
 from .task import DesignLimits as DesignLimits
 from .task import DesignProblem as DesignProblem

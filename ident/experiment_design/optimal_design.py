@@ -24,7 +24,7 @@ from ident.estimation import SampledInputs, simulate, simulate_stochastic
 from ident.experiment_design.criteria import SINGULAR
 from ident.experiment_design.excitation import StepInput, prbs, rgs
 from ident.experiment_design.information import errors_of, planned_record, prediction_information, prior_information
-from ident.experiment_design.task import N_TRACKS, PRIOR_HALFWIDTH, DesignProblem, ParameterPrior
+from ident.experiment_design.task import N_TRACKS, DesignProblem
 from ident.numerics import Array, Evaluate, PatternSearch, SearchResult
 
 N_START, N_RESTARTS = 512, 4
@@ -87,7 +87,9 @@ def predicted_errors(task: DesignProblem, command: Array) -> dict[str, float]:
     u = fine.actuation.inputs(command[:, :, None])[:, :, 0]
     record = planned_record(model, fine.t, u, fine.every)
     free = [*task.learned, *[p.name for p in model.parameters if p.free and p.name not in task.learned]]
-    F = prediction_information(model, record, free=free) + prior_information([model.parameter(n) for n in free])
+    inflation = np.array([task.inflation.get(n, 1.0) for n in free])
+    F = prediction_information(model, record, free=free) / np.outer(inflation, inflation)
+    F = F + prior_information([model.parameter(n) for n in free])
     F[:q, :q] = F[:q, :q] - prior_information([model.parameter(n) for n in task.learned]) + task.prior[:q, :q]
     return dict(zip(task.learned, errors_of(F)[:q].tolist(), strict=True))
 
@@ -153,15 +155,17 @@ def design(
         evaluations = evaluations if warm is None else evaluations // 2
     found = search_design(task.steps, lambda z: task.judge(task.commands(z)), evaluations, task.seed, warm, progress)
     levels, durations = (a[..., 0] for a in task.steps.unpack(found.z[None]))
-    levels = levels.round(LEVEL_DIGITS)
+    n_max = task.steps.n_max
+    levels = np.clip(levels.round(LEVEL_DIGITS), -n_max, n_max)
     rounded = task.actuation.limited(levels[:, :, None], durations[:, None])
-    value, violation = task.judge(rounded)
-    if value[0] <= SINGULAR:
-        raise SeatrialError(_uninformative(task))
-    if violation[0] > 10.0**-LEVEL_DIGITS:
-        raise SeatrialError(_too_tight(task, float(violation[0])))
-    information = task.experiments(task.actuation.inputs(rounded)).information[0]
-    return Design(task, levels, durations, float(value[0]), information, found)
+    (value,), (singular,) = task.criterion_of(rounded)
+    (beyond,) = task.broken(rounded)
+    if value <= SINGULAR or singular > 0:
+        raise SeatrialError(_uninformative(task, float(singular)))
+    if beyond > 10.0**-LEVEL_DIGITS:
+        raise SeatrialError(_too_tight(task, float(beyond)))
+    information = task.information(task.actuation.inputs(rounded))[0]
+    return Design(task, levels, durations, float(value), information, found)
 
 
 def _block(task: DesignProblem, evaluations: int, progress: Progress | None) -> Array | None:
@@ -210,10 +214,12 @@ def search_design(
     return PatternSearch(evaluate, steps.low, steps.high, seed, together).run(warm, evaluations, progress)
 
 
-def _uninformative(task: DesignProblem) -> str:
+def _uninformative(task: DesignProblem, singular: float) -> str:
     names = ", ".join(task.chosen or task.learned)
+    where = f" in all of the {task.robust} parameter samples (in {100 * singular:.0f} % none)" if task.robust else ""
     return (
-        f"no sequence of {task.steps.n_steps} steps in {task.steps.duration:g} s was found that tells all of {names}: "
+        f"no sequence of {task.steps.n_steps} steps in {task.steps.duration:g} s was found that tells all of {names}"
+        f"{where}: "
         f"the sensors do not tell them from each other, or the simulation diverges on rows of {task.grid:g} s; give "
         "fewer --parameters, or other --steps"
     )
@@ -268,7 +274,7 @@ def baseline_signals(task: DesignProblem, n: int = 20, seed: int = 1) -> dict[st
     for k, (kind, options) in enumerate(makers.items()):
         raw = np.stack([make(rng=np.random.default_rng([seed, k, i])) for i in range(n) for _, _, make in options], 2)
         command = _slewed(raw, task.slew, task.grid)
-        value = _nominal(task, command).reshape(n, len(options))
+        value = _criterion(task, command).reshape(n, len(options))
         at = np.unravel_index(int(np.argmax(value)), value.shape)
         best = int(at[0]) * len(options) + int(at[1])
         found[kind] = BaselineSignal("PRBS" if kind == "PRBS" else "RGS", command[:, :, best], float(value[at]),
@@ -292,10 +298,11 @@ def _slewed(command: Array, slew: float, step: float) -> Array:
     return out
 
 
-def _nominal(task: DesignProblem, command: Array) -> Array:
-    parts = [task.experiments(task.actuation.inputs(command[:, :, k:k + 64])).information
-             for k in range(0, command.shape[2], 64)]
-    return task.measure(np.concatenate(parts) + task.prior)
+def _criterion(task: DesignProblem, command: Array) -> Array:
+    """As that of a design: averaged where it is robust, and singular where it is in any sample."""
+    parts = [task.criterion_of(command[:, :, k:k + 64]) for k in range(0, command.shape[2], 64)]
+    value, singular = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return np.where(singular > 0.0, SINGULAR, value)
 
 
 @dataclass(frozen=True)
@@ -310,10 +317,9 @@ class Robustness:
         return float(np.mean(self.values[ours] > np.max(rest, axis=0))) if rest else 1.0
 
 
-def monte_carlo(
-    task: DesignProblem, commands: Mapping[str, Array], n: int = 1000, seed: int = 1, box: float = PRIOR_HALFWIDTH
-) -> Robustness:
-    """Criterion of commands (n_rows, n_channels) at n parameter samples, uniform in a box about the nominal values."""
-    values = ParameterPrior(task.learned, box).sample(task.experiments.model, n, np.random.default_rng([seed, 17]))
+def monte_carlo(task: DesignProblem, commands: Mapping[str, Array], n: int = 1000, seed: int = 1) -> Robustness:
+    """Criterion of commands (n_rows, n_channels) at n parameter samples of what is believed: of a fitted model its
+    standard errors and their correlations, else a box about the nominal values."""
+    values = task.belief_or_box.sample(task.experiments.model, n, np.random.default_rng([seed, 17]))
     inputs = {name: task.actuation.inputs(c[:, :, None])[:, :, 0] for name, c in commands.items()}
     return Robustness({name: task.values(u, values) for name, u in inputs.items()})

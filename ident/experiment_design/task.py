@@ -10,7 +10,7 @@ import numpy as np
 
 from daq.errors import SeatrialError
 from ident.estimation import SavedModel, dynamic_parameters
-from ident.experiment_design.criteria import Criterion, Kind, characteristic_steps
+from ident.experiment_design.criteria import SINGULAR, Criterion, Kind, characteristic_steps
 from ident.experiment_design.excitation import StepInput, ThrusterResponse
 from ident.experiment_design.information import Experiments, prior_information
 from ident.experiment_design.track_extent import TrackExtent, in_current
@@ -65,7 +65,7 @@ class ParameterPrior:
     covariance: Array | None = None
 
     def sample(self, model: Model, n: int, rng: np.random.Generator) -> Array:
-        """Samples (n, n_parameters); positive parameters stay positive."""
+        """Samples (n, n_parameters), within the bounds of the parameters; positive parameters stay positive."""
         index = [p.name for p in model.parameters]
         values = np.tile([p.value for p in model.parameters], (n, 1))
         columns = [index.index(name) for name in self.names]
@@ -76,6 +76,8 @@ class ParameterPrior:
             drawn = rng.multivariate_normal(nominal[0], self.covariance, n, method="eigh", check_valid="ignore")
             least = np.where(nominal > 0, 0.1 * nominal, -np.inf)
             values[:, columns] = np.maximum(drawn, least)
+        bounds = np.array([model.parameter(name).bounds for name in self.names]).reshape(-1, 2).T
+        values[:, columns] = np.clip(values[:, columns], *bounds)
         return values
 
 
@@ -88,6 +90,9 @@ class DesignProblem:
         rates: of the sensors [Hz].
         belief: prior of the parameters; None: the default box.
         earlier: information (k, k) of earlier logs, by ``belief.names``.
+        inflation: by parameter, factor by which the residuals of the earlier logs, being correlated, made its standard
+            error larger than by the information; those of new logs will, too.
+        validity: by signal, what the data of the model covered.
         robust: parameter samples over which the criterion is averaged (0: nominal only; with D this is ELD optimality,
             Walter and Pronzato 1997, section 6.4).
         process_noise: information of prediction error, else of output error.
@@ -104,6 +109,8 @@ class DesignProblem:
     slew: float = np.inf
     belief: ParameterPrior | None = None
     earlier: Array | None = None
+    inflation: Mapping[str, float] = field(default_factory=dict)
+    validity: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     robust: int = 0
     process_noise: bool = True
     seed: int = 1
@@ -208,6 +215,17 @@ class DesignProblem:
         return Experiments(self.observed(self.model), self.free, self.t, self.every, process_noise=self.process_noise)
 
     @cached_property
+    def _inflations(self) -> Array:
+        """By ``free``, those of the standard errors."""
+        return np.array([self.inflation.get(n, 1.0) for n in self.free])
+
+    def information(self, u: Array, values: Array | None = None) -> Array:
+        """Information (n, q, q) by ``free`` that inputs give, as far as a fit may take it for such: divided by the
+        inflation of the errors."""
+        found = self.experiments(u, values).information
+        return np.asarray(found / np.outer(self._inflations, self._inflations))
+
+    @cached_property
     def belief_or_box(self) -> ParameterPrior:
         known = self.model.parameter
         return self.belief or ParameterPrior(tuple(n for n in self.learned if known(n).provenance is ESTIMATED))
@@ -238,13 +256,25 @@ class DesignProblem:
 
     def judge(self, command: Array) -> tuple[Array, Array]:
         """Criterion (n,) and violation (n,) of commands (n_rows, n_channels, n)."""
-        u = self.actuation.inputs(command)
-        value = self._expected(u) if self.robust else self.measure(self.experiments(u).information + self.prior)
-        return value, self.broken(command)
+        value, singular = self.criterion_of(command)
+        return value, self.broken(command) + singular
 
-    def values(self, u: Array, values: Array) -> Array:
-        """The criterion (n,) of one input (n_rows, n_inputs) at many parameter values (n, n_parameters)."""
-        return self.measure(self.experiments(u, values).information + self.prior)
+    def criterion_of(self, command: Array) -> tuple[Array, Array]:
+        """Criterion (n,) of commands (n_rows, n_channels, n), averaged over the samples of a robust design in which it
+        is finite, and the share (n,) of the samples in which it is not."""
+        u = self.actuation.inputs(command)
+        if not self.robust:
+            return self.values(u), np.zeros(u.shape[2])
+        n, k = u.shape[2], len(self._robust_samples)
+        found = self.values(np.repeat(u, k, axis=2), np.tile(self._robust_samples, (n, 1))).reshape(n, k)
+        told = found > SINGULAR
+        mean = np.where(told, found, 0.0).sum(axis=1) / np.maximum(told.sum(axis=1), 1)
+        return np.where(told.any(axis=1), mean, SINGULAR), 1.0 - told.mean(axis=1)
+
+    def values(self, u: Array, values: Array | None = None) -> Array:
+        """The criterion (n,) of inputs (n_rows, n_inputs, n) or (n_rows, n_inputs), at parameter values (n,
+        n_parameters) or the nominal ones."""
+        return self.measure(self.information(u, values) + self.prior)
 
     def broken(self, command: Array) -> Array:
         """Violation (n,) of the limits: sum of the relative excesses; 0: all limits are kept."""
@@ -254,11 +284,6 @@ class DesignProblem:
         if not self.limits.concern_the_track:
             return broken
         return broken + self._violation(*self.extents(command))
-
-    def _expected(self, u: Array) -> Array:
-        n, k = u.shape[2], len(self._robust_samples)
-        outcome = self.experiments(np.repeat(u, k, axis=2), np.tile(self._robust_samples, (n, 1)))
-        return np.asarray(self.measure(outcome.information + self.prior).reshape(n, k).mean(axis=1))
 
     def extents(self, command: Array) -> tuple[Array, Array]:
         """Minimum and maximum (n, k) of ``experiments.extremes`` over all boats in the whole mission of commands

@@ -187,7 +187,8 @@ def _baselines(canvas: Canvas, result: DesignResult) -> Section:
         traces, f"{result.criterion} criterion", "samples", showlegend=True, legend={"orientation": "h", "y": 1.12}
     )
     lead = (
-        "The criterion at 1000 samples of the parameters, uniform within the spread about the nominal values; "
+        "The criterion at 1000 samples of the parameters within what is believed of the boat: the standard errors of "
+        "a model.toml, else uniform within the spread about the nominal values; "
         "larger is better, one unit is a factor e in the determinant. PRBS and RGS are each the best of 20, at the "
         "bandwidth and size that suit the nominal values, and keep to no limits of area, speed or energy."
     )

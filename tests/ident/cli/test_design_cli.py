@@ -16,7 +16,7 @@ from ident.effects.registry import catalogue
 from ident.estimation.model_file import load_model
 from ident.experiment_design.task import COAST_S, REST_S, believed
 from ident.models.horizontal import horizontal_model
-from ident.workflows.design import hypotheses, with_effect
+from ident.workflows.design import DesignRequest, hypotheses, make_task, with_effect
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "formats" / "model.md"
 QUICK = ("--evaluations", "500", "--duration", "40", "--steps", "8")
@@ -100,6 +100,23 @@ def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[st
         (tmp_path / name).unlink()
 
 
+def test_a_mission_that_has_no_place_is_refused_before_the_search(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of m.json the numbers beside it would have taken the place."""
+    for name, says in (("m.json", "give a .toml"), ("m.html", "give a .toml"), ("none/m.toml", "no such folder")):
+        status, _, err = run(capsys, "design", "horizontal", *QUICK, "--out", str(tmp_path / name))
+        assert status == 1
+        assert says in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_default_number_of_steps_leaves_each_the_shortest() -> None:
+    source = "horizontal:shaft:no-current"
+    assert make_task(source, DesignRequest(duration=40.0)).steps.n_steps == 8
+    assert make_task(source, DesignRequest(duration=40.0, shortest=7.0)).steps.n_steps == 5
+
+
 @pytest.mark.study
 def test_a_fitted_model_brings_what_it_knows(fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     belief = believed(load_model(fitted))
@@ -122,7 +139,8 @@ def test_one_input_is_made_by_two_thrusters(tmp_path: Path, capsys: pytest.Captu
     assert status == 0
     assert said.index("built-in 41 N") < said.index("After this mission")
     codes = [w["code"] for w in json.loads(out.with_suffix(".json").read_text())["warnings"]]
-    assert codes == ["thrust-scale-unknown", "shaft-lag-built-in"]
+    assert codes == ["thrust-scale-unknown", "shaft-lag-built-in", "rates-assumed"]
+    assert "taken to measure at 10 Hz where --rate does not say else: gyro." in " ".join(said.split())
     mission = load_mission(out)
     assert mission.thrusters == ("port", "star")
     np.testing.assert_array_equal(mission.segments[1].n[:, 0], -mission.segments[1].n[:, 1])
@@ -168,7 +186,11 @@ def test_each_hypothesis_of_a_discrimination_has_its_own_effect_alone() -> None:
         (("horizontal", "--discriminate", "delay,ghost"), 1, "no effect 'ghost'"),
         (("horizontal", "--rate", "sonar=1"), 1, "no sensor 'sonar'"),
         (("horizontal", "--thrusters", "one"), 1, "--thrusters names 1"),
+        (("horizontal", "--thrusters", "left,left"), 1, "--thrusters: thrusters: names a thruster twice"),
         (("horizontal", "--steps", "100"), 1, "do not fit"),
+        (("horizontal", "--rate", "position=0"), 2, "position=0 is not above 0 Hz"),
+        (("horizontal", "--discriminate", "delay,lag", "--average-over", "4"), 2, "is not averaged over samples"),
+        (("horizontal:shaft:no-current", "--current", "0.2"), 1, "--current does not apply"),
         (("catamaran",), 1, "no model 'catamaran'"),
         (("kinematic:shaft",), 1, "thrusters do not make its input phi, theta, psi, p, q, r; take a model without"),
         (("thruster",), 1, "no mission can be designed for model thruster: it is of a thruster on its bench"),

@@ -12,26 +12,9 @@ from ident.experiment_design.excitation import StepInput
 from ident.experiment_design.optimal_design import design
 from ident.experiment_design.rows import row_spacing
 from ident.experiment_design.task import GRID, DesignProblem
-from ident.model.parameter import Parameter
-from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from ident.model.structure import Model
 from ident.models.horizontal import horizontal_model
-from tests.ident.toys import values_of
-
-
-def follower(time_constant: float, order: int = 1) -> Model:
-    """A meter behind a first-order lag, once or twice."""
-    names = ("z", "w")[:order]
-    return plain_model(
-        f"follower{order}",
-        f=lambda x, u, p: {
-            name: (of - getattr(x, name)) / p.T for name, of in zip(names, (u.n_cmd, x.z), strict=False)
-        },
-        h=lambda x, u, p: {"y": getattr(x, names[-1])},
-        states=tuple(State(name, sd0=0.1) for name in names),
-        inputs=(Input("n_cmd"),),
-        sensors=(Sensor("meter", (Output("y", "", "e"),)),),
-        parameters=(Parameter("T", time_constant, "s", step=0.01), Parameter("e", 0.1, free=False)),
-    )
+from tests.ident.toys import follower, values_of
 
 
 def task_of(model: Model, grid: float) -> DesignProblem:
