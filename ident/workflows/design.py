@@ -339,21 +339,22 @@ def hypotheses(model: Model, names: Sequence[str]) -> tuple[Model, Model]:
 
 
 def with_effect(model: Model, name: str) -> Model:
-    """The model with an effect of a size that matters: half of its prior, or five characteristic steps; as fitted where
-    the model
-    has it already."""
-    if name in {e.name for e in model.effects}:
-        return model
-    if name not in catalogue():
+    """The model with an effect of a size that matters: as fitted where the model has it and the fit found any of it,
+    else half of its prior, or five characteristic steps."""
+    own = next((e for e in model.effects if e.name == name), None)
+    if own is None and name not in catalogue():
         raise SeatrialError(f"there is no effect {name!r}; there is {', '.join(catalogue())}")
-    effect = catalogue()[name]
-    if not model.accepts(effect):
+    effect = own or catalogue()[name]
+    if own is None and not model.accepts(effect):
         raise SeatrialError(f"effect {name!r} does not apply to model {model.name}")
+    with_it = model if own is not None else model + effect
+    if any(with_it.values[p.name] != p.value for p in effect.parameters):
+        return with_it
     sizes = {}
     for p in effect.parameters:
         size = 0.5 * p.prior[1] if p.prior is not None else 5.0 * p.step
         sizes[p.name] = float(np.clip(p.value + size, *p.bounds))
-    return (model + effect).with_values(sizes)
+    return with_it.with_values(sizes)
 
 
 def _track(track: Track, limits: DesignLimits) -> DesignTrack:

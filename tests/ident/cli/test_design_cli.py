@@ -170,6 +170,8 @@ def test_each_hypothesis_of_a_discrimination_has_its_own_effect_alone() -> None:
     assert [e.name for e in lagged.effects] == ["lag"]
     assert lagged.values["T_lag"] == 0.17
     assert late.values["tau_delay"] == 0.25
+    none_found = fitted.with_values({"T_lag": 0.0})
+    assert hypotheses(none_found, ("delay", "lag"))[1].values["T_lag"] == 0.25
     assert [s.name for s in late.states] == [s.name for s in horizontal_model().states]
     for names in (("mooring", "steady-pull"), ("lag", "lag")):
         with pytest.raises(SeatrialError, match="no mission tells them apart"):
