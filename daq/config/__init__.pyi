@@ -6,6 +6,7 @@ from .mission_file import Prediction as Prediction
 from .mission_file import Segment as Segment
 from .mission_file import dump_mission as dump_mission
 from .mission_file import load_mission as load_mission
+from .mission_file import parse_mission as parse_mission
 from .mission_file import save_mission as save_mission
 from .mission_file import save_new_mission as save_new_mission
 from .rig_file import default_decoder as default_decoder

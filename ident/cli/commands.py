@@ -28,6 +28,7 @@ from ident.cli.options import (
     out_option,
     parse_names,
     parse_priors,
+    parse_rates,
     parse_values,
     processes,
     rate_option,
@@ -417,7 +418,7 @@ def _area(_context: click.Context, _parameter: click.Parameter, given: str | Non
     show_default=True,
     help="Length of the mission [s].",
 )
-@click.option("--steps", type=click.IntRange(2, 1000), help="Number of steps [default: one per 5 s].")
+@click.option("--steps", type=click.IntRange(2, 1000), help="Number of steps [default: one per 5 s or --min-step].")
 @click.option("--min-step", type=FiniteRange(0.2), default=1.0, show_default=True, help="Shortest step [s].")
 @click.option(
     "--criterion",
@@ -449,7 +450,7 @@ def _area(_context: click.Context, _parameter: click.Parameter, given: str | Non
     "--rate",
     "rates",
     multiple=True,
-    callback=parse_values,
+    callback=parse_rates,
     metavar="SENSOR=HZ",
     help="Rate of a sensor, position=1 [default: 10 each]; may be repeated.",
 )
@@ -528,6 +529,8 @@ def design(
     """
     if between and len(between) != 2:
         raise click.BadParameter("names two effects, such as delay,lag", param_hint="--discriminate")
+    if between and rest["robust"]:
+        raise click.BadParameter("a discrimination is not averaged over samples", param_hint="--average-over")
     if rest["criterion"] == "Ds" and not rest["chosen"]:
         raise click.BadParameter("Ds needs --parameters: which parameters?", param_hint="--criterion")
     from ident.experiment_design import DesignLimits

@@ -45,6 +45,15 @@ def parse_values(_context: click.Context, _parameter: click.Parameter, given: Se
     return found
 
 
+def parse_rates(context: click.Context, parameter: click.Parameter, given: Sequence[str]) -> dict[str, float]:
+    """Callback of options SENSOR=HZ, above zero."""
+    found = parse_values(context, parameter, given)
+    for name, rate in found.items():
+        if rate <= 0.0:
+            raise click.BadParameter(f"{name}={rate:g} is not above 0 Hz")
+    return found
+
+
 def processes(_context: click.Context, _parameter: click.Parameter, given: int) -> int:
     """Callback of ``--jobs``: a number of processes, or -1 for one a core."""
     if given < 1 and given != -1:

@@ -112,9 +112,9 @@ class Fit:
     prior_weight (n,): the part of a parameter's information that its prior gave (1: the data said nothing);
     robust_errors (n,): from the sandwich covariance, valid when the residuals are coloured, NaN where they
     were not asked for; coloured: they are, so that errors and covariance are those of the sandwich where it is the
-    larger (``_coloured``; never in output error); record_values (n_records, n_parameters): over
-    ``model.parameters`` in order. The log-likelihood is the largest, also where the noise was then restricted; the
-    log-posterior leaves out the constants of the priors.
+    larger (``_coloured``; never in output error); inflation (n,): by what factor it is, 1 where it is not;
+    record_values (n_records, n_parameters): over ``model.parameters`` in order. The log-likelihood is the largest, also
+    where the noise was then restricted; the log-posterior leaves out the constants of the priors.
     ``gain_left``: what one more step would gain; ``options``: what was asked for.
     """
 
@@ -130,6 +130,7 @@ class Fit:
     prior_weight: Array
     robust_errors: Array
     coloured: bool
+    inflation: Array
     record_values: Array
     log_likelihood: float
     log_posterior: float
@@ -300,6 +301,8 @@ def _report(problem: Problem, optimum: Optimum, known: Uncertainty, robust: Arra
     record_values = problem.values(optimum.z)
     names = [p.name for p in problem.model.parameters]
     model = problem.model.with_values(dict(zip(names, record_values.mean(axis=0), strict=True)))
+    plain = np.abs(problem.slopes(optimum.z)) * np.sqrt(np.diag(known.P + known.spread))
+    inflation = np.where(np.isfinite(plain), np.fmax(known.errors / plain, 1.0), 1.0)
     converged = abs(optimum.gain_left) < CLOSE_ENOUGH
     message = (f"converged in {optimum.iterations} iterations" if converged else
                f"stopped after {optimum.iterations} iterations with {optimum.gain_left:.3g} left to gain")
@@ -307,7 +310,7 @@ def _report(problem: Problem, optimum: Optimum, known: Uncertainty, robust: Arra
         model=model, options=options, records=tuple(r.name for r in problem.records), parameters=problem.parameters,
         values=problem.own(optimum.z), errors=known.errors, limits=problem.own(known.limits),
         covariance=known.covariance, correlation=known.correlation, prior_weight=known.prior_weight,
-        robust_errors=robust, coloured=coloured, record_values=record_values,
+        robust_errors=robust, coloured=coloured, inflation=inflation, record_values=record_values,
         log_likelihood=optimum.at.value - prior_part, log_posterior=optimum.at.value,
         n_measured=sum(problem.likelihood.measured(r) for r in problem.records),
         gradient_norm=known.gradient_norm, gain_left=optimum.gain_left, iterations=optimum.iterations,

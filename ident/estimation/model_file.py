@@ -56,6 +56,7 @@ from ident.models import (
 from ident.numerics import Array
 
 FORMAT = "seatrial-model 1"
+NOTABLE_INFLATION = 1.001  # of a standard error: below it is rounding
 STATE_NUMBERS = ("sd0", "noise")  # of a state, where no parameter holds them
 
 
@@ -74,6 +75,8 @@ class SavedModel:
     reml: bool = False
     calibration: float | None = None  # relative standard uncertainty of the forces that it was fitted to; None: unknown
     origin: FrameOrigin | None = None  # from which its fixed points count; None: it has none, or nobody knows
+    # by parameter, factor by which correlated residuals made its standard error larger than by the information
+    inflation: Mapping[str, float] = field(default_factory=dict)
 
     def uncertainty(self, name: str) -> float:
         """Standard uncertainty of an estimated force: of its estimate and of the load cell's calibration; NaN where the
@@ -207,6 +210,9 @@ def _row(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, Any]:
     }
     if np.isfinite(error):
         row["se"] = float(error)
+    at = fit.names.index(p.name) if p.name in fit.names else None
+    if at is not None and fit.inflation[at] > NOTABLE_INFLATION:
+        row["se_inflation"] = float(np.round(fit.inflation[at], 4))
     if p.prior is not None and with_prior:
         row["prior"] = [float(z) for z in p.prior]
     if p.per_record:
@@ -227,6 +233,7 @@ def load_model(path: Path) -> SavedModel:
         source, effects_file = _own_files(table, path)
         model = _build(table, source, load_effects(effects_file) if effects_file is not None else {})
         errors = {row["name"]: float(row.get("se", np.nan)) for row in table["parameter"]}
+        inflation = {row["name"]: float(row["se_inflation"]) for row in table["parameter"] if "se_inflation" in row}
         place = table.get("origin")
         origin = place and FrameOrigin(float(place["latitude"]), float(place["longitude"]), str(place.get("log", "")))
         validity = {k: (float(a), float(b)) for k, (a, b) in table.get("validity", {}).items()}
@@ -238,7 +245,9 @@ def load_model(path: Path) -> SavedModel:
         calibration = None if calibration is None else float(calibration)
     except (AttributeError, KeyError, TypeError, ValueError) as problem:  # attribute: a value where a table should be
         raise SeatrialError(f"{path}: not a complete model: {problem}") from problem
-    return SavedModel(model, errors, validity, made, names, correlation, effects_file, reml, calibration, origin)
+    return SavedModel(
+        model, errors, validity, made, names, correlation, effects_file, reml, calibration, origin, inflation
+    )
 
 
 def _own_files(table: Mapping[str, Any], path: Path) -> tuple[str, Path | None]:

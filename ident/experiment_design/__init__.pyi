@@ -17,8 +17,13 @@ from .optimal_design import design as design
 from .optimal_design import monte_carlo as monte_carlo
 from .optimal_design import predicted_errors as predicted_errors
 from .optimal_design import predicted_track as predicted_track
+from .rows import row_spacing as row_spacing
+from .task import COAST_S as COAST_S
 from .task import GRID as GRID
+from .task import N_TRACKS as N_TRACKS
 from .task import PRIOR_HALFWIDTH as PRIOR_HALFWIDTH
+from .task import RATE as RATE
+from .task import REST_S as REST_S
 from .task import DesignLimits as DesignLimits
 from .task import DesignProblem as DesignProblem
 from .task import ParameterPrior as ParameterPrior

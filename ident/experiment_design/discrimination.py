@@ -21,6 +21,7 @@ import numpy as np
 
 from daq.errors import SeatrialError
 from ident.estimation import dynamic_parameters
+from ident.experiment_design.criteria import SINGULAR
 from ident.experiment_design.excitation import ThrusterResponse
 from ident.experiment_design.information import (
     following,
@@ -114,12 +115,13 @@ class HypothesisPair:
 
 
 def _solve(F: Array, g: Array) -> Array:
-    """F^-1 g for each row; directions without information are left unchanged."""
+    """F^-1 g for each row; directions without information are left unchanged, and so is what diverged."""
+    good = np.asarray(np.isfinite(F).all(axis=(1, 2)) & np.isfinite(g).all(axis=1))
+    F, g = F.copy(), g.copy()
+    F[~good], g[~good] = np.eye(F.shape[1]), 0.0
     size = np.sqrt(np.maximum(np.diagonal(F, axis1=1, axis2=2), 1e-300))
     scaled = F / (size[:, :, None] * size[:, None, :])
-    good = np.isfinite(scaled).all(axis=(1, 2)) & np.isfinite(g).all(axis=1)
-    scaled[~good] = np.eye(F.shape[1])
-    x = np.linalg.solve(scaled + 1e-11 * np.eye(F.shape[1]), (np.where(good[:, None], g, 0.0) / size)[:, :, None])
+    x = np.linalg.solve(scaled + 1e-11 * np.eye(F.shape[1]), (g / size)[:, :, None])
     return np.asarray(x[:, :, 0] / size)
 
 
@@ -154,8 +156,14 @@ def _both(model_a: Model, model_b: Model, task: DesignProblem) -> tuple[Hypothes
 
 
 def separation(model_a: Model, model_b: Model, task: DesignProblem, command: Array) -> tuple[float, float]:
-    """T of a command (n_rows, n_channels) if b is true and a is fitted, and the reverse."""
+    """T of a command (n_rows, n_channels) if b is true and a is fitted, and the reverse.
+
+    Raises SeatrialError where one of them is not finite.
+    """
     first, second = (float(r(command[:, :, None], REFITS)[0]) for r in _both(model_a, model_b, task))
+    if not np.isfinite([first, second]).all():
+        names = " and ".join(" + ".join([m.name, *(e.name for e in m.effects)]) for m in (model_a, model_b))
+        raise SeatrialError(f"{names} cannot be compared: a simulation diverges on rows of {task.grid:g} s")
     return first, second
 
 
@@ -175,7 +183,8 @@ def discriminate(model_a: Model, model_b: Model, task: DesignProblem, *, evaluat
         command = task.commands(z)
         parts: Sequence[Array] = [np.minimum(*(r(command[:, :, k:k + 32]) for r in pairs))
                                   for k in range(0, command.shape[2], 32)]
-        return np.log(np.maximum(np.concatenate(parts), 1e-12)), task.broken(command)
+        T = np.concatenate(parts)
+        return np.where(np.isfinite(T), np.log(np.maximum(T, 1e-12)), SINGULAR), task.broken(command)
 
     found = search_design(task.steps, judge, evaluations, task.seed, None, progress, n_start=128)
     if found.violation > 0:

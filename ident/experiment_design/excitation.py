@@ -167,9 +167,19 @@ class StepInput:
     n_max: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.n_steps * self.shortest > self.duration:
+        if self.n_steps * self.least > self.rows:
             raise SeatrialError(f"{self.n_steps} steps of at least {self.shortest:g} s do not fit into "
                                 f"{self.duration:g} s; fewer steps, a shorter --min-step or a longer --duration")
+
+    @property
+    def rows(self) -> int:
+        """The duration in whole multiples of the grid."""
+        return round(self.duration / self.grid)
+
+    @property
+    def least(self) -> int:
+        """The shortest step in whole multiples of the grid, none below ``shortest``."""
+        return max(int(np.ceil(self.shortest / self.grid - 1e-9)), 1)
 
     @property
     def size(self) -> int:
@@ -188,16 +198,9 @@ class StepInput:
         n_levels = self.n_steps * self.n_channels
         levels = z[:, :n_levels].reshape(-1, self.n_steps, self.n_channels).transpose(1, 2, 0)
         shares = z[:, n_levels:].T
-        spare = self.duration - self.n_steps * self.shortest
-        ends = np.cumsum(shares / shares.sum(axis=0), axis=0) * spare
-        ends = ends + self.shortest * np.arange(1, self.n_steps + 1)[:, None]
-        whole = np.round(ends / self.grid)
-        least = max(round(self.shortest / self.grid), 1)
-        for k in range(1, self.n_steps):  # rounding never makes a step shorter than the shortest
-            whole[k] = np.maximum(whole[k], whole[k - 1] + least)
-        whole[-1] = round(self.duration / self.grid)
-        for k in range(self.n_steps - 2, -1, -1):
-            whole[k] = np.minimum(whole[k], whole[k + 1] - least)
+        spare = self.rows - self.n_steps * self.least  # rows; what is left is shared out, and none is shorter
+        shared = np.round(np.cumsum(shares / shares.sum(axis=0), axis=0) * spare)
+        whole = shared + self.least * np.arange(1, self.n_steps + 1)[:, None]
         return levels, np.diff(whole, axis=0, prepend=0.0) * self.grid
 
     def random(self, n: int, rng: np.random.Generator) -> Array:

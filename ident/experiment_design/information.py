@@ -21,10 +21,12 @@ from ident.data import Record
 from ident.engine import Kernel
 from ident.estimation import Likelihood, simulate
 from ident.model import Model, Parameter
-from ident.numerics import Array, unit_diagonal
+from ident.numerics import Array, scaled_eigen
 
 Mask = NDArray[np.uint32]
 T = TypeVar("T")
+SINGULAR_EIGENVALUE = 1e-13  # of the information scaled to unit diagonal: up to it nothing is told
+NULL_PART = 0.1  # of a unit vector
 CHUNK = 4  # groups of vector lanes in a call; they fit into the cache of the processor
 
 
@@ -225,15 +227,23 @@ def prior_information(parameters: Sequence[Parameter]) -> Array:
 
 
 def errors_of(information: Array) -> Array:
-    """Cramér-Rao bounds (..., q): standard errors with all other parameters unknown; inf where there is no
-    information."""
+    """Cramér-Rao bounds (..., q): standard errors with all other parameters unknown.
+
+    inf where there is no information, or none that tells a parameter from others: the part of its direction in the null
+    space is above ``NULL_PART``. The others have theirs, by the pseudo-inverse.
+    """
     size = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 0.0))
     found = np.full(size.shape, np.inf)
     for at in np.ndindex(size.shape[:-1]):
-        good = np.isfinite(size[at]) & (size[at] > 0)
-        scaled, scale = unit_diagonal(information[at][np.ix_(good, good)])
-        if good.any() and np.isfinite(scaled).all() and np.linalg.eigvalsh(scaled)[0] > 1e-13:
-            found[at][good] = np.sqrt(np.diag(np.linalg.inv(scaled))) / scale
+        good = np.flatnonzero(np.isfinite(size[at]) & (size[at] > 0))
+        part = information[at][np.ix_(good, good)]
+        if not good.size or not np.isfinite(part).all():
+            continue
+        w, V, scale = scaled_eigen(part)
+        null = w <= SINGULAR_EIGENVALUE
+        told = np.square(V[:, null]).sum(axis=1) < NULL_PART**2
+        variance = np.square(V[:, ~null]) @ (1.0 / w[~null])
+        found[at][good[told]] = np.sqrt(variance[told]) / scale[told]
     return found
 
 
@@ -281,9 +291,10 @@ def segment_information(model: Model, records: Sequence[Record], names: Sequence
             parts[-1][-1][places] = F
     whole = np.sum([F for *_, F in parts], axis=0) + prior
     best = errors_of(whole)[:q]
-    return [InformationSegment(name, a, b, F[:q, :q], errors_of(whole - F)[:q] / best, errors_of(F + prior)[:q],
-                    best)
-            for name, a, b, F in parts]
+    with np.errstate(invalid="ignore"):  # what nothing tells has no weight
+        weights = [errors_of(whole - F)[:q] / best for *_, F in parts]
+    return [InformationSegment(name, a, b, F[:q, :q], weight, errors_of(F + prior)[:q], best)
+            for (name, a, b, F), weight in zip(parts, weights, strict=True)]
 
 
 def _increments(model: Model, record: Record, values: Array | None, free: Sequence[str], seconds: float

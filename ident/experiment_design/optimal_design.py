@@ -21,9 +21,10 @@ import numpy as np
 
 from daq.errors import SeatrialError
 from ident.estimation import SampledInputs, simulate, simulate_stochastic
+from ident.experiment_design.criteria import SINGULAR
 from ident.experiment_design.excitation import StepInput, prbs, rgs
 from ident.experiment_design.information import errors_of, planned_record, prediction_information, prior_information
-from ident.experiment_design.task import N_TRACKS, PRIOR_HALFWIDTH, DesignProblem, ParameterPrior
+from ident.experiment_design.task import N_TRACKS, DesignProblem
 from ident.numerics import Array, Evaluate, PatternSearch, SearchResult
 
 N_START, N_RESTARTS = 512, 4
@@ -86,17 +87,19 @@ def predicted_errors(task: DesignProblem, command: Array) -> dict[str, float]:
     u = fine.actuation.inputs(command[:, :, None])[:, :, 0]
     record = planned_record(model, fine.t, u, fine.every)
     free = [*task.learned, *[p.name for p in model.parameters if p.free and p.name not in task.learned]]
-    F = prediction_information(model, record, free=free) + prior_information([model.parameter(n) for n in free])
+    inflation = np.array([task.inflation.get(n, 1.0) for n in free])
+    F = prediction_information(model, record, free=free) / np.outer(inflation, inflation)
+    F = F + prior_information([model.parameter(n) for n in free])
     F[:q, :q] = F[:q, :q] - prior_information([model.parameter(n) for n in task.learned]) + task.prior[:q, :q]
     return dict(zip(task.learned, errors_of(F)[:q].tolist(), strict=True))
 
 
 @dataclass(frozen=True)
 class Track:
-    """Predicted track.
+    """Predicted track, from the rest before the steps to the end of the coasting after them.
 
     Attributes:
-        t (n,): s.
+        t (n,): s since the beginning of the mission.
         x, y (n,): m, of the nominal boat from its start, heading north.
         others (k, n, 2): m, of boats sampled from the prior, with process noise.
         radius (n,): m, holds 95 % of them.
@@ -120,24 +123,24 @@ def predicted_track(made: Design, points: int = 61) -> Track | None:
     if not {"x", "y"} <= set(names):
         return None
     columns = [names.index("x"), names.index("y")]
-    u = task.actuation.inputs(made.command[:, :, None])[:, :, 0]
-    nominal = simulate(task.model, planned_record(task.model, task.t, u)).x[:, columns]
+    t, u = task.t_whole, task.whole_inputs(made.command[:, :, None])[:, :, 0]
+    nominal = simulate(task.model, planned_record(task.model, t, u)).x[:, columns]
     rngs = [np.random.default_rng([task.seed, 20, k]) for k in range(N_BAND)]
     others = simulate_stochastic(
         task.model,
-        SampledInputs.linear(task.t, u),
+        SampledInputs.linear(t, u),
         task.boats(N_BAND, 3),
         rngs,
         x0=np.zeros((N_BAND, len(names))),
         substep=task.grid / 2,
     )[0][:, :, columns]
-    inside, corner = None, task.corner(u)
+    inside, corner = None, task.corner(made.command)
     if corner is not None and task.limits.area is not None:
         kept = (others >= corner) & (others <= corner + np.array(task.limits.area))
         inside = float(np.mean(kept.all(axis=(1, 2))))
-    at = np.unique(np.linspace(0, task.t.size - 1, points).round().astype(int))
+    at = np.unique(np.linspace(0, t.size - 1, points).round().astype(int))
     radius = np.quantile(np.hypot(*(others - nominal).transpose(2, 0, 1)), 0.95, axis=0)
-    return Track(task.t[at], nominal[at, 0], nominal[at, 1], radius[at], others[:, at], inside, corner)
+    return Track(t[at], nominal[at, 0], nominal[at, 1], radius[at], others[:, at], inside, corner)
 
 
 def design(
@@ -152,13 +155,17 @@ def design(
         evaluations = evaluations if warm is None else evaluations // 2
     found = search_design(task.steps, lambda z: task.judge(task.commands(z)), evaluations, task.seed, warm, progress)
     levels, durations = (a[..., 0] for a in task.steps.unpack(found.z[None]))
-    levels = levels.round(LEVEL_DIGITS)
+    n_max = task.steps.n_max
+    levels = np.clip(levels.round(LEVEL_DIGITS), -n_max, n_max)
     rounded = task.actuation.limited(levels[:, :, None], durations[:, None])
-    value, violation = task.judge(rounded)
-    if violation[0] > 10.0**-LEVEL_DIGITS:
-        raise SeatrialError(_too_tight(task, float(violation[0])))
-    information = task.experiments(task.actuation.inputs(rounded)).information[0]
-    return Design(task, levels, durations, float(value[0]), information, found)
+    (value,), (singular,) = task.criterion_of(rounded)
+    (beyond,) = task.broken(rounded)
+    if value <= SINGULAR or singular > 0:
+        raise SeatrialError(_uninformative(task, float(singular)))
+    if beyond > 10.0**-LEVEL_DIGITS:
+        raise SeatrialError(_too_tight(task, float(beyond)))
+    information = task.information(task.actuation.inputs(rounded))[0]
+    return Design(task, levels, durations, float(value), information, found)
 
 
 def _block(task: DesignProblem, evaluations: int, progress: Progress | None) -> Array | None:
@@ -174,7 +181,7 @@ def _block(task: DesignProblem, evaluations: int, progress: Progress | None) -> 
         if steps.n_steps % k == 0
         and steps.n_steps // k >= 8
         and BLOCK <= steps.duration / k <= 2 * BLOCK
-        and np.isclose(steps.duration / k / task.grid, round(steps.duration / k / task.grid))
+        and np.isclose(steps.duration / k / steps.grid, round(steps.duration / k / steps.grid))
     ]
     if not parts:
         return None
@@ -205,6 +212,17 @@ def search_design(
     k = np.arange(steps.n_steps)
     together = np.append(np.repeat(k, steps.n_channels), k)
     return PatternSearch(evaluate, steps.low, steps.high, seed, together).run(warm, evaluations, progress)
+
+
+def _uninformative(task: DesignProblem, singular: float) -> str:
+    names = ", ".join(task.chosen or task.learned)
+    where = f" in all of the {task.robust} parameter samples (in {100 * singular:.0f} % none)" if task.robust else ""
+    return (
+        f"no sequence of {task.steps.n_steps} steps in {task.steps.duration:g} s was found that tells all of {names}"
+        f"{where}: "
+        f"the sensors do not tell them from each other, or the simulation diverges on rows of {task.grid:g} s; give "
+        "fewer --parameters, or other --steps"
+    )
 
 
 def _too_tight(task: DesignProblem, violation: float) -> str:
@@ -256,7 +274,7 @@ def baseline_signals(task: DesignProblem, n: int = 20, seed: int = 1) -> dict[st
     for k, (kind, options) in enumerate(makers.items()):
         raw = np.stack([make(rng=np.random.default_rng([seed, k, i])) for i in range(n) for _, _, make in options], 2)
         command = _slewed(raw, task.slew, task.grid)
-        value = _nominal(task, command).reshape(n, len(options))
+        value = _criterion(task, command).reshape(n, len(options))
         at = np.unravel_index(int(np.argmax(value)), value.shape)
         best = int(at[0]) * len(options) + int(at[1])
         found[kind] = BaselineSignal("PRBS" if kind == "PRBS" else "RGS", command[:, :, best], float(value[at]),
@@ -280,10 +298,11 @@ def _slewed(command: Array, slew: float, step: float) -> Array:
     return out
 
 
-def _nominal(task: DesignProblem, command: Array) -> Array:
-    parts = [task.experiments(task.actuation.inputs(command[:, :, k:k + 64])).information
-             for k in range(0, command.shape[2], 64)]
-    return task.measure(np.concatenate(parts) + task.prior)
+def _criterion(task: DesignProblem, command: Array) -> Array:
+    """As that of a design: averaged where it is robust, and singular where it is in any sample."""
+    parts = [task.criterion_of(command[:, :, k:k + 64]) for k in range(0, command.shape[2], 64)]
+    value, singular = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return np.where(singular > 0.0, SINGULAR, value)
 
 
 @dataclass(frozen=True)
@@ -298,10 +317,9 @@ class Robustness:
         return float(np.mean(self.values[ours] > np.max(rest, axis=0))) if rest else 1.0
 
 
-def monte_carlo(
-    task: DesignProblem, commands: Mapping[str, Array], n: int = 1000, seed: int = 1, box: float = PRIOR_HALFWIDTH
-) -> Robustness:
-    """Criterion of commands (n_rows, n_channels) at n parameter samples, uniform in a box about the nominal values."""
-    values = ParameterPrior(task.learned, box).sample(task.experiments.model, n, np.random.default_rng([seed, 17]))
+def monte_carlo(task: DesignProblem, commands: Mapping[str, Array], n: int = 1000, seed: int = 1) -> Robustness:
+    """Criterion of commands (n_rows, n_channels) at n parameter samples of what is believed: of a fitted model its
+    standard errors and their correlations, else a box about the nominal values."""
+    values = task.belief_or_box.sample(task.experiments.model, n, np.random.default_rng([seed, 17]))
     inputs = {name: task.actuation.inputs(c[:, :, None])[:, :, 0] for name, c in commands.items()}
     return Robustness({name: task.values(u, values) for name, u in inputs.items()})

@@ -10,7 +10,7 @@ import numpy as np
 
 from daq.errors import SeatrialError
 from ident.estimation import SavedModel, dynamic_parameters
-from ident.experiment_design.criteria import Criterion, Kind, characteristic_steps
+from ident.experiment_design.criteria import SINGULAR, Criterion, Kind, characteristic_steps
 from ident.experiment_design.excitation import StepInput, ThrusterResponse
 from ident.experiment_design.information import Experiments, prior_information
 from ident.experiment_design.track_extent import TrackExtent, in_current
@@ -18,6 +18,8 @@ from ident.model import Model, ParameterOrigin
 from ident.numerics import Array
 
 GRID = 0.2  # s between rows of a search
+REST_S = 5.0  # s before the steps: noise of the sensors, and the boat comes to rest
+COAST_S = 10.0  # s after the last step, without thrust, until somebody takes the boat over
 RATE = 10.0  # Hz, default rate of a sensor
 PRIOR_HALFWIDTH = 0.25  # relative; default prior: uniform within 0.75 to 1.25 of the nominal values (thesis)
 N_TRACKS = 24  # parameter samples whose tracks must keep to the limits
@@ -31,7 +33,7 @@ class DesignLimits:
 
     Attributes:
         area: sides (north, east) [m] of a rectangle that holds the whole track, wherever in it the boat starts,
-            heading north.
+            heading north: the rest before the steps (``REST_S``) and the coasting after them (``COAST_S``), too.
         speed: through the water [m/s].
         energy: mean of ``|n|^3``, the share of full power.
         current: largest current [m/s], from any direction, that the track must allow for.
@@ -63,7 +65,7 @@ class ParameterPrior:
     covariance: Array | None = None
 
     def sample(self, model: Model, n: int, rng: np.random.Generator) -> Array:
-        """Samples (n, n_parameters); positive parameters stay positive."""
+        """Samples (n, n_parameters), within the bounds of the parameters; positive parameters stay positive."""
         index = [p.name for p in model.parameters]
         values = np.tile([p.value for p in model.parameters], (n, 1))
         columns = [index.index(name) for name in self.names]
@@ -74,6 +76,8 @@ class ParameterPrior:
             drawn = rng.multivariate_normal(nominal[0], self.covariance, n, method="eigh", check_valid="ignore")
             least = np.where(nominal > 0, 0.1 * nominal, -np.inf)
             values[:, columns] = np.maximum(drawn, least)
+        bounds = np.array([model.parameter(name).bounds for name in self.names]).reshape(-1, 2).T
+        values[:, columns] = np.clip(values[:, columns], *bounds)
         return values
 
 
@@ -86,11 +90,14 @@ class DesignProblem:
         rates: of the sensors [Hz].
         belief: prior of the parameters; None: the default box.
         earlier: information (k, k) of earlier logs, by ``belief.names``.
+        inflation: by parameter, factor by which the residuals of the earlier logs, being correlated, made its standard
+            error larger than by the information; those of new logs will, too.
+        validity: by signal, what the data of the model covered.
         robust: parameter samples over which the criterion is averaged (0: nominal only; with D this is ELD optimality,
             Walter and Pronzato 1997, section 6.4).
         process_noise: information of prediction error, else of output error.
-        grid: s between rows; where a sensor's rate is another than its rows have, its noise is larger or smaller by the
-            root of the ratio.
+        grid: s between rows, no more than ``row_spacing`` allows; where a sensor's rate is another than its rows have,
+            its noise is larger or smaller by the root of the ratio.
     """
 
     model: Model
@@ -102,6 +109,8 @@ class DesignProblem:
     slew: float = np.inf
     belief: ParameterPrior | None = None
     earlier: Array | None = None
+    inflation: Mapping[str, float] = field(default_factory=dict)
+    validity: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     robust: int = 0
     process_noise: bool = True
     seed: int = 1
@@ -110,6 +119,22 @@ class DesignProblem:
     @cached_property
     def t(self) -> Array:
         return np.asarray(np.arange(round(self.steps.duration / self.grid) + 1) * self.grid)
+
+    @cached_property
+    def t_whole(self) -> Array:
+        """Times [s] of the whole mission: the rest before the steps, these, and the coasting after them."""
+        return np.asarray(np.arange(sum(self._around) + self.t.size) * self.grid)
+
+    @property
+    def _around(self) -> tuple[int, int]:
+        """Rows without thrust, before and after."""
+        return round(REST_S / self.grid), round(COAST_S / self.grid)
+
+    def whole_inputs(self, command: Array) -> Array:
+        """The model's inputs (n_rows, n_inputs, n) at ``t_whole`` under commands (n_rows, n_channels, n) at ``t``."""
+        before, after = (np.zeros((n, *command.shape[1:])) for n in self._around)
+        whole = np.concatenate([before, command[:-1], np.zeros((1, *command.shape[1:])), after])
+        return replace(self.actuation, t=self.t_whole).inputs(whole)
 
     @cached_property
     def actuation(self) -> ThrusterResponse:
@@ -190,6 +215,17 @@ class DesignProblem:
         return Experiments(self.observed(self.model), self.free, self.t, self.every, process_noise=self.process_noise)
 
     @cached_property
+    def _inflations(self) -> Array:
+        """By ``free``, those of the standard errors."""
+        return np.array([self.inflation.get(n, 1.0) for n in self.free])
+
+    def information(self, u: Array, values: Array | None = None) -> Array:
+        """Information (n, q, q) by ``free`` that inputs give, as far as a fit may take it for such: divided by the
+        inflation of the errors."""
+        found = self.experiments(u, values).information
+        return np.asarray(found / np.outer(self._inflations, self._inflations))
+
+    @cached_property
     def belief_or_box(self) -> ParameterPrior:
         known = self.model.parameter
         return self.belief or ParameterPrior(tuple(n for n in self.learned if known(n).provenance is ESTIMATED))
@@ -212,7 +248,7 @@ class DesignProblem:
     def reach(self) -> TrackExtent:
         """Extent of the track of the nominal boat and of sampled ones with process noise, all from the same start."""
         nominal = self.experiments.values
-        return TrackExtent(self.model, self.t, np.vstack([nominal, self.boats(N_TRACKS, 2)]), [self.seed, 30])
+        return TrackExtent(self.model, self.t_whole, np.vstack([nominal, self.boats(N_TRACKS, 2)]), [self.seed, 30])
 
     def commands(self, z: Array) -> Array:
         """Commands (n_rows, n_channels, n) of search points."""
@@ -220,39 +256,47 @@ class DesignProblem:
 
     def judge(self, command: Array) -> tuple[Array, Array]:
         """Criterion (n,) and violation (n,) of commands (n_rows, n_channels, n)."""
+        value, singular = self.criterion_of(command)
+        return value, self.broken(command) + singular
+
+    def criterion_of(self, command: Array) -> tuple[Array, Array]:
+        """Criterion (n,) of commands (n_rows, n_channels, n), averaged over the samples of a robust design in which it
+        is finite, and the share (n,) of the samples in which it is not."""
         u = self.actuation.inputs(command)
-        value = self._expected(u) if self.robust else self.measure(self.experiments(u).information + self.prior)
-        return value, self.broken(command, u)
+        if not self.robust:
+            return self.values(u), np.zeros(u.shape[2])
+        n, k = u.shape[2], len(self._robust_samples)
+        found = self.values(np.repeat(u, k, axis=2), np.tile(self._robust_samples, (n, 1))).reshape(n, k)
+        told = found > SINGULAR
+        mean = np.where(told, found, 0.0).sum(axis=1) / np.maximum(told.sum(axis=1), 1)
+        return np.where(told.any(axis=1), mean, SINGULAR), 1.0 - told.mean(axis=1)
 
-    def values(self, u: Array, values: Array) -> Array:
-        """The criterion (n,) of one input (n_rows, n_inputs) at many parameter values (n, n_parameters)."""
-        return self.measure(self.experiments(u, values).information + self.prior)
+    def values(self, u: Array, values: Array | None = None) -> Array:
+        """The criterion (n,) of inputs (n_rows, n_inputs, n) or (n_rows, n_inputs), at parameter values (n,
+        n_parameters) or the nominal ones."""
+        return self.measure(self.information(u, values) + self.prior)
 
-    def broken(self, command: Array, u: Array | None = None) -> Array:
+    def broken(self, command: Array) -> Array:
         """Violation (n,) of the limits: sum of the relative excesses; 0: all limits are kept."""
         broken = np.zeros(command.shape[2])
         if self.limits.energy is not None:
             broken = np.maximum(self.actuation.energy(command) / self.limits.energy - 1.0, 0.0)
         if not self.limits.concern_the_track:
             return broken
-        return broken + self._violation(*self.extents(self.actuation.inputs(command) if u is None else u))
+        return broken + self._violation(*self.extents(command))
 
-    def _expected(self, u: Array) -> Array:
-        n, k = u.shape[2], len(self._robust_samples)
-        outcome = self.experiments(np.repeat(u, k, axis=2), np.tile(self._robust_samples, (n, 1)))
-        return np.asarray(self.measure(outcome.information + self.prior).reshape(n, k).mean(axis=1))
-
-    def extents(self, u: Array) -> tuple[Array, Array]:
-        """Minimum and maximum (n, k) of ``experiments.extremes`` over all boats; inputs u (n_rows, n_inputs, n)."""
-        low, high = self.reach(u)
+    def extents(self, command: Array) -> tuple[Array, Array]:
+        """Minimum and maximum (n, k) of ``experiments.extremes`` over all boats in the whole mission of commands
+        (n_rows, n_channels, n)."""
+        low, high = self.reach(self.whole_inputs(command))
         return low.min(axis=1), high.max(axis=1)
 
-    def corner(self, u: Array) -> Array | None:
-        """South-west corner (2,) of the area relative to the start [m] that centres the extent of one input (n_rows,
-        n_inputs); None without an area."""
+    def corner(self, command: Array) -> Array | None:
+        """South-west corner (2,) of the area relative to the start [m] that centres the extent of one command (n_rows,
+        n_channels); None without an area."""
         if self.limits.area is None:
             return None
-        low, high = self.extents(u[:, :, None])
+        low, high = self.extents(command[:, :, None])
         at = [self.experiments.extremes.index(name) for name in ("x", "y")]
         return np.asarray((low[0, at] + high[0, at] - np.array(self.limits.area)) / 2)
 

@@ -457,6 +457,21 @@ class Model:
             effects=(*self.effects, effect),
         )
 
+    def without(self, name: str) -> Model:
+        """The model without its effect ``name``: without its hooks, states and parameters, and without those of its
+        inputs that no other effect reads. The model itself where it has no such effect."""
+        gone = [e for e in self.effects if e.name == name]
+        kept = tuple(e for e in self.effects if e.name != name)
+        lost = {i.name for e in gone for i in e.inputs} - {i.name for e in kept for i in e.inputs}
+        states, parameters = {s.name for e in gone for s in e.states}, {p.name for e in gone for p in e.parameters}
+        return replace(
+            self,
+            states=tuple(s for s in self.states if s.name not in states),
+            inputs=tuple(i for i in self.inputs if i.name not in lost),
+            parameters=tuple(p for p in self.parameters if p.name not in parameters),
+            effects=kept,
+        )
+
     def accepts(self, effect: Effect) -> bool:
         """Whether the effect can be added, and neither it nor what it is about is there already."""
         return self.refusal(effect) is None

@@ -134,8 +134,11 @@ def _track(canvas: Canvas, track: DesignTrack | None) -> Section:
     traces.append(_dot(track.y[:1], track.x[:1]))
     current = track.current
     water = f"the others in currents of up to {formatting.plain(current)} m/s" if current else "without current"
-    words = f"The boat starts at 0, 0, at rest, heading north, {water}. Nobody steers: small errors of the "
-    words += "model add up, so watch the geofence of the rig file."
+    words = f"The boat starts at 0, 0, at rest, heading north, {water}. The track is that of the whole "
+    words += (
+        f"mission: {track.rest:g} s at rest before the steps, and {track.coasting:g} s of coasting after the last. "
+    )
+    words += "Nobody steers: small errors of the model add up, so watch the geofence of the rig file."
     if track.corner is not None and track.area is not None and track.inside is not None:
         (south, west), area = track.corner, track.area
         words += (
@@ -184,7 +187,8 @@ def _baselines(canvas: Canvas, result: DesignResult) -> Section:
         traces, f"{result.criterion} criterion", "samples", showlegend=True, legend={"orientation": "h", "y": 1.12}
     )
     lead = (
-        "The criterion at 1000 samples of the parameters, uniform within the spread about the nominal values; "
+        "The criterion at 1000 samples of the parameters within what is believed of the boat: the standard errors of "
+        "a model.toml, else uniform within the spread about the nominal values; "
         "larger is better, one unit is a factor e in the determinant. PRBS and RGS are each the best of 20, at the "
         "bandwidth and size that suit the nominal values, and keep to no limits of area, speed or energy."
     )

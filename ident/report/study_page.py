@@ -358,7 +358,9 @@ def as_text(result: StudyResult) -> str:
     for one in result.studies:
         rows = table(one)
         width = [max(len(row[k]) for row in rows) for k in range(len(HEAD))]
-        lines += ["", f"{one.model}, {one.method}: {one.about}", f"estimator: {one.estimator}", ""]
+        lines += ["", f"{one.model}, {one.method}: {one.about}", f"estimator: {one.estimator}"]
+        lines += [f"not in the numbers: {one.left_out}"] if one.left_out else []
+        lines += [""]
         lines += ["  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)).rstrip() for row in rows]
     return "\n".join([*lines[1:], "", result.answer, ""])
 

@@ -368,9 +368,9 @@ class CommandTrace(Part, frozen=True, kw_only=True):
 
 
 class DesignTrack(Part, frozen=True, kw_only=True):
-    """Where the boat is expected to go, from rest, heading north."""
+    """Where the boat is expected to go, from rest, heading north: before the steps, in them, and after them."""
 
-    t: Annotated[Array, Meta(description="[s]")]
+    t: Annotated[Array, Meta(description="since the beginning of the mission [s]")]
     x: Annotated[Array, Meta(description="north of the start [m]")]
     y: Annotated[Array, Meta(description="east of the start [m]")]
     radius: Annotated[Array, Meta(description="95 % of the sampled boats are within it [m]")]
@@ -379,6 +379,8 @@ class DesignTrack(Part, frozen=True, kw_only=True):
     corner: Annotated[tuple[float, float] | None, Meta(description="south-west corner of the area from the start [m]")]
     area: Annotated[tuple[float, float] | None, Meta(description="north by east [m]")]
     current: Annotated[float, Meta(description="the largest that they meet [m/s]")]
+    rest: Annotated[float, Meta(description="before the steps [s]")] = 0.0
+    coasting: Annotated[float, Meta(description="without thrust after the steps [s]")] = 0.0
 
 
 class Discrimination(Part, frozen=True, kw_only=True):
@@ -418,6 +420,7 @@ class DesignResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="des
 
 APART = 0.4  # a fit starts within a factor exp(+-APART) of the truth
 BIAS, COVERAGE, VARIANCE = 0.15, (0.93, 0.97), 0.1  # what is wanted
+MOST_LOST = 0.05  # share of the replicates that may fail or not converge: what is left is no fair sample beyond it
 AIMS = {"bias": (-BIAS, BIAS), "ratio": (1.0 - VARIANCE, 1.0 + VARIANCE), "coverage": COVERAGE}
 
 
@@ -462,6 +465,17 @@ class ModelStudy(Part, frozen=True, kw_only=True):
     cpu_fit: Annotated[float | None, Meta(description="median CPU time of a fit [s]")]
     cpu_simulation: Annotated[float | None, Meta(description="mean CPU time of a simulation [s]")]
     parameters: tuple[ParameterStudy, ...]
+
+    @property
+    def left_out(self) -> str:
+        """Replicates that the statistics leave out, in words; empty where they have them all."""
+        counted = ((self.failed, "failed"), (self.unconverged, "did not converge"))
+        return " and ".join(f"{n} {what}" for n, what in counted if n)
+
+    @property
+    def too_many_left_out(self) -> bool:
+        """Whether so many are left out that the others are no fair sample."""
+        return self.failed + self.unconverged > MOST_LOST * self.replicates
 
 
 class StudyResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="study"):

@@ -100,6 +100,8 @@ WarningCode = Literal[
     "validation-run-failed",
     "curve-not-drawn",
     "effect-untested",
+    "rates-assumed",
+    "beyond-validity",
 ]
 
 

@@ -189,7 +189,7 @@ CASES: dict[str, Callable[..., Case]] = {
     "noise": noise_case,
     "designed": optimal_design_case,
 }
-STEP = 0.1  # s
+STEP = 0.1  # s, of the sensors' samples; GNSS has every second
 HOLD = (3.0, 10.0)  # s, of a level
 GNSS = ("position", "ground_velocity")
 SECONDS = 400.0  # of a mission
@@ -273,7 +273,8 @@ def _marked(case: Case, path: Path) -> Case:
 
 
 def _of_model(model: Model, ranges: Mapping[str, tuple[float, float]], source: str, seconds: float, seed: int) -> Case:
-    t = np.asarray(np.arange(round(seconds / STEP) + 1) * STEP, dtype=np.float64)
+    step = _row_step(model)
+    t = _clock(seconds, step)
     rng = np.random.default_rng(seed)
     u = np.empty((t.size, len(model.inputs)))
     for j, signal in enumerate(model.inputs):
@@ -288,18 +289,19 @@ def _of_model(model: Model, ranges: Mapping[str, tuple[float, float]], source: s
             )
         else:
             levels = _levels(t, *ranges[signal.name], rng)
-            u[:, j] = _measured(levels) if signal.hold == "linear" else levels
+            u[:, j] = _measured(levels, step) if signal.hold == "linear" else levels
     names = [i.name for i in model.inputs]
     for j, signal in enumerate(model.inputs):
         if signal.tap:  # before the start the first value
-            then = np.clip(np.arange(t.size) - round(signal.delay / STEP), 0, t.size - 1)
+            then = np.clip(np.arange(t.size) - round(signal.delay / step), 0, t.size - 1)
             u[:, j] = u[then, names.index(signal.tap_of)]
     u_next = u.copy()
     for j, signal in enumerate(model.inputs):
         if signal.hold == "linear":
             u_next[:-1, j] = u[1:, j]
-    every = {s.name: 2 for s in model.sensors if s.name in GNSS}
-    rates = "sensors 10 Hz" + ", GNSS 5 Hz" * bool(every)
+    sample = round(STEP / step)
+    every = {s.name: sample * (2 if s.name in GNSS else 1) for s in model.sensors}
+    rates = "sensors 10 Hz" + ", GNSS 5 Hz" * bool({*every} & {*GNSS})
     about = f"{seconds:g} s, inputs in steps of 3-10 s within the fitted ranges, {rates}"
     return Case(f"{model.name}-{Path(source).parent.name or 'own'}", model, SampledInputs(t, u, u_next), every, about)
 
@@ -313,9 +315,16 @@ def _levels(t: Array, low: float, high: float, rng: np.random.Generator) -> Arra
     return out
 
 
-def _measured(levels: Array) -> Array:
+def _row_step(model: Model) -> float:
+    """Spacing of the rows [s]: as a fit needs it, and such that delayed copies of the inputs are rows, too: rounded to
+    others, nothing would tell a delay."""
+    spacing = min([STEP, *(abs(i.delay) for i in model.inputs if i.tap)])
+    return spacing / int(np.ceil(spacing / model.max_step - 1e-9))
+
+
+def _measured(levels: Array, step: float) -> Array:
     """As measured shaft speeds and thrusts follow them."""
-    return first_order_lag(levels, 1.0 / SHAFT_POLE, STEP, start="steady")
+    return first_order_lag(levels, 1.0 / SHAFT_POLE, step, start="steady")
 
 
 @dataclass(frozen=True)

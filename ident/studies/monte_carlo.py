@@ -52,7 +52,10 @@ Row = dict[str, Any]
 Z95 = 1.96
 N_DRAWS = 400  # samples of an efficient estimate near bounds, for each replicate
 # The wings that a study's results hang on.
-HASHED_WINGS = ("data", "engine", "estimation", "model", "models", "numerics", "studies")
+HASHED_WINGS = (
+    "characterisation", "data", "effects", "engine", "estimation", "experiment_design", "model", "models", "numerics",
+    "studies",
+)
 
 
 @dataclass(frozen=True)
@@ -279,7 +282,13 @@ def counts(rows: Sequence[Row]) -> ReplicateCounts:
 @cache
 def estimator_code_hash() -> str:
     """A hash of what a result depends on."""
-    digest, root = hashlib.sha256(), Path(__file__).parents[1]
-    for path in sorted(path for wing in HASHED_WINGS for path in (root / wing).glob("*.py")):
+    digest = hashlib.sha256()
+    for path in hashed_files():
         digest.update(path.read_bytes())
     return digest.hexdigest()[:12]
+
+
+def hashed_files() -> list[Path]:
+    """The files whose change may change a study's results."""
+    root = Path(__file__).parents[1]
+    return sorted(path for wing in HASHED_WINGS for path in (root / wing).rglob("*.py"))

@@ -9,12 +9,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.config import Mission, Prediction, Segment, save_new_mission
+from daq.config import Mission, Prediction, Segment, dump_mission, parse_mission, save_new_mission
 from daq.errors import SeatrialError
 from ident.effects import catalogue
 from ident.estimation import dynamic_parameters, load_model, reported_units
 from ident.experiment_design import (
+    COAST_S,
+    GRID,
+    N_TRACKS,
     PRIOR_HALFWIDTH,
+    RATE,
+    REST_S,
     BaselineSignal,
     Design,
     DesignLimits,
@@ -33,6 +38,7 @@ from ident.experiment_design import (
     not_commanded,
     predicted_errors,
     predicted_track,
+    row_spacing,
     separation,
 )
 from ident.model import Model, Parameter
@@ -47,6 +53,7 @@ from ident.results import (
     DesignResult,
     DesignTrack,
     Discrimination,
+    ResultWarning,
     design_warnings,
     finite,
     format_number,
@@ -54,9 +61,10 @@ from ident.results import (
     write_result,
 )
 
-STATIC_S = 5.0  # s at rest before the steps: noise of the sensors, and the boat comes to rest
 N_SHOWN = 24  # sampled tracks on the page
 NAMED = 3  # parameters in the answer
+STEP_S = 5.0  # s, mean length of a step where --steps does not say else
+BEYOND = 0.1  # of the width of a range of validity
 
 
 @dataclass(frozen=True)
@@ -86,10 +94,7 @@ def make_design(source: str, wish: DesignRequest, out: Path, command: str, repor
 
     Raises SeatrialError where the model or the wish cannot be used, before anything is written.
     """
-    beside = {kind: out.with_suffix(kind) for kind in (".json", ".html")}
-    for path in (out, *beside.values()):
-        if path.exists():
-            raise SeatrialError(f"{path} exists; give another name with --out")
+    beside = _free_names(out)
     task = make_task(source, wish)
     own = task.actuation.thrusters
     thrusters = wish.thrusters or own
@@ -98,6 +103,8 @@ def make_design(source: str, wish: DesignRequest, out: Path, command: str, repor
             f"a mission for model {task.model.name} commands {len(own)} thrusters ({', '.join(own)}); "
             f"--thrusters names {len(thrusters)}"
         )
+    idle = Segment("static", np.zeros(1), np.zeros((1, len(thrusters))))
+    parse_mission(dump_mission(Mission("names", "mission", tuple(thrusters), (idle,), 1.0)), "--thrusters")
     task.measure  # noqa: B018  # a wrong --parameters is said before the search
     reporter.progress(f"design: {task.steps.n_steps} steps in {task.steps.duration:g} s for {', '.join(_chosen(task))}")
     apart: Discrimination | None = None
@@ -111,9 +118,7 @@ def make_design(source: str, wish: DesignRequest, out: Path, command: str, repor
         )
     reporter.progress("baseline signals, Monte Carlo, track")
     found = baseline_signals(task, seed=wish.seed)
-    samples = monte_carlo(
-        task, {"design": made.command} | {k: r.command for k, r in found.items()}, seed=wish.seed, box=wish.spread
-    )
+    samples = monte_carlo(task, {"design": made.command} | {k: r.command for k, r in found.items()}, seed=wish.seed)
     track = predicted_track(made)
     best = max(found, key=lambda k: found[k].value)
     fine = found[best].command[np.minimum(_rows(task), len(task.t) - 1)]
@@ -131,15 +136,71 @@ def make_design(source: str, wish: DesignRequest, out: Path, command: str, repor
         inputs=tuple(CommandTrace(name=c, t=task.t, value=made.command[:, k])
                      for k, c in enumerate(task.actuation.channels)),
         track=None if track is None else _track(track, task.limits), apart=apart,
-        warnings=tuple(design_warnings(
-            task.model, task.actuation.full_thrust, None if task.actuation.shafts_are_states else task.actuation.pole
-        )),
+        warnings=tuple(_warnings(made)),
     )  # fmt: skip
     title = " against ".join(wish.between) or f"{wish.criterion}-optimal for {', '.join(_chosen(task))}"
-    save_new_mission(designed_mission(f"steps, {title}", thrusters, made, track, wish, source, command), out)
+    mission = designed_mission(f"steps, {title}", thrusters, made, track, wish, source, command)
+    parse_mission(dump_mission(mission), out)
+    save_new_mission(mission, out)
     write_result(result, beside[".json"])
     write_design_page(result, beside[".html"])
     return result
+
+
+def _free_names(out: Path) -> dict[str, Path]:
+    """The files beside the mission, by suffix. Raises SeatrialError where one of them, or the mission, has no place."""
+    if out.suffix in (".json", ".html"):
+        raise SeatrialError(f"{out}: is the name of the numbers or of the page beside the mission; give a .toml")
+    if not out.parent.is_dir():
+        raise SeatrialError(f"{out.parent}: no such folder; the mission cannot be saved there")
+    beside = {kind: out.with_suffix(kind) for kind in (".json", ".html")}
+    for path in (out, *beside.values()):
+        if path.exists():
+            raise SeatrialError(f"{path} exists; give another name with --out")
+    return beside
+
+
+def _warnings(made: Design) -> list[ResultWarning]:
+    """What a design rests on that nobody gave, and where it goes beyond what the model was fitted on."""
+    task = made.task
+    pole = None if task.actuation.shafts_are_states else task.actuation.pole
+    said = design_warnings(task.model, task.actuation.full_thrust, pole)
+    if assumed := [s.name for s in task.model.sensors if s.name not in task.rates]:
+        text = (
+            f"Sensors are taken to measure at {RATE:g} Hz where --rate does not say else: {', '.join(assumed)}. "
+            "With slower ones a fit will know less."
+        )
+        said.append(ResultWarning(code="rates-assumed", text=text))
+    if beyond := beyond_validity(made):
+        text = (
+            f"The mission goes beyond what the model was fitted on: {'; '.join(beyond)}. There the track and the "
+            "errors are extrapolated. --n-max keeps it closer."
+        )
+        said.append(ResultWarning(code="beyond-validity", text=text))
+    return said
+
+
+def beyond_validity(made: Design) -> list[str]:
+    """Signals of the model (inputs and velocities of the nominal boat) that leave the range that its data covered by
+    more than ``BEYOND`` of its width, with both ranges."""
+    task = made.task
+    if not task.validity:
+        return []
+    u = task.actuation.inputs(made.command[:, :, None])
+    reached = {i.name: (float(u[:, j].min()), float(u[:, j].max())) for j, i in enumerate(task.model.inputs)}
+    extremes = task.experiments.extents(u)
+    reached |= {
+        name: (float(extremes[0][0, j]), float(extremes[1][0, j])) for j, name in enumerate(task.experiments.extremes)
+    }
+    found = []
+    for name, (low, high) in task.validity.items():
+        if name not in reached:
+            continue
+        least, most = reached[name]
+        room = BEYOND * (high - low)
+        if least < low - room or most > high + room:
+            found.append(f"{name} {least:.2g} to {most:.2g} (fitted on {low:.2g} to {high:.2g})")
+    return found
 
 
 def designed_mission(
@@ -153,10 +214,10 @@ def designed_mission(
 ) -> Mission:
     """The designed steps as a mission, after a segment at rest; numbers to the digits that a person reads."""
     levels = made.task.actuation.for_thrusters(made.levels)
-    edges = np.round(STATIC_S + np.concatenate([[0.0], np.cumsum(made.durations)]), 3)
+    edges = np.round(REST_S + np.concatenate([[0.0], np.cumsum(made.durations)]), 3)
     segments = (
         Segment("static", np.zeros(1), np.zeros((1, len(thrusters)))),
-        Segment("designed steps", significant(edges[:-1], 6), significant(levels, 6)),
+        Segment("designed steps", significant(edges[:-1], 6), significant(levels, 6).clip(-wish.n_max, wish.n_max)),
     )
     units, model = reported_units(made.task.model), made.task.model
     factors = {name: units.factor(model.parameter(name).unit) for name in made.task.learned}
@@ -167,7 +228,7 @@ def designed_mission(
     prediction = None
     if track is not None:
         t, x, y, radius = (
-            significant(v, 6) for v in (track.t + STATIC_S, track.x.round(2), track.y.round(2), track.radius.round(2))
+            significant(v, 6) for v in (track.t, track.x.round(2), track.y.round(2), track.radius.round(2))
         )
         prediction = Prediction(source, t, x, y, radius, before)
     return Mission(
@@ -206,10 +267,11 @@ def make_task(source: str, wish: DesignRequest) -> DesignProblem:
             f"{', '.join(s.name for s in model.sensors)}"
         )
     n_channels = len(ThrusterResponse(model, np.array([0.0, 1.0])).channels)
-    n_steps = wish.steps or max(8, round(wish.duration / 5.0))
+    steps = StepInput(1, n_channels, wish.duration, wish.shortest, GRID, wish.n_max)
+    n_steps = wish.steps or min(max(8, round(wish.duration / STEP_S)), max(steps.rows // steps.least, 1))
     task = DesignProblem(
         model,
-        StepInput(n_steps, n_channels, wish.duration, wish.shortest, 0.2, wish.n_max),
+        replace(steps, n_steps=n_steps),
         wish.criterion,
         wish.chosen,
         wish.rates,
@@ -222,11 +284,15 @@ def make_task(source: str, wish: DesignRequest) -> DesignProblem:
     if not dynamic_parameters(model):
         raise SeatrialError(f"model {model.name} has no free parameters to learn")
     if saved is None:
-        return replace(task, belief=ParameterPrior(task.learned, wish.spread))
-    belief = believed(saved)
-    return replace(
-        task, belief=belief, earlier=scaled_pseudo_inverse(belief.covariance) if belief.covariance is not None else None
-    )
+        task = replace(task, belief=ParameterPrior(task.learned, wish.spread))
+    else:
+        belief = believed(saved)
+        earlier = None if belief.covariance is None else scaled_pseudo_inverse(belief.covariance)
+        task = replace(task, belief=belief, earlier=earlier, inflation=saved.inflation, validity=saved.validity)
+    compared = hypotheses(model, wish.between) if wish.between else ()
+    spacings = [row_spacing(model, task.boats(N_TRACKS, 2), GRID, wish.n_max)]
+    spacings += [row_spacing(m, np.array([list(m.values.values())]), GRID, wish.n_max) for m in compared]
+    return replace(task, grid=min(spacings))
 
 
 def _chosen(task: DesignProblem) -> tuple[str, ...]:
@@ -235,7 +301,7 @@ def _chosen(task: DesignProblem) -> tuple[str, ...]:
 
 def _between(task: DesignProblem, wish: DesignRequest, reporter: Reporter) -> tuple[Design, Discrimination]:
     """The design that tells two effects apart, judged as any other, and how far apart it puts them."""
-    a, b = (with_effect(task.model, name) for name in wish.between)
+    a, b = hypotheses(task.model, wish.between)
     made: DiscriminationDesign = discriminate(
         a,
         b,
@@ -243,7 +309,7 @@ def _between(task: DesignProblem, wish: DesignRequest, reporter: Reporter) -> tu
         evaluations=max(wish.evaluations // 8, 500),
         progress=lambda n, merit: reporter.progress(f"design: {n} comparisons, T {np.exp(merit):.3g}"),
     )
-    told = task.experiments(task.actuation.inputs(made.command[:, :, None])).information
+    told = task.information(task.actuation.inputs(made.command[:, :, None]))
     value = float(task.measure(told + task.prior)[0])
     rng = np.random.default_rng([wish.seed, 31])
     random = [task.commands(z)[:, :, 0] for z in task.steps.random(8, rng)[:, None]]
@@ -259,22 +325,36 @@ def _between(task: DesignProblem, wish: DesignRequest, reporter: Reporter) -> tu
     return Design(task, made.levels, made.durations, value, told[0], made.found), row
 
 
+def hypotheses(model: Model, names: Sequence[str]) -> tuple[Model, Model]:
+    """The two models that a discrimination compares: each has its own effect and lacks the other's, which the model may
+    have. With both in one, that one would be nearly as right whichever is true.
+
+    Raises SeatrialError where there is no such effect, or one of them can be all that the other is.
+    """
+    first, second = names
+    for one, other in ((first, second), (second, first)):
+        if one == other or (one in catalogue() and other in catalogue()[one].nests):
+            raise SeatrialError(f"--discriminate: {one} can be all that {other} is: no mission tells them apart")
+    return with_effect(model.without(second), first), with_effect(model.without(first), second)
+
+
 def with_effect(model: Model, name: str) -> Model:
-    """The model with an effect of a size that matters: half of its prior, or five characteristic steps; as fitted where
-    the model
-    has it already."""
-    if name in {e.name for e in model.effects}:
-        return model
-    if name not in catalogue():
+    """The model with an effect of a size that matters: as fitted where the model has it and the fit found any of it,
+    else half of its prior, or five characteristic steps."""
+    own = next((e for e in model.effects if e.name == name), None)
+    if own is None and name not in catalogue():
         raise SeatrialError(f"there is no effect {name!r}; there is {', '.join(catalogue())}")
-    effect = catalogue()[name]
-    if not model.accepts(effect):
+    effect = own or catalogue()[name]
+    if own is None and not model.accepts(effect):
         raise SeatrialError(f"effect {name!r} does not apply to model {model.name}")
+    with_it = model if own is not None else model + effect
+    if any(with_it.values[p.name] != p.value for p in effect.parameters):
+        return with_it
     sizes = {}
     for p in effect.parameters:
         size = 0.5 * p.prior[1] if p.prior is not None else 5.0 * p.step
         sizes[p.name] = float(np.clip(p.value + size, *p.bounds))
-    return (model + effect).with_values(sizes)
+    return with_it.with_values(sizes)
 
 
 def _track(track: Track, limits: DesignLimits) -> DesignTrack:
@@ -289,6 +369,8 @@ def _track(track: Track, limits: DesignLimits) -> DesignTrack:
         corner=corner,
         area=limits.area,
         current=limits.current,
+        rest=REST_S,
+        coasting=COAST_S,
     )
 
 
@@ -368,5 +450,8 @@ def design_summary(result: DesignResult) -> Sequence[str]:
     track = result.track
     if track is not None and track.inside is not None:
         water = f"in a current of up to {track.current:g} m/s" if track.current else "no current assumed"
-        lines.append(f"stays inside the area for {100 * track.inside:.0f} % of disturbed boats; {water}")
+        lines.append(
+            f"{100 * track.inside:.0f} % of disturbed boats stay inside the area, coasting for {track.coasting:g} s "
+            f"after the end included; {water}"
+        )
     return lines

@@ -241,15 +241,20 @@ def _row(j: ParameterCoverage, truth: float, unit: str) -> ParameterStudy:
 
 
 def study_answer(one: ModelStudy) -> str:
-    """How many parameters keep within what is wanted."""
+    """How many replicates the statistics are without, and how many parameters keep within what is wanted."""
     rows = one.parameters
     if not rows:
-        return f"{one.model}: no replicate can be judged."
+        return f"{one.model}: no replicate can be judged" + (f": {one.left_out}." if one.left_out else ".")
     sure = {r.name: [m for m in r.misses if "chance" not in m] for r in rows}
     worst = [f"{name} ({', '.join(misses)})" for name, misses in sure.items() if misses]
     lucky = sum(bool(r.misses) and not sure[r.name] for r in rows)
     held = f"{sum(not r.misses for r in rows)} of {len(rows)} parameters"
-    parts = [f"{one.model}, {one.replicates} replicates: {held} are as wanted"]
+    all_of = f"{one.model}, {one.replicates} replicates"
+    if one.too_many_left_out:
+        all_of += f", of which {one.left_out}, too many for a verdict; of the others"
+    elif one.left_out:
+        all_of += f", of which {one.left_out}"
+    parts = [f"{all_of}: {held} are as wanted"]
     parts += [f"{lucky} miss by no more than chance"] if lucky else []
     return ", ".join([*parts, *([f"these do not hold: {', '.join(worst)}"] if worst else [])]) + "."
 

@@ -71,7 +71,8 @@ def design() -> DesignResult:
     levels = [np.repeat(rng.uniform(-1, 1, 12), 20) for _ in range(2)]
     way = np.linspace(0.0, 4.0, 200)
     track = {"t": np.linspace(0, 120, 200), "x": 15 * np.sin(way), "y": 15 * (1 - np.cos(way)), "radius": 2 * way,
-             "inside": 0.97, "corner": (-25.0, -10.0), "area": (50.0, 45.0), "current": 0.0}
+             "inside": 0.97, "corner": (-25.0, -10.0), "area": (50.0, 45.0), "current": 0.0,
+             "rest": 5.0, "coasting": 10.0}
     track["others"] = [np.column_stack([track["x"] + k, track["y"] - k]) for k in range(8)]
     names = (("m_u", "kg", 37.0, "surge mass"), ("d_v", "kg/s", 50.0, "linear sway damping"))
     parameters = [{"name": n, "unit": u, "value": v, "meaning": m, "before": None, "after": 0.02 * v,

@@ -93,6 +93,7 @@ class NumpyFilter:
     @staticmethod
     def jacobian(f: Callable[[Any], Any], x: np.ndarray) -> np.ndarray:
         """Central differences with a complex-free step, Richardson-extrapolated."""
+
         def central(e: float) -> np.ndarray:
             return np.column_stack([(f(x + e * d) - f(x - e * d)) / (2 * e) for d in np.eye(x.size)])
 
@@ -163,3 +164,19 @@ def best_start(model: Model, records: Sequence[Record], grid: Mapping[str, Seque
         if total > best:
             best, found = total, dict(zip(grid, point, strict=True))
     return found
+
+
+def follower(time_constant: float, order: int = 1) -> Model:
+    """A meter behind a first-order lag, once or twice."""
+    names = ("z", "w")[:order]
+    return plain_model(
+        f"follower{order}",
+        f=lambda x, u, p: {
+            name: (of - getattr(x, name)) / p.T for name, of in zip(names, (u.n_cmd, x.z), strict=False)
+        },
+        h=lambda x, u, p: {"y": getattr(x, names[-1])},
+        states=tuple(State(name, sd0=0.1) for name in names),
+        inputs=(Input("n_cmd"),),
+        sensors=(Sensor("meter", (Output("y", "", "e"),)),),
+        parameters=(Parameter("T", time_constant, "s", step=0.01), Parameter("e", 0.1, free=False)),
+    )

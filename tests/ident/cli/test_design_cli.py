@@ -11,10 +11,12 @@ import pytest
 
 import seatrial
 from daq.config.mission_file import dump_mission, load_mission, parse_mission
+from daq.errors import SeatrialError
+from ident.effects.registry import catalogue
 from ident.estimation.model_file import load_model
-from ident.experiment_design.task import believed
+from ident.experiment_design.task import COAST_S, REST_S, believed
 from ident.models.horizontal import horizontal_model
-from ident.workflows.design import STATIC_S, with_effect
+from ident.workflows.design import DesignRequest, hypotheses, make_task, with_effect
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "formats" / "model.md"
 QUICK = ("--evaluations", "500", "--duration", "40", "--steps", "8")
@@ -50,11 +52,11 @@ def test_a_design_is_a_mission_that_bench_reads_and_shows(tmp_path: Path, capsys
     assert parse_mission(dump_mission(mission), "again") == mission
     assert mission.thrusters == ("left", "right")
     assert (mission.n_max, mission.slew_per_s, mission.seed) == (0.8, 2.0, 3)
-    assert mission.end == pytest.approx(STATIC_S + 40.0)
+    assert mission.end == pytest.approx(REST_S + 40.0)
     assert [s.name for s in mission.segments] == ["static", "designed steps"]
     assert set(mission.predicted_errors) == {"m_u", "m_v", "m_r", "d_u", "d_v", "d_r", "d_uu", "d_vv", "d_rr"}
     assert mission.prediction is not None
-    assert mission.prediction.t[0] == STATIC_S
+    assert mission.prediction.t[[0, -1]].tolist() == [0.0, mission.end + COAST_S]
     status, shown, _ = run(capsys, "show", str(out))
     assert status == 0
     assert "predicted standard errors" in shown
@@ -65,7 +67,7 @@ def test_a_design_is_a_mission_that_bench_reads_and_shows(tmp_path: Path, capsys
         assert rows[name]["after"] == pytest.approx(error, rel=1e-3)
     assert {len(v) for v in result["samples"].values()} == {1000}
     t, n = mission.setpoints()
-    at = np.searchsorted(t, np.array(result["inputs"][0]["t"][:-1]) + STATIC_S + 1e-6, side="right") - 1
+    at = np.searchsorted(t, np.array(result["inputs"][0]["t"][:-1]) + REST_S + 1e-6, side="right") - 1
     assert np.abs(n[at, 0] - np.array(result["inputs"][0]["value"][:-1])).max() < 0.45  # within a row of the same ramps
     page = out.with_suffix(".html").read_text(encoding="utf-8")
     assert re.search(r'<td class="symbol[^"]*">m_u</td>', page)  # alone: beside its meaning it is five lines on a phone
@@ -98,6 +100,23 @@ def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[st
         (tmp_path / name).unlink()
 
 
+def test_a_mission_that_has_no_place_is_refused_before_the_search(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of m.json the numbers beside it would have taken the place."""
+    for name, says in (("m.json", "give a .toml"), ("m.html", "give a .toml"), ("none/m.toml", "no such folder")):
+        status, _, err = run(capsys, "design", "horizontal", *QUICK, "--out", str(tmp_path / name))
+        assert status == 1
+        assert says in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_default_number_of_steps_leaves_each_the_shortest() -> None:
+    source = "horizontal:shaft:no-current"
+    assert make_task(source, DesignRequest(duration=40.0)).steps.n_steps == 8
+    assert make_task(source, DesignRequest(duration=40.0, shortest=7.0)).steps.n_steps == 5
+
+
 @pytest.mark.study
 def test_a_fitted_model_brings_what_it_knows(fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     belief = believed(load_model(fitted))
@@ -120,7 +139,8 @@ def test_one_input_is_made_by_two_thrusters(tmp_path: Path, capsys: pytest.Captu
     assert status == 0
     assert said.index("built-in 41 N") < said.index("After this mission")
     codes = [w["code"] for w in json.loads(out.with_suffix(".json").read_text())["warnings"]]
-    assert codes == ["thrust-scale-unknown", "shaft-lag-built-in"]
+    assert codes == ["thrust-scale-unknown", "shaft-lag-built-in", "rates-assumed"]
+    assert "taken to measure at 10 Hz where --rate does not say else: gyro." in " ".join(said.split())
     mission = load_mission(out)
     assert mission.thrusters == ("port", "star")
     np.testing.assert_array_equal(mission.segments[1].n[:, 0], -mission.segments[1].n[:, 1])
@@ -142,6 +162,22 @@ def test_between_two_effects(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert with_effect(model, "delay") is model
 
 
+def test_each_hypothesis_of_a_discrimination_has_its_own_effect_alone() -> None:
+    """In the documented use the model has one of them already: with it in both, T was the price of a prior."""
+    fitted = (horizontal_model() + catalogue()["lag"]).with_values({"T_lag": 0.17})
+    late, lagged = hypotheses(fitted, ("delay", "lag"))
+    assert [e.name for e in late.effects] == ["delay"]
+    assert [e.name for e in lagged.effects] == ["lag"]
+    assert lagged.values["T_lag"] == 0.17
+    assert late.values["tau_delay"] == 0.25
+    none_found = fitted.with_values({"T_lag": 0.0})
+    assert hypotheses(none_found, ("delay", "lag"))[1].values["T_lag"] == 0.25
+    assert [s.name for s in late.states] == [s.name for s in horizontal_model().states]
+    for names in (("mooring", "steady-pull"), ("lag", "lag")):
+        with pytest.raises(SeatrialError, match="no mission tells them apart"):
+            hypotheses(horizontal_model(), names)
+
+
 @pytest.mark.parametrize(
     ("words", "status", "says"),
     [
@@ -152,7 +188,11 @@ def test_between_two_effects(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         (("horizontal", "--discriminate", "delay,ghost"), 1, "no effect 'ghost'"),
         (("horizontal", "--rate", "sonar=1"), 1, "no sensor 'sonar'"),
         (("horizontal", "--thrusters", "one"), 1, "--thrusters names 1"),
+        (("horizontal", "--thrusters", "left,left"), 1, "--thrusters: thrusters: names a thruster twice"),
         (("horizontal", "--steps", "100"), 1, "do not fit"),
+        (("horizontal", "--rate", "position=0"), 2, "position=0 is not above 0 Hz"),
+        (("horizontal", "--discriminate", "delay,lag", "--average-over", "4"), 2, "is not averaged over samples"),
+        (("horizontal:shaft:no-current", "--current", "0.2"), 1, "--current does not apply"),
         (("catamaran",), 1, "no model 'catamaran'"),
         (("kinematic:shaft",), 1, "thrusters do not make its input phi, theta, psi, p, q, r; take a model without"),
         (("thruster",), 1, "no mission can be designed for model thruster: it is of a thruster on its bench"),

@@ -93,3 +93,14 @@ def test_all_effects_at_once_make_the_same_model_in_any_order(source: str) -> No
         if reduce(add, together, base).accepts(effect):
             together.append(effect)
     assert differences(base, together) == []
+
+
+@pytest.mark.parametrize("source", ["horizontal:shaft", "horizontal:command", "nomoto"])
+def test_an_effect_taken_out_leaves_the_model_as_if_it_had_never_been_in(source: str) -> None:
+    """Whatever was added after it stays, with the inputs that both read."""
+    base, other = make_model(source, tuple(SENSORS)), catalogue()["gnss-latency"]
+    for effect in all_effects(base):
+        assert (base + effect).without(effect.name) == base
+        if effect.name != other.name and (base + effect).accepts(other):
+            assert set((base + effect + other).without(effect.name).inputs) == set((base + other).inputs)
+    assert base.without("mooring") == base

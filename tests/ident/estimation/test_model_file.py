@@ -57,7 +57,9 @@ def rates(model: Model) -> np.ndarray:
 
 
 def test_a_fitted_model_comes_back(tmp_path: Path, found: Fit) -> None:
+    found = replace(found, inflation=np.where(np.array(found.names) == "m_r", 2.5, 1.0))
     back = load_model(saved(tmp_path / "model.toml", found))
+    assert back.inflation == {"m_r": 2.5}
     for p in found.model.parameters:
         again = back.model.parameter(p.name)
         assert again.free == p.free, p.name

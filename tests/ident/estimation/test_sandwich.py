@@ -153,6 +153,7 @@ def test_a_fit_to_coloured_residuals_says_so_and_has_their_errors(keep: float) -
     found = fit(model, [record])
     assert found.coloured == (keep > 0.0)
     expected = np.fmax(plain.errors, found.robust_errors) if found.coloured else plain.errors
+    np.testing.assert_allclose(found.inflation, expected / plain.errors)
     np.testing.assert_allclose(found.errors, expected, rtol=1e-6)
     assert (found.errors[:2] > 2.0 * plain.errors[:2]).all() == found.coloured
 

@@ -178,6 +178,10 @@ def test_priors_and_what_nothing_tells_of() -> None:
     np.testing.assert_allclose(error, [0.5, np.inf, 1e6])
     singular = np.array([[1.0, 1.0], [1.0, 1.0]])
     assert np.isinf(errors_of(singular)).all()
+    apart = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 1.0, 1.0]])
+    np.testing.assert_allclose(errors_of(apart), [1.0, np.inf, np.inf])
+    through = np.array([[2.0, 1.0, 1.0], [1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])  # the sum of the others is not known
+    np.testing.assert_allclose(errors_of(through), [1.0, np.inf, np.inf])
 
 
 def test_initial_states_may_be_parameters() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -31,7 +32,8 @@ from ident.models.horizontal import horizontal_model
 from ident.models.surge import surge_model
 from ident.models.yaw import yaw_model
 from ident.studies.cases import repeats
-from tests.ident.toys import values_of
+from ident.workflows.design import beyond_validity
+from tests.ident.toys import follower, values_of
 
 
 def boat_task(seconds: float = 100.0, n_steps: int = 20, **how) -> DesignProblem:
@@ -77,9 +79,9 @@ LIMITS = DesignLimits(area=(40.0, 30.0), speed=1.1, energy=0.5)
 
 def test_limits_are_kept() -> None:
     belief = ParameterPrior(("d_v", "d_r", "m_r"), 0.05)
-    made = design(boat_task(slew=2.0, limits=LIMITS, belief=belief, seed=2), evaluations=800)
+    made = design(boat_task(50.0, 10, slew=2.0, limits=LIMITS, belief=belief, seed=2), evaluations=800)
     task, command = made.task, made.command
-    assert made.durations.sum() == pytest.approx(100.0)
+    assert made.durations.sum() == pytest.approx(50.0)
     assert made.durations.min() >= 1.0 - 1e-9
     assert np.abs(command).max() <= 1.0 + 1e-9
     assert np.abs(np.diff(command, axis=0)).max() <= 2.0 * GRID + 1e-9
@@ -96,13 +98,13 @@ def test_limits_are_kept() -> None:
     assert track.inside is not None
     assert track.inside > 0.5
     assert track.radius[0] == 0.0 < track.radius[-1]
-    free = design(boat_task(seed=2), evaluations=800)
+    free = design(boat_task(50.0, 10, seed=2), evaluations=800)
     assert free.value > made.value
 
 
 def test_what_cannot_be_kept_is_one_line() -> None:
     with pytest.raises(SeatrialError, match=r"--area 1x1 .*give more room"):
-        design(boat_task(limits=DesignLimits(area=(1.0, 1.0))), evaluations=600)
+        design(boat_task(30.0, 6, limits=DesignLimits(area=(1.0, 1.0))), evaluations=600)
     with pytest.raises(SeatrialError, match="do not fit"):
         StepInput(100, 2, 60.0, 1.0, GRID)
     with pytest.raises(SeatrialError, match="'q' cannot be learned"):
@@ -157,6 +159,76 @@ def test_steps_round_trip_and_keep_to_their_frame() -> None:
     np.testing.assert_allclose(durations / 0.2, np.round(durations / 0.2), atol=1e-6)
     assert np.abs(levels).max() <= 0.6
     np.testing.assert_array_equal(levels[:, 1, 3], z[3, 1:14:2])
+
+
+@pytest.mark.parametrize(("n_steps", "seconds", "shortest"), [(100, 40.0, 0.35), (20, 12.0, 0.5), (2, 10.0, 5.0)])
+def test_no_step_is_shorter_than_asked_for(n_steps: int, seconds: float, shortest: float) -> None:
+    """Also where the shortest is no multiple of the grid, and the steps just fit."""
+    steps = StepInput(n_steps, 1, seconds, shortest, 0.2)
+    _, durations = steps.unpack(steps.random(20, np.random.default_rng(1)))
+    assert durations.min() >= shortest - 1e-9
+    np.testing.assert_allclose(durations.sum(axis=0), seconds)
+    with pytest.raises(SeatrialError, match="do not fit"):
+        StepInput(n_steps + 1, 1, seconds, shortest, 0.2)
+
+
+def test_levels_are_rounded_to_what_the_mission_may_have() -> None:
+    """A mission whose level is 0.667 of an n_max of 0.6667 is refused by whoever reads it."""
+    task = DesignProblem(gain_and_offset(), StepInput(4, 1, 10.0, 1.0, GRID, n_max=0.6667))
+    made = design(task, evaluations=500)
+    assert np.abs(made.levels).max() == 0.6667
+    within = replace(made, task=replace(task, validity={"n_cmd": (-0.6, 0.6), "other": (0.0, 1.0)}))
+    beyond = replace(made, task=replace(task, validity={"n_cmd": (-0.1, 0.4)}))
+    assert beyond_validity(within) == []
+    (told,) = beyond_validity(beyond)
+    assert re.fullmatch(r"n_cmd -0.6\d* to 0.6\d* \(fitted on -0.1 to 0.4\)", told)
+
+
+def test_a_robust_criterion_is_a_mean_of_numbers_and_so_is_that_of_the_baselines() -> None:
+    """What diverges in a sample is a violation, not -1e9 of a mean; a nominal criterion is no baseline for a mean."""
+    task = DesignProblem(follower(1.0), StepInput(4, 1, 10.0, 1.0, GRID), robust=2)
+    command = task.commands(task.steps.random(3, np.random.default_rng(1)))
+    task.__dict__["_robust_samples"] = np.array([[0.5, 0.1], [2.0, 0.1]])
+    u = task.actuation.inputs(command)
+    alone = [task.values(u, np.tile(one, (3, 1))) for one in task._robust_samples]
+    value, violation = task.judge(command)
+    np.testing.assert_allclose(value, np.mean(alone, axis=0))
+    assert not violation.any()
+    for one in baseline_signals(task, n=2).values():
+        assert one.value == pytest.approx(float(task.judge(one.command[:, :, None])[0][0]))
+    task.__dict__["_robust_samples"] = np.array([[0.5, 0.1], [0.01, 0.1]])  # rows of twenty time constants
+    value, violation = task.judge(command)
+    np.testing.assert_allclose(value, alone[0])
+    np.testing.assert_allclose(violation, 0.5)
+    with pytest.raises(SeatrialError, match=r"in all of the 2 parameter samples \(in 50 % none\)"):
+        design(task, evaluations=500)
+
+
+def test_other_boats_are_drawn_from_what_is_believed_within_the_bounds() -> None:
+    task = DesignProblem(follower(1.0), StepInput(4, 1, 10.0, 1.0, GRID))
+    command = {"design": task.commands(task.steps.random(1, np.random.default_rng(1)))[:, :, 0]}
+    box, known = (
+        np.ptp(monte_carlo(replace(task, belief=belief), command, n=50).values["design"])
+        for belief in (ParameterPrior(("T",)), ParameterPrior(("T",), covariance=np.array([[1e-8]])))
+    )
+    assert known < 0.01 * box
+    wide = ParameterPrior(("d_uu",), covariance=np.array([[1e4]]))
+    model = horizontal_model().with_values({"d_uu": 0.0})
+    drawn = wide.sample(model, 50, np.random.default_rng(1))[:, list(model.values).index("d_uu")]
+    assert drawn.min() == 0.0 < drawn.max()
+
+
+def test_errors_that_correlated_residuals_made_larger_stay_so() -> None:
+    """The same mission again makes them smaller by a root of two, not by what the information alone promises."""
+    task = DesignProblem(follower(1.0), StepInput(4, 1, 10.0, 1.0, GRID))
+    levels, durations = task.steps.unpack(task.steps.random(1, np.random.default_rng(1)))
+    command = task.finer.actuation.limited(levels, durations)[:, :, 0]
+    plain = predicted_errors(task, command)["T"]
+    known = ParameterPrior(("T",), covariance=np.array([[(3.0 * plain) ** 2]]))
+    again = replace(task, belief=known, earlier=np.array([[(3.0 * plain) ** -2]]), inflation={"T": 3.0})
+    assert predicted_errors(again, command)["T"] == pytest.approx(3.0 * plain / np.sqrt(2.0))
+    u = task.actuation.inputs(task.actuation.limited(levels, durations))
+    np.testing.assert_allclose(again.information(u), task.information(u) / 9.0)
 
 
 def test_slew_and_shaft_against_a_plain_loop() -> None:
@@ -299,9 +371,9 @@ def test_the_band_of_the_track_is_that_of_the_sampled_boats() -> None:
     track = predicted_track(made)
     assert track is not None
     model = made.task.model
-    record = planned_record(model, made.task.t, made.task.actuation.inputs(made.command[:, :, None])[:, :, 0])
+    record = planned_record(model, made.task.t_whole, made.task.whole_inputs(made.command[:, :, None])[:, :, 0])
     x = simulate(model, record).x
-    at = np.searchsorted(made.task.t, track.t)
+    at = np.searchsorted(made.task.t_whole, track.t)
     np.testing.assert_allclose(np.hypot(track.x - x[at, 0], track.y - x[at, 1]), 0.0, atol=1e-9)
     away = np.hypot(track.others[:, :, 0] - track.x, track.others[:, :, 1] - track.y)
     share = np.mean(away <= track.radius, axis=0)[1:]

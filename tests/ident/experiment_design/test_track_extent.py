@@ -11,7 +11,7 @@ from ident.estimation.output_error import simulate
 from ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
 from ident.experiment_design.excitation import StepInput
 from ident.experiment_design.information import planned_record
-from ident.experiment_design.task import GRID, DesignLimits, DesignProblem, ParameterPrior
+from ident.experiment_design.task import COAST_S, GRID, N_TRACKS, REST_S, DesignLimits, DesignProblem, ParameterPrior
 from ident.experiment_design.track_extent import TrackExtent, in_current, with_noise_inputs
 from ident.models.horizontal import horizontal_model
 from ident.models.surge import surge_model
@@ -91,6 +91,25 @@ def test_a_current_carries_them_off() -> None:
     low, high = TrackExtent(model, np.arange(300) * GRID, found[:3], [1])(still)
     drifted = np.maximum(np.abs(low), np.abs(high))[0, 1:, :2]
     np.testing.assert_allclose(drifted, np.abs(found[1:3][:, at]) * 299 * GRID, atol=1.5)
+
+
+def test_the_area_holds_the_rest_before_and_the_coasting_after() -> None:
+    """A current takes the boat along for the whole mission, and thrust ends with the steps, not with the motion."""
+    model = horizontal_model().with_values({"s_u": 1e-9, "s_v": 1e-9, "s_r": 1e-9})
+    limits = DesignLimits(area=(9.0, 9.0), current=0.2)
+    task = DesignProblem(
+        model, StepInput(2, 2, 20.0, 1.0, GRID), limits=limits, belief=ParameterPrior((), 0.0), seed=2
+    )
+    command = np.zeros((task.t.size, 2, 2))
+    command[:, :, 1] = 0.5
+    fastest = max(np.abs(task.boats(N_TRACKS, 2)[:, list(model.values).index("V_x")]))
+    low, high = task.extents(command)
+    north = task.experiments.extremes.index("x")
+    assert max(-low[0, north], high[0, north]) == pytest.approx(fastest * (REST_S + 20.0 + COAST_S), rel=0.1)
+    u = task.whole_inputs(command)[:, 0, 1]
+    assert not u[: round(REST_S / GRID) + 1].any()
+    assert u[round((REST_S + 19.0) / GRID)] == pytest.approx(0.5)
+    assert abs(u[-1]) < 1e-9
 
 
 def test_noise_and_current_cost_room() -> None:

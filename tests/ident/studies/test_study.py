@@ -10,6 +10,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -20,10 +21,19 @@ from ident.estimation.output_error import simulate
 from ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
 from ident.model.parameter import Parameter
 from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from ident.report.study_page import as_text
 from ident.reporter import QUIET
 from ident.studies.cases import CASES, make_case
-from ident.studies.monte_carlo import Row, counts, run_replicates, summarise, variance_change_by_bounds
+from ident.studies.monte_carlo import (
+    Row,
+    counts,
+    hashed_files,
+    run_replicates,
+    summarise,
+    variance_change_by_bounds,
+)
 from ident.workflows import study
+from tests.ident import page_examples
 from tests.ident.reports import Kept
 
 
@@ -137,6 +147,28 @@ def test_the_numbers_of_a_study() -> None:
     rows = [*made_up(d, 1.0), {"converged": False, "cpu": 1.0, "simulation": 2.0}, {"error": "no", "simulation": 2.0}]
     found = counts(rows)
     assert (found.replicates, found.failed, found.unconverged) == (7, 1, 1)
+
+
+def test_fits_that_failed_or_did_not_converge_are_in_the_verdict() -> None:
+    """Statistics of what is left may look as wanted."""
+    result = page_examples.study()
+    fine, _, none = result.studies
+    for failed, unconverged, says in (
+        (0, 0, "surge, 500 replicates: 2 of 2"),
+        (0, 1, "surge, 500 replicates, of which 1 did not converge: 2 of 2 parameters are as wanted"),
+        (50, 300, "of which 50 failed and 300 did not converge, too many for a verdict; of the others: 2 of 2"),
+    ):
+        one = msgspec.structs.replace(fine, failed=failed, unconverged=unconverged)
+        assert says in study.study_answer(one)
+        text = as_text(msgspec.structs.replace(result, studies=(one,)))
+        assert ("not in the numbers: " in text) == bool(failed + unconverged)
+    assert study.study_answer(none) == "none: no replicate can be judged: 1 did not converge."
+
+
+def test_a_result_goes_with_every_wing_that_a_study_runs() -> None:
+    """Of a wing that was left out, samples of another code were mixed without a warning."""
+    names = {path.name for path in hashed_files()}
+    assert {"thrust_history.py", "sensor_noise.py", "optimal_design.py", "likelihood.py"} <= names
 
 
 def test_what_misses_beyond_chance_is_said() -> None:

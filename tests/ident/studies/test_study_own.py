@@ -9,9 +9,11 @@ import pytest
 
 from daq.errors import SeatrialError
 from ident.estimation.maximum_likelihood import fit
-from ident.estimation.model_file import save_model
+from ident.estimation.model_file import SavedModel, save_model
 from ident.estimation.stochastic_simulation import simulate_stochastic
+from ident.models.horizontal import horizontal_model
 from ident.models.surge import surge_model
+from ident.studies import cases
 from ident.studies.cases import make_case, surge_case
 from ident.studies.monte_carlo import make_record, run_replicates
 from ident.workflows import study
@@ -58,6 +60,23 @@ def test_a_fitted_model_is_studied_within_the_ranges_of_its_inputs(saved: Path, 
     assert "error" not in row
     again = make_case(str(saved), seconds=60.0)
     assert np.array_equal(case.inputs.u, again.inputs.u)
+
+
+def test_a_delay_is_told_by_rows_at_the_copies_of_the_command(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Copies 0.05 s apart in rows of 0.1 s were every second one, twice, and nothing told the delay between."""
+    model = horizontal_model("command").with_values({"tau_n": 0.2})
+    ranges = {"n_cmd_left": (-0.5, 1.0), "n_cmd_right": (-0.5, 1.0)}
+    monkeypatch.setattr(cases, "load_model", lambda _: SavedModel(model, {}, ranges))
+    (tmp_path / "model.toml").touch()
+    case = make_case(str(tmp_path / "model.toml"), seconds=20.0)
+    step, names = np.diff(case.inputs.t)[0], [i.name for i in model.inputs]
+    assert step == pytest.approx(0.05) == pytest.approx(model.max_step)
+    for k in range(1, 17):
+        now, late = (case.inputs.u[:, names.index(n)] for n in ("n_cmd_left", f"n_cmd_left~{k}"))
+        np.testing.assert_array_equal(late[k:], now[:-k])
+    assert {name: n * step for name, n in case.every.items()} == {
+        s.name: pytest.approx(0.2 if s.name in cases.GNSS else 0.1) for s in model.sensors
+    }
 
 
 def test_a_fitted_model_is_studied_as_it_was_fitted(saved: Path) -> None:

@@ -1,0 +1,45 @@
+"""Rows of a design: as close as the quickest state needs, and nothing that diverges passes for a result."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from daq.errors import SeatrialError
+from ident.effects.registry import catalogue
+from ident.experiment_design.discrimination import separation
+from ident.experiment_design.excitation import StepInput
+from ident.experiment_design.optimal_design import design
+from ident.experiment_design.rows import row_spacing
+from ident.experiment_design.task import GRID, DesignProblem
+from ident.model.structure import Model
+from ident.models.horizontal import horizontal_model
+from tests.ident.toys import follower, values_of
+
+
+def task_of(model: Model, grid: float) -> DesignProblem:
+    return DesignProblem(model, StepInput(4, 1, 10.0, 1.0, GRID), grid=grid)
+
+
+def test_rows_are_as_close_as_the_quickest_state_needs() -> None:
+    """A Runge-Kutta step of fourth order is stable up to 2.785 times the time constant."""
+    slow, quick, mixed = np.array([[1.0, 0.1]]), np.array([[0.06, 0.1]]), np.array([[1.0, 0.1], [0.06, 0.1]])
+    model = follower(1.0)
+    assert row_spacing(model, slow, GRID) == GRID
+    assert row_spacing(model, mixed, GRID) == row_spacing(model, quick, GRID) == pytest.approx(GRID / 3)
+    boat = horizontal_model(current=False)
+    lagged = (boat + catalogue()["lag"]).with_values({"T_lag": 0.06})
+    assert row_spacing(boat, values_of(boat)[None], GRID) == GRID
+    assert row_spacing(lagged, values_of(lagged)[None], GRID) == pytest.approx(GRID / 3)
+    driven = horizontal_model("command")  # copies of its commands are 0.05 s apart
+    assert row_spacing(driven, values_of(driven)[None], GRID) == pytest.approx(0.05)
+
+
+def test_what_diverges_is_an_error() -> None:
+    """On rows of twenty time constants: the criterion was -1e9, and T infinite and so clear."""
+    one, two = follower(0.01), follower(0.01, 2)
+    with pytest.raises(SeatrialError, match=r"tells all of T.*diverges on rows of 0\.2 s"):
+        design(task_of(one, 0.2), evaluations=500)
+    command = np.where(np.arange(51)[:, None] % 10 < 5, 1.0, -1.0)
+    with pytest.raises(SeatrialError, match=r"follower1 and follower2 cannot be compared: .* rows of 0\.2 s"):
+        separation(one, two, task_of(one, 0.2), command)
