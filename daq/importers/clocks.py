@@ -17,6 +17,7 @@ from daq.importers.table import Column, Table
 _TIME = re.compile(r"(^|_)(t|time|stamp|timestamp|datetime|utc|seconds|secs|epoch)($|_)")
 DATES = (1e9, 4e9)  # s since 1970, of the years 2001 to 2096
 FASTEST, SLOWEST = 5e-4, 60.0  # s between rows, of the loggers of boats
+ODD = 2.0  # s between rows: more is rather a step in milliseconds
 DATENUM = (7e5, 8e5)  # MATLAB's days, of the years 1916 to 2190
 _COUNTS = {"index", "row", "id"}  # rise evenly, and say nothing of time
 _ZONES = {"utc", "gmt", "local"}  # behind the name of a time, in the place of a unit
@@ -112,7 +113,8 @@ def _format_of_numbers(values: Column, name: Name) -> tuple[str, str]:
     step = float(np.median(steps))
     for unit, size in TIME_UNITS.items():
         if DATES[0] < size * top < DATES[1] and size * step < SLOWEST:
-            return unit, ""
+            odd = size * step >= ODD
+            return unit, f'{top:.6g} is taken for seconds since 1970; since a start it may be "ms"' if odd else ""
     if DATENUM[0] < top < DATENUM[1] and ("date" in name.words or 0.0 < step < FASTEST):
         return "datenum", ""
     for unit, usual, word in (("ns", 2e6, "nano"), ("us", 2e3, "micro"), ("ms", 2.0, "milli")):

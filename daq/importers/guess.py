@@ -39,8 +39,13 @@ from daq.log import LOG_FORMAT, open_log
 MOTION = ("x", "vx", "u", "psi", "r", "speed")
 FORCES = {"X": "N", "N": "Nm"}  # force ahead and moment, by the letters of the literature
 LETTERS = {"X": "force ahead", "N": "moment"}
-LEFT_THROTTLE, RIGHT_THROTTLE = 73.0, 74.0  # SERVOn_FUNCTION of ArduPilot
-FUNCTIONS = {26.0: "steering", 70.0: "throttle", LEFT_THROTTLE: "throttle left", RIGHT_THROTTLE: "throttle right"}
+STEERING, THROTTLE, LEFT_THROTTLE, RIGHT_THROTTLE = 26.0, 70.0, 73.0, 74.0  # SERVOn_FUNCTION of ArduPilot
+FUNCTIONS = {
+    STEERING: "steering",
+    THROTTLE: "throttle",
+    LEFT_THROTTLE: "throttle left",
+    RIGHT_THROTTLE: "throttle right",
+}
 PULSE_US = (("MIN", 1100.0), ("TRIM", 1500.0), ("MAX", 1900.0))  # SERVOn_..., us, and what they are by default
 # Topics, types and frames of ROS whose axes are ours
 _NED = re.compile(r"(?i)(?<![a-z])(ned|frd)(?![a-z])|px4_msgs|seatrial_msgs")
@@ -80,8 +85,8 @@ def guess_map(path: Path) -> Guess:
     clocks = {id(table): clock_of(table) for table in tables}
     drives: dict[frozenset[str], list[Column]] = {}  # left and right together have one scale
     for table in tables:
-        for _, _, words, values in _columns(table, clocks):
-            if words & DRIVES:
+        for column, _, words, values in _columns(table, clocks):
+            if words & DRIVES and without_unit(column) not in FORCES:  # N may be north: no share in their scale
                 drives.setdefault(quantity(words), []).append(values)
     together = {words: np.concatenate(values) for words, values in drives.items()}
     candidates = [c for t in tables for c in (*message_candidates(t), *_column_candidates(t, clocks, together))]
@@ -350,8 +355,10 @@ def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
     p = tables[0].parameters if tables else {}
     functions = _functions(tables)
     told = {function: node for node, function in functions.items()}
-    # Where the log says what any output does, those that it does not call a left and a right throttle are none.
-    left, right = (told.get(LEFT_THROTTLE), told.get(RIGHT_THROTTLE)) if functions else (1, 3)
+    # An output of which the log says another function is no throttle, and a boat that steers has no two sides.
+    usual = not {STEERING, THROTTLE} & set(functions.values())
+    left = told.get(LEFT_THROTTLE, 1 if usual and 1 not in functions else None)
+    right = told.get(RIGHT_THROTTLE, 3 if usual and 3 not in functions else None)
     for node, name in ((left, "n_left"), (right, "n_right")) if {left, right} <= set(nodes) else ():
         assert node is not None
         known = "n" in nodes[node].columns  # by a rig

@@ -183,7 +183,7 @@ DRIVES = {
 DRIVES |= {"throttle", "esc", "servo", "power", "n", "f", "engine", "shaft", "duty"}
 _NOT_DRIVES = {"angle", "rudder", "azimuth", "pos", "position", "zero", "offset", "current", "voltage", "temperature"}
 _NOT_DRIVES |= {"effort", "torque", "std", "bias", "status", "min", "max", "temp", "sp", "sat", "sats", "satellites"}
-_LETTERS = {"n", "f"}  # of a thruster only where nothing but a side stands beside them
+_LETTERS = {"n", "f"}  # of a thruster only where they stand alone, or beside a side
 SET_POINTS = {"setpoint", "desired", "target", "goal", "reference", "ref"}
 _COMMANDS = SET_POINTS | {"cmd", "command", "pwm"}
 _SPEEDS = {"rpm", "speed", "velocity", "shaft"}
@@ -272,7 +272,7 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, Taken,
     the caveat about it. None where it is none. `values` are its own and those of the other side, which has the same
     scale."""
     said = words & DRIVES
-    if not said or words & _NOT_DRIVES or (said <= _LETTERS and quantity(words) - _LETTERS):
+    if not said or words & _NOT_DRIVES or (said <= _LETTERS and not words & SIDES and quantity(words) - _LETTERS):
         return None
     good = values[np.isfinite(values)]
     if unit not in _DRIVE_UNITS or not good.size:

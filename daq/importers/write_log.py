@@ -156,10 +156,12 @@ def _write_frames(writer: LogWriter, rows: Sequence[SignalRow], units: Mapping[s
 def replacing(out: Path, force: bool, reads: Sequence[Path]) -> Iterator[Path]:
     """A path to write to; it becomes `out` when the block ends well, and nothing stays behind when not.
 
-    What the block `reads`, files and folders, stays as it is even with `force`: a recording cannot be made again.
+    What the block `reads`, files and folders, stays as it is even with `force`: a recording cannot be made again. A map
+    that lies in a bag's folder is none of it.
     """
     for path in reads if out.exists() else ():
-        if (path.exists() and out.samefile(path)) or path.resolve() in out.resolve().parents:
+        inside = path.resolve() in out.resolve().parents and out.suffix != ".toml"
+        if (path.exists() and out.samefile(path)) or inside:
             raise SeatrialError(f"{out}: is what is read here, and is never replaced; -o names another file")
     if out.exists() and not force:
         raise SeatrialError(f"{out}: the file exists already; --force replaces it, -o names another")

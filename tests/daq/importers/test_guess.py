@@ -176,6 +176,8 @@ def test_capitals_are_forces_or_a_position(
         ("cmd_left", 0.9, ("n_left", "1", "zero"), ""),
         ("n_left", 0.9, ("n_left", "1", "zero"), ""),
         ("n", 0.9, ("n", "1", "zero"), ""),
+        ("n_left_ref", 0.9, ("n_left", "1", "zero"), ""),
+        ("n_left_filtered", 0.9, ("n_left", "1", "zero"), ""),
         ("n_sat", 9.0, None, ""),
         ("n_satellites", 9.0, None, ""),
         ("n_bytes", 9.0, None, ""),
@@ -189,6 +191,13 @@ def test_the_numbers_of_a_thruster(
     guess = guess_of("matlab", Table(Path("x"), "", {name: np.linspace(0.5 * top, top, N)}, TIME))
     assert thrusters(guess) == ({} if found is None else {found[0]: (name, *found[1:])})
     assert (f"# caveat: {caveat}" in guess.text) if caveat else ("# caveat" not in guess.text)
+
+
+def test_north_has_no_share_in_the_scale_of_the_thrusters(guess_of: Guessing) -> None:
+    table = columns("N", "E", "yaw", "n_left", "n_right", top=0.5)
+    table.columns["N"] = 100.0 * table.columns["N"]
+    found = thrusters(guess_of("matlab", table))
+    assert [found[name][1] for name in ("n_left", "n_right", "x")] == ["1", "1", "m"]
 
 
 def test_left_and_right_are_of_one_quantity(guess_of: Guessing) -> None:
@@ -236,7 +245,8 @@ def test_controllers_have_one_scale() -> None:
     [
         ("time", TIME, "s", ""),
         ("time", 1.7e9 + np.arange(N), "s", ""),
-        ("time", 1.7e9 + 5.0 * np.arange(N), "s", ""),
+        ("time", 1.7e9 + 1.0 * np.arange(N), "s", ""),
+        ("time", 1.5e9 + 20.0 * np.arange(N), "s", "since a start it may be"),
         ("time", 1.7e12 + 100.0 * np.arange(N), "ms", ""),
         ("time", 1.7e15 + 1e5 * np.arange(N), "us", ""),
         ("time", 1.7e18 + 1e8 * np.arange(N), "ns", ""),
@@ -376,6 +386,16 @@ def test_outputs_that_are_no_left_and_right_throttle(
     attitude = Table(Path("x"), "ahrs", {"yaw": TIME}, TIME, "Ahrs", parameters=parameters)
     guess = guess_of("mavlink", *tables, attitude)
     assert guess.problem == f"its outputs are no left and right throttles: {problem}"
+
+
+@pytest.mark.parametrize(
+    "parameters", [{"SERVO1_FUNCTION": 73.0}, {"SERVO2_FUNCTION": 0.0}, {"SERVO3_FUNCTION": 74.0}, {}]
+)
+def test_outputs_whose_functions_are_not_known_are_the_usual_ones(parameters: dict[str, float]) -> None:
+    pulses = {"pwm": 1500.0 + TIME}
+    tables = [Table(Path("x"), f"servo_{k}", pulses, TIME, "Servo", parameters=parameters) for k in (1, 2, 3)]
+    found = {c.signals[0].name: (c.table.topic, bool(c.caveat)) for c in outputs(tables)}
+    assert found == {"n_left": ("servo_1", True), "n_right": ("servo_3", True)}
 
 
 def test_an_output_without_a_range_has_the_usual_one() -> None:
