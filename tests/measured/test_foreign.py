@@ -193,7 +193,7 @@ def test_blueboat_as_columns(blueboat: tuple[Path, dict[str, np.ndarray]], tmp_p
 # The Kingfisher: two clocks, commands of -1..1
 
 
-@pytest.mark.parametrize("form", ["bag", "mat"])
+@pytest.mark.parametrize("form", ["bag", pytest.param("mat", marks=pytest.mark.study)])
 def test_kingfisher(tmp_path: Path, form: str) -> None:
     files = sorted(measured("kingfisher").glob("surge_*.csv"))
     reference = (EXAMPLES / "kingfisher/surge.toml").read_text()

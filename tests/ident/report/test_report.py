@@ -33,7 +33,7 @@ def small(diagnosis: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_is_loaded_from_anywhere(kind: str, tmp_path: Path) -> None:
-    text = written(KINDS[kind](), tmp_path)
+    text = written(shortened(KINDS[kind]()), tmp_path)
     page = Page(text)
     loading = {"src", "srcset", "poster", "data", "action", "background", "ping"}
     assert not [(tag, attrs) for tag, attrs in page.tags if loading & attrs.keys()]
@@ -73,7 +73,7 @@ def test_one_plotly_and_only_the_known_scripts_may_run(small: dict[str, Any], tm
     ],
 )
 def test_every_section_that_has_data_is_there(kind: str, sections: list[str], tmp_path: Path) -> None:
-    page = Page(written(KINDS[kind](), tmp_path))
+    page = Page(written(shortened(KINDS[kind]()), tmp_path))
     assert page.headings() == sections
     places = [attrs["id"] for tag, attrs in page.tags if tag == "div" and attrs.get("class") == "plot"]
     assert sorted(map(str, places)) == sorted(page.figures())

@@ -55,6 +55,7 @@ def boat(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return [boat_log(folder / "one.mcap", own, 120, 1), boat_log(folder / "two.mcap", own, 80, 2, 2)]
 
 
+@pytest.mark.study
 def test_a_thruster_is_judged_a_second_ahead_and_its_bands_are_right(bench: list[Path], tmp_path: Path) -> None:
     said = done("thruster", *bench, "--out", tmp_path).output
     result = result_of(tmp_path)
