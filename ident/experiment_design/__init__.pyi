@@ -8,6 +8,7 @@ from .excitation import StepInput as StepInput
 from .excitation import ThrusterResponse as ThrusterResponse
 from .excitation import not_commanded as not_commanded
 from .information import InformationSegment as InformationSegment
+from .information import planned_record as planned_record
 from .information import segment_information as segment_information
 from .optimal_design import BaselineSignal as BaselineSignal
 from .optimal_design import Design as Design
@@ -17,6 +18,7 @@ from .optimal_design import design as design
 from .optimal_design import monte_carlo as monte_carlo
 from .optimal_design import predicted_errors as predicted_errors
 from .optimal_design import predicted_track as predicted_track
+from .rows import divided as divided
 from .rows import row_spacing as row_spacing
 from .task import COAST_S as COAST_S
 from .task import GRID as GRID

@@ -168,8 +168,15 @@ class StepInput:
 
     def __post_init__(self) -> None:
         if self.n_steps * self.least > self.rows:
-            raise SeatrialError(f"{self.n_steps} steps of at least {self.shortest:g} s do not fit into "
-                                f"{self.duration:g} s; fewer steps, a shorter --min-step or a longer --duration")
+            least = f"{self.least * self.grid:g} s" + (  # of whole rows
+                f" ({self.shortest:g} s in steps of {self.grid:g} s)"
+                if abs(self.least * self.grid - self.shortest) > 1e-6
+                else ""
+            )
+            raise SeatrialError(
+                f"{self.n_steps} steps of at least {least} do not fit into {self.duration:g} s; fewer steps, a shorter "
+                "--min-step or a longer --duration"
+            )
 
     @property
     def rows(self) -> int:

@@ -267,17 +267,20 @@ class InformationSegment:
 
 
 def segment_information(model: Model, records: Sequence[Record], names: Sequence[str], *, seconds: float = 30.0,
-                        values: Sequence[Array] | None = None) -> list[InformationSegment]:
+                        values: Sequence[Array] | None = None,
+                        inflation: Mapping[str, float] | None = None) -> list[InformationSegment]:
     """Fisher information of each segment of the records about the parameters ``names`` (prediction error).
 
     seconds: length of a segment. values: the parameters in each record, over ``model.parameters``. The information of a
     segment is what it adds to that of all before it in its record. Per-record nuisance parameters (current, biases) and
-    noise count as unknown.
+    noise count as unknown. inflation: of the standard errors by correlated residuals; the data inform as much less, the
+    priors do not.
     """
     nuisances = [p for p in model.parameters if p.free and p.name not in names]
     shared = [*names, *[p.name for p in nuisances if not p.per_record]]
     own = [p.name for p in nuisances if p.per_record]
     free, q, n = [*shared, *own], len(names), len(shared) + len(own) * len(records)
+    larger = np.array([(inflation or {}).get(name, 1.0) for name in free])
     prior = np.zeros((n, n))
     parts: list[tuple[str, float, float, Array]] = []
     for i, record in enumerate(records):
@@ -288,7 +291,7 @@ def segment_information(model: Model, records: Sequence[Record], names: Sequence
         at = None if values is None else values[i]
         for t_from, t_to, F in _increments(model, record, at, free, seconds):
             parts.append((record.name, t_from, t_to, np.zeros((n, n))))
-            parts[-1][-1][places] = F
+            parts[-1][-1][places] = F / np.outer(larger, larger)
     whole = np.sum([F for *_, F in parts], axis=0) + prior
     best = errors_of(whole)[:q]
     with np.errstate(invalid="ignore"):  # what nothing tells has no weight

@@ -300,8 +300,7 @@ def _slewed(command: Array, slew: float, step: float) -> Array:
 
 def _criterion(task: DesignProblem, command: Array) -> Array:
     """As that of a design: averaged where it is robust, and singular where it is in any sample."""
-    parts = [task.criterion_of(command[:, :, k:k + 64]) for k in range(0, command.shape[2], 64)]
-    value, singular = (np.concatenate(part) for part in zip(*parts, strict=True))
+    value, singular = task.criterion_of(command)
     return np.where(singular > 0.0, SINGULAR, value)
 
 

@@ -22,14 +22,18 @@ SHORTEST = 0.005  # s
 def row_spacing(model: Model, boats: Array, longest: float, n_max: float = 1.0) -> float:
     """Row spacing [s] on which a model can be simulated: ``longest`` over the least whole number that will do.
 
-    By the spacing of the delayed copies of its inputs, and by the fastest pole that any of the parameters ``boats``
-    (n, n_parameters) has while its thrusters take random steps up to ``n_max``, unless rows are as close as those of a
-    fit (``Model.max_step``) already.
+    By the spacing of the delayed copies of its inputs, of which it is a whole part, and by the fastest pole that any of
+    the parameters ``boats`` (n, n_parameters) has while its thrusters take random steps up to ``n_max``.
     """
-    least = min([longest, *(abs(i.delay) for i in model.inputs if i.tap)])
-    if least > model.max_step and (pole := fastest_pole(model, boats, n_max)) > 0.0:
-        least = max(min(least, STABLE / pole), SHORTEST)
-    return longest / int(np.ceil(longest / least - 1e-9))
+    copies = min([longest, *(abs(i.delay) for i in model.inputs if i.tap)])
+    copies = longest / int(np.ceil(longest / copies - 1e-9))
+    pole = fastest_pole(model, boats, n_max)
+    return divided(copies, max(STABLE / pole, SHORTEST) if pole > 0.0 else copies)
+
+
+def divided(spacing: float, most: float) -> float:
+    """A spacing over the least whole number that leaves at most ``most``."""
+    return spacing / int(np.ceil(spacing / most - 1e-9))
 
 
 def fastest_pole(model: Model, boats: Array, n_max: float) -> float:

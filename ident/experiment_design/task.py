@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -22,6 +22,7 @@ REST_S = 5.0  # s before the steps: noise of the sensors, and the boat comes to 
 COAST_S = 10.0  # s after the last step, without thrust, until somebody takes the boat over
 RATE = 10.0  # Hz, default rate of a sensor
 PRIOR_HALFWIDTH = 0.25  # relative; default prior: uniform within 0.75 to 1.25 of the nominal values (thesis)
+HELD = 200e6  # bytes of inputs at once
 N_TRACKS = 24  # parameter samples whose tracks must keep to the limits
 DIVERGED = 1e6  # violation
 ESTIMATED = ParameterOrigin.ESTIMATED
@@ -262,14 +263,27 @@ class DesignProblem:
     def criterion_of(self, command: Array) -> tuple[Array, Array]:
         """Criterion (n,) of commands (n_rows, n_channels, n), averaged over the samples of a robust design in which it
         is finite, and the share (n,) of the samples in which it is not."""
-        u = self.actuation.inputs(command)
-        if not self.robust:
-            return self.values(u), np.zeros(u.shape[2])
-        n, k = u.shape[2], len(self._robust_samples)
-        found = self.values(np.repeat(u, k, axis=2), np.tile(self._robust_samples, (n, 1))).reshape(n, k)
-        told = found > SINGULAR
-        mean = np.where(told, found, 0.0).sum(axis=1) / np.maximum(told.sum(axis=1), 1)
-        return np.where(told.any(axis=1), mean, SINGULAR), 1.0 - told.mean(axis=1)
+        boats = self._robust_samples if self.robust else None
+        parts = []
+        for some in self._slices(command, self.t.size, len(boats) if boats is not None else 1):
+            u = self.actuation.inputs(some)
+            if boats is None:
+                parts.append((self.values(u), np.zeros(u.shape[2])))
+                continue
+            n, k = u.shape[2], len(boats)
+            found = self.values(np.repeat(u, k, axis=2), np.tile(boats, (n, 1))).reshape(n, k)
+            told = found > SINGULAR
+            mean = np.where(told, found, 0.0).sum(axis=1) / np.maximum(told.sum(axis=1), 1)
+            parts.append((np.where(told.any(axis=1), mean, SINGULAR), 1.0 - told.mean(axis=1)))
+        value, singular = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return value, singular
+
+    def _slices(self, command: Array, rows: int, boats: int) -> Iterator[Array]:
+        """Commands (n_rows, n_channels, n) a few at a time: their inputs, for so many boats, stay below ``HELD``."""
+        n_channels = max(len(self.model.inputs), command.shape[1])
+        width = max(1, int(HELD / (8 * rows * n_channels * boats)))
+        for first in range(0, command.shape[2], width):
+            yield command[:, :, first : first + width]
 
     def values(self, u: Array, values: Array | None = None) -> Array:
         """The criterion (n,) of inputs (n_rows, n_inputs, n) or (n_rows, n_inputs), at parameter values (n,
@@ -288,7 +302,8 @@ class DesignProblem:
     def extents(self, command: Array) -> tuple[Array, Array]:
         """Minimum and maximum (n, k) of ``experiments.extremes`` over all boats in the whole mission of commands
         (n_rows, n_channels, n)."""
-        low, high = self.reach(self.whole_inputs(command))
+        parts = [self.reach(self.whole_inputs(some)) for some in self._slices(command, self.t_whole.size, 1)]
+        low, high = (np.concatenate(side) for side in zip(*parts, strict=True))
         return low.min(axis=1), high.max(axis=1)
 
     def corner(self, command: Array) -> Array | None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from daq.config import Mission, Prediction, Segment, dump_mission, parse_mission, save_new_mission
 from daq.errors import SeatrialError
 from ident.effects import catalogue
-from ident.estimation import dynamic_parameters, load_model, reported_units
+from ident.estimation import dynamic_parameters, load_model, reported_units, simulate
 from ident.experiment_design import (
     COAST_S,
     GRID,
@@ -34,8 +34,10 @@ from ident.experiment_design import (
     believed,
     design,
     discriminate,
+    divided,
     monte_carlo,
     not_commanded,
+    planned_record,
     predicted_errors,
     predicted_track,
     row_spacing,
@@ -65,6 +67,7 @@ N_SHOWN = 24  # sampled tracks on the page
 NAMED = 3  # parameters in the answer
 STEP_S = 5.0  # s, mean length of a step where --steps does not say else
 BEYOND = 0.1  # of the width of a range of validity
+SOME = 0.02  # of the standard deviation of a prior: an effect of less has no size that matters
 
 
 @dataclass(frozen=True)
@@ -174,24 +177,26 @@ def _warnings(made: Design) -> list[ResultWarning]:
     if beyond := beyond_validity(made):
         text = (
             f"The mission goes beyond what the model was fitted on: {'; '.join(beyond)}. There the track and the "
-            "errors are extrapolated. --n-max keeps it closer."
+            "errors are extrapolated. --n-max or --max-speed keeps it closer."
         )
         said.append(ResultWarning(code="beyond-validity", text=text))
     return said
 
 
 def beyond_validity(made: Design) -> list[str]:
-    """Signals of the model (inputs and velocities of the nominal boat) that leave the range that its data covered by
-    more than ``BEYOND`` of its width, with both ranges."""
+    """Signals of the model (inputs and states of the nominal boat) that leave the range that its data covered by more
+    than ``BEYOND`` of its width, with both ranges: as those of the data, of inputs from end to end, of states without
+    1 % at each end."""
     task = made.task
     if not task.validity:
         return []
-    u = task.actuation.inputs(made.command[:, :, None])
+    t, u = task.t_whole, task.whole_inputs(made.command[:, :, None])[:, :, 0]
+    x = simulate(task.model, planned_record(task.model, t, u)).x
     reached = {i.name: (float(u[:, j].min()), float(u[:, j].max())) for j, i in enumerate(task.model.inputs)}
-    extremes = task.experiments.extents(u)
-    reached |= {
-        name: (float(extremes[0][0, j]), float(extremes[1][0, j])) for j, name in enumerate(task.experiments.extremes)
-    }
+    ends = np.percentile(x, (1.0, 99.0), axis=0)
+    reached |= {s.name: (float(ends[0, j]), float(ends[1, j])) for j, s in enumerate(task.model.states)}
+    units = {i.name: f" {i.unit}".rstrip() for i in task.model.inputs}
+    units |= {s.name: f" {s.unit}".rstrip() for s in task.model.states}
     found = []
     for name, (low, high) in task.validity.items():
         if name not in reached:
@@ -199,7 +204,8 @@ def beyond_validity(made: Design) -> list[str]:
         least, most = reached[name]
         room = BEYOND * (high - low)
         if least < low - room or most > high + room:
-            found.append(f"{name} {least:.2g} to {most:.2g} (fitted on {low:.2g} to {high:.2g})")
+            there = f"{low:.2g} to {high:.2g}{units[name]}"
+            found.append(f"{name} {least:.2g} to {most:.2g}{units[name]} (fitted on {there})")
     return found
 
 
@@ -292,7 +298,9 @@ def make_task(source: str, wish: DesignRequest) -> DesignProblem:
     compared = hypotheses(model, wish.between) if wish.between else ()
     spacings = [row_spacing(model, task.boats(N_TRACKS, 2), GRID, wish.n_max)]
     spacings += [row_spacing(m, np.array([list(m.values.values())]), GRID, wish.n_max) for m in compared]
-    return replace(task, grid=min(spacings))
+    # Rows that all can share: of the closest copies, divided as the quickest pole wants it.
+    copies = min([GRID, *(abs(i.delay) for m in (model, *compared) for i in m.inputs if i.tap)])
+    return replace(task, grid=divided(GRID / int(np.ceil(GRID / copies - 1e-9)), min(spacings)))
 
 
 def _chosen(task: DesignProblem) -> tuple[str, ...]:
@@ -339,8 +347,8 @@ def hypotheses(model: Model, names: Sequence[str]) -> tuple[Model, Model]:
 
 
 def with_effect(model: Model, name: str) -> Model:
-    """The model with an effect of a size that matters: as fitted where the model has it and the fit found any of it,
-    else half of its prior, or five characteristic steps."""
+    """The model with an effect of a size that matters: as fitted where the model has it and the fit found some of it
+    (``SOME`` of a prior), else half of its prior, or five characteristic steps."""
     own = next((e for e in model.effects if e.name == name), None)
     if own is None and name not in catalogue():
         raise SeatrialError(f"there is no effect {name!r}; there is {', '.join(catalogue())}")
@@ -348,7 +356,10 @@ def with_effect(model: Model, name: str) -> Model:
     if own is None and not model.accepts(effect):
         raise SeatrialError(f"effect {name!r} does not apply to model {model.name}")
     with_it = model if own is not None else model + effect
-    if any(with_it.values[p.name] != p.value for p in effect.parameters):
+    # Parameters that are not zero without the effect, and the further ones of an amplitude, say where or of what shape.
+    sizing = [p for p in (effect.parameters[:1] if effect.one_sided else effect.parameters) if p.value == 0.0]
+    least = {p.name: SOME * p.prior[1] if p.prior is not None else p.step for p in sizing}
+    if own is not None and any(abs(with_it.values[name]) >= size for name, size in least.items()):
         return with_it
     sizes = {}
     for p in effect.parameters:

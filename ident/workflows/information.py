@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -81,8 +81,9 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
         reporter.progress(f"{rows.name}: its own current and offsets")
         values.append(own_values(model, rows))
     reporter.progress(f"information of {sum(r.duration for r in records):.0f} s in segments of {seconds:g} s")
-    segments = segment_information(model, records, names, seconds=seconds, values=values)
-    segments = inflated(segments, [saved.inflation.get(n, 1.0) for n in names])
+    segments = segment_information(
+        model, records, names, seconds=seconds, values=values, inflation=saved.inflation
+    )
     found = _rows(segments, loaded, records)
     parameters = tuple(_parameter(model, name, k, segments, found) for k, name in enumerate(names))
     made = provenance(loaded, command)
@@ -114,12 +115,6 @@ def _names(model: Model, chosen: Sequence[str], path: Path) -> tuple[str, ...]:
         what = f"no free parameter {lost[0]!r}" if lost else "no free parameters"
         raise SeatrialError(f"{path}: {what}; there is {', '.join(known) or 'none'}")
     return tuple(chosen) or tuple(known)
-
-
-def inflated(segments: Sequence[InformationSegment], by: Sequence[float]) -> list[InformationSegment]:
-    """Segments with standard errors that allow for correlated residuals as those of the model's fit do: each
-    parameter's larger by its factor ``by``; weights are ratios and stay."""
-    return [replace(s, alone=s.alone * np.array(by), whole=s.whole * np.array(by)) for s in segments]
 
 
 def own_values(model: Model, rows: Record) -> Array:

@@ -251,8 +251,8 @@ def study_answer(one: ModelStudy) -> str:
     held = f"{sum(not r.misses for r in rows)} of {len(rows)} parameters"
     all_of = f"{one.model}, {one.replicates} replicates"
     if one.too_many_left_out:
-        all_of += f", of which {one.left_out}, too many for a verdict; of the others"
-    elif one.left_out:
+        return f"{all_of}, of which {one.left_out}: too many for a verdict."
+    if one.left_out:
         all_of += f", of which {one.left_out}"
     parts = [f"{all_of}: {held} are as wanted"]
     parts += [f"{lucky} miss by no more than chance"] if lucky else []

@@ -173,6 +173,9 @@ def test_each_hypothesis_of_a_discrimination_has_its_own_effect_alone() -> None:
     none_found = fitted.with_values({"T_lag": 0.0})
     assert hypotheses(none_found, ("delay", "lag"))[1].values["T_lag"] == 0.25
     assert [s.name for s in late.states] == [s.name for s in horizontal_model().states]
+    for name, none in (("hump", {"u_hump": 0.93}), ("tether", {"x_tether": 0.5}), ("mount", {"psi_mount": 1e-6})):
+        unseen = (horizontal_model() + catalogue()[name]).with_values(none)
+        assert abs(with_effect(unseen, name).values[catalogue()[name].parameters[0].name]) > 1e-3
     for names in (("mooring", "steady-pull"), ("lag", "lag")):
         with pytest.raises(SeatrialError, match="no mission tells them apart"):
             hypotheses(horizontal_model(), names)

@@ -160,6 +160,20 @@ def test_segments_that_turn_inform_of_turning() -> None:
     np.testing.assert_allclose(straight.information + turning_.information, whole, rtol=1e-9)
 
 
+def test_errors_allow_for_correlated_residuals_and_priors_do_not() -> None:
+    """A prior is as good as before, however much the residuals are correlated."""
+    model = surge_model("shaft", "speed")
+    model = model.replace_parameters(replace(model.parameter("d_u"), prior=(5.0, 1.0)))
+    t = np.arange(0.0, 20.05, 0.1)
+    record = planned_record(model, t, np.sign(np.sin(t))[:, None])
+    names = ("m_u", "d_u")
+    (plain,) = segment_information(model, [record], names)
+    (larger,) = segment_information(model, [record], names, inflation={"m_u": 1.5, "d_u": 1.5})
+    np.testing.assert_allclose(larger.information, plain.information / 2.25)
+    assert larger.whole[0] > 1.2 * plain.whole[0]
+    assert plain.whole[1] < larger.whole[1] < 1.0  # the prior's
+
+
 @pytest.mark.parametrize("seconds", [19.0, 21.0, 41.0, 600.0])
 def test_a_record_that_is_shorter_than_a_segment_is_one(seconds: float) -> None:
     model = surge_model("shaft", "speed")

@@ -172,6 +172,20 @@ def test_no_step_is_shorter_than_asked_for(n_steps: int, seconds: float, shortes
         StepInput(n_steps + 1, 1, seconds, shortest, 0.2)
 
 
+def test_a_shortest_step_between_two_rows_is_refused_by_what_it_becomes() -> None:
+    with pytest.raises(SeatrialError, match=r"10 steps of at least 1\.2 s \(1\.1 s in steps of 0\.2 s\) do not fit"):
+        StepInput(10, 2, 11.0, 1.1, 0.2)
+
+
+def test_many_commands_are_judged_a_few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the same result, whatever is held at once; hundreds of starts on close rows were gigabytes."""
+    task = DesignProblem(gain_and_offset(), StepInput(4, 1, 10.0, 1.0, GRID), robust=2)
+    command = task.commands(task.steps.random(7, np.random.default_rng(2)))
+    at_once = task.judge(command)
+    monkeypatch.setattr("ident.experiment_design.task.HELD", 8 * task.t.size * 2 * 3)
+    np.testing.assert_allclose(task.judge(command), at_once)
+
+
 def test_levels_are_rounded_to_what_the_mission_may_have() -> None:
     """A mission whose level is 0.667 of an n_max of 0.6667 is refused by whoever reads it."""
     task = DesignProblem(gain_and_offset(), StepInput(4, 1, 10.0, 1.0, GRID, n_max=0.6667))

@@ -31,6 +31,9 @@ def test_rows_are_as_close_as_the_quickest_state_needs() -> None:
     lagged = (boat + catalogue()["lag"]).with_values({"T_lag": 0.06})
     assert row_spacing(boat, values_of(boat)[None], GRID) == GRID
     assert row_spacing(lagged, values_of(lagged)[None], GRID) == pytest.approx(GRID / 3)
+    both = (boat + catalogue()["delay"] + catalogue()["lag"]).with_values({"T_lag": 0.05})  # copies 0.1 s apart
+    spacing = row_spacing(both, values_of(both)[None], GRID)
+    assert spacing == pytest.approx(0.05)  # half of a copy's, for a pole of 20/s
     driven = horizontal_model("command")  # copies of its commands are 0.05 s apart
     assert row_spacing(driven, values_of(driven)[None], GRID) == pytest.approx(0.05)
 

@@ -156,7 +156,7 @@ def test_fits_that_failed_or_did_not_converge_are_in_the_verdict() -> None:
     for failed, unconverged, says in (
         (0, 0, "surge, 500 replicates: 2 of 2"),
         (0, 1, "surge, 500 replicates, of which 1 did not converge: 2 of 2 parameters are as wanted"),
-        (50, 300, "of which 50 failed and 300 did not converge, too many for a verdict; of the others: 2 of 2"),
+        (50, 300, "of which 50 failed and 300 did not converge: too many for a verdict."),
     ):
         one = msgspec.structs.replace(fine, failed=failed, unconverged=unconverged)
         assert says in study.study_answer(one)

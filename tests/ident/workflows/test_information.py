@@ -20,7 +20,7 @@ from ident.experiment_design.information import InformationSegment
 from ident.models.catalogue import make_model
 from ident.models.horizontal import horizontal_model
 from ident.results.commands import InformedParameter, SegmentInformation
-from ident.workflows.information import _answer, _longest, _notes, _parameter, inflated
+from ident.workflows.information import _answer, _longest, _notes, _parameter
 from mocks.offline_simulation import simulate
 from tests.missions import T0, StandingClock, boat_with, rig_of
 
@@ -105,15 +105,6 @@ def test_of_a_window_only_its_segments_are_told(
     for words in ((30, 30), (30, 20), ("nan", 40)):
         given = ("--from", words[0], "--to", words[1])
         assert run(capsys, folder / "model.toml", folder / "one.mcap", *given, "--out", tmp_path / "no")[0] == 2
-
-
-def test_errors_allow_for_correlated_residuals_as_those_of_the_fit_do() -> None:
-    weight, alone, whole = np.array([1.5, 2.0]), np.array([3.0, 4.0]), np.array([1.0, 2.0])
-    one = InformationSegment("one", 0.0, 30.0, np.eye(2), weight, alone, whole)
-    (found,) = inflated([one], [1.0, 1.5])
-    assert found.whole.tolist() == [1.0, 3.0]
-    assert found.alone.tolist() == [3.0, 6.0]
-    assert found.weight.tolist() == [1.5, 2.0]
 
 
 def test_what_was_excited_is_what_is_told(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
