@@ -24,6 +24,9 @@ Tables = list[tuple[type, str, Any]]  # kind of sample, name for people, table
 FloatArray = npt.NDArray[np.float64]
 RATE_TOLERANCE = 0.2  # a rate within this part of the expected one is good
 WRONG_RATE = "the device's output rate, its baud rate, or rate_hz of the rig"
+# An autopilot is asked for its rates after its first heartbeat; before, it sends at its own: so much of a log, at most
+# so many seconds, is left out.
+UNASKED, UNASKED_S = 1.0 / 3.0, 10.0
 # White noise of one sample above which an AHRS is not what a fit expects: a few times that of a VN-100 on a boat.
 NOISE = {"yaw": (math.radians(2.0), "rad"), "r": (0.05, "rad/s")}
 GRAVITY, GRAVITY_PART = 9.81, 0.15
@@ -120,6 +123,9 @@ def _rate(source: str, device: Device | None, log: Log, tables: Tables, gaps_kno
                 FAULT, "too-few-samples", "rate", source, f"{t.size} samples in all", "power, cable, protocol"
             )
         return
+    if device is not None and device.protocol == "mavlink" and ours:
+        asked = t[t >= t[0] + min(UNASKED * (t[-1] - t[0]), UNASKED_S)]
+        t = asked if asked.size > 1 and asked[-1] > asked[0] else t
     # Nodes of a bus send one after the other: a gap is one that all of them have.
     pause = np.diff(t)
     away = float(pause[pause > max(1.0, 20.0 * float(np.median(pause)))].sum())

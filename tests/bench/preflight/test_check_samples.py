@@ -155,6 +155,16 @@ def test_attitudes_count_for_the_rate_of_an_autopilot(
     assert of_rate.text.startswith(text)
 
 
+@pytest.mark.parametrize("first", [1.0, 4.0])
+@pytest.mark.parametrize(("then", "code"), [(25.0, "rate-as-expected"), (15.0, "rate-off")])
+def test_what_an_autopilot_sends_before_it_is_asked_does_not_count(
+    tmp_path: Path, first: float, then: float, code: str
+) -> None:
+    rows = [*sampled(attitude, first, 1.0), *sampled(attitude, then, 2.0, 1.0)]
+    (of_rate,) = [f for f in told(tmp_path, mav_rig(rate=25.0), rows) if f.check == "rate"]
+    assert of_rate.code == code
+
+
 def test_an_autopilot_that_says_only_how_it_is_has_no_attitudes(tmp_path: Path) -> None:
     found = told(tmp_path, mav_rig(), sampled(lambda t: Autopilot(0, 0, 3), 1.0, 5.0))
     assert [(f.level, f.text) for f in found if f.code == "rate-off"] == [("fault", "no attitudes, expected 25")]
