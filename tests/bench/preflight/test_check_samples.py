@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from daq.checks.device_checks import check_devices, check_timestamps
+from daq.checks.device_checks import _stuck, check_devices, check_timestamps
 from daq.checks.findings import Finding
 from daq.config.rig_file import parse_rig
 from daq.log.reader import open_log
@@ -109,6 +110,20 @@ def test_an_attitude_that_hangs_between_accelerations_that_do_not_is_stuck(tmp_p
     assert found.text.startswith("the same reading for 14.9 s, from 5.0 s on")
 
 
+def test_the_search_for_a_stuck_sensor_is_quick() -> None:
+    noise = np.random.default_rng(4).standard_normal(50_000)
+    table = np.zeros(noise.size, dtype=[(name, float) for name in ("t", "yaw", "p", "q", "r", "ax", "ay", "az")])
+    table["t"], table["yaw"] = 0.01 * np.arange(noise.size), noise
+
+    def seconds(work: Callable[[], object]) -> float:
+        began = time.process_time()
+        work()
+        return time.process_time() - began
+
+    sort = min(seconds(lambda: np.sort(noise)) for _ in range(3))
+    assert min(seconds(lambda: list(_stuck(Ahrs, "ahrs", table))) for _ in range(2)) < 40.0 * sort
+
+
 def test_headings_count_for_the_rate_of_a_ships_bus(tmp_path: Path) -> None:
     others = [*sampled(turning, 10.0, 20.0, 0.01), *sampled(fix, 5.0, 20.0, 0.02)]
     (of_rate,) = [f for f in told(tmp_path, bus(), [*sampled(heading, 10.0, 20.0), *others]) if f.check == "rate"]
@@ -175,6 +190,14 @@ def test_three_losses_of_half_a_minute_are_said(tmp_path: Path) -> None:
     (gap,) = [f for f in told(tmp_path, rig_with("ubx", 1.0), rows) if f.check == "gap"]
     assert gap.code == "sections-missing"
     assert gap.text.startswith("missing: 3 sections, 93.0 s in all")
+
+
+def test_a_pause_of_a_device_whose_samples_come_in_bunches_is_named(tmp_path: Path) -> None:
+    rows = [r._replace(t=0.2 * (k // 2) + 60.0 * (k >= 700)) for k, r in enumerate(sampled(attitude, 10.0, 140.0))]
+    found = told(tmp_path, rig_with("nmea", 10.0), rows)
+    assert {"samples-bunched", "sections-missing", "rate-as-expected"} <= codes(found), found
+    (gap,) = [f for f in found if f.code == "sections-missing"]
+    assert gap.text == "missing: 1 section, 60.2 s in all, the longest at 69.8 s"
 
 
 def _with_clock(t: np.ndarray, late: np.ndarray) -> np.ndarray:
