@@ -18,7 +18,7 @@ from daq.errors import counted
 from daq.log import Log
 from daq.rig import Device, Rig
 from daq.samples import Ahrs, Autopilot, Battery, Command, Esc, Gnss, LoadCell, PortHealth, Scalar
-from daq.sensor_limits import FLAGGED_SHARE, STUCK_IN_LOG, can_be_stuck
+from daq.sensor_limits import FLAGGED_SHARE, STUCK_IN_LOG, can_be_stuck_in_log
 
 Tables = list[tuple[type, str, Any]]  # kind of sample, name for people, table
 FloatArray = npt.NDArray[np.float64]
@@ -157,7 +157,7 @@ def _stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
     if kind not in STUCK_IN_LOG:
         return
     start = float(table["t"][0])
-    alive = can_be_stuck(kind, table.__getitem__)
+    alive = can_be_stuck_in_log(kind, table)
     table = table if alive.all() else table[alive]
     # An autopilot's attitudes and the accelerations between them: each is compared with its own. What a row lacks is
     # the bits of a number: np.unique of rows takes sixty times as long.

@@ -92,10 +92,24 @@ def test_a_receiver_that_knows_nothing_yet_is_not_stuck(tmp_path: Path) -> None:
     assert "sensor-stuck" not in codes(told(tmp_path, rig_with("ubx", 5.0), sampled(cold, 5.0, 60.0)))
 
 
-@pytest.mark.parametrize(("counts", "stuck"), [(0.0, False), (12.5, False), (1234.5, False), (84210.0, True)])
+@pytest.mark.parametrize(
+    ("counts", "stuck"), [(0.0, False), (0.02, False), (3.0, False), (512.34, True), (60.0, True), (84210.0, True)]
+)
 def test_a_scale_at_rest_is_not_stuck_and_a_converter_is(tmp_path: Path, counts: float, stuck: bool) -> None:
     found = told(tmp_path, rig_with("loadcell", 10.0, more=COUNTS), sampled(lambda t: LoadCell(counts), 10.0, 10.0))
     assert ("sensor-stuck" in codes(found)) == stuck
+
+
+@pytest.mark.parametrize("stuck", [False, True])
+def test_a_load_cell_of_small_counts_that_hangs_under_thrust_is_stuck(tmp_path: Path, stuck: bool) -> None:
+    def pull(t: float) -> LoadCell:
+        """At rest it stays at its tare, under thrust it flickers until it hangs."""
+        held = 30.0 if stuck and t > 30.0 else t
+        return LoadCell(0.02 if t < 20.0 else round(512.34 + 100.0 * float(NOISE[round(100 * held)]), 2))
+
+    cell = rig_with("loadcell", 10.0, more=COUNTS)
+    found = [f for f in told(tmp_path, cell, sampled(pull, 10.0, 40.0)) if f.code == "sensor-stuck"]
+    assert [f.text for f in found] == ["the same reading for 9.9 s, from 30.0 s on"] * stuck
 
 
 def test_an_attitude_that_hangs_between_accelerations_that_do_not_is_stuck(tmp_path: Path) -> None:
