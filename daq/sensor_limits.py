@@ -8,7 +8,6 @@ one rule for both, but for load cells: ``can_be_stuck``, ``can_be_stuck_in_log``
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,18 +41,18 @@ MOST_DIGITS = 6  # of counts, after the point
 FLAGGED_SHARE = 0.01  # of a load cell's samples: saturated or spikes
 
 
-def can_be_stuck(kind: type, values: Callable[[str], Any]) -> Any:
-    """Whether a sample, or each of a table, would change if its sensor were alive; ``values``: of a field.
+def can_be_stuck(kind: type, sample: Any) -> Any:
+    """Whether a sample, or each of a table (np.recarray), would change if its sensor were alive.
 
     A compass rounds so coarsely that it alone may repeat for a minute, and so may the thousandths of g of an
     autopilot's accelerometer. A receiver without a time repeats that it knows nothing, a scale at rest its 0.00.
     """
     if kind is Ahrs:
-        p, yaw, ax = values("p"), values("yaw"), values("ax")
+        p, yaw, ax = sample.p, sample.yaw, sample.ax
         return (p == p) | ((yaw == yaw) & (ax == ax))
     if kind is Gnss:
-        return values("utc") == values("utc")
-    counts = values("counts")
+        return sample.utc == sample.utc
+    counts = sample.counts
     return (abs(counts) >= FINE_COUNTS) & (counts % 1.0 == 0.0)
 
 
@@ -61,7 +60,7 @@ def can_be_stuck_in_log(kind: type, table: Any) -> Any:
     """Whether each row of a log's table would change if its sensor were alive. Of a load cell all do that are not at
     rest: under load also coarse counts flicker."""
     if kind is not LoadCell:
-        return can_be_stuck(kind, table.__getitem__)
+        return can_be_stuck(kind, table.view(np.recarray))
     counts = table["counts"]
     return np.abs(counts) >= AT_REST * _smallest_step(counts)
 
