@@ -40,7 +40,7 @@ _Form = tuple[type, tuple[bool, ...]]
 
 
 def _getter(fields: tuple[str, ...]) -> Callable[[Any], tuple[float, ...]]:
-    get = attrgetter(*fields)
+    get: Callable[[Any], Any] = attrgetter(*fields)
     return get if len(fields) > 1 else lambda sample: (get(sample),)
 
 
