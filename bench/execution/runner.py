@@ -139,7 +139,7 @@ def newest_values(
     speed: float | None = None
     rpm: dict[tuple[str, int | None], float] = {}
     for source, latest in status.latest.items():
-        sample, outdated = latest.sample, guard.is_outdated(source, latest, status.t)
+        sample, outdated = latest.sample, guard.is_outdated(source, status)
         if isinstance(sample, LoadCell) and math.isfinite(sample.force):
             force = sample.force if not outdated else math.nan if force is None else force
         elif isinstance(sample, Gnss) and math.isfinite(sample.speed):

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bench.execution.link_test import NEUTRAL
-from daq.acquisition import Latest, Source, Status
+from daq.acquisition import Source, Status, senders
 from daq.errors import SafetyStop
 from daq.rig import Rig, Thruster
 from daq.samples import NAN, Ahrs, Battery, Esc, Gnss, LoadCell, Sample, Servo
@@ -200,12 +200,15 @@ class SafetyGuard:
     def _patience(self, rate_hz: float) -> float:
         return max(STALE_S, STALE_PERIODS / rate_hz, STALE_WALL_S * self._speed)
 
-    def is_outdated(self, source: Source, latest: Latest, now: float) -> bool:
-        """Whether a source has been silent for so long that its newest sample no longer says how things are."""
+    def is_outdated(self, source: Source, status: Status) -> bool:
+        """Whether a source has been silent for so long that its newest sample no longer says how things are. For the
+        display: no limit depends on it."""
         name = source[0].partition("/")[0]
-        nodes = 1 if source[1] is None else sum(thruster.device == name for thruster in self._rig.thrusters)
-        slow = SLOW if name != source[0] else QUICK  # the further kinds of a device come more slowly
-        return not now - latest.t <= slow * self._patience(self._rig.device(name).rate_hz / max(nodes, 1))
+        kinds, nodes = senders(status, name)
+        rate_hz = self._rig.device(name).rate_hz / (1 if source[1] is None else nodes)
+        # The rate is that of one kind, or of all together: others come more slowly.
+        slow = SLOW if kinds > 1 or name != source[0] else QUICK
+        return not status.t - status.latest[source].t <= slow * self._patience(rate_hz)
 
     def _stale(self, status: Status) -> Iterator[str]:
         for device in self._rig.devices:

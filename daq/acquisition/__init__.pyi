@@ -5,3 +5,4 @@ from .status import PortStatus as PortStatus
 from .status import Source as Source
 from .status import Status as Status
 from .status import StreamedSample as StreamedSample
+from .status import senders as senders

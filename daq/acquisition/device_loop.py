@@ -61,7 +61,8 @@ class DeviceLoop(threading.Thread):
         self._port, self._decoder, self._clock, self._sink = port, decoder, clock, sink
         self._setpoints, self._driver, self._on_lost = setpoints, driver, on_lost
         self._attitudes = False
-        self._unordered = device.sends_many_kinds or device.protocol in UNORDERED
+        self._many_kinds = device.sends_many_kinds  # looked up once, not for every sample
+        self._unordered = self._many_kinds or device.protocol in UNORDERED
         self._clock_map = ClockMap()
         self._sensor_health = SensorHealth()
         self._suspended = SuspendDetector()
@@ -203,13 +204,15 @@ class DeviceLoop(threading.Thread):
 
     def _is_rated(self, sample: Sample) -> bool:
         """Whether a sample counts for the rate; there are no attitudes as long as none has come."""
+        if not self._many_kinds:
+            return True
         self._attitudes |= _is_attitude(sample)
         yaw = sample.yaw if isinstance(sample, Ahrs) else NAN
         return bool(self.device.is_rated(type(sample), yaw, self._attitudes))
 
     def _source(self, sample: Sample) -> Source:
         name = self.device.name
-        if not self.device.sends_many_kinds:
+        if not self._many_kinds:
             if isinstance(sample, MAIN.get(self.device.protocol, Sample)):
                 return name, sample.node if isinstance(sample, Esc) else None
         elif isinstance(sample, Servo):

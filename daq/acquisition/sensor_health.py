@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import NamedTuple
+from collections.abc import Callable
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 from daq.protocol import SATURATED, SPIKE
-from daq.samples import Ahrs, Frame, Gnss, LoadCell
+from daq.samples import Frame, Gnss, LoadCell
 from daq.sensor_limits import FLAGGED_SHARE, STUCK_LIVE, can_be_stuck
 
 SPIKES_S = 10.0
@@ -37,6 +39,16 @@ class _Same(NamedTuple):
 _Form = tuple[type, tuple[bool, ...]]
 
 
+def _getter(fields: tuple[str, ...]) -> Callable[[Any], tuple[float, ...]]:
+    get: Callable[[Any], Any] = attrgetter(*fields)
+    return get if len(fields) > 1 else lambda sample: (get(sample),)
+
+
+# Every sample is compared: what there is of it to look up is looked up once.
+_VALUES = {kind: _getter(limit.fields) for kind, limit in STUCK_LIVE.items()}
+_WHOLE: dict[type, _Form] = {kind: (kind, (True,) * len(limit.fields)) for kind, limit in STUCK_LIVE.items()}
+
+
 class SensorHealth:
     """Checks the samples and counters of one device."""
 
@@ -52,10 +64,12 @@ class SensorHealth:
     def take(self, frame: Frame) -> None:
         """Take a decoded sample."""
         sample, t = frame.sample, frame.t_rx
-        if isinstance(sample, Ahrs | Gnss | LoadCell) and can_be_stuck(type(sample), sample.__getattribute__):
-            self._repeat(sample, t)
-        if isinstance(sample, Gnss) and math.isfinite(sample.utc):
-            self._era = sample.utc - t
+        kind = type(sample)
+        if kind in _VALUES and can_be_stuck(kind, sample):
+            self._repeat(kind, _VALUES[kind](sample), t)
+        if isinstance(sample, Gnss):
+            if math.isfinite(sample.utc):
+                self._era = sample.utc - t
         elif isinstance(sample, LoadCell):
             self._flags(t, sample.flags)
 
@@ -97,17 +111,19 @@ class SensorHealth:
             return "its date is 20 years off: a receiver whose GPS week has rolled over, or this computer's clock"
         return ""
 
-    def _repeat(self, sample: Ahrs | Gnss | LoadCell, t: float) -> None:
-        kind = type(sample)
-        values = [getattr(sample, name) for name in STUCK_LIVE[kind].fields]
-        key = tuple(0.0 if value != value else value for value in values)  # NaN equals NaN here
-        form = kind, tuple([value == value for value in values])
+    def _repeat(self, kind: type, values: tuple[float, ...], t: float) -> None:
+        total = sum(values)
+        if total == total:  # none of them is NaN, as mostly
+            key, form = values, _WHOLE[kind]
+        else:
+            key = tuple([0.0 if value != value else value for value in values])  # NaN equals NaN here
+            form = kind, tuple([value == value for value in values])
         self._last = t
         before = self._same.get(form)
         if before is None or before.key != key:
             self._same[form] = _Same(key, t, t, 1)
         else:
-            self._same[form] = before._replace(until=t, repeats=before.repeats + 1)
+            self._same[form] = _Same(key, before.since, t, before.repeats + 1)
 
     def _flags(self, t: float, flags: int) -> None:
         self._cell.append((t, flags))

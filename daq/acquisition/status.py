@@ -73,6 +73,13 @@ class Status:
     hints: tuple[str, ...] = ()  # no faults, but possible improvements, one line each
 
 
+def senders(status: Status, device: str) -> tuple[int, int]:
+    """How many kinds of samples a device has sent, and how many nodes of it have; both at least 1."""
+    sent = [(source, latest) for source, latest in status.latest.items() if source[0].partition("/")[0] == device]
+    nodes = {source[1] for source, _ in sent if source[1] is not None}
+    return max(len({type(latest.sample) for _, latest in sent}), 1), max(len(nodes), 1)
+
+
 def fields_of(sample: Sample) -> list[Any]:
     """The values of a sample, in order: in a tenth of the time of dataclasses.astuple."""
     return [getattr(sample, name) for name in type(sample).__slots__]

@@ -13,7 +13,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from daq.acquisition import NO_STATUS_S, Acquisition, Latest, PortStatus, Source, Status
+from daq.acquisition import NO_STATUS_S, Acquisition, PortStatus, Source, Status, senders
 from daq.clock import RunClock
 from daq.errors import counted
 from daq.rig import Rig
@@ -25,7 +25,7 @@ FIRST_LINE_S = 0.5
 STALE_PERIODS = 5.0
 STALE_S = 1.0
 STALE_WALL_S = 0.25
-SELDOM = 3.0  # times as long a further kind of a device may be silent: fixes and batteries come more slowly
+SELDOM = 3.0  # times as long one of several kinds may be silent: fixes and batteries come more slowly than rate_hz
 NO_ANSWER = "the acquisition does not answer"
 RATE_TOLERANCE = 0.1
 WIDE = 110  # columns from which the table has all its columns
@@ -113,8 +113,8 @@ def table(status: Status, rig: Rig, width: int, now: float) -> Group:
         )
     for port in status.ports.values():
         values = [
-            _newest(source, latest, port, rig, status.t)
-            for source, latest in sorted(status.latest.items(), key=str)
+            _newest(source, port, status, rig)
+            for source in sorted(status.latest, key=str)
             if source[0].partition("/")[0] == port.name  # one of several kinds is DEVICE/KIND
         ] or [Text(port.message or "nothing yet", style=BAD)]
         rows.add_row(*_cells(port, rig.speed, wide), values[0])
@@ -127,13 +127,21 @@ def table(status: Status, rig: Rig, width: int, now: float) -> Group:
     return Group(*parts)
 
 
-def _newest(source: Source, latest: Latest, port: PortStatus, rig: Rig, now: float) -> Text:
+def _newest(source: Source, port: PortStatus, status: Status, rig: Rig) -> Text:
     """A source's newest sample; the age of one that is old comes first, since the line may be cut off."""
-    nodes = 1 if source[1] is None else sum(thruster.device == port.name for thruster in rig.thrusters)
-    seldom = SELDOM if source[0] != port.name else 1.0
-    said, age = describe(latest.sample, rig, port.name), now - latest.t
-    stale = age > seldom * _patience(port.expected / max(nodes, 1), rig.speed)
-    return Text(f"STALE {age:.0f} s: {said}", style=BAD) if stale else Text(said)
+    latest = status.latest[source]
+    said, age = describe(latest.sample, rig, port.name), status.t - latest.t
+    kinds, nodes = senders(status, port.name)
+    rate = port.expected if source[1] is None else port.expected / nodes
+    seldom = SELDOM if kinds > 1 or source[0] != port.name else 1.0
+    stale = age > seldom * _patience(rate, rig.speed)
+    # An autopilot without a fix goes on saying so, and what it repeats is no new sample.
+    waits = isinstance(latest.sample, Gnss) and latest.sample.fix == 0 and not _is_silent(port, rig.speed)
+    return Text(f"STALE {age:.0f} s: {said}", style=BAD) if stale and not waits else Text(said)
+
+
+def _is_silent(port: PortStatus, speed: float) -> bool:
+    return port.age > _patience(port.expected, speed)
 
 
 def _patience(rate: float, speed: float) -> float:
@@ -155,7 +163,7 @@ def _header(status: Status, rig: Rig, answers: bool) -> Text:
 
 
 def _cells(port: PortStatus, speed: float, wide: bool) -> list[Text]:
-    stale = port.age > _patience(port.expected, speed)
+    stale = _is_silent(port, speed)
     off = not abs(port.rate - port.expected) <= RATE_TOLERANCE * port.expected
     age = "never" if math.isinf(port.age) else f"{port.age:.1f}" if stale else f"{port.age:.2f}"
     cells = [

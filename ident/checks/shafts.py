@@ -24,6 +24,7 @@ DEAD_BANDS = np.array([0.0, *np.arange(0.02, 0.41, 0.01)])  # of full command, t
 MAX_DELAY, MAX_DEAD_BAND = 0.6, 0.15  # s; of full command: what is still usual for an ESC
 MIN_COMMAND, MIN_SPEED = 0.1, 0.02  # of full command, of full speed: from which a shaft should turn, and turns
 MIN_HOLD, MIN_STEP = 4.0, 0.05  # s; of full command: from which the end of a step is known, and its size
+MIN_TOLD = 1.0  # s of command, after which a shaft that has not moved is dead
 FEWEST = 40  # samples of the common grid
 # What explains a response clearly worse: a misfit larger by this part, and by so many variances of a sample.
 CLEARLY, CLEARLY_VARIANCES = 0.1, 30.0
@@ -79,8 +80,8 @@ def _shaft(name: str, told: Channel, shaft: Channel) -> Iterator[Finding]:
             "shaft-too-short",
             "shaft",
             name,
-            "commanded, and the log is too short to tell how the shaft follows",
-            f"a log of {DELAYS[-1] + 2.0 * FEWEST * STEP:.0f} s or more",
+            "command and shaft speed overlap for too short a time to tell how the shaft follows",
+            f"both for {DELAYS[-1] + 2.0 * FEWEST * STEP:.0f} s or more",
         )
         return
     if found is NoResponse.STILL:
@@ -162,16 +163,28 @@ def response(told: Channel, shaft: Channel) -> Response | NoResponse:
     longest = len(DELAYS) - 1
     grid = np.arange(max(told.t[0], shaft.t[0]), min(told.t[-1] + 5.0, shaft.t[-1]), STEP)
     t = grid[longest:]
-    if t.size < FEWEST:
+    if grid.size == 0:
+        return NoResponse.TOO_SHORT
+    command, turned = sample_and_hold(told, grid), np.interp(grid, shaft.t, shaft.value)
+    commanded = np.abs(command) > MIN_COMMAND
+    answering = commanded.copy()  # and for as long as a late shaft may still turn
+    for k in range(1, min(longest, grid.size - 1) + 1):
+        answering[k:] |= commanded[:-k]
+
+    def quiet(speed: Array) -> bool:
+        return bool(np.quantile(np.abs(speed), 0.99) < MIN_SPEED * min(1.0, np.abs(told.value).max()))
+
+    # A dead shaft needs no fit, so the first seconds count too; a shaft may also die after them.
+    for part in (slice(None), slice(longest, None)):
+        if STEP * np.count_nonzero(commanded[part]) >= MIN_TOLD and quiet(turned[part][answering[part]]):
+            return NoResponse.STILL
+    if t.size < FEWEST or quiet(turned[longest:]):
         return NoResponse.TOO_SHORT
     at = np.searchsorted(shaft.t, t)
     after, before = shaft.t[np.clip(at, 0, shaft.t.size - 1)] - t, t - shaft.t[np.clip(at - 1, 0, None)]
     near = np.minimum(np.abs(after), np.abs(before))
-    n = np.interp(t, shaft.t, shaft.value)
     used = near < max(0.5, 2.0 * float(np.median(np.diff(shaft.t))))
-    if np.quantile(np.abs(n), 0.99) < MIN_SPEED * min(1.0, np.abs(told.value).max()):
-        return NoResponse.STILL
-    command, n = sample_and_hold(told, grid), n if used.all() else np.where(used, n, 0.0)
+    n = turned[longest:] if used.all() else np.where(used, turned[longest:], 0.0)
 
     def delayed(lagged: Array, delay: float) -> Array:
         late = longest - round(delay / STEP)

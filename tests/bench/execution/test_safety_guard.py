@@ -336,6 +336,16 @@ def test_what_was_last_said_long_ago_is_no_value_of_now() -> None:
     assert math.isnan(rpm["autopilot", 1])
 
 
+def test_a_fix_that_was_lost_among_headings_is_no_value_of_long_ago(guard: SafetyGuard) -> None:
+    now = status(200.0)
+    fix, compass = Latest(Gnss(T, 41.0, -8.0, fix=3, speed=0.5), now.t - 2.2), Latest(Ahrs(1.0, NAN, NAN), now.t)
+    both = replace(now, latest={("gnss", None): fix, ("gnss/ahrs", None): compass})
+    assert newest_values(both, guard)[1] == 0.5
+    alone = newest_values(replace(now, latest={("gnss", None): fix}), guard)[1]
+    assert alone is not None
+    assert math.isnan(alone)
+
+
 def test_of_two_receivers_the_one_that_speaks_counts(guard: SafetyGuard) -> None:
     now = status(200.0)
     old, new = (Latest(Gnss(T, 41.0, -8.0, fix=3, speed=v), now.t - age) for v, age in ((1.37, 120.0), (0.5, 0.1)))

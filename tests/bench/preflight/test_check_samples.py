@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from daq.checks.device_checks import check_devices, check_timestamps
+from daq.checks.device_checks import _stuck, check_devices, check_timestamps
 from daq.checks.findings import Finding
 from daq.config.rig_file import parse_rig
 from daq.log.reader import open_log
@@ -91,10 +92,24 @@ def test_a_receiver_that_knows_nothing_yet_is_not_stuck(tmp_path: Path) -> None:
     assert "sensor-stuck" not in codes(told(tmp_path, rig_with("ubx", 5.0), sampled(cold, 5.0, 60.0)))
 
 
-@pytest.mark.parametrize(("counts", "stuck"), [(0.0, False), (12.5, False), (1234.5, False), (84210.0, True)])
+@pytest.mark.parametrize(
+    ("counts", "stuck"), [(0.0, False), (0.02, False), (3.0, False), (512.34, True), (60.0, True), (84210.0, True)]
+)
 def test_a_scale_at_rest_is_not_stuck_and_a_converter_is(tmp_path: Path, counts: float, stuck: bool) -> None:
     found = told(tmp_path, rig_with("loadcell", 10.0, more=COUNTS), sampled(lambda t: LoadCell(counts), 10.0, 10.0))
     assert ("sensor-stuck" in codes(found)) == stuck
+
+
+@pytest.mark.parametrize("stuck", [False, True])
+def test_a_load_cell_of_small_counts_that_hangs_under_thrust_is_stuck(tmp_path: Path, stuck: bool) -> None:
+    def pull(t: float) -> LoadCell:
+        """At rest it stays at its tare, under thrust it flickers until it hangs."""
+        held = 30.0 if stuck and t > 30.0 else t
+        return LoadCell(0.02 if t < 20.0 else round(512.34 + 100.0 * float(NOISE[round(100 * held)]), 2))
+
+    cell = rig_with("loadcell", 10.0, more=COUNTS)
+    found = [f for f in told(tmp_path, cell, sampled(pull, 10.0, 40.0)) if f.code == "sensor-stuck"]
+    assert [f.text for f in found] == ["the same reading for 9.9 s, from 30.0 s on"] * stuck
 
 
 def test_an_attitude_that_hangs_between_accelerations_that_do_not_is_stuck(tmp_path: Path) -> None:
@@ -107,6 +122,20 @@ def test_an_attitude_that_hangs_between_accelerations_that_do_not_is_stuck(tmp_p
         if f.code == "sensor-stuck"
     ]  # fmt: skip
     assert found.text.startswith("the same reading for 14.9 s, from 5.0 s on")
+
+
+def test_the_search_for_a_stuck_sensor_is_quick() -> None:
+    noise = np.random.default_rng(4).standard_normal(50_000)
+    table = np.zeros(noise.size, dtype=[(name, float) for name in ("t", "yaw", "p", "q", "r", "ax", "ay", "az")])
+    table["t"], table["yaw"] = 0.01 * np.arange(noise.size), noise
+
+    def seconds(work: Callable[[], object]) -> float:
+        began = time.process_time()
+        work()
+        return time.process_time() - began
+
+    sort = min(seconds(lambda: np.sort(noise)) for _ in range(3))
+    assert min(seconds(lambda: list(_stuck(Ahrs, "ahrs", table))) for _ in range(2)) < 40.0 * sort
 
 
 def test_headings_count_for_the_rate_of_a_ships_bus(tmp_path: Path) -> None:
@@ -155,6 +184,16 @@ def test_attitudes_count_for_the_rate_of_an_autopilot(
     assert of_rate.text.startswith(text)
 
 
+@pytest.mark.parametrize("first", [1.0, 4.0])
+@pytest.mark.parametrize(("then", "code"), [(25.0, "rate-as-expected"), (15.0, "rate-off")])
+def test_what_an_autopilot_sends_before_it_is_asked_does_not_count(
+    tmp_path: Path, first: float, then: float, code: str
+) -> None:
+    rows = [*sampled(attitude, first, 1.0), *sampled(attitude, then, 2.0, 1.0)]
+    (of_rate,) = [f for f in told(tmp_path, mav_rig(rate=25.0), rows) if f.check == "rate"]
+    assert of_rate.code == code
+
+
 def test_an_autopilot_that_says_only_how_it_is_has_no_attitudes(tmp_path: Path) -> None:
     found = told(tmp_path, mav_rig(), sampled(lambda t: Autopilot(0, 0, 3), 1.0, 5.0))
     assert [(f.level, f.text) for f in found if f.code == "rate-off"] == [("fault", "no attitudes, expected 25")]
@@ -165,6 +204,14 @@ def test_three_losses_of_half_a_minute_are_said(tmp_path: Path) -> None:
     (gap,) = [f for f in told(tmp_path, rig_with("ubx", 1.0), rows) if f.check == "gap"]
     assert gap.code == "sections-missing"
     assert gap.text.startswith("missing: 3 sections, 93.0 s in all")
+
+
+def test_a_pause_of_a_device_whose_samples_come_in_bunches_is_named(tmp_path: Path) -> None:
+    rows = [r._replace(t=0.2 * (k // 2) + 60.0 * (k >= 700)) for k, r in enumerate(sampled(attitude, 10.0, 140.0))]
+    found = told(tmp_path, rig_with("nmea", 10.0), rows)
+    assert {"samples-bunched", "sections-missing", "rate-as-expected"} <= codes(found), found
+    (gap,) = [f for f in found if f.code == "sections-missing"]
+    assert gap.text == "missing: 1 section, 60.2 s in all, the longest at 69.8 s"
 
 
 def _with_clock(t: np.ndarray, late: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -64,10 +65,29 @@ def test_a_node_and_a_kind_that_are_not_heard_any_more_are_stale(width: int) -> 
     assert "STALE 60 s: left: 1500 rpm" in left
     assert "STALE" not in right
     seen = status(
-        "autopilot", (("autopilot", None), LEVEL, 0.02), (("autopilot/gnss", None), Gnss(1.0, 41.0, -8.0), 120)
+        "autopilot", (("autopilot", None), LEVEL, 0.02), (("autopilot/gnss", None), Gnss(1.0, 41.0, -8.0, fix=3), 120)
     )
-    (gnss,) = [row for row in rows(seen, mav_rig(), width=width) if "no fix" in row]
+    (gnss,) = [row for row in rows(seen, mav_rig(), width=width) if "3D" in row]
     assert "STALE 120 s" in gnss
+
+
+def test_slow_sources_of_a_sound_device_are_not_stale() -> None:
+    fix, compass = Gnss(1.0, 41.0, -8.0, fix=3), Ahrs(0.3, NAN, NAN)
+    late = status("gnss", (("gnss", None), fix, 2.2), (("gnss/ahrs", None), compass, 0.05))  # one fix of 1 Hz is lost
+    servo = status("autopilot", (("autopilot", None), LEVEL, 0.02), (("autopilot", 3), Servo(3, 1500.0), 1.2))
+    assert "STALE" not in "\n".join(rows(late, boat()) + rows(servo, mav_rig()))
+    bare = dataclasses.replace(boat(), thrusters=())
+    many = status("esc", *[(("esc", k), Esc(k, 1500.0), 1.5) for k in range(1, 11)])  # 2.5 Hz each
+    assert "STALE" not in "\n".join(rows(many, bare))
+
+
+@pytest.mark.parametrize(("age", "stale"), [(0.02, False), (60.0, True)])
+def test_an_autopilot_that_waits_for_a_fix_is_stale_only_when_it_is_silent(age: float, stale: bool) -> None:
+    none = (("autopilot/gnss", None), Gnss(NAN, NAN, NAN, n_sat=0), 60.0)
+    seen = status("autopilot", (("autopilot", None), LEVEL, age), none)
+    seen = dataclasses.replace(seen, ports={"autopilot": dataclasses.replace(seen.ports["autopilot"], age=age)})
+    (row,) = [row for row in rows(seen, mav_rig()) if "no fix 0 sat" in row]
+    assert ("STALE 60 s" in row) == stale
 
 
 def test_an_acquisition_that_hangs_is_not_recording() -> None:

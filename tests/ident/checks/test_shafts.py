@@ -51,3 +51,32 @@ def test_a_shaft_that_stands_is_dead() -> None:
     c = told_and_turned(5.0, 20.0)
     still = Channel(c["n_left"].t, np.zeros(c["n_left"].t.size))
     assert [code for _, code, _ in found(c | {"n_left": still})] == ["shaft-does-not-turn"]
+
+
+def last_seconds(seconds: float, turns: bool, from_start: bool) -> dict[str, Channel]:
+    """A log of 600 s with the command only at its end; before that none was sent, or zeros."""
+    c = told_and_turned(600.0 - seconds, 600.0, first=0.0 if from_start else 600.0 - seconds)
+    shaft = c["n_left"]
+    return c if turns else c | {"n_left": Channel(shaft.t, np.zeros(shaft.t.size))}
+
+
+@pytest.mark.parametrize("from_start", [False, True], ids=["none before", "zeros before"])
+@pytest.mark.parametrize("seconds", [4.5, 1.5])
+def test_a_shaft_that_never_turns_is_dead_after_a_second_of_command(seconds: float, from_start: bool) -> None:
+    said = found(last_seconds(seconds, False, from_start))
+    assert [(level, code) for level, code, _ in said] == [("fault", "shaft-does-not-turn")]
+    turns = {code for _, code, _ in found(last_seconds(seconds, True, from_start))}
+    assert "shaft-does-not-turn" not in turns
+
+
+def test_a_command_of_half_a_second_does_not_tell() -> None:
+    ((level, code, text),) = found(last_seconds(0.5, False, False))
+    assert (level, code) == ("warning", "shaft-too-short")
+    assert text == "command and shaft speed overlap for too short a time to tell how the shaft follows"
+
+
+def test_a_shaft_that_dies_in_the_first_seconds_is_dead() -> None:
+    c = told_and_turned(0.5, 60.0)
+    shaft = c["n_left"]
+    dead = Channel(shaft.t, np.where(shaft.t < 2.0, shaft.value, 0.0))
+    assert [code for _, code, _ in found(c | {"n_left": dead})] == ["shaft-does-not-turn"]
