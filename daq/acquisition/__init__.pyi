@@ -1,6 +1,5 @@
 from .session import Acquisition as Acquisition
 from .status import NO_STATUS_S as NO_STATUS_S
-from .status import Latest as Latest
 from .status import PortStatus as PortStatus
 from .status import Source as Source
 from .status import Status as Status
