@@ -3,14 +3,12 @@
 A sensor is stuck when its values stay exactly the same for more samples and longer than its noise allows. The live
 warning (daq.acquisition.sensor_health) waits longer than the check of a log (daq.checks.device_checks): a false alarm
 during a run distracts, a section of a log that is found in vain costs a glance. Which samples can be stuck at all is
-one rule for both, but for load cells: ``can_be_stuck``, ``can_be_stuck_in_log``.
+one rule for both, ``can_be_stuck``, but for load cells, of which a log tells more.
 """
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from daq.samples import Ahrs, Gnss, LoadCell
 
@@ -36,13 +34,11 @@ STUCK_IN_LOG: dict[type, StuckLimit] = {
     LoadCell: StuckLimit(("counts",), 20, 3.0),
 }
 FINE_COUNTS = 1000.0  # a whole number beyond is a converter's own, which always flickers; 0.00 kg may well stay
-AT_REST = 5.0  # steps of its counts; a log tells how small they are, and nearer to zero a scale is at rest
-MOST_DIGITS = 6  # of counts, after the point
 FLAGGED_SHARE = 0.01  # of a load cell's samples: saturated or spikes
 
 
 def can_be_stuck(kind: type, sample: Any) -> Any:
-    """Whether a sample, or each of a table (np.recarray), would change if its sensor were alive.
+    """Whether a sample, or each of a table (a record array), would change if its sensor were alive.
 
     A compass rounds so coarsely that it alone may repeat for a minute, and so may the thousandths of g of an
     autopilot's accelerometer. A receiver without a time repeats that it knows nothing, a scale at rest its 0.00.
@@ -54,21 +50,3 @@ def can_be_stuck(kind: type, sample: Any) -> Any:
         return sample.utc == sample.utc
     counts = sample.counts
     return (abs(counts) >= FINE_COUNTS) & (counts % 1.0 == 0.0)
-
-
-def can_be_stuck_in_log(kind: type, table: Any) -> Any:
-    """Whether each row of a log's table would change if its sensor were alive. Of a load cell all do that are not at
-    rest: under load also coarse counts flicker."""
-    if kind is not LoadCell:
-        return can_be_stuck(kind, table.view(np.recarray))
-    counts = table["counts"]
-    return np.abs(counts) >= AT_REST * _smallest_step(counts)
-
-
-def _smallest_step(counts: Any) -> float:
-    """Between two counts of a log; of one that has only one value, its last digit."""
-    steps = np.abs(np.diff(counts))
-    if (steps := steps[steps > 0.0]).size:
-        return float(steps.min())
-    digits = (d for d in range(MOST_DIGITS) if np.round(counts[0], d) == counts[0])
-    return 10.0 ** -next(digits, MOST_DIGITS)

@@ -18,7 +18,7 @@ from daq.errors import counted
 from daq.log import Log
 from daq.rig import Device, Rig
 from daq.samples import Ahrs, Autopilot, Battery, Command, Esc, Gnss, LoadCell, PortHealth, Scalar
-from daq.sensor_limits import FLAGGED_SHARE, STUCK_IN_LOG, can_be_stuck_in_log
+from daq.sensor_limits import FLAGGED_SHARE, STUCK_IN_LOG, can_be_stuck
 
 Tables = list[tuple[type, str, Any]]  # kind of sample, name for people, table
 FloatArray = npt.NDArray[np.float64]
@@ -27,6 +27,8 @@ WRONG_RATE = "the device's output rate, its baud rate, or rate_hz of the rig"
 # An autopilot is asked for its rates after its first heartbeat; before, it sends at its own: so much of a log, at most
 # so many seconds, is left out.
 UNASKED, UNASKED_S = 1.0 / 3.0, 10.0
+AT_REST = 5.0  # smallest steps of a load cell's counts: nearer to zero a scale is at rest
+MOST_DIGITS = 6  # of counts, after the point
 # White noise of one sample above which an AHRS is not what a fit expects: a few times that of a VN-100 on a boat.
 NOISE = {"yaw": (math.radians(2.0), "rad"), "r": (0.05, "rad/s")}
 GRAVITY, GRAVITY_PART = 9.81, 0.15
@@ -157,7 +159,7 @@ def _stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
     if kind not in STUCK_IN_LOG:
         return
     start = float(table["t"][0])
-    alive = can_be_stuck_in_log(kind, table)
+    alive = _can_be_stuck(kind, table)
     table = table if alive.all() else table[alive]
     # An autopilot's attitudes and the accelerations between them: each is compared with its own. What a row lacks is
     # the bits of a number: np.unique of rows takes sixty times as long.
@@ -177,6 +179,24 @@ def _stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
             text,
             "the sensor hangs: power cycle, firmware, or its filter's settings",
         )
+
+
+def _can_be_stuck(kind: type, table: Any) -> Any:
+    """Whether each row of a log's table would change if its sensor were alive. Of a load cell all do that are not at
+    rest: under load also coarse counts flicker."""
+    if kind is not LoadCell:
+        return can_be_stuck(kind, table.view(np.recarray))
+    counts = table["counts"]
+    return np.abs(counts) >= AT_REST * _smallest_step(counts)
+
+
+def _smallest_step(counts: Any) -> float:
+    """Between two counts of a log; of one that has only one value, its last digit."""
+    steps = np.abs(np.diff(counts))
+    if (steps := steps[steps > 0.0]).size:
+        return float(steps.min())
+    digits = (d for d in range(MOST_DIGITS) if np.round(counts[0], d) == counts[0])
+    return 10.0 ** -next(digits, MOST_DIGITS)
 
 
 def _holds(kind: type, table: Any) -> Iterator[tuple[float, float]]:
