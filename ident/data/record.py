@@ -5,6 +5,7 @@ Records in the form that kernels read: checked once, with masks of the sensors, 
 
 from __future__ import annotations
 
+import math
 import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -22,6 +23,7 @@ SHARE_LOST = 0.1  # of the data, that one signal's early end may cost without a 
 TIME_INPUT = "t"  # an input of this name is the time since the start of the record
 WORK_INPUT = "work"  # an input of this name is the integral of the cubed shaft speeds, over WORK_UNIT
 WORK_UNIT = 150.0  # s, at full power: the input is one after a run at full speed of this duration
+AVERAGED = 0.6  # of a row's 1/rate: sensors whose samples are closer are averaged
 SAME_TIME = 1e-6  # s; times closer than this are one row (seconds since 1970 have steps of 0.24 us)
 
 
@@ -158,10 +160,12 @@ def build_record(
     """Rows for a model from channels named like its inputs and outputs.
 
     A sensor faster than ``rate`` [Hz] is averaged over blocks of 1/rate, whose noise is then smaller by the
-    root of their size; a slower one keeps its own times. Rows are the union of all times, with more where a gap exceeds
-    ``max_step`` [s], by default that of the model, or where an input of hold ``zero`` changes. A sensor with a channel
-    missing is left out, and said in ``meta["missing"]``; where a signal ends so early that a tenth of the others is
-    lost, ``meta["cut"]`` has its name and the seconds.
+    root of their size; a slower one keeps its own times. Inputs that forces follow at once are averaged over as long,
+    or an acceleration would be less sharp than the thrust that makes it and the boat seem heavier (prefiltering: Ljung
+    1999, section 14.4). Rows are the union of all times, with more where a gap exceeds ``max_step`` [s], by default
+    that of the model, or where an input of hold ``zero`` changes that is not averaged. A sensor with a channel missing
+    is left out, and said in ``meta["missing"]``; where a signal ends so early that a tenth of the others is lost,
+    ``meta["cut"]`` has its name and the seconds.
     """
     channels = {**channels, **_derived_inputs(model, channels)}
     present = _present(model, channels, name)
@@ -173,7 +177,9 @@ def build_record(
     if end - start < 2.0 / rate:
         raise ValueError(f"{name}: inputs and sensors overlap for only {end - start:.2f} s")
     samples = {s.name: _sensor_samples(name, s, channels, start, end, rate) for s in present}
-    switches = [_changes(channels[i.name]) for i in own if i.hold == "zero"]
+    window = max(_averaging_window(_interval(channels[s.outputs[0].name], start, end), rate) for s in present)
+    exact = [i for i in own if i.hold == "zero" and not (i.prefilter and window)]
+    switches = [_changes(channels[i.name]) for i in exact]
     t = _rows([times for times, _ in samples.values()], switches, start, end, max_step or model.max_step)
     missing = tuple(s.name for s in model.sensors if s.name not in samples)
     lost, first = max(ends.values()) - end, min(ends, key=lambda n: ends[n])
@@ -181,7 +187,7 @@ def build_record(
     return Record(
         name,
         t - start,
-        *_inputs(model, channels, t, start),
+        *_inputs(model, channels, t, start, window),
         _measured(model, samples, t),
         tuple(i.name for i in model.inputs),
         tuple(o.name for o in model.outputs),
@@ -249,11 +255,9 @@ def _sensor_samples(
 ) -> tuple[Array, Array]:
     """Times (n,) and values (n, n_outputs) of a sensor. Raises ValueError where its outputs share no time."""
     first = channels[sensor.outputs[0].name]
-    inside = (first.t >= start) & (first.t <= end)
-    own = np.median(np.diff(first.t[inside])) if inside.sum() > 2 else np.inf
-    if own > 0.6 / rate:
+    if not _averaging_window(_interval(first, start, end), rate):
         # an import drops NaN signal by signal: a row has all outputs of one time, or does not exist
-        own_channels = [channels[o.name] for o in sensor.outputs]
+        own_channels, inside = [channels[o.name] for o in sensor.outputs], (first.t >= start) & (first.t <= end)
         times = reduce(np.intersect1d, [c.t for c in own_channels[1:]], first.t[inside])
         if not times.size and inside.any():
             names = " and ".join(o.name for o in sensor.outputs)
@@ -268,6 +272,18 @@ def _sensor_samples(
         times, values = blocks[0][1], np.column_stack([b[0] for b in blocks])
     good = np.isfinite(times) & np.isfinite(values).all(axis=1)
     return times[good], values[good]
+
+
+def _interval(channel: Channel, start: float, end: float) -> float:
+    """Between two samples of a sensor [s]; infinite where there are hardly any."""
+    inside = (channel.t >= start) & (channel.t <= end)
+    return float(np.median(np.diff(channel.t[inside]))) if inside.sum() > 2 else np.inf
+
+
+def _averaging_window(interval: float, rate: float) -> float:
+    """Length [s] of the moving average that does to a signal what the mean of a block of 1/rate [Hz] does, of samples
+    ``interval`` [s] apart: the variance of their times is the same. Zero for a sensor that is not averaged."""
+    return math.sqrt(1.0 / rate**2 - interval**2) if interval <= AVERAGED / rate else 0.0
 
 
 def _rows(measured: Sequence[Array], switches: Sequence[Array], start: float, end: float, max_step: float) -> Array:
@@ -287,23 +303,86 @@ def _changes(channel: Channel) -> Array:
     return np.asarray(channel.t[1:][np.diff(channel.value) != 0.0])
 
 
-def _inputs(model: Model, channels: Mapping[str, Channel], t: Array, start: float) -> tuple[Array, Array]:
-    """Inputs at the rows t (n_rows,) and at the ends of their intervals (n_rows, n_inputs)."""
+def _inputs(
+    model: Model, channels: Mapping[str, Channel], t: Array, start: float, window: float
+) -> tuple[Array, Array]:
+    """Inputs at the rows t (n_rows,) and at the ends of their intervals (n_rows, n_inputs); ``window`` [s]: that of
+    the moving average that the sensors went through."""
     u, u_next = np.empty((2, t.size, len(model.inputs)))
+    known: dict[str, SmoothSignal] = {}  # of a signal with hundreds of delayed copies, once
     for j, signal in enumerate(model.inputs):
         if signal.name == TIME_INPUT:
-            at = t - start
+            u[:, j], u_next[:, j] = t - start, np.append(t[1:], t[-1]) - start
+        elif signal.prefilter and (window or signal.hold == "linear"):
+            own, late = (signal.tap_of, signal.delay) if signal.tap else (signal.name, 0.0)
+            if own not in known:
+                known[own] = smooth_signal(channels[own], signal, window)
+            u[:, j], u_next[:, j] = known[own].lines(t - late)
+        elif signal.hold == "zero":
+            u[:, j] = u_next[:, j] = sample_and_hold(channels[signal.name], t)
         elif signal.hold == "linear":
             value = channels[signal.name].value
             at = np.interp(t, channels[signal.name].t, np.unwrap(value) if signal.angle else value)
-        elif signal.hold == "average":
-            u[:, j], u_next[:, j] = held_lines(channels[signal.name], t)
-            continue
+            u[:, j], u_next[:, j] = at, np.append(at[1:], at[-1])
         else:
-            u[:, j] = u_next[:, j] = sample_and_hold(channels[signal.name], t)
-            continue
-        u[:, j], u_next[:, j] = at, np.append(at[1:], at[-1])
+            u[:, j], u_next[:, j] = held_lines(channels[signal.name], t)
     return u, u_next
+
+
+@dataclass(frozen=True)
+class SmoothSignal:
+    """A signal that is a straight line between times ``t`` (n,) [s], never decreasing, and constant before and after.
+
+    value (n,); integral (n,): from the first of the times.
+    """
+
+    t: Array
+    value: Array
+    integral: Array
+
+    def lines(self, t: Array) -> tuple[Array, Array]:
+        """The signal as one straight line in each interval between the times t (n,) [s], from its value at the start,
+        with its mean: the line's values at the start and at the end of the interval (n,) each.
+
+        A line to the value at the end would cut the corners that the signal has between them: an impulse that is lost.
+        """
+        value = np.interp(t, self.t, self.value)
+        mean = np.diff(_integral(self.t, self.value, self.value[1:], self.integral, t)) / np.diff(t)
+        return value, np.append(2.0 * mean - value[:-1], value[-1])
+
+
+def smooth_signal(channel: Channel, signal: Input, window: float) -> SmoothSignal:
+    """An input's signal, linear or held between its samples, as its centred moving average over ``window`` [s], exact
+    at each of its samples and half a window before and after; with a window of zero a linear one as it is."""
+    t, value, linear = channel.t, np.unwrap(channel.value) if signal.angle else channel.value, signal.hold == "linear"
+    if not linear:  # before and after its samples it holds as well
+        t, value = np.concatenate([t[:1] - window, t, t[-1:] + window]), np.pad(value, 1, mode="edge")
+    after = value[1:] if linear else value[:-1]
+    if window:
+        whole, own, held = _cumulated(t, value, after), t, value
+        t = np.unique(np.clip(np.concatenate([own - window / 2, own, own + window / 2]), own[0], own[-1]))
+        half = np.minimum(window / 2, np.minimum(t - own[0], own[-1] - t))  # at the ends there is no more of it
+        sums = _integral(own, held, after, whole, t + half) - _integral(own, held, after, whole, t - half)
+        value = np.interp(t, own, held)
+        np.divide(sums, 2 * half, out=value, where=half > SAME_TIME)
+        after = value[1:]
+    return SmoothSignal(t, value, _cumulated(t, value, after))
+
+
+def _cumulated(t: Array, value: Array, after: Array) -> Array:
+    """Integral (n,) of a signal that runs from ``value`` at each of its times t (n,) [s] to ``after`` (n - 1,) at the
+    next."""
+    return np.append(0.0, np.cumsum(np.diff(t) * (value[:-1] + after) / 2))
+
+
+def _integral(t: Array, value: Array, after: Array, whole: Array, at: Array) -> Array:
+    """The same up to the times ``at`` (m,) [s]; before its first time and after its last the signal is constant."""
+    k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, max(t.size - 2, 0))
+    since, slope = np.clip(at, t[0], t[-1]) - t[k], np.zeros(k.size)
+    if t.size > 1:
+        slope = (after - value[:-1])[k] / np.maximum(np.diff(t)[k], SAME_TIME)
+    outside = np.minimum(at - t[0], 0.0) * value[0] + np.maximum(at - t[-1], 0.0) * value[-1]
+    return np.asarray(whole[k] + since * (value[k] + slope * since / 2) + outside)
 
 
 def held_lines(channel: Channel, t: Array) -> tuple[Array, Array]:
@@ -415,14 +494,10 @@ class Preparer:
             raise ValueError(f"record {record.name}: its times do not increase, or it has fewer than two rows")
         known = np.isfinite(record.u) & np.isfinite(record.u_next)
         whole = np.asarray(known.all(axis=0))  # of hundreds of inputs at once
-        held = np.asarray(np.equal(record.u, record.u_next).all(axis=0))
         for j, signal in enumerate(model.inputs):
             if not whole[j]:
                 at = record.t[np.argmin(known[:, j])]
                 raise ValueError(f"record {record.name}: the input {signal.name} has no value at {at:g} s")
-            if signal.hold == "zero" and not held[j]:
-                raise ValueError(f"record {record.name}: the input {signal.name} changes within an interval, but "
-                                 f"model {model.name} holds it")
 
 
 def _first(model: Model, record: Record, there: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:

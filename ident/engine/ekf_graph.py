@@ -115,8 +115,7 @@ class EkfGraphs:
         model = self.model
         noise = ([s.noise for s in model.states], [(s.name, s.outputs) for s in model.sensors])
         names = [p.name for p in model.parameters]
-        holds = [i.hold for i in model.inputs]
-        what = (self.rate.serialize(), self.output.serialize(), noise, names, holds, self.covariance, self.joseph,
+        what = (self.rate.serialize(), self.output.serialize(), noise, names, self.covariance, self.joseph,
                 model.second_order)
         return hashlib.sha256(repr(what).encode()).hexdigest()
 
@@ -128,17 +127,9 @@ class EkfGraphs:
     def P(self) -> Any:
         return unpack(self.s[self.n:], self.n)
 
-    @property
-    def end_inputs(self) -> Any:
-        """Inputs at the end of an interval; those with a zero-order hold have not changed."""
-        held = [i.hold == "zero" for i in self.model.inputs]
-        return ca.vertcat(*[self.u[j] if zero else self.u_next[j] for j, zero in enumerate(held)])
-
     def step(self, x: Any) -> tuple[Any, Any, Any]:
         """Runge-Kutta 4 over one interval: the mean at its end, and state and inputs in its middle."""
-        h, end = self.h, self.end_inputs
-        middle = ca.vertcat(*[a if ca.is_equal(a, b) else (a + b) / 2
-                              for a, b in zip(ca.vertsplit(self.u), ca.vertsplit(end), strict=True)])
+        h, end, middle = self.h, self.u_next, (self.u + self.u_next) / 2
         k1 = self.rate(x, self.u, self.p)
         k2 = self.rate(x + h / 2 * k1, middle, self.p)
         x3 = x + h / 2 * k2

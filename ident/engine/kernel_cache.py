@@ -121,8 +121,7 @@ def kernel_key(model: Model, covariance: bool, joseph: bool) -> str | None:
         return None
     noise = ([s.noise for s in model.states], [(s.name, s.outputs) for s in model.sensors])
     names = [p.name for p in model.parameters]
-    holds = [i.hold for i in model.inputs]
-    what = (lines, noise, names, holds, covariance, joseph, model.second_order, _code())
+    what = (lines, noise, names, covariance, joseph, model.second_order, _code())
     return hashlib.sha256(repr(what).encode()).hexdigest()
 
 

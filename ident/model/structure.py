@@ -97,13 +97,15 @@ class Input:
     """A known signal.
 
     Attributes:
-        hold: ``zero``: zero-order, and every change is a row; ``average``: zero-order, and between rows a straight line
-            of the same mean and first moment; ``linear`` between samples.
+        hold: ``zero``: zero-order, and every change is a row unless it is averaged; ``average``: zero-order, and
+            between rows a straight line of the same mean and first moment; ``linear`` between samples.
         angle: unwrapped before it is interpolated.
         label: what people see it as; None: its name; empty: they do not look at it.
         tap_of: the signal that this one is a delayed copy of.
         tap: that many steps later (negative: earlier), made of the signal; 0: the data have it.
         delay: by which the copy is later [s].
+        prefilter: forces follow it at once, and where sensors are averaged, it is averaged over as long; not so for a
+            command that a lag of the model smooths by more, nor for a sensor's reading.
     """
 
     name: str
@@ -114,6 +116,7 @@ class Input:
     tap_of: str = ""
     tap: int = 0
     delay: float = 0.0
+    prefilter: bool = True
 
     def delayed(self, tap: int, step: float = HISTORY_STEP) -> Input:
         """This input ``tap`` steps [s] ago, named ``NAME~tap``; itself for none."""

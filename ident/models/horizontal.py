@@ -155,7 +155,8 @@ def horizontal_model(
         inputs = pair("f", "N", hold)
         first, provides = (("shaft", given_thrust), ("thrust_lag", unchanged), ("thrust", unchanged)), ("f", "f_input")
     elif propulsion == "command":
-        inputs = tuple(i.delayed(k, DELAY_STEP) for i in pair("n_cmd", "", "average") for k in range(N_DELAYS))
+        told = [replace(i, prefilter=False) for i in pair("n_cmd", "", "average")]
+        inputs = tuple(i.delayed(k, DELAY_STEP) for i in told for k in range(N_DELAYS))
         first, provides, states = (("shaft", driven_shaft), *CHAIN[1:]), ("n", "f", "n_state"), states + SHAFT_STATES
     return Model(
         "horizontal",

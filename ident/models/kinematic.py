@@ -53,8 +53,8 @@ YAW_RATE = State("r", "rad/s", "yaw rate", "s_r", from_output="r", sd0=0.1)
 TURN = Sensor("turn_rate", (Output("r", "rad/s", "e_r"),))
 SEEN = ("accelerometer", "position", "ground_velocity")
 ATTITUDE = (
-    *(Input(n, "rad", "linear", angle=True) for n in ("phi", "theta", "psi")),
-    *(Input(n, "rad/s", "linear") for n in ("p", "q", "r")),
+    *(Input(n, "rad", "linear", angle=True, prefilter=False) for n in ("phi", "theta", "psi")),
+    *(Input(n, "rad/s", "linear", prefilter=False) for n in ("p", "q", "r")),
 )
 OFFSETS = (
     State("bias_psi", "rad", "offset of the measured heading", 1.7e-4, sd0=0.005, nuisance=True),

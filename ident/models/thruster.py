@@ -130,7 +130,8 @@ def thruster_model(
         "thruster",
         states,
         tuple(
-            Input(f"{COMMAND}_{k}", label="" if k else COMMAND, tap_of=COMMAND, delay=k * step) for k in range(n_delays)
+            Input(f"{COMMAND}_{k}", label="" if k else COMMAND, tap_of=COMMAND, delay=k * step, prefilter=False)
+            for k in range(n_delays)
         ),
         sensors,
         (delay, *parameters),

@@ -210,7 +210,7 @@ def test_a_window_of_a_log_is_the_same_rows_and_the_rest_is_not_read(
         make_record(horizontal_model(), replace(one.run, t_from=150.0, t_to=180.0), 10.0) for one in (part, whole)
     )
     assert rows.t.tolist() == wanted.t.tolist()
-    np.testing.assert_array_equal(rows.u, wanted.u)
+    np.testing.assert_allclose(rows.u, wanted.u, atol=1e-11)  # sums over less of the log
     for name, found, y in zip(rows.outputs, rows.y.T, wanted.y.T, strict=True):
         # The track begins at the first fix that is read, the heading within half a turn of north.
         begin = np.nanmean(found - y) if name in ("x", "y", "psi") else 0.0

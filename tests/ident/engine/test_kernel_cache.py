@@ -122,7 +122,6 @@ def test_two_models_share_a_key_only_if_they_do_the_same() -> None:
         one(lambda x, u, p: p.e * x.a + 3.0 * np.sin(u.w)),
         one(lambda x, u, p: 3.0 * np.sin(u.w) + p.k * x.a),  # the same in other order: made anew, which is only slower
         replace(base, states=(State("a", noise=0.3, x0=0.1),)),
-        replace(base, inputs=(Input("w", hold="linear"),)),
         replace(base, sensors=(Sensor("s", (Output("y", noise="e", angle=True),)),)),
         with_outlier_model(base),
     ]

@@ -83,9 +83,6 @@ def test_records_that_do_not_fit_are_named() -> None:
             likelihood.value(bad, v)
     with pytest.raises(ValueError, match="has 9 parameters"):
         likelihood.value(record, v[:-1])
-    held = replace(turning(), inputs=(Input("N"),))
-    with pytest.raises(ValueError, match="the input N changes within an interval"):
-        Likelihood(held).value(record, v)
 
 
 def test_columns_are_found_by_name() -> None:
