@@ -25,6 +25,7 @@ COLLAPSED_NOISE = 1e-2  # of the white noise that the samples show: noise below 
 # declared noise that the innovations exceed by this ratio is no more than a prior, with this relative deviation
 CONTRADICTED_NOISE, DECLARED_NOISE_SD = 1.5, 0.125
 RESCALING_RATIO = 2.0  # of the estimated force or moment to the assumed: from it the priors are scaled anew
+AS_LIKELY = 2.0  # in ln L: what other priors may cost; a fit that loses more has lost its way
 FIT_ERRORS = (ValueError, ArithmeticError, np.linalg.LinAlgError)  # of what cannot be evaluated
 
 Unseen = Sequence[Record] | TimeBlocks  # validation records, or blocks of the estimation records
@@ -142,13 +143,26 @@ def fit_with_rescaling(
     options: EstimationOptions | None = None,
 ) -> FittedModel:
     """The model of ``nominal`` fitted; once more where the boat turns out to be of another size than its start said, or
-    the sensors noisier than declared."""
+    the sensors noisier than declared; begun at the first fit's estimates where it loses its way."""
     stage = fit_and_evaluate(full, records, unseen, options)
     assumed, found, again = size_of(full), size_of(stage.fit.model), without_contradicted_noise(full, stage)
     ratios = [found.of(unit) / assumed.of(unit) for unit in ("N", "N m")]
     if not all(1 / RESCALING_RATIO < ratio < RESCALING_RATIO for ratio in ratios):
         again = rescale(again, found)
-    return stage if again is full else fit_and_evaluate(again, records, unseen, options)
+    if again is full:
+        return stage
+    first, refits = stage.fit, list[FittedModel]()
+    shared = {p.name: float(v) for p, v in zip(first.parameters, first.values, strict=True) if p.segment is None}
+    for begun in (again, again.with_values(shared)):
+        try:
+            refits.append(fit_and_evaluate(begun, records, unseen, options))
+        except FIT_ERRORS:
+            if begun is not again and not refits:
+                raise
+            continue
+        if refits[-1].fit.converged and refits[-1].fit.log_likelihood > first.log_likelihood - AS_LIKELY:
+            return refits[-1]
+    return max(refits, key=lambda stage: stage.fit.log_posterior)
 
 
 def without_contradicted_noise(full: Model, stage: FittedModel) -> Model:

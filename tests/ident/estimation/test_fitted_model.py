@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from ident.data.record import Channel, LogSegment
-from ident.estimation.fitted_model import fit_nominal_model
+from ident.estimation import fitted_model
+from ident.estimation.fitted_model import fit_and_evaluate, fit_nominal_model
+from ident.estimation.maximum_likelihood import SearchSettings
 from ident.model.structure import Model
+from ident.models.horizontal import horizontal_model
 from tests.ident.sliders import slide, slider
+from tests.missions import boat_with, channels_of, sail
 
 
 def run(seed: int, *signals: str) -> LogSegment:
@@ -43,3 +48,30 @@ def test_a_sensor_that_only_a_validation_run_has_is_no_judge(model: Model, estim
     assert np.isfinite(view.record.y[:, place]).any() == used
     assert np.isfinite(view.record.y[:, 1 - place]).any()
     assert stage.fit.converged
+
+
+@pytest.mark.parametrize("lost", ["fails", "ends too early"])
+def test_a_refit_for_another_size_that_loses_its_way_begins_where_the_first_fit_ended(
+    lost: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A vehicle of 2 kg, found in the first fit, was one of 14 kg, not converged, after the second."""
+    found = channels_of(sail(boat_with(None, 1), 60.0, 101)[0])
+    for side in ("left", "right"):
+        n = found.pop(f"n_{side}")
+        found[f"f_{side}"] = Channel(n.t, 0.05 * (40.05 * n.value * abs(n.value) + 1.11 * n.value**2))
+    asked: list[float] = []
+
+    def once_lost(model: Model, *given: Any) -> fitted_model.FittedModel:
+        asked.append(model.values["m_u"])
+        if len(asked) != 2:
+            return fit_and_evaluate(model, *given)
+        if lost == "fails":
+            raise ValueError("the likelihood cannot be evaluated at the starting values")
+        return fit_and_evaluate(model, *given, SearchSettings(max_iterations=1))
+
+    monkeypatch.setattr(fitted_model, "fit_and_evaluate", once_lost)
+    stage = fit_nominal_model(horizontal_model("force"), [LogSegment("light", found)], [])
+    assert stage.fit.converged
+    assert len(asked) == 3
+    assert asked[2] == pytest.approx(stage.fit.model.values["m_u"], rel=0.02)
+    assert stage.fit.model.values["m_u"] == pytest.approx(0.05 * boat_with(None, 1).truth()["m_u"], rel=0.1)
