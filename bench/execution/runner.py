@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,7 +31,7 @@ from bench.execution.safety_guard import SafetyGuard
 from bench.execution.sequencer import CommandFollower, CommandSource, MissionSequencer, Schedule
 from bench.execution.tare import Tare, describe_tares, measure_tares
 from bench.mission_limits import dry_run
-from daq.acquisition import NO_STATUS_S, Acquisition, Status
+from daq.acquisition import NO_STATUS_S, Acquisition, Source, Status
 from daq.clock import RunClock, SuspendDetector
 from daq.config import Mission, dump_mission
 from daq.errors import SafetyStop, SeatrialError
@@ -130,14 +131,19 @@ def new_log_file(path: Path) -> None:
         raise SeatrialError(f"{path.parent}: {error.strerror}; give another place for the log with -o") from error
 
 
-def newest_values(
-    status: Status, guard: SafetyGuard
-) -> tuple[float | None, float | None, dict[tuple[str, int | None], float]]:
-    """Force [N], speed [m/s] and the rev/min of each node as last measured: NaN where that was too long ago, None where
-    nothing measures it. Of two sources the one that still speaks counts."""
+class NewestValues(NamedTuple):
+    """As last measured: NaN where that was too long ago, None where nothing measures it."""
+
+    force: float | None  # N
+    speed: float | None  # m/s
+    rpm: dict[Source, float]  # of each node
+
+
+def newest_values(status: Status, guard: SafetyGuard) -> NewestValues:
+    """What the display shows. Of two sources the one that still speaks counts."""
     force: float | None = None
     speed: float | None = None
-    rpm: dict[tuple[str, int | None], float] = {}
+    rpm: dict[Source, float] = {}
     for source, latest in status.latest.items():
         sample, outdated = latest.sample, guard.is_outdated(source, status)
         if isinstance(sample, LoadCell) and math.isfinite(sample.force):
@@ -146,7 +152,7 @@ def newest_values(
             speed = sample.speed if not outdated else math.nan if speed is None else speed
         elif isinstance(sample, Esc):
             rpm[source[0].partition("/")[0], source[1]] = math.nan if outdated else sample.rpm
-    return force, speed, rpm
+    return NewestValues(force, speed, rpm)
 
 
 class _Runner:

@@ -18,6 +18,7 @@ from .optimal_design import design as design
 from .optimal_design import monte_carlo as monte_carlo
 from .optimal_design import predicted_errors as predicted_errors
 from .optimal_design import predicted_track as predicted_track
+from .rows import copy_spacing as copy_spacing
 from .rows import divided as divided
 from .rows import row_spacing as row_spacing
 from .task import COAST_S as COAST_S

@@ -7,6 +7,8 @@ from the rows, so that rows further apart than the copies blur what tells a dela
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ident.estimation import SampledInputs, simulate_stochastic
@@ -19,16 +21,20 @@ TRIED_S, HOLD_S, ROW_S, SUBSTEP = 4.0, 1.0, 0.1, 0.025  # s: random steps of ful
 SHORTEST = 0.005  # s
 
 
-def row_spacing(model: Model, boats: Array, longest: float, n_max: float = 1.0) -> float:
-    """Row spacing [s] on which a model can be simulated: ``longest`` over the least whole number that will do.
+def row_spacing(members: Sequence[tuple[Model, Array]], longest: float, n_max: float = 1.0) -> float:
+    """Row spacing [s] on which all of ``members`` can be simulated: ``longest`` over the least whole number that does.
 
-    By the spacing of the delayed copies of its inputs, of which it is a whole part, and by the fastest pole that any of
-    the parameters ``boats`` (n, n_parameters) has while its thrusters take random steps up to ``n_max``.
+    By the spacing of the delayed copies of their inputs, of which it is a whole part, and by the fastest pole that any
+    of the parameters (n, n_parameters) beside each model has while its thrusters take random steps up to ``n_max``.
     """
-    copies = min([longest, *(abs(i.delay) for i in model.inputs if i.tap)])
-    copies = longest / int(np.ceil(longest / copies - 1e-9))
-    pole = fastest_pole(model, boats, n_max)
+    copies = divided(longest, min(copy_spacing(model, longest) for model, _ in members))
+    pole = max(fastest_pole(model, boats, n_max) for model, boats in members)
     return divided(copies, max(STABLE / pole, SHORTEST) if pole > 0.0 else copies)
+
+
+def copy_spacing(model: Model, longest: float) -> float:
+    """The least delay [s] of the copies of a model's inputs, ``longest`` at most."""
+    return min([longest, *(abs(i.delay) for i in model.inputs if i.tap)])
 
 
 def divided(spacing: float, most: float) -> float:

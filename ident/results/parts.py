@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
 from msgspec import Meta
@@ -24,8 +24,11 @@ class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """A table of a result: immutable, fields by keyword (subclasses say ``frozen=True, kw_only=True`` again).
 
     Array fields are annotated ``ident.numerics.Array`` (float64, time along the first axis), NaN where there is no
-    number; a number that may not exist is ``float | None``. Descriptions make docs/formats/result.md.
+    number; a number that may not exist is ``float | None``. Descriptions make docs/formats/result.md. ``exact``: its
+    numbers keep all their digits in a file.
     """
+
+    exact: ClassVar[bool] = False
 
 
 def same_length(part: Part, *names: str) -> None:
@@ -50,6 +53,7 @@ class LogFinding(Part, frozen=True, kw_only=True):
 class FrameOrigin(Part, frozen=True, kw_only=True):
     """Where x = y = 0 is."""
 
+    exact: ClassVar[bool] = True  # seven digits of a latitude are 10 m
     latitude: Annotated[float, Meta(description="[deg]")]
     longitude: Annotated[float, Meta(description="[deg]")]
     log: Annotated[str, Meta(description="name of the log whose first fix that is")] = ""

@@ -1,9 +1,8 @@
 """Results as files: the only functions that know JSON.
 
 A result is a frozen ``Result``, filled once by a workflow. ``write_result`` and ``read_result`` are inverse: arrays
-become lists, NaN and infinity become null, numbers keep seven significant digits, degrees of latitude and
-longitude all of theirs (seven are 10 m); a missing, misspelt or mistyped key
-is an error that names its path.
+become lists, NaN and infinity become null, numbers keep seven significant digits but where a part is ``exact``; a
+missing, misspelt or mistyped key is an error that names its path.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import numpy as np
 from daq.errors import SeatrialError
 from ident.numerics import Array
 from ident.results.commands import DesignResult, InformationResult, NavigationResult, NoiseResult, StudyResult
-from ident.results.parts import DiagnosisResult, FrameOrigin, Part, ThrustCurveResult, ThrusterResult, VehicleResult
+from ident.results.parts import DiagnosisResult, Part, ThrustCurveResult, ThrusterResult, VehicleResult
 
 DIGITS = 7  # significant, of a number in a file
 EXACT = 22  # powers of ten are exact up to there
@@ -74,7 +73,7 @@ def _decode(kind: Any, value: Any) -> Any:
 def _plain(value: Any) -> Any:
     """What JSON has: parts as objects, arrays as lists; numbers to so many significant digits, NaN and infinity as
     None."""
-    if isinstance(value, FrameOrigin):
+    if isinstance(value, Part) and value.exact:
         return msgspec.structs.asdict(value)
     if isinstance(value, Part):
         config = type(value).__struct_config__

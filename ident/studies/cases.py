@@ -20,7 +20,16 @@ from daq.errors import SeatrialError
 from ident.characterisation import noise_model
 from ident.data import TIME_INPUT
 from ident.estimation import EstimationOptions, SampledInputs, load_model
-from ident.experiment_design import GRID, SHAFT_POLE, Design, DesignProblem, StepInput, design
+from ident.experiment_design import (
+    GRID,
+    SHAFT_POLE,
+    Design,
+    DesignProblem,
+    StepInput,
+    copy_spacing,
+    design,
+    divided,
+)
 from ident.model import INF, Model
 from ident.models import (
     DELAY_STEP,
@@ -318,8 +327,7 @@ def _levels(t: Array, low: float, high: float, rng: np.random.Generator) -> Arra
 def _row_step(model: Model) -> float:
     """Spacing of the rows [s]: as a fit needs it, and such that delayed copies of the inputs are rows, too: rounded to
     others, nothing would tell a delay."""
-    spacing = min([STEP, *(abs(i.delay) for i in model.inputs if i.tap)])
-    return spacing / int(np.ceil(spacing / model.max_step - 1e-9))
+    return divided(copy_spacing(model, STEP), model.max_step)
 
 
 def _measured(levels: Array, step: float) -> Array:

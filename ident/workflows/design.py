@@ -34,7 +34,6 @@ from ident.experiment_design import (
     believed,
     design,
     discriminate,
-    divided,
     monte_carlo,
     not_commanded,
     planned_record,
@@ -296,11 +295,8 @@ def make_task(source: str, wish: DesignRequest) -> DesignProblem:
         earlier = None if belief.covariance is None else scaled_pseudo_inverse(belief.covariance)
         task = replace(task, belief=belief, earlier=earlier, inflation=saved.inflation, validity=saved.validity)
     compared = hypotheses(model, wish.between) if wish.between else ()
-    spacings = [row_spacing(model, task.boats(N_TRACKS, 2), GRID, wish.n_max)]
-    spacings += [row_spacing(m, np.array([list(m.values.values())]), GRID, wish.n_max) for m in compared]
-    # Rows that all can share: of the closest copies, divided as the quickest pole wants it.
-    copies = min([GRID, *(abs(i.delay) for m in (model, *compared) for i in m.inputs if i.tap)])
-    return replace(task, grid=divided(GRID / int(np.ceil(GRID / copies - 1e-9)), min(spacings)))
+    members = [(model, task.boats(N_TRACKS, 2)), *((m, np.array([list(m.values.values())])) for m in compared)]
+    return replace(task, grid=row_spacing(members, GRID, wish.n_max))
 
 
 def _chosen(task: DesignProblem) -> tuple[str, ...]:

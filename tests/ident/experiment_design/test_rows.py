@@ -25,17 +25,17 @@ def test_rows_are_as_close_as_the_quickest_state_needs() -> None:
     """A Runge-Kutta step of fourth order is stable up to 2.785 times the time constant."""
     slow, quick, mixed = np.array([[1.0, 0.1]]), np.array([[0.06, 0.1]]), np.array([[1.0, 0.1], [0.06, 0.1]])
     model = follower(1.0)
-    assert row_spacing(model, slow, GRID) == GRID
-    assert row_spacing(model, mixed, GRID) == row_spacing(model, quick, GRID) == pytest.approx(GRID / 3)
+    assert row_spacing([(model, slow)], GRID) == GRID
+    assert row_spacing([(model, mixed)], GRID) == row_spacing([(model, quick)], GRID) == pytest.approx(GRID / 3)
     boat = horizontal_model(current=False)
     lagged = (boat + catalogue()["lag"]).with_values({"T_lag": 0.06})
-    assert row_spacing(boat, values_of(boat)[None], GRID) == GRID
-    assert row_spacing(lagged, values_of(lagged)[None], GRID) == pytest.approx(GRID / 3)
+    assert row_spacing([(boat, values_of(boat)[None])], GRID) == GRID
+    assert row_spacing([(lagged, values_of(lagged)[None])], GRID) == pytest.approx(GRID / 3)
     both = (boat + catalogue()["delay"] + catalogue()["lag"]).with_values({"T_lag": 0.05})  # copies 0.1 s apart
-    spacing = row_spacing(both, values_of(both)[None], GRID)
+    spacing = row_spacing([(both, values_of(both)[None])], GRID)
     assert spacing == pytest.approx(0.05)  # half of a copy's, for a pole of 20/s
     driven = horizontal_model("command")  # copies of its commands are 0.05 s apart
-    assert row_spacing(driven, values_of(driven)[None], GRID) == pytest.approx(0.05)
+    assert row_spacing([(driven, values_of(driven)[None])], GRID) == pytest.approx(0.05)
 
 
 def test_what_diverges_is_an_error() -> None:
