@@ -64,7 +64,8 @@ class RigCase:
 
 
 def cases_of(rigs: Sequence[str], effects: Sequence[str], seed: int, seeds: int) -> list[RigCase]:
-    """Seed by seed, so that a study cut short has some of everything; no effect that a rig cannot see."""
+    """Seed by seed, and mixed within, so that a study cut short has some of everything; no effect that a rig cannot
+    see."""
     found = [
         RigCase(rig, effect, s)
         for s in range(seed, seed + seeds)
@@ -72,6 +73,7 @@ def cases_of(rigs: Sequence[str], effects: Sequence[str], seed: int, seeds: int)
         for rig in rigs
         if rig in RIGS and effect not in RIGS[rig].blind
     ]
+    found.sort(key=lambda case: (case.seed, crc32(case.key.encode())))
     return [*(RigCase(name, PLANTS[name].effect, 0) for name in rigs if name in PLANTS), *found]
 
 
